@@ -27,11 +27,11 @@ from teleop.messages.messages import PROFILE_POINTS
 from teleop.messages.topics import PROFILE, SHEATH, STATE, TENDONS, TOPICS
 from teleop.recording.reader import read_messages
 from teleop.session.state_machine import State
-from teleop.view.band import tension_band
+from teleop.view.band import compute_tension_band
 from teleop.view.batch import AnyTopic, Rows, decode
 from teleop.view.colours import TENSION_MAP
 from teleop.view.config import Layout, ViewConfig
-from teleop.view.feed import from_recording
+from teleop.view.feed import show_recording
 from teleop.view.scene import Scene
 from teleop.view.sheaths import Sheaths
 from teleop.view.sinks import Sink
@@ -131,7 +131,7 @@ def photograph(run: Recorded, shot: Shot, until_s: float, path: Path) -> None:
         if sink.stream is None:
             raise RuntimeError("a web view has a stream")
         scene = Scene(settings, sink.stream, sink.lay_out)
-        from_recording(
+        show_recording(
             str(run.path), _Between(scene, until_s, shot.past_s), _never, 0.25, sink.publish
         )
         page.open(sink.lines[0].removeprefix("Web view: ") + "?renderer=webgl&layout=full")
@@ -180,7 +180,7 @@ def animate(run: Recorded, path: Path) -> None:
     chosen = rows[_newest(rows, moments)]
     tips = run.rows[TENDONS]
     tips = tips[_newest(tips, moments)]
-    low, high = tension_band(
+    low, high = compute_tension_band(
         sheaths.friction[0],
         chosen["tension"][:, 0],
         tips["distal_tension_low"][:, 0],

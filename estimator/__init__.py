@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from estimator.units import ROTARY as ROTARY
     from estimator.units import Units as Units
 
-_PLACES = {
+_EXPORT_MODULES = {
     "Calibration": "calibration.calibration",
     "calibrate": "calibration.calibration",
     "FitError": "calibration.sheath_fit",
@@ -100,9 +100,9 @@ __all__ = [
 
 def __getattr__(name: str) -> Any:
     """Import a public name from its module (PEP 562)."""
-    if name not in _PLACES:
+    if name not in _EXPORT_MODULES:
         raise AttributeError(f"module 'estimator' has no attribute {name!r}")
-    return getattr(importlib.import_module(f"estimator.{_PLACES[name]}"), name)
+    return getattr(importlib.import_module(f"estimator.{_EXPORT_MODULES[name]}"), name)
 
 
 def __dir__() -> list[str]:

@@ -3,18 +3,18 @@
 import math
 
 from estimator.array_types import Array
-from estimator.compiled import compiled
+from estimator.compiled import jit_compile
 
 
-@compiled
-def copy(values: Array, into: Array) -> None:
+@jit_compile
+def copy_values(values: Array, into: Array) -> None:
     """Write `values`, shape (n,), into the first n entries of another array."""
     for i in range(len(values)):
         into[i] = values[i]
 
 
-@compiled
-def median(values: Array) -> float:
+@jit_compile
+def compute_median(values: Array) -> float:
     """Return the median of numbers, shape (n,), n > 0; they are left in order, smallest first.
 
     None of them may be NaN.
@@ -32,8 +32,8 @@ def median(values: Array) -> float:
     return float((values[middle - 1] + values[middle]) / 2.0)
 
 
-@compiled
-def interpolated(x: float, places: Array, values: Array) -> float:
+@jit_compile
+def interpolate(x: float, places: Array, values: Array) -> float:
     """Return the value at `x` on straight lines between points, and beyond them that of the last.
 
     Parameters

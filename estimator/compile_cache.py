@@ -17,38 +17,38 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
-KEPT = 3  # folders of earlier states, for switching between versions
+FOLDERS_KEPT = 3  # folders of earlier states, for switching between versions
 IN_USE_S = 3600.0  # [s] since its last use, within which another process may use a folder
-_COMPILED = ("estimator", "master", "slave", "teleop")
-_NAME = "tendon-teleop"
-_VARIABLE = "NUMBA_CACHE_DIR"
+_COMPILED_PACKAGES = ("estimator", "master", "slave", "teleop")
+_FOLDER_NAME = "tendon-teleop"
+_ENVIRONMENT_VARIABLE = "NUMBA_CACHE_DIR"
 
 
-def choose() -> Path | None:
+def choose_folder() -> Path | None:
     """Set the folder in the environment, before numba is imported, and delete old ones.
 
     `NUMBA_CACHE_DIR` set by the user has precedence. A folder that other users own or can change is
     left out, with a line on standard error. Returns None, with nothing cached, if none is left.
     """
-    if named := os.environ.get(_VARIABLE):
+    if named := os.environ.get(_ENVIRONMENT_VARIABLE):
         with contextlib.suppress(OSError):
-            return _enter(Path(named))
-    state = _state()
-    for caches in _places():
+            return _create_private_folder(Path(named))
+    state = _hash_sources()
+    for caches in _generate_candidate_folders():
         try:
-            folder = _enter(_enter(caches) / state)
+            folder = _create_private_folder(_create_private_folder(caches) / state)
             os.utime(folder)
-            for old in sorted(folder.parent.iterdir(), key=_last_used)[: -1 - KEPT]:
-                if _last_used(folder) - _last_used(old) > IN_USE_S * 1e9:
+            for old in sorted(folder.parent.iterdir(), key=_get_last_use)[: -1 - FOLDERS_KEPT]:
+                if _get_last_use(folder) - _get_last_use(old) > IN_USE_S * 1e9:
                     shutil.rmtree(old, ignore_errors=True)
         except OSError:
             continue
-        os.environ[_VARIABLE] = str(folder)
+        os.environ[_ENVIRONMENT_VARIABLE] = str(folder)
         return folder
     return None
 
 
-def _enter(folder: Path) -> Path:
+def _create_private_folder(folder: Path) -> Path:
     """Return a folder without links in its path, made if it is missing, readable by us only.
 
     Raises
@@ -59,7 +59,7 @@ def _enter(folder: Path) -> Path:
     folder = folder.resolve()
     for place in (*reversed(folder.parents), folder):
         place.mkdir(mode=0o700, exist_ok=True)
-    if why := _distrust(folder):
+    if why := _find_write_risk(folder):
         print(f"WARNING: {folder}: no compiled code is kept there: {why}", file=sys.stderr)
         raise PermissionError(why)
     if not os.access(folder, os.W_OK):
@@ -67,7 +67,7 @@ def _enter(folder: Path) -> Path:
     return folder
 
 
-def _distrust(folder: Path) -> str:
+def _find_write_risk(folder: Path) -> str:
     """Return why others could put code into a folder, and the remedy; empty if nobody can."""
     trusted = {0, os.geteuid(), Path("/").stat().st_uid}  # in a user namespace / is of nobody
     for place in (folder, *folder.parents):
@@ -75,13 +75,13 @@ def _distrust(folder: Path) -> str:
         if status.st_uid not in trusted:
             return f"{place} belongs to another user; set XDG_CACHE_HOME to a folder of yours"
         sticky = status.st_mode & stat.S_ISVTX and place != folder
-        if _others_can_write(status) and not sticky:
+        if _is_writable_by_others(status) and not sticky:
             remedy = f"delete {place}" if place == folder else f"chmod go-w {place}"
             return f"other users can write {place}; {remedy}"
     return ""
 
 
-def _others_can_write(status: os.stat_result) -> bool:
+def _is_writable_by_others(status: os.stat_result) -> bool:
     """Return whether a mode lets others write; a group of nobody but this user is this user."""
     if not status.st_mode & stat.S_IWGRP or status.st_mode & stat.S_IWOTH:
         return bool(status.st_mode & stat.S_IWOTH)
@@ -92,25 +92,25 @@ def _others_can_write(status: os.stat_result) -> bool:
     return group.gr_name != user or not set(group.gr_mem) <= {user}
 
 
-def _state() -> str:
+def _hash_sources() -> str:
     """Return a hash of the sources of compiled functions."""
     root = Path(__file__).parents[1]
-    sources = sorted(path for name in _COMPILED for path in (root / name).rglob("*.py"))
+    sources = sorted(path for name in _COMPILED_PACKAGES for path in (root / name).rglob("*.py"))
     text = "".join(f"{p} {p.stat().st_mtime_ns} {p.stat().st_size}\n" for p in sources)
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
-def _places() -> Iterator[Path]:
+def _generate_candidate_folders() -> Iterator[Path]:
     """Yield candidate folders: in the user's cache, then a temporary one."""
     named = Path(os.environ.get("XDG_CACHE_HOME", ""))
     if named.is_absolute():
-        yield named / _NAME
+        yield named / _FOLDER_NAME
     with contextlib.suppress(RuntimeError):  # a user id without a home
-        yield Path.home() / ".cache" / _NAME
-    yield Path(tempfile.gettempdir()) / f"{_NAME}-{os.getuid()}"
+        yield Path.home() / ".cache" / _FOLDER_NAME
+    yield Path(tempfile.gettempdir()) / f"{_FOLDER_NAME}-{os.getuid()}"
 
 
-def _last_used(folder: Path) -> int:
+def _get_last_use(folder: Path) -> int:
     try:
         return folder.stat().st_mtime_ns
     except FileNotFoundError:  # deleted by another process

@@ -5,7 +5,7 @@ from typing import Any, ParamSpec, TypeVar, cast
 
 from estimator import compile_cache
 
-_folder = compile_cache.choose()  # numba reads it from the environment when it is imported
+_folder = compile_cache.choose_folder()  # numba reads it from the environment when it is imported
 
 import numba  # noqa: E402
 
@@ -18,22 +18,22 @@ R = TypeVar("R")
 
 # Without the entry for calls from C, which nobody makes: a sixth of the time that compiling takes.
 # Of any type, as the option is missing in numba's own.
-_OPTIONS: dict[str, Any] = {
+_NUMBA_OPTIONS: dict[str, Any] = {
     "cache": _folder is not None,
     "nogil": True,
     "no_cfunc_wrapper": True,
 }
 
 
-def compiled(function: Callable[P, R]) -> Callable[P, R]:
+def jit_compile(function: Callable[P, R]) -> Callable[P, R]:
     """Compile `function` with numba: IEEE arithmetic, no GIL, cached on disk where that is safe."""
-    return cast(Callable[P, R], numba.njit(function, **_OPTIONS))
+    return cast(Callable[P, R], numba.njit(function, **_NUMBA_OPTIONS))
 
 
-def compiled_in_caller(function: Callable[P, R]) -> Callable[P, R]:
+def jit_inline(function: Callable[P, R]) -> Callable[P, R]:
     """Compile `function` as a part of the one compiled function that calls it.
 
     For large functions that a caller is divided into: compiled apart, they would be optimised once
-    for themselves and once more within their caller. Elsewhere they are `compiled`.
+    for themselves and once more within their caller. Elsewhere they are `jit_compile`.
     """
-    return cast(Callable[P, R], numba.njit(function, inline="always", **_OPTIONS))
+    return cast(Callable[P, R], numba.njit(function, inline="always", **_NUMBA_OPTIONS))

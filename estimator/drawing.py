@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 
 from estimator.text_table import Table
 
-_WORD = 12  # [letters] that stay together in a cell
+_WORD_LENGTH = 12  # [letters] that stay together in a cell
 
 BLACK, BLUE, VERMILION, GREEN, GREY = "black", "#0072B2", "#D55E00", "#009E73", "#888888"
 
@@ -37,12 +37,12 @@ STYLE: dict[Any, Any] = {
 }
 
 
-def styled() -> AbstractContextManager[None]:
+def use_style() -> AbstractContextManager[None]:
     """Return a context in which figures are drawn in this style."""
     return mpl.rc_context(STYLE)
 
 
-def svg(figure: Figure, *, cut: bool = False) -> str:
+def to_svg(figure: Figure, *, cut: bool = False) -> str:
     """Return a figure as an SVG element, `cut` to what is drawn; the same text for the same."""
     text = io.StringIO()
     with mpl.rc_context({**STYLE, "svg.hashsalt": "tendon-teleop", "svg.fonttype": "path"}):
@@ -55,32 +55,34 @@ def svg(figure: Figure, *, cut: bool = False) -> str:
     return re.sub(r"^.*?(?=<svg)", "", text.getvalue(), count=1, flags=re.DOTALL).strip()
 
 
-def html_table(table: Table, mark: str = "") -> str:
+def format_html_table(table: Table, mark: str = "") -> str:
     """Return a table for a page; rows with a cell `mark` stand out."""
-    head = "".join(f"<th>{_breakable(cell)}</th>" for cell in table.head)
+    head = "".join(f"<th>{_format_cell(cell)}</th>" for cell in table.head)
     rows = "".join(
         ('<tr class="ours">' if mark in row else "<tr>")
-        + "".join(f"<td>{_breakable(cell)}</td>" for cell in row)
+        + "".join(f"<td>{_format_cell(cell)}</td>" for cell in row)
         + "</tr>"
         for row in table.rows
     )
     return f"<table><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>"
 
 
-def _breakable(text: str) -> str:
+def _format_cell(text: str) -> str:
     """Return text for a cell whose long words, such as paths, may be broken; others are not."""
-    marked = re.sub(rf"\S{{{_WORD}}}(?=\S)", lambda match: match[0] + "\0", text)
+    marked = re.sub(rf"\S{{{_WORD_LENGTH}}}(?=\S)", lambda match: match[0] + "\0", text)
     return html.escape(marked).replace("\0", "<wbr>")
 
 
-def html_figure(figure: Figure, caption: str) -> str:
+def format_html_figure(figure: Figure, caption: str) -> str:
     """Return a figure for a page, as inline SVG."""
     words = html.escape(caption)
-    return f"<figure>{svg(figure)}<figcaption>{words}</figcaption></figure>"
+    return f"<figure>{to_svg(figure)}<figcaption>{words}</figcaption></figure>"
 
 
-def html_report(title: str, tables: Sequence[Table], figures: Sequence[tuple[Figure, str]]) -> str:
+def format_html_report(
+    title: str, tables: Sequence[Table], figures: Sequence[tuple[Figure, str]]
+) -> str:
     """Return a report for a notebook: a sentence, tables, and figures with their captions."""
-    parts = [f"<p><b>{html.escape(title)}</b></p>", *map(html_table, tables)]
-    parts += [html_figure(figure, caption) for figure, caption in figures]
+    parts = [f"<p><b>{html.escape(title)}</b></p>", *map(format_html_table, tables)]
+    parts += [format_html_figure(figure, caption) for figure, caption in figures]
     return "<div>" + "\n".join(parts) + "</div>"

@@ -5,11 +5,11 @@ import math
 import numpy as np
 
 from estimator.array_types import Array
-from estimator.compiled import compiled
+from estimator.compiled import jit_compile
 
 
-@compiled
-def in_proportion(tension: Array, K: float) -> Array:
+@jit_compile
+def apply_proportional_play(tension: Array, K: float) -> Array:
     """Return a tension after a play operator from T e^-K to T e^K, shape (n,)."""
     out = tension.copy()
     for i in range(1, len(tension)):
@@ -18,8 +18,8 @@ def in_proportion(tension: Array, K: float) -> Array:
     return out
 
 
-@compiled
-def bristle(drive: Array, reach: Array) -> Array:
+@jit_compile
+def compute_bristle_deflection(drive: Array, reach: Array) -> Array:
     """Return LuGre's bristle deflection z over a drive, shape (n,); exact for steps of `drive`."""
     z = np.zeros_like(drive)
     for i in range(1, len(drive)):

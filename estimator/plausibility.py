@@ -12,7 +12,7 @@ import numpy as np
 
 from estimator.array_types import Array
 from estimator.law.sheath import Sheath
-from estimator.law.transmission import batch, slack_profile, tables
+from estimator.law.transmission import build_slack_profile, build_tables, simulate_tensions
 from estimator.measured_data import MeasuredData
 from estimator.units import LINEAR, Units
 
@@ -37,40 +37,40 @@ FIT_COVERAGE_MIN = 0.8
 STRETCH_RATIO = 3.0
 """By which the stretch measured and that of the model may differ."""
 
-SWING = 0.2
+SWING_MIN = 0.2
 """Share of its peak by which a tension swings that must move the other channels."""
 
-BACKWARDS = -0.6
+REVERSED_CORRELATION = -0.6
 """Correlation with what pulls, below which a travel counts the other way."""
 
-_GRID = 16  # values of K in each of two searches
-_TRIED = 4000  # samples of a record that tell a unit
-_NEAR = 0.25  # relative distance of a factor to that of a unit
-_BETTER = 0.5  # of the residual, by which another unit must be better
-_FITS = 0.05  # of the peak: residual of a law that describes a record
+_GRID_SIZE = 16  # values of K in each of two searches
+_SAMPLES_MAX = 4000  # samples of a record that tell a unit
+_FACTOR_TOLERANCE = 0.25  # relative distance of a factor to that of a unit
+_IMPROVEMENT_RATIO = 0.5  # of the residual, by which another unit must be better
+_RESIDUAL_MAX = 0.05  # of the peak: residual of a law that describes a record
 
 
-class Slip(NamedTuple):
+class UnitSlip(NamedTuple):
     """A unit given in place of the right one: `factor` times the value is in the right one."""
 
     name: str
     factor: float
 
 
-FORCES = (Slip("kgf", 9.80665), Slip("lbf", 4.44822), Slip("gram-force", 9.80665e-3))
-LENGTHS = (Slip("mm", 1e-3), Slip("cm", 1e-2), Slip("inches", 0.0254))
+FORCES = (UnitSlip("kgf", 9.80665), UnitSlip("lbf", 4.44822), UnitSlip("gram-force", 9.80665e-3))
+LENGTHS = (UnitSlip("mm", 1e-3), UnitSlip("cm", 1e-2), UnitSlip("inches", 0.0254))
 
 
-def doubts(data: MeasuredData, units: Units = LINEAR) -> tuple[str, ...]:
+def find_channel_faults(data: MeasuredData, units: Units = LINEAR) -> tuple[str, ...]:
     """Return what is wrong with the channels of a record, one line each with its remedy.
 
     A sensor that never changes while the tension does is stuck; only a tip that is blocked stays.
-    One tension of a tendon in another unit is told by `unit_slip`. The data are in `units`, NaN
+    One tension of a tendon in another unit is told by `find_unit_slip`. The data are in `units`, NaN
     where a value is missing.
     """
     T_in, T_out = data.proximal_tension, data.distal_tension
     q_p, q_d = data.proximal_displacement, data.distal_displacement
-    swing, peak = _span(T_in), float(np.nanmax(np.abs(T_in), initial=0.0))
+    swing, peak = _compute_span(T_in), float(np.nanmax(np.abs(T_in), initial=0.0))
     out = []
     if swing == 0.0:
         out.append(
@@ -78,38 +78,38 @@ def doubts(data: MeasuredData, units: Units = LINEAR) -> tuple[str, ...]:
             "stuck or not connected, or nothing was pulled; check it, and pull and release while "
             "you record"
         )
-    moves = swing > SWING * peak and swing > 0.0
-    if moves and q_p is not None and _span(q_p) == 0.0 and not _tip_drives(T_in, q_d):
+    moves = swing > SWING_MIN * peak and swing > 0.0
+    if moves and q_p is not None and _compute_span(q_p) == 0.0 and not _is_tip_driven(T_in, q_d):
         out.append(
             f"proximal_displacement never changes ({q_p[0]:.4g} {units.travel}) while the tension "
             f"swings by {swing:.3g} {units.effort}: the encoder is stuck or not connected; check "
             "it, or remove the column"
         )
-    if moves and T_out is not None and _span(T_out) == 0.0:
+    if moves and T_out is not None and _compute_span(T_out) == 0.0:
         out.append(
             f"distal_tension never changes ({T_out[0]:.4g} {units.effort}) while the tension at "
             f"the housing swings by {swing:.3g} {units.effort}: the load cell is stuck or not "
             "connected; check it, or remove the column"
         )
     if not units.signed:
-        out += _backwards(data, units)
-        if moves and T_out is not None and _span(T_out) > 0.0:
+        out += _find_reversed_travel(data, units)
+        if moves and T_out is not None and _compute_span(T_out) > 0.0:
             known = np.isfinite(T_in) & np.isfinite(T_out)
-            out += [slip] if (slip := unit_slip(T_in[known], T_out[known])) else []
+            out += [slip] if (slip := find_unit_slip(T_in[known], T_out[known])) else []
     return tuple(out)
 
 
-def _backwards(data: MeasuredData, units: Units) -> list[str]:
+def _find_reversed_travel(data: MeasuredData, units: Units) -> list[str]:
     """Return which travel of a tendon counts the other way, if one does."""
     T_in, q_p, q_d = data.proximal_tension, data.proximal_displacement, data.distal_displacement
     if q_p is None:
         return []
-    pulls = _correlation(q_p, T_in)
-    together = 0.0 if q_d is None else _correlation(q_d, q_p)
-    if together > 0.0 and _tip_drives(T_in, q_d):
+    pulls = _compute_correlation(q_p, T_in)
+    together = 0.0 if q_d is None else _compute_correlation(q_d, q_p)
+    if together > 0.0 and _is_tip_driven(T_in, q_d):
         return []
-    opposed = together < BACKWARDS
-    if pulls < (0.0 if opposed else BACKWARDS):
+    opposed = together < REVERSED_CORRELATION
+    if pulls < (0.0 if opposed else REVERSED_CORRELATION):
         name, other = "proximal", "tension at the housing"
     elif opposed:
         name, other = "distal", "travel of the motor"
@@ -121,7 +121,7 @@ def _backwards(data: MeasuredData, units: Units) -> list[str]:
     ]
 
 
-def implausible(K: float, EA: float | None, peak: float) -> str:
+def find_implausible_parameter(K: float, EA: float | None, peak: float) -> str:
     """Return why a friction, a stiffness [N] and a peak tension [N] are no tendon's; "" if fine."""
     if not K_RANGE[0] <= K <= K_RANGE[1]:
         return (
@@ -138,8 +138,12 @@ def implausible(K: float, EA: float | None, peak: float) -> str:
             f"EA = {EA:.3g} N is stiffer than any tendon ({STIFFNESS_RANGE[1]:g} N): the "
             "travel is too small; check that it is in metres, and the length"
         )
-    meant = [slip.name for slip in LENGTHS if _would_do(EA / slip.factor, peak)]
-    meant += [slip.name for slip in FORCES[:1] if not meant and _would_do(EA * slip.factor, peak)]
+    meant = [slip.name for slip in LENGTHS if _is_plausible_stiffness(EA / slip.factor, peak)]
+    meant += [
+        slip.name
+        for slip in FORCES[:1]
+        if not meant and _is_plausible_stiffness(EA * slip.factor, peak)
+    ]
     hint = f" (in {' or '.join(meant)}?)" if meant else ""
     return (
         f"EA = {EA:.3g} N stretches by {strain:.1%} at {peak:.3g} N, which no tendon does (at most "
@@ -148,27 +152,29 @@ def implausible(K: float, EA: float | None, peak: float) -> str:
     )
 
 
-def unit_slip(proximal_tension: Array, distal_tension: Array, *, may_be_right: bool = True) -> str:
+def find_unit_slip(
+    proximal_tension: Array, distal_tension: Array, *, may_be_right: bool = True
+) -> str:
     """Return which tension is in another unit than newtons; "" if none explains the record.
 
     Hysteresis tells: e^2K is between the branches, whatever the unit, and with the right factor the
     law describes both. Only the ratio of both tensions is tested, not their size. Without
     `may_be_right` the units are known to be wrong.
     """
-    step = max(len(proximal_tension) // _TRIED, 1)
+    step = max(len(proximal_tension) // _SAMPLES_MAX, 1)
     if not len(proximal_tension):
         return ""
     T_in, T_out = proximal_tension[::step], distal_tension[::step]
     if not (T_in.max() > 0.0 and T_out.max() > 0.0):
         return ""
-    plain = _residual(T_in, T_out) if may_be_right else math.inf
-    if plain < _FITS:
+    plain = _compute_best_residual(T_in, T_out) if may_be_right else math.inf
+    if plain < _RESIDUAL_MAX:
         return ""
     tried = [("distal", slip, T_in, slip.factor * T_out) for slip in FORCES]
     tried += [("proximal", slip, slip.factor * T_in, T_out) for slip in FORCES]
-    found = [(_residual(one, other), end, slip) for end, slip, one, other in tried]
+    found = [(_compute_best_residual(one, other), end, slip) for end, slip, one, other in tried]
     best = min(residual for residual, _, _ in found)
-    if not (best < _FITS and best < _BETTER * plain):
+    if not (best < _RESIDUAL_MAX and best < _IMPROVEMENT_RATIO * plain):
         return ""
     meant = [f"{e}_tension in {s.name}" for residual, e, s in found if residual < 1.5 * best]
     return (
@@ -177,7 +183,7 @@ def unit_slip(proximal_tension: Array, distal_tension: Array, *, may_be_right: b
     )
 
 
-def contradiction(rmse_share: float, inside: float, *, fitted: bool = False) -> str:
+def find_contradiction(rmse_share: float, inside: float, *, fitted: bool = False) -> str:
     """Return why an estimate and a measured tension contradict each other; "" if they do not.
 
     Parameters
@@ -196,7 +202,7 @@ def contradiction(rmse_share: float, inside: float, *, fitted: bool = False) -> 
     return " and ".join(told)
 
 
-def stretch_slip(measured: Array, modelled: Array) -> str:
+def find_stretch_slip(measured: Array, modelled: Array) -> str:
     """Return why the stretch measured [m] is not that of the model; "" if it may be.
 
     Parameters
@@ -205,15 +211,15 @@ def stretch_slip(measured: Array, modelled: Array) -> str:
         q_p - q_d, and the elongation by the model; NaN where unknown.
     """
     known = np.isfinite(measured) & np.isfinite(modelled)
-    if known.sum() < 2 or not (_span(modelled[known]) > 0.0):
+    if known.sum() < 2 or not (_compute_span(modelled[known]) > 0.0):
         return ""
     x, y = modelled[known] - modelled[known].mean(), measured[known] - measured[known].mean()
     ratio = float(x @ y) / float(x @ x)
     if 1.0 / STRETCH_RATIO <= ratio <= STRETCH_RATIO:
         return ""
     size = abs(ratio)
-    meant = [f"the travel in {s.name}" for s in LENGTHS if _near(size, 1.0 / s.factor)]
-    meant += [f"the tension in {s.name}" for s in FORCES if _near(size, s.factor)]
+    meant = [f"the travel in {s.name}" for s in LENGTHS if _is_near(size, 1.0 / s.factor)]
+    meant += [f"the tension in {s.name}" for s in FORCES if _is_near(size, s.factor)]
     meant += ["the sign of a travel"] if ratio < 0.0 and not meant and size > 0.3 else []
     hint = f"; perhaps {' or '.join(meant)}" if meant else ""
     return (
@@ -222,16 +228,16 @@ def stretch_slip(measured: Array, modelled: Array) -> str:
     )
 
 
-def _tip_drives(tension: Array, q_d: Array | None) -> bool:
+def _is_tip_driven(tension: Array, q_d: Array | None) -> bool:
     """Return whether the tip stretches a tendon that the motor holds: it gives way as it pulls."""
-    if q_d is None or _span(q_d) == 0.0:
+    if q_d is None or _compute_span(q_d) == 0.0:
         return False
     known = np.isfinite(tension) & np.isfinite(q_d)
     x, y = tension[known] - tension[known].mean(), q_d[known] - q_d[known].mean()
     return float(x @ y) < 0.0
 
 
-def _correlation(one: Array, other: Array) -> float:
+def _compute_correlation(one: Array, other: Array) -> float:
     """Return the correlation of two signals; 0 if one of them is constant."""
     known = np.isfinite(one) & np.isfinite(other)
     if known.sum() < 2:
@@ -241,31 +247,33 @@ def _correlation(one: Array, other: Array) -> float:
     return float(x @ y) / size if size > 0.0 else 0.0
 
 
-def _near(value: float, factor: float) -> bool:
-    return abs(math.log(value / factor)) < _NEAR if value > 0.0 else False
+def _is_near(value: float, factor: float) -> bool:
+    return abs(math.log(value / factor)) < _FACTOR_TOLERANCE if value > 0.0 else False
 
 
-def _would_do(EA: float, peak: float) -> bool:
+def _is_plausible_stiffness(EA: float, peak: float) -> bool:
     return STIFFNESS_RANGE[0] <= EA <= STIFFNESS_RANGE[1] and peak / EA <= STRAIN_MAX
 
 
-def _span(signal: Array) -> float:
+def _compute_span(signal: Array) -> float:
     """Return the range of a signal, without what is missing (NaN)."""
     known = signal[np.isfinite(signal)]
     return float(np.ptp(known)) if known.size else 0.0
 
 
-def _residual(T_in: Array, T_out: Array) -> float:
+def _compute_best_residual(T_in: Array, T_out: Array) -> float:
     """Return the RMSE of the law at its best, over the peak; infinite if it is out of order."""
     if T_out.mean() > T_in.mean():
         return math.inf
 
     def cost(K: float) -> float:
-        table = tables(Sheath.uniform(K, 1.0, 1.0))
-        return float(np.mean((T_out - batch(table, slack_profile(table), T_in)[0]) ** 2))
+        table = build_tables(Sheath.uniform(K, 1.0, 1.0))
+        return float(
+            np.mean((T_out - simulate_tensions(table, build_slack_profile(table), T_in)[0]) ** 2)
+        )
 
-    tried = np.geomspace(*K_RANGE, _GRID)
+    tried = np.geomspace(*K_RANGE, _GRID_SIZE)
     costs = [cost(K) for K in tried]
     k = int(np.argmin(costs))
-    near = np.linspace(tried[max(k - 1, 0)], tried[min(k + 1, _GRID - 1)], _GRID)
+    near = np.linspace(tried[max(k - 1, 0)], tried[min(k + 1, _GRID_SIZE - 1)], _GRID_SIZE)
     return math.sqrt(min(*costs, *map(cost, near))) / float(T_out.max())

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from estimator.array_types import Array
-from estimator.compiled import compiled
+from estimator.compiled import jit_compile
 
 _MAD_TO_SIGMA = 1.4826  # of a normal distribution
 _SECOND_DIFFERENCE = math.sqrt(6.0)  # its sigma over that of white noise
@@ -63,31 +63,31 @@ def noise_sigma(signal: ArrayLike) -> float:
     return float(np.median(np.abs(np.diff(values, 2)))) * _MAD_TO_SIGMA / _SECOND_DIFFERENCE
 
 
-@compiled
-def average(previous: float, measured: float, dt: float, time_constant: float) -> float:
+@jit_compile
+def update_average(previous: float, measured: float, dt: float, time_constant: float) -> float:
     """Return the next value of a first-order average, exact for any `dt` [s]."""
     if time_constant <= 0.0:
         return measured
     return measured + (previous - measured) * math.exp(-dt / time_constant)
 
 
-@compiled
-def averaged_variance(previous: float, sigma: float, dt: float, time_constant: float) -> float:
-    """Return the variance white noise of `sigma` leaves after `average`, from the one before."""
+@jit_compile
+def update_variance(previous: float, sigma: float, dt: float, time_constant: float) -> float:
+    """Return the variance white noise of `sigma` leaves after `update_average`, from the one before."""
     kept = math.exp(-dt / time_constant) if time_constant > 0.0 else 0.0
     return (kept * kept) * previous + ((1.0 - kept) * sigma) ** 2
 
 
-@compiled
-def play(previous: float, value: float, half_width: float) -> float:
+@jit_compile
+def update_play(previous: float, value: float, half_width: float) -> float:
     """Return the output of a play operator: it moves only when `value` is further off than that."""
     return min(max(previous, value - half_width), value + half_width)
 
 
-@compiled
-def played(signal: Array, half_width: float) -> Array:
+@jit_compile
+def apply_play(signal: Array, half_width: float) -> Array:
     """Return a signal after a play operator that begins in its middle, shape (n,)."""
     out = signal.copy()
     for i in range(1, len(signal)):
-        out[i] = play(out[i - 1], signal[i], half_width)
+        out[i] = update_play(out[i - 1], signal[i], half_width)
     return out

@@ -69,7 +69,7 @@ _WORDS = {
 _ROTARY = {"N": "N m", "m": "rad", "kg": "kg m^2", "N^2": "(N m)^2"}
 
 
-def quantity(value: float | None, unit: str, digits: int = 4) -> str:
+def format_quantity(value: float | None, unit: str, digits: int = 4) -> str:
     """Return a value as one says it: with a prefix where the unit is too large."""
     if value is None:
         return ""

@@ -8,7 +8,7 @@ The records are simulated with the model of a pair, and noise.
 import numpy as np
 
 import estimator as est
-from estimator.pair.pair import PairModel, by_command
+from estimator.pair.pair import PairModel, simulate_by_command
 
 true = PairModel(
     friction=0.3, growth=0.2, compliance=0.5, bedding=0.0,
@@ -21,7 +21,7 @@ noise = np.random.default_rng(0)
 def record(bend: float) -> est.PairRecord:
     still = np.full(len(time), 5.0)  # [N] of pretension, which the first sample gives
     asked = est.PairRecord(bend, time, np.sin(time), np.zeros(len(time)), still, still)
-    angle, a, b = by_command(true, asked)
+    angle, a, b = simulate_by_command(true, asked)
     unsure = noise.normal(0.0, 0.02, (2, len(time)))
     return asked._replace(angle=angle, tension_a=a + unsure[0], tension_b=b + unsure[1])
 

@@ -5,7 +5,7 @@ those of the tip. The energy ledger uses the hand's own motion, whether or not t
 locked axis, a limit of the workspace), and the force that was actually rendered, in the scale used
 then.
 
-A tick has two phases. `count_hand` updates the energy ledger for the next command; `render`
+A tick has two phases. `add_hand_work` updates the energy ledger for the next command; `render_force`
 computes the force, when the slave may have answered that command.
 """
 
@@ -14,15 +14,15 @@ import math
 import numpy as np
 
 from estimator.array_types import Array
-from estimator.compiled import compiled
-from estimator.records import F64, Flag, Record
-from master.hand_input import Axes, HandInput, all_finite
+from estimator.compiled import jit_compile
+from estimator.records import F64, Flag, Struct
+from master.hand_input import Axes, HandInput, is_all_finite
 from teleop import coupling
 from teleop.coupling import BilateralSettings, Side
 from teleop.messages.messages import MAX_JOINTS
 
 
-class RenderMemory(Record):
+class RenderMemory(Struct):
     """What was rendered in the last tick."""
 
     hand_known: Flag = False  # a hand was seen
@@ -31,8 +31,8 @@ class RenderMemory(Record):
     scale: F64 = 0.0  # force on the hand per force at the tip, at that time
 
 
-@compiled
-def count_hand(
+@jit_compile
+def add_hand_work(
     settings: BilateralSettings,
     side: Side,
     rendered: RenderMemory,
@@ -58,7 +58,7 @@ def count_hand(
         Whether forces are rendered and finite.
     """
     # a non-finite position would corrupt the ledger's sums
-    seen = hand.present and all_finite(hand.position, hand.axes)
+    seen = hand.present and is_all_finite(hand.position, hand.axes)
     place, velocity = np.zeros(MAX_JOINTS), np.zeros(MAX_JOINTS)
     at_tip = np.zeros(MAX_JOINTS)
     for k in range(MAX_JOINTS):
@@ -69,14 +69,16 @@ def count_hand(
             velocity[k] = position_scale * hand.velocity[k]
             rendered.hand[k] = hand.position[k]
         if k < axes:
-            at_tip[k] = _at_tip(rendered.scale, _part(written[k], rendered.force[k]))
+            at_tip[k] = _to_tip_force(
+                rendered.scale, _compute_coupling_part(written[k], rendered.force[k])
+            )
     rendered.hand_known = rendered.hand_known or seen
     lever = force_scale * position_scale
-    coupling.count_hand(settings, side, place, velocity, at_tip, axes, lever, coupled, dt)
+    coupling.count_hand_work(settings, side, place, velocity, at_tip, axes, lever, coupled, dt)
 
 
-@compiled
-def observe(
+@jit_compile
+def observe_tips(
     settings: BilateralSettings,
     side: Side,
     force_scale: float,
@@ -87,12 +89,12 @@ def observe(
     """Take over the tips' travels [m] and the forces [N] on the hand that a new state asks for."""
     at_tip = np.zeros(MAX_JOINTS)
     for k in range(axes):
-        at_tip[k] = _at_tip(force_scale, wanted[k])
-    coupling.observe(settings, side, position, at_tip, axes)
+        at_tip[k] = _to_tip_force(force_scale, wanted[k])
+    coupling.update_contact_models(settings, side, position, at_tip, axes)
 
 
-@compiled
-def render(
+@jit_compile
+def render_force(
     settings: BilateralSettings,
     side: Side,
     force_scale: float,
@@ -108,7 +110,7 @@ def render(
     wanted : array of shape (8,)
         Forces on the hand [N] wanted now.
     coupled : bool
-        Whether forces are rendered and `count_hand` was called as coupled in this tick; if not,
+        Whether forces are rendered and `add_hand_work` was called as coupled in this tick; if not,
         `out` is `wanted`.
     """
     for k in range(axes):
@@ -117,29 +119,31 @@ def render(
         return
     at_tip, granted_force = np.zeros(MAX_JOINTS), np.zeros(MAX_JOINTS)
     for k in range(axes):
-        at_tip[k] = _at_tip(force_scale, wanted[k])
-    coupling.render(settings, side, at_tip, axes, granted_force)
+        at_tip[k] = _to_tip_force(force_scale, wanted[k])
+    coupling.render_force(settings, side, at_tip, axes, granted_force)
     for k in range(axes):
         if force_scale != 0.0:
             out[k] = -force_scale * granted_force[k]
 
 
-@compiled
-def remember(rendered: RenderMemory, force_scale: float, force: Array, axes: int) -> None:
+@jit_compile
+def store_rendered_force(
+    rendered: RenderMemory, force_scale: float, force: Array, axes: int
+) -> None:
     """Store the forces of the coupling and their scale."""
     for k in range(axes):
         rendered.force[k] = force[k]
     rendered.scale = force_scale
 
 
-@compiled
-def _part(written: float, requested: float) -> float:
+@jit_compile
+def _compute_coupling_part(written: float, requested: float) -> float:
     """Return the coupling's part of a `written` force: at most the `requested` one."""
     if not math.isfinite(requested):
         return 0.0
     return min(max(written, min(requested, 0.0)), max(requested, 0.0))
 
 
-@compiled
-def _at_tip(scale: float, force: float) -> float:
+@jit_compile
+def _to_tip_force(scale: float, force: float) -> float:
     return -force / scale if scale > 0.0 else 0.0

@@ -18,8 +18,8 @@ import math
 from dataclasses import dataclass
 
 from estimator.array_types import Array
-from estimator.compiled import compiled
-from teleop.coupling.force_attenuation import ConfidenceConfig, attenuate
+from estimator.compiled import jit_compile
+from teleop.coupling.force_attenuation import ConfidenceConfig, attenuate_force
 from teleop.messages.messages import STATUS_NAMES, SlaveState
 from teleop.runtime.clock import STEP_MAX_S
 
@@ -44,8 +44,8 @@ class FeedbackConfig:
             raise ValueError("slew: must be above 0 [N/s] and finite")
 
 
-@compiled
-def tip_forces(
+@jit_compile
+def compute_tip_forces(
     confidence: ConfidenceConfig,
     state: SlaveState,
     has_state: bool,
@@ -59,28 +59,30 @@ def tip_forces(
     for k in range(axes):
         out[k] = 0.0
         if has_state and k < state.joints and is_valid(state, k):
-            out[k] = attenuate(confidence, state.force[k], state.force_low[k], state.force_high[k])
+            out[k] = attenuate_force(
+                confidence, state.force[k], state.force_low[k], state.force_high[k]
+            )
 
 
-@compiled
+@jit_compile
 def is_valid(state: SlaveState, joint: int) -> bool:
     """Return whether the estimate of a joint is one of its newest sample."""
     return state.status[joint] & INVALID == 0
 
 
-@compiled
-def reflect(scale: float, force: float) -> float:
+@jit_compile
+def reflect_force(scale: float, force: float) -> float:
     """Return the force on the hand [N] for a force at the tip [N], positive = against pulling."""
     return -scale * force
 
 
-@compiled
-def saturation(config: FeedbackConfig) -> float:
+@jit_compile
+def compute_saturation(config: FeedbackConfig) -> float:
     """Return the force at the tip [N] at which the force on the hand saturates."""
     return config.limit / config.scale if config.scale > 0.0 else 0.0
 
 
-@compiled
+@jit_compile
 def limit_slew(most: float, last: float, force: float, dt: float) -> float:
     """Return `force` [N] with its growth since `last` [N] limited to `most` [N/s].
 
@@ -92,7 +94,7 @@ def limit_slew(most: float, last: float, force: float, dt: float) -> float:
     return min(max(force, min(last, 0.0) - growth), max(last, 0.0) + growth)
 
 
-@compiled
+@jit_compile
 def clamp(limit: float, force: float) -> float:
     """Return `force` [N] saturated at `limit` [N]; non-finite values are kept.
 

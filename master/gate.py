@@ -18,8 +18,8 @@ from enum import IntFlag
 import numpy as np
 
 from estimator.array_types import Array
-from estimator.compiled import compiled
-from master.hand_input import all_finite
+from estimator.compiled import jit_compile
+from master.hand_input import is_all_finite
 from teleop.config.bounds import Bound, check_bounds
 from teleop.messages.messages import MAX_JOINTS
 from teleop.runtime.clock import STEP_MAX_S
@@ -70,7 +70,7 @@ TOTAL_LIMIT = int(GateFlags.TOTAL_LIMIT)
 SLEW = int(GateFlags.SLEW)
 
 
-@compiled
+@jit_compile
 def step(
     config: GateConfig,
     last: Array,
@@ -113,10 +113,10 @@ def step(
         refusal |= NOT_ENGAGED
     if not fresh:
         refusal |= STALE
-    if not all_finite(wanted, axes):
+    if not is_all_finite(wanted, axes):
         refusal |= NOT_FINITE
     verdict = refusal
-    resting = all_finite(rest, axes)
+    resting = is_all_finite(rest, axes)
     fading = fades and refusal & NOT_FINITE == 0 and 0.0 < dt < FADE_S
     limit = config.axis_max
     bounded = np.empty(MAX_JOINTS)
@@ -125,11 +125,11 @@ def step(
         if refusal != PASSED:
             force = rest[k] if resting else 0.0
             if fading:
-                force = _faded(last[k], force, config.axis_max * dt / FADE_S)
+                force = _fade_force(last[k], force, config.axis_max * dt / FADE_S)
         bounded[k] = min(max(force, -limit), limit)
         if bounded[k] != force:
             verdict |= AXIS_LIMIT
-    total = _length(bounded, axes)
+    total = _compute_norm(bounded, axes)
     if total > config.total_max:
         verdict |= TOTAL_LIMIT
         for k in range(axes):
@@ -143,14 +143,14 @@ def step(
     return verdict
 
 
-@compiled
-def _faded(last: float, target: float, by: float) -> float:
+@jit_compile
+def _fade_force(last: float, target: float, by: float) -> float:
     """Return `last` moved towards `target` [N] by at most `by` [N]."""
     return max(target, last - by) if last > target else min(target, last + by)
 
 
-@compiled
-def _length(force: Array, axes: int) -> float:
+@jit_compile
+def _compute_norm(force: Array, axes: int) -> float:
     """Return the norm of a vector, scaled against overflow and underflow."""
     largest = 0.0
     for k in range(axes):

@@ -1,6 +1,6 @@
 """The newest read of a haptic device as a record, for compiled functions.
 
-Devices return a `HandState` of as many numbers as they have axes; `fill` copies it.
+Devices return a `HandState` of as many numbers as they have axes; `fill_hand_input` copies it.
 """
 
 from collections.abc import Sequence
@@ -9,8 +9,8 @@ from typing import Annotated
 import numpy as np
 
 from estimator.array_types import Array
-from estimator.compiled import compiled
-from estimator.records import I64, Field, Flag, Record, Records
+from estimator.compiled import jit_compile
+from estimator.records import I64, Field, Flag, Struct, StructArray
 from master.device import HandState
 from teleop.messages.messages import MAX_JOINTS
 
@@ -18,7 +18,7 @@ Axes = Annotated[Array, Field("f8", MAX_JOINTS)]
 """A field with one number per axis of a device, zero beyond its axes."""
 
 
-class HandInput(Record):
+class HandInput(Struct):
     """One read of a device; all zero if it cannot be read."""
 
     present: Flag = False  # the device can be read
@@ -31,10 +31,10 @@ class HandInput(Record):
 
 
 _ZEROS = (0.0,) * MAX_JOINTS
-_ABSENT = (False, 0, _ZEROS, _ZEROS, False, False, False)
+_ABSENT_HAND = (False, 0, _ZEROS, _ZEROS, False, False, False)
 
 
-def fill(records: Records, hand: HandState | None) -> None:
+def fill_hand_input(records: StructArray, hand: HandState | None) -> None:
     """Set the first of an array of `HandInput` to what a device returned, in 2 us.
 
     Parameters
@@ -45,7 +45,7 @@ def fill(records: Records, hand: HandState | None) -> None:
         None if the device cannot be read.
     """
     if hand is None:
-        records[0] = _ABSENT
+        records[0] = _ABSENT_HAND
         return
     axes = len(hand.position)
     zeros = _ZEROS[axes:]
@@ -66,8 +66,8 @@ def fill_axes(field: Array, values: Sequence[float]) -> None:
     field[: len(values)] = values
 
 
-@compiled
-def all_finite(values: Array, axes: int) -> bool:
+@jit_compile
+def is_all_finite(values: Array, axes: int) -> bool:
     """Return whether the first `axes` of `values` are finite."""
     for k in range(axes):  # noqa: SIM110 - compiled
         if not np.isfinite(values[k]):

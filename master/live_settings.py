@@ -10,12 +10,12 @@ from typing import NamedTuple
 
 from master.config import MasterConfig
 from master.device import HandState
-from teleop.config.suggestions import did_you_mean
+from teleop.config.suggestions import suggest_spelling
 from teleop.errors import UsageError
 
 SLEW_S = 0.5  # [s] ramp of the force scale
-STEP = 2.0**0.5  # factor of a button press
-SCALES = (0.01, 1.0)  # range for buttons
+BUTTON_FACTOR = 2.0**0.5  # factor of a button press
+SCALE_RANGE = (0.01, 1.0)  # range for buttons
 KEYS = ("force.scale", "operator.lock", "operator.position_scale")
 BUTTONS = (  # that decrease and increase a scale
     ("operator.position_scale", "finer", "coarser"),
@@ -26,7 +26,7 @@ BUTTONS = (  # that decrease and increase a scale
 RELEASED = (False, False)
 
 
-class Live(NamedTuple):
+class LiveSettings(NamedTuple):
     """The active config and the target of its force scale."""
 
     config: MasterConfig
@@ -40,12 +40,12 @@ class Live(NamedTuple):
         return self.config.force.scale == self.force_scale
 
 
-def start(config: MasterConfig) -> Live:
+def init_settings(config: MasterConfig) -> LiveSettings:
     """Return the initial settings."""
-    return Live(config, config.force.scale)
+    return LiveSettings(config, config.force.scale)
 
 
-def change(live: Live, key: str, value: str) -> tuple[Live, str]:
+def change_setting(live: LiveSettings, key: str, value: str) -> tuple[LiveSettings, str]:
     """Return the settings with one of `KEYS` set to `value`, and the value as text.
 
     Raises
@@ -55,27 +55,29 @@ def change(live: Live, key: str, value: str) -> tuple[Live, str]:
     """
     name = key.removeprefix("master.")
     if name not in KEYS:
-        meant = did_you_mean(name, KEYS, cutoff=0.75)
+        meant = suggest_spelling(name, KEYS, cutoff=0.75)
         what = f"is unknown{meant}" if meant else "cannot be changed while the master runs"
         raise UsageError(f"{key}: {what} (allowed: {', '.join(KEYS)})")
     config = live.config
     try:
         if name == "force.scale":
-            wanted = replace(config.force, scale=_number("scale", value)).scale
+            wanted = replace(config.force, scale=_parse_number("scale", value)).scale
             gap = abs(wanted - config.force.scale)
             return live._replace(force_scale=wanted, rate=gap / SLEW_S), f"{name} = {wanted:g}"
         if name == "operator.lock":
-            operator = replace(config.operator, lock=_axes(value))
+            operator = replace(config.operator, lock=_parse_axes(value))
             text = str(list(operator.lock))
         else:
-            operator = replace(config.operator, position_scale=_number("position_scale", value))
+            operator = replace(
+                config.operator, position_scale=_parse_number("position_scale", value)
+            )
             text = f"{operator.position_scale:g}"
     except ValueError as error:
         raise UsageError(f"master.{name.partition('.')[0]}.{error}") from error
     return live._replace(config=replace(config, operator=operator)), f"{name} = {text}"
 
 
-def _number(field: str, text: str) -> float:
+def _parse_number(field: str, text: str) -> float:
     """Parse a number; called in the loop, so it must be fast."""
     try:
         return float(text)
@@ -83,13 +85,15 @@ def _number(field: str, text: str) -> float:
         raise ValueError(f"{field}: expected a number, got {text!r}") from None
 
 
-def _axes(text: str) -> tuple[int, ...]:
+def _parse_axes(text: str) -> tuple[int, ...]:
     if not re.fullmatch(r"\s*(\[\s*(\d\s*(,\s*\d\s*)*)?\]|\d)\s*", text, re.ASCII):
         raise ValueError(f"lock: expected axes as in '[0, 2]', got {text!r}")
     return tuple(int(digit) for digit in re.findall(r"\d", text, re.ASCII))
 
 
-def follow(live: Live, hand: HandState | None, dt: float) -> tuple[Live, str]:
+def update_settings(
+    live: LiveSettings, hand: HandState | None, dt: float
+) -> tuple[LiveSettings, str]:
     """Return the settings of a tick, `dt` [s] after the last, and a text of button changes.
 
     Fast while nothing changes.
@@ -99,10 +103,10 @@ def follow(live: Live, hand: HandState | None, dt: float) -> tuple[Live, str]:
         hand is None or not (hand.finer or hand.coarser or hand.weaker or hand.stronger)
     ):
         return live, ""
-    return press(step(live, dt), hand)
+    return apply_buttons(advance_ramp(live, dt), hand)
 
 
-def press(live: Live, hand: HandState | None) -> tuple[Live, str]:
+def apply_buttons(live: LiveSettings, hand: HandState | None) -> tuple[LiveSettings, str]:
     """Return the settings after the device's buttons, and a text of the changes.
 
     A press counts once; both buttons of a scale together are ignored.
@@ -116,12 +120,14 @@ def press(live: Live, hand: HandState | None) -> tuple[Live, str]:
     live, changes = live._replace(held=held), []
     for (key, *_), (less, more), was in zip(BUTTONS, down, before, strict=True):
         if less != more and not was:
-            live, words = change(live, key, f"{_stepped(_scale(live, key), less):.6g}")
+            live, words = change_setting(
+                live, key, f"{_step_scale(_get_scale(live, key), less):.6g}"
+            )
             changes.append(words)
     return live, ", ".join(changes)
 
 
-def scaled(config: MasterConfig, scale: float) -> MasterConfig:
+def scale_config(config: MasterConfig, scale: float) -> MasterConfig:
     """Return `config` with the force scale and the position scale times `scale`."""
     force = replace(config.force, scale=config.force.scale * scale)
     position_scale = config.operator.position_scale * scale
@@ -129,16 +135,16 @@ def scaled(config: MasterConfig, scale: float) -> MasterConfig:
     return replace(config, force=force, operator=operator)
 
 
-def _scale(live: Live, key: str) -> float:
+def _get_scale(live: LiveSettings, key: str) -> float:
     return live.force_scale if key == "force.scale" else live.config.operator.position_scale
 
 
-def _stepped(now: float, less: bool) -> float:
-    low, high = min(SCALES[0], now), max(SCALES[1], now)
-    return min(max(now / STEP if less else now * STEP, low), high)
+def _step_scale(now: float, less: bool) -> float:
+    low, high = min(SCALE_RANGE[0], now), max(SCALE_RANGE[1], now)
+    return min(max(now / BUTTON_FACTOR if less else now * BUTTON_FACTOR, low), high)
 
 
-def step(live: Live, dt: float) -> Live:
+def advance_ramp(live: LiveSettings, dt: float) -> LiveSettings:
     """Return the settings of a tick, `dt` [s] after the last."""
     if live.settled:
         return live

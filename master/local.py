@@ -5,20 +5,20 @@ hand and tip are coupled. Outside them a hand at x, moving outwards at v, is pus
 
     F = -min(wall * depth + wall_damping * v, wall_max),    depth, v > 0 outwards
 
-and the tip does not follow it there (`master.operator.within`). The damping only opposes outward
+and the tip does not follow it there (`master.operator.clip_to_workspace`). The damping only opposes outward
 motion, so a limit never pulls. If the hand is already outside when it is coupled, its limit starts
 at the hand and moves back with it, so there is no force step. The weight compensation is
 `OperatorSettings.weight`.
 """
 
 from estimator.array_types import Array
-from estimator.compiled import compiled
-from estimator.records import Flag, Record
+from estimator.compiled import jit_compile
+from estimator.records import Flag, Struct
 from master.hand_input import Axes, HandInput
 from master.operator import OperatorSettings
 
 
-class WorkspaceLimits(Record):
+class WorkspaceLimits(Struct):
     """Active limits: those of the workspace, or further out where the hand was."""
 
     known: Flag = False  # a hand position is known
@@ -26,7 +26,7 @@ class WorkspaceLimits(Record):
     high: Axes  # [m] inf where an axis has none
 
 
-@compiled
+@jit_compile
 def update_limits(
     settings: OperatorSettings, limits: WorkspaceLimits, hand: HandInput, rendered: bool
 ) -> None:
@@ -44,17 +44,21 @@ def update_limits(
     limits.known = True
 
 
-@compiled
-def wall_forces(
+@jit_compile
+def compute_wall_forces(
     settings: OperatorSettings, limits: WorkspaceLimits, hand: HandInput, out: Array
 ) -> None:
     """Write the force of the limits on the hand [N] to `out`, shape (8,)."""
     for k in range(hand.axes):
-        out[k] = _wall(settings, hand.position[k], hand.velocity[k], limits.low[k], limits.high[k])
+        out[k] = _compute_wall_force(
+            settings, hand.position[k], hand.velocity[k], limits.low[k], limits.high[k]
+        )
 
 
-@compiled
-def _wall(settings: OperatorSettings, x: float, v: float, low: float, high: float) -> float:
+@jit_compile
+def _compute_wall_force(
+    settings: OperatorSettings, x: float, v: float, low: float, high: float
+) -> float:
     side = 1.0 if x > high else -1.0
     depth = max(x - high, low - x)
     if not depth > 0.0:

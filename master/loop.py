@@ -14,11 +14,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from estimator.array_types import Array
-from estimator.compiled import compiled
-from estimator.records import F64, I64, Flag, Record, Records, one
+from estimator.compiled import jit_compile
+from estimator.records import F64, I64, Flag, Struct, StructArray, view_struct
 from master import coupling_adapter, feedback, gate, local, operator, presence
 from master.coupling_adapter import RenderMemory
-from master.hand_input import Axes, HandInput, all_finite
+from master.hand_input import Axes, HandInput, is_all_finite
 from master.local import WorkspaceLimits
 from master.operator import OperatorMemory
 from master.presence import Presence
@@ -31,8 +31,8 @@ from teleop.session import state_machine
 from teleop.session.state_machine import Inputs, Reason, Session, State
 
 
-class MasterState(Record):
-    """State of the master between ticks, and between `command` and `force`."""
+class MasterState(Struct):
+    """State of the master between ticks, and between `compute_command` and `compute_force`."""
 
     axes: I64  # of the device
     session: Session
@@ -46,15 +46,15 @@ class MasterState(Record):
     limits: WorkspaceLimits
     presence: Presence
     inputs: Inputs  # of the session in this tick
-    may_render: Flag = False  # whether the session allowed forces in `command`
+    may_render: Flag = False  # whether the session allowed forces in `compute_command`
     counted: Flag = False  # whether `count_hand` ran as coupled there
 
 
-class TickInput(Record):
+class TickInput(Struct):
     """Inputs of a phase of a tick.
 
-    The caller sets all fields before `command`, and updates `has_state`, `state_age_ns` and
-    `now_ns` before `force`.
+    The caller sets all fields before `compute_command`, and updates `has_state`, `state_age_ns` and
+    `now_ns` before `compute_force`.
     """
 
     hand: HandInput
@@ -83,65 +83,69 @@ class PhaseInput(NamedTuple):
     link_holds: bool = False
 
 
-@compiled
+@jit_compile
 def run_command(
-    settings: Records,
-    memories: Records,
-    ticks: Records,
-    states: Records,
+    settings: StructArray,
+    memories: StructArray,
+    ticks: StructArray,
+    states: StructArray,
     phase_input: PhaseInput,
-    commands: Records,
+    commands: StructArray,
 ) -> None:
-    """Run `command` on arrays of one record each; called by the loop."""
-    _take(ticks[0], phase_input)
-    command(settings[0], memories[0], ticks[0], states[0], commands[0])
+    """Run `compute_command` on arrays of one record each; called by the loop."""
+    _copy_phase_input(ticks[0], phase_input)
+    compute_command(settings[0], memories[0], ticks[0], states[0], commands[0])
 
 
-@compiled
+@jit_compile
 def run_force(
-    settings: Records,
-    memories: Records,
-    ticks: Records,
-    states: Records,
+    settings: StructArray,
+    memories: StructArray,
+    ticks: StructArray,
+    states: StructArray,
     phase_input: PhaseInput,
     new_state: bool,
     out: Array,
 ) -> int:
-    """Run `force` on arrays of one record each; called by the loop."""
-    _take(ticks[0], phase_input)
-    return force(settings[0], memories[0], ticks[0], states[0], new_state, out)
+    """Run `compute_force` on arrays of one record each; called by the loop."""
+    _copy_phase_input(ticks[0], phase_input)
+    return compute_force(settings[0], memories[0], ticks[0], states[0], new_state, out)
 
 
-@compiled
-def _take(tick: TickInput, phase_input: PhaseInput) -> None:
+@jit_compile
+def _copy_phase_input(tick: TickInput, phase_input: PhaseInput) -> None:
     tick.has_state, tick.state_age_ns = phase_input.has_state, phase_input.state_age_ns
     tick.now_ns, tick.dt = phase_input.now_ns, phase_input.dt
     tick.fault, tick.stop, tick.reset = phase_input.fault, phase_input.stop, phase_input.reset
     tick.link, tick.link_holds = phase_input.link, phase_input.link_holds
 
 
-@compiled
+@jit_compile
 def fill_hand_message(
-    memories: Records, ticks: Records, state_age_ns: int, round_trip_ns: int, messages: Records
+    memories: StructArray,
+    ticks: StructArray,
+    state_age_ns: int,
+    round_trip_ns: int,
+    messages: StructArray,
 ) -> None:
-    """Run `hand_message` on arrays of one record each."""
-    hand_message(memories[0], ticks[0].hand, state_age_ns, round_trip_ns, messages[0])
+    """Run `write_hand_message` on arrays of one record each."""
+    write_hand_message(memories[0], ticks[0].hand, state_age_ns, round_trip_ns, messages[0])
 
 
-def start(axes: int, now_ns: int) -> Records:
+def init_master(axes: int, now_ns: int) -> StructArray:
     """Return the initial state as an array of one `MasterState`.
 
     Off, no force, no command since `now_ns`.
     """
     records = MasterState.array()
-    state: MasterState = one(records)
+    state: MasterState = view_struct(records)
     state.axes = axes
     state.answered_ns = now_ns
     return records
 
 
-@compiled
-def command(
+@jit_compile
+def compute_command(
     settings: MasterSettings,
     memory: MasterState,
     tick: TickInput,
@@ -163,8 +167,8 @@ def command(
     """
     hand, inputs, dt = tick.hand, memory.inputs, tick.dt
     wanted = np.zeros(MAX_JOINTS)
-    finite = _wanted_forces(settings, memory, tick, state, wanted)
-    presence.step(settings.operator, memory.presence, hand, dt)
+    finite = _compute_wanted_forces(settings, memory, tick, state, wanted)
+    presence.update_presence(settings.operator, memory.presence, hand, dt)
 
     inputs.usable = hand.present
     inputs.clutch = hand.clutch
@@ -184,11 +188,11 @@ def command(
     operator.step(
         settings.operator, memory.operator, hand, state, tick.has_state, engaged, position, velocity
     )
-    _hear(settings, memory, tick, state, wanted)
+    _receive_state(settings, memory, tick, state, wanted)
     written = np.zeros(MAX_JOINTS)
     for k in range(memory.axes):
         written[k] = memory.force[k] - memory.own_force[k]
-    coupling_adapter.count_hand(
+    coupling_adapter.add_hand_work(
         settings.bilateral,
         memory.coupling,
         memory.rendered,
@@ -200,11 +204,11 @@ def command(
         memory.counted,
         dt,
     )
-    _describe(settings, memory, tick, state, out)
+    _fill_command(settings, memory, tick, state, out)
 
 
-@compiled
-def force(
+@jit_compile
+def compute_force(
     settings: MasterSettings,
     memory: MasterState,
     tick: TickInput,
@@ -221,9 +225,9 @@ def force(
     Parameters
     ----------
     settings, memory, tick, state
-        As in `command`; `tick.now_ns` and `tick.state_age_ns` are those of this phase.
+        As in `compute_command`; `tick.now_ns` and `tick.state_age_ns` are those of this phase.
     new_state : bool
-        Whether `state` has arrived since `command`. Its faults, stops and non-finite values then
+        Whether `state` has arrived since `compute_command`. Its faults, stops and non-finite values then
         act at once.
     out : array of shape (8,)
         Forces [N] for the device, zero beyond its axes.
@@ -235,10 +239,10 @@ def force(
     """
     hand, axes, dt = tick.hand, memory.axes, tick.dt
     wanted = np.zeros(MAX_JOINTS)
-    finite = _wanted_forces(settings, memory, tick, state, wanted)
+    finite = _compute_wanted_forces(settings, memory, tick, state, wanted)
     fresh = is_fresh(settings, tick, state)
     if new_state:
-        _hear(settings, memory, tick, state, wanted)
+        _receive_state(settings, memory, tick, state, wanted)
         memory.inputs.link, memory.inputs.link_holds = tick.link, tick.link_holds
     if new_state or fresh != memory.inputs.peer_fresh:
         memory.inputs.reset = False  # already processed
@@ -249,7 +253,7 @@ def force(
 
     total, own = np.zeros(MAX_JOINTS), np.zeros(MAX_JOINTS)
     rest = np.zeros(MAX_JOINTS)
-    coupling_adapter.render(
+    coupling_adapter.render_force(
         settings.bilateral,
         memory.coupling,
         settings.force.scale,
@@ -259,12 +263,12 @@ def force(
         total,
     )
     if renders:
-        coupling_adapter.remember(memory.rendered, settings.force.scale, total, axes)
+        coupling_adapter.store_rendered_force(memory.rendered, settings.force.scale, total, axes)
     local.update_limits(settings.operator, memory.limits, hand, renders)
     if renders and hand.present:  # without delay
-        local.wall_forces(settings.operator, memory.limits, hand, own)
+        local.compute_wall_forces(settings.operator, memory.limits, hand, own)
     for k in range(axes):
-        if _keeps_weight(memory.session):
+        if _has_weight_compensation(memory.session):
             rest[k] = settings.operator.weight[k]
             own[k] += rest[k]
         total[k] = feedback.limit_slew(settings.force.slew, memory.force[k], total[k] + own[k], dt)
@@ -277,12 +281,12 @@ def force(
         out[k] = out[k] if k < axes else 0.0
         memory.force[k] = out[k]
         memory.own_force[k] = own[k]
-    _note_answer(memory, tick, state)
+    _record_answer(memory, tick, state)
     return verdict
 
 
-@compiled
-def _wanted_forces(
+@jit_compile
+def _compute_wanted_forces(
     settings: MasterSettings,
     memory: MasterState,
     tick: TickInput,
@@ -290,13 +294,15 @@ def _wanted_forces(
     out: Array,
 ) -> bool:
     """Write the wanted forces on the hand [N] to `out`; return whether all are finite."""
-    feedback.tip_forces(settings.bilateral.confidence, state, tick.has_state, memory.axes, out)
+    feedback.compute_tip_forces(
+        settings.bilateral.confidence, state, tick.has_state, memory.axes, out
+    )
     for k in range(memory.axes):
-        out[k] = feedback.reflect(settings.force.scale, out[k])
-    return all_finite(out, memory.axes)
+        out[k] = feedback.reflect_force(settings.force.scale, out[k])
+    return is_all_finite(out, memory.axes)
 
 
-@compiled
+@jit_compile
 def _step_session(
     settings: MasterSettings,
     memory: MasterState,
@@ -311,18 +317,18 @@ def _step_session(
     inputs.peer_state = State.OFF
     inputs.peer = 0
     if tick.has_state:
-        inputs.peer_state = state_machine.known_state(state.state)
+        inputs.peer_state = state_machine.to_known_state(state.state)
         inputs.peer = state.sender
-    inputs.engage = hand.present and switch(memory.session, hand, memory.presence)
+    inputs.engage = hand.present and is_switch_closed(memory.session, hand, memory.presence)
     inputs.fault = tick.fault
-    if tick.fault == Reason.NONE and not sound(memory.session, hand, finite):
+    if tick.fault == Reason.NONE and not is_plausible(memory.session, hand, finite):
         inputs.fault = Reason.NOT_FINITE
-    inputs.not_ready_reason = not_ready_reason(settings, memory, tick, state)
+    inputs.not_ready_reason = find_not_ready_reason(settings, memory, tick, state)
     state_machine.step(memory.session, inputs, dt)
 
 
-@compiled
-def _hear(
+@jit_compile
+def _receive_state(
     settings: MasterSettings,
     memory: MasterState,
     tick: TickInput,
@@ -334,20 +340,20 @@ def _hear(
         return
     energy: Any = state.energy
     wave: Any = state.wave
-    coupling.receive(memory.coupling, state.sender, energy, wave)
+    coupling.receive_totals(memory.coupling, state.sender, energy, wave)
     position: Any = state.position
     axes = min(memory.axes, state.joints)
     valid = np.full(MAX_JOINTS, np.nan)
     for k in range(axes):
         if feedback.is_valid(state, k):
             valid[k] = wanted[k]
-    coupling_adapter.observe(
+    coupling_adapter.observe_tips(
         settings.bilateral, memory.coupling, settings.force.scale, position, valid, axes
     )
 
 
-@compiled
-def _describe(
+@jit_compile
+def _fill_command(
     settings: MasterSettings,
     memory: MasterState,
     tick: TickInput,
@@ -361,14 +367,14 @@ def _describe(
     fields.echo_stamp_ns = state.stamp_ns if tick.has_state else 0
     fields.stops = memory.session.stops
     fields.coupling = settings.bilateral.signature
-    fields.force_max = feedback.saturation(settings.force)
+    fields.force_max = feedback.compute_saturation(settings.force)
     for k in range(MAX_JOINTS):
         fields.energy[k] = memory.coupling.ports[k].passed_on
         fields.wave[k] = memory.coupling.ports[k].sent_wave
 
 
-@compiled
-def _note_answer(memory: MasterState, tick: TickInput, state: SlaveState) -> None:
+@jit_compile
+def _record_answer(memory: MasterState, tick: TickInput, state: SlaveState) -> None:
     """Record the command that is answered for the first time."""
     memory.answer_ns = 0
     memory.answered_ns = min(memory.answered_ns, tick.now_ns)  # our clock may have been set back
@@ -377,8 +383,8 @@ def _note_answer(memory: MasterState, tick: TickInput, state: SlaveState) -> Non
         memory.answered_ns = state.echo_stamp_ns
 
 
-@compiled
-def _keeps_weight(side: Session) -> bool:
+@jit_compile
+def _has_weight_compensation(side: Session) -> bool:
     """Return whether weight compensation is on in this state of the session."""
     return (
         side.state == State.READY  # noqa: PLR1714 - compiled
@@ -388,7 +394,7 @@ def _keeps_weight(side: Session) -> bool:
     )
 
 
-@compiled
+@jit_compile
 def is_fresh(settings: MasterSettings, tick: TickInput, state: SlaveState) -> bool:
     """Return whether `state` exists and is fresh.
 
@@ -406,8 +412,8 @@ def is_fresh(settings: MasterSettings, tick: TickInput, state: SlaveState) -> bo
     )
 
 
-@compiled
-def switch(side: Session, hand: HandInput, there: Presence) -> bool:
+@jit_compile
+def is_switch_closed(side: Session, hand: HandInput, there: Presence) -> bool:
     """Return whether the engage switch counts as closed.
 
     Not while no hand is detected; but a fault is cleared only when the real switch is released.
@@ -421,22 +427,22 @@ def switch(side: Session, hand: HandInput, there: Presence) -> bool:
     return hand.engage and not there.away
 
 
-@compiled
-def not_ready_reason(
+@jit_compile
+def find_not_ready_reason(
     settings: MasterSettings, memory: MasterState, tick: TickInput, state: SlaveState
 ) -> int:
     """Return why this side must not engage, `Reason.NONE` if it may."""
-    if tick.has_state and coupling.differs(settings.bilateral, state.coupling):
+    if tick.has_state and coupling.has_settings_mismatch(settings.bilateral, state.coupling):
         return Reason.COUPLING_DIFFERS
     if memory.presence.away:
         return Reason.HAND_AWAY
-    return operator.not_ready_reason(
+    return operator.find_not_ready_reason(
         settings.operator, memory.operator, tick.hand, state, tick.has_state
     )
 
 
-@compiled
-def sound(side: Session, hand: HandInput, finite: bool) -> bool:
+@jit_compile
+def is_plausible(side: Session, hand: HandInput, finite: bool) -> bool:
     """Return whether the hand's motion is plausible and a rendered force is `finite`."""
     for k in range(hand.axes):
         if not abs(hand.position[k]) < MOTION_MAX or not abs(hand.velocity[k]) < MOTION_MAX:
@@ -444,8 +450,8 @@ def sound(side: Session, hand: HandInput, finite: bool) -> bool:
     return finite or not state_machine.may_render(side)
 
 
-@compiled
-def hand_message(
+@jit_compile
+def write_hand_message(
     memory: MasterState, hand: HandInput, state_age_ns: int, round_trip_ns: int, out: Hand
 ) -> None:
     """Fill in the `Hand` message after a tick, except for its head."""

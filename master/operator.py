@@ -21,8 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.array_types import Array
-from estimator.compiled import compiled
-from estimator.records import F64, U64, Field, Flag, Record, Records, one
+from estimator.compiled import jit_compile
+from estimator.records import F64, U64, Field, Flag, Struct, StructArray, view_struct
 from master.hand_input import Axes, HandInput, fill_axes
 from teleop.config.loading import MAY_BE_INFINITE
 from teleop.messages.messages import MAX_JOINTS, SlaveState
@@ -74,7 +74,7 @@ class OperatorConfig:
             raise ValueError("weight: one number an axis, at most 10 [N] each")
 
 
-class OperatorSettings(Record):
+class OperatorSettings(Struct):
     """An `OperatorConfig` as a record: one entry for each axis in place of its tuples."""
 
     position_scale: F64
@@ -90,10 +90,10 @@ class OperatorSettings(Record):
     weight: Axes  # [N] zero for an axis without one
 
 
-def operator_settings(config: OperatorConfig) -> Records:
+def build_operator_settings(config: OperatorConfig) -> StructArray:
     """Return the record of a config as an array of one."""
     records = OperatorSettings.array()
-    settings: OperatorSettings = one(records)
+    settings: OperatorSettings = view_struct(records)
     for name in _SCALARS:
         setattr(settings, name, getattr(config, name))
     settings.low[:] = -math.inf
@@ -112,7 +112,7 @@ _SCALARS = (
 )
 
 
-class OperatorMemory(Record):
+class OperatorMemory(Struct):
     """State between ticks."""
 
     tip: Axes  # [m] last command, all joints
@@ -125,7 +125,7 @@ class OperatorMemory(Record):
     lock: LockFlags
 
 
-@compiled
+@jit_compile
 def step(
     settings: OperatorSettings,
     memory: OperatorMemory,
@@ -149,15 +149,15 @@ def step(
     out_position, out_velocity : arrays of shape (8,)
         Commanded tip travel [m] and velocity [m/s]; all joints.
     """
-    _know_slave(memory, state, has_state)
+    _reset_for_other_slave(memory, state, has_state)
     coupled = engaged and hand.present
     if coupled:
-        _anchor(settings, memory, hand, state, has_state)
+        _update_anchors(settings, memory, hand, state, has_state)
     memory.coupled = coupled
     for k in range(MAX_JOINTS):
         out_velocity[k] = 0.0
         if coupled and k < hand.axes:
-            x = within(settings, k, hand.position[k])
+            x = clip_to_workspace(settings, k, hand.position[k])
             memory.hand[k] = x
             if not settings.lock[k]:
                 memory.tip[k] = memory.tip_anchor[k] + settings.position_scale * x
@@ -166,8 +166,8 @@ def step(
         out_position[k] = memory.tip[k]
 
 
-@compiled
-def _anchor(
+@jit_compile
+def _update_anchors(
     settings: OperatorSettings,
     memory: OperatorMemory,
     hand: HandInput,
@@ -183,10 +183,10 @@ def _anchor(
         memory.lock[k] = settings.lock[k]
     if coupling and math.isfinite(settings.align):
         for k in range(MAX_JOINTS):
-            memory.tip[k] = _reported(memory.tip[k], state, has_state, k)
+            memory.tip[k] = _get_reported_travel(memory.tip[k], state, has_state, k)
     for k in range(hand.axes):
         if coupling or settings.lock[k]:
-            x = within(settings, k, hand.position[k])
+            x = clip_to_workspace(settings, k, hand.position[k])
             memory.tip_anchor[k] = memory.tip[k] - scale * x
         elif changed:
             memory.tip_anchor[k] = memory.tip[k] - scale * memory.hand[k]
@@ -194,8 +194,8 @@ def _anchor(
     memory.hand_known = True
 
 
-@compiled
-def not_ready_reason(
+@jit_compile
+def find_not_ready_reason(
     settings: OperatorSettings,
     memory: OperatorMemory,
     hand: HandInput,
@@ -208,24 +208,24 @@ def not_ready_reason(
     if has_state and state.sender != memory.slave:  # another slave, never coupled to
         return Reason.NONE
     for k in range(hand.axes):
-        x = within(settings, k, hand.position[k])
-        tip = _reported(memory.tip[k], state, has_state, k)
+        x = clip_to_workspace(settings, k, hand.position[k])
+        tip = _get_reported_travel(memory.tip[k], state, has_state, k)
         apart = abs(memory.tip[k] + settings.position_scale * (x - memory.hand[k]) - tip)
         if not settings.lock[k] and not apart <= settings.align:
             return Reason.ALIGN_FIRST
     return Reason.NONE
 
 
-@compiled
-def within(settings: OperatorSettings, axis: int, x: float) -> float:
+@jit_compile
+def clip_to_workspace(settings: OperatorSettings, axis: int, x: float) -> float:
     """Return a hand position on one axis [m], clipped to the workspace."""
     low: float = settings.low[axis]
     high: float = settings.high[axis]
     return min(max(x, low), high)
 
 
-@compiled
-def _know_slave(memory: OperatorMemory, state: SlaveState, has_state: bool) -> None:
+@jit_compile
+def _reset_for_other_slave(memory: OperatorMemory, state: SlaveState, has_state: bool) -> None:
     """Reset if another slave answers."""
     if not has_state or state.sender == memory.slave:
         return
@@ -233,11 +233,11 @@ def _know_slave(memory: OperatorMemory, state: SlaveState, has_state: bool) -> N
     memory.coupled = False
     memory.hand_known = False
     for k in range(MAX_JOINTS):
-        memory.tip[k] = _reported(0.0, state, has_state, k)
+        memory.tip[k] = _get_reported_travel(0.0, state, has_state, k)
 
 
-@compiled
-def _reported(tip: float, state: SlaveState, has_state: bool, joint: int) -> float:
+@jit_compile
+def _get_reported_travel(tip: float, state: SlaveState, has_state: bool, joint: int) -> float:
     """Return the tip travel reported by the slave [m]; `tip` if unknown."""
     position: float = state.position[joint] if has_state else math.nan
     return position if math.isfinite(position) else tip

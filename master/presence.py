@@ -8,13 +8,13 @@ The physiological tremor of a hand that holds an instrument is some 0.05 to 0.1 
 of 20 um is below it, and above the noise of an encoder.
 """
 
-from estimator.compiled import compiled
-from estimator.records import F64, I64, Flag, Record
+from estimator.compiled import jit_compile
+from estimator.records import F64, I64, Flag, Struct
 from master.hand_input import Axes, HandInput
 from master.operator import OperatorSettings
 
 
-class Presence(Record):
+class Presence(Struct):
     """State between ticks."""
 
     axes: I64 = 0  # how many entries of `around` are in use; 0 = the switch was open
@@ -23,8 +23,10 @@ class Presence(Record):
     away: Flag = False  # no hand detected, and the switch has not been open since
 
 
-@compiled
-def step(settings: OperatorSettings, memory: Presence, hand: HandInput, dt: float) -> None:
+@jit_compile
+def update_presence(
+    settings: OperatorSettings, memory: Presence, hand: HandInput, dt: float
+) -> None:
     """Update the detection at a tick, `dt` [s] after the last."""
     if not hand.present or not hand.engage:
         memory.axes = 0

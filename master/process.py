@@ -17,42 +17,44 @@ from functools import partial
 
 import numpy as np
 
-from estimator.records import Records, as_bytes, one
+from estimator.records import StructArray, as_bytes, view_struct
 from master import hand_input, live_settings, loop
 from master.config import MasterConfig
 from master.device import Device, DeviceFault, DeviceLost, HandState
 from master.devices import open_device
 from master.gate import GateFlags
 from master.settings_record import SettingsRecord
-from teleop.config.bounds import lifted
+from teleop.config.bounds import build_bounds_warnings
 from teleop.config.options import add_option, add_options
 from teleop.coupling import Bilateral
 from teleop.errors import TeleopError, UsageError
 from teleop.link import NEVER_NS, Link
-from teleop.link.health import DEFAULT_BOUNDS, HealthConfig, compile_observer
-from teleop.messages.messages import MAX_JOINTS, Answer, Command, Hand, SlaveState, text_bytes
+from teleop.link.health import DEFAULT_BOUNDS, HealthConfig, compile_link_window_update
+from teleop.messages.messages import MAX_JOINTS, Answer, Command, Hand, SlaveState, encode_text
 from teleop.messages.packet import Packet
 from teleop.messages.topics import ANSWER, COMMAND, HAND, LATENCY, STATE, Role
 from teleop.remote.requests import RequestListener, Requests, SettingRequest
 from teleop.runtime.clock import STALL_NS, Grid, Tick, monotonic_ns, now_ns
-from teleop.runtime.compiling import announced
-from teleop.runtime.process import Stop
+from teleop.runtime.compiling import announce_compilation
+from teleop.runtime.process import StopCondition
 from teleop.session.config import load_section
 from teleop.session.events import publish_event
-from teleop.session.loop_process import LoopProcess, conclude, run_session
+from teleop.session.loop_process import LoopProcess, report_outcome, run_session
 from teleop.session.meter import format_reason
-from teleop.session.slow_calls import SlowCalls
+from teleop.session.slow_calls import SlowCallMonitor
 from teleop.session.state_machine import OutlineReader, Reason, SessionOutline, State
 
 DIRECT = Bilateral()
 COMPILE_S = 12.0  # [s] without a cache, on a machine that does nothing else
-WAIT = 0.6  # of a period, from the reading of the device: longer is not waited for an answer
-LATE_ANSWERS = 20  # in a row, and the link is taken for one on which it is no use to wait
+ANSWER_WAIT_SHARE = (
+    0.6  # of a period, from the reading of the device: longer is not waited for an answer
+)
+LATE_ANSWERS_MAX = 20  # in a row, and the link is taken for one on which it is no use to wait
 _CLOCK_SET, _ENGAGED = int(Reason.CLOCK_SET), int(State.ENGAGED)
-TRY_EVERY = 100  # ticks, whether it still is one
+RETRY_TICKS = 100  # ticks, whether it still is one
 
 
-class Master(LoopProcess):
+class MasterProcess(LoopProcess):
     """The world around `loop.command` and `loop.force`: one device, one link, and the counts.
 
     Parameters
@@ -74,8 +76,8 @@ class Master(LoopProcess):
         health: HealthConfig = DEFAULT_BOUNDS,
         requests: RequestListener | None = None,
     ) -> None:
-        self._memory = loop.start(device.axes, now_ns())
-        self.memory: loop.MasterState = one(self._memory)
+        self._memory = loop.init_master(device.axes, now_ns())
+        self.memory: loop.MasterState = view_struct(self._memory)
         self._now = as_bytes(self._memory)
         self._before = self._now.copy()
         with_command = self._memory.copy()  # as it was when the command was found
@@ -84,16 +86,19 @@ class Master(LoopProcess):
         super().__init__(link, grid.stats, self._memory, device.axes, requests, health)
         self._answer_ns = self._memory["answer_ns"]
         self._ticks = loop.TickInput.array()
-        self._write_hand = partial(hand_input.fill, self._ticks["hand"])
-        self._live, self._device = live_settings.start(config), device
-        self._reads, self._writes = SlowCalls("device: read"), SlowCalls("device: write")
+        self._write_hand = partial(hand_input.fill_hand_input, self._ticks["hand"])
+        self._live, self._device = live_settings.init_settings(config), device
+        self._reads, self._writes = (
+            SlowCallMonitor("device: read"),
+            SlowCallMonitor("device: write"),
+        )
         self._is_layout_compared = False  # axes of the device with joints of the rig
         self._settings = SettingsRecord(config, bilateral)
         self._command, self._hand = Packet(Command), Packet(Hand)
         self._force = np.zeros(MAX_JOINTS)  # [N] that the gate let through
         self._stop_text = ""  # who called for the last stop
         self._commands_every, self._index = commands_every, 0
-        self._wait_ns, self._late_answers = round(WAIT * grid.period_ns), 0
+        self._wait_ns, self._late_answers = round(ANSWER_WAIT_SHARE * grid.period_ns), 0
         self._start_ns = now_ns()
         self._published = self._outline()
         self._away = ""  # why the device cannot be read, while it is looked for
@@ -110,7 +115,7 @@ class Master(LoopProcess):
         fault, hand, away = self._read((tick.stamp_ns - self._start_ns) * 1e-9)
         self._link.latest(STATE)
         requests = self._listen(tick.stamp_ns)
-        self._live, changed = live_settings.follow(self._live, hand, tick.dt)
+        self._live, changed = live_settings.update_settings(self._live, hand, tick.dt)
         config = self._live.config
         settings = self._settings.update(
             config if self._link_scale == 1.0 else self._scaled(config)
@@ -174,11 +179,11 @@ class Master(LoopProcess):
         wanted, scale = self._scaled_from
         if config is not wanted or self._link_scale != scale:
             self._scaled_from = config, self._link_scale
-            self._scaled_config = live_settings.scaled(config, self._link_scale)
+            self._scaled_config = live_settings.scale_config(config, self._link_scale)
         return self._scaled_config
 
     def _find_command(
-        self, settings: Records, dt: float, fault: Reason, requests: Requests
+        self, settings: StructArray, dt: float, fault: Reason, requests: Requests
     ) -> None:
         """Run the first phase; again, from where it began, if it stalled."""
         phase, late_ns = self._phase_input(dt, fault, requests), 0
@@ -203,7 +208,7 @@ class Master(LoopProcess):
 
         Not on a link that is so slow that no answer comes in time: that is tried now and then.
         """
-        if self._late_answers > LATE_ANSWERS and self._index % TRY_EVERY:
+        if self._late_answers > LATE_ANSWERS_MAX and self._index % RETRY_TICKS:
             return
         while self._link.wait(STATE, deadline_ns):
             self._link.latest(STATE)
@@ -216,7 +221,7 @@ class Master(LoopProcess):
 
     def _render(
         self,
-        settings: Records,
+        settings: StructArray,
         tick: Tick,
         fault: Reason,
         requests: Requests,
@@ -241,7 +246,7 @@ class Master(LoopProcess):
         return verdict
 
     def _find_force(
-        self, settings: Records, tick: Tick, fault: Reason, requests: Requests, is_new: bool
+        self, settings: StructArray, tick: Tick, fault: Reason, requests: Requests, is_new: bool
     ) -> int:
         """Run the second phase; again, from where it began, if it stalled.
 
@@ -362,7 +367,7 @@ class Master(LoopProcess):
     def _change(self, request: SettingRequest) -> None:
         """Change a setting, or say why not."""
         try:
-            self._live, text = live_settings.change(self._live, request.key, request.value)
+            self._live, text = live_settings.change_setting(self._live, request.key, request.value)
         except UsageError as error:
             text, accepted = str(error), False
         else:
@@ -373,7 +378,7 @@ class Master(LoopProcess):
             asker=request.asker,
             setting_sequence=request.sequence,
             accepted=accepted,
-            text=text_bytes(text),
+            text=encode_text(text),
         )
         self._link.publish(ANSWER, answer)
 
@@ -395,35 +400,37 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def main(args: argparse.Namespace) -> int:
     """Run the master; returns the exit code."""
     shared, config = load_section(args, MasterConfig, "master", join=False)
-    with announced("the master's loop", COMPILE_S):
+    with announce_compilation("the master's loop", COMPILE_S):
         warm_up()
-    stop = Stop(args.duration)
+    stop = StopCondition(args.duration)
 
-    def start(link: Link, requests: RequestListener, stack: ExitStack) -> tuple[Master, Grid, Stop]:
+    def start(
+        link: Link, requests: RequestListener, stack: ExitStack
+    ) -> tuple[MasterProcess, Grid, StopCondition]:
         stop.wake = link.wake
-        for warning in lifted("master.gate", config.gate):
+        for warning in build_bounds_warnings("master.gate", config.gate):
             print(warning, flush=True)
         device = open_device(config.device)
         stack.callback(device.close)
         commands_every = config.commands_every(shared.rate_hz)
         grid = Grid(shared.rate_hz * commands_every, stop)
-        master = Master(
+        master = MasterProcess(
             config, link, device, grid, shared.bilateral, commands_every, shared.health, requests
         )
         return master, grid, stop
 
-    return conclude(args, *run_session(Role.MASTER, shared, start))
+    return report_outcome(args, *run_session(Role.MASTER, shared, start))
 
 
 def warm_up() -> None:
     """Compile what the loop calls, before it has to be on time."""
-    memory, ticks = loop.start(1, 0), loop.TickInput.array()
+    memory, ticks = loop.init_master(1, 0), loop.TickInput.array()
     settings = SettingsRecord(MasterConfig(), DIRECT).records
     state, command, hand = Packet(SlaveState), Packet(Command), Packet(Hand)
-    hand_input.fill(ticks["hand"], HandState((0.0,), (0.0,), engage=False))
+    hand_input.fill_hand_input(ticks["hand"], HandState((0.0,), (0.0,), engage=False))
     phase = loop.PhaseInput(False, NEVER_NS, 0, 1e-3)
     loop.run_command(settings, memory, ticks, state.records, phase, command.records)
     loop.run_force(settings, memory, ticks, state.records, phase, False, np.zeros(MAX_JOINTS))
     loop.fill_hand_message(memory, ticks, -1, 0, hand.records)
     command.seal(0, 0, 0)
-    compile_observer()
+    compile_link_window_update()

@@ -2,20 +2,28 @@
 
 from typing import Annotated
 
-from estimator.records import F64, Field, Record, Records, as_records, one, record_dtype
+from estimator.records import (
+    F64,
+    Field,
+    Struct,
+    StructArray,
+    build_struct_dtype,
+    to_struct_array,
+    view_struct,
+)
 from master.config import MasterConfig
 from master.feedback import FeedbackConfig
 from master.gate import GateConfig
-from master.operator import OperatorSettings, operator_settings
-from teleop.coupling import Bilateral, BilateralSettings, bilateral_settings
+from master.operator import OperatorSettings, build_operator_settings
+from teleop.coupling import Bilateral, BilateralSettings, to_bilateral_settings
 
 
-class MasterSettings(Record):
+class MasterSettings(Struct):
     """All constants of a tick of the master."""
 
     operator: OperatorSettings
-    force: Annotated[FeedbackConfig, Field(record_dtype(FeedbackConfig))]
-    gate: Annotated[GateConfig, Field(record_dtype(GateConfig))]
+    force: Annotated[FeedbackConfig, Field(build_struct_dtype(FeedbackConfig))]
+    gate: Annotated[GateConfig, Field(build_struct_dtype(GateConfig))]
     state_timeout: F64  # [s]
     delay_max: F64  # [s]
     bilateral: BilateralSettings
@@ -33,26 +41,26 @@ class SettingsRecord:
     def __init__(self, config: MasterConfig, bilateral: Bilateral) -> None:
         self._config = config
         self.records = MasterSettings.array()
-        settings = one(self.records)
+        settings = view_struct(self.records)
         settings.state_timeout, settings.delay_max = config.state_timeout, config.delay_max
-        settings.bilateral = bilateral_settings(bilateral)[0]
-        settings.gate = as_records(config.gate)[0]
-        settings.operator = operator_settings(config.operator)[0]
-        settings.force = as_records(config.force)[0]
+        settings.bilateral = to_bilateral_settings(bilateral)[0]
+        settings.gate = to_struct_array(config.gate)[0]
+        settings.operator = build_operator_settings(config.operator)[0]
+        settings.force = to_struct_array(config.force)[0]
 
-    def update(self, config: MasterConfig) -> Records:
+    def update(self, config: MasterConfig) -> StructArray:
         """Return the record of `config`, which may differ in `operator` and `force` (`live.KEYS`).
 
         Only a part that is another object than before is written anew.
         """
         before, self._config = self._config, config
         if config.operator is not before.operator:
-            self.records["operator"] = operator_settings(config.operator)
+            self.records["operator"] = build_operator_settings(config.operator)
         if config.force is not before.force:
-            self.records["force"] = as_records(config.force)
+            self.records["force"] = to_struct_array(config.force)
         return self.records
 
 
-def master_settings(config: MasterConfig, bilateral: Bilateral) -> Records:
+def build_master_settings(config: MasterConfig, bilateral: Bilateral) -> StructArray:
     """Return the record of a config, as an array of one."""
     return SettingsRecord(config, bilateral).records

@@ -17,13 +17,15 @@ from slave.rigs import RigConfig
 from slave.rigs.replayed import ReplayedRigConfig
 from slave.rigs.simulated.simulated import SimulatedRigConfig, TendonPlantConfig
 from slave.tendon_config import TendonConfig
-from teleop.config.bounds import lifted
+from teleop.config.bounds import build_bounds_warnings
 from teleop.coupling import CouplingConfig, DirectConfig
 from teleop.errors import UsageError
 from teleop.messages.messages import MAX_TENDONS
 from teleop.session.config import require_periods
 
-QUANTISED = math.sqrt(12.0)  # quantisation step over the standard deviation of its rounding error
+QUANTISATION_FACTOR = math.sqrt(
+    12.0
+)  # quantisation step over the standard deviation of its rounding error
 
 AS_BUILT = "as-built"
 
@@ -80,7 +82,7 @@ class SlaveConfig:
         return not isinstance(self.rig, ReplayedRigConfig)
 
 
-def tendon_configs(
+def load_tendon_configs(
     config: SlaveConfig,
     count: int,
     joints: JointTendons = (),
@@ -89,20 +91,22 @@ def tendon_configs(
     """Return the models of `count` tendons; `UsageError` if there are none, or too few.
 
     From the config or the calibration it names; model files replace their sheath parameters.
-    `not_ready_reason` checks whether the calibration fits the rig.
+    `find_not_ready_reason` checks whether the calibration fits the rig.
     """
     known: tuple[TendonConfig | None, ...] = (None,) * count
     if not files or config.tendons or config.calibration:
-        known = _configured(config, count)
+        known = _load_configured_tendons(config, count)
     found = tuple(
-        tendon for tendon in model_files.apply(known, joints, files) if tendon is not None
+        tendon
+        for tendon in model_files.apply_model_files(known, joints, files)
+        if tendon is not None
     )
     if len(found) < count:
         raise UsageError(f"--model: missing for some tendons, and slave.tendons: {UNCALIBRATED}")
     return found
 
 
-def _configured(config: SlaveConfig, count: int) -> tuple[TendonConfig, ...]:
+def _load_configured_tendons(config: SlaveConfig, count: int) -> tuple[TendonConfig, ...]:
     tendons, place, remedy = config.tendons, "slave.tendons", "describe each, or one for all"
     if isinstance(config.calibration, Path):
         calibration = file.load(config.calibration)
@@ -112,7 +116,7 @@ def _configured(config: SlaveConfig, count: int) -> tuple[TendonConfig, ...]:
     elif config.calibration == AS_BUILT and isinstance(config.rig, SimulatedRigConfig):
         joints = config.rig.joints
         tendons = tuple(
-            as_built(t, joint.body.pretension) for joint in joints for t in joint.tendons
+            to_tendon_config(t, joint.body.pretension) for joint in joints for t in joint.tendons
         )
     if not tendons:
         raise UsageError(f"slave.tendons: {UNCALIBRATED}")
@@ -129,7 +133,9 @@ UNCALIBRATED = (
 )
 
 
-def not_ready_reason(config: SlaveConfig, rig: file.RigDescription, modelled: bool = False) -> str:
+def find_not_ready_reason(
+    config: SlaveConfig, rig: file.RigDescription, modelled: bool = False
+) -> str:
     """Return why this rig must not be used with this config's calibration; empty if it may be.
 
     With model files (`modelled`) no calibration is needed. Replayed data accept the calibration of
@@ -139,7 +145,7 @@ def not_ready_reason(config: SlaveConfig, rig: file.RigDescription, modelled: bo
         return "" if config.tendons or config.calibration or modelled else UNCALIBRATED
     calibration = file.load(config.calibration)
     anonymous = isinstance(config.rig, ReplayedRigConfig) and not config.rig.name
-    misfit = file.fits(calibration, rig, by_name=not anonymous)
+    misfit = file.find_misfit(calibration, rig, by_name=not anonymous)
     if misfit is None:
         return ""
     return f"{config.calibration.name} does not fit: {misfit}; run `teleop calibrate` on this rig"
@@ -153,12 +159,15 @@ def has_model_file(config: SlaveConfig) -> bool:
     return any(tendon.model_file is not None for tendon in tendons)
 
 
-def config_warnings(config: SlaveConfig, coupling: CouplingConfig = DIRECT) -> list[str]:
+def find_config_warnings(config: SlaveConfig, coupling: CouplingConfig = DIRECT) -> list[str]:
     """Return warnings about limits, calibration and coupling."""
-    return [*lifted("slave.gate", config.gate), *_model_warnings(config, coupling)]
+    return [
+        *build_bounds_warnings("slave.gate", config.gate),
+        *_find_model_warnings(config, coupling),
+    ]
 
 
-def _model_warnings(config: SlaveConfig, coupling: CouplingConfig) -> list[str]:
+def _find_model_warnings(config: SlaveConfig, coupling: CouplingConfig) -> list[str]:
     if not config.rig_obeys and not isinstance(coupling, DirectConfig):
         return [
             (
@@ -176,7 +185,7 @@ def _model_warnings(config: SlaveConfig, coupling: CouplingConfig) -> list[str]:
     return [f"WARNING: {config.calibration.name} is not accepted: {calibration.remark}"]
 
 
-def as_built(tendon: TendonPlantConfig, pretension: float) -> TendonConfig:
+def to_tendon_config(tendon: TendonPlantConfig, pretension: float) -> TendonConfig:
     """Return the true parameters of a simulated tendon as a config; `pretension` in N."""
     step = tendon.encoder.resolution(tendon.motor.pulley_radius)
     return TendonConfig(
@@ -184,6 +193,8 @@ def as_built(tendon: TendonPlantConfig, pretension: float) -> TendonConfig:
         sections=tendon.sheath.sections,
         axial_stiffness=tendon.sheath.axial_stiffness,
         pretension=pretension,
-        tension_noise=math.hypot(tendon.load_cell.noise, tendon.load_cell.resolution / QUANTISED),
-        displacement_noise=step / QUANTISED,
+        tension_noise=math.hypot(
+            tendon.load_cell.noise, tendon.load_cell.resolution / QUANTISATION_FACTOR
+        ),
+        displacement_noise=step / QUANTISATION_FACTOR,
     )

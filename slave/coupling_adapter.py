@@ -3,14 +3,14 @@
 import math
 
 from estimator.array_types import Array
-from estimator.compiled import compiled
+from estimator.compiled import jit_compile
 from estimator.online.tendon_estimate import INVALID_INPUT
 from slave.control.joint import JointEstimates
-from teleop.coupling.force_attenuation import ConfidenceConfig, attenuate
+from teleop.coupling.force_attenuation import ConfidenceConfig, attenuate_force
 
 
-@compiled
-def rendered_forces(
+@jit_compile
+def compute_rendered_forces(
     attenuation: ConfidenceConfig,
     joint_estimates: JointEstimates,
     joints: int,
@@ -36,5 +36,5 @@ def rendered_forces(
     for k in range(joints):
         estimate, force = joint_estimates[k], 0.0
         if math.isfinite(estimate.force) and not estimate.status & INVALID_INPUT:
-            force = attenuate(attenuation, estimate.force, estimate.low, estimate.high)
+            force = attenuate_force(attenuation, estimate.force, estimate.low, estimate.high)
         out_forces[k] = min(max(force, -most), most)

@@ -14,8 +14,8 @@ from enum import IntFlag
 from typing import TypeAlias
 
 from estimator.array_types import Array
-from estimator.compiled import compiled
-from estimator.records import F64, Record, Records
+from estimator.compiled import jit_compile
+from estimator.records import F64, Struct, StructArray
 from slave.control.joint import JointEstimates
 from slave.tendons import RigLayout
 from teleop.config.bounds import Bound, check_bounds
@@ -100,7 +100,7 @@ FORCE = int(GateFlags.FORCE)
 YIELDED = int(GateFlags.YIELDED)
 
 
-class Reach(Record):
+class Reach(Struct):
     """Remaining range of a tendon's joint; NaN if unknown."""
 
     ahead: F64 = math.nan  # [m] to the end of the range in the pulling direction
@@ -108,12 +108,12 @@ class Reach(Record):
     force: F64 = math.nan  # [N] at the tip, against pulling
 
 
-Reaches: TypeAlias = Sequence[Reach] | Records
+Reaches: TypeAlias = Sequence[Reach] | StructArray
 """One for each tendon of a rig, as a field of a record or as an array of records."""
 
 
-@compiled
-def reaches(
+@jit_compile
+def compute_reaches(
     config: GateConfig, layout: RigLayout, joint_estimates: JointEstimates, out_reach: Reaches
 ) -> None:
     """Write the reach of each tendon of a rig.
@@ -145,7 +145,7 @@ def reaches(
             b.ahead, b.behind, b.force = down, math.inf, -f
 
 
-@compiled
+@jit_compile
 def step(
     config: GateConfig,
     tendons: int,
@@ -198,7 +198,7 @@ def step(
     dt = min(dt, STEP_MAX_S) if dt > 0.0 else 0.0
     if not may_move:
         may_yield = may_yield and tension_age <= config.tension_age_max
-        return _hold(config, tendons, last, tension, may_yield, dt, out_passed)
+        return _hold_motors(config, tendons, last, tension, may_yield, dt, out_passed)
     stride = config.speed_max * dt
     stale = not tension_age <= config.tension_age_max
     verdict = PASSED
@@ -218,7 +218,7 @@ def step(
         if pulled and stale:
             verdict |= STALE
             bounded = was
-        refusal = _refusal(config, reach[k], bounded - was, force) if has_reach else PASSED
+        refusal = _find_refusal(config, reach[k], bounded - was, force) if has_reach else PASSED
         if refusal != PASSED:
             verdict |= refusal
             bounded = was
@@ -229,8 +229,8 @@ def step(
     return verdict
 
 
-@compiled
-def _refusal(config: GateConfig, reach: Reach, change: float, tension: float) -> int:
+@jit_compile
+def _find_refusal(config: GateConfig, reach: Reach, change: float, tension: float) -> int:
     """Return why a motor must not move by `change` [m]; paying out is always allowed."""
     refusal = PASSED
     if change > 0.0:
@@ -243,8 +243,8 @@ def _refusal(config: GateConfig, reach: Reach, change: float, tension: float) ->
     return refusal
 
 
-@compiled
-def _hold(
+@jit_compile
+def _hold_motors(
     config: GateConfig,
     tendons: int,
     last: Array,
@@ -258,7 +258,7 @@ def _hold(
     for k in range(tendons):
         was = held = last[k]
         if may_yield:
-            yielded = was - _yield_speed(config, tension[k]) * dt
+            yielded = was - _compute_yield_speed(config, tension[k]) * dt
             held = max(yielded, min(config.displacement_min, was))
         if held != was:
             verdict |= YIELDED
@@ -266,8 +266,8 @@ def _hold(
     return verdict
 
 
-@compiled
-def _yield_speed(config: GateConfig, tension: float) -> float:
+@jit_compile
+def _compute_yield_speed(config: GateConfig, tension: float) -> float:
     """Return the paying-out speed [m/s] of a holding tendon."""
     if not tension > config.tension_max or config.yield_gain == 0.0:
         return 0.0  # infinite tension times zero would be NaN

@@ -8,13 +8,13 @@ import math
 from typing import Annotated
 
 from estimator.array_types import Array
-from estimator.arrays import copy
-from estimator.compiled import compiled
-from estimator.records import F64, Field, Flag, Record
+from estimator.arrays import copy_values
+from estimator.compiled import jit_compile
+from estimator.records import F64, Field, Flag, Struct
 from teleop.messages.messages import MAX_TENDONS
 
 
-class InitialPosition(Record):
+class InitialPosition(Struct):
     """The newest reading of all encoders together."""
 
     position: Annotated[Array, Field("f8", MAX_TENDONS, fill=math.nan)]  # [m]
@@ -22,8 +22,8 @@ class InitialPosition(Record):
     age: F64 = 0.0  # [s] minus infinity if known without encoders
 
 
-@compiled
-def start(memory: InitialPosition, tendons: int, starts_at_zero: bool) -> None:
+@jit_compile
+def init_position(memory: InitialPosition, tendons: int, starts_at_zero: bool) -> None:
     """Initialise `memory` for a rig of `tendons` tendons, before the first sample."""
     memory.position[:] = math.nan
     if starts_at_zero:
@@ -32,14 +32,14 @@ def start(memory: InitialPosition, tendons: int, starts_at_zero: bool) -> None:
     memory.age = -math.inf if starts_at_zero else 0.0
 
 
-@compiled
-def age(memory: InitialPosition, dt: float) -> None:
+@jit_compile
+def increase_age(memory: InitialPosition, dt: float) -> None:
     """Increase the age of the reading by `dt` [s]; once per tick, before its samples."""
     memory.age += dt
 
 
-@compiled
-def take(
+@jit_compile
+def process_sample(
     memory: InitialPosition, tendons: int, displacement: Array, has_displacement: bool
 ) -> None:
     """Process a sample.
@@ -63,13 +63,13 @@ def take(
     for k in range(tendons):
         if not math.isfinite(displacement[k]):
             return
-    copy(displacement[:tendons], memory.position[:])
+    copy_values(displacement[:tendons], memory.position[:])
     memory.has_position = True
     memory.age = 0.0
 
 
-@compiled
-def known(memory: InitialPosition, age_max: float) -> bool:
+@jit_compile
+def is_known(memory: InitialPosition, age_max: float) -> bool:
     """Return whether the motor positions are known from a reading not older than `age_max` [s].
 
     The positions are in `memory.position`.

@@ -1,6 +1,6 @@
 """One tick of the slave as a compiled function: from a command to a state and motor positions.
 
-It uses no clock, link or rig; the process around it has those. `tick` updates its memory in place;
+It uses no clock, link or rig; the process around it has those. `run_tick` updates its memory in place;
 keep a copy to undo a tick.
 
 The steps: process samples, check faults and readiness, advance the session, compute motor targets,
@@ -12,10 +12,10 @@ import math
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
-from estimator.arrays import copy
-from estimator.compiled import compiled
+from estimator.arrays import copy_values
+from estimator.compiled import jit_compile
 from estimator.online import online
-from estimator.records import Records, as_records, one
+from estimator.records import StructArray, to_struct_array, view_struct
 from slave import control, coupling_adapter, fault_detection, gate, initial_position
 from slave.calibration import monitor
 from slave.calibration.monitor import Advice
@@ -33,7 +33,7 @@ from slave.loop_records import (
 )
 from slave.rig import RigSample
 from slave.samples import estimate, estimate_with_dynamics, fill_sample
-from slave.tendons import EstimatedTendon, RigLayout, rig_layout
+from slave.tendons import EstimatedTendon, RigLayout, build_rig_layout
 from teleop import coupling
 from teleop.config.bounds import MOTION_MAX
 from teleop.coupling import Bilateral
@@ -43,7 +43,7 @@ from teleop.session.state_machine import Reason, State
 
 DIRECT = Bilateral()
 
-OVERLOAD = 1.2  # times the gate's tension limit; noise and stretch exceed the limit itself
+OVERLOAD_RATIO = 1.2  # times the gate's tension limit; noise and stretch exceed the limit itself
 OVERLOAD_S = 0.020  # [s] the peak of a collision is shorter
 
 
@@ -52,36 +52,36 @@ class RigModel(NamedTuple):
 
     joints: tuple[tuple[int, ...], ...]  # `Rig.joints`
     models: tuple[online.TendonModel, ...]  # of each tendon
-    layout: Records  # RigLayout, shape (1,)
-    prepared: Records  # for the estimators, shape (tendons,)
-    watched: Records  # for the monitor of their calibration, shape (tendons,)
+    layout: StructArray  # RigLayout, shape (1,)
+    prepared: StructArray  # for the estimators, shape (tendons,)
+    watched: StructArray  # for the monitor of their calibration, shape (tendons,)
     not_ready_text: str = ""  # why it must not be engaged, e.g. no calibration fits
 
 
-class Slave(NamedTuple):
+class SlaveRecords(NamedTuple):
     """The records of a tick, each of shape (1,) except for the tendons' estimators."""
 
-    settings: Records
-    layout: Records
-    prepared: Records
-    estimators: Records
-    memory: Records
-    scratch: Records
-    watched: Records
+    settings: StructArray
+    layout: StructArray
+    prepared: StructArray
+    estimators: StructArray
+    memory: StructArray
+    scratch: StructArray
+    watched: StructArray
     estimate: Callable[..., None]  # `estimate`, or `estimate_with_dynamics`
 
     @property
-    def estimated(self) -> tuple[Records, Records, Records, Records]:
+    def estimated(self) -> tuple[StructArray, StructArray, StructArray, StructArray]:
         """First arguments of `estimate`."""
         return self.layout, self.prepared, self.estimators, self.memory
 
     @property
-    def ticked(self) -> tuple[Records, Records, Records, Records]:
-        """First arguments of `tick`."""
+    def ticked(self) -> tuple[StructArray, StructArray, StructArray, StructArray]:
+        """First arguments of `run_tick`."""
         return self.settings, self.layout, self.memory, self.scratch
 
 
-def rig_model(
+def build_rig_model(
     joints: Sequence[Sequence[int]],
     models: Sequence[online.TendonModel],
     not_ready_text: str = "",
@@ -90,32 +90,34 @@ def rig_model(
     return RigModel(
         tuple(tuple(joint) for joint in joints),
         tuple(models),
-        rig_layout(joints),
+        build_rig_layout(joints),
         online.prepare_all(models),
-        monitor.monitor_constants(models),
+        monitor.build_monitor_constants(models),
         not_ready_text,
     )
 
 
-def settings(config: SlaveConfig, bilateral: Bilateral, calibrated: bool = True) -> Records:
+def build_settings(
+    config: SlaveConfig, bilateral: Bilateral, calibrated: bool = True
+) -> StructArray:
     """Return the `SlaveSettings` of a config and a coupling, shape (1,)."""
     records = SlaveSettings.array()
     for name in ("control", "fault_detection", "gate", "monitor"):
-        records[name] = as_records(getattr(config, name))
-    records["bilateral"] = coupling.bilateral_settings(bilateral)
+        records[name] = to_struct_array(getattr(config, name))
+    records["bilateral"] = coupling.to_bilateral_settings(bilateral)
     records["sample_timeout"] = config.sample_timeout
     records["rig_obeys"], records["calibrated"] = config.rig_obeys, calibrated
     return records
 
 
-def start(
+def init_slave(
     model: RigModel,
     config: SlaveConfig,
     bilateral: Bilateral,
     starts_at_zero: bool,
     samples: Sequence[RigSample] = (),
     motor: Sequence[float] = (),
-) -> Slave:
+) -> SlaveRecords:
     """Return a slave in its initial state; for `starts_at_zero` see `Rig`.
 
     `samples` are all earlier samples of the rig, oldest first; they initialise the tension profiles
@@ -124,10 +126,10 @@ def start(
     """
     memory = SlaveMemory.array()
     tendons = len(model.models)
-    initial_position.start(one(memory).initial_position, tendons, starts_at_zero)
-    memory["detector"] = fault_detection.start(model.models)
-    slave = Slave(
-        settings(config, bilateral, calibrated=not model.not_ready_text),
+    initial_position.init_position(view_struct(memory).initial_position, tendons, starts_at_zero)
+    memory["detector"] = fault_detection.init_detector(model.models)
+    slave = SlaveRecords(
+        build_settings(config, bilateral, calibrated=not model.not_ready_text),
         model.layout,
         model.prepared,
         online.initial_all(model.prepared),
@@ -140,24 +142,24 @@ def start(
     for sample in samples:
         fill_sample(row, 0, sample)
         slave.estimate(*slave.estimated, row, 1)
-        locate(slave.layout, memory, slave.scratch, row)
+        locate_motors(slave.layout, memory, slave.scratch, row)
     if motor:
         memory["motor"][0, :tendons] = motor
         memory["has_motor"] = True
     return slave
 
 
-@compiled
-def tick(
-    settings_records: Records,
-    layouts: Records,
-    memories: Records,
-    scratches: Records,
-    rows: Records,
+@jit_compile
+def run_tick(
+    settings_records: StructArray,
+    layouts: StructArray,
+    memories: StructArray,
+    scratches: StructArray,
+    rows: StructArray,
     samples: int,
     tick_input: TickInput,
-    commands: Records,
-    states: Records,
+    commands: StructArray,
+    states: StructArray,
 ) -> int:
     """Advance the slave by one tick; return the bits of `GateFlags`.
 
@@ -168,7 +170,7 @@ def tick(
     Parameters
     ----------
     settings_records, layouts, memories, scratches : Records
-        Of a `Slave`; the memory is updated.
+        Of a `SlaveRecords`; the memory is updated.
     rows : Records
         `EstimatedSample`, the first `samples` of which are new, oldest first, after `estimate`.
     tick_input : TickInput
@@ -180,43 +182,45 @@ def tick(
     """
     setting, layout, memory = settings_records[0], layouts[0], memories[0]
     work, command = scratches[0], commands[0]
-    found, tendon = _take_samples(setting, layout, memory, work, rows, samples, tick_input.dt)
+    found, tendon = _process_samples(setting, layout, memory, work, rows, samples, tick_input.dt)
     _update_faults(setting, layout, memory, rows, samples, found, tendon, tick_input.dt)
     _update_readiness(setting, memory, work, tick_input.motors_follow)
-    commanded = _take_command(layout, work, command, tick_input)
+    commanded = _copy_command(layout, work, command, tick_input)
     _advance_session(setting, layout, memory, work, command, tick_input)
     engaged = state_machine.may_move(memory.session) and commanded
     if memory.has_sample:
-        control.joint_estimates(layout, memory.tendons, memory.offsets, memory.joints)
-    _couple(setting, layout, memory, work, command, tick_input, commanded, engaged)
+        control.estimate_joints(layout, memory.tendons, memory.offsets, memory.joints)
+    _apply_coupling(setting, layout, memory, work, command, tick_input, commanded, engaged)
     verdict = gate.HELD
     if memory.has_sample and (memory.has_motor or engaged):
         moving = engaged and tick_input.motors_follow
-        verdict = _drive(setting, layout, memory, work, moving, tick_input.dt)
+        verdict = _command_motors(setting, layout, memory, work, moving, tick_input.dt)
         memory.has_motor = True
     _fill_state(setting, layout, memory, command, tick_input, states[0])
     return verdict
 
 
-@compiled
-def locate(layouts: Records, memories: Records, scratches: Records, rows: Records) -> None:
+@jit_compile
+def locate_motors(
+    layouts: StructArray, memories: StructArray, scratches: StructArray, rows: StructArray
+) -> None:
     """Initialise the motor positions from the first of `rows`, before the first tick."""
-    _locate(layouts[0], memories[0], scratches[0], rows[0])
+    _locate_motors(layouts[0], memories[0], scratches[0], rows[0])
 
 
-@compiled
-def _take_samples(
+@jit_compile
+def _process_samples(
     setting: SlaveSettings,
     layout: RigLayout,
     memory: SlaveMemory,
     work: Scratch,
-    rows: Records,
+    rows: StructArray,
     samples: int,
     dt: float,
 ) -> tuple[int, int]:
     """Process the samples; return the newest fault Reason and its tendon."""
     found, tendon = Reason.NONE + 0, -1
-    initial_position.age(memory.initial_position, dt)
+    initial_position.increase_age(memory.initial_position, dt)
     for i in range(samples):
         row = rows[i]
         reason, where = fault_detection.step(
@@ -224,28 +228,30 @@ def _take_samples(
         )
         if reason != Reason.NONE:
             found, tendon = reason, where
-        _locate(layout, memory, work, row)
+        _locate_motors(layout, memory, work, row)
         if setting.rig_obeys and memory.has_motor:
-            fault_detection.take_motor_readings(memory.motors, layout, row.tendons, memory.motor)
+            fault_detection.record_motor_readings(memory.motors, layout, row.tendons, memory.motor)
     return found, tendon
 
 
-@compiled
-def _locate(layout: RigLayout, memory: SlaveMemory, work: Scratch, row: EstimatedSample) -> None:
+@jit_compile
+def _locate_motors(
+    layout: RigLayout, memory: SlaveMemory, work: Scratch, row: EstimatedSample
+) -> None:
     """Update the initial motor positions with a sample."""
     for i in range(layout.tendons):
         work.displacement[i] = row.tendons[i].displacement
-    initial_position.take(
+    initial_position.process_sample(
         memory.initial_position, layout.tendons, work.displacement, row.has_displacement
     )
 
 
-@compiled
+@jit_compile
 def _update_faults(
     setting: SlaveSettings,
     layout: RigLayout,
     memory: SlaveMemory,
-    rows: Records,
+    rows: StructArray,
     samples: int,
     found: int,
     tendon: int,
@@ -275,7 +281,7 @@ def _update_faults(
     memory.overload = memory.overload + dt if overloaded else 0.0
 
 
-@compiled
+@jit_compile
 def _is_usable(layout: RigLayout, tendons: Sequence[EstimatedTendon]) -> bool:
     """Return whether the estimators accepted the sample of every tendon."""
     for i in range(layout.tendons):  # noqa: SIM110 - compiled
@@ -284,12 +290,12 @@ def _is_usable(layout: RigLayout, tendons: Sequence[EstimatedTendon]) -> bool:
     return True
 
 
-@compiled
+@jit_compile
 def _is_overloaded(setting: SlaveSettings, layout: RigLayout, memory: SlaveMemory) -> bool:
     """Return whether a tension exceeds its limit although the gate stops the pull."""
     if not memory.has_sample:
         return False
-    limit = OVERLOAD * setting.gate.tension_max
+    limit = OVERLOAD_RATIO * setting.gate.tension_max
     for i in range(layout.tendons):
         tendon = memory.tendons[i]
         if tendon.tension > limit or tendon.corrected_tension > limit:
@@ -297,7 +303,7 @@ def _is_overloaded(setting: SlaveSettings, layout: RigLayout, memory: SlaveMemor
     return False
 
 
-@compiled
+@jit_compile
 def _update_readiness(
     setting: SlaveSettings, memory: SlaveMemory, work: Scratch, motors_follow: bool
 ) -> None:
@@ -305,11 +311,11 @@ def _update_readiness(
 
     Motors that do not follow yet, as they are being enabled, are where their encoders say.
     """
-    measured = initial_position.known(memory.initial_position, setting.sample_timeout)
+    measured = initial_position.is_known(memory.initial_position, setting.sample_timeout)
     if memory.has_motor and (motors_follow or not measured):
-        copy(memory.motor[:], work.motor[:])
+        copy_values(memory.motor[:], work.motor[:])
     elif measured:
-        copy(memory.initial_position.position[:], work.motor[:])
+        copy_values(memory.initial_position.position[:], work.motor[:])
     known = memory.has_motor or measured
     if not memory.has_sample:
         memory.not_ready = NO_SAMPLE
@@ -319,8 +325,8 @@ def _update_readiness(
         memory.not_ready = USABLE if known else NO_POSITION
 
 
-@compiled
-def _take_command(
+@jit_compile
+def _copy_command(
     layout: RigLayout, work: Scratch, command: Command, tick_input: TickInput
 ) -> bool:
     """Copy the commanded joint motion; return whether motion is commanded."""
@@ -334,7 +340,7 @@ def _take_command(
     return commanded
 
 
-@compiled
+@jit_compile
 def _advance_session(
     setting: SlaveSettings,
     layout: RigLayout,
@@ -343,16 +349,20 @@ def _advance_session(
     command: Command,
     tick_input: TickInput,
 ) -> None:
-    master = state_machine.known_state(command.state) if tick_input.has_command else State.OFF + 0
+    master = (
+        state_machine.to_known_state(command.state) if tick_input.has_command else State.OFF + 0
+    )
     fault = tick_input.fault
     if fault == Reason.NONE:
-        fault = _own_fault(setting, layout, memory, work)
-    differs = tick_input.has_command and coupling.differs(setting.bilateral, command.coupling)
+        fault = _find_own_fault(setting, layout, memory, work)
+    differs = tick_input.has_command and coupling.has_settings_mismatch(
+        setting.bilateral, command.coupling
+    )
     inputs = work.inputs
     inputs.usable = memory.not_ready == USABLE
     inputs.peer_fresh = tick_input.fresh
     inputs.peer_state = master
-    inputs.engage = state_machine.switch_of(master)
+    inputs.engage = state_machine.is_switch_closed(master)
     inputs.fault = fault
     inputs.clutch = master == State.CLUTCHED
     inputs.stop = tick_input.stop
@@ -365,8 +375,8 @@ def _advance_session(
     state_machine.step(memory.session, inputs, tick_input.dt)
 
 
-@compiled
-def _own_fault(
+@jit_compile
+def _find_own_fault(
     setting: SlaveSettings, layout: RigLayout, memory: SlaveMemory, work: Scratch
 ) -> int:
     """Return the Reason of a fault on this side."""
@@ -384,8 +394,8 @@ def _own_fault(
     return Reason.NONE + 0
 
 
-@compiled
-def _couple(
+@jit_compile
+def _apply_coupling(
     setting: SlaveSettings,
     layout: RigLayout,
     memory: SlaveMemory,
@@ -400,16 +410,16 @@ def _couple(
         return
     energy: Any = command.energy
     wave: Any = command.wave
-    coupling.receive(memory.coupling, command.sender, energy, wave)
+    coupling.receive_totals(memory.coupling, command.sender, energy, wave)
     if engaged:
-        coupling_adapter.rendered_forces(
+        coupling_adapter.compute_rendered_forces(
             setting.bilateral.confidence,
             memory.joints,
             layout.joints,
             command.force_max,
             work.force,
         )
-    coupling.at_tip(
+    coupling.compute_tip_motion(
         setting.bilateral,
         memory.coupling,
         work.requested,
@@ -421,8 +431,8 @@ def _couple(
     )
 
 
-@compiled
-def _drive(
+@jit_compile
+def _command_motors(
     setting: SlaveSettings,
     layout: RigLayout,
     memory: SlaveMemory,
@@ -449,7 +459,7 @@ def _drive(
         if tendon.valid:
             work.tension[i] = max(tendon.tension, tendon.corrected_tension)
     if moving:
-        gate.reaches(setting.gate, layout, memory.joints, memory.reach)
+        gate.compute_reaches(setting.gate, layout, memory.joints, memory.reach)
     return gate.step(
         setting.gate,
         layout.tendons,
@@ -466,7 +476,7 @@ def _drive(
     )
 
 
-@compiled
+@jit_compile
 def _fill_state(
     setting: SlaveSettings,
     layout: RigLayout,
@@ -496,13 +506,13 @@ def _fill_state(
         state.status[k] = joint.status if used else 0
 
 
-@compiled
+@jit_compile
 def monitor_calibration(
-    settings_records: Records,
-    layouts: Records,
-    watched: Records,
-    memories: Records,
-    rows: Records,
+    settings_records: StructArray,
+    layouts: StructArray,
+    watched: StructArray,
+    memories: StructArray,
+    rows: StructArray,
     samples: int,
 ) -> None:
     """Update the calibration monitor with the samples of a tick."""

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from typing import Annotated, NamedTuple
 
 from estimator.array_types import Array
-from estimator.records import F64, I64, Field, Flag, Record, record_dtype
+from estimator.records import F64, I64, Field, Flag, Struct, build_struct_dtype
 from slave import control, fault_detection, gate, initial_position
 from slave.calibration import monitor
 from slave.calibration.monitor import Advice
@@ -27,23 +27,23 @@ NOT_READY_TEXT = (
 )
 
 
-class SlaveSettings(Record):
+class SlaveSettings(Struct):
     """Settings of a tick, from the config."""
 
-    control: Annotated[control.ControlConfig, Field(record_dtype(control.ControlConfig))]
+    control: Annotated[control.ControlConfig, Field(build_struct_dtype(control.ControlConfig))]
     fault_detection: Annotated[
         fault_detection.FaultDetectionConfig,
-        Field(record_dtype(fault_detection.FaultDetectionConfig)),
+        Field(build_struct_dtype(fault_detection.FaultDetectionConfig)),
     ]
-    gate: Annotated[gate.GateConfig, Field(record_dtype(gate.GateConfig))]
-    monitor: Annotated[monitor.MonitorConfig, Field(record_dtype(monitor.MonitorConfig))]
+    gate: Annotated[gate.GateConfig, Field(build_struct_dtype(gate.GateConfig))]
+    monitor: Annotated[monitor.MonitorConfig, Field(build_struct_dtype(monitor.MonitorConfig))]
     bilateral: coupling.BilateralSettings
     sample_timeout: F64 = 0.1  # [s]
     rig_obeys: Flag = True  # the motors follow commands
     calibrated: Flag = True  # a calibration fits the rig
 
 
-class EstimatedSample(Record):
+class EstimatedSample(Struct):
     """One sample of the rig with the estimates from it."""
 
     time_s: F64 = 0.0  # [s] on the rig's clock
@@ -54,14 +54,14 @@ class EstimatedSample(Record):
     bench_displacement: Annotated[Array, Field("f8", MAX_TENDONS, fill=math.nan)]  # [m]
 
 
-class SlaveMemory(Record):
+class SlaveMemory(Struct):
     """State of the slave between ticks, except for the tendons' estimators."""
 
     session: Session
     initial_position: initial_position.InitialPosition
     detector: fault_detection.FaultDetector
     motors: fault_detection.MotorChecks
-    control: control.Control
+    control: control.ControllerState
     coupling: Side
     tendons: Annotated[Sequence[EstimatedTendon], Field(EstimatedTendon, MAX_TENDONS)]  # newest
     monitors: Annotated[Sequence[monitor.TendonMonitor], Field(monitor.TendonMonitor, MAX_TENDONS)]
@@ -81,7 +81,7 @@ class SlaveMemory(Record):
     not_ready: I64 = NO_SAMPLE
 
 
-class Scratch(Record):
+class Scratch(Struct):
     """Work arrays of a tick."""
 
     inputs: state_machine.Inputs
@@ -105,4 +105,4 @@ class TickInput(NamedTuple):
     reset: bool = False  # whether a stop is reset
     link: int = int(Reason.NONE)  # Reason: bound that the link exceeds
     link_holds: bool = False  # whether the session must hold because of it
-    motors_follow: bool = True  # `slave.rig.motors_follow`
+    motors_follow: bool = True  # `slave.rig.has_following_motors`

@@ -12,14 +12,16 @@ from pathlib import Path
 from estimator import signals
 from estimator.array_types import Array
 from estimator.diagnosis.settings import SETTINGS
-from estimator.online.extension import Use, why_left_out
-from estimator.spikes import LEAST
+from estimator.online.extension import EffectUse, explain_omission
+from estimator.spikes import SAMPLES_MIN
 from slave.calibration.file import JointTendons
 from slave.tendon_config import TendonConfig
 from teleop.data import model_file
 from teleop.errors import UsageError
 
-FAR = 1.4  # ratio to the calibrated friction above which a model is hardly of that sheath
+FRICTION_RATIO_MAX = (
+    1.4  # ratio to the calibrated friction above which a model is hardly of that sheath
+)
 
 ModelFiles = Mapping[str, Path]
 """Model files by tendon name; the empty name stands for all other tendons."""
@@ -42,7 +44,7 @@ def parse(words: Sequence[str]) -> dict[str, Path]:
     return files
 
 
-def names_of(joints: JointTendons, count: int) -> dict[str, int]:
+def map_tendon_names(joints: JointTendons, count: int) -> dict[str, int]:
     """Return the tendons of a rig by name, counted from 0.
 
     By joint and side if known (1a, 1b, 2a, ...), and by number (1, 2, 3, ...).
@@ -55,7 +57,7 @@ def names_of(joints: JointTendons, count: int) -> dict[str, int]:
     return sides | {str(k + 1): k for k in range(count)}
 
 
-def apply(
+def apply_model_files(
     tendons: Sequence[TendonConfig | None], joints: JointTendons, files: ModelFiles
 ) -> tuple[TendonConfig | None, ...]:
     """Return the configs of the tendons, None if unknown, with model files applied.
@@ -65,8 +67,10 @@ def apply(
     UsageError
         If there is no such tendon, or a file is invalid.
     """
-    names = names_of(joints, len(tendons))
-    out = [known if "" not in files else with_model(known, files[""]) for known in tendons]
+    names = map_tendon_names(joints, len(tendons))
+    out = [
+        known if "" not in files else replace_sheath_model(known, files[""]) for known in tendons
+    ]
     assigned: dict[int, str] = {}
     for name, file in files.items():
         if not name:
@@ -78,15 +82,15 @@ def apply(
             raise UsageError(
                 f"--model {name}={file}: there is already a model for tendon {assigned[k]}"
             )
-        assigned[k], out[k] = name, with_model(tendons[k], file)
+        assigned[k], out[k] = name, replace_sheath_model(tendons[k], file)
     return tuple(out)
 
 
-def with_model(tendon: TendonConfig | None, file: Path) -> TendonConfig:
+def replace_sheath_model(tendon: TendonConfig | None, file: Path) -> TendonConfig:
     """Return a tendon with the sheath of a model file; noise and other settings are kept."""
     if tendon is None:
         tendon = TendonConfig(model_file=file)
-        return of_length(tendon, tendon.length)
+        return set_sheath_length(tendon, tendon.length)
     return TendonConfig(
         model_file=file,
         length=sum(section.length for section in tendon.sections) or tendon.length,
@@ -100,7 +104,7 @@ def with_model(tendon: TendonConfig | None, file: Path) -> TendonConfig:
     )
 
 
-def of_length(tendon: TendonConfig, length: float) -> TendonConfig:
+def set_sheath_length(tendon: TendonConfig, length: float) -> TendonConfig:
     """Return a tendon that is known from a model file alone, with a length [m] of its sheath.
 
     Where the model's data did not tell its elasticity, it has the L/EA that the diagnosis assumed:
@@ -109,7 +113,7 @@ def of_length(tendon: TendonConfig, length: float) -> TendonConfig:
     return replace(tendon, length=length, axial_stiffness=length / SETTINGS.assumed_compliance)
 
 
-def with_noise_of(tendon: TendonConfig, tension: Array, travel: Array | None) -> TendonConfig:
+def set_noise_from_data(tendon: TendonConfig, tension: Array, travel: Array | None) -> TendonConfig:
     """Return a tendon of a model file, its noise taken from data where none is configured.
 
     Parameters
@@ -119,7 +123,7 @@ def with_noise_of(tendon: TendonConfig, tension: Array, travel: Array | None) ->
         At the housing [N] and [m], shape (n,); None where no travel was measured.
     """
     known = tendon.tension_noise > 0.0 or tendon.displacement_noise > 0.0
-    if tendon.model_file is None or known or len(tension) < LEAST:
+    if tendon.model_file is None or known or len(tension) < SAMPLES_MIN:
         return tendon
     return replace(
         tendon,
@@ -128,7 +132,7 @@ def with_noise_of(tendon: TendonConfig, tension: Array, travel: Array | None) ->
     )
 
 
-def friction_warnings(
+def find_friction_warnings(
     calibrated: Sequence[TendonConfig], used: Sequence[TendonConfig]
 ) -> list[str]:
     """Return a warning for each model file whose friction is far from the calibrated one.
@@ -138,20 +142,23 @@ def friction_warnings(
     warnings: dict[str, None] = {}
     for before, after in zip(calibrated, used, strict=True):
         K_before, K = before.model().sheath.K, after.model().sheath.K
-        if after.model_file != before.model_file and not K_before / FAR <= K <= K_before * FAR:
+        if (
+            after.model_file != before.model_file
+            and not K_before / FRICTION_RATIO_MAX <= K <= K_before * FRICTION_RATIO_MAX
+        ):
             line = f"{after.model_file}: its K is {K:.3g}, the calibrated K is {K_before:.3g}"
             warnings[f"WARNING: {line}; check that it is of this sheath, bent as now"] = None
     return list(warnings)
 
 
-def describe(tendon: TendonConfig) -> list[str]:
+def describe_effects(tendon: TendonConfig) -> list[str]:
     """Return how the loop uses each effect in a tendon's model file."""
     extended = tendon.extended()
     if extended is None or tendon.model_file is None:
         return []
     warnings = []
     for effect, _, use in extended.uses:
-        why = f": it {why_left_out(effect)}" if use is Use.NOTHING else ""
+        why = f": it {explain_omission(effect)}" if use is EffectUse.NOTHING else ""
         warnings.append(f"{effect.label} is {use.value}{why}")
     saved = model_file.load(tendon.model_file)
     if saved.unexplained:

@@ -17,30 +17,30 @@ from contextlib import ExitStack
 from functools import partial
 from typing import Any, NamedTuple
 
-from estimator.records import as_bytes, one
+from estimator.records import as_bytes, view_struct
 from slave import loop, model_files
 from slave.calibration.initialise import initialise
 from slave.config import (
     SlaveConfig,
-    config_warnings,
+    find_config_warnings,
+    find_not_ready_reason,
     has_model_file,
-    not_ready_reason,
-    tendon_configs,
+    load_tendon_configs,
 )
 from slave.gate import GateFlags
 from slave.loop import RigModel
 from slave.loop_records import EstimatedSample, SlaveMemory, TickInput
-from slave.rig import Rig, RigFault, RigFinished, RigSample, emergency_stop_of, enabling
+from slave.rig import Rig, RigFault, RigFinished, RigSample, as_enabling_rig, get_emergency_stop
 from slave.rigs import open_rig
 from slave.rigs.replayed import ReplayedRig
-from slave.rigs.simulated.effect_text import late
+from slave.rigs.simulated.effect_text import format_late_effects
 from slave.rigs.simulated.simulated import SimulatedRigConfig
 from slave.samples import fill_sample
 from slave.score import Score
 from slave.state_messages import fill_tendon_state
-from slave.telemetry import Telemetry, calibrating
+from slave.telemetry import Telemetry, build_progress_printer
 from slave.tendon_config import TendonConfig
-from slave.warm_up import prepare
+from slave.warm_up import compile_session
 from teleop.config.options import add_option, add_options
 from teleop.coupling import Bilateral
 from teleop.errors import TeleopError, UsageError
@@ -51,23 +51,23 @@ from teleop.messages.packet import Packet
 from teleop.messages.topics import COMMAND, STATE, TENDONS, Role
 from teleop.remote.requests import RequestListener, Requests, call_stop
 from teleop.runtime.clock import STALL_NS, EventClock, Grid, Tick, now_ns
-from teleop.runtime.process import Stop
-from teleop.runtime.realtime import ordinary_scheduling
+from teleop.runtime.process import StopCondition
+from teleop.runtime.realtime import use_ordinary_scheduling
 from teleop.session.config import load_section
 from teleop.session.events import publish_event
-from teleop.session.loop_process import LoopProcess, answer_requests, conclude, run_session
+from teleop.session.loop_process import LoopProcess, answer_requests, report_outcome, run_session
 from teleop.session.meter import format_reason
-from teleop.session.slow_calls import SlowCalls
+from teleop.session.slow_calls import SlowCallMonitor
 from teleop.session.state_machine import Reason, SessionOutline, State
-from teleop.session.summary import force_line
+from teleop.session.summary import format_force_error
 
-GIVEN_UP = "calibration given up: "
-ROWS = 32  # samples that a tick takes at first; more are made room for
+CALIBRATION_ABORTED = "calibration given up: "
+ROWS_INITIAL = 32  # samples that a tick takes at first; more are made room for
 
 _CLOCK_SET = int(Reason.CLOCK_SET)
 
 
-class Past(NamedTuple):
+class CalibrationHistory(NamedTuple):
     """What a rig was used for before the loop."""
 
     start_ns: int  # from which its session time counts
@@ -87,23 +87,23 @@ class SlaveProcess(LoopProcess):
         rig: Rig,
         model: RigModel,
         clock: EventClock,
-        past: Past | None = None,
+        past: CalibrationHistory | None = None,
         bilateral: Bilateral = loop.DIRECT,
         requests: RequestListener | None = None,
         health: HealthConfig = DEFAULT_BOUNDS,
     ) -> None:
         self._rig, self._model = rig, model
-        self._emergency_stop = emergency_stop_of(rig)
-        self._enabling = enabling(rig)
+        self._emergency_stop = get_emergency_stop(rig)
+        self._enabling = as_enabling_rig(rig)
         self._motors_follow = self._enabling is None  # as of the last read
-        self._reads, self._writes = SlowCalls("rig: read"), SlowCalls("rig: write")
+        self._reads, self._writes = SlowCallMonitor("rig: read"), SlowCallMonitor("rig: write")
         self._is_rig_stopped = False  # its emergency stop was called, nothing written since
-        past = past or Past(now_ns(), ())
-        with ordinary_scheduling():  # the samples of a calibration take up to seconds
-            self._slave = loop.start(
+        past = past or CalibrationHistory(now_ns(), ())
+        with use_ordinary_scheduling():  # the samples of a calibration take up to seconds
+            self._slave = loop.init_slave(
                 model, config, bilateral, rig.starts_at_zero, past.samples, past.motor
             )
-        self.memory: SlaveMemory = one(self._slave.memory)
+        self.memory: SlaveMemory = view_struct(self._slave.memory)
         joints = len(model.joints)
         super().__init__(link, clock.stats, self._slave.memory, joints, requests, health)
         self._motor = self._slave.memory["motor"][0]  # [m] that the gate let through
@@ -111,7 +111,7 @@ class SlaveProcess(LoopProcess):
         self._estimated, self._ticked = self._slave.estimated, self._slave.ticked
         self._changing = [as_bytes(part) for part in (self._slave.memory, self._slave.estimators)]
         self._before = [part.copy() for part in self._changing]
-        self._rows = EstimatedSample.array(ROWS)
+        self._rows = EstimatedSample.array(ROWS_INITIAL)
         self._samples = 0
         self._ahead: RigSample | None = None  # that the memory is estimated from already
         self._is_estimated = False  # whether the rows of this tick are
@@ -215,7 +215,7 @@ class SlaveProcess(LoopProcess):
         if not self._is_estimated:
             slave.estimate(*self._estimated, rows, samples)
         self._is_estimated = False
-        return loop.tick(
+        return loop.run_tick(
             *self._ticked, rows, samples, given, commands.packet.records, self._state.records
         )
 
@@ -308,19 +308,19 @@ def main(args: argparse.Namespace) -> int:
     files = model_files.parse(args.model)
     if files and config.initialise.at_start:
         raise UsageError("--model: conflicts with slave.initialise.at_start; use one of them")
-    prepare(config, with_dynamics=bool(files) or has_model_file(config))
+    compile_session(config, with_dynamics=bool(files) or has_model_file(config))
 
     def start(
         link: Link, requests: RequestListener, stack: ExitStack
-    ) -> tuple[SlaveProcess, EventClock, Stop]:
+    ) -> tuple[SlaveProcess, EventClock, StopCondition]:
         rig = open_rig(config.rig)
         stack.callback(rig.close)
-        for warning in config_warnings(config, shared.coupling):
+        for warning in find_config_warnings(config, shared.coupling):
             print(warning, flush=True)
-        stop = Stop(args.duration)
+        stop = StopCondition(args.duration)
         stop.wake = link.wake
         link.subscribe_latest(COMMAND, round(config.command_timeout * 1e9))
-        model, past = model_of(config, rig, link, requests, stop, shared.rate_hz, files)
+        model, past = prepare_rig_model(config, rig, link, requests, stop, shared.rate_hz, files)
         clock = EventClock(shared.rate_hz, stop, partial(link.wait, COMMAND))
         slave = SlaveProcess(
             config, link, rig, model, clock, past, shared.bilateral, requests, shared.health
@@ -329,43 +329,45 @@ def main(args: argparse.Namespace) -> int:
 
     slave, summary = run_session(Role.SLAVE, shared, start)
     if isinstance(config.rig, SimulatedRigConfig):
-        for line in late(config.rig.effects, summary["seconds"]):
+        for line in format_late_effects(config.rig.effects, summary["seconds"]):
             print(line, flush=True)
-    return conclude(args, slave, summary, [f"force     {force_line(summary['force_error'])}"])
+    return report_outcome(
+        args, slave, summary, [f"force     {format_force_error(summary['force_error'])}"]
+    )
 
 
-def model_of(
+def prepare_rig_model(
     config: SlaveConfig,
     rig: Rig,
     link: Link,
     requests: RequestListener,
-    stop: Stop,
+    stop: StopCondition,
     rate_hz: float,
     files: model_files.ModelFiles,
-) -> tuple[RigModel, Past]:
+) -> tuple[RigModel, CalibrationHistory]:
     """Return what is known of a rig when the loop begins, and what it has measured before.
 
     Model `files` stand in for what the config says of the sheaths. If the config asks for it, the
     rig is calibrated first, in its quick form; `TeleopError` if that has to be given up. An
     emergency stop, among the `requests` or of the master, stops the motors and ends it.
     """
-    past = Past(now_ns(), ())
+    past = CalibrationHistory(now_ns(), ())
     if not config.initialise.at_start:
-        tendons = tendon_configs(config, rig.tendons, rig.joints, files)
+        tendons = load_tendon_configs(config, rig.tendons, rig.joints, files)
         if isinstance(rig, ReplayedRig):
             tendons = tuple(
-                model_files.with_noise_of(tendon, *rig.housing[k])
+                model_files.set_noise_from_data(tendon, *rig.housing[k])
                 for k, tendon in enumerate(tendons)
             )
-        said = introduced(tendons)
+        said = describe_models(tendons)
         if files and (config.tendons or config.calibration):
-            said += model_files.friction_warnings(
-                tendon_configs(config, rig.tendons, rig.joints), tendons
+            said += model_files.find_friction_warnings(
+                load_tendon_configs(config, rig.tendons, rig.joints), tendons
             )
         for line in said:
             print(line, flush=True)
-        not_ready_text = not_ready_reason(config, rig, modelled=bool(files))
-        return loop.rig_model(
+        not_ready_text = find_not_ready_reason(config, rig, modelled=bool(files))
+        return loop.build_rig_model(
             rig.joints, [tendon.model() for tendon in tendons], not_ready_text
         ), past
 
@@ -374,14 +376,16 @@ def model_of(
         master = link.latest(COMMAND).message
         if asked.stop:
             call_stop(link, Role.SLAVE, asked.words or asked.stop.text)
-            stop_motors(rig, said := f"{GIVEN_UP}{format_reason(asked.stop, asked.words)}")
+            stop_motors(
+                rig, said := f"{CALIBRATION_ABORTED}{format_reason(asked.stop, asked.words)}"
+            )
             done = SessionOutline(State.STOPPED, asked.stop)
             if requests.is_asked:
                 latest = link.latest(COMMAND)
                 answer_requests(link, requests, Role.SLAVE, done, 0, latest, now_ns())
             raise TeleopError(said)
         if master is not None and State(master.state) is State.STOPPED:
-            stop_motors(rig, said := f"{GIVEN_UP}{Reason.PEER_STOPPED.text}")
+            stop_motors(rig, said := f"{CALIBRATION_ABORTED}{Reason.PEER_STOPPED.text}")
             raise TeleopError(said)
         return stop.reason if stop() else ""
 
@@ -394,17 +398,19 @@ def model_of(
         Grid(rate_hz, lambda: False, phase=0.5),
         past.start_ns,
         stopped=stopped,
-        progress=calibrating(rig),
+        progress=build_progress_printer(rig),
         analysing=stop.interrupting,
     )
     publish_event(link, Role.SLAVE, SessionOutline(), f"off: {rig.name} is calibrated")
     found = [tendon.model() for tendon in done.calibration.tendons]
-    return loop.rig_model(rig.joints, found), past._replace(samples=done.samples, motor=done.motor)
+    return loop.build_rig_model(rig.joints, found), past._replace(
+        samples=done.samples, motor=done.motor
+    )
 
 
 def stop_motors(rig: Rig, reason: str) -> None:
     """Stop the motors by their own means, if they have any; `TeleopError` if that fails."""
-    emergency_stop = emergency_stop_of(rig)
+    emergency_stop = get_emergency_stop(rig)
     if emergency_stop is not None:
         try:
             emergency_stop()
@@ -412,11 +418,11 @@ def stop_motors(rig: Rig, reason: str) -> None:
             raise TeleopError(f"{reason}; rig: {error}") from error
 
 
-def introduced(tendons: Sequence[TendonConfig]) -> list[str]:
+def describe_models(tendons: Sequence[TendonConfig]) -> list[str]:
     """Return what the models of diagnoses do in the loop, and what is doubtful about them."""
     said: dict[str, None] = {}
     for tendon in tendons:
-        for sentence in model_files.describe(tendon):
+        for sentence in model_files.describe_effects(tendon):
             said[f"{tendon.model_file}: {sentence}"] = None
         if tendon.model_file is not None and tendon.tension_noise == 0.0:
             line = f"WARNING: {tendon.model_file}: no tension_noise is known beside it: noise is"

@@ -126,19 +126,19 @@ class WatchedRig(Rig, Protocol):
         """
 
 
-def emergency_stop_of(rig: Rig) -> Callable[[], None] | None:
+def get_emergency_stop(rig: Rig) -> Callable[[], None] | None:
     """Return the emergency stop of a `StoppableRig`, None of any other rig."""
     return getattr(rig, "emergency_stop", None)
 
 
-def enabling(rig: Rig) -> EnablingRig | None:
+def as_enabling_rig(rig: Rig) -> EnablingRig | None:
     """Return a rig that tells whether its motors follow as one, None for any other."""
     return cast("EnablingRig", rig) if hasattr(rig, "follows") else None
 
 
-def motors_follow(rig: Rig) -> bool:
+def has_following_motors(rig: Rig) -> bool:
     """Return whether the motors of a rig follow what is written; always true if it cannot tell."""
-    one = enabling(rig)
+    one = as_enabling_rig(rig)
     return one is None or one.follows
 
 

@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 
 from estimator.array_types import Array
-from estimator.compiled import compiled
+from estimator.compiled import jit_compile
 from estimator.online import online
 from estimator.online.tendon_estimate import INVALID_INPUT
-from estimator.records import Records
+from estimator.records import StructArray
 from slave import control
 from slave.loop_records import EstimatedSample, SlaveMemory
 from slave.rig import RigSample
@@ -18,7 +18,7 @@ from slave.tendons import RigLayout
 from teleop.messages.messages import MAX_TENDONS
 
 
-def fill_sample(rows: Records, index: int, sample: RigSample) -> None:
+def fill_sample(rows: StructArray, index: int, sample: RigSample) -> None:
     """Write a sample of the rig into a row for `tick`.
 
     Missing entries are NaN, which the estimator rejects.
@@ -42,9 +42,9 @@ def fill_sample(rows: Records, index: int, sample: RigSample) -> None:
 _MISSING = np.full(MAX_TENDONS, math.nan)
 
 
-@compiled
+@jit_compile
 def _fill_row(
-    rows: Records,
+    rows: StructArray,
     index: int,
     time_s: float,
     has_displacement: bool,
@@ -56,19 +56,19 @@ def _fill_row(
     row = rows[index]
     row.time_s, row.has_displacement = time_s, has_displacement
     for i in range(MAX_TENDONS):
-        row.tendons[i].tension = _entry(tension, i)
-        row.tendons[i].displacement = _entry(displacement, i)
-        row.bench_tension[i] = _entry(bench_tension, i)
-        row.bench_displacement[i] = _entry(bench_displacement, i)
+        row.tendons[i].tension = _get_entry(tension, i)
+        row.tendons[i].displacement = _get_entry(displacement, i)
+        row.bench_tension[i] = _get_entry(bench_tension, i)
+        row.bench_displacement[i] = _get_entry(bench_displacement, i)
 
 
-@compiled
-def _entry(values: Array, i: int) -> float:
+@jit_compile
+def _get_entry(values: Array, i: int) -> float:
     """Return an entry, NaN beyond the end (compiled code has no bounds check)."""
     return values[i] if i < len(values) else math.nan
 
 
-def sample_rows(samples: Sequence[RigSample]) -> Records:
+def to_sample_rows(samples: Sequence[RigSample]) -> StructArray:
     """Return samples as rows for `tick`, shape (samples,); see `fill_sample`."""
     rows = EstimatedSample.array(len(samples))
     for k, sample in enumerate(samples):
@@ -76,13 +76,13 @@ def sample_rows(samples: Sequence[RigSample]) -> Records:
     return rows
 
 
-@compiled
+@jit_compile
 def estimate(
-    layouts: Records,
-    prepared: Records,
-    estimators: Records,
-    memories: Records,
-    rows: Records,
+    layouts: StructArray,
+    prepared: StructArray,
+    estimators: StructArray,
+    memories: StructArray,
+    rows: StructArray,
     samples: int,
 ) -> None:
     """Step each tendon's estimator with the first `samples` of `rows`; fill in their estimates."""
@@ -103,13 +103,13 @@ def estimate(
         _end_sample(layout, memory, row)
 
 
-@compiled
+@jit_compile
 def estimate_with_dynamics(
-    layouts: Records,
-    prepared: Records,
-    estimators: Records,
-    memories: Records,
-    rows: Records,
+    layouts: StructArray,
+    prepared: StructArray,
+    estimators: StructArray,
+    memories: StructArray,
+    rows: StructArray,
     samples: int,
 ) -> None:
     """Like `estimate`, for models with dynamic effects; takes longer to compile."""
@@ -130,14 +130,14 @@ def estimate_with_dynamics(
         _end_sample(layout, memory, row)
 
 
-@compiled
+@jit_compile
 def _begin_sample(memory: SlaveMemory, row: EstimatedSample) -> None:
     row.elapsed = row.time_s - memory.sample_time if memory.has_sample else 0.0
     memory.sample_time = row.time_s
     memory.has_sample = True
 
 
-@compiled
+@jit_compile
 def _end_sample(layout: RigLayout, memory: SlaveMemory, row: EstimatedSample) -> None:
     usable = True
     newest: Any = memory.tendons
@@ -147,4 +147,4 @@ def _end_sample(layout: RigLayout, memory: SlaveMemory, row: EstimatedSample) ->
         usable = usable and tendon.valid
         newest[i] = tendon
     if usable and not memory.has_offsets:
-        memory.has_offsets = control.joint_offsets(layout, row.tendons, memory.offsets)
+        memory.has_offsets = control.compute_joint_offsets(layout, row.tendons, memory.offsets)

@@ -6,19 +6,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.compiled import compiled
+from estimator.compiled import jit_compile
 from estimator.law.sheath import Sheath
-from estimator.law.transmission import tension_at
-from estimator.records import Records
+from estimator.law.transmission import evaluate_tension
+from estimator.records import StructArray
 from teleop.messages import messages
-from teleop.messages.messages import MAX_SECTIONS, MAX_TENDONS, PROFILE_POINTS, padded
+from teleop.messages.messages import MAX_SECTIONS, MAX_TENDONS, PROFILE_POINTS, pad_values
 
 Array = NDArray[np.float64]
 
 
-@compiled
+@jit_compile
 def fill_tendon_state(
-    layouts: Records, memories: Records, rows: Records, index: int, states: Records
+    layouts: StructArray, memories: StructArray, rows: StructArray, index: int, states: StructArray
 ) -> None:
     """Fill in a `TendonState` from a row of a tick, except for its head.
 
@@ -54,14 +54,14 @@ def fill_tendon_state(
         state.bench_distal_displacement[i] = row.bench_displacement[i] if used else 0.0
 
 
-@compiled
+@jit_compile
 def fill_tension_profile(
-    prepared: Records,
-    estimators: Records,
-    memories: Records,
+    prepared: StructArray,
+    estimators: StructArray,
+    memories: StructArray,
     tendon: int,
     points: Array,
-    profiles: Records,
+    profiles: StructArray,
 ) -> None:
     """Fill in a `TensionProfile` of one tendon, except for its head.
 
@@ -80,12 +80,12 @@ def fill_tension_profile(
     profile.tendon = tendon
     profile.length = points[PROFILE_POINTS - 1]
     profile.front = memories[0].tendons[tendon].estimate.front
-    tension = tension_at(prepared[tendon].tables, estimators[tendon].profile, points)
+    tension = evaluate_tension(prepared[tendon].tables, estimators[tendon].profile, points)
     for i in range(PROFILE_POINTS):
         profile.tension[i] = tension[i]
 
 
-def sheath(tendon: int, joint: int, model: Sheath) -> messages.Sheath:
+def build_sheath_message(tendon: int, joint: int, model: Sheath) -> messages.Sheath:
     """Return the shape and constants of one sheath of at most `MAX_SECTIONS` sections."""
     sections = model.sections
     return messages.Sheath(
@@ -94,6 +94,6 @@ def sheath(tendon: int, joint: int, model: Sheath) -> messages.Sheath:
         sections=len(sections),
         effective_friction=model.K,
         axial_stiffness=model.axial_stiffness,
-        section_length=padded([s.length for s in sections], MAX_SECTIONS),
-        section_radius=padded([s.radius for s in sections], MAX_SECTIONS),
+        section_length=pad_values([s.length for s in sections], MAX_SECTIONS),
+        section_radius=pad_values([s.radius for s in sections], MAX_SECTIONS),
     )

@@ -5,13 +5,13 @@ from collections.abc import Callable
 
 import numpy as np
 
-from estimator.records import one
+from estimator.records import view_struct
 from slave import state_messages
 from slave.calibration import monitor
 from slave.calibration.monitor import Advice
-from slave.calibration.refusals import tendon_name
-from slave.calibration.run import Progress
-from slave.loop import RigModel, Slave
+from slave.calibration.refusals import format_tendon_name
+from slave.calibration.run import ProcedureProgress
+from slave.loop import RigModel, SlaveRecords
 from slave.loop_records import NOT_CALIBRATED, NOT_READY_TEXT, SlaveMemory
 from slave.rig import Rig
 from teleop.link import Link
@@ -23,7 +23,7 @@ from teleop.session.meter import format_reason
 from teleop.session.state_machine import OutlineReader, Reason, SessionOutline, State
 
 PROFILE_PERIOD_S = 0.02  # T(x) of one tendon; the viewer shows no more
-PROFILE_LEAST_S = 0.005  # least period between two of them, for any number of tendons
+PROFILE_PERIOD_MIN_S = 0.005  # least period between two of them, for any number of tendons
 SHEATH_PERIOD_S = 1.0  # for listeners that start later
 PROGRESS_S = 2.0  # between two progress lines of a calibration
 
@@ -39,16 +39,16 @@ class Telemetry:
         Sender of the last emergency stop.
     """
 
-    def __init__(self, link: Link, model: RigModel, slave: Slave) -> None:
+    def __init__(self, link: Link, model: RigModel, slave: SlaveRecords) -> None:
         self._link, self._model, self._slave = link, model, slave
-        self._memory: SlaveMemory = one(slave.memory)
+        self._memory: SlaveMemory = view_struct(slave.memory)
         self._outline = OutlineReader(slave.memory["session"])
         self._now = {
             name: slave.memory[name] for name in ("advice", "has_sample", "not_ready", "found")
         }
         self._points = [np.linspace(0.0, m.sheath.length, PROFILE_POINTS) for m in model.models]
         self._joint_of = {k: j for j, tendons in enumerate(model.joints) for k in tendons}
-        self._profile_s = max(PROFILE_PERIOD_S / len(model.models), PROFILE_LEAST_S)
+        self._profile_s = max(PROFILE_PERIOD_S / len(model.models), PROFILE_PERIOD_MIN_S)
         self._next_profile_s = self._next_sheath_s = 0.0
         self._tendon = 0
         self._profile = Packet(TensionProfile)
@@ -81,7 +81,9 @@ class Telemetry:
             self._next_sheath_s = time_s + SHEATH_PERIOD_S
             for k, model in enumerate(self._model.models):
                 if not self._link.skip_unsubscribed(SHEATH):
-                    message = state_messages.sheath(k, self._joint_of[k], model.sheath)
+                    message = state_messages.build_sheath_message(
+                        k, self._joint_of[k], model.sheath
+                    )
                     self._link.publish(SHEATH, message)
 
     def _detail(self, reason: Reason) -> str:
@@ -117,7 +119,7 @@ class Telemetry:
 
     def _misfit(self) -> str:
         tendons = range(len(self._model.models))
-        errors = [monitor.force_error(self._memory.monitors[k]) for k in tendons]
+        errors = [monitor.compute_force_error(self._memory.monitors[k]) for k in tendons]
         k = max(tendons, key=lambda k: abs(errors[k]))
         return f"{self._named(k)}: force error about {100.0 * errors[k]:+.0f} %"
 
@@ -137,17 +139,17 @@ class Telemetry:
         self._link.publish_packet(PROFILE, self._profile)
 
 
-def calibrating(rig: Rig) -> Callable[[Progress], None]:
+def build_progress_printer(rig: Rig) -> Callable[[ProcedureProgress], None]:
     """Return a callback that prints the progress of a calibration at each long phase."""
     due_s = 0.0
 
-    def show(progress: Progress) -> None:
+    def show(progress: ProcedureProgress) -> None:
         nonlocal due_s
         if progress.time_s < due_s:
             return
         due_s = progress.time_s + PROGRESS_S
         count = len(rig.joints[progress.joint - 1])
-        where = tendon_name(progress.joint, count, progress.side % count)
+        where = format_tendon_name(progress.joint, count, progress.side % count)
         tension = " and ".join(f"{t:z.1f}" for t in progress.tension)
         print(
             f"calibrating {rig.name}: {progress.done:.0%}, {where}: {progress.phase.text}, "

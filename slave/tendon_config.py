@@ -5,7 +5,7 @@ from pathlib import Path
 
 from estimator.law.sheath import Section, Sheath, SheathError
 from estimator.online import extension
-from estimator.online.extension import Extended
+from estimator.online.extension import ExtendedModel
 from estimator.online.online import TendonModel
 from slave.rigs.simulated.plant.sheath import SectionConfig
 from teleop.data import model_file
@@ -64,13 +64,13 @@ class TendonConfig:
             if item.name in _IN_MODEL_FILE and getattr(self, item.name) != item.default:
                 raise ValueError(f"{item.name}: conflicts with model_file; use one of them")
 
-    def extended(self) -> Extended | None:
+    def extended(self) -> ExtendedModel | None:
         """Return the extended model of the model file, None without one."""
         if self.model_file is None:
             return None
         model, duration, *_ = model_file.load(self.model_file)
         try:
-            return extension.extended(
+            return extension.build_extended_model(
                 model.shared, model.effects, duration, self.length, self.axial_stiffness
             )
         except SheathError as error:

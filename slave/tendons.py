@@ -8,20 +8,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.online.tendon_estimate import TendonEstimate
-from estimator.records import F64, I64, Field, Flag, Record, Records, one
+from estimator.records import F64, I64, Field, Flag, Struct, StructArray, view_struct
 from teleop.messages.messages import MAX_JOINTS
 
 SIGNS = (1.0, -1.0)  # of a joint's travel at the tips of its tendons a and b
 
 
-class JointTendons(Record):
+class JointTendons(Struct):
     """The tendons of one joint: `a`, or `a` and `b`."""
 
     count: I64 = 0
     tendon: Annotated[NDArray[np.int64], Field("i8", 2, fill=-1)]  # numbered over the whole rig
 
 
-class RigLayout(Record):
+class RigLayout(Struct):
     """Which tendons a rig has and which joints they move, `Rig.joints`."""
 
     joints: I64 = 0
@@ -29,7 +29,7 @@ class RigLayout(Record):
     joint: Annotated[Sequence[JointTendons], Field(JointTendons, MAX_JOINTS)]
 
 
-class EstimatedTendon(Record):
+class EstimatedTendon(Struct):
     """One tendon in one sample: measured, corrected and estimated."""
 
     tension: F64 = math.nan  # [N] measured at the housing
@@ -40,14 +40,14 @@ class EstimatedTendon(Record):
     estimate: TendonEstimate
 
 
-EstimatedTendons: TypeAlias = Sequence[EstimatedTendon] | Records
+EstimatedTendons: TypeAlias = Sequence[EstimatedTendon] | StructArray
 """The tendons of a rig in one sample, as a field of a record or as an array of records."""
 
 
-def rig_layout(joints: Sequence[Sequence[int]]) -> Records:
+def build_rig_layout(joints: Sequence[Sequence[int]]) -> StructArray:
     """Return the layout of `Rig.joints`, shape (1,)."""
     layout = RigLayout.array()
-    record = one(layout)
+    record = view_struct(layout)
     record.joints = len(joints)
     record.tendons = sum(map(len, joints))
     for k, tendons in enumerate(joints):

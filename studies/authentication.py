@@ -21,12 +21,12 @@ from typing import Any
 from teleop.link.reception import Reception
 from teleop.messages.messages import LAYOUT
 from teleop.messages.topics import COMMAND, STATE, Role
-from teleop.security import Office
+from teleop.security import CertificateRole
 from teleop.security.handshake import Handshake
 from teleop.security.keyring import Keyring
-from teleop.security.local import local_credentials
-from teleop.security.presence import Stage, Token
-from teleop.view.ports import free_port
+from teleop.security.local import create_local_credentials
+from teleop.security.presence import RoleStage, Token
+from teleop.view.ports import find_free_port
 
 ROUNDS, CALLS = 300, 200  # the quickest round counts: whatever else runs is left out
 
@@ -50,14 +50,14 @@ def main() -> None:
 def tag_us(topic: Any, sender: Role, receiver: Role) -> tuple[float, float]:
     """Return what a tag costs its sender and its receiver [us], on top of everything else."""
     nonces = {sender: 1, receiver: 2}
-    offices = {Role.MASTER: Office.MASTER, Role.SLAVE: Office.SLAVE}
+    offices = {Role.MASTER: CertificateRole.MASTER, Role.SLAVE: CertificateRole.SLAVE}
     shakes = {
-        role: Handshake(local_credentials("bench", offices[role]), "bench", nonce)
+        role: Handshake(create_local_credentials("bench", offices[role]), "bench", nonce)
         for role, nonce in nonces.items()
     }
     rings = {role: Keyring(role, nonce) for role, nonce in nonces.items()}
     for role, other in ((sender, receiver), (receiver, sender)):
-        token = shakes[other].prove(Token(other, LAYOUT, nonces[other], Stage.HELD))
+        token = shakes[other].prove(Token(other, LAYOUT, nonces[other], RoleStage.HELD))
         peer = shakes[role].check(token)
         rings[role].add(peer, shakes[role].pair_keys(peer))
     data = topic.message().pack(1, 1, 1)
@@ -106,7 +106,7 @@ def measure(seconds: float, words: list[str]) -> dict[str, float]:
     """Run a session and return its figures."""
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "run.json"
-        ends = [f"--set=link.{side}=127.0.0.1:{free_port(0)}" for side in ("master", "slave")]
+        ends = [f"--set=link.{side}=127.0.0.1:{find_free_port(0)}" for side in ("master", "slave")]
         before = processor_s()
         subprocess.run(
             [sys.executable, "-m", "teleop", "run", "--config", "configs/demo.yaml", "--view",

@@ -21,7 +21,7 @@ import numpy as np
 from estimator.array_types import Array
 from estimator.calibration.calibration import Calibration, CalibrationError, calibrate
 from estimator.law.sheath import Section, Sheath
-from estimator.law.transmission import batch, slack_profile, tables
+from estimator.law.transmission import build_slack_profile, build_tables, simulate_tensions
 from tests.brute.chain import Chain, Force, Position
 
 LOW = 0.2  # [N]
@@ -112,8 +112,8 @@ def motion(sheath: Sheath) -> tuple[Array, Array, Array]:
 
 def errors(model: Sheath, truth: tuple[Array, Array, Array]) -> tuple[float, float]:
     T_in, T_out, elongation = truth
-    table = tables(model)
-    by_model = batch(table, slack_profile(table), T_in)
+    table = build_tables(model)
+    by_model = simulate_tensions(table, build_slack_profile(table), T_in)
     return (
         100.0 * float(np.abs(by_model[0] - T_out).max() / T_out.max()),
         100.0 * float(np.abs(by_model[1] - elongation).max() / elongation.max()),

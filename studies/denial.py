@@ -32,14 +32,14 @@ import zenoh
 
 from teleop.link.listener import Listener
 from teleop.link.network import open_session
-from teleop.link.reception import Latest
+from teleop.link.reception import LatestMessage
 from teleop.messages.messages import Command, EmergencyStop
 from teleop.messages.topics import COMMAND, STOP, Role, Topic
 from teleop.runtime.clock import now_ns
-from teleop.security import Identity, Office
+from teleop.security import CertificateRole, Identity
 from teleop.security.handshake import PairKeys, Peer
 from teleop.security.keyring import ENTRY_BYTES, Keyring
-from teleop.security.local import local_credentials
+from teleop.security.local import create_local_credentials
 
 FLAT_MB = 2.0
 WARM = 20_000  # frames before memory is measured, which fill caches
@@ -63,7 +63,7 @@ with Link(LinkConfig(master=sys.argv[1], slave=sys.argv[2]), "denial", role) as 
             print(line, file=sys.stderr, flush=True)
 """
 PAGE_MB = os.sysconf("SC_PAGE_SIZE") / 1e6
-MASTER = Peer(Role.MASTER, 1, Identity(Office.MASTER, "test"), bytes(32))
+MASTER = Peer(Role.MASTER, 1, Identity(CertificateRole.MASTER, "test"), bytes(32))
 KEYS = PairKeys(bytes(32), b"\1" * 32)
 
 
@@ -86,7 +86,7 @@ class Door:
         self.keyring = Keyring(Role.SLAVE, 2)
         self.keyring.add(MASTER, KEYS)
         senders = self.keyring.senders(COMMAND)
-        self._latest = Latest(
+        self._latest = LatestMessage(
             COMMAND, lambda _: 1, senders=senders, addressee=self.keyring.addressee
         )
         self._listener = Listener(lambda *_: 1, self.keyring)
@@ -216,7 +216,7 @@ def flood_tables(declare: Callable[[zenoh.Session, int], Any], seconds: float) -
         for probe in (one, two):
             probe.bind(("127.0.0.1", 0))
         ends = [f"127.0.0.1:{probe.getsockname()[1]}" for probe in (one, two)]
-    viewer = local_credentials("denial", Office.VIEWER)
+    viewer = create_local_credentials("denial", CertificateRole.VIEWER)
     connections = declared = 0
     with ExitStack() as stack:
         sides: dict[str, subprocess.Popen[bytes]] = {}

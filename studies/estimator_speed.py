@@ -15,9 +15,9 @@ from estimator.array_types import Array
 from estimator.effects import elasticity, friction
 from estimator.effects.effect import Effect, Values
 from estimator.law.sheath import Sheath
-from estimator.law.transmission import batch, slack_profile, tables
+from estimator.law.transmission import build_slack_profile, build_tables, simulate_tensions
 from estimator.online import online
-from estimator.online.extension import extended
+from estimator.online.extension import build_extended_model
 
 SHEATH = Sheath.uniform(1.0, 1.5, 9000.0)
 NODES = 64
@@ -25,7 +25,7 @@ RATE = 1000.0  # [Hz]
 
 BESIDE: tuple[tuple[Effect, Values], ...] = (
     (friction.VISCOUS_FRICTION, (200.0,)),
-    (friction.STRIBECK_LATE, (0.2, 1e-3, 0.1)),
+    (friction.STRIBECK_WITH_MEMORY, (0.2, 1e-3, 0.1)),
     (friction.PRESLIDING_STIFF, (3e-5,)),
     (friction.TENSION_DEPENDENT_POWER, (0.9,)),
     (elasticity.NONLINEAR_STIFFNESS, (1e-4, 2.0)),
@@ -43,8 +43,8 @@ def record(n: int) -> tuple[Array, Array, Array]:
     )
     T = 8.0 + sum(a * np.sin(2 * math.pi * f * time_s + p) for f, p, a in tones)
     T = np.maximum(T, 0.2)
-    table = tables(SHEATH)
-    _, e = batch(table, slack_profile(table), T)
+    table = build_tables(SHEATH)
+    _, e = simulate_tensions(table, build_slack_profile(table), T)
     return time_s, T + rng.normal(0.0, 0.02, n), e + rng.normal(0.0, 1e-6, n)
 
 
@@ -116,7 +116,7 @@ def print_steps(T: Array, q: Array) -> None:
     models = {"the law": law}
     shared = (SHEATH.K, SHEATH.length / SHEATH.axial_stiffness, 5e-4)
     for effect, values in BESIDE:
-        found = extended(shared, [(effect, values)], 60.0, SHEATH.length)
+        found = build_extended_model(shared, [(effect, values)], 60.0, SHEATH.length)
         models[effect.name] = steps(noisy(found.sheath, extension=found.extension), T, q)
     for name, taken in models.items():
         p999 = taken[int(0.999 * len(taken))]
@@ -133,12 +133,12 @@ def main() -> None:
     )
     online.run(prepared, time_s[:10], T[:10], q[:10])
     full = seconds(lambda: online.run(prepared, time_s, T, q))
-    table = tables(SHEATH)
-    law = seconds(lambda: batch(table, slack_profile(table), T))
+    table = build_tables(SHEATH)
+    law = seconds(lambda: simulate_tensions(table, build_slack_profile(table), T))
     short = 4000
     sweep = seconds(lambda: clip_sweep(T[:short]), 3) * len(T) / short
     stack = seconds(lambda: plain_deque(T), 3)
-    exact, _ = batch(table, slack_profile(table), T)
+    exact, _ = simulate_tensions(table, build_slack_profile(table), T)
     print(f"{'':34}Msamples/s   faster than numpy clip sweep   than Python deque")
     for name, taken_s in (
         ("online.run (tension+displacement)", full),

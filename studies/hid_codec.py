@@ -10,7 +10,7 @@ import struct
 import timeit
 from collections.abc import Callable
 
-from master.devices.hid.driver import unknown
+from master.devices.hid.driver import build_unknown_controls
 from master.devices.hid.pid import PidDriver
 from tests.hid.descriptors import arduino, ffbeast_pid, openffboard, rhino
 
@@ -74,7 +74,7 @@ def main() -> None:
     for name, (descriptor, data) in reports.items():
         driver = PidDriver(descriptor)
         driver.begin(Answers())
-        rest, wanted = unknown(len(driver.axes)), force[: len(driver.forces)]
+        rest, wanted = build_unknown_controls(len(driver.axes)), force[: len(driver.forces)]
         read = microseconds(lambda d=driver, r=rest, b=data: d.decode(r, b))
         write = microseconds(lambda d=driver, w=wanted: d.encode(w, arm=False))
         arm = microseconds(lambda d=driver, w=wanted: d.encode(w, arm=True))

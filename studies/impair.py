@@ -16,7 +16,7 @@ from teleop.link import Link, LinkConfig
 from teleop.link.bridge import send_request
 from teleop.messages.messages import Command
 from teleop.messages.topics import COMMAND, Role
-from teleop.runtime.process import SUPERVISED
+from teleop.runtime.process import SUPERVISED_VARIABLE
 
 DELAYS = (0.0, 0.01, 0.05, 0.1)  # [s]
 COUNT = 3000  # messages for each, one a millisecond
@@ -62,7 +62,7 @@ def main() -> None:
     words = [f"session={SESSION}", f"link.master={a}", f"link.slave={b}", f"impair.endpoint={c}"]
     proxy = subprocess.Popen(
         [sys.executable, "-m", "teleop", "impair", *(f"--set={word}" for word in words)],
-        env=os.environ | {SUPERVISED: str(os.getpid())},
+        env=os.environ | {SUPERVISED_VARIABLE: str(os.getpid())},
     )
     try:
         for delay in DELAYS:

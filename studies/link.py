@@ -13,7 +13,7 @@ import time
 from multiprocessing.synchronize import Event
 
 from teleop.link import Link, LinkConfig
-from teleop.link.ping_pong import PERIOD_S, percentiles_ms, ping_pong
+from teleop.link.ping_pong import PERIOD_S, compute_percentiles_ms, measure_ping_pong
 from teleop.messages.messages import Command, SlaveState
 from teleop.messages.topics import COMMAND, STATE, Role
 from teleop.runtime.clock import now_ns
@@ -60,8 +60,8 @@ def through_link(n: int) -> dict[str, float]:
     process.join()
     return (
         {"n": len(round_trips)}
-        | percentiles_ms(round_trips)
-        | percentiles_ms(ways_back, "one_way_")
+        | compute_percentiles_ms(round_trips)
+        | compute_percentiles_ms(ways_back, "one_way_")
     )
 
 
@@ -101,5 +101,5 @@ if __name__ == "__main__":
     throws = int(sys.argv[1]) if len(sys.argv) > 1 else 3000
     print(f"Command {Command.schema.size} bytes, SlaveState {SlaveState.schema.size} bytes")
     cost()
-    show("bare Zenoh", ping_pong(Command.schema.size, SlaveState.schema.size, throws))
+    show("bare Zenoh", measure_ping_pong(Command.schema.size, SlaveState.schema.size, throws))
     show("the link", through_link(throws))

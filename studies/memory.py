@@ -22,7 +22,7 @@ from impair import free_ports
 
 from teleop.link import Link, LinkConfig
 from teleop.messages.topics import COMMAND, HAND, STATE, TENDONS, Role
-from teleop.runtime.process import SUPERVISED
+from teleop.runtime.process import SUPERVISED_VARIABLE
 
 SESSION = "benchmark-memory"
 PERIOD_S = 1e-3
@@ -64,7 +64,7 @@ def main() -> None:
             command += ["--out", folder]
         process = subprocess.Popen(
             [*command, *(f"--set={word}" for word in words)],
-            env=os.environ | {SUPERVISED: str(os.getpid())},
+            env=os.environ | {SUPERVISED_VARIABLE: str(os.getpid())},
         )
         config = LinkConfig(master=a, slave=c) if args.program == "impair" else shared
         try:

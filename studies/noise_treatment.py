@@ -18,7 +18,12 @@ from estimator.array_types import Array
 from estimator.calibration.identification import fit_bench
 from estimator.law.displacement import push_displacement
 from estimator.law.sheath import Sheath
-from estimator.law.transmission import batch, read_out, slack_profile, tables
+from estimator.law.transmission import (
+    build_slack_profile,
+    build_tables,
+    read_profile,
+    simulate_tensions,
+)
 from estimator.online import online
 from estimator.online.tendon_model import TendonModel
 from estimator.signals import Treatment, noise_sigma
@@ -48,8 +53,8 @@ TREATMENTS = {
 
 
 def law(sheath: Sheath, T_in: Array) -> Array:
-    table = tables(sheath)
-    return batch(table, slack_profile(table), np.ascontiguousarray(T_in))[0]
+    table = build_tables(sheath)
+    return simulate_tensions(table, build_slack_profile(table), np.ascontiguousarray(T_in))[0]
 
 
 def estimated(sheath: Sheath, time: Array, T_in: Array, sigma: float, how: Treatment) -> Array:
@@ -60,12 +65,12 @@ def estimated(sheath: Sheath, time: Array, T_in: Array, sigma: float, how: Treat
 
 def by_travel(sheath: Sheath, q: Array) -> Array:
     """Return T_out with T_in taken from the travel, right only while the tip is blocked."""
-    table = tables(sheath)
-    profile = slack_profile(table)
+    table = build_tables(sheath)
+    profile = build_slack_profile(table)
     T_out = np.empty_like(q)
     for i, travel in enumerate(q):
         push_displacement(table, profile, travel, 0.0)
-        T_out[i] = read_out(table, profile)[1]
+        T_out[i] = read_profile(table, profile)[1]
     return T_out
 
 
@@ -73,8 +78,8 @@ def simulated(rate: float) -> None:
     time = np.arange(0.0, KNOTS[-1, 0], 1.0 / rate)
     clean = np.interp(time, *KNOTS.T)
     truth = law(SHEATH, clean)
-    table = tables(SHEATH)
-    travel = batch(table, slack_profile(table), clean)[1]
+    table = build_tables(SHEATH)
+    travel = simulate_tensions(table, build_slack_profile(table), clean)[1]
     slope = np.gradient(clean, time)
     fast = time > KNOTS[4, 0]
     masks = {

@@ -15,8 +15,8 @@ import numpy as np
 from scipy.linalg import lapack
 
 from estimator.array_types import Array
-from estimator.compiled import compiled
-from slave.rigs.simulated.plant.effects import knobs_at
+from estimator.compiled import jit_compile
+from slave.rigs.simulated.plant.effects import compute_knobs
 from slave.rigs.simulated.plant.effects.elasticity import Creep, NonlinearStiffness
 from slave.rigs.simulated.plant.effects.friction import (
     ConstantDrag,
@@ -27,7 +27,7 @@ from slave.rigs.simulated.plant.effects.friction import (
     TensionDependentFriction,
     ViscousFriction,
 )
-from slave.rigs.simulated.plant.joint import Joint, JointState, advance, joint_at_rest
+from slave.rigs.simulated.plant.joint import Joint, JointState, advance_joint, init_joint
 from slave.rigs.simulated.plant.sheath import SheathConfig
 from slave.rigs.simulated.simulated import (
     JointConfig,
@@ -53,17 +53,17 @@ EFFECTS = (
 )
 
 
-@compiled
+@jit_compile
 def nothing(joint: Joint, state: JointState, targets: Array) -> float:
     """Only be called."""
     return joint.body.mass + state.travel + targets[0]
 
 
-@compiled
+@jit_compile
 def drive(joint: Joint, state: JointState, path: Array) -> JointState:
     """Advance a joint along `path` [m], shape (steps, 2)."""
     for i in range(len(path)):
-        state = advance(joint, state, path[i], 1, 1e-3)
+        state = advance_joint(joint, state, path[i], 1, 1e-3)
     return state
 
 
@@ -97,7 +97,7 @@ def print_steps() -> None:
         took = []
         for tendons in (1, 2):
             joint = build_joint(joint_of(tendons, nodes))
-            start, way = joint_at_rest(joint), path(STEPS)
+            start, way = init_joint(joint), path(STEPS)
             took.append(best_of(lambda: drive(joint, start, way)))  # noqa: B023
         calls = best_of(lambda: [nothing(joint, start, way[0]) for _ in range(STEPS)])  # noqa: B023
         side, middle, right = np.full(nodes, -1.0), np.full(nodes + 1, 2.1), np.ones(nodes + 1)
@@ -111,9 +111,9 @@ def print_steps() -> None:
 def print_effects() -> None:
     print("\none step of a joint with one tendon of 60 nodes, under one effect")
     joint, way = build_joint(joint_of(1, 60)), path(STEPS)
-    start, plain = joint_at_rest(joint), 0.0
+    start, plain = init_joint(joint), 0.0
     for effect in (FrictionStep(change=0.0), *EFFECTS):
-        chain = joint.a.chain._replace(knobs=knobs_at([effect], 10.0, [0.0]))
+        chain = joint.a.chain._replace(knobs=compute_knobs([effect], 10.0, [0.0]))
         changed = joint._replace(a=joint.a._replace(chain=chain))
         took = best_of(lambda: drive(changed, start, way))  # noqa: B023
         plain = plain or took
@@ -134,7 +134,7 @@ def print_rigs() -> None:
             rig.write(targets)
         whole = time.perf_counter() - begin
         joint = build_joint(config)
-        start, steps = joint_at_rest(joint), path(round(1000 * SECONDS))
+        start, steps = init_joint(joint), path(round(1000 * SECONDS))
         alone = joints * best_of(lambda: drive(joint, start, steps))  # noqa: B023
         print(
             f"{joints:>6} {joints * tendons:>8} {SECONDS / whole:>26.1f} {SECONDS / alone:>12.1f}"

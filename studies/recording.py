@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 
 from teleop.link import ReceivedMessage
-from teleop.messages.messages import Command, Hand, SlaveState, TendonState, padded
+from teleop.messages.messages import Command, Hand, SlaveState, TendonState, pad_values
 from teleop.messages.topics import COMMAND, HAND, STATE, TENDONS, Role
 from teleop.recording.config import RecordConfig
-from teleop.recording.readdress import Readdress
+from teleop.recording.readdress import SenderRewriter
 from teleop.recording.reader import RecordedMessage, open_recording, read_columns, read_messages
 from teleop.recording.writer import RecordingWriter
 
@@ -34,9 +34,9 @@ def session(joints: int) -> list[ReceivedMessage]:
         tension = (
             5 + 3 * np.sin(time_s + np.arange(2 * joints)) + 0.02 * rng.normal(size=2 * joints)
         )
-        x, force = padded(travel[:joints], 8), padded(tension[:joints], 8)
-        tendon, pulled = padded(tension, 16), padded(travel, 16)
-        distal = [padded(scale * tension, 16) for scale in (0.7, 0.6, 0.8, 0.002, 0.3)]
+        x, force = pad_values(travel[:joints], 8), pad_values(tension[:joints], 8)
+        tendon, pulled = pad_values(tension, 16), pad_values(travel, 16)
+        distal = [pad_values(scale * tension, 16) for scale in (0.7, 0.6, 0.8, 0.002, 0.3)]
         for topic, message in (
             (COMMAND, Command(position=x, velocity=x)),
             (STATE, SlaveState(position=x, force=force, force_low=force, force_high=force)),
@@ -51,7 +51,9 @@ def session(joints: int) -> list[ReceivedMessage]:
                     distal_tension_high=distal[2],
                     elongation=distal[3],
                     front=distal[4],
-                    bench_distal_tension=padded(tension + 0.1 * rng.normal(size=2 * joints), 16),
+                    bench_distal_tension=pad_values(
+                        tension + 0.1 * rng.normal(size=2 * joints), 16
+                    ),
                     bench_distal_displacement=pulled,
                 ),
             ),
@@ -89,7 +91,7 @@ def main() -> None:
                 f"{cost / len(messages) * 1e6:10.1f}  {cost / SECONDS * 100:11.1f}  "
                 f"{(opened - written) * per_min:6.2f} {(read - opened) * per_min:6.2f}"
             )
-    readdress = Readdress({Role.MASTER: 1, Role.SLAVE: 2})
+    readdress = SenderRewriter({Role.MASTER: 1, Role.SLAVE: 2})
     begin = time.process_time()
     for item in first:
         readdress(item)

@@ -20,8 +20,8 @@ import zenoh
 from view import CONFIG, Spans, end, report, wait_until_engaged
 
 from teleop.runtime.clock import now_ns
-from teleop.runtime.process import write_whole
-from teleop.view.ports import free_port
+from teleop.runtime.process import write_text_file
+from teleop.view.ports import find_free_port
 
 SETTLE_S = 4.0  # [s] after a change of state that are not counted
 PATIENCE_S = 60.0
@@ -43,8 +43,8 @@ def session(folder: Path, seconds: float, rounds: int) -> tuple[Path, Spans]:
     """Run a session, with and without `teleop ros`; return its recording and when was what."""
     shared = ["--config", str(CONFIG), "--set", "session=ros-benchmark"]
     for side in ("master", "slave"):
-        shared += ["--set", f"link.{side}=127.0.0.1:{free_port(0)}"]
-    router, counts = f"tcp/127.0.0.1:{free_port(0)}", folder / "counts.json"
+        shared += ["--set", f"link.{side}=127.0.0.1:{find_free_port(0)}"]
+    router, counts = f"tcp/127.0.0.1:{find_free_port(0)}", folder / "counts.json"
     spans: Spans = {"off": []} | {f"{rate} Hz": [] for rate in RATES_HZ}
 
     with ExitStack() as stack:
@@ -126,7 +126,7 @@ def node(endpoint: str, counts: Path) -> None:
                 "lost": sum(some[-1] - some[0] + 1 - len(some) for some in numbers),
                 "seconds": (span_ns[1] - span_ns[0]) * 1e-9,
             }
-            write_whole(counts, json.dumps(summary), "the counts")
+            write_text_file(counts, json.dumps(summary), "the counts")
 
 
 def wait_for_messages(counts: Path) -> None:

@@ -32,13 +32,13 @@ import zenoh
 
 from teleop.link.network import declare_publisher, open_session
 from teleop.messages.messages import Command, SlaveState
-from teleop.runtime.process import SUPERVISED, die_with_launcher
-from teleop.runtime.realtime import go_realtime
-from teleop.security import Office
-from teleop.security.access import access_control
+from teleop.runtime.process import SUPERVISED_VARIABLE, die_with_launcher
+from teleop.runtime.realtime import request_realtime
+from teleop.security import CertificateRole
+from teleop.security.access import build_access_control
 from teleop.security.identity import ALL_SESSIONS
-from teleop.security.local import local_credentials
-from teleop.session.own_endpoints import free_ports
+from teleop.security.local import create_local_credentials
+from teleop.session.own_endpoints import find_free_ports
 
 SIZES = {"command": Command.schema.size, "state": SlaveState.schema.size}
 PHASES = 4  # sendings in a millisecond, each of a part of the sessions
@@ -54,18 +54,18 @@ def name_of(number: int) -> str:
     return f"scale-{number}"
 
 
-def protection(office: Office, insecure: bool, sessions: list[str]) -> tuple[Any, Any]:
+def protection(office: CertificateRole, insecure: bool, sessions: list[str]) -> tuple[Any, Any]:
     """Return the credentials and the access control of a process."""
     if insecure:
         return None, None
-    of = ALL_SESSIONS if office is Office.ROUTER else sessions[0]
-    return local_credentials(of, office), access_control(sessions)
+    of = ALL_SESSIONS if office is CertificateRole.ROUTER else sessions[0]
+    return create_local_credentials(of, office), build_access_control(sessions)
 
 
 class Side:
     """All masters, all slaves or all listeners: a Zenoh session for each."""
 
-    def __init__(self, plan: dict[str, Any], office: Office, listens: bool) -> None:
+    def __init__(self, plan: dict[str, Any], office: CertificateRole, listens: bool) -> None:
         self.plan = plan
         mode: Any = "client" if plan["router"] else "peer"
         self.sessions = []
@@ -91,7 +91,7 @@ class Side:
 
 def run_slaves(plan: dict[str, Any]) -> None:
     """Answer each command at once."""
-    side = Side(plan, Office.SLAVE, listens=True)
+    side = Side(plan, CertificateRole.SLAVE, listens=True)
     for number in range(plan["sessions"]):
         put = side.publisher("state", number).put
 
@@ -105,7 +105,7 @@ def run_slaves(plan: dict[str, Any]) -> None:
 
 def run_listeners(plan: dict[str, Any]) -> None:
     """Receive commands and states of session 0, several times."""
-    keys, access = protection(Office.VIEWER, plan["insecure"], [name_of(0)])
+    keys, access = protection(CertificateRole.VIEWER, plan["insecure"], [name_of(0)])
     router = [plan["router"]]
     sessions = [open_session(keys, [], router, access, "client") for _ in range(plan["listeners"])]
     for session in sessions:
@@ -119,7 +119,7 @@ def run_listeners(plan: dict[str, Any]) -> None:
 def run_masters(plan: dict[str, Any]) -> None:
     """Send commands on an absolute grid, and print the round trips."""
     count = plan["sessions"]
-    side = Side(plan, Office.MASTER, listens=False)
+    side = Side(plan, CertificateRole.MASTER, listens=False)
     trips: list[list[int]] = [[] for _ in range(count)]
     for number in range(count):
 
@@ -170,7 +170,7 @@ def _command() -> bytes:
 def run_router(plan: dict[str, Any]) -> None:
     """Run a router as `teleop router` does."""
     names = [name_of(number) for number in range(plan["most"])]
-    keys, access = protection(Office.ROUTER, plan["insecure"], names)
+    keys, access = protection(CertificateRole.ROUTER, plan["insecure"], names)
     with open_session(keys, [plan["router"]], [], access, "router"):
         print("ready", flush=True)
         sys.stdin.read()
@@ -191,7 +191,7 @@ class Part:
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,
-            env=os.environ | {SUPERVISED: str(os.getpid())},
+            env=os.environ | {SUPERVISED_VARIABLE: str(os.getpid())},
         )
 
     def __enter__(self) -> "Part":
@@ -261,7 +261,7 @@ def show(row: dict[str, Any]) -> None:
 
 def campaign(sessions: list[int], seconds: float, insecure: bool) -> list[dict[str, Any]]:
     """Measure all numbers of sessions both ways, then the fan-out of one session."""
-    (port,) = free_ports(1)
+    (port,) = find_free_ports(1)
     routed = {
         "router": f"127.0.0.1:{port}",
         "most": max(sessions),
@@ -274,7 +274,7 @@ def campaign(sessions: list[int], seconds: float, insecure: bool) -> list[dict[s
         router.line()
         for count in sessions:
             plan = routed | {"sessions": count, "listeners": 0}
-            slaves = [f"127.0.0.1:{port}" for port in free_ports(count)]
+            slaves = [f"127.0.0.1:{port}" for port in find_free_ports(count)]
             for config, via in ((plan | {"router": "", "slaves": slaves}, None), (plan, router)):
                 rows.append(measure(config, via))
                 show(rows[-1])
@@ -294,7 +294,7 @@ def machine() -> dict[str, Any]:
         "kernel": platform.release(),
         "python": platform.python_version(),
         "load_average": os.getloadavg()[0],
-        "scheduling": go_realtime(),
+        "scheduling": request_realtime(),
     }
 
 
@@ -308,7 +308,7 @@ def main() -> None:
     args = parser.parse_args()
     if args.part:
         die_with_launcher()
-        go_realtime()  # before the sessions: their threads inherit the priority
+        request_realtime()  # before the sessions: their threads inherit the priority
         sys.setswitchinterval(0.0005)
         PARTS[args.part[0]](json.loads(args.part[1]))
         return

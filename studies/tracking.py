@@ -16,17 +16,17 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.compiled import compiled
+from estimator.compiled import jit_compile
 from estimator.law.sheath import Sheath
 from estimator.online import online
-from estimator.records import Records, as_records
+from estimator.records import StructArray, to_struct_array
 from slave import control, fault_detection, gate
-from slave.control import Control, ControlConfig, JointEstimate
+from slave.control import ControlConfig, ControllerState, JointEstimate
 from slave.fault_detection import FaultDetectionConfig, FaultDetector, MotorChecks
 from slave.gate import GateConfig
 from slave.rigs.simulated.plant.sheath import SectionConfig
 from slave.rigs.simulated.simulated import JointConfig
-from slave.tendons import EstimatedTendon, RigLayout, rig_layout
+from slave.tendons import EstimatedTendon, RigLayout, build_rig_layout
 from teleop.messages.messages import MAX_JOINTS, MAX_TENDONS
 from tests.slave.control_bench import DT, Command, follow, joint, sine, staircase
 
@@ -86,7 +86,7 @@ def vary(title: str, name: str, values: tuple[float, ...], motion: Motion) -> No
         print(f"{value:>10}{rms * 1e6:8.0f}{most * 1e6:7.0f}", flush=True)
 
 
-@compiled
+@jit_compile
 def detect(
     config: Sequence[FaultDetectionConfig],
     layout: Sequence[RigLayout],
@@ -101,18 +101,18 @@ def detect(
         for i in range(layout[0].tendons):
             tendons[i].tension = 5.0 + 0.001 * (k % 7)
         fault_detection.step(config[0], layout[0], detector[0], tendons, DT)
-        fault_detection.take_motor_readings(motors[0], layout[0], tendons, sent)
+        fault_detection.record_motor_readings(motors[0], layout[0], tendons, sent)
         fault_detection.check_motors(config[0], motors[0], layout[0], sent, True, True, DT)
 
 
 def detection_inputs(
     joints: tuple[tuple[int, int], ...], models: list[online.TendonModel]
-) -> tuple[Records, Records, Records, Records, Records, NDArray[np.float64]]:
+) -> tuple[StructArray, StructArray, StructArray, StructArray, StructArray, NDArray[np.float64]]:
     tendons = EstimatedTendon.array(MAX_TENDONS)
     tendons["tension"], tendons["displacement"], tendons["valid"] = 5.0, 0.0, True
-    settings = as_records(FaultDetectionConfig())
-    detector, motors = fault_detection.start(models), MotorChecks.array()
-    return settings, rig_layout(joints), detector, motors, tendons, np.zeros(MAX_TENDONS)
+    settings = to_struct_array(FaultDetectionConfig())
+    detector, motors = fault_detection.init_detector(models), MotorChecks.array()
+    return settings, build_rig_layout(joints), detector, motors, tendons, np.zeros(MAX_TENDONS)
 
 
 def costs() -> None:
@@ -122,9 +122,9 @@ def costs() -> None:
     state = online.initial(prepared[0])
     estimate, state = online.step(prepared[0], state, 5.0, 0.0, 0.0)
     layout, config, limits = (
-        rig_layout(joints)[0], as_records(ControlConfig())[0], as_records(GateConfig())[0],
+        build_rig_layout(joints)[0], to_struct_array(ControlConfig())[0], to_struct_array(GateConfig())[0],
     )  # fmt: skip
-    memory, seen = Control.array()[0], EstimatedTendon.array(MAX_TENDONS)
+    memory, seen = ControllerState.array()[0], EstimatedTendon.array(MAX_TENDONS)
     seen["tension"][:8], seen["displacement"], seen["valid"] = 5.0 + np.arange(8), 0.0, True
     seen["estimate"]["elongation"] = estimate.elongation
     still, zeros, wanted = np.zeros(MAX_TENDONS), np.zeros(MAX_JOINTS), np.zeros(MAX_TENDONS)
@@ -139,8 +139,8 @@ def costs() -> None:
             online.step(prepared[0], state, 5.0, 0.0, DT) for _ in range(8)
         ],
         "control.step": drive,
-        "control.joint_estimates": lambda: control.joint_estimates(layout, seen, zeros, known),
-        "gate.reaches": lambda: gate.reaches(limits, layout, known, reach),
+        "control.joint_estimates": lambda: control.estimate_joints(layout, seen, zeros, known),
+        "gate.reaches": lambda: gate.compute_reaches(limits, layout, known, reach),
         "gate.step": lambda: gate.step(
             limits,
             8,

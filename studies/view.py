@@ -35,12 +35,12 @@ from teleop.link import Link
 from teleop.messages.topics import STATE, TOPICS, Role
 from teleop.recording.reader import open_recording, read_columns, read_messages
 from teleop.runtime.clock import now_ns
-from teleop.runtime.process import STANDBY
+from teleop.runtime.process import STANDBY_VARIABLE
 from teleop.session.config import RunConfig
 from teleop.session.state_machine import State
 from teleop.view.batch import AnyTopic, Rows, decode
 from teleop.view.config import ViewConfig
-from teleop.view.ports import WEB_VIEW, free_port
+from teleop.view.ports import WEB_VIEW, find_free_port
 from teleop.view.scene import Scene
 from teleop.view.sinks import Sink
 from tests import browser
@@ -72,7 +72,7 @@ def session(folder: Path, seconds: float, rounds: int) -> tuple[Path, Spans]:
     """Run a session, with and without a viewer; return its recording and when was what."""
     shared = ["--config", str(CONFIG), "--set", "session=view-benchmark"]
     for side in ("master", "slave"):
-        shared += ["--set", f"link.{side}=127.0.0.1:{free_port(0)}"]
+        shared += ["--set", f"link.{side}=127.0.0.1:{find_free_port(0)}"]
     looked = [] if browser.program() is None else ["opened", "reloaded"]
     spans: Spans = {state: [] for state in ("off", "on", *looked, "stopped", "killed")}
 
@@ -257,7 +257,7 @@ def processes(file: Path, seconds: float) -> None:
     """Print processor time and memory of the view that `teleop run` starts, and of its spare."""
     shared = ["--config", str(file), "--set", "session=view-benchmark"]
     for side in ("master", "slave"):
-        shared += ["--set", f"link.{side}=127.0.0.1:{free_port(0)}"]
+        shared += ["--set", f"link.{side}=127.0.0.1:{find_free_port(0)}"]
     command = [sys.executable, "-m", "teleop", "run", *shared, "--view", "web"]
     with ExitStack() as stack:
         launcher = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
@@ -271,7 +271,7 @@ def processes(file: Path, seconds: float) -> None:
         load = os.getloadavg()[0]
         print(f"{file.name}, {seconds:g} s, load {load:.1f}: share of a core, resident and own MB")
         for pid, earlier in zip(views, before, strict=True):
-            spare = STANDBY.encode() in Path(f"/proc/{pid}/environ").read_bytes()
+            spare = STANDBY_VARIABLE.encode() in Path(f"/proc/{pid}/environ").read_bytes()
             name = "its spare" if spare else "view"
             share = (processor_s(pid) - earlier) / passed
             print(f"{name:14} {share:5.2f} {memory_mb(pid):6.0f} {own_memory_mb(pid):6.0f}")

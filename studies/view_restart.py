@@ -28,8 +28,8 @@ import numpy as np
 
 from teleop.recording.reader import read_columns
 from teleop.runtime.clock import now_ns
-from teleop.runtime.process import STANDBY
-from teleop.view.ports import WEB_VIEW, free_port
+from teleop.runtime.process import STANDBY_VARIABLE
+from teleop.view.ports import WEB_VIEW, find_free_port
 from tests import browser
 
 ROOT = Path(__file__).parents[1]
@@ -46,7 +46,7 @@ class Run:
         words = ["run", "--config", str(config), "--view", "web", "--record", str(folder)]
         for text in (
             "session=view-restart",
-            *(f"link.{side}=127.0.0.1:{free_port(0)}" for side in ("master", "slave")),
+            *(f"link.{side}=127.0.0.1:{find_free_port(0)}" for side in ("master", "slave")),
         ):
             words += ["--set", text]
         self.process = subprocess.Popen(
@@ -95,7 +95,7 @@ class Run:
         rows = [line.split(None, 2) for line in text.splitlines()]
         views = {pid for pid, parent, words in rows if parent == str(self.process.pid)
                  and " view " in words}  # fmt: skip
-        found = (int(pid) for pid in views if STANDBY.encode() not in environment_of(pid))
+        found = (int(pid) for pid in views if STANDBY_VARIABLE.encode() not in environment_of(pid))
         return next(found, None)
 
     def processor_s(self) -> float:

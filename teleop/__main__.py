@@ -14,18 +14,18 @@ STOP_PRIORITY = 2  # SCHED_FIFO: below the loops, above the recorder and ordinar
 
 def main() -> int:
     """Run `teleop`; returns the exit code."""
-    signal.signal(signal.SIGINT, _end)
+    signal.signal(signal.SIGINT, _exit_on_interrupt)
     _exclude_current_folder()
     if sys.argv[1:2] == ["stop"]:
-        _precede_ordinary_processes()
+        _request_realtime_priority()
     from teleop.cli import commands
 
     try:
-        return commands.main(begin=_interruptible)
+        return commands.main(begin=_install_interrupt_handler)
     except KeyboardInterrupt:  # even while another error is printed
-        from teleop.runtime.process import interruption
+        from teleop.runtime.process import interrupt_handler
 
-        return interruption.exit_code
+        return interrupt_handler.exit_code
     finally:  # the exit code is known; ignore later signals
         signal.signal(signal.SIGINT, signal.SIG_IGN)
         signal.signal(signal.SIGHUP, signal.SIG_IGN)
@@ -42,7 +42,7 @@ def _exclude_current_folder() -> None:
     os.environ["PYTHONSAFEPATH"] = "1"  # of processes that `multiprocessing` starts
 
 
-def _precede_ordinary_processes() -> None:
+def _request_realtime_priority() -> None:
     """Compute at real-time priority, where this user may: an emergency stop waits for no program.
 
     The loops, which have a higher one, wait for nothing either. Imports need a processor for 50 ms.
@@ -51,15 +51,15 @@ def _precede_ordinary_processes() -> None:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(STOP_PRIORITY))
 
 
-def _interruptible() -> None:
+def _install_interrupt_handler() -> None:
     """From now on raise KeyboardInterrupt, so that open resources are closed."""
-    from teleop.runtime.process import interruption, on_ending
+    from teleop.runtime.process import install_termination_handler, interrupt_handler
 
-    on_ending(interruption)
-    sys.unraisablehook = interruption.deliver_again
+    install_termination_handler(interrupt_handler)
+    sys.unraisablehook = interrupt_handler.deliver_again
 
 
-def _end(*_: object) -> None:
+def _exit_on_interrupt(*_: object) -> None:
     os.write(2, b"teleop: interrupted\n")
     os._exit(128 + signal.SIGINT)
 

@@ -5,15 +5,15 @@ import contextlib
 import signal
 import socket
 
-from teleop.runtime.process import ENDINGS
+from teleop.runtime.process import TERMINATION_SIGNALS
 from teleop.session import loop_process
 
 
 @contextlib.contextmanager
 def without_traces(monkeypatch):
     """Let a command run without leaving its signal handlers and priorities here."""
-    before = {number: signal.getsignal(number) for number in ENDINGS}
-    monkeypatch.setattr(loop_process, "go_realtime", lambda _: ["a test"])
+    before = {number: signal.getsignal(number) for number in TERMINATION_SIGNALS}
+    monkeypatch.setattr(loop_process, "request_realtime", lambda _: ["a test"])
     monkeypatch.setattr(loop_process, "enter_loop", lambda *_: None)
     yield
     for number, handler in before.items():

@@ -19,16 +19,16 @@ from estimator.signals import noise_sigma
 MIN_SAMPLES = 40
 """Samples a branch needs."""
 
-_SWING = 0.02  # of the travel: what comes back by less is no turn
-_SPANS = 80  # of a branch
-_AT_TURN = 0.1  # of a branch: what the tension at its end is read from
+_REVERSAL_SHARE = 0.02  # of the travel: what comes back by less is no turn
+_BIN_COUNT = 80  # of a branch
+_END_SHARE = 0.1  # of a branch: what the tension at its end is read from
 _NOISE_FLOOR = 1e-5  # of the peak; a record free of noise is not known better than the law holds
-_ABOVE_NOISE = 5.0  # sigma: tension below is slack, or nearly
+_SLACK_SIGMAS = 5.0  # sigma: tension below is slack, or nearly
 _LARGEST_SWING = 4.0  # 2K of the largest friction for which a pull from low tension is trusted
-_HALF = 0.6  # of the peak: where a first pull is trusted, whatever came before
-_NEAR_TURN = 4.0  # sigma
-_PLATEAU = 0.03  # of the travel: a flat top as wide is a saturated cell, not a turn
-_FLAT = 0.2  # of the slope below it
+_TRUSTED_SHARE = 0.6  # of the peak: where a first pull is trusted, whatever came before
+_TURN_SIGMAS = 4.0  # sigma
+_PLATEAU_SHARE = 0.03  # of the travel: a flat top as wide is a saturated cell, not a turn
+_SATURATED_SLOPE_RATIO = 0.2  # of the slope below it
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,10 +77,10 @@ class BlockedLoop:
     @property
     def slack(self) -> float:
         """Tension [N] below which noise hides whether the tendon is taut."""
-        return max(_ABOVE_NOISE * self.sigma, 1e-3 * self.peak)
+        return max(_SLACK_SIGMAS * self.sigma, 1e-3 * self.peak)
 
 
-def read(tension: ArrayLike, displacement: ArrayLike) -> BlockedLoop:
+def segment_loop(tension: ArrayLike, displacement: ArrayLike) -> BlockedLoop:
     """Cut T_in [N] and q_p [m], shape (n,), in order of time, into branches.
 
     Raises
@@ -88,15 +88,15 @@ def read(tension: ArrayLike, displacement: ArrayLike) -> BlockedLoop:
     CalibrationError
         If there is not a pull and a release to be found, or the load cell is saturated.
     """
-    T, q = _checked(tension, displacement)
+    T, q = _validate_signals(tension, displacement)
     sigma = max(noise_sigma(T), _NOISE_FLOOR * float(np.abs(T).max()))
-    resolution = _resolution(q)
+    resolution = _estimate_resolution(q)
     step = resolution / math.sqrt(12.0) if resolution else max(noise_sigma(q), 1e-9)
     if np.ptp(T) < 20.0 * sigma or np.ptp(q) < 20.0 * step:
         raise CalibrationError(
             "nothing moves, or tension never rises: pull the tendon against the blocked tip"
         )
-    ends = [0, *_turning_points(q)]
+    ends = [0, *_find_turning_points(q)]
     if q[ends[1]] < q[ends[0]]:
         ends = ends[1:]  # released before the first pull
     if len(ends) < 2 or ends[1] - ends[0] < MIN_SAMPLES:
@@ -109,7 +109,7 @@ def read(tension: ArrayLike, displacement: ArrayLike) -> BlockedLoop:
             f"a branch of fewer than {MIN_SAMPLES} samples: record more slowly or more densely"
         )
     _refuse_saturation(T, q, spans[0])
-    turns = np.array([_tension_at_end(T[a : b + 1], q[a : b + 1]) for a, b in spans])
+    turns = np.array([_estimate_end_tension(T[a : b + 1], q[a : b + 1]) for a, b in spans])
     start = float(np.median(T[ends[0] : ends[0] + 5]))
     travel = float(q[ends[1]] - q[ends[0]])
     rough = BlockedLoop((), turns, start, travel, sigma, step)
@@ -119,13 +119,13 @@ def read(tension: ArrayLike, displacement: ArrayLike) -> BlockedLoop:
             "then release well below it"
         )
     branches = tuple(
-        _averaged(T[a : b + 1], q[a : b + 1], rough, number, resolution)
+        _average_branch(T[a : b + 1], q[a : b + 1], rough, number, resolution)
         for number, (a, b) in enumerate(spans)
     )
     return replace(rough, branches=branches)
 
 
-def _checked(tension: ArrayLike, displacement: ArrayLike) -> tuple[Array, Array]:
+def _validate_signals(tension: ArrayLike, displacement: ArrayLike) -> tuple[Array, Array]:
     T = np.asarray(tension, dtype=np.float64)
     q = np.asarray(displacement, dtype=np.float64)
     if T.ndim != 1 or T.shape != q.shape:
@@ -145,7 +145,7 @@ def _checked(tension: ArrayLike, displacement: ArrayLike) -> tuple[Array, Array]
     return T, q
 
 
-def _resolution(q: Array) -> float:
+def _estimate_resolution(q: Array) -> float:
     """Return the smallest step between different readings that is no rounding [m]."""
     levels = np.unique(q)
     gaps = np.diff(levels)
@@ -154,9 +154,9 @@ def _resolution(q: Array) -> float:
     return float(gaps.min()) if len(gaps) and len(levels) < 0.9 * len(q) else 0.0
 
 
-def _turning_points(q: Array) -> list[int]:
+def _find_turning_points(q: Array) -> list[int]:
     """Return where the motor turned, the last sample included; from a rest, its end."""
-    swing = _SWING * float(np.ptp(q))
+    swing = _REVERSAL_SHARE * float(np.ptp(q))
     up = q[int(np.argmax(np.abs(q - q[0]) > swing))] > q[0]
     turns, furthest = [], 0
     for i in range(len(q)):
@@ -169,10 +169,10 @@ def _turning_points(q: Array) -> list[int]:
     return [*turns, len(q) - 1]
 
 
-def _tension_at_end(T: Array, q: Array) -> float:
+def _estimate_end_tension(T: Array, q: Array) -> float:
     """Return the tension at the last travel; the extreme sample would be extreme by its noise."""
     back = np.abs(q - q[-1]) / max(abs(q[0] - q[-1]), 1e-12)
-    near = back < _AT_TURN
+    near = back < _END_SHARE
     degree = 2 if int(near.sum()) > 12 else 0
     return float(np.polynomial.polynomial.polyfit(back[near], T[near], degree)[0])
 
@@ -180,14 +180,14 @@ def _tension_at_end(T: Array, q: Array) -> float:
 def _refuse_saturation(T: Array, q: Array, span: tuple[int, int]) -> None:
     T, q = T[span[0] : span[1] + 1], q[span[0] : span[1] + 1]
     travel = float(q[-1] - q[0])
-    top = q > q[-1] - _PLATEAU * travel
-    below = ~top & (q > q[-1] - 10.0 * _PLATEAU * travel)
+    top = q > q[-1] - _PLATEAU_SHARE * travel
+    below = ~top & (q > q[-1] - 10.0 * _PLATEAU_SHARE * travel)
     if np.ptp(q[top]) <= 0.0 or below.sum() < 3:
         return
     rate_top, rate_below = (float(np.polyfit(q[k], T[k], 1)[0]) for k in (top, below))
     noise = 3.0 * noise_sigma(T) / max(float(np.std(q[top])) * math.sqrt(int(top.sum())), 1e-12)
-    if rate_top + noise < _FLAT * rate_below or (
-        rate_top < _FLAT * rate_below and rate_below > 2.0 * noise
+    if rate_top + noise < _SATURATED_SLOPE_RATIO * rate_below or (
+        rate_top < _SATURATED_SLOPE_RATIO * rate_below and rate_below > 2.0 * noise
     ):
         raise CalibrationError(
             f"tension stays at {float(np.median(T[top])):.4g} N while the motor goes on: the tip "
@@ -195,18 +195,20 @@ def _refuse_saturation(T: Array, q: Array, span: tuple[int, int]) -> None:
         )
 
 
-def _averaged(T: Array, q: Array, loop: BlockedLoop, number: int, resolution: float) -> Branch:
+def _average_branch(
+    T: Array, q: Array, loop: BlockedLoop, number: int, resolution: float
+) -> Branch:
     share = np.sqrt(np.clip(np.abs(q - q[0]) / abs(q[-1] - q[0]), 0.0, 1.0))
-    span = np.minimum((share * _SPANS).astype(np.int64), _SPANS - 1)
-    count = np.bincount(span, minlength=_SPANS)
+    span = np.minimum((share * _BIN_COUNT).astype(np.int64), _BIN_COUNT - 1)
+    count = np.bincount(span, minlength=_BIN_COUNT)
     kept = count > 0
-    mean_T = np.bincount(span, T, _SPANS)[kept] / count[kept]
-    mean_q = np.bincount(span, q, _SPANS)[kept] / count[kept]
+    mean_T = np.bincount(span, T, _BIN_COUNT)[kept] / count[kept]
+    mean_q = np.bincount(span, q, _BIN_COUNT)[kept] / count[kept]
     n = count[kept].astype(np.float64)
     readings = n
     if resolution:
         different = np.unique(np.column_stack([span, np.rint(q / resolution)]), axis=0)[:, 0]
-        number_of = np.bincount(different.astype(np.int64), minlength=_SPANS)
+        number_of = np.bincount(different.astype(np.int64), minlength=_BIN_COUNT)
         readings = number_of[kept].astype(np.float64)
     usable = mean_T > loop.slack
     pull = number % 2 == 0
@@ -214,8 +216,8 @@ def _averaged(T: Array, q: Array, loop: BlockedLoop, number: int, resolution: fl
     if number == 0 or before < loop.slack:
         # The profile before is unknown, but nowhere above T e^s: the pull has wiped it out from
         # e^2K on.
-        from_ = min(max(before, loop.slack) * math.exp(_LARGEST_SWING), _HALF * loop.peak)
+        from_ = min(max(before, loop.slack) * math.exp(_LARGEST_SWING), _TRUSTED_SHARE * loop.peak)
         usable &= mean_T > (from_ if pull else 0.0)
     else:
-        usable &= np.abs(mean_T - before) > _NEAR_TURN * loop.sigma / np.sqrt(n)
+        usable &= np.abs(mean_T - before) > _TURN_SIGMAS * loop.sigma / np.sqrt(n)
     return Branch(pull, mean_T[usable], mean_q[usable], n[usable], readings[usable])

@@ -16,24 +16,27 @@ from dataclasses import dataclass, replace
 
 from numpy.typing import ArrayLike
 
-from estimator.calibration.blocked_loop import BlockedLoop, read
-from estimator.calibration.measured import CalibrationError, Measured
-from estimator.calibration.model_averaging import UNSEEN, Rival, Weighed
-from estimator.calibration.model_averaging import together as weighed_together
-from estimator.calibration.paper_calibration import friction_from_elongation, paper_friction
-from estimator.calibration.pattern import Fitter, Pattern
-from estimator.calibration.pattern_search import Found, search
-from estimator.calibration.slopes import pull_slope, release_slope, require_straight
+from estimator.calibration.blocked_loop import BlockedLoop, segment_loop
+from estimator.calibration.measured import CalibrationError, MeasuredValue
+from estimator.calibration.model_averaging import UNMODELLED_UNCERTAINTY, ModelAverage, Rival
+from estimator.calibration.model_averaging import average_antagonists as weighed_together
+from estimator.calibration.paper_calibration import (
+    compute_friction_from_elongation,
+    compute_paper_friction,
+)
+from estimator.calibration.pattern import Pattern, PatternLeastSquares
+from estimator.calibration.pattern_search import PatternSearchResult, search_pattern
+from estimator.calibration.slopes import fit_pull_slope, fit_release_slope, require_straight_pulls
 from estimator.law.sheath import Sheath
 
 __all__ = [
     "AGREEMENT",
     "Calibration",
     "CalibrationError",
-    "Measured",
+    "MeasuredValue",
     "calibrate",
-    "friction_from_elongation",
-    "together",
+    "combine_calibrations",
+    "compute_friction_from_elongation",
 ]
 
 AGREEMENT = 3.0
@@ -45,10 +48,10 @@ TOLERANCE = 0.1
 ZERO_UNCERTAINTY = 0.02
 """Standard uncertainty [N] of a load cell's zero that nobody has stated."""
 
-_MODEL = 0.005  # of K that the law itself is trusted to
-_BEYOND = 0.05  # of s that a loop must reach beyond the tip to see that it is the tip
-_SOFTEST = 1e-3  # [m/N] 2 m of a tendon of 2 kN
-_WORST_FIT = 0.02  # of the peak: residual tension of what is a loop of dry friction at all
+_LAW_UNCERTAINTY = 0.005  # of K that the law itself is trusted to
+_DEPTH_MARGIN = 0.05  # of s that a loop must reach beyond the tip to see that it is the tip
+_COMPLIANCE_MAX = 1e-3  # [m/N] 2 m of a tendon of 2 kN
+_RESIDUAL_MAX = 0.02  # of the peak: residual tension of what is a loop of dry friction at all
 
 
 @dataclass(frozen=True)
@@ -98,16 +101,16 @@ class Calibration:
         uncertainty was not given.
     """
 
-    K: Measured
-    K_loop: Measured
-    K_paper: Measured | None
-    K_paper_ratio: Measured | None
-    M_pull: Measured  # [m/N]
-    M_rel: Measured  # [m/N]
-    M_e: Measured  # [m/N]
-    stiffness_per_length: Measured  # [N/m]
-    T_peak: Measured  # [N]
-    zero: Measured  # [N]
+    K: MeasuredValue
+    K_loop: MeasuredValue
+    K_paper: MeasuredValue | None
+    K_paper_ratio: MeasuredValue | None
+    M_pull: MeasuredValue  # [m/N]
+    M_rel: MeasuredValue  # [m/N]
+    M_e: MeasuredValue  # [m/N]
+    stiffness_per_length: MeasuredValue  # [N/m]
+    T_peak: MeasuredValue  # [N]
+    zero: MeasuredValue  # [N]
     pattern: Pattern
     rivals: tuple[Rival, ...]
     compliance_noise: float  # [m/N]
@@ -156,25 +159,27 @@ def calibrate(
         raise CalibrationError(
             "the paper's K needs both axial_stiffness and length: give the other"
         )
-    loop = read(proximal_tension, proximal_displacement)
-    found = search(Fitter(loop, zero_uncertainty))
+    loop = segment_loop(proximal_tension, proximal_displacement)
+    found = search_pattern(PatternLeastSquares(loop, zero_uncertainty))
     K, pattern = found.weighed.K, found.weighed.pattern
     largest = K.value + 2.0 * K.uncertainty
-    _require_sheath(loop, found)
-    require_straight(loop, largest)
-    _require_decided(loop, found, tolerance)
-    M_pull = pull_slope(loop, largest)
-    M_rel = release_slope(loop, largest) or Measured(
+    _require_plausible_sheath(loop, found)
+    require_straight_pulls(loop, largest)
+    _require_identifiable(loop, found, tolerance)
+    M_pull = fit_pull_slope(loop, largest)
+    M_rel = fit_release_slope(loop, largest) or MeasuredValue(
         pattern.slope(1.0), K.uncertainty * pattern.slope(1.0)
     )
-    K_loop = _loop_friction(M_pull, M_rel)
-    M_e = _elongation_constant(loop)
+    K_loop = _compute_loop_friction(M_pull, M_rel)
+    M_e = _compute_elongation_constant(loop)
     K_paper = K_paper_ratio = None
     if axial_stiffness is not None and length is not None:
-        K_paper = paper_friction(M_pull, axial_stiffness, length, stiffness_uncertainty)
+        K_paper = compute_paper_friction(M_pull, axial_stiffness, length, stiffness_uncertainty)
         if M_e.value * axial_stiffness < length:
-            K_paper_ratio = paper_friction(M_e, axial_stiffness, length, stiffness_uncertainty)
-    uniform = _agree(K, K_loop)
+            K_paper_ratio = compute_paper_friction(
+                M_e, axial_stiffness, length, stiffness_uncertainty
+            )
+    uniform = _is_consistent(K, K_loop)
     return Calibration(
         K=K,
         K_loop=K_loop,
@@ -183,32 +188,34 @@ def calibrate(
         M_pull=M_pull,
         M_rel=M_rel,
         M_e=M_e,
-        stiffness_per_length=_stiffness(found.weighed, found.compliance_noise),
-        T_peak=Measured(loop.peak, loop.sigma),
+        stiffness_per_length=_compute_stiffness(found.weighed, found.compliance_noise),
+        T_peak=MeasuredValue(loop.peak, loop.sigma),
         zero=found.zero,
         pattern=pattern,
         rivals=found.rivals,
         compliance_noise=found.compliance_noise,
         misfit=found.misfit,
         uniform=uniform,
-        agree=uniform and (K_paper is None or _agree(K, K_paper)),
+        agree=uniform and (K_paper is None or _is_consistent(K, K_paper)),
     )
 
 
-def _loop_friction(M_pull: Measured, M_rel: Measured) -> Measured:
+def _compute_loop_friction(M_pull: MeasuredValue, M_rel: MeasuredValue) -> MeasuredValue:
     """Return K = ln(M_rel/M_pull) (T6)."""
     if not M_rel.value > M_pull.value:
         raise CalibrationError(
             f"the release slope {M_rel.value:.3g} m/N is not above the pull slope "
             f"{M_pull.value:.3g} m/N: no friction shows; check that the tip is blocked"
         )
-    return Measured(
+    return MeasuredValue(
         math.log(M_rel.value / M_pull.value),
         math.hypot(M_rel.uncertainty / M_rel.value, M_pull.uncertainty / M_pull.value),
     )
 
 
-def together(a: Calibration, b: Calibration, total: Measured) -> tuple[Calibration, Calibration]:
+def combine_calibrations(
+    a: Calibration, b: Calibration, total: MeasuredValue
+) -> tuple[Calibration, Calibration]:
     """Return the calibrations of two antagonists, put right by K_a + K_b.
 
     `total` comes from `drag`; it knows what hides at the tips, where a blocked loop tells
@@ -220,8 +227,11 @@ def together(a: Calibration, b: Calibration, total: Measured) -> tuple[Calibrati
         If the loops cannot be so far off.
     """
     K_a, K_b = a.K, b.K
-    loops = Measured(
-        K_a.value + K_b.value, math.hypot(K_a.uncertainty, K_b.uncertainty, UNSEEN, UNSEEN)
+    loops = MeasuredValue(
+        K_a.value + K_b.value,
+        math.hypot(
+            K_a.uncertainty, K_b.uncertainty, UNMODELLED_UNCERTAINTY, UNMODELLED_UNCERTAINTY
+        ),
     )
     allowed = AGREEMENT * math.hypot(total.uncertainty, loops.uncertainty)
     if abs(total.value - loops.value) > allowed:
@@ -229,39 +239,39 @@ def together(a: Calibration, b: Calibration, total: Measured) -> tuple[Calibrati
             f"K of both tendons is {total.value:.3f} by the drags, {loops.value:.3f} by the loops"
         )
     of_a, of_b = weighed_together(a.rivals, b.rivals, total)
-    return _standing(a, of_a), _standing(b, of_b)
+    return _update_calibration(a, of_a), _update_calibration(b, of_b)
 
 
-def _standing(found: Calibration, weighed: Weighed) -> Calibration:
+def _update_calibration(found: Calibration, weighed: ModelAverage) -> Calibration:
     """Return a calibration of which other rivals stand."""
-    uniform = _agree(weighed.K, found.K_loop)
+    uniform = _is_consistent(weighed.K, found.K_loop)
     return replace(
         found,
         K=weighed.K,
-        stiffness_per_length=_stiffness(weighed, found.compliance_noise),
+        stiffness_per_length=_compute_stiffness(weighed, found.compliance_noise),
         pattern=weighed.pattern,
         uniform=uniform,
-        agree=uniform and (found.K_paper is None or _agree(weighed.K, found.K_paper)),
+        agree=uniform and (found.K_paper is None or _is_consistent(weighed.K, found.K_paper)),
     )
 
 
-def _stiffness(weighed: Weighed, noise: float) -> Measured:
+def _compute_stiffness(weighed: ModelAverage, noise: float) -> MeasuredValue:
     """Return EA/L [N/m]."""
     value, between = weighed.compliance
-    return Measured(1.0 / value, math.hypot(between, noise) / value**2)
+    return MeasuredValue(1.0 / value, math.hypot(between, noise) / value**2)
 
 
-def _elongation_constant(loop: BlockedLoop) -> Measured:
+def _compute_elongation_constant(loop: BlockedLoop) -> MeasuredValue:
     T_0 = float(loop.turns[0])
     value = loop.travel / T_0
-    return Measured(value, value * math.hypot(loop.sigma / T_0, loop.step / loop.travel))
+    return MeasuredValue(value, value * math.hypot(loop.sigma / T_0, loop.step / loop.travel))
 
 
-def _require_decided(loop: BlockedLoop, found: Found, tolerance: float) -> None:
+def _require_identifiable(loop: BlockedLoop, found: PatternSearchResult, tolerance: float) -> None:
     K = found.weighed.K
     lowest = max(float(loop.turns.min()), loop.slack)
     reach = 0.5 * math.log(loop.peak / lowest)
-    if K.value + _BEYOND > reach or K.uncertainty > tolerance:
+    if K.value + _DEPTH_MARGIN > reach or K.uncertainty > tolerance:
         raise CalibrationError(
             f"a loop between {loop.peak:.3g} N and {lowest:.3g} N decides K = {K.value:.2f} only "
             f"to {K.uncertainty:.2g}, its range reaching to {reach:.2f}: release further, pull "
@@ -269,19 +279,19 @@ def _require_decided(loop: BlockedLoop, found: Found, tolerance: float) -> None:
         )
 
 
-def _require_sheath(loop: BlockedLoop, found: Found) -> None:
+def _require_plausible_sheath(loop: BlockedLoop, found: PatternSearchResult) -> None:
     compliance = found.weighed.compliance.value
-    if compliance > _SOFTEST:
+    if compliance > _COMPLIANCE_MAX:
         raise CalibrationError(
             f"EA/L is {1.0 / compliance:.3g} N/m, softer than any sheath: the tip is not blocked"
         )
-    if found.residual > _WORST_FIT * loop.peak:
+    if found.residual > _RESIDUAL_MAX * loop.peak:
         raise CalibrationError(
             f"no friction and no stiffness describe this loop to better than {found.residual:.2g} "
             f"N of {loop.peak:.3g} N: the tip moves, or the tension is not that of this tendon"
         )
 
 
-def _agree(a: Measured, b: Measured) -> bool:
-    allowed = AGREEMENT * math.hypot(a.uncertainty, b.uncertainty, _MODEL * a.value)
+def _is_consistent(a: MeasuredValue, b: MeasuredValue) -> bool:
+    allowed = AGREEMENT * math.hypot(a.uncertainty, b.uncertainty, _LAW_UNCERTAINTY * a.value)
     return abs(a.value - b.value) <= allowed

@@ -15,17 +15,17 @@ import math
 import numpy as np
 
 from estimator.array_types import Array
-from estimator.calibration.measured import CalibrationError, Measured
+from estimator.calibration.measured import CalibrationError, MeasuredValue
 from estimator.signals import noise_sigma
 
 _MIN_SHARE = 0.3  # of the highest tension; above it the pull has wiped out what was before
 _MIN_SAMPLES = 100
-_LAW = 0.003  # of K1 + K2 that the law itself is trusted to
-_ROUGH = 2.0  # times the noise: residuals that are no noise
-_ROUGHER = 0.01  # of the highest tension of the tendon drawn out, and so much more
+_LAW_UNCERTAINTY = 0.003  # of K1 + K2 that the law itself is trusted to
+_RESIDUAL_SIGMAS = 2.0  # times the noise: residuals that are no noise
+_RESIDUAL_SHARE = 0.01  # of the highest tension of the tendon drawn out, and so much more
 
 
-def friction_of_both(pulled: Array, drawn: Array, travel: Array) -> Measured:
+def fit_friction_sum(pulled: Array, drawn: Array, travel: Array) -> MeasuredValue:
     """Return K1 + K2 from a drag in which both tensions rise and fall.
 
     The tension of the tendon drawn out is fitted by that of the one pulled, which has the smaller
@@ -55,11 +55,11 @@ def friction_of_both(pulled: Array, drawn: Array, travel: Array) -> Measured:
     if not 0.0 < slope <= 1.0:
         raise CalibrationError(f"the tendon drawn out has {slope:.3g} of the change of tension")
     rest = float(np.std(drawn - columns @ fit))
-    if rest > _ROUGH * noise + _ROUGHER * float(drawn.max()):
+    if rest > _RESIDUAL_SIGMAS * noise + _RESIDUAL_SHARE * float(drawn.max()):
         raise CalibrationError(
             f"the tensions of a drag are {rest:.2g} N from a straight line: one tendon does not "
             "slide, or the joint is not free"
         )
     variance = np.linalg.pinv(columns.T @ columns)[0, 0]
     uncertainty = max(rest, noise) * math.sqrt(float(variance)) / slope
-    return Measured(-math.log(slope), math.hypot(uncertainty, _LAW))
+    return MeasuredValue(-math.log(slope), math.hypot(uncertainty, _LAW_UNCERTAINTY))

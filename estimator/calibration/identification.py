@@ -21,17 +21,17 @@ from scipy.optimize import minimize_scalar
 
 from estimator.array_types import Array
 from estimator.law.sheath import Sheath
-from estimator.law.transmission import batch, slack_profile, tables
+from estimator.law.transmission import build_slack_profile, build_tables, simulate_tensions
 
 STARTS = (0.1, 0.3, 0.6, 1.0, 1.5, 2.2)
 """Values of K from which the search is begun; the cost has more than one local minimum."""
 
-BELIEVABLE = 0.05
+RMSE_SHARE_MAX = 0.05
 """Share of the signal's peak the RMSE may be for the fit to be accepted."""
 
 _LARGEST_K = 4.0
-_SAMPLES = 50
-_COVER = 1.96  # standard deviations of the normal distribution on each side of 95 %
+_SAMPLES_MIN = 50
+_COVERAGE_FACTOR = 1.96  # standard deviations of the normal distribution on each side of 95 %
 
 
 class IdentificationError(ValueError):
@@ -90,7 +90,7 @@ def fit_bench(proximal_tension: ArrayLike, distal_tension: ArrayLike) -> FitResu
     IdentificationError
         If the record cannot be fitted.
     """
-    T_in, T_out = _checked(proximal_tension, distal_tension)
+    T_in, T_out = _validate_signals(proximal_tension, distal_tension)
     if np.mean(T_out) > np.mean(T_in):
         raise IdentificationError(
             "the tip pulls harder than the housing, on the whole: are the two columns swapped?"
@@ -99,13 +99,13 @@ def fit_bench(proximal_tension: ArrayLike, distal_tension: ArrayLike) -> FitResu
     def residual(K: float) -> Array:
         return T_out - _simulate(T_in, K)[0]
 
-    K = _search(lambda K: float(np.sum(residual(K) ** 2)))
+    K = _search_friction(lambda K: float(np.sum(residual(K) ** 2)))
     at_best = residual(K)
     slope = (residual(K * (1.0 + 1e-3)) - residual(K * (1.0 - 1e-3)))[:, None] / (2e-3 * K)
-    covariance = _covariance(slope, at_best)
-    decided, accept, reason = _verdict(T_in, T_out, at_best, K)
-    parameters = {"K": _interval(K, covariance[0, 0])}
-    return FitResult(parameters, _rms(at_best), at_best, len(T_in), decided, accept, reason)
+    covariance = _compute_covariance(slope, at_best)
+    decided, accept, reason = _judge_fit(T_in, T_out, at_best, K)
+    parameters = {"K": _compute_interval(K, covariance[0, 0])}
+    return FitResult(parameters, _compute_rms(at_best), at_best, len(T_in), decided, accept, reason)
 
 
 def fit_blocked_tip(
@@ -128,7 +128,7 @@ def fit_blocked_tip(
     IdentificationError
         If the record cannot be fitted.
     """
-    T_in, q = _checked(proximal_tension, proximal_displacement)
+    T_in, q = _validate_signals(proximal_tension, proximal_displacement)
 
     def shape(K: float) -> tuple[Array, float, Array]:
         stretch = _simulate(T_in, K)[1]
@@ -136,28 +136,28 @@ def fit_blocked_tip(
         compliance = float(centred @ q) / float(centred @ centred)
         return centred, compliance, q - q.mean() - compliance * centred
 
-    K = _search(lambda K: float(np.sum(shape(K)[2] ** 2)))
+    K = _search_friction(lambda K: float(np.sum(shape(K)[2] ** 2)))
     centred, compliance, at_best = shape(K)
     if not compliance > 0.0:
         raise IdentificationError("travel falls while tension rises: check the sign of the encoder")
     EA = length / compliance
     by_K = (shape(K * (1.0 + 1e-3))[0] - shape(K * (1.0 - 1e-3))[0]) * compliance / (2e-3 * K)
-    covariance = _covariance(np.column_stack([by_K, centred * compliance]), at_best)
-    decided, accept, reason = _verdict(T_in, q - q.min(), at_best, K)
+    covariance = _compute_covariance(np.column_stack([by_K, centred * compliance]), at_best)
+    decided, accept, reason = _judge_fit(T_in, q - q.min(), at_best, K)
     parameters = {
-        "K": _interval(K, covariance[0, 0]),
-        "axial_stiffness": _interval(EA, covariance[1, 1] * EA**2),
+        "K": _compute_interval(K, covariance[0, 0]),
+        "axial_stiffness": _compute_interval(EA, covariance[1, 1] * EA**2),
     }
-    return FitResult(parameters, _rms(at_best), at_best, len(T_in), decided, accept, reason)
+    return FitResult(parameters, _compute_rms(at_best), at_best, len(T_in), decided, accept, reason)
 
 
-def _checked(tension: ArrayLike, other: ArrayLike) -> tuple[Array, Array]:
+def _validate_signals(tension: ArrayLike, other: ArrayLike) -> tuple[Array, Array]:
     T = np.asarray(tension, dtype=np.float64)
     signal = np.asarray(other, dtype=np.float64)
     if T.ndim != 1 or T.shape != signal.shape:
         raise IdentificationError(f"rows {T.shape} and {signal.shape}: give two of equal length")
-    if len(T) < _SAMPLES:
-        raise IdentificationError(f"{len(T)} samples, at least {_SAMPLES} are needed")
+    if len(T) < _SAMPLES_MIN:
+        raise IdentificationError(f"{len(T)} samples, at least {_SAMPLES_MIN} are needed")
     bad = ~(np.isfinite(T) & np.isfinite(signal))
     if bad.any():
         raise IdentificationError(
@@ -171,11 +171,11 @@ def _checked(tension: ArrayLike, other: ArrayLike) -> tuple[Array, Array]:
 
 def _simulate(T_in: Array, K: float) -> tuple[Array, Array]:
     """Return T_out [N] and the elongation of a tendon of L/EA = 1 m/N, from slack."""
-    table = tables(Sheath.uniform(K, 1.0, 1.0))
-    return batch(table, slack_profile(table), T_in)
+    table = build_tables(Sheath.uniform(K, 1.0, 1.0))
+    return simulate_tensions(table, build_slack_profile(table), T_in)
 
 
-def _search(cost: Callable[[float], float]) -> float:
+def _search_friction(cost: Callable[[float], float]) -> float:
     """Return the K of least cost, each start searched between its neighbours."""
     edges = (1e-3, *STARTS, _LARGEST_K)
     minima = [
@@ -185,7 +185,7 @@ def _search(cost: Callable[[float], float]) -> float:
     return float(min(minima, key=lambda minimum: float(minimum.fun)).x)
 
 
-def _covariance(slopes: Array, residuals: Array) -> Array:
+def _compute_covariance(slopes: Array, residuals: Array) -> Array:
     """Return the covariance of least squares, residuals counted as the fewer they amount to.
 
     Neighbouring residuals of a hysteresis model repeat each other; with their correlation r from
@@ -200,27 +200,27 @@ def _covariance(slopes: Array, residuals: Array) -> Array:
     return np.asarray(np.linalg.pinv(slopes.T @ slopes) * variance)
 
 
-def _interval(value: float, variance: float) -> Parameter:
-    half = _COVER * math.sqrt(max(variance, 0.0))
+def _compute_interval(value: float, variance: float) -> Parameter:
+    half = _COVERAGE_FACTOR * math.sqrt(max(variance, 0.0))
     return Parameter(value, max(value - half, 0.0), value + half)
 
 
-def _rms(residuals: Array) -> float:
+def _compute_rms(residuals: Array) -> float:
     return float(np.sqrt(np.mean(residuals**2)))
 
 
-def _verdict(T_in: Array, signal: Array, residuals: Array, K: float) -> tuple[bool, bool, str]:
+def _judge_fit(T_in: Array, signal: Array, residuals: Array, K: float) -> tuple[bool, bool, str]:
     if K > 0.99 * _LARGEST_K or K < 2e-3:
         return False, False, f"K = {K:.3g} is the end of the search: the record does not decide it"
     if T_in.max() < math.exp(2.0 * K) * max(float(T_in.min()), 1e-3 * float(T_in.max())):
         return False, False, "tension never swings by e^2K: the start of the record decides the fit"
-    share = _rms(residuals) / float(np.abs(signal).max())
-    if share > BELIEVABLE:
+    share = _compute_rms(residuals) / float(np.abs(signal).max())
+    if share > RMSE_SHARE_MAX:
         return (
             True,
             False,
             (
-                f"residual is {share:.1%} of the peak, more than {BELIEVABLE:.0%}: "
+                f"residual is {share:.1%} of the peak, more than {RMSE_SHARE_MAX:.0%}: "
                 "the symmetric law misses something"
             ),
         )

@@ -7,7 +7,7 @@ class CalibrationError(ValueError):
     """Data insufficient for a calibration; the message says what is missing and what to do."""
 
 
-class Measured(NamedTuple):
+class MeasuredValue(NamedTuple):
     """A value and its standard uncertainty, in the same unit."""
 
     value: float

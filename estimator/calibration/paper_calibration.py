@@ -6,10 +6,10 @@ It needs EA and L beforehand, holds for a uniformly curved sheath, and enlarges 
 
 import math
 
-from estimator.calibration.measured import CalibrationError, Measured
+from estimator.calibration.measured import CalibrationError, MeasuredValue
 
 
-def friction_from_elongation(M_e: float, axial_stiffness: float, length: float) -> float:
+def compute_friction_from_elongation(M_e: float, axial_stiffness: float, length: float) -> float:
     """Return K of a uniformly curved sheath from its elongation constant (T8).
 
     The closed form of Phee et al. 2009, eq. (13): with m = M_e EA/L,
@@ -40,9 +40,9 @@ def friction_from_elongation(M_e: float, axial_stiffness: float, length: float) 
     return float(1.0 / m + lambertw(-math.exp(-1.0 / m) / m).real)
 
 
-def paper_friction(
-    M_e: Measured, axial_stiffness: float, length: float, stiffness_uncertainty: float
-) -> Measured:
+def compute_paper_friction(
+    M_e: MeasuredValue, axial_stiffness: float, length: float, stiffness_uncertainty: float
+) -> MeasuredValue:
     """Return K by eq. (13) with its uncertainty; `stiffness_uncertainty` is that of EA/L over it.
 
     Raises
@@ -50,7 +50,7 @@ def paper_friction(
     CalibrationError
         If m is not in (0, 1).
     """
-    K = friction_from_elongation(M_e.value, axial_stiffness, length)
+    K = compute_friction_from_elongation(M_e.value, axial_stiffness, length)
     relative = math.hypot(M_e.uncertainty / M_e.value, stiffness_uncertainty)
     slope = math.exp(-K) / -math.expm1(-K) - 1.0 / K  # d ln m / dK of m = (1 - e^-K)/K
-    return Measured(K, relative / abs(slope))
+    return MeasuredValue(K, relative / abs(slope))

@@ -29,13 +29,17 @@ LARGEST_K = 3.0
 LEAST_STEP = 0.004
 """Shortest interval of s that is searched."""
 
-_NODE = 0.01  # of s
+_NODE_SPACING = 0.01  # of s
 _LEAST_TENSION = 1e-9  # [N]
 _SLACK = math.log(_LEAST_TENSION) - LARGEST_K
-_DIFFERENCE = 1e-3  # relative, of the intervals
-_TURN_DIFFERENCE = 2e-4  # relative, of the turning tensions
-_ZERO_DIFFERENCE = 1e-4  # [N]
-_ENDS_ROOM, _TURNS_ROOM, _ZERO_ROOM = 0.7, 0.5, 3.0  # how far refining goes: ln, ln, uncertainties
+_RELATIVE_STEP = 1e-3  # relative, of the intervals
+_TURN_STEP = 2e-4  # relative, of the turning tensions
+_ZERO_STEP = 1e-4  # [N]
+_ENDS_RANGE, _TURNS_RANGE, _ZERO_RANGE = (
+    0.7,
+    0.5,
+    3.0,
+)  # how far refining goes: ln, ln, uncertainties
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,7 +139,7 @@ class Uncertainty(NamedTuple):
     zero: float  # [N]
 
 
-class Play:
+class PlayOperators:
     """T(s, t) of a loop on nodes of s, and its integrals, for given turning tensions."""
 
     def __init__(self, loop: BlockedLoop, turns: Array, zero: float) -> None:
@@ -144,7 +148,7 @@ class Play:
         `turns` [N] are the tensions between branches, `zero` [N] is the reading without tension.
         """
         self._loop = loop
-        self._s = np.arange(0.0, LARGEST_K + 1.5 * _NODE, _NODE)[:, None]
+        self._s = np.arange(0.0, LARGEST_K + 1.5 * _NODE_SPACING, _NODE_SPACING)[:, None]
         y = np.full_like(self._s, _SLACK)
         lines, logs = [], []
         for number, branch in enumerate(loop.branches):
@@ -162,12 +166,12 @@ class Play:
         rise = np.diff(ln_T, axis=0)
         rise[np.abs(rise) < 1e-9] = 1e-9
         self._integral = np.zeros_like(self._T)
-        np.cumsum(np.diff(self._T, axis=0) / rise * _NODE, axis=0, out=self._integral[1:])
+        np.cumsum(np.diff(self._T, axis=0) / rise * _NODE_SPACING, axis=0, out=self._integral[1:])
 
     def columns(self, shape: Shape) -> Array:
         """Return travel per compliance [N] of intervals, then of straight stretches."""
         begin = np.concatenate([[0.0], shape.ends])
-        place = np.clip(begin / _NODE, 0.0, len(self._s) - 1.001)
+        place = np.clip(begin / _NODE_SPACING, 0.0, len(self._s) - 1.001)
         k = place.astype(np.int64)
         f = (place - k)[:, None]
         T_a, T_b = self._T[k], self._T[k + 1]
@@ -175,7 +179,7 @@ class Play:
         total = (
             self._integral[k] * (1 - f) ** 2 * (1 + 2 * f)
             + self._integral[k + 1] * f**2 * (3 - 2 * f)
-            + _NODE * f * (1 - f) * (T_a * (1 - f) - T_b * f)
+            + _NODE_SPACING * f * (1 - f) * (T_a * (1 - f) - T_b * f)
         )
         spread = np.diff(total, axis=0) / np.diff(begin)[:, None]
         at = T_a * (1 - f) + T_b * f
@@ -188,9 +192,9 @@ class Play:
         )
         gain = np.where(self._sliding, np.exp(signs * self._s), 0.0)
         running = np.zeros_like(gain)
-        np.cumsum(0.5 * _NODE * (gain[1:] + gain[:-1]), axis=0, out=running[1:])
+        np.cumsum(0.5 * _NODE_SPACING * (gain[1:] + gain[:-1]), axis=0, out=running[1:])
         begin = np.array([0.0, *pattern.ends])
-        k = np.rint(begin / _NODE).astype(np.int64)
+        k = np.rint(begin / _NODE_SPACING).astype(np.int64)
         density = np.array(pattern.spread) / np.diff(begin)
         return np.asarray(
             density @ np.diff(running[k], axis=0) + np.array(pattern.straight) @ gain[k]
@@ -198,10 +202,10 @@ class Play:
 
     def free(self, step: float) -> Array:
         """Return travel per compliance [N] of straight stretches every `step` of s."""
-        return np.asarray(self._T[:: round(step / _NODE)].T)
+        return np.asarray(self._T[:: round(step / _NODE_SPACING)].T)
 
 
-class Fitter:
+class PatternLeastSquares:
     """Least squares of patterns to one loop, every average weighted by its noise."""
 
     def __init__(self, loop: BlockedLoop, zero_uncertainty: float) -> None:
@@ -217,7 +221,7 @@ class Fitter:
         self._count = np.concatenate([branch.count for branch in loop.branches])
         self._readings = np.concatenate([branch.readings for branch in loop.branches])
         T = np.concatenate([branch.T for branch in loop.branches])
-        self._play = Play(loop, self._turns, self.zero)
+        self._play = PlayOperators(loop, self._turns, self.zero)
         self._set_weights(np.full_like(self._q, float(np.ptp(self._q) / np.ptp(T))))
 
     @property
@@ -233,7 +237,7 @@ class Fitter:
     @state.setter
     def state(self, state: tuple[Array, float]) -> None:
         self._turns, self.zero = state
-        self._play = Play(self._loop, self._turns, self.zero)
+        self._play = PlayOperators(self._loop, self._turns, self.zero)
 
     def weigh(self, pattern: Pattern) -> None:
         """Weigh by the slopes of `pattern`, which make tension noise a residual of travel."""
@@ -246,12 +250,12 @@ class Fitter:
 
     def fit(self, shape: Shape, evaluations: int = 25, *, hold_last: bool = False) -> PatternFit:
         """Return the best fit of a shape, its ends moved; `hold_last` keeps the last width."""
-        logs = _logs(shape.ends)
+        logs = _to_logs(shape.ends)
         held = logs[-1:] if hold_last else logs[:0]
         free = logs[: len(logs) - len(held)]
 
         def ends(x: Array) -> Array:
-            return _ends(np.concatenate([x, held]))
+            return _from_logs(np.concatenate([x, held]))
 
         def residual(x: Array) -> Array:
             return self._solve(self._play.columns(shape._replace(ends=ends(x))))[0]
@@ -262,7 +266,7 @@ class Fitter:
             residual,
             free,
             bounds=(math.log(LEAST_STEP) - 1e-6, math.log(LARGEST_K)),
-            diff_step=_DIFFERENCE,
+            diff_step=_RELATIVE_STEP,
             x_scale=1.0,
             xtol=1e-4,
             ftol=1e-5,
@@ -275,18 +279,16 @@ class Fitter:
         n = len(fit.shape.ends)
 
         def solve(x: Array) -> tuple[Array, Array]:
-            self._play = Play(self._loop, np.exp(x[n:-1]), float(x[-1]))
-            return self._solve(self._play.columns(fit.shape._replace(ends=_ends(x[:n]))))
+            self._play = PlayOperators(self._loop, np.exp(x[n:-1]), float(x[-1]))
+            return self._solve(self._play.columns(fit.shape._replace(ends=_from_logs(x[:n]))))
 
         def residual(x: Array) -> Array:
             return np.append(solve(x)[0], x[-1] / self._zero_uncertainty)
 
-        start = np.concatenate([_logs(fit.shape.ends), np.log(self._turns), [self.zero]])
-        steps = np.repeat(
-            [_DIFFERENCE, _TURN_DIFFERENCE, _ZERO_DIFFERENCE], [n, len(self._turns), 1]
-        )
+        start = np.concatenate([_to_logs(fit.shape.ends), np.log(self._turns), [self.zero]])
+        steps = np.repeat([_RELATIVE_STEP, _TURN_STEP, _ZERO_STEP], [n, len(self._turns), 1])
         room = np.repeat(
-            [_ENDS_ROOM, _TURNS_ROOM, _ZERO_ROOM * self._zero_uncertainty],
+            [_ENDS_RANGE, _TURNS_RANGE, _ZERO_RANGE * self._zero_uncertainty],
             [n, len(self._turns), 1],
         )
         from scipy.optimize import least_squares
@@ -294,7 +296,7 @@ class Fitter:
         found = least_squares(
             residual,
             start,
-            jac=lambda x: _differences(residual, x, steps),
+            jac=lambda x: _compute_jacobian(residual, x, steps),
             x_scale="jac",
             bounds=(start - room, start + room),
             max_nfev=10,
@@ -303,9 +305,9 @@ class Fitter:
         covariance = np.linalg.pinv(found.jac.T @ found.jac)
         K_by = np.zeros(len(best))
         K_by[:n] = np.exp(best[:n])  # K is the sum of the intervals
-        C_by = _differences(lambda x: solve(x)[1].sum(keepdims=True), best, steps)[0]
+        C_by = _compute_jacobian(lambda x: solve(x)[1].sum(keepdims=True), best, steps)[0]
         self.state = np.exp(best[n:-1]), float(best[-1])
-        refined = self._fitted(fit.shape._replace(ends=_ends(best[:n])))
+        refined = self._fitted(fit.shape._replace(ends=_from_logs(best[:n])))
         linear = self._linear_variance(refined)
         return refined, Uncertainty(
             math.sqrt(float(K_by @ covariance @ K_by)),
@@ -359,17 +361,17 @@ class Fitter:
         return PatternFit(shape, pattern, float(residual @ residual))
 
 
-def _differences(function: Callable[[Array], Array], x: Array, steps: Array) -> Array:
+def _compute_jacobian(function: Callable[[Array], Array], x: Array, steps: Array) -> Array:
     """Return the derivative of `function`, one column for each entry of `x`."""
     return np.column_stack(
         [(function(x + h) - function(x - h)) / (2.0 * float(h.sum())) for h in np.diag(steps)]
     )
 
 
-def _logs(ends: Array) -> Array:
+def _to_logs(ends: Array) -> Array:
     return np.log(np.maximum(np.diff(ends, prepend=0.0), LEAST_STEP))
 
 
-def _ends(logs: Array) -> Array:
+def _from_logs(logs: Array) -> Array:
     ends = np.cumsum(np.exp(logs))
     return np.asarray(ends * min(1.0, LARGEST_K / float(ends[-1])))

@@ -14,16 +14,27 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.calibration.measured import Measured
-from estimator.calibration.model_averaging import Rival, Weighed, alone, distinct
-from estimator.calibration.pattern import LARGEST_K, LEAST_STEP, Fitter, PatternFit, Shape
+from estimator.calibration.measured import MeasuredValue
+from estimator.calibration.model_averaging import (
+    ModelAverage,
+    Rival,
+    average_rivals,
+    deduplicate_rivals,
+)
+from estimator.calibration.pattern import (
+    LARGEST_K,
+    LEAST_STEP,
+    PatternFit,
+    PatternLeastSquares,
+    Shape,
+)
 
 Mask = NDArray[np.bool_]
 
-PRICE = 6.0  # of chi² for a parameter while growing
-WEIGHED = 5.0  # of chi² for a parameter while weighing: ln of some hundred averages
-MOST_INTERVALS = 6
-TIGHT, RARER = 0.15, 0.45
+GROWTH_PENALTY = 6.0  # of chi² for a parameter while growing
+SCORE_PENALTY = 5.0  # of chi² for a parameter while weighing: ln of some hundred averages
+INTERVALS_MAX = 6
+BEND_DENSITY_MIN, BEND_DENSITY_LOG_SIGMA = 0.15, 0.45
 """The last interval's compliance per unit of s, over that of the sheath: below the first, which is
 a bend of some 30 mm, it is rarer by one sigma for each factor e^0.45. Without this anything could
 follow beyond the tip, as long as it has next to no compliance."""
@@ -31,78 +42,82 @@ follow beyond the tip, as long as it has next to no compliance."""
 _STARTS = (0.2, 0.4, 0.7, 1.0, 1.4, 1.9, 2.5)
 _FREE_STEP = 0.03
 _FREE_PARAMETERS = 12  # that a free pattern uses of a loop, about
-_ADDED = (0.03, 0.12)  # widths of s of a bend that is tried
-_QUICK = 6  # evaluations
-_RIVALS, _REFINED = 10, 3  # fitted in full, and with the turning tensions moved too
+_ADDED_WIDTHS = (0.03, 0.12)  # widths of s of a bend that is tried
+_QUICK_EVALUATIONS = 6  # evaluations
+_RIVALS_FITTED, _RIVALS_REFINED = 10, 3  # fitted in full, and with the turning tensions moved too
 _WIDTH_STEP, _WIDTH_RANGE = 0.03, 0.5  # of s: of the widths tried for the last bend
-_BENT = 2.0  # times as often a sheath ends in a slight bend as straight
+_BEND_ODDS = 2.0  # times as often a sheath ends in a slight bend as straight
 _WIDTHS = np.arange(0.5, 8.0) * _WIDTH_STEP
-_WIDEST = float(_WIDTHS[-1])
-_LARGEST_OWN = 0.03  # of K; linearised, a bend of no visible width has any uncertainty
+_WIDTH_MAX = float(_WIDTHS[-1])
+_UNCERTAINTY_MAX = 0.03  # of K; linearised, a bend of no visible width has any uncertainty
 
 
-class Found(NamedTuple):
+class PatternSearchResult(NamedTuple):
     """What a loop may be, what stands for all of it, and what that leaves."""
 
     rivals: tuple[Rival, ...]
-    weighed: Weighed
+    weighed: ModelAverage
     compliance_noise: float  # [m/N] standard uncertainty of L/EA that the noise alone leaves
-    zero: Measured  # [N]
+    zero: MeasuredValue  # [N]
     misfit: float  # least chi² of any pattern, over what noise alone would leave
     residual: float  # [N] root mean square
 
 
-def search(fitter: Fitter) -> Found:
+def search_pattern(fitter: PatternLeastSquares) -> PatternSearchResult:
     """Return the pattern of a loop."""
-    fit = _first(fitter)
-    fit = _chosen(fitter, fit)
+    fit = _fit_one_interval(fitter)
+    fit = _select_shape(fitter, fit)
     fit, _ = fitter.refine(fit)
     fitter.weigh(fit.pattern)
-    fit = _chosen(fitter, fit)
+    fit = _select_shape(fitter, fit)
     fit, uncertainty = fitter.refine(fit)
-    misfit = _misfit(fitter, fit)
+    misfit = _compute_misfit(fitter, fit)
     scale = max(misfit, 1.0)
-    rivals = distinct(
-        [_rival(fit, scale, uncertainty.K), *_rivals(fitter, fit, scale, uncertainty.K)]
+    rivals = deduplicate_rivals(
+        [_build_rival(fit, scale, uncertainty.K), *_find_rivals(fitter, fit, scale, uncertainty.K)]
     )
-    return Found(
+    return PatternSearchResult(
         rivals=rivals,
-        weighed=alone(rivals),
+        weighed=average_rivals(rivals),
         compliance_noise=math.sqrt(scale) * uncertainty.compliance,
-        zero=Measured(fitter.zero, uncertainty.zero * math.sqrt(scale)),
+        zero=MeasuredValue(fitter.zero, uncertainty.zero * math.sqrt(scale)),
         misfit=misfit,
         residual=fitter.tension_residual(fit),
     )
 
 
-def _rival(fit: PatternFit, scale: float, uncertainty: float, prior: float = 0.0) -> Rival:
-    score = fit.chi2 / scale + WEIGHED * fit.shape.parameters + _rarity(fit) + prior
+def _build_rival(fit: PatternFit, scale: float, uncertainty: float, prior: float = 0.0) -> Rival:
+    score = (
+        fit.chi2 / scale + SCORE_PENALTY * fit.shape.parameters + _compute_bend_penalty(fit) + prior
+    )
     return Rival(fit.pattern, score, math.sqrt(scale) * uncertainty)
 
 
-def _rivals(fitter: Fitter, best: PatternFit, scale: float, uncertainty: float) -> Iterator[Rival]:
+def _find_rivals(
+    fitter: PatternLeastSquares, best: PatternFit, scale: float, uncertainty: float
+) -> Iterator[Rival]:
     """Yield what the pattern could have been as well."""
     state = fitter.state
 
     def score(fit: PatternFit) -> float:
-        return _rival(fit, scale, 0.0).score
+        return _build_rival(fit, scale, 0.0).score
 
-    shapes = (*_larger(best.shape), *_smaller(best.shape))
-    fits = sorted((fitter.fit(shape, _QUICK) for shape in shapes), key=score)
-    fits = sorted((fitter.fit(fit.shape) for fit in fits[:_RIVALS]), key=score)
-    for fit in fits[:_REFINED]:
+    shapes = (*_generate_larger_shapes(best.shape), *_generate_smaller_shapes(best.shape))
+    fits = sorted((fitter.fit(shape, _QUICK_EVALUATIONS) for shape in shapes), key=score)
+    fits = sorted((fitter.fit(fit.shape) for fit in fits[:_RIVALS_FITTED]), key=score)
+    for fit in fits[:_RIVALS_REFINED]:
         refined, own = fitter.refine(fit)
-        yield _rival(refined, scale, min(own.K, _LARGEST_OWN))
+        yield _build_rival(refined, scale, min(own.K, _UNCERTAINTY_MAX))
         fitter.state = state
-    yield from (_rival(fit, scale, uncertainty) for fit in fits[_REFINED:])
+    yield from (_build_rival(fit, scale, uncertainty) for fit in fits[_RIVALS_REFINED:])
     ends, straight = best.shape
     before = float(ends[-2]) if len(ends) > 1 else 0.0
     if straight[-1]:
         ends, straight = (
             np.append(ends, ends[-1]),
-            np.append(_with(straight, -1, value=False), False),
+            np.append(_replace_entry(straight, -1, value=False), False),
         )
-    elif float(ends[-1]) - before > _WIDEST:
+    elif float(ends[-1]) - before > _WIDTH_MAX:
         return
     # How wide the last bend is, is hardly seen where it is slight: each width counts for itself.
     middle = 0.5 * float(ends[-1] + ends[-2])
@@ -111,16 +126,16 @@ def _rivals(fitter: Fitter, best: PatternFit, scale: float, uncertainty: float) 
             middle - 0.5 * width, float(ends[-3]) + LEAST_STEP if len(ends) > 2 else LEAST_STEP
         )
         shape = Shape(np.append(ends[:-2], [begin, begin + width]), straight)
-        prior = -2.0 * math.log(_BENT * _WIDTH_STEP / _WIDTH_RANGE) - WEIGHED
-        yield _rival(fitter.fit(shape, hold_last=True), scale, uncertainty, prior)
+        prior = -2.0 * math.log(_BEND_ODDS * _WIDTH_STEP / _WIDTH_RANGE) - SCORE_PENALTY
+        yield _build_rival(fitter.fit(shape, hold_last=True), scale, uncertainty, prior)
 
 
-def _misfit(fitter: Fitter, fit: PatternFit) -> float:
+def _compute_misfit(fitter: PatternLeastSquares, fit: PatternFit) -> float:
     """Return the least chi² of any pattern, per degree of freedom."""
     return min(fitter.free_chi2(_FREE_STEP), fit.chi2) / (fitter.n - _FREE_PARAMETERS)
 
 
-def _first(fitter: Fitter) -> PatternFit:
+def _fit_one_interval(fitter: PatternLeastSquares) -> PatternFit:
     straight = np.array([True, True])
     fits = [fitter.fit(Shape(np.array([K]), straight)) for K in _STARTS]
     best = min(fits, key=lambda fit: fit.chi2)
@@ -130,22 +145,26 @@ def _first(fitter: Fitter) -> PatternFit:
     return best
 
 
-def _chosen(fitter: Fitter, fit: PatternFit) -> PatternFit:
+def _select_shape(fitter: PatternLeastSquares, fit: PatternFit) -> PatternFit:
     """Grow and shrink while that pays."""
-    scale = max(_misfit(fitter, fit), 1.0)
+    scale = max(_compute_misfit(fitter, fit), 1.0)
 
     def cost(fit: PatternFit) -> float:
-        return fit.chi2 + scale * (PRICE * fit.shape.parameters + _rarity(fit))
+        return fit.chi2 + scale * (
+            GROWTH_PENALTY * fit.shape.parameters + _compute_bend_penalty(fit)
+        )
 
-    while len(fit.shape.ends) < MOST_INTERVALS:
-        grown = [fitter.fit(shape, _QUICK) for shape in _larger(fit.shape)]
+    while len(fit.shape.ends) < INTERVALS_MAX:
+        grown = [
+            fitter.fit(shape, _QUICK_EVALUATIONS) for shape in _generate_larger_shapes(fit.shape)
+        ]
         grown = [fitter.fit(other.shape) for other in sorted(grown, key=cost)[:2]]
         best = min(grown, key=cost)
         if cost(best) >= cost(fit):
             break
         fitter.weigh(best.pattern)
         fit = fitter.fit(best.shape)
-    while smaller := [fitter.fit(shape) for shape in _smaller(fit.shape)]:
+    while smaller := [fitter.fit(shape) for shape in _generate_smaller_shapes(fit.shape)]:
         best = min(smaller, key=cost)
         if cost(best) >= cost(fit):
             break
@@ -153,23 +172,23 @@ def _chosen(fitter: Fitter, fit: PatternFit) -> PatternFit:
     return fit
 
 
-def _rarity(fit: PatternFit) -> float:
+def _compute_bend_penalty(fit: PatternFit) -> float:
     """Return how improbably tight the last bend is, in units of chi²."""
     pattern = fit.pattern
     last = pattern.K - (pattern.ends[-2] if len(pattern.ends) > 1 else 0.0)
     density = max(pattern.spread[-1] / (last * pattern.compliance), 1e-9)
-    return max(math.log(TIGHT / density) / RARER, 0.0) ** 2
+    return max(math.log(BEND_DENSITY_MIN / density) / BEND_DENSITY_LOG_SIGMA, 0.0) ** 2
 
 
-def _larger(shape: Shape) -> Iterator[Shape]:
+def _generate_larger_shapes(shape: Shape) -> Iterator[Shape]:
     """Shapes with one bend or straight stretch more, or a bend for a straight stretch."""
     ends, straight = shape
     for i in np.flatnonzero(~straight):
-        yield Shape(ends, _with(straight, int(i), value=True))
+        yield Shape(ends, _replace_entry(straight, int(i), value=True))
     if not straight[-1]:  # the last bend drawn in, a straight stretch behind it
         begin = float(ends[-2]) if len(ends) > 1 else 0.0
         shorter = np.append(ends[:-1], begin + 0.8 * (float(ends[-1]) - begin))
-        yield Shape(shorter, _with(straight, -1, value=True))
+        yield Shape(shorter, _replace_entry(straight, -1, value=True))
     for j, (begin, end) in enumerate(zip((0.0, *ends[:-1]), ends, strict=True)):
         if end - begin < 4.0 * LEAST_STEP:
             continue
@@ -177,30 +196,32 @@ def _larger(shape: Shape) -> Iterator[Shape]:
             cut = np.insert(ends, j, begin + share * (end - begin))
             yield Shape(cut, np.insert(straight, j + 1, values=False))
             yield Shape(cut, np.insert(straight, j + 1, values=True))
-    for width in _ADDED:
+    for width in _ADDED_WIDTHS:
         longer = np.append(ends, ends[-1] + width)
         if longer[-1] < LARGEST_K:
             yield Shape(longer, np.append(straight, False))
         for i in np.flatnonzero(straight):
             widened = np.insert(ends, i, 0.0 if i == 0 else ends[i - 1])
             widened[i:] += width
-            yield Shape(widened, np.insert(_with(straight, int(i), value=False), i, values=False))
+            yield Shape(
+                widened, np.insert(_replace_entry(straight, int(i), value=False), i, values=False)
+            )
 
 
-def _smaller(shape: Shape) -> Iterator[Shape]:
+def _generate_smaller_shapes(shape: Shape) -> Iterator[Shape]:
     """Shapes with one bend or straight stretch less, or a straight stretch for a bend."""
     ends, straight = shape
     for i in np.flatnonzero(straight):
-        yield Shape(ends, _with(straight, int(i), value=False))
+        yield Shape(ends, _replace_entry(straight, int(i), value=False))
     for j in range(len(ends) - 1):
         yield Shape(np.delete(ends, j), np.delete(straight, j + 1))
         # the interval that follows, drawn together
         merged = np.delete(ends, j + 1)
         merged[j] = 0.5 * (ends[j] + ends[j + 1])
-        yield Shape(merged, _with(np.delete(straight, j + 2), j + 1, value=True))
+        yield Shape(merged, _replace_entry(np.delete(straight, j + 2), j + 1, value=True))
 
 
-def _with(mask: Mask, index: int, *, value: bool) -> Mask:
+def _replace_entry(mask: Mask, index: int, *, value: bool) -> Mask:
     changed = mask.copy()
     changed[index] = value
     return changed

@@ -10,7 +10,12 @@ from scipy.ndimage import median_filter
 
 from estimator import signals
 from estimator.array_types import Array
-from estimator.calibration.calibration import Calibration, CalibrationError, Measured, calibrate
+from estimator.calibration.calibration import (
+    Calibration,
+    CalibrationError,
+    MeasuredValue,
+    calibrate,
+)
 from estimator.calibration.identification import (
     FitResult,
     IdentificationError,
@@ -23,18 +28,23 @@ from estimator.measured_data import MeasuredData, Samples
 from estimator.online.estimator import Estimator
 from estimator.online.score import Score
 from estimator.online.tendon_model import TendonModel
-from estimator.plausibility import contradiction, doubts, implausible, unit_slip
-from estimator.spikes import without_spikes
+from estimator.plausibility import (
+    find_channel_faults,
+    find_contradiction,
+    find_implausible_parameter,
+    find_unit_slip,
+)
+from estimator.spikes import remove_spikes
 
 AXIAL_STIFFNESS = 9000.0  # [N] where the data do not tell EA: the tendon of Phee et al. 2009
-COVER = 1.96  # standard uncertainties on each side of 95 %
-LEAST_ROWS = 20
-LONGEST = 100.0  # [m]
-SMOOTHED = 9  # samples, where the loop's turns are looked for
-GIVES_WAY = 0.02  # of the motor's travel: a tip that moves by more is not blocked
-MOST = 200_000  # samples that are fitted; of a longer record every so many
+COVERAGE_FACTOR = 1.96  # standard uncertainties on each side of 95 %
+ROWS_MIN = 20
+LENGTH_MAX = 100.0  # [m]
+SMOOTHING_WINDOW = 9  # samples, where the loop's turns are looked for
+TIP_TRAVEL_MAX = 0.02  # of the motor's travel: a tip that moves by more is not blocked
+SAMPLES_MAX = 200_000  # samples that are fitted; of a longer record every so many
 STRUCTURE_MAX = 0.003  # of the peak: residual beyond noise (RMS); above it K is off by 0.6 to 7 %
-TURN = 0.05  # of the peak: a tension that comes back by so much has turned
+TURN_SHARE = 0.05  # of the peak: a tension that comes back by so much has turned
 
 
 class FitError(ValueError):
@@ -103,55 +113,55 @@ def fit_sheath(data: MeasuredData, length: float = 1.0, *, blocked_tip: bool = F
     FitError
         If the data cannot carry a fit.
     """
-    if not 0.0 < length <= LONGEST:
-        raise FitError(f"length {length:g}: must be above 0 and at most {LONGEST:g} m")
-    if len(data.time) < LEAST_ROWS:
-        raise FitError(f"{len(data.time)} samples, a fit needs {LEAST_ROWS}")
-    clean = without_spikes(data)
-    whole = _without_missing(clean)
-    if len(whole.time) < LEAST_ROWS:
-        raise FitError(f"{len(whole.time)} samples without spikes, a fit needs {LEAST_ROWS}")
-    if wrong := doubts(whole):
+    if not 0.0 < length <= LENGTH_MAX:
+        raise FitError(f"length {length:g}: must be above 0 and at most {LENGTH_MAX:g} m")
+    if len(data.time) < ROWS_MIN:
+        raise FitError(f"{len(data.time)} samples, a fit needs {ROWS_MIN}")
+    clean = remove_spikes(data)
+    whole = _drop_missing(clean)
+    if len(whole.time) < ROWS_MIN:
+        raise FitError(f"{len(whole.time)} samples without spikes, a fit needs {ROWS_MIN}")
+    if wrong := find_channel_faults(whole):
         raise FitError("; ".join(wrong))
-    every = -(-len(whole.time) // MOST)
+    every = -(-len(whole.time) // SAMPLES_MAX)
     fewer = Samples(*(None if c is None else c[::every] for c in whole[:5]))  # type: ignore[arg-type]
     try:
-        fit = _from_loop(fewer, length) if blocked_tip else _from_bench(fewer, length)
+        fit = _fit_loop(fewer, length) if blocked_tip else _fit_both_ends(fewer, length)
     except (IdentificationError, CalibrationError) as error:
-        slip = "" if blocked_tip or whole.distal_tension is None else _slip(fewer)
+        slip = "" if blocked_tip or whole.distal_tension is None else _find_unit_slip(fewer)
         raise FitError(slip or str(error)) from error
     if every > 1:
         fit = dataclasses.replace(fit, method=f"{fit.method}, from one sample in {every}")
-    reason = _objection(fit, fewer, clean)
+    reason = _find_objection(fit, fewer, clean)
     return dataclasses.replace(fit, accept=False, reason=reason) if reason else fit
 
 
-def _objection(fit: SheathFit, fitted: Samples, data: Samples) -> str:
+def _find_objection(fit: SheathFit, fitted: Samples, data: Samples) -> str:
     """Return why a fit must not be accepted though the law may describe the data; "" if it may.
 
     `fitted` are the samples it was fitted to, `data` all, without spikes.
     """
     EA = None if fit.EA is None else fit.EA.value
-    wrong = implausible(fit.K.value, EA, float(fitted.proximal_tension.max()))
+    wrong = find_implausible_parameter(fit.K.value, EA, float(fitted.proximal_tension.max()))
     if data.distal_tension is None:
         return wrong
-    if not fit.accept or implausible(fit.K.value, None, 0.0):
-        return _slip(fitted, may_be_right=not wrong) or wrong
+    if not fit.accept or find_implausible_parameter(fit.K.value, None, 0.0):
+        return _find_unit_slip(fitted, may_be_right=not wrong) or wrong
     if wrong:
         return wrong
-    error = _error(fit.model, data)
+    error = _compute_error(fit.model, data)
     if error is None:
         return ""
-    said = contradiction(error["rmse_percent"] / 100.0, error["inside_interval"], fitted=True)
+    said = find_contradiction(error["rmse_percent"] / 100.0, error["inside_interval"], fitted=True)
     return f"{said}, of the estimate in the data it was fitted to" if said else ""
 
 
-def _slip(data: Samples, may_be_right: bool = True) -> str:
+def _find_unit_slip(data: Samples, may_be_right: bool = True) -> str:
     tensions = data.proximal_tension, cast(Array, data.distal_tension)
-    return unit_slip(*tensions, may_be_right=may_be_right)
+    return find_unit_slip(*tensions, may_be_right=may_be_right)
 
 
-def _error(model: TendonModel, data: Samples) -> dict[str, Any] | None:
+def _compute_error(model: TendonModel, data: Samples) -> dict[str, Any] | None:
     """Return the error of the estimate against the measured tension at the tip."""
     estimates, score = Estimator(model).run(data), Score([model])
     columns = (estimates.distal_tension, estimates.low, estimates.high)
@@ -159,45 +169,45 @@ def _error(model: TendonModel, data: Samples) -> dict[str, Any] | None:
     return score.summary()
 
 
-def _without_missing(data: Samples) -> Samples:
+def _drop_missing(data: Samples) -> Samples:
     """Return the samples of which no channel is missing."""
     channels = [channel for channel in data[:5] if channel is not None]
     known = np.logical_and.reduce([np.isfinite(channel) for channel in channels])
     return Samples(*(None if c is None else c[known] for c in data[:5]))  # type: ignore[arg-type]
 
 
-def _from_loop(data: MeasuredData, length: float) -> SheathFit:
+def _fit_loop(data: MeasuredData, length: float) -> SheathFit:
     """Calibrate from one pull-release loop with the tip blocked (docs/theory.md (T6), (T7))."""
     if data.proximal_displacement is None:
         raise FitError("a fit with the tip blocked needs proximal_displacement_m")
-    loop = first_loop(data.proximal_tension)
-    _require_blocked(data, loop)
+    loop = find_first_loop(data.proximal_tension)
+    _require_blocked_tip(data, loop)
     found = calibrate(data.proximal_tension[loop], data.proximal_displacement[loop])
     stiffness = found.stiffness_per_length
-    EA = Measured(stiffness.value * length, stiffness.uncertainty * length)
+    EA = MeasuredValue(stiffness.value * length, stiffness.uncertainty * length)
     values = {"K": found.K, "K by slopes": found.K_loop, "EA": EA}
-    parameters = {name: _interval(value) for name, value in values.items()}
-    model = _model(data, parameters["K"], length, EA.value)
-    return SheathFit(model, "pull-release loop, tip blocked", parameters, *loop_verdict(found))
+    parameters = {name: _compute_interval(value) for name, value in values.items()}
+    model = _build_model(data, parameters["K"], length, EA.value)
+    return SheathFit(model, "pull-release loop, tip blocked", parameters, *judge_loop(found))
 
 
-def _require_blocked(data: MeasuredData, loop: slice) -> None:
+def _require_blocked_tip(data: MeasuredData, loop: slice) -> None:
     """Refuse a loop in which the tip went along, where there is a sensor to tell."""
     if data.distal_displacement is None or data.proximal_displacement is None:
         return
     tip, motor = np.ptp(data.distal_displacement[loop]), np.ptp(data.proximal_displacement[loop])
-    if tip > GIVES_WAY * motor:
+    if tip > TIP_TRAVEL_MAX * motor:
         raise FitError(
             f"the tip is not blocked: it moved {tip * 1e3:.2f} mm of the motor's "
             f"{motor * 1e3:.2f} mm; fit without blocked_tip where distal_tension_N was measured"
         )
 
 
-def first_loop(tension: Array) -> slice:
+def find_first_loop(tension: Array) -> slice:
     """Return the samples of the highest pull and the release behind it, what follows left out."""
-    smooth = median_filter(tension, SMOOTHED, mode="nearest")
+    smooth = median_filter(tension, SMOOTHING_WINDOW, mode="nearest")
     peak = int(np.argmax(smooth))
-    turn = TURN * smooth[peak]
+    turn = TURN_SHARE * smooth[peak]
     after = smooth[peak:]
     pulled_again = np.flatnonzero(after > np.minimum.accumulate(after) + turn)
     end = peak + int(pulled_again[0]) if len(pulled_again) else len(smooth)
@@ -209,7 +219,7 @@ def first_loop(tension: Array) -> slice:
     return slice(foot, bottom + 1)
 
 
-def loop_verdict(found: Calibration) -> tuple[bool, str]:
+def judge_loop(found: Calibration) -> tuple[bool, str]:
     """Return whether to accept a loop, and why."""
     if found.uniform:
         return (
@@ -222,7 +232,7 @@ def loop_verdict(found: Calibration) -> tuple[bool, str]:
     )
 
 
-def _from_bench(data: MeasuredData, length: float) -> SheathFit:
+def _fit_both_ends(data: MeasuredData, length: float) -> SheathFit:
     """Fit K to both tensions, and EA to the elongation where both ends have a displacement."""
     if data.distal_tension is None:
         raise FitError(
@@ -230,16 +240,16 @@ def _from_bench(data: MeasuredData, length: float) -> SheathFit:
             "fit with blocked_tip"
         )
     result = fit_bench(data.proximal_tension, data.distal_tension)
-    _require_decided(result)
+    _require_identifiable(result)
     parameters, EA = dict(result.parameters), AXIAL_STIFFNESS
     if data.proximal_displacement is not None and data.distal_displacement is not None:
         stretch = data.proximal_displacement - data.distal_displacement
         elastic = fit_blocked_tip(data.proximal_tension, stretch, length)
         parameters["EA"] = elastic.parameters["axial_stiffness"]
         EA = parameters["EA"].value
-    model = _model(data, parameters["K"], length, EA)
+    model = _build_model(data, parameters["K"], length, EA)
     noise = math.hypot(signals.noise_sigma(data.distal_tension), model.tension_noise)
-    structure = _structure(result.residuals, noise)
+    structure = _compute_excess_rms(result.residuals, noise)
     accept, reason = result.accept, result.reason
     if accept and structure > STRUCTURE_MAX * float(data.distal_tension.max()):
         accept = False
@@ -250,20 +260,20 @@ def _from_bench(data: MeasuredData, length: float) -> SheathFit:
     return SheathFit(model, "symmetric law, by re-simulation", parameters, accept, reason)
 
 
-def _structure(residuals: Array, noise: float) -> float:
+def _compute_excess_rms(residuals: Array, noise: float) -> float:
     """Return the RMS [N] of residuals beyond white noise of a standard deviation; 0 if within."""
     power = float(np.mean(residuals**2))
     return math.sqrt(power - noise**2) if power > 2.0 * noise**2 else 0.0
 
 
-def _require_decided(result: FitResult) -> None:
+def _require_identifiable(result: FitResult) -> None:
     """Refuse a fit in which the record did not decide K."""
     K = result.parameters["K"]
     if not result.decided or not math.isfinite(K.high - K.low):
         raise FitError(result.reason)
 
 
-def _model(data: MeasuredData, K: Parameter, length: float, EA: float) -> TendonModel:
+def _build_model(data: MeasuredData, K: Parameter, length: float, EA: float) -> TendonModel:
     """Return the model of a fitted tendon, with the noise of the data."""
     travel = data.proximal_displacement
     model = TendonModel(
@@ -275,7 +285,7 @@ def _model(data: MeasuredData, K: Parameter, length: float, EA: float) -> Tendon
     return dataclasses.replace(model, friction_error=error)
 
 
-def _interval(value: Measured) -> Parameter:
+def _compute_interval(value: MeasuredValue) -> Parameter:
     """Return a value with its 95 % interval."""
-    half = COVER * value.uncertainty
+    half = COVERAGE_FACTOR * value.uncertainty
     return Parameter(value.value, value.value - half, value.value + half)

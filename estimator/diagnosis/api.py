@@ -5,13 +5,19 @@ from types import MappingProxyType
 
 from estimator.array_types import Array
 from estimator.diagnosis import engine
-from estimator.diagnosis.force import file_force, rival_force
-from estimator.diagnosis.missing_values import as_missing
+from estimator.diagnosis.force import compute_file_force, compute_rival_force
+from estimator.diagnosis.missing_values import mark_missing
 from estimator.diagnosis.outcome import Diagnosis
-from estimator.diagnosis.progress import quiet
-from estimator.diagnosis.record import Record, RecordError, check_known, is_loop, prepare
+from estimator.diagnosis.progress import ignore_progress
+from estimator.diagnosis.record import (
+    Record,
+    RecordError,
+    check_finite_values,
+    is_loop,
+    prepare_record,
+)
 from estimator.diagnosis.rivals import CauseError
-from estimator.diagnosis.transmission_law import Law
+from estimator.diagnosis.transmission_law import BaseLaw
 from estimator.effects import CATALOGUE, CHANNELS, Effect
 from estimator.measured_data import MeasuredData
 from estimator.units import LINEAR, Units
@@ -29,7 +35,7 @@ def diagnose(
     fit_all: bool = False,
     leave_one_file_out: bool = False,
     loop: bool | None = None,
-    progress: Callable[[str, float], None] = quiet,
+    progress: Callable[[str, float], None] = ignore_progress,
     workers: int = 1,
 ) -> Diagnosis:
     """Find what the law gets wrong on measured data, the cause, and what modelling it gains.
@@ -40,7 +46,7 @@ def diagnose(
     ----------
     data : MeasuredData, Record, or a sequence of them
         Of one bench, with the same channels; they are fitted together. A `Record` is data that
-        `estimator.diagnosis.record.prepare` has checked.
+        `estimator.diagnosis.record.prepare_record` has checked.
     effects : iterable of str or Effect
         Candidate causes, by name or from `CATALOGUE`.
     validate : sequence of MeasuredData or Record
@@ -79,10 +85,10 @@ def diagnose(
     """
     one = isinstance(data, Record) or hasattr(data, "proximal_tension")
     several: list[MeasuredData | Record] = [data] if one else list(data)  # type: ignore[list-item, arg-type]
-    records = records_of([*several, *validate], noise, loop=loop)
+    records = prepare_records([*several, *validate], noise, loop=loop)
     found = engine.diagnose(
         records[: len(several)],
-        tuple(map(_effect, effects)) if effects is not CATALOGUE else CATALOGUE,
+        tuple(map(_resolve_effect, effects)) if effects is not CATALOGUE else CATALOGUE,
         validate=records[len(several) :],
         cause=cause,
         fit_all=fit_all,
@@ -91,10 +97,10 @@ def diagnose(
         workers=workers,
     )
     progress("estimating the force", 1.0)
-    return _with_forces(found, several, validate)
+    return _add_forces(found, several, validate)
 
 
-def _with_forces(
+def _add_forces(
     found: Diagnosis,
     data: Sequence[MeasuredData | Record],
     validate: Sequence[MeasuredData | Record],
@@ -105,27 +111,28 @@ def _with_forces(
     """
     if found.units.rotary or found.dataset.records[0].loop:
         return found
-    if found.dataset.base.law is not Law.CAPSTAN:
+    if found.dataset.base.law is not BaseLaw.CAPSTAN:
         return found
     plain, model = found.baseline.model, found.extended.model
     fitted = [one for one in data if not isinstance(one, Record)]
     further = [one for one in validate if not isinstance(one, Record)]
     places = [(one, False) for one in fitted] + [(one, True) for one in further]
     forces = [
-        file_force(plain, model, found.duration, one, validation=apart) for one, apart in places
+        compute_file_force(plain, model, found.duration, one, validation=apart)
+        for one, apart in places
     ]
     names = [(rival.replaces, rival.effect.label) for rival in found.rivals]
     return found._replace(
         forces=tuple(one for one in forces if one is not None),
         rival_forces=tuple(
-            rival_force(model, rival.fit.model, name, found.duration, fitted)
+            compute_rival_force(model, rival.fit.model, name, found.duration, fitted)
             for rival, name in zip(found.rivals, names, strict=True)
             if fitted
         ),
     )
 
 
-def records_of(
+def prepare_records(
     data: Sequence[MeasuredData | Record],
     noise: Mapping[str, float] = MappingProxyType({}),
     *,
@@ -149,13 +156,13 @@ def records_of(
         If one cannot be diagnosed or is in other units than the first.
     """
     raw = [one for one in data if not isinstance(one, Record)]
-    signals = [as_missing(signals_of(one)) for one in raw]
+    signals = [mark_missing(collect_signals(one)) for one in raw]
     for channels in signals:
-        check_known(channels)
+        check_finite_values(channels)
     if not raw:
         return [one for one in data if isinstance(one, Record)]
-    units = units_of(raw[0])
-    if any(units_of(one) != units for one in raw):
+    units = get_units(raw[0])
+    if any(get_units(one) != units for one in raw):
         raise RecordError("torque and angle beside tension and travel: give data of one bench")
     loop = is_loop(units, signals) if loop is None else loop
     records = []
@@ -164,25 +171,27 @@ def records_of(
             records.append(one)
             continue
         try:
-            records.append(prepare(one.time, signals_of(one), noise=noise, units=units, loop=loop))
+            records.append(
+                prepare_record(one.time, collect_signals(one), noise=noise, units=units, loop=loop)
+            )
         except RecordError as error:
             path = getattr(one, "path", None)
             raise RecordError(f"{path}: {error}" if path else str(error)) from error
     return records
 
 
-def units_of(data: MeasuredData) -> Units:
+def get_units(data: MeasuredData) -> Units:
     """Return the units of data; newtons and metres where they name none."""
     units: Units = getattr(data, "units", LINEAR)
     return units
 
 
-def signals_of(data: MeasuredData) -> dict[str, Array]:
+def collect_signals(data: MeasuredData) -> dict[str, Array]:
     """Return the channels that were measured, by name."""
     return {name: signal for name in CHANNELS if (signal := getattr(data, name)) is not None}
 
 
-def _effect(effect: str | Effect) -> Effect:
+def _resolve_effect(effect: str | Effect) -> Effect:
     if isinstance(effect, Effect):
         return effect
     found = [known for known in CATALOGUE if known.name == effect]

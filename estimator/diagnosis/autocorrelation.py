@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 
 from estimator.array_types import Array
 from estimator.diagnosis.outcome import Diagnosis
-from estimator.diagnosis.sampling import LONG
+from estimator.diagnosis.sampling import GAP_PERIODS
 
-LONGEST = 5.0  # [s]
-SHARE = 4  # of a record's length, at most
+LAG_MAX = 5.0  # [s]
+LENGTH_DIVISOR = 4  # of a record's length, at most
 
 
 class Autocorrelation(NamedTuple):
@@ -23,18 +23,18 @@ class Autocorrelation(NamedTuple):
     band: float  # 95 % of white noise lie between -band and band
 
 
-def autocorrelation(residuals: Sequence[Array], period: float) -> Autocorrelation:
+def compute_autocorrelation(residuals: Sequence[Array], period: float) -> Autocorrelation:
     """Return the autocorrelation of residuals of one or several records.
 
     Parameters
     ----------
     residuals : sequence of ndarray
-        Of each record, shape (n,), on even times (`on_even_times`); NaN where none counts.
+        Of each record, shape (n,), on even times (`resample_residual`); NaN where none counts.
     period : float
         [s] from one sample to the next.
     """
     shortest = min(len(one) for one in residuals)
-    count = max(2, min(round(LONGEST / period), shortest // SHARE))
+    count = max(2, min(round(LAG_MAX / period), shortest // LENGTH_DIVISOR))
     mean = float(np.nanmean(np.concatenate(list(residuals))))
     products, pairs, samples = np.zeros(count), np.zeros(count), 0
     for one in residuals:
@@ -53,7 +53,7 @@ def autocorrelation(residuals: Sequence[Array], period: float) -> Autocorrelatio
     )
 
 
-def on_even_times(time: Array, residual: Array, period: float) -> Array:
+def resample_residual(time: Array, residual: Array, period: float) -> Array:
     """Return a residual at multiples of `period`: each sample at the nearest, NaN where none is."""
     places = np.rint((time - time[0]) / period).astype(np.int64)
     known = np.isfinite(residual)
@@ -62,18 +62,20 @@ def on_even_times(time: Array, residual: Array, period: float) -> Array:
     return even
 
 
-def of_channel(found: Diagnosis, channel: str) -> Autocorrelation:
+def autocorrelate_channel(found: Diagnosis, channel: str) -> Autocorrelation:
     """Return that of the extended model's residual in a channel, of all fitted records."""
     records = found.dataset.records
-    period = float(np.median([_period(record.time[record.measured]) for record in records]))
+    period = float(np.median([_compute_period(record.time[record.measured]) for record in records]))
     residuals = []
     for record, one in zip(records, found.extended.simulated, strict=True):
         off = np.where(record.good[channel], record.signals[channel] - one.signals[channel], np.nan)
-        residuals.append(on_even_times(record.time[record.measured], off[record.measured], period))
-    return autocorrelation(residuals, period)
+        residuals.append(
+            resample_residual(record.time[record.measured], off[record.measured], period)
+        )
+    return compute_autocorrelation(residuals, period)
 
 
-def _period(time: Array) -> float:
+def _compute_period(time: Array) -> float:
     """Return the mean time from one sample to the next, gaps left out."""
     steps = np.diff(time)
-    return float(steps[steps < LONG * float(np.median(steps))].mean())
+    return float(steps[steps < GAP_PERIODS * float(np.median(steps))].mean())

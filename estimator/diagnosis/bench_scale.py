@@ -13,8 +13,8 @@ from typing import NamedTuple
 
 from estimator.array_types import Array
 
-USUAL_FORCE = 20.0  # [N] largest effort
-USUAL_TRAVEL = 3.5e-3  # [m] range of the motor's travel
+REFERENCE_FORCE = 20.0  # [N] largest effort
+REFERENCE_TRAVEL = 3.5e-3  # [m] range of the motor's travel
 
 _POWERS = {"N": (1, 0), "m": (0, 1), "kg": (1, -1), "N^2": (2, 0), "m^2": (0, 2)}
 """Part of a unit -> powers of force and of travel; a time stays as it is."""
@@ -37,7 +37,7 @@ class BenchScale(NamedTuple):
 
     def size(self, unit: str) -> float:
         """Return how much of a unit of the record, as "m/N" or "N s/m", one of the bench is."""
-        force, travel = dimension(unit)
+        force, travel = parse_dimension(unit)
         return self.force**force * self.travel**travel
 
     def size_of(self, channel: str) -> float:
@@ -50,10 +50,10 @@ class BenchScale(NamedTuple):
         return BenchScale(1.0 / self.force, 1.0 / self.travel, -self.zero / self.travel)
 
 
-UNSCALED = BenchScale()
+UNIT_SCALE = BenchScale()
 
 
-def dimension(unit: str) -> tuple[int, int]:
+def parse_dimension(unit: str) -> tuple[int, int]:
     """Return the powers of force and of travel in a unit: (-1, 1) of "m/N", (0, 0) of "of K"."""
     force = travel = 0
     for sign, side in zip((1, -1), unit.split("/"), strict=False):
@@ -63,7 +63,7 @@ def dimension(unit: str) -> tuple[int, int]:
     return force, travel
 
 
-def scale_of(efforts: Sequence[Array], travels: Sequence[Array]) -> BenchScale:
+def choose_bench_scale(efforts: Sequence[Array], travels: Sequence[Array]) -> BenchScale:
     """Return the scale of a bench.
 
     Without a travel, lengths are relative to an L/EA that is assumed, and the scale keeps it.
@@ -75,13 +75,15 @@ def scale_of(efforts: Sequence[Array], travels: Sequence[Array]) -> BenchScale:
     travels : sequence of ndarray
         What drives them, the first record's first; empty where tensions do.
     """
-    force = _power_of_ten(max(float(abs(effort).max()) for effort in efforts) / USUAL_FORCE)
+    force = _round_to_power_of_ten(
+        max(float(abs(effort).max()) for effort in efforts) / REFERENCE_FORCE
+    )
     span = max((float(travel.max() - travel.min()) for travel in travels), default=0.0)
     if not span > 0.0:
         return BenchScale(force, force)
     zero = span * round(float(travels[0][0]) / span)  # whole spans: none where it counts from one
-    return BenchScale(force, _power_of_ten(span / USUAL_TRAVEL), zero)
+    return BenchScale(force, _round_to_power_of_ten(span / REFERENCE_TRAVEL), zero)
 
 
-def _power_of_ten(ratio: float) -> float:
+def _round_to_power_of_ten(ratio: float) -> float:
     return float(10.0 ** round(math.log10(ratio))) if ratio > 0.0 else 1.0

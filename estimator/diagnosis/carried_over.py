@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 
 from estimator.diagnosis.dataset import Dataset, Model
-from estimator.diagnosis.free_friction import OF_TIME
+from estimator.diagnosis.free_friction import FRICTION_TIME_EFFECTS
 from estimator.effects.effect import Effect, EffectContext, Values
 from estimator.lumped.lumped_model import Physics
-from estimator.online.extension import belongs_to_record
+from estimator.online.extension import is_record_specific
 
 
-def carried_over(dataset: Dataset, model: Model) -> Model:
+def transfer_to_validation(dataset: Dataset, model: Model) -> Model:
     """Return a model of a dataset for other records.
 
     What happened in a record is left out, and friction that changed in it stays as it was at the
@@ -20,14 +20,17 @@ def carried_over(dataset: Dataset, model: Model) -> Model:
     end = max(float(record.time[-1]) for record in dataset.records)
     return model._replace(
         effects=tuple(
-            (_as_at(end, effect) if effect.name in OF_TIME else effect, values)
+            (
+                _freeze_friction(end, effect) if effect.name in FRICTION_TIME_EFFECTS else effect,
+                values,
+            )
             for effect, values in model.effects
-            if not belongs_to_record(effect)
+            if not is_record_specific(effect)
         )
     )
 
 
-def _as_at(end: float, effect: Effect) -> Effect:
+def _freeze_friction(end: float, effect: Effect) -> Effect:
     """Return an effect on friction that stays as it is at a time [s]."""
 
     def physics(before: Physics, values: Values, context: EffectContext) -> Physics:

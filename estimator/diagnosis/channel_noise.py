@@ -5,16 +5,16 @@ import math
 import numpy as np
 
 from estimator.array_types import Array
-from estimator.diagnosis.sampling import blocks_rms, divided_differences
+from estimator.diagnosis.sampling import compute_block_rms, compute_divided_differences
 
 ORDERS = (2, 3, 4, 5, 6)  # of the differences that it is taken from
-BLOCK = 20  # differences of which one root mean square is taken
-RESTS = 0.25  # of the blocks without any change: the reading has steps, and no noise
+BLOCK_SIZE = 20  # differences of which one root mean square is taken
+REST_QUANTILE = 0.25  # of the blocks without any change: the reading has steps, and no noise
 STEPS_MAX = 1e4  # that a reading counted in steps changes by from one sample to the next
-WHOLE = 0.02  # of a step by which a change may be off a whole number of them
+COUNT_TOLERANCE = 0.02  # of a step by which a change may be off a whole number of them
 
 
-def white_noise(signal: Array, time: Array | None = None) -> float:
+def estimate_white_noise(signal: Array, time: Array | None = None) -> float:
     """Return the standard deviation of a channel's white noise, in its unit.
 
     White noise contributes equally to (normalised, divided) differences of every order, motion less
@@ -31,10 +31,10 @@ def white_noise(signal: Array, time: Array | None = None) -> float:
         When it was sampled [s], shape (n,), strictly rising; evenly by default.
     """
     time = np.arange(len(signal), dtype=np.float64) if time is None else time
-    return min(_from_order(signal, time, m) for m in ORDERS)
+    return min(_estimate_noise_by_order(signal, time, m) for m in ORDERS)
 
 
-def counted_step(signal: Array) -> float:
+def find_quantisation_step(signal: Array) -> float:
     """Return the step in which a reading is counted.
 
     0 for one whose changes are not whole numbers of their least.
@@ -50,19 +50,19 @@ def counted_step(signal: Array) -> float:
         return 0.0
     step = float(changes.min())
     counts = changes / step
-    if counts.max() > STEPS_MAX or np.abs(counts - np.rint(counts)).max() > WHOLE:
+    if counts.max() > STEPS_MAX or np.abs(counts - np.rint(counts)).max() > COUNT_TOLERANCE:
         return 0.0
     return step
 
 
-def _from_order(signal: Array, time: Array, order: int) -> float:
-    scatter = blocks_rms(divided_differences(time, signal, order), BLOCK)
-    if not np.quantile(scatter, RESTS) > 0.0:
+def _estimate_noise_by_order(signal: Array, time: Array, order: int) -> float:
+    scatter = compute_block_rms(compute_divided_differences(time, signal, order), BLOCK_SIZE)
+    if not np.quantile(scatter, REST_QUANTILE) > 0.0:
         return 0.0
-    return float(np.median(scatter)) / _median(order)
+    return float(np.median(scatter)) / _compute_median_ratio(order)
 
 
-def _median(order: int) -> float:
+def _compute_median_ratio(order: int) -> float:
     """Return the median of a block's root mean square over its expectation.
 
     That of chi-square (Wilson and Hilferty, PNAS 17, 1931), with as many degrees of freedom as the
@@ -70,5 +70,5 @@ def _median(order: int) -> float:
     """
     half = math.comb(2 * order, order)
     correlated = sum((math.comb(2 * order, order + k) / half) ** 2 for k in range(1, order + 1))
-    freedom = BLOCK / (1.0 + 2.0 * correlated)
+    freedom = BLOCK_SIZE / (1.0 + 2.0 * correlated)
     return math.pow(1.0 - 2.0 / (9.0 * freedom), 1.5)

@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 
 from estimator.array_types import Array
 from estimator.diagnosis.settings import SETTINGS
-from estimator.diagnosis.smoothing import smooth
+from estimator.diagnosis.smoothing import smooth_signal
 from estimator.effects.effect import PROXIMAL_TENSION
 
-SPEED_OVER = 0.02  # [s] over which speed is taken
-TRIED_TURNS = 24  # places in a rest at which the motor may have turned
+SPEED_WINDOW = 0.02  # [s] over which speed is taken
+TURN_CANDIDATES = 24  # places in a rest at which the motor may have turned
 
 
 class Drive(NamedTuple):
@@ -27,34 +27,34 @@ class Drive(NamedTuple):
     jitter: float  # how far it goes back at a turn, at least
 
 
-def drive_of(driver: str, time: Array, measured: Array, sigma: float) -> Drive:
+def estimate_drive(driver: str, time: Array, measured: Array, sigma: float) -> Drive:
     """Return the drive of a channel with white noise `sigma`, sampled at `time` [s]."""
     if driver == PROXIMAL_TENSION:
-        return tension_drive(measured, sigma)
-    return travel_drive(measured, sigma, time)
+        return estimate_tension_drive(measured, sigma)
+    return estimate_travel_drive(measured, sigma, time)
 
 
-def tension_drive(tension: Array, sigma: float) -> Drive:
+def estimate_tension_drive(tension: Array, sigma: float) -> Drive:
     """Return the drive of a tension [N] with noise `sigma`: monotone between its turns."""
     jitter = SETTINGS.jitter * sigma
-    return Drive(monotone(tension, turning_points(tension, jitter), jitter), jitter)
+    return Drive(make_monotone(tension, find_turning_points(tension, jitter), jitter), jitter)
 
 
-def travel_drive(travel: Array, sigma: float, time: Array | None = None) -> Drive:
+def estimate_travel_drive(travel: Array, sigma: float, time: Array | None = None) -> Drive:
     """Return the drive of a travel [m] with white noise `sigma`: smooth, monotone between turns.
 
     It was sampled at `time` [s], evenly by default.
     """
-    smoothed, left = smooth(travel, sigma, time)
+    smoothed, left = smooth_signal(travel, sigma, time)
     jitter = max(
         SETTINGS.jitter * float(np.quantile(left, SETTINGS.jitter_quantile)),
         SETTINGS.reversal_noise * sigma,
     )
-    turns = _latest_turns(travel, smoothed, turning_points(smoothed, jitter), sigma)
-    return Drive(monotone(smoothed, turns, jitter), jitter)
+    turns = _find_latest_turns(travel, smoothed, find_turning_points(smoothed, jitter), sigma)
+    return Drive(make_monotone(smoothed, turns, jitter), jitter)
 
 
-def monotone(signal: Array, turns: list[int], band: float) -> Array:
+def make_monotone(signal: Array, turns: list[int], band: float) -> Array:
     """Return a signal made monotone between its turning points, which are `band` apart or more."""
     from scipy.optimize import isotonic_regression  # here: the control processes import this module
 
@@ -75,7 +75,7 @@ def monotone(signal: Array, turns: list[int], band: float) -> Array:
     return out
 
 
-def _latest_turns(travel: Array, smoothed: Array, turns: list[int], sigma: float) -> list[int]:
+def _find_latest_turns(travel: Array, smoothed: Array, turns: list[int], sigma: float) -> list[int]:
     """Return turning points, each as late as noise lets it be.
 
     A motor that rests before it turns back has its extreme anywhere in the rest, by noise; at that
@@ -85,16 +85,16 @@ def _latest_turns(travel: Array, smoothed: Array, turns: list[int], sigma: float
     for i in range(1, len(turns) - 1):
         turn = turns[i]
         near = np.abs(smoothed - smoothed[turn]) <= SETTINGS.jitter * sigma
-        begin = turn - _run(near[latest[i - 1] : turn + 1][::-1]) + 1
-        end = turn + _run(near[turn : turns[i + 1]]) - 1
+        begin = turn - _count_leading_true(near[latest[i - 1] : turn + 1][::-1]) + 1
+        end = turn + _count_leading_true(near[turn : turns[i + 1]]) - 1
         if end <= turn:
             continue
         rises = bool(smoothed[turn] > smoothed[turns[i - 1]])
-        places = np.unique(np.linspace(turn, end, TRIED_TURNS).astype(np.int64))
+        places = np.unique(np.linspace(turn, end, TURN_CANDIDATES).astype(np.int64))
         errors = np.array(
             [
-                _monotone_error(travel[begin : at + 1], rises=rises)
-                + _monotone_error(travel[at : end + 1], rises=not rises)
+                _compute_monotone_error(travel[begin : at + 1], rises=rises)
+                + _compute_monotone_error(travel[at : end + 1], rises=not rises)
                 for at in places
             ]
         )
@@ -103,18 +103,18 @@ def _latest_turns(travel: Array, smoothed: Array, turns: list[int], sigma: float
     return latest
 
 
-def _run(mask: Array) -> int:
+def _count_leading_true(mask: Array) -> int:
     """Return how many of the first entries are true."""
     return len(mask) if mask.all() else int(np.argmin(mask))
 
 
-def _monotone_error(signal: Array, *, rises: bool) -> float:
+def _compute_monotone_error(signal: Array, *, rises: bool) -> float:
     from scipy.optimize import isotonic_regression
 
     return float(np.sum((isotonic_regression(signal, increasing=rises).x - signal) ** 2))
 
 
-def turning_points(signal: Array, band: float) -> list[int]:
+def find_turning_points(signal: Array, band: float) -> list[int]:
     """Return where a signal turns by more than `band`, its first and last sample with them."""
     turns = [0]
     extreme, rising = 0, None
@@ -133,9 +133,9 @@ def turning_points(signal: Array, band: float) -> list[int]:
     return turns
 
 
-def rate(time: Array, signal: Array) -> Array:
+def compute_rate(time: Array, signal: Array) -> Array:
     """Return the slope of a signal over a few samples [1/s], shape (n,)."""
-    reach = max(1, round(0.5 * SPEED_OVER / float(np.median(np.diff(time)))))
+    reach = max(1, round(0.5 * SPEED_WINDOW / float(np.median(np.diff(time)))))
     ahead = np.minimum(np.arange(len(time)) + reach, len(time) - 1)
     behind = np.maximum(np.arange(len(time)) - reach, 0)
     return np.asarray((signal[ahead] - signal[behind]) / (time[ahead] - time[behind]))
@@ -158,7 +158,7 @@ class Turns(NamedTuple):
         return np.insert(mask, rows, mask[rows - 1] & mask[rows])
 
 
-def turns_between_samples(time: Array, drive: Array, least: float) -> Turns:
+def find_turns_between_samples(time: Array, drive: Array, least: float) -> Turns:
     """Return where the motor turned between two samples, further than those by `least` [m].
 
     Friction remembers how far it went. A parabola through three samples tells, where the motion is
@@ -166,7 +166,7 @@ def turns_between_samples(time: Array, drive: Array, least: float) -> Turns:
     """
     bend = np.diff(np.diff(drive) / np.diff(time)) / (time[2:] - time[:-2])
     turns = Turns([], [], [])
-    for i in turning_points(drive, SETTINGS.reversal * float(np.ptp(drive)))[1:-1]:
+    for i in find_turning_points(drive, SETTINGS.reversal * float(np.ptp(drive)))[1:-1]:
         about = bend[max(i - 2, 0) : i + 1]
         if len(about) < 3 or np.ptp(np.sign(about)):
             continue

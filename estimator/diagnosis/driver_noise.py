@@ -6,15 +6,15 @@ from typing import Protocol
 
 import numpy as np
 
-from estimator.diagnosis.drive import drive_of
+from estimator.diagnosis.drive import estimate_drive
 from estimator.diagnosis.record import Record
 from estimator.effects.effect import Signals
 
 DRAWS = 8  # of the driver's noise
-NEARBY = 5  # samples over which the variance that it makes is averaged
+AVERAGING_SAMPLES = 5  # samples over which the variance that it makes is averaged
 
 
-class Simulation(Protocol):
+class SimulatedSignals(Protocol):
     """What a simulation gives."""
 
     @property
@@ -22,7 +22,9 @@ class Simulation(Protocol):
         """By channel, shape (n,)."""
 
 
-def with_driver_noise(record: Record, simulate: Callable[[Record], Simulation]) -> Record:
+def propagate_driver_noise(
+    record: Record, simulate: Callable[[Record], SimulatedSignals]
+) -> Record:
     """Return a record whose `sigma` has in it what the driver's noise does to a simulation.
 
     Friction remembers where the driver turned, so an error of the driver shows most just behind a
@@ -38,11 +40,11 @@ def with_driver_noise(record: Record, simulate: Callable[[Record], Simulation]) 
     variance = {channel: np.zeros_like(record.time) for channel in record.compared}
     for _ in range(DRAWS):
         noisy = record.drive + sigma * rng.standard_normal(len(record.time))
-        drive = drive_of(record.driver, record.time, noisy, sigma).signal
+        drive = estimate_drive(record.driver, record.time, noisy, sigma).signal
         other = simulate(replace(record, drive=drive)).signals
         for channel in variance:
             variance[channel] += (other[channel] - same[channel]) ** 2 / DRAWS
-    nearby = np.full(NEARBY, 1.0 / NEARBY)
+    nearby = np.full(AVERAGING_SAMPLES, 1.0 / AVERAGING_SAMPLES)
     return replace(
         record,
         sigma={

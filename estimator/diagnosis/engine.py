@@ -3,56 +3,62 @@
 from collections.abc import Callable, Sequence
 
 from estimator.diagnosis import equal_causes, experiments, rivals
-from estimator.diagnosis.baseline import again, baseline, by_most
-from estimator.diagnosis.carried_over import carried_over
-from estimator.diagnosis.causes import AGAIN, find_causes
+from estimator.diagnosis.baseline import fit_baseline, fit_robustly, refit_baseline
+from estimator.diagnosis.carried_over import transfer_to_validation
+from estimator.diagnosis.causes import RESTART_PROGRESS, find_causes
 from estimator.diagnosis.dataset import (
     Dataset,
     Fit,
-    contexts,
-    contexts_without,
-    dataset_of,
-    mean_noise,
-    rescaled,
-    whole,
+    build_contexts,
+    build_dataset,
+    build_unsimulated_contexts,
+    compute_mean_noise,
+    rescale_residuals,
+    use_all_samples,
 )
-from estimator.diagnosis.detection_limit import detection_limits
-from estimator.diagnosis.driver_noise import with_driver_noise
-from estimator.diagnosis.fit import improved
-from estimator.diagnosis.folds import fitnesses, two_folds
-from estimator.diagnosis.free_friction import wanders
-from estimator.diagnosis.hidden_motion import may_hide, with_hidden_motion
-from estimator.diagnosis.intervals import parameters
-from estimator.diagnosis.law_choice import Choice, applicable, choose_law
-from estimator.diagnosis.model import Simulated, simulate
-from estimator.diagnosis.needed_causes import LAST
-from estimator.diagnosis.next_cause import ranking
+from estimator.diagnosis.detection_limit import compute_detection_limits
+from estimator.diagnosis.driver_noise import propagate_driver_noise
+from estimator.diagnosis.fit import fit_model
+from estimator.diagnosis.folds import compute_model_errors, fit_folds
+from estimator.diagnosis.free_friction import has_drifting_friction
+from estimator.diagnosis.hidden_motion import may_hide_motion, recover_hidden_motion
+from estimator.diagnosis.intervals import estimate_intervals
+from estimator.diagnosis.law_choice import Choice, choose_law, select_applicable_effects
+from estimator.diagnosis.model import SimulatedRecord, simulate_record
+from estimator.diagnosis.needed_causes import FINAL_ROUNDS
+from estimator.diagnosis.next_cause import rank_candidates
 from estimator.diagnosis.outcome import (
+    CauseStep,
     Diagnosis,
+    FittedValue,
     Gain,
-    Number,
-    Ranked,
-    Step,
+    RankedCandidate,
     Verdict,
 )
-from estimator.diagnosis.prediction import as_driven, left_out, predicted
-from estimator.diagnosis.progress import Report, quiet
-from estimator.diagnosis.record import Record, RecordError, in_full
-from estimator.diagnosis.record_units import bench_scale, in_bench_units, in_record_units
-from estimator.diagnosis.residual_dependence import structure
+from estimator.diagnosis.prediction import (
+    predict_left_out,
+    predict_records,
+    prepare_validation_records,
+)
+from estimator.diagnosis.progress import ProgressCallback, ignore_progress
+from estimator.diagnosis.record import Record, RecordError, mark_all_as_train
+from estimator.diagnosis.record_units import compute_bench_scale, to_bench_units, to_record_units
+from estimator.diagnosis.residual_dependence import find_residual_dependence
 from estimator.diagnosis.score import (
-    bootstrapped_gain,
-    errors,
+    bootstrap_gain,
+    compute_errors,
+    compute_residual_fraction,
     is_noise,
-    joined,
-    left_of,
+    join_errors,
 )
 from estimator.diagnosis.settings import SETTINGS
-from estimator.diagnosis.simple_models import gains_over, simple_models
+from estimator.diagnosis.simple_models import compute_simple_gains, fit_simple_models
 from estimator.effects import CATALOGUE
 from estimator.effects.effect import Effect
 
-HIDDEN = 2  # times that hidden motion is looked for, with better numbers the second time
+HIDDEN_MOTION_PASSES = (
+    2  # times that hidden motion is looked for, with better numbers the second time
+)
 
 
 def diagnose(
@@ -63,7 +69,7 @@ def diagnose(
     cause: str = "",
     fit_all: bool = False,
     leave_one_file_out: bool = False,
-    report: Report = quiet,
+    report: ProgressCallback = ignore_progress,
     workers: int = 1,
 ) -> Diagnosis:
     """Say what a model of a dataset gets wrong.
@@ -100,88 +106,102 @@ def diagnose(
         raise RecordError("the records have different channels: give those of one dataset")
     if len({(record.units, record.loop) for record in [*records, *validate]}) > 1:
         raise RecordError("the records have different units: give those of one dataset")
-    scale = bench_scale(records)
-    records = [in_bench_units(record, scale) for record in records]
-    validate = [in_bench_units(record, scale) for record in validate]
-    dataset = dataset_of([in_full(record) for record in records] if fit_all else records)
+    scale = compute_bench_scale(records)
+    records = [to_bench_units(record, scale) for record in records]
+    validate = [to_bench_units(record, scale) for record in validate]
+    dataset = build_dataset(
+        [mark_all_as_train(record) for record in records] if fit_all else records
+    )
     report("fitting the base law", 0.0)
-    plain = baseline(dataset)
+    plain = fit_baseline(dataset)
     before = dataset.records
-    noisy = [with_driver_noise(record, simulated_by(plain, dataset, record)) for record in before]
+    noisy = [
+        propagate_driver_noise(record, build_drive_simulator(plain, dataset, record))
+        for record in before
+    ]
     if any(new is not old for new, old in zip(noisy, before, strict=True)):
-        dataset = dataset_of(noisy)
-        dataset, plain = _with_hidden_motion(dataset, again(dataset, plain))
+        dataset = build_dataset(noisy)
+        dataset, plain = _recover_dataset_motion(dataset, refit_baseline(dataset, plain))
     law = Choice(dataset, plain, ())
-    if records[0].loop or not is_noise(dataset, errors(dataset, plain)):
+    if records[0].loop or not is_noise(dataset, compute_errors(dataset, plain)):
         report("choosing the base law", 0.0)
         law = choose_law(dataset, plain)
     laws = [law]
     if law.dataset.base.law is not dataset.base.law and not records[0].loop:
         laws.append(law._replace(dataset=dataset, fit=plain))
     found, law = find_causes(laws, effects, fit_all=fit_all, report=report, workers=workers)
-    report("fitting again and testing", AGAIN)
+    report("fitting again and testing", RESTART_PROGRESS)
     dataset, plain, steps, fit = found.dataset, found.plain, found.steps, found.fit
-    usable = applicable(effects, records[0], dataset.base)
-    first = ranking(dataset, plain, plain, found.firsts)
+    usable = select_applicable_effects(effects, records[0], dataset.base)
+    first = rank_candidates(dataset, plain, plain, found.firsts)
     if cause:
-        steps, fit = equal_causes.with_cause(dataset, plain, steps, fit, cause)
-    outcome = _outcome(dataset, plain, fit, steps, first, usable, validate)
+        steps, fit = equal_causes.choose_equivalent_cause(dataset, plain, steps, fit, cause)
+    outcome = _build_diagnosis(dataset, plain, fit, steps, first, usable, validate)
     if leave_one_file_out:
         report("leaving one file out", 1.0)
-        others = left_out(dataset, outcome.baseline, outcome.extended)
+        others = predict_left_out(dataset, outcome.baseline, outcome.extended)
         outcome = outcome._replace(left_out=others)
-    return in_record_units(outcome._replace(laws=law, loads=found.loads), scale)
+    return to_record_units(outcome._replace(laws=law, loads=found.loads), scale)
 
 
-def _with_hidden_motion(dataset: Dataset, plain: Fit) -> tuple[Dataset, Fit]:
+def _recover_dataset_motion(dataset: Dataset, plain: Fit) -> tuple[Dataset, Fit]:
     """Return a dataset with the motion that the noise of its travel hides, and its fit.
 
     A motion that is missing spoils the fit that is to find it: the first fit goes by most of a
     record.
     """
     noisy = dataset.records
-    if not any(may_hide(record) for record in noisy):
-        return dataset, again(dataset, plain)
-    fit = plain if is_noise(dataset, errors(dataset, plain)) else by_most(dataset, plain)
-    for _ in range(HIDDEN):
+    if not any(may_hide_motion(record) for record in noisy):
+        return dataset, refit_baseline(dataset, plain)
+    fit = (
+        plain if is_noise(dataset, compute_errors(dataset, plain)) else fit_robustly(dataset, plain)
+    )
+    for _ in range(HIDDEN_MOTION_PASSES):
         moved = [
-            with_hidden_motion(record, dataset.base, fit.model.shared, own)
+            recover_hidden_motion(record, dataset.base, fit.model.shared, own)
             for record, own in zip(noisy, fit.model.own, strict=True)
         ]
-        dataset = dataset_of(moved)
-        plain = fit = again(dataset, fit)
+        dataset = build_dataset(moved)
+        plain = fit = refit_baseline(dataset, fit)
     return dataset, plain
 
 
-def simulated_by(fit: Fit, dataset: Dataset, record: Record) -> Callable[[Record], Simulated]:
+def build_drive_simulator(
+    fit: Fit, dataset: Dataset, record: Record
+) -> Callable[[Record], SimulatedRecord]:
     """Return a function that simulates a record of the dataset again with another drive."""
     k = next(i for i, other in enumerate(dataset.records) if other is record)
-    about = contexts_without(dataset, fit)[k]
+    about = build_unsimulated_contexts(dataset, fit)[k]
 
-    def again_by(other: Record) -> Simulated:
-        return simulate(other, about, dataset.base, fit.model.shared, fit.model.own[k], ())
+    def again_by(other: Record) -> SimulatedRecord:
+        return simulate_record(other, about, dataset.base, fit.model.shared, fit.model.own[k], ())
 
     return again_by
 
 
-def _outcome(
+def _build_diagnosis(
     dataset: Dataset,
     plain: Fit,
     fit: Fit,
-    steps: list[Step],
-    first: tuple[Ranked, ...],
+    steps: list[CauseStep],
+    first: tuple[RankedCandidate, ...],
     usable: Sequence[Effect],
     validate: Sequence[Record],
 ) -> Diagnosis:
-    full = rescaled(whole(dataset), fit)
-    last = improved(full, contexts(dataset, plain), fit.model, LAST)
-    first_law = improved(
-        rescaled(whole(dataset), plain), contexts(dataset, plain), plain.model, LAST
+    full = rescale_residuals(use_all_samples(dataset), fit)
+    last = fit_model(full, build_contexts(dataset, plain), fit.model, FINAL_ROUNDS)
+    first_law = fit_model(
+        rescale_residuals(use_all_samples(dataset), plain),
+        build_contexts(dataset, plain),
+        plain.model,
+        FINAL_ROUNDS,
     )
-    folds = two_folds(dataset, plain, last)
-    before, after = (joined([errors(one.dataset, one.fits[k]) for one in folds]) for k in (0, 1))
-    left = left_of(after, before)
-    astray = not is_noise(dataset, after) and wanders(dataset, fit)
+    folds = fit_folds(dataset, plain, last)
+    before, after = (
+        join_errors([compute_errors(one.dataset, one.fits[k]) for one in folds]) for k in (0, 1)
+    )
+    left = compute_residual_fraction(after, before)
+    astray = not is_noise(dataset, after) and has_drifting_friction(dataset, fit)
     if not steps:
         verdict = Verdict.CLEAN if is_noise(dataset, before) else Verdict.UNEXPLAINED
     elif astray or (left > SETTINGS.explained and not is_noise(dataset, after)):
@@ -191,14 +211,14 @@ def _outcome(
     else:
         verdict = Verdict.NAMED
     numbers = {
-        one.name: Number(one.value, one.low, one.high, one.parameter.unit, one.at_bound)
-        for one in parameters(full, contexts(dataset, plain), last)
+        one.name: FittedValue(one.value, one.low, one.high, one.parameter.unit, one.at_bound)
+        for one in estimate_intervals(full, build_contexts(dataset, plain), last)
     }
-    known = as_driven(dataset, validate, first_law)
-    other = last._replace(model=carried_over(dataset, last.model)) if steps else first_law
-    further = predicted(dataset, first_law, other, known)
+    known = prepare_validation_records(dataset, validate, first_law)
+    other = last._replace(model=transfer_to_validation(dataset, last.model)) if steps else first_law
+    further = predict_records(dataset, first_law, other, known)
     alike = [(step.effect.name, *step.rivals) for step in steps if step.rivals]
-    simple = simple_models(dataset)
+    simple = fit_simple_models(dataset)
     return Diagnosis(
         verdict=verdict,
         steps=tuple(steps),
@@ -207,25 +227,25 @@ def _outcome(
         dataset=dataset,
         baseline=first_law,
         extended=last if steps else first_law,
-        before=fitnesses(folds, 0, further),
-        after=fitnesses(folds, 1, further),
+        before=compute_model_errors(folds, 0, further),
+        after=compute_model_errors(folds, 1, further),
         gain={
-            channel: Gain(*bootstrapped_gain(after[channel], before[channel])) for channel in before
+            channel: Gain(*bootstrap_gain(after[channel], before[channel])) for channel in before
         },
-        noise=mean_noise(dataset),
+        noise=compute_mean_noise(dataset),
         left=left,
         wanders=astray,
         simple_models=simple,
-        simple_gain=gains_over(after, simple),
-        structure=structure(dataset, fit),
-        detection_limits=detection_limits(dataset, plain, usable)
+        simple_gain=compute_simple_gains(after, simple),
+        structure=find_residual_dependence(dataset, fit),
+        detection_limits=compute_detection_limits(dataset, plain, usable)
         if verdict is Verdict.CLEAN
         else {},
         laws=Choice(dataset, plain, ()),
         loads=Choice(dataset, plain, ()),
-        experiments=experiments.settling(alike, dataset.records[0].signals),
+        experiments=experiments.suggest_experiments(alike, dataset.records[0].signals),
         troubles=tuple(trouble for record in dataset.records for trouble in record.troubles),
         fit_all=all(record.train.all() for record in dataset.records),
-        rivals=rivals.fitted(dataset, plain, last, equal_causes.equals(steps)),
+        rivals=rivals.fit_rivals(dataset, plain, last, equal_causes.find_equivalent_causes(steps)),
         validation=further,
     )

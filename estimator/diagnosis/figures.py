@@ -16,12 +16,12 @@ from numpy.typing import NDArray
 
 from estimator.array_types import Array
 from estimator.diagnosis import report_text
-from estimator.diagnosis.file_tables import names_of
-from estimator.diagnosis.model import Simulated
+from estimator.diagnosis.file_tables import name_records
+from estimator.diagnosis.model import SimulatedRecord
 from estimator.diagnosis.outcome import Diagnosis
-from estimator.diagnosis.prediction import Predicted
+from estimator.diagnosis.prediction import PredictedRecord
 from estimator.diagnosis.record import Record
-from estimator.diagnosis.report_text import judged
+from estimator.diagnosis.report_text import name_judged_samples
 from estimator.drawing import BLACK, BLUE, GREY, STYLE, VERMILION
 from estimator.effects.effect import (
     DISTAL_TENSION,
@@ -30,13 +30,13 @@ from estimator.effects.effect import (
 )
 from estimator.units import Units
 
-PALE, OTHER, SHADE = "#9dc7e6", "#cccccc", "#eaf3f9"
-MOST_RECORDS = 4  # that are drawn
-MOST_BARS = 14
-POINTS = 3000  # of a line, at most
-BINS = 24  # of medians
+PALE_BLUE, LIGHT_GREY, SHADE = "#9dc7e6", "#cccccc", "#eaf3f9"
+RECORDS_MAX = 4  # that are drawn
+BARS_MAX = 14
+LINE_POINTS_MAX = 3000  # of a line, at most
+MEDIAN_BINS = 24  # of medians
 MIN_SAMPLES = 15  # samples in one
-SCATTERED = 1500  # points
+SCATTER_POINTS_MAX = 1500  # points
 
 
 class DrawnFigure(NamedTuple):
@@ -47,79 +47,81 @@ class DrawnFigure(NamedTuple):
     caption: str
 
 
-def figures(
+def draw_figures(
     found: Diagnosis, files: Sequence[str] = (), further: Sequence[str] = ()
 ) -> Iterator[DrawnFigure]:
     """Draw all figures; names of files and of those for validation are numbers by default."""
-    names = names_of(found, files, further)
+    names = name_records(found, files, further)
     count = len(found.dataset.records)
     with mpl.rc_context(STYLE):
-        yield from _of_files(found, names[:count])
-        yield from _of_predictions(found.validation, names[count:], "validation", "validation")
+        yield from _draw_files(found, names[:count])
+        yield from _draw_predictions(found.validation, names[count:], "validation", "validation")
         if found.left_out:
             words = "predicted by the fit of the other files"
-            yield from _of_predictions(found.left_out, names[:count], "left-out", words)
+            yield from _draw_predictions(found.left_out, names[:count], "left-out", words)
         yield DrawnFigure(
             "structure",
-            structure(found),
+            draw_residual_dependence(found),
             "Residuals (measured less simulated) before and after, against tension, speed and "
             "time: points and their medians. A correct model leaves noise around zero.",
         )
         if found.ranking:
             yield DrawnFigure(
                 "ranking",
-                ranking(found),
-                f"Log-likelihood ratio of {judged(found)} data with and without a cause, with a "
+                draw_ranking(found),
+                f"Log-likelihood ratio of {name_judged_samples(found)} data with and without a cause, with a "
                 "penalty for its parameters. Blue are the causes found, pale blue those that the "
                 "data do not distinguish from them.",
             )
 
 
-def _of_files(found: Diagnosis, files: Sequence[str]) -> Iterator[DrawnFigure]:
+def _draw_files(found: Diagnosis, files: Sequence[str]) -> Iterator[DrawnFigure]:
     shaded = "" if found.fit_all else " Held-out blocks are shaded."
-    for k, file in enumerate(files[:MOST_RECORDS]):
+    for k, file in enumerate(files[:RECORDS_MAX]):
         number = f"-{k + 1}" if len(files) > 1 else ""
         yield DrawnFigure(
             f"over-time{number}",
-            over_time(found, k),
+            draw_over_time(found, k),
             f"{file}: measured, and simulated before and after; below each channel the residual "
             f"(measured less simulated).{shaded}",
         )
-        if _loop_axes(found.dataset.records[k]) is not None:
-            yield DrawnFigure(f"loop{number}", loop(found, k), f"{file}: the hysteresis loop.")
+        if _select_loop_axes(found.dataset.records[k]) is not None:
+            yield DrawnFigure(f"loop{number}", draw_loop(found, k), f"{file}: the hysteresis loop.")
 
 
-def _of_predictions(
-    records: Sequence[Predicted], names: Sequence[str], kind: str, words: str
+def _draw_predictions(
+    records: Sequence[PredictedRecord], names: Sequence[str], kind: str, words: str
 ) -> Iterator[DrawnFigure]:
     for k, (name, one) in enumerate(zip(names, records, strict=True)):
-        if k == MOST_RECORDS:
+        if k == RECORDS_MAX:
             return
         yield DrawnFigure(
             f"{kind}-{k + 1}",
-            record_over_time(one.record, one.before, one.after),
+            draw_record_over_time(one.record, one.before, one.after),
             f"{name}, {words}: measured, and predicted before and after; below each channel the "
             "residual. Only where the record starts was fitted to it.",
         )
 
 
-def over_time(found: Diagnosis, k: int) -> Figure:
+def draw_over_time(found: Diagnosis, k: int) -> Figure:
     """Draw one fitted record: each channel, and below it the residuals of both models."""
     models = (found.baseline.simulated[k], found.extended.simulated[k])
-    return record_over_time(found.dataset.records[k], *models)
+    return draw_record_over_time(found.dataset.records[k], *models)
 
 
-def record_over_time(record: Record, before: Simulated, after: Simulated) -> Figure:
+def draw_record_over_time(
+    record: Record, before: SimulatedRecord, after: SimulatedRecord
+) -> Figure:
     """Draw a record and what two models make of it; times are those of the file."""
     channels = record.compared
     figure = Figure(figsize=(8.2, 0.4 + 3.0 * len(channels)))
     grid = figure.subplots(
         2 * len(channels), 1, sharex=True, squeeze=False, height_ratios=[2, 1] * len(channels)
     )[:, 0]
-    keep = _spread(np.flatnonzero(record.measured), POINTS)
+    keep = _subsample_rows(np.flatnonzero(record.measured), LINE_POINTS_MAX)
     time = record.time + record.start
     for channel, above, below in zip(channels, grid[::2], grid[1::2], strict=True):
-        measured, factor, unit = _scaled(record.units, channel, record.signals[channel])
+        measured, factor, unit = _scale_for_display(record.units, channel, record.signals[channel])
         plain, extended = (factor * one.signals[channel] for one in (before, after))
         drawn = np.where(record.shown(channel), measured, np.nan)
         above.plot(time[keep], drawn[keep], color=BLACK, label="measured")
@@ -132,26 +134,26 @@ def record_over_time(record: Record, before: Simulated, after: Simulated) -> Fig
         below.plot(time[good], (measured - extended)[good], color=BLUE, linewidth=0.8)
         below.set(ylabel=f"residual [{unit}]")
         for axes in (above, below):
-            _shade(axes, record)
+            _shade_held_out(axes, record)
     figure.legend(*grid[0].get_legend_handles_labels(), loc="outside upper right", ncols=3)
     grid[-1].set(xlabel="time [s]", xlim=(time[keep][0], time[keep][-1]))
     return figure
 
 
-def loop(found: Diagnosis, k: int) -> Figure:
+def draw_loop(found: Diagnosis, k: int) -> Figure:
     """Draw T_out over T_in, or T_in over the travel without a load cell at the tip."""
     record = found.dataset.records[k]
-    axes_of = _loop_axes(record)
+    axes_of = _select_loop_axes(record)
     if axes_of is None:
         raise ValueError("record: has no loop to draw")
     across, up = axes_of
-    x, x_factor, x_unit = _scaled(found.units, across, record.signals[across])
-    y, y_factor, y_unit = _scaled(found.units, up, record.signals[up])
+    x, x_factor, x_unit = _scale_for_display(found.units, across, record.signals[across])
+    y, y_factor, y_unit = _scale_for_display(found.units, up, record.signals[up])
     figure = Figure(figsize=(8.2, 3.8))
     pair = figure.subplots(1, 2, sharex=True, sharey=True)
     drawn = np.where(record.shown(across) & record.shown(up), y, np.nan)
     titles = (("before", found.baseline, VERMILION), ("after", found.extended, BLUE))
-    keep = _spread(np.flatnonzero(record.measured), POINTS)
+    keep = _subsample_rows(np.flatnonzero(record.measured), LINE_POINTS_MAX)
     for axes, (title, fit, colour) in zip(pair, titles, strict=True):
         signals = fit.simulated[k].signals
         simulated_x = x_factor * signals[across] if across in signals else x
@@ -169,16 +171,18 @@ def loop(found: Diagnosis, k: int) -> Figure:
     return figure
 
 
-def structure(found: Diagnosis) -> Figure:
+def draw_residual_dependence(found: Diagnosis) -> Figure:
     """Draw the residuals of both models against tension, speed and time."""
-    channels = report_text.compared(found)
+    channels = report_text.list_compared_channels(found)
     figure = Figure(figsize=(8.2, 0.4 + 2.1 * len(channels)))
     grid = figure.subplots(len(channels), 3, sharey="row", squeeze=False)
     for row, channel in zip(grid, channels, strict=True):
-        for axes, (label, values) in zip(row, _against(found, channel).items(), strict=True):
+        for axes, (label, values) in zip(
+            row, _collect_variables(found, channel).items(), strict=True
+        ):
             for when, colour in ((0, VERMILION), (1, BLUE)):
-                off = _left(found, channel, when)
-                some = _spread(np.arange(len(off)), SCATTERED)
+                off = _concatenate_residuals(found, channel, when)
+                some = _subsample_rows(np.arange(len(off)), SCATTER_POINTS_MAX)
                 axes.plot(
                     values[some],
                     off[some],
@@ -188,11 +192,13 @@ def structure(found: Diagnosis) -> Figure:
                     alpha=0.35,
                     rasterized=True,
                 )
-                axes.plot(*_medians(values, off), color=colour, marker="o", markersize=2.5)
+                axes.plot(
+                    *_compute_bin_medians(values, off), color=colour, marker="o", markersize=2.5
+                )
             axes.axhline(0.0, color=BLACK, linewidth=0.6)
             if channel == channels[-1]:
                 axes.set_xlabel(label)
-        unit = _scaled(found.units, channel, np.zeros(1))[2]
+        unit = _scale_for_display(found.units, channel, np.zeros(1))[2]
         row[0].set_ylabel(f"{found.units.word(channel)},\nresidual [{unit}]")
     figure.legend(
         [Line2D([], [], color=VERMILION), Line2D([], [], color=BLUE)],
@@ -203,16 +209,16 @@ def structure(found: Diagnosis) -> Figure:
     return figure
 
 
-def ranking(found: Diagnosis) -> Figure:
+def draw_ranking(found: Diagnosis) -> Figure:
     """Draw the scores of the candidates."""
-    shown = report_text.best(found.ranking, MOST_BARS)[::-1]
+    shown = report_text.select_best_candidates(found.ranking, BARS_MAX)[::-1]
     figure = Figure(figsize=(8.2, 0.8 + 0.27 * len(shown)))
     axes = figure.add_subplot()
-    colours = dict.fromkeys(found.ambiguous_with, PALE) | dict.fromkeys(found.causes, BLUE)
+    colours = dict.fromkeys(found.ambiguous_with, PALE_BLUE) | dict.fromkeys(found.causes, BLUE)
     bars = axes.barh(
         range(len(shown)),
         [ranked.score for ranked in shown],
-        color=[colours.get(ranked.name, OTHER) for ranked in shown],
+        color=[colours.get(ranked.name, LIGHT_GREY) for ranked in shown],
     )
     axes.bar_label(bars, fmt="%.0f", padding=3, fontsize=8)
     axes.set_yticks(range(len(shown)), [ranked.label for ranked in shown])
@@ -223,7 +229,7 @@ def ranking(found: Diagnosis) -> Figure:
     return figure
 
 
-def _loop_axes(record: Record) -> tuple[str, str] | None:
+def _select_loop_axes(record: Record) -> tuple[str, str] | None:
     if DISTAL_TENSION in record.signals:
         return PROXIMAL_TENSION, DISTAL_TENSION
     if PROXIMAL_DISPLACEMENT in record.signals:
@@ -231,9 +237,11 @@ def _loop_axes(record: Record) -> tuple[str, str] | None:
     return None
 
 
-def _of(found: Diagnosis, k: int, channel: str) -> tuple[Array, tuple[Array, Array], str]:
+def _collect_channel(
+    found: Diagnosis, k: int, channel: str
+) -> tuple[Array, tuple[Array, Array], str]:
     """Return a channel measured and from both models, and its unit."""
-    measured, factor, unit = _scaled(
+    measured, factor, unit = _scale_for_display(
         found.units, channel, found.dataset.records[k].signals[channel]
     )
     both = (found.baseline, found.extended)
@@ -241,28 +249,28 @@ def _of(found: Diagnosis, k: int, channel: str) -> tuple[Array, tuple[Array, Arr
     return measured, (before, after), unit
 
 
-def _scaled(units: Units, channel: str, signal: Array) -> tuple[Array, float, str]:
+def _scale_for_display(units: Units, channel: str, signal: Array) -> tuple[Array, float, str]:
     """Return a signal scaled for drawing, the factor, and its unit."""
     unit = units.of(channel)
     factor, shown = (1e3, "mm") if unit == "m" else (1.0, unit)
     return factor * signal, factor, shown
 
 
-def _left(found: Diagnosis, channel: str, when: int) -> Array:
+def _concatenate_residuals(found: Diagnosis, channel: str, when: int) -> Array:
     """Return the concatenated residuals of the model before (0) or after (1)."""
     parts = []
     for k, record in enumerate(found.dataset.records):
-        measured, models, _ = _of(found, k, channel)
+        measured, models, _ = _collect_channel(found, k, channel)
         parts.append((measured - models[when])[record.good[channel]])
     return np.concatenate(parts)
 
 
-def _against(found: Diagnosis, channel: str) -> dict[str, Array]:
+def _collect_variables(found: Diagnosis, channel: str) -> dict[str, Array]:
     """Return the variables of the residual plots by axis label."""
     records = found.dataset.records
     units = found.units
-    _, effort, unit = _scaled(units, PROXIMAL_TENSION, np.zeros(1))
-    _, factor, drive = _scaled(units, records[0].driver, np.zeros(1))
+    _, effort, unit = _scale_for_display(units, PROXIMAL_TENSION, np.zeros(1))
+    _, factor, drive = _scale_for_display(units, records[0].driver, np.zeros(1))
     columns = {
         f"{units.word(PROXIMAL_TENSION)} [{unit}]": [
             effort * r.signals[PROXIMAL_TENSION] for r in records
@@ -276,21 +284,21 @@ def _against(found: Diagnosis, channel: str) -> dict[str, Array]:
     }
 
 
-def _medians(values: Array, off: Array) -> tuple[Array, Array]:
+def _compute_bin_medians(values: Array, off: Array) -> tuple[Array, Array]:
     """Return the medians of `off` in bins of `values`; NaN with too few samples."""
-    edges = np.linspace(values.min(), values.max(), BINS + 1)
-    places = np.clip(np.digitize(values, edges) - 1, 0, BINS - 1)
-    groups = [off[places == i] for i in range(BINS)]
+    edges = np.linspace(values.min(), values.max(), MEDIAN_BINS + 1)
+    places = np.clip(np.digitize(values, edges) - 1, 0, MEDIAN_BINS - 1)
+    groups = [off[places == i] for i in range(MEDIAN_BINS)]
     medians = [np.median(group) if len(group) >= MIN_SAMPLES else np.nan for group in groups]
     return 0.5 * (edges[:-1] + edges[1:]), np.array(medians)
 
 
-def _shade(axes: Axes, record: Record) -> None:
+def _shade_held_out(axes: Axes, record: Record) -> None:
     for block in np.unique(record.block[~record.train]):
         times = record.start + record.time[record.block == block]
         axes.axvspan(times[0], times[-1], color=SHADE, linewidth=0.0)
 
 
-def _spread(rows: NDArray[np.intp], most: int) -> NDArray[np.intp]:
+def _subsample_rows(rows: NDArray[np.intp], most: int) -> NDArray[np.intp]:
     """Return at most about `most` of the rows, evenly spread."""
     return rows[:: max(1, -(-len(rows) // most))]

@@ -10,14 +10,20 @@ from estimator.diagnosis.dataset import (
     Dataset,
     Fit,
     Model,
-    contexts_without,
-    cost,
-    residual,
-    simulated,
-    whole,
+    build_unsimulated_contexts,
+    compute_cost,
+    compute_residual,
+    simulate_dataset,
+    use_all_samples,
 )
-from estimator.diagnosis.layout import Layout
-from estimator.diagnosis.model import MASS, TAUT, TIP, TIP_ZERO, Base
+from estimator.diagnosis.layout import ParameterLayout
+from estimator.diagnosis.model import (
+    TAUT_TRAVEL,
+    TIP_COMPLIANCE,
+    TIP_MASS,
+    TIP_ZERO,
+    BaseParameters,
+)
 from estimator.diagnosis.record import Record
 from estimator.diagnosis.settings import SETTINGS
 from estimator.effects.effect import (
@@ -30,21 +36,21 @@ from estimator.effects.effect import (
 
 Mask = NDArray[np.bool_]
 
-STEP = 0.02  # of a parameter's step: for derivatives
+DIFFERENCE_STEP = 0.02  # of a parameter's step: for derivatives
 ROUNDS = 8  # of a fit that is not the last
-QUICK = 4  # of a first one
-SEARCH = (2.0, 0.5, 0.12, 0.03)  # [s] about a time that is searched, more in a long record:
-SPREAD = 32  # share of it between two first guesses, and half of it to either side
-STEPS = 8  # on each of these
-AROUND = 6  # samples to either side of a likely time that are tried
-EQUAL = 1e-6  # of a cost
-REDIRECTED = 3  # times at most that a fit goes on from other shapes
-MULTIPLES = (0.4, 0.6, 0.8, 1.25, 1.6, 2.5)  # of a shape that are tried
-TRUSTED = 0.5  # of the fall foreseen: slopes that foresaw a step as well are not taken anew
-WEAK = 1e-8  # information on a number about which there is none
+QUICK_ROUNDS = 4  # of a first one
+SEARCH_REACHES = (2.0, 0.5, 0.12, 0.03)  # [s] about a time that is searched, more in a long record:
+SEARCH_DIVISIONS = 32  # share of it between two first guesses, and half of it to either side
+SEARCH_POINTS = 8  # on each of these
+SAMPLES_AROUND = 6  # samples to either side of a likely time that are tried
+COST_TOLERANCE = 1e-6  # of a cost
+SHAPE_RESTARTS_MAX = 3  # times at most that a fit goes on from other shapes
+SHAPE_MULTIPLES = (0.4, 0.6, 0.8, 1.25, 1.6, 2.5)  # of a shape that are tried
+TRUST_RATIO = 0.5  # of the fall foreseen: slopes that foresaw a step as well are not taken anew
+REGULARISATION = 1e-8  # information on a number about which there is none
 
 
-def improved(
+def fit_model(
     dataset: Dataset,
     about: Sequence[EffectContext],
     start: Model,
@@ -60,54 +66,60 @@ def improved(
     samples: those that count may have none of that time. A `robust` fit goes by most of a record,
     however far it is off the rest.
     """
-    layout = Layout(dataset, start)
+    layout = ParameterLayout(dataset, start)
     jumping = [i for i, p in enumerate(layout.parameters) if p.jumps]
     if jumping and rounds > ROUNDS:  # a sample beside its time a descent takes an effect to nothing
-        dated = simulated(dataset, about, start)
+        dated = simulate_dataset(dataset, about, start)
         for i in jumping:
-            times = _likely_times(dataset, about, layout, dated, i)
-            dated = _stepped(dataset, about, layout, dated, i, times)
+            times = _estimate_change_times(dataset, about, layout, dated, i)
+            dated = _search_times(dataset, about, layout, dated, i, times)
         start = dated.model
-    fit = _descended(dataset, about, layout, start, rounds, layout.smooth, robust=robust)
-    for _ in range(REDIRECTED if rounds > ROUNDS else 0):
-        model = _redirected(dataset, about, layout, fit)
+    fit = _run_least_squares(dataset, about, layout, start, rounds, layout.smooth, robust=robust)
+    for _ in range(SHAPE_RESTARTS_MAX if rounds > ROUNDS else 0):
+        model = _search_shape_multiples(dataset, about, layout, fit)
         if model is None:
             break
-        fit = _descended(dataset, about, layout, model, ROUNDS, layout.smooth)
+        fit = _run_least_squares(dataset, about, layout, model, ROUNDS, layout.smooth)
     for i in jumping if rounds > ROUNDS else ():
-        fit = _stepped(
-            dataset, about, layout, fit, i, _likely_times(dataset, about, layout, fit, i)
+        fit = _search_times(
+            dataset, about, layout, fit, i, _estimate_change_times(dataset, about, layout, fit, i)
         )
-    reaches = SEARCH if rounds > ROUNDS else SEARCH[:1] if rounds > QUICK else ()
-    for reach in (*far_reaches(dataset), *reaches) if jumping and reaches else ():
+    reaches = (
+        SEARCH_REACHES if rounds > ROUNDS else SEARCH_REACHES[:1] if rounds > QUICK_ROUNDS else ()
+    )
+    for reach in (*compute_search_reaches(dataset), *reaches) if jumping and reaches else ():
         for i in jumping:
-            times = layout.values(fit.model)[i] + np.linspace(-reach, reach, STEPS)
-            fit = _stepped(dataset, about, layout, fit, i, times)
-        fit = _descended(whole(dataset), about, layout, fit.model, max(2, rounds // 3), layout.when)
-        fit = _descended(dataset, about, layout, fit.model, max(2, rounds // 3), ~layout.when)
+            times = layout.values(fit.model)[i] + np.linspace(-reach, reach, SEARCH_POINTS)
+            fit = _search_times(dataset, about, layout, fit, i, times)
+        fit = _run_least_squares(
+            use_all_samples(dataset), about, layout, fit.model, max(2, rounds // 3), layout.when
+        )
+        fit = _run_least_squares(
+            dataset, about, layout, fit.model, max(2, rounds // 3), ~layout.when
+        )
     return fit
 
 
-def _redirected(
-    dataset: Dataset, about: Sequence[EffectContext], layout: Layout, fit: Fit
+def _search_shape_multiples(
+    dataset: Dataset, about: Sequence[EffectContext], layout: ParameterLayout, fit: Fit
 ) -> Model | None:
     """Return a fit's model with its shapes at better multiples of their values; None if none is."""
-    best, least = fit, cost(dataset, fit)
+    best, least = fit, compute_cost(dataset, fit)
     for i in np.flatnonzero(layout.shape):
         x = layout.pack(best.model)
         low, high = layout.bounds()
-        for multiple in MULTIPLES:
+        for multiple in SHAPE_MULTIPLES:
             moved = x.copy()
             moved[i] = np.clip(multiple * x[i], low[i], high[i])
-            other = simulated(dataset, about, layout.unpack(moved))
-            found = cost(dataset, other)
+            other = simulate_dataset(dataset, about, layout.unpack(moved))
+            found = compute_cost(dataset, other)
             if found < least:
                 best, least = other, found
     return None if best is fit else best.model
 
 
-def _likely_times(
-    dataset: Dataset, about: Sequence[EffectContext], layout: Layout, fit: Fit, i: int
+def _estimate_change_times(
+    dataset: Dataset, about: Sequence[EffectContext], layout: ParameterLayout, fit: Fit, i: int
 ) -> Array:
     """Return times about the one before which nothing fits better, and after which the effect [s].
 
@@ -120,7 +132,7 @@ def _likely_times(
     without, within = x.copy(), x.copy()
     without[i], within[i] = (2.0 * ends[1] / layout.step(i), ends[0] / layout.step(i))
     off = [
-        _distances(dataset, simulated(dataset, about, layout.unpack(row)))
+        _compute_scaled_errors(dataset, simulate_dataset(dataset, about, layout.unpack(row)))
         for row in (without, within)
     ]
     time = np.concatenate([record.time for record in dataset.records])
@@ -128,10 +140,10 @@ def _likely_times(
     gain = np.concatenate([[0.0], np.cumsum((off[0] - off[1])[order])])
     at = float(time[order][min(int(np.argmin(gain)), len(order) - 1)])
     step = min(float(np.median(np.diff(record.time))) for record in dataset.records)
-    return np.asarray(at + step * (np.arange(-AROUND, AROUND) + 0.5))
+    return np.asarray(at + step * (np.arange(-SAMPLES_AROUND, SAMPLES_AROUND) + 0.5))
 
 
-def _distances(dataset: Dataset, fit: Fit) -> Array:
+def _compute_scaled_errors(dataset: Dataset, fit: Fit) -> Array:
     """Return how far a model is off each sample, of all records, in their noises."""
     total = []
     for record, one, scale in zip(dataset.records, fit.simulated, dataset.scale, strict=True):
@@ -143,17 +155,17 @@ def _distances(dataset: Dataset, fit: Fit) -> Array:
     return np.concatenate(total)
 
 
-def far_reaches(dataset: Dataset) -> list[float]:
-    """Return the first reaches in records so long that no guess is as near as `SEARCH` [s]."""
-    reach = max(float(np.ptp(record.time)) for record in dataset.records) / SPREAD
+def compute_search_reaches(dataset: Dataset) -> list[float]:
+    """Return the first reaches in records so long that no guess is as near as `SEARCH_REACHES` [s]."""
+    reach = max(float(np.ptp(record.time)) for record in dataset.records) / SEARCH_DIVISIONS
     reaches = []
-    while reach > SEARCH[0]:
+    while reach > SEARCH_REACHES[0]:
         reaches.append(reach)
-        reach /= SEARCH[0] / SEARCH[1]
+        reach /= SEARCH_REACHES[0] / SEARCH_REACHES[1]
     return reaches
 
 
-def refitted(
+def refit_subset(
     part: Dataset, of: Dataset, about: Sequence[EffectContext], fit: Fit, rounds: int
 ) -> Fit:
     """Return a model of the whole, fitted again to a part of the samples.
@@ -161,51 +173,58 @@ def refitted(
     What the part cannot tell stays as the whole has it: when something happened, and whatever shows
     in hardly any of its samples, as where a record starts.
     """
-    layout = Layout(of, fit.model)
+    layout = ParameterLayout(of, fit.model)
     told = ~layout.when & (
-        _uncertain(part, about, fit) < SETTINGS.blind * _uncertain(of, about, fit)
+        _compute_uncertainty(part, about, fit)
+        < SETTINGS.blind * _compute_uncertainty(of, about, fit)
     )
-    return _descended(part, about, layout, fit.model, rounds, told)
+    return _run_least_squares(part, about, layout, fit.model, rounds, told)
 
 
-def own_only(dataset: Dataset, fit: Fit) -> Fit:
+def fit_record_parameters(dataset: Dataset, fit: Fit) -> Fit:
     """Return a model of other records of the dataset: only what each has for itself is fitted."""
-    about = contexts_without(dataset, fit)
+    about = build_unsimulated_contexts(dataset, fit)
     if not dataset.base.own:
-        return simulated(dataset, about, fit.model._replace(own=((),) * len(dataset.records)))
+        return simulate_dataset(
+            dataset, about, fit.model._replace(own=((),) * len(dataset.records))
+        )
     compliance = dataset.base.compliance(fit.model.shared) or 0.0
-    own = tuple(own_start(record, dataset.base, compliance) for record in dataset.records)
+    own = tuple(
+        guess_record_parameters(record, dataset.base, compliance) for record in dataset.records
+    )
     model = fit.model._replace(own=own)
-    layout = Layout(dataset, model)
-    return _descended(dataset, about, layout, model, ROUNDS, layout.own)
+    layout = ParameterLayout(dataset, model)
+    return _run_least_squares(dataset, about, layout, model, ROUNDS, layout.own)
 
 
-def own_start(record: Record, base: Base, compliance: float, tip: float = 0.0) -> Values:
+def guess_record_parameters(
+    record: Record, base: BaseParameters, compliance: float, tip: float = 0.0
+) -> Values:
     """Return where to look for what a record has for itself.
 
     With L/EA about `compliance` and what the tip pulls at about `tip` [m/N].
     """
-    start = {TIP.name: tip, MASS.name: 0.0}
-    if TAUT in base.own:
-        start[TAUT.name] = _taut_start(record, compliance)
+    start = {TIP_COMPLIANCE.name: tip, TIP_MASS.name: 0.0}
+    if TAUT_TRAVEL in base.own:
+        start[TAUT_TRAVEL.name] = _guess_taut_travel(record, compliance)
     if TIP_ZERO in base.own:
-        start[TIP_ZERO.name] = _tip_start(record)
+        start[TIP_ZERO.name] = _guess_tip_zero(record)
     return tuple(start[p.name] for p in base.own)
 
 
-def _taut_start(record: Record, compliance: float) -> float:
+def _guess_taut_travel(record: Record, compliance: float) -> float:
     """Return about where the drive begins to pull [m]; of a loop, where it carries no effort."""
     if record.loop:
-        return float(np.median(record.drive[_idle(record)]))
+        return float(np.median(record.drive[_find_idle_samples(record)]))
     drive, tensions = record.first_tensions
     return drive - compliance * max(float(np.median(tensions)), 0.0)
 
 
-def _tip_start(record: Record) -> float:
+def _guess_tip_zero(record: Record) -> float:
     """Return about where the tip is without effort [m]."""
     travel, rows = record.signals[DISTAL_DISPLACEMENT], record.known[DISTAL_DISPLACEMENT]
     if record.loop:
-        idle = _idle(record)
+        idle = _find_idle_samples(record)
         return float(np.median(travel[idle & rows if (idle & rows).any() else rows]))
     if DISTAL_TENSION in record.signals:
         low = rows & record.known[DISTAL_TENSION]
@@ -214,41 +233,43 @@ def _tip_start(record: Record) -> float:
     return float(np.min(travel[rows]))
 
 
-def _idle(record: Record) -> Mask:
+def _find_idle_samples(record: Record) -> Mask:
     """Return which samples of an effort of either sign are nearest to none, a tenth of them."""
     size, rows = np.abs(record.signals[PROXIMAL_TENSION]), record.known[PROXIMAL_TENSION]
     return np.asarray(rows & (size <= np.quantile(size[rows], 0.1)))
 
 
-def moved(dataset: Dataset, model: Model, by: Array) -> Model:
+def shift_parameters(dataset: Dataset, model: Model, by: Array) -> Model:
     """Return a model with all its numbers moved, in their own steps, as far as they may be."""
-    layout = Layout(dataset, model)
+    layout = ParameterLayout(dataset, model)
     low, high = layout.bounds()
     return layout.unpack(np.clip(layout.pack(model) + by, low, high))
 
 
-def slopes_of(dataset: Dataset, about: Sequence[EffectContext], fit: Fit) -> Array:
+def compute_jacobian(dataset: Dataset, about: Sequence[EffectContext], fit: Fit) -> Array:
     """Return the derivatives of the residual by all parameters, each in its own step."""
-    layout = Layout(dataset, fit.model)
+    layout = ParameterLayout(dataset, fit.model)
     _, high = layout.bounds()
 
     def off(x: Array) -> Array:
-        return residual(dataset, simulated(dataset, about, layout.unpack(x)))
+        return compute_residual(dataset, simulate_dataset(dataset, about, layout.unpack(x)))
 
-    return _differences(off, layout.pack(fit.model), residual(dataset, fit), high)
+    return _compute_finite_differences(
+        off, layout.pack(fit.model), compute_residual(dataset, fit), high
+    )
 
 
-def _uncertain(dataset: Dataset, about: Sequence[EffectContext], fit: Fit) -> Array:
+def _compute_uncertainty(dataset: Dataset, about: Sequence[EffectContext], fit: Fit) -> Array:
     """Return how uncertain each number of a model is, in its step, for residuals of 1."""
-    J = slopes_of(dataset, about, fit)
-    information = J.T @ J + WEAK * np.eye(J.shape[1])
+    J = compute_jacobian(dataset, about, fit)
+    information = J.T @ J + REGULARISATION * np.eye(J.shape[1])
     return np.asarray(np.sqrt(np.diag(np.linalg.inv(information))))
 
 
-def _stepped(
+def _search_times(
     dataset: Dataset,
     about: Sequence[EffectContext],
-    layout: Layout,
+    layout: ParameterLayout,
     fit: Fit,
     i: int,
     times: Array,
@@ -257,24 +278,24 @@ def _stepped(
 
     Of equal ones the latest: what happened at rest shows with the first motion after it.
     """
-    dataset = whole(dataset)
+    dataset = use_all_samples(dataset)
     x = layout.pack(fit.model)
-    best, least = fit, cost(dataset, fit)
+    best, least = fit, compute_cost(dataset, fit)
     now = float(layout.values(fit.model)[i])
     for time in times.tolist():
         moved = x.copy()
         moved[i] = time / layout.step(i)
-        other = simulated(dataset, about, layout.unpack(moved))
-        found = cost(dataset, other)
-        if found < least or (time > now and found < (1.0 + EQUAL) * least):
+        other = simulate_dataset(dataset, about, layout.unpack(moved))
+        found = compute_cost(dataset, other)
+        if found < least or (time > now and found < (1.0 + COST_TOLERANCE) * least):
             best, least = other, min(found, least)
     return best
 
 
-def _descended(
+def _run_least_squares(
     dataset: Dataset,
     about: Sequence[EffectContext],
-    layout: Layout,
+    layout: ParameterLayout,
     start: Model,
     rounds: int,
     free: Mask,
@@ -284,7 +305,7 @@ def _descended(
     from scipy.optimize import least_squares  # here: the control processes import this module
 
     if not free.any():
-        return simulated(dataset, about, start)
+        return simulate_dataset(dataset, about, start)
     low, high = layout.bounds()
     at_start = np.clip(layout.pack(start), low + 1e-9, high - 1e-9)
 
@@ -294,9 +315,9 @@ def _descended(
         return row
 
     def off(x: Array) -> Array:
-        return residual(dataset, simulated(dataset, about, layout.unpack(full(x))))
+        return compute_residual(dataset, simulate_dataset(dataset, about, layout.unpack(full(x))))
 
-    slopes = _Slopes(off, high[free])
+    slopes = _BroydenJacobian(off, high[free])
     found = least_squares(
         slopes.residual,
         at_start[free],
@@ -309,10 +330,10 @@ def _descended(
         gtol=1e-9,
         max_nfev=rounds,
     )
-    return simulated(dataset, about, layout.unpack(full(np.asarray(found.x))))
+    return simulate_dataset(dataset, about, layout.unpack(full(np.asarray(found.x))))
 
 
-class _Slopes:
+class _BroydenJacobian:
     """Derivatives of a residual along a descent.
 
     From one accepted step to the next they are corrected by what the step taught (Broyden, Math.
@@ -341,24 +362,26 @@ class _Slopes:
         return self._J
 
     def _anew(self, x: Array, r: Array) -> Array:
-        return _differences(self._off, x, r, self._high)
+        return _compute_finite_differences(self._off, x, r, self._high)
 
     def _corrected(self, x: Array, r: Array) -> Array:
         step = x - self._x
         foreseen = self._r + self._J @ step
         before = float(self._r @ self._r)
         fell, expected = before - float(r @ r), before - float(foreseen @ foreseen)
-        if not fell > TRUSTED * expected or not step.any():
+        if not fell > TRUST_RATIO * expected or not step.any():
             return self._anew(x, r)
         correction: Array = np.outer(r - foreseen, step / float(step @ step))
         return self._J + correction
 
 
-def _differences(off: Callable[[Array], Array], x: Array, at: Array, high: Array) -> Array:
+def _compute_finite_differences(
+    off: Callable[[Array], Array], x: Array, at: Array, high: Array
+) -> Array:
     """Return the derivatives of a residual that is `at` where its numbers are `x`."""
     columns = []
     for i in range(len(x)):
-        h = STEP if x[i] + STEP < high[i] else -STEP
+        h = DIFFERENCE_STEP if x[i] + DIFFERENCE_STEP < high[i] else -DIFFERENCE_STEP
         moved = x.copy()
         moved[i] += h
         columns.append((off(moved) - at) / h)

@@ -6,12 +6,22 @@ from typing import NamedTuple
 
 import numpy as np
 
-from estimator.diagnosis.dataset import Dataset, Fit, contexts, rescaled, whole
-from estimator.diagnosis.fit import refitted
-from estimator.diagnosis.outcome import Fitnesses
-from estimator.diagnosis.prediction import Fitness, Predicted, fitness_of
+from estimator.diagnosis.dataset import (
+    Dataset,
+    Fit,
+    build_contexts,
+    rescale_residuals,
+    use_all_samples,
+)
+from estimator.diagnosis.fit import refit_subset
+from estimator.diagnosis.outcome import ModelErrors
+from estimator.diagnosis.prediction import (
+    ErrorStatistics,
+    PredictedRecord,
+    compute_error_statistics,
+)
 
-ROUNDS = 12  # of a fit to one half
+FOLD_ROUNDS = 12  # of a fit to one half
 
 
 class Fold(NamedTuple):
@@ -21,19 +31,21 @@ class Fold(NamedTuple):
     fits: tuple[Fit, Fit]
 
 
-def two_folds(dataset: Dataset, plain: Fit, fit: Fit) -> tuple[Fold, ...]:
+def fit_folds(dataset: Dataset, plain: Fit, fit: Fit) -> tuple[Fold, ...]:
     """Return both ways to fit one half of the samples and to be judged by the other.
 
     Where all samples are fitted, they are judged as well.
     """
-    about = contexts(dataset, plain)
-    full = whole(dataset)
+    about = build_contexts(dataset, plain)
+    full = use_all_samples(dataset)
     if all(record.train.all() for record in dataset.records):
         return (Fold(dataset, (plain, fit)),)
 
     def fold(half: Dataset) -> Fold:
         before, after = (
-            refitted(rescaled(half, one), rescaled(full, one), about, one, ROUNDS)
+            refit_subset(
+                rescale_residuals(half, one), rescale_residuals(full, one), about, one, FOLD_ROUNDS
+            )
             for one in (plain, fit)
         )
         return Fold(half, (before, after))
@@ -42,16 +54,20 @@ def two_folds(dataset: Dataset, plain: Fit, fit: Fit) -> tuple[Fold, ...]:
     return fold(dataset), fold(dataset._replace(records=swapped))
 
 
-def fitnesses(folds: tuple[Fold, ...], which: int, further: Sequence[Predicted]) -> Fitnesses:
+def compute_model_errors(
+    folds: tuple[Fold, ...], which: int, further: Sequence[PredictedRecord]
+) -> ModelErrors:
     """Return the errors of the plain (0) or the extended (1) model on all sets of samples."""
-    return Fitnesses(
-        _fitness(folds, which, fitted=True),
-        _fitness(folds, which, fitted=False),
-        _validated(further, which),
+    return ModelErrors(
+        _compute_fold_errors(folds, which, fitted=True),
+        _compute_fold_errors(folds, which, fitted=False),
+        _compute_validation_errors(further, which),
     )
 
 
-def _fitness(folds: Sequence[Fold], which: int, *, fitted: bool) -> dict[str, Fitness]:
+def _compute_fold_errors(
+    folds: Sequence[Fold], which: int, *, fitted: bool
+) -> dict[str, ErrorStatistics]:
     found = {}
     for channel in folds[0].dataset.records[0].compared:
         off, full = [], 0.0
@@ -61,16 +77,18 @@ def _fitness(folds: Sequence[Fold], which: int, *, fitted: bool) -> dict[str, Fi
                 rows = record.good[channel] & judged
                 off.append((record.signals[channel] - one.signals[channel])[rows])
                 full = max(full, float(np.ptp(record.signals[channel])))
-        found[channel] = fitness_of(off, full)
+        found[channel] = compute_error_statistics(off, full)
     return found
 
 
-def _validated(further: Sequence[Predicted], which: int) -> dict[str, Fitness]:
+def _compute_validation_errors(
+    further: Sequence[PredictedRecord], which: int
+) -> dict[str, ErrorStatistics]:
     """Return how far a model is off in all records that it predicts."""
     channels = further[0].record.compared if further else ()
     found = {}
     for channel in channels:
         off = [one.residual((one.before, one.after)[which], channel) for one in further]
         full = max(float(np.ptp(one.record.signals[channel])) for one in further)
-        found[channel] = fitness_of(off, full)
+        found[channel] = compute_error_statistics(off, full)
     return found

@@ -16,12 +16,12 @@ from estimator.diagnosis.dataset import Model
 from estimator.diagnosis.settings import SETTINGS
 from estimator.measured_data import MeasuredData, Samples
 from estimator.online.estimator import Estimator
-from estimator.online.extension import extended
+from estimator.online.extension import build_extended_model
 from estimator.online.score import Score
 from estimator.online.tendon_model import TendonModel
-from estimator.spikes import without_spikes
+from estimator.spikes import remove_spikes
 
-LENGTH = 1.0  # [m] of the sheath: elongation and force go by L/EA
+SHEATH_LENGTH = 1.0  # [m] of the sheath: elongation and force go by L/EA
 
 
 class ForceError(NamedTuple):
@@ -53,7 +53,7 @@ class RivalForce(NamedTuple):
     full_scale: float  # [N] largest force estimated with the cause itself
 
 
-def tendon_model(model: Model, duration: float, data: MeasuredData) -> TendonModel:
+def build_tendon_model(model: Model, duration: float, data: MeasuredData) -> TendonModel:
     """Return the estimator's model of a diagnosis's, with the noise of a record.
 
     Parameters
@@ -64,8 +64,8 @@ def tendon_model(model: Model, duration: float, data: MeasuredData) -> TendonMod
     data : MeasuredData
         The record.
     """
-    stiffness = LENGTH / SETTINGS.assumed_compliance
-    found = extended(model.shared, model.effects, duration, LENGTH, stiffness)
+    stiffness = SHEATH_LENGTH / SETTINGS.assumed_compliance
+    found = build_extended_model(model.shared, model.effects, duration, SHEATH_LENGTH, stiffness)
     travel = data.proximal_displacement
     return TendonModel(
         found.sheath,
@@ -76,20 +76,20 @@ def tendon_model(model: Model, duration: float, data: MeasuredData) -> TendonMod
     )
 
 
-def force_of(model: Model, duration: float, data: MeasuredData) -> Array:
+def estimate_force(model: Model, duration: float, data: MeasuredData) -> Array:
     """Return the estimated force [N] of rows that have all that it is estimated from."""
-    data = _estimated_rows(data)
-    return Estimator(tendon_model(model, duration, data)).run(without_spikes(data)).tension
+    data = _select_complete_rows(data)
+    return Estimator(build_tendon_model(model, duration, data)).run(remove_spikes(data)).tension
 
 
-def force_error(model: Model, duration: float, data: MeasuredData) -> ForceError | None:
+def compute_force_error(model: Model, duration: float, data: MeasuredData) -> ForceError | None:
     """Return how far the estimated force is off in a record; None without a cell at the tip."""
-    data = _estimated_rows(data)
-    clean = without_spikes(data)
+    data = _select_complete_rows(data)
+    clean = remove_spikes(data)
     reading = clean.distal_tension
     if reading is None or data.distal_tension is None:
         return None
-    known = tendon_model(model, duration, data)
+    known = build_tendon_model(model, duration, data)
     estimates = Estimator(known).run(clean)
     score = Score([known])
     score.add_columns(estimates.distal_tension, estimates.low, estimates.high, reading)
@@ -106,7 +106,7 @@ def force_error(model: Model, duration: float, data: MeasuredData) -> ForceError
     )
 
 
-def _estimated_rows(data: MeasuredData) -> Samples:
+def _select_complete_rows(data: MeasuredData) -> Samples:
     """Return the rows of a record in which nothing is missing that the force is estimated from."""
     travel, tip = data.proximal_displacement, data.distal_tension
     rows = np.isfinite(data.proximal_tension)
@@ -117,15 +117,15 @@ def _estimated_rows(data: MeasuredData) -> Samples:
     return Samples(data.time[rows], data.proximal_tension[rows], travel, tip)
 
 
-def file_force(
+def compute_file_force(
     plain: Model, model: Model, duration: float, data: MeasuredData, *, validation: bool
 ) -> FileForce | None:
     """Return the errors of the force in a record; None without a cell at the tip."""
-    before, after = (force_error(one, duration, data) for one in (plain, model))
+    before, after = (compute_force_error(one, duration, data) for one in (plain, model))
     return None if before is None or after is None else FileForce(validation, before, after)
 
 
-def rival_force(
+def compute_rival_force(
     model: Model,
     rival: Model,
     names: tuple[str, str],
@@ -133,8 +133,8 @@ def rival_force(
     records: Sequence[MeasuredData],
 ) -> RivalForce:
     """Return what a rival would do to the force; `names` are the cause it replaces and its own."""
-    forces = [force_of(model, duration, data) for data in records]
-    others = [force_of(rival, duration, data) for data in records]
+    forces = [estimate_force(model, duration, data) for data in records]
+    others = [estimate_force(rival, duration, data) for data in records]
     change = np.abs(np.concatenate(others) - np.concatenate(forces))
     full_scale = max(float(force.max()) for force in forces)
     return RivalForce(*names, float(change.mean()), float(change.max()), full_scale)

@@ -9,7 +9,7 @@ from estimator.diagnosis.settings import SETTINGS
 Mask = NDArray[np.bool_]
 
 
-def fitted_half(block: NDArray[np.int64], drive: Array, speed: Array) -> Mask:
+def select_training_half(block: NDArray[np.int64], drive: Array, speed: Array) -> Mask:
     """Return which samples are fitted: every other block, if both halves see the same motion.
 
     A motion that repeats itself may be in one half while it pulls and in the other while it lets
@@ -17,16 +17,16 @@ def fitted_half(block: NDArray[np.int64], drive: Array, speed: Array) -> Mask:
     that repeats nothing.
     """
     alternate: Mask = block % 2 == 0
-    if _imbalance(alternate, drive, speed) < SETTINGS.imbalance_max:
+    if _compute_imbalance(alternate, drive, speed) < SETTINGS.imbalance_max:
         return alternate
     odd = np.zeros_like(block)
     while block.any():
         odd, block = odd ^ (block & 1), block >> 1
     aperiodic = np.asarray(odd == 0)
-    return min((alternate, aperiodic), key=lambda one: _imbalance(one, drive, speed))
+    return min((alternate, aperiodic), key=lambda one: _compute_imbalance(one, drive, speed))
 
 
-def _imbalance(fitted: Mask, drive: Array, speed: Array) -> float:
+def _compute_imbalance(fitted: Mask, drive: Array, speed: Array) -> float:
     """Return how differently two halves are moved: 0 if the same, 1 if nothing is in both.
 
     It is the distance in total variation between what they have of low, middle and high drive,
@@ -43,7 +43,7 @@ def _imbalance(fitted: Mask, drive: Array, speed: Array) -> float:
     return 0.5 * float(np.abs(shares[0] - shares[1]).sum())
 
 
-def blocks_of(time: Array, share: float = 1.0) -> NDArray[np.int64]:
+def assign_blocks(time: Array, share: float = 1.0) -> NDArray[np.int64]:
     """Return the number of the block each sample is in, shape (n,); they are a `share` as long."""
     length = share * min(SETTINGS.block, float(time[-1] - time[0]) / SETTINGS.blocks_min)
     length = max(length, 2.0 * float(np.median(np.diff(time))))

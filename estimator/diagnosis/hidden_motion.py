@@ -16,11 +16,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.array_types import Array
-from estimator.diagnosis.drive import rate
-from estimator.diagnosis.model import Base, inverted, plain_physics, simulate
+from estimator.diagnosis.drive import compute_rate
+from estimator.diagnosis.model import (
+    BaseParameters,
+    build_plain_physics,
+    invert_effects,
+    simulate_record,
+)
 from estimator.diagnosis.record import Record
 from estimator.diagnosis.settings import SETTINGS
-from estimator.diagnosis.troubles import Trouble
+from estimator.diagnosis.troubles import DataIssue
 from estimator.effects.effect import (
     PROXIMAL_DISPLACEMENT,
     PROXIMAL_TENSION,
@@ -28,16 +33,18 @@ from estimator.effects.effect import (
     EffectContext,
     Values,
 )
-from estimator.lumped.lumped_model import Drivable
+from estimator.lumped.lumped_model import DrivenTendon
 
 Mask = NDArray[np.bool_]
 
-AGREES = 3  # neighbouring samples in which the tension agrees: nothing is hidden any more
-LATER = 6  # samples in which the travel must tell the tension behind a hidden motion
-BEFORE = 4  # samples before the tension is seen off, in which the motion may have begun
-LONGEST = 400  # samples that the tension may tell together
-TRIED = np.linspace(-3.0, 3.0, 13)  # sigma: tensions about the measured one that are tried
-WHAT = "samples excluded, in which the motor moved within the noise of its travel"
+AGREEING_SAMPLES = 3  # neighbouring samples in which the tension agrees: nothing is hidden any more
+SAMPLES_AFTER = 6  # samples in which the travel must tell the tension behind a hidden motion
+SAMPLES_BEFORE = 4  # samples before the tension is seen off, in which the motion may have begun
+MOTION_SAMPLES_MAX = 400  # samples that the tension may tell together
+TENSION_OFFSETS = np.linspace(
+    -3.0, 3.0, 13
+)  # sigma: tensions about the measured one that are tried
+EXCLUSION_TEXT = "samples excluded, in which the motor moved within the noise of its travel"
 
 
 class _Readings(NamedTuple):
@@ -53,7 +60,7 @@ class _Readings(NamedTuple):
     inaccuracy: float  # [m] by which the travel of a simulation may be off
 
 
-class _Motion(NamedTuple):
+class _HiddenMotion(NamedTuple):
     """A hidden motion."""
 
     begin: int
@@ -62,14 +69,14 @@ class _Motion(NamedTuple):
     travel: Array  # [m], shape (end - begin,)
 
 
-def may_hide(record: Record) -> bool:
+def may_hide_motion(record: Record) -> bool:
     """Return whether a tendon is driven by a travel that has noise."""
     travels = record.driver == PROXIMAL_DISPLACEMENT and not record.loop
     return travels and record.noise[PROXIMAL_DISPLACEMENT] > 0.0
 
 
-def with_hidden_motion(
-    record: Record, base: Base, shared: tuple[float, ...], own: tuple[float, ...]
+def recover_hidden_motion(
+    record: Record, base: BaseParameters, shared: tuple[float, ...], own: tuple[float, ...]
 ) -> Record:
     """Return a record whose drive has the motion that its travel hides.
 
@@ -84,14 +91,14 @@ def with_hidden_motion(
     shared, own : tuple of float
         Its numbers, fitted to the record.
     """
-    if not may_hide(record):
+    if not may_hide_motion(record):
         return record
-    physics = plain_physics(record, base, base.values(shared, own))
+    physics = build_plain_physics(record, base, base.values(shared, own))
     drive, told = record.drive - own[0], np.zeros(len(record.time), dtype=np.bool_)
     for noise in (record.sigma[PROXIMAL_TENSION], record.noise[PROXIMAL_TENSION]):
-        tendon, position = Drivable(physics, record.time), 0
-        readings = _readings(record, own[0], np.full(len(drive), noise))
-        while (found := _next(readings, tendon, drive, position)) is not None:
+        tendon, position = DrivenTendon(physics, record.time), 0
+        readings = _build_readings(record, own[0], np.full(len(drive), noise))
+        while (found := _find_next_motion(readings, tendon, drive, position)) is not None:
             drive[found.begin : found.end] = found.travel
             told[found.begin : found.told] = True
             position = found.end
@@ -104,16 +111,19 @@ def with_hidden_motion(
     return replace(
         record,
         drive=drive + own[0],
-        speed=rate(record.time, drive),
+        speed=compute_rate(record.time, drive),
         good=good,
-        troubles=(*record.troubles, Trouble(WHAT, PROXIMAL_TENSION, int(told.sum()), first)),
+        troubles=(
+            *record.troubles,
+            DataIssue(EXCLUSION_TEXT, PROXIMAL_TENSION, int(told.sum()), first),
+        ),
     )
 
 
-def with_motion_beside(
+def recover_motion_beside_effects(
     record: Record,
     context: EffectContext,
-    base: Base,
+    base: BaseParameters,
     shared: tuple[float, ...],
     own: tuple[float, ...],
     effects: Sequence[tuple[Effect, Values]],
@@ -131,29 +141,29 @@ def with_motion_beside(
     base, shared, own, effects
         The model, fitted to the record.
     """
-    if not may_hide(record):
+    if not may_hide_motion(record):
         return record
-    alone = simulate(record, context, base, shared, own, effects).signals[PROXIMAL_TENSION]
-    travel = inverted(record.signals[PROXIMAL_DISPLACEMENT], context, effects)
-    bare = replace(record, drive=inverted(record.drive, context, effects))
-    plain = simulate(bare, context, base, shared, own, ()).signals[PROXIMAL_TENSION]
+    alone = simulate_record(record, context, base, shared, own, effects).signals[PROXIMAL_TENSION]
+    travel = invert_effects(record.signals[PROXIMAL_DISPLACEMENT], context, effects)
+    bare = replace(record, drive=invert_effects(record.drive, context, effects))
+    plain = simulate_record(bare, context, base, shared, own, ()).signals[PROXIMAL_TENSION]
     tension = record.signals[PROXIMAL_TENSION] - (alone - plain)
     taken = {PROXIMAL_TENSION: tension, PROXIMAL_DISPLACEMENT: travel}
     bare = replace(bare, signals=record.signals | taken)
-    moved = with_hidden_motion(bare, base, shared, own)
+    moved = recover_hidden_motion(bare, base, shared, own)
     if moved is bare:
         return record
     drive = record.drive + (moved.drive - bare.drive)
     return replace(
         record,
         drive=drive,
-        speed=rate(record.time, drive),
+        speed=compute_rate(record.time, drive),
         good=moved.good,
         troubles=moved.troubles,
     )
 
 
-def _readings(record: Record, taut: float, noise: Array) -> _Readings:
+def _build_readings(record: Record, taut: float, noise: Array) -> _Readings:
     tension, travel = record.signals[PROXIMAL_TENSION], record.signals[PROXIMAL_DISPLACEMENT]
     off = SETTINGS.accuracy * float(np.ptp(tension))
     return _Readings(
@@ -168,7 +178,9 @@ def _readings(record: Record, taut: float, noise: Array) -> _Readings:
     )
 
 
-def _next(readings: _Readings, tendon: Drivable, drive: Array, position: int) -> _Motion | None:
+def _find_next_motion(
+    readings: _Readings, tendon: DrivenTendon, drive: Array, position: int
+) -> _HiddenMotion | None:
     """Return the first hidden motion from a sample on."""
     while position < len(drive):
         off = tendon.by_travel(drive, position) - readings.tension[position:]
@@ -179,49 +191,51 @@ def _next(readings: _Readings, tendon: Drivable, drive: Array, position: int) ->
         if not both.any():
             return None
         first = position + int(np.argmax(both))
-        begin = max(first - BEFORE, position, 1)
+        begin = max(first - SAMPLES_BEFORE, position, 1)
         for about in (drive, readings.travel):  # a short motion may have been smoothed away
-            found = _followed(readings, tendon, drive, about, begin, first)
-            if found is not None and not _is_within(readings, found):
-                shifted = _shifted(readings, about, found)
-                found = _followed(readings, tendon, drive, shifted, begin, first)
-            if found is not None and _is_within(readings, found):
+            found = _track_motion(readings, tendon, drive, about, begin, first)
+            if found is not None and not _is_within_noise(readings, found):
+                shifted = _shift_to_rest(readings, about, found)
+                found = _track_motion(readings, tendon, drive, shifted, begin, first)
+            if found is not None and _is_within_noise(readings, found):
                 return found
-        near = np.convolve(off < SETTINGS.hidden_again, np.ones(AGREES), "full")[AGREES - 1 :]
-        again = np.flatnonzero(near[first - position :] == AGREES)
+        near = np.convolve(off < SETTINGS.hidden_again, np.ones(AGREEING_SAMPLES), "full")[
+            AGREEING_SAMPLES - 1 :
+        ]
+        again = np.flatnonzero(near[first - position :] == AGREEING_SAMPLES)
         position = first + int(again[0]) if len(again) else len(drive)
     return None
 
 
-def _followed(
-    readings: _Readings, tendon: Drivable, drive: Array, about: Array, begin: int, first: int
-) -> _Motion | None:
+def _track_motion(
+    readings: _Readings, tendon: DrivenTendon, drive: Array, about: Array, begin: int, first: int
+) -> _HiddenMotion | None:
     """Return the most probable motion `about` a travel [m] from a sample on.
 
     It ends where the travel alone tells the tension best from there on, of the first few samples in
     which it does. None if it leaves the tension by more than noise, or never ends.
     """
     tendon, moved = tendon.copy(), drive.copy()
-    found: _Motion | None = None
+    found: _HiddenMotion | None = None
     missed, least = 0.0, SETTINGS.hidden_again**2
-    last = min(begin + LONGEST, len(drive) - LATER)
+    last = min(begin + MOTION_SAMPLES_MAX, len(drive) - SAMPLES_AFTER)
     for i in range(begin, last):
         if i > last or not readings.known[i]:
             break
-        moved[i], off = _placed(readings, tendon, moved, about, i)
+        moved[i], off = _estimate_position(readings, tendon, moved, about, i)
         missed += off**2
-        if missed > SETTINGS.hidden_again**2 * (i - begin + LATER):
+        if missed > SETTINGS.hidden_again**2 * (i - begin + SAMPLES_AFTER):
             break
-        for end in _ends(readings, drive, i + 1, float(moved[i])) if i >= first else ():
+        for end in _find_motion_ends(readings, drive, i + 1, float(moved[i])) if i >= first else ():
             moved[i + 1 : end], moved[end:] = moved[i], drive[end:]
-            then = _missed(readings, tendon, moved, i + 1)
+            then = _compute_tension_error(readings, tendon, moved, i + 1)
             if then < least:
-                last = last if found else i + LATER
-                least, found = then, _Motion(begin, i + 1, end, moved[begin:end].copy())
+                last = last if found else i + SAMPLES_AFTER
+                least, found = then, _HiddenMotion(begin, i + 1, end, moved[begin:end].copy())
     return found
 
 
-def _shifted(readings: _Readings, about: Array, found: _Motion) -> Array:
+def _shift_to_rest(readings: _Readings, about: Array, found: _HiddenMotion) -> Array:
     """Return a travel moved so that a motion about it ends where the motor rests behind it.
 
     From the turn on the tension tells by how far the motor went back; where it turned was read in
@@ -235,33 +249,37 @@ def _shifted(readings: _Readings, about: Array, found: _Motion) -> Array:
     return np.asarray(about + shift)
 
 
-def _placed(
-    readings: _Readings, tendon: Drivable, moved: Array, about: Array, i: int
+def _estimate_position(
+    readings: _Readings, tendon: DrivenTendon, moved: Array, about: Array, i: int
 ) -> tuple[float, float]:
     """Return where the motor most probably is at a sample [m], and by how far that tension is off.
 
     That is counted in its noise. The motor is at `about`, or where it has a tension near the
     measured one; behind a turn that is within nanometres, on the way millimetres.
     """
-    tensions = np.maximum(readings.tension[i] + TRIED * readings.accuracy, 0.0)
-    places = [tendon.by_tension(moved, i, tensions[k : k + 1])[0][0] for k in range(len(TRIED))]
-    costs = TRIED**2 + ((np.array(places) - about[i]) / readings.sigma) ** 2
+    tensions = np.maximum(readings.tension[i] + TENSION_OFFSETS * readings.accuracy, 0.0)
+    places = [
+        tendon.by_tension(moved, i, tensions[k : k + 1])[0][0] for k in range(len(TENSION_OFFSETS))
+    ]
+    costs = TENSION_OFFSETS**2 + ((np.array(places) - about[i]) / readings.sigma) ** 2
     best = int(np.argmin(costs))
     there = np.append(moved[:i], about[i])
     off = float(tendon.by_travel(there, i)[0] - readings.tension[i]) / readings.accuracy
     if off**2 <= costs[best]:
         return float(about[i]), off
-    return float(places[best]), float(TRIED[best])
+    return float(places[best]), float(TENSION_OFFSETS[best])
 
 
-def _missed(readings: _Readings, tendon: Drivable, moved: Array, begin: int) -> float:
+def _compute_tension_error(
+    readings: _Readings, tendon: DrivenTendon, moved: Array, begin: int
+) -> float:
     """Return the mean square by which a travel misses the tension in the samples from one on."""
-    later = slice(begin, begin + LATER)
+    later = slice(begin, begin + SAMPLES_AFTER)
     simulated = tendon.copy().by_travel(moved[: later.stop], begin)
     return float(np.mean(((simulated - readings.tension[later]) / readings.accuracy) ** 2))
 
 
-def _is_within(readings: _Readings, found: _Motion) -> bool:
+def _is_within_noise(readings: _Readings, found: _HiddenMotion) -> bool:
     """Return whether a motion is within the noise of the travel: on average, in scatter, anywhere.
 
     A simulation may be off itself besides, up to half the noise.
@@ -277,7 +295,9 @@ def _is_within(readings: _Readings, found: _Motion) -> bool:
     )
 
 
-def _ends(readings: _Readings, drive: Array, begin: int, left_at: float) -> tuple[int, int]:
+def _find_motion_ends(
+    readings: _Readings, drive: Array, begin: int, left_at: float
+) -> tuple[int, int]:
     """Return where a motor that the tension left at a place [m] may go on as the travel has it.
 
     Where it passes the place or turns before; or where it is further off than noise.
@@ -288,9 +308,9 @@ def _ends(readings: _Readings, drive: Array, begin: int, left_at: float) -> tupl
     off = drive[begin:] - left_at
     passed = (way * off > 0.0) | (way * steps < 0.0)
     left = np.abs(off) > SETTINGS.hidden_travel * readings.sigma
-    return _first_of(passed, begin), _first_of(left, begin)
+    return _find_first_true(passed, begin), _find_first_true(left, begin)
 
 
-def _first_of(mask: Mask, begin: int) -> int:
+def _find_first_true(mask: Mask, begin: int) -> int:
     """Return the first sample from `begin` on of which a mask is true, or behind the last."""
     return begin + (int(np.argmax(mask)) if mask.any() else len(mask))

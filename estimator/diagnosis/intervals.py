@@ -11,22 +11,22 @@ from estimator.diagnosis.dataset import (
     Dataset,
     Fit,
     Model,
-    cost,
-    expected_taut,
-    residual,
-    simulated,
+    compute_cost,
+    compute_residual,
+    estimate_taut_travel,
+    simulate_dataset,
 )
-from estimator.diagnosis.fit import SEARCH, slopes_of
-from estimator.diagnosis.layout import Layout
+from estimator.diagnosis.fit import SEARCH_REACHES, compute_jacobian
+from estimator.diagnosis.layout import ParameterLayout
 from estimator.diagnosis.settings import SETTINGS
 from estimator.effects.effect import EffectContext, Parameter
 
-UNSEEN = 1e-3  # slope of all residuals below which they tell nothing of a number
-BESIDE = 0.05  # probability of numbers so far from none by chance
-HALVED = 5  # times, the step that is one too far
+SLOPE_MIN = 1e-3  # slope of all residuals below which they tell nothing of a number
+SIGNIFICANCE_LEVEL = 0.05  # probability of numbers so far from none by chance
+BISECTIONS = 5  # times, the step that is one too far
 
 
-class Named(NamedTuple):
+class ParameterInterval(NamedTuple):
     """One number of a model with its 95 % interval."""
 
     name: str
@@ -56,37 +56,39 @@ class Named(NamedTuple):
         return self.value <= p.low + min(near, p.step) or self.value >= p.high - min(near, p.step)
 
 
-def parameters(dataset: Dataset, about: Sequence[EffectContext], fit: Fit) -> tuple[Named, ...]:
+def estimate_intervals(
+    dataset: Dataset, about: Sequence[EffectContext], fit: Fit
+) -> tuple[ParameterInterval, ...]:
     """Return all numbers of a model but where single records start, with their intervals.
 
     From the scatter of the residuals and their correlation from one sample to the next, and from
     the worst case of a simulation error of `Settings.accuracy`; for a time, a parameter without a
     gradient, from how far it can be moved until the residuals are as much larger.
     """
-    layout = Layout(dataset, fit.model)
-    J, r = slopes_of(dataset, about, fit), residual(dataset, fit)
-    inverse, spread = np.linalg.pinv(J), _spread(r, J.shape[1])
+    layout = ParameterLayout(dataset, fit.model)
+    J, r = compute_jacobian(dataset, about, fit), compute_residual(dataset, fit)
+    inverse, spread = np.linalg.pinv(J), _estimate_residual_variance(r, J.shape[1])
     sigma = np.sqrt((inverse**2).sum(axis=1) * spread)
-    most_off = _off_by_inaccuracy(dataset, fit.model, np.asarray(inverse))
+    most_off = _bound_simulation_error(dataset, fit.model, np.asarray(inverse))
     found, values = [], layout.values(fit.model)
-    unseen = np.linalg.norm(J, axis=0) < UNSEEN
+    unseen = np.linalg.norm(J, axis=0) < SLOPE_MIN
     for i in (*range(layout.common), *layout.loads):
         p, value = layout.parameters[i], values[i]
         sampling = SETTINGS.cover * float(sigma[i]) * layout.step(i)
         reach = math.hypot(sampling, float(most_off[i]) * layout.step(i))
         low, high = value - reach, value + reach
         if p.jumps:
-            most = cost(dataset, fit) + SETTINGS.cover**2 * spread
-            low = min(low, value + _reach(dataset, about, layout, fit, i, -1.0, most))
-            high = max(high, value + _reach(dataset, about, layout, fit, i, 1.0, most))
+            most = compute_cost(dataset, fit) + SETTINGS.cover**2 * spread
+            low = min(low, value + _find_reach(dataset, about, layout, fit, i, -1.0, most))
+            high = max(high, value + _find_reach(dataset, about, layout, fit, i, 1.0, most))
         low, high = max(low, p.low), min(high, p.high)
         if unseen[i] and not p.jumps:
             low, high = p.low, p.high
-        found.append(Named(layout.names[i], p, value, low, high))
+        found.append(ParameterInterval(layout.names[i], p, value, low, high))
     return tuple(found)
 
 
-def are_less_probable(dataset: Dataset, fit: Fit, without: Fit) -> bool:
+def is_significant(dataset: Dataset, fit: Fit, without: Fit) -> bool:
     """Return whether data are surely less probable without numbers of a fit (likelihood ratio).
 
     The intervals of numbers that trade against each other, as the sine and cosine of a wave or the
@@ -94,19 +96,21 @@ def are_less_probable(dataset: Dataset, fit: Fit, without: Fit) -> bool:
     """
     from scipy.special import chdtri  # here: the control processes import this module
 
-    numbers, fewer = (len(Layout(dataset, one.model).names) for one in (fit, without))
-    least = chdtri(numbers - fewer, BESIDE) * _spread(residual(dataset, fit), numbers)
-    return bool(cost(dataset, without) - cost(dataset, fit) > least)
+    numbers, fewer = (len(ParameterLayout(dataset, one.model).names) for one in (fit, without))
+    least = chdtri(numbers - fewer, SIGNIFICANCE_LEVEL) * _estimate_residual_variance(
+        compute_residual(dataset, fit), numbers
+    )
+    return bool(compute_cost(dataset, without) - compute_cost(dataset, fit) > least)
 
 
-def _spread(r: Array, numbers: int) -> float:
+def _estimate_residual_variance(r: Array, numbers: int) -> float:
     """Return the variance of a fit's residuals, larger as they correlate with the next sample."""
     correlation = float(r[1:] @ r[:-1]) / max(float(r @ r), 1e-30)
     correlation = min(max(correlation, 0.0), 0.995)
     return float(r @ r) / max(len(r) - numbers, 1) * (1.0 + correlation) / (1.0 - correlation)
 
 
-def _off_by_inaccuracy(dataset: Dataset, model: Model, inverse: Array) -> Array:
+def _bound_simulation_error(dataset: Dataset, model: Model, inverse: Array) -> Array:
     """Return how far each number may be off because a simulation is, shape (numbers,).
 
     A simulation may be off by `Settings.accuracy`, at worst within a bin of time, and for an effect
@@ -122,7 +126,7 @@ def _off_by_inaccuracy(dataset: Dataset, model: Model, inverse: Array) -> Array:
             off = SETTINGS.accuracy * float(np.ptp(record.signals[channel]))
             parts.append(off / scale[channel][counts])
             bins.append(bin_of[counts])
-        if expected_taut(record, dataset.base, model) is not None:
+        if estimate_taut_travel(record, dataset.base, model) is not None:
             parts.append(np.zeros(1))
             bins.append(bin_of[:1])
     worst = np.abs(inverse) * np.concatenate(parts)
@@ -136,10 +140,10 @@ def _off_by_inaccuracy(dataset: Dataset, model: Model, inverse: Array) -> Array:
     )
 
 
-def _reach(
+def _find_reach(
     dataset: Dataset,
     about: Sequence[EffectContext],
-    layout: Layout,
+    layout: ParameterLayout,
     fit: Fit,
     i: int,
     way: float,
@@ -150,12 +154,12 @@ def _reach(
     def bears(off: float) -> bool:
         x = layout.pack(fit.model)
         x[i] += off / layout.step(i)
-        return cost(dataset, simulated(dataset, about, layout.unpack(x))) <= most
+        return compute_cost(dataset, simulate_dataset(dataset, about, layout.unpack(x))) <= most
 
-    near, far = 0.0, way * SEARCH[-1]
+    near, far = 0.0, way * SEARCH_REACHES[-1]
     while bears(far) and abs(far) < SETTINGS.onset_max:
         near, far = far, 2.0 * far
-    for _ in range(HALVED):
+    for _ in range(BISECTIONS):
         middle = 0.5 * (near + far)
         near, far = (middle, far) if bears(middle) else (near, middle)
     return near

@@ -5,12 +5,12 @@ from numpy.typing import NDArray
 
 from estimator.array_types import Array
 from estimator.diagnosis.dataset import Dataset, Model
-from estimator.diagnosis.model import OWN_LOADS, own_bounds, own_zeros
+from estimator.diagnosis.model import OWN_LOADS, compute_record_bounds, find_record_zeros
 
 Mask = NDArray[np.bool_]
 
 
-class Layout:
+class ParameterLayout:
     """The numbers of a model in a row, each counted in its step.
 
     Readings of encoders count from the first one: a fit ends at a step that is small beside its
@@ -32,9 +32,11 @@ class Layout:
             self.names += [f"{p.name} ({k + 1})" for p in base.own]
             self.parameters += [
                 p._replace(low=low, high=high)
-                for p, (low, high) in zip(base.own, own_bounds(record, base), strict=True)
+                for p, (low, high) in zip(
+                    base.own, compute_record_bounds(record, base), strict=True
+                )
             ]
-        zeros = [zero for record in dataset.records for zero in own_zeros(record, base)]
+        zeros = [zero for record in dataset.records for zero in find_record_zeros(record, base)]
         self._zeros = np.array([0.0] * self.common + zeros)
         self._steps = [p.step for p in self.parameters]
         compliance = base.compliance(model.shared)

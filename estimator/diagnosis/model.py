@@ -9,7 +9,7 @@ import numpy as np
 from estimator.array_types import Array
 from estimator.diagnosis.record import Record
 from estimator.diagnosis.settings import SETTINGS
-from estimator.diagnosis.transmission_law import Law, parameters_of, with_friction
+from estimator.diagnosis.transmission_law import BaseLaw, apply_base_law, list_law_parameters
 from estimator.effects.effect import (
     DISTAL_DISPLACEMENT,
     DISTAL_TENSION,
@@ -21,20 +21,20 @@ from estimator.effects.effect import (
     Signals,
     Values,
 )
-from estimator.lumped.loop_model import loop_by_travel
-from estimator.lumped.lumped_model import Motion, Physics, by_tension, by_travel
-from estimator.lumped.nodes import even_weights
+from estimator.lumped.loop_model import simulate_loop
+from estimator.lumped.lumped_model import Motion, Physics, simulate_by_tension, simulate_by_travel
+from estimator.lumped.nodes import build_even_weights
 
 COMPLIANCE = Parameter("L/EA", "m/N", 1e-7, 2e-2, 5e-6)
-TIP = Parameter("tip compliance", "m/N", 0.0, 0.1, 1e-5)
+TIP_COMPLIANCE = Parameter("tip compliance", "m/N", 0.0, 0.1, 1e-5)
 PRETENSION = Parameter("pretension", "N", 0.1, 500.0, 0.2)  # of a closed loop
 # of each record, about the first reading of its encoder
-TAUT = Parameter("taut at", "m", -10.0, 10.0, 1e-5)
+TAUT_TRAVEL = Parameter("taut at", "m", -10.0, 10.0, 1e-5)
 TIP_ZERO = Parameter("tip zero", "m", -10.0, 10.0, 1e-6)
-MASS = Parameter("tip mass", "kg", 0.0, 50.0, 0.02)
+TIP_MASS = Parameter("tip mass", "kg", 0.0, 50.0, 0.02)
 
 
-class Loads(StrEnum):
+class LoadModel(StrEnum):
     """What several records have in common of what their tips pull at."""
 
     SHARED = "the same load in all files"
@@ -42,16 +42,20 @@ class Loads(StrEnum):
     MASSES = "a spring and a mass in each file"
 
 
-OWN_LOADS = {Loads.SHARED: (), Loads.SPRINGS: (TIP,), Loads.MASSES: (TIP, MASS)}
+OWN_LOADS = {
+    LoadModel.SHARED: (),
+    LoadModel.SPRINGS: (TIP_COMPLIANCE,),
+    LoadModel.MASSES: (TIP_COMPLIANCE, TIP_MASS),
+}
 
 
-class Base(NamedTuple):
+class BaseParameters(NamedTuple):
     """Parameters that every model has: of the dataset, and of each record."""
 
     shared: tuple[Parameter, ...]
     own: tuple[Parameter, ...]
-    law: Law = Law.CAPSTAN
-    loads: Loads = Loads.SHARED
+    law: BaseLaw = BaseLaw.CAPSTAN
+    loads: LoadModel = LoadModel.SHARED
 
     def values(self, shared: Sequence[float], own: Sequence[float]) -> dict[str, float]:
         """Return the values of a record's model by name of their parameter."""
@@ -63,42 +67,44 @@ class Base(NamedTuple):
         return self.values(shared, [0.0] * len(self.own)).get(COMPLIANCE.name)
 
 
-class Simulated(NamedTuple):
+class SimulatedRecord(NamedTuple):
     """One record, simulated."""
 
     signals: Signals  # what the sensors would have read, by channel
     motion: Motion  # what they would have read it of
 
 
-def base_of(record: Record, law: Law = Law.CAPSTAN, loads: Loads = Loads.SHARED) -> Base:
+def build_base_parameters(
+    record: Record, law: BaseLaw = BaseLaw.CAPSTAN, loads: LoadModel = LoadModel.SHARED
+) -> BaseParameters:
     """Return the parameters that the channels of a record call for."""
     by_travel = record.driver != PROXIMAL_TENSION
     tip_seen = DISTAL_DISPLACEMENT in record.signals
-    shared = [*parameters_of(law, record.loop), *([COMPLIANCE] if by_travel else [])]
+    shared = [*list_law_parameters(law, record.loop), *([COMPLIANCE] if by_travel else [])]
     has_load = by_travel or tip_seen
-    own = [*([TAUT] if by_travel else []), *([TIP_ZERO] if tip_seen else [])]
-    if has_load and loads is Loads.SHARED:
-        shared.append(TIP)
+    own = [*([TAUT_TRAVEL] if by_travel else []), *([TIP_ZERO] if tip_seen else [])]
+    if has_load and loads is LoadModel.SHARED:
+        shared.append(TIP_COMPLIANCE)
     elif has_load:
         own += OWN_LOADS[loads]
     if record.loop:
         shared.append(PRETENSION)
-    return Base(tuple(shared), tuple(own), law, loads)
+    return BaseParameters(tuple(shared), tuple(own), law, loads)
 
 
-def own_zeros(record: Record, base: Base) -> list[float]:
+def find_record_zeros(record: Record, base: BaseParameters) -> list[float]:
     """Return what a record's own parameters count from: the first readings of its encoders."""
-    first = {TAUT: float(record.drive[0])}
+    first = {TAUT_TRAVEL: float(record.drive[0])}
     if TIP_ZERO in base.own:
         first[TIP_ZERO] = float(record.signals[DISTAL_DISPLACEMENT][0])
     return [first.get(p, 0.0) for p in base.own]
 
 
-def own_bounds(record: Record, base: Base) -> list[tuple[float, float]]:
+def compute_record_bounds(record: Record, base: BaseParameters) -> list[tuple[float, float]]:
     """Return between which values a record's own parameters may be, in the order of its base."""
-    zeros = own_zeros(record, base)
+    zeros = find_record_zeros(record, base)
     bounds = [(zero + p.low, zero + p.high) for zero, p in zip(zeros, base.own, strict=True)]
-    if TAUT in base.own and record.starts_slack:
+    if TAUT_TRAVEL in base.own and record.starts_slack:
         T = record.signals[PROXIMAL_TENSION]
         soft = float(np.ptp(record.drive)) / float(np.ptp(T))
         near = SETTINGS.slack_noise * record.noise[PROXIMAL_TENSION] * soft
@@ -106,14 +112,14 @@ def own_bounds(record: Record, base: Base) -> list[tuple[float, float]]:
     return bounds
 
 
-def simulate(
+def simulate_record(
     record: Record,
     context: EffectContext,
-    base: Base,
+    base: BaseParameters,
     shared: Sequence[float],
     own: Sequence[float],
     effects: Sequence[tuple[Effect, Values]],
-) -> Simulated:
+) -> SimulatedRecord:
     """Return what the sensors of a record would have read.
 
     Parameters
@@ -130,10 +136,12 @@ def simulate(
         On top, in this order.
     """
     values = base.values(shared, own)
-    physics = plain_physics(record, base, values)
+    physics = build_plain_physics(record, base, values)
     for effect, numbers in effects:
         physics = effect.physics(physics, numbers, context)
-    motion = _moved(record, physics, inverted(record.drive, context, effects), values)
+    motion = _simulate_motion(
+        record, physics, invert_effects(record.drive, context, effects), values
+    )
     signals: Signals = {
         PROXIMAL_TENSION: motion.proximal_tension,
         PROXIMAL_DISPLACEMENT: motion.proximal_displacement,
@@ -143,10 +151,10 @@ def simulate(
         signals[DISTAL_DISPLACEMENT] = motion.distal_displacement + values[TIP_ZERO.name]
     for effect, numbers in effects:
         signals = effect.measure(signals, numbers, context)
-    return Simulated({name: signals[name] for name in record.compared}, motion)
+    return SimulatedRecord({name: signals[name] for name in record.compared}, motion)
 
 
-def inverted(
+def invert_effects(
     drive: Array, context: EffectContext, effects: Sequence[tuple[Effect, Values]]
 ) -> Array:
     """Return what a reading of the driver is of, without what the effects have made of it."""
@@ -155,29 +163,35 @@ def inverted(
     return drive
 
 
-def plain_physics(record: Record, base: Base, values: Mapping[str, float]) -> Physics:
+def build_plain_physics(
+    record: Record, base: BaseParameters, values: Mapping[str, float]
+) -> Physics:
     """Return the tendon of a record, or each cable of its loop, without effects."""
     physics = Physics(
         np.ones(len(record.time)),
         values.get(COMPLIANCE.name, SETTINGS.assumed_compliance),
-        even_weights(),
-        values.get(TIP.name, 0.0),
-        mass=values.get(MASS.name, 0.0),
+        build_even_weights(),
+        values.get(TIP_COMPLIANCE.name, 0.0),
+        mass=values.get(TIP_MASS.name, 0.0),
     )
-    return with_friction(physics, base.law, values)
+    return apply_base_law(physics, base.law, values)
 
 
-def _moved(record: Record, physics: Physics, drive: Array, values: Mapping[str, float]) -> Motion:
+def _simulate_motion(
+    record: Record, physics: Physics, drive: Array, values: Mapping[str, float]
+) -> Motion:
     """Return what the ends of the transmission do when it is driven."""
     if record.loop:
-        pretension, taut = values[PRETENSION.name], values[TAUT.name]
-        return loop_by_travel(physics, pretension, record.time, drive - taut, record.speed)
+        pretension, taut = values[PRETENSION.name], values[TAUT_TRAVEL.name]
+        return simulate_loop(physics, pretension, record.time, drive - taut, record.speed)
     if record.driver == PROXIMAL_TENSION:
-        return by_tension(physics, record.time, np.maximum(drive, 0.0), record.speed)
-    return by_travel(physics, record.time, drive - values[TAUT.name], record.speed)
+        return simulate_by_tension(physics, record.time, np.maximum(drive, 0.0), record.speed)
+    return simulate_by_travel(physics, record.time, drive - values[TAUT_TRAVEL.name], record.speed)
 
 
-def scene_of(record: Record, simulated: Simulated | None, compliance: float) -> EffectContext:
+def build_context(
+    record: Record, simulated: SimulatedRecord | None, compliance: float
+) -> EffectContext:
     """Return what effects may know of a record, with the model without them where there is one."""
     none: Mapping[str, Array] = {}
     return EffectContext(

@@ -2,43 +2,61 @@
 
 from collections.abc import Sequence
 
-from estimator.diagnosis.dataset import Dataset, Fit, contexts, rescaled, whole
-from estimator.diagnosis.fit import improved
-from estimator.diagnosis.intervals import are_less_probable, parameters
-from estimator.diagnosis.outcome import Step
-from estimator.diagnosis.score import bic_penalty, errors, log_likelihood_ratio
+from estimator.diagnosis.dataset import (
+    Dataset,
+    Fit,
+    build_contexts,
+    rescale_residuals,
+    use_all_samples,
+)
+from estimator.diagnosis.fit import fit_model
+from estimator.diagnosis.intervals import estimate_intervals, is_significant
+from estimator.diagnosis.outcome import CauseStep
+from estimator.diagnosis.score import (
+    compute_bic_penalty,
+    compute_errors,
+    compute_log_likelihood_ratio,
+)
 from estimator.diagnosis.settings import SETTINGS
 from estimator.effects.effect import Effect, EffectContext
 
-LAST = 12  # rounds of the fit to all samples
+FINAL_ROUNDS = 12  # rounds of the fit to all samples
 
 
-def needed(dataset: Dataset, plain: Fit, steps: list[Step], fit: Fit) -> tuple[list[Step], Fit]:
+def prune_causes(
+    dataset: Dataset, plain: Fit, steps: list[CauseStep], fit: Fit
+) -> tuple[list[CauseStep], Fit]:
     """Return the causes that are needed and have a size, and the fit of them."""
-    return _distinct(dataset, plain, *_without_needless(dataset, steps, fit))
+    return _prune_insignificant_causes(
+        dataset, plain, *_prune_redundant_causes(dataset, steps, fit)
+    )
 
 
-def _without_needless(dataset: Dataset, steps: list[Step], fit: Fit) -> tuple[list[Step], Fit]:
+def _prune_redundant_causes(
+    dataset: Dataset, steps: list[CauseStep], fit: Fit
+) -> tuple[list[CauseStep], Fit]:
     """Return the causes without those that later ones have made needless, and the fit of them."""
     for step in steps[:-1] if len(steps) > 1 else ():
-        less = without(dataset, fit, step.effect)
-        if matters(dataset, fit, less, step.effect) < SETTINGS.margin:
+        less = refit_without_effect(dataset, fit, step.effect)
+        if score_effect(dataset, fit, less, step.effect) < SETTINGS.margin:
             steps = [one for one in steps if one is not step]
             fit = less
     return steps, fit
 
 
-def _distinct(dataset: Dataset, plain: Fit, steps: list[Step], fit: Fit) -> tuple[list[Step], Fit]:
+def _prune_insignificant_causes(
+    dataset: Dataset, plain: Fit, steps: list[CauseStep], fit: Fit
+) -> tuple[list[CauseStep], Fit]:
     """Return the causes without those whose size may be none, and the fit of them."""
-    about = contexts(dataset, plain)
+    about = build_contexts(dataset, plain)
     while steps:
-        full = rescaled(whole(dataset), fit)
-        last = improved(full, about, fit.model, LAST)
+        full = rescale_residuals(use_all_samples(dataset), fit)
+        last = fit_model(full, about, fit.model, FINAL_ROUNDS)
         needless = [step for step in steps if not _has_size(full, about, last, step.effect)]
         if not needless:
             break
         steps = [step for step in steps if step is not needless[-1]]
-        fit = without(dataset, fit, needless[-1].effect)
+        fit = refit_without_effect(dataset, fit, needless[-1].effect)
     return steps, fit
 
 
@@ -46,19 +64,23 @@ def _has_size(full: Dataset, about: Sequence[EffectContext], fit: Fit, effect: E
     """Return whether an effect of a model has a size other than none."""
     sizes = [p for p in effect.parameters if p.neutral is not None and not p.jumps]
     if len(sizes) > 1:
-        return are_less_probable(full, fit, without(full, fit, effect))
-    named = {one.name: one for one in parameters(full, about, fit)}
+        return is_significant(full, fit, refit_without_effect(full, fit, effect))
+    named = {one.name: one for one in estimate_intervals(full, about, fit)}
     return all(named[f"{effect.name}.{p.name}"].excludes_neutral for p in sizes)
 
 
-def without(dataset: Dataset, fit: Fit, effect: Effect) -> Fit:
+def refit_without_effect(dataset: Dataset, fit: Fit, effect: Effect) -> Fit:
     """Return a model without one of its effects, fitted from where it was with it."""
     rest = tuple(one for one in fit.model.effects if one[0].name != effect.name)
     model = fit.model._replace(effects=rest)
-    return improved(rescaled(dataset, fit), contexts(dataset, fit), model, LAST)
+    return fit_model(
+        rescale_residuals(dataset, fit), build_contexts(dataset, fit), model, FINAL_ROUNDS
+    )
 
 
-def matters(dataset: Dataset, fit: Fit, less: Fit, effect: Effect) -> float:
+def score_effect(dataset: Dataset, fit: Fit, less: Fit, effect: Effect) -> float:
     """Return ln of how much more probable held-out data are with an effect, parameters paid for."""
-    ratio = log_likelihood_ratio(errors(dataset, fit), errors(dataset, less))
-    return ratio - bic_penalty(dataset, len(effect.parameters))
+    ratio = compute_log_likelihood_ratio(
+        compute_errors(dataset, fit), compute_errors(dataset, less)
+    )
+    return ratio - compute_bic_penalty(dataset, len(effect.parameters))

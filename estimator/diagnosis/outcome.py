@@ -3,14 +3,14 @@
 from enum import StrEnum
 from typing import TYPE_CHECKING, NamedTuple
 
-from estimator.diagnosis.bench_scale import UNSCALED, BenchScale
+from estimator.diagnosis.bench_scale import UNIT_SCALE, BenchScale
 from estimator.diagnosis.dataset import Dataset, Fit
 from estimator.diagnosis.force import FileForce, RivalForce
 from estimator.diagnosis.law_choice import Choice
-from estimator.diagnosis.prediction import Fitness, Predicted
+from estimator.diagnosis.prediction import ErrorStatistics, PredictedRecord
 from estimator.diagnosis.rivals import Rival
 from estimator.diagnosis.simple_models import SimpleFit, SimpleGain
-from estimator.diagnosis.troubles import Trouble
+from estimator.diagnosis.troubles import DataIssue
 from estimator.effects.effect import Effect, Values
 from estimator.units import Units
 
@@ -27,7 +27,7 @@ class Verdict(StrEnum):
     UNEXPLAINED = "unexplained"  # the model is wrong, and nothing in the catalogue explains it
 
 
-class Number(NamedTuple):
+class FittedValue(NamedTuple):
     """A fitted value with its 95 % interval."""
 
     value: float
@@ -37,15 +37,15 @@ class Number(NamedTuple):
     at_bound: bool = False  # the value is as far as the parameter may go: it may be further
 
 
-class Fitnesses(NamedTuple):
+class ModelErrors(NamedTuple):
     """The same on what was fitted and on what was held out, by channel."""
 
-    fit: dict[str, Fitness]
-    held_out: dict[str, Fitness]
-    validation: dict[str, Fitness]  # empty without records of its own
+    fit: dict[str, ErrorStatistics]
+    held_out: dict[str, ErrorStatistics]
+    validation: dict[str, ErrorStatistics]  # empty without records of its own
 
 
-class Ranked(NamedTuple):
+class RankedCandidate(NamedTuple):
     """A candidate, as it came out."""
 
     effect: Effect  # the best of its variants
@@ -65,12 +65,12 @@ class Ranked(NamedTuple):
         return self.effect.label
 
 
-class Step(NamedTuple):
+class CauseStep(NamedTuple):
     """One cause found on top of those before it."""
 
     effect: Effect
     rivals: tuple[str, ...]  # names that these channels do not tell from it
-    ranking: tuple[Ranked, ...]
+    ranking: tuple[RankedCandidate, ...]
     fit: Fit  # all causes so far, fitted to all samples
 
 
@@ -82,7 +82,7 @@ class Gain(NamedTuple):
     high: float
 
 
-class Structure(NamedTuple):
+class ResidualDependence(NamedTuple):
     """What a residual depends on, strongest first."""
 
     what: str
@@ -105,14 +105,14 @@ class Diagnosis(NamedTuple):
     """
 
     verdict: Verdict
-    steps: tuple[Step, ...]
-    ranking: tuple[Ranked, ...]  # of the first search
-    parameters: dict[str, Number]
+    steps: tuple[CauseStep, ...]
+    ranking: tuple[RankedCandidate, ...]  # of the first search
+    parameters: dict[str, FittedValue]
     dataset: Dataset
     baseline: Fit  # the plain law, fitted to all samples
     extended: Fit  # the baseline again where nothing was found
-    before: Fitnesses
-    after: Fitnesses
+    before: ModelErrors
+    after: ModelErrors
     gain: dict[str, Gain]
     noise: dict[str, float]
     left: float  # unexplained share: of the error beyond noise, what the extended model leaves
@@ -121,17 +121,17 @@ class Diagnosis(NamedTuple):
     loads: Choice  # of what the tips of several files pull at
     simple_models: tuple[SimpleFit, ...]  # that know no sheath, fitted to the same data
     simple_gain: dict[str, SimpleGain]  # of the extended law over the best of them, by channel
-    structure: tuple[Structure, ...]  # of what the extended model leaves
+    structure: tuple[ResidualDependence, ...]  # of what the extended model leaves
     detection_limits: dict[str, DetectionLimit]  # by effect; of a clean dataset
     experiments: tuple[str, ...]  # that would settle what is ambiguous
-    troubles: tuple[Trouble, ...]
+    troubles: tuple[DataIssue, ...]
     fit_all: bool = False  # no sample was held out: all errors are of fitted samples
     rivals: tuple[Rival, ...] = ()  # models with one of the equally good causes
-    validation: tuple[Predicted, ...] = ()  # records that were not fitted
-    left_out: tuple[Predicted, ...] = ()  # each record, by the fit of the others
+    validation: tuple[PredictedRecord, ...] = ()  # records that were not fitted
+    left_out: tuple[PredictedRecord, ...] = ()  # each record, by the fit of the others
     forces: tuple[FileForce, ...] = ()  # error of the force that the loop would estimate
     rival_forces: tuple[RivalForce, ...] = ()  # what each rival would do to that force
-    scale: BenchScale = UNSCALED  # of the bench, at which it was made
+    scale: BenchScale = UNIT_SCALE  # of the bench, at which it was made
 
     @property
     def units(self) -> Units:
@@ -158,20 +158,22 @@ class Diagnosis(NamedTuple):
         """Return the verdict, tables and next steps as Markdown text."""
         from estimator.diagnosis import report_text  # which imports this module
 
-        return report_text.summary(self)
+        return report_text.format_summary(self)
 
     def plot(self, record: int = 0) -> "Figure":
         """Return a figure of one fitted record: measured, simulated, and residuals."""
         from estimator.diagnosis import figures  # which imports this module
-        from estimator.drawing import styled
+        from estimator.drawing import use_style
 
-        with styled():
-            return figures.over_time(self, record)
+        with use_style():
+            return figures.draw_over_time(self, record)
 
     def _repr_html_(self) -> str:
         """Return the verdict, tables and figures for a notebook."""
         from estimator.diagnosis import figures, report_text  # which import this module
-        from estimator.drawing import html_report
+        from estimator.drawing import format_html_report
 
-        drawn = [(one.figure, one.caption) for one in figures.figures(self)]
-        return html_report(report_text.sentence(self), report_text.tables(self), drawn)
+        drawn = [(one.figure, one.caption) for one in figures.draw_figures(self)]
+        return format_html_report(
+            report_text.format_verdict(self), report_text.build_tables(self), drawn
+        )

@@ -9,22 +9,22 @@ from estimator.array_types import Array
 from estimator.diagnosis.dataset import (
     Dataset,
     Fit,
-    contexts,
-    contexts_without,
-    rescaled,
-    whole,
-    with_records,
+    build_contexts,
+    build_unsimulated_contexts,
+    replace_records,
+    rescale_residuals,
+    use_all_samples,
 )
-from estimator.diagnosis.driver_noise import with_driver_noise
-from estimator.diagnosis.fit import improved, own_only
-from estimator.diagnosis.hidden_motion import with_hidden_motion
-from estimator.diagnosis.model import Simulated, simulate
+from estimator.diagnosis.driver_noise import propagate_driver_noise
+from estimator.diagnosis.fit import fit_model, fit_record_parameters
+from estimator.diagnosis.hidden_motion import recover_hidden_motion
+from estimator.diagnosis.model import SimulatedRecord, simulate_record
 from estimator.diagnosis.record import Record
 
 ROUNDS = 12  # of a fit to the other files
 
 
-class Fitness(NamedTuple):
+class ErrorStatistics(NamedTuple):
     """How far a model is off in one channel, on one set of samples."""
 
     rmse: float  # in the channel's unit
@@ -32,23 +32,23 @@ class Fitness(NamedTuple):
     mean: float  # share of full scale
 
 
-class Predicted(NamedTuple):
+class PredictedRecord(NamedTuple):
     """A record that was not fitted, as both models predict it."""
 
     record: Record
-    before: Simulated  # by the plain law
-    after: Simulated  # by the extended law
+    before: SimulatedRecord  # by the plain law
+    after: SimulatedRecord  # by the extended law
 
-    def fitness(self, simulated: Simulated) -> dict[str, Fitness]:
+    def fitness(self, simulated: SimulatedRecord) -> dict[str, ErrorStatistics]:
         """Return how far one of the two is off, by channel."""
         return {
-            channel: fitness_of(
+            channel: compute_error_statistics(
                 [self.residual(simulated, channel)], float(np.ptp(self.record.signals[channel]))
             )
             for channel in self.record.compared
         }
 
-    def residual(self, simulated: Simulated, channel: str) -> Array:
+    def residual(self, simulated: SimulatedRecord, channel: str) -> Array:
         """Return measured less simulated of the samples that count [N] or [m]."""
         good = self.record.good[channel]
         return (self.record.signals[channel] - simulated.signals[channel])[good]
@@ -66,75 +66,83 @@ class Predicted(NamedTuple):
 SPIKES = "single-sample spikes"
 
 
-def fitness_of(residuals: Sequence[Array], full_scale: float) -> Fitness:
+def compute_error_statistics(residuals: Sequence[Array], full_scale: float) -> ErrorStatistics:
     """Return the errors of some residuals, in shares of a full scale [N] or [m]."""
     error = np.concatenate(residuals)
     share = np.abs(error) / max(full_scale, 1e-12)
-    return Fitness(float(np.sqrt(np.mean(error**2))), float(share.max()), float(share.mean()))
+    return ErrorStatistics(
+        float(np.sqrt(np.mean(error**2))), float(share.max()), float(share.mean())
+    )
 
 
-def predicted(
+def predict_records(
     fitted: Dataset, plain: Fit, fit: Fit, records: Sequence[Record]
-) -> tuple[Predicted, ...]:
+) -> tuple[PredictedRecord, ...]:
     """Return records as two models of a dataset predict them; only where each starts is fitted."""
     if not records:
         return ()
-    dataset = whole(with_records(fitted, records))
-    before, after = own_only(dataset, plain), own_only(dataset, fit)
+    dataset = use_all_samples(replace_records(fitted, records))
+    before, after = fit_record_parameters(dataset, plain), fit_record_parameters(dataset, fit)
     return tuple(
-        Predicted(*row)
+        PredictedRecord(*row)
         for row in zip(dataset.records, before.simulated, after.simulated, strict=True)
     )
 
 
-def as_driven(fitted: Dataset, records: Sequence[Record], plain: Fit) -> tuple[Record, ...]:
+def prepare_validation_records(
+    fitted: Dataset, records: Sequence[Record], plain: Fit
+) -> tuple[Record, ...]:
     """Return records that were not fitted with what the noise of their drive does, as fitted ones.
 
     `plain` is the plain law, fitted to a dataset of other records.
     """
     if not records:
         return ()
-    dataset = whole(with_records(fitted, records))
-    fit = own_only(dataset, plain)
-    about = contexts_without(dataset, fit)
+    dataset = use_all_samples(replace_records(fitted, records))
+    fit = fit_record_parameters(dataset, plain)
+    about = build_unsimulated_contexts(dataset, fit)
 
-    def again(k: int) -> Callable[[Record], Simulated]:
+    def again(k: int) -> Callable[[Record], SimulatedRecord]:
         own = fit.model.own[k]
-        return lambda other: simulate(other, about[k], dataset.base, fit.model.shared, own, ())
+        return lambda other: simulate_record(
+            other, about[k], dataset.base, fit.model.shared, own, ()
+        )
 
-    noisy = [with_driver_noise(record, again(k)) for k, record in enumerate(records)]
+    noisy = [propagate_driver_noise(record, again(k)) for k, record in enumerate(records)]
     if all(new is old for new, old in zip(noisy, records, strict=True)):
         return tuple(records)
-    own = own_only(whole(with_records(fitted, noisy)), plain).model.own
+    own = fit_record_parameters(use_all_samples(replace_records(fitted, noisy)), plain).model.own
     return tuple(
-        with_hidden_motion(record, fitted.base, plain.model.shared, one)
+        recover_hidden_motion(record, fitted.base, plain.model.shared, one)
         for record, one in zip(noisy, own, strict=True)
     )
 
 
-def left_out(dataset: Dataset, plain: Fit, fit: Fit) -> tuple[Predicted, ...]:
+def predict_left_out(dataset: Dataset, plain: Fit, fit: Fit) -> tuple[PredictedRecord, ...]:
     """Return each record as the models predict it whose numbers the other records gave.
 
     The causes are those of all records; their sizes and the law's parameters are fitted without the
     record.
     """
-    found: list[Predicted] = []
+    found: list[PredictedRecord] = []
     for k, record in enumerate(dataset.records):
-        rest = whole(_without(dataset, k))
-        models = [_of_others(one, k) for one in (plain, fit)]
-        about = contexts(rest, models[0])
-        before, after = (improved(rescaled(rest, one), about, one.model, ROUNDS) for one in models)
-        found += predicted(dataset, before, after, [record])
+        rest = use_all_samples(_drop_record(dataset, k))
+        models = [_drop_record_fit(one, k) for one in (plain, fit)]
+        about = build_contexts(rest, models[0])
+        before, after = (
+            fit_model(rescale_residuals(rest, one), about, one.model, ROUNDS) for one in models
+        )
+        found += predict_records(dataset, before, after, [record])
     return tuple(found)
 
 
-def _without(dataset: Dataset, k: int) -> Dataset:
+def _drop_record(dataset: Dataset, k: int) -> Dataset:
     return dataset._replace(
         records=dataset.records[:k] + dataset.records[k + 1 :],
         scale=dataset.scale[:k] + dataset.scale[k + 1 :],
     )
 
 
-def _of_others(fit: Fit, k: int) -> Fit:
+def _drop_record_fit(fit: Fit, k: int) -> Fit:
     own = fit.model.own[:k] + fit.model.own[k + 1 :]
     return Fit(fit.model._replace(own=own), fit.simulated[:k] + fit.simulated[k + 1 :])

@@ -14,20 +14,30 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.array_types import Array
-from estimator.diagnosis.bench_scale import UNSCALED, BenchScale
-from estimator.diagnosis.channel_noise import counted_step, white_noise
-from estimator.diagnosis.drive import drive_of, rate, turning_points, turns_between_samples
-from estimator.diagnosis.halves import blocks_of, fitted_half
-from estimator.diagnosis.missing_values import as_missing, in_stretches, known, only_rows
-from estimator.diagnosis.sampling import times_of
+from estimator.diagnosis.bench_scale import UNIT_SCALE, BenchScale
+from estimator.diagnosis.channel_noise import estimate_white_noise, find_quantisation_step
+from estimator.diagnosis.drive import (
+    compute_rate,
+    estimate_drive,
+    find_turning_points,
+    find_turns_between_samples,
+)
+from estimator.diagnosis.halves import assign_blocks, select_training_half
+from estimator.diagnosis.missing_values import (
+    drop_missing,
+    find_long_gaps,
+    mark_missing,
+    select_signal_rows,
+)
+from estimator.diagnosis.sampling import estimate_sample_times
 from estimator.diagnosis.settings import SETTINGS
-from estimator.diagnosis.thinning import thinned
+from estimator.diagnosis.thinning import decimate_record
 from estimator.diagnosis.troubles import (
-    Trouble,
-    away_from_turns,
-    counted_samples,
-    repeated_samples,
-    unseen_turns,
+    DataIssue,
+    exclude_turns,
+    find_sampling_issues,
+    find_unseen_turns,
+    select_valid_samples,
 )
 from estimator.effects.effect import (
     CHANNELS,
@@ -37,12 +47,12 @@ from estimator.effects.effect import (
     Signals,
 )
 from estimator.measured_data import Samples
-from estimator.plausibility import doubts
+from estimator.plausibility import find_channel_faults
 from estimator.units import LINEAR, Units
 
 Mask = NDArray[np.bool_]
 
-EXACT = 1e-9  # of the range of a drive: what rounds off in sums turns nothing
+TURN_TOLERANCE = 1e-9  # of the range of a drive: what rounds off in sums turns nothing
 
 
 class RecordError(ValueError):
@@ -105,12 +115,12 @@ class Record:
     measured: Mask
     train: Mask
     block: NDArray[np.int64]
-    troubles: tuple[Trouble, ...]
+    troubles: tuple[DataIssue, ...]
     thinned: int
     units: Units = LINEAR
     loop: bool = False
     start: float = 0.0
-    scale: BenchScale = UNSCALED
+    scale: BenchScale = UNIT_SCALE
     known: dict[str, Mask] = field(default_factory=dict)
 
     @property
@@ -134,10 +144,10 @@ class Record:
 
     def shown(self, channel: str) -> Mask:
         """Return which rows of a channel are to be drawn: not those that lack values for long."""
-        return self.measured & ~in_stretches(self.time, self.known[channel])
+        return self.measured & ~find_long_gaps(self.time, self.known[channel])
 
 
-def prepare(
+def prepare_record(
     time: Array,
     signals: Signals,
     *,
@@ -151,7 +161,7 @@ def prepare(
     Parameters
     ----------
     time : ndarray
-        Stamps [s], shape (n,), strictly rising; see `estimator.diagnosis.sampling.times_of`.
+        Stamps [s], shape (n,), strictly rising; see `estimator.diagnosis.sampling.estimate_sample_times`.
     signals : dict
         By channel of `estimator.effects.CHANNELS`, the tension at the housing at least, in
         `units`, shape (n,), not finite where a value is missing.
@@ -170,8 +180,8 @@ def prepare(
     RecordError
         If nothing can be found out from the data.
     """
-    signals = as_missing(signals)
-    _check(time, signals, units)
+    signals = mark_missing(signals)
+    _validate_signals(time, signals, units)
     loop = is_loop(units, [signals]) if loop is None else loop
     if loop and PROXIMAL_DISPLACEMENT not in signals:
         raise RecordError(
@@ -181,47 +191,47 @@ def prepare(
     for name in (PROXIMAL_TENSION, DISTAL_TENSION):
         if loop or name not in signals:
             continue
-        effort = known(signals[name])
+        effort = drop_missing(signals[name])
         if -effort.min() > effort.max():
             raise RecordError(
                 f"{units.word(name)}: negative where the tendon pulls; change its sign"
             )
     noise = dict(noise)
     driver = PROXIMAL_DISPLACEMENT if PROXIMAL_DISPLACEMENT in signals else PROXIMAL_TENSION
-    time, signals, absent = _rows_with(driver, time, signals, units)
+    time, signals, absent = _select_driver_rows(driver, time, signals, units)
     start = float(time[0])
-    time, late = times_of(time - start, signals)
+    time, late = estimate_sample_times(time - start, signals)
     present = {name: np.isfinite(signal) for name, signal in signals.items()}
-    good, rounded, troubles = {}, {}, repeated_samples(time, signals)
+    good, rounded, troubles = {}, {}, find_sampling_issues(time, signals)
     if late > 0.0:
         what = f"time stamps jitter by {1e3 * late:.2g} ms where samples are even: taken as even"
-        troubles.append(Trouble(what, "all channels", len(time), 0.0, excluded=False))
+        troubles.append(DataIssue(what, "all channels", len(time), 0.0, excluded=False))
     for name, signal in signals.items():
-        good[name], found = counted_samples(time, name, signal)
-        rounded[name] = counted_step(signal[good[name]]) / math.sqrt(12.0)
+        good[name], found = select_valid_samples(time, name, signal)
+        rounded[name] = find_quantisation_step(signal[good[name]]) / math.sqrt(12.0)
         signals[name] = np.interp(time, time[good[name]], signal[good[name]])
         troubles += found
-    thin = thinned(time, signals, good, present, most)
+    thin = decimate_record(time, signals, good, present, most)
     time, signals, good, present = thin.time, thin.signals, thin.good, thin.present
     rounded, given = (
         {name: value / math.sqrt(thin.averaged[name]) for name, value in each.items()}
         for each in (rounded, noise)
     )
-    sigma = _noise_of(driver, time, signals, good, rounded, given)
+    sigma = _estimate_noise(driver, time, signals, good, rounded, given)
     measured = np.ones(len(time), dtype=np.bool_)
-    drive, jitter = drive_of(driver, time, signals[driver], sigma[driver])
-    troubles += unseen_turns(driver, time, drive, jitter, start)
+    drive, jitter = estimate_drive(driver, time, signals[driver], sigma[driver])
+    troubles += find_unseen_turns(driver, time, drive, jitter, start)
     if driver != PROXIMAL_TENSION:
-        turns = turns_between_samples(time, drive, jitter)
+        turns = find_turns_between_samples(time, drive, jitter)
         signals = {name: turns.insert(time, signal) for name, signal in signals.items()}
         good = {name: np.insert(mask, turns.rows, False) for name, mask in good.items()}
         present = {name: turns.between(mask) for name, mask in present.items()}
         measured = np.insert(measured, turns.rows, False)
         time = np.insert(time, turns.rows, turns.time)
         drive = np.insert(drive, turns.rows, turns.drive)
-        good[PROXIMAL_TENSION], trouble = away_from_turns(time, drive, good[PROXIMAL_TENSION])
+        good[PROXIMAL_TENSION], trouble = exclude_turns(time, drive, good[PROXIMAL_TENSION])
         troubles += trouble
-    block, speed = blocks_of(time), rate(time, drive)
+    block, speed = assign_blocks(time), compute_rate(time, drive)
     return Record(
         time=time,
         signals=signals,
@@ -232,7 +242,7 @@ def prepare(
         sigma={name: np.full(len(time), sigma[name]) for name in signals if name != driver},
         good=good,
         measured=measured,
-        train=fitted_half(block, drive, speed),
+        train=select_training_half(block, drive, speed),
         block=block,
         troubles=(*absent, *(one._replace(first=one.first + start) for one in troubles)),
         thinned=thin.thinned,
@@ -243,19 +253,23 @@ def prepare(
     )
 
 
-def efforts_of(signals: Signals) -> list[Array]:
+def collect_efforts(signals: Signals) -> list[Array]:
     """Return what is known of the tensions, forces or torques among signals."""
-    return [known(signals[name]) for name in (PROXIMAL_TENSION, DISTAL_TENSION) if name in signals]
+    return [
+        drop_missing(signals[name])
+        for name in (PROXIMAL_TENSION, DISTAL_TENSION)
+        if name in signals
+    ]
 
 
 def is_loop(units: Units, records: Sequence[Signals]) -> bool:
     """Return whether records are of a closed loop: effort pushes in earnest in one of them."""
-    efforts = [effort for signals in records for effort in efforts_of(signals)]
+    efforts = [effort for signals in records for effort in collect_efforts(signals)]
     least, most = min(float(one.min()) for one in efforts), max(float(one.max()) for one in efforts)
     return units.signed and min(-least, most) > SETTINGS.push * max(-least, most)
 
 
-def _noise_of(
+def _estimate_noise(
     driver: str,
     time: Array,
     signals: Signals,
@@ -269,14 +283,14 @@ def _noise_of(
     """
     sigma = {}
     for name, signal in signals.items():
-        told = max(white_noise(signal[good[name]], time[good[name]]), rounded[name])
+        told = max(estimate_white_noise(signal[good[name]], time[good[name]]), rounded[name])
         sigma[name] = given.get(name, told)
         if name != driver:  # nothing is simulated more precisely
             sigma[name] = max(sigma[name], SETTINGS.noise_min * float(np.ptp(signal)), 1e-9)
     return sigma
 
 
-def check_known(signals: Signals) -> None:
+def check_finite_values(signals: Signals) -> None:
     """Raise `RecordError` for a channel without any finite value."""
     for name, signal in signals.items():
         if not np.isfinite(signal).any():
@@ -285,7 +299,7 @@ def check_known(signals: Signals) -> None:
             raise RecordError(f"{name}: has no finite value: {remedy}")
 
 
-def _check(time: Array, signals: Signals, units: Units) -> None:
+def _validate_signals(time: Array, signals: Signals, units: Units) -> None:
     if PROXIMAL_TENSION not in signals:
         raise RecordError("proximal_tension is missing: nothing is known without it")
     if len(signals) < 2:
@@ -311,17 +325,19 @@ def _check(time: Array, signals: Signals, units: Units) -> None:
             raise RecordError(f"{name}: no such channel, there are {', '.join(CHANNELS)}")
         if signal.shape != time.shape:
             raise RecordError(f"{name}: {time.shape} values are needed, NaN where one is missing")
-    check_known(signals)
-    if not np.ptp(known(signals[PROXIMAL_TENSION])) > 0.0:
+    check_finite_values(signals)
+    if not np.ptp(drop_missing(signals[PROXIMAL_TENSION])) > 0.0:
         raise RecordError("proximal_tension never changes: pull and release while you record")
     q_p, T_out, q_d = (signals.get(name) for name in CHANNELS[1:])
-    if wrong := doubts(Samples(time, signals[PROXIMAL_TENSION], q_p, T_out, q_d), units):
+    if wrong := find_channel_faults(
+        Samples(time, signals[PROXIMAL_TENSION], q_p, T_out, q_d), units
+    ):
         raise RecordError("; ".join(wrong))
 
 
-def _rows_with(
+def _select_driver_rows(
     driver: str, time: Array, signals: Signals, units: Units
-) -> tuple[Array, Signals, list[Trouble]]:
+) -> tuple[Array, Signals, list[DataIssue]]:
     """Return the rows in which the driver was measured, and what is said of missing values."""
     driven = np.isfinite(signals[driver])
     removed = "missing values of what drives the simulation, their rows removed"
@@ -331,10 +347,10 @@ def _rows_with(
         if absent.any():
             what = removed if name == driver else "missing values, not compared"
             first = float(time[int(np.argmax(absent))])
-            troubles.append(Trouble(what, name, int(absent.sum()), first))
-    time, signals = only_rows(time, signals, driven)
+            troubles.append(DataIssue(what, name, int(absent.sum()), first))
+    time, signals = select_signal_rows(time, signals, driven)
     for name, signal in signals.items():
-        if (count := len(known(signal))) < SETTINGS.samples_min:
+        if (count := len(drop_missing(signal))) < SETTINGS.samples_min:
             beside = "" if name == driver else f" in rows that have the {units.word(driver)}"
             raise RecordError(
                 f"{name}: {count} values{beside}, at least {SETTINGS.samples_min} are needed: "
@@ -343,21 +359,23 @@ def _rows_with(
     return time, signals, troubles
 
 
-def in_full(record: Record) -> Record:
+def mark_all_as_train(record: Record) -> Record:
     """Return a record of which all samples are fitted."""
     return replace(record, train=np.ones_like(record.train))
 
 
-def in_short_blocks(record: Record) -> Record:
+def shorten_blocks(record: Record) -> Record:
     """Return a record that is cut into shorter blocks, so that a short stretch is in some of both.
 
     What is wrong in one block only can be fitted and not judged, or judged and not fitted.
     """
-    block = blocks_of(record.time, SETTINGS.short_block)
-    return replace(record, train=fitted_half(block, record.drive, record.speed), block=block)
+    block = assign_blocks(record.time, SETTINGS.short_block)
+    return replace(
+        record, train=select_training_half(block, record.drive, record.speed), block=block
+    )
 
 
-def first_look(record: Record, most: int) -> Mask:
+def select_subsample(record: Record, most: int) -> Mask:
     """Return which samples of a record stay for a first look: about `most`, and all turns.
 
     The drive has no turn by noise, and none is too small: one of 2 um may take a newton away, which
@@ -366,11 +384,11 @@ def first_look(record: Record, most: int) -> Mask:
     n = len(record.time)
     kept = np.zeros(n, dtype=np.bool_)
     kept[:: math.ceil(n / most)] = True
-    kept[turning_points(record.drive, EXACT * float(np.ptp(record.drive)))] = True
+    kept[find_turning_points(record.drive, TURN_TOLERANCE * float(np.ptp(record.drive)))] = True
     return kept
 
 
-def at_rows(record: Record, kept: Mask) -> Record:
+def select_record_rows(record: Record, kept: Mask) -> Record:
     """Return a record of some of its samples."""
     return replace(
         record,

@@ -3,16 +3,16 @@
 import re
 from collections.abc import Iterable, Sequence
 
-from estimator.diagnosis.dataset import tolerance
+from estimator.diagnosis.dataset import compute_tolerance
 from estimator.diagnosis.law_choice import Choice
-from estimator.diagnosis.model import TIP
+from estimator.diagnosis.model import TIP_COMPLIANCE
 from estimator.diagnosis.outcome import (
+    CauseStep,
     DetectionLimit,
     Diagnosis,
-    Fitnesses,
-    Number,
-    Ranked,
-    Step,
+    FittedValue,
+    ModelErrors,
+    RankedCandidate,
     Verdict,
 )
 from estimator.diagnosis.settings import SETTINGS
@@ -25,19 +25,19 @@ from estimator.effects.effect import (
     PROXIMAL_TENSION,
 )
 from estimator.text_table import Table
-from estimator.units import quantity
+from estimator.units import format_quantity
 
-SHOWN = 8  # candidates in a table
-STRUCTURES = 2  # named in a sentence
-UNSURE = 3  # causes in a sentence, none of them sure
-MOST_DIGITS = 8
-SETS = {"fit": "fitted", "held_out": "held out", "validation": "validation"}
+CANDIDATES_SHOWN = 8  # candidates in a table
+DEPENDENCES_SHOWN = 2  # named in a sentence
+UNSURE_CAUSES_SHOWN = 3  # causes in a sentence, none of them sure
+DIGITS_MAX = 8
+SAMPLE_SETS = {"fit": "fitted", "held_out": "held out", "validation": "validation"}
 
 
-def sentence(found: Diagnosis) -> str:
+def format_verdict(found: Diagnosis) -> str:
     """Return the verdict in one sentence."""
     if found.verdict is Verdict.CLEAN:
-        smallest = _smallest_detectable(found.detection_limits)
+        smallest = _describe_detection_limits(found.detection_limits)
         return f"Nothing is wrong with the model beyond noise{smallest}."
     if found.verdict is Verdict.UNEXPLAINED:
         if found.wanders:
@@ -46,24 +46,24 @@ def sentence(found: Diagnosis) -> str:
                 f"The model is wrong, and nothing in the catalogue explains it: friction changes "
                 f"with time, and {labels} is only the closest match in the catalogue."
             )
-        if names := _unsure(found):
+        if names := _list_unsure_causes(found):
             return (
                 f"The model is wrong, and these data do not determine the cause: "
-                f"{' or '.join(names)} would explain it, none of them surely; {_structure(found)}."
+                f"{' or '.join(names)} would explain it, none of them surely; {_describe_dependence(found)}."
             )
         labels = " and ".join(step.effect.label for step in found.steps)
         share = f"{found.left:.0%} of what noise does not explain"
         still = f"with {labels} in the model {share} is left, and " if found.steps else ""
         return (
             f"The model is wrong, and nothing in the catalogue explains it: {still}"
-            f"{_structure(found)}."
+            f"{_describe_dependence(found)}."
         )
-    causes = " and ".join(f"because {_cause(found, step)}" for step in found.steps)
+    causes = " and ".join(f"because {_describe_cause(found, step)}" for step in found.steps)
     unsure = "; these channels cannot tell which" * (found.verdict is Verdict.AMBIGUOUS)
-    return f"The model is wrong {causes}{unsure}; {_gain(found)}."
+    return f"The model is wrong {causes}{unsure}; {_describe_gain(found)}."
 
 
-def summary(
+def format_summary(
     found: Diagnosis,
     files: Sequence[str] = (),
     compared: Table | None = None,
@@ -84,66 +84,66 @@ def summary(
     """
     from estimator.diagnosis import file_tables  # which imports this module
 
-    named = file_tables.names_of(found, files, further)
-    warnings = [f"WARNING: {what}" for what in better_models(found)]
-    parts = ["\n".join([sentence(found), *warnings])]
-    parts += [table.markdown() for table in tables(found, files, compared, further)]
-    parts.append("Residuals:\n" + "\n".join(f"- {what}" for what in remains(found)))
-    parts.append("Next:\n" + "\n".join(f"- {step}" for step in next_steps(found)))
-    if said := remarks(found, named[: len(found.dataset.records)]):
+    named = file_tables.name_records(found, files, further)
+    warnings = [f"WARNING: {what}" for what in list_better_models(found)]
+    parts = ["\n".join([format_verdict(found), *warnings])]
+    parts += [table.markdown() for table in build_tables(found, files, compared, further)]
+    parts.append("Residuals:\n" + "\n".join(f"- {what}" for what in describe_residuals(found)))
+    parts.append("Next:\n" + "\n".join(f"- {step}" for step in list_next_steps(found)))
+    if said := list_sample_remarks(found, named[: len(found.dataset.records)]):
         parts.append("Samples:\n" + "\n".join(f"- {remark}" for remark in said))
     return "\n\n".join(parts)
 
 
-def tables(
+def build_tables(
     found: Diagnosis,
     files: Sequence[str] = (),
     compared: Table | None = None,
     further: Sequence[str] = (),
 ) -> list[Table]:
-    """Return the tables of a diagnosis; for the parameters see `summary`."""
+    """Return the tables of a diagnosis; for the parameters see `format_summary`."""
     from estimator.diagnosis import file_tables  # which imports this module
 
-    names = file_tables.names_of(found, files, further)
+    names = file_tables.name_records(found, files, further)
     named = names[: len(found.dataset.records)]
-    shown = [candidates(found)] if found.ranking else []
-    shown.append(parameters(found))
-    shown += [one for one in (laws(found), loads(found)) if one is not None]
+    shown = [build_candidate_table(found)] if found.ranking else []
+    shown.append(build_parameter_table(found))
+    shown += [one for one in (build_law_table(found), build_load_table(found)) if one is not None]
     if compared is not None:
         shown.append(compared)
     if found.steps:
-        shown.append(gains(found))
-    shown += [models(found), over_simple(found)]
+        shown.append(build_gain_table(found))
+    shown += [build_model_table(found), build_simple_gain_table(found)]
     if found.validation:
-        shown.append(file_tables.predicted(found.validation, names[len(named) :]))
+        shown.append(file_tables.build_prediction_table(found.validation, names[len(named) :]))
     if found.left_out:
         left_out = [f"{name}, left out" for name in named]
-        shown.append(file_tables.predicted(found.left_out, left_out))
+        shown.append(file_tables.build_prediction_table(found.left_out, left_out))
     if found.forces:
-        shown.append(file_tables.forces(found, names))
+        shown.append(file_tables.build_force_table(found, names))
     if found.rival_forces:
-        shown.append(file_tables.rivals(found))
+        shown.append(file_tables.build_rival_table(found))
     if found.detection_limits:
-        shown.append(detection_limits(found))
+        shown.append(build_detection_limit_table(found))
     return shown
 
 
-def candidates(found: Diagnosis) -> Table:
+def build_candidate_table(found: Diagnosis) -> Table:
     """Return how the candidates of the first search came out, the best first."""
-    return ranked(found, found.ranking)
+    return build_ranking_table(found, found.ranking)
 
 
-def ranked(found: Diagnosis, ranking: Sequence[Ranked]) -> Table:
+def build_ranking_table(found: Diagnosis, ranking: Sequence[RankedCandidate]) -> Table:
     """Return how the candidates of one search came out, the best first."""
-    channels = compared(found)
+    channels = list_compared_channels(found)
     rows = [
         (
             one.label,
             f"{one.score:.0f}",
-            *(quantity(one.rmse.get(c), found.units.of(c), 3) for c in channels),
+            *(format_quantity(one.rmse.get(c), found.units.of(c), 3) for c in channels),
             f"{one.left:.0%}",
         )
-        for one in best(ranking, SHOWN)
+        for one in select_best_candidates(ranking, CANDIDATES_SHOWN)
     ]
     head = (
         "candidate",
@@ -154,36 +154,40 @@ def ranked(found: Diagnosis, ranking: Sequence[Ranked]) -> Table:
     return Table(head, tuple(rows))
 
 
-def parameters(found: Diagnosis) -> Table:
+def build_parameter_table(found: Diagnosis) -> Table:
     """Return the numbers of the extended model."""
     rows = [
-        (name, quantity(number.value, number.unit, digits(number)), interval(number))
+        (
+            name,
+            format_quantity(number.value, number.unit, count_interval_digits(number)),
+            format_interval(number),
+        )
         for name, number in found.parameters.items()
     ]
     return Table(("parameter", "value", "95 % interval"), tuple(rows))
 
 
-def laws(found: Diagnosis) -> Table | None:
+def build_law_table(found: Diagnosis) -> Table | None:
     """Return the evidence for the base law; None where nothing was to be chosen."""
-    return _chosen(found, found.laws, "base law", found.dataset.base.law)
+    return _build_choice_table(found, found.laws, "base law", found.dataset.base.law)
 
 
-def loads(found: Diagnosis) -> Table | None:
+def build_load_table(found: Diagnosis) -> Table | None:
     """Return the evidence for loads that differ by file; None where nothing was to be chosen."""
-    return _chosen(found, found.loads, "load at the tip", found.dataset.base.loads)
+    return _build_choice_table(found, found.loads, "load at the tip", found.dataset.base.loads)
 
 
-def _chosen(found: Diagnosis, choice: Choice, what: str, chosen: str) -> Table | None:
+def _build_choice_table(found: Diagnosis, choice: Choice, what: str, chosen: str) -> Table | None:
     """Return the scores of what could be chosen, the choice marked."""
     if not choice.scores:
         return None
-    channels = compared(found)
+    channels = list_compared_channels(found)
     alike = choice.alike if len(choice.alike) > 1 else ()
     rows = [
         (
             one.name,
             f"{one.score:.0f}",
-            *(quantity(one.rmse[c], found.units.of(c), 3) for c in channels),
+            *(format_quantity(one.rmse[c], found.units.of(c), 3) for c in channels),
             "chosen" if one.name == chosen else "as good" if one.name in alike else "",
         )
         for one in choice.scores
@@ -192,16 +196,18 @@ def _chosen(found: Diagnosis, choice: Choice, what: str, chosen: str) -> Table |
     return Table(head, tuple(rows))
 
 
-def gains(found: Diagnosis) -> Table:
+def build_gain_table(found: Diagnosis) -> Table:
     """Return by how much errors fell, of held-out samples if any are."""
     rows = [
         (found.units.word(channel), f"{gain.value:.1%}", f"{gain.low:.1%} to {gain.high:.1%}")
         for channel, gain in found.gain.items()
     ]
-    return Table(("channel", f"{judged(found)} RMSE falls by", "95 % interval"), tuple(rows))
+    return Table(
+        ("channel", f"{name_judged_samples(found)} RMSE falls by", "95 % interval"), tuple(rows)
+    )
 
 
-def models(found: Diagnosis) -> Table:
+def build_model_table(found: Diagnosis) -> Table:
     """Return the held-out errors of the law and of models that know no sheath."""
     errors = {"the plain law": {c: one.rmse for c, one in found.before.held_out.items()}}
     if found.steps:
@@ -209,14 +215,17 @@ def models(found: Diagnosis) -> Table:
     errors |= {one.name: one.rmse for one in found.simple_models}
     channels = list(found.before.held_out)
     rows = [
-        (name, *(quantity(rmse[channel], found.units.of(channel), 3) for channel in channels))
+        (
+            name,
+            *(format_quantity(rmse[channel], found.units.of(channel), 3) for channel in channels),
+        )
         for name, rmse in errors.items()
     ]
     words = (found.units.word(channel) for channel in channels)
-    return Table((f"{judged(found)} RMSE of", *words), tuple(rows))
+    return Table((f"{name_judged_samples(found)} RMSE of", *words), tuple(rows))
 
 
-def over_simple(found: Diagnosis) -> Table:
+def build_simple_gain_table(found: Diagnosis) -> Table:
     """Return by how much the law is better than the best model that knows no sheath."""
     rows = [
         (
@@ -227,14 +236,14 @@ def over_simple(found: Diagnosis) -> Table:
         )
         for channel, gain in found.simple_gain.items()
     ]
-    lower = f"{judged(found)} RMSE of the law is lower by"
+    lower = f"{name_judged_samples(found)} RMSE of the law is lower by"
     head = ("channel", "best simple model", lower, "95 % interval")
     return Table(head, tuple(rows))
 
 
-def better_models(found: Diagnosis) -> list[str]:
+def list_better_models(found: Diagnosis) -> list[str]:
     """Return in which channels a model that knows no sheath is surely better, and what to do."""
-    said, floor = [], tolerance(found.dataset)
+    said, floor = [], compute_tolerance(found.dataset)
     for channel, gain in found.simple_gain.items():
         one, noise = found.after.held_out[channel], found.noise[channel]
         if gain.high < 0.0 and one.rmse > SETTINGS.noise_ratio * floor[channel] * noise:
@@ -242,13 +251,13 @@ def better_models(found: Diagnosis) -> list[str]:
             unit = found.units.of(channel)
             said.append(
                 f"{found.units.word(channel)}: {gain.model} predicts it better than this model, "
-                f"{quantity(simple.rmse[channel], unit, 3)} against {quantity(one.rmse, unit, 3)} "
-                f"{judged(found)} RMSE; {_instead(found, gain.model)}."
+                f"{format_quantity(simple.rmse[channel], unit, 3)} against {format_quantity(one.rmse, unit, 3)} "
+                f"{name_judged_samples(found)} RMSE; {_suggest_remedy(found, gain.model)}."
             )
     return said
 
 
-def _instead(found: Diagnosis, model: str) -> str:
+def _suggest_remedy(found: Diagnosis, model: str) -> str:
     """Return what to do where a simple model is better than the law."""
     like_it = ("presliding", "stribeck_friction") if model == LUGRE else ("distributed_play",)
     missing = [name for name in like_it if name not in found.causes]
@@ -258,35 +267,41 @@ def _instead(found: Diagnosis, model: str) -> str:
     return "do not trust the estimate beyond that error, and look at what the residuals depend on"
 
 
-def fitness(found: Diagnosis) -> Table:
+def build_error_table(found: Diagnosis) -> Table:
     """Return the errors of both models, by channel and by what they were judged on."""
     rows = []
-    for name, words in SETS.items():
+    for name, words in SAMPLE_SETS.items():
         if found.fit_all and name == "held_out":
             continue
         for channel in getattr(found.before, name):
-            pair = [_fitness(found, model, name, channel) for model in (found.before, found.after)]
+            pair = [
+                _format_errors(found, model, name, channel) for model in (found.before, found.after)
+            ]
             cells = [cell for both in zip(*pair, strict=True) for cell in both]
             rows.append((found.units.word(channel), words, *cells))
-    head = tuple(f"{item}, {when}" for item in ("RMSE", "largest", "mean") for when in _WHEN)
+    head = tuple(
+        f"{item}, {when}" for item in ("RMSE", "largest", "mean") for when in _MODEL_STAGES
+    )
     return Table(("channel", "data", *head), tuple(rows))
 
 
-def next_steps(found: Diagnosis) -> list[str]:
+def list_next_steps(found: Diagnosis) -> list[str]:
     """Return what a person does next, most useful first."""
     steps = [f"To tell the causes apart: {what}." for what in found.experiments]
     effects = [step.effect for step in found.steps]
-    effects += [effect for name in found.ambiguous_with for effect in _named(name)[:1]]
+    effects += [effect for name in found.ambiguous_with for effect in _find_effects(name)[:1]]
     advice = {effect.advice: effect.name for effect in reversed(effects)}
     steps += [f"{name}: {words}" for words, name in reversed(advice.items())]
-    if found.dataset.records[0].driver == PROXIMAL_TENSION and (rough := _with_lengths(found)):
+    if found.dataset.records[0].driver == PROXIMAL_TENSION and (
+        rough := _list_length_parameters(found)
+    ):
         units, motor = found.units, "angle" if found.units.rotary else "travel"
         assumed = SETTINGS.assumed_compliance * found.scale.size("m/N")
         steps.append(
             f"Record the motor's {motor}: without it {', '.join(rough)} "
-            f"hold for an L/EA of {quantity(assumed, units.name('m/N'))} only."
+            f"hold for an L/EA of {format_quantity(assumed, units.name('m/N'))} only."
         )
-    if found.verdict is Verdict.UNEXPLAINED and _unsure(found):
+    if found.verdict is Verdict.UNEXPLAINED and _list_unsure_causes(found):
         steps.append(
             "Record for longer, with swings of several depths and speeds, so that a cause can be "
             "told in one part of the data and tested in another."
@@ -299,12 +314,12 @@ def next_steps(found: Diagnosis) -> list[str]:
     return steps or ["Use the model as it is."]
 
 
-def remarks(found: Diagnosis, files: Sequence[str]) -> list[str]:
+def list_sample_remarks(found: Diagnosis, files: Sequence[str]) -> list[str]:
     """Return which samples were excluded, averaged, or are odd."""
     said = []
     for file, record in zip(files, found.dataset.records, strict=True):
         said += [
-            f"{file}: {trouble.samples} {trouble.what} ({_channel(found, trouble.channel)}), "
+            f"{file}: {trouble.samples} {trouble.what} ({_name_channel(found, trouble.channel)}), "
             f"the first at {trouble.first:.4g} s"
             for trouble in record.troubles
         ]
@@ -316,9 +331,9 @@ def remarks(found: Diagnosis, files: Sequence[str]) -> list[str]:
     return said
 
 
-def remains(found: Diagnosis) -> list[str]:
+def describe_residuals(found: Diagnosis) -> list[str]:
     """Return what the extended model leaves in each channel, and what that depends on."""
-    said, floor = [], tolerance(found.dataset)
+    said, floor = [], compute_tolerance(found.dataset)
     for channel, one in found.after.held_out.items():
         unit, noise = found.units.of(channel), found.noise[channel]
         along = [
@@ -333,60 +348,63 @@ def remains(found: Diagnosis) -> list[str]:
         else:
             what = "it depends on no tension, speed, direction, travel or time"
         said.append(
-            f"{found.units.word(channel)}: {quantity(one.rmse, unit, 3)} {judged(found)} RMSE, "
-            f"noise is {quantity(noise, unit, 2)}; {what}."
+            f"{found.units.word(channel)}: {format_quantity(one.rmse, unit, 3)} {name_judged_samples(found)} RMSE, "
+            f"noise is {format_quantity(noise, unit, 2)}; {what}."
         )
     return said
 
 
-def detection_limits(found: Diagnosis) -> Table:
+def build_detection_limit_table(found: Diagnosis) -> Table:
     """Return the smallest effects that would have been seen."""
     rows = [
-        (name, least.parameter, quantity(least.size, least.unit, 2))
+        (name, least.parameter, format_quantity(least.size, least.unit, 2))
         for name, least in found.detection_limits.items()
     ]
     return Table(("effect", "parameter", "would have been seen from"), tuple(rows))
 
 
-def judged(found: Diagnosis) -> str:
+def name_judged_samples(found: Diagnosis) -> str:
     """Return which errors are stated: of samples that were held out, or of fitted ones."""
     return "in-sample" if found.fit_all else "held-out"
 
 
-def best(ranking: Iterable[Ranked], most: int) -> list[Ranked]:
+def select_best_candidates(ranking: Iterable[RankedCandidate], most: int) -> list[RankedCandidate]:
     """Return the candidates of highest score, the best first."""
     return sorted(ranking, key=lambda ranked: -ranked.score)[:most]
 
 
-def compared(found: Diagnosis) -> tuple[str, ...]:
+def list_compared_channels(found: Diagnosis) -> tuple[str, ...]:
     """Return the channels that the model was compared with."""
     return tuple(dict.fromkeys(c for r in found.dataset.records for c in r.compared))
 
 
-def interval(number: Number) -> str:
+def format_interval(number: FittedValue) -> str:
     """Return from where to where a value may be."""
-    ends = (quantity(end, number.unit, digits(number)) for end in (number.low, number.high))
+    ends = (
+        format_quantity(end, number.unit, count_interval_digits(number))
+        for end in (number.low, number.high)
+    )
     return " to ".join(ends) + (", at its bound" if number.at_bound else "")
 
 
-def digits(number: Number) -> int:
+def count_interval_digits(number: FittedValue) -> int:
     """Return how many digits tell the ends of an interval apart."""
-    for count in range(4, MOST_DIGITS):
+    for count in range(4, DIGITS_MAX):
         if f"{number.low:.{count}g}" != f"{number.high:.{count}g}":
             return count
-    return MOST_DIGITS
+    return DIGITS_MAX
 
 
-_WHEN = ("before", "after")
+_MODEL_STAGES = ("before", "after")
 
 
-def _channel(found: Diagnosis, channel: str) -> str:
+def _name_channel(found: Diagnosis, channel: str) -> str:
     return found.units.word(channel) if channel in CHANNELS else channel
 
 
-def _cause(found: Diagnosis, step: Step) -> str:
+def _describe_cause(found: Diagnosis, step: CauseStep) -> str:
     sizes = ", ".join(
-        f"{p.name} {quantity(number.value, number.unit, 3)}"
+        f"{p.name} {format_quantity(number.value, number.unit, 3)}"
         for p in step.effect.parameters
         if (number := found.parameters.get(f"{step.effect.name}.{p.name}")) is not None
     )
@@ -395,14 +413,14 @@ def _cause(found: Diagnosis, step: Step) -> str:
         f"{effect.cause} ({name})"
         for name in step.rivals
         if name not in found.causes
-        for effect in _named(name)[:1]
+        for effect in _find_effects(name)[:1]
     ]
     return " or ".join([first, *rivals])
 
 
-def _with_lengths(found: Diagnosis) -> list[str]:
+def _list_length_parameters(found: Diagnosis) -> list[str]:
     """Return the parameters with a length in their unit."""
-    told = TIP.name if DISTAL_DISPLACEMENT in found.dataset.records[0].signals else ""
+    told = TIP_COMPLIANCE.name if DISTAL_DISPLACEMENT in found.dataset.records[0].signals else ""
     return [
         name
         for name, one in found.parameters.items()
@@ -410,19 +428,19 @@ def _with_lengths(found: Diagnosis) -> list[str]:
     ]
 
 
-def _unsure(found: Diagnosis) -> list[str]:
+def _list_unsure_causes(found: Diagnosis) -> list[str]:
     """Return names of causes that would explain what no cause was surely found for."""
     if found.steps:
         return []
     names = [one.name for one in found.ranking if one.left < SETTINGS.explained]
-    return list(dict.fromkeys(names))[:UNSURE]
+    return list(dict.fromkeys(names))[:UNSURE_CAUSES_SHOWN]
 
 
-def _named(name: str) -> list[Effect]:
+def _find_effects(name: str) -> list[Effect]:
     return [effect for effect in CATALOGUE if effect.name == name]
 
 
-def _gain(found: Diagnosis) -> str:
+def _describe_gain(found: Diagnosis) -> str:
     """Return the gain of the channel that was furthest off, counted in its noise."""
 
     def fall(channel: str) -> float:
@@ -433,39 +451,45 @@ def _gain(found: Diagnosis) -> str:
     most = found.gain[channel]
     causes = "that" if len(found.steps) == 1 else "them"
     return (
-        f"with {causes} in the model the {judged(found)} error of the "
+        f"with {causes} in the model the {name_judged_samples(found)} error of the "
         f"{found.units.word(channel)} falls by {most.value:.0%} "
-        f"({most.low:.0%} to {most.high:.0%}), to {_beside_simple(found, channel)}"
+        f"({most.low:.0%} to {most.high:.0%}), to {_compare_with_simple_model(found, channel)}"
     )
 
 
-def _beside_simple(found: Diagnosis, channel: str) -> str:
+def _compare_with_simple_model(found: Diagnosis, channel: str) -> str:
     gain = found.simple_gain[channel]
     where = "below" if gain.value >= 0.0 else "above"
     return f"{abs(gain.value):.0%} {where} that of the best simple model ({gain.model})"
 
 
-def _structure(found: Diagnosis) -> str:
+def _describe_dependence(found: Diagnosis) -> str:
     if not found.structure:
         return "residuals depend on none of the tested variables"
     parts = [
         f"{s.what} ({s.share:.0%} of its variance in the {found.units.word(s.channel)})"
-        for s in found.structure[:STRUCTURES]
+        for s in found.structure[:DEPENDENCES_SHOWN]
     ]
     return "residuals depend on " + " and ".join(parts)
 
 
-def _smallest_detectable(sizes: dict[str, DetectionLimit]) -> str:
+def _describe_detection_limits(sizes: dict[str, DetectionLimit]) -> str:
     if not sizes:
         return ""
     name, least = next(iter(sizes.items()))
     others = f", and {len(sizes) - 1} other effects from sizes listed below" * (len(sizes) > 1)
-    size = quantity(least.size, least.unit, 2)
+    size = format_quantity(least.size, least.unit, 2)
     return f"; {name} would have been seen from a {least.parameter} of {size} on{others}"
 
 
-def _fitness(found: Diagnosis, model: Fitnesses, name: str, channel: str) -> tuple[str, ...]:
+def _format_errors(
+    found: Diagnosis, model: ModelErrors, name: str, channel: str
+) -> tuple[str, ...]:
     one = getattr(model, name).get(channel)
     if one is None:
         return "", "", ""
-    return quantity(one.rmse, found.units.of(channel), 3), f"{one.largest:.2%}", f"{one.mean:.2%}"
+    return (
+        format_quantity(one.rmse, found.units.of(channel), 3),
+        f"{one.largest:.2%}",
+        f"{one.mean:.2%}",
+    )

@@ -4,12 +4,12 @@ import numpy as np
 
 from estimator.array_types import Array
 from estimator.diagnosis.dataset import Dataset, Fit
-from estimator.diagnosis.outcome import Structure
+from estimator.diagnosis.outcome import ResidualDependence
 from estimator.diagnosis.settings import SETTINGS
 from estimator.effects.effect import PROXIMAL_TENSION
 
 
-def structure(dataset: Dataset, fit: Fit) -> tuple[Structure, ...]:
+def find_residual_dependence(dataset: Dataset, fit: Fit) -> tuple[ResidualDependence, ...]:
     """Return how much of each channel's residual is a function of what, strongest first.
 
     The share of its variance between bins of the tension, its rate, the speed, the direction, the
@@ -32,13 +32,13 @@ def structure(dataset: Dataset, fit: Fit) -> tuple[Structure, ...]:
                 along.setdefault(what, []).append(signal[rows])
         r = np.concatenate(residual)
         for what, parts in along.items():
-            share = explained(r, np.concatenate(parts))
+            share = compute_explained_variance(r, np.concatenate(parts))
             if share > SETTINGS.dependence_min:
-                found.append(Structure(what, channel, share))
+                found.append(ResidualDependence(what, channel, share))
     return tuple(sorted(found, key=lambda one: -one.share))
 
 
-def explained(residual: Array, signal: Array) -> float:
+def compute_explained_variance(residual: Array, signal: Array) -> float:
     """Return the share of a residual's variance that is between bins of a signal."""
     edges = np.unique(np.quantile(signal, np.linspace(0.0, 1.0, SETTINGS.dependence_bins + 1)))
     if len(edges) < 2 or not residual.var() > 0.0:

@@ -3,8 +3,15 @@
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from estimator.diagnosis.dataset import Dataset, Fit, Model, contexts, rescaled, whole
-from estimator.diagnosis.fit import improved
+from estimator.diagnosis.dataset import (
+    Dataset,
+    Fit,
+    Model,
+    build_contexts,
+    rescale_residuals,
+    use_all_samples,
+)
+from estimator.diagnosis.fit import fit_model
 from estimator.effects.effect import Effect, Values
 
 ROUNDS = 12  # of the fit to all samples
@@ -14,7 +21,7 @@ class CauseError(ValueError):
     """A cause that was asked for is not among those that explain the data equally well."""
 
 
-class Equal(NamedTuple):
+class EquivalentCause(NamedTuple):
     """An effect that explains as much as one of the causes, with its first values."""
 
     replaces: str  # name of that cause
@@ -30,21 +37,23 @@ class Rival(NamedTuple):
     fit: Fit
 
 
-def fitted(dataset: Dataset, plain: Fit, fit: Fit, equals: Sequence[Equal]) -> tuple[Rival, ...]:
+def fit_rivals(
+    dataset: Dataset, plain: Fit, fit: Fit, equals: Sequence[EquivalentCause]
+) -> tuple[Rival, ...]:
     """Return the models of all rivals."""
-    full = rescaled(whole(dataset), fit)
-    about = contexts(dataset, plain)
+    full = rescale_residuals(use_all_samples(dataset), fit)
+    about = build_contexts(dataset, plain)
     return tuple(
         Rival(
             one.replaces,
             one.effect,
-            improved(full, about, replaced(fit.model, one), ROUNDS),
+            fit_model(full, about, replace_cause(fit.model, one), ROUNDS),
         )
         for one in equals
     )
 
 
-def replaced(model: Model, equal: Equal) -> Model:
+def replace_cause(model: Model, equal: EquivalentCause) -> Model:
     """Return a model with a rival in the place of its cause."""
     effects = tuple(
         (equal.effect, equal.values) if effect.name == equal.replaces else (effect, values)

@@ -14,24 +14,29 @@ import numpy as np
 from estimator.array_types import Array
 from estimator.effects.effect import Signals
 
-UNEVEN = 0.02  # of the period: scatter of the steps below which stamps are even
-LONG = 1.75  # periods: a step with a sample missing in it
-ORDER = 3  # of the differences that roughness is taken from
-BLOCK = 20  # of them, of which one root mean square is taken
-MOVING = 0.8  # quantile of the blocks: the motor may be at rest for most of a record
-ROUGHER = 1.25  # by stamps than by even times, all channels multiplied: the stamps are wrong
-WINDOW = 99  # samples over which a clock runs evenly; no record is shorter
-PHASE, RATE = 0.1, 0.002  # of a stamp's error that corrects the phase and the period of a clock
+STEP_SCATTER_MAX = 0.02  # of the period: scatter of the steps below which stamps are even
+GAP_PERIODS = 1.75  # periods: a step with a sample missing in it
+DIFFERENCE_ORDER = 3  # of the differences that roughness is taken from
+BLOCK_SIZE = 20  # of them, of which one root mean square is taken
+ROUGHNESS_QUANTILE = 0.8  # quantile of the blocks: the motor may be at rest for most of a record
+ROUGHNESS_RATIO_MIN = (
+    1.25  # by stamps than by even times, all channels multiplied: the stamps are wrong
+)
+DRIFT_WINDOW = 99  # samples over which a clock runs evenly; no record is shorter
+PHASE_GAIN, PERIOD_GAIN = (
+    0.1,
+    0.002,
+)  # of a stamp's error that corrects the phase and the period of a clock
 
 
-class Times(NamedTuple):
+class SampleTimes(NamedTuple):
     """When the samples of a record were taken."""
 
     time: Array  # [s], shape (n,), strictly rising
     jitter: float  # [s] rms of the stamps about it; 0 where they are the time
 
 
-def divided_differences(time: Array, signal: Array, order: int) -> Array:
+def compute_divided_differences(time: Array, signal: Array, order: int) -> Array:
     """Return divided differences, normalised so that white noise of 1 has a variance of 1.
 
     Parameters
@@ -62,13 +67,13 @@ def divided_differences(time: Array, signal: Array, order: int) -> Array:
     return np.asarray(differences / np.sqrt(power))
 
 
-def blocks_rms(values: Array, block: int) -> Array:
+def compute_block_rms(values: Array, block: int) -> Array:
     """Return the root mean square of values over consecutive blocks."""
     count = max(len(values) // block, 1)
     return np.asarray(np.sqrt(np.mean(values[: count * block].reshape(count, -1) ** 2, axis=1)))
 
 
-def times_of(time: Array, signals: Signals) -> Times:
+def estimate_sample_times(time: Array, signals: Signals) -> SampleTimes:
     """Return when the samples of a record were taken: by their stamps, or evenly.
 
     Parameters
@@ -80,19 +85,22 @@ def times_of(time: Array, signals: Signals) -> Times:
     """
     steps = np.diff(time)
     period = float(np.median(steps))
-    usual = steps[steps < LONG * period]
-    if not float(usual.std()) > UNEVEN * period:
-        return Times(time, 0.0)
-    candidates = [_even(time, counted) for counted in (_without_gaps(time), _with_gaps(time))]
-    roughness = [_roughness(one, signals) for one in candidates]
+    usual = steps[steps < GAP_PERIODS * period]
+    if not float(usual.std()) > STEP_SCATTER_MAX * period:
+        return SampleTimes(time, 0.0)
+    candidates = [
+        _fit_even_times(time, counted)
+        for counted in (_count_without_gaps(time), _count_with_gaps(time))
+    ]
+    roughness = [_compute_roughness(one, signals) for one in candidates]
     best = int(np.argmin(roughness))
-    if roughness[best] + math.log(ROUGHER) > _roughness(time, signals):
-        return Times(time, 0.0)
+    if roughness[best] + math.log(ROUGHNESS_RATIO_MIN) > _compute_roughness(time, signals):
+        return SampleTimes(time, 0.0)
     even = candidates[best]
-    return Times(even, float(np.std(time - even)))
+    return SampleTimes(even, float(np.std(time - even)))
 
 
-def _roughness(time: Array, signals: Signals) -> float:
+def _compute_roughness(time: Array, signals: Signals) -> float:
     """Return ln of how rough channels are over a time, all together."""
     total = 0.0
     for signal in signals.values():
@@ -100,17 +108,20 @@ def _roughness(time: Array, signals: Signals) -> float:
         span = float(np.ptp(signal[present]))
         if not span > 0.0:
             continue
-        rough = blocks_rms(divided_differences(time[present], signal[present], ORDER), BLOCK)
-        total += math.log(max(float(np.quantile(rough, MOVING)), 1e-12 * span))
+        rough = compute_block_rms(
+            compute_divided_differences(time[present], signal[present], DIFFERENCE_ORDER),
+            BLOCK_SIZE,
+        )
+        total += math.log(max(float(np.quantile(rough, ROUGHNESS_QUANTILE)), 1e-12 * span))
     return total
 
 
-def _without_gaps(time: Array) -> Array:
+def _count_without_gaps(time: Array) -> Array:
     """Return the counts of samples none of which is missing."""
     return np.arange(len(time), dtype=np.float64)
 
 
-def _with_gaps(time: Array) -> Array:
+def _count_with_gaps(time: Array) -> Array:
     """Return the counts of samples by a clock that follows their stamps, missing ones counted."""
     period = float(np.median(np.diff(time)))
     counts, clock, count = np.zeros(len(time)), float(time[0]), 0
@@ -119,17 +130,17 @@ def _with_gaps(time: Array) -> Array:
         count += passed
         clock += passed * period
         late = stamp - clock
-        clock += PHASE * late
-        period += RATE * late / passed
+        clock += PHASE_GAIN * late
+        period += PERIOD_GAIN * late / passed
         counts[i] = count
     return counts
 
 
-def _even(time: Array, counts: Array) -> Array:
-    """Return times in proportion to counts, but for a clock that drifts over `WINDOW` samples."""
+def _fit_even_times(time: Array, counts: Array) -> Array:
+    """Return times in proportion to counts, but for a clock that drifts over `DRIFT_WINDOW` samples."""
     from scipy.signal import savgol_filter  # here: the control processes import this module
 
     period = float(np.polyfit(counts, time, 1)[0])
-    drift = savgol_filter(time - period * counts, WINDOW, 1)
+    drift = savgol_filter(time - period * counts, DRIFT_WINDOW, 1)
     even = period * counts + drift
     return np.asarray(even) if np.all(np.diff(even) > 0.0) else time

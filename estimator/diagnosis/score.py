@@ -8,14 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.array_types import Array
-from estimator.diagnosis.dataset import Dataset, Fit, tolerance
+from estimator.diagnosis.dataset import Dataset, Fit, compute_tolerance
 from estimator.diagnosis.record import Record
 from estimator.diagnosis.settings import SETTINGS
 
 DRAWS = 400
 
 
-class Errors(NamedTuple):
+class ChannelErrors(NamedTuple):
     """Squared errors of one channel on held-out samples."""
 
     squares: Array  # sums over bins, (bins,), in squares of the noise
@@ -34,21 +34,25 @@ class Errors(NamedTuple):
         return float(self.squares.sum() / max(self.counts.sum(), 1.0))
 
 
-def errors(dataset: Dataset, fit: Fit, *, held_out: bool = True) -> dict[str, Errors]:
+def compute_errors(
+    dataset: Dataset, fit: Fit, *, held_out: bool = True
+) -> dict[str, ChannelErrors]:
     """Return the errors of a model by channel, all records together.
 
     Where all samples are fitted and none is held out, the fitted ones are judged.
     """
-    parts: dict[str, list[Errors]] = {}
+    parts: dict[str, list[ChannelErrors]] = {}
     for record, one in zip(dataset.records, fit.simulated, strict=True):
         judged = record.train if record.train.all() else record.train != held_out
         for channel in record.compared:
-            found = errors_of(record, channel, one.signals[channel], judged)
+            found = compute_channel_errors(record, channel, one.signals[channel], judged)
             parts.setdefault(channel, []).append(found)
-    return {channel: together(found) for channel, found in parts.items()}
+    return {channel: concatenate_errors(found) for channel, found in parts.items()}
 
 
-def errors_of(record: Record, channel: str, predicted: Array, samples: NDArray[np.bool_]) -> Errors:
+def compute_channel_errors(
+    record: Record, channel: str, predicted: Array, samples: NDArray[np.bool_]
+) -> ChannelErrors:
     """Return the errors of a predicted channel of a record on some of its samples, shape (n,)."""
     # no bin goes beyond its block: both numbers rise with time
     bins = ((record.time - record.time[0]) / SETTINGS.bin).astype(np.int64) + record.block
@@ -58,17 +62,19 @@ def errors_of(record: Record, channel: str, predicted: Array, samples: NDArray[n
     squares = np.bincount(bins[rows], off**2, bins[-1] + 1).astype(np.float64)
     counts = np.bincount(bins[rows], minlength=bins[-1] + 1).astype(np.float64)
     kept = counts > 0
-    return Errors(squares[kept], float(error @ error), counts[kept], _independent(off))
+    return ChannelErrors(
+        squares[kept], float(error @ error), counts[kept], _estimate_independent_share(off)
+    )
 
 
-def joined(found: Sequence[dict[str, Errors]]) -> dict[str, Errors]:
+def join_errors(found: Sequence[dict[str, ChannelErrors]]) -> dict[str, ChannelErrors]:
     """Return the errors of several halves as those of a whole."""
-    return {channel: together([one[channel] for one in found]) for channel in found[0]}
+    return {channel: concatenate_errors([one[channel] for one in found]) for channel in found[0]}
 
 
-def together(found: Sequence[Errors]) -> Errors:
+def concatenate_errors(found: Sequence[ChannelErrors]) -> ChannelErrors:
     """Return the errors of several parts as those of a whole."""
-    return Errors(
+    return ChannelErrors(
         np.concatenate([part.squares for part in found]),
         sum(part.power for part in found),
         np.concatenate([part.counts for part in found]),
@@ -76,7 +82,7 @@ def together(found: Sequence[Errors]) -> Errors:
     )
 
 
-def log_likelihood_ratio(a: dict[str, Errors], b: dict[str, Errors]) -> float:
+def compute_log_likelihood_ratio(a: dict[str, ChannelErrors], b: dict[str, ChannelErrors]) -> float:
     """Return ln of how much more probable held-out data are under `a` than under `b`.
 
     Each channel's own mean square stands for its variance, so that neither the unit nor a
@@ -86,16 +92,21 @@ def log_likelihood_ratio(a: dict[str, Errors], b: dict[str, Errors]) -> float:
     for channel, one in a.items():
         share = min(one.independent, b[channel].independent)
         total += (
-            0.5 * share * float(one.counts.sum()) * math.log(_floored(b[channel]) / _floored(one))
+            0.5
+            * share
+            * float(one.counts.sum())
+            * math.log(_floor_variance(b[channel]) / _floor_variance(one))
         )
     return total
 
 
-def surely_better(a: dict[str, Errors], b: dict[str, Errors], seed: int = 0) -> float:
+def bootstrap_superiority(
+    a: dict[str, ChannelErrors], b: dict[str, ChannelErrors], seed: int = 0
+) -> float:
     """Return the share of bootstrapped records in which `a` is better than `b` (paired bins)."""
     difference = []
     for channel, one in a.items():
-        scale = _floored(one)
+        scale = _floor_variance(one)
         difference.append((b[channel].squares - one.squares) / scale)
     total = (
         np.sum(difference, axis=0)
@@ -106,13 +117,13 @@ def surely_better(a: dict[str, Errors], b: dict[str, Errors], seed: int = 0) -> 
     return float(np.mean(total[draws].sum(axis=1) > 0.0))
 
 
-def gain_of(a: dict[str, Errors], b: dict[str, Errors]) -> float:
+def compute_gain(a: dict[str, ChannelErrors], b: dict[str, ChannelErrors]) -> float:
     """Return by which share errors are smaller under `a` than under `b`, over all channels."""
     samples = sum(one.independent * float(one.counts.sum()) for one in a.values())
-    return -math.expm1(-log_likelihood_ratio(a, b) / max(samples / len(a), 1.0))
+    return -math.expm1(-compute_log_likelihood_ratio(a, b) / max(samples / len(a), 1.0))
 
 
-def left_of(a: dict[str, Errors], b: dict[str, Errors]) -> float:
+def compute_residual_fraction(a: dict[str, ChannelErrors], b: dict[str, ChannelErrors]) -> float:
     """Return how much `a` leaves of what `b` leaves beyond the noise; worse channels weigh more.
 
     0 where noise is all that is left, 1 where nothing was gained.
@@ -128,7 +139,7 @@ def left_of(a: dict[str, Errors], b: dict[str, Errors]) -> float:
     return left / total if total else 0.0
 
 
-def bootstrapped_gain(a: Errors, b: Errors, seed: int = 0) -> tuple[float, float, float]:
+def bootstrap_gain(a: ChannelErrors, b: ChannelErrors, seed: int = 0) -> tuple[float, float, float]:
     """Return by which share the RMSE is smaller under `a` than under `b`, and its 95 % interval."""
     value = 1.0 - math.sqrt(a.mean / max(b.mean, 1e-12))
     n = len(a.squares)
@@ -138,28 +149,28 @@ def bootstrapped_gain(a: Errors, b: Errors, seed: int = 0) -> tuple[float, float
     return value, float(low), float(high)
 
 
-def is_noise(dataset: Dataset, found: dict[str, Errors]) -> bool:
+def is_noise(dataset: Dataset, found: dict[str, ChannelErrors]) -> bool:
     """Return whether errors are what noise makes, and a simulation's own error."""
-    return within(dataset, found, SETTINGS.noise_ratio)
+    return is_within_tolerance(dataset, found, SETTINGS.noise_ratio)
 
 
-def within(dataset: Dataset, found: dict[str, Errors], times: float) -> bool:
+def is_within_tolerance(dataset: Dataset, found: dict[str, ChannelErrors], times: float) -> bool:
     """Return whether errors are less than so many times what noise and a simulation make."""
-    floor = tolerance(dataset)
+    floor = compute_tolerance(dataset)
     return all(math.sqrt(one.mean) < times * floor[c] for c, one in found.items())
 
 
-def bic_penalty(dataset: Dataset, numbers: int) -> float:
+def compute_bic_penalty(dataset: Dataset, numbers: int) -> float:
     """Return what so many more numbers must earn in ln of the likelihood (BIC, Schwarz 1978)."""
     samples = sum(len(record.time) for record in dataset.records)
     return 0.5 * numbers * math.log(samples)
 
 
-def _floored(one: Errors) -> float:
+def _floor_variance(one: ChannelErrors) -> float:
     return max(one.mean, SETTINGS.variance_min)
 
 
-def _independent(off: Array) -> float:
+def _estimate_independent_share(off: Array) -> float:
     centred = off - off.mean()
     power = float(centred @ centred)
     r = float(centred[1:] @ centred[:-1]) / power if power > 0.0 else 0.0

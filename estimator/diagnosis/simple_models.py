@@ -18,10 +18,15 @@ import numpy as np
 from estimator.array_types import Array
 from estimator.diagnosis.dataset import Dataset
 from estimator.diagnosis.record import Record
-from estimator.diagnosis.score import Errors, bootstrapped_gain, errors_of, together
+from estimator.diagnosis.score import (
+    ChannelErrors,
+    bootstrap_gain,
+    compute_channel_errors,
+    concatenate_errors,
+)
 from estimator.effects.effect import PROXIMAL_TENSION
-from estimator.hysteresis import bristle, in_proportion
-from estimator.signals import played
+from estimator.hysteresis import apply_proportional_play, compute_bristle_deflection
+from estimator.signals import apply_play
 
 PLAYS = 5
 LUGRE = "LuGre"
@@ -35,7 +40,7 @@ class SimpleFit(NamedTuple):
     """A model and how far it is off in each channel."""
 
     name: str
-    held_out: dict[str, Errors]  # of both halves, each fitted to the other
+    held_out: dict[str, ChannelErrors]  # of both halves, each fitted to the other
 
     @property
     def rmse(self) -> dict[str, float]:
@@ -52,42 +57,47 @@ class SimpleGain(NamedTuple):
     high: float
 
 
-def simple_models(dataset: Dataset) -> tuple[SimpleFit, ...]:
+def fit_simple_models(dataset: Dataset) -> tuple[SimpleFit, ...]:
     """Return the held-out errors of one play operator, of five, and of LuGre."""
     channels = dataset.records[0].compared
     return tuple(
-        SimpleFit(name, {channel: _held_out(dataset, channel, name) for channel in channels})
+        SimpleFit(
+            name, {channel: _cross_validate_model(dataset, channel, name) for channel in channels}
+        )
         for name in _MODELS
     )
 
 
-def gains_over(law: Mapping[str, Errors], models: Sequence[SimpleFit]) -> dict[str, SimpleGain]:
+def compute_simple_gains(
+    law: Mapping[str, ChannelErrors], models: Sequence[SimpleFit]
+) -> dict[str, SimpleGain]:
     """Return how much better a law is than the best of simple models on the same samples."""
     found = {}
     for channel, errors in law.items():
         best = min(models, key=lambda one: one.held_out[channel].mean)
-        gain = bootstrapped_gain(errors, best.held_out[channel])
+        gain = bootstrap_gain(errors, best.held_out[channel])
         found[channel] = SimpleGain(best.name, *gain)
     return found
 
 
-def _held_out(dataset: Dataset, channel: str, name: str) -> Errors:
+def _cross_validate_model(dataset: Dataset, channel: str, name: str) -> ChannelErrors:
     """Return the errors of both halves, each fitted to the other; of all where all is fitted."""
     parts = []
     candidates = list(_MODELS[name](dataset))
     all_fitted = all(record.train.all() for record in dataset.records)
     for fitted_half in (True,) if all_fitted else (True, False):
         fits = (
-            _fit(dataset, channel, features, fitted_half, name != LUGRE) for features in candidates
+            _fit_features(dataset, channel, features, fitted_half, name != LUGRE)
+            for features in candidates
         )
         _, predicted = min(fits, key=lambda fit: fit[0])
         for record, signal in zip(dataset.records, predicted, strict=True):
             judged = record.train if all_fitted else record.train != fitted_half
-            parts.append(errors_of(record, channel, signal, judged))
-    return together(parts)
+            parts.append(compute_channel_errors(record, channel, signal, judged))
+    return concatenate_errors(parts)
 
 
-def _fit(
+def _fit_features(
     dataset: Dataset, channel: str, features: list[Array], fitted_half: bool, positive: bool
 ) -> tuple[float, list[Array]]:
     """Return the squared error of the fitted half, and what is predicted of each record."""
@@ -99,12 +109,12 @@ def _fit(
         values.append(record.signals[channel])
         fitted.append(record.good[channel] & (record.train == fitted_half))
     A, y, mask = np.concatenate(rows), np.concatenate(values), np.concatenate(fitted)
-    weights = _weights(A[mask], y[mask], A.shape[1] - len(offsets) if positive else 0)
+    weights = _solve_weights(A[mask], y[mask], A.shape[1] - len(offsets) if positive else 0)
     off = y[mask] - A[mask] @ weights
     return float(off @ off), [each @ weights for each in rows]
 
 
-def _weights(A: Array, y: Array, positive: int) -> Array:
+def _solve_weights(A: Array, y: Array, positive: int) -> Array:
     """Return the weights of least squares, the first `positive` of them not below zero."""
     from scipy.optimize import nnls
 
@@ -116,48 +126,51 @@ def _weights(A: Array, y: Array, positive: int) -> Array:
     return np.asarray(found[: R.shape[1]] / size)
 
 
-def _one_play(dataset: Dataset) -> Iterator[list[Array]]:
+def _generate_play_features(dataset: Dataset) -> Iterator[list[Array]]:
     for share in _HALF_WIDTHS:
-        yield [played(record.drive, share * span)[:, None] for record, span in _spans(dataset)]
+        yield [
+            apply_play(record.drive, share * span)[:, None]
+            for record, span in _pair_records_with_span(dataset)
+        ]
     if dataset.records[0].driver == PROXIMAL_TENSION:
         for K in _FRICTIONS:
-            yield [in_proportion(record.drive, K)[:, None] for record in dataset.records]
+            yield [apply_proportional_play(record.drive, K)[:, None] for record in dataset.records]
 
 
-def _several_plays(dataset: Dataset) -> Iterator[list[Array]]:
+def _generate_prandtl_features(dataset: Dataset) -> Iterator[list[Array]]:
     shares = np.concatenate([[0.0], 0.45 * (np.arange(1, PLAYS) / (PLAYS - 1)) ** 2])
     yield [
-        np.column_stack([played(record.drive, share * span) for share in shares])
-        for record, span in _spans(dataset)
+        np.column_stack([apply_play(record.drive, share * span) for share in shares])
+        for record, span in _pair_records_with_span(dataset)
     ]
     if dataset.records[0].driver == PROXIMAL_TENSION:
         for most in _FRICTIONS:
             frictions = most * np.arange(1, PLAYS + 1) / PLAYS
             yield [
-                np.column_stack([in_proportion(record.drive, K) for K in frictions])
+                np.column_stack([apply_proportional_play(record.drive, K) for K in frictions])
                 for record in dataset.records
             ]
 
 
-def _lugre(dataset: Dataset) -> Iterator[list[Array]]:
+def _generate_lugre_features(dataset: Dataset) -> Iterator[list[Array]]:
     for reach, (excess, speed) in itertools.product(_REACHES, _STRIBECK):
         columns = []
-        for record, span in _spans(dataset):
+        for record, span in _pair_records_with_span(dataset):
             scale = speed * max(float(np.sqrt(np.mean(record.speed**2))), 1e-12)
             g = 1.0 + excess * np.exp(-((record.speed / scale) ** 2))
-            z = bristle(record.drive, reach * span * g)
+            z = compute_bristle_deflection(record.drive, reach * span * g)
             columns.append(np.column_stack([record.drive, z / (reach * span), record.speed]))
         yield columns
 
 
-def _spans(dataset: Dataset) -> list[tuple[Record, float]]:
+def _pair_records_with_span(dataset: Dataset) -> list[tuple[Record, float]]:
     """Return each record with the range of the drive over all of them."""
     span = max(float(np.ptp(record.drive)) for record in dataset.records)
     return [(record, span) for record in dataset.records]
 
 
 _MODELS = {
-    "play operator with gain": _one_play,
-    f"Prandtl-Ishlinskii, {PLAYS} plays": _several_plays,
-    LUGRE: _lugre,
+    "play operator with gain": _generate_play_features,
+    f"Prandtl-Ishlinskii, {PLAYS} plays": _generate_prandtl_features,
+    LUGRE: _generate_lugre_features,
 }

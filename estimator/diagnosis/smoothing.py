@@ -12,23 +12,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.array_types import Array
-from estimator.compiled import compiled
+from estimator.compiled import jit_compile
 
 _HALF_WIDTHS = (1, 2, 3, 5, 8, 12, 18, 27, 40, 60, 90)  # [samples]
 _ORDER = 2
 _CONFIDENCE = 1.2  # standard deviations on each side
-_STEADY = 9  # samples over which the median of the chosen windows is taken
-_STRADDLED = 5.0  # sigma from a reading: a window over a step, as where an encoder slipped
+_MEDIAN_WINDOW = 9  # samples over which the median of the chosen windows is taken
+_STEP_THRESHOLD = 5.0  # sigma from a reading: a window over a step, as where an encoder slipped
 
 
-class Smoothed(NamedTuple):
+class SmoothedSignal(NamedTuple):
     """A signal without most of its noise."""
 
     signal: Array  # shape (n,)
     sigma: Array  # standard deviation of the noise that is left, shape (n,)
 
 
-def smooth(signal: Array, sigma: float, time: Array | None = None) -> Smoothed:
+def smooth_signal(signal: Array, sigma: float, time: Array | None = None) -> SmoothedSignal:
     """Return a signal with white noise of standard deviation `sigma` taken out.
 
     Parameters
@@ -44,10 +44,12 @@ def smooth(signal: Array, sigma: float, time: Array | None = None) -> Smoothed:
 
     n = len(signal)
     if not sigma > 0.0:
-        return Smoothed(signal, np.zeros(n))
+        return SmoothedSignal(signal, np.zeros(n))
     time = np.arange(n, dtype=np.float64) if time is None else time
     halves = np.array([0, *(half for half in _HALF_WIDTHS if 2 * half + 1 < n)])
-    estimates, gains = _local_polynomials(time / float(np.median(np.diff(time))), signal, halves)
+    estimates, gains = _fit_local_polynomials(
+        time / float(np.median(np.diff(time))), signal, halves
+    )
     sigmas = sigma * gains
     low, high = signal - _CONFIDENCE * sigma, signal + _CONFIDENCE * sigma
     agreed = np.ones(n, dtype=np.bool_)
@@ -58,14 +60,14 @@ def smooth(signal: Array, sigma: float, time: Array | None = None) -> Smoothed:
         agreed &= low <= high
         agreed[:half] = agreed[n - half :] = False
         chosen[agreed] = k
-    rows, steady = np.arange(n), median_filter(chosen, _STEADY)
-    straddles = np.abs(estimates[steady, rows] - signal) > _STRADDLED * sigma
+    rows, steady = np.arange(n), median_filter(chosen, _MEDIAN_WINDOW)
+    straddles = np.abs(estimates[steady, rows] - signal) > _STEP_THRESHOLD * sigma
     chosen = np.where(straddles, chosen, steady)
-    return Smoothed(estimates[chosen, rows], sigmas[chosen, rows])
+    return SmoothedSignal(estimates[chosen, rows], sigmas[chosen, rows])
 
 
-@compiled
-def _local_polynomials(
+@jit_compile
+def _fit_local_polynomials(
     time: Array, signal: Array, halves: NDArray[np.int64]
 ) -> tuple[Array, Array]:
     """Return least-squares parabolas through windows about each sample, where the sample is.

@@ -13,7 +13,7 @@ from estimator.effects.effect import Signals
 Mask = NDArray[np.bool_]
 
 
-class Thinned(NamedTuple):
+class DecimatedRecord(NamedTuple):
     """A record of which several samples were averaged to one."""
 
     time: Array
@@ -24,13 +24,13 @@ class Thinned(NamedTuple):
     thinned: int  # samples in one
 
 
-def thinned(
+def decimate_record(
     time: Array,
     signals: Signals,
     good: dict[str, Mask],
     present: dict[str, Mask],
     most: int,
-) -> Thinned:
+) -> DecimatedRecord:
     """Return every k-th sample, all channels averaged over the k around it.
 
     What does not count is interpolated in `signals`, so that a mean of few values is one at the
@@ -39,14 +39,14 @@ def thinned(
     """
     k = math.ceil(len(time) / most)
     if k <= 1:
-        return Thinned(time, signals, good, present, dict.fromkeys(signals, 1.0), 1)
+        return DecimatedRecord(time, signals, good, present, dict.fromkeys(signals, 1.0), 1)
     rows = np.arange(k // 2, len(time) - (k - 1) // 2, k)
     window = rows[:, None] + np.arange(k) - k // 2
     spans = time[window[:, -1]] - time[window[:, 0]]
     unbroken = spans < float(np.median(spans)) + LONG_GAP
     counts = {name: mask[window].sum(axis=1) for name, mask in good.items()}
     usual = {name: float(np.median(count[count > 0])) for name, count in counts.items()}
-    return Thinned(
+    return DecimatedRecord(
         time[window].mean(axis=1),
         {name: signal[window].sum(axis=1) / k for name, signal in signals.items()},
         {name: unbroken & (count > 0.5 * usual[name]) for name, count in counts.items()},

@@ -16,13 +16,13 @@ from estimator.effects.effect import Parameter
 from estimator.lumped.lumped_model import Physics
 
 FRICTION = Parameter("K", "", 0.01, 5.0, 0.05)
-FORCE = Parameter("friction", "N", 1e-3, 200.0, 0.05)  # of a whole sheath, at any load
-WIDTH = Parameter("presliding width", "m", 1e-7, 5e-3, 5e-6, None)
+FRICTION_FORCE = Parameter("friction", "N", 1e-3, 200.0, 0.05)  # of a whole sheath, at any load
+PRESLIDING_WIDTH = Parameter("presliding width", "m", 1e-7, 5e-3, 5e-6, None)
 
-_ANY_LOAD = 1e-3  # K of friction that no load changes: to within 0.1 % of the load
+_LOAD_INDEPENDENT_K = 1e-3  # K of friction that no load changes: to within 0.1 % of the load
 
 
-class Law(StrEnum):
+class BaseLaw(StrEnum):
     """Base laws."""
 
     CAPSTAN = "capstan"
@@ -30,30 +30,32 @@ class Law(StrEnum):
     BOTH = "capstan and load-independent"
 
 
-_PARAMETERS: Mapping[Law, tuple[Parameter, ...]] = {
-    Law.CAPSTAN: (FRICTION,),
-    Law.INDEPENDENT: (FORCE, WIDTH),
-    Law.BOTH: (FRICTION, FORCE, WIDTH),
+_PARAMETERS: Mapping[BaseLaw, tuple[Parameter, ...]] = {
+    BaseLaw.CAPSTAN: (FRICTION,),
+    BaseLaw.INDEPENDENT: (FRICTION_FORCE, PRESLIDING_WIDTH),
+    BaseLaw.BOTH: (FRICTION, FRICTION_FORCE, PRESLIDING_WIDTH),
 }
 
 
-def parameters_of(law: Law, loop: bool) -> tuple[Parameter, ...]:
+def list_law_parameters(law: BaseLaw, loop: bool) -> tuple[Parameter, ...]:
     """Return the parameters of a law, before those of elasticity and load."""
-    return (FRICTION, WIDTH) if loop and law is Law.CAPSTAN else _PARAMETERS[law]
+    return (FRICTION, PRESLIDING_WIDTH) if loop and law is BaseLaw.CAPSTAN else _PARAMETERS[law]
 
 
-CONTAINED: Mapping[Law, frozenset[str]] = {
-    Law.CAPSTAN: frozenset(),
-    Law.INDEPENDENT: frozenset({"constant_drag", "presliding", "tension_dependent_friction"}),
-    Law.BOTH: frozenset({"constant_drag", "presliding"}),
+EXCLUDED_EFFECTS: Mapping[BaseLaw, frozenset[str]] = {
+    BaseLaw.CAPSTAN: frozenset(),
+    BaseLaw.INDEPENDENT: frozenset({"constant_drag", "presliding", "tension_dependent_friction"}),
+    BaseLaw.BOTH: frozenset({"constant_drag", "presliding"}),
 }
 """Effects that a law has in it already, or that are defined on another only."""
 
 
-def with_friction(physics: Physics, law: Law, values: Mapping[str, float]) -> Physics:
-    """Return a tendon with the friction of a law; `values` by name of `parameters_of`."""
-    ones, width = np.ones_like(physics.friction), values.get(WIDTH.name, 0.0)
-    if law is Law.CAPSTAN:
+def apply_base_law(physics: Physics, law: BaseLaw, values: Mapping[str, float]) -> Physics:
+    """Return a tendon with the friction of a law; `values` by name of `list_law_parameters`."""
+    ones, width = np.ones_like(physics.friction), values.get(PRESLIDING_WIDTH.name, 0.0)
+    if law is BaseLaw.CAPSTAN:
         return physics._replace(friction=values[FRICTION.name] * ones, presliding=width)
-    K = _ANY_LOAD if law is Law.INDEPENDENT else values[FRICTION.name]
-    return physics._replace(friction=K * ones, drag=values[FORCE.name] / K, presliding=width)
+    K = _LOAD_INDEPENDENT_K if law is BaseLaw.INDEPENDENT else values[FRICTION.name]
+    return physics._replace(
+        friction=K * ones, drag=values[FRICTION_FORCE.name] / K, presliding=width
+    )

@@ -76,23 +76,23 @@ class EffectContext(NamedTuple):
         return [float(t) for t in self.time[0] + shares * (self.time[-1] - self.time[0])]
 
 
-def _same_physics(physics: Physics, _values: Values, _context: EffectContext) -> Physics:
+def _keep_physics(physics: Physics, _values: Values, _context: EffectContext) -> Physics:
     return physics
 
 
-def _same_signals(signals: Signals, _values: Values, _context: EffectContext) -> Signals:
+def _keep_signals(signals: Signals, _values: Values, _context: EffectContext) -> Signals:
     return signals
 
 
-def _same_drive(drive: Array, _values: Values, _context: EffectContext) -> Array:
+def _keep_drive(drive: Array, _values: Values, _context: EffectContext) -> Array:
     return drive
 
 
-def _same_values(values: Values, _zero: float) -> Values:
+def _keep_values(values: Values, _zero: float) -> Values:
     return values
 
 
-def _as_they_are(
+def _keep_parameters(
     parameters: tuple[Parameter, ...], _span: float, _values: Values
 ) -> tuple[Parameter, ...]:
     return parameters
@@ -142,14 +142,16 @@ class Effect:
     source: str
     advice: str
     starts: Callable[[EffectContext], Iterable[Values]]
-    physics: Callable[[Physics, Values, EffectContext], Physics] = _same_physics
-    measure: Callable[[Signals, Values, EffectContext], Signals] = _same_signals
-    invert: Callable[[Array, Values, EffectContext], Array] = _same_drive
+    physics: Callable[[Physics, Values, EffectContext], Physics] = _keep_physics
+    measure: Callable[[Signals, Values, EffectContext], Signals] = _keep_signals
+    invert: Callable[[Array, Values, EffectContext], Array] = _keep_drive
     where: str = ""
     needs: frozenset[str] = frozenset()
-    within: Callable[[tuple[Parameter, ...], float, Values], tuple[Parameter, ...]] = _as_they_are
+    within: Callable[[tuple[Parameter, ...], float, Values], tuple[Parameter, ...]] = (
+        _keep_parameters
+    )
     correction: CorrectionKind | None = None
-    from_zero: Callable[[Values, float], Values] = _same_values
+    from_zero: Callable[[Values, float], Values] = _keep_values
     brief: bool = False
 
     @property
@@ -158,7 +160,7 @@ class Effect:
         return f"{self.name} ({self.where})" if self.where else self.name
 
 
-def since(time: Array, onset: float, over: float = 0.0) -> Array:
+def compute_step(time: Array, onset: float, over: float = 0.0) -> Array:
     """Return 0 before `onset` [s] and 1 after, shape (n,), the step taken `over` so long [s].
 
     No shorter than from one sample to the next, which one in between would be in anyway.

@@ -16,7 +16,7 @@ from estimator.lumped.nodes import EDGES, PLACES
 TRAVEL = frozenset({PROXIMAL_DISPLACEMENT})
 
 
-def section_weights(cuts: tuple[float, ...], densities: tuple[float, ...]) -> Array:
+def compute_section_weights(cuts: tuple[float, ...], densities: tuple[float, ...]) -> Array:
     """Return the nodes' shares of the compliance for sections between `cuts`, shares of K."""
     places = np.array([0.0, *cuts, 1.0])
     total = np.concatenate([[0.0], np.cumsum(np.diff(places) * np.array(densities))])
@@ -24,19 +24,19 @@ def section_weights(cuts: tuple[float, ...], densities: tuple[float, ...]) -> Ar
     return np.asarray(weights / weights.sum())
 
 
-def _two_sections(physics: Physics, values: Values, _context: EffectContext) -> Physics:
+def _apply_two_sections(physics: Physics, values: Values, _context: EffectContext) -> Physics:
     ratio, cut = values
-    return physics._replace(weights=section_weights((cut,), (1.0, float(np.exp(ratio)))))
+    return physics._replace(weights=compute_section_weights((cut,), (1.0, float(np.exp(ratio)))))
 
 
-def _three_sections(physics: Physics, values: Values, _context: EffectContext) -> Physics:
+def _apply_three_sections(physics: Physics, values: Values, _context: EffectContext) -> Physics:
     second, third, cut, width = values
     end = cut + (0.98 - cut) * width
     densities = (1.0, float(np.exp(second)), float(np.exp(third)))
-    return physics._replace(weights=section_weights((cut, end), densities))
+    return physics._replace(weights=compute_section_weights((cut, end), densities))
 
 
-def _gradual(physics: Physics, values: Values, _context: EffectContext) -> Physics:
+def _apply_gradual_curvature(physics: Physics, values: Values, _context: EffectContext) -> Physics:
     weights = np.exp(values[0] * PLACES) * np.diff(EDGES)
     return physics._replace(weights=weights / weights.sum())
 
@@ -56,7 +56,7 @@ TWO_SECTIONS = Effect(
     source=_CURVATURE_SOURCE,
     advice=_CURVATURE_ADVICE,
     starts=lambda _: [(0.6, cut) for cut in (0.15, 0.35, 0.6, 0.85)],
-    physics=_two_sections,
+    physics=_apply_two_sections,
     where="two sections",
     needs=TRAVEL,
 )
@@ -77,12 +77,12 @@ THREE_SECTIONS = Effect(
     starts=lambda _: [
         (a, b, 0.33, 0.5) for a, b in ((0.6, 0.0), (0.0, 0.6), (0.5, 1.0), (0.5, -0.5))
     ],
-    physics=_three_sections,
+    physics=_apply_three_sections,
     where="three sections",
     needs=TRAVEL,
 )
 
-GRADUAL = Effect(
+GRADUAL_CURVATURE = Effect(
     name="nonuniform_curvature",
     cause=_CURVATURE,
     equation="compliance per friction ~ e^(ratio s/K)",
@@ -90,7 +90,7 @@ GRADUAL = Effect(
     source=_CURVATURE_SOURCE,
     advice=_CURVATURE_ADVICE,
     starts=lambda _: [(0.6,)],
-    physics=_gradual,
+    physics=_apply_gradual_curvature,
     where="gradually along the sheath",
     needs=TRAVEL,
 )
@@ -153,7 +153,7 @@ SLACK = Effect(
 )
 
 
-def _expansion(physics: Physics, values: Values, context: EffectContext) -> Physics:
+def _apply_expansion(physics: Physics, values: Values, context: EffectContext) -> Physics:
     per_minute, time = values
     t = context.time - context.time[0]
     longer = per_minute / 60.0 * time * -np.expm1(-t / time)
@@ -171,12 +171,12 @@ THERMAL_EXPANSION = Effect(
     source="steel: 0.012 mm/(m K)",
     advice="Warm the bench up, log the temperature, or return to a hard stop now and then.",
     starts=lambda _: [(5e-5, time) for time in (10.0, 40.0, 1e3)],
-    physics=_expansion,
+    physics=_apply_expansion,
     needs=TRAVEL,
 )
 
 EFFECTS = (
-    GRADUAL,
+    GRADUAL_CURVATURE,
     TWO_SECTIONS,
     THREE_SECTIONS,
     NONLINEAR_STIFFNESS,

@@ -14,15 +14,15 @@ from estimator.effects.effect import (
     Parameter,
     Values,
     changed,
-    since,
+    compute_step,
 )
 from estimator.lumped.lumped_model import Physics
-from estimator.signals import played
+from estimator.signals import apply_play
 
 TRAVEL = frozenset({PROXIMAL_DISPLACEMENT})
 BOTH_TRAVELS = frozenset({PROXIMAL_DISPLACEMENT, DISTAL_DISPLACEMENT})
-ONSETS = 16
-STAYS = (0.5, 1.0, 2.0, 4.0, 8.0)  # [s]
+ONSET_COUNT = 16
+DWELL_TIMES = (0.5, 1.0, 2.0, 4.0, 8.0)  # [s]
 
 PRETENSION = Effect(
     name="pretension",
@@ -37,7 +37,9 @@ PRETENSION = Effect(
 )
 
 
-def _left_by(way: str, where: str, came_from: Callable[[float, float], list[float]]) -> Effect:
+def _build_pretension(
+    way: str, where: str, came_from: Callable[[float, float], list[float]]
+) -> Effect:
     """Return the pretension that motion before the record has left behind in the sheath."""
     return Effect(
         name="pretension",
@@ -55,13 +57,13 @@ def _left_by(way: str, where: str, came_from: Callable[[float, float], list[floa
     )
 
 
-PRETENSION_PULLED = _left_by("pull", "out", lambda share, span: [share * span])
-PRETENSION_RELEASED = _left_by("release", "in", lambda share, span: [span, -share * span])
+PRETENSION_PULLED = _build_pretension("pull", "out", lambda share, span: [share * span])
+PRETENSION_RELEASED = _build_pretension("release", "in", lambda share, span: [span, -share * span])
 
 
-def play(travel: Array, width: float) -> Array:
+def apply_backlash(travel: Array, width: float) -> Array:
     """Return what a link follows of a travel through a play of `width` [m], from its middle."""
-    return played(travel, 0.5 * width)
+    return apply_play(travel, 0.5 * width)
 
 
 JOINT_BACKLASH = Effect(
@@ -73,13 +75,13 @@ JOINT_BACKLASH = Effect(
     advice="Take the play out, or measure at the pulley and at the link.",
     starts=lambda _: [(3e-5,), (1.5e-4,)],
     measure=lambda signals, values, _: changed(
-        signals, DISTAL_DISPLACEMENT, lambda q: play(q, values[0])
+        signals, DISTAL_DISPLACEMENT, lambda q: apply_backlash(q, values[0])
     ),
     needs=BOTH_TRAVELS,
 )
 
 
-def _held(physics: Physics, values: Values, _context: EffectContext) -> Physics:
+def _apply_joint_friction(physics: Physics, values: Values, _context: EffectContext) -> Physics:
     return physics._replace(load_low=-values[0], load_high=values[0])
 
 
@@ -91,12 +93,12 @@ JOINT_FRICTION = Effect(
     source="range assumed: 0.1 to 3 N",
     advice="Look at the joint's bearings; the force on the tool is less than the tendon's by it.",
     starts=lambda _: [(0.15,), (0.6,)],
-    physics=_held,
+    physics=_apply_joint_friction,
     needs=TRAVEL,
 )
 
 
-def _second_tendon(physics: Physics, values: Values, _context: EffectContext) -> Physics:
+def _apply_antagonist(physics: Physics, values: Values, _context: EffectContext) -> Physics:
     tension, K, stiffness = values
     # less the tension in which the tip was balanced at the start
     low, high = tension * np.expm1(-K), tension * np.expm1(K)
@@ -116,12 +118,12 @@ ANTAGONIST_TENSION = Effect(
     source="docs/theory.md, section 7",
     advice="Read its load cell, and let it out further before you measure.",
     starts=lambda _: [(tension, 0.8, s) for tension in (0.2, 0.8) for s in (2e3, 1e4)],
-    physics=_second_tendon,
+    physics=_apply_antagonist,
     needs=TRAVEL,
 )
 
 
-def _heavy(physics: Physics, values: Values, _context: EffectContext) -> Physics:
+def _apply_tip_inertia(physics: Physics, values: Values, _context: EffectContext) -> Physics:
     return physics._replace(mass=values[0], damping=values[1])
 
 
@@ -136,36 +138,36 @@ TIP_INERTIA = Effect(
     source="Newton",
     advice="Move more smoothly, or take the load off the tip.",
     starts=lambda _: [(0.05, 5.0), (0.5, 10.0), (0.05, 100.0)],
-    physics=_heavy,
+    physics=_apply_tip_inertia,
     needs=TRAVEL,
 )
 
 
-def _moved(physics: Physics, values: Values, context: EffectContext) -> Physics:
+def _apply_tip_motion(physics: Physics, values: Values, context: EffectContext) -> Physics:
     size, onset, duration = values
-    offset = size * since(context.time, onset + 0.5 * duration, max(duration, 0.02))
+    offset = size * compute_step(context.time, onset + 0.5 * duration, max(duration, 0.02))
     return physics._replace(tip_offset=physics.tip_offset + offset)
 
 
-def _moved_and_back(physics: Physics, values: Values, context: EffectContext) -> Physics:
+def _apply_tip_excursion(physics: Physics, values: Values, context: EffectContext) -> Physics:
     size, onset, duration, stay = values
     over = max(duration, 0.02)
-    there = since(context.time, onset + 0.5 * duration, over)
-    back = since(context.time, onset + stay + 1.5 * duration, over)
+    there = compute_step(context.time, onset + 0.5 * duration, over)
+    back = compute_step(context.time, onset + stay + 1.5 * duration, over)
     return physics._replace(tip_offset=physics.tip_offset + size * (there - back))
 
 
-def _moved_starts(context: EffectContext) -> Iterable[Values]:
-    return [(2e-4, onset, 0.5) for onset in context.instants(2 * ONSETS)]
+def _build_motion_starts(context: EffectContext) -> Iterable[Values]:
+    return [(2e-4, onset, 0.5) for onset in context.instants(2 * ONSET_COUNT)]
 
 
-def _back_starts(context: EffectContext) -> Iterable[Values]:
-    widths = [width for width in STAYS if 3.0 * width < context.time[-1] - context.time[0]]
-    visits = [(stands_out(context, width), width) for width in widths]
+def _build_excursion_starts(context: EffectContext) -> Iterable[Values]:
+    widths = [width for width in DWELL_TIMES if 3.0 * width < context.time[-1] - context.time[0]]
+    visits = [(find_largest_deviation(context, width), width) for width in widths]
     return [(size, onset, 0.5, width) for onset, width in visits for size in (-2e-4, 2e-4)]
 
 
-def stands_out(context: EffectContext, width: float) -> float:
+def find_largest_deviation(context: EffectContext, width: float) -> float:
     """Return when [s] a while of `width` [s] begins whose residual differs most from the rest."""
     count = max(2, round(width / float(np.median(np.diff(context.time)))))
     most, begin = 0.0, 0
@@ -180,7 +182,7 @@ def stands_out(context: EffectContext, width: float) -> float:
     return float(context.time[begin])
 
 
-_MOVED = (
+_TIP_MOTION_PARAMETERS = (
     Parameter("size", "m", -0.05, 0.05, 5e-5),
     Parameter("onset", "s", 1.0, 1e6, 0.3, None, jumps=True),
     Parameter("duration", "s", 0.02, 10.0, 0.2, None),
@@ -190,11 +192,11 @@ TIP_MOVED = Effect(
     name="tip_moved",
     cause="something other than the tendon moved the tip",
     equation="q_d = c T_out + size from the onset on",
-    parameters=_MOVED,
+    parameters=_TIP_MOTION_PARAMETERS,
     source="docs/theory.md (T18)",
     advice="No fault of the bench; watch what touches the tip at that time.",
-    starts=_moved_starts,
-    physics=_moved,
+    starts=_build_motion_starts,
+    physics=_apply_tip_motion,
     where="and left it there",
     needs=TRAVEL,
 )
@@ -203,11 +205,11 @@ TIP_MOVED_BACK = Effect(
     name="tip_moved",
     cause=TIP_MOVED.cause,
     equation="q_d = c T_out + size between onset and return",
-    parameters=(*_MOVED, Parameter("stay", "s", 0.0, 1e5, 0.5, None)),
+    parameters=(*_TIP_MOTION_PARAMETERS, Parameter("stay", "s", 0.0, 1e5, 0.5, None)),
     source=TIP_MOVED.source,
     advice=TIP_MOVED.advice,
-    starts=_back_starts,
-    physics=_moved_and_back,
+    starts=_build_excursion_starts,
+    physics=_apply_tip_excursion,
     where="and took it back",
     needs=TRAVEL,
 )

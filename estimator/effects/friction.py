@@ -11,23 +11,23 @@ from estimator.effects.effect import (
     EffectContext,
     Parameter,
     Values,
-    since,
+    compute_step,
 )
 from estimator.lumped.lumped_model import Physics
 from estimator.lumped.nodes import EDGES, PLACES
-from estimator.lumped.play_spectrum import ONE_PLAY, spectrum_of
+from estimator.lumped.play_spectrum import ONE_PLAY, build_spectrum
 
-ONSETS = 16
+ONSET_COUNT = 16
 
 
-def _step(physics: Physics, values: Values, context: EffectContext) -> Physics:
+def _apply_friction_step(physics: Physics, values: Values, context: EffectContext) -> Physics:
     change, onset = values
-    share = 1.0 + change * since(context.time, onset)
+    share = 1.0 + change * compute_step(context.time, onset)
     return physics._replace(friction=physics.friction * share)
 
 
-def _step_starts(context: EffectContext) -> Iterable[Values]:
-    return [(a, onset) for onset in context.instants(ONSETS) for a in (-0.2, 0.2)]
+def _build_step_starts(context: EffectContext) -> Iterable[Values]:
+    return [(a, onset) for onset in context.instants(ONSET_COUNT) for a in (-0.2, 0.2)]
 
 
 FRICTION_STEP = Effect(
@@ -40,12 +40,12 @@ FRICTION_STEP = Effect(
     ),
     source="shape dependence: Wang, Sun, Phee, Robotica 2014; range assumed",
     advice="Fix the sheath, or calibrate again after it has been moved.",
-    starts=_step_starts,
-    physics=_step,
+    starts=_build_step_starts,
+    physics=_apply_friction_step,
 )
 
 
-def _drift(physics: Physics, values: Values, context: EffectContext) -> Physics:
+def _apply_friction_drift(physics: Physics, values: Values, context: EffectContext) -> Physics:
     (rate,) = values
     share = 1.0 + rate * (context.time - context.time[0]) / 60.0
     return physics._replace(friction=physics.friction * share.clip(0.05))
@@ -59,7 +59,7 @@ FRICTION_DRIFT = Effect(
     source="range assumed: 10 to 30 % in a session",
     advice="Run the tendon in before you calibrate, and calibrate again within the session.",
     starts=lambda _: [(0.1,)],
-    physics=_drift,
+    physics=_apply_friction_drift,
 )
 
 CONSTANT_DRAG = Effect(
@@ -84,14 +84,14 @@ VISCOUS_FRICTION = Effect(
     physics=lambda physics, values, _: physics._replace(viscosity=values[0]),
 )
 
-_STRIBECK = (
+_STRIBECK_PARAMETERS = (
     Parameter("ratio", "", -0.5, 3.0, 0.05),
     Parameter("speed", "m/s", 2e-5, 0.5, 2e-4, None),
 )
 STRIBECK_SHARES = (0.03, 0.1, 0.25, 0.6)  # of a record's high speeds, where a fit begins
 
 
-def _stribeck_speeds(context: EffectContext) -> list[float]:
+def _choose_stribeck_speeds(context: EffectContext) -> list[float]:
     high = float(np.quantile(np.abs(context.speed), 0.95))
     return [max(share * high, 2e-5) for share in STRIBECK_SHARES]
 
@@ -100,24 +100,24 @@ STRIBECK_FRICTION = Effect(
     name="stribeck_friction",
     cause="friction is higher near standstill than in motion",
     equation="K(v) = K (1 + ratio exp(-(v/speed)^2)), v from the motor's speed",
-    parameters=_STRIBECK,
+    parameters=_STRIBECK_PARAMETERS,
     source="Stribeck; range assumed: 5 to 50 %, 0.1 to 10 mm/s",
     advice="Avoid creeping speeds, or use a lubricant with less stiction.",
-    starts=lambda context: [(0.2, speed) for speed in _stribeck_speeds(context)],
+    starts=lambda context: [(0.2, speed) for speed in _choose_stribeck_speeds(context)],
     physics=lambda physics, values, _: physics._replace(
         stribeck=values[0], stribeck_speed=values[1], stribeck_memory=0.0
     ),
     where="by the motor's speed",
 )
 
-STRIBECK_LATE = Effect(
+STRIBECK_WITH_MEMORY = Effect(
     name="stribeck_friction",
     cause=STRIBECK_FRICTION.cause,
     equation="K(v) = K (1 + ratio exp(-(v/speed)^2)), v the contact's own, late by the memory",
-    parameters=(*_STRIBECK, Parameter("memory", "s", 0.02, 5.0, 0.05, None)),
+    parameters=(*_STRIBECK_PARAMETERS, Parameter("memory", "s", 0.02, 5.0, 0.05, None)),
     source=STRIBECK_FRICTION.source,
     advice=STRIBECK_FRICTION.advice,
-    starts=lambda context: [(0.2, speed, 0.15) for speed in _stribeck_speeds(context)],
+    starts=lambda context: [(0.2, speed, 0.15) for speed in _choose_stribeck_speeds(context)],
     physics=lambda physics, values, _: physics._replace(
         stribeck=values[0], stribeck_speed=values[1], stribeck_memory=values[2]
     ),
@@ -155,33 +155,36 @@ PRESLIDING_STIFF = Effect(
 
 # Thresholds over K are where the chain has nodes: between them a play would be a mean of two.
 _SPREAD_K, _PLAYS_K = 30, 32  # the node of K; the last, of 2 K and of 1.75 K
-_SPREAD = PLACES / PLACES[_SPREAD_K]
-_PLAYS = PLACES[[_PLAYS_K, 15, 25, 37, 40]] / PLACES[_PLAYS_K]
+_SPREAD_THRESHOLDS = PLACES / PLACES[_SPREAD_K]
+_PLAY_THRESHOLDS = PLACES[[_PLAYS_K, 15, 25, 37, 40]] / PLACES[_PLAYS_K]
 
 
-def _triangle(low: float, high: float) -> Array:
+def _compute_triangle_weights(low: float, high: float) -> Array:
     """Return weights of the thresholds of a spread, of sum 1, highest between two of them."""
     middle = 0.5 * (low + high)
-    weights = np.interp(_SPREAD, [low, middle, high], [0.0, 1.0, 0.0]) * np.diff(EDGES)
+    weights = np.interp(_SPREAD_THRESHOLDS, [low, middle, high], [0.0, 1.0, 0.0]) * np.diff(EDGES)
     return np.asarray(weights / weights.sum())
 
 
-_EARLY, _LATE = _triangle(0.0, 1.0), _triangle(1.0, float(_SPREAD[-1]))
-_AT_K = np.eye(len(_SPREAD))[_SPREAD_K]
+_EARLY_WEIGHTS, _LATE_WEIGHTS = (
+    _compute_triangle_weights(0.0, 1.0),
+    _compute_triangle_weights(1.0, float(_SPREAD_THRESHOLDS[-1])),
+)
+_K_WEIGHTS = np.eye(len(_SPREAD_THRESHOLDS))[_SPREAD_K]
 
 
-def _spread(physics: Physics, values: Values, _context: EffectContext) -> Physics:
+def _apply_threshold_spread(physics: Physics, values: Values, _context: EffectContext) -> Physics:
     early, late = values
     if early == late == 0.0:
         return physics._replace(spectrum=ONE_PLAY)
-    weights = _AT_K + early * _EARLY + late * _LATE
-    return physics._replace(spectrum=spectrum_of(_SPREAD, weights))
+    weights = _K_WEIGHTS + early * _EARLY_WEIGHTS + late * _LATE_WEIGHTS
+    return physics._replace(spectrum=build_spectrum(_SPREAD_THRESHOLDS, weights))
 
 
-def _plays(physics: Physics, values: Values, _context: EffectContext) -> Physics:
+def _apply_play_spectrum(physics: Physics, values: Values, _context: EffectContext) -> Physics:
     if not any(values):
         return physics._replace(spectrum=ONE_PLAY)
-    return physics._replace(spectrum=spectrum_of(_PLAYS, np.array([1.0, *values])))
+    return physics._replace(spectrum=build_spectrum(_PLAY_THRESHOLDS, np.array([1.0, *values])))
 
 
 DISTRIBUTED_PLAY = Effect(
@@ -197,7 +200,7 @@ DISTRIBUTED_PLAY = Effect(
     source="Prandtl-Ishlinskii: Kuhnen, Eur. J. Control 9, 2003; Iwan, J. Appl. Mech. 33, 1966",
     advice="Nothing is broken: strands bear on the sheath unevenly; the model carries it.",
     starts=lambda _: [(0.3, 0.0), (0.0, 0.3), (0.3, 0.3)],
-    physics=_spread,
+    physics=_apply_threshold_spread,
     where="spread about K",
     needs=frozenset({DISTAL_TENSION}),
 )
@@ -208,12 +211,13 @@ PLAY_SPECTRUM = Effect(
     equation="T_out = (T(K) + w1 T(0.24 K) + w2 T(0.59 K) + w3 T(1.42 K) + w4 T(1.75 K)) over the "
     "sum of the weights, where T(s) is T_in after a play of threshold s",
     parameters=tuple(
-        Parameter(f"w{j}", "of the force at K", 0.0, 50.0, 0.05) for j in range(1, len(_PLAYS))
+        Parameter(f"w{j}", "of the force at K", 0.0, 50.0, 0.05)
+        for j in range(1, len(_PLAY_THRESHOLDS))
     ),
     source=DISTRIBUTED_PLAY.source,
     advice=DISTRIBUTED_PLAY.advice,
     starts=lambda _: [(0.1, 0.1, 0.1, 0.1), (0.2, 0.2, 0.0, 0.0), (0.0, 0.0, 0.2, 0.2)],
-    physics=_plays,
+    physics=_apply_play_spectrum,
     where="a weight for each of five plays",
     needs=DISTRIBUTED_PLAY.needs,
 )
@@ -279,7 +283,7 @@ EFFECTS = (
     CONSTANT_DRAG,
     VISCOUS_FRICTION,
     STRIBECK_FRICTION,
-    STRIBECK_LATE,
+    STRIBECK_WITH_MEMORY,
     PRESLIDING,
     PRESLIDING_STIFF,
     DISTRIBUTED_PLAY,

@@ -17,28 +17,32 @@ from estimator.effects.effect import (
     Signals,
     Values,
     changed,
-    since,
+    compute_step,
 )
-from estimator.effects.ends import play
+from estimator.effects.ends import apply_backlash
 from estimator.online.reading_correction import CorrectionKind
 
-ONSETS = 12
-STEPS = 6  # of a reading, that may be slips
-MOST_TURNS = 10.0  # of the pulley in a record
-BANDS = 3  # of wave numbers of a pulley that turns often, each with starts of its own
+ONSET_COUNT = 12
+SLIP_STEP_COUNT = 6  # of a reading, that may be slips
+TURNS_MAX = 10.0  # of the pulley in a record
+BAND_COUNT = 3  # of wave numbers of a pulley that turns often, each with starts of its own
 PHASE_STEP = 5.0  # [rad] over a record, that a step of the pulley's radius is at most
-WAVE = 5.0  # [rad] that a ripple turns through in a record: a part of a wave may be anything
-WORDS = {
+RIPPLE_PHASE_MIN = (
+    5.0  # [rad] that a ripple turns through in a record: a part of a wave may be anything
+)
+SENSOR_NAMES = {
     PROXIMAL_TENSION: "the load cell at the housing",
     DISTAL_TENSION: "the load cell at the tip",
     PROXIMAL_DISPLACEMENT: "the encoder at the motor",
     DISTAL_DISPLACEMENT: "the encoder at the tip",
 }
 
-Change = Callable[[Array, Values, EffectContext], Array]
+SignalTransform = Callable[[Array, Values, EffectContext], Array]
 
 
-def _of_sensor(channel: str, forward: Change, inverse: Change, effect: Effect) -> Effect:
+def _build_sensor_effect(
+    channel: str, forward: SignalTransform, inverse: SignalTransform, effect: Effect
+) -> Effect:
     """Return an effect as one of a sensor: `forward` makes its reading, `inverse` takes it back."""
 
     def measure(signals: Signals, values: Values, context: EffectContext) -> Signals:
@@ -59,72 +63,72 @@ def _of_sensor(channel: str, forward: Change, inverse: Change, effect: Effect) -
     )
 
 
-def _gain(name: str, channel: str) -> Effect:
-    return _of_sensor(
+def _build_gain(name: str, channel: str) -> Effect:
+    return _build_sensor_effect(
         channel,
         lambda T, values, _: (1.0 + values[0]) * T,
         lambda T, values, _: T / (1.0 + values[0]),
         Effect(
             name=name,
-            cause=f"{WORDS[channel]} has a wrong gain",
+            cause=f"{SENSOR_NAMES[channel]} has a wrong gain",
             equation="reading = (1 + gain) T",
             parameters=(Parameter("gain", "", -0.8, 4.0, 0.02),),
             source="range assumed: 0.25 to 5 %, more after a repair",
-            advice=f"Hang known weights on {WORDS[channel]}.",
+            advice=f"Hang known weights on {SENSOR_NAMES[channel]}.",
             starts=lambda _: [(0.03,)],
             correction=CorrectionKind.TENSION_GAIN,
         ),
     )
 
 
-def _bias(name: str, channel: str) -> Effect:
-    return _of_sensor(
+def _build_bias(name: str, channel: str) -> Effect:
+    return _build_sensor_effect(
         channel,
         lambda T, values, _: T + values[0],
         lambda T, values, _: T - values[0],
         Effect(
             name=name,
-            cause=f"{WORDS[channel]} does not read zero without tension",
+            cause=f"{SENSOR_NAMES[channel]} does not read zero without tension",
             equation="reading = T + bias",
             parameters=(Parameter("bias", "N", -200.0, 200.0, 0.05),),
             source="range assumed: up to 1 % of full scale",
-            advice=f"Tare {WORDS[channel]} while the tendon is slack.",
+            advice=f"Tare {SENSOR_NAMES[channel]} while the tendon is slack.",
             starts=lambda _: [(0.1,)],
             correction=CorrectionKind.TENSION_BIAS,
         ),
     )
 
 
-def _ramp(values: Values, context: EffectContext) -> Array:
+def _compute_ramp(values: Values, context: EffectContext) -> Array:
     return np.asarray(values[0] * (context.time - context.time[0]) / 60.0)
 
 
-def _drift(name: str, channel: str) -> Effect:
-    return _of_sensor(
+def _build_drift(name: str, channel: str) -> Effect:
+    return _build_sensor_effect(
         channel,
-        lambda T, values, context: T + _ramp(values, context),
-        lambda T, values, context: T - _ramp(values, context),
+        lambda T, values, context: T + _compute_ramp(values, context),
+        lambda T, values, context: T - _compute_ramp(values, context),
         Effect(
             name=name,
-            cause=f"the zero of {WORDS[channel]} wanders",
+            cause=f"the zero of {SENSOR_NAMES[channel]} wanders",
             equation="reading = T + rate t",
             parameters=(Parameter("rate", "N/min", -20.0, 20.0, 0.05),),
             source="range assumed: 0.01 to 0.05 % of full scale per kelvin",
-            advice=f"Let {WORDS[channel]} warm up, and tare it between runs.",
+            advice=f"Let {SENSOR_NAMES[channel]} warm up, and tare it between runs.",
             starts=lambda _: [(0.2,)],
         ),
     )
 
 
-def _delayed(signal: Array, values: Values, context: EffectContext) -> Array:
+def _delay_signal(signal: Array, values: Values, context: EffectContext) -> Array:
     return np.interp(context.time - values[0], context.time, signal)
 
 
-def _advanced(signal: Array, values: Values, context: EffectContext) -> Array:
+def _advance_signal(signal: Array, values: Values, context: EffectContext) -> Array:
     return np.interp(context.time + values[0], context.time, signal)
 
 
-def _lagged(signal: Array, values: Values, context: EffectContext) -> Array:
+def _apply_first_order_lag(signal: Array, values: Values, context: EffectContext) -> Array:
     (tau,) = values
     steps = np.diff(context.time, prepend=context.time[0])
     if tau < 1e-6:
@@ -141,33 +145,37 @@ def _lagged(signal: Array, values: Values, context: EffectContext) -> Array:
     return out
 
 
-def _led(signal: Array, values: Values, context: EffectContext) -> Array:
+def _invert_first_order_lag(signal: Array, values: Values, context: EffectContext) -> Array:
     return signal + values[0] * np.gradient(signal, context.time)
 
 
-def _lag(channel: str, forward: Change, inverse: Change, equation: str, how: str) -> Effect:
-    return _of_sensor(
+def _build_lag(
+    channel: str, forward: SignalTransform, inverse: SignalTransform, equation: str, how: str
+) -> Effect:
+    return _build_sensor_effect(
         channel,
         forward,
         inverse,
         Effect(
             name="sensor_lag",
-            cause=f"{WORDS[channel]} is late",
+            cause=f"{SENSOR_NAMES[channel]} is late",
             equation=equation,
             parameters=(Parameter("time", "s", 0.0, 2.0, 0.01),),
             source="range assumed: 1 to 100 ms",
             advice="Compare the edges of one sharp pull in all channels; look at filters and time "
             "stamps.",
             starts=lambda _: [(0.03,)],
-            where=f"{WORDS[channel]}, {how}",
+            where=f"{SENSOR_NAMES[channel]}, {how}",
         ),
     )
 
 
-def _late_tip(signals: Signals, values: Values, context: EffectContext) -> Signals:
+def _delay_tip_signals(signals: Signals, values: Values, context: EffectContext) -> Signals:
     for channel in (DISTAL_TENSION, DISTAL_DISPLACEMENT):
         if channel in signals:
-            signals = changed(signals, channel, lambda signal: _delayed(signal, values, context))
+            signals = changed(
+                signals, channel, lambda signal: _delay_signal(signal, values, context)
+            )
     return signals
 
 
@@ -180,12 +188,12 @@ TIP_CLOCK = Effect(
     advice="Record both ends with one instrument, or synchronise their clocks.",
     starts=lambda _: [(-0.03,), (0.03,)],
     where="all sensors at the tip, by their clock",
-    measure=_late_tip,
+    measure=_delay_tip_signals,
     needs=frozenset({DISTAL_TENSION}),
 )
 
 
-def _limit_starts(channel: str) -> Callable[[EffectContext], Iterable[Values]]:
+def _build_limit_starts(channel: str) -> Callable[[EffectContext], Iterable[Values]]:
     def starts(context: EffectContext) -> Iterable[Values]:
         measured = context.measured[channel][context.measured_rows(channel)]
         return [(float(np.quantile(measured, 0.995)),), (0.9 * float(measured.max()),)]
@@ -193,56 +201,56 @@ def _limit_starts(channel: str) -> Callable[[EffectContext], Iterable[Values]]:
     return starts
 
 
-def _saturation(channel: str) -> Effect:
-    return _of_sensor(
+def _build_saturation(channel: str) -> Effect:
+    return _build_sensor_effect(
         channel,
         lambda T, values, _: np.minimum(T, values[0]),
         lambda T, _values, _context: T,
         Effect(
             name="saturation",
-            cause=f"{WORDS[channel]} reads no more than a limit",
+            cause=f"{SENSOR_NAMES[channel]} reads no more than a limit",
             equation="reading = min(T, limit)",
             parameters=(Parameter("limit", "N", 0.1, 1e4, 0.2, None),),
             source="range of the cell",
             advice="Use a cell of a wider range, or pull less.",
-            starts=_limit_starts(channel),
-            where=WORDS[channel],
+            starts=_build_limit_starts(channel),
+            where=SENSOR_NAMES[channel],
         ),
     )
 
 
-def _scale(channel: str) -> Effect:
+def _build_encoder_scale(channel: str) -> Effect:
     def scaled(q: Array, by: float, context: EffectContext) -> Array:
         known = context.measured.get(channel)
         zero = 0.0 if known is None else known[0]  # encoders count from anywhere
         return np.asarray(zero + by * (q - zero))
 
-    return _of_sensor(
+    return _build_sensor_effect(
         channel,
         lambda q, values, context: scaled(q, 1.0 + values[0], context),
         lambda q, values, context: scaled(q, 1.0 / (1.0 + values[0]), context),
         Effect(
             name="encoder_scale",
-            cause=f"{WORDS[channel]} counts too much or too little, as on a pulley of another "
+            cause=f"{SENSOR_NAMES[channel]} counts too much or too little, as on a pulley of another "
             "radius",
             equation="reading = (1 + gain) q",
             parameters=(Parameter("gain", "", -0.8, 4.0, 0.02),),
             source="range assumed: up to 5 %, by the wrap radius",
-            advice=f"Measure a known travel with {WORDS[channel]}.",
+            advice=f"Measure a known travel with {SENSOR_NAMES[channel]}.",
             starts=lambda _: [(0.03,)],
-            where=WORDS[channel],
+            where=SENSOR_NAMES[channel],
             needs=frozenset({PROXIMAL_DISPLACEMENT}),
             correction=CorrectionKind.DISPLACEMENT_GAIN,
         ),
     )
 
 
-def _slipped(values: Values, context: EffectContext) -> Array:
+def _compute_slip(values: Values, context: EffectContext) -> Array:
     slip, onset = values
-    return slip * since(context.time, onset)
+    return slip * compute_step(context.time, onset)
 
 
-def _slip_starts(context: EffectContext, channel: str) -> Iterable[Values]:
+def _find_slip_starts(context: EffectContext, channel: str) -> Iterable[Values]:
     """Return slips at times all over the record, and the largest steps of the reading itself.
 
     A step is what a reading advances by between two samples beyond the speed on both sides.
@@ -252,34 +260,36 @@ def _slip_starts(context: EffectContext, channel: str) -> Iterable[Values]:
     speed = advance / dt
     beside = np.median([speed[:-4], speed[1:-3], speed[3:-1], speed[4:]], axis=0)
     step = advance[2:-2] - beside * dt[2:-2]
-    largest = np.argsort(-np.abs(step))[:STEPS]
+    largest = np.argsort(-np.abs(step))[:SLIP_STEP_COUNT]
     seen = [(float(step[k]), float(time[k + 2] + 0.5 * dt[k + 2])) for k in largest]
-    return [*((5e-5, t) for t in context.instants(2 * ONSETS)), *seen]
+    return [*((5e-5, t) for t in context.instants(2 * ONSET_COUNT)), *seen]
 
 
-def _slip(channel: str) -> Effect:
-    return _of_sensor(
+def _build_encoder_slip(channel: str) -> Effect:
+    return _build_sensor_effect(
         channel,
-        lambda q, values, context: q + _slipped(values, context),
-        lambda q, values, context: q - _slipped(values, context),
+        lambda q, values, context: q + _compute_slip(values, context),
+        lambda q, values, context: q - _compute_slip(values, context),
         Effect(
             name="encoder_slip",
-            cause=f"{WORDS[channel]} slipped at one time",
+            cause=f"{SENSOR_NAMES[channel]} slipped at one time",
             equation="reading = q + slip from the onset on",
             parameters=(
                 Parameter("slip", "m", -0.05, 0.05, 2e-5),
                 Parameter("onset", "s", 1.0, 1e6, 0.3, None, jumps=True),
             ),
             source="range assumed: 0.01 to 1 mm",
-            advice=f"Return to a hard stop and compare; tighten the coupling of {WORDS[channel]}.",
-            starts=lambda context: _slip_starts(context, channel),
-            where=WORDS[channel],
+            advice=f"Return to a hard stop and compare; tighten the coupling of {SENSOR_NAMES[channel]}.",
+            starts=lambda context: _find_slip_starts(context, channel),
+            where=SENSOR_NAMES[channel],
             needs=frozenset({PROXIMAL_DISPLACEMENT}),
         ),
     )
 
 
-def waves(phase: Array, residual: Array, gain: Array, others: Array, wanted: Array) -> list[Values]:
+def find_waves(
+    phase: Array, residual: Array, gain: Array, others: Array, wanted: Array
+) -> list[Values]:
     """Return (sine, cosine, wave number) of the waves in a residual that explain most of it.
 
     Parameters
@@ -310,7 +320,7 @@ def waves(phase: Array, residual: Array, gain: Array, others: Array, wanted: Arr
     return chosen[:3]
 
 
-def _common(context: EffectContext) -> tuple[Array, Array, Array]:
+def _build_regressors(context: EffectContext) -> tuple[Array, Array, Array]:
     """Return travel, residual of T_in, and what the model's own parameters could do to it.
 
     Of the samples in which T_in was measured.
@@ -324,7 +334,7 @@ def _common(context: EffectContext) -> tuple[Array, Array, Array]:
     return context.drive[rows], residual[rows], others[rows]
 
 
-def _turned(values: Values, zero: float) -> Values:
+def _rotate_wave(values: Values, zero: float) -> Values:
     """Return a wave's values for an encoder that reads `zero` more: sine, cosine and radius."""
     sine, cosine, radius = values
     at = zero / radius
@@ -332,29 +342,29 @@ def _turned(values: Values, zero: float) -> Values:
     return sine * c + cosine * s, cosine * c - sine * s, radius
 
 
-def _eccentric_starts(context: EffectContext) -> Iterable[Values]:
-    q, residual, others = _common(context)
+def _find_eccentricity_starts(context: EffectContext) -> Iterable[Values]:
+    q, residual, others = _build_regressors(context)
     few = 1.0 / np.geomspace(5e-2, 2e-3, 24)
     span = max(float(np.ptp(q)), 1e-6)
-    many = np.arange(few[-1], MOST_TURNS * 2.0 * np.pi / span, 0.6 / span)[1:]
+    many = np.arange(few[-1], TURNS_MAX * 2.0 * np.pi / span, 0.6 / span)[1:]
     return [  # each band of its own: a wave that is large is in the residual with its harmonics
         (-sine, -cosine, 1.0 / number)
-        for band in (few, *np.array_split(many, BANDS))
-        for sine, cosine, number in waves(q, residual, others[:, 0], others, band)
+        for band in (few, *np.array_split(many, BAND_COUNT))
+        for sine, cosine, number in find_waves(q, residual, others[:, 0], others, band)
     ]
 
 
-def _turning(
+def _limit_radius(
     parameters: tuple[Parameter, ...], span: float, values: Values
 ) -> tuple[Parameter, ...]:
     *amplitudes, radius = parameters
-    least = min(span / (MOST_TURNS * 2.0 * np.pi), 0.5 * radius.high)
+    least = min(span / (TURNS_MAX * 2.0 * np.pi), 0.5 * radius.high)
     at = max(values[2], least)
     step = min(radius.step, PHASE_STEP * at**2 / max(span, 1e-6))  # a part of a turn, at the end
     return (*amplitudes, radius._replace(low=max(radius.low, least), step=step))
 
 
-def _eccentric(travel: Array, values: Values, _context: EffectContext) -> Array:
+def _remove_eccentricity(travel: Array, values: Values, _context: EffectContext) -> Array:
     sine, cosine, radius = values
     phase = travel / radius
     wave = sine * np.sin(phase) + cosine * np.cos(phase)
@@ -372,32 +382,32 @@ PULLEY_ECCENTRICITY = Effect(
     ),
     source="range assumed: 10 to 200 um",
     advice="Turn the pulley twice or more in a record, then true it or keep the table.",
-    starts=_eccentric_starts,
-    invert=_eccentric,
+    starts=_find_eccentricity_starts,
+    invert=_remove_eccentricity,
     needs=frozenset({PROXIMAL_DISPLACEMENT}),
-    within=_turning,
+    within=_limit_radius,
     correction=CorrectionKind.PULLEY_ECCENTRICITY,
-    from_zero=_turned,
+    from_zero=_rotate_wave,
 )
 
 
-def _ripple_starts(context: EffectContext) -> Iterable[Values]:
-    q, residual, others = _common(context)
+def _find_ripple_starts(context: EffectContext) -> Iterable[Values]:
+    q, residual, others = _build_regressors(context)
     span = max(float(np.ptp(q)), 1e-6)
-    numbers = np.arange(WAVE / span, min(2e4, 1500.0 / span), 0.6 / span)
+    numbers = np.arange(RIPPLE_PHASE_MIN / span, min(2e4, 1500.0 / span), 0.6 / span)
     step = max(1, len(q) // 3000)
-    return waves(q[::step], residual[::step], np.ones(len(q))[::step], others[::step], numbers)
+    return find_waves(q[::step], residual[::step], np.ones(len(q))[::step], others[::step], numbers)
 
 
-def _rippling(
+def _limit_wave_number(
     parameters: tuple[Parameter, ...], span: float, _values: Values
 ) -> tuple[Parameter, ...]:
     *amplitudes, number = parameters
-    low = min(WAVE / max(span, 1e-6), 0.5 * number.high)
+    low = min(RIPPLE_PHASE_MIN / max(span, 1e-6), 0.5 * number.high)
     return (*amplitudes, number._replace(low=low))
 
 
-def _ripple(signals: Signals, values: Values, context: EffectContext) -> Signals:
+def _apply_ripple(signals: Signals, values: Values, context: EffectContext) -> Signals:
     sine, cosine, number = values
     phase = number * context.drive
     wave = sine * np.sin(phase) + cosine * np.cos(phase)
@@ -415,21 +425,21 @@ COGGING_RIPPLE = Effect(
     ),
     source="range assumed: 0.5 to 3 % of the stall torque",
     advice="Nothing at the tip; a table over the motor's angle takes it out of the reading.",
-    starts=_ripple_starts,
-    measure=_ripple,
+    starts=_find_ripple_starts,
+    measure=_apply_ripple,
     needs=frozenset({PROXIMAL_DISPLACEMENT}),
-    within=_rippling,
+    within=_limit_wave_number,
     correction=CorrectionKind.TENSION_RIPPLE,
     from_zero=lambda values, zero: (
-        *_turned((*values[:2], 1.0 / values[2]), zero)[:2],
+        *_rotate_wave((*values[:2], 1.0 / values[2]), zero)[:2],
         values[2],
     ),
 )
 
 
-def _rub(signals: Signals, values: Values, context: EffectContext) -> Signals:
+def _apply_sheath_rub(signals: Signals, values: Values, context: EffectContext) -> Signals:
     force, width = values
-    lead = (context.drive - play(context.drive, width)) / (0.5 * width)
+    lead = (context.drive - apply_backlash(context.drive, width)) / (0.5 * width)
     return changed(signals, PROXIMAL_TENSION, lambda T: T + force * lead)
 
 
@@ -444,7 +454,7 @@ SHEATH_RUB = Effect(
     source="the paper's cell sits under the sheath; range assumed",
     advice="Measure the tendon's own tension, or fix the sheath behind the cell.",
     starts=lambda _: [(0.15, width) for width in (1e-5, 1e-4, 6e-4)],
-    measure=_rub,
+    measure=_apply_sheath_rub,
     needs=frozenset({PROXIMAL_DISPLACEMENT}),
     correction=CorrectionKind.SHEATH_RUB,
 )
@@ -453,21 +463,29 @@ _TENSIONS = (PROXIMAL_TENSION, DISTAL_TENSION)
 _TRAVELS = (PROXIMAL_DISPLACEMENT, DISTAL_DISPLACEMENT)
 
 EFFECTS = (
-    *(_gain(f"{channel}_gain", channel) for channel in _TENSIONS),
-    *(_bias(f"{channel}_bias", channel) for channel in _TENSIONS),
-    *(_drift(f"{channel}_drift", channel) for channel in _TENSIONS),
+    *(_build_gain(f"{channel}_gain", channel) for channel in _TENSIONS),
+    *(_build_bias(f"{channel}_bias", channel) for channel in _TENSIONS),
+    *(_build_drift(f"{channel}_drift", channel) for channel in _TENSIONS),
     *(
-        _lag(channel, _delayed, _advanced, "reading(t) = signal(t - time)", "by a delay")
+        _build_lag(
+            channel, _delay_signal, _advance_signal, "reading(t) = signal(t - time)", "by a delay"
+        )
         for channel in (*_TENSIONS, *_TRAVELS)
     ),
     *(
-        _lag(channel, _lagged, _led, "time dr/dt + r = signal", "by a filter")
+        _build_lag(
+            channel,
+            _apply_first_order_lag,
+            _invert_first_order_lag,
+            "time dr/dt + r = signal",
+            "by a filter",
+        )
         for channel in (*_TENSIONS, *_TRAVELS)
     ),
     TIP_CLOCK,
-    *(_saturation(channel) for channel in _TENSIONS),
-    *(_scale(channel) for channel in _TRAVELS),
-    *(_slip(channel) for channel in _TRAVELS),
+    *(_build_saturation(channel) for channel in _TENSIONS),
+    *(_build_encoder_scale(channel) for channel in _TRAVELS),
+    *(_build_encoder_slip(channel) for channel in _TRAVELS),
     PULLEY_ECCENTRICITY,
     COGGING_RIPPLE,
     SHEATH_RUB,

@@ -23,7 +23,9 @@ from estimator.array_types import Array
 Values: TypeAlias = float | Array
 
 
-def friction_coordinates(mu: float, lengths: Sequence[float], radii: Sequence[float]) -> Array:
+def compute_friction_coordinates(
+    mu: float, lengths: Sequence[float], radii: Sequence[float]
+) -> Array:
     """Return s at the start of the sheath and at the end of each section; the last is K, eq. (4).
 
     K = mu Σ (x_i - x_(i-1))/R_i with x_0 = 0; the print mixes x and X.
@@ -32,12 +34,12 @@ def friction_coordinates(mu: float, lengths: Sequence[float], radii: Sequence[fl
     return np.concatenate([[0.0], np.cumsum(steps)])
 
 
-def pull_tip_tension(T_in: Values, K: float) -> Values:
+def compute_pull_tip_tension(T_in: Values, K: float) -> Values:
     """Return T_out = T_in e^(-K) in the pulling phase, eq. (4)."""
     return T_in * math.exp(-K)
 
 
-def section_elongations(
+def compute_section_elongations(
     T_in: float, mu: float, lengths: Sequence[float], radii: Sequence[float], EA: float
 ) -> Array:
     """Return the elongation up to the end of each section of a pulled tendon, eqs. (9), (10).
@@ -45,20 +47,22 @@ def section_elongations(
     e_on = T_in/(EA mu) Σ_i R_i e^(-s_(i-1)) (1 - e^(-mu (x_i - x_(i-1))/R_i)). The print lost the e
     of the exponential, starts the inner sum one term early and has x_(j-1) for x_(i-1).
     """
-    s = friction_coordinates(mu, lengths, radii)
+    s = compute_friction_coordinates(mu, lengths, radii)
     R = np.asarray(radii, dtype=np.float64)
     return T_in / (EA * mu) * np.cumsum(R * np.exp(-s[:-1]) * -np.expm1(-np.diff(s)))
 
 
-def pull_constant(mu: float, lengths: Sequence[float], radii: Sequence[float], EA: float) -> float:
+def compute_pull_constant(
+    mu: float, lengths: Sequence[float], radii: Sequence[float], EA: float
+) -> float:
     """Return M_e [m/N], the elongation per T_in of a pulled tendon: e = M_e T_in, eqs. (10), (11).
 
     Eq. (11) is printed as c_total = I M_e I_in.
     """
-    return float(section_elongations(1.0, mu, lengths, radii, EA)[-1])
+    return float(compute_section_elongations(1.0, mu, lengths, radii, EA)[-1])
 
 
-def release_constant(
+def compute_release_constant(
     mu: float, lengths: Sequence[float], radii: Sequence[float], EA: float
 ) -> float:
     """Return M_rel [m/N], the elongation per T_in of a released tendon, in place of eq. (23).
@@ -66,12 +70,12 @@ def release_constant(
     M_rel = 1/EA ∫ e^(+s) dx. Printed M_e e^K is right for uniform curvature, or curvature symmetric
     end to end, alone.
     """
-    s = friction_coordinates(mu, lengths, radii)
+    s = compute_friction_coordinates(mu, lengths, radii)
     R = np.asarray(radii, dtype=np.float64)
     return float(np.sum(R * np.exp(s[:-1]) * np.expm1(np.diff(s))) / (EA * mu))
 
 
-def friction_from_pull_constant(M_e: float, L: float, EA: float) -> float:
+def compute_friction_from_pull(M_e: float, L: float, EA: float) -> float:
     """Return the K > 0 with e^(-K) = 1 - (M_e EA/L) K, eq. (13), in closed form (T8).
 
     K = 1/m + W_0(-e^(-1/m)/m), m = M_e EA/L in (0, 1), W_0 the principal Lambert W. The print reads
@@ -84,7 +88,7 @@ def friction_from_pull_constant(M_e: float, L: float, EA: float) -> float:
     return 1.0 / m + float(lambertw(-math.exp(-1.0 / m) / m).real)
 
 
-def pull_to_release_tip_tension(T_in0: Values, K: float) -> Values:
+def compute_pull_to_release_tension(T_in0: Values, K: float) -> Values:
     """Return T_out = T_in0 e^(-K), held since the last maximum T_in0, eq. (14).
 
     It holds down to T_in = T_in0 e^(-2K); the text gives that level as if it were the drop.
@@ -92,7 +96,7 @@ def pull_to_release_tip_tension(T_in0: Values, K: float) -> Values:
     return T_in0 * math.exp(-K)
 
 
-def pull_to_release_elongation(
+def compute_pull_to_release_elongation(
     T_in0: Values, T_in: Values, K: float, L: float, EA: float
 ) -> Values:
     """Return e = L/(EA K) (2 sqrt(T_in0 T_in) - T_in - T_in0 e^(-K)), eqs. (20), (21).
@@ -102,22 +106,22 @@ def pull_to_release_elongation(
     return L / (EA * K) * (2.0 * np.sqrt(T_in0 * T_in) - T_in - T_in0 * math.exp(-K))
 
 
-def release_tip_tension(T_in: Values, K: float) -> Values:
+def compute_release_tip_tension(T_in: Values, K: float) -> Values:
     """Return T_out = T_in e^(+K) in the release phase, eq. (22), printed with T_in0 for T_in."""
     return T_in * math.exp(K)
 
 
-def uniform_release_elongation(T_in: Values, M_e: float, K: float) -> Values:
+def compute_release_elongation(T_in: Values, M_e: float, K: float) -> Values:
     """Return e = M_e e^K T_in in the release phase, eq. (23): uniform curvature only."""
     return M_e * math.exp(K) * T_in
 
 
-def release_to_pull_tip_tension(T_in0: Values, K: float) -> Values:
+def compute_release_to_pull_tension(T_in0: Values, K: float) -> Values:
     """Return T_out = T_in0 e^(+K), held since the last minimum T_in0, eq. (24), printed e^(-K)."""
     return T_in0 * math.exp(K)
 
 
-def release_to_pull_elongation(
+def compute_release_to_pull_elongation(
     T_in0: Values, T_in: Values, K: float, L: float, EA: float
 ) -> Values:
     """Return e = L/(EA K) (T_in - 2 sqrt(T_in T_in0) + T_in0 e^K), eq. (25).

@@ -8,25 +8,25 @@ and the same safeguarded iteration serves any curvature.
 
 import math
 
-from estimator.compiled import compiled
+from estimator.compiled import jit_compile
 from estimator.law import tables as _tables
 from estimator.law.profile import (
     FLOOR,
     HOUSING,
     Profile,
-    line_integral,
-    log_tension,
-    piece_integral,
-    point,
-    point_count,
-    slide,
-    tension_integral,
+    count_points,
+    drive_end,
+    get_piece_integral,
+    get_point,
+    integrate_line,
+    integrate_tension,
+    to_log_tension,
 )
-from estimator.law.tables import Tables, integral, length_density
+from estimator.law.tables import Tables, compute_length_density, integrate_exponential
 
 # Targets closer than this, relative to the present one, are the same: without it rounding would
 # plant a reversal at every sample while the motor holds.
-_SAME = 1e-13
+_RELATIVE_TOLERANCE = 1e-13
 _ROOT_ITERATIONS = 60
 
 _K = _tables.K
@@ -36,7 +36,7 @@ _DRAG = _tables.DRAG
 _ASYMMETRY = _tables.ASYMMETRY
 
 
-@compiled
+@jit_compile
 def push_displacement(tables: Tables, profile: Profile, displacement: float, q_d: float) -> None:
     """Bring the motor to `displacement` q_p [m] with the tip held at `q_d` [m], in place.
 
@@ -45,10 +45,10 @@ def push_displacement(tables: Tables, profile: Profile, displacement: float, q_d
     """
     target = (displacement - q_d) * tables[_EA] + tables[_DRAG] * tables[_LENGTH]
     if math.isfinite(target):
-        slide(tables, profile, _log_tension_for(tables, profile, target, 0.0), HOUSING)
+        drive_end(tables, profile, _solve_log_tension(tables, profile, target, 0.0), HOUSING)
 
 
-@compiled
+@jit_compile
 def push_displacement_spring(
     tables: Tables, profile: Profile, displacement: float, q_0: float, stiffness: float
 ) -> None:
@@ -60,44 +60,46 @@ def push_displacement_spring(
     series = tables[_EA] / stiffness
     target = (displacement - q_0) * tables[_EA] + tables[_DRAG] * (tables[_LENGTH] + series)
     if math.isfinite(target):
-        slide(tables, profile, _log_tension_for(tables, profile, target, series), HOUSING)
+        drive_end(tables, profile, _solve_log_tension(tables, profile, target, series), HOUSING)
 
 
-@compiled
-def _log_tension_for(tables: Tables, profile: Profile, target: float, series: float) -> float:
+@jit_compile
+def _solve_log_tension(tables: Tables, profile: Profile, target: float, series: float) -> float:
     """Return the u at which ∫ (T + tau) dx + series (T_out + tau) is `target` [N m].
 
     The integral rises strictly with T_in. Walk the break points the front would pass; the root lies
     on the first piece whose far end is beyond the target, or in full sliding, where it is explicit.
     """
-    count = point_count(profile)
-    _, y_in, _ = point(profile, 0)
-    _, y_out, _ = point(profile, count - 1)
+    count = count_points(profile)
+    _, y_in, _ = get_point(profile, 0)
+    _, y_out, _ = get_point(profile, count - 1)
     tip = series * math.exp(y_out)
-    now = tension_integral(tables, profile) + tip
-    if abs(target - now) <= _SAME * now:
+    now = integrate_tension(tables, profile) + tip
+    if abs(target - now) <= _RELATIVE_TOLERANCE * now:
         return y_in
-    lowest = log_tension(tables, 0.0)
+    lowest = to_log_tension(tables, 0.0)
     sign = 1.0 if target > now else -1.0
     slope = -1.0 if sign > 0.0 else tables[_ASYMMETRY]
-    beyond = now - integral(tables, 0.0, 0.0) * math.exp(y_in)
+    beyond = now - integrate_exponential(tables, 0.0, 0.0) * math.exp(y_in)
     for index in range(count - 1):
-        beyond -= piece_integral(profile, index)
-        s_a, _, m = point(profile, index)
-        s_b, y_b, _ = point(profile, index + 1)
+        beyond -= get_piece_integral(profile, index)
+        s_a, _, m = get_point(profile, index)
+        s_b, y_b, _ = get_point(profile, index + 1)
         if m == slope:
             continue
-        at_b = math.exp(y_b - slope * s_b) * integral(tables, s_b, slope) + beyond
+        at_b = math.exp(y_b - slope * s_b) * integrate_exponential(tables, s_b, slope) + beyond
         if sign * (target - at_b) < 0.0:
-            s = _front_for(tables, s_a, s_b, y_b, m, slope, target - beyond)
+            s = _solve_front(tables, s_a, s_b, y_b, m, slope, target - beyond)
             u = y_b + m * (s - s_b) - slope * s
             return max(u, lowest)
-    per_tension = integral(tables, tables[_K], slope) + series * math.exp(slope * tables[_K])
+    per_tension = integrate_exponential(tables, tables[_K], slope) + series * math.exp(
+        slope * tables[_K]
+    )
     return max(math.log(max(target / per_tension, FLOOR)), lowest)
 
 
-@compiled
-def _front_for(
+@jit_compile
+def _solve_front(
     tables: Tables, s_a: float, s_b: float, y_b: float, m: float, slope: float, target: float
 ) -> float:
     """Return the front s in [s_a, s_b] up to which ∫ (T + tau) dx over [0, s_b] is `target`.
@@ -111,14 +113,14 @@ def _front_for(
     for _ in range(_ROOT_ITERATIONS):
         y = y_b + m * (s - s_b)
         tension = math.exp(y - slope * s)
-        depth = integral(tables, s, slope)
-        excess = tension * depth + line_integral(tables, s, y, s_b, m) - target
+        depth = integrate_exponential(tables, s, slope)
+        excess = tension * depth + integrate_line(tables, s, y, s_b, m) - target
         if sign * excess < 0.0:
             low = s
         else:
             high = s
         first = (m - slope) * tension * depth
-        second = (m - slope) * (first + math.exp(y) * length_density(tables, s))
+        second = (m - slope) * (first + math.exp(y) * compute_length_density(tables, s))
         root = first * first - 2.0 * excess * second
         step = math.nan
         if root >= 0.0:

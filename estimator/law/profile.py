@@ -12,7 +12,7 @@ that both ends work on as on a stack. A sample adds at most one point and every 
 most once: the cost is O(1) per sample over a history.
 
 A `Profile` is one flat array, so that it copies in one move and passes into compiled code as is. It
-holds at most `CAPACITY` break points; see `forgotten` for what happens beyond. The push functions
+holds at most `CAPACITY` break points; see `get_merge_error_bound` for what happens beyond. The push functions
 advance it in place and leave it as it was when handed a number that is not finite.
 """
 
@@ -22,10 +22,10 @@ from typing import TypeAlias, cast
 import numpy as np
 
 from estimator.array_types import Array
-from estimator.compiled import compiled
+from estimator.compiled import jit_compile
 from estimator.law import tables as _tables
 from estimator.law.sheath import SheathError
-from estimator.law.tables import Tables, integral
+from estimator.law.tables import Tables, integrate_exponential
 
 Profile: TypeAlias = Array
 
@@ -40,7 +40,7 @@ HOUSING, TIP = cast(int, np.int64(1)), cast(int, np.int64(-1))
 """The end that is driven, as the direction in which its front travels."""
 
 _MASK = CAPACITY - 1
-_HEAD, _COUNT, _AREA_SUM, _FORGOTTEN = range(4)
+_HEAD, _COUNT, _AREA_SUM, _MERGE_ERROR = range(4)
 _S = 4
 _Y = _S + CAPACITY
 _SLOPE = _Y + CAPACITY  # of the piece from this point to the next
@@ -53,67 +53,69 @@ _ASYMMETRY = _tables.ASYMMETRY
 _FIRST_LENGTH = _tables.FIRST_LENGTH
 
 
-def pretensioned_profile(tables: Tables, tension: float) -> Profile:
+def build_pretensioned_profile(tables: Tables, tension: float) -> Profile:
     """Return the profile of a tendon at one and the same `tension` [N], never yet slid."""
     if not (0.0 <= tension < math.inf):
         raise SheathError(f"pretension: {tension} N, must be finite and not negative")
     profile = np.zeros(PROFILE_SIZE)
-    u = log_tension(tables, tension)
+    u = to_log_tension(tables, tension)
     profile[_COUNT] = 2.0
     profile[_S + 1] = tables[_K]
     profile[_Y] = profile[_Y + 1] = u
-    profile[_AREA] = profile[_AREA_SUM] = line_integral(tables, 0.0, u, float(tables[_K]), 0.0)
+    profile[_AREA] = profile[_AREA_SUM] = integrate_line(tables, 0.0, u, float(tables[_K]), 0.0)
     return profile
 
 
-def slack_profile(tables: Tables) -> Profile:
+def build_slack_profile(tables: Tables) -> Profile:
     """Return the profile of a slack tendon; the first pull from it is fully mobilised."""
-    return pretensioned_profile(tables, 0.0)
+    return build_pretensioned_profile(tables, 0.0)
 
 
-@compiled
-def log_tension(tables: Tables, tension: float) -> float:
+@jit_compile
+def to_log_tension(tables: Tables, tension: float) -> float:
     """Return u = ln(T + tau), a tension [N] below zero counting as slack."""
     above: float = max(tension, 0.0) + tables[_DRAG]
     return math.log(max(above, FLOOR))
 
 
-@compiled
-def tension_of(tables: Tables, y: float) -> float:
+@jit_compile
+def from_log_tension(tables: Tables, y: float) -> float:
     """Return T = e^y - tau [N], not below zero."""
     tension: float = math.exp(y) - tables[_DRAG]
     return max(tension, 0.0)
 
 
-@compiled
-def point_count(profile: Profile) -> int:
+@jit_compile
+def count_points(profile: Profile) -> int:
     """Return the number of break points, both ends included."""
     return int(profile[_COUNT])
 
 
-@compiled
-def point(profile: Profile, index: int) -> tuple[float, float, float]:
+@jit_compile
+def get_point(profile: Profile, index: int) -> tuple[float, float, float]:
     """Return (s, y, slope of the piece that follows) of break point `index`, housing first."""
     k = (int(profile[_HEAD]) + index) & _MASK
     return profile[_S + k], profile[_Y + k], profile[_SLOPE + k]
 
 
-@compiled
-def piece_integral(profile: Profile, index: int) -> float:
+@jit_compile
+def get_piece_integral(profile: Profile, index: int) -> float:
     """Return ∫ (T + tau) dx over the piece that follows break point `index` [N m]."""
     area: float = profile[_AREA + ((int(profile[_HEAD]) + index) & _MASK)]
     return area
 
 
-@compiled
-def line_integral(tables: Tables, s_a: float, y_a: float, s_b: float, slope: float) -> float:
+@jit_compile
+def integrate_line(tables: Tables, s_a: float, y_a: float, s_b: float, slope: float) -> float:
     """Return ∫ e^y dx over (s_a, s_b] for the line of `slope` through (s_a, y_a) [N m] (T14)."""
     scale = math.exp(y_a - slope * s_a)
-    return scale * (integral(tables, s_b, slope) - integral(tables, s_a, slope))
+    return scale * (
+        integrate_exponential(tables, s_b, slope) - integrate_exponential(tables, s_a, slope)
+    )
 
 
-@compiled
-def forgotten(profile: Profile) -> float:
+@jit_compile
+def get_merge_error_bound(profile: Profile) -> float:
     """Return how far |ln T| may be off anywhere because the profile ran full.
 
     When `CAPACITY` points do not suffice, the two neighbouring pieces that cost least change places
@@ -122,20 +124,20 @@ def forgotten(profile: Profile) -> float:
     add up here until a full swing wipes the profile clean. The law never enlarges a difference of
     profiles, so the sum bounds the relative error of T_out and of T(x) for good.
     """
-    bound: float = profile[_FORGOTTEN]
+    bound: float = profile[_MERGE_ERROR]
     return bound
 
 
-@compiled
-def tension_integral(tables: Tables, profile: Profile) -> float:
+@jit_compile
+def integrate_tension(tables: Tables, profile: Profile) -> float:
     """Return ∫ (T + tau) dx over the sheath [N m]."""
     y_in = profile[_Y + (int(profile[_HEAD]) & _MASK)]
     area: float = profile[_AREA_SUM] + tables[_FIRST_LENGTH] * math.exp(y_in)
     return area
 
 
-@compiled
-def slide(tables: Tables, profile: Profile, u: float, end: int) -> None:
+@jit_compile
+def drive_end(tables: Tables, profile: Profile, u: float, end: int) -> None:
     """Drive one `end` to the log tension `u`, in place: (T10) from HOUSING, (T18) from TIP."""
     head, count = int(profile[_HEAD]), int(profile[_COUNT])
     near = head if end > 0 else head + count - 1
@@ -166,9 +168,9 @@ def slide(tables: Tables, profile: Profile, u: float, end: int) -> None:
         y = intercept + slope * s
         profile[_S + a], profile[_Y + a] = s, y
         area = (
-            line_integral(tables, s, y, s_b, m)
+            integrate_line(tables, s, y, s_b, m)
             if end > 0
-            else line_integral(tables, s_b, y_b, s, m)
+            else integrate_line(tables, s_b, y_b, s, m)
         )
         profile[_AREA + piece] = area
         area_sum += area
@@ -177,7 +179,7 @@ def slide(tables: Tables, profile: Profile, u: float, end: int) -> None:
     if mobilised:
         profile[_S + (join & _MASK)] = s_far
         profile[_Y + (join & _MASK)] = intercept + slope * s_far
-        profile[_FORGOTTEN] = 0.0
+        profile[_MERGE_ERROR] = 0.0
         area_sum = 0.0  # ends the rounding that a running sum gathers
     new = join - end
     k = new & _MASK
@@ -185,61 +187,61 @@ def slide(tables: Tables, profile: Profile, u: float, end: int) -> None:
     s_join, y_join = profile[_S + (join & _MASK)], profile[_Y + (join & _MASK)]
     profile[_S + k], profile[_Y + k], profile[_SLOPE + piece] = s_end, u, slope
     if end > 0:
-        area = line_integral(tables, s_end, u, s_join, slope)
+        area = integrate_line(tables, s_end, u, s_join, slope)
         head = new
     else:
-        area = line_integral(tables, s_join, y_join, s_end, slope)
+        area = integrate_line(tables, s_join, y_join, s_end, slope)
     profile[_AREA + piece] = area
     profile[_HEAD], profile[_COUNT] = float(head & _MASK), float(count + 1)
     profile[_AREA_SUM] = area_sum + area
     if count + 1 == CAPACITY:
-        _forget_smallest(tables, profile)
+        _merge_smallest_pieces(tables, profile)
 
 
-@compiled
+@jit_compile
 def push_proximal(tables: Tables, profile: Profile, tension: float) -> None:
     """Bring T_in to `tension` [N] by the motor, in place (T10)."""
     if math.isfinite(tension):
-        slide(tables, profile, log_tension(tables, tension), HOUSING)
+        drive_end(tables, profile, to_log_tension(tables, tension), HOUSING)
 
 
-@compiled
+@jit_compile
 def push_distal(tables: Tables, profile: Profile, tension: float) -> None:
     """Bring T_out to `tension` [N] by the load or the environment, in place (T18)."""
     if math.isfinite(tension):
-        slide(tables, profile, log_tension(tables, tension), TIP)
+        drive_end(tables, profile, to_log_tension(tables, tension), TIP)
 
 
-@compiled
-def _forget_smallest(tables: Tables, profile: Profile) -> None:
-    """Make room for two points at the least cost in |ln T|; see `forgotten`."""
+@jit_compile
+def _merge_smallest_pieces(tables: Tables, profile: Profile) -> None:
+    """Make room for two points at the least cost in |ln T|; see `get_merge_error_bound`."""
     head, count = int(profile[_HEAD]), int(profile[_COUNT])
     best, cost = -1, math.inf
     for k in range(1, count - 3):
-        s_a, _, m_a = point(profile, k)
-        s_b, _, m_b = point(profile, k + 1)
-        s_c, _, m_c = point(profile, k + 2)
-        if point(profile, k - 1)[2] != m_b or m_c != m_a:
+        s_a, _, m_a = get_point(profile, k)
+        s_b, _, m_b = get_point(profile, k + 1)
+        s_c, _, m_c = get_point(profile, k + 2)
+        if get_point(profile, k - 1)[2] != m_b or m_c != m_a:
             continue
         change = abs(m_a - m_b) * min(s_b - s_a, s_c - s_b)
         if change < cost:
             best, cost = k, change
-    s_a, y_a, _ = point(profile, best)
-    s_b, _, m = point(profile, best + 1)
-    s_c, _, m_last = point(profile, best + 2)
-    s_before, y_before, _ = point(profile, best - 1)
-    s_after, _, _ = point(profile, best + 3)
+    s_a, y_a, _ = get_point(profile, best)
+    s_b, _, m = get_point(profile, best + 1)
+    s_c, _, m_last = get_point(profile, best + 2)
+    s_before, y_before, _ = get_point(profile, best - 1)
+    s_after, _, _ = get_point(profile, best + 3)
     before, middle = (head + best - 1) & _MASK, (head + best) & _MASK
     for k in range(best - 1, best + 3):
         profile[_AREA_SUM] -= profile[_AREA + ((head + k) & _MASK)]
     s, y = s_a + (s_c - s_b), y_a + m * (s_c - s_b)
     profile[_S + middle], profile[_Y + middle], profile[_SLOPE + middle] = s, y, m_last
-    profile[_AREA + before] = line_integral(tables, s_before, y_before, s, m)
-    profile[_AREA + middle] = line_integral(tables, s, y, s_after, m_last)
+    profile[_AREA + before] = integrate_line(tables, s_before, y_before, s, m)
+    profile[_AREA + middle] = integrate_line(tables, s, y, s_after, m_last)
     profile[_AREA_SUM] += profile[_AREA + before] + profile[_AREA + middle]
     for k in range(best + 1, count - 2):
         source, target = (head + k + 2) & _MASK, (head + k) & _MASK
         for column in (_S, _Y, _SLOPE, _AREA):
             profile[column + target] = profile[column + source]
     profile[_COUNT] = float(count - 2)
-    profile[_FORGOTTEN] += cost
+    profile[_MERGE_ERROR] += cost

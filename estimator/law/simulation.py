@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike
 
 from estimator.array_types import Array
 from estimator.law.sheath import Sheath, SheathError
-from estimator.law.transmission import batch, slack_profile, tables
+from estimator.law.transmission import build_slack_profile, build_tables, simulate_tensions
 
 
 class Simulation(NamedTuple):
@@ -39,5 +39,5 @@ def simulate(sheath: Sheath, proximal_tension: ArrayLike) -> Simulation:
     T = np.ascontiguousarray(proximal_tension, dtype=np.float64)
     if T.ndim != 1 or not (np.isfinite(T) & (T >= 0.0)).all():
         raise SheathError("proximal_tension: give one row of finite tensions from 0 N on")
-    law = tables(sheath)
-    return Simulation(*batch(law, slack_profile(law), T))
+    law = build_tables(sheath)
+    return Simulation(*simulate_tensions(law, build_slack_profile(law), T))

@@ -16,7 +16,7 @@ from typing import TypeAlias
 import numpy as np
 
 from estimator.array_types import Array
-from estimator.compiled import compiled
+from estimator.compiled import jit_compile
 from estimator.law.sheath import Sheath
 
 Tables: TypeAlias = Array
@@ -34,18 +34,18 @@ MAX_SECTIONS = 64
 TABLES_SIZE = _NODES + _STRIDE * (MAX_SECTIONS + 1)
 """Length of the tables of so many sections, all of them curved."""
 
-STRAIGHT = 1e-9
+STRAIGHT_FRICTION_MAX = 1e-9
 """A section of less friction than this counts as straight: 1e-9 of relative tension."""
 
 
-def tables(sheath: Sheath) -> Tables:
+def build_tables(sheath: Sheath) -> Tables:
     """Return the tables of `sheath`: flat, float64, ready for the compiled functions."""
     rho = sheath.asymmetry
     node = [0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 1.0]
     nodes = [node]
     for section in sheath.sections:
         ds = sheath.friction * section.bend_angle
-        if ds < STRAIGHT:
+        if ds < STRAIGHT_FRICTION_MAX:
             node[_X] += section.length
             node[_G_MINUS] += section.length * node[_EXP_MINUS]
             node[_G_PLUS] += section.length * node[_EXP_PLUS]
@@ -75,8 +75,8 @@ def tables(sheath: Sheath) -> Tables:
     return np.concatenate([np.array(scalars), np.array(nodes).ravel()])
 
 
-@compiled
-def _node(tables: Tables, column: int, value: float) -> int:
+@jit_compile
+def _find_node(tables: Tables, column: int, value: float) -> int:
     """Return the offset of the last node whose `column` does not exceed `value`."""
     low, high = 0, int(tables[LAST_NODE])
     while low < high:
@@ -88,10 +88,10 @@ def _node(tables: Tables, column: int, value: float) -> int:
     return _NODES + _STRIDE * low
 
 
-@compiled
-def integral(tables: Tables, s: float, slope: float) -> float:
+@jit_compile
+def integrate_exponential(tables: Tables, s: float, slope: float) -> float:
     """Return ∫ e^(slope s) dx over [0, s] [m], for the slopes -1, rho and 0."""
-    node = _node(tables, _S, s)
+    node = _find_node(tables, _S, s)
     ds = s - tables[node + _S]
     w = tables[node + _W]
     total: float
@@ -105,23 +105,23 @@ def integral(tables: Tables, s: float, slope: float) -> float:
     return total
 
 
-@compiled
-def arc_length(tables: Tables, s: float) -> float:
+@jit_compile
+def compute_arc_length(tables: Tables, s: float) -> float:
     """Return x(s) [m], the far end of a straight stretch lying at `s`."""
-    return integral(tables, s, 0.0)
+    return integrate_exponential(tables, s, 0.0)
 
 
-@compiled
-def length_density(tables: Tables, s: float) -> float:
+@jit_compile
+def compute_length_density(tables: Tables, s: float) -> float:
     """Return w(s) = dx/ds = R/mu [m], point masses left out."""
-    w: float = tables[_node(tables, _S, s) + _W]
+    w: float = tables[_find_node(tables, _S, s) + _W]
     return w
 
 
-@compiled
-def friction_coordinate(tables: Tables, x: float) -> float:
+@jit_compile
+def compute_friction_coordinate(tables: Tables, x: float) -> float:
     """Return s(x) = mu theta(x) for an arc length `x` [m]; the ends bound it."""
-    node = _node(tables, _X, x)
+    node = _find_node(tables, _X, x)
     ds = x - tables[node + _X]
     w = tables[node + _W]
     s: float = tables[node + _S]

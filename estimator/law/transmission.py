@@ -14,25 +14,30 @@ from typing import NamedTuple
 import numpy as np
 
 from estimator.array_types import Array
-from estimator.compiled import compiled
+from estimator.compiled import jit_compile
 from estimator.law import tables as _tables
 from estimator.law.displacement import push_displacement, push_displacement_spring
 from estimator.law.profile import (
     CAPACITY,
     FLOOR,
     Profile,
-    forgotten,
-    point,
-    point_count,
-    pretensioned_profile,
+    build_pretensioned_profile,
+    build_slack_profile,
+    count_points,
+    from_log_tension,
+    get_merge_error_bound,
+    get_point,
+    integrate_tension,
     push_distal,
     push_proximal,
-    slack_profile,
-    tension_integral,
-    tension_of,
 )
 from estimator.law.sheath import SheathError
-from estimator.law.tables import Tables, arc_length, friction_coordinate, tables
+from estimator.law.tables import (
+    Tables,
+    build_tables,
+    compute_arc_length,
+    compute_friction_coordinate,
+)
 
 __all__ = [
     "CAPACITY",
@@ -42,20 +47,20 @@ __all__ = [
     "Phase",
     "Profile",
     "Tables",
-    "batch",
+    "build_pretensioned_profile",
+    "build_slack_profile",
+    "build_tables",
     "drive_proximal",
-    "forgotten",
-    "front_depth",
+    "evaluate_tension",
+    "find_front",
+    "get_merge_error_bound",
     "observe",
-    "pretensioned_profile",
     "push_displacement",
     "push_displacement_spring",
     "push_distal",
     "push_proximal",
-    "read_out",
-    "slack_profile",
-    "tables",
-    "tension_at",
+    "read_profile",
+    "simulate_tensions",
 ]
 
 SLACK_TENSION = 1e-6
@@ -107,7 +112,7 @@ class Observation(NamedTuple):
 
 def drive_proximal(tables: Tables, profile: Profile, tension: float) -> Profile:
     """Return the profile after the motor has brought T_in to `tension` [N]."""
-    _require_tension(tension)
+    _require_finite_tension(tension)
     after = profile.copy()
     push_proximal(tables, after, tension)
     return after
@@ -115,21 +120,21 @@ def drive_proximal(tables: Tables, profile: Profile, tension: float) -> Profile:
 
 def observe(tables: Tables, profile: Profile) -> Observation:
     """Return tensions, elongation, phase and front of `profile`."""
-    T_in, T_out, elongation, phase, front = read_out(tables, profile)
-    _, y = front_depth(profile)
-    return Observation(T_in, T_out, elongation, Phase(phase), front, tension_of(tables, y))
+    T_in, T_out, elongation, phase, front = read_profile(tables, profile)
+    _, y = find_front(profile)
+    return Observation(T_in, T_out, elongation, Phase(phase), front, from_log_tension(tables, y))
 
 
-@compiled
-def read_out(tables: Tables, profile: Profile) -> tuple[float, float, float, int, float]:
+@jit_compile
+def read_profile(tables: Tables, profile: Profile) -> tuple[float, float, float, int, float]:
     """Return (T_in [N], T_out [N], elongation [m], phase, front X' [m])."""
-    count = point_count(profile)
-    _, y_in, slope = point(profile, 0)
-    _, y_out, _ = point(profile, count - 1)
-    s_front, _, slope_beyond = point(profile, 1)
-    T_in = tension_of(tables, y_in)
-    stretch = tension_integral(tables, profile) - tables[_DRAG] * tables[_LENGTH]
-    front = arc_length(tables, s_front)
+    count = count_points(profile)
+    _, y_in, slope = get_point(profile, 0)
+    _, y_out, _ = get_point(profile, count - 1)
+    s_front, _, slope_beyond = get_point(profile, 1)
+    T_in = from_log_tension(tables, y_in)
+    stretch = integrate_tension(tables, profile) - tables[_DRAG] * tables[_LENGTH]
+    front = compute_arc_length(tables, s_front)
     if count == 2:
         phase = _PULL if slope < 0.0 else _RELEASE
     else:
@@ -140,40 +145,40 @@ def read_out(tables: Tables, profile: Profile) -> tuple[float, float, float, int
         phase = _VIRGIN
     if T_in <= SLACK_TENSION:
         phase = _SLACK
-    return T_in, tension_of(tables, y_out), max(stretch, 0.0) / tables[_EA], phase, front
+    return T_in, from_log_tension(tables, y_out), max(stretch, 0.0) / tables[_EA], phase, front
 
 
-@compiled
-def front_depth(profile: Profile) -> tuple[float, float]:
+@jit_compile
+def find_front(profile: Profile) -> tuple[float, float]:
     """Return (a, y(a)): friction coordinate of the proximal front and ln(T + tau) there."""
-    if point(profile, 0)[2] == 0.0:
-        s, y, _ = point(profile, 0)
+    if get_point(profile, 0)[2] == 0.0:
+        s, y, _ = get_point(profile, 0)
     else:
-        s, y, _ = point(profile, 1)
+        s, y, _ = get_point(profile, 1)
     return s, y
 
 
-@compiled
-def tension_at(tables: Tables, profile: Profile, x: Array) -> Array:
+@jit_compile
+def evaluate_tension(tables: Tables, profile: Profile, x: Array) -> Array:
     """Return T(x) [N] at the arc lengths `x` [m], shape (n,), in any order."""
     tensions = np.empty(x.size)
-    last = point_count(profile) - 1
+    last = count_points(profile) - 1
     for i in range(x.size):
-        s = friction_coordinate(tables, x[i])
+        s = compute_friction_coordinate(tables, x[i])
         low, high = 0, last
         while high - low > 1:
             middle = (low + high) // 2
-            if point(profile, middle)[0] <= s:
+            if get_point(profile, middle)[0] <= s:
                 low = middle
             else:
                 high = middle
-        s_a, y_a, slope = point(profile, low)
-        tensions[i] = tension_of(tables, y_a + slope * (s - s_a))
+        s_a, y_a, slope = get_point(profile, low)
+        tensions[i] = from_log_tension(tables, y_a + slope * (s - s_a))
     return tensions
 
 
-@compiled
-def batch(tables: Tables, profile: Profile, tensions: Array) -> tuple[Array, Array]:
+@jit_compile
+def simulate_tensions(tables: Tables, profile: Profile, tensions: Array) -> tuple[Array, Array]:
     """Drive T_in through `tensions` [N], shape (n,); return T_out [N] and elongation [m].
 
     The profile is advanced in place, so a long record can be given in pieces. A sample that is not
@@ -185,13 +190,13 @@ def batch(tables: Tables, profile: Profile, tensions: Array) -> tuple[Array, Arr
         if not math.isfinite(tensions[i]):
             raise ValueError("batch: a tension is not finite")
         push_proximal(tables, profile, tensions[i])
-        _, y_out, _ = point(profile, point_count(profile) - 1)
-        T_out[i] = tension_of(tables, y_out)
-        stretch = tension_integral(tables, profile) - tables[_DRAG] * tables[_LENGTH]
+        _, y_out, _ = get_point(profile, count_points(profile) - 1)
+        T_out[i] = from_log_tension(tables, y_out)
+        stretch = integrate_tension(tables, profile) - tables[_DRAG] * tables[_LENGTH]
         elongation[i] = max(stretch, 0.0) / tables[_EA]
     return T_out, elongation
 
 
-def _require_tension(tension: float) -> None:
+def _require_finite_tension(tension: float) -> None:
     if not math.isfinite(tension):
         raise SheathError(f"tension: {tension} N, must be finite")

@@ -15,25 +15,25 @@ import math
 import numpy as np
 
 from estimator.array_types import Array
-from estimator.compiled import compiled
-from estimator.lumped.loop_solver import WORK, Line, balance, dahl
+from estimator.compiled import jit_compile
+from estimator.lumped.loop_solver import WORK_ROWS, Line, compute_dahl_friction, solve_balance
 from estimator.lumped.lumped_model import Motion, Physics
 from estimator.lumped.nodes import NODES, PLACES
 
 _SPRINGS = 2 * NODES
 _TIP = NODES - 1
 _APPROACH = 12  # steps from rest to the first sample, and from each turn before it to the next
-_SMALLEST = 1.0 / 64.0  # of a step
-_LEAST_COMPLIANCE = 1e-9  # [m/N] of the load; below it the driven pulley is blocked
+_SUBSTEP_MIN = 1.0 / 64.0  # of a step
+_COMPLIANCE_MIN = 1e-9  # [m/N] of the load; below it the driven pulley is blocked
 _STEP = np.diff(PLACES)
-SHARES = np.concatenate([_STEP, [0.0], _STEP[::-1]])
+FRICTION_SHARES = np.concatenate([_STEP, [0.0], _STEP[::-1]])
 """Share of its cable's friction at each contact along the loop; none at the driven pulley."""
 
 _PRETENSION, _DRAG, _BRISTLE, _VISCOSITY, _STRIBECK, _STRIBECK_SPEED, _MASS, _DAMPING = range(8)
 _DT, _FRICTION, _OFFSET, _COMPLIANCE, _DRIVE, _SPEED = range(6)
 
 
-def loop_by_travel(
+def simulate_loop(
     physics: Physics, pretension: float, time: Array, travel: Array, speed: Array
 ) -> Motion:
     """Return what happens when the drive pulley goes through a `travel`.
@@ -84,27 +84,27 @@ def loop_by_travel(
             physics.damping,
         ]
     )
-    out = _advance(scalars, stiffness, np.concatenate([approach, samples]))[len(approach) :]
+    out = _advance_loop(scalars, stiffness, np.concatenate([approach, samples]))[len(approach) :]
     effort, tip = out[:, 0], out[:, 1]
     place = out[:, 2]
-    return Motion(effort, tip, travel, place, _compliance(travel, effort))
+    return Motion(effort, tip, travel, place, _estimate_compliance(travel, effort))
 
 
-def _compliance(travel: Array, effort: Array) -> Array:
+def _estimate_compliance(travel: Array, effort: Array) -> Array:
     """Return dq_p/dT_in [m/N] from one sample to the next, (n,)."""
     rise = np.gradient(travel) * np.sign(np.gradient(effort))
     usual = float(np.ptp(travel)) / max(float(np.ptp(effort)), 1e-12)
     return np.clip(rise / np.maximum(np.abs(np.gradient(effort)), 1e-12), 0.0, 10.0 * usual)
 
 
-@compiled
-def _advance(scalars: Array, stiffness: Array, samples: Array) -> Array:
+@jit_compile
+def _advance_loop(scalars: Array, stiffness: Array, samples: Array) -> Array:
     """Take a loop from rest through samples; return efforts at both pulleys and the tip, (n, 3)."""
     n = _SPRINGS - 1
     out = np.empty((len(samples), 3))
     places, trial = np.zeros(n), np.zeros(n)
     force, sliding, kept = np.zeros(n), np.zeros(n), np.zeros(n)
-    tension, work = np.full(n + 1, scalars[_PRETENSION]), np.empty((WORK, n))
+    tension, work = np.full(n + 1, scalars[_PRETENSION]), np.empty((WORK_ROWS, n))
     friction, drag = np.empty(n), np.empty(n)
     bristle, dashpot = np.empty(n), np.empty(n)
     q = v = a = drive = 0.0
@@ -115,21 +115,23 @@ def _advance(scalars: Array, stiffness: Array, samples: Array) -> Array:
             share = min(share, 1.0 - done)
             dt = row[_DT] * share
             goal = drive + (row[_DRIVE] - drive) * (share / (1.0 - done))
-            line = _line(scalars, stiffness, row, dt, q, v, a, friction, drag, bristle, dashpot)
+            line = _build_line(
+                scalars, stiffness, row, dt, q, v, a, friction, drag, bristle, dashpot
+            )
             trial[:] = places
             kept[:] = sliding
-            found = balance(line, goal, places, force, sliding, trial, tension, work)
+            found = solve_balance(line, goal, places, force, sliding, trial, tension, work)
             if not found:
                 sliding[:] = 0.0
                 trial[:] = places
-                found = balance(line, goal, places, force, sliding, trial, tension, work)
-            if not found and share > _SMALLEST:
+                found = solve_balance(line, goal, places, force, sliding, trial, tension, work)
+            if not found and share > _SUBSTEP_MIN:
                 sliding[:] = kept
                 share *= 0.5
                 continue
             done += share
             if not line.rigid:
-                _hold(line, tension, places, trial, sliding, force)
+                _store_friction(line, tension, places, trial, sliding, force)
             places[:] = trial
             drive = goal
             new = places[_TIP]
@@ -145,19 +147,19 @@ def _advance(scalars: Array, stiffness: Array, samples: Array) -> Array:
     return out
 
 
-@compiled
-def _hold(
+@jit_compile
+def _store_friction(
     line: Line, tension: Array, before: Array, places: Array, sliding: Array, force: Array
 ) -> None:
     """Keep what friction has become in each contact, in place."""
     for j in range(len(force)):
         if j != line.tip:
             slid = places[j] - before[j]
-            force[j] = dahl(line, tension, j, slid, sliding[j], force[j])[0]
+            force[j] = compute_dahl_friction(line, tension, j, slid, sliding[j], force[j])[0]
 
 
-@compiled
-def _line(
+@jit_compile
+def _build_line(
     scalars: Array,
     stiffness: Array,
     row: Array,
@@ -175,13 +177,13 @@ def _line(
     if scalars[_STRIBECK] != 0.0:
         x = row[_SPEED] / scalars[_STRIBECK_SPEED]
         share += scalars[_STRIBECK] * math.exp(-x * x)
-    for j in range(len(SHARES)):
-        ds = row[_FRICTION] * SHARES[j]
+    for j in range(len(FRICTION_SHARES)):
+        ds = row[_FRICTION] * FRICTION_SHARES[j]
         friction[j] = min(ds * share, 0.9)
         drag[j] = ds * share * scalars[_DRAG]
         bristle[j] = max(ds * scalars[_BRISTLE], 1e-9)
         dashpot[j] = ds * scalars[_VISCOSITY] / dt if dt > 0.0 else 0.0
-    compliance, held = row[_COMPLIANCE], row[_COMPLIANCE] < _LEAST_COMPLIANCE
+    compliance, held = row[_COMPLIANCE], row[_COMPLIANCE] < _COMPLIANCE_MIN
     hold = known = 0.0
     if not held:
         hold = 1.0 / compliance

@@ -13,18 +13,18 @@ import math
 from typing import NamedTuple
 
 from estimator.array_types import Array
-from estimator.compiled import compiled
+from estimator.compiled import jit_compile
 
-_ENOUGH = 1e-9  # [m] by which an iteration moves contacts in the end
-_PATIENCE = 20  # iterations in full steps
+_TRAVEL_TOLERANCE = 1e-9  # [m] by which an iteration moves contacts in the end
+_FULL_STEPS = 20  # iterations in full steps
 _ITERATIONS = 60  # of contacts that follow Dahl
-_LEAST = 1e-9  # [N] limit of a contact
+_LIMIT_MIN = 1e-9  # [N] limit of a contact
 
-LOOSE = 1e-7
+SLACK_STIFFNESS_RATIO = 1e-7
 """Stiffness of a slack spring over that of a taut one, for a unique balance."""
 
-WORK = 6
-"""Rows of a contact each that `balance` works with."""
+WORK_ROWS = 6
+"""Rows of a contact each that `solve_balance` works with."""
 
 
 class Line(NamedTuple):
@@ -44,8 +44,8 @@ class Line(NamedTuple):
     known: float  # [N] that is taken from its force
 
 
-@compiled
-def balance(
+@jit_compile
+def solve_balance(
     line: Line,
     drive: float,
     before: Array,
@@ -64,36 +64,36 @@ def balance(
     returns whether a balance was found.
     """
     n = len(places)
-    _stretch(line, drive, places, tension)
+    _update_tensions(line, drive, places, tension)
     for i in range(6 * n if line.rigid else _ITERATIONS):
-        share = 1.0 if line.rigid or i < _PATIENCE else 0.5
-        moved = _solve(line, drive, before, force, sliding, places, tension, work, share)
-        if _stretch(line, drive, places, tension):
+        share = 1.0 if line.rigid or i < _FULL_STEPS else 0.5
+        moved = _solve_step(line, drive, before, force, sliding, places, tension, work, share)
+        if _update_tensions(line, drive, places, tension):
             continue  # springs went slack or taut: their tensions tell nothing of contacts yet
         if not line.rigid:
-            if moved < _ENOUGH:
+            if moved < _TRAVEL_TOLERANCE:
                 return True
-        elif not _corrected(line, before, sliding, places, tension):
+        elif not _correct_guesses(line, before, sliding, places, tension):
             return True
     return False
 
 
-@compiled
-def friction_of(line: Line, tension: Array, j: int) -> float:
+@jit_compile
+def compute_friction_limit(line: Line, tension: Array, j: int) -> float:
     """Return the limit of a contact [N]."""
     pressed: float = max(tension[j] + tension[j + 1], 0.0)
     return float(line.friction[j] * 0.5 * pressed + line.drag[j])
 
 
-@compiled
-def dahl(
+@jit_compile
+def compute_dahl_friction(
     line: Line, tension: Array, j: int, slid: float, way: float, force: float
 ) -> tuple[float, float, float]:
     """Return the friction of a contact that slid [N], its slope [N/m], and that by its limit.
 
     `way` is where it slides if it has not yet, `force` its friction before.
     """
-    limit = max(friction_of(line, tension, j), _LEAST)
+    limit = max(compute_friction_limit(line, tension, j), _LIMIT_MIN)
     begin = min(max(force, -limit), limit)
     d = way
     if slid != 0.0:
@@ -105,8 +105,8 @@ def dahl(
     return d * limit + rest, slope, d * (1.0 - fading) + rest * x / limit
 
 
-@compiled
-def _stretch(line: Line, drive: float, places: Array, tension: Array) -> bool:
+@jit_compile
+def _update_tensions(line: Line, drive: float, places: Array, tension: Array) -> bool:
     """Fill in the tensions of all springs; return whether any went slack or taut."""
     n, changed = len(places), False
     for j in range(n + 1):
@@ -114,12 +114,12 @@ def _stretch(line: Line, drive: float, places: Array, tension: Array) -> bool:
         right = drive if j == n else places[j]
         T = line.pretension + line.stiffness[j] * (left - right)
         changed |= (T < 0.0) != (tension[j] < 0.0)
-        tension[j] = T if T >= 0.0 else LOOSE * T
+        tension[j] = T if T >= 0.0 else SLACK_STIFFNESS_RATIO * T
     return changed
 
 
-@compiled
-def _solve(
+@jit_compile
+def _solve_step(
     line: Line,
     drive: float,
     before: Array,
@@ -138,10 +138,10 @@ def _solve(
     upper, right = work[0], work[1]
     for j in range(n):
         taut, behind = tension[j] >= 0.0, tension[j + 1] >= 0.0
-        k = line.stiffness[j] * (1.0 if taut else LOOSE)
-        k_next = line.stiffness[j + 1] * (1.0 if behind else LOOSE)
-        T = line.pretension * (1.0 if taut else LOOSE)
-        T_next = line.pretension * (1.0 if behind else LOOSE)
+        k = line.stiffness[j] * (1.0 if taut else SLACK_STIFFNESS_RATIO)
+        k_next = line.stiffness[j + 1] * (1.0 if behind else SLACK_STIFFNESS_RATIO)
+        T = line.pretension * (1.0 if taut else SLACK_STIFFNESS_RATIO)
+        T_next = line.pretension * (1.0 if behind else SLACK_STIFFNESS_RATIO)
         d, A, B, own, known = sliding[j], 1.0, 1.0, 0.0, 0.0
         stays = False
         if j == line.tip:
@@ -149,7 +149,7 @@ def _solve(
             stays = line.held
         elif not line.rigid:
             slid = places[j] - before[j]
-            rub, slope, by_limit = dahl(line, tension, j, slid, d, force[j])
+            rub, slope, by_limit = compute_dahl_friction(line, tension, j, slid, d, force[j])
             if slid != 0.0:
                 sliding[j] = 1.0 if slid > 0.0 else -1.0
             A -= 0.5 * by_limit * line.friction[j]
@@ -187,8 +187,10 @@ def _solve(
     return most
 
 
-@compiled
-def _corrected(line: Line, before: Array, sliding: Array, places: Array, tension: Array) -> bool:
+@jit_compile
+def _correct_guesses(
+    line: Line, before: Array, sliding: Array, places: Array, tension: Array
+) -> bool:
     """Correct the guesses that Coulomb contradicts; return whether there were any."""
     found = False
     for j in range(len(places)):
@@ -197,7 +199,7 @@ def _corrected(line: Line, before: Array, sliding: Array, places: Array, tension
         jump = tension[j] - tension[j + 1]
         moved = places[j] - before[j]
         carried = jump - line.dashpot[j] * moved
-        limit = friction_of(line, tension, j)
+        limit = compute_friction_limit(line, tension, j)
         d = sliding[j]
         if d == 0.0:
             room = 1e-10 * (1.0 + limit)

@@ -15,26 +15,26 @@ from typing import NamedTuple, Self
 import numpy as np
 
 from estimator.array_types import Array
-from estimator.compiled import compiled, compiled_in_caller
+from estimator.compiled import jit_compile, jit_inline
 from estimator.lumped.nodes import (
     NODES,
     PLACES,
     FrictionLaw,
     Tendon,
     Tip,
-    elongation,
+    age_contacts,
+    compute_elongation,
+    compute_tip_travel,
     fill_contacts,
-    take_hold,
-    tip_travel,
 )
-from estimator.lumped.play_spectrum import ONE_PLAY, on_nodes
-from estimator.lumped.presliding_solver import settle
-from estimator.lumped.stick_slip_solver import ROWS, slide
+from estimator.lumped.play_spectrum import ONE_PLAY, distribute_spectrum
+from estimator.lumped.presliding_solver import solve_presliding
+from estimator.lumped.stick_slip_solver import WORK_ROWS, solve_stick_slip
 
-_SMALLEST = 1.0 / 8.0  # of a step
+_SUBSTEP_MIN = 1.0 / 8.0  # of a step
 _APPROACH = 12  # steps from each of the turns before the first sample to the next
-_PIECE = 0.5  # of a sample: contacts that let go as they slide do so within it
-_STIFF = 1e12  # [N/m]
+_SUBSTEP_MAX = 0.5  # of a sample: contacts that let go as they slide do so within it
+_STIFFNESS_MAX = 1e12  # [N/m]
 
 
 class Physics(NamedTuple):
@@ -94,7 +94,7 @@ class _Contacts(NamedTuple):
     rested: Array  # 1 for those that have taken hold, 0 for those that have let go
 
 
-class _Holder(NamedTuple):
+class _TipLoad(NamedTuple):
     """What the tip pulls at."""
 
     compliance: float  # [m/N]
@@ -105,7 +105,7 @@ class _Holder(NamedTuple):
     stiffness: float
 
 
-_SCALARS = 28  # before the arrays in what `constants_of` returns
+_SCALARS = 28  # before the arrays in what `build_constants` returns
 VISCOSITY, STRIBECK = 1, 2  # among them
 CONSTANTS = _SCALARS + 4 * NODES - 1
 LAST_SHARE = CONSTANTS - 1  # of the tip's force, that its own node has
@@ -119,7 +119,7 @@ _SPEED, _RESTED = _SLIDING + NODES - 1, _SLIDING + 2 * (NODES - 1)
 STATE = _SLIDING + 3 * (NODES - 1)
 """Length of the flat array that is all a tendon remembers."""
 
-_UNTOLD = np.empty(0)
+_NO_SPEEDS = np.empty(0)
 
 # What `advance` is told of a sample
 DT, FRICTION, STRETCH, OFFSET, COMPLIANCE, TARGET, SPEED = range(7)
@@ -130,7 +130,7 @@ class _Line(NamedTuple):
     """A tendon ready for steps."""
 
     law: FrictionLaw
-    holder: _Holder
+    holder: _TipLoad
     softness: float  # [m/N]: what the tension's rate is to the motor's speed
     weights: Array  # [m/N] of each node
     even: Array  # shares of the whole
@@ -138,7 +138,7 @@ class _Line(NamedTuple):
     shares: Array  # of the force at the tip, of each node
 
 
-def by_travel(physics: Physics, time: Array, travel: Array, speed: Array) -> Motion:
+def simulate_by_travel(physics: Physics, time: Array, travel: Array, speed: Array) -> Motion:
     """Return what happens when the motor goes through a `travel`.
 
     Parameters
@@ -152,18 +152,18 @@ def by_travel(physics: Physics, time: Array, travel: Array, speed: Array) -> Mot
     speed : ndarray
         Of the motor [m/s], shape (n,); its sign does not matter.
     """
-    return _driven(physics, time, travel, np.abs(speed), forced=False)
+    return _simulate_drive(physics, time, travel, np.abs(speed), forced=False)
 
 
-def by_tension(physics: Physics, time: Array, tension: Array, rate: Array) -> Motion:
+def simulate_by_tension(physics: Physics, time: Array, tension: Array, rate: Array) -> Motion:
     """Return what happens under a `tension` [N] at the housing that changes by `rate` [N/s]."""
-    return _driven(physics, time, tension, np.abs(rate), forced=True)
+    return _simulate_drive(physics, time, tension, np.abs(rate), forced=True)
 
 
-def constants_of(physics: Physics) -> Array:
+def build_constants(physics: Physics) -> Array:
     """Return what `advance` needs to know of a tendon, as one flat array."""
     p = physics
-    plays = on_nodes(p.spectrum, p.weights)
+    plays = distribute_spectrum(p.spectrum, p.weights)
     law = FrictionLaw(
         p.drag,
         p.viscosity,
@@ -187,14 +187,14 @@ def constants_of(physics: Physics) -> Array:
         p.threshold,
         plays.depth,
     )
-    stiffness = min(p.load_stiffness, _STIFF)
-    holder = _Holder(p.tip_compliance, p.mass, p.damping, p.load_low, p.load_high, stiffness)
+    stiffness = min(p.load_stiffness, _STIFFNESS_MAX)
+    holder = _TipLoad(p.tip_compliance, p.mass, p.damping, p.load_low, p.load_high, stiffness)
     scalars = np.array([*law, *holder])
     weights, K = plays.weights * p.compliance, plays.depth * float(p.friction[0])
-    return _packed(scalars, p.tip_compliance, weights, K, plays.shares)
+    return _pack_line(scalars, p.tip_compliance, weights, K, plays.shares)
 
 
-class Drivable:
+class DrivenTendon:
     """A tendon that is driven by a travel or a tension in turn, from any of its samples on.
 
     Parameters
@@ -206,8 +206,10 @@ class Drivable:
     """
 
     def __init__(self, physics: Physics, time: Array) -> None:
-        self._constants, self._samples = _ready(physics, time)
-        self._memory = start(self._constants, physics.start, *self._samples[0, [STRETCH, OFFSET]])
+        self._constants, self._samples = _prepare_samples(physics, time)
+        self._memory = build_initial_state(
+            self._constants, physics.start, *self._samples[0, [STRETCH, OFFSET]]
+        )
         self._done = 0
 
     def copy(self) -> Self:
@@ -240,30 +242,36 @@ class Drivable:
     def _advanced(self, memory: Array, drive: Array, begin: int, *, forced: bool) -> Array:
         samples = self._samples[begin : begin + len(drive)].copy()
         samples[:, TARGET] = drive
-        return np.asarray(advance(self._constants, memory, samples, _UNTOLD, forced, _SMALLEST))
+        return np.asarray(
+            advance(self._constants, memory, samples, _NO_SPEEDS, forced, _SUBSTEP_MIN)
+        )
 
 
-def _ready(physics: Physics, time: Array) -> tuple[Array, Array]:
+def _prepare_samples(physics: Physics, time: Array) -> tuple[Array, Array]:
     """Return the constants of a tendon and its samples, undriven yet."""
     samples = np.zeros((len(time), SAMPLE))
     samples[:, DT] = np.diff(time, prepend=time[0])
     samples[:, FRICTION], samples[:, STRETCH] = physics.friction, physics.stretch
     samples[:, OFFSET], samples[:, COMPLIANCE] = physics.tip_offset, physics.tip_compliance
-    return constants_of(physics), samples
+    return build_constants(physics), samples
 
 
-def _driven(physics: Physics, time: Array, drive: Array, rate: Array, *, forced: bool) -> Motion:
-    constants, samples = _ready(physics, time)
+def _simulate_drive(
+    physics: Physics, time: Array, drive: Array, rate: Array, *, forced: bool
+) -> Motion:
+    constants, samples = _prepare_samples(physics, time)
     samples[:, TARGET], samples[:, SPEED] = drive, rate
-    memory = start(constants, physics.start, samples[0, STRETCH], samples[0, OFFSET])
+    memory = build_initial_state(constants, physics.start, samples[0, STRETCH], samples[0, OFFSET])
     if len(physics.earlier):
-        _approach(constants, memory, samples[0], physics.earlier, forced=forced)
+        _approach_first_sample(constants, memory, samples[0], physics.earlier, forced=forced)
     return Motion(
-        *np.ascontiguousarray(advance(constants, memory, samples, _UNTOLD, forced, _SMALLEST).T)
+        *np.ascontiguousarray(
+            advance(constants, memory, samples, _NO_SPEEDS, forced, _SUBSTEP_MIN).T
+        )
     )
 
 
-def _approach(
+def _approach_first_sample(
     constants: Array, memory: Array, first: Array, earlier: Array, *, forced: bool
 ) -> None:
     """Take a tendon from its start over earlier turns to the first sample, slowly, in place."""
@@ -273,12 +281,12 @@ def _approach(
     )
     samples = np.repeat(first[None], len(way), axis=0)
     samples[:, DT], samples[:, TARGET], samples[:, SPEED] = 1.0, way, 0.0
-    advance(constants, memory, samples, _UNTOLD, forced, _SMALLEST)
+    advance(constants, memory, samples, _NO_SPEEDS, forced, _SUBSTEP_MIN)
     memory[_V] = memory[_A] = 0.0
 
 
-@compiled
-def _spread(weights: Array, K: float, compliance: float) -> Array:
+@jit_compile
+def _compute_speed_ratios(weights: Array, K: float, compliance: float) -> Array:
     """Return the speed over each contact for that of the motor, while all of the tendon slides."""
     n = len(weights)
     tension = np.exp(-K * PLACES)
@@ -291,8 +299,8 @@ def _spread(weights: Array, K: float, compliance: float) -> Array:
     return spread
 
 
-@compiled
-def _packed(
+@jit_compile
+def _pack_line(
     scalars: Array, compliance: float, weights: Array, friction: float, shares: Array
 ) -> Array:
     """Return a `_Line` as one flat array; `scalars` are those of its law and its holder."""
@@ -301,54 +309,56 @@ def _packed(
     row[: _SCALARS - 1], row[_SCALARS - 1] = scalars, total + compliance
     rest = row[_SCALARS:]
     rest[:NODES], rest[NODES : 2 * NODES] = weights, weights / total
-    rest[2 * NODES : -NODES] = _spread(weights, friction, compliance)
+    rest[2 * NODES : -NODES] = _compute_speed_ratios(weights, friction, compliance)
     rest[-NODES:] = shares
     return row
 
 
-@compiled
-def _line(constants: Array) -> _Line:
-    """Return what `constants_of` has packed."""
+@jit_compile
+def _unpack_line(constants: Array) -> _Line:
+    """Return what `build_constants` has packed."""
     c, last = constants, NODES - 1
     law = FrictionLaw(
         c[0], c[1], c[2], c[3], c[4], c[5], c[6], c[7], c[8], c[9],
         c[10], c[11], c[12], c[13], c[14], c[15], c[16], c[17], c[18], c[19], c[20],
     )  # fmt: skip
-    holder = _Holder(c[21], c[22], c[23], c[24], c[25], c[26])
+    holder = _TipLoad(c[21], c[22], c[23], c[24], c[25], c[26])
     weights, rest = constants[_SCALARS : _SCALARS + NODES], constants[_SCALARS + NODES :]
     spread, shares = rest[NODES : NODES + last], rest[NODES + last :]
     return _Line(law, holder, c[27], weights, rest[:NODES], spread, shares)
 
 
-@compiled_in_caller
-def _tied(line: _Line) -> Array:
+@jit_inline
+def _distribute_tip_compliance(line: _Line) -> Array:
     """Return what the tip pulls at by each node but its own [m/N]: its share of the force there."""
     tied = line.holder.compliance * line.shares
     tied[NODES - 1] = 0.0
     return tied
 
 
-@compiled
-def start(constants: Array, tension: float, stretch: float, offset: float) -> Array:
+@jit_compile
+def build_initial_state(constants: Array, tension: float, stretch: float, offset: float) -> Array:
     """Return the state of a tendon that has not moved yet, at one `tension` [N] all along.
 
     It is `stretch` [m] longer than it was, and the environment has taken its tip to `offset` [m].
     """
-    line = _line(constants)
+    line = _unpack_line(constants)
     state = np.zeros(STATE)
     state[:NODES] = tension
     kept = line.even * stretch
     none = np.empty(0)
-    tendon = Tendon(line.law, none, none, 0.0, line.weights, 1.0, kept, _tied(line))
+    tendon = Tendon(
+        line.law, none, none, 0.0, line.weights, 1.0, kept, _distribute_tip_compliance(line)
+    )
     for j in range(NODES):
-        state[LENGTHS + j] = elongation(tendon, j, tension)[0] + kept[j]
+        state[LENGTHS + j] = compute_elongation(tendon, j, tension)[0] + kept[j]
     state[_Q] = line.holder.compliance * line.shares[NODES - 1] * tension + offset
     state[_DRIVEN] = math.nan
     state[_RESTED:] = 1.0
     return state
 
 
-@compiled
+@jit_compile
 def advance(
     constants: Array, memory: Array, samples: Array, speeds: Array, forced: bool, smallest: float
 ) -> Array:
@@ -357,7 +367,7 @@ def advance(
     Parameters
     ----------
     constants, memory : ndarray
-        From `constants_of` and `start`, or a step before.
+        From `build_constants` and `build_initial_state`, or a step before.
     samples : ndarray
         (n, SAMPLE): time since the sample before [s], K, `Physics.stretch` and `tip_offset` [m],
         `tip_compliance` [m/N], what the motor is driven to, and its speed.
@@ -369,16 +379,16 @@ def advance(
     smallest : float
         Share of a sample in which what has no balance yet is tried again; 1 for once only.
     """
-    line = _line(constants)
+    line = _unpack_line(constants)
     law, holder, softness, weights, even, spread, shares = line
-    tied, own = _tied(line), shares[NODES - 1]
+    tied, own = _distribute_tip_compliance(line), shares[NODES - 1]
     out = np.empty((len(samples), 5))
     speeds_known = len(speeds) > 0
     late = law.stribeck != 0.0 and law.stribeck_memory > 0.0
     state, lengths = memory[:NODES], memory[LENGTHS:_CREPT]
     crept, sliding = memory[_CREPT:_ENDS], memory[_SLIDING:_SPEED]
     speed, rested = memory[_SPEED:_RESTED], memory[_RESTED:]
-    after, work = np.empty(NODES), np.empty((ROWS, NODES))
+    after, work = np.empty(NODES), np.empty((WORK_ROWS, NODES))
     half, drag = np.empty(NODES - 1), np.empty(NODES - 1)
     slid, gone = np.zeros(NODES - 1), np.zeros(NODES - 1)
     q, v, a, load, before = memory[_Q], memory[_V], memory[_A], memory[_LOAD], memory[_DRIVEN]
@@ -393,24 +403,24 @@ def advance(
         kept = crept * (1.0 - gain) + even * stretch
         scale = 1.0 + law.creep * gain
         tendon = Tendon(law, half, drag, dt, weights, scale, kept, tied)
-        tip = _tip_of(holder, compliance, samples[i, OFFSET], dt, q, v, a, load)
+        tip = _build_tip(holder, compliance, samples[i, OFFSET], dt, q, v, a, load)
         if law.stribeck != 0.0 and not late:
             speed[:] = speeds if speeds_known else spread * (rate * softness if forced else rate)
         fill_contacts(law, friction, state, speed, rested, half, drag)
         if law.give > 0.0:
-            reach = settle(tendon, tip, state, lengths, target, forced, after)
-            _take_over(tendon, after, state, lengths)
+            reach = solve_presliding(tendon, tip, state, lengths, target, forced, after)
+            _store_tensions(tendon, after, state, lengths)
         else:
             heavy = compliance > 0.0 and (holder.mass > 0.0 or holder.damping > 0.0)
             begin = target if math.isnan(before) else before
-            tip, reach = _slide_by_parts(
+            tip, reach = _solve_substeps(
                 tendon, tip, friction, begin, target, forced, 1.0 if heavy else smallest,
                 _Contacts(sliding, speed, rested), state, lengths, after, slid, gone, work,
             )  # fmt: skip
         if late and dt > 0.0:
             now = speeds if speeds_known else np.abs(gone) / dt
             speed += -math.expm1(-dt / law.stribeck_memory) * (now - speed)
-        new, _slope, load = tip_travel(tip, after[NODES - 1])
+        new, _slope, load = compute_tip_travel(tip, after[NODES - 1])
         if dt > 0.0:
             v_new = 2.0 * (new - q) / dt - v
             a = 2.0 * (v_new - v) / dt - a
@@ -419,23 +429,27 @@ def advance(
         if gain > 0.0:
             crept *= 1.0 - gain
             crept += law.creep * gain / scale * (lengths - kept - tied * state)
-        out[i, 0], out[i, 1] = after[0], _dot(shares, after)
-        out[i, 2], out[i, 3], out[i, 4] = lengths.sum() + q, q + _dot(tied, after), reach
+        out[i, 0], out[i, 1] = after[0], _compute_dot_product(shares, after)
+        out[i, 2], out[i, 3], out[i, 4] = (
+            lengths.sum() + q,
+            q + _compute_dot_product(tied, after),
+            reach,
+        )
     memory[_Q], memory[_V], memory[_A], memory[_LOAD], memory[_DRIVEN] = q, v, a, load, before
     return out
 
 
-@compiled_in_caller
-def _dot(a: Array, b: Array) -> float:
+@jit_inline
+def _compute_dot_product(a: Array, b: Array) -> float:
     total = 0.0
     for j in range(len(a)):
         total += a[j] * b[j]
     return total
 
 
-@compiled_in_caller
-def _tip_of(
-    holder: _Holder,
+@jit_inline
+def _build_tip(
+    holder: _TipLoad,
     compliance: float,
     offset: float,
     dt: float,
@@ -459,8 +473,8 @@ def _tip_of(
     return Tip(c, known, offset, holder.low, holder.high, holder.stiffness, q, load)
 
 
-@compiled_in_caller
-def _slide_by_parts(
+@jit_inline
+def _solve_substeps(
     tendon: Tendon,
     tip: Tip,
     friction: float,
@@ -483,7 +497,7 @@ def _slide_by_parts(
     """
     law, half, drag = tendon.law, tendon.half, tendon.drag
     sliding, speed, rested = contacts
-    most = _PIECE if law.static != 0.0 else 1.0
+    most = _SUBSTEP_MAX if law.static != 0.0 else 1.0
     done, share, reach = 0.0, most, 0.0
     gone[:] = 0.0
     while done < 1.0:
@@ -492,10 +506,12 @@ def _slide_by_parts(
             law, half, drag, share * tendon.dt, tendon.weights, tendon.scale, tendon.kept,
             tendon.tied,
         )  # fmt: skip
-        ended, reach = slide(part, tip, state, lengths, goal, forced, after, sliding, slid, work)
+        ended, reach = solve_stick_slip(
+            part, tip, state, lengths, goal, forced, after, sliding, slid, work
+        )
         if not ended:  # in circles: from rest, and if need be by a smaller step
             sliding[:] = 0.0
-            ended, reach = slide(
+            ended, reach = solve_stick_slip(
                 part, tip, state, lengths, goal, forced, after, sliding, slid, work
             )
         if not ended and share > smallest:
@@ -505,11 +521,11 @@ def _slide_by_parts(
         done += share
         share = min(2.0 * share, most, 1.0 - done)
         gone += slid
-        _take_over(tendon, after, state, lengths)
+        _store_tensions(tendon, after, state, lengths)
         if law.static != 0.0:
-            take_hold(law, part.dt, slid, rested)
+            age_contacts(law, part.dt, slid, rested)
             fill_contacts(law, friction, state, speed, rested, half, drag)
-        at, _slope, load = tip_travel(tip, after[NODES - 1])
+        at, _slope, load = compute_tip_travel(tip, after[NODES - 1])
         if done < 1.0:
             tip = Tip(
                 tip.compliance, tip.known, tip.offset, tip.low, tip.high, tip.stiffness, at, load
@@ -517,9 +533,9 @@ def _slide_by_parts(
     return tip, reach
 
 
-@compiled_in_caller
-def _take_over(tendon: Tendon, tension: Array, state: Array, lengths: Array) -> None:
+@jit_inline
+def _store_tensions(tendon: Tendon, tension: Array, state: Array, lengths: Array) -> None:
     """Take over the tensions that were found, and the lengths of the nodes that follow."""
     state[:] = tension
     for j in range(NODES):
-        lengths[j] = elongation(tendon, j, tension[j])[0] + tendon.kept[j]
+        lengths[j] = compute_elongation(tendon, j, tension[j])[0] + tendon.kept[j]

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from estimator.array_types import Array
-from estimator.compiled import compiled
+from estimator.compiled import jit_compile
 
 NODES = 41
 """Nodes from housing to tip."""
@@ -22,8 +22,10 @@ PLACES = np.expm1(_GRADED * np.linspace(0.0, 1.0, NODES)) / math.expm1(_GRADED)
 EDGES = np.concatenate([[0.0], 0.5 * (PLACES[:-1] + PLACES[1:]), [1.0]])
 """Where the stretch of tendon that counts to a node ends and the next begins, shares of K."""
 
-_SMOOTH = 0.05  # of K, that friction never falls below, however far a fit is carried on
-_STEEPEST = 0.45  # half the friction between two nodes, at most; beyond it nothing would pass
+_FRICTION_MIN = 0.05  # of K, that friction never falls below, however far a fit is carried on
+_HALF_FRICTION_MAX = (
+    0.45  # half the friction between two nodes, at most; beyond it nothing would pass
+)
 _MIN_TENSION = 1e-2  # [N] below which friction is no power of the tension any more
 
 
@@ -79,13 +81,13 @@ class Tendon(NamedTuple):
     tied: Array  # [m/N] of the tip's load that each node but the last carries
 
 
-def even_weights() -> Array:
+def build_even_weights() -> Array:
     """Return the weights of a sheath bent evenly."""
     return np.diff(EDGES)
 
 
-@compiled
-def tip_travel(tip: Tip, tension: float) -> tuple[float, float, float]:
+@jit_compile
+def compute_tip_travel(tip: Tip, tension: float) -> tuple[float, float, float]:
     """Return q_d [m], dq_d/dT_out [m/N] and the load besides the spring [N] at a tip tension."""
     c = tip.compliance
     if c <= 0.0:
@@ -103,7 +105,7 @@ def tip_travel(tip: Tip, tension: float) -> tuple[float, float, float]:
     return q, slope, load
 
 
-@compiled
+@jit_compile
 def fill_contacts(
     law: FrictionLaw, K: float, state: Array, speed: Array, rested: Array, half: Array, drag: Array
 ) -> None:
@@ -113,7 +115,7 @@ def fill_contacts(
     """
     for j in range(len(half)):
         tension = 0.5 * (state[j] + state[j + 1])
-        share = max(1.0 + law.rise * tension, _SMOOTH)
+        share = max(1.0 + law.rise * tension, _FRICTION_MIN)
         if law.exponent != 1.0:
             share *= (max(tension, _MIN_TENSION) / law.reference) ** (law.exponent - 1.0)
         if law.stribeck != 0.0:
@@ -122,12 +124,12 @@ def fill_contacts(
         if law.static != 0.0:
             share *= 1.0 + law.static * rested[j]
         ds = K * law.depth * (PLACES[j + 1] - PLACES[j])
-        half[j] = min(0.5 * ds * share, _STEEPEST / max(1.0, law.asymmetry))
+        half[j] = min(0.5 * ds * share, _HALF_FRICTION_MAX / max(1.0, law.asymmetry))
         drag[j] = 2.0 * half[j] * law.drag
 
 
-@compiled
-def take_hold(law: FrictionLaw, dt: float, slid: Array, rested: Array) -> None:
+@jit_compile
+def age_contacts(law: FrictionLaw, dt: float, slid: Array, rested: Array) -> None:
     """Let contacts take hold while they rest and let go while they slide, in place."""
     kept = math.exp(-dt / law.static_time)
     for j in range(len(rested)):
@@ -135,8 +137,8 @@ def take_hold(law: FrictionLaw, dt: float, slid: Array, rested: Array) -> None:
         rested[j] *= math.exp(-abs(slid[j]) / law.static_distance)
 
 
-@compiled
-def elongation(tendon: Tendon, j: int, tension: float) -> tuple[float, float]:
+@jit_compile
+def compute_elongation(tendon: Tendon, j: int, tension: float) -> tuple[float, float]:
     """Return the elongation [m] of a node's share of the tendon, and its slope [m/N].
 
     With what the tip gives under its part of the force there.

@@ -21,7 +21,7 @@ from estimator.lumped.nodes import EDGES, NODES, PLACES
 ONE_PLAY = np.array([[1.0, 1.0]])
 """The plain law: all of the force over K."""
 
-_LEAST = 1e-6  # share of the compliance of any node: the deepest may have next to no strand
+_SHARE_MIN = 1e-6  # share of the compliance of any node: the deepest may have next to no strand
 
 
 class PlayNodes(NamedTuple):
@@ -32,12 +32,12 @@ class PlayNodes(NamedTuple):
     weights: Array  # share of the compliance at each node, (NODES,)
 
 
-def spectrum_of(thresholds: Array, weights: Array) -> Array:
+def build_spectrum(thresholds: Array, weights: Array) -> Array:
     """Return plays as `Physics.spectrum` has them: thresholds over K, and shares that add to 1."""
     return np.column_stack([thresholds, weights / np.sum(weights)])
 
 
-def on_nodes(spectrum: Array, weights: Array) -> PlayNodes:
+def distribute_spectrum(spectrum: Array, weights: Array) -> PlayNodes:
     """Return a spectrum of plays on nodes, with the `weights` of one strand along its depth."""
     if len(spectrum) == 1 and spectrum[0, 0] == 1.0:
         return PlayNodes(1.0, np.eye(NODES)[-1], weights)
@@ -51,5 +51,5 @@ def on_nodes(spectrum: Array, weights: Array) -> PlayNodes:
     along = np.concatenate([[0.0], np.cumsum(weights)])
     strands = np.minimum(EDGES[1:, None] / np.maximum(places, 1e-12), 1.0)
     whole = np.concatenate([[0.0], np.interp(strands, EDGES, along) @ parts])
-    each = np.maximum(np.diff(whole), _LEAST)
+    each = np.maximum(np.diff(whole), _SHARE_MIN)
     return PlayNodes(depth, np.asarray(shares, np.float64), np.asarray(each / each.sum()))

@@ -1,15 +1,15 @@
 """The balance of contacts that give before they slide: from the tip to the housing."""
 
 from estimator.array_types import Array
-from estimator.compiled import compiled
-from estimator.lumped.nodes import Tendon, Tip, elongation, tip_travel
+from estimator.compiled import jit_compile
+from estimator.lumped.nodes import Tendon, Tip, compute_elongation, compute_tip_travel
 
 _MAX_ITERATIONS = 60
-_ENOUGH = 1e-11  # [m] of travel
+_TRAVEL_TOLERANCE = 1e-11  # [m] of travel
 
 
-@compiled
-def _lean(
+@jit_compile
+def _propagate_from_tip(
     tendon: Tendon, tip: Tip, before: Array, lengths: Array, T_out: float, after: Array
 ) -> tuple[float, float, float]:
     """Go from the tip to the housing over contacts that give before they slide.
@@ -18,13 +18,13 @@ def _lean(
     """
     law = tendon.law
     last = len(before) - 1
-    q_d, by, _load = tip_travel(tip, T_out)
+    q_d, by, _load = compute_tip_travel(tip, T_out)
     moved = q_d - tip.before
     after[last] = T_out
     T, D = T_out, 1.0
     q_p, dq_p = q_d, by
     for j in range(last - 1, -1, -1):
-        part, part_by = elongation(tendon, j + 1, T)
+        part, part_by = compute_elongation(tendon, j + 1, T)
         q_p += part + tendon.kept[j + 1]
         dq_p += part_by * D
         moved += part + tendon.kept[j + 1] - lengths[j + 1]
@@ -48,12 +48,12 @@ def _lean(
         if T < 0.0:
             T, D = 0.0, 0.0
         after[j] = T
-    part, part_by = elongation(tendon, 0, T)
+    part, part_by = compute_elongation(tendon, 0, T)
     return q_p + part + tendon.kept[0], dq_p + part_by * D, D
 
 
-@compiled
-def settle(
+@jit_compile
+def solve_presliding(
     tendon: Tendon,
     tip: Tip,
     before: Array,
@@ -67,9 +67,9 @@ def settle(
     low, high = -1.0, 1e6
     q_p, dq_p, D = 0.0, 0.0, 1.0
     for _ in range(_MAX_ITERATIONS):
-        q_p, dq_p, D = _lean(tendon, tip, before, lengths, T, after)
+        q_p, dq_p, D = _propagate_from_tip(tendon, tip, before, lengths, T, after)
         over, by = (after[0] - target, D) if forced else (q_p - target, dq_p)
-        if abs(over) < _ENOUGH or (T == 0.0 and over > 0.0):
+        if abs(over) < _TRAVEL_TOLERANCE or (T == 0.0 and over > 0.0):
             break
         if over > 0.0:
             high = T

@@ -3,11 +3,11 @@
 from typing import NamedTuple
 
 from estimator.array_types import Array
-from estimator.compiled import compiled, compiled_in_caller
-from estimator.lumped.nodes import Tendon, Tip, elongation, tip_travel
+from estimator.compiled import jit_compile, jit_inline
+from estimator.lumped.nodes import Tendon, Tip, compute_elongation, compute_tip_travel
 
-ROWS = 6
-"""Rows of a node each that `slide` works with."""
+WORK_ROWS = 6
+"""Rows of a node each that `solve_stick_slip` works with."""
 
 
 class _Springs(NamedTuple):
@@ -29,8 +29,8 @@ class _Drive(NamedTuple):
     tension: float  # [N], if it is free
 
 
-@compiled
-def slide(
+@jit_compile
+def solve_stick_slip(
     tendon: Tendon,
     tip: Tip,
     before: Array,
@@ -57,13 +57,13 @@ def slide(
     for j in range(last + 1):
         held += lengths[j]
     after[:] = before
-    _linearise_at_rest(tendon, lengths, springs)
+    _fill_linear_springs(tendon, lengths, springs)
     drive = _Drive(target - held, forced, target if forced else 0.0)
     ended = False
     free_slope, free_zero = springs.slope[last], springs.zero[last]  # without what it pulls at
     for _ in range(6 * last):
         if curved:
-            _linearise(tendon, lengths, after, springs)
+            _linearise_springs(tendon, lengths, after, springs)
             free_slope, free_zero = springs.slope[last], springs.zero[last]
         _add_tip(tip, after[last], free_slope, free_zero, springs)
         _solve_slips(tendon, springs, drive, sliding, work, slid)
@@ -77,11 +77,11 @@ def slide(
             break
     for j in range(last + 1):
         after[j] = max(after[j], 0.0)
-    return ended, _compliance(tendon, springs.slope, sliding)
+    return ended, _compute_compliance(tendon, springs.slope, sliding)
 
 
-@compiled_in_caller
-def _linearise_at_rest(tendon: Tendon, lengths: Array, springs: _Springs) -> None:
+@jit_inline
+def _fill_linear_springs(tendon: Tendon, lengths: Array, springs: _Springs) -> None:
     """Fill in the springs of a tendon whose elasticity is linear."""
     for j in range(len(lengths)):
         springs.slope[j] = tendon.scale * tendon.weights[j] + tendon.tied[j]
@@ -89,29 +89,29 @@ def _linearise_at_rest(tendon: Tendon, lengths: Array, springs: _Springs) -> Non
         springs.zero[j] = (lengths[j] - tendon.kept[j]) * springs.stiff[j]
 
 
-@compiled_in_caller
-def _linearise(tendon: Tendon, lengths: Array, tension: Array, springs: _Springs) -> None:
+@jit_inline
+def _linearise_springs(tendon: Tendon, lengths: Array, tension: Array, springs: _Springs) -> None:
     """Fill in the springs about a tension."""
     for j in range(len(lengths)):
-        longer, springs.slope[j] = elongation(tendon, j, tension[j])
+        longer, springs.slope[j] = compute_elongation(tendon, j, tension[j])
         springs.stiff[j] = 1.0 / springs.slope[j]
         springs.zero[j] = tension[j] - (longer + tendon.kept[j] - lengths[j]) * springs.stiff[j]
 
 
-@compiled_in_caller
+@jit_inline
 def _add_tip(
     tip: Tip, tension: float, free_slope: float, free_zero: float, springs: _Springs
 ) -> None:
     """Put what the tip pulls at in series with the last node."""
     last = len(springs.slope) - 1
-    q, dq, _load = tip_travel(tip, tension)
+    q, dq, _load = compute_tip_travel(tip, tension)
     known = q - dq * tension - tip.before
     springs.slope[last] = free_slope + dq
     springs.stiff[last] = 1.0 / springs.slope[last]
     springs.zero[last] = (free_slope * free_zero - known) * springs.stiff[last]
 
 
-@compiled_in_caller
+@jit_inline
 def _solve_slips(
     tendon: Tendon, springs: _Springs, drive: _Drive, sliding: Array, work: Array, slid: Array
 ) -> None:
@@ -152,7 +152,7 @@ def _solve_slips(
         slid[j] = ahead
 
 
-@compiled_in_caller
+@jit_inline
 def _update_tensions(springs: _Springs, drive: _Drive, slid: Array, after: Array) -> float:
     """Fill in the tensions that follow from what slid; return the largest change [N]."""
     last = len(slid)
@@ -167,7 +167,7 @@ def _update_tensions(springs: _Springs, drive: _Drive, slid: Array, after: Array
     return change
 
 
-@compiled_in_caller
+@jit_inline
 def _correct_guesses(tendon: Tendon, tension: Array, slid: Array, sliding: Array) -> bool:
     """Put right the guesses that Coulomb contradicts; return whether there were any."""
     rho, found = tendon.law.asymmetry, False
@@ -186,8 +186,8 @@ def _correct_guesses(tendon: Tendon, tension: Array, slid: Array, sliding: Array
     return found
 
 
-@compiled_in_caller
-def _compliance(tendon: Tendon, slope: Array, sliding: Array) -> float:
+@jit_inline
+def _compute_compliance(tendon: Tendon, slope: Array, sliding: Array) -> float:
     """Return dq_p/dT_in [m/N]: of the nodes from the housing to the first contact that sticks."""
     reach, D, rho = 0.0, 1.0, tendon.law.asymmetry
     for j in range(len(slope)):

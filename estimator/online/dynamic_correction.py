@@ -21,25 +21,25 @@ from typing import Annotated
 import numpy as np
 
 from estimator.array_types import Array
-from estimator.compiled import compiled
+from estimator.compiled import jit_compile
 from estimator.lumped import lumped_model
 from estimator.lumped.lumped_model import SAMPLE
 from estimator.lumped.nodes import NODES
-from estimator.records import F64, Field, Flag, Record
+from estimator.records import F64, Field, Flag, Struct
 
-SPEED_OVER = 0.02  # [s] over which speeds are averaged
-QUICK, SLOW = 0.02, 2.0  # [s] between which changes at the tip count
-LEARNT_OVER = 2.0  # [s] for which they count
-CLOSED_OVER = 10.0  # [s]
+SPEED_TIME_CONSTANT = 0.02  # [s] over which speeds are averaged
+FAST_TIME_CONSTANT, SLOW_TIME_CONSTANT = 0.02, 2.0  # [s] between which changes at the tip count
+FORGETTING_TIME = 2.0  # [s] for which they count
+LEAK_TIME_CONSTANT = 10.0  # [s]
 PRIOR_WEIGHT = 1e-4  # [N^2 s] of changes that weigh as much as the bench
-ONCE = 1.0  # a step is not divided: it must end in time
-SOFTEST = 5e-3  # [m/N] of what the tip pulls at
-JUMP = 0.01  # [m] in a sample: no motion
-LONGEST = 1.0  # [m] that effects stretch a tendon
+NO_SUBSTEPS = 1.0  # a step is not divided: it must end in time
+TIP_COMPLIANCE_MAX = 5e-3  # [m/N] of what the tip pulls at
+TRAVEL_JUMP_MAX = 0.01  # [m] in a sample: no motion
+STRETCH_MAX = 1.0  # [m] that effects stretch a tendon
 
 
-class DynamicConstants(Record):
-    """What is run beside the closed law, from `constants_of`."""
+class DynamicConstants(Struct):
+    """What is run beside the closed law, from `build_constants`."""
 
     friction: F64 = 0.0  # K
     bench_compliance: F64 = 0.0  # [m/N] of what the tip pulled at on the bench
@@ -49,7 +49,7 @@ class DynamicConstants(Record):
     ]  # the tendon with the effects
 
 
-class DynamicState(Record):
+class DynamicState(Struct):
     """What is remembered of both tendons, and of what the tip pulls at."""
 
     tension: F64 = 0.0  # [N] T_out with the effects less without
@@ -70,20 +70,22 @@ class DynamicState(Record):
     with_effects: Annotated[Array, Field("f8", lumped_model.STATE)]
 
 
-def constants_of(
+def build_constants(
     plain: lumped_model.Physics, with_effects: lumped_model.Physics
 ) -> DynamicConstants:
-    """Return what `push` needs to know."""
+    """Return what `update_correction` needs to know."""
     return DynamicConstants.new(
         friction=float(plain.friction[0]),
         bench_compliance=plain.tip_compliance,
-        plain=lumped_model.constants_of(plain),
-        with_effects=lumped_model.constants_of(with_effects),
+        plain=lumped_model.build_constants(plain),
+        with_effects=lumped_model.build_constants(with_effects),
     )
 
 
-@compiled
-def push(constants: DynamicConstants, state: DynamicState, T: float, q: float, dt: float) -> None:
+@jit_compile
+def update_correction(
+    constants: DynamicConstants, state: DynamicState, T: float, q: float, dt: float
+) -> None:
     """Pull with `T` [N], the motor being at `q` [m] or NaN, and note what effects make of it.
 
     In place. Should numbers run away, the effects are forgotten until the tendon is pulled again.
@@ -99,19 +101,21 @@ def push(constants: DynamicConstants, state: DynamicState, T: float, q: float, d
     sample[0, lumped_model.TARGET] = T
     sample[0, lumped_model.SPEED] = abs(T - plain[0]) / dt if dt > 0.0 else 0.0
     none = np.empty(0)
-    without = lumped_model.advance(constants.plain[:], plain, sample, none, True, ONCE)[0]
+    without = lumped_model.advance(constants.plain[:], plain, sample, none, True, NO_SUBSTEPS)[0]
     speeds = none
     if has_travel and beside[lumped_model.STRIBECK] != 0.0:
-        speeds = _speeds(state, plain, q, dt)
+        speeds = _estimate_sliding_speeds(state, plain, q, dt)
     sample[0, lumped_model.OFFSET], sample[0, lumped_model.COMPLIANCE] = (
         state.tip_offset,
         state.tip_compliance,
     )
-    after = lumped_model.advance(beside, state.with_effects[:], sample, speeds, True, ONCE)[0]
+    after = lumped_model.advance(beside, state.with_effects[:], sample, speeds, True, NO_SUBSTEPS)[
+        0
+    ]
     T_out, q_d = after[1], after[3]
     elongation = after[2] - q_d
     change, longer = T_out - without[1], elongation - (without[2] - without[3])
-    if not (math.isfinite(change) and abs(longer) < LONGEST):
+    if not (math.isfinite(change) and abs(longer) < STRETCH_MAX):
         reset(constants, state)
         return
     state.travel += longer - state.elongation
@@ -119,30 +123,30 @@ def push(constants: DynamicConstants, state: DynamicState, T: float, q: float, d
         state.travel += state.tip_compliance * (change - state.tension)
         # the sum of changes with a compliance that is learnt does not close by itself
         closed = longer + state.tip_compliance * change
-        state.travel += -math.expm1(-dt / CLOSED_OVER) * (closed - state.travel)
+        state.travel += -math.expm1(-dt / LEAK_TIME_CONSTANT) * (closed - state.travel)
     state.tension, state.elongation = change, longer
-    _learn(constants, state, T > 0.0 and has_travel, q - elongation, T_out, dt)
+    _estimate_tip_compliance(constants, state, T > 0.0 and has_travel, q - elongation, T_out, dt)
 
 
-@compiled
-def _speeds(state: DynamicState, plain: Array, q: float, dt: float) -> Array:
+@jit_compile
+def _estimate_sliding_speeds(state: DynamicState, plain: Array, q: float, dt: float) -> Array:
     """Return how fast the tendon slides over each contact [m/s], by the motor's travel."""
     places = state.contact_displacements[:]
     speeds = np.empty(NODES - 1)
     fresh = not state.learns
-    share = -math.expm1(-dt / SPEED_OVER)
+    share = -math.expm1(-dt / SPEED_TIME_CONSTANT)
     place = q
     for j in range(NODES - 1):
         place -= plain[lumped_model.LENGTHS + j]
         if fresh:
             places[j] = place
         places[j] += share * (place - places[j])
-        speeds[j] = abs(place - places[j]) / SPEED_OVER
+        speeds[j] = abs(place - places[j]) / SPEED_TIME_CONSTANT
     return speeds
 
 
-@compiled
-def _learn(
+@jit_compile
+def _estimate_tip_compliance(
     constants: DynamicConstants,
     state: DynamicState,
     taut: bool,
@@ -151,24 +155,24 @@ def _learn(
     dt: float,
 ) -> None:
     """Note that the tip is measured at `q` [m] under `T` [N], and let its own node stay there."""
-    if taut and state.learns and abs(q - state.quick_displacement) < JUMP:
-        quick, slow = -math.expm1(-dt / QUICK), -math.expm1(-dt / SLOW)
+    if taut and state.learns and abs(q - state.quick_displacement) < TRAVEL_JUMP_MAX:
+        quick, slow = -math.expm1(-dt / FAST_TIME_CONSTANT), -math.expm1(-dt / SLOW_TIME_CONSTANT)
         state.quick_displacement += quick * (q - state.quick_displacement)
         state.quick_tension += quick * (T - state.quick_tension)
         state.slow_displacement += slow * (q - state.slow_displacement)
         state.slow_tension += slow * (T - state.slow_tension)
         dT = state.quick_tension - state.slow_tension
         dq = min(
-            max(state.quick_displacement - state.slow_displacement, -SOFTEST * abs(dT)),
-            SOFTEST * abs(dT),
+            max(state.quick_displacement - state.slow_displacement, -TIP_COMPLIANCE_MAX * abs(dT)),
+            TIP_COMPLIANCE_MAX * abs(dT),
         )
-        kept = math.exp(-dt / LEARNT_OVER)
+        kept = math.exp(-dt / FORGETTING_TIME)
         state.sum_travel_tension = kept * state.sum_travel_tension + dq * dT * dt
         state.sum_tension_squared = kept * state.sum_tension_squared + dT * dT * dt
         learnt = (state.sum_travel_tension + PRIOR_WEIGHT * constants.bench_compliance) / (
             state.sum_tension_squared + PRIOR_WEIGHT
         )
-        state.tip_compliance = min(max(learnt, 0.0), SOFTEST)
+        state.tip_compliance = min(max(learnt, 0.0), TIP_COMPLIANCE_MAX)
         by_own = constants.with_effects[lumped_model.LAST_SHARE] * state.with_effects[NODES - 1]
         at = state.with_effects[lumped_model.TIP]
         state.tip_offset = at - state.tip_compliance * by_own
@@ -178,7 +182,7 @@ def _learn(
     state.learns = taut
 
 
-@compiled
+@jit_compile
 def reset(constants: DynamicConstants, state: DynamicState) -> None:
     """Begin with a slack tendon, in place."""
     state.tension = state.elongation = state.travel = state.refused_time = 0.0
@@ -188,5 +192,7 @@ def reset(constants: DynamicConstants, state: DynamicState) -> None:
     state.slow_displacement = state.slow_tension = 0.0
     state.sum_travel_tension = state.sum_tension_squared = 0.0
     state.contact_displacements[:] = 0.0
-    state.plain[:] = lumped_model.start(constants.plain[:], 0.0, 0.0, 0.0)
-    state.with_effects[:] = lumped_model.start(constants.with_effects[:], 0.0, 0.0, 0.0)
+    state.plain[:] = lumped_model.build_initial_state(constants.plain[:], 0.0, 0.0, 0.0)
+    state.with_effects[:] = lumped_model.build_initial_state(
+        constants.with_effects[:], 0.0, 0.0, 0.0
+    )

@@ -3,18 +3,18 @@
 from typing import Annotated
 
 from estimator.array_types import Array
-from estimator.law.profile import PROFILE_SIZE, pretensioned_profile
+from estimator.law.profile import PROFILE_SIZE, build_pretensioned_profile
 from estimator.online import dynamic_correction
 from estimator.online.dynamic_correction import DynamicState
 from estimator.online.prepared_tendon import PreparedTendon
 from estimator.online.reading_correction import MAX_CORRECTIONS
-from estimator.records import F64, Field, Flag, Record, Records, one
+from estimator.records import F64, Field, Flag, Struct, StructArray, view_struct
 
 INF = float("inf")
 NAN = float("nan")
 
 
-class EstimatorState(Record):
+class EstimatorState(Struct):
     """One tendon between two samples."""
 
     started: Flag = False  # a sample has been taken
@@ -58,16 +58,16 @@ class EstimatorState(Record):
 def initial(prepared: PreparedTendon) -> EstimatorState:
     """Return the state before the first sample."""
     state = EstimatorState.new()
-    state.profile[:] = pretensioned_profile(prepared.tables, float(prepared.pretension))
+    state.profile[:] = build_pretensioned_profile(prepared.tables, float(prepared.pretension))
     state.anchor_profile[:] = state.profile
     if prepared.has_dynamics:
         dynamic_correction.reset(prepared.dynamics, state.dynamics)
     return state
 
 
-def initial_all(prepared: Records) -> Records:
+def initial_all(prepared: StructArray) -> StructArray:
     """Return the states of the tendons of a rig before the first sample, shape (n,)."""
     states = EstimatorState.array(len(prepared))
     for i in range(len(prepared)):
-        states[i] = initial(one(prepared, i))
+        states[i] = initial(view_struct(prepared, i))
     return states

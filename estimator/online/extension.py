@@ -25,18 +25,18 @@ from estimator.effects.effect import (
 )
 from estimator.law.sheath import Section, Sheath
 from estimator.lumped.lumped_model import Physics
-from estimator.lumped.nodes import EDGES, even_weights
+from estimator.lumped.nodes import EDGES, build_even_weights
 from estimator.online import dynamic_correction
 from estimator.online.dynamic_correction import DynamicConstants
 from estimator.online.reading_correction import CorrectionKind
 
 FRICTION_COEFFICIENT = 0.1  # nominal; bend radii follow, force and elongation do not
-SECTIONS = 16  # of a sheath, at most
-ALIKE = 1e-6  # relative, of curvatures
-INSTANTS = 1001  # of a record, at which effects are looked at
+SECTIONS_MAX = 16  # of a sheath, at most
+CURVATURE_TOLERANCE = 1e-6  # relative, of curvatures
+INSTANT_COUNT = 1001  # of a record, at which effects are looked at
 
-_OF_LAW = ("friction", "weights", "drag", "asymmetry")
-_BESIDE = (
+_LAW_FIELDS = ("friction", "weights", "drag", "asymmetry")
+_DYNAMIC_FIELDS = (
     "viscosity",
     "stribeck",
     "stribeck_speed",
@@ -55,30 +55,30 @@ _BESIDE = (
     "threshold",
 )
 
-_RECORD = "belongs to the record it was found in"
-_NOTHING = "changes nothing at these values"
-_TIP = "is of what the tip pulled at, not of the tendon"
-_LATE = "cannot be put right before it is too late"
-LEFT_OUT = {
-    "pretension": _RECORD,
-    "slack": _RECORD,
-    "thermal_expansion": _RECORD,
-    "tip_moved": _RECORD,
-    "encoder_slip": _RECORD,
-    "proximal_tension_drift": _RECORD,
-    "distal_tension_drift": _RECORD,
-    "joint_backlash": _TIP,
-    "joint_friction": _TIP,
-    "antagonist_tension": _TIP,
-    "tip_inertia": _TIP,
-    "sensor_lag": _LATE,
+_REASON_RECORD = "belongs to the record it was found in"
+_REASON_NEUTRAL = "changes nothing at these values"
+_REASON_TIP = "is of what the tip pulled at, not of the tendon"
+_REASON_LATE = "cannot be put right before it is too late"
+OMISSION_REASONS = {
+    "pretension": _REASON_RECORD,
+    "slack": _REASON_RECORD,
+    "thermal_expansion": _REASON_RECORD,
+    "tip_moved": _REASON_RECORD,
+    "encoder_slip": _REASON_RECORD,
+    "proximal_tension_drift": _REASON_RECORD,
+    "distal_tension_drift": _REASON_RECORD,
+    "joint_backlash": _REASON_TIP,
+    "joint_friction": _REASON_TIP,
+    "antagonist_tension": _REASON_TIP,
+    "tip_inertia": _REASON_TIP,
+    "sensor_lag": _REASON_LATE,
     "saturation": "hides what it hides",
     "stick_slip": "does not show in the tension at the housing before it is over",
 }
 """Why an effect does nothing in the loop, in words that can follow its name."""
 
 
-class Use(Enum):
+class EffectUse(Enum):
     """What becomes of an effect, in words that can follow "is"."""
 
     LAW = "in the friction and shape of the sheath"
@@ -95,26 +95,28 @@ class Extension(NamedTuple):
     readings: tuple[tuple[CorrectionKind, Values], ...]  # what puts readings right, in this order
 
 
-class Extended(NamedTuple):
+class ExtendedModel(NamedTuple):
     """A model of a bench, for the loop."""
 
     sheath: Sheath
     extension: Extension | None  # None where the sheath has all of it
-    uses: tuple[tuple[Effect, Values, Use], ...]  # what becomes of each effect
+    uses: tuple[tuple[Effect, Values, EffectUse], ...]  # what becomes of each effect
 
     @property
     def tip_effects(self) -> tuple[tuple[Effect, Values], ...]:
         """Effects of the sensors at the tip, which only a bench has."""
-        return tuple((effect, values) for effect, values, use in self.uses if use is Use.REFERENCE)
+        return tuple(
+            (effect, values) for effect, values, use in self.uses if use is EffectUse.REFERENCE
+        )
 
 
-def extended(
+def build_extended_model(
     shared: Sequence[float],
     effects: Sequence[tuple[Effect, Values]],
     duration: float,
     length: float,
     axial_stiffness: float = 9000.0,
-) -> Extended:
+) -> ExtendedModel:
     """Return what of a model holds in another session.
 
     Parameters
@@ -131,47 +133,49 @@ def extended(
         EA [N], for a model of a record without a travel, which does not tell it.
     """
     K, compliance, tip = shared if len(shared) > 1 else (shared[0], length / axial_stiffness, 0.0)
-    instants = np.linspace(0.0, max(duration, 1.0), INSTANTS)
-    context = _context(instants, PROXIMAL_TENSION, compliance)
-    plain = now = Physics(np.array([K]), compliance, even_weights(), tip)
+    instants = np.linspace(0.0, max(duration, 1.0), INSTANT_COUNT)
+    context = _build_context(instants, PROXIMAL_TENSION, compliance)
+    plain = now = Physics(np.array([K]), compliance, build_even_weights(), tip)
     uses, readings = [], []
     for effect, values in effects:
         then = effect.physics(now, values, context)
-        then = then._replace(friction=np.broadcast_to(then.friction, INSTANTS)[-1:].copy())
+        then = then._replace(friction=np.broadcast_to(then.friction, INSTANT_COUNT)[-1:].copy())
         if effect.correction is not None:
-            use = Use.READING
+            use = EffectUse.READING
             readings.append((effect.correction, values))
-        elif _differ(now, then, _OF_LAW):
-            use = Use.LAW
-        elif _differ(now, then, _BESIDE):
-            use = Use.BESIDE
+        elif _is_different(now, then, _LAW_FIELDS):
+            use = EffectUse.LAW
+        elif _is_different(now, then, _DYNAMIC_FIELDS):
+            use = EffectUse.BESIDE
         elif _is_of_tip_sensor(effect):
-            use = Use.REFERENCE
+            use = EffectUse.REFERENCE
         else:
-            use = Use.NOTHING
-        now = plain._replace(**{name: getattr(then, name) for name in (*_OF_LAW, *_BESIDE)})
+            use = EffectUse.NOTHING
+        now = plain._replace(
+            **{name: getattr(then, name) for name in (*_LAW_FIELDS, *_DYNAMIC_FIELDS)}
+        )
         uses.append((effect, values, use))
-    law = plain._replace(**{name: getattr(now, name) for name in _OF_LAW})
+    law = plain._replace(**{name: getattr(now, name) for name in _LAW_FIELDS})
     dynamics = None
-    if _differ(law, now, _BESIDE):
-        dynamics = dynamic_correction.constants_of(law, now)
+    if _is_different(law, now, _DYNAMIC_FIELDS):
+        dynamics = dynamic_correction.build_constants(law, now)
     extension = None
     if dynamics is not None or readings:
         extension = Extension(dynamics, tuple(readings[::-1]))
-    return Extended(sheath_of(law, length), extension, tuple(uses))
+    return ExtendedModel(build_sheath(law, length), extension, tuple(uses))
 
 
-def belongs_to_record(effect: Effect) -> bool:
+def is_record_specific(effect: Effect) -> bool:
     """Return whether an effect is of something that happened in its record only."""
-    return LEFT_OUT.get(effect.name) == _RECORD
+    return OMISSION_REASONS.get(effect.name) == _REASON_RECORD
 
 
-def why_left_out(effect: Effect) -> str:
+def explain_omission(effect: Effect) -> str:
     """Return why an effect does nothing in the loop, in words that can follow its name."""
-    return LEFT_OUT.get(effect.name, _NOTHING)
+    return OMISSION_REASONS.get(effect.name, _REASON_NEUTRAL)
 
 
-def sheath_of(physics: Physics, length: float) -> Sheath:
+def build_sheath(physics: Physics, length: float) -> Sheath:
     """Return the sheath whose law is that of `physics`, for a `length` [m].
 
     Neighbouring nodes of one curvature make one section; so do those most alike, while there are
@@ -183,7 +187,7 @@ def sheath_of(physics: Physics, length: float) -> Sheath:
         density = np.log([weight / ds for ds, weight in pieces])
         apart = np.abs(np.diff(density))
         i = int(np.argmin(apart))
-        if apart[i] > ALIKE and len(pieces) <= SECTIONS:
+        if apart[i] > CURVATURE_TOLERANCE and len(pieces) <= SECTIONS_MAX:
             break
         (ds, weight), (more, further) = pieces[i : i + 2]
         pieces[i : i + 2] = [(ds + more, weight + further)]
@@ -193,16 +197,16 @@ def sheath_of(physics: Physics, length: float) -> Sheath:
     return Sheath(sections, mu, EA, drag=physics.drag, asymmetry=physics.asymmetry)
 
 
-def _differ(one: Physics, other: Physics, fields: Sequence[str]) -> bool:
+def _is_different(one: Physics, other: Physics, fields: Sequence[str]) -> bool:
     return any(not np.array_equal(getattr(one, f), getattr(other, f)) for f in fields)
 
 
 def _is_of_tip_sensor(effect: Effect) -> bool:
     at_tip = bool(effect.needs & {DISTAL_TENSION, DISTAL_DISPLACEMENT})
-    return at_tip and effect.measure is not Effect.measure and effect.name not in LEFT_OUT
+    return at_tip and effect.measure is not Effect.measure and effect.name not in OMISSION_REASONS
 
 
-def _context(time: Array, driver: str, elongation_per_newton: float) -> EffectContext:
+def _build_context(time: Array, driver: str, elongation_per_newton: float) -> EffectContext:
     """Return a context of which nothing is known but its times."""
     none = np.zeros_like(time)
     return EffectContext(time, driver, none, none, {}, {}, none, elongation_per_newton)

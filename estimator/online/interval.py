@@ -12,47 +12,49 @@ profile is wrong, because the tip moved unseen, and is put right.
 
 import math
 
-from estimator.compiled import compiled
+from estimator.compiled import jit_compile
 from estimator.law import tables as _tables
-from estimator.law.profile import TIP, log_tension, slide, tension_of
-from estimator.law.tables import Tables, integral
-from estimator.law.transmission import read_out
-from estimator.online.driving_end import anchor
+from estimator.law.profile import TIP, drive_end, from_log_tension, to_log_tension
+from estimator.law.tables import Tables, integrate_exponential
+from estimator.law.transmission import read_profile
+from estimator.online.driving_end import anchor_window
 from estimator.online.estimator_state import EstimatorState
 from estimator.online.prepared_tendon import BOUND, TENSION_FLOOR, PreparedTendon
 
-PRECISE = 10.0  # margins a window's change must exceed to be called precisely known
-CORRECTS = 2.0  # times the travel that proves all of the tendon to slide puts the profile right
-WINDOW = 0.1  # [s] after which a window of proof is closed as it is
+PRECISE_MARGINS = 10.0  # margins a window's change must exceed to be called precisely known
+CORRECTION_RATIO = (
+    2.0  # times the travel that proves all of the tendon to slide puts the profile right
+)
+WINDOW_S = 0.1  # [s] after which a window of proof is closed as it is
 
 _K, _EA, _ASYMMETRY = _tables.K, _tables.EA, _tables.ASYMMETRY
 
 
-@compiled
-def _depth(table: Tables, side: float, compliance: float) -> float:
+@jit_compile
+def _find_sliding_depth(table: Tables, side: float, compliance: float) -> float:
     """Return the depth a with G(a)/EA = `compliance` [m/N], at most K (T7)."""
     target = compliance * table[_EA]
     low, high = 0.0, table[_K]
-    if target >= integral(table, high, side):
+    if target >= integrate_exponential(table, high, side):
         return float(high)
     for _ in range(50):
         middle = 0.5 * (low + high)
-        if integral(table, middle, side) < target:
+        if integrate_exponential(table, middle, side) < target:
             low = middle
         else:
             high = middle
     return low
 
 
-@compiled
+@jit_compile
 def open_window(state: EstimatorState, T: float, q: float) -> None:
     """Begin a window of proof at (T [N], q [m])."""
     state.window_tension = state.window_least = state.window_most = T
     state.window_displacement, state.window_age = q, 0.0
 
 
-@compiled
-def tighten(
+@jit_compile
+def tighten_interval(
     prepared: PreparedTendon,
     state: EstimatorState,
     T: float,
@@ -83,31 +85,33 @@ def tighten(
         along = max(math.copysign(dT, dT * dq), 0.0)  # of dT, what slides the way the motor went
         sure_T = along + turned + 2.0 * margin_T
         compliance = sure_q / sure_T
-        whole = sure_T * integral(table, table[_K], side) / table[_EA]
+        whole = sure_T * integrate_exponential(table, table[_K], side) / table[_EA]
         full = sure_q >= whole
-        precise = abs(dq) > PRECISE * margin_q and abs(dT) > PRECISE * margin_T
-        if not (full or precise or state.window_age > WINDOW):
+        precise = abs(dq) > PRECISE_MARGINS * margin_q and abs(dT) > PRECISE_MARGINS * margin_T
+        if not (full or precise or state.window_age > WINDOW_S):
             return
         margin = BOUND * prepared.tension_noise
         least, most = max(least - margin, 0.0), most + margin
-        depth = _depth(table, side, compliance)
+        depth = _find_sliding_depth(table, side, compliance)
         slack_K = prepared.friction_error * table[_K]
         rest = table[_K] - depth + slack_K
-        low = tension_of(table, log_tension(table, least) + side * depth - rest)
-        high = tension_of(table, log_tension(table, most) + side * depth + table[_ASYMMETRY] * rest)
+        low = from_log_tension(table, to_log_tension(table, least) + side * depth - rest)
+        high = from_log_tension(
+            table, to_log_tension(table, most) + side * depth + table[_ASYMMETRY] * rest
+        )
         tip_change = prepared.tip_tension_rate * state.window_age if state.window_age > 0.0 else 0.0
         state.proved_low = max(state.proved_low, low - tip_change)
         state.proved_high = min(state.proved_high, high + tip_change)
         profile = state.profile[:]
-        T_out = read_out(table, profile)[1]
+        T_out = read_profile(table, profile)[1]
         if full and not low <= T_out <= high:
-            if sure_q < CORRECTS * whole and state.window_age <= WINDOW:
+            if sure_q < CORRECTION_RATIO * whole and state.window_age <= WINDOW_S:
                 return
-            if sure_q >= CORRECTS * whole:
-                u = log_tension(table, state.held_tension)
-                slide(table, profile, u + side * table[_K], TIP)
+            if sure_q >= CORRECTION_RATIO * whole:
+                u = to_log_tension(table, state.held_tension)
+                drive_end(table, profile, u + side * table[_K], TIP)
                 state.tip_drives = False
-                anchor(prepared, state, state.held_tension, q)
+                anchor_window(prepared, state, state.held_tension, q)
         open_window(state, T, q)
-    elif state.window_age > WINDOW:
+    elif state.window_age > WINDOW_S:
         open_window(state, T, q)

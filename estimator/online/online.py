@@ -24,14 +24,14 @@ from numpy.typing import NDArray
 
 from estimator import signals
 from estimator.array_types import Array
-from estimator.compiled import compiled, compiled_in_caller
+from estimator.compiled import jit_compile, jit_inline
 from estimator.law import tables as _tables
-from estimator.law.profile import log_tension, push_proximal, tension_of
-from estimator.law.transmission import read_out, tension_at
+from estimator.law.profile import from_log_tension, push_proximal, to_log_tension
+from estimator.law.transmission import evaluate_tension, read_profile
 from estimator.online import dynamic_correction
-from estimator.online.driving_end import anchor, follow
+from estimator.online.driving_end import anchor_window, drive_profile
 from estimator.online.estimator_state import EstimatorState, initial, initial_all
-from estimator.online.interval import open_window, tighten
+from estimator.online.interval import open_window, tighten_interval
 from estimator.online.prepared_tendon import (
     BOUND,
     TENSION_FLOOR,
@@ -39,7 +39,7 @@ from estimator.online.prepared_tendon import (
     prepare,
     prepare_all,
 )
-from estimator.online.reading_correction import correct
+from estimator.online.reading_correction import correct_reading
 from estimator.online.tendon_estimate import (
     INVALID_INPUT,
     SLACK,
@@ -50,7 +50,7 @@ from estimator.online.tendon_estimate import (
     TendonEstimate,
 )
 from estimator.online.tendon_model import ModelError, TendonModel
-from estimator.records import Records
+from estimator.records import StructArray
 
 __all__ = [
     "Estimates",
@@ -71,13 +71,13 @@ __all__ = [
     "step",
 ]
 
-NEGATIVE = 0.05
+ZERO_OFFSET_MAX = 0.05
 """Zero offset [N] that is not a broken load cell."""
 
-LARGEST = 1e6
+TENSION_MAX = 1e6
 """Largest plausible tension [N]."""
 
-_BLANK = TendonEstimate.new()
+_EMPTY_ESTIMATE = TendonEstimate.new()
 _K, _ASYMMETRY, _DRAG = _tables.K, _tables.ASYMMETRY, _tables.DRAG
 
 
@@ -121,8 +121,8 @@ def step(
     dt : float
         Time since the previous sample [s]; 0 for the first.
     """
-    after, estimates = _copied(state), _copied(_BLANK)
-    _step(_view(prepared), after, proximal_tension, proximal_displacement, dt, estimates)
+    after, estimates = _copy_as_array(state), _copy_as_array(_EMPTY_ESTIMATE)
+    _step_arrays(_as_array(prepared), after, proximal_tension, proximal_displacement, dt, estimates)
     return cast(TendonEstimate, estimates[0]), cast(EstimatorState, after[0])
 
 
@@ -146,16 +146,16 @@ def run(
         )
     time, T, q = (np.ascontiguousarray(row, dtype=np.float64) for row in (time, tension, q))
     estimates = TendonEstimate.array(len(T))
-    _run(_view(prepared), _copied(initial(prepared)), time, T, q, estimates)
+    _run_arrays(_as_array(prepared), _copy_as_array(initial(prepared)), time, T, q, estimates)
     return Estimates(*(estimates[name].copy() for name in Estimates._fields))
 
 
 def profile_at(prepared: PreparedTendon, state: EstimatorState, x: Array) -> Array:
     """Return the tension T(x) [N] the state remembers at the arc lengths `x` [m], shape (n,)."""
-    return tension_at(prepared.tables, state.profile, np.asarray(x, dtype=np.float64))
+    return evaluate_tension(prepared.tables, state.profile, np.asarray(x, dtype=np.float64))
 
 
-@compiled
+@jit_compile
 def advance(
     prepared: PreparedTendon,
     state: EstimatorState,
@@ -185,7 +185,7 @@ def advance(
         T_in [N] and q_p [m] without the sensors' effects, as the estimator took them; the same as
         read where the model has no such effects.
     """
-    T, q = correct(prepared.corrections, state.remembered[:], T, q)
+    T, q = correct_reading(prepared.corrections, state.remembered[:], T, q)
     # who drives is decided by the travel that the law knows
     travel = state.dynamics.travel if prepared.has_dynamics else 0.0
     _advance_law(prepared, state, T, q - travel, dt, estimate)
@@ -194,7 +194,7 @@ def advance(
     return T, q
 
 
-@compiled
+@jit_compile
 def advance_law(
     prepared: PreparedTendon,
     state: EstimatorState,
@@ -204,12 +204,12 @@ def advance_law(
     estimate: TendonEstimate,
 ) -> tuple[float, float]:
     """Do what `advance` does for a tendon without `dynamics`, and compile in half the time."""
-    T, q = correct(prepared.corrections, state.remembered[:], T, q)
+    T, q = correct_reading(prepared.corrections, state.remembered[:], T, q)
     _advance_law(prepared, state, T, q, dt, estimate)
     return T, q
 
 
-class _Tension(NamedTuple):
+class _FilteredTension(NamedTuple):
     """T_in of one sample, filtered [N]."""
 
     mean: float  # over the time constant
@@ -219,7 +219,7 @@ class _Tension(NamedTuple):
     slack: bool
 
 
-@compiled
+@jit_compile
 def _advance_law(
     prepared: PreparedTendon,
     state: EstimatorState,
@@ -234,10 +234,10 @@ def _advance_law(
     state.proved_low -= tip_change
     state.proved_high += tip_change
     if not _is_valid(prepared, T, q, dt):
-        status = INVALID_INPUT | (0 if _erased(table, state) else UNINITIALISED)
+        status = INVALID_INPUT | (0 if _is_initialised(table, state) else UNINITIALISED)
         state.has_displacement = False
         low, high = max(state.low - tip_change, 0.0), state.high + tip_change
-        _report(table, state, low, high, math.nan, status, estimate)
+        _write_estimate(table, state, low, high, math.nan, status, estimate)
         return
     if not state.started:
         state.started = True
@@ -246,52 +246,52 @@ def _advance_law(
     tension = _filter_tension(prepared, state, T, dt)
     status = SLACK if tension.slack else 0
     status |= _update_profile(prepared, state, tension, q, dt)
-    if not _erased(table, state):
+    if not _is_initialised(table, state):
         status |= UNINITIALISED
-    low, high = _bounds(prepared, state, tension, T)
-    _report(table, state, low, high, q, status, estimate)
+    low, high = _compute_bounds(prepared, state, tension, T)
+    _write_estimate(table, state, low, high, q, status, estimate)
 
 
-@compiled_in_caller
+@jit_inline
 def _is_valid(prepared: PreparedTendon, T: float, q: float, dt: float) -> bool:
     """Return whether a sample can be one; a displacement may be missing."""
-    lowest = T + NEGATIVE + 6.0 * prepared.tension_noise
+    lowest = T + ZERO_OFFSET_MAX + 6.0 * prepared.tension_noise
     return not (
         not math.isfinite(T)
         or math.isinf(q)
         or not (0.0 <= dt < math.inf)
         or lowest < 0.0
-        or T > LARGEST
+        or T > TENSION_MAX
     )
 
 
-@compiled_in_caller
+@jit_inline
 def _filter_tension(
     prepared: PreparedTendon, state: EstimatorState, T: float, dt: float
-) -> _Tension:
+) -> _FilteredTension:
     """Average the tension, hold it within its dead band, and age what was proved of T_out."""
     sigma, tau = prepared.tension_noise, prepared.time_constant
-    mean = signals.average(state.mean_tension, T, dt, tau)
+    mean = signals.update_average(state.mean_tension, T, dt, tau)
     # what was proved of T_out ages by what the motor itself may have changed since
     fall = state.mean_tension - mean
-    state.proved_low -= max(fall, 0.0) * _by_release(prepared.tables[:])
+    state.proved_low -= max(fall, 0.0) * _compute_release_gain(prepared.tables[:])
     state.proved_high += max(-fall, 0.0)
-    state.tension_variance = signals.averaged_variance(state.tension_variance, sigma, dt, tau)
+    state.tension_variance = signals.update_variance(state.tension_variance, sigma, dt, tau)
     sigma_mean = math.sqrt(state.tension_variance)
     band = prepared.dead_band * sigma_mean
-    held = signals.play(state.held_tension, mean, band)
+    held = signals.update_play(state.held_tension, mean, band)
     state.mean_tension = mean
     slack = mean <= 3.0 * max(sigma_mean, TENSION_FLOOR)
     if slack:
         held = 0.0
     state.least_tension = min(state.least_tension, held)
     state.most_tension = max(state.most_tension, held)
-    return _Tension(mean, held, sigma_mean, band, slack)
+    return _FilteredTension(mean, held, sigma_mean, band, slack)
 
 
-@compiled_in_caller
+@jit_inline
 def _update_profile(
-    prepared: PreparedTendon, state: EstimatorState, tension: _Tension, q: float, dt: float
+    prepared: PreparedTendon, state: EstimatorState, tension: _FilteredTension, q: float, dt: float
 ) -> int:
     """Drive the profile by whichever end moved; return the status bits of that."""
     table, profile = prepared.tables[:], state.profile[:]
@@ -307,46 +307,46 @@ def _update_profile(
         state.held_tension, state.mean_displacement = held, q
         state.held_displacement = q
         state.tip_drives, state.has_displacement = False, True
-        anchor(prepared, state, held, q)
+        anchor_window(prepared, state, held, q)
         open_window(state, mean, q)
     else:
-        mean_q = signals.average(state.mean_displacement, q, dt, prepared.time_constant)
+        mean_q = signals.update_average(state.mean_displacement, q, dt, prepared.time_constant)
         sure_T = tension.band + BOUND * (sigma_mean + TENSION_FLOOR)
-        follow(prepared, state, held, mean_q, sure_T, dt)
-        tighten(prepared, state, mean, mean_q, sigma_mean, dt)
+        drive_profile(prepared, state, held, mean_q, sure_T, dt)
+        tighten_interval(prepared, state, mean, mean_q, sigma_mean, dt)
     return TIP_MOVED if state.tip_drives else 0
 
 
-@compiled_in_caller
-def _bounds(
-    prepared: PreparedTendon, state: EstimatorState, tension: _Tension, T: float
+@jit_inline
+def _compute_bounds(
+    prepared: PreparedTendon, state: EstimatorState, tension: _FilteredTension, T: float
 ) -> tuple[float, float]:
     """Return the interval of T_out [N]: (T2) with the sensor noise, cut by what was proved."""
     table, mean, held = prepared.tables[:], tension.mean, tension.held
     margin = BOUND * prepared.tension_noise
     K = table[_K] * (1.0 + prepared.friction_error)
-    low = tension_of(table, log_tension(table, min(mean, T, held) - margin) - K)
-    high = tension_of(
-        table, log_tension(table, max(mean, T, held) + margin) + table[_ASYMMETRY] * K
+    low = from_log_tension(table, to_log_tension(table, min(mean, T, held) - margin) - K)
+    high = from_log_tension(
+        table, to_log_tension(table, max(mean, T, held) + margin) + table[_ASYMMETRY] * K
     )
     if state.proved_low > state.proved_high:
         state.proved_low, state.proved_high = 0.0, math.inf
     # the average lags: so much the tip may be ahead of what was proved by it
-    proved_low = state.proved_low - max(mean - T, 0.0) * _by_release(table)
+    proved_low = state.proved_low - max(mean - T, 0.0) * _compute_release_gain(table)
     proved_high = state.proved_high + max(T - mean, 0.0)
     if max(low, proved_low) <= min(high, proved_high):
         low, high = max(low, proved_low), min(high, proved_high)
     return low, high
 
 
-@compiled
-def _by_release(table: Array) -> float:
+@jit_compile
+def _compute_release_gain(table: Array) -> float:
     """Return by how much more T_out falls than T_in when all of the tendon is released."""
     return math.exp(table[_ASYMMETRY] * table[_K])
 
 
-@compiled
-def _report(
+@jit_compile
+def _write_estimate(
     table: Array,
     state: EstimatorState,
     low: float,
@@ -356,21 +356,21 @@ def _report(
     estimate: TendonEstimate,
 ) -> None:
     """Write what the profile says, and the interval, opened as far as to hold it."""
-    _, T_out, e, phase, front = read_out(table, state.profile[:])
+    _, T_out, e, phase, front = read_profile(table, state.profile[:])
     state.low, state.high = min(low, T_out), max(high, T_out)
     estimate.distal_tension, estimate.low, estimate.high = T_out, state.low, state.high
     estimate.elongation, estimate.distal_displacement = e, q - e
     estimate.front, estimate.phase, estimate.status = front, phase, status
 
 
-@compiled
+@jit_compile
 def _add_dynamics(
     prepared: PreparedTendon, state: EstimatorState, q: float, dt: float, estimate: TendonEstimate
 ) -> None:
     """Put what effects add to the law on top of its estimate; `q` [m] is the corrected reading."""
     dynamics = state.dynamics
     if estimate.status & INVALID_INPUT == 0:
-        dynamic_correction.push(prepared.dynamics, dynamics, state.held_tension, q, dt)
+        dynamic_correction.update_correction(prepared.dynamics, dynamics, state.held_tension, q, dt)
         estimate.distal_displacement = q - (estimate.elongation + dynamics.elongation)
     elif 0.0 <= dt < math.inf:
         dynamics.refused_time += dt
@@ -385,8 +385,8 @@ def _add_dynamics(
     estimate.elongation += dynamics.elongation
 
 
-@compiled
-def _erased(table: Array, state: EstimatorState) -> bool:
+@jit_compile
+def _is_initialised(table: Array, state: EstimatorState) -> bool:
     """Return whether T_in has swung so far since the start that the first profile is forgotten."""
     swing = math.exp((1.0 + table[_ASYMMETRY]) * table[_K])
     drag = table[_DRAG]
@@ -395,22 +395,27 @@ def _erased(table: Array, state: EstimatorState) -> bool:
     return erased
 
 
-@compiled
-def _step(
-    prepared: Records, states: Records, T: float, q: float, dt: float, estimates: Records
+@jit_compile
+def _step_arrays(
+    prepared: StructArray,
+    states: StructArray,
+    T: float,
+    q: float,
+    dt: float,
+    estimates: StructArray,
 ) -> None:
     """Take one sample of one tendon; arrays of one record cost less to call with than records."""
     advance(prepared[0], states[0], T, q, dt, estimates[0])
 
 
-@compiled
-def _run(
-    prepared: Records,
-    states: Records,
+@jit_compile
+def _run_arrays(
+    prepared: StructArray,
+    states: StructArray,
     time: Array,
     tension: Array,
     displacement: Array,
-    estimates: Records,
+    estimates: StructArray,
 ) -> None:
     """Take all samples of a record of one tendon, in place."""
     for i in range(len(tension)):
@@ -418,11 +423,11 @@ def _run(
         advance(prepared[0], states[0], tension[i], displacement[i], dt, estimates[i])
 
 
-def _view(record: Any) -> Records:
+def _as_array(record: Any) -> StructArray:
     """Return a record as an array, shape (1,), in the same memory."""
     return np.asarray(record).reshape(1)
 
 
-def _copied(record: Any) -> Records:
+def _copy_as_array(record: Any) -> StructArray:
     """Return a copy of a record as an array, shape (1,); numpy's own copies field by field."""
     return np.frombuffer(bytearray(record.tobytes()), record.dtype)

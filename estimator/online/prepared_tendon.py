@@ -4,11 +4,11 @@ from collections.abc import Sequence
 from typing import Annotated
 
 from estimator.array_types import Array
-from estimator.law.tables import TABLES_SIZE, tables
+from estimator.law.tables import TABLES_SIZE, build_tables
 from estimator.online.dynamic_correction import DynamicConstants
-from estimator.online.reading_correction import Corrections, corrections_of
+from estimator.online.reading_correction import Corrections, build_corrections
 from estimator.online.tendon_model import TendonModel
-from estimator.records import F64, Field, Flag, Record, Records
+from estimator.records import F64, Field, Flag, Struct, StructArray
 
 TENSION_FLOOR = 1e-3
 """Least noise [N] the decisions reckon with, however good the load cell is said to be."""
@@ -20,7 +20,7 @@ BOUND = 4.0
 """Sigma that bound a single reading."""
 
 
-class PreparedTendon(Record):
+class PreparedTendon(Struct):
     """One tendon, as the estimator's compiled functions know it; see `TendonModel`."""
 
     tables: Annotated[Array, Field("f8", TABLES_SIZE)]  # estimator.law.tables, padded
@@ -49,17 +49,17 @@ def prepare(model: TendonModel) -> PreparedTendon:
         elongation_error=model.elongation_error,
         tip_tension_rate=model.tip_tension_rate,
     )
-    table = tables(model.sheath)
+    table = build_tables(model.sheath)
     prepared.tables[: len(table)] = table
     if model.extension is not None:
-        prepared.corrections = corrections_of(model.extension.readings)
+        prepared.corrections = build_corrections(model.extension.readings)
         if model.extension.dynamics is not None:
             prepared.has_dynamics = True
             prepared.dynamics = model.extension.dynamics
     return prepared
 
 
-def prepare_all(models: Sequence[TendonModel]) -> Records:
+def prepare_all(models: Sequence[TendonModel]) -> StructArray:
     """Return the records of the tendons of a rig, shape (n,); see `prepare`."""
     prepared = PreparedTendon.array(len(models))
     for i, model in enumerate(models):

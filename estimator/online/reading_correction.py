@@ -11,8 +11,8 @@ from enum import IntEnum
 from typing import Annotated
 
 from estimator.array_types import Array
-from estimator.compiled import compiled
-from estimator.records import I64, Field, Record
+from estimator.compiled import jit_compile
+from estimator.records import I64, Field, Struct
 
 MAX_CORRECTIONS = 8
 """Corrections that a tendon can have."""
@@ -20,7 +20,7 @@ MAX_CORRECTIONS = 8
 MAX_VALUES = 3
 """Values that the effect of a correction can have."""
 
-FARTHEST = 1e6  # [m] that an encoder can read
+READING_MAX = 1e6  # [m] that an encoder can read
 
 
 class CorrectionKind(IntEnum):
@@ -34,21 +34,21 @@ class CorrectionKind(IntEnum):
     SHEATH_RUB = 5  # T = reading - a (q - p)/(b/2), p the play of q of width b
 
 
-class Correction(Record):
+class Correction(Struct):
     """One correction of a reading."""
 
     kind: I64 = 0  # CorrectionKind
     values: Annotated[Array, Field("f8", MAX_VALUES)]
 
 
-class Corrections(Record):
+class Corrections(Struct):
     """The corrections of one tendon, in the order in which they are made."""
 
     count: I64 = 0
     items: Annotated[Sequence[Correction], Field(Correction, MAX_CORRECTIONS)]
 
 
-def corrections_of(readings: Sequence[tuple[CorrectionKind, Sequence[float]]]) -> Corrections:
+def build_corrections(readings: Sequence[tuple[CorrectionKind, Sequence[float]]]) -> Corrections:
     """Return the record of at most MAX_CORRECTIONS kinds with the values of their effects."""
     corrections = Corrections.new(count=len(readings))
     for item, (kind, values) in zip(corrections.items[: len(readings)], readings, strict=True):
@@ -57,14 +57,16 @@ def corrections_of(readings: Sequence[tuple[CorrectionKind, Sequence[float]]]) -
     return corrections
 
 
-@compiled
-def correct(corrections: Corrections, remembered: Array, T: float, q: float) -> tuple[float, float]:
+@jit_compile
+def correct_reading(
+    corrections: Corrections, remembered: Array, T: float, q: float
+) -> tuple[float, float]:
     """Return the true tension [N] and travel [m] of a reading; `remembered` is changed in place.
 
     `remembered` has shape (MAX_CORRECTIONS,), NaN before the first sample. No tendon pushes: a
     tension is not corrected to less than nothing. What cannot be a reading is returned as it is.
     """
-    if corrections.count == 0 or not math.isfinite(T) or abs(q) > FARTHEST:
+    if corrections.count == 0 or not math.isfinite(T) or abs(q) > READING_MAX:
         return T, q
     least = min(T, 0.0)
     for i in range(corrections.count):

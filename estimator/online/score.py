@@ -11,15 +11,17 @@ from typing import Any
 import numpy as np
 
 from estimator.array_types import Array
-from estimator.compiled import compiled
+from estimator.compiled import jit_compile
 from estimator.online.tendon_model import TendonModel
-from estimator.online.tip_reading import EXACT, reading_of, reading_table
-from estimator.records import F64, I64, Record, Records, one
+from estimator.online.tip_reading import IDENTITY_TABLE, build_reading_table, compute_reading
+from estimator.records import F64, I64, Struct, StructArray, view_struct
 
-PULLED = 200.0  # times the noise: with a smaller full scale a percentage shows only noise
+FULL_SCALE_SIGMAS = (
+    200.0  # times the noise: with a smaller full scale a percentage shows only noise
+)
 
 
-class Sums(Record):
+class ErrorSums(Struct):
     """Sums over all samples."""
 
     samples: I64 = 0
@@ -30,32 +32,32 @@ class Sums(Record):
     worst: F64 = 0.0  # [N]
 
 
-@compiled
-def add(
-    sums: Sums, table: Array, estimate: float, low: float, high: float, measured: float
+@jit_compile
+def add_sample(
+    sums: ErrorSums, table: Array, estimate: float, low: float, high: float, measured: float
 ) -> None:
     """Add one sample; a missing bench value (NaN) or estimate is ignored.
 
     `table` is what the bench's cell reads, of `tip_reading.reading_table`.
     """
-    error = reading_of(table, estimate) - measured
+    error = compute_reading(table, estimate) - measured
     if not math.isfinite(error):
         return
     sums.samples += 1
     sums.peak = max(sums.peak, measured)
-    sums.inside += int(reading_of(table, low) <= measured <= reading_of(table, high))
+    sums.inside += int(compute_reading(table, low) <= measured <= compute_reading(table, high))
     sums.square += error * error
     sums.absolute += abs(error)
     sums.worst = max(sums.worst, abs(error))
 
 
-@compiled
+@jit_compile
 def add_columns(
-    all_sums: Records, tables: Array, estimate: Array, low: Array, high: Array, measured: Array
+    all_sums: StructArray, tables: Array, estimate: Array, low: Array, high: Array, measured: Array
 ) -> None:
     """Add a whole record, arrays of shape (n,)."""
     for k in range(len(estimate)):
-        add(all_sums[0], tables[0], estimate[k], low[k], high[k], measured[k])
+        add_sample(all_sums[0], tables[0], estimate[k], low[k], high[k], measured[k])
 
 
 class Score:
@@ -70,17 +72,17 @@ class Score:
 
     def __init__(self, models: Sequence[TendonModel] = ()) -> None:
         self._noise = max((model.tension_noise for model in models), default=0.0)
-        tables = [reading_table(model.tip_effects) for model in models]
-        self._tables = np.array(tables or [EXACT])
-        self._all_sums = Sums.array()
-        self._sums: Sums = one(self._all_sums)
+        tables = [build_reading_table(model.tip_effects) for model in models]
+        self._tables = np.array(tables or [IDENTITY_TABLE])
+        self._all_sums = ErrorSums.array()
+        self._sums: ErrorSums = view_struct(self._all_sums)
 
     def add(self, estimate: float, low: float, high: float, measured: float) -> None:
         """Add one sample of the first tendon; a missing bench value (NaN) is ignored."""
-        add(self._sums, self._tables[0], estimate, low, high, measured)
+        add_sample(self._sums, self._tables[0], estimate, low, high, measured)
 
     def add_columns(self, estimate: Array, low: Array, high: Array, measured: Array) -> None:
-        """Add a whole record [N] of the first tendon, arrays of shape (n,); see `add`."""
+        """Add a whole record [N] of the first tendon, arrays of shape (n,); see `add_sample`."""
         columns = (estimate, low, high, measured)
         rows = (np.ascontiguousarray(column, dtype=np.float64) for column in columns)
         add_columns(self._all_sums, self._tables, *rows)
@@ -97,7 +99,7 @@ class Score:
         return {
             "samples": n,
             "full_scale_N": peak,
-            "pulled": peak >= PULLED * self._noise,
+            "pulled": peak >= FULL_SCALE_SIGMAS * self._noise,
             "rmse_N": rmse,
             "mean_N": mean,
             "max_N": worst,

@@ -3,7 +3,7 @@
 import math
 from enum import IntFlag
 
-from estimator.records import F64, I64, Record
+from estimator.records import F64, I64, Struct
 
 
 class Status(IntFlag):
@@ -30,7 +30,7 @@ SLACK = int(Status.SLACK)
 INVALID_INPUT = int(Status.INVALID_INPUT)
 
 
-class TendonEstimate(Record):
+class TendonEstimate(Struct):
     """One tendon at one instant."""
 
     distal_tension: F64 = 0.0  # [N] T_out

@@ -11,31 +11,31 @@ from collections.abc import Sequence
 import numpy as np
 
 from estimator.array_types import Array
-from estimator.compiled import compiled
+from estimator.compiled import jit_compile
 from estimator.effects.effect import DISTAL_TENSION, Effect, EffectContext, Values
 
-STEP = 1.0  # [N] from one entry of a table to the next
-COUNT = 1001  # entries, from 0 N on; beyond them the line goes on
+TABLE_STEP = 1.0  # [N] from one entry of a table to the next
+TABLE_SIZE = 1001  # entries, from 0 N on; beyond them the line goes on
 
-EXACT: Array = STEP * np.arange(COUNT, dtype=np.float64)
+IDENTITY_TABLE: Array = TABLE_STEP * np.arange(TABLE_SIZE, dtype=np.float64)
 """The table of a cell that reads the force."""
 
 
-def reading_table(effects: Sequence[tuple[Effect, Values]]) -> Array:
-    """Return what a cell with some effects reads at 0, `STEP`, 2 `STEP` ... [N], shape (COUNT,)."""
-    none = np.zeros(COUNT)
+def build_reading_table(effects: Sequence[tuple[Effect, Values]]) -> Array:
+    """Return what a cell with some effects reads at 0, `TABLE_STEP`, 2 `TABLE_STEP` ... [N], shape (COUNT,)."""
+    none = np.zeros(TABLE_SIZE)
     context = EffectContext(none, "", none, none, {}, {}, none, 0.0)
-    signals = {DISTAL_TENSION: EXACT.copy()}
+    signals = {DISTAL_TENSION: IDENTITY_TABLE.copy()}
     for effect, values in effects:
         signals = effect.measure(signals, values, context)
     return np.ascontiguousarray(signals[DISTAL_TENSION], dtype=np.float64)
 
 
-@compiled
-def reading_of(table: Array, tension: float) -> float:
+@jit_compile
+def compute_reading(table: Array, tension: float) -> float:
     """Return what a cell reads of a tension [N]; NaN of NaN."""
     if not np.isfinite(tension):
         return tension
-    i = min(max(int(tension / STEP), 0), COUNT - 2)
-    slope = (table[i + 1] - table[i]) / STEP
-    return float(table[i] + slope * (tension - i * STEP))
+    i = min(max(int(tension / TABLE_STEP), 0), TABLE_SIZE - 2)
+    slope = (table[i + 1] - table[i]) / TABLE_STEP
+    return float(table[i] + slope * (tension - i * TABLE_STEP))

@@ -6,11 +6,11 @@ from typing import NamedTuple
 import numpy as np
 from matplotlib.figure import Figure
 
-from estimator.drawing import BLACK, BLUE, VERMILION, styled
+from estimator.drawing import BLACK, BLUE, VERMILION, use_style
 from estimator.pair.pair_study import PairStudy
-from estimator.pair.report_text import degrees
+from estimator.pair.report_text import format_degrees
 
-ACROSS = 3  # loops in a row
+COLUMN_COUNT = 3  # loops in a row
 
 
 class DrawnFigure(NamedTuple):
@@ -21,27 +21,27 @@ class DrawnFigure(NamedTuple):
     caption: str
 
 
-def figures(found: PairStudy) -> Iterator[DrawnFigure]:
+def draw_figures(found: PairStudy) -> Iterator[DrawnFigure]:
     """Draw all figures."""
-    with styled():
+    with use_style():
         yield DrawnFigure(
             "friction",
-            frictions(found),
+            draw_friction(found),
             "K of each record with its interval of 95 %, and the line of the model for all.",
         )
         yield DrawnFigure(
             "loops",
-            loops(found),
+            draw_loops(found),
             "Angle over command: measured, and predicted by the model of the other records.",
         )
         yield DrawnFigure(
             "left",
-            left(found),
+            draw_residuals(found),
             "Residuals over time (predicted less measured), each record held out.",
         )
 
 
-def frictions(found: PairStudy) -> Figure:
+def draw_friction(found: PairStudy) -> Figure:
     """Draw K over the bend."""
     figure = Figure(figsize=(6.0, 3.6))
     axes = figure.add_subplot()
@@ -58,11 +58,11 @@ def frictions(found: PairStudy) -> Figure:
     return figure
 
 
-def loops(found: PairStudy) -> Figure:
+def draw_loops(found: PairStudy) -> Figure:
     """Draw the angle over the command, a record each."""
-    rows = -(-len(found.records) // ACROSS)
+    rows = -(-len(found.records) // COLUMN_COUNT)
     figure = Figure(figsize=(8.2, 0.5 + 2.6 * rows))
-    grid = figure.subplots(rows, ACROSS, sharex=True, squeeze=False).ravel()
+    grid = figure.subplots(rows, COLUMN_COUNT, sharex=True, squeeze=False).ravel()
     for axes in grid[len(found.records) :]:
         axes.set_visible(False)
     for axes, record, angle in zip(grid, found.records, found.predicted, strict=False):
@@ -75,19 +75,19 @@ def loops(found: PairStudy) -> Figure:
             linestyle=(0, (4, 2)),
             label="predicted",
         )
-        axes.set(title=f"bend {degrees(record.bend, 0)}", xlabel="command [deg]")
+        axes.set(title=f"bend {format_degrees(record.bend, 0)}", xlabel="command [deg]")
     grid[0].set_ylabel("angle [deg]")
     figure.legend(*grid[0].get_legend_handles_labels(), loc="outside upper right", ncols=2)
     return figure
 
 
-def left(found: PairStudy) -> Figure:
+def draw_residuals(found: PairStudy) -> Figure:
     """Draw the residuals over time, one panel per record."""
     figure = Figure(figsize=(8.2, 0.4 + 1.2 * len(found.records)))
     grid = figure.subplots(len(found.records), 1, sharex=True, sharey=True, squeeze=False)[:, 0]
     for axes, record, angle in zip(grid, found.records, found.predicted, strict=True):
         axes.plot(record.time, np.degrees(angle - record.angle), color=BLUE, linewidth=0.9)
         axes.axhline(0.0, color=BLACK, linewidth=0.6)
-        axes.set_ylabel(f"{degrees(record.bend, 0)}: residual [deg]", fontsize=7.5)
+        axes.set_ylabel(f"{format_degrees(record.bend, 0)}: residual [deg]", fontsize=7.5)
     grid[-1].set_xlabel("time [s]")
     return figure

@@ -17,16 +17,16 @@ import numpy as np
 
 from estimator import signals
 from estimator.array_types import Array
-from estimator.compiled import compiled
-from estimator.lumped.lumped_model import Motion, Physics, by_tension, by_travel
-from estimator.lumped.nodes import PLACES, even_weights
+from estimator.compiled import jit_compile
+from estimator.lumped.lumped_model import Motion, Physics, simulate_by_tension, simulate_by_travel
+from estimator.lumped.nodes import PLACES, build_even_weights
 
 BEDDING = 1.0
 """Tension [N] over which strands bed in."""
 
 _PULLEY = 0.01  # [m]: any radius gives the same angles and tensions
 _STEPS = 12  # in which a tendon is pretensioned before a record begins
-_WEIGHTS = even_weights()
+_WEIGHTS = build_even_weights()
 
 
 class PairRecord(NamedTuple):
@@ -69,46 +69,46 @@ class PairMotion(NamedTuple):
     tension_b: Array  # [N]
 
 
-def by_command(model: PairModel, record: PairRecord) -> PairMotion:
+def simulate_by_command(model: PairModel, record: PairRecord) -> PairMotion:
     """Return what the command makes of a pair; of the tensions only the first are used.
 
     The pretension is taken to have been pulled in from slack, so that the tendons remember a pull.
     """
-    return joined(model, *tendons_by_command(model, record))
+    return combine_tendons(model, *simulate_tendons_by_command(model, record))
 
 
-def by_tensions(model: PairModel, record: PairRecord) -> PairMotion:
+def simulate_by_tensions(model: PairModel, record: PairRecord) -> PairMotion:
     """Return what the measured tensions make of a pair; the command is not used.
 
     The compliance of the tendons does not matter then.
     """
-    return joined(model, *tendons_by_tensions(model, record))
+    return combine_tendons(model, *simulate_tendons_by_tensions(model, record))
 
 
-def tendons_by_command(model: PairModel, record: PairRecord) -> tuple[Motion, Motion]:
+def simulate_tendons_by_command(model: PairModel, record: PairRecord) -> tuple[Motion, Motion]:
     """Return what tendons a and b do; the joint's parameters do not matter."""
     K = model.friction_at(record.bend)
-    a = _by_travel(model, K, record.time, record.command, record.tension_a[0])
-    b = _by_travel(model, K, record.time, -record.command, record.tension_b[0])
+    a = _simulate_by_travel(model, K, record.time, record.command, record.tension_a[0])
+    b = _simulate_by_travel(model, K, record.time, -record.command, record.tension_b[0])
     return a, b
 
 
-def tendons_by_tensions(model: PairModel, record: PairRecord) -> tuple[Motion, Motion]:
+def simulate_tendons_by_tensions(model: PairModel, record: PairRecord) -> tuple[Motion, Motion]:
     """Return what tendons a and b do under the measured tensions."""
     K = model.friction_at(record.bend)
-    a = _by_tension(model, K, record.time, record.tension_a)
-    b = _by_tension(model, K, record.time, record.tension_b)
+    a = _simulate_by_tension(model, K, record.time, record.tension_a)
+    b = _simulate_by_tension(model, K, record.time, record.tension_b)
     return a, b
 
 
-def joined(model: PairModel, a: Motion, b: Motion) -> PairMotion:
+def combine_tendons(model: PairModel, a: Motion, b: Motion) -> PairMotion:
     """Return what the joint makes of two tendons; only its own parameters matter."""
     pull = (a.distal_tension - b.distal_tension) / model.stiffness + model.neutral
-    angle = _held(pull, model.joint_friction / model.stiffness)
+    angle = _apply_joint_friction(pull, model.joint_friction / model.stiffness)
     return PairMotion(angle, a.proximal_tension, b.proximal_tension)
 
 
-def _physics(model: PairModel, K: float) -> Physics:
+def _build_physics(model: PairModel, K: float) -> Physics:
     compliance = _PULLEY * model.compliance
     return Physics(
         np.array([K]),
@@ -119,19 +119,23 @@ def _physics(model: PairModel, K: float) -> Physics:
     )
 
 
-def _by_travel(model: PairModel, K: float, time: Array, command: Array, start: float) -> Motion:
+def _simulate_by_travel(
+    model: PairModel, K: float, time: Array, command: Array, start: float
+) -> Motion:
     pulled = max(start, 0.0) * np.exp(-K * PLACES)
     bedded = model.bedding * -np.expm1(-pulled / BEDDING)
     taken_up = _PULLEY * model.compliance * float(_WEIGHTS @ (pulled + bedded))
     travel = taken_up + _PULLEY * (command - command[0])
-    return _after_pull(_physics(model, K), time, travel, by_travel)
+    return _simulate_after_pull(_build_physics(model, K), time, travel, simulate_by_travel)
 
 
-def _by_tension(model: PairModel, K: float, time: Array, tension: Array) -> Motion:
-    return _after_pull(_physics(model, K), time, np.maximum(tension, 0.0), by_tension)
+def _simulate_by_tension(model: PairModel, K: float, time: Array, tension: Array) -> Motion:
+    return _simulate_after_pull(
+        _build_physics(model, K), time, np.maximum(tension, 0.0), simulate_by_tension
+    )
 
 
-def _after_pull(
+def _simulate_after_pull(
     physics: Physics,
     time: Array,
     drive: Array,
@@ -144,12 +148,12 @@ def _after_pull(
     return Motion(*(row[_STEPS:] for row in motion))
 
 
-@compiled
-def _held(free: Array, half: float) -> Array:
+@jit_compile
+def _apply_joint_friction(free: Array, half: float) -> Array:
     """Return the angle of a joint with friction for the one it would have without; from zero."""
     angle = np.empty_like(free)
     now = 0.0
     for i in range(len(free)):
-        now = signals.play(now, free[i], half)
+        now = signals.update_play(now, free[i], half)
         angle[i] = now
     return angle

@@ -20,17 +20,17 @@ from estimator.lumped.lumped_model import Motion
 from estimator.pair.pair import (
     PairModel,
     PairRecord,
-    by_command,
-    by_tensions,
-    joined,
-    tendons_by_command,
-    tendons_by_tensions,
+    combine_tendons,
+    simulate_by_command,
+    simulate_by_tensions,
+    simulate_tendons_by_command,
+    simulate_tendons_by_tensions,
 )
 
-MOST_SAMPLES = 180  # of a record that are fitted: the law does not depend on the rate
+SAMPLES_MAX = 180  # of a record that are fitted: the law does not depend on the rate
 MIN_SAMPLES = 20
 MAX_ITERATIONS = 30
-ENOUGH = 1e-4  # relative change of the cost
+COST_TOLERANCE = 1e-4  # relative change of the cost
 STEP = 3e-3  # of a parameter, for derivatives
 TENSION_WEIGHT = 2.0**-0.5
 
@@ -53,14 +53,14 @@ START = PairModel(0.4, 0.15, 0.26, 2.0, 6.5, 0.8, -0.02)
 LOW = PairModel(1e-3, 0.0, 0.01, 0.0, 0.2, 0.0, -1.5)
 HIGH = PairModel(3.0, 2.0, 5.0, 50.0, 200.0, 10.0, 1.5)
 
-_ABSENT = {
+_ABSENT_PARAMETERS = {
     PairVariant.FRICTIONLESS: {"friction": 1e-3, "growth": 0.0, "joint_friction": 0.0},
     PairVariant.ONE_K: {"growth": 0.0},
     PairVariant.EVEN: {"bedding": 0.0},
     PairVariant.FULL: {},
     PairVariant.TENSIONS: {"compliance": START.compliance, "bedding": 0.0},
 }
-_SHARED = [name for name in PairModel._fields if name != "neutral"]
+_SHARED_PARAMETERS = [name for name in PairModel._fields if name != "neutral"]
 
 
 class PairFit(NamedTuple):
@@ -108,15 +108,17 @@ def fit(
     PairError
         There are too few records or samples, or an angle that does not move.
     """
-    check(records)
+    check_records(records)
     _check_bends(records, law)
-    layout = _Layout(records, law, start, each_friction)
-    thinned = [_thinned(record) for record in records]
-    remembered = [_Tendons(record, law) for record in thinned]
+    layout = _ParameterLayout(records, law, start, each_friction)
+    thinned = [_subsample_record(record) for record in records]
+    remembered = [_TendonCache(record, law) for record in thinned]
 
     def left(values: Array) -> Array:
         each = zip(layout.models(values), thinned, remembered, strict=True)
-        return np.concatenate([_left(model, record, law, made) for model, record, made in each])
+        return np.concatenate(
+            [_compute_residuals(model, record, law, made) for model, record, made in each]
+        )
 
     found = least_squares(
         left,
@@ -124,7 +126,7 @@ def fit(
         bounds=layout.bounds,
         x_scale=np.maximum(np.abs(layout.begin), 0.02),
         diff_step=STEP,
-        ftol=ENOUGH,
+        ftol=COST_TOLERANCE,
         max_nfev=MAX_ITERATIONS,
     )
     each = layout.models(found.x)
@@ -132,8 +134,8 @@ def fit(
     neutral = float(np.mean([m.neutral for m in each]))
     errors = np.full(len(records), np.nan)
     if each_friction:
-        strokes = _strokes(thinned, law)
-        errors = _errors(found.jac, found.fun, strokes)[layout.frictions]
+        strokes = _group_by_stroke(thinned, law)
+        errors = _compute_robust_errors(found.jac, found.fun, strokes)[layout.frictions]
     return PairFit(
         law,
         each[0]._replace(neutral=neutral),
@@ -144,12 +146,14 @@ def fit(
     )
 
 
-def angle_of(model: PairModel, record: PairRecord, law: PairVariant) -> Array:
+def predict_angle(model: PairModel, record: PairRecord, law: PairVariant) -> Array:
     """Return the angle [rad] that a model predicts."""
-    return (by_tensions if law is PairVariant.TENSIONS else by_command)(model, record).angle
+    return (simulate_by_tensions if law is PairVariant.TENSIONS else simulate_by_command)(
+        model, record
+    ).angle
 
 
-def strokes_of(command: Array) -> NDArray[np.intp]:
+def number_strokes(command: Array) -> NDArray[np.intp]:
     """Return the number of the stroke that each sample is in; one ends where the command turns."""
     ways = np.sign(np.diff(command, prepend=command[0]))
     for i in range(1, len(ways)):
@@ -159,7 +163,7 @@ def strokes_of(command: Array) -> NDArray[np.intp]:
     return np.concatenate([[0], np.cumsum(turned)])
 
 
-class _Layout:
+class _ParameterLayout:
     """Which numbers of a fit are free: shared ones, a K of each record if wanted, and its neutral.
 
     Attributes
@@ -174,8 +178,8 @@ class _Layout:
         self, records: Sequence[PairRecord], law: PairVariant, start: PairModel, each_friction: bool
     ) -> None:
         own_K = {"growth": 0.0, "friction": start.friction} if each_friction else {}
-        absent = _ABSENT[law] | own_K
-        self._free = [name for name in _SHARED if name not in absent]
+        absent = _ABSENT_PARAMETERS[law] | own_K
+        self._free = [name for name in _SHARED_PARAMETERS if name not in absent]
         self._first, self._count = start._replace(**absent), len(records)
         self._each_friction = each_friction
         self.frictions = slice(len(self._free), -len(records))
@@ -197,12 +201,16 @@ class _Layout:
         return [shared._replace(friction=float(K), neutral=float(zero)) for K, zero in pairs]
 
 
-class _Tendons:
+class _TendonCache:
     """The tendons of a record; they are simulated again only where what they depend on changes."""
 
     def __init__(self, record: PairRecord, law: PairVariant) -> None:
         self._record = record
-        self._by = tendons_by_tensions if law is PairVariant.TENSIONS else tendons_by_command
+        self._by = (
+            simulate_tendons_by_tensions
+            if law is PairVariant.TENSIONS
+            else simulate_tendons_by_command
+        )
         self._known: dict[tuple[float, ...], tuple[Motion, Motion]] = {}
 
     def __call__(self, model: PairModel) -> tuple[Motion, Motion]:
@@ -213,8 +221,10 @@ class _Tendons:
         return self._known[key]
 
 
-def _left(model: PairModel, record: PairRecord, law: PairVariant, tendons: _Tendons) -> Array:
-    made = joined(model, *tendons(model))
+def _compute_residuals(
+    model: PairModel, record: PairRecord, law: PairVariant, tendons: _TendonCache
+) -> Array:
+    made = combine_tendons(model, *tendons(model))
     parts = [(made.angle - record.angle) / record.span]
     if law is PairVariant.TENSIONS:
         return parts[0]
@@ -226,22 +236,22 @@ def _left(model: PairModel, record: PairRecord, law: PairVariant, tendons: _Tend
     return np.concatenate(parts)
 
 
-def _thinned(record: PairRecord) -> PairRecord:
-    every = -(-len(record.time) // MOST_SAMPLES)
+def _subsample_record(record: PairRecord) -> PairRecord:
+    every = -(-len(record.time) // SAMPLES_MAX)
     return PairRecord(record.bend, *(column[::every] for column in record[1:]))
 
 
-def _strokes(records: Sequence[PairRecord], law: PairVariant) -> NDArray[np.intp]:
+def _group_by_stroke(records: Sequence[PairRecord], law: PairVariant) -> NDArray[np.intp]:
     """Return a number for each residual: those of one stroke of one record go together."""
     parts, begun = [], 0
     for record in records:
-        strokes = begun + strokes_of(record.command)
+        strokes = begun + number_strokes(record.command)
         parts += [strokes] * (1 if law is PairVariant.TENSIONS else 3)
         begun = int(strokes[-1]) + 1
     return np.concatenate(parts)
 
 
-def _errors(jacobian: Array, left: Array, groups: NDArray[np.intp]) -> Array:
+def _compute_robust_errors(jacobian: Array, left: Array, groups: NDArray[np.intp]) -> Array:
     """Return standard uncertainties that allow for errors which last a whole stroke.
 
     The sandwich (J'J)^-1 (sum over groups of J_g' r_g r_g' J_g) (J'J)^-1: residuals are a model's,
@@ -255,7 +265,7 @@ def _errors(jacobian: Array, left: Array, groups: NDArray[np.intp]) -> Array:
     return errors
 
 
-def check(records: Sequence[PairRecord]) -> None:
+def check_records(records: Sequence[PairRecord]) -> None:
     """Raise `PairError` where a record is too short or does not move."""
     for record in records:
         if len(record.time) < MIN_SAMPLES:

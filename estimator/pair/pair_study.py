@@ -8,8 +8,15 @@ from scipy.stats import t as student
 
 from estimator.array_types import Array
 from estimator.pair.pair import PairModel, PairRecord
-from estimator.pair.pair_fit import PairError, PairFit, PairVariant, angle_of, check, fit
-from estimator.pair.simple_pair_models import simple_predictors
+from estimator.pair.pair_fit import (
+    PairError,
+    PairFit,
+    PairVariant,
+    check_records,
+    fit,
+    predict_angle,
+)
+from estimator.pair.simple_pair_models import fit_simple_predictors
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -20,7 +27,7 @@ CONFIDENCE = 0.95
 COMMAND = "command taken as the angle"
 SHARE = "a fixed share of the command"
 
-Report = Callable[[str, float], None]
+ProgressCallback = Callable[[str, float], None]
 
 
 class Number(NamedTuple):
@@ -67,29 +74,31 @@ class PairStudy(NamedTuple):
 
     def plot(self) -> "Figure":
         """Return a figure of the measured and the predicted angle over the command."""
-        from estimator.drawing import styled
+        from estimator.drawing import use_style
         from estimator.pair import figures  # which imports this module
 
-        with styled():
-            return figures.loops(self)
+        with use_style():
+            return figures.draw_loops(self)
 
     def _repr_html_(self) -> str:
         """Return the result, tables and figures for a notebook."""
-        from estimator.drawing import html_report
+        from estimator.drawing import format_html_report
         from estimator.pair import figures, report_text  # which import this module
 
-        drawn = [(one.figure, one.caption) for one in figures.figures(self)]
-        return html_report(report_text.sentence(self), report_text.tables(self), drawn)
+        drawn = [(one.figure, one.caption) for one in figures.draw_figures(self)]
+        return format_html_report(
+            report_text.format_sentence(self), report_text.build_report_tables(self), drawn
+        )
 
     @property
     def best_simple(self) -> str:
         """The method that knows no tendon and is off least, by the mean of held-out shares."""
         laws = {law.value for law in PairVariant}
         simple = [method for method in self.left_out if method not in laws]
-        return min(simple, key=lambda method: mean_share(self.left_out[method]))
+        return min(simple, key=lambda method: compute_mean_share(self.left_out[method]))
 
 
-def quiet(_what: str, _share: float) -> None:
+def ignore_progress(_what: str, _share: float) -> None:
     """Report nothing."""
 
 
@@ -97,7 +106,7 @@ def study_pair(
     records: Sequence[PairRecord],
     *,
     validate: Sequence[PairRecord] = (),
-    progress: Report = quiet,
+    progress: ProgressCallback = ignore_progress,
 ) -> PairStudy:
     """Measure how the friction of an antagonistic pair grows with the bend of its sheath.
 
@@ -117,12 +126,14 @@ def study_pair(
     PairError
         There are fewer than three bends, or a record cannot be fitted.
     """
-    check(validate)
-    found = study(sorted(records, key=lambda one: one.bend), progress)
-    return found._replace(validation=_validated(found, validate))
+    check_records(validate)
+    found = run_study(sorted(records, key=lambda one: one.bend), progress)
+    return found._replace(validation=_validate_records(found, validate))
 
 
-def study(records: Sequence[PairRecord], report: Report = quiet) -> PairStudy:
+def run_study(
+    records: Sequence[PairRecord], report: ProgressCallback = ignore_progress
+) -> PairStudy:
     """Study a pair at several bends; `report` is told what is done, and which share of all.
 
     Raises
@@ -132,7 +143,7 @@ def study(records: Sequence[PairRecord], report: Report = quiet) -> PairStudy:
     """
     if len({record.bend for record in records}) < LEAST_BENDS:
         raise PairError(f"records: at least {LEAST_BENDS} bends are needed, to leave one out")
-    check(records)
+    check_records(records)
     steps = len(PairVariant) * (len(records) + 1) + 1
     done = 0
 
@@ -141,7 +152,7 @@ def study(records: Sequence[PairRecord], report: Report = quiet) -> PairStudy:
         report(what, done / steps)
         done += 1
 
-    left_out = baselines(records)
+    left_out = cross_validate_baselines(records)
     whole: dict[PairVariant, PairFit] = {}
     others: dict[PairVariant, list[PairFit]] = {}
     for law in PairVariant:
@@ -153,7 +164,7 @@ def study(records: Sequence[PairRecord], report: Report = quiet) -> PairStudy:
             rest = [record for j, record in enumerate(records) if j != i]
             others[law].append(fit(rest, law, whole[law].model))
         left_out[law.value] = tuple(
-            error_of(angle_of(one.at(record.bend), record, law), record)
+            compute_error(predict_angle(one.at(record.bend), record, law), record)
             for one, record in zip(others[law], records, strict=True)
         )
     next_step("fitting a K for each")
@@ -165,71 +176,77 @@ def study(records: Sequence[PairRecord], report: Report = quiet) -> PairStudy:
         tuple(records),
         full,
         tuple(
-            _within(K, error, len(records))
+            _compute_interval(K, error, len(records))
             for K, error in zip(free.frictions, free.friction_errors, strict=True)
         ),
-        _jackknife(full.model, models, "friction"),
-        _jackknife(full.model, models, "growth"),
+        _compute_jackknife_interval(full.model, models, "friction"),
+        _compute_jackknife_interval(full.model, models, "growth"),
         left_out,
-        tuple(angle_of(m, r, PairVariant.FULL) for m, r in zip(models, records, strict=True)),
+        tuple(predict_angle(m, r, PairVariant.FULL) for m, r in zip(models, records, strict=True)),
     )
 
 
-def baselines(records: Sequence[PairRecord]) -> dict[str, tuple[HeldOutError, ...]]:
+def cross_validate_baselines(records: Sequence[PairRecord]) -> dict[str, tuple[HeldOutError, ...]]:
     """Return the errors of predictions without a model of the pair, each record left out once."""
     found: dict[str, list[HeldOutError]] = {}
     for left in records:
-        errors = _by_baselines([other for other in records if other is not left], left)
+        errors = _compute_baseline_errors([other for other in records if other is not left], left)
         for method, error in errors.items():
             found.setdefault(method, []).append(error)
     return {method: tuple(errors) for method, errors in found.items()}
 
 
-def _by_baselines(records: Sequence[PairRecord], other: PairRecord) -> dict[str, HeldOutError]:
+def _compute_baseline_errors(
+    records: Sequence[PairRecord], other: PairRecord
+) -> dict[str, HeldOutError]:
     """Return the errors of one record by what is fitted to others without a model of the pair."""
-    angles = {COMMAND: other.command, SHARE: _share(records) * other.command}
-    angles |= {name: predict(other) for name, predict in simple_predictors(records).items()}
-    return {method: error_of(angle, other) for method, angle in angles.items()}
+    angles = {COMMAND: other.command, SHARE: _fit_fixed_share(records) * other.command}
+    angles |= {name: predict(other) for name, predict in fit_simple_predictors(records).items()}
+    return {method: compute_error(angle, other) for method, angle in angles.items()}
 
 
-def _validated(found: PairStudy, records: Sequence[PairRecord]) -> tuple[Validation, ...]:
+def _validate_records(found: PairStudy, records: Sequence[PairRecord]) -> tuple[Validation, ...]:
     """Return the errors of further records, predicted from their command and bend."""
     return tuple(
         Validation(
             record.bend,
-            error_of(angle_of(found.fit.at(record.bend), record, PairVariant.FULL), record),
-            _by_baselines(found.records, record),
+            compute_error(
+                predict_angle(found.fit.at(record.bend), record, PairVariant.FULL), record
+            ),
+            _compute_baseline_errors(found.records, record),
         )
         for record in records
     )
 
 
-def mean_share(errors: Sequence[HeldOutError]) -> float:
+def compute_mean_share(errors: Sequence[HeldOutError]) -> float:
     """Return the mean of errors as shares of the span."""
     return float(np.mean([error.share for error in errors]))
 
 
-def error_of(angle: Array, record: PairRecord) -> HeldOutError:
+def compute_error(angle: Array, record: PairRecord) -> HeldOutError:
     """Return the error of a predicted angle [rad]."""
     off = angle - record.angle
     rmse = float(np.sqrt(np.mean(off**2)))
     return HeldOutError(rmse, rmse / record.span, float(off.std()) / record.span)
 
 
-def _share(records: Sequence[PairRecord]) -> float:
+def _fit_fixed_share(records: Sequence[PairRecord]) -> float:
     across = np.concatenate([record.command for record in records])
     up = np.concatenate([record.angle for record in records])
     return float(across @ up) / float(across @ across)
 
 
-def _within(value: float, error: float, count: int) -> Number:
+def _compute_interval(value: float, error: float, count: int) -> Number:
     reach = float(student.ppf(0.5 + 0.5 * CONFIDENCE, count - 1)) * error
     return Number(value, max(value - reach, 0.0), value + reach)
 
 
-def _jackknife(model: PairModel, without_one: Sequence[PairModel], name: str) -> Number:
+def _compute_jackknife_interval(
+    model: PairModel, without_one: Sequence[PairModel], name: str
+) -> Number:
     """Return a parameter with the interval that leaving records out gives it."""
     n = len(without_one)
     values = np.array([getattr(one, name) for one in without_one])
     error = float(np.sqrt((n - 1) / n * np.sum((values - values.mean()) ** 2)))
-    return _within(getattr(model, name), error, n)
+    return _compute_interval(getattr(model, name), error, n)

@@ -14,31 +14,35 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from estimator.array_types import Array
-from estimator.hysteresis import bristle
+from estimator.hysteresis import compute_bristle_deflection
 from estimator.pair.pair import PairRecord
-from estimator.signals import played
+from estimator.signals import apply_play
 
 ONE_PLAY = "one play, linear in the bend"
 PLAYS = 5
-SHARES = 0.45 * (np.arange(PLAYS) / (PLAYS - 1)) ** 2  # of the command's span: half-widths
-REACHES = np.geomspace(0.01, 0.5, 12)  # of it
+PLAY_WIDTHS = 0.45 * (np.arange(PLAYS) / (PLAYS - 1)) ** 2  # of the command's span: half-widths
+BRISTLE_REACHES = np.geomspace(0.01, 0.5, 12)  # of it
 
-Predict = Callable[[PairRecord], Array]
+Predictor = Callable[[PairRecord], Array]
 
 
-def simple_predictors(records: Sequence[PairRecord]) -> dict[str, Predict]:
+def fit_simple_predictors(records: Sequence[PairRecord]) -> dict[str, Predictor]:
     """Return what predicts the angle [rad] of a record, fitted to `records`, by name."""
     return {
-        ONE_PLAY: _one_play(records),
-        f"Prandtl-Ishlinskii, {PLAYS} plays, linear in the bend": _linear(records, [_plays]),
-        "LuGre, linear in the bend": _linear(records, [_bristle(share) for share in REACHES]),
+        ONE_PLAY: _fit_one_play(records),
+        f"Prandtl-Ishlinskii, {PLAYS} plays, linear in the bend": _fit_linear_model(
+            records, [_compute_play_features]
+        ),
+        "LuGre, linear in the bend": _fit_linear_model(
+            records, [_build_bristle_features(share) for share in BRISTLE_REACHES]
+        ),
     }
 
 
-def _one_play(records: Sequence[PairRecord]) -> Predict:
+def _fit_one_play(records: Sequence[PairRecord]) -> Predictor:
     def predict(values: Array, record: PairRecord) -> Array:
         gain, width, zero = values[:3] + values[3:] * record.bend
-        return np.asarray(gain * played(record.command, max(float(width), 0.0)) + zero)
+        return np.asarray(gain * apply_play(record.command, max(float(width), 0.0)) + zero)
 
     def off(values: Array) -> Array:
         return np.concatenate([(predict(values, r) - r.angle) / r.span for r in records])
@@ -48,35 +52,35 @@ def _one_play(records: Sequence[PairRecord]) -> Predict:
     return lambda record: predict(found.x, record)
 
 
-def _linear(
+def _fit_linear_model(
     records: Sequence[PairRecord], features: Iterable[Callable[[PairRecord], Array]]
-) -> Predict:
+) -> Predictor:
     """Return the best of models whose weights are linear in the bend, by least squares."""
     best, weights = np.inf, np.zeros(0)
-    columns: Callable[[PairRecord], Array] = _plays
+    columns: Callable[[PairRecord], Array] = _compute_play_features
     for one in features:
-        A = np.concatenate([_by_bend(one, r) / r.span for r in records])
+        A = np.concatenate([_build_bend_features(one, r) / r.span for r in records])
         y = np.concatenate([r.angle / r.span for r in records])
         found = np.linalg.lstsq(A, y, rcond=None)[0]
         error = float(np.sum((A @ found - y) ** 2))
         if error < best:
             best, weights, columns = error, found, one
-    return lambda record: np.asarray(_by_bend(columns, record) @ weights)
+    return lambda record: np.asarray(_build_bend_features(columns, record) @ weights)
 
 
-def _by_bend(features: Callable[[PairRecord], Array], record: PairRecord) -> Array:
+def _build_bend_features(features: Callable[[PairRecord], Array], record: PairRecord) -> Array:
     plain = np.column_stack([features(record), np.ones(len(record.time))])
     return np.column_stack([plain, plain * record.bend])
 
 
-def _plays(record: PairRecord) -> Array:
+def _compute_play_features(record: PairRecord) -> Array:
     span = float(np.ptp(record.command))
-    return np.column_stack([played(record.command, share * span) for share in SHARES])
+    return np.column_stack([apply_play(record.command, share * span) for share in PLAY_WIDTHS])
 
 
-def _bristle(share: float) -> Callable[[PairRecord], Array]:
+def _build_bristle_features(share: float) -> Callable[[PairRecord], Array]:
     def features(record: PairRecord) -> Array:
         reach = np.full(len(record.time), share * float(np.ptp(record.command)))
-        return np.column_stack([record.command, bristle(record.command, reach)])
+        return np.column_stack([record.command, compute_bristle_deflection(record.command, reach)])
 
     return features

@@ -13,7 +13,7 @@ from master.devices.ros.config import RosDeviceConfig
 from master.devices.ros.device import RosDevice
 from master.devices.single import SingleConfig
 from master.devices.virtual import VirtualConfig, VirtualDevice
-from teleop.config.extensions import opening_failed
+from teleop.config.extensions import format_opening_failure
 from teleop.errors import UsageError
 from teleop.messages.messages import MAX_JOINTS
 
@@ -22,10 +22,10 @@ DeviceConfig = SingleConfig | CombinedConfig
 
 def open_combined(config: CombinedConfig) -> Device:
     """Open several devices as one; `DeviceFault` if one of them is not available."""
-    return CombinedDevice(config, _open)
+    return CombinedDevice(config, _open_any_device)
 
 
-def _open(config: DeviceConfig) -> Device:
+def _open_any_device(config: DeviceConfig) -> Device:
     if isinstance(config, DeviceExtension):
         return CheckedDevice(config.open(), config.type)
     return DEVICES[type(config)](config)
@@ -45,12 +45,12 @@ def open_device(config: DeviceConfig) -> Device:
     Likewise if its axes are no joints: compiled functions do not check them.
     """
     try:
-        device = _open(config)
+        device = _open_any_device(config)
     except DeviceFault as fault:
         raise UsageError(f"master.device: {fault}") from fault
     except Exception as error:
         if isinstance(config, DeviceExtension):
-            raise UsageError(opening_failed("master.device", config, error)) from error
+            raise UsageError(format_opening_failure("master.device", config, error)) from error
         raise
     if not 1 <= device.axes <= MAX_JOINTS:
         device.close()

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from master.device import Axes, Device, DeviceFault, DeviceLost, HandState
-from teleop.config.extensions import call_failed, close_extension
+from teleop.config.extensions import close_extension, format_call_failure
 
 _REQUIRED = ("axes", "read", "write", "close")
 _SWITCHES = ("engage", "clutch", "stop", "finer", "coarser", "weaker", "stronger")
@@ -78,7 +78,7 @@ class CheckedDevice:
             raise
         except Exception as error:
             name = str(getattr(method, "__name__", type(method).__name__))  # a partial
-            raise DeviceFault(call_failed(self._place, name, error)) from error
+            raise DeviceFault(format_call_failure(self._place, name, error)) from error
 
     @property
     def _read(self) -> str:

@@ -62,7 +62,7 @@ class CombinedDevice:
                 try:
                     device = open_single(part)
                 except DeviceFault as fault:
-                    raise _numbered(number, fault) from fault
+                    raise _add_index(number, fault) from fault
                 opened.callback(device.close)
                 room = MAX_JOINTS - self.axes
                 if not 1 <= device.axes <= room:
@@ -95,10 +95,10 @@ class CombinedDevice:
             try:
                 hands.append(device.read(time_s))
             except DeviceFault as fault:
-                faults.append(_numbered(number, fault))
+                faults.append(_add_index(number, fault))
         if faults:
             self._released = [False] * len(self._devices)
-            raise _worst(faults)
+            raise _combine_faults(faults)
         engage = self._engage([hand.engage for hand in hands])
         return HandState(
             tuple(x for hand in hands for x in hand.position),
@@ -121,12 +121,12 @@ class CombinedDevice:
             try:
                 device.write(force[part])
             except DeviceFault as fault:
-                faults.append(_numbered(number, fault))
+                faults.append(_add_index(number, fault))
         if faults:
             for device in self._devices:
                 with suppress(DeviceFault):
                     device.write((0.0,) * device.axes)
-            raise _worst(faults)
+            raise _combine_faults(faults)
 
     def close(self) -> None:
         """Close all in reverse order, also if one fails."""
@@ -141,13 +141,13 @@ class CombinedDevice:
         return any(held)
 
 
-def _numbered(number: int, fault: DeviceFault) -> DeviceFault:
+def _add_index(number: int, fault: DeviceFault) -> DeviceFault:
     """Return a fault of the same type with the device's index in front of the message."""
     kind = DeviceLost if isinstance(fault, DeviceLost) else DeviceFault
     return kind(f"devices.{number}: {fault}")
 
 
-def _worst(faults: list[DeviceFault]) -> DeviceFault:
+def _combine_faults(faults: list[DeviceFault]) -> DeviceFault:
     """Return one fault for several: `DeviceLost` only if all are."""
     final = [fault for fault in faults if not isinstance(fault, DeviceLost)]
     if final:

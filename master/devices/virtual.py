@@ -69,7 +69,7 @@ class VirtualConfig:
         return any(start <= within < end for start, end in self.engage)
 
 
-def move(
+def advance_hand(
     config: VirtualConfig, position: float, velocity: float, time_s: float, force: float, h: float
 ) -> tuple[float, float]:
     """Return position [m] and velocity [m/s] of one axis at `time_s`, `h` [s] after those given.
@@ -124,7 +124,7 @@ class VirtualDevice:
             self._force = (0.0,) * self.axes
         self.applied = self._force
         self._hands = [
-            move(self._config, x, v, time_s - delay, force, h)
+            advance_hand(self._config, x, v, time_s - delay, force, h)
             for (x, v), force, delay in zip(self._hands, self._force, self._delays, strict=True)
         ]
 

@@ -16,8 +16,8 @@ from pathlib import Path
 
 import numpy as np
 
-from slave.bring_up.moving import Move, Mover, move_one, verdict, warm_up
-from slave.bring_up.reading import AtRest, format_at_rest, measure_at_rest
+from slave.bring_up.moving import GatedRig, MotorMove, evaluate_move, move_motor, warm_up
+from slave.bring_up.reading import RestMeasurement, format_rest_measurement, measure_at_rest
 from slave.config import SlaveConfig
 from slave.drivers import configs
 from slave.drivers.configs import DriverConfig
@@ -29,10 +29,10 @@ from slave.rigs.replayed import ReplayedRigConfig
 from teleop.config.loading import load
 from teleop.config.options import add_options
 from teleop.errors import TeleopError, UsageError
-from teleop.runtime.clock import Grid, Tick, now_ns, quiet_garbage
-from teleop.runtime.compiling import announced
-from teleop.runtime.process import seconds
-from teleop.runtime.realtime import go_realtime
+from teleop.runtime.clock import Grid, Tick, now_ns, pause_garbage_collection
+from teleop.runtime.compiling import announce_compilation
+from teleop.runtime.process import parse_seconds
+from teleop.runtime.realtime import request_realtime
 from teleop.session.config import RunConfig
 
 READ_S = 2.0  # [s]
@@ -51,7 +51,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     reset = actions.add_parser("reset", help="reset the faults of the drives")
     for action in (scan, check, reset):
         add_options(action, "--config", "--set", "--allow-imports")
-    check.add_argument("--duration", type=seconds, default=READ_S, help="of reading [s]")
+    check.add_argument("--duration", type=parse_seconds, default=READ_S, help="of reading [s]")
     check.add_argument(
         "--travel", type=float, default=TRAVEL_MM, metavar="MM", help="of each motor (0.5)"
     )
@@ -64,17 +64,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def main(args: argparse.Namespace) -> int:
     """Run a subcommand; returns the exit code."""
     if args.action == "check":
-        return check(args, input)
+        return check_rig(args, input)
     if args.action == "scan" and args.config is None and not args.overrides:
-        print("\n".join(interfaces() or ["no serial port and no CAN interface"]))
+        print("\n".join(list_interfaces() or ["no serial port and no CAN interface"]))
         return 0
-    rig = hardware(load(args.config, SlaveConfig, "slave", args.overrides))
+    rig = require_hardware_config(load(args.config, SlaveConfig, "slave", args.overrides))
     buses = [rig.motors] if rig.cells is None else [rig.motors, rig.cells]
     silent = []
     try:
         for bus in buses:
             is_scan, count = args.action == "scan", 0
-            for line in configs.scan(bus) if is_scan else configs.reset(bus, _motors_on(rig, bus)):
+            for line in (
+                configs.scan(bus) if is_scan else configs.reset(bus, _list_bus_motors(rig, bus))
+            ):
                 print(line, flush=True)
                 count += 1
             if is_scan and not count:
@@ -89,25 +91,29 @@ def main(args: argparse.Namespace) -> int:
     return 0
 
 
-def check(args: argparse.Namespace, prompt: Callable[[str], str]) -> int:
+def check_rig(args: argparse.Namespace, prompt: Callable[[str], str]) -> int:
     """Check the rig of a config; 1 if a motor or a cell does not answer as it should."""
     shared = load(args.config, RunConfig, None, args.overrides)
     config = load(args.config, SlaveConfig, "slave", args.overrides)
     if isinstance(config.rig, ReplayedRigConfig):
         raise UsageError("slave.rig.type: a replayed rig has no motors and sensors to check")
-    move = requested_move(args)
+    move = parse_requested_move(args)
     if not args.read_only:
-        with announced("the check", COMPILE_S):
+        with announce_compilation("the check", COMPILE_S):
             warm_up()  # else it would compile between a reading and the first target
     with ExitStack() as stack:
         if isinstance(config.rig, HardwareRigConfig):
-            go_realtime(shared.realtime)  # before the rig: its processes inherit the priority
+            request_realtime(shared.realtime)  # before the rig: its processes inherit the priority
         rig = open_rig(config.rig, args.read_only)
         stack.callback(rig.close)
         start_ns, ticks = now_ns(), iter(Grid(shared.rate_hz, lambda: False))
         try:
             rest = measure_at_rest(rig, ticks, start_ns, args.duration)
-            print("\n".join([*format_at_rest(rest), *format_counts(rig), *_format_summary(rig)]))
+            print(
+                "\n".join(
+                    [*format_rest_measurement(rest), *format_counts(rig), *_format_summary(rig)]
+                )
+            )
             if args.read_only:
                 return 0
             require_readings(rest)
@@ -118,23 +124,28 @@ def check(args: argparse.Namespace, prompt: Callable[[str], str]) -> int:
             if prompt(f"Type '{CONFIRMATION}' to go on: ").strip() != CONFIRMATION:
                 print("nothing was moved")
                 return 0
-            with quiet_garbage():  # a collection takes 0.1 to 0.6 s; drivers wait 0.2 s
+            with pause_garbage_collection():  # a collection takes 0.1 to 0.6 s; drivers wait 0.2 s
                 rest = measure_at_rest(rig, ticks, start_ns, args.duration)  # nobody read meanwhile
                 require_readings(rest)
-                return move_all(rig, config, ticks, start_ns, rest, move)
+                return move_all_motors(rig, config, ticks, start_ns, rest, move)
         except RigFault as fault:
             raise TeleopError(f"rig: {fault}") from fault
 
 
-def move_all(
-    rig: Rig, config: SlaveConfig, ticks: Iterator[Tick], start_ns: int, rest: AtRest, move: Move
+def move_all_motors(
+    rig: Rig,
+    config: SlaveConfig,
+    ticks: Iterator[Tick],
+    start_ns: int,
+    rest: RestMeasurement,
+    move: MotorMove,
 ) -> int:
     """Move one motor after the other; stops at the first that does not answer as it should."""
-    mover = Mover(rig, config.gate, ticks, start_ns, rest)
+    mover = GatedRig(rig, config.gate, ticks, start_ns, rest)
     mover.enable()
     for tendon in range(rig.tendons):
-        moved = move_one(mover, rest, tendon, move)
-        is_right, text = verdict(moved, rest)
+        moved = move_motor(mover, rest, tendon, move)
+        is_right, text = evaluate_move(moved, rest)
         print(text, flush=True)
         if not is_right:
             return 1
@@ -142,22 +153,22 @@ def move_all(
     return 0
 
 
-def require_readings(rest: AtRest) -> None:
+def require_readings(rest: RestMeasurement) -> None:
     """Raise `TeleopError` unless every tendon gives tension and displacement."""
     if not np.all(np.isfinite([rest.displacement, rest.tension])):
         raise TeleopError("rig: a tendon gives no reading, so nothing is moved")
 
 
-def requested_move(args: argparse.Namespace) -> Move:
+def parse_requested_move(args: argparse.Namespace) -> MotorMove:
     """Return the move that was asked for; `UsageError` if it is not a small one."""
     if not 0.0 < args.travel <= TRAVEL_MAX_MM:
         raise UsageError(f"--travel {args.travel:g}: must be above 0, at most {TRAVEL_MAX_MM:g} mm")
     if not 0.0 < args.force <= FORCE_MAX_N:
         raise UsageError(f"--force {args.force:g}: must be above 0, at most {FORCE_MAX_N:g} N")
-    return Move(args.travel * 1e-3, args.force)
+    return MotorMove(args.travel * 1e-3, args.force)
 
 
-def hardware(config: SlaveConfig) -> HardwareRigConfig:
+def require_hardware_config(config: SlaveConfig) -> HardwareRigConfig:
     """Return the rig's config; `UsageError` if it has no buses."""
     if not isinstance(config.rig, HardwareRigConfig):
         raise UsageError(
@@ -167,7 +178,7 @@ def hardware(config: SlaveConfig) -> HardwareRigConfig:
     return config.rig
 
 
-def interfaces() -> list[str]:
+def list_interfaces() -> list[str]:
     """Return serial ports by their lasting names, and CAN interfaces."""
     ports = sorted(Path("/dev/serial/by-id").glob("*"))
     lines = [f"{port} -> /dev/{port.resolve().name}" for port in ports]
@@ -178,7 +189,7 @@ def interfaces() -> list[str]:
     return lines
 
 
-def _motors_on(rig: HardwareRigConfig, bus: DriverConfig) -> tuple[int, ...]:
+def _list_bus_motors(rig: HardwareRigConfig, bus: DriverConfig) -> tuple[int, ...]:
     return rig.motor_ids if bus is rig.motors else ()
 
 

@@ -11,37 +11,37 @@ from typing import NamedTuple
 import numpy as np
 
 from estimator.array_types import Array
-from estimator.records import as_record
+from estimator.records import to_struct
 from slave import gate
-from slave.bring_up.reading import AtRest, displacement_of, measure_at_rest
+from slave.bring_up.reading import RestMeasurement, get_displacement, measure_at_rest
 from slave.calibration.run import (
+    NO_READINGS_TEXT,
     SILENCE_MAX_S,
-    UNREADABLE,
     WARM_UP_HZ,
-    StillRig,
-    fast_ticks,
+    StationaryRig,
+    generate_fast_ticks,
     is_complete,
 )
 from slave.gate import GateConfig
-from slave.rig import Rig, RigSample, motors_follow
+from slave.rig import Rig, RigSample, has_following_motors
 from teleop.errors import TeleopError
 from teleop.runtime.clock import Tick
 
 SPEED = 0.002  # [m/s]
 HOLD_S = 0.5  # [s] of which the second half is averaged
-BEFORE_S = 0.5  # [s] in which they hold before one moves
-SURE = 5.0  # standard deviations of the noise
+HOLD_BEFORE_S = 0.5  # [s] in which they hold before one moves
+SIGNIFICANCE = 5.0  # standard deviations of the noise
 TRAVEL_ERROR = 0.1  # relative, of the travel
 
 
-class Move(NamedTuple):
+class MotorMove(NamedTuple):
     """How far and how strongly a motor is moved."""
 
     travel: float  # [m]
     force: float  # [N] above the tension at rest
 
 
-class Moved(NamedTuple):
+class MoveResult(NamedTuple):
     """One motor's answer."""
 
     tendon: int  # from 0
@@ -50,37 +50,44 @@ class Moved(NamedTuple):
     tension: Array  # [N] change of every tendon, shape (tendons,)
 
 
-def move_one(mover: "Mover", rest: AtRest, tendon: int, move: Move) -> Moved:
+def move_motor(
+    mover: "GatedRig", rest: RestMeasurement, tendon: int, move: MotorMove
+) -> MoveResult:
     """Move one motor and back; the others hold."""
-    mover.run(BEFORE_S, mover.last)
+    mover.run(HOLD_BEFORE_S, mover.last)
     top = mover.pull(tendon, move)
     mover.run(HOLD_S / 2.0, mover.last)
     held = mover.run(HOLD_S / 2.0, mover.last)
-    travel, tension = _means(held)
-    mover.pull(tendon, Move(-top, np.inf))
+    travel, tension = _average_samples(held)
+    mover.pull(tendon, MotorMove(-top, np.inf))
     mover.run(HOLD_S / 2.0, mover.last)
-    return Moved(
+    return MoveResult(
         tendon, top, float(travel[tendon] - rest.displacement[tendon]), tension - rest.tension
     )
 
 
 def warm_up() -> None:
-    """Compile what a tick of a `Mover` calls, before a rig's readings grow old meanwhile."""
-    rig, ticks = StillRig(), fast_ticks(WARM_UP_HZ)
-    rest = measure_at_rest(rig, ticks, 0, BEFORE_S)
-    mover = Mover(rig, GateConfig(), ticks, 0, rest)
+    """Compile what a tick of a `GatedRig` calls, before a rig's readings grow old meanwhile."""
+    rig, ticks = StationaryRig(), generate_fast_ticks(WARM_UP_HZ)
+    rest = measure_at_rest(rig, ticks, 0, HOLD_BEFORE_S)
+    mover = GatedRig(rig, GateConfig(), ticks, 0, rest)
     mover.enable()
     mover.run(HOLD_S, mover.last)
 
 
-class Mover:
+class GatedRig:
     """A rig whose motors are moved through the gate, from where they were `rest`ing just now."""
 
     def __init__(
-        self, rig: Rig, limits: GateConfig, ticks: Iterable[Tick], start_ns: int, rest: AtRest
+        self,
+        rig: Rig,
+        limits: GateConfig,
+        ticks: Iterable[Tick],
+        start_ns: int,
+        rest: RestMeasurement,
     ) -> None:
         self.last = rest.displacement
-        self._rig, self._gate, self._start_ns = rig, as_record(limits), start_ns
+        self._rig, self._gate, self._start_ns = rig, to_struct(limits), start_ns
         self._ticks = iter(ticks)
         self._tension, self._silence = rest.tension, 0.0
         self._no_reach = gate.Reach.array(0)
@@ -92,13 +99,13 @@ class Mover:
             dt, samples = self._read()
             for sample in samples:
                 if is_complete(sample):
-                    self.last, is_located = displacement_of(sample), True
-            if is_located and motors_follow(self._rig):
+                    self.last, is_located = get_displacement(sample), True
+            if is_located and has_following_motors(self._rig):
                 return
             if is_located:
                 self._write(self.last, dt)
             elif self._silence > SILENCE_MAX_S:
-                raise TeleopError(f"rig: {UNREADABLE}")
+                raise TeleopError(f"rig: {NO_READINGS_TEXT}")
 
     def run(self, duration_s: float, wanted: Array) -> list[RigSample]:
         """Ask for a position for a while; return the samples."""
@@ -109,7 +116,7 @@ class Mover:
             samples += new
         return samples
 
-    def pull(self, tendon: int, move: Move) -> float:
+    def pull(self, tendon: int, move: MotorMove) -> float:
         """Move a motor by a travel, or until its tension has risen; return by how much."""
         begin, limit = self.last[tendon], self._tension[tendon] + move.force
         wanted, target = self.last.copy(), self.last[tendon] + move.travel
@@ -158,7 +165,7 @@ class Mover:
         self._rig.advance()
 
 
-def verdict(moved: Moved, rest: AtRest) -> tuple[bool, str]:
+def evaluate_move(moved: MoveResult, rest: RestMeasurement) -> tuple[bool, str]:
     """Return whether a motor has answered as it should, and what it did."""
     k, name = moved.tendon, f"tendon {moved.tendon + 1}"
     did = f"{name}: moved {moved.travel * 1e3:+.2f} of {moved.commanded * 1e3:+.2f} mm, "
@@ -167,18 +174,18 @@ def verdict(moved: Moved, rest: AtRest) -> tuple[bool, str]:
     answers = moved.tension / noise
     if abs(moved.travel - moved.commanded) > TRAVEL_ERROR * abs(moved.commanded):
         return False, f"{did}: the motor does not follow: power, limits, motor.counts_per_turn?"
-    if answers[k] > SURE:
+    if answers[k] > SIGNIFICANCE:
         return True, f"{did}: right"
-    if answers[k] < -SURE:
+    if answers[k] < -SIGNIFICANCE:
         return False, f"{did}: the tension falls: motor.direction, or the sign of cell.scale"
     other = int(np.argmax(answers))
-    if answers[other] > SURE:
+    if answers[other] > SIGNIFICANCE:
         return False, f"{did}: the cell of tendon {other + 1} answers in its place"
     return False, f"{did}: no tension: a slack tendon, or a cell that is not on it"
 
 
-def _means(samples: list[RigSample]) -> tuple[Array, Array]:
+def _average_samples(samples: list[RigSample]) -> tuple[Array, Array]:
     return (
-        np.mean([displacement_of(sample) for sample in samples], axis=0),
+        np.mean([get_displacement(sample) for sample in samples], axis=0),
         np.mean([sample.proximal_tension for sample in samples], axis=0),
     )

@@ -10,11 +10,11 @@ from slave.rig import Rig, RigSample
 from teleop.errors import TeleopError
 from teleop.runtime.clock import Tick
 
-LEAST = 10  # samples
+SAMPLES_MIN = 10  # samples
 
 
 @dataclass(frozen=True)
-class AtRest:
+class RestMeasurement:
     """Samples of a rig at rest: rates, means and noise of each tendon."""
 
     rate_hz: float
@@ -25,7 +25,9 @@ class AtRest:
     tension_noise: Array  # [N]
 
 
-def measure_at_rest(rig: Rig, ticks: Iterable[Tick], start_ns: int, duration_s: float) -> AtRest:
+def measure_at_rest(
+    rig: Rig, ticks: Iterable[Tick], start_ns: int, duration_s: float
+) -> RestMeasurement:
     """Read for a while, move nothing; `TeleopError` if there are too few samples."""
     samples: list[RigSample] = []
     began_ns = None
@@ -35,17 +37,17 @@ def measure_at_rest(rig: Rig, ticks: Iterable[Tick], start_ns: int, duration_s: 
         rig.advance()
         if (tick.stamp_ns - began_ns) * 1e-9 >= duration_s:
             break
-    if len(samples) < LEAST:
+    if len(samples) < SAMPLES_MIN:
         raise TeleopError(f"rig: {len(samples)} samples in {duration_s:g} s: check its sensors")
-    return at_rest(samples)
+    return compute_rest_measurement(samples)
 
 
-def at_rest(samples: Sequence[RigSample]) -> AtRest:
+def compute_rest_measurement(samples: Sequence[RigSample]) -> RestMeasurement:
     """Return what samples of a rig at rest say."""
     times = np.array([sample.time_s for sample in samples])
     tension = np.array([sample.proximal_tension for sample in samples])
-    displacement = np.array([displacement_of(sample) for sample in samples])
-    return AtRest(
+    displacement = np.array([get_displacement(sample) for sample in samples])
+    return RestMeasurement(
         rate_hz=float((len(times) - 1) / (times[-1] - times[0])),
         longest_gap_s=float(np.diff(times).max()),
         displacement=displacement.mean(axis=0),
@@ -55,7 +57,7 @@ def at_rest(samples: Sequence[RigSample]) -> AtRest:
     )
 
 
-def format_at_rest(found: AtRest) -> list[str]:
+def format_rest_measurement(found: RestMeasurement) -> list[str]:
     """Return the measurement as lines, with what is suspicious in it."""
     lines = [
         f"samples: {found.rate_hz:.0f} Hz, longest gap {found.longest_gap_s * 1e3:.1f} ms",
@@ -75,7 +77,7 @@ def format_at_rest(found: AtRest) -> list[str]:
     return lines
 
 
-def displacement_of(sample: RigSample) -> Array:
+def get_displacement(sample: RigSample) -> Array:
     """Return the displacements [m] of a sample; NaN without encoders."""
     if sample.proximal_displacement is None:
         return np.full(len(sample.proximal_tension), np.nan)

@@ -8,11 +8,11 @@ tension falls at once, and a cell that does not measure it is saturated.
 import math
 from typing import NamedTuple
 
-READINGS = 5  # alike
-TRAVEL = 2e-4  # [m] that the motor has pulled meanwhile
+REPEATS_MIN = 5  # alike
+TRAVEL_MIN = 2e-4  # [m] that the motor has pulled meanwhile
 
 
-class Cell(NamedTuple):
+class CellState(NamedTuple):
     """State of one load cell: the newest reading and how often it was repeated."""
 
     reading: float = math.nan  # [N] newest
@@ -20,13 +20,13 @@ class Cell(NamedTuple):
     since: float = math.nan  # [m] motor travel at its first occurrence
 
 
-def update(cell: Cell, reading: float, travel: float) -> Cell:
+def update(cell: CellState, reading: float, travel: float) -> CellState:
     """Return the state after a new reading [N] at a motor travel [m]."""
     if reading == cell.reading:
         return cell._replace(alike=cell.alike + 1)
-    return Cell(reading, 0, travel)
+    return CellState(reading, 0, travel)
 
 
-def is_stuck(cell: Cell, travel: float) -> bool:
+def is_stuck(cell: CellState, travel: float) -> bool:
     """Return whether the reading stayed constant although the motor pulled on to `travel` [m]."""
-    return cell.alike >= READINGS and travel - cell.since > TRAVEL
+    return cell.alike >= REPEATS_MIN and travel - cell.since > TRAVEL_MIN

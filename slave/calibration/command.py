@@ -20,14 +20,14 @@ from pathlib import Path
 from typing import Any
 
 from slave.calibration import file
-from slave.calibration.file import Calibration, Direction, Value
+from slave.calibration.file import Calibration, TendonCalibration, ValueWithUncertainty
 from slave.calibration.initialise import InitialiseResult, initialise
-from slave.calibration.refusals import tendon_name
+from slave.calibration.refusals import format_tendon_name
 from slave.calibration.run import (
     CalibrationInterrupted,
     ProcedureData,
-    Progress,
-    fast_ticks,
+    ProcedureProgress,
+    generate_fast_ticks,
     warm_up,
 )
 from slave.config import SlaveConfig
@@ -39,23 +39,23 @@ from teleop.config.loading import load
 from teleop.config.options import add_option, add_options
 from teleop.errors import UsageError
 from teleop.runtime.clock import Grid, Tick, now_ns
-from teleop.runtime.compiling import announced
+from teleop.runtime.compiling import announce_compilation
 from teleop.runtime.output_file import (
-    FIGURES,
+    FIGURE_SUFFIXES,
     OutputFile,
     UpdatedFile,
-    parse,
-    same_file,
+    is_same_file,
+    parse_output,
     save_figure,
 )
-from teleop.runtime.process import Stop
-from teleop.runtime.realtime import go_realtime
+from teleop.runtime.process import StopCondition
+from teleop.runtime.realtime import request_realtime
 from teleop.session.config import RunConfig
 
 COMPILE_S = 10.0  # [s] of a processor, without a cache
-BAR = 24  # characters
-SHOWN_EVERY_S = 0.1  # [s] of the rig's time
-NOTED_EVERY_S = 10.0  # [s] likewise, if the output is not a terminal
+BAR_WIDTH = 24  # characters
+BAR_PERIOD_S = 0.1  # [s] of the rig's time
+LINE_PERIOD_S = 10.0  # [s] likewise, if the output is not a terminal
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -83,7 +83,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--figure",
-        type=OutputFile(*FIGURES),
+        type=OutputFile(*FIGURE_SUFFIXES),
         metavar="FILE.png",
         help="draw tension over motor travel, as in figure 6 of the paper",
     )
@@ -98,22 +98,22 @@ def main(args: argparse.Namespace) -> int:
             "slave.rig.type: a replayed rig cannot be calibrated; fit the data instead: teleop "
             "estimate DATA --fit --save FILE"
         )
-    figure = None if args.figure is None else drawing()
+    figure = None if args.figure is None else import_draw_figure()
     is_real = not isinstance(config.rig, SimulatedRigConfig)
     if is_real:
-        with announced("the calibration", COMPILE_S):
+        with announce_compilation("the calibration", COMPILE_S):
             warm_up()  # else it would compile while the motors wait for targets
-        go_realtime(shared.realtime)  # before the rig: its processes inherit the priority
+        request_realtime(shared.realtime)  # before the rig: its processes inherit the priority
     with ExitStack() as stack:
         rig = open_rig(config.rig)
         stack.callback(rig.close)
-        stop = Stop()
-        out = args.out or parse(UpdatedFile(), "--out", f"{rig.name}-calibration.yaml")
-        joints = selected_joints(args.joint, len(rig.joints))
-        replaced = replaceable(out, args.config, args.force)
-        require_other(args.figure, out)
-        earlier = replaced or earlier_file(config, needed=bool(joints))
-        start_ns, ticks = pace(shared.rate_hz, is_real)
+        stop = StopCondition()
+        out = args.out or parse_output(UpdatedFile(), "--out", f"{rig.name}-calibration.yaml")
+        joints = select_joints(args.joint, len(rig.joints))
+        replaced = load_replaced_calibration(out, args.config, args.force)
+        require_other_file(args.figure, out)
+        earlier = replaced or load_earlier_calibration(config, needed=bool(joints))
+        start_ns, ticks = start_ticks(shared.rate_hz, is_real)
         try:
             found = initialise(
                 rig,
@@ -125,7 +125,9 @@ def main(args: argparse.Namespace) -> int:
                 together=args.together,
                 earlier=earlier,
                 stopped=lambda: f"{stop.reason}: stopped, no file written" if stop() else "",
-                progress=show_bar(rig) if sys.stderr.isatty() else print_lines(rig),
+                progress=build_progress_bar(rig)
+                if sys.stderr.isatty()
+                else build_progress_printer(rig),
                 analysing=stop.interrupting,
             )
         except CalibrationInterrupted as error:
@@ -140,7 +142,7 @@ def main(args: argparse.Namespace) -> int:
     return 0
 
 
-def selected_joints(numbers: list[int], count: int) -> tuple[int, ...]:
+def select_joints(numbers: list[int], count: int) -> tuple[int, ...]:
     """Return the joints of `--joint`, counted from 0."""
     for number in numbers:
         if not 1 <= number <= count:
@@ -148,12 +150,12 @@ def selected_joints(numbers: list[int], count: int) -> tuple[int, ...]:
     return tuple(sorted({number - 1 for number in numbers}))
 
 
-def replaceable(out: Path, config: Path | None, force: bool) -> Calibration | None:
+def load_replaced_calibration(out: Path, config: Path | None, force: bool) -> Calibration | None:
     """Return the calibration in `out` that will be replaced; None if there is no file.
 
     Raises `UsageError` before the procedure starts if `out` is any other file, and not `force`.
     """
-    if config is not None and same_file(out, config):
+    if config is not None and is_same_file(out, config):
         raise UsageError(f"{out}: this is the config file; choose another file with --out")
     if not out.is_file():
         return None
@@ -168,13 +170,13 @@ def replaceable(out: Path, config: Path | None, force: bool) -> Calibration | No
         ) from error
 
 
-def require_other(figure: Path | None, out: Path) -> None:
+def require_other_file(figure: Path | None, out: Path) -> None:
     """Raise `UsageError` if the figure would overwrite the calibration."""
     if figure is not None and figure.resolve() == out.resolve():
         raise UsageError(f"{figure}: this is the calibration; choose another file with --figure")
 
 
-def earlier_file(config: SlaveConfig, needed: bool) -> Calibration | None:
+def load_earlier_calibration(config: SlaveConfig, needed: bool) -> Calibration | None:
     """Return the calibration that the config names, None if it cannot be read.
 
     Raises `UsageError` instead if it is `needed`, for the joints that are not calibrated now.
@@ -190,44 +192,42 @@ def earlier_file(config: SlaveConfig, needed: bool) -> Calibration | None:
         return None
 
 
-def pace(rate_hz: float, is_real: bool) -> tuple[int, Iterator[Tick]]:
+def start_ticks(rate_hz: float, is_real: bool) -> tuple[int, Iterator[Tick]]:
     """Return the start of session time [ns] and the ticks: real time except for simulated rigs."""
     if not is_real:
-        return 0, fast_ticks(rate_hz)
+        return 0, generate_fast_ticks(rate_hz)
     return now_ns(), iter(Grid(rate_hz, lambda: False))
 
 
-def show_bar(rig: Rig) -> Callable[[Progress], None]:
+def build_progress_bar(rig: Rig) -> Callable[[ProcedureProgress], None]:
     """Return a callback that updates a progress bar on the terminal."""
     next_s = 0.0
 
-    def show(progress: Progress) -> None:
+    def show(progress: ProcedureProgress) -> None:
         nonlocal next_s
         if progress.time_s < next_s:
             return
-        next_s = progress.time_s + SHOWN_EVERY_S
-        where = _name(rig, progress)
-        bar = "#" * round(BAR * progress.done)
+        next_s = progress.time_s + BAR_PERIOD_S
+        where = _format_pulled_tendon(rig, progress)
+        bar = "#" * round(BAR_WIDTH * progress.done)
         tension = " ".join(f"{t:5.1f}" for t in progress.tension)
-        line = (
-            f"[{bar:<{BAR}}] {progress.time_s:5.1f} s  {where}: {progress.phase.text}  {tension} N"
-        )
+        line = f"[{bar:<{BAR_WIDTH}}] {progress.time_s:5.1f} s  {where}: {progress.phase.text}  {tension} N"
         print(f"\r{line:<100.100}", end="", file=sys.stderr, flush=True)
 
     return show
 
 
-def print_lines(rig: Rig) -> Callable[[Progress], None]:
+def build_progress_printer(rig: Rig) -> Callable[[ProcedureProgress], None]:
     """Return a callback that prints a line per tendon and every few seconds, for a log."""
     next_s, at = 0.0, (0, 0)
 
-    def note(progress: Progress) -> None:
+    def note(progress: ProcedureProgress) -> None:
         nonlocal next_s, at
         place = (progress.joint, progress.side)
         if place == at and progress.time_s < next_s:
             return
-        next_s, at = progress.time_s + NOTED_EVERY_S, place
-        where = _name(rig, progress)
+        next_s, at = progress.time_s + LINE_PERIOD_S, place
+        where = _format_pulled_tendon(rig, progress)
         print(
             f"{progress.time_s:6.1f} s  {progress.done:4.0%}  {where}: {progress.phase.text}",
             file=sys.stderr,
@@ -237,18 +237,18 @@ def print_lines(rig: Rig) -> Callable[[Progress], None]:
     return note
 
 
-def _name(rig: Rig, progress: Progress) -> str:
+def _format_pulled_tendon(rig: Rig, progress: ProcedureProgress) -> str:
     count = len(rig.joints[progress.joint - 1])
-    return tendon_name(progress.joint, count, progress.side % count)
+    return format_tendon_name(progress.joint, count, progress.side % count)
 
 
-def drawing() -> Callable[[ProcedureData, Calibration], Any]:
+def import_draw_figure() -> Callable[[ProcedureData, Calibration], Any]:
     """Return what draws the measured loops; found out before any motor moves."""
     try:
-        from slave.calibration.figure import figure
+        from slave.calibration.figure import draw_figure
     except ImportError as error:
         raise UsageError(f"--figure: {error}; install matplotlib") from error
-    return figure
+    return draw_figure
 
 
 def format_report(
@@ -263,7 +263,7 @@ def format_report(
         f"{'M_pull mm/N':>20}{'M_rel mm/N':>20}{'EA/L N/mm':>16}",
     ]
     for direction in calibration.directions:
-        lines += _row(direction)
+        lines += _format_direction_rows(direction)
     for number, travel in enumerate(calibration.ranges, start=1):
         if travel is not None:
             lines.append(f"joint {number} travels {travel * 1e3:.2f} mm between its stops")
@@ -273,17 +273,17 @@ def format_report(
     return lines
 
 
-def _row(direction: Direction) -> list[str]:
+def _format_direction_rows(direction: TendonCalibration) -> list[str]:
     paper = direction.K_paper
     row = (
         f"joint {direction.joint} tendon {direction.tendon:2}"
-        f"{_pm(direction.K, 4):>15}{_pm(direction.K_slopes, 4):>16}"
-        f"{_pm(paper, 4) if paper else 'needs EA and L':>16}"
-        f"{_pm(direction.M_pull, 5, 1e3):>20}{_pm(direction.M_rel, 5, 1e3):>20}"
-        f"{_pm(direction.stiffness_per_length, 3, 1e-3):>16}"
+        f"{_format_uncertain_value(direction.K, 4):>15}{_format_uncertain_value(direction.K_slopes, 4):>16}"
+        f"{_format_uncertain_value(paper, 4) if paper else 'needs EA and L':>16}"
+        f"{_format_uncertain_value(direction.M_pull, 5, 1e3):>20}{_format_uncertain_value(direction.M_rel, 5, 1e3):>20}"
+        f"{_format_uncertain_value(direction.stiffness_per_length, 3, 1e-3):>16}"
     )
     return [row, f"  {direction.remark}"] if direction.remark else [row]
 
 
-def _pm(value: Value, digits: int, scale: float = 1.0) -> str:
+def _format_uncertain_value(value: ValueWithUncertainty, digits: int, scale: float = 1.0) -> str:
     return f"{value.value * scale:.{digits}f}±{value.uncertainty * scale:.{digits}f}"

@@ -92,19 +92,19 @@ class InitialiseConfig:
         )
 
 
-def known_sheath(config: InitialiseConfig, tendon: int) -> KnownSheathConfig:
+def get_known_sheath(config: InitialiseConfig, tendon: int) -> KnownSheathConfig:
     """Return the known parameters of one tendon's sheath; the count was checked before."""
     if not config.sheaths:
         return KnownSheathConfig()
     return config.sheaths[tendon if len(config.sheaths) > 1 else 0]
 
 
-def compliance_limit(config: InitialiseConfig, tendon: int) -> float:
+def compute_compliance_limit(config: InitialiseConfig, tendon: int) -> float:
     """Return the largest possible e/T_in [m/N] at a stop: the frictionless L/EA.
 
     With a margin of 50 % if L and EA are known, so that a wrong EA does not hide a stop.
     """
-    known = known_sheath(config, tendon)
+    known = get_known_sheath(config, tendon)
     if known.axial_stiffness is None:
         return config.compliance_max
     return 1.5 * known.length / known.axial_stiffness

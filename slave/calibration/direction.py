@@ -11,28 +11,30 @@ import numpy as np
 
 from estimator import signals
 from estimator.calibration import calibration as blocked_tip
-from estimator.calibration.calibration import CalibrationError, Measured
+from estimator.calibration.calibration import CalibrationError, MeasuredValue
 from estimator.law.sheath import Sheath
-from estimator.plausibility import implausible
+from estimator.plausibility import find_implausible_parameter
 from slave.calibration import refusals
 from slave.calibration.config import KnownSheathConfig
-from slave.calibration.file import Direction, Value
+from slave.calibration.file import TendonCalibration, ValueWithUncertainty
 from slave.calibration.procedure_state import Phase
-from slave.calibration.pulled import PulledTendon, Rows, loops, slope_of
+from slave.calibration.pulled import PulledTendon, Rows, extract_loops, fit_slope
 from slave.calibration.refusals import TENDON_NAMES
 from slave.calibration.run import CalibrationRefused
 from slave.rigs.simulated.plant.sheath import SectionConfig
 from slave.tendon_config import TendonConfig
 
-BEYOND = 0.15  # of the rise of tension after contact: from there on the tip rests at the stop
-SURE = 3.0  # standard uncertainties
-CURVED = 0.06  # allowed relative difference of the slopes of the two halves of a pull
-SOFTER = 0.15  # of the known L/EA: allowed excess of the measured compliance
-UNDECIDED = 0.2  # relative distance of K to the end of the range that the loop can resolve
-BIASED = 0.1  # [N] allowed zero offset of a load cell
-TARE = 0.15  # [N] zero offset above which a small tension cannot be controlled
-COVER = 1.96  # standard uncertainties on each side of 95 %
-LEAST_ERROR = 0.02  # relative error of K, the least that the estimator's interval allows for
+REST_TENSION_SHARE = (
+    0.15  # of the rise of tension after contact: from there on the tip rests at the stop
+)
+SIGNIFICANCE = 3.0  # standard uncertainties
+CURVATURE_MAX = 0.06  # allowed relative difference of the slopes of the two halves of a pull
+COMPLIANCE_EXCESS_MAX = 0.15  # of the known L/EA: allowed excess of the measured compliance
+RESOLUTION_MARGIN = 0.2  # relative distance of K to the end of the range that the loop can resolve
+OFFSET_WARNING = 0.1  # [N] allowed zero offset of a load cell
+OFFSET_MAX = 0.15  # [N] zero offset above which a small tension cannot be controlled
+COVERAGE_FACTOR = 1.96  # standard uncertainties on each side of 95 %
+RELATIVE_ERROR_MIN = 0.02  # relative error of K, the least that the estimator's interval allows for
 QUICK_RELEASES = 2  # in the quick procedure, including the one after the first pull
 DIGITS = 6
 
@@ -48,53 +50,55 @@ def calibrate_tendon(
         If the data are not those of a tendon in a sheath against an end stop.
     """
     zero = pulled.zero
-    if zero is not None and abs(zero) > TARE:
+    if zero is not None and abs(zero) > OFFSET_MAX:
         raise CalibrationRefused(
             f"{pulled.name}: the load cell reads {zero:.2f} N while the tendon is slack; tare it"
         )
-    _require_straight(pulled, known)
-    found = _fitted(pulled, known, low)
+    _require_straight_pull(pulled, known)
+    found = _fit_loops(pulled, known, low)
     EA = found.stiffness_per_length.value * known.length
-    if wrong := implausible(found.K.value, EA, found.T_peak.value):
+    if wrong := find_implausible_parameter(found.K.value, EA, found.T_peak.value):
         raise CalibrationRefused(f"{pulled.name}: {wrong}")
     if known.axial_stiffness is not None:
-        _require_stiff(pulled, found, known.length / known.axial_stiffness, known.stiffness_error)
+        _require_stiff_loop(
+            pulled, found, known.length / known.axial_stiffness, known.stiffness_error
+        )
     return found
 
 
-def describe_direction(
+def build_tendon_calibration(
     pulled: PulledTendon, known: KnownSheathConfig, found: blocked_tip.Calibration, remark: str = ""
-) -> tuple[Direction, TendonConfig]:
+) -> tuple[TendonCalibration, TendonConfig]:
     """Return the file entry and the estimator parameters of a tendon.
 
     `remark` is a note from an earlier step.
     """
     zero = pulled.zero
-    remarks = [remark, _disagreement(found, known)]
-    if zero is not None and abs(zero) > BIASED:
+    remarks = [remark, _describe_disagreement(found, known)]
+    if zero is not None and abs(zero) > OFFSET_WARNING:
         remarks.append(f"its load cell reads {zero:.2f} N while it is slack: tare it")
-    first = _surely_beyond(pulled)
+    first = _select_beyond_contact(pulled)
     unstretched = pulled.travel[first] - found.M_pull.value * pulled.tension[first]
-    direction = Direction(
+    direction = TendonCalibration(
         joint=pulled.joint + 1,
         tendon=TENDON_NAMES[pulled.side],
-        K=_value(found.K),
-        K_slopes=_value(found.K_loop),
-        K_paper=found.K_paper and _value(found.K_paper),
-        K_paper_ratio=found.K_paper_ratio and _value(found.K_paper_ratio),
-        M_pull=_value(found.M_pull),
-        M_rel=_value(found.M_rel),
-        stiffness_per_length=_value(found.stiffness_per_length),
+        K=_to_value(found.K),
+        K_slopes=_to_value(found.K_loop),
+        K_paper=found.K_paper and _to_value(found.K_paper),
+        K_paper_ratio=found.K_paper_ratio and _to_value(found.K_paper_ratio),
+        M_pull=_to_value(found.M_pull),
+        M_rel=_to_value(found.M_rel),
+        stiffness_per_length=_to_value(found.stiffness_per_length),
         uniform=found.uniform,
         stop=round_significant(float(np.mean(unstretched))),
         free_tension=round_significant(pulled.free_tension),
         zero=None if zero is None else round_significant(zero),
         remark="; ".join(filter(None, remarks)),
     )
-    return direction, _tendon_config(pulled, found, known)
+    return direction, _build_tendon_config(pulled, found, known)
 
 
-def _tendon_config(
+def _build_tendon_config(
     pulled: PulledTendon, found: blocked_tip.Calibration, known: KnownSheathConfig
 ) -> TendonConfig:
     """Return the estimator parameters; several sections if the curvature is uneven."""
@@ -105,17 +109,17 @@ def _tendon_config(
         effective_friction=round_significant(found.K.value) if even else None,
         length=known.length,
         friction=None if even else model.friction,
-        sections=() if even else _sections(model, found.K.value),
+        sections=() if even else _scale_sections(model, found.K.value),
         axial_stiffness=round_significant(model.axial_stiffness),
         tension_noise=round_significant(signals.noise_sigma(pulled.tension[moving])),
         displacement_noise=round_significant(signals.noise_sigma(pulled.travel[moving])),
         friction_error=round_significant(
-            max(LEAST_ERROR, COVER * found.K.uncertainty / found.K.value)
+            max(RELATIVE_ERROR_MIN, COVERAGE_FACTOR * found.K.uncertainty / found.K.value)
         ),
     )
 
 
-def _sections(model: Sheath, K: float) -> tuple[SectionConfig, ...]:
+def _scale_sections(model: Sheath, K: float) -> tuple[SectionConfig, ...]:
     """Return the sections of a model, bends scaled to the identified K."""
     scale = model.K / K
     return tuple(
@@ -124,8 +128,10 @@ def _sections(model: Sheath, K: float) -> tuple[SectionConfig, ...]:
     )
 
 
-def _fitted(pulled: PulledTendon, known: KnownSheathConfig, low: float) -> blocked_tip.Calibration:
-    there = loops(pulled, low)
+def _fit_loops(
+    pulled: PulledTendon, known: KnownSheathConfig, low: float
+) -> blocked_tip.Calibration:
+    there = extract_loops(pulled, low)
     again = int(pulled.record.releases[:, pulled.joint].max()) > QUICK_RELEASES
     try:
         found = [
@@ -139,43 +145,45 @@ def _fitted(pulled: PulledTendon, known: KnownSheathConfig, low: float) -> block
             for loop in there
         ]
     except CalibrationError as error:
-        raise CalibrationRefused(refusals.no_loop(pulled.name, str(error))) from error
+        raise CalibrationRefused(refusals.format_no_loop(pulled.name, str(error))) from error
     best, loop = min(zip(found, there, strict=True), key=lambda one: one[0].K.uncertainty)
     lowest = max(float(np.quantile(loop.tension, 0.01)), 1e-3 * best.T_peak.value)
     reach = 0.5 * math.log(best.T_peak.value / lowest)
-    if best.K.value > reach - UNDECIDED:
+    if best.K.value > reach - RESOLUTION_MARGIN:
         raise CalibrationRefused(
-            refusals.undecided(pulled.name, best.K.value, best.T_peak.value, lowest, reach, again)
+            refusals.format_unresolved_friction(
+                pulled.name, best.K.value, best.T_peak.value, lowest, reach, again
+            )
         )
     return best
 
 
-def _surely_beyond(pulled: PulledTendon) -> Rows:
+def _select_beyond_contact(pulled: PulledTendon) -> Rows:
     """Return the first pull without its beginning, where the joint may still have moved."""
     top = float(pulled.tension[pulled.first_pull].max())
-    least = pulled.contact.tension + BEYOND * (top - pulled.contact.tension)
+    least = pulled.contact.tension + REST_TENSION_SHARE * (top - pulled.contact.tension)
     return pulled.first_pull & (pulled.tension > least)
 
 
-def _require_straight(pulled: PulledTendon, known: KnownSheathConfig) -> None:
+def _require_straight_pull(pulled: PulledTendon, known: KnownSheathConfig) -> None:
     """Refuse a pull that is curved, or softer than a tendon without friction.
 
     Tissue grows stiffer as it is pressed, a tendon does not; and m = M_pull EA/L is below 1.
     """
-    rows = _surely_beyond(pulled)
+    rows = _select_beyond_contact(pulled)
     T, q = pulled.tension[rows], pulled.travel[rows]
     middle = 0.5 * (T.min() + T.max())
-    halves = [slope_of(T[half], q[half]) for half in (middle > T, middle <= T)]
+    halves = [fit_slope(T[half], q[half]) for half in (middle > T, middle <= T)]
     change = halves[1].value - halves[0].value
-    doubt = SURE * math.hypot(halves[0].uncertainty, halves[1].uncertainty)
-    if abs(change) > CURVED * abs(halves[1].value) + doubt:
+    doubt = SIGNIFICANCE * math.hypot(halves[0].uncertainty, halves[1].uncertainty)
+    if abs(change) > CURVATURE_MAX * abs(halves[1].value) + doubt:
         first, second = (half.value * 1e3 for half in halves)
         raise CalibrationRefused(
             f"{pulled.name}: the pull against the stop is not straight ({first:.3f} mm/N, then "
             f"{second:.3f} mm/N): the tip presses on something soft, or the sheath moves; free "
             "the tip and fix the sheath"
         )
-    slope = slope_of(T, q)
+    slope = fit_slope(T, q)
     m = slope.value * (known.axial_stiffness or 0.0) / known.length
     if m >= 1.0:
         raise CalibrationRefused(
@@ -184,13 +192,13 @@ def _require_straight(pulled: PulledTendon, known: KnownSheathConfig) -> None:
         )
 
 
-def _require_stiff(
+def _require_stiff_loop(
     pulled: PulledTendon, found: blocked_tip.Calibration, known: float, error: float
 ) -> None:
     """Refuse a loop softer than the frictionless tendon, L/EA `known` in m/N."""
     stiffness = found.stiffness_per_length
-    doubt = SURE * math.hypot(stiffness.uncertainty / stiffness.value, error)
-    if 1.0 / stiffness.value > known * (1.0 + SOFTER + doubt):
+    doubt = SIGNIFICANCE * math.hypot(stiffness.uncertainty / stiffness.value, error)
+    if 1.0 / stiffness.value > known * (1.0 + COMPLIANCE_EXCESS_MAX + doubt):
         raise CalibrationRefused(
             f"{pulled.name}: the measured compliance is {1e3 / stiffness.value:.3f} mm/N "
             f"without friction, L/EA is {known * 1e3:.3f} mm/N: the tip yields, as against "
@@ -198,7 +206,7 @@ def _require_stiff(
         )
 
 
-def _disagreement(found: blocked_tip.Calibration, known: KnownSheathConfig) -> str:
+def _describe_disagreement(found: blocked_tip.Calibration, known: KnownSheathConfig) -> str:
     """Return a remark if the methods for K disagree, else an empty text."""
     if found.agree:
         return ""
@@ -218,8 +226,10 @@ def _disagreement(found: blocked_tip.Calibration, known: KnownSheathConfig) -> s
     )
 
 
-def _value(measured: Measured) -> Value:
-    return Value(round_significant(measured.value), round_significant(measured.uncertainty))
+def _to_value(measured: MeasuredValue) -> ValueWithUncertainty:
+    return ValueWithUncertainty(
+        round_significant(measured.value), round_significant(measured.uncertainty)
+    )
 
 
 def round_significant(value: float) -> float:

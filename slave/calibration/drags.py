@@ -13,10 +13,10 @@ from estimator.calibration.calibration import (
     AGREEMENT,
     Calibration,
     CalibrationError,
-    Measured,
-    together,
+    MeasuredValue,
+    combine_calibrations,
 )
-from estimator.calibration.drag import friction_of_both
+from estimator.calibration.drag import fit_friction_sum
 from slave.calibration.pulled import PulledTendon
 
 
@@ -38,8 +38,8 @@ def combine_with_drags(
     """
     a, b = found
     try:
-        total = _sum(pulled, found, gain_error)
-        return list(together(a, b, total)), ""
+        total = _estimate_friction_sum(pulled, found, gain_error)
+        return list(combine_calibrations(a, b, total)), ""
     except CalibrationError as error:
         return [a, b], (
             f"drags not used, K is from the loops alone: {error}; the joint's own friction may "
@@ -47,12 +47,12 @@ def combine_with_drags(
         )
 
 
-def _sum(
+def _estimate_friction_sum(
     pulled: Sequence[PulledTendon], found: Sequence[Calibration], gain_error: float
-) -> Measured:
+) -> MeasuredValue:
     """Return K_a + K_b from all drags."""
     sums = [
-        _of_drag(own, other, calibration.M_pull.value)
+        _estimate_sum_from_drag(own, other, calibration.M_pull.value)
         for own, other, calibration in zip(pulled, reversed(pulled), found, strict=True)
         if own.dragging.any()
     ]
@@ -60,19 +60,19 @@ def _sum(
         raise CalibrationError("no drag was recorded")
     gains = math.sqrt(2.0) * gain_error
     if len(sums) == 1:
-        return Measured(sums[0].value, math.hypot(sums[0].uncertainty, gains))
+        return MeasuredValue(sums[0].value, math.hypot(sums[0].uncertainty, gains))
     first, second = sums
     noise = math.hypot(first.uncertainty, second.uncertainty)
     if abs(first.value - second.value) > AGREEMENT * math.hypot(noise, 2.0 * gains):
         raise CalibrationError(
             f"K of both tendons is {first.value:.3f} as a draws b, {second.value:.3f} as b draws a"
         )
-    return Measured(0.5 * (first.value + second.value), 0.5 * noise)
+    return MeasuredValue(0.5 * (first.value + second.value), 0.5 * noise)
 
 
-def _of_drag(own: PulledTendon, other: PulledTendon, M_pull: float) -> Measured:
+def _estimate_sum_from_drag(own: PulledTendon, other: PulledTendon, M_pull: float) -> MeasuredValue:
     """Return K_a + K_b from one drag; `M_pull` [m/N] is of the pulled tendon."""
     rows = own.dragging
     tension = own.tension[rows]
     travel = own.travel[rows] - M_pull * tension
-    return friction_of_both(tension, other.tension[rows], travel)
+    return fit_friction_sum(tension, other.tension[rows], travel)

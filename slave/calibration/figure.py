@@ -4,15 +4,15 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from slave.calibration.file import Calibration, Direction
+from slave.calibration.file import Calibration, TendonCalibration
 from slave.calibration.procedure_state import Phase
 from slave.calibration.refusals import TENDON_NAMES
 from slave.calibration.run import ProcedureData
 
-PULLED, OTHER, LINE = "#b2182b", "#2166ac", "#444444"
+PULLED_COLOUR, OTHER_COLOUR, LINE_COLOUR = "#b2182b", "#2166ac", "#444444"
 
 
-def figure(record: ProcedureData, calibration: Calibration) -> Figure:
+def draw_figure(record: ProcedureData, calibration: Calibration) -> Figure:
     """Return a row of panels for each joint done, one panel a tendon."""
     done = [j for j, stops in enumerate(record.stops) if stops]
     across = max(len(record.joints[j]) for j in done)
@@ -22,22 +22,28 @@ def figure(record: ProcedureData, calibration: Calibration) -> Figure:
     for row, j in zip(panels, done, strict=True):
         for side, panel in enumerate(row):
             if side < len(record.joints[j]):
-                _panel(panel, record, j, side, found[j, TENDON_NAMES[side]])
+                _draw_panel(panel, record, j, side, found[j, TENDON_NAMES[side]])
             else:
                 panel.set_axis_off()
     return page
 
 
-def _panel(panel: Axes, record: ProcedureData, j: int, side: int, direction: Direction) -> None:
+def _draw_panel(
+    panel: Axes, record: ProcedureData, j: int, side: int, direction: TendonCalibration
+) -> None:
     tendons = record.joints[j]
     phases = [Phase.SEEK, Phase.SLACKEN, Phase.RELEASE, Phase.PULL]
     rows = (record.side[:, j] == side) & np.isin(record.phase[:, j], phases)
     travel = 1e3 * record.travel[rows, tendons[side]]
     tension = record.tension[rows, tendons[side]]
-    panel.plot(travel, tension, color=PULLED, lw=0.9, label=f"tendon {TENDON_NAMES[side]}, pulled")
+    panel.plot(
+        travel, tension, color=PULLED_COLOUR, lw=0.9, label=f"tendon {TENDON_NAMES[side]}, pulled"
+    )
     if len(tendons) == 2:
         other = record.tension[rows, tendons[1 - side]]
-        panel.plot(travel, other, color=OTHER, lw=0.9, label=f"tendon {TENDON_NAMES[1 - side]}")
+        panel.plot(
+            travel, other, color=OTHER_COLOUR, lw=0.9, label=f"tendon {TENDON_NAMES[1 - side]}"
+        )
     peak = float(tension.max())
     released = peak * np.exp(-2.0 * direction.K.value)
     slopes = (
@@ -48,8 +54,8 @@ def _panel(panel: Axes, record: ProcedureData, j: int, side: int, direction: Dir
         ends = np.array(tensions)
         line = 1e3 * (direction.stop + slope * ends)
         label = f"{name} = {1e3 * slope:.4f} mm/N"
-        panel.plot(line, ends, color=LINE, ls=style, lw=1.4, label=label)
-    panel.axvline(1e3 * direction.stop, color=LINE, ls=":", lw=1.0)
+        panel.plot(line, ends, color=LINE_COLOUR, ls=style, lw=1.4, label=label)
+    panel.axvline(1e3 * direction.stop, color=LINE_COLOUR, ls=":", lw=1.0)
     panel.text(1e3 * direction.stop, 0.97 * peak, "stop ", fontsize=8, ha="right")
     panel.set_title(
         f"joint {direction.joint}, tendon {direction.tendon}: K = {direction.K.value:.3f}"

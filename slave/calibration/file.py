@@ -10,13 +10,13 @@ from slave.tendon_config import TendonConfig
 from teleop.config import loading, strict_yaml
 from teleop.errors import UsageError
 from teleop.messages.messages import MAX_TENDONS
-from teleop.runtime.process import write_whole
+from teleop.runtime.process import write_text_file
 
 JointTendons = tuple[tuple[int, ...], ...]
 
 
 @dataclass(frozen=True, slots=True)
-class Value:
+class ValueWithUncertainty:
     """A number and its standard uncertainty, in the same unit."""
 
     value: float
@@ -24,7 +24,7 @@ class Value:
 
 
 @dataclass(frozen=True, slots=True)
-class Direction:
+class TendonCalibration:
     """Calibration of one tendon against its stop; docs/calibration.md has the methods.
 
     The paper's K needs EA and L.
@@ -32,16 +32,20 @@ class Direction:
 
     joint: int  # from 1
     tendon: str  # a or b
-    K: Value  # from the whole loop, and from the drags if there are two tendons: the one to use
-    K_slopes: Value  # ln(M_rel / M_pull)
-    M_pull: Value  # [m/N]
-    M_rel: Value  # [m/N]
-    stiffness_per_length: Value  # EA/L [N/m]
+    K: ValueWithUncertainty  # from the whole loop, and from the drags if there are two tendons: the one to use
+    K_slopes: ValueWithUncertainty  # ln(M_rel / M_pull)
+    M_pull: ValueWithUncertainty  # [m/N]
+    M_rel: ValueWithUncertainty  # [m/N]
+    stiffness_per_length: ValueWithUncertainty  # EA/L [N/m]
     uniform: bool  # whether these two K agree: the curvature is even
     stop: float  # [m] travel of the unstretched tendon at its stop, as the encoder counts
     free_tension: float  # [N] at the housing, of the joint moving freely just before its stop
-    K_paper: Value | None = None  # from Phee et al. 2009, eq. (13), with the slope M_pull
-    K_paper_ratio: Value | None = None  # from elongation over tension, as in the paper
+    K_paper: ValueWithUncertainty | None = (
+        None  # from Phee et al. 2009, eq. (13), with the slope M_pull
+    )
+    K_paper_ratio: ValueWithUncertainty | None = (
+        None  # from elongation over tension, as in the paper
+    )
     zero: float | None = None  # [N] reading of the other tendon's load cell while that is slack
     remark: str = ""
 
@@ -58,7 +62,7 @@ class Calibration:
     accepted: bool = True  # whether the method accepts its own result
     remark: str = ""
     tendons: tuple[TendonConfig, ...]  # in the order of the rig; a single one is used for all
-    directions: tuple[Direction, ...] = ()
+    directions: tuple[TendonCalibration, ...] = ()
     ranges: tuple[float | None, ...] = ()  # [m] travel of each joint between its stops
 
     def __post_init__(self) -> None:
@@ -84,7 +88,10 @@ class RigDescription(Protocol):
 
 def load(path: Path) -> Calibration:
     """Read a calibration file; `UsageError` if it is not one."""
-    session_keys = set(strict_yaml.read(path, "calibration")) & {*loading.SHARED, *loading.SECTIONS}
+    session_keys = set(strict_yaml.read(path, "calibration")) & {
+        *loading.SHARED_KEYS,
+        *loading.SECTIONS,
+    }
     if session_keys:
         raise UsageError(
             f"{path}: is a session config (it has {min(session_keys)!r}), not a calibration; give "
@@ -96,19 +103,19 @@ def load(path: Path) -> Calibration:
 def save(path: Path, calibration: Calibration) -> None:
     """Write a calibration file atomically."""
     text = yaml.safe_dump(loading.as_tree(calibration), sort_keys=False, allow_unicode=True)
-    write_whole(path, text, "the calibration")
+    write_text_file(path, text, "the calibration")
 
 
-def fits(calibration: Calibration, rig: RigDescription, by_name: bool = True) -> str | None:
+def find_misfit(calibration: Calibration, rig: RigDescription, by_name: bool = True) -> str | None:
     """Return why a calibration must not be used on a rig, None if it may.
 
     Without `by_name` only the number of tendons is checked, for rigs that are not driven.
     """
     tendons = sum(len(joint) for joint in rig.joints)
     if calibration.joints and calibration.joints != rig.joints:
-        return f"it describes the joints {_shown(calibration.joints)}, {_its(rig)}"
+        return f"it describes the joints {_format_joints(calibration.joints)}, {_describe_rig_joints(rig)}"
     if len(calibration.tendons) not in (1, tendons):
-        return f"it describes {len(calibration.tendons)} tendons, {_its(rig)}"
+        return f"it describes {len(calibration.tendons)} tendons, {_describe_rig_joints(rig)}"
     if not by_name:
         return None
     if calibration.rig != rig.name:
@@ -119,9 +126,9 @@ def fits(calibration: Calibration, rig: RigDescription, by_name: bool = True) ->
     return None
 
 
-def _its(rig: RigDescription) -> str:
-    return f"the rig has {_shown(rig.joints)}"
+def _describe_rig_joints(rig: RigDescription) -> str:
+    return f"the rig has {_format_joints(rig.joints)}"
 
 
-def _shown(joints: JointTendons) -> str:
+def _format_joints(joints: JointTendons) -> str:
     return ", ".join("+".join(str(k + 1) for k in joint) for joint in joints) + " (tendons)"

@@ -5,14 +5,14 @@ from contextlib import AbstractContextManager, nullcontext
 from datetime import UTC, datetime
 from typing import NamedTuple
 
-from slave.calibration.analysis import JointResult, analyse
-from slave.calibration.file import Calibration, fits
-from slave.calibration.run import Limits, ProcedureData, Progress, drive
+from slave.calibration.analysis import JointResult, analyse_procedure
+from slave.calibration.file import Calibration, find_misfit
+from slave.calibration.run import ProcedureData, ProcedureLimits, ProcedureProgress, run_procedure
 from slave.config import SlaveConfig
 from slave.rig import Rig, RigSample
 from teleop.errors import UsageError
 from teleop.runtime.clock import Tick
-from teleop.runtime.realtime import ordinary_scheduling
+from teleop.runtime.realtime import use_ordinary_scheduling
 
 
 class InitialiseResult(NamedTuple):
@@ -37,7 +37,7 @@ def initialise(
     together: bool = False,
     earlier: Calibration | None = None,
     stopped: Callable[[], str] = lambda: "",
-    progress: Callable[[Progress], None] = lambda _: None,
+    progress: Callable[[ProcedureProgress], None] = lambda _: None,
     analysing: Callable[[], AbstractContextManager[None]] = nullcontext,
 ) -> InitialiseResult:
     """Calibrate a rig; the joints end in mid-range, their tendons just taut.
@@ -49,7 +49,7 @@ def initialise(
     config : SlaveConfig
         Its `initialise` and `gate` are used.
     ticks, start_ns, together, stopped, progress
-        See `slave.calibration.run.drive`.
+        See `slave.calibration.run.run_procedure`.
     quick : bool
         Whether to run the short procedure.
     joints : sequence of int
@@ -68,13 +68,13 @@ def initialise(
     chosen = tuple(joints) or tuple(range(len(rig.joints)))
     in_part = len(chosen) < len(rig.joints)
     if in_part:
-        _require_rest(rig, earlier)
+        _require_earlier_calibration(rig, earlier)
     procedure = config.initialise.quick() if quick else config.initialise
-    limits = Limits(procedure, config.gate)
-    driven = drive(rig, limits, ticks, start_ns, chosen, together, stopped, progress)
-    ranges = earlier.ranges if earlier is not None and fits(earlier, rig) is None else ()
-    with analysing(), ordinary_scheduling():  # it computes for seconds, while the motors hold
-        results = analyse(driven.record, procedure, ranges)
+    limits = ProcedureLimits(procedure, config.gate)
+    driven = run_procedure(rig, limits, ticks, start_ns, chosen, together, stopped, progress)
+    ranges = earlier.ranges if earlier is not None and find_misfit(earlier, rig) is None else ()
+    with analysing(), use_ordinary_scheduling():  # it computes for seconds, while the motors hold
+        results = analyse_procedure(driven.record, procedure, ranges)
     method = f"pulls and releases against the stops, {'quick' if quick else 'full'} form"
     now = datetime.now(UTC).isoformat(timespec="seconds")
     calibration = assemble_calibration(results, rig, method, now, earlier if in_part else None)
@@ -115,14 +115,14 @@ def assemble_calibration(
     )
 
 
-def _require_rest(rig: Rig, earlier: Calibration | None) -> None:
+def _require_earlier_calibration(rig: Rig, earlier: Calibration | None) -> None:
     """Raise `UsageError` if there is no earlier calibration for the other joints."""
     if earlier is None:
         raise UsageError(
             "--joint needs an earlier calibration of the other joints: calibrate all joints, or "
             "give the earlier file by --out or slave.calibration"
         )
-    misfit = fits(earlier, rig)
+    misfit = find_misfit(earlier, rig)
     if misfit is None and earlier.joints != rig.joints:
         misfit = "it does not assign tendons to joints"
     if misfit is not None:

@@ -26,38 +26,47 @@ from typing import Annotated
 import numpy as np
 
 from estimator.array_types import Array
-from estimator.arrays import copy, interpolated, median
-from estimator.compiled import compiled
+from estimator.arrays import compute_median, copy_values, interpolate
+from estimator.compiled import jit_compile
 from estimator.law.transmission import Phase
 from estimator.online import tendon_estimate
 from estimator.online.online import TendonModel
 from estimator.online.tendon_estimate import TendonEstimate
-from estimator.records import F64, I64, Field, Flag, Record, Records, one
+from estimator.records import F64, I64, Field, Flag, Struct, StructArray, view_struct
 from slave.tendons import EstimatedTendon, RigLayout
 
-MOBILISED = 0.999  # of the length: the front has reached the tip
-DEPTH = 0.7  # of K, up to which the front is inside the sheath even if friction has fallen
-FURTHER = 1.8  # times the tension at which the tip moves in the model: there it moves in any case
+MOBILISED_SHARE = 0.999  # of the length: the front has reached the tip
+FRONT_DEPTH = 0.7  # of K, up to which the front is inside the sheath even if friction has fallen
+TENSION_RATIO_MIN = (
+    1.8  # times the tension at which the tip moves in the model: there it moves in any case
+)
 MIN_TRANSITIONS = 3  # transitions before the first advice
-APART, APART_SHARE = 0.04, 0.2  # allowed scatter of the errors: absolute, and relative to the error
-SPACING = 2e-6  # [m] of elongation between points of the line
-POINTS = 5  # that the line needs
-SPAN = 3e-5  # [m] of elongation that the line needs
-SLOWLY = 5.0  # times the lag: least duration; averaging a curved signal would tilt the line
-CROOKED = 0.03  # of the span: scatter about the line, above which the tip has moved
-CURVED = 0.06  # of the tilt of the line, allowed in addition: uneven friction also curves it
-AHEAD = 0.05  # of the span: allowed forward motion of the motor after the tension falls
-STEADY = 0.04  # of T_out: allowed change of the antagonist's force during a transition
+SCATTER_MAX, SCATTER_SHARE_MAX = (
+    0.04,
+    0.2,
+)  # allowed scatter of the errors: absolute, and relative to the error
+POINT_SPACING = 2e-6  # [m] of elongation between points of the line
+POINTS_MIN = 5  # that the line needs
+SPAN_MIN = 3e-5  # [m] of elongation that the line needs
+DURATION_LAGS_MIN = (
+    5.0  # times the lag: least duration; averaging a curved signal would tilt the line
+)
+LINE_SCATTER_MAX = 0.03  # of the span: scatter about the line, above which the tip has moved
+TILT_SCATTER_MAX = (
+    0.06  # of the tilt of the line, allowed in addition: uneven friction also curves it
+)
+FORWARD_SHARE_MAX = 0.05  # of the span: allowed forward motion of the motor after the tension falls
+FORCE_CHANGE_MAX = 0.04  # of T_out: allowed change of the antagonist's force during a transition
 
-RESOLVED = 0.02  # of the travel: accuracy of one transition, as the tip yields a little
-APART_IN_TIME = (
+TRAVEL_ACCURACY = 0.02  # of the travel: accuracy of one transition, as the tip yields a little
+DELAY_SHARE = (
     0.5  # of the lag: possible delay between tension and travel while the motor accelerates
 )
-SURE = 2.0  # times its uncertainty, above which an error counts
-BLIND = 8.0 / 3.0  # largest ratio of the relative errors of T_out and of travel
-MOST = 99  # largest value of `transitions`
-PIECES = 200  # of each section, for its integrals
-FACTORS = np.linspace(0.5, 2.0, 61)  # of all friction: the grid of hypotheses
+SIGNIFICANCE = 2.0  # times its uncertainty, above which an error counts
+ERROR_RATIO_MAX = 8.0 / 3.0  # largest ratio of the relative errors of T_out and of travel
+TRANSITIONS_MAX = 99  # largest value of `transitions`
+SECTION_PIECES = 200  # of each section, for its integrals
+FRICTION_FACTORS = np.linspace(0.5, 2.0, 61)  # of all friction: the grid of hypotheses
 
 
 _UNUSABLE = (
@@ -81,8 +90,8 @@ class MonitorConfig:
         """Check the values; raises `ValueError`."""
         if not 0.0 < self.advise <= self.demand <= 10.0:
             raise ValueError("advise: must be above 0 and at most demand, which is at most 10")
-        if not MIN_TRANSITIONS <= self.transitions <= MOST:
-            raise ValueError(f"transitions: must be {MIN_TRANSITIONS} to {MOST}")
+        if not MIN_TRANSITIONS <= self.transitions <= TRANSITIONS_MAX:
+            raise ValueError(f"transitions: must be {MIN_TRANSITIONS} to {TRANSITIONS_MAX}")
 
 
 class Advice(IntEnum):
@@ -93,22 +102,24 @@ class Advice(IntEnum):
     DEMANDED = 2  # calibrate again before anything else
 
 
-class MonitorConstants(Record):
+class MonitorConstants(Struct):
     """Constants of a tendon's model, and the effect of a friction change on a transition."""
 
     K: F64 = 0.0
     mobilised: F64 = math.inf  # [m] where the front is when the tip moves
     depth: F64 = 0.0  # [m] front position at which a transition ends
     lag: F64 = 0.0  # [s] by which the estimator averages the tension
-    shares: Annotated[Array, Field("f8", len(FACTORS))]  # measured over predicted travel, ascending
+    shares: Annotated[
+        Array, Field("f8", len(FRICTION_FACTORS))
+    ]  # measured over predicted travel, ascending
     factors: Annotated[
-        Array, Field("f8", len(FACTORS))
+        Array, Field("f8", len(FRICTION_FACTORS))
     ]  # of all friction, corresponding to `shares`
     amplified: F64 = math.inf  # ratio of the relative errors of T_out and of travel
     blind: Flag = True  # whether such changes are not observable, as if all bends are at the tip
 
 
-class Transition(Record):
+class Transition(Struct):
     """Sums of a straight line of motor travel over predicted elongation, about their means."""
 
     points: I64 = 0
@@ -126,24 +137,24 @@ class Transition(Record):
     begun: F64 = math.nan  # [m] travel then
 
 
-class TendonMonitor(Record):
+class TendonMonitor(Struct):
     """State of the monitor of one tendon."""
 
     reached: F64 = math.nan  # [N] tension at which the front reached the tip in this pull
     pulled: Flag = False  # whether far enough beyond that the profile is known
     travel: F64 = math.nan  # [m] averaged as the estimator averages the tension
     transition: Transition
-    force_error: F64 = 0.0  # of T_out, relative, from all `errors`: see `force_error`
+    force_error: F64 = 0.0  # of T_out, relative, from all `errors`: see `compute_force_error`
     count: I64 = 0  # number of stored transitions, oldest first
-    errors: Annotated[Array, Field("f8", MOST)]  # of T_out, relative, from each of them
-    uncertainties: Annotated[Array, Field("f8", MOST)]  # standard uncertainty of each
+    errors: Annotated[Array, Field("f8", TRANSITIONS_MAX)]  # of T_out, relative, from each of them
+    uncertainties: Annotated[Array, Field("f8", TRANSITIONS_MAX)]  # standard uncertainty of each
 
 
-def monitor_constants(models: Sequence[TendonModel]) -> Records:
+def build_monitor_constants(models: Sequence[TendonModel]) -> StructArray:
     """Return the constants of tendons with these models, shape (n,)."""
     constants = MonitorConstants.array(len(models))
     for k, model in enumerate(models):
-        _fill_constants(one(constants, k), model)
+        _fill_constants(view_struct(constants, k), model)
     return constants
 
 
@@ -151,26 +162,32 @@ def _fill_constants(constants: MonitorConstants, model: TendonModel) -> None:
     sheath = model.sheath
     if sheath.K == 0.0:  # no friction: no transition to observe
         return
-    dx = np.concatenate([np.full(PIECES, section.length / PIECES) for section in sheath.sections])
-    radius = np.concatenate([np.full(PIECES, section.radius) for section in sheath.sections])
+    dx = np.concatenate(
+        [np.full(SECTION_PIECES, section.length / SECTION_PIECES) for section in sheath.sections]
+    )
+    radius = np.concatenate(
+        [np.full(SECTION_PIECES, section.radius) for section in sheath.sections]
+    )
     ds = sheath.friction * dx / radius
     s = np.cumsum(ds)
-    front = DEPTH * sheath.K
-    shares = _travel(dx, ds, FACTORS, front) / _travel(dx, ds, np.ones(1), front)
+    front = FRONT_DEPTH * sheath.K
+    shares = _compute_travel(dx, ds, FRICTION_FACTORS, front) / _compute_travel(
+        dx, ds, np.ones(1), front
+    )
     order = np.argsort(shares)
-    unchanged = int(np.argmin(np.abs(FACTORS - 1.0)))
-    shown = abs(float(np.gradient(shares, FACTORS)[unchanged]))
+    unchanged = int(np.argmin(np.abs(FRICTION_FACTORS - 1.0)))
+    shown = abs(float(np.gradient(shares, FRICTION_FACTORS)[unchanged]))
     constants.K = sheath.K
-    constants.mobilised = MOBILISED * sheath.length
+    constants.mobilised = MOBILISED_SHARE * sheath.length
     constants.depth = float(np.cumsum(dx)[np.searchsorted(s, front)])
     constants.lag = model.treatment.time_constant if model.tension_noise > 0.0 else 0.0
     constants.amplified = sheath.K / shown if shown > 0.0 else math.inf
     constants.shares[:] = shares[order]
-    constants.factors[:] = FACTORS[order]
-    constants.blind = BLIND * shown < sheath.K
+    constants.factors[:] = FRICTION_FACTORS[order]
+    constants.blind = ERROR_RATIO_MAX * shown < sheath.K
 
 
-def _travel(dx: Array, ds: Array, factors: Array, front: float) -> Array:
+def _compute_travel(dx: Array, ds: Array, factors: Array, front: float) -> Array:
     """Return motor travel over initial tension, from a full pull to a front at depth `front`.
 
     By (T5), pull to release, for friction `factors` times as large; in units of 1/EA.
@@ -181,7 +198,7 @@ def _travel(dx: Array, ds: Array, factors: Array, front: float) -> Array:
     return np.asarray(np.where(inside, pulled - released, 0.0) @ dx)
 
 
-@compiled
+@jit_compile
 def step_rig(
     config: MonitorConfig,
     layout: RigLayout,
@@ -195,7 +212,7 @@ def step_rig(
     Parameters
     ----------
     constants : array of MonitorConstants
-        From `monitor_constants`, of the estimators' models.
+        From `build_monitor_constants`, of the estimators' models.
     monitors : array of TendonMonitor
         `TendonMonitor.array(n)` to begin with; changed in place.
     tendons : array of EstimatedTendon
@@ -213,10 +230,10 @@ def step_rig(
             tension, travel = tendons[i].corrected_tension, tendons[i].corrected_displacement
             estimate = tendons[i].estimate
             step(config, constants[i], monitors[i], estimate, tension, travel, against, dt)
-    return advice(config, monitors, layout.tendons)
+    return compute_advice(config, monitors, layout.tendons)
 
 
-@compiled
+@jit_compile
 def step(
     config: MonitorConfig,
     constants: MonitorConstants,
@@ -232,7 +249,7 @@ def step(
     Parameters
     ----------
     constants : MonitorConstants
-        From `monitor_constants`, of the model behind `estimate`.
+        From `build_monitor_constants`, of the model behind `estimate`.
     monitor : TendonMonitor
         Changed in place.
     estimate : TendonEstimate
@@ -251,11 +268,11 @@ def step(
     before = travel if math.isnan(monitor.travel) else monitor.travel
     averaged = before + share * (travel - before)
     is_pull, line = estimate.phase == _PULL, monitor.transition
-    gave_way = line.points > 0 and abs(against - line.against) > STEADY * line.tip
+    gave_way = line.points > 0 and abs(against - line.against) > FORCE_CHANGE_MAX * line.tip
     if is_pull and estimate.front >= constants.mobilised:
         reached = tension if math.isnan(monitor.reached) else monitor.reached
         _finish_transition(config, constants, monitor)
-        monitor.reached, monitor.pulled = reached, tension > FURTHER * reached
+        monitor.reached, monitor.pulled = reached, tension > TENSION_RATIO_MIN * reached
     elif not monitor.pulled:
         monitor.reached = math.nan
     elif is_pull or estimate.front > constants.depth or gave_way:
@@ -265,8 +282,8 @@ def step(
     monitor.travel = averaged
 
 
-@compiled
-def force_error(monitor: TendonMonitor) -> float:
+@jit_compile
+def compute_force_error(monitor: TendonMonitor) -> float:
     """Return the relative error of T_out while pulling; 0 while it is not known.
 
     Positive if the estimate is too high. It is 0 if the median is within its uncertainty or the
@@ -276,19 +293,19 @@ def force_error(monitor: TendonMonitor) -> float:
     if monitor.count < MIN_TRANSITIONS:
         return 0.0
     values = np.empty(monitor.count)
-    copy(monitor.errors[: monitor.count], values)
-    middle = median(values)
-    copy(monitor.uncertainties[: monitor.count], values)
-    if abs(middle) < SURE * median(values):
+    copy_values(monitor.errors[: monitor.count], values)
+    middle = compute_median(values)
+    copy_values(monitor.uncertainties[: monitor.count], values)
+    if abs(middle) < SIGNIFICANCE * compute_median(values):
         return 0.0
     for k in range(monitor.count):
         values[k] = abs(monitor.errors[k] - middle)
-    apart = median(values)
-    return middle if apart < APART + APART_SHARE * abs(middle) else 0.0
+    apart = compute_median(values)
+    return middle if apart < SCATTER_MAX + SCATTER_SHARE_MAX * abs(middle) else 0.0
 
 
-@compiled
-def advice(config: MonitorConfig, monitors: Sequence[TendonMonitor], count: int) -> Advice:
+@jit_compile
+def compute_advice(config: MonitorConfig, monitors: Sequence[TendonMonitor], count: int) -> Advice:
     """Return the advice for a rig of `count` tendons."""
     worst = 0.0
     for i in range(count):
@@ -298,19 +315,19 @@ def advice(config: MonitorConfig, monitors: Sequence[TendonMonitor], count: int)
     return Advice.ADVISED if worst >= config.advise else Advice.NONE
 
 
-@compiled
+@jit_compile
 def _add_point(
     line: Transition, estimate: TendonEstimate, travel: float, against: float, dt: float
 ) -> None:
     """Add a point unless it is too close to the last one."""
     elongation = estimate.elongation
     if line.points == 0:
-        _clear(line)
+        _clear_transition(line)
         line.first, line.begun = elongation, travel
         line.tip, line.against = estimate.distal_tension, against
     line.lasted = line.lasted + dt if line.points > 1 else 0.0
     line.ahead = max(line.ahead, travel - line.begun)
-    if line.points > 0 and abs(elongation - line.last) < SPACING:
+    if line.points > 0 and abs(elongation - line.last) < POINT_SPACING:
         return
     line.points += 1
     n = line.points
@@ -323,37 +340,37 @@ def _add_point(
     line.last = elongation
 
 
-@compiled
-def _clear(line: Transition) -> None:
+@jit_compile
+def _clear_transition(line: Transition) -> None:
     line.points = 0
     line.elongation = line.travel = line.ee = line.eq = line.qq = 0.0
     line.first = line.last = line.begun = math.nan
     line.lasted = line.ahead = line.tip = line.against = 0.0
 
 
-@compiled
+@jit_compile
 def _await_pull(monitor: TendonMonitor) -> None:
     """Reset the pull and the transition; results of earlier ones are kept."""
     monitor.reached, monitor.pulled, monitor.travel = math.nan, False, math.nan
-    _clear(monitor.transition)
+    _clear_transition(monitor.transition)
 
 
-@compiled
+@jit_compile
 def _finish_transition(
     config: MonitorConfig, constants: MonitorConstants, monitor: TendonMonitor
 ) -> None:
     """Store the result of the transition, if valid, and wait for the next pull."""
     lasted = monitor.transition.lasted
-    error = _transition_error(constants, monitor.transition)
+    error = _compute_transition_error(constants, monitor.transition)
     if not math.isnan(error):
-        uncertainty = RESOLVED + APART_IN_TIME * constants.lag / max(lasted, constants.lag)
-        _append(monitor, error, constants.amplified * uncertainty, config.transitions)
-        monitor.force_error = force_error(monitor)
+        uncertainty = TRAVEL_ACCURACY + DELAY_SHARE * constants.lag / max(lasted, constants.lag)
+        _append_error(monitor, error, constants.amplified * uncertainty, config.transitions)
+        monitor.force_error = compute_force_error(monitor)
     _await_pull(monitor)
 
 
-@compiled
-def _append(monitor: TendonMonitor, error: float, uncertainty: float, most: int) -> None:
+@jit_compile
+def _append_error(monitor: TendonMonitor, error: float, uncertainty: float, most: int) -> None:
     """Append the result of a transition; drop the oldest beyond `most`."""
     kept = min(monitor.count, most - 1)
     dropped = monitor.count - kept
@@ -364,17 +381,21 @@ def _append(monitor: TendonMonitor, error: float, uncertainty: float, most: int)
     monitor.count = kept + 1
 
 
-@compiled
-def _transition_error(constants: MonitorConstants, line: Transition) -> float:
+@jit_compile
+def _compute_transition_error(constants: MonitorConstants, line: Transition) -> float:
     """Return the relative error of T_out from one transition, NaN if it is not valid."""
     span = line.first - line.last
-    if line.points < POINTS or not span > SPAN or line.lasted < SLOWLY * constants.lag:
+    if (
+        line.points < POINTS_MIN
+        or not span > SPAN_MIN
+        or line.lasted < DURATION_LAGS_MIN * constants.lag
+    ):
         return math.nan
-    if line.ahead > AHEAD * span:
+    if line.ahead > FORWARD_SHARE_MAX * span:
         return math.nan
     slope = line.eq / line.ee
     scatter = math.sqrt(max(line.qq - slope * line.eq, 0.0) / line.points)
-    if scatter > (CROOKED + CURVED * abs(slope - 1.0)) * span:
+    if scatter > (LINE_SCATTER_MAX + TILT_SCATTER_MAX * abs(slope - 1.0)) * span:
         return math.nan
-    factor = interpolated(slope, constants.shares[:], constants.factors[:])
+    factor = interpolate(slope, constants.shares[:], constants.factors[:])
     return math.expm1(constants.K * (factor - 1.0))

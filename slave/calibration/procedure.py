@@ -14,28 +14,32 @@ inconsistency: the tendons are then released to a low tension, and nothing is pu
 import math
 
 from slave.calibration import cell, refusals
-from slave.calibration.cell import Cell
+from slave.calibration.cell import CellState
 from slave.calibration.config import InitialiseConfig
 from slave.calibration.phases import HANDLERS, is_settled
 from slave.calibration.procedure_state import (
-    Joint,
+    JointConstants,
     JointReadings,
     Phase,
     ProcedureState,
     Tendons,
-    begin,
-    refuse,
+    abort_procedure,
+    begin_phase,
 )
-from slave.calibration.refusals import tendon_name
+from slave.calibration.refusals import format_tendon_name
 
 SMOOTH_S = 0.005  # [s] time constant of the averaged tension used for decisions
 BLOCKED_S = 0.2  # [s] for which the gate may block all motion
 
-_ENDS = (Phase.DONE, Phase.RELAX, Phase.REFUSED)
+_END_PHASES = (Phase.DONE, Phase.RELAX, Phase.REFUSED)
 
 
 def step(
-    config: InitialiseConfig, joint: Joint, memory: ProcedureState, seen: JointReadings, dt: float
+    config: InitialiseConfig,
+    joint: JointConstants,
+    memory: ProcedureState,
+    seen: JointReadings,
+    dt: float,
 ) -> tuple[Tendons, ProcedureState]:
     """Return the motor targets of the joint [m] and the new state.
 
@@ -52,29 +56,29 @@ def step(
     dt : float
         Time since the last tick [s].
     """
-    memory = _observe(config, memory, seen, dt)
-    if memory.phase not in _ENDS:
-        refusal = _common_refusal(config, joint, memory, seen)
+    memory = _update_readings(config, memory, seen, dt)
+    if memory.phase not in _END_PHASES:
+        refusal = _find_common_refusal(config, joint, memory, seen)
         if refusal:
-            memory = refuse(memory, seen, refusal)
+            memory = abort_procedure(memory, seen, refusal)
     speeds, memory = HANDLERS[memory.phase](config, joint, memory, seen)
     moves = tuple(speed * dt for speed in speeds)
     targets = tuple(m + d for m, d in zip(seen.motor, moves, strict=True))
     return targets, memory._replace(moved=moves, before=seen.motor)
 
 
-def _observe(
+def _update_readings(
     config: InitialiseConfig, memory: ProcedureState, seen: JointReadings, dt: float
 ) -> ProcedureState:
     """Update the state with the readings of a tick."""
     if not memory.origin:
-        cells = tuple(Cell() for _ in seen.tension)
-        memory = begin(memory._replace(tension=seen.tension, cells=cells), memory.phase, seen)
+        cells = tuple(CellState() for _ in seen.tension)
+        memory = begin_phase(memory._replace(tension=seen.tension, cells=cells), memory.phase, seen)
     share = -math.expm1(-dt / SMOOTH_S)
     tension = tuple(
         was + share * (now - was) for was, now in zip(memory.tension, seen.tension, strict=True)
     )
-    k = _pulled(memory, seen)
+    k = _get_pulled_index(memory, seen)
     return memory._replace(
         tension=tension,
         elapsed=memory.elapsed + dt,
@@ -84,11 +88,11 @@ def _observe(
         cells=tuple(map(cell.update, memory.cells, seen.tension, seen.travel))
         if seen.fresh
         else memory.cells,
-        blocked=_blocked(memory, seen, dt),
+        blocked=_update_blocked_times(memory, seen, dt),
     )
 
 
-def _blocked(memory: ProcedureState, seen: JointReadings, dt: float) -> Tendons:
+def _update_blocked_times(memory: ProcedureState, seen: JointReadings, dt: float) -> Tendons:
     """Return for how long [s] each motor was commanded to move but did not."""
     if not memory.moved:
         return memory.blocked
@@ -100,24 +104,24 @@ def _blocked(memory: ProcedureState, seen: JointReadings, dt: float) -> Tendons:
     )
 
 
-def _pulled(memory: ProcedureState, seen: JointReadings) -> int:
+def _get_pulled_index(memory: ProcedureState, seen: JointReadings) -> int:
     """Return the index of the pulled tendon."""
     return memory.side % len(seen.tension)
 
 
-def _common_refusal(
-    config: InitialiseConfig, joint: Joint, memory: ProcedureState, seen: JointReadings
+def _find_common_refusal(
+    config: InitialiseConfig, joint: JointConstants, memory: ProcedureState, seen: JointReadings
 ) -> str:
     """Return the reason to abort that applies in any phase; empty if none."""
     count = len(seen.tension)
     if memory.elapsed > config.phase_max:
-        return refusals.too_slow(joint.number, memory.phase.text, config)
+        return refusals.format_phase_timeout(joint.number, memory.phase.text, config)
     for k in range(count):
-        name = tendon_name(joint.number, count, k)
+        name = format_tendon_name(joint.number, count, k)
         if memory.blocked[k] > BLOCKED_S:
             seeking = memory.phase is Phase.SEEK
-            return refusals.withheld(name, seen.verdict, memory.moved[k], seeking)
+            return refusals.format_blocked_motor(name, seen.verdict, memory.moved[k], seeking)
         behind = abs(seen.motor[k] - seen.travel[k])
         if behind > config.lag_max:
-            return refusals.weak_motor(name, behind, seen.tension[k], config)
+            return refusals.format_weak_motor(name, behind, seen.tension[k], config)
     return ""

@@ -4,7 +4,7 @@ import math
 from enum import IntEnum
 from typing import NamedTuple
 
-from slave.calibration.cell import Cell
+from slave.calibration.cell import CellState
 from slave.calibration.config import InitialiseConfig
 from slave.calibration.trend import Trend
 from slave.gate import GateFlags
@@ -48,7 +48,7 @@ class JointReadings(NamedTuple):
     fresh: bool = True  # whether tension and travel are new
 
 
-class Contact(NamedTuple):
+class StopContact(NamedTuple):
     """The contact with a stop, and the compliance of the tendon pulled against it."""
 
     travel: float  # [m] of the motor
@@ -56,7 +56,7 @@ class Contact(NamedTuple):
     compliance: float = 0.0  # [m/N]
 
 
-class Joint(NamedTuple):
+class JointConstants(NamedTuple):
     """Constants of a joint for the procedure."""
 
     number: int  # from 1
@@ -73,14 +73,14 @@ class ProcedureState(NamedTuple):
     origin: Tendons = ()  # [m] travel when the phase began
     tension: Tendons = ()  # [N] smoothed
     trend: Trend | None = None
-    contact: Contact | None = None  # last point at which the pulled tendon was soft
-    stops: tuple[Contact, ...] = ()  # found so far, one per side
+    contact: StopContact | None = None  # last point at which the pulled tendon was soft
+    stops: tuple[StopContact, ...] = ()  # found so far, one per side
     lane: float = 0.0  # [m] length of this drag
     easing: bool = False  # in a drag: the other tendon is paid out faster than it is drawn
     home: Tendons = ()  # [m] travel when all tendons were taut for the first time
     lowest: float = math.inf  # [m] travel of the other tendon in this phase
     highest: float = 0.0  # [N] smoothed tension of the pulled tendon in this phase
-    cells: tuple[Cell, ...] = ()
+    cells: tuple[CellState, ...] = ()
     tried: float = -math.inf  # [m] travel at which the pulled tendon's load cell last responded
     steady: float = 0.0  # [s] for which all tendons have had their target tension
     blocked: Tendons = ()  # [s] for which the gate has blocked each motor
@@ -89,7 +89,7 @@ class ProcedureState(NamedTuple):
     refusal: str = ""  # reason of the abort
 
 
-def begin(memory: ProcedureState, phase: Phase, seen: JointReadings) -> ProcedureState:
+def begin_phase(memory: ProcedureState, phase: Phase, seen: JointReadings) -> ProcedureState:
     """Return the state at the start of a phase."""
     return memory._replace(
         phase=phase,
@@ -105,9 +105,9 @@ def begin(memory: ProcedureState, phase: Phase, seen: JointReadings) -> Procedur
     )
 
 
-def refuse(memory: ProcedureState, seen: JointReadings, why: str) -> ProcedureState:
+def abort_procedure(memory: ProcedureState, seen: JointReadings, why: str) -> ProcedureState:
     """Return the state of an aborted procedure, which lowers the tensions and then holds."""
-    return begin(memory._replace(refusal=memory.refusal or why), Phase.RELAX, seen)
+    return begin_phase(memory._replace(refusal=memory.refusal or why), Phase.RELAX, seen)
 
 
 def is_ended(memory: ProcedureState) -> bool:
@@ -115,7 +115,7 @@ def is_ended(memory: ProcedureState) -> bool:
     return memory.phase in (Phase.DONE, Phase.REFUSED)
 
 
-def progress(config: InitialiseConfig, memory: ProcedureState) -> float:
+def compute_progress(config: InitialiseConfig, memory: ProcedureState) -> float:
     """Return the fraction of the phases that a joint has completed, 0 to 1."""
     if memory.phase is Phase.DONE:
         return 1.0

@@ -8,24 +8,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.array_types import Array
-from estimator.calibration.calibration import Measured
-from slave.calibration.procedure_state import Contact, Phase
-from slave.calibration.refusals import tendon_name
+from estimator.calibration.calibration import MeasuredValue
+from slave.calibration.procedure_state import Phase, StopContact
+from slave.calibration.refusals import format_tendon_name
 from slave.calibration.run import ProcedureData
 
 Rows = NDArray[np.bool_]
 
-BEFORE = (2e-3, 3e-4)  # [m] of travel before the contact, from and to: the joint moves freely there
-RELEASED = (
+FREE_TRAVEL = (
+    2e-3,
+    3e-4,
+)  # [m] of travel before the contact, from and to: the joint moves freely there
+RELEASE_RATIO_MAX = (
     1.5  # times the low tension; a release that ends above it ended as the joint left its stop
 )
-STILL_THERE = 1.15  # times the tension at which the joint left its stop
-NEAR = 2.5  # encoder counts from a reversal
-FINEST, COARSEST = 5e-7, 5e-6  # [m] of a count
-LEAST_PULL = 100  # least samples of a first pull to be evaluated
+STOP_TENSION_RATIO = 1.15  # times the tension at which the joint left its stop
+REVERSAL_COUNTS = 2.5  # encoder counts from a reversal
+RESOLUTION_MIN, RESOLUTION_MAX = 5e-7, 5e-6  # [m] of a count
+PULL_SAMPLES_MIN = 100  # least samples of a first pull to be evaluated
 
 
-class Loop(NamedTuple):
+class HysteresisLoop(NamedTuple):
     """Alternating pulls and releases against a stop, the tip at rest."""
 
     tension: Array  # [N]
@@ -47,10 +50,10 @@ class PulledTendon(NamedTuple):
     @property
     def name(self) -> str:
         """What messages call it."""
-        return tendon_name(self.joint + 1, len(self.record.joints[self.joint]), self.side)
+        return format_tendon_name(self.joint + 1, len(self.record.joints[self.joint]), self.side)
 
     @property
-    def contact(self) -> Contact:
+    def contact(self) -> StopContact:
         """The contact with its stop."""
         return self.record.stops[self.joint][self.side]
 
@@ -92,7 +95,7 @@ class PulledTendon(NamedTuple):
         tension of the free joint.
         """
         late = self.rows(Phase.SEEK) & (self.travel >= self.contact.travel)
-        slope = slope_of(self.tension[late], self.travel[late]).value
+        slope = fit_slope(self.tension[late], self.travel[late]).value
         over = max(0.0, self.contact.tension - self.free_tension)
         met = self.contact.travel - slope * over
         return self.rows(Phase.SEEK) & np.greater_equal(self.travel, met)
@@ -101,11 +104,11 @@ class PulledTendon(NamedTuple):
     def free_tension(self) -> float:
         """The tension [N] at which the joint moved just before its stop."""
         ahead = self.contact.travel - self.travel
-        rows = self.rows(Phase.SEEK) & (ahead < BEFORE[0]) & (ahead > BEFORE[1])
+        rows = self.rows(Phase.SEEK) & (ahead < FREE_TRAVEL[0]) & (ahead > FREE_TRAVEL[1])
         return float(np.median(self.tension[rows])) if rows.any() else self.contact.tension
 
 
-def loops(pulled: PulledTendon, low: float) -> list[Loop]:
+def extract_loops(pulled: PulledTendon, low: float) -> list[HysteresisLoop]:
     """Return the alternating pulls and releases against the stop while the tip rested.
 
     As one loop, unless a return spring pulled the joint off its stop during the releases: then one
@@ -117,44 +120,44 @@ def loops(pulled: PulledTendon, low: float) -> list[Loop]:
     pulls = [pulled.rows(Phase.PULL) & (of_release == i) for i in range(count)]
     releases = [pulled.rows(Phase.RELEASE) & (of_release == i) for i in range(count)]
     pulls[0] = pulled.first_pull
-    if pulls[0].sum() < LEAST_PULL:
+    if pulls[0].sum() < PULL_SAMPLES_MIN:
         pulls, releases = pulls[1:], releases[1:]
     ends = [float(np.median(pulled.tension[release][-5:])) for release in releases]
-    if max(ends) <= RELEASED * low:
-        return [_loop(pulled, pulls, releases)]
-    there = pulled.tension > STILL_THERE * max(ends)
-    regained = pulled.tension > STILL_THERE * pulled.contact.tension
+    if max(ends) <= RELEASE_RATIO_MAX * low:
+        return [_build_loop(pulled, pulls, releases)]
+    there = pulled.tension > STOP_TENSION_RATIO * max(ends)
+    regained = pulled.tension > STOP_TENSION_RATIO * pulled.contact.tension
     return [
-        _loop(pulled, [pull & regained], [release & there])
+        _build_loop(pulled, [pull & regained], [release & there])
         for pull, release in zip(pulls, releases, strict=True)
     ]
 
 
-def _loop(pulled: PulledTendon, pulls: list[Rows], releases: list[Rows]) -> Loop:
+def _build_loop(pulled: PulledTendon, pulls: list[Rows], releases: list[Rows]) -> HysteresisLoop:
     """Return the branches in order, without the samples at the reversals.
 
     There one encoder count corresponds to much tension, and the two branches cannot be separated.
     """
     branches = [branch for pair in zip(pulls, releases, strict=True) for branch in pair]
     rows = np.logical_or.reduce(branches)
-    count = _count(pulled.travel[rows])
+    count = _estimate_resolution(pulled.travel[rows])
     for i, (before, after) in enumerate(pairwise(branches)):
         around = np.flatnonzero(before | after)
         ahead = pulled.travel[around] * (1.0 if i % 2 == 0 else -1.0)
         short = ahead.max() - ahead
-        first = int(np.argmax(short <= NEAR * count))
-        last = int(np.flatnonzero(short <= (NEAR + 1.0) * count)[-1])
+        first = int(np.argmax(short <= REVERSAL_COUNTS * count))
+        last = int(np.flatnonzero(short <= (REVERSAL_COUNTS + 1.0) * count)[-1])
         rows[around[first + 1 : last + 1]] = False
-    return Loop(pulled.tension[rows], pulled.travel[rows])
+    return HysteresisLoop(pulled.tension[rows], pulled.travel[rows])
 
 
-def _count(travel: Array) -> float:
+def _estimate_resolution(travel: Array) -> float:
     """Return the travel per encoder count [m], or a small value if there is no quantisation."""
     steps = np.diff(np.unique(travel))
-    return float(min(max(steps.min(), FINEST), COARSEST))
+    return float(min(max(steps.min(), RESOLUTION_MIN), RESOLUTION_MAX))
 
 
-def slope_of(T: Array, q: Array) -> Measured:
+def fit_slope(T: Array, q: Array) -> MeasuredValue:
     """Return dq/dT [m/N] from tension and travel by least squares."""
     (slope, _), covariance = np.polyfit(T, q, 1, cov=True)
-    return Measured(float(slope), math.sqrt(float(covariance[0, 0])))
+    return MeasuredValue(float(slope), math.sqrt(float(covariance[0, 0])))

@@ -6,12 +6,12 @@ from slave.gate import GateFlags
 TENDON_NAMES = ("a", "b")
 
 
-def tendon_name(joint: int, tendons: int, tendon: int) -> str:
+def format_tendon_name(joint: int, tendons: int, tendon: int) -> str:
     """Return the name of a tendon in messages: joints count from 1, tendons are a and b."""
     return f"joint {joint}, tendon {TENDON_NAMES[tendon]}" if tendons > 1 else f"joint {joint}"
 
 
-def too_slow(joint: int, what: str, config: InitialiseConfig) -> str:
+def format_phase_timeout(joint: int, what: str, config: InitialiseConfig) -> str:
     """Message: a phase did not end."""
     return (
         f"joint {joint}: {what} took longer than {config.phase_max:g} s; check what blocks it, or "
@@ -19,7 +19,7 @@ def too_slow(joint: int, what: str, config: InitialiseConfig) -> str:
     )
 
 
-def withheld(name: str, verdict: GateFlags, asked: float, seeking: bool) -> str:
+def format_blocked_motor(name: str, verdict: GateFlags, asked: float, seeking: bool) -> str:
     """Message: a limit of the gate blocks a motor; the sign of `asked` [m] is the direction."""
     if GateFlags.TENSION in verdict:
         return f"{name}: the tension is at slave.gate.tension_max; lower slave.initialise.tension"
@@ -34,7 +34,7 @@ def withheld(name: str, verdict: GateFlags, asked: float, seeking: bool) -> str:
     return f"{name}: its motor is at slave.gate.{limit}: widen the limit"
 
 
-def weak_motor(name: str, behind: float, tension: float, config: InitialiseConfig) -> str:
+def format_weak_motor(name: str, behind: float, tension: float, config: InitialiseConfig) -> str:
     """Message: a motor is `behind` [m] its command at a tension [N]."""
     return (
         f"{name}: the motor is {behind * 1e3:.1f} mm behind its command at {tension:.1f} N; check "
@@ -42,7 +42,9 @@ def weak_motor(name: str, behind: float, tension: float, config: InitialiseConfi
     )
 
 
-def slack(name: str, wound: float, tension: float, taut: float, config: InitialiseConfig) -> str:
+def format_slack(
+    name: str, wound: float, tension: float, taut: float, config: InitialiseConfig
+) -> str:
     """Message: slack after winding in `wound` [m]; a tendon is taut from `taut` [N] on."""
     if tension > taut:
         return (
@@ -55,7 +57,7 @@ def slack(name: str, wound: float, tension: float, taut: float, config: Initiali
     )
 
 
-def no_loop(name: str, why: str) -> str:
+def format_no_loop(name: str, why: str) -> str:
     """Message: the pulls and releases are not those of a tendon against its stop."""
     return (
         f"{name}: {why}; check that the joint rests against its stop, that the tip does not press "
@@ -63,7 +65,9 @@ def no_loop(name: str, why: str) -> str:
     )
 
 
-def undecided(name: str, K: float, peak: float, lowest: float, reach: float, again: bool) -> str:
+def format_unresolved_friction(
+    name: str, K: float, peak: float, lowest: float, reach: float, again: bool
+) -> str:
     """Message: K is at the end of the range that a loop between two tensions [N] resolves.
 
     `again` if more than one loop was pulled.
@@ -76,7 +80,7 @@ def undecided(name: str, K: float, peak: float, lowest: float, reach: float, aga
     )
 
 
-def tight(name: str, paid_out: float, tension: float) -> str:
+def format_residual_tension(name: str, paid_out: float, tension: float) -> str:
     """Message: a tension [N] remains after paying out `paid_out` [m]."""
     return (
         f"{name}: still {tension:.2f} N after paying out {paid_out * 1e3:.1f} mm; something pulls "
@@ -84,7 +88,7 @@ def tight(name: str, paid_out: float, tension: float) -> str:
     )
 
 
-def no_stop(name: str, tension: float, unchanged: bool, config: InitialiseConfig) -> str:
+def format_no_stop(name: str, tension: float, unchanged: bool, config: InitialiseConfig) -> str:
     """Message: no stop found; `unchanged` if the reading never changed."""
     what = f"{name}: no stop within {config.travel_max * 1e3:g} mm, the tension is {tension:.2f} N"
     if unchanged:
@@ -92,7 +96,7 @@ def no_stop(name: str, tension: float, unchanged: bool, config: InitialiseConfig
     return f"{what}; check that the tendon is attached, or raise slave.initialise.travel_max"
 
 
-def late_stop(name: str, contact: float, tension: float) -> str:
+def format_late_stop(name: str, contact: float, tension: float) -> str:
     """Message: the joint moved freely up to `contact` [N], close to the target tension [N]."""
     return (
         f"{name}: {tension:.1f} N were reached before or just after the stop ({contact:.1f} N): "
@@ -101,7 +105,7 @@ def late_stop(name: str, contact: float, tension: float) -> str:
     )
 
 
-def soft_stop(name: str, contact: float, compliance: float, softest: float) -> str:
+def format_soft_stop(name: str, contact: float, compliance: float, softest: float) -> str:
     """Message: the stop yields; compliances in m/N."""
     return (
         f"{name}: beyond {contact:.1f} N it yields by {compliance * 1e3:.3f} mm/N, more than any "
@@ -110,7 +114,7 @@ def soft_stop(name: str, contact: float, compliance: float, softest: float) -> s
     )
 
 
-def saturated(name: str, tension: float) -> str:
+def format_saturated_cell(name: str, tension: float) -> str:
     """Message: a load cell does not respond to the motor."""
     return (
         f"{name}: the load cell reads {tension:.2f} N without any change while the motor pulls: "
@@ -119,7 +123,7 @@ def saturated(name: str, tension: float) -> str:
     )
 
 
-def lost(name: str, highest: float, tension: float) -> str:
+def format_lost_tension(name: str, highest: float, tension: float) -> str:
     """Message: the tension was lost."""
     return (
         f"{name}: the tension was {highest:.1f} N and is {tension:.1f} N although the motor "
@@ -127,7 +131,7 @@ def lost(name: str, highest: float, tension: float) -> str:
     )
 
 
-def pull_not_repeated(name: str, tension: float, config: InitialiseConfig) -> str:
+def format_pull_not_repeated(name: str, tension: float, config: InitialiseConfig) -> str:
     """Message: the tension is not reached in a later pull."""
     return (
         f"{name}: the later pull reached only {tension:.1f} N, not {config.tension:g} N: the stop "
@@ -135,7 +139,7 @@ def pull_not_repeated(name: str, tension: float, config: InitialiseConfig) -> st
     )
 
 
-def in_the_way(joint: int, tension: float) -> str:
+def format_obstacle(joint: int, tension: float) -> str:
     """Message: the tension on the way back is too high for a free joint."""
     return (
         f"joint {joint}: {tension:.1f} N on the way back from the stop, where the joint moved "

@@ -14,22 +14,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.array_types import Array
-from estimator.records import as_record
+from estimator.records import to_struct
 from slave import gate, initial_position
 from slave.calibration import procedure, procedure_state
-from slave.calibration.config import InitialiseConfig, compliance_limit
-from slave.calibration.procedure_state import Contact, Joint, JointReadings, Phase, ProcedureState
+from slave.calibration.config import InitialiseConfig, compute_compliance_limit
+from slave.calibration.procedure_state import (
+    JointConstants,
+    JointReadings,
+    Phase,
+    ProcedureState,
+    StopContact,
+)
 from slave.gate import GateConfig, GateFlags
 from slave.initial_position import InitialPosition
-from slave.rig import Rig, RigFault, RigFinished, RigSample, motors_follow
+from slave.rig import Rig, RigFault, RigFinished, RigSample, has_following_motors
 from teleop.errors import TeleopError, UsageError
-from teleop.runtime.clock import Tick, quiet_garbage
+from teleop.runtime.clock import Tick, pause_garbage_collection
 
 Codes = NDArray[np.int64]
 
 WARM_UP_HZ, WARM_UP_TICKS = 500.0, 20
 SILENCE_MAX_S = 0.5  # [s] without a usable sample
-UNREADABLE = (
+NO_READINGS_TEXT = (
     "no tension and travel of every tendon for 0.5 s: check that every tendon has a load cell "
     "and an encoder"
 )
@@ -45,14 +51,14 @@ class CalibrationInterrupted(CalibrationRefused):
     exit_code = 128 + signal.SIGINT
 
 
-class Limits(NamedTuple):
+class ProcedureLimits(NamedTuple):
     """Limits of the procedure and of the gate."""
 
     initialise: InitialiseConfig
     gate: GateConfig
 
 
-class Progress(NamedTuple):
+class ProcedureProgress(NamedTuple):
     """Progress of the procedure."""
 
     time_s: float  # [s] since it began
@@ -77,7 +83,7 @@ class ProcedureData:
     phase: Codes  # shape (n, j)
     side: Codes  # shape (n, j): which tendon of the joint was pulled, 2 and 3 in drags
     releases: Codes  # shape (n, j): ended on that side
-    stops: tuple[tuple[Contact, ...], ...]  # of each joint, one a tendon
+    stops: tuple[tuple[StopContact, ...], ...]  # of each joint, one a tendon
 
 
 class ProcedureResult(NamedTuple):
@@ -89,7 +95,7 @@ class ProcedureResult(NamedTuple):
 
 
 @dataclass
-class _Log:
+class _ProcedureLog:
     """Samples with the state of each joint's procedure."""
 
     samples: list[RigSample] = field(default_factory=list)
@@ -118,15 +124,15 @@ class _Log:
         )
 
 
-def drive(
+def run_procedure(
     rig: Rig,
-    limits: Limits,
+    limits: ProcedureLimits,
     ticks: Iterable[Tick],
     start_ns: int,
     joints: Sequence[int],
     together: bool = False,
     stopped: Callable[[], str] = lambda: "",
-    progress: Callable[[Progress], None] = lambda _: None,
+    progress: Callable[[ProcedureProgress], None] = lambda _: None,
 ) -> ProcedureResult:
     """Run the procedure on some joints of a rig; return the measurements.
 
@@ -139,7 +145,7 @@ def drive(
     limits : Limits
         Of the procedure, and of the gate before the motors.
     ticks : iterable of Tick
-        Endless: a `teleop.runtime.clock.Grid` that never stops for a real rig, else `fast_ticks`.
+        Endless: a `teleop.runtime.clock.Grid` that never stops for a real rig, else `generate_fast_ticks`.
     start_ns : int
         Stamp [ns] from which the rig's session time counts.
     joints : sequence of int
@@ -159,10 +165,10 @@ def drive(
     TeleopError
         If the rig failed.
     """
-    require_possible(rig, limits)
-    drive = _Drive(rig, limits, joints, together)
+    validate_limits(rig, limits)
+    drive = _ProcedureRun(rig, limits, joints, together)
     began_ns, unseen = None, ""
-    with quiet_garbage():  # a collection takes 0.1 to 0.6 s; drivers wait 0.2 s
+    with pause_garbage_collection():  # a collection takes 0.1 to 0.6 s; drivers wait 0.2 s
         for tick in ticks:
             began_ns = tick.stamp_ns if began_ns is None else began_ns
             drive.tick((tick.stamp_ns - start_ns) * 1e-9, tick.dt, stopped() or unseen)
@@ -177,25 +183,28 @@ def drive(
     return drive.result()
 
 
-class _Drive:
+class _ProcedureRun:
     """A rig while the procedure runs."""
 
-    def __init__(self, rig: Rig, limits: Limits, joints: Sequence[int], together: bool) -> None:
+    def __init__(
+        self, rig: Rig, limits: ProcedureLimits, joints: Sequence[int], together: bool
+    ) -> None:
         self.newest: RigSample | None = None
         self.over = False
         self._rig, self._limits, self._joints = rig, limits, joints
         self._joint_constants = [
-            _joint_constants(limits.initialise, j, tendons) for j, tendons in enumerate(rig.joints)
+            _build_joint_constants(limits.initialise, j, tendons)
+            for j, tendons in enumerate(rig.joints)
         ]
         self._memories = [ProcedureState() for _ in rig.joints]
         self._verdicts = [GateFlags.PASSED for _ in rig.joints]
         self._groups = [tuple(joints)] if together else [(j,) for j in joints]
-        self._log = _Log()
+        self._log = _ProcedureLog()
         self._position = InitialPosition.new()
-        initial_position.start(self._position, rig.tendons, rig.starts_at_zero)
+        initial_position.init_position(self._position, rig.tendons, rig.starts_at_zero)
         self._motor: tuple[float, ...] = ()
         self._motors_follow = False  # as of the last read
-        self._gate = as_record(limits.gate)
+        self._gate = to_struct(limits.gate)
         self._no_reach = gate.Reach.array(0)  # the range of the joints is not known yet
         self._silence = 0.0
         self._interrupted = False
@@ -205,7 +214,7 @@ class _Drive:
         self._read(time_s, dt)
         self._interrupted = self._interrupted or bool(order)
         if self._silence > SILENCE_MAX_S:
-            order = order or UNREADABLE
+            order = order or NO_READINGS_TEXT
         is_located = self.newest is not None and bool(self._motor)
         if not (is_located and self._motors_follow):
             if order:
@@ -237,14 +246,16 @@ class _Drive:
         except RigFault as error:
             raise TeleopError(f"rig: {error}") from error
 
-    def progress(self, time_s: float) -> Progress:
+    def progress(self, time_s: float) -> ProcedureProgress:
         """Return the progress `time_s` [s] after the start."""
-        done = [procedure_state.progress(self._limits.initialise, m) for m in self._memories]
+        done = [
+            procedure_state.compute_progress(self._limits.initialise, m) for m in self._memories
+        ]
         group = self._groups[0] if self._groups else self._joints[-1:]
         j = min(group, key=lambda j: done[j])
         now = self._memories[j]
         share = sum(done[i] for i in self._joints) / len(self._joints)
-        return Progress(time_s, j + 1, now.phase, now.side, share, now.tension)
+        return ProcedureProgress(time_s, j + 1, now.phase, now.side, share, now.tension)
 
     def result(self) -> ProcedureResult:
         """Return the measurements, or raise the reason of the abort."""
@@ -264,7 +275,7 @@ class _Drive:
     def _read(self, time_s: float, dt: float) -> None:
         try:
             samples = self._rig.read(time_s)
-            self._motors_follow = motors_follow(self._rig)
+            self._motors_follow = has_following_motors(self._rig)
         except RigFinished as error:
             raise CalibrationRefused("replayed data: there is no rig to calibrate") from error
         except RigFault as error:
@@ -280,12 +291,14 @@ class _Drive:
         if self._motor and self._motors_follow:
             return
         tendons = self._rig.tendons
-        initial_position.age(self._position, dt)
+        initial_position.increase_age(self._position, dt)
         for sample in samples:
             travel = sample.proximal_displacement
             if travel is not None:
-                initial_position.take(self._position, tendons, np.array(travel, np.float64), True)
-        if initial_position.known(self._position, SILENCE_MAX_S):
+                initial_position.process_sample(
+                    self._position, tendons, np.array(travel, np.float64), True
+                )
+        if initial_position.is_known(self._position, SILENCE_MAX_S):
             self._motor = tuple(self._position.position[:tendons].tolist())
 
     def _step(self, j: int, order: str, dt: float) -> tuple[float, ...]:
@@ -301,7 +314,7 @@ class _Drive:
         )
         before = self._memories[j]
         if order and not before.refusal:
-            before = procedure_state.refuse(before, seen, order)
+            before = procedure_state.abort_procedure(before, seen, order)
         targets, self._memories[j] = procedure.step(
             self._limits.initialise, self._joint_constants[j], before, seen, dt
         )
@@ -335,7 +348,7 @@ class _Drive:
         return passed, GateFlags(verdict)
 
 
-class StillRig:
+class StationaryRig:
     """A joint of one tendon at rest, on which nothing moves."""
 
     name = "still"
@@ -363,12 +376,14 @@ class StillRig:
 
 def warm_up() -> None:
     """Compile what a tick of the procedure calls, before it has to be on time."""
-    driven = _Drive(StillRig(), Limits(InitialiseConfig(), GateConfig()), (0,), together=False)
-    for tick in islice(fast_ticks(WARM_UP_HZ), WARM_UP_TICKS):
+    driven = _ProcedureRun(
+        StationaryRig(), ProcedureLimits(InitialiseConfig(), GateConfig()), (0,), together=False
+    )
+    for tick in islice(generate_fast_ticks(WARM_UP_HZ), WARM_UP_TICKS):
         driven.tick(tick.stamp_ns * 1e-9, tick.dt, "")
 
 
-def fast_ticks(rate_hz: float) -> Iterator[Tick]:
+def generate_fast_ticks(rate_hz: float) -> Iterator[Tick]:
     """Yield ticks of a simulated rig's own time, as fast as they are consumed."""
     dt = 1.0 / rate_hz
     return (Tick(k, round(k * dt * 1e9), dt) for k in count())
@@ -382,7 +397,7 @@ def is_complete(sample: RigSample) -> bool:
     )
 
 
-def require_possible(rig: Rig, limits: Limits) -> None:
+def validate_limits(rig: Rig, limits: ProcedureLimits) -> None:
     """Raise `UsageError` if the procedure cannot run with this config."""
     config, most = limits.initialise, limits.gate
     if len(config.sheaths) not in (0, 1, rig.tendons):
@@ -402,5 +417,7 @@ def require_possible(rig: Rig, limits: Limits) -> None:
         )
 
 
-def _joint_constants(config: InitialiseConfig, j: int, tendons: tuple[int, ...]) -> Joint:
-    return Joint(j + 1, tuple(compliance_limit(config, k) for k in tendons))
+def _build_joint_constants(
+    config: InitialiseConfig, j: int, tendons: tuple[int, ...]
+) -> JointConstants:
+    return JointConstants(j + 1, tuple(compute_compliance_limit(config, k) for k in tendons))

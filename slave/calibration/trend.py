@@ -9,7 +9,7 @@ motor changes nothing.
 import math
 from typing import NamedTuple
 
-_FULL = 0.1  # of the window's own spread: with less travel the slope is not defined
+_SPREAD_MIN = 0.1  # of the window's own spread: with less travel the slope is not defined
 
 
 class Trend(NamedTuple):
@@ -22,12 +22,14 @@ class Trend(NamedTuple):
     newest: float = math.nan  # [m] travel of the newest sample used
 
 
-def start(travel: float, tension: float) -> Trend:
+def init_trend(travel: float, tension: float) -> Trend:
     """Return the trend of a single sample."""
     return Trend(travel, tension, newest=travel)
 
 
-def update(trend: Trend, travel: float, tension: float, direction: float, window: float) -> Trend:
+def update_trend(
+    trend: Trend, travel: float, tension: float, direction: float, window: float
+) -> Trend:
     """Return the trend after a sample; `direction` is +1 while pulling and -1 while releasing.
 
     Its weight is the travel since the last one, so speed and rate do not matter; samples without
@@ -47,8 +49,8 @@ def update(trend: Trend, travel: float, tension: float, direction: float, window
     )
 
 
-def stiffness(trend: Trend, window: float) -> float:
+def compute_stiffness(trend: Trend, window: float) -> float:
     """Return dT/dq [N/m], infinite while there is too little travel."""
-    if trend.variance < (_FULL * window) ** 2:
+    if trend.variance < (_SPREAD_MIN * window) ** 2:
         return math.inf
     return trend.covariance / trend.variance

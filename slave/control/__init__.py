@@ -7,20 +7,20 @@ docs/control.md explains both.
 from slave.control.config import ControlConfig
 from slave.control.joint import (
     JointEstimate,
-    joint_estimate,
-    joint_estimates,
-    joint_offsets,
-    offset,
+    compute_joint_offsets,
+    compute_offset,
+    estimate_joint,
+    estimate_joints,
 )
-from slave.control.law import Control, step
+from slave.control.law import ControllerState, step
 
 __all__ = [
-    "Control",
     "ControlConfig",
+    "ControllerState",
     "JointEstimate",
-    "joint_estimate",
-    "joint_estimates",
-    "joint_offsets",
-    "offset",
+    "compute_joint_offsets",
+    "compute_offset",
+    "estimate_joint",
+    "estimate_joints",
     "step",
 ]

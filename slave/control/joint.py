@@ -11,17 +11,17 @@ from math import isfinite, nan
 from typing import TypeAlias
 
 from estimator.array_types import Array
-from estimator.compiled import compiled
-from estimator.records import F64, I64, Record, Records
+from estimator.compiled import jit_compile
+from estimator.records import F64, I64, Struct, StructArray
 from slave.tendons import SIGNS, EstimatedTendon, EstimatedTendons, JointTendons, RigLayout
 
-SLACK = 0.05  # [N] at the housing: below, a tendon does not measure its joint
-TAUT = 0.15  # [N] full weight from here on
+SLACK_TENSION = 0.05  # [N] at the housing: below, a tendon does not measure its joint
+TAUT_TENSION = 0.15  # [N] full weight from here on
 
-FLOOR = 1e-5  # [m] added to the elongation in the weight: no tendon is a perfect sensor
+ERROR_FLOOR = 1e-5  # [m] added to the elongation in the weight: no tendon is a perfect sensor
 
 
-class JointEstimate(Record):
+class JointEstimate(Struct):
     """Estimate of one joint at one instant."""
 
     position: F64 = nan  # [m] travel, up to a constant; NaN without encoders
@@ -31,24 +31,26 @@ class JointEstimate(Record):
     status: I64 = 0  # bits of estimator.online.tendon_estimate.Status, of all its tendons
 
 
-JointEstimates: TypeAlias = Sequence[JointEstimate] | Records
+JointEstimates: TypeAlias = Sequence[JointEstimate] | StructArray
 """The joints of a rig at one instant, as a field of a record or as an array of records."""
 
 
-@compiled
-def weight(tendon: EstimatedTendon) -> float:
+@jit_compile
+def compute_weight(tendon: EstimatedTendon) -> float:
     """Return the weight of a tendon's measurement of its joint's travel [1/m^2].
 
     1/e^2 with e the elongation; reduced if the tendon is nearly slack, zero if its estimate is
     invalid.
     """
-    if not (tendon.valid and tendon.tension > SLACK):
+    if not (tendon.valid and tendon.tension > SLACK_TENSION):
         return 0.0
-    error = FLOOR + max(tendon.estimate.elongation, 0.0)
-    return min((tendon.tension - SLACK) / (TAUT - SLACK), 1.0) / (error * error)
+    error = ERROR_FLOOR + max(tendon.estimate.elongation, 0.0)
+    return min((tendon.tension - SLACK_TENSION) / (TAUT_TENSION - SLACK_TENSION), 1.0) / (
+        error * error
+    )
 
 
-@compiled
+@jit_compile
 def fuse_travel(
     joint: JointTendons, tendons: EstimatedTendons, travel_a: float, travel_b: float
 ) -> float:
@@ -58,7 +60,7 @@ def fuse_travel(
     """
     if joint.count == 1:
         return travel_a
-    of_a, of_b = weight(tendons[joint.tendon[0]]), weight(tendons[joint.tendon[1]])
+    of_a, of_b = compute_weight(tendons[joint.tendon[0]]), compute_weight(tendons[joint.tendon[1]])
     if of_a == of_b:
         return 0.5 * (travel_a + travel_b)
     if of_a == 0.0 or of_b == 0.0:
@@ -66,8 +68,8 @@ def fuse_travel(
     return (of_a * travel_a + of_b * travel_b) / (of_a + of_b)
 
 
-@compiled
-def offset(joint: JointTendons, tendons: EstimatedTendons) -> float:
+@jit_compile
+def compute_offset(joint: JointTendons, tendons: EstimatedTendons) -> float:
     """Return the common offset [m] of the travel measured by the tendons of a joint.
 
     The travels q_p - e of both tips sum to a constant; this is half its present value.
@@ -79,19 +81,19 @@ def offset(joint: JointTendons, tendons: EstimatedTendons) -> float:
     return 0.5 * both
 
 
-@compiled
-def joint_offsets(layout: RigLayout, tendons: EstimatedTendons, out_offsets: Array) -> bool:
-    """Write the `offset` of each joint [m] if all of them are finite; return whether they are."""
+@jit_compile
+def compute_joint_offsets(layout: RigLayout, tendons: EstimatedTendons, out_offsets: Array) -> bool:
+    """Write the `compute_offset` of each joint [m] if all of them are finite; return whether they are."""
     for k in range(layout.joints):
-        if not isfinite(offset(layout.joint[k], tendons)):
+        if not isfinite(compute_offset(layout.joint[k], tendons)):
             return False
     for k in range(layout.joints):
-        out_offsets[k] = offset(layout.joint[k], tendons)
+        out_offsets[k] = compute_offset(layout.joint[k], tendons)
     return True
 
 
-@compiled
-def joint_estimate(
+@jit_compile
+def estimate_joint(
     joint: JointTendons, tendons: EstimatedTendons, offset: float, out: JointEstimate
 ) -> None:
     """Estimate a joint.
@@ -105,7 +107,7 @@ def joint_estimate(
     tendons : EstimatedTendons
         All of the rig in one sample, shape (tendons,) or longer.
     offset : float
-        Of its tendons [m], from `offset` at the time that defines the position.
+        Of its tendons [m], from `compute_offset` at the time that defines the position.
     out : JointEstimate
         Overwritten.
     """
@@ -121,10 +123,10 @@ def joint_estimate(
     out.force, out.low, out.high, out.status = force, low, high, status
 
 
-@compiled
-def joint_estimates(
+@jit_compile
+def estimate_joints(
     layout: RigLayout, tendons: EstimatedTendons, offsets: Array, out_estimates: JointEstimates
 ) -> None:
-    """Write the `joint_estimate` of every joint of a rig; `offsets` [m] have shape (joints,)."""
+    """Write the `estimate_joint` of every joint of a rig; `offsets` [m] have shape (joints,)."""
     for k in range(layout.joints):
-        joint_estimate(layout.joint[k], tendons, offsets[k], out_estimates[k])
+        estimate_joint(layout.joint[k], tendons, offsets[k], out_estimates[k])

@@ -22,8 +22,8 @@ from math import copysign, isfinite
 from typing import Annotated
 
 from estimator.array_types import Array
-from estimator.compiled import compiled
-from estimator.records import F64, Field, Flag, Record
+from estimator.compiled import jit_compile
+from estimator.records import F64, Field, Flag, Struct
 from slave.control.config import ControlConfig
 from slave.control.joint import fuse_travel
 from slave.tendons import SIGNS, EstimatedTendon, EstimatedTendons, JointTendons, RigLayout
@@ -31,7 +31,7 @@ from teleop.messages.messages import MAX_JOINTS
 from teleop.runtime.clock import STEP_MAX_S
 
 
-class DrivenTendon(Record):
+class DrivenTendon(Struct):
     """A tendon since its joint engaged."""
 
     origin: F64 = 0.0  # [m] motor position for no travel and no stretch
@@ -41,25 +41,25 @@ class DrivenTendon(Record):
     motor: F64 = 0.0  # [m] gated motor position of the last tick
 
 
-class EngagedJoint(Record):
+class EngagedJoint(Struct):
     """A joint since it engaged."""
 
     command: F64 = 0.0  # [m] commanded travel at engagement
     tendon: Annotated[Sequence[DrivenTendon], Field(DrivenTendon, 2)]
 
 
-class Control(Record):
+class ControllerState(Struct):
     """State of the controller."""
 
     engaged: Flag = False  # whether `joint` is initialised, from the first engaged tick on
     joint: Annotated[Sequence[EngagedJoint], Field(EngagedJoint, MAX_JOINTS)]
 
 
-@compiled
+@jit_compile
 def step(
     config: ControlConfig,
     layout: RigLayout,
-    memory: Control,
+    memory: ControllerState,
     command: Array,
     velocity: Array,
     motor: Array,
@@ -102,17 +102,19 @@ def step(
     if not memory.engaged:
         memory.engaged = True
         for k in range(layout.joints):
-            _engage(config, layout.joint[k], memory.joint[k], command[k], motor, tendons)
+            _engage_joint(config, layout.joint[k], memory.joint[k], command[k], motor, tendons)
         return
     dt = min(dt, STEP_MAX_S) if dt > 0.0 else 0.0
     for k in range(layout.joints):
         requested = command[k] - memory.joint[k].command
         requested += config.lead * min(max(velocity[k], -config.speed_max), config.speed_max)
-        _drive(config, layout.joint[k], memory.joint[k], requested, motor, tendons, dt, out_wanted)
+        _compute_joint_targets(
+            config, layout.joint[k], memory.joint[k], requested, motor, tendons, dt, out_wanted
+        )
 
 
-@compiled
-def _engage(
+@jit_compile
+def _engage_joint(
     config: ControlConfig,
     joint: JointTendons,
     memory: EngagedJoint,
@@ -132,7 +134,7 @@ def _engage(
         m, e, tension = motor[i], tendons[i].estimate.elongation, tendons[i].tension
         driven = memory.tendon[n]
         driven.origin = m - config.compensation * e
-        driven.tip = _position(m, tendons[i]) - e
+        driven.tip = _get_position(m, tendons[i]) - e
         driven.stretch = driven.elongation = e
         driven.motor = m
         if tension > config.slack_side_tension:
@@ -143,8 +145,8 @@ def _engage(
         memory.tendon[least].origin -= (1.0 - config.compensation) * excess
 
 
-@compiled
-def _drive(
+@jit_compile
+def _compute_joint_targets(
     config: ControlConfig,
     joint: JointTendons,
     memory: EngagedJoint,
@@ -157,19 +159,19 @@ def _drive(
     """Write the motor targets of a joint with a commanded travel of `requested` [m]."""
     a, b = memory.tendon[0], memory.tendon[1]  # of a joint of one tendon, b stays zero
     e_a, m_a, e_b, m_b = a.elongation, a.motor, b.elongation, b.motor
-    _update(joint, memory, motor, tendons)
+    _update_joint(joint, memory, motor, tendons)
     # the travel of each tip by its own motor, sign reversed: the other motor has to follow
     follow_b = (a.elongation - e_a) - (a.motor - m_a)
     follow_a = (b.elongation - e_b) - (b.motor - m_b)
     i = joint.tendon[0]
-    out_wanted[i] = _target(config, a, SIGNS[0] * requested, follow_a, tendons[i], dt)
+    out_wanted[i] = _compute_target(config, a, SIGNS[0] * requested, follow_a, tendons[i], dt)
     if joint.count > 1:
         i = joint.tendon[1]
-        out_wanted[i] = _target(config, b, SIGNS[1] * requested, follow_b, tendons[i], dt)
+        out_wanted[i] = _compute_target(config, b, SIGNS[1] * requested, follow_b, tendons[i], dt)
 
 
-@compiled
-def _update(
+@jit_compile
+def _update_joint(
     joint: JointTendons, memory: EngagedJoint, motor: Array, tendons: EstimatedTendons
 ) -> None:
     """Update the tendons of a joint with a sample; while one is invalid, their motors only."""
@@ -183,12 +185,12 @@ def _update(
     a, b = memory.tendon[0], memory.tendon[1]
     i = joint.tendon[0]
     a.elongation = tendons[i].estimate.elongation
-    wound_a, wound_b = _position(motor[i], tendons[i]) - a.tip, 0.0
+    wound_a, wound_b = _get_position(motor[i], tendons[i]) - a.tip, 0.0
     travel_a, travel_b = SIGNS[0] * (wound_a - a.elongation), 0.0
     if joint.count > 1:
         i = joint.tendon[1]
         b.elongation = tendons[i].estimate.elongation
-        wound_b = _position(motor[i], tendons[i]) - b.tip
+        wound_b = _get_position(motor[i], tendons[i]) - b.tip
         travel_b = SIGNS[1] * (wound_b - b.elongation)
     travel = fuse_travel(joint, tendons, travel_a, travel_b)
     a.stretch = wound_a - SIGNS[0] * travel
@@ -196,8 +198,8 @@ def _update(
         b.stretch = wound_b - SIGNS[1] * travel
 
 
-@compiled
-def _target(
+@jit_compile
+def _compute_target(
     config: ControlConfig,
     driven: DrivenTendon,
     requested: float,
@@ -224,7 +226,7 @@ def _target(
     return max(bounded, motor - reach) if isfinite(bounded) else motor
 
 
-@compiled
-def _position(motor: float, tendon: EstimatedTendon) -> float:
+@jit_compile
+def _get_position(motor: float, tendon: EstimatedTendon) -> float:
     """Return the motor position [m]: measured, or the gated one if there is no encoder."""
     return tendon.displacement if isfinite(tendon.displacement) else motor

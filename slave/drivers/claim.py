@@ -16,7 +16,7 @@ from slave.drivers.driver import DriverFault
 
 _WORKER = "slave.drivers.worker"
 _CREDENTIALS = struct.Struct("3i")  # process, user and group of SO_PEERCRED
-_TOLD = 4096  # processes that may ask for the holder; later ones are not told who it is
+_BACKLOG = 4096  # processes that may ask for the holder; later ones are not told who it is
 
 
 def claim_bus(place: str, key: str) -> socket.socket:
@@ -39,10 +39,12 @@ def claim_bus(place: str, key: str) -> socket.socket:
         return claim
     try:
         claim.bind(f"\0teleop-bus {key}")
-        claim.listen(_TOLD)
+        claim.listen(_BACKLOG)
     except OSError as error:
         with claim:
-            raise DriverFault(f"{place}: in use by {_holder(claim, key)}: end it first") from error
+            raise DriverFault(
+                f"{place}: in use by {_find_holder(claim, key)}: end it first"
+            ) from error
     return claim
 
 
@@ -55,7 +57,7 @@ def claim_port(path: str) -> socket.socket:
     return claim_bus(path, f"serial {os.major(device)}:{os.minor(device)}")
 
 
-def _holder(asking: socket.socket, key: str) -> str:
+def _find_holder(asking: socket.socket, key: str) -> str:
     """Return the process that holds a claim, in words."""
     try:
         asking.setblocking(False)
@@ -64,17 +66,17 @@ def _holder(asking: socket.socket, key: str) -> str:
     except OSError:
         return "another program"
     number = _CREDENTIALS.unpack(told)[0]
-    words = _command(number)
+    words = _read_command(number)
     if _WORKER in words:
         with contextlib.suppress(OSError):
             status = Path(f"/proc/{number}/stat").read_text()
             number = int(status.rpartition(")")[2].split()[1])  # of the program that started it
-            words = _command(number)
+            words = _read_command(number)
     command = " ".join(words[words.index("-m") + 1 :] if "-m" in words else words)
     return f"process {number} ({command[:60]})"
 
 
-def _command(number: int) -> list[str]:
+def _read_command(number: int) -> list[str]:
     """Return the words of a process's command; empty if it is hidden or has ended."""
     with contextlib.suppress(OSError):
         data = Path(f"/proc/{number}/cmdline").read_bytes()

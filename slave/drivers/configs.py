@@ -6,7 +6,7 @@ from types import ModuleType
 from typing import Any, NamedTuple
 
 from slave.drivers.cia402.config import Cia402Config
-from slave.drivers.driver import Channels, Driver, DriverFault
+from slave.drivers.driver import BusDriver, Channels, DriverFault
 from slave.drivers.dynamixel.config import DynamixelConfig
 from slave.drivers.microcontroller.config import MicrocontrollerConfig
 
@@ -44,17 +44,17 @@ DRIVERS: dict[type[Any], DriverEntry] = {
 }
 
 
-def open_driver(config: DriverConfig, channels: Channels) -> Driver:
+def open_driver(config: DriverConfig, channels: Channels) -> BusDriver:
     """Return the driver of a config, not started; `DriverFault` if its library is missing."""
     entry = DRIVERS[type(config)]
     module, _, name = (entry.reader if channels.read_only else entry.driver).partition(":")
-    found: Driver = getattr(_imported(config, module), name)(config, channels)
+    found: BusDriver = getattr(_import_module(config, module), name)(config, channels)
     return found
 
 
 def scan(config: DriverConfig) -> Iterator[str]:
     """Yield what answers on a bus, one line each; moves and sets nothing. `DriverFault`."""
-    lines: Iterator[str] = _imported(config, DRIVERS[type(config)].tools).scan(config)
+    lines: Iterator[str] = _import_module(config, DRIVERS[type(config)].tools).scan(config)
     return lines
 
 
@@ -63,19 +63,19 @@ def reset(config: DriverConfig, motors: tuple[int, ...]) -> Iterator[str]:
 
     `DriverFault` at the end, if any of them is not.
     """
-    lines: Iterator[str] = _imported(config, DRIVERS[type(config)].tools).reset(config, motors)
+    lines: Iterator[str] = _import_module(config, DRIVERS[type(config)].tools).reset(config, motors)
     return lines
 
 
-def _imported(config: DriverConfig, module: str) -> ModuleType:
+def _import_module(config: DriverConfig, module: str) -> ModuleType:
     try:
         return importlib.import_module(module)
     except ModuleNotFoundError as error:
         extra = DRIVERS[type(config)].extra
-        raise DriverFault(missing_library(str(error.name), config.type, extra)) from error
+        raise DriverFault(format_missing_library(str(error.name), config.type, extra)) from error
 
 
-def missing_library(module: str, driver: str, extra: str) -> str:
+def format_missing_library(module: str, driver: str, extra: str) -> str:
     """Return the line that says which package to install."""
     return (
         f"the driver {driver} needs the Python package of {module!r}: "

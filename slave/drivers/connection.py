@@ -10,13 +10,13 @@ from slave.drivers import packets
 from slave.drivers.configs import DriverConfig
 from slave.drivers.driver import Channels, Counts, DriverFault, Reading
 from teleop.config.loading import as_tree
-from teleop.runtime.process import module_command
+from teleop.runtime.process import build_module_command
 
 START_S = 20.0  # [s] in which a bus must be set up
 END_S = 2.0  # [s] in which it must be released
 
 
-class Connection:
+class DriverProcess:
     """A driver in a process of its own.
 
     Parameters
@@ -40,7 +40,7 @@ class Connection:
     def __init__(self, config: DriverConfig, channels: Channels) -> None:
         self.counts: dict[str, int | float | str] = {}
         self._place = config.type
-        self._end, other = packets.pair()
+        self._end, other = packets.create_socket_pair()
         self._process = start_process(other, config, channels)
         other.close()
         try:
@@ -52,7 +52,7 @@ class Connection:
     def read(self) -> list[Reading]:
         """Return the readings since the last call, oldest first; `DriverFault` if it failed."""
         readings = []
-        while (packet := packets.receive(self._end)) is not None:
+        while (packet := packets.receive_packet(self._end)) is not None:
             if packet[:1] == packets.READING:
                 readings.append(packets.unpack_reading(packet))
             else:
@@ -92,7 +92,7 @@ class Connection:
         until_s = time.monotonic() + END_S
         while (left_s := until_s - time.monotonic()) > 0.0:
             select.select([self._end], [], [], left_s)
-            packet = packets.receive(self._end)
+            packet = packets.receive_packet(self._end)
             if packet == b"":
                 return
             if packet is not None and packet[:1] == packets.COUNTS:
@@ -111,7 +111,7 @@ class Connection:
         until_s = time.monotonic() + START_S
         while (left_s := until_s - time.monotonic()) > 0.0:
             select.select([self._end], [], [], left_s)
-            packet = packets.receive(self._end)
+            packet = packets.receive_packet(self._end)
             if packet == packets.READY:
                 return
             if packet is not None:
@@ -136,7 +136,7 @@ def start_process(
     number = end.fileno()
     return subprocess.Popen(
         [
-            *module_command("slave.drivers.worker"),
+            *build_module_command("slave.drivers.worker"),
             *(str(number), *map(json.dumps, words)),
         ],
         pass_fds=[number],

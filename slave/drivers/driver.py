@@ -38,7 +38,7 @@ class Reading:
     follows: bool = False  # whether every motor is enabled and follows the targets
 
 
-class Driver(Protocol):
+class BusDriver(Protocol):
     """One bus, used from one thread: `start`, any number of `cycle` and `stop`, `close`.
 
     `start` and `cycle` raise `DriverFault`; then only `close` is called. A driver moves nothing

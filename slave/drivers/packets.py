@@ -15,7 +15,7 @@ from slave.drivers.driver import Counts, Reading
 
 READY, READING, FAULT, COUNTS = b"R", b"S", b"F", b"C"  # from the driver
 TARGET, STOP, PAUSE = b"T", b"E", b"P"  # to the driver
-LARGEST = 4096  # [B] of a packet
+PACKET_SIZE_MAX = 4096  # [B] of a packet
 
 Values = NDArray[np.float64]
 
@@ -29,7 +29,7 @@ class Orders(NamedTuple):
     ended: bool  # the slave is gone
 
 
-def pair() -> tuple[socket.socket, socket.socket]:
+def create_socket_pair() -> tuple[socket.socket, socket.socket]:
     """Return the sockets of the slave and of the driver, neither of which ever waits."""
     ends = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     for end in ends:
@@ -62,14 +62,14 @@ def pack_counts(counts: dict[str, int | float | str]) -> bytes:
 
 def pack_fault(text: str) -> bytes:
     """Return a fault as a packet."""
-    return FAULT + text.encode()[: LARGEST - 1]
+    return FAULT + text.encode()[: PACKET_SIZE_MAX - 1]
 
 
-def receive(end: socket.socket) -> bytes | None:
+def receive_packet(end: socket.socket) -> bytes | None:
     """Return the next packet, empty if the other end is gone; None if there is none yet."""
     for _ in range(2):
         try:
-            return end.recv(LARGEST)
+            return end.recv(PACKET_SIZE_MAX)
         except BlockingIOError:
             return None
         except ConnectionError:  # told once; what the other end has sent before is still there
@@ -81,7 +81,7 @@ def receive_orders(end: socket.socket) -> Orders:
     """Return what the slave has sent since the last look."""
     target: Counts | None = None
     stop = pause = False
-    while (packet := receive(end)) is not None:
+    while (packet := receive_packet(end)) is not None:
         if not packet:
             return Orders(None, stop, False, True)
         pause = packet[:1] == PAUSE

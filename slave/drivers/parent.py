@@ -4,11 +4,11 @@ import contextlib
 import os
 
 _EXITING = 0x4  # PF_EXITING of the kernel, in the field "flags" of proc_pid_stat(5)
-_FLAGS = 6  # place of that field, counted from the one behind the command's name
-_LONGEST = 1024  # [B] of the file
+_FLAGS_FIELD = 6  # place of that field, counted from the one behind the command's name
+_STAT_SIZE_MAX = 1024  # [B] of the file
 
 
-class Parent:
+class ParentProcess:
     """The process that has started this one.
 
     The kernel releases the memory of a killed process before it closes its files: the end of the
@@ -32,7 +32,7 @@ class Parent:
         if self._file is None:
             return False
         try:
-            text = os.pread(self._file, _LONGEST, 0)
+            text = os.pread(self._file, _STAT_SIZE_MAX, 0)
         except ProcessLookupError:
             return True
-        return bool(int(text.rpartition(b")")[2].split()[_FLAGS]) & _EXITING)
+        return bool(int(text.rpartition(b")")[2].split()[_FLAGS_FIELD]) & _EXITING)

@@ -27,11 +27,11 @@ def open_serial(path: str, baud: int, **settings: Any) -> tuple[serial.Serial, s
         fcntl.ioctl(port.fileno(), termios.TIOCEXCL)
     except (serial.SerialException, OSError, ValueError) as error:
         claim.close()
-        raise DriverFault(f"{path}: cannot be opened: {error_text(error)}") from error
+        raise DriverFault(f"{path}: cannot be opened: {format_port_error(error)}") from error
     return port, claim
 
 
-def error_text(error: Exception) -> str:
+def format_port_error(error: Exception) -> str:
     """Return what the system says of an error, without the path that pyserial repeats."""
     number = getattr(error, "errno", None)
     if number in (errno.EAGAIN, errno.EBUSY):

@@ -19,16 +19,16 @@ from dataclasses import dataclass
 
 from slave.drivers import packets
 from slave.drivers.configs import DriverConfig, open_driver
-from slave.drivers.driver import Channels, Counts, Driver, DriverFault, Reading
-from slave.drivers.parent import Parent
+from slave.drivers.driver import BusDriver, Channels, Counts, DriverFault, Reading
+from slave.drivers.parent import ParentProcess
 from teleop.config.loading import load
 from teleop.errors import TeleopError
-from teleop.runtime.clock import quiet_garbage
+from teleop.runtime.clock import pause_garbage_collection
 
 COUNTS_S = 1.0  # [s] between two packets of counts
-SILENT_S = 0.2  # [s] without a target while motors are enabled: the slave hangs
-PAUSE_S = 30.0  # [s] the same, if the slave has announced a pause
-KEPT = 64  # readings that wait for a slave that does not read; the oldest are dropped
+TARGET_TIMEOUT_S = 0.2  # [s] without a target while motors are enabled: the slave hangs
+PAUSE_TIMEOUT_S = 30.0  # [s] the same, if the slave has announced a pause
+QUEUE_LENGTH = 64  # readings that wait for a slave that does not read; the oldest are dropped
 
 
 @dataclass(frozen=True)
@@ -44,23 +44,23 @@ def main(words: Sequence[str]) -> int:
     number, driver, channels = words
     for ending in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):  # the slave ends this process
         signal.signal(ending, signal.SIG_IGN)
-    slave = Parent(os.getppid())
+    slave = ParentProcess(os.getppid())
     end = socket.socket(fileno=int(number))
     try:
         texts = [f"driver={driver}", f"channels={channels}"]
         config = load(None, WorkerConfig, None, texts)
         opened = open_driver(config.driver, config.channels)
-        with quiet_garbage():  # a collection takes longer than a cycle
-            serve(opened, end, slave)
+        with pause_garbage_collection():  # a collection takes longer than a cycle
+            serve_driver(opened, end, slave)
     except (DriverFault, TeleopError) as error:
-        _send(end, packets.pack_fault(str(error)))
+        _send_packet(end, packets.pack_fault(str(error)))
         return 1
     finally:
         end.close()
     return 0
 
 
-def serve(driver: Driver, end: socket.socket, slave: Parent) -> None:
+def serve_driver(driver: BusDriver, end: socket.socket, slave: ParentProcess) -> None:
     """Run a driver until the slave or its end of the socket is gone, or the driver fails.
 
     A fault is sent as the last packet; the motors are then stopped already.
@@ -68,8 +68,8 @@ def serve(driver: Driver, end: socket.socket, slave: Parent) -> None:
     fault = ""
     try:
         driver.start()
-        _send(end, packets.READY)
-        _run(driver, end, slave)
+        _send_packet(end, packets.READY)
+        _run_cycles(driver, end, slave)
     except DriverFault as error:
         fault = str(error)
     except Exception as error:
@@ -79,13 +79,13 @@ def serve(driver: Driver, end: socket.socket, slave: Parent) -> None:
         with contextlib.suppress(OSError):
             end.send(packets.pack_counts(driver.counts()))
         if fault:
-            _send(end, packets.pack_fault(fault))
+            _send_packet(end, packets.pack_fault(fault))
 
 
-def _run(driver: Driver, end: socket.socket, slave: Parent) -> None:
+def _run_cycles(driver: BusDriver, end: socket.socket, slave: ParentProcess) -> None:
     target: Counts | None = None
-    ordered_s, silent_s = 0.0, SILENT_S  # when the target came, and how long it counts
-    waiting: deque[Reading] = deque(maxlen=KEPT)
+    ordered_s, silent_s = 0.0, TARGET_TIMEOUT_S  # when the target came, and how long it counts
+    waiting: deque[Reading] = deque(maxlen=QUEUE_LENGTH)
     due_s = counts_s = time.monotonic()
     while True:
         orders = packets.receive_orders(end)
@@ -95,9 +95,9 @@ def _run(driver: Driver, end: socket.socket, slave: Parent) -> None:
         elif orders.ended or (orders.target is None and slave.ends()):
             return
         elif orders.target is not None:
-            target, ordered_s, silent_s = orders.target, time.monotonic(), SILENT_S
+            target, ordered_s, silent_s = orders.target, time.monotonic(), TARGET_TIMEOUT_S
         if orders.pause:
-            silent_s = PAUSE_S
+            silent_s = PAUSE_TIMEOUT_S
         if target is not None and time.monotonic() - ordered_s > silent_s:
             raise DriverFault(f"the slave has given no target for {silent_s:g} s")
         waiting.extend(driver.cycle(target))
@@ -110,11 +110,11 @@ def _run(driver: Driver, end: socket.socket, slave: Parent) -> None:
                 end.send(packets.pack_counts(driver.counts()))
         if driver.period_s:
             now = time.monotonic()
-            due_s = next_due(due_s, now, driver.period_s)
+            due_s = compute_next_due(due_s, now, driver.period_s)
             time.sleep(max(0.0, due_s - now))
 
 
-def next_due(due_s: float, now_s: float, period_s: float) -> float:
+def compute_next_due(due_s: float, now_s: float, period_s: float) -> float:
     """Return when the next cycle is due, on an absolute grid.
 
     A cycle that took a little longer than its period is followed at once by the next one; of those
@@ -124,7 +124,7 @@ def next_due(due_s: float, now_s: float, period_s: float) -> float:
     return next_s + period_s * max(0, math.floor((now_s - next_s) / period_s))
 
 
-def _send(end: socket.socket, packet: bytes) -> None:
+def _send_packet(end: socket.socket, packet: bytes) -> None:
     """Send a packet that matters: the slave reads, or is gone."""
     with contextlib.suppress(OSError):
         end.settimeout(1.0)

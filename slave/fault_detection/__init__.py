@@ -6,15 +6,15 @@ thresholds and detection times.
 """
 
 from slave.fault_detection.config import FaultDetectionConfig
-from slave.fault_detection.detector import FaultDetector, start, step
-from slave.fault_detection.motors import MotorChecks, check_motors, take_motor_readings
+from slave.fault_detection.detector import FaultDetector, init_detector, step
+from slave.fault_detection.motors import MotorChecks, check_motors, record_motor_readings
 
 __all__ = [
     "FaultDetectionConfig",
     "FaultDetector",
     "MotorChecks",
     "check_motors",
-    "start",
+    "init_detector",
+    "record_motor_readings",
     "step",
-    "take_motor_readings",
 ]

@@ -2,13 +2,13 @@
 
 from math import isfinite, nan
 
-from estimator.compiled import compiled
-from estimator.records import F64, Record
+from estimator.compiled import jit_compile
+from estimator.records import F64, Struct
 
 TIME_CONSTANT = 0.005  # [s] of the averages
 
 
-class AveragedTendon(Record):
+class TendonAverage(Struct):
     """One tendon, averaged; NaN before its first sample."""
 
     tension: F64 = nan  # [N]
@@ -16,8 +16,8 @@ class AveragedTendon(Record):
     speed: F64 = nan  # [m/s]
 
 
-@compiled
-def update_average(average: AveragedTendon, tension: float, displacement: float, dt: float) -> None:
+@jit_compile
+def update_average(average: TendonAverage, tension: float, displacement: float, dt: float) -> None:
     """Update the averages with a sample `dt` [s] after the last; NaN averages are initialised."""
     if not isfinite(average.displacement):
         average.tension, average.displacement, average.speed = tension, displacement, 0.0

@@ -6,12 +6,12 @@ further than the joint can have moved is broken.
 
 from math import nan
 
-from estimator.compiled import compiled
-from estimator.records import F64, Record
+from estimator.compiled import jit_compile
+from estimator.records import F64, Struct
 from slave.fault_detection.config import FaultDetectionConfig
 
 
-class Slack(Record):
+class SlackState(Struct):
     """State of a tendon without tension; the defaults are those of a taut one."""
 
     time: F64 = -1.0  # [s] since the tension was lost; below 0 while taut
@@ -19,10 +19,10 @@ class Slack(Record):
     wound: F64 = nan  # [m] wound in by the joint's motors when it went slack
 
 
-@compiled
+@jit_compile
 def check_slack(
     config: FaultDetectionConfig,
-    slack: Slack,
+    slack: SlackState,
     tension: float,
     before: float,
     wound: float,
@@ -51,8 +51,8 @@ def check_slack(
     return slack.wound + config.take_up < wound
 
 
-@compiled
-def is_slack_longer(slack: Slack, other: Slack) -> bool:
+@jit_compile
+def is_slack_longer(slack: SlackState, other: SlackState) -> bool:
     """Return whether a tendon lost its tension first; at the same time, whether it had more."""
     if slack.time != other.time:
         return slack.time > other.time

@@ -11,30 +11,32 @@ than a taut tendon's backlash.
 
 from math import erf, inf, log, sqrt
 
-from estimator.compiled import compiled
-from estimator.records import F64, I64, Flag, Record
+from estimator.compiled import jit_compile
+from estimator.records import F64, I64, Flag, Struct
 from slave.fault_detection.config import FaultDetectionConfig
 from teleop.session.state_machine import Reason
 
-SURE = log(1e-12)  # of p^n: once in thirty years at 1 kHz
-SUSPECT = log(1e-4)
-LONGER = 5  # times the longest earlier run of identical readings
-AT_RANGE = 0.99  # of the cell's range
-AT_RANGE_TIME = 0.010  # [s]
+LOG_PROBABILITY_FAULT = log(1e-12)  # of p^n: once in thirty years at 1 kHz
+LOG_PROBABILITY_SUSPECT = log(1e-4)
+RUN_LENGTH_RATIO = 5  # times the longest earlier run of identical readings
+RANGE_SHARE = 0.99  # of the cell's range
+RANGE_TIME = 0.010  # [s]
 
 # if the model has no noise
-REPEATS = 0.4  # fraction of repeated readings in a noisy cell, at most; one half between two steps
-TURNS = (
+REPEAT_SHARE_MAX = (
+    0.4  # fraction of repeated readings in a noisy cell, at most; one half between two steps
+)
+TURN_SHARE_MIN = (
     0.3  # fraction of sign changes, at least; one half for noise, hardly any for a changing load
 )
-ENOUGH = 100  # least readings for the noise test
+NOISE_READINGS_MIN = 100  # least readings for the noise test
 
 TAUT_TRAVEL = (
     0.002  # [m] of motor travel that changes the tension of a taut tendon: above its backlash
 )
 
 
-class LikeReadings(Record):
+class ConstantRun(Struct):
     """A run of identical readings; the other fields are valid only if `lasting`."""
 
     lasting: Flag = False  # False if the newest reading differs from the one before
@@ -45,7 +47,7 @@ class LikeReadings(Record):
     high: F64 = 0.0
 
 
-class LoadCell(Record):
+class LoadCell(Struct):
     """State of a load cell's check."""
 
     reading: F64 = -inf  # [N] newest
@@ -53,7 +55,7 @@ class LoadCell(Record):
     peak: F64 = -inf  # [N] highest reading followed by another one
     step: F64 = inf  # [N] least difference of two readings
     longest: I64 = 1  # readings in the longest run that ended
-    run: LikeReadings
+    run: ConstantRun
     at_range: F64 = 0.0  # [s] for which the reading stands at the cell's range
     readings: I64 = 0  # until the newest that differs
     changes: I64 = 0  # of them that differ from the one before
@@ -61,7 +63,7 @@ class LoadCell(Record):
     rise: F64 = 0.0  # [N] newest difference
 
 
-@compiled
+@jit_compile
 def check_cell(
     config: FaultDetectionConfig,
     noise: float,
@@ -85,35 +87,35 @@ def check_cell(
     dt : float
         Time since the last sample [s].
     """
-    cell.at_range = cell.at_range + dt if tension >= AT_RANGE * config.cell_range else 0.0
-    saturated = cell.at_range >= AT_RANGE_TIME
+    cell.at_range = cell.at_range + dt if tension >= RANGE_SHARE * config.cell_range else 0.0
+    saturated = cell.at_range >= RANGE_TIME
     if tension != cell.reading:
-        _take_other_reading(cell, tension, displacement)
+        _process_other_reading(cell, tension, displacement)
         return Reason.CELL_SATURATED if saturated else Reason.NONE
-    _take_like_reading(cell, displacement, dt)
+    _process_equal_reading(cell, displacement, dt)
     if saturated:
         return Reason.CELL_SATURATED
     run = cell.run
     travel = run.high - run.low
     if cell.step == inf and tension > config.slack and travel > TAUT_TRAVEL:
         return Reason.CELL_STUCK
-    lasts = run.time >= config.stuck_time and run.readings > LONGER * cell.longest
+    lasts = run.time >= config.stuck_time and run.readings > RUN_LENGTH_RATIO * cell.longest
     if not (travel >= config.stuck_travel and lasts):
         return Reason.NONE
-    if run_log_probability(cell, noise) > SURE:
+    if compute_run_log_probability(cell, noise) > LOG_PROBABILITY_FAULT:
         return Reason.NONE
     flat_top = tension >= cell.peak and displacement > run.begin
     return Reason.CELL_SATURATED if flat_top else Reason.CELL_STUCK
 
 
-@compiled
+@jit_compile
 def is_suspect(cell: LoadCell, noise: float) -> bool:
     """Return whether the readings have been identical for longer than noise explains."""
-    return cell.run.lasting and run_log_probability(cell, noise) < SUSPECT
+    return cell.run.lasting and compute_run_log_probability(cell, noise) < LOG_PROBABILITY_SUSPECT
 
 
-@compiled
-def run_log_probability(cell: LoadCell, noise: float) -> float:
+@jit_compile
+def compute_run_log_probability(cell: LoadCell, noise: float) -> float:
     """Return ln p^n of the current run; 0 for a cell without noise.
 
     `noise` [N] is that of the model, 0 if none.
@@ -121,7 +123,7 @@ def run_log_probability(cell: LoadCell, noise: float) -> float:
     if not cell.run.lasting or cell.step == inf:
         return 0.0
     if noise == 0.0:
-        return cell.run.readings * log(REPEATS) if is_noisy(cell) else 0.0
+        return cell.run.readings * log(REPEAT_SHARE_MAX) if is_noisy(cell) else 0.0
     variance = noise * noise - cell.step * cell.step / 12.0
     if variance <= 0.0:
         return 0.0
@@ -129,18 +131,18 @@ def run_log_probability(cell: LoadCell, noise: float) -> float:
     return cell.run.readings * log(repeats) if repeats > 0.0 else -inf
 
 
-@compiled
+@jit_compile
 def is_noisy(cell: LoadCell) -> bool:
     """Return whether the readings before the current run show noise."""
     return (
-        cell.readings >= ENOUGH
-        and cell.changes >= (1.0 - REPEATS) * cell.readings
-        and cell.turns >= TURNS * cell.readings
+        cell.readings >= NOISE_READINGS_MIN
+        and cell.changes >= (1.0 - REPEAT_SHARE_MAX) * cell.readings
+        and cell.turns >= TURN_SHARE_MIN * cell.readings
     )
 
 
-@compiled
-def _take_other_reading(cell: LoadCell, tension: float, displacement: float) -> None:
+@jit_compile
+def _process_other_reading(cell: LoadCell, tension: float, displacement: float) -> None:
     """Process a reading that differs from the last: a run has ended."""
     rise = tension - cell.reading
     alike = cell.run.readings if cell.run.lasting else 1
@@ -155,8 +157,8 @@ def _take_other_reading(cell: LoadCell, tension: float, displacement: float) -> 
     cell.run.lasting = False
 
 
-@compiled
-def _take_like_reading(cell: LoadCell, displacement: float, dt: float) -> None:
+@jit_compile
+def _process_equal_reading(cell: LoadCell, displacement: float, dt: float) -> None:
     """Process a reading identical to the last one."""
     run = cell.run
     if not run.lasting:

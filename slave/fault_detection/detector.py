@@ -4,40 +4,40 @@ from collections.abc import Sequence
 from math import isfinite
 from typing import Annotated
 
-from estimator.compiled import compiled
+from estimator.compiled import jit_compile
 from estimator.online.online import TendonModel
-from estimator.records import Field, Record, Records, one
+from estimator.records import Field, Struct, StructArray, view_struct
 from slave.fault_detection.average import update_average
 from slave.fault_detection.broken_tendon import check_slack
 from slave.fault_detection.cell import check_cell, is_suspect
-from slave.fault_detection.compliance import compliance
+from slave.fault_detection.compliance import compute_compliance
 from slave.fault_detection.config import FaultDetectionConfig
 from slave.fault_detection.tendon_state import CheckedTendon
-from slave.fault_detection.wound_length import Winding, check_winding
+from slave.fault_detection.wound_length import WindingCheck, check_winding
 from slave.tendons import EstimatedTendon, JointTendons, RigLayout
 from teleop.messages.messages import MAX_JOINTS, MAX_TENDONS
 from teleop.session.state_machine import Reason
 
 
-class FaultDetector(Record):
+class FaultDetector(Struct):
     """Constants and state of the fault detection of a rig."""
 
     tendon: Annotated[Sequence[CheckedTendon], Field(CheckedTendon, MAX_TENDONS)]
     # of each joint; unused for a single tendon
-    winding: Annotated[Sequence[Winding], Field(Winding, MAX_JOINTS)]
+    winding: Annotated[Sequence[WindingCheck], Field(WindingCheck, MAX_JOINTS)]
 
 
-def start(models: Sequence[TendonModel]) -> Records:
+def init_detector(models: Sequence[TendonModel]) -> StructArray:
     """Return the detector before the first sample, from the tendons' models, shape (1,)."""
     detector = FaultDetector.array()
-    record = one(detector)
+    record = view_struct(detector)
     for tendon, model in zip(record.tendon, models, strict=False):
-        tendon.compliance = compliance(model.sheath)
+        tendon.compliance = compute_compliance(model.sheath)
         tendon.noise = model.tension_noise
     return detector
 
 
-@compiled
+@jit_compile
 def step(
     config: FaultDetectionConfig,
     layout: RigLayout,
@@ -53,7 +53,7 @@ def step(
     Parameters
     ----------
     detector : FaultDetector
-        From `start`, changed in place.
+        From `init_detector`, changed in place.
     tendons : array of EstimatedTendon
         The sample, as measured. Tendons that are not valid are skipped.
     dt : float
@@ -68,14 +68,14 @@ def step(
                 found, at = reason, i
     for k in range(layout.joints):
         joint = layout.joint[k]
-        if _can_be_judged(joint, detector, tendons):
+        if _is_testable(joint, detector, tendons):
             reason, i = _check_joint(config, joint, detector, detector.winding[k], tendons, dt)
             if found == Reason.NONE and reason != Reason.NONE:
                 found, at = reason, i
     return found, at
 
 
-@compiled
+@jit_compile
 def _check_tendon(
     config: FaultDetectionConfig, checked: CheckedTendon, tendon: EstimatedTendon, dt: float
 ) -> Reason:
@@ -86,8 +86,8 @@ def _check_tendon(
     return reason
 
 
-@compiled
-def _can_be_judged(
+@jit_compile
+def _is_testable(
     joint: JointTendons, detector: FaultDetector, tendons: Sequence[EstimatedTendon]
 ) -> bool:
     """Return whether position and tension of all tendons of a joint are known."""
@@ -100,12 +100,12 @@ def _can_be_judged(
     return True
 
 
-@compiled
+@jit_compile
 def _check_joint(
     config: FaultDetectionConfig,
     joint: JointTendons,
     detector: FaultDetector,
-    winding: Winding,
+    winding: WindingCheck,
     tendons: Sequence[EstimatedTendon],
     dt: float,
 ) -> tuple[Reason, int]:

@@ -10,15 +10,15 @@ from math import isfinite, nan
 from typing import Annotated
 
 from estimator.array_types import Array
-from estimator.compiled import compiled
-from estimator.records import F64, Field, Flag, Record
+from estimator.compiled import jit_compile
+from estimator.records import F64, Field, Flag, Struct
 from slave.fault_detection.config import FaultDetectionConfig
 from slave.tendons import EstimatedTendon, RigLayout
 from teleop.messages.messages import MAX_TENDONS
 from teleop.session.state_machine import Reason
 
 
-class MotorReading(Record):
+class MotorReading(Struct):
     """A tendon's newest reading."""
 
     tension: F64 = nan  # [N]
@@ -26,7 +26,7 @@ class MotorReading(Record):
     sent: F64 = nan  # [m] motor command at the first occurrence of this reading
 
 
-class MotorChecks(Record):
+class MotorChecks(Struct):
     """State of the motor checks."""
 
     has_readings: Flag = False  # False before the first motor command
@@ -35,8 +35,8 @@ class MotorChecks(Record):
     late: F64 = 0.0  # [s] for which the tracking error of a motor has been too large
 
 
-@compiled
-def take_motor_readings(
+@jit_compile
+def record_motor_readings(
     motors: MotorChecks,
     layout: RigLayout,
     tendons: Sequence[EstimatedTendon],
@@ -66,7 +66,7 @@ def take_motor_readings(
     motors.has_readings = True
 
 
-@compiled
+@jit_compile
 def check_motors(
     config: FaultDetectionConfig,
     motors: MotorChecks,
@@ -84,7 +84,7 @@ def check_motors(
     Parameters
     ----------
     motors : MotorChecks
-        After `take_motor_readings` for each sample since the last tick; changed in place.
+        After `record_motor_readings` for each sample since the last tick; changed in place.
     sent : array
         Last motor commands [m], shape (16,).
     has_sent : bool

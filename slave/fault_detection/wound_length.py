@@ -14,19 +14,19 @@ jam.
 
 from math import inf
 
-from estimator.compiled import compiled
-from estimator.records import F64, Record
+from estimator.compiled import jit_compile
+from estimator.records import F64, Struct
 from slave.fault_detection.broken_tendon import is_slack_longer
-from slave.fault_detection.compliance import largest_elongation, least_elongation
+from slave.fault_detection.compliance import compute_elongation_max, compute_elongation_min
 from slave.fault_detection.config import FaultDetectionConfig
 from slave.fault_detection.tendon_state import CheckedTendon
 from teleop.session.state_machine import Reason
 
-SURE_TIME = 0.010  # [s] least duration of a misfit
-FORGET = 2e-5  # [m/s] at which the interval for c widens: creep, temperature
+MISFIT_TIME = 0.010  # [s] least duration of a misfit
+INTERVAL_GROWTH = 2e-5  # [m/s] at which the interval for c widens: creep, temperature
 
 
-class Winding(Record):
+class WindingCheck(Struct):
     """State of the check of a joint's two tendons."""
 
     low: F64 = -inf  # [m] interval for c from all samples
@@ -35,10 +35,10 @@ class Winding(Record):
     below: F64 = 0.0  # [s] for which a sample lies below it
 
 
-@compiled
+@jit_compile
 def check_winding(
     config: FaultDetectionConfig,
-    winding: Winding,
+    winding: WindingCheck,
     tendon_a: CheckedTendon,
     tendon_b: CheckedTendon,
     dt: float,
@@ -59,10 +59,10 @@ def check_winding(
     """
     a, b = tendon_a.average, tendon_b.average
     wound = a.displacement + b.displacement
-    least_a = least_elongation(tendon_a.compliance, a.tension)
-    least_b = least_elongation(tendon_b.compliance, b.tension)
-    largest_a = largest_elongation(tendon_a.compliance, a.tension)
-    largest_b = largest_elongation(tendon_b.compliance, b.tension)
+    least_a = compute_elongation_min(tendon_a.compliance, a.tension)
+    least_b = compute_elongation_min(tendon_b.compliance, b.tension)
+    largest_a = compute_elongation_max(tendon_a.compliance, a.tension)
+    largest_b = compute_elongation_max(tendon_b.compliance, b.tension)
     joint_travel = 0.5 * abs(a.displacement - b.displacement)
     unsure = config.misfit_share * (least_a + least_b + joint_travel)
     unsure += config.lag * (abs(a.speed) + abs(b.speed))
@@ -74,10 +74,10 @@ def check_winding(
     winding.above = winding.above + dt if is_above else 0.0
     winding.below = winding.below + dt if is_below else 0.0
     if winding.above == 0.0 and winding.below == 0.0:
-        winding.low = max(winding.low - FORGET * dt, low)
-        winding.high = min(winding.high + FORGET * dt, high)
-    if winding.above >= SURE_TIME:
+        winding.low = max(winding.low - INTERVAL_GROWTH * dt, low)
+        winding.high = min(winding.high + INTERVAL_GROWTH * dt, high)
+    if winding.above >= MISFIT_TIME:
         return Reason.TENDON_BROKEN, int(is_slack_longer(tendon_b.slack, tendon_a.slack))
-    if winding.below >= SURE_TIME:
+    if winding.below >= MISFIT_TIME:
         return Reason.TENDON_JAMMED, int(least_b > least_a)
     return Reason.NONE, -1

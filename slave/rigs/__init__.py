@@ -9,7 +9,7 @@ from slave.rigs.extension import RigExtension
 from slave.rigs.hardware import HardwareRig, HardwareRigConfig
 from slave.rigs.replayed import ReplayedRig, ReplayedRigConfig
 from slave.rigs.simulated.simulated import SimulatedRig, SimulatedRigConfig
-from teleop.config.extensions import close_extension, opening_failed
+from teleop.config.extensions import close_extension, format_opening_failure
 from teleop.errors import UsageError
 from teleop.messages.messages import MAX_JOINTS
 
@@ -53,9 +53,9 @@ def open_rig(config: RigConfig, read_only: bool = False) -> Rig:
         raise UsageError(f"slave.rig: {fault}") from fault
     except Exception as error:
         if isinstance(config, RigExtension):
-            raise UsageError(opening_failed("slave.rig", config, error)) from error
+            raise UsageError(format_opening_failure("slave.rig", config, error)) from error
         raise
-    if wrong := wrong_layout(rig):
+    if wrong := layout_error(rig):
         rig.close()
         raise UsageError(f"slave.rig: {config.type}: {wrong}")
     return rig
@@ -71,7 +71,7 @@ def checked(rig: Rig, place: str) -> Rig:
         raise
 
 
-def wrong_layout(rig: Rig) -> str:
+def layout_error(rig: Rig) -> str:
     """Return what is wrong with the joints of a rig and what they must be; empty if nothing is."""
     joints = rig.joints
     if not 1 <= len(joints) <= MAX_JOINTS or any(len(joint) not in (1, 2) for joint in joints):

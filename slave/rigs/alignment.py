@@ -7,7 +7,7 @@ from itertools import pairwise
 
 from slave.drivers.driver import Counts, Reading
 
-KEPT = 64  # readings of each kind
+READINGS_KEPT = 64  # readings of each kind
 SMOOTHING = 0.1  # of the mean period
 
 
@@ -27,8 +27,8 @@ class Aligner:
 
     def __init__(self) -> None:
         self.worst_s = 0.0
-        self._motors = _Stream(lambda reading: reading.position)
-        self._cells = _Stream(lambda reading: reading.cell)
+        self._motors = _ReadingStream(lambda reading: reading.position)
+        self._cells = _ReadingStream(lambda reading: reading.cell)
         self._last_s = -math.inf
 
     def samples(
@@ -56,15 +56,15 @@ class Aligner:
         fast.forget(self._last_s)
 
 
-class _Stream:
+class _ReadingStream:
     """Readings of one bus, of which `select` takes the values in use."""
 
     def __init__(self, select: Callable[[Reading], Counts]) -> None:
         self.newest_s = -math.inf
         self.period_s = math.nan  # mean; comparisons with an unknown one fail
         self._select = select
-        self._kept: deque[tuple[float, Counts]] = deque(maxlen=KEPT)
-        self._waiting: deque[tuple[float, Counts]] = deque(maxlen=KEPT)
+        self._kept: deque[tuple[float, Counts]] = deque(maxlen=READINGS_KEPT)
+        self._waiting: deque[tuple[float, Counts]] = deque(maxlen=READINGS_KEPT)
 
     def extend(self, readings: Iterable[Reading]) -> None:
         """Add readings; those that are not newer than the last are dropped."""

@@ -10,7 +10,7 @@ import numpy as np
 
 from estimator.array_types import Array
 from slave.rig import Rig, RigFault, RigFinished, RigSample
-from teleop.config.extensions import call_failed, close_extension
+from teleop.config.extensions import close_extension, format_call_failure
 from teleop.runtime.process import print_warning
 
 _ARRAYS = (
@@ -77,11 +77,11 @@ class CheckedRig:
             if isinstance(error, AttributeError) and not hasattr(type(rig), name):
                 raise
             owner = f"{type(rig).__name__}.{name}"
-            raise RigFault(call_failed(self._place, owner, error)) from error
+            raise RigFault(format_call_failure(self._place, owner, error)) from error
         if name == "follows":
             if not isinstance(value, bool | np.bool_):
                 owner = f"{self._place}: {type(rig).__name__}.{name}"
-                raise RigFault(f"{owner} is {_kind(value)}, must be True or False")
+                raise RigFault(f"{owner} is {_format_type(value)}, must be True or False")
             return bool(value)
         return partial(self._call, value) if callable(value) else value
 
@@ -90,7 +90,7 @@ class CheckedRig:
         samples = self._call(self._rig.read, time_s)
         if samples.__class__ is not tuple:
             if not isinstance(samples, list):
-                raise self._fault(f"returned {_kind(samples)}, must be a tuple of RigSample")
+                raise self._fault(f"returned {_format_type(samples)}, must be a tuple of RigSample")
             samples = tuple(samples)
         for sample in samples:
             self._check(sample)
@@ -117,7 +117,7 @@ class CheckedRig:
             }
             json.dumps(entries)
         except Exception as error:
-            failure = call_failed(self._place, "summary", error)
+            failure = format_call_failure(self._place, "summary", error)
             print_warning(failure)
             return {"error": failure}
         return entries
@@ -132,7 +132,7 @@ class CheckedRig:
         except (RigFault, RigFinished):
             raise
         except Exception as error:
-            raise RigFault(call_failed(self._place, _name_of(method), error)) from error
+            raise RigFault(format_call_failure(self._place, _name_of(method), error)) from error
 
     def _check(self, sample: RigSample) -> None:
         """Raise `RigFault` unless a sample has one number a tendon, at a time that does not fall.
@@ -160,13 +160,13 @@ class CheckedRig:
     def _mistake(self, sample: Any) -> str:
         """Return what is wrong with a sample."""
         if not isinstance(sample, RigSample):
-            return f"returned {_kind(sample)}, must be RigSample"
+            return f"returned {_format_type(sample)}, must be RigSample"
         for name in _ARRAYS:
             values = getattr(sample, name)
             if values is None and name != "proximal_tension":
                 continue
             if not isinstance(values, np.ndarray) or values.dtype.kind not in "fiu":
-                return f"{name} is {_kind(values)}, must be an array of numbers"
+                return f"{name} is {_format_type(values)}, must be an array of numbers"
             if values.shape != self._shape:
                 return f"{name} has shape {values.shape}, must be {self._shape}, one a tendon"
         return f"time_s is {sample.time_s} after {self._newest_s}, must increase [s]"
@@ -183,7 +183,7 @@ def _name_of(method: Callable[..., Any]) -> str:
     return str(getattr(method, "__name__", type(method).__name__))
 
 
-def _kind(value: object) -> str:
+def _format_type(value: object) -> str:
     if isinstance(value, np.ndarray):
         return f"an array of {value.dtype}"
     return "None" if value is None else f"a {type(value).__name__}"

@@ -10,12 +10,12 @@ import numpy as np
 
 from estimator.array_types import Array
 from slave.drivers.configs import DriverConfig
-from slave.drivers.connection import Connection
+from slave.drivers.connection import DriverProcess
 from slave.drivers.driver import Channels, Counts, DriverFault, Reading
 from slave.drivers.dynamixel.config import DynamixelConfig
 from slave.rig import RigFault, RigSample
 from slave.rigs.alignment import Aligner
-from slave.rigs.joint_layout import joint_tendons
+from slave.rigs.joint_layout import number_joint_tendons
 from teleop.messages.messages import MAX_JOINTS
 
 AGE_MAX_S = 0.1  # older readings, behind a stall of the loop, are not used
@@ -176,11 +176,11 @@ class HardwareRig:
 
     def __init__(self, config: HardwareRigConfig, read_only: bool = False) -> None:
         self.name = config.name
-        self.joints = joint_tendons([len(joint.tendons) for joint in config.joints])
+        self.joints = number_joint_tendons([len(joint.tendons) for joint in config.joints])
         self.tendons = len(config.tendons)
         self._transmission = Transmission(config.tendons)
         self._aligner = Aligner() if config.cells is not None else None
-        self._buses: list[Connection] = []
+        self._buses: list[DriverProcess] = []
         self._position: Array | None = None  # [m] newest of every motor
         self._position_s = 0.0  # when it was sampled
         self._counts: tuple[Counts, Counts] | None = None  # newest, of motors and cells
@@ -193,10 +193,10 @@ class HardwareRig:
         motors, cells = config.motor_ids, config.cell_ids
         try:
             if config.cells is None:
-                self._buses = [Connection(config.motors, Channels(motors, cells, read_only))]
+                self._buses = [DriverProcess(config.motors, Channels(motors, cells, read_only))]
             else:
-                self._buses.append(Connection(config.motors, Channels(motors, (), read_only)))
-                self._buses.append(Connection(config.cells, Channels((), cells, read_only)))
+                self._buses.append(DriverProcess(config.motors, Channels(motors, (), read_only)))
+                self._buses.append(DriverProcess(config.cells, Channels((), cells, read_only)))
         except DriverFault as fault:
             self.close()
             raise RigFault(str(fault)) from fault
@@ -271,7 +271,7 @@ class HardwareRig:
         return self._counts
 
     @property
-    def buses(self) -> tuple[Connection, ...]:
+    def buses(self) -> tuple[DriverProcess, ...]:
         """Connections to the drivers: of the motors, and of the cells if that is another."""
         return tuple(self._buses)
 

@@ -1,7 +1,7 @@
 """Numbers of the tendons of a rig's joints."""
 
 
-def joint_tendons(counts: list[int]) -> tuple[tuple[int, ...], ...]:
+def number_joint_tendons(counts: list[int]) -> tuple[tuple[int, ...], ...]:
     """Return which tendons each joint has: numbered from 0, joint after joint."""
     joints, first = [], 0
     for count in counts:

@@ -8,8 +8,8 @@ import numpy as np
 
 from estimator.array_types import Array
 from estimator.effects.effect import CHANNELS
-from estimator.plausibility import doubts
-from estimator.spikes import without_spikes
+from estimator.plausibility import find_channel_faults
+from estimator.spikes import remove_spikes
 from slave.rig import RigFinished, RigSample
 from teleop.data.table import Columns, read_tables
 from teleop.messages.messages import MAX_JOINTS
@@ -55,14 +55,14 @@ class ReplayedRig:
         self.joints: tuple[tuple[int, ...], ...] = tuple((k,) for k in range(self.tendons))
         self._loop = config.loop
         self._time = tables[0].time
-        clean = [without_spikes(table) for table in tables]
-        for said in dict.fromkeys(said for one in clean for said in doubts(one)):
+        clean = [remove_spikes(table) for table in tables]
+        for said in dict.fromkeys(said for one in clean for said in find_channel_faults(one)):
             print_warning(f"{config.file}: {said}")
         self.housing = tuple((one.proximal_tension, one.proximal_displacement) for one in tables)
         self._tension = np.column_stack([one.proximal_tension for one in clean])
-        self._displacement = _beside([one.proximal_displacement for one in clean])
-        self._bench_tension = _beside([one.distal_tension for one in clean])
-        self._bench_displacement = _beside([one.distal_displacement for one in clean])
+        self._displacement = _stack_columns([one.proximal_displacement for one in clean])
+        self._bench_tension = _stack_columns([one.distal_tension for one in clean])
+        self._bench_displacement = _stack_columns([one.distal_displacement for one in clean])
         self._spikes = sum(
             int(np.isnan(signal).sum() - np.isnan(getattr(table, name)).sum())
             for one, table in zip(clean, tables, strict=True)
@@ -110,13 +110,13 @@ class ReplayedRig:
         return RigSample(
             time_s=float(self._time[row]) + self._lap,
             proximal_tension=self._tension[row],
-            proximal_displacement=_row(self._displacement, row),
-            bench_distal_tension=_row(self._bench_tension, row),
-            bench_distal_displacement=_row(self._bench_displacement, row),
+            proximal_displacement=_get_row(self._displacement, row),
+            bench_distal_tension=_get_row(self._bench_tension, row),
+            bench_distal_displacement=_get_row(self._bench_displacement, row),
         )
 
 
-def _beside(columns: list[Array | None]) -> Array | None:
+def _stack_columns(columns: list[Array | None]) -> Array | None:
     """Return columns as an array, NaN for a missing one; None if all are missing."""
     rows = next((len(column) for column in columns if column is not None), None)
     if rows is None:
@@ -125,5 +125,5 @@ def _beside(columns: list[Array | None]) -> Array | None:
     return np.column_stack([missing if column is None else column for column in columns])
 
 
-def _row(columns: Array | None, row: int) -> Array | None:
+def _get_row(columns: Array | None, row: int) -> Array | None:
     return None if columns is None else columns[row]

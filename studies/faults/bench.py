@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from teleop.errors import TeleopError
-from teleop.launch.supervisor import wait_for
+from teleop.launch.supervisor import wait_for_condition
 from teleop.link import Link
 from teleop.link.bridge import send_request
 from teleop.messages.topics import HAND, STATE
@@ -86,7 +86,7 @@ class FaultSession(Processes):
     def await_engaged(self) -> None:
         """Wait until the hand feels a force again."""
         alive = self.running.values
-        assert wait_for(
+        assert wait_for_condition(
             lambda: self.engaged(self.link) or any(p.poll() is not None for p in alive()), START_S
         ), self.outputs()
         ended = [name for name, process in self.running.items() if process.poll() is not None]

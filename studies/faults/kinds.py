@@ -7,7 +7,7 @@ import numpy as np
 
 from studies.faults.bench import FaultSession
 from studies.faults.memory_group import MemoryGroup
-from teleop.launch.supervisor import wait_for
+from teleop.launch.supervisor import wait_for_condition
 from teleop.runtime.clock import now_ns
 from tests.system.processes import pause
 
@@ -141,7 +141,7 @@ def begin_again(bench: FaultSession, target: str) -> None:
     files = len(bench.recordings())
     bench.begin(target)
     if target == "record":
-        assert wait_for(lambda: len(bench.recordings()) > files, 30.0), bench.outputs()
+        assert wait_for_condition(lambda: len(bench.recordings()) > files, 30.0), bench.outputs()
 
 
 def run_out_of_memory(bench: FaultSession, target: str) -> int:

@@ -17,7 +17,7 @@ import numpy as np
 
 from estimator.diagnosis.engine import diagnose
 from estimator.diagnosis.outcome import Verdict
-from estimator.diagnosis.record import prepare
+from estimator.diagnosis.record import prepare_record
 from estimator.effects import CATALOGUE
 from tests.studies import hidden
 from tests.studies.hidden.numbers import Checked, checked
@@ -100,7 +100,7 @@ def judge(case, among=CATALOGUE, oracle=True):
         rate=case.rate,
         travel_noise=case.travel_noise,
     )
-    record = prepare(made.time, dict(made.channels))
+    record = prepare_record(made.time, dict(made.channels))
     began = time.perf_counter()
     found = diagnose([record], among)
     seconds = time.perf_counter() - began

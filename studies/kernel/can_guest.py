@@ -23,7 +23,7 @@ import numpy as np
 from slave.drivers import configs, connection, worker
 from slave.drivers.cia402 import driver  # noqa: F401 - so that forks have it
 from slave.drivers.cia402.config import BusConfig, Cia402Config
-from slave.drivers.connection import Connection, start_process
+from slave.drivers.connection import DriverProcess, start_process
 from slave.drivers.driver import Channels, DriverFault
 from studies.kernel import vcan
 from studies.kernel.init import run
@@ -120,10 +120,10 @@ class Bench:
         bus = BusConfig(interface="socketcan", channel=CHANNEL)
         return Cia402Config(bus=bus, rate_hz=RATE_HZ, timeout=0.2, error_control=error_control)
 
-    def opened(self, error_control: str = "heartbeat") -> Connection:
-        return Connection(self.config(error_control), Channels(self.numbers, self.numbers))
+    def opened(self, error_control: str = "heartbeat") -> DriverProcess:
+        return DriverProcess(self.config(error_control), Channels(self.numbers, self.numbers))
 
-    def position(self, connection: Connection):
+    def position(self, connection: DriverProcess):
         """Return where the motors are [counts], as the driver says."""
         until_s = time.monotonic() + WAIT_S
         while time.monotonic() < until_s:
@@ -132,14 +132,14 @@ class Bench:
             time.sleep(0.005)
         raise WrongError("no reading")
 
-    def engage(self, connection: Connection):
+    def engage(self, connection: DriverProcess):
         """Write where the motors are until all follow; return the target [counts]."""
         target = self.position(connection)
         self.until(connection, self.all_move, "the drives are not enabled", target)
         self.hold(connection, target, 0.1)  # until the driver knows it, too
         return target
 
-    def hold(self, connection: Connection, target, duration_s: float) -> int:
+    def hold(self, connection: DriverProcess, target, duration_s: float) -> int:
         """Write a target for a while; return how many readings came."""
         count, until_s = 0, time.monotonic() + duration_s
         while time.monotonic() < until_s:
@@ -170,7 +170,7 @@ class Bench:
             raise WrongError(f"stopped only after {took_s * 1e3:.0f} ms")
         return f"{took_s * 1e3:.0f} ms"
 
-    def fails(self, connection: Connection, target, *words: str) -> str:
+    def fails(self, connection: DriverProcess, target, *words: str) -> str:
         """Write a target until the driver gives up; return its reason, with one of the words."""
         until_s = time.monotonic() + WAIT_S
         try:

@@ -23,13 +23,13 @@ from master.devices.hid.line import DeviceConnection
 from master.devices.hid.node import Node
 from master.devices.hid.pid import PidConfig
 from master.devices.hid.search import FoundDevice
-from master.devices.hid.signs import ForceSign, Signs, save
-from master.devices.hid.writer import ABANDONED_S
+from master.devices.hid.signs import ForceSign, ForceSigns, save
+from master.devices.hid.writer import POST_TIMEOUT_S
 from studies.kernel import pidff
 from studies.kernel.cases import Case, Shares
 from studies.kernel.judge import Sent, WrongError, echoes, quantiles, reports_lost
 from studies.kernel.plugged import Plugged
-from teleop.runtime.clock import Grid, quiet_garbage
+from teleop.runtime.clock import Grid, pause_garbage_collection
 
 REPORTS = 2000  # to be read and written, each
 RATE_HZ = 1000.0
@@ -107,7 +107,7 @@ def actuators(case: Case, rig: Plugged) -> Figures:
         rig.power(on=True)
         on = time.monotonic()
         back = _until(hid, fails=False) - on
-        time.sleep(_SETTLE_S + ABANDONED_S)
+        time.sleep(_SETTLE_S + POST_TIMEOUT_S)
         if any(rig.pushes()[-1].force):
             raise WrongError("it pushed by itself when its power was back")
         _until(hid, fails=False)  # what came in while nobody read is lost
@@ -120,7 +120,7 @@ def actuators(case: Case, rig: Plugged) -> Figures:
 
 def signs(case: Case, rig: Plugged) -> Figures:
     """A small force on each axis pushes that axis and no other; which way, is written down."""
-    known = Signs()
+    known = ForceSigns()
     seen = []
     line = DeviceConnection(_search(case), PidConfig())
     try:
@@ -156,7 +156,7 @@ def loop(case: Case, rig: Plugged) -> Figures:
         work: list[float] = []
         before = len(rig.pushes())
         grid = Grid(RATE_HZ, stop=lambda: len(decoded) >= REPORTS <= len(sent))
-        with quiet_garbage():
+        with pause_garbage_collection():
             node.drain()
             for tick in grid:
                 now = time.monotonic()
@@ -195,20 +195,20 @@ def device(case: Case, rig: Plugged) -> Figures:
     before = len(rig.pushes())
     try:
         grid = Grid(RATE_HZ, stop=lambda: len(sent) >= READS_BY_DEVICE)
-        with quiet_garbage():
+        with pause_garbage_collection():
             for tick in grid:
                 hand = hid.read(tick.index / RATE_HZ)
                 read.append(tuple(position / TRAVEL_M for position in hand.position))
                 sent.append(Sent(time.monotonic(), case.force(tick.index)))
                 hid.write(_newtons(case, sent[-1].force))
-        time.sleep(2 * ABANDONED_S)
+        time.sleep(2 * POST_TIMEOUT_S)
         pushes = rig.pushes()[before:]
     finally:
         hid.close()
     reports_lost(case, [now for last, now in pairwise(read) if now != last])
     figures = {"rate": f"{grid.stats.rate_hz:.0f} Hz"}
     if case.forces:
-        while_sent = [push for push in pushes if push.time < sent[-1].time + ABANDONED_S]
+        while_sent = [push for push in pushes if push.time < sent[-1].time + POST_TIMEOUT_S]
         delays, missed = echoes(sent, while_sent, (1,) * len(case.forces))
         overtaken = missed / (len(sent) * len(case.forces))
         figures |= {"overtaken": f"{overtaken:.1%}", **quantiles(delays)}
@@ -291,7 +291,7 @@ def _search(case: Case) -> FoundDevice:
     end = time.monotonic() + _APPEAR_S
     while True:
         try:
-            return search.choose(model, "auto")
+            return search.find_device(model, "auto")
         except DeviceFault as fault:
             if time.monotonic() > end:
                 raise WrongError(str(fault)) from fault

@@ -26,8 +26,8 @@ from teleop.cli.report.page import Page
 from teleop.config.options import add_option, add_options
 from teleop.errors import UsageError
 from teleop.runtime.output_file import make_folder
-from teleop.runtime.parallel import parallel_map, processors
-from teleop.runtime.process import write_summary, write_whole
+from teleop.runtime.parallel import count_processors, parallel_map
+from teleop.runtime.process import write_summary, write_text_file
 
 MOST_SHEATHS = 1000
 TITLE = "The experiment of Phee et al. 2009, repeated"
@@ -45,7 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--seed", type=int, default=1, metavar="N", help="seed of sheaths and noise (default 1)"
     )
     add_options(parser, "--out", "--json")
-    add_option(parser, "--jobs", default=processors())
+    add_option(parser, "--jobs", default=count_processors())
     parser.add_argument(
         "--figures",
         action=argparse.BooleanOptionalAction,
@@ -71,10 +71,12 @@ def main(args: argparse.Namespace) -> int:
     write_summary(args.json, tree)
     if args.out is not None:
         write_summary(args.out / "table.json", tree)
-        write_whole(args.out / "table.md", text(shown, outcomes, args.seed) + "\n", "the tables")
+        write_text_file(
+            args.out / "table.md", text(shown, outcomes, args.seed) + "\n", "the tables"
+        )
         captions = _figures(shown, outcomes, args.out) if args.figures else {}
         page = page_of(shown, outcomes, args.seed, args.out, captions)
-        write_whole(args.out / "index.html", page, "the page")
+        write_text_file(args.out / "index.html", page, "the page")
         print(f"\nwritten: {args.out / 'index.html'}")
     return 0
 

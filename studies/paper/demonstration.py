@@ -7,12 +7,18 @@ import numpy as np
 
 from estimator.array_types import Array
 from estimator.law.sheath import Sheath
-from estimator.law.transmission import drive_proximal, observe, slack_profile, tables, tension_at
+from estimator.law.transmission import (
+    build_slack_profile,
+    build_tables,
+    drive_proximal,
+    evaluate_tension,
+    observe,
+)
 from slave.calibration.run import CalibrationRefused
-from slave.rigs.simulated.plant.chain import recover, respond
-from slave.rigs.simulated.plant.response import tension_on
-from slave.rigs.simulated.plant.sheath import SectionConfig, SheathConfig, cells
-from slave.rigs.simulated.plant.tendon import at_rest, build_chain, tensions
+from slave.rigs.simulated.plant.chain import compute_response, recover_state
+from slave.rigs.simulated.plant.response import interpolate_curve
+from slave.rigs.simulated.plant.sheath import SectionConfig, SheathConfig, divide_sheath
+from slave.rigs.simulated.plant.tendon import build_chain, get_tensions, init_chain_state
 from studies.paper import methods
 from studies.paper.methods import METHODS, CalibratedMethod, Estimates, Initialisation
 from studies.paper.outcome import Outcome
@@ -80,24 +86,24 @@ def release(sheath: SheathConfig, model: Sheath, levels: tuple[float, ...]) -> l
 
     `model` is driven by the T_in that the plant has at each.
     """
-    cell, _ = cells(sheath)
+    cell, _ = divide_sheath(sheath)
     middles = np.cumsum(cell) - 0.5 * cell
     ends = np.concatenate([[0.0], middles, [cell.sum()]])
     true_x = 0.5 * (ends[:-1] + ends[1:])
     x = np.linspace(0.0, model.length, 301)
-    table = tables(model)
-    profile = slack_profile(table)
+    table = build_tables(model)
+    profile = build_slack_profile(table)
     chain = build_chain(sheath, 0.0)
-    state, travel = at_rest(chain), 0.0
+    state, travel = init_chain_state(chain), 0.0
     found: list[Distribution] = []
     for level in levels:
         sense = 1.0 if not found else -1.0
-        while sense * (level - tensions(chain, state)[0]) > 0.0:
+        while sense * (level - get_tensions(chain, state)[0]) > 0.0:
             travel += sense * STEP
-            response = respond(chain, state, travel, DT)
-            tension = tension_on(response.tip, 0.0)
-            state = recover(chain, state, response, travel, 0.0, tension, DT)
-        true = tensions(chain, state)
+            response = compute_response(chain, state, travel, DT)
+            tension = interpolate_curve(response.tip, 0.0)
+            state = recover_state(chain, state, response, travel, 0.0, tension, DT)
+        true = get_tensions(chain, state)
         profile = drive_proximal(table, profile, float(true[0]))
         seen = observe(table, profile)
         found.append(
@@ -106,7 +112,7 @@ def release(sheath: SheathConfig, model: Sheath, levels: tuple[float, ...]) -> l
                 true_x,
                 true,
                 x,
-                tension_at(table, profile, x),
+                evaluate_tension(table, profile, x),
                 seen.front,
                 seen.T_front,
             )

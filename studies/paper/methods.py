@@ -21,9 +21,9 @@ from estimator import signals
 from estimator.array_types import Array
 from estimator.online import online
 from slave.calibration import run as initialisation
-from slave.calibration.analysis import evaluate
+from slave.calibration.analysis import evaluate_tendons
 from slave.calibration.config import InitialiseConfig, KnownSheathConfig
-from slave.calibration.file import Direction
+from slave.calibration.file import TendonCalibration
 from slave.calibration.procedure_state import Phase
 from slave.calibration.pulled import PulledTendon
 from slave.calibration.run import CalibrationRefused
@@ -56,7 +56,7 @@ class Figure(NamedTuple):
 class CalibratedMethod(NamedTuple):
     """The calibration of tendon a by `teleop calibrate`, from the initialisation of both."""
 
-    direction: Direction
+    direction: TendonCalibration
     tendon: TendonConfig
 
 
@@ -93,12 +93,14 @@ def initialise(specimen: Specimen, seed: int) -> Initialisation:
     known = KnownSheathConfig(specimen.length)
     config = InitialiseConfig(sheaths=(known,), keep=LOOSE)
     rig = build(specimen, seed, loaded=False)
-    limits = initialisation.Limits(config, GATE)
-    driven = initialisation.drive(rig, limits, initialisation.fast_ticks(1.0 / PERIOD), 0, [0])
+    limits = initialisation.ProcedureLimits(config, GATE)
+    driven = initialisation.run_procedure(
+        rig, limits, initialisation.generate_fast_ticks(1.0 / PERIOD), 0, [0]
+    )
     both = [PulledTendon(driven.record, joint=0, side=side) for side in (0, 1)]
     ours: CalibratedMethod | CalibrationRefused
     try:
-        directions, tendons = evaluate(both, config)
+        directions, tendons = evaluate_tendons(both, config)
         ours = CalibratedMethod(directions[0], tendons[0])
     except CalibrationRefused as refused:
         ours = refused

@@ -85,7 +85,7 @@ def initialise(M_e: float, length: float, axial_stiffness: float) -> PaperModel:
     ValueError
         If M_e is larger than without any friction, so that (13) has no solution.
     """
-    K = paper.friction_from_pull_constant(M_e, length, axial_stiffness)
+    K = paper.compute_friction_from_pull(M_e, length, axial_stiffness)
     return PaperModel(M_e, K, length, axial_stiffness)
 
 
@@ -120,9 +120,15 @@ def advance(
     else:
         extreme = max(memory.extreme, T_in) if rising else min(memory.extreme, T_in)
         memory = memory._replace(extreme=extreme)
-    if memory.phase is Phase.PULL_TO_RELEASE and paper.release_tip_tension(T_in, K) < memory.held:
+    if (
+        memory.phase is Phase.PULL_TO_RELEASE
+        and paper.compute_release_tip_tension(T_in, K) < memory.held
+    ):
         return memory._replace(phase=Phase.RELEASE)
-    if memory.phase is Phase.RELEASE_TO_PULL and paper.pull_tip_tension(T_in, K) > memory.held:
+    if (
+        memory.phase is Phase.RELEASE_TO_PULL
+        and paper.compute_pull_tip_tension(T_in, K) > memory.held
+    ):
         return memory._replace(phase=Phase.PULL)
     return memory
 
@@ -133,9 +139,9 @@ def _turned(
     """Return the memory after a reversal at the last extreme, noticed at T_in [N]."""
     at = memory.extreme
     hold = (
-        paper.pull_to_release_tip_tension
+        paper.compute_pull_to_release_tension
         if phase is Phase.PULL_TO_RELEASE
-        else paper.release_to_pull_tip_tension
+        else paper.compute_release_to_pull_tension
     )
     turned = MethodState(phase, T_in, at, float(hold(at, model.K)), 0.0)
     if continued:
@@ -149,14 +155,14 @@ def _read(model: PaperModel, memory: MethodState, T_in: float) -> tuple[float, f
     K, M_e, L, EA = model.K, model.M_e, model.length, model.axial_stiffness
     match memory.phase:
         case Phase.PULL:
-            return float(paper.pull_tip_tension(T_in, K)), M_e * T_in
+            return float(paper.compute_pull_tip_tension(T_in, K)), M_e * T_in
         case Phase.RELEASE:
-            e = paper.uniform_release_elongation(T_in, M_e, K)
-            return float(paper.release_tip_tension(T_in, K)), float(e)
+            e = paper.compute_release_elongation(T_in, M_e, K)
+            return float(paper.compute_release_tip_tension(T_in, K)), float(e)
         case Phase.PULL_TO_RELEASE:
-            e = paper.pull_to_release_elongation(memory.turned_at, T_in, K, L, EA)
+            e = paper.compute_pull_to_release_elongation(memory.turned_at, T_in, K, L, EA)
         case Phase.RELEASE_TO_PULL:
-            e = paper.release_to_pull_elongation(memory.turned_at, T_in, K, L, EA)
+            e = paper.compute_release_to_pull_elongation(memory.turned_at, T_in, K, L, EA)
     return memory.held, float(e) + memory.offset
 
 

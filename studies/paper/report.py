@@ -8,7 +8,7 @@ from studies.paper.methods import METHODS, OURS, PAPER
 from studies.paper.outcome import PUBLISHED, TARGETS, Outcome, Spread, spread, values
 from studies.paper.scoring import PHASES, WHOLE, Errors, Score
 from studies.paper.study import MOTIONS, PROFILE
-from teleop.cli.report.json_values import json_values
+from teleop.cli.report.json_values import to_json_values
 
 SIGNALS = ("force", "elongation")
 ITEMS = ("largest", "average")
@@ -112,7 +112,7 @@ def tree(shown: Outcome, outcomes: list[Outcome], seed: int) -> dict[str, Any]:
         "spread": {
             motion: {
                 method: {
-                    f"{item} {signal}": json_values(
+                    f"{item} {signal}": to_json_values(
                         _spread(outcomes, method, motion, signal, item)._asdict()
                     )
                     for signal in SIGNALS
@@ -155,7 +155,7 @@ def _outcome_tree(outcome: Outcome) -> dict[str, Any]:
 
 
 def _score_tree(score: Score) -> dict[str, Any]:
-    return {signal: json_values(getattr(score, signal)._asdict()) for signal in SIGNALS}
+    return {signal: to_json_values(getattr(score, signal)._asdict()) for signal in SIGNALS}
 
 
 def _spread(outcomes: list[Outcome], method: str, motion: str, signal: str, item: str) -> Spread:

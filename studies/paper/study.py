@@ -70,7 +70,9 @@ def unevenness(specimen: Specimen) -> float:
     lengths = [section.length for section in sheath.sections]
     radii = [min(section.radius, STRAIGHT) for section in sheath.sections]
     constants = (sheath.friction, lengths, radii, sheath.axial_stiffness)
-    ratio = closed_forms.release_constant(*constants) / closed_forms.pull_constant(*constants)
+    ratio = closed_forms.compute_release_constant(*constants) / closed_forms.compute_pull_constant(
+        *constants
+    )
     return math.log(ratio) - specimen.K
 
 

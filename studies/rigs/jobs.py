@@ -22,7 +22,7 @@ from slave.tendon_config import TendonConfig
 from studies.rigs import namespace
 from studies.rigs.bench import TRUE_K, Model, write_config
 from studies.rigs.session import Session
-from teleop.launch.supervisor import wait_for
+from teleop.launch.supervisor import wait_for_condition
 from tests.system.processes import START_S
 
 DRIVERS = ("microcontroller", "dynamixel", "cia402")
@@ -131,7 +131,7 @@ def e_stop(session: Session, driver: str) -> str:
     assert took_s <= WATCHDOG_S, f"stopped only {took_s * 1e3:.0f} ms after the master was"
     require_still(session)
     session.processes.start("stop", "--reset")
-    assert wait_for(session.all_move, ENGAGE_S), "the motors do not move after the reset"
+    assert wait_for_condition(session.all_move, ENGAGE_S), "the motors do not move after the reset"
     assert session.slave.poll() is None, session.said()
     return f"stopped {took_s * 1e3:.0f} ms after the master was; engaged again after the reset"
 
@@ -173,7 +173,7 @@ def kill_calibrate(session: Session, driver: str) -> str:
     for moment_s in CALIBRATING_S:
         process = session.start("calibrate", "--quick", "--together", "--out", str(out))
         try:
-            assert wait_for(session.all_move, START_S), "the motors are not enabled"
+            assert wait_for_condition(session.all_move, START_S), "the motors are not enabled"
             time.sleep(moment_s)
             assert process.poll() is None, "the calibration has ended by itself"
         finally:
@@ -246,7 +246,7 @@ def fault(session: Session, driver: str) -> str:
 
 def require_still(session: Session) -> None:
     """Fail if a motor moves by itself."""
-    moved = wait_for(lambda: any(session.model.order()["moving"]), STILL_S)
+    moved = wait_for_condition(lambda: any(session.model.order()["moving"]), STILL_S)
     assert not moved, "a motor moves by itself"
 
 

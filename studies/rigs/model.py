@@ -22,7 +22,7 @@ import can
 import numpy as np
 
 from studies.rigs.bench import BUS
-from teleop.runtime.realtime import RealtimeConfig, go_realtime
+from teleop.runtime.realtime import RealtimeConfig, request_realtime
 from tests.drivers.models import drives
 from tests.drivers.models.board import ENABLED, Board, compile_firmware
 from tests.drivers.models.drives import ENABLED as OPERATION
@@ -182,7 +182,7 @@ def main(driver: str, count: str, kind: str, *ordinary: str) -> None:
     if ordinary:
         drives.ROUND_S = EMULATED_ROUND_S
     else:
-        go_realtime(RealtimeConfig(priority=30, cores=()))
+        request_realtime(RealtimeConfig(priority=30, cores=()))
     threads = [threading.Thread(target=one.serve, daemon=True) for one in model.models]
     gc.collect()
     gc.disable()  # a collection takes longer than a watchdog waits

@@ -14,12 +14,12 @@ import time
 import numpy as np
 
 from slave.config import SlaveConfig
-from slave.drivers.cia402.bus_load import bus_load
+from slave.drivers.cia402.bus_load import compute_bus_load
 from slave.rig import RigFault
 from slave.rigs.hardware import HardwareRig
 from studies.rigs.bench import Model, rig_tree
 from teleop.config.loading import load
-from teleop.runtime.realtime import go_realtime
+from teleop.runtime.realtime import request_realtime
 
 DRIVERS = ("microcontroller", "dynamixel", "cia402")
 ASKED_HZ = {"microcontroller": 1000.0, "dynamixel": 500.0, "cia402": 500.0}
@@ -33,7 +33,7 @@ def main() -> None:
     parser.add_argument("--motors", type=int, nargs="*", default=[1, 2, 4, 8])
     parser.add_argument("--seconds", type=float, default=5.0)
     args = parser.parse_args()
-    go_realtime()
+    request_realtime()
     print("driver           motors  asked Hz  samples Hz  longest gap ms  CPU %  line allows Hz")
     for driver in args.drivers:
         for motors in args.motors:
@@ -94,7 +94,7 @@ def cpu_s(process: int) -> float:
 def line_bound(driver: str, motors: int) -> float:
     """Return the highest rate [Hz] that the bits of the line allow."""
     if driver == "cia402":
-        loads = [bus_load(1e6, hz, motors, motors, motors, wide=False) for hz in (0.0, 1.0)]
+        loads = [compute_bus_load(1e6, hz, motors, motors, motors, wide=False) for hz in (0.0, 1.0)]
         return (1.0 - loads[0]) / (loads[1] - loads[0])
     if driver == "dynamixel":
         # sync read 14 + n bytes, answers of 11 + 16, sync write of 14 + 5 n, 10 bits a byte

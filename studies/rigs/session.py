@@ -6,7 +6,7 @@ import time
 from pathlib import Path
 
 from studies.rigs.bench import Model
-from teleop.launch.supervisor import wait_for
+from teleop.launch.supervisor import wait_for_condition
 from teleop.messages.messages import Hand
 from teleop.messages.topics import HAND
 from teleop.session.state_machine import State
@@ -46,9 +46,9 @@ class Session:
             def over() -> bool:
                 return self.slave.poll() is not None
 
-            wait_for(lambda: self.processes.engaged(link) or over(), START_S)
+            wait_for_condition(lambda: self.processes.engaged(link) or over(), START_S)
             assert not over(), self.said() or self.processes.outputs()[-300:]
-        assert wait_for(self.all_move, MOVING_S), "the motors are not enabled"
+        assert wait_for_condition(self.all_move, MOVING_S), "the motors are not enabled"
 
     def all_move(self) -> bool:
         """Return whether every motor is enabled."""
@@ -75,12 +75,12 @@ class Session:
                 hand = link.latest(HAND).message
                 return isinstance(hand, Hand) and hand.state == State.STOPPED
 
-            assert wait_for(stopped, START_S, poll_s=0.001), "the session is not stopped"
+            assert wait_for_condition(stopped, START_S, poll_s=0.001), "the session is not stopped"
             return time.monotonic()
 
     def stopped_after(self, since_s: float) -> float:
         """Wait until no motor moves; return how long that took [s]."""
-        stopped = wait_for(lambda: not any(self.model.order()["moving"]), MOVING_S)
+        stopped = wait_for_condition(lambda: not any(self.model.order()["moving"]), MOVING_S)
         assert stopped, "the motors are not stopped"
         return self.model.order()["stopped_s"] - since_s
 

@@ -4,7 +4,7 @@ from typing import Generic, TypeVar
 
 import numpy as np
 
-from teleop.link.reception import Latest
+from teleop.link.reception import LatestMessage
 from teleop.messages.messages import Message
 from teleop.messages.packet import Packet
 from teleop.messages.topics import Topic
@@ -41,7 +41,7 @@ class Channel(Generic[M]):
         self._sender, self._delay, self._jitter, self._loss = sender, delay, jitter, loss
         self._rng = np.random.default_rng(seed)
         self._under_way: list[tuple[int, int, bytes]] = []  # (arrives [ns], number, bytes)
-        self._latest = Latest(topic, lambda _nonce: 1)
+        self._latest = LatestMessage(topic, lambda _nonce: 1)
         self._sent = 0
 
     def send(self, packet: Packet[M], now_ns: int) -> None:
@@ -53,7 +53,7 @@ class Channel(Generic[M]):
             arrives = now_ns + round(max(late, 0.0) * 1e9)
             self._under_way.append((arrives, self._sent, data))
 
-    def newest(self, now_ns: int) -> Latest[M]:
+    def newest(self, now_ns: int) -> LatestMessage[M]:
         """Return the live `Latest` at `now_ns`."""
         arrived = sorted(item for item in self._under_way if item[0] <= now_ns)
         self._under_way = [item for item in self._under_way if item[0] > now_ns]

@@ -21,8 +21,8 @@ from studies.transparency.study import COUPLINGS, Case, Study, Task
 from teleop.config.options import add_option
 from teleop.errors import UsageError
 from teleop.runtime.output_file import make_folder
-from teleop.runtime.parallel import parallel_map, processors
-from teleop.runtime.process import write_summary, write_whole
+from teleop.runtime.parallel import count_processors, parallel_map
+from teleop.runtime.process import write_summary, write_text_file
 from teleop.runtime.progress import Progress
 
 ROUND_TRIP_MAX = 400.0  # [ms] beyond it the sessions' watchdogs would have to be set slower
@@ -83,7 +83,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=Path("transparency"),
         help="folder for the report (default transparency)",
     )
-    add_option(parser, "--jobs", default=processors())
+    add_option(parser, "--jobs", default=count_processors())
 
 
 def main(args: argparse.Namespace) -> int:
@@ -95,7 +95,7 @@ def main(args: argparse.Namespace) -> int:
     cases = run(study_config, args.jobs)
     print(report.summary(study_config, cases).markdown(), flush=True)
     write_summary(args.out / "transparency.json", report.tree(study_config, cases))
-    write_whole(args.out / "transparency.html", page.render(study_config, cases), "the page")
+    write_text_file(args.out / "transparency.html", page.render(study_config, cases), "the page")
     print(f"\nwritten: {args.out / 'transparency.html'}")
     return 0
 

@@ -7,20 +7,20 @@ import numpy as np
 
 from estimator.law.sheath import Sheath
 from estimator.online.online import TendonModel
-from estimator.records import one
+from estimator.records import view_struct
 from master import hand_input
 from master import loop as master_loop
 from master.config import MasterConfig
 from master.device import HandState
 from master.feedback import FeedbackConfig
 from master.operator import OperatorConfig
-from master.settings_record import master_settings
+from master.settings_record import build_master_settings
 from slave import loop as slave_loop
 from slave.config import SlaveConfig
 from slave.gate import GateConfig
 from slave.loop_records import SlaveMemory, TickInput
 from slave.rig import RigSample
-from slave.samples import sample_rows
+from slave.samples import to_sample_rows
 from slave.tendon_config import TendonConfig
 from studies.transparency.channel import Channel
 from studies.transparency.hand import DT
@@ -107,7 +107,7 @@ def rig_model(friction: float = 0.02) -> slave_loop.RigModel:
     `friction` is the effective one, K, of the sheath in its model; the rig has none.
     """
     sheath = Sheath.uniform(friction, 1.5, 9000.0)
-    return slave_loop.rig_model(((0,),), [TendonModel(sheath, tension_noise=0.01)])
+    return slave_loop.build_rig_model(((0,),), [TendonModel(sheath, tension_noise=0.01)])
 
 
 class Teleoperator:
@@ -150,13 +150,15 @@ class Teleoperator:
     ) -> None:
         self._rig, configs, model = rig, configs or settings(), model or rig_model()
         self._tendons = len(model.models)
-        self._master_settings = master_settings(configs.master, bilateral)
-        self._master = master_loop.start(1, EPOCH)
-        self.master: master_loop.MasterState = one(self._master)
+        self._master_settings = build_master_settings(configs.master, bilateral)
+        self._master = master_loop.init_master(1, EPOCH)
+        self.master: master_loop.MasterState = view_struct(self._master)
         self._inputs = master_loop.TickInput.array()
         self._force = np.zeros(MAX_JOINTS)  # [N]
-        self._slave = slave_loop.start(model, configs.slave, slave_bilateral or bilateral, False)
-        self.slave: SlaveMemory = one(self._slave.memory)
+        self._slave = slave_loop.init_slave(
+            model, configs.slave, slave_bilateral or bilateral, False
+        )
+        self.slave: SlaveMemory = view_struct(self._slave.memory)
         self._timeout_ns = round(configs.slave.command_timeout * 1e9)
         self._command, self._state = Packet(Command), Packet(SlaveState)
         delay, jitter, loss, seed = network
@@ -186,7 +188,7 @@ class Teleoperator:
 
     def _master_tick(self, hand: HandState, now: int) -> None:
         latest = self._states.newest(now)
-        hand_input.fill(self._inputs["hand"], hand)
+        hand_input.fill_hand_input(self._inputs["hand"], hand)
         phase_input = master_loop.PhaseInput(latest.is_there, latest.age_ns(now), now, DT)
         known = (
             self._master_settings,
@@ -201,11 +203,11 @@ class Teleoperator:
 
     def _slave_tick(self, samples: Sequence[RigSample], now: int) -> None:
         slave, latest = self._slave, self._commands.newest(now)
-        rows = sample_rows(samples)
+        rows = to_sample_rows(samples)
         slave.estimate(*slave.estimated, rows, len(samples))
         fresh = latest.is_fresh(now, self._timeout_ns)
         tick_input = TickInput(DT, latest.is_there, fresh)
-        slave_loop.tick(
+        slave_loop.run_tick(
             *slave.ticked,
             rows,
             len(samples),

@@ -13,10 +13,10 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, NoReturn, TextIO
 
-from teleop.config.suggestions import did_you_mean
+from teleop.config.suggestions import suggest_spelling
 from teleop.errors import TeleopError, UsageError
 from teleop.runtime import output_file
-from teleop.runtime.process import die_with_launcher, interruption, limit_numeric_threads
+from teleop.runtime.process import die_with_launcher, interrupt_handler, limit_numeric_threads
 
 # name -> (module with add_arguments and main, what it does); only the one that runs is imported
 COMMANDS = {
@@ -69,12 +69,12 @@ class Parser(argparse.ArgumentParser):
 
     def __init__(self, *args: Any, **options: Any) -> None:
         super().__init__(*args, **options)
-        self.register("type", Path, _named_path)
+        self.register("type", Path, _parse_path)
 
     def _check_value(self, action: argparse.Action, value: Any) -> None:
         if action.choices is not None and value not in action.choices:
             allowed = [str(choice) for choice in action.choices]
-            hint = did_you_mean(str(value), allowed) or f" (allowed: {', '.join(allowed)})"
+            hint = suggest_spelling(str(value), allowed) or f" (allowed: {', '.join(allowed)})"
             raise argparse.ArgumentError(action, f"{value!r} is unknown{hint}")
 
     def error(self, message: str) -> NoReturn:
@@ -82,13 +82,13 @@ class Parser(argparse.ArgumentParser):
         raise UsageError(f"{message} (see `{self.prog} --help`)")
 
 
-def _named_path(text: str) -> Path:
+def _parse_path(text: str) -> Path:
     if not text:
         raise argparse.ArgumentTypeError("the name is empty")
     return Path(text)
 
 
-def _refuse_unknown(
+def _reject_unknown_words(
     parser: argparse.ArgumentParser, words: Sequence[str], unknown: Sequence[str]
 ) -> NoReturn:
     """Raise `UsageError` about words that no argument takes, with what they may have meant."""
@@ -98,7 +98,7 @@ def _refuse_unknown(
     before = words[: words.index(word)]
     hint = ""
     if word.startswith("-"):
-        hint = did_you_mean(word.partition("=")[0], options, cutoff=0.7)
+        hint = suggest_spelling(word.partition("=")[0], options, cutoff=0.7)
     elif before[-2:-1] == ["--set"]:
         hint = f"; did you mean --set {before[-1]}={word}?"
     elif word.endswith((".yaml", ".yml")) and "--config" in options:
@@ -108,7 +108,7 @@ def _refuse_unknown(
     )
 
 
-class _Version(argparse.Action):
+class _VersionAction(argparse.Action):
     """Prints the version; the module that finds it out is slow to import."""
 
     def __call__(self, parser: argparse.ArgumentParser, *_: object) -> NoReturn:
@@ -125,7 +125,9 @@ def build_parser(command: str | None) -> argparse.ArgumentParser:
         description="Haptic teleoperation for robots driven through tendon sheaths.",
         epilog="Start with: teleop run --config configs/demo.yaml",
     )
-    parser.add_argument("--version", action=_Version, nargs=0, help="show the version and exit")
+    parser.add_argument(
+        "--version", action=_VersionAction, nargs=0, help="show the version and exit"
+    )
     commands = parser.add_subparsers(
         dest="command", metavar="COMMAND", required=True, prog="teleop"
     )
@@ -138,7 +140,7 @@ def build_parser(command: str | None) -> argparse.ArgumentParser:
             implementation = importlib.import_module(module)
             sub.description = implementation.__doc__
             implementation.add_arguments(sub)
-            output_file.add_force(sub)
+            output_file.add_force_option(sub)
             sub.set_defaults(main=implementation.main)
     return parser
 
@@ -174,9 +176,9 @@ def parse_words(prog: str, program: ModuleType, words: Sequence[str]) -> argpars
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     program.add_arguments(parser)
-    output_file.add_force(parser)
+    output_file.add_force_option(parser)
     args = parser.parse_args(words)
-    output_file.check(parser, args)
+    output_file.check_outputs(parser, args)
     return args
 
 
@@ -187,8 +189,8 @@ def _run_command(words: list[str], begin: Callable[[], object]) -> int:
     parser = build_parser(command)
     args, unknown = parser.parse_known_args(words)
     if unknown:
-        _refuse_unknown(parser, words, unknown)
-    output_file.check(parser, args)
+        _reject_unknown_words(parser, words, unknown)
+    output_file.check_outputs(parser, args)
     if getattr(args, "allow_imports", False):
         from teleop.config.extensions import allow_imports
 
@@ -205,37 +207,37 @@ def _run_guarded(run: Callable[[], int]) -> int:
     try:
         code = run()
     except TeleopError as error:
-        code = complain(str(error), error.exit_code)
+        code = print_error(str(error), error.exit_code)
     except KeyboardInterrupt:  # before there was a loop to stop
-        code = interrupted()
+        code = report_interruption()
     except Exception as error:
-        if interruption.number:  # a compiler makes an error of its own of what a signal raised
-            code = interrupted()
-        elif isinstance(error, OSError) and output_error() is not None:
+        if interrupt_handler.number:  # a compiler makes an error of its own of what a signal raised
+            code = report_interruption()
+        elif isinstance(error, OSError) and find_output_error() is not None:
             code = 0
-        elif complaint := _environment_error(error):
-            code = complain(complaint, TeleopError.exit_code)
+        elif complaint := _describe_environment_error(error):
+            code = print_error(complaint, TeleopError.exit_code)
         else:
             raise
     return finish_output(code)
 
 
-def complain(text: str, code: int) -> int:
+def print_error(text: str, code: int) -> int:
     """Print the line of an error, control characters escaped; return the exit code."""
     line = "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
     try:
         print(f"teleop: {line}", file=sys.stderr)
     except OSError:  # nobody can be told
-        _discard(sys.stderr)
+        _discard_output(sys.stderr)
     return code
 
 
-def _discard(stream: TextIO) -> None:
+def _discard_output(stream: TextIO) -> None:
     """Let the rest of a stream go nowhere, or the flush at the exit would fail."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
-def _environment_error(error: Exception) -> str:
+def _describe_environment_error(error: Exception) -> str:
     """Return what a system refuses to any program, in a line; empty for a defect of ours."""
     if isinstance(error, OSError):
         place = f"{error.filename}: " if error.filename is not None else ""
@@ -249,7 +251,7 @@ def _environment_error(error: Exception) -> str:
     return ""
 
 
-def output_error() -> OSError | None:
+def find_output_error() -> OSError | None:
     """Return why standard output cannot be written, None if it can."""
     poll = select.poll()
     try:
@@ -266,18 +268,18 @@ def finish_output(code: int) -> int:
 
     A reader that left (`| head`) has what it wanted.
     """
-    error = output_error()
+    error = find_output_error()
     if error is None:
         return code
-    _discard(sys.stdout)
+    _discard_output(sys.stdout)
     if isinstance(error, BrokenPipeError):
         return code
-    return complain(f"standard output: {error.strerror}", code or TeleopError.exit_code)
+    return print_error(f"standard output: {error.strerror}", code or TeleopError.exit_code)
 
 
-def interrupted() -> int:
+def report_interruption() -> int:
     """Say that a signal ended it; return the exit code."""
-    return complain("interrupted", interruption.exit_code)
+    return print_error("interrupted", interrupt_handler.exit_code)
 
 
 def prepare_streams() -> None:

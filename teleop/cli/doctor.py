@@ -36,7 +36,7 @@ class Finding:
     essential: bool = False
 
 
-def python_version() -> Finding:
+def check_python_version() -> Finding:
     """Check the interpreter."""
     return Finding(
         "Python",
@@ -47,7 +47,7 @@ def python_version() -> Finding:
     )
 
 
-def dependencies() -> list[str]:
+def list_dependencies() -> list[str]:
     """Return the names of the required packages."""
     try:
         lines = requires(DISTRIBUTION) or []
@@ -56,10 +56,10 @@ def dependencies() -> list[str]:
     return [re.split(r"[^\w.-]", line)[0] for line in lines if "extra ==" not in line]
 
 
-def packages() -> Finding:
+def check_packages() -> Finding:
     """Check that each dependency is installed."""
     missing = []
-    for name in (DISTRIBUTION, *dependencies()):
+    for name in (DISTRIBUTION, *list_dependencies()):
         try:
             version(name)
         except PackageNotFoundError:
@@ -70,7 +70,7 @@ def packages() -> Finding:
     )  # fmt: skip
 
 
-def processors() -> Finding:
+def check_processors() -> Finding:
     """Check for a processor per loop."""
     count = os.cpu_count() or 1
     return Finding(
@@ -78,7 +78,7 @@ def processors() -> Finding:
     )
 
 
-def real_time() -> Finding:
+def check_real_time() -> Finding:
     """Check whether real-time scheduling is permitted."""
     if not hasattr(os, "sched_setscheduler"):
         return Finding("real time", False, "not on this system", "use Linux for the 1 kHz loops")
@@ -95,7 +95,7 @@ def real_time() -> Finding:
     return Finding("real time", True, "SCHED_FIFO permitted")
 
 
-def timing(seconds: float = 1.0) -> Finding:
+def check_timing(seconds: float = 1.0) -> Finding:
     """Run an empty 1 kHz loop and measure its lateness."""
     end = time.monotonic() + seconds
     grid = Grid(1000.0, lambda: time.monotonic() >= end)
@@ -110,13 +110,13 @@ def timing(seconds: float = 1.0) -> Finding:
     )  # fmt: skip
 
 
-def screen() -> Finding:
+def check_screen() -> Finding:
     """Check for a display; without one the view is a web page."""
     there = has_display()
     return Finding("screen", there, "found" if there else "none", "use --view web or --view rrd")
 
 
-def hid_nodes() -> Finding:
+def check_hid_nodes() -> Finding:
     """Check that haptic devices can be opened.
 
     Their report descriptor begins with joystick, gamepad or multi-axis controller; keyboards and
@@ -142,7 +142,7 @@ def _is_stick(node: Path) -> bool:
     return data.startswith(_STICKS)
 
 
-def disk() -> Finding:
+def check_disk() -> Finding:
     """Check the disk space for recordings."""
     free = shutil.disk_usage(Path.cwd()).free
     return Finding(
@@ -151,7 +151,7 @@ def disk() -> Finding:
 
 
 CHECKS: tuple[Callable[[], Finding], ...] = (
-    python_version, packages, processors, real_time, timing, screen, hid_nodes, disk,
+    check_python_version, check_packages, check_processors, check_real_time, check_timing, check_screen, check_hid_nodes, check_disk,
 )  # fmt: skip
 
 

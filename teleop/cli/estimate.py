@@ -19,33 +19,33 @@ from typing import Any
 
 import numpy as np
 
-from estimator.calibration.sheath_fit import LONGEST, FitError, SheathFit, fit_sheath
-from estimator.diagnosis.api import signals_of
+from estimator.calibration.sheath_fit import LENGTH_MAX, FitError, SheathFit, fit_sheath
+from estimator.diagnosis.api import collect_signals
 from estimator.measured_data import Samples
 from estimator.online import online
 from estimator.online.estimator import Estimator
-from estimator.online.score import PULLED, Score
-from estimator.plausibility import contradiction, doubts, stretch_slip
-from estimator.spikes import without_spikes
+from estimator.online.score import FULL_SCALE_SIGMAS, Score
+from estimator.plausibility import find_channel_faults, find_contradiction, find_stretch_slip
+from estimator.spikes import remove_spikes
 from estimator.units import LINEAR
 from slave import model_files
 from slave.calibration import file
 from slave.calibration.file import Calibration, JointTendons
-from slave.config import SlaveConfig, tendon_configs
+from slave.config import SlaveConfig, load_tendon_configs
 from slave.rigs.hardware import HardwareRigConfig
-from slave.rigs.joint_layout import joint_tendons
+from slave.rigs.joint_layout import number_joint_tendons
 from slave.rigs.simulated.simulated import SimulatedRigConfig
 from slave.tendon_config import TendonConfig
-from teleop.config.loading import RECORDING, as_tree, load
+from teleop.config.loading import RECORDING_SUFFIX, as_tree, load
 from teleop.config.options import add_option, add_options
-from teleop.data.channel_names import numbered
+from teleop.data.channel_names import format_numbered_name
 from teleop.data.table import Columns, MeasuredTable, read_table, write_table
 from teleop.errors import UsageError
 from teleop.messages.messages import MAX_TENDONS, PHASE_NAMES
 from teleop.ros.bag_table import is_bag
-from teleop.runtime.output_file import TABLES, OutputFile
+from teleop.runtime.output_file import TABLE_SUFFIXES, OutputFile
 from teleop.runtime.process import write_summary
-from teleop.session.summary import force_line
+from teleop.session.summary import format_force_error
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -92,7 +92,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--out",
-        type=OutputFile(*TABLES),
+        type=OutputFile(*TABLE_SUFFIXES),
         metavar="FILE",
         help="write the estimates as a table",
     )
@@ -100,26 +100,26 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def main(args: argparse.Namespace) -> int:
     """Estimate and report the error; returns the exit code."""
-    check_words(args)
+    check_options(args)
     files = model_files.parse(args.model)
     known, joints = ((), ()) if args.fit else load_models(args)
-    joints = joints or recorded_joints(args.data)
+    joints = joints or read_recorded_joints(args.data)
     k = select_tendon(args.tendon, joints, len(known))
     table = read_table(
         args.data,
-        column_names(args.column, k),
+        parse_column_names(args.column, k),
         args.drop_nonfinite,
         zero_errors=() if args.fit else ("distal_tension",),
     )
     summary: dict[str, Any] = {"data": str(args.data), "samples": len(table.time)}
     if args.tendon is not None or len(known) > 1:
-        summary["tendon"] = tendon_name(k, joints)
+        summary["tendon"] = format_tendon_name(k, joints)
     if args.fit:
         try:
             fit = fit_sheath(table, args.length, blocked_tip=args.blocked_tip)
         except FitError as error:
             raise UsageError(f"{table.path}, --fit: {error}") from error
-        tendon = tendon_config(fit)
+        tendon = build_tendon_config(fit)
         if args.save is not None:
             save(args.save, fit, tendon, table, args.rig)
         summary["fit"] = {
@@ -130,18 +130,22 @@ def main(args: argparse.Namespace) -> int:
             "reason": fit.reason,
         }
     else:
-        tendon = of_tendon(k, known, joints, files) if files else known[k if len(known) > 1 else 0]
+        tendon = (
+            select_tendon_model(k, known, joints, files)
+            if files
+            else known[k if len(known) > 1 else 0]
+        )
         if not known:
-            tendon = of_data(tendon, table, args.length)
-    clean = without_spikes(table)
+            tendon = complete_tendon_model(tendon, table, args.length)
+    clean = remove_spikes(table)
     estimates = Estimator(tendon.model()).run(clean)
     summary["model"] = as_tree(tendon)
     if tendon.model_file is not None:
-        summary["effects"] = model_files.describe(tendon)
+        summary["effects"] = model_files.describe_effects(tendon)
     summary["spikes"] = list_spikes(clean, table)
     summary["force_error"] = compare_with_bench(estimates, clean, tendon)
-    summary["travel_contradicts"] = travel_contradicts(tendon, clean, summary["force_error"])
-    summary["doubts"] = list_doubts(clean, tendon, summary)
+    summary["travel_contradicts"] = has_contradictory_travel(tendon, clean, summary["force_error"])
+    summary["doubts"] = list_warnings(clean, tendon, summary)
     summary["status"] = {
         str(flag.name).lower(): float(np.mean(estimates.status & flag != 0))
         for flag in online.Status
@@ -151,13 +155,13 @@ def main(args: argparse.Namespace) -> int:
         name: float(np.mean(estimates.phase == k)) for k, name in enumerate(PHASE_NAMES)
     }
     if args.out is not None:
-        write_table(args.out, table.columns(k + 1) | columns(estimates, k + 1))
+        write_table(args.out, table.columns(k + 1) | build_columns(estimates, k + 1))
     write_summary(args.json, summary)
     print("\n".join(format_report(summary)))
     return 0
 
 
-def check_words(args: argparse.Namespace) -> None:
+def check_options(args: argparse.Namespace) -> None:
     """Raise `UsageError` for conflicting options; a recording has its own config, if no other."""
     if not (args.config or args.fit or args.calibration or args.model) and is_recording(args.data):
         args.config = args.data
@@ -172,13 +176,13 @@ def check_words(args: argparse.Namespace) -> None:
         )
     if not args.fit and (args.save is not None or args.blocked_tip):
         raise UsageError("--save, --blocked-tip: require --fit")
-    if not 0.0 < args.length <= LONGEST:
-        raise UsageError(f"--length {args.length:g}: must be above 0 and at most {LONGEST:g} m")
+    if not 0.0 < args.length <= LENGTH_MAX:
+        raise UsageError(f"--length {args.length:g}: must be above 0 and at most {LENGTH_MAX:g} m")
     if args.rig and args.save is None:
         raise UsageError("--rig: requires --save")
 
 
-def column_names(words: Sequence[str], tendon: int = 0) -> Columns:
+def parse_column_names(words: Sequence[str], tendon: int = 0) -> Columns:
     """Return the column names of a tendon, from 0, with the overrides NAME=COLUMN."""
     known = [f.name for f in dataclasses.fields(Columns)]
     renamed = {}
@@ -192,28 +196,34 @@ def column_names(words: Sequence[str], tendon: int = 0) -> Columns:
     return dataclasses.replace(Columns.of_tendon(tendon + 1), **renamed)
 
 
-def of_tendon(
+def select_tendon_model(
     k: int, known: Sequence[TendonConfig], joints: JointTendons, files: model_files.ModelFiles
 ) -> TendonConfig:
     """Return tendon `k`, from 0, with its model file; a single model is for all."""
     count = max(sum(map(len, joints)), len(known), k + 1)
     every = list(known) * count if len(known) == 1 else list(known)
-    tendon = model_files.apply(every or [None] * count, joints, files)[k]
+    tendon = model_files.apply_model_files(every or [None] * count, joints, files)[k]
     if tendon is None:
-        raise UsageError(f"--model: has none for tendon {tendon_name(k, joints)}")
+        raise UsageError(f"--model: has none for tendon {format_tendon_name(k, joints)}")
     return tendon
 
 
-def of_data(tendon: TendonConfig, table: MeasuredTable, length: float) -> TendonConfig:
+def complete_tendon_model(
+    tendon: TendonConfig, table: MeasuredTable, length: float
+) -> TendonConfig:
     """Return a tendon from a model file alone, with a length [m] and the noise of a record."""
     try:
-        known = model_files.of_length(tendon, length)
-        return model_files.with_noise_of(known, table.proximal_tension, table.proximal_displacement)
+        known = model_files.set_sheath_length(tendon, length)
+        return model_files.set_noise_from_data(
+            known, table.proximal_tension, table.proximal_displacement
+        )
     except ValueError as error:
         raise UsageError(f"{table.path}, --length {length:g}: {error}") from error
 
 
-def travel_contradicts(tendon: TendonConfig, table: Samples, error: dict[str, Any] | None) -> bool:
+def has_contradictory_travel(
+    tendon: TendonConfig, table: Samples, error: dict[str, Any] | None
+) -> bool:
     """Return whether the estimate without travel would be far better."""
     if error is None or table.proximal_displacement is None:
         return False
@@ -225,13 +235,13 @@ def travel_contradicts(tendon: TendonConfig, table: Samples, error: dict[str, An
     )
 
 
-def list_doubts(clean: Samples, tendon: TendonConfig, summary: dict[str, Any]) -> list[str]:
+def list_warnings(clean: Samples, tendon: TendonConfig, summary: dict[str, Any]) -> list[str]:
     """Return what is wrong with the data, or contradicts the model; one line each."""
-    out = list(doubts(clean))
+    out = list(find_channel_faults(clean))
     error = summary["force_error"]
-    pulled = float(np.nanmax(clean.proximal_tension)) >= PULLED * tendon.tension_noise
+    pulled = float(np.nanmax(clean.proximal_tension)) >= FULL_SCALE_SIGMAS * tendon.tension_noise
     if error is not None and pulled and "fit" not in summary:
-        said = contradiction(error["rmse_percent"] / 100.0, error["inside_interval"])
+        said = find_contradiction(error["rmse_percent"] / 100.0, error["inside_interval"])
         remedy = (
             "check that the model is of this tendon and that it is calibrated anew since it was "
             "moved, or see what `teleop diagnose` finds"
@@ -240,14 +250,14 @@ def list_doubts(clean: Samples, tendon: TendonConfig, summary: dict[str, Any]) -
     if clean.proximal_displacement is not None and clean.distal_displacement is not None:
         stretch = clean.proximal_displacement - clean.distal_displacement
         alone = Estimator(tendon.model()).run(clean._replace(proximal_displacement=None))
-        out += [said] if (said := stretch_slip(stretch, alone.elongation)) else []
+        out += [said] if (said := find_stretch_slip(stretch, alone.elongation)) else []
     return out
 
 
 def list_spikes(clean: Samples, table: MeasuredTable) -> dict[str, dict[str, float]]:
     """Return the number of spikes of each channel, and the largest."""
     out: dict[str, dict[str, float]] = {}
-    for name, signal in signals_of(clean).items():
+    for name, signal in collect_signals(clean).items():
         measured = getattr(table, name)
         spikes = np.flatnonzero(np.isnan(signal) & ~np.isnan(measured))
         measured = measured[spikes]
@@ -284,31 +294,33 @@ def load_models(args: argparse.Namespace) -> tuple[tuple[TendonConfig, ...], Joi
             where = f"; {args.config} was recorded with it" if is_recording(args.config) else ""
             raise UsageError(f"{error}{where}; --calibration FILE names another") from error
         return calibration.tendons, calibration.joints
-    joints = joints_of(config)
+    joints = get_joint_tendons(config)
     count = sum(map(len, joints)) or max(len(config.tendons), 1)
-    return tendon_configs(config, count), joints
+    return load_tendon_configs(config, count), joints
 
 
 def is_recording(path: Path | None) -> bool:
     """Return whether this is a recording of a session, which has its config."""
-    return path is not None and path.suffix == RECORDING and path.is_file() and not is_bag(path)
+    return (
+        path is not None and path.suffix == RECORDING_SUFFIX and path.is_file() and not is_bag(path)
+    )
 
 
-def recorded_joints(path: Path) -> JointTendons:
+def read_recorded_joints(path: Path) -> JointTendons:
     """Return the tendons of the joints in a recording; empty if its config does not tell."""
     if not is_recording(path):
         return ()
     try:
-        return joints_of(load(path, SlaveConfig, "slave"))
+        return get_joint_tendons(load(path, SlaveConfig, "slave"))
     except UsageError:  # of another version
         return ()
 
 
-def joints_of(config: SlaveConfig) -> JointTendons:
+def get_joint_tendons(config: SlaveConfig) -> JointTendons:
     """Return the tendons of the joints of a configured rig; empty if its config does not tell."""
     if not isinstance(config.rig, SimulatedRigConfig | HardwareRigConfig):
         return ()
-    return joint_tendons([len(joint.tendons) for joint in config.rig.joints])
+    return number_joint_tendons([len(joint.tendons) for joint in config.rig.joints])
 
 
 def select_tendon(word: str | None, joints: JointTendons, count: int) -> int:
@@ -317,7 +329,7 @@ def select_tendon(word: str | None, joints: JointTendons, count: int) -> int:
     `count` is the number of models; a single one is for all tendons.
     """
     known = sum(map(len, joints)) or (count if count > 1 else MAX_TENDONS)
-    names = model_files.names_of(joints, known)
+    names = model_files.map_tendon_names(joints, known)
     if word is None:
         return 0
     if word not in names:
@@ -325,7 +337,7 @@ def select_tendon(word: str | None, joints: JointTendons, count: int) -> int:
     return names[word]
 
 
-def tendon_name(k: int, joints: JointTendons) -> str:
+def format_tendon_name(k: int, joints: JointTendons) -> str:
     """Return the name of tendon `k`, from 0: joint and side if known."""
     for number, tendons in enumerate(joints, start=1):
         if k in tendons:
@@ -344,7 +356,7 @@ def compare_with_bench(
     return score.summary()
 
 
-def columns(estimates: online.Estimates, number: int = 1) -> dict[str, Any]:
+def build_columns(estimates: online.Estimates, number: int = 1) -> dict[str, Any]:
     """Return the estimates of tendon 1, 2, ... as columns of a table."""
     named = {
         "distal_tension_estimate_N": estimates.distal_tension,
@@ -356,12 +368,12 @@ def columns(estimates: online.Estimates, number: int = 1) -> dict[str, Any]:
     }
     codes = {"phase": estimates.phase, "status": estimates.status}
     suffix = f"_{number}" if number > 1 else ""
-    return {numbered(name, number): column for name, column in named.items()} | {
+    return {format_numbered_name(name, number): column for name, column in named.items()} | {
         name + suffix: column for name, column in codes.items()
     }
 
 
-def tendon_config(fit: SheathFit) -> TendonConfig:
+def build_tendon_config(fit: SheathFit) -> TendonConfig:
     """Return a fitted tendon for a calibration file."""
     model = fit.model
     return TendonConfig(
@@ -410,7 +422,7 @@ def format_report(summary: dict[str, Any]) -> list[str]:
             f"          {'accepted' if fit['accept'] else 'NOT accepted'}: {fit['reason']}"
         )
     lines += [f"model     {sentence}" for sentence in summary.get("effects", ())]
-    lines.append(f"force     {force_line(summary['force_error'])}")
+    lines.append(f"force     {format_force_error(summary['force_error'])}")
     for name, spikes in summary["spikes"].items():
         if spikes["count"]:
             unit = LINEAR.of(name)

@@ -69,7 +69,7 @@ class Sine:
 
 
 @dataclass(frozen=True, slots=True)
-class Keep:
+class TensionHold:
     """Keep the tension near `tension` by admittance control: the other tendon of a pair.
 
     Motor speed `admittance` (tension - measured), with a dead band, limited to `speed`.
@@ -90,7 +90,7 @@ class Keep:
 
 
 @dataclass(frozen=True, slots=True)
-class Scale:
+class MotionScale:
     """Amplitudes and speeds of the motions."""
 
     peak: float = 20.0  # [N] highest housing tension, of the motions that turn at tensions
@@ -99,13 +99,13 @@ class Scale:
     period: float = 4.0  # [s] of the sine
 
 
-def _turns(*shares: float) -> Callable[[Scale], Motion]:
+def _build_turns(*shares: float) -> Callable[[MotionScale], Motion]:
     return lambda scale: Turns(tuple(share * scale.peak for share in shares), scale.speed)
 
 
-MOTIONS: dict[str, Callable[[Scale], Motion]] = {
-    "pull-release-pull": _turns(1.0, 0.25),
-    "loop": _turns(1.0, 0.01),  # for a calibration: to slack and back
-    "nested": _turns(1.0, 0.2, 0.8, 0.3, 0.65, 0.4),
+MOTIONS: dict[str, Callable[[MotionScale], Motion]] = {
+    "pull-release-pull": _build_turns(1.0, 0.25),
+    "loop": _build_turns(1.0, 0.01),  # for a calibration: to slack and back
+    "nested": _build_turns(1.0, 0.2, 0.8, 0.3, 0.65, 0.4),
     "sine": lambda scale: Sine(scale.stroke, scale.period),
 }

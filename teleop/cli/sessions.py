@@ -12,7 +12,7 @@ import argparse
 
 from teleop.config.options import add_options
 from teleop.runtime.process import write_summary
-from teleop.session.running_sessions import RunningSession, running
+from teleop.session.running_sessions import RunningSession, list_sessions
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -22,13 +22,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def main(args: argparse.Namespace) -> int:
     """Print the running sessions; returns the exit code."""
-    entries = running()
+    entries = list_sessions()
     write_summary(args.json, {"sessions": [entry._asdict() for entry in entries]})
-    print("\n".join(map(line, entries)) if entries else "no sessions running")
+    print("\n".join(map(format_session, entries)) if entries else "no sessions running")
     return 0
 
 
-def line(entry: RunningSession) -> str:
+def format_session(entry: RunningSession) -> str:
     """Return a session as one line of text."""
     config = entry.config or "no config file"
     return (

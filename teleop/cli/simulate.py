@@ -20,16 +20,16 @@ import numpy as np
 
 from estimator.array_types import Array
 from slave.config import SlaveConfig
-from slave.rigs.simulated.effect_text import describe_effect, late
+from slave.rigs.simulated.effect_text import describe_effect, format_late_effects
 from slave.rigs.simulated.simulated import SimulatedRig, SimulatedRigConfig
-from teleop.cli.motion import MOTIONS, Keep, Motion, MotionSample, MotionState, Scale
+from teleop.cli.motion import MOTIONS, Motion, MotionSample, MotionScale, MotionState, TensionHold
 from teleop.config.loading import load
 from teleop.config.options import add_options
 from teleop.data.table import Columns, write_table
 from teleop.errors import UsageError
-from teleop.runtime.output_file import TABLES, OutputFile
+from teleop.runtime.output_file import TABLE_SUFFIXES, OutputFile
 
-KEEP = 0.5  # [N] enough for a tendon not to go slack
+HOLD_TENSION = 0.5  # [N] enough for a tendon not to go slack
 FOLLOW_SPEED = 0.04  # [m/s] most that the loose tendon's motor goes
 
 
@@ -45,11 +45,11 @@ class Run(NamedTuple):
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's arguments."""
-    scale = Scale()
+    scale = MotionScale()
     parser.add_argument("config", nargs="?", type=Path, metavar="CONFIG", help="config file (YAML)")
     parser.add_argument(
         "--out",
-        type=OutputFile(*TABLES),
+        type=OutputFile(*TABLE_SUFFIXES),
         required=True,
         metavar="FILE",
         help=".csv, .csv.gz or .parquet",
@@ -75,7 +75,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         ("speed", scale.speed, "M/S", "speed of the motor between turns [m/s]"),
         ("stroke", scale.stroke, "M", "stroke of the sine [m]"),
         ("period", scale.period, "S", "period of the sine [s]"),
-        ("keep", KEEP, "N", "housing tension of the other tendon of a pair [N]"),
+        ("keep", HOLD_TENSION, "N", "housing tension of the other tendon of a pair [N]"),
     ):
         parser.add_argument(
             f"--{name}",
@@ -98,12 +98,12 @@ def main(args: argparse.Namespace) -> int:
     for name in ("duration", "rate", "peak", "speed", "stroke", "period", "keep"):
         if not 0.0 < getattr(args, name) <= 1e5:
             raise UsageError(f"--{name} {getattr(args, name)}: must be above 0 and at most 100 000")
-    config = _rig_config(args)
+    config = _load_rig_config(args)
     if args.rate * config.period > 1.0 + 1e-9:
         raise UsageError(
             f"--rate {args.rate:g}: the rig's slave.rig.period allows 1/period at most"
         )
-    scale = Scale(args.peak, args.speed, args.stroke, args.period)
+    scale = MotionScale(args.peak, args.speed, args.stroke, args.period)
     motion = MOTIONS[args.profile](scale)
     SimulatedRig(config)  # compiles, outside the timed part
     began = time.perf_counter()
@@ -117,7 +117,7 @@ def main(args: argparse.Namespace) -> int:
         progress=sys.stderr.isatty(),
     )
     took = time.perf_counter() - began
-    write_table(args.out, table_of(run))
+    write_table(args.out, to_columns(run))
     _print_summary(args, config, run, took)
     return 0
 
@@ -129,7 +129,7 @@ def simulate(
     rate: float,
     *,
     side: Literal["a", "b"] = "a",
-    keep: float = KEEP,
+    keep: float = HOLD_TENSION,
     progress: bool = False,
 ) -> Run:
     """Move all joints of a simulated rig by `motion` for `duration` [s], sampled at `rate` [Hz].
@@ -138,7 +138,7 @@ def simulate(
     commanded at every step of the plant, for any output rate.
     """
     rig = SimulatedRig(config)
-    loose = Keep(keep, FOLLOW_SPEED)
+    loose = TensionHold(keep, FOLLOW_SPEED)
     pair = (motion, loose) if side == "a" else (loose, motion)
     motions = [m for tendons in rig.joints for m in (pair if len(tendons) == 2 else (motion,))]
     memories = [MotionState()] * rig.tendons
@@ -170,7 +170,7 @@ def simulate(
     )
 
 
-def table_of(run: Run) -> dict[str, Array]:
+def to_columns(run: Run) -> dict[str, Array]:
     """Return a run as the columns of a measured-data file; tendons 2, 3, ... are numbered."""
     columns = {"time_s": run.time}
     for tendon in range(run.proximal_tension.shape[1]):
@@ -180,7 +180,7 @@ def table_of(run: Run) -> dict[str, Array]:
     return columns
 
 
-def _rig_config(args: argparse.Namespace) -> SimulatedRigConfig:
+def _load_rig_config(args: argparse.Namespace) -> SimulatedRigConfig:
     config = load(args.config, SlaveConfig, "slave", args.overrides).rig
     place = args.config or "defaults"
     if not isinstance(config, SimulatedRigConfig):
@@ -223,5 +223,5 @@ def _print_summary(
             )
     for effect in config.effects:
         print(f"effect {describe_effect(effect)}")
-    for line in late(config.effects, args.duration):
+    for line in format_late_effects(config.effects, args.duration):
         print(line)

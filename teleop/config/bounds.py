@@ -20,7 +20,7 @@ class Bound(NamedTuple):
     unit: str
 
 
-class Bounded(Protocol):
+class BoundedConfig(Protocol):
     """Limits that may exceed their bounds."""
 
     @property
@@ -28,7 +28,7 @@ class Bounded(Protocol):
         """Whether they may."""
 
 
-def lifted(section: str, config: Bounded) -> list[str]:
+def build_bounds_warnings(section: str, config: BoundedConfig) -> list[str]:
     """Return a warning if the limits of a section may exceed their bounds."""
     text = f"WARNING: {section}.exceed_bounds: its limits may be beyond those of docs/safety.md"
     return [text] * config.exceed_bounds

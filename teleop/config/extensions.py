@@ -12,7 +12,7 @@ from importlib.metadata import entry_points
 from typing import Any, ClassVar
 
 from teleop.config.options import ALLOW_IMPORTS
-from teleop.config.suggestions import did_you_mean
+from teleop.config.suggestions import suggest_spelling
 from teleop.runtime.process import print_warning
 
 
@@ -48,7 +48,7 @@ class Extension:
     type: str = ""  # name in the config
 
 
-def resolve(name: str, group: str) -> Any:
+def resolve_object(name: str, group: str) -> Any:
     """Return the object of a name, which is imported.
 
     Parameters
@@ -70,7 +70,7 @@ def resolve(name: str, group: str) -> Any:
         if name not in points:
             raise ExtensionError(
                 f"no installed package declares {name!r} in the entry points {group!r}"
-                f"{did_you_mean(name, points)}"
+                f"{suggest_spelling(name, points)}"
             )
         reference = points[name]
     elif not policy.any_module and name not in points.values():
@@ -91,26 +91,26 @@ def resolve(name: str, group: str) -> Any:
         ) from error
     for part in attribute.split("."):
         if not hasattr(found, part):
-            hint = did_you_mean(part, dir(found))
+            hint = suggest_spelling(part, dir(found))
             raise ExtensionError(f"{reference}: {module_name} has no {part!r}{hint}")
         found = getattr(found, part)
     return found
 
 
-def names_of(base: type[Extension]) -> set[str]:
+def list_entry_points(base: type[Extension]) -> set[str]:
     """Return the entry points that installed packages declare for a kind of extension."""
     return {point.name for point in entry_points(group=base.GROUP)}
 
 
 def resolve_class(name: str, base: type[Extension]) -> type[Extension]:
     """Return the class of a name; `ExtensionError` unless it is a subclass of `base`."""
-    found = resolve(name, base.GROUP)
+    found = resolve_object(name, base.GROUP)
     if not (isinstance(found, type) and issubclass(found, base)):
         raise ExtensionError(f"{name}: must be a subclass of {base.__module__}:{base.__name__}")
     return found
 
 
-def call_failed(place: str, method: str, error: Exception) -> str:
+def format_call_failure(place: str, method: str, error: Exception) -> str:
     """Return one line on an exception of an extension's own code, with the place in its code."""
     message_text = " ".join(str(error).split())
     frame = traceback.extract_tb(error.__traceback__)[-1]
@@ -118,7 +118,7 @@ def call_failed(place: str, method: str, error: Exception) -> str:
     return f"{place}: {method} fails: {type(error).__name__}: {message_text} ({where})"
 
 
-def opening_failed(place: str, config: Extension, error: Exception) -> str:
+def format_opening_failure(place: str, config: Extension, error: Exception) -> str:
     """Return one line on an exception raised by an extension's own code while opening."""
     message_text = " ".join(str(error).split())
     return f"{place}: {config.type} cannot be opened: {type(error).__name__}: {message_text}"
@@ -130,5 +130,5 @@ def close_extension(place: str, opened: Any) -> None:
         opened.close()
     except Exception as error:
         print_warning(
-            f"{call_failed(place, 'close', error)}: check that its motors are without power"
+            f"{format_call_failure(place, 'close', error)}: check that its motors are without power"
         )

@@ -31,20 +31,22 @@ from pathlib import Path
 from typing import Any, Literal, TypeVar, Union, cast, get_args, get_origin, get_type_hints
 
 from teleop.config import strict_yaml
-from teleop.config.extensions import Extension, ExtensionError, names_of, resolve_class
-from teleop.config.suggestions import did_you_mean
+from teleop.config.extensions import Extension, ExtensionError, list_entry_points, resolve_class
+from teleop.config.suggestions import suggest_spelling
 from teleop.errors import UsageError
 
 # of teleop.session.config.RunConfig
-SHARED = ("session", "rate_hz", "link", "confidence", "coupling", "health", "realtime")
+SHARED_KEYS = ("session", "rate_hz", "link", "confidence", "coupling", "health", "realtime")
 SECTIONS = ("record", "view", "master", "slave", "impair", "ros", "router")
-RECORDING = ".mcap"  # a recording is a config file, too: that of its session
-_OF_ONE_RUN = ("session", "link")  # where a session ran; another one takes its own place
+RECORDING_SUFFIX = ".mcap"  # a recording is a config file, too: that of its session
+_RUN_SPECIFIC_KEYS = ("session", "link")  # where a session ran; another one takes its own place
 MAY_BE_INFINITE: Mapping[str, object] = {"may_be_infinite": True}
 
 T = TypeVar("T")
 
-_FIELD_FIRST = re.compile(r"^(?P<field>[A-Za-z_]\w*)(?P<rest>[\w.\[\]]*): (?P<what>.*)$", re.DOTALL)
+_FIELD_ERROR_PATTERN = re.compile(
+    r"^(?P<field>[A-Za-z_]\w*)(?P<rest>[\w.\[\]]*): (?P<what>.*)$", re.DOTALL
+)
 _INDEX = re.compile(r"0|[1-9][0-9]{0,8}")
 _MISSING = object()
 
@@ -72,18 +74,18 @@ def load(path: Path | None, cls: type[T], section: str | None, overrides: Sequen
     source = _Source(path, [_Override.parse(text) for text in overrides])
     tree = source.tree()
     own = tuple(f.name for f in dataclasses.fields(cast(Any, cls)))
-    shared = SHARED + SECTIONS
+    shared = SHARED_KEYS + SECTIONS
     known = shared if section is not None or set(own) <= set(shared) else own
     for key in tree:
         if key not in known:
-            raise source.error((key,), f"unknown key{_suggest(key, known)}")
+            raise source.error((key,), f"unknown key{_format_suggestion(key, known)}")
     if section is not None:
         return cast(T, _Builder(source).dataclass(cls, tree.get(section), (section,), None))
     mine = {key: value for key, value in tree.items() if key in own}
     return cast(T, _Builder(source).dataclass(cls, mine, (), None))
 
 
-def stated_keys(path: Path | None, overrides: Sequence[str] = ()) -> dict[str, Any]:
+def read_stated_keys(path: Path | None, overrides: Sequence[str] = ()) -> dict[str, Any]:
     """Return what a config file and overrides state, as nested mappings, unchecked."""
     return _Source(path, [_Override.parse(text) for text in overrides]).tree()
 
@@ -135,15 +137,15 @@ class _Source:
 
     def _read(self, path: Path) -> dict[str, Any]:
         """Return the mapping of a config file, or of the session that a recording is of."""
-        if path.suffix != RECORDING:
+        if path.suffix != RECORDING_SUFFIX:
             return strict_yaml.read(path)
-        from teleop.recording.reader import recorded_config
+        from teleop.recording.reader import read_recorded_config
 
-        text, overrides = recorded_config(path)
+        text, overrides = read_recorded_config(path)
         tree = strict_yaml.parse_mapping(text, str(path))
         for override in map(_Override.parse, overrides):
             tree = self._replaced(tree, override, override.keys)
-        return {key: value for key, value in tree.items() if key not in _OF_ONE_RUN}
+        return {key: value for key, value in tree.items() if key not in _RUN_SPECIFIC_KEYS}
 
     def _replaced(self, node: Any, override: _Override, rest: tuple[str, ...]) -> Any:
         """Return a copy of `node` with the value at the keys `rest` replaced.
@@ -194,21 +196,25 @@ class _Builder:
         """Build `cls` from a mapping; missing keys come from `base` or from the defaults."""
         data = {} if data is None else data  # an empty section
         if not isinstance(data, dict):
-            raise self.source.error(keys, f"{_shown(data)} is not a mapping (key: value lines)")
+            raise self.source.error(
+                keys, f"{_format_value(data)} is not a mapping (key: value lines)"
+            )
         hints = get_type_hints(cls)
         fields = {f.name: f for f in dataclasses.fields(cls) if f.init}
         for key in data:
             if key not in fields:
-                raise self.source.error((*keys, str(key)), f"unknown key{_suggest(key, fields)}")
+                raise self.source.error(
+                    (*keys, str(key)), f"unknown key{_format_suggestion(key, fields)}"
+                )
         values = {}
         for name, item in fields.items():
-            preset = getattr(base, name) if isinstance(base, cls) else _default(item)
+            preset = getattr(base, name) if isinstance(base, cls) else _find_default(item)
             if name in data:
                 allow = "may_be_infinite" in item.metadata or item.default == math.inf
                 values[name] = self.value(hints[name], data[name], (*keys, name), preset, allow)
             elif preset is _MISSING:
                 raise self.source.error(
-                    (*keys, name), f"is missing; it is {_describe(hints[name])}"
+                    (*keys, name), f"is missing; it is {_describe_annotation(hints[name])}"
                 )
             else:
                 values[name] = preset
@@ -227,7 +233,7 @@ class _Builder:
         """Prefix the message of a `__post_init__` with its place."""
         if isinstance(error, UsageError):
             return error
-        found = _FIELD_FIRST.match(" ".join(str(error).split()))
+        found = _FIELD_ERROR_PATTERN.match(" ".join(str(error).split()))
         if found is None or found["field"] not in fields:
             return self.source.error(keys, " ".join(str(error).split()))
         inner = re.findall(r"\w+", found["rest"])
@@ -235,7 +241,7 @@ class _Builder:
         for name in inner:
             value = value[int(name)] if isinstance(value, tuple) else getattr(value, name, None)
         plain = isinstance(value, int | float | str | Path) and str(value) not in what
-        shown = f"{_shown(value)}: " if plain else ""
+        shown = f"{_format_value(value)}: " if plain else ""
         return self.source.error((*keys, found["field"], *inner), shown + what)
 
     def value(
@@ -248,7 +254,7 @@ class _Builder:
         if origin is Literal:
             allowed = get_args(hint)
             if not any(data == a and type(data) is type(a) for a in allowed):
-                raise self._wrong(hint, data, keys, _suggest(data, allowed, listed=False))
+                raise self._wrong(hint, data, keys, _format_suggestion(data, allowed, listed=False))
             return data
         if origin is tuple:
             return self._tuple(get_args(hint), hint, data, keys, preset, infinite)
@@ -261,7 +267,9 @@ class _Builder:
             try:
                 path = Path(data).expanduser()
             except RuntimeError as error:
-                raise self.source.error(keys, f"{_shown(data)}: no such home folder") from error
+                raise self.source.error(
+                    keys, f"{_format_value(data)}: no such home folder"
+                ) from error
             in_file = self.source.path is not None and override is None
             return cast(Path, self.source.path).parent / path if in_file else path
         if hint in (bool, int, str) and type(data) is hint:
@@ -272,7 +280,9 @@ class _Builder:
         raise TypeError(f"{'.'.join(keys)}: config fields cannot be of type {hint!r}")
 
     def _wrong(self, hint: Any, data: Any, keys: tuple[str, ...], more: str = "") -> UsageError:
-        return self.source.error(keys, f"{_shown(data)} is not {_describe(hint)}{more}")
+        return self.source.error(
+            keys, f"{_format_value(data)} is not {_describe_annotation(hint)}{more}"
+        )
 
     def _float(self, data: Any, keys: tuple[str, ...], infinite: bool) -> float:
         if infinite and data in ("inf", "+inf", "-inf"):
@@ -284,7 +294,7 @@ class _Builder:
         except OverflowError:
             number = math.inf
         if math.isnan(number) or (math.isinf(number) and not infinite):
-            raise self.source.error(keys, f"{_shown(data)} is not a finite number")
+            raise self.source.error(keys, f"{_format_value(data)} is not a finite number")
         return number
 
     def _tuple(
@@ -347,7 +357,7 @@ class _Builder:
                 return self.value(member, data, keys, preset, infinite)
             except UsageError:  # try the next member
                 continue
-        named = len(classes) > 1 and isinstance(data, str) and data in _by_tag(classes)
+        named = len(classes) > 1 and isinstance(data, str) and data in _index_by_tag(classes)
         meant = f"; {{type: {data}, ...}} is wanted" if named else ""
         raise self._wrong(Union[members], data, keys, meant)  # noqa: UP007 - built at run time
 
@@ -357,30 +367,30 @@ class _Builder:
         """Pick the dataclass that `data` names by its key `type`, or else the preset's."""
         if len(classes) == 1:
             return cast(type[Any], classes[0])
-        by_tag = _by_tag(classes)
+        by_tag = _index_by_tag(classes)
         if "type" not in data and type(preset) in classes:
             return type(preset)
         tag = data.get("type")
         others = [c for c in classes if issubclass(c, Extension)]
-        if others and isinstance(tag, str) and (":" in tag or tag in names_of(others[0])):
+        if others and isinstance(tag, str) and (":" in tag or tag in list_entry_points(others[0])):
             try:
                 return resolve_class(tag, others[0])
             except ExtensionError as error:
                 raise self.source.error((*keys, "type"), str(error)) from error
         if not isinstance(tag, str) or tag not in by_tag:
-            problem = "is missing" if tag is None else f"{_shown(tag)} is unknown"
-            suggestion = _suggest(tag, by_tag)
+            problem = "is missing" if tag is None else f"{_format_value(tag)} is unknown"
+            suggestion = _format_suggestion(tag, by_tag)
             raise self.source.error((*keys, "type"), f"{problem}{suggestion}")
         return cast(type[Any], by_tag[tag])
 
 
-def _by_tag(classes: Iterable[Any]) -> dict[str, Any]:
+def _index_by_tag(classes: Iterable[Any]) -> dict[str, Any]:
     """Return the dataclasses of a union by the value of their key `type`."""
     built_in = [c for c in classes if not issubclass(c, Extension)]
     return {get_args(get_type_hints(c)["type"])[0]: c for c in built_in}
 
 
-def _default(item: "dataclasses.Field[Any]") -> Any:
+def _find_default(item: "dataclasses.Field[Any]") -> Any:
     if item.default is not dataclasses.MISSING:
         return item.default
     if item.default_factory is not dataclasses.MISSING:
@@ -388,7 +398,7 @@ def _default(item: "dataclasses.Field[Any]") -> Any:
     return _MISSING
 
 
-def _shown(value: Any) -> str:
+def _format_value(value: Any) -> str:
     """Return a value for an error message: short, on one line."""
     text = {None: "null", True: "true", False: "false"}.get(value) if _is_word(value) else None
     text = text or repr(str(value) if isinstance(value, Path) else value)
@@ -399,32 +409,32 @@ def _is_word(value: Any) -> bool:
     return value is None or isinstance(value, bool)
 
 
-def _suggest(problem: Any, known: Iterable[Any], listed: bool = True) -> str:
+def _format_suggestion(problem: Any, known: Iterable[Any], listed: bool = True) -> str:
     """Return the allowed values and the closest match."""
     names = [str(k) for k in known]
-    return did_you_mean(str(problem), names) + (
+    return suggest_spelling(str(problem), names) + (
         f" (allowed: {', '.join(sorted(names))})" if listed else ""
     )
 
 
-def _described(members: Iterable[Any]) -> list[str]:
+def _describe_members(members: Iterable[Any]) -> list[str]:
     """Return the members of a union as text, tagged dataclasses as one."""
     classes = [m for m in members if dataclasses.is_dataclass(m)]
-    words = [_describe(m) for m in members if m not in classes]
+    words = [_describe_annotation(m) for m in members if m not in classes]
     if len(classes) > 1:
         return ["{type: ..., ...}", *words]
-    return [*map(_describe, classes), *words]
+    return [*map(_describe_annotation, classes), *words]
 
 
-def _describe(hint: Any) -> str:
+def _describe_annotation(hint: Any) -> str:
     """Return an annotation as text."""
     origin, args = get_origin(hint), get_args(hint)
     if origin is Literal:
-        return "one of " + ", ".join(map(_shown, args))
+        return "one of " + ", ".join(map(_format_value, args))
     if origin is tuple:
-        return f"a list (of {_describe(args[0])})"
+        return f"a list (of {_describe_annotation(args[0])})"
     if origin in (Union, types.UnionType):
-        return " or ".join(_described(args))
+        return " or ".join(_describe_members(args))
     if dataclasses.is_dataclass(hint):
         return "a mapping (key: value lines)"
     words = {

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any, Literal, cast, get_args
 
 from teleop.runtime.output_file import OutputFile, OutputFolder
-from teleop.runtime.process import seconds
+from teleop.runtime.process import parse_seconds
 
 ALLOW_IMPORTS = "--allow-imports"
 ViewMode = Literal["native", "web", "rrd", "none"]
@@ -54,7 +54,7 @@ _OPTIONS: dict[str, dict[str, Any]] = {
         "help": "leave out rows without a finite time or reading at the housing, and single values "
         "at the tip that are not finite",
     },
-    "--duration": {"type": seconds, "metavar": "S", "help": "end after S seconds"},
+    "--duration": {"type": parse_seconds, "metavar": "S", "help": "end after S seconds"},
     "--insecure": {
         "dest": "overrides",
         "action": "append_const",

@@ -3,7 +3,7 @@
 from collections.abc import Iterable
 
 
-def did_you_mean(word: str, allowed: Iterable[str], most: int = 1, cutoff: float = 0.6) -> str:
+def suggest_spelling(word: str, allowed: Iterable[str], most: int = 1, cutoff: float = 0.6) -> str:
     """Return a hint to put behind an error, empty if no allowed word is close.
 
     Parameters

@@ -9,19 +9,19 @@ from teleop.coupling.config import (
     Bilateral,
     BilateralSettings,
     CouplingConfig,
-    bilateral_settings,
-    differs,
+    has_settings_mismatch,
+    to_bilateral_settings,
 )
 from teleop.coupling.direct import DirectConfig
 from teleop.coupling.ledger_publisher import LEDGER_PERIOD_NS, LedgerPublisher
 from teleop.coupling.passivity import PassivityConfig
 from teleop.coupling.side import (
     Side,
-    at_tip,
-    count_hand,
-    observe,
-    receive,
-    render,
+    compute_tip_motion,
+    count_hand_work,
+    receive_totals,
+    render_force,
+    update_contact_models,
 )
 from teleop.coupling.wave import WaveConfig
 
@@ -35,11 +35,11 @@ __all__ = [
     "PassivityConfig",
     "Side",
     "WaveConfig",
-    "at_tip",
-    "bilateral_settings",
-    "count_hand",
-    "differs",
-    "observe",
-    "receive",
-    "render",
+    "compute_tip_motion",
+    "count_hand_work",
+    "has_settings_mismatch",
+    "receive_totals",
+    "render_force",
+    "to_bilateral_settings",
+    "update_contact_models",
 ]

@@ -4,8 +4,17 @@ import zlib
 from functools import lru_cache
 from typing import Annotated, Any, NamedTuple
 
-from estimator.compiled import compiled
-from estimator.records import F64, I64, U32, Field, Record, Records, as_records, record_dtype
+from estimator.compiled import jit_compile
+from estimator.records import (
+    F64,
+    I64,
+    U32,
+    Field,
+    Struct,
+    StructArray,
+    build_struct_dtype,
+    to_struct_array,
+)
 from teleop.coupling.direct import DirectConfig
 from teleop.coupling.force_attenuation import ConfidenceConfig
 from teleop.coupling.passivity import PassivityConfig
@@ -31,41 +40,43 @@ class Bilateral(NamedTuple):
     @property
     def signature(self) -> int:
         """Non-zero hash of these settings; each side sends its own."""
-        return _signature(self)
+        return _compute_signature(self)
 
     def differs(self, signature: int) -> bool:
         """Return whether the peer's `signature` belongs to other settings than these."""
         return signature not in (NO_SIGNATURE, self.signature)
 
 
-class BilateralSettings(Record):
+class BilateralSettings(Struct):
     """A `Bilateral` for compiled functions; only the coupling of its `kind` is used."""
 
     signature: U32 = NO_SIGNATURE  # `Bilateral.signature`
     kind: I64 = DIRECT  # DIRECT, PASSIVITY or WAVE
     reserve: F64 = 0.0  # [J] of the coupling
-    confidence: Annotated[ConfidenceConfig, Field(record_dtype(ConfidenceConfig))]
-    passivity: Annotated[PassivityConfig, Field(record_dtype(PassivityConfig))]
-    wave: Annotated[WaveConfig, Field(record_dtype(WaveConfig))]
+    confidence: Annotated[ConfidenceConfig, Field(build_struct_dtype(ConfidenceConfig))]
+    passivity: Annotated[PassivityConfig, Field(build_struct_dtype(PassivityConfig))]
+    wave: Annotated[WaveConfig, Field(build_struct_dtype(WaveConfig))]
 
 
-def bilateral_settings(bilateral: Bilateral) -> Records:
+def to_bilateral_settings(bilateral: Bilateral) -> StructArray:
     """Return a `Bilateral` as an array of one `BilateralSettings`."""
     coupling = bilateral.coupling
     settings = BilateralSettings.array()
     settings["signature"] = bilateral.signature
     settings["kind"] = KINDS[type(coupling)]
     settings["reserve"] = coupling.reserve
-    settings["confidence"] = as_records(bilateral.confidence)
-    settings["passivity"] = as_records(
+    settings["confidence"] = to_struct_array(bilateral.confidence)
+    settings["passivity"] = to_struct_array(
         coupling if isinstance(coupling, PassivityConfig) else PassivityConfig()
     )
-    settings["wave"] = as_records(coupling if isinstance(coupling, WaveConfig) else WaveConfig())
+    settings["wave"] = to_struct_array(
+        coupling if isinstance(coupling, WaveConfig) else WaveConfig()
+    )
     return settings
 
 
-@compiled
-def differs(settings: BilateralSettings, signature: int) -> bool:
+@jit_compile
+def has_settings_mismatch(settings: BilateralSettings, signature: int) -> bool:
     """Return whether the peer's `signature` belongs to other settings than these."""
     if signature == NO_SIGNATURE:
         return False
@@ -73,5 +84,5 @@ def differs(settings: BilateralSettings, signature: int) -> bool:
 
 
 @lru_cache(maxsize=8)
-def _signature(bilateral: Bilateral) -> int:
+def _compute_signature(bilateral: Bilateral) -> int:
     return zlib.crc32(repr(bilateral).encode()) or 1

@@ -18,17 +18,17 @@ forgotten, and noise does not wear it out.
 
 import math
 
-from estimator.compiled import compiled
-from estimator.records import F64, Flag, Record
+from estimator.compiled import jit_compile
+from estimator.records import F64, Flag, Struct
 
-STEP = 2e-5  # [m] the tip's way from one point of the regression to the next
-MEMORY = 3e-4  # [m] of the tip's way
-FLOOR = 5e-6  # [m] spread of the tip's travel below which a slope is noise
+REGRESSION_STEP = 2e-5  # [m] the tip's way from one point of the regression to the next
+REGRESSION_MEMORY = 3e-4  # [m] of the tip's way
+TRAVEL_SPREAD_MIN = 5e-6  # [m] spread of the tip's travel below which a slope is noise
 WASHOUT = 0.3  # [s]
-_ABSURD = 1e6  # [m], [N] beyond any tip; NaN fails the comparison too
+_MAGNITUDE_MAX = 1e6  # [m], [N] beyond any tip; NaN fails the comparison too
 
 
-class Contact(Record):
+class Contact(Struct):
     """One joint's contact, as the master knows it."""
 
     known: Flag = False  # whether a tip was heard of
@@ -45,8 +45,8 @@ class Contact(Record):
     moving: Flag = False  # whether `distance` is known
 
 
-@compiled
-def forget(contact: Contact) -> None:
+@jit_compile
+def reset_contact(contact: Contact) -> None:
     """Forget everything: another tip, or none."""
     contact.known = False
     contact.moving = False
@@ -54,25 +54,25 @@ def forget(contact: Contact) -> None:
     contact.spread = contact.product = contact.stiffness = contact.ahead = 0.0
 
 
-@compiled
-def observe(contact: Contact, travel: float, force: float, stiffest: float) -> None:
+@jit_compile
+def update_contact_model(contact: Contact, travel: float, force: float, stiffest: float) -> None:
     """Learn from a tip's travel [m] and the force [N] there.
 
     The same values again, and values that are implausible or not finite, change nothing. `stiffest`
     [N/m] bounds the stiffness.
     """
-    if not (abs(travel) < _ABSURD and abs(force) < _ABSURD):
+    if not (abs(travel) < _MAGNITUDE_MAX and abs(force) < _MAGNITUDE_MAX):
         return
     contact.travel = travel
     way = abs(travel - contact.taken)
-    if contact.known and way < STEP:
+    if contact.known and way < REGRESSION_STEP:
         return
     if not contact.known:
         contact.known = True
-        way = STEP
+        way = REGRESSION_STEP
     contact.taken = travel
     # weighted means and products, as they are updated by one more point (West 1979)
-    kept = math.exp(-way / MEMORY)
+    kept = math.exp(-way / REGRESSION_MEMORY)
     total = kept * contact.weight + way
     off_travel = travel - contact.mean_travel
     off_force = force - contact.mean_force
@@ -83,19 +83,19 @@ def observe(contact: Contact, travel: float, force: float, stiffest: float) -> N
     contact.mean_travel += share * off_travel
     contact.mean_force += share * off_force
     contact.weight = total
-    slope = contact.product / (contact.spread + total * FLOOR * FLOOR)
+    slope = contact.product / (contact.spread + total * TRAVEL_SPREAD_MIN * TRAVEL_SPREAD_MIN)
     contact.stiffness = min(max(slope, 0.0), stiffest)
 
 
-@compiled
-def rest(contact: Contact) -> None:
+@jit_compile
+def reset_prediction(contact: Contact) -> None:
     """Begin anew at the next tick: no force is rendered."""
     contact.moving = False
     contact.ahead = 0.0
 
 
-@compiled
-def predict(
+@jit_compile
+def predict_force(
     contact: Contact, force: float, place: float, velocity: float, stiffest: float, dt: float
 ) -> float:
     """Return the received `force` [N] with what the local model adds; call it once a tick.

@@ -6,7 +6,7 @@ For delays of a few milliseconds. The ledger is updated but not used.
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 
-from estimator.compiled import compiled
+from estimator.compiled import jit_compile
 from teleop.coupling import ledger
 from teleop.coupling.interface import MasterInput, SlaveInput, SlaveOutput
 from teleop.coupling.ledger import Port
@@ -21,19 +21,19 @@ class DirectConfig:
     reserve: ClassVar[float] = 0.0  # [J]
 
 
-@compiled
-def count_hand(port: Port, hand: MasterInput) -> None:
+@jit_compile
+def count_hand_work(port: Port, hand: MasterInput) -> None:
     """Count the work of the hand; see `teleop.coupling.interface`. The force is rendered as is."""
     work = hand.written * hand.travel
     ledger.count_work(port, work)
-    ledger.pass_on(port, work)
+    ledger.pass_on_energy(port, work)
 
 
-@compiled
-def at_tip(port: Port, tip: SlaveInput) -> SlaveOutput:
+@jit_compile
+def compute_tip_motion(port: Port, tip: SlaveInput) -> SlaveOutput:
     """Return the commanded motion unchanged; see `teleop.coupling.interface`."""
     travel = tip.travel + tip.lag
     work = -tip.force * travel
     ledger.count_tip_work(port, work, False)
-    ledger.pass_on(port, work)
+    ledger.pass_on_energy(port, work)
     return SlaveOutput(travel, tip.velocity)

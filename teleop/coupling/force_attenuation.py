@@ -19,7 +19,7 @@ Both sides of a session use the same constants, so both know the port force
 import math
 from dataclasses import dataclass
 
-from estimator.compiled import compiled
+from estimator.compiled import jit_compile
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,14 +37,14 @@ class ConfidenceConfig:
             raise ValueError("none: must be above full, by 0.001 at least, and at most 1e6")
 
 
-@compiled
-def certain(low: float, high: float) -> float:
+@jit_compile
+def find_smallest_force(low: float, high: float) -> float:
     """Return the force [N] in `low ... high` that is nearest to zero."""
     return max(low, 0.0) + min(high, 0.0)
 
 
-@compiled
-def attenuate(config: ConfidenceConfig, force: float, low: float, high: float) -> float:
+@jit_compile
+def attenuate_force(config: ConfidenceConfig, force: float, low: float, high: float) -> float:
     """Return the rendered part of an estimated `force` [N], certified to be in `low ... high`.
 
     An estimate beyond its interval is clipped to it, never amplified, and zero if that end has the
@@ -62,6 +62,6 @@ def attenuate(config: ConfidenceConfig, force: float, low: float, high: float) -
     # divide before subtracting: the ends may be near overflow
     width = 0.5 * high / size - 0.5 * low / size
     weight = min(max((config.none - width) / (config.none - config.full), 0.0), 1.0)
-    sure = certain(low, high)
+    sure = find_smallest_force(low, high)
     rendered = abs(sure + weight * (near - sure))
     return math.copysign(min(rendered, abs(force)), force)

@@ -1,8 +1,8 @@
 """Interface of a coupling at a tick of either side, for one joint, in tip units.
 
-    count_hand(config, port, MasterInput, dt)              adds the work of the hand
-    render(config, port, MasterInput, force, dt) -> force  the force for a motion
-    at_tip(config, port, SlaveInput, dt) -> SlaveOutput    the motion against a force
+    count_hand_work(config, port, MasterInput, dt)         adds the work of the hand
+    render_force(config, port, MasterInput, force, dt)     the force for a motion
+    compute_tip_motion(config, port, SlaveInput, dt)       the motion against a force
 
 The master's tick has two phases: the work of the hand is added to the ledger and sent before the
 tip's newest force is known; the force is computed afterwards from the same `MasterInput`. All
@@ -13,10 +13,10 @@ Forces [N] are positive against pulling, travels [m] in the pulling direction.
 
 from typing import NamedTuple
 
-from estimator.records import F64, Record
+from estimator.records import F64, Struct
 
 
-class MasterInput(Record):
+class MasterInput(Struct):
     """The hand at the master's port, at a tick."""
 
     written: F64 = 0.0  # [N] rendered since the last tick

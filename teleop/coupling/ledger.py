@@ -20,19 +20,19 @@ All functions are compiled and change the port in place.
 
 import math
 
-from estimator.compiled import compiled
-from estimator.records import F64, Record
+from estimator.compiled import jit_compile
+from estimator.records import F64, Struct
 
-_ABSURD = 1e6  # [J], [sqrt(J s)] a watt for eleven days; NaN fails the comparison too
+_TOTAL_MAX = 1e6  # [J], [sqrt(J s)] a watt for eleven days; NaN fails the comparison too
 
-LOAD_S = 1.0  # [s] over which a force is a constant load
+LOAD_TIME_CONSTANT_S = 1.0  # [s] over which a force is a constant load
 
-_TOLERATED_DT = (
+_STEP_TOLERANCE_DT_MAX = (
     0.0025  # [s] at 2e-5 m a tip's 3.2 m/s^2; the credit was overdrawn by mJ with ticks of 3 ms
 )
 
 
-class Port(Record):
+class Port(Struct):
     """One joint's port at one side; energies [J] are sums since the process started."""
 
     credit: F64 = 0.0  # available energy
@@ -51,14 +51,14 @@ class Port(Record):
     played_wave: F64 = 0.0  # [sqrt(J s)] part of it already played
 
 
-@compiled
-def receive(port: Port, energy: float, wave: float) -> None:
+@jit_compile
+def receive_totals(port: Port, energy: float, wave: float) -> None:
     """Process the totals of the other side: [J] and [sqrt(J s)] since it started.
 
     Energy totals never decrease, so a larger one is newer, and its wave is used. The first total of
     a sender is the reference. Implausible totals are ignored.
     """
-    if not (abs(energy) < _ABSURD and abs(wave) < _ABSURD):
+    if not (abs(energy) < _TOTAL_MAX and abs(wave) < _TOTAL_MAX):
         return
     if math.isnan(port.received_energy):
         port.received_energy = energy
@@ -74,14 +74,14 @@ def receive(port: Port, energy: float, wave: float) -> None:
     port.received_wave = wave
 
 
-@compiled
-def forget(port: Port) -> None:
+@jit_compile
+def reset_received_totals(port: Port) -> None:
     """Reset the reference of received totals: the other side was replaced."""
     port.received_energy = math.nan
 
 
-@compiled
-def rest(port: Port, reserve: float) -> None:
+@jit_compile
+def keep_reserve(port: Port, reserve: float) -> None:
     """Keep the credit of an uncoupled port at `reserve` [J]."""
     surplus = port.credit - reserve
     port.credit = reserve
@@ -92,7 +92,7 @@ def rest(port: Port, reserve: float) -> None:
     port.played_wave = port.received_wave
 
 
-@compiled
+@jit_compile
 def count_work(port: Port, energy: float) -> None:
     """Add `energy` [J] of work done on the network; negative if taken out."""
     port.credit += energy
@@ -102,15 +102,15 @@ def count_work(port: Port, energy: float) -> None:
         port.taken_out -= energy
 
 
-@compiled
-def grant(port: Port, energy: float) -> None:
+@jit_compile
+def grant_energy(port: Port, energy: float) -> None:
     """Grant `energy` [J] that the hand is known to dissipate."""
     port.credit += energy
     port.granted += energy
 
 
-@compiled
-def pass_on(port: Port, energy: float) -> None:
+@jit_compile
+def pass_on_energy(port: Port, energy: float) -> None:
     """Pass `energy` [J] of the credit to the other side, if positive."""
     if not energy > 0.0:
         return
@@ -118,7 +118,7 @@ def pass_on(port: Port, energy: float) -> None:
     port.passed_on += energy
 
 
-@compiled
+@jit_compile
 def cap_credit(port: Port, most: float) -> None:
     """Dissipate credit above `most` [J]."""
     surplus = port.credit - most
@@ -128,7 +128,7 @@ def cap_credit(port: Port, most: float) -> None:
     port.dissipated += surplus
 
 
-@compiled
+@jit_compile
 def count_tip_work(port: Port, energy: float, passive: bool) -> None:
     """Add work of the environment at the slave's port; see `count_work`.
 
@@ -139,56 +139,56 @@ def count_tip_work(port: Port, energy: float, passive: bool) -> None:
     if energy < 0.0:
         port.lent -= energy
         return
-    surplus = _returned_beyond(port, energy) if passive else 0.0
+    surplus = _repay_lent_energy(port, energy) if passive else 0.0
     port.credit -= surplus
     port.dissipated += surplus
 
 
-@compiled
-def _returned_beyond(port: Port, energy: float) -> float:
+@jit_compile
+def _repay_lent_energy(port: Port, energy: float) -> float:
     """Return how much of `energy` [J], positive, the environment was not lent."""
     surplus = max(energy - port.lent, 0.0)
     port.lent = max(port.lent - energy, 0.0)
     return surplus
 
 
-@compiled
-def count_tip(
+@jit_compile
+def count_tip_work_under_load(
     port: Port, force: float, travel: float, allowance: float, most: float, dt: float
 ) -> None:
     """Add the work of a passive environment, as `count_tip_work` does, but for a constant load.
 
     A weight or a stretched spring has energy before it is moved, and may return up to `allowance`
     [J] more than it took, of which up to `most` [J] are remembered. Its part of the tip's `force`
-    [N] is what that has been over `LOAD_S`.
+    [N] is what that has been over `LOAD_TIME_CONSTANT_S`.
     """
     if math.isnan(port.load):
         port.load = force
-    port.load += (force - port.load) * min(dt / LOAD_S, 1.0)
+    port.load += (force - port.load) * min(dt / LOAD_TIME_CONSTANT_S, 1.0)
     count_work(port, -force * travel)
     of_load, of_rest = -port.load * travel, -(force - port.load) * travel
     port.returned = max(port.returned + of_load, -most)
     surplus = max(port.returned - allowance, 0.0)
     port.returned -= surplus
-    surplus += _returned_beyond(port, of_rest)
+    surplus += _repay_lent_energy(port, of_rest)
     surplus = min(surplus, max(port.credit, 0.0))
     port.credit -= surplus
     port.dissipated += surplus
 
 
-@compiled
-def jerk_margin(step_tolerance: float, dt: float) -> float:
+@jit_compile
+def scale_step_tolerance(step_tolerance: float, dt: float) -> float:
     """Return the `step_tolerance` [m] of a tick of `dt` [s].
 
     The change of a hand's travel per tick grows with the square of the tick. The setting
-    is for ticks of up to `_TOLERATED_DT`.
+    is for ticks of up to `_STEP_TOLERANCE_DT_MAX`.
     """
-    longer = max(dt / _TOLERATED_DT, 1.0)
+    longer = max(dt / _STEP_TOLERANCE_DT_MAX, 1.0)
     return step_tolerance * longer * longer
 
 
-@compiled
-def affordable_force(
+@jit_compile
+def limit_force_to_credit(
     port: Port, force: float, travel: float, ticks: float, step_tolerance: float
 ) -> float:
     """Return `force` [N] limited such that the credit lasts for any motion of the hand.
@@ -210,8 +210,8 @@ def affordable_force(
     return min(max(force, -most), most)
 
 
-@compiled
-def affordable_travel(port: Port, force: float, travel: float, share: float) -> float:
+@jit_compile
+def limit_travel_to_credit(port: Port, force: float, travel: float, share: float) -> float:
     """Return how far [m] of `travel` the tip may go against `force` [N] on a `share` of the credit.
 
     Motion along the force is not limited.

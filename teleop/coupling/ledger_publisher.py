@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from estimator.records import Records
+from estimator.records import StructArray
 from teleop.messages.messages import Ledger
 from teleop.messages.packet import Packet
 from teleop.messages.topics import Role
@@ -24,7 +24,7 @@ class LedgerPublisher:
         Number of its ports in use.
     """
 
-    def __init__(self, role: Role, sides: Records, joints: int) -> None:
+    def __init__(self, role: Role, sides: StructArray, joints: int) -> None:
         self._packet = Packet(Ledger)
         self._fields: Any = self._packet.records
         self._fields["role"], self._fields["joints"] = role, joints

@@ -29,7 +29,7 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
-from estimator.compiled import compiled
+from estimator.compiled import jit_compile
 from teleop.coupling import ledger
 from teleop.coupling.interface import MasterInput, SlaveInput, SlaveOutput
 from teleop.coupling.ledger import Port
@@ -80,25 +80,25 @@ class PassivityConfig:
             raise ValueError("catch_up: must be within 0.005 ... 10 [s]")
 
 
-@compiled
-def count_hand(config: PassivityConfig, port: Port, hand: MasterInput) -> None:
+@jit_compile
+def count_hand_work(config: PassivityConfig, port: Port, hand: MasterInput) -> None:
     """Add the work of the hand and pass it on; see `teleop.coupling.interface`."""
     work = hand.written * hand.travel
     ledger.count_work(port, work)
-    ledger.grant(port, config.hand_damping * hand.dragged)
-    ledger.pass_on(port, min(work, port.credit - config.reserve))
+    ledger.grant_energy(port, config.hand_damping * hand.dragged)
+    ledger.pass_on_energy(port, min(work, port.credit - config.reserve))
     ledger.cap_credit(port, config.credit_max)
 
 
-@compiled
-def render(
+@jit_compile
+def render_force(
     config: PassivityConfig, port: Port, hand: MasterInput, force: float, dt: float
 ) -> float:
     """Return `force` [N] limited by the credit; see `teleop.coupling.interface`."""
     if not math.isfinite(force):
         return force
     yielding = -math.copysign(1.0, force)
-    margin = ledger.jerk_margin(config.step_tolerance, dt)
+    margin = ledger.scale_step_tolerance(config.step_tolerance, dt)
     next_way = yielding * hand.travel + margin  # [m] that the hand may yield in the next tick
     if port.credit <= 0.0 and next_way <= 0.0:
         return force  # that hand makes good what was overdrawn
@@ -112,20 +112,24 @@ def render(
     return min(max(force, -most), most)
 
 
-@compiled
-def at_tip(config: PassivityConfig, port: Port, tip: SlaveInput, dt: float) -> SlaveOutput:
+@jit_compile
+def compute_tip_motion(
+    config: PassivityConfig, port: Port, tip: SlaveInput, dt: float
+) -> SlaveOutput:
     """Return the motion limited by the credit; see `teleop.coupling.interface`."""
     wanted = tip.travel + tip.lag * min(dt / config.catch_up, 1.0)
     share = min(dt / config.discharge_time, 1.0)
-    travel = ledger.affordable_travel(port, tip.force, wanted, share)
+    travel = ledger.limit_travel_to_credit(port, tip.force, wanted, share)
     work = -tip.force * travel
     if config.passive_tip:
-        ledger.count_tip(port, tip.force, travel, config.tip_allowance, config.credit_max, dt)
+        ledger.count_tip_work_under_load(
+            port, tip.force, travel, config.tip_allowance, config.credit_max, dt
+        )
     else:
         ledger.count_work(port, work)
-    ledger.pass_on(port, min(work, port.credit - config.reserve))
+    ledger.pass_on_energy(port, min(work, port.credit - config.reserve))
     needed = config.reserve + max(tip.force * (wanted - travel + tip.lag), 0.0)
-    ledger.pass_on(port, (port.credit - needed) * min(dt / config.return_time, 1.0))
+    ledger.pass_on_energy(port, (port.credit - needed) * min(dt / config.return_time, 1.0))
     ledger.cap_credit(port, config.credit_max)
     velocity = tip.velocity * (travel / wanted) if wanted != 0.0 else tip.velocity
     return SlaveOutput(travel, velocity)

@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from typing import Annotated
 
 from estimator.array_types import Array
-from estimator.compiled import compiled
-from estimator.records import F64, U64, Field, Flag, Record
+from estimator.compiled import jit_compile
+from estimator.records import F64, U64, Field, Flag, Struct
 from teleop.coupling import contact, direct, ledger, passivity, wave
 from teleop.coupling.config import PASSIVITY, WAVE, BilateralSettings
 from teleop.coupling.contact import Contact
@@ -14,7 +14,7 @@ from teleop.coupling.ledger import Port
 from teleop.messages.messages import MAX_JOINTS
 
 
-class Side(Record):
+class Side(Struct):
     """State of one side of a coupling between ticks.
 
     Messages carry `ports[k].passed_on` [J] and `ports[k].sent_wave` [sqrt(J s)].
@@ -32,8 +32,8 @@ class Side(Record):
     contacts: Annotated[Sequence[Contact], Field(Contact, MAX_JOINTS)]  # of the tips (master)
 
 
-@compiled
-def receive(side: Side, sender: int, energy: Array, wave: Array) -> None:
+@jit_compile
+def receive_totals(side: Side, sender: int, energy: Array, wave: Array) -> None:
     """Process the totals of the other side.
 
     Parameters
@@ -45,18 +45,18 @@ def receive(side: Side, sender: int, energy: Array, wave: Array) -> None:
     """
     if sender != side.sender:
         for k in range(MAX_JOINTS):
-            ledger.forget(side.ports[k])
-            contact.forget(side.contacts[k])
+            ledger.reset_received_totals(side.ports[k])
+            contact.reset_contact(side.contacts[k])
     for k in range(MAX_JOINTS):
-        ledger.receive(side.ports[k], energy[k], wave[k])
+        ledger.receive_totals(side.ports[k], energy[k], wave[k])
     side.sender = sender
 
 
-@compiled
-def observe(
+@jit_compile
+def update_contact_models(
     settings: BilateralSettings, side: Side, travel: Array, force: Array, axes: int
 ) -> None:
-    """Take over what a new state of the slave says of the tips, for a `render` that predicts.
+    """Take over what a new state of the slave says of the tips, for a `render_force` that predicts.
 
     Parameters
     ----------
@@ -67,19 +67,19 @@ def observe(
         return
     stiffest = settings.passivity.stiffness_max
     for k in range(axes):
-        contact.observe(side.contacts[k], travel[k], force[k], stiffest)
+        contact.update_contact_model(side.contacts[k], travel[k], force[k], stiffest)
 
 
-@compiled
-def rest(settings: BilateralSettings, side: Side) -> None:
+@jit_compile
+def keep_reserves(settings: BilateralSettings, side: Side) -> None:
     """Keep all ports of an uncoupled side at the reserve."""
     for k in range(MAX_JOINTS):
-        ledger.rest(side.ports[k], settings.reserve)
-        contact.rest(side.contacts[k])
+        ledger.keep_reserve(side.ports[k], settings.reserve)
+        contact.reset_prediction(side.contacts[k])
 
 
-@compiled
-def count_hand(
+@jit_compile
+def count_hand_work(
     settings: BilateralSettings,
     side: Side,
     place: Array,
@@ -92,7 +92,7 @@ def count_hand(
 ) -> None:
     """Add the work of the hand since the last tick: the master's first phase.
 
-    Then `passed_on` and `sent_wave` of the ports go into the next command; `render` is the second
+    Then `passed_on` and `sent_wave` of the ports go into the next command; `render_force` is the second
     phase. Nothing here depends on the present tip forces.
 
     Parameters
@@ -114,9 +114,9 @@ def count_hand(
     if not coupled:
         for k in range(axes):  # fading force
             ledger.count_work(side.ports[k], written[k] * (place[k] - side.requested[k]))
-        rest(settings, side)
+        keep_reserves(settings, side)
     elif not side.coupled:
-        rest(settings, side)
+        keep_reserves(settings, side)
     for k in range(axes):
         hand = side.hand[k]
         hand.written = written[k]
@@ -132,11 +132,11 @@ def count_hand(
             hand.dragged = max(dragged, 0.0) / lever
         if coupled:
             if settings.kind == PASSIVITY:
-                passivity.count_hand(settings.passivity, side.ports[k], hand)
+                passivity.count_hand_work(settings.passivity, side.ports[k], hand)
             elif settings.kind == WAVE:
-                wave.count_hand(settings.wave, side.ports[k], hand, dt)
+                wave.count_hand_work(settings.wave, side.ports[k], hand, dt)
             else:
-                direct.count_hand(side.ports[k], hand)
+                direct.count_hand_work(side.ports[k], hand)
     for k in range(MAX_JOINTS):
         side.requested[k] = place[k]
         side.tip[k] = place[k]
@@ -144,13 +144,13 @@ def count_hand(
     side.dt = dt
 
 
-@compiled
-def render(
+@jit_compile
+def render_force(
     settings: BilateralSettings, side: Side, force: Array, axes: int, rendered: Array
 ) -> None:
     """Compute the forces on the hand: the master's second phase.
 
-    Uses the energy ledger as `count_hand` left it, plus what `receive` added since.
+    Uses the energy ledger as `count_hand_work` left it, plus what `receive_totals` added since.
 
     Parameters
     ----------
@@ -165,7 +165,7 @@ def render(
     for k in range(axes):
         if side.coupled and settings.kind == PASSIVITY:
             config, hand = settings.passivity, side.hand[k]
-            predicted = contact.predict(
+            predicted = contact.predict_force(
                 side.contacts[k],
                 force[k],
                 side.requested[k],
@@ -173,15 +173,17 @@ def render(
                 config.stiffness_max,
                 side.dt,
             )
-            rendered[k] = passivity.render(config, side.ports[k], hand, predicted, side.dt)
+            rendered[k] = passivity.render_force(config, side.ports[k], hand, predicted, side.dt)
         elif side.coupled and settings.kind == WAVE:
-            rendered[k] = wave.render(settings.wave, side.ports[k], side.hand[k], force[k], side.dt)
+            rendered[k] = wave.render_force(
+                settings.wave, side.ports[k], side.hand[k], force[k], side.dt
+            )
         else:
             rendered[k] = force[k]
 
 
-@compiled
-def at_tip(
+@jit_compile
+def compute_tip_motion(
     settings: BilateralSettings,
     side: Side,
     requested: Array,
@@ -210,7 +212,7 @@ def at_tip(
         Time since the last tick [s].
     """
     if not coupled or not side.coupled:
-        rest(settings, side)
+        keep_reserves(settings, side)
         for k in range(joints):
             side.requested[k] = requested[k]
             side.tip[k] = requested[k]
@@ -220,17 +222,19 @@ def at_tip(
         place = side.tip[k]
         before = side.requested[k]
         tip = SlaveInput(force[k], requested[k] - before, before - place, velocity[k])
-        output = _follow(settings, side.ports[k], tip, dt)
+        output = _compute_joint_tip_motion(settings, side.ports[k], tip, dt)
         side.requested[k] = requested[k]
         side.tip[k] = place + output.travel
         requested[k] = side.tip[k]
         velocity[k] = output.velocity
 
 
-@compiled
-def _follow(settings: BilateralSettings, port: Port, tip: SlaveInput, dt: float) -> SlaveOutput:
+@jit_compile
+def _compute_joint_tip_motion(
+    settings: BilateralSettings, port: Port, tip: SlaveInput, dt: float
+) -> SlaveOutput:
     if settings.kind == PASSIVITY:
-        return passivity.at_tip(settings.passivity, port, tip, dt)
+        return passivity.compute_tip_motion(settings.passivity, port, tip, dt)
     if settings.kind == WAVE:
-        return wave.at_tip(settings.wave, port, tip, dt)
-    return direct.at_tip(port, tip)
+        return wave.compute_tip_motion(settings.wave, port, tip, dt)
+    return direct.compute_tip_motion(port, tip)

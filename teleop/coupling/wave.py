@@ -17,7 +17,7 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
-from estimator.compiled import compiled
+from estimator.compiled import jit_compile
 from teleop.coupling import ledger
 from teleop.coupling.interface import MasterInput, SlaveInput, SlaveOutput
 from teleop.coupling.ledger import Port
@@ -53,7 +53,7 @@ class WaveConfig:
             raise ValueError("catch_up: must be within 0.005 ... 10 [s]")
 
 
-@compiled
+@jit_compile
 def play(config: WaveConfig, port: Port, dt: float) -> float:
     """Return the played wave [sqrt(W)] of the other side, with no more energy than the credit.
 
@@ -72,29 +72,31 @@ def play(config: WaveConfig, port: Port, dt: float) -> float:
     return wave
 
 
-@compiled
-def send(config: WaveConfig, port: Port, wave: float, dt: float) -> None:
+@jit_compile
+def send_wave(config: WaveConfig, port: Port, wave: float, dt: float) -> None:
     """Send `wave` [sqrt(W)] limited by the credit."""
     most = math.sqrt(2.0 * max(port.credit, 0.0) / dt)
     wave = min(max(wave, -most), most)
-    ledger.pass_on(port, min(0.5 * wave * wave * dt, port.credit))
+    ledger.pass_on_energy(port, min(0.5 * wave * wave * dt, port.credit))
     port.sent_wave += wave * dt
     ledger.cap_credit(port, config.credit_max)
 
 
-@compiled
-def count_hand(config: WaveConfig, port: Port, hand: MasterInput, dt: float) -> None:
+@jit_compile
+def count_hand_work(config: WaveConfig, port: Port, hand: MasterInput, dt: float) -> None:
     """Add the work of the hand and send its wave; see `teleop.coupling.interface`."""
     if dt <= 0.0:
         return
     b = config.impedance
     ledger.count_work(port, hand.written * hand.travel)
     wave = (b * hand.travel / dt + hand.written) / math.sqrt(2.0 * b)
-    send(config, port, wave, dt)
+    send_wave(config, port, wave, dt)
 
 
-@compiled
-def render(config: WaveConfig, port: Port, hand: MasterInput, force: float, dt: float) -> float:
+@jit_compile
+def render_force(
+    config: WaveConfig, port: Port, hand: MasterInput, force: float, dt: float
+) -> float:
     """Return the force [N] of the wave that came back; see `teleop.coupling.interface`.
 
     The received `force` [N] is already contained in that wave; if not finite, it is returned.
@@ -104,12 +106,12 @@ def render(config: WaveConfig, port: Port, hand: MasterInput, force: float, dt: 
     b = config.impedance
     came = play(config, port, dt)
     rendered = b * hand.velocity - math.sqrt(2.0 * b) * came
-    margin = ledger.jerk_margin(config.step_tolerance, dt)
-    return ledger.affordable_force(port, rendered, hand.travel, 1.0, margin)
+    margin = ledger.scale_step_tolerance(config.step_tolerance, dt)
+    return ledger.limit_force_to_credit(port, rendered, hand.travel, 1.0, margin)
 
 
-@compiled
-def at_tip(config: WaveConfig, port: Port, tip: SlaveInput, dt: float) -> SlaveOutput:
+@jit_compile
+def compute_tip_motion(config: WaveConfig, port: Port, tip: SlaveInput, dt: float) -> SlaveOutput:
     """Return the tip motion from wave and force; see `teleop.coupling.interface`."""
     if dt <= 0.0:
         return SlaveOutput(0.0, 0.0)
@@ -119,8 +121,8 @@ def at_tip(config: WaveConfig, port: Port, tip: SlaveInput, dt: float) -> SlaveO
     used = abs(came * (port.received_wave - port.played_wave))  # by the wave being played
     spare = min(max((port.credit - used) / config.reserve - 1.0, 0.0), 1.0)
     wanted += (tip.travel + tip.lag) * min(spare * dt / config.catch_up, 1.0)
-    travel = ledger.affordable_travel(port, tip.force, wanted, 1.0)
+    travel = ledger.limit_travel_to_credit(port, tip.force, wanted, 1.0)
     ledger.count_tip_work(port, -tip.force * travel, config.passive_tip)
     back = (b * travel / dt - tip.force) / math.sqrt(2.0 * b)
-    send(config, port, back, dt)
+    send_wave(config, port, back, dt)
     return SlaveOutput(travel, travel / dt)

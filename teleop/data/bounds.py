@@ -37,7 +37,7 @@ def check_size(path: Path, columns: int, rows: int, remedy: str) -> None:
         )
 
 
-def bounded_lines(path: Path, text: IO[str]) -> Iterator[str]:
+def read_bounded_lines(path: Path, text: IO[str]) -> Iterator[str]:
     """Yield the lines of a text file; `UsageError` if one is too long, or too many are blank."""
     number = blank = 0
     while line := text.readline(LINE_MAX + 1):

@@ -13,7 +13,7 @@ from types import MappingProxyType
 from estimator.units import FORCE, LINEAR, ROTARY, Units
 from teleop.errors import UsageError
 
-NAMES: Mapping[Units, Mapping[str, str]] = MappingProxyType(
+STANDARD_NAMES: Mapping[Units, Mapping[str, str]] = MappingProxyType(
     {
         LINEAR: {
             "proximal_tension": "proximal_tension_N",
@@ -37,7 +37,7 @@ NAMES: Mapping[Units, Mapping[str, str]] = MappingProxyType(
 )
 """Channel -> standard column, by units."""
 
-FACTORS: Mapping[str, Mapping[str, float]] = MappingProxyType(
+UNIT_FACTORS: Mapping[str, Mapping[str, float]] = MappingProxyType(
     {
         "time": {"s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9}
         | {"min": 60.0, "h": 3600.0},
@@ -51,7 +51,7 @@ FACTORS: Mapping[str, Mapping[str, float]] = MappingProxyType(
 )
 """Dimension -> unit -> its size in SI units."""
 
-_NO_UNIT = ("min", "sec", "g", "h", "s", "m", "N")
+_AMBIGUOUS_UNITS = ("min", "sec", "g", "h", "s", "m", "N")
 """Ends of names that mean something else beside another dimension, such as `T_min`."""
 
 _WORDS: Mapping[str, str] = MappingProxyType(
@@ -63,29 +63,29 @@ _WORDS: Mapping[str, str] = MappingProxyType(
 _TIMES = r"[\s·⋅∙.*-]+"  # between the two units of a torque
 _PRODUCT = re.compile(rf"(m?N){_TIMES}(?=[cm]?m$)")
 _IN_BRACKETS = re.compile(r"[\[(]\s*([^\[\]()]*[^\[\]()\s])\s*[\])]?\s*$")
-_END = re.compile(rf"(?:_|\s+)((?:m?N{_TIMES})?[A-Za-zµμ°]+)$")
-_TOLD = re.compile(r"(.+?)\s*\[([^\[\]]+)\]")
+_UNIT_SUFFIX = re.compile(rf"(?:_|\s+)((?:m?N{_TIMES})?[A-Za-zµμ°]+)$")
+_BRACKETED_UNIT = re.compile(r"(.+?)\s*\[([^\[\]]+)\]")
 
-_UNIT_OF = {
+_QUANTITY_UNITS = {
     "tension": "N",
     "force": "N",
     "displacement": "m",
     "torque": "Nm",
     "angle": "rad",
 }
-_NAME = re.compile(
+_COLUMN_NAME = re.compile(
     r"(proximal|distal)_(tension|force|torque|displacement|angle)(_\d+)?_([A-Za-z]+)"
 )
-_MEANT = {"Nm": "torque", "rad": "angle", "deg": "angle"}
-_REMEDY = {"rad": "in radians", "Nm": "in newton metres", "N": "in newtons", "m": "in metres"}
+_UNIT_QUANTITIES = {"Nm": "torque", "rad": "angle", "deg": "angle"}
+_UNIT_PHRASES = {"rad": "in radians", "Nm": "in newton metres", "N": "in newtons", "m": "in metres"}
 
 
-def standard(units: Units, channel: str, number: int = 1) -> str:
+def format_standard_name(units: Units, channel: str, number: int = 1) -> str:
     """Return the standard column of a channel of tendon 1, 2, ..."""
-    return numbered(NAMES[units][channel], number)
+    return format_numbered_name(STANDARD_NAMES[units][channel], number)
 
 
-def numbered(name: str, number: int) -> str:
+def format_numbered_name(name: str, number: int) -> str:
     """Return the name of a column `<what>_<unit>` for tendon 1, 2, ..."""
     if number == 1:
         return name
@@ -102,12 +102,12 @@ def check_names(path: Path, names: Collection[str]) -> None:
         One line with the right name.
     """
     for name in names:
-        match = _NAME.fullmatch(name)
+        match = _COLUMN_NAME.fullmatch(name)
         if match is None:
             continue
         end, what, number, unit = match.groups()
-        meant = _MEANT.get(unit, what)
-        right = f"{end}_{meant}{number or ''}_{_UNIT_OF[meant]}"
+        meant = _UNIT_QUANTITIES.get(unit, what)
+        right = f"{end}_{meant}{number or ''}_{_QUANTITY_UNITS[meant]}"
         rotary = what in ("torque", "angle")
         if right == name or (meant == what and not rotary):
             continue  # other units of a tension or travel are what the reader looks for misspelt
@@ -115,15 +115,19 @@ def check_names(path: Path, names: Collection[str]) -> None:
         if rotary and f"{end}_{linear}" in names:
             continue  # a further column of a linear record
         kind = f"is {'an angle' if meant == 'angle' else 'a torque'}, not a {what}"
-        wrong = kind if meant != what else f"is not {_REMEDY[_UNIT_OF[meant]]}"
-        how = "" if unit == _UNIT_OF[meant] else f", its values {_REMEDY[_UNIT_OF[meant]]}"
+        wrong = kind if meant != what else f"is not {_UNIT_PHRASES[_QUANTITY_UNITS[meant]]}"
+        how = (
+            ""
+            if unit == _QUANTITY_UNITS[meant]
+            else f", its values {_UNIT_PHRASES[_QUANTITY_UNITS[meant]]}"
+        )
         raise UsageError(f"{path}: column {name!r} {wrong}; name it {right!r}{how}")
 
 
-def check_linear(path: Path, names: Collection[str]) -> None:
+def check_linear_names(path: Path, names: Collection[str]) -> None:
     """Refuse a column as a tension or travel if its name ends in N m, radians or degrees."""
     for name in names:
-        meant = _MEANT.get(name.rpartition("_")[2])
+        meant = _UNIT_QUANTITIES.get(name.rpartition("_")[2])
         if meant is not None:
             raise UsageError(
                 f"{path}: column {name!r} is of {meant}s, and is given as a tension or travel; "
@@ -131,15 +135,17 @@ def check_linear(path: Path, names: Collection[str]) -> None:
             )
 
 
-def unit_told(name: str, names: Collection[str]) -> tuple[str, str]:
+def split_unit(name: str, names: Collection[str]) -> tuple[str, str]:
     """Split `COLUMN[UNIT]`, if there is no column of that whole name; the unit is "" without."""
-    match = None if name in names else _TOLD.fullmatch(name)
+    match = None if name in names else _BRACKETED_UNIT.fullmatch(name)
     if match is None or match[1] not in names:
         return name, ""
     return match[1], match[2]
 
 
-def unit_factor(path: Path, name: str, channel: str, units: Units, told: str) -> tuple[str, float]:
+def find_unit_factor(
+    path: Path, name: str, channel: str, units: Units, told: str
+) -> tuple[str, float]:
     """Return the unit of a column and its size in the unit of `units`; ("", 1) if none is known.
 
     Parameters
@@ -158,24 +164,24 @@ def unit_factor(path: Path, name: str, channel: str, units: Units, told: str) ->
     UsageError
         The unit is of another dimension; or it is unknown, and the option or brackets tell it.
     """
-    dimension = _dimension(channel, units)
-    known = FACTORS[dimension]
+    dimension = _find_dimension(channel, units)
+    known = UNIT_FACTORS[dimension]
     if told:
-        if (unit := _known_unit(told)) not in known:
+        if (unit := _match_unit(told)) not in known:
             raise UsageError(
                 f"{path}: column {name!r} [{told}]: {dimension} is in {', '.join(known)}"
             )
         return unit, known[unit]
     brackets = _IN_BRACKETS.search(name)
-    end = brackets or _END.search(name)
+    end = brackets or _UNIT_SUFFIX.search(name)
     if end is None or end[1].isdecimal():  # an index, such as `effort[0]`
         return "", 1.0
-    unit = _known_unit(end[1])
+    unit = _match_unit(end[1])
     if unit in known:
         return unit, known[unit]
-    option = NAMES[units].get(channel, "time_s").rpartition("_")[0]
+    option = STANDARD_NAMES[units].get(channel, "time_s").rpartition("_")[0]
     remedy = f"its unit can be given as in --column '{option}={name}[{next(iter(known))}]'"
-    if unit and (brackets or unit not in _NO_UNIT):
+    if unit and (brackets or unit not in _AMBIGUOUS_UNITS):
         raise UsageError(
             f"{path}: column {name!r} is in {unit}, and is given as {channel.replace('_', ' ')}, "
             f"which is in {', '.join(known)}; {remedy}"
@@ -188,7 +194,7 @@ def unit_factor(path: Path, name: str, channel: str, units: Units, told: str) ->
     return "", 1.0
 
 
-def _dimension(channel: str, units: Units) -> str:
+def _find_dimension(channel: str, units: Units) -> str:
     if channel == "time":
         return "time"
     if channel.endswith("displacement"):
@@ -196,20 +202,20 @@ def _dimension(channel: str, units: Units) -> str:
     return "torque" if units.rotary else "force"
 
 
-def _known_unit(word: str) -> str:
-    """Return the unit of `FACTORS` that a word means, in small or capital letters; "" if none.
+def _match_unit(word: str) -> str:
+    """Return the unit of `UNIT_FACTORS` that a word means, in small or capital letters; "" if none.
 
     A prefix stays what it is: neither MN nor Mm is a unit here.
     """
     unit = _PRODUCT.sub(r"\1", word.strip().replace("\N{GREEK SMALL LETTER MU}", "µ"))
     unit = _WORDS.get(unit.lower().removesuffix("s"), unit)
-    if any(unit in known for known in FACTORS.values()):
+    if any(unit in known for known in UNIT_FACTORS.values()):
         return unit
     return "" if _is_mega(unit) else _in_any_case(unit)
 
 
 def _in_any_case(word: str) -> str:
-    every = [unit for known in FACTORS.values() for unit in known]
+    every = [unit for known in UNIT_FACTORS.values() for unit in known]
     units = [unit for unit in every if len(unit) > 1 and unit.lower() == word.lower()]
     return max(units, key=lambda unit: unit[0] == word[0], default="")  # NM is Nm, not nm
 
@@ -221,7 +227,7 @@ def _is_mega(word: str) -> bool:
     return word.startswith("M") and unit.startswith("m") and unit != "min" and not in_capitals
 
 
-def units_of(path: Path, names: Collection[str], number: int = 1) -> Units:
+def detect_units(path: Path, names: Collection[str], number: int = 1) -> Units:
     """Return the units of a record with such columns; linear where none tells.
 
     Raises
@@ -231,17 +237,24 @@ def units_of(path: Path, names: Collection[str], number: int = 1) -> Units:
     """
     there = {
         units: [
-            name for channel in NAMES[units] if (name := standard(units, channel, number)) in names
+            name
+            for channel in STANDARD_NAMES[units]
+            if (name := format_standard_name(units, channel, number)) in names
         ]
-        for units in NAMES
+        for units in STANDARD_NAMES
     }
     linear, rotary = [*there[LINEAR], *there[FORCE]], there[ROTARY]
-    if standard(LINEAR, "proximal_tension", number) in names:  # further columns are ignored
+    if (
+        format_standard_name(LINEAR, "proximal_tension", number) in names
+    ):  # further columns are ignored
         rotary = [
             name
-            for channel in NAMES[ROTARY]
-            if (name := standard(ROTARY, channel, number)) in names
-            and (standard(LINEAR, channel, number) not in names or channel == "proximal_tension")
+            for channel in STANDARD_NAMES[ROTARY]
+            if (name := format_standard_name(ROTARY, channel, number)) in names
+            and (
+                format_standard_name(LINEAR, channel, number) not in names
+                or channel == "proximal_tension"
+            )
         ]
     if linear and rotary:
         raise UsageError(
@@ -260,7 +273,7 @@ def units_of(path: Path, names: Collection[str], number: int = 1) -> Units:
     return FORCE if forces else LINEAR
 
 
-def units_of_words(words: Sequence[str]) -> Units | None:
+def detect_option_units(words: Sequence[str]) -> Units | None:
     """Return the units that channel names in `--column` tell, None where they tell none.
 
     Raises
@@ -268,7 +281,9 @@ def units_of_words(words: Sequence[str]) -> Units | None:
     UsageError
         They contradict one another.
     """
-    told = [ROTARY if "_torque" in w or "_angle" in w else FORCE for w in words if _tells(w)]
+    told = [
+        ROTARY if "_torque" in w or "_angle" in w else FORCE for w in words if _has_unit_hint(w)
+    ]
     linear = [w for w in words if "_tension" in w or "_displacement" in w]
     if len(set(told)) > 1 or (ROTARY in told and linear):
         raise UsageError(
@@ -278,11 +293,11 @@ def units_of_words(words: Sequence[str]) -> Units | None:
     return told[0] if told else None
 
 
-def _tells(word: str) -> bool:
+def _has_unit_hint(word: str) -> bool:
     return any(f"_{what}" in word for what in ("torque", "angle", "force"))
 
 
-def channel_of(word: str) -> str:
+def to_channel(word: str) -> str:
     """Return the channel that a name means: `proximal_torque` is that of `proximal_tension`."""
     end, _, what = word.partition("_")
     if what in ("torque", "force"):

@@ -5,15 +5,15 @@ from dataclasses import replace
 from importlib.metadata import entry_points
 
 from estimator.effects import Effect
-from teleop.config.extensions import ExtensionError, resolve
+from teleop.config.extensions import ExtensionError, resolve_object
 from teleop.errors import UsageError
 
-GROUP = "teleop.effects"
+ENTRY_POINT_GROUP = "teleop.effects"
 
 
 def is_extension(name: str) -> bool:
     """Return whether a name is `package.module:NAME`, or an entry point for effects."""
-    return ":" in name or any(point.name == name for point in entry_points(group=GROUP))
+    return ":" in name or any(point.name == name for point in entry_points(group=ENTRY_POINT_GROUP))
 
 
 def load_effects(name: str, place: str = "--effects") -> tuple[Effect, ...]:
@@ -27,7 +27,7 @@ def load_effects(name: str, place: str = "--effects") -> tuple[Effect, ...]:
         The name is not that of an effect.
     """
     try:
-        found = resolve(name, GROUP)
+        found = resolve_object(name, ENTRY_POINT_GROUP)
     except ExtensionError as error:
         raise UsageError(f"{place}: {error}") from error
     effects = (found,) if isinstance(found, Effect) else found

@@ -20,13 +20,13 @@ from numpy.typing import NDArray
 from teleop.data import bounds
 from teleop.runtime.progress import Progress
 
-BLOCK = 1 << 24  # [bytes] of text at once
-SHOWN_AFTER_S = 0.5
+BLOCK_BYTES = 1 << 24  # [bytes] of text at once
+PROGRESS_DELAY_S = 0.5
 
-Header = Callable[[Path, Sequence[str]], list[str]]
+HeaderCheck = Callable[[Path, Sequence[str]], list[str]]
 
 
-def read(path: Path, header: Header) -> dict[str, NDArray[Any]] | None:
+def read(path: Path, header: HeaderCheck) -> dict[str, NDArray[Any]] | None:
     """Return the columns of a CSV file, or None if the reader of rows has to read it.
 
     Numbers become float64, blank cells NaN; a column that begins with text is of text.
@@ -41,8 +41,8 @@ def read(path: Path, header: Header) -> dict[str, NDArray[Any]] | None:
     import pyarrow as pa
     from pyarrow import csv as arrow
 
-    with _opened(path) as (file, place):
-        names, first = _head(path, file, header)
+    with _open_with_position(path) as (file, place):
+        names, first = _read_head(path, file, header)
         if not names:
             return None
         file.seek(0)
@@ -56,7 +56,7 @@ def read(path: Path, header: Header) -> dict[str, NDArray[Any]] | None:
             blocks = arrow.open_csv(
                 pa.PythonFile(file, mode="r"),
                 arrow.ReadOptions(
-                    use_threads=False, block_size=BLOCK, column_names=names, skip_rows=1
+                    use_threads=False, block_size=BLOCK_BYTES, column_names=names, skip_rows=1
                 ),
                 arrow.ParseOptions(newlines_in_values=False),
                 arrow.ConvertOptions(column_types=kinds, null_values=[""]),
@@ -66,10 +66,10 @@ def read(path: Path, header: Header) -> dict[str, NDArray[Any]] | None:
                 rows += len(block)
                 bounds.check_size(path, len(names), rows, "split the file")
                 for part, column in zip(parts, block.columns, strict=True):
-                    if not _may_be_cells(column):
+                    if not _has_readable_cells(column):
                         return None
-                    part.append(_values(column))
-                if time.monotonic() - begun > SHOWN_AFTER_S:
+                    part.append(_to_array(column))
+                if time.monotonic() - begun > PROGRESS_DELAY_S:
                     progress(f"reading {path}", min(place() / size, 1.0))
         except (pa.ArrowException, OSError, EOFError):
             return None  # the reader of rows says what is wrong, and where
@@ -82,11 +82,11 @@ def read(path: Path, header: Header) -> dict[str, NDArray[Any]] | None:
     return columns
 
 
-def _head(path: Path, file: IO[bytes], header: Header) -> tuple[list[str], list[str]]:
+def _read_head(path: Path, file: IO[bytes], header: HeaderCheck) -> tuple[list[str], list[str]]:
     """Return names and the first row of cells; none if they are not as one expects."""
     text = io.TextIOWrapper(file, encoding="utf-8-sig", newline="")
     try:
-        rows = csv.reader(bounds.bounded_lines(path, text), strict=True)
+        rows = csv.reader(bounds.read_bounded_lines(path, text), strict=True)
         names = header(path, next(rows, []))
         one_line = rows.line_num == 1
         first = next((cells for cells in rows if cells), [])
@@ -108,7 +108,7 @@ def _may_be_number(cell: str) -> bool:
     return True
 
 
-def _may_be_cells(column: Any) -> bool:
+def _has_readable_cells(column: Any) -> bool:
     """Return whether no cell of a block of text is longer than `csv` reads."""
     import pyarrow as pa
     from pyarrow import compute
@@ -119,7 +119,7 @@ def _may_be_cells(column: Any) -> bool:
     return longest is None or longest <= bounds.CELL_MAX
 
 
-def _values(column: Any) -> NDArray[Any]:
+def _to_array(column: Any) -> NDArray[Any]:
     """Return a block of a column: numbers, or text as objects that equal cells share."""
     import pyarrow as pa
 
@@ -131,13 +131,13 @@ def _values(column: Any) -> NDArray[Any]:
 
 
 @contextlib.contextmanager
-def _opened(path: Path) -> Iterator[tuple[Any, Callable[[], int]]]:
+def _open_with_position(path: Path) -> Iterator[tuple[Any, Callable[[], int]]]:
     """Open a file for reading; the second value tells how much of it has been read [bytes]."""
     with path.open("rb") as plain:
-        yield unpacked(path, plain), plain.tell
+        yield unpack_text(path, plain), plain.tell
 
 
-def unpacked(path: Path, file: io.BufferedIOBase) -> io.BufferedReader:
+def unpack_text(path: Path, file: io.BufferedIOBase) -> io.BufferedReader:
     """Return the text of an open .csv or .csv.gz file, as bytes, of which so much is read."""
     packed = path.name.lower().endswith(".gz")
     text = gzip.GzipFile(fileobj=file) if packed else file

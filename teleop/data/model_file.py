@@ -25,25 +25,27 @@ from typing import Any, NamedTuple
 import numpy as np
 import yaml
 
-from estimator.diagnosis.bench_scale import dimension
+from estimator.diagnosis.bench_scale import parse_dimension
 from estimator.diagnosis.dataset import Model
-from estimator.diagnosis.model import COMPLIANCE, TIP
+from estimator.diagnosis.model import COMPLIANCE, TIP_COMPLIANCE
 from estimator.diagnosis.outcome import Diagnosis, Verdict
-from estimator.diagnosis.transmission_law import FRICTION, Law
+from estimator.diagnosis.transmission_law import FRICTION, BaseLaw
 from estimator.effects import CATALOGUE, Effect, Parameter, Values
 from teleop.config import strict_yaml
-from teleop.config.suggestions import did_you_mean
+from teleop.config.suggestions import suggest_spelling
 from teleop.data.effect_extensions import is_extension, load_effects
 from teleop.errors import UsageError
-from teleop.runtime.process import write_whole
+from teleop.runtime.process import write_text_file
 
-BASE = {"K": FRICTION, "compliance": COMPLIANCE, "tip_compliance": TIP}
+BASE_PARAMETERS = {"K": FRICTION, "compliance": COMPLIANCE, "tip_compliance": TIP_COMPLIANCE}
 """Key -> what it is; a model of tensions alone has only the first."""
 
 DURATION = Parameter("duration", "s", 0.0, 1e7, 1.0)
 
-SLACK = 1e-6  # of a bound, tolerance of fitted values
-SIZES = 100.0  # by which forces or travels may be larger or smaller than on the bench of the ranges
+BOUND_TOLERANCE = 1e-6  # of a bound, tolerance of fitted values
+BENCH_SIZE_RATIO_MAX = (
+    100.0  # by which forces or travels may be larger or smaller than on the bench of the ranges
+)
 
 
 class SavedModel(NamedTuple):
@@ -56,16 +58,16 @@ class SavedModel(NamedTuple):
     transmission: Mapping[str, Any] = MappingProxyType({})  # if it is no tendon of the capstan law
 
 
-def of_diagnosis(found: Diagnosis) -> SavedModel:
+def from_diagnosis(found: Diagnosis) -> SavedModel:
     """Return what a diagnosis has found, to be saved."""
     base, model = found.dataset.base, found.extended.model
     record = found.dataset.records[0]
     values = base.values(model.shared, np.mean(model.own, axis=0).tolist())
-    known = [p.name for p in BASE.values() if p.name in values]
+    known = [p.name for p in BASE_PARAMETERS.values() if p.name in values]
     if COMPLIANCE.name not in values:
         known = known[:1]
     transmission: dict[str, Any] = {}
-    if record.loop or record.units.rotary or base.law is not Law.CAPSTAN:
+    if record.loop or record.units.rotary or base.law is not BaseLaw.CAPSTAN:
         transmission = {
             "closed_loop": record.loop,
             "law": str(base.law),
@@ -83,10 +85,10 @@ def of_diagnosis(found: Diagnosis) -> SavedModel:
 
 def save(path: Path, saved: SavedModel, remark: str) -> None:
     """Write a model atomically; `remark` becomes comments."""
-    write_whole(path, text(saved, remark), "the model")
+    write_text_file(path, to_yaml(saved, remark), "the model")
 
 
-def text(saved: SavedModel, remark: str) -> str:
+def to_yaml(saved: SavedModel, remark: str) -> str:
     """Return a model as YAML."""
     model = saved.model
     lines = [f"# {line}" for line in remark.splitlines()]
@@ -94,7 +96,9 @@ def text(saved: SavedModel, remark: str) -> str:
         only = {"transmission": dict(saved.transmission)}
         return "\n".join(lines) + "\n" + yaml.safe_dump(only, sort_keys=False)
     tree = {
-        "base": {key: float(value) for key, value in zip(BASE, model.shared, strict=False)},
+        "base": {
+            key: float(value) for key, value in zip(BASE_PARAMETERS, model.shared, strict=False)
+        },
         "duration": float(saved.duration),
         "unexplained": saved.unexplained,
         "unsure": list(saved.unsure),
@@ -109,7 +113,7 @@ def text(saved: SavedModel, remark: str) -> str:
             for effect, values in model.effects
         ],
     }
-    units = [f"# base: {', '.join(f'{key} [{p.unit or 1}]' for key, p in BASE.items())}"]
+    units = [f"# base: {', '.join(f'{key} [{p.unit or 1}]' for key, p in BASE_PARAMETERS.items())}"]
     units += [
         f"# {effect.label}: {effect.equation}; "
         + ", ".join(f"{p.name} [{p.unit or 1}]" for p in effect.parameters)
@@ -138,18 +142,20 @@ def load(path: Path, effects: Sequence[Effect] = CATALOGUE) -> SavedModel:
         raise UsageError(
             f"{path}: not a model file; give a model.yaml of `teleop diagnose --out DIR`"
         )
-    _known(path, "", tree, ("base", "duration", "unexplained", "unsure", "effects"))
-    base = _mapping(path, "base", tree.get("base"))
-    keys = list(BASE) if len(base) > 1 else ["K"]
-    shared = _numbers(path, "base", base, dict(zip(keys, BASE.values(), strict=False)))
-    duration = _number(path, "duration", tree.get("duration"), DURATION)
+    _reject_unknown_keys(path, "", tree, ("base", "duration", "unexplained", "unsure", "effects"))
+    base = _parse_mapping(path, "base", tree.get("base"))
+    keys = list(BASE_PARAMETERS) if len(base) > 1 else ["K"]
+    shared = _parse_numbers(
+        path, "base", base, dict(zip(keys, BASE_PARAMETERS.values(), strict=False))
+    )
+    duration = _parse_number(path, "duration", tree.get("duration"), DURATION)
     unsure = tree.get("unsure") or []
     if not isinstance(unsure, list):
         raise UsageError(f"{path}: unsure: must be a list of names of effects")
     rows = tree.get("effects") or []
     if not isinstance(rows, list):
         raise UsageError(f"{path}: effects: must be a list of name, where and parameters")
-    found = tuple(_effect(path, f"effects.{i}", row, effects) for i, row in enumerate(rows))
+    found = tuple(_parse_effect(path, f"effects.{i}", row, effects) for i, row in enumerate(rows))
     labels = [effect.label for effect, _ in found]
     for label in labels:
         if labels.count(label) > 1:
@@ -162,59 +168,67 @@ def load(path: Path, effects: Sequence[Effect] = CATALOGUE) -> SavedModel:
     return SavedModel(Model(shared, (), found), duration, tuple(unsure), unexplained)
 
 
-def _effect(path: Path, place: str, row: Any, effects: Sequence[Effect]) -> tuple[Effect, Values]:
-    row = _mapping(path, place, row)
-    _known(path, place, row, ("name", "where", "parameters"))
+def _parse_effect(
+    path: Path, place: str, row: Any, effects: Sequence[Effect]
+) -> tuple[Effect, Values]:
+    row = _parse_mapping(path, place, row)
+    _reject_unknown_keys(path, place, row, ("name", "where", "parameters"))
     name, where = str(row.get("name", "")), str(row.get("where") or "")
     variants = {effect.where: effect for effect in effects if effect.name == name}
     if not variants and is_extension(name):
         found = load_effects(name, f"{path}: {place}.name")
         variants = {effect.where: effect for effect in found}
     if not variants:
-        hint = did_you_mean(name, {effect.name for effect in effects}, 3, 0.5)
+        hint = suggest_spelling(name, {effect.name for effect in effects}, 3, 0.5)
         raise UsageError(f"{path}: {place}.name: there is no effect {name!r}{hint}")
     if where not in variants:
         allowed = ", ".join(repr(variant) for variant in variants)
         raise UsageError(f"{path}: {place}.where: {where!r} is no variant of {name}: {allowed}")
     effect = variants[where]
     within = f"{place}.parameters"
-    numbers = _mapping(path, within, row.get("parameters"))
-    return effect, _numbers(path, within, numbers, {p.name: p for p in effect.parameters})
+    numbers = _parse_mapping(path, within, row.get("parameters"))
+    return effect, _parse_numbers(path, within, numbers, {p.name: p for p in effect.parameters})
 
 
-def _numbers(path: Path, place: str, tree: dict[str, Any], wanted: dict[str, Parameter]) -> Values:
-    _known(path, place, tree, wanted)
-    return tuple(_number(path, f"{place}.{key}", tree.get(key), p) for key, p in wanted.items())
+def _parse_numbers(
+    path: Path, place: str, tree: dict[str, Any], wanted: dict[str, Parameter]
+) -> Values:
+    _reject_unknown_keys(path, place, tree, wanted)
+    return tuple(
+        _parse_number(path, f"{place}.{key}", tree.get(key), p) for key, p in wanted.items()
+    )
 
 
-def _number(path: Path, place: str, value: Any, parameter: Parameter) -> float:
+def _parse_number(path: Path, place: str, value: Any, parameter: Parameter) -> float:
     if value is None:
         raise UsageError(f"{path}: {place}: is missing")
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
         raise UsageError(f"{path}: {place}: {value!r} is not a finite number")
-    low, high = _range(parameter)
-    if not low - SLACK * abs(low) <= value <= high + SLACK * abs(high):
+    low, high = _compute_range(parameter)
+    if not low - BOUND_TOLERANCE * abs(low) <= value <= high + BOUND_TOLERANCE * abs(high):
         unit = f" {parameter.unit}".rstrip()
         raise UsageError(f"{path}: {place}: {value:g}{unit}, must be {low:g} to {high:g}{unit}")
     return float(value)
 
 
-def _range(parameter: Parameter) -> tuple[float, float]:
+def _compute_range(parameter: Parameter) -> tuple[float, float]:
     """Return between which values a parameter may be, on a bench of any size."""
-    wider = SIZES ** sum(map(abs, dimension(parameter.unit)))
+    wider = BENCH_SIZE_RATIO_MAX ** sum(map(abs, parse_dimension(parameter.unit)))
     low = parameter.low * (wider if parameter.low < 0.0 else 1.0 / wider)  # no sign is lost
     return low, parameter.high * (wider if parameter.high > 0.0 else 1.0 / wider)
 
 
-def _mapping(path: Path, place: str, value: Any) -> dict[str, Any]:
+def _parse_mapping(path: Path, place: str, value: Any) -> dict[str, Any]:
     if not isinstance(value, dict):
         what = "is missing" if value is None else "is not a mapping (key: value lines)"
         raise UsageError(f"{path}: {place}: {what}")
     return value
 
 
-def _known(path: Path, place: str, tree: dict[str, Any], allowed: Iterable[str]) -> None:
+def _reject_unknown_keys(
+    path: Path, place: str, tree: dict[str, Any], allowed: Iterable[str]
+) -> None:
     for key in tree:
         if key not in allowed:
             at = f"{place}.{key}" if place else key
-            raise UsageError(f"{path}: {at}: unknown key{did_you_mean(key, allowed)}")
+            raise UsageError(f"{path}: {at}: unknown key{suggest_spelling(key, allowed)}")

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from estimator.array_types import Array
 from estimator.units import LINEAR, Units
-from teleop.config.suggestions import did_you_mean
+from teleop.config.suggestions import suggest_spelling
 from teleop.data import channel_names
 from teleop.data.table_files import Column, RawTable, check_destination, read_columns, write_columns
 from teleop.errors import UsageError
@@ -35,9 +35,15 @@ TENSION_PEAK = 1000.0  # [N] above this the unit is wrong: grams or millinewtons
 TRAVEL_SPAN = 2.0  # [m] above this the unit is wrong: millimetres
 TORQUE_PEAK = 1000.0  # [N m] above this the unit is wrong: N mm
 ANGLE_SPAN = 30.0  # [rad] above this, five turns, the unit is wrong: degrees
-HOUSING = ("time", "proximal_tension", "proximal_displacement")  # what a force is estimated from
+HOUSING_CHANNELS = (
+    "time",
+    "proximal_tension",
+    "proximal_displacement",
+)  # what a force is estimated from
 NAMES_SHOWN = 12  # of a file's columns in an error message
-PERIOD = 0.4  # [s] above this the unit is wrong, unless it is told: milliseconds of 2 kHz are 0.5
+PERIOD_MAX = (
+    0.4  # [s] above this the unit is wrong, unless it is told: milliseconds of 2 kHz are 0.5
+)
 NOISE_FLOOR = 0.1  # [N] tolerated reading below zero ...
 NOISE_SHARE = 0.02  # ... plus this fraction of the peak (zero error)
 ZERO_SHARE = 0.25  # of its peak, where a wrong zero is identified or only scored
@@ -59,14 +65,17 @@ class Columns:
     @classmethod
     def of_tendon(cls, number: int, units: Units = LINEAR) -> Self:
         """Return the standard names of tendon 1, 2, ... in a file that holds several."""
-        names = {c: channel_names.standard(units, c, number) for c in channel_names.NAMES[units]}
+        names = {
+            c: channel_names.format_standard_name(units, c, number)
+            for c in channel_names.STANDARD_NAMES[units]
+        }
         return cls(**names)
 
     def in_units(self, units: Units) -> Self:
         """Return names of which the standard ones are those of a record in `units`."""
         changed = {
-            channel: channel_names.standard(units, channel, _number(name))
-            for channel in channel_names.NAMES[units]
+            channel: channel_names.format_standard_name(units, channel, _parse_tendon_number(name))
+            for channel in channel_names.STANDARD_NAMES[units]
             if (name := getattr(self, channel)) is not None and self.is_standard(channel)
         }
         return replace(self, **changed)
@@ -77,9 +86,9 @@ class Columns:
 
     def is_standard(self, item: str) -> bool:
         """Return whether a field has a standard name, so that its column may be missing."""
-        name = _unnumbered(getattr(self, item))
+        name = _strip_tendon_number(getattr(self, item))
         return name == "time_s" or any(
-            name == names.get(item) for names in channel_names.NAMES.values()
+            name == names.get(item) for names in channel_names.STANDARD_NAMES.values()
         )
 
 
@@ -164,37 +173,37 @@ def read_tables(
     A row omitted for one tendon is omitted for all.
     """
     raw = read_columns(path)
-    told = [_units_told(raw, columns) for columns in tendons]
+    told = [_split_column_units(raw, columns) for columns in tendons]
     tendons = [
         replace(c, **{k: name for k, (name, _) in t.items()})
         for c, t in zip(tendons, told, strict=True)
     ]
-    units = _units(path, raw, tendons, diagnosed) if units is None else units
+    units = _detect_file_units(path, raw, tendons, diagnosed) if units is None else units
     tendons = [columns.in_units(units) for columns in tendons]
     claimed = {name for columns in tendons for name in columns.names().values()}
-    found = [_find(path, raw, columns, claimed) for columns in tendons]
-    numbers = {name: _numbers(path, raw, name) for names in found for name in names.values()}
-    converted = _convert(path, numbers, found, told, units)
+    found = [_find_columns(path, raw, columns, claimed) for columns in tendons]
+    numbers = {name: _parse_column(path, raw, name) for names in found for name in names.values()}
+    converted = _convert_to_si(path, numbers, found, told, units)
     rows = len(numbers[tendons[0].time])
     if rows == 0:
         raise UsageError(f"{path}: has a header but no rows")
     needed = set(numbers)
     if diagnosed or drop_nonfinite:
-        items = HOUSING if drop_nonfinite else ("time",)
+        items = HOUSING_CHANNELS if drop_nonfinite else ("time",)
         needed = {names[item] for names in found for item in items if item in names}
-        numbers = {n: c if n in needed else _with_missing(path, n, c) for n, c in numbers.items()}
-    keep = _finite(path, raw, {name: numbers[name] for name in needed}, drop_nonfinite)
+        numbers = {n: c if n in needed else _mark_missing(path, n, c) for n, c in numbers.items()}
+    keep = _find_finite_rows(path, raw, {name: numbers[name] for name in needed}, drop_nonfinite)
     dropped = rows - int(keep.sum())
     if dropped:
         kept = np.flatnonzero(keep)
         columns_kept = {name: column[keep] for name, column in raw.columns.items()}
-        raw = replace(raw, columns=columns_kept, place=_renumbered(raw, kept))
+        raw = replace(raw, columns=columns_kept, place=_renumber_rows(raw, kept))
         numbers = {name: column[keep] for name, column in numbers.items()}
     extra = {name: column for name, column in raw.columns.items() if name not in numbers}
     tables = []
     time_unit_known = raw.clocked or bool(told[0]["time"][1])
     for names in found:
-        _check(path, raw, names, numbers, zero_errors, diagnosed, units, time_unit_known)
+        _check_samples(path, raw, names, numbers, zero_errors, diagnosed, units, time_unit_known)
         values: dict[str, Any] = dict.fromkeys(Columns().names())
         values |= {item: numbers[name] for item, name in names.items()}
         tables.append(MeasuredTable(**values, path=path, extra=extra, dropped=dropped, units=units))
@@ -203,14 +212,14 @@ def read_tables(
     return tuple(tables)
 
 
-def _units_told(raw: RawTable, columns: Columns) -> dict[str, tuple[str, str]]:
+def _split_column_units(raw: RawTable, columns: Columns) -> dict[str, tuple[str, str]]:
     """Return field -> column name without its unit, and the unit; "" where none is told."""
     return {
-        item: channel_names.unit_told(name, raw.columns) for item, name in columns.names().items()
+        item: channel_names.split_unit(name, raw.columns) for item, name in columns.names().items()
     }
 
 
-def _convert(
+def _convert_to_si(
     path: Path,
     numbers: dict[str, Array],
     found: Sequence[Mapping[str, str]],
@@ -222,7 +231,7 @@ def _convert(
     for names, told_of in zip(found, told, strict=True):
         for item, name in names.items():
             unit = told_of[item][1]
-            factors[name] = channel_names.unit_factor(path, name, item, units, unit)
+            factors[name] = channel_names.find_unit_factor(path, name, item, units, unit)
     lines = []
     for name, (unit, factor) in factors.items():
         if factor != 1.0:
@@ -239,7 +248,9 @@ def write_table(path: Path, columns: Mapping[str, Column]) -> None:
     write_columns(path, columns)
 
 
-def _units(path: Path, raw: RawTable, tendons: Sequence[Columns], diagnosed: bool) -> Units:
+def _detect_file_units(
+    path: Path, raw: RawTable, tendons: Sequence[Columns], diagnosed: bool
+) -> Units:
     """Return the units of a file, as the names of its columns tell."""
     efforts = [columns.proximal_tension for columns in tendons]
     named = not all(columns.is_standard("proximal_tension") for columns in tendons)
@@ -247,8 +258,12 @@ def _units(path: Path, raw: RawTable, tendons: Sequence[Columns], diagnosed: boo
         return LINEAR
     channel_names.check_names(path, raw.columns)
     if named:
-        channel_names.check_linear(path, [n for c in tendons for n in c.names().values()])
-    units = LINEAR if named else channel_names.units_of(path, raw.columns, _number(efforts[0]))
+        channel_names.check_linear_names(path, [n for c in tendons for n in c.names().values()])
+    units = (
+        LINEAR
+        if named
+        else channel_names.detect_units(path, raw.columns, _parse_tendon_number(efforts[0]))
+    )
     if units.signed and not diagnosed:
         what = "torque and angle" if units.rotary else "a force of either sign"
         raise UsageError(
@@ -258,11 +273,11 @@ def _units(path: Path, raw: RawTable, tendons: Sequence[Columns], diagnosed: boo
     return units
 
 
-def _find(path: Path, raw: RawTable, columns: Columns, claimed: set[str]) -> dict[str, str]:
+def _find_columns(path: Path, raw: RawTable, columns: Columns, claimed: set[str]) -> dict[str, str]:
     """Return field -> column name of what the file has of `columns`."""
     found = {}
-    standard = {name for names in channel_names.NAMES.values() for name in names.values()}
-    spare = [n for n in raw.columns if n not in claimed and _unnumbered(n) not in standard]
+    standard = {name for names in channel_names.STANDARD_NAMES.values() for name in names.values()}
+    spare = [n for n in raw.columns if n not in claimed and _strip_tendon_number(n) not in standard]
     for item, name in columns.names().items():
         if name in raw.columns:
             found[item] = name
@@ -270,7 +285,7 @@ def _find(path: Path, raw: RawTable, columns: Columns, claimed: set[str]) -> dic
         optional = item not in ("time", "proximal_tension") and columns.is_standard(item)
         if raw.lacks and not optional:
             raise UsageError(f"{path}: {raw.lacks}")
-        hint = did_you_mean(name, spare, cutoff=0.88 if optional else 0.6)
+        hint = suggest_spelling(name, spare, cutoff=0.88 if optional else 0.6)
         meant = f"{hint} Then --column {item}=... names it, and converts its unit" if hint else ""
         if hint or not optional:
             has = ", ".join(list(raw.columns)[:NAMES_SHOWN]) + ", ..." * (
@@ -280,18 +295,18 @@ def _find(path: Path, raw: RawTable, columns: Columns, claimed: set[str]) -> dic
     return found
 
 
-def _unnumbered(name: str) -> str:
+def _strip_tendon_number(name: str) -> str:
     """Return a standard name of tendon 2, 3, ... as that of tendon 1."""
     return re.sub(r"_\d+(?=_(N|m|Nm|rad)$)", "", name)
 
 
-def _number(name: str) -> int:
+def _parse_tendon_number(name: str) -> int:
     """Return which tendon a standard name is of."""
     found = re.search(r"_(\d+)_(N|m|Nm|rad)$", name)
     return int(found.group(1)) if found else 1
 
 
-def _numbers(path: Path, raw: RawTable, name: str) -> Array:
+def _parse_column(path: Path, raw: RawTable, name: str) -> Array:
     """Return a column as numbers; `UsageError` names the first cell that is not one."""
     column = raw.columns[name]
     if column.dtype != object:
@@ -308,7 +323,7 @@ def _numbers(path: Path, raw: RawTable, name: str) -> Array:
     return numbers
 
 
-def _finite(
+def _find_finite_rows(
     path: Path, raw: RawTable, numbers: Mapping[str, Array], drop: bool
 ) -> NDArray[np.bool_]:
     """Return the mask of finite rows; raise if there are others that must not be dropped."""
@@ -316,7 +331,7 @@ def _finite(
     for name, column in numbers.items():
         good = np.isfinite(column)
         if not drop:
-            _with_missing(path, name, column)
+            _mark_missing(path, name, column)
         if not drop and not good.all():
             bad = np.flatnonzero(~good)
             raise UsageError(
@@ -330,7 +345,7 @@ def _finite(
     return keep
 
 
-def _with_missing(path: Path, name: str, column: Array) -> Array:
+def _mark_missing(path: Path, name: str, column: Array) -> Array:
     """Return a column with NaN for what is not finite; `UsageError` if nothing is left."""
     good = np.isfinite(column)
     if not good.any():
@@ -338,11 +353,11 @@ def _with_missing(path: Path, name: str, column: Array) -> Array:
     return np.where(good, column, np.nan)
 
 
-def _renumbered(raw: RawTable, kept: NDArray[np.intp]) -> Any:
+def _renumber_rows(raw: RawTable, kept: NDArray[np.intp]) -> Any:
     return lambda row: raw.place(int(kept[row]))
 
 
-def _check(
+def _check_samples(
     path: Path,
     raw: RawTable,
     names: Mapping[str, str],
@@ -393,7 +408,7 @@ def check_time(path: Path, raw: RawTable, name: str, time: Array, remedy: str) -
         hint = " (a recording: was the slave restarted there?)" if path.suffix == ".mcap" else ""
         what = f"{what}{hint}; time must increase from row to row"
         raise UsageError(f"{path}: column {name!r}, {raw.place(row)}: {what}")
-    if remedy and periods.size and (median := float(np.median(periods))) > PERIOD:
+    if remedy and periods.size and (median := float(np.median(periods))) > PERIOD_MAX:
         raise UsageError(
             f"{path}: column {name!r}, {raw.place(1)}: samples are {median:.6g} s apart: "
             f"milliseconds, or sample numbers? Then {remedy}; divide sample numbers by the rate"
@@ -415,7 +430,7 @@ def check_effort(
     With `may_err` the cell's zero may be off, and single samples low. NaN where one is missing.
     """
     row = int(np.nanargmax(np.abs(effort)))
-    low = int(np.nanargmin(_without_dips(effort) if may_err else effort))
+    low = int(np.nanargmin(_remove_dips(effort) if may_err else effort))
     peak = float(effort[row])
     if abs(peak) > (TORQUE_PEAK if units.rotary else TENSION_PEAK):
         what = "torque in newton metres; check the unit (N mm?)"
@@ -436,7 +451,7 @@ def check_effort(
         raise UsageError(f"{path}: column {name!r}, {raw.place(low)}: {what}")
 
 
-def _without_dips(signal: Array) -> Array:
+def _remove_dips(signal: Array) -> Array:
     """Return a signal without isolated low samples; beside a missing one (NaN) none is isolated."""
     filled = signal.copy()
     beside = np.minimum(signal[:-2], signal[2:])

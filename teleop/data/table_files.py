@@ -19,19 +19,19 @@ from teleop.data import bounds, large_csv
 from teleop.errors import UsageError
 from teleop.messages.messages import MAX_TENDONS
 from teleop.messages.topics import TENDONS
-from teleop.runtime.output_file import replacing
+from teleop.runtime.output_file import replace_file
 from teleop.runtime.process import print_warning
 
 Column = NDArray[Any]  # float64, or object if some cell is text
 
 SUFFIXES = (".csv", ".csv.gz", ".parquet", ".mcap")
 
-LARGE = 4_000_000  # [bytes] from which on a CSV file is read in blocks
+LARGE_FILE_BYTES = 4_000_000  # [bytes] from which on a CSV file is read in blocks
 FOOTER_MAX = 1 << 24  # [bytes] of a Parquet file: 1000 columns in 100 row groups
-PACKED_RATIO = 20  # bytes of text of a byte of .csv.gz, at most as a rule
+COMPRESSION_RATIO = 20  # bytes of text of a byte of .csv.gz, at most as a rule
 
-_ROWS_AT_ONCE = 20_000
-_DAMAGE = (OSError, EOFError, zlib.error, UnicodeError, csv.Error)
+_ROWS_PER_CHUNK = 20_000
+_READ_ERRORS = (OSError, EOFError, zlib.error, UnicodeError, csv.Error)
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,44 +51,44 @@ def read_columns(path: Path) -> RawTable:
 
         if is_bag(path):
             return _read_bag(path)
-    reader = _READERS[_suffix(path)]
+    reader = _READERS[_find_suffix(path)]
     if not path.is_file():
         raise UsageError(f"{path}: {'is not a file' if path.exists() else 'file not found'}")
     try:
         if path.stat().st_size == 0:
             raise UsageError(f"{path}: is empty")
         return reader(path)
-    except _DAMAGE as error:
-        raise UsageError(f"{path}: cannot be read: {_reason(error)}") from error
+    except _READ_ERRORS as error:
+        raise UsageError(f"{path}: cannot be read: {_format_reason(error)}") from error
 
 
 def write_columns(path: Path, columns: Mapping[str, Column]) -> None:
     """Write columns of equal length atomically; the suffix decides the format."""
     check_destination(path)
     try:
-        with replacing(path) as partial:
-            _WRITERS[_suffix(path)](partial, columns)
+        with replace_file(path) as partial:
+            _WRITERS[_find_suffix(path)](partial, columns)
     except OSError as error:
-        raise UsageError(f"{path}: cannot be written: {_reason(error)}") from error
+        raise UsageError(f"{path}: cannot be written: {_format_reason(error)}") from error
 
 
 def check_destination(path: Path) -> None:
     """Raise `UsageError` if `write_columns` could not write the file, before any work."""
-    suffix = _suffix(path)
+    suffix = _find_suffix(path)
     if suffix not in _WRITERS:
         raise UsageError(f"{path}: tables are written as {', '.join(_WRITERS)}, not as {suffix}")
     if not path.absolute().parent.is_dir():
         raise UsageError(f"{path}: folder {path.parent} not found")
 
 
-def _suffix(path: Path) -> str:
+def _find_suffix(path: Path) -> str:
     for suffix in SUFFIXES:
         if path.name.lower().endswith(suffix):
             return suffix
     raise UsageError(f"{path}: unknown kind of file, allowed are {', '.join(SUFFIXES)}")
 
 
-def _reason(error: Exception) -> str:
+def _format_reason(error: Exception) -> str:
     if isinstance(error, UnicodeError):
         return "it is not UTF-8 text"
     if isinstance(error, EOFError | zlib.error | gzip.BadGzipFile):
@@ -97,40 +97,42 @@ def _reason(error: Exception) -> str:
 
 
 @contextlib.contextmanager
-def _csv_rows(path: Path) -> Iterator[Any]:
+def _open_csv_rows(path: Path) -> Iterator[Any]:
     """Open the rows of a CSV file."""
     with path.open("rb") as file:
-        packed = large_csv.unpacked(path, file)
+        packed = large_csv.unpack_text(path, file)
         text = io.TextIOWrapper(packed, encoding="utf-8-sig", newline="")
-        yield csv.reader(bounds.bounded_lines(path, text), strict=True)
+        yield csv.reader(bounds.read_bounded_lines(path, text), strict=True)
 
 
 def _read_csv(path: Path) -> RawTable:
     packed = path.name.lower().endswith(".gz")
-    if path.stat().st_size >= (LARGE // PACKED_RATIO if packed else LARGE):
-        columns = large_csv.read(path, _header)
+    if path.stat().st_size >= (
+        LARGE_FILE_BYTES // COMPRESSION_RATIO if packed else LARGE_FILE_BYTES
+    ):
+        columns = large_csv.read(path, _check_header)
         if columns is not None:
-            return RawTable(columns, lambda row: f"line {_line_of(path, row)}")
-    return _read_any_csv(path)
+            return RawTable(columns, lambda row: f"line {_find_line(path, row)}")
+    return _read_csv_by_rows(path)
 
 
-def _line_of(path: Path, row: int) -> int:
+def _find_line(path: Path, row: int) -> int:
     """Return the line of a row of a CSV file, both as people count: the header is line 1."""
-    with _csv_rows(path) as rows:
+    with _open_csv_rows(path) as rows:
         next(rows)
         full = (rows.line_num for cells in rows if cells)
         return int(next(itertools.islice(full, row, None)))
 
 
-def _read_any_csv(path: Path) -> RawTable:
+def _read_csv_by_rows(path: Path) -> RawTable:
     """Read a CSV file row by row, so that whatever is wrong in it is found with its line."""
-    with _csv_rows(path) as rows:
-        names = _header(path, next(rows, []))
+    with _open_csv_rows(path) as rows:
+        names = _check_header(path, next(rows, []))
         lines = array("q")
         parts: list[list[Column]] = []
-        full_rows = _checked(path, rows, names, lines)
-        while chunk := list(itertools.islice(full_rows, _ROWS_AT_ONCE)):
-            parts.append([_numbers(cells) for cells in zip(*chunk, strict=True)])
+        full_rows = _check_rows(path, rows, names, lines)
+        while chunk := list(itertools.islice(full_rows, _ROWS_PER_CHUNK)):
+            parts.append([_parse_cells(cells) for cells in zip(*chunk, strict=True)])
             bounds.check_size(path, len(names), len(lines), "split the file")
     columns = {
         name: np.concatenate([part[i] for part in parts]) if parts else np.empty(0)
@@ -139,7 +141,7 @@ def _read_any_csv(path: Path) -> RawTable:
     return RawTable(columns, lambda row: f"line {lines[row]}")
 
 
-def _header(path: Path, names: Sequence[str]) -> list[str]:
+def _check_header(path: Path, names: Sequence[str]) -> list[str]:
     if not "".join(names).strip():
         raise UsageError(f"{path}: line 1: is blank, must contain the column names")
     for separator, word in ((";", "semicolons"), ("\t", "tabs")):
@@ -159,7 +161,7 @@ def _header(path: Path, names: Sequence[str]) -> list[str]:
     return list(names)
 
 
-def _checked(
+def _check_rows(
     path: Path, rows: Any, names: Sequence[str], lines: "array[int]"
 ) -> Iterator[Sequence[str]]:
     """Yield the rows and record their line numbers; blank lines are skipped."""
@@ -175,7 +177,7 @@ def _checked(
         yield row
 
 
-def _numbers(cells: Sequence[str]) -> Column:
+def _parse_cells(cells: Sequence[str]) -> Column:
     """Return cells as numbers, blank ones as NaN; if any is text, as shared objects."""
     try:
         return np.fromiter(map(float, cells), np.float64, len(cells))
@@ -206,11 +208,11 @@ def _read_parquet(path: Path) -> RawTable:
             _check_parquet(path, schema, file.metadata)
             parts: list[list[Column]] = [[] for _ in schema]
             rows = 0
-            for batch in file.iter_batches(_ROWS_AT_ONCE, use_threads=False):
+            for batch in file.iter_batches(_ROWS_PER_CHUNK, use_threads=False):
                 rows += len(batch)
                 bounds.check_size(path, len(schema), rows, "split the file")
                 for name, part, column in zip(schema.names, parts, batch.columns, strict=True):
-                    part.append(_parquet_values(path, name, column))
+                    part.append(_decode_parquet_values(path, name, column))
     except (pa.ArrowException, UnicodeError) as error:
         raise UsageError(f"{path}: not a valid Parquet file") from error
     columns = {
@@ -249,7 +251,7 @@ def _check_parquet(path: Path, schema: Any, about: Any) -> None:
             raise UsageError(f"{path}: the column name {name!r} is not text on one line")
         if schema.names.count(name) > 1:
             raise UsageError(f"{path}: column {name!r} occurs more than once")
-        if pa.types.is_nested(kind) or not (_is_number_kind(kind) or _as_text(kind)):
+        if pa.types.is_nested(kind) or not (_is_number_kind(kind) or _is_text_like(kind)):
             raise UsageError(
                 f"{path}: column {name!r} is of type {kind}; numbers and text are read: convert or "
                 "remove it"
@@ -276,17 +278,17 @@ def _is_text(kind: Any) -> bool:
     return bool(pa.types.is_string(kind) or pa.types.is_large_string(kind))
 
 
-def _as_text(kind: Any) -> bool:
+def _is_text_like(kind: Any) -> bool:
     """Return whether a type of column is text, or may be kept as text."""
     import pyarrow as pa
 
     if pa.types.is_dictionary(kind):
-        return _as_text(kind.value_type)
+        return _is_text_like(kind.value_type)
     moment = pa.types.is_temporal(kind) and not pa.types.is_duration(kind)  # that is as a number
     return bool(_is_text(kind) or pa.types.is_boolean(kind) or moment)
 
 
-def _parquet_values(path: Path, name: str, column: Any) -> Column:
+def _decode_parquet_values(path: Path, name: str, column: Any) -> Column:
     """Return a batch of a column: numbers, or text as objects that equal cells share."""
     import pyarrow as pa
 

@@ -23,20 +23,22 @@ from typing import Any, get_type_hints
 
 from teleop.config.options import add_options
 from teleop.errors import UsageError
-from teleop.impair.config import DirectionConfig, ImpairConfig, wanted
+from teleop.impair.config import DirectionConfig, ImpairConfig, load_impair_config
 from teleop.impair.delay_queue import WAIT_S, DelayQueue
 from teleop.impair.direction import Direction
-from teleop.link.bridge import Bank, send_request
-from teleop.runtime.clock import quiet_garbage
-from teleop.runtime.process import Stop, supervised, write_summary
-from teleop.runtime.realtime import go_realtime, limit_computing, share_heaps
+from teleop.link.bridge import BridgeEnd, send_request
+from teleop.runtime.clock import pause_garbage_collection
+from teleop.runtime.process import StopCondition, is_supervised, write_summary
+from teleop.runtime.realtime import limit_computing_time, request_realtime, share_heaps
 from teleop.session.config import RunConfig, load_shared
-from teleop.session.summary import impair_lines
+from teleop.session.summary import format_impair_counts
 
 DIRECTIONS = ("to_slave", "to_master")
 ACTIONS = ("cut", "mend", "set", "status")
 _SWITCH_S = 0.0005  # switch interval of our threads; Python's default is 5 ms
-_NUMBERS = tuple(name for name, hint in get_type_hints(DirectionConfig).items() if hint is float)
+_NUMERIC_OPTIONS = tuple(
+    name for name, hint in get_type_hints(DirectionConfig).items() if hint is float
+)
 _HELP = {  # metavar and help of each number
     "delay": ("S", "mean delay of a message [s]"),
     "jitter": ("S", "the delay varies from delay - jitter to delay + jitter [s]"),
@@ -75,9 +77,9 @@ class Proxy:
         self._stack = ExitStack()
         with ExitStack() as opening:
             link = config.link(shared.link)
-            master = Bank(link, shared.session, [config.endpoint], [], self._look_soon)
+            master = BridgeEnd(link, shared.session, [config.endpoint], [], self._look_soon)
             opening.callback(master.close)
-            slave = Bank(shared.link, shared.session, [], [shared.link.slave], self._look_soon)
+            slave = BridgeEnd(shared.link, shared.session, [], [shared.link.slave], self._look_soon)
             opening.callback(slave.close)
             master.pass_challenges_to(slave)
             slave.pass_challenges_to(master)
@@ -164,7 +166,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "initial values of `impair.to_slave` and `impair.to_master`, in place of the config's",
     )
     for item in dataclasses.fields(DirectionConfig):
-        if item.name in _NUMBERS:
+        if item.name in _NUMERIC_OPTIONS:
             option = f"--{item.name.replace('_', '-')}"
             metavar, text = _HELP[item.name]
             both.add_argument(option, dest=item.name, type=float, metavar=metavar, help=text)
@@ -174,10 +176,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def main(args: argparse.Namespace) -> int:
     """Run the proxy, or control the running one; returns the exit code."""
     shared = load_shared(args, join=bool(args.action))
-    overrides = [*options(args), *args.overrides]
+    overrides = [*build_overrides(args), *args.overrides]
 
     def read(changes: list[str]) -> ImpairConfig:
-        return wanted(args.config, [*overrides, *changes]) or ImpairConfig()
+        return load_impair_config(args.config, [*overrides, *changes]) or ImpairConfig()
 
     config = read([])
     config.require_direct(shared.link)
@@ -186,32 +188,32 @@ def main(args: argparse.Namespace) -> int:
         answer = send_request(link, shared.session, config.endpoint, "\n".join(args.action))
         print(json.dumps(answer, indent=2))
         return 0
-    stop = Stop(args.duration)
+    stop = StopCondition(args.duration)
     share_heaps()
     # before the link: its threads inherit the priority
-    granted = go_realtime(shared.realtime)
+    granted = request_realtime(shared.realtime)
     sys.setswitchinterval(_SWITCH_S)
     proxy = Proxy(shared, read)
-    limit_computing(granted)
+    limit_computing_time(granted)
     try:
-        if not supervised():
+        if not is_supervised():
             print(f"the master connects to the slave at {config.endpoint} now", flush=True)
-        with quiet_garbage():
+        with pause_garbage_collection():
             while not stop():
                 proxy.work()
     finally:
         counts = proxy.counts()
         proxy.close()
     write_summary(args.json, counts | {"stopped": stop.reason, "realtime": granted})
-    if not supervised():
-        print("\n".join(impair_lines(counts)))
+    if not is_supervised():
+        print("\n".join(format_impair_counts(counts)))
     return 0
 
 
-def options(args: argparse.Namespace) -> list[str]:
+def build_overrides(args: argparse.Namespace) -> list[str]:
     """Return the options of the command line as overrides."""
     out = [f"impair.seed={args.seed}"] if args.seed is not None else []
-    for name in _NUMBERS:
+    for name in _NUMERIC_OPTIONS:
         value = getattr(args, name)
         if value is not None:
             out += [f"impair.{way}.{name}={value}" for way in DIRECTIONS]

@@ -10,7 +10,7 @@ from teleop.config.loading import MAY_BE_INFINITE, load
 from teleop.errors import UsageError
 from teleop.link.config import LinkConfig
 
-_SHARES = ("loss", "burst_loss", "reorder", "duplicate", "corrupt")
+_PROBABILITIES = ("loss", "burst_loss", "reorder", "duplicate", "corrupt")
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +51,7 @@ class DirectionConfig:
             raise ValueError("jitter: must be 0 to delay [s]")
         if self.jitter_time != 0.0 and not 1e-4 <= self.jitter_time <= 100.0:
             raise ValueError("jitter_time: must be 0 or within 0.0001 ... 100 [s]")
-        for name in _SHARES:
+        for name in _PROBABILITIES:
             if not 0.0 <= getattr(self, name) <= 1.0:
                 raise ValueError(f"{name}: must be within 0 ... 1")
         if not 1.0 <= self.burst_length <= 1e6:
@@ -129,12 +129,12 @@ class ImpairConfig:
 
 
 @dataclass(frozen=True, slots=True)
-class _File:
+class _ImpairSection:
     """The part of a config file that enables the proxy."""
 
     impair: ImpairConfig | None = None
 
 
-def wanted(path: Path | None, overrides: Sequence[str]) -> ImpairConfig | None:
+def load_impair_config(path: Path | None, overrides: Sequence[str]) -> ImpairConfig | None:
     """Return the config of the proxy from file and overrides; None if there is none."""
-    return load(path, _File, None, overrides).impair
+    return load(path, _ImpairSection, None, overrides).impair

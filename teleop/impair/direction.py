@@ -9,10 +9,10 @@ from teleop.impair import model
 from teleop.impair.config import DirectionConfig
 from teleop.impair.delay_queue import DelayQueue
 from teleop.impair.model import Fate, StreamState
-from teleop.link.bridge import Bank
+from teleop.link.bridge import BridgeEnd
 from teleop.messages.topics import TOPICS, Topic
 
-_COUNTED = {
+_COUNTER_NAMES = {
     Fate.CUT: "cut",
     Fate.LOST: "lost",
     Fate.LOST_IN_BURST: "lost_in_bursts",
@@ -38,8 +38,8 @@ class Direction:
         name: str,
         config: DirectionConfig,
         seed: int,
-        near: Bank,
-        far: Bank,
+        near: BridgeEnd,
+        far: BridgeEnd,
         queue: DelayQueue,
     ) -> None:
         self.cut = False
@@ -74,7 +74,7 @@ class Direction:
             counts = self._counts[name]
             counts["came"] += 1
             for flag in fate:
-                counts[_COUNTED[flag]] += 1
+                counts[_COUNTER_NAMES[flag]] += 1
             start, put = self._start_ns or now, self._puts[name]
             for delivery in deliveries:
                 due_ns = start + round(delivery.due * 1e9)
@@ -100,7 +100,7 @@ class Direction:
             return {
                 topic: {
                     name: counts[name]
-                    for name in ("came", "sent", *_COUNTED.values(), "overflowed")
+                    for name in ("came", "sent", *_COUNTER_NAMES.values(), "overflowed")
                 }
                 for topic, counts in self._counts.items()
                 if counts["came"]

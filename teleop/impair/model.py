@@ -15,8 +15,8 @@ from teleop.impair.config import DirectionConfig
 _MASK = (1 << 64) - 1
 _GOLDEN = 0x9E3779B97F4A7C15  # increment of SplitMix64
 _LOSS, _BURST, _BURST_LOSS, _REORDER, _DUPLICATE, _CORRUPT, _PLACE, _VALUE, _JITTER = range(9)
-_DRAWS = 16  # random numbers per message
-_KNOT = 1 << 60  # offset of the random numbers of the delay
+_DRAWS_PER_MESSAGE = 16  # random numbers per message
+_DELAY_DRAW_OFFSET = 1 << 60  # offset of the random numbers of the delay
 
 
 class Fate(IntFlag):
@@ -52,7 +52,7 @@ def key_of(seed: int, *names: str) -> int:
     return int.from_bytes(hashlib.blake2b(text, digest_size=8).digest(), "little")
 
 
-def uniform(key: int, number: int) -> float:
+def draw_uniform(key: int, number: int) -> float:
     """Return the `number`-th random number of a key, within [0, 1).
 
     SplitMix64 (Steele, Lea & Flood 2014), whose k-th output is a function of k.
@@ -92,14 +92,14 @@ def step(
         A message is delivered within [delay - jitter, delay + jitter] of its arrival, in order; one
         held back, `reorder_by` later.
     """
-    first = memory.number * _DRAWS
+    first = memory.number * _DRAWS_PER_MESSAGE
 
     def chance(purpose: int, share: float) -> bool:
-        return share > 0.0 and uniform(key, first + purpose) < share
+        return share > 0.0 and draw_uniform(key, first + purpose) < share
 
     turn = config.burst_leave if memory.bad else config.burst_enter
     bad = memory.bad != chance(_BURST, turn) and config.burst_loss > 0.0
-    due = max(time_s + delay(config, key, memory.number, time_s), memory.due)
+    due = max(time_s + compute_delay(config, key, memory.number, time_s), memory.due)
     fate = Fate.PASSED
     if cut or config.cut_at(time_s):
         fate = Fate.CUT
@@ -112,8 +112,8 @@ def step(
     after = StreamState(memory.number + 1, bad, due)
     if chance(_CORRUPT, config.corrupt) and data:
         fate |= Fate.CORRUPTED
-        place = int(uniform(key, first + _PLACE) * len(data))
-        other = data[place] ^ (1 + int(uniform(key, first + _VALUE) * 255))
+        place = int(draw_uniform(key, first + _PLACE) * len(data))
+        other = data[place] ^ (1 + int(draw_uniform(key, first + _VALUE) * 255))
         data = data[:place] + bytes([other]) + data[place + 1 :]
     if chance(_REORDER, config.reorder):
         fate |= Fate.HELD_BACK
@@ -125,7 +125,7 @@ def step(
     return (Delivery(due, data),) * copies, fate, after
 
 
-def delay(config: DirectionConfig, key: int, number: int, time_s: float) -> float:
+def compute_delay(config: DirectionConfig, key: int, number: int, time_s: float) -> float:
     """Return the delay [s] of the `number`-th message of a stream, received at `time_s`.
 
     With `jitter_time` the delay is linear between random values that far apart, like the filling of
@@ -136,8 +136,8 @@ def delay(config: DirectionConfig, key: int, number: int, time_s: float) -> floa
         return config.delay
     if config.jitter_time:
         knot, part = divmod(time_s / config.jitter_time, 1.0)
-        a, b = (uniform(key, _KNOT + int(knot) + end) for end in (0, 1))
+        a, b = (draw_uniform(key, _DELAY_DRAW_OFFSET + int(knot) + end) for end in (0, 1))
         share = a + (b - a) * part
     else:
-        share = uniform(key, number * _DRAWS + _JITTER)
+        share = draw_uniform(key, number * _DRAWS_PER_MESSAGE + _JITTER)
     return config.delay + config.jitter * (2.0 * share - 1.0)

@@ -25,23 +25,29 @@ from typing import Any
 from teleop.config.loading import load
 from teleop.config.options import add_option, add_options
 from teleop.errors import TeleopError, UsageError
-from teleop.impair.config import wanted
+from teleop.impair.config import load_impair_config
 from teleop.launch import watch
 from teleop.launch.console import Console
-from teleop.launch.keys import HELP, Keys
+from teleop.launch.keys import KEY_HELP, KeyReader
 from teleop.launch.supervisor import Child, Supervisor
 from teleop.link import Link
 from teleop.messages.topics import EVENT, LATENCY, LINK, REPORT, Role
 from teleop.ros.config import RosConfig, check_ports
-from teleop.runtime.compiling import compiling_beside
+from teleop.runtime.compiling import compile_in_parallel
 from teleop.runtime.output_file import SharedFolder
-from teleop.runtime.process import ENDINGS, Stop, exit_code_of, has_display, write_summary
+from teleop.runtime.process import (
+    TERMINATION_SIGNALS,
+    StopCondition,
+    has_display,
+    to_exit_code,
+    write_summary,
+)
 from teleop.runtime.scratch_folder import ScratchFolder
 from teleop.runtime.status_line import StatusLine
 from teleop.session import own_endpoints
 from teleop.session import summary as summaries
-from teleop.session.config import RateChecked, RunConfig
-from teleop.session.running_sessions import registered
+from teleop.session.config import RateCheckedSection, RunConfig
+from teleop.session.running_sessions import register_session
 from teleop.view.config import ViewConfig
 from teleop.view.ports import hold_port
 
@@ -55,7 +61,7 @@ SECTIONS = {
     "ros": ("teleop.ros.config", "RosConfig"),
     "router": ("teleop.link.router_config", "RouterConfig"),
 }
-ENDING = (
+SHUTDOWN_ORDER = (
     "master",
     "slave",
     "impair",
@@ -64,7 +70,7 @@ ENDING = (
     "record",
 )  # the recorder stops last, to capture the final messages
 # exit codes of a child told to end while it started
-_NEVER_BEGAN = (*(128 + number for number in ENDINGS), -signal.SIGTERM)
+_STARTUP_EXIT_CODES = (*(128 + number for number in TERMINATION_SIGNALS), -signal.SIGTERM)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -92,13 +98,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def main(args: argparse.Namespace) -> int:
     """Run a session; returns the exit code."""
-    stop = Stop()
-    overrides = [*args.overrides, *_rig_overrides(args)]
-    overrides += own_endpoints.choose(args.config, overrides, args.session)
+    stop = StopCondition()
+    overrides = [*args.overrides, *_build_rig_overrides(args)]
+    overrides += own_endpoints.choose_overrides(args.config, overrides, args.session)
     config = load(args.config, RunConfig, None, overrides)
     for section, (module, name) in SECTIONS.items():
         part = load(args.config, getattr(import_module(module), name), section, overrides)
-        if isinstance(part, RateChecked):
+        if isinstance(part, RateCheckedSection):
             part.check_rate(config.rate_hz)
     ros = load(args.config, RosConfig, "ros", overrides)
     if ros.start:
@@ -107,7 +113,7 @@ def main(args: argparse.Namespace) -> int:
     if args.config:
         shared = ["--config", str(args.config), *shared]
     sides = [*shared, *["--allow-imports"] * args.allow_imports]
-    impair = wanted(args.config, overrides)
+    impair = load_impair_config(args.config, overrides)
     if impair is not None:
         impair.require_direct(config.link)
     to_slave = [] if impair is None else [f"--set=link.slave={impair.link(config.link).slave}"]
@@ -117,12 +123,14 @@ def main(args: argparse.Namespace) -> int:
     with ExitStack() as stack:
         scratch = Path(stack.enter_context(ScratchFolder()))
         family = Supervisor(scratch, console.say)
-        stack.callback(family.stop, ENDING)
+        stack.callback(family.stop, SHUTDOWN_ORDER)
         link = stack.enter_context(Link(config.link, config.session, Role.LAUNCHER))
-        watch.require_free(link)  # before anything is started
-        stack.enter_context(registered(own_endpoints.entry_of(config, impair, args.config)))
-        console.status.say(_how_to_join(config.session))
-        listener, hearing = link.listen((EVENT, REPORT, LATENCY, LINK)), watch.Hearing()
+        watch.require_free_session(link)  # before anything is started
+        stack.enter_context(
+            register_session(own_endpoints.build_entry(config, impair, args.config))
+        )
+        console.status.say(_format_join_hint(config.session))
+        listener, hearing = link.listen((EVENT, REPORT, LATENCY, LINK)), watch.SessionMonitor()
         if args.record:
             family.start("record", [*shared, "--out", str(args.record)])
         if impair is not None:
@@ -134,11 +142,11 @@ def main(args: argparse.Namespace) -> int:
             held, told = hold_port(load(args.config, ViewConfig, "view", overrides).web_port)
             stack.enter_context(held)
             family.start("view", [*shared, "--view", str(view)], told, (held.fileno(),))
-        stack.enter_context(compiling_beside(_compile_master))
-        keys = stack.enter_context(Keys())
+        stack.enter_context(compile_in_parallel(_compile_master))
+        keys = stack.enter_context(KeyReader())
         keyboard = watch.Keyboard(keys, link)
         if keys.there:
-            console.status.say(HELP)
+            console.status.say(KEY_HELP)
         try:
             ended = watch.wait_for_slave(link, listener, hearing, family, console, stop, keyboard)
             if not ended and not stop():
@@ -148,13 +156,13 @@ def main(args: argparse.Namespace) -> int:
                 )
         finally:
             console.status.clear()
-            family.stop(ENDING)
+            family.stop(SHUTDOWN_ORDER)
             console.finish()
-        summary = _summary(family, ended, stop.reason)
-    return _conclude(summary, args.json, console)
+        summary = _combine_summaries(family, ended, stop.reason)
+    return _report_outcome(summary, args.json, console)
 
 
-def _how_to_join(session: str) -> str:
+def _format_join_hint(session: str) -> str:
     return (
         f"Session {session}. In another terminal: teleop view --session {session} (or stop, "
         "record, set KEY VALUE)"
@@ -165,21 +173,21 @@ def _compile_master() -> None:
     import_module("master.process").warm_up()
 
 
-def _conclude(
+def _report_outcome(
     summary: dict[str, Any],
     path: Path | None,
     console: Console | None = None,
 ) -> int:
     """Write and print the summary; return the exit code, or raise what ended the session."""
-    began = summaries.ran(summary.get("master"))
+    began = summaries.has_run(summary.get("master"))
     write_summary(path, summary)
     (console or Console(StatusLine())).summarise(summary)
     if summary["exit_code"]:
         raise TeleopError(summary["reason"])
-    return 0 if began else exit_code_of(summary["reason"])
+    return 0 if began else to_exit_code(summary["reason"])
 
 
-def _rig_overrides(args: argparse.Namespace) -> list[str]:
+def _build_rig_overrides(args: argparse.Namespace) -> list[str]:
     out = []
     if args.replay:
         rig = {"type": "replayed", "file": str(args.replay.absolute())}
@@ -193,20 +201,20 @@ def _rig_overrides(args: argparse.Namespace) -> list[str]:
     return out
 
 
-def _recorder_trouble(family: Supervisor) -> str:
+def _describe_recorder_fault(family: Supervisor) -> str:
     """Return why the recording is not whole; empty if it is, or if there is none."""
     child = family.children.get("record")
-    if child is None or child.exit_code in (0, *_NEVER_BEGAN):
+    if child is None or child.exit_code in (0, *_STARTUP_EXIT_CODES):
         return ""
     return f"recorder: {child.complaint or f'ended {child.how()}; its last messages are missing'}"
 
 
-def _summary(family: Supervisor, ended: Child | None, reason: str) -> dict[str, Any]:
+def _combine_summaries(family: Supervisor, ended: Child | None, reason: str) -> dict[str, Any]:
     """Combine the children's summaries and decide the exit code."""
     out: dict[str, Any] = {
-        name: summaries.read_child(child.summary)
+        name: summaries.read_child_summary(child.summary)
         for name, child in family.children.items()
-        if child.exit_code not in _NEVER_BEGAN
+        if child.exit_code not in _STARTUP_EXIT_CODES
     }
     out["reason"] = reason
     out["exit_code"] = 0
@@ -215,7 +223,9 @@ def _summary(family: Supervisor, ended: Child | None, reason: str) -> dict[str, 
         if ended.exit_code == UsageError.exit_code:
             raise UsageError(out["reason"])
         out["exit_code"] = TeleopError.exit_code if ended.exit_code else 0
-    trouble = "" if out["exit_code"] else summaries.trouble(out) or _recorder_trouble(family)
+    trouble = (
+        "" if out["exit_code"] else summaries.find_fault(out) or _describe_recorder_fault(family)
+    )
     if trouble:
         out |= {"reason": trouble, "exit_code": TeleopError.exit_code}
     return out

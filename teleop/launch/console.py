@@ -8,7 +8,7 @@ from typing import Any
 from rich.table import Table
 from rich.text import Text
 
-from teleop.link.health import link_text
+from teleop.link.health import format_link_health
 from teleop.messages.messages import Latency, LinkReport, LoopReport, SlaveState
 from teleop.messages.topics import Role
 from teleop.runtime.status_line import StatusLine
@@ -21,7 +21,7 @@ _STYLES = {
 }  # fmt: skip
 
 
-class Repeats:
+class RepeatFilter:
     """Collapses lines that a source repeats: the first is printed, the others are counted."""
 
     def __init__(self) -> None:
@@ -34,20 +34,22 @@ class Repeats:
             self._last[source] = (text, count + 1)
             return []
         self._last[source] = (text, 1)
-        return [*_counted(last, count), text]
+        return [*_format_repeats(last, count), text]
 
     def rest(self) -> list[tuple[str, str]]:
         """Return (source, line) of what is still only counted, and forget it."""
-        rest = [(source, line) for source, held in self._last.items() for line in _counted(*held)]
+        rest = [
+            (source, line) for source, held in self._last.items() for line in _format_repeats(*held)
+        ]
         self._last.clear()
         return rest
 
 
-def _counted(text: str, count: int) -> list[str]:
+def _format_repeats(text: str, count: int) -> list[str]:
     return [f"{text} ({count} times)"] if count > 1 else []
 
 
-def time_of_day() -> str:
+def format_time_of_day() -> str:
     """Return the local time to a tenth of a second."""
     return datetime.now().astimezone().strftime("%H:%M:%S.%f")[:-5]
 
@@ -55,10 +57,10 @@ def time_of_day() -> str:
 class Console:
     """Prints lines of sources with their time, repeats collapsed, above a status line."""
 
-    def __init__(self, status: StatusLine, clock: Callable[[], str] = time_of_day) -> None:
+    def __init__(self, status: StatusLine, clock: Callable[[], str] = format_time_of_day) -> None:
         self.status = status
         self._clock = clock
-        self._repeats = Repeats()
+        self._repeats = RepeatFilter()
         self._lock = threading.Lock()
 
     def say(self, source: str, text: str) -> None:
@@ -82,21 +84,21 @@ class Console:
     def summarise(self, summary: Mapping[str, Any]) -> None:
         """Print the summary of the session: in a terminal its loops as a table."""
         if self.status.live:
-            table = summary_table(summary)
+            table = build_summary_table(summary)
             if table.row_count:
                 self.status.say(table)
-        for line in summaries.lines(summary, with_loops=not self.status.live):
+        for line in summaries.format_summary(summary, with_loops=not self.status.live):
             self.status.say(line)
 
 
-def summary_table(summary: Mapping[str, Any]) -> Table:
+def build_summary_table(summary: Mapping[str, Any]) -> Table:
     """Return the figures of both loops as a table; without rows if none ran."""
     table = Table(title="Session")
     table.add_column("")
     loops = {
         role: loop
         for role in ("slave", "master")
-        if (loop := summary.get(role)) is not None and summaries.ran(loop)
+        if (loop := summary.get(role)) is not None and summaries.has_run(loop)
     }
     for role in loops:
         table.add_column(role, justify="right")
@@ -106,7 +108,7 @@ def summary_table(summary: Mapping[str, Any]) -> Table:
     return table
 
 
-def _engaged(loop: Mapping[str, Any]) -> str:
+def _format_engaged_time(loop: Mapping[str, Any]) -> str:
     seconds = loop["ticks_in"]["engaged"] / (loop["ticks"] or 1) * loop["seconds"]
     return f"{seconds:.1f} s"
 
@@ -114,7 +116,7 @@ def _engaged(loop: Mapping[str, Any]) -> str:
 _ROWS: dict[str, Callable[[Mapping[str, Any]], str]] = {
     "rate": lambda loop: f"{loop['rate_hz']:.1f} Hz",
     "duration": lambda loop: f"{loop['seconds']:.1f} s",
-    "engaged": _engaged,
+    "engaged": _format_engaged_time,
     "overruns": lambda loop: str(loop["overruns"]),
     "latest tick": lambda loop: f"{loop['lateness_max_ms']:.2f} ms",
     "work, median": lambda loop: f"{loop['work_us']['p50'] or 0:.0f} us",
@@ -127,7 +129,7 @@ _ROWS: dict[str, Callable[[Mapping[str, Any]], str]] = {
 }
 
 
-def status_text(
+def format_status(
     reports: Mapping[Role, LoopReport],
     state: SlaveState | None,
     latency: Latency | None = None,
@@ -165,7 +167,7 @@ def status_text(
     for link in (links or {}).values():
         if link.role == Role.MASTER or link.reason:
             bad = link.reason != Reason.NONE
-            text.append(f" │ {link_text(link)}", "bold yellow" if bad else "")
+            text.append(f" │ {format_link_health(link)}", "bold yellow" if bad else "")
     if recorder:
         text.append(f" │ {recorder}", "yellow" if "missing" in recorder else "")
     return text

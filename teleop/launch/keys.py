@@ -8,10 +8,10 @@ import time
 import tty
 from typing import Any, Self
 
-HELP = "space: emergency stop, r: reset it, Ctrl-C: end"
+KEY_HELP = "space: emergency stop, r: reset it, Ctrl-C: end"
 
 
-class Keys:
+class KeyReader:
     """Context manager that reads single keys; none without a controlling terminal."""
 
     def __init__(self) -> None:

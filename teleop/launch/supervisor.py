@@ -13,21 +13,31 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from teleop.errors import UsageError
-from teleop.runtime.output_file import FORCE
-from teleop.runtime.process import HEARTBEAT, STANDBY, STATUS, SUPERVISED, module_command
+from teleop.runtime.output_file import FORCE_OPTION
+from teleop.runtime.process import (
+    HEARTBEAT,
+    STANDBY_VARIABLE,
+    STATUS,
+    SUPERVISED_VARIABLE,
+    build_module_command,
+)
 from teleop.view.ports import WEB_VIEW
 
-VITAL = ("master", "slave", "impair")  # the session continues without the others
-RESTARTED = ("view",)  # started again after a failure, if it ever worked
-COMPLAINT = "teleop: "  # prefix of an error line of the command line
-_HUNG_S = 3.0  # a child that has beaten and then waits for so long, without a beat, is killed
-_STARVED_S = 20.0  # and so is one that computes all the time, or is not given a processor
+REQUIRED_CHILDREN = ("master", "slave", "impair")  # the session continues without the others
+RESTARTED_CHILDREN = ("view",)  # started again after a failure, if it ever worked
+ERROR_PREFIX = "teleop: "  # prefix of an error line of the command line
+_HEARTBEAT_TIMEOUT_S = (
+    3.0  # a child that has beaten and then waits for so long, without a beat, is killed
+)
+_STARVATION_TIMEOUT_S = (
+    20.0  # and so is one that computes all the time, or is not given a processor
+)
 _SHORT_LIFE_S = 10.0  # a restarted child that fails sooner is started again later each time
-_LONGEST_PAUSE_S = 30.0
-_PATIENCE_S = 5.0  # a child that has not ended by then, nor printed since, is killed
-_LONGEST_S = 90.0  # and so is one that keeps printing
-_DRAINING = ("record",)  # may take as long as it prints, and so long without:
-_DRAINING_PATIENCE_S = 60.0  # one write of a slow disk
+_RESTART_PAUSE_MAX_S = 30.0
+_EXIT_TIMEOUT_S = 5.0  # a child that has not ended by then, nor printed since, is killed
+_EXIT_TIMEOUT_MAX_S = 90.0  # and so is one that keeps printing
+_DRAINING_CHILDREN = ("record",)  # may take as long as it prints, and so long without:
+_DRAINING_TIMEOUT_S = 60.0  # one write of a slow disk
 _POLL_S = 0.02
 _READ_S = 1.0  # time to read the remaining output of an ended child
 
@@ -62,7 +72,7 @@ class Child:
     def fatal(self) -> bool:
         """Whether its end is that of the session: it is vital, or failed by a usage error."""
         code = self.exit_code
-        return code is not None and (self.name in VITAL or code == UsageError.exit_code)
+        return code is not None and (self.name in REQUIRED_CHILDREN or code == UsageError.exit_code)
 
     @property
     def hung(self) -> bool:
@@ -70,12 +80,14 @@ class Child:
         if self.beat_s is None or self.exit_code is not None:
             return False
         late_s = time.monotonic() - self.beat_s
-        return late_s > _STARVED_S or (late_s > _HUNG_S and not computes(self.process.pid))
+        return late_s > _STARVATION_TIMEOUT_S or (
+            late_s > _HEARTBEAT_TIMEOUT_S and not is_computing(self.process.pid)
+        )
 
     @property
     def restarts(self) -> bool:
         """Whether it is to be started again after it ended."""
-        return self.name in RESTARTED and self.worked and self.exit_code not in (None, 0)
+        return self.name in RESTARTED_CHILDREN and self.worked and self.exit_code not in (None, 0)
 
     def hear_out(self) -> None:
         """Wait for the remaining output of an ended child."""
@@ -136,14 +148,21 @@ class Supervisor:
     ) -> Child:
         summary = self._scratch / f"{name}.json"
         process = subprocess.Popen(
-            [*module_command("teleop"), name, *arguments, "--json", str(summary), FORCE],
+            [
+                *build_module_command("teleop"),
+                name,
+                *arguments,
+                "--json",
+                str(summary),
+                FORCE_OPTION,
+            ],
             stdin=subprocess.PIPE if standby else subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             text=True,
             env=os.environ
-            | {SUPERVISED: str(os.getpid()), "NO_COLOR": "1", **told}
-            | ({STANDBY: "1"} if standby else {}),
+            | {SUPERVISED_VARIABLE: str(os.getpid()), "NO_COLOR": "1", **told}
+            | ({STANDBY_VARIABLE: "1"} if standby else {}),
             start_new_session=True,
             pass_fds=descriptors,
         )
@@ -160,11 +179,11 @@ class Supervisor:
     def casualty(self) -> Child | None:
         """Return a child whose end ends the session.
 
-        Of the others that ended, `RESTARTED` ones are started again, as are those that hang; for
+        Of the others that ended, `RESTARTED_CHILDREN` ones are started again, as are those that hang; for
         the rest one line is printed.
         """
         for child in list(self.children.values()):
-            if child.hung and child.name in RESTARTED:
+            if child.hung and child.name in RESTARTED_CHILDREN:
                 child.complaint = "it hung"
                 child.process.kill()
                 child.process.wait()
@@ -192,7 +211,7 @@ class Supervisor:
         new.worked = new.reborn = True
         new.again = child.complaint or f"ended {child.how()}"
         if child.reborn and time.monotonic() - child.began_s < _SHORT_LIFE_S:
-            new.pause_s = min(max(1.0, 2 * child.pause_s), _LONGEST_PAUSE_S)
+            new.pause_s = min(max(1.0, 2 * child.pause_s), _RESTART_PAUSE_MAX_S)
         self.children[child.name] = new
         self._listen(new)
 
@@ -210,7 +229,7 @@ class Supervisor:
         return spare
 
     def _remedy(self, child: Child) -> str:
-        if child.name not in RESTARTED:
+        if child.name not in RESTARTED_CHILDREN:
             return ""
         command = shlex.join(["teleop", child.name, *child.arguments])
         return f"; start it again with: {command}"
@@ -230,8 +249,10 @@ class Supervisor:
                 continue
             if child.exit_code is None:
                 child.process.terminate()
-            if not ends(child):
-                self._say(name, f"did not end within {_patience_s(child):g} s and was killed")
+            if not wait_for_exit(child):
+                self._say(
+                    name, f"did not end within {_choose_exit_timeout_s(child):g} s and was killed"
+                )
                 child.process.kill()
                 child.process.wait()
             child.hear_out()
@@ -247,17 +268,17 @@ class Supervisor:
                 child.heard_s = now
                 if line.startswith(STATUS):
                     child.status = line.removeprefix(STATUS)
-                elif line.startswith(COMPLAINT):
-                    child.complaint = line.removeprefix(COMPLAINT)
+                elif line.startswith(ERROR_PREFIX):
+                    child.complaint = line.removeprefix(ERROR_PREFIX)
                 else:
                     if child.again:
-                        line = f"started again ({child.again}); {opening(line)}"  # noqa: PLW2901
+                        line = f"started again ({child.again}); {format_view_hint(line)}"  # noqa: PLW2901
                         child.again = ""
                     with suppress(OSError):  # the main thread ends for it; the pipe must not fill
                         self._say(child.name, line)
 
 
-def computes(pid: int) -> bool:
+def is_computing(pid: int) -> bool:
     """Return whether a thread of a process runs or would if it had a processor (Linux; else False).
 
     Any thread: the first one may wait for another that is not given a processor.
@@ -269,7 +290,7 @@ def computes(pid: int) -> bool:
     return any(stat.rpartition(")")[2].split()[0] in ("R", "D") for stat in stats)
 
 
-def opening(line: str) -> str:
+def format_view_hint(line: str) -> str:
     """Return how to open a view, from the first line that it prints."""
     if not line.startswith(WEB_VIEW):
         return line
@@ -277,26 +298,28 @@ def opening(line: str) -> str:
     return f"an open page reconnects; to open one: xdg-open {address}"
 
 
-def _patience_s(child: Child) -> float:
-    return _DRAINING_PATIENCE_S if child.name in _DRAINING else _PATIENCE_S
+def _choose_exit_timeout_s(child: Child) -> float:
+    return _DRAINING_TIMEOUT_S if child.name in _DRAINING_CHILDREN else _EXIT_TIMEOUT_S
 
 
-def ends(child: Child) -> bool:
+def wait_for_exit(child: Child) -> bool:
     """Return whether a child told to stop ends within its timeout.
 
     A recorder that tells of its progress is waited for without end.
     """
     asked_s = time.monotonic()
-    longest_s = math.inf if child.name in _DRAINING else _LONGEST_S
+    longest_s = math.inf if child.name in _DRAINING_CHILDREN else _EXIT_TIMEOUT_MAX_S
     while child.exit_code is None:
-        patience_s = max(asked_s, child.heard_s) + _patience_s(child)
+        patience_s = max(asked_s, child.heard_s) + _choose_exit_timeout_s(child)
         if time.monotonic() > min(patience_s, asked_s + longest_s):
             return False
         time.sleep(_POLL_S)
     return True
 
 
-def wait_for(condition: Callable[[], bool], timeout_s: float, poll_s: float = 0.02) -> bool:
+def wait_for_condition(
+    condition: Callable[[], bool], timeout_s: float, poll_s: float = 0.02
+) -> bool:
     """Wait until `condition` holds; return whether it does in time."""
     end = time.monotonic() + timeout_s
     while not condition():

@@ -4,22 +4,22 @@ import time
 from collections.abc import Iterable
 
 from teleop.errors import PeerError, TeleopError
-from teleop.launch.console import Console, status_text
-from teleop.launch.keys import Keys
+from teleop.launch.console import Console, format_status
+from teleop.launch.keys import KeyReader
 from teleop.launch.supervisor import Child, Supervisor
 from teleop.link import Link, Listener, ReceivedMessage
-from teleop.messages.messages import Event, Latency, LinkReport, LoopReport, text_of
-from teleop.messages.topics import LATENCY, LINK, REPORT, STATE, Role, role_name
+from teleop.messages.messages import Event, Latency, LinkReport, LoopReport, decode_text
+from teleop.messages.topics import LATENCY, LINK, REPORT, STATE, Role, format_role
 from teleop.remote.requests import call_reset, call_stop
-from teleop.remote.stop_over_link import SIDES, state_of, stops_of
-from teleop.runtime.process import Stop
+from teleop.remote.stop_over_link import SIDES, read_state, read_stop_count
+from teleop.runtime.process import StopCondition
 from teleop.session.state_machine import State
 
 START_S = 240.0  # timeout for the slave; the first start compiles estimator and plant
-_LOOK_S = 0.1
+_POLL_S = 0.1
 
 
-class Hearing:
+class SessionMonitor:
     """State of a session as received: newest reports, latency, and events as text."""
 
     def __init__(self) -> None:
@@ -48,7 +48,7 @@ class Hearing:
                     self.links[Role(link.role)] = link
             else:
                 event = Event.unpack(item.data)
-                lines.append((role_name(event.role), text_of(event.text)))
+                lines.append((format_role(event.role), decode_text(event.text)))
         return lines
 
 
@@ -59,7 +59,7 @@ class Keyboard:
     starting gets it too. A reset is repeated until it has been executed, or a newer stop requested.
     """
 
-    def __init__(self, keys: Keys, link: Link) -> None:
+    def __init__(self, keys: KeyReader, link: Link) -> None:
         self._keys, self._link = keys, link
         self._wanted = False
         self._resets: dict[Role, int] = {}  # by side, number of the stop to be reset
@@ -68,9 +68,9 @@ class Keyboard:
         """Wait for keys for at most `seconds` [s] and execute them; a stop has precedence."""
         pressed = self._keys.wait(seconds)
         stops = {
-            side: stops_of(self._link, side)
+            side: read_stop_count(self._link, side)
             for side in SIDES
-            if state_of(self._link, side) is State.STOPPED
+            if read_state(self._link, side) is State.STOPPED
         }
         if " " in pressed:
             self._wanted, self._resets = True, {}
@@ -84,7 +84,7 @@ class Keyboard:
             call_reset(self._link, Role.LAUNCHER, "the terminal", side, number)
 
 
-def require_free(link: Link) -> None:
+def require_free_session(link: Link) -> None:
     """Raise `PeerError` if the session has a slave or a master before we start ours."""
     for role in (Role.SLAVE, Role.MASTER):
         if link.present(role):
@@ -97,10 +97,10 @@ def require_free(link: Link) -> None:
 def wait_for_slave(
     link: Link,
     listener: Listener,
-    hearing: Hearing,
+    hearing: SessionMonitor,
     family: Supervisor,
     console: Console,
-    stop: Stop,
+    stop: StopCondition,
     keyboard: Keyboard,
 ) -> Child | None:
     """Wait for the slave to answer; return a child that ended before, if any.
@@ -116,17 +116,17 @@ def wait_for_slave(
             return child
         if time.monotonic() > family.children["slave"].heard_s + START_S:
             raise TeleopError(f"the slave did not start within {START_S:g} s")
-        keyboard.look(_LOOK_S)
+        keyboard.look(_POLL_S)
     return None
 
 
 def watch(
     link: Link,
     listener: Listener,
-    hearing: Hearing,
+    hearing: SessionMonitor,
     family: Supervisor,
     console: Console,
-    stop: Stop,
+    stop: StopCondition,
     duration_s: float | None,
     keyboard: Keyboard,
 ) -> Child | None:
@@ -161,9 +161,9 @@ def watch(
             state = link.latest(STATE).message
             record = family.children.get("record")
             recorder = "" if record is None else record.status
-            line = status_text(
+            line = format_status(
                 hearing.reports, state, hearing.latency, recorder, hearing.links, link.insecure
             )
             console.status.show(line)
-        keyboard.look(_LOOK_S)
+        keyboard.look(_POLL_S)
     return None

@@ -9,10 +9,10 @@ from teleop.link.rate_limit import RateLimit
 from teleop.runtime.clock import now_ns
 from teleop.security.presence import Token, may_stop
 
-WAITING = 64  # tokens in one queue
+QUEUED_TOKENS_MAX = 64  # tokens in one queue
 CERTIFICATES = 64  # that have queues of their own
-WORTHLESS = 1024  # tokens that are remembered as not genuine
-BURST = 64  # checks at once
+REJECTED_TOKENS_MAX = 1024  # tokens that are remembered as not genuine
+CHECK_BURST = 64  # checks at once
 CHECKS_HZ, STOP_CHECKS_HZ = 20.0, 100.0  # checks on average; in groups that may stop a session
 
 Queue = tuple[str, bool]  # the certificate, if it is known, and whether an asker shows the token
@@ -37,7 +37,7 @@ class Admission:
 
     def __init__(self, group: str, clock: Callable[[], int] = now_ns) -> None:
         rate_hz = STOP_CHECKS_HZ if may_stop(group) else CHECKS_HZ
-        self._is_due = RateLimit(BURST, rate_hz, clock)
+        self._is_due = RateLimit(CHECK_BURST, rate_hz, clock)
         self._queues: OrderedDict[Queue, dict[Token, Any]] = OrderedDict()
         self._known: OrderedDict[str, None] = OrderedDict()
         self._worthless: OrderedDict[int, None] = OrderedDict()
@@ -52,7 +52,7 @@ class Admission:
         if hash(token) in self._worthless:
             return True
         queue = self._queues.setdefault(self._queue_of(token, asker), {})
-        is_full = len(queue) >= WAITING and token not in queue
+        is_full = len(queue) >= QUEUED_TOKENS_MAX and token not in queue
         if is_full:
             del queue[self._chance.choice(tuple(queue))]
         queue[token] = asker
@@ -92,7 +92,7 @@ class Admission:
     def refuse(self, token: Token) -> None:
         """Remember that a token is not genuine, so that it is not checked again."""
         self._worthless[hash(token)] = None
-        while len(self._worthless) > WORTHLESS:
+        while len(self._worthless) > REJECTED_TOKENS_MAX:
             self._worthless.popitem(last=False)
 
     def _queue_of(self, token: Token, asker: Any) -> Queue:

@@ -13,23 +13,23 @@ from typing import Any
 import zenoh
 
 from teleop.errors import TeleopError
-from teleop.link.challenge import challenge_key
+from teleop.link.challenge import build_challenge_key
 from teleop.link.config import LinkConfig
 from teleop.link.network import declare_publisher, open_session
-from teleop.link.protection import credentials_of
+from teleop.link.protection import load_credentials
 from teleop.messages.topics import TOPICS, Topic
 from teleop.runtime.clock import now_ns
-from teleop.security import Office
-from teleop.security.access import access_control
-from teleop.security.presence import root
+from teleop.security import CertificateRole
+from teleop.security.access import build_access_control
+from teleop.security.presence import build_token_root
 
 ANSWER_S = 3.0  # timeout of a request to the bridge
 
-Put = Callable[[bytes], None]
+SendCallback = Callable[[bytes], None]
 Handler = Callable[[Topic[Any], bytes], None]
 
 
-class Bank:
+class BridgeEnd:
     """One end of a bridge: receives from one side, and sends to it for the other.
 
     Parameters
@@ -53,9 +53,12 @@ class Bank:
         tokens_changed: Callable[[], None],
     ) -> None:
         self._session = session
-        access = None if config.insecure else access_control([session])
+        access = None if config.insecure else build_access_control([session])
         self._zenoh: Any = open_session(
-            credentials_of(config, session, Office.ROUTER), listen, connect, access=access
+            load_credentials(config, session, CertificateRole.ROUTER),
+            listen,
+            connect,
+            access=access,
         )
         self._remote = zenoh.Locality.REMOTE  # not from or to ourselves, to avoid loops
         self._publishers: dict[str, Any] = {
@@ -70,7 +73,7 @@ class Bank:
         self._tokens_changed = tokens_changed
         self._liveliness = self._zenoh.liveliness()
         self._watch: Any = self._liveliness.declare_subscriber(
-            f"{root(session)}/**", self._on_token, history=True
+            f"{build_token_root(session)}/**", self._on_token, history=True
         )
 
     def close(self) -> None:
@@ -78,7 +81,7 @@ class Bank:
         self._watch.undeclare()
         self._zenoh.close()
 
-    def put(self, topic: Topic[Any]) -> Put:
+    def put(self, topic: Topic[Any]) -> SendCallback:
         """Return the function that publishes a message of `topic` on this side, with its tags."""
         put, size = self._publishers[topic.name].put, topic.message.schema.size
 
@@ -96,7 +99,7 @@ class Bank:
         subscriber = self._subscribers.get(topic.name)
         if wanted and subscriber is None:
             direct: Any = zenoh.handlers.Callback(  # no thread in between, which would queue too
-                lambda sample: handler(topic, _with_tags(sample)), indirect=False
+                lambda sample: handler(topic, _append_tags(sample)), indirect=False
             )
             self._subscribers[topic.name] = self._zenoh.declare_subscriber(
                 self._key(topic), direct, allowed_origin=self._remote
@@ -117,7 +120,7 @@ class Bank:
             self._mirrored[key] = None  # before its token arrives here
             self._mirrored[key] = self._liveliness.declare_token(key)
 
-    def pass_challenges_to(self, other: "Bank") -> None:
+    def pass_challenges_to(self, other: "BridgeEnd") -> None:
         """Pass challenges from this side to the other one, and their answers back.
 
         They are not delayed, nor lost: what is cut has no tokens that could be challenged.
@@ -140,7 +143,7 @@ class Bank:
 
         direct: Any = zenoh.handlers.Callback(on_query, indirect=False)
         self._challenges: Any = self._zenoh.declare_queryable(
-            challenge_key(self._session, "*", "*"), direct, allowed_origin=self._remote
+            build_challenge_key(self._session, "*", "*"), direct, allowed_origin=self._remote
         )
 
     def serve(self, answer: Callable[[str], dict[str, Any]]) -> None:
@@ -154,7 +157,9 @@ class Bank:
                 reply = {"error": str(error)}
             query.reply(query.key_expr, json.dumps(reply))
 
-        self._queryable: Any = self._zenoh.declare_queryable(_control(self._session), on_query)
+        self._queryable: Any = self._zenoh.declare_queryable(
+            _build_control_key(self._session), on_query
+        )
 
     def _key(self, topic: Topic[Any]) -> str:
         return f"teleop/{self._session}/{topic.name}"
@@ -166,7 +171,7 @@ class Bank:
         self._tokens_changed()
 
 
-def _with_tags(sample: Any) -> bytes:
+def _append_tags(sample: Any) -> bytes:
     """Return a message with the tags behind it."""
     data: bytes = sample.payload.to_bytes()
     tags = sample.attachment
@@ -182,10 +187,10 @@ def send_request(config: LinkConfig, session: str, endpoint: str, request: str) 
         No answer, or a refusal.
     """
     end = now_ns() + ANSWER_S * 1e9
-    credentials = credentials_of(config, session, Office.SUPERVISOR)
+    credentials = load_credentials(config, session, CertificateRole.SUPERVISOR)
     with open_session(credentials, [], [endpoint]) as asking:
         while now_ns() < end:
-            replies: Any = asking.get(_control(session), payload=request, timeout=0.5)
+            replies: Any = asking.get(_build_control_key(session), payload=request, timeout=0.5)
             for reply in replies:
                 if reply.ok is None:
                     continue
@@ -197,5 +202,5 @@ def send_request(config: LinkConfig, session: str, endpoint: str, request: str) 
     raise TeleopError(f"no answer at {endpoint} for session {session!r}")
 
 
-def _control(session: str) -> str:
+def _build_control_key(session: str) -> str:
     return f"teleop/{session}/@impair"

@@ -26,25 +26,25 @@ import zenoh
 from teleop.link.rate_limit import RateLimit
 from teleop.messages.topics import Role
 from teleop.security.handshake import PairKeys
-from teleop.security.presence import Token, groups_of, root
+from teleop.security.presence import Token, build_token_root, list_groups
 
 CHALLENGE_BYTES, ANSWER_BYTES = 16, 32
 ANSWER_S = 1.0  # an answer that comes later is none
 ANSWERS, ANSWERS_HZ = 128, 200.0  # challenges of a group looked at: at once, and per second
 
-Asker = Callable[[PairKeys], None]
+AnswerCallback = Callable[[PairKeys], None]
 """Gives who asks the answer to a challenge, under the keys of the pair."""
 
 _SUBJECT = struct.Struct("<Q")
 _PERSON = b"teleop present"  # no topic is called that, so no message has such a hash
 
 
-def challenge_key(session: str, asker: str, asked: int | Literal["*"]) -> str:
+def build_challenge_key(session: str, asker: str, asked: int | Literal["*"]) -> str:
     """Return the key of a challenge by a process of the role `asker`; `*` stands for any."""
-    return f"{root(session)}/prove/{asker}/{asked if asked == '*' else f'{asked:016x}'}"
+    return f"{build_token_root(session)}/prove/{asker}/{asked if asked == '*' else f'{asked:016x}'}"
 
 
-def answer_to(key: bytes, challenge: bytes, subject: int) -> bytes:
+def compute_answer(key: bytes, challenge: bytes, subject: int) -> bytes:
     """Return the answer under the key of messages from who is asked to who asks."""
     data = challenge + _SUBJECT.pack(subject)
     return blake2b(data, key=key, digest_size=ANSWER_BYTES, person=_PERSON).digest()
@@ -75,7 +75,7 @@ class Challenger:
     def ask(self, asked: int, subject: int, keys: PairKeys, proven: Callable[[], None]) -> None:
         """Challenge the process `asked`; `proven` is called, by Zenoh's thread, if it answers."""
         challenge = secrets.token_bytes(CHALLENGE_BYTES)
-        expected = [answer_to(keys.receiving, challenge, subject)]
+        expected = [compute_answer(keys.receiving, challenge, subject)]
 
         def on_reply(reply: zenoh.Reply) -> None:
             if reply.ok is None or not expected:
@@ -86,7 +86,7 @@ class Challenger:
 
         # all who claim to know: one that answers wrongly must not stand in for the right one
         self._zenoh.get(
-            challenge_key(self._session, self._asker, asked),
+            build_challenge_key(self._session, self._asker, asked),
             zenoh.handlers.Callback(on_reply, indirect=False),
             target=zenoh.QueryTarget.ALL,
             consolidation=zenoh.ConsolidationMode.NONE,
@@ -121,14 +121,14 @@ class Responder:
         session: str,
         nonce: int,
         vouches: Callable[[int], bool],
-        show: Callable[[Token, Asker], None],
+        show: Callable[[Token, AnswerCallback], None],
     ) -> None:
         self._session, self._nonce = session, nonce
         self._vouches, self._show = vouches, show
         self._limits = {
-            group: RateLimit(ANSWERS, ANSWERS_HZ) for role in Role for group in groups_of(role)
+            group: RateLimit(ANSWERS, ANSWERS_HZ) for role in Role for group in list_groups(role)
         }
-        everybody = challenge_key(session, "*", nonce)
+        everybody = build_challenge_key(session, "*", nonce)
         direct: Any = zenoh.handlers.Callback(self._on_query, indirect=False)
         self._queryable: Any = zenoh_session.declare_queryable(everybody, direct)
 
@@ -152,5 +152,5 @@ class Responder:
         """Answer a challenge, if it is about us or who we know to be here."""
         (subject,) = _SUBJECT.unpack_from(asked, CHALLENGE_BYTES)
         if subject == self._nonce or self._vouches(subject):
-            answer = answer_to(keys.sending, asked[:CHALLENGE_BYTES], subject)
-            query.reply(challenge_key(self._session, group, self._nonce), answer)
+            answer = compute_answer(keys.sending, asked[:CHALLENGE_BYTES], subject)
+            query.reply(build_challenge_key(self._session, group, self._nonce), answer)

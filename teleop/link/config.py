@@ -32,7 +32,7 @@ class Address(NamedTuple):
         if "%" in host:  # it is of one machine, and the config the same on all
             zone = host[host.index("%") :]
             raise ValueError(f"a zone ({zone}) is not possible; use an address that needs none")
-        address = _address(host)
+        address = _parse_ip_address(host)
         if address is None and (found["v6"] or not _HOST_NAME.fullmatch(host)):
             raise ValueError(f"{host!r} is not a host name or IP address")
         if address is not None and (address.is_unspecified or address.is_multicast):
@@ -42,7 +42,7 @@ class Address(NamedTuple):
     @property
     def loopback(self) -> bool:
         """Whether the address is on this machine."""
-        address = _address(self.host)
+        address = _parse_ip_address(self.host)
         return self.host == "localhost" if address is None else address.is_loopback
 
 
@@ -67,7 +67,7 @@ class Endpoint(NamedTuple):
         return Address(self.host, self.port).loopback
 
 
-def _address(host: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:
+def _parse_ip_address(host: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:
     try:
         return ipaddress.ip_address(host)
     except ValueError:

@@ -7,7 +7,7 @@ time out, so keeps everybody out, for as long as that and a minute longer. It ke
 peer declares: subscribers, tokens and names of keys up to 64 KB, for as long as the connection
 lasts. No setting of Zenoh bounds either, so a thread looks at our own sockets, on Linux:
 
-- A source of connections that stay half open for `STUCK_S`, or of too many at once, is blocked by
+- A source of connections that stay half open for `BLOCK_HALF_OPEN_AGE_S`, or of too many at once, is blocked by
   a filter of packets in the listening socket. A source is an address, half of one of IPv6, or on
   this machine all users but ours and root: there the kernel tells whose a connecting socket is, and
   those of ours pass with their second SYN, after one second. A block lasts `BLOCK_S`, or a second
@@ -17,10 +17,10 @@ lasts. No setting of Zenoh bounds either, so a thread looks at our own sockets, 
 - Connections that are half open for `HALF_OPEN_S` are shut down, one at a time, so that the loop
   is awake in between.
 - A connection that has received more than the role in its certificate ever sends is shut down
-  (`allowance_of`), and so is the newest of more than `SAME_NAME` of one certificate's name. When
+  (`find_allowance`), and so is the newest of more than `CONNECTIONS_PER_NAME_MAX` of one certificate's name. When
   Zenoh has forgotten it, the memory is given back to the system. A peer that was cut off connects
   again and declares everything at once, so new connections of a name that cannot stop a session
-  are shut down for `BARRED_S`.
+  are shut down for `NAME_BLOCK_S`.
 """
 
 import contextlib
@@ -44,22 +44,29 @@ from typing import NamedTuple
 
 import zenoh
 
-from teleop.security.identity import Identity, Office
+from teleop.security.identity import CertificateRole, Identity
 
-LOOK_S = 0.1  # between two looks; longer if a look takes more than a tenth of it
-CHARGE_S = 0.01  # likewise, at the bytes alone; Zenoh reads a thousand declarations in it
-ARRIVAL_S = 0.005  # after a connection has come, until the next look
-STUCK_S, STUCK = 1.0, 8  # age and number of half-open connections after which a source is blocked
+SCAN_PERIOD_S = 0.1  # between two looks; longer if a look takes more than a tenth of it
+BYTE_COUNT_PERIOD_S = (
+    0.01  # likewise, at the bytes alone; Zenoh reads a thousand declarations in it
+)
+NEW_CONNECTION_DELAY_S = 0.005  # after a connection has come, until the next look
+BLOCK_HALF_OPEN_AGE_S, BLOCK_HALF_OPEN_COUNT = (
+    1.0,
+    8,
+)  # age and number of half-open connections after which a source is blocked
 HALF_OPEN_S = 2.0  # after which a half-open connection is shut down
-PACE_S = 0.2  # between two of them, of which Zenoh sleeps for half
+HALF_OPEN_CLOSE_PERIOD_S = 0.2  # between two of them, of which Zenoh sleeps for half
 BLOCK_S, BLOCK_MAX_S = 5.0, 600.0
-FORGIVEN_S = 300.0  # after the end of a block, the next one is short again
-PORT_S = 5.0  # for which a socket of ours may connect past a block; its handshake takes less
-SOURCES = 500  # blocked at a time, in one filter of 4096 instructions
-SAME_NAME = 32  # connections of one certificate's name
-DISCARDS = 100  # reads of what a connection that is shut down has sent
-FORGET_S = 1.0  # in which Zenoh forgets a connection that was shut down
-BARRED_S = 5.0  # for which a name that sent too much, and cannot stop, gets no new connection
+BLOCK_RESET_S = 300.0  # after the end of a block, the next one is short again
+PORT_EXEMPTION_S = (
+    5.0  # for which a socket of ours may connect past a block; its handshake takes less
+)
+BLOCKED_SOURCES_MAX = 500  # blocked at a time, in one filter of 4096 instructions
+CONNECTIONS_PER_NAME_MAX = 32  # connections of one certificate's name
+DISCARD_READS_MAX = 100  # reads of what a connection that is shut down has sent
+CLOSE_DELAY_S = 1.0  # in which Zenoh forgets a connection that was shut down
+NAME_BLOCK_S = 5.0  # for which a name that sent too much, and cannot stop, gets no new connection
 
 HANDSHAKE_TIMEOUT_MS = 600_000  # of Zenoh, which must not have many of them time out together
 
@@ -76,19 +83,23 @@ class Allowance(NamedTuple):
 # removed in 2 ms when it goes. Of a supervisor it keeps tokens, which take 10 us each: a bound in
 # all, behind which it connects again. One that may stop a session needs 8 kB/s to watch, 20 kB/s
 # for a call that nobody answers, and can interrupt the session anyway.
-LISTENS = Allowance(16e3, 4e3)
-SETS = Allowance(16e3, 1e3, 32e3)
-STOPS = Allowance(256e3, 16e3)
+LISTENER_ALLOWANCE = Allowance(16e3, 4e3)
+SETTER_ALLOWANCE = Allowance(16e3, 1e3, 32e3)
+STOPPER_ALLOWANCE = Allowance(256e3, 16e3)
 
 
-def allowance_of(identity: Identity) -> Allowance | None:
+def find_allowance(identity: Identity) -> Allowance | None:
     """Return what a connection of a holder may bring; None: everything."""
-    if identity.office is Office.SUPERVISOR:
-        return STOPS if "stop" in identity.rights else SETS
-    return LISTENS if identity.office in (Office.RECORDER, Office.VIEWER) else None
+    if identity.office is CertificateRole.SUPERVISOR:
+        return STOPPER_ALLOWANCE if "stop" in identity.rights else SETTER_ALLOWANCE
+    return (
+        LISTENER_ALLOWANCE
+        if identity.office in (CertificateRole.RECORDER, CertificateRole.VIEWER)
+        else None
+    )
 
 
-Ends = tuple[str, int]  # host and port
+SocketAddress = tuple[str, int]  # host and port
 Network = IPv4Network | IPv6Network
 _OPEN_FILES = Path("/dev/fd")  # of this process; absent on Windows
 _LINUX = sys.platform == "linux"
@@ -108,8 +119,8 @@ class _Connection:
 
     number: int  # file descriptor
     inode: int
-    local: Ends
-    remote: Ends
+    local: SocketAddress
+    remote: SocketAddress
     since_s: float
     received: int = 0  # [B]
     left: float | None = None  # of its allowance [B]
@@ -120,12 +131,12 @@ class _Connection:
     def shut_down(self) -> None:
         """End the connection."""
         self.shut = True
-        self._apply(_shut_down)
+        self._apply(_shut_down_socket)
 
     def freeze(self) -> None:
         """Receive nothing more, not even the end of the connection."""
         self.frozen = True
-        self.filter_packets([_step(_RETURN, 0)])
+        self.filter_packets([_build_instruction(_RETURN, 0)])
 
     def read_received(self) -> int:
         """Return how many bytes it has received; what was known last if it was closed."""
@@ -175,7 +186,9 @@ class ConnectionGuard:
         self, session: zenoh.Session, listen: list[str], burst: int, note: Callable[[str], None]
     ) -> None:
         self._session, self._burst, self._note = session, burst, note
-        self._names: dict[tuple[Ends, Ends | None], str] = {}  # of certificates, by the ends
+        self._names: dict[
+            tuple[SocketAddress, SocketAddress | None], str
+        ] = {}  # of certificates, by the ends
         self._sockets: dict[int, _Connection | None] = {}  # by inode; None: not a connection
         self._blocks: dict[Network, _Block] = {}
         self._ports: dict[int, float] = {}  # of ours that connect past a block, and until when
@@ -184,16 +197,16 @@ class ConnectionGuard:
         self._charged: list[tuple[_Connection, str, int]] = []  # with a number by name
         self._has_new = False
         self._shut_s = self._trim_s = 0.0
-        self._listening: dict[Ends, _Connection] = {}
+        self._listening: dict[SocketAddress, _Connection] = {}
         ports = {int(address.rpartition(":")[2]) for address in listen}
-        for number, inode in _open_sockets():
+        for number, inode in _list_open_sockets():
             with contextlib.suppress(OSError), socket.socket(fileno=os.dup(number)) as own:
                 if own.getsockopt(socket.SOL_SOCKET, socket.SO_ACCEPTCONN):
-                    ends = _ends(own.getsockname())
+                    ends = _parse_socket_name(own.getsockname())
                     if ends[1] in ports:
                         # no copy is kept, which would keep the port after the session's end
                         self._listening[ends] = _Connection(number, inode, ends, ("", 0), 0.0)
-        hexadecimal = "|".join(map(_hexadecimal, self._listening)).encode()
+        hexadecimal = "|".join(map(_format_hex_address, self._listening)).encode()
         self._row = re.compile(  # of /proc/net/tcp: ends, state, user and inode
             rb"(\w+:\w+) (%s) (\w\w) \S+ \S+ \S+ +(\d+) +\d+ (\d+)" % hexadecimal
         )
@@ -204,11 +217,11 @@ class ConnectionGuard:
 
     def _on_link(self, event: zenoh.LinkEvent) -> None:
         """Keep whose a connection is."""
-        local = _address(event.link.src)
+        local = _parse_endpoint(event.link.src)
         if local is None:
             return
         # the other end of a connection that we opened may be named by its host
-        ends = local, _address(event.link.dst) if local in self._listening else None
+        ends = local, _parse_endpoint(event.link.dst) if local in self._listening else None
         if event.kind == zenoh.SampleKind.DELETE:
             self._names.pop(ends, None)
             return
@@ -216,11 +229,14 @@ class ConnectionGuard:
         self._has_new = True
         is_barred = self._barred.get(name, 0.0) > monotonic()
         if local in self._listening and (self._blocks or is_barred):
-            for number, _ in _open_sockets():
+            for number, _ in _list_open_sockets():
                 with contextlib.suppress(OSError), socket.socket(fileno=os.dup(number)) as own:
-                    if (_ends(own.getsockname()), _ends(own.getpeername())) == ends:
+                    if (
+                        _parse_socket_name(own.getsockname()),
+                        _parse_socket_name(own.getpeername()),
+                    ) == ends:
                         if is_barred:
-                            _shut_down(own)
+                            _shut_down_socket(own)
                         else:
                             _filter_packets(own, [])  # it has that of the listening socket
 
@@ -233,15 +249,15 @@ class ConnectionGuard:
             begin_s = thread_time()  # not of other processes, on a busy machine
             self._look(monotonic())
             took_s = thread_time() - begin_s
-            end_s, pause_s = monotonic() + max(LOOK_S, 10 * took_s), CHARGE_S
+            end_s, pause_s = monotonic() + max(SCAN_PERIOD_S, 10 * took_s), BYTE_COUNT_PERIOD_S
             while (left_s := end_s - monotonic()) > 0 and not self._has_new:
                 if arrivals.poll(min(left_s, pause_s)):
-                    sleep(max(ARRIVAL_S, 3 * took_s))
+                    sleep(max(NEW_CONNECTION_DELAY_S, 3 * took_s))
                     break
                 begin_s = thread_time()
                 for charged in self._charged:
                     self._charge(*charged, monotonic())
-                pause_s = max(CHARGE_S, 10 * (thread_time() - begin_s))
+                pause_s = max(BYTE_COUNT_PERIOD_S, 10 * (thread_time() - begin_s))
         arrivals.close()
 
     def _look(self, now_s: float) -> None:
@@ -257,28 +273,31 @@ class ConnectionGuard:
                 self._charge(connection, name, named[name], now_s)
             elif connection.local in self._listening:
                 half_open.append(connection)
-        is_stuck = any(now_s - c.since_s > STUCK_S for c in half_open)
+        is_stuck = any(now_s - c.since_s > BLOCK_HALF_OPEN_AGE_S for c in half_open)
         if is_stuck or len(half_open) >= self._burst or self._blocks:
             self._block(half_open, now_s)
         old = [c for c in half_open if now_s - c.since_s > HALF_OPEN_S and not c.shut]
-        if old and now_s - self._shut_s >= PACE_S:
+        if old and now_s - self._shut_s >= HALF_OPEN_CLOSE_PERIOD_S:
             self._shut_s = now_s
             old[0].shut_down()
         if 0.0 < self._trim_s < now_s:
             self._trim_s = 0.0
-            _give_memory_back()
+            _release_free_memory()
 
     def _connections(self, now_s: float) -> list[_Connection]:
         """Return the connections of this process, oldest first."""
         known, self._sockets = self._sockets, {}
-        for number, inode in _open_sockets():
+        for number, inode in _list_open_sockets():
             connection = known.get(inode)
             if connection is not None:
                 connection.number = number
             elif inode not in known:
                 try:
                     with socket.socket(fileno=os.dup(number)) as own:
-                        ends = _ends(own.getsockname()), _ends(own.getpeername())
+                        ends = (
+                            _parse_socket_name(own.getsockname()),
+                            _parse_socket_name(own.getpeername()),
+                        )
                         if own.family in (socket.AF_INET, socket.AF_INET6):
                             connection = _Connection(number, inode, *ends, now_s)
                 except OSError:  # listens, or is not connected yet
@@ -290,7 +309,7 @@ class ConnectionGuard:
         """Charge a connection for what it has received since the last time."""
         try:
             identity = Identity.parse(name)
-            allowance = allowance_of(identity)
+            allowance = find_allowance(identity)
         except ValueError:
             return
         if allowance is None or connection.shut:
@@ -303,54 +322,56 @@ class ConnectionGuard:
         if connection.left < 0 or received > allowance.total:
             self._note(f"a connection of the certificate {name}: it sends too much")
             if connection.left < 0 and "stop" not in identity.rights:
-                self._barred[name] = now_s + BARRED_S
-        elif count > SAME_NAME:
-            self._note(f"a connection of the certificate {name}: it has {SAME_NAME} already")
+                self._barred[name] = now_s + NAME_BLOCK_S
+        elif count > CONNECTIONS_PER_NAME_MAX:
+            self._note(
+                f"a connection of the certificate {name}: it has {CONNECTIONS_PER_NAME_MAX} already"
+            )
         else:
             return
         connection.shut_down()
-        self._trim_s = now_s + FORGET_S
+        self._trim_s = now_s + CLOSE_DELAY_S
 
     def _block(self, half_open: list[_Connection], now_s: float) -> None:
         """Block the sources of stuck or many connections, and end blocks."""
         rows = {
             (local, remote): (state, int(user), inode)
-            for local, remote, state, user, inode in self._row.findall(_system_sockets())
+            for local, remote, state, user, inode in self._row.findall(_read_socket_tables())
         }
         ours = 0, os.getuid()
         by_source: dict[Network, list[_Connection]] = {}
         local_sources = set()
         for connection in (c for c in half_open if not c.frozen):
-            ends = _hexadecimal(connection.remote), _hexadecimal(connection.local)
+            ends = _format_hex_address(connection.remote), _format_hex_address(connection.local)
             _, user, inode = rows.get((ends[0].encode(), ends[1].encode()), (b"", -1, b""))
             if user in ours and inode != b"0":
                 continue
-            source = _source(connection.remote[0], user != -1)
+            source = _find_source_network(connection.remote[0], user != -1)
             by_source.setdefault(source, []).append(connection)
             if user != -1 or source in _LOOPBACK:
                 local_sources.add(source)
         for source, connections in by_source.items():
-            stuck = sum(now_s - c.since_s > STUCK_S for c in connections)
+            stuck = sum(now_s - c.since_s > BLOCK_HALF_OPEN_AGE_S for c in connections)
             block = self._blocks.get(source)
             if block is None or block.until_s < now_s:
-                if stuck < STUCK and len(connections) < self._burst:
+                if stuck < BLOCK_HALF_OPEN_COUNT and len(connections) < self._burst:
                     continue
                 seconds = BLOCK_S if block is None else 2 * block.seconds
                 seconds = min(max(seconds, len(connections)), BLOCK_MAX_S)
                 self._blocks[source] = _Block(now_s + seconds, seconds, source in local_sources)
                 self._note(f"connections without a certificate from {source}")
-        self._blocks = {s: b for s, b in self._blocks.items() if now_s < b.until_s + FORGIVEN_S}
+        self._blocks = {s: b for s, b in self._blocks.items() if now_s < b.until_s + BLOCK_RESET_S}
         blocked = {s: b.local for s, b in self._blocks.items() if now_s < b.until_s}
         if any(blocked.values()):
             for (local, _), (state, user, _) in rows.items():
                 if state == _SYN_SENT and user in ours:
-                    self._ports[int(local.rpartition(b":")[2], 16)] = now_s + PORT_S
+                    self._ports[int(local.rpartition(b":")[2], 16)] = now_s + PORT_EXEMPTION_S
         self._ports = {port: until_s for port, until_s in self._ports.items() if now_s < until_s}
         wanted = blocked, sorted(self._ports) if blocked else []
         if wanted != self._filter:
             self._filter = wanted
             for (host, _), listening in self._listening.items():
-                listening.filter_packets(_program(ip_address(host).version, *wanted))
+                listening.filter_packets(_build_filter(ip_address(host).version, *wanted))
         for source in blocked:
             for connection in by_source.get(source, ()):
                 connection.freeze()
@@ -363,7 +384,7 @@ def _is_closed(session: zenoh.Session) -> bool:
         return True
 
 
-def _open_sockets() -> Iterator[tuple[int, int]]:
+def _list_open_sockets() -> Iterator[tuple[int, int]]:
     """Yield file descriptor and inode of each socket of this process."""
     try:
         names = os.listdir(_OPEN_FILES)
@@ -376,20 +397,20 @@ def _open_sockets() -> Iterator[tuple[int, int]]:
                 yield int(name), status.st_ino
 
 
-def _ends(name: tuple[str, int] | str | bytes) -> Ends:
+def _parse_socket_name(name: tuple[str, int] | str | bytes) -> SocketAddress:
     """Return host and port of a name of a socket; of no host if it is none of IP."""
     if not isinstance(name, tuple) or not isinstance(name[0], str):
         return "", 0
     return name[0].partition("%")[0], name[1]
 
 
-def _address(endpoint: str) -> Ends | None:
+def _parse_endpoint(endpoint: str) -> SocketAddress | None:
     """Return host and port of Zenoh's `tls/HOST:PORT`; None if it has none."""
     match = _ENDPOINT.fullmatch(endpoint)
     return None if match is None else (match["host"], int(match["port"]))
 
 
-def _system_sockets() -> bytes:
+def _read_socket_tables() -> bytes:
     """Return the tables of TCP sockets of this machine; empty if they cannot be read."""
     tables = b""
     for table in Path("/proc/net/tcp"), Path("/proc/net/tcp6"):
@@ -398,14 +419,14 @@ def _system_sockets() -> bytes:
     return tables
 
 
-def _hexadecimal(ends: Ends) -> str:
+def _format_hex_address(ends: SocketAddress) -> str:
     """Return an address as in /proc/net/tcp."""
     packed = ip_address(ends[0]).packed
     words = struct.unpack(f"={len(packed) // 4}I", packed)
     return "".join(f"{word:08X}" for word in words) + f":{ends[1]:04X}"
 
 
-def _source(host: str, local: bool) -> Network:
+def _find_source_network(host: str, local: bool) -> Network:
     """Return what a connection counts for: an address, or the many that one machine has."""
     address = ip_address(host)
     for loopback in _LOOPBACK:
@@ -416,16 +437,25 @@ def _source(host: str, local: bool) -> Network:
     )
 
 
-def _program(version: int, blocked: dict[Network, bool], ports: Collection[int]) -> list[bytes]:
+def _build_filter(
+    version: int, blocked: dict[Network, bool], ports: Collection[int]
+) -> list[bytes]:
     """Return a filter in classic BPF; of sources on this machine, some ports pass."""
     program: list[bytes] = []
-    for source, local in list(blocked.items())[-SOURCES:]:
+    for source, local in list(blocked.items())[-BLOCKED_SOURCES_MAX:]:
         if source.version != version:
             continue
-        drop = [_step(_RETURN, 0)]
+        drop = [_build_instruction(_RETURN, 0)]
         if local:
-            tests = ([_step(_EQUAL, port, 0, 1), _step(_RETURN, _PASS)] for port in ports)
-            drop = [_step(_LOAD_HALF, 0), *(step for test in tests for step in test), *drop]
+            tests = (
+                [_build_instruction(_EQUAL, port, 0, 1), _build_instruction(_RETURN, _PASS)]
+                for port in ports
+            )
+            drop = [
+                _build_instruction(_LOAD_HALF, 0),
+                *(step for test in tests for step in test),
+                *drop,
+            ]
         place = _NETWORK_HEADER + (12 if version == 4 else 8)  # of the source address
         words = range(0, source.max_prefixlen // 8, 4)
         for word in reversed(words):
@@ -434,14 +464,14 @@ def _program(version: int, blocked: dict[Network, bool], ports: Collection[int])
             )
             if mask:
                 drop = [
-                    _step(_LOAD, place + word), _step(_AND, mask), _step(_EQUAL, value, 1, 0),
-                    _step(_JUMP, len(drop)), *drop,
+                    _build_instruction(_LOAD, place + word), _build_instruction(_AND, mask), _build_instruction(_EQUAL, value, 1, 0),
+                    _build_instruction(_JUMP, len(drop)), *drop,
                 ]  # fmt: skip
         program += drop
-    return [*program, _step(_RETURN, _PASS)] if program else []
+    return [*program, _build_instruction(_RETURN, _PASS)] if program else []
 
 
-def _step(code: int, value: int, if_true: int = 0, if_false: int = 0) -> bytes:
+def _build_instruction(code: int, value: int, if_true: int = 0, if_false: int = 0) -> bytes:
     return struct.pack("HBBI", code, if_true, if_false, value)
 
 
@@ -455,15 +485,15 @@ def _filter_packets(listening: socket.socket, program: list[bytes]) -> None:
         listening.setsockopt(socket.SOL_SOCKET, _DETACH_FILTER, 0)
 
 
-def _shut_down(own: socket.socket) -> None:
+def _shut_down_socket(own: socket.socket) -> None:
     """End a connection, with what was received and not read, of which Zenoh would do all."""
     own.shutdown(socket.SHUT_RDWR)
-    for _ in range(DISCARDS):
+    for _ in range(DISCARD_READS_MAX):
         if not own.recv(65536, socket.MSG_DONTWAIT):
             break
 
 
-def _give_memory_back() -> None:
+def _release_free_memory() -> None:
     """Return free memory to the system, if the C library can."""
     with contextlib.suppress(AttributeError):
         ctypes.CDLL(None).malloc_trim(0)

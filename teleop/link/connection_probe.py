@@ -15,8 +15,8 @@ from cryptography import x509
 from teleop.link.config import Address
 from teleop.security import CertificateError, Credentials
 
-EVERY_S = 5.0
-PATIENCE_S = 1.0  # for a connection, and for an answer
+PROBE_PERIOD_S = 5.0
+PROBE_TIMEOUT_S = 1.0  # for a connection, and for an answer
 
 
 class ConnectionProbe:
@@ -58,22 +58,22 @@ class ConnectionProbe:
         self._end.set()
 
     def _work(self) -> None:
-        while not self._end.wait(EVERY_S):
+        while not self._end.wait(PROBE_PERIOD_S):
             try:
                 connected = {end.rpartition("/")[2] for end in self._connected()}
             except zenoh.ZError:  # closed
                 return
             for endpoint in self._found.keys() - connected:
-                why = fault_of(endpoint, self._credentials, self._session)
+                why = find_connection_fault(endpoint, self._credentials, self._session)
                 if why and why != self._found[endpoint] and not self._end.is_set():
                     self._note(f"a connection to {endpoint}: {why}")
                 self._found[endpoint] = why
 
 
-def fault_of(endpoint: str, credentials: Credentials | None, session: str) -> str:
+def find_connection_fault(endpoint: str, credentials: Credentials | None, session: str) -> str:
     """Return why whoever listens at `endpoint` is not connected to; empty if unknown or nobody."""
     try:
-        certificate = certificate_at(endpoint)
+        certificate = fetch_certificate(endpoint)
     except ValueError:
         return "its certificate cannot be read"
     except OSError:
@@ -89,7 +89,7 @@ def fault_of(endpoint: str, credentials: Credentials | None, session: str) -> st
     return "" if identity.may_join(session) else f"its certificate is {identity.common_name}"
 
 
-def certificate_at(endpoint: str) -> x509.Certificate | None:
+def fetch_certificate(endpoint: str) -> x509.Certificate | None:
     """Return the certificate of whoever listens at `HOST:PORT`; None if it speaks no TLS.
 
     Raises
@@ -103,7 +103,7 @@ def certificate_at(endpoint: str) -> x509.Certificate | None:
     context.check_hostname = False
     context.verify_mode = ssl.CERT_NONE  # it is only looked at; nothing is sent
     address = Address.parse(endpoint)
-    with socket.create_connection(address, PATIENCE_S) as plain:
+    with socket.create_connection(address, PROBE_TIMEOUT_S) as plain:
         try:
             with context.wrap_socket(plain) as secured:
                 der = secured.getpeercert(binary_form=True)

@@ -11,25 +11,25 @@ where `hold` is how long the peer kept our message, if it says so. `LinkWindow` 
 bounds of one to two `WINDOW_NS`; half their distance is the uncertainty of the offset. Bounds that
 contradict each other show that a clock was set. Jitter is the mean |D| of RFC 3550, section 6.4.1.
 
-`observe` takes a message, `take_figures` ends a span of them, `step` decides what follows.
+`update_link_window` takes a message, `take_measurement` ends a span of them, `step` decides what follows.
 """
 
 from collections import deque
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-from estimator.compiled import compiled
-from estimator.records import I64, Flag, Record, Records, one
-from teleop.link.reception import DRIFT, NEVER_NS, Counts
+from estimator.compiled import jit_compile
+from estimator.records import I64, Flag, Struct, StructArray, view_struct
+from teleop.link.reception import DRIFT, NEVER_NS, MessageCounts
 from teleop.messages.messages import LinkReport
 from teleop.messages.topics import Role
 from teleop.runtime.timing import Durations
-from teleop.session.state_machine import Reason, reason_of
+from teleop.session.state_machine import Reason, to_reason
 
 WINDOW_NS = 1_000_000_000  # [ns] of the bounds of the offset, which drift apart in longer ones
 SPAN_NS = 100_000_000  # [ns] between two decisions
 LOSS_SPANS = 10  # spans of which losses are counted together
-_FAR_NS = 2**62
+_UNBOUNDED_NS = 2**62
 _DRIFT_NS = 2 * WINDOW_NS // DRIFT  # that bounds may contradict each other without a clock set
 
 
@@ -67,18 +67,18 @@ class HealthConfig:
 DEFAULT_BOUNDS = HealthConfig()
 
 
-class LinkWindow(Record):
+class LinkWindow(Struct):
     """What is known of the clocks, and the sums of the present span."""
 
     since_ns: I64 = 0  # when the present window began, 0 = none has
-    low_ns: I64 = -_FAR_NS  # bounds of the offset in it
-    high_ns: I64 = _FAR_NS
-    low_before_ns: I64 = -_FAR_NS  # in the one before
-    high_before_ns: I64 = _FAR_NS
+    low_ns: I64 = -_UNBOUNDED_NS  # bounds of the offset in it
+    high_ns: I64 = _UNBOUNDED_NS
+    low_before_ns: I64 = -_UNBOUNDED_NS  # in the one before
+    high_before_ns: I64 = _UNBOUNDED_NS
     echo_ns: I64 = 0  # newest own stamp that the peer has echoed
     transit_ns: I64 = 0  # received less sent, of the last message
     has_transit: Flag = False
-    clock_set: Flag = False  # bounds contradicted each other, since the last `take_figures`
+    clock_set: Flag = False  # bounds contradicted each other, since the last `take_measurement`
     steps: I64 = 0  # of the span: differences of delays
     step_sum_ns: I64 = 0
     answers: I64 = 0  # of the span: round trips
@@ -86,8 +86,10 @@ class LinkWindow(Record):
     answer_max_ns: I64 = 0
 
 
-@compiled
-def observe(windows: Records, sent_ns: int, received_ns: int, echo_ns: int, hold_ns: int) -> None:
+@jit_compile
+def update_link_window(
+    windows: StructArray, sent_ns: int, received_ns: int, echo_ns: int, hold_ns: int
+) -> None:
     """Take one message of the peer.
 
     Parameters
@@ -104,7 +106,7 @@ def observe(windows: Records, sent_ns: int, received_ns: int, echo_ns: int, hold
     window = windows[0]
     if received_ns - window.since_ns > WINDOW_NS or received_ns < window.since_ns:
         window.low_before_ns, window.high_before_ns = window.low_ns, window.high_ns
-        window.low_ns, window.high_ns = -_FAR_NS, _FAR_NS
+        window.low_ns, window.high_ns = -_UNBOUNDED_NS, _UNBOUNDED_NS
         window.since_ns = received_ns
     transit_ns = received_ns - sent_ns
     if window.has_transit:
@@ -125,17 +127,17 @@ def observe(windows: Records, sent_ns: int, received_ns: int, echo_ns: int, hold
     high_ns = min(window.high_ns, window.high_before_ns)
     if low_ns - high_ns > _DRIFT_NS:
         window.clock_set = True
-        window.low_before_ns, window.high_before_ns = -_FAR_NS, _FAR_NS
-        window.low_ns, window.high_ns = -transit_ns, _FAR_NS
+        window.low_before_ns, window.high_before_ns = -_UNBOUNDED_NS, _UNBOUNDED_NS
+        window.low_ns, window.high_ns = -transit_ns, _UNBOUNDED_NS
         window.since_ns = received_ns
 
 
-def compile_observer() -> None:
-    """Compile `observe`, before a loop has to be on time."""
-    observe(LinkWindow.array(), 0, 0, 0, 0)
+def compile_link_window_update() -> None:
+    """Compile `update_link_window`, before a loop has to be on time."""
+    update_link_window(LinkWindow.array(), 0, 0, 0, 0)
 
 
-class Figures(NamedTuple):
+class LinkMeasurement(NamedTuple):
     """What was measured in a span; None where there was nothing to measure."""
 
     offset_ns: int | None = None  # the peer's clock less ours
@@ -161,11 +163,15 @@ class Decision(NamedTuple):
     good_s: float = 0.0  # [s] below all bounds
 
 
-_GOOD = Decision()
+_HEALTHY_DECISION = Decision()
 
 
 def step(
-    config: HealthConfig, before: Decision, figures: Figures, dt: float, peer: Reason = Reason.NONE
+    config: HealthConfig,
+    before: Decision,
+    figures: LinkMeasurement,
+    dt: float,
+    peer: Reason = Reason.NONE,
 ) -> Decision:
     """Return what follows from the figures of a span.
 
@@ -180,26 +186,26 @@ def step(
     peer : Reason
         Bound that the peer finds exceeded, of what it receives.
     """
-    reasons = _exceeded(config, figures, 1.0)
+    reasons = _find_exceeded_bounds(config, figures, 1.0)
     if peer in REASONS:
         reasons.append(peer)
     if reasons:
         over_s = min(before.over_s + dt, config.hold_after)
-        return _decision(config, reasons[0], before.holds, over_s, 0.0)
-    if _exceeded(config, figures, config.recover):
+        return _build_decision(config, reasons[0], before.holds, over_s, 0.0)
+    if _find_exceeded_bounds(config, figures, config.recover):
         return before._replace(good_s=0.0)
     if before.reason is Reason.NONE and not before.over_s:
-        return _GOOD
+        return _HEALTHY_DECISION
     good_s = before.good_s + dt
     if good_s < config.recover_after:
         return before._replace(good_s=good_s)
-    return _decision(config, Reason.NONE, False, max(0.0, before.over_s - dt), good_s)
+    return _build_decision(config, Reason.NONE, False, max(0.0, before.over_s - dt), good_s)
 
 
 REASONS = (Reason.LINK_SLOW, Reason.LINK_JITTER, Reason.LINK_LOSS)
 
 
-def _decision(
+def _build_decision(
     config: HealthConfig, reason: Reason, holds: bool, over_s: float, good_s: float
 ) -> Decision:
     scale = 1.0 - (1.0 - config.scale_min) * over_s / config.hold_after
@@ -207,7 +213,9 @@ def _decision(
     return Decision(reason, holds, scale, over_s, good_s)
 
 
-def _exceeded(config: HealthConfig, figures: Figures, share: float) -> list[Reason]:
+def _find_exceeded_bounds(
+    config: HealthConfig, figures: LinkMeasurement, share: float
+) -> list[Reason]:
     """Return the bounds that are exceeded, the worst first."""
     pairs = (
         (Reason.LINK_SLOW, figures.round_trip_ns, config.round_trip * 1e9),
@@ -228,7 +236,7 @@ class LinkHealth:
     Attributes
     ----------
     windows : Records
-        `LinkWindow`, shape (1,), for `observe`.
+        `LinkWindow`, shape (1,), for `update_link_window`.
     figures : Figures
         Of the last span.
     decision : Decision
@@ -237,22 +245,22 @@ class LinkHealth:
 
     def __init__(self, config: HealthConfig) -> None:
         self.windows = LinkWindow.array()
-        self.figures, self.decision = Figures(), Decision()
+        self.figures, self.decision = LinkMeasurement(), Decision()
         self.round_trip, self.jitter = Durations(), Durations()  # means of spans, of the whole run
         self.scaled_s = self.held_s = 0.0  # [s] in which force and motion were scaled, held
         self._config, self._due_ns = config, 0
-        self._counts: deque[Counts] = deque(maxlen=LOSS_SPANS + 1)
+        self._counts: deque[MessageCounts] = deque(maxlen=LOSS_SPANS + 1)
 
     def is_due(self, now_ns: int) -> bool:
         """Return whether a span ends at `now_ns` [ns]."""
         return now_ns >= self._due_ns
 
-    def update(self, now_ns: int, counts: Counts, peer: Reason = Reason.NONE) -> bool:
+    def update(self, now_ns: int, counts: MessageCounts, peer: Reason = Reason.NONE) -> bool:
         """End a span; return whether the decision has changed. See `step`."""
         dt = SPAN_NS * 1e-9 if self._due_ns else 0.0
         self._due_ns = now_ns + SPAN_NS
-        self._counts.append(counts + Counts())  # a copy
-        self.figures = take_figures(one(self.windows), self._counts[0], counts)
+        self._counts.append(counts + MessageCounts())  # a copy
+        self.figures = take_measurement(view_struct(self.windows), self._counts[0], counts)
         before, self.decision = (
             self.decision,
             step(self._config, self.decision, self.figures, dt, peer),
@@ -271,7 +279,7 @@ class LinkHealth:
                 durations.add(value)
                 durations.take_span()  # unused here, and would grow
 
-    def message(self, role: Role, counts: Counts, age_ns: int) -> LinkReport:
+    def message(self, role: Role, counts: MessageCounts, age_ns: int) -> LinkReport:
         """Return the message of the present health; `age_ns` of the peer's newest message."""
         figures, decision = self.figures, self.decision
         return LinkReport(
@@ -280,12 +288,12 @@ class LinkHealth:
             holds=decision.holds,
             scale=decision.scale,
             offset_ns=figures.offset_ns or 0,
-            uncertainty_ns=_or_none(figures.uncertainty_ns),
-            round_trip_ns=_or_none(figures.round_trip_ns),
-            round_trip_max_ns=_or_none(figures.round_trip_max_ns),
-            jitter_ns=_or_none(figures.jitter_ns),
-            delay_in_ns=_or_none(figures.delay_in_ns),
-            delay_out_ns=_or_none(figures.delay_out_ns),
+            uncertainty_ns=_encode_optional(figures.uncertainty_ns),
+            round_trip_ns=_encode_optional(figures.round_trip_ns),
+            round_trip_max_ns=_encode_optional(figures.round_trip_max_ns),
+            jitter_ns=_encode_optional(figures.jitter_ns),
+            delay_in_ns=_encode_optional(figures.delay_in_ns),
+            delay_out_ns=_encode_optional(figures.delay_out_ns),
             age_ns=-1 if age_ns == NEVER_NS else age_ns,
             loss=-1.0 if figures.loss is None else figures.loss,
             repeated=counts.repeated,
@@ -293,7 +301,7 @@ class LinkHealth:
             clock_jumps=counts.clock_jumps,
         )
 
-    def summary(self, counts: Counts) -> dict[str, Any]:
+    def summary(self, counts: MessageCounts) -> dict[str, Any]:
         """Return the run in numbers."""
         figures = self.figures
         return {
@@ -312,11 +320,13 @@ class LinkHealth:
         }
 
 
-def _or_none(value: int | None) -> int:
+def _encode_optional(value: int | None) -> int:
     return -1 if value is None else value
 
 
-def take_figures(window: LinkWindow, before: Counts, now: Counts) -> Figures:
+def take_measurement(
+    window: LinkWindow, before: MessageCounts, now: MessageCounts
+) -> LinkMeasurement:
     """Return the figures of the span, and begin a new one.
 
     Parameters
@@ -328,7 +338,7 @@ def take_figures(window: LinkWindow, before: Counts, now: Counts) -> Figures:
     """
     low_ns = max(int(window.low_ns), int(window.low_before_ns))
     high_ns = min(int(window.high_ns), int(window.high_before_ns))
-    known = low_ns > -_FAR_NS and high_ns < _FAR_NS
+    known = low_ns > -_UNBOUNDED_NS and high_ns < _UNBOUNDED_NS
     round_trip_ns = int(window.answer_sum_ns // window.answers) if window.answers else None
     offset_ns = (low_ns + high_ns) // 2 if known else None
     delay_in_ns = None if offset_ns is None else max(int(window.transit_ns) + offset_ns, 0)
@@ -339,7 +349,7 @@ def take_figures(window: LinkWindow, before: Counts, now: Counts) -> Figures:
     late = now.out_of_order - before.out_of_order
     lost = max(now.lost - before.lost - late, 0)
     sent = lost + now.received - before.received
-    figures = Figures(
+    figures = LinkMeasurement(
         offset_ns=offset_ns,
         uncertainty_ns=max(high_ns - low_ns, 0) // 2 if known else None,
         round_trip_ns=round_trip_ns,
@@ -358,7 +368,7 @@ def take_figures(window: LinkWindow, before: Counts, now: Counts) -> Figures:
     return figures
 
 
-def link_text(link: LinkReport) -> str:
+def format_link_health(link: LinkReport) -> str:
     """Return the health of a link in words: `link 0.5 ms +- 0.1, loss 0 %`."""
     if link.round_trip_ns < 0:
         text = "link -"
@@ -369,5 +379,5 @@ def link_text(link: LinkReport) -> str:
         text += f", loss {100 * link.loss:.1f} %"
     if link.reason:
         what = "held" if link.holds else f"scaled to {100 * link.scale:.0f} %"
-        text += f": {reason_of(link.reason).text}, {what}"
+        text += f": {to_reason(link.reason).text}, {what}"
     return text

@@ -13,7 +13,7 @@ from typing import Any, TypeAlias
 
 from teleop.runtime.clock import now_ns
 
-Arrived: TypeAlias = tuple[bytes, int]
+TimedBytes: TypeAlias = tuple[bytes, int]
 """A received message with its tags, and when the loop first took it, on our clock [ns]."""
 
 
@@ -36,7 +36,7 @@ class Inbox:
     def __init__(self, size: int, tagged: bool = False) -> None:
         self._size, self._tagged = size, tagged
         self._queue: SimpleQueue[Any] = SimpleQueue()
-        self._taken: list[Arrived] = []  # by `wait`, not yet by `take`
+        self._taken: list[TimedBytes] = []  # by `wait`, not yet by `take`
         self.store: Callable[[Any], None] = self._queue.put
 
     def wake(self) -> None:
@@ -64,7 +64,7 @@ class Inbox:
         self._taken.append((data, now_ns()))
         return True
 
-    def take(self) -> tuple[list[Arrived], bool]:
+    def take(self) -> tuple[list[TimedBytes], bool]:
         """Return the messages, oldest first, and whether older ones were dropped."""
         arrived, self._taken = self._taken, []
         waiting = self._queue.qsize()  # later messages wait for the next call

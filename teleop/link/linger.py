@@ -18,21 +18,21 @@ from pathlib import Path
 import zenoh
 
 _OPEN_FILES = Path("/dev/fd")  # of this process; absent on Windows
-_OFF = struct.pack("ii", 0, 0)
+_LINGER_OFF = struct.pack("ii", 0, 0)
 _ENDPOINT = re.compile(r"\w+/\[?(?P<host>[^\]]+?)\]?:(?P<port>\d+)")
 
 
-def close_at_once(session: zenoh.Session) -> None:
+def disable_linger(session: zenoh.Session) -> None:
     """Turn SO_LINGER off for the connections that a session has and will have."""
-    direct = zenoh.handlers.Callback(_on_link, indirect=False)
+    direct = zenoh.handlers.Callback(_handle_link_event, indirect=False)
     session.info.declare_link_events_listener(direct, history=True)
 
 
-def _on_link(event: zenoh.LinkEvent) -> None:
-    ours = _address(event.link.src)  # the other end may be named by its host
+def _handle_link_event(event: zenoh.LinkEvent) -> None:
+    ours = _parse_endpoint(event.link.src)  # the other end may be named by its host
     if event.kind != zenoh.SampleKind.PUT or ours is None or not _OPEN_FILES.exists():
         return
-    for number in _open_files():
+    for number in _list_open_files():
         try:
             if not stat.S_ISSOCK(os.fstat(number).st_mode):
                 continue
@@ -41,14 +41,14 @@ def _on_link(event: zenoh.LinkEvent) -> None:
             continue
         try:
             if connection.getsockname()[:2] == ours:
-                connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _OFF)
+                connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _LINGER_OFF)
         except OSError:
             continue
         finally:
             connection.detach()  # it is Zenoh's
 
 
-def _open_files() -> Iterable[int]:
+def _list_open_files() -> Iterable[int]:
     """Return the numbers of the open files of this process, and perhaps further ones."""
     try:
         return map(int, os.listdir(_OPEN_FILES))
@@ -56,7 +56,7 @@ def _open_files() -> Iterable[int]:
         return range(os.sysconf("SC_OPEN_MAX"))
 
 
-def _address(endpoint: str) -> tuple[str, int] | None:
+def _parse_endpoint(endpoint: str) -> tuple[str, int] | None:
     """Return host and port of Zenoh's `tls/HOST:PORT`; None if it has none."""
     match = _ENDPOINT.fullmatch(endpoint)
     return None if match is None else (match["host"], int(match["port"]))

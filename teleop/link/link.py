@@ -15,26 +15,26 @@ from teleop.link.connection_probe import ConnectionProbe
 from teleop.link.inbox import Inbox
 from teleop.link.listener import Listener
 from teleop.link.network import Mode, open_session
-from teleop.link.protection import credentials_of
-from teleop.link.publisher import Publisher, sampled_key
-from teleop.link.reception import NEVER_NS, Counts, Latest
-from teleop.link.refusals import Refusals
-from teleop.link.roster import DECISION_NS, Roster
+from teleop.link.protection import load_credentials
+from teleop.link.publisher import Publisher, build_sampled_key
+from teleop.link.reception import NEVER_NS, LatestMessage, MessageCounts
+from teleop.link.refusals import RefusalCounter
+from teleop.link.roster import DECISION_TIMEOUT_NS, Roster
 from teleop.messages.messages import LAYOUT, TOPIC_SLOTS, Message
 from teleop.messages.packet import Packet
 from teleop.messages.topics import TOPICS, Role, Topic
 from teleop.runtime.clock import now_ns
-from teleop.security import OFFICE_OF, Identity, presence
-from teleop.security.access import access_control
+from teleop.security import CERTIFICATE_ROLES, Identity, presence
+from teleop.security.access import build_access_control
 from teleop.security.handshake import Handshake
-from teleop.security.keyring import Keyring, Seals
-from teleop.security.presence import Stage, Token
+from teleop.security.keyring import Keyring, TagKeys
+from teleop.security.presence import RoleStage, Token
 
 M = TypeVar("M", bound=Message)
 
-INSECURE = "INSECURE: whoever reaches the endpoints may move the robot (link.insecure)"
+INSECURE_WARNING = "INSECURE: whoever reaches the endpoints may move the robot (link.insecure)"
 SETTLE_S = 0.3  # time for connecting, and again for detecting peers, before a start
-RING = 16  # messages kept between reads, so that a late read does not lose any
+INBOX_SIZE = 16  # messages kept between reads, so that a late read does not lose any
 
 
 class Link:
@@ -73,21 +73,21 @@ class Link:
         role: Role,
         at_once: bool = False,
     ) -> None:
-        if at_once and role in presence.EXCLUSIVE:
+        if at_once and role in presence.EXCLUSIVE_ROLES:
             raise ValueError(f"a {role!r} must look about before it takes its place")
         self._at_once = at_once
         self.config, self.session, self.role = config, session, role
-        self.credentials = credentials_of(config, session, OFFICE_OF[role])
-        self.nonce = presence.new_nonce()
-        self.refusals = Refusals()
+        self.credentials = load_credentials(config, session, CERTIFICATE_ROLES[role])
+        self.nonce = presence.create_nonce()
+        self.refusals = RefusalCounter()
         self._handshake: Handshake | None = None
         self._keyring: Keyring | None = None
         if self.credentials is not None:
             self._handshake = Handshake(self.credentials, session, self.nonce)
             self._keyring = Keyring(role, self.nonce)
-        self._token = Token(role, LAYOUT, self.nonce, Stage.CLAIM)
+        self._token = Token(role, LAYOUT, self.nonce, RoleStage.CLAIM)
         self._publishers: dict[str, Publisher] = {}
-        self._latest: dict[str, tuple[Latest[Any], Inbox]] = {}
+        self._latest: dict[str, tuple[LatestMessage[Any], Inbox]] = {}
         self._subscribers: list[Any] = []
 
     def __enter__(self) -> Self:
@@ -100,11 +100,11 @@ class Link:
                 self._handshake, self._keyring, self.refusals,
             )  # fmt: skip
             opening.callback(self._roster.close)
-            announces = self.role not in presence.LISTENERS
+            announces = self.role not in presence.LISTENER_ROLES
             claim = self._announce() if announces else None
             if not self._at_once:
                 self._settle()
-            self._token = replace(self._token, stage=Stage.HELD)
+            self._token = replace(self._token, stage=RoleStage.HELD)
             if claim is not None:
                 self._held = self._announce()
                 self._roster.show_token(
@@ -126,7 +126,7 @@ class Link:
     @property
     def warning(self) -> str:
         """What is wrong with the protection of this link; empty if nothing."""
-        return INSECURE if self.credentials is None else self.credentials.warning
+        return INSECURE_WARNING if self.credentials is None else self.credentials.warning
 
     def publish(self, topic: Topic[M], message: M) -> int:
         """Send `message` and return its stamp [ns]; takes microseconds."""
@@ -168,7 +168,7 @@ class Link:
         """Return whether somebody subscribes to `topic`, or to copies of it; for a replay."""
         return self._publisher(topic, patient=True).needed
 
-    def subscribe_latest(self, topic: Topic[M], limit_ns: int = NEVER_NS) -> Latest[M]:
+    def subscribe_latest(self, topic: Topic[M], limit_ns: int = NEVER_NS) -> LatestMessage[M]:
         """Subscribe to the latest value of `topic`; call it before the loop starts.
 
         Messages older than `limit_ns` [ns] on arrival are counted as delayed. A topic subscribed to
@@ -182,10 +182,10 @@ class Link:
         keyring = self._keyring
         senders = None if keyring is None else keyring.senders(topic)
         addressee = b"" if keyring is None else keyring.addressee
-        latest = Latest(
+        latest = LatestMessage(
             topic, partial(self._roster.visit, topic.publisher), limit_ns, senders, addressee
         )
-        inbox = Inbox(RING, tagged=senders is not None)
+        inbox = Inbox(INBOX_SIZE, tagged=senders is not None)
         direct = zenoh.handlers.Callback(inbox.store, indirect=False)  # no thread in between
         self._subscribers.append(self._zenoh.declare_subscriber(self._key(topic.name), direct))
         self._latest[topic.name] = latest, inbox
@@ -204,7 +204,7 @@ class Link:
         for _, inbox in self._latest.values():
             inbox.wake()
 
-    def latest(self, topic: Topic[M]) -> Latest[M]:
+    def latest(self, topic: Topic[M]) -> LatestMessage[M]:
         """Process new messages of `topic`; return the newest with its age."""
         if topic.name not in self._latest:
             self.subscribe_latest(topic)
@@ -223,7 +223,7 @@ class Link:
         for topic in topics:
             key = self._key(topic.name)
             if topic in sampled:
-                key = sampled_key(key)
+                key = build_sampled_key(key)
             store = listener.store(topic, topic in sampled)
             direct = zenoh.handlers.Callback(store, indirect=False)
             self._subscribers.append(self._zenoh.declare_subscriber(key, direct))
@@ -247,13 +247,13 @@ class Link:
 
     def check_peers(self) -> None:
         """Raise `PeerError` if this process must leave the session; costs microseconds."""
-        why = presence.conflict(self._token, self._roster.others)
+        why = presence.find_conflict(self._token, self._roster.others)
         if why is not None:
             raise PeerError(f"session {self.session!r} {why}")
 
-    def counts(self) -> Counts:
+    def counts(self) -> MessageCounts:
         """Return the message counts of all latest-value topics together."""
-        return sum((latest.counts for latest, _ in self._latest.values()), Counts())
+        return sum((latest.counts for latest, _ in self._latest.values()), MessageCounts())
 
     def last_sequences(self) -> tuple[int, ...]:
         """Return the sequence number of our last message of each of `TOPICS`, 0 = none."""
@@ -275,7 +275,7 @@ class Link:
                 raise ValueError(
                     f"{topic.name} is published by {topic.publisher!r}, not {self.role!r}"
                 )
-            seals = Seals() if self._keyring is None else self._keyring.seals(topic)
+            seals = TagKeys() if self._keyring is None else self._keyring.seals(topic)
             publisher = self._publishers[topic.name] = Publisher(
                 self._zenoh, self._key(topic.name), seals,
                 live=topic.live and not patient, sampled_hz=topic.sampled_hz, patient=patient,
@@ -315,7 +315,7 @@ class Link:
         return session
 
     def _access(self) -> dict[str, Any] | None:
-        return None if self.credentials is None else access_control([self.session])
+        return None if self.credentials is None else build_access_control([self.session])
 
     def _blame_rival(self, endpoints: list[str]) -> None:
         """Raise `PeerError` if it is our own session's peer that has the endpoint."""
@@ -375,5 +375,5 @@ class Link:
         """Return whether a start at `begin_ns` goes on detecting peers."""
         waited_s = (now_ns() - begin_ns) * 1e-9
         return waited_s <= SETTLE_S or (
-            roster.undecided and waited_s <= SETTLE_S + DECISION_NS * 1e-9
+            roster.undecided and waited_s <= SETTLE_S + DECISION_TIMEOUT_NS * 1e-9
         )

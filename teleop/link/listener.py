@@ -8,14 +8,17 @@ import zenoh
 
 from teleop.link.message_queue import MessageQueue
 from teleop.link.rate_limit import RateLimit
-from teleop.link.reception import Counts, Reception
+from teleop.link.reception import MessageCounts, Reception
 from teleop.messages.messages import Head
 from teleop.messages.topics import Topic
 from teleop.runtime.clock import now_ns
-from teleop.security.keyring import Keyring, Verdict
+from teleop.security.keyring import Keyring, TagVerdict
 
-LOOKS, LOOKS_HZ = 50, 500.0  # messages of a topic whose tags are checked: at once, per second
-LOOKS_RATIO = 4.0  # and at least so many times those that are expected
+VERIFY_BURST, VERIFY_HZ = (
+    50,
+    500.0,
+)  # messages of a topic whose tags are checked: at once, per second
+VERIFY_RATIO = 4.0  # and at least so many times those that are expected
 SENDERS = 64  # senders tracked per topic; beyond that the least recent one is dropped
 
 
@@ -38,7 +41,7 @@ class Listener:
     and their gap in the sequence as `overwritten`, not `lost`.
 
     Of topics that we act on (`Keyring.senders`), Zenoh's thread queues only messages with the tag
-    of their sender, and looks at `LOOKS_HZ` a second at most: others cost neither the loop's time
+    of their sender, and looks at `VERIFY_HZ` a second at most: others cost neither the loop's time
     nor memory.
 
     Parameters
@@ -58,12 +61,12 @@ class Listener:
         self._visit, self._keyring = visit, keyring
         self._refused: dict[str, int] = {}
         self._forged: dict[str, int] = {}
-        self._senders: dict[str, _Senders] = {}
+        self._senders: dict[str, _SenderChecks] = {}
 
     def store(self, topic: Topic[Any], sampled: bool = False) -> Callable[[zenoh.Sample], None]:
         """Return the callback for Zenoh's samples of `topic`, or of copies of some of them."""
         self._queue.add(topic)
-        self._senders[topic.name] = _Senders(topic, self._visit, sampled)
+        self._senders[topic.name] = _SenderChecks(topic, self._visit, sampled)
         put = self._queue.put
         if self._keyring is not None and self._keyring.senders(topic) is not None:
             return self._verifying(topic, self._keyring.verify)
@@ -79,10 +82,10 @@ class Listener:
         return self._forged.get(topic.name, 0)
 
     def _verifying(
-        self, topic: Topic[Any], verify: Callable[[Topic[Any], bytes, bytes], Verdict]
+        self, topic: Topic[Any], verify: Callable[[Topic[Any], bytes, bytes], TagVerdict]
     ) -> Callable[[zenoh.Sample], None]:
         """Return the callback that queues messages of `topic` with the right tag only."""
-        allowed = RateLimit(LOOKS, max(LOOKS_HZ, LOOKS_RATIO * topic.rate_hz))
+        allowed = RateLimit(VERIFY_BURST, max(VERIFY_HZ, VERIFY_RATIO * topic.rate_hz))
         size, name = topic.message.schema.size, topic.name
         put, refused, forged = self._queue.put, self._refused, self._forged
 
@@ -91,10 +94,10 @@ class Listener:
             if tags is not None and len(sample.payload) == size and allowed():
                 data = sample.payload.to_bytes()
                 found = verify(topic, data, tags.to_bytes())
-                if found is Verdict.GENUINE:
+                if found is TagVerdict.GENUINE:
                     put(topic, data, now_ns())
                     return
-                if found is Verdict.FORGED:
+                if found is TagVerdict.FORGED:
                     forged[name] = forged.get(name, 0) + 1
             refused[name] = refused.get(name, 0) + 1
 
@@ -126,10 +129,10 @@ class Listener:
         """Return when the oldest waiting message was received [ns]; None if none waits."""
         return self._queue.oldest_ns()
 
-    def counts(self, topic: Topic[Any]) -> Counts:
+    def counts(self, topic: Topic[Any]) -> MessageCounts:
         """Return the message counts of `topic`, all senders together."""
         senders = self._senders.get(topic.name)
-        return Counts() if senders is None else senders.counts()
+        return MessageCounts() if senders is None else senders.counts()
 
     def dropped(self, topic: Topic[Any]) -> int:
         """Return how many received messages of `topic` were dropped before they were read.
@@ -139,7 +142,7 @@ class Listener:
         return self._queue.dropped(topic)
 
 
-class _Senders:
+class _SenderChecks:
     """The checks of a topic: one `Reception`, or one per sender if several publish it.
 
     Only senders with an accepted message are tracked, at most `SENDERS`; counts of dropped ones
@@ -154,7 +157,7 @@ class _Senders:
         self._receptions: OrderedDict[int, Reception] = OrderedDict()
         self._overflowed: set[int] = set()  # whose next gap is due to our queue
         self._dropped = 0
-        self._forgotten = Counts()
+        self._forgotten = MessageCounts()
 
     def __len__(self) -> int:
         return len(self._receptions)
@@ -183,7 +186,7 @@ class _Senders:
             self._forgotten += reception.counts
         return head
 
-    def counts(self) -> Counts:
+    def counts(self) -> MessageCounts:
         """Return the counts of all checked messages."""
         return sum((r.counts for r in self._receptions.values()), self._forgotten)
 

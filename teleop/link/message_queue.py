@@ -46,7 +46,7 @@ class MessageQueue:
     def add(self, topic: Topic[Any], capacity: int | None = None) -> None:
         """Accept messages of `topic` from now on, `capacity_of(topic)` of them at a time."""
         with self._lock:
-            self._queues[topic.name] = deque(maxlen=capacity or capacity_of(topic))
+            self._queues[topic.name] = deque(maxlen=capacity or compute_capacity(topic))
             self._dropped.setdefault(topic.name, 0)
 
     def put(self, topic: Topic[Any], data: bytes, received_ns: int) -> None:
@@ -80,7 +80,7 @@ class MessageQueue:
                     while queue and queue[0].number < end:
                         arrivals.append(queue.popleft())
             self.has_arrivals = any(waiting)
-        arrivals.sort(key=_number)
+        arrivals.sort(key=_get_number)
         return arrivals, dropped
 
     def oldest_ns(self) -> int | None:
@@ -94,18 +94,18 @@ class MessageQueue:
         return self._dropped[topic.name]
 
 
-def capacity_of(topic: Topic[Any]) -> int:
+def compute_capacity(topic: Topic[Any]) -> int:
     """Return the capacity for a topic; twice as many if both sides publish it."""
     publishers = 2 if topic.publisher is None else 1
     return max(CAPACITY_MIN, round(BACKLOG_S * topic.rate_hz * publishers))
 
 
-def capacity_bytes(topics: Iterable[Topic[Any]]) -> int:
+def compute_capacity_bytes(topics: Iterable[Topic[Any]]) -> int:
     """Return the memory [bytes] that messages of `topics` take at most while they wait."""
     return sum(
-        capacity_of(topic) * (topic.message.schema.size + 1 + ENTRY_BYTES) for topic in topics
+        compute_capacity(topic) * (topic.message.schema.size + 1 + ENTRY_BYTES) for topic in topics
     )
 
 
-def _number(arrival: Arrival) -> int:
+def _get_number(arrival: Arrival) -> int:
     return arrival.number

@@ -12,7 +12,7 @@ import zenoh
 
 from teleop.errors import TeleopError, UsageError
 from teleop.link.connection_guard import HANDSHAKE_TIMEOUT_MS, ConnectionGuard
-from teleop.link.linger import close_at_once
+from teleop.link.linger import disable_linger
 from teleop.security import Credentials
 
 RETRY_MS = 100  # between attempts to connect to a peer
@@ -55,14 +55,14 @@ def open_session(
     _require_open_files()
     if mode != "router":  # that one serves many connections at once
         os.environ.setdefault("ZENOH_RUNTIME", THREADS)  # read when the first session opens
-    flat = settings(credentials, listen, connect, access, mode)
+    flat = build_settings(credentials, listen, connect, access, mode)
     if sys.platform == "linux" and credentials is not None:
         flat["listen/endpoints"] = [
             f"{endpoint}#tls_handshake_timeout_ms={HANDSHAKE_TIMEOUT_MS}"
             for endpoint in flat["listen/endpoints"]
         ]
     try:
-        session = zenoh.open(config_of(flat))
+        session = zenoh.open(to_zenoh_config(flat))
     except zenoh.ZError as error:
         if mode == "client":
             routers = ", ".join(connect)
@@ -70,8 +70,8 @@ def open_session(
                 f"no router answers at {routers}; start one there: teleop router --help"
             ) from error
         place = f"cannot listen on {', '.join(listen)}" if listen else "cannot open the link"
-        raise UsageError(f"{place}: {_reason(str(error))}") from error
-    close_at_once(session)
+        raise UsageError(f"{place}: {_explain_zenoh_error(str(error))}") from error
+    disable_linger(session)
     ConnectionGuard(session, listen, CONNECTIONS if mode == "router" else BURST, note)
     return session
 
@@ -89,7 +89,7 @@ def _require_open_files() -> None:
         resource.setrlimit(resource.RLIMIT_NOFILE, (OPEN_FILES, hard))
 
 
-def config_of(settings: dict[str, Any]) -> zenoh.Config:
+def to_zenoh_config(settings: dict[str, Any]) -> zenoh.Config:
     """Return Zenoh's form of settings by their path, such as `connect/endpoints`."""
     zenoh_config = zenoh.Config()
     for key, value in settings.items():
@@ -97,7 +97,7 @@ def config_of(settings: dict[str, Any]) -> zenoh.Config:
     return zenoh_config
 
 
-def settings(
+def build_settings(
     credentials: Credentials | None,
     listen: list[str],
     connect: list[str],
@@ -179,7 +179,7 @@ def declare_publisher(
     )
 
 
-def _reason(text: str) -> str:
+def _explain_zenoh_error(text: str) -> str:
     """Return the reason in a Zenoh error, with a remedy if known."""
     if "Address already in use" in text:
         return "another process uses this port; stop it, or set another port in link of the config"

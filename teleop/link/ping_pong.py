@@ -20,22 +20,22 @@ import zenoh
 
 from teleop.link.inbox import Inbox
 from teleop.link.network import declare_publisher, open_session
-from teleop.runtime.clock import quiet_garbage
-from teleop.runtime.process import SUPERVISED, die_with_launcher, module_command
-from teleop.runtime.realtime import RealtimeConfig, enter_loop, go_realtime
-from teleop.security import Office
-from teleop.security.local import local_credentials
+from teleop.runtime.clock import pause_garbage_collection
+from teleop.runtime.process import SUPERVISED_VARIABLE, build_module_command, die_with_launcher
+from teleop.runtime.realtime import RealtimeConfig, enter_loop, request_realtime
+from teleop.security import CertificateRole
+from teleop.security.local import create_local_credentials
 
 PERIOD_S = 1e-3  # between two commands, as in a 1 kHz session
-PATIENCE_S = 0.05  # timeout of an answer
+ANSWER_TIMEOUT_S = 0.05  # timeout of an answer
 START_S = 5.0  # timeout for the start of the other process
-_WORD = 8  # bytes: a command begins with its number, an answer with that and its own stamp
-_RING = 16
+_NUMBER_BYTES = 8  # bytes: a command begins with its number, an answer with that and its own stamp
+_INBOX_SIZE = 16
 _SESSION = "ping-pong"
 _DEFAULT = RealtimeConfig()
 
 
-def ping_pong(
+def measure_ping_pong(
     command_bytes: int, state_bytes: int, n: int = 1000, realtime: RealtimeConfig = _DEFAULT
 ) -> dict[str, Any]:
     """Measure `n` round trips between two new processes.
@@ -55,11 +55,11 @@ def ping_pong(
         `n` answered; `p50_ms`, `p99_ms`, `p99_9_ms` of the round trip; the same with the prefix
         `one_way_` for the way back; `realtime`, the scheduling granted. Empty without an answer.
     """
-    endpoint = f"127.0.0.1:{_free_port()}"
+    endpoint = f"127.0.0.1:{_find_free_port()}"
     scheduling = [str(realtime.priority), json.dumps(realtime.cores)]
-    pong = _start(["pong", endpoint, str(state_bytes), *scheduling])
+    pong = _start_process(["pong", endpoint, str(state_bytes), *scheduling])
     try:
-        ping = _start(["ping", endpoint, str(command_bytes), *scheduling, str(n)])
+        ping = _start_process(["ping", endpoint, str(command_bytes), *scheduling, str(n)])
         try:
             out, _ = ping.communicate()
         finally:
@@ -71,98 +71,104 @@ def ping_pong(
     return result
 
 
-def percentiles_ms(durations_ns: list[int], prefix: str = "") -> dict[str, float]:
+def compute_percentiles_ms(durations_ns: list[int], prefix: str = "") -> dict[str, float]:
     """Return p50, p99 and p99.9 in milliseconds."""
     p50, p99, p99_9 = np.percentile(np.array(durations_ns) * 1e-6, [50.0, 99.0, 99.9]).tolist()
     return {f"{prefix}p50_ms": p50, f"{prefix}p99_ms": p99, f"{prefix}p99_9_ms": p99_9}
 
 
-def _start(words: list[str]) -> subprocess.Popen[bytes]:
+def _start_process(words: list[str]) -> subprocess.Popen[bytes]:
     root = str(Path(__file__).parents[2])
     path = os.pathsep.join([root, *filter(None, [os.environ.get("PYTHONPATH")])])
     return subprocess.Popen(
-        [*module_command("teleop.link.ping_pong"), *words],
+        [*build_module_command("teleop.link.ping_pong"), *words],
         stdin=subprocess.PIPE,  # pong ends when this closes
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
-        env=os.environ | {"PYTHONPATH": path, SUPERVISED: str(os.getpid())},
+        env=os.environ | {"PYTHONPATH": path, SUPERVISED_VARIABLE: str(os.getpid())},
         start_new_session=True,  # Ctrl-C is handled by this process
     )
 
 
-def _ping(endpoint: str, size: int, realtime: RealtimeConfig, n: int) -> dict[str, Any]:
+def _run_ping(endpoint: str, size: int, realtime: RealtimeConfig, n: int) -> dict[str, Any]:
     """Send `n` commands and return their round trips."""
-    granted = go_realtime(realtime)
-    with open_session(local_credentials(_SESSION, Office.MASTER), [], [endpoint]) as session:
-        inbox = _subscribe(session, "pong")
+    granted = request_realtime(realtime)
+    with open_session(
+        create_local_credentials(_SESSION, CertificateRole.MASTER), [], [endpoint]
+    ) as session:
+        inbox = _subscribe_inbox(session, "pong")
         publisher = declare_publisher(session, "teleop-ping-pong/ping", live=True, patient=False)
         enter_loop(granted, realtime)
         deadline = time.monotonic() + START_S
-        while _answer(publisher, inbox, size, n) is None:
+        while _measure_round_trip(publisher, inbox, size, n) is None:
             if time.monotonic() > deadline:
                 return {}
         round_trips, ways_back = [], []
-        with quiet_garbage():
+        with pause_garbage_collection():
             begin = time.monotonic()
             for k in range(n):
                 time.sleep(max(0.0, begin + k * PERIOD_S - time.monotonic()))
-                answer = _answer(publisher, inbox, size, k)
+                answer = _measure_round_trip(publisher, inbox, size, k)
                 if answer is not None:
                     round_trips.append(answer[0])
                     ways_back.append(answer[1])
     if not round_trips:
         return {}
-    times = percentiles_ms(round_trips) | percentiles_ms(ways_back, "one_way_")
+    times = compute_percentiles_ms(round_trips) | compute_percentiles_ms(ways_back, "one_way_")
     return {"n": len(round_trips), **times, "realtime": granted}
 
 
-def _answer(publisher: zenoh.Publisher, inbox: Inbox, size: int, k: int) -> tuple[int, int] | None:
+def _measure_round_trip(
+    publisher: zenoh.Publisher, inbox: Inbox, size: int, k: int
+) -> tuple[int, int] | None:
     """Send command `k`; return (round trip, way back) [ns], or None if no answer comes."""
-    number = k.to_bytes(_WORD, "little")
+    number = k.to_bytes(_NUMBER_BYTES, "little")
     command = number.ljust(size, b"\0")
     sent = time.monotonic_ns()
     publisher.put(command)
-    while inbox.wait(sent + round(PATIENCE_S * 1e9)):
+    while inbox.wait(sent + round(ANSWER_TIMEOUT_S * 1e9)):
         now = time.monotonic_ns()
         for data, _ in inbox.take()[0]:
             if data.startswith(number):
-                stamp = int.from_bytes(data[_WORD : 2 * _WORD], "little")
+                stamp = int.from_bytes(data[_NUMBER_BYTES : 2 * _NUMBER_BYTES], "little")
                 return now - sent, now - stamp
     return None
 
 
-def _pong(endpoint: str, size: int, realtime: RealtimeConfig) -> None:
+def _run_pong(endpoint: str, size: int, realtime: RealtimeConfig) -> None:
     """Answer every command until standard input closes."""
-    granted = go_realtime(realtime)
-    with open_session(local_credentials(_SESSION, Office.SLAVE), [endpoint], []) as session:
-        inbox = _subscribe(session, "ping")
+    granted = request_realtime(realtime)
+    with open_session(
+        create_local_credentials(_SESSION, CertificateRole.SLAVE), [endpoint], []
+    ) as session:
+        inbox = _subscribe_inbox(session, "ping")
         publisher = declare_publisher(session, "teleop-ping-pong/pong", live=True, patient=False)
         closed = threading.Event()
-        threading.Thread(target=_await_end, args=(closed,), daemon=True).start()
+        threading.Thread(target=_wait_for_end_of_input, args=(closed,), daemon=True).start()
         enter_loop(granted, realtime)
-        with quiet_garbage():
+        with pause_garbage_collection():
             while not closed.is_set():
-                if not inbox.wait(time.monotonic_ns() + round(PATIENCE_S * 1e9)):
+                if not inbox.wait(time.monotonic_ns() + round(ANSWER_TIMEOUT_S * 1e9)):
                     continue
                 for command, _ in inbox.take()[0]:
-                    stamp = time.monotonic_ns().to_bytes(_WORD, "little")
-                    publisher.put((command[:_WORD] + stamp).ljust(size, b"\0"))
+                    stamp = time.monotonic_ns().to_bytes(_NUMBER_BYTES, "little")
+                    publisher.put((command[:_NUMBER_BYTES] + stamp).ljust(size, b"\0"))
 
 
-def _await_end(closed: threading.Event) -> None:
+def _wait_for_end_of_input(closed: threading.Event) -> None:
     sys.stdin.read()
     closed.set()
 
 
-def _subscribe(session: zenoh.Session, name: str) -> Inbox:
+def _subscribe_inbox(session: zenoh.Session, name: str) -> Inbox:
     """Return the inbox of the messages of `name`, as in `Link.subscribe_latest`."""
-    inbox = Inbox(_RING)
+    inbox = Inbox(_INBOX_SIZE)
     direct = zenoh.handlers.Callback(inbox.store, indirect=False)
     session.declare_subscriber(f"teleop-ping-pong/{name}", direct)
     return inbox
 
 
-def _free_port() -> int:
+def _find_free_port() -> int:
     """Return a free port."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
@@ -173,14 +179,14 @@ def main(words: list[str]) -> None:
     """Run one of the two processes: `ping|pong ENDPOINT BYTES PRIORITY CORES [N]`."""
     die_with_launcher()
     side, endpoint, size, priority, cores = words[:5]
-    realtime = RealtimeConfig(int(priority), _cores(json.loads(cores)))
+    realtime = RealtimeConfig(int(priority), _parse_cores(json.loads(cores)))
     if side == "pong":
-        _pong(endpoint, int(size), realtime)
+        _run_pong(endpoint, int(size), realtime)
     else:
-        print(json.dumps(_ping(endpoint, int(size), realtime, int(words[5]))), flush=True)
+        print(json.dumps(_run_ping(endpoint, int(size), realtime, int(words[5]))), flush=True)
 
 
-def _cores(named: Any) -> Any:
+def _parse_cores(named: Any) -> Any:
     return named if named == "auto" else tuple(named)
 
 

@@ -1,12 +1,14 @@
 """The credentials that the config of a link asks for."""
 
 from teleop.link.config import LinkConfig
-from teleop.security import Credentials, Office
+from teleop.security import CertificateRole, Credentials
 from teleop.security import credentials as stored
-from teleop.security.local import local_credentials
+from teleop.security.local import create_local_credentials
 
 
-def credentials_of(config: LinkConfig, session: str, office: Office) -> Credentials | None:
+def load_credentials(
+    config: LinkConfig, session: str, office: CertificateRole
+) -> Credentials | None:
     """Return the credentials of a role in a session; None if the config asks for plaintext.
 
     Raises
@@ -18,4 +20,4 @@ def credentials_of(config: LinkConfig, session: str, office: Office) -> Credenti
         return None
     if config.keys is not None:
         return stored.load(config.keys, session, office)
-    return local_credentials(session, office)
+    return create_local_credentials(session, office)

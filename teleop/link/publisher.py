@@ -12,10 +12,10 @@ import zenoh
 
 from teleop.link.network import declare_publisher
 from teleop.runtime.clock import now_ns
-from teleop.security.keyring import Seals
+from teleop.security.keyring import TagKeys
 
 
-def sampled_key(key: str) -> str:
+def build_sampled_key(key: str) -> str:
     """Return the key of the copies of some of a topic's messages."""
     return f"{key}/sampled"
 
@@ -52,16 +52,18 @@ class Publisher:
         self,
         session: zenoh.Session,
         key: str,
-        seals: Seals,
+        seals: TagKeys,
         live: bool,
         sampled_hz: float = 0.0,
         patient: bool = False,
     ) -> None:
-        self._subscribed = Subscribed(declare_publisher(session, key, live, patient))
+        self._subscribed = SubscriberAwarePublisher(declare_publisher(session, key, live, patient))
         self._put = self._subscribed.put
         self._seals = seals
         self._copies = (
-            Subscribed(declare_publisher(session, sampled_key(key), live, patient))
+            SubscriberAwarePublisher(
+                declare_publisher(session, build_sampled_key(key), live, patient)
+            )
             if sampled_hz
             else None
         )
@@ -92,7 +94,7 @@ class Publisher:
                 self._copies.put(data)
 
 
-class Subscribed:
+class SubscriberAwarePublisher:
     """A Zenoh publisher that knows whether it has subscribers.
 
     Attributes

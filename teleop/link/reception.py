@@ -5,17 +5,17 @@ from dataclasses import dataclass, fields
 from hmac import compare_digest
 from typing import Any, Generic, TypeVar
 
-from teleop.link.inbox import Arrived
+from teleop.link.inbox import TimedBytes
 from teleop.messages.messages import Head, Message, MessageError
 from teleop.messages.packet import Packet
 from teleop.messages.topics import Topic
-from teleop.security.keyring import Verdict, verdict
+from teleop.security.keyring import TagVerdict, check_tags
 
 M = TypeVar("M", bound=Message)
 
 CLOCK_JUMP_NS = 1_000_000_000  # a message that much faster than any before: the clock jumped
-REJECTED = ("corrupted", "layout", "repeated", "out_of_order", "foreign", "forged")
-ENDED = 256  # earlier senders whose last sequence number is kept
+REJECTION_COUNTERS = ("corrupted", "layout", "repeated", "out_of_order", "foreign", "forged")
+ENDED_SENDERS_MAX = 256  # earlier senders whose last sequence number is kept
 SETTLE_NS = 200_000_000  # after a clock was set: hundreds of messages, one of which is not late
 UNSETTLED_NS = 10_000_000_000  # age of the messages until then: beyond every timeout
 NEVER_NS = 2**63 - 1  # age of a missing message: beyond every limit
@@ -23,7 +23,7 @@ DRIFT = 1000  # inverse of the largest drift between two clocks; NTP slews by ha
 
 
 @dataclass(slots=True)
-class Counts:
+class MessageCounts:
     """Message counts of one topic."""
 
     received: int = 0
@@ -43,10 +43,12 @@ class Counts:
     @property
     def rejected(self) -> int:
         """Number of rejected messages."""
-        return sum(getattr(self, kind) for kind in REJECTED)
+        return sum(getattr(self, kind) for kind in REJECTION_COUNTERS)
 
-    def __add__(self, other: "Counts") -> "Counts":
-        return Counts(*(getattr(self, f.name) + getattr(other, f.name) for f in fields(self)))
+    def __add__(self, other: "MessageCounts") -> "MessageCounts":
+        return MessageCounts(
+            *(getattr(self, f.name) + getattr(other, f.name) for f in fields(self))
+        )
 
 
 class Reception:
@@ -73,7 +75,7 @@ class Reception:
         senders: Mapping[int, Any] | None = None,
         addressee: bytes = b"",
     ) -> None:
-        self.counts = Counts()
+        self.counts = MessageCounts()
         self.sender: int | None = None
         self.sequence = 0
         self._schema = topic.message.schema
@@ -110,10 +112,10 @@ class Reception:
             tag = self._addressee + mac.digest()
             # usually there is one tag, which costs no call of Python
             if not compare_digest(tags, tag):
-                found = verdict(tag, tags)
-                counts.forged += found is Verdict.FORGED
-                counts.unknown += found is Verdict.UNKNOWN
-                if found is not Verdict.GENUINE:
+                found = check_tags(tag, tags)
+                counts.forged += found is TagVerdict.FORGED
+                counts.unknown += found is TagVerdict.UNKNOWN
+                if found is not TagVerdict.GENUINE:
                     return None
         if head.sender == self.sender:
             gap = head.sequence - self.sequence
@@ -138,7 +140,7 @@ class Reception:
             if self.sender is not None:
                 counts.restarts += 1
                 self._ended[self.sender] = self.sequence
-                if len(self._ended) > ENDED:
+                if len(self._ended) > ENDED_SENDERS_MAX:
                     del self._ended[next(iter(self._ended))]
             self.sender = head.sender
         self.sequence = head.sequence
@@ -146,7 +148,7 @@ class Reception:
         return head
 
 
-class Latest(Generic[M]):
+class LatestMessage(Generic[M]):
     """The newest message of a topic and its age.
 
     The age of a message is the time since its arrival, plus its delay in excess of the fastest
@@ -210,7 +212,7 @@ class Latest(Generic[M]):
             self._least_ns = self.received_ns - self.stamp_ns
 
     @property
-    def counts(self) -> Counts:
+    def counts(self) -> MessageCounts:
         """Counts of all messages so far."""
         return self._reception.counts
 
@@ -231,7 +233,7 @@ class Latest(Generic[M]):
         """Return whether there is a message not older than `limit_ns` [ns]."""
         return self.age_ns(now_ns) <= limit_ns
 
-    def take(self, arrived: list[Arrived], overflowed: bool = False) -> None:
+    def take(self, arrived: list[TimedBytes], overflowed: bool = False) -> None:
         """Process the messages since the last call, oldest first."""
         newest, newest_head, now_ns = None, None, 0
         for data, received_ns in arrived:

@@ -3,10 +3,10 @@
 from collections import OrderedDict
 from threading import Lock
 
-KINDS = 16  # kept between two readings; of further ones only their number
+REFUSAL_KINDS_MAX = 16  # kept between two readings; of further ones only their number
 
 
-class Refusals:
+class RefusalCounter:
     """Lines for people, with how often each was refused; any thread may use it."""
 
     def __init__(self) -> None:
@@ -19,7 +19,7 @@ class Refusals:
         with self._lock:
             if what in self._counts:
                 self._counts[what] += times
-            elif len(self._counts) < KINDS:
+            elif len(self._counts) < REFUSAL_KINDS_MAX:
                 self._counts[what] = times
             else:
                 self._further += times

@@ -15,17 +15,17 @@ from teleop.errors import TeleopError
 from teleop.link.config import Endpoint
 from teleop.link.network import LEASE_MS, OPEN_MS, RETRY_MS
 
-_LOOK_S = 0.5  # [s] for a connection on this machine
+_CONNECT_TIMEOUT_S = 0.5  # [s] for a connection on this machine
 
-Receive = Callable[[bytes, bytes], None]
+RawSampleCallback = Callable[[bytes, bytes], None]
 """Called from Zenoh's thread with the payload of a sample and its attachment."""
 
 
-def router_listens(router: str) -> bool:
+def is_router_listening(router: str) -> bool:
     """Return whether something listens at the router's endpoint."""
     endpoint = Endpoint.parse(router)
     try:
-        with socket.create_connection((endpoint.host, endpoint.port), _LOOK_S):
+        with socket.create_connection((endpoint.host, endpoint.port), _CONNECT_TIMEOUT_S):
             return True
     except OSError:
         return False
@@ -42,7 +42,7 @@ class RosSession:
     Raises
     ------
     TeleopError
-        There is no router (`router_listens` tells without waiting).
+        There is no router (`is_router_listening` tells without waiting).
 
     Attributes
     ----------
@@ -82,7 +82,7 @@ class RosSession:
         """Keep a liveliness token until the session is closed."""
         self._declared.append(self._liveliness.declare_token(key))
 
-    def declare_publisher(self, key: str, reliable: bool) -> "RosSamples":
+    def declare_publisher(self, key: str, reliable: bool) -> "RosSampleSender":
         """Return a publisher that never waits: a sample is dropped if the router is too slow."""
         kind = zenoh.Reliability.RELIABLE if reliable else zenoh.Reliability.BEST_EFFORT
         publisher: Any = self._zenoh.declare_publisher(
@@ -91,9 +91,9 @@ class RosSession:
             congestion_control=zenoh.CongestionControl.DROP,
             reliability=kind,
         )
-        return RosSamples(publisher)
+        return RosSampleSender(publisher)
 
-    def subscribe(self, key: str, receive: Receive) -> None:
+    def subscribe(self, key: str, receive: RawSampleCallback) -> None:
         """Pass each sample of a key, which may be a pattern, to `receive`."""
 
         def on_sample(sample: Any) -> None:
@@ -116,7 +116,7 @@ class RosSession:
         self._zenoh.close()
 
 
-class RosSamples:
+class RosSampleSender:
     """Sends the samples of one topic."""
 
     def __init__(self, publisher: Any) -> None:

@@ -13,33 +13,54 @@ from typing import Any
 import zenoh
 
 from teleop.link.admission import Admission
-from teleop.link.challenge import Asker, Challenger, Responder
-from teleop.link.refusals import Refusals
+from teleop.link.challenge import AnswerCallback, Challenger, Responder
+from teleop.link.refusals import RefusalCounter
 from teleop.messages.topics import Role
 from teleop.security import CertificateError, NotYetValidError
 from teleop.security.handshake import Handshake, PairKeys, Peer, SignatureError
 from teleop.security.keyring import Keyring
-from teleop.security.presence import EXCLUSIVE, LISTENERS, Stage, Token, groups_for, groups_of, root
+from teleop.security.presence import (
+    EXCLUSIVE_ROLES,
+    LISTENER_ROLES,
+    RoleStage,
+    Token,
+    build_token_root,
+    list_groups,
+    list_watched_groups,
+)
 
-TOKENS = 64  # of a group at a time
-VISITS = 1024  # processes whose visits are counted
-DEPARTED = 256  # tokens that are remembered as vanished
-ARRIVALS = 64  # tokens of a group that wait in Zenoh; a newer one displaces the oldest
-LOOKS = 16  # of them taken at a time
-ASKS = 8  # challenges sent at a time
+GROUP_TOKENS_MAX = 64  # of a group at a time
+COUNTED_PROCESSES_MAX = 1024  # processes whose visits are counted
+DEPARTED_TOKENS_MAX = 256  # tokens that are remembered as vanished
+PENDING_TOKENS_MAX = 64  # tokens of a group that wait in Zenoh; a newer one displaces the oldest
+TOKENS_PER_STEP = 16  # of them taken at a time
+CHALLENGES_PER_STEP = 8  # challenges sent at a time
 
-S = 1_000_000_000  # [ns]
-PACE_S, LOOK_S = 0.001, 0.01  # [s] between two steps: with much to do, which takes turns; with none
-EVERY_NS = 2 * S  # between two challenges of a process, and two looks at the certificates
-RETRY_NS = S // 20  # after the first challenge without an answer; doubles up to `EVERY_NS`
-MISSED = 3  # challenges in succession without an answer, after which a process counts as gone
-DEPARTED_NS = 5 * S  # for which a challenge of a vanished token is late; longer than any way takes
-SILENT_NS = 5 * S  # without an answer, after which a line says so; long, for a loaded machine
-DECISION_NS = S  # after which a process without an answer is not waited for
+SECOND_NS = 1_000_000_000  # [ns]
+BUSY_PERIOD_S, IDLE_PERIOD_S = (
+    0.001,
+    0.01,
+)  # [s] between two steps: with much to do, which takes turns; with none
+CHALLENGE_PERIOD_NS = (
+    2 * SECOND_NS
+)  # between two challenges of a process, and two looks at the certificates
+RETRY_NS = (
+    SECOND_NS // 20
+)  # after the first challenge without an answer; doubles up to `CHALLENGE_PERIOD_NS`
+MISSED_ANSWERS_MAX = (
+    3  # challenges in succession without an answer, after which a process counts as gone
+)
+DEPARTED_NS = (
+    5 * SECOND_NS
+)  # for which a challenge of a vanished token is late; longer than any way takes
+SILENCE_WARNING_NS = (
+    5 * SECOND_NS
+)  # without an answer, after which a line says so; long, for a loaded machine
+DECISION_TIMEOUT_NS = SECOND_NS  # after which a process without an answer is not waited for
 
 
 @dataclass(slots=True, eq=False)
-class Process:
+class RemoteProcess:
     """A genuine token, and whether its process has proven that it is here."""
 
     token: Token
@@ -62,8 +83,8 @@ class Roster:
     that expires or is revoked.
 
     What an attacker can make us do or keep is bounded for each group of tokens (`Token.group`),
-    whatever stands. Zenoh keeps the newest `ARRIVALS` tokens, without our interpreter, of which
-    `LOOKS` are taken at a time; `Admission` says which proofs are checked. `TOKENS` are kept, of
+    whatever stands. Zenoh keeps the newest `PENDING_TOKENS_MAX` tokens, without our interpreter, of which
+    `TOKENS_PER_STEP` are taken at a time; `Admission` says which proofs are checked. `GROUP_TOKENS_MAX` are kept, of
     which the certificate with the most makes place. A token that is lost by that is seen in the
     challenge of its process, which repeats it until it is answered. That of a listener is seen
     there only; its keys are kept to answer the next one.
@@ -94,7 +115,7 @@ class Roster:
         relay: bool,
         handshake: Handshake | None = None,
         keyring: Keyring | None = None,
-        refusals: Refusals | None = None,
+        refusals: RefusalCounter | None = None,
     ) -> None:
         # replaced atomically, so that reading is thread-safe
         self.others: frozenset[Token] = frozenset()
@@ -103,19 +124,19 @@ class Roster:
             session, token.role, token.nonce, relay,
         )  # fmt: skip
         self._handshake, self._keyring = handshake, keyring
-        self._refusals = refusals or Refusals()
-        announced = groups_for(token.role)
-        asking = LISTENERS if token.role in EXCLUSIVE else ()
+        self._refusals = refusals or RefusalCounter()
+        announced = list_watched_groups(token.role)
+        asking = LISTENER_ROLES if token.role in EXCLUSIVE_ROLES else ()
         self._admissions = {
             group: Admission(group)
-            for group in (*announced, *(group for role in asking for group in groups_of(role)))
+            for group in (*announced, *(group for role in asking for group in list_groups(role)))
         }
         self._turns = deque(self._admissions.values())
         self._take_ns = 0
         self._departed: OrderedDict[int, int] = OrderedDict()  # when tokens vanished, by hash
         self._undecided_ns = 0  # until when the answer of an exclusive process is waited for
-        self._look_ns = monotonic_ns() + EVERY_NS
-        self._processes: dict[Token, Process] = {}
+        self._look_ns = monotonic_ns() + CHALLENGE_PERIOD_NS
+        self._processes: dict[Token, RemoteProcess] = {}
         self._visits: dict[tuple[Role, int], int] = {}  # number of visits
         self._relayed: dict[Token, Any] = {}
         self._liveliness: Any = zenoh_session.liveliness()
@@ -123,16 +144,18 @@ class Roster:
         self._stack = contextlib.ExitStack()
         if handshake is not None:
             # a side must not say that it holds its role while it claims it
-            shown = token if token.role in EXCLUSIVE else replace(token, stage=Stage.HELD)
+            shown = token if token.role in EXCLUSIVE_ROLES else replace(token, stage=RoleStage.HELD)
             self._challenger = Challenger(zenoh_session, session, handshake.prove(shown))
-            if token.role not in LISTENERS:  # which nobody challenges
+            if token.role not in LISTENER_ROLES:  # which nobody challenges
                 responder = Responder(
                     zenoh_session, session, self._nonce, self._vouches, self._show
                 )
                 self._stack.callback(responder.close)
         self._arrivals = [
             self._liveliness.declare_subscriber(
-                f"{root(session)}/{group}/**", zenoh.handlers.RingChannel(ARRIVALS), history=True
+                f"{build_token_root(session)}/{group}/**",
+                zenoh.handlers.RingChannel(PENDING_TOKENS_MAX),
+                history=True,
             )
             for group in announced
         ]
@@ -148,7 +171,7 @@ class Roster:
 
     def announced(self, nonce: int) -> bool:
         """Return whether a process of this nonce is present and has finished starting."""
-        return any(t.nonce == nonce and t.stage == Stage.HELD for t in self.others)
+        return any(t.nonce == nonce and t.stage == RoleStage.HELD for t in self.others)
 
     def may(self, nonce: int, right: str) -> bool:
         """Return whether the process of this nonce is present and has a right of a supervisor.
@@ -160,7 +183,7 @@ class Roster:
         for role, n in self._held:
             peer = self._keyring.known(role, nonce) if n == nonce else None
             if peer is not None:
-                side = role in EXCLUSIVE
+                side = role in EXCLUSIVE_ROLES
                 if right in peer.identity.rights or (side and right == "stop"):
                     return True
         return False
@@ -172,7 +195,7 @@ class Roster:
     @property
     def undecided(self) -> bool:
         """Whether the answer of a process that may have our place is still waited for."""
-        waits = any(self._admissions[role.name.lower()] for role in EXCLUSIVE)
+        waits = any(self._admissions[role.name.lower()] for role in EXCLUSIVE_ROLES)
         return waits or not self._events.empty() or monotonic_ns() < self._undecided_ns
 
     def show_token(self, token: Token) -> None:
@@ -184,7 +207,7 @@ class Roster:
         """Replace the tokens of all other processes."""
         self.others = others
         self._held = frozenset(
-            (t.role, t.nonce) for t in others if t.stage == Stage.HELD and not t.relayed
+            (t.role, t.nonce) for t in others if t.stage == RoleStage.HELD and not t.relayed
         )
 
     def close(self) -> None:
@@ -207,27 +230,29 @@ class Roster:
             except zenoh.ZError as error:  # of one token; the next ones are looked at all the same
                 self._refusals.note(f"a presence token, for an error of the link: {error}")
             except Exception as error:  # presence and revocation need this thread
-                wait_s = LOOK_S
+                wait_s = IDLE_PERIOD_S
                 name = type(error).__name__
                 self._refusals.note(f"a presence token, for an error of ours: {name}: {error}")
 
     def _step(self, now_ns: int) -> float:
         """Do a small part of what is to be done; return how long to wait for the next one [s]."""
         if self._take_ns <= now_ns:
-            self._take_ns = now_ns + round(LOOK_S * S)
+            self._take_ns = now_ns + round(IDLE_PERIOD_S * SECOND_NS)
             self._take_arrivals()
         if self._look_ns <= now_ns:
-            self._look_ns = now_ns + EVERY_NS
+            self._look_ns = now_ns + CHALLENGE_PERIOD_NS
             self._look_at_certificates()
         due = [p for p in self._processes.values() if p.must_answer and p.due_ns <= now_ns]
-        for process in due[:ASKS]:
+        for process in due[:CHALLENGES_PER_STEP]:
             self._ask(process)
-        return PACE_S if self._check_next() or len(due) > ASKS else LOOK_S
+        return (
+            BUSY_PERIOD_S if self._check_next() or len(due) > CHALLENGES_PER_STEP else IDLE_PERIOD_S
+        )
 
     def _take_arrivals(self) -> None:
         """Take tokens that have come, or vanished, from Zenoh."""
         for arrivals in self._arrivals:
-            for _ in range(LOOKS):
+            for _ in range(TOKENS_PER_STEP):
                 sample = arrivals.try_recv()
                 if sample is None:
                     break
@@ -241,10 +266,10 @@ class Roster:
                     self._admissions[token.group].remove(token)
                     self._forget(token)
                     self._departed[hash(token)] = monotonic_ns()
-                    while len(self._departed) > DEPARTED:
+                    while len(self._departed) > DEPARTED_TOKENS_MAX:
                         self._departed.popitem(last=False)
 
-    def _queue(self, token: Token, asker: Asker | None = None) -> None:
+    def _queue(self, token: Token, asker: AnswerCallback | None = None) -> None:
         """Let a token wait for its check."""
         if token in self.others or token in self._processes:
             if asker is not None:
@@ -255,12 +280,12 @@ class Roster:
     def _note_excess(self, token: Token) -> None:
         self._refusals.note(f"presence tokens of {token.role.name.lower()}s came too fast")
 
-    def _show(self, token: Token, asker: Asker) -> None:
+    def _show(self, token: Token, asker: AnswerCallback) -> None:
         """Take the token of a process that challenges us, from Zenoh's thread."""
         if token.group in self._admissions:
             self._events.put(partial(self._queue, token, asker))
 
-    def _answer(self, token: Token, asker: Asker) -> None:
+    def _answer(self, token: Token, asker: AnswerCallback) -> None:
         process = self._processes.get(token)
         if process is not None:
             asker(process.keys)
@@ -276,13 +301,13 @@ class Roster:
                 return True
         return False
 
-    def _check(self, token: Token, asker: Asker | None) -> None:
+    def _check(self, token: Token, asker: AnswerCallback | None) -> None:
         """Look at a token that has come, or that a process shows which challenges us."""
         if self._handshake is None:
             if token.proof:
                 name = token.role.name.lower()
                 self._refusals.note(f"a {name} with a certificate: this session is insecure")
-            elif sum(t.group == token.group for t in self.others) < TOKENS:
+            elif sum(t.group == token.group for t in self.others) < GROUP_TOKENS_MAX:
                 self._arrived(token)
             else:
                 self._note_excess(token)
@@ -302,30 +327,30 @@ class Roster:
         if not process.must_answer:
             return  # kept to answer it again
         if self._has_answered(process):
-            process.due_ns = process.since_ns + EVERY_NS
+            process.due_ns = process.since_ns + CHALLENGE_PERIOD_NS
             self._admit(process)
         else:
-            if token.role in EXCLUSIVE:
-                self._undecided_ns = process.since_ns + DECISION_NS
+            if token.role in EXCLUSIVE_ROLES:
+                self._undecided_ns = process.since_ns + DECISION_TIMEOUT_NS
             self._ask(process)
 
-    def _has_place(self, process: Process) -> bool:
+    def _has_place(self, process: RemoteProcess) -> bool:
         """Return whether there is place for a process in its group, and make it."""
         token = process.token
         members = [p for p in self._processes.values() if p.token.group == token.group]
-        if len(members) < TOKENS:
+        if len(members) < GROUP_TOKENS_MAX:
             return True
         counts = Counter(p.token.certificate for p in members)
         # the first of the largest: the oldest one without an answer
         last = max(members, key=lambda p: (counts[p.token.certificate], not p.present))
         if last.present and (
-            token.role in EXCLUSIVE or last.token.certificate == token.certificate
+            token.role in EXCLUSIVE_ROLES or last.token.certificate == token.certificate
         ):
             return False
         self._forget(last.token)
         return True
 
-    def examine(self, token: Token) -> Process | None:
+    def examine(self, token: Token) -> RemoteProcess | None:
         """Return whose token it is; None, with a note, if it is not genuine."""
         if self._handshake is None or self._keyring is None or self._handshake.fault:
             return None  # a fault of ours was said already (`_look_at_certificates`)
@@ -343,51 +368,55 @@ class Roster:
         admission.know(token)
         if self._is_taken(peer):
             return None
-        return Process(token, peer, keys, monotonic_ns(), token.role not in LISTENERS)
+        return RemoteProcess(token, peer, keys, monotonic_ns(), token.role not in LISTENER_ROLES)
 
-    def _has_answered(self, process: Process) -> bool:
+    def _has_answered(self, process: RemoteProcess) -> bool:
         """Return whether the process has just proven its presence for another token."""
         return not process.token.relayed and any(
             p.present and p.peer == process.peer and not (p.token.relayed or p.unanswered)
             for p in self._processes.values()
         )
 
-    def _ask(self, process: Process) -> None:
+    def _ask(self, process: RemoteProcess) -> None:
         """Challenge a process; one that has not answered for long is none."""
         now = monotonic_ns()
         name = process.token.role.name.lower()
-        if process.present and process.unanswered >= MISSED:
+        if process.present and process.unanswered >= MISSED_ANSWERS_MAX:
             self._withdraw(process.token)
             process.present, process.since_ns = False, now
-        if not process.present and not process.noted and now - process.since_ns > SILENT_NS:
+        if (
+            not process.present
+            and not process.noted
+            and now - process.since_ns > SILENCE_WARNING_NS
+        ):
             process.noted = True
             self._refusals.note(
                 f"a {name} that does not answer: it hangs, or somebody plays its token back"
             )
-            if process.token.role not in EXCLUSIVE:
+            if process.token.role not in EXCLUSIVE_ROLES:
                 self._forget(process.token)  # when it goes on, it challenges us
                 return
-        wait_ns = EVERY_NS if process.present else RETRY_NS << min(process.unanswered, 8)
-        process.due_ns = now + min(wait_ns, EVERY_NS)
+        wait_ns = CHALLENGE_PERIOD_NS if process.present else RETRY_NS << min(process.unanswered, 8)
+        process.due_ns = now + min(wait_ns, CHALLENGE_PERIOD_NS)
         process.unanswered += 1
         proven = partial(self._events.put, partial(self._answered, process))
         for asked in self._witnesses(process):
             self._challenger.ask(asked.token.nonce, process.token.nonce, asked.keys, proven)
 
-    def _witnesses(self, process: Process) -> list[Process]:
+    def _witnesses(self, process: RemoteProcess) -> list[RemoteProcess]:
         """Return who can prove the presence of a process: it, or the slave that relays it."""
         if not process.token.relayed:
             return [process]
         return [p for p in self._processes.values() if p.present and p.token.role == Role.SLAVE]
 
-    def _answered(self, process: Process) -> None:
+    def _answered(self, process: RemoteProcess) -> None:
         """Note that a process has proven its presence."""
         process.unanswered = 0
         if not process.present and self._processes.get(process.token) is process:
-            process.due_ns = monotonic_ns() + EVERY_NS
+            process.due_ns = monotonic_ns() + CHALLENGE_PERIOD_NS
             self._admit(process)
 
-    def _admit(self, process: Process) -> None:
+    def _admit(self, process: RemoteProcess) -> None:
         """Let a process take part."""
         token, peer = process.token, process.peer
         if self._is_taken(peer):
@@ -409,14 +438,16 @@ class Roster:
 
     def _decide(self) -> None:
         """Stop waiting for answers if none is open."""
-        if not any(not p.present and p.token.role in EXCLUSIVE for p in self._processes.values()):
+        if not any(
+            not p.present and p.token.role in EXCLUSIVE_ROLES for p in self._processes.values()
+        ):
             self._undecided_ns = 0
 
     def _arrived(self, token: Token) -> None:
         process = (token.role, token.nonce)
-        if token.stage == Stage.HELD and not token.relayed:
+        if token.stage == RoleStage.HELD and not token.relayed:
             self._visits[process] = self._visits.pop(process, 0) + 1
-            while len(self._visits) > VISITS:
+            while len(self._visits) > COUNTED_PROCESSES_MAX:
                 del self._visits[next(iter(self._visits))]
         self.replace(self.others | {token})
         if self._relay and token.role == Role.MASTER and not token.relayed:

@@ -8,17 +8,17 @@ import zenoh
 
 from teleop.errors import UsageError
 from teleop.link.config import LinkConfig
-from teleop.link.network import open_session, settings
-from teleop.link.protection import credentials_of
+from teleop.link.network import build_settings, open_session
+from teleop.link.protection import load_credentials
 from teleop.messages.topics import Role
-from teleop.security import Credentials, Office
-from teleop.security.access import access_control
+from teleop.security import CertificateRole, Credentials
+from teleop.security.access import build_access_control
 from teleop.security.authority import AUTHORITY
-from teleop.security.credentials import stem
+from teleop.security.credentials import build_file_stem
 from teleop.security.identity import ALL_SESSIONS
-from teleop.security.presence import Stage, Token, root
+from teleop.security.presence import RoleStage, Token, build_token_root
 
-Presence = Callable[[str, Role, bool], None]
+PresenceCallback = Callable[[str, Role, bool], None]
 """Called with a session, a role, and whether a process of it has come, or else gone."""
 
 
@@ -52,7 +52,7 @@ class Router:
         sessions: Sequence[str],
         listen: Sequence[str],
         connect: Sequence[str],
-        on_presence: Presence = lambda *_: None,
+        on_presence: PresenceCallback = lambda *_: None,
     ) -> None:
         self._arguments = config, sessions, list(listen), list(connect)
         self._on_presence = on_presence
@@ -60,7 +60,7 @@ class Router:
     def __enter__(self) -> Self:
         self._zenoh: Any = open_router(*self._arguments)
         self._watch: Any = self._zenoh.liveliness().declare_subscriber(
-            f"{root('*')}/**", self._on_token, history=True
+            f"{build_token_root('*')}/**", self._on_token, history=True
         )
         return self
 
@@ -76,7 +76,7 @@ class Router:
     def _on_token(self, sample: Any) -> None:
         key = str(sample.key_expr)
         token = Token.from_key(key)
-        if token is not None and token.stage == Stage.HELD and not token.relayed:
+        if token is not None and token.stage == RoleStage.HELD and not token.relayed:
             came = sample.kind == zenoh.SampleKind.PUT
             self._on_presence(key.split("/", 2)[1], token.role, came)
 
@@ -94,12 +94,12 @@ def open_router(
     UsageError
         There are no valid keys of a router; an endpoint cannot be listened on.
     """
-    credentials = credentials_of(config, ALL_SESSIONS, Office.ROUTER)
-    access = _access(credentials, sessions)
+    credentials = load_credentials(config, ALL_SESSIONS, CertificateRole.ROUTER)
+    access = _build_access_control(credentials, sessions)
     return open_session(credentials, listen, connect, access, "router")
 
 
-def zenohd_config(
+def format_zenohd_config(
     config: LinkConfig, sessions: Sequence[str], listen: list[str], connect: list[str]
 ) -> str:
     """Return the settings of `open_router` as a config file of `zenohd`, Zenoh's own router.
@@ -111,10 +111,12 @@ def zenohd_config(
     """
     if config.keys is None and not config.insecure:
         raise UsageError("link.keys: zenohd needs a folder of keys; see `teleop keys --help`")
-    credentials = credentials_of(config, ALL_SESSIONS, Office.ROUTER)
-    flat = settings(credentials, listen, connect, _access(credentials, sessions), "router")
+    credentials = load_credentials(config, ALL_SESSIONS, CertificateRole.ROUTER)
+    flat = build_settings(
+        credentials, listen, connect, _build_access_control(credentials, sessions), "router"
+    )
     if credentials is not None and config.keys is not None:
-        name = stem(Office.ROUTER, credentials.identity.session)
+        name = build_file_stem(CertificateRole.ROUTER, credentials.identity.session)
         own, key = (str(config.keys / f"{name}.{end}") for end in ("pem", "key"))
         flat["transport/link/tls"] = {
             "enable_mtls": True,
@@ -126,15 +128,17 @@ def zenohd_config(
             "connect_certificate": own,
             "connect_private_key": key,
         }
-    return json.dumps(_nested(flat), indent=2)
+    return json.dumps(_nest_settings(flat), indent=2)
 
 
-def _access(credentials: Credentials | None, sessions: Sequence[str]) -> dict[str, Any] | None:
+def _build_access_control(
+    credentials: Credentials | None, sessions: Sequence[str]
+) -> dict[str, Any] | None:
     open_to_all = credentials is None or ALL_SESSIONS in sessions
-    return None if open_to_all else access_control(sessions)
+    return None if open_to_all else build_access_control(sessions)
 
 
-def _nested(flat: dict[str, Any]) -> dict[str, Any]:
+def _nest_settings(flat: dict[str, Any]) -> dict[str, Any]:
     """Return settings by their path, such as `connect/endpoints`, as a tree."""
     tree: dict[str, Any] = {}
     for path, value in flat.items():

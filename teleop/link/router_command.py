@@ -39,15 +39,15 @@ from teleop.config.loading import load
 from teleop.config.options import add_option, add_options
 from teleop.errors import UsageError
 from teleop.link import LinkConfig
-from teleop.link.router import Router, zenohd_config
-from teleop.link.router_config import ALL, DEFAULT, RouterConfig
-from teleop.messages.topics import Role, role_name
-from teleop.runtime.process import Stop, write_summary
-from teleop.runtime.realtime import go_realtime
+from teleop.link.router import Router, format_zenohd_config
+from teleop.link.router_config import ALL, DEFAULT_ENDPOINT, RouterConfig
+from teleop.messages.topics import Role, format_role
+from teleop.runtime.process import StopCondition, write_summary
+from teleop.runtime.realtime import request_realtime
 from teleop.security.identity import ALL_SESSIONS
 from teleop.session.config import RunConfig
 
-_LOOK_S = 0.1
+_POLL_S = 0.1
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -60,7 +60,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="served, may be repeated (default router.sessions or the config's); all = any",
     )
     for name, text in (
-        ("--listen", f"of this machine, may be repeated (default link.routers, or {DEFAULT})"),
+        (
+            "--listen",
+            f"of this machine, may be repeated (default link.routers, or {DEFAULT_ENDPOINT})",
+        ),
         ("--connect", "of another router, may be repeated"),
     ):
         parser.add_argument(name, action="append", default=[], metavar="HOST:PORT", help=text)
@@ -74,26 +77,28 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def main(args: argparse.Namespace) -> int:
     """Run the router until told to stop; returns the exit code."""
     shared = load(args.config, RunConfig, None, args.overrides)
-    config = router_config(args, shared)
-    link = protection(shared.link, config, args.keys)
+    config = build_router_config(args, shared)
+    link = build_router_link(shared.link, config, args.keys)
     sessions = [ALL_SESSIONS if name == ALL else name for name in config.sessions]
     if args.zenohd:
-        print(zenohd_config(link, sessions, list(config.listen), list(config.connect)))
+        print(format_zenohd_config(link, sessions, list(config.listen), list(config.connect)))
         return 0
-    stop = Stop(args.duration)
-    granted = go_realtime(shared.realtime)  # before the router: its threads inherit the priority
+    stop = StopCondition(args.duration)
+    granted = request_realtime(
+        shared.realtime
+    )  # before the router: its threads inherit the priority
     changes: queue.SimpleQueue[tuple[str, Role, bool]] = queue.SimpleQueue()
     seen: set[str] = set()
     with Router(link, sessions, config.listen, config.connect, lambda *change: changes.put(change)):
-        print(_beginning(config, link), flush=True)
+        print(_format_start_message(config, link), flush=True)
         while not stop():
             try:
-                session, role, came = changes.get(timeout=_LOOK_S)
+                session, role, came = changes.get(timeout=_POLL_S)
             except queue.Empty:
                 continue
             seen.add(session)
             print(
-                f"session {session}: {role_name(role)} {'joined' if came else 'left'}", flush=True
+                f"session {session}: {format_role(role)} {'joined' if came else 'left'}", flush=True
             )
     summary = {"sessions": sorted(seen), "stopped": stop.reason, "realtime": granted}
     write_summary(args.json, summary)
@@ -101,7 +106,7 @@ def main(args: argparse.Namespace) -> int:
     return 0
 
 
-def router_config(args: argparse.Namespace, shared: RunConfig) -> RouterConfig:
+def build_router_config(args: argparse.Namespace, shared: RunConfig) -> RouterConfig:
     """Return what the router serves and where, by options, config or defaults.
 
     `UsageError` if an option is wrong.
@@ -110,14 +115,17 @@ def router_config(args: argparse.Namespace, shared: RunConfig) -> RouterConfig:
     try:
         return RouterConfig(
             sessions=tuple(args.session) or config.sessions or (shared.session,),
-            listen=tuple(args.listen) or config.listen or shared.link.routers or (DEFAULT,),
+            listen=tuple(args.listen)
+            or config.listen
+            or shared.link.routers
+            or (DEFAULT_ENDPOINT,),
             connect=tuple(args.connect) or config.connect,
         )
     except ValueError as error:
         raise UsageError(f"--{error}") from error
 
 
-def protection(link: LinkConfig, config: RouterConfig, keys: Path | None) -> LinkConfig:
+def build_router_link(link: LinkConfig, config: RouterConfig, keys: Path | None) -> LinkConfig:
     """Return the link of the router; `UsageError` if it must have keys and has none."""
     ends = (*config.listen, *config.connect)
     try:
@@ -126,7 +134,7 @@ def protection(link: LinkConfig, config: RouterConfig, keys: Path | None) -> Lin
         raise UsageError(f"router: {str(error).partition(': ')[2]}") from error
 
 
-def _beginning(config: RouterConfig, link: LinkConfig) -> str:
+def _format_start_message(config: RouterConfig, link: LinkConfig) -> str:
     ends = ", ".join(config.listen)
     text = f'router at {ends}; sessions find it by link.routers: ["{config.listen[0]}"]'
     text += f"; serves {', '.join(config.sessions)}"

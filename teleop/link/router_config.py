@@ -6,7 +6,7 @@ from teleop.link.config import Address
 from teleop.session.config import check_session
 
 ALL = "all"  # sessions: then the router enforces no roles, only that a certificate is ours
-DEFAULT = "127.0.0.1:7450"  # where a router listens that is told nothing
+DEFAULT_ENDPOINT = "127.0.0.1:7450"  # where a router listens that is told nothing
 
 
 @dataclass(frozen=True, slots=True)

@@ -47,7 +47,7 @@ STAGE_NAMES = ("read to sent", "link both ways", "answered", "received to writte
 STOP_ACTIONS = ("stop", "reset", "watch", "leave")
 
 ENCAPSULATION = b"\x00\x01\x00\x00"  # CDR, little-endian
-_CHECKED_FROM = len(ENCAPSULATION) + 4  # the checksum covers everything after it
+_CHECKSUM_START = len(ENCAPSULATION) + 4  # the checksum covers everything after it
 _HEAD = struct.Struct("<IIQQq")
 
 
@@ -68,7 +68,7 @@ class Head(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Wire:
+class WireType:
     """Wire type of a field: `struct` code, ROS 2 and numpy names, fixed count."""
 
     code: str
@@ -82,22 +82,22 @@ class Wire:
         return struct.calcsize(self.code)
 
 
-U32 = Annotated[int, Wire("I", "uint32", "<u4")]
-U64 = Annotated[int, Wire("Q", "uint64", "<u8")]
-I64 = Annotated[int, Wire("q", "int64", "<i8")]
-F64 = Annotated[float, Wire("d", "float64", "<f8")]
-JointFlags = Annotated[tuple[int, ...], Wire("I", "uint32", "<u4", MAX_JOINTS)]
-Joints = Annotated[tuple[float, ...], Wire("d", "float64", "<f8", MAX_JOINTS)]
-TendonFlags = Annotated[tuple[int, ...], Wire("I", "uint32", "<u4", MAX_TENDONS)]
-Tendons = Annotated[tuple[float, ...], Wire("d", "float64", "<f8", MAX_TENDONS)]
-Sections = Annotated[tuple[float, ...], Wire("d", "float64", "<f8", MAX_SECTIONS)]
-ProfilePoints = Annotated[tuple[float, ...], Wire("d", "float64", "<f8", PROFILE_POINTS)]
+U32 = Annotated[int, WireType("I", "uint32", "<u4")]
+U64 = Annotated[int, WireType("Q", "uint64", "<u8")]
+I64 = Annotated[int, WireType("q", "int64", "<i8")]
+F64 = Annotated[float, WireType("d", "float64", "<f8")]
+JointFlags = Annotated[tuple[int, ...], WireType("I", "uint32", "<u4", MAX_JOINTS)]
+Joints = Annotated[tuple[float, ...], WireType("d", "float64", "<f8", MAX_JOINTS)]
+TendonFlags = Annotated[tuple[int, ...], WireType("I", "uint32", "<u4", MAX_TENDONS)]
+Tendons = Annotated[tuple[float, ...], WireType("d", "float64", "<f8", MAX_TENDONS)]
+Sections = Annotated[tuple[float, ...], WireType("d", "float64", "<f8", MAX_SECTIONS)]
+ProfilePoints = Annotated[tuple[float, ...], WireType("d", "float64", "<f8", PROFILE_POINTS)]
 
-Stages = Annotated[tuple[int, ...], Wire("q", "int64", "<i8", len(STAGE_NAMES))]
+Stages = Annotated[tuple[int, ...], WireType("q", "int64", "<i8", len(STAGE_NAMES))]
 
-TopicCounts = Annotated[tuple[int, ...], Wire("Q", "uint64", "<u8", TOPIC_SLOTS)]
+TopicCounts = Annotated[tuple[int, ...], WireType("Q", "uint64", "<u8", TOPIC_SLOTS)]
 
-TextBytes = Annotated[tuple[int, ...], Wire("B", "uint8", "u1", TEXT_BYTES)]
+TextBytes = Annotated[tuple[int, ...], WireType("B", "uint8", "u1", TEXT_BYTES)]
 
 # Field defaults, one per array type
 NO_JOINTS = (0.0,) * MAX_JOINTS
@@ -142,10 +142,10 @@ class Schema:
         self.cls = cls
         self.name = cls.__name__
         self.seed = zlib.crc32(self.name.encode())
-        self.wires: dict[str, Wire] = {}
+        self.wires: dict[str, WireType] = {}
         for item in fields(cls):
             self.wires[item.name] = next(
-                a for a in get_args(hints[item.name]) if isinstance(a, Wire)
+                a for a in get_args(hints[item.name]) if isinstance(a, WireType)
             )
         code, offset, offsets = "<", 0, []
         for wire in self.wires.values():
@@ -158,10 +158,10 @@ class Schema:
         names = list(self.wires)
         formats = [(w.numpy, (w.count,)) if w.count > 1 else w.numpy for w in self.wires.values()]
         # of the bytes on the wire; and without encapsulation, in aligned memory
-        self.dtype = _structure(
+        self.dtype = _build_dtype(
             names, formats, [len(ENCAPSULATION) + o for o in offsets], self.size
         )
-        self.record_dtype = _structure(names, formats, offsets, -(-offset // 8) * 8, aligned=True)
+        self.record_dtype = _build_dtype(names, formats, offsets, -(-offset // 8) * 8, aligned=True)
         self.ros_definition = "".join(
             f"{w.ros}{f'[{w.count}]' if w.count > 1 else ''} {name}\n"
             for name, w in self.wires.items()
@@ -199,7 +199,7 @@ class Schema:
         if len(data) != self.size:
             raise MessageError("layout", f"{self.name} has {self.size} bytes, got {len(data)}")
         checksum, layout, sender, sequence, stamp_ns = _HEAD.unpack_from(data, len(ENCAPSULATION))
-        body = memoryview(data)[_CHECKED_FROM:]
+        body = memoryview(data)[_CHECKSUM_START:]
         if checksum != zlib.crc32(body, self.seed) or data[:4] != ENCAPSULATION:
             raise MessageError("corruption", f"{self.name} fails its checksum")
         if layout != LAYOUT:
@@ -217,7 +217,7 @@ class Schema:
         return self.cls(**values)
 
 
-def _structure(
+def _build_dtype(
     names: list[str], formats: list[Any], offsets: list[int], size: int, aligned: bool = False
 ) -> np.dtype[Any]:
     layout: Any = {"names": names, "formats": formats, "offsets": offsets, "itemsize": size}
@@ -225,20 +225,20 @@ def _structure(
     return structure
 
 
-def padded(values: Sequence[float], size: int) -> tuple[float, ...]:
+def pad_values(values: Sequence[float], size: int) -> tuple[float, ...]:
     """Return `values` filled up with zeros to the `size` of an array field."""
     if len(values) > size:
         raise ValueError(f"{len(values)} values do not fit into a field of {size}")
     return (*values, *(0.0,) * (size - len(values)))
 
 
-def text_bytes(text: str) -> tuple[int, ...]:
+def encode_text(text: str) -> tuple[int, ...]:
     """Return `text` as UTF-8, cut and zero-padded to `TEXT_BYTES`; what is no text becomes `?`."""
     raw = text.encode(errors="replace")[:TEXT_BYTES].decode(errors="ignore").encode()
     return tuple(raw.ljust(TEXT_BYTES, b"\0"))
 
 
-def text_of(raw: tuple[int, ...]) -> str:
+def decode_text(raw: tuple[int, ...]) -> str:
     """Return the text in a `TextBytes` field, on one line.
 
     Control characters and changes of writing direction become spaces.

@@ -1,7 +1,7 @@
 """A message as bytes and as a record in the same memory, for the loops.
 
 A loop keeps one `Packet` for each message that it sends or receives at every tick. Compiled
-functions access its fields in place, `seal` fills in the head, and `Packet.data` are the bytes on
+functions access its fields in place, `seal_message` fills in the head, and `Packet.data` are the bytes on
 the wire, without packing.
 """
 
@@ -10,21 +10,21 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.compiled import compiled
-from estimator.records import Records, one
+from estimator.compiled import jit_compile
+from estimator.records import StructArray, view_struct
 from teleop.messages.messages import ENCAPSULATION, LAYOUT, Message, Schema
 
 M = TypeVar("M", bound=Message)
 Bytes = NDArray[np.uint8]
 
-_BODY = 8  # start of the body in a packet's memory: aligned, after the encapsulation
+_BODY_START = 8  # start of the body in a packet's memory: aligned, after the encapsulation
 _HEAD = Schema(Message).record_dtype
-_CHECKED = _BODY + 4  # the checksum covers everything after it
+_CHECKSUM_START = _BODY_START + 4  # the checksum covers everything after it
 
 _CRC_32 = 0xEDB88320  # the polynomial of zlib.crc32, reflected
 
 
-def _crc_tables() -> NDArray[np.uint32]:
+def _build_crc_tables() -> NDArray[np.uint32]:
     """Return the tables of the slicing-by-8 algorithm (Kounavis & Berry 2008), shape (8, 256)."""
     tables = np.zeros((8, 256), dtype=np.uint32)
     for byte in range(256):
@@ -38,10 +38,10 @@ def _crc_tables() -> NDArray[np.uint32]:
     return tables
 
 
-_TABLES = _crc_tables()
+_TABLES = _build_crc_tables()
 
 
-@compiled
+@jit_compile
 def crc32(data: Bytes, seed: int) -> int:
     """Compiled equivalent of `zlib.crc32(data, seed)`."""
     crc = np.uint32(seed) ^ np.uint32(0xFFFFFFFF)
@@ -70,10 +70,10 @@ def crc32(data: Bytes, seed: int) -> int:
     return int(crc ^ np.uint32(0xFFFFFFFF))
 
 
-@compiled
-def seal(
+@jit_compile
+def seal_message(
     memory: Bytes,
-    heads: Records,
+    heads: StructArray,
     size: int,
     seed: int,
     sender: np.uint64,
@@ -90,7 +90,7 @@ def seal(
     head.sender = sender
     head.sequence = sequence
     head.stamp_ns = stamp_ns
-    head.checksum = crc32(memory[_CHECKED : _BODY + size], seed)
+    head.checksum = crc32(memory[_CHECKSUM_START : _BODY_START + size], seed)
 
 
 class Packet(Generic[M]):
@@ -110,18 +110,18 @@ class Packet(Generic[M]):
         schema = message.schema
         self._size = schema.size - len(ENCAPSULATION)
         self._seed = schema.seed
-        self._memory = np.zeros(_BODY + schema.record_dtype.itemsize, dtype=np.uint8)
-        self._memory[_BODY - len(ENCAPSULATION) : _BODY] = list(ENCAPSULATION)
-        self.records: Records = self._memory[_BODY:].view(schema.record_dtype)
-        self.record: M = one(self.records)
-        self._heads = self._memory[_BODY : _BODY + _HEAD.itemsize].view(_HEAD)
-        begin = _BODY - len(ENCAPSULATION)
+        self._memory = np.zeros(_BODY_START + schema.record_dtype.itemsize, dtype=np.uint8)
+        self._memory[_BODY_START - len(ENCAPSULATION) : _BODY_START] = list(ENCAPSULATION)
+        self.records: StructArray = self._memory[_BODY_START:].view(schema.record_dtype)
+        self.record: M = view_struct(self.records)
+        self._heads = self._memory[_BODY_START : _BODY_START + _HEAD.itemsize].view(_HEAD)
+        begin = _BODY_START - len(ENCAPSULATION)
         self.data = self._memory.data[begin : begin + schema.size]
 
     def seal(self, sender: int, sequence: int, stamp_ns: int) -> bytes:
         """Fill in the head and return the bytes to send."""
         nonce = np.uint64(sender)  # uint64, as numba's int is signed
-        seal(self._memory, self._heads, self._size, self._seed, nonce, sequence, stamp_ns)
+        seal_message(self._memory, self._heads, self._size, self._seed, nonce, sequence, stamp_ns)
         return self.data.tobytes()
 
     def fill(self, message: M) -> None:
@@ -130,7 +130,7 @@ class Packet(Generic[M]):
             setattr(self.record, name, getattr(message, name))
 
 
-def packet(message: Message) -> "Packet[Any]":
+def build_packet(message: Message) -> "Packet[Any]":
     """Return a packet with the fields of a message object."""
     filled: Packet[Any] = Packet(type(message))
     filled.fill(message)

@@ -211,31 +211,33 @@ _NUMBERS = """\
 """
 
 
-def page() -> str:
+def format_page() -> str:
     """Return the whole page as Markdown."""
     lines = [_INTRODUCTION, "## Topics\n", "| topic | message | from | rate | sampled | kind |"]
     lines.append("|---|---|---|---|---|---|")
-    lines += map(_topic_row, TOPICS)
-    head = "\n".join(_field_rows(MESSAGES[0], _HEAD_COMMENTS, slice(_HEAD_FIELDS)))
+    lines += map(_format_topic_row, TOPICS)
+    head = "\n".join(_format_field_rows(MESSAGES[0], _HEAD_COMMENTS, slice(_HEAD_FIELDS)))
     tagged = "\n".join(
         f"| `{topic.name}` | {', '.join(role.name.lower() for role in topic.addressees)} |"
         for topic in TOPICS
         if topic.addressees
     )
-    text = _HEAD_TEXT.format(fields=head + "\n", layout=LAYOUT, tagged=tagged, **_instructions())
+    text = _HEAD_TEXT.format(
+        fields=head + "\n", layout=LAYOUT, tagged=tagged, **_build_instructions()
+    )
     lines += ["", text]
-    lines += map(_section, MESSAGES)
-    lines.append(_numbers())
+    lines += map(_format_section, MESSAGES)
+    lines.append(_format_numbers())
     return "\n".join(lines).rstrip() + "\n"
 
 
-def field_comments(cls: type[Message]) -> dict[str, str]:
+def read_field_comments(cls: type[Message]) -> dict[str, str]:
     """Return what the declaration of a message says of its fields: units and meaning."""
     own = {m["name"]: m["comment"] for m in _COMMENT.finditer(inspect.getsource(cls))}
     return _HEAD_COMMENTS | own
 
 
-def _topic_row(topic: Topic[Any]) -> str:
+def _format_topic_row(topic: Topic[Any]) -> str:
     sender = ", ".join(role.name.lower() for role in topic.publishers)
     rate = f"{topic.rate_hz:g} Hz" if topic.rate_hz else "on events"
     sampled = f"{topic.sampled_hz:g} Hz" if topic.sampled_hz else ""
@@ -246,7 +248,7 @@ def _topic_row(topic: Topic[Any]) -> str:
     )
 
 
-def _instructions() -> dict[str, str]:
+def _build_instructions() -> dict[str, str]:
     """Return what the page says on writing a message: types, seeds and an example."""
     wires = {wire.ros: wire for cls in MESSAGES for wire in cls.schema.wires.values()}
     types = [f"| {t} | {wires[t].size} | `<{wires[t].code}` | {text} |" for t, text in _TYPES]
@@ -256,12 +258,12 @@ def _instructions() -> dict[str, str]:
         "types": "\n".join(types),
         "seeds": "\n".join(seeds),
         "example_name": f"`{type(_EXAMPLE).__name__}`",
-        "example_values": "\n".join(_example_values()),
-        "example_bytes": hex_dump(_EXAMPLE.pack(*_EXAMPLE_HEAD)),
+        "example_values": "\n".join(_format_example_values()),
+        "example_bytes": format_hex_dump(_EXAMPLE.pack(*_EXAMPLE_HEAD)),
     }
 
 
-def _example_values() -> list[str]:
+def _format_example_values() -> list[str]:
     """Return a table's rows of the example's fields that are not zero."""
     offsets: Mapping[str, Any] = _EXAMPLE.schema.dtype.fields or {}
     values = {"layout": f"`{LAYOUT:08x}`", "sender": f"`{_EXAMPLE_HEAD.sender:016x}`"}
@@ -275,21 +277,21 @@ def _example_values() -> list[str]:
     return [f"| {offsets[name][1]} | `{name}` | {value} |" for name, value in values.items()]
 
 
-def hex_dump(data: bytes) -> str:
+def format_hex_dump(data: bytes) -> str:
     """Return bytes as lines of 16, each with the number of its first byte."""
     starts = range(0, len(data), 16)
     return "\n".join(f"{at:04x}  {data[at : at + 16].hex(' ')}" for at in starts)
 
 
-def _section(cls: type[Message]) -> str:
-    comments = field_comments(cls)
+def _format_section(cls: type[Message]) -> str:
+    comments = read_field_comments(cls)
     lines = [f"## {cls.__name__}\n", f"{inspect.getdoc(cls)}\n", f"{cls.schema.size} bytes.\n"]
     lines += ["| byte | field | type | |", "|---|---|---|---|"]
-    lines += _field_rows(cls, comments, slice(_HEAD_FIELDS, None))
+    lines += _format_field_rows(cls, comments, slice(_HEAD_FIELDS, None))
     return "\n".join(lines) + "\n"
 
 
-def _field_rows(cls: type[Message], comments: dict[str, str], which: slice) -> list[str]:
+def _format_field_rows(cls: type[Message], comments: dict[str, str], which: slice) -> list[str]:
     """Return a table's rows of some fields of a message."""
     offsets: Mapping[str, Any] = cls.schema.dtype.fields or {}
     rows = []
@@ -300,11 +302,11 @@ def _field_rows(cls: type[Message], comments: dict[str, str], which: slice) -> l
     return rows
 
 
-def _numbers() -> str:
+def _format_numbers() -> str:
     """Return the meaning of the numbers that stand for names."""
     return _NUMBERS.format(
-        roles=_names(Role),
-        states=_names(State),
+        roles=_format_names(Role),
+        states=_format_names(State),
         phases=", ".join(PHASE_NAMES),
         statuses=", ".join(STATUS_NAMES),
         actions=", ".join(STOP_ACTIONS),
@@ -313,9 +315,9 @@ def _numbers() -> str:
     )
 
 
-def _names(numbers: type[IntEnum]) -> str:
+def _format_names(numbers: type[IntEnum]) -> str:
     return ", ".join(number.name.lower() for number in numbers)
 
 
 if __name__ == "__main__":
-    print(page(), end="")
+    print(format_page(), end="")

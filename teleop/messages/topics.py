@@ -39,7 +39,7 @@ class Role(IntEnum):
     WATCH = 6  # `teleop stop --watch`: its end is an emergency stop
 
 
-def role_name(number: int) -> str:
+def format_role(number: int) -> str:
     """Return the name of a role; its number if it is a newer one than ours."""
     try:
         return Role(number).name.lower()

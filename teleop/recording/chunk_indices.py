@@ -7,7 +7,7 @@ from pathlib import Path
 from mcap.data_stream import RecordBuilder
 from mcap.records import ChunkIndex, MetadataIndex
 
-HELD_BYTES = 65_536  # longer ones are in a file
+MEMORY_BYTES_MAX = 65_536  # longer ones are in a file
 
 
 class ChunkIndices:
@@ -15,11 +15,11 @@ class ChunkIndices:
 
     One is added for each chunk, ten a second by default, and written when the file is finished. As
     objects those of eight channels take 860 bytes each, 31 MB an hour; as in the file, 160. Beyond
-    `HELD_BYTES` they are kept in a file without a name in the `folder` of the recording.
+    `MEMORY_BYTES_MAX` they are kept in a file without a name in the `folder` of the recording.
     """
 
     def __init__(self, folder: Path) -> None:
-        self._encoded = tempfile.SpooledTemporaryFile(max_size=HELD_BYTES, dir=str(folder))  # noqa: SIM115 - `close`
+        self._encoded = tempfile.SpooledTemporaryFile(max_size=MEMORY_BYTES_MAX, dir=str(folder))  # noqa: SIM115 - `close`
 
     def append(self, index: ChunkIndex) -> None:
         """Add the index of a finished chunk."""

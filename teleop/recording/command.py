@@ -15,22 +15,22 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from teleop.config.loading import RECORDING
+from teleop.config.loading import RECORDING_SUFFIX
 from teleop.config.options import add_options
 from teleop.config.strict_yaml import read_text
 from teleop.errors import TeleopError
 from teleop.link import Link
 from teleop.messages.topics import TOPICS, Role
 from teleop.recording.config import RecordConfig
-from teleop.recording.priority import go_first
-from teleop.recording.progress import Progress
-from teleop.recording.reader import recorded_config
+from teleop.recording.priority import request_priority
+from teleop.recording.progress import RecordingProgress
+from teleop.recording.reader import read_recorded_config
 from teleop.recording.recorder import BATCH, GRACE_NS, Recorder
 from teleop.recording.writer import RecordingWriter
 from teleop.runtime.clock import now_ns
 from teleop.runtime.output_file import SharedFolder
-from teleop.runtime.process import Stop, supervised, write_summary
-from teleop.runtime.realtime import limit_computing
+from teleop.runtime.process import StopCondition, is_supervised, write_summary
+from teleop.runtime.realtime import limit_computing_time
 from teleop.runtime.status_line import StatusLine
 from teleop.session.config import load_section
 
@@ -50,11 +50,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def config_of(path: Path | None) -> tuple[str, Sequence[str]]:
+def read_config(path: Path | None) -> tuple[str, Sequence[str]]:
     """Return the text of a config file, and the overrides that come with it in a recording."""
     if path is None:
         return "", ()
-    return recorded_config(path) if path.suffix == RECORDING else (read_text(path), ())
+    return read_recorded_config(path) if path.suffix == RECORDING_SUFFIX else (read_text(path), ())
 
 
 def main(args: argparse.Namespace) -> int:
@@ -62,10 +62,10 @@ def main(args: argparse.Namespace) -> int:
     run, config = load_section(args, RecordConfig, "record")
     if args.out:
         config = dataclasses.replace(config, directory=str(args.out))
-    config_text, overrides = config_of(args.config)
-    granted = go_first(config.priority)
+    config_text, overrides = read_config(args.config)
+    granted = request_priority(config.priority)
     sys.setswitchinterval(_SWITCH_S)
-    stop = Stop(args.duration)
+    stop = StopCondition(args.duration)
     with Link(run.link, run.session, Role.RECORDER) as link:
         listener = link.listen(TOPICS)
         writer = RecordingWriter(
@@ -74,29 +74,36 @@ def main(args: argparse.Namespace) -> int:
         if link.warning:
             print(link.warning, flush=True)
         print(f"recording session {run.session!r} to {writer.path}", flush=True)
-        limit_computing(granted)
-        recorder, progress = Recorder(listener, writer, link.present), Progress(StatusLine())
+        limit_computing_time(granted)
+        recorder, progress = (
+            Recorder(listener, writer, link.present),
+            RecordingProgress(StatusLine()),
+        )
         missing = 0
         try:
             with writer:
-                _record(recorder, writer, progress, stop, config.drain_s)
+                _record_until_stopped(recorder, writer, progress, stop, config.drain_s)
                 missing = recorder.finish()
         finally:
             progress.clear()
-            summary = summary_of(writer) | {"scheduling": granted}
+            summary = build_summary(writer) | {"scheduling": granted}
             write_summary(args.json, summary)
-            if not supervised():
-                print("\n".join(lines(summary)))
+            if not is_supervised():
+                print("\n".join(format_summary(summary)))
     if missing or writer.unfinished:
-        raise TeleopError(f"{writer.path}: {incomplete(summary)}")
+        raise TeleopError(f"{writer.path}: {describe_losses(summary)}")
     return 0
 
 
-def _record(
-    recorder: Recorder, writer: RecordingWriter, progress: Progress, stop: Stop, pause_s: float
+def _record_until_stopped(
+    recorder: Recorder,
+    writer: RecordingWriter,
+    progress: RecordingProgress,
+    stop: StopCondition,
+    pause_s: float,
 ) -> None:
     """Record until told to stop, then until everything that counts is written, however long."""
-    grace_ns = SUPERVISED_GRACE_NS if supervised() else GRACE_NS
+    grace_ns = SUPERVISED_GRACE_NS if is_supervised() else GRACE_NS
     stop_ns = 0
     while not stop_ns or not recorder.is_done(stop_ns, now_ns(), grace_ns):
         if stop() and not stop_ns:
@@ -106,7 +113,7 @@ def _record(
         time.sleep(_YIELD_S if written == BATCH else pause_s)
 
 
-def summary_of(writer: RecordingWriter) -> dict[str, Any]:
+def build_summary(writer: RecordingWriter) -> dict[str, Any]:
     """Return the summary as a tree."""
     return {
         "file": str(writer.path),
@@ -121,7 +128,7 @@ def summary_of(writer: RecordingWriter) -> dict[str, Any]:
     }
 
 
-def incomplete(summary: Mapping[str, Any]) -> str:
+def describe_losses(summary: Mapping[str, Any]) -> str:
     """Return what a recording lacks, in words; empty if nothing."""
     parts = []
     if summary["missing"]:
@@ -133,7 +140,7 @@ def incomplete(summary: Mapping[str, Any]) -> str:
     return "; ".join(parts)
 
 
-def lines(summary: dict[str, Any]) -> list[str]:
+def format_summary(summary: dict[str, Any]) -> list[str]:
     """Return the summary as text."""
     size_MB, seconds = summary["bytes"] / 1e6, summary["seconds"]
     out = [f"recorded {Path(summary['file'])}: {seconds:.1f} s, {size_MB:.1f} MB"]
@@ -144,7 +151,7 @@ def lines(summary: dict[str, Any]) -> list[str]:
     if summary["dropped"]:
         dropped = ", ".join(f"{count} {topic}" for topic, count in summary["dropped"].items())
         out.append(f"  dropped because the recorder was too slow: {dropped}; use a faster disk")
-    if lack := incomplete(summary):
+    if lack := describe_losses(summary):
         out.append(f"  {lack}")
     if not summary["messages"]:
         out.append("  no messages in this session")

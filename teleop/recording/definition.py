@@ -15,7 +15,7 @@ _NUMPY = {
 _FIELD = re.compile(r"(?P<type>\w+)(?:\[(?P<count>\d+)\])?\s+(?P<name>[a-zA-Z]\w*)(?P<rest>.*)")
 
 
-def dtype_of(definition: str) -> np.dtype[np.void]:
+def to_dtype(definition: str) -> np.dtype[np.void]:
     """Return the dtype of CDR messages with a given `ros2msg` definition.
 
     The dtype covers the whole message, its four-byte encapsulation header included, so

@@ -3,17 +3,17 @@
 from collections import OrderedDict
 
 SENDERS = 64  # senders tracked per topic; beyond that the least recent one is dropped
-FORGOTTEN = 0  # stands for dropped senders
+DROPPED_SENDER = 0  # stands for dropped senders
 
 
-class Gaps:
+class GapCounter:
     """Lost messages per topic and sender.
 
     Each sender numbers the messages of a topic 0, 1, 2, ..., and the link delivers them in rising
     order; a skipped number is a lost message. Messages before the first or after the last received
     one are not counted, unless `note_sent` says that there were some after it: these are counted by
     `finish`. A restarted process is a new sender, not a gap. Losses of dropped senders are summed
-    under `FORGOTTEN`.
+    under `DROPPED_SENDER`.
     """
 
     def __init__(self) -> None:
@@ -30,7 +30,7 @@ class Gaps:
         senders.move_to_end(sender)
         if len(senders) > SENDERS:
             oldest, _ = senders.popitem(last=False)
-            forgotten = topic, FORGOTTEN
+            forgotten = topic, DROPPED_SENDER
             lost = self.lost.pop((topic, oldest), 0)
             self._sent.pop((topic, oldest), None)
             self.lost[forgotten] = self.lost.get(forgotten, 0) + lost

@@ -11,11 +11,11 @@ CONFIG_ATTACHMENT = "config.yaml"
 SCHEMA_PACKAGE = "tendon_teleop"
 
 
-def channel_name(topic: str) -> str:
+def to_channel_name(topic: str) -> str:
     """Return the MCAP name of a topic, which as in ROS begins with a slash."""
     return f"/{topic}"
 
 
-def topic_in(channel: Channel) -> str:
+def to_topic_name(channel: Channel) -> str:
     """Return the topic's name in `teleop.messages.topics`."""
     return channel.topic.removeprefix("/")

@@ -5,10 +5,10 @@ from contextlib import suppress
 
 from teleop.runtime.realtime import share_heaps
 
-NICE = -5  # where real-time scheduling is not allowed, but this is
+FALLBACK_NICE = -5  # where real-time scheduling is not allowed, but this is
 
 
-def go_first(priority: int) -> list[str]:
+def request_priority(priority: int) -> list[str]:
     """Let this process go before ordinary programs; return what was granted.
 
     Called before the link is opened: its threads inherit the priority. At SCHED_RR below that of
@@ -27,7 +27,7 @@ def go_first(priority: int) -> list[str]:
             os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(priority))
             return [f"SCHED_RR {priority}"]
         with suppress(OSError):
-            os.nice(NICE - os.nice(0))
+            os.nice(FALLBACK_NICE - os.nice(0))
             return [f"nice {os.nice(0)}"]
     os.nice(5)
     return ["no priority (see `teleop doctor`)"] if priority else []

@@ -19,7 +19,7 @@ class AddressedMessage(NamedTuple):
     data: bytes
 
 
-class Readdress:
+class SenderRewriter:
     """Rewrites recorded messages so that they come from present senders.
 
     Listeners accept a present sender and rising numbers. So sender, sequence and checksum are

@@ -16,7 +16,7 @@ from numpy.lib.recfunctions import repack_fields
 from numpy.typing import NDArray
 
 from teleop.config.strict_yaml import SIZE_MAX
-from teleop.recording.definition import dtype_of
+from teleop.recording.definition import to_dtype
 from teleop.recording.names import (
     CONFIG_ATTACHMENT,
     DROPPED_METADATA,
@@ -24,14 +24,14 @@ from teleop.recording.names import (
     GAPS_METADATA,
     SESSION_METADATA,
     VERSIONS_METADATA,
-    topic_in,
+    to_topic_name,
 )
 from teleop.recording.scan import MESSAGE_HEAD, RecordingError, Scan
 
 ROWS_MAX = 1 << 32
 """Bytes of the columns of a topic, in memory."""
 
-_TIMES_AT = 6  # where the two times begin in a MESSAGE_HEAD; a row of columns begins there
+_TIMES_OFFSET = 6  # where the two times begin in a MESSAGE_HEAD; a row of columns begins there
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,7 +95,7 @@ def open_recording(path: str | Path) -> RecordingInfo:
             last = max(last, log_time)
     messages: dict[str, int] = {}
     for channel, count in counts.items():
-        topic = topic_in(scan.channel(channel))
+        topic = to_topic_name(scan.channel(channel))
         messages[topic] = messages.get(topic, 0) + count
     if scan.damage and not messages:
         raise RecordingError(f"{path}: is damaged {scan.damage}; nothing could be read")
@@ -110,7 +110,7 @@ def open_recording(path: str | Path) -> RecordingInfo:
         layout = int(head["layout"], 16) if "layout" in head else None
     except ValueError as error:
         raise RecordingError(f"{path}: is damaged: invalid number in metadata: {error}") from error
-    config_text, overrides = _config_of(scan, head)
+    config_text, overrides = _decode_config(scan, head)
     return RecordingInfo(
         path=scan.path,
         complete=scan.complete,
@@ -131,7 +131,7 @@ def open_recording(path: str | Path) -> RecordingInfo:
     )
 
 
-def recorded_config(path: str | Path) -> tuple[str, tuple[str, ...]]:
+def read_recorded_config(path: str | Path) -> tuple[str, tuple[str, ...]]:
     """Return the config file of a recorded session as text, and its overrides.
 
     Only the head of the recording is read. `RecordingError` if it is no recording of a session.
@@ -141,10 +141,10 @@ def recorded_config(path: str | Path) -> tuple[str, tuple[str, ...]]:
     head = scan.metadata.get(SESSION_METADATA)
     if head is None:
         raise RecordingError(f"{path}: is no recording of a session, which would have its config")
-    return _config_of(scan, head)
+    return _decode_config(scan, head)
 
 
-def _config_of(scan: Scan, head: Mapping[str, str]) -> tuple[str, tuple[str, ...]]:
+def _decode_config(scan: Scan, head: Mapping[str, str]) -> tuple[str, tuple[str, ...]]:
     """Return the config text and the overrides; `RecordingError` beyond `strict_yaml.SIZE_MAX`."""
     config, overrides = scan.attachments.get(CONFIG_ATTACHMENT, b""), head.get("overrides", "")
     for what, size in (("config", len(config)), ("overrides", len(overrides.encode()))):
@@ -176,7 +176,7 @@ def read_messages(
     scan = Scan(Path(path))
     for block in scan.blocks():
         for channel, start, end in block.messages:
-            topic = topic_in(scan.channel(channel))
+            topic = to_topic_name(scan.channel(channel))
             if topics is None or topic in topics:
                 _, _, log_time, publish_time = MESSAGE_HEAD.unpack_from(block.content, start)
                 data = block.content[start + MESSAGE_HEAD.size : end]
@@ -219,15 +219,17 @@ def read_columns(
     parts: list[NDArray[np.void]] = []
     size = 0
     for block in scan.blocks():
-        wanted = {n for n, channel in scan.channels.items() if topic_in(channel) == topic}
+        wanted = {n for n, channel in scan.channels.items() if to_topic_name(channel) == topic}
         pieces = [
-            block.content[start + _TIMES_AT : end]
+            block.content[start + _TIMES_OFFSET : end]
             for channel, start, end in block.messages
             if channel in wanted
         ]
         if pieces:
-            piece = _rows(pieces, _row_dtype(scan, wanted, topic), scan.path, topic)
-            parts.append(piece if names is None else _selected(piece, names, scan.path, topic))
+            piece = _parse_rows(pieces, _build_row_dtype(scan, wanted, topic), scan.path, topic)
+            parts.append(
+                piece if names is None else _select_columns(piece, names, scan.path, topic)
+            )
             size += parts[-1].nbytes
             if size > ROWS_MAX:
                 raise RecordingError(
@@ -235,7 +237,7 @@ def read_columns(
                     "memory; take a part of the recording by `mcap filter`"
                 )
     if not parts:
-        present = ", ".join(sorted(map(topic_in, scan.channels.values()))) or "none at all"
+        present = ", ".join(sorted(map(to_topic_name, scan.channels.values()))) or "none at all"
         damage = f"; it is damaged {scan.damage}" if scan.damage else ""
         raise RecordingError(f"{path}: no messages of topic {topic!r}; it has {present}{damage}")
     rows = np.concatenate(parts)
@@ -244,7 +246,7 @@ def read_columns(
     return rows
 
 
-def _row_dtype(scan: Scan, wanted: set[int], topic: str) -> np.dtype[np.void]:
+def _build_row_dtype(scan: Scan, wanted: set[int], topic: str) -> np.dtype[np.void]:
     """Return the dtype of a row: the two times of the message record, and the message."""
     dtypes = []
     for channel in (scan.channels[n] for n in wanted):
@@ -256,7 +258,7 @@ def _row_dtype(scan: Scan, wanted: set[int], topic: str) -> np.dtype[np.void]:
         ):
             raise RecordingError(f"{scan.path}: topic {topic!r} is not in the ROS 2 encoding")
         try:
-            dtypes.append(dtype_of(schema.data.decode()))
+            dtypes.append(to_dtype(schema.data.decode()))
         except ValueError as error:
             raise RecordingError(f"{scan.path}: topic {topic!r}: {error}") from error
     message = dtypes[0]
@@ -275,7 +277,7 @@ def _row_dtype(scan: Scan, wanted: set[int], topic: str) -> np.dtype[np.void]:
     )
 
 
-def _rows(
+def _parse_rows(
     pieces: list[bytes], dtype: np.dtype[np.void], path: Path, topic: str
 ) -> NDArray[np.void]:
     if any(len(piece) != dtype.itemsize for piece in pieces):
@@ -283,7 +285,7 @@ def _rows(
     return np.frombuffer(b"".join(pieces), dtype)
 
 
-def _selected(
+def _select_columns(
     rows: NDArray[np.void], names: Sequence[str], path: Path, topic: str
 ) -> NDArray[np.void]:
     present = rows.dtype.names or ()

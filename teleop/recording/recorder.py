@@ -9,16 +9,16 @@ from typing import Any, Protocol
 
 from teleop.link import ReceivedMessage
 from teleop.messages.messages import LoopReport
-from teleop.messages.topics import REPORT, TOPICS, Role, Topic, role_name
+from teleop.messages.topics import REPORT, TOPICS, Role, Topic, format_role
 from teleop.recording.writer import RecordingWriter
 
 BATCH = 500  # messages of one step; none arrives meanwhile, and they are in memory twice
-QUIET_NS = 1_000_000_000  # without a message at the end: what has not come by then does not come
+SILENCE_NS = 1_000_000_000  # without a message at the end: what has not come by then does not come
 GRACE_NS = 500_000_000  # at the end, for what is under way from a session that goes on
 SENDERS = 64  # whose reports are remembered
 
 
-class Source(Protocol):
+class MessageSource(Protocol):
     """What a recorder reads from: `teleop.link.Listener`."""
 
     @property
@@ -59,7 +59,7 @@ class Recorder:
 
     def __init__(
         self,
-        source: Source,
+        source: MessageSource,
         writer: RecordingWriter,
         is_present: Callable[[Role, int], bool],
     ) -> None:
@@ -91,7 +91,7 @@ class Recorder:
         """Return whether everything is written that counts, if told to stop at `stop_ns`.
 
         That is once each side has said how much it sent, which is the last that it does. Of a side
-        that left without a word, once nothing came for `QUIET_NS`; of one that goes on, what came
+        that left without a word, once nothing came for `SILENCE_NS`; of one that goes on, what came
         until `grace_ns` after `stop_ns`.
         """
         oldest_ns = self._source.oldest_ns()
@@ -101,12 +101,12 @@ class Recorder:
         if all(report.ended for report in self._reports.values()):
             return oldest_ns is None
         goes_on = any(self._is_there(sender, report) for sender, report in self._reports.items())
-        return now_ns > (end_ns if goes_on else max(self._moved_ns, stop_ns) + QUIET_NS)
+        return now_ns > (end_ns if goes_on else max(self._moved_ns, stop_ns) + SILENCE_NS)
 
     def unfinished(self) -> list[str]:
         """Return the roles of senders that are gone, but have not said how much they sent."""
         return [
-            role_name(report.role)
+            format_role(report.role)
             for sender, report in self._reports.items()
             if not report.ended and not self._is_there(sender, report)
         ]

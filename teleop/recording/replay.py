@@ -25,20 +25,20 @@ from teleop.errors import TeleopError, UsageError
 from teleop.link import Link
 from teleop.messages.messages import LAYOUT
 from teleop.messages.topics import HAND, Role
-from teleop.recording.readdress import Readdress
+from teleop.recording.readdress import SenderRewriter
 from teleop.recording.reader import RecordingInfo, open_recording, read_messages
 from teleop.recording.scan import RecordingError
 from teleop.runtime.clock import now_ns
-from teleop.runtime.process import Stop, module_command, print_warning
+from teleop.runtime.process import StopCondition, build_module_command, print_warning
 from teleop.runtime.status_line import StatusLine
 from teleop.session import own_endpoints
 from teleop.session.config import RunConfig
-from teleop.session.running_sessions import registered
+from teleop.session.running_sessions import register_session
 from teleop.view.config import ViewConfig
 
-_LOOK_S = 0.05  # [s] between checks of stop, presence and progress
-_VIEW_S = 60.0  # [s] for the view to start
-_BREATH_NS = 1_000_000  # [ns] between the last message of a pass and the first of the next
+_POLL_S = 0.05  # [s] between checks of stop, presence and progress
+_VIEW_TIMEOUT_S = 60.0  # [s] for the view to start
+_PASS_GAP_NS = 1_000_000  # [ns] between the last message of a pass and the first of the next
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -63,25 +63,25 @@ def main(args: argparse.Namespace) -> int:
     if not 0.001 <= args.speed <= 1000:
         raise UsageError(f"--speed {args.speed:g}: allowed are 0.001 to 1000")
     info = open_recording(args.file)
-    require_playable(info)
+    require_present_layout(info)
     adopt_config(args, args.file)
     named = [f"session={args.session}"] if args.session else []
     run = load(args.config, RunConfig, None, [*args.overrides, *named])
     session = args.session or f"{info.session or run.session}-replay"
-    args.overrides += own_endpoints.choose(args.config, args.overrides, session)
+    args.overrides += own_endpoints.choose_overrides(args.config, args.overrides, session)
     run = load(args.config, RunConfig, None, args.overrides)
-    stop, status = Stop(), StatusLine()
+    stop, status = StopCondition(), StatusLine()
     with ExitStack() as stack:
         links = {
             role: stack.enter_context(Link(run.link, session, role))
             for role in (Role.SLAVE, Role.MASTER)
         }
-        stack.enter_context(registered(own_endpoints.entry_of(run, None, args.config)))
+        stack.enter_context(register_session(own_endpoints.build_entry(run, None, args.config)))
         how = ""
         if args.view in (None, "none"):
             how = f"; see it with: teleop view --session {session}"
         else:
-            view = stack.enter_context(viewing(args))
+            view = stack.enter_context(open_view(args))
             wait_for_view(view, links[Role.MASTER])
         status.say(f"playing {info.seconds:.1f} s as session {session!r}{how}")
         print_doubts(info)
@@ -94,17 +94,17 @@ def main(args: argparse.Namespace) -> int:
         if args.view in ("native", "web") and not stop():
             status.say("played to the end; Ctrl-C ends the view")
             while not stop() and view.poll() is None:
-                time.sleep(_LOOK_S)
+                time.sleep(_POLL_S)
     print(f"played {player.messages} messages")
     return 0
 
 
 @contextlib.contextmanager
-def viewing(args: argparse.Namespace) -> Iterator[subprocess.Popen[bytes]]:
+def open_view(args: argparse.Namespace) -> Iterator[subprocess.Popen[bytes]]:
     """Show the replay with `teleop view` while this context lasts."""
     words = ["--view", str(args.view), *(f"--set={text}" for text in args.overrides)]
     words += ["--config", str(args.config)] if args.config else []
-    process = subprocess.Popen([*module_command("teleop"), "view", *words])
+    process = subprocess.Popen([*build_module_command("teleop"), "view", *words])
     try:
         yield process
     finally:
@@ -114,13 +114,13 @@ def viewing(args: argparse.Namespace) -> Iterator[subprocess.Popen[bytes]]:
 
 def wait_for_view(process: "subprocess.Popen[bytes]", link: Link) -> None:
     """Wait until the view listens to the master; `TeleopError` if it ends or takes too long."""
-    end = time.monotonic() + _VIEW_S
+    end = time.monotonic() + _VIEW_TIMEOUT_S
     while not link.has_listener(HAND):  # for listeners only
         if process.poll() is not None:
             raise TeleopError(f"the view ended with exit code {process.returncode}")
         if time.monotonic() > end:
-            raise TeleopError(f"the view did not start within {_VIEW_S:g} s")
-        time.sleep(_LOOK_S)
+            raise TeleopError(f"the view did not start within {_VIEW_TIMEOUT_S:g} s")
+        time.sleep(_POLL_S)
 
 
 class Player:
@@ -139,7 +139,7 @@ class Player:
     def __init__(self, info: RecordingInfo, speed: float, links: Mapping[Role, Link]) -> None:
         self.messages = 0  # sent so far
         self._info, self._speed, self._links = info, speed, links
-        self._readdress = Readdress({role: link.nonce for role, link in links.items()})
+        self._readdress = SenderRewriter({role: link.nonce for role, link in links.items()})
         self._start_ns = now_ns()
         self._look_ns = 0
 
@@ -149,12 +149,12 @@ class Player:
         The stamps continue those of the last pass, so time never decreases.
         """
         info = self._info
-        shift_ns = number * (info.last_ns - info.first_ns + _BREATH_NS)
+        shift_ns = number * (info.last_ns - info.first_ns + _PASS_GAP_NS)
         for recorded in read_messages(info.path):
             elapsed_ns = recorded.log_time_ns - info.first_ns
             due_ns = self._start_ns + round((elapsed_ns + shift_ns) / self._speed)
             while not stop() and (wait_ns := due_ns - now_ns()) > 0:
-                time.sleep(min(wait_ns * 1e-9, _LOOK_S))
+                time.sleep(min(wait_ns * 1e-9, _POLL_S))
             if stop():
                 return False
             self._look(due_ns, elapsed_ns * 1e-9, number, show)
@@ -168,12 +168,12 @@ class Player:
         now = now_ns()
         if now < self._look_ns:
             return
-        self._look_ns = now + round(_LOOK_S * 1e9)
+        self._look_ns = now + round(_POLL_S * 1e9)
         for link in self._links.values():
             link.check_peers()
         late_s = (now - due_ns) * 1e-9
         again = f", pass {number + 1}" if number else ""
-        late = f", {late_s:.1f} s late" if late_s > _LOOK_S else ""
+        late = f", {late_s:.1f} s late" if late_s > _POLL_S else ""
         show(f"{at_s:.1f} of {self._info.seconds:.1f} s{again}{late}")
 
 
@@ -198,7 +198,7 @@ def print_doubts(info: RecordingInfo) -> None:
         print_warning(line)
 
 
-def require_playable(info: RecordingInfo) -> None:
+def require_present_layout(info: RecordingInfo) -> None:
     """Raise `RecordingError` unless the recording has the present message layout."""
     if not info.messages:
         raise RecordingError(f"{info.path}: has no messages")

@@ -135,7 +135,7 @@ class Scan:
         """Process one record of the file; return the messages in it, if any."""
         stream = ReadDataStream(BytesIO(body))
         if opcode == Opcode.CHUNK:
-            return self._opened(_unpack(records.Chunk.read(stream)))
+            return self._opened(_unpack_chunk(records.Chunk.read(stream)))
         if opcode == Opcode.METADATA:
             metadata = records.Metadata.read(stream)
             self.metadata[metadata.name] = metadata.metadata
@@ -170,7 +170,7 @@ class Scan:
         return Block(content, messages)
 
 
-def _unpack(chunk: records.Chunk) -> bytes:
+def _unpack_chunk(chunk: records.Chunk) -> bytes:
     """Return the content of a chunk; `ValueError` if it is not what the chunk says."""
     size = chunk.uncompressed_size
     if size > CHUNK_MAX:

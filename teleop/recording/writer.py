@@ -24,7 +24,7 @@ from teleop.messages.messages import LAYOUT
 from teleop.messages.topics import Topic
 from teleop.recording.chunk_indices import ChunkIndices, MetadataIndices
 from teleop.recording.config import RecordConfig
-from teleop.recording.gaps import Gaps
+from teleop.recording.gaps import GapCounter
 from teleop.recording.names import (
     CONFIG_ATTACHMENT,
     DROPPED_METADATA,
@@ -33,11 +33,11 @@ from teleop.recording.names import (
     SCHEMA_PACKAGE,
     SESSION_METADATA,
     VERSIONS_METADATA,
-    channel_name,
+    to_channel_name,
 )
-from teleop.runtime.process import supervised
+from teleop.runtime.process import is_supervised
 
-_VERSIONS_OF = ("tendon-teleop", "eclipse-zenoh", "mcap", "numpy", "numba")
+_VERSIONED_PACKAGES = ("tendon-teleop", "eclipse-zenoh", "mcap", "numpy", "numba")
 _COMPRESSION = {
     "zstd": CompressionType.ZSTD,
     "lz4": CompressionType.LZ4,
@@ -89,15 +89,15 @@ class RecordingWriter:
                 "recorded; state them in a config file"
             )
         self.messages: dict[str, int] = {}  # topic -> messages in the file
-        self.gaps = Gaps()
+        self.gaps = GapCounter()
         self.lag_max_s = 0.0  # [s] the longest that a message waited to be written
         self.unfinished: tuple[str, ...] = ()  # roles that went without saying how much they sent
         self.dropped: dict[str, int] = {}  # topic -> messages dropped before reading
         self.first_ns = self.last_ns = 0  # when the first and the last of them were received
         self._taken: dict[str, int] = {}  # topic -> messages in the file or on the way there
         self._span_ns = (0, 0)
-        self.path, file = _create(Path(config.directory), session, started_ns)
-        self._file = _WholeWrites(file)
+        self.path, file = _create_file(Path(config.directory), session, started_ns)
+        self._file = _CommitBuffer(file)
         self._chunk_ns = round(config.chunk_s * 1e9)
         self._committed_ns = started_ns
         self._noted_loss, self._noted_drops = 0, dict[str, int]()
@@ -111,7 +111,9 @@ class RecordingWriter:
         self._indices = ChunkIndices(self.path.parent)
         vars(self._mcap)["_Writer__chunk_indices"] = self._indices
         vars(self._mcap)["_Writer__metadata_indexes"] = MetadataIndices()
-        self._mcap.start(profile=Profile.ROS2, library=f"tendon-teleop {_version('tendon-teleop')}")
+        self._mcap.start(
+            profile=Profile.ROS2, library=f"tendon-teleop {_find_version('tendon-teleop')}"
+        )
         started = datetime.fromtimestamp(started_ns * 1e-9, UTC).isoformat(timespec="milliseconds")
         self._mcap.add_metadata(
             SESSION_METADATA,
@@ -126,7 +128,8 @@ class RecordingWriter:
         )
         self._mcap.add_metadata(
             VERSIONS_METADATA,
-            {"python": platform.python_version()} | {name: _version(name) for name in _VERSIONS_OF},
+            {"python": platform.python_version()}
+            | {name: _find_version(name) for name in _VERSIONED_PACKAGES},
         )
         if config_text:
             self._mcap.add_attachment(
@@ -208,7 +211,7 @@ class RecordingWriter:
             schema.ros_definition.encode(),
         )
         channel = self._mcap.register_channel(
-            channel_name(topic.name), MessageEncoding.CDR, schema_id
+            to_channel_name(topic.name), MessageEncoding.CDR, schema_id
         )
         self._channels[topic.name] = channel
         self._taken[topic.name] = 0
@@ -241,11 +244,11 @@ class RecordingWriter:
         self._file.close()
         raise TeleopError(
             f"{self.path}: write failed: {error.strerror}; earlier data are kept; free some "
-            f"space or choose another {option()}"
+            f"space or choose another {find_folder_option()}"
         ) from error
 
 
-class _WholeWrites:
+class _CommitBuffer:
     """Output of mcap: buffered until `commit`, which writes it at once."""
 
     def __init__(self, file: io.FileIO) -> None:
@@ -285,7 +288,7 @@ class _WholeWrites:
         self._file.close()
 
 
-def _create(directory: Path, session: str, started_ns: int) -> tuple[Path, io.FileIO]:
+def _create_file(directory: Path, session: str, started_ns: int) -> tuple[Path, io.FileIO]:
     """Create a new file, `<session>-<UTC time>.mcap`; never overwrite one."""
     stem = f"{session}-{datetime.fromtimestamp(started_ns // 10**9, UTC):%Y%m%dT%H%M%SZ}"
     attempt = 1
@@ -299,16 +302,16 @@ def _create(directory: Path, session: str, started_ns: int) -> tuple[Path, io.Fi
                 attempt += 1
     except OSError as error:
         raise UsageError(
-            f"{directory}: cannot create a recording: {error.strerror}; choose another {option()}"
+            f"{directory}: cannot create a recording: {error.strerror}; choose another {find_folder_option()}"
         ) from error
 
 
-def option() -> str:
+def find_folder_option() -> str:
     """Return the name of the option for the folder in the user's command."""
-    return "--record" if supervised() else "--out"
+    return "--record" if is_supervised() else "--out"
 
 
-def _version(distribution: str) -> str:
+def _find_version(distribution: str) -> str:
     try:
         return version(distribution)
     except PackageNotFoundError:

@@ -4,16 +4,16 @@ from collections import deque
 from typing import NamedTuple
 
 from teleop.link import Link, ReceivedMessage
-from teleop.messages.messages import STOP_ACTIONS, EmergencyStop, Setting, text_bytes, text_of
-from teleop.messages.topics import SETTING, STOP, Role, role_name
+from teleop.messages.messages import STOP_ACTIONS, EmergencyStop, Setting, decode_text, encode_text
+from teleop.messages.topics import SETTING, STOP, Role, format_role
 from teleop.remote import watches
 from teleop.remote.stop_socket import StopSocket
-from teleop.remote.watches import ArmedWatch, Beat
+from teleop.remote.watches import ArmedWatch, Heartbeat
 from teleop.session.state_machine import Reason, SessionOutline, State
 
-SETTINGS, SETTINGS_WAITING = 4, 32  # requests: in a tick, and waiting for one
+SETTINGS_PER_TICK, SETTINGS_WAITING = 4, 32  # requests: in a tick, and waiting for one
 CALL, RESET, WATCH, LEAVE = range(len(STOP_ACTIONS))
-RELAYED = (Reason.EMERGENCY_STOP, Reason.STOP_CALLED, Reason.WATCH_LOST)
+RELAYED_REASONS = (Reason.EMERGENCY_STOP, Reason.STOP_CALLED, Reason.WATCH_LOST)
 
 
 class SettingRequest(NamedTuple):
@@ -34,7 +34,7 @@ class Requests(NamedTuple):
     settings: tuple[SettingRequest, ...] = ()
 
 
-_NOTHING = Requests()
+_NO_REQUESTS = Requests()
 
 
 class RequestListener:
@@ -59,12 +59,12 @@ class RequestListener:
         """Return the requests since the last call, at `now_ns` [ns], that their senders may make.
 
         A reset is valid if it gives the newest of our `stops`, so that it cannot reset a later
-        stop. Of settings there are `SETTINGS` in a tick at most.
+        stop. Of settings there are `SETTINGS_PER_TICK` in a tick at most.
         """
         local = [] if self._stop_socket is None else self._stop_socket.take()
         messages = self._listener.drain()
         if not messages and not local and not self._armed and not self._settings:
-            return _NOTHING
+            return _NO_REQUESTS
         calls = [
             item for item in messages if item.topic is STOP and item.sender != self._link.nonce
         ]
@@ -76,11 +76,11 @@ class RequestListener:
             or self._may(item, call.role, "reset" if call.action == RESET else "stop")
         ]
         beats = [
-            Beat(item.sender, item.received_ns, call.action == LEAVE)
+            Heartbeat(item.sender, item.received_ns, call.action == LEAVE)
             for item, call in calls_and_bodies
             if call.action in (WATCH, LEAVE)
         ]
-        self._armed, lost = watches.update(self._armed, beats, self._is_watch, now_ns)
+        self._armed, lost = watches.update_watches(self._armed, beats, self._is_watch, now_ns)
         requests = Requests(
             stop=Reason.WATCH_LOST if lost else Reason.NONE,
             reset=any(
@@ -91,7 +91,7 @@ class RequestListener:
             settings=self._next_settings(messages),
         )
         callers = [
-            f"{role_name(call.role)}: {text_of(call.text)}"
+            f"{format_role(call.role)}: {decode_text(call.text)}"
             for _, call in calls_and_bodies
             if call.action not in (RESET, WATCH, LEAVE)
         ]
@@ -115,7 +115,7 @@ class RequestListener:
         """
         began = side.state is State.STOPPED and self._before.state is not State.STOPPED
         self._before = side
-        if began and side.reason in RELAYED:
+        if began and side.reason in RELAYED_REASONS:
             call_stop(self._link, role, words or side.reason.text)
 
     @property
@@ -144,14 +144,14 @@ class RequestListener:
         """Queue new requests for settings; return those of this tick."""
         for item in messages:
             if item.topic is SETTING:
-                request, role = _setting_request(item)
+                request, role = _unpack_setting_request(item)
                 if not self._may(item, role, "set"):
                     continue
                 if len(self._settings) < SETTINGS_WAITING:
                     self._settings.append(request)
                 else:
                     self._link.refusals.note("settings came too fast")
-        count = min(SETTINGS, len(self._settings))
+        count = min(SETTINGS_PER_TICK, len(self._settings))
         return tuple(self._settings.popleft() for _ in range(count))
 
     def _may(self, item: ReceivedMessage, role: int, right: str) -> bool:
@@ -159,7 +159,7 @@ class RequestListener:
         may = self._link.may(item.sender, right)
         if not may:
             self._link.refusals.note(
-                f"{item.topic.name} of a {role_name(role)} without the right to {right}"
+                f"{item.topic.name} of a {format_role(role)} without the right to {right}"
             )
         return may
 
@@ -169,19 +169,19 @@ class RequestListener:
 
 def call_stop(link: Link, role: Role, words: str, action: int = CALL) -> None:
     """Send one emergency stop message; a stop of any sender is executed."""
-    link.publish(STOP, EmergencyStop(role=role, action=action, text=text_bytes(words)))
+    link.publish(STOP, EmergencyStop(role=role, action=action, text=encode_text(words)))
 
 
 def call_reset(link: Link, role: Role, words: str, side: Role, number: int) -> None:
     """Request that a side resets its newest stop if its `stops` is `number`."""
     link.publish(
         STOP,
-        EmergencyStop(role=role, action=RESET, side=side, number=number, text=text_bytes(words)),
+        EmergencyStop(role=role, action=RESET, side=side, number=number, text=encode_text(words)),
     )
 
 
-def _setting_request(item: ReceivedMessage) -> tuple[SettingRequest, int]:
+def _unpack_setting_request(item: ReceivedMessage) -> tuple[SettingRequest, int]:
     """Return a request for a setting, and the role of its sender."""
     setting = Setting.unpack(item.data)
-    key, value = text_of(setting.key), text_of(setting.value)
+    key, value = decode_text(setting.key), decode_text(setting.value)
     return SettingRequest(item.sender, item.sequence, key, value), setting.role

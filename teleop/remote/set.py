@@ -13,12 +13,12 @@ import time
 from teleop.config.options import add_option, add_options
 from teleop.errors import TeleopError, UsageError
 from teleop.link import Link
-from teleop.messages.messages import TEXT_BYTES, Answer, Setting, text_bytes, text_of
+from teleop.messages.messages import TEXT_BYTES, Answer, Setting, decode_text, encode_text
 from teleop.messages.topics import ANSWER, SETTING, Role
 from teleop.session.config import load_shared
 from teleop.session.running_sessions import describe_absence
 
-PATIENCE_S = 5.0
+ANSWER_TIMEOUT_S = 5.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -42,26 +42,28 @@ def main(args: argparse.Namespace) -> int:
     config = load_shared(args)
     with Link(config.link, config.session, Role.REMOTE) as link:
         listener = link.listen((ANSWER,))
-        deadline = time.monotonic() + PATIENCE_S
+        deadline = time.monotonic() + ANSWER_TIMEOUT_S
         while not link.present(Role.MASTER) and time.monotonic() < deadline:
             time.sleep(0.01)
         if not link.present(Role.MASTER):
             endpoints = config.link.routers or (config.link.master,)
             raise TeleopError(describe_absence(config.session, "no master answers", endpoints))
-        setting = Setting(role=Role.REMOTE, key=text_bytes(args.key), value=text_bytes(args.value))
+        setting = Setting(
+            role=Role.REMOTE, key=encode_text(args.key), value=encode_text(args.value)
+        )
         link.publish(SETTING, setting)
-        deadline = time.monotonic() + PATIENCE_S
+        deadline = time.monotonic() + ANSWER_TIMEOUT_S
         while time.monotonic() < deadline:
             for item in listener.drain():
                 answer = Answer.unpack(item.data)
                 if answer.asker == link.nonce:
                     return _print_answer(answer)
             time.sleep(0.005)
-    raise TeleopError(f"the master did not answer within {PATIENCE_S:g} s")
+    raise TeleopError(f"the master did not answer within {ANSWER_TIMEOUT_S:g} s")
 
 
 def _print_answer(answer: Answer) -> int:
-    text = text_of(answer.text)
+    text = decode_text(answer.text)
     if not answer.accepted:
         raise UsageError(text)
     print(text)

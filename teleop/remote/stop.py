@@ -22,8 +22,8 @@ from teleop.remote.stop_socket import (
     SILENT,
     STOPPED,
     LocalAnswers,
+    list_sessions_with_sockets,
     request_local,
-    sessions_with_sockets,
 )
 from teleop.session import running_sessions
 
@@ -43,17 +43,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def main(args: argparse.Namespace) -> int:
     """Stop a session, reset the stop, or watch the session; returns the exit code."""
-    session, reason = _session_of(args), args.why or DEFAULT_REASON
+    session, reason = _find_session(args), args.why or DEFAULT_REASON
     local: dict[str, str] = {}
     if not args.watch:
         answers = request_local(session, args.reset, reason)
         local = answers.states
-        if _settle(answers, args.reset):
-            return _report(local, args.reset)
+        if _is_complete(answers, args.reset):
+            return _report_states(local, args.reset)
     # slow to import; what is above does not need it
-    from teleop.runtime.realtime import ordinary_scheduling
+    from teleop.runtime.realtime import use_ordinary_scheduling
 
-    with ordinary_scheduling():
+    with use_ordinary_scheduling():
         from teleop.remote import stop_over_link
         from teleop.session.config import load_shared
 
@@ -72,30 +72,32 @@ def main(args: argparse.Namespace) -> int:
             raise
         print(f"over the network: {error}")
         states = local
-    if not states and not _is_named(args):
+    if not states and not _has_session_name(args):
         raise TeleopError(
             "no session of yours runs on this machine; for one on another machine name its config: "
             "teleop stop --config FILE"
         )
     if not states:
         raise TeleopError(f"session {config.session!r}: no answer from master or slave")
-    return _report(states, args.reset)
+    return _report_states(states, args.reset)
 
 
-def _session_of(args: argparse.Namespace) -> str:
+def _find_session(args: argparse.Namespace) -> str:
     """Return the name of the session that a command line means; empty if it names none."""
     if args.session:
         return str(args.session)
-    if _is_named(args):
+    if _has_session_name(args):
         from teleop.config.loading import (
-            stated_keys,  # slow to import, and not needed without options
+            read_stated_keys,  # slow to import, and not needed without options
         )
 
-        stated = stated_keys(args.config, args.overrides).get("session")
+        stated = read_stated_keys(args.config, args.overrides).get("session")
         name = stated if isinstance(stated, str) else ""
-        entry = None if name else running_sessions.find(config=args.config)
+        entry = None if name else running_sessions.find_session(config=args.config)
         return entry.session if entry else name or "demo"
-    names = sessions_with_sockets() | {entry.session for entry in running_sessions.running()}
+    names = list_sessions_with_sockets() | {
+        entry.session for entry in running_sessions.list_sessions()
+    }
     if len(names) > 1:
         raise UsageError(
             f"{len(names)} sessions are running: {', '.join(sorted(names))}; name one with "
@@ -104,19 +106,19 @@ def _session_of(args: argparse.Namespace) -> str:
     return min(names, default="")
 
 
-def _is_named(args: argparse.Namespace) -> bool:
+def _has_session_name(args: argparse.Namespace) -> bool:
     """Return whether a command line says which session it means."""
     return bool(args.session or args.config or args.overrides)
 
 
-def _settle(answers: LocalAnswers, is_reset: bool) -> bool:
+def _is_complete(answers: LocalAnswers, is_reset: bool) -> bool:
     """Return whether the answers from this machine are those of the whole session."""
     answered = any(state != SILENT for state in answers.states.values())
     is_whole = answers.are_direct or not is_reset
     return answered and is_whole and not answers.has_silent_peer
 
 
-def _report(states: dict[str, str], is_reset: bool) -> int:
+def _report_states(states: dict[str, str], is_reset: bool) -> int:
     """Print the states of the sides by their names; return 0, or raise if one did not obey."""
     for side, state in states.items():
         print(f"{side:9} {state}")

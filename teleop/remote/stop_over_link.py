@@ -12,41 +12,41 @@ from teleop.messages.topics import COMMAND, STATE, Role, Topic
 from teleop.remote.requests import CALL, LEAVE, RESET, WATCH, call_reset, call_stop
 from teleop.remote.stop_socket import StopSocket
 from teleop.remote.watches import BEAT_S, SILENCE_S
-from teleop.runtime.process import Stop
+from teleop.runtime.process import StopCondition
 from teleop.session.config import RunConfig
 from teleop.session.state_machine import Reason, State
 
-PATIENCE_S = 3.0  # timeout for the answers of all sides
-LEAST_S = 0.4  # time for a second side to appear, after the first
+ANSWERS_TIMEOUT_S = 3.0  # timeout for the answers of all sides
+DISCOVERY_MIN_S = 0.4  # time for a second side to appear, after the first
 REPEAT_S = 0.02  # between two messages: the first may be lost while the link connects
 SIDES: dict[Role, Topic[Any]] = {Role.MASTER: COMMAND, Role.SLAVE: STATE}
 
 
 def request_over_link(config: RunConfig, is_reset: bool, reason: str) -> dict[str, str]:
     """Send the request to every side that can be reached; return the state of each by its name."""
-    stop = Stop()
+    stop = StopCondition()
     # an emergency stop does not wait for the detection of peers
     with Link(config.link, config.session, Role.REMOTE, at_once=True) as link:
         if link.warning:
             print(link.warning, flush=True)
         action = RESET if is_reset else CALL
-        states = request_all(link, Role.REMOTE, action, reason, stop)
+        states = request_sides(link, Role.REMOTE, action, reason, stop)
     return {side.name.lower(): state.name.lower() for side, state in states.items()}
 
 
 def watch_session(config: RunConfig, reason: str) -> int:
-    """Watch a session (`watch`); returns the exit code."""
-    stop = Stop()
+    """Watch a session (`send_heartbeats`); returns the exit code."""
+    stop = StopCondition()
     with (
         Link(config.link, config.session, Role.WATCH) as link,
         StopSocket(config.session, "watch") as stop_socket,
     ):
         for warning in filter(None, (link.warning, stop_socket.warning)):
             print(warning, flush=True)
-        return watch(link, stop, reason, stop_socket)
+        return send_heartbeats(link, stop, reason, stop_socket)
 
 
-def request_all(
+def request_sides(
     link: Link, role: Role, action: int, words: str, stop: Callable[[], bool]
 ) -> dict[Role, State]:
     """Send the request until every connected side has executed it; return their states."""
@@ -57,41 +57,41 @@ def request_all(
     named: dict[Role, int] = {}  # number of the stop to be reset, not a later one
     while not stop():
         now = time.monotonic()
-        states = {side: state_of(link, side) for side in SIDES if link.present(side)}
+        states = {side: read_state(link, side) for side in SIDES if link.present(side)}
         if action == CALL:
             call_stop(link, role, words)
         else:
             for side in (s for s, state in states.items() if state is State.STOPPED):
-                number = named.setdefault(side, stops_of(link, side))
+                number = named.setdefault(side, read_stop_count(link, side))
                 call_reset(link, role, words, side, number)
         first = first or (now if states else 0.0)
         done = all((state is State.STOPPED) == (action == CALL) for state in states.values())
-        if (first and done and now - first > LEAST_S) or now - begin > PATIENCE_S:
+        if (first and done and now - first > DISCOVERY_MIN_S) or now - begin > ANSWERS_TIMEOUT_S:
             break
         time.sleep(REPEAT_S)
     return states
 
 
-def state_of(link: Link, side: Role) -> State:
+def read_state(link: Link, side: Role) -> State:
     """Return the reported state of a side, OFF before its first message."""
     message = link.latest(SIDES[side]).message
     return State.OFF if message is None else State(message.state)
 
 
-def stops_of(link: Link, side: Role) -> int:
+def read_stop_count(link: Link, side: Role) -> int:
     """Return the reported number of stops of a side."""
     message = link.latest(SIDES[side]).message
     return 0 if message is None else int(message.stops)
 
 
-def watch(link: Link, stop: Stop, reason: str, stop_socket: StopSocket) -> int:
+def send_heartbeats(link: Link, stop: StopCondition, reason: str, stop_socket: StopSocket) -> int:
     """Send heartbeats until stopped; any other end of this process is an emergency stop.
 
     A `teleop stop` on this machine goes through this process, whose connections are open already.
     """
     for topic in SIDES.values():
         link.subscribe_latest(topic)
-    deadline = time.monotonic() + PATIENCE_S
+    deadline = time.monotonic() + ANSWERS_TIMEOUT_S
     while not all(map(link.present, SIDES)) and time.monotonic() < deadline and not stop():
         time.sleep(0.01)
     sides = [side for side in SIDES if link.present(side)]
@@ -113,7 +113,7 @@ def watch(link: Link, stop: Stop, reason: str, stop_socket: StopSocket) -> int:
                 break
             inputs.remove(sys.stdin)  # no more input from a closed terminal
         _forward_stops(link, stop_socket)
-    states = request_all(link, Role.WATCH, CALL, reason or Reason.WATCH_LOST.text, lambda: False)
+    states = request_sides(link, Role.WATCH, CALL, reason or Reason.WATCH_LOST.text, lambda: False)
     print("stopped: " + ", ".join(side.name.lower() for side in states))
     return 0
 
@@ -138,7 +138,7 @@ def _forward_stops(link: Link, stop_socket: StopSocket) -> None:
     if stop_socket.is_asked:
         stop_socket.answer(
             [
-                f"{side.name.lower()} {state_of(link, side).name.lower()}"
+                f"{side.name.lower()} {read_state(link, side).name.lower()}"
                 for side in SIDES
                 if link.present(side)
             ]

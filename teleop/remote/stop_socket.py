@@ -21,7 +21,7 @@ from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import NamedTuple, Self
 
-from teleop.session.running_sessions import own_folders, usable_folders
+from teleop.session.running_sessions import list_own_folders, usable_folders
 
 ANSWER_S = 2.0  # [s] timeout for the answers of all processes; they take milliseconds
 REPEAT_S = 0.02  # [s] between two requests: a peer's state in an answer may still be the old one
@@ -59,7 +59,7 @@ class StopSocket:
 
     def __init__(self, session: str, role: str) -> None:
         # no process number: in a restarted container a killed process had the same one
-        self._name = f"{session}.{_network()}.{role}.{os.urandom(4).hex()}.stop"
+        self._name = f"{session}.{_read_network_namespace()}.{role}.{os.urandom(4).hex()}.stop"
         self.warning = ""
         self._socket: socket.socket | None = None
         self._poll = select.poll()
@@ -70,7 +70,7 @@ class StopSocket:
         reason = "there is no folder of this user alone: set XDG_RUNTIME_DIR"
         for folder in usable_folders(self._name):
             try:
-                self._socket = _bound(folder / self._name, self._stack)
+                self._socket = _bind_socket(folder / self._name, self._stack)
             except OSError as error:
                 reason = str(error)
             else:
@@ -190,12 +190,12 @@ def request_local(session: str, is_reset: bool, reason: str) -> LocalAnswers:
     once, and the sides here stay `SILENT`.
     """
     with ExitStack() as stack:
-        sockets = [(path, role) for path, name, role in _sockets() if name == session]
+        sockets = [(path, role) for path, name, role in _list_sockets() if name == session]
         answers = LocalAnswers({role for _, role in sockets})
         if not sockets:
             return answers
         folders = [path.parent for path, _ in sockets]
-        mine, has_address = _sender(list(dict.fromkeys(folders + own_folders())), stack)
+        mine, has_address = _sender(list(dict.fromkeys(folders + list_own_folders())), stack)
         deadline = time.monotonic() + ANSWER_S
         while sockets and time.monotonic() < deadline:
             for place, role in list(sockets):
@@ -218,9 +218,9 @@ def request_local(session: str, is_reset: bool, reason: str) -> LocalAnswers:
         return answers
 
 
-def sessions_with_sockets() -> set[str]:
+def list_sessions_with_sockets() -> set[str]:
     """Return the names of this user's sessions with a socket on this machine."""
-    return {session for _, session, _ in _sockets()}
+    return {session for _, session, _ in _list_sockets()}
 
 
 def as_bytes(reason: str) -> bytes:
@@ -228,16 +228,16 @@ def as_bytes(reason: str) -> bytes:
     return reason.encode(errors="replace")[: REQUEST_BYTES // 2]
 
 
-def _sockets() -> list[tuple[Path, str, str]]:
+def _list_sockets() -> list[tuple[Path, str, str]]:
     """Return the sockets on this machine, with session and role of each.
 
     Those of killed processes are removed.
     """
     found = []
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as probe:
-        for path in (path for folder in own_folders() for path in folder.glob("*.stop")):
+        for path in (path for folder in list_own_folders() for path in folder.glob("*.stop")):
             session, network, role, *_ = (*path.name.split("."), "", "")
-            if network != str(_network()):
+            if network != str(_read_network_namespace()):
                 continue
             try:
                 probe.connect(str(path))
@@ -255,13 +255,13 @@ def _sender(folders: list[Path], stack: ExitStack) -> tuple[socket.socket, bool]
     """Return a socket for requests, and whether it can be answered: it needs a file for that."""
     for folder in folders:
         with suppress(OSError):  # read-only, or no space for a file
-            return _bound(folder / f"{os.urandom(8).hex()}.answer", stack), True
+            return _bind_socket(folder / f"{os.urandom(8).hex()}.answer", stack), True
     unbound = stack.enter_context(socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM))
     unbound.setblocking(False)
     return unbound, False
 
 
-def _bound(path: Path, stack: ExitStack) -> socket.socket:
+def _bind_socket(path: Path, stack: ExitStack) -> socket.socket:
     """Return a datagram socket at `path`, for its owner only; `stack` closes and removes it."""
     bound = stack.enter_context(socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM))
     bound.bind(str(path))
@@ -271,7 +271,7 @@ def _bound(path: Path, stack: ExitStack) -> socket.socket:
     return bound
 
 
-def _network() -> int:
+def _read_network_namespace() -> int:
     """Return the number of this network namespace: a container is a machine of its own."""
     try:
         return os.stat("/proc/self/ns/net").st_ino

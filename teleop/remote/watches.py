@@ -12,7 +12,7 @@ BEAT_S = 0.05  # [s] between two beats
 SILENCE_S = 0.25  # [s] timeout: five heartbeats
 
 
-class Beat(NamedTuple):
+class Heartbeat(NamedTuple):
     """A heartbeat."""
 
     watch: int  # nonce of its process
@@ -28,9 +28,9 @@ class ArmedWatch(NamedTuple):
     seen: bool  # whether its token was present
 
 
-def update(
+def update_watches(
     armed: tuple[ArmedWatch, ...],
-    beats: Iterable[Beat],
+    beats: Iterable[Heartbeat],
     present: Callable[[int], bool],
     now_ns: int,
 ) -> tuple[tuple[ArmedWatch, ...], bool]:

@@ -25,7 +25,7 @@ from estimator.array_types import Array
 from estimator.units import LINEAR
 from teleop.config import strict_yaml
 from teleop.data import bounds
-from teleop.data.channel_names import standard
+from teleop.data.channel_names import format_standard_name
 from teleop.errors import UsageError
 from teleop.recording.names import SESSION_METADATA
 from teleop.recording.scan import MESSAGE_HEAD, Scan
@@ -59,7 +59,7 @@ class BagTable(NamedTuple):
     lacks: str
 
 
-class Distal(NamedTuple):
+class DistalColumns(NamedTuple):
     """What is measured at the tip."""
 
     topic: str
@@ -80,14 +80,14 @@ def read_bag(path: Path) -> BagTable:
     """Return the columns of a bag, a folder or one MCAP file; `UsageError` if it has no data."""
     joints: dict[str, Signals] = {}
     wrenches: dict[str, Signals] = {}
-    for topic, recorded in _topics(path).items():
+    for topic, recorded in _read_topics(path).items():
         (joints if recorded.cls is JointState else wrenches)[topic] = recorded.signals()
-    main = _main_topic(path, joints)
+    main = _find_main_topic(path, joints)
     for topic, signals in (joints | wrenches).items():
         if topic != main and (np.diff(signals.times) <= 0).any():
             raise UsageError(f"{path}: times of {topic} do not increase")
     rows = joints[main].times
-    distal = _distal(main, joints, wrenches)
+    distal = _find_distal_columns(main, joints, wrenches)
     keep = np.ones(len(rows), dtype=bool)
     if distal is not None:
         keep = (rows >= distal.times[0]) & (rows <= distal.times[-1])
@@ -108,7 +108,7 @@ def read_bag(path: Path) -> BagTable:
     columns: dict[str, NDArray[Any]] = {"time_s": time_s}
     for number, name in enumerate(tendons, start=1):
         for end, what in (("tension", "effort"), ("displacement", "position")):
-            column = standard(LINEAR, f"proximal_{end}", number)
+            column = format_standard_name(LINEAR, f"proximal_{end}", number)
             columns[column] = joints[main].values[f"{name}/{what}"][keep]
     if distal is not None:
         columns |= {name: sampled(distal.times, v) for name, v in distal.columns.items()}
@@ -116,10 +116,10 @@ def read_bag(path: Path) -> BagTable:
         for name, values in signals.values.items():
             columns[f"{topic}/{name}"] = sampled(signals.times, values)
     measured = {name: values for name, values in columns.items() if not np.isnan(values).all()}
-    return BagTable(measured, _lacks(main, joints[main]))
+    return BagTable(measured, _describe_missing_columns(main, joints[main]))
 
 
-def _lacks(topic: str, signals: Signals) -> str:
+def _describe_missing_columns(topic: str, signals: Signals) -> str:
     """Return why the columns of a tendon are not there, and how to name them; "" if they are."""
     joint = f"{topic}/{signals.joints[0]}" if signals.joints else topic
     efforts = [values for name, values in signals.values.items() if name.endswith("/effort")]
@@ -144,25 +144,25 @@ def _lacks(topic: str, signals: Signals) -> str:
     )
 
 
-def _distal(
+def _find_distal_columns(
     main: str, joints: Mapping[str, Signals], wrenches: Mapping[str, Signals]
-) -> Distal | None:
+) -> DistalColumns | None:
     bench = [topic for topic in joints if topic.endswith(BENCH) and topic != main]
     if len(bench) == 1:
         signals, columns = joints[bench[0]], dict[str, Array]()
         for number, name in enumerate(signals.joints, start=1):
             for end, what in (("tension", "effort"), ("displacement", "position")):
-                column = standard(LINEAR, f"distal_{end}", number)
+                column = format_standard_name(LINEAR, f"distal_{end}", number)
                 columns[column] = signals.values[f"{name}/{what}"]
-        return Distal(bench[0], signals.times, columns)
+        return DistalColumns(bench[0], signals.times, columns)
     if not main.endswith(ACTUATORS) and len(wrenches) == 1:  # else it may be an estimate of ours
         ((topic, signals),) = wrenches.items()
-        columns = {standard(LINEAR, "distal_tension"): signals.values["force_x"]}
-        return Distal(topic, signals.times, columns)
+        columns = {format_standard_name(LINEAR, "distal_tension"): signals.values["force_x"]}
+        return DistalColumns(topic, signals.times, columns)
     return None
 
 
-def _main_topic(path: Path, joints: Mapping[str, Signals]) -> str:
+def _find_main_topic(path: Path, joints: Mapping[str, Signals]) -> str:
     actuators = [topic for topic in joints if topic.endswith(ACTUATORS)]
     topics = actuators or list(joints)
     if len(topics) == 1:
@@ -175,7 +175,7 @@ def _main_topic(path: Path, joints: Mapping[str, Signals]) -> str:
     )
 
 
-class _Recorded:
+class _RecordedTopic:
     """The messages of one topic as numbers, in the order of the files.
 
     A joint is one that the first message names; what a message lacks is NaN.
@@ -188,7 +188,11 @@ class _Recorded:
 
     def add(self, log_ns: int, message: Any) -> int:
         """Add a message; return the number of values that it takes."""
-        values = _joint_values(message) if self.cls is JointState else _wrench_values(message)
+        values = (
+            _extract_joint_values(message)
+            if self.cls is JointState
+            else _extract_wrench_values(message)
+        )
         if not self._log_ns:
             self._values = {name: array("d") for name in values}
         self._log_ns.append(log_ns)
@@ -206,7 +210,7 @@ class _Recorded:
         return Signals(times[order], values)
 
 
-def _joint_values(message: Any) -> dict[str, float]:
+def _extract_joint_values(message: Any) -> dict[str, float]:
     measured = {
         what: dict(zip(message.name, getattr(message, what), strict=False)) for what in _MOTION
     }
@@ -217,7 +221,7 @@ def _joint_values(message: Any) -> dict[str, float]:
     }
 
 
-def _wrench_values(message: Any) -> dict[str, float]:
+def _extract_wrench_values(message: Any) -> dict[str, float]:
     return {
         f"{what}_{axis}": getattr(getattr(message.wrench, what), axis)
         for what in ("force", "torque")
@@ -225,11 +229,11 @@ def _wrench_values(message: Any) -> dict[str, float]:
     }
 
 
-def _topics(path: Path) -> dict[str, _Recorded]:
+def _read_topics(path: Path) -> dict[str, _RecordedTopic]:
     """Return all topics of the two types; of a damaged or truncated file what can be read."""
-    topics: dict[str, _Recorded] = {}
+    topics: dict[str, _RecordedTopic] = {}
     cells = 0
-    for file in _files(path):
+    for file in _list_files(path):
         scan, messages = Scan(file, loose=True), 0
         for block in scan.blocks():
             for number, start, end in block.messages:
@@ -241,7 +245,9 @@ def _topics(path: Path) -> dict[str, _Recorded]:
                 log_ns = MESSAGE_HEAD.unpack_from(block.content, start)[2]
                 try:
                     message = cdr.decode(cls, block.content[start + MESSAGE_HEAD.size : end])
-                    cells += topics.setdefault(channel.topic, _Recorded(cls)).add(log_ns, message)
+                    cells += topics.setdefault(channel.topic, _RecordedTopic(cls)).add(
+                        log_ns, message
+                    )
                 except (cdr.CdrError, OverflowError) as error:
                     raise UsageError(
                         f"{file}: a message of {channel.topic} is damaged: {error}"
@@ -260,7 +266,7 @@ def _topics(path: Path) -> dict[str, _Recorded]:
     return topics
 
 
-def _files(path: Path) -> Iterator[Path]:
+def _list_files(path: Path) -> Iterator[Path]:
     """Yield the MCAP files of a bag."""
     if not path.is_dir():
         yield path

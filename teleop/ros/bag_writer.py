@@ -13,11 +13,11 @@ from mcap.writer import Writer
 from teleop.errors import UsageError
 from teleop.ros import cdr
 from teleop.ros.graph import RELIABLE, Qos
-from teleop.ros.interface import definition, interface_of
-from teleop.ros.type_hash import type_hash
+from teleop.ros.interface import find_interface, format_definition
+from teleop.ros.type_hash import compute_type_hash
 
 VERSION = 9  # of metadata.yaml
-_FOREVER = {"sec": 9223372036, "nsec": 854775807}
+_INFINITE_DURATION = {"sec": 9223372036, "nsec": 854775807}
 
 
 class BagWriter:
@@ -86,15 +86,15 @@ class BagWriter:
         (self._folder / "metadata.yaml").write_text(yaml.safe_dump(whole, sort_keys=False))
 
     def _register(self, topic: str, cls: type[Any], qos: Qos) -> int:
-        interface, profiles = interface_of(cls), [_profile(qos)]
+        interface, profiles = find_interface(cls), [_build_qos_profile(qos)]
         if interface.name not in self._schemas:
             self._schemas[interface.name] = self._mcap.register_schema(
-                interface.name, SchemaEncoding.ROS2, definition(interface).encode()
+                interface.name, SchemaEncoding.ROS2, format_definition(interface).encode()
             )
         schema = self._schemas[interface.name]
         metadata = {
             "offered_qos_profiles": yaml.safe_dump(profiles, sort_keys=False),
-            "topic_type_hash": type_hash(cls),
+            "topic_type_hash": compute_type_hash(cls),
         }
         channel = self._mcap.register_channel(topic, MessageEncoding.CDR, schema, metadata)
         self._channels[topic], self.counts[topic] = channel, 0
@@ -103,7 +103,7 @@ class BagWriter:
             "type": interface.name,
             "serialization_format": "cdr",
             "offered_qos_profiles": profiles,
-            "type_description_hash": type_hash(cls),
+            "type_description_hash": compute_type_hash(cls),
         }
         return channel
 
@@ -130,15 +130,15 @@ class BagWriter:
         }
 
 
-def _profile(qos: Qos) -> dict[str, Any]:
+def _build_qos_profile(qos: Qos) -> dict[str, Any]:
     return {
         "history": "keep_last",
         "depth": qos.depth,
         "reliability": "reliable" if qos.reliability == RELIABLE else "best_effort",
         "durability": "volatile",
-        "deadline": dict(_FOREVER),
-        "lifespan": dict(_FOREVER),
+        "deadline": dict(_INFINITE_DURATION),
+        "lifespan": dict(_INFINITE_DURATION),
         "liveliness": "automatic",
-        "liveliness_lease_duration": dict(_FOREVER),
+        "liveliness_lease_duration": dict(_INFINITE_DURATION),
         "avoid_ros_namespace_conventions": False,
     }

@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 
 from teleop.errors import TeleopError
 from teleop.messages.messages import ENCAPSULATION
-from teleop.ros.interface import Field, Interface, interface_of
+from teleop.ros.interface import Field, Interface, find_interface
 
 T = TypeVar("T")
 
@@ -21,10 +21,10 @@ _CODES = {
     "float32": "f", "float64": "d",
 }  # fmt: skip
 _SIZES = {name: struct.calcsize(code) for name, code in _CODES.items()}
-_LONGEST = 100_000  # elements of a sequence, characters of a string: more is damage
+_LENGTH_MAX = 100_000  # elements of a sequence, characters of a string: more is damage
 # rclpy pads the empty sequences of a message in the length of its buffer, but not in its content: a
 # JointState without positions and velocities has 12 further bytes of no meaning
-_TRAILING = 16
+_TRAILING_BYTES_MAX = 16
 _U32 = struct.Struct("<I")
 
 
@@ -35,7 +35,7 @@ class CdrError(TeleopError):
 def encode(message: Any) -> bytes:
     """Return the bytes of a message, an instance of a declared type (`teleop.ros.interface`)."""
     out = bytearray()
-    _write(out, interface_of(type(message)), message)
+    _write_message(out, find_interface(type(message)), message)
     return ENCAPSULATION + bytes(out)
 
 
@@ -50,62 +50,62 @@ def decode(cls: type[T], data: bytes) -> T:
     if data[:2] != ENCAPSULATION[:2]:
         raise CdrError("not little-endian CDR")
     body = memoryview(data)[len(ENCAPSULATION) :]
-    interface = interface_of(cls)
+    interface = find_interface(cls)
     try:
-        message, end = _read(body, 0, interface)
+        message, end = _read_message(body, 0, interface)
     except struct.error as error:
         raise CdrError(f"too short for {interface.name}") from error
     except UnicodeDecodeError as error:
         raise CdrError(f"text in {interface.name} is not UTF-8") from error
-    if len(body) - end > _TRAILING:
+    if len(body) - end > _TRAILING_BYTES_MAX:
         raise CdrError(f"{len(body) - end} bytes too long for {interface.name}")
     result: T = message
     return result
 
 
-def _write(out: bytearray, interface: Interface, message: Any) -> None:
+def _write_message(out: bytearray, interface: Interface, message: Any) -> None:
     for field in interface.fields:
         value = getattr(message, field.name)
         if field.count is None:
-            _write_one(out, field, value)
+            _write_value(out, field, value)
             continue
         if field.count == 0:
-            _align(out, 4)
+            _align_buffer(out, 4)
             out += _U32.pack(len(value))
         elif len(value) != field.count:
             raise CdrError(f"{field.name}: {len(value)} elements, must be {field.count}")
         code = _CODES.get(field.type)
         if code is None:
             for item in value:
-                _write_one(out, field, item)
+                _write_value(out, field, item)
         elif len(value):
-            _align(out, _SIZES[field.type])
+            _align_buffer(out, _SIZES[field.type])
             out += struct.pack(f"<{len(value)}{code}", *value)
 
 
-def _write_one(out: bytearray, field: Field, value: Any) -> None:
+def _write_value(out: bytearray, field: Field, value: Any) -> None:
     if field.nested is not None:
-        _write(out, field.nested, value)
+        _write_message(out, field.nested, value)
     elif field.type == "string":
         text = value.encode()
-        _align(out, 4)
+        _align_buffer(out, 4)
         out += _U32.pack(len(text) + 1)
         out += text
         out.append(0)
     else:
-        _align(out, _SIZES[field.type])
+        _align_buffer(out, _SIZES[field.type])
         out += struct.pack("<" + _CODES[field.type], value)
 
 
-def _align(out: bytearray, size: int) -> None:
+def _align_buffer(out: bytearray, size: int) -> None:
     out.extend(bytes(-len(out) % size))
 
 
-def _read(body: memoryview, at: int, interface: Interface) -> tuple[Any, int]:
+def _read_message(body: memoryview, at: int, interface: Interface) -> tuple[Any, int]:
     values: dict[str, Any] = {}
     for field in interface.fields:
         if field.count is None:
-            values[field.name], at = _read_one(body, at, field)
+            values[field.name], at = _read_value(body, at, field)
             continue
         count = field.count
         if count == 0:
@@ -114,7 +114,7 @@ def _read(body: memoryview, at: int, interface: Interface) -> tuple[Any, int]:
         if code is None:
             items = []
             for _ in range(count):
-                value, at = _read_one(body, at, field)
+                value, at = _read_value(body, at, field)
                 items.append(value)
             values[field.name] = tuple(items)
         else:
@@ -124,9 +124,9 @@ def _read(body: memoryview, at: int, interface: Interface) -> tuple[Any, int]:
     return interface.cls(**values), at
 
 
-def _read_one(body: memoryview, at: int, field: Field) -> tuple[Any, int]:
+def _read_value(body: memoryview, at: int, field: Field) -> tuple[Any, int]:
     if field.nested is not None:
-        return _read(body, at, field.nested)
+        return _read_message(body, at, field.nested)
     if field.type == "string":
         length, at = _read_count(body, at)
         end = at + length
@@ -140,6 +140,6 @@ def _read_one(body: memoryview, at: int, field: Field) -> tuple[Any, int]:
 def _read_count(body: memoryview, at: int) -> tuple[int, int]:
     at += -at % 4
     (count,) = _U32.unpack_from(body, at)
-    if count > _LONGEST:
-        raise CdrError(f"{count} elements announced, at most {_LONGEST} are read")
+    if count > _LENGTH_MAX:
+        raise CdrError(f"{count} elements announced, at most {_LENGTH_MAX} are read")
     return count, at + 4

@@ -15,7 +15,7 @@ import time
 
 from teleop.config.options import add_options
 from teleop.link import Link
-from teleop.link.ros_session import router_listens
+from teleop.link.ros_session import is_router_listening
 from teleop.messages.topics import Role
 from teleop.recording.names import SCHEMA_PACKAGE
 from teleop.ros.config import RosConfig, check_ports
@@ -23,10 +23,10 @@ from teleop.ros.node import RosNode
 from teleop.ros.package import write_package
 from teleop.ros.publishers import Publishers
 from teleop.runtime.output_file import OutputFolder
-from teleop.runtime.process import Stop, let_loops_first, supervised, write_summary
+from teleop.runtime.process import StopCondition, is_supervised, lower_priority, write_summary
 from teleop.session.config import RunConfig, load_section
 
-_LOOK_S = 0.5  # [s] between two looks for the router
+_POLL_S = 0.5  # [s] between two looks for the router
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -47,33 +47,33 @@ def main(args: argparse.Namespace) -> int:
         return 0
     run, config = load_section(args, RosConfig, "ros")
     check_ports(config.router, run.link)
-    let_loops_first()
-    stop = Stop(args.duration)
+    lower_priority()
+    stop = StopCondition(args.duration)
     sent: dict[str, int] = {}
     if wait_for_router(config.router, stop):
         sent = publish(run, config, stop)
     summary = {"session": run.session, "sent": sent, "reason": stop.reason}
     write_summary(args.json, summary)
-    if not supervised():
+    if not is_supervised():
         total = sum(sent.values())
         print(f"ended ({stop.reason}): {total} messages on {sum(map(bool, sent.values()))} topics")
     return 0
 
 
-def wait_for_router(router: str, stop: Stop) -> bool:
+def wait_for_router(router: str, stop: StopCondition) -> bool:
     """Wait until the router listens; return False if told to stop before."""
     said = False
     while not stop():
-        if router_listens(router):
+        if is_router_listening(router):
             return True
         if not said:
             print(f"no router at {router} yet: ros2 run rmw_zenoh_cpp rmw_zenohd", flush=True)
             said = True
-        time.sleep(_LOOK_S)
+        time.sleep(_POLL_S)
     return False
 
 
-def publish(run: RunConfig, config: RosConfig, stop: Stop) -> dict[str, int]:
+def publish(run: RunConfig, config: RosConfig, stop: StopCondition) -> dict[str, int]:
     """Publish until told to stop; return the number of messages by topic."""
     with (
         Link(run.link, run.session, Role.VIEWER) as link,

@@ -6,8 +6,8 @@ subscriber in the graph. Without one, commands are refused: nobody reads them.
 
 import threading
 
-from teleop.ros.graph import Endpoint, Kind
-from teleop.ros.outputs import full_name
+from teleop.ros.graph import EndpointKind, GraphEndpoint
+from teleop.ros.outputs import build_topic_name
 
 SERVO_JP, SERVO_CV, STATE_COMMAND = "master/servo_jp", "master/servo_cv", "master/state_command"
 
@@ -16,11 +16,13 @@ class CommandTopics:
     """Tracks publishers and subscribers of the command topics; Zenoh's thread writes."""
 
     def __init__(self, prefix: str) -> None:
-        self._names = {full_name(name, prefix) for name in (SERVO_JP, SERVO_CV, STATE_COMMAND)}
+        self._names = {
+            build_topic_name(name, prefix) for name in (SERVO_JP, SERVO_CV, STATE_COMMAND)
+        }
         self._lock = threading.Lock()
-        self._there: dict[Kind, list[tuple[str, str]]] = {kind: [] for kind in Kind}
+        self._there: dict[EndpointKind, list[tuple[str, str]]] = {kind: [] for kind in EndpointKind}
 
-    def note(self, endpoint: Endpoint, came: bool) -> None:
+    def note(self, endpoint: GraphEndpoint, came: bool) -> None:
         """Note that an endpoint has come, or gone."""
         if endpoint.topic not in self._names:
             return
@@ -34,8 +36,8 @@ class CommandTopics:
     def refused(self) -> str:
         """Return which commands nobody takes, and the remedy; empty if there are none."""
         with self._lock:
-            taken = {topic for topic, _ in self._there[Kind.SUBSCRIBER]}
-            refused = sorted(e for e in self._there[Kind.PUBLISHER] if e[0] not in taken)
+            taken = {topic for topic, _ in self._there[EndpointKind.SUBSCRIBER]}
+            refused = sorted(e for e in self._there[EndpointKind.PUBLISHER] if e[0] not in taken)
         if not refused:
             return ""
         names = ", ".join(f"{node} publishes {topic}" for topic, node in dict.fromkeys(refused))

@@ -3,14 +3,14 @@
 import re
 from dataclasses import dataclass
 
-from teleop.config.suggestions import did_you_mean
+from teleop.config.suggestions import suggest_spelling
 from teleop.errors import UsageError
 from teleop.link.config import Address, Endpoint, LinkConfig
 from teleop.ros.graph import is_name
 from teleop.ros.outputs import OUTPUTS
 
 ALL = tuple(output.name for output in OUTPUTS)
-LARGEST_DOMAIN = 232  # of ROS 2
+DOMAIN_MAX = 232  # of ROS 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,8 +27,8 @@ class RosConfig:
 
     def __post_init__(self) -> None:
         """Check the values; raises `ValueError`."""
-        if not 0 <= self.domain <= LARGEST_DOMAIN:
-            raise ValueError(f"domain: must be 0 to {LARGEST_DOMAIN}")
+        if not 0 <= self.domain <= DOMAIN_MAX:
+            raise ValueError(f"domain: must be 0 to {DOMAIN_MAX}")
         check_router(self.router)
         if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", self.node):
             raise ValueError("node: allowed are letters, digits and _")
@@ -38,7 +38,7 @@ class RosConfig:
             raise ValueError("rate_hz: must be within 1 ... 500 [Hz]")
         for i, topic in enumerate(self.topics):
             if topic not in ALL:
-                raise ValueError(f"topics.{i}: no topic {topic!r}{did_you_mean(topic, ALL)}")
+                raise ValueError(f"topics.{i}: no topic {topic!r}{suggest_spelling(topic, ALL)}")
 
 
 def check_router(router: str) -> None:

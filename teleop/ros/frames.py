@@ -12,7 +12,7 @@ import numpy as np
 
 from estimator.array_types import Array
 from teleop.messages.messages import MAX_SECTIONS, Sheath
-from teleop.ros.outputs import frame
+from teleop.ros.outputs import build_frame_name
 from teleop.ros.standard import (
     Header,
     Quaternion,
@@ -22,43 +22,43 @@ from teleop.ros.standard import (
     TransformStamped,
     Vector3,
 )
-from teleop.view.shape import centreline
+from teleop.view.shape import compute_centreline
 
-APART_M = 0.02  # [m] between the housings of two sheaths
+HOUSING_SPACING_M = 0.02  # [m] between the housings of two sheaths
 
 
-def sheath_frames(sheaths: Mapping[int, Sheath], stamp_ns: int, prefix: str) -> TFMessage:
+def build_sheath_frames(sheaths: Mapping[int, Sheath], stamp_ns: int, prefix: str) -> TFMessage:
     """Return the transforms of all known sheaths, by number of the tendon from 0."""
     found, seen = [], set[int]()
     stamp = Time.of(stamp_ns)
 
     def add(parent: str, child: str, place: Transform) -> None:
-        parent, child = frame(prefix, parent), frame(prefix, child)
+        parent, child = build_frame_name(prefix, parent), build_frame_name(prefix, child)
         found.append(TransformStamped(Header(stamp, parent), child, place))
 
     for tendon in sorted(sheaths):
         sheath, name = sheaths[tendon], f"sheath_{tendon + 1}"
-        add("housing", f"{name}_housing", Transform(Vector3(y=APART_M * tendon)))
-        add(f"{name}_housing", f"{name}_tip", tip_of(sheath))
+        add("housing", f"{name}_housing", Transform(Vector3(y=HOUSING_SPACING_M * tendon)))
+        add(f"{name}_housing", f"{name}_tip", compute_tip_transform(sheath))
         if sheath.joint not in seen:
             seen.add(sheath.joint)
             add(f"{name}_tip", f"tip_{sheath.joint + 1}", Transform())
     return TFMessage(tuple(found))
 
 
-def tip_of(sheath: Sheath) -> Transform:
+def compute_tip_transform(sheath: Sheath) -> Transform:
     """Return the place of a sheath's tip in the frame of its housing."""
     n = min(sheath.sections, MAX_SECTIONS)
     length, radius = np.array(sheath.section_length[:n]), np.array(sheath.section_radius[:n])
     if not (length.sum() > 0.0 and np.isfinite(length).all()):
         return Transform()
-    line = centreline(length, radius, np.array([length.sum()]))
+    line = compute_centreline(length, radius, np.array([length.sum()]))
     x, y, z = line.points[-1].tolist()
     axes = np.stack([line.along, line.aside, np.cross(line.along, line.aside)], axis=1)
-    return Transform(Vector3(x, y, z), quaternion(axes))
+    return Transform(Vector3(x, y, z), to_quaternion(axes))
 
 
-def quaternion(rotation: Array) -> Quaternion:
+def to_quaternion(rotation: Array) -> Quaternion:
     """Return the unit quaternion of a rotation matrix, by the largest component (Shepperd 1978)."""
     trace = float(np.trace(rotation))
     squares = [trace, *np.diag(rotation).tolist()]

@@ -13,8 +13,8 @@ from typing import Any
 
 import xxhash
 
-from teleop.ros.interface import interface_of
-from teleop.ros.type_hash import type_hash
+from teleop.ros.interface import find_interface
+from teleop.ros.type_hash import compute_type_hash
 
 RELIABLE, BEST_EFFORT = 1, 2  # rmw_qos_reliability_policy_e
 _ATTACHMENT = struct.Struct("<qqB16s")
@@ -36,7 +36,7 @@ class Qos:
         return f"{reliability}::,{self.depth}:,:,:,,"
 
 
-class Kind(Enum):
+class EndpointKind(Enum):
     """Kinds of endpoints in a token."""
 
     PUBLISHER = "MP"
@@ -56,11 +56,13 @@ class Node:
         """The key of its liveliness token."""
         return f"{self._entity('0')}/NN/%/%/{self.name}"
 
-    def endpoint_key(self, number: int, kind: Kind, topic: str, cls: type[Any], qos: Qos) -> str:
+    def endpoint_key(
+        self, number: int, kind: EndpointKind, topic: str, cls: type[Any], qos: Qos
+    ) -> str:
         """Return the key of the liveliness token of its endpoint `number`, from 1."""
         return (
-            f"{self._entity(str(number))}/{kind.value}/%/%/{self.name}/{_mangled(topic)}/"
-            f"{dds_name(cls)}/{type_hash(cls)}/{qos.text}"
+            f"{self._entity(str(number))}/{kind.value}/%/%/{self.name}/{_mangle_name(topic)}/"
+            f"{to_dds_name(cls)}/{compute_type_hash(cls)}/{qos.text}"
         )
 
     def _entity(self, number: str) -> str:
@@ -68,11 +70,11 @@ class Node:
 
 
 @dataclass(frozen=True, slots=True)
-class Endpoint:
+class GraphEndpoint:
     """A publisher or subscriber of others, from its liveliness token."""
 
     node: str  # with its namespace
-    kind: Kind
+    kind: EndpointKind
     topic: str
     type: str  # such as sensor_msgs/msg/JointState
 
@@ -82,23 +84,23 @@ def is_name(topic: str) -> bool:
     return _NAME.fullmatch(topic) is not None
 
 
-def topic_key(domain: int, topic: str, cls: type[Any]) -> str:
+def build_topic_key(domain: int, topic: str, cls: type[Any]) -> str:
     """Return the key of a topic's samples."""
-    return f"{domain}/{topic.strip('/')}/{dds_name(cls)}/{type_hash(cls)}"
+    return f"{domain}/{topic.strip('/')}/{to_dds_name(cls)}/{compute_type_hash(cls)}"
 
 
-def dds_name(cls: type[Any]) -> str:
+def to_dds_name(cls: type[Any]) -> str:
     """Return the name of a type on the wire: `sensor_msgs::msg::dds_::JointState_`."""
-    package, _, name = interface_of(cls).name.partition("/msg/")
+    package, _, name = find_interface(cls).name.partition("/msg/")
     return f"{package}::msg::dds_::{name}_"
 
 
-def gid(token: str) -> bytes:
+def compute_gid(token: str) -> bytes:
     """Return the global id of an entity: XXH3-128 of its token, the low word first."""
     return xxhash.xxh3_128_intdigest(token.encode()).to_bytes(_GID_BYTES, "little")
 
 
-def attachment(sequence: int, stamp_ns: int, publisher_gid: bytes) -> bytes:
+def pack_attachment(sequence: int, stamp_ns: int, publisher_gid: bytes) -> bytes:
     """Return the attachment of a sample: its number from 1, the time of sending, the publisher."""
     return _ATTACHMENT.pack(sequence, stamp_ns, _GID_BYTES, publisher_gid)
 
@@ -111,16 +113,18 @@ def parse_attachment(data: bytes) -> tuple[int, int, bytes] | None:
     return (sequence, stamp_ns, publisher_gid) if size == _GID_BYTES else None
 
 
-def parse_endpoint(token: str) -> Endpoint | None:
+def parse_endpoint(token: str) -> GraphEndpoint | None:
     """Return the endpoint that a liveliness token announces; None if it is of something else."""
     parts = token.split("/")
-    if len(parts) < 13 or parts[5] not in {kind.value for kind in Kind}:
+    if len(parts) < 13 or parts[5] not in {kind.value for kind in EndpointKind}:
         return None
     namespace, name = parts[7].replace("%", "/").rstrip("/"), parts[8]
     package, _, short = parts[10].partition("::msg::dds_::")
     topic = parts[9].replace("%", "/")
-    return Endpoint(f"{namespace}/{name}", Kind(parts[5]), topic, f"{package}/msg/{short[:-1]}")
+    return GraphEndpoint(
+        f"{namespace}/{name}", EndpointKind(parts[5]), topic, f"{package}/msg/{short[:-1]}"
+    )
 
 
-def _mangled(name: str) -> str:
+def _mangle_name(name: str) -> str:
     return name.replace("/", "%")

@@ -75,7 +75,7 @@ class Interface:
                 yield from field.nested._below()
 
 
-def definition(interface: Interface) -> str:
+def format_definition(interface: Interface) -> str:
     """Return the `.msg` text with those of all references, as MCAP's `ros2msg` wants it."""
     parts = [interface.text]
     for one in interface.references:
@@ -84,33 +84,33 @@ def definition(interface: Interface) -> str:
     return "".join(parts)
 
 
-_DECLARED: dict[type[Any], Interface] = {}
+_INTERFACES: dict[type[Any], Interface] = {}
 
 
-def interface_of(cls: type[Any]) -> Interface:
+def find_interface(cls: type[Any]) -> Interface:
     """Return the interface that a dataclass declares; cached."""
-    interface = _DECLARED.get(cls)
+    interface = _INTERFACES.get(cls)
     if interface is None:
-        interface = _DECLARED[cls] = _declared(cls)
+        interface = _INTERFACES[cls] = _build_interface(cls)
     return interface
 
 
-def _declared(cls: type[Any]) -> Interface:
+def _build_interface(cls: type[Any]) -> Interface:
     if issubclass(cls, Message):
         wires = cls.schema.wires.items()
         own = tuple(Field(n, w.ros, None if w.count == 1 else w.count) for n, w in wires)
         return Interface(f"{SCHEMA_PACKAGE}/msg/{cls.schema.name}", own, cls)
     hints = get_type_hints(cls, include_extras=True)
-    found = tuple(_field(item.name, hints[item.name]) for item in fields(cls))
+    found = tuple(_build_field(item.name, hints[item.name]) for item in fields(cls))
     return Interface(str(cls.ros_name), found, cls)
 
 
-def _field(name: str, hint: Any) -> Field:
+def _build_field(name: str, hint: Any) -> Field:
     primitive = next((a for a in get_args(hint) if isinstance(a, RosType)), None)
     if primitive is not None:
         return Field(name, primitive.name, primitive.count)
     if get_origin(hint) is tuple:  # tuple[X, ...]: a sequence of nested messages
-        nested = interface_of(get_args(hint)[0])
+        nested = find_interface(get_args(hint)[0])
         return Field(name, nested.name, 0, nested)
-    nested = interface_of(hint)
+    nested = find_interface(hint)
     return Field(name, nested.name, None, nested)

@@ -3,12 +3,12 @@
 from collections.abc import Callable
 from typing import Any, Self
 
-from teleop.link.ros_session import RosSamples, RosSession
+from teleop.link.ros_session import RosSampleSender, RosSession
 from teleop.ros import graph
-from teleop.ros.graph import RELIABLE, Endpoint, Kind, Node, Qos
+from teleop.ros.graph import RELIABLE, EndpointKind, GraphEndpoint, Node, Qos
 from teleop.runtime.clock import now_ns
 
-Receive = Callable[[bytes, bytes, int], None]
+SampleCallback = Callable[[bytes, bytes, int], None]
 """Takes the bytes of a sample, the global id of its publisher, and when it was sent [ns]."""
 
 
@@ -39,11 +39,13 @@ class RosNode:
 
     def advertise(self, topic: str, cls: type[Any], qos: Qos) -> "RosPublisher":
         """Return a publisher of a topic."""
-        key = graph.topic_key(self._node.domain, topic, cls)
+        key = graph.build_topic_key(self._node.domain, topic, cls)
         samples = self._session.declare_publisher(key, qos.reliability == RELIABLE)
-        return RosPublisher(samples, graph.gid(self._announce(Kind.PUBLISHER, topic, cls, qos)))
+        return RosPublisher(
+            samples, graph.compute_gid(self._announce(EndpointKind.PUBLISHER, topic, cls, qos))
+        )
 
-    def subscribe(self, topic: str, cls: type[Any], qos: Qos, receive: Receive) -> None:
+    def subscribe(self, topic: str, cls: type[Any], qos: Qos, receive: SampleCallback) -> None:
         """Pass each sample of a topic to `receive`, in Zenoh's thread.
 
         A sample without the attachment of rmw_zenoh is not one of a ROS node, and is ignored.
@@ -55,10 +57,10 @@ class RosNode:
                 _, sent_ns, publisher = about
                 receive(data, publisher, sent_ns)
 
-        self._session.subscribe(graph.topic_key(self._node.domain, topic, cls), on_sample)
-        self._announce(Kind.SUBSCRIBER, topic, cls, qos)
+        self._session.subscribe(graph.build_topic_key(self._node.domain, topic, cls), on_sample)
+        self._announce(EndpointKind.SUBSCRIBER, topic, cls, qos)
 
-    def watch(self, changed: Callable[[Endpoint, bool], None]) -> None:
+    def watch(self, changed: Callable[[GraphEndpoint, bool], None]) -> None:
         """Call `changed` with each endpoint of other nodes and whether it has come or gone."""
 
         def on_token(key: str, came: bool) -> None:
@@ -68,7 +70,7 @@ class RosNode:
 
         self._session.watch_tokens(f"@ros2_lv/{self._node.domain}/**", on_token)
 
-    def _announce(self, kind: Kind, topic: str, cls: type[Any], qos: Qos) -> str:
+    def _announce(self, kind: EndpointKind, topic: str, cls: type[Any], qos: Qos) -> str:
         self._endpoints += 1
         key = self._node.endpoint_key(self._endpoints, kind, topic, cls, qos)
         self._session.declare_token(key)
@@ -86,7 +88,7 @@ class RosPublisher:
         Whether anyone subscribed at the last `look`.
     """
 
-    def __init__(self, samples: RosSamples, gid: bytes) -> None:
+    def __init__(self, samples: RosSampleSender, gid: bytes) -> None:
         self._samples, self._gid = samples, gid
         self.sent = 0
         self.wanted = True
@@ -98,4 +100,4 @@ class RosPublisher:
     def put(self, data: bytes) -> None:
         """Publish the bytes of a message."""
         self.sent += 1
-        self._samples.put(data, graph.attachment(self.sent, now_ns(), self._gid))
+        self._samples.put(data, graph.pack_attachment(self.sent, now_ns(), self._gid))

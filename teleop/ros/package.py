@@ -6,10 +6,10 @@ from pathlib import Path
 
 from teleop.errors import UsageError
 from teleop.messages.messages import MESSAGES, Message
-from teleop.messages.page import field_comments
+from teleop.messages.page import read_field_comments
 from teleop.recording.names import SCHEMA_PACKAGE
-from teleop.ros.interface import interface_of
-from teleop.runtime.process import write_whole
+from teleop.ros.interface import find_interface
+from teleop.runtime.process import write_text_file
 
 _MANIFEST = """<?xml version="1.0"?>
 <package format="3">
@@ -42,13 +42,13 @@ ament_package()
 """
 
 
-def package_files() -> dict[str, str]:
+def build_package_files() -> dict[str, str]:
     """Return the files of the package: path in it -> text."""
     try:
         number = version("tendon-teleop")
     except PackageNotFoundError:
         number = "0.0.0"
-    messages = {cls.schema.name: message_file(cls) for cls in MESSAGES}
+    messages = {cls.schema.name: format_message_file(cls) for cls in MESSAGES}
     files = "\n".join(f'  "msg/{name}.msg"' for name in messages)
     return {
         "package.xml": _MANIFEST.format(name=SCHEMA_PACKAGE, version=number),
@@ -57,11 +57,11 @@ def package_files() -> dict[str, str]:
     }
 
 
-def message_file(cls: type[Message]) -> str:
+def format_message_file(cls: type[Message]) -> str:
     """Return the `.msg` file of a message, with units and meaning of its fields."""
-    comments = field_comments(cls)
+    comments = read_field_comments(cls)
     lines = [f"# {line}".rstrip() for line in (inspect.getdoc(cls) or "").splitlines()]
-    for field in interface_of(cls).fields:
+    for field in find_interface(cls).fields:
         comment = comments.get(field.name, "")
         lines.append(f"{field.text}  # {comment}" if comment else field.text)
     return "\n".join(lines) + "\n"
@@ -71,10 +71,10 @@ def write_package(folder: Path) -> Path:
     """Write the package as a folder in `folder`; `UsageError` if that cannot be."""
     root = folder / SCHEMA_PACKAGE
     try:
-        for name, text in package_files().items():
+        for name, text in build_package_files().items():
             path = root / name
             path.parent.mkdir(parents=True, exist_ok=True)
-            write_whole(path, text, "the package")
+            write_text_file(path, text, "the package")
     except OSError as error:
         raise UsageError(f"--package {folder}: cannot be written: {error.strerror}") from error
     return root

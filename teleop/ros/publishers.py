@@ -3,16 +3,16 @@
 from collections.abc import Callable, Iterable
 from typing import Any
 
-from teleop.link import Latest, Link, ReceivedMessage
+from teleop.link import LatestMessage, Link, ReceivedMessage
 from teleop.messages.messages import MAX_JOINTS, Event, LoopReport, Sheath, SlaveState
 from teleop.messages.topics import EVENT, REPORT, SHEATH, STATE, Role, Topic
 from teleop.ros import cdr
 from teleop.ros.command_topics import CommandTopics
 from teleop.ros.config import RosConfig
-from teleop.ros.frames import sheath_frames
+from teleop.ros.frames import build_sheath_frames
 from teleop.ros.node import RosNode, RosPublisher
-from teleop.ros.outputs import EVENTS, OUTPUTS, Naming, Output, full_name
-from teleop.ros.reports import SIDES, diagnostics
+from teleop.ros.outputs import EVENTS, OUTPUTS, NamingContext, OutputTopic, build_topic_name
+from teleop.ros.reports import SIDES, build_diagnostics
 from teleop.runtime.clock import Grid
 
 SLOW_HZ = 10.0  # [Hz] of states and frames
@@ -44,8 +44,8 @@ class Publishers:
         self._topics: dict[str, RosPublisher] = {}
         for output in outputs:
             self._topic(output.name, output)
-        self._live = _by_source(one for one in outputs if one.qos is not EVENTS)
-        self._slow = _by_source(one for one in outputs if one.qos is EVENTS and one.convert)
+        self._live = _group_by_source(one for one in outputs if one.qos is not EVENTS)
+        self._slow = _group_by_source(one for one in outputs if one.qos is EVENTS and one.convert)
         # the state first: it tells how many joints there are
         self._sources = tuple(dict.fromkeys((STATE, *self._live, *self._slow)))
         for source in self._sources:
@@ -56,7 +56,7 @@ class Publishers:
         self._sheaths: dict[int, Sheath] = {}
         self._commands, self._refused = CommandTopics(config.prefix), ""
         self._slow_ns = self._reports_ns = 0
-        self._naming = Naming(config.prefix)
+        self._naming = NamingContext(config.prefix)
         node.watch(self._commands.note)
 
     @property
@@ -89,11 +89,11 @@ class Publishers:
             self._take(self._listener.drain())
             self._refuse()
             if self._sheaths and _FRAMES.name in self._topics:
-                frames = sheath_frames(self._sheaths, stamp_ns, self._config.prefix)
+                frames = build_sheath_frames(self._sheaths, stamp_ns, self._config.prefix)
                 self._put(_FRAMES.name, _FRAMES, frames)
         if stamp_ns >= self._reports_ns and _DIAGNOSTICS.name in self._topics:
             self._reports_ns = stamp_ns + round(1e9 / REPORTS_HZ)
-            status = diagnostics(
+            status = build_diagnostics(
                 self._link.session, self._reports, self._events, stamp_ns, self._refused
             )
             self._put(_DIAGNOSTICS.name, _DIAGNOSTICS, status)
@@ -101,9 +101,9 @@ class Publishers:
     def _know_joints(self, state: SlaveState) -> None:
         joints = min(int(state.joints), MAX_JOINTS)
         if joints != self._naming.joints:
-            self._naming = Naming(self._config.prefix, joints)
+            self._naming = NamingContext(self._config.prefix, joints)
 
-    def _publish(self, outputs: Iterable[Output], latest: "Latest[Any]") -> None:
+    def _publish(self, outputs: Iterable[OutputTopic], latest: "LatestMessage[Any]") -> None:
         for output in outputs:
             if output.convert is not None:
                 for sample in output.convert(latest.message, self._naming):
@@ -111,16 +111,16 @@ class Publishers:
             elif self._topics[output.name].wanted:
                 self._topics[output.name].put(latest.packet.data.tobytes())
 
-    def _put(self, name: str, output: Output, message: Any) -> None:
+    def _put(self, name: str, output: OutputTopic, message: Any) -> None:
         publisher = self._topic(name, output)
         if publisher.wanted:
             publisher.put(cdr.encode(message))
 
-    def _topic(self, name: str, output: Output) -> RosPublisher:
+    def _topic(self, name: str, output: OutputTopic) -> RosPublisher:
         """Return the publisher of a topic; further joints have theirs when they are known."""
         publisher = self._topics.get(name)
         if publisher is None:
-            topic = full_name(name, self._config.prefix)
+            topic = build_topic_name(name, self._config.prefix)
             publisher = self._topics[name] = self._node.advertise(topic, output.type, output.qos)
         return publisher
 
@@ -145,8 +145,8 @@ class Publishers:
         self._refused = refused
 
 
-def _by_source(outputs: Iterable[Output]) -> dict[Topic[Any], list[Output]]:
-    found: dict[Topic[Any], list[Output]] = {}
+def _group_by_source(outputs: Iterable[OutputTopic]) -> dict[Topic[Any], list[OutputTopic]]:
+    found: dict[Topic[Any], list[OutputTopic]] = {}
     for output in outputs:
         found.setdefault(output.source, []).append(output)
     return found

@@ -12,10 +12,10 @@ from pathlib import Path
 
 from teleop.errors import UsageError
 from teleop.recording.reader import open_recording
-from teleop.recording.replay import print_doubts, require_playable
+from teleop.recording.replay import print_doubts, require_present_layout
 from teleop.ros.bag_writer import BagWriter
 from teleop.ros.graph import is_name
-from teleop.ros.to_bag import convert
+from teleop.ros.to_bag import convert_recording
 from teleop.runtime.output_file import NewFolder
 
 
@@ -40,10 +40,10 @@ def main(args: argparse.Namespace) -> int:
     if args.prefix and not is_name(args.prefix):
         raise UsageError(f"--prefix {args.prefix}: must be a name such as /lab")
     info = open_recording(args.file)
-    require_playable(info)
+    require_present_layout(info)
     print_doubts(info)
     with BagWriter(args.out) as bag:
-        convert(info, bag, args.prefix, 0.0 if args.rate is None else 1.0 / args.rate)
+        convert_recording(info, bag, args.prefix, 0.0 if args.rate is None else 1.0 / args.rate)
     total = sum(bag.counts.values())
     print(f"wrote {args.out}: {total} messages on {len(bag.counts)} topics, {info.seconds:.1f} s")
     return 0

@@ -2,10 +2,10 @@
 
 from collections.abc import Mapping
 
-from teleop.messages.messages import Event, LoopReport, text_of
+from teleop.messages.messages import Event, LoopReport, decode_text
 from teleop.messages.topics import Role
 from teleop.ros.standard import DiagnosticArray, DiagnosticStatus, Header, KeyValue, Time
-from teleop.session.state_machine import State, reason_of
+from teleop.session.state_machine import State, to_reason
 
 OK, WARN, ERROR, STALE = range(4)  # levels of diagnostic_msgs/msg/DiagnosticStatus
 SILENT_NS = 2_000_000_000  # [ns] without a report, which come twice a second
@@ -17,7 +17,7 @@ _COUNTS = (
 SIDES = (Role.MASTER, Role.SLAVE)
 
 
-def diagnostics(
+def build_diagnostics(
     session: str,
     reports: Mapping[Role, tuple[LoopReport, int]],
     events: Mapping[Role, Event],
@@ -39,13 +39,15 @@ def diagnostics(
     refused : str
         Why commands of ROS nodes are refused; empty if there are none.
     """
-    status = [_status(session, role, reports.get(role), events.get(role), now_ns) for role in SIDES]
+    status = [
+        _build_status(session, role, reports.get(role), events.get(role), now_ns) for role in SIDES
+    ]
     if refused:
         status.append(DiagnosticStatus(WARN, "teleop: ros", refused, session))
     return DiagnosticArray(Header(Time.of(now_ns)), tuple(status))
 
 
-def _status(
+def _build_status(
     session: str,
     role: Role,
     report: tuple[LoopReport, int] | None,
@@ -56,7 +58,7 @@ def _status(
     if report is None or now_ns - report[1] > SILENT_NS:
         return DiagnosticStatus(STALE, name, "no reports", session)
     latest = report[0]
-    state, reason = State(latest.state), reason_of(latest.reason)
+    state, reason = State(latest.state), to_reason(latest.reason)
     values = [
         KeyValue("state", state.name.lower()),
         KeyValue("rate_hz", f"{latest.rate_hz:.1f}"),
@@ -67,6 +69,6 @@ def _status(
         values.append(KeyValue("latency_p50_ms", f"{latest.latency_p50_ns * 1e-6:.3f}"))
         values.append(KeyValue("latency_p99_ms", f"{latest.latency_p99_ns * 1e-6:.3f}"))
     if event is not None:
-        values.append(KeyValue("event", text_of(event.text)))
+        values.append(KeyValue("event", decode_text(event.text)))
     level = _LEVELS.get(state, OK)
     return DiagnosticStatus(level, name, reason.text, session, tuple(values))

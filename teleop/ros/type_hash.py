@@ -10,7 +10,7 @@ import hashlib
 import json
 from typing import Any
 
-from teleop.ros.interface import Field, Interface, interface_of
+from teleop.ros.interface import Field, Interface, find_interface
 
 _NUMBERS = {
     "int8": 2, "uint8": 3, "int16": 4, "uint16": 5, "int32": 6, "uint32": 7, "int64": 8,
@@ -19,22 +19,22 @@ _NUMBERS = {
 _NESTED, _ARRAY, _SEQUENCE = 1, 48, 144
 
 
-def type_hash(cls: type[Any]) -> str:
+def compute_type_hash(cls: type[Any]) -> str:
     """Return the hash of a declared type, `RIHS01_` and 64 hexadecimal digits."""
-    interface = interface_of(cls)
+    interface = find_interface(cls)
     described = {
-        "type_description": _description(interface),
-        "referenced_type_descriptions": [_description(one) for one in interface.references],
+        "type_description": _describe_interface(interface),
+        "referenced_type_descriptions": [_describe_interface(one) for one in interface.references],
     }
     return f"RIHS01_{hashlib.sha256(json.dumps(described).encode()).hexdigest()}"
 
 
-def _description(interface: Interface) -> dict[str, Any]:
-    fields = [{"name": field.name, "type": _type(field)} for field in interface.fields]
+def _describe_interface(interface: Interface) -> dict[str, Any]:
+    fields = [{"name": field.name, "type": _describe_type(field)} for field in interface.fields]
     return {"type_name": interface.name, "fields": fields}
 
 
-def _type(field: Field) -> dict[str, Any]:
+def _describe_type(field: Field) -> dict[str, Any]:
     number = _NESTED if field.nested is not None else _NUMBERS[field.type]
     if field.count is not None:
         number += _ARRAY if field.count else _SEQUENCE

@@ -177,7 +177,7 @@ class EventClock:
         return deadline + (1 + skipped) * self.period_ns
 
 
-class quiet_garbage:  # noqa: N801 - used as a statement: `with quiet_garbage():`
+class pause_garbage_collection:  # noqa: N801 - used as a statement: `with quiet_garbage():`
     """Disable garbage collection in a loop and freeze existing objects."""
 
     def __enter__(self) -> None:

@@ -7,11 +7,11 @@ import signal
 from collections.abc import Callable, Iterator
 from multiprocessing.process import BaseProcess
 
-from estimator.compile_cache import choose
+from estimator.compile_cache import choose_folder
 
 
 @contextlib.contextmanager
-def announced(
+def announce_compilation(
     what: str, about_s: float, beside: Callable[[], object] | None = None
 ) -> Iterator[None]:
     """Print one line if anything has to be compiled in this context; with a warm cache, nothing.
@@ -54,7 +54,7 @@ def announced(
 
 
 @contextlib.contextmanager
-def compiling_beside(work: Callable[[], object]) -> Iterator[None]:
+def compile_in_parallel(work: Callable[[], object]) -> Iterator[None]:
     """Compile by another process during this context, if the cache is empty; else do nothing.
 
     Parameters
@@ -62,7 +62,7 @@ def compiling_beside(work: Callable[[], object]) -> Iterator[None]:
     work : callable
         Calls what is to be compiled: a function of a module, or a `functools.partial` of one.
     """
-    folder = choose()
+    folder = choose_folder()
     if folder is None or any(folder.glob("*/*")):
         yield
         return
@@ -77,12 +77,12 @@ def compiling_beside(work: Callable[[], object]) -> Iterator[None]:
 def _start_helper(work: Callable[[], object]) -> BaseProcess:
     # not a fork of this process, which may be in the middle of compiling
     start = multiprocessing.get_context("spawn").Process
-    helper = start(target=_help, args=(work,), daemon=True)
+    helper = start(target=_run_helper, args=(work,), daemon=True)
     helper.start()
     return helper
 
 
-def _help(beside: Callable[[], object]) -> None:
+def _run_helper(beside: Callable[[], object]) -> None:
     """Compile in a child process, which its parent ends on an interrupt."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     gc.disable()

@@ -1,7 +1,7 @@
 """What a command writes: named on the command line, checked before any work, never by accident.
 
 An option that names an output has one of the classes below as its `type`. What exists is refused
-unless `--force` is given, which `add_force` adds to every command with such an option. An output
+unless `--force` is given, which `add_force_option` adds to every command with such an option. An output
 that is an input of the same command, by another name or a link too, is refused always. Files are
 written beside their name and renamed, so that an interrupted command leaves the old one.
 """
@@ -17,13 +17,13 @@ from typing import Any
 
 from teleop.errors import UsageError
 
-TABLES = (".csv", ".csv.gz", ".parquet")
-FIGURES = (".png", ".pdf", ".svg")
+TABLE_SUFFIXES = (".csv", ".csv.gz", ".parquet")
+FIGURE_SUFFIXES = (".png", ".pdf", ".svg")
 
-FORCE = "--force"
+FORCE_OPTION = "--force"
 
 
-class Output:
+class OutputPath:
     """The `type` of an option that names an output; `require` is asked when all is parsed."""
 
     def __call__(self, text: str) -> Any:
@@ -41,12 +41,12 @@ class Output:
     def require(self, path: Path, force: bool, inputs: list[Path]) -> None:
         """Raise `UsageError` if writing would overwrite anything that must not be."""
         for one in inputs:
-            if same_file(one, path):
+            if is_same_file(one, path):
                 other = "" if str(one) == str(path) else f", as {one}"
                 raise UsageError(f"is an input of this command too{other}; name another file")
 
 
-class OutputFile(Output):
+class OutputFile(OutputPath):
     """A file, new unless `--force`; its name ends in one of `suffixes`, if there are any."""
 
     def __init__(self, *suffixes: str) -> None:
@@ -62,7 +62,7 @@ class OutputFile(Output):
                 ends = ", ".join(self.suffixes)
                 raise argparse.ArgumentTypeError(f"{text!r} must end in one of {ends}")
             if not is_special(path):
-                partial = _partial(path.resolve())
+                partial = _build_partial_path(path.resolve())
                 partial.touch()
                 partial.unlink()
         except (OSError, ValueError) as error:
@@ -76,7 +76,7 @@ class OutputFile(Output):
             return
         super().require(path, force, inputs)
         if path.exists() and not force:
-            raise UsageError(f"exists; name another file, or replace it with {FORCE}")
+            raise UsageError(f"exists; name another file, or replace it with {FORCE_OPTION}")
 
 
 class UpdatedFile(OutputFile):
@@ -87,7 +87,7 @@ class UpdatedFile(OutputFile):
         super().require(path, True, inputs)
 
 
-class OutputFolder(Output):
+class OutputFolder(OutputPath):
     """A folder of files, new or empty unless `--force`; `inside` it, if all go into one there."""
 
     def __init__(self, inside: str = "") -> None:
@@ -104,11 +104,11 @@ class OutputFolder(Output):
         if folder.exists() and (not folder.is_dir() or any(folder.iterdir())) and not force:
             where = f" ({folder})" if self.inside else ""
             raise UsageError(
-                f"is not empty{where}; name a new folder, or replace its files with {FORCE}"
+                f"is not empty{where}; name a new folder, or replace its files with {FORCE_OPTION}"
             )
 
 
-class NewFolder(Output):
+class NewFolder(OutputPath):
     """A folder that must not exist, not even with `--force`."""
 
     def require(self, path: Path, force: bool, inputs: list[Path]) -> None:
@@ -117,7 +117,7 @@ class NewFolder(Output):
             raise UsageError("exists already; name a new folder")
 
 
-class SharedFolder(Output):
+class SharedFolder(OutputPath):
     """A folder to which files are added, each under a name that no other has."""
 
     def require(self, path: Path, force: bool, inputs: list[Path]) -> None:
@@ -126,18 +126,18 @@ class SharedFolder(Output):
             raise UsageError("is a file; name a folder")
 
 
-def add_force(parser: argparse.ArgumentParser) -> None:
+def add_force_option(parser: argparse.ArgumentParser) -> None:
     """Add `--force` to a parser, and those below it, that have outputs."""
     actions = list(parser._actions)
     for action in actions:
         if isinstance(action, argparse._SubParsersAction):
             for one in action.choices.values():
-                add_force(one)
-    if any(isinstance(action.type, Output) for action in actions):
-        parser.add_argument(FORCE, action="store_true", help="replace files that exist")
+                add_force_option(one)
+    if any(isinstance(action.type, OutputPath) for action in actions):
+        parser.add_argument(FORCE_OPTION, action="store_true", help="replace files that exist")
 
 
-def check(parser: argparse.ArgumentParser, args: argparse.Namespace) -> None:
+def check_outputs(parser: argparse.ArgumentParser, args: argparse.Namespace) -> None:
     """Check every output that is named in `args` against what exists and what is read.
 
     Raises
@@ -145,11 +145,11 @@ def check(parser: argparse.ArgumentParser, args: argparse.Namespace) -> None:
     UsageError
         It must not be overwritten; one line, with the option.
     """
-    outputs = outputs_of(parser, args)
+    outputs = find_outputs(parser, args)
     if not outputs:
         return
     values = {k: v for k, v in vars(args).items() if k not in {a.dest for a, _ in outputs}}
-    inputs = [path for value in values.values() for path in _named(value)]
+    inputs = [path for value in values.values() for path in _find_named_files(value)]
     force = bool(getattr(args, "force", False))
     earlier: list[tuple[str, Path]] = []
     for action, path in outputs:
@@ -166,7 +166,7 @@ def check(parser: argparse.ArgumentParser, args: argparse.Namespace) -> None:
         earlier.append((option, path))
 
 
-def outputs_of(
+def find_outputs(
     parser: argparse.ArgumentParser, args: argparse.Namespace
 ) -> list[tuple[argparse.Action, Path]]:
     """Return the options that name outputs, and the paths that `args` has for them."""
@@ -175,15 +175,15 @@ def outputs_of(
         if isinstance(action, argparse._SubParsersAction):
             chosen = action.choices.get(str(getattr(args, action.dest, "")))
             if chosen is not None:
-                found += outputs_of(chosen, args)
-        elif isinstance(action.type, Output):
+                found += find_outputs(chosen, args)
+        elif isinstance(action.type, OutputPath):
             path = getattr(args, action.dest, None)
             if isinstance(path, Path):
                 found.append((action, path))
     return found
 
 
-def parse(kind: Output, option: str, text: str) -> Path:
+def parse_output(kind: OutputPath, option: str, text: str) -> Path:
     """Return the path of an output that has a default name; `UsageError` if it cannot be."""
     try:
         return Path(kind(text))
@@ -205,7 +205,7 @@ def make_folder(folder: Path, first: str) -> None:
 
 
 @contextlib.contextmanager
-def replacing(path: Path) -> Iterator[Path]:
+def replace_file(path: Path) -> Iterator[Path]:
     """Yield a path to write to, which takes the place of `path` when all is written.
 
     A link stays one; after an error, or an interruption, the old file is as it was.
@@ -214,7 +214,7 @@ def replacing(path: Path) -> Iterator[Path]:
         yield path
         return
     target = path.resolve()
-    partial = _partial(target)
+    partial = _build_partial_path(target)
     try:
         yield partial
         partial.replace(target)
@@ -225,7 +225,7 @@ def replacing(path: Path) -> Iterator[Path]:
 
 def save_figure(figure: Any, path: Path, **how: Any) -> None:
     """Write a figure of Matplotlib, whole or not at all; the suffix decides the format."""
-    with replacing(path) as partial:
+    with replace_file(path) as partial:
         figure.savefig(partial, format=path.suffix[1:].lower(), **how)
 
 
@@ -234,11 +234,11 @@ def is_special(path: Path) -> bool:
     return path.exists() and not path.is_file() and not path.is_dir()
 
 
-def _partial(path: Path) -> Path:
+def _build_partial_path(path: Path) -> Path:
     return path.with_name(f".{path.name[:200]}.{os.getpid()}.partial")
 
 
-def same_file(one: Path, other: Path) -> bool:
+def is_same_file(one: Path, other: Path) -> bool:
     """Return whether two paths are one file, links included."""
     try:
         return os.path.samefile(one, other)
@@ -246,11 +246,11 @@ def same_file(one: Path, other: Path) -> bool:
         return False
 
 
-def _named(value: Any) -> Iterator[Path]:
+def _find_named_files(value: Any) -> Iterator[Path]:
     """Yield the existing files that an argument names, as `FILE` or `KEY=FILE`."""
     if isinstance(value, list | tuple):
         for item in value:
-            yield from _named(item)
+            yield from _find_named_files(item)
     elif isinstance(value, str | Path):
         for text in (str(value), str(value).partition("=")[2]):
             path = Path(text)

@@ -12,7 +12,7 @@ Task = TypeVar("Task")
 Done = TypeVar("Done")
 
 
-def processors() -> int:
+def count_processors() -> int:
     """Return the number of processors that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
@@ -23,11 +23,11 @@ def parallel_map(work: Callable[[Task], Done], tasks: Sequence[Task], jobs: int)
         yield from map(work, tasks)
         return
     # spawned, as numba's and the BLAS's threads do not survive a fork
-    with get_context("spawn").Pool(min(jobs, len(tasks)), _leave_ending_to, (os.getpid(),)) as pool:
+    with get_context("spawn").Pool(min(jobs, len(tasks)), _end_with_parent, (os.getpid(),)) as pool:
         yield from pool.imap(work, tasks)
 
 
-def _leave_ending_to(parent: int) -> None:
+def _end_with_parent(parent: int) -> None:
     """Ignore Ctrl-C in a child, which its parent ends, and the end of the parent itself."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     die_with_parent(parent)

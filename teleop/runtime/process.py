@@ -13,21 +13,25 @@ from types import FrameType
 from typing import Any
 
 from teleop.errors import TeleopError, UsageError
-from teleop.runtime.output_file import replacing
+from teleop.runtime.output_file import replace_file
 
 _PR_SET_PDEATHSIG = 1
 
 # What ends a command: Ctrl-C, a service manager, and a terminal that is gone (ssh dropped).
-ENDINGS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-SUPERVISED = "TELEOP_SUPERVISED"  # the launcher's process id, in the environment of its children
-STANDBY = "TELEOP_STANDBY"  # set in the environment of a spare, which waits for a line to begin
+TERMINATION_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+SUPERVISED_VARIABLE = (
+    "TELEOP_SUPERVISED"  # the launcher's process id, in the environment of its children
+)
+STANDBY_VARIABLE = (
+    "TELEOP_STANDBY"  # set in the environment of a spare, which waits for a line to begin
+)
 _THREAD_COUNTS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 REPEAT_S = 0.01  # [s] until a signal whose exception was ignored is delivered again
 HEARTBEAT = "\x06"  # a line that says: not hung; the launcher does not print it
 STATUS = "\x05"  # begins a line for the launcher's status line
 
 
-def module_command(module: str) -> list[str]:
+def build_module_command(module: str) -> list[str]:
     """Return the words that run a module of ours in a process of its own.
 
     It imports nothing from the current folder (`-P`), where any file may have the name of a module.
@@ -35,9 +39,9 @@ def module_command(module: str) -> list[str]:
     return [sys.executable, "-P", "-m", module]
 
 
-def supervised() -> bool:
+def is_supervised() -> bool:
     """Return whether a launcher started this process, and speaks for it."""
-    return SUPERVISED in os.environ
+    return SUPERVISED_VARIABLE in os.environ
 
 
 def wait_in_standby() -> bool:
@@ -45,23 +49,23 @@ def wait_in_standby() -> bool:
 
     Returns False if the launcher ended instead. Called when all is imported, which takes longest.
     """
-    return STANDBY not in os.environ or bool(sys.stdin.readline())
+    return STANDBY_VARIABLE not in os.environ or bool(sys.stdin.readline())
 
 
-def beat() -> None:
+def send_heartbeat() -> None:
     """Tell the launcher, if one started this process, that it is not hung."""
-    if supervised():
+    if is_supervised():
         print(HEARTBEAT, flush=True)
 
 
-def on_ending(handler: Callable[[int, FrameType | None], None]) -> None:
-    """Install the handler of every signal of `ENDINGS`; under `nohup` SIGHUP stays ignored."""
-    for number in ENDINGS:
+def install_termination_handler(handler: Callable[[int, FrameType | None], None]) -> None:
+    """Install the handler of every signal of `TERMINATION_SIGNALS`; under `nohup` SIGHUP stays ignored."""
+    for number in TERMINATION_SIGNALS:
         if number != signal.SIGHUP or signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, handler)
 
 
-class _Interruption:
+class _InterruptHandler:
     """Of a signal to a command without a loop to stop: raised, and remembered."""
 
     number = 0  # of the signal; 0 before it
@@ -87,18 +91,18 @@ class _Interruption:
         return 128 + (self.number or signal.SIGINT)
 
 
-interruption = _Interruption()
+interrupt_handler = _InterruptHandler()
 
 
-def exit_code_of(reason: str) -> int:
+def to_exit_code(reason: str) -> int:
     """Return the exit code of a command that a signal of this name ended; 0 for another reason."""
     return 128 + signal.Signals[reason] if reason in signal.Signals.__members__ else 0
 
 
-class Stop:
+class StopCondition:
     """Asked by a loop before each tick; becomes true and stays so.
 
-    The signals of `ENDINGS` set it, so does the end of `duration_s`, counted from the first asking
+    The signals of `TERMINATION_SIGNALS` set it, so does the end of `duration_s`, counted from the first asking
     since setting up can take long, and `request` from inside.
     """
 
@@ -107,7 +111,7 @@ class Stop:
         self.wake: Callable[[], None] = lambda: None  # called by the handler: ends a wait
         self._duration_s = math.inf if duration_s is None else duration_s
         self._began_s: float | None = None
-        on_ending(self._on_signal)
+        install_termination_handler(self._on_signal)
 
     def __call__(self) -> bool:
         """Return whether to stop."""
@@ -124,18 +128,18 @@ class Stop:
     @property
     def exit_code(self) -> int:
         """Of a command that a signal ended before it was done; 0 without a signal."""
-        return exit_code_of(self.reason)
+        return to_exit_code(self.reason)
 
     @contextmanager
     def interrupting(self) -> Iterator[None]:
         """Let a signal raise `KeyboardInterrupt`, where nobody asks for long."""
-        on_ending(interruption)
+        install_termination_handler(interrupt_handler)
         try:
             if self.exit_code:  # it came before
-                interruption(signal.Signals[self.reason], None)
+                interrupt_handler(signal.Signals[self.reason], None)
             yield
         finally:
-            on_ending(self._on_signal)
+            install_termination_handler(self._on_signal)
 
     def _on_signal(self, number: int, _frame: FrameType | None) -> None:
         self.request(signal.Signals(number).name)
@@ -160,8 +164,8 @@ def die_with_parent(parent: int, by: signal.Signals = signal.SIGTERM) -> None:
 
 def die_with_launcher() -> None:
     """End this process when the launcher that started it dies, if one did."""
-    if supervised():
-        die_with_parent(int(os.environ[SUPERVISED]))
+    if is_supervised():
+        die_with_parent(int(os.environ[SUPERVISED_VARIABLE]))
 
 
 def limit_numeric_threads() -> None:
@@ -174,7 +178,7 @@ def limit_numeric_threads() -> None:
         os.environ.setdefault(name, "1")
 
 
-def let_loops_first() -> None:
+def lower_priority() -> None:
     """Lower the priority of this process: loops on the same processor go first."""
     os.nice(5)
 
@@ -191,7 +195,7 @@ def has_display() -> bool:
     return any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY"))
 
 
-def seconds(text: str) -> float:
+def parse_seconds(text: str) -> float:
     """Read a duration [s] from the command line: the `type` of an argument."""
     try:
         value = float(text)
@@ -207,13 +211,13 @@ def write_summary(path: str | Path | None, summary: dict[str, Any]) -> None:
     if path is not None:
         import json  # slow to import
 
-        write_whole(path, json.dumps(summary, indent=2) + "\n", "the summary")
+        write_text_file(path, json.dumps(summary, indent=2) + "\n", "the summary")
 
 
-def write_whole(path: str | Path, text: str, what: str) -> None:
+def write_text_file(path: str | Path, text: str, what: str) -> None:
     """Write `text` to `path`, whole or not at all; `UsageError` if that cannot be."""
     try:
-        with replacing(Path(path)) as partial:
+        with replace_file(Path(path)) as partial:
             partial.write_text(text)
     except OSError as error:
         raise UsageError(f"{path}: {what} cannot be written: {error.strerror}") from error

@@ -1,12 +1,12 @@
 """Real-time scheduling of a control process: priority, CPU limit, locked memory, cores.
 
-The order in a process is: import, compile, `go_realtime`, open the link and the devices,
-`enter_loop`, loop. Compiling after `go_realtime` would hold a core at real-time priority for
+The order in a process is: import, compile, `request_realtime`, open the link and the devices,
+`enter_loop`, loop. Compiling after `request_realtime` would hold a core at real-time priority for
 seconds; threads of the link that are started after it inherit the priority.
 
 A thread at SCHED_FIFO that never sleeps blocks its core for everything else. Two limits apply: the
 kernel gives real-time threads 95 % of the time (`kernel.sched_rt_runtime_us`), from
-`limit_computing` on `RLIMIT_RTTIME` limits how long a thread may compute without sleeping. A loop
+`limit_computing_time` on `RLIMIT_RTTIME` limits how long a thread may compute without sleeping. A loop
 sleeps in every period, far below.
 """
 
@@ -24,21 +24,21 @@ from pathlib import Path
 from types import FrameType
 from typing import Literal
 
-FEWEST_CORES = 4  # with fewer, no core is reserved for a loop
-FEWEST_OTHERS = 2  # cores left for link threads and other programs
+CORES_MIN = 4  # with fewer, no core is reserved for a loop
+OTHER_CORES_MIN = 2  # cores left for link threads and other programs
 
 SOFT_LIMIT_US = 1_000_000  # [us] of computing without sleep: then ordinary scheduling
 HARD_LIMIT_US = 3_000_000  # [us] then the kernel ends the process, if no handler can run
 
-CLAIM = "tendon-teleop-core-{core}"  # name of the abstract socket that a loop holds
+CORE_LOCK_NAME = "tendon-teleop-core-{core}"  # name of the abstract socket that a loop holds
 
 HEAP_RESERVE = 8 << 20  # [B] touched beforehand and kept by malloc
 
 _MCL_CURRENT, _MCL_FUTURE, _MCL_ONFAULT = 1, 2, 4
 _MADV_DONTNEED = 4
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD, _M_ARENA_MAX = -1, -3, -8
-_HEAPS = 2
-_LARGEST_IN_HEAP = 32 << 20  # [B] the highest threshold that glibc takes
+_HEAPS_MAX = 2
+_HEAP_THRESHOLD_MAX = 32 << 20  # [B] the highest threshold that glibc takes
 
 _COMPILER = "libllvmlite"
 
@@ -62,7 +62,7 @@ class RealtimeConfig:
 _DEFAULT = RealtimeConfig()
 
 
-def go_realtime(config: RealtimeConfig = _DEFAULT) -> list[str]:
+def request_realtime(config: RealtimeConfig = _DEFAULT) -> list[str]:
     """Request real-time scheduling and memory locking; return what was granted."""
     granted: list[str] = []
     if config.priority:
@@ -79,7 +79,7 @@ def go_realtime(config: RealtimeConfig = _DEFAULT) -> list[str]:
 
 
 @contextmanager
-def ordinary_scheduling() -> Iterator[None]:
+def use_ordinary_scheduling() -> Iterator[None]:
     """Compute for seconds at ordinary priority, in a thread that is at real-time priority else."""
     if not hasattr(os, "sched_getscheduler") or os.sched_getscheduler(0) != os.SCHED_FIFO:
         yield
@@ -99,16 +99,16 @@ def share_heaps() -> None:
     """
     libc = ctypes.CDLL(None)
     if hasattr(libc, "mallopt"):
-        libc.mallopt(_M_ARENA_MAX, _HEAPS)
+        libc.mallopt(_M_ARENA_MAX, _HEAPS_MAX)
 
 
 def enter_loop(granted: list[str], config: RealtimeConfig = _DEFAULT) -> None:
-    """Prepare the calling thread for its loop: `limit_computing`, then `pin_loop`."""
-    limit_computing(granted)
+    """Prepare the calling thread for its loop: `limit_computing_time`, then `pin_loop`."""
+    limit_computing_time(granted)
     pin_loop(granted, config)
 
 
-def limit_computing(granted: list[str]) -> None:
+def limit_computing_time(granted: list[str]) -> None:
     """Limit how long a thread at real-time priority may compute without sleeping.
 
     Beyond `SOFT_LIMIT_US` the whole process goes back to ordinary scheduling, says so on standard
@@ -117,9 +117,9 @@ def limit_computing(granted: list[str]) -> None:
     """
     if not hasattr(resource, "RLIMIT_RTTIME"):
         return
-    signal.signal(signal.SIGXCPU, _back_to_ordinary(granted))
+    signal.signal(signal.SIGXCPU, _build_limit_handler(granted))
     present = resource.getrlimit(resource.RLIMIT_RTTIME)
-    resource.setrlimit(resource.RLIMIT_RTTIME, computing_limits(*present))
+    resource.setrlimit(resource.RLIMIT_RTTIME, compute_rttime_limits(*present))
 
 
 def pin_loop(granted: list[str], config: RealtimeConfig = _DEFAULT) -> None:
@@ -131,7 +131,7 @@ def pin_loop(granted: list[str], config: RealtimeConfig = _DEFAULT) -> None:
     if not hasattr(os, "sched_getaffinity"):
         return
     loops, others = divide_cores(os.sched_getaffinity(0), config.cores)
-    own = next((core for core in loops if _claim(core)), None)
+    own = next((core for core in loops if _claim_core(core)), None)
     if own is None:
         return
     for thread in os.listdir("/proc/self/task"):
@@ -158,23 +158,23 @@ def divide_cores(
     loops : list of int
         In order of preference.
     others : set of int
-        Both are empty with fewer than `FEWEST_CORES` cores, or if fewer than `FEWEST_OTHERS` would
+        Both are empty with fewer than `CORES_MIN` cores, or if fewer than `OTHER_CORES_MIN` would
         be left.
     """
     cores = sorted(set(allowed), reverse=True)
-    if len(cores) < FEWEST_CORES:
+    if len(cores) < CORES_MIN:
         return [], set()
     if wanted == "auto":
         loops = cores[: len(cores) // 2]
     else:
         loops = [core for core in dict.fromkeys(wanted) if core in cores]
     others = set(cores).difference(loops)
-    if not loops or len(others) < FEWEST_OTHERS:
+    if not loops or len(others) < OTHER_CORES_MIN:
         return [], set()
     return loops, others
 
 
-def computing_limits(soft: int, hard: int) -> tuple[int, int]:
+def compute_rttime_limits(soft: int, hard: int) -> tuple[int, int]:
     """Return the limits of RLIMIT_RTTIME [us], at most the present `soft` and `hard`.
 
     The soft one stays below the hard one, so that it is reached first.
@@ -184,7 +184,7 @@ def computing_limits(soft: int, hard: int) -> tuple[int, int]:
     return min(lower, highest // 2), highest
 
 
-def _back_to_ordinary(granted: list[str]) -> Callable[[int, FrameType | None], None]:
+def _build_limit_handler(granted: list[str]) -> Callable[[int, FrameType | None], None]:
     """Return the handler of SIGXCPU, which ends real-time scheduling of all threads."""
 
     def handle(_number: int, _frame: FrameType | None) -> None:
@@ -219,7 +219,7 @@ def _reserve_heap() -> None:
     libc.malloc.restype = ctypes.c_void_p
     libc.malloc.argtypes = [ctypes.c_size_t]
     libc.free.argtypes = [ctypes.c_void_p]
-    libc.mallopt(_M_MMAP_THRESHOLD, _LARGEST_IN_HEAP)
+    libc.mallopt(_M_MMAP_THRESHOLD, _HEAP_THRESHOLD_MAX)
     libc.mallopt(_M_TRIM_THRESHOLD, 2**31 - 1)
     block = libc.malloc(HEAP_RESERVE)
     if block:
@@ -240,11 +240,11 @@ def _release_compiler() -> None:
         return
     libc.madvise.argtypes = [ctypes.c_void_p, ctypes.c_size_t, ctypes.c_int]
     with suppress(OSError):
-        for begin, size in unmodified_code(Path("/proc/self/smaps").read_text(), _COMPILER):
+        for begin, size in find_unmodified_code(Path("/proc/self/smaps").read_text(), _COMPILER):
             libc.madvise(begin, size, _MADV_DONTNEED)
 
 
-def unmodified_code(smaps: str, library: str) -> list[tuple[int, int]]:
+def find_unmodified_code(smaps: str, library: str) -> list[tuple[int, int]]:
     """Return address and size [B] of the unmodified code pages of `library`.
 
     `smaps` is the text of /proc/PID/smaps. Mappings with anonymous pages, such as relocations, are
@@ -262,14 +262,14 @@ def unmodified_code(smaps: str, library: str) -> list[tuple[int, int]]:
     return found
 
 
-def _claim(core: int) -> bool:
+def _claim_core(core: int) -> bool:
     """Reserve a core among the loops of this machine; return whether it was free.
 
     By an abstract socket name, which vanishes with the process.
     """
     claim = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
     try:
-        claim.bind("\0" + CLAIM.format(core=core))
+        claim.bind("\0" + CORE_LOCK_NAME.format(core=core))
     except OSError:
         claim.close()
         return False

@@ -8,20 +8,20 @@ import time
 from contextlib import suppress
 from pathlib import Path
 
-_PREFIX = "teleop-run-"
-_AGE_S = 60.0  # a younger folder may be one that is not locked yet
+_SCRATCH_PREFIX = "teleop-run-"
+_SCRATCH_AGE_MIN_S = 60.0  # a younger folder may be one that is not locked yet
 
 
 class ScratchFolder(tempfile.TemporaryDirectory[str]):
     """A temporary folder of this process; those of killed processes of this user are removed."""
 
     def __init__(self) -> None:
-        for folder in Path(tempfile.gettempdir()).glob(f"{_PREFIX}*"):
+        for folder in Path(tempfile.gettempdir()).glob(f"{_SCRATCH_PREFIX}*"):
             with suppress(OSError):
-                if time.time() - folder.stat().st_mtime > _AGE_S:
+                if time.time() - folder.stat().st_mtime > _SCRATCH_AGE_MIN_S:
                     os.close(_lock_folder(folder))
                     shutil.rmtree(folder)
-        super().__init__(prefix=_PREFIX)
+        super().__init__(prefix=_SCRATCH_PREFIX)
         self._lock = _lock_folder(Path(self.name))  # until this process ends, however it does
 
 

@@ -6,17 +6,17 @@ from pathlib import Path
 from teleop.errors import UsageError
 
 
-def state_folder() -> Path:
-    """Return the folder for what outlives a process; see `_folder`."""
-    return _folder("XDG_STATE_HOME", ".local/state")
+def find_state_folder() -> Path:
+    """Return the folder for what outlives a process; see `_find_folder`."""
+    return _find_folder("XDG_STATE_HOME", ".local/state")
 
 
-def config_folder() -> Path:
-    """Return the folder for settings; see `_folder`."""
-    return _folder("XDG_CONFIG_HOME", ".config")
+def find_config_folder() -> Path:
+    """Return the folder for settings; see `_find_folder`."""
+    return _find_folder("XDG_CONFIG_HOME", ".config")
 
 
-def _folder(variable: str, below_home: str) -> Path:
+def _find_folder(variable: str, below_home: str) -> Path:
     """Return the folder that `variable` names, or else the one below the home folder.
 
     Raises

@@ -4,14 +4,14 @@ A process proves its role by a certificate of an authority that all processes of
 """
 
 from teleop.security.credentials import CertificateError, Credentials, NotYetValidError
-from teleop.security.identity import OFFICE_OF, RIGHTS, Identity, Office
+from teleop.security.identity import CERTIFICATE_ROLES, RIGHTS, CertificateRole, Identity
 
 __all__ = [
-    "OFFICE_OF",
+    "CERTIFICATE_ROLES",
     "RIGHTS",
     "CertificateError",
+    "CertificateRole",
     "Credentials",
     "Identity",
     "NotYetValidError",
-    "Office",
 ]

@@ -10,26 +10,33 @@ router is decided by that router, which has the same rules.
 from collections.abc import Iterable
 from typing import Any
 
-from teleop.link.publisher import sampled_key
+from teleop.link.publisher import build_sampled_key
 from teleop.messages.topics import SETTING, STOP, TOPICS, Role, Topic
-from teleop.security.identity import ALL_SESSIONS, OFFICE_OF, RIGHTS, Identity, Office, supervisors
-from teleop.security.presence import LISTENERS, root
+from teleop.security.identity import (
+    ALL_SESSIONS,
+    CERTIFICATE_ROLES,
+    RIGHTS,
+    CertificateRole,
+    Identity,
+    list_supervisor_names,
+)
+from teleop.security.presence import LISTENER_ROLES, build_token_root
 
-_EVERYTHING = [
+_ALL_MESSAGES = [
     "put", "delete", "declare_subscriber", "query", "reply", "declare_queryable",
     "liveliness_token", "liveliness_query", "declare_liveliness_subscriber",
 ]  # fmt: skip
-_WATCHING = ["liveliness_query", "declare_liveliness_subscriber"]
+_LIVELINESS_MESSAGES = ["liveliness_query", "declare_liveliness_subscriber"]
 
 
-def access_control(sessions: Iterable[str]) -> dict[str, Any]:
-    """Return Zenoh's `access_control` for a process, or a router, of these sessions."""
+def build_access_control(sessions: Iterable[str]) -> dict[str, Any]:
+    """Return Zenoh's `build_access_control` for a process, or a router, of these sessions."""
     rules: list[dict[str, Any]] = [
         {
             "id": "egress",
             "permission": "allow",
             "flows": ["egress"],
-            "messages": _EVERYTHING,
+            "messages": _ALL_MESSAGES,
             "key_exprs": ["**", "teleop/*/@/**", "teleop/*/@impair"],
         }
     ]
@@ -51,26 +58,33 @@ def access_control(sessions: Iterable[str]) -> dict[str, Any]:
         policies.append({"rules": [rule], "subjects": names})
 
     for session in sessions:
-        top, tokens = f"teleop/{session}", root(session)
-        routers = [_name(Office.ROUTER, session), _name(Office.ROUTER, ALL_SESSIONS)]
-        allow(f"{session} router", _EVERYTHING, [f"{top}/**", f"{tokens}/**", f"{top}/@impair"],
+        top, tokens = f"teleop/{session}", build_token_root(session)
+        routers = [
+            _build_common_name(CertificateRole.ROUTER, session),
+            _build_common_name(CertificateRole.ROUTER, ALL_SESSIONS),
+        ]
+        allow(f"{session} router", _ALL_MESSAGES, [f"{top}/**", f"{tokens}/**", f"{top}/@impair"],
               routers)  # fmt: skip
-        everybody = [name for office in Office for name in names_of(office, session)]
-        listeners = {_name(OFFICE_OF[role], session) for role in LISTENERS}
+        everybody = [
+            name for office in CertificateRole for name in list_common_names(office, session)
+        ]
+        listeners = {
+            _build_common_name(CERTIFICATE_ROLES[role], session) for role in LISTENER_ROLES
+        }
         members = [name for name in everybody if name not in listeners]
-        allow(f"{session} watch", _WATCHING, [f"{tokens}/**"], everybody)
+        allow(f"{session} watch", _LIVELINESS_MESSAGES, [f"{tokens}/**"], everybody)
         allow(f"{session} proof", ["declare_queryable", "reply"], [f"{tokens}/prove/**"], members)
         heard: list[str] = []
         for topic in TOPICS:
-            publishers = names_of_publishers(topic, session)
+            publishers = list_publisher_names(topic, session)
             keys = [f"{top}/{topic.name}"]
             if topic.sampled_hz:
-                keys.append(sampled_key(keys[0]))
+                keys.append(build_sampled_key(keys[0]))
             heard += keys
             allow(f"{session} {topic.name}", ["put"], keys, publishers)
         allow(f"{session} listen", ["declare_subscriber"], heard, everybody)
         for name in everybody:
-            groups = groups_of_holder(name)
+            groups = list_holder_groups(name)
             if groups:
                 keys = [f"{tokens}/{group}/**" for group in groups]
                 if Role.SLAVE.name.lower() in groups:
@@ -80,7 +94,7 @@ def access_control(sessions: Iterable[str]) -> dict[str, Any]:
                 allow(f"challenge of {name}", ["query"],
                       [f"{tokens}/prove/{group}/**" for group in groups], [name])  # fmt: skip
         allow(f"{session} impair", ["query"], [f"{top}/@impair"],
-              names_of(Office.SUPERVISOR, session))  # fmt: skip
+              list_common_names(CertificateRole.SUPERVISOR, session))  # fmt: skip
     return {
         "enabled": True,
         "default_permission": "deny",
@@ -90,33 +104,37 @@ def access_control(sessions: Iterable[str]) -> dict[str, Any]:
     }
 
 
-def names_of(office: Office, session: str) -> list[str]:
+def list_common_names(office: CertificateRole, session: str) -> list[str]:
     """Return the common names of a role's certificates in a session."""
-    if office is Office.SUPERVISOR:
-        return sorted({name for right in RIGHTS for name in supervisors(session, right)})
-    return [_name(office, session)]
+    if office is CertificateRole.SUPERVISOR:
+        return sorted({name for right in RIGHTS for name in list_supervisor_names(session, right)})
+    return [_build_common_name(office, session)]
 
 
-def groups_of_holder(name: str) -> list[str]:
+def list_holder_groups(name: str) -> list[str]:
     """Return the groups of tokens (`Token.group`) of the holder of a common name."""
     holder = Identity.parse(name)
     return [
-        f"{role.name.lower()}{holder.limit}" for role in Role if OFFICE_OF[role] is holder.office
+        f"{role.name.lower()}{holder.limit}"
+        for role in Role
+        if CERTIFICATE_ROLES[role] is holder.office
     ]
 
 
-def names_of_publishers(topic: Topic[Any], session: str) -> list[str]:
+def list_publisher_names(topic: Topic[Any], session: str) -> list[str]:
     """Return the common names of certificates that may publish `topic` in a session."""
     names: list[str] = []
-    for office in dict.fromkeys(OFFICE_OF[role] for role in topic.publishers):
-        if office is not Office.SUPERVISOR:
-            names += names_of(office, session)
+    for office in dict.fromkeys(CERTIFICATE_ROLES[role] for role in topic.publishers):
+        if office is not CertificateRole.SUPERVISOR:
+            names += list_common_names(office, session)
         elif topic is SETTING:
-            names += supervisors(session, "set")
+            names += list_supervisor_names(session, "set")
         elif topic is STOP:
-            names += sorted({*supervisors(session, "stop"), *supervisors(session, "reset")})
+            names += sorted(
+                {*list_supervisor_names(session, "stop"), *list_supervisor_names(session, "reset")}
+            )
     return names
 
 
-def _name(office: Office, session: str) -> str:
+def _build_common_name(office: CertificateRole, session: str) -> str:
     return Identity(office, session).common_name

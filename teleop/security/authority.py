@@ -34,8 +34,8 @@ AUTHORITY_DAYS = 3650
 CERTIFICATE_DAYS = 90
 AUTHORITY, AUTHORITY_KEY, REVOKED = "authority.pem", "authority.key", "revoked.pem"
 FILE_MAX = 1_000_000  # [B] of a file of keys; a list of 10 000 revoked certificates has half
-BACKDATED = timedelta(hours=1)  # for clocks that are behind
-UNREADABLE = (  # what `cryptography` raises for certificates, lists and keys that are none
+BACKDATING = timedelta(hours=1)  # for clocks that are behind
+UNREADABLE_ERRORS = (  # what `cryptography` raises for certificates, lists and keys that are none
     ValueError, TypeError, UnsupportedAlgorithm, CryptographyDeprecationWarning,
     x509.InvalidVersion, x509.DuplicateExtension, x509.UnsupportedGeneralNameType,
 )  # fmt: skip
@@ -56,11 +56,11 @@ class Authority:
     ) -> "Authority":
         """Make an authority whose certificate is valid for `days` from `start` (now)."""
         key = Ed25519PrivateKey.generate()
-        subject = _name(name)
-        basic = _certificate(subject, subject, key.public_key(), days, start)
+        subject = _build_name(name)
+        basic = _build_certificate(subject, subject, key.public_key(), days, start)
         certificate = (
             basic.add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
-            .add_extension(_usage(sign_certificates=True), critical=True)
+            .add_extension(_build_key_usage(sign_certificates=True), critical=True)
             .sign(key, None)
         )
         return cls(certificate, key)
@@ -79,12 +79,12 @@ class Authority:
     ) -> tuple[x509.Certificate, Ed25519PrivateKey]:
         """Return a new certificate of `identity`, and its private key."""
         key = Ed25519PrivateKey.generate()
-        subject = _name(identity.common_name)
-        basic = _certificate(subject, self.certificate.subject, key.public_key(), days, start)
+        subject = _build_name(identity.common_name)
+        basic = _build_certificate(subject, self.certificate.subject, key.public_key(), days, start)
         both = [ExtendedKeyUsageOID.SERVER_AUTH, ExtendedKeyUsageOID.CLIENT_AUTH]
         certificate = (
             basic.add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
-            .add_extension(_usage(sign_certificates=False), critical=True)
+            .add_extension(_build_key_usage(sign_certificates=False), critical=True)
             .add_extension(x509.ExtendedKeyUsage(both), critical=False)
             .add_extension(
                 x509.SubjectAlternativeName([x509.DNSName(_SERVER_NAME)]), critical=False
@@ -103,7 +103,7 @@ class Authority:
         builder = (
             x509.CertificateRevocationListBuilder()
             .issuer_name(self.certificate.subject)
-            .last_update(now - BACKDATED)
+            .last_update(now - BACKDATING)
             .next_update(self.certificate.not_valid_after_utc)
         )
         for serial in sorted(self.revoked):
@@ -120,28 +120,30 @@ class Authority:
     def publish(self, folder: Path) -> None:
         """Write what every machine needs: the authority's certificate and the revoked ones."""
         folder.mkdir(parents=True, exist_ok=True, mode=0o700)
-        write(folder / AUTHORITY, self.certificate.public_bytes(Encoding.PEM), 0o644)
-        write(folder / REVOKED, self.revocation_list(), 0o644)
+        write_file(folder / AUTHORITY, self.certificate.public_bytes(Encoding.PEM), 0o644)
+        write_file(folder / REVOKED, self.revocation_list(), 0o644)
 
 
 def load_certificate(path: Path) -> x509.Certificate:
     """Load a certificate; `UsageError` if there is none, or others could replace it."""
     try:
-        return x509.load_pem_x509_certificate(_read(path, 0o022, "change this file; chmod 644"))
+        return x509.load_pem_x509_certificate(
+            _read_file(path, 0o022, "change this file; chmod 644")
+        )
     except OSError as error:
         raise UsageError(f"{path}: {error.strerror}; see `teleop keys --help`") from error
-    except UNREADABLE as error:
+    except UNREADABLE_ERRORS as error:
         raise UsageError(f"{path}: not a certificate (PEM)") from error
 
 
 def load_key(path: Path) -> Ed25519PrivateKey:
     """Load a private key; `UsageError` if there is none, or others could read it."""
     try:
-        data = _read(path, 0o077, "read this private key; chmod 600")
+        data = _read_file(path, 0o077, "read this private key; chmod 600")
         key = load_pem_private_key(data, None)
     except OSError as error:
         raise UsageError(f"{path}: {error.strerror}; see `teleop keys --help`") from error
-    except UNREADABLE as error:
+    except UNREADABLE_ERRORS as error:
         raise UsageError(f"{path}: not a private key (PEM, not encrypted)") from error
     if not isinstance(key, Ed25519PrivateKey):
         raise UsageError(f"{path}: not an Ed25519 key; issue it with `teleop keys issue`")
@@ -152,12 +154,12 @@ def load_revoked(folder: Path, authority: x509.Certificate) -> frozenset[int]:
     """Return the revoked serial numbers of a folder; `UsageError` if their list is not genuine."""
     path = folder / REVOKED
     try:
-        revoked = x509.load_pem_x509_crl(_read(path, 0o022, "change this file; chmod 644"))
+        revoked = x509.load_pem_x509_crl(_read_file(path, 0o022, "change this file; chmod 644"))
     except FileNotFoundError as error:
         raise UsageError(f"{path}: missing; copy it from the folder of the authority") from error
     except OSError as error:
         raise UsageError(f"{path}: {error.strerror}") from error
-    except UNREADABLE as error:
+    except UNREADABLE_ERRORS as error:
         raise UsageError(f"{path}: not a list of revoked certificates (PEM)") from error
     public = authority.public_key()
     if not isinstance(public, Ed25519PublicKey) or not revoked.is_signature_valid(public):
@@ -165,7 +167,7 @@ def load_revoked(folder: Path, authority: x509.Certificate) -> frozenset[int]:
     return frozenset(entry.serial_number for entry in revoked)
 
 
-def require_unshared(folder: Path) -> None:
+def require_unshared_folder(folder: Path) -> None:
     """Raise `UsageError` if other users could exchange the files of a folder."""
     status = folder.stat()
     if status.st_mode & 0o022:
@@ -173,7 +175,7 @@ def require_unshared(folder: Path) -> None:
     _require_owner(folder, status)
 
 
-def _read(path: Path, forbidden: int, complaint: str) -> bytes:
+def _read_file(path: Path, forbidden: int, complaint: str) -> bytes:
     """Return the content of a file that nobody else owns, nor has `forbidden` permissions for."""
 
     def check(status: os.stat_result) -> None:
@@ -196,17 +198,17 @@ def is_signed_by(certificate: x509.Certificate, authority: x509.Certificate) -> 
     """Return whether `authority` has issued `certificate`."""
     try:
         certificate.verify_directly_issued_by(authority)
-    except (*UNREADABLE, InvalidSignature):
+    except (*UNREADABLE_ERRORS, InvalidSignature):
         return False
     return True
 
 
 def write_key(path: Path, key: Ed25519PrivateKey) -> None:
     """Write a private key, readable by its owner only."""
-    write(path, key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption()), 0o600)
+    write_file(path, key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption()), 0o600)
 
 
-def write(path: Path, data: bytes, mode: int) -> None:
+def write_file(path: Path, data: bytes, mode: int) -> None:
     """Write a file with these permissions, whole or not at all."""
     partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
     with contextlib.suppress(FileNotFoundError):
@@ -224,11 +226,11 @@ def write(path: Path, data: bytes, mode: int) -> None:
         raise UsageError(f"{path}: cannot be written: {error.strerror}") from error
 
 
-def _name(common_name: str) -> x509.Name:
+def _build_name(common_name: str) -> x509.Name:
     return x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, common_name)])
 
 
-def _certificate(
+def _build_certificate(
     subject: x509.Name,
     issuer: x509.Name,
     key: Ed25519PublicKey,
@@ -242,12 +244,12 @@ def _certificate(
         .issuer_name(issuer)
         .public_key(key)
         .serial_number(x509.random_serial_number())
-        .not_valid_before(now - BACKDATED if start is None else start)
+        .not_valid_before(now - BACKDATING if start is None else start)
         .not_valid_after(now + timedelta(days=days))
     )
 
 
-def _usage(sign_certificates: bool) -> x509.KeyUsage:
+def _build_key_usage(sign_certificates: bool) -> x509.KeyUsage:
     return x509.KeyUsage(
         digital_signature=True,
         content_commitment=False,

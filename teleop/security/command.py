@@ -42,11 +42,16 @@ from teleop.security.authority import (
     load_certificate,
     load_key,
     load_revoked,
-    write,
+    write_file,
     write_key,
 )
-from teleop.security.credentials import CertificateError, common_name, identify, stem
-from teleop.security.identity import ALL_SESSIONS, RIGHTS, Identity, Office
+from teleop.security.credentials import (
+    CertificateError,
+    build_file_stem,
+    identify_holder,
+    read_common_name,
+)
+from teleop.security.identity import ALL_SESSIONS, RIGHTS, CertificateRole, Identity
 from teleop.session.config import check_session
 
 
@@ -56,7 +61,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     init = actions.add_parser("init", help="make an authority")
     init.add_argument("folder", type=Path, metavar="DIR", help="new folder of the authority")
     init.add_argument("--name", default="teleop authority", help="its name in certificates")
-    _add_days(init, AUTHORITY_DAYS)
+    _add_days_option(init, AUTHORITY_DAYS)
     issue = actions.add_parser("issue", help="issue certificates of roles in a session")
     issue.add_argument("folder", type=Path, metavar="DIR", help="folder of the authority")
     issue.add_argument(
@@ -66,7 +71,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--role",
         action="append",
         required=True,
-        choices=[office.value for office in Office],
+        choices=[office.value for office in CertificateRole],
         help="may be repeated",
     )
     issue.add_argument(
@@ -78,7 +83,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     issue.add_argument(
         "--out", type=SharedFolder(), required=True, metavar="DIR", help="folder of the keys"
     )
-    _add_days(issue, CERTIFICATE_DAYS)
+    _add_days_option(issue, CERTIFICATE_DAYS)
     revoke = actions.add_parser("revoke", help="take a certificate back")
     revoke.add_argument("folder", type=Path, metavar="DIR", help="folder of the authority")
     revoke.add_argument("which", metavar="FILE|SERIAL", help="certificate, or its serial number")
@@ -89,25 +94,25 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def main(args: argparse.Namespace) -> int:
     """Do what is asked; returns the exit code."""
     actions: dict[str, Callable[[argparse.Namespace], int]] = {
-        "init": _init,
-        "issue": _issue,
-        "revoke": _revoke,
-        "show": _show,
+        "init": _init_authority,
+        "issue": _issue_certificates,
+        "revoke": _revoke_certificates,
+        "show": _show_folder,
     }
     return actions[args.action](args)
 
 
-def _add_days(parser: argparse.ArgumentParser, days: int) -> None:
+def _add_days_option(parser: argparse.ArgumentParser, days: int) -> None:
     parser.add_argument(
         "--days",
-        type=_days,
+        type=_parse_days,
         default=float(days),
         metavar="N",
         help=f"how long it is valid (default {days})",
     )
 
 
-def _days(text: str) -> float:
+def _parse_days(text: str) -> float:
     try:
         days = float(text)
     except ValueError:
@@ -117,7 +122,7 @@ def _days(text: str) -> float:
     return days
 
 
-def _init(args: argparse.Namespace) -> int:
+def _init_authority(args: argparse.Namespace) -> int:
     if (args.folder / AUTHORITY_KEY).exists() or (args.folder / AUTHORITY).exists():
         raise UsageError(f"{args.folder}: has an authority already; choose another folder")
     if not 1 <= len(args.name) <= 64:
@@ -130,7 +135,7 @@ def _init(args: argparse.Namespace) -> int:
     return 0
 
 
-def _issue(args: argparse.Namespace) -> int:
+def _issue_certificates(args: argparse.Namespace) -> int:
     authority = Authority.load(args.folder)
     session = ALL_SESSIONS if args.session == "all" else args.session
     if session != ALL_SESSIONS:
@@ -138,24 +143,26 @@ def _issue(args: argparse.Namespace) -> int:
             check_session(session)
         except ValueError as error:
             raise UsageError(f"--session {session}: {error}") from error
-    offices = list(dict.fromkeys(map(Office, args.role)))
-    if session == ALL_SESSIONS and offices != [Office.ROUTER]:
+    offices = list(dict.fromkeys(map(CertificateRole, args.role)))
+    if session == ALL_SESSIONS and offices != [CertificateRole.ROUTER]:
         raise UsageError("--session all: only for --role router; name the session of the others")
-    if args.right and Office.SUPERVISOR not in offices:
+    if args.right and CertificateRole.SUPERVISOR not in offices:
         raise UsageError("--right: only for --role supervisor")
-    paths = {office: args.out / f"{stem(office, session)}.pem" for office in offices}
+    paths = {office: args.out / f"{build_file_stem(office, session)}.pem" for office in offices}
     taken = [path for path in paths.values() if path.exists()]
     if taken and not args.force:
         raise UsageError(f"{taken[0]}: exists; --force replaces it")
     _require_same_authority(args.out, authority)
-    _require_shorter(args.days, authority)
+    _require_shorter_validity(args.days, authority)
     authority.publish(args.out)
     for office, path in paths.items():
-        rights = tuple(sorted(set(args.right or RIGHTS))) if office is Office.SUPERVISOR else ()
+        rights = (
+            tuple(sorted(set(args.right or RIGHTS))) if office is CertificateRole.SUPERVISOR else ()
+        )
         certificate, key = authority.issue(Identity(office, session, rights), args.days)
         write_key(path.with_suffix(".key"), key)
-        write(path, certificate.public_bytes(Encoding.PEM), 0o644)
-        print(f"{path}: {_line(certificate)}")
+        write_file(path, certificate.public_bytes(Encoding.PEM), 0o644)
+        print(f"{path}: {_format_certificate(certificate)}")
     return 0
 
 
@@ -165,7 +172,7 @@ def _require_same_authority(folder: Path, authority: Authority) -> None:
         raise UsageError(f"{folder}: has keys of another authority; choose another --out")
 
 
-def _require_shorter(days: float, authority: Authority) -> None:
+def _require_shorter_validity(days: float, authority: Authority) -> None:
     """Raise `UsageError` if certificates would outlive their authority, which ends them."""
     end = authority.certificate.not_valid_after_utc
     if datetime.now(UTC) + timedelta(days=days) > end:
@@ -175,9 +182,9 @@ def _require_shorter(days: float, authority: Authority) -> None:
         )
 
 
-def _revoke(args: argparse.Namespace) -> int:
+def _revoke_certificates(args: argparse.Namespace) -> int:
     authority = Authority.load(args.folder)
-    serial = _serial(args.which, authority)
+    serial = _parse_serial(args.which, authority)
     if serial in authority.revoked:
         raise UsageError(f"{args.which}: is revoked already")
     authority.revoke(serial).publish(args.folder)
@@ -186,7 +193,7 @@ def _revoke(args: argparse.Namespace) -> int:
     return 0
 
 
-def _serial(which: str, authority: Authority) -> int:
+def _parse_serial(which: str, authority: Authority) -> int:
     if Path(which).is_file():
         certificate = load_certificate(Path(which))
         if not is_signed_by(certificate, authority.certificate):
@@ -201,33 +208,33 @@ def _serial(which: str, authority: Authority) -> int:
     return serial
 
 
-def _show(args: argparse.Namespace) -> int:
+def _show_folder(args: argparse.Namespace) -> int:
     authority = load_certificate(args.folder / AUTHORITY)
     revoked = load_revoked(args.folder, authority)
     here = "" if not (args.folder / AUTHORITY_KEY).exists() else ", with its private key"
-    print(f"authority {common_name(authority)}: {_validity(authority)}{here}")
+    print(f"authority {read_common_name(authority)}: {_format_validity(authority)}{here}")
     for path in sorted(args.folder.glob("*.*.pem")):
         certificate = load_certificate(path)
         try:
-            identify(certificate, authority, revoked)
+            identify_holder(certificate, authority, revoked)
             load_key(path.with_suffix(".key"))
             fault = ""
         except (CertificateError, UsageError) as error:
             fault = f"; NOT usable: {error}"
-        print(f"{path.name}: {_line(certificate)}{fault}")
+        print(f"{path.name}: {_format_certificate(certificate)}{fault}")
     for serial in sorted(revoked):
         print(f"revoked: {serial:x}")
     return 0
 
 
-def _line(certificate: x509.Certificate) -> str:
+def _format_certificate(certificate: x509.Certificate) -> str:
     return (
-        f"{common_name(certificate)}, {_validity(certificate)}, "
+        f"{read_common_name(certificate)}, {_format_validity(certificate)}, "
         f"serial {certificate.serial_number:x}"
     )
 
 
-def _validity(certificate: x509.Certificate) -> str:
+def _format_validity(certificate: x509.Certificate) -> str:
     end = certificate.not_valid_after_utc
     left = (end - datetime.now(UTC)).days
     return f"valid until {end:%Y-%m-%d %H:%M} UTC" + (f" ({left} days)" if left >= 0 else "")

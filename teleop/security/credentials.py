@@ -17,17 +17,17 @@ from cryptography.x509.oid import NameOID
 from teleop.errors import TeleopError, UsageError
 from teleop.security.authority import (
     AUTHORITY,
-    UNREADABLE,
+    UNREADABLE_ERRORS,
     is_signed_by,
     load_certificate,
     load_key,
     load_revoked,
-    require_unshared,
+    require_unshared_folder,
 )
-from teleop.security.identity import ALL_SESSIONS, Identity, Office
+from teleop.security.identity import ALL_SESSIONS, CertificateRole, Identity
 
 NAME_MAX = 64  # characters of a common name (X.520)
-WARN = timedelta(days=14)  # before a certificate expires
+EXPIRY_WARNING = timedelta(days=14)  # before a certificate expires
 
 
 class CertificateError(TeleopError):
@@ -52,13 +52,13 @@ class Credentials:
 
     def identify(self, certificate: x509.Certificate) -> Identity:
         """Return whom a certificate stands for; `CertificateError` if it is not to be believed."""
-        return identify(certificate, self.authority, self.revoked)
+        return identify_holder(certificate, self.authority, self.revoked)
 
     @property
     def warning(self) -> str:
         """Empty, or that the certificate expires soon."""
         left = self.certificate.not_valid_after_utc - datetime.now(UTC)
-        if not self.lasting or left > WARN:
+        if not self.lasting or left > EXPIRY_WARNING:
             return ""
         return f"the certificate {self.identity.common_name} expires in {left.days} days"
 
@@ -79,7 +79,7 @@ class Credentials:
         }
 
 
-def identify(
+def identify_holder(
     certificate: x509.Certificate, authority: x509.Certificate, revoked: frozenset[int]
 ) -> Identity:
     """Return whom a certificate stands for.
@@ -92,9 +92,9 @@ def identify(
         It is not yet valid.
     """
     try:
-        name = common_name(certificate)
+        name = read_common_name(certificate)
         start, end = certificate.not_valid_before_utc, certificate.not_valid_after_utc
-    except UNREADABLE as error:
+    except UNREADABLE_ERRORS as error:
         raise CertificateError("a certificate that cannot be read") from error
     if not is_signed_by(certificate, authority):
         raise CertificateError(f"the certificate {name} is of another authority")
@@ -122,7 +122,7 @@ def identify(
         raise CertificateError(f"the certificate {error}") from error
 
 
-def common_name(certificate: x509.Certificate) -> str:
+def read_common_name(certificate: x509.Certificate) -> str:
     """Return the common name of a certificate, which anybody may have made, fit for a terminal."""
     names = certificate.subject.get_attributes_for_oid(NameOID.COMMON_NAME)
     if not names:
@@ -130,12 +130,12 @@ def common_name(certificate: x509.Certificate) -> str:
     return "".join(c if c.isprintable() else "?" for c in str(names[0].value))[:NAME_MAX]
 
 
-def stem(office: Office, session: str) -> str:
+def build_file_stem(office: CertificateRole, session: str) -> str:
     """Return the name, without its ending, of the files of a certificate."""
     return f"{'all' if session == ALL_SESSIONS else session}.{office}"
 
 
-def load(folder: Path, session: str, office: Office) -> Credentials:
+def load(folder: Path, session: str, office: CertificateRole) -> Credentials:
     """Load the credentials of a role in a session.
 
     Raises
@@ -146,12 +146,12 @@ def load(folder: Path, session: str, office: Office) -> Credentials:
     """
     if not folder.is_dir():
         raise UsageError(f"link.keys: {folder}: no such folder; see `teleop keys --help`")
-    require_unshared(folder)
+    require_unshared_folder(folder)
     authority = load_certificate(folder / AUTHORITY)
     revoked = load_revoked(folder, authority)
-    names = [stem(office, session)]
-    if office is Office.ROUTER:
-        names.append(stem(office, ALL_SESSIONS))
+    names = [build_file_stem(office, session)]
+    if office is CertificateRole.ROUTER:
+        names.append(build_file_stem(office, ALL_SESSIONS))
     there = [name for name in names if (folder / f"{name}.pem").is_file()]
     if not there:
         others = sorted(path.stem for path in folder.glob("*.*.pem"))
@@ -164,7 +164,7 @@ def load(folder: Path, session: str, office: Office) -> Credentials:
     if key.public_key() != certificate.public_key():
         raise UsageError(f"{path.with_suffix('.key')}: is not the key of {path.name}")
     try:
-        identity = identify(certificate, authority, revoked)
+        identity = identify_holder(certificate, authority, revoked)
     except CertificateError as error:
         raise UsageError(f"{path}: {error}") from error
     if identity.office is not office:

@@ -24,14 +24,14 @@ from cryptography.hazmat.primitives.kdf.hkdf import HKDF
 from cryptography.hazmat.primitives.serialization import Encoding
 
 from teleop.messages.topics import Role
-from teleop.security import OFFICE_OF, CertificateError, Credentials, Identity
-from teleop.security.authority import UNREADABLE
-from teleop.security.credentials import identify
+from teleop.security import CERTIFICATE_ROLES, CertificateError, Credentials, Identity
+from teleop.security.authority import UNREADABLE_ERRORS
+from teleop.security.credentials import identify_holder
 from teleop.security.presence import Token
 from teleop.security.revocation import RevocationList
 
 KEY_BYTES, _SIGNATURE_BYTES = 32, 64
-_CERTIFICATE_AT = KEY_BYTES + _SIGNATURE_BYTES
+_CERTIFICATE_OFFSET = KEY_BYTES + _SIGNATURE_BYTES
 PROOF_MAX = 2000  # characters; ours have about 550
 
 
@@ -79,10 +79,10 @@ class Handshake:
     def prove(self, token: Token) -> Token:
         """Return our token with its proof, in the group of our certificate."""
         token = replace(token, limit=self._credentials.identity.limit)
-        data = _signed(token, self._session, self._public + self._certificate)
+        data = _build_signed_data(token, self._session, self._public + self._certificate)
         signature = self._credentials.key.sign(data)
         raw = self._public + signature + self._certificate
-        return replace(token, proof=_text(raw))
+        return replace(token, proof=_encode_proof(raw))
 
     def check(self, token: Token) -> Peer:
         """Return whose token it is; `CertificateError` if it is not to be believed.
@@ -96,22 +96,22 @@ class Handshake:
             raise CertificateError(f"a {name} with a certificate that is too long")
         try:
             raw = base64.urlsafe_b64decode(token.proof + "=" * (-len(token.proof) % 4))
-            if _text(raw) != token.proof:  # so that a process has one proof only
+            if _encode_proof(raw) != token.proof:  # so that a process has one proof only
                 raise ValueError
-            certificate = x509.load_der_x509_certificate(raw[_CERTIFICATE_AT:])
-        except UNREADABLE as error:
+            certificate = x509.load_der_x509_certificate(raw[_CERTIFICATE_OFFSET:])
+        except UNREADABLE_ERRORS as error:
             raise CertificateError(f"a {name} with a certificate that cannot be read") from error
         identity = self._identify(certificate)
-        if (identity.office, identity.limit) != (OFFICE_OF[token.role], token.limit):
+        if (identity.office, identity.limit) != (CERTIFICATE_ROLES[token.role], token.limit):
             raise CertificateError(f"a {name} with the certificate {identity.common_name}")
         if not identity.may_join(self._session):
             raise CertificateError(
                 f"a {name} of session {identity.session!r}: the certificate is "
                 f"{identity.common_name}"
             )
-        public, signature = raw[:KEY_BYTES], raw[KEY_BYTES:_CERTIFICATE_AT]
-        signed = _signed(token, self._session, public + raw[_CERTIFICATE_AT:])
-        if not _is_signature(certificate, signature, signed):
+        public, signature = raw[:KEY_BYTES], raw[KEY_BYTES:_CERTIFICATE_OFFSET]
+        signed = _build_signed_data(token, self._session, public + raw[_CERTIFICATE_OFFSET:])
+        if not _is_valid_signature(certificate, signature, signed):
             raise SignatureError(
                 f"a {name} that does not hold the key of its certificate {identity.common_name}"
             )
@@ -131,7 +131,7 @@ class Handshake:
         return self._revoked.update(complain)
 
     def _identify(self, certificate: x509.Certificate) -> Identity:
-        return identify(certificate, self._credentials.authority, self._revoked.serials)
+        return identify_holder(certificate, self._credentials.authority, self._revoked.serials)
 
     def _fault_of(self, certificate: x509.Certificate) -> str:
         try:
@@ -147,23 +147,23 @@ class Handshake:
         except ValueError as error:
             raise CertificateError(f"a {peer.role.name.lower()} with an unusable key") from error
         return PairKeys(
-            _derive(shared, self._session, self._nonce, peer.nonce),
-            _derive(shared, self._session, peer.nonce, self._nonce),
+            _derive_key(shared, self._session, self._nonce, peer.nonce),
+            _derive_key(shared, self._session, peer.nonce, self._nonce),
         )
 
 
-def _text(raw: bytes) -> str:
+def _encode_proof(raw: bytes) -> str:
     """Return a proof as it stands in a token."""
     return base64.urlsafe_b64encode(raw).decode().rstrip("=")
 
 
-def _signed(token: Token, session: str, shown: bytes) -> bytes:
+def _build_signed_data(token: Token, session: str, shown: bytes) -> bytes:
     """Return what the signature covers; `shown` is the X25519 key and the certificate."""
     plain = replace(token, relayed=False, proof="").key(session)
     return b"teleop hello 1\0" + plain.encode() + b"\0" + shown
 
 
-def _is_signature(certificate: x509.Certificate, signature: bytes, data: bytes) -> bool:
+def _is_valid_signature(certificate: x509.Certificate, signature: bytes, data: bytes) -> bool:
     key = certificate.public_key()
     try:
         if isinstance(key, Ed25519PublicKey):
@@ -174,6 +174,6 @@ def _is_signature(certificate: x509.Certificate, signature: bytes, data: bytes) 
     return False
 
 
-def _derive(shared: bytes, session: str, sender: int, receiver: int) -> bytes:
+def _derive_key(shared: bytes, session: str, sender: int, receiver: int) -> bytes:
     info = f"teleop message 1 {session} {sender:016x} {receiver:016x}".encode()
     return HKDF(hashes.SHA256(), KEY_BYTES, None, info).derive(shared)

@@ -14,7 +14,7 @@ from teleop.messages.topics import Role
 
 ALL_SESSIONS = "*"  # of a router's certificate
 RIGHTS = ("reset", "set", "stop")  # of a supervisor, in this order in its name
-LIMITS = (
+RIGHT_SUFFIXES = (
     "",
     *("".join(f"-{right}" for right in rights)
       for count in range(1, len(RIGHTS)) for rights in combinations(RIGHTS, count)),
@@ -23,7 +23,7 @@ LIMITS = (
 _NAME = re.compile(r"(?P<role>[a-z]+)(?P<rights>(?:-[a-z]+)*)\.(?P<session>[a-z0-9_-]+|\*)")
 
 
-class Office(StrEnum):
+class CertificateRole(StrEnum):
     """Role that a certificate is issued for."""
 
     MASTER = "master"
@@ -34,14 +34,14 @@ class Office(StrEnum):
     ROUTER = "router"  # of a router, and of the proxy of `teleop impair`
 
 
-OFFICE_OF: dict[Role, Office] = {
-    Role.LAUNCHER: Office.SUPERVISOR,
-    Role.MASTER: Office.MASTER,
-    Role.SLAVE: Office.SLAVE,
-    Role.RECORDER: Office.RECORDER,
-    Role.VIEWER: Office.VIEWER,
-    Role.REMOTE: Office.SUPERVISOR,
-    Role.WATCH: Office.SUPERVISOR,
+CERTIFICATE_ROLES: dict[Role, CertificateRole] = {
+    Role.LAUNCHER: CertificateRole.SUPERVISOR,
+    Role.MASTER: CertificateRole.MASTER,
+    Role.SLAVE: CertificateRole.SLAVE,
+    Role.RECORDER: CertificateRole.RECORDER,
+    Role.VIEWER: CertificateRole.VIEWER,
+    Role.REMOTE: CertificateRole.SUPERVISOR,
+    Role.WATCH: CertificateRole.SUPERVISOR,
 }
 """The certificate that a process of a role shows."""
 
@@ -49,14 +49,14 @@ OFFICE_OF: dict[Role, Office] = {
 class Identity(NamedTuple):
     """Holder of a certificate."""
 
-    office: Office
+    office: CertificateRole
     session: str  # `ALL_SESSIONS` for a router of all
     rights: tuple[str, ...] = ()  # of a supervisor, as in `RIGHTS`
 
     @property
     def limit(self) -> str:
-        """What its common name says of its rights, one of `LIMITS`."""
-        limited = self.office is Office.SUPERVISOR and self.rights != RIGHTS
+        """What its common name says of its rights, one of `RIGHT_SUFFIXES`."""
+        limited = self.office is CertificateRole.SUPERVISOR and self.rights != RIGHTS
         return "".join(f"-{right}" for right in self.rights) if limited else ""
 
     @property
@@ -70,14 +70,14 @@ class Identity(NamedTuple):
         found = _NAME.fullmatch(common_name)
         if found is None:
             raise ValueError(f"{common_name!r} is not ROLE.SESSION")
-        office = Office(found["role"])
+        office = CertificateRole(found["role"])
         rights: tuple[str, ...] = ()
-        if office is Office.SUPERVISOR:
+        if office is CertificateRole.SUPERVISOR:
             rights = tuple(found["rights"].split("-")[1:]) or RIGHTS
         identity = cls(office, found["session"], rights)
         if identity.common_name != common_name or not set(rights) <= set(RIGHTS):
             raise ValueError(f"{common_name!r} is not ROLE.SESSION")
-        if identity.session == ALL_SESSIONS and office is not Office.ROUTER:
+        if identity.session == ALL_SESSIONS and office is not CertificateRole.ROUTER:
             raise ValueError(f"{common_name!r}: only a router is for all sessions")
         return identity
 
@@ -86,10 +86,10 @@ class Identity(NamedTuple):
         return self.session in (session, ALL_SESSIONS)
 
 
-def supervisors(session: str, right: str) -> list[str]:
+def list_supervisor_names(session: str, right: str) -> list[str]:
     """Return the common names of all supervisors of a session that have a right."""
     return [
-        Identity(Office.SUPERVISOR, session, rights).common_name
+        Identity(CertificateRole.SUPERVISOR, session, rights).common_name
         for count in range(1, len(RIGHTS) + 1)
         for rights in combinations(RIGHTS, count)
         if right in rights

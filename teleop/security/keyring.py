@@ -22,13 +22,13 @@ from teleop.security.handshake import PairKeys, Peer
 TAG_BYTES = 16
 ENTRY_BYTES = 8 + TAG_BYTES  # the addressee's nonce, and the tag for it
 ADDRESSEES = 8  # at most, of a message
-KEPT = 64  # peers that are gone whose messages are still believed
+DEPARTED_PEERS_MAX = 64  # peers that are gone whose messages are still believed
 
 _NONCE = struct.Struct("<Q")
 _TOPICS = {topic.name: topic for topic in TOPICS}
 
 
-class Verdict(Enum):
+class TagVerdict(Enum):
     """What a message's tags say."""
 
     GENUINE = 0
@@ -36,7 +36,7 @@ class Verdict(Enum):
     FORGED = 2  # for us, and wrong
 
 
-class Seals:
+class TagKeys:
     """What a publisher tags its messages with.
 
     Attributes
@@ -63,14 +63,16 @@ class Keyring:
     """
 
     def __init__(self, role: Role, nonce: int) -> None:
-        self.addressee = nonce_bytes(nonce)
+        self.addressee = pack_nonce(nonce)
         self._role = role
-        self._seals = {topic.name: Seals() for topic in TOPICS}
+        self._seals = {topic.name: TagKeys() for topic in TOPICS}
         # of each topic that we act on: keyed hashes by sender, absent ones too
         self._senders: dict[str, dict[int, Any]] = {
             topic.name: {} for topic in TOPICS if role in topic.addressees
         }
-        self._peers: dict[tuple[Role, int], Peer] = {}  # as many as the roster admits, and `KEPT`
+        self._peers: dict[
+            tuple[Role, int], Peer
+        ] = {}  # as many as the roster admits, and `DEPARTED_PEERS_MAX`
         self._gone: OrderedDict[tuple[Role, int], None] = OrderedDict()
 
     def shares_with(self, role: Role) -> bool:
@@ -89,26 +91,26 @@ class Keyring:
         """Believe and address `peer` from now on."""
         self._peers[peer.role, peer.nonce] = peer
         self._gone.pop((peer.role, peer.nonce), None)
-        addressee = nonce_bytes(peer.nonce)
+        addressee = pack_nonce(peer.nonce)
         for topic in TOPICS:
             name = topic.name
             if peer.role in topic.addressees and self._role in topic.publishers:
                 others = [e for e in self._seals[name].entries if e[0] != addressee]
-                entry = (addressee, keyed_hash(keys.sending, topic))
+                entry = (addressee, create_keyed_hash(keys.sending, topic))
                 self._seals[name].entries = (*others[-(ADDRESSEES - 1) :], entry)
             if name in self._senders and peer.role in topic.publishers:
-                self._senders[name][peer.nonce] = keyed_hash(keys.receiving, topic)
+                self._senders[name][peer.nonce] = create_keyed_hash(keys.receiving, topic)
 
     def remove(self, role: Role, nonce: int) -> None:
         """Address a vanished peer no more; what is still on its way is believed."""
-        addressee = nonce_bytes(nonce)
+        addressee = pack_nonce(nonce)
         for topic in TOPICS:
             if role in topic.addressees:
                 seals = self._seals[topic.name]
                 seals.entries = tuple(e for e in seals.entries if e[0] != addressee)
         if (role, nonce) in self._peers:
             self._gone[role, nonce] = None
-        while len(self._gone) > KEPT:
+        while len(self._gone) > DEPARTED_PEERS_MAX:
             self.forget(*next(iter(self._gone)))
 
     def forget(self, role: Role, nonce: int) -> None:
@@ -120,7 +122,7 @@ class Keyring:
             if role in _TOPICS[name].publishers:
                 senders.pop(nonce, None)
 
-    def seals(self, topic: Topic[Any]) -> Seals:
+    def seals(self, topic: Topic[Any]) -> TagKeys:
         """Return what messages of `topic` are tagged with; it follows the peers."""
         return self._seals[topic.name]
 
@@ -128,33 +130,33 @@ class Keyring:
         """Return the keyed hashes by sender of a topic; None if we do not act on it."""
         return self._senders.get(topic.name)
 
-    def verify(self, topic: Topic[Any], data: bytes, tags: bytes) -> "Verdict":
+    def verify(self, topic: Topic[Any], data: bytes, tags: bytes) -> "TagVerdict":
         """Return whether `data` is of a known sender, to us, and unchanged."""
         base = self._senders[topic.name].get(topic.message.schema.sender(data))
         if base is None:
-            return Verdict.UNKNOWN
+            return TagVerdict.UNKNOWN
         mac = base.copy()
         mac.update(data)
-        return verdict(self.addressee + mac.digest(), tags)
+        return check_tags(self.addressee + mac.digest(), tags)
 
 
-def keyed_hash(key: bytes, topic: Topic[Any]) -> Any:
+def create_keyed_hash(key: bytes, topic: Topic[Any]) -> Any:
     """Return the hash of a topic's messages, before any message."""
     return blake2b(key=key, digest_size=TAG_BYTES, person=topic.name.encode())
 
 
-def verdict(tag: bytes, tags: bytes) -> Verdict:
+def check_tags(tag: bytes, tags: bytes) -> TagVerdict:
     """Return what the tags of a message say; `tag` is the right one, behind its addressee."""
-    found = Verdict.UNKNOWN
+    found = TagVerdict.UNKNOWN
     for begin in range(0, min(len(tags), ADDRESSEES * ENTRY_BYTES), ENTRY_BYTES):
         entry = tags[begin : begin + ENTRY_BYTES]
         if compare_digest(entry, tag):
-            return Verdict.GENUINE
+            return TagVerdict.GENUINE
         if entry[:8] == tag[:8]:
-            found = Verdict.FORGED
+            found = TagVerdict.FORGED
     return found
 
 
-def nonce_bytes(nonce: int) -> bytes:
+def pack_nonce(nonce: int) -> bytes:
     """Return a nonce as it stands in front of a tag."""
     return _NONCE.pack(nonce)

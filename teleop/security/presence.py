@@ -28,23 +28,23 @@ from enum import IntEnum
 
 from teleop.messages.topics import Role
 from teleop.runtime.clock import now_ns
-from teleop.security.identity import LIMITS, OFFICE_OF, Office
+from teleop.security.identity import CERTIFICATE_ROLES, RIGHT_SUFFIXES, CertificateRole
 
-EXCLUSIVE = (Role.MASTER, Role.SLAVE)
-LISTENERS = (Role.RECORDER, Role.VIEWER)
-_CERTIFICATE_AT = 128  # character of a proof, behind the X25519 key and the signature
+EXCLUSIVE_ROLES = (Role.MASTER, Role.SLAVE)
+LISTENER_ROLES = (Role.RECORDER, Role.VIEWER)
+_CERTIFICATE_OFFSET = 128  # character of a proof, behind the X25519 key and the signature
 _NUMBERS = re.compile(r"[0-9a-f]{8}/[0-9a-f]{16}")  # layout and nonce; `int` takes more: -f, 1_2
 _RANDOM_BITS = 12  # of 64; the rest is the start stamp, good for 4 us and until the year 2554
 
 
-class Stage(IntEnum):
+class RoleStage(IntEnum):
     """Whether a process claims or holds its role."""
 
     CLAIM = 0
     HELD = 1
 
 
-def new_nonce() -> int:
+def create_nonce() -> int:
     """Return a unique number that grows with time."""
     return (now_ns() >> _RANDOM_BITS << _RANDOM_BITS) | secrets.randbits(_RANDOM_BITS)
 
@@ -56,10 +56,12 @@ class Token:
     role: Role
     layout: int
     nonce: int
-    stage: Stage
+    stage: RoleStage
     relayed: bool = False
     proof: str = ""
-    limit: str = ""  # rights of a supervisor that has some only (`teleop.security.identity.LIMITS`)
+    limit: str = (
+        ""  # rights of a supervisor that has some only (`teleop.security.identity.RIGHT_SUFFIXES`)
+    )
 
     @property
     def group(self) -> str:
@@ -69,13 +71,13 @@ class Token:
     @property
     def certificate(self) -> str:
         """The certificate in the proof, not read."""
-        return self.proof[_CERTIFICATE_AT:]
+        return self.proof[_CERTIFICATE_OFFSET:]
 
     def key(self, session: str) -> str:
         """Return the key of this token."""
         stage = self.stage.name.lower()
         proof = f"/{self.proof}" if self.proof else ""
-        return f"{root(session)}/{self.group}/{self.layout:08x}/{self.nonce:016x}/{stage}{proof}"
+        return f"{build_token_root(session)}/{self.group}/{self.layout:08x}/{self.nonce:016x}/{stage}{proof}"
 
     @classmethod
     def from_key(cls, key: str) -> "Token | None":
@@ -92,13 +94,13 @@ class Token:
                 return None
             name, dash, rights = group.partition("-")
             role, limit = Role[name.upper()], dash + rights
-            if limit not in _limits_of(role):
+            if limit not in _list_right_suffixes(role):
                 return None
             token = cls(
                 role,
                 int(layout, 16),
                 int(nonce, 16),
-                Stage[stage.upper()],
+                RoleStage[stage.upper()],
                 relayed,
                 proof[0] if proof else "",
                 limit,
@@ -108,43 +110,45 @@ class Token:
         return token if token.key(head.removeprefix("teleop/")) == key else None
 
 
-def groups_of(role: Role) -> list[str]:
+def list_groups(role: Role) -> list[str]:
     """Return the groups of a role's tokens."""
-    return [role.name.lower() + limit for limit in _limits_of(role)]
+    return [role.name.lower() + limit for limit in _list_right_suffixes(role)]
 
 
-def groups_for(role: Role) -> list[str]:
+def list_watched_groups(role: Role) -> list[str]:
     """Return the groups of the announced tokens that a process of `role` looks at."""
-    roles = [r for r in Role if r not in LISTENERS] if role in EXCLUSIVE else EXCLUSIVE
-    groups = [group for other in roles for group in groups_of(other)]
+    roles = (
+        [r for r in Role if r not in LISTENER_ROLES] if role in EXCLUSIVE_ROLES else EXCLUSIVE_ROLES
+    )
+    groups = [group for other in roles for group in list_groups(other)]
     return [*groups, "relay/master"] if role is Role.MASTER else groups
 
 
 def may_stop(group: str) -> bool:
     """Return whether processes of a group may stop a session."""
-    listens = group in [role.name.lower() for role in LISTENERS]
+    listens = group in [role.name.lower() for role in LISTENER_ROLES]
     return group.endswith("-stop") or not (listens or "-" in group)
 
 
-def _limits_of(role: Role) -> tuple[str, ...]:
-    return LIMITS if OFFICE_OF[role] is Office.SUPERVISOR else ("",)
+def _list_right_suffixes(role: Role) -> tuple[str, ...]:
+    return RIGHT_SUFFIXES if CERTIFICATE_ROLES[role] is CertificateRole.SUPERVISOR else ("",)
 
 
-def root(session: str) -> str:
+def build_token_root(session: str) -> str:
     """Return the key below which a session's tokens are; `**` from above does not match an `@`."""
     return f"teleop/{session}/@"
 
 
-def conflict(me: Token, others: Iterable[Token]) -> str | None:
+def find_conflict(me: Token, others: Iterable[Token]) -> str | None:
     """Return why `me` must leave the session, or None.
 
     A listener (recorder, viewer, launcher) never conflicts.
     """
     for other in others:
-        if other.nonce == me.nonce or other.role not in EXCLUSIVE:
+        if other.nonce == me.nonce or other.role not in EXCLUSIVE_ROLES:
             continue
         name = other.role.name.lower()
-        if me.role in EXCLUSIVE and (me.stage, -me.nonce) > (other.stage, -other.nonce):
+        if me.role in EXCLUSIVE_ROLES and (me.stage, -me.nonce) > (other.stage, -other.nonce):
             continue
         if other.layout != me.layout:
             return (

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol, TypeVar, runtime_checkable
 
-from teleop.config.loading import load, stated_keys
+from teleop.config.loading import load, read_stated_keys
 from teleop.coupling.config import Bilateral, CouplingConfig
 from teleop.coupling.force_attenuation import ConfidenceConfig
 from teleop.coupling.passivity import PassivityConfig
@@ -21,9 +21,11 @@ from teleop.session import running_sessions
 T = TypeVar("T")
 
 RATE_MIN_HZ, RATE_MAX_HZ = 100.0, 4000.0
-SESSION_LENGTH = 40  # characters: with a role, the 64 of a certificate's common name
+SESSION_NAME_MAX = 40  # characters: with a role, the 64 of a certificate's common name
 ENDPOINT_KEYS = frozenset({"master", "slave", "routers"})  # of `link`
-PERIODS = 3  # least timeout in periods of the link, to tolerate a lost message and jitter
+TIMEOUT_PERIODS_MIN = (
+    3  # least timeout in periods of the link, to tolerate a lost message and jitter
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -56,21 +58,21 @@ class RunConfig:
 
 def check_session(name: str) -> None:
     """Raise `ValueError` if `name` cannot be that of a session."""
-    if not re.fullmatch(rf"[a-z0-9_-]{{1,{SESSION_LENGTH}}}", name):
-        raise ValueError(f"allowed are 1 to {SESSION_LENGTH} of a-z 0-9 _ -")
+    if not re.fullmatch(rf"[a-z0-9_-]{{1,{SESSION_NAME_MAX}}}", name):
+        raise ValueError(f"allowed are 1 to {SESSION_NAME_MAX} of a-z 0-9 _ -")
 
 
 @runtime_checkable
-class RateChecked(Protocol):
+class RateCheckedSection(Protocol):
     """A config section with values to be checked against the rate."""
 
     def check_rate(self, rate_hz: float) -> None:
         """Raise `UsageError` if a value of this section conflicts with `rate_hz` [Hz]."""
 
 
-def states_endpoints(config: Path | None, overrides: Sequence[str]) -> bool:
+def has_stated_endpoints(config: Path | None, overrides: Sequence[str]) -> bool:
     """Return whether a config file or overrides say where the processes of a session meet."""
-    link = stated_keys(config, overrides).get("link")
+    link = read_stated_keys(config, overrides).get("link")
     return isinstance(link, dict) and not ENDPOINT_KEYS.isdisjoint(link)
 
 
@@ -87,23 +89,23 @@ def load_shared(args: argparse.Namespace, join: bool = True) -> RunConfig:
         The config is invalid, there is no such session, or it is not said which of several.
     """
     join = join and hasattr(args, "session")
-    if join and not states_endpoints(args.config, args.overrides):
-        args.overrides = [*_running_overrides(args), *args.overrides]
+    if join and not has_stated_endpoints(args.config, args.overrides):
+        args.overrides = [*_find_running_overrides(args), *args.overrides]
     if getattr(args, "session", None):
         args.overrides = [*args.overrides, f"session={json.dumps(args.session)}"]
     return load(args.config, RunConfig, None, args.overrides)
 
 
-def _running_overrides(args: argparse.Namespace) -> tuple[str, ...]:
+def _find_running_overrides(args: argparse.Namespace) -> tuple[str, ...]:
     """Return the overrides of the running session that a command line means, if there is one."""
-    stated = stated_keys(args.config, args.overrides).get("session")
+    stated = read_stated_keys(args.config, args.overrides).get("session")
     name = args.session or (stated if isinstance(stated, str) else "")
-    entry = running_sessions.find(name, args.config)
+    entry = running_sessions.find_session(name, args.config)
     if entry is not None:
         return entry.overrides
     if args.session and args.config is None:
-        entries = running_sessions.running()
-        names = running_sessions.names_of(entries) or "none"
+        entries = running_sessions.list_sessions()
+        names = running_sessions.format_session_names(entries) or "none"
         raise UsageError(
             f"--session {args.session}: no such session of yours runs on this machine; running: "
             f"{names}. For a session on other machines add --config FILE"
@@ -120,22 +122,22 @@ def load_section(
     """
     shared = load_shared(args, join)
     config = load(args.config, cls, section, args.overrides)
-    if isinstance(config, RateChecked):
+    if isinstance(config, RateCheckedSection):
         config.check_rate(shared.rate_hz)
     return shared, config
 
 
 def require_periods(key: str, timeout_s: float, rate_hz: float) -> None:
-    """Check that a timeout [s] is at least `PERIODS` of the link; `key` is its dotted key.
+    """Check that a timeout [s] is at least `TIMEOUT_PERIODS_MIN` of the link; `key` is its dotted key.
 
     Raises
     ------
     UsageError
         With the least value.
     """
-    least = PERIODS / rate_hz
+    least = TIMEOUT_PERIODS_MIN / rate_hz
     if timeout_s < least * (1.0 - 1e-9):
         raise UsageError(
-            f"{key}: {timeout_s:g}: must be at least {PERIODS} periods of rate_hz "
+            f"{key}: {timeout_s:g}: must be at least {TIMEOUT_PERIODS_MIN} periods of rate_hz "
             f"({least:g} s at {rate_hz:g} Hz)"
         )

@@ -9,17 +9,17 @@ from dataclasses import replace
 from enum import IntFlag
 from typing import Any, ClassVar, TypeVar
 
-from estimator.records import Records
+from estimator.records import StructArray
 from teleop.coupling import LedgerPublisher
 from teleop.errors import PeerError, TeleopError
-from teleop.link import Counts, Latest, Link
-from teleop.link.health import DEFAULT_BOUNDS, HealthConfig, LinkHealth, observe
+from teleop.link import LatestMessage, Link, MessageCounts
+from teleop.link.health import DEFAULT_BOUNDS, HealthConfig, LinkHealth, update_link_window
 from teleop.messages.topics import LEDGER, LINK, REPORT, Role
 from teleop.remote.requests import RequestListener, Requests
 from teleop.remote.stop_socket import SILENT, StopSocket
-from teleop.runtime.clock import Tick, TickStats, now_ns, quiet_garbage
-from teleop.runtime.process import Stop, supervised, write_summary
-from teleop.runtime.realtime import enter_loop, go_realtime
+from teleop.runtime.clock import Tick, TickStats, now_ns, pause_garbage_collection
+from teleop.runtime.process import StopCondition, is_supervised, write_summary
+from teleop.runtime.realtime import enter_loop, request_realtime
 from teleop.session.config import RunConfig
 from teleop.session.events import publish_event
 from teleop.session.meter import LoopMeter
@@ -28,13 +28,15 @@ from teleop.session.state_machine import (
     Reason,
     SessionOutline,
     State,
-    known_state,
-    reason_of,
+    to_known_state,
+    to_reason,
 )
-from teleop.session.summary import loop_lines, trouble
+from teleop.session.summary import find_fault, format_loop
 
-PEER_NS = 1_000_000_000  # [ns] without a message, after which a peer is not connected
-MANY = 50  # messages without a tag between two reports; fewer are of a process that just starts
+PEER_TIMEOUT_NS = 1_000_000_000  # [ns] without a message, after which a peer is not connected
+UNTAGGED_MIN = (
+    50  # messages without a tag between two reports; fewer are of a process that just starts
+)
 
 
 class LoopProcess(ABC):
@@ -70,7 +72,7 @@ class LoopProcess(ABC):
         self,
         link: Link,
         stats: TickStats,
-        memory: Records,
+        memory: StructArray,
         joints: int,
         requests: RequestListener | None = None,
         health: HealthConfig = DEFAULT_BOUNDS,
@@ -116,7 +118,7 @@ class LoopProcess(ABC):
         self.ended = str(self.error)
 
     def _finish_requests(
-        self, side: SessionOutline, requests: Requests, latest: Latest[Any], now: int
+        self, side: SessionOutline, requests: Requests, latest: LatestMessage[Any], now: int
     ) -> None:
         """Tell the others of an executed stop, and answer requests from this machine."""
         self._requests.relay(self.role, side, requests.words)
@@ -136,7 +138,7 @@ class LoopProcess(ABC):
             self._link.publish_packet(LEDGER, self._ledger.filled())
 
     def _watch_link(
-        self, stamp_ns: int, latest: Latest[Any], echo_ns: int, hold_ns: int, peer: int = 0
+        self, stamp_ns: int, latest: LatestMessage[Any], echo_ns: int, hold_ns: int, peer: int = 0
     ) -> None:
         """Take the peer's newest message; now and then decide what the link allows.
 
@@ -144,16 +146,18 @@ class LoopProcess(ABC):
         """
         if latest.stamp_ns != self._observed_ns:
             self._observed_ns = latest.stamp_ns
-            observe(self._health.windows, latest.stamp_ns, latest.received_ns, echo_ns, hold_ns)
+            update_link_window(
+                self._health.windows, latest.stamp_ns, latest.received_ns, echo_ns, hold_ns
+            )
         if self._health.is_due(stamp_ns):
-            if self._health.update(stamp_ns, latest.counts, reason_of(peer)):
+            if self._health.update(stamp_ns, latest.counts, to_reason(peer)):
                 decision = self._health.decision
                 self._link_reason, self._link_holds = int(decision.reason), decision.holds
                 self._link_scale = decision.scale
             if self._health.figures.clock_set:
                 latest.clock_was_set()
 
-    def _report(self, stamp_ns: int, latest: Latest[Any]) -> bool:
+    def _report(self, stamp_ns: int, latest: LatestMessage[Any]) -> bool:
         """Publish the reports if they are due, and check that no peer is there twice."""
         counts = latest.counts
         report = self._meter.report(stamp_ns, self._outline(), counts)
@@ -169,7 +173,7 @@ class LoopProcess(ABC):
             self._end(error)
         return True
 
-    def _publish_refusals(self, counts: Counts) -> None:
+    def _publish_refusals(self, counts: MessageCounts) -> None:
         """Publish what was refused since the last time."""
         peers = "messages of the peer"
         forged = self._requests.forged() | {peers: counts.forged}
@@ -179,7 +183,7 @@ class LoopProcess(ABC):
             new = count - self._refused.get(name, 0)
             if wrong:
                 self._link.refusals.note(f"{name} with a wrong tag", wrong)
-            if new - wrong >= MANY:
+            if new - wrong >= UNTAGGED_MIN:
                 self._link.refusals.note(f"{name} of an unknown sender", new - wrong)
         self._refused, self._forged = refused, forged
         for line in self._link.refusals.take():
@@ -192,26 +196,26 @@ def answer_requests(
     role: Role,
     side: SessionOutline,
     stops: int,
-    latest: Latest[Any],
+    latest: LatestMessage[Any],
     now_ns: int,
 ) -> None:
     """Answer the executed requests from this machine for a side whose peer's newest is `latest`."""
     other, peer = Role.SLAVE if role is Role.MASTER else Role.MASTER, ""
-    if latest.is_fresh(now_ns, PEER_NS):
-        peer = State(known_state(latest.packet.records["state"][0])).name.lower()
+    if latest.is_fresh(now_ns, PEER_TIMEOUT_NS):
+        peer = State(to_known_state(latest.packet.records["state"][0])).name.lower()
     elif link.present(other):  # it hangs, or starts, and may move its motors
         peer = SILENT
     requests.answer(role, side, stops, other, peer)
 
 
 Process = TypeVar("Process", bound=LoopProcess)
-Started = tuple[Process, Iterable[Tick], Stop]
+StartedProcess = tuple[Process, Iterable[Tick], StopCondition]
 
 
 def run(process: LoopProcess, clock: Iterable[Tick], stop_for: Callable[[str], None]) -> None:
     """Tick until told to stop; the actuators are left safe however this ends."""
     try:
-        with quiet_garbage():
+        with pause_garbage_collection():
             for tick in clock:
                 process.tick(tick)
                 if process.ended:
@@ -226,13 +230,13 @@ def run(process: LoopProcess, clock: Iterable[Tick], stop_for: Callable[[str], N
 def run_session(
     role: Role,
     shared: RunConfig,
-    start: Callable[[Link, RequestListener, ExitStack], Started[Process]],
+    start: Callable[[Link, RequestListener, ExitStack], StartedProcess[Process]],
 ) -> tuple[Process, dict[str, Any]]:
     """Join the session, `start` the process with its hardware, and run it to its end.
 
     Returns the process and its summary.
     """
-    granted = go_realtime(shared.realtime)  # before the link: its threads inherit the priority
+    granted = request_realtime(shared.realtime)  # before the link: its threads inherit the priority
     with ExitStack() as stack:
         # a process that is refused as the second of its role must not have touched the hardware
         link = stack.enter_context(Link(shared.link, shared.session, role))
@@ -246,7 +250,7 @@ def run_session(
     return process, summary | {"stopped": stop.reason, "realtime": granted}
 
 
-def conclude(
+def report_outcome(
     args: argparse.Namespace,
     process: LoopProcess,
     summary: dict[str, Any],
@@ -254,10 +258,10 @@ def conclude(
 ) -> int:
     """Write and print the summary; return the exit code, or raise what ended the session."""
     write_summary(args.json, summary)
-    if not supervised():
-        print("\n".join([*loop_lines(summary), *further]))
+    if not is_supervised():
+        print("\n".join([*format_loop(summary), *further]))
     if process.error:
         raise process.error
-    if not supervised() and (ended := trouble({process.role.name.lower(): summary})):
+    if not is_supervised() and (ended := find_fault({process.role.name.lower(): summary})):
         raise TeleopError(ended)
     return 0

@@ -4,7 +4,7 @@ from collections import Counter
 from collections.abc import Mapping
 from typing import Any
 
-from teleop.link import REJECTED, Counts
+from teleop.link import REJECTION_COUNTERS, MessageCounts
 from teleop.messages.messages import LoopReport
 from teleop.messages.topics import Role
 from teleop.runtime.clock import TickStats, now_ns
@@ -52,7 +52,9 @@ class LoopMeter:
             self._pending = ""
         self._state = side.state
 
-    def report(self, stamp_ns: int, side: SessionOutline, counts: Counts) -> LoopReport | None:
+    def report(
+        self, stamp_ns: int, side: SessionOutline, counts: MessageCounts
+    ) -> LoopReport | None:
         """Return the report that is due at `stamp_ns`, or None."""
         if stamp_ns < self._due_ns:
             return None
@@ -60,7 +62,7 @@ class LoopMeter:
         self._due_ns += periods * REPORT_PERIOD_NS
         return self.last_report(stamp_ns, side, counts)
 
-    def last_report(self, stamp_ns: int, side: SessionOutline, counts: Counts) -> LoopReport:
+    def last_report(self, stamp_ns: int, side: SessionOutline, counts: MessageCounts) -> LoopReport:
         """Return the report of the time since the last one, due or not."""
         stats = self._stats
         rate_hz = (stats.ticks - self._ticks) * 1e9 / max(stamp_ns - self._since_ns, 1)
@@ -94,7 +96,7 @@ class LoopMeter:
         )
 
     def summary(
-        self, side: SessionOutline, counts: Counts, verdicts: Mapping[str, int]
+        self, side: SessionOutline, counts: MessageCounts, verdicts: Mapping[str, int]
     ) -> dict[str, Any]:
         """Return the summary of the whole run."""
         stats = self._stats
@@ -113,7 +115,7 @@ class LoopMeter:
             "received": counts.received,
             "lost": counts.lost,
             "overwritten": counts.overwritten,
-            "rejected": {kind: getattr(counts, kind) for kind in REJECTED},
+            "rejected": {kind: getattr(counts, kind) for kind in REJECTION_COUNTERS},
             "unknown": counts.unknown,
             "delayed": counts.delayed,
             "clock_jumps": counts.clock_jumps,

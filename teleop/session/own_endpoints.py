@@ -8,12 +8,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from teleop.config.loading import as_tree, stated_keys
+from teleop.config.loading import as_tree, read_stated_keys
 from teleop.errors import PeerError, TeleopError
 from teleop.impair.config import ImpairConfig
-from teleop.session.config import RunConfig, states_endpoints
-from teleop.session.running_sessions import RunningSession, own_name, running
-from teleop.view.ports import LOOPBACK, free_port
+from teleop.session.config import RunConfig, has_stated_endpoints
+from teleop.session.running_sessions import RunningSession, create_session_name, list_sessions
+from teleop.view.ports import LOOPBACK, find_free_port
 
 # below the ports that Linux gives to outgoing connections (32768 ...), so that none of those takes
 # a port between this choice and the start of the process that listens there
@@ -21,7 +21,7 @@ FIRST_PORT, PORTS = 20000, 12000
 _DEFAULT_NAME = "demo"
 
 
-def choose(config: Path | None, overrides: Sequence[str], name: str | None) -> list[str]:
+def choose_overrides(config: Path | None, overrides: Sequence[str], name: str | None) -> list[str]:
     """Return overrides that give a session a place of its own on this machine.
 
     That is free endpoints on loopback, unless config or overrides state endpoints, and then, unless
@@ -33,25 +33,27 @@ def choose(config: Path | None, overrides: Sequence[str], name: str | None) -> l
         A session of this user has the name already.
     """
     chosen = [f"session={json.dumps(name)}"] if name else []
-    if states_endpoints(config, overrides):
+    if has_stated_endpoints(config, overrides):
         return chosen
-    stated = stated_keys(config, [*overrides, *chosen])
+    stated = read_stated_keys(config, [*overrides, *chosen])
     if "session" in stated:
-        _require_new(stated["session"])
+        _require_new_session(stated["session"])
     else:
-        chosen.append(f"session={own_name(config.stem if config else _DEFAULT_NAME)}")
+        chosen.append(f"session={create_session_name(config.stem if config else _DEFAULT_NAME)}")
     impair = stated.get("impair")
     keys = ["link.master", "link.slave"]
     if isinstance(impair, dict) and "endpoint" not in impair:
         keys.append("impair.endpoint")
-    ports = free_ports(len(keys))
+    ports = find_free_ports(len(keys))
     chosen += [f"{k}={LOOPBACK}:{p}" for k, p in zip(keys, ports, strict=True)]
     return chosen
 
 
-def entry_of(shared: RunConfig, impair: ImpairConfig | None, config: Path | None) -> RunningSession:
+def build_entry(
+    shared: RunConfig, impair: ImpairConfig | None, config: Path | None
+) -> RunningSession:
     """Return the entry of a session in the registry."""
-    link = as_tree(absolute_paths(shared.link))
+    link = as_tree(make_paths_absolute(shared.link))
     overrides = [f"session={shared.session}", f"link={json.dumps(link)}"]
     if impair is not None:
         overrides.append(f"impair.endpoint={impair.endpoint}")
@@ -64,11 +66,11 @@ def entry_of(shared: RunConfig, impair: ImpairConfig | None, config: Path | None
     )
 
 
-def free_ports(count: int) -> list[int]:
+def find_free_ports(count: int) -> list[int]:
     """Return different ports that nobody listens at on loopback; `TeleopError` if it is down."""
     require_loopback()
     for _ in range(100):
-        ports = {free_port(FIRST_PORT + secrets.randbelow(PORTS)) for _ in range(count)}
+        ports = {find_free_port(FIRST_PORT + secrets.randbelow(PORTS)) for _ in range(count)}
         if len(ports) == count:
             return list(ports)
     raise TeleopError(f"no {count} free ports on {LOOPBACK}")
@@ -89,7 +91,7 @@ def require_loopback() -> None:
             ) from error
 
 
-def absolute_paths(config: Any) -> Any:
+def make_paths_absolute(config: Any) -> Any:
     """Return a config with its paths absolute, for a process in another folder."""
     changes = {}
     for field in dataclasses.fields(config):
@@ -97,12 +99,12 @@ def absolute_paths(config: Any) -> Any:
         if isinstance(value, Path):
             changes[field.name] = value.absolute()
         elif dataclasses.is_dataclass(value):
-            changes[field.name] = absolute_paths(value)
+            changes[field.name] = make_paths_absolute(value)
     return dataclasses.replace(config, **changes)
 
 
-def _require_new(session: object) -> None:
-    for entry in running():
+def _require_new_session(session: object) -> None:
+    for entry in list_sessions():
         if entry.session == session:
             raise PeerError(
                 f"session {session!r} is running already (process {entry.pid}); stop that one "

@@ -18,14 +18,14 @@ from pathlib import Path
 from typing import NamedTuple
 
 from teleop.errors import UsageError
-from teleop.runtime.user_folders import state_folder
+from teleop.runtime.user_folders import find_state_folder
 
 _FOLDER = "tendon-teleop"
 _RUN_USER = Path("/run/user")
 _TEMPORARY = ("/tmp", "/var/tmp")  # noqa: S108 - private folders only
 _BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
-_STEM = 30  # longest part of a name that a config file gives [characters]
-_TRIES = 100  # random names
+_STEM_MAX = 30  # longest part of a name that a config file gives [characters]
+_TRIES_MAX = 100  # random names
 SOCKET_ADDRESS_BYTES = 104  # of a Unix socket, with a closing zero; 108 on Linux
 
 
@@ -41,7 +41,7 @@ class RunningSession(NamedTuple):
 
 
 @contextmanager
-def registered(entry: RunningSession) -> Iterator[None]:
+def register_session(entry: RunningSession) -> Iterator[None]:
     """List a session while this context lasts.
 
     Process and time are those of this call. A session that cannot be listed runs all the same: its
@@ -69,25 +69,25 @@ def registered(entry: RunningSession) -> Iterator[None]:
                 path.unlink()
 
 
-def running() -> list[RunningSession]:
+def list_sessions() -> list[RunningSession]:
     """Return the sessions of this user on this machine, the oldest first."""
-    paths = [path for folder in own_folders() for path in folder.glob("*.json")]
-    found = [entry for entry in map(_read, paths) if entry is not None]
+    paths = [path for folder in list_own_folders() for path in folder.glob("*.json")]
+    found = [entry for entry in map(_read_entry, paths) if entry is not None]
     return sorted(found, key=lambda entry: (entry.began, entry.session))
 
 
-def own_name(base: str) -> str:
+def create_session_name(base: str) -> str:
     """Return a session name that none of the user's sessions has: `base` and four hex digits."""
-    stem = re.sub(r"[^a-z0-9_-]+", "-", base.lower()).strip("-")[:_STEM] or "session"
-    taken = {entry.session for entry in running()}
-    for _ in range(_TRIES):
+    stem = re.sub(r"[^a-z0-9_-]+", "-", base.lower()).strip("-")[:_STEM_MAX] or "session"
+    taken = {entry.session for entry in list_sessions()}
+    for _ in range(_TRIES_MAX):
         name = f"{stem}-{os.urandom(2).hex()}"
         if name not in taken:
             return name
     raise UsageError(f"no free name for a session like {stem!r}; choose one with --session")
 
 
-def find(name: str = "", config: Path | None = None) -> RunningSession | None:
+def find_session(name: str = "", config: Path | None = None) -> RunningSession | None:
     """Return the running session that a command means; None if there is none.
 
     Parameters
@@ -102,14 +102,14 @@ def find(name: str = "", config: Path | None = None) -> RunningSession | None:
     UsageError
         There are several.
     """
-    entries = running()
+    entries = list_sessions()
     if name:
         entries = [entry for entry in entries if entry.session == name]
     elif config is not None:
         entries = [entry for entry in entries if entry.config == str(config.absolute())]
     if len(entries) > 1:
         raise UsageError(
-            f"{len(entries)} sessions are running: {names_of(entries)}; name one with --session"
+            f"{len(entries)} sessions are running: {format_session_names(entries)}; name one with --session"
         )
     return entries[0] if entries else None
 
@@ -126,15 +126,17 @@ def describe_absence(session: str, what: str, endpoints: Iterable[str]) -> str:
     endpoints : iterable of str
         Where it was sought.
     """
-    if entries := running():
-        return f"session {session!r}: {what}; running on this machine: {names_of(entries)}"
+    if entries := list_sessions():
+        return (
+            f"session {session!r}: {what}; running on this machine: {format_session_names(entries)}"
+        )
     return (
         f"no session of yours runs on this machine, and {what} at {', '.join(endpoints)} (session "
         f"{session!r}); for a session on other machines give its --config FILE"
     )
 
 
-def names_of(entries: list[RunningSession]) -> str:
+def format_session_names(entries: list[RunningSession]) -> str:
     """Return the names of sessions as text; those of one name with their processes."""
     names = [entry.session for entry in entries]
     return ", ".join(
@@ -143,7 +145,7 @@ def names_of(entries: list[RunningSession]) -> str:
     )
 
 
-def _read(path: Path) -> RunningSession | None:
+def _read_entry(path: Path) -> RunningSession | None:
     """Return the session of a file; removes the file if its process has ended."""
     try:
         with path.open() as file:
@@ -167,28 +169,28 @@ def usable_folders(socket_name: str = "") -> Iterator[Path]:
     made first, or that cannot be written to, is passed over: everybody may do that below /tmp.
     """
     state = _state_folder()
-    for folder in _folders():
+    for folder in _list_candidate_folders():
         fits = len(os.fsencode(folder / socket_name)) < SOCKET_ADDRESS_BYTES
         if not fits and socket_name:
             continue
         with suppress(OSError):
             folder.mkdir(mode=0o700, exist_ok=True, parents=folder == state)
-            _require_private(folder)
+            _require_private_folder(folder)
             if os.access(folder, os.W_OK | os.X_OK):
                 yield folder
 
 
-def own_folders() -> list[Path]:
+def list_own_folders() -> list[Path]:
     """Return the folders that processes of this user may use, whatever their environment."""
     private = []
-    for folder in _folders():
+    for folder in _list_candidate_folders():
         with suppress(OSError):
-            _require_private(folder)
+            _require_private_folder(folder)
             private.append(folder)
     return private
 
 
-def _folders() -> list[Path]:
+def _list_candidate_folders() -> list[Path]:
     """Return the folders to try; a process of a service manager may lack `XDG_RUNTIME_DIR`."""
     bases = (os.environ.get("XDG_RUNTIME_DIR"), _RUN_USER / f"{os.getuid()}")
     folders = [Path(base) / _FOLDER for base in bases if base]
@@ -209,12 +211,12 @@ def _state_folder() -> Path | None:
     except OSError:
         boot = "run"
     try:
-        return state_folder() / "teleop" / boot
+        return find_state_folder() / "teleop" / boot
     except UsageError:
         return None
 
 
-def _require_private(folder: Path) -> None:
+def _require_private_folder(folder: Path) -> None:
     status = folder.lstat()
     if not stat.S_ISDIR(status.st_mode) or status.st_uid != os.getuid() or status.st_mode & 0o077:
         raise PermissionError(f"{folder} is not a folder of this user alone")

@@ -12,7 +12,7 @@
                                    └─reset──── STOPPED ◄─ a stop, from any state
 
 The master has the operator's switch; switch and clutch of the slave are taken from the master's
-newest command (`switch_of`). So the master engages first and the slave follows, the slave
+newest command (`is_switch_closed`). So the master engages first and the slave follows, the slave
 disengages with the master, and after its own fault the slave waits until the operator has released
 the switch.
 
@@ -45,8 +45,8 @@ Python code around the loops, which reports and prints, takes a `SessionOutline`
 from enum import IntEnum
 from typing import NamedTuple
 
-from estimator.compiled import compiled
-from estimator.records import F64, I64, U64, Flag, Record, Records, one
+from estimator.compiled import jit_compile
+from estimator.records import F64, I64, U64, Flag, Struct, StructArray, view_struct
 
 FOLLOW_LIMIT_S = 0.1  # [s] timeout for the peer to engage: 100 ticks at 1 kHz
 HOLD_LIMIT_S = 2.0  # [s] of silence after which HOLDING becomes a fault
@@ -131,13 +131,13 @@ class Reason(IntEnum):
     UNKNOWN = 255, "reason unknown to this version"
 
 
-class Inputs(Record):
+class Inputs(Struct):
     """Inputs of a side at a tick."""
 
     usable: Flag  # its own device or rig can be read and written
     peer_fresh: Flag  # the peer's newest message is recent
-    peer_state: I64 = State.OFF  # in that message, `known_state` of it; OFF if there was none
-    engage: Flag = False  # the switch: the operator's, or `switch_of` the master's state
+    peer_state: I64 = State.OFF  # in that message, `to_known_state` of it; OFF if there was none
+    engage: Flag = False  # the switch: the operator's, or `is_switch_closed` the master's state
     fault: I64 = Reason.NONE  # present fault of this side
     clutch: Flag = False  # the clutch: the operator's, or the master's CLUTCHED
     stop: I64 = Reason.NONE  # Reason of an emergency stop, if any
@@ -149,7 +149,7 @@ class Inputs(Record):
     link_holds: Flag = False  # for so long, or so badly, that the session must hold
 
 
-class Session(Record):
+class Session(Struct):
     """State and reason of a side, and conditions for leaving them."""
 
     state: I64 = State.OFF
@@ -173,14 +173,14 @@ class SessionOutline(NamedTuple):
     reason: Reason = Reason.NOT_USABLE
 
 
-def reason_of(number: int) -> Reason:
+def to_reason(number: int) -> Reason:
     """Return the reason in a message; an unknown number counts as UNKNOWN."""
     return _REASONS.get(number, Reason.UNKNOWN)
 
 
-def outline(session: Session) -> SessionOutline:
+def to_outline(session: Session) -> SessionOutline:
     """Return the state and the reason of a session as Python enums."""
-    return SessionOutline(State(int(session.state)), reason_of(int(session.reason)))
+    return SessionOutline(State(int(session.state)), to_reason(int(session.reason)))
 
 
 _LAST_STATE = int(max(State))
@@ -196,7 +196,7 @@ class OutlineReader:
         `Session`, shape (1,).
     """
 
-    def __init__(self, sessions: Records) -> None:
+    def __init__(self, sessions: StructArray) -> None:
         self._state, self._reason, self._stops = (
             sessions[name] for name in ("state", "reason", "stops")
         )
@@ -208,7 +208,7 @@ class OutlineReader:
         numbers = (int(self._state[0]), int(self._reason[0]))
         if numbers != self._numbers:
             self._numbers = numbers
-            self._outline = outline(one(self._sessions))
+            self._outline = to_outline(view_struct(self._sessions))
         return self._outline
 
     @property
@@ -217,16 +217,16 @@ class OutlineReader:
         return int(self._stops[0])
 
 
-@compiled
-def known_state(number: int) -> int:
+@jit_compile
+def to_known_state(number: int) -> int:
     """Return the state in a message; an unknown number counts as FAULT."""
     if 0 <= number <= _LAST_STATE:
         return number
     return _FAULT
 
 
-@compiled
-def switch_of(master: int) -> bool:
+@jit_compile
+def is_switch_closed(master: int) -> bool:
     """Return whether the switch counts as closed for a slave whose master is in this state.
 
     At FAULT, HOLDING or STOPPED the master has not seen the switch open.
@@ -234,32 +234,32 @@ def switch_of(master: int) -> bool:
     return master not in (State.OFF, State.READY)
 
 
-@compiled
+@jit_compile
 def may_move(session: Session) -> bool:
     """Return whether commands may move the motors."""
     return session.state == State.ENGAGED
 
 
-@compiled
+@jit_compile
 def may_yield(session: Session) -> bool:
     """Return whether holding motors may pay out a tendon over its tension limit."""
     return session.state in (State.CLUTCHED, State.HOLDING)
 
 
-@compiled
+@jit_compile
 def may_render(session: Session) -> bool:
     """Return whether forces may be rendered: only when the slave has engaged too."""
     return session.state == State.ENGAGED and session.followed
 
 
-@compiled
+@jit_compile
 def fades(session: Session) -> bool:
     """Return whether the force on the hand ramps to zero instead of stepping."""
     return session.state == State.HOLDING
 
 
-@compiled
-def _enter(session: Session, state: int, reason: int) -> None:
+@jit_compile
+def _enter_state(session: Session, state: int, reason: int) -> None:
     """Enter a state, with all conditions reset."""
     session.state = state
     session.reason = reason
@@ -270,18 +270,20 @@ def _enter(session: Session, state: int, reason: int) -> None:
     session.peer = 0
 
 
-@compiled
-def _enter_with(session: Session, state: int, reason: int, followed: bool, waited_s: float) -> None:
+@jit_compile
+def _enter_coupled_state(
+    session: Session, state: int, reason: int, followed: bool, waited_s: float
+) -> None:
     """Enter a coupled state with the present peer."""
     peer = session.peer
-    _enter(session, state, reason)
+    _enter_state(session, state, reason)
     session.followed = followed
     session.waited_s = waited_s
     session.peer = peer
 
 
-@compiled
-def _fault_is_over(session: Session, inputs: Inputs) -> bool:
+@jit_compile
+def _is_fault_over(session: Session, inputs: Inputs) -> bool:
     """Return whether the cause of a FAULT is gone."""
     if inputs.engage or not inputs.usable:
         return False
@@ -297,7 +299,7 @@ def _fault_is_over(session: Session, inputs: Inputs) -> bool:
     return True
 
 
-@compiled
+@jit_compile
 def _step_ready(session: Session, inputs: Inputs) -> None:
     """Usable and not engaged: engage, or set the reason why not."""
     peer_ready = inputs.peer_fresh and inputs.peer_state == State.READY
@@ -311,11 +313,11 @@ def _step_ready(session: Session, inputs: Inputs) -> None:
     asked = inputs.engage and not inputs.clutch and not_ready == Reason.NONE
     # engaging takes a tick in READY, so that the peer sees READY too
     if session.state == State.READY and asked and present and open_seen and peer_seen:
-        _enter(session, State.ENGAGED, Reason.NONE)
+        _enter_state(session, State.ENGAGED, Reason.NONE)
         session.followed = False  # a peer that is engaged already was before: its next word counts
         session.peer = inputs.peer
         return
-    _enter(session, State.READY, not_ready)
+    _enter_state(session, State.READY, not_ready)
     session.open_seen = open_seen
     session.peer_seen = peer_seen
     if not inputs.peer_fresh:
@@ -326,101 +328,101 @@ def _step_ready(session: Session, inputs: Inputs) -> None:
         session.reason = Reason.RELEASE_FIRST
 
 
-@compiled
+@jit_compile
 def _step_coupled(session: Session, inputs: Inputs, dt: float) -> None:
     """Engaged or clutched: stay, switch between the two, or leave."""
     follows = inputs.peer_state == State.ENGAGED
     if not inputs.usable:
-        _enter(session, State.FAULT, Reason.NOT_USABLE)
+        _enter_state(session, State.FAULT, Reason.NOT_USABLE)
     elif inputs.link_holds:
-        _enter_with(session, State.HOLDING, inputs.link, False, 0.0)
+        _enter_coupled_state(session, State.HOLDING, inputs.link, False, 0.0)
     elif not inputs.peer_fresh:
-        _enter_with(session, State.HOLDING, Reason.PEER_SILENT, False, 0.0)
+        _enter_coupled_state(session, State.HOLDING, Reason.PEER_SILENT, False, 0.0)
     elif inputs.peer_state == State.STOPPED:
-        _enter(session, State.STOPPED, Reason.PEER_STOPPED)
+        _enter_state(session, State.STOPPED, Reason.PEER_STOPPED)
     elif not inputs.engage:
-        _enter(session, State.READY, Reason.RELEASED)
+        _enter_state(session, State.READY, Reason.RELEASED)
         if inputs.not_ready_reason == Reason.HAND_AWAY:
             session.reason = Reason.HAND_AWAY
     elif inputs.peer != session.peer:
-        _enter(session, State.FAULT, Reason.PEER_RESTARTED)
+        _enter_state(session, State.FAULT, Reason.PEER_RESTARTED)
     elif inputs.peer_state == State.HOLDING:
-        _enter_with(session, State.HOLDING, Reason.PEER_HOLDS, False, 0.0)
+        _enter_coupled_state(session, State.HOLDING, Reason.PEER_HOLDS, False, 0.0)
     elif inputs.peer_state == State.FAULT:
-        _enter(session, State.FAULT, Reason.PEER_FAULT)
+        _enter_state(session, State.FAULT, Reason.PEER_FAULT)
     elif inputs.peer_state == State.OFF:
-        _enter(session, State.READY, Reason.PEER_ENDED)
+        _enter_state(session, State.READY, Reason.PEER_ENDED)
     elif session.followed and inputs.peer_state == State.READY:
-        _enter(session, State.FAULT, Reason.PEER_LEFT)
+        _enter_state(session, State.FAULT, Reason.PEER_LEFT)
     elif inputs.clutch:
         followed = session.followed or follows
-        _enter_with(session, State.CLUTCHED, Reason.CLUTCH_HELD, followed, 0.0)
+        _enter_coupled_state(session, State.CLUTCHED, Reason.CLUTCH_HELD, followed, 0.0)
     elif session.state == State.ENGAGED and follows:
         session.followed = True
     else:
         again = session.state == State.CLUTCHED or session.followed
         waited_s = 0.0 if again else session.waited_s + dt
         if waited_s > inputs.follow_s:
-            _enter(session, State.FAULT, Reason.PEER_DECLINED)
+            _enter_state(session, State.FAULT, Reason.PEER_DECLINED)
         else:
-            _enter_with(session, State.ENGAGED, Reason.NONE, follows, waited_s)
+            _enter_coupled_state(session, State.ENGAGED, Reason.NONE, follows, waited_s)
     if session.state == State.ENGAGED:
         session.reason = inputs.link  # force and motion are scaled down
 
 
-@compiled
+@jit_compile
 def _step_holding(session: Session, inputs: Inputs, dt: float) -> None:
     """Hold until the peer sends again, the link is good and the switch is open; or a fault."""
     if not inputs.usable:
-        _enter(session, State.FAULT, Reason.NOT_USABLE)
+        _enter_state(session, State.FAULT, Reason.NOT_USABLE)
     elif inputs.link_holds:
         session.reason = inputs.link
         session.waited_s += dt
         if session.waited_s > HOLD_LIMIT_S:
-            _enter(session, State.FAULT, inputs.link)
+            _enter_state(session, State.FAULT, inputs.link)
     elif not inputs.peer_fresh:
         session.waited_s += dt
         if session.waited_s > HOLD_LIMIT_S:
-            _enter(session, State.FAULT, Reason.PEER_SILENT)
+            _enter_state(session, State.FAULT, Reason.PEER_SILENT)
     elif inputs.peer_state == State.STOPPED:
-        _enter(session, State.STOPPED, Reason.PEER_STOPPED)
+        _enter_state(session, State.STOPPED, Reason.PEER_STOPPED)
     elif not inputs.engage:
-        _enter(session, State.READY, Reason.RELEASED)
+        _enter_state(session, State.READY, Reason.RELEASED)
     elif inputs.peer != session.peer:
-        _enter(session, State.FAULT, Reason.PEER_RESTARTED)
+        _enter_state(session, State.FAULT, Reason.PEER_RESTARTED)
     else:
-        _enter_with(session, State.HOLDING, Reason.RELEASE_FIRST, False, 0.0)
+        _enter_coupled_state(session, State.HOLDING, Reason.RELEASE_FIRST, False, 0.0)
 
 
-@compiled
+@jit_compile
 def _change_state(session: Session, inputs: Inputs, dt: float) -> None:
     if inputs.stop != Reason.NONE:
         first = session.reason if session.state == State.STOPPED else inputs.stop
-        _enter(session, State.STOPPED, first)
+        _enter_state(session, State.STOPPED, first)
     elif inputs.fault == Reason.RIG_FINISHED:
-        _enter(session, State.OFF, inputs.fault)
+        _enter_state(session, State.OFF, inputs.fault)
     elif session.state == State.STOPPED and not inputs.reset:
         return
     elif inputs.fault != Reason.NONE:
         first = session.reason if session.state == State.FAULT else inputs.fault
-        _enter(session, State.FAULT, first)
+        _enter_state(session, State.FAULT, first)
     elif session.state in (State.ENGAGED, State.CLUTCHED):
         _step_coupled(session, inputs, dt)
     elif session.state == State.HOLDING:
         _step_holding(session, inputs, dt)
-    elif session.state == State.FAULT and not _fault_is_over(session, inputs):
+    elif session.state == State.FAULT and not _is_fault_over(session, inputs):
         return
     elif not inputs.usable:
-        _enter(session, State.OFF, Reason.NOT_USABLE)
+        _enter_state(session, State.OFF, Reason.NOT_USABLE)
     elif session.state == State.STOPPED:
-        _enter(session, State.READY, Reason.RESET)
+        _enter_state(session, State.READY, Reason.RESET)
     else:
         if session.state == State.FAULT:
-            _enter(session, State.READY, Reason.RELEASED)
+            _enter_state(session, State.READY, Reason.RELEASED)
         _step_ready(session, inputs)
 
 
-@compiled
+@jit_compile
 def step(session: Session, inputs: Inputs, dt: float) -> None:
     """Advance a session by one tick, in place.
 
@@ -429,7 +431,7 @@ def step(session: Session, inputs: Inputs, dt: float) -> None:
     session : Session
         Updated.
     inputs : Inputs
-        Inputs of this side; `peer_state` must be a known state (`known_state`).
+        Inputs of this side; `peer_state` must be a known state (`to_known_state`).
     dt : float
         Time since the last tick [s].
     """

@@ -9,7 +9,7 @@ from teleop.messages.messages import STAGE_NAMES
 from teleop.session.state_machine import Reason
 
 
-def read_child(path: Path) -> dict[str, Any] | None:
+def read_child_summary(path: Path) -> dict[str, Any] | None:
     """Return the summary of a child, or None if it was killed before."""
     try:
         content: dict[str, Any] = json.loads(path.read_text())
@@ -18,13 +18,13 @@ def read_child(path: Path) -> dict[str, Any] | None:
     return content
 
 
-def ran(loop: Mapping[str, Any] | None) -> bool:
+def has_run(loop: Mapping[str, Any] | None) -> bool:
     """Return whether the summary is of a loop that ran."""
     return bool(loop and loop["ticks"])
 
 
 # reasons of a fault that started at the peer
-FROM_PEER = (
+PEER_REASONS = (
     Reason.PEER_SILENT,
     Reason.PEER_FAULT,
     Reason.PEER_LEFT,
@@ -32,10 +32,10 @@ FROM_PEER = (
     Reason.PEER_STOPPED,
     Reason.PEER_RESTARTED,
 )
-_FROM_PEER_TEXTS = tuple(reason.text for reason in FROM_PEER)
+_PEER_REASON_TEXTS = tuple(reason.text for reason in PEER_REASONS)
 
 
-def trouble(summary: Mapping[str, Any]) -> str:
+def find_fault(summary: Mapping[str, Any]) -> str:
     """Return the fault of a session at its end; empty if none.
 
     Either its slave was never usable, or a fault without later engagement ended it.
@@ -44,26 +44,26 @@ def trouble(summary: Mapping[str, Any]) -> str:
     slave = loops["slave"]
     if (
         slave is not None
-        and ran(slave)
+        and has_run(slave)
         and not any(slave["ticks_in"][state] for state in ("ready", "engaged", "fault"))
     ):
         return f"the slave was never usable: {slave['not_usable']}"
     faults = [
         (role, loop["ended_in"])
         for role, loop in loops.items()
-        if loop is not None and ran(loop) and loop["ended_in"]
+        if loop is not None and has_run(loop) and loop["ended_in"]
     ]
-    first_hand = [fault for fault in faults if fault[1] not in _FROM_PEER_TEXTS]
+    first_hand = [fault for fault in faults if fault[1] not in _PEER_REASON_TEXTS]
     for role, fault in (first_hand or faults)[:1]:
         return f"a fault of the {role} ended the session: {fault}"
     return ""
 
 
 # flags of a gate in a session that is not engaged, or without intervention
-ORDINARY = ("PASSED", "HELD", "NOT_ENGAGED", "STALE", "NOT_ENGAGED|STALE")
+ORDINARY_GATE_RESULTS = ("PASSED", "HELD", "NOT_ENGAGED", "STALE", "NOT_ENGAGED|STALE")
 
 
-def lines(summary: Mapping[str, Any], with_loops: bool = True) -> list[str]:
+def format_summary(summary: Mapping[str, Any], with_loops: bool = True) -> list[str]:
     """Return the summary as lines of text; none of a loop that never ran.
 
     Without `with_loops` what a table of the loops' figures shows is left out.
@@ -73,14 +73,14 @@ def lines(summary: Mapping[str, Any], with_loops: bool = True) -> list[str]:
         loop = summary.get(role)
         if role in summary and loop is None:
             out.append(f"{role:9} left no summary (killed?)")
-        if loop is not None and ran(loop):
-            out += loop_lines(loop) if with_loops else loop_lines(loop)[2:]
+        if loop is not None and has_run(loop):
+            out += format_loop(loop) if with_loops else format_loop(loop)[2:]
     slave = summary.get("slave")
-    if slave is not None and ran(slave):
-        out.append(f"force     {force_line(slave.get('force_error'))}")
+    if slave is not None and has_run(slave):
+        out.append(f"force     {format_force_error(slave.get('force_error'))}")
     impair = summary.get("impair")
     if impair:
-        out += impair_lines(impair)
+        out += format_impair_counts(impair)
     recorder = summary.get("record")
     if recorder:
         total = sum(recorder["messages"].values())
@@ -93,13 +93,13 @@ def lines(summary: Mapping[str, Any], with_loops: bool = True) -> list[str]:
     return out
 
 
-def loop_lines(loop: Mapping[str, Any]) -> list[str]:
+def format_loop(loop: Mapping[str, Any]) -> list[str]:
     """Return the summary of one loop: timing, link, session, gate."""
     rejected = sum(loop["rejected"].values())
     ticks = loop["ticks"] or 1
     engaged = loop["ticks_in"]["engaged"] / ticks * loop["seconds"]
     faults = loop["faults"]
-    limits = {kind: n for kind, n in loop["gate"].items() if kind not in ORDINARY}
+    limits = {kind: n for kind, n in loop["gate"].items() if kind not in ORDINARY_GATE_RESULTS}
     out = [
         f"{loop['role']:9} {loop['rate_hz']:.1f} Hz over {loop['seconds']:.1f} s, "
         f"{loop['overruns']} overruns, latest tick {loop['lateness_max_ms']:.2f} ms, "
@@ -124,7 +124,7 @@ def loop_lines(loop: Mapping[str, Any]) -> list[str]:
             f"p99.9 {latency['p99_9']:.2f} ms ({latency['n']} round trips)"
         )
     if link := loop.get("link"):
-        out += link_lines(link)
+        out += format_link(link)
     stages = loop.get("stages_us", {})
     whole = stages.get(STAGE_NAMES[-1])
     if whole and whole["n"]:
@@ -137,7 +137,7 @@ def loop_lines(loop: Mapping[str, Any]) -> list[str]:
     return out
 
 
-def link_lines(link: Mapping[str, Any]) -> list[str]:
+def format_link(link: Mapping[str, Any]) -> list[str]:
     """Return the health of a side's link over the run; none if nothing was measured."""
     trip, jitter = link["round_trip_ms"], link["jitter_ms"]
     if not trip["n"]:
@@ -159,7 +159,7 @@ def link_lines(link: Mapping[str, Any]) -> list[str]:
 
 
 # how the stages of STAGE_NAMES, but for "all", are called in a line
-_STAGE_WORDS = ("read", "link", "slave", "render")
+_STAGE_LABELS = ("read", "link", "slave", "render")
 
 
 def format_latency(quantiles_ms: Sequence[float], medians_ms: Mapping[str, float]) -> str:
@@ -173,12 +173,12 @@ def format_latency(quantiles_ms: Sequence[float], medians_ms: Mapping[str, float
         [ms] of each of `teleop.messages.messages.STAGE_NAMES`.
     """
     p50, p99, p99_9, largest = quantiles_ms
-    stages = zip(_STAGE_WORDS, STAGE_NAMES[:-1], strict=True)
+    stages = zip(_STAGE_LABELS, STAGE_NAMES[:-1], strict=True)
     budget = ", ".join(f"{word} {medians_ms[name]:.2f}" for word, name in stages)
     return f"p50 {p50:.2f} p99 {p99:.2f} p99.9 {p99_9:.2f} max {largest:.2f} ms: {budget}"
 
 
-def force_line(error: Mapping[str, Any] | None) -> str:
+def format_force_error(error: Mapping[str, Any] | None) -> str:
     """Return one line on the force error, or on its absence.
 
     No percentage if the full scale is close to the sensors' noise.
@@ -200,7 +200,7 @@ def force_line(error: Mapping[str, Any] | None) -> str:
     )
 
 
-def impair_lines(counts: Mapping[str, Any]) -> list[str]:
+def format_impair_counts(counts: Mapping[str, Any]) -> list[str]:
     """Return the message counts of a proxy, one line per topic."""
     out = []
     for way in ("to_slave", "to_master"):

@@ -14,7 +14,7 @@ import numpy as np
 from estimator.array_types import Array
 
 
-def friction_along(length: Array, radius: Array, K: float, points: int) -> Array:
+def compute_friction_profile(length: Array, radius: Array, K: float, points: int) -> Array:
     """Return k(x) at evenly spread points, from the sections: the share of the bends up to x.
 
     Parameters
@@ -33,7 +33,7 @@ def friction_along(length: Array, radius: Array, K: float, points: int) -> Array
     return K * share
 
 
-def tension_band(k: Array, T_in: Array, T_low: Array, T_high: Array) -> tuple[Array, Array]:
+def compute_tension_band(k: Array, T_in: Array, T_low: Array, T_high: Array) -> tuple[Array, Array]:
     """Return the ends of the band [N], shapes (rows, points).
 
     Parameters

@@ -34,7 +34,7 @@ def decode(messages: Iterable[tuple[AnyTopic, bytes]]) -> dict[AnyTopic, Rows]:
     return batches
 
 
-def thinned(rows: Rows, rate_hz: float) -> Rows:
+def subsample_rows(rows: Rows, rate_hz: float) -> Rows:
     """Return about `rate_hz` rows a second: the last of each period, and always the newest.
 
     Periods are on a fixed grid of stamps, so no state is kept; at most one extra row per batch.
@@ -47,18 +47,18 @@ def thinned(rows: Rows, rate_hz: float) -> Rows:
     return kept
 
 
-class Thinning:
+class Subsampler:
     """Downsamples rows; to lower rates while drawing would take too much processor time."""
 
     def __init__(self) -> None:
         self.stretch = 1.0  # factor of all periods
 
     def __call__(self, rows: Rows, rate_hz: float) -> Rows:
-        """Return about `rate_hz` rows a second over the factor, as `thinned`."""
-        return thinned(rows, rate_hz / self.stretch)
+        """Return about `rate_hz` rows a second over the factor, as `subsample_rows`."""
+        return subsample_rows(rows, rate_hz / self.stretch)
 
 
-class Paced:
+class RowDecimator:
     """Passes the first row of each period on, however the rows come in blocks.
 
     Periods are on a fixed grid of stamps.
@@ -76,6 +76,6 @@ class Paced:
         return kept
 
 
-def split(rows: Rows, key: str) -> dict[int, Rows]:
+def split_rows(rows: Rows, key: str) -> dict[int, Rows]:
     """Return the rows of each value of the integer field `key`."""
     return {int(value): rows[rows[key] == value] for value in np.unique(rows[key])}

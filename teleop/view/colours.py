@@ -21,7 +21,7 @@ UNKNOWN = 0x808080FF  # grey: a tension that is not finite
 # 0xRRGGBBAA, the same in scene and curves; mostly Okabe and Ito's, made for colour-blind eyes too
 ESTIMATE, INTERVAL, TRUTH = 0x56B4E9FF, 0xA9D4EEFF, 0xE69F00FF
 BAND = 0x1F4A63FF  # the certified interval as an area behind the estimate
-HAND, ASKED, HOUSING, FRONT = 0xCC79A7FF, 0xA8A8A8FF, 0x00B583FF, 0xFF4B4BFF
+HAND, COMMANDED, HOUSING, FRONT = 0xCC79A7FF, 0xA8A8A8FF, 0x00B583FF, 0xFF4B4BFF
 SECOND = 0xE5D86BFF  # the estimate of a joint's other tendon, in T(x)
 BODY, ENVIRONMENT = 0xD8D8D8FF, 0xB4654ACC
 
@@ -40,7 +40,7 @@ STATES = {
 }
 
 
-def rgba(tension: Array, scale_N: float) -> NDArray[np.uint32]:
+def to_rgba(tension: Array, scale_N: float) -> NDArray[np.uint32]:
     """Return the colour of each tension as 0xRRGGBBAA, the shape kept.
 
     Violet is 0 N, yellow `scale_N`; lightness rises steadily between them, so the scale reads the
@@ -62,7 +62,7 @@ def rgba(tension: Array, scale_N: float) -> NDArray[np.uint32]:
     return np.where(np.isfinite(tension), packed, np.uint32(UNKNOWN)).astype(np.uint32)
 
 
-def lighter(colour: int) -> int:
+def lighten_colour(colour: int) -> int:
     """Return a colour 0xRRGGBBAA half-way to white, for the second of two of a kind."""
     channels = [(colour >> shift) & 0xFF for shift in (24, 16, 8)]
     red, green, blue = ((channel + 0xFF) // 2 for channel in channels)
@@ -71,15 +71,15 @@ def lighter(colour: int) -> int:
 
 PLAIN = 0xF0F0F0FF  # of words and numbers
 _QUALITIES = {"good": 0x4FD1A5FF, "poor": 0xF0E442FF, "bad": 0xFF6A4BFF, "none": 0xFF6A4BFF}
-_NEAR = 0.8  # share of the limit from which a force is shown as near to it
+_NEAR_LIMIT_SHARE = 0.8  # share of the limit from which a force is shown as near to it
 
 
-def quality_colour(word: str) -> int:
+def choose_quality_colour(word: str) -> int:
     """Return the colour of a link that is good, poor, bad or none."""
     return _QUALITIES[word]
 
 
-def force_colour(share: float) -> int:
+def choose_force_colour(share: float) -> int:
     """Return the colour of a force that is `share` of its limit: calm, near to it, beyond."""
     size = abs(share)
-    return ESTIMATE if size < _NEAR else _QUALITIES["poor" if size < 1.0 else "bad"]
+    return ESTIMATE if size < _NEAR_LIMIT_SHARE else _QUALITIES["poor" if size < 1.0 else "bad"]

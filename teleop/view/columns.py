@@ -1,6 +1,6 @@
 """Columns of Rerun's components, made from numpy arrays.
 
-The archetypes' own `columns` convert and check each value by value; of many small blocks that takes
+The archetypes' own `build_columns` convert and check each value by value; of many small blocks that takes
 longer than their sending.
 """
 
@@ -46,7 +46,7 @@ class _Values:
         return self._values
 
 
-def columns(
+def build_columns(
     archetype: type, counts: ArrayLike | None = None, **fields: Any
 ) -> list[rr.ComponentColumn]:
     """Return the columns of some fields of an archetype.
@@ -68,39 +68,39 @@ def columns(
         if counts is not None:
             offsets = np.concatenate([[0], np.cumsum(counts)]).astype(np.int32)
         made.append(
-            rr.ComponentColumn(_descriptor(archetype, name), _Values(arrow), offsets=offsets)
+            rr.ComponentColumn(_find_descriptor(archetype, name), _Values(arrow), offsets=offsets)
         )
     return made
 
 
 @cache
-def _descriptor(archetype: Any, name: str) -> rr.ComponentDescriptor:
+def _find_descriptor(archetype: Any, name: str) -> rr.ComponentDescriptor:
     descriptor: rr.ComponentDescriptor = getattr(archetype, f"descriptor_{name}")()
     return descriptor
 
 
 @cache
-def _point(dimensions: int) -> pa.DataType:
+def _build_point_type(dimensions: int) -> pa.DataType:
     return pa.list_(pa.field("item", pa.float32(), nullable=False), dimensions)
 
 
-def _points(points: Array) -> pa.Array:
+def _to_point_array(points: Array) -> pa.Array:
     flat = np.ascontiguousarray(points, np.float32).ravel()
-    return pa.FixedSizeListArray.from_arrays(flat, type=_point(points.shape[1]))
+    return pa.FixedSizeListArray.from_arrays(flat, type=_build_point_type(points.shape[1]))
 
 
-def _strips(strips: Strips) -> pa.Array:
+def _to_strip_array(strips: Strips) -> pa.Array:
     if isinstance(strips, np.ndarray):
         lines, each, dimensions = strips.shape
         points, offsets = strips.reshape(-1, dimensions), np.arange(lines + 1) * each
     else:
         points = np.concatenate(strips) if strips else np.empty((0, 2))
         offsets = np.concatenate([[0], np.cumsum([len(strip) for strip in strips])])
-    kind = pa.list_(pa.field("item", _point(points.shape[1]), nullable=False))
-    return pa.ListArray.from_arrays(offsets.astype(np.int32), _points(points), type=kind)
+    kind = pa.list_(pa.field("item", _build_point_type(points.shape[1]), nullable=False))
+    return pa.ListArray.from_arrays(offsets.astype(np.int32), _to_point_array(points), type=kind)
 
 
-def _float32(values: Array) -> pa.Array:
+def _to_float32_array(values: Array) -> pa.Array:
     return pa.array(np.asarray(values, np.float32))
 
 
@@ -108,9 +108,9 @@ _CONVERSIONS = {
     "scalars": lambda values: pa.array(np.ascontiguousarray(values, np.float64)),
     "colors": lambda values: pa.array(np.asarray(values, np.uint32)),
     "labels": lambda values: pa.array(values, pa.string()),
-    "radii": _float32,
-    "positions": _points,
-    "origins": _points,
-    "vectors": _points,
-    "strips": _strips,
+    "radii": _to_float32_array,
+    "positions": _to_point_array,
+    "origins": _to_point_array,
+    "vectors": _to_point_array,
+    "strips": _to_strip_array,
 }

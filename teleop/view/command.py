@@ -23,28 +23,35 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from teleop.config.loading import RECORDING
+from teleop.config.loading import RECORDING_SUFFIX
 from teleop.config.options import ViewMode, add_options
 from teleop.errors import TeleopError, UsageError
 from teleop.link import Link
 from teleop.messages.topics import TOPICS, Role
 from teleop.recording.reader import open_recording
-from teleop.recording.replay import adopt_config, print_doubts, require_playable
+from teleop.recording.replay import adopt_config, print_doubts, require_present_layout
 from teleop.runtime.output_file import OutputFile
 from teleop.runtime.process import (
-    Stop,
+    StopCondition,
     has_display,
-    let_loops_first,
+    is_supervised,
+    lower_priority,
     print_warning,
-    supervised,
     wait_in_standby,
     write_summary,
 )
 from teleop.session.config import RunConfig, load_section
 from teleop.view.config import LAYOUTS, ViewConfig
-from teleop.view.feed import Discard, FeedCounts, Messages, Show, from_link, from_recording
+from teleop.view.feed import (
+    BatchDisplay,
+    FeedCounts,
+    MessageSource,
+    NullDisplay,
+    show_recording,
+    show_session,
+)
 from teleop.view.foxglove_server import FoxgloveServer
-from teleop.view.runtime_log import diverted, log_path
+from teleop.view.runtime_log import divert_stderr, find_log_path
 from teleop.view.scene import Scene
 from teleop.view.sinks import Sink
 
@@ -78,12 +85,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def main(args: argparse.Namespace) -> int:
     """Run the command; returns its exit code."""
-    if args.file is not None and Path(args.file).suffix == RECORDING:
+    if args.file is not None and Path(args.file).suffix == RECORDING_SUFFIX:
         adopt_config(args, Path(args.file))
     run, config = load_section(args, ViewConfig, "view", join=args.file is None)
     foxglove = args.foxglove or config.foxglove
     config = replace(config, layout=args.layout or config.layout, foxglove=foxglove)
-    mode, out = destination_of(args.view, args.out)
+    mode, out = choose_destination(args.view, args.out)
     saved = args.file is not None and Path(args.file).suffix == ".rrd"
     if saved:
         require_viewer(args.file, mode, out)
@@ -91,41 +98,43 @@ def main(args: argparse.Namespace) -> int:
         if Path(args.file).suffix in (".yaml", ".yml"):
             raise UsageError(f"{args.file}: is a config; teleop view --config {args.file}")
         info = open_recording(args.file)
-        require_playable(info)
+        require_present_layout(info)
         print_doubts(info)
     if not wait_in_standby():
         return 0
-    stop = Stop(args.duration)
+    stop = StopCondition(args.duration)
     name = Path(args.file).stem if args.file else run.session
-    with diverted(log_path(run.session)) as log:
+    with divert_stderr(find_log_path(run.session)) as log:
         if saved:
-            return _show_saved(Path(args.file), mode, config, stop)
+            return _show_saved_file(Path(args.file), mode, config, stop)
         summary: dict[str, Any] = {
             "session": run.session,
             "view": mode,
             "source": args.file or "link",
         }
         with Sink(mode, config, name, out, live=args.file is None) as sink:
-            fed = _feed(args.file, run, config, sink, stop, summary)
-            if fed.fault and supervised():
-                _end_at_once(f"{fed.fault} (what its runtime wrote: {log})")
+            fed = _feed_sink(args.file, run, config, sink, stop, summary)
+            if fed.fault and is_supervised():
+                _exit_with_error(f"{fed.fault} (what its runtime wrote: {log})")
     summary |= {"received": fed.received, "shown": fed.shown, "reason": stop.reason}
     summary["file"] = None if sink.file is None else str(sink.file)
     write_summary(args.json, summary)
     if fed.fault:
         raise TeleopError(f"{fed.fault} (what its runtime wrote: {log})")
-    if not supervised():
+    if not is_supervised():
         print(f"View ended ({stop.reason}): {fed.received} messages, {fed.shown} shown", flush=True)
     return 0
 
 
-def _end_at_once(complaint: str) -> None:
+def _exit_with_error(complaint: str) -> None:
     """End without closing what does not answer, which takes seconds: the launcher starts anew."""
     print(f"teleop: {complaint}", file=sys.stderr, flush=True)
     os._exit(TeleopError.exit_code)
 
 
-def destination_of(view: ViewMode | Path | None, out: Path | None) -> tuple[ViewMode, Path | None]:
+def choose_destination(
+    view: ViewMode | Path | None, out: Path | None
+) -> tuple[ViewMode, Path | None]:
     """Return the mode and the file to write from `--view` and `--out`."""
     if isinstance(view, Path):
         if out is not None:
@@ -164,36 +173,36 @@ def require_viewer(file: str, mode: ViewMode, out: Path | None) -> None:
             raise UsageError(f"{file}: holds no recording")
 
 
-def _show_saved(path: Path, mode: ViewMode, config: ViewConfig, stop: Stop) -> int:
+def _show_saved_file(path: Path, mode: ViewMode, config: ViewConfig, stop: StopCondition) -> int:
     """Show a Rerun file until the viewer is closed."""
     with Sink(mode, config, path.stem, None, live=False, saved=path) as sink:
-        _say(sink)
-        _wait(sink, stop)
+        _print_lines(sink)
+        _wait_for_viewer(sink, stop)
     return 0
 
 
-def _say(sink: Sink) -> None:
+def _print_lines(sink: Sink) -> None:
     for line in sink.lines:
         print(line, flush=True)
 
 
-def _wait(sink: Sink, stop: Stop) -> None:
+def _wait_for_viewer(sink: Sink, stop: StopCondition) -> None:
     """Wait until the viewer is closed, or we are told to stop."""
     print("recording loaded; Ctrl-C ends the view", flush=True)
     while not stop() and sink.alive():
         time.sleep(0.1)
 
 
-def _feed(
+def _feed_sink(
     file: str | None,
     run: RunConfig,
     config: ViewConfig,
     sink: Sink,
-    stop: Stop,
+    stop: StopCondition,
     summary: dict[str, Any],
 ) -> FeedCounts:
     """Feed an open sink from a recording or the link; adds the link's losses to `summary`."""
-    show: Show = Discard()
+    show: BatchDisplay = NullDisplay()
     if sink.stream is not None:
         whole = sink.file is not None
         live = file is None and not whole
@@ -201,8 +210,8 @@ def _feed(
         show = scene
         if file is None:
             sink.follow(lambda: scene.newest_ns, scene.show_panel)
-    _say(sink)
-    let_loops_first()  # not before: after a failure the view must be back soon
+    _print_lines(sink)
+    lower_priority()  # not before: after a failure the view must be back soon
     if file is not None:
         return _show_recording(file, config, show, sink, stop)
 
@@ -213,21 +222,21 @@ def _feed(
         sampled = frozenset() if config.foxglove else config.sampled()
         link = stack.enter_context(Link(run.link, run.session, Role.VIEWER))
         listener = link.listen(TOPICS, sampled)
-        if not supervised() and has_ended():
+        if not is_supervised() and has_ended():
             print(f"Waiting for session {run.session!r} (`teleop sessions` lists those that run)")
-        messages: Messages = listener
+        messages: MessageSource = listener
         if config.foxglove:
             server = stack.enter_context(FoxgloveServer(run.session, config.foxglove_port))
             print(f"Foxglove view: {server.url}", flush=True)
             messages = server.forwarding(listener)
         share = config.processor_share if sink.watched else math.inf
-        fed = from_link(
+        fed = show_session(
             messages,
             show,
             sink,
             stop,
             config.drain_hz,
-            periods(sink, config),
+            choose_periods(sink, config),
             share,
             has_ended,
         )
@@ -241,17 +250,17 @@ def _feed(
 
 
 def _show_recording(
-    path: str, config: ViewConfig, show: Show, sink: Sink, stop: Stop
+    path: str, config: ViewConfig, show: BatchDisplay, sink: Sink, stop: StopCondition
 ) -> FeedCounts:
     """Show a recording, and wait until the viewer is closed."""
-    fed = from_recording(path, show, stop, config.file_period_s, sink.publish)
+    fed = show_recording(path, show, stop, config.file_period_s, sink.publish)
     if sink.watched:
-        _wait(sink, stop)
+        _wait_for_viewer(sink, stop)
     stop.request("the recording is shown")
     return fed
 
 
-def periods(sink: Sink, config: ViewConfig) -> tuple[float, float]:
+def choose_periods(sink: Sink, config: ViewConfig) -> tuple[float, float]:
     """Return the periods [s] of scene updates and of curves."""
     if sink.watched:
         return 1.0 / config.drain_hz, 1.0 / config.curves_hz

@@ -17,8 +17,10 @@ from teleop.messages.topics import (
 )
 from teleop.view import colours
 
-STAGE_COLOURS = (colours.HAND, colours.HOUSING, colours.ESTIMATE, colours.ASKED, colours.TRUTH)
-BESIDE = 4.0  # [points] of a curve below another that is nearly equal: seen on both sides of it
+STAGE_COLOURS = (colours.HAND, colours.HOUSING, colours.ESTIMATE, colours.COMMANDED, colours.TRUTH)
+UNDERLAY_WIDTH = (
+    4.0  # [points] of a curve below another that is nearly equal: seen on both sides of it
+)
 LOSS, LATENESS = colours.PHASES[2], colours.PHASES[4]
 
 
@@ -72,14 +74,14 @@ CURVES: dict[Topic[Any], tuple[CurveGroup, ...]] = {
         "tendon",
         (
             Curve("tension/{}/in", "proximal_tension", "measured", colours.HOUSING),
-            Curve("tension/{}/out", "distal_tension", "estimated", colours.ESTIMATE, BESIDE),
+            Curve("tension/{}/out", "distal_tension", "estimated", colours.ESTIMATE, UNDERLAY_WIDTH),
             Curve("tension/{}/out_true", "bench_distal_tension", "true", colours.TRUTH),
             Curve("displacement/{}/in", "proximal_displacement", "measured",
                   colours.HOUSING, factor=MILLI, behind=True),
             Curve("displacement/{}/asked", "commanded_displacement", "commanded",
-                  colours.ASKED, factor=MILLI, behind=True),
+                  colours.COMMANDED, factor=MILLI, behind=True),
             Curve("displacement/{}/out_true", "bench_distal_displacement", "true",
-                  colours.TRUTH, BESIDE, factor=MILLI),
+                  colours.TRUTH, UNDERLAY_WIDTH, factor=MILLI),
             Curve("elongation/{}", "elongation", "estimated", colours.ESTIMATE, factor=MILLI,
                   behind=True),
         ),
@@ -88,7 +90,7 @@ CURVES: dict[Topic[Any], tuple[CurveGroup, ...]] = {
         CurveGroup(
             "joint",
             (
-                Curve("force/{}/tip", "force", "estimated", colours.ESTIMATE, BESIDE),
+                Curve("force/{}/tip", "force", "estimated", colours.ESTIMATE, UNDERLAY_WIDTH),
                 Curve("position/{}/tip", "position", "estimated", colours.ESTIMATE,
                       2.0, factor=MILLI),
             ),
@@ -114,7 +116,7 @@ CURVES: dict[Topic[Any], tuple[CurveGroup, ...]] = {
             (
                 Curve("age/master/state", "state_age_ns", "newest state", colours.HAND,
                       factor=_MS, positive_only=True, behind=True),
-                Curve("age/master/round_trip", "round_trip_ns", "round trip", colours.ASKED,
+                Curve("age/master/round_trip", "round_trip_ns", "round trip", colours.COMMANDED,
                       factor=_MS, positive_only=True, behind=True),
             ),
         ),
@@ -122,7 +124,7 @@ CURVES: dict[Topic[Any], tuple[CurveGroup, ...]] = {
     COMMAND: (
         CurveGroup(
             "joint",
-            (Curve("position/{}/asked", "position", "commanded", colours.ASKED, factor=MILLI),),
+            (Curve("position/{}/asked", "position", "commanded", colours.COMMANDED, factor=MILLI),),
         ),
     ),
     LEDGER: (CurveGroup(
@@ -151,7 +153,7 @@ CURVES: dict[Topic[Any], tuple[CurveGroup, ...]] = {
             Curve("latency/{}/late", "lateness_max_ns", "latest tick", LATENESS, factor=_MS,
                   behind=True),
             Curve("loss/{}/lost", "lost", "lost", LOSS, behind=True),
-            Curve("loss/{}/rejected", "rejected", "rejected", colours.ASKED, behind=True),
+            Curve("loss/{}/rejected", "rejected", "rejected", colours.COMMANDED, behind=True),
             Curve("loss/{}/overruns", "overruns", "overruns", colours.TRUTH, behind=True),
         ),
     ),),
@@ -160,7 +162,7 @@ CURVES: dict[Topic[Any], tuple[CurveGroup, ...]] = {
         (
             Curve("latency/{}/round_trip", "round_trip_ns", "round trip", colours.HAND, factor=_MS,
                   positive_only=True, behind=True),
-            Curve("latency/{}/jitter", "jitter_ns", "jitter", colours.ASKED, factor=_MS,
+            Curve("latency/{}/jitter", "jitter_ns", "jitter", colours.COMMANDED, factor=_MS,
                   positive_only=True, behind=True),
         ),
     ),),

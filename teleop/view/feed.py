@@ -12,14 +12,14 @@ from teleop.messages.topics import PROFILE, TOPICS
 from teleop.recording.reader import read_messages
 from teleop.recording.scan import RecordingError
 from teleop.runtime.clock import Grid
-from teleop.runtime.process import Stop, beat
+from teleop.runtime.process import StopCondition, send_heartbeat
 from teleop.view.batch import AnyTopic, Rows, decode
 from teleop.view.curves import CURVES
 from teleop.view.pacing import Pacing
 from teleop.view.sinks import Sink
 
 
-class Show(Protocol):
+class BatchDisplay(Protocol):
     """Receiver of batches: pictures often, curves less often, as each update is costly."""
 
     def pictures(self, batches: Mapping[AnyTopic, Rows]) -> int:
@@ -38,7 +38,7 @@ class Show(Protocol):
         """Show that a session or recording (`what`) has ended, and no forces."""
 
 
-class Messages(Protocol):
+class MessageSource(Protocol):
     """A source of received messages, such as a `Listener`."""
 
     def drain(self) -> list[ReceivedMessage]:
@@ -47,7 +47,7 @@ class Messages(Protocol):
 
 _SILENT_NS = 1_000_000_000  # [ns] without a message after which what is shown is called old
 _PROBE_EVERY_NS = 500_000_000
-_GROWING = {*CURVES, PROFILE}  # shown by `Show.curves`
+_CURVE_TOPICS = {*CURVES, PROFILE}  # shown by `Show.curves`
 _BY_NAME = {topic.name: topic for topic in TOPICS}
 
 
@@ -60,7 +60,7 @@ class FeedCounts:
     fault: str = ""  # reason of a failure
 
 
-class PacedMessages:
+class MessageBuffer:
     """Messages buffered for a period, as every block has a fixed cost.
 
     Parameters
@@ -93,11 +93,11 @@ class PacedMessages:
         return block
 
 
-def from_link(
-    listener: Messages,
-    show: Show,
+def show_session(
+    listener: MessageSource,
+    show: BatchDisplay,
     sink: Sink,
-    stop: Stop,
+    stop: StopCondition,
     drain_hz: float,
     periods_s: tuple[float, float],
     processor_share: float = math.inf,
@@ -117,7 +117,7 @@ def from_link(
         Whether neither side of the session is there; asked when nothing arrives, and at the end.
     """
     fed = FeedCounts()
-    pictures, curves = (PacedMessages(period_s, 1.0 / drain_hz) for period_s in periods_s)
+    pictures, curves = (MessageBuffer(period_s, 1.0 / drain_hz) for period_s in periods_s)
     pacing = Pacing(processor_share)
 
     def pass_on(now_ns: int, all_of_it: bool) -> None:
@@ -136,7 +136,7 @@ def from_link(
             show.end("session", silent_ns)
         elif silent_ns > _SILENT_NS:
             show.silence(silent_ns)
-        curves.add(m for m in messages if m[0] in _GROWING)
+        curves.add(m for m in messages if m[0] in _CURVE_TOPICS)
         pictures.add(messages)
         if not sink.alive():
             stop.request("the window was closed")
@@ -148,7 +148,7 @@ def from_link(
         sink.publish()
         if tick.stamp_ns >= probe_ns:
             probe_ns = tick.stamp_ns + _PROBE_EVERY_NS
-            beat()
+            send_heartbeat()
             if sink.stuck():
                 fed.fault = "the window accepts no more data"
                 stop.request("the viewer is stuck")
@@ -160,16 +160,16 @@ def from_link(
     return fed
 
 
-def from_recording(
+def show_recording(
     path: str,
-    show: Show,
+    show: BatchDisplay,
     stop: Callable[[], bool],
     period_s: float,
     publish: Callable[[], None] = lambda: None,
 ) -> FeedCounts:
     """Show a whole recording, a block of `period_s` [s] at a time; each is published."""
     fed = FeedCounts()
-    for block in _blocks(path, round(period_s * 1e9)):
+    for block in _read_blocks(path, round(period_s * 1e9)):
         if stop():
             break
         fed.received += len(block)
@@ -187,10 +187,10 @@ def from_recording(
     return fed
 
 
-class Discard:
+class NullDisplay:
     """Shows nothing."""
 
-    def pictures(self, batches: Mapping[AnyTopic, Rows]) -> int:  # noqa: ARG002 - a `Show`
+    def pictures(self, batches: Mapping[AnyTopic, Rows]) -> int:  # noqa: ARG002 - a `BatchDisplay`
         """Show nothing."""
         return 0
 
@@ -206,7 +206,7 @@ class Discard:
         """Show nothing."""
 
 
-def _blocks(path: str, period_ns: int) -> Iterator[list[tuple[AnyTopic, bytes]]]:
+def _read_blocks(path: str, period_ns: int) -> Iterator[list[tuple[AnyTopic, bytes]]]:
     block: list[tuple[AnyTopic, bytes]] = []
     end = 0
     for message in read_messages(path, _BY_NAME.keys()):

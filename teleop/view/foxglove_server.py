@@ -20,16 +20,19 @@ from mcap.well_known import MessageEncoding, SchemaEncoding
 from teleop.errors import UsageError
 from teleop.link import ReceivedMessage
 from teleop.messages.topics import TOPICS
-from teleop.recording.names import SCHEMA_PACKAGE, channel_name
-from teleop.view.feed import Messages
+from teleop.recording.names import SCHEMA_PACKAGE, to_channel_name
+from teleop.view.feed import MessageSource
 from teleop.view.local_server import GuardedHandler, LocalServer
 
 _PROTOCOLS = ("foxglove.sdk.v1", "foxglove.websocket.v1")  # the same for what is used here
-_APP = ("https://app.foxglove.dev", "file://")  # origins of the app in a browser, and installed
+_APP_ORIGINS = (
+    "https://app.foxglove.dev",
+    "file://",
+)  # origins of the app in a browser, and installed
 _GUID = "258EAFA5-E914-47DA-95CA-C5AB0DC85B11"  # RFC 6455
 _TEXT, _BINARY, _CLOSE, _PING, _PONG = 1, 2, 8, 9, 10  # opcodes
 _QUEUE = 2048  # messages that wait for a slow app; then the oldest go
-_ASKED = 65536  # [bytes] of a client's frame at most
+_CLIENT_FRAME_MAX = 65536  # [bytes] of a client's frame at most
 _CHANNELS = {topic.name: number for number, topic in enumerate(TOPICS, start=1)}
 
 
@@ -80,13 +83,13 @@ class FoxgloveServer:
         for client in list(self._clients):
             client.publish(message)
 
-    def forwarding(self, source: Messages) -> Messages:
+    def forwarding(self, source: MessageSource) -> MessageSource:
         """Return a source that passes on what is taken from it."""
-        return _Forwarding(self, source)
+        return _ForwardingSource(self, source)
 
 
-class _Forwarding:
-    def __init__(self, server: FoxgloveServer, source: Messages) -> None:
+class _ForwardingSource:
+    def __init__(self, server: FoxgloveServer, source: MessageSource) -> None:
         self._server, self._source = server, source
 
     def drain(self) -> list[ReceivedMessage]:
@@ -148,7 +151,7 @@ class _Client:
 class _Handler(GuardedHandler):
     clients: set[_Client]
     name = ""
-    origins = _APP
+    origins = _APP_ORIGINS
     timeout: ClassVar[float | None] = None  # an app that only listens says nothing
 
     def answer(self, path: str) -> None:
@@ -168,8 +171,8 @@ class _Handler(GuardedHandler):
         self.send_header("Sec-WebSocket-Protocol", protocol)
         self.end_headers()
         client = _Client(self)
-        client.send(_TEXT, _encode(op="serverInfo", name=self.name, capabilities=[]))
-        client.send(_TEXT, _encode(op="advertise", channels=_channels()))
+        client.send(_TEXT, _encode_message(op="serverInfo", name=self.name, capabilities=[]))
+        client.send(_TEXT, _encode_message(op="advertise", channels=_build_channels()))
         with ExitStack() as stack:
             self.clients.add(client)
             stack.callback(self.clients.discard, client)
@@ -184,7 +187,7 @@ class _Handler(GuardedHandler):
             client.send(_PONG, content)
         elif opcode == _TEXT:
             try:
-                _subscribe(client.subscriptions, json.loads(content))
+                _update_subscriptions(client.subscriptions, json.loads(content))
             except (ValueError, KeyError, TypeError, RecursionError):
                 return False  # not the protocol
         return opcode != _CLOSE
@@ -195,7 +198,7 @@ class _Handler(GuardedHandler):
         size = second & 0x7F
         if size > 125:
             size = int.from_bytes(self._take(2 if size == 126 else 8) or b"\xff" * 8)
-        if not second & 0x80 or size > _ASKED:  # a client masks what it sends
+        if not second & 0x80 or size > _CLIENT_FRAME_MAX:  # a client masks what it sends
             return _CLOSE, b""
         mask = self._take(4)
         content = self._take(size)
@@ -214,7 +217,7 @@ class _Handler(GuardedHandler):
         return content if len(content) == size else b""
 
 
-def _subscribe(subscriptions: dict[int, int], message: dict[str, Any]) -> None:
+def _update_subscriptions(subscriptions: dict[int, int], message: dict[str, Any]) -> None:
     if message["op"] == "subscribe":
         for item in message["subscriptions"]:
             if item["channelId"] in _CHANNELS.values():
@@ -225,11 +228,11 @@ def _subscribe(subscriptions: dict[int, int], message: dict[str, Any]) -> None:
                 del subscriptions[channel]
 
 
-def _channels() -> list[dict[str, object]]:
+def _build_channels() -> list[dict[str, object]]:
     return [
         {
             "id": _CHANNELS[topic.name],
-            "topic": channel_name(topic.name),
+            "topic": to_channel_name(topic.name),
             "encoding": str(MessageEncoding.CDR),
             "schemaName": f"{SCHEMA_PACKAGE}/msg/{topic.message.schema.name}",
             "schemaEncoding": str(SchemaEncoding.ROS2),
@@ -239,5 +242,5 @@ def _channels() -> list[dict[str, object]]:
     ]
 
 
-def _encode(**message: object) -> bytes:
+def _encode_message(**message: object) -> bytes:
     return json.dumps(message).encode()

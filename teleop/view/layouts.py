@@ -10,19 +10,19 @@ from rerun.blueprint.encodings import TimelineColumn
 from teleop.view.colours import BACKGROUND, UNKNOWN
 from teleop.view.columns import TIMELINE
 from teleop.view.config import ViewConfig
-from teleop.view.panel_layout import BANNER, TALL, WIDE
+from teleop.view.panel_layout import BANNER, PANEL_HEIGHT, PANEL_WIDTH
 from teleop.view.profile_view import WIDTH
 from teleop.view.stage import EYE
 
 _DARK = list(BACKGROUND)
-_ROOM = 0.32  # of the window, right of the newest data, for the legend
-_FEW = 4  # joints
+_LEGEND_SHARE = 0.32  # of the window, right of the newest data, for the legend
+_FEW_JOINTS = 4  # joints
 _UNKNOWN_M = 0.001  # [m] radius of a tube before its tension is known
 Part = rrb.Container | rrb.View
 _Make = Callable[[str, int], Part]  # name of a view, and the joint it is of
 
 
-def blueprint(config: ViewConfig, joints: Mapping[int, Sequence[int]]) -> rrb.Blueprint:
+def build_blueprint(config: ViewConfig, joints: Mapping[int, Sequence[int]]) -> rrb.Blueprint:
     """Return the layout that the config names.
 
     `surgeon` shows state, force and link in large letters and nothing else, `experiment`
@@ -37,7 +37,7 @@ def blueprint(config: ViewConfig, joints: Mapping[int, Sequence[int]]) -> rrb.Bl
     """
     views = _Views(config, dict(joints) or {0: [0, 1]})
     arrange = {
-        "surgeon": _surgeon, "experiment": _experiment, "presentation": _presentation
+        "surgeon": _arrange_surgeon, "experiment": _arrange_experiment, "presentation": _arrange_presentation
     }[config.layout]  # fmt: skip
     bars: Literal["collapsed", "hidden"]
     bars = "collapsed" if config.layout == "experiment" else "hidden"  # the clock in it moves
@@ -51,15 +51,15 @@ def blueprint(config: ViewConfig, joints: Mapping[int, Sequence[int]]) -> rrb.Bl
     )
 
 
-def _surgeon(views: "_Views") -> Part:
+def _arrange_surgeon(views: "_Views") -> Part:
     return views.panel()
 
 
-def _presentation(views: "_Views") -> Part:
+def _arrange_presentation(views: "_Views") -> Part:
     return views.scene(distance=0.88)
 
 
-def _experiment(views: "_Views") -> Part:
+def _arrange_experiment(views: "_Views") -> Part:
     return rrb.Horizontal(
         rrb.Vertical(
             views.banner(),
@@ -108,7 +108,7 @@ class _Views:
     def __init__(self, config: ViewConfig, joints: dict[int, Sequence[int]]) -> None:
         self._config = config
         self._joints = joints
-        self._recent = _past(config.window_s)
+        self._recent = _build_past_range(config.window_s)
 
     def scene(self, distance: float = 1.0) -> Part:
         """Return the scene, seen from above its near side; a narrow view needs more `distance`."""
@@ -126,7 +126,7 @@ class _Views:
 
     def panel(self) -> Part:
         """Return state, force and link in large letters."""
-        return self._letters("/panel/**", TALL)
+        return self._letters("/panel/**", PANEL_HEIGHT)
 
     def banner(self) -> Part:
         """Return the state in large letters."""
@@ -138,7 +138,7 @@ class _Views:
             contents=[contents],
             name="State",
             titlebar=False,
-            visual_bounds=rrb.VisualBounds2D(x_range=[0.0, WIDE], y_range=[0.0, tall]),
+            visual_bounds=rrb.VisualBounds2D(x_range=[0.0, PANEL_WIDTH], y_range=[0.0, tall]),
             background=_DARK,
         )
 
@@ -151,7 +151,7 @@ class _Views:
         """
         if len(self._joints) == 1:
             return make(name + detail, *self._joints)
-        if len(self._joints) > _FEW:
+        if len(self._joints) > _FEW_JOINTS:
             detail = ""
         first = min(self._joints)
         whole = f"{short} {first + 1}" if short else f"{name}{detail}, joint {first + 1}"
@@ -166,7 +166,7 @@ class _Views:
 
     def loop(self, name: str, joint: int) -> Part:
         """Return the hysteresis loops of a joint's tendons, as far back as the config says."""
-        past = _past(self._config.loop_window_s)
+        past = _build_past_range(self._config.loop_window_s)
         return self._plane(
             "loop", name, joint, x_range=[-0.2, 1.85], y_range=[-1.2, 0.32], past=past
         )
@@ -242,7 +242,9 @@ class _Views:
             time_ranges=[self._recent],
             # the legend stands right of the newest data
             axis_x=rrb.TimeAxis(
-                view_range=_range(self._config.window_s, _ROOM * self._config.window_s)
+                view_range=_build_time_range(
+                    self._config.window_s, _LEGEND_SHARE * self._config.window_s
+                )
             ),
             axis_y=values and rrb.ScalarAxis(range=(values[0] * top, values[1] * top)),
             plot_legend=rrb.Corner2D.RightTop,
@@ -265,13 +267,13 @@ class _Views:
         )
 
 
-def _past(seconds: float) -> rr.VisibleTimeRange:
+def _build_past_range(seconds: float) -> rr.VisibleTimeRange:
     """Return the time range from some seconds ago until now."""
-    range_ = _range(seconds, 0.0)
+    range_ = _build_time_range(seconds, 0.0)
     return rr.VisibleTimeRange(TIMELINE, start=range_.start, end=range_.end)
 
 
-def _range(past_s: float, future_s: float) -> rr.TimeRange:
+def _build_time_range(past_s: float, future_s: float) -> rr.TimeRange:
     """Return the time range about the cursor."""
     return rr.TimeRange(
         start=rr.TimeRangeBoundary.cursor_relative(seconds=-past_s),

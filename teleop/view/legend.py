@@ -4,15 +4,15 @@ import numpy as np
 import rerun as rr
 
 from estimator.array_types import Array
-from teleop.view.colours import rgba
+from teleop.view.colours import to_rgba
 from teleop.view.config import ViewConfig
-from teleop.view.plane import ticks_to_end
+from teleop.view.plane import compute_ticks_to_end
 from teleop.view.sender import Sender
 from teleop.view.stage import Stage
 
 _STEPS = 65
 _HALF_WIDTH = 0.035  # of its height
-_TITLE_ABOVE = 1.2  # likewise
+_TITLE_HEIGHT = 1.2  # likewise
 
 
 def draw_stage(sender: Sender, config: ViewConfig, stage: Stage) -> None:
@@ -36,11 +36,11 @@ def _draw_scale(sender: Sender, foot: Array, up: Array, top: float) -> None:
         triangle_indices=np.concatenate(
             [np.stack([left, right, right + 1], 1), np.stack([left, right + 1, left + 1], 1)]
         ),
-        vertex_colors=np.tile(rgba(levels * top, top), 2),
+        vertex_colors=np.tile(to_rgba(levels * top, top), 2),
     )
     sender.static("scene/legend/scale", bar)
     beside = np.array([0.13 * tall, 0.0, 0.0])
-    marks = ticks_to_end(top)
+    marks = compute_ticks_to_end(top)
     words = rr.Points3D(
         [foot + value / top * up + beside for value in marks],
         labels=[f"{value:g}" for value in marks],
@@ -50,7 +50,7 @@ def _draw_scale(sender: Sender, foot: Array, up: Array, top: float) -> None:
     )
     sender.static("scene/legend/values", words)
     title = rr.Points3D(
-        [foot + _TITLE_ABOVE * up], labels="tension [N]", colors=0xFFFFFFFF, radii=1e-6,
+        [foot + _TITLE_HEIGHT * up], labels="tension [N]", colors=0xFFFFFFFF, radii=1e-6,
         show_labels=True,
     )  # fmt: skip
     sender.static("scene/legend/title", title)

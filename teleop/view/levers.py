@@ -14,8 +14,8 @@ import rerun as rr
 from estimator.array_types import Array
 from teleop.messages.topics import COMMAND, HAND, STATE, TENDONS
 from teleop.view import colours
-from teleop.view.batch import AnyTopic, Rows, Thinning
-from teleop.view.columns import columns
+from teleop.view.batch import AnyTopic, Rows, Subsampler
+from teleop.view.columns import build_columns
 from teleop.view.config import ViewConfig
 from teleop.view.sender import Sender
 from teleop.view.sheaths import Sheaths
@@ -30,7 +30,7 @@ class Levers:
     """Draws the moving ends of the session."""
 
     def __init__(
-        self, config: ViewConfig, sender: Sender, sheaths: Sheaths, thinned: Thinning
+        self, config: ViewConfig, sender: Sender, sheaths: Sheaths, thinned: Subsampler
     ) -> None:
         self._config = config
         self._sender = sender
@@ -56,7 +56,7 @@ class Levers:
             )
             self._sender.static(f"{path}/pivot", pivot)
             self._style(f"{path}/link", colours.BODY, thick)
-            self._style(f"{path}/asked", colours.ASKED, 0.35 * thick)
+            self._style(f"{path}/asked", colours.COMMANDED, 0.35 * thick)
             self._arrow_style(f"{path}/force", colours.ESTIMATE, 0.7 * thick)
             self._number_style(f"{path}/force", colours.ESTIMATE)
             self._style(f"{path}/force", colours.INTERVAL, 0.35 * thick)
@@ -101,9 +101,9 @@ class Levers:
         self._drawn = False
         none, at = np.array([False]), np.array([stamp_ns])
         nothing = np.empty((0, 3))
-        arrow = columns(rr.Arrows3D, none, origins=nothing, vectors=nothing)
-        number = columns(rr.Points3D, none, positions=nothing, labels=[])
-        interval = columns(rr.LineStrips3D, none, strips=np.empty((0, 2, 3)))
+        arrow = build_columns(rr.Arrows3D, none, origins=nothing, vectors=nothing)
+        number = build_columns(rr.Points3D, none, positions=nothing, labels=[])
+        interval = build_columns(rr.LineStrips3D, none, strips=np.empty((0, 2, 3)))
         for joint in stage.joints:
             path = f"scene/joint_{joint}"
             self._sender.columns_at(f"{path}/force", at, arrow + number + interval)
@@ -114,11 +114,11 @@ class Levers:
         for joint, lever, path in self._joints(rows):
             travel, force = rows["position"][:, joint], rows["force"][:, joint]
             self._travel[joint] = float(travel[-1])
-            ends, link = _link(lever, travel)
+            ends, link = _build_link(lever, travel)
             self._sender.columns(f"{path}/link", rows, link)
             back = -lever.onward(travel) * self._length(self._config.tension_scale_N)
             low, high = rows["force_low"][:, joint], rows["force_high"][:, joint]
-            parts = _arrow(ends, force[:, None] * back)
+            parts = _build_arrow(ends, force[:, None] * back)
             parts += self._number(ends + lever.label, force, joint)
             parts += self._interval(lever, ends, back, low, high)
             self._sender.columns(f"{path}/force", rows, parts)
@@ -126,20 +126,20 @@ class Levers:
     def _asked(self, rows: Rows) -> None:
         stage = self._sheaths.stage
         for joint, lever in () if stage is None else stage.joints.items():
-            _, link = _link(lever, rows["position"][:, joint])
+            _, link = _build_link(lever, rows["position"][:, joint])
             self._sender.columns(f"scene/joint_{joint}/asked", rows, link)
 
     def _truth(self, rows: Rows) -> None:
         """Draw the force of the bench sensors, if any."""
         stage = self._sheaths.stage
         for joint, lever in () if stage is None else stage.joints.items():
-            force = true_force(rows, self._sheaths.tendons_of(joint))
+            force = compute_true_force(rows, self._sheaths.tendons_of(joint))
             travel = rows["bench_distal_displacement"][:, self._sheaths.tendons_of(joint)[0]]
             travel = np.where(np.isfinite(travel), travel, self._travel.get(joint, 0.0))
             back = -lever.onward(travel) * self._length(self._config.tension_scale_N)
             ends = lever.tip(travel) + 0.12 * lever.length * np.cross(lever.along, lever.aside)
             if np.isfinite(force).any():
-                truth = _arrow(ends, force[:, None] * back)
+                truth = _build_arrow(ends, force[:, None] * back)
                 self._sender.columns(f"scene/joint_{joint}/truth", rows, truth)
 
     def _hands(self, rows: Rows) -> None:
@@ -149,9 +149,9 @@ class Levers:
             if joint >= count:
                 continue
             travel, force = rows["position"][:, joint], rows["force"][:, joint]
-            ends, parts = _link(lever, travel)
+            ends, parts = _build_link(lever, travel)
             onward = lever.onward(travel) * self._length(self._config.hand_scale_N)
-            parts += _arrow(ends, force[:, None] * onward)
+            parts += _build_arrow(ends, force[:, None] * onward)
             parts += self._number(ends + lever.label, force, joint)
             self._sender.columns(f"scene/hand_{joint}/handle", rows, parts)
 
@@ -172,7 +172,7 @@ class Levers:
         of = f"{joint + 1}: " if stage is not None and len(stage.joints) > 1 else ""
         known = np.isfinite(at).all(axis=1) & np.isfinite(force)
         words = [f"{of}{value:.1f} N" for value in force[known]]
-        return columns(rr.Points3D, known, positions=at[known], labels=words)
+        return build_columns(rr.Points3D, known, positions=at[known], labels=words)
 
     def _interval(self, lever: Lever, ends: Array, back: Array, low: Array, high: Array) -> Columns:
         """Return a line from the low to the high end beside the arrow, with a bar across each end.
@@ -190,7 +190,7 @@ class Levers:
 
         (begin, a), (to, b) = end(low), end(high)
         strips = np.stack([begin - a, begin + a, begin, to, to - b, to + b], axis=1)
-        return columns(rr.LineStrips3D, known, strips=strips)
+        return build_columns(rr.LineStrips3D, known, strips=strips)
 
     def _environment(self, path: str, joint: int, lever: Lever) -> None:
         """Draw a wedge from the travel at contact."""
@@ -222,21 +222,21 @@ class Levers:
         self._sender.static(path, style)
 
 
-def _link(lever: Lever, travel: Array) -> tuple[Array, Columns]:
+def _build_link(lever: Lever, travel: Array) -> tuple[Array, Columns]:
     """Return the far ends of a lever, and the columns that draw it."""
     ends = lever.tip(travel)
     known = np.isfinite(travel)
     to = ends[known]
     strips = np.stack([np.broadcast_to(lever.pivot, to.shape), to], axis=1)
-    return ends, columns(rr.LineStrips3D, known, strips=strips)
+    return ends, build_columns(rr.LineStrips3D, known, strips=strips)
 
 
-def _arrow(origins: Array, vectors: Array) -> Columns:
+def _build_arrow(origins: Array, vectors: Array) -> Columns:
     known = np.isfinite(vectors).all(axis=1) & np.isfinite(origins).all(axis=1)
-    return columns(rr.Arrows3D, known, origins=origins[known], vectors=vectors[known])
+    return build_columns(rr.Arrows3D, known, origins=origins[known], vectors=vectors[known])
 
 
-def true_force(rows: Rows, tendons: list[int]) -> Array:
+def compute_true_force(rows: Rows, tendons: list[int]) -> Array:
     """Return the force [N] on a joint's tip from bench sensors: T_out,a less T_out,b."""
     force: Array = rows["bench_distal_tension"][:, tendons[0]].copy()
     for other in tendons[1:]:

@@ -20,12 +20,12 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any, ClassVar, Self
 
-from teleop.view.ports import LOOPBACK, free_port, new_secret
+from teleop.view.ports import LOOPBACK, create_secret, find_free_port
 
 _NAMES = (LOOPBACK, "localhost")
-_SERVED = 32  # connections at once; a browser opens six
+_CONNECTIONS_MAX = 32  # connections at once; a browser opens six
 _IDLE_S = 30  # [s] without a request, after which a connection is closed
-_BY_ANOTHER_SITE = ("cross-site", "same-site")  # a server on another port here is the same site
+_FOREIGN_SITES = ("cross-site", "same-site")  # a server on another port here is the same site
 _TCP = Path("/proc/net/tcp")
 
 
@@ -50,7 +50,7 @@ class LocalServer:
     def __init__(
         self, handler: type["GuardedHandler"], port: int | socket.socket, secret: str = ""
     ) -> None:
-        self._server = _Server(handler, port, secret or new_secret())
+        self._server = _Server(handler, port, secret or create_secret())
         self.address = f"{LOOPBACK}:{self._server.server_port}/{self._server.secret}/"
         self._thread = threading.Thread(
             target=self._server.serve_forever, name=handler.__name__, daemon=True
@@ -79,9 +79,9 @@ class _Server(ThreadingHTTPServer):
         self, handler: type["GuardedHandler"], port: int | socket.socket, secret: str
     ) -> None:
         self.secret = secret
-        self._served = threading.BoundedSemaphore(_SERVED)
+        self._served = threading.BoundedSemaphore(_CONNECTIONS_MAX)
         if isinstance(port, int):
-            super().__init__((LOOPBACK, free_port(port)), handler)
+            super().__init__((LOOPBACK, find_free_port(port)), handler)
             return
         super().__init__(port.getsockname(), handler, bind_and_activate=False)
         self.socket.close()
@@ -119,7 +119,7 @@ def is_own_connection(theirs: tuple[str, int], ours: tuple[str, int]) -> bool:
     """
     if not _TCP.exists():
         return True
-    ends = [f"{_hex_address(host)}:{port:04X}" for host, port in (theirs, ours)]
+    ends = [f"{_format_hex_address(host)}:{port:04X}" for host, port in (theirs, ours)]
     for line in _TCP.read_text().splitlines()[1:]:
         fields = line.split()
         if fields[1:3] == ends:
@@ -127,7 +127,7 @@ def is_own_connection(theirs: tuple[str, int], ours: tuple[str, int]) -> bool:
     return False  # closed by now
 
 
-def _hex_address(host: str) -> str:
+def _format_hex_address(host: str) -> str:
     return f"{int.from_bytes(socket.inet_aton(host), sys.byteorder):08X}"
 
 
@@ -165,7 +165,7 @@ class GuardedHandler(BaseHTTPRequestHandler):
             return origin in (f"http://{hosts[0]}", *self.origins)
         opened = self.headers.get("Sec-Fetch-Mode") == "navigate"
         opened = opened and self.headers.get("Sec-Fetch-Dest") == "document"
-        return opened or self.headers.get("Sec-Fetch-Site") not in _BY_ANOTHER_SITE
+        return opened or self.headers.get("Sec-Fetch-Site") not in _FOREIGN_SITES
 
     def log_message(self, format: str, *args: Any) -> None:  # noqa: A002 - the base class's name
         """Do not log to the terminal."""

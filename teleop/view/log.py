@@ -3,50 +3,52 @@
 import numpy as np
 import rerun as rr
 
-from teleop.messages.messages import STOP_ACTIONS, text_of
-from teleop.messages.topics import ANSWER, EVENT, SETTING, STOP, Role, role_name
+from teleop.messages.messages import STOP_ACTIONS, decode_text
+from teleop.messages.topics import ANSWER, EVENT, SETTING, STOP, Role, format_role
 from teleop.session.state_machine import State
 from teleop.view.batch import AnyTopic, Rows
 from teleop.view.colours import STATES
 from teleop.view.sender import Sender
 
-LOGGED: tuple[AnyTopic, ...] = (EVENT, STOP, SETTING, ANSWER)
-_AGAIN_NS = 10_000_000_000  # [ns] a state is repeated, for views of the recent past
+LOGGED_TOPICS: tuple[AnyTopic, ...] = (EVENT, STOP, SETTING, ANSWER)
+_REPEAT_NS = 10_000_000_000  # [ns] a state is repeated, for views of the recent past
 _LEVELS = {"fault": "ERROR", "stopped": "CRITICAL", "holding": "WARN"}
 
 
 def log_rows(sender: Sender, topic: AnyTopic, rows: Rows) -> None:
     """Send text messages."""
-    texts = [_message_text(topic, row) for row in rows]
+    texts = [_format_message(topic, row) for row in rows]
     columns = rr.TextLog.columns(
-        text=[f"{clock(row)}  {text}" for row, (text, _) in zip(rows, texts, strict=True)],
+        text=[
+            f"{format_time_of_day(row)}  {text}" for row, (text, _) in zip(rows, texts, strict=True)
+        ],
         level=[level for _, level in texts],
     )
     sender.columns("log", rows, columns)
 
 
-def clock(row: np.void) -> str:
+def format_time_of_day(row: np.void) -> str:
     """Return the time of day at which a message was sent, UTC."""
     moment = np.datetime64(int(row["stamp_ns"]), "ns").astype("datetime64[ms]")
     return str(moment).split("T")[1]
 
 
-def _message_text(topic: AnyTopic, row: np.void) -> tuple[str, str]:
+def _format_message(topic: AnyTopic, row: np.void) -> tuple[str, str]:
     """Return the line of one message, and its level."""
     if topic is STOP:
         action = int(row["action"])
         word = STOP_ACTIONS[action] if action < len(STOP_ACTIONS) else f"action {action}"
         level = "CRITICAL" if word == "stop" else "INFO"
-        return f"{role_name(int(row['role']))}: {word}: {text_of(tuple(row['text']))}", level
+        return f"{format_role(int(row['role']))}: {word}: {decode_text(tuple(row['text']))}", level
     if topic is SETTING:
-        return f"set {text_of(tuple(row['key']))} = {text_of(tuple(row['value']))}", "INFO"
-    text = f"{role_name(int(row['role']))}: {text_of(tuple(row['text']))}"
+        return f"set {decode_text(tuple(row['key']))} = {decode_text(tuple(row['value']))}", "INFO"
+    text = f"{format_role(int(row['role']))}: {decode_text(tuple(row['text']))}"
     if topic is ANSWER:
         return text, "INFO" if row["accepted"] else "WARN"
-    return text, _LEVELS.get(state_name(int(row["state"])), "INFO")
+    return text, _LEVELS.get(format_state(int(row["state"])), "INFO")
 
 
-def state_name(number: int) -> str:
+def format_state(number: int) -> str:
     """Return the name of a session's state in small letters."""
     return State(number).name.lower()
 
@@ -66,13 +68,13 @@ class StateLanes:
         states = rows["state"].astype(np.int64)
         changed = np.diff(states, prepend=state) != 0
         keep = np.flatnonzero(changed)
-        if len(keep) == 0 and int(rows["stamp_ns"][-1]) - said_ns > _AGAIN_NS:
+        if len(keep) == 0 and int(rows["stamp_ns"][-1]) - said_ns > _REPEAT_NS:
             keep = np.array([len(rows) - 1])
         if len(keep) == 0:
             return
         self._shown[role] = int(states[keep[-1]]), int(rows["stamp_ns"][keep[-1]])
-        path = f"state/{role_name(role)}"
+        path = f"state/{format_role(role)}"
         style = rr.StateConfiguration(values=list(STATES), colors=list(STATES.values()))
         self._sender.once(path, style)
-        names = [state_name(int(number)) for number in states[keep]]
+        names = [format_state(int(number)) for number in states[keep]]
         self._sender.columns(path, rows[keep], rr.StateChange.columns(state=names))

@@ -6,9 +6,9 @@ import rerun as rr
 from teleop.messages.messages import PHASE_NAMES
 from teleop.view.batch import Rows
 from teleop.view.colours import PHASES
-from teleop.view.columns import columns
+from teleop.view.columns import build_columns
 from teleop.view.config import ViewConfig
-from teleop.view.plane import Plane, axis_end
+from teleop.view.plane import Plane, compute_axis_end
 from teleop.view.sender import Sender
 
 _GAP_NS = 500_000_000  # [ns] without a sample: the loop begins anew
@@ -23,7 +23,7 @@ class LoopView:
 
     def __init__(self, config: ViewConfig, sender: Sender) -> None:
         self._sender = sender
-        top = axis_end(config.tension_scale_N)
+        top = compute_axis_end(config.tension_scale_N)
         self._plane = Plane(
             top, top, 1.0, "T_in [N], measured at the housing", "T_out [N], estimated at the tip"
         )
@@ -54,7 +54,9 @@ class LoopView:
             strips = np.stack([begin, end], axis=1)[known]
             phase = np.minimum(after["phase"][known, tendon], len(PHASES) - 1)
             radii = np.full(len(strips), 0.006)
-            pieces = columns(rr.LineStrips2D, strips=strips, colors=palette[phase], radii=radii)
+            pieces = build_columns(
+                rr.LineStrips2D, strips=strips, colors=palette[phase], radii=radii
+            )
             path = f"loop/tendon_{tendon}/curve"
             self._sender.columns_at(path, after["stamp_ns"][known], pieces)
 

@@ -7,11 +7,11 @@ Each call and each row has its cost, so the rows drawn of a second become fewer 
 """
 
 _SPAN_S = 1.0  # over which the share is measured
-_RELAX = 0.8  # per span, of the stretch, while the share is well below the limit
-_CALM = 0.8  # of the limit: below it the periods may shrink again
+_RELAX_FACTOR = 0.8  # per span, of the stretch, while the share is well below the limit
+_CALM_SHARE = 0.8  # of the limit: below it the periods may shrink again
 _LATE_S, _CURRENT_S = 2.0, 1.0  # [s] a page is behind: stretched above, may relax below
-_LATER = 1.25  # per span, of the stretch, while a page is late
-_LONGEST = 10.0  # stretch at most: pieces of a loop must not look like gaps between two loops
+_LATE_FACTOR = 1.25  # per span, of the stretch, while a page is late
+_STRETCH_MAX = 10.0  # stretch at most: pieces of a loop must not look like gaps between two loops
 
 
 class Pacing:
@@ -47,9 +47,9 @@ class Pacing:
             self._since = processor_s, now_s
             share = used_s / passed_s
             if share > self._limit:
-                self.stretch = min(self.stretch * min(share / self._limit, 2.0), _LONGEST)
+                self.stretch = min(self.stretch * min(share / self._limit, 2.0), _STRETCH_MAX)
             elif behind_s > _LATE_S:
-                self.stretch = min(self.stretch * _LATER, _LONGEST)
-            elif share < _CALM * self._limit and behind_s < _CURRENT_S:
-                self.stretch = max(1.0, self.stretch * _RELAX)
+                self.stretch = min(self.stretch * _LATE_FACTOR, _STRETCH_MAX)
+            elif share < _CALM_SHARE * self._limit and behind_s < _CURRENT_S:
+                self.stretch = max(1.0, self.stretch * _RELAX_FACTOR)
         return self.stretch

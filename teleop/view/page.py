@@ -26,11 +26,11 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from teleop.view.local_server import GuardedHandler, LocalServer
-from teleop.view.rrd import Answer, Blocks
+from teleop.view.rrd import BlockBuffer, PageMessages
 
 _HERE = Path(__file__).parent
 _HTML, _BINARY = "text/html; charset=utf-8", "application/octet-stream"
-_OURS = {  # path -> file, content type
+_OWN_FILES = {  # path -> file, content type
     "": ("page.html", _HTML),
     "page.js": ("page.js", "text/javascript; charset=utf-8"),
 }
@@ -41,7 +41,7 @@ VIEWER_FILES = {  # path -> path at the viewer program, content type
     "favicon.ico": ("/favicon.ico", "image/x-icon"),
 }
 _MARK = b'hide_welcome_screen: query.has("hide_welcome_screen"),'  # in the viewer's own page
-_REPORTED_S = 3.0  # [s] for which a page's report counts
+_REPORT_LIFE_S = 3.0  # [s] for which a page's report counts
 _WAIT_S = 1.0  # [s] that a page waits for new data
 _GOODBYE_S = 2.0 * _WAIT_S  # [s] in which open pages are told that it is over
 _POLICY = (
@@ -73,7 +73,7 @@ class Page:
         port: int | socket.socket,
         secret: str,
         files: Mapping[str, bytes],
-        blocks: Blocks,
+        blocks: BlockBuffer,
         memory_mb: int,
     ) -> None:
         self.newest_ns: Callable[[], int] = lambda: 0  # [ns] the newest stamp sent, 0: unknown
@@ -111,21 +111,21 @@ class Page:
 
     def behind_s(self) -> float:
         """Return how far [s] the slowest of the open pages is behind what was sent."""
-        since = time.monotonic() - _REPORTED_S
+        since = time.monotonic() - _REPORT_LIFE_S
         return max(
             (behind_s for when, behind_s in list(self._reports) if when > since), default=0.0
         )
 
     def content(self, path: str) -> tuple[bytes, str] | None:
         """Return a file and its type; None if there is none of this name."""
-        if path in _OURS:
-            name, kind = _OURS[path]
+        if path in _OWN_FILES:
+            name, kind = _OWN_FILES[path]
             return (_HERE / name).read_bytes(), kind
         if path in self._files:
             return self._files[path], VIEWER_FILES[path][1]
         return (self.light(), _BINARY) if path == "light.rbl" else None
 
-    def take_blocks(self, query: Mapping[str, str]) -> tuple[Answer, dict[str, object]]:
+    def take_blocks(self, query: Mapping[str, str]) -> tuple[PageMessages, dict[str, object]]:
         """Return what a page asks for, and what it must know.
 
         Raises

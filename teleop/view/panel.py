@@ -16,23 +16,23 @@ from numpy.typing import NDArray
 from estimator.array_types import Array
 from teleop.messages.topics import COMMAND, HAND, LINK, REPORT, STATE, Role
 from teleop.runtime.clock import now_ns
-from teleop.view.batch import AnyTopic, Paced, Rows, split
-from teleop.view.colours import PLAIN, STATES, force_colour, quality_colour
-from teleop.view.columns import columns
+from teleop.view.batch import AnyTopic, RowDecimator, Rows, split_rows
+from teleop.view.colours import PLAIN, STATES, choose_force_colour, choose_quality_colour
+from teleop.view.columns import build_columns
 from teleop.view.config import ViewConfig
 from teleop.view.panel_layout import (
     BANNER,
     LINK_HEIGHT,
     LINK_LEFT,
     LINK_TOP,
+    PANEL_WIDTH,
     REASON_HEIGHT,
     REASON_TOP,
     STATE_HEIGHT,
     STATE_TOP,
-    WIDE,
     ForceRow,
-    filled,
-    force_rows,
+    compute_force_rows,
+    fill_box,
 )
 from teleop.view.sender import Sender
 from teleop.view.sheaths import Sheaths
@@ -42,14 +42,14 @@ from teleop.view.status import (
     Banner,
     LinkCounts,
     LinkQuality,
-    banner,
-    link_quality,
+    build_banner,
+    compute_link_quality,
 )
-from teleop.view.stroke_text import STROKE, fitted_height, text_strips, text_width
+from teleop.view.stroke_text import STROKE, build_text_strips, compute_text_width, fit_height
 
 _NUMBER_HZ, _BAR_HZ = 4.0, 10.0  # a number that changes more often cannot be read
-_AGAIN_NS = 2_000_000_000  # [ns] after which a banner is repeated, for pages opened later
-_OLD_NS = 1_000_000_000  # [ns] after which state and force of a side that sends no more are old
+_REPEAT_NS = 2_000_000_000  # [ns] after which a banner is repeated, for pages opened later
+_STALE_NS = 1_000_000_000  # [ns] after which state and force of a side that sends no more are old
 _MARGIN = 0.4
 
 
@@ -72,7 +72,7 @@ class Panel:
         self._allowed: dict[Role, str] = {}  # what the link allows, where that is not all
         self._limit_N = math.nan
         self._placed: tuple[list[ForceRow], list[bool]] = ([], [])
-        self._bar_rows, self._number_rows = Paced(_BAR_HZ), Paced(_NUMBER_HZ)
+        self._bar_rows, self._number_rows = RowDecimator(_BAR_HZ), RowDecimator(_NUMBER_HZ)
         self._framed: tuple[float, list[bool]] | None = None  # limit, and which are two-way
         self.newest_ns = 0
 
@@ -90,7 +90,7 @@ class Panel:
         if STATE in batches and len(batches[STATE]):
             self._forces(batches[STATE])
             self._force_ns = self.newest_ns
-        elif self._force_ns is not None and self.newest_ns - self._force_ns > _OLD_NS:
+        elif self._force_ns is not None and self.newest_ns - self._force_ns > _STALE_NS:
             self._forget_forces(self.newest_ns)
         if LINK in batches and len(batches[LINK]):
             self._health(batches[LINK])
@@ -137,25 +137,25 @@ class Panel:
             ]
         for stamp_ns, role, now in sorted(changes):
             self._sides[role] = now
-            self._show(banner(self._sides), stamp_ns)
+            self._show(build_banner(self._sides), stamp_ns)
         for role in [*self._sides]:
-            if self.newest_ns - self._heard_ns[role] > _OLD_NS:
+            if self.newest_ns - self._heard_ns[role] > _STALE_NS:
                 del self._sides[role]
-                self._show(banner(self._sides), self.newest_ns)
+                self._show(build_banner(self._sides), self.newest_ns)
 
     def _show(self, now: Banner, stamp_ns: int) -> None:
         before, said_ns = self._shown
-        if now == before and stamp_ns - said_ns < _AGAIN_NS:
+        if now == before and stamp_ns - said_ns < _REPEAT_NS:
             return
         # the sides' clocks and blocks differ: a later banner must not lie before an earlier one
         stamp_ns = max(stamp_ns, said_ns)
         self._shown = now, stamp_ns
         _, top, _, bottom = BANNER
         background = STATES.get(now.state, STATES["off"])
-        ink = 0x000000FF if _bright(background) else 0xFFFFFFFF
+        ink = 0x000000FF if _is_bright(background) else 0xFFFFFFFF
         middle = (top + bottom) / 2
         # one broad line, whose round ends and upper half lie beyond the view's edges
-        line = np.array([[-WIDE, top], [2 * WIDE, top]])
+        line = np.array([[-PANEL_WIDTH, top], [2 * PANEL_WIDTH, top]])
         self._drawing("panel/banner/area", stamp_ns, [line], background, bottom - top)
         state_top = STATE_TOP if now.reason else middle - STATE_HEIGHT / 2
         self._centred("panel/banner/state", stamp_ns, now.state, state_top, STATE_HEIGHT, ink)
@@ -167,12 +167,12 @@ class Panel:
             return
         known = math.isfinite(self._limit_N)
         limit = self._limit_N if known else self._scale_N
-        top, height, places = force_rows(joints)
+        top, height, places = compute_force_rows(joints)
         two_way = [len(self._sheaths.tendons_of(joint)) > 1 for joint in range(joints)]
         self._placed = places, two_way
         if self._framed != (limit, two_way):
             self._framed = limit, two_way
-            self._words(top, height, f"{'limit' if known else 'scale'} {number_text(limit)} N")
+            self._words(top, height, f"{'limit' if known else 'scale'} {format_force(limit)} N")
             for joint, place in enumerate(places):
                 self._frame(
                     joint, "" if joints == 1 else f"joint {joint + 1}", place, two_way[joint]
@@ -195,18 +195,18 @@ class Panel:
 
     def _bar(self, joint: int, place: ForceRow, rows: Rows, shares: Array, two_way: bool) -> None:
         """Draw a force, as shares of its limit, at the stamps of `rows`."""
-        boxes = [filled(place.bar(float(share), two_way)) for share in shares]
+        boxes = [fill_box(place.bar(float(share), two_way)) for share in shares]
         strips = [lines for lines, _ in boxes]
-        inks = [force_colour(float(share)) for share in shares]
+        inks = [choose_force_colour(float(share)) for share in shares]
         self._strips(f"panel/joint_{joint}/bar", rows["stamp_ns"], strips, inks, boxes[0][1])
 
     def _number(self, joint: int, place: ForceRow, rows: Rows, forces: Array) -> None:
         """Write a force [N] at the stamps of `rows`."""
-        texts = [number_text(float(force)) for force in forces]
+        texts = [format_force(float(force)) for force in forces]
         strips = [
-            text_strips(
+            build_text_strips(
                 text,
-                place.number_right - text_width(text, place.number_height),
+                place.number_right - compute_text_width(text, place.number_height),
                 place.number_top,
                 place.number_height,
             )
@@ -218,18 +218,20 @@ class Panel:
 
     def _words(self, top: float, height: float, end: str) -> None:
         """Write what the forces are, and where their bars end."""
-        strips = text_strips("force at the tip", _MARGIN, top, height)
-        strips += text_strips(end, ForceRow.bar_right - text_width(end, height), top, height)
+        strips = build_text_strips("force at the tip", _MARGIN, top, height)
+        strips += build_text_strips(
+            end, ForceRow.bar_right - compute_text_width(end, height), top, height
+        )
         words = rr.LineStrips2D(strips, colors=PLAIN, radii=STROKE * height, draw_order=2.0)
         self._sender.static("panel/words", words)
 
     def _frame(self, joint: int, name: str, place: ForceRow, two_way: bool) -> None:
         """Draw what of a force stands still: its name, its unit and the frame of the bar."""
-        strips = text_strips(name, _MARGIN, place.name_top, place.name_height)
+        strips = build_text_strips(name, _MARGIN, place.name_top, place.name_height)
         radii = [STROKE * place.name_height] * len(strips)
         tall = 0.5 * place.number_height
         unit = place.number_right + place.unit_gap * place.number_height
-        strips += text_strips("N", unit, place.number_top + tall, tall)
+        strips += build_text_strips("N", unit, place.number_top + tall, tall)
         radii += [STROKE * tall] * (len(strips) - len(radii))
         words = rr.LineStrips2D(strips, colors=PLAIN, radii=radii, draw_order=2.0)
         self._sender.static(f"panel/joint_{joint}/words", words)
@@ -237,7 +239,7 @@ class Panel:
         self._sender.static(f"panel/joint_{joint}/frame", frame)
 
     def _link(self, rows: Rows) -> None:
-        for number, own in split(rows, "role").items():
+        for number, own in split_rows(rows, "role").items():
             if number not in (Role.MASTER, Role.SLAVE):
                 continue
             role, before = Role(number), dict(self._counts)
@@ -248,11 +250,11 @@ class Panel:
                 self._latency_ms = float(newest["latency_p50_ns"]) * 1e-6
             self._deaf[role] = role in before and before[role] == self._counts[role]
             deaf = any(self._deaf.values())
-            quality = link_quality(before, self._counts, self._latency_ms, deaf)
+            quality = compute_link_quality(before, self._counts, self._latency_ms, deaf)
             self._quality(quality, int(newest["stamp_ns"]))
 
     def _health(self, rows: Rows) -> None:
-        for number, own in split(rows, "role").items():
+        for number, own in split_rows(rows, "role").items():
             if number not in (Role.MASTER, Role.SLAVE):
                 continue
             newest, role = own[-1], Role(number)
@@ -263,20 +265,22 @@ class Panel:
             self._allowed[role] = "held" if newest["holds"] else scaled
 
     def _quality(self, quality: LinkQuality, stamp_ns: int) -> None:
-        parts = link_parts(quality, self._jitter_ms, self._allowed.values())
+        parts = format_link_parts(quality, self._jitter_ms, self._allowed.values())
         strips = [
             strip
             for left, text in zip(LINK_LEFT, parts, strict=True)
-            for strip in text_strips(text, left, LINK_TOP, LINK_HEIGHT)
+            for strip in build_text_strips(text, left, LINK_TOP, LINK_HEIGHT)
         ]
-        ink, radius = quality_colour(quality.word), STROKE * LINK_HEIGHT
+        ink, radius = choose_quality_colour(quality.word), STROKE * LINK_HEIGHT
         self._drawing("panel/link", stamp_ns, strips, ink, radius)
 
     def _centred(
         self, path: str, stamp_ns: int, text: str, top: float, height: float, colour: int
     ) -> None:
-        height = fitted_height(text, WIDE - 2 * _MARGIN, height)
-        strips = text_strips(text, (WIDE - text_width(text, height)) / 2, top, height)
+        height = fit_height(text, PANEL_WIDTH - 2 * _MARGIN, height)
+        strips = build_text_strips(
+            text, (PANEL_WIDTH - compute_text_width(text, height)) / 2, top, height
+        )
         self._drawing(path, stamp_ns, strips, colour, STROKE * height)
 
     def _drawing(
@@ -297,7 +301,7 @@ class Panel:
         order = 0.0 if path.endswith(("area", "bar")) else 1.0
         self._sender.once(path, rr.LineStrips2D.from_fields(draw_order=order))
         counts = [len(strips) for strips in drawings]
-        drawn = columns(
+        drawn = build_columns(
             rr.LineStrips2D,
             np.array(counts),
             strips=list(chain.from_iterable(drawings)),
@@ -307,14 +311,14 @@ class Panel:
         self._sender.columns_at(path, stamps_ns, drawn)
 
 
-def number_text(force: float) -> str:
+def format_force(force: float) -> str:
     """Return a force [N] in at most five characters, up to 9999 N; dashes if it is not known."""
     if not math.isfinite(force):
         return "---"
     return f"{force:.1f}" if abs(force) < 99.95 else f"{force:.0f}"
 
 
-def link_parts(
+def format_link_parts(
     quality: LinkQuality, jitter_ms: float | None, allowed: Iterable[str]
 ) -> tuple[str, str, str, str]:
     """Return what is said of the link; nothing of what is not known.
@@ -324,18 +328,18 @@ def link_parts(
     if quality.word == NO_LINK:
         return "no link", "", "", ""
     delay, jitter = (
-        f"{word} {_milliseconds(value)}" if value is not None else ""
+        f"{word} {_format_milliseconds(value)}" if value is not None else ""
         for word, value in (("delay", quality.latency_ms), ("jitter", jitter_ms))
     )
     limited = next((text for text in allowed if text), "")
     return f"link {quality.word}", f"{100 * quality.loss:.1f} % lost", delay, limited or jitter
 
 
-def _milliseconds(value: float) -> str:
+def _format_milliseconds(value: float) -> str:
     return f"{value:.1f} ms" if value < 9.95 else f"{min(value, 9999.0):.0f} ms"
 
 
-def _bright(colour: int) -> bool:
+def _is_bright(colour: int) -> bool:
     """Return whether black letters are easier to read on a colour than white ones."""
     red, green, blue = ((colour >> shift & 0xFF) / 255 for shift in (24, 16, 8))
     return bool(0.2126 * red**2.2 + 0.7152 * green**2.2 + 0.0722 * blue**2.2 > 0.18)

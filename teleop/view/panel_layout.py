@@ -6,8 +6,8 @@ import numpy as np
 
 from estimator.array_types import Array
 
-WIDE, TALL = 16.0, 9.6
-BANNER = (0.0, 0.0, WIDE, 2.9)  # left, top, right, bottom
+PANEL_WIDTH, PANEL_HEIGHT = 16.0, 9.6
+BANNER = (0.0, 0.0, PANEL_WIDTH, 2.9)  # left, top, right, bottom
 STATE_TOP, STATE_HEIGHT = 0.32, 1.35  # with a reason below
 REASON_TOP, REASON_HEIGHT = 2.09, 0.45
 _FORCES = (3.1, 8.4)  # top and bottom of the rows of forces
@@ -54,7 +54,7 @@ class ForceRow:
         return lines
 
 
-def filled(box: tuple[float, float, float, float]) -> tuple[list[Array], float]:
+def fill_box(box: tuple[float, float, float, float]) -> tuple[list[Array], float]:
     """Return line strips that fill a box (left, top, right, bottom), and their radius.
 
     A line has round ends, so the box is made of thin ones that are set in by their radius.
@@ -70,7 +70,7 @@ def filled(box: tuple[float, float, float, float]) -> tuple[list[Array], float]:
     return lines, radius
 
 
-def force_rows(joints: int) -> tuple[float, float, list[ForceRow]]:
+def compute_force_rows(joints: int) -> tuple[float, float, list[ForceRow]]:
     """Return top and height of the words that all forces share, and the rows.
 
     A single force has its number and its bar below the words; each of several has its name, number

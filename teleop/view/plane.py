@@ -38,14 +38,14 @@ class Plane:
             (np.array([self.width / 2, 0.19]), self.across),
             (np.array([0.02 + 0.022 * len(self.upwards), -1.12]), self.upwards),
         ]
-        for x in ticks(self.right):
+        for x in compute_ticks(self.right):
             at = self.points(np.array(x), np.array(0.0))
-            lines.append(np.array([at, _moved(at, 0, _TICK)]))
-            labels.append((_moved(at, 0, 0.08), f"{x:g}"))
-        for y in ticks(self.top):
+            lines.append(np.array([at, _shift_point(at, 0, _TICK)]))
+            labels.append((_shift_point(at, 0, 0.08), f"{x:g}"))
+        for y in compute_ticks(self.top):
             at = self.points(np.array(0.0), np.array(y))
-            lines.append(np.array([_moved(at, -_TICK, 0), at]))
-            labels.append((_moved(at, -0.09, 0), f"{y:g}"))
+            lines.append(np.array([_shift_point(at, -_TICK, 0), at]))
+            labels.append((_shift_point(at, -0.09, 0), f"{y:g}"))
         return lines, labels
 
     def draw_axes(self, sender: Sender, root: str) -> None:
@@ -67,34 +67,34 @@ def draw_words(sender: Sender, path: str, labels: list[tuple[Array, str]]) -> No
     sender.static(path, words)
 
 
-def _moved(point: Array, right: float, down: float) -> Array:
+def _shift_point(point: Array, right: float, down: float) -> Array:
     moved: Array = point + np.array([right, down])
     return moved
 
 
-def _step(top: float) -> float:
+def _choose_tick_step(top: float) -> float:
     """Return the distance of round values, of which three to seven reach from 0 to `top`."""
     step = 10 ** math.floor(math.log10(top / 2))
     factor = next(factor for factor in (1, 2, 5, 10) if top / (step * factor) < 6)
     return float(step * factor)
 
 
-def ticks(top: float) -> list[float]:
+def compute_ticks(top: float) -> list[float]:
     """Return round values from 0 to `top`, three to seven of them."""
-    step = _step(top)
+    step = _choose_tick_step(top)
     return [round(k * step, 12) for k in range(math.floor(top / step * (1 + 1e-9)) + 1)]
 
 
-def axis_end(top: float) -> float:
-    """Return where an axis for values up to `top` ends: on the last of its own `ticks`."""
+def compute_axis_end(top: float) -> float:
+    """Return where an axis for values up to `top` ends: on the last of its own `compute_ticks`."""
     end, step = top, 0.0
-    while step != _step(end):  # the longer axis may have another step
-        step = _step(end)
+    while step != _choose_tick_step(end):  # the longer axis may have another step
+        step = _choose_tick_step(end)
         end = round(math.ceil(top / step * (1 - 1e-9)) * step, 12)
     return end
 
 
-def ticks_to_end(top: float) -> list[float]:
-    """Return `ticks` and `top` itself, without a tick so near to it that labels would collide."""
-    step = _step(top)
-    return [value for value in ticks(top) if value <= top - 0.5 * step] + [top]
+def compute_ticks_to_end(top: float) -> list[float]:
+    """Return `compute_ticks` and `top` itself, without a tick so near to it that labels would collide."""
+    step = _choose_tick_step(top)
+    return [value for value in compute_ticks(top) if value <= top - 0.5 * step] + [top]

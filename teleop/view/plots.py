@@ -6,20 +6,20 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
-from teleop.messages.topics import HAND, LEDGER, STATE, TENDONS, Role, role_name
-from teleop.view.batch import AnyTopic, Rows, Thinning, split
-from teleop.view.colours import BAND, TRUTH, lighter
-from teleop.view.columns import columns
+from teleop.messages.topics import HAND, LEDGER, STATE, TENDONS, Role, format_role
+from teleop.view.batch import AnyTopic, Rows, Subsampler, split_rows
+from teleop.view.colours import BAND, TRUTH, lighten_colour
+from teleop.view.columns import build_columns
 from teleop.view.config import ViewConfig
 from teleop.view.curves import CURVES, Band, Curve, CurveGroup
-from teleop.view.levers import true_force
+from teleop.view.levers import compute_true_force
 from teleop.view.sender import Sender
 from teleop.view.sheaths import Sheaths
 
 _TRUE_FORCE = Curve("force/{}/true", "", "true", TRUTH)
-_AFTER_NS = 1000  # [ns] from the newest row to its high end
-_APART_NS = 20_000_000  # [ns] from a row, at most, within which its high end is drawn
-_BEHIND_NS = 1_000_000_000  # [ns] after which a live page's curves in tabs behind grow
+_HIGH_END_OFFSET_NS = 1000  # [ns] from the newest row to its high end
+_HIGH_END_SPAN_MAX_NS = 20_000_000  # [ns] from a row, at most, within which its high end is drawn
+_HIDDEN_CURVE_PERIOD_NS = 1_000_000_000  # [ns] after which a live page's curves in tabs behind grow
 _BAND_WIDTH = 2.5  # [points], about a row of 100 Hz in a plot of 10 s on 600 points
 
 
@@ -31,7 +31,7 @@ class Plots:
         config: ViewConfig,
         sender: Sender,
         sheaths: Sheaths,
-        thinned: Thinning,
+        thinned: Subsampler,
         live: bool = False,
     ) -> None:
         self._live = live
@@ -70,7 +70,7 @@ class Plots:
         held = self._held.setdefault(topic, [])
         held.append(rows)
         whole = np.concatenate(held)
-        if len(whole) == 0 or np.ptp(whole["stamp_ns"]) < _BEHIND_NS:
+        if len(whole) == 0 or np.ptp(whole["stamp_ns"]) < _HIDDEN_CURVE_PERIOD_NS:
             return rows[:0]
         held.clear()
         return whole
@@ -80,7 +80,7 @@ class Plots:
         if rate is None:
             return rows
         if topic is LEDGER:
-            sides = [self._thinned(own, rate) for own in split(rows, "role").values()]
+            sides = [self._thinned(own, rate) for own in split_rows(rows, "role").values()]
             return np.concatenate(sides)
         return self._thinned(rows, rate)
 
@@ -92,8 +92,8 @@ class Plots:
         if len(rows) == 0 or not curves:
             return
         if group.over in ("role", "role and joint"):
-            for number, own in split(rows, "role").items():
-                role = role_name(number)
+            for number, own in split_rows(rows, "role").items():
+                role = format_role(number)
                 for curve in curves:
                     if group.over == "role":
                         yield curve, role, role, own, own[curve.field]
@@ -102,7 +102,7 @@ class Plots:
                         values = own[curve.field][:, joint]
                         yield curve, f"{role}/joint_{joint}", role, own, values
         elif group.over == "sender":
-            sender = role_name(topic.publisher or Role.LAUNCHER)
+            sender = format_role(topic.publisher or Role.LAUNCHER)
             for curve in curves:
                 field = rows[curve.field]
                 values = field if curve.entry is None else field[:, curve.entry]
@@ -123,12 +123,12 @@ class Plots:
             return
         path = curve.path.format(owner)
         if not self._sender.styled(path):
-            colour = lighter(curve.colour) if label.endswith("b") else curve.colour
+            colour = lighten_colour(curve.colour) if label.endswith("b") else curve.colour
             name = f"{curve.name} {label}".rstrip()
             style = rr.SeriesLines(colors=[colour], widths=[curve.width], names=[name])
             self._sender.once(path, style)
         self._sender.columns_at(
-            path, rows["stamp_ns"][known], columns(rr.Scalars, scalars=numbers[known])
+            path, rows["stamp_ns"][known], build_columns(rr.Scalars, scalars=numbers[known])
         )
 
     def _bands(self, group: CurveGroup, rows: Rows) -> None:
@@ -149,13 +149,15 @@ class Plots:
         )
         self._sender.once(path, style)
         stamps = rows["stamp_ns"][known]
-        apart = np.minimum(np.diff(stamps, append=stamps[-1] + 2 * _AFTER_NS), _APART_NS)
+        apart = np.minimum(
+            np.diff(stamps, append=stamps[-1] + 2 * _HIGH_END_OFFSET_NS), _HIGH_END_SPAN_MAX_NS
+        )
         times = np.stack([stamps, stamps + apart // 2], axis=1).ravel()
         ends = np.stack([low[known], high[known]], axis=1).ravel()
-        self._sender.columns_at(path, times, columns(rr.Scalars, scalars=ends))
+        self._sender.columns_at(path, times, build_columns(rr.Scalars, scalars=ends))
 
     def _true_forces(self, rows: Rows) -> None:
         """Draw what bench sensors say of the force at each tip."""
         for joint in self._sheaths.joints:
-            force = true_force(rows, self._sheaths.tendons_of(joint))
+            force = compute_true_force(rows, self._sheaths.tendons_of(joint))
             self._line(_TRUE_FORCE, f"joint_{joint}", "", rows, force)

@@ -5,17 +5,17 @@ import rerun as rr
 
 from estimator.array_types import Array
 from teleop.messages.messages import PROFILE_POINTS
-from teleop.view.band import tension_band
+from teleop.view.band import compute_tension_band
 from teleop.view.batch import Rows
-from teleop.view.colours import BAND, ESTIMATE, FRONT, SECOND, rgba
-from teleop.view.columns import columns
+from teleop.view.colours import BAND, ESTIMATE, FRONT, SECOND, to_rgba
+from teleop.view.columns import build_columns
 from teleop.view.config import ViewConfig
-from teleop.view.plane import Plane, axis_end
+from teleop.view.plane import Plane, compute_axis_end
 from teleop.view.sender import Sender
 from teleop.view.sheaths import Sheaths
 
 WIDTH = 1.8
-_APART_NS = 50_000_000  # [ns] between a profile and the tip's interval, at most
+_TIME_DIFFERENCE_MAX_NS = 50_000_000  # [ns] between a profile and the tip's interval, at most
 _TAIL_NS = 200_000_000
 _BANDS = (BAND, 0x45431EFF)  # dim, so that the curve stands out: tendon a, tendon b
 _CURVES = ((ESTIMATE, 0x3C7DA2FF), (SECOND, 0x97904CFF))  # slides, sticks: tendon a, tendon b
@@ -47,7 +47,7 @@ class ProfileView:
         if not longest > 0:
             return
         if self._plane is None or longest > self._plane.right:
-            ends = axis_end(longest), axis_end(self._config.tension_scale_N)
+            ends = compute_axis_end(longest), compute_axis_end(self._config.tension_scale_N)
             self._plane = Plane(*ends, WIDTH, "x [m] from the housing", "T [N]")
             self._plane.draw_axes(self._sender, "profile")
             self._scale(self._plane)
@@ -87,9 +87,9 @@ class ProfileView:
             behind, ahead = row < f, row > f
             pieces.append(np.concatenate([points[behind], [point, point][: 2 - behind.any()]]))
             pieces.append(np.concatenate([[point, point][: 2 - ahead.any()], points[ahead]]))
-        curve = columns(rr.LineStrips2D, np.full(len(rows), 2), strips=pieces)
+        curve = build_columns(rr.LineStrips2D, np.full(len(rows), 2), strips=pieces)
         known = np.isfinite(rows["front"])
-        curve += columns(rr.Points2D, known, positions=fronts[known])
+        curve += build_columns(rr.Points2D, known, positions=fronts[known])
         self._sender.columns(f"{path}/curve", rows, curve)
 
     def _band(self, tendon: int, rows: Rows, plane: Plane, x: Array) -> None:
@@ -98,7 +98,9 @@ class ProfileView:
         if tendon not in self._sheaths.friction or ends is None:
             return
         path = f"profile/tendon_{tendon}/band"
-        low, high = tension_band(self._sheaths.friction[tendon], rows["tension"][:, 0], *ends)
+        low, high = compute_tension_band(
+            self._sheaths.friction[tendon], rows["tension"][:, 0], *ends
+        )
         style = rr.LineStrips2D.from_fields(
             colors=_BANDS[self._side(tendon)],
             radii=0.9 * WIDTH / (PROFILE_POINTS - 1),  # more than half: no gaps
@@ -116,7 +118,7 @@ class ProfileView:
         )
         bars[:, 1::2] = bars[:, 1::2, ::-1]
         strips = bars.reshape(-1, 2 * PROFILE_POINTS, 2)
-        drawn = columns(rr.LineStrips2D, known, strips=strips)
+        drawn = build_columns(rr.LineStrips2D, known, strips=strips)
         if self._values:
             values = rr.AnyValues.columns(low=low.ravel(), high=high.ravel())
             drawn += values.partition([PROFILE_POINTS] * len(rows))
@@ -128,7 +130,7 @@ class ProfileView:
             return None
         stamps = self._tail["stamp_ns"]
         at = np.clip(np.searchsorted(stamps, rows["stamp_ns"], side="right") - 1, 0, None)
-        far = np.abs(stamps[at] - rows["stamp_ns"]) > _APART_NS
+        far = np.abs(stamps[at] - rows["stamp_ns"]) > _TIME_DIFFERENCE_MAX_NS
         low = np.where(far, np.nan, self._tail["distal_tension_low"][at, tendon])
         high = np.where(far, np.nan, self._tail["distal_tension_high"][at, tendon])
         return low, high
@@ -145,7 +147,7 @@ class ProfileView:
         edge = plane.points(np.zeros_like(rungs), rungs)
         scale = rr.LineStrips2D(
             np.stack([edge[:-1], edge[1:]], axis=1),
-            colors=rgba((rungs[1:] + rungs[:-1]) / 2, self._config.tension_scale_N),
+            colors=to_rgba((rungs[1:] + rungs[:-1]) / 2, self._config.tension_scale_N),
             radii=0.015,
         )
         self._sender.static("profile/scale", scale)

@@ -14,7 +14,7 @@ from typing import NamedTuple
 _STREAM = 12  # [bytes] of the header of a stream
 _MESSAGE = struct.Struct("<QQ")  # kind, size
 _END, _DATA = 0, 2  # kinds: of the index, of data
-_OF_A_RECORDING = b"\x08\x01"  # a message's store id (field 1) > kind (field 1): not a layout
+_RECORDING_STORE = b"\x08\x01"  # a message's store id (field 1) > kind (field 1): not a layout
 _STATIC = b"\x38\x01"  # the last field of data: is_static (7)
 _ANSWER = 400_000  # [bytes] of old data in one answer at most
 
@@ -23,19 +23,19 @@ class RrdError(ValueError):
     """Bytes that are no messages of Rerun."""
 
 
-class Message(NamedTuple):
+class EncodedMessage(NamedTuple):
     """An encoded message with its header."""
 
     content: bytes
     kept: bool  # for pages that are opened at any later time
 
 
-def stream_header(block: bytes) -> bytes:
+def read_stream_header(block: bytes) -> bytes:
     """Return the header of an encoded block, with which a stream begins."""
     return block[:_STREAM]
 
 
-def split_messages(block: bytes) -> Iterator[Message]:
+def split_messages(block: bytes) -> Iterator[EncodedMessage]:
     """Yield the messages of an encoded block, without the index at its end.
 
     Raises
@@ -56,9 +56,9 @@ def split_messages(block: bytes) -> Iterator[Message]:
                 raise RrdError("no message of Rerun at the begin")
             return
         store = at + _MESSAGE.size + 2  # after the tag and the size of the store id
-        temporal = kind == _DATA and block[store : store + 2] == _OF_A_RECORDING
+        temporal = kind == _DATA and block[store : store + 2] == _RECORDING_STORE
         kept = not temporal or block[end - 2 : end] == _STATIC
-        yield Message(block[at:end], kept)
+        yield EncodedMessage(block[at:end], kept)
         at = end
 
 
@@ -68,13 +68,13 @@ def split_block(block: bytes, size: int) -> Iterator[bytes]:
     for message in split_messages(block):
         held.append(message.content)
         if sum(map(len, held)) >= size:
-            yield stream_header(block) + b"".join(held)
+            yield read_stream_header(block) + b"".join(held)
             held = []
     if held:
-        yield stream_header(block) + b"".join(held)
+        yield read_stream_header(block) + b"".join(held)
 
 
-class Answer(NamedTuple):
+class PageMessages(NamedTuple):
     """Messages for a page."""
 
     content: bytes  # a whole stream; empty if there are none
@@ -82,7 +82,7 @@ class Answer(NamedTuple):
     newest: int  # number of the newest block that it has, or that was there
 
 
-class Blocks:
+class BlockBuffer:
     """Numbered blocks of messages for pages: what must be kept, and the newest of the rest.
 
     Parameters
@@ -107,7 +107,7 @@ class Blocks:
         kept = b"".join(message.content for message in messages if message.kept)
         recent = b"".join(message.content for message in messages if not message.kept)
         with self._changed:
-            self._header = self._header or stream_header(block)
+            self._header = self._header or read_stream_header(block)
             self._newest += 1
             if kept:
                 self._kept.append((self._newest, kept))
@@ -124,13 +124,13 @@ class Blocks:
             self._closed = True
             self._changed.notify_all()
 
-    def newer(self, than: int, wait_s: float) -> Answer:
+    def newer(self, than: int, wait_s: float) -> PageMessages:
         """Return what came after a block, of much the newest; waits `wait_s` [s] for any."""
         with self._changed:
             self._changed.wait_for(lambda: self._newest > than or self._closed, wait_s)
             return self._answer(than, self._newest, self._kept_after(than))
 
-    def older(self, than: int, down_to: int) -> Answer:
+    def older(self, than: int, down_to: int) -> PageMessages:
         """Return the newest of the data between two blocks that may be dropped, both excluded."""
         with self._changed:
             return self._answer(down_to, than - 1, [])
@@ -138,7 +138,7 @@ class Blocks:
     def _kept_after(self, number: int) -> list[bytes]:
         return [content for n, content in self._kept if n > number]
 
-    def _answer(self, low: int, high: int, kept: list[bytes]) -> Answer:
+    def _answer(self, low: int, high: int, kept: list[bytes]) -> PageMessages:
         """Return what is kept, and the newest of the blocks in (low, high] that fit."""
         chosen: list[bytes] = []
         oldest, size = high + 1, 0
@@ -149,4 +149,4 @@ class Blocks:
                 chosen.append(content)
                 oldest, size = number, size + len(content)
         body = b"".join([*kept, *reversed(chosen)])
-        return Answer(self._header + body if body else b"", oldest, max(high, low))
+        return PageMessages(self._header + body if body else b"", oldest, max(high, low))

@@ -11,26 +11,26 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
-from teleop.runtime.user_folders import state_folder
+from teleop.runtime.user_folders import find_state_folder
 
 _STDERR = 2
-_LARGEST = 1_000_000  # [bytes] after which the file begins anew
+_SIZE_MAX = 1_000_000  # [bytes] after which the file begins anew
 
 
-def log_path(session: str) -> Path:
+def find_log_path(session: str) -> Path:
     """Return the file for a session: in the user's state folder (XDG base directories)."""
-    return state_folder() / "tendon-teleop" / f"view-{session}.log"
+    return find_state_folder() / "tendon-teleop" / f"view-{session}.log"
 
 
 @contextlib.contextmanager
-def diverted(path: Path) -> Iterator[Path]:
+def divert_stderr(path: Path) -> Iterator[Path]:
     """Send file descriptor 2 to the end of `path` in this context; yields the file in use.
 
     `sys.stderr` keeps writing to where it did. Where no folder can be made, the file is in that of
     temporary files.
     """
-    path = _writable(path)
-    if path.exists() and path.stat().st_size > _LARGEST:
+    path = _find_writable_path(path)
+    if path.exists() and path.stat().st_size > _SIZE_MAX:
         path.unlink()
     sys.stderr.flush()
     terminal, python_stream = os.dup(_STDERR), sys.stderr
@@ -49,7 +49,7 @@ def diverted(path: Path) -> Iterator[Path]:
         os.close(log)
 
 
-def _writable(path: Path) -> Path:
+def _find_writable_path(path: Path) -> Path:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError:

@@ -22,11 +22,11 @@ from collections.abc import Callable, Iterator, Mapping
 import rerun as rr
 
 from teleop.messages.topics import HAND, PROFILE, SHEATH, STATE, TENDONS, Role
-from teleop.view.batch import AnyTopic, Rows, Thinning, split
+from teleop.view.batch import AnyTopic, Rows, Subsampler, split_rows
 from teleop.view.config import ViewConfig
 from teleop.view.legend import draw_stage
 from teleop.view.levers import Levers
-from teleop.view.log import LOGGED, StateLanes, log_rows
+from teleop.view.log import LOGGED_TOPICS, StateLanes, log_rows
 from teleop.view.loop_view import LoopView
 from teleop.view.panel import Panel
 from teleop.view.plots import Plots
@@ -71,7 +71,7 @@ class Scene:
         self._plotted = everything or config.layout == "experiment"
         self._sender = Sender(stream)
         self._sheaths = Sheaths(config)
-        self._thinned = Thinning()
+        self._thinned = Subsampler()
         self._tubes = Tubes(config, self._sender, self._sheaths)
         self._levers = Levers(config, self._sender, self._sheaths, self._thinned)
         self._profiles = ProfileView(config, self._sender, self._sheaths, values=everything)
@@ -127,7 +127,7 @@ class Scene:
         for role, topic in ((Role.MASTER, HAND), (Role.SLAVE, STATE)):
             if topic in batches:
                 self._lanes.draw(role, batches[topic])
-        for topic in LOGGED:
+        for topic in LOGGED_TOPICS:
             if topic in batches:
                 log_rows(self._sender, topic, batches[topic])
                 shown += len(batches[topic])
@@ -135,7 +135,9 @@ class Scene:
 
     def _profile_rows(self, batches: Mapping[AnyTopic, Rows]) -> Iterator[tuple[int, Rows]]:
         """Yield each tendon with its tension profiles, at the rate of the display."""
-        for tendon, rows in split(batches[PROFILE], "tendon").items() if PROFILE in batches else ():
+        for tendon, rows in (
+            split_rows(batches[PROFILE], "tendon").items() if PROFILE in batches else ()
+        ):
             yield tendon, self._thinned(rows, self._config.rate_hz.profile)
 
     def stretch(self, factor: float) -> None:

@@ -9,14 +9,14 @@ import rerun.blueprint as rrb
 
 from estimator.array_types import Array
 from teleop.errors import UsageError
-from teleop.runtime.output_file import replacing
+from teleop.runtime.output_file import replace_file
 
 APPLICATION = "teleop"
 TIMELINE = "time"
 WIDTH = 1.5  # [points]
 
 
-class Curve(NamedTuple):
+class PlotCurve(NamedTuple):
     """One line of a panel."""
 
     name: str
@@ -25,14 +25,14 @@ class Curve(NamedTuple):
     values: Array  # shape (n,)
 
 
-class Panel(NamedTuple):
+class PlotPanel(NamedTuple):
     """Curves with one axis."""
 
     title: str  # with its unit
-    curves: tuple[Curve, ...]
+    curves: tuple[PlotCurve, ...]
 
 
-def save(path: Path, name: str, columns: Sequence[Sequence[Panel]]) -> None:
+def save(path: Path, name: str, columns: Sequence[Sequence[PlotPanel]]) -> None:
     """Write panels, side by side in columns, as a Rerun file.
 
     Parameters
@@ -50,15 +50,15 @@ def save(path: Path, name: str, columns: Sequence[Sequence[Panel]]) -> None:
         If the file cannot be written.
     """
     try:
-        with replacing(path) as partial:
+        with replace_file(path) as partial:
             with partial.open("wb"):
                 pass
-            _save(partial, name, columns)
+            _write_panels(partial, name, columns)
     except OSError as error:
         raise UsageError(f"{path}: cannot be written: {error.strerror}") from error
 
 
-def _save(path: Path, name: str, columns: Sequence[Sequence[Panel]]) -> None:
+def _write_panels(path: Path, name: str, columns: Sequence[Sequence[PlotPanel]]) -> None:
     views = []
     with rr.RecordingStream(APPLICATION) as stream:
         stream.set_sinks(rr.FileSink(path))
@@ -67,13 +67,13 @@ def _save(path: Path, name: str, columns: Sequence[Sequence[Panel]]) -> None:
             for j, panel in enumerate(panels):
                 views.append((i, rrb.TimeSeriesView(origin=f"{i}/{j}", name=panel.title)))
                 for k, curve in enumerate(panel.curves):
-                    _send(stream, f"{i}/{j}/{k}", curve)
-        stream.send_blueprint(_layout(views, len(columns)))
+                    _send_curve(stream, f"{i}/{j}/{k}", curve)
+        stream.send_blueprint(_build_layout(views, len(columns)))
         stream.flush()
         stream.disconnect()
 
 
-def _send(stream: rr.RecordingStream, path: str, curve: Curve) -> None:
+def _send_curve(stream: rr.RecordingStream, path: str, curve: PlotCurve) -> None:
     line = rr.SeriesLines(colors=curve.colour, widths=WIDTH, names=curve.name)
     stream.log(path, line, static=True)
     stream.send_columns(
@@ -83,7 +83,7 @@ def _send(stream: rr.RecordingStream, path: str, curve: Curve) -> None:
     )
 
 
-def _layout(views: list[tuple[int, rrb.TimeSeriesView]], columns: int) -> rrb.Blueprint:
+def _build_layout(views: list[tuple[int, rrb.TimeSeriesView]], columns: int) -> rrb.Blueprint:
     stacks = [rrb.Vertical(*(view for i, view in views if i == n)) for n in range(columns)]
     return rrb.Blueprint(
         rrb.Horizontal(*stacks),

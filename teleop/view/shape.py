@@ -17,7 +17,7 @@ class CentreLine(NamedTuple):
     aside: Array  # unit vector, across it, in the plane of the last bend
 
 
-def centreline(
+def compute_centreline(
     length: Array,
     radius: Array,
     s: Array,
@@ -51,7 +51,7 @@ def centreline(
     frame = np.eye(3)  # rows: along the sheath, to the left, up
     for k, (l_k, r_k) in enumerate(zip(length, radius, strict=True)):
         if k < len(planes):
-            frame = _turned(planes[k], 0) @ frame
+            frame = _build_rotation(planes[k], 0) @ frame
         curvature = 1.0 / r_k if math.isfinite(r_k) and r_k != 0.0 else 0.0
         rise = 0.0
         if abs(l_k * curvature) > 2 * math.pi:
@@ -59,14 +59,16 @@ def centreline(
         inside = s >= begin
         if k < len(length) - 1:
             inside &= s < begin + l_k
-        points[inside] = position + _along(s[inside] - begin, curvature, rise) @ frame
-        position = position + _along(np.array([l_k]), curvature, rise)[0] @ frame
-        frame = _turned(l_k * curvature, 2) @ frame
+        points[inside] = (
+            position + _compute_section_path(s[inside] - begin, curvature, rise) @ frame
+        )
+        position = position + _compute_section_path(np.array([l_k]), curvature, rise)[0] @ frame
+        frame = _build_rotation(l_k * curvature, 2) @ frame
         begin += l_k
     return CentreLine(points, frame[0], frame[1])
 
 
-def _along(d: Array, curvature: float, rise: float) -> Array:
+def _compute_section_path(d: Array, curvature: float, rise: float) -> Array:
     """Return the way travelled [m] after arc length `d` of one section, in the frame it began with.
 
     `rise` is the climb across the plane for a way of 1.
@@ -78,7 +80,7 @@ def _along(d: Array, curvature: float, rise: float) -> Array:
     return np.stack([flat * x, flat * y, rise * d], axis=1)
 
 
-def _turned(angle: float, axis: int) -> Array:
+def _build_rotation(angle: float, axis: int) -> Array:
     """Return the rows of a frame turned about its own row `axis`."""
     turned = np.eye(3)
     i, k = (axis + 1) % 3, (axis + 2) % 3

@@ -2,10 +2,10 @@
 
 from estimator.array_types import Array
 from teleop.messages.messages import PROFILE_POINTS
-from teleop.view.band import friction_along
+from teleop.view.band import compute_friction_profile
 from teleop.view.batch import Rows
 from teleop.view.config import ViewConfig
-from teleop.view.stage import Shape, Stage, stage
+from teleop.view.stage import Shape, Stage, build_stage
 
 
 class Sheaths:
@@ -28,10 +28,10 @@ class Sheaths:
             shape = Shape(int(row["joint"]), tuple(length.tolist()), tuple(radius.tolist()))
             self.shapes[tendon] = shape
             K = float(row["effective_friction"])
-            self.friction[tendon] = friction_along(length, radius, K, PROFILE_POINTS)
+            self.friction[tendon] = compute_friction_profile(length, radius, K, PROFILE_POINTS)
         if self.shapes == before:
             return False
-        self.stage = stage(self.shapes, self._config)
+        self.stage = build_stage(self.shapes, self._config)
         return True
 
     @property

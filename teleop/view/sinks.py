@@ -19,10 +19,10 @@ from teleop.errors import UsageError
 from teleop.runtime.process import has_display
 from teleop.runtime.scratch_folder import ScratchFolder
 from teleop.view.config import ViewConfig
-from teleop.view.layouts import blueprint
+from teleop.view.layouts import build_blueprint
 from teleop.view.page import Page
-from teleop.view.ports import WEB_VIEW, held_port
-from teleop.view.rrd import Blocks, RrdError, split_block
+from teleop.view.ports import WEB_VIEW, take_held_port
+from teleop.view.rrd import BlockBuffer, RrdError, split_block
 from teleop.view.viewer_process import Window, read_viewer_files
 
 APPLICATION = "teleop"
@@ -58,10 +58,10 @@ class Sink:
     ) -> None:
         self.lines: list[str] = []
         self._config = config
-        self.file = _new_file(config, session) if mode == "rrd" and out is None else out
+        self.file = _build_file_path(config, session) if mode == "rrd" and out is None else out
         self._window: Window | None = None
         self._page: Page | None = None
-        self._blocks: Blocks | None = None
+        self._blocks: BlockBuffer | None = None
         self._encoded: rr.BinaryStream | None = None
         self._joints: Mapping[int, Sequence[int]] = {}  # as laid out
         self._layouts = 0  # sent
@@ -98,7 +98,7 @@ class Sink:
         if self.stream is not None and joints != self._joints:
             self._joints = joints
             self._layouts += 1
-            self.stream.send_blueprint(blueprint(self._config, joints))
+            self.stream.send_blueprint(build_blueprint(self._config, joints))
 
     def follow(self, newest_ns: Callable[[], int], show_panel: Callable[[], None]) -> None:
         """Let pages compare what they show with the newest stamp [ns] that was sent.
@@ -147,14 +147,14 @@ class Sink:
             sinks.append(self._encoded)
         if self.file is not None:
             sinks.append(self._open_file(self.file))
-        stream.set_sinks(*sinks, default_blueprint=blueprint(self._config, {}))
+        stream.set_sinks(*sinks, default_blueprint=build_blueprint(self._config, {}))
         stream.send_recording_name(session)
         self.stream = stream
 
     def _light_layout(self) -> bytes:
         """Return the layout `surgeon`, encoded, and let what it shows be sent."""
         self._show_panel()
-        light = blueprint(replace(self._config, layout="surgeon"), self._joints)
+        light = build_blueprint(replace(self._config, layout="surgeon"), self._joints)
         with ScratchFolder() as folder:
             path = Path(folder) / "light.rbl"
             light.save(APPLICATION, path)
@@ -172,14 +172,14 @@ class Sink:
         config = self._config
         # a recording is kept as far as a page can
         limit_mb = config.server_memory_mb if live else config.page_memory_mb
-        self._blocks = blocks = Blocks(limit_mb * 1_000_000)
+        self._blocks = blocks = BlockBuffer(limit_mb * 1_000_000)
         if saved is not None:
             try:
                 for block in split_block(saved.read_bytes(), _BLOCK):
                     blocks.add(block)
             except RrdError as error:
                 raise UsageError(f"{saved}: is no Rerun file that can be shown: {error}") from error
-        port, secret = held_port() or (config.web_port, "")
+        port, secret = take_held_port() or (config.web_port, "")
         page = Page(port, secret, read_viewer_files(), blocks, config.page_memory_mb)
         stack.callback(lambda: page.close(self.ended))
         self._page = page
@@ -197,6 +197,6 @@ class Sink:
         return rr.FileSink(path, write_footer=False)
 
 
-def _new_file(config: ViewConfig, session: str) -> Path:
+def _build_file_path(config: ViewConfig, session: str) -> Path:
     moment = datetime.now().astimezone().strftime("%Y%m%d-%H%M%S")
     return Path(config.directory) / f"{session}-{moment}.rrd"

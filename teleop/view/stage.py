@@ -13,7 +13,7 @@ import numpy as np
 from estimator.array_types import Array
 from teleop.messages.messages import PROFILE_POINTS
 from teleop.view.config import ViewConfig
-from teleop.view.shape import centreline
+from teleop.view.shape import compute_centreline
 
 SEGMENTS = PROFILE_POINTS - 1
 PIECES = 4  # straight pieces drawn for each segment of one colour
@@ -21,13 +21,13 @@ _CELL_GAP = 0.08  # between two joints
 _TIP_GAP = 0.05  # from sheath to joint
 EYE = (0.0, -0.8, 0.78)  # where the scene is seen from, in spans from its centre
 RIGHT, UP = np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.78, 0.8]) / math.hypot(0.78, 0.8)
-_WIDE = 1.5  # the view's width over its height, a margin taken off
+_VIEW_ASPECT = 1.5  # the view's width over its height, a margin taken off
 _FIT_ITERATIONS = 12  # of fitting the scene into the view
-_SCALE_TALL, _SCALE_ASIDE = 0.5, 0.16  # the colour scale's height, and its place from the rest
-_TURN = np.linspace(-1.0, 1.3, 4)  # [rad] within which a lever must be seen
-_LEVER = 0.16  # a joint's link and the hand's handle
+_SCALE_HEIGHT, _SCALE_OFFSET = 0.5, 0.16  # the colour scale's height, and its place from the rest
+_LEVER_ANGLES = np.linspace(-1.0, 1.3, 4)  # [rad] within which a lever must be seen
+_LEVER_LENGTH = 0.16  # a joint's link and the hand's handle
 ARROW = 0.25  # of the force at the end of its scale
-_LABEL_FAR, _LABEL_PLACES = 0.14, 24  # of the number beside it: distance, and places tried
+_LABEL_DISTANCE, _LABEL_PLACES = 0.14, 24  # of the number beside it: distance, and places tried
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,12 +77,12 @@ class Stage:
     legend_up: Array  # from its foot to its top
 
 
-def stage(shapes: Mapping[int, Shape], config: ViewConfig) -> Stage:
+def build_stage(shapes: Mapping[int, Shape], config: ViewConfig) -> Stage:
     """Return the positions of sheaths, joints and hand."""
     total = {t: float(sum(shape.length)) for t, shape in shapes.items()}
     gap = 0.05 * max(total.values())
     bare = {
-        tendon: centreline(
+        tendon: compute_centreline(
             np.array(shape.length),
             np.array(shape.radius),
             np.linspace(0.0, total[tendon], SEGMENTS * PIECES + 1),
@@ -93,7 +93,7 @@ def stage(shapes: Mapping[int, Shape], config: ViewConfig) -> Stage:
     }
     cloud = np.concatenate([line.points for line in bare.values()])
     size = float(np.ptp(cloud, axis=0).max())
-    across = _least_run(cloud)
+    across = _find_least_extent_axis(cloud)
     lines: dict[int, Array] = {}
     levers: dict[int, Lever] = {}
     hands: dict[int, Lever] = {}
@@ -103,12 +103,16 @@ def stage(shapes: Mapping[int, Shape], config: ViewConfig) -> Stage:
         for place, tendon in enumerate(own):
             lines[tendon] = bare[tendon].points + place * config.tendon_spacing * size * across
         ends = [(lines[tendon][-1], bare[tendon].along, bare[tendon].aside) for tendon in own]
-        levers[joint] = _joint(ends, size, config)
-        hands[joint] = _hand([lines[tendon][0] for tendon in own], size, config)
+        levers[joint] = _build_joint_lever(ends, size, config)
+        hands[joint] = _build_hand_lever([lines[tendon][0] for tendon in own], size, config)
         drawn[joint] = np.concatenate(
-            [*(lines[tendon] for tendon in own), _reach(levers[joint], -1), _reach(hands[joint], 1)]
+            [
+                *(lines[tendon] for tendon in own),
+                _compute_reach(levers[joint], -1),
+                _compute_reach(hands[joint], 1),
+            ]
         )
-    for joint, offset in _cells(drawn, size).items():
+    for joint, offset in _compute_cell_offsets(drawn, size).items():
         drawn[joint] = drawn[joint] + offset
         levers[joint] = replace(levers[joint], pivot=levers[joint].pivot + offset)
         hands[joint] = replace(hands[joint], pivot=hands[joint].pivot + offset)
@@ -117,8 +121,8 @@ def stage(shapes: Mapping[int, Shape], config: ViewConfig) -> Stage:
     still = np.concatenate([*lines.values(), *(h.pivot[None] for h in hands.values())])
     for each, sign in ((levers, -1.0), (hands, 1.0)):
         for joint, lever in each.items():
-            each[joint] = replace(lever, label=_clear_offset(lever, sign, still, size))
-    centre, span, right, tall = _framed(np.concatenate(list(drawn.values())))
+            each[joint] = replace(lever, label=_find_clear_offset(lever, sign, still, size))
+    centre, span, right, tall = _fit_frame(np.concatenate(list(drawn.values())))
     return Stage(
         size,
         span,
@@ -126,12 +130,12 @@ def stage(shapes: Mapping[int, Shape], config: ViewConfig) -> Stage:
         lines,
         levers,
         hands,
-        legend=centre + span * (right * RIGHT - _SCALE_TALL * tall / 2 * UP),
-        legend_up=span * _SCALE_TALL * tall * UP,
+        legend=centre + span * (right * RIGHT - _SCALE_HEIGHT * tall / 2 * UP),
+        legend_up=span * _SCALE_HEIGHT * tall * UP,
     )
 
 
-def _cells(drawn: Mapping[int, Array], size: float) -> dict[int, Array]:
+def _compute_cell_offsets(drawn: Mapping[int, Array], size: float) -> dict[int, Array]:
     """Return the offsets of the joints in rows and columns, the first on top.
 
     All cells are as large as the largest; there are as many columns as let them be drawn largest.
@@ -141,7 +145,7 @@ def _cells(drawn: Mapping[int, Array], size: float) -> dict[int, Array]:
     wide, tall = np.max([high[j] - low[j] for j in drawn], axis=0) + _CELL_GAP * size
     count = len(drawn)
     columns = min(
-        range(1, count + 1), key=lambda n: max(n * wide, math.ceil(count / n) * tall * _WIDE)
+        range(1, count + 1), key=lambda n: max(n * wide, math.ceil(count / n) * tall * _VIEW_ASPECT)
     )
     offsets = {}
     for place, joint in enumerate(drawn):
@@ -151,14 +155,14 @@ def _cells(drawn: Mapping[int, Array], size: float) -> dict[int, Array]:
     return offsets
 
 
-def _reach(lever: Lever, sign: float) -> Array:
+def _compute_reach(lever: Lever, sign: float) -> Array:
     """Return points that a lever and the arrow at its end reach."""
-    travel = lever.radius * _TURN
-    arrows = sign * ARROW / _LEVER * lever.length * lever.onward(travel)
+    travel = lever.radius * _LEVER_ANGLES
+    arrows = sign * ARROW / _LEVER_LENGTH * lever.length * lever.onward(travel)
     return np.concatenate([lever.pivot[None], lever.tip(travel), lever.tip(travel) + arrows])
 
 
-def _clear_offset(lever: Lever, sign: float, still: Array, size: float) -> Array:
+def _find_clear_offset(lever: Lever, sign: float, still: Array, size: float) -> Array:
     """Return where a number beside a lever's far end is clearest of what is drawn.
 
     Of places around the end, the one whose nearest drawn point, as seen from the eye and at any
@@ -176,10 +180,12 @@ def _clear_offset(lever: Lever, sign: float, still: Array, size: float) -> Array
     """
     flat = np.array([0.5 * RIGHT, UP])
     angles = np.linspace(0.0, 2 * np.pi, _LABEL_PLACES, endpoint=False)
-    offsets = _LABEL_FAR * size * (np.outer(np.cos(angles), RIGHT) + np.outer(np.sin(angles), UP))
+    offsets = (
+        _LABEL_DISTANCE * size * (np.outer(np.cos(angles), RIGHT) + np.outer(np.sin(angles), UP))
+    )
     clear = np.full(len(offsets), np.inf)
     along = np.linspace(0.0, 1.0, 9)[:, None]
-    for travel in lever.radius * _TURN:
+    for travel in lever.radius * _LEVER_ANGLES:
         at = np.array([travel])
         end, onward = lever.tip(at)[0], sign * lever.onward(at)[0]
         link = lever.pivot + along * (end - lever.pivot)
@@ -192,7 +198,7 @@ def _clear_offset(lever: Lever, sign: float, still: Array, size: float) -> Array
     return chosen
 
 
-def _framed(drawn: Array) -> tuple[Array, float, float, float]:
+def _fit_frame(drawn: Array) -> tuple[Array, float, float, float]:
     """Return centre and span [m] with which all points fit into the view, as seen from the eye.
 
     Also the right edge and the height of what is drawn, in spans. What is nearer looks larger, so
@@ -205,33 +211,35 @@ def _framed(drawn: Array) -> tuple[Array, float, float, float]:
         place = (drawn - centre) / span
         place *= far / np.maximum(far + place @ forward, 0.2 * far)[:, None]
         x, y = place @ RIGHT, place @ UP
-        left, right, tall = float(x.min()), float(x.max()) + _SCALE_ASIDE, float(np.ptp(y))
+        left, right, tall = float(x.min()), float(x.max()) + _SCALE_OFFSET, float(np.ptp(y))
         centre = centre + span * ((left + right) / 2 * RIGHT + (y.min() + y.max()) / 2 * UP)
         right -= (left + right) / 2
-        span *= max((right * 2) / _WIDE, tall)
+        span *= max((right * 2) / _VIEW_ASPECT, tall)
     return centre, span, right, tall
 
 
-def _joint(ends: list[tuple[Array, Array, Array]], size: float, config: ViewConfig) -> Lever:
+def _build_joint_lever(
+    ends: list[tuple[Array, Array, Array]], size: float, config: ViewConfig
+) -> Lever:
     points, along, aside = (np.mean([end[k] for end in ends], axis=0) for k in range(3))
     pivot = points + _TIP_GAP * size * along
-    return Lever(pivot, along, aside, _LEVER * size, config.joint_radius_m)
+    return Lever(pivot, along, aside, _LEVER_LENGTH * size, config.joint_radius_m)
 
 
-def _hand(points: list[Array], size: float, config: ViewConfig) -> Lever:
+def _build_hand_lever(points: list[Array], size: float, config: ViewConfig) -> Lever:
     back, left = np.array([-1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0])
     pivot = np.mean(points, axis=0) + _TIP_GAP * size * back
-    return Lever(pivot, left, -back, _LEVER * size, config.hand_radius_m)
+    return Lever(pivot, left, -back, _LEVER_LENGTH * size, config.hand_radius_m)
 
 
-def _least_run(cloud: Array) -> Array:
+def _find_least_extent_axis(cloud: Array) -> Array:
     """Return the unit vector along which the sheaths extend least; up if they lie flat."""
     spread = np.cov(cloud.T) + np.diag([0.0, 1e-6, 0.0]) * np.var(cloud)
     axis: Array = np.linalg.eigh(spread)[1][:, 0]
     return -axis if axis[np.abs(axis).argmax()] < 0 else axis
 
 
-def from_z(directions: Array) -> Array:
+def compute_rotations_from_z(directions: Array) -> Array:
     """Return quaternions (x, y, z, w) that turn the z axis into each direction, shape (n, 4)."""
     x, y, z = (directions / np.linalg.norm(directions, axis=1, keepdims=True)).T
     turned = np.stack([-y, x, np.zeros_like(x), 1.0 + z], axis=1)

@@ -3,16 +3,20 @@
 from collections.abc import Mapping
 from typing import NamedTuple
 
-from teleop.messages.topics import Role, role_name
+from teleop.messages.topics import Role, format_role
 from teleop.session.state_machine import Reason, State
-from teleop.session.summary import FROM_PEER
+from teleop.session.summary import PEER_REASONS
 
 # the first of these that a side is in is that of the session
-_RANK = (
+_SEVERITY_ORDER = (
     State.STOPPED, State.FAULT, State.HOLDING, State.OFF, State.READY, State.CLUTCHED,
     State.ENGAGED,
 )  # fmt: skip
-_SERIOUS = {State.STOPPED, State.FAULT, State.HOLDING}  # shown even if the peer sends nothing
+_SERIOUS_STATES = {
+    State.STOPPED,
+    State.FAULT,
+    State.HOLDING,
+}  # shown even if the peer sends nothing
 _REASONS = {int(reason): reason for reason in Reason}
 NO_DATA = "no data"
 NO_LINK = "none"
@@ -26,26 +30,26 @@ class Banner(NamedTuple):
     reason: str = ""
 
 
-def banner(sides: Mapping[Role, tuple[int, int]]) -> Banner:
+def build_banner(sides: Mapping[Role, tuple[int, int]]) -> Banner:
     """Return the state of the session from each side's state and reason.
 
     It is the most severe of the two, so it is engaged only if both are. Of two sides in that state
     the one whose reason is its own is quoted. Its peer has its name: who watches sees both sides.
     """
     states = {role: State(number) for role, (number, _) in sides.items()}
-    serious = any(state in _SERIOUS for state in states.values())
+    serious = any(state in _SERIOUS_STATES for state in states.values())
     if set(sides) != {Role.MASTER, Role.SLAVE} and not serious:
-        missing = [role_name(role) for role in (Role.MASTER, Role.SLAVE) if role not in sides]
+        missing = [format_role(role) for role in (Role.MASTER, Role.SLAVE) if role not in sides]
         return Banner("off", f"waiting for the {' and the '.join(missing)}")
-    worst = min(states.values(), key=_RANK.index)
+    worst = min(states.values(), key=_SEVERITY_ORDER.index)
     reasons = [
         (role, _REASONS.get(sides[role][1], Reason.UNKNOWN))
         for role, state in states.items()
         if state is worst
     ]
-    own = [(role, reason) for role, reason in reasons if reason not in FROM_PEER]
+    own = [(role, reason) for role, reason in reasons if reason not in PEER_REASONS]
     role, reason = (own or reasons)[0]
-    peer = role_name(Role.SLAVE if role is Role.MASTER else Role.MASTER)
+    peer = format_role(Role.SLAVE if role is Role.MASTER else Role.MASTER)
     text = "" if reason is Reason.NONE else reason.text.replace("peer", peer)
     return Banner(worst.name.lower(), text)
 
@@ -65,7 +69,7 @@ class LinkQuality(NamedTuple):
     latency_ms: float | None  # median, command to force; None if not known
 
 
-def link_quality(
+def compute_link_quality(
     before: Mapping[Role, LinkCounts],
     now: Mapping[Role, LinkCounts],
     latency_ms: float | None,

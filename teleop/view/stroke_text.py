@@ -8,9 +8,15 @@ import numpy as np
 
 from estimator.array_types import Array
 
-_TALL, _ADVANCE = 6.0, 5.8  # height of a capital, and from one glyph to the next [grid units]
+_CAPITAL_HEIGHT, _GLYPH_ADVANCE = (
+    6.0,
+    5.8,
+)  # height of a capital, and from one glyph to the next [grid units]
 _SPACE = 3.6
-_NARROW, _NARROWER = ".,:;'", 3.0  # marks that need less room, and how much [grid units]
+_NARROW_MARKS, _NARROW_REDUCTION = (
+    ".,:;'",
+    3.0,
+)  # marks that need less room, and how much [grid units]
 STROKE = 0.085  # radius of a stroke, of the height of a capital
 _GLYPHS = {
     "A": "06 01 10 30 41 46, 03 43", "B": "06 00 30 41 42 33 03, 33 44 45 36 06",
@@ -33,7 +39,7 @@ _GLYPHS = {
 _UNKNOWN = "00 40 46 06 00"
 
 
-def _parse(glyph: str) -> list[Array]:
+def _parse_glyph(glyph: str) -> list[Array]:
     """Return the glyph's straight pieces: the ends of a strip are round, its corners are not."""
     strokes = [
         np.array([[float(digit) for digit in point] for point in stroke.split()])
@@ -42,17 +48,17 @@ def _parse(glyph: str) -> list[Array]:
     return [stroke[k : k + 2] for stroke in strokes for k in range(len(stroke) - 1)]
 
 
-_STROKES = {letter: _parse(glyph) for letter, glyph in _GLYPHS.items()}
-_BOX = _parse(_UNKNOWN)
+_STROKES = {letter: _parse_glyph(glyph) for letter, glyph in _GLYPHS.items()}
+_BOX = _parse_glyph(_UNKNOWN)
 
 
-def text_width(text: str, height: float) -> float:
+def compute_text_width(text: str, height: float) -> float:
     """Return the width of `text` in capitals of `height`."""
-    advance = sum(map(_advance, text))
-    return max(0.0, advance - (_ADVANCE - 4.0)) * height / _TALL
+    advance = sum(map(_compute_advance, text))
+    return max(0.0, advance - (_GLYPH_ADVANCE - 4.0)) * height / _CAPITAL_HEIGHT
 
 
-def text_strips(text: str, left: float, top: float, height: float) -> list[Array]:
+def build_text_strips(text: str, left: float, top: float, height: float) -> list[Array]:
     """Return `text`, in capitals, as line strips of shape (points, 2).
 
     Parameters
@@ -64,24 +70,24 @@ def text_strips(text: str, left: float, top: float, height: float) -> list[Array
     height : float
         Of a capital.
     """
-    scale, strips, x = height / _TALL, [], 0.0
+    scale, strips, x = height / _CAPITAL_HEIGHT, [], 0.0
     for letter in text.upper():
         if letter != " ":
-            begin = x - _NARROWER / 2 if letter in _NARROW else x
+            begin = x - _NARROW_REDUCTION / 2 if letter in _NARROW_MARKS else x
             corner = np.array([left + scale * begin, top])
             strips += [corner + scale * stroke for stroke in _STROKES.get(letter, _BOX)]
-        x += _advance(letter)
+        x += _compute_advance(letter)
     return strips
 
 
-def _advance(letter: str) -> float:
+def _compute_advance(letter: str) -> float:
     """Return the distance from a character to the next [grid units]."""
     if letter == " ":
         return _SPACE
-    return _ADVANCE - _NARROWER if letter in _NARROW else _ADVANCE
+    return _GLYPH_ADVANCE - _NARROW_REDUCTION if letter in _NARROW_MARKS else _GLYPH_ADVANCE
 
 
-def fitted_height(text: str, width: float, height: float) -> float:
+def fit_height(text: str, width: float, height: float) -> float:
     """Return the largest height of capitals up to `height` at which `text` is at most `width`."""
-    wide = text_width(text, height)
+    wide = compute_text_width(text, height)
     return height if wide <= width else height * width / wide

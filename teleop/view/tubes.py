@@ -6,14 +6,14 @@ from numpy.typing import NDArray
 
 from estimator.array_types import Array
 from teleop.view.batch import Rows
-from teleop.view.colours import FRONT, rgba
-from teleop.view.columns import columns
+from teleop.view.colours import FRONT, to_rgba
+from teleop.view.columns import build_columns
 from teleop.view.config import ViewConfig
 from teleop.view.sender import Sender
 from teleop.view.sheaths import Sheaths
-from teleop.view.stage import PIECES, SEGMENTS, from_z
+from teleop.view.stage import PIECES, SEGMENTS, compute_rotations_from_z
 
-_STUCK = 0.5  # radius where the tendon sticks, of that where it slides
+_STICKING_WIDTH = 0.5  # radius where the tendon sticks, of that where it slides
 
 
 class Tubes:
@@ -36,7 +36,7 @@ class Tubes:
             tube = rr.Capsules3D(
                 translations=knots[:-1],
                 lengths=np.linalg.norm(steps, axis=1),
-                quaternions=from_z(steps),
+                quaternions=compute_rotations_from_z(steps),
                 fill_mode="solid",
             )
             self._sender.static(f"scene/tendon_{tendon}/tube", tube)
@@ -50,18 +50,20 @@ class Tubes:
             return
         tension, length, front = rows["tension"], rows["length"], rows["front"]
         middle = (tension[:, 1:] + tension[:, :-1]) / 2
-        colours = rgba(middle, self._config.tension_scale_N).ravel()
-        slides = sliding(front, length)
+        colours = to_rgba(middle, self._config.tension_scale_N).ravel()
+        slides = find_sliding_segments(front, length)
         radius = self._config.tube_radius * stage.size
-        radii = np.where(slides, radius, _STUCK * radius).astype(np.float32).ravel()
+        radii = np.where(slides, radius, _STICKING_WIDTH * radius).astype(np.float32).ravel()
         known = np.isfinite(front)
-        at = along(stage.lines[tendon], (front / length)[known])
-        tube = columns(rr.Capsules3D, np.full(len(rows), SEGMENTS), colors=colours, radii=radii)
-        tube += columns(rr.Points3D, known, positions=at)
+        at = interpolate_line(stage.lines[tendon], (front / length)[known])
+        tube = build_columns(
+            rr.Capsules3D, np.full(len(rows), SEGMENTS), colors=colours, radii=radii
+        )
+        tube += build_columns(rr.Points3D, known, positions=at)
         self._sender.columns(f"scene/tendon_{tendon}/tube", rows, tube)
 
 
-def sliding(front: Array, length: Array) -> NDArray[np.bool_]:
+def find_sliding_segments(front: Array, length: Array) -> NDArray[np.bool_]:
     """Return for each segment of the profile whether its tendon slides: those before X'.
 
     The newest movement has got as far as X'; beyond it friction still holds what the last one
@@ -72,7 +74,7 @@ def sliding(front: Array, length: Array) -> NDArray[np.bool_]:
     return slides
 
 
-def along(line: Array, place: Array) -> Array:
+def interpolate_line(line: Array, place: Array) -> Array:
     """Return the points of a line at `place`, 0 at its start and 1 at its end."""
     whole = np.linspace(0.0, 1.0, len(line))
     return np.stack([np.interp(place, whole, line[:, k]) for k in range(3)], axis=1)

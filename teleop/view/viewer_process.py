@@ -31,12 +31,12 @@ from teleop.runtime.process import die_with_parent
 from teleop.runtime.scratch_folder import ScratchFolder
 from teleop.view.local_server import is_own_connection
 from teleop.view.page import VIEWER_FILES
-from teleop.view.ports import LOOPBACK, free_port
-from teleop.view.rrd import RrdError, split_messages, stream_header
+from teleop.view.ports import LOOPBACK, find_free_port
+from teleop.view.rrd import RrdError, read_stream_header, split_messages
 
 _START_S = 20.0
 _END_S = 1.0
-_STUCK_S = 1.5  # for which a block is on its way into the window
+_WRITE_TIMEOUT_S = 1.5  # for which a block is on its way into the window
 _NEW_USER, _NEW_NETWORK = 0x10000000, 0x40000000  # namespaces, of unshare(2)
 _OPEN_PORT = "; other users of this machine can reach it: --view web keeps them out"
 
@@ -64,7 +64,7 @@ class ViewerProcess:
         self._folder = ScratchFolder()
         folder = Path(self._folder.name)
         self._log = folder / "viewer.log"
-        silence(folder)
+        disable_usage_statistics(folder)
 
         def begin() -> None:
             die_with_parent(parent, signal.SIGKILL)  # a stopped one would not end otherwise
@@ -73,7 +73,7 @@ class ViewerProcess:
         try:
             with self._log.open("wb") as log:
                 self.process = subprocess.Popen(
-                    [str(program()), "--bind", LOOPBACK, *arguments],
+                    [str(find_program()), "--bind", LOOPBACK, *arguments],
                     stdin=stdin,
                     stdout=log,
                     stderr=subprocess.STDOUT,
@@ -166,7 +166,7 @@ class Window:
     def stuck(self) -> bool:
         """Return whether it gets no more data: it stopped accepting it, or a block was damaged."""
         since = self._since
-        is_late = since is not None and time.monotonic() - since > _STUCK_S
+        is_late = since is not None and time.monotonic() - since > _WRITE_TIMEOUT_S
         return self.running() and (self._failed or is_late)
 
     def _feed(self) -> None:
@@ -177,7 +177,7 @@ class Window:
             while True:
                 block = self._blocks.get()
                 if not header:
-                    header = stream_header(block)
+                    header = read_stream_header(block)
                     pipe.write(header)
                 for message in split_messages(block):
                     self._since = time.monotonic()
@@ -218,13 +218,13 @@ def read_viewer_files() -> dict[str, bytes]:
     TeleopError
         The program does not start, or does not send them.
     """
-    port = free_port(0)
+    port = find_free_port(0)
     arguments = ["--port", "auto", "--serve-web", "--web-viewer-port", str(port)]
     with ViewerProcess(arguments) as viewer:
         end = time.monotonic() + _START_S
         while viewer.running() and time.monotonic() < end:
             try:
-                return {name: _read(port, path) for name, (path, _) in VIEWER_FILES.items()}
+                return {name: _fetch_file(port, path) for name, (path, _) in VIEWER_FILES.items()}
             except ConnectionRefusedError:
                 time.sleep(0.02)
             except (OSError, http.client.HTTPException) as error:
@@ -232,7 +232,7 @@ def read_viewer_files() -> dict[str, bytes]:
         raise viewer.failure()
 
 
-def _read(port: int, path: str) -> bytes:
+def _fetch_file(port: int, path: str) -> bytes:
     """Return a file that our program serves, and nobody else who took its port."""
     connection = http.client.HTTPConnection(LOOPBACK, port, timeout=_START_S)
     try:
@@ -248,7 +248,7 @@ def _read(port: int, path: str) -> bytes:
         connection.close()
 
 
-def program() -> Path:
+def find_program() -> Path:
     """Return the path of the viewer program that comes with `rerun-sdk`."""
     name = "rerun.exe" if sys.platform == "win32" else "rerun"
     path = Path(rerun_cli.__file__).parent / name
@@ -257,7 +257,7 @@ def program() -> Path:
     return path
 
 
-def silence(config_home: Path) -> None:
+def disable_usage_statistics(config_home: Path) -> None:
     """Write a Rerun config into a folder that says: no usage statistics."""
     path = config_home / "rerun" / "analytics.json"
     path.parent.mkdir(parents=True, exist_ok=True)

@@ -19,21 +19,21 @@ from durand.datatypes import DatatypeEnum
 
 from slave.drivers import configs
 from slave.drivers.cia402 import bus
-from slave.drivers.cia402.bus_load import LOAD_MAX, bus_load, frame_bits
+from slave.drivers.cia402.bus_load import LOAD_MAX, compute_bus_load, compute_frame_bits
 from slave.drivers.cia402.config import BusConfig, Cia402Config
-from slave.drivers.cia402.emergency import emergency_text
-from slave.drivers.cia402.set_up import NodeSetUp
+from slave.drivers.cia402.emergency import format_emergency
+from slave.drivers.cia402.set_up import NodeSetup
 from slave.drivers.cia402.state_machine import (
-    Control,
+    ControlWord,
     DriveState,
     RequestedState,
-    control_word,
-    drive_state,
+    decode_drive_state,
+    select_control_word,
 )
 from slave.drivers.driver import DriverFault
 from slave.rig import RigFault
 from slave.rigs.hardware import HardwareRig
-from slave.warm_up import prepare
+from slave.warm_up import compile_session
 from teleop.remote.requests import CALL
 from teleop.session.state_machine import Reason, State
 from tests.drivers.bench import engage, follow, opened, read_for, read_some, rig_config, wait_until
@@ -70,30 +70,30 @@ def moving(drives):
 
 
 def test_every_status_word_has_one_state():
-    found = {drive_state(word) for word in range(1 << 7)}
+    found = {decode_drive_state(word) for word in range(1 << 7)}
     assert found == set(DriveState)
     for state in DriveState:
-        assert drive_state(state.value[1] | 0x8600) is state  # other bits do not matter
+        assert decode_drive_state(state.value[1] | 0x8600) is state  # other bits do not matter
 
 
 def test_no_request_ever_resets_a_fault():
     for state in DriveState:
         for requested in RequestedState:
-            word = control_word(state, requested)
-            assert not word & Control.RESET_FAULT
+            word = select_control_word(state, requested)
+            assert not word & ControlWord.RESET_FAULT
             if state in (DriveState.FAULT, DriveState.FAULT_REACTION, DriveState.NOT_READY):
-                assert word == Control.DISABLE_VOLTAGE
+                assert word == ControlWord.DISABLE_VOLTAGE
             if requested is not RequestedState.MOVE:
-                assert word != Control.ENABLE_OPERATION
+                assert word != ControlWord.ENABLE_OPERATION
 
 
 @pytest.mark.parametrize(
     ("rate_hz", "fits"), [(1000.0, 3), (500.0, 7)]
 )  # with a cell at each drive, worst case of bit stuffing
 def test_the_bus_carries_as_many_drives_as_its_bits_allow(rate_hz, fits):
-    assert frame_bits(8) == 135
-    assert bus_load(1e6, rate_hz, fits, fits, fits, wide=False) <= LOAD_MAX
-    assert bus_load(1e6, rate_hz, fits + 1, fits + 1, fits + 1, wide=False) > LOAD_MAX
+    assert compute_frame_bits(8) == 135
+    assert compute_bus_load(1e6, rate_hz, fits, fits, fits, wide=False) <= LOAD_MAX
+    assert compute_bus_load(1e6, rate_hz, fits + 1, fits + 1, fits + 1, wide=False) > LOAD_MAX
 
 
 def test_a_bus_that_cannot_carry_the_drives_is_refused_before_it_is_opened():
@@ -110,7 +110,7 @@ def test_a_bus_that_cannot_carry_the_drives_is_refused_before_it_is_opened():
     [(0x8611, "following error (0x8611)"), (0x3299, "voltage"), (0x0042, "error 0x0042")],
 )
 def test_emergencies_are_in_words(code, said):
-    assert said in emergency_text(code)
+    assert said in format_emergency(code)
 
 
 def test_samples_come_in_order_and_drives_follow_from_where_they_are(drives):
@@ -276,7 +276,7 @@ def test_the_largest_limits_of_the_objects_are_accepted():
 )
 def test_a_value_that_does_not_fit_its_object_is_not_sent(size, value, signed):
     network = canopen.Network()  # not connected: whatever is sent raises another error
-    set_up = NodeSetUp(network, 3, Cia402Config())
+    set_up = NodeSetup(network, 3, Cia402Config())
     with pytest.raises(DriverFault, match=f"drive 3 object 607F:0: {value} does not fit"):
         set_up.put(0x607F, 0, size, value, signed=signed)
 
@@ -306,7 +306,7 @@ def test_an_emergency_stop_is_a_quick_stop_until_the_next_target(drives):
 @pytest.mark.parametrize("lost", [0, 1])
 def test_a_target_right_behind_an_emergency_stop_does_not_undo_it(drives, lost):
     for drive in drives.drives:
-        drive.lost = lost * [Control.QUICK_STOP]
+        drive.lost = lost * [ControlWord.QUICK_STOP]
     with opened_on(drives) as rig:
         start = engage(rig, moving(drives))
         rig.emergency_stop()
@@ -332,7 +332,7 @@ class Watched(Springs):
 
 
 def test_a_drive_that_is_enabled_late_makes_no_step_however_far_the_hand_has_moved(drives):
-    prepare(CONFIG, with_dynamics=False)
+    compile_session(CONFIG, with_dynamics=False)
     drives.plant = plant = Watched(2)
     drive = drives.drives[0]
     drive.enable_s, rate_hz = 0.5, 100.0
@@ -516,7 +516,7 @@ def test_a_bus_with_another_controller_is_refused_before_anything_is_sent(
 def test_heartbeats_of_nodes_and_their_values_are_no_controller():
     for identifier in (0x701, 0x181, 0x282, 0x81, 0x581):
         frame = can.Message(arbitration_id=identifier, data=b"\x05", is_extended_id=False)
-        assert bus.controller_text(frame, master=127) == ""
+        assert bus.identify_controller_frame(frame, master=127) == ""
 
 
 @pytest.mark.parametrize(

@@ -98,7 +98,7 @@ def torque(servos):
 
 def test_what_one_sync_read_brings_fits_the_indirect_addresses():
     assert registers.STATUS_SIZE <= 28
-    written = registers.INDIRECT_ADDRESSES.pack(registers.indirect_addresses())
+    written = registers.INDIRECT_ADDRESSES.pack(registers.pack_indirect_addresses())
     assert written[:10] == bytes([132, 0, 133, 0, 134, 0, 135, 0, 116, 0])
     assert len(written) == 2 * registers.STATUS_SIZE
     assert sum(entry.size for entry in registers.STATUS) == registers.STATUS_SIZE
@@ -206,8 +206,8 @@ def test_a_status_is_told_in_words(values, said):
     status = np.zeros(1, registers.STATUS_DTYPE)
     for name, value in ({"voltage": 120, "temperature": 30} | values).items():
         status[name] = value
-    assert said in registers.status_fault(status[0], dynamixel("x"))
-    assert bool(registers.status_fault(status[0], dynamixel("x"))) is bool(said)
+    assert said in registers.find_status_fault(status[0], dynamixel("x"))
+    assert bool(registers.find_status_fault(status[0], dynamixel("x"))) is bool(said)
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from slave.drivers.microcontroller import frames
-from slave.drivers.microcontroller.frames import Flags, FrameError, FrameReader, Kind
+from slave.drivers.microcontroller.frames import BoardFlags, FrameError, FrameReader, FrameType
 from tests.drivers.models.board import COMPILER, Firmware, compile_firmware
 
 STATE = struct.pack("<BHHBB3i2i", 1, 0, 7, 3, 2, 0, -1, 2**31 - 1, 256, frames.MISSING)
@@ -23,29 +23,29 @@ def library(tmp_path_factory):
 
 @given(st.binary(max_size=600))
 def test_cobs_leaves_no_zero_and_loses_nothing(data):
-    coded = frames.cobs_encode(data)
+    coded = frames.encode_cobs(data)
     assert 0 not in coded
-    assert frames.cobs_decode(coded) == data
+    assert frames.decode_cobs(coded) == data
 
 
 @pytest.mark.parametrize("size", [253, 254, 255, 508])
 @pytest.mark.parametrize("end", [b"", b"\0", b"\0\0x"])
 def test_cobs_at_the_borders_of_its_blocks(size, end):
     data = b"\1" * size + end
-    assert frames.cobs_decode(frames.cobs_encode(data)) == data
+    assert frames.decode_cobs(frames.encode_cobs(data)) == data
 
 
 def test_a_state_is_read_as_it_was_written():
-    frame = frames.decode(frames.encode(Kind.STATE, 65535, 2**32 - 1, STATE)[:-1])
+    frame = frames.decode(frames.encode(FrameType.STATE, 65535, 2**32 - 1, STATE)[:-1])
     state = frames.parse_state(frame.body)
-    assert (frame.kind, frame.sequence, frame.time_us) == (Kind.STATE, 65535, 2**32 - 1)
-    assert state.flags == Flags.ENABLED
+    assert (frame.kind, frame.sequence, frame.time_us) == (FrameType.STATE, 65535, 2**32 - 1)
+    assert state.flags == BoardFlags.ENABLED
     assert state.position == (0, -1, 2**31 - 1)
     assert state.cell == (256, frames.MISSING)
 
 
 def test_no_damaged_byte_makes_another_frame():
-    whole = frames.encode(Kind.STATE, 3, 1234, STATE)
+    whole = frames.encode(FrameType.STATE, 3, 1234, STATE)
     good = frames.decode(whole[:-1])
     for at in range(len(whole)):
         for wrong in range(256):
@@ -56,18 +56,18 @@ def test_no_damaged_byte_makes_another_frame():
 
 
 def test_after_damage_the_next_frame_is_read_again():
-    one, two = (frames.encode(Kind.STATE, k, k, STATE) for k in (1, 2))
+    one, two = (frames.encode(FrameType.STATE, k, k, STATE) for k in (1, 2))
     for at in range(len(one)):
         reader = FrameReader()
         damaged = one[:at] + bytes([one[at] ^ 0x40]) + one[at + 1 :]
-        found = reader.feed(damaged + two + frames.encode(Kind.STATE, 3, 3, STATE))
+        found = reader.feed(damaged + two + frames.encode(FrameType.STATE, 3, 3, STATE))
         assert 3 in [frame.sequence for frame in found]
         assert reader.bad >= 1
 
 
 @given(st.lists(st.integers(1, 40), min_size=1, max_size=30))
 def test_frames_come_out_however_the_bytes_are_cut(cuts):
-    stream = b"".join(frames.encode(Kind.STATE, k, k, STATE) for k in range(4))
+    stream = b"".join(frames.encode(FrameType.STATE, k, k, STATE) for k in range(4))
     reader, found = FrameReader(), []
     for size in [*cuts, len(stream)]:
         found += reader.feed(stream[:size])
@@ -78,7 +78,7 @@ def test_frames_come_out_however_the_bytes_are_cut(cuts):
 def test_missing_frames_are_counted_over_the_wrap_of_the_sequence():
     reader = FrameReader()
     for sequence in (65534, 65535, 2, 3):
-        reader.feed(frames.encode(Kind.STATE, sequence, 0, STATE))
+        reader.feed(frames.encode(FrameType.STATE, sequence, 0, STATE))
     assert (reader.bad, reader.lost) == (0, 2)
 
 
@@ -91,33 +91,35 @@ def test_a_state_that_is_cut_is_refused(size):
 def ready(library, motors, cells):
     """Return firmware that has taken leave to move."""
     board = Firmware(library, motors, cells)
-    board.receive(frames.encode(Kind.SET, 0, 0, frames.set_targets((0,) * motors, enabled=False)))
+    board.receive(
+        frames.encode(FrameType.SET, 0, 0, frames.pack_targets((0,) * motors, enabled=False))
+    )
     return board
 
 
 def test_the_firmware_moves_nothing_after_a_restart_until_it_was_disabled(library):
     board = Firmware(library, motors=1, cells=1)
-    board.receive(frames.encode(Kind.HELLO, 0, 0, frames.hello(0.03)))
+    board.receive(frames.encode(FrameType.HELLO, 0, 0, frames.pack_hello(0.03)))
     for enabled, (flags, power) in (
-        (True, (Flags.STOPPED, False)),
-        (False, (Flags(0), False)),
-        (True, (Flags.ENABLED, True)),
+        (True, (BoardFlags.STOPPED, False)),
+        (False, (BoardFlags(0), False)),
+        (True, (BoardFlags.ENABLED, True)),
     ):
-        board.receive(frames.encode(Kind.SET, 1, 0, frames.set_targets((70_000,), enabled)))
+        board.receive(frames.encode(FrameType.SET, 1, 0, frames.pack_targets((70_000,), enabled)))
         found, _, powered = board.read_motors()
         assert (found, bool(powered[0])) == (flags, power)
 
 
 def test_the_firmware_reads_targets_and_we_read_its_states(library):
     board = ready(library, motors=3, cells=2)
-    board.receive(frames.encode(Kind.HELLO, 0, 0, frames.hello(0.03)))
+    board.receive(frames.encode(FrameType.HELLO, 0, 0, frames.pack_hello(0.03)))
     (info,) = FrameReader().feed(board.sent())
     assert frames.parse_info(info.body)[:4] == (30, 1000, 3, 2)
     targets = (0, -70_000, frames.MISSING)
-    board.receive(frames.encode(Kind.SET, 9, 0, frames.set_targets(targets, enabled=True)))
+    board.receive(frames.encode(FrameType.SET, 9, 0, frames.pack_targets(targets, enabled=True)))
     board.step(5000, True, positions=[1, -2, 2**31 - 1], cells=[-(2**31), 256])
     flags, taken, powered = board.read_motors()
-    assert flags == Flags.ENABLED
+    assert flags == BoardFlags.ENABLED
     assert taken[:2].tolist() == [0, -70_000]
     assert powered.tolist() == [True, True, False]  # the third is not used
     (frame,) = FrameReader().feed(board.sent())
@@ -129,7 +131,7 @@ def test_the_firmware_reads_targets_and_we_read_its_states(library):
 
 def test_the_firmware_obeys_no_frame_with_a_wrong_byte(library):
     board = ready(library, motors=3, cells=1)
-    whole = frames.encode(Kind.SET, 1, 2, frames.set_targets((0, 260, -5), enabled=True))
+    whole = frames.encode(FrameType.SET, 1, 2, frames.pack_targets((0, 260, -5), enabled=True))
     for at in range(len(whole)):
         for wrong in range(256):
             if wrong == whole[at]:
@@ -137,12 +139,12 @@ def test_the_firmware_obeys_no_frame_with_a_wrong_byte(library):
             board.receive(whole[:at] + bytes([wrong]) + whole[at + 1 :] + b"\0")
             assert board.read_motors()[0] == 0, (at, wrong)
     board.receive(whole)
-    assert board.read_motors()[0] == Flags.ENABLED
+    assert board.read_motors()[0] == BoardFlags.ENABLED
 
 
 def test_the_firmware_stops_its_motors_when_targets_cease(library):
     board = ready(library, motors=1, cells=1)
-    enable = frames.set_targets((10,), enabled=True)
+    enable = frames.pack_targets((10,), enabled=True)
 
     def after(now_us):
         board.step(now_us, False, [0], [0])
@@ -150,17 +152,17 @@ def test_the_firmware_stops_its_motors_when_targets_cease(library):
         return flags, bool(powered[0])
 
     after(1000)
-    board.receive(frames.encode(Kind.SET, 1, 0, enable))
-    assert after(41_000) == (Flags.ENABLED, True)
-    assert after(41_001) == (Flags.WATCHDOG, False)
-    board.receive(frames.encode(Kind.SET, 2, 0, enable))
-    assert after(42_000) == (Flags.WATCHDOG, False)  # nothing moves because targets are back
-    board.receive(frames.encode(Kind.SET, 3, 0, frames.set_targets((10,), enabled=False)))
-    board.receive(frames.encode(Kind.SET, 4, 0, enable))
-    assert after(43_000) == (Flags.ENABLED, True)
-    board.receive(frames.encode(Kind.STOP, 5, 0))
-    board.receive(frames.encode(Kind.SET, 6, 0, enable))
-    assert after(44_000) == (Flags.STOPPED, False)
+    board.receive(frames.encode(FrameType.SET, 1, 0, enable))
+    assert after(41_000) == (BoardFlags.ENABLED, True)
+    assert after(41_001) == (BoardFlags.WATCHDOG, False)
+    board.receive(frames.encode(FrameType.SET, 2, 0, enable))
+    assert after(42_000) == (BoardFlags.WATCHDOG, False)  # nothing moves because targets are back
+    board.receive(frames.encode(FrameType.SET, 3, 0, frames.pack_targets((10,), enabled=False)))
+    board.receive(frames.encode(FrameType.SET, 4, 0, enable))
+    assert after(43_000) == (BoardFlags.ENABLED, True)
+    board.receive(frames.encode(FrameType.STOP, 5, 0))
+    board.receive(frames.encode(FrameType.SET, 6, 0, enable))
+    assert after(44_000) == (BoardFlags.STOPPED, False)
 
 
 def test_the_firmware_does_not_read_beyond_its_buffers(library):

@@ -134,7 +134,7 @@ def test_the_motors_of_a_suspended_slave_are_stopped_by_the_driver(board):
             slave.stdout.readline()
             assert wait_until(moving(board))
             slave.send_signal(signal.SIGSTOP)
-            assert wait_until(lambda: not board.flags & ENABLED, worker.PAUSE_S / 2)
+            assert wait_until(lambda: not board.flags & ENABLED, worker.PAUSE_TIMEOUT_S / 2)
             assert board.flags & STOPPED
             assert not board.flags & WATCHDOG
         finally:
@@ -144,9 +144,9 @@ def test_the_motors_of_a_suspended_slave_are_stopped_by_the_driver(board):
 def test_a_loop_that_pauses_unannounced_hangs_and_one_that_only_reads_does_not(board):
     with opened_on(board) as rig:
         engage(rig, moving(board))
-        read_for(rig, 4 * worker.SILENT_S)
+        read_for(rig, 4 * worker.TARGET_TIMEOUT_S)
         assert board.flags & ENABLED
-        time.sleep(4 * worker.SILENT_S)
+        time.sleep(4 * worker.TARGET_TIMEOUT_S)
         with pytest.raises(RigFault, match=r"the slave has given no target for 0\.2 s"):
             read_for(rig, 5.0)
         assert wait_until(lambda: not board.flags & ENABLED)
@@ -156,10 +156,10 @@ def test_motors_hold_through_a_pause_that_is_announced_and_move_on_after_it(boar
     with opened_on(board) as rig:
         start = engage(rig, moving(board))
         rig.announce_pause()
-        time.sleep(4 * worker.SILENT_S)
+        time.sleep(4 * worker.TARGET_TIMEOUT_S)
         assert board.flags & ENABLED
         follow(rig, start + 0.001)
-        time.sleep(4 * worker.SILENT_S)
+        time.sleep(4 * worker.TARGET_TIMEOUT_S)
         with pytest.raises(RigFault, match="the slave has given no target"):
             read_for(rig, 5.0)
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from slave.drivers.microcontroller import frames
-from slave.drivers.microcontroller.frames import Flags, FrameReader, Kind
+from slave.drivers.microcontroller.frames import BoardFlags, FrameReader, FrameType
 from tests.drivers.models.board import COMPILER
 from tests.drivers.models.sketch import Sketch, compile_sketch
 
@@ -28,12 +28,12 @@ def sketch(library, tmp_path):
 
 
 def states(data):
-    found = [frame for frame in FrameReader().feed(data) if frame.kind == Kind.STATE]
+    found = [frame for frame in FrameReader().feed(data) if frame.kind == FrameType.STATE]
     return [frames.parse_state(frame.body) for frame in found]
 
 
 def targets(sequence, target, enabled=True):
-    return frames.encode(Kind.SET, sequence, 0, frames.set_targets((target, target), enabled))
+    return frames.encode(FrameType.SET, sequence, 0, frames.pack_targets((target, target), enabled))
 
 
 def test_each_cell_has_the_value_of_its_own_input(sketch):
@@ -42,7 +42,7 @@ def test_each_cell_has_the_value_of_its_own_input(sketch):
     sketch.lib.sketch_setup()
     last = states(sketch.run(0.05))[-1]
     assert last.cell == (1500, -70_008)
-    assert not last.flags & Flags.CELL_FAULT
+    assert not last.flags & BoardFlags.CELL_FAULT
     for pin, counts in enumerate((-8_388_607, 0, 3, 3)):
         sketch.lib.sketch_set_input(pin, counts)
     assert states(sketch.run(0.01))[-1].cell == (-8_388_607, 0)
@@ -74,7 +74,7 @@ def test_without_a_converter_it_says_so(sketch):
     sketch.lib.sketch_setup()
     sketch.run(0.05)
     sketch.lib.sketch_unplug_converter()
-    assert states(sketch.run(0.05))[-1].flags & Flags.CELL_FAULT
+    assert states(sketch.run(0.05))[-1].flags & BoardFlags.CELL_FAULT
 
 
 def test_a_motor_is_driven_towards_its_target_and_off_without_one(sketch):
@@ -98,7 +98,7 @@ def test_a_motor_is_driven_towards_its_target_and_off_without_one(sketch):
     assert power() == 127
     sketch.run(0.004)
     assert power() == 0
-    assert states(sketch.run(0.002))[-1].flags & Flags.WATCHDOG
+    assert states(sketch.run(0.002))[-1].flags & BoardFlags.WATCHDOG
 
 
 def test_a_computer_that_does_not_read_does_not_hold_up_the_watchdog(sketch):

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from slave.drivers import packets, worker
-from slave.drivers.parent import Parent
+from slave.drivers.parent import ParentProcess
 
 STOP = "stop"
 
@@ -53,18 +53,20 @@ TARGET = packets.pack_target(np.array([5.0]))
     ],
 )
 def test_motors_of_a_slave_that_hangs_are_stopped_with_a_reason(monkeypatch, sent, silent_s):
-    monkeypatch.setattr(worker, "SILENT_S", 0.05)
-    monkeypatch.setattr(worker, "PAUSE_S", 0.15)
+    monkeypatch.setattr(worker, "TARGET_TIMEOUT_S", 0.05)
+    monkeypatch.setattr(worker, "PAUSE_TIMEOUT_S", 0.15)
     motors = Motors()
-    ours, theirs = packets.pair()
+    ours, theirs = packets.create_socket_pair()
     with ours, theirs:
         for packet in sent:
             ours.send(packet)
-        worker.serve(motors, theirs, Parent(os.getpid()))  # it would run until `ours` is closed
+        worker.serve_driver(
+            motors, theirs, ParentProcess(os.getpid())
+        )  # it would run until `ours` is closed
         assert motors.targets[-1] == [5.0]
         assert motors.closed_s is not None
         told = []
-        while (packet := packets.receive(ours)) is not None:
+        while (packet := packets.receive_packet(ours)) is not None:
             told.append(packet)
     assert told[-1][:1] == packets.FAULT
     assert told[-1].decode().endswith(f"the slave has given no target for {silent_s:g} s")
@@ -72,18 +74,18 @@ def test_motors_of_a_slave_that_hangs_are_stopped_with_a_reason(monkeypatch, sen
 
 def test_a_slave_that_stops_its_motors_and_ends_at_once_has_stopped_them():
     motors = Motors()
-    ours, theirs = packets.pair()
+    ours, theirs = packets.create_socket_pair()
     ours.send(packets.pack_target(np.array([5.0])))
     ours.send(packets.STOP)
     ours.close()
     with theirs:
-        worker.serve(motors, theirs, Parent(os.getpid()))
+        worker.serve_driver(motors, theirs, ParentProcess(os.getpid()))
     assert motors.targets == [STOP, None]  # a cycle repeats what a servo may have missed
     assert motors.closed_s is not None
 
 
 def test_no_target_overtakes_an_emergency_stop():
-    ours, theirs = packets.pair()
+    ours, theirs = packets.create_socket_pair()
     with ours, theirs:
         ours.send(packets.STOP)
         ours.send(packets.pack_target(np.array([5.0])))
@@ -93,7 +95,7 @@ def test_no_target_overtakes_an_emergency_stop():
 @pytest.fixture
 def large():
     """A process of 200 MB, which take a while to be released; its end of a socket, and ours."""
-    ours, theirs = packets.pair()
+    ours, theirs = packets.create_socket_pair()
     code = "import time; held = b'x' * 200_000_000; print(flush=True); time.sleep(100)"
     process = subprocess.Popen(
         [sys.executable, "-c", code], pass_fds=[theirs.fileno()], stdout=subprocess.PIPE
@@ -107,12 +109,14 @@ def large():
 
 def test_the_end_of_a_killed_process_is_seen_before_its_files_are_closed(large):
     process, ours = large
-    parent = Parent(process.pid)
+    parent = ParentProcess(process.pid)
     assert not parent.ends()
     process.kill()
     seen = closed = False
     while not closed:
-        closed = packets.receive(ours) == b""  # looked at first: both may have come in between
+        closed = (
+            packets.receive_packet(ours) == b""
+        )  # looked at first: both may have come in between
         seen = seen or parent.ends()
     assert seen
     process.wait()
@@ -123,9 +127,9 @@ def test_motors_of_a_slave_that_ends_are_stopped_while_its_socket_is_still_open(
     process, _ = large
     process.kill()
     motors = Motors()
-    ours, theirs = packets.pair()
+    ours, theirs = packets.create_socket_pair()
     with ours, theirs:
-        worker.serve(motors, theirs, Parent(process.pid))
+        worker.serve_driver(motors, theirs, ParentProcess(process.pid))
     assert motors.closed_s is not None
 
 
@@ -134,4 +138,4 @@ def test_motors_of_a_slave_that_ends_are_stopped_while_its_socket_is_still_open(
     [(10.0, 11.0), (10.9, 11.0), (11.2, 11.0), (12.2, 12.0), (19.7, 19.0)],
 )
 def test_a_cycle_that_is_late_is_followed_at_once_and_none_is_made_up_for(now_s, due_s):
-    assert worker.next_due(10.0, now_s, 1.0) == due_s
+    assert worker.compute_next_due(10.0, now_s, 1.0) == due_s

@@ -26,7 +26,7 @@ def unnamed(tmp_path, monkeypatch):
 def chosen(monkeypatch):
     """What a new process would choose."""
     monkeypatch.setenv("NUMBA_CACHE_DIR", "")
-    return compile_cache.choose()
+    return compile_cache.choose_folder()
 
 
 def test_each_state_of_the_sources_has_a_folder_of_its_own(unnamed, monkeypatch):
@@ -49,12 +49,12 @@ def test_each_state_of_the_sources_has_a_folder_of_its_own(unnamed, monkeypatch)
     for age, folder in enumerate(reversed(folders)):
         os.utime(folder, (unused_s - age, unused_s - age))
     assert chosen(monkeypatch) == folders[-1]
-    assert set(folders[0].parent.iterdir()) == set(folders[-1 - compile_cache.KEPT :])
+    assert set(folders[0].parent.iterdir()) == set(folders[-1 - compile_cache.FOLDERS_KEPT :])
 
 
 def test_a_folder_named_by_the_user_is_used(unnamed, monkeypatch):
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(unnamed / "mine"))
-    assert compile_cache.choose() == unnamed / "mine"
+    assert compile_cache.choose_folder() == unnamed / "mine"
     assert os.environ["NUMBA_CACHE_DIR"] == str(unnamed / "mine")
     assert list(unnamed.iterdir()) == [unnamed / "mine"]
 
@@ -66,7 +66,7 @@ def no_home():
 def test_without_a_home_there_is_a_private_folder(unnamed, monkeypatch):
     monkeypatch.delenv("XDG_CACHE_HOME")
     monkeypatch.setattr(Path, "home", no_home)
-    folder = compile_cache.choose()
+    folder = compile_cache.choose_folder()
     assert folder.parent.parent == unnamed
     assert folder.parent.stat().st_mode & 0o077 == 0
 
@@ -131,7 +131,7 @@ def test_nor_from_there_if_the_user_names_it(unnamed, monkeypatch, capsys, spoil
     (unnamed / "mine").mkdir()
     says = spoil(unnamed / "mine")
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(unnamed / "mine"))
-    assert compile_cache.choose().parent == unnamed / "cache" / "tendon-teleop"
+    assert compile_cache.choose_folder().parent == unnamed / "cache" / "tendon-teleop"
     assert says in capsys.readouterr().err
 
 
@@ -155,15 +155,15 @@ def test_a_link_leads_to_the_folder_that_was_checked(unnamed, monkeypatch):
 def test_a_cache_folder_that_cannot_be_made_is_passed_over(unnamed, monkeypatch):
     (unnamed / "cache").write_text("a file")
     monkeypatch.setattr(Path, "home", no_home)
-    assert compile_cache.choose().parent.name.startswith("tendon-teleop-")
+    assert compile_cache.choose_folder().parent.name.startswith("tendon-teleop-")
 
 
 USES = """
 import estimator.law
 import numba
-from estimator.compiled import compiled
+from estimator.compiled import jit_compile
 
-@compiled
+@jit_compile
 def add(a, b):
     return a + b
 

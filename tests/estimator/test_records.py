@@ -9,17 +9,27 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from estimator.compiled import compiled
-from estimator.records import F64, I64, U64, Field, Flag, Record, as_record, as_records, one
+from estimator.compiled import jit_compile
+from estimator.records import (
+    F64,
+    I64,
+    U64,
+    Field,
+    Flag,
+    Struct,
+    to_struct,
+    to_struct_array,
+    view_struct,
+)
 
 
-class Inner(Record):
+class Inner(Struct):
     value: F64 = 0.5
     count: I64 = -1
     told: Flag = True
 
 
-class Outer(Record):
+class Outer(Struct):
     many: Annotated[Sequence[Inner], Field(Inner, 3)]
     single: Inner
     numbers: Annotated[NDArray[np.float64], Field("f8", 4, fill=math.nan)]
@@ -40,7 +50,7 @@ class Config:
     nested: Nested = field(default_factory=Nested)
 
 
-@compiled
+@jit_compile
 def change(outer: Outer, index: int) -> float:
     outer.many[index].value += 1.0
     outer.single.count = 7
@@ -48,7 +58,7 @@ def change(outer: Outer, index: int) -> float:
     return outer.many[index].value
 
 
-@compiled
+@jit_compile
 def scaled(config: Config, value: float) -> float:
     return config.limit * config.nested.gain * value if config.on else 0.0
 
@@ -64,12 +74,12 @@ def test_defaults_reach_every_level() -> None:
 
 def test_compiled_code_changes_the_very_record() -> None:
     records = Outer.array(2)
-    record = one(records, 1)
+    record = view_struct(records, 1)
     assert change(record, 2) == 1.5
     assert records[1]["many"][2]["value"] == 1.5
     assert record.single.count == 7
     assert record.numbers[2] == 0.25
-    assert np.isnan(one(records).numbers).all()  # the other one is as it was
+    assert np.isnan(view_struct(records).numbers).all()  # the other one is as it was
 
 
 def test_records_share_no_memory_with_their_defaults() -> None:
@@ -78,9 +88,9 @@ def test_records_share_no_memory_with_their_defaults() -> None:
 
 
 def test_a_config_becomes_a_record_of_its_numbers() -> None:
-    assert as_records(Config()).dtype.names == ("limit", "rounds", "on", "nested")
-    assert scaled(as_record(Config(limit=3.0)), 2.0) == 12.0
-    assert scaled(as_record(Config(on=False)), 2.0) == 0.0
+    assert to_struct_array(Config()).dtype.names == ("limit", "rounds", "on", "nested")
+    assert scaled(to_struct(Config(limit=3.0)), 2.0) == 12.0
+    assert scaled(to_struct(Config(on=False)), 2.0) == 0.0
 
 
 def test_an_unknown_field_is_refused() -> None:

@@ -4,7 +4,7 @@ import pytest
 from estimator.law.sheath import Sheath
 from estimator.online import online
 from estimator.online.online import TendonModel
-from estimator.signals import Treatment, averaged_variance, noise_sigma, play
+from estimator.signals import Treatment, noise_sigma, update_play, update_variance
 
 FRICTIONLESS = Sheath.uniform(0.0, 1.5, 9000.0)
 
@@ -40,7 +40,7 @@ def test_average_keeps_the_noise_it_says_even_when_the_clock_jitters(tau):
     ends = [treated(rng.normal(10.0, 0.03, 200), time, 0.03, treatment)[-1] for _ in range(4000)]
     variance = 0.03**2
     for step in dt[1:]:
-        variance = averaged_variance(variance, 0.03, step, tau)
+        variance = update_variance(variance, 0.03, step, tau)
     assert np.std(ends) == pytest.approx(np.sqrt(variance), rel=0.05)
 
 
@@ -54,7 +54,7 @@ def test_play_stays_within_its_width_and_holds_inside_it():
     rng = np.random.default_rng(0)
     output = 0.0
     for value in np.cumsum(rng.normal(0.0, 0.3, 1000)):
-        after = play(output, value, 0.5)
+        after = update_play(output, value, 0.5)
         assert abs(after - value) <= 0.5 + 1e-12
         if abs(output - value) <= 0.5:
             assert after == output

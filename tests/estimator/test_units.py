@@ -2,8 +2,8 @@
 
 import pytest
 
-from estimator.diagnosis.bench_scale import BenchScale, dimension
-from estimator.units import FORCE, LINEAR, ROTARY, quantity
+from estimator.diagnosis.bench_scale import BenchScale, parse_dimension
+from estimator.units import FORCE, LINEAR, ROTARY, format_quantity
 
 R = 0.01
 SCALE = BenchScale(R, 1.0 / R)  # N to N m and m to rad on a pulley of radius R
@@ -38,7 +38,7 @@ def test_units_of_the_catalogue_are_all_known():
 
     for unit in {p.unit for effect in CATALOGUE for p in effect.parameters}:
         assert ("m/" not in f"{unit}/") or ROTARY.name(unit) != unit
-        assert (dimension(unit) != (0, 0)) == (ROTARY.name(unit) != unit)
+        assert (parse_dimension(unit) != (0, 0)) == (ROTARY.name(unit) != unit)
 
 
 def test_channels_are_called_by_what_they_are():
@@ -48,7 +48,7 @@ def test_channels_are_called_by_what_they_are():
 
 
 def test_small_values_get_a_prefix():
-    assert quantity(0.0123, "N m", 3) == "12.3 mN m"
-    assert quantity(5e-6, "rad", 2) == "5 µrad"
-    assert quantity(2.5e-4, "m/N", 3) == "0.25 mm/N"
-    assert quantity(12.0, "N", 3) == "12 N"
+    assert format_quantity(0.0123, "N m", 3) == "12.3 mN m"
+    assert format_quantity(5e-6, "rad", 2) == "5 µrad"
+    assert format_quantity(2.5e-4, "m/N", 3) == "0.25 mm/N"
+    assert format_quantity(12.0, "N", 3) == "12 N"

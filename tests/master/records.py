@@ -4,8 +4,8 @@ from typing import Any
 
 import numpy as np
 
-from estimator.records import one
-from master.hand_input import HandInput, fill, fill_axes
+from estimator.records import view_struct
+from master.hand_input import HandInput, fill_axes, fill_hand_input
 from teleop.messages.messages import MAX_JOINTS, Message
 
 
@@ -21,14 +21,14 @@ def message_record(message: Message) -> Any:
     records = message_records(type(message))
     for name in records.dtype.names:
         records[name] = getattr(message, name)
-    return one(records)
+    return view_struct(records)
 
 
 def hand_record(hand: Any) -> Any:
     """Return a `HandState`, or None, as a record."""
     records = HandInput.array()
-    fill(records, hand)
-    return one(records)
+    fill_hand_input(records, hand)
+    return view_struct(records)
 
 
 def eight(*values: float) -> Any:

@@ -4,16 +4,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from estimator.records import one
+from estimator.records import view_struct
 from master import loop
 from master.config import MasterConfig
 from master.device import HandState
 from master.feedback import FeedbackConfig
 from master.gate import GateConfig
-from master.hand_input import fill
+from master.hand_input import fill_hand_input
 from master.settings_record import SettingsRecord
 from teleop.coupling import Bilateral
-from teleop.messages.messages import MAX_JOINTS, Command, SlaveState, padded
+from teleop.messages.messages import MAX_JOINTS, Command, SlaveState, pad_values
 from teleop.session import state_machine
 from teleop.session.state_machine import Reason, State
 from tests.master.records import message_record, message_records
@@ -38,9 +38,9 @@ def answer(now, state=State.ENGAGED, force=5.0, echo=None, sender=7, sample_age=
         joints=1,
         sample_age_ns=sample_age,
         echo_stamp_ns=now - MS if echo is None else echo,
-        force=padded((force,), MAX_JOINTS),
-        force_low=padded((force - 1.0,), MAX_JOINTS),
-        force_high=padded((force + 1.0,), MAX_JOINTS),
+        force=pad_values((force,), MAX_JOINTS),
+        force_low=pad_values((force - 1.0,), MAX_JOINTS),
+        force_high=pad_values((force + 1.0,), MAX_JOINTS),
     )
 
 
@@ -59,10 +59,10 @@ class Run:
     def __init__(self, config=CONFIG, bilateral=DIRECT, axes=1):
         self.config, self.now, self.axes = config, EPOCH, axes
         self._settings = SettingsRecord(config, bilateral)
-        self.memory = one(loop.start(axes, self.now))
+        self.memory = view_struct(loop.init_master(axes, self.now))
         self._inputs = loop.TickInput.array()
-        self.input = one(self._inputs)
-        self._state = one(message_records(SlaveState))
+        self.input = view_struct(self._inputs)
+        self._state = view_struct(message_records(SlaveState))
         self.output: Any = None
 
     def tick(
@@ -82,16 +82,18 @@ class Run:
         self.now += MS
         settings = self.settings
         tick = self.input
-        fill(self._inputs["hand"], the_hand)
+        fill_hand_input(self._inputs["hand"], the_hand)
         tick.dt, tick.fault, tick.stop, tick.reset = dt, fault, stop, reset
         self._receive(state, age, self.now)
         out, force = message_records(Command), np.zeros(MAX_JOINTS)
-        loop.command(settings, self.memory, tick, self._state, one(out))
+        loop.compute_command(settings, self.memory, tick, self._state, view_struct(out))
         if later is None:
             self._receive(state, age + wait, self.now + wait)
         else:
             self._receive(later, later_age, self.now + wait)
-        verdict = loop.force(settings, self.memory, tick, self._state, later is not None, force)
+        verdict = loop.compute_force(
+            settings, self.memory, tick, self._state, later is not None, force
+        )
         assert not force[self.axes :].any()
         self.output = Output(
             Command(**{n: self._value(out[n][0]) for n in out.dtype.names}),
@@ -114,11 +116,11 @@ class Run:
 
     @property
     def settings(self):
-        return one(self._settings.update(self.config))
+        return view_struct(self._settings.update(self.config))
 
     @property
     def session(self):
-        return state_machine.outline(self.memory.session)
+        return state_machine.to_outline(self.memory.session)
 
     @property
     def state(self):

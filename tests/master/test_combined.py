@@ -14,7 +14,7 @@ from master.devices.hid.device import HidDevice
 from master.devices.virtual import VirtualConfig, VirtualDevice
 from teleop.config.loading import load
 from teleop.errors import UsageError
-from teleop.launch.supervisor import wait_for
+from teleop.launch.supervisor import wait_for_condition
 from tests.hid import descriptors
 from tests.hid.virtual.arduino import Arduino
 from tests.hid.virtual.openffboard import OpenFFBoard
@@ -250,7 +250,7 @@ def test_two_of_a_kind_are_told_apart_by_their_paths(hidraw):
     device = two_hids(*(str(node.path) for node in nodes))
     nodes[0].device.axes, nodes[1].device.axes = [0.5, 0.0], [-1.0, 0.0]
     expected = pytest.approx((0.05, -0.1), abs=1e-3)
-    assert wait_for(lambda: device.read(0.0).position == expected, 30.0)
+    assert wait_for_condition(lambda: device.read(0.0).position == expected, 30.0)
     device.close()
 
 
@@ -273,7 +273,7 @@ def lost(device):
             said.append(str(error))
         return bool(said)
 
-    assert wait_for(loses, 30.0), "it was not noticed"
+    assert wait_for_condition(loses, 30.0), "it was not noticed"
     return said[0]
 
 
@@ -285,7 +285,7 @@ def back(device):
             return False
         return True
 
-    return wait_for(reads, 30.0)
+    return wait_for_condition(reads, 30.0)
 
 
 def test_one_of_two_alike_that_was_unplugged_comes_back_as_itself(hidraw):
@@ -298,7 +298,7 @@ def test_one_of_two_alike_that_was_unplugged_comes_back_as_itself(hidraw):
     node.device.axes, nodes[1].device.axes = [0.5, 0.0], [-1.0, 0.0]
     assert back(device)
     expected = pytest.approx((0.05, -0.1), abs=1e-3)
-    assert wait_for(lambda: device.read(0.0).position == expected, 30.0)
+    assert wait_for_condition(lambda: device.read(0.0).position == expected, 30.0)
     device.close()
 
 
@@ -311,7 +311,7 @@ def test_two_alike_that_were_lost_together_are_not_mixed_up(hidraw):
     lost(device)
     for _ in nodes:
         hidraw.plug(arduino())
-    assert wait_for(lambda: "identity" in lost(device), 30.0)
+    assert wait_for_condition(lambda: "identity" in lost(device), 30.0)
     device.close()
 
 
@@ -322,7 +322,7 @@ def test_one_that_came_back_alone_is_not_taken_for_both(hidraw):
         hidraw.unplug(node)
     lost(device)
     hidraw.plug(arduino())
-    assert wait_for(lambda: "identity" in lost(device), 30.0)
+    assert wait_for_condition(lambda: "identity" in lost(device), 30.0)
     device.close()
 
 
@@ -334,7 +334,7 @@ def test_a_loss_that_was_not_noticed_yet_is_a_loss(hidraw):
         hidraw.unplug(node)
     lost(first)  # nobody reads the second
     hidraw.plug(arduino())
-    assert wait_for(lambda: "identity" in lost(first), 30.0)
+    assert wait_for_condition(lambda: "identity" in lost(first), 30.0)
     first.close()
     second.close()
 
@@ -353,8 +353,8 @@ def test_one_that_was_lost_alone_returns_though_permissions_of_its_twin_changed(
 
 def test_search_does_not_find_what_is_in_use(hidraw):
     node = hidraw.plug(arduino())
-    found = search.choose("", "auto")
+    found = search.find_device("", "auto")
     taken = frozenset([str(node.path)])
-    with pytest.raises(search.NotThereError):
-        search.again(found, frozenset(), taken)
-    assert search.again(found, frozenset()) == found
+    with pytest.raises(search.DeviceNotFoundError):
+        search.find_reattached_device(found, frozenset(), taken)
+    assert search.find_reattached_device(found, frozenset()) == found

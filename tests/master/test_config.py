@@ -214,7 +214,7 @@ def test_a_rate_that_does_not_go_with_the_rest_is_one_line_before_anything_start
     overrides, complaint, capsys
 ):
     words = [word for override in overrides for word in ("--set", override)]
-    commands = {complaint.removeprefix("--set ").partition(".")[0], "run"}
-    for command in sorted(commands):
+    concerned = {complaint.removeprefix("--set ").partition(".")[0], "run"}
+    for command in sorted(concerned):
         assert commands.main([command, *words]) == 2
         assert capsys.readouterr().err.strip().removeprefix("teleop: ") == complaint

@@ -6,11 +6,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from estimator.records import one
+from estimator.records import view_struct
 from master import coupling_adapter
 from master.coupling_adapter import RenderMemory
 from master.device import HandState
-from teleop.coupling import Bilateral, PassivityConfig, Side, bilateral_settings
+from teleop.coupling import Bilateral, PassivityConfig, Side, to_bilateral_settings
 from tests.master.records import eight, hand_record
 
 DT = 1e-3
@@ -25,19 +25,21 @@ class Axis:
     """One axis at the master, tick by tick; places and travels in units of the tip."""
 
     def __init__(self, bilateral):
-        self.settings, self.side = one(bilateral_settings(bilateral)), Side.new()
+        self.settings, self.side = view_struct(to_bilateral_settings(bilateral)), Side.new()
         self.rendered = RenderMemory.new()
 
     def step(self, place, scale, written, wanted, coupled=True, hand=None):
         counted = coupled and math.isfinite(wanted)
-        coupling_adapter.count_hand(
+        coupling_adapter.add_hand_work(
             self.settings, self.side, self.rendered, hand_record(hand or at(place)), scale, 0.25,
             eight(written), 1, counted, DT,
         )  # fmt: skip
         out = eight()
-        coupling_adapter.render(self.settings, self.side, scale, eight(wanted), 1, counted, out)
+        coupling_adapter.render_force(
+            self.settings, self.side, scale, eight(wanted), 1, counted, out
+        )
         if coupled:
-            coupling_adapter.remember(self.rendered, scale, out, 1)
+            coupling_adapter.store_rendered_force(self.rendered, scale, out, 1)
         assert not out[1:].any()
         return out[0]
 

@@ -5,12 +5,12 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from estimator.records import one
+from estimator.records import view_struct
 from master import hand_input, loop
 from master.config import MasterConfig
 from master.device import HandState
 from master.devices.references import Reaches
-from master.devices.virtual import VirtualConfig, move
+from master.devices.virtual import VirtualConfig, advance_hand
 from master.feedback import FeedbackConfig
 from master.gate import GateConfig
 from master.operator import OperatorConfig
@@ -22,7 +22,7 @@ from teleop.coupling import (
     PassivityConfig,
     Side,
     WaveConfig,
-    bilateral_settings,
+    to_bilateral_settings,
 )
 from teleop.messages.messages import MAX_JOINTS, Command, SlaveState
 from teleop.session.state_machine import State
@@ -63,7 +63,7 @@ class Wall:
     """A slave whose tip is where the coupling sends it at once, in front of a spring."""
 
     def __init__(self, bilateral):
-        self.settings = one(bilateral_settings(bilateral))
+        self.settings = view_struct(to_bilateral_settings(bilateral))
         self.side, self.tip, self.coupled = Side.new(), 0.0, False
         self.echo_ns, self.state = 0, State.READY
 
@@ -74,12 +74,12 @@ class Wall:
     def answer(self, command, now_ns, dt):
         """Return the fields of the state that answers a command, as the slave's loop does."""
         self.state = State.ENGAGED if command["state"] == State.ENGAGED else State.READY
-        coupling.receive(self.side, np.uint64(8), command["energy"], command["wave"])
+        coupling.receive_totals(self.side, np.uint64(8), command["energy"], command["wave"])
         asked, speed = command["position"].copy(), command["velocity"].copy()
         force = np.zeros(MAX_JOINTS)
         force[0] = self.force
         engaged = self.state == State.ENGAGED
-        coupling.at_tip(self.settings, self.side, asked, speed, force, 1, engaged, dt)
+        coupling.compute_tip_motion(self.settings, self.side, asked, speed, force, 1, engaged, dt)
         if engaged:
             self.tip = float(asked[0])
         ports = self.side.ports
@@ -114,8 +114,8 @@ def pressed(config, rate_hz, every, late=0):
         delay_max=0.5,
     )
     settings = SettingsRecord(master, bilateral).records
-    memories, ticks = loop.start(1, EPOCH), loop.TickInput.array()
-    memory, slave = one(memories), Wall(bilateral)
+    memories, ticks = loop.init_master(1, EPOCH), loop.TickInput.array()
+    memory, slave = view_struct(memories), Wall(bilateral)
     states, commands = message_records(SlaveState), message_records(Command)
     dt = 1.0 / (rate_hz * every)
     force, x, v = np.zeros(MAX_JOINTS), 0.0, 0.0
@@ -127,10 +127,10 @@ def pressed(config, rate_hz, every, late=0):
         before = x
         steps = max(round(dt / 1e-3), 1)  # of the hand's own motion
         for _ in range(steps):
-            x, v = move(ARM, x, v, time_s, float(force[0]), dt / steps)
+            x, v = advance_hand(ARM, x, v, time_s, float(force[0]), dt / steps)
         gained += float(force[0]) * (x - before)
         engage = time_s >= ENGAGED_S
-        hand_input.fill(ticks["hand"], HandState((x,), (v,), engage))
+        hand_input.fill_hand_input(ticks["hand"], HandState((x,), (v,), engage))
         told = loop.PhaseInput(has_state, now - received, now, dt)
         loop.run_command(settings, memories, ticks, states, told, commands)
         if k % every == 0:

@@ -4,47 +4,47 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from estimator.records import as_record
+from estimator.records import to_struct
 from master import feedback
 from master.feedback import FeedbackConfig
-from teleop.coupling.force_attenuation import ConfidenceConfig, attenuate
-from teleop.messages.messages import MAX_JOINTS, SlaveState, padded
+from teleop.coupling.force_attenuation import ConfidenceConfig, attenuate_force
+from teleop.messages.messages import MAX_JOINTS, SlaveState, pad_values
 from tests.master.records import eight, message_record
 
 FORCES = st.floats(-100.0, 100.0)
 BAD = st.sampled_from([math.nan, math.inf, -math.inf])
-CONFIDENCE = as_record(ConfidenceConfig())
+CONFIDENCE = to_struct(ConfidenceConfig())
 
 
 def slave_state(*force, width=0.0, joints=None, status=0):
     return SlaveState(
         status=(status, *(0,) * (MAX_JOINTS - 1)),
         joints=len(force) if joints is None else joints,
-        force=padded(force, MAX_JOINTS),
-        force_low=padded([f - width for f in force], MAX_JOINTS),
-        force_high=padded([f + width for f in force], MAX_JOINTS),
+        force=pad_values(force, MAX_JOINTS),
+        force_low=pad_values([f - width for f in force], MAX_JOINTS),
+        force_high=pad_values([f + width for f in force], MAX_JOINTS),
     )
 
 
 def tip_forces(state, axes):
     out = eight(*(9.0,) * MAX_JOINTS)
     record = message_record(SlaveState() if state is None else state)
-    feedback.tip_forces(CONFIDENCE, record, state is not None, axes, out)
+    feedback.compute_tip_forces(CONFIDENCE, record, state is not None, axes, out)
     assert (out[axes:] == 9.0).all()
     return tuple(out[:axes])
 
 
 @given(st.floats(0.01, 10.0), FORCES)
 def test_the_hand_is_pushed_against_what_resists_pulling(scale, force):
-    assert feedback.reflect(scale, force) * force <= 0.0
-    assert abs(feedback.reflect(scale, force)) == pytest.approx(scale * abs(force))
+    assert feedback.reflect_force(scale, force) * force <= 0.0
+    assert abs(feedback.reflect_force(scale, force)) == pytest.approx(scale * abs(force))
 
 
 @given(BAD)
 def test_a_force_that_is_no_number_is_not_turned_into_one(bad):
     (felt,) = tip_forces(slave_state(bad), 1)
     assert not math.isfinite(felt)
-    for link in (feedback.reflect(0.2, felt), feedback.clamp(1.0, felt)):
+    for link in (feedback.reflect_force(0.2, felt), feedback.clamp(1.0, felt)):
         assert not math.isfinite(link)
     assert not math.isfinite(feedback.limit_slew(10.0, 0.0, felt, 1e-3))
 
@@ -52,7 +52,7 @@ def test_a_force_that_is_no_number_is_not_turned_into_one(bad):
 @given(FORCES, st.floats(0.0, 200.0))
 def test_a_force_is_felt_as_far_as_its_interval_allows(force, width):
     (felt,) = tip_forces(slave_state(force, width=width), 1)
-    assert felt == attenuate(CONFIDENCE, force, force - width, force + width)
+    assert felt == attenuate_force(CONFIDENCE, force, force - width, force + width)
 
 
 @pytest.mark.parametrize("force", [5.0, math.nan])
@@ -88,10 +88,10 @@ def test_a_force_grows_slowly_and_falls_at_once(last, force, dt):
 @given(FORCES)
 def test_rendering_saturates_where_the_slave_is_told_that_it_does(force):
     config = FeedbackConfig(scale=0.2, limit=2.5)
-    rendered = feedback.clamp(config.limit, feedback.reflect(config.scale, force))
-    most = feedback.saturation(as_record(config))
+    rendered = feedback.clamp(config.limit, feedback.reflect_force(config.scale, force))
+    most = feedback.compute_saturation(to_struct(config))
     assert rendered == pytest.approx(-config.scale * min(max(force, -most), most))
-    assert feedback.saturation(as_record(FeedbackConfig(scale=0.0))) == 0.0
+    assert feedback.compute_saturation(to_struct(FeedbackConfig(scale=0.0))) == 0.0
 
 
 @pytest.mark.parametrize(

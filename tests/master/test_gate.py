@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from estimator.records import as_record
+from estimator.records import to_struct
 from master import gate
 from master.gate import FADE_S, GateConfig, GateFlags
 from teleop.messages.messages import MAX_JOINTS
@@ -34,7 +34,7 @@ def step(config, last, wanted, fresh, may_render, dt, fades=False, rest=()):
     axes, out = len(last), eight(*(9.0,) * MAX_JOINTS)
     assert len(wanted) == axes
     verdict = gate.step(
-        as_record(config),
+        to_struct(config),
         *(eight(*last), eight(*wanted), axes, fresh, may_render, dt, fades, eight(*rest), out),
     )
     assert (out[axes:] == 9.0).all()
@@ -175,7 +175,7 @@ def test_the_output_may_take_the_place_of_what_was_written_last(config, run):
         gated = step(config, last, wanted, fresh, may_render, dt, True)
         both = eight(*last)
         verdict = gate.step(
-            as_record(config),
+            to_struct(config),
             *(both, eight(*wanted), axes, fresh, may_render, dt, True, rest, both),
         )
         assert (tuple(both[:axes].tolist()), verdict) == gated

@@ -6,9 +6,9 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from estimator.records import one
+from estimator.records import view_struct
 from master.device import HandState
-from master.hand_input import HandInput, all_finite, fill
+from master.hand_input import HandInput, fill_hand_input, is_all_finite
 from teleop.messages.messages import MAX_JOINTS
 from tests.master.records import eight
 
@@ -23,8 +23,8 @@ HANDS = st.none() | st.builds(
 def test_a_record_has_all_of_the_last_hand_and_nothing_of_one_before(hands):
     records = HandInput.array()
     for hand in hands:
-        fill(records, hand)
-    record = one(records)
+        fill_hand_input(records, hand)
+    record = view_struct(records)
     assert bool(record.present) == (hand is not None)
     if hand is None:
         assert records.tobytes() == HandInput.array().tobytes()
@@ -41,4 +41,4 @@ def test_a_record_has_all_of_the_last_hand_and_nothing_of_one_before(hands):
 @given(st.lists(ANY, max_size=MAX_JOINTS))
 def test_only_the_axes_in_use_must_be_finite(values):
     for axes in range(len(values) + 1):
-        assert all_finite(eight(*values), axes) == all(map(math.isfinite, values[:axes]))
+        assert is_all_finite(eight(*values), axes) == all(map(math.isfinite, values[:axes]))

@@ -12,7 +12,7 @@ from master.device import HandState
 from master.feedback import FeedbackConfig
 from master.live_settings import KEYS, SLEW_S
 from master.operator import OperatorConfig
-from master.settings_record import SettingsRecord, master_settings
+from master.settings_record import SettingsRecord, build_master_settings
 from teleop.coupling import Bilateral
 from teleop.errors import UsageError
 from tests.master.run import CONFIG, MS, Run, answer, hand
@@ -24,13 +24,13 @@ SCALES = st.floats(0.0, 10.0)
 @settings(max_examples=30, deadline=None)
 @given(SCALES, st.lists(st.tuples(SCALES, st.integers(0, 800)), min_size=1, max_size=5))
 def test_a_force_scale_goes_where_it_is_sent_without_a_step(first, script):
-    state = live_settings.start(MasterConfig(force=FeedbackConfig(scale=first)))
+    state = live_settings.init_settings(MasterConfig(force=FeedbackConfig(scale=first)))
     for scale, ticks in script:
-        state, _ = live_settings.change(state, "force.scale", repr(scale))
+        state, _ = live_settings.change_setting(state, "force.scale", repr(scale))
         gap = abs(scale - state.config.force.scale)
         for _ in range(ticks):
             before = state.config.force.scale
-            state = live_settings.step(state, DT)
+            state = live_settings.advance_ramp(state, DT)
             assert abs(state.config.force.scale - before) <= gap * DT / SLEW_S + 1e-12
         if ticks > SLEW_S / DT:
             assert state.config.force.scale == scale
@@ -41,13 +41,13 @@ def test_a_force_scale_goes_where_it_is_sent_without_a_step(first, script):
 @given(st.floats(0.0, 0.5), st.floats(0.0, 0.5))
 def test_the_force_on_the_hand_does_not_step_when_the_scale_is_changed(first, second):
     start = MasterConfig(force=FeedbackConfig(scale=first, slew=1e6), gate=CONFIG.gate)
-    run, state = Run(start).engaged(), live_settings.start(start)
+    run, state = Run(start).engaged(), live_settings.init_settings(start)
     for _ in range(5):
         run.answered(hand())
-    state, _ = live_settings.change(state, "force.scale", repr(second))
+    state, _ = live_settings.change_setting(state, "force.scale", repr(second))
     tip = abs(run.memory.force[0]) / first if first > 0.01 else 5.0
     for _ in range(600):
-        state, before = live_settings.step(state, DT), run.output.force[0]
+        state, before = live_settings.advance_ramp(state, DT), run.output.force[0]
         run.config = state.config
         run.tick(hand(), answer(run.now + MS))
         step = abs(second - first) * DT / SLEW_S * max(tip, 5.0)
@@ -57,11 +57,11 @@ def test_the_force_on_the_hand_does_not_step_when_the_scale_is_changed(first, se
 @pytest.mark.parametrize("prefix", ["", "master."])
 def test_each_key_that_may_be_changed_can_be(prefix):
     for key, value in zip(KEYS, ("0.3", "[0, 2]", "0.1"), strict=True):
-        after, words = live_settings.change(
-            live_settings.start(MasterConfig()), prefix + key, value
+        after, words = live_settings.change_setting(
+            live_settings.init_settings(MasterConfig()), prefix + key, value
         )
         assert words == f"{key} = {value}"
-        assert after != live_settings.start(MasterConfig())
+        assert after != live_settings.init_settings(MasterConfig())
 
 
 @pytest.mark.parametrize(
@@ -86,9 +86,9 @@ def test_each_key_that_may_be_changed_can_be(prefix):
     ],
 )
 def test_what_may_not_be_is_refused_in_one_line(key, value, words):
-    state = live_settings.start(MasterConfig())
+    state = live_settings.init_settings(MasterConfig())
     with pytest.raises(UsageError, match=words) as refused:
-        live_settings.change(state, key, value)
+        live_settings.change_setting(state, key, value)
     assert len(str(refused.value).splitlines()) == 1
     assert not str(refused.value).startswith("--set")
 
@@ -99,7 +99,9 @@ ODD = ["!!bool x", "!!int ''", "!!timestamp 'x'", "[" * 100, "1e999", "١", "[٣
 @given(st.text(max_size=20) | st.sampled_from(ODD), st.sampled_from(KEYS))
 def test_any_text_at_all_is_a_value_or_a_usage_error(value, key):
     try:
-        after, _ = live_settings.change(live_settings.start(MasterConfig()), key, value)
+        after, _ = live_settings.change_setting(
+            live_settings.init_settings(MasterConfig()), key, value
+        )
     except UsageError:
         return
     assert math.isfinite(after.force_scale)
@@ -117,46 +119,54 @@ def buttons(*held: str) -> HandState:
     ],
 )
 def test_a_press_of_a_button_changes_its_scale_once_and_within_bounds(key, less, more, first):
-    state, words = live_settings.press(live_settings.start(MasterConfig()), buttons(less))
+    state, words = live_settings.apply_buttons(
+        live_settings.init_settings(MasterConfig()), buttons(less)
+    )
     assert words == f"{key} = {first}"
     for _ in range(100):
-        state, words = live_settings.press(state, buttons(less))
+        state, words = live_settings.apply_buttons(state, buttons(less))
         assert words == ""
     for button, end in ((less, 0.01), (more, 1.0)):
         for _ in range(40):
-            state, _ = live_settings.press(state, buttons())
-            state, words = live_settings.press(state, buttons(button))
+            state, _ = live_settings.apply_buttons(state, buttons())
+            state, words = live_settings.apply_buttons(state, buttons(button))
         assert words == f"{key} = {end:g}"
-    state, _ = live_settings.press(state, buttons())
-    assert live_settings.press(state, buttons(less, more))[1] == ""
-    assert live_settings.press(state, None)[1] == ""
+    state, _ = live_settings.apply_buttons(state, buttons())
+    assert live_settings.apply_buttons(state, buttons(less, more))[1] == ""
+    assert live_settings.apply_buttons(state, None)[1] == ""
 
 
 def test_a_press_of_a_button_of_each_scale_at_once_changes_both_and_no_force_jumps():
     before = MasterConfig()
-    state, words = live_settings.press(live_settings.start(before), buttons("coarser", "weaker"))
+    state, words = live_settings.apply_buttons(
+        live_settings.init_settings(before), buttons("coarser", "weaker")
+    )
     assert words == "operator.position_scale = 0.353553, force.scale = 0.141421"
-    soon = live_settings.step(state, 1e-3).config.force.scale
+    soon = live_settings.advance_ramp(state, 1e-3).config.force.scale
     assert 0.99 * before.force.scale < soon < before.force.scale
-    away, _ = live_settings.press(state, None)
-    assert live_settings.press(away, buttons("coarser", "weaker"))[1] == ""  # the same press, still
+    away, _ = live_settings.apply_buttons(state, None)
+    assert (
+        live_settings.apply_buttons(away, buttons("coarser", "weaker"))[1] == ""
+    )  # the same press, still
 
 
 @pytest.mark.parametrize(("key", "value"), list(zip(KEYS, ("0.3", "[0, 2]", "0.1"), strict=True)))
 def test_the_record_of_the_settings_follows_every_change(key, value):
-    state = live_settings.start(MasterConfig(operator=OperatorConfig(workspace=((-0.1, 0.2),))))
+    state = live_settings.init_settings(
+        MasterConfig(operator=OperatorConfig(workspace=((-0.1, 0.2),)))
+    )
     settings = SettingsRecord(state.config, Bilateral())
-    state, _ = live_settings.change(state, key, value)
+    state, _ = live_settings.change_setting(state, key, value)
     for _ in range(600):
-        state = live_settings.step(state, DT)
-        assert settings.update(state.config) == master_settings(state.config, Bilateral())
-    assert settings.update(state.config) != master_settings(MasterConfig(), Bilateral())
+        state = live_settings.advance_ramp(state, DT)
+        assert settings.update(state.config) == build_master_settings(state.config, Bilateral())
+    assert settings.update(state.config) != build_master_settings(MasterConfig(), Bilateral())
 
 
 def test_a_settled_config_is_not_written_anew():
-    state = live_settings.start(MasterConfig())
+    state = live_settings.init_settings(MasterConfig())
     settings = SettingsRecord(state.config, Bilateral())
     settings.records["force"]["limit"] = settings.records["operator"]["wall"] = 77.0
-    state = live_settings.step(state, DT)
+    state = live_settings.advance_ramp(state, DT)
     (record,) = settings.update(state.config)
     assert (record["force"]["limit"], record["operator"]["wall"]) == (77.0, 77.0)

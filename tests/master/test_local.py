@@ -7,12 +7,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from estimator.records import one
+from estimator.records import view_struct
 from master import local
 from master.config import MasterConfig
 from master.device import HandState
 from master.local import WorkspaceLimits
-from master.operator import OperatorConfig, operator_settings
+from master.operator import OperatorConfig, build_operator_settings
 from teleop.coupling import Bilateral
 from teleop.coupling.config import PassivityConfig
 from teleop.session.state_machine import State
@@ -25,9 +25,9 @@ METRES, SPEEDS = st.floats(-0.08, 0.08), st.floats(-5.0, 5.0)
 
 def walls(config, the_hand):
     """The forces of the limits where the workspace has them."""
-    settings, out = one(operator_settings(config)), eight()
+    settings, out = view_struct(build_operator_settings(config)), eight()
     limits = WorkspaceLimits.new(low=settings.low, high=settings.high, known=True)
-    local.wall_forces(settings, limits, hand_record(the_hand), out)
+    local.compute_wall_forces(settings, limits, hand_record(the_hand), out)
     return tuple(out[: len(the_hand.position)])
 
 
@@ -59,7 +59,7 @@ def test_an_axis_without_limits_has_none():
     config = OperatorConfig(workspace=((-0.05, 0.05),))
     far = HandState((0.0, 9.0), (0.0, 0.0), True)
     assert walls(config, far) == (0.0, 0.0)
-    weight = one(operator_settings(OperatorConfig(weight=(0.5,)))).weight
+    weight = view_struct(build_operator_settings(OperatorConfig(weight=(0.5,)))).weight
     assert tuple(weight[:2]) == (0.5, 0.0)
 
 

@@ -5,11 +5,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from estimator.records import one
+from estimator.records import view_struct
 from master import operator
 from master.device import HandState
-from master.operator import OperatorConfig, OperatorMemory, operator_settings
-from teleop.messages.messages import MAX_JOINTS, SlaveState, padded
+from master.operator import OperatorConfig, OperatorMemory, build_operator_settings
+from teleop.messages.messages import MAX_JOINTS, SlaveState, pad_values
 from teleop.session.state_machine import Reason
 from tests.master.records import eight, hand_record, message_record
 
@@ -22,7 +22,7 @@ def hand(*position, velocity=0.0):
 
 
 def slave_at(*position, sender=7):
-    return SlaveState(sender=sender, joints=2, position=padded(position, MAX_JOINTS))
+    return SlaveState(sender=sender, joints=2, position=pad_values(position, MAX_JOINTS))
 
 
 class TipCommand(NamedTuple):
@@ -38,7 +38,7 @@ def step(config, memory, the_hand, state, engaged):
     """The operator's step with a memory that it does not change, but returns anew."""
     memory, position, velocity = memory.copy(), eight(), eight()
     operator.step(
-        one(operator_settings(config)), memory, hand_record(the_hand), *told(state), engaged,
+        view_struct(build_operator_settings(config)), memory, hand_record(the_hand), *told(state), engaged,
         position, velocity,
     )  # fmt: skip
     return TipCommand(tuple(position), tuple(velocity)), memory
@@ -46,8 +46,8 @@ def step(config, memory, the_hand, state, engaged):
 
 def not_ready_reason(config, memory, the_hand, state):
     before = memory.copy()
-    reason = operator.not_ready_reason(
-        one(operator_settings(config)), memory, hand_record(the_hand), *told(state)
+    reason = operator.find_not_ready_reason(
+        view_struct(build_operator_settings(config)), memory, hand_record(the_hand), *told(state)
     )
     assert memory == before
     return reason

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from estimator.records import one
+from estimator.records import view_struct
 from master import loop
 from master.config import MasterConfig
 from master.device import HandState
@@ -191,7 +191,9 @@ def test_what_listeners_are_told_is_the_hand_and_the_force_on_it():
     run = Run().engaged()
     force = run.answered(hand()).force
     out = message_records(Hand)
-    loop.hand_message(run.memory, hand_record(hand(0.01, velocity=0.5)), 7, 9, one(out))
+    loop.write_hand_message(
+        run.memory, hand_record(hand(0.01, velocity=0.5)), 7, 9, view_struct(out)
+    )
     (told,) = out
     assert told["position"].tolist() == [0.01, *[0.0] * 7]
     assert told["velocity"].tolist() == [0.5, *[0.0] * 7]
@@ -209,7 +211,7 @@ def test_a_command_is_written_whole_whatever_was_in_it():
         for name in out.dtype.names:
             out[name] = filled
         state = message_record(answer(run.now))
-        loop.command(run.settings, run.memory, run.input, state, one(out))
+        loop.compute_command(run.settings, run.memory, run.input, state, view_struct(out))
         found.append([out[name].tolist() for name in out.dtype.names[5:]])
     assert found[0] == found[1]
 

@@ -5,11 +5,11 @@ import random
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from estimator.records import one
+from estimator.records import view_struct
 from master import presence
 from master.config import MasterConfig
 from master.device import HandState
-from master.operator import OperatorConfig, operator_settings
+from master.operator import OperatorConfig, build_operator_settings
 from master.presence import Presence
 from teleop.session.state_machine import Reason, State
 from tests.master.records import hand_record
@@ -24,9 +24,9 @@ def held(*position, engage=True):
 
 
 def run(memory, *hands, config=CONFIG):
-    memory, rule = memory.copy(), one(operator_settings(config))
+    memory, rule = memory.copy(), view_struct(build_operator_settings(config))
     for hand in hands:
-        presence.step(rule, memory, hand_record(hand), DT)
+        presence.update_presence(rule, memory, hand_record(hand), DT)
     return memory
 
 

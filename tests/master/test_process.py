@@ -9,11 +9,11 @@ from master.config import MasterConfig
 from master.device import DeviceFault, DeviceLost, HandState
 from master.devices.virtual import VirtualConfig
 from master.gate import FADE_S
-from master.process import LATE_ANSWERS, TRY_EVERY, WAIT, Master
+from master.process import ANSWER_WAIT_SHARE, LATE_ANSWERS_MAX, RETRY_TICKS, MasterProcess
 from teleop.config.loading import load
 from teleop.errors import PeerError, TeleopError, UsageError
-from teleop.link import Latest, ReceivedMessage
-from teleop.link.refusals import Refusals
+from teleop.link import LatestMessage, ReceivedMessage
+from teleop.link.refusals import RefusalCounter
 from teleop.messages.messages import (
     NO_TOPICS,
     STAGE_NAMES,
@@ -27,9 +27,9 @@ from teleop.messages.messages import (
     LoopReport,
     Setting,
     SlaveState,
-    padded,
-    text_bytes,
-    text_of,
+    decode_text,
+    encode_text,
+    pad_values,
 )
 from teleop.messages.topics import (
     ANSWER,
@@ -48,7 +48,7 @@ from teleop.messages.topics import (
 from teleop.remote.requests import CALL, RESET, RequestListener
 from teleop.runtime.clock import Grid, now_ns
 from teleop.session.loop_process import run
-from teleop.session.state_machine import Reason, State, outline
+from teleop.session.state_machine import Reason, State, to_outline
 from tests.one_side import arguments_of, without_traces
 
 
@@ -58,8 +58,8 @@ class DeviceConnection:
     nonce, role = 5, Role.MASTER
 
     def __init__(self):
-        self.sent, self.heard, self.refusals = [], [], Refusals()
-        self.latest_state = Latest(STATE, lambda _: True)
+        self.sent, self.heard, self.refusals = [], [], RefusalCounter()
+        self.latest_state = LatestMessage(STATE, lambda _: True)
         self.sequence = 0
         self.conflict = None
         self.answering = True
@@ -92,9 +92,9 @@ class DeviceConnection:
             "state": asked if asked == State.ENGAGED else State.READY,
             "joints": 1,
             "echo_stamp_ns": command.stamp_ns,
-            "force": padded((5.0,), 8),
-            "force_low": padded((4.0,), 8),
-            "force_high": padded((6.0,), 8),
+            "force": pad_values((5.0,), 8),
+            "force_low": pad_values((4.0,), 8),
+            "force_high": pad_values((6.0,), 8),
             "answer_ns": 1000,
         }
         return SlaveState(**(fields | self.told))
@@ -200,7 +200,7 @@ def driven(device, line=None, ticks=40, rate_hz=2000.0):
     line = DeviceConnection() if line is None else line
     stop = Until(ticks)
     grid = Grid(rate_hz, stop)
-    master = Master(MasterConfig(), line, device, grid)
+    master = MasterProcess(MasterConfig(), line, device, grid)
     run(master, grid, stop.request)
     return master, line, stop
 
@@ -224,12 +224,12 @@ def test_the_end_is_told_whatever_the_device_does():
         driven(device, line)
     assert line.of(COMMAND)[-1] == Command()
     assert line.of(REPORT)[-1].ended == 1
-    assert text_of(line.of(EVENT)[-1].text) == "off: ended"
+    assert decode_text(line.of(EVENT)[-1].text) == "off: ended"
 
 
 def test_events_tell_each_change_once_and_the_end():
     _, line, _ = driven(Stylus())
-    texts = [text_of(event.text) for event in line.of(EVENT)]
+    texts = [decode_text(event.text) for event in line.of(EVENT)]
     assert [t.split(":")[0] for t in texts if "ready" not in t] == ["engaged", "off"]
     assert texts[-1] == "off: ended"
 
@@ -244,7 +244,7 @@ def test_round_trips_are_measured_from_our_own_commands():
 
 def ticking(line, device, rate_hz=1000.0):
     grid = Grid(rate_hz, lambda: False)
-    master, ticks = Master(MasterConfig(), line, device, grid), iter(grid)
+    master, ticks = MasterProcess(MasterConfig(), line, device, grid), iter(grid)
 
     def run_on(count):
         for _ in range(count):
@@ -258,8 +258,8 @@ def test_the_force_is_that_of_the_answer_to_the_tick_s_own_command():
     _, run_on = ticking(line, device)
     run_on(60)
     assert device.forces[-1][0] < -0.1
-    line.told = {"force": padded((-5.0,), 8), "force_low": padded((-6.0,), 8)}
-    line.told["force_high"] = padded((-4.0,), 8)
+    line.told = {"force": pad_values((-5.0,), 8), "force_low": pad_values((-6.0,), 8)}
+    line.told["force_high"] = pad_values((-4.0,), 8)
     before = device.forces[-1][0]
     run_on(1)
     assert device.forces[-1][0] > before  # on its way there, as fast as forces may change
@@ -326,19 +326,19 @@ class Late(DeviceConnection):
 def test_on_a_link_that_is_always_late_no_time_is_spent_waiting_but_now_and_then():
     line, device = Late(), Stylus()
     master, run_on = ticking(line, device)
-    run_on(LATE_ANSWERS + 1)
-    assert len(line.waited) == LATE_ANSWERS + 1
-    run_on(TRY_EVERY - LATE_ANSWERS - 1)
-    assert len(line.waited) == LATE_ANSWERS + 1
+    run_on(LATE_ANSWERS_MAX + 1)
+    assert len(line.waited) == LATE_ANSWERS_MAX + 1
+    run_on(RETRY_TICKS - LATE_ANSWERS_MAX - 1)
+    assert len(line.waited) == LATE_ANSWERS_MAX + 1
     run_on(1)
-    assert len(line.waited) == LATE_ANSWERS + 2
-    run_on(TRY_EVERY - 1)
-    assert len(line.waited) == LATE_ANSWERS + 2
+    assert len(line.waited) == LATE_ANSWERS_MAX + 2
+    run_on(RETRY_TICKS - 1)
+    assert len(line.waited) == LATE_ANSWERS_MAX + 2
     assert device.forces[-1][0] < -0.5  # the newest state is rendered all the same
-    assert master.summary()["latency_ms"]["n"] > TRY_EVERY
+    assert master.summary()["latency_ms"]["n"] > RETRY_TICKS
     assert master.summary()["stages_us"]["all"]["n"] == 0  # none was answered in its own tick
     line.commands, before = 0, len(line.waited)
-    run_on(TRY_EVERY + 10)
+    run_on(RETRY_TICKS + 10)
     assert len(line.waited) >= before + 10  # they are waited for again
 
 
@@ -347,7 +347,7 @@ def test_what_does_not_come_is_waited_for_a_part_of_the_period():
     line.answering = False
     master, run_on = ticking(line, Stylus(), rate_hz=100.0)
     run_on(10)
-    assert WAIT * 1e4 <= master.summary()["work_us"]["p50"] < 1e4
+    assert ANSWER_WAIT_SHARE * 1e4 <= master.summary()["work_us"]["p50"] < 1e4
 
 
 @pytest.mark.parametrize(
@@ -356,7 +356,7 @@ def test_what_does_not_come_is_waited_for_a_part_of_the_period():
         ({"state": State.FAULT, "reason": Reason.RIG_FAULT}, Reason.PEER_FAULT),
         ({"state": State.STOPPED, "reason": Reason.STOP_CALLED}, Reason.PEER_STOPPED),
         ({"state": State.OFF}, Reason.PEER_ENDED),
-        ({"force": padded((float("nan"),), 8)}, Reason.NOT_FINITE),
+        ({"force": pad_values((float("nan"),), 8)}, Reason.NOT_FINITE),
     ],
 )
 def test_what_an_answer_tells_takes_the_force_off_in_the_tick_that_waited_for_it(told, reason):
@@ -367,7 +367,7 @@ def test_what_an_answer_tells_takes_the_force_off_in_the_tick_that_waited_for_it
     line.told = told
     run_on(1)
     assert device.forces[-1] == (0.0,)
-    assert outline(master.memory.session).reason == reason
+    assert to_outline(master.memory.session).reason == reason
     assert line.of(COMMAND)[-1].state == State.ENGAGED  # it was sent before
 
 
@@ -427,7 +427,7 @@ def test_axes_and_joints_that_do_not_match_are_told_once(joints, said):
     line = DeviceConnection()
     line.told = {"joints": joints}
     driven(Stylus(), line, ticks=130, rate_hz=100.0)
-    texts = [text_of(event.text) for event in line.of(EVENT)]
+    texts = [decode_text(event.text) for event in line.of(EVENT)]
     assert [text for text in texts if text.startswith("WARNING: the device")] == said
 
 
@@ -443,7 +443,7 @@ def test_a_device_that_fails_ends_the_session_in_fault_and_without_force(fails):
         assert device.forces[-1] == (0.0,)
     last = line.of(COMMAND)[-2]
     assert (last.state, last.reason) == (State.FAULT, Reason.DEVICE_FAULT)
-    texts = [text_of(event.text) for event in line.of(EVENT)]
+    texts = [decode_text(event.text) for event in line.of(EVENT)]
     assert texts[-2:] == [f"fault: {Reason.DEVICE_FAULT.text}", f"off: {master.error}"]
 
 
@@ -547,7 +547,7 @@ def test_a_device_that_is_looked_for_is_a_fault_told_once_and_the_master_goes_on
     assert set(states[19:]) == {(State.FAULT, Reason.DEVICE_FAULT)}
     assert set(device.forces[20:]) == {(0.0,)}
     assert len(line.of(HAND)) == 60
-    texts = [text_of(event.text) for event in line.of(EVENT)]
+    texts = [decode_text(event.text) for event in line.of(EVENT)]
     assert texts[-4:] == [
         f"fault: {Reason.DEVICE_FAULT.text}",
         "haptic device: pulled out",
@@ -580,7 +580,7 @@ def test_a_slave_that_stops_answering_is_felt_no_longer():
     stop = Until(200)
     grid = Grid(1000.0, stop)
     device = Stylus()
-    master = Master(MasterConfig(), line, device, grid)
+    master = MasterProcess(MasterConfig(), line, device, grid)
     forces = []
     for number, tick in enumerate(grid):
         line.answering = number < 100
@@ -589,7 +589,7 @@ def test_a_slave_that_stops_answering_is_felt_no_longer():
     assert all(force == 0.0 for age, force in forces if age > 30_000_000 + FADE_S * 1e9)
     assert any(force < 0.0 for age, force in forces)
     assert forces[-1][0] > 30_000_000
-    assert outline(master.memory.session) == (State.HOLDING, Reason.PEER_SILENT)
+    assert to_outline(master.memory.session) == (State.HOLDING, Reason.PEER_SILENT)
 
 
 def called(topic, message, sender=77, sequence=1):
@@ -600,19 +600,19 @@ def called(topic, message, sender=77, sequence=1):
 
 def test_a_call_for_a_stop_is_obeyed_in_the_tick_told_with_its_words_and_reset():
     device, line = Stylus(), DeviceConnection()
-    master = Master(MasterConfig(), line, device, Grid(1000.0, lambda: False))
+    master = MasterProcess(MasterConfig(), line, device, Grid(1000.0, lambda: False))
     ticks = iter(Grid(1000.0, lambda: False))
     for _ in range(30):
         master.tick(next(ticks))
     assert device.forces[-1][0] < 0.0
-    words = text_bytes("a nurse")
+    words = encode_text("a nurse")
     line.heard = [called(STOP, EmergencyStop(role=Role.REMOTE, action=CALL, text=words))]
     master.tick(next(ticks))
     assert device.forces[-1] == (0.0,)
     assert line.of(COMMAND)[-1].state == State.STOPPED
-    told = text_of(line.of(EVENT)[-1].text)
+    told = decode_text(line.of(EVENT)[-1].text)
     assert told == f"stopped: {Reason.STOP_CALLED.text}: remote: a nurse"
-    assert [text_of(call.text) for call in line.of(STOP)] == ["remote: a nurse"]  # relayed
+    assert [decode_text(call.text) for call in line.of(STOP)] == ["remote: a nurse"]  # relayed
     for _ in range(20):
         master.tick(next(ticks))
     assert master.memory.session.state == State.STOPPED
@@ -627,7 +627,7 @@ def test_a_call_for_a_stop_is_obeyed_in_the_tick_told_with_its_words_and_reset()
     for _ in range(20):
         master.tick(next(ticks))
         assert device.forces[-1] == (0.0,)  # the switch is still held
-    assert outline(master.memory.session) == (State.READY, Reason.RELEASE_FIRST)
+    assert to_outline(master.memory.session) == (State.READY, Reason.RELEASE_FIRST)
 
 
 def test_our_own_words_come_back_to_us_and_are_not_obeyed():
@@ -649,16 +649,16 @@ def test_the_button_of_the_device_is_called_out_once_to_everybody():
     _, line, _ = driven(RedButton())
     (call,) = line.of(STOP)
     assert (call.role, call.action) == (Role.MASTER, CALL)
-    assert text_of(call.text) == Reason.EMERGENCY_STOP.text
+    assert decode_text(call.text) == Reason.EMERGENCY_STOP.text
 
 
 def test_a_setting_is_changed_told_and_answered_and_a_refused_one_says_why():
     line = DeviceConnection()
-    master = Master(MasterConfig(), line, Stylus(), Grid(1000.0, lambda: False))
+    master = MasterProcess(MasterConfig(), line, Stylus(), Grid(1000.0, lambda: False))
     ticks = iter(Grid(1000.0, lambda: False))
     wishes = [("operator.position_scale", "0.1"), ("force.limit", "9"), ("force.scale", "99")]
     line.heard = [
-        called(SETTING, Setting(key=text_bytes(key), value=text_bytes(value)), sequence=k)
+        called(SETTING, Setting(key=encode_text(key), value=encode_text(value)), sequence=k)
         for k, (key, value) in enumerate(wishes, start=1)
     ]
     master.tick(next(ticks))
@@ -668,11 +668,11 @@ def test_a_setting_is_changed_told_and_answered_and_a_refused_one_says_why():
         (77, 2, 0),
         (77, 3, 0),
     ]
-    texts = [text_of(a.text) for a in answers]
+    texts = [decode_text(a.text) for a in answers]
     assert texts[0] == "operator.position_scale = 0.1"
     assert "force.limit: cannot be changed while the master runs (allowed: force.scale" in texts[1]
     assert "master.force.scale: must be within 0 ... 10" in texts[2]
-    assert any("set: operator.position_scale = 0.1" in text_of(e.text) for e in line.of(EVENT))
+    assert any("set: operator.position_scale = 0.1" in decode_text(e.text) for e in line.of(EVENT))
 
 
 @pytest.fixture

@@ -10,9 +10,9 @@ from master.config import MasterConfig
 from master.devices.hid import search, signs
 from master.devices.hid.config import AxisConfig, ButtonsConfig, HidConfig
 from master.devices.hid.device import HidDevice
-from master.devices.hid.signs import ForceSign, Signs
+from master.devices.hid.signs import ForceSign, ForceSigns
 from master.feedback import FeedbackConfig
-from master.process import Master
+from master.process import MasterProcess
 from teleop.config.loading import load
 from teleop.link import Link
 from teleop.messages.topics import STATE, Role
@@ -57,7 +57,7 @@ class Console:
         self.link = link
         self.device = HidDevice(CONFIG.device)
         self.grid = Grid(1000.0, lambda: False)
-        self.master = Master(CONFIG, link, self.device, self.grid, RUN.bilateral)
+        self.master = MasterProcess(CONFIG, link, self.device, self.grid, RUN.bilateral)
         self._ticks = iter(self.grid)
 
     def close(self):
@@ -141,9 +141,9 @@ def session(tmp_path_factory):
 @pytest.fixture
 def console(hidraw, session):
     node = hidraw.plug(wheel())
-    pusher = search.choose("", "auto").pusher
+    pusher = search.find_device("", "auto").pusher
     hidraw.unplug(node)
-    signs.save(None, Signs((ForceSign(*pusher, "x", 1),)))
+    signs.save(None, ForceSigns((ForceSign(*pusher, "x", 1),)))
     with Link(session.link_config, session.session, Role.MASTER) as link:
         console = Console(hidraw, link)
         try:

@@ -8,7 +8,7 @@ from scipy.integrate import solve_ivp
 
 from master.device import DeviceFault
 from master.devices.references import Hold, Reaches, Sine
-from master.devices.virtual import VirtualConfig, VirtualDevice, move
+from master.devices.virtual import VirtualConfig, VirtualDevice, advance_hand
 
 REFERENCES = [Hold(0.01), Sine(), Sine(offset=0.02, frequency=3.0), Reaches(), Reaches((0.01,))]
 
@@ -81,7 +81,7 @@ def test_left_alone_it_never_gains_energy_at_any_step(mass, stiffness, damping, 
     x, v = 0.01, -0.3
     energy = 0.5 * mass * v * v + 0.5 * stiffness * x * x
     for h in steps:
-        x, v = move(config, x, v, 0.0, 0.0, h)
+        x, v = advance_hand(config, x, v, 0.0, 0.0, h)
         now = 0.5 * mass * v * v + 0.5 * stiffness * x * x
         assert now <= energy * (1 + 1e-9)
         energy = now

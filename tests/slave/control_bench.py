@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from estimator.law.sheath import Sheath
 from estimator.online import online
-from estimator.records import Records, as_record, one
+from estimator.records import StructArray, to_struct, view_struct
 from slave import control, fault_detection, gate
-from slave.control import Control, ControlConfig, JointEstimate
+from slave.control import ControlConfig, ControllerState, JointEstimate
 from slave.fault_detection import FaultDetectionConfig
 from slave.gate import GateConfig
 from slave.rig import RigSample
@@ -25,7 +25,7 @@ from slave.rigs.simulated.simulated import (
     SimulatedRigConfig,
     TendonPlantConfig,
 )
-from slave.tendons import EstimatedTendon, rig_layout
+from slave.tendons import EstimatedTendon, build_rig_layout
 from teleop.messages.messages import MAX_JOINTS, MAX_TENDONS
 from teleop.session.state_machine import Reason
 
@@ -93,11 +93,11 @@ def model(
     )
 
 
-def estimated(sample: RigSample, estimates: Sequence[online.TendonEstimate]) -> Records:
+def estimated(sample: RigSample, estimates: Sequence[online.TendonEstimate]) -> StructArray:
     """Return the tendons of a sample as records, shape (MAX_TENDONS,)."""
     tendons = EstimatedTendon.array(MAX_TENDONS)
     for k, estimate in enumerate(estimates):
-        tendon = one(tendons, k)
+        tendon = view_struct(tendons, k)
         tendon.tension = sample.proximal_tension[k]
         if sample.proximal_displacement is not None:
             tendon.displacement = sample.proximal_displacement[k]
@@ -127,9 +127,13 @@ def follow(
     models = [model(tendon, j.body.pretension, *errors) for j in joints for tendon in j.tendons]
     prepared = [online.prepare(m) for m in models]
     states = [online.initial(p) for p in prepared]
-    layout, settings, limits = one(rig_layout(rig.joints)), as_record(config), as_record(LIMITS)
-    memory, detector = Control.new(), one(fault_detection.start(models))
-    detection = as_record(FaultDetectionConfig())
+    layout, settings, limits = (
+        view_struct(build_rig_layout(rig.joints)),
+        to_struct(config),
+        to_struct(LIMITS),
+    )
+    memory, detector = ControllerState.new(), view_struct(fault_detection.init_detector(models))
+    detection = to_struct(FaultDetectionConfig())
     motor, wanted, offsets = np.zeros(MAX_TENDONS), np.zeros(MAX_TENDONS), np.zeros(MAX_JOINTS)
     told, no_reach = JointEstimate.array(MAX_JOINTS), gate.Reach.array(0)
     rows, found = [], []
@@ -149,7 +153,7 @@ def follow(
             estimates.append(estimate)
         tendons = estimated(sample, estimates)
         if k == 0:
-            control.joint_offsets(layout, tendons, offsets)
+            control.compute_joint_offsets(layout, tendons, offsets)
         fault = fault_detection.step(detection, layout, detector, tendons, DT if k else 0.0)
         if fault[0] is not Reason.NONE and (not found or found[-1][1] != fault):
             found.append((time, fault))
@@ -169,7 +173,7 @@ def follow(
         )  # fmt: skip
         sent = motor[: rig.tendons].copy()
         rig.write(sent)
-        control.joint_estimates(layout, tendons, offsets, told)
+        control.estimate_joints(layout, tendons, offsets, told)
         firsts = [j[0] for j in rig.joints]
         position = told["position"][: len(rig.joints)].copy()
         rows.append((asked, sample.bench_distal_displacement[firsts], tension, sent, position))

@@ -19,7 +19,7 @@ from slave.rig import RigSample
 TICKS = 300  # of a session; it is engaged after 50
 
 
-class Pair(calibration_run.StillRig):
+class Pair(calibration_run.StationaryRig):
     """A joint of two tendons; its encoders tell where the motors are, which take time to follow."""
 
     tendons, joints, starts_at_zero, follows = 2, ((0, 1),), False, False
@@ -40,21 +40,21 @@ def check():
     """`teleop rig check`, of which `warm_up` is called before the rig is opened."""
     moving.warm_up()
     yield
-    ticks = calibration_run.fast_ticks(500.0)
+    ticks = calibration_run.generate_fast_ticks(500.0)
     rig = Pair()
     rest = reading.measure_at_rest(rig, ticks, 0, 0.1)
-    mover = moving.Mover(rig, GateConfig(), ticks, 0, rest)
+    mover = moving.GatedRig(rig, GateConfig(), ticks, 0, rest)
     mover.enable()
-    moving.verdict(moving.move_one(mover, rest, 1, moving.Move(0.5e-3, 2.0)), rest)
+    moving.evaluate_move(moving.move_motor(mover, rest, 1, moving.MotorMove(0.5e-3, 2.0)), rest)
 
 
 def calibrate():
     """`teleop calibrate`, and a slave that calibrates at its start."""
     calibration_run.warm_up()
     yield
-    limits = calibration_run.Limits(InitialiseConfig(), GateConfig())
-    driven = calibration_run._Drive(Pair(), limits, (0,), together=False)
-    for tick in calibration_run.fast_ticks(500.0):
+    limits = calibration_run.ProcedureLimits(InitialiseConfig(), GateConfig())
+    driven = calibration_run._ProcedureRun(Pair(), limits, (0,), together=False)
+    for tick in calibration_run.generate_fast_ticks(500.0):
         driven.tick(tick.stamp_ns * 1e-9, tick.dt, "enough" if tick.index > 2000 else "")
         if driven.over:
             break
@@ -64,11 +64,11 @@ def session():
     """Both sides of a session, from their warm-up to an engaged loop."""
     from master import process as master_process
     from slave.config import SlaveConfig
-    from slave.warm_up import prepare
+    from slave.warm_up import compile_session
     from teleop.config.loading import load
     from tests.tick.session import ARM, Session
 
-    prepare(load(ARM, SlaveConfig, "slave", ()), with_dynamics=False)
+    compile_session(load(ARM, SlaveConfig, "slave", ()), with_dynamics=False)
     master_process.warm_up()
     yield
     with ExitStack() as stack:

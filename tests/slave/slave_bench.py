@@ -5,14 +5,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from estimator.records import Records, one
+from estimator.records import StructArray, view_struct
 from slave import loop
 from slave.config import SlaveConfig
 from slave.gate import GateFlags
 from slave.loop import RigModel
 from slave.loop_records import SlaveMemory, TickInput
 from slave.rig import RigSample
-from slave.samples import sample_rows
+from slave.samples import to_sample_rows
 from teleop.coupling import Bilateral
 from teleop.messages.messages import Command, SlaveState
 from teleop.messages.packet import Packet
@@ -28,7 +28,7 @@ class Output(NamedTuple):
     motor: tuple[float, ...]  # [m] to be written to the rig; empty = nothing yet
     verdict: GateFlags
     state: SlaveState  # the answer, without a head
-    rows: Records  # `EstimatedSample` of the samples
+    rows: StructArray  # `EstimatedSample` of the samples
 
 
 class SlaveBench:
@@ -49,8 +49,8 @@ class SlaveBench:
         samples: Sequence[RigSample] = (),
         bilateral: Bilateral = loop.DIRECT,
     ) -> None:
-        self.slave = loop.start(model, config, bilateral, starts_at_zero, samples)
-        self.memory: SlaveMemory = one(self.slave.memory)
+        self.slave = loop.init_slave(model, config, bilateral, starts_at_zero, samples)
+        self.memory: SlaveMemory = view_struct(self.slave.memory)
         self._tendons = len(model.models)
         self._command, self._state = Packet(Command), Packet(SlaveState)
         self._state.data[4:] = b"\xff" * (len(self._state.data) - 4)  # a tick writes all of it
@@ -80,11 +80,11 @@ class SlaveBench:
         )
         return self.step(samples, self._command.records, given)
 
-    def step(self, samples: Sequence[RigSample], commands: Records, given: TickInput) -> Output:
+    def step(self, samples: Sequence[RigSample], commands: StructArray, given: TickInput) -> Output:
         """Go on by a tick, with the newest command as a record."""
-        slave, rows, count = self.slave, sample_rows(samples), len(samples)
+        slave, rows, count = self.slave, to_sample_rows(samples), len(samples)
         slave.estimate(*slave.estimated, rows, count)
-        verdict = loop.tick(*slave.ticked, rows, count, given, commands, self._state.records)
+        verdict = loop.run_tick(*slave.ticked, rows, count, given, commands, self._state.records)
         loop.monitor_calibration(
             slave.settings, slave.layout, slave.watched, slave.memory, rows, count
         )
@@ -100,7 +100,7 @@ class SlaveBench:
     @property
     def session(self) -> SessionOutline:
         """State and reason of the session."""
-        return state_machine.outline(self.memory.session)
+        return state_machine.to_outline(self.memory.session)
 
     @property
     def state(self) -> State:

@@ -4,11 +4,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from estimator.compiled import compiled
-from slave.rigs.simulated.plant.chain import recover, respond
-from slave.rigs.simulated.plant.response import tension_on
+from estimator.compiled import jit_compile
+from slave.rigs.simulated.plant.chain import compute_response, recover_state
+from slave.rigs.simulated.plant.response import interpolate_curve
 from slave.rigs.simulated.plant.sheath import SectionConfig, SheathConfig
-from slave.rigs.simulated.plant.tendon import POSITION, TENSION, at_rest, build_chain
+from slave.rigs.simulated.plant.tendon import POSITION, TENSION, build_chain, init_chain_state
 
 L, EA = 1.5, 9000.0
 
@@ -69,23 +69,23 @@ def travels(states):
 
 
 def _begin(chain, state):
-    return at_rest(chain) if state is None else state
+    return init_chain_state(chain) if state is None else state
 
 
-@compiled
+@jit_compile
 def _run(chain, motor, tip, load, state, dt):
     states = np.empty((len(motor) + 1, *state.shape))
     states[0] = state
     for k in range(len(motor)):
-        response = respond(chain, state, motor[k], dt)
+        response = compute_response(chain, state, motor[k], dt)
         place = tip[k] if len(tip) > 0 else meet(response, load)
-        tension = tension_on(response.tip, place)
-        state = recover(chain, state, response, motor[k], place, tension, dt)
+        tension = interpolate_curve(response.tip, place)
+        state = recover_state(chain, state, response, motor[k], place, tension, dt)
         states[k + 1] = state
     return states
 
 
-@compiled
+@jit_compile
 def meet(response, load):
     """Return where tendon and load pull alike, by halving an interval until it has no inside."""
     low, high = -1.0, 1.0
@@ -93,7 +93,7 @@ def meet(response, load):
         middle = 0.5 * (low + high)
         if not low < middle < high:
             return middle
-        if tension_on(response.tip, middle) > load.force + load.stiffness * middle:
+        if interpolate_curve(response.tip, middle) > load.force + load.stiffness * middle:
             low = middle
         else:
             high = middle

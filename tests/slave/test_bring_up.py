@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from slave.bring_up import command
-from slave.bring_up.moving import Move, Mover, move_one, verdict
-from slave.bring_up.reading import format_at_rest, measure_at_rest
-from slave.calibration.run import fast_ticks
+from slave.bring_up.moving import GatedRig, MotorMove, evaluate_move, move_motor
+from slave.bring_up.reading import format_rest_measurement, measure_at_rest
+from slave.calibration.run import generate_fast_ticks
 from slave.drivers import configs
 from slave.drivers.cia402.config import Cia402Config
 from slave.drivers.driver import Channels, DriverFault
@@ -17,7 +17,7 @@ from slave.rig import RigSample
 from teleop.cli import commands
 from teleop.errors import TeleopError, UsageError
 
-MOVE = Move(0.5e-3, 2.0)
+MOVE = MotorMove(0.5e-3, 2.0)
 
 
 class Wired:
@@ -50,10 +50,10 @@ class Wired:
 
 
 def moved(rig, tendon=0, move=MOVE):
-    ticks = fast_ticks(500.0)
+    ticks = generate_fast_ticks(500.0)
     rest = measure_at_rest(rig, ticks, 0, 0.5)
-    mover = Mover(rig, GateConfig(), ticks, 0, rest)
-    return verdict(move_one(mover, rest, tendon, move), rest)
+    mover = GatedRig(rig, GateConfig(), ticks, 0, rest)
+    return evaluate_move(move_motor(mover, rest, tendon, move), rest)
 
 
 class Enabling(Wired):
@@ -71,9 +71,9 @@ class Enabling(Wired):
 
 
 def test_motors_that_are_being_enabled_are_held_where_they_are():
-    rig, ticks = Enabling(), fast_ticks(500.0)
+    rig, ticks = Enabling(), generate_fast_ticks(500.0)
     rest = measure_at_rest(rig, ticks, 0, 0.5)
-    mover = Mover(rig, GateConfig(), ticks, 0, rest)
+    mover = GatedRig(rig, GateConfig(), ticks, 0, rest)
     mover.enable()
     assert len(rig.writes) == 50
     drawn = rig.start + 1e-5 * np.arange(50)[:, np.newaxis]
@@ -93,10 +93,10 @@ class Late(Wired):
 
 
 def test_nothing_is_written_before_a_reading_of_the_same_tick():
-    rig, ticks = Late(), fast_ticks(500.0)
+    rig, ticks = Late(), generate_fast_ticks(500.0)
     rest = measure_at_rest(Wired(), ticks, 0, 0.5)
     rig.position = rig.start = rig.start + 0.0015
-    mover = Mover(rig, GateConfig(), ticks, 0, rest)
+    mover = GatedRig(rig, GateConfig(), ticks, 0, rest)
     mover.enable()
     assert rig.writes == []
     mover.run(0.01, mover.last)
@@ -104,20 +104,20 @@ def test_nothing_is_written_before_a_reading_of_the_same_tick():
 
 
 def test_a_rig_that_falls_silent_before_its_motors_are_enabled_is_named():
-    rig, ticks = Late(), fast_ticks(500.0)
+    rig, ticks = Late(), generate_fast_ticks(500.0)
     rig.SILENT = 10_000
     rest = measure_at_rest(Wired(), ticks, 0, 0.5)
     with pytest.raises(TeleopError, match=r"no tension and travel of every tendon for 0\.5 s"):
-        Mover(rig, GateConfig(), ticks, 0, rest).enable()
+        GatedRig(rig, GateConfig(), ticks, 0, rest).enable()
     assert rig.writes == []
 
 
 def test_at_rest_rate_and_noise_are_told_and_nothing_is_written():
     rig = Wired()
-    rest = measure_at_rest(rig, fast_ticks(500.0), 0, 2.0)
+    rest = measure_at_rest(rig, generate_fast_ticks(500.0), 0, 2.0)
     assert rest.rate_hz == pytest.approx(500.0)
     assert rest.tension_noise == pytest.approx(0.01, rel=0.2)
-    assert len(format_at_rest(rest)) == 4
+    assert len(format_rest_measurement(rest)) == 4
     assert rig.writes == []
 
 
@@ -167,7 +167,7 @@ def arguments(*words):
 def test_nothing_moves_without_the_typed_word(monkeypatch, capsys, typed, moves):
     rig = Wired()
     monkeypatch.setattr(command, "open_rig", lambda *_: rig)
-    assert command.check(arguments(), lambda _: typed) == 0
+    assert command.check_rig(arguments(), lambda _: typed) == 0
     assert bool(rig.writes) is moves
     assert rig.closed
     assert ("next: teleop calibrate" if moves else "nothing was moved") in capsys.readouterr().out
@@ -181,21 +181,21 @@ def test_motors_are_enabled_where_they_are_after_the_question(monkeypatch):
         rig.position = rig.start = rig.start + 0.0015
         return "move"
 
-    assert command.check(arguments(), turned_meanwhile) == 0
+    assert command.check_rig(arguments(), turned_meanwhile) == 0
     assert rig.writes[0] == pytest.approx(rig.start, abs=1e-9)
 
 
 def test_a_replayed_rig_is_refused_before_it_is_opened(monkeypatch):
     monkeypatch.setattr(command, "open_rig", lambda *_: pytest.fail("opened"))
     with pytest.raises(UsageError, match=r"slave\.rig\.type: a replayed rig has no motors"):
-        command.check(arguments("--set", "slave.rig={type: replayed, file: x.csv}"), input)
+        command.check_rig(arguments("--set", "slave.rig={type: replayed, file: x.csv}"), input)
 
 
 @pytest.mark.parametrize("words", [["--travel", "6"], ["--travel", "0"], ["--force", "nan"]])
 def test_a_move_that_is_not_small_is_refused_before_the_rig_is_opened(monkeypatch, words):
     monkeypatch.setattr(command, "open_rig", lambda *_: pytest.fail("opened"))
     with pytest.raises(UsageError, match="must be above 0"):
-        command.check(arguments(*words), input)
+        command.check_rig(arguments(*words), input)
 
 
 @pytest.mark.parametrize("action", ["scan", "reset"])
@@ -229,5 +229,5 @@ def test_a_scan_that_finds_nothing_fails(monkeypatch, capsys):
 def test_read_only_opens_the_rig_so_and_writes_nothing(monkeypatch):
     rig, opened = Wired(), []
     monkeypatch.setattr(command, "open_rig", lambda *words: opened.append(words) or rig)
-    assert command.check(arguments("--read-only"), lambda _: pytest.fail("asked")) == 0
+    assert command.check_rig(arguments("--read-only"), lambda _: pytest.fail("asked")) == 0
     assert (opened[0][1], rig.writes, rig.closed) == (True, [], True)

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from slave.config import SlaveConfig, TendonConfig, config_warnings
+from slave.config import SlaveConfig, TendonConfig, find_config_warnings
 from slave.control import ControlConfig
 from slave.gate import GateConfig
 from slave.rigs.replayed import ReplayedRigConfig
@@ -21,10 +21,10 @@ def test_the_controller_must_give_way_before_the_gate_does(limit):
 
 def test_a_model_without_noise_is_doubted_where_motors_move():
     silent, told = (TendonConfig(effective_friction=0.8, tension_noise=s) for s in (0.0, 0.01))
-    (line,) = config_warnings(SlaveConfig(tendons=(told, silent)))
+    (line,) = find_config_warnings(SlaveConfig(tendons=(told, silent)))
     assert "tension_noise" in line
-    assert config_warnings(SlaveConfig(tendons=(told,))) == []
+    assert find_config_warnings(SlaveConfig(tendons=(told,))) == []
     played = ReplayedRigConfig(file=Path("data.csv"))
-    assert config_warnings(SlaveConfig(rig=played, tendons=(silent,))) == []
-    (line,) = config_warnings(SlaveConfig(rig=played, tendons=(silent,)), PassivityConfig())
+    assert find_config_warnings(SlaveConfig(rig=played, tendons=(silent,))) == []
+    (line,) = find_config_warnings(SlaveConfig(rig=played, tendons=(silent,)), PassivityConfig())
     assert "direct" in line

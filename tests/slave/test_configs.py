@@ -8,7 +8,7 @@ import pytest
 
 from master.config import MasterConfig
 from slave.calibration import file
-from slave.config import SlaveConfig, not_ready_reason, tendon_configs
+from slave.config import SlaveConfig, find_not_ready_reason, load_tendon_configs
 from slave.rigs import open_rig
 from teleop.cli import commands
 from teleop.config.loading import as_tree, load
@@ -99,9 +99,9 @@ def test_the_slave_of_the_config_as_it_is_takes_the_file(done):
     use_it = [f"slave.calibration={out}"]
     config = load(FOLDER / f"{name}.yaml", SlaveConfig, "slave", use_it)
     rig = open_rig(config.rig)
-    assert not_ready_reason(config, rig) == ""
+    assert find_not_ready_reason(config, rig) == ""
     true = true_sheaths(config)
-    for tendon, (K, _) in zip(tendon_configs(config, rig.tendons), true, strict=True):
+    for tendon, (K, _) in zip(load_tendon_configs(config, rig.tendons), true, strict=True):
         accepted = tendon.model().sheath.K
         assert abs(accepted - K) <= SURE / 2.0 * tendon.friction_error * K  # that is two sigma
 

@@ -11,11 +11,11 @@ from hypothesis import strategies as st
 
 from estimator.law.transmission import Phase
 from estimator.online.tendon_estimate import Status
-from estimator.records import as_record, one
+from estimator.records import to_struct, view_struct
 from slave import control
-from slave.control import Control, ControlConfig, JointEstimate
+from slave.control import ControlConfig, ControllerState, JointEstimate
 from slave.control.joint import fuse_travel
-from slave.tendons import EstimatedTendon, rig_layout
+from slave.tendons import EstimatedTendon, build_rig_layout
 from teleop.messages.messages import MAX_JOINTS, MAX_TENDONS
 
 CONFIG = ControlConfig(lead=0.010)
@@ -28,12 +28,12 @@ metres = st.floats(-0.1, 0.1)
 newtons = st.floats(0.0, 40.0)
 
 
-record_of = cache(as_record)
+record_of = cache(to_struct)
 
 
 @cache
 def layout_of(joints):
-    return one(rig_layout(joints))
+    return view_struct(build_rig_layout(joints))
 
 
 def tendon(tension=5.0, displacement=0.0, elongation=5e-4, status=Status.OK, force=(2.0, 1.0, 3.0)):
@@ -80,13 +80,13 @@ def joint_estimate(tendons, offset=0.0):
     """Return what is known of a joint of these tendons."""
     estimate = JointEstimate.new()
     joint = layout_of((tuple(range(len(tendons))),)).joint[0]
-    control.joint_estimate(joint, tendons_of(tendons), offset, estimate)
+    control.estimate_joint(joint, tendons_of(tendons), offset, estimate)
     return estimate
 
 
 def offset(tendons):
     joint = layout_of((tuple(range(len(tendons))),)).joint[0]
-    return control.offset(joint, tendons_of(tendons))
+    return control.compute_offset(joint, tendons_of(tendons))
 
 
 def slack_side(displacement=0.0, tension=CONFIG.slack_side_tension):
@@ -96,7 +96,7 @@ def slack_side(displacement=0.0, tension=CONFIG.slack_side_tension):
 def engaged(tendons, command=0.0, joints=ALONE, config=CONFIG, motor=None):
     """Return the motor positions and the memory of a joint that has just engaged."""
     motor = tuple(t.displacement for t in tendons) if motor is None else motor
-    memory = Control.new()
+    memory = ControllerState.new()
     wanted = step(config, joints, memory, (command,), motor, tendons, True, DT)
     assert wanted == motor
     return wanted, memory
@@ -250,7 +250,7 @@ def test_a_slack_side_tendon_follows_the_tip_that_the_other_motor_moved():
 def test_two_tendons_that_were_tight_when_the_joint_engaged_do_not_go_on_fighting():
     """The plant: tendons of 1e-4 m/N on a joint that nothing holds."""
     compliance = 1e-4
-    motor, travel, memory = (0.0, 0.0), 0.0, Control.new()
+    motor, travel, memory = (0.0, 0.0), 0.0, ControllerState.new()
     slack = -5.0 * compliance  # both at 5 N where they stand
     for k in range(4000):
         travel += 0.5 * ((motor[0] - travel) - (motor[1] + travel))
@@ -270,7 +270,7 @@ def test_joints_do_not_mix():
     joints = (0,), (1, 2), (3,)
     tendons = tendon(5.0), tendon(5.0), slack_side(), tendon(5.0)
     motor = (0.0,) * 4
-    memory = Control.new()
+    memory = ControllerState.new()
     step(CONFIG, joints, memory, (0.0, 0.0, 0.0), motor, tendons, True, DT)
     wanted = step(CONFIG, joints, memory, (1e-5, 2e-5, -3e-5), motor, tendons, True, DT)
     assert wanted == pytest.approx((1e-5, 2e-5, 0.0, -3e-5), abs=1e-12)
@@ -287,7 +287,7 @@ tick = st.tuples(anything, anything, seen_of_anything, seen_of_anything, anythin
 @settings(max_examples=200)
 @given(st.lists(tick, min_size=5, max_size=20))
 def test_whatever_comes_in_what_comes_out_is_finite_and_within_the_speed_limit(ticks):
-    motor, memory = (0.0, 0.0), Control.new()
+    motor, memory = (0.0, 0.0), ControllerState.new()
     for command, velocity, a, b, dt, on in ticks:
         was = motor
         motor = step(CONFIG, PAIR, memory, (command,), was, (a, b), on, dt, (velocity,))
@@ -340,12 +340,12 @@ def test_nothing_of_one_joint_leaks_into_another():
     joints, news = ((0, 1), (2,)), (tendon(elongation=5.2e-4), slack_side(-1e-5))
     results = []
     for other in (tendon(), tendon(math.nan, math.nan, 3e-3, Status.INVALID_INPUT), tendon(30.0)):
-        memory, motor = Control.new(), (0.0, 0.0, 0.01)
+        memory, motor = ControllerState.new(), (0.0, 0.0, 0.01)
         step(CONFIG, joints, memory, (0.0, 0.0), motor, (tendon(), slack_side(), other), True, DT)
         wanted = step(CONFIG, joints, memory, (1e-5, -0.1), motor, (*news, other), True, DT)
         results.append((wanted[:2], memory.joint[0].tobytes()))
     assert results[0] == results[1] == results[2]
-    memory = Control.new()
+    memory = ControllerState.new()
     step(CONFIG, PAIR, memory, (0.0,), (0.0, 0.0), (tendon(), slack_side()), True, DT)
     wanted = step(CONFIG, PAIR, memory, (1e-5,), (0.0, 0.0), news, True, DT)
     assert (wanted, memory.joint[0].tobytes()) == results[0]
@@ -356,7 +356,7 @@ def test_every_joint_of_a_rig_is_estimated_from_its_own_tendons_with_its_own_off
     layout, offsets = layout_of(joints), np.array([0.0, 1e-4, -2e-4])
     tendons = [tendon(5.0 + k, 1e-3 * k, 1e-4 * (k + 1), force=(k, -k, 9.0)) for k in range(5)]
     estimates = JointEstimate.array(MAX_JOINTS)
-    control.joint_estimates(layout, tendons_of(tendons), offsets, estimates)
+    control.estimate_joints(layout, tendons_of(tendons), offsets, estimates)
     for k, joint in enumerate(joints):
         alone = joint_estimate([tendons[i] for i in joint], offsets[k])
         assert estimates[k].tolist() == alone.tolist()
@@ -367,9 +367,11 @@ def test_offsets_are_taken_of_all_joints_or_of_none():
     layout, known = layout_of(((0, 1), (2,))), [tendon(5.0, 1e-3), tendon(5.0, 3e-3), tendon()]
     offsets = np.full(MAX_JOINTS, UNWRITTEN)
     refused = tendon(status=Status.INVALID_INPUT)
-    assert not control.joint_offsets(layout, tendons_of([*known[:1], refused, tendon()]), offsets)
+    assert not control.compute_joint_offsets(
+        layout, tendons_of([*known[:1], refused, tendon()]), offsets
+    )
     assert (offsets == UNWRITTEN).all()
-    assert control.joint_offsets(layout, tendons_of(known), offsets)
+    assert control.compute_joint_offsets(layout, tendons_of(known), offsets)
     assert offsets[:2].tolist() == [offset(known[:2]), 0.0]
 
 

@@ -6,26 +6,26 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from estimator.online.tendon_estimate import INVALID_INPUT
-from estimator.records import as_record, one
+from estimator.records import to_struct, view_struct
 from master import feedback
 from slave import coupling_adapter
 from slave.control import JointEstimate
 from teleop import coupling
 from teleop.coupling import Bilateral, PassivityConfig, Side
 from teleop.coupling.force_attenuation import ConfidenceConfig
-from teleop.messages.messages import MAX_JOINTS, SlaveState, padded
-from teleop.messages.packet import packet
+from teleop.messages.messages import MAX_JOINTS, SlaveState, pad_values
+from teleop.messages.packet import build_packet
 
 FORCES = st.floats(-60.0, 60.0)
 RULE = ConfidenceConfig()
-NUMBERS = as_record(RULE)
+NUMBERS = to_struct(RULE)
 
 
 def estimates(*rows):
     """Return estimates with these forces, ends of their intervals and status bits."""
     records = JointEstimate.array(len(rows))
     for k, (force, low, high, status) in enumerate(rows):
-        estimate = one(records, k)
+        estimate = view_struct(records, k)
         estimate.position, estimate.status = 0.0, status
         estimate.force, estimate.low, estimate.high = force, low, high
     return records
@@ -33,7 +33,7 @@ def estimates(*rows):
 
 def slave_forces(most, *rows):
     forces = np.full(MAX_JOINTS, 7.0)
-    coupling_adapter.rendered_forces(NUMBERS, estimates(*rows), len(rows), most, forces)
+    coupling_adapter.compute_rendered_forces(NUMBERS, estimates(*rows), len(rows), most, forces)
     assert (forces[len(rows) :] == 7.0).all()
     return forces[: len(rows)].tolist()
 
@@ -47,19 +47,19 @@ def slave_forces(most, *rows):
 )
 def test_both_sides_know_the_same_port_force(force, below, above, status, scale):
     low, high = force - below, force + above
-    config = as_record(feedback.FeedbackConfig(scale=scale))
-    most = feedback.saturation(config)
+    config = to_struct(feedback.FeedbackConfig(scale=scale))
+    most = feedback.compute_saturation(config)
     (at_slave,) = slave_forces(most, (force, low, high, status))
     state = SlaveState(
         joints=1,
-        force=padded((force,), MAX_JOINTS),
-        force_low=padded((low,), MAX_JOINTS),
-        force_high=padded((high,), MAX_JOINTS),
+        force=pad_values((force,), MAX_JOINTS),
+        force_low=pad_values((low,), MAX_JOINTS),
+        force_high=pad_values((high,), MAX_JOINTS),
         status=(status, *(0,) * (MAX_JOINTS - 1)),
     )
     at_master = np.zeros(MAX_JOINTS)
-    feedback.tip_forces(NUMBERS, packet(state).record, True, 1, at_master)
-    rendered = feedback.clamp(config.limit, feedback.reflect(scale, at_master[0]))
+    feedback.compute_tip_forces(NUMBERS, build_packet(state).record, True, 1, at_master)
+    rendered = feedback.clamp(config.limit, feedback.reflect_force(scale, at_master[0]))
     assert rendered == pytest.approx(-scale * at_slave, abs=1e-9)
 
 
@@ -75,14 +75,14 @@ def test_whatever_comes_in_no_more_is_rendered_than_the_most_and_each_joint_by_i
 
 def test_what_the_hand_never_paid_for_is_not_spent_on_a_wall():
     coupling_config = PassivityConfig()
-    settings = one(coupling.bilateral_settings(Bilateral(coupling=coupling_config)))
+    settings = view_struct(coupling.to_bilateral_settings(Bilateral(coupling=coupling_config)))
     side, asked, speed = Side.new(), np.zeros(MAX_JOINTS), np.zeros(MAX_JOINTS)
     force, told = np.zeros(MAX_JOINTS), np.zeros(MAX_JOINTS)
     for tick in range(200):
-        coupling.receive(side, 7, told, told)
+        coupling.receive_totals(side, 7, told, told)
         force[:1] = slave_forces(50.0, (10.0, 10.0, 10.0, 0))
         asked[0], speed[0] = 1e-4 * tick, 0.1
-        coupling.at_tip(settings, side, asked, speed, force, 1, True, 1e-3)
+        coupling.compute_tip_motion(settings, side, asked, speed, force, 1, True, 1e-3)
         place = asked[0]
     assert 10.0 * place <= coupling_config.reserve + 1e-12
     assert place > 0.0

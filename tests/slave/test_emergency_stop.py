@@ -2,9 +2,9 @@
 
 import pytest
 
-from slave.process import Past
+from slave.process import CalibrationHistory
 from teleop.link import ReceivedMessage
-from teleop.messages.messages import EmergencyStop, text_bytes
+from teleop.messages.messages import EmergencyStop, encode_text
 from teleop.messages.topics import STATE, STOP, Role
 from teleop.remote.requests import CALL, RESET
 from teleop.runtime.clock import now_ns
@@ -38,7 +38,7 @@ class Bench:
     def call(self, action, **settings):
         self._calls += 1
         message = EmergencyStop(
-            role=Role.REMOTE, action=action, text=text_bytes("a nurse"), **settings
+            role=Role.REMOTE, action=action, text=encode_text("a nurse"), **settings
         )
         data = message.pack(77, self._calls, now_ns())
         self.line.heard = [ReceivedMessage(STOP, data, now_ns(), 77, self._calls, now_ns())]
@@ -65,7 +65,7 @@ def ready(past=None):
 
 
 def calibrated():
-    bench = ready(Past(now_ns(), (), (HELD,)))
+    bench = ready(CalibrationHistory(now_ns(), (), (HELD,)))
     assert bench.rig.writes == [[HELD]] * 10
     return bench
 
@@ -153,7 +153,7 @@ def test_motors_move_on_from_where_they_are_after_the_stop():
 
 
 def test_a_rig_without_a_stop_of_its_own_is_held():
-    bench = Bench(FakeRig(), Past(now_ns(), (), (HELD,)))
+    bench = Bench(FakeRig(), CalibrationHistory(now_ns(), (), (HELD,)))
     bench.call(CALL)
     bench.run_on(10)
     assert bench.side.state is State.STOPPED

@@ -9,11 +9,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from estimator.records import as_record, one
+from estimator.records import to_struct, view_struct
 from slave import gate
 from slave.control import JointEstimate
 from slave.gate import GateConfig, GateFlags, Reach
-from slave.tendons import rig_layout
+from slave.tendons import build_rig_layout
 from teleop.messages.messages import MAX_JOINTS, MAX_TENDONS
 from tests.anything import CASES, Anything
 
@@ -24,7 +24,7 @@ anywhere = st.floats(-0.2, 0.2)
 tick = (anything, anything, anything, st.booleans(), anything)
 UNLIMITED = Reach.array(0)
 UNWRITTEN = 7.0
-record_of = cache(as_record)
+record_of = cache(to_struct)
 
 
 class Gated(NamedTuple):
@@ -54,7 +54,7 @@ def reaches(config, joints, position, force):
     estimates["position"][: len(joints)] = position
     estimates["force"][: len(joints)] = force
     reach = Reach.array(MAX_TENDONS)
-    gate.reaches(record_of(config), one(rig_layout(joints)), estimates, reach)
+    gate.compute_reaches(record_of(config), view_struct(build_rig_layout(joints)), estimates, reach)
     return reach
 
 

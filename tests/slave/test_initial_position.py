@@ -7,7 +7,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from slave.initial_position import InitialPosition, age, known, start, take
+from slave.initial_position import (
+    InitialPosition,
+    increase_age,
+    init_position,
+    is_known,
+    process_sample,
+)
 from teleop.messages.messages import MAX_TENDONS
 
 AGE_MAX = 0.1
@@ -16,7 +22,7 @@ NONE = np.full(MAX_TENDONS, math.nan)
 
 def fresh(tendons=2, starts_at_zero=False):
     memory = InitialPosition.new()
-    start(memory, tendons, starts_at_zero)
+    init_position(memory, tendons, starts_at_zero)
     return memory
 
 
@@ -25,12 +31,12 @@ def reading(*values):
 
 
 def where(memory, tendons=2, age_max=AGE_MAX):
-    return memory.position[:tendons].tolist() if known(memory, age_max) else []
+    return memory.position[:tendons].tolist() if is_known(memory, age_max) else []
 
 
 def test_before_any_reading_nothing_is_known():
     memory = fresh()
-    take(memory, 2, NONE, False)
+    process_sample(memory, 2, NONE, False)
     assert where(memory) == []
     assert where(memory, age_max=math.inf) == []
 
@@ -38,7 +44,7 @@ def test_before_any_reading_nothing_is_known():
 def test_a_rig_that_starts_at_zero_stands_there_however_long_it_is_silent():
     memory = fresh(starts_at_zero=True)
     for _ in range(1000):
-        age(memory, 1.0)
+        increase_age(memory, 1.0)
     assert where(memory) == [0.0, 0.0]
 
 
@@ -46,12 +52,12 @@ def test_a_rig_that_starts_at_zero_stands_there_however_long_it_is_silent():
 def test_the_newest_reading_counts_until_it_is_too_old(values, starts_at_zero):
     n = len(values)
     memory = fresh(n, starts_at_zero)
-    take(memory, n, np.zeros(MAX_TENDONS), True)
-    take(memory, n, reading(*values), True)
+    process_sample(memory, n, np.zeros(MAX_TENDONS), True)
+    process_sample(memory, n, reading(*values), True)
     assert where(memory, n) == values
-    age(memory, AGE_MAX)
+    increase_age(memory, AGE_MAX)
     assert where(memory, n) == values
-    age(memory, 1e-6)
+    increase_age(memory, 1e-6)
     assert where(memory, n) == []
     assert np.isnan(memory.position[n:]).all()
 
@@ -60,18 +66,18 @@ def test_the_newest_reading_counts_until_it_is_too_old(values, starts_at_zero):
 @pytest.mark.parametrize("which", [0, 1])
 def test_a_reading_that_lacks_an_encoder_counts_for_none_and_the_last_one_grows_older(bad, which):
     memory = fresh()
-    take(memory, 2, reading(0.01, 0.02), True)
-    age(memory, 0.06)
+    process_sample(memory, 2, reading(0.01, 0.02), True)
+    increase_age(memory, 0.06)
     partial = reading(0.5, 0.5)
     partial[which] = bad
-    take(memory, 2, partial, True)
+    process_sample(memory, 2, partial, True)
     assert where(memory) == [0.01, 0.02]
-    age(memory, 0.06)
+    increase_age(memory, 0.06)
     assert where(memory) == []
 
 
 def test_a_memory_that_is_started_again_forgets():
     memory = fresh()
-    take(memory, 2, reading(0.01, 0.02), True)
-    start(memory, 2, False)
+    process_sample(memory, 2, reading(0.01, 0.02), True)
+    init_position(memory, 2, False)
     assert where(memory) == []

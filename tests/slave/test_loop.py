@@ -26,7 +26,7 @@ CONFIG = SlaveConfig(
     tendons=(TendonConfig(effective_friction=0.8),), gate=GateConfig(displacement_max=0.05)
 )
 MODELS = [online.TendonModel(Sheath.uniform(0.8, 1.5, 9000.0))]
-MODEL = loop.rig_model(((0,),), MODELS)
+MODEL = loop.build_rig_model(((0,),), MODELS)
 LONG = 3 * round(CONFIG.sample_timeout / DT)  # ticks
 
 
@@ -197,7 +197,7 @@ def test_a_tension_far_over_its_limit_is_a_fault_if_it_lasts(tension, ticks):
 
 
 def test_a_rig_without_a_calibration_that_fits_it_is_never_engaged_and_says_why():
-    uncalibrated = loop.rig_model(((0,),), MODELS, "no calibration")
+    uncalibrated = loop.build_rig_model(((0,),), MODELS, "no calibration")
     slave = SlaveBench(uncalibrated, CONFIG, True)
     for k, state in enumerate([State.READY] * 3 + [State.ENGAGED] * 20):
         output = slave.tick([sample(k * DT)], command(state, 1e-3))
@@ -439,7 +439,7 @@ def test_a_sample_of_too_few_or_too_many_tendons_is_no_reading_of_what_is_in_mem
 
 
 def test_a_sample_that_lacks_a_tendon_is_silence_and_not_the_one_before():
-    slave = SlaveBench(loop.rig_model(JOINT_AND_PAIR, MODELS * 3), CONFIG, True)
+    slave = SlaveBench(loop.build_rig_model(JOINT_AND_PAIR, MODELS * 3), CONFIG, True)
     rows = EstimatedSample.array()
     for k, tendons in enumerate((3, 3, 2)):
         fill_sample(rows, 0, RigSample(k * DT, np.full(tendons, 5.0), np.zeros(tendons)))
@@ -453,7 +453,7 @@ JOINT_AND_PAIR = ((0,), (1, 2))
 @settings(max_examples=30, deadline=None)
 @given(st.integers(0, 2), st.lists(st.floats(0.0, 20.0), min_size=3, max_size=20))
 def test_what_happens_to_a_tendon_is_not_seen_in_another_ones_estimate(which, tensions):
-    model = loop.rig_model(JOINT_AND_PAIR, MODELS * 3)
+    model = loop.build_rig_model(JOINT_AND_PAIR, MODELS * 3)
 
     def drive(varied):
         slave = SlaveBench(model, CONFIG, True)

@@ -10,7 +10,7 @@ import pytest
 
 from slave import loop
 from slave.calibration.monitor import Advice
-from slave.config import SlaveConfig, TendonConfig, tendon_configs
+from slave.config import SlaveConfig, TendonConfig, load_tendon_configs
 from slave.gate import GateConfig
 from slave.rigs.replayed import ReplayedRigConfig
 from slave.rigs.simulated.plant.effects import FrictionStep, StuckCell
@@ -68,7 +68,9 @@ def run(config, position, seconds, spoiled=lambda _time, _last, sample: sample):
 def on_rig(config):
     """Return a simulated rig and the slave that a config makes of it."""
     rig = SimulatedRig(config.rig)
-    model = loop.rig_model(rig.joints, [t.model() for t in tendon_configs(config, rig.tendons)])
+    model = loop.build_rig_model(
+        rig.joints, [t.model() for t in load_tendon_configs(config, rig.tendons)]
+    )
     return rig, SlaveBench(model, config, rig.starts_at_zero)
 
 

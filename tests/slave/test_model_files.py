@@ -9,10 +9,10 @@ import pytest
 import yaml
 
 from estimator.effects import CATALOGUE, NAMES
-from estimator.online.extension import extended
+from estimator.online.extension import build_extended_model
 from slave import model_files
-from slave.config import SlaveConfig, not_ready_reason, tendon_configs
-from slave.process import introduced
+from slave.config import SlaveConfig, find_not_ready_reason, load_tendon_configs
+from slave.process import describe_models
 from slave.tendon_config import TendonConfig
 from teleop.cli import commands
 from teleop.config.loading import load
@@ -144,10 +144,10 @@ def test_a_config_names_its_model_from_its_own_folder(file, tmp_path):
 
 def test_noise_and_pretension_stay_where_a_model_replaces_the_sheath(file):
     known = TendonConfig(effective_friction=0.5, tension_noise=0.01, pretension=0.7, drag=0.2)
-    (tendon,) = tendon_configs(SlaveConfig(tendons=(known,)), 1, ((0,),), {"": file})
+    (tendon,) = load_tendon_configs(SlaveConfig(tendons=(known,)), 1, ((0,),), {"": file})
     assert (tendon.tension_noise, tendon.pretension) == (0.01, 0.7)
     assert tendon.model().sheath.drag == pytest.approx(0.4)
-    (alone,) = tendon_configs(SlaveConfig(), 1, ((0,),), {"": file})
+    (alone,) = load_tendon_configs(SlaveConfig(), 1, ((0,),), {"": file})
     assert alone.model_file == file
 
 
@@ -155,47 +155,49 @@ def test_one_tendon_of_several_gets_its_own(file, tmp_path):
     other = write(tmp_path / "other.yaml", K=0.5)
     known = SlaveConfig(tendons=(TendonConfig(effective_friction=1.0),))
     given = model_files.parse([f"2a={file}", f"4={other}"])
-    found = tendon_configs(known, 4, JOINTS, given)
+    found = load_tendon_configs(known, 4, JOINTS, given)
     assert [one.model().sheath.K for one in found] == pytest.approx([1.0, 1.0, 0.8, 0.5])
     with pytest.raises(UsageError, match="must be one of 1a, 1b, 2a, 2b, 1, 2, 3, 4"):
-        tendon_configs(known, 4, JOINTS, {"3a": file})
+        load_tendon_configs(known, 4, JOINTS, {"3a": file})
     with pytest.raises(UsageError, match="missing for some tendons"):
-        tendon_configs(SlaveConfig(), 4, JOINTS, {"2a": file})
+        load_tendon_configs(SlaveConfig(), 4, JOINTS, {"2a": file})
 
 
 def test_a_rig_with_a_model_of_each_sheath_needs_no_calibration():
     class Rig:
         name, joints = "bench", ((0,),)
 
-    assert not_ready_reason(SlaveConfig(), Rig(), modelled=True) == ""
-    assert "no model" in not_ready_reason(SlaveConfig(), Rig())
+    assert find_not_ready_reason(SlaveConfig(), Rig(), modelled=True) == ""
+    assert "no model" in find_not_ready_reason(SlaveConfig(), Rig())
 
 
 def test_the_slave_says_what_it_does_with_each_effect(file):
-    said = introduced([TendonConfig(model_file=file, tension_noise=0.01)] * 2)
+    said = describe_models([TendonConfig(model_file=file, tension_noise=0.01)] * 2)
     assert [line.removeprefix(f"{file}: ") for line in said] == [
         "creep is run beside the law",
         "constant_drag is in the friction and shape of the sheath",
         "tip_moved (and left it there) is left out: it belongs to the record it was found in",
     ]
-    assert introduced([TendonConfig(effective_friction=0.5)]) == []
-    assert introduced([TendonConfig(model_file=file)])[-1].startswith("WARNING")
+    assert describe_models([TendonConfig(effective_friction=0.5)]) == []
+    assert describe_models([TendonConfig(model_file=file)])[-1].startswith("WARNING")
 
 
 def test_a_model_of_another_sheath_is_a_warning(file):
     used = [TendonConfig(model_file=file)]
     near, far = ([TendonConfig(effective_friction=K)] for K in (0.7, 1.5))
     assert (
-        model_files.friction_warnings(near, used) == model_files.friction_warnings(used, used) == []
+        model_files.find_friction_warnings(near, used)
+        == model_files.find_friction_warnings(used, used)
+        == []
     )
-    (line,) = model_files.friction_warnings(far * 2, used * 2)
+    (line,) = model_files.find_friction_warnings(far * 2, used * 2)
     assert re.search(r"WARNING: .*model\.yaml: its K is 0\.8\d*, the calibrated K is 1\.5", line)
 
 
 def test_a_cause_that_is_one_of_several_is_a_warning(file):
     tree = yaml.safe_load(file.read_text()) | {"unsure": ["encoder_slip"]}
     file.write_text(yaml.safe_dump(tree))
-    line = introduced([TendonConfig(model_file=file, tension_noise=0.01)])[-1]
+    line = describe_models([TendonConfig(model_file=file, tension_noise=0.01)])[-1]
     assert "WARNING" in line
     assert "encoder_slip" in line
 
@@ -230,5 +232,5 @@ def test_the_page_says_what_becomes_of_each_effect():
     assert {name for name, _ in said} >= set(NAMES)
     for effect in CATALOGUE:
         values = tuple(10.0 if p.jumps else (2.0 * p.low + p.high) / 3.0 for p in effect.parameters)
-        ((_, _, use),) = extended((0.4, 1e-4, 1e-4), [(effect, values)], 60.0, 1.5).uses
+        ((_, _, use),) = build_extended_model((0.4, 1e-4, 1e-4), [(effect, values)], 60.0, 1.5).uses
         assert any(text.startswith(use.value) for name, text in said if name == effect.name)

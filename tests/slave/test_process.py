@@ -21,16 +21,16 @@ from slave.rig import RigFault, RigFinished, RigSample
 from slave.rigs.simulated.simulated import SimulatedRigConfig
 from slave.samples import estimate_with_dynamics
 from teleop.errors import PeerError, TeleopError, UsageError
-from teleop.link import Latest, ReceivedMessage
-from teleop.link.refusals import Refusals
+from teleop.link import LatestMessage, ReceivedMessage
+from teleop.link.refusals import RefusalCounter
 from teleop.messages.messages import (
     MAX_JOINTS,
     NO_TOPICS,
     Command,
     EmergencyStop,
-    padded,
-    text_bytes,
-    text_of,
+    decode_text,
+    encode_text,
+    pad_values,
 )
 from teleop.messages.topics import (
     COMMAND,
@@ -50,7 +50,7 @@ from teleop.remote.requests import CALL, RESET, RequestListener
 from teleop.remote.stop_socket import LocalRequest
 from teleop.runtime.clock import EventClock, now_ns
 from teleop.session.loop_process import run
-from teleop.session.state_machine import Reason, State, outline
+from teleop.session.state_machine import Reason, State, to_outline
 from tests.one_side import arguments_of, without_traces
 
 TENDON = TendonConfig(effective_friction=0.8)
@@ -65,8 +65,8 @@ class FakeLink:
     nonce, role = 5, Role.SLAVE
 
     def __init__(self, pressed_after=5, rate_hz=1000.0):
-        self.sent, self.heard, self.refusals = [], [], Refusals()
-        self.latest_command = Latest(COMMAND, lambda _: True)
+        self.sent, self.heard, self.refusals = [], [], RefusalCounter()
+        self.latest_command = LatestMessage(COMMAND, lambda _: True)
         self.pressed_after, self.sequence, self.conflict = pressed_after, 0, None
         self.master_state = None  # whatever is pressed
         self.commanding = True
@@ -110,7 +110,7 @@ class FakeLink:
             pressed = self.sequence > self.pressed_after
             command = Command(
                 state=self.master_state or (State.ENGAGED if pressed else State.READY),
-                position=padded((self.sequence * PULL,), MAX_JOINTS),
+                position=pad_values((self.sequence * PULL,), MAX_JOINTS),
             )
             self.stamps.append(now_ns())
             data = command.pack(self.nonce, self.sequence, self.stamps[-1])
@@ -151,7 +151,7 @@ class FakeLink:
         return [message for which, message in self.sent if which is topic]
 
     def said(self):
-        return [text_of(event.text) for event in self.of(EVENT)]
+        return [decode_text(event.text) for event in self.of(EVENT)]
 
 
 class FakeRig:
@@ -240,7 +240,7 @@ class Until:
 
 def started(rig, line, stop, rate_hz=1000.0, past=None, config=CONFIG):
     clock = EventClock(rate_hz, stop, partial(line.wait, COMMAND))
-    model = loop.rig_model(rig.joints, [TENDON.model()])
+    model = loop.build_rig_model(rig.joints, [TENDON.model()])
     return SlaveProcess(config, line, rig, model, clock, past), clock
 
 
@@ -253,7 +253,7 @@ def driven(rig, line=None, ticks=40, rate_hz=1000.0):
 
 
 def side_of(slave):
-    return outline(slave.memory.session)
+    return to_outline(slave.memory.session)
 
 
 def test_nothing_is_written_before_the_operator_has_engaged():
@@ -268,9 +268,9 @@ def test_earlier_samples_are_taken_over_at_ordinary_priority_and_the_loop_is_bac
     monkeypatch,
 ):
     """They may be those of minutes, and other real-time threads need the processor."""
-    start, policies = loop.start, []
+    start, policies = loop.init_slave, []
     monkeypatch.setattr(
-        loop, "start", lambda *args: policies.append(os.sched_getscheduler(0)) or start(*args)
+        loop, "init_slave", lambda *args: policies.append(os.sched_getscheduler(0)) or start(*args)
     )
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
@@ -503,7 +503,7 @@ def test_whatever_else_goes_wrong_the_others_are_told(fails):
 
 def freezing(monkeypatch, at, decided):
     """Have the process freeze after the decision of tick `at`, as a SIGSTOP would."""
-    whole = loop.tick
+    whole = loop.run_tick
 
     def tick(*args):
         verdict = whole(*args)
@@ -512,7 +512,7 @@ def freezing(monkeypatch, at, decided):
             time.sleep(0.05)
         return verdict
 
-    monkeypatch.setattr(loop, "tick", tick)
+    monkeypatch.setattr(loop, "run_tick", tick)
 
 
 def test_a_process_that_froze_after_it_decided_decides_again(monkeypatch):
@@ -570,7 +570,7 @@ def test_a_call_for_a_stop_holds_the_motors_until_it_is_reset_without_any_master
 
     def call(action, sequence, sender=77, **settings):
         message = EmergencyStop(
-            role=Role.REMOTE, action=action, text=text_bytes("a nurse"), **settings
+            role=Role.REMOTE, action=action, text=encode_text("a nurse"), **settings
         )
         data = message.pack(sender, sequence, now_ns())
         line.heard = [ReceivedMessage(STOP, data, now_ns(), sender, sequence, now_ns())]
@@ -603,7 +603,7 @@ CALIBRATING = SlaveConfig(rig=SimulatedRigConfig(), initialise=InitialiseConfig(
 
 def model_of(rig, line, stop_socket=None):
     requests = RequestListener(line, stop_socket)
-    return process.model_of(CALIBRATING, rig, line, requests, Until(9), 1000.0, {})
+    return process.prepare_rig_model(CALIBRATING, rig, line, requests, Until(9), 1000.0, {})
 
 
 def test_a_calibration_at_the_start_leaves_the_motors_held_from_the_first_tick_on(monkeypatch):
@@ -630,7 +630,7 @@ def test_a_calibration_at_the_start_leaves_the_motors_held_from_the_first_tick_o
 )
 def test_a_stop_ends_a_calibration_at_the_start_and_stops_the_motors(monkeypatch, error, said):
     rig, line = StoppableRig(stop_error=error), FakeLink()
-    message = EmergencyStop(role=Role.REMOTE, action=CALL, text=text_bytes("a nurse"))
+    message = EmergencyStop(role=Role.REMOTE, action=CALL, text=encode_text("a nurse"))
     data = message.pack(77, 1, now_ns())
 
     def never_calibrated(_rig, _config, _grid, _start, stopped, progress, analysing):
@@ -804,5 +804,5 @@ def test_effects_of_models_are_compiled_before_the_loop_begins(with_dynamics, mo
     monkeypatch.setattr(
         warm_up, "estimate_with_dynamics", lambda *args: called.append(1) or dynamic(*args)
     )
-    warm_up.prepare(config, with_dynamics)
+    warm_up.compile_session(config, with_dynamics)
     assert bool(called) == with_dynamics

@@ -4,10 +4,10 @@ import pytest
 
 from slave import loop, telemetry
 from slave.calibration.procedure_state import Phase
-from slave.calibration.run import Progress
+from slave.calibration.run import ProcedureProgress
 from slave.config import SlaveConfig
 from slave.loop_records import NO_POSITION, NO_SAMPLE, NOT_CALIBRATED, NOT_READY_TEXT
-from slave.telemetry import Telemetry, calibrating
+from slave.telemetry import Telemetry, build_progress_printer
 from slave.tendon_config import TendonConfig
 from teleop.session.state_machine import Reason, State
 from tests.slave.slave_bench import SlaveBench
@@ -41,7 +41,7 @@ def memory_and_tell():
 
 
 def started(not_ready_text=""):
-    model = loop.rig_model(JOINTS, MODELS, not_ready_text)
+    model = loop.build_rig_model(JOINTS, MODELS, not_ready_text)
     bench = SlaveBench(model, SlaveConfig(tendons=(TendonConfig(effective_friction=0.8),)), True)
     return bench.memory, Telemetry(Silent(), model, bench.slave)
 
@@ -93,9 +93,9 @@ def test_a_calibration_says_where_it_is_now_and_then(capsys):
     class Arm:
         name, joints = "arm", JOINTS
 
-    show = calibrating(Arm())
+    show = build_progress_printer(Arm())
     for tick in range(5000):
-        show(Progress(tick * 1e-3, 1, Phase.PULL, 3, tick / 5000, (12.34, -0.001)))
+        show(ProcedureProgress(tick * 1e-3, 1, Phase.PULL, 3, tick / 5000, (12.34, -0.001)))
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) == 3  # at 0, 2 and 4 s
     assert lines[1] == "calibrating arm: 40%, joint 1, tendon b: pulling, 12.3 and 0.0 N"

@@ -14,7 +14,7 @@ import pytest
 
 from estimator.online import online
 from estimator.online.online import Status
-from slave.config import as_built
+from slave.config import to_tendon_config
 from slave.rigs.simulated.plant.body import BodyConfig
 from slave.rigs.simulated.plant.environment import LoadMotorConfig
 from slave.rigs.simulated.plant.sensors import LoadCellConfig
@@ -68,7 +68,7 @@ def record(bends, motion, load, noise):
             rows.append((s.time_s, *(column[0] for column in row)))
         time = k * 1e-3
         rig.write(np.array([np.interp(time, [0.0, 0.7, HOLDS - 0.1], [0.0, via or to, to])]))
-    return np.array(rows).T, as_built(tendon, BODY.pretension).model()
+    return np.array(rows).T, to_tendon_config(tendon, BODY.pretension).model()
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.02])

@@ -13,15 +13,17 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import BinaryIO
 
-from teleop.launch.supervisor import wait_for
+from teleop.launch.supervisor import wait_for_condition
 from teleop.link import Link, LinkConfig
 from teleop.messages.messages import Hand, SlaveState
 from teleop.messages.topics import HAND, STATE, Role
-from teleop.runtime.process import SUPERVISED
+from teleop.runtime.process import SUPERVISED_VARIABLE
 from teleop.session.state_machine import State
 
 START_S = 120.0  # the first start of all compiles
-OURS = os.environ | {SUPERVISED: str(os.getpid())}  # environment of processes that end with us
+OURS = os.environ | {
+    SUPERVISED_VARIABLE: str(os.getpid())
+}  # environment of processes that end with us
 
 
 def ended_well(code: int, said: str) -> bool:
@@ -95,7 +97,7 @@ class Processes:
         self.start("slave", "--json", str(self.folder / "slave.json"), prefix=prefix)
         self.start("master", "--json", str(self.folder / "master.json"), prefix=prefix)
         with self.look() as link:
-            assert wait_for(lambda: self.engaged(link), START_S), self.outputs()
+            assert wait_for_condition(lambda: self.engaged(link), START_S), self.outputs()
 
     def look(self) -> Link:
         return Link(self.link_config, self.session, Role.LAUNCHER)

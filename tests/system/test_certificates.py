@@ -14,11 +14,11 @@ from pathlib import Path
 import pytest
 
 from teleop.cli import commands
-from teleop.launch.supervisor import wait_for
+from teleop.launch.supervisor import wait_for_condition
 from teleop.link import Link, Listener
-from teleop.messages.messages import Event, text_of
+from teleop.messages.messages import Event, decode_text
 from teleop.messages.topics import EVENT, STATE, Role
-from teleop.security import Identity, Office
+from teleop.security import CertificateRole, Identity
 from teleop.security.authority import REVOKED, Authority
 from teleop.session.state_machine import State
 from tests.system.namespaces import Network, require_namespaces
@@ -62,7 +62,7 @@ class Heard:
 
     def said(self, role: Role, text: str) -> bool:
         events = (Event.unpack(item.data) for item in self._listener.drain())
-        self.lines += [(event.role, text_of(event.text)) for event in events]
+        self.lines += [(event.role, decode_text(event.text)) for event in events]
         return any(by == role and text in line for by, line in self.lines)
 
 
@@ -88,13 +88,15 @@ def test_a_revoked_master_is_parted_from_while_it_is_engaged(
         session.start("slave")
         session.start("master")
         with watched(session, keys) as (link, heard):
-            assert wait_for(lambda: session.engaged(link), START_S), session.outputs()
+            assert wait_for_condition(lambda: session.engaged(link), START_S), session.outputs()
             revoke(tmp_path, keys, f"{SESSION}.master")
-            assert wait_for(lambda: has_let_go(link), 10.0), session.outputs()
+            assert wait_for_condition(lambda: has_let_go(link), 10.0), session.outputs()
             revoked = f"the certificate master.{SESSION} was revoked"
-            assert wait_for(lambda: heard.said(Role.SLAVE, f"refused: {revoked}"), 10.0)
-            assert wait_for(lambda: heard.said(Role.MASTER, f"{revoked}; it is ours"), 10.0)
-            assert not wait_for(lambda: session.engaged(link), 3.0)
+            assert wait_for_condition(lambda: heard.said(Role.SLAVE, f"refused: {revoked}"), 10.0)
+            assert wait_for_condition(
+                lambda: heard.said(Role.MASTER, f"{revoked}; it is ours"), 10.0
+            )
+            assert not wait_for_condition(lambda: session.engaged(link), 3.0)
         # and it cannot start again
         code, said = run_one(session, "master")
         assert code == 2
@@ -110,14 +112,14 @@ def test_a_certificate_that_expires_while_it_is_engaged_ends_the_pair(
         session.take_name(SESSION)
         session.start("slave")
         with watched(session, keys) as (link, heard):
-            assert wait_for(lambda: link.latest(STATE).message is not None, START_S)
-            put(authority, keys, Identity(Office.MASTER, SESSION), 45.0 / DAY_S)
+            assert wait_for_condition(lambda: link.latest(STATE).message is not None, START_S)
+            put(authority, keys, Identity(CertificateRole.MASTER, SESSION), 45.0 / DAY_S)
             session.start("master")
-            assert wait_for(lambda: session.engaged(link), 40.0), session.outputs()
-            assert wait_for(lambda: has_let_go(link), 60.0), session.outputs()
+            assert wait_for_condition(lambda: session.engaged(link), 40.0), session.outputs()
+            assert wait_for_condition(lambda: has_let_go(link), 60.0), session.outputs()
             expired = f"refused: the certificate master.{SESSION} expired on"
-            assert wait_for(lambda: heard.said(Role.SLAVE, expired), 10.0), heard.lines
-            assert not wait_for(lambda: session.engaged(link), 3.0)
+            assert wait_for_condition(lambda: heard.said(Role.SLAVE, expired), 10.0), heard.lines
+            assert not wait_for_condition(lambda: session.engaged(link), 3.0)
 
 
 def run_one(session: Processes, command: str) -> tuple[int, str]:
@@ -136,9 +138,19 @@ def test_a_certificate_that_is_not_valid_starts_nothing(tmp_path: Path, demo_con
     with Processes(tmp_path, demo_config, f"link.keys={keys}") as session:
         session.take_name(SESSION)
         for identity, days, start, complaint in (
-            (Identity(Office.MASTER, SESSION), -0.5, now - timedelta(days=1), "expired on"),
-            (Identity(Office.MASTER, "other"), 1.0, None, "is of session 'other'"),
-            (Identity(Office.VIEWER, SESSION), 1.0, None, "is of a viewer, this process is a mas"),
+            (
+                Identity(CertificateRole.MASTER, SESSION),
+                -0.5,
+                now - timedelta(days=1),
+                "expired on",
+            ),
+            (Identity(CertificateRole.MASTER, "other"), 1.0, None, "is of session 'other'"),
+            (
+                Identity(CertificateRole.VIEWER, SESSION),
+                1.0,
+                None,
+                "is of a viewer, this process is a mas",
+            ),
         ):
             put(authority, keys, identity, days, start, f"{SESSION}.master")
             code, said = run_one(session, "master")
@@ -146,7 +158,7 @@ def test_a_certificate_that_is_not_valid_starts_nothing(tmp_path: Path, demo_con
             assert complaint in said
             assert len(said.splitlines()) == 1
         other = Authority.create("another", 2)
-        put(other, keys, Identity(Office.MASTER, SESSION), name=f"{SESSION}.master")
+        put(other, keys, Identity(CertificateRole.MASTER, SESSION), name=f"{SESSION}.master")
         code, said = run_one(session, "master")
         assert code == 2
         assert "is of another authority" in said
@@ -172,7 +184,7 @@ def test_a_master_of_elsewhere_moves_nothing_and_hears_why(
         session.shared = [*shared, "--set", f"link.keys={keys}"]
         session.start("slave")
         with watched(session, keys) as (link, heard):
-            assert wait_for(lambda: link.latest(STATE).message is not None, START_S)
+            assert wait_for_condition(lambda: link.latest(STATE).message is not None, START_S)
             session.shared = [*shared, "--set", stranger]
             session.take_name(theirs)
             log = session.start("master", talkative=True)
@@ -181,12 +193,12 @@ def test_a_master_of_elsewhere_moves_nothing_and_hears_why(
                 "authority": f"the certificate slave.{SESSION} is of another authority",
                 "insecure": "it is secure, and this side is not (link.insecure)",
             }
-            assert wait_for(lambda: reasons[foreign] in session.outputs(), START_S), (
+            assert wait_for_condition(lambda: reasons[foreign] in session.outputs(), START_S), (
                 session.outputs()
             )
             if foreign == "session":  # it got as far as a connection
                 there = "a connection with the certificate master.other"
-                assert wait_for(lambda: heard.said(Role.SLAVE, there), 10.0), heard.lines
+                assert wait_for_condition(lambda: heard.said(Role.SLAVE, there), 10.0), heard.lines
             state = link.latest(STATE).message
             assert state is not None
             assert state.state == State.READY
@@ -257,7 +269,9 @@ def test_a_run_is_stopped_from_another_machine_by_who_may_and_by_nobody_else(
             code = network.start("desk", command, log).wait(60.0)
             return code, log.read_text()
 
-        assert wait_for(lambda: re.search(r"\[slave\].*ngaged", text()), 2 * START_S), text()
+        assert wait_for_condition(lambda: re.search(r"\[slave\].*ngaged", text()), 2 * START_S), (
+            text()
+        )
         for folder, name in ((wrong, "wrong"), (strangers, "stranger")):
             code, said = stop(folder, name)
             assert code != 0, said
@@ -265,4 +279,4 @@ def test_a_run_is_stopped_from_another_machine_by_who_may_and_by_nobody_else(
         assert "stopped" not in text().lower()
         code, said = stop(desk, "desk")
         assert code == 0, said
-        assert wait_for(lambda: "stopped" in text().lower(), 10.0), text()
+        assert wait_for_condition(lambda: "stopped" in text().lower(), 10.0), text()

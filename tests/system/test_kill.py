@@ -5,7 +5,7 @@ import os
 import numpy as np
 import pytest
 
-from teleop.launch.supervisor import wait_for
+from teleop.launch.supervisor import wait_for_condition
 from teleop.messages.topics import COMMAND, HAND, STATE, TENDONS
 from teleop.recording.reader import read_columns
 from teleop.session.state_machine import State
@@ -65,7 +65,7 @@ def test_machines_started_at_other_times_make_a_session_and_the_hand_is_freed(
         session.start("slave")
         master = session.start("master", prefix=ahead)
         with session.look() as link:
-            assert wait_for(lambda: session.engaged(link), START_S), session.outputs()
+            assert wait_for_condition(lambda: session.engaged(link), START_S), session.outputs()
         clocks = {os.readlink(f"/proc/{one}/ns/time") for one in ("self", master.pid)}
         assert len(clocks) == 2
         pause(0.5)

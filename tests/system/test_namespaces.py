@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from teleop.cli import commands
-from teleop.launch.supervisor import wait_for
+from teleop.launch.supervisor import wait_for_condition
 from teleop.messages.topics import COMMAND, HAND, STATE, TENDONS
 from teleop.recording.reader import open_recording, read_columns
 from teleop.runtime.clock import now_ns
@@ -83,7 +83,9 @@ class Theatre:
         return (self.folder / f"{command}.log").read_text()
 
     def wait_for_text(self, command: str, words: str) -> None:
-        assert wait_for(lambda: words in self.text(command), 2 * START_S), self.text(command)
+        assert wait_for_condition(lambda: words in self.text(command), 2 * START_S), self.text(
+            command
+        )
 
     def cut(self, side: str, seconds: float) -> tuple[int, int]:
         """Pull the cable of a side for some time; return when [ns]."""

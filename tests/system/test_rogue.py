@@ -8,12 +8,12 @@ from pathlib import Path
 
 import pytest
 
-from teleop.launch.supervisor import wait_for
+from teleop.launch.supervisor import wait_for_condition
 from teleop.link import Link
-from teleop.messages.messages import LAYOUT, Event, SlaveState, text_of
+from teleop.messages.messages import LAYOUT, Event, SlaveState, decode_text
 from teleop.messages.topics import EVENT, HAND, STATE, Role
-from teleop.security import Office
-from teleop.security.local import local_credentials
+from teleop.security import CertificateRole
+from teleop.security.local import create_local_credentials
 from teleop.session.state_machine import State
 from tests.rogue import ENGAGED, POSITION_AT, RESET, STATE_AT, Rogue, forged, head
 from tests.system.processes import OURS, START_S, Processes
@@ -29,9 +29,9 @@ def state_of(link: Link) -> SlaveState:
     return message
 
 
-def rogue_of(session: Processes, office: Office | None) -> Rogue:
+def rogue_of(session: Processes, office: CertificateRole | None) -> Rogue:
     ends = [session.link_config.slave, session.link_config.master]
-    tls = None if office is None else local_credentials(session.session, office).for_tls()
+    tls = None if office is None else create_local_credentials(session.session, office).for_tls()
     rogue = Rogue(ends, session.session, tls)
     for topic in ("command", "state"):
         rogue.listen(topic)
@@ -64,9 +64,9 @@ def teleop(session: Processes, *words: str) -> int:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("office", [Office.ROUTER, Office.VIEWER])
+@pytest.mark.parametrize("office", [CertificateRole.ROUTER, CertificateRole.VIEWER])
 def test_a_rogue_beside_a_session_moves_nothing(
-    demo_config: Path, tmp_path: Path, office: Office
+    demo_config: Path, tmp_path: Path, office: CertificateRole
 ) -> None:
     late = "master.device.engage=[[25, 55]]", "master.device.engage_period=60"
     with Processes(tmp_path, demo_config, *late) as session:
@@ -75,8 +75,10 @@ def test_a_rogue_beside_a_session_moves_nothing(
         with session.look() as link, rogue_of(session, office) as rogue:
             link.subscribe_latest(STATE)
             listener = link.listen((EVENT,))
-            assert wait_for(lambda: link.latest(HAND).message is not None, START_S)
-            assert wait_for(lambda: all(rogue.heard.values()), 10.0), "the rogue hears nothing"
+            assert wait_for_condition(lambda: link.latest(HAND).message is not None, START_S)
+            assert wait_for_condition(lambda: all(rogue.heard.values()), 10.0), (
+                "the rogue hears nothing"
+            )
             sides = tuple(head(rogue.heard[topic][-1][0])[2] for topic in ("command", "state"))
             before = state_of(link)
             attack(rogue, sides, 3.0)
@@ -89,15 +91,15 @@ def test_a_rogue_beside_a_session_moves_nothing(
             assert state_of(link).state == State.STOPPED
             assert teleop(session, "stop", "--reset") == 0
             # it engages as if nothing had been, and stays so under attack
-            assert wait_for(lambda: session.engaged(link), 90.0), session.outputs()
+            assert wait_for_condition(lambda: session.engaged(link), 90.0), session.outputs()
             attack(rogue, sides, 2.0)
             assert state_of(link).state == State.ENGAGED, session.outputs()
             assert session.engaged(link), session.outputs()
             lines = {
-                (event.role, text_of(event.text).split(" (")[0])
+                (event.role, decode_text(event.text).split(" (")[0])
                 for event in (Event.unpack(item.data) for item in listener.drain())
             }
-        if office is Office.ROUTER:  # a viewer's messages are dropped before they are read
+        if office is CertificateRole.ROUTER:  # a viewer's messages are dropped before they are read
             for side in (Role.MASTER, Role.SLAVE):
                 assert (side, "refused: stop of an unknown sender") in lines
             assert (Role.SLAVE, "refused: messages of the peer with a wrong tag") in lines
@@ -110,9 +112,9 @@ def test_strangers_on_the_machine_do_not_get_in(
     with Processes(tmp_path, demo_config, "master.device.engage=[]") as session:
         session.start("slave")
         with session.look() as link:
-            assert wait_for(lambda: link.latest(STATE).message is not None, START_S)
+            assert wait_for_condition(lambda: link.latest(STATE).message is not None, START_S)
             monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "another user"))
-            for office in (None, Office.MASTER):
+            for office in (None, CertificateRole.MASTER):
                 with rogue_of(session, office) as rogue:
                     time.sleep(2.0)
                     assert not rogue.connected()

@@ -12,10 +12,10 @@ import pytest
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
-from teleop.launch.supervisor import wait_for
+from teleop.launch.supervisor import wait_for_condition
 from teleop.messages.messages import MESSAGES
 from teleop.messages.topics import HAND, TENDONS, TOPICS, Role
-from teleop.recording.names import channel_name
+from teleop.recording.names import to_channel_name
 from teleop.recording.reader import read_columns
 from teleop.session.state_machine import Reason, State
 from tests.root import ROOT
@@ -84,7 +84,7 @@ def test_an_independent_reader_decodes_the_recording(recorded):
     with recording.open("rb") as stream:
         reader = make_reader(stream, decoder_factories=[DecoderFactory()])
         decoded = reader.iter_decoded_messages(
-            topics=[channel_name(TENDONS.name)], log_time_order=False
+            topics=[to_channel_name(TENDONS.name)], log_time_order=False
         )
         theirs = [message for _, _, _, message in decoded]
     assert len(theirs) == len(ours) > 500
@@ -146,7 +146,7 @@ def test_a_second_session_of_the_name_is_refused_before_it_leaves_a_trace(demo_c
     with Processes(tmp_path, demo_config) as first:
         first.start("slave")
         with first.look() as link:
-            assert wait_for(lambda: link.present(Role.SLAVE), START_S)
+            assert wait_for_condition(lambda: link.present(Role.SLAVE), START_S)
         second = first.start("run", "--view", "none", "--record", str(tmp_path / "second"))
         assert second.wait(30) == 2
         assert not (tmp_path / "second").exists()

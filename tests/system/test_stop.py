@@ -8,7 +8,7 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 
-from teleop.launch.supervisor import wait_for
+from teleop.launch.supervisor import wait_for_condition
 from teleop.messages.topics import COMMAND, EVENT, HAND, STATE, STOP, TENDONS, Role
 from teleop.recording.reader import read_columns
 from teleop.session.state_machine import Reason, State
@@ -36,7 +36,7 @@ def looking(session):
     with session.look() as link:
         for topic in (COMMAND, STATE):
             link.subscribe_latest(topic)
-        wait_for(lambda: None not in states(link), 0.5)
+        wait_for_condition(lambda: None not in states(link), 0.5)
         yield link
 
 
@@ -70,7 +70,7 @@ def test_a_stop_is_latched_on_both_sides_until_reset_and_then_waits_for_the_oper
         assert code == 0, text
         assert text.split() == ["master", "stopped", "slave", "stopped"]
         with looking(session) as link:
-            assert wait_for(lambda: states(link) == [State.STOPPED] * 2, 2.0)
+            assert wait_for_condition(lambda: states(link) == [State.STOPPED] * 2, 2.0)
             pause(1.0)
             assert states(link) == [State.STOPPED] * 2
             code, text = asked(session, "stop", "--reset")
@@ -117,7 +117,7 @@ def test_a_stop_goes_through_a_watch_of_its_machine_when_the_ports_are_busy(tmp_
         session.start_all(prefix=["env", f"XDG_RUNTIME_DIR={rig}"])
         session.start("stop", "--watch", prefix=at_desk)
         log = tmp_path / "3-stop.log"
-        assert wait_for(lambda: "watching master and slave" in log.read_text(), START_S)
+        assert wait_for_condition(lambda: "watching master and slave" in log.read_text(), START_S)
         config = session.link_config
         with flooded([config.master, config.slave]):
             stop = session.start("stop", prefix=at_desk)
@@ -139,7 +139,7 @@ def test_a_side_elsewhere_that_hangs_is_named_and_no_success(tmp_path, demo_conf
         slave = session.start("slave", prefix=["env", f"XDG_RUNTIME_DIR={rig}"])
         session.start("master", prefix=["env", f"XDG_RUNTIME_DIR={desk}"])
         with session.look() as link:
-            assert wait_for(lambda: session.engaged(link), START_S), session.outputs()
+            assert wait_for_condition(lambda: session.engaged(link), START_S), session.outputs()
         slave.send_signal(signal.SIGSTOP)
         pause(1.5)
         stop = session.start("stop", prefix=["env", f"XDG_RUNTIME_DIR={desk}"])
@@ -155,11 +155,11 @@ def test_a_slave_without_a_master_is_stopped_and_reset_too(tmp_path, demo_config
     with Processes(tmp_path, demo_config) as session:
         session.start("slave")
         with looking(session) as link:
-            assert wait_for(lambda: link.present(Role.SLAVE), START_S)
+            assert wait_for_condition(lambda: link.present(Role.SLAVE), START_S)
             pause(1.0)
             code, text = asked(session, "stop")
             assert (code, text.split()) == (0, ["slave", "stopped"])
-            assert wait_for(lambda: states(link)[1] == State.STOPPED, 2.0)
+            assert wait_for_condition(lambda: states(link)[1] == State.STOPPED, 2.0)
             code, text = asked(session, "stop", "--reset")
             assert code == 0
             assert "slave     ready" in text
@@ -186,11 +186,13 @@ def test_the_end_of_a_watch_stops_both_sides(tmp_path, demo_config, how):
         watch = session.start("stop", "--watch")
         with looking(session) as link:
             log = tmp_path / "3-stop.log"
-            assert wait_for(lambda: "watching master and slave" in log.read_text(), START_S)
+            assert wait_for_condition(
+                lambda: "watching master and slave" in log.read_text(), START_S
+            )
             pause(0.5)
             assert states(link) == [State.ENGAGED] * 2  # a watch that beats stops nothing
             watch.send_signal(how)
-            assert wait_for(lambda: states(link) == [State.STOPPED] * 2, 2.0)
+            assert wait_for_condition(lambda: states(link) == [State.STOPPED] * 2, 2.0)
         pause(0.5)
         for name in ("master", "slave", "record"):
             session.stop(name)

@@ -17,7 +17,7 @@ from http.server import BaseHTTPRequestHandler, HTTPServer
 
 import pytest
 
-from teleop.launch.supervisor import wait_for
+from teleop.launch.supervisor import wait_for_condition
 from teleop.view.batch import decode
 from teleop.view.foxglove_server import FoxgloveServer
 from teleop.view.scene import Scene
@@ -191,7 +191,7 @@ def test_a_page_of_another_site_in_a_real_browser_reads_nothing(view):
         given = f"const address = {json.dumps(view.geturl())}, app = {json.dumps(app.url)};"
         with other_site(f"<body><script>{given}{ATTEMPTS}</script></body>") as address:
             page.open(address)
-            assert wait_for(lambda: title(page).startswith("{"), 90, 0.5)
+            assert wait_for_condition(lambda: title(page).startswith("{"), 90, 0.5)
             tried = json.loads(title(page))
         assert set(tried.values()) == {"refused"}, tried
         assert len(tried) == 9

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import rerun as rr
 
-from teleop.launch.supervisor import wait_for
+from teleop.launch.supervisor import wait_for_condition
 from teleop.messages.messages import Hand, SlaveState
 from teleop.messages.topics import HAND, STATE
 from teleop.session.state_machine import Reason, State
@@ -72,7 +72,7 @@ def hidden(picture):
 
 def require_everything(page):
     """Wait until a page shows everything."""
-    if not wait_for(lambda: not hidden(page.picture()), APPEARS_S, 1.0):
+    if not wait_for_condition(lambda: not hidden(page.picture()), APPEARS_S, 1.0):
         pytest.fail(f"not shown: {', '.join(hidden(page.picture()))}")
 
 
@@ -100,7 +100,7 @@ def test_pages_that_are_opened_late_show_everything_and_follow_the_session():
             )
             sink.publish()
             for page in (one, other):
-                assert wait_for(
+                assert wait_for_condition(
                     lambda shown=page: pixels(shown.picture(), BANNER, STATES["holding"]) > 10_000,
                     APPEARS_S,
                     1.0,

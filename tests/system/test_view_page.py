@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from teleop.launch.supervisor import wait_for
+from teleop.launch.supervisor import wait_for_condition
 from teleop.view.batch import decode
-from teleop.view.colours import ESTIMATE, rgba
+from teleop.view.colours import ESTIMATE, to_rgba
 from teleop.view.scene import Scene
 from teleop.view.sinks import Sink
 from tests import browser
@@ -75,7 +75,7 @@ def test_the_page_is_not_blank(page):
 
 def test_the_scene_shows_the_colour_scale_from_end_to_end(page):
     picture, _ = page
-    levels = rgba(np.linspace(0.05, 0.95, 10) * CONFIG.tension_scale_N, CONFIG.tension_scale_N)
+    levels = to_rgba(np.linspace(0.05, 0.95, 10) * CONFIG.tension_scale_N, CONFIG.tension_scale_N)
     for colour in levels:
         assert pixels(picture, SCENE, int(colour), 12) > 5, f"{int(colour):08x} is missing"
 
@@ -133,10 +133,12 @@ def test_a_page_says_how_old_what_it_shows_is(chromium):
         sink.follow(lambda: scene.newest_ns + 12_000_000_000, scene.show_panel)
         chromium.open(sink.lines[0].removeprefix("Web view: ") + "?renderer=webgl&layout=full")
         strip = (0, 0, 1280, 60)
-        assert wait_for(lambda: pixels(chromium.picture(), strip, LOST) > 5000, APPEARS_S, 1.0)
+        assert wait_for_condition(
+            lambda: pixels(chromium.picture(), strip, LOST) > 5000, APPEARS_S, 1.0
+        )
         assert sink.behind_s == pytest.approx(12.0, abs=0.1)
         sink.follow(lambda: scene.newest_ns, scene.show_panel)
-        assert wait_for(lambda: pixels(chromium.picture(), strip, LOST) == 0, 60)
+        assert wait_for_condition(lambda: pixels(chromium.picture(), strip, LOST) == 0, 60)
 
 
 @pytest.mark.slow  # half a minute of a browser
@@ -155,7 +157,11 @@ def test_the_page_comes_back_when_another_view_serves_it(chromium):
                 before = chromium.settle(APPEARS_S)
                 assert green(before) < 100_000
             else:
-                assert wait_for(lambda: green(chromium.picture()) > 100_000, APPEARS_S, 1.0)
+                assert wait_for_condition(
+                    lambda: green(chromium.picture()) > 100_000, APPEARS_S, 1.0
+                )
         if layout == "presentation":  # nobody serves it
-            lost = wait_for(lambda: pixels(chromium.picture(), (0, 0, 1280, 60), LOST) > 5000, 60)
+            lost = wait_for_condition(
+                lambda: pixels(chromium.picture(), (0, 0, 1280, 60), LOST) > 5000, 60
+            )
             assert lost

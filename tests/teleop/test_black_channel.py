@@ -8,7 +8,7 @@ from dataclasses import asdict
 
 import pytest
 
-from teleop.link.reception import CLOCK_JUMP_NS, SETTLE_NS, Latest
+from teleop.link.reception import CLOCK_JUMP_NS, SETTLE_NS, LatestMessage
 from teleop.messages.messages import Command, Hand, SlaveState
 from teleop.messages.topics import COMMAND
 
@@ -24,7 +24,7 @@ class CentreLine:
 
     def __init__(self):
         self.there = {OURS}
-        self.latest = Latest(COMMAND, lambda nonce: int(nonce in self.there), LIMIT)
+        self.latest = LatestMessage(COMMAND, lambda nonce: int(nonce in self.there), LIMIT)
         self.now, self.sequence = 10**15, 0
 
     def message(self, state=1, sender=OURS, sequence=None, stamp=None):

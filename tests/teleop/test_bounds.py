@@ -7,8 +7,8 @@ import pytest
 from master import gate as master_gate
 from master.config import MasterConfig
 from slave import gate as slave_gate
-from slave.config import SlaveConfig, config_warnings
-from teleop.config.bounds import lifted
+from slave.config import SlaveConfig, find_config_warnings
+from teleop.config.bounds import build_bounds_warnings
 from teleop.config.loading import load
 from teleop.errors import UsageError
 
@@ -31,13 +31,13 @@ def test_a_limit_beyond_its_bound_needs_the_explicit_key(section, bound):
     assert "exceed_bounds: true" in str(refused.value)
     assert "\n" not in str(refused.value)
     config = load(None, cls, section, [above, f"{section}.gate.exceed_bounds=true"])
-    (warning,) = lifted(f"{section}.gate", config.gate)
+    (warning,) = build_bounds_warnings(f"{section}.gate", config.gate)
     assert f"{section}.gate.exceed_bounds" in warning
-    assert lifted(section, cls().gate) == []
+    assert build_bounds_warnings(section, cls().gate) == []
 
 
 def test_the_slave_warns_of_lifted_bounds():
-    (line,) = config_warnings(SlaveConfig(gate=slave_gate.GateConfig(exceed_bounds=True)))
+    (line,) = find_config_warnings(SlaveConfig(gate=slave_gate.GateConfig(exceed_bounds=True)))
     assert "exceed_bounds" in line
 
 

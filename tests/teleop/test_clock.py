@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from teleop.runtime import clock
-from teleop.runtime.clock import EventClock, Grid, Tick, now_ns, quiet_garbage
+from teleop.runtime.clock import EventClock, Grid, Tick, now_ns, pause_garbage_collection
 
 MS = 1_000_000
 
@@ -126,7 +126,7 @@ def test_no_tick_after_stop() -> None:
 
 def test_the_collector_is_quiet_inside_and_back_outside_even_after_an_error() -> None:
     def loop() -> None:
-        with quiet_garbage():
+        with pause_garbage_collection():
             assert not gc.isenabled()
             assert gc.get_freeze_count() > 0
             raise KeyError

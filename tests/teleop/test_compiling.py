@@ -8,18 +8,18 @@ import time
 from functools import partial
 from pathlib import Path
 
-from teleop.runtime.compiling import compiling_beside
+from teleop.runtime.compiling import compile_in_parallel
 
 COMPILES = """
 import numba
 
-from teleop.runtime.compiling import announced
+from teleop.runtime.compiling import announce_compilation
 
 @numba.njit(cache=True)
 def add(a, b):
     return a + b
 
-with announced("a sum", 12.3):
+with announce_compilation("a sum", 12.3):
     add(1, 2)
     add(1.0, 2.0)
 """
@@ -46,7 +46,7 @@ from functools import partial
 
 import numba
 
-from teleop.runtime.compiling import announced
+from teleop.runtime.compiling import announce_compilation
 
 def compile_of(kind):
     product(kind(2), kind(3))
@@ -61,7 +61,7 @@ def product(a, b):
     return a * b
 
 if __name__ == "__main__":
-    with announced("a sum", 12.3, partial(compile_of, float)):
+    with announce_compilation("a sum", 12.3, partial(compile_of, float)):
         add(1, 2)
 """
 
@@ -88,7 +88,7 @@ def test_another_process_compiles_only_where_nothing_is_compiled_yet(tmp_path, m
     caches = tmp_path / "mine"
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(caches))
     mark = partial(Path.touch, tmp_path / "done")
-    with compiling_beside(mark):
+    with compile_in_parallel(mark):
         deadline = time.monotonic() + 30.0
         while not (tmp_path / "done").exists() and time.monotonic() < deadline:
             time.sleep(0.02)
@@ -97,13 +97,13 @@ def test_another_process_compiles_only_where_nothing_is_compiled_yet(tmp_path, m
     (tmp_path / "done").unlink()
     (caches / "slave_0").mkdir(parents=True)
     (caches / "slave_0" / "loop.nbi").touch()
-    with compiling_beside(mark):
+    with compile_in_parallel(mark):
         time.sleep(1.0)
     assert not (tmp_path / "done").exists()
 
 
 def test_the_other_process_ends_with_the_work_beside_it(tmp_path, monkeypatch):
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "mine"))
-    with compiling_beside(partial(time.sleep, 60.0)):
+    with compile_in_parallel(partial(time.sleep, 60.0)):
         (helper,) = multiprocessing.active_children()
     assert not helper.is_alive()

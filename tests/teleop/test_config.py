@@ -13,7 +13,7 @@ import yaml
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from teleop.config.loading import MAY_BE_INFINITE, SECTIONS, SHARED, as_tree, load
+from teleop.config.loading import MAY_BE_INFINITE, SECTIONS, SHARED_KEYS, as_tree, load
 from teleop.config.options import add_options
 from teleop.errors import UsageError
 from teleop.link import LinkConfig
@@ -369,7 +369,7 @@ def test_a_field_with_an_infinite_default_may_be_infinite(tmp_path: Path) -> Non
 
 def test_shared_keys() -> None:
     own = {f.name for f in dataclasses.fields(RunConfig)}
-    assert own == set(SHARED)
+    assert own == set(SHARED_KEYS)
     assert not own & set(SECTIONS)
 
 

@@ -6,16 +6,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from estimator.records import as_record
-from teleop.coupling.force_attenuation import ConfidenceConfig, attenuate, certain
+from estimator.records import to_struct
+from teleop.coupling.force_attenuation import ConfidenceConfig, attenuate_force, find_smallest_force
 
 FORCES = st.floats(-100.0, 100.0)
 RULES = st.builds(
-    lambda full, more: as_record(ConfidenceConfig(full, full + more)),
+    lambda full, more: to_struct(ConfidenceConfig(full, full + more)),
     st.floats(0.0, 5.0),
     st.floats(0.01, 5.0),
 )
-RULE = as_record(ConfidenceConfig())
+RULE = to_struct(ConfidenceConfig())
 
 
 @given(RULES, FORCES, FORCES, FORCES)
@@ -23,11 +23,11 @@ def test_never_stronger_than_the_estimate_never_of_the_other_sign_never_weaker_t
     rule, force, one, other
 ):
     low, high = min(one, other), max(one, other)
-    felt = attenuate(rule, force, low, high)
+    felt = attenuate_force(rule, force, low, high)
     assert abs(felt) <= abs(force)
     assert felt * force >= 0.0
     if low <= force <= high:
-        assert abs(felt) >= abs(certain(low, high)) - 1e-12
+        assert abs(felt) >= abs(find_smallest_force(low, high)) - 1e-12
 
 
 @given(
@@ -35,10 +35,10 @@ def test_never_stronger_than_the_estimate_never_of_the_other_sign_never_weaker_t
 )
 def test_it_is_continuous_in_the_force_and_in_both_ends(rule, force, below, above, nudge):
     low, high = force - below, force + above
-    felt = attenuate(rule, force, low, high)
+    felt = attenuate_force(rule, force, low, high)
     for size in (1e-3, 1e-6, 1e-9):
         df, dl, dh = (size * n for n in nudge)
-        near = attenuate(rule, force + df, min(low + dl, high + dh), max(low + dl, high + dh))
+        near = attenuate_force(rule, force + df, min(low + dl, high + dh), max(low + dl, high + dh))
         # w changes by at most (half-width / f^2) / (none - full) per newton, times |f - c| <= |f|
         steep = 2.0 + 4.0 * (rule.none + 1.0) / (rule.none - rule.full)
         assert abs(near - felt) <= steep * size * 3.0
@@ -46,34 +46,34 @@ def test_it_is_continuous_in_the_force_and_in_both_ends(rule, force, below, abov
 
 @given(FORCES, st.floats(0.0, 100.0))
 def test_the_wider_the_interval_the_weaker(force, width):
-    narrow = attenuate(RULE, force, force - width, force + width)
-    wide = attenuate(RULE, force, force - 1.1 * width, force + 1.1 * width)
+    narrow = attenuate_force(RULE, force, force - width, force + width)
+    wide = attenuate_force(RULE, force, force - 1.1 * width, force + 1.1 * width)
     assert abs(wide) <= abs(narrow) + 1e-12
 
 
 def test_the_rule_in_numbers():
-    rule = as_record(ConfidenceConfig(full=0.5, none=1.5))
-    assert attenuate(rule, 10.0, 5.0, 15.0) == 10.0
-    assert attenuate(rule, 10.0, 0.0, 20.0) == pytest.approx(5.0)
-    assert attenuate(rule, 10.0, -5.0, 25.0) == 0.0
-    assert attenuate(rule, 4.0, 3.0, 23.0) == 3.0  # far too wide: what is certain
-    assert attenuate(rule, -10.0, -20.0, 0.0) == pytest.approx(-5.0)
+    rule = to_struct(ConfidenceConfig(full=0.5, none=1.5))
+    assert attenuate_force(rule, 10.0, 5.0, 15.0) == 10.0
+    assert attenuate_force(rule, 10.0, 0.0, 20.0) == pytest.approx(5.0)
+    assert attenuate_force(rule, 10.0, -5.0, 25.0) == 0.0
+    assert attenuate_force(rule, 4.0, 3.0, 23.0) == 3.0  # far too wide: what is certain
+    assert attenuate_force(rule, -10.0, -20.0, 0.0) == pytest.approx(-5.0)
 
 
 @pytest.mark.parametrize("ends", [(1.0, -1.0), (math.nan, 1.0), (1.0, math.nan)])
 def test_an_interval_that_is_none_certifies_nothing(ends):
-    assert attenuate(RULE, 5.0, *ends) == 0.0
+    assert attenuate_force(RULE, 5.0, *ends) == 0.0
 
 
 @given(FORCES, st.sampled_from([math.inf, 1e308]))
 def test_an_interval_without_end_leaves_what_is_certain(force, end):
-    assert attenuate(RULE, force, -end, end) == 0.0
-    assert attenuate(RULE, abs(force) + 1.0, 1.0, end) == 1.0
+    assert attenuate_force(RULE, force, -end, end) == 0.0
+    assert attenuate_force(RULE, abs(force) + 1.0, 1.0, end) == 1.0
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
 def test_a_force_that_is_no_number_is_not_turned_into_one(bad):
-    assert not math.isfinite(attenuate(RULE, bad, -1.0, 1.0))
+    assert not math.isfinite(attenuate_force(RULE, bad, -1.0, 1.0))
 
 
 @pytest.mark.parametrize(

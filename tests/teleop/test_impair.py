@@ -18,17 +18,17 @@ from hypothesis import strategies as st
 
 from teleop.errors import TeleopError, UsageError
 from teleop.impair import model
-from teleop.impair.config import DirectionConfig, ImpairConfig, wanted
+from teleop.impair.config import DirectionConfig, ImpairConfig, load_impair_config
 from teleop.impair.delay_queue import CAPACITY_BYTES, ENTRY_BYTES, DelayQueue
 from teleop.impair.direction import Direction
 from teleop.impair.model import Fate, StreamState
-from teleop.launch.supervisor import wait_for
+from teleop.launch.supervisor import wait_for_condition
 from teleop.link import Link, LinkConfig
 from teleop.link.bridge import send_request
-from teleop.messages.messages import Command, Event, MessageError, SlaveState, text_bytes
+from teleop.messages.messages import Command, Event, MessageError, SlaveState, encode_text
 from teleop.messages.topics import COMMAND, EVENT, STATE, Role
 from teleop.runtime.clock import now_ns
-from teleop.runtime.process import SUPERVISED
+from teleop.runtime.process import SUPERVISED_VARIABLE
 from tests.system.processes import free_ports
 
 KEY = model.key_of(1, "to_slave", "command")
@@ -235,9 +235,9 @@ def test_what_no_network_does_is_refused(field, value):
 
 
 def test_a_session_has_a_proxy_only_where_its_config_says_so():
-    assert wanted(None, []) is None
-    assert wanted(None, ["impair={}"]) == ImpairConfig()
-    assert wanted(None, ["impair.to_slave.loss=0.5"]).to_slave.loss == 0.5
+    assert load_impair_config(None, []) is None
+    assert load_impair_config(None, ["impair={}"]) == ImpairConfig()
+    assert load_impair_config(None, ["impair.to_slave.loss=0.5"]).to_slave.loss == 0.5
 
 
 def test_the_proxy_leaves_the_machine_no_easier_than_a_side():
@@ -337,7 +337,7 @@ class Bridged:
                 *(f"--set={word}" for word in words),
                 *arguments,
             ],
-            env=os.environ | {SUPERVISED: str(os.getpid())},
+            env=os.environ | {SUPERVISED_VARIABLE: str(os.getpid())},
         )
 
     def send_request(self, *words):
@@ -363,7 +363,7 @@ def bridged(tmp_path):
 
     def begin(*arguments):
         began.append(Bridged(tmp_path, *arguments))
-        assert wait_for(began[-1].answers, 20.0)
+        assert wait_for_condition(began[-1].answers, 20.0)
         return began[-1]
 
     yield begin
@@ -384,13 +384,13 @@ def both_there(master, slave):
 
 def await_way(master, slave, listener):
     """Wait until both are announced to each other, and commands get through."""
-    assert wait_for(lambda: both_there(master, slave), 5.0)
+    assert wait_for_condition(lambda: both_there(master, slave), 5.0)
 
     def heard():
         master.publish(COMMAND, Command())
         return bool(listener.drain())
 
-    assert wait_for(heard, 5.0)
+    assert wait_for_condition(heard, 5.0)
     time.sleep(0.1)  # until the last of these has come
     listener.drain()
 
@@ -411,9 +411,9 @@ def test_the_sides_meet_through_the_proxy_and_hear_what_it_lets_through(bridged)
         master.subscribe_latest(STATE)
         await_way(master, slave, listener)
         publish(master, COMMAND, Command(), 1000)
-        master.publish(EVENT, Event(role=Role.MASTER, text=text_bytes("hello")))
+        master.publish(EVENT, Event(role=Role.MASTER, text=encode_text("hello")))
         slave.publish(STATE, SlaveState())
-        assert wait_for(lambda: master.latest(STATE).message is not None, 2.0)
+        assert wait_for_condition(lambda: master.latest(STATE).message is not None, 2.0)
         time.sleep(0.2)
         heard = listener.drain()
         assert sum(item.topic is EVENT for item in heard) == 1
@@ -464,10 +464,10 @@ def test_a_cut_on_command_lets_nothing_through_and_takes_the_other_side_away(bri
         assert heard() > 40
         proxy.send_request("cut", "to_slave")
         assert heard() == 0
-        assert wait_for(lambda: not slave.present(Role.MASTER), 2.0)
+        assert wait_for_condition(lambda: not slave.present(Role.MASTER), 2.0)
         assert master.present(Role.SLAVE)  # the other way is whole
         proxy.send_request("mend")
-        assert wait_for(lambda: slave.present(Role.MASTER), 2.0)
+        assert wait_for_condition(lambda: slave.present(Role.MASTER), 2.0)
         assert heard() > 40
         with pytest.raises(TeleopError, match="allowed are to_slave, to_master"):
             proxy.send_request("cut", "sideways")
@@ -481,5 +481,5 @@ def test_presence_ends_with_who_was_present(bridged):
     master, slave = sides(proxy)
     with slave:
         with master:
-            assert wait_for(lambda: both_there(master, slave), 5.0)
-        assert wait_for(lambda: not slave.present(Role.MASTER), 2.0)
+            assert wait_for_condition(lambda: both_there(master, slave), 5.0)
+        assert wait_for_condition(lambda: not slave.present(Role.MASTER), 2.0)

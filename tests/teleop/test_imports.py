@@ -99,10 +99,10 @@ def test_a_catalogued_effect_is_never_taken_from_a_package(stranger, monkeypatch
     from teleop.data import effect_extensions, model_file
 
     monkeypatch.setattr(model_file, "is_extension", lambda _: True)
-    monkeypatch.setattr(effect_extensions, "resolve", lambda *_: pytest.fail("imported"))
+    monkeypatch.setattr(effect_extensions, "resolve_object", lambda *_: pytest.fail("imported"))
     tree = {"name": CATALOGUE[0].name, "parameters": {}}
     with pytest.raises(Exception, match="is missing"):
-        model_file._effect("model.yaml", "effects.0", tree, CATALOGUE)
+        model_file._parse_effect("model.yaml", "effects.0", tree, CATALOGUE)
 
 
 def test_nothing_is_imported_from_the_current_folder(tmp_path):

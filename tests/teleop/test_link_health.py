@@ -6,18 +6,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from estimator.records import one
-from teleop.link import Counts
+from estimator.records import view_struct
+from teleop.link import MessageCounts
 from teleop.link.health import (
     SPAN_NS,
     Decision,
-    Figures,
     HealthConfig,
     LinkHealth,
+    LinkMeasurement,
     LinkWindow,
-    observe,
     step,
-    take_figures,
+    take_measurement,
+    update_link_window,
 )
 from teleop.messages.messages import LinkReport
 from teleop.messages.topics import Role
@@ -41,7 +41,7 @@ def exchange(
     for delay_in, delay_out in zip(delays_in, delays_out, strict=True):
         answered_ns = now_ns + delay_out + hold_ns
         hold = hold_ns if tell_hold else 0
-        observe(window, answered_ns + offset_ns, answered_ns + delay_in, now_ns, hold)
+        update_link_window(window, answered_ns + offset_ns, answered_ns + delay_in, now_ns, hold)
         now_ns += 10 * MS
     return now_ns
 
@@ -56,7 +56,7 @@ def test_the_true_offset_is_always_within_its_uncertainty(
     windows = LinkWindow.array()
     delays_out = [chance.randint(1, 20 * MS) for _ in delays_in]
     exchange(windows, offset_ns, delays_in, delays_out, tell_hold=tell_hold)
-    figures = take_figures(one(windows), Counts(), Counts())
+    figures = take_measurement(view_struct(windows), MessageCounts(), MessageCounts())
     assert not figures.clock_set
     assert figures.offset_ns is not None
     assert abs(figures.offset_ns - offset_ns) <= figures.uncertainty_ns + 1
@@ -69,7 +69,7 @@ def test_the_true_offset_is_always_within_its_uncertainty(
 def test_a_symmetric_link_gives_the_delay_of_each_direction() -> None:
     windows = LinkWindow.array()
     exchange(windows, 7_000 * MS, [3 * MS] * 20, [3 * MS] * 20)
-    figures = take_figures(one(windows), Counts(), Counts())
+    figures = take_measurement(view_struct(windows), MessageCounts(), MessageCounts())
     assert (figures.offset_ns, figures.jitter_ns) == (7_000 * MS, 0)
     assert (figures.delay_in_ns, figures.delay_out_ns) == (3 * MS, 3 * MS)
 
@@ -77,8 +77,12 @@ def test_a_symmetric_link_gives_the_delay_of_each_direction() -> None:
 def test_jitter_is_the_mean_difference_of_delays_in_a_row() -> None:
     windows = LinkWindow.array()
     exchange(windows, 0, [2 * MS, 6 * MS] * 10, [MS] * 20)
-    assert take_figures(one(windows), Counts(), Counts()).jitter_ns == 4 * MS
-    assert take_figures(one(windows), Counts(), Counts()).jitter_ns is None  # a new span
+    assert (
+        take_measurement(view_struct(windows), MessageCounts(), MessageCounts()).jitter_ns == 4 * MS
+    )
+    assert (
+        take_measurement(view_struct(windows), MessageCounts(), MessageCounts()).jitter_ns is None
+    )  # a new span
 
 
 @pytest.mark.parametrize("jump_ns", [-3_600_000 * MS, -100 * MS, 100 * MS, 3_600_000 * MS])
@@ -86,7 +90,7 @@ def test_a_clock_that_is_set_is_noticed_and_the_new_offset_found(jump_ns: int) -
     windows = LinkWindow.array()
     end_ns = exchange(windows, 0, [3 * MS] * 50, [3 * MS] * 50)
     exchange(windows, jump_ns, [3 * MS] * 50, [3 * MS] * 50, start_ns=end_ns)
-    figures = take_figures(one(windows), Counts(), Counts())
+    figures = take_measurement(view_struct(windows), MessageCounts(), MessageCounts())
     assert figures.clock_set
     assert figures.offset_ns == pytest.approx(jump_ns, abs=figures.uncertainty_ns + MS)
 
@@ -96,26 +100,26 @@ def test_a_clock_that_drifts_as_far_as_allowed_is_not_one_that_was_set() -> None
     for k in range(1000):
         now_ns = start_ns + 10 * MS * k
         offset_ns = 10 * MS * k // 1000  # 1 ms a second
-        observe(windows, now_ns + MS + offset_ns, now_ns + 2 * MS, now_ns, 0)
-    assert not take_figures(one(windows), Counts(), Counts()).clock_set
+        update_link_window(windows, now_ns + MS + offset_ns, now_ns + 2 * MS, now_ns, 0)
+    assert not take_measurement(view_struct(windows), MessageCounts(), MessageCounts()).clock_set
 
 
 @given(st.integers(0, 50), st.integers(0, 50), st.integers(0, 5))
 def test_loss_counts_what_is_missing_but_not_what_was_overtaken(
     received: int, lost: int, late: int
 ) -> None:
-    before = Counts(received=7, lost=3, out_of_order=1, repeated=2)
-    now = before + Counts(received=received, lost=lost + late, out_of_order=late, repeated=4)
-    figures = take_figures(one(LinkWindow.array()), before, now)
+    before = MessageCounts(received=7, lost=3, out_of_order=1, repeated=2)
+    now = before + MessageCounts(received=received, lost=lost + late, out_of_order=late, repeated=4)
+    figures = take_measurement(view_struct(LinkWindow.array()), before, now)
     assert figures.loss == (lost / (lost + received) if lost + received else None)
     assert (figures.repeated, figures.out_of_order) == (4, late)
 
 
 BOUNDS = HealthConfig(round_trip=0.1, hold_after=1.0, recover_after=0.5, scale_min=0.2)
-BAD, NEAR, FINE = (Figures(round_trip_ns=ms * MS) for ms in (101, 90, 10))
+BAD, NEAR, FINE = (LinkMeasurement(round_trip_ns=ms * MS) for ms in (101, 90, 10))
 
 
-def run(decision: Decision, figures: Figures, seconds: float) -> list[Decision]:
+def run(decision: Decision, figures: LinkMeasurement, seconds: float) -> list[Decision]:
     out = [decision]
     for _ in range(round(seconds / DT)):
         out.append(step(BOUNDS, out[-1], figures, DT))
@@ -151,7 +155,7 @@ def test_a_short_excess_only_scales() -> None:
 
 
 def test_without_messages_nothing_is_decided() -> None:
-    (decision,) = run(Decision(), Figures(), DT)
+    (decision,) = run(Decision(), LinkMeasurement(), DT)
     assert decision == Decision()
 
 
@@ -169,24 +173,26 @@ def test_by_default_a_slow_lossy_link_changes_nothing(
     windows = LinkWindow.array()
     jitter = [chance.randint(-50 * MS, 50 * MS) for _ in range(40)]
     exchange(windows, 0, [delay_ns + j for j in jitter], [delay_ns] * 40)
-    now = Counts(received=1000 - round(1000 * loss), lost=round(1000 * loss))
-    figures = take_figures(one(windows), Counts(), now)
+    now = MessageCounts(received=1000 - round(1000 * loss), lost=round(1000 * loss))
+    figures = take_measurement(view_struct(windows), MessageCounts(), now)
     assert step(HealthConfig(), Decision(), figures, DT) == Decision()
 
 
 def test_the_message_and_the_summary_have_the_figures() -> None:
     health = LinkHealth(BOUNDS)
-    assert health.message(Role.SLAVE, Counts(), 0).round_trip_ns == -1
+    assert health.message(Role.SLAVE, MessageCounts(), 0).round_trip_ns == -1
     end_ns = exchange(health.windows, 5 * MS, [60 * MS] * 20, [60 * MS] * 20)
     assert health.is_due(end_ns)
-    health.update(end_ns, Counts(received=20, repeated=3))
+    health.update(end_ns, MessageCounts(received=20, repeated=3))
     assert not health.is_due(end_ns + SPAN_NS - 1)
     exchange(health.windows, 5 * MS, [60 * MS] * 20, [60 * MS] * 20, start_ns=end_ns)
-    assert health.update(end_ns + SPAN_NS, Counts(received=40, repeated=3))
-    message = LinkReport.unpack(health.message(Role.SLAVE, Counts(repeated=3), 7).pack(1, 1, 1))
+    assert health.update(end_ns + SPAN_NS, MessageCounts(received=40, repeated=3))
+    message = LinkReport.unpack(
+        health.message(Role.SLAVE, MessageCounts(repeated=3), 7).pack(1, 1, 1)
+    )
     assert (message.round_trip_ns, message.offset_ns) == (120 * MS, 5 * MS)
     assert (message.reason, message.repeated, message.age_ns) == (Reason.LINK_SLOW, 3, 7)
-    assert health.summary(Counts())["scaled_s"] == pytest.approx(DT)
+    assert health.summary(MessageCounts())["scaled_s"] == pytest.approx(DT)
 
 
 @pytest.mark.parametrize(

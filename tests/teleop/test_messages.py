@@ -23,11 +23,11 @@ from teleop.messages.messages import (
     Message,
     MessageError,
     Schema,
-    padded,
-    text_bytes,
-    text_of,
+    decode_text,
+    encode_text,
+    pad_values,
 )
-from teleop.messages.page import page
+from teleop.messages.page import format_page
 
 HEAD = ("checksum", "layout", "sender", "sequence", "stamp_ns")
 RANGES = {
@@ -181,22 +181,22 @@ def test_the_layout_number_follows_every_declaration() -> None:
 
 def test_text_is_cut_between_characters() -> None:
     for text in ("", "engaged", "Zugspannung 5 µN", "é" * 200, "a" + "é" * 200, "x" * 1000):
-        raw = text_bytes(text)
+        raw = encode_text(text)
         assert len(raw) == TEXT_BYTES
-        assert text.startswith(text_of(raw))
-        assert len(text_of(raw).encode()) >= min(len(text.encode()), TEXT_BYTES - 1)
+        assert text.startswith(decode_text(raw))
+        assert len(decode_text(raw).encode()) >= min(len(text.encode()), TEXT_BYTES - 1)
 
 
 def test_padding_fills_up_and_too_many_values_do_not_pass() -> None:
-    assert padded([1.0, 2.0], 4) == (1.0, 2.0, 0.0, 0.0)
+    assert pad_values([1.0, 2.0], 4) == (1.0, 2.0, 0.0, 0.0)
     with pytest.raises(ValueError, match="9 values do not fit into a field of 8"):
-        padded([0.0] * 9, 8)
+        pad_values([0.0] * 9, 8)
     with pytest.raises(struct.error):
         Command(position=(0.0,) * 9).pack(1, 2, 3)
 
 
 def test_the_checksum_of_the_docs_is_that_of_every_message() -> None:
-    (code,) = re.findall(r"```python\n(.*?)```", page(), re.DOTALL)
+    (code,) = re.findall(r"```python\n(.*?)```", format_page(), re.DOTALL)
     scope: dict[str, Any] = {"zlib": zlib}
     exec(code, scope)  # noqa: S102 - our own page
     for cls in MESSAGES:
@@ -209,4 +209,6 @@ def test_the_checksum_of_the_docs_is_that_of_every_message() -> None:
 
 def test_the_page_in_the_docs_is_current() -> None:
     path = Path(__file__).parents[2] / "docs" / "messages.md"
-    assert path.read_text() == page(), "run: python -m teleop.messages.page > docs/messages.md"
+    assert path.read_text() == format_page(), (
+        "run: python -m teleop.messages.page > docs/messages.md"
+    )

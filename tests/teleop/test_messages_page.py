@@ -101,7 +101,7 @@ def test_the_example_is_what_the_page_says_of_it(stranger):
     assert len(values) == 6
     assert stranger.write("EmergencyStop", values) == stranger.example
     stop = messages.EmergencyStop.unpack(stranger.example)
-    assert messages.text_of(stop.text) == "a switch by the door"
+    assert messages.decode_text(stop.text) == "a switch by the door"
     damaged = bytearray(stranger.example)
     damaged[60] ^= 1
     with pytest.raises(messages.MessageError):

@@ -2,7 +2,7 @@
 
 import pytest
 
-from teleop.link import Counts
+from teleop.link import MessageCounts
 from teleop.messages.topics import Role
 from teleop.runtime.clock import TickStats
 from teleop.session.meter import REPORT_PERIOD_NS, LoopMeter
@@ -15,7 +15,9 @@ def reports(stamps):
     """The offsets [ns] of those ticks that report, counted from the start."""
     loop = LoopMeter(Role.SLAVE, TickStats())
     start = loop._due_ns - REPORT_PERIOD_NS
-    return [t for t in stamps if loop.report(start + t, SessionOutline(), Counts()) is not None]
+    return [
+        t for t in stamps if loop.report(start + t, SessionOutline(), MessageCounts()) is not None
+    ]
 
 
 def test_a_loop_reports_once_a_period():
@@ -34,7 +36,7 @@ def test_the_rate_is_that_of_the_span_reported():
     rates = []
     for seconds, ticks in ((1, 250), (2, 500)):
         stats.ticks += ticks
-        report = loop.report(start + seconds * 1000 * MS, SessionOutline(), Counts())
+        report = loop.report(start + seconds * 1000 * MS, SessionOutline(), MessageCounts())
         rates.append(report.rate_hz)
     assert rates == [250.0, 500.0]
 
@@ -60,7 +62,7 @@ def test_a_fault_ends_a_session_unless_somebody_engages_again(sides, ended):
     loop = LoopMeter(Role.SLAVE, TickStats())
     for side in sides:
         loop.tick(side, 0, WHERE if side is BROKEN else "")
-    summary = loop.summary(sides[-1], Counts(), {})
+    summary = loop.summary(sides[-1], MessageCounts(), {})
     named = f"{Reason.TENDON_BROKEN.text}: {WHERE}"
     assert summary["ended_in"] == (named if ended else "")
     assert set(summary["faults"]) == ({named} if BROKEN in sides else set())
@@ -71,6 +73,6 @@ def test_why_a_side_was_not_usable_is_remembered():
     loop.tick(SessionOutline(), 0, "no calibration fits")
     finished = SessionOutline(State.OFF, Reason.RIG_FINISHED)
     loop.tick(finished, 0)
-    summary = loop.summary(finished, Counts(), {})
+    summary = loop.summary(finished, MessageCounts(), {})
     assert summary["not_usable"] == f"{Reason.NOT_USABLE.text}: no calibration fits"
     assert summary["reason"] == Reason.RIG_FINISHED.text

@@ -13,14 +13,14 @@ from teleop.cli.bench.command import BENCHES
 from teleop.errors import UsageError
 from teleop.runtime.output_file import (
     NewFolder,
-    Output,
     OutputFile,
     OutputFolder,
+    OutputPath,
     SharedFolder,
     UpdatedFile,
-    add_force,
-    check,
-    replacing,
+    add_force_option,
+    check_outputs,
+    replace_file,
 )
 
 # options that name files to be read: every other option with a path must be an Output
@@ -40,7 +40,7 @@ def parsers():
     for name, (module, _) in BENCHES.items():
         parser = argparse.ArgumentParser()
         importlib.import_module(module).add_arguments(parser)
-        add_force(parser)
+        add_force_option(parser)
         yield f"bench {name}", parser
 
 
@@ -57,7 +57,7 @@ def test_every_option_that_names_an_output_is_checked_and_may_be_forced():
     outputs = 0
     for command, top in parsers():
         for parser in walk(top):
-            found = [a for a in parser._actions if isinstance(a.type, Output)]
+            found = [a for a in parser._actions if isinstance(a.type, OutputPath)]
             outputs += len(found)
             forced = any(
                 a.dest == "force" and isinstance(a, argparse._StoreTrueAction)
@@ -80,9 +80,9 @@ def parse(words, **types):
     parser.add_argument("--model", action="append", default=[])
     for name, kind in types.items():
         parser.add_argument(f"--{name}", type=kind)
-    add_force(parser)
+    add_force_option(parser)
     args = parser.parse_args([str(word) for word in words])
-    check(parser, args)
+    check_outputs(parser, args)
     return args
 
 
@@ -182,10 +182,10 @@ def interrupt_after(_):
 def test_what_is_interrupted_leaves_the_old_file_and_nothing_else(old):
     link = old.with_name("link.csv")
     link.symlink_to(old)
-    with pytest.raises(KeyboardInterrupt), replacing(link) as partial:
+    with pytest.raises(KeyboardInterrupt), replace_file(link) as partial:
         interrupt_after(partial.write_text("half"))
     assert old.read_text() == "mine"
-    with replacing(link) as partial:
+    with replace_file(link) as partial:
         partial.write_text("whole")
         assert old.read_text() == "mine"
     assert old.read_text() == "whole"
@@ -197,7 +197,7 @@ def test_a_pipe_is_written_to(tmp_path):
     pipe = tmp_path / "pipe"
     os.mkfifo(pipe)
     assert parse(["--out", pipe], out=OutputFile()).out == pipe
-    with replacing(pipe) as place:
+    with replace_file(pipe) as place:
         assert place == pipe
     assert stat.S_ISFIFO(pipe.stat().st_mode)
 

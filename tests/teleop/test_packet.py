@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from teleop.messages.messages import MESSAGES, Command, Message, MessageError, SlaveState
-from teleop.messages.packet import Packet, crc32, packet
+from teleop.messages.packet import Packet, build_packet, crc32
 
 
 def some(cls: type[Message], seed: int) -> Message:
@@ -36,7 +36,7 @@ def test_the_checksum_is_that_of_zlib(data: bytes, seed: int) -> None:
 def test_sealed_bytes_are_the_packed_message(cls: type[Message]) -> None:
     message = some(cls, 1)
     sender, sequence, stamp = 2**64 - 3, 41, 1_700_000_000_123_456_789
-    sealed = packet(message).seal(sender, sequence, stamp)
+    sealed = build_packet(message).seal(sender, sequence, stamp)
     assert sealed == message.pack(sender, sequence, stamp)
 
 
@@ -51,7 +51,7 @@ def test_bytes_written_into_a_packet_are_read_from_its_record(cls: type[Message]
 
 
 def test_a_change_after_sealing_is_noticed() -> None:
-    one = packet(some(SlaveState, 3))
+    one = build_packet(some(SlaveState, 3))
     one.seal(1, 2, 3)
     one.record.force[0] += 1.0
     with pytest.raises(MessageError):
@@ -59,6 +59,6 @@ def test_a_change_after_sealing_is_noticed() -> None:
 
 
 def test_two_packets_share_nothing() -> None:
-    one, other = packet(some(Command, 4)), packet(Command())
+    one, other = build_packet(some(Command, 4)), build_packet(Command())
     assert one.record.position.any()
     assert not other.record.position.any()

@@ -14,11 +14,11 @@ import pytest
 from teleop.errors import TeleopError, UsageError
 from teleop.runtime.output_file import OutputFile
 from teleop.runtime.process import (
-    SUPERVISED,
-    Stop,
+    SUPERVISED_VARIABLE,
+    StopCondition,
     die_with_launcher,
     die_with_parent,
-    seconds,
+    parse_seconds,
     write_summary,
 )
 
@@ -26,18 +26,18 @@ from teleop.runtime.process import (
 @pytest.mark.parametrize("text", ["nan", "inf", "-inf", "-1", "0", "1e400", "soon", ""])
 def test_a_duration_is_a_number_above_0(text):
     with pytest.raises(argparse.ArgumentTypeError, match="above 0"):
-        seconds(text)
+        parse_seconds(text)
 
 
 def test_durations_are_seconds():
-    assert [seconds(text) for text in ("0.5", "30", "1e3")] == [0.5, 30.0, 1000.0]
+    assert [parse_seconds(text) for text in ("0.5", "30", "1e3")] == [0.5, 30.0, 1000.0]
 
 
 def test_a_duration_counts_from_the_first_tick_however_long_setting_up_took(monkeypatch):
     monkeypatch.setattr(signal, "signal", lambda *_: None)
     now = [100.0]
     monkeypatch.setattr(time, "monotonic", lambda: now[0])
-    stop = Stop(2.0)
+    stop = StopCondition(2.0)
     now[0] = 130.0
     assert not stop()
     now[0] = 131.9
@@ -49,11 +49,11 @@ def test_a_duration_counts_from_the_first_tick_however_long_setting_up_took(monk
 
 LOST = """
 import signal, sys, time
-from teleop.__main__ import _interruptible
+from teleop.__main__ import _install_interrupt_handler
 class Deleted:
     def __del__(self):  # Python ignores what is raised here
         signal.raise_signal(signal.SIGINT)
-_interruptible()
+_install_interrupt_handler()
 try:
     Deleted()
     time.sleep(10)
@@ -71,8 +71,8 @@ def test_an_interruption_that_python_ignores_is_delivered_again():
 
 STOPPING = """
 import signal, sys
-from teleop.runtime.process import Stop
-stop = Stop()
+from teleop.runtime.process import StopCondition
+stop = StopCondition()
 signal.raise_signal(getattr(signal, sys.argv[1]))
 print(stop(), stop.reason)
 """
@@ -141,10 +141,10 @@ def test_a_device_is_written_to_and_stays_one():
 def test_who_was_started_by_a_process_that_has_ended_ends_too(monkeypatch):
     with pytest.raises(TeleopError, match="has ended"):
         die_with_parent(os.getpid())  # not our parent
-    monkeypatch.setenv(SUPERVISED, str(os.getpid()))
+    monkeypatch.setenv(SUPERVISED_VARIABLE, str(os.getpid()))
     with pytest.raises(TeleopError, match="has ended"):
         die_with_launcher()
-    monkeypatch.delenv(SUPERVISED)
+    monkeypatch.delenv(SUPERVISED_VARIABLE)
     die_with_launcher()
 
 
@@ -157,7 +157,7 @@ time.sleep(60)
 """
 PARENT = f"""
 import os, subprocess, sys
-os.environ["{SUPERVISED}"] = str(os.getpid())
+os.environ["{SUPERVISED_VARIABLE}"] = str(os.getpid())
 subprocess.Popen([sys.executable, "-c", sys.argv[1]]).wait()
 """
 

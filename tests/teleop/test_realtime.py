@@ -14,13 +14,13 @@ from teleop.config.loading import load
 from teleop.errors import UsageError
 from teleop.runtime import realtime
 from teleop.runtime.realtime import (
-    FEWEST_CORES,
-    FEWEST_OTHERS,
+    CORES_MIN,
     HARD_LIMIT_US,
+    OTHER_CORES_MIN,
     SOFT_LIMIT_US,
-    computing_limits,
+    compute_rttime_limits,
     divide_cores,
-    unmodified_code,
+    find_unmodified_code,
 )
 from teleop.session.config import RunConfig
 
@@ -36,11 +36,11 @@ def test_loops_and_other_threads_share_no_core_and_use_only_allowed_ones(allowed
     assert bool(loops) == bool(others)
     if loops:
         assert others | set(loops) == allowed
-        assert len(others) >= FEWEST_OTHERS
+        assert len(others) >= OTHER_CORES_MIN
         assert wanted == "auto" or set(loops) <= set(wanted)
 
 
-@given(st.sets(st.integers(0, 63), max_size=FEWEST_CORES - 1), st.booleans())
+@given(st.sets(st.integers(0, 63), max_size=CORES_MIN - 1), st.booleans())
 def test_with_few_cores_no_loop_has_one_of_its_own(allowed, auto):
     assert divide_cores(allowed, "auto" if auto else sorted(allowed)[:1]) == ([], set())
 
@@ -54,7 +54,7 @@ def test_both_loops_of_a_machine_of_four_cores_get_one():
 
 def test_each_loop_gets_a_core_that_no_other_thread_or_loop_has(monkeypatch):
     free = f"{os.getpid()}-"  # not the names of a session that runs on this machine
-    monkeypatch.setattr(realtime, "CLAIM", free + "{core}")
+    monkeypatch.setattr(realtime, "CORE_LOCK_NAME", free + "{core}")
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: set(range(4)))
     moved = {}
     monkeypatch.setattr(os, "sched_setaffinity", moved.__setitem__)
@@ -72,7 +72,7 @@ def test_each_loop_gets_a_core_that_no_other_thread_or_loop_has(monkeypatch):
 
 @given(LIMIT, LIMIT)
 def test_limits_are_never_raised_and_the_soft_one_comes_first(soft, hard):
-    new_soft, new_hard = computing_limits(soft, hard)
+    new_soft, new_hard = compute_rttime_limits(soft, hard)
     assert 0 <= new_soft <= min(SOFT_LIMIT_US, new_hard)
     assert new_hard <= HARD_LIMIT_US
     assert soft == resource.RLIM_INFINITY or new_soft <= soft
@@ -95,8 +95,8 @@ Anonymous:          1024 kB
 
 
 def test_only_code_that_is_as_in_the_file_is_given_back():
-    assert unmodified_code(SMAPS, "libllvmlite") == [(0x7F0000100000, 0x5000000)]
-    assert unmodified_code("", "libllvmlite") == []
+    assert find_unmodified_code(SMAPS, "libllvmlite") == [(0x7F0000100000, 0x5000000)]
+    assert find_unmodified_code("", "libllvmlite") == []
 
 
 @pytest.mark.parametrize("wrong", ["priority=50", "priority=-1", "cores=[-1]", "cores=some"])
@@ -111,13 +111,13 @@ def test_the_cores_of_the_loops_can_be_named():
 
 RUNAWAY = """
 import json, os, time
-from teleop import realtime
+from teleop.runtime import realtime
 
 realtime.SOFT_LIMIT_US = 200_000
-granted = realtime.go_realtime()
+granted = realtime.request_realtime()
 if os.sched_getscheduler(0) != os.SCHED_FIFO:
     raise SystemExit(77)
-realtime.limit_computing(granted)
+realtime.limit_computing_time(granted)
 end = time.monotonic() + 1.0
 while time.monotonic() < end:  # sleeps in every period: is left alone
     time.sleep(0.001)
@@ -150,7 +150,7 @@ def test_a_loop_that_never_sleeps_loses_its_priority_and_says_so():
 
 RESIDENT = """
 import mmap
-from teleop import realtime
+from teleop.runtime import realtime
 
 def resident_MB():
     with open("/proc/self/statm") as statm:
@@ -158,7 +158,7 @@ def resident_MB():
 
 reserved = mmap.mmap(-1, 400 << 20)
 before = resident_MB()
-locked = "memory locked" in realtime.go_realtime(realtime.RealtimeConfig(priority=0))
+locked = "memory locked" in realtime.request_realtime(realtime.RealtimeConfig(priority=0))
 later = mmap.mmap(-1, 400 << 20)
 print(locked, resident_MB() - before)
 """

@@ -13,17 +13,17 @@ from hypothesis import strategies as st
 from teleop.cli import commands
 from teleop.errors import TeleopError
 from teleop.launch import command
-from teleop.launch.supervisor import Supervisor, ends
+from teleop.launch.supervisor import Supervisor, wait_for_exit
 from teleop.link import Link, ReceivedMessage, message_queue
 from teleop.link.listener import Listener
-from teleop.link.message_queue import capacity_bytes
+from teleop.link.message_queue import compute_capacity_bytes
 from teleop.messages.messages import LoopReport, TendonState
 from teleop.messages.topics import EVENT, REPORT, STATE, TENDONS, TOPICS, Role, Topic
 from teleop.recording import recorder as recorders
 from teleop.recording.config import RecordConfig
-from teleop.recording.progress import status_text
+from teleop.recording.progress import format_status
 from teleop.recording.reader import open_recording, read_columns
-from teleop.recording.recorder import GRACE_NS, QUIET_NS, Recorder
+from teleop.recording.recorder import GRACE_NS, SILENCE_NS, Recorder
 from teleop.recording.writer import RecordingWriter
 from tests.teleop.recorded import START_NS, free_link, start
 
@@ -141,8 +141,8 @@ def test_a_backlog_is_shown_and_written_to_its_end_however_long_that_takes(tmp_p
     assert open_recording(bench.writer.path).messages["state"] == 200
     assert bench.lag_ns > 9_000 * MS
     assert bench.writer.lag_max_s > 9.0
-    assert status_text(10_780 * MS, 0) == "recorder 10.8 s behind"
-    assert "3 missing" in status_text(bench.lag_ns, 3)
+    assert format_status(10_780 * MS, 0) == "recorder 10.8 s behind"
+    assert "3 missing" in format_status(bench.lag_ns, 3)
 
 
 def test_a_side_that_leaves_without_a_word_is_waited_for_and_named(tmp_path: Any) -> None:
@@ -153,7 +153,7 @@ def test_a_side_that_leaves_without_a_word_is_waited_for_and_named(tmp_path: Any
     bench.present = False
     began_ns = bench.now_ns
     assert bench.end() == 0
-    assert bench.now_ns - began_ns > QUIET_NS
+    assert bench.now_ns - began_ns > SILENCE_NS
     info = open_recording(bench.writer.path)
     assert info.unfinished == ("slave",)
     assert "the end of the slave may be missing" in info.doubts[0]
@@ -175,7 +175,7 @@ def test_a_session_that_goes_on_does_not_keep_the_recorder(tmp_path: Any) -> Non
 
 
 def test_what_waits_is_bounded_in_bytes() -> None:
-    assert capacity_bytes(TOPICS) < 45e6
+    assert compute_capacity_bytes(TOPICS) < 45e6
 
 
 def hear(listener: Listener, topic: Topic[Any]) -> Callable[[bytes], None]:
@@ -241,8 +241,8 @@ def test_the_launcher_waits_for_a_recorder_that_makes_progress_and_ends_with_its
     said: list[str] = []
     family = Supervisor(tmp_path, lambda _name, line: said.append(line))
     spawn = subprocess.Popen
-    monkeypatch.setattr("teleop.launch.supervisor._DRAINING_PATIENCE_S", 0.5)
-    monkeypatch.setattr("teleop.launch.supervisor._LONGEST_S", 0.1)
+    monkeypatch.setattr("teleop.launch.supervisor._DRAINING_TIMEOUT_S", 0.5)
+    monkeypatch.setattr("teleop.launch.supervisor._EXIT_TIMEOUT_MAX_S", 0.1)
     monkeypatch.setattr(
         "teleop.launch.supervisor.subprocess.Popen",
         lambda _words, **options: spawn([sys.executable, "-c", TELL_AND_END], **options),
@@ -252,10 +252,10 @@ def test_the_launcher_waits_for_a_recorder_that_makes_progress_and_ends_with_its
     while "here" not in said and time.monotonic() < end:
         time.sleep(0.01)
     child.process.terminate()
-    assert ends(child)
+    assert wait_for_exit(child)
     child.hear_out()
     assert child.status == "recorder 3.0 s behind"
-    out = command._summary(family, None, "SIGINT")
+    out = command._combine_summaries(family, None, "SIGINT")
     assert (out["exit_code"], out["reason"]) == (1, "recorder: 3 messages are missing")
 
 

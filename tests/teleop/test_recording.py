@@ -22,25 +22,25 @@ from mcap.writer import MCAP0_MAGIC, Writer
 from mcap_ros2.decoder import DecoderFactory
 from mcap_ros2.writer import Writer as Ros2Writer
 
-from teleop.config.loading import stated_keys
+from teleop.config.loading import read_stated_keys
 from teleop.errors import TeleopError, UsageError
 from teleop.link import ReceivedMessage
 from teleop.messages.messages import LAYOUT, MESSAGES
 from teleop.messages.topics import COMMAND, EVENT, STATE, TENDONS, TOPICS
 from teleop.recording import reader
 from teleop.recording.config import RecordConfig
-from teleop.recording.definition import dtype_of
-from teleop.recording.gaps import SENDERS, Gaps
+from teleop.recording.definition import to_dtype
+from teleop.recording.gaps import SENDERS, GapCounter
 from teleop.recording.names import CONFIG_ATTACHMENT, SESSION_METADATA
 from teleop.recording.reader import (
     open_recording,
     read_columns,
     read_messages,
-    recorded_config,
+    read_recorded_config,
 )
 from teleop.recording.scan import RecordingError
 from teleop.recording.writer import RecordingWriter
-from teleop.runtime.process import SUPERVISED
+from teleop.runtime.process import SUPERVISED_VARIABLE
 from tests.teleop.recorded import START_NS, heard
 
 
@@ -135,7 +135,7 @@ def test_a_recording_says_what_made_it(all_topics):
 
 @pytest.mark.parametrize("message", MESSAGES, ids=lambda message: message.__name__)
 def test_our_definitions_give_our_dtypes(message):
-    assert dtype_of(message.schema.ros_definition) == message.schema.dtype
+    assert to_dtype(message.schema.ros_definition) == message.schema.dtype
 
 
 widths = (8, 16, 32, 64)
@@ -179,7 +179,7 @@ def test_recordings_of_any_other_layout_are_read(tmp_path_factory, layout, data)
 @pytest.mark.parametrize("definition", ["string text", "float64[] many", "Head head", "what?"])
 def test_fields_of_variable_size_are_refused(definition):
     with pytest.raises(ValueError, match="not a field of fixed size"):
-        dtype_of(definition)
+        to_dtype(definition)
 
 
 @pytest.fixture(scope="module")
@@ -321,7 +321,7 @@ def test_gaps_are_the_numbers_missing_between_first_and_last(data):
     order = data.draw(st.permutations(range(len(arrivals))))
     slots = sorted(range(len(arrivals)), key=lambda k: order[k])
     queues = {stream: iter(received) for stream, received in streams.items()}
-    gaps = Gaps()
+    gaps = GapCounter()
     for slot in slots:
         stream = arrivals[slot][0]
         gaps.note(*stream, next(queues[stream]))
@@ -333,7 +333,7 @@ def test_gaps_are_the_numbers_missing_between_first_and_last(data):
 
 
 def test_senders_without_end_take_no_memory_and_their_losses_are_kept():
-    gaps = Gaps()
+    gaps = GapCounter()
     for sender in range(1, 2001):
         gaps.note("stop", sender, 1)
         gaps.note("stop", sender, 4)
@@ -428,9 +428,9 @@ def test_a_directory_that_cannot_be_written_is_a_usage_error(tmp_path):
 def test_the_remedy_is_an_option_of_the_command_that_was_given(
     tmp_path, monkeypatch, launcher, option
 ):
-    monkeypatch.delenv(SUPERVISED, raising=False)
+    monkeypatch.delenv(SUPERVISED_VARIABLE, raising=False)
     if launcher is not None:
-        monkeypatch.setenv(SUPERVISED, launcher)
+        monkeypatch.setenv(SUPERVISED_VARIABLE, launcher)
     (tmp_path / "file").touch()
     with pytest.raises(UsageError, match=f"choose another {option}$"):
         RecordingWriter(RecordConfig(directory=str(tmp_path / "file")), "demo", START_NS)
@@ -575,8 +575,8 @@ def recorded(folder, config_text="", overrides=()):
 def test_an_override_of_several_lines_comes_back_as_one(tmp_path) -> None:
     overrides = ("slave.rig={\n  type: simulated,\n  name: Ä\u2028\n}", "rate_hz=500", "a='[1]'")
     path = recorded(tmp_path, "rate_hz: 100\n", overrides)
-    assert recorded_config(path) == ("rate_hz: 100\n", overrides)
-    stated = stated_keys(path)
+    assert read_recorded_config(path) == ("rate_hz: 100\n", overrides)
+    stated = read_stated_keys(path)
     assert stated["slave"]["rig"]["type"] == "simulated"
     assert stated["rate_hz"] == 500
 
@@ -598,16 +598,16 @@ def of_another_writer(folder, config: bytes = b"", overrides: str = "") -> Path:
     [("", ()), ("a=1", ("a=1",)), ("a=1\nb=[2]", ("a=1", "b=[2]")), ("[]", ()), ('["a"]', ("a",))],
 )
 def test_overrides_of_older_recordings_are_lines(tmp_path, written, overrides) -> None:
-    assert recorded_config(of_another_writer(tmp_path, overrides=written))[1] == overrides
+    assert read_recorded_config(of_another_writer(tmp_path, overrides=written))[1] == overrides
 
 
 @pytest.mark.parametrize("written", ["[", "[1]", '["a", null]', "[" * 50_000])
 def test_overrides_that_are_no_list_of_texts_are_refused(tmp_path, written) -> None:
     with pytest.raises(RecordingError, match="its overrides are not a JSON list of texts"):
-        recorded_config(of_another_writer(tmp_path, overrides=written))
+        read_recorded_config(of_another_writer(tmp_path, overrides=written))
 
 
-@pytest.mark.parametrize("read", [recorded_config, stated_keys, open_recording])
+@pytest.mark.parametrize("read", [read_recorded_config, read_stated_keys, open_recording])
 @pytest.mark.parametrize("part", ["config", "overrides"])
 def test_a_config_in_a_recording_is_bounded_as_in_a_file(tmp_path, part, read) -> None:
     line = "rate_hz=500\n" if part == "overrides" else "# a comment\n"

@@ -15,10 +15,10 @@ from teleop.messages.messages import Event
 from teleop.messages.topics import COMMAND, EVENT, STATE, TOPICS, Role
 from teleop.recording import writer as writer_module
 from teleop.recording.config import RecordConfig
-from teleop.recording.gaps import Gaps
-from teleop.recording.readdress import Readdress
+from teleop.recording.gaps import GapCounter
+from teleop.recording.readdress import SenderRewriter
 from teleop.recording.reader import RecordedMessage, open_recording, read_columns, read_messages
-from teleop.recording.replay import Player, require_playable
+from teleop.recording.replay import Player, require_present_layout
 from teleop.recording.scan import RecordingError
 from teleop.recording.writer import RecordingWriter
 from teleop.runtime.clock import now_ns
@@ -59,7 +59,7 @@ def recording(tmp_path):
 @pytest.mark.parametrize("topic", TOPICS, ids=lambda topic: topic.name)
 def test_only_the_head_of_a_message_changes(topic):
     sent = heard(topic, 7, np.random.default_rng(2))
-    role, same_topic, data = Readdress(NONCES)(recorded(sent), shift_ns=500)
+    role, same_topic, data = SenderRewriter(NONCES)(recorded(sent), shift_ns=500)
     before, after = topic.message.unpack(sent.data), topic.message.unpack(data)
     assert same_topic is topic
     assert role == (topic.publisher or Role.SLAVE)
@@ -72,7 +72,7 @@ def test_only_the_head_of_a_message_changes(topic):
 @pytest.mark.parametrize("role", Role)
 def test_a_shared_topic_goes_where_its_sender_was(role):
     data = Event(role=role).pack(1, 1, START_NS)
-    addressed = Readdress(NONCES)(RecordedMessage("event", data, START_NS, START_NS))
+    addressed = SenderRewriter(NONCES)(RecordedMessage("event", data, START_NS, START_NS))
     assert addressed.role == (Role.MASTER if role == Role.MASTER else Role.SLAVE)
 
 
@@ -80,7 +80,7 @@ def test_a_shared_topic_goes_where_its_sender_was(role):
 @settings(deadline=None, max_examples=50)
 def test_numbers_rise_through_restarts_and_loops_and_keep_the_gaps(processes):
     """Each set is what arrived of one process of the same role; then all of it is played again."""
-    readdress, before, after = Readdress(NONCES), Gaps(), Gaps()
+    readdress, before, after = SenderRewriter(NONCES), GapCounter(), GapCounter()
     sequences = []
     for _ in range(2):
         for sender, arrived in enumerate(processes, start=1):
@@ -104,12 +104,12 @@ def test_what_peers_would_refuse_is_not_played(tmp_path, monkeypatch):
     with RecordingWriter(config, "demo", START_NS) as empty:
         pass
     with pytest.raises(RecordingError, match="has no messages"):
-        require_playable(open_recording(empty.path))
+        require_present_layout(open_recording(empty.path))
     monkeypatch.setattr(writer_module, "LAYOUT", 0x1234)
     with RecordingWriter(config, "demo", START_NS) as other:
         other.write([heard(STATE, 0, np.random.default_rng(3))], START_NS)
     with pytest.raises(RecordingError, match="another message layout"):
-        require_playable(open_recording(other.path))
+        require_present_layout(open_recording(other.path))
 
 
 def test_listeners_hear_the_session_again_never_early(recording):

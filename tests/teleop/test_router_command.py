@@ -18,8 +18,8 @@ from teleop.cli import commands
 from teleop.config.loading import load
 from teleop.errors import UsageError
 from teleop.link import Link, LinkConfig
-from teleop.link.router_command import protection, router_config
-from teleop.link.router_config import DEFAULT, RouterConfig
+from teleop.link.router_command import build_router_config, build_router_link
+from teleop.link.router_config import DEFAULT_ENDPOINT, RouterConfig
 from teleop.messages.topics import COMMAND, Role
 from teleop.session.config import RunConfig
 from tests.root import ROOT
@@ -37,11 +37,13 @@ def words(*overrides, **options):
 
 def asked(*overrides, routers=(), **options):
     """The router's config by overrides, the session's routers, and options."""
-    return router_config(words(*overrides, **options), RunConfig(link=LinkConfig(routers=routers)))
+    return build_router_config(
+        words(*overrides, **options), RunConfig(link=LinkConfig(routers=routers))
+    )
 
 
 def test_options_config_and_defaults_say_what_it_serves_and_where():
-    assert asked() == RouterConfig(("demo",), (DEFAULT,))
+    assert asked() == RouterConfig(("demo",), (DEFAULT_ENDPOINT,))
     assert asked(routers=("127.0.0.1:1",)).listen == ("127.0.0.1:1",)
     stated = ('router.listen=["127.0.0.1:2"]', 'router.connect=["127.0.0.1:3"]')
     sessions = 'router.sessions=["a", "b"]'
@@ -54,10 +56,12 @@ def test_options_config_and_defaults_say_what_it_serves_and_where():
 def test_off_loopback_it_must_have_keys(tmp_path):
     far = RouterConfig(listen=("10.0.0.5:7450",))
     with pytest.raises(UsageError, match=r"router: off loopback, link\.keys"):
-        protection(LinkConfig(), far, None)
-    assert protection(LinkConfig(), far, tmp_path).keys == tmp_path
-    assert protection(LinkConfig(insecure=True), far, None).insecure
-    assert protection(LinkConfig(), RouterConfig(listen=(DEFAULT,)), None).keys is None
+        build_router_link(LinkConfig(), far, None)
+    assert build_router_link(LinkConfig(), far, tmp_path).keys == tmp_path
+    assert build_router_link(LinkConfig(insecure=True), far, None).insecure
+    assert (
+        build_router_link(LinkConfig(), RouterConfig(listen=(DEFAULT_ENDPOINT,)), None).keys is None
+    )
 
 
 @pytest.mark.parametrize("bad", ["tcp/127.0.0.1:1", "127.0.0.1", "0.0.0.0:7450"])

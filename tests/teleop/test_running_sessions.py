@@ -19,18 +19,18 @@ from teleop.session import own_endpoints, running_sessions
 from teleop.session.config import RunConfig, load_shared
 from teleop.session.running_sessions import (
     RunningSession,
+    create_session_name,
     describe_absence,
-    find,
-    own_name,
-    registered,
-    running,
+    find_session,
+    list_sessions,
+    register_session,
 )
 from tests.teleop.link.bench import wait_until
 
 _HOLDER = """
 import time
-from teleop.session.running_sessions import RunningSession, registered
-with registered(RunningSession(session="other", overrides=(), endpoints=())):
+from teleop.session.running_sessions import RunningSession, register_session
+with register_session(RunningSession(session="other", overrides=(), endpoints=())):
     print("listed", flush=True)
     time.sleep(60)
 """
@@ -62,17 +62,17 @@ def words(*overrides, session=None, config=None):
 
 
 def test_a_session_is_listed_while_it_runs(runtime):
-    with registered(entry("a")), registered(entry("b")):
-        assert {e.session for e in running()} == {"a", "b"}
+    with register_session(entry("a")), register_session(entry("b")):
+        assert {e.session for e in list_sessions()} == {"a", "b"}
         assert runtime.stat().st_mode & 0o077 == 0
-    assert running() == []
+    assert list_sessions() == []
     assert list(runtime.iterdir()) == []
 
 
 def test_a_session_that_does_not_answer_is_told_from_none_at_all():
     alone = describe_absence("demo", "no master answers", ["127.0.0.1:7451"])
     assert alone.startswith("no session of yours runs on this machine, and no master answers at")
-    with registered(entry("a")), registered(entry("b")):
+    with register_session(entry("a")), register_session(entry("b")):
         assert describe_absence("c", "no master answers", ["127.0.0.1:7451"]) == (
             "session 'c': no master answers; running on this machine: a, b"
         )
@@ -91,9 +91,9 @@ def test_a_loopback_interface_that_is_down_is_named_at_once(monkeypatch, capsys)
 def test_a_session_whose_process_was_killed_is_forgotten(runtime):
     with subprocess.Popen([sys.executable, "-c", _HOLDER], stdout=subprocess.PIPE) as process:
         assert process.stdout.readline() == b"listed\n"
-        assert [e.session for e in running()] == ["other"]
+        assert [e.session for e in list_sessions()] == ["other"]
         process.send_signal(signal.SIGKILL)
-    wait_until(lambda: running() == [])
+    wait_until(lambda: list_sessions() == [])
     assert list(runtime.iterdir()) == []
 
 
@@ -101,8 +101,8 @@ def test_a_folder_where_others_may_write_is_not_believed(runtime, tmp_path):
     runtime.mkdir()
     (runtime / "x.1.json").write_text("{}")
     runtime.chmod(0o777)
-    with registered(entry()):
-        assert [e.session for e in running()] == ["a"]
+    with register_session(entry()):
+        assert [e.session for e in list_sessions()] == ["a"]
         assert os.listdir(runtime) == ["x.1.json"]
         (path,) = (tmp_path / "home").glob("**/*.json")
         assert path.parent.stat().st_mode & 0o077 == 0
@@ -111,24 +111,24 @@ def test_a_folder_where_others_may_write_is_not_believed(runtime, tmp_path):
 def test_a_session_is_found_though_a_folder_before_its_own_became_usable(runtime):
     runtime.mkdir()
     runtime.chmod(0o777)
-    with registered(entry()):
+    with register_session(entry()):
         runtime.chmod(0o700)
-        assert [e.session for e in running()] == ["a"]
+        assert [e.session for e in list_sessions()] == ["a"]
 
 
 def test_without_a_runtime_folder_the_registry_is_one_of_the_user_below_tmp(monkeypatch, tmp_path):
     monkeypatch.delenv("XDG_RUNTIME_DIR")
     monkeypatch.setenv("TMPDIR", str(tmp_path))
-    with registered(entry()):
-        assert [e.session for e in running()] == ["a"]
+    with register_session(entry()):
+        assert [e.session for e in list_sessions()] == ["a"]
         assert (tmp_path / f"tendon-teleop-{os.getuid()}").is_dir()
 
 
 def test_a_command_joins_the_only_session_and_asks_which_of_several():
     assert load_shared(words()).session == "demo"
-    with registered(entry("a", 20001)):
+    with register_session(entry("a", 20001)):
         assert load_shared(words()).link.slave == "127.0.0.1:20002"
-        with registered(entry("b", 20005)):
+        with register_session(entry("b", 20005)):
             with pytest.raises(UsageError, match=r"2 sessions are running: .*name one with"):
                 load_shared(words())
             joined = words(session="b")
@@ -144,55 +144,64 @@ def test_a_config_file_finds_the_session_that_was_started_with_it(tmp_path):
     mine, other = tmp_path / "mine.yaml", tmp_path / "other.yaml"
     for path in (mine, other):
         path.write_text("rate_hz: 500\n")
-    with registered(entry("m", 20001, str(mine))), registered(entry("o", 20005, str(other))):
+    with (
+        register_session(entry("m", 20001, str(mine))),
+        register_session(entry("o", 20005, str(other))),
+    ):
         assert load_shared(words(config=mine)).session == "m"
         assert load_shared(words(config=other)).session == "o"
-        assert find("m").config == str(mine)
+        assert find_session("m").config == str(mine)
 
 
 def test_a_session_that_does_not_run_here_is_named_with_those_that_do():
-    with registered(entry("a")), pytest.raises(UsageError, match=r"--session x: .*running: a\."):
+    with (
+        register_session(entry("a")),
+        pytest.raises(UsageError, match=r"--session x: .*running: a\."),
+    ):
         load_shared(words(session="x"))
 
 
 def test_a_session_takes_a_name_and_endpoints_of_its_own(tmp_path):
     path = tmp_path / "Two Arms.yaml"
     path.write_text("rate_hz: 500\n")
-    runs = [load(path, RunConfig, None, own_endpoints.choose(path, [], None)) for _ in range(5)]
+    runs = [
+        load(path, RunConfig, None, own_endpoints.choose_overrides(path, [], None))
+        for _ in range(5)
+    ]
     ends = [end for run in runs for end in (run.link.master, run.link.slave)]
     assert len(set(ends)) == len(ends)
     assert len({run.session for run in runs}) == len(runs)
     assert all(run.session.startswith("two-arms-") for run in runs)
-    assert own_name("demo") != own_name("demo")
+    assert create_session_name("demo") != create_session_name("demo")
 
 
 def test_what_config_or_options_state_is_kept(tmp_path):
     path = tmp_path / "rig.yaml"
     path.write_text("session: bench\nimpair: {seed: 1}\n")
-    chosen = own_endpoints.choose(path, [], None)
+    chosen = own_endpoints.choose_overrides(path, [], None)
     assert {text.split("=")[0] for text in chosen} == {
         "link.master", "link.slave", "impair.endpoint",
     }  # fmt: skip
     assert load(path, RunConfig, None, chosen).session == "bench"
-    assert own_endpoints.choose(None, ["link.master=127.0.0.1:9"], None) == []
-    named = own_endpoints.choose(path, [], "mine")
+    assert own_endpoints.choose_overrides(None, ["link.master=127.0.0.1:9"], None) == []
+    named = own_endpoints.choose_overrides(path, [], "mine")
     assert load(path, RunConfig, None, named).session == "mine"
 
 
 def test_a_name_is_given_once(tmp_path):
     with (
-        registered(entry("bench")),
+        register_session(entry("bench")),
         pytest.raises(PeerError, match="'bench' is running already"),
     ):
-        own_endpoints.choose(None, ["session=bench"], None)
+        own_endpoints.choose_overrides(None, ["session=bench"], None)
 
 
 def test_the_entry_leads_to_the_session_from_any_folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "keys").mkdir()
-    chosen = own_endpoints.choose(None, ["link.keys=keys"], None)
+    chosen = own_endpoints.choose_overrides(None, ["link.keys=keys"], None)
     run = load(None, RunConfig, None, ["link.keys=keys", *chosen])
-    with registered(own_endpoints.entry_of(run, None, None)):
+    with register_session(own_endpoints.build_entry(run, None, None)):
         monkeypatch.chdir("/")
         joined = load_shared(words())
     assert joined.link.keys == tmp_path / "keys"
@@ -202,7 +211,7 @@ def test_the_entry_leads_to_the_session_from_any_folder(tmp_path, monkeypatch):
 def test_the_command_lists_them(capsys, tmp_path):
     assert commands.main(["sessions"]) == 0
     assert capsys.readouterr().out == "no sessions running\n"
-    with registered(entry("a", config="/x/demo.yaml")):
+    with register_session(entry("a", config="/x/demo.yaml")):
         assert commands.main(["sessions", "--json", str(tmp_path / "s.json")]) == 0
     out = capsys.readouterr().out
     assert out.startswith(f"a  process {os.getpid()}  since ")

@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from estimator.compiled import compiled
-from estimator.records import Records
+from estimator.compiled import jit_compile
+from estimator.records import StructArray
 from teleop.session.state_machine import (
     FOLLOW_LIMIT_S,
     HOLD_LIMIT_S,
@@ -18,13 +18,13 @@ from teleop.session.state_machine import (
     SessionOutline,
     State,
     fades,
-    known_state,
+    is_switch_closed,
     may_move,
     may_render,
     may_yield,
-    outline,
     step,
-    switch_of,
+    to_known_state,
+    to_outline,
 )
 
 DT = 0.001
@@ -72,21 +72,21 @@ class Now(NamedTuple):
 FIELDS = Session.dtype.names or ()
 
 
-def sessions_of(now: Now, count: int = 1) -> Records:
+def sessions_of(now: Now, count: int = 1) -> StructArray:
     sessions = Session.array(count)
     sessions[:] = tuple(getattr(now, name) for name in FIELDS)
     return sessions
 
 
-def inputs_of(known: list[Known]) -> Records:
+def inputs_of(known: list[Known]) -> StructArray:
     inputs = Inputs.array(len(known))
     for name in Known._fields:
         inputs[name] = [getattr(item, name) for item in known]
     return inputs
 
 
-@compiled
-def step_each(sessions: Records, inputs: Records, dt: float, allowed: np.ndarray) -> None:
+@jit_compile
+def step_each(sessions: StructArray, inputs: StructArray, dt: float, allowed: np.ndarray) -> None:
     for k in range(len(sessions)):
         step(sessions[k], inputs[k], dt)
         allowed[k, 0] = may_move(sessions[k])
@@ -95,7 +95,7 @@ def step_each(sessions: Records, inputs: Records, dt: float, allowed: np.ndarray
         allowed[k, 3] = fades(sessions[k])
 
 
-def after_each(before: Now, inputs: Records, dt: float) -> list[Now]:
+def after_each(before: Now, inputs: StructArray, dt: float) -> list[Now]:
     """What a session becomes with each of many inputs."""
     sessions = sessions_of(before, len(inputs))
     allowed = np.zeros((len(inputs), 4), bool)
@@ -406,7 +406,7 @@ def pair(
         DT,
     )
     fault = Reason.NONE if ok else Reason.RIG_FAULT
-    asked, held = switch_of(master_heard), master_heard == State.CLUTCHED
+    asked, held = is_switch_closed(master_heard), master_heard == State.CLUTCHED
     new_slave = advance(slave, Known(True, linked, master_heard, asked, fault, held, reset=reset))
     heard = (new_slave.state, new_master.state) if linked else heard
     return new_master, new_slave, heard
@@ -523,9 +523,9 @@ def test_a_fault_of_the_slave_is_kept_until_the_operator_lets_go() -> None:
 def test_the_outline_leaves_out_the_bookkeeping_so_that_an_event_is_a_change_of_it() -> None:
     ready = Session.new(state=State.READY, reason=Reason.NONE)
     seen = Session.new(state=State.READY, reason=Reason.NONE, open_seen=True, waited_s=1.0)
-    assert outline(ready) == outline(seen) == (State.READY, Reason.NONE)
-    assert outline(ready) != outline(Session.new(state=State.ENGAGED, reason=Reason.NONE))
-    assert outline(Session.new()) == SessionOutline() == Now().outline
+    assert to_outline(ready) == to_outline(seen) == (State.READY, Reason.NONE)
+    assert to_outline(ready) != to_outline(Session.new(state=State.ENGAGED, reason=Reason.NONE))
+    assert to_outline(Session.new()) == SessionOutline() == Now().outline
 
 
 def test_every_reason_has_its_own_number_and_sentence() -> None:
@@ -536,10 +536,10 @@ def test_every_reason_has_its_own_number_and_sentence() -> None:
 def test_numbers_of_a_later_version_are_read_as_unreliable() -> None:
     assert State(200) == State.FAULT
     assert Reason(200) == Reason.UNKNOWN
-    assert outline(Session.new(state=200, reason=200)) == (State.FAULT, Reason.UNKNOWN)
+    assert to_outline(Session.new(state=200, reason=200)) == (State.FAULT, Reason.UNKNOWN)
     for number in (*range(-3, 300), np.uint32(6), np.uint32(7), np.uint32(2**32 - 1)):
-        assert known_state(number) == State(int(number))
-        assert switch_of(number) == switch_of(known_state(number))
+        assert to_known_state(number) == State(int(number))
+        assert is_switch_closed(number) == is_switch_closed(to_known_state(number))
 
 
 def test_a_step_changes_one_record_and_no_other() -> None:
@@ -547,11 +547,11 @@ def test_a_step_changes_one_record_and_no_other() -> None:
     step_one(sessions, inputs_of([CALM]), 1)
     assert sessions["state"].tolist() == [State.OFF, State.READY, State.OFF]
     assert sessions["open_seen"].tolist() == [False, True, False]
-    assert outline(Session.new()) == SessionOutline()
+    assert to_outline(Session.new()) == SessionOutline()
 
 
-@compiled
-def step_one(sessions: Records, inputs: Records, index: int) -> None:
+@jit_compile
+def step_one(sessions: StructArray, inputs: StructArray, index: int) -> None:
     step(sessions[index], inputs[0], DT)
 
 

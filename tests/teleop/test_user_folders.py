@@ -7,12 +7,12 @@ import pytest
 
 from master.devices.hid import signs
 from teleop.cli import commands
-from teleop.security.local import local_folder
-from teleop.view.runtime_log import log_path
+from teleop.security.local import find_local_folder
+from teleop.view.runtime_log import find_log_path
 
 PLACES = {
-    "XDG_STATE_HOME": (local_folder, lambda: log_path("a")),
-    "XDG_CONFIG_HOME": (signs.default_path,),
+    "XDG_STATE_HOME": (find_local_folder, lambda: find_log_path("a")),
+    "XDG_CONFIG_HOME": (signs.get_default_path,),
 }
 
 

@@ -18,7 +18,7 @@ from rerun.chunk import RrdReader
 
 from teleop.cli import commands
 from teleop.errors import TeleopError, UsageError
-from teleop.launch.supervisor import wait_for
+from teleop.launch.supervisor import wait_for_condition
 from teleop.link import ReceivedMessage
 from teleop.messages.topics import HAND, TENDONS, TOPICS
 from teleop.recording.config import RecordConfig
@@ -26,13 +26,13 @@ from teleop.recording.writer import RecordingWriter
 from teleop.view import viewer_process
 from teleop.view.batch import decode
 from teleop.view.config import ViewConfig, ViewRates
-from teleop.view.feed import Discard, PacedMessages, from_link, from_recording
-from teleop.view.ports import free_port
-from teleop.view.rrd import Blocks, split_messages
+from teleop.view.feed import MessageBuffer, NullDisplay, show_recording, show_session
+from teleop.view.ports import find_free_port
+from teleop.view.rrd import BlockBuffer, split_messages
 from teleop.view.scene import Scene
 from teleop.view.sender import Sender
 from teleop.view.sinks import Sink
-from teleop.view.viewer_process import silence
+from teleop.view.viewer_process import disable_usage_statistics
 from tests.teleop.view_session import CONFIG, SENDER, T0, Session, read, save
 
 
@@ -59,7 +59,7 @@ def test_a_recording_is_shown_whole(session, tmp_path, saved):
             )
             writer.write([heard], stamp)
     with Sink("rrd", CONFIG, "demo", tmp_path / "demo.rrd", live=False) as sink:
-        fed = from_recording(str(writer.path), Scene(CONFIG, sink.stream), lambda: False, 0.1)
+        fed = show_recording(str(writer.path), Scene(CONFIG, sink.stream), lambda: False, 0.1)
     assert fed.received == len(session.messages)
     again = read(tmp_path / "demo.rrd")
     assert {name for name in again if "__" not in name} == {n for n in saved if "__" not in n}
@@ -75,7 +75,7 @@ def test_a_file_keeps_no_index_of_its_chunks_in_memory(session, tmp_path):
 
 
 def test_what_waits_comes_out_in_time_and_all_of_it():
-    paced = PacedMessages(0.1)
+    paced = MessageBuffer(0.1)
     out = []
     for k in range(1000):
         paced.add([k])
@@ -87,7 +87,7 @@ def test_what_waits_comes_out_in_time_and_all_of_it():
 
 @pytest.mark.parametrize("stretch", [1, 2, 3])
 def test_a_block_comes_with_each_call_that_is_due_though_calls_jitter(stretch):
-    paced = PacedMessages(0.125, 0.125)
+    paced = MessageBuffer(0.125, 0.125)
     paced.stretch = stretch
     calls, blocks = 60, 0
     for k in range(calls):
@@ -134,7 +134,7 @@ class Seen:
 def test_the_link_is_shown_until_the_end_and_what_waited_too(session):
     show = Seen()
     with Sink("none", CONFIG, "test", None, live=True) as sink:
-        fed = from_link(OneBatch(session.messages), show, sink, ticks_left(3), 100, (0.0, 10.0))
+        fed = show_session(OneBatch(session.messages), show, sink, ticks_left(3), 100, (0.0, 10.0))
     assert fed.received == show.drawn == len(session.messages)
     # what grows over time is sent in its own, slower blocks
     assert 0 < show.grown < show.drawn
@@ -154,7 +154,7 @@ def test_nothing_is_kept_when_nothing_is_shown():
     with Sink("none", CONFIG, "test", None, live=True) as sink:
         assert sink.stream is None
         assert not sink.stuck()
-    assert Discard().pictures({}) == Discard().curves({}) == 0
+    assert NullDisplay().pictures({}) == NullDisplay().curves({}) == 0
 
 
 # config
@@ -343,7 +343,7 @@ def test_a_page_gets_the_present_before_the_past_and_all_of_both(session, tmp_pa
 
 
 def test_what_is_kept_for_late_pages_is_bounded_but_never_lacks_static_data(tmp_path):
-    kept = Blocks(1_000_000)
+    kept = BlockBuffer(1_000_000)
     stream = rr.RecordingStream("test")
     encoded = rr.binary_stream(stream)
     sender = Sender(stream)
@@ -395,7 +395,7 @@ def test_a_second_web_view_takes_another_port_and_secret(web):
 
 @linux
 def test_usage_statistics_are_off_whatever_the_users_settings(tmp_path):
-    silence(tmp_path)
+    disable_usage_statistics(tmp_path)
     answer = subprocess.run(
         [sys.executable, "-m", "rerun", "analytics", "config"],
         env=os.environ | {"XDG_CONFIG_HOME": str(tmp_path)},
@@ -411,12 +411,12 @@ def test_a_window_that_gets_no_more_data_for_a_damaged_block_is_stuck(tmp_path, 
     program = tmp_path / "rerun"
     program.write_text("#!/bin/sh\nexec cat > /dev/null\n")
     program.chmod(0o700)
-    monkeypatch.setattr(viewer_process, "program", lambda: program)
+    monkeypatch.setattr(viewer_process, "find_program", lambda: program)
     monkeypatch.setenv("DISPLAY", ":0")
     with viewer_process.Window(100) as window:
         assert not window.stuck()
         window.add(b"no block of Rerun")
-        assert wait_for(window.stuck, 20)
+        assert wait_for_condition(window.stuck, 20)
 
 
 @linux
@@ -428,16 +428,16 @@ def test_a_window_gets_all_that_was_sent_and_one_that_hangs_does_not_hold_us(
     fed, program = tmp_path / "fed.rrd", tmp_path / "rerun"
     program.write_text("#!/bin/sh\n" + ("exec sleep 60" if hangs else f"exec cat > '{fed}'") + "\n")
     program.chmod(0o700)
-    monkeypatch.setattr(viewer_process, "program", lambda: program)
+    monkeypatch.setattr(viewer_process, "find_program", lambda: program)
     monkeypatch.setenv("DISPLAY", ":0")
     begin = time.monotonic()
     with Sink("native", CONFIG, "test", None, live=True) as sink:
         scene = Scene(CONFIG, sink.stream)
         scene.send(decode(session.messages))
         sink.publish()
-        assert wait_for(lambda: sink.stuck() == hangs, 20)
+        assert wait_for_condition(lambda: sink.stuck() == hangs, 20)
         if not hangs:
-            assert wait_for(lambda: fed.exists() and whole(fed, session), 20, 0.2)
+            assert wait_for_condition(lambda: fed.exists() and whole(fed, session), 20, 0.2)
     assert time.monotonic() - begin < 60  # a hang, not a speed
 
 
@@ -454,7 +454,7 @@ def test_a_window_has_a_network_of_its_own(tmp_path, monkeypatch):
     program = tmp_path / "rerun"
     program.write_text('#!/bin/sh\ncat /proc/net/dev > "$XDG_CONFIG_HOME/dev"\nexec cat\n')
     program.chmod(0o700)
-    monkeypatch.setattr(viewer_process, "program", lambda: program)
+    monkeypatch.setattr(viewer_process, "find_program", lambda: program)
     monkeypatch.setenv("DISPLAY", ":0")
     with Sink("native", CONFIG, "test", None, live=True) as sink:
         ours, theirs = (os.readlink(f"/proc/{pid}/ns/net") for pid in ("self", sink._window.pid))
@@ -481,7 +481,7 @@ def test_a_viewer_that_cannot_start_says_why(monkeypatch, tmp_path):
     program = tmp_path / "rerun"
     program.write_text("#!/bin/sh\necho no such thing >&2\nexit 1\n")
     program.chmod(0o700)
-    monkeypatch.setattr(viewer_process, "program", lambda: program)
+    monkeypatch.setattr(viewer_process, "find_program", lambda: program)
     with pytest.raises(TeleopError, match="did not start: no such thing"):
         viewer_process.read_viewer_files()
 
@@ -491,7 +491,7 @@ def test_a_free_port_is_taken_when_the_first_choice_is_not():
         taken.bind(("127.0.0.1", 0))
         taken.listen()
         port = taken.getsockname()[1]
-        assert free_port(port) != port
+        assert find_free_port(port) != port
 
 
 @linux

@@ -7,16 +7,16 @@ import pytest
 
 from teleop.cli import commands
 from teleop.errors import UsageError
-from teleop.view.command import destination_of
-from teleop.view.runtime_log import diverted
+from teleop.view.command import choose_destination
+from teleop.view.runtime_log import divert_stderr
 
 
 def test_a_file_name_that_ends_in_rrd_is_a_view(tmp_path):
     file = tmp_path / "a.rrd"
-    assert destination_of(file, None) == ("rrd", file)
-    assert destination_of("web", file) == ("web", file)
+    assert choose_destination(file, None) == ("rrd", file)
+    assert choose_destination("web", file) == ("web", file)
     with pytest.raises(UsageError, match="name the file once"):
-        destination_of(file, tmp_path / "b.rrd")
+        choose_destination(file, tmp_path / "b.rrd")
 
 
 @pytest.mark.parametrize(
@@ -43,7 +43,7 @@ def test_a_view_that_cannot_be_is_refused_in_one_line(words, said, tmp_path, cap
 
 def test_lines_of_native_code_go_to_the_log_and_ours_to_the_terminal(tmp_path, capfd):
     path = tmp_path / "state" / "view.log"
-    with diverted(path) as used:
+    with divert_stderr(path) as used:
         assert used == path
         os.write(2, b"from native code\n")
     os.write(2, b"ours\n")
@@ -53,7 +53,7 @@ def test_lines_of_native_code_go_to_the_log_and_ours_to_the_terminal(tmp_path, c
 
 def test_a_log_that_cannot_be_in_its_folder_is_among_temporary_files(tmp_path, capfd):
     (tmp_path / "file").write_text("")
-    with diverted(tmp_path / "file" / "view.log") as used:
+    with divert_stderr(tmp_path / "file" / "view.log") as used:
         os.write(2, b"lost\n")
     assert "lost" in Path(used).read_text()
     assert capfd.readouterr().err == ""

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from teleop.messages.messages import MAX_JOINTS, Command, Hand, LoopReport, SlaveState, padded
+from teleop.messages.messages import MAX_JOINTS, Command, Hand, LoopReport, SlaveState, pad_values
 from teleop.messages.topics import COMMAND, HAND, REPORT, SHEATH, STATE, Role
 from teleop.session.state_machine import Reason, State
 from teleop.view import panel
@@ -16,22 +16,28 @@ from teleop.view.batch import decode
 from teleop.view.colours import STATES
 from teleop.view.config import ViewConfig
 from teleop.view.pacing import Pacing
-from teleop.view.panel import link_parts, number_text
+from teleop.view.panel import format_force, format_link_parts
 from teleop.view.panel_layout import (
     BANNER,
     LINK_HEIGHT,
     LINK_LEFT,
     LINK_TOP,
-    TALL,
-    WIDE,
-    filled,
-    force_rows,
+    PANEL_HEIGHT,
+    PANEL_WIDTH,
+    compute_force_rows,
+    fill_box,
 )
-from teleop.view.plane import axis_end, ticks, ticks_to_end
+from teleop.view.plane import compute_axis_end, compute_ticks, compute_ticks_to_end
 from teleop.view.scene import Scene
 from teleop.view.sinks import Sink
-from teleop.view.status import Banner, LinkCounts, LinkQuality, banner, link_quality
-from teleop.view.stroke_text import _GLYPHS, STROKE, fitted_height, text_strips, text_width
+from teleop.view.status import Banner, LinkCounts, LinkQuality, build_banner, compute_link_quality
+from teleop.view.stroke_text import (
+    _GLYPHS,
+    STROKE,
+    build_text_strips,
+    compute_text_width,
+    fit_height,
+)
 from tests.teleop.view_session import T0, Session, read
 
 SURGEON = ViewConfig(layout="surgeon", tension_scale_N=10.0)
@@ -40,15 +46,15 @@ SURGEON = ViewConfig(layout="surgeon", tension_scale_N=10.0)
 
 
 def test_text_fills_its_width_and_height_and_no_more():
-    strips = text_strips("ENGAGED 12", 1.0, 2.0, 3.0)
+    strips = build_text_strips("ENGAGED 12", 1.0, 2.0, 3.0)
     points = np.concatenate(strips)
     assert points.min(axis=0) == pytest.approx([1.0, 2.0])
-    assert points.max(axis=0) == pytest.approx([1.0 + text_width("ENGAGED 12", 3.0), 5.0])
+    assert points.max(axis=0) == pytest.approx([1.0 + compute_text_width("ENGAGED 12", 3.0), 5.0])
 
 
 def test_a_decimal_point_stands_midway_between_its_digits_and_near_to_them():
-    eight = len(text_strips("8", 0.0, 0.0, 6.0))
-    strips = text_strips("8.8", 0.0, 0.0, 6.0)
+    eight = len(build_text_strips("8", 0.0, 0.0, 6.0))
+    strips = build_text_strips("8.8", 0.0, 0.0, 6.0)
     before, point, after = (
         np.concatenate(part)[:, 0]
         for part in (strips[:eight], strips[eight:-eight], strips[-eight:])
@@ -67,9 +73,9 @@ def test_every_letter_of_a_reason_and_a_state_has_a_glyph_and_all_glyphs_differ(
 
 def test_every_reason_fits_on_the_banner():
     for reason in Reason:
-        text = banner(dict.fromkeys((Role.MASTER, Role.SLAVE), (State.FAULT, reason))).reason
-        height = fitted_height(text, WIDE - 0.8, 0.45)
-        assert text_width(text, height) <= WIDE - 0.8 + 1e-9
+        text = build_banner(dict.fromkeys((Role.MASTER, Role.SLAVE), (State.FAULT, reason))).reason
+        height = fit_height(text, PANEL_WIDTH - 0.8, 0.45)
+        assert compute_text_width(text, height) <= PANEL_WIDTH - 0.8 + 1e-9
         assert height > 0.2
 
 
@@ -78,7 +84,7 @@ def test_every_reason_fits_on_the_banner():
 
 @given(st.sampled_from(State), st.sampled_from(State))
 def test_a_session_is_engaged_only_if_both_sides_are(master, slave):
-    shown = banner({Role.MASTER: (master, 0), Role.SLAVE: (slave, 0)}).state
+    shown = build_banner({Role.MASTER: (master, 0), Role.SLAVE: (slave, 0)}).state
     assert (shown == "engaged") == (master == slave == State.ENGAGED)
     if State.STOPPED in (master, slave):
         assert shown == "stopped"
@@ -91,31 +97,31 @@ def test_of_two_faults_the_first_hand_reason_is_quoted():
         Role.MASTER: (State.FAULT, Reason.PEER_FAULT),
         Role.SLAVE: (State.FAULT, Reason.TENDON_BROKEN),
     }
-    assert banner(sides) == Banner("fault", Reason.TENDON_BROKEN.text)
-    assert banner({Role.SLAVE: (State.READY, 0)}).reason == "waiting for the master"
+    assert build_banner(sides) == Banner("fault", Reason.TENDON_BROKEN.text)
+    assert build_banner({Role.SLAVE: (State.READY, 0)}).reason == "waiting for the master"
 
 
 @pytest.mark.parametrize(("role", "peer"), [(Role.MASTER, "slave"), (Role.SLAVE, "master")])
 def test_the_banner_names_the_side_that_sends_nothing(role, peer):
     other = {Role.MASTER: Role.SLAVE, Role.SLAVE: Role.MASTER}[role]
     sides = {role: (State.FAULT, Reason.PEER_SILENT), other: (State.ENGAGED, Reason.NONE)}
-    assert banner(sides).reason == f"no messages from the {peer}"
+    assert build_banner(sides).reason == f"no messages from the {peer}"
 
 
 def test_a_link_over_which_nothing_comes_has_no_figures():
     counts = {Role.SLAVE: LinkCounts(1000, 0)}
-    assert link_quality(counts, counts, 0.5).word == "good"  # the report of the other side
-    quality = link_quality(counts, counts, 0.5, deaf=True)
-    assert link_parts(quality, 0.1, []) == ("no link", "", "", "")
+    assert compute_link_quality(counts, counts, 0.5).word == "good"  # the report of the other side
+    quality = compute_link_quality(counts, counts, 0.5, deaf=True)
+    assert format_link_parts(quality, 0.1, []) == ("no link", "", "", "")
 
 
 def test_the_link_is_as_good_as_its_worse_way():
     before = {Role.MASTER: LinkCounts(1000, 0), Role.SLAVE: LinkCounts(1000, 5)}
     now = {Role.MASTER: LinkCounts(1500, 0), Role.SLAVE: LinkCounts(1475, 30)}
-    quality = link_quality(before, now, 0.5)
+    quality = compute_link_quality(before, now, 0.5)
     assert quality.word == "poor"
     assert quality.loss == pytest.approx(0.05)
-    assert link_quality(now, now, None).word == "good"
+    assert compute_link_quality(now, now, None).word == "good"
 
 
 # the panel
@@ -124,7 +130,7 @@ def test_the_link_is_as_good_as_its_worse_way():
 @pytest.mark.parametrize("joints", range(1, MAX_JOINTS + 1))
 def test_the_rows_of_forces_neither_meet_each_other_nor_the_banner(joints):
     """Nor do their strokes, with a gap of a stroke's width between them."""
-    words_top, height, rows = force_rows(joints)
+    words_top, height, rows = compute_force_rows(joints)
     assert words_top - STROKE * height > BANNER[3] + 2 * STROKE * height
     edges = [words_top + (1 + STROKE) * height]
     for row in rows:
@@ -133,19 +139,19 @@ def test_the_rows_of_forces_neither_meet_each_other_nor_the_banner(joints):
         assert min(top, row.number_top - number_ink) > edges[-1] + 2 * number_ink
         edges.append(max(bottom, row.number_top + row.number_height + number_ink))
     assert edges[-1] < LINK_TOP - 2 * STROKE * LINK_HEIGHT
-    assert LINK_TOP + LINK_HEIGHT < TALL
+    assert LINK_TOP + LINK_HEIGHT < PANEL_HEIGHT
 
 
 def test_the_name_of_a_single_force_stands_well_above_its_number():
-    top, height, (row,) = force_rows(1)
+    top, height, (row,) = compute_force_rows(1)
     assert row.number_top - top - height > 1.5 * height
 
 
 @pytest.mark.parametrize("joints", range(2, MAX_JOINTS + 1))
 def test_the_name_of_one_of_several_forces_stands_left_of_its_number_and_within_its_height(joints):
-    for row in force_rows(joints)[2]:
-        right = 0.4 + text_width("joint 8", row.name_height)
-        assert right < row.number_right - text_width("-9999", row.number_height) - 0.1
+    for row in compute_force_rows(joints)[2]:
+        right = 0.4 + compute_text_width("joint 8", row.name_height)
+        assert right < row.number_right - compute_text_width("-9999", row.number_height) - 0.1
         assert row.name_top > row.number_top
         assert row.name_top + row.name_height < row.number_top + row.number_height
 
@@ -153,13 +159,13 @@ def test_the_name_of_one_of_several_forces_stands_left_of_its_number_and_within_
 @pytest.mark.parametrize("allowed", [[], ["", "scaled to 50 %"]])
 @pytest.mark.parametrize("delay_ms", [0.04, 123.0, 1e6])
 def test_each_part_of_the_link_line_ends_before_the_next(allowed, delay_ms):
-    parts = link_parts(LinkQuality("good", 1.0, delay_ms), delay_ms, allowed)
-    for text, left, right in zip(parts, LINK_LEFT, [*LINK_LEFT[1:], WIDE], strict=True):
-        assert left + text_width(text, LINK_HEIGHT) < right - 0.1
+    parts = format_link_parts(LinkQuality("good", 1.0, delay_ms), delay_ms, allowed)
+    for text, left, right in zip(parts, LINK_LEFT, [*LINK_LEFT[1:], PANEL_WIDTH], strict=True):
+        assert left + compute_text_width(text, LINK_HEIGHT) < right - 0.1
 
 
 def test_what_is_not_known_of_the_link_is_left_out():
-    assert link_parts(LinkQuality("good", 0.0, None), None, []) == (
+    assert format_link_parts(LinkQuality("good", 0.0, None), None, []) == (
         "link good", "0.0 % lost", "", ""
     )  # fmt: skip
 
@@ -167,15 +173,15 @@ def test_what_is_not_known_of_the_link_is_left_out():
 @pytest.mark.parametrize("force", [0.0, -12.34, 99.96, -99.96, -9999.0, math.nan])
 @pytest.mark.parametrize("joints", [1, 4, 8])
 def test_every_force_fits_between_the_edge_and_its_unit(force, joints):
-    for row in force_rows(joints)[2]:
-        assert row.number_right - text_width(number_text(force), row.number_height) > 0.2
+    for row in compute_force_rows(joints)[2]:
+        assert row.number_right - compute_text_width(format_force(force), row.number_height) > 0.2
         unit_right = row.number_right + (row.unit_gap + 0.5 * 4 / 6 + STROKE) * row.number_height
         assert unit_right < row.bar(0.0, two_way=False)[0]
 
 
 @given(st.floats(-3, 3), st.booleans())
 def test_a_bar_is_as_long_as_its_share_and_ends_at_the_limit(share, two_way):
-    _, _, (row,) = force_rows(1)
+    _, _, (row,) = compute_force_rows(1)
     left, _, right, _ = row.bar(share, two_way)
     full = row.bar(1.0, two_way)
     expected = min(abs(share), 1.0) if share > 0 or two_way else 0.0
@@ -183,7 +189,7 @@ def test_a_bar_is_as_long_as_its_share_and_ends_at_the_limit(share, two_way):
 
 
 def test_a_filled_box_is_covered_and_not_left():
-    lines, radius = filled((1.0, 2.0, 5.0, 3.0))
+    lines, radius = fill_box((1.0, 2.0, 5.0, 3.0))
     points = np.concatenate(lines)
     assert points[:, 0].min() - radius == pytest.approx(1.0, abs=0.01)
     assert points[:, 0].max() + radius == pytest.approx(5.0, abs=0.01)
@@ -198,7 +204,7 @@ def drawn(tmp_path_factory):
         stamp = T0 + k * 10_000_000
         state = State.READY if k < 50 else State.ENGAGED
         session.add(HAND, Hand(state=state, joints=1), stamp)
-        force = padded((6.0,), MAX_JOINTS)
+        force = pad_values((6.0,), MAX_JOINTS)
         session.add(STATE, SlaveState(state=state, joints=1, force=force), stamp)
         session.add(COMMAND, Command(force_max=12.0 if k < 99 else 0.0), stamp)  # off
     session.add(REPORT, LoopReport(role=Role.MASTER, received=100), stamp)
@@ -258,7 +264,7 @@ def test_the_whole_banner_is_repeated_while_nothing_changes(tmp_path):
 
 def test_the_bar_shows_the_force_as_a_share_of_its_limit(drawn):
     strips = list(drawn["/panel/joint_0/bar"]["LineStrips2D:strips"].values())[-2]
-    left, _, right, _ = force_rows(1)[2][0].bar(0.5, two_way=False)
+    left, _, right, _ = compute_force_rows(1)[2][0].bar(0.5, two_way=False)
     points = np.array(strips).reshape(-1, 2)
     assert points[:, 0].max() == pytest.approx(right, abs=0.1)
     assert points[:, 0].min() == pytest.approx(left, abs=0.1)
@@ -286,7 +292,9 @@ def test_a_force_does_not_outlive_its_slave_and_the_link_is_none_without_message
             session, stamp = Session(0), T0 + k * 100_000_000
             session.add(HAND, Hand(state=State.ENGAGED, joints=1), stamp)
             if k < 10:
-                state = SlaveState(state=State.ENGAGED, joints=1, force=padded((6.0,), MAX_JOINTS))
+                state = SlaveState(
+                    state=State.ENGAGED, joints=1, force=pad_values((6.0,), MAX_JOINTS)
+                )
                 session.add(STATE, state, stamp)
             if k % 5 == 0:
                 heard = LoopReport(role=Role.MASTER, received=100 * min(k, 10), lost=0)
@@ -321,7 +329,7 @@ def test_a_side_that_sends_no_more_is_waited_for_unless_the_other_has_a_fault(
 def test_a_number_changes_four_times_a_second_however_short_the_blocks_are(tmp_path):
     session = Session(0)
     for k in range(200):
-        force = padded((0.1 * k,), MAX_JOINTS)
+        force = pad_values((0.1 * k,), MAX_JOINTS)
         session.add(STATE, SlaveState(joints=1, force=force), T0 + k * 10_000_000)
     path = tmp_path / "panel.rrd"
     with Sink("rrd", SURGEON, "test", path, live=False) as sink:
@@ -341,7 +349,7 @@ def test_a_force_both_ways_has_a_mark_at_zero_also_where_the_sheaths_come_later(
         for topics in ((STATE, COMMAND), (SHEATH,), (STATE,)):
             scene.send(decode([message for message in session.messages if message[0] in topics]))
     (frame,) = read(path)["/panel/joint_0/frame"]["LineStrips2D:strips"].values()
-    assert len(frame) == len(force_rows(1)[2][0].frame(two_way=True))
+    assert len(frame) == len(compute_force_rows(1)[2][0].frame(two_way=True))
 
 
 @pytest.mark.parametrize(
@@ -367,11 +375,11 @@ def test_a_page_is_sent_only_what_its_layout_shows_and_a_file_everything(tmp_pat
 
 @given(st.floats(0.01, 1000))
 def test_an_axis_ends_on_a_tick_not_far_beyond_its_data(top):
-    end = axis_end(top)
+    end = compute_axis_end(top)
     assert top * (1 - 1e-9) <= end < 1.7 * top
-    assert ticks(end)[-1] == pytest.approx(end)
-    assert ticks_to_end(top)[0] == 0.0
-    assert ticks_to_end(top)[-1] == top
+    assert compute_ticks(end)[-1] == pytest.approx(end)
+    assert compute_ticks_to_end(top)[0] == 0.0
+    assert compute_ticks_to_end(top)[-1] == top
 
 
 # pacing

@@ -9,16 +9,16 @@ from hypothesis import strategies as st
 
 from teleop.messages.messages import PROFILE_POINTS, MessageError
 from teleop.messages.topics import TENDONS
-from teleop.view.band import friction_along, tension_band
-from teleop.view.batch import decode, thinned
+from teleop.view.band import compute_friction_profile, compute_tension_band
+from teleop.view.batch import decode, subsample_rows
 from teleop.view.colours import BACKGROUND as DARK
-from teleop.view.colours import UNKNOWN, rgba
-from teleop.view.columns import Stamps, columns
+from teleop.view.colours import UNKNOWN, to_rgba
+from teleop.view.columns import Stamps, build_columns
 from teleop.view.config import ViewConfig
-from teleop.view.plane import Plane, ticks
-from teleop.view.shape import centreline
-from teleop.view.stage import EYE, UP, Shape, from_z, stage
-from teleop.view.tubes import along, sliding
+from teleop.view.plane import Plane, compute_ticks
+from teleop.view.shape import compute_centreline
+from teleop.view.stage import EYE, UP, Shape, build_stage, compute_rotations_from_z
+from teleop.view.tubes import find_sliding_segments, interpolate_line
 from tests.teleop.view_session import T0, Session
 
 
@@ -62,7 +62,7 @@ def rows_at(stamps):
 def test_thinning_keeps_the_newest_and_the_rate(steps, rate, cuts):
     stamps = T0 + np.cumsum(steps)
     for block in np.array_split(stamps, cuts):
-        kept = thinned(rows_at(block), rate)["stamp_ns"]
+        kept = subsample_rows(rows_at(block), rate)["stamp_ns"]
         assert len(kept) <= len(block)
         if len(block):
             assert kept[-1] == block[-1]
@@ -73,8 +73,8 @@ def test_thinning_keeps_the_newest_and_the_rate(steps, rate, cuts):
 
 def test_a_thousand_a_second_become_a_hundred(session):
     rows = decode(session.messages)[TENDONS]
-    assert len(thinned(rows, 100)) == pytest.approx(100, abs=2)
-    assert len(thinned(rows, 1000)) == len(rows)
+    assert len(subsample_rows(rows, 100)) == pytest.approx(100, abs=2)
+    assert len(subsample_rows(rows, 1000)) == len(rows)
 
 
 # columns
@@ -100,7 +100,7 @@ def test_columns_are_those_of_the_archetype_itself(archetype, fields):
     made, known = (
         {str(column.component_descriptor()): column.as_arrow_array() for column in some}
         for some in (
-            columns(archetype, COUNTS, **fields),
+            build_columns(archetype, COUNTS, **fields),
             archetype.columns(**fields).partition(COUNTS),
         )
     )
@@ -112,10 +112,10 @@ def test_columns_are_those_of_the_archetype_itself(archetype, fields):
 
 def test_lines_of_as_many_points_can_be_stacked_and_a_row_has_one_value_by_default():
     stacked = POINTS.reshape(3, 2, 3)
-    (made,) = columns(rr.LineStrips3D, strips=stacked)
-    (known,) = columns(rr.LineStrips3D, [1, 1, 1], strips=list(stacked))
+    (made,) = build_columns(rr.LineStrips3D, strips=stacked)
+    (known,) = build_columns(rr.LineStrips3D, [1, 1, 1], strips=list(stacked))
     assert made.as_arrow_array() == known.as_arrow_array()
-    (nothing,) = columns(rr.LineStrips2D, [0, 0], strips=[])
+    (nothing,) = build_columns(rr.LineStrips2D, [0, 0], strips=[])
     assert nothing.as_arrow_array().to_pylist() == [[], []]
 
 
@@ -140,7 +140,7 @@ def lightness(colour):
 
 
 def test_lightness_rises_evenly_with_tension():
-    levels = np.array([lightness(int(c)) for c in rgba(np.linspace(0, 20, 81), 20.0)])
+    levels = np.array([lightness(int(c)) for c in to_rgba(np.linspace(0, 20, 81), 20.0)])
     steps = np.diff(levels)
     assert (steps > 0).all()
     assert levels[0] > lightness(BACKGROUND) + 35  # seen from 0 N on
@@ -149,7 +149,7 @@ def test_lightness_rises_evenly_with_tension():
 
 
 def test_tensions_off_the_scale_take_its_ends_and_unknown_ones_grey():
-    colours = rgba(np.array([-1.0, 0.0, 20.0, 1e9, math.nan, math.inf]), 20.0)
+    colours = to_rgba(np.array([-1.0, 0.0, 20.0, 1e9, math.nan, math.inf]), 20.0)
     assert colours[0] == colours[1]
     assert colours[2] == colours[3]
     assert colours[4] == colours[5] == UNKNOWN
@@ -173,7 +173,7 @@ def test_tensions_off_the_scale_take_its_ends_and_unknown_ones_grey():
 def test_the_drawn_sheath_has_the_length_and_the_bends_of_the_real_one(sections, gap):
     length, radius = np.array(sections).T
     s = np.linspace(0, length.sum(), 20_001)
-    line = centreline(length, radius, s, gap).points
+    line = compute_centreline(length, radius, s, gap).points
     chords = np.diff(line, axis=0)
     pieces = np.linalg.norm(chords, axis=1)
     # a chord is shorter than its arc by (angle per piece)^2 / 24, under 1e-6 here
@@ -190,7 +190,7 @@ def test_the_drawn_sheath_has_the_length_and_the_bends_of_the_real_one(sections,
 
 
 def test_a_coil_does_not_run_into_itself():
-    line, *_ = centreline(np.array([2.0]), np.array([0.1]), np.linspace(0, 2, 2001), 0.04)
+    line, *_ = compute_centreline(np.array([2.0]), np.array([0.1]), np.linspace(0, 2, 2001), 0.04)
     turn = round(2 * math.pi * 0.1 * 1000)
     assert np.linalg.norm(line[turn:] - line[:-turn], axis=1).min() > 0.039
 
@@ -200,7 +200,7 @@ def test_a_coil_does_not_run_into_itself():
 
 @given(st.floats(1e-3, 1e4))
 def test_ticks_are_few_and_round(top):
-    values = ticks(top)
+    values = compute_ticks(top)
     assert 3 <= len(values) <= 9
     assert values[0] == 0
     assert values[-1] <= top * (1 + 1e-9) < values[-1] + values[1] * (1 + 1e-9)
@@ -225,7 +225,7 @@ SECTIONS = st.lists(
 def test_turning_the_planes_of_bending_changes_no_length_and_no_bend(sections):
     length, radius, planes = np.array(sections).T
     s = np.linspace(0, length.sum(), 8001)
-    line = centreline(length, radius, s, 0.0, planes)
+    line = compute_centreline(length, radius, s, 0.0, planes)
     chords = np.diff(line.points, axis=0)
     assert np.linalg.norm(chords, axis=1).sum() == pytest.approx(length.sum(), rel=1e-5)
     unit = chords / np.linalg.norm(chords, axis=1, keepdims=True)
@@ -237,7 +237,7 @@ def test_turning_the_planes_of_bending_changes_no_length_and_no_bend(sections):
 
 def test_a_quarter_turn_of_the_plane_takes_the_second_bend_upwards():
     quarter = math.pi / 2
-    line = centreline(
+    line = compute_centreline(
         np.array([quarter, quarter]), np.ones(2), np.array([2 * quarter]), 0.0, (0, quarter)
     )
     # the first bend turns left, in the plane; the second leaves it
@@ -247,7 +247,7 @@ def test_a_quarter_turn_of_the_plane_takes_the_second_bend_upwards():
 
 @given(st.tuples(*[st.floats(-1, 1)] * 3).filter(lambda v: np.linalg.norm(v) > 1e-3))
 def test_the_quaternion_turns_z_into_the_direction(direction):
-    x, y, z, w = from_z(np.array([direction]))[0]
+    x, y, z, w = compute_rotations_from_z(np.array([direction]))[0]
     turned = [2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)]
     np.testing.assert_allclose(turned, direction / np.linalg.norm(direction), atol=1e-4)
 
@@ -263,7 +263,7 @@ def arm(joints):
 @pytest.mark.parametrize("joints", [1, 4, 8])
 def test_the_sheaths_of_a_joint_stand_side_by_side(joints):
     config = ViewConfig()
-    placed = stage(arm(joints), config)
+    placed = build_stage(arm(joints), config)
     for t in range(1, 2 * joints, 2):
         apart = np.linalg.norm(placed.lines[t] - placed.lines[t - 1], axis=1)
         assert np.ptp(apart) < 1e-9
@@ -273,7 +273,7 @@ def test_the_sheaths_of_a_joint_stand_side_by_side(joints):
 
 @pytest.mark.parametrize("joints", [2, 3, 4, 8])
 def test_no_joint_hides_another(joints):
-    placed = stage(arm(joints), ViewConfig())
+    placed = build_stage(arm(joints), ViewConfig())
     boxes = []
     for joint in range(joints):
         lever, hand = placed.joints[joint], placed.hands[joint]
@@ -292,7 +292,7 @@ def test_no_joint_hides_another(joints):
 
 @pytest.mark.parametrize("joints", [1, 4, 8])
 def test_a_joint_keeps_its_shape_wherever_it_stands(joints):
-    placed, alone = stage(arm(joints), ViewConfig()), stage(arm(1), ViewConfig())
+    placed, alone = build_stage(arm(joints), ViewConfig()), build_stage(arm(1), ViewConfig())
     for joint in range(joints):
         for mine, single in (
             (placed.lines[2 * joint + 1] - placed.lines[2 * joint][0],
@@ -307,7 +307,7 @@ def test_a_joint_keeps_its_shape_wherever_it_stands(joints):
 
 @pytest.mark.parametrize("joints", [1, 4, 8])
 def test_everything_fits_into_the_view(joints):
-    placed = stage(arm(joints), ViewConfig())
+    placed = build_stage(arm(joints), ViewConfig())
     ends = [lever.pivot[None] for lever in (*placed.joints.values(), *placed.hands.values())]
     points = np.concatenate([*placed.lines.values(), *ends, placed.legend[None]])
     away = (points - placed.centre) / placed.span - EYE
@@ -323,7 +323,7 @@ def test_everything_fits_into_the_view(joints):
 
 
 def test_a_lever_turns_by_travel_over_radius():
-    lever = stage(arm(1), ViewConfig(joint_radius_m=0.01)).joints[0]
+    lever = build_stage(arm(1), ViewConfig(joint_radius_m=0.01)).joints[0]
     at = lever.tip(np.array([0.0, 0.01 * math.pi / 2]))
     np.testing.assert_allclose(at[0] - lever.pivot, lever.length * lever.along)
     np.testing.assert_allclose(at[1] - lever.pivot, lever.length * lever.aside, atol=1e-9)
@@ -337,14 +337,16 @@ def test_a_lever_turns_by_travel_over_radius():
 
 
 def test_the_part_before_the_front_slides():
-    slides = sliding(np.array([0.0, 0.4, 0.8, math.nan]), np.full(4, 0.8))
+    slides = find_sliding_segments(np.array([0.0, 0.4, 0.8, math.nan]), np.full(4, 0.8))
     assert slides.sum(axis=1).tolist() == [0, 32, 64, 0]
     assert (np.diff(slides.astype(int), axis=1) <= 0).all()
 
 
 def test_a_place_on_the_line_lies_between_its_points():
     line = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0]])
-    np.testing.assert_allclose(along(line, np.array([0.25, 0.75])), [[0.5, 0, 0], [1, 0.5, 0]])
+    np.testing.assert_allclose(
+        interpolate_line(line, np.array([0.25, 0.75])), [[0.5, 0, 0], [1, 0.5, 0]]
+    )
 
 
 @given(
@@ -355,21 +357,21 @@ def test_a_place_on_the_line_lies_between_its_points():
 )
 def test_whatever_profile_friction_allows_lies_within_the_band(K, steps, T_in, wide):
     length, radius = np.array([0.3, 0.5, 0.2]), np.array([math.inf, 0.2, 0.1])
-    k = friction_along(length, radius, K, PROFILE_POINTS)
+    k = compute_friction_profile(length, radius, K, PROFILE_POINTS)
     assert k[0] == 0
     assert k[-1] == pytest.approx(K)
     T = T_in * np.exp(np.concatenate([[0], np.cumsum(np.array(steps) * np.diff(k))]))
     ends = np.array([T[-1] * math.exp(-wide)]), np.array([T[-1] * math.exp(wide)])
-    low, high = tension_band(k, T[:1], *ends)
+    low, high = compute_tension_band(k, T[:1], *ends)
     assert (low[0] <= T * (1 + 1e-9)).all()
     assert (high[0] * (1 + 1e-9) >= T).all()
     assert low[0, 0] <= T_in * (1 + 1e-9)
 
 
 def test_a_known_tip_pins_the_band_there():
-    k = friction_along(np.array([1.0]), np.array([0.5]), 0.8, PROFILE_POINTS)
+    k = compute_friction_profile(np.array([1.0]), np.array([0.5]), 0.8, PROFILE_POINTS)
     T = 10 * np.exp(-k)
-    low, high = tension_band(k, T[:1], T[-1:], T[-1:])
+    low, high = compute_tension_band(k, T[:1], T[-1:], T[-1:])
     np.testing.assert_allclose(low[0], T)  # sliding all along: no freedom anywhere
     np.testing.assert_allclose(high[0, [0, -1]], T[[0, -1]])
 

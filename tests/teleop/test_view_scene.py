@@ -20,8 +20,8 @@ from teleop.messages.messages import (
     SlaveState,
     TendonState,
     TensionProfile,
-    padded,
-    text_bytes,
+    encode_text,
+    pad_values,
 )
 from teleop.messages.topics import (
     COMMAND,
@@ -37,13 +37,13 @@ from teleop.messages.topics import (
 )
 from teleop.session.state_machine import State
 from teleop.view.batch import decode
-from teleop.view.colours import PHASES, rgba
+from teleop.view.colours import PHASES, to_rgba
 from teleop.view.config import LAYOUTS, ViewConfig
 from teleop.view.curves import CURVES
-from teleop.view.layouts import blueprint
+from teleop.view.layouts import build_blueprint
 from teleop.view.scene import Scene
 from teleop.view.sinks import Sink
-from teleop.view.stage import PIECES, SEGMENTS, Shape, stage
+from teleop.view.stage import PIECES, SEGMENTS, Shape, build_stage
 from tests.teleop.view_session import CONFIG, T0, Session, front_of, read, reader, save, sheath
 
 
@@ -61,7 +61,7 @@ def saved(session, tmp_path_factory):
 @pytest.fixture(scope="module")
 def placed():
     shape = Shape(0, (0.3, 0.5), (math.inf, 0.2))
-    return stage({0: shape, 1: shape}, CONFIG)
+    return build_stage({0: shape, 1: shape}, CONFIG)
 
 
 def at(series, stamp):
@@ -106,7 +106,7 @@ def test_T_of_x_is_the_estimators_profile_at_chosen_instants(tmp_path):  # noqa:
     state = online.initial(prepared)
     told = Session(0)
     length, radius = (
-        padded([getattr(s, name) for s in model.sections], 16) for name in ("length", "radius")
+        pad_values([getattr(s, name) for s in model.sections], 16) for name in ("length", "radius")
     )
     told.add(
         SHEATH,
@@ -131,7 +131,7 @@ def test_T_of_x_is_the_estimators_profile_at_chosen_instants(tmp_path):  # noqa:
             )
             told.add(PROFILE, profile, stamp)
     file = save(told.messages, tmp_path / "run.rrd", block=1)
-    line = stage({0: Shape(0, length[:2], radius[:2])}, CONFIG).lines[0]
+    line = build_stage({0: Shape(0, length[:2], radius[:2])}, CONFIG).lines[0]
     fronts = []
     for moment in np.arange(0.5, 3.0, 0.173):
         stamp = T0 + round(moment * 1e9)
@@ -184,7 +184,7 @@ def test_the_tube_has_the_colour_of_its_tension(session, saved):
     assert len(shown) >= 20
     for stamp, colours in shown.items():
         middle = [(a + b) / 2 for a, b in zip(sent[stamp], sent[stamp][1:], strict=False)]
-        expected = [int(rgba(np.array([t]), CONFIG.tension_scale_N)[0]) for t in middle]
+        expected = [int(to_rgba(np.array([t]), CONFIG.tension_scale_N)[0]) for t in middle]
         assert colours == expected
 
 
@@ -241,7 +241,7 @@ def test_the_colour_scale_stands_in_the_scene_with_its_newtons(saved):
         assert share * CONFIG.tension_scale_N == pytest.approx(tension, abs=1e-3)
     for share in (0.0, 0.25, 0.5, 1.0):
         colour = colours[round(share * 64)]
-        assert colour == int(rgba(np.array([share * 10.0]), CONFIG.tension_scale_N)[0])
+        assert colour == int(to_rgba(np.array([share * 10.0]), CONFIG.tension_scale_N)[0])
 
 
 # joint, tip and hand
@@ -295,8 +295,8 @@ def test_with_several_joints_each_number_says_whose_it_is(tmp_path):
     several = Session(0)
     for tendon in (0, 1):
         several.add(SHEATH, dataclasses.replace(sheath(tendon), joint=tendon), T0)
-    several.add(STATE, SlaveState(joints=2, force=padded((1.0, -7.8), MAX_JOINTS)), T0)
-    several.add(HAND, Hand(joints=2, force=padded((0.5, -2.0), MAX_JOINTS)), T0)
+    several.add(STATE, SlaveState(joints=2, force=pad_values((1.0, -7.8), MAX_JOINTS)), T0)
+    several.add(HAND, Hand(joints=2, force=pad_values((0.5, -2.0), MAX_JOINTS)), T0)
     drawn = save(several.messages, tmp_path / "two.rrd")
     for path, word in (
         ("joint_0/force", "1: 1.0 N"),
@@ -311,7 +311,7 @@ def test_the_environment_is_drawn_where_the_config_says(session, tmp_path):
     file = save(session.messages[:50], tmp_path / "x.rrd", config=config)
     rim = np.array(file["/scene/joint_0/environment"]["Mesh3D:vertex_positions"][None])[1]
     shape = Shape(0, (0.3, 0.5), (math.inf, 0.2))
-    lever = stage({0: shape, 1: shape}, config).joints[0]
+    lever = build_stage({0: shape, 1: shape}, config).joints[0]
     np.testing.assert_allclose(rim, lever.tip(np.array([0.005]))[0], atol=1e-5)
 
 
@@ -319,12 +319,12 @@ def test_without_a_sensor_at_the_tip_no_truth_is_drawn(tmp_path):
     session = Session(0)
     session.add(
         SHEATH,
-        Sheath(sections=1, section_length=padded((0.5,), 16), section_radius=(math.inf,) * 16),
+        Sheath(sections=1, section_length=pad_values((0.5,), 16), section_radius=(math.inf,) * 16),
         T0,
     )
     blind = TendonState(tendons=1, bench_distal_tension=(math.nan,) * MAX_TENDONS)
     session.add(TENDONS, blind, T0)
-    session.add(STATE, SlaveState(joints=1, force=padded((1.0,), MAX_JOINTS)), T0)
+    session.add(STATE, SlaveState(joints=1, force=pad_values((1.0,), MAX_JOINTS)), T0)
     file = save(session.messages, tmp_path / "x.rrd")
     assert "Arrows3D:vectors" not in file["/scene/joint_0/truth"]
     assert "Arrows3D:vectors" in file["/scene/joint_0/force"]
@@ -452,7 +452,7 @@ def test_every_change_of_state_is_in_its_lane_and_nothing_else(session, saved):
 
 def test_a_role_and_a_state_of_the_future_are_shown(tmp_path):
     session = Session(0)
-    session.add(EVENT, Event(role=99, state=99, text=text_bytes("hello")), T0)
+    session.add(EVENT, Event(role=99, state=99, text=encode_text("hello")), T0)
     session.add(STATE, SlaveState(state=99, joints=1), T0)
     file = save(session.messages, tmp_path / "s.rrd")
     assert ["14:13:20.000  role_99: hello"] in file["/log"]["TextLog:text"].values()
@@ -461,7 +461,7 @@ def test_a_role_and_a_state_of_the_future_are_shown(tmp_path):
 
 def test_an_emergency_stop_stands_out(tmp_path):
     session = Session(0)
-    session.add(STOP, STOP.message(role=5, action=0, text=text_bytes("by hand")), T0)
+    session.add(STOP, STOP.message(role=5, action=0, text=encode_text("by hand")), T0)
     file = save(session.messages, tmp_path / "s.rrd")
     assert ["CRITICAL"] in file["/log"]["TextLog:level"].values()
     assert ["14:13:20.000  remote: stop: by hand"] in file["/log"]["TextLog:text"].values()
@@ -533,7 +533,7 @@ def test_a_layout_has_its_views_for_each_joint(layout, shown, hidden, tmp_path):
 def test_each_layout_can_be_made_for_one_joint_and_for_eight(layout):
     config = ViewConfig(layout=layout)
     for joints in (0, 1, 8):
-        blueprint(config, {joint: [2 * joint, 2 * joint + 1] for joint in range(joints)})
+        build_blueprint(config, {joint: [2 * joint, 2 * joint + 1] for joint in range(joints)})
 
 
 def test_a_sheath_is_drawn_again_only_if_it_changed(session, tmp_path):

@@ -21,8 +21,8 @@ from teleop.messages.messages import (
     SlaveState,
     TendonState,
     TensionProfile,
-    padded,
-    text_bytes,
+    encode_text,
+    pad_values,
 )
 from teleop.messages.topics import (
     COMMAND,
@@ -52,15 +52,15 @@ def tendon_state(k, bench=True):
     value = 5 + 4 * math.sin(k / 50)
     return TendonState(
         tendons=2,
-        proximal_tension=padded((value, value + 1), MAX_TENDONS),
+        proximal_tension=pad_values((value, value + 1), MAX_TENDONS),
         phase=(2 + k // 250, 4, *(0,) * (MAX_TENDONS - 2)),
-        elongation=padded((value * 1e-4, 0.0), MAX_TENDONS),
-        front=padded((0.2, 0.1), MAX_TENDONS),
-        proximal_displacement=padded((k * 1e-6, math.nan), MAX_TENDONS),
-        distal_tension=padded((value / 2, value / 3), MAX_TENDONS),
-        distal_tension_low=padded((value / 3, value / 4), MAX_TENDONS),
-        distal_tension_high=padded((value, value / 2), MAX_TENDONS),
-        bench_distal_tension=padded(
+        elongation=pad_values((value * 1e-4, 0.0), MAX_TENDONS),
+        front=pad_values((0.2, 0.1), MAX_TENDONS),
+        proximal_displacement=pad_values((k * 1e-6, math.nan), MAX_TENDONS),
+        distal_tension=pad_values((value / 2, value / 3), MAX_TENDONS),
+        distal_tension_low=pad_values((value / 3, value / 4), MAX_TENDONS),
+        distal_tension_high=pad_values((value, value / 2), MAX_TENDONS),
+        bench_distal_tension=pad_values(
             (value / 2 + 1.0 if bench else math.nan, math.nan), MAX_TENDONS
         ),
         bench_distal_displacement=(math.nan,) * MAX_TENDONS,
@@ -85,8 +85,8 @@ def sheath(tendon=0):
         tendon=tendon,
         sections=2,
         effective_friction=0.4,
-        section_length=padded((0.3, 0.5), MAX_SECTIONS),
-        section_radius=padded((math.inf, 0.2), MAX_SECTIONS),
+        section_length=pad_values((0.3, 0.5), MAX_SECTIONS),
+        section_radius=pad_values((math.inf, 0.2), MAX_SECTIONS),
     )
 
 
@@ -99,23 +99,23 @@ class Session:
         for k in range(round(seconds * 1000)):
             stamp = T0 + k * 1_000_000
             self.add(TENDONS, tendon_state(k), stamp)
-            force = padded((k * 0.01,), MAX_JOINTS)
-            ends = {"force_low": padded((k * 0.01 - 0.3,), MAX_JOINTS)}
-            ends["force_high"] = padded((k * 0.01 + 0.5,), MAX_JOINTS)
-            travel = padded((k * 1e-5,), MAX_JOINTS)
+            force = pad_values((k * 0.01,), MAX_JOINTS)
+            ends = {"force_low": pad_values((k * 0.01 - 0.3,), MAX_JOINTS)}
+            ends["force_high"] = pad_values((k * 0.01 + 0.5,), MAX_JOINTS)
+            travel = pad_values((k * 1e-5,), MAX_JOINTS)
             mode = State.READY if k < 400 else State.ENGAGED
             told = SlaveState(state=mode, joints=1, position=travel, force=force, **ends)
             self.add(STATE, told, stamp)
-            hand = padded((-k * 0.003,), MAX_JOINTS)
+            hand = pad_values((-k * 0.003,), MAX_JOINTS)
             self.add(HAND, Hand(state=mode, joints=1, force=hand), stamp)
-            travel = padded((k * 1e-5,), MAX_JOINTS)
+            travel = pad_values((k * 1e-5,), MAX_JOINTS)
             self.add(COMMAND, Command(position=travel, force_max=FORCE_MAX_N), stamp)
             if k % 20 == 0:
                 for tendon in (0, 1):
                     self.add(PROFILE, tension_profile(k, tendon), stamp)
             if k % 10 == 0:
                 for role in (Role.MASTER, Role.SLAVE):
-                    spent = padded((k * 1e-6,), MAX_JOINTS)
+                    spent = pad_values((k * 1e-6,), MAX_JOINTS)
                     self.add(LEDGER, Ledger(role=role, joints=1, dissipated=spent), stamp)
             if k % 1000 == 0:
                 for tendon in (0, 1):
@@ -123,7 +123,7 @@ class Session:
             if k % 500 == 0:
                 report = LoopReport(role=Role.SLAVE, rate_hz=999.5, lateness_max_ns=250_000, lost=k)
                 self.add(REPORT, report, stamp)
-        fault = Event(role=Role.SLAVE, state=State.FAULT, text=text_bytes("load cell silent"))
+        fault = Event(role=Role.SLAVE, state=State.FAULT, text=encode_text("load cell silent"))
         self.add(EVENT, fault, T0 + 300_000_000)
 
     def add(self, topic, message, stamp):

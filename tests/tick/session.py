@@ -10,9 +10,9 @@ import pytest
 from master.config import MasterConfig
 from master.devices import open_device
 from master.devices.virtual import VirtualDevice
-from master.process import Master
+from master.process import MasterProcess
 from slave import loop
-from slave.config import SlaveConfig, tendon_configs
+from slave.config import SlaveConfig, load_tendon_configs
 from slave.process import SlaveProcess
 from slave.rigs import open_rig
 from teleop.config.loading import load
@@ -66,8 +66,8 @@ class Session:
         config = load(ARM, SlaveConfig, "slave", ())
         rig = open_rig(config.rig)
         stack.callback(rig.close)
-        tendons = tendon_configs(config, rig.tendons, rig.joints)
-        model = loop.rig_model(rig.joints, [tendon.model() for tendon in tendons])
+        tendons = load_tendon_configs(config, rig.tendons, rig.joints)
+        model = loop.build_rig_model(rig.joints, [tendon.model() for tendon in tendons])
         wait = partial(self._at_slave.wait, COMMAND)
         events = EventClock(shared.rate_hz, never, wait, clock.now, clock.sleep)
         link, bilateral = self._at_slave, shared.bilateral
@@ -79,7 +79,7 @@ class Session:
         device = open_device(config.device)
         stack.callback(device.close)
         grid = Grid(shared.rate_hz, never, now=clock.now, sleep=clock.sleep)
-        self.master = Master(config, self._at_master, device, grid, bilateral, health=health)
+        self.master = MasterProcess(config, self._at_master, device, grid, bilateral, health=health)
 
         self._at_master.world, self._at_master.calls = self._slave_ticks, self.master_calls
         self._events, self._grid = iter(events), iter(grid)

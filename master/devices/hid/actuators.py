@@ -13,10 +13,10 @@ from typing import NamedTuple, Protocol
 
 from master.device import DeviceFault
 from master.devices.hid import usages as U  # noqa: N812
-from master.devices.hid.descriptor import Descriptor, Kind
+from master.devices.hid.descriptor import ReportDescriptor, ReportType
 
 
-class _Condition(NamedTuple):
+class _ActuatorCondition(NamedTuple):
     """What a device needs to render a force."""
 
     usage: int
@@ -25,14 +25,14 @@ class _Condition(NamedTuple):
 
 
 _CONDITIONS = (
-    _Condition(U.ACTUATOR_POWER, True, "its actuators have no power; switch them on"),
-    _Condition(U.SAFETY_SWITCH, True, "its safety switch is open; close it"),
-    _Condition(
+    _ActuatorCondition(U.ACTUATOR_POWER, True, "its actuators have no power; switch them on"),
+    _ActuatorCondition(U.SAFETY_SWITCH, True, "its safety switch is open; close it"),
+    _ActuatorCondition(
         U.ACTUATORS_ENABLED,
         True,
         "its actuators are disabled; close other programs that use it, then plug it in again",
     ),
-    _Condition(
+    _ActuatorCondition(
         U.PAUSED, False, "it is paused; close other programs that use it, then plug it in again"
     ),
 )
@@ -63,7 +63,7 @@ class InputReports(Protocol):
         """Return input report `number`, at most `length` bytes; `DeviceFault` if it has none."""
 
 
-class _Flag(NamedTuple):
+class _ConditionBit(NamedTuple):
     """One bit of a report."""
 
     condition: int  # its mask
@@ -74,14 +74,14 @@ class _Flag(NamedTuple):
 class ActuatorReports:
     """Decodes the PID State reports of one device."""
 
-    def __init__(self, descriptor: Descriptor) -> None:
+    def __init__(self, descriptor: ReportDescriptor) -> None:
         self._numbered = any(report.number for report in descriptor.reports)
-        self._reports: dict[int, tuple[int, tuple[_Flag, ...]]] = {}  # length and flags
+        self._reports: dict[int, tuple[int, tuple[_ConditionBit, ...]]] = {}  # length and flags
         for report in descriptor.reports:
-            if report.kind is not Kind.INPUT:
+            if report.kind is not ReportType.INPUT:
                 continue
             flags = tuple(
-                _Flag(1 << k, field.offset, int(condition.met))
+                _ConditionBit(1 << k, field.offset, int(condition.met))
                 for field in report.fields
                 for k, condition in enumerate(_CONDITIONS)
                 if field.usage == condition.usage and field.size == 1 and not field.array

@@ -2,26 +2,26 @@
 
 import math
 
-from master.devices.hid.descriptor import Field
+from master.devices.hid.descriptor import ReportField
 
 
-def limits(field: Field) -> tuple[int, int]:
+def compute_limits(field: ReportField) -> tuple[int, int]:
     """Return the least and greatest value within both the field's range and its bits.
 
     The least exceeds the greatest if no bit pattern is in range.
     """
-    low, high = representable(field)
+    low, high = compute_representable_range(field)
     return max(low, field.minimum), min(high, field.maximum)
 
 
-def representable(field: Field) -> tuple[int, int]:
+def compute_representable_range(field: ReportField) -> tuple[int, int]:
     """Return the least and the greatest value that the field's bits can hold."""
     if field.minimum < 0:
         return -(1 << field.size - 1), (1 << field.size - 1) - 1
     return 0, (1 << field.size) - 1
 
 
-def get(report: bytes, field: Field, k: int = 0) -> int:
+def read_field(report: bytes, field: ReportField, k: int = 0) -> int:
     """Return the value of the `k`-th element of a field; truncated bits read as zero."""
     first = field.offset + k * field.size
     last = first + field.size
@@ -32,13 +32,13 @@ def get(report: bytes, field: Field, k: int = 0) -> int:
     return value
 
 
-def put(report: bytearray, field: Field, value: int, k: int = 0) -> None:
+def write_field(report: bytearray, field: ReportField, value: int, k: int = 0) -> None:
     """Write the `k`-th element of a field into `report`; other bits are kept.
 
     Raises `ValueError` if the value does not fit the bits or the report is too short. A value
     outside the declared range is written: in many fields that means "none".
     """
-    low, high = representable(field)
+    low, high = compute_representable_range(field)
     if not low <= value <= high:
         raise ValueError(f"{value} does not fit into {field.size} bits of {low} ... {high}")
     first = field.offset + k * field.size
@@ -52,7 +52,7 @@ def put(report: bytearray, field: Field, value: int, k: int = 0) -> None:
     report[part] = bits.to_bytes(part.stop - part.start, "little")
 
 
-def scaled(share: float, full: int) -> int:
+def scale_share(share: float, full: int) -> int:
     """Return `share` of `full`; the share is clipped to -1 ... 1, NaN is zero."""
     if math.isnan(share):
         return 0

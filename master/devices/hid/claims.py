@@ -9,7 +9,7 @@ from master.device import DeviceFault
 from master.devices.hid.drivers import AttachedNode
 
 
-class _File(NamedTuple):
+class _FileIdentity(NamedTuple):
     """Identity of a device file; not its times, as a change of permissions changes them."""
 
     system: int
@@ -20,7 +20,7 @@ class _Claim(NamedTuple):
     """An open device."""
 
     identity: str
-    file: _File | None  # None on systems without device files
+    file: _FileIdentity | None  # None on systems without device files
 
 
 class Claims:
@@ -42,7 +42,7 @@ class Claims:
                     f"{item}: already in use by another device of this session; set find to a "
                     "serial number or path"
                 )
-            self._open[item.path] = _Claim(item.identity, _file(item.path))
+            self._open[item.path] = _Claim(item.identity, _identify_file(item.path))
             alike = sum(claim.identity == item.identity for claim in self._open.values())
             self._most[item.identity] = max(self._most[item.identity], alike)
 
@@ -71,18 +71,18 @@ class Claims:
         """
         with self._lock:
             here = sum(
-                claim.identity == item.identity and claim.file == _file(path)
+                claim.identity == item.identity and claim.file == _identify_file(path)
                 for path, claim in self._open.items()
             )
             return self._most[item.identity] - here > 1
 
 
-def _file(path: str) -> _File | None:
+def _identify_file(path: str) -> _FileIdentity | None:
     try:
         status = os.stat(path)
     except OSError:
         return None
-    return _File(status.st_dev, status.st_ino)
+    return _FileIdentity(status.st_dev, status.st_ino)
 
 
 CLAIMS = Claims()  # of this process

@@ -7,7 +7,7 @@
   teleop devices rules | sudo tee /etc/udev/rules.d/70-tendon-teleop.rules
 
 A device is given like `find` in a config: vendor:product, serial number or path; by default the
-only one that fits. An axis without a sign from `test` renders no force.
+only one that fits. An axis without a sign from `run_device_test` renders no force.
 """
 
 import argparse
@@ -22,26 +22,26 @@ from typing import NamedTuple
 
 from master.device import DeviceFault
 from master.devices.hid import console_mode, dump, rules, search, signs, trial
-from master.devices.hid.descriptor import DescriptorError, parse
+from master.devices.hid.descriptor import DescriptorError, parse_descriptor
 from master.devices.hid.driver import Controls
 from master.devices.hid.drivers import DRIVERS, AttachedNode
 from master.devices.hid.line import DeviceConnection
 from master.devices.hid.node import Node
 from master.devices.hid.pid import PidConfig
-from master.devices.hid.report_text import describe
+from master.devices.hid.report_text import describe_descriptor
 from master.devices.hid.search import FoundDevice
 from master.devices.hid.signs import ForceSign
 from teleop.errors import UsageError
 from teleop.runtime.output_file import OutputFile, UpdatedFile
-from teleop.runtime.process import seconds, write_whole
+from teleop.runtime.process import parse_seconds, write_text_file
 from teleop.runtime.status_line import StatusLine
 
 PROBE_S, TEST_S = 2.0, 10.0  # [s] default durations
-_LOOK_S = 0.005  # [s] between two looks at a device
+_POLL_PERIOD_S = 0.005  # [s] between two looks at a device
 _ANSWERS = {"l": 1, "s": -1, "n": 0}
 
 
-class Person(NamedTuple):
+class OperatorDialogue(NamedTuple):
     """Console dialogue with the person at the device."""
 
     write: Callable[[str], None] = print
@@ -60,15 +60,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         (probe, "count reports", PROBE_S),
         (test, "watch the inputs", TEST_S),
     ):
-        _add_device(action)
+        _add_device_argument(action)
         action.add_argument(
             "--seconds",
-            type=seconds,
+            type=parse_seconds,
             metavar="S",
             default=None,
             help=f"seconds to {purpose} (default {duration:g})",
         )
-    _add_device(raw)
+    _add_device_argument(raw)
     raw.add_argument("--out", type=OutputFile(), metavar="FILE", help="write it to a file")
     test.add_argument(
         "--driver", choices=("auto", *DRIVERS), default="auto", help="driver to use (default auto)"
@@ -82,7 +82,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def _add_device(action: argparse.ArgumentParser) -> None:
+def _add_device_argument(action: argparse.ArgumentParser) -> None:
     action.add_argument(
         "find",
         nargs="?",
@@ -96,15 +96,17 @@ def main(args: argparse.Namespace) -> int:
     """Run the subcommand; returns the exit code."""
     try:
         if args.action == "list":
-            print("\n".join(format_nodes(search.attached())))
+            print("\n".join(format_nodes(search.list_attached_nodes())))
         elif args.action == "rules":
-            print(rules.rules(fitting(search.attached())), end="")
+            print(rules.format_rules(list_fitting_devices(search.list_attached_nodes())), end="")
         elif args.action == "probe":
             print("\n".join(probe_device(select_device(args.find), args.seconds or PROBE_S)))
         elif args.action == "dump":
             save_dump(select_devices(args.find), args.out)
         else:
-            test(args.find, args.driver, args.signs, args.seconds or TEST_S, Person())
+            run_device_test(
+                args.find, args.driver, args.signs, args.seconds or TEST_S, OperatorDialogue()
+            )
     except DeviceFault as fault:
         raise UsageError(str(fault)) from fault
     return 0
@@ -115,7 +117,7 @@ def format_nodes(items: Sequence[AttachedNode]) -> list[str]:
     if not items:
         return ["no HID device attached"]
     rows = [("path", "model", "driver", "may be opened", "serial", "name")]
-    examined = [search.examine(item) for item in items]
+    examined = [search.examine_node(item) for item in items]
     for one in examined:
         item, driver = one.item, next(iter(one.fits), "-")
         allowed = "no: teleop devices rules" if one.not_ready_reason else "yes"
@@ -129,23 +131,23 @@ def format_nodes(items: Sequence[AttachedNode]) -> list[str]:
     return table + [f"{path}: {text}" for path, text in advice if text]
 
 
-def fitting(items: Sequence[AttachedNode]) -> list[tuple[int, int, str]]:
+def list_fitting_devices(items: Sequence[AttachedNode]) -> list[tuple[int, int, str]]:
     """Return vendor, product and name of the devices that a driver fits."""
     return [
         (item.vendor, item.product, item.name or item.model)
         for item in items
-        if search.examine(item).fits
+        if search.examine_node(item).fits
     ]
 
 
 def select_device(find: str) -> AttachedNode:
     """Return the selected device, with or without a driver."""
-    everything = search.attached()
+    everything = search.list_attached_nodes()
     if not everything:
         raise UsageError("no HID device attached")
-    meant = [item for item in everything if search.matches(item, find)]
+    meant = [item for item in everything if search.is_match(item, find)]
     if len(meant) > 1:
-        driven = [item for item in meant if search.examine(item).fits]
+        driven = [item for item in meant if search.examine_node(item).fits]
         meant = driven if len(driven) == 1 else meant
     if len(meant) == 1:
         return meant[0]
@@ -158,36 +160,40 @@ def select_device(find: str) -> AttachedNode:
 
 def select_devices(find: str) -> list[AttachedNode]:
     """Return the selected device; all nodes of it if `find` matches several."""
-    meant = [item for item in search.attached() if find and search.matches(item, find)]
+    meant = [item for item in search.list_attached_nodes() if find and search.is_match(item, find)]
     return meant or [select_device(find)]
 
 
 def save_dump(items: Sequence[AttachedNode], file: Path | None) -> None:
     """Print the dump of each node, or write all to a file."""
-    text = "---\n".join(dump.dump(search.examine(item)) for item in items)
+    text = "---\n".join(dump.format_dump(search.examine_node(item)) for item in items)
     if file is None:
         print(text, end="")
         return
-    write_whole(file, text, "the dump")
+    write_text_file(file, text, "the dump")
     print(f"written to {file}")
 
 
 def probe_device(item: AttachedNode, watched_s: float) -> list[str]:
     """Return a device's descriptor as text, and its report rate."""
-    one = search.examine(item)
+    one = search.examine_node(item)
     data = one.descriptor
     if not data:
         return [str(item), one.not_ready_reason]
     lines = [str(item)]
     lines += [f"driver {name}: {why_not or 'fits'}" for name, why_not in one.misfits.items()]
     try:
-        lines += ["", f"report descriptor, {len(data)} bytes", *describe(parse(data))]
+        lines += [
+            "",
+            f"report descriptor, {len(data)} bytes",
+            *describe_descriptor(parse_descriptor(data)),
+        ]
     except DescriptorError as error:
         lines.append(f"report descriptor, {len(data)} bytes, cannot be read: {error}")
-    return [*lines, "", one.not_ready_reason or rate(item, watched_s)]
+    return [*lines, "", one.not_ready_reason or measure_report_rate(item, watched_s)]
 
 
-def rate(item: AttachedNode, watched_s: float) -> str:
+def measure_report_rate(item: AttachedNode, watched_s: float) -> str:
     """Count the reports of a device for some time; return the result as text."""
     node = Node(item.path, str(item))
     try:
@@ -195,7 +201,7 @@ def rate(item: AttachedNode, watched_s: float) -> str:
         start, times = time.monotonic(), list[float]()
         while (now := time.monotonic()) - start < watched_s:
             times += [now] * len(node.drain())
-            time.sleep(_LOOK_S / 10.0)
+            time.sleep(_POLL_PERIOD_S / 10.0)
     finally:
         node.close()
     if len(times) < 2:
@@ -208,14 +214,16 @@ def rate(item: AttachedNode, watched_s: float) -> str:
     )
 
 
-def test(find: str, driver: str, file: Path | None, watched_s: float, person: Person) -> None:
+def run_device_test(
+    find: str, driver: str, file: Path | None, watched_s: float, person: OperatorDialogue
+) -> None:
     """Guide a person through a test of all inputs and forces; save the signs found."""
-    if switched := console_mode.leave(find, driver):
+    if switched := console_mode.leave_console_mode(find, driver):
         person.write(switched)
-    found = search.choose(find, driver)
-    known = signs.load(file) if file is None or file.exists() else signs.Signs()
+    found = search.find_device(find, driver)
+    known = signs.load(file) if file is None or file.exists() else signs.ForceSigns()
     forces = DRIVERS[found.kind].make(found.item, found.descriptor, PidConfig(), None).forces
-    with _opened(found, ()) as line:
+    with _open_connection(found, ()) as line:
         person.write(f"{found.item}, driver {found.kind}")
         person.write(f"Move every axis to both ends and press every button ({watched_s:g} s).")
         for line_text in show_inputs(line, watched_s):
@@ -223,14 +231,14 @@ def test(find: str, driver: str, file: Path | None, watched_s: float, person: Pe
     if not forces:
         person.write("It has no force output.")
     for axis in forces:
-        with _opened(found, (axis,)) as line:  # one by one, for a device with one effect
-            sign = asked_sign(line, axis, person)
+        with _open_connection(found, (axis,)) as line:  # one by one, for a device with one effect
+            sign = determine_sign(line, axis, person)
         if not sign:
             person.write(f"{axis}: sign not found; it will render no force")
             continue
         known = known.having(ForceSign(*found.pusher, axis, 1 if sign > 0 else -1))
         signs.save(file, known)
-        person.write(f"{axis}: sign {sign:+d}, saved in {file or signs.default_path()}")
+        person.write(f"{axis}: sign {sign:+d}, saved in {file or signs.get_default_path()}")
         if not found.item.serial:
             person.write(
                 "It has no serial number: another device of this model, wired the other way, "
@@ -239,7 +247,7 @@ def test(find: str, driver: str, file: Path | None, watched_s: float, person: Pe
 
 
 @contextmanager
-def _opened(found: FoundDevice, pushed: tuple[str, ...]) -> Iterator[DeviceConnection]:
+def _open_connection(found: FoundDevice, pushed: tuple[str, ...]) -> Iterator[DeviceConnection]:
     line = DeviceConnection(found, PidConfig(), pushed)
     try:
         yield line
@@ -260,8 +268,8 @@ def show_inputs(line: DeviceConnection, watched_s: float) -> list[str]:
                 low[name] = min(low.get(name, share), share)
                 high[name] = max(high.get(name, share), share)
         pressed |= controls.buttons
-        status.show(_shown(line, controls))
-        time.sleep(_LOOK_S)
+        status.show(_format_controls(line, controls))
+        time.sleep(_POLL_PERIOD_S)
     status.clear()
     axes = [
         f"  {name:8s} {low[name]:+.2f} ... {high[name]:+.2f}" if name in low
@@ -276,7 +284,7 @@ def show_inputs(line: DeviceConnection, watched_s: float) -> list[str]:
     ]
 
 
-def _shown(line: DeviceConnection, controls: Controls) -> str:
+def _format_controls(line: DeviceConnection, controls: Controls) -> str:
     axes = " ".join(
         f"{name} {share:+.2f}" for name, share in zip(line.driver.axes, controls.axes, strict=True)
     )
@@ -284,10 +292,10 @@ def _shown(line: DeviceConnection, controls: Controls) -> str:
     return f"{axes}  buttons {' '.join(held)}"
 
 
-def asked_sign(line: DeviceConnection, axis: str, person: Person) -> int:
+def determine_sign(line: DeviceConnection, axis: str, person: OperatorDialogue) -> int:
     """Find the sign of one axis by pushing it, or else by asking; 0 = not found."""
-    most = f"{trial.GENTLE[-1]:.0%}"
-    answer = _answer(
+    most = f"{trial.TEST_FORCES[-1]:.0%}"
+    answer = _ask_operator(
         person,
         f"Release the device and keep clear: {axis} is pushed with up to {most} of its force. "
         "Enter to go on, s to leave it out: ",
@@ -300,18 +308,18 @@ def asked_sign(line: DeviceConnection, axis: str, person: Person) -> int:
     if sign:
         return sign
     person.write(f"{axis} did not move.")
-    answer = _answer(
+    answer = _ask_operator(
         person,
         "Hold it half-way (pull a trigger slowly through); it is pushed twice for 2 s. Enter to "
         "go on, s to leave it out: ",
     )
     if answer.startswith("s"):
         return 0
-    for share, way in ((trial.GENTLE[-1], 1), (-trial.GENTLE[-1], -1)):
-        trial.hold(line, force, count, share, time.monotonic, time.sleep)
+    for share, way in ((trial.TEST_FORCES[-1], 1), (-trial.TEST_FORCES[-1], -1)):
+        trial.hold_force(line, force, count, share, time.monotonic, time.sleep)
         reply = ""
         while reply[:1] not in _ANSWERS:
-            reply = _answer(
+            reply = _ask_operator(
                 person,
                 "Did it push to [l]arger values, to [s]maller ones, or did you feel [n]one? ",
             )
@@ -320,7 +328,7 @@ def asked_sign(line: DeviceConnection, axis: str, person: Person) -> int:
     return 0
 
 
-def _answer(person: Person, question: str) -> str:
+def _ask_operator(person: OperatorDialogue, question: str) -> str:
     sys.stdout.flush()
     try:
         return person.prompt(question).strip().lower()

@@ -26,7 +26,7 @@ class DescriptorError(ValueError):
     """Invalid report descriptor; the message gives place and reason."""
 
 
-class Kind(Enum):
+class ReportType(Enum):
     """Which way a report goes."""
 
     INPUT = "input"
@@ -43,7 +43,7 @@ class Collection(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Field:
+class ReportField:
     """Some bits of a report.
 
     Attributes
@@ -94,27 +94,27 @@ class Field:
 
 
 @dataclass(frozen=True, slots=True)
-class Report:
+class HidReport:
     """The fields of one report, without padding."""
 
-    kind: Kind
+    kind: ReportType
     number: int  # 0 = the device does not number its reports
     length: int  # [byte] as read and written
-    fields: tuple[Field, ...]
+    fields: tuple[ReportField, ...]
 
 
 @dataclass(frozen=True, slots=True)
-class Descriptor:
+class ReportDescriptor:
     """All reports of a device.
 
     Where reports are numbered, byte 0 is the number. Where not, an input report begins with its
     first field, and to the others hidapi prefixes a zero: the offsets count it.
     """
 
-    reports: tuple[Report, ...]
+    reports: tuple[HidReport, ...]
     applications: tuple[int, ...]  # usages of the outermost collections
 
-    def report(self, kind: Kind, number: int) -> Report | None:
+    def report(self, kind: ReportType, number: int) -> HidReport | None:
         """Return a report, if the device has it."""
         found = (r for r in self.reports if r.kind is kind and r.number == number)
         return next(found, None)
@@ -158,7 +158,7 @@ class _Item(NamedTuple):
         return int.from_bytes(self.data, "little", signed=True)
 
 
-_MAIN = {0x80: Kind.INPUT, 0x90: Kind.OUTPUT, 0xB0: Kind.FEATURE}
+_MAIN = {0x80: ReportType.INPUT, 0x90: ReportType.OUTPUT, 0xB0: ReportType.FEATURE}
 _COLLECTION, _END, _PUSH, _POP = 0xA0, 0xC0, 0xA4, 0xB4
 _PAGE, _EXPONENT, _SIZE, _NUMBER, _COUNT = 0x04, 0x54, 0x74, 0x84, 0x94
 _MINIMUM, _MAXIMUM, _PHYSICAL_MINIMUM, _PHYSICAL_MAXIMUM, _UNIT = 0x14, 0x24, 0x34, 0x44, 0x64
@@ -166,17 +166,17 @@ _USAGE, _USAGE_MINIMUM, _USAGE_MAXIMUM, _DELIMITER = 0x08, 0x18, 0x28, 0xA8
 _LONG = 0xFE
 
 
-def parse(data: bytes) -> Descriptor:
+def parse_descriptor(data: bytes) -> ReportDescriptor:
     """Parse a report descriptor; raises `DescriptorError` and nothing else."""
     if not 0 < len(data) <= DESCRIPTOR_MAX:
         raise DescriptorError(f"{len(data)} bytes long, must be 1 ... {DESCRIPTOR_MAX}")
     parser = _Parser()
-    for item in _items(data):
+    for item in _split_items(data):
         parser.take(item)
     return parser.finish(len(data))
 
 
-def _items(data: bytes) -> Iterator[_Item]:
+def _split_items(data: bytes) -> Iterator[_Item]:
     """Split the bytes into short items; long ones are reserved and skipped."""
     at = 0
     while at < len(data):
@@ -200,8 +200,8 @@ class _Parser:
         self._path: tuple[Collection, ...] = ()
         self._collections = 0
         self._applications: list[int] = []
-        self._fields: dict[tuple[Kind, int], list[Field]] = {}
-        self._bits: dict[tuple[Kind, int], int] = {}
+        self._fields: dict[tuple[ReportType, int], list[ReportField]] = {}
+        self._bits: dict[tuple[ReportType, int], int] = {}
         self._field_count = 0
         self._usage_count = 0
         self._begin_locals()
@@ -217,19 +217,19 @@ class _Parser:
         elif kind == 0x08:
             self._local(item)
 
-    def finish(self, end: int) -> Descriptor:
+    def finish(self, end: int) -> ReportDescriptor:
         """Return the parsed descriptor."""
         if self._path:
             raise DescriptorError(f"byte {end}: ends within a collection")
         numbered = any(number for _, number in self._bits)
         reports = []
         for (kind, number), bits in self._bits.items():
-            prefix = 8 if numbered or kind is not Kind.INPUT else 0
+            prefix = 8 if numbered or kind is not ReportType.INPUT else 0
             fields = self._fields[kind, number]
             if not prefix:
                 fields = [replace(field, offset=field.offset - 8) for field in fields]
-            reports.append(Report(kind, number, (prefix + bits + 7) // 8, tuple(fields)))
-        return Descriptor(tuple(reports), tuple(self._applications))
+            reports.append(HidReport(kind, number, (prefix + bits + 7) // 8, tuple(fields)))
+        return ReportDescriptor(tuple(reports), tuple(self._applications))
 
     def _begin_locals(self) -> None:
         self._usages: list[_Usage] = []
@@ -252,7 +252,7 @@ class _Parser:
         elif tag == _UNIT:
             now = now._replace(unit=item.unsigned)
         elif tag == _EXPONENT:
-            now = now._replace(exponent=_exponent(item))
+            now = now._replace(exponent=_parse_exponent(item))
         elif tag == _SIZE:
             if item.unsigned > _SIZE_MAX:
                 raise DescriptorError(f"byte {item.at}: fields of more than {_SIZE_MAX} bits")
@@ -326,7 +326,7 @@ class _Parser:
         self._path += (Collection(usage, item.unsigned & 0xFF, self._collections),)
         self._collections += 1
 
-    def _add(self, kind: Kind, item: _Item) -> None:
+    def _add(self, kind: ReportType, item: _Item) -> None:
         """Append the fields of an input, output or feature item to its report."""
         now, flags = self._globals, item.unsigned
         key = kind, now.number
@@ -339,19 +339,19 @@ class _Parser:
         if not now.size or not now.repeats or (constant and not self._usages):
             return
         array = not flags & _VARIABLE
-        maximum = _upper(now.maximum, now.minimum)
+        maximum = _parse_maximum(now.maximum, now.minimum)
         if maximum < now.minimum and not constant:
             raise DescriptorError(f"byte {item.at}: a range {now.minimum} ... {maximum}")
         values = min(maximum - now.minimum + 1, 1 << now.size)
         names = tuple(self._named(values if array else now.repeats, item))
-        runs = [(names, now.repeats)] if array else _runs(names, now.repeats)
+        runs = [(names, now.repeats)] if array else _assign_usages(names, now.repeats)
         offset = 8 + start
         for usages, count in runs:
             self._field_count += 1
             if self._field_count > _FIELDS_MAX:
                 raise DescriptorError(f"byte {item.at}: more than {_FIELDS_MAX} fields")
             fields.append(
-                Field(
+                ReportField(
                     usages=usages,
                     array=array,
                     constant=constant,
@@ -363,7 +363,7 @@ class _Parser:
                     minimum=now.minimum,
                     maximum=maximum,
                     physical_minimum=now.physical_minimum,
-                    physical_maximum=_upper(now.physical_maximum, now.physical_minimum),
+                    physical_maximum=_parse_maximum(now.physical_maximum, now.physical_minimum),
                     unit=now.unit,
                     exponent=now.exponent,
                     path=self._path,
@@ -384,7 +384,7 @@ class _Parser:
                 yield usage.page << 16 | number
 
 
-def _runs(names: tuple[int, ...], count: int) -> list[tuple[tuple[int, ...], int]]:
+def _assign_usages(names: tuple[int, ...], count: int) -> list[tuple[tuple[int, ...], int]]:
     """Return the usages with their number of fields; the last one gets all remaining."""
     if not names:
         return [((), count)]
@@ -392,11 +392,11 @@ def _runs(names: tuple[int, ...], count: int) -> list[tuple[tuple[int, ...], int
     return [((name,), 1 if k < last else count - last) for k, name in enumerate(names)]
 
 
-def _upper(data: bytes, minimum: int) -> int:
+def _parse_maximum(data: bytes, minimum: int) -> int:
     return int.from_bytes(data, "little", signed=minimum < 0)
 
 
-def _exponent(item: _Item) -> int:
+def _parse_exponent(item: _Item) -> int:
     """Return a power of ten: four bits by the standard, a whole byte in many devices."""
     value = item.unsigned
     return (value ^ 8) - 8 if value < 16 else item.signed

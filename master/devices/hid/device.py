@@ -11,8 +11,8 @@ from master.devices.hid.drivers import INPUTS_ONLY, PID, AttachedNode
 from master.devices.hid.line import DeviceConnection
 from master.devices.hid.pid import PidConfig, PidDriver
 from master.devices.hid.search import FoundDevice
-from master.devices.hid.seeker import Seeker
-from master.devices.hid.signs import Signs
+from master.devices.hid.seeker import DeviceReconnection
+from master.devices.hid.signs import ForceSigns
 
 _PATIENCE_S = 2.0  # to remove the force at the end; a write may hang for 5 s
 
@@ -20,9 +20,11 @@ _PATIENCE_S = 2.0  # to remove the force at the end; a write may hang for 5 s
 class OpenedDevice:
     """The open device, the one with its buttons (mostly the same), and the mapping."""
 
-    def __init__(self, config: HidConfig, known: Signs, found: tuple[FoundDevice, ...]) -> None:
+    def __init__(
+        self, config: HidConfig, known: ForceSigns, found: tuple[FoundDevice, ...]
+    ) -> None:
         self.lines: list[DeviceConnection] = []
-        pid = config.pid if trusted(found[0], known) else PidConfig()
+        pid = config.pid if may_use_device_effects(found[0], known) else PidConfig()
         pushed = tuple(axis.name for axis in config.axes if axis.force > 0.0)
         CLAIMS.claim(found[0].item)
         self._claimed: AttachedNode | None = found[0].item
@@ -32,7 +34,7 @@ class OpenedDevice:
             self.device, self.switches = self.lines[0], self.lines[-1]
             buttons = self.switches.driver.buttons
             found_signs = known.of(found[0].pusher)
-            self.plan = mapping.plan(config, self.device.driver, buttons, found_signs)
+            self.plan = mapping.build_mapping(config, self.device.driver, buttons, found_signs)
         except BaseException:
             self.end()
             raise
@@ -60,21 +62,21 @@ class HidDevice:
 
     def __init__(self, config: HidConfig, say: Callable[[str], None] = print) -> None:
         self._config = config
-        if switched := console_mode.leave(config.find, config.driver):
+        if switched := console_mode.leave_console_mode(config.find, config.driver):
             say(switched)
-        self._found: tuple[FoundDevice, ...] = (search.choose(config.find, config.driver),)
+        self._found: tuple[FoundDevice, ...] = (search.find_device(config.find, config.driver),)
         if config.buttons.find:
-            self._found += (search.choose(config.buttons.find, INPUTS_ONLY),)
+            self._found += (search.find_device(config.buttons.find, INPUTS_ONLY),)
         self._signs = signs.load(config.signs)
-        advice = search.examine(self._found[0].item).advice
+        advice = search.examine_node(self._found[0].item).advice
         if advice and any(axis.force > 0.0 for axis in config.axes):
             raise DeviceFault(f"{self._found[0].item}: {advice}")
         opened = OpenedDevice(config, self._signs, self._found)
         self.axes = opened.plan.joints
         self._opened: OpenedDevice | None = opened
-        self._seeker: Seeker[OpenedDevice] | None = None
+        self._seeker: DeviceReconnection[OpenedDevice] | None = None
         self._lost = ""
-        self._memory = mapping.start(self.axes)
+        self._memory = mapping.init_mapping(self.axes)
         self._time_s = 0.0
         for line in describe_device(config, self._found, self._signs):
             say(line)
@@ -111,7 +113,7 @@ class HidDevice:
         if len(force) != self.axes or not all(map(math.isfinite, force)):
             raise DeviceFault(f"refuses force {force}")
         if self._opened is not None:
-            self._opened.device.post(mapping.shares(self._opened.plan, force))
+            self._opened.device.post(mapping.to_force_shares(self._opened.plan, force))
 
     def close(self) -> None:
         """Remove the force and close; does not wait for a hanging device."""
@@ -123,21 +125,21 @@ class HidDevice:
 
     def _lose(self, opened: OpenedDevice, fault: DeviceFault) -> DeviceLost:
         self._opened = None
-        self._memory = mapping.start(self.axes)._replace(position=self._memory.position)
+        self._memory = mapping.init_mapping(self.axes)._replace(position=self._memory.position)
         self._lost = f"{fault}; waiting for the device"
-        before = search.beside(self._found[0]) | search.beside(self._found[-1])
-        self._seeker = Seeker(opened, lambda: self._open_again(before))
+        before = search.list_node_paths(self._found[0]) | search.list_node_paths(self._found[-1])
+        self._seeker = DeviceReconnection(opened, lambda: self._open_again(before))
         return DeviceLost(self._lost)
 
     def _open_again(self, before: frozenset[str]) -> OpenedDevice:
         device, *switches = self._found
-        back = [console_mode.again(device, before, CLAIMS.paths())]
+        back = [console_mode.find_reattached_device(device, before, CLAIMS.paths())]
         if CLAIMS.is_ambiguous(device.item):
             raise DeviceFault(
                 f"{device.item}: was unplugged together with a device of the same identity, which "
                 "cannot be distinguished; restart the master"
             )
-        back += [search.again(one, before) for one in switches]
+        back += [search.find_reattached_device(one, before) for one in switches]
         return OpenedDevice(self._config, self._signs, tuple(back))
 
     def _returned(self) -> OpenedDevice:
@@ -148,7 +150,7 @@ class HidDevice:
         return self._opened
 
 
-def trusted(found: FoundDevice, known: Signs) -> bool:
+def may_use_device_effects(found: FoundDevice, known: ForceSigns) -> bool:
     """Return whether a device's own effects may be used: all its signs are +1.
 
     A sign of -1 means either a reversed motor, whose own spring would push away from the centre, or
@@ -160,17 +162,19 @@ def trusted(found: FoundDevice, known: Signs) -> bool:
     )
 
 
-def describe_device(config: HidConfig, found: tuple[FoundDevice, ...], known: Signs) -> list[str]:
+def describe_device(
+    config: HidConfig, found: tuple[FoundDevice, ...], known: ForceSigns
+) -> list[str]:
     """Return the messages to the operator about a newly opened device."""
     lines = [f"device: {found[0].item}, driver {found[0].kind}"]
     lines += [f"buttons: {one.item}, driver {one.kind}" for one in found[1:]]
-    names = mapping.unsigned(config, known.of(found[0].pusher))
+    names = mapping.find_unsigned_axes(config, known.of(found[0].pusher))
     if names:
         lines.append(
             f"WARNING: no force on {', '.join(names)}: force sign unknown; run `teleop devices "
             "test`"
         )
-    if config.pid != PidConfig() and not trusted(found[0], known):
+    if config.pid != PidConfig() and not may_use_device_effects(found[0], known):
         lines.append(
             "WARNING: pid.spring and pid.damper are off: they could push away from the centre, "
             "as `teleop devices test` has not found a sign of +1 for each axis"

@@ -1,7 +1,7 @@
 """The driver interface: the report codec of one kind of device.
 
 A driver owns no handle, no thread and no clock; only `begin` talks to the device, through its
-`Features` argument. `master.devices.hid.device` transfers the reports.
+`ReportAccess` argument. `master.devices.hid.device` transfers the reports.
 """
 
 import math
@@ -25,12 +25,12 @@ class Controls(NamedTuple):
     actuators: ActuatorState | None = None  # None before the first report, or without any
 
 
-def unknown(axes: int) -> Controls:
+def build_unknown_controls(axes: int) -> Controls:
     """Return the inputs of a device that has not reported yet."""
     return Controls((math.nan,) * axes, 0, 0)
 
 
-class Features(Protocol):
+class ReportAccess(Protocol):
     """Access to a device during setup. All bytes begin with the report id."""
 
     def write(self, report: bytes) -> None:
@@ -46,7 +46,7 @@ class Features(Protocol):
         """Return input report `number`, at most `length` bytes; `DeviceFault` if it has none."""
 
 
-class Driver(Protocol):
+class HidDriver(Protocol):
     """One kind of device.
 
     Attributes
@@ -63,7 +63,7 @@ class Driver(Protocol):
     forces: tuple[str, ...]
     buttons: int
 
-    def begin(self, device: Features) -> None:
+    def begin(self, device: ReportAccess) -> None:
         """Set the device up, without force; raises `DriverError` or `DeviceFault`."""
 
     def decode(self, controls: Controls, report: bytes) -> Controls:

@@ -5,8 +5,8 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from master.devices.hid import dualsense, ffbeast, logitech, spacemouse
-from master.devices.hid.descriptor import parse
-from master.devices.hid.driver import Driver
+from master.devices.hid.descriptor import parse_descriptor
+from master.devices.hid.driver import HidDriver
 from master.devices.hid.dualsense import DualSenseDriver
 from master.devices.hid.ffbeast import FFBeastDriver
 from master.devices.hid.joystick import JoystickDriver
@@ -58,7 +58,7 @@ class AttachedNode(NamedTuple):
         return f"{self.name or 'a HID device'} ({self.model}, {self.path})"
 
 
-class Kind(NamedTuple):
+class DriverSpec(NamedTuple):
     """A driver and properties of its devices."""
 
     misfit: Callable[
@@ -66,12 +66,12 @@ class Kind(NamedTuple):
     ]  # (device, its descriptor) -> why not; empty = fits
     # of the device, its descriptor, effects of its own, and the axes to be pushed (None = all);
     # raises DriverError, DescriptorError
-    make: Callable[[AttachedNode, bytes, PidConfig, tuple[str, ...] | None], Driver]
+    make: Callable[[AttachedNode, bytes, PidConfig, tuple[str, ...] | None], HidDriver]
     forgets: bool = True  # whether a force ends by itself without writes of the host
     heartbeat: float = math.inf  # [s] largest interval between its reports
 
 
-def _not_pid(_item: AttachedNode, descriptor: bytes) -> str:
+def _find_pid_misfit(_item: AttachedNode, descriptor: bytes) -> str:
     try:
         PidDriver(descriptor)
     except ValueError as error:  # DescriptorError, DriverError
@@ -79,7 +79,7 @@ def _not_pid(_item: AttachedNode, descriptor: bytes) -> str:
     return ""
 
 
-def _not_ffbeast(item: AttachedNode, _descriptor: bytes) -> str:
+def _find_ffbeast_misfit(item: AttachedNode, _descriptor: bytes) -> str:
     if (item.vendor, item.product) != (ffbeast.VENDOR, ffbeast.PRODUCT):
         return "not an FFBeast wheel"
     if any(page < _VENDOR_PAGES for page, _ in item.usages):
@@ -87,12 +87,12 @@ def _not_ffbeast(item: AttachedNode, _descriptor: bytes) -> str:
     return ""
 
 
-def _not_dualsense(item: AttachedNode, _descriptor: bytes) -> str:
+def _find_dualsense_misfit(item: AttachedNode, _descriptor: bytes) -> str:
     fits = item.vendor == dualsense.VENDOR and item.product in dualsense.PRODUCTS
     return "" if fits else "not a DualSense"
 
 
-def _not_spacemouse(item: AttachedNode, _descriptor: bytes) -> str:
+def _find_spacemouse_misfit(item: AttachedNode, _descriptor: bytes) -> str:
     fits = item.vendor == spacemouse.VENDOR or (
         item.vendor == spacemouse.LOGITECH and item.product in spacemouse.LOGITECH_PRODUCTS
     )
@@ -103,7 +103,7 @@ def _not_spacemouse(item: AttachedNode, _descriptor: bytes) -> str:
     return ""
 
 
-def _not_logitech(item: AttachedNode, _descriptor: bytes) -> str:
+def _find_logitech_misfit(item: AttachedNode, _descriptor: bytes) -> str:
     if (item.vendor, item.product) == (logitech.VENDOR, logitech.G923_CONSOLE):
         return "a G923 in console mode"
     if item.vendor != logitech.VENDOR or item.product not in logitech.PRODUCTS:
@@ -111,7 +111,7 @@ def _not_logitech(item: AttachedNode, _descriptor: bytes) -> str:
     return "another interface of a Logitech wheel" if item.interface > 0 else ""
 
 
-def _not_joystick(item: AttachedNode, descriptor: bytes) -> str:
+def _find_joystick_misfit(item: AttachedNode, descriptor: bytes) -> str:
     if not {_JOYSTICK, _GAMEPAD, _MULTI_AXIS} & set(item.usages):
         return "not a joystick or gamepad"
     try:
@@ -125,20 +125,22 @@ PID = "pid"
 INPUTS_ONLY = "joystick"  # fallback for devices without a driver of their own
 
 # in order of preference
-DRIVERS: dict[str, Kind] = {
-    PID: Kind(_not_pid, lambda _, data, config, pushed: PidDriver(data, config, pushed)),
-    "ffbeast": Kind(_not_ffbeast, lambda *_: FFBeastDriver(), forgets=False),
-    "dualsense": Kind(
-        _not_dualsense,
+DRIVERS: dict[str, DriverSpec] = {
+    PID: DriverSpec(
+        _find_pid_misfit, lambda _, data, config, pushed: PidDriver(data, config, pushed)
+    ),
+    "ffbeast": DriverSpec(_find_ffbeast_misfit, lambda *_: FFBeastDriver(), forgets=False),
+    "dualsense": DriverSpec(
+        _find_dualsense_misfit,
         lambda item, *_: DualSenseDriver(item.bluetooth),
         forgets=False,
         heartbeat=0.1,
     ),
-    "spacemouse": Kind(_not_spacemouse, lambda *_: SpaceMouseDriver()),
-    "logitech": Kind(
-        _not_logitech,
-        lambda item, data, *_: LogitechDriver(parse(data), item.product, item.release),
+    "spacemouse": DriverSpec(_find_spacemouse_misfit, lambda *_: SpaceMouseDriver()),
+    "logitech": DriverSpec(
+        _find_logitech_misfit,
+        lambda item, data, *_: LogitechDriver(parse_descriptor(data), item.product, item.release),
         forgets=False,
     ),
-    INPUTS_ONLY: Kind(_not_joystick, lambda _item, data, *_: JoystickDriver(data)),
+    INPUTS_ONLY: DriverSpec(_find_joystick_misfit, lambda _item, data, *_: JoystickDriver(data)),
 }

@@ -10,7 +10,7 @@ import math
 import struct
 import zlib
 
-from master.devices.hid.driver import Controls, Features, Share
+from master.devices.hid.driver import Controls, ReportAccess, Share
 
 VENDOR = 0x054C
 PRODUCTS = (0x0CE6, 0x0DF2)  # DualSense, DualSense Edge
@@ -24,14 +24,14 @@ _USB_OUT, _BLUETOOTH_OUT = 0x02, 0x31
 _USB_IN_SIZE, _BLUETOOTH_SIZE = 64, 78
 _CALIBRATION, _CALIBRATION_SIZE = 0x05, 41  # reading it makes Bluetooth send full reports
 _TRIGGERS = 0x04 | 0x08  # valid flags of an output report: right and left trigger only
-_CHECKED = _BLUETOOTH_SIZE - 4  # bytes covered by the checksum, after a seed
+_CHECKED_SIZE = _BLUETOOTH_SIZE - 4  # bytes covered by the checksum, after a seed
 _SEED_IN, _SEED_OUT = zlib.crc32(b"\xa1"), zlib.crc32(b"\xa2")
 _CHECKSUM = struct.Struct("<I")
 _STICK = tuple(max(-1.0, (count - 128) / 127.0) for count in range(256))
 _TRIGGER = tuple(count / 255.0 for count in range(256))
 
 
-def _effect(strength: int) -> bytes:
+def _build_trigger_effect(strength: int) -> bytes:
     """Return the 11 bytes of a trigger that resists with `strength` of `STEPS` in all zones."""
     if strength == 0:
         return struct.pack("<B10x", 0x05)
@@ -39,16 +39,16 @@ def _effect(strength: int) -> bytes:
     return struct.pack("<BHI4x", 0x21, zones, forces)
 
 
-_EFFECTS = tuple(_effect(strength) for strength in range(STEPS + 1))
+_EFFECTS = tuple(_build_trigger_effect(strength) for strength in range(STEPS + 1))
 
 
-def strength_of(force: Share) -> int:
+def quantise_force(force: Share) -> int:
     """Return the step of resistance for a share of full force; zero along the pull."""
     return math.ceil(min(-force, 1.0) * STEPS) if force < 0.0 else 0
 
 
 class DualSenseDriver:
-    """A `master.devices.hid.driver.Driver` of four stick axes and two triggers (0 ... 1).
+    """A `master.devices.hid.driver.HidDriver` of four stick axes and two triggers (0 ... 1).
 
     Buttons from 1: square, cross, circle, triangle, L1, R1, L2, R2, create, options, L3, R3, PS,
     touchpad, mute; 17 to 20 are the Edge's. Sticks count right and down as positive.
@@ -66,7 +66,7 @@ class DualSenseDriver:
         self._sequence = 0
         self._strengths = (-1, -1)  # left, right, last requested
 
-    def begin(self, device: Features) -> None:
+    def begin(self, device: ReportAccess) -> None:
         """Release both triggers; over Bluetooth, request full reports."""
         if self._bluetooth:
             device.get_feature(_CALIBRATION, _CALIBRATION_SIZE)
@@ -78,8 +78,8 @@ class DualSenseDriver:
         if kind == _USB_IN and size >= _USB_IN_SIZE:
             at = 1
         elif kind == _BLUETOOTH_IN and size >= _BLUETOOTH_SIZE:
-            if (zlib.crc32(report[:_CHECKED], _SEED_IN),) != _CHECKSUM.unpack_from(
-                report, _CHECKED
+            if (zlib.crc32(report[:_CHECKED_SIZE], _SEED_IN),) != _CHECKSUM.unpack_from(
+                report, _CHECKED_SIZE
             ):
                 return controls
             at = 2
@@ -92,7 +92,7 @@ class DualSenseDriver:
 
     def encode(self, force: tuple[Share, ...], arm: bool) -> tuple[bytes, ...]:
         """Return a report if a resistance changes or with `arm`."""
-        strengths = strength_of(force[0]), strength_of(force[1])
+        strengths = quantise_force(force[0]), quantise_force(force[1])
         if strengths == self._strengths and not arm:
             return ()
         self._strengths = strengths
@@ -110,5 +110,5 @@ class DualSenseDriver:
             return bytes((_USB_OUT, *body))
         head = bytes((_BLUETOOTH_OUT, self._sequence << 4, 0x10))
         self._sequence = (self._sequence + 1) % 16
-        covered = (head + body).ljust(_CHECKED, b"\0")
+        covered = (head + body).ljust(_CHECKED_SIZE, b"\0")
         return covered + _CHECKSUM.pack(zlib.crc32(covered, _SEED_OUT))

@@ -13,7 +13,7 @@ from master.devices.hid.search import ExaminedNode
 _BYTES_A_LINE = 16
 
 
-def dump(one: ExaminedNode) -> str:
+def format_dump(one: ExaminedNode) -> str:
     """Return the dump; `DeviceFault` if the descriptor cannot be read."""
     item, data = one.item, one.descriptor
     if not data:

@@ -12,12 +12,12 @@ import sys
 from collections.abc import Sequence
 from contextlib import suppress
 
-SILENT_S = 0.15  # [s] heartbeat timeout
+HEARTBEAT_TIMEOUT_S = 0.15  # [s] heartbeat timeout
 _READY = b"ready\n"
-_BEAT = b"."
+_HEARTBEAT = b"."
 
 
-class Guard:
+class ForceWatchdog:
     """Handle of the watchdog process; `OSError` if the node at `path` cannot be opened.
 
     Parameters
@@ -46,11 +46,11 @@ class Guard:
             raise OSError(f"{path}: the force watchdog does not start")
 
     def beat(self) -> None:
-        """Send a heartbeat: before a force is applied, then at least every `SILENT_S`.
+        """Send a heartbeat: before a force is applied, then at least every `HEARTBEAT_TIMEOUT_S`.
 
         `OSError` if the watchdog is not running.
         """
-        self._pipe.write(_BEAT)
+        self._pipe.write(_HEARTBEAT)
 
     def end(self) -> bool:
         """Let it write its reports and exit; return whether it did (False if a device hangs)."""
@@ -69,7 +69,7 @@ def main(path: str, *reports: str) -> None:
     while alive:
         due = not select.select([0], [], [], patience)[0]
         alive = due or bool(os.read(0, 4096))
-        patience = None if due else SILENT_S
+        patience = None if due else HEARTBEAT_TIMEOUT_S
         if due or not alive:
             for report in reports:
                 with suppress(OSError):  # unplugged, so without force

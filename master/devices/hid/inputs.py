@@ -3,11 +3,14 @@
 from typing import NamedTuple
 
 from master.devices.hid import usages
-from master.devices.hid.bits import limits
-from master.devices.hid.descriptor import Descriptor, Field, Kind
+from master.devices.hid.bits import compute_limits
+from master.devices.hid.descriptor import ReportDescriptor, ReportField, ReportType
 from master.devices.hid.driver import Controls
 
-_CENTRED = ("x", "y")  # sticks and wheels, whatever their range; other unsigned axes are one-sided
+_CENTRED_AXES = (
+    "x",
+    "y",
+)  # sticks and wheels, whatever their range; other unsigned axes are one-sided
 _BUTTONS_MAX = 128
 _UP, _RIGHT, _DOWN, _LEFT = 1, 2, 4, 8
 _EIGHT_WAYS = (
@@ -51,7 +54,7 @@ class _Hat(NamedTuple):
     first: int  # bit of `Controls.buttons`
 
 
-class _Plan(NamedTuple):
+class _ReportLayout(NamedTuple):
     """How to read one report."""
 
     length: int  # [byte]
@@ -72,32 +75,32 @@ class Inputs:
         The buttons, then four for each hat: up, right, down, left.
     """
 
-    def __init__(self, descriptor: Descriptor) -> None:
+    def __init__(self, descriptor: ReportDescriptor) -> None:
         found = [
             (report, [field for field in report.fields if not (field.relative or field.constant)])
             for report in descriptor.reports
-            if report.kind is Kind.INPUT
+            if report.kind is ReportType.INPUT
         ]
         self._numbered = any(report.number for report in descriptor.reports)
         pressed = [field for _, fields in found for field in fields if _is_button(field)]
         next_hat = max((field.usage & 0xFFFF for field in pressed), default=0)
         names: list[str] = []
-        plans: dict[int, _Plan] = {}
+        plans: dict[int, _ReportLayout] = {}
         for report, fields in found:
             axes, hats = [], []
             for field in fields:
-                low, high = limits(field)
+                low, high = compute_limits(field)
                 if not field.array and field.usage in usages.AXES and low < high:
-                    axes.append(_axis(field, len(names), usages.AXES[field.usage]))
-                    names.append(_unique(usages.AXES[field.usage], names))
+                    axes.append(_build_axis(field, len(names), usages.AXES[field.usage]))
+                    names.append(_make_name_unique(usages.AXES[field.usage], names))
                 elif not field.array and field.usage == usages.HAT and low < high:
-                    hats.append(_hat(field, next_hat))
+                    hats.append(_build_hat(field, next_hat))
                     next_hat += 4
-            rows = _rows([field for field in fields if _is_button(field)])
+            rows = _group_button_rows([field for field in fields if _is_button(field)])
             if axes or rows or hats:
                 reported = sum(row.mask << row.first for row in rows)
                 reported |= sum(0b1111 << hat.first for hat in hats)
-                plans[report.number] = _Plan(
+                plans[report.number] = _ReportLayout(
                     report.length, tuple(axes), tuple(rows), tuple(hats), reported
                 )
         self.axes = tuple(names)
@@ -136,7 +139,7 @@ class Inputs:
         return Controls(axes, buttons, controls.known | plan.reported, controls.actuators)
 
 
-def _is_button(field: Field) -> bool:
+def _is_button(field: ReportField) -> bool:
     number = field.usage & 0xFFFF
     return (
         field.usage >> 16 == usages.BUTTON
@@ -146,16 +149,16 @@ def _is_button(field: Field) -> bool:
     )
 
 
-def _unique(name: str, names: list[str]) -> str:
+def _make_name_unique(name: str, names: list[str]) -> str:
     again = sum(known.rstrip("0123456789") == name for known in names)
     return f"{name}{again + 1}" if again else name
 
 
-def _axis(field: Field, place: int, name: str) -> _Axis:
-    low, high = limits(field)
+def _build_axis(field: ReportField, place: int, name: str) -> _Axis:
+    low, high = compute_limits(field)
     if low < 0:
         centre, half = 0.0, float(max(-low, high))
-    elif name in _CENTRED:
+    elif name in _CENTRED_AXES:
         centre, half = (low + high) / 2, (high - low) / 2
     else:
         centre, half = float(low), float(high - low)
@@ -164,13 +167,13 @@ def _axis(field: Field, place: int, name: str) -> _Axis:
     return _Axis(place, field.offset, mask, sign, low, high, field.nullable, centre, half)
 
 
-def _hat(field: Field, first: int) -> _Hat:
-    low, high = limits(field)
+def _build_hat(field: ReportField, first: int) -> _Hat:
+    low, high = compute_limits(field)
     ways = _FOUR_WAYS if high - low == 3 else _EIGHT_WAYS
     return _Hat(field.offset, (1 << field.size) - 1, low, ways[: high - low + 1], first)
 
 
-def _rows(fields: list[Field]) -> list[_Buttons]:
+def _group_button_rows(fields: list[ReportField]) -> list[_Buttons]:
     rows: list[_Buttons] = []
     for field in fields:
         first, last = (field.usage & 0xFFFF) - 1, rows[-1] if rows else None

@@ -1,12 +1,12 @@
 """Any joystick, gamepad or pedal: axes and buttons, no force, from its report descriptor."""
 
-from master.devices.hid.descriptor import parse
-from master.devices.hid.driver import Controls, DriverError, Features, Share
+from master.devices.hid.descriptor import parse_descriptor
+from master.devices.hid.driver import Controls, DriverError, ReportAccess, Share
 from master.devices.hid.inputs import Inputs
 
 
 class JoystickDriver:
-    """A `master.devices.hid.driver.Driver` that writes nothing to the device.
+    """A `master.devices.hid.driver.HidDriver` that writes nothing to the device.
 
     Parameters
     ----------
@@ -17,13 +17,13 @@ class JoystickDriver:
     forces: tuple[str, ...] = ()
 
     def __init__(self, descriptor: bytes) -> None:
-        inputs = Inputs(parse(descriptor))
+        inputs = Inputs(parse_descriptor(descriptor))
         if not inputs.axes and not inputs.buttons:
             raise DriverError("no axes and no buttons")
         self.axes, self.buttons = inputs.axes, inputs.buttons
         self._inputs = inputs
 
-    def begin(self, device: Features) -> None:
+    def begin(self, device: ReportAccess) -> None:
         """Nothing to set up."""
 
     def decode(self, controls: Controls, report: bytes) -> Controls:

@@ -6,15 +6,15 @@ import time
 from contextlib import ExitStack, suppress
 
 from master.device import DeviceFault
-from master.devices.hid.driver import Controls, Driver, Share, unknown
+from master.devices.hid.driver import Controls, HidDriver, Share, build_unknown_controls
 from master.devices.hid.drivers import DRIVERS
-from master.devices.hid.guard import Guard
-from master.devices.hid.node import QUEUE, Node
+from master.devices.hid.guard import ForceWatchdog
+from master.devices.hid.node import QUEUE_LENGTH, Node
 from master.devices.hid.pid import PidConfig
 from master.devices.hid.search import FoundDevice
 from master.devices.hid.writer import Writer
 
-_FIRST_WORD_S = 1.0  # timeout for the first report of a device with a heartbeat
+_FIRST_REPORT_TIMEOUT_S = 1.0  # timeout for the first report of a device with a heartbeat
 _SETTLE_S = 0.1  # after opening, in which a device reports how it was reset and enabled
 
 
@@ -40,7 +40,7 @@ class DeviceConnection:
     ) -> None:
         self.found = found
         item, kind = found.item, DRIVERS[found.kind]
-        self._guard: Guard | None = None
+        self._guard: ForceWatchdog | None = None
         with ExitStack() as undo:
             node = Node(item.path, str(item))
             undo.callback(node.close)
@@ -49,13 +49,15 @@ class DeviceConnection:
             try:
                 self.driver = kind.make(item, found.descriptor, pid, pushed)
                 if self.driver.forces and not kind.forgets and sys.platform == "linux":
-                    self._guard = Guard(item.path, self.driver.silence())
+                    self._guard = ForceWatchdog(item.path, self.driver.silence())
                     undo.callback(self._guard.end)
-                undo.callback(_silence, node, self.driver)  # begun in part, it may push by itself
+                undo.callback(
+                    _remove_force, node, self.driver
+                )  # begun in part, it may push by itself
                 self.driver.begin(node)
             except (ValueError, OSError) as error:  # DescriptorError, DriverError; of the guard
                 raise DeviceFault(f"{item}: {error}") from error
-            self._controls = unknown(len(self.driver.axes))
+            self._controls = build_unknown_controls(len(self.driver.axes))
             if kind.heartbeat < math.inf:
                 self._await_word(node)
             undo.pop_all()
@@ -93,8 +95,8 @@ class DeviceConnection:
 
     def _take(self, reports: list[bytes]) -> bool:
         """Decode reports, oldest first; return whether there were any."""
-        if len(reports) == QUEUE:  # newer ones may be lost, with a button release
-            inputs = unknown(len(self.driver.axes))
+        if len(reports) == QUEUE_LENGTH:  # newer ones may be lost, with a button release
+            inputs = build_unknown_controls(len(self.driver.axes))
             self._controls = inputs._replace(actuators=self._controls.actuators)
             return True
         controls, decode = self._controls, self.driver.decode
@@ -104,7 +106,7 @@ class DeviceConnection:
         return bool(reports)
 
     def _await_word(self, node: Node) -> None:
-        end = time.monotonic() + _FIRST_WORD_S
+        end = time.monotonic() + _FIRST_REPORT_TIMEOUT_S
         while not self._take(node.drain()):
             if time.monotonic() > end:
                 raise DeviceFault(f"{self.found.item}: sends no reports")
@@ -131,7 +133,7 @@ class DeviceConnection:
         return (self._guard is None or self._guard.end()) and done
 
 
-def _silence(node: Node, driver: Driver) -> None:
+def _remove_force(node: Node, driver: HidDriver) -> None:
     for report in driver.silence():
         with suppress(DeviceFault):
             node.write(report)

@@ -5,9 +5,9 @@ hid-lg.c, hid-lg4ff.c and hid-ids.h of Linux; for the G923 the same files of ber
 Wheels with the HID++ protocol (G920, G923 for Xbox, G Pro) are others.
 """
 
-from master.devices.hid.bits import scaled
-from master.devices.hid.descriptor import Descriptor
-from master.devices.hid.driver import Controls, DriverError, Features, Share
+from master.devices.hid.bits import scale_share
+from master.devices.hid.descriptor import ReportDescriptor
+from master.devices.hid.driver import Controls, DriverError, ReportAccess, Share
 from master.devices.hid.inputs import Inputs
 
 VENDOR = 0x046D
@@ -38,7 +38,7 @@ _ZERO = 0x80
 
 
 class LogitechDriver:
-    """A `master.devices.hid.driver.Driver`: inputs by descriptor, force on the steering.
+    """A `master.devices.hid.driver.HidDriver`: inputs by descriptor, force on the steering.
 
     Pedals read 1 while released. The direction of a level above 0x80 is not documented; `teleop
     devices test` finds it.
@@ -53,7 +53,7 @@ class LogitechDriver:
 
     forces: tuple[str, ...] = (_STEERING,)
 
-    def __init__(self, descriptor: Descriptor, product: int = 0, release: int = 0) -> None:
+    def __init__(self, descriptor: ReportDescriptor, product: int = 0, release: int = 0) -> None:
         formula_force_ex = (product, release) == _FORMULA_FORCE_EX
         self._centre_off = _CENTRE_OFF_EX if formula_force_ex else _CENTRE_OFF
         inputs = Inputs(descriptor)
@@ -62,7 +62,7 @@ class LogitechDriver:
         self.axes, self.buttons = inputs.axes, inputs.buttons
         self._inputs = inputs
 
-    def begin(self, device: Features) -> None:
+    def begin(self, device: ReportAccess) -> None:
         """Turn off the centring spring, and stop effects of other programs."""
         device.write(self._centre_off)
         device.write(_STOP)
@@ -73,7 +73,7 @@ class LogitechDriver:
 
     def encode(self, force: tuple[Share, ...], arm: bool) -> tuple[bytes, ...]:  # noqa: ARG002
         """Return the command that plays `force` in slot 1."""
-        return (_PLAY[_ZERO + scaled(force[0], 127)],)
+        return (_PLAY[_ZERO + scale_share(force[0], 127)],)
 
     def silence(self) -> tuple[bytes, ...]:
         """Return the command that stops slot 1."""

@@ -16,10 +16,10 @@ from typing import NamedTuple
 
 from master.device import Axes, DeviceFault, HandState
 from master.devices.hid.config import AxisConfig, HidConfig
-from master.devices.hid.driver import Controls, Driver, Share
+from master.devices.hid.driver import Controls, HidDriver, Share
 
 
-class Lane(NamedTuple):
+class AxisMapping(NamedTuple):
     """Mapping between one input of the device and one joint."""
 
     joint: int
@@ -31,11 +31,11 @@ class Lane(NamedTuple):
     per_newton: float  # share of full scale for 1 N on the joint, signed; 0 = unknown sign
 
 
-class Plan(NamedTuple):
+class DeviceMapping(NamedTuple):
     """Constants of an open device."""
 
     joints: int
-    lanes: tuple[Lane, ...]
+    lanes: tuple[AxisMapping, ...]
     forces: int
     buttons: tuple[tuple[str, int], ...]  # name in `HandState`, and mask
     smoothing: float  # [s]
@@ -50,7 +50,9 @@ class MappingState(NamedTuple):
     knows: bool = False  # whether all needed inputs are known
 
 
-def plan(config: HidConfig, driver: Driver, buttons: int, signs: Mapping[str, int]) -> Plan:
+def build_mapping(
+    config: HidConfig, driver: HidDriver, buttons: int, signs: Mapping[str, int]
+) -> DeviceMapping:
     """Return the mapping from a device to the hand.
 
     Parameters
@@ -72,10 +74,10 @@ def plan(config: HidConfig, driver: Driver, buttons: int, signs: Mapping[str, in
                 + "; set buttons.find to another device for them" * (not buttons)
             )
     lanes = tuple(
-        _lane(axis, joint, driver, signs)
+        _build_axis_mapping(axis, joint, driver, signs)
         for axis, joint in zip(config.axes, config.joints, strict=True)
     )
-    return Plan(
+    return DeviceMapping(
         joints=max(config.joints) + 1,
         lanes=lanes,
         forces=len(driver.forces),
@@ -84,7 +86,9 @@ def plan(config: HidConfig, driver: Driver, buttons: int, signs: Mapping[str, in
     )
 
 
-def _lane(axis: AxisConfig, joint: int, driver: Driver, signs: Mapping[str, int]) -> Lane:
+def _build_axis_mapping(
+    axis: AxisConfig, joint: int, driver: HidDriver, signs: Mapping[str, int]
+) -> AxisMapping:
     if axis.name not in driver.axes:
         known = ", ".join(driver.axes)
         raise DeviceFault(f"axes: the device has no axis {axis.name!r}; it has {known}")
@@ -95,7 +99,7 @@ def _lane(axis: AxisConfig, joint: int, driver: Driver, signs: Mapping[str, int]
             raise DeviceFault(f"axes: force: the device cannot push {axis.name!r}, but {known}")
         place = driver.forces.index(axis.name)
         per_newton = axis.sign * signs.get(axis.name, 0) / axis.force
-    return Lane(
+    return AxisMapping(
         joint=joint,
         axis=driver.axes.index(axis.name),
         rate=axis.speed > 0.0,
@@ -106,23 +110,23 @@ def _lane(axis: AxisConfig, joint: int, driver: Driver, signs: Mapping[str, int]
     )
 
 
-def _knows(plan: Plan, controls: Controls, switches: Controls) -> bool:
+def _has_all_inputs(plan: DeviceMapping, controls: Controls, switches: Controls) -> bool:
     return all(mask & switches.known for _, mask in plan.buttons) and not any(
         math.isnan(controls.axes[lane.axis]) for lane in plan.lanes if not lane.rate
     )
 
 
-def start(joints: int) -> MappingState:
+def init_mapping(joints: int) -> MappingState:
     """Return the initial state."""
     return MappingState((0.0,) * joints, (0.0,) * joints, (False,) * joints)
 
 
 def step(
-    plan: Plan, memory: MappingState, controls: Controls, switches: Controls, dt: float
+    plan: DeviceMapping, memory: MappingState, controls: Controls, switches: Controls, dt: float
 ) -> tuple[HandState, MappingState]:
     """Return the hand after `dt` [s]; `switches` are the controls that have the buttons."""
     held = {name: bool(mask & switches.buttons) for name, mask in plan.buttons}
-    knows = _knows(plan, controls, switches)
+    knows = _has_all_inputs(plan, controls, switches)
     driven = held["engage"] and not held.get("clutch", False)
     position, velocity = list(memory.position), [0.0] * plan.joints
     known = [False] * plan.joints
@@ -130,10 +134,10 @@ def step(
         share, joint = controls.axes[lane.axis], lane.joint
         if lane.rate:
             if driven and not math.isnan(share):
-                velocity[joint] = lane.scale * beyond(share, lane.dead_zone)
+                velocity[joint] = lane.scale * apply_dead_zone(share, lane.dead_zone)
                 position[joint] += velocity[joint] * dt
         elif not math.isnan(share):
-            position[joint] = lane.scale * beyond(share, lane.dead_zone)
+            position[joint] = lane.scale * apply_dead_zone(share, lane.dead_zone)
             known[joint] = True
             if memory.known[joint]:
                 way = position[joint] - memory.position[joint]
@@ -148,13 +152,13 @@ def step(
     return hand, MappingState(hand.position, hand.velocity, tuple(known), knows)
 
 
-def beyond(share: Share, dead_zone: float) -> Share:
+def apply_dead_zone(share: Share, dead_zone: float) -> Share:
     """Return `share` with a continuous dead zone, rescaled to full scale."""
     way = (abs(share) - dead_zone) / (1.0 - dead_zone)
     return math.copysign(way, share) if way > 0.0 else 0.0
 
 
-def shares(plan: Plan, force: Axes) -> tuple[Share, ...]:
+def to_force_shares(plan: DeviceMapping, force: Axes) -> tuple[Share, ...]:
     """Return forces on the joints [N] as shares of the device's full scale.
 
     Clipped to full scale; NaN and axes of unknown sign are zero.
@@ -168,6 +172,6 @@ def shares(plan: Plan, force: Axes) -> tuple[Share, ...]:
     return tuple(out)
 
 
-def unsigned(config: HidConfig, signs: Mapping[str, int]) -> list[str]:
+def find_unsigned_axes(config: HidConfig, signs: Mapping[str, int]) -> list[str]:
     """Return the axes without force because their sign is unknown."""
     return [a.name for a in config.axes if a.force > 0.0 and a.name not in signs]

@@ -7,12 +7,12 @@ from typing import Any
 
 from master.device import DeviceFault
 
-QUEUE = 64  # length of Linux's report queue; further reports are dropped
-_LONGEST = 4096  # bytes, of any report
+QUEUE_LENGTH = 64  # length of Linux's report queue; further reports are dropped
+_REPORT_SIZE_MAX = 4096  # bytes, of any report
 REMEDY = "add a udev rule (docs/devices.md) and plug it in again"
 
 
-def backend() -> Any:
+def load_hidapi() -> Any:
     """Return hidapi's module for this system; `DeviceFault` if it is not installed.
 
     On Linux that is `hidraw`: `hid` is the libusb back end there, which detaches the kernel's
@@ -26,7 +26,7 @@ def backend() -> Any:
 
 
 class Node:
-    """An open node; `master.devices.hid.driver.Features` of a driver being set up.
+    """An open node; `master.devices.hid.driver.ReportAccess` of a driver being set up.
 
     One thread may read while another writes, as long as neither continues after its own failure:
     hidapi keeps one error text for both (so it is not used). A node must not be used while it is
@@ -42,7 +42,7 @@ class Node:
 
     def __init__(self, path: str, name: str) -> None:
         self.name = name
-        self._handle = backend().device()
+        self._handle = load_hidapi().device()
         try:
             self._handle.open_path(path.encode())
         except OSError as error:
@@ -61,13 +61,13 @@ class Node:
     def drain(self) -> list[bytes]:
         """Return the reports since the last call, oldest first, without waiting.
 
-        At most `QUEUE` reports; if there are that many, newer ones may have been lost.
+        At most `QUEUE_LENGTH` reports; if there are that many, newer ones may have been lost.
         """
         reports: list[bytes] = []
         read = self._handle.read
         try:
-            while len(reports) < QUEUE:
-                report = read(_LONGEST)
+            while len(reports) < QUEUE_LENGTH:
+                report = read(_REPORT_SIZE_MAX)
                 if not report:
                     break
                 reports.append(bytes(report))

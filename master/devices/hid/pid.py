@@ -11,11 +11,11 @@ from typing import NamedTuple
 from master.devices.hid import pid_effects
 from master.devices.hid import usages as U  # noqa: N812
 from master.devices.hid.actuators import ActuatorReports, ActuatorState
-from master.devices.hid.bits import limits, scaled
-from master.devices.hid.descriptor import DescriptorError, parse
-from master.devices.hid.driver import Controls, DriverError, Features, Share
+from master.devices.hid.bits import compute_limits, scale_share
+from master.devices.hid.descriptor import DescriptorError, parse_descriptor
+from master.devices.hid.driver import Controls, DriverError, ReportAccess, Share
 from master.devices.hid.inputs import Inputs
-from master.devices.hid.pid_layout import Choice, Part, lay_out
+from master.devices.hid.pid_layout import FieldValue, ReportPart, build_layout
 
 # A direction is where the force comes from, clockwise from -y. One from +x (90 deg) pushes
 # towards -x, one from -y (0 deg) towards +y.
@@ -36,7 +36,7 @@ class PidConfig:
                 raise ValueError(f"{name}: must be within 0 ... 1")
 
 
-class _Push(NamedTuple):
+class _ConstantForce(NamedTuple):
     """A constant force in the device's memory."""
 
     zero: bytes  # Set Constant Force without a magnitude
@@ -45,7 +45,7 @@ class _Push(NamedTuple):
 
 
 class PidDriver:
-    """A `master.devices.hid.driver.Driver`.
+    """A `master.devices.hid.driver.HidDriver`.
 
     Parameters
     ----------
@@ -69,36 +69,36 @@ class PidDriver:
         pushed: tuple[str, ...] | None = None,
     ) -> None:
         try:
-            known = parse(descriptor)
+            known = parse_descriptor(descriptor)
         except DescriptorError as error:
             raise DriverError(f"its report descriptor cannot be read: {error}") from error
         config = config or PidConfig()
         self._inputs, self._actuators = Inputs(known), ActuatorReports(known)
         self._actuators_begun = ActuatorState()
-        self._layout = layout = lay_out(known, self._inputs)
-        self._on = _commands(
+        self._layout = layout = build_layout(known, self._inputs)
+        self._on = _build_control_reports(
             layout.control,
             U.DEVICE_RESET,
             U.STOP_ALL_EFFECTS,  # SideWinder firmware centres from a reset until this
             U.DEVICE_CONTINUE,
             U.ENABLE_ACTUATORS,
         )
-        self._off = _commands(layout.control, U.STOP_ALL_EFFECTS, U.DISABLE_ACTUATORS)
+        self._off = _build_control_reports(layout.control, U.STOP_ALL_EFFECTS, U.DISABLE_ACTUATORS)
         wanted = {U.SPRING: config.spring, U.DAMPER: config.damper}
         self._conditions = {usage: share for usage, share in wanted.items() if share}
         # detect errors now, not while the device is in use
         for usage in (U.CONSTANT_FORCE, *self._conditions):
             layout.creation.choose(usage)
-            pid_effects.described(layout, usage, 1, layout.forces[0])
+            pid_effects.build_effect_report(layout, usage, 1, layout.forces[0])
         for share in self._conditions.values():
-            pid_effects.conditions(layout, 1, share)
+            pid_effects.build_condition_reports(layout, 1, share)
         self._magnitude = layout.constant_force.need(U.MAGNITUDE)
         self.axes = self._inputs.axes
-        self.forces = layout.forces if pushed is None else _chosen(layout.forces, pushed)
+        self.forces = layout.forces if pushed is None else _select_axes(layout.forces, pushed)
         self.buttons = self._inputs.buttons
         self._forget()
 
-    def begin(self, device: Features) -> None:
+    def begin(self, device: ReportAccess) -> None:
         """Reset the device, enable it, and make the effects, none of them started.
 
         Firmware of the SideWinder family starts a centring spring at a reset, which only Stop All
@@ -111,7 +111,7 @@ class PidDriver:
             device.write(report)
         part = self._layout.gain
         if part is not None and (gain := part.find(U.GAIN)) is not None:
-            device.write(part.packed([Choice(gain, limits(gain)[1])]))
+            device.write(part.packed([FieldValue(gain, compute_limits(gain)[1])]))
         for axis in self.forces:
             self._add_force(device, axis)
         for usage, share in self._conditions.items() if self.forces else ():
@@ -136,7 +136,7 @@ class PidDriver:
         """
         offset, mask = self._magnitude.offset, (1 << self._magnitude.size) - 1
         reports = [
-            (bits | (scaled(share, full) & mask) << offset).to_bytes(len(zero), "little")
+            (bits | (scale_share(share, full) & mask) << offset).to_bytes(len(zero), "little")
             for (zero, bits, full), share in zip(self._pushes, force, strict=False)
         ]
         if self._conditions and not any(abs(share) > 0.0 for share in force):
@@ -155,53 +155,53 @@ class PidDriver:
 
     def _forget(self) -> None:
         self._blocks: list[int] = []
-        self._pushes: list[_Push] = []
+        self._pushes: list[_ConstantForce] = []
         self._starts: list[bytes] = []
         self._stops: list[bytes] = []
         self._condition_starts: list[bytes] = []
         self._condition_stops: list[bytes] = []
         self._frees: list[bytes] = []
 
-    def _create(self, device: Features, usage: int) -> int:
-        block = pid_effects.create(self._layout, device, usage, self._blocks)
+    def _create(self, device: ReportAccess, usage: int) -> int:
+        block = pid_effects.create_effect(self._layout, device, usage, self._blocks)
         self._blocks.append(block)
-        self._frees += pid_effects.free(self._layout, block)
+        self._frees += pid_effects.build_free_reports(self._layout, block)
         return block
 
-    def _add_force(self, device: Features, axis: str) -> None:
+    def _add_force(self, device: ReportAccess, axis: str) -> None:
         block = self._create(device, U.CONSTANT_FORCE)
-        self._starts.append(pid_effects.start(self._layout, block))
-        self._stops.append(pid_effects.stop(self._layout, block))
-        zero = pid_effects.magnitude_zero(self._layout, block)
-        device.write(pid_effects.described(self._layout, U.CONSTANT_FORCE, block, axis))
+        self._starts.append(pid_effects.build_start_report(self._layout, block))
+        self._stops.append(pid_effects.build_stop_report(self._layout, block))
+        zero = pid_effects.build_zero_force_report(self._layout, block)
+        device.write(pid_effects.build_effect_report(self._layout, U.CONSTANT_FORCE, block, axis))
         device.write(zero)
-        low, high = limits(self._magnitude)
+        low, high = compute_limits(self._magnitude)
         full = _SIGNS[axis] * min(-low, high)
-        self._pushes.append(_Push(zero, int.from_bytes(zero, "little"), full))
+        self._pushes.append(_ConstantForce(zero, int.from_bytes(zero, "little"), full))
 
-    def _add_condition(self, device: Features, usage: int, share: Share) -> None:
+    def _add_condition(self, device: ReportAccess, usage: int, share: Share) -> None:
         """Make a spring or a damper on all axes, each with its own parameters.
 
         OpenFFBoard rotates a condition by the direction of its effect (a spring along y then pushes
         away) unless the parameters come first; other firmware needs the effect first.
         """
         block = self._create(device, usage)
-        self._condition_starts.append(pid_effects.start(self._layout, block))
-        self._condition_stops.append(pid_effects.stop(self._layout, block))
-        effect = pid_effects.described(self._layout, usage, block, self._layout.forces[0])
+        self._condition_starts.append(pid_effects.build_start_report(self._layout, block))
+        self._condition_stops.append(pid_effects.build_stop_report(self._layout, block))
+        effect = pid_effects.build_effect_report(self._layout, usage, block, self._layout.forces[0])
         device.write(effect)
-        for report in pid_effects.conditions(self._layout, block, share):
+        for report in pid_effects.build_condition_reports(self._layout, block, share):
             device.write(report)
         device.write(effect)
 
 
-def _chosen(forces: tuple[str, ...], pushed: tuple[str, ...]) -> tuple[str, ...]:
+def _select_axes(forces: tuple[str, ...], pushed: tuple[str, ...]) -> tuple[str, ...]:
     if lacking := [axis for axis in pushed if axis not in forces]:
         raise DriverError(f"it cannot push {', '.join(lacking)}, only {', '.join(forces)}")
     return tuple(axis for axis in forces if axis in pushed)
 
 
-def _commands(control: Part, *usages: int) -> tuple[bytes, ...]:
+def _build_control_reports(control: ReportPart, *usages: int) -> tuple[bytes, ...]:
     """Return a Device Control report for each of `usages` that the device knows."""
     known = [usage for usage in usages if control.find(usage) is not None]
     return tuple(control.packed([control.choose(usage)]) for usage in known)

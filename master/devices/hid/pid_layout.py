@@ -9,60 +9,60 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from master.devices.hid import usages as U  # noqa: N812
-from master.devices.hid.bits import limits, put, representable
-from master.devices.hid.descriptor import Descriptor, Field, Kind
+from master.devices.hid.bits import compute_limits, compute_representable_range, write_field
+from master.devices.hid.descriptor import ReportDescriptor, ReportField, ReportType
 from master.devices.hid.driver import DriverError
 from master.devices.hid.inputs import Inputs
 
 FORCE_AXES = {"x": 90.0, "y": 0.0}  # [deg] direction of an effect along the axis, clockwise from -y
 
 
-class Choice(NamedTuple):
+class FieldValue(NamedTuple):
     """A value for a field."""
 
-    field: Field
+    field: ReportField
     value: int
 
 
 @dataclass(frozen=True, slots=True)
-class Part:
+class ReportPart:
     """The fields of one purpose, and the report they are in."""
 
     name: str
     number: int
     length: int  # [byte]
-    fields: tuple[Field, ...]
+    fields: tuple[ReportField, ...]
 
-    def find(self, usage: int) -> Field | None:
+    def find(self, usage: int) -> ReportField | None:
         """Return the field of `usage`, or the array that can select it."""
         return next((field for field in self.fields if usage in field.usages), None)
 
-    def need(self, usage: int) -> Field:
+    def need(self, usage: int) -> ReportField:
         """Return the field of `usage`; `DriverError` if there is none."""
         field = self.find(usage)
         if field is None:
-            raise DriverError(f"{self.name} has no {U.name(usage)}")
+            raise DriverError(f"{self.name} has no {U.format_usage(usage)}")
         return field
 
-    def choose(self, usage: int) -> Choice:
+    def choose(self, usage: int) -> FieldValue:
         """Return the value that selects `usage`: its index in an array, or its own bit."""
         field = self.need(usage)
-        return Choice(field, field.minimum + field.usages.index(usage) if field.array else 1)
+        return FieldValue(field, field.minimum + field.usages.index(usage) if field.array else 1)
 
-    def within(self, usage: int) -> tuple[Field, ...]:
+    def within(self, usage: int) -> tuple[ReportField, ...]:
         """Return the fields in a collection inside this one, in order."""
         return tuple(field for field in self.fields if field.within(usage))
 
-    def packed(self, choices: Iterable[Choice]) -> bytes:
+    def packed(self, choices: Iterable[FieldValue]) -> bytes:
         """Return the report with these values, else zeros; `DriverError` if one does not fit."""
         report = bytearray(self.length)
         report[0] = self.number
         for field, value in choices:
-            low, high = representable(field)
+            low, high = compute_representable_range(field)
             if not low <= value <= high:
-                name = U.name(field.usage)
+                name = U.format_usage(field.usage)
                 raise DriverError(f"{self.name}: {name} cannot hold {value}, only {low} ... {high}")
-            put(report, field, value)
+            write_field(report, field, value)
         return bytes(report)
 
 
@@ -78,20 +78,20 @@ class PidLayout:
         Whether effects are directed by an angle; otherwise by an axes-enable bit.
     """
 
-    set_effect: Part
-    constant_force: Part
-    operation: Part
-    control: Part
-    creation: Part
-    block_load: Part
-    block_free: Part | None
-    gain: Part | None
-    condition: Part | None
+    set_effect: ReportPart
+    constant_force: ReportPart
+    operation: ReportPart
+    control: ReportPart
+    creation: ReportPart
+    block_load: ReportPart
+    block_free: ReportPart | None
+    gain: ReportPart | None
+    condition: ReportPart | None
     forces: tuple[str, ...]
     polar: bool
 
 
-def speaks_pid(descriptor: Descriptor) -> bool:
+def has_pid_collection(descriptor: ReportDescriptor) -> bool:
     """Return whether the descriptor has a PID collection."""
     return any(
         usage >> 16 == U.PID
@@ -101,39 +101,42 @@ def speaks_pid(descriptor: Descriptor) -> bool:
     )
 
 
-def lay_out(descriptor: Descriptor, inputs: Inputs) -> PidLayout:
+def build_layout(descriptor: ReportDescriptor, inputs: Inputs) -> PidLayout:
     """Return the layout; `DriverError` lists everything that is missing."""
-    if not speaks_pid(descriptor):
+    if not has_pid_collection(descriptor):
         raise DriverError("no force feedback of the USB PID class")
     missing: list[str] = []
 
-    def needed(kind: Kind, purpose: int, *contents: int) -> Part:
-        part = _part(descriptor, kind, purpose)
+    def needed(kind: ReportType, purpose: int, *contents: int) -> ReportPart:
+        part = _find_part(descriptor, kind, purpose)
         if part is None:
-            missing.append(f"no {U.name(purpose)} report")
-            return Part(U.name(purpose), 0, 1, ())
-        lacking = [U.name(usage) for usage in contents if part.find(usage) is None]
+            missing.append(f"no {U.format_usage(purpose)} report")
+            return ReportPart(U.format_usage(purpose), 0, 1, ())
+        lacking = [U.format_usage(usage) for usage in contents if part.find(usage) is None]
         if lacking:
             missing.append(f"{part.name} has no {', '.join(lacking)}")
         return part
 
-    out = Kind.OUTPUT
+    out = ReportType.OUTPUT
     set_effect = needed(out, U.SET_EFFECT, U.BLOCK_INDEX, U.CONSTANT_FORCE, U.DURATION)
     constant_force = needed(out, U.SET_CONSTANT_FORCE, U.BLOCK_INDEX, U.MAGNITUDE)
     operation = needed(out, U.EFFECT_OPERATION, U.BLOCK_INDEX, U.OP_START, U.OP_STOP)
     control = needed(out, U.DEVICE_CONTROL, U.ENABLE_ACTUATORS)
-    creation = needed(Kind.FEATURE, U.CREATE_NEW_EFFECT, U.CONSTANT_FORCE)
-    block_load = needed(Kind.FEATURE, U.BLOCK_LOAD, U.BLOCK_INDEX, U.LOAD_SUCCESS)
+    creation = needed(ReportType.FEATURE, U.CREATE_NEW_EFFECT, U.CONSTANT_FORCE)
+    block_load = needed(ReportType.FEATURE, U.BLOCK_LOAD, U.BLOCK_INDEX, U.LOAD_SUCCESS)
 
     magnitude = constant_force.find(U.MAGNITUDE)
-    if magnitude is not None and not limits(magnitude)[0] < 0 < limits(magnitude)[1]:
+    if (
+        magnitude is not None
+        and not compute_limits(magnitude)[0] < 0 < compute_limits(magnitude)[1]
+    ):
         missing.append("its constant force has one direction only")
-    forces = _forces(set_effect, inputs)
+    forces = _find_force_axes(set_effect, inputs)
     if not forces:
         missing.append("it has no force on any axis that it reads")
     if missing:
         raise DriverError("; ".join(missing))
-    block_free = _part(descriptor, out, U.BLOCK_FREE)
+    block_free = _find_part(descriptor, out, U.BLOCK_FREE)
     if block_free is not None and block_free.find(U.BLOCK_INDEX) is None:
         block_free = None
     return PidLayout(
@@ -144,14 +147,14 @@ def lay_out(descriptor: Descriptor, inputs: Inputs) -> PidLayout:
         creation=creation,
         block_load=block_load,
         block_free=block_free,
-        gain=_part(descriptor, out, U.DEVICE_GAIN),
-        condition=_part(descriptor, out, U.SET_CONDITION),
+        gain=_find_part(descriptor, out, U.DEVICE_GAIN),
+        condition=_find_part(descriptor, out, U.SET_CONDITION),
         forces=forces,
         polar=bool(set_effect.find(U.DIRECTION_ENABLE) and set_effect.within(U.DIRECTION)),
     )
 
 
-def _part(descriptor: Descriptor, kind: Kind, purpose: int) -> Part | None:
+def _find_part(descriptor: ReportDescriptor, kind: ReportType, purpose: int) -> ReportPart | None:
     """Return the fields of the first report with a collection of this usage."""
     purposes = (purpose, U.DEVICE_CONTROL_REPORT) if purpose == U.DEVICE_CONTROL else (purpose,)
     for report in descriptor.reports:
@@ -159,11 +162,11 @@ def _part(descriptor: Descriptor, kind: Kind, purpose: int) -> Part | None:
             continue
         fields = tuple(field for field in report.fields if any(map(field.within, purposes)))
         if fields:
-            return Part(U.name(purpose), report.number, report.length, fields)
+            return ReportPart(U.format_usage(purpose), report.number, report.length, fields)
     return None
 
 
-def _forces(set_effect: Part, inputs: Inputs) -> tuple[str, ...]:
+def _find_force_axes(set_effect: ReportPart, inputs: Inputs) -> tuple[str, ...]:
     """Return the axes that effects can act along.
 
     From the axes-enable bits, or else one per direction field.

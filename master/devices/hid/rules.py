@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from master.devices.hid import logitech, spacemouse
 
 # vendor, product (None = every one), and what it is
-KNOWN: tuple[tuple[int, int | None, str], ...] = (
+KNOWN_MODELS: tuple[tuple[int, int | None, str], ...] = (
     (0x1209, 0xFFB0, "OpenFFBoard"),
     (0x2341, 0x8036, "Arduino Leonardo"),
     (0x2341, 0x8037, "Arduino Micro"),
@@ -48,12 +48,12 @@ KNOWN: tuple[tuple[int, int | None, str], ...] = (
 )
 
 
-def rules(others: Iterable[tuple[int, int | None, str]] = ()) -> str:
+def format_rules(others: Iterable[tuple[int, int | None, str]] = ()) -> str:
     """Return the rules file for the known models and for `others` (vendor, product, name).
 
     Only the user logged in at the machine may open these devices (`uaccess`).
     """
-    known = {one[:2]: one for one in KNOWN}
+    known = {one[:2]: one for one in KNOWN_MODELS}
     for one in others:
         known.setdefault(one[:2], one)
     lines = [
@@ -61,16 +61,16 @@ def rules(others: Iterable[tuple[int, int | None, str]] = ()) -> str:
         "# sudo udevadm control --reload , then plug the device in again",
     ]
     for vendor, product, name in known.values():
-        lines += ["", f"# {' '.join(name.split())}", _usb(vendor, product)]
-        lines.append(_bluetooth(vendor, product))
+        lines += ["", f"# {' '.join(name.split())}", _format_usb_rule(vendor, product)]
+        lines.append(_format_bluetooth_rule(vendor, product))
     return "\n".join(lines) + "\n"
 
 
-def _usb(vendor: int, product: int | None) -> str:
+def _format_usb_rule(vendor: int, product: int | None) -> str:
     model = f', ATTRS{{idProduct}}=="{product:04x}"' if product is not None else ""
     return f'KERNEL=="hidraw*", ATTRS{{idVendor}}=="{vendor:04x}"{model}, TAG+="uaccess"'
 
 
-def _bluetooth(vendor: int, product: int | None) -> str:
+def _format_bluetooth_rule(vendor: int, product: int | None) -> str:
     model = f"{product:04X}" if product is not None else "*"
     return f'KERNEL=="hidraw*", KERNELS=="0005:{vendor:04X}:{model}.*", TAG+="uaccess"'

@@ -9,14 +9,14 @@ from typing import NamedTuple
 from master.device import DeviceFault
 from master.devices.hid import missing_driver
 from master.devices.hid.drivers import DRIVERS, INPUTS_ONLY, AttachedNode
-from master.devices.hid.node import REMEDY, Node, backend
-from master.devices.hid.signs import Pusher
+from master.devices.hid.node import REMEDY, Node, load_hidapi
+from master.devices.hid.signs import ForceSignKey
 
 _SYSTEM = Path("/sys/class/hidraw")  # Linux's world-readable descriptors
 _BLUETOOTH = 2  # hidapi's number of that bus
 
 
-class NotThereError(DeviceFault):
+class DeviceNotFoundError(DeviceFault):
     """A device is not attached."""
 
 
@@ -28,10 +28,10 @@ class FoundDevice(NamedTuple):
     descriptor: bytes
 
     @property
-    def pusher(self) -> Pusher:
+    def pusher(self) -> ForceSignKey:
         """Its key in the file of force signs."""
         layout = hashlib.sha256(self.descriptor).hexdigest()[:12]
-        return Pusher(self.item.identity, self.kind, layout)
+        return ForceSignKey(self.item.identity, self.kind, layout)
 
 
 class ExaminedNode(NamedTuple):
@@ -45,7 +45,7 @@ class ExaminedNode(NamedTuple):
     @property
     def advice(self) -> str:
         """What to do about force feedback that no driver can use; empty if there is none."""
-        return missing_driver.advise(self.item, self.descriptor, self.misfits)
+        return missing_driver.format_driver_advice(self.item, self.descriptor, self.misfits)
 
     @property
     def fits(self) -> list[str]:
@@ -53,10 +53,10 @@ class ExaminedNode(NamedTuple):
         return [name for name, why_not in self.misfits.items() if not why_not]
 
 
-def attached() -> tuple[AttachedNode, ...]:
+def list_attached_nodes() -> tuple[AttachedNode, ...]:
     """Return all HID nodes of this machine, by path; `DeviceFault` without hidapi."""
     nodes: dict[str, AttachedNode] = {}
-    for entry in backend().enumerate():
+    for entry in load_hidapi().enumerate():
         path = os.fsdecode(entry["path"])
         usage = (entry.get("usage_page", 0), entry.get("usage", 0))
         known = nodes.get(path)
@@ -81,7 +81,7 @@ def attached() -> tuple[AttachedNode, ...]:
     return tuple(nodes[path] for path in sorted(nodes))
 
 
-def beside(found: FoundDevice) -> frozenset[str]:
+def list_node_paths(found: FoundDevice) -> frozenset[str]:
     """Return the paths of other attached nodes that may be devices.
 
     Called when a device is unplugged, so it only lists names; empty on systems without device
@@ -94,7 +94,7 @@ def beside(found: FoundDevice) -> frozenset[str]:
         return frozenset()
 
 
-def descriptor(item: AttachedNode) -> bytes:
+def read_descriptor(item: AttachedNode) -> bytes:
     """Return a device's report descriptor; `DeviceFault` if it needs a permission."""
     try:
         return (_SYSTEM / Path(item.path).name / "device/report_descriptor").read_bytes()
@@ -106,18 +106,18 @@ def descriptor(item: AttachedNode) -> bytes:
         node.close()
 
 
-def examine(item: AttachedNode) -> ExaminedNode:
+def examine_node(item: AttachedNode) -> ExaminedNode:
     """Return which drivers fit a device, and whether it may be opened."""
     try:
-        data = descriptor(item)
+        data = read_descriptor(item)
     except DeviceFault as fault:
         why = str(fault).removeprefix(f"{item}: ")
         return ExaminedNode(item, b"", dict.fromkeys(DRIVERS, why), why)
     misfits = {name: kind.misfit(item, data) for name, kind in DRIVERS.items()}
-    return ExaminedNode(item, data, misfits, not_ready_reason(item))
+    return ExaminedNode(item, data, misfits, find_access_error(item))
 
 
-def not_ready_reason(item: AttachedNode) -> str:
+def find_access_error(item: AttachedNode) -> str:
     """Return why this user cannot open a device, with the remedy; empty if it can."""
     path = Path(item.path)
     if path.exists() and not os.access(path, os.R_OK | os.W_OK):
@@ -125,7 +125,7 @@ def not_ready_reason(item: AttachedNode) -> str:
     return ""
 
 
-def choose(find: str, driver: str) -> FoundDevice:
+def find_device(find: str, driver: str) -> FoundDevice:
     """Return the device that a config selects.
 
     Parameters
@@ -140,9 +140,9 @@ def choose(find: str, driver: str) -> FoundDevice:
     DeviceFault
         There is none, or more than one, or it cannot be opened; with the remedy.
     """
-    everything = attached()
-    meant = [examine(item) for item in everything if matches(item, find)]
-    fitting = _one_of_each(
+    everything = list_attached_nodes()
+    meant = [examine_node(item) for item in everything if is_match(item, find)]
+    fitting = _select_interfaces(
         FoundDevice(one.item, name, one.descriptor)
         for one in meant
         for name in one.fits
@@ -151,17 +151,17 @@ def choose(find: str, driver: str) -> FoundDevice:
     if driver == "auto":
         fitting = [found for found in fitting if found.kind != INPUTS_ONLY] or fitting
     if not fitting:
-        raise DeviceFault(_missing(find, driver, meant, everything))
+        raise DeviceFault(_describe_missing_device(find, driver, meant, everything))
     if len(fitting) > 1:
-        names = _listed(found.item for found in fitting)
+        names = _format_node_list(found.item for found in fitting)
         raise DeviceFault(f"several devices fit; set find to a serial number or path: {names}")
-    why = not_ready_reason(fitting[0].item)
+    why = find_access_error(fitting[0].item)
     if why:
         raise DeviceFault(f"{fitting[0].item}: {why}")
     return fitting[0]
 
 
-def again(
+def find_reattached_device(
     found: FoundDevice, before: frozenset[str], taken: frozenset[str] = frozenset()
 ) -> FoundDevice:
     """Return the same device at its present path.
@@ -182,28 +182,30 @@ def again(
         There are several of the same identity, or it cannot be opened.
     """
     known = found.item
-    like = [item for item in attached() if item.same_as(known) and item.path not in taken]
+    like = [
+        item for item in list_attached_nodes() if item.same_as(known) and item.path not in taken
+    ]
     same = [item for item in like if item.path == known.path or item.path not in before]
     if not same:
-        raise NotThereError(f"{known}: not attached")
+        raise DeviceNotFoundError(f"{known}: not attached")
     if len(same) > 1:
         raise DeviceFault(
-            f"{known}: several devices of this identity are attached: {_listed(same)}"
+            f"{known}: several devices of this identity are attached: {_format_node_list(same)}"
         )
-    why = not_ready_reason(same[0])
+    why = find_access_error(same[0])
     if why:
         raise DeviceFault(f"{same[0]}: {why}")
     return found._replace(item=same[0])
 
 
-def matches(item: AttachedNode, find: str) -> bool:
+def is_match(item: AttachedNode, find: str) -> bool:
     """Return whether `find` matches this device."""
     if not find:
         return True
     return find.lower() in (*item.models, item.serial.lower(), item.path.lower())
 
 
-def _one_of_each(all_found: Iterable[FoundDevice]) -> list[FoundDevice]:
+def _select_interfaces(all_found: Iterable[FoundDevice]) -> list[FoundDevice]:
     """Keep one interface per device: several interfaces may fit several drivers.
 
     Nodes of one model and serial number are one device as long as their interfaces differ; the same
@@ -218,21 +220,21 @@ def _one_of_each(all_found: Iterable[FoundDevice]) -> list[FoundDevice]:
     kept: list[FoundDevice] = []
     for group in alike.values():
         one_device = len({found.item.interface for found in group}) == len(group)
-        kept += [min(group, key=_rank)] if one_device else group
+        kept += [min(group, key=_get_driver_rank)] if one_device else group
     return kept
 
 
-def _rank(found: FoundDevice) -> int:
+def _get_driver_rank(found: FoundDevice) -> int:
     return list(DRIVERS).index(found.kind)
 
 
-def _missing(
+def _describe_missing_device(
     find: str, driver: str, meant: Sequence[ExaminedNode], everything: Sequence[AttachedNode]
 ) -> str:
     if not everything:
         return "no haptic device attached; plug one in (the system lists no HID device)"
     if not meant:
-        listed = _listed(everything)
+        listed = _format_node_list(everything)
         return f"no device {find!r} attached; plug it in, or correct find (attached: {listed})"
     whys: dict[str, list[AttachedNode]] = {}
     for one in meant:
@@ -240,12 +242,12 @@ def _missing(
         if len(meant) > 1:
             del reasons[1:]  # only the first reason, to keep the line short
         whys.setdefault("; ".join(dict.fromkeys(reasons)), []).append(one.item)
-    listed = "; ".join(f"{_listed(items)}: {why}" for why, items in whys.items())
+    listed = "; ".join(f"{_format_node_list(items)}: {why}" for why, items in whys.items())
     advice = [f"; {one.item}: {one.advice}" for one in meant if one.advice]
     listed += "".join(advice[:1])
     wanted = "no driver fits" if driver == "auto" else f"driver {driver!r} does not fit"
     return f"{wanted}: {listed}" if find else f"{wanted} any attached device: {listed}"
 
 
-def _listed(items: Iterable[AttachedNode]) -> str:
+def _format_node_list(items: Iterable[AttachedNode]) -> str:
     return ", ".join(map(str, items))

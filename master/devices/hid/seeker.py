@@ -5,10 +5,12 @@ from collections.abc import Callable
 from typing import Generic, Protocol, TypeVar
 
 from master.device import DeviceFault
-from master.devices.hid.search import NotThereError
+from master.devices.hid.search import DeviceNotFoundError
 
-LOOK_S = 0.1  # between two looks
-_FAILURES = 20  # consecutive failures before they are reported; a device is not usable at once
+POLL_PERIOD_S = 0.1  # between two looks
+_FAILURES_REPORTED = (
+    20  # consecutive failures before they are reported; a device is not usable at once
+)
 
 
 class Closable(Protocol):
@@ -21,7 +23,7 @@ class Closable(Protocol):
 T = TypeVar("T", bound=Closable)
 
 
-class Seeker(Generic[T]):
+class DeviceReconnection(Generic[T]):
     """Closes the failed device, then tries `open_again` until it succeeds.
 
     The failed device is closed completely first, so that its last report does not reach the next
@@ -55,17 +57,17 @@ class Seeker(Generic[T]):
         failures = 0
         while not self._over.is_set():
             try:
-                if self._broken.end(LOOK_S):
+                if self._broken.end(POLL_PERIOD_S):
                     self._keep(self._open())
                     return
-            except NotThereError:
+            except DeviceNotFoundError:
                 failures, self.trouble = 0, ""
             except Exception as error:
                 failures += 1
-                if failures == _FAILURES:
+                if failures == _FAILURES_REPORTED:
                     expected = isinstance(error, DeviceFault)
                     self.trouble = str(error) if expected else f"search failed: {error!r}"
-            self._over.wait(LOOK_S)
+            self._over.wait(POLL_PERIOD_S)
 
     def _keep(self, found: T) -> None:
         with self._lock:

@@ -14,11 +14,11 @@ import yaml
 
 from teleop.config import loading
 from teleop.errors import UsageError
-from teleop.runtime.process import write_whole
-from teleop.runtime.user_folders import config_folder
+from teleop.runtime.process import write_text_file
+from teleop.runtime.user_folders import find_config_folder
 
 
-class Pusher(NamedTuple):
+class ForceSignKey(NamedTuple):
     """Identity of a device and driver; signs are valid for this combination only."""
 
     device: str  # vendor:product, or vendor:product:serial
@@ -30,40 +30,40 @@ class Pusher(NamedTuple):
 class ForceSign:
     """Force sign of one axis of one device and driver."""
 
-    device: str  # these three as in `Pusher`
+    device: str  # these three as in `ForceSignKey`
     driver: str
     layout: str
     axis: str  # its name, as in `master.device.axes`
     sign: Literal[1, -1]  # 1: a positive force pushes towards larger values of the axis
 
     @property
-    def pusher(self) -> Pusher:
+    def pusher(self) -> ForceSignKey:
         """The device and driver it belongs to."""
-        return Pusher(self.device, self.driver, self.layout)
+        return ForceSignKey(self.device, self.driver, self.layout)
 
 
 @dataclass(frozen=True, slots=True)
-class Signs:
+class ForceSigns:
     """All force signs."""
 
     signs: tuple[ForceSign, ...] = ()
 
-    def of(self, pusher: Pusher) -> dict[str, int]:
+    def of(self, pusher: ForceSignKey) -> dict[str, int]:
         """Return 1 or -1 for each axis with a known sign."""
         return {s.axis: s.sign for s in self.signs if s.pusher == pusher}
 
-    def having(self, found: ForceSign) -> "Signs":
+    def having(self, found: ForceSign) -> "ForceSigns":
         """Return the signs with one added or replaced."""
         mine = found.pusher, found.axis
-        return Signs((*(s for s in self.signs if (s.pusher, s.axis) != mine), found))
+        return ForceSigns((*(s for s in self.signs if (s.pusher, s.axis) != mine), found))
 
 
-def default_path() -> Path:
+def get_default_path() -> Path:
     """Return the default path of the file."""
-    return config_folder() / "tendon-teleop" / "force-signs.yaml"
+    return find_config_folder() / "tendon-teleop" / "force-signs.yaml"
 
 
-def load(path: Path | None) -> Signs:
+def load(path: Path | None) -> ForceSigns:
     """Read the file; a missing file at the default path has no signs.
 
     Raises
@@ -71,21 +71,23 @@ def load(path: Path | None) -> Signs:
     UsageError
         The content is invalid, or a given file does not exist.
     """
-    if path is None and not default_path().exists():
-        return Signs()
+    if path is None and not get_default_path().exists():
+        return ForceSigns()
     if path is not None and not path.exists():
         raise UsageError(
             f"{path}: no such file of force signs; make it with `teleop devices test --signs "
             f"{path}`"
         )
-    return loading.load(path or default_path(), Signs, None)
+    return loading.load(path or get_default_path(), ForceSigns, None)
 
 
-def save(path: Path | None, signs: Signs) -> None:
+def save(path: Path | None, signs: ForceSigns) -> None:
     """Write the file atomically."""
-    place = path or default_path()
+    place = path or get_default_path()
     try:
         place.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise UsageError(f"{place.parent}: cannot be created: {error.strerror}") from error
-    write_whole(place, yaml.safe_dump(loading.as_tree(signs), sort_keys=False), "the force signs")
+    write_text_file(
+        place, yaml.safe_dump(loading.as_tree(signs), sort_keys=False), "the force signs"
+    )

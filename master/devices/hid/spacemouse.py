@@ -8,36 +8,36 @@ list of devices, usbhid-dumps of 256f:c62e and of a SpaceNavigator.
 
 import struct
 
-from master.devices.hid.driver import Controls, Features, Share
+from master.devices.hid.driver import Controls, ReportAccess, Share
 
 VENDOR = 0x256F
 LOGITECH = 0x046D  # vendor of the older models
 LOGITECH_PRODUCTS = (0xC603, 0xC605, 0xC606, 0xC623, 0xC625, 0xC626, 0xC627, 0xC628, 0xC629, 0xC62B)
 
-_FULL = 350.0  # SpaceNavigators reach 500, so full scale is at 70 % of their travel
+_FULL_SCALE = 350.0  # SpaceNavigators reach 500, so full scale is at 70 % of their travel
 _THREE, _SIX = struct.Struct("<3h"), struct.Struct("<6h")
 _BUTTONS = 32
 
 
 class SpaceMouseDriver:
-    """A `master.devices.hid.driver.Driver` of six axes for rate control."""
+    """A `master.devices.hid.driver.HidDriver` of six axes for rate control."""
 
     axes: tuple[str, ...] = ("x", "y", "z", "rx", "ry", "rz")
     forces: tuple[str, ...] = ()
     buttons = _BUTTONS
 
-    def begin(self, device: Features) -> None:
+    def begin(self, device: ReportAccess) -> None:
         """Nothing to set up."""
 
     def decode(self, controls: Controls, report: bytes) -> Controls:
         """Return `controls` updated with `report`."""
         size, kind = len(report), report[0] if report else 0
         if kind == 1 and size >= 13:
-            return controls._replace(axes=_shares(_SIX, report))
+            return controls._replace(axes=_unpack_shares(_SIX, report))
         if kind == 1 and size >= 7:
-            return controls._replace(axes=_shares(_THREE, report) + controls.axes[3:])
+            return controls._replace(axes=_unpack_shares(_THREE, report) + controls.axes[3:])
         if kind == 2 and size >= 7:
-            return controls._replace(axes=controls.axes[:3] + _shares(_THREE, report))
+            return controls._replace(axes=controls.axes[:3] + _unpack_shares(_THREE, report))
         if kind == 3 and size >= 2:
             held = int.from_bytes(report[1:5], "little")
             return Controls(controls.axes, held, (1 << _BUTTONS) - 1)
@@ -52,5 +52,7 @@ class SpaceMouseDriver:
         return ()
 
 
-def _shares(layout: struct.Struct, report: bytes) -> tuple[Share, ...]:
-    return tuple(max(-1.0, min(1.0, count / _FULL)) for count in layout.unpack_from(report, 1))
+def _unpack_shares(layout: struct.Struct, report: bytes) -> tuple[Share, ...]:
+    return tuple(
+        max(-1.0, min(1.0, count / _FULL_SCALE)) for count in layout.unpack_from(report, 1)
+    )

@@ -10,10 +10,10 @@ from typing import Protocol
 
 from master.devices.hid.driver import Controls, Share
 
-GENTLE = (0.05, 0.1, 0.2)  # shares of full force, tried in turn
+TEST_FORCES = (0.05, 0.1, 0.2)  # shares of full force, tried in turn
 PUSH_S = 0.4  # [s] of one push, at most
 REST_S = 0.4  # [s] before it, for the device to come to rest
-MOVED = 0.02  # of full scale of the axis: counts as moved
+MOTION_MIN = 0.02  # of full scale of the axis: counts as moved
 STEP_S = 0.002  # [s] between two looks
 HOLD_S = 2.0  # [s] of a push that a person has to judge
 
@@ -32,12 +32,12 @@ Clock = Callable[[], float]
 Sleep = Callable[[float], None]
 
 
-def sign_of(forth: Share, back: Share) -> int:
+def infer_sign(forth: Share, back: Share) -> int:
     """Return the sign from the motions of a push and the opposite push; 0 = undecided.
 
     1 means that a positive force pushes towards larger values of the axis.
     """
-    if min(abs(forth), abs(back)) < MOVED or (forth > 0.0) == (back > 0.0):
+    if min(abs(forth), abs(back)) < MOTION_MIN or (forth > 0.0) == (back > 0.0):
         return 0
     return 1 if forth > 0.0 else -1
 
@@ -54,17 +54,17 @@ def find_sign(
     forces : int
         Number of `forces`.
     """
-    for share in GENTLE:
-        sign = sign_of(
-            push(device, axis, force, forces, share, clock, sleep),
-            push(device, axis, force, forces, -share, clock, sleep),
+    for share in TEST_FORCES:
+        sign = infer_sign(
+            push_axis(device, axis, force, forces, share, clock, sleep),
+            push_axis(device, axis, force, forces, -share, clock, sleep),
         )
         if sign:
             return sign
     return 0
 
 
-def push(
+def push_axis(
     device: PushableDevice,
     axis: int,
     force: int,
@@ -76,11 +76,11 @@ def push(
     """Push one way until the axis moves; return how far. The force is zero afterwards."""
     none = (0.0,) * forces
     pushed = tuple(share if k == force else 0.0 for k in range(forces))
-    _wait(device, none, clock, sleep)
+    _wait_at_rest(device, none, clock, sleep)
     start = device.read(clock()).axes[axis]
     moved, end = 0.0, clock() + PUSH_S
     try:
-        while clock() < end and not abs(moved) > 2.0 * MOVED:
+        while clock() < end and not abs(moved) > 2.0 * MOTION_MIN:
             device.post(pushed)
             sleep(STEP_S)
             moved = device.read(clock()).axes[axis] - start
@@ -89,7 +89,9 @@ def push(
     return 0.0 if math.isnan(moved) else moved
 
 
-def _wait(device: PushableDevice, none: tuple[Share, ...], clock: Clock, sleep: Sleep) -> None:
+def _wait_at_rest(
+    device: PushableDevice, none: tuple[Share, ...], clock: Clock, sleep: Sleep
+) -> None:
     end = clock() + REST_S
     while clock() < end:
         device.post(none)
@@ -97,7 +99,7 @@ def _wait(device: PushableDevice, none: tuple[Share, ...], clock: Clock, sleep: 
         sleep(STEP_S)
 
 
-def hold(
+def hold_force(
     device: PushableDevice, force: int, forces: int, share: Share, clock: Clock, sleep: Sleep
 ) -> None:
     """Push one way for `HOLD_S`, for a person to feel it. The force is zero afterwards."""

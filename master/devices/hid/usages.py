@@ -147,7 +147,7 @@ _NAMES = {
 }
 
 
-def name(usage: int) -> str:
+def format_usage(usage: int) -> str:
     """Return the name of `usage`; page and number if it is not listed here."""
     known = _NAMES.get(usage) or AXES.get(usage)
     if known:

@@ -1,6 +1,6 @@
 """Writer thread for forces, as a write may block and a control loop must not.
 
-Only the newest force is written. A device with a force timeout is re-armed every `ARM_S` while
+Only the newest force is written. A device with a force timeout is re-armed every `REARM_PERIOD_S` while
 forces are posted; when posting stops, the force is removed and nothing is written any more.
 """
 
@@ -12,16 +12,16 @@ from contextlib import suppress
 from typing import NamedTuple, Protocol
 
 from master.device import DeviceFault
-from master.devices.hid.driver import Driver, Share
+from master.devices.hid.driver import HidDriver, Share
 
-ARM_S = 0.050  # [s] interval of re-arming a device
-ABANDONED_S = 0.050  # [s] without a post after which the force is removed
-HANGING_S = 0.2  # [s] timeout of a write
+REARM_PERIOD_S = 0.050  # [s] interval of re-arming a device
+POST_TIMEOUT_S = 0.050  # [s] without a post after which the force is removed
+WRITE_TIMEOUT_S = 0.2  # [s] timeout of a write
 
 Force = tuple[Share, ...]
 
 
-class Sink(Protocol):
+class ReportSink(Protocol):
     """Destination of reports."""
 
     def write(self, report: bytes) -> None:
@@ -46,10 +46,10 @@ class WriterState(NamedTuple):
 
 
 def step(
-    driver: Driver, memory: WriterState, force: Force, now_s: float
+    driver: HidDriver, memory: WriterState, force: Force, now_s: float
 ) -> tuple[tuple[bytes, ...], WriterState]:
     """Return the reports to be written now for `force`: changes and re-arming."""
-    arm = now_s - memory.armed_s >= ARM_S
+    arm = now_s - memory.armed_s >= REARM_PERIOD_S
     reports = driver.encode(force, arm)
     due = reports if arm else tuple(r for r in reports if r not in memory.reports)
     return due, WriterState(reports, now_s if arm else memory.armed_s)
@@ -61,7 +61,7 @@ class Writer:
     Parameters
     ----------
     beat : callable
-        Called every `ARM_S` before a force is written; its `DeviceFault` fails the device.
+        Called every `REARM_PERIOD_S` before a force is written; its `DeviceFault` fails the device.
 
     Attributes
     ----------
@@ -71,8 +71,8 @@ class Writer:
 
     def __init__(
         self,
-        node: Sink,
-        driver: Driver,
+        node: ReportSink,
+        driver: HidDriver,
         beat: Callable[[], None] = lambda: None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
@@ -88,8 +88,8 @@ class Writer:
 
     @property
     def hangs(self) -> bool:
-        """Whether a write has exceeded `HANGING_S`."""
-        return self._clock() - self._writing_since_s > HANGING_S
+        """Whether a write has exceeded `WRITE_TIMEOUT_S`."""
+        return self._clock() - self._writing_since_s > WRITE_TIMEOUT_S
 
     def post(self, force: Force) -> None:
         """Set the force from now on; never waits."""
@@ -126,12 +126,12 @@ class Writer:
     def _write_posts(self) -> None:
         memory, force = WriterState(), self._none
         while True:
-            posted = self._next(ABANDONED_S if any(force) else None)
+            posted = self._next(POST_TIMEOUT_S if any(force) else None)
             if self._ending:
                 return
             now_s = self._clock()
             # forces from before a suspension of this process are outdated
-            fresh = posted is not None and now_s - posted.at_s <= ABANDONED_S
+            fresh = posted is not None and now_s - posted.at_s <= POST_TIMEOUT_S
             force = posted.force if posted is not None and fresh else self._none
             armed_s = memory.armed_s
             reports, memory = step(self._driver, memory, force, now_s)

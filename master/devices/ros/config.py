@@ -27,7 +27,7 @@ class RosDeviceConfig:
     def __post_init__(self) -> None:
         """Check the values; raises `ValueError`."""
         # here, as the network's packages are slow to load, and no other device needs them
-        from teleop.ros.config import LARGEST_DOMAIN, check_router
+        from teleop.ros.config import DOMAIN_MAX, check_router
         from teleop.ros.graph import is_name
 
         most = MAX_JOINTS if self.command == "servo_jp" else TWIST_AXES
@@ -40,8 +40,8 @@ class RosDeviceConfig:
                 raise ValueError(f"{name}: must be above 0 and at most 10 [{unit}]")
         if not 10.0 <= self.rate_max <= 10_000.0:
             raise ValueError("rate_max: must be within 10 ... 10000 [Hz]")
-        if not 0 <= self.domain <= LARGEST_DOMAIN:
-            raise ValueError(f"domain: must be 0 to {LARGEST_DOMAIN}")
+        if not 0 <= self.domain <= DOMAIN_MAX:
+            raise ValueError(f"domain: must be 0 to {DOMAIN_MAX}")
         check_router(self.router)
         if self.prefix and not is_name(self.prefix):
             raise ValueError("prefix: must be empty or a name such as /lab")

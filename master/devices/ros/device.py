@@ -16,9 +16,9 @@ from master.device import Axes, DeviceFault, DeviceLost, HandState
 from master.devices.ros.config import RosDeviceConfig
 from master.devices.ros.motion import CommandMotion
 from master.devices.ros.record import SIZE, CommandRecord
-from teleop.runtime.process import module_command
+from teleop.runtime.process import build_module_command
 
-SILENT_NS = 250_000_000  # [ns] without a record of the receiver
+RECORD_TIMEOUT_NS = 250_000_000  # [ns] without a record of the receiver
 _READ_BYTES = 64 * SIZE
 
 
@@ -44,7 +44,7 @@ class RosDevice:
         self._began = False
         self._pipe, theirs = os.pipe()
         os.set_blocking(self._pipe, False)
-        words = [*module_command("master.devices.ros.receiver"), str(theirs)]
+        words = [*build_module_command("master.devices.ros.receiver"), str(theirs)]
         try:
             self._process = subprocess.Popen(
                 [*words, json.dumps(asdict(config)), str(os.getpid())],
@@ -77,9 +77,13 @@ class RosDevice:
             return self._motion.rest()
         age_ns = now_ns - record.received_ns
         wrong = record.fault
-        if now_ns - record.written_ns > SILENT_NS:
+        if now_ns - record.written_ns > RECORD_TIMEOUT_NS:
             wrong = "the receiver of ROS commands does not answer"
-        elif not wrong and record.engagement and age_ns > self._config.timeout * 1e9 + SILENT_NS:
+        elif (
+            not wrong
+            and record.engagement
+            and age_ns > self._config.timeout * 1e9 + RECORD_TIMEOUT_NS
+        ):
             wrong = f"ROS {self._config.command}: silent"
         if wrong:
             self._motion.rest()

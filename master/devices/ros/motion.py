@@ -11,7 +11,7 @@ from master.device import Axes, HandState
 from master.devices.ros.config import RosDeviceConfig
 from master.devices.ros.record import CommandRecord
 
-_LONGEST_STEP_S = 0.01  # [s] of a velocity integrated over one tick
+_STEP_MAX_S = 0.01  # [s] of a velocity integrated over one tick
 
 
 class CommandMotion:
@@ -76,7 +76,7 @@ class CommandMotion:
     def _integrate(self, velocity: Axes, dt: float) -> None:
         """Move at a commanded velocity; not at all without one."""
         self._velocity = velocity or (0.0,) * len(self._position)
-        step = min(dt, _LONGEST_STEP_S)
+        step = min(dt, _STEP_MAX_S)
         self._position = tuple(
             x + v * step for x, v in zip(self._position, self._velocity, strict=True)
         )

@@ -2,7 +2,7 @@
 
   python -m master.devices.ros.receiver PIPE CONFIG
 
-It checks every command and writes the newest accepted one to a pipe, at most every `PERIOD_S`: no
+It checks every command and writes the newest accepted one to a pipe, at most every `RECORD_INTERVAL_MIN_S`: no
 flood of messages reaches the loop, and an end or a stall of this process is noticed there.
 """
 
@@ -16,54 +16,56 @@ from functools import partial
 
 from master.devices.ros.config import RosDeviceConfig
 from master.devices.ros.record import CommandRecord
-from master.devices.ros.stream import CommandStream, Sample
-from teleop.link.ros_session import router_listens
+from master.devices.ros.stream import CommandStream, ReceivedMessage
+from teleop.link.ros_session import is_router_listening
 from teleop.ros.command_topics import SERVO_CV, SERVO_JP, STATE_COMMAND
 from teleop.ros.graph import BEST_EFFORT, RELIABLE, Qos
 from teleop.ros.node import RosNode
-from teleop.ros.outputs import full_name
+from teleop.ros.outputs import build_topic_name
 from teleop.ros.standard import JointState, StringStamped, TwistStamped
-from teleop.runtime.process import Stop, die_with_parent, let_loops_first
+from teleop.runtime.process import StopCondition, die_with_parent, lower_priority
 
-PERIOD_S = 0.002  # [s] least time between two records
-BEAT_S = 0.02  # [s] largest time between two records
-_LOOK_BEATS = 25  # between two looks for the router
-_KEPT = 5000  # messages that wait; more are dropped, and counted as far as that shows a flood
+RECORD_INTERVAL_MIN_S = 0.002  # [s] least time between two records
+RECORD_INTERVAL_MAX_S = 0.02  # [s] largest time between two records
+_ROUTER_POLL_RECORDS = 25  # between two looks for the router
+_QUEUE_LENGTH = (
+    5000  # messages that wait; more are dropped, and counted as far as that shows a flood
+)
 NODE = "tendon_teleop_master"
 
-Arrival = tuple[bool, Sample]  # whether it is a motion command
+Arrival = tuple[bool, ReceivedMessage]  # whether it is a motion command
 
 
 def run(config: RosDeviceConfig, pipe: int) -> None:
     """Receive until told to end."""
-    stop, arrivals = Stop(), queue.Queue[Arrival](_KEPT)
+    stop, arrivals = StopCondition(), queue.Queue[Arrival](_QUEUE_LENGTH)
     stream = CommandStream(config)
-    while not stop() and not router_listens(config.router):
-        for _ in range(_LOOK_BEATS):
-            write(pipe, stream)
-            time.sleep(BEAT_S)
+    while not stop() and not is_router_listening(config.router):
+        for _ in range(_ROUTER_POLL_RECORDS):
+            write_record(pipe, stream)
+            time.sleep(RECORD_INTERVAL_MAX_S)
     if stop():
         return
 
     def receive(motion: bool, data: bytes, publisher: bytes, sent_ns: int) -> None:
         with suppress(queue.Full):
             now = time.monotonic_ns()
-            arrivals.put_nowait((motion, Sample(data, publisher, sent_ns, now)))
+            arrivals.put_nowait((motion, ReceivedMessage(data, publisher, sent_ns, now)))
 
     servo = SERVO_JP if config.command == "servo_jp" else SERVO_CV
     message = JointState if config.command == "servo_jp" else TwistStamped
-    topic, state_topic = (full_name(name, config.prefix) for name in (servo, STATE_COMMAND))
+    topic, state_topic = (build_topic_name(name, config.prefix) for name in (servo, STATE_COMMAND))
     with RosNode(config.router, config.domain, NODE) as node:
         node.subscribe(topic, message, Qos(BEST_EFFORT, 1), partial(receive, True))
         node.subscribe(state_topic, StringStamped, Qos(RELIABLE, 10), partial(receive, False))
         while not stop():
-            take(stream, wait(arrivals))
+            process_messages(stream, collect_arrivals(arrivals))
             stream.step(time.monotonic_ns())
-            write(pipe, stream)
-            time.sleep(PERIOD_S)
+            write_record(pipe, stream)
+            time.sleep(RECORD_INTERVAL_MIN_S)
 
 
-def write(pipe: int, stream: CommandStream) -> None:
+def write_record(pipe: int, stream: CommandStream) -> None:
     """Write the state of the commands."""
     record = CommandRecord(
         written_ns=time.monotonic_ns(),
@@ -77,19 +79,19 @@ def write(pipe: int, stream: CommandStream) -> None:
         os.write(pipe, record.pack())
 
 
-def wait(arrivals: "queue.Queue[Arrival]") -> list[Arrival]:
-    """Return the messages that have arrived, after waiting for one at most `BEAT_S`."""
+def collect_arrivals(arrivals: "queue.Queue[Arrival]") -> list[Arrival]:
+    """Return the messages that have arrived, after waiting for one at most `RECORD_INTERVAL_MAX_S`."""
     found: list[Arrival] = []
     with suppress(queue.Empty):
-        found.append(arrivals.get(timeout=BEAT_S))
-        while len(found) < _KEPT:
+        found.append(arrivals.get(timeout=RECORD_INTERVAL_MAX_S))
+        while len(found) < _QUEUE_LENGTH:
             found.append(arrivals.get_nowait())
     return found
 
 
-def take(stream: CommandStream, arrivals: list[Arrival]) -> None:
+def process_messages(stream: CommandStream, arrivals: list[Arrival]) -> None:
     """Take messages in their order."""
-    motion: list[Sample] = []
+    motion: list[ReceivedMessage] = []
     for is_motion, sample in arrivals:
         if is_motion:
             motion.append(sample)
@@ -103,7 +105,7 @@ def take(stream: CommandStream, arrivals: list[Arrival]) -> None:
 def main(pipe: str, config: str, parent: str) -> None:
     """Run with the arguments of the command line."""
     die_with_parent(int(parent))
-    let_loops_first()
+    lower_priority()
     os.set_blocking(int(pipe), False)
     with suppress(BrokenPipeError):
         run(RosDeviceConfig(**json.loads(config)), int(pipe))

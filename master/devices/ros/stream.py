@@ -14,12 +14,12 @@ from teleop.ros import cdr
 from teleop.ros.standard import JointState, StringStamped, TwistStamped
 
 _WINDOW_NS = 100_000_000  # [ns] over which messages are counted
-_BUNCH_S = 0.02  # [s] of motion that may arrive at once: one period at 50 Hz, the slowest stream
-_DRIFT = 1000  # inverse of the largest drift between the clocks of sender and receiver
+_BURST_S = 0.02  # [s] of motion that may arrive at once: one period at 50 Hz, the slowest stream
+_DRIFT_DIVISOR = 1000  # inverse of the largest drift between the clocks of sender and receiver
 _ENABLE, _DISABLE = ("enable", "resume"), ("disable", "pause")
 
 
-class Sample(NamedTuple):
+class ReceivedMessage(NamedTuple):
     """A message as received."""
 
     data: bytes
@@ -61,7 +61,7 @@ class CommandStream:
     _window_ns: int = 0
     _count: int = 0
 
-    def servo(self, samples: list[Sample]) -> None:
+    def servo(self, samples: list[ReceivedMessage]) -> None:
         """Take the commands since the last call, oldest first, as far as they are good."""
         if not samples:
             return
@@ -99,7 +99,7 @@ class CommandStream:
         if not self.engage and self._is_silent(now_ns):
             self._publisher, self._least_ns = b"", 0  # another node may begin
 
-    def _accept(self, sample: Sample) -> None:
+    def _accept(self, sample: ReceivedMessage) -> None:
         """Take a command, or fail."""
         try:
             values = self._decode(sample.data)
@@ -133,7 +133,7 @@ class CommandStream:
         linear = cdr.decode(TwistStamped, data).twist.linear
         return (linear.x, linear.y, linear.z)[: self.config.axes]
 
-    def _wrong_sender(self, sample: Sample) -> str:
+    def _wrong_sender(self, sample: ReceivedMessage) -> str:
         """Return what is wrong with origin and delay of a sample; empty if nothing is."""
         late_s = self._lateness_ns(sample) * 1e-9
         if sample.publisher != self._publisher:
@@ -142,12 +142,12 @@ class CommandStream:
             return f"{late_s:.3f} s late (timeout {self.config.timeout:g} s)"
         return ""
 
-    def _lateness_ns(self, sample: Sample) -> int:
+    def _lateness_ns(self, sample: ReceivedMessage) -> int:
         """Return the delay of a sample in excess of the least of its publisher."""
         delay = sample.received_ns - sample.sent_ns
         if not self._publisher:
             self._publisher, self._least_ns = sample.publisher, delay
-        risen = self._least_ns + max(0, sample.received_ns - self.received_ns) // _DRIFT
+        risen = self._least_ns + max(0, sample.received_ns - self.received_ns) // _DRIFT_DIVISOR
         self._least_ns = min(risen if self.received_ns else delay, delay)
         return delay - self._least_ns
 
@@ -175,10 +175,10 @@ class CommandStream:
         """
         speed_max = self.config.speed_max
         if not self.values or self._is_silent(now_ns):  # a stream begins
-            self._allowed_m = speed_max * _BUNCH_S
+            self._allowed_m = speed_max * _BURST_S
             return ""
         passed_s = (now_ns - self.received_ns) * 1e-9
-        most_m = speed_max * max(passed_s, _BUNCH_S)
+        most_m = speed_max * max(passed_s, _BURST_S)
         self._allowed_m = min(self._allowed_m + speed_max * passed_s, most_m)
         moved_m = max(abs(a - b) for a, b in zip(values, self.values, strict=True))
         if moved_m > self._allowed_m:

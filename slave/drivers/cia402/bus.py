@@ -47,7 +47,7 @@ def open_bus(config: Cia402Config) -> ClaimedBus:
     DriverFault
         It cannot be opened, another program of this machine uses it, or another controller does.
     """
-    place = bus_name(config)
+    place = format_bus_name(config)
     interface, channel = config.bus.interface, config.bus.channel
     logging.getLogger("canopen").addHandler(logging.NullHandler())  # its errors are raised, too
     is_serial = interface == "slcan"
@@ -64,10 +64,10 @@ def open_bus(config: Cia402Config) -> ClaimedBus:
     bus.send = retry_full_queue(bus.send)  # type: ignore[method-assign]
     opened = ClaimedBus(bus, claim)
     try:
-        require_alone(bus, config)
+        require_sole_controller(bus, config)
     except (can.CanError, OSError) as error:
         opened.shutdown()
-        raise bus_fault(config, error) from error
+        raise to_driver_fault(config, error) from error
     except DriverFault:
         opened.shutdown()
         raise
@@ -75,7 +75,7 @@ def open_bus(config: Cia402Config) -> ClaimedBus:
 
 
 @contextmanager
-def opened_network(config: Cia402Config) -> Iterator[canopen.Network]:
+def open_network(config: Cia402Config) -> Iterator[canopen.Network]:
     """Open the bus for SDO requests; errors of the bus in the context are a `DriverFault`."""
     opened = open_bus(config)
     network = canopen.Network(opened.bus)
@@ -83,21 +83,21 @@ def opened_network(config: Cia402Config) -> Iterator[canopen.Network]:
     try:
         yield network
     except (can.CanError, OSError) as error:
-        raise bus_fault(config, error) from error
+        raise to_driver_fault(config, error) from error
     finally:
         with suppress(can.CanError, OSError):
             network.disconnect()
         opened.claim.close()
 
 
-def bus_name(config: Cia402Config) -> str:
+def format_bus_name(config: Cia402Config) -> str:
     """Return the name of the bus in messages."""
     return f"CAN {config.bus.channel}"
 
 
-def bus_fault(config: Cia402Config, error: Exception) -> DriverFault:
+def to_driver_fault(config: Cia402Config, error: Exception) -> DriverFault:
     """Return an error of the bus in words."""
-    place = bus_name(config)
+    place = format_bus_name(config)
     if is_queue_full(error):
         return DriverFault(
             f"{place}: no node acknowledges frames, the send queue is full: are the drives powered,"
@@ -128,19 +128,19 @@ def retry_full_queue(send: Send) -> Send:
     return send_in_time
 
 
-def require_alone(bus: can.BusABC, config: Cia402Config) -> None:
+def require_sole_controller(bus: can.BusABC, config: Cia402Config) -> None:
     """Listen for a moment; `DriverFault` if another controller speaks to the nodes."""
     until_s = time.monotonic() + LISTEN_S
     while (left_s := until_s - time.monotonic()) > 0.0:
         message = bus.recv(left_s)
-        if message is not None and (text := controller_text(message, config.master)):
+        if message is not None and (text := identify_controller_frame(message, config.master)):
             raise DriverFault(
-                f"{bus_name(config)}: another controller is on the bus ({text} was received): "
+                f"{format_bus_name(config)}: another controller is on the bus ({text} was received): "
                 "end it first; nothing was sent"
             )
 
 
-def controller_text(message: can.Message, master: int) -> str:
+def identify_controller_frame(message: can.Message, master: int) -> str:
     """Return what a frame is that only a controller sends; empty for any other."""
     if message.is_error_frame or message.is_extended_id:
         return ""

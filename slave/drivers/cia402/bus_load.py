@@ -4,7 +4,7 @@ LOAD_MAX = 0.95
 HEARTBEATS_HZ = 110.0  # ours, every 10 ms, and one a node every 100 ms
 
 
-def frame_bits(data: int) -> int:
+def compute_frame_bits(data: int) -> int:
     """Return the most bits of a frame with 11-bit identifier and `data` bytes, stuffing included.
 
     44 bits of frame and 3 of interframe space; one stuff bit for every four of the 34 + 8 data bits
@@ -14,7 +14,7 @@ def frame_bits(data: int) -> int:
     return 47 + 8 * data + (stuffed - 1) // 4
 
 
-def bus_load(
+def compute_bus_load(
     bitrate: float,
     rate_hz: float,
     drives: int,
@@ -44,7 +44,7 @@ def bus_load(
     """
     width = 4 if wide else 2
     shared = 0 if wide else together
-    cycle = frame_bits(0) + drives * frame_bits(6)
-    cycle += (drives - shared) * frame_bits(6) + shared * frame_bits(6 + width)
-    cycle += (cells - shared) * frame_bits(width)
-    return (cycle * rate_hz + beats_hz * frame_bits(1)) / bitrate
+    cycle = compute_frame_bits(0) + drives * compute_frame_bits(6)
+    cycle += (drives - shared) * compute_frame_bits(6) + shared * compute_frame_bits(6 + width)
+    cycle += (cells - shared) * compute_frame_bits(width)
+    return (cycle * rate_hz + beats_hz * compute_frame_bits(1)) / bitrate

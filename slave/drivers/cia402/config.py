@@ -3,13 +3,15 @@
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-from slave.drivers.cia402.bus_load import HEARTBEATS_HZ, LOAD_MAX, bus_load
+from slave.drivers.cia402.bus_load import HEARTBEATS_HZ, LOAD_MAX, compute_bus_load
 from slave.drivers.cia402.period import RATE_MAX, RATE_MIN, encode_period, highest_rate
 
 INT32_MIN, INT32_MAX = -(1 << 31), (1 << 31) - 1
 FOLLOWING_ERROR_MAX = (1 << 32) - 2  # [counts] one more switches the supervision off (6065)
 FOLLOWING_TIME_MAX = 65.5  # [s] 16 bits of milliseconds (6066)
-BEATS = 4  # heartbeats, or requests to a guarded drive, in the time of its watchdog
+HEARTBEATS_PER_TIMEOUT = (
+    4  # heartbeats, or requests to a guarded drive, in the time of its watchdog
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,7 +115,7 @@ class Cia402Config:
     @property
     def beat_s(self) -> float:
         """Time [s] between two heartbeats, or two requests to a guarded drive."""
-        return self.watchdog / BEATS
+        return self.watchdog / HEARTBEATS_PER_TIMEOUT
 
     def require_load(self, drives: int, cells: int, together: int) -> float:
         """Return the share of the bus in use; raises `ValueError` if it cannot fit.
@@ -127,7 +129,7 @@ class Cia402Config:
         guarded = self.error_control == "guarding"
         beats_hz = 2.0 * drives / self.beat_s if guarded else HEARTBEATS_HZ  # request and answer
         idle, load = (
-            bus_load(self.bus.bitrate, rate_hz, drives, cells, together, wide, beats_hz)
+            compute_bus_load(self.bus.bitrate, rate_hz, drives, cells, together, wide, beats_hz)
             for rate_hz in (0.0, self.rate_hz)
         )
         if load > LOAD_MAX:

@@ -10,17 +10,24 @@ import can
 import canopen
 import numpy as np
 
-from slave.drivers.cia402.bus import HEARTBEAT, SYNC, ClaimedBus, bus_fault, bus_name, open_bus
+from slave.drivers.cia402.bus import (
+    HEARTBEAT,
+    SYNC,
+    ClaimedBus,
+    format_bus_name,
+    open_bus,
+    to_driver_fault,
+)
 from slave.drivers.cia402.config import Cia402Config
-from slave.drivers.cia402.emergency import emergency_text
-from slave.drivers.cia402.set_up import NodeSetUp
+from slave.drivers.cia402.emergency import format_emergency
+from slave.drivers.cia402.set_up import NodeSetup
 from slave.drivers.cia402.state_machine import (
     FOLLOWING_ERROR,
     INTERPOLATE,
     DriveState,
     RequestedState,
-    control_word,
-    drive_state,
+    decode_drive_state,
+    select_control_word,
 )
 from slave.drivers.driver import Channels, Counts, DriverFault, Reading
 
@@ -28,14 +35,14 @@ EMERGENCY, TPDO1, TPDO2, RPDO1 = 0x80, 0x180, 0x280, 0x200
 OPERATIONAL, BOOT_UP = 5, 0  # NMT states in a heartbeat
 ENABLE_S = 2.0  # [s] in which a drive must be enabled, its brake released
 EMERGENCY_S = 0.02  # [s] to wait for the reason of a fault
-STOPS = 3  # quick stops sent at the end
-TOGGLE = 0x80  # bit of a guarded node's answer, which changes from one to the next
+QUICK_STOPS = 3  # quick stops sent at the end
+TOGGLE_BIT = 0x80  # bit of a guarded node's answer, which changes from one to the next
 BUS_OFF = 0x40  # class of an error frame
 LIMIT = (1 << 31) - 1  # [counts]
 _COMMAND, _STATUS = struct.Struct("<Hi"), struct.Struct("<Hi")
 
 
-class _Node:
+class _NodeState:
     """What is known of one node."""
 
     def __init__(self, number: int, moves: bool, cell: bool) -> None:
@@ -50,17 +57,17 @@ class _Node:
 
     @property
     def state(self) -> DriveState:
-        return drive_state(self.status)
+        return decode_drive_state(self.status)
 
 
 class Cia402Driver:
-    """A `slave.drivers.driver.Driver`; every node samples at SYNC, so readings are of one time."""
+    """A `slave.drivers.driver.BusDriver`; every node samples at SYNC, so readings are of one time."""
 
     def __init__(self, config: Cia402Config, channels: Channels) -> None:
         self._config, self._channels = config, channels
         self.period_s = 1.0 / config.rate_hz
         numbers = sorted({*channels.motors, *channels.cells})
-        self._nodes = {n: _Node(n, n in channels.motors, n in channels.cells) for n in numbers}
+        self._nodes = {n: _NodeState(n, n in channels.motors, n in channels.cells) for n in numbers}
         self._opened: ClaimedBus | None = None
         self._bus: can.BusABC | None = None
         self._requested = RequestedState.OFF
@@ -86,13 +93,13 @@ class Cia402Driver:
         try:
             for node in self._nodes.values():
                 network.send_message(0, bytes([0x80, node.number]))  # pre-operational
-                set_up = NodeSetUp(network, node.number, self._config)
+                set_up = NodeSetup(network, node.number, self._config)
                 if node.moves:
                     set_up.drive(with_cell=node.has_cell)
                 else:
                     set_up.cell()
         except can.CanError as error:
-            raise bus_fault(self._config, error) from error
+            raise to_driver_fault(self._config, error) from error
         finally:
             if network.notifier is not None:
                 network.notifier.stop()
@@ -151,7 +158,7 @@ class Cia402Driver:
             return
         with contextlib.suppress(DriverFault, can.CanError, OSError):
             self._requested = RequestedState.STOP
-            for _ in range(STOPS if self._began_s else 0):
+            for _ in range(QUICK_STOPS if self._began_s else 0):
                 self._command(None)
                 self._send(SYNC, b"")
                 self._collect(time.monotonic() + self.period_s)
@@ -161,7 +168,7 @@ class Cia402Driver:
 
     @property
     def _place(self) -> str:
-        return bus_name(self._config)
+        return format_bus_name(self._config)
 
     def _operates(self) -> bool:
         """Return whether a drive still says that it is enabled, a cycle after a quick stop."""
@@ -173,7 +180,7 @@ class Cia402Driver:
         targets = [math.nan] * len(self._channels.motors) if target is None else target.tolist()
         for number, value in zip(self._channels.motors, targets, strict=True):
             node = self._nodes[number]
-            word = control_word(node.state, self._requested)
+            word = select_control_word(node.state, self._requested)
             moving = (
                 node.state is DriveState.OPERATION_ENABLED
                 and self._requested is RequestedState.MOVE
@@ -217,13 +224,13 @@ class Cia402Driver:
             node.cell = float(self._cell.unpack(data)[0])
         elif kind == EMERGENCY and len(data) >= 2:
             code = int.from_bytes(data[:2], "little")
-            node.emergency = emergency_text(code) if code else ""
+            node.emergency = format_emergency(code) if code else ""
             return
         elif kind == HEARTBEAT and data[:1] == bytes([BOOT_UP]):
             node.restarted = True
             return
-        elif kind == HEARTBEAT and data and data[0] & TOGGLE == node.toggle:
-            node.guarded_s, node.toggle = time.monotonic(), node.toggle ^ TOGGLE
+        elif kind == HEARTBEAT and data and data[0] & TOGGLE_BIT == node.toggle:
+            node.guarded_s, node.toggle = time.monotonic(), node.toggle ^ TOGGLE_BIT
             return
         else:
             return
@@ -266,7 +273,7 @@ class Cia402Driver:
                 raise DriverFault(f"drive {node.number} cannot be enabled: {state.text}")
         self._obeyed = self._obeyed or (following and self._requested is RequestedState.MOVE)
 
-    def _reason(self, node: _Node) -> str:
+    def _reason(self, node: _NodeState) -> str:
         """Return why a drive has a fault; its emergency message may come after the status word."""
         until_s = time.monotonic() + EMERGENCY_S
         while not node.emergency and (left_s := until_s - time.monotonic()) > 0.0:
@@ -298,7 +305,7 @@ class Cia402Driver:
         try:
             self._bus.send(message)
         except (can.CanError, OSError) as error:
-            raise bus_fault(self._config, error) from error
+            raise to_driver_fault(self._config, error) from error
 
     def _receive(self, timeout_s: float) -> can.Message | None:
         if self._bus is None:
@@ -306,4 +313,4 @@ class Cia402Driver:
         try:
             return self._bus.recv(timeout_s)
         except (can.CanError, OSError) as error:
-            raise bus_fault(self._config, error) from error
+            raise to_driver_fault(self._config, error) from error

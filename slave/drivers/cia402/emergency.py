@@ -40,7 +40,7 @@ _TEXTS = {  # the more exact first: by code, then by its first two digits, then 
 }
 
 
-def emergency_text(code: int) -> str:
+def format_emergency(code: int) -> str:
     """Return an error code in words with its number, as in 'following error (0x8611)'."""
     for known in (code, code & 0xFF00, code & 0xF000):
         if known in _TEXTS:

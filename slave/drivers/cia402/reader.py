@@ -7,33 +7,33 @@ from contextlib import ExitStack
 import can
 import numpy as np
 
-from slave.drivers.cia402.bus import bus_fault, opened_network
+from slave.drivers.cia402.bus import open_network, to_driver_fault
 from slave.drivers.cia402.config import Cia402Config
-from slave.drivers.cia402.set_up import NodeSetUp
+from slave.drivers.cia402.set_up import NodeSetup
 from slave.drivers.driver import Channels, Counts, Reading
 
 RATE_HZ = 50.0  # at most; an upload takes two frames a value
 
 
 class Cia402Reader:
-    """A `slave.drivers.driver.Driver` that writes nothing and takes no targets."""
+    """A `slave.drivers.driver.BusDriver` that writes nothing and takes no targets."""
 
     def __init__(self, config: Cia402Config, channels: Channels) -> None:
         self._config, self._channels = config, channels
         self.period_s = 1.0 / min(RATE_HZ, config.rate_hz)
         self._stack = ExitStack()
-        self._nodes: dict[int, NodeSetUp] = {}
+        self._nodes: dict[int, NodeSetup] = {}
 
     def start(self) -> None:
         """Open the bus; look at the state of every drive."""
-        network = self._stack.enter_context(opened_network(self._config))
+        network = self._stack.enter_context(open_network(self._config))
         for number in sorted({*self._channels.motors, *self._channels.cells}):
-            self._nodes[number] = NodeSetUp(network, number, self._config)
+            self._nodes[number] = NodeSetup(network, number, self._config)
         try:
             for number in self._channels.motors:
                 self._nodes[number].require_drive()
         except (can.CanError, OSError) as error:
-            raise bus_fault(self._config, error) from error
+            raise to_driver_fault(self._config, error) from error
 
     def cycle(self, target: Counts | None) -> Sequence[Reading]:  # noqa: ARG002 - of a Driver
         """Read the position of every motor and the value of every cell."""
@@ -46,7 +46,7 @@ class Cia402Reader:
                 for k in self._channels.cells
             ]
         except (can.CanError, OSError) as error:
-            raise bus_fault(self._config, error) from error
+            raise to_driver_fault(self._config, error) from error
         sampled_s = 0.5 * (began_s + time.monotonic())
         return (Reading(sampled_s, np.array(position, float), np.array(cell, float)),)
 

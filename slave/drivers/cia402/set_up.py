@@ -7,9 +7,9 @@ import time
 import canopen
 from canopen.sdo.exceptions import SdoAbortedError, SdoError
 
-from slave.drivers.cia402.config import BEATS, Cia402Config
-from slave.drivers.cia402.emergency import emergency_text
-from slave.drivers.cia402.state_machine import Control, DriveState, drive_state
+from slave.drivers.cia402.config import HEARTBEATS_PER_TIMEOUT, Cia402Config
+from slave.drivers.cia402.emergency import format_emergency
+from slave.drivers.cia402.state_machine import ControlWord, DriveState, decode_drive_state
 from slave.drivers.driver import DriverFault
 
 SDO_TIMEOUT_S = 0.3
@@ -33,7 +33,7 @@ class NoAnswer(DriverFault):
     """A node does not answer SDO requests."""
 
 
-class NodeSetUp:
+class NodeSetup:
     """One node while it is set up, in the state pre-operational."""
 
     def __init__(
@@ -85,10 +85,10 @@ class NodeSetUp:
 
     def reset_fault(self) -> DriveState:
         """Reset a fault by the rising edge of its bit; return the state after it."""
-        self.put(0x6040, 0, 2, Control.DISABLE_VOLTAGE, check=False)
-        self.put(0x6040, 0, 2, Control.RESET_FAULT, check=False)
-        self.put(0x6040, 0, 2, Control.DISABLE_VOLTAGE, check=False)
-        return drive_state(self.get(0x6041, 0))
+        self.put(0x6040, 0, 2, ControlWord.DISABLE_VOLTAGE, check=False)
+        self.put(0x6040, 0, 2, ControlWord.RESET_FAULT, check=False)
+        self.put(0x6040, 0, 2, ControlWord.DISABLE_VOLTAGE, check=False)
+        return decode_drive_state(self.get(0x6041, 0))
 
     def description(self) -> str:
         """Return name, profile and state, as far as the node tells."""
@@ -96,7 +96,7 @@ class NodeSetUp:
         name = ""
         with contextlib.suppress(SdoError):
             name = self._sdo.upload(0x1008, 0).rstrip(b"\0").decode("ascii", "replace")
-        state = f", {drive_state(self.get(0x6041, 0)).text}" if profile == 402 else ""
+        state = f", {decode_drive_state(self.get(0x6041, 0)).text}" if profile == 402 else ""
         return f"node {self._number}: {name or 'no name'}, profile {profile}{state}"
 
     def get(self, index: int, subindex: int, signed: bool = False) -> int:
@@ -159,8 +159,8 @@ class NodeSetUp:
         if self.get(0x1000, 0) & 0xFFFF != 402:
             raise self._fault("is no CiA 402 drive (object 1000)")
         status = self.get(0x6041, 0)
-        if drive_state(status) in (DriveState.FAULT, DriveState.FAULT_REACTION):
-            code = emergency_text(self.get(0x603F, 0))
+        if decode_drive_state(status) in (DriveState.FAULT, DriveState.FAULT_REACTION):
+            code = format_emergency(self.get(0x603F, 0))
             raise self._fault(f"has a fault: {code}; remove its cause, then `teleop rig reset`")
         bit = self._config.homed_bit
         if bit is not None and not status >> bit & 1:
@@ -177,9 +177,9 @@ class NodeSetUp:
 
     def _disable(self) -> None:
         """Take the drive's power off: enabled, it would go to an old target in the new mode."""
-        self.put(0x6040, 0, 2, Control.DISABLE_VOLTAGE, check=False)
+        self.put(0x6040, 0, 2, ControlWord.DISABLE_VOLTAGE, check=False)
         until_s = time.monotonic() + DISABLE_S
-        while (state := drive_state(self.get(0x6041, 0))) in _POWERED:
+        while (state := decode_drive_state(self.get(0x6041, 0))) in _POWERED:
             if time.monotonic() > until_s:
                 raise self._fault(
                     f"is still {state.text} {DISABLE_S:g} s after disable voltage (object 6040): "
@@ -193,7 +193,7 @@ class NodeSetUp:
         if config.error_control == "guarding":
             self.put(0x1017, 0, 2, 0)  # a node that sends heartbeats cannot be guarded
             self.put(0x100C, 0, 2, int(config.beat_s * 1e3))
-            self.put(0x100D, 0, 1, BEATS)
+            self.put(0x100D, 0, 1, HEARTBEATS_PER_TIMEOUT)
         else:
             self.put(0x1017, 0, 2, HEARTBEAT_MS)
             self.put(0x1016, 1, 4, config.master << 16 | round(config.watchdog * 1e3))

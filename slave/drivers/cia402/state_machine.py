@@ -21,7 +21,7 @@ class DriveState(Enum):
         return self.name.replace("_", " ").lower()
 
 
-class Control(IntEnum):
+class ControlWord(IntEnum):
     """Control words."""
 
     DISABLE_VOLTAGE = 0x00
@@ -44,15 +44,15 @@ FOLLOWING_ERROR = 1 << 13  # of the status word, in the modes used here
 INTERPOLATE = 1 << 4  # of the control word, in interpolated mode
 
 _TO_MOVE = {
-    DriveState.SWITCH_ON_DISABLED: Control.SHUTDOWN,
-    DriveState.READY_TO_SWITCH_ON: Control.SWITCH_ON,
-    DriveState.SWITCHED_ON: Control.ENABLE_OPERATION,
-    DriveState.OPERATION_ENABLED: Control.ENABLE_OPERATION,
-    DriveState.QUICK_STOP_ACTIVE: Control.DISABLE_VOLTAGE,
+    DriveState.SWITCH_ON_DISABLED: ControlWord.SHUTDOWN,
+    DriveState.READY_TO_SWITCH_ON: ControlWord.SWITCH_ON,
+    DriveState.SWITCHED_ON: ControlWord.ENABLE_OPERATION,
+    DriveState.OPERATION_ENABLED: ControlWord.ENABLE_OPERATION,
+    DriveState.QUICK_STOP_ACTIVE: ControlWord.DISABLE_VOLTAGE,
 }
 
 
-def drive_state(status_word: int) -> DriveState:
+def decode_drive_state(status_word: int) -> DriveState:
     """Return the state that a status word tells."""
     for state in DriveState:
         mask, pattern = state.value
@@ -61,16 +61,16 @@ def drive_state(status_word: int) -> DriveState:
     return DriveState.NOT_READY
 
 
-def control_word(state: DriveState, requested: RequestedState) -> int:
+def select_control_word(state: DriveState, requested: RequestedState) -> int:
     """Return the control word that takes a drive one step towards what is wanted.
 
     A fault is never reset here: that is the operator's.
     """
     if requested is RequestedState.MOVE:
-        return int(_TO_MOVE.get(state, Control.DISABLE_VOLTAGE))
+        return int(_TO_MOVE.get(state, ControlWord.DISABLE_VOLTAGE))
     if requested is RequestedState.STOP and state in (
         DriveState.OPERATION_ENABLED,
         DriveState.QUICK_STOP_ACTIVE,
     ):
-        return int(Control.QUICK_STOP)
-    return int(Control.DISABLE_VOLTAGE)
+        return int(ControlWord.QUICK_STOP)
+    return int(ControlWord.DISABLE_VOLTAGE)

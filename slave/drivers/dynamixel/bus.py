@@ -13,13 +13,13 @@ from dynamixel_sdk import PacketHandler
 
 from slave.drivers.driver import DriverFault
 from slave.drivers.dynamixel import registers
-from slave.drivers.dynamixel.port import WaitingPort, result_text
+from slave.drivers.dynamixel.port import WaitingPort, format_result
 from slave.drivers.dynamixel.registers import Register
 from slave.drivers.serial_port import open_serial
 
 Result = TypeVar("Result")
 
-TRIES = 5  # of a single register
+TRIES_MAX = 5  # of a single register
 LATE_S = 0.03  # [s] after a failure: a late answer would be taken for that of the next register
 LATENCY_MAX_MS = 2
 _LATENCY = "/sys/class/tty/{}/device/latency_timer"  # [ms] of FTDI adapters
@@ -71,9 +71,9 @@ class ServoBus:
     def ping(self, number: int) -> int:
         """Return the model of a servo; `DriverFault` if it does not answer."""
         text = ""
-        for _ in range(TRIES):
+        for _ in range(TRIES_MAX):
             model, result, _ = self.packets.ping(self.port, number)
-            text = result_text(result)
+            text = format_result(result)
             if not text:
                 return int(model)
             time.sleep(LATE_S)
@@ -87,7 +87,7 @@ class ServoBus:
         error = self.get(number, registers.HARDWARE_ERROR)
         if error:
             raise DriverFault(
-                f"servo {number} (model {model}): hardware error: {registers.error_text(error)}; "
+                f"servo {number} (model {model}): hardware error: {registers.format_hardware_error(error)}; "
                 "remove the cause, then `teleop rig reset`"
             )
 
@@ -129,11 +129,11 @@ class ServoBus:
     def get(self, number: int, register: Register) -> int:
         """Read a register, unsigned."""
         text = ""
-        for _ in range(TRIES):
+        for _ in range(TRIES_MAX):
             data, result, _ = self.packets.readTxRx(
                 self.port, number, register.address, register.size
             )
-            text = result_text(result)
+            text = format_result(result)
             if not text and len(data) == register.size:
                 return int.from_bytes(bytes(data), "little")
             time.sleep(LATE_S)
@@ -143,11 +143,11 @@ class ServoBus:
         """Write a register and read it back; `DriverFault` if the servo does not take the value."""
         text = ""
         data = register.pack(value)
-        for _ in range(TRIES):
+        for _ in range(TRIES_MAX):
             result, error = self.packets.writeTxRx(
                 self.port, number, register.address, register.size, data
             )
-            text = result_text(result)
+            text = format_result(result)
             if not text and error & 0x7F:
                 text = f"refused: {self.packets.getRxPacketError(error & 0x7F)}"
             if not text and self.get(number, register) != int.from_bytes(data, "little"):
@@ -162,7 +162,7 @@ class ServoBus:
         result, _ = self.packets.writeTxRx(
             self.port, number, register.address, register.size, register.pack(value)
         )
-        if result_text(result):
+        if format_result(result):
             time.sleep(LATE_S)
 
     def slow_adapter(self) -> str:

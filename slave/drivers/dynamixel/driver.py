@@ -14,16 +14,16 @@ from slave.drivers.driver import Channels, Counts, DriverFault, Reading
 from slave.drivers.dynamixel import registers
 from slave.drivers.dynamixel.bus import ServoBus
 from slave.drivers.dynamixel.config import WATCHDOG_UNIT, DynamixelConfig
-from slave.drivers.dynamixel.port import result_text
+from slave.drivers.dynamixel.port import format_result
 from slave.drivers.dynamixel.registers import STATUS_SIZE, Register, Status
 
-NEAR = 20  # [counts] of a goal from the position, when torque is switched on
+GOAL_ERROR_MAX = 20  # [counts] of a goal from the position, when torque is switched on
 ENABLE_S = 0.5  # [s] in which torque must be on
 LIMIT = (1 << 31) - 1  # [counts]
 
 
 class DynamixelDriver:
-    """A `slave.drivers.driver.Driver`; a cell's reading is the present current of that servo [A].
+    """A `slave.drivers.driver.BusDriver`; a cell's reading is the present current of that servo [A].
 
     The goal is set to the present position before torque is enabled. Each servo's bus watchdog
     stops it when instructions cease; then it refuses goals, and this is a fault.
@@ -102,7 +102,7 @@ class DynamixelDriver:
         bus.put(number, registers.TORQUE_ENABLE, 0)  # before the watchdog lets an old goal go on
         bus.put(number, registers.BUS_WATCHDOG, 0)  # clears one that has triggered
         bus.put(number, registers.RETURN_DELAY, 0)
-        bus.put(number, registers.INDIRECT_ADDRESSES, registers.indirect_addresses())
+        bus.put(number, registers.INDIRECT_ADDRESSES, registers.pack_indirect_addresses())
         if not moves:
             return
         for register, found, value in bus.other_settings(number, limit is not None):
@@ -119,11 +119,11 @@ class DynamixelDriver:
     def _exchange(self, target: Counts | None) -> Sequence[Reading]:
         self._cycles += 1
         if target is not None and self._enabled:
-            self._send(registers.GOAL_POSITION, _whole(target))
+            self._send(registers.GOAL_POSITION, _round_counts(target))
         sent_s = time.monotonic()
         result = self._read.txRxPacket()
         now = time.monotonic()
-        if text := result_text(result):
+        if text := format_result(result):
             self._lost += 1
             if now - self._heard_s > self._config.timeout:
                 silent = (now - self._heard_s) * 1e3
@@ -146,7 +146,7 @@ class DynamixelDriver:
     def _check(self, status: Status) -> None:
         """Raise `DriverFault` for what a servo reports."""
         for number, one in zip(self._ids, status, strict=True):
-            if text := registers.status_fault(one, self._config):
+            if text := registers.find_status_fault(one, self._config):
                 raise DriverFault(f"servo {number}: {text}")
             if not self._enabled or number not in self._channels.motors:
                 continue
@@ -168,7 +168,7 @@ class DynamixelDriver:
         if now - self._wanted_s > ENABLE_S:
             raise DriverFault(f"{self._config.port}: the servos do not enable their torque")
         off = motors["torque"] == 0
-        strayed = np.abs(motors["goal"].astype(float) - motors["position"]) > NEAR
+        strayed = np.abs(motors["goal"].astype(float) - motors["position"]) > GOAL_ERROR_MAX
         if np.any(motors["watchdog"] == registers.WATCHDOG_TRIGGERED):
             self._send(registers.BUS_WATCHDOG, [0] * len(motors))
         elif np.any(off & strayed):
@@ -195,5 +195,5 @@ class DynamixelDriver:
             group.txPacket()
 
 
-def _whole(target: Counts) -> list[int]:
+def _round_counts(target: Counts) -> list[int]:
     return [max(-LIMIT, min(LIMIT, round(value))) for value in target.tolist()]

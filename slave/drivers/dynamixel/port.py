@@ -11,7 +11,7 @@ from dynamixel_sdk.robotis_def import (
     COMM_SUCCESS,
 )
 
-LOOK_S = 0.001  # [s] between two looks at the time while nothing arrives
+POLL_PERIOD_S = 0.001  # [s] between two looks at the time while nothing arrives
 
 RESULT_TEXT = {COMM_RX_TIMEOUT: "no answer", COMM_RX_CORRUPT: "damaged answer"}
 
@@ -51,12 +51,12 @@ class WaitingPort(PortHandler):  # type: ignore[misc] # the SDK has no types
         """Return up to `length` bytes; sleeps a moment if there are none."""
         data: bytes = self.ser.read(length)
         if not data:
-            select.select([self.ser.fileno()], [], [], LOOK_S)
+            select.select([self.ser.fileno()], [], [], POLL_PERIOD_S)
             data = self.ser.read(length)
         return data
 
 
-def result_text(result: int) -> str:
+def format_result(result: int) -> str:
     """Return the result of a communication in words; empty if it succeeded."""
     if result == COMM_SUCCESS:
         return ""

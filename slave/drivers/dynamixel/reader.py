@@ -10,7 +10,7 @@ from slave.drivers.driver import Channels, Counts, DriverFault, Reading
 from slave.drivers.dynamixel import registers
 from slave.drivers.dynamixel.bus import ServoBus
 from slave.drivers.dynamixel.config import DynamixelConfig
-from slave.drivers.dynamixel.port import result_text
+from slave.drivers.dynamixel.port import format_result
 
 _SAMPLE = np.dtype(
     {
@@ -22,7 +22,7 @@ _SAMPLE = np.dtype(
 
 
 class DynamixelReader:
-    """A `slave.drivers.driver.Driver` that writes nothing and takes no targets."""
+    """A `slave.drivers.driver.BusDriver` that writes nothing and takes no targets."""
 
     def __init__(self, config: DynamixelConfig, channels: Channels) -> None:
         self._config, self._channels = config, channels
@@ -48,7 +48,7 @@ class DynamixelReader:
     def cycle(self, target: Counts | None) -> Sequence[Reading]:  # noqa: ARG002 - of a Driver
         """Read position and current of every servo."""
         sent_s = time.monotonic()
-        text = result_text(self._bus.call(self._read.txRxPacket))
+        text = format_result(self._bus.call(self._read.txRxPacket))
         now = time.monotonic()
         if text:
             self._lost += 1

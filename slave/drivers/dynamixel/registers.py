@@ -146,7 +146,7 @@ def current_counts(current: float, unit: float) -> int:
     return max(1, math.floor(current / unit + 1e-6))
 
 
-def indirect_addresses() -> int:
+def pack_indirect_addresses() -> int:
     """Return the addresses behind the bytes of `STATUS`, two bytes each, as one value."""
     addresses = [register.address + k for register in STATUS for k in range(register.size)]
     return int.from_bytes(np.array(addresses, "<u2").tobytes(), "little")
@@ -157,16 +157,16 @@ def parse_status(data: bytes) -> Status:
     return np.frombuffer(data, STATUS_DTYPE)
 
 
-def error_text(bits: int) -> str:
+def format_hardware_error(bits: int) -> str:
     """Return a hardware error in words; empty if there is none."""
     return ", ".join(text for bit, text in ERROR_TEXT.items() if bits & bit) or (
         f"unknown hardware error {bits}" if bits else ""
     )
 
 
-def status_fault(status: "np.void", config: DynamixelConfig) -> str:
+def find_status_fault(status: "np.void", config: DynamixelConfig) -> str:
     """Return what is wrong with one servo, in words; empty if nothing is."""
-    if text := error_text(int(status["error"])):
+    if text := format_hardware_error(int(status["error"])):
         return f"hardware error: {text}"
     volts, (least, most) = int(status["voltage"]) * 0.1, config.voltage
     if not least <= volts <= most:

@@ -10,9 +10,9 @@ from slave.drivers.driver import DriverFault
 from slave.drivers.dynamixel import registers
 from slave.drivers.dynamixel.bus import ServoBus
 from slave.drivers.dynamixel.config import DynamixelConfig
-from slave.drivers.dynamixel.port import result_text
+from slave.drivers.dynamixel.port import format_result
 
-HIGHEST = 252  # id of a servo
+SERVO_ID_MAX = 252  # id of a servo
 ANSWER_S = 0.03  # [s] to wait for an answer; FTDI adapters hand bytes over every 16 ms by default
 REBOOT_S = 0.5  # [s]
 
@@ -29,7 +29,7 @@ def scan(config: DynamixelConfig) -> Iterator[str]:
                 raise
             continue  # adapters do not have every rate
         try:
-            yield from bus.call(partial(_scan, bus, config))
+            yield from bus.call(partial(_scan_baud_rate, bus, config))
         finally:
             bus.close()
 
@@ -42,7 +42,7 @@ def reset(config: DynamixelConfig, motors: tuple[int, ...]) -> Iterator[str]:
     try:
         for number in motors:
             result, _ = bus.call(partial(bus.packets.reboot, bus.port, number))
-            if text := result_text(result):
+            if text := format_result(result):
                 failed.append(f"servo {number}: {text}")
             else:
                 yield f"servo {number}: restarted"
@@ -53,7 +53,7 @@ def reset(config: DynamixelConfig, motors: tuple[int, ...]) -> Iterator[str]:
         raise DriverFault(f"{config.port}: not reset: {', '.join(failed)}")
 
 
-def _scan(bus: ServoBus, config: DynamixelConfig) -> list[str]:
+def _scan_baud_rate(bus: ServoBus, config: DynamixelConfig) -> list[str]:
     """Return a line for each servo at the present baud rate, and one for damaged answers."""
     baud = bus.port.baudrate
     other = "" if baud == config.baud else f"; the config says {config.baud}"
@@ -68,7 +68,7 @@ def _scan(bus: ServoBus, config: DynamixelConfig) -> list[str]:
     if result == COMM_RX_CORRUPT:
         lines += [
             f"servo {number}: damaged answers at {baud} baud: two servos of one id?"
-            for number in range(HIGHEST + 1)
+            for number in range(SERVO_ID_MAX + 1)
             if bus.packets.ping(bus.port, number)[1] == COMM_RX_CORRUPT
         ]
     return lines

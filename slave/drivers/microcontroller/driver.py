@@ -14,19 +14,26 @@ from slave.drivers.clock_map import ClockMap
 from slave.drivers.driver import Channels, Counts, DriverFault, Reading
 from slave.drivers.microcontroller import frames
 from slave.drivers.microcontroller.config import MicrocontrollerConfig
-from slave.drivers.microcontroller.frames import Flags, Frame, FrameReader, Info, Kind, State
-from slave.drivers.serial_port import error_text, open_serial
+from slave.drivers.microcontroller.frames import (
+    BoardFlags,
+    BoardInfo,
+    BoardState,
+    Frame,
+    FrameReader,
+    FrameType,
+)
+from slave.drivers.serial_port import format_port_error, open_serial
 
 HELLO_S = 0.2  # [s] between two greetings; a board that was just opened may reset itself
 GREETING_S = 6.0  # [s] within which it must answer
 WAIT_S = 0.010  # [s] of one cycle without a state
-SECOND = 1.0  # [s] over which errors are counted
+ERROR_WINDOW_S = 1.0  # [s] over which errors are counted
 ENABLE_S = 0.5  # [s] in which the motors must be enabled
 LIMIT = (1 << 31) - 1  # [counts]
 
 
 class MicrocontrollerDriver:
-    """A `slave.drivers.driver.Driver`; the board samples on its own clock and sends every sample.
+    """A `slave.drivers.driver.BusDriver`; the board samples on its own clock and sends every sample.
 
     The board enables its motors at the first target. Once it has stopped them by itself (watchdog,
     emergency stop), they stay off until a SET that disables them was answered.
@@ -40,7 +47,7 @@ class MicrocontrollerDriver:
         self._clock = ClockMap()
         self._port: serial.Serial | None = None
         self._claim: socket.socket | None = None
-        self._info: Info | None = None
+        self._info: BoardInfo | None = None
         self._sequence = self._states = 0
         self._heard_s = self._wanted_s = math.inf
         self._errors: deque[tuple[float, int]] = deque([(0.0, 0)])
@@ -78,7 +85,7 @@ class MicrocontrollerDriver:
         arrived = self._receive()
         now = time.monotonic()
         for frame in arrived:
-            if frame.kind != Kind.STATE:
+            if frame.kind != FrameType.STATE:
                 continue
             state = self._parse(frame)
             self._states += 1
@@ -97,7 +104,7 @@ class MicrocontrollerDriver:
     def stop(self) -> None:
         """Let the board switch its motors off."""
         self._enable = self._obeyed = False
-        self._send(Kind.STOP)
+        self._send(FrameType.STOP)
 
     def counts(self) -> dict[str, int | float | str]:
         """Return frames, damaged and lost frames, and the rate."""
@@ -114,24 +121,24 @@ class MicrocontrollerDriver:
             return
         with suppress(DriverFault, serial.SerialException, OSError):  # it is unplugged: its
             if self._channels.motors:  # watchdog stops the motors
-                self._send(Kind.STOP)
+                self._send(FrameType.STOP)
             self._port.close()
         self._claim.close()
         self._port = None
 
     @property
-    def info(self) -> Info | None:
+    def info(self) -> BoardInfo | None:
         """What the board said it is, once started."""
         return self._info
 
-    def _greet(self) -> Info:
+    def _greet(self) -> BoardInfo:
         until_s, due_s = time.monotonic() + GREETING_S, 0.0
         while (now := time.monotonic()) < until_s:
             if now >= due_s:
                 due_s = now + HELLO_S
-                self._send(Kind.HELLO, frames.hello(self._config.watchdog))
+                self._send(FrameType.HELLO, frames.pack_hello(self._config.watchdog))
             for frame in self._receive():
-                if frame.kind == Kind.INFO:
+                if frame.kind == FrameType.INFO:
                     self._reader.bad = self._reader.lost = 0  # the rest of a frame cut at opening
                     return frames.parse_info(frame.body)
         damaged = f", {self._reader.bad} damaged frames" if self._reader.bad else ""
@@ -146,41 +153,43 @@ class MicrocontrollerDriver:
         try:
             data = self._port.read(self._port.in_waiting or 1)
         except (serial.SerialException, OSError) as error:
-            raise DriverFault(f"{self._config.port}: unplugged ({error_text(error)})") from error
+            raise DriverFault(
+                f"{self._config.port}: unplugged ({format_port_error(error)})"
+            ) from error
         return self._reader.feed(data)
 
-    def _parse(self, frame: Frame) -> State:
+    def _parse(self, frame: Frame) -> BoardState:
         try:
             return frames.parse_state(frame.body)
         except frames.FrameError as error:
             raise DriverFault(f"{self._config.port}: {error}") from error
 
-    def _reading(self, state: State, time_s: float) -> Reading:
+    def _reading(self, state: BoardState, time_s: float) -> Reading:
         return Reading(
             time_s,
-            _selected(state.position, self._channels.motors),
-            _selected(state.cell, self._channels.cells),
+            _select_channels(state.position, self._channels.motors),
+            _select_channels(state.cell, self._channels.cells),
             self._obeyed,
         )
 
-    def _check(self, state: State, now: float) -> None:
+    def _check(self, state: BoardState, now: float) -> None:
         """Raise `DriverFault` for what the board reports."""
         port = self._config.port
-        if self._channels.motors and state.flags & Flags.MOTOR_FAULT:
+        if self._channels.motors and state.flags & BoardFlags.MOTOR_FAULT:
             raise DriverFault(f"{port}: the board reports a fault of its motors")
-        if self._channels.cells and state.flags & Flags.CELL_FAULT:
+        if self._channels.cells and state.flags & BoardFlags.CELL_FAULT:
             raise DriverFault(f"{port}: the board's converter of the load cells does not answer")
         if not self._enable:
             return
-        if state.flags & Flags.ENABLED:
+        if state.flags & BoardFlags.ENABLED:
             self._obeyed = True
-        elif self._obeyed and state.flags & Flags.WATCHDOG:
+        elif self._obeyed and state.flags & BoardFlags.WATCHDOG:
             raise DriverFault(
                 f"{port}: the board stopped the motors: no target for "
                 f"{self._config.watchdog * 1e3:g} ms"
             )
         elif self._obeyed:
-            restarted = ": it has restarted" if state.flags & Flags.STOPPED else ""
+            restarted = ": it has restarted" if state.flags & BoardFlags.STOPPED else ""
             raise DriverFault(f"{port}: the board stopped the motors by itself{restarted}")
         elif now - self._wanted_s > ENABLE_S:
             raise DriverFault(f"{port}: the board does not enable its motors")
@@ -189,7 +198,7 @@ class MicrocontrollerDriver:
         total = self._reader.bad + self._reader.lost
         if total != self._errors[-1][1]:
             self._errors.append((now, total))
-        while len(self._errors) > 1 and self._errors[1][0] < now - SECOND:
+        while len(self._errors) > 1 and self._errors[1][0] < now - ERROR_WINDOW_S:
             self._errors.popleft()
         count = total - self._errors[0][1]
         if count > self._config.errors_max:
@@ -211,22 +220,24 @@ class MicrocontrollerDriver:
             self._wanted_s = time.monotonic()
         self._enable = enable
         self._obeyed = self._obeyed and enable
-        self._send(Kind.SET, frames.set_targets(tuple(values), enable))
+        self._send(FrameType.SET, frames.pack_targets(tuple(values), enable))
 
-    def _send(self, kind: Kind, body: bytes = b"") -> None:
+    def _send(self, kind: FrameType, body: bytes = b"") -> None:
         if self._port is None:
             return
         try:
             self._port.write(self._frame(kind, body))
         except (serial.SerialException, OSError) as error:
-            raise DriverFault(f"{self._config.port}: unplugged ({error_text(error)})") from error
+            raise DriverFault(
+                f"{self._config.port}: unplugged ({format_port_error(error)})"
+            ) from error
 
-    def _frame(self, kind: Kind, body: bytes = b"") -> bytes:
+    def _frame(self, kind: FrameType, body: bytes = b"") -> bytes:
         self._sequence += 1
         return frames.encode(kind, self._sequence, time.monotonic_ns() // 1000, body)
 
 
-def _selected(values: tuple[int, ...], numbers: tuple[int, ...]) -> Counts:
+def _select_channels(values: tuple[int, ...], numbers: tuple[int, ...]) -> Counts:
     """Return the values of the channels in use; NaN if the board could not read one."""
     known = {k: float(v) for k, v in enumerate(values, 1) if v != frames.MISSING}
     return np.array([known.get(number, math.nan) for number in numbers])

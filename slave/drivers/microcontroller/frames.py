@@ -27,7 +27,7 @@ from enum import IntEnum, IntFlag
 from typing import NamedTuple
 
 VERSION = 1
-LARGEST = 256  # [B] of a frame with its zero
+FRAME_SIZE_MAX = 256  # [B] of a frame with its zero
 _HEAD = struct.Struct("<BBHI")
 _CRC = struct.Struct("<I")
 _INFO = struct.Struct("<HHBB")
@@ -35,14 +35,14 @@ _STATE = struct.Struct("<BHHBB")
 MISSING = -(1 << 31)  # count of a position or a cell that was not read
 
 
-class Kind(IntEnum):
+class FrameType(IntEnum):
     """Kinds of frames."""
 
     HELLO, SET, STOP = 1, 2, 3
     INFO, STATE = 129, 130
 
 
-class Flags(IntFlag):
+class BoardFlags(IntFlag):
     """State of the board."""
 
     ENABLED = 1  # motors have power and follow
@@ -65,7 +65,7 @@ class Frame(NamedTuple):
     body: bytes
 
 
-class Info(NamedTuple):
+class BoardInfo(NamedTuple):
     """What a board is."""
 
     watchdog_ms: int
@@ -75,17 +75,17 @@ class Info(NamedTuple):
     name: str
 
 
-class State(NamedTuple):
+class BoardState(NamedTuple):
     """One sample of a board, in counts."""
 
-    flags: Flags
+    flags: BoardFlags
     bad_frames: int  # that the board refused since its start, modulo 65536
     answered: int  # sequence of the newest SET
     position: tuple[int, ...]
     cell: tuple[int, ...]
 
 
-def cobs_encode(data: bytes) -> bytes:
+def encode_cobs(data: bytes) -> bytes:
     """Return `data` without zero bytes, 1 byte longer per 254."""
     out = bytearray()
     groups = data.split(b"\0")
@@ -99,8 +99,8 @@ def cobs_encode(data: bytes) -> bytes:
     return bytes(out)
 
 
-def cobs_decode(data: bytes) -> bytes:
-    """Return the bytes that `cobs_encode` was given; `FrameError` if it was not."""
+def decode_cobs(data: bytes) -> bytes:
+    """Return the bytes that `encode_cobs` was given; `FrameError` if it was not."""
     out = bytearray()
     at = 0
     while at < len(data):
@@ -117,12 +117,12 @@ def cobs_decode(data: bytes) -> bytes:
 def encode(kind: int, sequence: int, time_us: int, body: bytes = b"") -> bytes:
     """Return a frame with its zero byte."""
     payload = _HEAD.pack(VERSION, kind, sequence & 0xFFFF, time_us & 0xFFFFFFFF) + body
-    return cobs_encode(payload + _CRC.pack(binascii.crc32(payload))) + b"\0"
+    return encode_cobs(payload + _CRC.pack(binascii.crc32(payload))) + b"\0"
 
 
 def decode(data: bytes) -> Frame:
     """Return the frame in `data`, without its zero byte; `FrameError` if there is none."""
-    whole = cobs_decode(data)
+    whole = decode_cobs(data)
     if len(whole) < _HEAD.size + _CRC.size:
         raise FrameError("too short")
     payload = whole[: -_CRC.size]
@@ -134,26 +134,26 @@ def decode(data: bytes) -> Frame:
     return Frame(kind, sequence, time_us, payload[_HEAD.size :])
 
 
-def hello(watchdog_s: float) -> bytes:
+def pack_hello(watchdog_s: float) -> bytes:
     """Return the body of a HELLO."""
     return struct.pack("<H", round(watchdog_s * 1e3))
 
 
-def set_targets(targets: tuple[int, ...], enabled: bool) -> bytes:
+def pack_targets(targets: tuple[int, ...], enabled: bool) -> bytes:
     """Return the body of a SET."""
     return struct.pack(f"<BB{len(targets)}i", enabled, len(targets), *targets)
 
 
-def parse_info(body: bytes) -> Info:
+def parse_info(body: bytes) -> BoardInfo:
     """Return the body of an INFO; `FrameError` if it is none."""
     if len(body) < _INFO.size:
         raise FrameError("INFO too short")
     watchdog_ms, rate_hz, motors, cells = _INFO.unpack_from(body)
     name = body[_INFO.size :].decode("ascii", "replace")
-    return Info(watchdog_ms, rate_hz, motors, cells, name)
+    return BoardInfo(watchdog_ms, rate_hz, motors, cells, name)
 
 
-def parse_state(body: bytes) -> State:
+def parse_state(body: bytes) -> BoardState:
     """Return the body of a STATE; `FrameError` if it is none."""
     if len(body) < _STATE.size:
         raise FrameError("STATE too short")
@@ -161,7 +161,7 @@ def parse_state(body: bytes) -> State:
     if len(body) != _STATE.size + 4 * (motors + cells):
         raise FrameError("STATE of the wrong length")
     values = struct.unpack_from(f"<{motors + cells}i", body, _STATE.size)
-    return State(Flags(flags), bad, answered, values[:motors], values[motors:])
+    return BoardState(BoardFlags(flags), bad, answered, values[:motors], values[motors:])
 
 
 class FrameReader:
@@ -196,7 +196,7 @@ class FrameReader:
                 self.lost += (frame.sequence - self._sequence - 1) & 0xFFFF
             self._sequence = frame.sequence
             frames.append(frame)
-        if len(self._rest) > LARGEST:
+        if len(self._rest) > FRAME_SIZE_MAX:
             self._rest = b""
             self.bad += 1
         return frames

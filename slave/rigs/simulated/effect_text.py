@@ -17,7 +17,7 @@ def describe_effect(effect: EffectConfig) -> str:
     return f"{name} ({numbers}), {place}, from {start:g} s"
 
 
-def late(effects: Sequence[EffectConfig], span: float) -> list[str]:
+def format_late_effects(effects: Sequence[EffectConfig], span: float) -> list[str]:
     """Return a warning for each effect that starts after a run of `span` [s]."""
     return [
         f"WARNING: slave.rig.effects.{i}: {effect.type} starts at {effect.start:g} s, after the "

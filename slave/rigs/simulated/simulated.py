@@ -9,7 +9,7 @@ import numpy as np
 
 from estimator.array_types import Array
 from slave.rig import RigFault, RigSample
-from slave.rigs.joint_layout import joint_tendons
+from slave.rigs.joint_layout import number_joint_tendons
 from slave.rigs.simulated.plant.body import BodyConfig, build_body
 from slave.rigs.simulated.plant.effects import EffectConfig
 from slave.rigs.simulated.plant.effects.ends import AntagonistTension
@@ -23,21 +23,21 @@ from slave.rigs.simulated.plant.environment import (
     TissueConfig,
     build_environment,
 )
-from slave.rigs.simulated.plant.joint import Joint, Tendon, Winding, joint_at_rest
-from slave.rigs.simulated.plant.joints import advance_all, join_joints, replace
+from slave.rigs.simulated.plant.joint import Joint, Tendon, Winding, init_joint
+from slave.rigs.simulated.plant.joints import advance_joints, replace_item, to_compiled_list
 from slave.rigs.simulated.plant.motor import MotorConfig, build_motor
 from slave.rigs.simulated.plant.sensors import (
     EncoderConfig,
     LoadCellConfig,
     build_sensors,
+    init_sensors,
     measure,
-    sensors_at_rest,
 )
 from slave.rigs.simulated.plant.sheath import SheathConfig
 from slave.rigs.simulated.plant.tendon import build_chain
 from teleop.messages.messages import MAX_JOINTS
 
-STEPS_AT_ONCE = 10  # at a late read; if it is later still, longer steps are taken
+CATCH_UP_STEPS_MAX = 10  # at a late read; if it is later still, longer steps are taken
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,16 +86,16 @@ class SimulatedRigConfig:
         if self.seed < 0:
             raise ValueError("seed: must not be negative")
         for number, joint in enumerate(self.joints, 1):
-            longest = min(map(longest_step, joint.tendons))
+            longest = min(map(compute_step_max, joint.tendons))
             if self.period > longest:
                 raise ValueError(
                     f"period: must be at most {longest:.2g} s for the rotor inertia of joint "
                     f"{number} (motor.rotor_inertia, motor.gear)"
                 )
-        require_room(self.effects, [len(joint.tendons) for joint in self.joints])
+        validate_effects(self.effects, [len(joint.tendons) for joint in self.joints])
 
 
-def require_room(effects: Sequence[EffectConfig], counts: Sequence[int]) -> None:
+def validate_effects(effects: Sequence[EffectConfig], counts: Sequence[int]) -> None:
     """Check effects against joints of `counts` tendons each.
 
     Raises `ValueError`.
@@ -106,19 +106,19 @@ def require_room(effects: Sequence[EffectConfig], counts: Sequence[int]) -> None
         chosen = counts if effect.joint is None else counts[effect.joint - 1 : effect.joint]
         if isinstance(effect, AntagonistTension) and 2 not in chosen:
             raise ValueError(f"effects[{i}].joint: must have two tendons")
-        sides = places(effect, counts)
+        sides = find_effect_sides(effect, counts)
         if not sides:
             raise ValueError(f"effects[{i}].tendon: must be a, no joint has a tendon b")
         for k, other in enumerate(effects[:i]):
             alike = other.type == effect.type and not effect.adds_up
-            if alike and sides & places(other, counts):
+            if alike and sides & find_effect_sides(other, counts):
                 raise ValueError(
                     f"effects[{i}]: must be on another tendon than effects[{k}]; two of type "
                     f"{effect.type} cannot be combined"
                 )
 
 
-def places(effect: EffectConfig, counts: Sequence[int]) -> set[tuple[int, str]]:
+def find_effect_sides(effect: EffectConfig, counts: Sequence[int]) -> set[tuple[int, str]]:
     """Return the joints, counted from 0, and sides of an effect; joints have `counts` tendons."""
     wanted = getattr(effect, "tendon", "both")
     return {
@@ -129,7 +129,7 @@ def places(effect: EffectConfig, counts: Sequence[int]) -> set[tuple[int, str]]:
     }
 
 
-def longest_step(config: TendonPlantConfig) -> float:
+def compute_step_max(config: TendonPlantConfig) -> float:
     """Return the largest stable step [s] of a motor loaded by the last step's tension."""
     stiffness = 1.0 / float(build_chain(config.sheath, 0.0).compliance[0])
     return math.sqrt(build_motor(config.motor, 0.0).mass / stiffness)
@@ -170,7 +170,7 @@ class SimulatedRig:
 
     def __init__(self, config: SimulatedRigConfig) -> None:
         self.name = config.name
-        self.joints = joint_tendons([len(joint.tendons) for joint in config.joints])
+        self.joints = number_joint_tendons([len(joint.tendons) for joint in config.joints])
         self.tendons = sum(map(len, self.joints))
         self.coarse_reads = 0
         self._period = config.period
@@ -190,9 +190,9 @@ class SimulatedRig:
             schedule.at(0.0, 0.0, start[: len(tendons)]) or joint
             for schedule, joint, tendons in zip(self._schedules, joints, self.joints, strict=True)
         ]
-        self._joints = join_joints(joints)
-        replace(self._joints, 0, joints[0])  # compiles the functions for effects
-        self._states = join_joints([joint_at_rest(joint, -config.period) for joint in joints])
+        self._joints = to_compiled_list(joints)
+        replace_item(self._joints, 0, joints[0])  # compiles the functions for effects
+        self._states = to_compiled_list([init_joint(joint, -config.period) for joint in joints])
         self._truth = self._advance(0, config.period)  # compiles the functions for the loop
 
         sensors = build_sensors(
@@ -200,7 +200,7 @@ class SimulatedRig:
         )
         self._sensor_schedule = SensorSchedule(config.effects, self.joints, sensors)
         self._sensors = self._sensor_schedule.at(0.0) or sensors
-        self._sensed = sensors_at_rest(self._truth)
+        self._sensed = init_sensors(self._truth)
         self._measure(config.period)  # compiles
         self._effects = bool(config.effects)
         self._samples = SampleSchedule(config.effects, config.seed)
@@ -252,8 +252,8 @@ class SimulatedRig:
     def _simulate(self, behind: int) -> None:
         """Advance the plant and its sensors by `steps` periods."""
         steps, dt = behind, self._period
-        if behind > STEPS_AT_ONCE:
-            steps, dt = STEPS_AT_ONCE, behind * dt / STEPS_AT_ONCE
+        if behind > CATCH_UP_STEPS_MAX:
+            steps, dt = CATCH_UP_STEPS_MAX, behind * dt / CATCH_UP_STEPS_MAX
             self.coarse_reads += 1
         if self._effects:
             self._turn_effects((self._step + behind) * self._period)
@@ -261,7 +261,7 @@ class SimulatedRig:
         self._measure(behind * self._period)
 
     def _advance(self, steps: int, dt: float) -> Array:
-        seen = advance_all(self._joints, self._states, self._targets, steps, dt)
+        seen = advance_joints(self._joints, self._states, self._targets, steps, dt)
         return seen[:, self._paired]
 
     def _measure(self, dt: float) -> None:
@@ -273,5 +273,5 @@ class SimulatedRig:
             _, housing, _, tip = self._truth[:, tendons]
             joint = schedule.at(time, tip[0], housing)
             if joint is not None:
-                replace(self._joints, i, joint)
+                replace_item(self._joints, i, joint)
         self._sensors = self._sensor_schedule.at(time) or self._sensors

@@ -7,32 +7,34 @@ import sys
 import time
 from typing import Any
 
-from teleop.runtime.clock import Grid, now_ns, quiet_garbage
+from teleop.runtime.clock import Grid, now_ns, pause_garbage_collection
 from teleop.runtime.process import (
-    SUPERVISED,
-    Stop,
+    SUPERVISED_VARIABLE,
+    StopCondition,
+    build_module_command,
     die_with_launcher,
     limit_numeric_threads,
-    module_command,
 )
-from teleop.runtime.realtime import RealtimeConfig, enter_loop, go_realtime
+from teleop.runtime.realtime import RealtimeConfig, enter_loop, request_realtime
 from teleop.runtime.timing import Durations
 
 PHASES = (0.0, 0.5)  # of two alternating loops
 
 
-def run_bare(rate_hz: float, seconds: float, realtime: RealtimeConfig) -> list[dict[str, Any]]:
+def run_idle_loops(
+    rate_hz: float, seconds: float, realtime: RealtimeConfig
+) -> list[dict[str, Any]]:
     """Run two idle loops for `seconds` [s]; return rate, overruns, work and CPU of each."""
     processes = [
         subprocess.Popen(
             [
-                *module_command("teleop.cli.bench.bare_grid"),
+                *build_module_command("teleop.cli.bench.bare_grid"),
                 *(str(rate_hz), str(seconds)),
                 *(str(phase), str(realtime.priority), json.dumps(realtime.cores)),
             ],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
-            env=os.environ | {SUPERVISED: str(os.getpid())},
+            env=os.environ | {SUPERVISED_VARIABLE: str(os.getpid())},
         )
         for phase in PHASES
     ]
@@ -44,13 +46,15 @@ def run_bare(rate_hz: float, seconds: float, realtime: RealtimeConfig) -> list[d
             process.wait()
 
 
-def _tick(rate_hz: float, seconds: float, phase: float, realtime: RealtimeConfig) -> dict[str, Any]:
-    granted = go_realtime(realtime)
+def _run_idle_loop(
+    rate_hz: float, seconds: float, phase: float, realtime: RealtimeConfig
+) -> dict[str, Any]:
+    granted = request_realtime(realtime)
     work = Durations()
-    grid = Grid(rate_hz, Stop(seconds), phase)
+    grid = Grid(rate_hz, StopCondition(seconds), phase)
     enter_loop(granted, realtime)
     used, begin = time.process_time(), time.monotonic()
-    with quiet_garbage():
+    with pause_garbage_collection():
         for tick in grid:
             work.add(now_ns() - tick.stamp_ns)
     used, span = time.process_time() - used, time.monotonic() - begin
@@ -70,7 +74,7 @@ def main(words: list[str]) -> None:
     rate_hz, seconds, phase = map(float, words[:3])
     cores = json.loads(words[4])
     realtime = RealtimeConfig(int(words[3]), cores if cores == "auto" else tuple(cores))
-    print(json.dumps(_tick(rate_hz, seconds, phase, realtime)), flush=True)
+    print(json.dumps(_run_idle_loop(rate_hz, seconds, phase, realtime)), flush=True)
 
 
 if __name__ == "__main__":

@@ -5,7 +5,7 @@ from statistics import median
 from typing import Any, NamedTuple
 
 
-class Figure(NamedTuple):
+class Metric(NamedTuple):
     """One figure with its value in each run.
 
     Attributes
@@ -46,7 +46,7 @@ class Figure(NamedTuple):
 Row = Mapping[str, tuple[str, float | None, float | None, bool]]
 
 
-def gather(rows: Iterable[Row]) -> list[Figure]:
+def collect_metrics(rows: Iterable[Row]) -> list[Metric]:
     """Return the figures of runs, each name -> (unit, value, baseline, higher is better).
 
     A missing figure (None) is omitted in its run.
@@ -62,22 +62,22 @@ def gather(rows: Iterable[Row]) -> list[Figure]:
                 if baseline is not None:
                     baselines.setdefault(name, []).append(baseline)
     return [
-        Figure(name, unit, tuple(values[name]), tuple(baselines.get(name, ())), higher)
+        Metric(name, unit, tuple(values[name]), tuple(baselines.get(name, ())), higher)
         for name, (unit, higher) in kinds.items()
         if name in values
     ]
 
 
-def table(figures: Sequence[Figure]) -> list[str]:
+def format_table(figures: Sequence[Metric]) -> list[str]:
     """Return a line for each figure: median, least and largest, baseline, ratio."""
     width = max(len(figure.name) for figure in figures)
     head = (
         f"{'':{width}}  {'median':>10} {'least':>10} {'largest':>10} {'baseline':>10} {'ratio':>7}"
     )
-    return [head, *(_line(figure, width) for figure in figures)]
+    return [head, *(_format_row(figure, width) for figure in figures)]
 
 
-def _line(figure: Figure, width: int) -> str:
+def _format_row(figure: Metric, width: int) -> str:
     numbers = [figure.median, min(figure.values), max(figure.values)]
     baseline = f"{median(figure.baseline):10.5g}" if figure.baseline else f"{'':10}"
     ratio = "" if figure.ratio is None else f"{figure.ratio:.2f}"
@@ -85,7 +85,7 @@ def _line(figure: Figure, width: int) -> str:
     return f"{figure.name:{width}}  {shown} {baseline} {ratio:>7}  {figure.unit}".rstrip()
 
 
-def tree(figures: Sequence[Figure]) -> dict[str, Any]:
+def to_tree(figures: Sequence[Metric]) -> dict[str, Any]:
     """Return the figures as a tree for a file."""
     return {
         figure.name: {
@@ -100,10 +100,10 @@ def tree(figures: Sequence[Figure]) -> dict[str, Any]:
     }
 
 
-def from_tree(tree: Mapping[str, Any]) -> dict[str, Figure]:
+def from_tree(tree: Mapping[str, Any]) -> dict[str, Metric]:
     """Return the figures of a file by name; `KeyError`, `TypeError` if it is invalid."""
     return {
-        name: Figure(
+        name: Metric(
             name,
             str(part["unit"]),
             tuple(map(float, part["values"])),
@@ -115,7 +115,7 @@ def from_tree(tree: Mapping[str, Any]) -> dict[str, Figure]:
     }
 
 
-def comparison(new: Sequence[Figure], old: Mapping[str, Figure]) -> list[str]:
+def format_comparison(new: Sequence[Metric], old: Mapping[str, Metric]) -> list[str]:
     """Return the changes of the figures as lines, with their significance.
 
     A change is significant if the medians differ by more than the larger spread.
@@ -128,7 +128,7 @@ def comparison(new: Sequence[Figure], old: Mapping[str, Figure]) -> list[str]:
     counts = {"WORSE": 0, "better": 0, "": 0}
     for figure in common:
         before = old[figure.name]
-        verdict = changed(figure, before)
+        verdict = classify_change(figure, before)
         counts[verdict] += 1
         ratio = f"{figure.median / before.median:.2f}" if before.median else "-"
         lines.append(
@@ -142,7 +142,7 @@ def comparison(new: Sequence[Figure], old: Mapping[str, Figure]) -> list[str]:
     return lines
 
 
-def changed(new: Figure, old: Figure) -> str:
+def classify_change(new: Metric, old: Metric) -> str:
     """Return WORSE or better if the medians differ by more than the larger spread, else nothing."""
     change = new.median - old.median
     if abs(change) <= max(new.spread, old.spread):

@@ -17,7 +17,7 @@ from teleop.cli.bench import runs
 from teleop.cli.bench.figures import Row
 from teleop.cli.bench.session import run_session
 from teleop.errors import TeleopError
-from teleop.link.ping_pong import PERIOD_S, ping_pong
+from teleop.link.ping_pong import PERIOD_S, measure_ping_pong
 from teleop.messages.messages import STAGE_NAMES, Command, SlaveState
 from teleop.session.config import RunConfig
 
@@ -32,13 +32,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def main(args: argparse.Namespace) -> int:
     """Run the command."""
-    return runs.repeat("latency", args, measure)
+    return runs.repeat_measurement("latency", args, measure)
 
 
 def measure(config: Path, seconds: float, shared: RunConfig) -> Row:
     """Return the figures of a session and of a ping-pong after it."""
     summary = run_session(config, seconds).summary
-    bare = bare_round_trips(seconds, shared)
+    bare = measure_baseline_latency(seconds, shared)
     master = summary["master"]
     row: dict[str, tuple[str, float | None, float | None, bool]] = {}
     for key, text in PERCENTILES.items():
@@ -52,10 +52,10 @@ def measure(config: Path, seconds: float, shared: RunConfig) -> Row:
     return row
 
 
-def bare_round_trips(seconds: float, shared: RunConfig) -> dict[str, float]:
+def measure_baseline_latency(seconds: float, shared: RunConfig) -> dict[str, float]:
     """Return percentiles of bare Zenoh over as long a time; `TeleopError` without an answer."""
     sizes = Command.schema.size, SlaveState.schema.size
-    bare = ping_pong(*sizes, round(seconds / PERIOD_S), shared.realtime)
+    bare = measure_ping_pong(*sizes, round(seconds / PERIOD_S), shared.realtime)
     if not bare:
         raise TeleopError("no answer in the bare ping-pong")
     return bare

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from teleop.cli.bench import runs
-from teleop.cli.bench.bare_grid import run_bare
+from teleop.cli.bench.bare_grid import run_idle_loops
 from teleop.cli.bench.figures import Row
 from teleop.cli.bench.session import SIDES, run_session
 from teleop.session.config import RunConfig
@@ -31,13 +31,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def main(args: argparse.Namespace) -> int:
     """Run the command."""
-    return runs.repeat("loop", args, measure)
+    return runs.repeat_measurement("loop", args, measure)
 
 
 def measure(config: Path, seconds: float, shared: RunConfig) -> Row:
     """Return the figures of a session and of idle loops after it."""
     session = run_session(config, seconds)
-    bare = dict(zip(SIDES, run_bare(shared.rate_hz, seconds, shared.realtime), strict=True))
+    bare = dict(zip(SIDES, run_idle_loops(shared.rate_hz, seconds, shared.realtime), strict=True))
     row: dict[str, tuple[str, float | None, float | None, bool]] = {}
     for side in SIDES:
         loop: dict[str, Any] = session.summary[side]

@@ -8,25 +8,25 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from teleop.runtime.parallel import processors
+from teleop.runtime.parallel import count_processors
 
 PACKAGES = ("tendon-teleop", "eclipse-zenoh", "numpy", "numba", "scipy")
 
 
-def facts() -> dict[str, Any]:
+def describe_machine() -> dict[str, Any]:
     """Return processor, cores, kernel, versions, commit and the load before the measurement."""
     return {
-        "cpu": _cpu(),
-        "cores": processors(),
+        "cpu": _read_cpu_model(),
+        "cores": count_processors(),
         "kernel": f"{platform.system()} {platform.release()}",
         "python": platform.python_version(),
-        "packages": {name: _version(name) for name in PACKAGES},
-        "commit": _commit(),
+        "packages": {name: _find_version(name) for name in PACKAGES},
+        "commit": _find_commit(),
         "load_average": [round(load, 2) for load in os.getloadavg()],
     }
 
 
-def lines(machine: dict[str, Any], realtime: Sequence[str]) -> list[str]:
+def format_description(machine: dict[str, Any], realtime: Sequence[str]) -> list[str]:
     """Return the description as text; `realtime` is the scheduling granted to the loops."""
     packages = ", ".join(f"{name} {number}" for name, number in machine["packages"].items())
     return [
@@ -38,7 +38,7 @@ def lines(machine: dict[str, Any], realtime: Sequence[str]) -> list[str]:
     ]
 
 
-def _cpu() -> str:
+def _read_cpu_model() -> str:
     try:
         text = Path("/proc/cpuinfo").read_text()
     except OSError:
@@ -47,14 +47,14 @@ def _cpu() -> str:
     return names[0] if names else platform.machine()
 
 
-def _version(name: str) -> str | None:
+def _find_version(name: str) -> str | None:
     try:
         return version(name)
     except PackageNotFoundError:
         return None
 
 
-def _commit() -> str | None:
+def _find_commit() -> str | None:
     """Return the commit of the sources; None outside a repository, `+` if they were changed."""
     root = Path(__file__).parents[2]
     if not (root / ".git").exists():

@@ -11,11 +11,11 @@ def write_config(path: Path, joints: int) -> Path:
     The sheaths are those of configs/arm.yaml, one bend longer for each joint further out; the last
     joint closes on tissue.
     """
-    path.write_text(json.dumps(_config(joints)))  # which is YAML, too
+    path.write_text(json.dumps(_build_config(joints)))  # which is YAML, too
     return path
 
 
-def _config(joints: int) -> dict[str, Any]:
+def _build_config(joints: int) -> dict[str, Any]:
     environments: list[dict[str, Any]] = [{"type": "free"} for _ in range(joints - 1)]
     environments.append({"type": "tissue", "position": 0.003, "stiffness": 10000, "exponent": 1.5})
     body = {
@@ -26,7 +26,11 @@ def _config(joints: int) -> dict[str, Any]:
         "type": "simulated",
         "name": f"bench-{joints}",
         "joints": [
-            {"tendons": [_tendon(k), _tendon(k)], "body": body, "environment": environment}
+            {
+                "tendons": [_build_tendon(k), _build_tendon(k)],
+                "body": body,
+                "environment": environment,
+            }
             for k, environment in enumerate(environments)
         ],
     }
@@ -49,7 +53,7 @@ def _config(joints: int) -> dict[str, Any]:
     }
 
 
-def _tendon(joint: int) -> dict[str, Any]:
+def _build_tendon(joint: int) -> dict[str, Any]:
     sections: list[dict[str, float]] = [
         {"length": 0.4},
         {"length": 0.5, "radius": 0.15},

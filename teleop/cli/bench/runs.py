@@ -10,12 +10,12 @@ from pathlib import Path
 from typing import Any
 
 from teleop.cli.bench import figures, machine, rigs, session
-from teleop.cli.bench.figures import Figure, Row
+from teleop.cli.bench.figures import Metric, Row
 from teleop.config import strict_yaml
 from teleop.config.loading import load
 from teleop.config.options import add_option
 from teleop.errors import UsageError
-from teleop.runtime.process import seconds, write_summary
+from teleop.runtime.process import parse_seconds, write_summary
 from teleop.session.config import RunConfig
 
 RUNS, SECONDS = 5, 10.0
@@ -29,7 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--runs", type=int, metavar="N", help=f"number of runs (default {RUNS})")
     parser.add_argument(
         "--seconds",
-        type=seconds,
+        type=parse_seconds,
         metavar="S",
         help=f"duration of each run [s] (default {SECONDS:g})",
     )
@@ -60,8 +60,8 @@ class RepeatedRuns:
             raise UsageError(f"--seconds {self.seconds:g}: must be at least {SECONDS_LEAST:g}")
         self.granted: list[str] = []
         self._name, self._out = name, args.json
-        self._old = None if args.compare is None else read(args.compare, name)
-        self._machine = machine.facts()
+        self._old = None if args.compare is None else read_result(args.compare, name)
+        self._machine = machine.describe_machine()
         self._begin_s = time.monotonic()
 
     def say(self, text: str) -> None:
@@ -74,32 +74,32 @@ class RepeatedRuns:
         summary = session.run_session(config, WARM_S).summary
         self.granted = list(summary["slave"]["realtime"])
 
-    def conclude(self, found: Sequence[Figure]) -> int:
+    def conclude(self, found: Sequence[Metric]) -> int:
         """Print the result, write it, compare it; return the exit code."""
-        print("\n".join(machine.lines(self._machine, self.granted)))
+        print("\n".join(machine.format_description(self._machine, self.granted)))
         print(f"medians of {self.runs} runs of {self.seconds:g} s\n")
-        print("\n".join(figures.table(found)))
+        print("\n".join(figures.format_table(found)))
         result = {
             "bench": self._name,
             "machine": self._machine | {"realtime": self.granted},
             "runs": self.runs,
             "seconds": self.seconds,
-            "figures": figures.tree(found),
+            "figures": figures.to_tree(found),
         }
         write_summary(self._out, result)
         if self._old is not None:
-            print("\n" + "\n".join(figures.comparison(found, self._old)))
+            print("\n" + "\n".join(figures.format_comparison(found, self._old)))
         return 0
 
 
-def repeat(
+def repeat_measurement(
     name: str, args: argparse.Namespace, measure: Callable[[Path, float, RunConfig], Row]
 ) -> int:
     """Measure one session repeatedly; `measure` takes its config file, seconds and config."""
     repeated = RepeatedRuns(name, args)
     with tempfile.TemporaryDirectory(prefix="teleop-bench-") as folder:
         config = args.config or rigs.write_config(
-            Path(folder) / "session.yaml", joints_of(args.joints)
+            Path(folder) / "session.yaml", validate_joints(args.joints)
         )
         shared = load(config, RunConfig, None, ())
         work = Path(folder) / "run.yaml"
@@ -109,17 +109,17 @@ def repeat(
         for k in range(repeated.runs):
             repeated.say(f"run {k + 1} of {repeated.runs}")
             rows.append(measure(work, repeated.seconds, shared))
-    return repeated.conclude(figures.gather(rows))
+    return repeated.conclude(figures.collect_metrics(rows))
 
 
-def joints_of(number: int) -> int:
+def validate_joints(number: int) -> int:
     """Return `number` if it is a valid number of joints."""
     if not 1 <= number <= 8:
         raise UsageError(f"--joints {number}: must be 1 to 8")
     return number
 
 
-def read(path: Path, name: str) -> dict[str, Figure]:
+def read_result(path: Path, name: str) -> dict[str, Metric]:
     """Return the figures of a result of the bench `name`; `UsageError` if it is not one."""
     try:
         result: Any = json.loads(path.read_text())

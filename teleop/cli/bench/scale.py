@@ -15,9 +15,9 @@ import tempfile
 from pathlib import Path
 
 from teleop.cli.bench import figures, rigs, runs
-from teleop.cli.bench.bare_grid import run_bare
+from teleop.cli.bench.bare_grid import run_idle_loops
 from teleop.cli.bench.figures import Row
-from teleop.cli.bench.latency import bare_round_trips
+from teleop.cli.bench.latency import measure_baseline_latency
 from teleop.cli.bench.session import SIDES, run_session
 from teleop.session.config import RunConfig
 
@@ -40,7 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def main(args: argparse.Namespace) -> int:
     """Run the command."""
-    numbers = sorted({runs.joints_of(number) for number in args.joints})
+    numbers = sorted({runs.validate_joints(number) for number in args.joints})
     repeated = runs.RepeatedRuns("scale", args)
     with tempfile.TemporaryDirectory(prefix="teleop-bench-") as folder:
         configs = {n: rigs.write_config(Path(folder) / f"{n}.yaml", n) for n in numbers}
@@ -54,15 +54,15 @@ def main(args: argparse.Namespace) -> int:
                     f"{n}: {key}": part for key, part in measure(config, repeated.seconds).items()
                 }
             rows.append(row)
-    return repeated.conclude(figures.gather(rows))
+    return repeated.conclude(figures.collect_metrics(rows))
 
 
 def measure(config: Path, seconds: float) -> Row:
     """Return the figures of one session and of its baselines after it."""
     shared = RunConfig()
     session = run_session(config, seconds)
-    bare = dict(zip(SIDES, run_bare(shared.rate_hz, seconds, shared.realtime), strict=True))
-    trips = bare_round_trips(seconds, shared)
+    bare = dict(zip(SIDES, run_idle_loops(shared.rate_hz, seconds, shared.realtime), strict=True))
+    trips = measure_baseline_latency(seconds, shared)
     row: dict[str, tuple[str, float | None, float | None, bool]] = {}
     for side in SIDES:
         loop, base = session.summary[side], bare[side]

@@ -13,8 +13,8 @@ from typing import Any, NamedTuple
 
 from teleop.cli.bench import cpu
 from teleop.errors import TeleopError
-from teleop.launch.supervisor import COMPLAINT
-from teleop.runtime.process import module_command
+from teleop.launch.supervisor import ERROR_PREFIX
+from teleop.runtime.process import build_module_command
 
 SIDES = ("slave", "master")
 START_S = 300.0  # timeout with an empty compile cache, on a busy machine
@@ -22,18 +22,18 @@ _SETTLE_S = 0.5  # after engaging, and before the end
 _ENGAGED = "[master] engaged"  # in a line that begins with the time
 
 
-class Measured(NamedTuple):
+class SessionMeasurement(NamedTuple):
     """Result of a session."""
 
     summary: dict[str, Any]  # of `teleop run --json`
     cpu: dict[str, float]  # share of a core [%] by process: run, slave, master
 
 
-def run_session(config: Path, seconds: float) -> Measured:
+def run_session(config: Path, seconds: float) -> SessionMeasurement:
     """Run an engaged session of `seconds` [s]; `TeleopError` if it does not engage."""
     with ExitStack() as stack:
         out = config.with_suffix(".summary.json")
-        master, slave = _free_ports(2)
+        master, slave = _find_free_ports(2)
         words = [
             *("--config", str(config), "--view", "none", "--duration", str(seconds)),
             *("--json", str(out), "--force", "--set", f"session=bench-{os.getpid()}"),
@@ -42,7 +42,7 @@ def run_session(config: Path, seconds: float) -> Measured:
         ]
         process = stack.enter_context(
             subprocess.Popen(
-                [*module_command("teleop"), "run", *words],
+                [*build_module_command("teleop"), "run", *words],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.STDOUT,
@@ -50,14 +50,14 @@ def run_session(config: Path, seconds: float) -> Measured:
                 start_new_session=True,  # Ctrl-C is handled by this process
             )
         )
-        stack.callback(_end, process)
+        stack.callback(_end_process, process)
         output = _SessionOutput(process)
         output.await_engaged()
         time.sleep(_SETTLE_S)
-        processes = {"run": process.pid, **cpu.children(process.pid)}
-        before = cpu.sample(processes)
+        processes = {"run": process.pid, **cpu.find_children(process.pid)}
+        before = cpu.sample_cpu_time(processes)
         time.sleep(max(seconds - 2 * _SETTLE_S, _SETTLE_S))
-        after = cpu.sample(processes)
+        after = cpu.sample_cpu_time(processes)
         output.await_end(seconds)
         summary = json.loads(out.read_text())
         for side in SIDES:
@@ -65,7 +65,7 @@ def run_session(config: Path, seconds: float) -> Measured:
                 raise TeleopError(
                     f"the {side} of the session to measure was killed: {output.last()}"
                 )
-        return Measured(summary, cpu.percent(processes, before, after))
+        return SessionMeasurement(summary, cpu.compute_cpu_load(processes, before, after))
 
 
 class _SessionOutput:
@@ -97,16 +97,16 @@ class _SessionOutput:
     def _read(self) -> None:
         for line in self._process.stdout or ():
             self._lines.append(line.rstrip())
-            if _ENGAGED in line or line.startswith(COMPLAINT):
+            if _ENGAGED in line or line.startswith(ERROR_PREFIX):
                 self._engaged.set()
         self._engaged.set()
 
     def last(self) -> str:
-        complaints = [line for line in self._lines if line.startswith(COMPLAINT)] or self._lines
-        return complaints[-1].removeprefix(COMPLAINT) if complaints else "no output"
+        complaints = [line for line in self._lines if line.startswith(ERROR_PREFIX)] or self._lines
+        return complaints[-1].removeprefix(ERROR_PREFIX) if complaints else "no output"
 
 
-def _end(process: subprocess.Popen[str]) -> None:
+def _end_process(process: subprocess.Popen[str]) -> None:
     if process.poll() is None:
         process.send_signal(signal.SIGTERM)
         try:
@@ -116,7 +116,7 @@ def _end(process: subprocess.Popen[str]) -> None:
             process.wait()
 
 
-def _free_ports(count: int) -> list[int]:
+def _find_free_ports(count: int) -> list[int]:
     with ExitStack() as stack:
         probes = [stack.enter_context(socket.socket()) for _ in range(count)]
         for probe in probes:

@@ -6,11 +6,11 @@ from typing import NamedTuple
 
 from estimator.diagnosis import report_text
 from estimator.diagnosis.model import COMPLIANCE
-from estimator.diagnosis.outcome import Diagnosis, Number
+from estimator.diagnosis.outcome import Diagnosis, FittedValue
 from estimator.diagnosis.transmission_law import FRICTION
 from estimator.law.sheath import Sheath
 from estimator.text_table import Table
-from estimator.units import quantity
+from estimator.units import format_quantity
 from slave.calibration import file
 from teleop.errors import UsageError
 
@@ -19,7 +19,7 @@ class ComparedParameter(NamedTuple):
     """A parameter of the sheath from calibration and data."""
 
     accepted: float
-    found: Number
+    found: FittedValue
 
     @property
     def agrees(self) -> bool:
@@ -27,7 +27,7 @@ class ComparedParameter(NamedTuple):
         return self.found.low <= self.accepted <= self.found.high
 
 
-def load(path: Path, tendon: int) -> Sheath:
+def load_sheath(path: Path, tendon: int) -> Sheath:
     """Return the sheath of a tendon, from 0, of a calibration file; a single one is for all."""
     tendons = file.load(path).tendons
     if len(tendons) > 1 and tendon >= len(tendons):
@@ -48,14 +48,14 @@ def compare_parameters(found: Diagnosis, sheath: Sheath) -> dict[str, ComparedPa
     }
 
 
-def table(numbers: Mapping[str, ComparedParameter]) -> Table:
+def build_comparison_table(numbers: Mapping[str, ComparedParameter]) -> Table:
     """Return the comparison as text."""
     rows = [
         (
             name,
-            quantity(one.accepted, one.found.unit),
-            quantity(one.found.value, one.found.unit),
-            report_text.interval(one.found),
+            format_quantity(one.accepted, one.found.unit),
+            format_quantity(one.found.value, one.found.unit),
+            report_text.format_interval(one.found),
             "yes" if one.agrees else "NO",
         )
         for name, one in numbers.items()

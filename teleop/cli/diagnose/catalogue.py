@@ -9,27 +9,37 @@ from pathlib import Path
 
 from estimator.effects import CATALOGUE, NAMES, Effect, Parameter
 
-HEAD = ("name", "what goes on", "what it adds to the model", "parameters and ranges", "what to do")
+TABLE_HEAD = (
+    "name",
+    "what goes on",
+    "what it adds to the model",
+    "parameters and ranges",
+    "what to do",
+)
 
 
-def markdown() -> str:
+def format_catalogue() -> str:
     """Return the table: a row per name, with the differences of its variants."""
-    rows = [HEAD, ("---",) * len(HEAD), *map(_row, NAMES)]
+    rows = [TABLE_HEAD, ("---",) * len(TABLE_HEAD), *map(_format_row, NAMES)]
     return "\n".join(f"| {' | '.join(row)} |" for row in rows)
 
 
-def _row(name: str) -> tuple[str, ...]:
+def _format_row(name: str) -> tuple[str, ...]:
     variants = [effect for effect in CATALOGUE if effect.name == name]
     return (
         f"`{name}`",
-        _cell(dict.fromkeys(effect.cause for effect in variants)),
-        _cell(_by_variant(variants, lambda effect: effect.equation)),
-        _cell(_by_variant(variants, lambda effect: ", ".join(map(_parameter, effect.parameters)))),
-        _cell(dict.fromkeys(effect.advice for effect in variants)),
+        _format_cell(dict.fromkeys(effect.cause for effect in variants)),
+        _format_cell(_merge_variants(variants, lambda effect: effect.equation)),
+        _format_cell(
+            _merge_variants(
+                variants, lambda effect: ", ".join(map(_format_parameter, effect.parameters))
+            )
+        ),
+        _format_cell(dict.fromkeys(effect.advice for effect in variants)),
     )
 
 
-def _by_variant(variants: Sequence[Effect], say: Callable[[Effect], str]) -> list[str]:
+def _merge_variants(variants: Sequence[Effect], say: Callable[[Effect], str]) -> list[str]:
     """Return the texts of the variants, with variant names if they differ."""
     variants_by_text: dict[str, list[str]] = {}
     for effect in variants:
@@ -38,18 +48,18 @@ def _by_variant(variants: Sequence[Effect], say: Callable[[Effect], str]) -> lis
     return [f"{where[0]}: {text}" if own else text for text, where in variants_by_text.items()]
 
 
-def _cell(lines: Iterable[str]) -> str:
+def _format_cell(lines: Iterable[str]) -> str:
     return "<br>".join(lines).replace("|", "\\|")
 
 
-def _parameter(parameter: Parameter) -> str:
+def _format_parameter(parameter: Parameter) -> str:
     unit = f" {parameter.unit}" if parameter.unit else ""
     return f"{parameter.name} {parameter.low:g} to {parameter.high:g}{unit}"
 
 
 def replace_table(page: str) -> str:
     """Return a page with the table at its end replaced."""
-    return page[: page.index("| " + " | ".join(HEAD))] + markdown() + "\n"
+    return page[: page.index("| " + " | ".join(TABLE_HEAD))] + format_catalogue() + "\n"
 
 
 if __name__ == "__main__":

@@ -16,7 +16,7 @@ class NamedColumns(NamedTuple):
     units: Units | None
 
 
-def channel_columns(words: Sequence[str], tendon: int = 0) -> NamedColumns:
+def parse_column_options(words: Sequence[str], tendon: int = 0) -> NamedColumns:
     """Return the columns of a tendon, from 0, with the overrides of `--column`.
 
     NAME may be that of a torque, an angle or a force, such as `proximal_torque`.
@@ -27,6 +27,6 @@ def channel_columns(words: Sequence[str], tendon: int = 0) -> NamedColumns:
         An override is none, or they are linear in part and rotary in part.
     """
     pairs = [word.partition("=") for word in words]
-    units = channel_names.units_of_words([name for name, _, _ in pairs])
-    meant = [f"{channel_names.channel_of(name)}{equals}{column}" for name, equals, column in pairs]
-    return NamedColumns(estimate.column_names(meant, tendon), units)
+    units = channel_names.detect_option_units([name for name, _, _ in pairs])
+    meant = [f"{channel_names.to_channel(name)}{equals}{column}" for name, equals, column in pairs]
+    return NamedColumns(estimate.parse_column_names(meant, tendon), units)

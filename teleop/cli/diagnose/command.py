@@ -24,28 +24,28 @@ from pathlib import Path
 from typing import NamedTuple
 
 from estimator.diagnosis import report_text
-from estimator.diagnosis.api import CauseError, RecordError, diagnose, signals_of
+from estimator.diagnosis.api import CauseError, RecordError, collect_signals, diagnose
 from estimator.diagnosis.outcome import Diagnosis
 from estimator.effects import Effect
 from teleop.cli import estimate
 from teleop.cli.diagnose import acceptance, effect_choice, report_json
 from teleop.cli.diagnose.acceptance import ComparedParameter
-from teleop.cli.diagnose.channel_options import NamedColumns, channel_columns
+from teleop.cli.diagnose.channel_options import NamedColumns, parse_column_options
 from teleop.cli.diagnose.noise_option import parse_noise
 from teleop.config.options import add_option, add_options
-from teleop.config.suggestions import did_you_mean
+from teleop.config.suggestions import suggest_spelling
 from teleop.data import model_file
 from teleop.data.table import MeasuredTable, read_table
 from teleop.errors import UsageError
 from teleop.runtime.output_file import OutputFolder, make_folder
-from teleop.runtime.parallel import processors
-from teleop.runtime.process import write_summary, write_whole
+from teleop.runtime.parallel import count_processors
+from teleop.runtime.process import write_summary, write_text_file
 from teleop.runtime.progress import Progress
 
 TENSIONS = ("proximal_tension", "distal_tension")  # whose zero errors a diagnosis identifies
 
 
-class Data(NamedTuple):
+class DiagnosisData(NamedTuple):
     """The data of a diagnosis."""
 
     fitted: tuple[MeasuredTable, ...]
@@ -62,11 +62,11 @@ class Data(NamedTuple):
         return tuple(str(table.path) for table in self.validation)
 
 
-class Report(NamedTuple):
+class ReportContent(NamedTuple):
     """Content of the report."""
 
     found: Diagnosis
-    data: Data
+    data: DiagnosisData
     accepted: dict[str, ComparedParameter]  # comparison with the given calibration
 
 
@@ -133,12 +133,12 @@ def main(args: argparse.Namespace) -> int:
         make_folder(args.out, "report.html")
     if args.supplement is not None:
         make_folder(args.supplement, "supplement.html")
-    tendon = estimate.select_tendon(args.tendon, estimate.recorded_joints(args.data[0]), 1)
-    sheath = None if args.calibration is None else acceptance.load(args.calibration, tendon)
-    columns = channel_columns(args.column, tendon)
+    tendon = estimate.select_tendon(args.tendon, estimate.read_recorded_joints(args.data[0]), 1)
+    sheath = None if args.calibration is None else acceptance.load_sheath(args.calibration, tendon)
+    columns = parse_column_options(args.column, tendon)
     noise = parse_noise(args.noise)
     loop = None if args.transmission == "auto" else args.transmission == "loop"
-    data = read(args.data, args.validate, columns, args.drop_nonfinite)
+    data = read_data(args.data, args.validate, columns, args.drop_nonfinite)
     progress, begun = Progress(), time.monotonic()
     try:
         found = diagnose(
@@ -151,7 +151,7 @@ def main(args: argparse.Namespace) -> int:
             fit_all=args.fit_all,
             leave_one_file_out=args.leave_one_file_out,
             progress=progress,
-            workers=processors(),
+            workers=count_processors(),
         )
     except RecordError as error:
         raise UsageError(str(error)) from error
@@ -160,22 +160,22 @@ def main(args: argparse.Namespace) -> int:
     finally:
         progress.end()
     seconds = time.monotonic() - begun
-    report = Report(
+    report = ReportContent(
         found, data, {} if sheath is None else acceptance.compare_parameters(found, sheath)
     )
-    tree = report_json.tree(found, data.files, seconds, report.accepted, data.further)
+    tree = report_json.build_report(found, data.files, seconds, report.accepted, data.further)
     write_summary(args.json, tree)
-    beside = acceptance.table(report.accepted) if report.accepted else None
-    print(report_text.summary(found, data.files, beside, data.further), flush=True)
+    beside = acceptance.build_comparison_table(report.accepted) if report.accepted else None
+    print(report_text.format_summary(found, data.files, beside, data.further), flush=True)
     if args.out is not None:
         write_summary(args.out / "report.json", tree)
-        _write_folder(report, args.out)
+        _write_report(report, args.out)
         print(f"\nwritten: {args.out / 'report.html'}")
     if args.supplement is not None:
         from teleop.cli.diagnose import supplement
 
         sources = supplement.Sources(args.command_line, data.files, data.further)
-        print(f"\nwritten: {supplement.write(args.supplement, found, sources)}")
+        print(f"\nwritten: {supplement.write_supplement(args.supplement, found, sources)}")
     return 0
 
 
@@ -183,18 +183,18 @@ def check_options(args: argparse.Namespace, effects: Sequence[Effect]) -> None:
     """Raise `UsageError` for conflicting options, before anything is read."""
     names = tuple(dict.fromkeys(effect.name for effect in effects))
     if args.cause and args.cause not in names:
-        hint = did_you_mean(args.cause, names, 3, 0.5) or "; it must be one of --effects"
+        hint = suggest_spelling(args.cause, names, 3, 0.5) or "; it must be one of --effects"
         raise UsageError(f"--cause {args.cause}: is not among the effects considered{hint}")
     if args.leave_one_file_out and len(args.data) < 2:
         raise UsageError("--leave-one-file-out: give at least two files of one bench")
 
 
-def read(
+def read_data(
     paths: Sequence[Path],
     validate: Sequence[Path],
     columns: NamedColumns,
     drop_nonfinite: bool,
-) -> Data:
+) -> DiagnosisData:
     """Return the data of some files, all with the same channels.
 
     Raises
@@ -220,21 +220,23 @@ def read(
                 f"{table.path}: is in {table.units.effort} and {table.units.travel}, but "
                 f"{first.path} in {first.units.effort} and {first.units.travel}"
             )
-        if set(signals_of(table)) != set(signals_of(first)):
+        if set(collect_signals(table)) != set(collect_signals(first)):
             raise UsageError(
-                f"{table.path}: has {', '.join(signals_of(table))}, but {first.path} has "
-                f"{', '.join(signals_of(first))}; data that are diagnosed together need the same "
+                f"{table.path}: has {', '.join(collect_signals(table))}, but {first.path} has "
+                f"{', '.join(collect_signals(first))}; data that are diagnosed together need the same "
                 "channels"
             )
-    return Data(tuple(tables[: len(paths)]), tuple(tables[len(paths) :]))
+    return DiagnosisData(tuple(tables[: len(paths)]), tuple(tables[len(paths) :]))
 
 
-def _write_folder(report: Report, folder: Path) -> None:
+def _write_report(report: ReportContent, folder: Path) -> None:
     from teleop.cli.diagnose import page, residuals
 
     found, files = report.found, report.data.files
-    remark = f"Fitted by teleop diagnose to {', '.join(files)}.\n{report_text.sentence(found)}"
-    model_file.save(folder / "model.yaml", model_file.of_diagnosis(found), remark)
+    remark = (
+        f"Fitted by teleop diagnose to {', '.join(files)}.\n{report_text.format_verdict(found)}"
+    )
+    model_file.save(folder / "model.yaml", model_file.from_diagnosis(found), remark)
     text = page.render(found, files, report.accepted, report.data.further)
-    write_whole(folder / "report.html", text, "the page")
-    residuals.write(folder / "residuals.rrd", found, files)
+    write_text_file(folder / "report.html", text, "the page")
+    residuals.write_residuals(folder / "residuals.rrd", found, files)

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from estimator.effects import CATALOGUE, NAMES, Effect
-from teleop.config.suggestions import did_you_mean
+from teleop.config.suggestions import suggest_spelling
 from teleop.data.effect_extensions import is_extension, load_effects
 from teleop.errors import UsageError
 
@@ -18,6 +18,6 @@ def parse_effects(text: str) -> Sequence[Effect]:
     others = tuple(effect for name in names if is_extension(name) for effect in load_effects(name))
     for name in names:
         if name not in NAMES and not is_extension(name):
-            listed = did_you_mean(name, NAMES, 3, 0.5) or f"; there are {', '.join(NAMES)}"
+            listed = suggest_spelling(name, NAMES, 3, 0.5) or f"; there are {', '.join(NAMES)}"
             raise UsageError(f"--effects {name}: no such effect{listed}")
     return (*(effect for effect in CATALOGUE if effect.name in names), *others)

@@ -98,17 +98,17 @@ FORMULAS = {
 """What each effect adds, by its label; others are given by their equation in words."""
 
 
-def law(elastic: bool) -> tuple[str, ...]:
+def get_law_formulas(elastic: bool) -> tuple[str, ...]:
     """Return the plain law; without a travel in the data it is not `elastic`."""
     return (LAW, TRAVEL, TIP) if elastic else (LAW,)
 
 
-def extension(effects: Sequence[Effect]) -> tuple[str, ...]:
+def get_effect_formulas(effects: Sequence[Effect]) -> tuple[str, ...]:
     """Return what some effects add to the law."""
-    return tuple(FORMULAS.get(effect.label) or _in_words(effect) for effect in effects)
+    return tuple(FORMULAS.get(effect.label) or _format_equation_text(effect) for effect in effects)
 
 
-def drawn(formula: str) -> Figure:
+def draw_formula(formula: str) -> Figure:
     """Return a formula as a figure, which its bounding box is to be cut to."""
     figure = Figure(figsize=(6.0, 0.6))
     figure.set_layout_engine("none")
@@ -116,7 +116,7 @@ def drawn(formula: str) -> Figure:
     return figure
 
 
-def _in_words(effect: Effect) -> str:
+def _format_equation_text(effect: Effect) -> str:
     words = effect.equation
     for sign in "\\_^{}$%#&":
         words = words.replace(sign, " ")

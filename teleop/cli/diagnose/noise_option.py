@@ -4,7 +4,7 @@ import math
 from collections.abc import Sequence
 
 from estimator.effects import CHANNELS
-from teleop.data.channel_names import channel_of
+from teleop.data.channel_names import to_channel
 from teleop.errors import UsageError
 
 
@@ -17,7 +17,7 @@ def parse_noise(words: Sequence[str]) -> dict[str, float]:
             sigma = float(text)
         except ValueError:
             sigma = math.nan
-        channel = channel_of(name)
+        channel = to_channel(name)
         if channel not in CHANNELS or not 0.0 <= sigma < math.inf:
             raise UsageError(
                 f"--noise {word}: expected NAME=SIGMA in the unit of the data, NAME one of "

@@ -6,13 +6,13 @@ from typing import Any
 
 from estimator.diagnosis import file_tables, report_text
 from estimator.diagnosis.law_choice import Choice
-from estimator.diagnosis.outcome import Diagnosis, Fitnesses, Ranked
-from estimator.diagnosis.prediction import Fitness, Predicted
+from estimator.diagnosis.outcome import Diagnosis, ModelErrors, RankedCandidate
+from estimator.diagnosis.prediction import ErrorStatistics, PredictedRecord
 from teleop.cli.diagnose.acceptance import ComparedParameter
-from teleop.cli.report.json_values import json_values
+from teleop.cli.report.json_values import to_json_values
 
 
-def tree(
+def build_report(
     found: Diagnosis,
     files: Sequence[str],
     seconds: float,
@@ -33,41 +33,41 @@ def tree(
     further : sequence of str
         Names of the files for validation.
     """
-    names = file_tables.names_of(found, files, further)
+    names = file_tables.name_records(found, files, further)
     report = {
         "verdict": found.verdict.value,
-        "sentence": report_text.sentence(found),
+        "sentence": report_text.format_verdict(found),
         "units": {"effort": found.units.effort, "travel": found.units.travel},
         "closed_loop": found.dataset.records[0].loop,
-        "law": _choice(found.laws, found.dataset.base.law),
-        "loads": _choice(found.loads, found.dataset.base.loads),
+        "law": _build_choice(found.laws, found.dataset.base.law),
+        "loads": _build_choice(found.loads, found.dataset.base.loads),
         "cause": list(found.causes),
-        "candidates": _candidates(found.ranking),
+        "candidates": _build_candidates(found.ranking),
         "ambiguous_with": list(found.ambiguous_with),
         "steps": [
             {
                 "name": step.effect.name,
                 "label": step.effect.label,
                 "rivals": step.rivals,
-                "candidates": _candidates(step.ranking),
+                "candidates": _build_candidates(step.ranking),
             }
             for step in found.steps
         ],
         "parameters": {name: number._asdict() for name, number in found.parameters.items()},
-        "baseline": _fitnesses(found.before),
-        "extended": _fitnesses(found.after),
+        "baseline": _build_fitness_sets(found.before),
+        "extended": _build_fitness_sets(found.after),
         "simple_models": {one.name: one.rmse for one in found.simple_models},
         "fit_all": found.fit_all,
-        "validation": _predicted(found.validation, names[len(files) :]),
-        "left_out": _predicted(found.left_out, files),
+        "validation": _build_prediction_errors(found.validation, names[len(files) :]),
+        "left_out": _build_prediction_errors(found.left_out, files),
         "forces": [
             {"file": name, "validation": one.validation}
             | {"before": one.before._asdict(), "after": one.after._asdict()}
             for name, one in zip(names, found.forces, strict=False)
         ],
-        "rivals": _rivals(found),
+        "rivals": _build_rivals(found),
         "simple_gain": {channel: gain._asdict() for channel, gain in found.simple_gain.items()},
-        "better_models": report_text.better_models(found),
+        "better_models": report_text.list_better_models(found),
         "gain": {channel: gain._asdict() for channel, gain in found.gain.items()},
         "noise": dict(found.noise),
         "driver": {
@@ -84,7 +84,7 @@ def tree(
             name: {"accepted": one.accepted, "agrees": one.agrees} for name, one in accepted.items()
         },
         "experiments": list(found.experiments),
-        "next": report_text.next_steps(found),
+        "next": report_text.list_next_steps(found),
         "troubles": [trouble._asdict() for trouble in found.troubles],
         "files": list(files),
         "samples": [int(record.measured.sum()) for record in found.dataset.records],
@@ -92,11 +92,13 @@ def tree(
         "seconds": seconds,
         "version": version("tendon-teleop"),
     }
-    plain: dict[str, Any] = json_values(report)
+    plain: dict[str, Any] = to_json_values(report)
     return plain
 
 
-def _predicted(records: Sequence[Predicted], names: Sequence[str]) -> list[dict[str, Any]]:
+def _build_prediction_errors(
+    records: Sequence[PredictedRecord], names: Sequence[str]
+) -> list[dict[str, Any]]:
     """Return the errors of files that were not fitted."""
     return [
         {
@@ -107,8 +109,8 @@ def _predicted(records: Sequence[Predicted], names: Sequence[str]) -> list[dict[
                 channel: {
                     "samples": int(one.record.good[channel].sum()),
                     "spikes": one.spikes[channel],
-                    "baseline": _fitness(before),
-                    "extended": _fitness(one.fitness(one.after)[channel]),
+                    "baseline": _build_fitness(before),
+                    "extended": _build_fitness(one.fitness(one.after)[channel]),
                 }
                 for channel, before in one.fitness(one.before).items()
             },
@@ -117,7 +119,7 @@ def _predicted(records: Sequence[Predicted], names: Sequence[str]) -> list[dict[
     ]
 
 
-def _rivals(found: Diagnosis) -> list[dict[str, Any]]:
+def _build_rivals(found: Diagnosis) -> list[dict[str, Any]]:
     """Return the models of equally good causes, and what they would do to the force."""
     forces = {(one.replaces, one.label): one for one in found.rival_forces}
     tree = []
@@ -145,7 +147,7 @@ def _rivals(found: Diagnosis) -> list[dict[str, Any]]:
     return tree
 
 
-def _candidates(ranking: Sequence[Ranked]) -> list[dict[str, Any]]:
+def _build_candidates(ranking: Sequence[RankedCandidate]) -> list[dict[str, Any]]:
     """Return the candidates of a search, the best first."""
     return [
         {
@@ -159,11 +161,11 @@ def _candidates(ranking: Sequence[Ranked]) -> list[dict[str, Any]]:
                 for p, value in zip(ranked.effect.parameters, ranked.values, strict=True)
             },
         }
-        for ranked in report_text.best(ranking, len(ranking))
+        for ranked in report_text.select_best_candidates(ranking, len(ranking))
     ]
 
 
-def _choice(choice: Choice, chosen: str) -> dict[str, Any]:
+def _build_choice(choice: Choice, chosen: str) -> dict[str, Any]:
     """Return what was chosen, and the scores of all that could be."""
     return {
         "chosen": str(chosen),
@@ -175,14 +177,14 @@ def _choice(choice: Choice, chosen: str) -> dict[str, Any]:
     }
 
 
-def _fitnesses(all_of: Fitnesses) -> dict[str, Any]:
+def _build_fitness_sets(all_of: ModelErrors) -> dict[str, Any]:
     return {
-        name: {channel: _fitness(one) for channel, one in getattr(all_of, name).items()}
-        for name in report_text.SETS
+        name: {channel: _build_fitness(one) for channel, one in getattr(all_of, name).items()}
+        for name in report_text.SAMPLE_SETS
     }
 
 
-def _fitness(one: Fitness) -> dict[str, float]:
+def _build_fitness(one: ErrorStatistics) -> dict[str, float]:
     return {
         "rmse": one.rmse,
         "max_percent": 100.0 * one.largest,

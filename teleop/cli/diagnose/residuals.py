@@ -6,12 +6,12 @@ from pathlib import Path
 from estimator.array_types import Array
 from estimator.diagnosis import report_text
 from estimator.diagnosis.outcome import Diagnosis
-from teleop.view.series import Curve, Panel, save
+from teleop.view.series import PlotCurve, PlotPanel, save
 
 MEASURED, BEFORE, AFTER = 0x808080FF, 0xD55E00FF, 0x0072B2FF
 
 
-def write(path: Path, found: Diagnosis, files: Sequence[str]) -> None:
+def write_residuals(path: Path, found: Diagnosis, files: Sequence[str]) -> None:
     """Write the file: for each record a column, for each channel its curves and its residuals."""
     columns = []
     for k, file in enumerate(files):
@@ -27,12 +27,12 @@ def write(path: Path, found: Diagnosis, files: Sequence[str]) -> None:
             title = f"{record.units.word(channel)} [{record.units.of(channel)}]"
             lines = {("measured", MEASURED): measured} | models
             off = {key: measured - values for key, values in models.items()}
-            panels.append(_panel(f"{title}, {file}", record.time[rows], lines))
-            panels.append(_panel(f"residual of {title}", record.time[rows], off))
+            panels.append(_build_panel(f"{title}, {file}", record.time[rows], lines))
+            panels.append(_build_panel(f"residual of {title}", record.time[rows], off))
         columns.append(panels)
-    save(path, report_text.sentence(found), columns)
+    save(path, report_text.format_verdict(found), columns)
 
 
-def _panel(title: str, time: Array, lines: dict[tuple[str, int], Array]) -> Panel:
-    curves = (Curve(name, colour, time, values) for (name, colour), values in lines.items())
-    return Panel(title, tuple(curves))
+def _build_panel(title: str, time: Array, lines: dict[tuple[str, int], Array]) -> PlotPanel:
+    curves = (PlotCurve(name, colour, time, values) for (name, colour), values in lines.items())
+    return PlotPanel(title, tuple(curves))

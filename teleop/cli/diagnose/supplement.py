@@ -14,20 +14,20 @@ from numpy.typing import NDArray
 
 from estimator.array_types import Array
 from estimator.diagnosis import file_tables, report_text
-from estimator.diagnosis.autocorrelation import Autocorrelation, of_channel
-from estimator.diagnosis.figures import figures
+from estimator.diagnosis.autocorrelation import Autocorrelation, autocorrelate_channel
+from estimator.diagnosis.figures import draw_figures
 from estimator.diagnosis.outcome import Diagnosis
-from estimator.diagnosis.prediction import Predicted
-from estimator.drawing import BLACK, BLUE, STYLE, svg
+from estimator.diagnosis.prediction import PredictedRecord
+from estimator.drawing import BLACK, BLUE, STYLE, to_svg
 from estimator.text_table import Table
 from estimator.units import Units
 from teleop.cli.diagnose import formulas
-from teleop.cli.diagnose.citation import citations
+from teleop.cli.diagnose.citation import load_citations
 from teleop.cli.report.page import Page
 from teleop.data.table import write_table
 from teleop.data.table_files import Column
-from teleop.runtime.output_file import replacing
-from teleop.runtime.process import write_whole
+from teleop.runtime.output_file import replace_file
+from teleop.runtime.process import write_text_file
 
 SYMBOLS = (
     "T tension at the friction coordinate s, from 0 at the housing to K at the tip; q_p, q_d "
@@ -45,9 +45,9 @@ class Sources(NamedTuple):
     further: tuple[str, ...]  # for validation
 
 
-def write(folder: Path, found: Diagnosis, sources: Sources) -> Path:
+def write_supplement(folder: Path, found: Diagnosis, sources: Sources) -> Path:
     """Write the page, its figures and its tables into a folder; return the page's path."""
-    page = Page(title(found, sources.files))
+    page = Page(build_title(found, sources.files))
     page.points(
         [
             f"Date: {datetime.now(UTC).date().isoformat()}",
@@ -55,27 +55,27 @@ def write(folder: Path, found: Diagnosis, sources: Sources) -> Path:
             f"Command: {sources.command}",
         ]
     )
-    page.text(report_text.sentence(found))
+    page.text(report_text.format_verdict(found))
     _add_data(page, found, sources)
     _add_law(page, found, folder)
-    _add_table(page, folder, "parameters", report_text.parameters(found))
+    _add_table(page, folder, "parameters", report_text.build_parameter_table(found))
     if found.rivals:
         page.heading("Rivals")
         page.text("Causes that explain the data equally well, each fitted to all samples.")
-        _add_table(page, folder, "rivals", file_tables.rival_parameters(found))
+        _add_table(page, folder, "rivals", file_tables.build_rival_parameter_table(found))
     if found.rival_forces:
-        _add_table(page, folder, "rival-forces", file_tables.rivals(found))
+        _add_table(page, folder, "rival-forces", file_tables.build_rival_table(found))
     _add_errors(page, found, folder, sources)
     _add_residuals(page, found, folder)
     page.heading("How to cite")
-    page.points(citations())
+    page.points(load_citations())
     _write_records(folder, found)
     path = folder / "supplement.html"
-    write_whole(path, page.render(), "the supplement")
+    write_text_file(path, page.render(), "the supplement")
     return path
 
 
-def title(found: Diagnosis, files: Sequence[str]) -> str:
+def build_title(found: Diagnosis, files: Sequence[str]) -> str:
     """Return a short title."""
     names = [Path(file).name for file in files]
     what = names[0] if len(names) == 1 else f"{names[0]} and {len(names) - 1} more"
@@ -112,37 +112,45 @@ def _add_data(page: Page, found: Diagnosis, sources: Sources) -> None:
 
 def _add_law(page: Page, found: Diagnosis, folder: Path) -> None:
     page.heading("Extended law")
-    lines = formulas.law(len(found.dataset.base.shared) > 1)
-    lines += formulas.extension([effect for effect, _ in found.extended.model.effects])
+    lines = formulas.get_law_formulas(len(found.dataset.base.shared) > 1)
+    lines += formulas.get_effect_formulas([effect for effect, _ in found.extended.model.effects])
     for k, line in enumerate(lines, start=1):
-        drawing = svg(formulas.drawn(line), cut=True)
-        write_whole(folder / f"equation-{k}.svg", drawing, "an equation")
+        drawing = to_svg(formulas.draw_formula(line), cut=True)
+        write_text_file(folder / f"equation-{k}.svg", drawing, "an equation")
         page.drawing(drawing, f"({k})")
     page.text(SYMBOLS)
 
 
 def _add_errors(page: Page, found: Diagnosis, folder: Path, sources: Sources) -> None:
-    names = file_tables.names_of(found, sources.files, sources.further)
+    names = file_tables.name_records(found, sources.files, sources.further)
     fitted = len(found.dataset.records)
     page.heading("Cross-validation" if not found.fit_all else "Errors")
-    _add_table(page, folder, "errors", report_text.fitness(found))
-    _add_table(page, folder, "models", report_text.models(found))
+    _add_table(page, folder, "errors", report_text.build_error_table(found))
+    _add_table(page, folder, "models", report_text.build_model_table(found))
     if found.validation:
         page.heading("Validation")
         _add_table(
-            page, folder, "validation", file_tables.predicted(found.validation, names[fitted:])
+            page,
+            folder,
+            "validation",
+            file_tables.build_prediction_table(found.validation, names[fitted:]),
         )
     if found.left_out:
         page.heading("Leave-one-file-out cross-validation")
-        _add_table(page, folder, "left-out", file_tables.predicted(found.left_out, names[:fitted]))
+        _add_table(
+            page,
+            folder,
+            "left-out",
+            file_tables.build_prediction_table(found.left_out, names[:fitted]),
+        )
     if found.forces:
         page.heading("Estimated force")
-        _add_table(page, folder, "forces", file_tables.forces(found, names))
+        _add_table(page, folder, "forces", file_tables.build_force_table(found, names))
     page.heading("Figures")
     with mpl.rc_context(STYLE):
-        for drawn in figures(found, sources.files, sources.further):
-            drawing = svg(drawn.figure)
-            write_whole(folder / f"{drawn.name}.svg", drawing, "a figure")
+        for drawn in draw_figures(found, sources.files, sources.further):
+            drawing = to_svg(drawn.figure)
+            write_text_file(folder / f"{drawn.name}.svg", drawing, "a figure")
             page.drawing(drawing, drawn.caption)
 
 
@@ -156,10 +164,10 @@ def _add_residuals(page: Page, found: Diagnosis, folder: Path) -> None:
         ]
         or ["The residual correlates with no tension, speed, direction, travel or time."]
     )
-    channels = report_text.compared(found)
-    parts = {channel: of_channel(found, channel) for channel in channels}
-    drawing = svg(autocorrelations(parts, found.units))
-    write_whole(folder / "autocorrelation.svg", drawing, "a figure")
+    channels = report_text.list_compared_channels(found)
+    parts = {channel: autocorrelate_channel(found, channel) for channel in channels}
+    drawing = to_svg(draw_autocorrelations(parts, found.units))
+    write_text_file(folder / "autocorrelation.svg", drawing, "a figure")
     page.drawing(
         drawing,
         "Autocorrelation of the residual of the extended law; 95 % of white noise lie in the band.",
@@ -171,7 +179,7 @@ def _add_residuals(page: Page, found: Diagnosis, folder: Path) -> None:
         )
 
 
-def autocorrelations(parts: dict[str, Autocorrelation], units: Units) -> Figure:
+def draw_autocorrelations(parts: dict[str, Autocorrelation], units: Units) -> Figure:
     """Draw the autocorrelation of the residual of each channel."""
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(8.2, 0.4 + 1.8 * len(parts)))
@@ -189,7 +197,7 @@ def _add_table(page: Page, folder: Path, name: str, table: Table) -> None:
     """Add a table to the page, and write it beside it."""
     page.table(table, mark="")
     with (
-        replacing(folder / f"{name}.csv") as path,
+        replace_file(folder / f"{name}.csv") as path,
         path.open("w", newline="", encoding="utf-8") as file,
     ):
         csv.writer(file).writerows([table.head, *table.rows])
@@ -199,14 +207,14 @@ def _write_records(folder: Path, found: Diagnosis) -> None:
     """Write what was measured and simulated, a file for each record."""
     fits = (found.baseline.simulated, found.extended.simulated)
     for k, record in enumerate(found.dataset.records):
-        one = Predicted(record, *(fit[k] for fit in fits))
+        one = PredictedRecord(record, *(fit[k] for fit in fits))
         _write_record(folder / f"residuals-{k + 1}.csv", one)
     for kind, records in (("validation", found.validation), ("left-out", found.left_out)):
         for k, one in enumerate(records):
             _write_record(folder / f"residuals-{kind}-{k + 1}.csv", one)
 
 
-def _write_record(path: Path, one: Predicted) -> None:
+def _write_record(path: Path, one: PredictedRecord) -> None:
     rows = one.record.measured
     columns = {"time_s": (one.record.time + one.record.start)[rows]}
     for channel in one.record.compared:
@@ -216,15 +224,15 @@ def _write_record(path: Path, one: Predicted) -> None:
             signals[channel]
             for signals in (one.record.signals, one.before.signals, one.after.signals)
         )
-        columns[f"{channel}_{unit}"] = _cells(measured, known)[rows]
+        columns[f"{channel}_{unit}"] = _to_cells(measured, known)[rows]
         columns[f"{channel}_plain_{unit}"] = before[rows]
         columns[f"{channel}_extended_{unit}"] = after[rows]
-        columns[f"{channel}_residual_{unit}"] = _cells(measured - after, known)[rows]
+        columns[f"{channel}_residual_{unit}"] = _to_cells(measured - after, known)[rows]
         columns[f"{channel}_counts"] = one.record.good[channel][rows].astype(np.int64)
     write_table(path, columns)
 
 
-def _cells(values: Array, known: NDArray[np.bool_]) -> Column:
+def _to_cells(values: Array, known: NDArray[np.bool_]) -> Column:
     """Return values as cells of a table, empty where they are not known."""
     cells = values.astype(object)
     cells[~known] = None

@@ -18,12 +18,12 @@ from estimator.pair.pair_fit import PairError
 from estimator.pair.pair_study import study_pair
 from teleop.cli.pair import report_json
 from teleop.cli.pair.config import PairConfig
-from teleop.cli.pair.read import read
+from teleop.cli.pair.read import read_records
 from teleop.config.loading import load
 from teleop.config.options import add_options
 from teleop.errors import UsageError
 from teleop.runtime.output_file import make_folder
-from teleop.runtime.process import write_summary, write_whole
+from teleop.runtime.process import write_summary, write_text_file
 from teleop.runtime.progress import Progress
 
 
@@ -44,7 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def main(args: argparse.Namespace) -> int:
     """Study the pair and report; returns the exit code."""
     config = load(args.columns, PairConfig, None)
-    records, further = read(args.data, config), read(args.validate, config)
+    records, further = read_records(args.data, config), read_records(args.validate, config)
     if args.out is not None:
         make_folder(args.out, "report.html")
     progress, begun = Progress(), time.monotonic()
@@ -54,13 +54,13 @@ def main(args: argparse.Namespace) -> int:
         raise UsageError(f"{', '.join(map(str, args.data + args.validate))}: {error}") from error
     finally:
         progress.end()
-    tree = report_json.tree(found, time.monotonic() - begun)
+    tree = report_json.build_report(found, time.monotonic() - begun)
     write_summary(args.json, tree)
     print(found.summary(), flush=True)
     if args.out is not None:
         from teleop.cli.pair import page
 
         write_summary(args.out / "report.json", tree)
-        write_whole(args.out / "report.html", page.render(found), "the page")
+        write_text_file(args.out / "report.html", page.render(found), "the page")
         print(f"\nwritten: {args.out / 'report.html'}")
     return 0

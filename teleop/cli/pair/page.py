@@ -11,26 +11,26 @@ from teleop.cli.report.page import Page
 
 def render(found: PairStudy) -> str:
     """Return the page."""
-    page = Page(report_text.sentence(found))
-    for what in report_text.better_model(found):
+    page = Page(report_text.format_sentence(found))
+    for what in report_text.format_model_warning(found):
         page.text(what)
     page.heading("Friction against bend")
-    page.table(report_text.frictions(found), mark="")
+    page.table(report_text.build_friction_table(found), mark="")
     with TemporaryDirectory() as folder:
-        captions = figures.draw(found, Path(folder))
+        captions = figures.write_figures(found, Path(folder))
         paths = {name: Path(folder) / name for name in captions}
         page.figure(paths["pair-friction.png"], captions["pair-friction.png"])
         page.heading("The model for all bends")
-        page.table(report_text.parameters(found), mark="")
+        page.table(report_text.build_parameter_table(found), mark="")
         page.heading("Bends that were not fitted")
         page.text("Root mean square of the angle's error, and its share of the span.")
-        page.table(report_text.left_out(found), mark=report_text.OURS)
+        page.table(report_text.build_held_out_table(found), mark=report_text.OWN_METHOD)
         page.figure(paths["pair-loops.png"], captions["pair-loops.png"])
         if found.validation:
             page.heading("Bends kept apart")
-            page.table(report_text.validation(found.validation), mark="")
+            page.table(report_text.build_validation_table(found.validation), mark="")
         page.heading("What is wrong")
-        page.points(report_text.wrong(found))
-        page.table(report_text.parts(found), mark="")
+        page.points(report_text.describe_errors(found))
+        page.table(report_text.build_residual_table(found), mark="")
         page.figure(paths["pair-left.png"], captions["pair-left.png"])
     return page.render()

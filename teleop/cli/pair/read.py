@@ -17,7 +17,7 @@ ANGLE_SPAN = 7.0  # [rad] of a joint: above a full turn the unit is wrong
 SAMPLES_MIN = 20  # in which a sensor that works changes
 
 
-def read(paths: Sequence[Path], config: PairConfig) -> tuple[PairRecord, ...]:
+def read_records(paths: Sequence[Path], config: PairConfig) -> tuple[PairRecord, ...]:
     """Return the records of some files, in the order of their bends.
 
     Raises
@@ -25,20 +25,20 @@ def read(paths: Sequence[Path], config: PairConfig) -> tuple[PairRecord, ...]:
     UsageError
         A file cannot be read, lacks a column or its bend, or has invalid values.
     """
-    return tuple(sorted((_record(path, config) for path in paths), key=lambda one: one.bend))
+    return tuple(sorted((_read_record(path, config) for path in paths), key=lambda one: one.bend))
 
 
-def _record(path: Path, config: PairConfig) -> PairRecord:
+def _read_record(path: Path, config: PairConfig) -> PairRecord:
     bend = config.bend_of(path)
     raw = read_columns(path)
-    columns = {f.name: _column(path, raw, config, f.name) for f in fields(PairColumns)}
+    columns = {f.name: _parse_column(path, raw, config, f.name) for f in fields(PairColumns)}
     time = columns["time"]
     if not len(time):
         raise UsageError(f"{path}: has a header but no rows")
     check_time(path, raw, config.columns.time, time, "convert it to seconds")
     for item in ("tension_a", "tension_b"):
         check_effort(path, raw, getattr(config.columns, item), columns[item], may_err=True)
-    _require_moving(path, columns, config)
+    _check_columns(path, columns, config)
     return PairRecord(
         bend,
         time,
@@ -49,7 +49,7 @@ def _record(path: Path, config: PairConfig) -> PairRecord:
     )
 
 
-def _require_moving(path: Path, columns: Mapping[str, Array], config: PairConfig) -> None:
+def _check_columns(path: Path, columns: Mapping[str, Array], config: PairConfig) -> None:
     """Refuse a sensor that never changes, and angles that are plainly in degrees."""
     for item, column in columns.items():
         span = float(np.ptp(column))
@@ -66,7 +66,7 @@ def _require_moving(path: Path, columns: Mapping[str, Array], config: PairConfig
             )
 
 
-def _column(path: Path, raw: RawTable, config: PairConfig, item: str) -> Array:
+def _parse_column(path: Path, raw: RawTable, config: PairConfig, item: str) -> Array:
     name = getattr(config.columns, item)
     if name not in raw.columns:
         raise UsageError(

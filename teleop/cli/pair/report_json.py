@@ -4,14 +4,14 @@ from importlib.metadata import version
 from typing import Any
 
 from estimator.pair import report_text
-from estimator.pair.pair_structure import offset_share, structure
+from estimator.pair.pair_structure import analyse_residuals, compute_offset_share
 from estimator.pair.pair_study import PairStudy
 
 
-def tree(found: PairStudy, seconds: float) -> dict[str, Any]:
+def build_report(found: PairStudy, seconds: float) -> dict[str, Any]:
     """Return the report; `seconds` is what the study took."""
     return {
-        "sentence": report_text.sentence(found),
+        "sentence": report_text.format_sentence(found),
         "bends": [float(record.bend) for record in found.records],
         "friction": [number._asdict() for number in found.each],
         "friction_straight": found.friction._asdict(),
@@ -19,7 +19,7 @@ def tree(found: PairStudy, seconds: float) -> dict[str, Any]:
         "model": {name: float(value) for name, value in found.fit.model._asdict().items()},
         "neutral": list(found.fit.neutrals),
         "best_simple": found.best_simple,
-        "better_model": report_text.better_model(found),
+        "better_model": report_text.format_model_warning(found),
         "left_out": {
             method: [error._asdict() for error in errors]
             for method, errors in found.left_out.items()
@@ -32,9 +32,9 @@ def tree(found: PairStudy, seconds: float) -> dict[str, Any]:
             }
             for one in found.validation
         ],
-        "structure": [part._asdict() for part in structure(found.records, found.predicted)],
-        "offset_share": offset_share(found.records, found.predicted),
-        "wrong": report_text.wrong(found),
+        "structure": [part._asdict() for part in analyse_residuals(found.records, found.predicted)],
+        "offset_share": compute_offset_share(found.records, found.predicted),
+        "wrong": report_text.describe_errors(found),
         "seconds": seconds,
         "version": version("tendon-teleop"),
     }

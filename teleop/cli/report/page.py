@@ -5,7 +5,7 @@ import html
 from collections.abc import Sequence
 from pathlib import Path
 
-from estimator.drawing import html_table
+from estimator.drawing import format_html_table
 from estimator.text_table import Table
 
 STYLE = """
@@ -57,7 +57,7 @@ class Page:
 
     def table(self, table: Table, mark: str) -> None:
         """Add a table; rows with a cell `mark` stand out."""
-        self._parts.append(f'<div class="scroll">{html_table(table, mark)}</div>')
+        self._parts.append(f'<div class="scroll">{format_html_table(table, mark)}</div>')
 
     def figure(self, path: Path, caption: str) -> None:
         """Add a PNG file, its bytes in the page."""

@@ -4,9 +4,13 @@ import math
 import numpy as np
 import pytest
 
-from estimator.calibration.calibration import CalibrationError, calibrate, friction_from_elongation
+from estimator.calibration.calibration import (
+    CalibrationError,
+    calibrate,
+    compute_friction_from_elongation,
+)
 from estimator.law.sheath import Section, Sheath
-from estimator.law.transmission import batch, slack_profile, tables
+from estimator.law.transmission import build_slack_profile, build_tables, simulate_tensions
 from tests.brute.chain import Chain, Force, Position, Spring
 
 HELD = Position(0.0)
@@ -152,8 +156,8 @@ def test_the_pattern_serves_as_a_model_on_motions_it_was_not_fitted_to(name, fou
         chain.move(Force(T), HELD)
         truth.append((chain.T_out, chain.elongation))
     T_out, elongation = np.array(truth).T
-    table = tables(model)
-    by_model = batch(table, slack_profile(table), T_in)
+    table = build_tables(model)
+    by_model = simulate_tensions(table, build_slack_profile(table), T_in)
     assert np.abs(by_model[0] - T_out).max() < 0.03 * T_out.max()
     assert np.abs(by_model[1] - elongation).max() < 0.004 * elongation.max()
 
@@ -218,7 +222,7 @@ def test_the_papers_own_ratio_takes_the_tension_at_the_start_for_elongation(clea
 def test_closed_form_solves_the_papers_equation():
     for K in (0.1, 0.5, 1.0, 2.0, 3.0):
         m = -math.expm1(-K) / K
-        found = friction_from_elongation(m * 1.5 / 9000.0, 9000.0, 1.5)
+        found = compute_friction_from_elongation(m * 1.5 / 9000.0, 9000.0, 1.5)
         assert math.exp(-found) == pytest.approx(1.0 - m * found, rel=1e-9)
         assert found == pytest.approx(K, rel=1e-6)
 
@@ -274,8 +278,8 @@ def test_refuses_a_tip_that_gives_way():
 def test_refuses_a_tip_that_touches_something_soft_before_its_stop():
     """A tip that yields ever less as it is pulled harder, by F = k x^1.5."""
     T, q = record(UNIFORM, 0.2, 20.0, 0.2, 20.0)
-    table = tables(UNIFORM)
-    T_out, _ = batch(table, slack_profile(table), T)
+    table = build_tables(UNIFORM)
+    T_out, _ = simulate_tensions(table, build_slack_profile(table), T)
     message = refusal(*measured((T, q + 1e-3 * (T_out / 5.0) ** (1 / 1.5)), 0))
     assert "tip gives way" in message or "tip moves" in message
 

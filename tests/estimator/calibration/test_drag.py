@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from estimator.calibration.calibration import CalibrationError
-from estimator.calibration.drag import friction_of_both
+from estimator.calibration.drag import fit_friction_sum
 
 N, PIECES = 2000, 20_000
 RISE_AND_FALL = np.concatenate(
@@ -32,12 +32,12 @@ def drag(K_a, K_b, joint=0.0, spring=0.0, noise=0.0):
     "resists", [{}, {"joint": 0.5}, {"spring": 100.0}, {"joint": 0.3, "spring": 50.0}]
 )
 def test_both_k_are_found_whatever_the_joint_itself_takes(K_a, K_b, resists):
-    found = friction_of_both(*drag(K_a, K_b, **resists), TRAVEL)
+    found = fit_friction_sum(*drag(K_a, K_b, **resists), TRAVEL)
     assert found.value == pytest.approx(K_a + K_b, abs=1e-3)
 
 
 def test_noise_is_within_the_uncertainty_that_is_stated():
-    found = friction_of_both(*drag(1.2, 1.2, noise=0.03), TRAVEL)
+    found = fit_friction_sum(*drag(1.2, 1.2, noise=0.03), TRAVEL)
     assert found.value == pytest.approx(2.4, abs=3.0 * found.uncertainty)
     assert found.uncertainty < 0.006
 
@@ -46,10 +46,10 @@ def test_a_tendon_that_does_not_slide_is_no_drag():
     pulled, drawn = drag(1.0, 1.0)
     stuck = np.minimum(drawn, 1.0)
     with pytest.raises(CalibrationError, match="does not slide"):
-        friction_of_both(pulled, stuck, TRAVEL)
+        fit_friction_sum(pulled, stuck, TRAVEL)
 
 
 def test_a_tendon_whose_tension_does_not_follow_is_no_drag():
     pulled, drawn = drag(1.0, 1.0)
     with pytest.raises(CalibrationError, match="of the change of tension"):
-        friction_of_both(pulled, 2.0 - drawn, TRAVEL)
+        fit_friction_sum(pulled, 2.0 - drawn, TRAVEL)

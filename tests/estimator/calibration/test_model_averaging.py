@@ -2,8 +2,8 @@
 
 import pytest
 
-from estimator.calibration.measured import Measured
-from estimator.calibration.model_averaging import Rival, alone, together
+from estimator.calibration.measured import MeasuredValue
+from estimator.calibration.model_averaging import Rival, average_antagonists, average_rivals
 from estimator.calibration.pattern import Pattern
 
 
@@ -17,33 +17,36 @@ SURE = (rival(1.2, 0.0),)
 
 
 def test_the_total_decides_between_rivals_that_a_loop_cannot_tell_apart():
-    assert alone(MISTAKEN).K.value == 0.95
-    a, b = together(MISTAKEN, SURE, Measured(2.2, 0.003))
+    assert average_rivals(MISTAKEN).K.value == 0.95
+    a, b = average_antagonists(MISTAKEN, SURE, MeasuredValue(2.2, 0.003))
     assert a.K.value == pytest.approx(1.0, abs=1e-3)
     assert b.K.value == pytest.approx(1.2, abs=1e-3)
-    assert a.K.uncertainty < alone(MISTAKEN).K.uncertainty
+    assert a.K.uncertainty < average_rivals(MISTAKEN).K.uncertainty
 
 
 def test_a_total_that_says_nothing_changes_nothing():
-    a, b = together(MISTAKEN, SURE, Measured(5.0, 1e3))
-    assert a.K.value == pytest.approx(alone(MISTAKEN).K.value, abs=1e-3)
+    a, b = average_antagonists(MISTAKEN, SURE, MeasuredValue(5.0, 1e3))
+    assert a.K.value == pytest.approx(average_rivals(MISTAKEN).K.value, abs=1e-3)
     assert b.K.value == pytest.approx(1.2, abs=1e-3)
 
 
 def test_who_comes_first_does_not_matter():
-    total = Measured(2.19, 0.003)
-    assert together(MISTAKEN, SURE, total) == together(SURE, MISTAKEN, total)[::-1]
+    total = MeasuredValue(2.19, 0.003)
+    assert (
+        average_antagonists(MISTAKEN, SURE, total)
+        == average_antagonists(SURE, MISTAKEN, total)[::-1]
+    )
 
 
 def test_what_is_missing_goes_to_the_one_that_is_less_sure():
     unsure, sure = (rival(1.0, 0.0, 0.03),), (rival(1.0, 0.0, 0.002),)
-    a, b = together(unsure, sure, Measured(2.04, 1e-4))
+    a, b = average_antagonists(unsure, sure, MeasuredValue(2.04, 1e-4))
     assert a.K.value + b.K.value == pytest.approx(2.04, abs=1e-3)
     assert a.K.value - 1.0 > 5.0 * (b.K.value - 1.0) > 0.0
 
 
 def test_what_is_put_right_is_the_last_bend():
-    (a, _) = together((rival(1.0, 0.0),), (rival(1.0, 0.0),), Measured(2.02, 1e-4))
+    (a, _) = average_antagonists((rival(1.0, 0.0),), (rival(1.0, 0.0),), MeasuredValue(2.02, 1e-4))
     assert a.pattern.ends[0] == 0.5
     assert a.K.value == pytest.approx(a.pattern.K)
     assert a.pattern.compliance == rival(1.0, 0.0).pattern.compliance

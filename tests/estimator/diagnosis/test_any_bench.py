@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from estimator.diagnosis.api import diagnose
-from estimator.diagnosis.baseline import baseline
-from estimator.diagnosis.carried_over import carried_over
-from estimator.diagnosis.channel_noise import counted_step
-from estimator.diagnosis.dataset import contexts, dataset_of
-from estimator.diagnosis.fit import SEARCH, SPREAD, far_reaches
-from estimator.diagnosis.held_samples import held
-from estimator.diagnosis.model import plain_physics
-from estimator.diagnosis.record import RecordError, in_short_blocks, prepare
+from estimator.diagnosis.baseline import fit_baseline
+from estimator.diagnosis.carried_over import transfer_to_validation
+from estimator.diagnosis.channel_noise import find_quantisation_step
+from estimator.diagnosis.dataset import build_contexts, build_dataset
+from estimator.diagnosis.fit import SEARCH_DIVISIONS, SEARCH_REACHES, compute_search_reaches
+from estimator.diagnosis.held_samples import find_held_samples
+from estimator.diagnosis.model import build_plain_physics
+from estimator.diagnosis.record import RecordError, prepare_record, shorten_blocks
 from estimator.effects import CATALOGUE
 from estimator.effects.effect import CHANNELS
 from estimator.measured_data import Samples
@@ -47,7 +47,7 @@ def test_encoders_count_from_anywhere(offset):
 def test_a_spike_changes_no_noise_and_no_range(clean):
     spoiled = {name: signal.copy() for name, signal in clean.channels.items()}
     spoiled["distal_tension"][700] += 300.0
-    before, after = (prepare(clean.time, dict(one)) for one in (clean.channels, spoiled))
+    before, after = (prepare_record(clean.time, dict(one)) for one in (clean.channels, spoiled))
     assert after.troubles
     for channel in before.compared:
         assert after.noise[channel] == pytest.approx(before.noise[channel], rel=0.02)
@@ -60,8 +60,8 @@ def test_both_halves_have_both_directions_of_a_motion_that_repeats_itself(period
     time = np.arange(0.0, 120.0, 0.02)
     travel = 5e-3 * np.sin(2.0 * np.pi * time / period)
     tension = 10.0 + 2e3 * travel + 0.5 * np.sign(np.gradient(travel))
-    record = prepare(time, {"proximal_tension": tension, "proximal_displacement": travel})
-    for one in (record, in_short_blocks(record)):
+    record = prepare_record(time, {"proximal_tension": tension, "proximal_displacement": travel})
+    for one in (record, shorten_blocks(record)):
         assert 0.4 < np.mean(one.train) < 0.6
         for half in (one.train, ~one.train):
             assert 0.25 < np.mean(one.speed[half] > 0.0) < 0.75
@@ -71,36 +71,36 @@ def test_a_time_that_does_not_rise_is_named(clean):
     time = clean.time.copy()
     time[40] = time[39]
     with pytest.raises(RecordError, match=r"sample 40 at .* does not follow"):
-        prepare(time, dict(clean.channels))
+        prepare_record(time, dict(clean.channels))
 
 
 @pytest.mark.parametrize("channel", ["proximal_displacement", "distal_displacement"])
 def test_a_travel_that_counts_the_other_way_is_refused(clean, channel):
     turned = clean.channels | {channel: -clean.channels[channel]}
     with pytest.raises(RecordError, match=f"{channel} falls .* change its sign"):
-        prepare(clean.time, turned)
+        prepare_record(clean.time, turned)
 
 
 def test_a_tension_that_is_negative_throughout_is_refused(clean):
     turned = clean.channels | {"proximal_tension": -clean.channels["proximal_tension"]}
     with pytest.raises(RecordError, match="negative where the tendon pulls"):
-        prepare(clean.time, turned)
+        prepare_record(clean.time, turned)
 
 
 def test_rounding_is_noise(clean):
     step = 8e-6
     counted = step * np.rint(clean.channels["proximal_displacement"] / step)
-    assert counted_step(counted) == pytest.approx(step)
-    assert counted_step(clean.channels["proximal_tension"]) < 0.1
+    assert find_quantisation_step(counted) == pytest.approx(step)
+    assert find_quantisation_step(clean.channels["proximal_tension"]) < 0.1
     rng = np.random.default_rng(1)
-    assert counted_step(rng.standard_normal(1000)) == 0.0
-    record = prepare(clean.time, clean.channels | {"proximal_displacement": counted})
+    assert find_quantisation_step(rng.standard_normal(1000)) == 0.0
+    record = prepare_record(clean.time, clean.channels | {"proximal_displacement": counted})
     assert record.noise["proximal_displacement"] > 0.25 * step
 
 
 def test_samples_held_by_a_slow_sensor_do_not_count(clean):
     slow = clean.channels["distal_tension"][np.arange(len(clean.time)) // 6 * 6]
-    record = prepare(clean.time, clean.channels | {"distal_tension": slow})
+    record = prepare_record(clean.time, clean.channels | {"distal_tension": slow})
     share = np.mean(record.good["distal_tension"])
     assert share == pytest.approx(1.0 / 6.0, abs=0.02)
     assert any("held" in one.what for one in record.troubles)
@@ -112,16 +112,19 @@ def test_samples_held_by_a_slow_sensor_do_not_count(clean):
 def test_a_slow_motion_that_is_counted_in_steps_is_not_held():
     rng = np.random.default_rng(2)
     slow = np.cumsum(rng.random(4000) < 0.2) * 1e-5
-    assert not held(slow, counted_step(slow)).any()
-    assert not held(rng.standard_normal(1000), 0.0).any()
+    assert not find_held_samples(slow, find_quantisation_step(slow)).any()
+    assert not find_held_samples(rng.standard_normal(1000), 0.0).any()
 
 
 @pytest.mark.parametrize("duration", [20.0, 60.0, 600.0, 3600.0])
 def test_a_search_for_a_time_reaches_from_guess_to_guess(duration):
     time = np.linspace(0.0, duration, 400)
     channels = {"proximal_tension": 5.0 + np.sin(time), "proximal_displacement": np.sin(time)}
-    reaches = [*far_reaches(dataset_of([prepare(time, channels)])), *SEARCH]
-    assert reaches[0] >= duration / SPREAD
+    reaches = [
+        *compute_search_reaches(build_dataset([prepare_record(time, channels)])),
+        *SEARCH_REACHES,
+    ]
+    assert reaches[0] >= duration / SEARCH_DIVISIONS
     assert all(wide <= 5.0 * narrow for wide, narrow in pairwise(reaches))
 
 
@@ -138,15 +141,15 @@ def test_a_clock_at_the_tip_that_is_early_is_named():
 
 
 def test_another_day_has_the_friction_of_the_end_and_no_slip_of_that_day(clean):
-    dataset = dataset_of([prepare(clean.time, dict(clean.channels))])
-    plain = baseline(dataset)
+    dataset = build_dataset([prepare_record(clean.time, dict(clean.channels))])
+    plain = fit_baseline(dataset)
     named = {one.name: one for one in CATALOGUE}
     values = {"friction_step": (0.5, 12.0), "friction_drift": (0.2,), "encoder_slip": (1e-3, 9.0)}
     effects = tuple((named[name], one) for name, one in values.items())
-    model = carried_over(dataset, plain.model._replace(effects=effects))
+    model = transfer_to_validation(dataset, plain.model._replace(effects=effects))
     assert [effect.name for effect, _ in model.effects] == ["friction_step", "friction_drift"]
-    about = contexts(dataset, plain)[0]
-    physics = plain_physics(dataset.records[0], dataset.base, {"K": 1.0})
+    about = build_contexts(dataset, plain)[0]
+    physics = build_plain_physics(dataset.records[0], dataset.base, {"K": 1.0})
     for effect, one in model.effects:
         physics = effect.physics(physics, one, about)
     end = 1.5 * (1.0 + 0.2 * dataset.records[0].time[-1] / 60.0)

@@ -8,16 +8,16 @@ import pytest
 
 from estimator.diagnosis import engine
 from estimator.diagnosis.api import diagnose
-from estimator.diagnosis.baseline import baseline
-from estimator.diagnosis.bench_scale import UNSCALED, BenchScale, scale_of
-from estimator.diagnosis.dataset import dataset_of
-from estimator.diagnosis.fit import STEP
-from estimator.diagnosis.intervals import Named
-from estimator.diagnosis.outcome import Number
-from estimator.diagnosis.progress import quiet
-from estimator.diagnosis.record import prepare
-from estimator.diagnosis.record_units import numbers_from_zero
-from estimator.diagnosis.search import candidates
+from estimator.diagnosis.baseline import fit_baseline
+from estimator.diagnosis.bench_scale import UNIT_SCALE, BenchScale, choose_bench_scale
+from estimator.diagnosis.dataset import build_dataset
+from estimator.diagnosis.fit import DIFFERENCE_STEP
+from estimator.diagnosis.intervals import ParameterInterval
+from estimator.diagnosis.outcome import FittedValue
+from estimator.diagnosis.progress import ignore_progress
+from estimator.diagnosis.record import prepare_record
+from estimator.diagnosis.record_units import shift_encoder_zero
+from estimator.diagnosis.search import fit_candidates
 from estimator.effects import CATALOGUE
 from estimator.effects.effect import CHANNELS
 from estimator.effects.sensors import PULLEY_ECCENTRICITY
@@ -69,9 +69,9 @@ def test_a_bench_of_any_size_has_the_same_cause_and_its_numbers_go_along():
 
 def test_a_bench_of_usual_size_is_counted_in_newtons_and_metres():
     tension = np.array([0.0, 12.0])
-    assert scale_of([tension], [np.array([0.001, 0.009])]) == UNSCALED
-    assert scale_of([tension], []) == UNSCALED
-    assert scale_of([40.0 * tension], [np.array([0.0, 0.08])]) == BenchScale(10.0, 10.0)
+    assert choose_bench_scale([tension], [np.array([0.001, 0.009])]) == UNIT_SCALE
+    assert choose_bench_scale([tension], []) == UNIT_SCALE
+    assert choose_bench_scale([40.0 * tension], [np.array([0.0, 0.08])]) == BenchScale(10.0, 10.0)
 
 
 @pytest.mark.parametrize(
@@ -87,7 +87,7 @@ def test_a_bench_of_another_size_has_its_cause_and_its_numbers(size):
     tried = [one for one in CATALOGUE if one.name == "presliding"]
     data = multiplied(made, *size)
     signals = {name: getattr(data, name) for name in CHANNELS}
-    found = engine.diagnose([prepare(data.time, signals, units=data.units)], tried)
+    found = engine.diagnose([prepare_record(data.time, signals, units=data.units)], tried)
     assert found.causes == ("presliding",)
     sheath, (force, travel) = made.truth["sheath"], size[:2]
     assert found.parameters["K"].value == pytest.approx(sheath["K"], rel=2e-3)
@@ -105,8 +105,8 @@ def test_a_pulley_may_turn_ten_times_and_is_at_its_bound_no_earlier(span):
         value = span / (2.0 * np.pi * turns)
         values = (1e-5, 0.0, value)
         radius = PULLEY_ECCENTRICITY.within(PULLEY_ECCENTRICITY.parameters, span, values)[2]
-        assert Named("radius", radius, value, value, value).at_bound == at_bound
-        other = value + STEP * radius.step
+        assert ParameterInterval("radius", radius, value, value, value).at_bound == at_bound
+        other = value + DIFFERENCE_STEP * radius.step
         assert abs(span / other - span / value) < 0.2  # [rad]: a slope, not a jump
 
 
@@ -116,10 +116,12 @@ def test_a_pulley_is_fitted_that_turns_often(turns):
     travel = made.channels["proximal_displacement"]
     true = np.ptp(travel) / (2.0 * np.pi * turns)
     wave = 0.1 * true * np.sin(travel / true + 0.5)
-    dataset = dataset_of(
-        [prepare(made.time, made.channels | {"proximal_displacement": travel + wave})]
+    dataset = build_dataset(
+        [prepare_record(made.time, made.channels | {"proximal_displacement": travel + wave})]
     )
-    found, *_ = candidates(dataset, baseline(dataset), [PULLEY_ECCENTRICITY], quiet)
+    found, *_ = fit_candidates(
+        dataset, fit_baseline(dataset), [PULLEY_ECCENTRICITY], ignore_progress
+    )
     ((_, (sine, cosine, radius)),) = found.fit.model.effects
     assert radius == pytest.approx(true, rel=0.01)
     assert np.hypot(sine, cosine) == pytest.approx(0.1 * true, rel=0.05)
@@ -131,10 +133,10 @@ def test_intervals_of_a_wave_go_along_with_the_phase_of_a_zero_far_away():
     names = [f"pulley_eccentricity.{name}" for name in ("sine", "cosine", "radius")]
     half = (1e-7, 4e-6, 1e-5)
     numbers = {
-        name: Number(value, value - h, value + h, "m")
+        name: FittedValue(value, value - h, value + h, "m")
         for name, value, h in zip(names, values, half, strict=True)
     }
-    moved = numbers | numbers_from_zero(PULLEY_ECCENTRICITY, values, numbers, zero)
+    moved = numbers | shift_encoder_zero(PULLEY_ECCENTRICITY, values, numbers, zero)
     assert moved[names[2]] == numbers[names[2]]
     rng = np.random.default_rng(0)
     for u, v in rng.uniform(-1.0, 1.0, (50, 2)):

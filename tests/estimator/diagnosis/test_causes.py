@@ -3,15 +3,20 @@
 import numpy as np
 import pytest
 
-from estimator.diagnosis.baseline import baseline
-from estimator.diagnosis.dataset import contexts_without, dataset_of, simulated, thin
+from estimator.diagnosis.baseline import fit_baseline
+from estimator.diagnosis.dataset import (
+    build_dataset,
+    build_unsimulated_contexts,
+    simulate_dataset,
+    subsample,
+)
 from estimator.diagnosis.engine import diagnose
 from estimator.diagnosis.outcome import Verdict
-from estimator.diagnosis.progress import quiet
-from estimator.diagnosis.record import prepare
-from estimator.diagnosis.search import THIN, candidates
+from estimator.diagnosis.progress import ignore_progress
+from estimator.diagnosis.record import prepare_record
+from estimator.diagnosis.search import SUBSAMPLE_SIZE, fit_candidates
 from estimator.effects import CATALOGUE
-from estimator.effects.friction import STRIBECK_LATE
+from estimator.effects.friction import STRIBECK_WITH_MEMORY
 from tests.studies import hidden
 from tests.studies.hidden.play_grid import pulled
 
@@ -19,7 +24,7 @@ from tests.studies.hidden.play_grid import pulled
 def diagnosed(seed, hide, bench, among, **how):
     made = hidden.make(seed, hide, bench=bench, **how)
     effects = [effect for effect in CATALOGUE if effect.name in {hide, *among}]
-    return made, diagnose([prepare(made.time, dict(made.channels))], effects, workers=2)
+    return made, diagnose([prepare_record(made.time, dict(made.channels))], effects, workers=2)
 
 
 def test_a_first_look_leaves_out_no_turn_however_small():
@@ -34,11 +39,15 @@ def test_a_first_look_leaves_out_no_turn_however_small():
         "distal_tension": T_out,
         "distal_displacement": tip,
     }
-    dataset = dataset_of([prepare(np.arange(len(travel)) * 0.01, channels)])
-    fit = baseline(dataset)
-    look = thin(dataset, THIN)
+    dataset = build_dataset([prepare_record(np.arange(len(travel)) * 0.01, channels)])
+    fit = fit_baseline(dataset)
+    look = subsample(dataset, SUBSAMPLE_SIZE)
     assert len(look.records[0].time) < 0.25 * len(travel)
-    there = simulated(look, contexts_without(look, fit), fit.model).simulated[0].signals
+    there = (
+        simulate_dataset(look, build_unsimulated_contexts(look, fit), fit.model)
+        .simulated[0]
+        .signals
+    )
     full = fit.simulated[0].signals["proximal_tension"]
     at = np.searchsorted(dataset.records[0].time, look.records[0].time)
     assert np.abs(there["proximal_tension"] - full[at]).max() < 0.02
@@ -66,7 +75,7 @@ def test_a_slip_while_the_tendon_slides_is_not_taken_for_a_tip_that_moved():
     how = {"duration": 40.0, "rate": 50.0, "travel_noise": 5e-7}
     made = hidden.make(41, "encoder_slip", bench="blocked", channels=hidden.CHANNELS[:3], **how)
     effects = [effect for effect in CATALOGUE if effect.name in {"encoder_slip", "tip_moved"}]
-    found = diagnose([prepare(made.time, dict(made.channels))], effects)
+    found = diagnose([prepare_record(made.time, dict(made.channels))], effects)
     assert found.causes == ("encoder_slip",)
     truth = made.truth["encoder_slip"]
     assert found.parameters["encoder_slip.slip"].value == pytest.approx(truth["slip"], rel=0.05)
@@ -95,8 +104,10 @@ def test_a_fit_of_friction_that_is_late_is_restarted_on_all_samples():
     """A thin record does not have the memory, and leads to a ratio that is a seventh too large."""
     how = {"bench": "spring", "duration": 40.0, "travel_noise": 5e-7}
     made = hidden.make(1, "stribeck_friction", **how)
-    dataset = dataset_of([prepare(made.time, dict(made.channels))])
-    (best,) = candidates(dataset, baseline(dataset), [STRIBECK_LATE], quiet)
+    dataset = build_dataset([prepare_record(made.time, dict(made.channels))])
+    (best,) = fit_candidates(
+        dataset, fit_baseline(dataset), [STRIBECK_WITH_MEMORY], ignore_progress
+    )
     ratio, speed, _ = best.fit.model.effects[-1][1]
     assert ratio == pytest.approx(made.truth["stribeck_friction"]["ratio"], rel=0.05)
     assert speed == pytest.approx(made.truth["stribeck_friction"]["speed"], rel=0.05)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from estimator.diagnosis.channel_noise import white_noise
+from estimator.diagnosis.channel_noise import estimate_white_noise
 
 SIGMA = 1e-6
 
@@ -21,13 +21,13 @@ def reading(step, count=6000, seed=0, motion=0.0):
 def test_steps_as_coarse_as_the_noise_do_not_hide_it(share, motion):
     step = share * SIGMA
     expected = np.hypot(SIGMA, step / np.sqrt(12.0))
-    assert white_noise(reading(step, motion=motion)) == pytest.approx(expected, rel=0.08)
+    assert estimate_white_noise(reading(step, motion=motion)) == pytest.approx(expected, rel=0.08)
 
 
 def test_a_reading_that_stays_where_it_is_has_none():
-    assert white_noise(np.repeat([0.0, 1e-3, 2e-3], 200)) == 0.0
+    assert estimate_white_noise(np.repeat([0.0, 1e-3, 2e-3], 200)) == 0.0
 
 
 def test_a_short_record_tells_it_roughly():
-    found = [white_noise(reading(0.1 * SIGMA, 100, seed)) for seed in range(20)]
+    found = [estimate_white_noise(reading(0.1 * SIGMA, 100, seed)) for seed in range(20)]
     assert np.mean(found) == pytest.approx(SIGMA, rel=0.1)

@@ -4,21 +4,21 @@ import numpy as np
 import pytest
 
 from estimator.diagnosis import record
-from estimator.diagnosis.baseline import again, baseline
+from estimator.diagnosis.baseline import fit_baseline, refit_baseline
 from estimator.diagnosis.dataset import (
-    contexts,
-    contexts_without,
-    cost,
-    dataset_of,
-    rescaled,
-    simulated,
-    thin,
+    build_contexts,
+    build_dataset,
+    build_unsimulated_contexts,
+    compute_cost,
+    rescale_residuals,
+    simulate_dataset,
+    subsample,
 )
 from estimator.diagnosis.engine import diagnose
 from estimator.diagnosis.outcome import Verdict
-from estimator.diagnosis.progress import quiet
-from estimator.diagnosis.record import RecordError, prepare
-from estimator.diagnosis.search import THIN, promised
+from estimator.diagnosis.progress import ignore_progress
+from estimator.diagnosis.record import RecordError, prepare_record
+from estimator.diagnosis.search import SUBSAMPLE_SIZE, screen_candidates
 from estimator.diagnosis.settings import SETTINGS
 from estimator.effects import CATALOGUE, NAMES
 from tests.studies import hidden
@@ -40,7 +40,7 @@ def diagnosed(seed, hide, bench, channels=hidden.CHANNELS, among=NAMES, size=1.0
         seed, hide, bench=bench, channels=channels, duration=30.0, rate=50.0, size=size
     )
     effects = [effect for effect in CATALOGUE if effect.name in among]
-    return made, diagnose([prepare(made.time, dict(made.channels))], effects, workers=2)
+    return made, diagnose([prepare_record(made.time, dict(made.channels))], effects, workers=2)
 
 
 @pytest.mark.parametrize(("seed", "effect", "bench"), HIDDEN)
@@ -72,7 +72,7 @@ def test_a_record_that_begins_in_the_midst_of_motion_says_so(bench, begin, chann
     rest = made.time >= begin
     cut = {name: made.channels[name][rest] for name in channels}
     effects = [effect for effect in CATALOGUE if effect.name in {"pretension", "creep", "slack"}]
-    found = diagnose([prepare(made.time[rest], cut)], effects, workers=2)
+    found = diagnose([prepare_record(made.time[rest], cut)], effects, workers=2)
     assert found.causes == ("pretension",)
     assert found.after.held_out["distal_tension"].rmse < 1.3 * found.noise["distal_tension"]
     K = found.parameters["K"]
@@ -95,14 +95,16 @@ def test_a_second_cause_is_looked_for_by_no_slope_in_the_time_of_a_sudden_one():
     made = hidden.make(3002, hide, bench="spring", duration=60.0, rate=100.0)
     sudden, drag = (next(e for e in CATALOGUE if e.name == name) for name in hide)
     begun = (sudden, tuple(made.truth["friction_step"].values()))
-    bench = dataset_of([prepare(made.time, dict(made.channels))])
-    plain = baseline(bench)
-    fit = again(bench, plain._replace(model=plain.model._replace(effects=(begun,))))
-    bench = rescaled(bench, fit)
-    bench = thin(bench, THIN)
-    fit = simulated(bench, contexts_without(bench, fit), fit.model)
-    led = promised(bench, fit, contexts(bench, fit), [drag], quiet, 1).led[0][0]
-    assert led.cost < 0.1 * cost(bench, fit)
+    bench = build_dataset([prepare_record(made.time, dict(made.channels))])
+    plain = fit_baseline(bench)
+    fit = refit_baseline(bench, plain._replace(model=plain.model._replace(effects=(begun,))))
+    bench = rescale_residuals(bench, fit)
+    bench = subsample(bench, SUBSAMPLE_SIZE)
+    fit = simulate_dataset(bench, build_unsimulated_contexts(bench, fit), fit.model)
+    led = screen_candidates(bench, fit, build_contexts(bench, fit), [drag], ignore_progress, 1).led[
+        0
+    ][0]
+    assert led.cost < 0.1 * compute_cost(bench, fit)
 
 
 @pytest.mark.parametrize("bench", ["blocked", "spring"])
@@ -138,7 +140,7 @@ def test_what_two_channels_cannot_tell_apart_is_said_to_be_so():
 @pytest.mark.parametrize("channels", [hidden.CHANNELS, TWO])
 def test_another_record_of_the_bench_is_predicted_with_what_was_found(channels):
     first, second = (
-        prepare(made.time, dict(made.channels))
+        prepare_record(made.time, dict(made.channels))
         for made in (
             hidden.make(8, "distal_tension_gain", channels=channels, duration=d, rate=50.0)
             for d in (30.0, 24.0)
@@ -183,10 +185,10 @@ def test_spikes_are_kept_out_and_said_to_be_and_sharp_turns_are_not():
     T = 5.0 + 4.0 * np.abs((0.4 * time) % 2.0 - 1.0)  # sharp turns
     T = T + 0.01 * np.random.default_rng(0).standard_normal(len(time))
     signals = {"proximal_tension": T, "distal_tension": 0.5 * T}
-    assert not prepare(time, signals).troubles
+    assert not prepare_record(time, signals).troubles
     spoiled = T.copy()
     spoiled[[300, 1200]] += (3.0, -2.0)
-    ready = prepare(time, signals | {"proximal_tension": spoiled})
+    ready = prepare_record(time, signals | {"proximal_tension": spoiled})
     (trouble,) = ready.troubles
     assert trouble.samples == 2
     assert trouble.first == pytest.approx(3.0)
@@ -202,7 +204,7 @@ def test_what_few_samples_have_of_a_fast_motion_is_no_noise_and_its_turns_are_fo
     small = 2e-5 * np.sin(np.pi * np.clip((time - 10.2) / 0.4, 0.0, 1.0)) ** 2
     q = np.where(rest, swings(10.0) + small, swings(time))
     q = 1.2e-7 * np.round(q / 1.2e-7)
-    ready = prepare(time, {"proximal_tension": 1e4 * q, "proximal_displacement": q})
+    ready = prepare_record(time, {"proximal_tension": 1e4 * q, "proximal_displacement": q})
     assert np.abs(np.interp(time, ready.time, ready.drive) - q).max() < 1e-6
     turns = np.arange(1, 43) / 2.2
     turns = turns[(turns < 9.9) | (turns > 11.0)]
@@ -215,7 +217,7 @@ def test_what_few_samples_have_of_a_fast_motion_is_no_noise_and_its_turns_are_fo
 def test_a_corner_is_no_turn_between_samples():
     time = np.arange(1000) * 0.02
     q = 1e-3 * np.clip(np.abs((0.4 * time + 0.013) % 2.0 - 1.0), 0.2, 0.8)
-    ready = prepare(time, {"proximal_tension": 1e4 * q, "proximal_displacement": q})
+    ready = prepare_record(time, {"proximal_tension": 1e4 * q, "proximal_displacement": q})
     assert np.array_equal(ready.time, time)
 
 
@@ -223,10 +225,10 @@ def test_a_long_record_is_thinned_and_its_turns_stay():
     time = np.arange(50_000) * 0.001
     q = 1e-3 * np.sin(time)
     T = np.clip(8.0 * np.sin(time), 0.0, None)
-    ready = prepare(time, {"proximal_tension": T, "proximal_displacement": q})
+    ready = prepare_record(time, {"proximal_tension": T, "proximal_displacement": q})
     assert ready.thinned == 3
     assert len(ready.time) <= SETTINGS.samples_max
-    few = record.at_rows(ready, record.first_look(ready, 500))
+    few = record.select_record_rows(ready, record.select_subsample(ready, 500))
     assert few.drive.max() == ready.drive.max()
     assert few.drive.min() == ready.drive.min()
 
@@ -243,4 +245,4 @@ def test_a_long_record_is_thinned_and_its_turns_stay():
 )
 def test_what_cannot_be_diagnosed_is_refused(signals, what):
     with pytest.raises(RecordError, match=what):
-        prepare(np.arange(200) * 0.01, signals)
+        prepare_record(np.arange(200) * 0.01, signals)

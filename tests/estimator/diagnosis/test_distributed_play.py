@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from scipy.optimize import nnls
 
-from estimator.diagnosis.baseline import again, baseline
-from estimator.diagnosis.dataset import dataset_of, whole
+from estimator.diagnosis.baseline import fit_baseline, refit_baseline
+from estimator.diagnosis.dataset import build_dataset, use_all_samples
 from estimator.diagnosis.engine import diagnose
-from estimator.diagnosis.fit import own_only
-from estimator.diagnosis.record import prepare
+from estimator.diagnosis.fit import fit_record_parameters
+from estimator.diagnosis.record import prepare_record
 from estimator.effects import CATALOGUE
 
 GAIN, SPREAD, STRANDS = 0.85, 0.5, 80
@@ -30,7 +30,9 @@ class Day(NamedTuple):
 
     @property
     def record(self):
-        return prepare(self.time, {"proximal_tension": self.T_in, "distal_tension": self.T_out})
+        return prepare_record(
+            self.time, {"proximal_tension": self.T_in, "distal_tension": self.T_out}
+        )
 
 
 def moved(rng, samples, rate, pause):
@@ -98,10 +100,10 @@ def by_model(first, second, *begin):
         (next(e for e in CATALOGUE if e.name == name and len(e.parameters) == len(v)), v)
         for name, v in begin
     )
-    dataset = whole(dataset_of([first.record]))
-    plain = baseline(dataset)
-    fit = again(dataset, plain._replace(model=plain.model._replace(effects=effects)))
-    there = own_only(dataset_of([second.record]), fit)
+    dataset = use_all_samples(build_dataset([first.record]))
+    plain = fit_baseline(dataset)
+    fit = refit_baseline(dataset, plain._replace(model=plain.model._replace(effects=effects)))
+    there = fit_record_parameters(build_dataset([second.record]), fit)
     return rms(there.simulated[0].signals["distal_tension"] - second.T_out)
 
 

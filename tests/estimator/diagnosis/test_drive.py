@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from estimator.diagnosis.channel_noise import white_noise
-from estimator.diagnosis.drive import travel_drive, turning_points
-from estimator.diagnosis.smoothing import smooth
+from estimator.diagnosis.channel_noise import estimate_white_noise
+from estimator.diagnosis.drive import estimate_travel_drive, find_turning_points
+from estimator.diagnosis.smoothing import smooth_signal
 
 SIGMAS = [1e-7, 1e-6, 5e-6]
 
@@ -29,7 +29,7 @@ def test_a_drive_is_nearer_to_the_motion_than_what_was_measured(rate, sigma):
     _, true = motion(rate)
     rng = np.random.default_rng(1)
     measured = true + sigma * rng.standard_normal(len(true))
-    found = travel_drive(measured, white_noise(measured)).signal
+    found = estimate_travel_drive(measured, estimate_white_noise(measured)).signal
     assert np.sqrt(np.mean((found - true)[100:-100] ** 2)) < 0.75 * sigma
 
 
@@ -37,11 +37,11 @@ def test_a_drive_is_nearer_to_the_motion_than_what_was_measured(rate, sigma):
 @pytest.mark.parametrize("rate", [50.0, 200.0, 1000.0])
 def test_noise_makes_no_turns_and_hides_none(rate, sigma):
     _, true = motion(rate)
-    turns = len(turning_points(true, 1e-5))
+    turns = len(find_turning_points(true, 1e-5))
     for seed in range(3):
         measured = true + sigma * np.random.default_rng(seed).standard_normal(len(true))
-        drive = travel_drive(measured, white_noise(measured))
-        assert turns - 1 <= len(turning_points(drive.signal, drive.jitter)) <= turns + 3
+        drive = estimate_travel_drive(measured, estimate_white_noise(measured))
+        assert turns - 1 <= len(find_turning_points(drive.signal, drive.jitter)) <= turns + 3
 
 
 def test_a_motor_that_rests_turns_back_at_the_end_of_the_rest():
@@ -51,7 +51,7 @@ def test_a_motor_that_rests_turns_back_at_the_end_of_the_rest():
     reversals = []
     for seed in range(20):
         measured = true + sigma * np.random.default_rng(seed).standard_normal(len(true))
-        falls = np.diff(travel_drive(measured, sigma).signal) < 0.0
+        falls = np.diff(estimate_travel_drive(measured, sigma).signal) < 0.0
         reversals.append(float(time[320 + np.argmax(falls[320:])]))
     assert np.median(reversals) == pytest.approx(7.0, abs=0.1)
     assert np.quantile(reversals, 0.25) > 6.5
@@ -61,12 +61,12 @@ def test_noise_is_told_apart_from_motion():
     _, true = motion(200.0)
     for sigma in SIGMAS:
         measured = true + sigma * np.random.default_rng(0).standard_normal(len(true))
-        assert white_noise(measured) == pytest.approx(sigma, rel=0.15)
+        assert estimate_white_noise(measured) == pytest.approx(sigma, rel=0.15)
 
 
 def test_without_noise_nothing_is_smoothed():
     _, true = motion(100.0)
-    smoothed, left = smooth(true, 0.0)
+    smoothed, left = smooth_signal(true, 0.0)
     np.testing.assert_array_equal(smoothed, true)
     assert not left.any()
 
@@ -74,7 +74,7 @@ def test_without_noise_nothing_is_smoothed():
 def test_what_noise_is_left_is_known():
     rng = np.random.default_rng(2)
     true = np.linspace(0.0, 1e-3, 4000)
-    smoothed, left = smooth(true + 1e-6 * rng.standard_normal(4000), 1e-6)
+    smoothed, left = smooth_signal(true + 1e-6 * rng.standard_normal(4000), 1e-6)
     inside = slice(100, -100)
     assert np.std((smoothed - true)[inside]) < 2.0 * np.sqrt(np.mean(left[inside] ** 2))
     assert left[inside].mean() < 0.35e-6
@@ -86,5 +86,5 @@ def test_an_encoder_that_slips_is_not_smoothed_into_a_motion(slip):
     time = np.arange(240) / 100.0
     true = 2e-3 * np.sin(time) + slip * (time >= time[at])
     measured = true + sigma * np.random.default_rng(3).standard_normal(len(true))
-    smoothed, _ = smooth(measured, sigma, time)
+    smoothed, _ = smooth_signal(measured, sigma, time)
     assert np.abs(smoothed - true)[at - 6 : at + 6].max() < 5.0 * sigma

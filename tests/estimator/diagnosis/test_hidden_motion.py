@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from estimator.diagnosis.baseline import again, baseline
-from estimator.diagnosis.dataset import dataset_of
-from estimator.diagnosis.driver_noise import with_driver_noise
-from estimator.diagnosis.engine import simulated_by
-from estimator.diagnosis.hidden_motion import with_hidden_motion
-from estimator.diagnosis.record import prepare
-from estimator.diagnosis.score import errors
+from estimator.diagnosis.baseline import fit_baseline, refit_baseline
+from estimator.diagnosis.dataset import build_dataset
+from estimator.diagnosis.driver_noise import propagate_driver_noise
+from estimator.diagnosis.engine import build_drive_simulator
+from estimator.diagnosis.hidden_motion import recover_hidden_motion
+from estimator.diagnosis.record import prepare_record
+from estimator.diagnosis.score import compute_errors
 from tests.studies import hidden
 from tests.studies.hidden.play_grid import make_grid
 
@@ -18,19 +18,19 @@ TENSION, TRAVEL = "proximal_tension", "proximal_displacement"
 
 def before_and_after(time, channels):
     """Return a record as the noise of its travel leaves it, and with its hidden motion."""
-    record = prepare(time, dict(channels))
-    dataset = dataset_of([record])
-    plain = baseline(dataset)
-    record = with_driver_noise(record, simulated_by(plain, dataset, record))
-    dataset = dataset_of([record])
-    model = again(dataset, plain).model
-    return record, with_hidden_motion(record, dataset.base, model.shared, model.own[0])
+    record = prepare_record(time, dict(channels))
+    dataset = build_dataset([record])
+    plain = fit_baseline(dataset)
+    record = propagate_driver_noise(record, build_drive_simulator(plain, dataset, record))
+    dataset = build_dataset([record])
+    model = refit_baseline(dataset, plain).model
+    return record, recover_hidden_motion(record, dataset.base, model.shared, model.own[0])
 
 
 def excess(record):
     """Return the mean square of what the plain law leaves of both tensions, in their noise."""
-    dataset = dataset_of([record])
-    found = errors(dataset, baseline(dataset), held_out=False)
+    dataset = build_dataset([record])
+    found = compute_errors(dataset, fit_baseline(dataset), held_out=False)
     return [found[channel].mean for channel in (TENSION, "distal_tension")]
 
 

@@ -10,7 +10,7 @@ import pytest
 from estimator.diagnosis.api import diagnose
 from estimator.diagnosis.outcome import Verdict
 from estimator.diagnosis.record import RecordError
-from estimator.diagnosis.transmission_law import Law
+from estimator.diagnosis.transmission_law import BaseLaw
 from estimator.measured_data import Samples
 from estimator.units import ROTARY
 from tests.studies import hidden
@@ -56,15 +56,15 @@ def expected(loop):
 @pytest.mark.parametrize(
     ("loop", "law"),
     [
-        (Loop(K=0.5, spring=0.0), Law.CAPSTAN),
-        (Loop(K=0.0, friction=2.0, give=2e-5, pretension=4.0), Law.INDEPENDENT),
+        (Loop(K=0.5, spring=0.0), BaseLaw.CAPSTAN),
+        (Loop(K=0.0, friction=2.0, give=2e-5, pretension=4.0), BaseLaw.INDEPENDENT),
     ],
     ids=["capstan", "load-independent"],
 )
 def test_law_stiffness_and_friction_are_found(loop, law):
     found = diagnose(recorded(loop), effects=[])
     assert found.dataset.base.law is law
-    wrong = Law.INDEPENDENT if law is Law.CAPSTAN else Law.CAPSTAN
+    wrong = BaseLaw.INDEPENDENT if law is BaseLaw.CAPSTAN else BaseLaw.CAPSTAN
     assert wrong not in found.laws.alike  # both together have either within
     assert found.verdict is Verdict.CLEAN
     for name, true in expected(loop).items():

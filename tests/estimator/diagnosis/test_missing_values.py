@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 import estimator as est
-from estimator.diagnosis.autocorrelation import autocorrelation, on_even_times
-from estimator.diagnosis.record import RecordError, prepare
+from estimator.diagnosis.autocorrelation import compute_autocorrelation, resample_residual
+from estimator.diagnosis.record import RecordError, prepare_record
 from estimator.effects.effect import EffectContext
-from estimator.effects.ends import stands_out
+from estimator.effects.ends import find_largest_deviation
 from estimator.effects.sensors import PULLEY_ECCENTRICITY
 from estimator.measured_data import Samples
 from tests.studies import hidden
@@ -37,8 +37,8 @@ def is_lost(record, data):
 
 @pytest.mark.parametrize("channel", [T_OUT, T_IN, "distal_displacement"])
 def test_missing_values_are_not_compared_and_change_nothing_else(whole, channel):
-    complete = prepare(whole.time, dict(whole.channels))
-    record = prepare(whole.time, without(whole, channel, LOST))
+    complete = prepare_record(whole.time, dict(whole.channels))
+    record = prepare_record(whole.time, without(whole, channel, LOST))
     lost = is_lost(record, whole)
     assert not record.good[channel][lost].any()
     np.testing.assert_array_equal(record.good[channel][~lost], complete.good[channel][~lost])
@@ -54,7 +54,7 @@ def test_missing_values_are_not_compared_and_change_nothing_else(whole, channel)
 
 
 def test_rows_without_what_drives_are_removed(whole):
-    record = prepare(whole.time, without(whole, Q, LOST))
+    record = prepare_record(whole.time, without(whole, Q, LOST))
     assert record.measured.sum() == len(whole.time) - 50
     assert not is_lost(record, whole)[record.measured].any()
     (said,) = [one for one in record.troubles if "rows removed" in one.what]
@@ -62,14 +62,14 @@ def test_rows_without_what_drives_are_removed(whole):
 
 
 def test_a_start_without_tension_is_not_taken_for_slack(whole):
-    assert prepare(whole.time, dict(whole.channels)).starts_slack
-    record = prepare(whole.time, without(whole, T_IN, slice(0, 200)))
+    assert prepare_record(whole.time, dict(whole.channels)).starts_slack
+    record = prepare_record(whole.time, without(whole, T_IN, slice(0, 200)))
     assert not record.starts_slack
 
 
 def test_cells_that_a_slow_sensor_leaves_empty_do_not_count(whole):
     empty = np.arange(len(whole.time)) % 5 > 0
-    record = prepare(whole.time, without(whole, T_OUT, empty), most=800)
+    record = prepare_record(whole.time, without(whole, T_OUT, empty), most=800)
     assert record.thinned == 2
     assert record.good[T_OUT].sum() == pytest.approx(len(whole.time) / 5, rel=0.05)
 
@@ -78,16 +78,16 @@ def test_channels_that_are_never_measured_together_are_refused(whole):
     turns = np.arange(len(whole.time)) % 2 == 0
     apart = without(whole, Q, turns) | {T_IN: without(whole, T_IN, ~turns)[T_IN]}
     with pytest.raises(RecordError, match="proximal_tension: 0 values in rows that have the"):
-        prepare(whole.time, apart)
+        prepare_record(whole.time, apart)
     nothing = whole.channels | {T_OUT: np.full(len(whole.time), np.nan)}
     with pytest.raises(RecordError, match="distal_tension: has no finite value"):
-        prepare(whole.time, nothing)
+        prepare_record(whole.time, nothing)
 
 
 def test_infinite_values_are_missing(whole):
     lost = without(whole, T_OUT, LOST)
     infinite = lost | {T_OUT: np.where(np.isnan(lost[T_OUT]), np.inf, lost[T_OUT])}
-    one, other = prepare(whole.time, lost), prepare(whole.time, infinite)
+    one, other = prepare_record(whole.time, lost), prepare_record(whole.time, infinite)
     np.testing.assert_array_equal(one.signals[T_OUT], other.signals[T_OUT])
     assert one.troubles == other.troubles
 
@@ -105,11 +105,11 @@ def test_an_infinite_time_is_refused(whole):
     time = whole.time.copy()
     time[-1] = np.inf
     with pytest.raises(RecordError, match="time: sample 1499 is inf"):
-        prepare(time, dict(whole.channels))
+        prepare_record(time, dict(whole.channels))
 
 
 def test_times_are_those_of_the_file_where_the_first_rows_are_removed(whole):
-    record = prepare(whole.time + 100.0, without(whole, Q, slice(0, 100)))
+    record = prepare_record(whole.time + 100.0, without(whole, Q, slice(0, 100)))
     assert record.time[0] == 0.0
     assert record.start == pytest.approx(whole.time[100] + 100.0)
     times = record.start + record.time[record.measured]
@@ -121,7 +121,7 @@ def test_times_are_those_of_the_file_where_the_first_rows_are_removed(whole):
 def test_a_slow_sensor_of_a_thinned_record_keeps_its_times_and_its_noise(whole):
     held = whole.channels[T_OUT][np.arange(len(whole.time)) // 4 * 4]
     signals = whole.channels | {T_OUT: held}
-    record = prepare(whole.time, signals, most=800, noise={T_OUT: 0.1, T_IN: 0.1})
+    record = prepare_record(whole.time, signals, most=800, noise={T_OUT: 0.1, T_IN: 0.1})
     assert record.thinned == 2
     true = np.interp(record.time, whole.time - whole.time[0], whole.channels[T_OUT])
     rows = record.good[T_OUT]
@@ -136,7 +136,7 @@ def test_no_mean_of_samples_on_both_sides_of_a_gap_counts(whole):
     rows = (whole.time < 10.0) | (whole.time > 15.01)
     rows[0] = False  # an odd number is before the gap, and k is 2
     signals = {name: signal[rows] for name, signal in whole.channels.items()}
-    record = prepare(whole.time[rows], signals, most=700)
+    record = prepare_record(whole.time[rows], signals, most=700)
     within = (record.time + record.start > 10.0) & (record.time + record.start < 15.0)
     assert record.thinned == 2
     assert within.any()
@@ -145,12 +145,12 @@ def test_no_mean_of_samples_on_both_sides_of_a_gap_counts(whole):
 
 def test_values_missing_at_the_ends_are_not_drawn(whole):
     lost = np.r_[0:40, len(whole.time) - 60 : len(whole.time)]
-    record = prepare(whole.time, without(whole, T_OUT, lost))
+    record = prepare_record(whole.time, without(whole, T_OUT, lost))
     assert (record.measured & ~record.shown(T_OUT)).sum() == 100
 
 
 def test_a_record_begins_with_the_first_tension_that_was_measured(whole):
-    record = prepare(whole.time, without(whole, T_IN, slice(0, 200)))
+    record = prepare_record(whole.time, without(whole, T_IN, slice(0, 200)))
     drive, tensions = record.first_tensions
     row = int(np.argmax(record.known[T_IN]))
     assert drive == record.drive[row]
@@ -179,7 +179,7 @@ def context_with(missing):
 
 def test_what_was_not_measured_tells_no_effect():
     one, other = context_with(0.0), context_with(9.0)
-    assert stands_out(other, 1.0) == pytest.approx(20.0, abs=0.1)
+    assert find_largest_deviation(other, 1.0) == pytest.approx(20.0, abs=0.1)
     assert PULLEY_ECCENTRICITY.starts(one) == PULLEY_ECCENTRICITY.starts(other)
 
 
@@ -191,7 +191,7 @@ def test_a_gap_in_which_the_motor_turned_is_told(turns, said):
     rows = np.abs(time - middle) > 0.7
     noise = np.random.default_rng(1).normal(0.0, 0.01, (2, len(time)))
     signals = {Q: travel, T_IN: 1.0 + 4e3 * travel + noise[0], T_OUT: 1.0 + 3e3 * travel + noise[1]}
-    record = prepare(time[rows] + 100.0, {name: y[rows] for name, y in signals.items()})
+    record = prepare_record(time[rows] + 100.0, {name: y[rows] for name, y in signals.items()})
     found = [one for one in record.troubles if "may have turned" in one.what]
     assert len(found) == said
     for one in found:
@@ -204,9 +204,9 @@ def test_the_lag_of_an_autocorrelation_is_a_time():
     time = np.arange(0.0, 60.0, 0.02)
     time = time[rng.random(len(time)) > 0.3 * (time < 30.0)]
     residual = np.sin(2.0 * np.pi * time)
-    found = autocorrelation([on_even_times(time, residual, 0.02)], 0.02)
+    found = compute_autocorrelation([resample_residual(time, residual, 0.02)], 0.02)
     assert found.lag[50] == pytest.approx(1.0)
     assert found.value[50] == pytest.approx(1.0, abs=0.02)
     assert found.value[25] == pytest.approx(-1.0, abs=0.02)
     even = np.append(residual[:100], np.nan)
-    np.testing.assert_array_equal(on_even_times(0.01 * np.arange(101), even, 0.01), even)
+    np.testing.assert_array_equal(resample_residual(0.01 * np.arange(101), even, 0.01), even)

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from estimator.diagnosis.channel_noise import white_noise
-from estimator.diagnosis.record import prepare
-from estimator.diagnosis.smoothing import smooth
+from estimator.diagnosis.channel_noise import estimate_white_noise
+from estimator.diagnosis.record import prepare_record
+from estimator.diagnosis.smoothing import smooth_signal
 from tests.studies import hidden
 
 EVERY = 10  # samples of the simulation from one of the record to the next
@@ -49,7 +49,7 @@ def assert_noise_is_told(record):
 @pytest.mark.parametrize(("jitter", "lost"), [(0.1, 0.0), (0.5, 0.0), (0.0, 0.05), (0.3, 0.05)])
 def test_uneven_samples_are_no_noise(fine, jitter, lost):
     time, channels = sampled(fine, rows_of(fine, jitter, lost))
-    record = prepare(time, channels)
+    record = prepare_record(time, channels)
     assert_noise_is_told(record)
     assert record.time[record.measured] == pytest.approx(time - time[0], abs=1e-9)
 
@@ -59,7 +59,7 @@ def test_stamps_that_jitter_are_made_even(fine, jitter, lost):
     true, channels = sampled(fine, rows_of(fine, lost=lost))
     off = jitter * PERIOD * np.random.default_rng(3).uniform(-1.0, 1.0, len(true))
     stamps = np.sort(true + off)
-    record = prepare(stamps, channels)
+    record = prepare_record(stamps, channels)
     assert_noise_is_told(record)
     error = record.time[record.measured] - true
     assert np.std(error) < 0.25 * np.std(off)
@@ -77,7 +77,7 @@ def test_stamps_rounded_to_milliseconds_are_made_even(fine):
         + (TENSION_NOISE if "tension" in name else TRAVEL_NOISE) * rng.standard_normal(len(y))
         for name, y in channels.items()
     }
-    record = prepare(step * np.rint(true / step), noisy)
+    record = prepare_record(step * np.rint(true / step), noisy)
     assert_noise_is_told(record)
 
 
@@ -85,7 +85,7 @@ def test_a_channel_that_never_changes_tells_no_times(fine):
     true, channels = sampled(fine, rows_of(fine))
     stamps = np.sort(true + 0.3 * PERIOD * np.random.default_rng(3).uniform(-1.0, 1.0, len(true)))
     channels["distal_displacement"] = np.full(len(true), 2e-3)
-    record = prepare(stamps, channels)
+    record = prepare_record(stamps, channels)
     assert_noise_is_told(record)
     assert np.std(record.time[record.measured] - true) < 0.25 * np.std(stamps - true)
 
@@ -95,8 +95,8 @@ def test_noise_and_smoothing_go_by_the_time():
     time = np.arange(4000) + rng.uniform(-0.45, 0.45, 4000)
     true = 1e-3 * np.sin(time / 100.0)
     measured = true + 1e-6 * rng.standard_normal(4000)
-    assert white_noise(measured, time) == pytest.approx(1e-6, rel=0.08)
-    smoothed, left = smooth(measured, 1e-6, time)
+    assert estimate_white_noise(measured, time) == pytest.approx(1e-6, rel=0.08)
+    smoothed, left = smooth_signal(measured, 1e-6, time)
     assert np.sqrt(np.mean((smoothed - true)[50:-50] ** 2)) < 0.5e-6
     assert left.mean() < 0.5e-6
 
@@ -104,6 +104,6 @@ def test_noise_and_smoothing_go_by_the_time():
 def test_gaps_of_uneven_samples_are_told_too(fine):
     rows = rows_of(fine, jitter=0.3)
     time, channels = sampled(fine, rows[(rows < 4000) | (rows > 4100)])
-    said = [one.what for one in prepare(time, channels).troubles]
+    said = [one.what for one in prepare_record(time, channels).troubles]
     assert sum("uneven time steps" in what for what in said) == 1
     assert "missing samples" in said

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from estimator.diagnosis import report_text
-from estimator.diagnosis.dataset import dataset_of
+from estimator.diagnosis.dataset import build_dataset
 from estimator.diagnosis.engine import diagnose
-from estimator.diagnosis.record import prepare
-from estimator.diagnosis.simple_models import simple_models
+from estimator.diagnosis.record import prepare_record
+from estimator.diagnosis.simple_models import fit_simple_models
 from tests.studies import hidden
 
 NOISE = 0.01  # [N]
@@ -49,7 +49,7 @@ def errors_of(T_out, seed=0):
         "proximal_tension": T_in + 1e-4 * rng.standard_normal(len(T_in)),
         "distal_tension": T_out(T_in) + NOISE * rng.standard_normal(len(T_in)),
     }
-    fits = simple_models(dataset_of([prepare(time, signals)]))
+    fits = fit_simple_models(build_dataset([prepare_record(time, signals)]))
     return {one.name.split()[0].rstrip(","): one.rmse["distal_tension"] for one in fits}
 
 
@@ -83,8 +83,8 @@ def test_lugre_is_found():
 @pytest.mark.parametrize("bench", ["blocked", "spring"])
 def test_on_a_clean_bench_the_law_is_better_than_any(bench):
     made = hidden.make(71, (), bench=bench, duration=40.0, rate=50.0)
-    found = diagnose([prepare(made.time, dict(made.channels))], ())
-    assert report_text.better_models(found) == []
+    found = diagnose([prepare_record(made.time, dict(made.channels))], ())
+    assert report_text.list_better_models(found) == []
     for channel in ("proximal_tension", "distal_tension"):
         assert found.simple_gain[channel].low > 0.5
     for one in found.simple_models:
@@ -95,8 +95,8 @@ def test_on_a_clean_bench_the_law_is_better_than_any(bench):
 def test_a_model_that_beats_the_law_is_named():
     T_in = walk(2)
     signals = {"proximal_tension": T_in, "distal_tension": 0.7 * after_a_play(T_in, 1.9)}
-    found = diagnose([prepare(np.arange(len(T_in)) * 0.01, signals)], ())
-    (said,) = report_text.better_models(found)
+    found = diagnose([prepare_record(np.arange(len(T_in)) * 0.01, signals)], ())
+    (said,) = report_text.list_better_models(found)
     assert said.startswith("tension at the tip: ")
     assert "play operator with gain predicts it better than this model" in said
     assert "--effects distributed_play" in said
@@ -105,6 +105,6 @@ def test_a_model_that_beats_the_law_is_named():
     law = found.after.held_out["distal_tension"]
     assert gain.high < 0.0
     assert gain.value == pytest.approx(1.0 - law.rmse / simple.rmse["distal_tension"], rel=1e-6)
-    text = report_text.summary(found)
+    text = report_text.format_summary(found)
     assert f"WARNING: {said}" in text.splitlines()
     assert "the plain law" in text

@@ -2,24 +2,24 @@
 
 import math
 
-from estimator.law.profile import Profile, log_tension, point, point_count, tension_of
-from estimator.law.tables import ASYMMETRY, EA, K, Tables, integral
-from estimator.law.transmission import front_depth
+from estimator.law.profile import Profile, count_points, from_log_tension, get_point, to_log_tension
+from estimator.law.tables import ASYMMETRY, EA, K, Tables, integrate_exponential
+from estimator.law.transmission import find_front
 
 
 def sensitivity(tables: Tables, profile: Profile) -> tuple[float, float]:
     """Return (dT_out/dT_in, de/dT_in [m/N]) for a T_in that goes on as it went (T6), (T7)."""
-    _, _, slope = point(profile, 0)
+    _, _, slope = get_point(profile, 0)
     if slope == 0.0:
         return 0.0, 0.0
-    s, _, _ = point(profile, 1)
-    gain = math.exp(slope * tables[K]) if point_count(profile) == 2 else 0.0
-    return gain, integral(tables, s, slope) / tables[EA]
+    s, _, _ = get_point(profile, 1)
+    gain = math.exp(slope * tables[K]) if count_points(profile) == 2 else 0.0
+    return gain, integrate_exponential(tables, s, slope) / tables[EA]
 
 
 def envelope(tables: Tables, T_in: float) -> tuple[float, float]:
     """Return the least and largest T_out [N] that `T_in` [N] alone allows, any history (T2)."""
-    return cone(tables, log_tension(tables, T_in), tables[K])
+    return cone(tables, to_log_tension(tables, T_in), tables[K])
 
 
 def certified_interval(tables: Tables, profile: Profile) -> tuple[float, float]:
@@ -32,10 +32,10 @@ def certified_interval(tables: Tables, profile: Profile) -> tuple[float, float]:
     point once the motor's front has reached the tip. Where the motor has held still while the tip
     could move, nothing of the profile is certain but T_in: use `envelope`.
     """
-    s, y = front_depth(profile)
+    s, y = find_front(profile)
     return cone(tables, y, tables[K] - s)
 
 
 def cone(tables: Tables, y: float, ds: float) -> tuple[float, float]:
     """Return the tensions [N] that friction allows `ds` further down from log tension `y`."""
-    return tension_of(tables, y - ds), tension_of(tables, y + tables[ASYMMETRY] * ds)
+    return from_log_tension(tables, y - ds), from_log_tension(tables, y + tables[ASYMMETRY] * ds)

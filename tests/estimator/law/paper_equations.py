@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from estimator.law.closed_forms import Values, friction_coordinates
+from estimator.law.closed_forms import Values, compute_friction_coordinates
 
 
 def bend_tension(T_in: Values, mu: float, R: float, x: Values) -> Values:
@@ -29,7 +29,7 @@ def section_tension(
 ) -> Values:
     """Return T(x) of a pulled tendon through sections of different curvature, eq. (3)."""
     ends = np.concatenate([[0.0], np.cumsum(lengths)])
-    s = np.interp(x, ends, friction_coordinates(mu, lengths, radii))
+    s = np.interp(x, ends, compute_friction_coordinates(mu, lengths, radii))
     return T_in * math.exp(-s)
 
 
@@ -97,7 +97,7 @@ def transition_elongation(
 
     A T_in up to T_in0 is a release after a pull, one above it a pull after a release.
     """
-    s = friction_coordinates(mu, lengths, radii)
+    s = compute_friction_coordinates(mu, lengths, radii)
     R = np.asarray(radii, dtype=np.float64)
     sign = 1.0 if T_in <= T_in0 else -1.0
     a = min(0.5 * abs(math.log(T_in0 / T_in)), float(s[-1]))

@@ -38,7 +38,7 @@ def uniform():
 
 def test_pull(uniform):
     T_in, T_out, e = uniform[0]
-    assert cf.pull_tip_tension(T_in, K) == pytest.approx(T_out, rel=1e-4)
+    assert cf.compute_pull_tip_tension(T_in, K) == pytest.approx(T_out, rel=1e-4)
     assert eq.bend_elongation(T_in, MU, R, EA, L) == pytest.approx(e, rel=1e-4)
     assert eq.bend_elongation_from_ends(T_in, T_out, MU, R, EA) == pytest.approx(e, rel=1e-4)
     assert eq.uniform_pull_constant(K, L, EA) * T_in == pytest.approx(e, rel=1e-4)
@@ -48,13 +48,15 @@ def test_pull_to_release_then_release(uniform):
     T_in, T_out, e = uniform[1]
     waiting = T_in > PEAK * math.exp(-2 * K)
     assert 5 < waiting.sum() < 16
-    held = np.full(waiting.sum(), cf.pull_to_release_tip_tension(PEAK, K))
+    held = np.full(waiting.sum(), cf.compute_pull_to_release_tension(PEAK, K))
     assert T_out[waiting] == pytest.approx(held, rel=1e-4)
-    form = cf.pull_to_release_elongation(PEAK, T_in[waiting], K, L, EA)
+    form = cf.compute_pull_to_release_elongation(PEAK, T_in[waiting], K, L, EA)
     assert form == pytest.approx(e[waiting], rel=2e-4)
-    assert T_out[~waiting] == pytest.approx(cf.release_tip_tension(T_in[~waiting], K), rel=1e-4)
+    assert T_out[~waiting] == pytest.approx(
+        cf.compute_release_tip_tension(T_in[~waiting], K), rel=1e-4
+    )
     M_e = eq.uniform_pull_constant(K, L, EA)
-    form = cf.uniform_release_elongation(T_in[~waiting], M_e, K)
+    form = cf.compute_release_elongation(T_in[~waiting], M_e, K)
     assert form == pytest.approx(e[~waiting], rel=1e-4)
     back = eq.release_tension_from_elongation(PEAK, e[waiting], K, L, EA)
     assert back == pytest.approx(T_in[waiting], rel=5e-3)
@@ -64,9 +66,9 @@ def test_release_to_pull(uniform):
     T_in, T_out, e = uniform[2]
     waiting = T_in < TROUGH * math.exp(2 * K)
     assert 4 < waiting.sum() < 16
-    held = np.full(waiting.sum(), cf.release_to_pull_tip_tension(TROUGH, K))
+    held = np.full(waiting.sum(), cf.compute_release_to_pull_tension(TROUGH, K))
     assert T_out[waiting] == pytest.approx(held, rel=2e-4)
-    form = cf.release_to_pull_elongation(TROUGH, T_in[waiting], K, L, EA)
+    form = cf.compute_release_to_pull_elongation(TROUGH, T_in[waiting], K, L, EA)
     assert form == pytest.approx(e[waiting], rel=2e-4)
 
 
@@ -96,18 +98,18 @@ def test_areas_a_and_b_are_the_areas_beside_the_front():
     e_A = eq.pull_to_release_elongation_before_front(T_in, X, K, L, EA)
     e_B = eq.pull_to_release_elongation_beyond_front(T_in, X, K, L, EA)
     assert (e_A, e_B) == pytest.approx((before / EA, beyond / EA))
-    assert e_A + e_B == pytest.approx(cf.pull_to_release_elongation(PEAK, T_in, K, L, EA))
+    assert e_A + e_B == pytest.approx(cf.compute_pull_to_release_elongation(PEAK, T_in, K, L, EA))
 
 
 def test_sections_of_different_curvature():
-    K_bent = cf.friction_coordinates(MU, LENGTHS, RADII)[-1]
+    K_bent = cf.compute_friction_coordinates(MU, LENGTHS, RADII)[-1]
     pull, release, again = chain_through([0.1, PEAK, TROUGH, PEAK], BENT, beads=400)
     T_in, T_out, e = pull
-    assert cf.pull_tip_tension(T_in, K_bent) == pytest.approx(T_out, rel=1e-3)
-    assert cf.pull_constant(MU, LENGTHS, RADII, EA) * T_in == pytest.approx(e, rel=1e-3)
-    M_rel = cf.release_constant(MU, LENGTHS, RADII, EA)
+    assert cf.compute_pull_tip_tension(T_in, K_bent) == pytest.approx(T_out, rel=1e-3)
+    assert cf.compute_pull_constant(MU, LENGTHS, RADII, EA) * T_in == pytest.approx(e, rel=1e-3)
+    M_rel = cf.compute_release_constant(MU, LENGTHS, RADII, EA)
     assert M_rel * release[0][-1] == pytest.approx(release[2][-1], rel=1e-3)
-    printed = cf.pull_constant(MU, LENGTHS, RADII, EA) * math.exp(K_bent)
+    printed = cf.compute_pull_constant(MU, LENGTHS, RADII, EA) * math.exp(K_bent)
     assert printed != pytest.approx(M_rel, rel=0.1)
     for turn, (T_in, _, e) in ((PEAK, release), (TROUGH, again)):
         form = [eq.transition_elongation(turn, T, MU, LENGTHS, RADII, EA) for T in T_in[1:]]
@@ -119,7 +121,9 @@ def test_section_by_section():
     T = [eq.section_tension(PEAK, MU, LENGTHS, RADII, v) for v in x]
     ends = np.searchsorted(x, np.cumsum(LENGTHS) - 1e-9)
     areas = [np.trapezoid(T[: k + 1], x[: k + 1]) / EA for k in ends]
-    assert cf.section_elongations(PEAK, MU, LENGTHS, RADII, EA) == pytest.approx(areas, rel=1e-3)
+    assert cf.compute_section_elongations(PEAK, MU, LENGTHS, RADII, EA) == pytest.approx(
+        areas, rel=1e-3
+    )
     inside = eq.section_tension(PEAK, MU, LENGTHS, RADII, 0.1)
     assert inside == pytest.approx(eq.bend_tension(PEAK, MU, RADII[0], 0.1))
 
@@ -146,13 +150,13 @@ def test_virgin_pull_from_pretension():
 def test_friction_from_the_pull_constant(true_K):
     M_e = eq.uniform_pull_constant(true_K, L, EA)
     root = brentq(lambda k: math.exp(-k) - 1 + M_e * EA / L * k, 0.02, 20.0, xtol=1e-14)
-    assert cf.friction_from_pull_constant(M_e, L, EA) == pytest.approx(root, rel=1e-7)
+    assert cf.compute_friction_from_pull(M_e, L, EA) == pytest.approx(root, rel=1e-7)
     assert root == pytest.approx(true_K, rel=1e-7)
 
 
 def test_friction_from_an_impossible_pull_constant():
     with pytest.raises(ValueError, match="between 0 and 1"):
-        cf.friction_from_pull_constant(1.1 * L / EA, L, EA)
+        cf.compute_friction_from_pull(1.1 * L / EA, L, EA)
 
 
 def test_strain_and_compression():

@@ -6,7 +6,13 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from estimator.law.sheath import MAX_K, Section, Sheath, SheathError
-from estimator.law.tables import K, arc_length, friction_coordinate, integral, tables
+from estimator.law.tables import (
+    K,
+    build_tables,
+    compute_arc_length,
+    compute_friction_coordinate,
+    integrate_exponential,
+)
 
 SECTIONS = st.lists(
     st.builds(Section, st.floats(0.01, 1.0), st.one_of(st.just(math.inf), st.floats(0.02, 2.0))),
@@ -39,7 +45,7 @@ def along(sheath, x):
 @given(sheaths(), st.floats(0.0, 1.0), st.sampled_from([-1, 0, 1]))
 def test_integrals_are_the_areas_they_name(sheath, fraction, direction):
     slope = {-1: -1.0, 0: 0.0, 1: sheath.asymmetry}[direction]
-    table = tables(sheath)
+    table = build_tables(sheath)
     s_end = fraction * table[K]
     area, start = 0.0, 0.0
     for section in sheath.sections:
@@ -52,17 +58,19 @@ def test_integrals_are_the_areas_they_name(sheath, fraction, direction):
             s, x = np.minimum(s, s_end), np.interp(np.minimum(s, s_end), s, x)
             area += np.trapezoid(np.exp(slope * s), x)
         start += section.length
-    assert integral(table, s_end, slope) == pytest.approx(area, rel=1e-4)
+    assert integrate_exponential(table, s_end, slope) == pytest.approx(area, rel=1e-4)
 
 
 @settings(deadline=None)
 @given(sheaths(), st.floats(0.0, 1.0))
 def test_coordinates_invert_each_other(sheath, fraction):
-    table = tables(sheath)
+    table = build_tables(sheath)
     x = fraction * sheath.length
-    assert friction_coordinate(table, x) == pytest.approx(along(sheath, x), abs=1e-7)
+    assert compute_friction_coordinate(table, x) == pytest.approx(along(sheath, x), abs=1e-7)
     s = fraction * table[K]
-    assert friction_coordinate(table, arc_length(table, s)) == pytest.approx(s, abs=1e-7)
+    assert compute_friction_coordinate(table, compute_arc_length(table, s)) == pytest.approx(
+        s, abs=1e-7
+    )
 
 
 def test_totals_add_up():

@@ -8,24 +8,24 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from estimator.law.profile import point, point_count
+from estimator.law.profile import count_points, get_point
 from estimator.law.sheath import Section, Sheath, SheathError
 from estimator.law.transmission import (
     CAPACITY,
     Phase,
-    batch,
+    build_pretensioned_profile,
+    build_slack_profile,
+    build_tables,
     drive_proximal,
-    forgotten,
+    evaluate_tension,
+    get_merge_error_bound,
     observe,
-    pretensioned_profile,
     push_displacement,
     push_displacement_spring,
     push_distal,
     push_proximal,
-    read_out,
-    slack_profile,
-    tables,
-    tension_at,
+    read_profile,
+    simulate_tensions,
 )
 from tests.brute.chain import Chain, Force, Position, Spring
 from tests.estimator.law.bounds import certified_interval, envelope, sensitivity
@@ -76,21 +76,25 @@ def driven(table, profile, moves):
 
 
 def after(table, tensions, start=5.0):
-    profile = pretensioned_profile(table, start)
+    profile = build_pretensioned_profile(table, start)
     for tension in tensions:
         push_proximal(table, profile, tension)
     return profile
 
 
 def points(profile):
-    return [point(profile, k) for k in range(point_count(profile))]
+    return [get_point(profile, k) for k in range(count_points(profile))]
 
 
 def same(table, one, other):
     """Whether two profiles are the same state, told by what both ends and the inside show."""
     x = np.linspace(0.0, table[1], 50)
-    inside = np.allclose(tension_at(table, one, x), tension_at(table, other, x), rtol=1e-9)
-    return inside and np.allclose(read_out(table, one)[:3], read_out(table, other)[:3], rtol=1e-9)
+    inside = np.allclose(
+        evaluate_tension(table, one, x), evaluate_tension(table, other, x), rtol=1e-9
+    )
+    return inside and np.allclose(
+        read_profile(table, one)[:3], read_profile(table, other)[:3], rtol=1e-9
+    )
 
 
 def worst(model, truth):
@@ -115,8 +119,8 @@ def worst(model, truth):
 )
 def test_motor_driven_by_force(sections, drag, asymmetry, start):
     chain = Chain(sections, MU, EA, beads=200, drag=drag, asymmetry=asymmetry, tension=start)
-    table = tables(sheath_of(sections, drag, asymmetry))
-    profile = pretensioned_profile(table, start)
+    table = build_tables(sheath_of(sections, drag, asymmetry))
+    profile = build_pretensioned_profile(table, start)
     levels = (start, *NESTED[1:]) if start else NESTED
     model, truth = [], []
     for tension in ramps(levels):
@@ -134,8 +138,8 @@ def test_motor_driven_by_force(sections, drag, asymmetry, start):
 def test_motor_driven_by_travel_with_the_tip_held(sections, drag):
     chain = Chain(sections, MU, EA, beads=200, drag=drag)
     chain.travel += 0.01
-    table = tables(sheath_of(sections, drag))
-    profile = slack_profile(table)
+    table = build_tables(sheath_of(sections, drag))
+    profile = build_slack_profile(table)
     model, truth = [], []
     for travel in ramps([1e-5, 2e-3, 1.4e-3, 1.8e-3, 1.5e-3, 2.2e-3, 6e-4, 2e-3]):
         chain.move(Position(travel + 0.01), Position(0.01))
@@ -153,8 +157,8 @@ def test_motor_driven_by_travel_against_a_spring(sections, drag):
     stiffness, rest = 2000.0, 0.01
     chain = Chain(sections, MU, EA, beads=200, drag=drag)
     chain.travel += rest
-    table = tables(sheath_of(sections, drag))
-    profile = slack_profile(table)
+    table = build_tables(sheath_of(sections, drag))
+    profile = build_slack_profile(table)
     model, truth = [], []
     for travel in ramps([1e-5, 6e-3, 4.5e-3, 5.5e-3, 4.8e-3, 7e-3, 1e-3, 6e-3]):
         chain.move(Position(rest + travel), Spring(stiffness, rest))
@@ -174,8 +178,8 @@ def test_motor_driven_by_travel_against_a_spring(sections, drag):
 def test_tip_driven_after_the_motor(sections, motor, tip, drag):
     asymmetry = 1.3
     chain = Chain(sections, MU, EA, beads=200, drag=drag, asymmetry=asymmetry)
-    table = tables(sheath_of(sections, drag, asymmetry))
-    profile = pretensioned_profile(table, 0.0)
+    table = build_tables(sheath_of(sections, drag, asymmetry))
+    profile = build_pretensioned_profile(table, 0.0)
     for tension in ramps(motor):
         chain.move(Force(tension), Position(0.0))
         push_proximal(table, profile, tension)
@@ -196,8 +200,8 @@ def test_tip_driven_after_the_motor(sections, motor, tip, drag):
 def test_certified_interval_is_how_far_the_tip_can_go_unseen(motor, up):
     beads, sections = 200, UNIFORM
     chain = Chain(sections, MU, EA, beads=beads)
-    table = tables(sheath_of(sections))
-    profile = slack_profile(table)
+    table = build_tables(sheath_of(sections))
+    profile = build_slack_profile(table)
     for tension in ramps(motor):
         chain.move(Force(tension), Position(0.0))
         push_proximal(table, profile, tension)
@@ -224,7 +228,7 @@ def test_certified_interval_is_how_far_the_tip_can_go_unseen(motor, up):
 @given(SHEATHS, TENSIONS, MOVES)
 def test_profile_equals_a_sweep_of_clipped_nodes(sheath, start, moves):
     assume(sheath.K > 0.0)
-    table = tables(sheath)
+    table = build_tables(sheath)
     x = np.linspace(0.0, sheath.length, 400)
     angle = np.zeros_like(x)
     edge = 0.0
@@ -243,8 +247,10 @@ def test_profile_equals_a_sweep_of_clipped_nodes(sheath, start, moves):
             nodes[-1] = tension + sheath.drag
             for k in reversed(range(steps.size)):
                 nodes[k] = min(max(nodes[k], nodes[k + 1] / up[k]), nodes[k + 1] / down[k])
-    profile = driven(table, pretensioned_profile(table, start), moves)
-    assert tension_at(table, profile, x) == pytest.approx(nodes - sheath.drag, rel=1e-6, abs=1e-6)
+    profile = driven(table, build_pretensioned_profile(table, start), moves)
+    assert evaluate_tension(table, profile, x) == pytest.approx(
+        nodes - sheath.drag, rel=1e-6, abs=1e-6
+    )
 
 
 # Properties over any history.
@@ -253,8 +259,8 @@ def test_profile_equals_a_sweep_of_clipped_nodes(sheath, start, moves):
 @examples(100)
 @given(SHEATHS, TENSIONS, MOVES)
 def test_friction_bounds_the_profile_everywhere(sheath, start, moves):
-    table = tables(sheath)
-    profile = driven(table, pretensioned_profile(table, start), moves)
+    table = build_tables(sheath)
+    profile = driven(table, build_pretensioned_profile(table, start), moves)
     for (s_a, y_a, slope), (s_b, y_b, _) in itertools.pairwise(points(profile)):
         assert s_b >= s_a
         assert -(s_b - s_a) - 1e-9 <= y_b - y_a <= sheath.asymmetry * (s_b - s_a) + 1e-9
@@ -271,17 +277,17 @@ def test_friction_bounds_the_profile_everywhere(sheath, start, moves):
 @examples(60)
 @given(SHEATHS, TENSIONS, MOVES)
 def test_elongation_is_the_integral_of_the_strain(sheath, start, moves):
-    table = tables(sheath)
-    profile = driven(table, pretensioned_profile(table, start), moves)
+    table = build_tables(sheath)
+    profile = driven(table, build_pretensioned_profile(table, start), moves)
     x = (np.arange(20000) + 0.5) * sheath.length / 20000
-    area = tension_at(table, profile, x).mean() * sheath.length
+    area = evaluate_tension(table, profile, x).mean() * sheath.length
     assert observe(table, profile).elongation == pytest.approx(area / EA, rel=1e-4)
 
 
 @examples(100)
 @given(SHEATHS, HISTORIES, TENSIONS, TENSIONS)
 def test_a_closed_minor_loop_leaves_no_trace(sheath, history, a, b):
-    table = tables(sheath)
+    table = build_tables(sheath)
     assume(abs(history[-1] - a) > 1e-3)
     low, high = sorted((history[-1], a))
     before = after(table, [*history, a])
@@ -292,7 +298,7 @@ def test_a_closed_minor_loop_leaves_no_trace(sheath, history, a, b):
 @examples(100)
 @given(SHEATHS, HISTORIES)
 def test_a_larger_swing_wipes_out_all_smaller_ones(sheath, history):
-    table = tables(sheath)
+    table = build_tables(sheath)
     top, bottom = max(history), min(history)
     once = after(table, [top + 1.0, bottom * 0.9])
     many = after(table, [top + 1.0, bottom * 0.9, *history, bottom * 0.9])
@@ -301,20 +307,20 @@ def test_a_larger_swing_wipes_out_all_smaller_ones(sheath, history):
     full = [40.0, (40.0 + sheath.drag) / wide - sheath.drag, 40.0]
     assume(full[1] > 0.0)
     assert same(table, after(table, full), after(table, [*history, *full]))
-    assert point_count(after(table, [*history, *full])) == 2
+    assert count_points(after(table, [*history, *full])) == 2
 
 
 @examples(60)
 @given(HISTORIES, HISTORIES, TENSIONS, TENSIONS)
 def test_loops_between_the_same_tensions_are_congruent(one, other, a, b):
-    table = tables(Sheath.uniform(1.2, 1.5, EA))
+    table = build_tables(Sheath.uniform(1.2, 1.5, EA))
     assume(abs(a - b) > 1e-3)
     shapes = []
     for history in (one, other):
         profile = after(table, [*history, a, b, a])
         T = np.linspace(a, b, 20)
         shapes.append(np.log([observe(table, drive_proximal(table, profile, t)).T_out for t in T]))
-        loops = batch(table, profile, np.concatenate([T, T[::-1]]))[0]
+        loops = simulate_tensions(table, profile, np.concatenate([T, T[::-1]]))[0]
         shapes[-1] = np.diff(np.log(loops))
     assert shapes[0] == pytest.approx(shapes[1], abs=1e-9)
 
@@ -322,12 +328,12 @@ def test_loops_between_the_same_tensions_are_congruent(one, other, a, b):
 @examples(100)
 @given(SHEATHS, HISTORIES)
 def test_friction_never_creates_energy(sheath, history):
-    table = tables(sheath)
+    table = build_tables(sheath)
     loop = ramps([*history, history[0]], steps=200)[1:]
     profile = after(table, [*history, *history, history[0]])
     T_in = np.concatenate([[observe(table, profile).T_in], loop])
     start = observe(table, profile).elongation
-    e = np.concatenate([[start], batch(table, profile, loop)[1]])
+    e = np.concatenate([[start], simulate_tensions(table, profile, loop)[1]])
     work = np.sum((T_in[1:] + T_in[:-1]) / 2 * np.diff(e))
     stored = 30.0 * e.max()
     assert work >= -1e-4 * stored
@@ -339,8 +345,8 @@ def test_friction_never_creates_energy(sheath, history):
 @given(SHEATHS, HISTORIES, st.floats(0.05, 20.0))
 def test_all_tensions_scale_together(sheath, history, factor):
     plain, scaled = (
-        tables(sheath),
-        tables(
+        build_tables(sheath),
+        build_tables(
             Sheath(sheath.sections, sheath.friction, EA, factor * sheath.drag, sheath.asymmetry)
         ),
     )
@@ -356,8 +362,8 @@ def test_all_tensions_scale_together(sheath, history, factor):
 def test_mirrored_histories_give_mirrored_profiles(history, rho):
     """Pull and release change places in ln T when the two frictions do."""
     K = 0.8
-    one = tables(Sheath.uniform(K, 1.5, EA, asymmetry=rho))
-    other = tables(Sheath.uniform(rho * K, 1.5, EA, asymmetry=1.0 / rho))
+    one = build_tables(Sheath.uniform(K, 1.5, EA, asymmetry=rho))
+    other = build_tables(Sheath.uniform(rho * K, 1.5, EA, asymmetry=1.0 / rho))
     T_out = observe(one, after(one, history, 5.0)).T_out
     mirror = observe(other, after(other, [25.0 / T for T in history], 5.0)).T_out
     assert T_out * mirror == pytest.approx(25.0)
@@ -369,11 +375,11 @@ def test_the_two_ends_are_alike(moves):
     """A sheath turned end for end, with the frictions exchanged, does the same."""
     rho, swap = 1.4, {"motor": "tip", "tip": "motor"}
     sections = tuple(Section(*section) for section in BENT)
-    one = tables(Sheath(sections, MU, EA, 0.5, rho))
-    other = tables(Sheath(sections[::-1], rho * MU, EA, 0.5, 1.0 / rho))
-    here = observe(one, driven(one, pretensioned_profile(one, 5.0), moves))
+    one = build_tables(Sheath(sections, MU, EA, 0.5, rho))
+    other = build_tables(Sheath(sections[::-1], rho * MU, EA, 0.5, 1.0 / rho))
+    here = observe(one, driven(one, build_pretensioned_profile(one, 5.0), moves))
     turned = [(swap[end], tension) for end, tension in moves]
-    there = observe(other, driven(other, pretensioned_profile(other, 5.0), turned))
+    there = observe(other, driven(other, build_pretensioned_profile(other, 5.0), turned))
     assert (here.T_in, here.T_out) == pytest.approx((there.T_out, there.T_in))
     assert here.elongation == pytest.approx(there.elongation)
 
@@ -381,13 +387,13 @@ def test_the_two_ends_are_alike(moves):
 @examples(60)
 @given(SHEATHS, MOVES, HISTORIES)
 def test_batch_is_the_step_repeated(sheath, moves, history):
-    table = tables(sheath)
-    profile = driven(table, pretensioned_profile(table, 5.0), moves)
+    table = build_tables(sheath)
+    profile = driven(table, build_pretensioned_profile(table, 5.0), moves)
     stepped, expected = profile.copy(), []
     for tension in history:
         stepped = drive_proximal(table, stepped, tension)
         expected.append(observe(table, stepped)[1:3])
-    T_out, elongation = batch(table, profile, np.array(history))
+    T_out, elongation = simulate_tensions(table, profile, np.array(history))
     assert np.array_equal(np.array([T_out, elongation]).T, np.array(expected))
     assert np.array_equal(profile, stepped)
 
@@ -395,8 +401,8 @@ def test_batch_is_the_step_repeated(sheath, moves, history):
 @examples(100)
 @given(SHEATHS, MOVES, TENSIONS)
 def test_travel_and_force_drive_the_same_transmission(sheath, moves, tension):
-    table = tables(sheath)
-    profile = driven(table, pretensioned_profile(table, 5.0), moves)
+    table = build_tables(sheath)
+    profile = driven(table, build_pretensioned_profile(table, 5.0), moves)
     by_force = drive_proximal(table, profile, tension)
     by_travel, by_spring = profile.copy(), profile.copy()
     wanted = observe(table, by_force)
@@ -413,11 +419,11 @@ def test_travel_and_force_drive_the_same_transmission(sheath, moves, tension):
 @examples(60)
 @given(SHEATHS, HISTORIES)
 def test_sensitivity_is_the_slope_of_what_follows(sheath, history):
-    table = tables(sheath)
+    table = build_tables(sheath)
     profile = after(table, history)
     before = observe(table, profile)
     assume(before.phase != Phase.SLACK and len(set(history)) > 1)
-    up = point(profile, 0)[2] < 0.0
+    up = get_point(profile, 0)[2] < 0.0
     step = 1e-6 * before.T_in * (1.0 if up else -1.0)
     then = observe(table, drive_proximal(table, profile, before.T_in + step))
     assume(then.phase == before.phase)
@@ -435,11 +441,11 @@ def test_sensitivity_is_the_slope_of_what_follows(sheath, history):
 @given(HISTORIES, st.sampled_from([0.0, 1e-12]))
 def test_without_friction_the_tip_is_the_housing(history, K):
     sheath = Sheath.uniform(K, 1.5, EA)
-    table = tables(sheath)
+    table = build_tables(sheath)
     seen = observe(table, after(table, history))
     assert seen.T_out == pytest.approx(seen.T_in)
     assert seen.elongation == pytest.approx(seen.T_in * 1.5 / EA)
-    profile = slack_profile(table)
+    profile = build_slack_profile(table)
     push_displacement(table, profile, 1e-3, 0.0)
     assert observe(table, profile).T_in == pytest.approx(1e-3 * EA / 1.5)
     push_distal(table, profile, 3.0)
@@ -448,15 +454,15 @@ def test_without_friction_the_tip_is_the_housing(history, K):
 
 def test_vanishing_friction_is_continuous():
     history = [20.0, 5.0, 12.0]
-    few, none = (tables(Sheath.uniform(K, 1.5, EA)) for K in (1e-6, 0.0))
+    few, none = (build_tables(Sheath.uniform(K, 1.5, EA)) for K in (1e-6, 0.0))
     assert observe(few, after(few, history))[:3] == pytest.approx(
         observe(none, after(none, history))[:3], rel=1e-5
     )
 
 
 def test_phases_and_front_of_one_pull_and_release():
-    table = tables(Sheath.uniform(1.0, 1.5, EA))
-    profile = slack_profile(table)
+    table = build_tables(Sheath.uniform(1.0, 1.5, EA))
+    profile = build_slack_profile(table)
     assert observe(table, profile).phase == Phase.SLACK
     for tension, phase, front in [
         (20.0, Phase.PULL, 1.5),
@@ -470,7 +476,7 @@ def test_phases_and_front_of_one_pull_and_release():
         seen = observe(table, profile)
         assert (seen.phase, seen.front) == (phase, pytest.approx(front))
     assert seen.T_out == pytest.approx(0.0, abs=1e-6)
-    profile = pretensioned_profile(table, 5.0)
+    profile = build_pretensioned_profile(table, 5.0)
     assert (observe(table, profile).phase, observe(table, profile).front) == (Phase.VIRGIN, 0.0)
     profile = drive_proximal(table, profile, 5.0 * math.exp(0.5))
     assert observe(table, profile).phase == Phase.VIRGIN
@@ -480,28 +486,30 @@ def test_phases_and_front_of_one_pull_and_release():
 
 
 def test_front_is_measured_along_the_sheath():
-    table = tables(sheath_of(BENT))
-    profile = drive_proximal(table, drive_proximal(table, slack_profile(table), 20.0), 12.0)
+    table = build_tables(sheath_of(BENT))
+    profile = drive_proximal(table, drive_proximal(table, build_slack_profile(table), 20.0), 12.0)
     seen = observe(table, profile)
     x = np.linspace(0.0, 1.5, 100001)
-    assert x[np.argmax(tension_at(table, profile, x))] == pytest.approx(seen.front, abs=1e-4)
-    assert seen.T_front == pytest.approx(tension_at(table, profile, np.array([seen.front]))[0])
+    assert x[np.argmax(evaluate_tension(table, profile, x))] == pytest.approx(seen.front, abs=1e-4)
+    assert seen.T_front == pytest.approx(
+        evaluate_tension(table, profile, np.array([seen.front]))[0]
+    )
 
 
 def test_going_slack_is_forgetting():
-    table = tables(sheath_of(BENT))
+    table = build_tables(sheath_of(BENT))
     profile = after(table, [20.0, 5.0, 9.0, 0.0])
     push_displacement(table, profile, -1e-3, 0.0)
     assert observe(table, profile).phase == Phase.SLACK
     assert observe(table, profile).elongation == pytest.approx(0.0, abs=1e-12)
     pulled = drive_proximal(table, profile, 7.0)
-    assert same(table, pulled, drive_proximal(table, slack_profile(table), 7.0))
+    assert same(table, pulled, drive_proximal(table, build_slack_profile(table), 7.0))
 
 
 @examples(60)
 @given(SHEATHS, HISTORIES)
 def test_holding_a_travel_plants_no_reversals(sheath, history):
-    table = tables(sheath)
+    table = build_tables(sheath)
     profile = after(table, history)
     for travel in 1e-4 * np.array(history):
         push_displacement(table, profile, travel, 0.0)
@@ -513,7 +521,7 @@ def test_holding_a_travel_plants_no_reversals(sheath, history):
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
 def test_what_is_not_finite_stays_outside(bad):
-    table = tables(sheath_of(UNIFORM))
+    table = build_tables(sheath_of(UNIFORM))
     profile = after(table, [20.0, 8.0])
     before = profile.copy()
     push_proximal(table, profile, bad)
@@ -524,14 +532,14 @@ def test_what_is_not_finite_stays_outside(bad):
     with pytest.raises(SheathError, match="finite"):
         drive_proximal(table, profile, bad)
     with pytest.raises(ValueError, match="finite"):
-        batch(table, profile, np.array([1.0, bad]))
+        simulate_tensions(table, profile, np.array([1.0, bad]))
     with pytest.raises(SheathError, match="pretension"):
-        pretensioned_profile(table, bad)
+        build_pretensioned_profile(table, bad)
 
 
 @pytest.mark.parametrize("K", [1.0, 6.0])
 def test_a_full_profile_errs_by_no_more_than_it_says(K):
-    table = tables(Sheath.uniform(K, 1.5, EA))
+    table = build_tables(Sheath.uniform(K, 1.5, EA))
     profile = after(table, [200.0, 1e-3])
     x = np.linspace(0.0, 1.5, 3000)
     step = math.exp(-K / (x.size - 1))
@@ -544,32 +552,34 @@ def test_a_full_profile_errs_by_no_more_than_it_says(K):
         push_proximal(table, profile, nodes[0])
         for j in range(x.size - 1):
             nodes[j + 1] = min(max(nodes[j + 1], nodes[j] * step), nodes[j] / step)
-        error = np.abs(np.log(tension_at(table, profile, x) / nodes)).max()
-        if forgotten(profile) > (told[-1] if told else 0.0):
-            told.append(forgotten(profile))
+        error = np.abs(np.log(evaluate_tension(table, profile, x) / nodes)).max()
+        if get_merge_error_bound(profile) > (told[-1] if told else 0.0):
+            told.append(get_merge_error_bound(profile))
             if len(told) == 1:
                 assert error == pytest.approx(told[0], rel=0.15)
                 assert told[0] <= 2.2 * smallest
             assert told[-1] <= len(told) * 2.0 * K / (CAPACITY - 6)
-        assert error <= forgotten(profile) + 1e-9
-        assert point_count(profile) < CAPACITY
+        assert error <= get_merge_error_bound(profile) + 1e-9
+        assert count_points(profile) < CAPACITY
     assert len(told) > 3
     for (s_a, y_a, slope), (s_b, y_b, _) in itertools.pairwise(points(profile)):
         assert y_b - y_a == pytest.approx(slope * (s_b - s_a), abs=1e-9)
     seen = observe(table, profile)
     assert (seen.T_in, seen.T_out) == pytest.approx((nodes[0], nodes[-1]))
-    area = tension_at(table, profile, (np.arange(20000) + 0.5) * 1.5 / 20000).mean() * 1.5
+    area = evaluate_tension(table, profile, (np.arange(20000) + 0.5) * 1.5 / 20000).mean() * 1.5
     assert seen.elongation == pytest.approx(area / EA, rel=1e-4)
     push_proximal(table, profile, 1e5)
-    assert forgotten(profile) == 0.0
+    assert get_merge_error_bound(profile) == 0.0
 
 
 def test_a_long_noisy_history_does_not_drift():
-    table = tables(sheath_of(BENT, drag=0.3, asymmetry=1.2))
+    table = build_tables(sheath_of(BENT, drag=0.3, asymmetry=1.2))
     noise = np.random.default_rng(1).normal(0.0, 0.05, 400_000)
     tensions = 10.0 + 3.0 * np.sin(np.arange(noise.size) / 300.0) + noise
-    profile = slack_profile(table)
+    profile = build_slack_profile(table)
     push_proximal(table, profile, 20.0)
-    elongation = batch(table, profile, tensions)[1][-1]
+    elongation = simulate_tensions(table, profile, tensions)[1][-1]
     x = (np.arange(200_000) + 0.5) * 1.5 / 200_000
-    assert elongation == pytest.approx(tension_at(table, profile, x).mean() * 1.5 / EA, rel=1e-7)
+    assert elongation == pytest.approx(
+        evaluate_tension(table, profile, x).mean() * 1.5 / EA, rel=1e-7
+    )

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from estimator.lumped.loop_model import loop_by_travel
+from estimator.lumped.loop_model import simulate_loop
 from estimator.lumped.lumped_model import Physics
-from estimator.lumped.nodes import even_weights
+from estimator.lumped.nodes import build_even_weights
 from tests.studies.hidden.loop import Loop, motion, run
 
 TIME = np.arange(800) / 50.0
@@ -14,8 +14,10 @@ COMPLIANCE, TIP = 1.25e-4, 4e-4
 
 
 def moved(travel=TRAVEL, K=0.5, pretension=20.0, time=TIME, **changes):
-    physics = Physics(np.full(len(time), K), COMPLIANCE, even_weights(), TIP)._replace(**changes)
-    return loop_by_travel(physics, pretension, time, travel, np.gradient(travel, time))
+    physics = Physics(np.full(len(time), K), COMPLIANCE, build_even_weights(), TIP)._replace(
+        **changes
+    )
+    return simulate_loop(physics, pretension, time, travel, np.gradient(travel, time))
 
 
 def test_without_friction_it_is_two_springs_beside_each_other():

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from estimator.law.sheath import Sheath
-from estimator.law.transmission import batch, slack_profile, tables
-from estimator.lumped.lumped_model import Physics, by_tension, by_travel
-from estimator.lumped.nodes import EDGES, PLACES, even_weights
+from estimator.law.transmission import build_slack_profile, build_tables, simulate_tensions
+from estimator.lumped.lumped_model import Physics, simulate_by_tension, simulate_by_travel
+from estimator.lumped.nodes import EDGES, PLACES, build_even_weights
 from tests.brute.chain import Chain, Force, Position, Spring
 
 K, LENGTH, EA = 0.9, 1.5, 9e3
@@ -24,11 +24,11 @@ def nested(largest, least=0.0):
 
 
 def physics(**changes):
-    return Physics(np.array([K]), LENGTH / EA, even_weights(), **changes)
+    return Physics(np.array([K]), LENGTH / EA, build_even_weights(), **changes)
 
 
 def simulated(travel, **changes):
-    return by_travel(physics(**changes), TIME, travel, np.gradient(travel, TIME))
+    return simulate_by_travel(physics(**changes), TIME, travel, np.gradient(travel, TIME))
 
 
 def chain(**changes):
@@ -46,8 +46,8 @@ def through(beads, travel, tip):
 
 def test_without_effects_it_is_the_law():
     done = simulated(nested(2e-3))
-    table = tables(Sheath.uniform(K, LENGTH, EA))
-    T_out, e = batch(table, slack_profile(table), done.proximal_tension)
+    table = build_tables(Sheath.uniform(K, LENGTH, EA))
+    T_out, e = simulate_tensions(table, build_slack_profile(table), done.proximal_tension)
     full = done.proximal_tension.max()
     assert full > 15.0
     assert np.abs(T_out - done.distal_tension).max() < 2e-4 * full
@@ -59,7 +59,7 @@ def test_without_effects_it_is_the_law():
 def test_a_tension_drives_it_as_the_travel_did_that_made_it(effect):
     done = simulated(nested(2e-3), **effect)
     rate = np.gradient(done.proximal_tension, TIME)
-    again = by_tension(physics(**effect), TIME, done.proximal_tension, rate)
+    again = simulate_by_tension(physics(**effect), TIME, done.proximal_tension, rate)
     assert np.abs(again.distal_tension - done.distal_tension).max() < 1e-6
     assert np.abs(again.proximal_displacement - done.proximal_displacement).max() < 1e-9
 
@@ -71,7 +71,9 @@ def test_a_record_may_begin_in_the_midst_of_motion(by, turns):
     T_in, T_out, _ = through(chain(), travel, [Position(0.0)] * len(travel))
     at = (np.flatnonzero(np.diff(np.sign(np.diff(travel)))) + 1)[:turns]
     begin = at[-1] + 15
-    drive, run = {"travel": (travel, by_travel), "tension": (T_in, by_tension)}[by]
+    drive, run = {"travel": (travel, simulate_by_travel), "tension": (T_in, simulate_by_tension)}[
+        by
+    ]
     rest, time = drive[begin:], TIME[begin:]
     slow = np.zeros_like(rest)
     done = run(physics(earlier=drive[at] - rest[0]), time, rest, slow)
@@ -129,13 +131,13 @@ def test_strands_side_by_side_that_let_go_one_after_another_are_one_chain(softne
     T_in = np.interp(TIME, np.linspace(0.0, TIME[-1], len(turns)), turns)
     q_p, T_out = strands(T_in, softness)
     spread = physics(spectrum=SPECTRUM, tip_compliance=softness)
-    forced = by_tension(spread, TIME, T_in, 0.0 * TIME)
-    driven = by_travel(spread, TIME, q_p - q_p[0], 0.0 * TIME)
+    forced = simulate_by_tension(spread, TIME, T_in, 0.0 * TIME)
+    driven = simulate_by_travel(spread, TIME, q_p - q_p[0], 0.0 * TIME)
     assert np.abs(forced.distal_tension - T_out).max() < 0.002 * T_in.max()
     assert np.abs(driven.distal_tension - T_out).max() < 0.004 * T_in.max()
     assert np.abs(driven.proximal_tension - T_in).max() < 0.01 * T_in.max()
     assert driven.distal_displacement == pytest.approx(softness * driven.distal_tension, abs=1e-12)
-    plain = by_tension(physics(tip_compliance=softness), TIME, T_in, 0.0 * TIME)
+    plain = simulate_by_tension(physics(tip_compliance=softness), TIME, T_in, 0.0 * TIME)
     assert np.abs(plain.distal_tension - T_out).max() > 0.05 * T_in.max()
 
 
@@ -148,14 +150,16 @@ def test_a_spectrum_of_one_play_is_the_law_bit_for_bit():
 def test_a_fall_of_friction_relaxes_a_tendon_at_rest_and_a_rise_does_nothing():
     travel = np.minimum(TIME / 2.0, 1.0) * 2e-3
     friction = np.where(TIME < 4.0, K, 0.75 * K)
-    fallen = by_travel(physics()._replace(friction=friction), TIME, travel, 0.0 * TIME)
+    fallen = simulate_by_travel(physics()._replace(friction=friction), TIME, travel, 0.0 * TIME)
     beads = chain()
     through(beads, travel[TIME < 4.0], [Position(0.0)] * int((TIME < 4.0).sum()))
     beads.limit_motor, beads.limit_tip = 0.75 * beads.limit_motor, 0.75 * beads.limit_tip
     beads.move(Position(float(travel[-1])), Position(0.0))
     assert fallen.proximal_tension[-1] == pytest.approx(beads.T_in, rel=2e-3)
     assert fallen.distal_tension[-1] == pytest.approx(beads.T_out, rel=2e-3)
-    risen = by_travel(physics()._replace(friction=2 * K - friction), TIME, travel, 0.0 * TIME)
+    risen = simulate_by_travel(
+        physics()._replace(friction=2 * K - friction), TIME, travel, 0.0 * TIME
+    )
     resting = TIME > 2.1
     assert np.ptp(risen.proximal_tension[resting]) < 1e-9
 
@@ -165,8 +169,8 @@ def test_samples_left_out_between_turns_change_nothing():
     turns = np.flatnonzero(np.diff(np.sign(np.diff(travel)))) + 1
     kept = np.unique(np.concatenate([[0, len(travel) - 1], turns, np.arange(0, len(travel), 7)]))
     soft = physics(tip_compliance=4e-4)
-    every = by_travel(soft, TIME, travel, 0.0 * TIME)
-    some = by_travel(soft, TIME[kept], travel[kept], 0.0 * TIME[kept])
+    every = simulate_by_travel(soft, TIME, travel, 0.0 * TIME)
+    some = simulate_by_travel(soft, TIME[kept], travel[kept], 0.0 * TIME[kept])
     assert np.abs(every.proximal_tension[kept] - some.proximal_tension).max() < 1e-6
     assert np.abs(every.distal_tension[kept] - some.distal_tension).max() < 1e-6
 
@@ -202,6 +206,6 @@ def test_whatever_it_does_the_motor_is_where_it_is_and_a_slack_tendon_pulls_noth
 
 
 def test_weights_are_a_sheath_s_whole_compliance():
-    assert even_weights().sum() == pytest.approx(1.0)
+    assert build_even_weights().sum() == pytest.approx(1.0)
     assert EDGES[0] == 0.0
     assert EDGES[-1] == 1.0

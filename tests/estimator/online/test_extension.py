@@ -8,18 +8,24 @@ import pytest
 from estimator.effects import CATALOGUE, NAMES
 from estimator.effects.effect import EffectContext
 from estimator.law.sheath import Sheath
-from estimator.lumped.lumped_model import Physics, by_tension
-from estimator.lumped.nodes import even_weights
+from estimator.lumped.lumped_model import Physics, simulate_by_tension
+from estimator.lumped.nodes import build_even_weights
 from estimator.online import online
-from estimator.online.extension import LEFT_OUT, Extension, Use, extended, why_left_out
+from estimator.online.extension import (
+    OMISSION_REASONS,
+    EffectUse,
+    Extension,
+    build_extended_model,
+    explain_omission,
+)
 from estimator.online.online import ModelError, Status, TendonEstimate, TendonModel
 from estimator.online.reading_correction import (
     MAX_CORRECTIONS,
     CorrectionKind,
-    correct,
-    corrections_of,
+    build_corrections,
+    correct_reading,
 )
-from estimator.online.tip_reading import reading_of, reading_table
+from estimator.online.tip_reading import build_reading_table, compute_reading
 from tests.studies import hidden
 
 NOISE, STEP = 0.02, 1.2e-7  # [N], [m] of the hidden sensors
@@ -64,7 +70,7 @@ def models(truth, name, softness=None):
         softness = 1.0 / k if k else 0.0
     where, values = TRUE[name]
     effects = [(effect(name, where), values(truth[name], sheath))]
-    found = extended((K, L / EA, softness), effects, SECONDS, L)
+    found = build_extended_model((K, L / EA, softness), effects, SECONDS, L)
     noise = {"tension_noise": NOISE, "displacement_noise": STEP / math.sqrt(12.0)}
     plain = TendonModel(Sheath.uniform(K, L, EA), **noise)
     return plain, TendonModel(found.sheath, extension=found.extension, **noise)
@@ -157,11 +163,11 @@ def test_distributed_play_has_in_the_loop_the_numbers_of_the_diagnosis(values, s
     time = np.arange(1500) * 0.01
     turns = np.random.default_rng(SEED).uniform(0.5, 12.0, 30)
     T = np.minimum(np.interp(time, np.linspace(0.0, 15.0, 30), turns), 24.0 * time)
-    found = extended((0.7, 1e-4, softness), [(one, values)], 15.0, 1.5)
+    found = build_extended_model((0.7, 1e-4, softness), [(one, values)], 15.0, 1.5)
     prepared = online.prepare(TendonModel(found.sheath, extension=found.extension))
-    plain = Physics(np.full(len(time), 0.7), 1e-4, even_weights(), softness)
+    plain = Physics(np.full(len(time), 0.7), 1e-4, build_even_weights(), softness)
     nodes = [
-        by_tension(physics, time, T, np.abs(np.diff(T, prepend=0.0)) / 0.01)
+        simulate_by_tension(physics, time, T, np.abs(np.diff(T, prepend=0.0)) / 0.01)
         for physics in (plain, one.physics(plain, values, None))
     ]
     q = nodes[1].proximal_displacement
@@ -238,42 +244,42 @@ def test_each_effect_has_a_use_or_a_reason():
     ]
     uses = {}
     for one, values in middling:
-        ((_, _, use),) = extended((0.4, 1e-4, 1e-4), [(one, values)], 60.0, 1.5).uses
+        ((_, _, use),) = build_extended_model((0.4, 1e-4, 1e-4), [(one, values)], 60.0, 1.5).uses
         uses.setdefault(one.name, set()).add(use)
-        assert why_left_out(one)
-    left_out = {name for name, found in uses.items() if found == {Use.NOTHING}}
-    assert left_out == set(LEFT_OUT)
-    assert uses["constant_drag"] == uses["nonuniform_curvature"] == {Use.LAW}
-    assert uses["distal_tension_gain"] == {Use.REFERENCE}
-    assert uses["proximal_tension_gain"] == uses["sheath_rub"] == {Use.READING}
+        assert explain_omission(one)
+    left_out = {name for name, found in uses.items() if found == {EffectUse.NOTHING}}
+    assert left_out == set(OMISSION_REASONS)
+    assert uses["constant_drag"] == uses["nonuniform_curvature"] == {EffectUse.LAW}
+    assert uses["distal_tension_gain"] == {EffectUse.REFERENCE}
+    assert uses["proximal_tension_gain"] == uses["sheath_rub"] == {EffectUse.READING}
     assert set(uses) == set(NAMES)
 
 
 def test_the_shape_of_the_sheath_is_in_its_sections():
     uneven = effect("nonuniform_curvature", "two sections")
-    found = extended((0.9, 1.5 / 9e3, 0.0), [(uneven, (1.0, 0.4))], 60.0, 1.5)
+    found = build_extended_model((0.9, 1.5 / 9e3, 0.0), [(uneven, (1.0, 0.4))], 60.0, 1.5)
     assert found.extension is None
     whole = found.sheath.K, found.sheath.length, found.sheath.axial_stiffness
     assert whole == pytest.approx((0.9, 1.5, 9e3))
     first, *_, last = found.sheath.sections
     assert last.radius / first.radius == pytest.approx(math.e)
     smooth = effect("nonuniform_curvature", "gradually")
-    gradual = extended((0.9, 1.5 / 9e3, 0.0), [(smooth, (1.0,))], 60.0, 1.5).sheath
+    gradual = build_extended_model((0.9, 1.5 / 9e3, 0.0), [(smooth, (1.0,))], 60.0, 1.5).sheath
     assert 3 < len(gradual.sections) <= 16
 
 
 def test_what_a_cell_at_the_tip_reads_does_not_touch_the_force():
     gain = effect("distal_tension_gain")
-    found = extended((0.9, 1e-4, 0.0), [(gain, (0.05,))], 60.0, 1.0)
+    found = build_extended_model((0.9, 1e-4, 0.0), [(gain, (0.05,))], 60.0, 1.0)
     assert found.extension is None
-    table = reading_table([(gain, (0.05,))])
+    table = build_reading_table([(gain, (0.05,))])
     for tension in (0.0, 0.3, 9.0, 2000.0):
-        assert reading_of(table, tension) == pytest.approx(1.05 * tension)
+        assert compute_reading(table, tension) == pytest.approx(1.05 * tension)
 
 
 def test_several_effects_of_readings_are_undone_in_the_opposite_order():
     gain, bias = effect("proximal_tension_gain"), effect("proximal_tension_bias")
-    found = extended((0.5, 1e-4, 0.0), [(gain, (0.5,)), (bias, (2.0,))], 60.0, 1.0)
+    found = build_extended_model((0.5, 1e-4, 0.0), [(gain, (0.5,)), (bias, (2.0,))], 60.0, 1.0)
     prepared = online.prepare(TendonModel(found.sheath, extension=found.extension))
     row, _ = online.step(prepared, online.initial(prepared), 1.5 * 8.0 + 2.0, math.nan, 0.0)
     assert row.distal_tension == pytest.approx(8.0 * math.exp(-0.5))
@@ -281,7 +287,7 @@ def test_several_effects_of_readings_are_undone_in_the_opposite_order():
 
 def running(*effects):
     """Return a model and its first state, with effects at their values."""
-    found = extended((0.8, 1e-4, 5e-4), list(effects), 60.0, 1.0)
+    found = build_extended_model((0.8, 1e-4, 5e-4), list(effects), 60.0, 1.0)
     prepared = online.prepare(TendonModel(found.sheath, extension=found.extension))
     return prepared, online.initial(prepared)
 
@@ -329,7 +335,7 @@ def test_time_that_was_not_heard_of_goes_on_beside_the_law():
 
 
 def test_a_model_of_tensions_alone_leaves_the_elasticity_to_what_is_known():
-    found = extended((0.8,), [], 60.0, 1.5, axial_stiffness=1.2e4)
+    found = build_extended_model((0.8,), [], 60.0, 1.5, axial_stiffness=1.2e4)
     assert found.sheath.axial_stiffness == pytest.approx(1.2e4)
     assert found.sheath.length == pytest.approx(1.5)
 
@@ -372,11 +378,11 @@ def test_a_correction_takes_away_what_its_effect_makes_of_a_record(name):
     drives = "distal_tension" if name == "encoder_scale" else "proximal_displacement"
     none = np.zeros_like(time)
     read = one.measure(true, values, EffectContext(time, drives, q, none, {}, {}, none, 0.0))
-    corrections = corrections_of([(one.correction, values)])
+    corrections = build_corrections([(one.correction, values)])
     remembered = np.full(MAX_CORRECTIONS, math.nan)
     for k in range(len(time)):
         T, travel = (read[f"proximal_{what}"][k] for what in ("tension", "displacement"))
-        corrected = correct(corrections, remembered, T, travel)
+        corrected = correct_reading(corrections, remembered, T, travel)
         assert corrected == pytest.approx([row[k] for row in true.values()], abs=1e-12)
 
 
@@ -385,9 +391,9 @@ def test_the_travel_of_an_eccentric_pulley_is_corrected_as_the_diagnosis_does():
     q = np.linspace(0.0, 0.05, 300)
     none = np.zeros_like(q)
     true = one.invert(q, values, EffectContext(q, "", q, none, {}, {}, none, 0.0))
-    corrections = corrections_of([(one.correction, values)])
+    corrections = build_corrections([(one.correction, values)])
     remembered = np.full(MAX_CORRECTIONS, math.nan)
-    found = np.array([correct(corrections, remembered, 1.0, x)[1] for x in q])
+    found = np.array([correct_reading(corrections, remembered, 1.0, x)[1] for x in q])
     assert found - found[0] == pytest.approx(true - true[0], abs=1e-15)
 
 

@@ -7,10 +7,10 @@ import pytest
 
 from estimator.law.sheath import Section, Sheath
 from estimator.law.tables import MAX_SECTIONS
-from estimator.law.transmission import Phase, batch, slack_profile, tables
+from estimator.law.transmission import Phase, build_slack_profile, build_tables, simulate_tensions
 from estimator.online import online
 from estimator.online.online import ModelError, Status, TendonEstimate, TendonModel
-from estimator.records import one
+from estimator.records import view_struct
 from tests.brute.chain import Chain, Force, Position
 from tests.estimator.law.bounds import envelope
 from tests.estimator.scenarios import HIDDEN, RATE, SCENARIOS, held, play, random_legs, spring
@@ -103,7 +103,9 @@ def test_tension_rising_at_a_still_motor_is_the_tip_pulling():
     seen = rising[record.T_in[rising] > record.T_in[rising[0]] + 0.5]
     assert result.distal_tension[seen] == pytest.approx(record.T_in[seen] * math.e, rel=0.02)
     assert (result.status[seen] & Status.TIP_MOVED).all()
-    by_sign, _ = batch(tables(SHEATH), slack_profile(tables(SHEATH)), record.T_in)
+    by_sign, _ = simulate_tensions(
+        build_tables(SHEATH), build_slack_profile(build_tables(SHEATH)), record.T_in
+    )
     assert record.T_out[seen] / by_sign[seen] == pytest.approx(math.e**2, rel=0.1)
 
 
@@ -139,7 +141,7 @@ def test_interval_is_tight_while_the_whole_tendon_slides_and_opens_after():
     sliding = np.flatnonzero(record.leg == 1)[-1]
     width = (result.high - result.low) / record.T_out
     assert width[sliding] < 0.2
-    least, most = envelope(tables(SHEATH), record.T_in[-1])
+    least, most = envelope(build_tables(SHEATH), record.T_in[-1])
     assert result.low[-1] == pytest.approx(least, rel=0.05)
     assert result.high[-1] == pytest.approx(most, rel=0.05)
 
@@ -172,7 +174,9 @@ def test_without_displacement_the_motor_is_taken_to_drive():
     record = scenario("spring at the tip")
     prepared = online.prepare(model())
     result = online.run(prepared, record.time, record.T_in)
-    law, _ = batch(tables(SHEATH), slack_profile(tables(SHEATH)), record.T_in)
+    law, _ = simulate_tensions(
+        build_tables(SHEATH), build_slack_profile(build_tables(SHEATH)), record.T_in
+    )
     assert (result.status & Status.TENSION_ONLY).all()
     taut = record.T_in > 0.01
     assert result.distal_tension[taut] == pytest.approx(law[taut], rel=1e-9)
@@ -265,7 +269,9 @@ def test_noise_at_a_hold_is_not_collected_as_tension():
     T = np.minimum(time * 10.0, 10.0)
     noisy = T + np.random.default_rng(0).normal(0.0, 0.03, len(T))
     treated = online.run(online.prepare(model((0.03, 0.0))), time, noisy)
-    raw, _ = batch(tables(SHEATH), slack_profile(tables(SHEATH)), noisy)
+    raw, _ = simulate_tensions(
+        build_tables(SHEATH), build_slack_profile(build_tables(SHEATH)), noisy
+    )
     truth = 10.0 / math.e
     assert abs(treated.distal_tension[-1] - truth) < 0.5 * abs(raw[-1] - truth)
 
@@ -336,12 +342,12 @@ def test_tendons_of_a_rig_are_estimated_as_each_alone():
     for k, t in enumerate(record.time):
         for i in range(len(models)):
             online.advance(
-                one(prepared, i),
-                one(states, i),
+                view_struct(prepared, i),
+                view_struct(states, i),
                 T[k] * (1 + i),
                 q[k],
                 t - before if k else 0.0,
-                one(estimates, i),
+                view_struct(estimates, i),
             )
             for name, row in alone[i]._asdict().items():
                 assert np.array_equal(row[k], estimates[name][i], equal_nan=True), (k, i, name)

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from estimator.pair import pair_fit, pair_study
-from estimator.pair.pair import PairModel, PairRecord, by_command, by_tensions
+from estimator.pair.pair import PairModel, PairRecord, simulate_by_command, simulate_by_tensions
 from estimator.pair.pair_fit import PairError, PairVariant, fit
-from estimator.pair.pair_structure import offset_share, structure
-from estimator.pair.simple_pair_models import ONE_PLAY, simple_predictors
-from estimator.signals import played
+from estimator.pair.pair_structure import analyse_residuals, compute_offset_share
+from estimator.pair.simple_pair_models import ONE_PLAY, fit_simple_predictors
+from estimator.signals import apply_play
 from tests.estimator.pair import pair_bench as bench
 
 BENDS = tuple(map(math.radians, (0.0, 110.0, 220.0)))
@@ -41,7 +41,7 @@ def found(records):
 
 
 @pytest.mark.parametrize("bend", BENDS)
-@pytest.mark.parametrize("predict", [by_command, by_tensions])
+@pytest.mark.parametrize("predict", [simulate_by_command, simulate_by_tensions])
 def test_the_angle_is_that_of_the_chains(bend, predict):
     record = bench.record(bend, neutral=0.1, samples=240)
     made = predict(TRUE._replace(neutral=0.1), record)
@@ -56,14 +56,16 @@ def test_swapped_tendons_bend_the_joint_the_other_way():
         command=-record.command, tension_a=record.tension_b, tension_b=record.tension_a
     )
     np.testing.assert_allclose(
-        by_command(TRUE, swapped).angle, -by_command(TRUE, record).angle, atol=1e-9
+        simulate_by_command(TRUE, swapped).angle,
+        -simulate_by_command(TRUE, record).angle,
+        atol=1e-9,
     )
 
 
 def test_a_pull_that_friction_keeps_from_the_tip_does_not_bend_the_joint():
     record = bench.record(BENDS[2], samples=60)
     small = record._replace(command=0.02 * record.command)
-    assert np.all(by_command(TRUE, small).angle == 0.0)
+    assert np.all(simulate_by_command(TRUE, small).angle == 0.0)
 
 
 def test_friction_of_each_record_and_its_growth_are_found(found):
@@ -93,9 +95,9 @@ def test_models_without_tendons_are_beside_it_on_the_same_bends(found):
         name.split(",")[0] for name in found.left_out if "linear in the bend" in name
     }
     assert found.best_simple in found.left_out
-    assert pair_study.mean_share(found.left_out[found.best_simple]) <= pair_study.mean_share(
-        found.left_out[plays]
-    )
+    assert pair_study.compute_mean_share(
+        found.left_out[found.best_simple]
+    ) <= pair_study.compute_mean_share(found.left_out[plays])
 
 
 def test_one_play_whose_numbers_are_linear_in_the_bend_is_found():
@@ -103,10 +105,10 @@ def test_one_play_whose_numbers_are_linear_in_the_bend_is_found():
     command = np.sin(time)
 
     def made(bend):
-        angle = (0.9 - 0.1 * bend) * played(command, 0.1 + 0.1 * bend) + 0.02 * bend
+        angle = (0.9 - 0.1 * bend) * apply_play(command, 0.1 + 0.1 * bend) + 0.02 * bend
         return PairRecord(bend, time, command, angle, command, command)
 
-    predict = simple_predictors([made(0.0), made(1.0), made(3.0)])[ONE_PLAY]
+    predict = fit_simple_predictors([made(0.0), made(1.0), made(3.0)])[ONE_PLAY]
     left = made(2.0)
     assert np.abs(predict(left) - left.angle).max() < 1e-3
 
@@ -115,7 +117,7 @@ def test_a_bend_that_was_left_out_is_predicted_but_for_its_zero(found):
     assert all(error.zeroed < 0.08 for error in found.left_out[PairVariant.FULL.value])
     ours, one_K = (found.left_out[law.value][2] for law in (PairVariant.FULL, PairVariant.ONE_K))
     assert ours.share < 0.5 * one_K.share
-    assert offset_share(found.records, found.predicted) > 0.6
+    assert compute_offset_share(found.records, found.predicted) > 0.6
 
 
 def test_a_further_bend_is_predicted(found):
@@ -142,15 +144,15 @@ def test_structure_tells_what_a_residual_goes_along_with(records):
     for record in records:
         falls = np.gradient(record.command) < 0.0
         wrong.append(record.angle + 0.1 * record.span * falls)
-    parts = {part.what: part.mean for part in structure(records, wrong)}
+    parts = {part.what: part.mean for part in analyse_residuals(records, wrong)}
     assert parts["command falls"] - parts["command rises"] == pytest.approx(0.1)
     assert abs(parts["stroke is a later one"]) < 0.01
-    assert offset_share(records, wrong) == pytest.approx(0.5, abs=0.05)
+    assert compute_offset_share(records, wrong) == pytest.approx(0.5, abs=0.05)
 
 
 def test_strokes_end_where_the_command_turns():
     command = np.array([0.0, 0.0, 1.0, 2.0, 1.0, 1.0, 0.0, 1.0])
-    assert pair_fit.strokes_of(command).tolist() == [0, 0, 0, 0, 1, 1, 1, 2]
+    assert pair_fit.number_strokes(command).tolist() == [0, 0, 0, 0, 1, 1, 1, 2]
 
 
 @pytest.mark.parametrize(
@@ -170,4 +172,4 @@ def test_strokes_end_where_the_command_turns():
 )
 def test_what_cannot_be_fitted_is_said(records, change, message):
     with pytest.raises(PairError, match=message):
-        pair_study.study(change(records))
+        pair_study.run_study(change(records))

@@ -7,15 +7,15 @@ from hypothesis import strategies as st
 from master.device import DeviceLost
 from master.devices.hid.actuators import ActuatorReports, ActuatorState
 from master.devices.hid.config import AxisConfig, HidConfig
-from master.devices.hid.descriptor import parse
+from master.devices.hid.descriptor import parse_descriptor
 from master.devices.hid.device import HidDevice
-from teleop.launch.supervisor import wait_for
+from teleop.launch.supervisor import wait_for_condition
 from tests.hid import descriptors
 from tests.hid.virtual.catalogue import DEVICES
 
-BOARD = ActuatorReports(parse(descriptors.openffboard()))
-ARDUINO = ActuatorReports(parse(descriptors.arduino()))
-RHINO = ActuatorReports(parse(descriptors.rhino()))
+BOARD = ActuatorReports(parse_descriptor(descriptors.openffboard()))
+ARDUINO = ActuatorReports(parse_descriptor(descriptors.arduino()))
+RHINO = ActuatorReports(parse_descriptor(descriptors.rhino()))
 CONFIG = HidConfig(axes=(AxisConfig("x", travel=0.1, force=2.0),), smoothing=0.0)
 
 PAUSED, ENABLED, SAFETY, OVERRIDE, POWER = (1 << bit for bit in range(5))  # of the Arduino library
@@ -90,7 +90,9 @@ def test_other_reports_say_nothing():
     known = state(READY)
     assert ARDUINO.decode(known, b"\x01" + bytes(10)) is known
     assert ARDUINO.decode(known, b"\x02") is known
-    assert ActuatorReports(parse(descriptors.spacemouse())).decode(known, bytes(9)) is known
+    assert (
+        ActuatorReports(parse_descriptor(descriptors.spacemouse())).decode(known, bytes(9)) is known
+    )
 
 
 def said(device, time_s=10.0):
@@ -109,24 +111,28 @@ def opened(request, hidraw):
     node = hidraw.plug(firmware)
     device = HidDevice(CONFIG, lambda _line: None)
     device.read(0.0)
-    assert wait_for(lambda: said(device, 0.0) == "" and device.read(0.0).position == (0.0,), 30.0)
-    wait_for(lambda: said(device, 0.0) != "", 0.1)  # until all that the beginning caused is read
+    assert wait_for_condition(
+        lambda: said(device, 0.0) == "" and device.read(0.0).position == (0.0,), 30.0
+    )
+    wait_for_condition(
+        lambda: said(device, 0.0) != "", 0.1
+    )  # until all that the beginning caused is read
     yield node, device
     device.close()
 
 
 def test_how_it_was_reset_and_enabled_is_no_fault(opened):
     _, device = opened
-    assert not wait_for(lambda: said(device) != "", 0.1)
+    assert not wait_for_condition(lambda: said(device) != "", 0.1)
 
 
 def test_power_that_goes_is_a_fault_that_names_the_device_until_it_is_back(opened):
     node, device = opened
     node.device.powered = False
-    assert wait_for(lambda: "no power" in said(device), 30.0)
+    assert wait_for_condition(lambda: "no power" in said(device), 30.0)
     assert node.device.name in said(device)
     node.device.powered = True
-    assert wait_for(lambda: said(device) == "", 30.0)
+    assert wait_for_condition(lambda: said(device) == "", 30.0)
     assert node.handles  # it was not closed meanwhile
     assert node.force() == (0.0,) * len(node.device.axes)
 
@@ -136,5 +142,5 @@ def test_another_program_that_pauses_it_is_a_fault(opened):
     pause = {"openffboard": b"\x0c\x10", "sidewinder": b"\x0c\x05", "rhino": b"\x70\x05"}
     kind = type(node.device).__name__.lower()
     node.device.output(node.bus.clock(), pause[kind])
-    assert wait_for(lambda: said(device) != "", 30.0)
+    assert wait_for_condition(lambda: said(device) != "", 30.0)
     assert "close other programs" in said(device)

@@ -6,7 +6,7 @@ from master.device import DeviceFault, DeviceLost
 from master.devices.hid.config import AxisConfig, HidConfig
 from master.devices.hid.device import HidDevice
 from master.devices.hid.pid import PidDriver
-from teleop.launch.supervisor import wait_for
+from teleop.launch.supervisor import wait_for_condition
 from tests.hid import descriptors
 from tests.hid.virtual.sidewinder import CENTRING, SideWinder
 from tests.master.hid.test_pid_devices import Cable
@@ -60,7 +60,7 @@ def test_back_from_a_replug_it_does_not_push(hidraw):
     assert not reads(device)
     back = hidraw.plug(stick())
     assert any(back.force())
-    assert wait_for(lambda: reads(device), 30.0)
+    assert wait_for_condition(lambda: reads(device), 30.0)
     assert back.force() == NONE
     device.close()
     assert back.force() == NONE
@@ -69,11 +69,13 @@ def test_back_from_a_replug_it_does_not_push(hidraw):
 def test_after_a_fault_it_does_not_push(hidraw):
     node = hidraw.plug(stick())
     device = open_device()
-    assert wait_for(lambda: device.read(0.0).position == (0.1,), 30.0)  # so its state is known
+    assert wait_for_condition(
+        lambda: device.read(0.0).position == (0.1,), 30.0
+    )  # so its state is known
     node.device.powered = False
-    assert wait_for(lambda: not reads(device), 30.0)
+    assert wait_for_condition(lambda: not reads(device), 30.0)
     node.device.powered = True
-    assert wait_for(lambda: reads(device), 30.0)
+    assert wait_for_condition(lambda: reads(device), 30.0)
     assert node.force() == NONE
     device.close()
     assert node.force() == NONE

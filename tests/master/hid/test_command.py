@@ -4,7 +4,7 @@ import pytest
 import yaml
 
 from master.devices.hid import command, search, signs
-from master.devices.hid.command import Person
+from master.devices.hid.command import OperatorDialogue
 from teleop.cli import commands
 from tests.hid import descriptors
 from tests.hid.virtual.dualsense import DualSense
@@ -35,7 +35,7 @@ class Someone:
 
     def __init__(self, *answers):
         self.said, self._answers = [], list(answers)
-        self.person = Person(self.said.append, self.answer)
+        self.person = OperatorDialogue(self.said.append, self.answer)
 
     def answer(self, question):
         self.said.append(question)
@@ -46,7 +46,7 @@ class Someone:
 
 def found_in(file):
     """Return the signs that were kept for the only device that is plugged in."""
-    return signs.load(file).of(search.choose("", "auto").pusher)
+    return signs.load(file).of(search.find_device("", "auto").pusher)
 
 
 def teleop(capsys, *words):
@@ -152,7 +152,7 @@ def test_a_probe_of_nothing_is_a_line(hidraw, capsys):
 def test_a_trial_shows_the_buttons_that_were_pressed(hidraw, tmp_path):
     node, someone = hidraw.plug(Free()), Someone("s", "s")
     node.device.buttons = 0b1001
-    command.test("", "auto", tmp_path / "s.yaml", 0.25, someone.person)
+    command.run_device_test("", "auto", tmp_path / "s.yaml", 0.25, someone.person)
     assert "buttons seen, of 64: 1 4" in someone.said
     assert any("(0.25 s)" in line for line in someone.said)
 
@@ -161,7 +161,7 @@ def test_a_sign_of_a_device_without_a_serial_number_comes_with_a_warning(hidraw,
     board, someone = Free(), Someone("", "s")
     board.serial = ""
     hidraw.plug(board)
-    command.test("", "auto", tmp_path / "s.yaml", 0.1, someone.person)
+    command.run_device_test("", "auto", tmp_path / "s.yaml", 0.1, someone.person)
     assert any("It has no serial number" in line for line in someone.said)
 
 
@@ -176,7 +176,7 @@ def test_what_is_not_attached_is_a_line_and_a_list(hidraw, capsys):
 def test_a_trial_finds_the_sign_of_each_motor_and_keeps_it(hidraw, tmp_path):
     hidraw.plug(Free())
     file, someone = tmp_path / "signs.yaml", Someone("", "")
-    command.test("", "auto", file, 0.1, someone.person)
+    command.run_device_test("", "auto", file, 0.1, someone.person)
     kept = found_in(file)
     assert kept["x"] == -kept["y"] != 0
     assert not any("serial" in line for line in someone.said)
@@ -186,7 +186,7 @@ def test_a_trial_finds_the_sign_of_each_motor_and_keeps_it(hidraw, tmp_path):
 def test_a_device_with_one_effect_can_be_tried(hidraw, tmp_path):
     hidraw.plug(Free()).device.slots = 1
     file = tmp_path / "signs.yaml"
-    command.test("", "auto", file, 0.1, Someone("", "").person)
+    command.run_device_test("", "auto", file, 0.1, Someone("", "").person)
     assert set(found_in(file)) == {"x", "y"}
 
 
@@ -197,9 +197,9 @@ def test_the_sign_that_is_kept_makes_a_force_push_that_way(hidraw, tmp_path):
         board.wired = wired
         node = hidraw.plug(board)
         file = tmp_path / f"{wired}.yaml"
-        command.test("", "auto", file, 0.1, Someone("", "").person)
+        command.run_device_test("", "auto", file, 0.1, Someone("", "").person)
         kept = found_in(file)
-        line = command.DeviceConnection(search.choose("", "auto"), command.PidConfig())
+        line = command.DeviceConnection(search.find_device("", "auto"), command.PidConfig())
         for place, axis in enumerate("xy"):
             share = [0.0, 0.0]
             share[place] = 0.1 * kept[axis]
@@ -221,7 +221,7 @@ def test_what_does_not_move_is_asked_about(hidraw, tmp_path, monkeypatch):
     monkeypatch.setattr(command.trial, "REST_S", 0.02)
     hidraw.plug(DualSense(descriptors.dualsense_usb()))
     file, someone = tmp_path / "signs.yaml", Someone("", "", "n", "what?", "s", "s")
-    command.test("", "auto", file, 0.1, someone.person)
+    command.run_device_test("", "auto", file, 0.1, someone.person)
     assert found_in(file) == {"l2": 1}  # asked to push to smaller values, it did; r2 was left out
     assert any(line.startswith("r2: sign not found") for line in someone.said)
 
@@ -229,7 +229,7 @@ def test_what_does_not_move_is_asked_about(hidraw, tmp_path, monkeypatch):
 def test_nobody_to_answer_is_one_line_and_leaves_no_force(hidraw, tmp_path, capsys, monkeypatch):
     node = hidraw.plug(Free())
     monkeypatch.setattr("builtins.input", Someone().answer)
-    monkeypatch.setattr(command, "Person", lambda: Someone().person)
+    monkeypatch.setattr(command, "OperatorDialogue", lambda: Someone().person)
     code, _, err = teleop(capsys, "test", "--seconds", "0.1", "--signs", str(tmp_path / "s.yaml"))
     assert code == 2
     assert err.count("\n") == 1

@@ -6,7 +6,7 @@ from master.device import DeviceFault, DeviceLost
 from master.devices.hid import console_mode, search
 from master.devices.hid.config import AxisConfig, HidConfig
 from master.devices.hid.device import HidDevice
-from teleop.launch.supervisor import wait_for
+from teleop.launch.supervisor import wait_for_condition
 from tests.hid import descriptors
 from tests.hid.virtual.logitech import Logitech
 from tests.hid.virtual.openffboard import OpenFFBoard
@@ -66,7 +66,7 @@ def test_it_is_switched_over_with_the_one_report_and_driven_by_classic_commands(
     assert node.written == [SWITCH]
     assert before.now.written[:2] == [CENTRE_OFF, STOP]
     assert "switched from console to PC mode" in said[0]
-    assert wait_for(lambda: reads(device), 30.0)
+    assert wait_for_condition(lambda: reads(device), 30.0)
     device.close()
     assert before.now.device.refused == []
 
@@ -78,7 +78,7 @@ def test_back_in_console_mode_after_a_replug_it_is_switched_over_again(hidraw):
     assert not reads(device)
     back = ConsoleWheel(hidraw)
     hidraw.plug(back)
-    assert wait_for(lambda: reads(device), 30.0)
+    assert wait_for_condition(lambda: reads(device), 30.0)
     assert CENTRE_OFF in back.now.written
     device.close()
 
@@ -88,24 +88,24 @@ def test_another_one_in_console_mode_is_left_alone_by_a_replug(hidraw):
     device = HidDevice(config(str(node.path)), lambda _line: None)
     hidraw.unplug(node)
     assert not reads(device)
-    assert not wait_for(lambda: other.written or reads(device), 0.5)
+    assert not wait_for_condition(lambda: other.written or reads(device), 0.5)
     device.close()
 
 
 def test_beside_another_device_it_must_be_selected(hidraw):
     node = hidraw.plug(ConsoleWheel(hidraw))
     hidraw.plug(OpenFFBoard(descriptors.openffboard()))
-    assert console_mode.leave("", "auto") == ""
-    assert console_mode.leave("1209:ffb0", "auto") == ""
-    assert console_mode.leave("046d:c267", "joystick") == ""
+    assert console_mode.leave_console_mode("", "auto") == ""
+    assert console_mode.leave_console_mode("1209:ffb0", "auto") == ""
+    assert console_mode.leave_console_mode("046d:c267", "joystick") == ""
     assert node.written == []
-    assert search.choose("", "auto").kind == "pid"
-    assert console_mode.leave("046d:c267", "auto")
+    assert search.find_device("", "auto").kind == "pid"
+    assert console_mode.leave_console_mode("046d:c267", "auto")
     assert node.written == [SWITCH]
 
 
 def test_one_that_stays_in_console_mode_is_said(hidraw, monkeypatch):
-    monkeypatch.setattr(console_mode, "BACK_S", 0.1)
+    monkeypatch.setattr(console_mode, "MODE_SWITCH_TIMEOUT_S", 0.1)
     hidraw.plug(ConsoleWheel(hidraw, leaves=False))
     with pytest.raises(DeviceFault, match="does not leave its console mode"):
         HidDevice(config(), lambda _line: None)

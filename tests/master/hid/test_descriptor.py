@@ -5,10 +5,10 @@ The tables are written by hand from the sources that tests/hid/descriptors.py na
 
 import pytest
 
-from master.devices.hid.descriptor import DescriptorError, Kind, parse
+from master.devices.hid.descriptor import DescriptorError, ReportType, parse_descriptor
 from tests.hid.descriptors import LAYOUTS
 
-IN, OUT, FEATURE = Kind.INPUT, Kind.OUTPUT, Kind.FEATURE
+IN, OUT, FEATURE = ReportType.INPUT, ReportType.OUTPUT, ReportType.FEATURE
 
 # number and length of every report that the sources give
 LENGTHS = {
@@ -177,13 +177,13 @@ FIELDS = {
 
 @pytest.mark.parametrize("name", LENGTHS)
 def test_reports_have_the_published_numbers_and_lengths(name):
-    found = {(r.kind, r.number): r.length for r in parse(LAYOUTS[name]).reports}
+    found = {(r.kind, r.number): r.length for r in parse_descriptor(LAYOUTS[name]).reports}
     assert {key: found.get(key) for key in LENGTHS[name]} == LENGTHS[name]
 
 
 @pytest.mark.parametrize(("name", "kind", "number"), FIELDS)
 def test_fields_are_where_the_sources_say_and_range_as_they_say(name, kind, number):
-    report = parse(LAYOUTS[name]).report(kind, number)
+    report = parse_descriptor(LAYOUTS[name]).report(kind, number)
     found = {
         (usage, *divmod(field.offset, 8), field.size, field.minimum, field.maximum)
         for field in report.fields
@@ -202,19 +202,19 @@ def test_fields_are_where_the_sources_say_and_range_as_they_say(name, kind, numb
     ],
 )
 def test_arrays_keep_the_order_of_the_device(name, kind, number, order):
-    report = parse(LAYOUTS[name]).report(kind, number)
+    report = parse_descriptor(LAYOUTS[name]).report(kind, number)
     (array,) = [field for field in report.fields if field.array]
     assert list(array.usages) == order
     assert array.minimum == 1
 
 
 def test_control_bits_without_a_name_of_their_own_go_with_the_last():
-    *_, last = parse(LAYOUTS["openffboard 2"]).report(OUT, 0x0C).fields
+    *_, last = parse_descriptor(LAYOUTS["openffboard 2"]).report(OUT, 0x0C).fields
     assert (last.usage, last.offset, last.count) == (0x0F009C, 13, 3)
 
 
 def test_a_numbered_report_counts_its_number_an_input_without_does_not():
-    descriptor = parse(LAYOUTS["logitech g29"])
+    descriptor = parse_descriptor(LAYOUTS["logitech g29"])
     assert descriptor.report(IN, 0).fields[0].offset == 0
     assert descriptor.report(OUT, 0).fields[0].offset == 8
 
@@ -231,7 +231,7 @@ KEYBOARD = bytes.fromhex(
 
 
 def test_the_mouse_of_the_standard():
-    (report,) = parse(MOUSE).reports
+    (report,) = parse_descriptor(MOUSE).reports
     assert (report.kind, report.number, report.length) == (IN, 0, 3)
     facts = [(f.usage, f.offset, f.size, f.minimum, f.maximum, f.relative) for f in report.fields]
     assert facts == [
@@ -246,7 +246,7 @@ def test_the_mouse_of_the_standard():
 
 
 def test_the_keyboard_of_the_standard():
-    inputs, leds = parse(KEYBOARD).reports
+    inputs, leds = parse_descriptor(KEYBOARD).reports
     assert (inputs.length, leds.length) == (8, 2)
     keys = inputs.fields[-1]
     assert keys.array
@@ -258,7 +258,7 @@ def test_the_keyboard_of_the_standard():
 def fields(text):
     """Parse hexadecimal items inside one application collection; return all fields."""
     data = bytes.fromhex("05010904a101" + text.replace(" ", "") + "c0")
-    return [field for report in parse(data).reports for field in report.fields]
+    return [field for report in parse_descriptor(data).reports for field in report.fields]
 
 
 @pytest.mark.parametrize(
@@ -314,7 +314,7 @@ def test_flags():
 
 def test_reports_of_one_number_go_three_ways():
     data = "8505 15002501 75089501 0930 8102 0931 9102 0932 b102 8507 0930 8102"
-    descriptor = parse(bytes.fromhex("05010904a101" + data.replace(" ", "") + "c0"))
+    descriptor = parse_descriptor(bytes.fromhex("05010904a101" + data.replace(" ", "") + "c0"))
     assert descriptor.report(IN, 5).fields[0].usage == 0x010030
     assert descriptor.report(OUT, 5).fields[0].usage == 0x010031
     assert descriptor.report(FEATURE, 5).fields[0].usage == 0x010032
@@ -324,7 +324,9 @@ def test_reports_of_one_number_go_three_ways():
 
 def test_a_report_goes_on_where_it_stopped():
     data = "8501 15002501 75049501 0930 8102 8502 0931 8102 8501 0932 8102"
-    report = parse(bytes.fromhex("05010904a101" + data.replace(" ", "") + "c0")).report(IN, 1)
+    report = parse_descriptor(bytes.fromhex("05010904a101" + data.replace(" ", "") + "c0")).report(
+        IN, 1
+    )
     assert [(f.usage, f.offset) for f in report.fields] == [(0x010030, 8), (0x010032, 12)]
     assert report.length == 2
 
@@ -339,7 +341,7 @@ def test_collections_of_the_same_name_are_not_the_same():
 
 def test_several_devices_in_one():
     data = MOUSE + KEYBOARD
-    assert parse(data).applications == (0x010002, 0x010006)
+    assert parse_descriptor(data).applications == (0x010002, 0x010006)
 
 
 @pytest.mark.parametrize(
@@ -366,14 +368,14 @@ def test_several_devices_in_one():
 )
 def test_what_is_no_descriptor_is_refused_with_the_place(data, why):
     with pytest.raises(DescriptorError, match=why):
-        parse(data)
+        parse_descriptor(data)
 
 
 def test_arrays_of_many_names_do_not_fill_memory():
     array = bytes.fromhex("7510150027ffff000019002affff95018100")
     with pytest.raises(DescriptorError, match="more than 65536 usages"):
-        parse(array * 2)
+        parse_descriptor(array * 2)
 
 
 def test_a_push_for_every_byte_is_survived():
-    assert parse(b"\xa4" * 4096).reports == ()
+    assert parse_descriptor(b"\xa4" * 4096).reports == ()

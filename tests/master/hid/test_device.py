@@ -13,9 +13,9 @@ from master.devices.hid import search, signs
 from master.devices.hid.config import AxisConfig, ButtonsConfig, HidConfig
 from master.devices.hid.device import HidDevice
 from master.devices.hid.pid import PidConfig
-from master.devices.hid.signs import ForceSign, Signs
+from master.devices.hid.signs import ForceSign, ForceSigns
 from teleop.errors import UsageError
-from teleop.launch.supervisor import wait_for
+from teleop.launch.supervisor import wait_for_condition
 from tests.hid import descriptors
 from tests.hid.virtual.arduino import Arduino
 from tests.hid.virtual.catalogue import DEVICES
@@ -37,8 +37,8 @@ def board():
 
 def know_signs(**found):
     """Have the signs of the only device that is plugged in."""
-    pusher = search.choose("", "auto").pusher
-    signs.save(None, Signs(tuple(ForceSign(*pusher, *item) for item in found.items())))
+    pusher = search.find_device("", "auto").pusher
+    signs.save(None, ForceSigns(tuple(ForceSign(*pusher, *item) for item in found.items())))
 
 
 class Loop:
@@ -109,9 +109,9 @@ def test_a_force_lasts_as_long_as_it_is_written_and_no_longer(hidraw, open_):
     for _ in range(500):
         loop.tick()
     assert node.force()[0] > 0.9
-    assert wait_for(lambda: node.force() == (0.0, 0.0), 5.0)
+    assert wait_for_condition(lambda: node.force() == (0.0, 0.0), 5.0)
     count = len(node.written)
-    assert not wait_for(lambda: len(node.written) > count, 0.2)
+    assert not wait_for_condition(lambda: len(node.written) > count, 0.2)
 
 
 def test_an_axis_whose_sign_is_not_known_stays_without_force_and_is_named(hidraw, open_):
@@ -241,7 +241,7 @@ def test_another_one_like_it_is_not_taken_for_it(hidraw, open_):
     loop = open_(replace(CONFIG, find=str(node.path)))
     hidraw.unplug(node)
     loop.tick()
-    assert not wait_for(lambda: other.handles or not loop.tick(), 0.5)
+    assert not wait_for_condition(lambda: other.handles or not loop.tick(), 0.5)
     assert other.written == []
     back = hidraw.plug(arduino())
     loop.until(lambda: loop.hand is not None)
@@ -257,7 +257,7 @@ def test_one_that_comes_back_with_another_layout_is_refused(hidraw, open_):
     changed = board()
     changed.descriptor = changed.descriptor.replace(descriptors.block_free(0x0B), b"")
     hidraw.plug(changed)
-    assert wait_for(lambda: "its report descriptor has changed" in loop.tick(), 10.0)
+    assert wait_for_condition(lambda: "its report descriptor has changed" in loop.tick(), 10.0)
 
 
 @pytest.mark.parametrize("known", [{}, {"x": 1}, {"x": 1, "y": -1}, {"x": 1, "y": 1}])
@@ -299,7 +299,7 @@ def test_a_write_that_hangs_is_a_fault_and_stops_neither_the_loop_nor_the_end(hi
     device.close()
     assert time.perf_counter() - begin < 4.5
     node.stalled.clear()
-    assert wait_for(lambda: not node.handles, 5.0)
+    assert wait_for_condition(lambda: not node.handles, 5.0)
 
 
 def test_a_config_of_one_axis_needs_one_effect(hidraw, open_):
@@ -329,7 +329,7 @@ def test_a_wheel_of_another_protocol_is_known_to_have_a_force(hidraw, product, t
     wheel = DEVICES["logitech"]()
     wheel.product = product
     node = hidraw.plug(wheel)
-    assert ("HID++" in search.examine(search.attached()[0]).advice) is told
+    assert ("HID++" in search.examine_node(search.list_attached_nodes()[0]).advice) is told
     with pytest.raises(DeviceFault) as caught:
         HidDevice(CONFIG, lambda _: None)
     assert ("teleop devices dump" in str(caught.value)) is told
@@ -358,7 +358,7 @@ def test_closing_while_it_is_away_ends_the_search(hidraw):
     assert loop.tick()
     device.close()
     back = hidraw.plug(board())
-    assert not wait_for(lambda: back.handles, 0.3)
+    assert not wait_for_condition(lambda: back.handles, 0.3)
 
 
 @pytest.mark.parametrize("force", [(math.nan, 0.0), (0.0,), (0.0, math.inf)])
@@ -415,8 +415,8 @@ def test_a_wheel_that_forgets_nothing_is_pushed_and_let_go_of(hidraw, open_, nam
     usages = ((0xFF00, 1),) if name == "ffbeast" else ((1, 4),)
     node = hidraw.plug(DEVICES[name](), usages)
     pedal = hidraw.plug(board(), interface=1)
-    pusher = search.choose(str(node.path), name).pusher
-    signs.save(None, Signs((ForceSign(*pusher, "x", sign),)))
+    pusher = search.find_device(str(node.path), name).pusher
+    signs.save(None, ForceSigns((ForceSign(*pusher, "x", sign),)))
     config = HidConfig(
         find=str(node.path),
         driver=name,
@@ -431,7 +431,7 @@ def test_a_wheel_that_forgets_nothing_is_pushed_and_let_go_of(hidraw, open_, nam
         loop.until(lambda share=share: node.force() == pytest.approx((share,), abs=0.01))
     loop.force = (1.0,)
     loop.until(lambda: node.force()[0] > 0.4)
-    assert wait_for(lambda: node.force() == (0.0,), 5.0)  # nobody writes any more
+    assert wait_for_condition(lambda: node.force() == (0.0,), 5.0)  # nobody writes any more
     loop.device.close()
     assert node.device.refused == []
     assert node.path.read_bytes().endswith(silence)  # of the guard
@@ -476,7 +476,7 @@ def test_what_the_config_asks_for_in_vain_is_one_line_and_lets_go_of_the_device(
     node = hidraw.plug(board())
     with pytest.raises(UsageError, match=r"^master\.device: axes: the device has no axis 'l2'"):
         open_device(HidConfig(axes=(AxisConfig("l2", travel=0.1),)))
-    assert wait_for(lambda: not node.handles, 5.0)
+    assert wait_for_condition(lambda: not node.handles, 5.0)
 
 
 def test_one_that_is_known_at_once_when_it_is_back_makes_up_no_velocity(hidraw, open_):

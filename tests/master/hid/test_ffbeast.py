@@ -6,11 +6,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from master.devices.hid.driver import unknown
+from master.devices.hid.driver import build_unknown_controls
 from master.devices.hid.ffbeast import FFBeastDriver
 
 DRIVER = FFBeastDriver()
-UNKNOWN = unknown(len(DRIVER.axes))
+UNKNOWN = build_unknown_controls(len(DRIVER.axes))
 
 
 def state(position):

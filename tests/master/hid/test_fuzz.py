@@ -9,13 +9,13 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from master.device import DeviceFault
-from master.devices.hid.bits import limits
-from master.devices.hid.descriptor import Descriptor, DescriptorError, parse
-from master.devices.hid.driver import DriverError, unknown
+from master.devices.hid.bits import compute_limits
+from master.devices.hid.descriptor import DescriptorError, ReportDescriptor, parse_descriptor
+from master.devices.hid.driver import DriverError, build_unknown_controls
 from master.devices.hid.inputs import Inputs
 from master.devices.hid.pid import PidConfig, PidDriver
-from master.devices.hid.pid_layout import lay_out
-from master.devices.hid.report_text import describe
+from master.devices.hid.pid_layout import build_layout
+from master.devices.hid.report_text import describe_descriptor
 from master.devices.hid.usages import MAGNITUDE
 from tests.hid.descriptors import LAYOUTS
 
@@ -89,14 +89,14 @@ class Whatever:
 
 def read(data):
     try:
-        return parse(data)
+        return parse_descriptor(data)
     except DescriptorError:
         return None
 
 
 def check(descriptor):
     """What holds for every descriptor that is taken."""
-    assert isinstance(descriptor, Descriptor)
+    assert isinstance(descriptor, ReportDescriptor)
     assert sum(len(report.fields) for report in descriptor.reports) <= 8192
     for report in descriptor.reports:
         assert report.length <= 16385
@@ -104,12 +104,12 @@ def check(descriptor):
             assert field.offset >= 0
             assert field.offset + field.size * field.count <= 8 * report.length
             assert field.constant or field.minimum <= field.maximum
-    assert all(isinstance(line, str) for line in describe(descriptor))
+    assert all(isinstance(line, str) for line in describe_descriptor(descriptor))
 
 
 def feel(inputs, reports):
     """Decode anything, as a device could send it."""
-    controls = unknown(len(inputs.axes))
+    controls = build_unknown_controls(len(inputs.axes))
     for report in reports:
         controls = inputs.decode(controls, report)
         assert len(controls.axes) == len(inputs.axes)
@@ -129,9 +129,9 @@ def push(data, config, device, forces):
     except (DriverError, DeviceFault):
         driver.silence()
         return
-    descriptor = parse(data)
-    field = lay_out(descriptor, Inputs(descriptor)).constant_force.need(MAGNITUDE)
-    low, high = limits(field)
+    descriptor = parse_descriptor(data)
+    field = build_layout(descriptor, Inputs(descriptor)).constant_force.need(MAGNITUDE)
+    low, high = compute_limits(field)
     for force in forces:
         reports = driver.encode(force[: len(driver.forces)], arm=bool(len(forces) % 2))
         for axis, share, report in zip(driver.forces, force, reports, strict=False):
@@ -175,5 +175,5 @@ def test_descriptors_that_are_nearly_right(data, forces, choose):
 )
 def test_right_descriptors_and_any_reports(name, reports, forces, choose):
     data = LAYOUTS[name]
-    feel(Inputs(parse(data)), reports)
+    feel(Inputs(parse_descriptor(data)), reports)
     push(data, None, Whatever(choose), forces)

@@ -9,13 +9,13 @@ import time
 import pytest
 
 from master.devices.hid import guard
-from master.devices.hid.guard import Guard
-from teleop.launch.supervisor import wait_for
+from master.devices.hid.guard import ForceWatchdog
+from teleop.launch.supervisor import wait_for_condition
 
 OWNER = """
 import sys, time
-from master.devices.hid.guard import Guard
-owner = Guard(sys.argv[1], [b"one", b"two"])
+from master.devices.hid.guard import ForceWatchdog
+owner = ForceWatchdog(sys.argv[1], [b"one", b"two"])
 print("up", flush=True)
 for _ in range(1000):
     owner.beat()
@@ -40,7 +40,7 @@ def test_a_killed_owner_leaves_a_silent_device(owned):
     owner, node = owned
     before = node.read_bytes()
     owner.kill()
-    assert wait_for(lambda: len(node.read_bytes()) > len(before), 5.0)
+    assert wait_for_condition(lambda: len(node.read_bytes()) > len(before), 5.0)
     assert node.read_bytes().endswith(b"onetwo")
 
 
@@ -50,9 +50,11 @@ def test_a_stopped_owner_leaves_a_silent_device_each_time(owned):
     for _ in range(20):  # a busy machine may stop it between two silences of its own
         before = node.read_bytes()
         owner.send_signal(signal.SIGSTOP)
-        silenced += wait_for(lambda before=before: node.read_bytes() != before, 1.0)
+        silenced += wait_for_condition(lambda before=before: node.read_bytes() != before, 1.0)
         said = node.read_bytes()
-        assert not wait_for(lambda said=said: node.read_bytes() != said, 3 * guard.SILENT_S)
+        assert not wait_for_condition(
+            lambda said=said: node.read_bytes() != said, 3 * guard.HEARTBEAT_TIMEOUT_S
+        )
         if silenced == 2:
             break
         owner.send_signal(signal.SIGCONT)
@@ -64,15 +66,15 @@ def test_a_stopped_owner_leaves_a_silent_device_each_time(owned):
 def test_before_the_first_beat_nothing_is_written(tmp_path):
     node = tmp_path / "node"
     node.touch()
-    owner = Guard(str(node), [b"zero"])
-    assert not wait_for(node.read_bytes, 2 * guard.SILENT_S)
+    owner = ForceWatchdog(str(node), [b"zero"])
+    assert not wait_for_condition(node.read_bytes, 2 * guard.HEARTBEAT_TIMEOUT_S)
     assert owner.end()
 
 
 def test_a_guard_that_has_died_is_missed(tmp_path):
     node = tmp_path / "node"
     node.touch()
-    owner = Guard(str(node), [b"zero"])
+    owner = ForceWatchdog(str(node), [b"zero"])
     owner.beat()
     owner.process.kill()
     owner.process.wait()
@@ -99,7 +101,7 @@ def test_one_report_that_fails_does_not_keep_the_others_back(tmp_path, monkeypat
 def test_when_it_is_told_to_go_it_writes_too_and_is_gone(tmp_path):
     node = tmp_path / "node"
     node.touch()
-    owner = Guard(str(node), [b"zero"])
+    owner = ForceWatchdog(str(node), [b"zero"])
     assert owner.end()
     assert owner.process.returncode == 0
     assert node.read_bytes() == b"zero"
@@ -107,4 +109,4 @@ def test_when_it_is_told_to_go_it_writes_too_and_is_gone(tmp_path):
 
 def test_without_a_node_to_write_to_there_is_no_guard(tmp_path):
     with pytest.raises(OSError, match="watchdog does not start"):
-        Guard(str(tmp_path / "nothing"), [b"zero"])
+        ForceWatchdog(str(tmp_path / "nothing"), [b"zero"])

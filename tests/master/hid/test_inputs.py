@@ -4,15 +4,15 @@ import struct
 
 import pytest
 
-from master.devices.hid.descriptor import parse
-from master.devices.hid.driver import Controls, unknown
+from master.devices.hid.descriptor import parse_descriptor
+from master.devices.hid.driver import Controls, build_unknown_controls
 from master.devices.hid.inputs import Inputs
 from tests.hid import descriptors as d
 from tests.hid.descriptors import LAYOUTS, arduino, ffbeast_pid, logitech_g29, openffboard, rhino
 
 
 def inputs(data):
-    return Inputs(parse(data))
+    return Inputs(parse_descriptor(data))
 
 
 def test_openffboard_by_its_table():
@@ -21,7 +21,7 @@ def test_openffboard_by_its_table():
     assert device.buttons == 64
     values = (32767, -32767, 0, 16384, -1, 1, 0, 0)
     report = struct.pack("<BQ8h", 1, 1 << 63 | 5, *values)
-    controls = device.decode(unknown(len(device.axes)), report)
+    controls = device.decode(build_unknown_controls(len(device.axes)), report)
     assert controls.buttons == 1 << 63 | 5
     assert controls.axes == pytest.approx([value / 32767 for value in values], abs=1e-12)
 
@@ -36,13 +36,17 @@ def test_the_reports_of_others_change_nothing():
 def test_a_padded_report_is_read():
     device = inputs(ffbeast_pid())
     report = struct.pack("<BIH", 1, 2, 65535) + bytes(57)
-    assert device.decode(unknown(len(device.axes)), report) == Controls((1.0,), 2, (1 << 32) - 1)
+    assert device.decode(build_unknown_controls(len(device.axes)), report) == Controls(
+        (1.0,), 2, (1 << 32) - 1
+    )
 
 
 @pytest.mark.parametrize(("raw", "share"), [(0, -1.0), (65535, 1.0), (32768, 0.5 / 32767.5)])
 def test_an_unsigned_wheel_is_centred(raw, share):
     device = inputs(ffbeast_pid())
-    controls = device.decode(unknown(len(device.axes)), struct.pack("<BIH", 1, 0, raw))
+    controls = device.decode(
+        build_unknown_controls(len(device.axes)), struct.pack("<BIH", 1, 0, raw)
+    )
     assert controls.axes == pytest.approx((share,), abs=1e-9)
 
 
@@ -50,7 +54,7 @@ def test_pedals_are_one_sided_and_numbers_are_not_needed():
     device = inputs(logitech_g29())
     assert device.axes == ("x", "z", "rz", "y")
     report = struct.pack("<IHBBB3x", 0x08 | 1 << 4, 65535, 255, 0, 255)
-    controls = device.decode(unknown(len(device.axes)), report)
+    controls = device.decode(build_unknown_controls(len(device.axes)), report)
     assert controls.axes == (1.0, 1.0, 0.0, 1.0)
     assert controls.buttons == 1
 
@@ -63,7 +67,7 @@ def test_a_hat_is_four_buttons_after_the_others(hat, pressed):
     assert device.buttons == 16
     report = struct.pack("<BHBhh", 1, 1 << 11, hat, 0, 0)
     expected = 1 << 11 | sum(1 << 12 + "urdl".index(way) for way in pressed)
-    assert device.decode(unknown(len(device.axes)), report).buttons == expected
+    assert device.decode(build_unknown_controls(len(device.axes)), report).buttons == expected
 
 
 def test_a_hat_at_rest_presses_nothing():
@@ -80,7 +84,7 @@ def test_rows_of_buttons_apart_and_several_hats():
         "<B3h4BIHBBH13x", 1, 4096, -4096, 0, 0, 0, 0, 255, 1 << 31, 1, 0xF2, 0x0F, 1 << 15
     )
     assert len(report) == 34
-    controls = device.decode(unknown(len(device.axes)), report)
+    controls = device.decode(build_unknown_controls(len(device.axes)), report)
     assert controls.axes == (1.0, -1.0, 0.0, 0.0, 0.0, 0.0, 1.0)
     right_of_first, up_of_fourth = 1 << 65, 1 << 76
     assert controls.buttons == 1 << 31 | 1 << 32 | 1 << 63 | right_of_first | up_of_fourth
@@ -88,7 +92,9 @@ def test_rows_of_buttons_apart_and_several_hats():
 
 def test_halves_of_a_device_are_merged():
     device = inputs(LAYOUTS["spacemouse old"])
-    first = device.decode(unknown(len(device.axes)), struct.pack("<B3h", 1, 500, -500, 0))
+    first = device.decode(
+        build_unknown_controls(len(device.axes)), struct.pack("<B3h", 1, 500, -500, 0)
+    )
     both = device.decode(first, struct.pack("<B3h", 2, 250, 0, 0))
     pressed = device.decode(both, b"\x03\x02\x00")
     assert (pressed.axes, pressed.buttons) == ((1.0, -1.0, 0.0, 0.5, 0.0, 0.0), 2)
@@ -99,7 +105,7 @@ def test_halves_of_a_device_are_merged():
 def test_what_is_out_of_range_is_held_to_the_end():
     device = inputs(LAYOUTS["spacemouse"])
     controls = device.decode(
-        unknown(len(device.axes)), struct.pack("<B6h", 1, 400, -400, 0, 0, 0, 0)
+        build_unknown_controls(len(device.axes)), struct.pack("<B6h", 1, 400, -400, 0, 0, 0, 0)
     )
     assert controls.axes[:2] == (1.0, -1.0)
 
@@ -107,7 +113,7 @@ def test_what_is_out_of_range_is_held_to_the_end():
 def test_an_axis_that_says_none_keeps_its_value():
     data = bytes.fromhex("05010904a101150125647508950109308142c0")
     device = inputs(data)
-    held = device.decode(unknown(len(device.axes)), b"\x64")
+    held = device.decode(build_unknown_controls(len(device.axes)), b"\x64")
     assert held.axes == (1.0,)
     assert device.decode(held, b"\x00") == held
 
@@ -134,13 +140,13 @@ def pedals(*ids):
 @pytest.mark.parametrize("held", range(8))
 def test_from_the_first_report_on_every_button_is_known(held):
     device = pedals(0)
-    controls = device.decode(unknown(1), bytes([held, 0]))
+    controls = device.decode(build_unknown_controls(1), bytes([held, 0]))
     assert controls == Controls((0.0,), held, 0b111)
 
 
 def test_the_buttons_of_a_report_that_has_not_come_are_neither_held_nor_known():
     device = pedals(1, 2)
-    first = device.decode(unknown(1), bytes([1, 0b111]))
+    first = device.decode(build_unknown_controls(1), bytes([1, 0b111]))
     assert (first.buttons, first.known) == (0b111, 0b111)
     second = device.decode(first, bytes([2, 0b001, 127]))
     assert second == Controls((1.0,), 0b001_111, 0b111_111)

@@ -3,12 +3,12 @@ import struct
 import pytest
 
 from master.devices.hid.descriptor import DescriptorError
-from master.devices.hid.driver import DriverError, unknown
+from master.devices.hid.driver import DriverError, build_unknown_controls
 from master.devices.hid.joystick import JoystickDriver
 from tests.hid.descriptors import openffboard
 
 DRIVER = JoystickDriver(openffboard())
-UNKNOWN = unknown(len(DRIVER.axes))
+UNKNOWN = build_unknown_controls(len(DRIVER.axes))
 
 
 def test_axes_and_buttons_are_read_and_nothing_is_ever_written():

@@ -6,15 +6,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from master.devices.hid.descriptor import parse
-from master.devices.hid.driver import DriverError, unknown
+from master.devices.hid.descriptor import parse_descriptor
+from master.devices.hid.driver import DriverError, build_unknown_controls
 from master.devices.hid.drivers import DRIVERS, AttachedNode
 from master.devices.hid.logitech import PRODUCTS, LogitechDriver
 from master.devices.hid.pid import PidConfig
 from tests.hid.descriptors import logitech_g29, spacemouse
 
-DRIVER = LogitechDriver(parse(logitech_g29()))
-UNKNOWN = unknown(len(DRIVER.axes))
+DRIVER = LogitechDriver(parse_descriptor(logitech_g29()))
+UNKNOWN = build_unknown_controls(len(DRIVER.axes))
 
 
 def g29(steering=0x8000, buttons=0, accelerator=255, brake=255, clutch=255):
@@ -118,8 +118,10 @@ def test_pedals_and_buttons_are_told_apart():
 
 def test_a_device_without_steering_is_refused():
     with pytest.raises(DriverError, match="steering"):
-        LogitechDriver(parse(b"\x05\x01\x09\x02\xa1\x01\xc0"))
-    LogitechDriver(parse(spacemouse()))  # any x will do: the product says that it is a wheel
+        LogitechDriver(parse_descriptor(b"\x05\x01\x09\x02\xa1\x01\xc0"))
+    LogitechDriver(
+        parse_descriptor(spacemouse())
+    )  # any x will do: the product says that it is a wheel
 
 
 @given(st.binary(max_size=14), st.floats(allow_nan=True, allow_infinity=True))

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from master.device import DeviceFault
 from master.devices.hid import mapping
 from master.devices.hid.config import AxisConfig, ButtonsConfig, HidConfig
-from master.devices.hid.driver import Controls, unknown
+from master.devices.hid.driver import Controls, build_unknown_controls
 
 STICK = SimpleNamespace(axes=("x", "y", "z"), forces=("y", "x"), buttons=4)
 BUTTONS = ButtonsConfig(engage=1, clutch=2, stop=3)
@@ -22,7 +22,7 @@ DT = 1e-3
 
 def planned(*axes, signs=BOTH, smoothing=0.01, buttons=BUTTONS):
     config = HidConfig(axes=axes, buttons=buttons, smoothing=smoothing)
-    return mapping.plan(config, STICK, STICK.buttons, signs)
+    return mapping.build_mapping(config, STICK, STICK.buttons, signs)
 
 
 class Hand:
@@ -30,7 +30,7 @@ class Hand:
 
     def __init__(self, *axes, **settings):
         self.plan = planned(*axes, **settings)
-        self.memory = mapping.start(self.plan.joints)
+        self.memory = mapping.init_mapping(self.plan.joints)
 
     def read(self, *shares, buttons=0, dt=DT):
         controls = Controls((*shares, *(0.0,) * (3 - len(shares))), buttons, ALL)
@@ -51,11 +51,11 @@ def test_an_axis_moves_the_joint_that_it_names_and_others_stay():
 
 @given(st.floats(-1.0, 1.0), st.floats(0.0, 0.9))
 def test_a_dead_zone_makes_no_jump_and_leaves_the_ends(share, zone):
-    out = mapping.beyond(share, zone)
+    out = mapping.apply_dead_zone(share, zone)
     assert abs(out) <= 1.0
     assert (out == 0.0) == (abs(share) <= zone or out == 0.0)
-    assert mapping.beyond(math.copysign(1.0, share), zone) == math.copysign(1.0, share)
-    assert abs(mapping.beyond(math.copysign(zone, share), zone)) < 1e-9
+    assert mapping.apply_dead_zone(math.copysign(1.0, share), zone) == math.copysign(1.0, share)
+    assert abs(mapping.apply_dead_zone(math.copysign(zone, share), zone)) < 1e-9
     assert abs(out) <= abs(share) + 1e-12  # rounding
 
 
@@ -123,7 +123,7 @@ def test_a_button_that_is_not_given_is_never_held():
 
 def test_until_everything_is_known_the_switch_counts_as_held_and_nothing_moves():
     hand = Hand(AxisConfig("x", travel=0.1), AxisConfig("y", speed=0.1))
-    start = unknown(3)
+    start = build_unknown_controls(3)
     state, memory = mapping.step(hand.plan, hand.memory, start, start, DT)
     assert state.engage
     assert not memory.knows
@@ -164,13 +164,13 @@ def test_a_force_is_a_share_of_full_scale_with_the_sign_that_was_found():
         AxisConfig("x", travel=0.1, force=2.0), AxisConfig("y", travel=0.1, force=5.0, sign=-1)
     )
     # forces of the driver are y, x; y was found to push the other way, and its joint is reversed
-    assert mapping.shares(plan, (1.0, 2.5)) == (0.5, 0.5)
-    assert mapping.shares(plan, (-1.0, -2.5)) == (-0.5, -0.5)
+    assert mapping.to_force_shares(plan, (1.0, 2.5)) == (0.5, 0.5)
+    assert mapping.to_force_shares(plan, (-1.0, -2.5)) == (-0.5, -0.5)
 
 
 def test_an_axis_whose_sign_is_not_known_or_that_has_no_force_gets_none():
     plan = planned(AxisConfig("x", travel=0.1, force=2.0), AxisConfig("y", travel=0.1), signs={})
-    assert mapping.shares(plan, (1.0, 2.5)) == (0.0, 0.0)
+    assert mapping.to_force_shares(plan, (1.0, 2.5)) == (0.0, 0.0)
 
 
 @given(st.lists(st.floats(), min_size=2, max_size=2), st.sampled_from([1, -1]))
@@ -178,7 +178,9 @@ def test_whatever_is_asked_for_a_share_is_a_share(force, sign):
     plan = planned(
         AxisConfig("x", travel=0.1, force=2.0, sign=sign), AxisConfig("y", travel=0.1, force=0.1)
     )
-    for share, wanted in zip(reversed(mapping.shares(plan, tuple(force))), force, strict=True):
+    for share, wanted in zip(
+        reversed(mapping.to_force_shares(plan, tuple(force))), force, strict=True
+    ):
         assert -1.0 <= share <= 1.0
         assert not (math.isnan(wanted) and share)
 

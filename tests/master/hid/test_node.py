@@ -5,7 +5,7 @@ import sys
 import pytest
 
 from master.device import DeviceFault
-from master.devices.hid.node import QUEUE, Node, backend
+from master.devices.hid.node import QUEUE_LENGTH, Node, load_hidapi
 from tests.hid.descriptors import openffboard
 from tests.hid.virtual.openffboard import OpenFFBoard
 
@@ -34,7 +34,7 @@ def test_reports_come_as_bytes_oldest_first_and_none_is_waited_for(node, plugged
 def test_a_full_queue_is_told_by_its_length(node, plugged):
     plugged.push(*(bytes((1, k)) for k in range(80)))
     reports = node.drain()
-    assert len(reports) == QUEUE
+    assert len(reports) == QUEUE_LENGTH
     assert reports[-1] == bytes((1, 63))  # the newest are the ones that are lost
 
 
@@ -42,7 +42,7 @@ def test_one_call_takes_no_more_than_a_queue_however_fast_they_come(hidraw, node
     plugged.talking = True
     start, ticks = hidraw.clock(), iter(range(1, 10**6))
     hidraw.clock = lambda: start + next(ticks) * 0.010
-    assert len(node.drain()) == QUEUE
+    assert len(node.drain()) == QUEUE_LENGTH
 
 
 @pytest.mark.parametrize("call", ["write", "send_feature"])
@@ -92,10 +92,10 @@ def test_a_node_that_cannot_be_opened_is_a_fault(plugged):
 
 
 def test_on_linux_it_is_the_hidraw_module_and_without_it_one_line_says_so(monkeypatch, hidraw):
-    assert backend() is hidraw
+    assert load_hidapi() is hidraw
     monkeypatch.setitem(sys.modules, "hidraw", None)
     with pytest.raises(DeviceFault, match="pip install hidapi"):
-        backend()
+        load_hidapi()
     monkeypatch.setattr(sys, "platform", "win32")
     monkeypatch.setitem(sys.modules, "hid", hidraw)
-    assert backend() is hidraw
+    assert load_hidapi() is hidraw

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from master.device import DeviceFault
-from master.devices.hid.driver import DriverError, unknown
+from master.devices.hid.driver import DriverError, build_unknown_controls
 from master.devices.hid.pid import PidConfig, PidDriver
 from tests.hid import descriptors as d
 from tests.hid.descriptors import LAYOUTS, arduino, ffbeast_pid, openffboard, rhino
@@ -339,7 +339,7 @@ def test_inputs_are_read_too():
     driver, _ = begun(ffbeast_pid())
     assert (driver.axes, driver.buttons) == (("x",), 32)
     report = struct.pack("<BIH", 1, 5, 0)
-    controls = driver.decode(unknown(1), report)
+    controls = driver.decode(build_unknown_controls(1), report)
     assert (controls.axes, controls.buttons, controls.known) == ((-1.0,), 5, (1 << 32) - 1)
 
 

@@ -1,9 +1,9 @@
 import pytest
 
-from master.devices.hid.descriptor import parse
+from master.devices.hid.descriptor import parse_descriptor
 from master.devices.hid.driver import DriverError
 from master.devices.hid.inputs import Inputs
-from master.devices.hid.pid_layout import lay_out, speaks_pid
+from master.devices.hid.pid_layout import build_layout, has_pid_collection
 from tests.hid import descriptors as d
 from tests.hid.descriptors import LAYOUTS
 
@@ -11,8 +11,8 @@ PID_LAYOUTS = ("openffboard 2", "openffboard 1", "arduino", "rhino", "ffbeast pi
 
 
 def layout(data):
-    descriptor = parse(data)
-    return lay_out(descriptor, Inputs(descriptor))
+    descriptor = parse_descriptor(data)
+    return build_layout(descriptor, Inputs(descriptor))
 
 
 @pytest.mark.parametrize(
@@ -59,7 +59,10 @@ def test_control_is_a_mask_or_an_index_in_the_order_of_the_device(name, enable, 
 
 
 def test_who_speaks_it():
-    assert all(speaks_pid(parse(LAYOUTS[name])) == (name in PID_LAYOUTS) for name in LAYOUTS)
+    assert all(
+        has_pid_collection(parse_descriptor(LAYOUTS[name])) == (name in PID_LAYOUTS)
+        for name in LAYOUTS
+    )
 
 
 def joystick(*reports):

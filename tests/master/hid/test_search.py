@@ -52,12 +52,12 @@ def test_the_only_device_that_fits_is_found_among_others(hidraw, device, kind):
     hidraw.plug(Keyboard(), ((1, 6),))
     usage = (1, 8) if kind == "spacemouse" else (1, 4)
     node = hidraw.plug(device, (usage,))
-    found = search.choose("", "auto")
+    found = search.find_device("", "auto")
     assert (found.item.path, found.kind) == (str(node.path), kind)
     assert found.item.bluetooth == (device.bus == BLUETOOTH)
     model = f"{device.vendor:04x}:{device.product:04x}"
     for find in (model, model.upper(), device.serial, str(node.path)):
-        assert search.choose(find, "auto") == found
+        assert search.find_device(find, "auto") == found
 
 
 def pedal():
@@ -70,20 +70,20 @@ def pedal():
 
 def test_a_joystick_is_taken_only_if_there_is_nothing_better(hidraw):
     hidraw.plug(pedal(), ((1, 4),))
-    found = search.choose("", "auto")
+    found = search.find_device("", "auto")
     assert (found.item.name, found.kind) == ("Pedal", "joystick")
     hidraw.plug(OpenFFBoard(descriptors.openffboard()))
-    assert search.choose("", "auto").kind == "pid"
-    assert search.choose("05f3:00ff", "auto") == found
-    assert search.choose("1209:ffb0", "joystick").kind == "joystick"
+    assert search.find_device("", "auto").kind == "pid"
+    assert search.find_device("05f3:00ff", "auto") == found
+    assert search.find_device("1209:ffb0", "joystick").kind == "joystick"
 
 
 def test_of_two_the_config_must_name_one(hidraw):
     hidraw.plug(OpenFFBoard(descriptors.openffboard()))
     hidraw.plug(Arduino(descriptors.arduino()))
     with pytest.raises(DeviceFault, match=r"several devices fit.*1209:ffb0.*2341:8036"):
-        search.choose("", "auto")
-    assert search.choose("2341:8036", "auto").item.name == "Arduino LLC Arduino Leonardo"
+        search.find_device("", "auto")
+    assert search.find_device("2341:8036", "auto").item.name == "Arduino LLC Arduino Leonardo"
 
 
 def test_two_alike_are_told_apart_by_their_serial_numbers(hidraw):
@@ -92,15 +92,15 @@ def test_two_alike_are_told_apart_by_their_serial_numbers(hidraw):
         board.serial = serial
         hidraw.plug(board)
     with pytest.raises(DeviceFault, match="several"):
-        search.choose("1209:ffb0", "auto")
-    assert search.choose("b2", "auto").item.serial == "B2"
+        search.find_device("1209:ffb0", "auto")
+    assert search.find_device("b2", "auto").item.serial == "B2"
 
 
 def test_two_of_the_same_serial_number_are_two(hidraw):
     nodes = [hidraw.plug(OpenFFBoard(descriptors.openffboard())) for _ in range(2)]
     with pytest.raises(DeviceFault, match="several"):
-        search.choose("1209:ffb0", "auto")
-    assert search.choose(str(nodes[1].path), "auto").item.path == str(nodes[1].path)
+        search.find_device("1209:ffb0", "auto")
+    assert search.find_device(str(nodes[1].path), "auto").item.path == str(nodes[1].path)
 
 
 @pytest.mark.parametrize("serial", ["W1", ""])
@@ -111,49 +111,49 @@ def test_a_wheel_of_two_interfaces_is_one_device_and_its_driver_can_be_named(hid
             wheel.serial = serial
             hidraw.plug(wheel, (usage,), interface)
         if len(hidraw.nodes) == 2:
-            assert search.choose("", "auto").kind == "pid"  # it has buttons, the other has not
-            assert search.choose("", "ffbeast").item.usages == ((0xFF00, 1),)
+            assert search.find_device("", "auto").kind == "pid"  # it has buttons, the other has not
+            assert search.find_device("", "ffbeast").item.usages == ((0xFF00, 1),)
     with pytest.raises(DeviceFault, match="several"):  # two wheels
-        search.choose("", "auto")
+        search.find_device("", "auto")
     with pytest.raises(DeviceFault, match="several"):
-        search.choose("", "ffbeast")
+        search.find_device("", "ffbeast")
 
 
 def test_a_device_of_several_collections_is_listed_once(hidraw):
     hidraw.plug(Keyboard(), ((1, 6), (12, 1)))
-    (item,) = search.attached()
+    (item,) = search.list_attached_nodes()
     assert item.usages == ((1, 6), (12, 1))
     assert str(item).startswith("Keyboard (046d:c31c, ")
 
 
 def test_without_any_the_line_says_what_is_attached(hidraw):
     with pytest.raises(DeviceFault, match=r"no haptic device attached; plug one in.*no HID"):
-        search.choose("", "auto")
+        search.find_device("", "auto")
     hidraw.plug(Keyboard())
     with pytest.raises(
         DeviceFault, match=r"no driver fits any attached device: Keyboard .*: by its report"
     ):
-        search.choose("", "auto")
+        search.find_device("", "auto")
     with pytest.raises(DeviceFault, match=r"no device '1209:ffb0' attached.*Keyboard"):
-        search.choose("1209:ffb0", "auto")
+        search.find_device("1209:ffb0", "auto")
 
 
 def test_a_device_that_no_driver_fits_is_told_why(hidraw):
     hidraw.plug(Keyboard())
     with pytest.raises(DeviceFault, match=r"no driver fits: .*not a DualSense") as refused:
-        search.choose("046d:c31c", "auto")
+        search.find_device("046d:c31c", "auto")
     assert "\n" not in str(refused.value)
     with pytest.raises(DeviceFault, match=r"'spacemouse' does not fit: .*: not a SpaceMouse$"):
-        search.choose("046d:c31c", "spacemouse")
+        search.find_device("046d:c31c", "spacemouse")
     with pytest.raises(DeviceFault, match=r"'ffbeast' does not fit any attached device: Key"):
-        search.choose("", "ffbeast")
+        search.find_device("", "ffbeast")
 
 
 def test_one_that_may_not_be_opened_names_the_remedy(hidraw, monkeypatch):
     node = hidraw.plug(OpenFFBoard(descriptors.openffboard()))
     monkeypatch.setattr(os, "access", lambda path, _: str(path) != str(node.path))
     with pytest.raises(DeviceFault, match=r"no permission to open .*udev rule"):
-        search.choose("", "auto")
+        search.find_device("", "auto")
 
 
 def test_one_that_cannot_even_be_described_is_not_a_crash(hidraw):
@@ -162,7 +162,7 @@ def test_one_that_cannot_even_be_described_is_not_a_crash(hidraw):
         with pytest.raises(
             DeviceFault, match=r"no driver fits.*Open_FFB.*cannot be opened; .*udev"
         ):
-            search.choose(find, "auto")
+            search.find_device(find, "auto")
 
 
 def test_the_descriptor_is_read_where_linux_shows_it_to_all(hidraw, tmp_path, monkeypatch):
@@ -172,39 +172,39 @@ def test_the_descriptor_is_read_where_linux_shows_it_to_all(hidraw, tmp_path, mo
     place.mkdir(parents=True)
     (place / "report_descriptor").write_bytes(descriptors.openffboard())
     monkeypatch.setattr(search, "_SYSTEM", tmp_path)
-    assert search.choose("", "auto").kind == "pid"
+    assert search.find_device("", "auto").kind == "pid"
 
 
 def test_the_same_device_is_found_again_under_another_path(hidraw):
     node = hidraw.plug(OpenFFBoard(descriptors.openffboard()))
-    found = search.choose("", "auto")
+    found = search.find_device("", "auto")
     hidraw.unplug(node)
     none = frozenset[str]()
-    with pytest.raises(search.NotThereError):
-        search.again(found, none)
+    with pytest.raises(search.DeviceNotFoundError):
+        search.find_reattached_device(found, none)
     other = OpenFFBoard(descriptors.openffboard())
     other.serial = "another"
     hidraw.plug(other)
-    with pytest.raises(search.NotThereError):
-        search.again(found, none)
+    with pytest.raises(search.DeviceNotFoundError):
+        search.find_reattached_device(found, none)
     back = hidraw.plug(OpenFFBoard(descriptors.openffboard()))
-    assert search.again(found, none).item.path == str(back.path) != found.item.path
+    assert search.find_reattached_device(found, none).item.path == str(back.path) != found.item.path
     hidraw.plug(OpenFFBoard(descriptors.openffboard()))
     with pytest.raises(DeviceFault, match="several devices of this identity"):
-        search.again(found, none)
+        search.find_reattached_device(found, none)
 
 
 def test_what_was_beside_it_when_it_went_is_not_it_but_it_may_never_have_left(hidraw):
     node = hidraw.plug(OpenFFBoard(descriptors.openffboard()))
-    found = search.choose("", "auto")
+    found = search.find_device("", "auto")
     hidraw.plug(OpenFFBoard(descriptors.openffboard()))
-    before = search.beside(found)
-    assert search.again(found, before) == found
+    before = search.list_node_paths(found)
+    assert search.find_reattached_device(found, before) == found
     hidraw.unplug(node)
-    with pytest.raises(search.NotThereError):
-        search.again(found, before)
+    with pytest.raises(search.DeviceNotFoundError):
+        search.find_reattached_device(found, before)
     back = hidraw.plug(OpenFFBoard(descriptors.openffboard()))
-    assert search.again(found, before).item.path == str(back.path)
+    assert search.find_reattached_device(found, before).item.path == str(back.path)
 
 
 def test_the_config_offers_each_driver():
@@ -230,12 +230,12 @@ def test_force_signs_are_of_the_very_device_if_it_has_a_serial_number():
 
 def test_force_signs_are_of_one_driver_and_one_descriptor(hidraw):
     hidraw.plug(OpenFFBoard(descriptors.openffboard()))
-    pid, joystick = (search.choose("", name).pusher for name in ("pid", "joystick"))
+    pid, joystick = (search.find_device("", name).pusher for name in ("pid", "joystick"))
     assert (pid.device, pid.driver) == (f"1209:ffb0:{OpenFFBoard.serial}", "pid")
     assert pid != joystick == pid._replace(driver="joystick")
     hidraw.nodes.clear()
     hidraw.plug(OpenFFBoardWheel(descriptors.openffboard(1)))
-    other = search.choose("", "pid")
+    other = search.find_device("", "pid")
     assert (
         other._replace(item=other.item._replace(serial=OpenFFBoard.serial)).pusher.layout
         != pid.layout

@@ -4,9 +4,9 @@ import threading
 
 from master.device import DeviceFault
 from master.devices.hid import seeker
-from master.devices.hid.search import NotThereError
-from master.devices.hid.seeker import Seeker
-from teleop.launch.supervisor import wait_for
+from master.devices.hid.search import DeviceNotFoundError
+from master.devices.hid.seeker import DeviceReconnection
+from teleop.launch.supervisor import wait_for_condition
 
 
 class Thing:
@@ -33,42 +33,47 @@ def seek(broken, *events):
             raise event
         return event
 
-    return Seeker(broken, open_again), seen
+    return DeviceReconnection(broken, open_again), seen
 
 
 def test_whatever_a_look_fails_with_another_one_follows(monkeypatch):
-    monkeypatch.setattr(seeker, "LOOK_S", 0.001)
+    monkeypatch.setattr(seeker, "POLL_PERIOD_S", 0.001)
     thing = Thing()
-    errors = NotThereError("no"), DeviceFault("not yet"), RuntimeError("odd"), KeyError("path")
+    errors = (
+        DeviceNotFoundError("no"),
+        DeviceFault("not yet"),
+        RuntimeError("odd"),
+        KeyError("path"),
+    )
     looking, _ = seek(Thing(), *errors, thing)
-    assert wait_for(lambda: looking.found is thing, 5.0)
+    assert wait_for_condition(lambda: looking.found is thing, 5.0)
 
 
 def test_what_goes_on_failing_is_told_of(monkeypatch):
-    monkeypatch.setattr(seeker, "LOOK_S", 0.001)
+    monkeypatch.setattr(seeker, "POLL_PERIOD_S", 0.001)
     for error, words in (
         (DeviceFault("not_ready_reason"), "not_ready_reason"),
         (RuntimeError("odd"), "odd"),
     ):
         looking, _ = seek(Thing(), error)
-        assert wait_for(lambda looking=looking: looking.trouble, 5.0)
+        assert wait_for_condition(lambda looking=looking: looking.trouble, 5.0)
         assert words in looking.trouble
         looking.end(5.0)
 
 
 def test_nothing_is_opened_before_what_broke_has_said_its_last_word(monkeypatch):
-    monkeypatch.setattr(seeker, "LOOK_S", 0.01)
+    monkeypatch.setattr(seeker, "POLL_PERIOD_S", 0.01)
     broken, thing = Thing(ends=False), Thing()
     looking, seen = seek(broken, thing)
-    assert wait_for(lambda: broken.asked > 3, 5.0)
+    assert wait_for_condition(lambda: broken.asked > 3, 5.0)
     assert seen == []
     broken.free.set()
-    assert wait_for(lambda: looking.found is thing, 5.0)
+    assert wait_for_condition(lambda: looking.found is thing, 5.0)
 
 
 def test_what_is_found_but_not_taken_is_ended():
     thing = Thing()
     looking, _ = seek(Thing(), thing)
-    assert wait_for(lambda: looking.found is thing, 5.0)
+    assert wait_for_condition(lambda: looking.found is thing, 5.0)
     looking.end(5.0)
     assert thing.asked

@@ -1,17 +1,17 @@
 import pytest
 
 from master.devices.hid import signs
-from master.devices.hid.signs import ForceSign, Pusher, Signs
+from master.devices.hid.signs import ForceSign, ForceSignKey, ForceSigns
 from teleop.errors import UsageError
 
-BOARD = Pusher("1209:ffb0:abc", "pid", "c0ffee")
+BOARD = ForceSignKey("1209:ffb0:abc", "pid", "c0ffee")
 X = ForceSign(*BOARD, "x", 1)
 
 
 def test_what_is_written_is_read_and_the_newest_finding_counts(tmp_path):
     path = tmp_path / "below" / "signs.yaml"
-    other = Pusher("1209:5968", "pid", "123456")
-    known = Signs().having(X).having(ForceSign(*other, "x", -1))
+    other = ForceSignKey("1209:5968", "pid", "123456")
+    known = ForceSigns().having(X).having(ForceSign(*other, "x", -1))
     signs.save(path, known)
     assert signs.load(path) == known
     assert known.of(other) == {"x": -1}
@@ -24,14 +24,14 @@ def test_what_is_written_is_read_and_the_newest_finding_counts(tmp_path):
     "other", [{"device": "1209:ffb0:b"}, {"driver": "ffbeast"}, {"layout": "0ddba11"}]
 )
 def test_a_sign_is_of_one_device_one_driver_and_one_descriptor(other):
-    assert Signs((X,)).of(BOARD._replace(**other)) == {}
+    assert ForceSigns((X,)).of(BOARD._replace(**other)) == {}
 
 
 def test_without_a_file_nothing_is_known_but_a_named_one_must_be_there(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
-    assert signs.load(None) == Signs()
-    signs.save(None, Signs((X,)))
-    assert signs.load(None) == Signs((X,))
+    assert signs.load(None) == ForceSigns()
+    signs.save(None, ForceSigns((X,)))
+    assert signs.load(None) == ForceSigns((X,))
     assert (tmp_path / "tendon-teleop" / "force-signs.yaml").exists()
     with pytest.raises(UsageError, match=r"nowhere\.yaml: .*`teleop devices test --signs"):
         signs.load(tmp_path / "nowhere.yaml")

@@ -7,7 +7,7 @@ import pytest
 from master.devices.hid import trial
 from master.devices.hid.driver import Controls
 
-MOST = trial.GENTLE[-1]
+MOST = trial.TEST_FORCES[-1]
 
 
 class Handle:
@@ -61,8 +61,8 @@ def test_what_does_not_move_by_the_push_has_no_sign(handle):
 def test_it_is_pushed_no_harder_and_no_further_than_it_takes():
     light = Handle(1)
     light.find()
-    assert light.most == trial.GENTLE[0]
-    assert light.moved < 4.0 * trial.MOVED
+    assert light.most == trial.TEST_FORCES[0]
+    assert light.moved < 4.0 * trial.MOTION_MIN
     stuck = Handle(1, stiction=1.0)
     stuck.find()
     assert stuck.most == MOST

@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 
 from master.device import DeviceFault
 from master.devices.hid import writer
-from master.devices.hid.writer import ARM_S, Writer, WriterState, step
-from teleop.launch.supervisor import wait_for
+from master.devices.hid.writer import REARM_PERIOD_S, Writer, WriterState, step
+from teleop.launch.supervisor import wait_for_condition
 
 
 class TwoAxes:
@@ -85,10 +85,10 @@ def test_before_it_is_armed_a_force_is_told_of_by_a_beat():
     log = Log()
     thread = Writer(log, TwoAxes(), log.beat)
     thread.post((0.5, 0.0))
-    assert wait_for(lambda: b"start" in log.written, 5.0)
+    assert wait_for_condition(lambda: b"start" in log.written, 5.0)
     assert log.written[0] == "beat"
     log.fails = True
-    assert wait_for(lambda: (thread.post((0.5, 0.0)), thread.failure)[1], 5.0)
+    assert wait_for_condition(lambda: (thread.post((0.5, 0.0)), thread.failure)[1], 5.0)
     assert str(thread.failure) == "nobody hears"
     assert thread.end(5.0)
 
@@ -106,12 +106,12 @@ def test_over_any_script_the_device_is_up_to_date_and_reminded_in_time(script):
                 axis, share = report.decode().split()
                 state[axis] = float(share)
         assert state == {"x": force, "y": -force}
-        assert now - reminded < ARM_S
+        assert now - reminded < REARM_PERIOD_S
 
 
 def test_what_is_posted_is_written(thread, sink):
     thread.post((0.5, 0.0))
-    assert wait_for(lambda: sink.written == [b"x 0.5", b"y 0", b"start"], 5.0)
+    assert wait_for_condition(lambda: sink.written == [b"x 0.5", b"y 0", b"start"], 5.0)
 
 
 def test_while_a_write_waits_the_newest_force_wins(thread, sink):
@@ -121,7 +121,7 @@ def test_while_a_write_waits_the_newest_force_wins(thread, sink):
     for share in (0.2, 0.3, 0.4):
         thread.post((share, 0.0))
     sink.free.set()
-    assert wait_for(lambda: b"x 0.4" in sink.written, 5.0)
+    assert wait_for_condition(lambda: b"x 0.4" in sink.written, 5.0)
     assert not {b"x 0.2", b"x 0.3"} & set(sink.written)
 
 
@@ -132,9 +132,9 @@ def test_a_force_that_was_posted_before_a_stall_is_not_started_after_it(sink):
     thread.post((0.1, 0.0))
     assert sink.waiting.wait(5.0)
     thread.post((0.9, 0.0))
-    now[0] = writer.ABANDONED_S + 0.01
+    now[0] = writer.POST_TIMEOUT_S + 0.01
     sink.free.set()
-    assert wait_for(lambda: b"x 0" in sink.written, 5.0)
+    assert wait_for_condition(lambda: b"x 0" in sink.written, 5.0)
     assert b"x 0.9" not in sink.written
     assert thread.end(5.0)
 
@@ -145,9 +145,9 @@ def test_when_nobody_posts_any_more_the_force_is_taken_away_and_nothing_is_writt
 ):
     thread.post(force)
     taken = b"x 0" if force[0] else b"y 0"
-    assert wait_for(lambda: taken in sink.written, 5.0)
+    assert wait_for_condition(lambda: taken in sink.written, 5.0)
     count = len(sink.written)
-    assert not wait_for(lambda: len(sink.written) > count, 4 * writer.ABANDONED_S)
+    assert not wait_for_condition(lambda: len(sink.written) > count, 4 * writer.POST_TIMEOUT_S)
 
 
 def test_of_its_last_reports_one_that_fails_keeps_none_of_the_others_back(sink):
@@ -160,7 +160,7 @@ def test_of_its_last_reports_one_that_fails_keeps_none_of_the_others_back(sink):
 def test_a_failure_is_kept_nothing_more_is_posted_and_the_node_waits_for_its_reader(thread, sink):
     sink.fails = True
     thread.post((0.5, 0.0))
-    assert wait_for(lambda: thread.failure is not None, 5.0)
+    assert wait_for_condition(lambda: thread.failure is not None, 5.0)
     assert str(thread.failure) == "gone"
     assert not sink.closed.is_set()
     thread.post((0.7, 0.0))
@@ -171,7 +171,7 @@ def test_a_failure_is_kept_nothing_more_is_posted_and_the_node_waits_for_its_rea
 def test_after_a_failure_the_device_may_still_listen(thread, sink):
     sink.failing = 1
     thread.post((0.5, 0.0))
-    assert wait_for(lambda: sink.written == [b"x 0", b"y 0", b"off"], 5.0)
+    assert wait_for_condition(lambda: sink.written == [b"x 0", b"y 0", b"off"], 5.0)
 
 
 def test_a_defect_of_a_driver_leaves_no_force_and_is_not_kept_quiet(sink, monkeypatch):
@@ -183,9 +183,9 @@ def test_a_defect_of_a_driver_leaves_no_force_and_is_not_kept_quiet(sink, monkey
     monkeypatch.setattr(threading, "excepthook", lambda crash: crashes.append(crash.exc_type))
     thread = Writer(sink, Broken())
     thread.post((0.5, 0.0))
-    assert wait_for(lambda: b"x 0.5" in sink.written, 5.0)
+    assert wait_for_condition(lambda: b"x 0.5" in sink.written, 5.0)
     thread.post((0.7, 0.0))
-    assert wait_for(lambda: sink.written[-1] == b"off", 5.0)
+    assert wait_for_condition(lambda: sink.written[-1] == b"off", 5.0)
     assert thread.failure is not None
     assert thread.end(5.0)
     assert crashes == [ZeroDivisionError]
@@ -198,17 +198,17 @@ def test_a_write_that_takes_too_long_is_seen_while_it_hangs(sink):
     thread.post((0.5, 0.0))
     assert sink.waiting.wait(5.0)
     assert not thread.hangs
-    now[0] = writer.HANGING_S + 0.01
+    now[0] = writer.WRITE_TIMEOUT_S + 0.01
     assert thread.hangs
     sink.free.set()
-    assert wait_for(lambda: not thread.hangs, 5.0)
+    assert wait_for_condition(lambda: not thread.hangs, 5.0)
     assert thread.end(5.0)
 
 
 def test_the_end_takes_the_force_away_and_closes(sink):
     thread = Writer(sink, TwoAxes())
     thread.post((0.5, 0.0))
-    assert wait_for(lambda: sink.written, 5.0)
+    assert wait_for_condition(lambda: sink.written, 5.0)
     assert thread.end(5.0)
     assert sink.written[-3:] == [b"x 0", b"y 0", b"off"]
     assert sink.closed.is_set()

@@ -13,8 +13,8 @@ import pytest
 from master.device import DeviceFault, DeviceLost
 from master.devices.ros.config import RosDeviceConfig
 from master.devices.ros.device import RosDevice
-from teleop.launch.supervisor import wait_for
-from teleop.messages.messages import Event, text_of
+from teleop.launch.supervisor import wait_for_condition
+from teleop.messages.messages import Event, decode_text
 from teleop.messages.topics import COMMAND, EVENT, STATE
 from teleop.ros import cdr
 from teleop.ros.graph import BEST_EFFORT, RELIABLE, Qos
@@ -88,7 +88,7 @@ def session(tmp_path, endpoint):
             events = link.listen((EVENT,))
             for topic in (STATE, COMMAND):
                 there = partial(lambda topic: link.latest(topic).message is not None, topic)
-                assert wait_for(there, START_S), processes.outputs()
+                assert wait_for_condition(there, START_S), processes.outputs()
             yield link, events
 
 
@@ -101,7 +101,7 @@ def tip(link):
 
 
 def texts(events):
-    return [text_of(Event.unpack(item.data).text) for item in events.drain()]
+    return [decode_text(Event.unpack(item.data).text) for item in events.drain()]
 
 
 def engage(operator, link, events):
@@ -115,7 +115,7 @@ def engage(operator, link, events):
         time.sleep(0.1)
         return master_state(link) is State.ENGAGED
 
-    assert wait_for(coupled, PATIENCE_S), texts(events)
+    assert wait_for_condition(coupled, PATIENCE_S), texts(events)
     operator.move()
 
 
@@ -136,7 +136,7 @@ def test_a_ros_node_moves_the_tip_and_no_wrong_command_does(tmp_path):
             seen.append(tip(link))
             return max(seen) - min(seen) > 3e-3
 
-        assert wait_for(moved, PATIENCE_S), texts(events)
+        assert wait_for_condition(moved, PATIENCE_S), texts(events)
 
         def flood():
             data = cdr.encode(operator.wave())
@@ -154,14 +154,14 @@ def test_a_ros_node_moves_the_tip_and_no_wrong_command_does(tmp_path):
                 engage(operator, link, events)
             events.drain()
             operator.send = send
-            assert wait_for(lambda: master_state(link) is State.FAULT, PATIENCE_S), words
+            assert wait_for_condition(lambda: master_state(link) is State.FAULT, PATIENCE_S), words
             said = []
 
             def named(words=words, said=said):
                 said += texts(events)
                 return any(words in text for text in said)
 
-            assert wait_for(named, PATIENCE_S), f"{words}: {said}"
+            assert wait_for_condition(named, PATIENCE_S), f"{words}: {said}"
             time.sleep(0.2)
             held = tip(link)
             time.sleep(0.2)
@@ -173,14 +173,14 @@ def test_a_receiver_that_stops_or_ends_is_a_fault():
     device = RosDevice(RosDeviceConfig(router=f"tcp/127.0.0.1:{free_port()}"))
     receiver = device._process
     try:
-        assert wait_for(lambda: device.read(0.0) and device._began, PATIENCE_S)
+        assert wait_for_condition(lambda: device.read(0.0) and device._began, PATIENCE_S)
         assert not device.read(0.0).engage
         receiver.send_signal(signal.SIGSTOP)
         with pytest.raises(DeviceLost, match="does not answer"):
-            wait_for(lambda: device.read(0.0) and False, PATIENCE_S)
+            wait_for_condition(lambda: device.read(0.0) and False, PATIENCE_S)
         receiver.kill()
         with pytest.raises(DeviceFault, match="has ended"):
-            wait_for(lambda: _read(device) and False, PATIENCE_S)
+            wait_for_condition(lambda: _read(device) and False, PATIENCE_S)
         with pytest.raises(DeviceFault, match="refuses"):
             device.write((math.nan,))
     finally:

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from master.devices.ros.config import RosDeviceConfig
 from master.devices.ros.record import SIZE, CommandRecord
-from master.devices.ros.stream import CommandStream, Sample
+from master.devices.ros.stream import CommandStream, ReceivedMessage
 from teleop.ros import cdr
 from teleop.ros.standard import JointState, StringStamped, Twist, TwistStamped, Vector3
 
@@ -28,7 +28,7 @@ def twist(x, y=0.0):
 
 def sample(data, at_ms, publisher=ONE, late_ms=0):
     at_ns = BEGIN + at_ms * MS
-    return Sample(data, publisher, at_ns - late_ms * MS + OFFSET, at_ns)
+    return ReceivedMessage(data, publisher, at_ns - late_ms * MS + OFFSET, at_ns)
 
 
 def command(stream, word, at_ms):

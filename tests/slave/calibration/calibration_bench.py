@@ -4,7 +4,7 @@ import dataclasses
 from typing import get_args
 
 from slave.calibration.config import InitialiseConfig, KnownSheathConfig
-from slave.calibration.run import Limits, drive, fast_ticks
+from slave.calibration.run import ProcedureLimits, generate_fast_ticks, run_procedure
 from slave.gate import GateConfig
 from slave.rig import RigSample
 from slave.rigs.simulated.plant.body import BodyConfig
@@ -80,7 +80,9 @@ def calibrated(rig, initialise=QUICK, gate=GATE, rate_hz=1000.0, joints=None, **
     """Do the procedure on a rig, or on the rig of a config."""
     rig = rig if hasattr(rig, "read") else HousingOnly(rig)
     joints = range(len(rig.joints)) if joints is None else joints
-    return drive(rig, Limits(initialise, gate), fast_ticks(rate_hz), 0, joints, **how)
+    return run_procedure(
+        rig, ProcedureLimits(initialise, gate), generate_fast_ticks(rate_hz), 0, joints, **how
+    )
 
 
 def but(config, **changes):

@@ -6,12 +6,12 @@ from functools import cache
 import numpy as np
 import pytest
 
-from slave.calibration.analysis import analyse
+from slave.calibration.analysis import analyse_procedure
 from slave.calibration.config import KnownSheathConfig
+from slave.calibration.direction import build_tendon_calibration
 from slave.calibration.direction import calibrate_tendon as calibrated_by_loop
-from slave.calibration.direction import describe_direction
 from slave.calibration.procedure_state import Phase
-from slave.calibration.pulled import PulledTendon, loops
+from slave.calibration.pulled import PulledTendon, extract_loops
 from slave.calibration.run import CalibrationRefused
 from slave.rigs.simulated.plant.environment import TissueConfig, WallConfig
 from tests.slave.calibration.calibration_bench import (
@@ -39,7 +39,7 @@ def record(bent, initialise=QUICK):
 def direction_a(bent, known=KNOWN):
     """Return what tendon a's loop says, and the model that the estimator gets of it."""
     pulled = PulledTendon(record(bent), 0, 0)
-    return describe_direction(pulled, known, calibrated_by_loop(pulled, known, QUICK.low))
+    return build_tendon_calibration(pulled, known, calibrated_by_loop(pulled, known, QUICK.low))
 
 
 def integral(sections, friction, sign):
@@ -56,7 +56,7 @@ def integral(sections, friction, sign):
 
 def test_what_may_lie_on_either_side_of_a_turn_is_left_out():
     pulled = PulledTendon(record(joint(1.0, noise=0.03)), 0, 0)
-    (loop,) = loops(pulled, QUICK.low)
+    (loop,) = extract_loops(pulled, QUICK.low)
     steps = np.diff(loop.travel)
     turns = [int(np.argmax(loop.travel)), int(np.argmin(loop.travel[1000:])) + 1000]
     count = 2.0 * np.pi * 0.010 / 67_000
@@ -123,13 +123,13 @@ def test_joint_friction_and_a_spring_spoil_nothing():
 
 
 def test_both_tendons_tell_how_far_the_joint_goes():
-    (result,) = analyse(record(joint(1.0, noise=0.03)), QUICK)
+    (result,) = analyse_procedure(record(joint(1.0, noise=0.03)), QUICK)
     assert result.range == pytest.approx(RANGE, rel=0.01)
     assert [direction.tendon for direction in result.directions] == ["a", "b"]
 
 
 def test_one_tendon_and_a_return_spring_are_calibrated_too():
-    (result,) = analyse(record(SPRING), QUICK)
+    (result,) = analyse_procedure(record(SPRING), QUICK)
     assert result.directions[0].K.value == pytest.approx(1.0, abs=0.04)
     assert result.range == pytest.approx(RANGE / 2, rel=0.02)
 
@@ -169,11 +169,11 @@ def test_a_stop_that_comes_too_early_is_refused_where_the_range_is_known():
     blocked = record(joint(environment=WallConfig(position=0.005, stiffness=1e6)))
     said = r"joint 1: it travels 20\.\d mm between its stops, expected 30.0 mm"
     with pytest.raises(CalibrationRefused, match=said):
-        analyse(blocked, but(QUICK, range=RANGE))
+        analyse_procedure(blocked, but(QUICK, range=RANGE))
     with pytest.raises(CalibrationRefused, match="by the earlier calibration"):
-        analyse(blocked, QUICK, [RANGE])
+        analyse_procedure(blocked, QUICK, [RANGE])
 
 
 def test_a_joint_that_does_not_move_is_refused():
     with pytest.raises(CalibrationRefused, match=r"joint 1: it moved only 0\.\d mm"):
-        analyse(record(joint(body={"friction": 30.0})), QUICK)
+        analyse_procedure(record(joint(body={"friction": 30.0})), QUICK)

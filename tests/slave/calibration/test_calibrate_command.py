@@ -12,14 +12,14 @@ import yaml
 
 from slave.calibration import command, file, run
 from slave.calibration import initialise as initialisation
-from slave.calibration.analysis import analyse
+from slave.calibration.analysis import analyse_procedure
 from slave.calibration.config import InitialiseConfig
 from slave.calibration.initialise import initialise
-from slave.config import SlaveConfig, not_ready_reason, tendon_configs
+from slave.config import SlaveConfig, find_not_ready_reason, load_tendon_configs
 from slave.rigs import open_rig
 from teleop.cli import commands
 from teleop.config.loading import as_tree
-from teleop.runtime.process import ENDINGS, interruption
+from teleop.runtime.process import TERMINATION_SIGNALS, interrupt_handler
 from tests.slave.calibration.calibration_bench import (
     EA,
     GATE,
@@ -65,8 +65,8 @@ def test_it_writes_a_file_of_its_rigs_name_that_fits_the_rig(done):
     assert [d.K.value for d in calibration.directions] == pytest.approx([1, 1, 0.6, 0.6], abs=0.02)
     assert calibration.ranges == pytest.approx([0.006, 0.006], rel=0.03)
     config = SlaveConfig(rig=rig_config(SHORT, SHORT), calibration=done / "bench-calibration.yaml")
-    assert not_ready_reason(config, open_rig(config.rig)) == ""
-    models = [tendon.model().sheath for tendon in tendon_configs(config, 4)]
+    assert find_not_ready_reason(config, open_rig(config.rig)) == ""
+    models = [tendon.model().sheath for tendon in load_tendon_configs(config, 4)]
     assert [model.K for model in models] == pytest.approx([1, 1, 0.6, 0.6], abs=0.02)
 
 
@@ -151,31 +151,31 @@ def test_a_refusal_is_one_line_and_writes_nothing(tmp_path, capsys):
 
 @pytest.fixture
 def handlers_kept(monkeypatch):
-    monkeypatch.setattr(interruption, "number", 0)
-    handlers = [signal.getsignal(ending) for ending in ENDINGS]
+    monkeypatch.setattr(interrupt_handler, "number", 0)
+    handlers = [signal.getsignal(ending) for ending in TERMINATION_SIGNALS]
     yield
-    for ending, handler in zip(ENDINGS, handlers, strict=True):
+    for ending, handler in zip(TERMINATION_SIGNALS, handlers, strict=True):
         signal.signal(ending, handler)
 
 
-@pytest.mark.parametrize("number", ENDINGS)
+@pytest.mark.parametrize("number", TERMINATION_SIGNALS)
 @pytest.mark.usefixtures("handlers_kept")
 def test_a_signal_ends_it_without_a_file(tmp_path, capsys, monkeypatch, number):
     path = config_file(tmp_path, rig_config(SHORT))
 
     def ticks(rate_hz):
-        for tick in run.fast_ticks(rate_hz):
+        for tick in run.generate_fast_ticks(rate_hz):
             if tick.index == 300:
                 signal.raise_signal(number)
             yield tick
 
-    monkeypatch.setattr(command, "fast_ticks", ticks)
+    monkeypatch.setattr(command, "generate_fast_ticks", ticks)
     assert teleop("--config", path, "--out", tmp_path / "new.yaml") == 128 + number
     assert f"{number.name}: stopped, no file written" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == [path]
 
 
-@pytest.mark.parametrize("number", ENDINGS)
+@pytest.mark.parametrize("number", TERMINATION_SIGNALS)
 @pytest.mark.parametrize("when", ["before", "meanwhile"])
 @pytest.mark.usefixtures("handlers_kept")
 def test_a_signal_ends_its_analysis_at_once(tmp_path, capsys, monkeypatch, number, when):
@@ -183,7 +183,7 @@ def test_a_signal_ends_its_analysis_at_once(tmp_path, capsys, monkeypatch, numbe
 
     def signalled(driven, config, ranges):
         signal.raise_signal(number)
-        return analyse(driven, config, ranges)
+        return analyse_procedure(driven, config, ranges)
 
     class Driven(NamedTuple):
         record = None
@@ -192,9 +192,9 @@ def test_a_signal_ends_its_analysis_at_once(tmp_path, capsys, monkeypatch, numbe
         signal.raise_signal(number)
         return Driven()
 
-    monkeypatch.setattr(initialisation, "analyse", signalled)
+    monkeypatch.setattr(initialisation, "analyse_procedure", signalled)
     if when == "before":
-        monkeypatch.setattr(initialisation, "drive", last_moment)
+        monkeypatch.setattr(initialisation, "run_procedure", last_moment)
     words = ["--config", path, "--quick", "--out", tmp_path / "new.yaml"]
     assert teleop(*words) == 128 + number
     assert capsys.readouterr().err.endswith("teleop: interrupted\n")
@@ -209,7 +209,7 @@ def test_measured_data_cannot_be_moved(capsys):
 def test_at_the_start_of_a_slave_the_same_is_done_and_the_samples_are_handed_over():
     rig = HousingOnly(rig_config(SHORT))
     config = SlaveConfig(rig=rig_config(SHORT), gate=GATE, initialise=but(KNOWN, at_start=True))
-    found = initialise(rig, config, run.fast_ticks(500.0), 0)
+    found = initialise(rig, config, run.generate_fast_ticks(500.0), 0)
     assert found.calibration.rig == "bench"
     assert found.calibration.method.endswith("quick form")
     assert len(found.samples) == len(found.record.time)

@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 
 from slave.calibration import file
-from slave.calibration.file import Calibration, Direction, Value, fits
-from slave.config import SlaveConfig, not_ready_reason, tendon_configs
+from slave.calibration.file import Calibration, TendonCalibration, ValueWithUncertainty, find_misfit
+from slave.config import SlaveConfig, find_not_ready_reason, load_tendon_configs
 from slave.rigs.replayed import ReplayedRigConfig
 from slave.rigs.simulated.plant.sheath import SectionConfig
 from slave.tendon_config import TendonConfig
@@ -25,15 +25,15 @@ WHOLE = Calibration(
     method="pulls and releases against the stops, quick form",
     tendons=(EVEN, UNEVEN),
     directions=(
-        Direction(
+        TendonCalibration(
             joint=1,
             tendon="a",
-            K=Value(1.02, 0.004),
-            K_slopes=Value(1.03, 0.01),
-            K_paper=Value(1.1, 0.05),
-            M_pull=Value(1.05e-4, 1e-7),
-            M_rel=Value(2.8e-4, 3e-7),
-            stiffness_per_length=Value(5990.0, 12.0),
+            K=ValueWithUncertainty(1.02, 0.004),
+            K_slopes=ValueWithUncertainty(1.03, 0.01),
+            K_paper=ValueWithUncertainty(1.1, 0.05),
+            M_pull=ValueWithUncertainty(1.05e-4, 1e-7),
+            M_rel=ValueWithUncertainty(2.8e-4, 3e-7),
+            stiffness_per_length=ValueWithUncertainty(5990.0, 12.0),
             uniform=True,
             stop=0.0148,
             free_tension=1.8,
@@ -98,7 +98,7 @@ def test_what_is_no_calibration_is_said_in_one_line(tmp_path, text, said):
 
 
 def test_it_fits_the_rig_it_was_made_of():
-    assert fits(WHOLE, Rig()) is None
+    assert find_misfit(WHOLE, Rig()) is None
 
 
 @pytest.mark.parametrize(
@@ -117,11 +117,11 @@ def test_it_fits_the_rig_it_was_made_of():
     ],
 )
 def test_it_fits_no_other(calibration, rig, said):
-    assert re.search(said, fits(calibration, rig))
+    assert re.search(said, find_misfit(calibration, rig))
 
 
 def test_one_model_that_names_no_joints_is_for_all_tendons():
-    assert fits(Calibration(rig="arm", tendons=(EVEN,)), Rig(joints=((0, 1), (2,)))) is None
+    assert find_misfit(Calibration(rig="arm", tendons=(EVEN,)), Rig(joints=((0, 1), (2,)))) is None
 
 
 # What a slave makes of it.
@@ -132,15 +132,15 @@ BENCH = Rig(name="bench")
 
 def test_without_a_calibration_a_rig_is_barred_even_a_simulated_one():
     config = SlaveConfig(rig=SIMULATED)
-    assert "teleop calibrate" in not_ready_reason(config, BENCH)
+    assert "teleop calibrate" in find_not_ready_reason(config, BENCH)
     with pytest.raises(UsageError, match="teleop calibrate"):
-        tendon_configs(config, 2)
+        load_tendon_configs(config, 2)
 
 
 def test_as_built_must_be_asked_for_and_is_for_simulated_rigs_alone(tmp_path):
     config = SlaveConfig(rig=SIMULATED, calibration="as-built")
-    assert not_ready_reason(config, BENCH) == ""
-    models = tendon_configs(config, 2)
+    assert find_not_ready_reason(config, BENCH) == ""
+    models = load_tendon_configs(config, 2)
     assert [model.model().sheath.K for model in models] == pytest.approx([1.0, 1.0])
     with pytest.raises(ValueError, match="as-built is only for simulated rigs"):
         SlaveConfig(rig=ReplayedRigConfig(file=tmp_path / "x.csv"), calibration="as-built")
@@ -148,13 +148,13 @@ def test_as_built_must_be_asked_for_and_is_for_simulated_rigs_alone(tmp_path):
 
 def test_a_file_that_fits_gives_the_models(tmp_path):
     config = SlaveConfig(rig=SIMULATED, calibration=saved(tmp_path, replace(WHOLE, rig="bench")))
-    assert not_ready_reason(config, BENCH) == ""
-    assert tendon_configs(config, 2) == (EVEN, UNEVEN)
+    assert find_not_ready_reason(config, BENCH) == ""
+    assert load_tendon_configs(config, 2) == (EVEN, UNEVEN)
 
 
 def test_a_file_that_does_not_fit_bars_the_rig_and_says_why(tmp_path):
     config = SlaveConfig(rig=SIMULATED, calibration=saved(tmp_path))
-    said = not_ready_reason(config, BENCH)
+    said = find_not_ready_reason(config, BENCH)
     assert said.startswith("arm.yaml does not fit: it is for the rig 'arm', this one is 'bench'")
     assert "teleop calibrate" in said
     assert "\n" not in said
@@ -164,13 +164,13 @@ def test_measured_data_take_the_calibration_of_any_rig_unless_they_have_a_name(t
     path = saved(tmp_path, Calibration(tendons=(EVEN,), source="bench.csv, 100 samples"))
     played = SlaveConfig(rig=ReplayedRigConfig(file=tmp_path / "x.csv"), calibration=path)
     rig = Rig(name="x.csv", joints=((0,),))
-    assert not_ready_reason(played, rig) == ""
+    assert find_not_ready_reason(played, rig) == ""
     named = replace(played, rig=replace(played.rig, name="leg"))
-    assert "for no named rig" in not_ready_reason(named, replace(rig, name="leg"))
+    assert "for no named rig" in find_not_ready_reason(named, replace(rig, name="leg"))
 
 
 def test_models_given_by_hand_need_no_file():
-    assert not_ready_reason(SlaveConfig(rig=SIMULATED, tendons=(EVEN,)), BENCH) == ""
+    assert find_not_ready_reason(SlaveConfig(rig=SIMULATED, tendons=(EVEN,)), BENCH) == ""
 
 
 def test_as_built_in_a_config_file_is_no_path(tmp_path):
@@ -194,4 +194,4 @@ def test_a_calibration_of_too_many_tendons_says_what_it_is_of(tmp_path):
     path = tmp_path / "arm.yaml"
     file.save(path, Calibration(rig="arm", tendons=(TendonConfig(effective_friction=1.0),) * 8))
     with pytest.raises(UsageError, match=r"arm\.yaml: .*'arm': 8 tendons, but the rig has 2"):
-        tendon_configs(SlaveConfig(calibration=path), 2)
+        load_tendon_configs(SlaveConfig(calibration=path), 2)

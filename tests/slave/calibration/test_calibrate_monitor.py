@@ -10,18 +10,18 @@ from estimator.law.sheath import Sheath
 from estimator.law.transmission import Phase
 from estimator.online import online
 from estimator.online.tendon_estimate import TendonEstimate
-from estimator.records import as_record, one
+from estimator.records import to_struct, view_struct
 from slave.calibration import monitor
 from slave.calibration.monitor import Advice, MonitorConfig, TendonMonitor
-from slave.config import SlaveConfig, tendon_configs
+from slave.config import SlaveConfig, load_tendon_configs
 from slave.rigs.simulated.plant.environment import LoadMotorConfig, TissueConfig
 from slave.rigs.simulated.plant.sheath import SectionConfig
 from slave.rigs.simulated.simulated import SimulatedRig
-from slave.tendons import EstimatedTendon, rig_layout
+from slave.tendons import EstimatedTendon, build_rig_layout
 from tests.slave.calibration.calibration_bench import TIGHT_FIRST, effect, joint, rig_config
 
 SETTINGS = MonitorConfig()
-CONFIG = as_record(SETTINGS)
+CONFIG = to_struct(SETTINGS)
 RATE = 500.0  # [Hz]
 TISSUE = TissueConfig(position=0.002, stiffness=20_000.0)
 KEEP, GAIN = 0.3, 0.004  # [N] in the tendon that is drawn out, [m/s/N] by which it is kept
@@ -45,13 +45,13 @@ class Use:
     """A joint in use: what the monitor says at each moment."""
 
     def __init__(self, config, seconds, accepted=None, move=hand):
-        models = tendon_configs(SlaveConfig(rig=accepted or config, calibration="as-built"), 2)
+        models = load_tendon_configs(SlaveConfig(rig=accepted or config, calibration="as-built"), 2)
         self.models = [model.model() for model in models]
         prepared = [online.prepare(model) for model in self.models]
-        constants = monitor.monitor_constants(self.models)
+        constants = monitor.build_monitor_constants(self.models)
         states = [online.initial(p) for p in prepared]
         monitors = TendonMonitor.array(2)
-        self.monitors = [one(monitors, i) for i in range(2)]
+        self.monitors = [view_struct(monitors, i) for i in range(2)]
         self.time, self.advice, self.errors = [], [], []
         rig, motor, dt = SimulatedRig(config), np.zeros(2), 1.0 / RATE
         for k in range(round(seconds * RATE)):
@@ -73,7 +73,7 @@ class Use:
                         dt,
                     )
             self.time.append(k * dt)
-            self.advice.append(monitor.advice(CONFIG, monitors, 2))
+            self.advice.append(monitor.compute_advice(CONFIG, monitors, 2))
             self.errors.append(monitors["force_error"].copy())
             speed = move(k * dt)
             for i, pulled in enumerate((speed > 0.0, speed < 0.0)):
@@ -114,12 +114,12 @@ def test_on_an_uneven_sheath_a_change_is_found_too_unless_all_bends_are_at_the_t
     assert use.advice[-1] >= Advice.ADVISED
     assert 0.0 < use.errors[-1, 0] < math.expm1(0.25) + 0.03
     at_tip = joint(1.0, sections=(SectionConfig(1.3), SectionConfig(0.2, 0.05)))
-    model = tendon_configs(SlaveConfig(rig=rig_config(at_tip), calibration="as-built"), 2)[
+    model = load_tendon_configs(SlaveConfig(rig=rig_config(at_tip), calibration="as-built"), 2)[
         0
     ].model()
-    assert monitor.monitor_constants([model])[0]["blind"]
+    assert monitor.build_monitor_constants([model])[0]["blind"]
     straight = replace(model, sheath=Sheath.uniform(0.0, 1.5, 9000.0))
-    assert monitor.monitor_constants([straight])[0]["blind"]
+    assert monitor.build_monitor_constants([straight])[0]["blind"]
 
 
 def test_a_smaller_change_is_advised_of_but_not_demanded():
@@ -144,19 +144,19 @@ def known(*errors, doubt=0.01):
 
 
 def test_nothing_is_said_before_three_transitions():
-    assert monitor.force_error(known(0.5, 0.5)) == 0.0
-    assert monitor.force_error(known(0.5, 0.5, 0.5)) == 0.5
-    assert monitor.force_error(known(0.5, 0.0, 0.0, 0.01)) < 0.01
+    assert monitor.compute_force_error(known(0.5, 0.5)) == 0.0
+    assert monitor.compute_force_error(known(0.5, 0.5, 0.5)) == 0.5
+    assert monitor.compute_force_error(known(0.5, 0.0, 0.0, 0.01)) < 0.01
 
 
 def test_transitions_that_contradict_each_other_say_nothing():
-    assert monitor.force_error(known(0.3, 0.9, 0.35, 0.88, -0.3)) == 0.0
-    assert monitor.force_error(known(0.0, 0.01, 0.28, 0.29, 0.27)) == 0.27
+    assert monitor.compute_force_error(known(0.3, 0.9, 0.35, 0.88, -0.3)) == 0.0
+    assert monitor.compute_force_error(known(0.0, 0.01, 0.28, 0.29, 0.27)) == 0.27
 
 
 def test_an_error_within_its_doubt_says_nothing():
-    assert monitor.force_error(known(0.12, 0.11, 0.13, doubt=0.07)) == 0.0
-    assert monitor.force_error(known(-0.12, -0.11, -0.13, doubt=0.05)) == -0.12
+    assert monitor.compute_force_error(known(0.12, 0.11, 0.13, doubt=0.07)) == 0.0
+    assert monitor.compute_force_error(known(-0.12, -0.11, -0.13, doubt=0.05)) == -0.12
 
 
 def test_what_the_estimator_does_not_trust_does_not_count():
@@ -166,7 +166,7 @@ def test_what_the_estimator_does_not_trust_does_not_count():
     assert estimate.status & online.Status.UNINITIALISED
     tendon = known(0.1)
     tendon.pulled, tendon.reached, tendon.transition.points = True, 4.0, 3
-    constants = monitor.monitor_constants([model])[0]
+    constants = monitor.build_monitor_constants([model])[0]
     monitor.step(CONFIG, constants, tendon, estimate, 5.0, 0.0, 0.0, 0.001)
     assert tendon.tobytes() == known(0.1).tobytes()
 
@@ -174,8 +174,11 @@ def test_what_the_estimator_does_not_trust_does_not_count():
 def transitions(config, count, tendons=1, scale=1.2):
     """Return monitors after the first of them saw so many pulls and releases of one travel."""
     model = online.TendonModel(Sheath.uniform(1.0, 1.5, 9000.0))
-    constants, monitors = monitor.monitor_constants([model] * tendons), TendonMonitor.array(tendons)
-    limits = as_record(config)
+    constants, monitors = (
+        monitor.build_monitor_constants([model] * tendons),
+        TendonMonitor.array(tendons),
+    )
+    limits = to_struct(config)
     pull = [(int(Phase.PULL), 1.5, 1.0 + 0.5 * k, 0.0) for k in range(10)]
     release = [(int(Phase.PULL_TO_RELEASE), 0.005 * k, 5.0, -4e-6 * k) for k in range(50)]
     for n in range(count):
@@ -191,34 +194,37 @@ def transitions(config, count, tendons=1, scale=1.2):
 def test_only_the_latest_transitions_count_and_the_newest_is_the_last():
     after = transitions(MonitorConfig(transitions=3), 8)
     every = transitions(MonitorConfig(transitions=99), 8)
-    errors = one(every).errors[: one(every).count]
-    assert one(every).count == 7  # the eighth has not ended
+    errors = view_struct(every).errors[: view_struct(every).count]
+    assert view_struct(every).count == 7  # the eighth has not ended
     assert (np.diff(errors) > 0.0).all()  # less travel for the same stretch: more friction
-    assert one(after).errors[:3].tolist() == errors[-3:].tolist()
-    assert one(after).count == 3
-    assert one(after).force_error == monitor.force_error(one(after)) != 0.0
+    assert view_struct(after).errors[:3].tolist() == errors[-3:].tolist()
+    assert view_struct(after).count == 3
+    assert view_struct(after).force_error == monitor.compute_force_error(view_struct(after)) != 0.0
 
 
 def test_one_tendon_says_nothing_of_another():
     monitors = transitions(SETTINGS, 6, tendons=3, scale=1.3)
     assert monitors[1:].tobytes() == TendonMonitor.array(2).tobytes()
     assert monitors["force_error"][0] < -SETTINGS.demand
-    assert monitor.advice(CONFIG, monitors, 3) == Advice.DEMANDED
-    assert monitor.advice(CONFIG, monitors[1:].copy(), 2) == Advice.NONE
+    assert monitor.compute_advice(CONFIG, monitors, 3) == Advice.DEMANDED
+    assert monitor.compute_advice(CONFIG, monitors[1:].copy(), 2) == Advice.NONE
 
 
 def test_a_rig_is_watched_tendon_by_tendon_against_the_other_of_its_joint():
     """`step_rig` is `step` of each, by the corrected readings."""
     rng, joints = np.random.default_rng(4), ((2, 0), (1,))
     model = online.TendonModel(Sheath.uniform(1.0, 1.5, 9000.0))
-    constants, layout = monitor.monitor_constants([model] * 3), one(rig_layout(joints))
+    constants, layout = (
+        monitor.build_monitor_constants([model] * 3),
+        view_struct(build_rig_layout(joints)),
+    )
     alone, together = TendonMonitor.array(3), TendonMonitor.array(3)
     others = {0: 2, 2: 0}
     for k in range(400):
         tendons = EstimatedTendon.array(16)
         down = k % 100 - 50
         for i in range(3):
-            tendon = one(tendons, i)
+            tendon = view_struct(tendons, i)
             tendon.corrected_tension = 9.0 if down >= 0 else 60.0 + down
             tendon.corrected_displacement = -4e-6 * down * (1.0 + 0.1 * i)
             estimate = tendon.estimate
@@ -227,14 +233,16 @@ def test_a_rig_is_watched_tendon_by_tendon_against_the_other_of_its_joint():
             estimate.phase = int(Phase.PULL_TO_RELEASE if down >= 0 else Phase.PULL)
             estimate.front = 0.005 * down if down >= 0 else 1.5
         for i in range(3):
-            tendon = one(tendons, i)
-            against = one(tendons, others[i]).estimate.distal_tension if i in others else 0.0
+            tendon = view_struct(tendons, i)
+            against = (
+                view_struct(tendons, others[i]).estimate.distal_tension if i in others else 0.0
+            )
             force, travel = tendon.corrected_tension, tendon.corrected_displacement
             monitor.step(
                 CONFIG, constants[i], alone[i], tendon.estimate, force, travel, against, 0.001
             )
         said = monitor.step_rig(CONFIG, layout, constants, together, tendons, 0.001)
-        assert said == monitor.advice(CONFIG, alone, 3)
+        assert said == monitor.compute_advice(CONFIG, alone, 3)
         assert together.tobytes() == alone.tobytes()
     assert alone["count"][1] == 3  # nothing moves against it
     assert alone["count"].sum() > 3

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from estimator.records import as_record
+from estimator.records import to_struct
 from slave.fault_detection import FaultDetectionConfig
 from slave.fault_detection.cell import LoadCell, check_cell
 from teleop.session.state_machine import Reason
@@ -18,7 +18,7 @@ SATURATED, STUCK = Reason.CELL_SATURATED, Reason.CELL_STUCK
 
 def judged(values, motor, noise, config=CONFIG):
     """Return the reasons found in a cell's readings [N] while the motor stands at `motor` [m]."""
-    cell, limits = LoadCell.new(), as_record(config)
+    cell, limits = LoadCell.new(), to_struct(config)
     pairs = zip(values.tolist(), motor.tolist(), strict=True)
     return np.array([check_cell(limits, noise, cell, T, place, DT) for T, place in pairs])
 

@@ -8,12 +8,12 @@ import pytest
 
 from estimator.law.sheath import Sheath
 from estimator.online import online
-from estimator.records import as_record, one
+from estimator.records import to_struct, view_struct
 from slave import fault_detection
 from slave.fault_detection import FaultDetectionConfig
-from slave.fault_detection.compliance import compliance, least_elongation
+from slave.fault_detection.compliance import compute_compliance, compute_elongation_min
 from slave.rig import RigSample
-from slave.tendons import EstimatedTendon, rig_layout
+from slave.tendons import EstimatedTendon, build_rig_layout
 from teleop.session.state_machine import Reason
 from tests.slave.control_bench import DT, estimated
 from tests.slave.fault_detection.readings import readings
@@ -27,10 +27,10 @@ class Detector:
     """A detector of a rig whose tendons have one model."""
 
     def __init__(self, joints, model):
-        self.joints, self.layout = joints, one(rig_layout(joints))
+        self.joints, self.layout = joints, view_struct(build_rig_layout(joints))
         tendons = sum(map(len, joints))
-        self.record = one(fault_detection.start([model] * tendons))
-        self.limits = as_record(CONFIG)
+        self.record = view_struct(fault_detection.init_detector([model] * tendons))
+        self.limits = to_struct(CONFIG)
 
     def step(self, tendons):
         return fault_detection.step(self.limits, self.layout, self.record, tendons, DT)
@@ -57,10 +57,10 @@ def test_a_stuck_cell_is_not_taken_for_a_jam_by_what_it_reads():
     """The motor pays out while the reading stays: as if the tendon were tight without stretch."""
     model = online.TendonModel(SHEATH, tension_noise=0.01)
     prepared = online.prepare(model)
-    state, stretch = online.initial(prepared), compliance(SHEATH)
+    state, stretch = online.initial(prepared), compute_compliance(SHEATH)
     detector, found = Detector(((0, 1),), model), []
     T_a, T_b = 10.0, 0.3
-    q_a, q_b = least_elongation(stretch, T_a), least_elongation(stretch, T_b)
+    q_a, q_b = compute_elongation_min(stretch, T_a), compute_elongation_min(stretch, T_b)
     noise = readings(np.zeros((600, 2)), 0.01, 0.002)
     for k in range(600):
         moved = 2e-5 * max(k - 300, 0)
@@ -101,7 +101,7 @@ def test_what_one_joint_goes_through_changes_nothing_of_another():
         left.append([record.tobytes() for record in (*tendons, *detector.record.winding[1:3])])
         assert (
             detector.record.tendon[5:].tobytes()
-            == fault_detection.start([])["tendon"][0, 5:].tobytes()
+            == fault_detection.init_detector([])["tendon"][0, 5:].tobytes()
         )
     assert left[0] == left[1]
 

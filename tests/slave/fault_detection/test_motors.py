@@ -5,20 +5,20 @@ import math
 import numpy as np
 import pytest
 
-from estimator.records import as_record
+from estimator.records import to_struct
 from slave.fault_detection import (
     FaultDetectionConfig,
     MotorChecks,
     check_motors,
-    take_motor_readings,
+    record_motor_readings,
 )
-from slave.tendons import EstimatedTendon, rig_layout
+from slave.tendons import EstimatedTendon, build_rig_layout
 from teleop.session.state_machine import Reason
 from tests.slave.control_bench import DT
 
 SETTINGS = FaultDetectionConfig()
-CONFIG = as_record(SETTINGS)
-LAYOUT = rig_layout(((0, 1), (2,)))[0]
+CONFIG = to_struct(SETTINGS)
+LAYOUT = build_rig_layout(((0, 1), (2,)))[0]
 NOTHING = Reason.NONE, -1
 
 
@@ -29,7 +29,7 @@ def tick(motors, frames, sent, has_sent=True):
     for tension, displacement in frames:
         tendons = EstimatedTendon.array(16)
         tendons["tension"][:3], tendons["displacement"][:3] = tension, displacement
-        take_motor_readings(motors, LAYOUT, tendons, places)
+        record_motor_readings(motors, LAYOUT, tendons, places)
     return check_motors(CONFIG, motors, LAYOUT, places, has_sent, bool(frames), DT)
 
 

@@ -8,28 +8,32 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from estimator.law.sheath import Sheath
-from estimator.records import as_record
+from estimator.records import to_struct
 from slave.fault_detection import FaultDetectionConfig
-from slave.fault_detection.broken_tendon import Slack, check_slack
-from slave.fault_detection.compliance import compliance, largest_elongation, least_elongation
+from slave.fault_detection.broken_tendon import SlackState, check_slack
+from slave.fault_detection.compliance import (
+    compute_compliance,
+    compute_elongation_max,
+    compute_elongation_min,
+)
 from slave.fault_detection.tendon_state import CheckedTendon
-from slave.fault_detection.wound_length import Winding, check_winding
+from slave.fault_detection.wound_length import WindingCheck, check_winding
 from teleop.session.state_machine import Reason
 from tests.slave.control_bench import DT
 
-CONFIG = as_record(FaultDetectionConfig())
+CONFIG = to_struct(FaultDetectionConfig())
 BROKEN, JAMMED = Reason.TENDON_BROKEN, Reason.TENDON_JAMMED
 HEALTHY = Reason.NONE, -1
 SHEATH = Sheath.uniform(1.0, 1.5, 9000.0)
-STRETCH = compliance(SHEATH)
+STRETCH = compute_compliance(SHEATH)
 
 
 def least(tension):
-    return least_elongation(STRETCH, tension)
+    return compute_elongation_min(STRETCH, tension)
 
 
 def most(tension):
-    return largest_elongation(STRETCH, tension)
+    return compute_elongation_max(STRETCH, tension)
 
 
 def tendon():
@@ -43,7 +47,7 @@ def set_average(tendon, tension, displacement, speed=0.0):
 
 def wound(path, dt=DT):
     """Return what is found on a path of (T_a, T_b, q_a, q_b): (reason, which of the two)."""
-    winding, pair, found, before = Winding.new(), (tendon(), tendon()), [], (0.0, 0.0)
+    winding, pair, found, before = WindingCheck.new(), (tendon(), tendon()), [], (0.0, 0.0)
     for *tension, q_a, q_b in path:
         for one, T, was, q in zip(pair, tension, before, (q_a, q_b), strict=True):
             set_average(one, T, q)
@@ -59,7 +63,9 @@ def test_a_tendon_is_stretched_least_by_a_pull_and_most_by_a_release():
     assert least(2.0) == pytest.approx(2.0 * pull)
     assert most(2.0) == pytest.approx(2.0 * pull * math.e)
     drag = Sheath.uniform(1.0, 1.5, 9000.0, drag=0.5)
-    assert least_elongation(compliance(drag), 2.0) == pytest.approx(2.5 * pull - 0.5 * 1.5 / 9000.0)
+    assert compute_elongation_min(compute_compliance(drag), 2.0) == pytest.approx(
+        2.5 * pull - 0.5 * 1.5 / 9000.0
+    )
 
 
 shares = st.floats(0.0, 1.0)
@@ -95,9 +101,9 @@ def test_where_both_are_slack_the_first_or_tighter_of_them_is_broken():
 
 def test_a_taut_tendon_goes_slack_from_where_it_is():
     """Also one that was slack before, and was wound in until it was taut again."""
-    again = Slack.new(time=0.3, lost=1.0, wound=0.004)
+    again = SlackState.new(time=0.3, lost=1.0, wound=0.004)
     check_slack(CONFIG, again, 2.0, 0.0, 0.008, DT)
-    for taut in (Slack.new(), again):
+    for taut in (SlackState.new(), again):
         broken = check_slack(CONFIG, taut, 0.0, 5.0, 0.012, DT)
         assert (broken, taut.time, taut.lost, taut.wound) == (False, 0.0, 5.0, 0.012)
 
@@ -129,9 +135,9 @@ def test_a_tension_that_gone_without_the_motor_is_a_broken_tendon():
 @pytest.mark.parametrize("share", [0.1, 0.3, 0.5])
 def test_a_tendon_stretched_over_a_part_of_its_sheath_is_jammed(share):
     part = Sheath.uniform(share * 1.0, share * 1.5, 9000.0)
-    jammed = compliance(part)
+    jammed = compute_compliance(part)
     path = [healthy(0.3, 0.3)] * 20
-    path += [(0.3, T, 0.0, least_elongation(jammed, T)) for T in np.linspace(0.3, 20.0, 300)]
+    path += [(0.3, T, 0.0, compute_elongation_min(jammed, T)) for T in np.linspace(0.3, 20.0, 300)]
     found = wound(path)
     assert found[-1] == (JAMMED, 1)
 
@@ -167,7 +173,7 @@ def test_a_load_cell_that_lags_is_no_fault_however_fast_the_motor():
     speed, late = 0.05, 10
     stretch = np.maximum(least(20.0) - speed * DT * np.arange(41), least(0.3))
     tension = stretch / STRETCH.pull
-    winding, late_one, other = Winding.new(), tendon(), tendon()
+    winding, late_one, other = WindingCheck.new(), tendon(), tendon()
     for k in range(-20, 41):
         now, then = max(k, 0), max(k - late, 0)
         set_average(late_one, tension[then], stretch[now], -speed if k > 0 else 0.0)

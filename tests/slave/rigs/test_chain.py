@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from slave.rigs.simulated.plant.chain import respond
-from slave.rigs.simulated.plant.friction import RIGID
+from slave.rigs.simulated.plant.chain import compute_response
+from slave.rigs.simulated.plant.friction import RIGID_STIFFNESS
 from slave.rigs.simulated.plant.knobs import Knobs
-from slave.rigs.simulated.plant.response import tension_on
+from slave.rigs.simulated.plant.response import interpolate_curve
 from slave.rigs.simulated.plant.sheath import SectionConfig, SheathConfig
 from slave.rigs.simulated.plant.tendon import (
     CREEP,
@@ -18,9 +18,9 @@ from slave.rigs.simulated.plant.tendon import (
     POSITION,
     TENSION,
     Chain,
-    at_rest,
     build_chain,
-    tensions,
+    get_tensions,
+    init_chain_state,
 )
 from tests.brute import chain as brute
 from tests.slave.tendon_bench import (
@@ -114,7 +114,7 @@ def assert_balanced(chain, before, after, dt):
     within = (dry < most - 2 * scale) & (dry > least + 2 * scale)
     sliding = chain.friction > 0.0
     if knobs.presliding > 0.0 or knobs.viscosity > 0.0:
-        bristle = np.full(len(moved), RIGID)
+        bristle = np.full(len(moved), RIGID_STIFFNESS)
         if knobs.presliding > 0.0:
             bristle = chain.friction * knobs.presliding_tension / knobs.presliding
         leaning, scale = before[FRICTION, 1:-1] + bristle * moved, scale + 1e-17 * bristle.max()
@@ -134,13 +134,13 @@ def test_every_step_obeys_every_law_at_each_node_and_balances_the_load(seed, kno
     chain = random_chain(rng, **knobs)
     dt = float(rng.choice([1e-5, 1e-3, 1e-2]))
     stiffness = float(rng.choice([1.0, 200.0, 1e6]))
-    states = [at_rest(chain)]
+    states = [init_chain_state(chain)]
     for motor in np.split(random_path(rng, 240), 8):
         load = Load(float(rng.uniform(0.0, 10.0)), stiffness)
         states += list(drive(chain, load, motor, states[-1], dt)[1:])
         assert proximal(states[-1]) == motor[-1]
         pull = load.force + load.stiffness * distal(states[-1])
-        T_out = tensions(chain, states[-1])[-1]
+        T_out = get_tensions(chain, states[-1])[-1]
         assert pytest.approx(max(0.0, pull), abs=1e-8 * max(1.0, T_out)) == T_out
     for before, after in pairwise(states):
         assert_balanced(chain, before, after, dt)
@@ -151,9 +151,9 @@ def test_the_tension_never_rises_as_the_tip_comes(knobs):
     rng = np.random.default_rng(3)
     chain = random_chain(rng, **knobs)
     state = drive(chain, SPRING, random_path(rng, 30))[-1]
-    response = respond(chain, state, 4e-3, 1e-3)
+    response = compute_response(chain, state, 4e-3, 1e-3)
     places = np.sort(np.concatenate([response.tip.place, rng.uniform(-1e-2, 1e-2, 300)]))
-    T = np.array([tension_on(response.tip, place) for place in places])
+    T = np.array([interpolate_curve(response.tip, place) for place in places])
     assert np.all(np.diff(T) <= 1e-9)
     assert np.all(T >= 0.0)
     assert T[-1] == 0.0
@@ -176,9 +176,9 @@ def test_bristles_may_need_more_corners_than_there_is_room_for_at_first():
     """Soft contacts of many small cells lean, slide and lean again along one response."""
     rng = np.random.default_rng(45)
     chain = uniform(2.0, 200, presliding=1e-3, drag=2.0)
-    most, state = 0, at_rest(chain)
+    most, state = 0, init_chain_state(chain)
     for motor in random_path(rng, 40):
-        response = respond(chain, state, motor, 1e-3)
+        response = compute_response(chain, state, motor, 1e-3)
         most = max(most, response.inner.corners.max())
         assert np.all(np.diff(response.tip.place) < 1e-12)
         assert np.all(np.diff(response.tip.tension) > -1e-6)
@@ -209,7 +209,7 @@ def test_what_nothing_passes_stays_finite(knobs, nodes, steps):
 def test_a_node_that_jams_leaves_the_others_their_friction():
     chain = uniform(1.0, pretension=5.0)
     chain.friction[10] = 1e3
-    T = tensions(chain, drive(chain, Load(5.0, 500.0), np.linspace(0.0, 20e-3, 50))[-1])
+    T = get_tensions(chain, drive(chain, Load(5.0, 500.0), np.linspace(0.0, 20e-3, 50))[-1])
     assert T[11] < 0.2 * T[10]
     slid = slice(11, 20)
     assert T[slid][-1] / T[slid][0] == pytest.approx(np.exp(-8.0 / 60.0), rel=1e-3)
@@ -268,7 +268,7 @@ def test_nested_reversals_against_a_solver_that_guesses_and_corrects(knobs):
     states = drive(chain, Load(4.0, 400.0), path)[1:]
     for motor, state in zip(path, states, strict=True):
         other.move(brute.Position(motor), brute.Spring(400.0, -4.0 / 400.0))
-        assert tensions(chain, state) == pytest.approx(other.tensions, abs=1e-8)
+        assert get_tensions(chain, state) == pytest.approx(other.tensions, abs=1e-8)
 
 
 def test_the_error_of_coarse_cells_falls_with_their_square():
@@ -329,7 +329,7 @@ def energies(chain, states):
         stiffness = chain.friction * knobs.presliding_tension / knobs.presliding
         bristle = 0.5 * f**2 / np.where(stiffness > 0.0, stiffness, np.inf)
     elif knobs.viscosity > 0.0:
-        bristle = 0.5 * f**2 / RIGID
+        bristle = 0.5 * f**2 / RIGID_STIFFNESS
     return spring, creep, bristle
 
 
@@ -396,7 +396,7 @@ def test_a_slack_tendon_pushes_nothing_and_takes_up_what_was_paid_out():
     chain = uniform(1.0, pretension=1.0)
     load = Load(1.0, 200.0)
     states = drive(chain, load, np.linspace(0, -12e-3, 100))
-    T = tensions(chain, states[-1])
+    T = get_tensions(chain, states[-1])
     assert np.all(T[0] == 0.0)
     assert T.max() < 1e-12
     assert distal(states[-1]) == pytest.approx(-1.0 / 200.0, abs=1e-12)  # where the spring rests
@@ -415,18 +415,18 @@ def test_both_ends_of_a_broken_tendon_may_be_pulled(knobs):
         loose = stretch(chain, [0.0], [0.0])[-1]
         apart = stretch(chain, [rng.uniform(0.0, 8e-3)], [rng.uniform(-8e-3, 0.0)], loose)[-1]
         assert_balanced(chain, loose, apart, 1e-3)
-        assert tensions(chain, apart).min() == 0.0
+        assert get_tensions(chain, apart).min() == 0.0
 
 
 def test_a_load_that_falls_is_seen_at_the_housing_and_one_that_rises_is_not():
     chain = uniform(1.0)
     pulled = drive(chain, Load(2.0, 500.0), np.linspace(0, 8e-3, 80))[-1]
-    T_in, T_out = tensions(chain, pulled)[[0, -1]]
+    T_in, T_out = get_tensions(chain, pulled)[[0, -1]]
     less = drive(chain, Load(1.5, 500.0), [proximal(pulled)], pulled)[-1]
     more = drive(chain, Load(4.0, 500.0), [proximal(pulled)], pulled)[-1]
-    assert tensions(chain, less)[0] < T_in - 0.1
-    assert tensions(chain, more)[0] == pytest.approx(T_in, abs=1e-9)
-    assert tensions(chain, more)[-1] > T_out + 0.1
+    assert get_tensions(chain, less)[0] < T_in - 0.1
+    assert get_tensions(chain, more)[0] == pytest.approx(T_in, abs=1e-9)
+    assert get_tensions(chain, more)[-1] > T_out + 0.1
 
 
 @pytest.mark.parametrize(

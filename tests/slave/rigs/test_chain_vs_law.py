@@ -22,8 +22,8 @@ def test_nested_reversals_against_a_spring(sections):
     sheath = SheathConfig(tuple(SectionConfig(*section) for section in sections))
     chain = build_chain(sheath, PRETENSION)
     law = Sheath(tuple(Section(*s) for s in sections), sheath.friction, sheath.axial_stiffness)
-    tables = transmission.tables(law)
-    profile = transmission.pretensioned_profile(tables, PRETENSION)
+    tables = transmission.build_tables(law)
+    profile = transmission.build_pretensioned_profile(tables, PRETENSION)
     rest = transmission.observe(tables, profile).elongation
     turns = pairwise(REVERSALS)
     path = np.concatenate([np.linspace(start, end, 60)[1:] for start, end in turns])

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from slave.rig import RigFault, RigSample, emergency_stop_of, enabling
+from slave.rig import RigFault, RigSample, as_enabling_rig, get_emergency_stop
 from slave.rigs import open_rig
 from slave.rigs.checked import CheckedRig
 from slave.rigs.extension import RigExtension
@@ -117,12 +117,12 @@ def test_a_rig_that_is_none_is_named_and_closed_at_opening(attributes, said):
 
 def test_what_else_a_rig_has_is_passed_on():
     stoppable, plain = StoppableRig(), FakeRig()
-    emergency_stop_of(CheckedRig(stoppable, "mylab"))()
+    get_emergency_stop(CheckedRig(stoppable, "mylab"))()
     assert stoppable.stops == [0]
-    assert emergency_stop_of(CheckedRig(plain, "mylab")) is None
-    assert enabling(CheckedRig(plain, "mylab")) is None
+    assert get_emergency_stop(CheckedRig(plain, "mylab")) is None
+    assert as_enabling_rig(CheckedRig(plain, "mylab")) is None
     plain.follows = False
-    assert enabling(CheckedRig(plain, "mylab")).follows is False
+    assert as_enabling_rig(CheckedRig(plain, "mylab")).follows is False
 
 
 class Following(FakeRig):
@@ -157,7 +157,7 @@ def test_what_follows_is_must_be_true_or_false():
     with pytest.raises(UsageError, match=r"Method\.follows is a method, must be True or False"):
         open_rig(PairConfig(rig=rig))
     rig = type("Compared", (Pair,), {"follows": np.array([0.0]).sum() > 1.0})(())
-    assert enabling(open_rig(PairConfig(rig=rig))).follows is False
+    assert as_enabling_rig(open_rig(PairConfig(rig=rig))).follows is False
 
 
 class Failing(FakeRig):

@@ -7,7 +7,12 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from slave.rigs.simulated.plant.effects import EffectConfig, TendonEffect, knobs_at, of_tendon
+from slave.rigs.simulated.plant.effects import (
+    EffectConfig,
+    TendonEffect,
+    compute_knobs,
+    select_tendon_effects,
+)
 from slave.rigs.simulated.plant.effects.elasticity import (
     Creep,
     NonlinearStiffness,
@@ -27,7 +32,7 @@ from slave.rigs.simulated.plant.effects.friction import (
     ViscousFriction,
 )
 from slave.rigs.simulated.plant.knobs import NEUTRAL
-from slave.rigs.simulated.plant.tendon import POSITION, TENSION, tensions
+from slave.rigs.simulated.plant.tendon import POSITION, TENSION, get_tensions
 from teleop.config.loading import as_tree, load
 from teleop.errors import UsageError
 from tests.slave.tendon_bench import (
@@ -49,7 +54,7 @@ TENDON_EFFECTS = [c for c in get_args(EffectConfig) if issubclass(c, TendonEffec
 
 def under(chain, *effects, time=1e9, slid=0.0):
     """Return the chain under effects that began `time` [s] and `slid` [m] ago."""
-    return chain._replace(knobs=knobs_at(effects, time, [slid] * len(effects)))
+    return chain._replace(knobs=compute_knobs(effects, time, [slid] * len(effects)))
 
 
 def pull(chain, to=3e-3, tip=0.0, steps=300, dt=1e-3):
@@ -90,7 +95,7 @@ def test_a_sheath_that_bends_less_lets_go_at_once_and_one_that_bends_more_when_i
 
     relaxed = stretch(less, [proximal(state)], 0.0, state)[-1]
     ratio = np.exp(0.825) * (1 - np.exp(-1.1)) / 1.1 * 0.825 / (1 - np.exp(-0.825))
-    (T_in, T_out), (T_in_, T_out_) = (tensions(chain, s)[[0, -1]] for s in (state, relaxed))
+    (T_in, T_out), (T_in_, T_out_) = (get_tensions(chain, s)[[0, -1]] for s in (state, relaxed))
     assert T_in_ < 0.92 * T_in
     assert T_out_ > 1.15 * T_out
     assert T_in_ / T_out_ == pytest.approx(np.exp(0.825), rel=1e-3)
@@ -99,7 +104,7 @@ def test_a_sheath_that_bends_less_lets_go_at_once_and_one_that_bends_more_when_i
     stays = stretch(more, [proximal(state)] * 5, 0.0, state)[-1]
     assert stays[TENSION] == pytest.approx(state[TENSION], abs=1e-12)
     moves = stretch(more, np.linspace(3.1e-3, 4e-3, 200), 0.0, stays)[-1]
-    T_in, T_out = tensions(chain, moves)[[0, -1]]
+    T_in, T_out = get_tensions(chain, moves)[[0, -1]]
     assert T_in / T_out == pytest.approx(np.exp(1.375), rel=1e-3)
 
 
@@ -370,10 +375,10 @@ def test_effects_add_up_in_their_place_and_time():
         ConstantDrag(drag=0.5, tendon="b"),
         ThermalExpansion(coefficient=1e-5, warming=10.0, time_constant=1.0, start=3.0),
     )
-    assert of_tendon(effects, 0, "a") == (effects[0], effects[3])
-    assert of_tendon(effects, 1, "b") == effects
-    assert knobs_at(effects, 0.5, [0.0] * 4) == NEUTRAL._replace(drag=0.5)
-    late = knobs_at(effects, 4.0, [0.0] * 4)
+    assert select_tendon_effects(effects, 0, "a") == (effects[0], effects[3])
+    assert select_tendon_effects(effects, 1, "b") == effects
+    assert compute_knobs(effects, 0.5, [0.0] * 4) == NEUTRAL._replace(drag=0.5)
+    late = compute_knobs(effects, 4.0, [0.0] * 4)
     assert late.friction_scale == pytest.approx(1.2 * 1.5)
     assert late.expansion == pytest.approx(1e-4 * (1.0 - np.exp(-1.0)))
 

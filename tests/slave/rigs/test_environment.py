@@ -7,13 +7,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from slave.rigs.simulated.plant.environment import (
+    CombinedEnvironmentConfig,
     FreeConfig,
     LoadMotorConfig,
-    SeveralConfig,
     TissueConfig,
     WallConfig,
     build_environment,
-    environment_force,
+    compute_environment_force,
 )
 
 DT = 1e-3
@@ -45,7 +45,7 @@ PARTS = st.one_of(
 
 def force(config, travel, before=None, time=0.0, dt=DT):
     before = travel if before is None else before
-    return environment_force(build_environment(config), travel, before, time, dt)
+    return compute_environment_force(build_environment(config), travel, before, time, dt)
 
 
 def test_free_is_free():
@@ -72,14 +72,16 @@ def test_walls_on_both_sides_mirror_each_other():
         right, left = config(position=0.004), config(position=-0.004, side="b")
         for travel, before in ((0.006, 0.0055), (0.0045, 0.006), (0.003, 0.006)):
             assert force(left, -travel, -before) == -force(right, travel, before)
-    both = SeveralConfig(parts=(WallConfig(position=0.004), WallConfig(position=-0.004, side="b")))
+    both = CombinedEnvironmentConfig(
+        parts=(WallConfig(position=0.004), WallConfig(position=-0.004, side="b"))
+    )
     assert [math.copysign(1.0, force(both, q)) for q in (0.005, -0.005)] == [1.0, -1.0]
     assert force(both, 0.0) == 0.0
 
 
 def test_parts_add_up():
     parts = (WallConfig(), TissueConfig(), LoadMotorConfig(profile=((0.0, 2.5),)), FreeConfig())
-    together = force(SeveralConfig(parts=parts), 0.01, 0.0095)
+    together = force(CombinedEnvironmentConfig(parts=parts), 0.01, 0.0095)
     assert together == pytest.approx(sum(force(part, 0.01, 0.0095) for part in parts))
 
 
@@ -93,7 +95,7 @@ def test_tissue_is_the_law_of_hunt_and_crossley_and_its_loop_dissipates():
         tissue = build_environment(TissueConfig("tissue", 0.0, stiffness, n, dissipation))
         forces = np.array(
             [
-                environment_force(tissue, after, before, 0.0, 1e-5)
+                compute_environment_force(tissue, after, before, 0.0, 1e-5)
                 for before, after in itertools.pairwise(travel)
             ]
         )
@@ -117,7 +119,7 @@ def test_no_way_round_gives_energy(part, dt, places):
     environment = build_environment(part)
     work = 0.0
     for before, after in zip(places, [*places[1:], places[0]], strict=True):
-        work += environment_force(environment, after, before, 0.0, dt) * (after - before)
+        work += compute_environment_force(environment, after, before, 0.0, dt) * (after - before)
     assert work >= -1e-12
 
 

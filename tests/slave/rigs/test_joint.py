@@ -9,14 +9,14 @@ from scipy.integrate import solve_ivp
 
 from slave.rigs.simulated.plant.body import BodyConfig
 from slave.rigs.simulated.plant.environment import (
+    CombinedEnvironmentConfig,
     FreeConfig,
     LoadMotorConfig,
-    SeveralConfig,
     TissueConfig,
     WallConfig,
 )
-from slave.rigs.simulated.plant.joint import advance, joint_at_rest, truth
-from slave.rigs.simulated.plant.joints import advance_all, join_joints
+from slave.rigs.simulated.plant.joint import advance_joint, compute_truth, init_joint
+from slave.rigs.simulated.plant.joints import advance_joints, to_compiled_list
 from slave.rigs.simulated.plant.sheath import SheathConfig
 from slave.rigs.simulated.simulated import JointConfig, TendonPlantConfig, build_joint
 
@@ -37,12 +37,12 @@ def loose(joint):
 
 def swing(joint, seconds, dt=1e-3, state=None, motors=lambda _: (0.0, 0.0)):
     """Advance; return the travel and speed after each step, and the truth, (steps, 4, 2)."""
-    state = state or joint_at_rest(joint)
+    state = state or init_joint(joint)
     rows, seen = [], []
     for k in range(round(seconds / dt)):
-        state = advance(joint, state, np.array(motors((k + 1) * dt)), 1, dt)
+        state = advance_joint(joint, state, np.array(motors((k + 1) * dt)), 1, dt)
         rows.append((state.travel, state.speed))
-        seen.append(truth(joint, state))
+        seen.append(compute_truth(joint, state))
     return np.array(rows).T, np.array(seen), state
 
 
@@ -53,7 +53,7 @@ def test_a_free_joint_swings_at_its_own_frequency_and_loses_only_what_the_step_t
     """Implicit Euler: amplitude falls by 1/sqrt(1 + (w dt)^2) a step, a rate of w^2 dt / 2."""
     body = BodyConfig(mass=0.1, damping=0.0, spring=40.0, pretension=0.0)
     joint, omega = loose(joint_of(body)), 20.0
-    start = joint_at_rest(joint)._replace(travel=0.005)
+    start = init_joint(joint)._replace(travel=0.005)
     for dt in (1e-3, 1e-4):
         (travel, _), _, _ = swing(joint, 2.0, dt, start)
         time = np.arange(1, len(travel) + 1) * dt
@@ -71,7 +71,7 @@ def test_it_obeys_the_equation_of_motion_that_an_integrator_solves():
     body = BodyConfig(mass=0.05, damping=1.0, spring=100.0, pretension=0.0)
     points = tuple((t, 1.5 * math.sin(15.0 * t)) for t in np.linspace(0.0, 1.0, 501))
     tissue = TissueConfig(position=0.002, stiffness=2e4, exponent=1.5, dissipation=3.0)
-    world = SeveralConfig(parts=(tissue, LoadMotorConfig(profile=points)))
+    world = CombinedEnvironmentConfig(parts=(tissue, LoadMotorConfig(profile=points)))
     joint = loose(joint_of(body, world))
     times, forces = np.array(points).T
 
@@ -107,7 +107,7 @@ def test_a_stuck_joint_does_not_creep():
 def test_a_moving_joint_comes_to_rest_where_friction_has_eaten_its_energy():
     body = BodyConfig(mass=0.05, friction=0.5, spring=0.0, damping=0.0, pretension=0.0)
     joint = loose(joint_of(body))
-    start = joint_at_rest(joint)._replace(speed=0.2)
+    start = init_joint(joint)._replace(speed=0.2)
     (travel, speed), _, _ = swing(joint, 0.1, 1e-5, start)
     assert travel[-1] == pytest.approx(0.05 * 0.2**2 / 2 / 0.5, rel=1e-3)
     assert speed[-1] == 0.0
@@ -116,7 +116,7 @@ def test_a_moving_joint_comes_to_rest_where_friction_has_eaten_its_energy():
 def test_a_stop_is_rigid_and_gives_nothing_back():
     body = BodyConfig(mass=0.1, spring=0.0, damping=0.0, pretension=0.0, stops=(-0.01, 0.002))
     joint = loose(joint_of(body))
-    start = joint_at_rest(joint)._replace(speed=0.1)
+    start = init_joint(joint)._replace(speed=0.1)
     (travel, speed), _, _ = swing(joint, 0.1, 1e-3, start)
     assert travel.max() == 0.002 == travel[-1]
     assert speed[-1] == 0.0
@@ -142,7 +142,7 @@ def test_a_stop_is_rigid_and_gives_nothing_back():
 def test_body_and_environment_never_hold_more_energy_than_the_tendons_gave(
     body, depth, motors, tendons
 ):
-    world = SeveralConfig(
+    world = CombinedEnvironmentConfig(
         parts=(
             TissueConfig(position=depth, stiffness=5e4, exponent=1.5, dissipation=2.0),
             WallConfig(position=-0.004, stiffness=2e4, damping=5.0, side="b"),
@@ -158,13 +158,13 @@ def test_body_and_environment_never_hold_more_energy_than_the_tendons_gave(
             0.5 * body.mass * state.speed**2 + elastic + 0.4 * 5e4 * tissue**2.5 + 1e4 * wall * wall
         )
 
-    state = joint_at_rest(joint)
+    state = init_joint(joint)
     before = energy(state)
     for target in motors:
         for _ in range(30):
             at = state.pulley
-            state = advance(joint, state, np.array(target), 1, 1e-3)
-            _, _, (a, b), _ = truth(joint, state)
+            state = advance_joint(joint, state, np.array(target), 1, 1e-3)
+            _, _, (a, b), _ = compute_truth(joint, state)
             after = energy(state)
             assert after - before <= (a - b) * (state.pulley - at) + 1e-9
             before = after
@@ -197,7 +197,7 @@ def test_a_single_tendon_pulls_against_the_spring():
 
 def test_a_pair_pulls_one_way_and_the_other_alike():
     body = BodyConfig(spring=100.0, pretension=1.0, friction=0.2)
-    world = SeveralConfig(parts=(WallConfig(), WallConfig(position=-0.008, side="b")))
+    world = CombinedEnvironmentConfig(parts=(WallConfig(), WallConfig(position=-0.008, side="b")))
     joint = joint_of(body, world, tendons=2)
     wave = lambda t: 0.010 * math.sin(3.0 * t)  # noqa: E731
     one, seen, _ = swing(joint, 2.2, motors=lambda t: (wave(t), -0.9 * wave(t)))
@@ -261,18 +261,18 @@ def test_what_the_housing_sees_of_a_tip_that_is_moved_while_the_motor_holds():
 def test_backlash_is_crossed_where_the_load_changes_sides_and_nowhere_else():
     play = 4e-4
     body = BodyConfig(mass=0.0, damping=0.0, spring=0.0, pretension=1.0, backlash=play)
-    walls = SeveralConfig(
+    walls = CombinedEnvironmentConfig(
         parts=(
             WallConfig(position=0.0, stiffness=2000.0),
             WallConfig(position=0.0, stiffness=2000.0, side="b"),
         )
     )
     joint = joint_of(body, walls, tendons=2)
-    state, rows = joint_at_rest(joint), []
+    state, rows = init_joint(joint), []
     for k in range(4000):
         wave = 0.003 * math.sin(2.0 * math.pi * k / 2000)
-        state = advance(joint, state, np.array((wave, -wave)), 1, 1e-3)
-        _, _, (a, b), _ = truth(joint, state)
+        state = advance_joint(joint, state, np.array((wave, -wave)), 1, 1e-3)
+        _, _, (a, b), _ = compute_truth(joint, state)
         rows.append((state.pulley - state.travel, a - b, state.travel))
     gap, force, travel = np.array(rows).T
     assert np.abs(gap).max() <= play / 2 * (1 + 1e-9)
@@ -290,15 +290,15 @@ def test_joints_in_a_rig_are_the_joints_alone():
         JointConfig((COARSE, COARSE), BodyConfig(spring=50.0), FreeConfig()),
     )
     joints = [build_joint(config) for config in configs]
-    together = join_joints([joint_at_rest(joint) for joint in joints])
-    alone = [joint_at_rest(joint) for joint in joints]
-    compiled = join_joints(joints)
+    together = to_compiled_list([init_joint(joint) for joint in joints])
+    alone = [init_joint(joint) for joint in joints]
+    compiled = to_compiled_list(joints)
     for k in range(200):
         targets = np.array([[2e-5 * k, 0.0], [-1e-5 * k, 2e-5 * k]])
-        seen = advance_all(compiled, together, targets, 1, 1e-3)
+        seen = advance_joints(compiled, together, targets, 1, 1e-3)
         for i, joint in enumerate(joints):
-            alone[i] = advance(joint, alone[i], targets[i], 1, 1e-3)
-            assert np.allclose(seen[:, i], truth(joint, alone[i]), rtol=1e-12, atol=1e-15)
+            alone[i] = advance_joint(joint, alone[i], targets[i], 1, 1e-3)
+            assert np.allclose(seen[:, i], compute_truth(joint, alone[i]), rtol=1e-12, atol=1e-15)
 
 
 @pytest.mark.parametrize(

@@ -3,17 +3,17 @@ import math
 import numpy as np
 import pytest
 
-from slave.rigs.simulated.plant.motor import MotorConfig, build_motor, follow, motor_at_rest
+from slave.rigs.simulated.plant.motor import MotorConfig, advance_motor, build_motor, init_motor
 
 DEFAULT = build_motor(MotorConfig(), 0.0)
 
 
 def moved(motor, target, tension=lambda _: 0.0, seconds=1.0, dt=1e-3, state=None):
     """Follow `target(t)` against `tension(position)`; return positions and speeds."""
-    state = state or motor_at_rest()
+    state = state or init_motor()
     rows = []
     for k in range(round(seconds / dt)):
-        state = follow(motor, state, target((k + 1) * dt), tension(state.position), dt)
+        state = advance_motor(motor, state, target((k + 1) * dt), tension(state.position), dt)
         rows.append((state.position, state.speed))
     return np.array(rows).T, state
 
@@ -95,9 +95,9 @@ def test_backlash_shows_only_where_nothing_pulls():
     wave = lambda t: 2e-3 * math.sin(6.0 * t)  # noqa: E731
 
     def pulleys(tension):
-        state, rows = motor_at_rest(), []
+        state, rows = init_motor(), []
         for k in range(2000):
-            state = follow(motor, state, wave(k * 1e-3), tension, 1e-3)
+            state = advance_motor(motor, state, wave(k * 1e-3), tension, 1e-3)
             rows.append((state.position, state.pulley))
         return np.array(rows).T
 

@@ -12,7 +12,7 @@ from slave.rigs.simulated.plant.environment import WallConfig
 from slave.rigs.simulated.plant.joint import Joint
 from slave.rigs.simulated.plant.sensors import EncoderConfig, LoadCellConfig
 from slave.rigs.simulated.simulated import (
-    STEPS_AT_ONCE,
+    CATCH_UP_STEPS_MAX,
     JointConfig,
     SimulatedRig,
     SimulatedRigConfig,
@@ -131,7 +131,7 @@ def test_a_late_read_catches_up_in_few_steps_and_says_so():
     rig = SimulatedRig(SimulatedRigConfig(joints=(QUIET,)))
     rig.read(0.0)
     rig.write(np.array([4e-3]))
-    rig.read(STEPS_AT_ONCE * 1e-3)
+    rig.read(CATCH_UP_STEPS_MAX * 1e-3)
     assert rig.coarse_reads == 0
     (sample,) = rig.read(2.0)
     assert rig.coarse_reads == 1

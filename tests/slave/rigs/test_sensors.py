@@ -9,8 +9,8 @@ from slave.rigs.simulated.plant.sensors import (
     EncoderConfig,
     LoadCellConfig,
     build_sensors,
+    init_sensors,
     measure,
-    sensors_at_rest,
 )
 
 DT = 1e-3
@@ -25,7 +25,7 @@ def readings(truths, cell=None, encoder=None, seed=0, dt=DT):
     state, rows = None, []
     for tension, travel in truths:
         truth = np.array([[tension], [travel], [1.0], [2.0]])
-        state = state or sensors_at_rest(truth)
+        state = state or init_sensors(truth)
         state = measure(sensors, state, truth, rng.standard_normal((4, 1)), dt)
         rows.append(state.reading[:, 0])
     return np.array(rows)

@@ -17,8 +17,10 @@ ROOT = Path(__file__).parents[3]
 
 def test_what_is_needed_is_what_the_project_says():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    assert set(doctor.dependencies()) == {line.split(">")[0] for line in project["dependencies"]}
-    assert doctor.packages().good
+    assert set(doctor.list_dependencies()) == {
+        line.split(">")[0] for line in project["dependencies"]
+    }
+    assert doctor.check_packages().good
 
 
 def test_a_missing_package_is_named_with_the_remedy(monkeypatch):
@@ -28,7 +30,7 @@ def test_a_missing_package_is_named_with_the_remedy(monkeypatch):
         return "1"
 
     monkeypatch.setattr(doctor, "version", version)
-    finding = doctor.packages()
+    finding = doctor.check_packages()
     assert (finding.good, finding.essential) == (False, True)
     assert finding.detail == "missing: numba"
     assert finding.remedy == "pip install numba"
@@ -37,20 +39,20 @@ def test_a_missing_package_is_named_with_the_remedy(monkeypatch):
 @pytest.mark.parametrize(("count", "good"), [(1, False), (2, True), (None, False)])
 def test_two_loops_want_two_processors(monkeypatch, count, good):
     monkeypatch.setattr(os, "cpu_count", lambda: count)
-    assert doctor.processors().good == good
+    assert doctor.check_processors().good == good
 
 
 def test_real_time_scheduling_is_tried_and_put_back(monkeypatch):
     set_to = []
     monkeypatch.setattr(os, "sched_setscheduler", lambda *words: set_to.append(words[1]))
-    assert doctor.real_time().good
+    assert doctor.check_real_time().good
     assert set_to == [os.SCHED_FIFO, os.sched_getscheduler(0)]
 
     def refuse(*_):
         raise PermissionError
 
     monkeypatch.setattr(os, "sched_setscheduler", refuse)
-    assert "rtprio" in doctor.real_time().remedy
+    assert "rtprio" in doctor.check_real_time().remedy
 
 
 @pytest.mark.parametrize(
@@ -61,7 +63,7 @@ def test_a_screen_is_found_by_the_environment(monkeypatch, name, there):
     for known in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(known, raising=False)
     monkeypatch.setenv(name, ":0")
-    assert doctor.screen().good == there
+    assert doctor.check_screen().good == there
 
 
 @pytest.mark.parametrize(
@@ -106,7 +108,7 @@ def plug(tmp_path, monkeypatch):
 )
 def test_a_haptic_device_that_may_not_be_opened_is_a_note_with_the_remedy(plug, name):
     plug("hidraw7", LAYOUTS[name], may=False)
-    finding = doctor.hid_nodes()
+    finding = doctor.check_hid_nodes()
     assert (finding.good, finding.essential) == (False, False)
     assert finding.detail == "1 attached, no permission: hidraw7"
     assert "teleop devices rules" in finding.remedy
@@ -115,6 +117,6 @@ def test_a_haptic_device_that_may_not_be_opened_is_a_note_with_the_remedy(plug, 
 def test_keyboards_and_mice_do_not_matter(plug):
     plug("hidraw0", b"\x05\x01\x09\x06\xa1\x01\xc0", may=False)
     plug("hidraw1", b"\x05\x01\x09\x02\xa1\x01\xc0", may=False)
-    assert doctor.hid_nodes().detail.startswith("none attached")
+    assert doctor.check_hid_nodes().detail.startswith("none attached")
     plug("hidraw2", LAYOUTS["openffboard 1"])
-    assert (doctor.hid_nodes().good, doctor.hid_nodes().detail) == (True, "1 attached")
+    assert (doctor.check_hid_nodes().good, doctor.check_hid_nodes().detail) == (True, "1 attached")

@@ -14,7 +14,7 @@ from estimator.law.sheath import Sheath
 from estimator.online import online
 from estimator.online.online import Status
 from master.devices.references import Reaches, Sine
-from slave.config import as_built
+from slave.config import to_tendon_config
 from slave.rigs.simulated.plant.body import BodyConfig
 from slave.rigs.simulated.plant.environment import FreeConfig, TissueConfig, WallConfig
 from slave.rigs.simulated.plant.sensors import LoadCellConfig
@@ -76,7 +76,7 @@ def record(rig, motion):
 
 def accepted(rig, belief):
     config = joint(rig)
-    model = as_built(config.tendons[0], config.body.pretension).model()
+    model = to_tendon_config(config.tendons[0], config.body.pretension).model()
     sheath = model.sheath
     if belief == "even bends":
         sheath = Sheath.uniform(sheath.K, sheath.length, sheath.axial_stiffness)

@@ -154,15 +154,15 @@ def test_a_motor_that_holds_while_the_tip_pulls_is_no_dead_encoder(columns):
     data = [tension, still, columns[T_OUT]]
     pulled = Samples(columns["time_s"], *data, -1e-4 * tension)
     pulling = Samples(columns["time_s"], *data, 1e-4 * tension)
-    assert plausibility.doubts(pulled) == ()
-    (said,) = plausibility.doubts(pulling)
+    assert plausibility.find_channel_faults(pulled) == ()
+    (said,) = plausibility.find_channel_faults(pulling)
     assert "encoder" in said
 
 
 def test_a_long_record_is_fitted_from_some_samples_and_says_so(
     columns, tmp_path, capsys, monkeypatch
 ):
-    monkeypatch.setattr("estimator.calibration.sheath_fit.MOST", 1000)
+    monkeypatch.setattr("estimator.calibration.sheath_fit.SAMPLES_MAX", 1000)
     _, summary, _ = estimate(columns, {}, FIT, tmp_path, capsys)
     assert summary["fit"]["method"].endswith("from one sample in 3")
     assert summary["fit"]["parameters"]["K"]["value"] == pytest.approx(1.0, rel=0.02)

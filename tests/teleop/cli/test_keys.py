@@ -9,7 +9,7 @@ from contextlib import suppress
 
 import pytest
 
-from teleop.launch.keys import Keys
+from teleop.launch.keys import KeyReader
 
 
 @pytest.fixture
@@ -25,7 +25,7 @@ def terminal(monkeypatch):
 
 def test_a_key_is_heard_at_once_without_enter_and_unseen(terminal):
     far, _ = terminal
-    with Keys() as keys:
+    with KeyReader() as keys:
         assert keys.there
         os.write(far, b" ")
         begin = time.monotonic()
@@ -40,7 +40,7 @@ def test_a_key_is_heard_at_once_without_enter_and_unseen(terminal):
 def test_the_terminal_is_left_as_it_was_whatever_happened(terminal):
     _, near = terminal
     before = termios.tcgetattr(near)
-    with suppress(ZeroDivisionError), Keys():
+    with suppress(ZeroDivisionError), KeyReader():
         assert termios.tcgetattr(near) != before
         raise ZeroDivisionError
     assert termios.tcgetattr(near) == before
@@ -48,7 +48,7 @@ def test_the_terminal_is_left_as_it_was_whatever_happened(terminal):
 
 def test_bytes_that_are_no_text_are_told_as_something(terminal):
     far, _ = terminal
-    with Keys() as keys:
+    with KeyReader() as keys:
         os.write(far, b"\xff ")
         assert keys.wait(5.0).endswith(" ")
 
@@ -57,7 +57,7 @@ def test_in_the_background_the_terminal_is_not_touched(terminal, monkeypatch):
     _, near = terminal
     monkeypatch.setattr(os, "tcgetpgrp", lambda _: os.getpgrp() + 1)
     before = termios.tcgetattr(near)
-    with Keys() as keys:
+    with KeyReader() as keys:
         assert not keys.there
         assert keys.wait(0.001) == ""
         assert termios.tcgetattr(near) == before
@@ -66,6 +66,6 @@ def test_in_the_background_the_terminal_is_not_touched(terminal, monkeypatch):
 def test_without_a_terminal_it_waits_and_hears_nothing(monkeypatch):
     with open(os.devnull) as nothing:
         monkeypatch.setattr(sys, "stdin", nothing)
-        with Keys() as keys:
+        with KeyReader() as keys:
             assert not keys.there
             assert keys.wait(0.001) == ""

@@ -12,9 +12,9 @@ from teleop.cli import commands
 from teleop.config import extensions
 from teleop.errors import PeerError, TeleopError
 from teleop.launch import command, watch
-from teleop.launch.console import Console, status_text
-from teleop.launch.keys import Keys
-from teleop.launch.supervisor import Supervisor, wait_for
+from teleop.launch.console import Console, format_status
+from teleop.launch.keys import KeyReader
+from teleop.launch.supervisor import Supervisor, wait_for_condition
 from teleop.link import ReceivedMessage
 from teleop.messages.messages import (
     Event,
@@ -22,8 +22,8 @@ from teleop.messages.messages import (
     LinkReport,
     LoopReport,
     SlaveState,
-    padded,
-    text_bytes,
+    encode_text,
+    pad_values,
 )
 from teleop.messages.topics import COMMAND, EVENT, LATENCY, LINK, REPORT, STATE, STOP, Role
 from teleop.remote.requests import CALL, RESET
@@ -32,7 +32,7 @@ from teleop.runtime.status_line import StatusLine
 from teleop.session import summary as summaries
 from teleop.session.stages import StageMeter
 from teleop.session.state_machine import Reason, State
-from teleop.session.summary import loop_lines
+from teleop.session.summary import format_loop
 
 
 def loop(ticks=1000, latencies=0):
@@ -59,7 +59,7 @@ def test_the_summary_of_a_session_in_words():
     }  # fmt: skip
     slave = loop() | {"force_error": None}
     whole = {"slave": slave, "master": loop(latencies=9), "record": recorder}
-    text = "\n".join(summaries.lines(whole))
+    text = "\n".join(summaries.format_summary(whole))
     for words in (
         "received 999, lost 7, rejected 3",
         f"1 fault, last: {Reason.RIG_FAULT.text}",
@@ -77,15 +77,17 @@ def ended_in(fault):
 
 def test_a_session_that_was_never_usable_or_ended_in_a_fault_is_told_from_a_good_one():
     never = loop() | {"ticks_in": dict.fromkeys(("ready", "engaged", "fault"), 0) | {"off": 9}}
-    assert summaries.trouble({"slave": loop(), "master": loop()}) == ""
-    assert summaries.trouble({"slave": loop(ticks=0), "master": None}) == ""
-    assert summaries.trouble({"slave": never}) == "the slave was never usable: no calibration"
+    assert summaries.find_fault({"slave": loop(), "master": loop()}) == ""
+    assert summaries.find_fault({"slave": loop(ticks=0), "master": None}) == ""
+    assert summaries.find_fault({"slave": never}) == "the slave was never usable: no calibration"
     afar = ended_in(Reason.PEER_FAULT.text)
     broken = ended_in("a tendon is broken: joint 1, tendon a")
     said = "ended the session: a tendon is broken: joint 1, tendon a"
-    assert summaries.trouble({"slave": broken, "master": afar}) == f"a fault of the slave {said}"
-    assert summaries.trouble({"slave": afar, "master": broken}) == f"a fault of the master {said}"
-    assert Reason.PEER_FAULT.text in summaries.trouble({"slave": loop(), "master": afar})
+    assert summaries.find_fault({"slave": broken, "master": afar}) == f"a fault of the slave {said}"
+    assert (
+        summaries.find_fault({"slave": afar, "master": broken}) == f"a fault of the master {said}"
+    )
+    assert Reason.PEER_FAULT.text in summaries.find_fault({"slave": loop(), "master": afar})
 
 
 def test_of_a_tip_that_nothing_pulled_there_is_no_percentage():
@@ -93,54 +95,54 @@ def test_of_a_tip_that_nothing_pulled_there_is_no_percentage():
         "full_scale_N": 1.1, "rmse_N": 0.13, "mean_N": 0.1, "max_N": 0.6, "inside_interval": 1.0,
         "rmse_percent": 11.6, "mean_percent": 9.0, "max_percent": 55.0, "pulled": False,
     }  # fmt: skip
-    line = summaries.force_line(error)
+    line = summaries.format_force_error(error)
     assert "nothing was pulled: largest true force 1.1 N" in line
     assert "max 0.600 N" in line
     assert "55" not in line
-    assert "max 0.600 N (55.0 %) of 1.1 N" in summaries.force_line(error | {"pulled": True})
+    assert "max 0.600 N (55.0 %) of 1.1 N" in summaries.format_force_error(error | {"pulled": True})
 
 
 def test_a_killed_side_is_named_and_one_that_never_ran_is_not():
-    assert summaries.lines({"slave": loop(), "master": None})[-2:] == [
+    assert summaries.format_summary({"slave": loop(), "master": None})[-2:] == [
         "master    left no summary (killed?)",
         "force     no distal tension measured to compare the estimate with",
     ]
-    assert summaries.lines({}) == []
-    assert summaries.lines({"slave": loop(ticks=0), "master": loop(ticks=0)}) == []
+    assert summaries.format_summary({}) == []
+    assert summaries.format_summary({"slave": loop(ticks=0), "master": loop(ticks=0)}) == []
 
 
 def test_the_status_of_a_session_grows_with_what_is_known():
-    assert status_text({}, None).plain == "waiting for the master │ slave starting"
-    assert status_text({}, None, insecure=True).plain.startswith("INSECURE │ waiting")
+    assert format_status({}, None).plain == "waiting for the master │ slave starting"
+    assert format_status({}, None, insecure=True).plain.startswith("INSECURE │ waiting")
     reports = {
         Role.MASTER: LoopReport(state=State.ENGAGED, rate_hz=999.6, latency_p50_ns=2_000_000),
         Role.SLAVE: LoopReport(rate_hz=1000, lost=2, rejected=1),
     }
-    state = SlaveState(joints=2, force=padded((1.0, -2.5), 8))
-    text = status_text(reports, state).plain
+    state = SlaveState(joints=2, force=pad_values((1.0, -2.5), 8))
+    text = format_status(reports, state).plain
     for words in ("ENGAGED", "force 1.0 -2.5 N", "1000 / 1000 Hz", "latency 2.00 ms", "lost 3"):
         assert words in text
     latency = Latency(answered=5, p50_ns=(0, 0, 0, 0, 380_000), p99_ns=(0, 0, 0, 0, 500_000))
-    assert "latency 0.38 ms (99 %: 0.50)" in status_text(reports, state, latency).plain
+    assert "latency 0.38 ms (99 %: 0.50)" in format_status(reports, state, latency).plain
     # none was answered in its own tick: what there is, is the round trip
-    assert "latency 2.00 ms" in status_text(reports, None, Latency()).plain
+    assert "latency 2.00 ms" in format_status(reports, None, Latency()).plain
 
 
 def test_the_status_shows_a_recorder_that_is_behind_and_a_link_beyond_its_bound():
-    hearing = watch.Hearing()
+    hearing = watch.SessionMonitor()
     report = LinkReport(
         role=Role.MASTER, round_trip_ns=5_200_000, jitter_ns=300_000, loss=0.31, scale=0.6,
         reason=Reason.LINK_LOSS,
     )  # fmt: skip
     hearing.take([heard(LINK, report)])
-    text = status_text({}, None, None, "recorder 0.4 s behind", hearing.links).plain
+    text = format_status({}, None, None, "recorder 0.4 s behind", hearing.links).plain
     assert "link 5.2 +- 0.3 ms, loss 31.0 %: loss of the link beyond its bound, scaled to 60 %" in (
         text
     )
     assert text.endswith("recorder 0.4 s behind")
     held = LinkReport(role=Role.SLAVE, reason=Reason.LINK_SLOW, holds=1)
-    assert ", held" in status_text({}, None, None, "", {Role.SLAVE: held}).plain
-    assert "link" not in status_text({}, None, None, "", {Role.SLAVE: LinkReport()}).plain
+    assert ", held" in format_status({}, None, None, "", {Role.SLAVE: held}).plain
+    assert "link" not in format_status({}, None, None, "", {Role.SLAVE: LinkReport()}).plain
 
 
 def test_the_summary_tells_of_the_link():
@@ -149,28 +151,28 @@ def test_the_summary_tells_of_the_link():
         "round_trip_ms": figures, "jitter_ms": figures, "offset_ms": 7.0, "uncertainty_ms": 0.5,
         "loss": 0.01, "scaled_s": 2.0, "held_s": 0.0,
     }  # fmt: skip
-    told = loop_lines(loop() | {"link": link})
+    told = format_loop(loop() | {"link": link})
     assert "round trip p50 1.00 p99 2.00 ms" in told[-2]
     assert "offset of the peer's clock 7.000 +- 0.500 ms" in told[-2]
     assert "because of the link scaled down for 2.0 s" in told[-1]
     unmeasured = link | {"round_trip_ms": {"n": 0}}
-    assert loop_lines(loop() | {"link": unmeasured}) == loop_lines(loop())
+    assert format_loop(loop() | {"link": unmeasured}) == format_loop(loop())
 
 
 def test_the_summary_shows_where_the_time_from_hand_to_force_went():
     meter = StageMeter()
     for _ in range(10):
         meter.add((20_000, 210_000, 100_000, 50_000, 380_000))
-    told = loop_lines(loop() | {"stages_us": meter.summary()})
+    told = format_loop(loop() | {"stages_us": meter.summary()})
     assert told[-1] == (
         "latency   hand to force p50 0.38 p99 0.38 p99.9 0.38 max 0.38 ms: "
         "read 0.02, link 0.21, slave 0.10, render 0.05 (10 commands answered in their own tick)"
     )
-    assert loop_lines(loop() | {"stages_us": StageMeter().summary()}) == loop_lines(loop())
+    assert format_loop(loop() | {"stages_us": StageMeter().summary()}) == format_loop(loop())
 
 
 def test_a_latency_that_is_heard_is_kept():
-    hearing = watch.Hearing()
+    hearing = watch.SessionMonitor()
     assert hearing.take([heard(LATENCY, Latency(answered=3))]) == []
     assert hearing.latency.answered == 3
 
@@ -226,7 +228,7 @@ def test_the_summary_is_a_table_in_a_terminal_and_plain_lines_in_a_pipe():
     terminal.isatty = lambda: True
     console_on(plain).summarise(summary)
     console_on(terminal).summarise(summary)
-    assert plain.getvalue().splitlines() == summaries.lines(summary)
+    assert plain.getvalue().splitlines() == summaries.format_summary(summary)
     for words in ("overruns", "last fault", Reason.RIG_FAULT.text, "command to force"):
         assert words in terminal.getvalue()
     assert "received 999" not in terminal.getvalue()  # once is enough
@@ -240,17 +242,17 @@ def heard(topic, message):
 
 
 def event(role, state, text):
-    return heard(EVENT, Event(role=role, state=state, text=text_bytes(text)))
+    return heard(EVENT, Event(role=role, state=state, text=encode_text(text)))
 
 
 def test_events_become_lines_of_their_source():
-    hearing = watch.Hearing()
+    hearing = watch.SessionMonitor()
     events = [event(Role.SLAVE, State.OFF, "off"), event(Role.MASTER, State.READY, "ready")]
     assert hearing.take(events) == [("slave", "off"), ("master", "ready")]
 
 
 def test_what_is_not_understood_neither_steers_the_terminal_nor_ends_the_session():
-    hearing = watch.Hearing()
+    hearing = watch.SessionMonitor()
     (line,) = hearing.take([event(9, State.READY, "a\x1b[2Jb\nc\u202ed\x00e")])
     assert line == ("role_9", "a [2Jb c d e")
     assert hearing.take([heard(REPORT, LoopReport(role=9))]) == []
@@ -258,7 +260,7 @@ def test_what_is_not_understood_neither_steers_the_terminal_nor_ends_the_session
 
 
 def test_a_session_runs_when_both_loops_have_reported():
-    hearing = watch.Hearing()
+    hearing = watch.SessionMonitor()
     for role, running in ((Role.SLAVE, False), (Role.SLAVE, False), (Role.MASTER, True)):
         hearing.take([heard(REPORT, LoopReport(role=role))])
         assert hearing.running == running
@@ -286,7 +288,7 @@ COMPLAIN = "print('teleop: no room'); raise SystemExit({})"
 
 def ended(family, name, code):
     family.start(name, [code])
-    assert wait_for(lambda: family.children[name].exit_code is not None, 20.0)
+    assert wait_for_condition(lambda: family.children[name].exit_code is not None, 20.0)
 
 
 @pytest.mark.parametrize("name", ["view", "record"])
@@ -308,14 +310,14 @@ ANNOUNCE = "print('Web view: http://127.0.0.1:1/', flush=True)\nprint(chr(6), fl
     [("raise SystemExit(1)", "ended with exit code 1"), ("__import__('signal').pause()", "hung")],
 )
 def test_a_view_that_worked_is_started_again_in_one_line(family, monkeypatch, then, why):
-    monkeypatch.setattr("teleop.launch.supervisor._HUNG_S", 1.0)
+    monkeypatch.setattr("teleop.launch.supervisor._HEARTBEAT_TIMEOUT_S", 1.0)
     first = family.start("view", [ANNOUNCE + then])
 
     def again():
         assert family.casualty() is None
         return any("started again" in line for _, line in family.said)
 
-    assert wait_for(again, 30.0)
+    assert wait_for_condition(again, 30.0)
     assert family.children["view"].process.pid != first.process.pid
     assert family.children["view"].arguments == first.arguments
     (_, announced), (who, line) = family.said[:2]
@@ -327,7 +329,7 @@ def test_a_view_that_worked_is_started_again_in_one_line(family, monkeypatch, th
 
 def test_a_window_that_was_closed_stays_closed(family):
     ended(family, "view", ANNOUNCE)
-    assert wait_for(lambda: family.casualty() is None and len(family.said) == 2, 20.0)
+    assert wait_for_condition(lambda: family.casualty() is None and len(family.said) == 2, 20.0)
     time.sleep(0.2)
     assert family.casualty() is None
     assert [line for _, line in family.said if "started again" in line] == []
@@ -344,15 +346,15 @@ def test_a_vital_child_or_a_wrong_option_ends_the_session(family, name, code):
 def test_children_are_ended_in_order_and_know_their_launcher(family):
     code = (
         "import os, signal, sys\n"
-        f"assert os.environ['{process.SUPERVISED}'] == str(os.getppid())\n"
+        f"assert os.environ['{process.SUPERVISED_VARIABLE}'] == str(os.getppid())\n"
         "signal.signal(signal.SIGTERM, lambda *_: sys.exit('bye'))\n"
         "print('here', flush=True)\n"
         "signal.pause()\n"
     )
     for name in ("record", "slave", "master"):
         family.start(name, [code])
-    assert wait_for(lambda: len(family.said) == 3, 20.0)
-    family.stop(command.ENDING)
+    assert wait_for_condition(lambda: len(family.said) == 3, 20.0)
+    family.stop(command.SHUTDOWN_ORDER)
     assert family.said[3:] == [("master", "bye"), ("slave", "bye"), ("record", "bye")]
 
 
@@ -373,9 +375,9 @@ SAY_AND_END = (
 def test_a_child_that_still_speaks_is_given_time_and_a_silent_one_is_killed(
     family, monkeypatch, after, killed
 ):
-    monkeypatch.setattr("teleop.launch.supervisor._PATIENCE_S", 1.0)
+    monkeypatch.setattr("teleop.launch.supervisor._EXIT_TIMEOUT_S", 1.0)
     child = family.start("slave", [SAY_AND_END.format(10, after)])
-    assert wait_for(lambda: family.said == [("slave", "here")], 20.0)
+    assert wait_for_condition(lambda: family.said == [("slave", "here")], 20.0)
     family.stop(["slave"])
     assert family.said.count(("slave", "lowering the tensions")) == 10
     assert (child.exit_code != 0) == killed
@@ -383,9 +385,9 @@ def test_a_child_that_still_speaks_is_given_time_and_a_silent_one_is_killed(
 
 
 def test_a_child_that_only_speaks_is_killed_in_the_end(family, monkeypatch):
-    monkeypatch.setattr("teleop.launch.supervisor._LONGEST_S", 1.0)
+    monkeypatch.setattr("teleop.launch.supervisor._EXIT_TIMEOUT_MAX_S", 1.0)
     family.start("slave", [SAY_AND_END.format(1000, "pass")])
-    assert wait_for(lambda: family.said == [("slave", "here")], 20.0)
+    assert wait_for_condition(lambda: family.said == [("slave", "here")], 20.0)
     family.stop(["slave"])
     assert any("was killed" in line for _, line in family.said)
 
@@ -418,8 +420,8 @@ def test_what_a_slave_says_while_it_starts_is_passed_on_and_counts_as_life(famil
     stream = io.StringIO()
     child = family.start("slave", ["import signal; signal.pause()"])
     monkeypatch.setattr(watch, "START_S", 600.0)
-    waiting = (Mute(), Mute(), watch.Hearing(), family, console_on(stream))
-    keyboard = watch.Keyboard(Keys(), Mute())
+    waiting = (Mute(), Mute(), watch.SessionMonitor(), family, console_on(stream))
+    keyboard = watch.Keyboard(KeyReader(), Mute())
     assert watch.wait_for_slave(*waiting, StopAt(2), keyboard) is None
     assert stream.getvalue() == "12:34:56.7 [slave] off: calibrating\n"
     child.heard_s -= 300.0
@@ -539,10 +541,10 @@ def scene(monkeypatch, tmp_path):
     scene = Scene()
     monkeypatch.setattr(command, "Link", lambda *_: scene)
     monkeypatch.setattr(command, "Supervisor", lambda *_: scene)
-    monkeypatch.setattr(command, "Stop", NeverStop)
+    monkeypatch.setattr(command, "StopCondition", NeverStop)
     monkeypatch.setattr(command.watch, "wait_for_slave", lambda *_: scene.log.append("wait"))
     monkeypatch.setattr(command.watch, "watch", lambda *_: scene.log.append("watch"))
-    monkeypatch.setattr(command, "_summary", lambda *_: {"reason": "", "exit_code": 0})
+    monkeypatch.setattr(command, "_combine_summaries", lambda *_: {"reason": "", "exit_code": 0})
     return scene
 
 
@@ -578,6 +580,6 @@ def test_a_wrong_option_is_found_before_anything_else(scene, option, capsys):
 
 def test_an_interrupted_start_says_nothing(capsys, tmp_path):
     summary = {"slave": loop(ticks=0), "reason": "SIGINT", "exit_code": 0}
-    assert command._conclude(summary, tmp_path / "run.json") == 130
+    assert command._report_outcome(summary, tmp_path / "run.json") == 130
     assert capsys.readouterr().out == ""
     assert json.loads((tmp_path / "run.json").read_text())["reason"] == "SIGINT"

@@ -1,7 +1,15 @@
 import numpy as np
 import pytest
 
-from teleop.cli.motion import MOTIONS, Keep, MotionSample, MotionState, Scale, Sine, Turns
+from teleop.cli.motion import (
+    MOTIONS,
+    MotionSample,
+    MotionScale,
+    MotionState,
+    Sine,
+    TensionHold,
+    Turns,
+)
 
 
 def swings(motion, stiffness, seconds=60.0, dt=0.001):
@@ -22,14 +30,14 @@ def test_turns_reach_each_level_in_order_at_constant_speed():
 
 
 def test_the_papers_motion_turns_at_a_quarter_of_the_peak():
-    motion = MOTIONS["pull-release-pull"](Scale(peak=20.0, speed=0.004))
+    motion = MOTIONS["pull-release-pull"](MotionScale(peak=20.0, speed=0.004))
     _, position, force = swings(motion, 2000.0)
     turning = np.flatnonzero(np.diff(np.sign(np.diff(position)))) + 1
     assert force[turning[:4]] == pytest.approx([20, 5, 20, 5], abs=0.02)
 
 
 def test_nested_swings_shrink_and_start_again():
-    motion = MOTIONS["nested"](Scale(peak=20.0, speed=0.004))
+    motion = MOTIONS["nested"](MotionScale(peak=20.0, speed=0.004))
     _, position, force = swings(motion, 2000.0)
     levels = force[np.flatnonzero(np.diff(np.sign(np.diff(position)))) + 1]
     assert np.all(np.diff(np.abs(np.diff(levels[:6]))) < 0)
@@ -49,7 +57,9 @@ def test_keep_comes_to_its_tension_from_either_side_and_stays_within_its_speed()
         memory, target, forces, speeds = MotionState(target=offset), offset, [], []
         for k in range(2000):
             forces.append(max(0.0, 1000.0 * target))
-            new, memory = Keep(0.5, 0.04).step(memory, MotionSample(k * 1e-3, forces[-1], 1e-3))
+            new, memory = TensionHold(0.5, 0.04).step(
+                memory, MotionSample(k * 1e-3, forces[-1], 1e-3)
+            )
             speeds.append(abs(new - target) / 1e-3)
             target = new
         assert forces[-1] == pytest.approx(0.5, abs=0.11)

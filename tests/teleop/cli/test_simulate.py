@@ -7,7 +7,7 @@ from slave.rigs.simulated.plant.sensors import EncoderConfig, LoadCellConfig
 from slave.rigs.simulated.simulated import JointConfig, SimulatedRigConfig, TendonPlantConfig
 from teleop.cli import simulate
 from teleop.cli.commands import Parser
-from teleop.cli.motion import MOTIONS, Scale
+from teleop.cli.motion import MOTIONS, MotionScale
 from teleop.data.table import Columns, read_table, read_tables
 from teleop.errors import UsageError
 
@@ -61,7 +61,7 @@ QUIET = TendonPlantConfig(load_cell=LoadCellConfig(0.0, 0.0), encoder=EncoderCon
 
 def test_without_noise_the_sensors_tell_what_the_plant_does():
     joint = JointConfig((QUIET,))
-    motion = MOTIONS["sine"](Scale(stroke=0.008, period=2.0))
+    motion = MOTIONS["sine"](MotionScale(stroke=0.008, period=2.0))
     result = simulate.simulate(SimulatedRigConfig(joints=(joint,) * 2), motion, 2.0, 1000.0)
     assert result.proximal_tension.shape == (2001, 2)
     assert np.array_equal(result.proximal_tension[:, 0], result.proximal_tension[:, 1])
@@ -73,7 +73,7 @@ def test_without_noise_the_sensors_tell_what_the_plant_does():
 
 def test_fewer_rows_are_rows_of_the_same_run():
     config = SimulatedRigConfig(joints=(JointConfig((QUIET,)),))
-    motion = MOTIONS["pull-release-pull"](Scale())
+    motion = MOTIONS["pull-release-pull"](MotionScale())
     every = simulate.simulate(config, motion, 1.0, 1000.0)
     some = simulate.simulate(config, motion, 1.0, 50.0)
     assert np.array_equal(some.proximal_tension, every.proximal_tension[::20])
@@ -85,7 +85,7 @@ def test_in_a_pair_one_tendon_makes_the_motion_and_the_other_follows_without_goi
 ):
     wall = WallConfig(position=0.008 if side == "a" else -0.008, side=side)
     config = SimulatedRigConfig(joints=(JointConfig((TendonPlantConfig(),) * 2, environment=wall),))
-    motion = MOTIONS["pull-release-pull"](Scale())
+    motion = MOTIONS["pull-release-pull"](MotionScale())
     run = simulate.simulate(config, motion, 8.0, 1000.0, side=side, keep=0.5)
     pulled = run.proximal_tension[:, 1 - other]
     assert pulled.max() == pytest.approx(20.0, abs=0.3)
@@ -126,7 +126,7 @@ def test_it_says_which_effects_were_on(tmp_path, capsys):
 def test_samples_that_are_lost_are_missing_rows(tmp_path):
     lost = LostSamples(share=0.3)
     config = SimulatedRigConfig(joints=(JointConfig((QUIET,)),), effects=(lost,))
-    motion = MOTIONS["sine"](Scale())
+    motion = MOTIONS["sine"](MotionScale())
     run = simulate.simulate(config, motion, 1.0, 1000.0)
     assert 550 < len(run.time) < 850
     assert np.all(np.diff(run.time) > 0)

@@ -25,8 +25,8 @@ from slave.loop_records import TickInput
 from slave.rig import RigSample
 from slave.tendon_config import TendonConfig
 from teleop.coupling import Bilateral, DirectConfig, PassivityConfig, WaveConfig
-from teleop.link import NEVER_NS, Latest
-from teleop.messages.messages import MAX_JOINTS, Command, SlaveState, Wire
+from teleop.link import NEVER_NS, LatestMessage
+from teleop.messages.messages import MAX_JOINTS, Command, SlaveState, WireType
 from teleop.messages.topics import COMMAND, STATE
 from teleop.session.state_machine import State
 from tests.anything import CASES, Anything
@@ -46,7 +46,7 @@ class Noise:
     def __init__(self, topic, seed):
         self.draw, self.topic = Anything(seed), topic
         self.wires = topic.message.schema.wires
-        self.latest = Latest(topic, lambda _: 1)
+        self.latest = LatestMessage(topic, lambda _: 1)
         self.sequence, self.quiet = 0, 0
 
     def garbage(self, message):
@@ -56,11 +56,11 @@ class Noise:
         changed = {name: self.field(self.wires[name]) for name in chosen}
         return type(message)(**{n: getattr(message, n) for n in names} | changed)
 
-    def field(self, wire: Wire):
+    def field(self, wire: WireType):
         drawn = [self.value(wire) for _ in range(wire.count)]
         return drawn[0] if wire.count == 1 else tuple(drawn)
 
-    def value(self, wire: Wire):
+    def value(self, wire: WireType):
         if wire.code == "d":
             return self.draw.number(-1.0, 1.0)
         if wire.code == "q":
@@ -169,7 +169,7 @@ def test_no_bytes_from_a_master_move_a_motor_beyond_its_limits(coupling):
         displacement_min=-0.002, displacement_max=0.02, speed_max=0.05, tension_max=25.0
     )
     config = SlaveConfig(tendons=(TendonConfig(effective_friction=0.8),), gate=limits)
-    model = slave_loop.rig_model(
+    model = slave_loop.build_rig_model(
         ((0,),), [TendonModel(Sheath.uniform(0.8, 1.5, 9000.0), tension_noise=0.01)]
     )
     bilateral = Bilateral(coupling=coupling)

@@ -133,4 +133,4 @@ def test_sides_that_couple_otherwise_do_not_engage():
     system = Teleoperator(PASSIVITY, Rig(free), slave_bilateral=WAVE)
     run(system, Arm(reaching(0.0, 0.0)), 0.8)
     for side in (system.master, system.slave):
-        assert state_machine.outline(side.session) == (State.READY, Reason.COUPLING_DIFFERS)
+        assert state_machine.to_outline(side.session) == (State.READY, Reason.COUPLING_DIFFERS)

@@ -17,7 +17,9 @@ def pressed(stiffness, noise=0.0, depth=1e-3, seed=0):
     rng, seen = np.random.default_rng(seed), Contact.new()
     for place in np.linspace(0.0, depth, 400):
         tip = place + rng.normal(0.0, noise / 6000.0)
-        contact.observe(seen, tip, 1.0 + stiffness * place + rng.normal(0.0, noise), STIFFEST)
+        contact.update_contact_model(
+            seen, tip, 1.0 + stiffness * place + rng.normal(0.0, noise), STIFFEST
+        )
     return seen
 
 
@@ -30,7 +32,7 @@ def test_the_slope_is_found_in_noise(stiffness):
 def test_a_wall_that_begins_is_found_within_its_first_millimetre():
     seen = pressed(200.0, depth=5e-3)
     for place in np.linspace(5e-3, 6e-3, 100):
-        contact.observe(seen, place, 2.0 + 5000.0 * (place - 5e-3), STIFFEST)
+        contact.update_contact_model(seen, place, 2.0 + 5000.0 * (place - 5e-3), STIFFEST)
     assert seen.stiffness == pytest.approx(5000.0, rel=0.2)
 
 
@@ -38,23 +40,25 @@ def test_a_stop_changes_nothing_however_long_and_noisy():
     seen, rng = pressed(3000.0), np.random.default_rng(1)
     before = seen.stiffness
     for _ in range(10000):
-        contact.observe(seen, 1e-3 + rng.normal(0.0, 3e-6), 4.0 + rng.normal(0.0, 0.02), STIFFEST)
+        contact.update_contact_model(
+            seen, 1e-3 + rng.normal(0.0, 3e-6), 4.0 + rng.normal(0.0, 0.02), STIFFEST
+        )
     assert seen.stiffness == pytest.approx(before, rel=0.05)
 
 
 def test_the_force_is_that_of_the_hands_place():
     """A hand 0.2 mm deeper than the tip that was heard of, and going deeper."""
     seen = pressed(3000.0)
-    contact.predict(seen, 4.0, 1e-3, 0.02, STIFFEST, DT)
-    force = contact.predict(seen, 4.0, 1.2e-3, 0.02, STIFFEST, DT)
+    contact.predict_force(seen, 4.0, 1e-3, 0.02, STIFFEST, DT)
+    force = contact.predict_force(seen, 4.0, 1.2e-3, 0.02, STIFFEST, DT)
     assert force == pytest.approx(4.0 + 3000.0 * 0.2e-3, rel=0.02)
 
 
 def test_a_constant_distance_fades():
     seen = pressed(3000.0)
-    contact.predict(seen, 4.0, 1e-3, 0.02, STIFFEST, DT)
+    contact.predict_force(seen, 4.0, 1e-3, 0.02, STIFFEST, DT)
     for _ in range(2000):
-        force = contact.predict(seen, 4.0, 1.2e-3, 0.02, STIFFEST, DT)
+        force = contact.predict_force(seen, 4.0, 1.2e-3, 0.02, STIFFEST, DT)
     assert force == pytest.approx(4.0, abs=0.01)
 
 
@@ -69,10 +73,10 @@ SMALL = st.floats(-0.01, 0.01)
 def test_whatever_was_heard_it_resists_the_hand_and_never_turns_the_force_round(tips, hands):
     seen = Contact.new()
     for travel, force in tips:
-        contact.observe(seen, travel, force, STIFFEST)
+        contact.update_contact_model(seen, travel, force, STIFFEST)
     assert 0.0 <= seen.stiffness <= STIFFEST
     for force, place, velocity in hands:
-        added = contact.predict(seen, force, place, velocity, STIFFEST, DT) - force
+        added = contact.predict_force(seen, force, place, velocity, STIFFEST, DT) - force
         assert added * velocity >= 0.0  # a force against pulling is positive, as the motion is
         assert (force + added) * force >= 0.0
 
@@ -80,18 +84,18 @@ def test_whatever_was_heard_it_resists_the_hand_and_never_turns_the_force_round(
 @given(NUMBER, NUMBER)
 def test_what_is_no_number_is_not_learnt(travel, force):
     seen = pressed(3000.0)
-    contact.observe(seen, travel, force, STIFFEST)
+    contact.update_contact_model(seen, travel, force, STIFFEST)
     assert np.isfinite(seen.tolist()).all()
 
 
 def test_no_stiffness_no_prediction():
     seen = pressed(3000.0)
     for place in (1e-3, 1.5e-3):
-        assert contact.predict(seen, 4.0, place, 0.02, 0.0, DT) == 4.0
+        assert contact.predict_force(seen, 4.0, place, 0.02, 0.0, DT) == 4.0
 
 
 def test_another_tip_is_another_contact():
     seen = pressed(3000.0)
-    contact.forget(seen)
+    contact.reset_contact(seen)
     assert seen.stiffness == 0.0
-    assert contact.predict(seen, 4.0, 0.1, 0.02, STIFFEST, DT) == 4.0
+    assert contact.predict_force(seen, 4.0, 0.1, 0.02, STIFFEST, DT) == 4.0

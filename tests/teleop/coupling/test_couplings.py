@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from estimator.compiled import compiled
-from estimator.records import U64, Field, Record, one
+from estimator.compiled import jit_compile
+from estimator.records import U64, Field, Struct, view_struct
 from teleop import coupling
 from teleop.coupling import (
     Bilateral,
@@ -20,7 +20,7 @@ from teleop.coupling import (
     PassivityConfig,
     Side,
     WaveConfig,
-    bilateral_settings,
+    to_bilateral_settings,
 )
 from teleop.coupling.config import KINDS
 from teleop.messages.messages import MAX_JOINTS
@@ -38,7 +38,7 @@ OLDEST = 30  # ticks
 
 
 def record_of(config):
-    return one(bilateral_settings(Bilateral(coupling=config)))
+    return view_struct(to_bilateral_settings(Bilateral(coupling=config)))
 
 
 def joints(*values):
@@ -57,21 +57,21 @@ def told(side):
 def at_hand(rules, side, place, speed, written, force, coupled=True, axes=1):
     """Both phases of the master, at one joint or more: the forces that the hand feels."""
     inputs = [joints(*np.atleast_1d(value)) for value in (place, speed, written, force)]
-    coupling.count_hand(rules, side, *inputs[:3], axes, LEVER, coupled, DT)
+    coupling.count_hand_work(rules, side, *inputs[:3], axes, LEVER, coupled, DT)
     rendered = joints()
-    coupling.render(rules, side, inputs[3], axes, rendered)
+    coupling.render_force(rules, side, inputs[3], axes, rendered)
     return rendered[0] if axes == 1 else rendered[:axes]
 
 
 def at_tip(rules, side, requested, speed, force, coupled=True):
     """Where a single tip shall be, and how fast it goes."""
     place, velocity = joints(requested), joints(speed)
-    coupling.at_tip(rules, side, place, velocity, joints(force), 1, coupled, DT)
+    coupling.compute_tip_motion(rules, side, place, velocity, joints(force), 1, coupled, DT)
     return place[0], velocity[0]
 
 
 def copy_of(side):
-    return one(np.array([side.tolist()], Side.dtype))
+    return view_struct(np.array([side.tolist()], Side.dtype))
 
 
 def ticks(most):
@@ -95,7 +95,7 @@ class CentreLine:
 
     def receive(self, tick, side, sender):
         for energy, wave in self._told.pop(tick, ()):
-            coupling.receive(side, sender, energy, wave)
+            coupling.receive_totals(side, sender, energy, wave)
 
 
 def session(config, turns, forces, shares, there, back, count=100, rested=()):
@@ -233,11 +233,13 @@ def test_what_is_told_is_known_before_the_force(config):
     *_, (side, _) = session(config, [1e-5, -3e-5], [9.0, -5.0], [1.0], [[3]], [[5]])
     rules = record_of(config)
     before = [values.tolist() for values in told(side)]
-    coupling.count_hand(rules, side, joints(0.02), joints(5.0), joints(9.0), 1, LEVER, True, DT)
+    coupling.count_hand_work(
+        rules, side, joints(0.02), joints(5.0), joints(9.0), 1, LEVER, True, DT
+    )
     counted = [values.tolist() for values in told(side)]
     assert counted != before
     for force in (0.0, 7.0, -7.0, 1e6):
-        coupling.render(rules, side, joints(force), 1, joints())
+        coupling.render_force(rules, side, joints(force), 1, joints())
         assert [values.tolist() for values in told(side)] == counted
 
 
@@ -246,12 +248,14 @@ def test_what_is_heard_between_the_two_phases_counts_in_the_second(config):
     """A hand that yields to 9 N, of which little is affordable until more is heard."""
     rules, side = record_of(config), Side.new()
     at_hand(rules, side, 0.0, -0.05, 0.0, 9.0)
-    coupling.receive(side, 7, joints(0.0), joints(0.0))
-    coupling.count_hand(rules, side, joints(-5e-5), joints(-0.05), joints(0), 1, LEVER, True, DT)
+    coupling.receive_totals(side, 7, joints(0.0), joints(0.0))
+    coupling.count_hand_work(
+        rules, side, joints(-5e-5), joints(-0.05), joints(0), 1, LEVER, True, DT
+    )
     deaf, before, after = copy_of(side), joints(), joints()
-    coupling.render(rules, deaf, joints(9.0), 1, before)
-    coupling.receive(side, 7, joints(1e-3), joints(-1e-4))
-    coupling.render(rules, side, joints(9.0), 1, after)
+    coupling.render_force(rules, deaf, joints(9.0), 1, before)
+    coupling.receive_totals(side, 7, joints(1e-3), joints(-1e-4))
+    coupling.render_force(rules, side, joints(9.0), 1, after)
     assert before[0] < after[0] <= 9.0
 
 
@@ -268,7 +272,9 @@ def test_one_joint_never_leaks_into_another(config, coupled):
         on = coupled and tick != 30
         felt = at_hand(rules, together[0], place, speed, 0.8 * force, force, on, axes=3)
         requested, velocity = joints(*place), joints(*speed)
-        coupling.at_tip(rules, together[1], requested, velocity, joints(*force), 3, on, DT)
+        coupling.compute_tip_motion(
+            rules, together[1], requested, velocity, joints(*force), 3, on, DT
+        )
         for k, (master, slave) in enumerate(alone):
             mine = place[k], speed[k]
             assert at_hand(rules, master, *mine, 0.8 * force[k], force[k], on) == felt[k]
@@ -304,10 +310,10 @@ def test_the_signature_tells_any_two_choices_apart():
     assert not choices[0].differs(choices[0].signature)
     assert not choices[0].differs(0)
     for choice in choices:
-        rules = one(bilateral_settings(choice))
+        rules = view_struct(to_bilateral_settings(choice))
         assert rules.signature == choice.signature
         for number in (0, 1, 2**32 - 1, *(other.signature for other in choices)):
-            assert coupling.differs(rules, number) == choice.differs(number)
+            assert coupling.has_settings_mismatch(rules, number) == choice.differs(number)
 
 
 def test_every_coupling_of_the_config_is_there():
@@ -371,7 +377,7 @@ def test_bad_values_are_refused(kind):
 def test_a_side_that_was_started_anew_is_counted_from_its_first_word():
     side = Side.new()
     for sender, energy in ((7, 5.0), (7, 6.0), (8, 3.0), (8, 3.5), (8, 3.2), (7, 9.0)):
-        coupling.receive(side, sender, np.full(MAX_JOINTS, energy), joints())
+        coupling.receive_totals(side, sender, np.full(MAX_JOINTS, energy), joints())
     assert side.ports[0].received == pytest.approx(1.5)
     assert side.ports[0].credit == pytest.approx(1.5)
 
@@ -380,40 +386,42 @@ def test_nonces_that_differ_in_their_lowest_bit_are_told_apart():
     """Above 2^53 a number that went through a double would not be."""
     side = Side.new()
     for sender, energy in ((2**64 - 1, 5.0), (2**64 - 2, 3.0), (2**64 - 2, 3.5)):
-        coupling.receive(side, np.uint64(sender), np.full(MAX_JOINTS, energy), joints())
+        coupling.receive_totals(side, np.uint64(sender), np.full(MAX_JOINTS, energy), joints())
     assert side.ports[0].received == pytest.approx(0.5)
     assert side.sender == 2**64 - 2
 
 
-class ReceivedMessage(Record):
+class ReceivedMessage(Struct):
     sender: U64
     energy: Annotated[np.ndarray, Field("f8", MAX_JOINTS)]
     wave: Annotated[np.ndarray, Field("f8", MAX_JOINTS)]
 
 
-class Memory(Record):
+class Memory(Struct):
     received: ReceivedMessage
     near: Side
     far: Side
     rules: BilateralSettings
 
 
-@compiled
+@jit_compile
 def tick_of_memory(memories, place, speed, force):
     """As a compiled tick has them: everything within one record, arrays of it too."""
     memory = memories[0]
     for side in (memory.near, memory.far):
-        coupling.receive(side, memory.received.sender, memory.received.energy, memory.received.wave)
-    coupling.count_hand(memory.rules, memory.near, place, speed, force, 1, LEVER, True, DT)
-    coupling.render(memory.rules, memory.near, force, 1, force)
-    coupling.at_tip(memory.rules, memory.far, place, speed, force, 1, True, DT)
-    return coupling.differs(memory.rules, memory.near.sender)
+        coupling.receive_totals(
+            side, memory.received.sender, memory.received.energy, memory.received.wave
+        )
+    coupling.count_hand_work(memory.rules, memory.near, place, speed, force, 1, LEVER, True, DT)
+    coupling.render_force(memory.rules, memory.near, force, 1, force)
+    coupling.compute_tip_motion(memory.rules, memory.far, place, speed, force, 1, True, DT)
+    return coupling.has_settings_mismatch(memory.rules, memory.near.sender)
 
 
 @pytest.mark.parametrize("config", [*ROBUST, DirectConfig()], ids=lambda c: f"{c.type}")
 def test_within_a_larger_record_a_side_is_the_same(config):
     rules, memories = record_of(config), Memory.array()
-    memories["rules"] = bilateral_settings(Bilateral(coupling=config))
+    memories["rules"] = to_bilateral_settings(Bilateral(coupling=config))
     near, far = Side.new(), Side.new()
     for tick in range(20):
         place, speed, force = 3e-5 * tick, 0.03, 9.0 * (-1.0) ** tick
@@ -423,7 +431,7 @@ def test_within_a_larger_record_a_side_is_the_same(config):
         arrays = joints(place), joints(speed), joints(force)
         tick_of_memory(memories, *arrays)
         for side in (near, far):
-            coupling.receive(side, np.uint64(2**64 - 1), energy, wave)
+            coupling.receive_totals(side, np.uint64(2**64 - 1), energy, wave)
         felt = at_hand(rules, near, place, speed, force, force)
         gone, went = at_tip(rules, far, place, speed, felt)
         assert (arrays[0][0], arrays[1][0], arrays[2][0]) == (gone, went, felt)

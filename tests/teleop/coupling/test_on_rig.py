@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from slave import loop as slave_loop
-from slave.config import SlaveConfig, tendon_configs
+from slave.config import SlaveConfig, load_tendon_configs
 from slave.gate import GateConfig
 from slave.rigs.simulated.plant.environment import WallConfig
 from slave.rigs.simulated.simulated import SimulatedRig, SimulatedRigConfig
@@ -21,8 +21,8 @@ class OnRig:
     def __init__(self, config):
         self._rig = SimulatedRig(config.rig)
         self.time, self.tip, self.wanted = 0.0, 0.0, None
-        self.model = slave_loop.rig_model(
-            self._rig.joints, [t.model() for t in tendon_configs(config, self._rig.tendons)]
+        self.model = slave_loop.build_rig_model(
+            self._rig.joints, [t.model() for t in load_tendon_configs(config, self._rig.tendons)]
         )
         self._last = self._rig.read(0.0)
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from estimator.units import FORCE, LINEAR, ROTARY
-from teleop.cli.diagnose.channel_options import channel_columns
+from teleop.cli.diagnose.channel_options import parse_column_options
 from teleop.cli.diagnose.noise_option import parse_noise
 from teleop.data.table import Columns, read_table, write_table
 from teleop.errors import UsageError
@@ -98,15 +98,15 @@ def test_degrees_and_newton_millimetres_are_noticed(path):
 
 def test_own_names_tell_the_units_by_the_channels_name(path):
     written(path, "tau_Nm", "phi")
-    named = channel_columns(["proximal_torque=tau_Nm", "proximal_angle=phi"])
+    named = parse_column_options(["proximal_torque=tau_Nm", "proximal_angle=phi"])
     table = read_table(path, named.names, diagnosed=True, units=named.units)
     assert table.units == ROTARY
-    named = channel_columns(["proximal_tension=tau_Nm"])
+    named = parse_column_options(["proximal_tension=tau_Nm"])
     assert "--column proximal_torque=tau_Nm" in refusal(
         path, columns=named.names, diagnosed=True, units=named.units
     )
     with pytest.raises(UsageError, match="as a whole"):
-        channel_columns(["proximal_torque=a", "distal_tension=b"])
+        parse_column_options(["proximal_torque=a", "distal_tension=b"])
 
 
 def test_noise_is_given_by_either_name():
@@ -194,7 +194,7 @@ def test_an_unknown_unit_is_refused_with_the_known_ones_and_the_option(path, cha
     assert said in message
     option = message.rpartition("--column ")[2].strip("'")
     assert option.startswith(f"{channel}={name}[")
-    named = channel_columns([option])  # as the message says
+    named = parse_column_options([option])  # as the message says
     assert len(read_table(path, named.names).time) == len(time)
 
 
@@ -213,7 +213,7 @@ def test_an_unknown_unit_is_refused_with_the_known_ones_and_the_option(path, cha
 def test_spellings_of_units_of_torque_and_angle(path, torque, angle, newton_metres, radians):
     _, tension = pull(path)
     pull(path, **{torque: tension, angle: tension})
-    named = channel_columns([f"proximal_torque={torque}", f"proximal_angle={angle}"])
+    named = parse_column_options([f"proximal_torque={torque}", f"proximal_angle={angle}"])
     table = read_table(path, named.names, diagnosed=True, units=named.units)
     np.testing.assert_allclose(table.proximal_tension, newton_metres * tension)
     np.testing.assert_allclose(table.proximal_displacement, radians * tension)
@@ -222,7 +222,7 @@ def test_spellings_of_units_of_torque_and_angle(path, torque, angle, newton_metr
 def test_a_unit_of_the_option_may_be_spelt_with_a_dot(path):
     _, tension = pull(path)
     pull(path, tau=tension)
-    named = channel_columns(["proximal_torque=tau[N·mm]"])
+    named = parse_column_options(["proximal_torque=tau[N·mm]"])
     table = read_table(path, named.names, diagnosed=True, units=named.units)
     np.testing.assert_allclose(table.proximal_tension, 1e-3 * tension)
 
@@ -230,7 +230,7 @@ def test_a_unit_of_the_option_may_be_spelt_with_a_dot(path):
 def test_degrees_of_a_named_angle_are_converted(path):
     _, tension = pull(path)
     pull(path, tau_Nmm=10.0 * tension, phi_deg=tension)
-    named = channel_columns(["proximal_torque=tau_Nmm", "proximal_angle=phi_deg"])
+    named = parse_column_options(["proximal_torque=tau_Nmm", "proximal_angle=phi_deg"])
     table = read_table(path, named.names, diagnosed=True, units=named.units)
     np.testing.assert_allclose(table.proximal_tension, 0.01 * tension)
     np.testing.assert_allclose(table.proximal_displacement, np.radians(tension))

@@ -40,7 +40,7 @@ TEXTS = {
 
 
 def read(path, large, monkeypatch):
-    monkeypatch.setattr(table_files, "LARGE", 0 if large else 1 << 60)
+    monkeypatch.setattr(table_files, "LARGE_FILE_BYTES", 0 if large else 1 << 60)
     try:
         raw = table_files.read_columns(path)
     except UsageError as error:
@@ -63,10 +63,10 @@ def test_both_readers_agree(tmp_path, monkeypatch, kind, packed):
 
 
 def test_it_is_used_and_says_how_far_it_is(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(table_files, "LARGE", 0)
-    monkeypatch.setattr(table_files, "_read_any_csv", lambda _: pytest.fail("read by rows"))
-    monkeypatch.setattr(large_csv, "SHOWN_AFTER_S", -1.0)
-    monkeypatch.setattr(large_csv, "BLOCK", 1 << 12)
+    monkeypatch.setattr(table_files, "LARGE_FILE_BYTES", 0)
+    monkeypatch.setattr(table_files, "_read_csv_by_rows", lambda _: pytest.fail("read by rows"))
+    monkeypatch.setattr(large_csv, "PROGRESS_DELAY_S", -1.0)
+    monkeypatch.setattr(large_csv, "BLOCK_BYTES", 1 << 12)
     numbers = np.arange(20_000.0)
     path = tmp_path / "x.csv"
     table_files.write_columns(path, {"a": numbers, "b": numbers / 7.0})
@@ -77,7 +77,7 @@ def test_it_is_used_and_says_how_far_it_is(tmp_path, monkeypatch, capsys):
 
 @pytest.mark.parametrize("cut", [0.2, 0.9])
 def test_a_cut_off_file_is_not_taken_for_a_shorter_one(tmp_path, monkeypatch, cut):
-    monkeypatch.setattr(table_files, "LARGE", 0)
+    monkeypatch.setattr(table_files, "LARGE_FILE_BYTES", 0)
     text = "a,b\n" + "".join(f"{k},{k / 7}\n" for k in range(9000))
     data = gzip.compress(text.encode())
     path = tmp_path / "x.csv.gz"
@@ -88,12 +88,12 @@ def test_a_cut_off_file_is_not_taken_for_a_shorter_one(tmp_path, monkeypatch, cu
 
 @pytest.mark.parametrize("large", [False, True], ids=["rows", "blocks"])
 def test_equal_cells_of_text_share_their_memory(tmp_path, monkeypatch, large):
-    monkeypatch.setattr(table_files, "LARGE", 0 if large else 1 << 60)
-    monkeypatch.setattr(large_csv, "BLOCK", 1 << 16)
+    monkeypatch.setattr(table_files, "LARGE_FILE_BYTES", 0 if large else 1 << 60)
+    monkeypatch.setattr(large_csv, "BLOCK_BYTES", 1 << 16)
     path = tmp_path / "x.csv"
     words = [("begin of the pull", "end of the pull", "")[k % 3] for k in range(30_000)]
     path.write_text("a,note\n" + "".join(f"{k},{word}\n" for k, word in enumerate(words)))
     notes = table_files.read_columns(path).columns["note"]
     assert notes.tolist() == words
-    blocks = 2 + path.stat().st_size // large_csv.BLOCK
+    blocks = 2 + path.stat().st_size // large_csv.BLOCK_BYTES
     assert len({id(note) for note in notes}) <= 3 * blocks

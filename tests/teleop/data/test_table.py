@@ -12,7 +12,7 @@ from teleop.data import bounds, table_files
 from teleop.data.table import Columns, read_table, read_tables, write_table
 from teleop.errors import UsageError
 from teleop.link import ReceivedMessage
-from teleop.messages.messages import MAX_TENDONS, TendonState, padded
+from teleop.messages.messages import MAX_TENDONS, TendonState, pad_values
 from teleop.messages.topics import TENDONS
 from teleop.recording.config import RecordConfig
 from teleop.recording.writer import RecordingWriter
@@ -110,7 +110,7 @@ def test_a_recording_is_a_table(tmp_path):
         message = TendonState(
             tendons=2,
             time_s=0.1 * k,
-            proximal_tension=padded([tension, 2 * tension], MAX_TENDONS),
+            proximal_tension=pad_values([tension, 2 * tension], MAX_TENDONS),
             proximal_displacement=(0.001 * k, *nothing[1:]),
             bench_distal_tension=nothing,
             bench_distal_displacement=nothing,
@@ -318,7 +318,7 @@ LARGE = {
 def test_text_that_unpacks_without_end_is_refused(
     tmp_path, small, monkeypatch, kind, suffix, large
 ):
-    monkeypatch.setattr(table_files, "LARGE", 0 if large else 1 << 60)
+    monkeypatch.setattr(table_files, "LARGE_FILE_BYTES", 0 if large else 1 << 60)
     if kind == "text":
         monkeypatch.setattr(bounds, "CELLS_MAX", 1 << 40)
     text, said = LARGE[kind]
@@ -353,7 +353,7 @@ def test_a_footer_that_has_no_end_is_not_read(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("blocks", [False, True])
 def test_a_quoted_cell_without_end_is_refused_with_its_line(path, monkeypatch, blocks):
-    monkeypatch.setattr(table_files, "LARGE", 0 if blocks else 1 << 60)
+    monkeypatch.setattr(table_files, "LARGE_FILE_BYTES", 0 if blocks else 1 << 60)
     note = "x" * 200_000  # within a line, beyond a cell
     text = f"time_s,proximal_tension_N,note\n0,1,a\n0.1,2,{note}\n0.2,-9,b\n"
     assert "field larger than" in refusal(path, text)

@@ -5,9 +5,9 @@ from pathlib import Path
 
 from cryptography.hazmat.primitives.serialization import Encoding
 
-from teleop.security.authority import Authority, write, write_key
-from teleop.security.credentials import stem
-from teleop.security.identity import RIGHTS, Identity, Office
+from teleop.security.authority import Authority, write_file, write_key
+from teleop.security.credentials import build_file_stem
+from teleop.security.identity import RIGHTS, CertificateRole, Identity
 
 
 def put(
@@ -20,8 +20,8 @@ def put(
 ) -> Path:
     """Issue a certificate into a folder, under the name of its holder or of another."""
     certificate, key = authority.issue(identity, days, start)
-    path = folder / f"{name or stem(identity.office, identity.session)}.pem"
-    write(path, certificate.public_bytes(Encoding.PEM), 0o644)
+    path = folder / f"{name or build_file_stem(identity.office, identity.session)}.pem"
+    write_file(path, certificate.public_bytes(Encoding.PEM), 0o644)
     write_key(path.with_suffix(".key"), key)
     return path
 
@@ -30,7 +30,7 @@ def make_keys(folder: Path, session: str = "test", authority: Authority | None =
     """A folder of keys of all roles, of an authority of its own unless one is given."""
     authority = authority or Authority.create("test authority", 2)
     authority.publish(folder)
-    for office in Office:
-        rights = RIGHTS if office is Office.SUPERVISOR else ()
+    for office in CertificateRole:
+        rights = RIGHTS if office is CertificateRole.SUPERVISOR else ()
         put(authority, folder, Identity(office, session, rights))
     return folder

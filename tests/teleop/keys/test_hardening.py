@@ -16,14 +16,20 @@ from teleop.messages.messages import LAYOUT
 from teleop.messages.topics import Role
 from teleop.security import CertificateError, credentials
 from teleop.security import authority as authority_module
-from teleop.security.authority import REVOKED, Authority, _certificate, _name, write
+from teleop.security.authority import (
+    REVOKED,
+    Authority,
+    _build_certificate,
+    _build_name,
+    write_file,
+)
 from teleop.security.handshake import Handshake
-from teleop.security.identity import Identity, Office
-from teleop.security.local import local_credentials, local_folder
-from teleop.security.presence import Stage, Token
+from teleop.security.identity import CertificateRole, Identity
+from teleop.security.local import create_local_credentials, find_local_folder
+from teleop.security.presence import RoleStage, Token
 from tests.teleop.keys.folder import make_keys
 
-MASTER = Identity(Office.MASTER, "test")
+MASTER = Identity(CertificateRole.MASTER, "test")
 
 
 @pytest.fixture
@@ -32,7 +38,7 @@ def authority() -> Authority:
 
 
 def load(folder: Path) -> credentials.Credentials:
-    return credentials.load(folder, "test", Office.MASTER)
+    return credentials.load(folder, "test", CertificateRole.MASTER)
 
 
 def refusal(folder: Path) -> str:
@@ -70,7 +76,7 @@ def test_a_write_that_fails_leaves_neither_a_part_of_the_key_nor_a_broken_file(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = tmp_path / "a.key"
-    write(path, b"before", 0o600)
+    write_file(path, b"before", 0o600)
     assert path.stat().st_mode & 0o777 == 0o600
 
     def full(_: int) -> None:
@@ -78,7 +84,7 @@ def test_a_write_that_fails_leaves_neither_a_part_of_the_key_nor_a_broken_file(
 
     monkeypatch.setattr(authority_module.os, "fsync", full)
     with pytest.raises(UsageError, match="No space left"):
-        write(path, b"after", 0o600)
+        write_file(path, b"after", 0o600)
     assert path.read_bytes() == b"before"
     assert list(tmp_path.iterdir()) == [path]
 
@@ -88,7 +94,7 @@ def test_a_link_in_the_place_of_a_new_file_is_not_followed(tmp_path: Path) -> No
     victim.write_text("precious")
     for name in ("a.key", f".a.key.{os.getpid()}.partial"):
         (tmp_path / name).symlink_to(victim)
-        write(tmp_path / "a.key", b"secret", 0o600)
+        write_file(tmp_path / "a.key", b"secret", 0o600)
         assert victim.read_text() == "precious"
         assert not (tmp_path / "a.key").is_symlink()
         assert (tmp_path / "a.key").stat().st_mode & 0o777 == 0o600
@@ -100,7 +106,9 @@ def test_local_keys_of_many_first_starts_at_once_are_the_same(
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
     found = []
     threads = [
-        threading.Thread(target=lambda: found.append(local_credentials("a", Office.MASTER)))
+        threading.Thread(
+            target=lambda: found.append(create_local_credentials("a", CertificateRole.MASTER))
+        )
         for _ in range(8)
     ]
     for thread in threads:
@@ -109,8 +117,8 @@ def test_local_keys_of_many_first_starts_at_once_are_the_same(
         thread.join()
     assert len(found) == 8
     assert len({one.authority.serial_number for one in found}) == 1
-    assert [path.name for path in local_folder().parent.iterdir()] == ["keys"]
-    assert local_folder().parent.stat().st_mode & 0o077 == 0
+    assert [path.name for path in find_local_folder().parent.iterdir()] == ["keys"]
+    assert find_local_folder().parent.stat().st_mode & 0o077 == 0
 
 
 def test_local_keys_in_a_folder_that_is_a_link_of_somebody_else_are_refused(
@@ -122,7 +130,7 @@ def test_local_keys_in_a_folder_that_is_a_link_of_somebody_else_are_refused(
     (tmp_path / "teleop" / "keys").symlink_to(tmp_path / "theirs")
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
     with pytest.raises(UsageError, match="this user alone"):
-        local_credentials("a", Office.MASTER)
+        create_local_credentials("a", CertificateRole.MASTER)
 
 
 def test_an_authority_that_has_expired_ends_its_certificates(authority: Authority) -> None:
@@ -132,9 +140,9 @@ def test_an_authority_that_has_expired_ends_its_certificates(authority: Authorit
     with pytest.raises(
         CertificateError, match=r"the authority of the certificate master\.test exp"
     ):
-        credentials.identify(certificate, old.certificate, frozenset())
+        credentials.identify_holder(certificate, old.certificate, frozenset())
     certificate, _ = authority.issue(MASTER, 1.0)
-    assert credentials.identify(certificate, authority.certificate, frozenset()) == MASTER
+    assert credentials.identify_holder(certificate, authority.certificate, frozenset()) == MASTER
 
 
 def test_the_command_refuses_what_would_do_nothing(
@@ -158,12 +166,14 @@ def test_the_command_refuses_what_would_do_nothing(
 def test_a_name_out_of_a_foreign_certificate_cannot_write_to_the_terminal() -> None:
     other = Authority.create("another", 2)
     for name in ("master.test\x1b[2J\r\n", "\u202emaster", "x" * 64):
-        basic = _certificate(
-            _name(name), other.certificate.subject, other.key.public_key(), 1, None
+        basic = _build_certificate(
+            _build_name(name), other.certificate.subject, other.key.public_key(), 1, None
         )
         certificate = basic.sign(other.key, None)
         with pytest.raises(CertificateError) as caught:
-            credentials.identify(certificate, Authority.create("ours", 2).certificate, frozenset())
+            credentials.identify_holder(
+                certificate, Authority.create("ours", 2).certificate, frozenset()
+            )
         assert str(caught.value).isprintable()
         assert len(str(caught.value)) < 120
 
@@ -172,13 +182,15 @@ def test_a_name_out_of_a_foreign_certificate_cannot_write_to_the_terminal() -> N
 def test_damaged_proofs_are_refused_and_nothing_else(authority: Authority, count: int) -> None:
     certificate, key = authority.issue(MASTER)
     ours = credentials.Credentials(MASTER, certificate, key, authority.certificate)
-    token = Token(Role.MASTER, LAYOUT, 7, Stage.HELD)
+    token = Token(Role.MASTER, LAYOUT, 7, RoleStage.HELD)
     prove = Handshake(ours, "test", 7).prove
     proof, check = prove(token).proof, Handshake(ours, "test", 8).check
     assert check(prove(token)).identity == MASTER
     for junk in ("!", "\n", "=", "A", "."):  # which base64 would skip
         with pytest.raises(CertificateError):
-            check(Token(Role.MASTER, LAYOUT, 7, Stage.HELD, proof=proof[:50] + junk + proof[50:]))
+            check(
+                Token(Role.MASTER, LAYOUT, 7, RoleStage.HELD, proof=proof[:50] + junk + proof[50:])
+            )
     letters = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789-_"
     chance = random.Random(1)  # noqa: S311
     for _ in range(count):
@@ -189,7 +201,7 @@ def test_damaged_proofs_are_refused_and_nothing_else(authority: Authority, count
         damaged = "".join(text)
         if damaged != proof:
             try:
-                check(Token(Role.MASTER, LAYOUT, 7, Stage.HELD, proof=damaged))
+                check(Token(Role.MASTER, LAYOUT, 7, RoleStage.HELD, proof=damaged))
             except CertificateError as error:
                 assert str(error).isprintable()  # noqa: PT017
             else:

@@ -10,11 +10,11 @@ from teleop.cli import commands
 from teleop.errors import UsageError
 from teleop.security import credentials
 from teleop.security.authority import Authority, load_revoked
-from teleop.security.identity import RIGHTS, Identity, Office, supervisors
-from teleop.security.local import local_credentials, local_folder
+from teleop.security.identity import RIGHTS, CertificateRole, Identity, list_supervisor_names
+from teleop.security.local import create_local_credentials, find_local_folder
 from tests.teleop.keys.folder import make_keys, put
 
-MASTER = Identity(Office.MASTER, "test")
+MASTER = Identity(CertificateRole.MASTER, "test")
 
 
 @pytest.fixture
@@ -22,13 +22,13 @@ def authority() -> Authority:
     return Authority.create("test authority", 2)
 
 
-def load(folder: Path, office: Office = Office.MASTER) -> credentials.Credentials:
+def load(folder: Path, office: CertificateRole = CertificateRole.MASTER) -> credentials.Credentials:
     return credentials.load(folder, "test", office)
 
 
-@pytest.mark.parametrize("office", list(Office))
-def test_a_name_says_role_session_and_rights(office: Office) -> None:
-    rights = RIGHTS if office is Office.SUPERVISOR else ()
+@pytest.mark.parametrize("office", list(CertificateRole))
+def test_a_name_says_role_session_and_rights(office: CertificateRole) -> None:
+    rights = RIGHTS if office is CertificateRole.SUPERVISOR else ()
     assert Identity.parse(f"{office}.theatre-2") == (office, "theatre-2", rights)
     assert len(Identity(office, "s" * 40, rights[:2]).common_name) <= 64
     for bad in (f"{office}", f"{office}-fly.a", f"{office}.A", f"x{office}.a", f"{office}.a.b"):
@@ -38,7 +38,7 @@ def test_a_name_says_role_session_and_rights(office: Office) -> None:
 
 def test_a_supervisor_has_the_rights_of_its_name() -> None:
     assert Identity.parse("supervisor-stop.a").rights == ("stop",)
-    assert set(supervisors("a", "set")) == {
+    assert set(list_supervisor_names("a", "set")) == {
         "supervisor.a", "supervisor-set.a", "supervisor-reset-set.a", "supervisor-set-stop.a",
     }  # fmt: skip
 
@@ -51,7 +51,7 @@ def test_only_a_router_is_for_all_sessions() -> None:
 
 def test_issued_keys_are_believed(tmp_path: Path) -> None:
     folder = make_keys(tmp_path)
-    for office in Office:
+    for office in CertificateRole:
         assert load(folder, office).identity.office is office
 
 
@@ -62,8 +62,20 @@ def test_every_flaw_is_named(tmp_path: Path, authority: Authority) -> None:
     for issuer, identity, days, start, complaint in (
         (authority, MASTER, -0.5, now - timedelta(days=1), r"expired on .* issue a new one"),
         (authority, MASTER, 1.0, now + timedelta(hours=1), r"valid from .* check the clock"),
-        (authority, Identity(Office.MASTER, "other"), 1.0, None, r"session 'other', not 'test'"),
-        (authority, Identity(Office.VIEWER, "test"), 1.0, None, r"viewer, this process is a mas"),
+        (
+            authority,
+            Identity(CertificateRole.MASTER, "other"),
+            1.0,
+            None,
+            r"session 'other', not 'test'",
+        ),
+        (
+            authority,
+            Identity(CertificateRole.VIEWER, "test"),
+            1.0,
+            None,
+            r"viewer, this process is a mas",
+        ),
         (other, MASTER, 1.0, None, r"of another authority"),
     ):
         put(issuer, folder, identity, days, start, "test.master")
@@ -94,7 +106,7 @@ def test_a_revoked_certificate_is_refused_and_the_list_must_be_genuine(
     authority.revoke(serial).publish(folder)
     with pytest.raises(UsageError, match="was revoked"):
         load(folder)
-    load(folder, Office.SLAVE)
+    load(folder, CertificateRole.SLAVE)
     Authority.create("another", 2).publish(tmp_path / "other")
     (folder / "revoked.pem").write_bytes((tmp_path / "other" / "revoked.pem").read_bytes())
     with pytest.raises(UsageError, match="not signed by the authority"):
@@ -108,15 +120,15 @@ def test_local_keys_make_themselves_once_and_are_private(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
-    one = local_credentials("a", Office.MASTER)
-    two = local_credentials("a", Office.SLAVE)
-    assert two.identify(one.certificate) == Identity(Office.MASTER, "a")
-    assert local_folder().stat().st_mode & 0o077 == 0
+    one = create_local_credentials("a", CertificateRole.MASTER)
+    two = create_local_credentials("a", CertificateRole.SLAVE)
+    assert two.identify(one.certificate) == Identity(CertificateRole.MASTER, "a")
+    assert find_local_folder().stat().st_mode & 0o077 == 0
     life = one.certificate.not_valid_after_utc - datetime.now(UTC)
     assert life <= timedelta(days=7)
-    local_folder().chmod(0o755)
+    find_local_folder().chmod(0o755)
     with pytest.raises(UsageError, match="this user alone"):
-        local_credentials("a", Office.MASTER)
+        create_local_credentials("a", CertificateRole.MASTER)
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root can write everywhere")
@@ -126,7 +138,7 @@ def test_no_place_for_local_keys_is_one_line(
     tmp_path.chmod(0o500)
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
     with pytest.raises(UsageError, match="set XDG_STATE_HOME"):
-        local_credentials("a", Office.MASTER)
+        create_local_credentials("a", CertificateRole.MASTER)
 
 
 def test_the_command_makes_what_a_session_needs(
@@ -139,7 +151,7 @@ def test_the_command_makes_what_a_session_needs(
         commands.main([*issue, "--role", "master", "--role", "supervisor", "--right", "stop"]) == 0
     )
     assert load(out).identity == MASTER
-    assert load(out, Office.SUPERVISOR).identity.rights == ("stop",)
+    assert load(out, CertificateRole.SUPERVISOR).identity.rights == ("stop",)
     assert not (out / "authority.key").exists()
     assert commands.main(["keys", "show", str(out)]) == 0
     assert "supervisor-stop.test, valid until" in capsys.readouterr().out

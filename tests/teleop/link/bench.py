@@ -7,12 +7,12 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from typing import Any
 
-from teleop.link import Latest, Link, LinkConfig
+from teleop.link import LatestMessage, Link, LinkConfig
 from teleop.messages.messages import LAYOUT, Command
 from teleop.messages.topics import COMMAND, Role
 from teleop.security.handshake import Handshake
 from teleop.security.keyring import Keyring
-from teleop.security.presence import EXCLUSIVE, LISTENERS, Stage, Token
+from teleop.security.presence import EXCLUSIVE_ROLES, LISTENER_ROLES, RoleStage, Token
 
 MS = 1_000_000
 
@@ -40,13 +40,15 @@ def session(config: LinkConfig, *roles: Role) -> Iterator[list[Link]]:
     with ExitStack() as stack:
         links = [stack.enter_context(Link(config, "test", role)) for role in roles]
         for one, two in itertools.permutations(links, 2):
-            if (one.role in EXCLUSIVE or two.role in EXCLUSIVE) and two.role not in LISTENERS:
+            if (
+                one.role in EXCLUSIVE_ROLES or two.role in EXCLUSIVE_ROLES
+            ) and two.role not in LISTENER_ROLES:
                 wait_until(lambda one=one, two=two: one.present(two.role))
         time.sleep(0.05)
         yield links
 
 
-def pump(sender: Link, receiver: Link, count: int = 1) -> Latest[Command]:
+def pump(sender: Link, receiver: Link, count: int = 1) -> LatestMessage[Command]:
     """Publish commands until the receiver has let in `count` more."""
     latest = receiver.latest(COMMAND)
     goal = latest.counts.received + count
@@ -63,7 +65,7 @@ def oldest(link: Link) -> Link:
     """A link, not open yet, as if its clock were far behind, so that it looks the oldest."""
     assert link.credentials is not None
     link.nonce = 1
-    link._token = Token(link.role, LAYOUT, 1, Stage.CLAIM)
+    link._token = Token(link.role, LAYOUT, 1, RoleStage.CLAIM)
     link._handshake = Handshake(link.credentials, link.session, 1)
     link._keyring = Keyring(link.role, 1)
     return link

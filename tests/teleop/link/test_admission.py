@@ -13,19 +13,32 @@ import pytest
 import zenoh
 
 from teleop.link import roster as roster_module
-from teleop.link.admission import BURST, CERTIFICATES, STOP_CHECKS_HZ, WAITING, Admission
+from teleop.link.admission import (
+    CERTIFICATES,
+    CHECK_BURST,
+    QUEUED_TOKENS_MAX,
+    STOP_CHECKS_HZ,
+    Admission,
+)
 from teleop.link.challenge import CHALLENGE_BYTES
-from teleop.link.refusals import Refusals
-from teleop.link.roster import ARRIVALS, TOKENS, Roster
+from teleop.link.refusals import RefusalCounter
+from teleop.link.roster import GROUP_TOKENS_MAX, PENDING_TOKENS_MAX, Roster
 from teleop.messages.messages import LAYOUT
 from teleop.messages.topics import STOP, Role
-from teleop.security import OFFICE_OF, RIGHTS, Credentials, Identity, Office
+from teleop.security import CERTIFICATE_ROLES, RIGHTS, CertificateRole, Credentials, Identity
 from teleop.security import credentials as credentials_module
-from teleop.security.access import access_control
+from teleop.security.access import build_access_control
 from teleop.security.authority import Authority
 from teleop.security.handshake import Handshake, PairKeys
-from teleop.security.keyring import KEPT, Keyring
-from teleop.security.presence import LISTENERS, Stage, Token, groups_for, groups_of, root
+from teleop.security.keyring import DEPARTED_PEERS_MAX, Keyring
+from teleop.security.presence import (
+    LISTENER_ROLES,
+    RoleStage,
+    Token,
+    build_token_root,
+    list_groups,
+    list_watched_groups,
+)
 from tests.teleop.link.bench import wait_until
 from tests.teleop.link.test_denial import KEYS, MASTER
 
@@ -36,7 +49,7 @@ SHOWN = 128  # characters of a proof before the certificate
 def a_token(certificate: str, role: Role = Role.REMOTE, limit: str = "") -> Token:
     """A token with a worthless proof of some certificate."""
     proof = secrets.token_urlsafe(96)[:SHOWN] + certificate
-    return Token(role, LAYOUT, secrets.randbits(64), Stage.HELD, proof=proof, limit=limit)
+    return Token(role, LAYOUT, secrets.randbits(64), RoleStage.HELD, proof=proof, limit=limit)
 
 
 class Clock:
@@ -67,7 +80,7 @@ def test_a_flood_of_one_certificate_keeps_only_that_one_waiting() -> None:
     attacker, genuine = a_token("attacker"), a_token("genuine")
     admission.know(attacker)
     admission.know(genuine)
-    for _ in range(3 * WAITING):
+    for _ in range(3 * QUEUED_TOKENS_MAX):
         admission.put(a_token("attacker"))
     admission.put(genuine)
     assert checks_until(admission, clock, genuine, lambda: [a_token("attacker")] * 20) <= 2
@@ -77,7 +90,7 @@ def test_a_new_certificate_waits_beside_the_unknown_ones_and_then_no_more() -> N
     clock = Clock()
     admission = Admission("remote", clock)
     claim, held = a_token("new"), a_token("new")
-    for _ in range(WAITING - 2):
+    for _ in range(QUEUED_TOKENS_MAX - 2):
         admission.put(a_token(secrets.token_hex(8)))
     admission.put(claim)
     admission.put(held)
@@ -113,20 +126,22 @@ def test_worthless_tokens_are_checked_once_and_all_is_bounded() -> None:
     assert len(admission) == 0
     for n in range(2 * CERTIFICATES):
         admission.know(a_token(f"{n}"))
-    made_place = [not admission.put(a_token(f"{n % 3}")) for n in range(5 * WAITING)]
-    assert len(admission) == WAITING  # those of certificates that are forgotten share a queue
-    assert sum(made_place) == 4 * WAITING
+    made_place = [not admission.put(a_token(f"{n % 3}")) for n in range(5 * QUEUED_TOKENS_MAX)]
+    assert (
+        len(admission) == QUEUED_TOKENS_MAX
+    )  # those of certificates that are forgotten share a queue
+    assert sum(made_place) == 4 * QUEUED_TOKENS_MAX
 
 
 def test_checks_are_limited_and_a_token_that_vanishes_is_not_checked() -> None:
     clock = Clock()
     admission = Admission("remote-stop", clock)
-    for _ in range(BURST + 30):
+    for _ in range(CHECK_BURST + 30):
         admission.know(token := a_token(secrets.token_hex(4)))
         admission.put(token)
-    assert sum(admission.take() is not None for _ in range(BURST + 30)) == BURST
+    assert sum(admission.take() is not None for _ in range(CHECK_BURST + 30)) == CHECK_BURST
     clock.now += SECOND // 10
-    rest = sum(admission.take() is not None for _ in range(BURST + 30))
+    rest = sum(admission.take() is not None for _ in range(CHECK_BURST + 30))
     assert rest == STOP_CHECKS_HZ / 10
     gone = a_token("gone")
     admission.put(gone)
@@ -137,7 +152,7 @@ def test_checks_are_limited_and_a_token_that_vanishes_is_not_checked() -> None:
 
 
 def test_each_group_of_tokens_may_be_announced_by_its_certificates_only() -> None:
-    access = access_control(["test"])
+    access = build_access_control(["test"])
     names = {s["id"]: s["cert_common_names"] for s in access["subjects"] if s["id"] != "anyone"}
     announced: dict[str, set[str]] = {}
     for rule in access["rules"]:
@@ -152,14 +167,14 @@ def test_each_group_of_tokens_may_be_announced_by_its_certificates_only() -> Non
             for key in rule["key_exprs"]:
                 announced.setdefault(key, set()).update(holders)
     by_name = {"launcher": "supervisor", "remote": "supervisor", "watch": "supervisor"}
-    groups = [group for role in Role for group in groups_of(role) if role not in LISTENERS]
+    groups = [group for role in Role for group in list_groups(role) if role not in LISTENER_ROLES]
     assert len(groups) == 3 * 7 + 2
     assert not [key for key in announced if "/viewer/" in key or "/recorder/" in key]
     for group in groups:
         role, dash, rights = group.partition("-")
         holder = f"{by_name.get(role, role)}{dash}{rights}.test"
-        assert announced[f"{root('test')}/{group}/**"] == {holder}
-    assert announced[f"{root('test')}/relay/master/**"] == {"slave.test"}
+        assert announced[f"{build_token_root('test')}/{group}/**"] == {holder}
+    assert announced[f"{build_token_root('test')}/relay/master/**"] == {"slave.test"}
 
 
 class Network:
@@ -182,13 +197,13 @@ class Network:
 
     def announce(self, token: Token, kind: Any = zenoh.SampleKind.PUT) -> None:
         key = token.key("test")
-        ring = self.rings[f"{root('test')}/{token.group}/**"]
+        ring = self.rings[f"{build_token_root('test')}/{token.group}/**"]
         ring.append(SimpleNamespace(key_expr=key, kind=kind))
 
     def _watch(self, key: str, handler: Any, history: bool) -> Any:
         assert isinstance(handler, zenoh.handlers.RingChannel)
         assert history
-        ring = self.rings[key] = deque(maxlen=ARRIVALS)
+        ring = self.rings[key] = deque(maxlen=PENDING_TOKENS_MAX)
         return SimpleNamespace(
             try_recv=lambda: ring.popleft() if ring else None, undeclare=lambda: None
         )
@@ -199,23 +214,23 @@ class Session:
 
     def __init__(self, role: Role = Role.SLAVE) -> None:
         self.authority = Authority.create("ours", 2)
-        self.network, self.refusals = Network(), Refusals()
+        self.network, self.refusals = Network(), RefusalCounter()
         self.keyring = Keyring(role, 1)
-        token = Token(role, LAYOUT, 1, Stage.CLAIM)
-        rights = ("stop",) if OFFICE_OF[role] is Office.SUPERVISOR else ()
-        handshake = Handshake(self.issue(OFFICE_OF[role], rights), "test", 1)
+        token = Token(role, LAYOUT, 1, RoleStage.CLAIM)
+        rights = ("stop",) if CERTIFICATE_ROLES[role] is CertificateRole.SUPERVISOR else ()
+        handshake = Handshake(self.issue(CERTIFICATE_ROLES[role], rights), "test", 1)
         network: Any = self.network
         self.roster = Roster(network, "test", token, False, handshake, self.keyring, self.refusals)
 
     def issue(
-        self, office: Office, rights: tuple[str, ...] = (), start: datetime | None = None
+        self, office: CertificateRole, rights: tuple[str, ...] = (), start: datetime | None = None
     ) -> Credentials:
         identity = Identity(office, "test", rights)
         certificate, key = self.authority.issue(identity, 1, start)
         return Credentials(identity, certificate, key, self.authority.certificate)
 
     def genuine(self, credentials: Credentials, role: Role, nonce: int) -> Token:
-        token = Token(role, LAYOUT, nonce, Stage.HELD)
+        token = Token(role, LAYOUT, nonce, RoleStage.HELD)
         return Handshake(credentials, "test", nonce).prove(token)
 
     def worthless(self, token: Token) -> Token:
@@ -237,10 +252,10 @@ def session() -> Any:
 
 
 def test_worthless_proofs_without_the_right_do_not_keep_out_who_may_stop(session: Session) -> None:
-    attacker = session.genuine(session.issue(Office.SUPERVISOR, ("set",)), Role.REMOTE, 5)
+    attacker = session.genuine(session.issue(CertificateRole.SUPERVISOR, ("set",)), Role.REMOTE, 5)
     for _ in range(1000):
         session.network.announce(session.worthless(attacker))
-    stopper = session.genuine(session.issue(Office.SUPERVISOR, ("stop",)), Role.REMOTE, 6)
+    stopper = session.genuine(session.issue(CertificateRole.SUPERVISOR, ("stop",)), Role.REMOTE, 6)
     session.network.announce(stopper)
     wait_until(lambda: session.is_asked(6))
     assert stopper.group == "remote-stop"
@@ -249,9 +264,9 @@ def test_worthless_proofs_without_the_right_do_not_keep_out_who_may_stop(session
 
 def test_a_group_that_the_certificate_does_not_give_is_refused(session: Session) -> None:
     """Zenoh's access control does it before; a router could pass it on."""
-    credentials = session.issue(Office.SUPERVISOR, ("set",))
+    credentials = session.issue(CertificateRole.SUPERVISOR, ("set",))
     handshake = Handshake(credentials, "test", 7)
-    limited = handshake.prove(Token(Role.REMOTE, LAYOUT, 7, Stage.HELD))
+    limited = handshake.prove(Token(Role.REMOTE, LAYOUT, 7, RoleStage.HELD))
     assert limited.group == "remote-set"
     session.network.announce(replace(limited, limit="-stop"))
     lines: list[str] = []
@@ -267,15 +282,15 @@ def test_a_group_that_the_certificate_does_not_give_is_refused(session: Session)
 def test_tokens_of_one_certificate_make_place_for_those_of_another(
     session: Session, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(roster_module, "SILENT_NS", 10**15)  # nobody here answers
-    credentials = session.issue(Office.SUPERVISOR, RIGHTS)
-    for nonce in range(10, 10 + TOKENS):
+    monkeypatch.setattr(roster_module, "SILENCE_WARNING_NS", 10**15)  # nobody here answers
+    credentials = session.issue(CertificateRole.SUPERVISOR, RIGHTS)
+    for nonce in range(10, 10 + GROUP_TOKENS_MAX):
         session.network.announce(session.genuine(credentials, Role.REMOTE, nonce))
         wait_until(lambda nonce=nonce: session.is_asked(nonce))
-    other = session.genuine(session.issue(Office.SUPERVISOR, RIGHTS), Role.REMOTE, 6)
+    other = session.genuine(session.issue(CertificateRole.SUPERVISOR, RIGHTS), Role.REMOTE, 6)
     session.network.announce(other)
     wait_until(lambda: session.is_asked(6))
-    assert len(session.roster._processes) == TOKENS
+    assert len(session.roster._processes) == GROUP_TOKENS_MAX
 
 
 @pytest.mark.parametrize("number", ["-000000000000007", "0_00000000000007"])
@@ -283,11 +298,11 @@ def test_a_malformed_nonce_under_a_genuine_proof_keeps_nobody_out(
     session: Session, number: str
 ) -> None:
     """Of a holder of a certificate, who signs what he likes."""
-    credentials = session.issue(Office.SUPERVISOR, ("stop",))
+    credentials = session.issue(CertificateRole.SUPERVISOR, ("stop",))
     malformed = session.genuine(credentials, Role.REMOTE, int(number, 16))
     key = malformed.key("test").split("/")
     key[5] = number
-    ring = session.network.rings[f"{root('test')}/{malformed.group}/**"]
+    ring = session.network.rings[f"{build_token_root('test')}/{malformed.group}/**"]
     ring.append(SimpleNamespace(key_expr="/".join(key), kind=zenoh.SampleKind.PUT))
     for nonce in (6, 8, 9):  # chance decides which one is checked first
         session.network.announce(session.genuine(credentials, Role.REMOTE, nonce))
@@ -298,7 +313,7 @@ def test_a_malformed_nonce_under_a_genuine_proof_keeps_nobody_out(
 def test_an_error_of_one_token_is_noted_and_the_next_ones_are_looked_at(
     session: Session, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    credentials = session.issue(Office.SUPERVISOR, ("stop",))
+    credentials = session.issue(CertificateRole.SUPERVISOR, ("stop",))
     examine = session.roster.examine
 
     def fail(token: Token) -> Any:
@@ -321,7 +336,7 @@ def test_an_error_of_one_token_is_noted_and_the_next_ones_are_looked_at(
 
 def test_who_challenges_is_looked_at_though_its_token_was_lost(session: Session) -> None:
     """And not if its token has vanished: a challenge may come late."""
-    credentials = session.issue(Office.SUPERVISOR, RIGHTS)
+    credentials = session.issue(CertificateRole.SUPERVISOR, RIGHTS)
     answered: list[PairKeys] = []
     session.roster._show(session.genuine(credentials, Role.WATCH, 8), answered.append)
     wait_until(lambda: session.is_asked(8))
@@ -337,7 +352,7 @@ def test_a_token_that_vanished_a_while_ago_may_come_back_by_a_challenge(
     session: Session, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Its announcement may be lost."""
-    credentials = session.issue(Office.SUPERVISOR, RIGHTS)
+    credentials = session.issue(CertificateRole.SUPERVISOR, RIGHTS)
     token = session.genuine(credentials, Role.WATCH, 9)
     session.network.announce(token, zenoh.SampleKind.DELETE)
     wait_until(lambda: len(session.roster._departed) == 1)
@@ -352,7 +367,7 @@ def test_a_certificate_that_becomes_valid_is_believed_then(
 ) -> None:
     """Not for the rest of the run worthless: a clock may be set."""
     now = datetime.now(UTC)
-    credentials = session.issue(Office.SUPERVISOR, RIGHTS, now + timedelta(hours=1))
+    credentials = session.issue(CertificateRole.SUPERVISOR, RIGHTS, now + timedelta(hours=1))
     token = session.genuine(credentials, Role.WATCH, 9)
     session.network.announce(token)
     lines: list[str] = []
@@ -371,7 +386,7 @@ def test_a_certificate_that_becomes_valid_is_believed_then(
 def test_a_challenge_announces_a_supervisor_and_leaves_the_claim_of_a_side_a_claim() -> None:
     for role, shown in ((Role.REMOTE, b"/remote-stop/"), (Role.SLAVE, b"/slave/")):
         session = Session(role)
-        master = session.genuine(session.issue(Office.MASTER), Role.MASTER, 11)
+        master = session.genuine(session.issue(CertificateRole.MASTER), Role.MASTER, 11)
         session.network.announce(master)
         wait_until(lambda session=session: session.is_asked(11))
         session.roster.close()
@@ -387,7 +402,7 @@ def test_a_listener_is_answered_and_not_announced_nor_challenged(
     checked: list[Token] = []
     check = session.roster.examine
     monkeypatch.setattr(session.roster, "examine", lambda t: checked.append(t) or check(t))
-    credentials, answered = session.issue(Office.VIEWER), []
+    credentials, answered = session.issue(CertificateRole.VIEWER), []
     viewer = session.genuine(credentials, Role.VIEWER, 10)
     for count in range(1, 4):
         session.roster._show(viewer, answered.append)
@@ -397,18 +412,18 @@ def test_a_listener_is_answered_and_not_announced_nor_challenged(
     assert not session.roster.present(Role.VIEWER)
     assert not session.roster.others
     assert not session.network.asked
-    for nonce in range(100, 100 + TOKENS):
+    for nonce in range(100, 100 + GROUP_TOKENS_MAX):
         session.roster._show(session.genuine(credentials, Role.VIEWER, nonce), answered.append)
-    wait_until(lambda: len(answered) == 3 + TOKENS)
-    assert len(session.roster._processes) == TOKENS
+    wait_until(lambda: len(answered) == 3 + GROUP_TOKENS_MAX)
+    assert len(session.roster._processes) == GROUP_TOKENS_MAX
     session.roster._show(viewer, answered.append)
-    wait_until(lambda: len(answered) == 4 + TOKENS)
+    wait_until(lambda: len(answered) == 4 + GROUP_TOKENS_MAX)
     assert answered[-1] == answered[0]
 
 
 def test_a_listener_looks_at_the_sides_only_and_they_at_no_listener() -> None:
-    assert groups_for(Role.VIEWER) == ["master", "slave"]
-    looked_at = set(groups_for(Role.MASTER))
+    assert list_watched_groups(Role.VIEWER) == ["master", "slave"]
+    looked_at = set(list_watched_groups(Role.MASTER))
     assert {"remote-stop", "launcher", "slave", "relay/master"} <= looked_at
     assert not looked_at & {"viewer", "recorder"}
 
@@ -417,11 +432,11 @@ def test_peers_that_come_and_go_do_not_displace_one_that_is_there() -> None:
     keyring = Keyring(Role.SLAVE, 2)
     launcher = MASTER._replace(role=Role.LAUNCHER, nonce=9)
     keyring.add(launcher, KEYS)
-    for nonce in range(10, 10 + 2 * KEPT):
+    for nonce in range(10, 10 + 2 * DEPARTED_PEERS_MAX):
         keyring.add(MASTER._replace(role=Role.REMOTE, nonce=nonce), KEYS)
         keyring.remove(Role.REMOTE, nonce)
     assert keyring.known(Role.LAUNCHER, 9) == launcher
     senders = keyring.senders(STOP)
     assert senders is not None
     assert 9 in senders
-    assert len(senders) == KEPT + 1
+    assert len(senders) == DEPARTED_PEERS_MAX + 1

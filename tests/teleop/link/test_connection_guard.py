@@ -17,8 +17,8 @@ from teleop.link import Link, LinkConfig, connection_guard
 from teleop.link.connection_guard import ConnectionGuard
 from teleop.link.network import open_session
 from teleop.messages.topics import Role
-from teleop.security import Identity, Office
-from teleop.security.local import local_credentials
+from teleop.security import CertificateRole, Identity
+from teleop.security.local import create_local_credentials
 from tests.rogue import Rogue
 from tests.teleop.link.bench import session, wait_until
 from tests.teleop.link.test_played_back import lines_of
@@ -63,7 +63,9 @@ def stranger(kind: str, endpoint: str) -> Iterator[None]:
 
 def connects(endpoint: str, seconds: float) -> None:
     """Assert that a holder of a certificate is let in."""
-    with open_session(local_credentials("test", Office.VIEWER), [], [endpoint]) as viewer:
+    with open_session(
+        create_local_credentials("test", CertificateRole.VIEWER), [], [endpoint]
+    ) as viewer:
         wait_until(lambda: bool(viewer.info.peers_zid()), seconds)
 
 
@@ -113,14 +115,14 @@ def test_a_filter_drops_a_source_and_passes_ports_of_ours(host: str, network: st
         elsewhere = {ip_network("192.0.2.0/24"): False, ip_network("2001:db8::/64"): False}
         blocked = elsewhere | {ip_network(network): True}
         connection_guard._filter_packets(
-            listening, connection_guard._program(version, blocked, allowed)
+            listening, connection_guard._build_filter(version, blocked, allowed)
         )
         with pytest.raises(TimeoutError):
             others.connect(listening.getsockname())
         ours.connect(listening.getsockname())
         listening.accept()[0].close()
         connection_guard._filter_packets(
-            listening, connection_guard._program(version, elsewhere, [])
+            listening, connection_guard._build_filter(version, elsewhere, [])
         )
         with socket.create_connection(listening.getsockname()[:2], 5.0):
             listening.accept()[0].close()
@@ -128,7 +130,7 @@ def test_a_filter_drops_a_source_and_passes_ports_of_ours(host: str, network: st
 
 def test_a_viewer_that_declares_too_much_is_cut_off(config: LinkConfig) -> None:
     with session(config, Role.SLAVE, Role.VIEWER) as (slave, viewer):
-        tls = local_credentials("test", Office.VIEWER).for_tls()
+        tls = create_local_credentials("test", CertificateRole.VIEWER).for_tls()
         said = lines_of(slave, "a connection of the certificate viewer.test: it sends too much")
         with Rogue([config.slave], "test", tls) as rogue:
             wait_until(rogue.connected)
@@ -146,11 +148,15 @@ def test_who_cannot_stop_and_sends_too_much_gets_no_new_connection(
     config: LinkConfig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A peer that was cut off declares all again when it connects again."""
-    monkeypatch.setattr(connection_guard, "BARRED_S", 1000.0)
+    monkeypatch.setattr(connection_guard, "NAME_BLOCK_S", 1000.0)
     with Link(config, "test", Role.SLAVE) as slave:
         said = lines_of(slave, "a connection of the certificate viewer.test: it sends too much")
-        with open_session(local_credentials("test", Office.RECORDER), [], [config.slave]) as other:
-            with open_session(local_credentials("test", Office.VIEWER), [], [config.slave]) as one:
+        with open_session(
+            create_local_credentials("test", CertificateRole.RECORDER), [], [config.slave]
+        ) as other:
+            with open_session(
+                create_local_credentials("test", CertificateRole.VIEWER), [], [config.slave]
+            ) as one:
                 wait_until(lambda: bool(one.info.peers_zid()))
                 names, kept = itertools.count(), []
 
@@ -172,13 +178,13 @@ def test_who_cannot_stop_and_sends_too_much_gets_no_new_connection(
 @pytest.mark.parametrize(
     ("rights", "office", "passes"),
     [
-        (("stop",), Office.SUPERVISOR, True),
-        (("reset", "set"), Office.SUPERVISOR, False),
-        ((), Office.VIEWER, False),
+        (("stop",), CertificateRole.SUPERVISOR, True),
+        (("reset", "set"), CertificateRole.SUPERVISOR, False),
+        ((), CertificateRole.VIEWER, False),
     ],
 )
 def test_a_watch_may_go_on_for_good_and_who_cannot_stop_may_not(
-    rights: tuple[str, ...], office: Office, passes: bool
+    rights: tuple[str, ...], office: CertificateRole, passes: bool
 ) -> None:
     """An hour of what `teleop stop --watch` sends: 20 times a second 400 bytes."""
 
@@ -197,7 +203,7 @@ def test_a_watch_may_go_on_for_good_and_who_cannot_stop_may_not(
 
 def test_subscribers_are_let_in_of_topics_only(config: LinkConfig) -> None:
     with Link(config, "test", Role.SLAVE) as slave:
-        tls = local_credentials("test", Office.VIEWER).for_tls()
+        tls = create_local_credentials("test", CertificateRole.VIEWER).for_tls()
         of_topic, of_other = (
             slave._zenoh.declare_publisher(f"teleop/test/{name}") for name in ("state", "other")
         )
@@ -211,12 +217,12 @@ def test_subscribers_are_let_in_of_topics_only(config: LinkConfig) -> None:
 def test_one_certificate_has_a_bounded_number_of_connections(
     config: LinkConfig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(connection_guard, "SAME_NAME", 2)
+    monkeypatch.setattr(connection_guard, "CONNECTIONS_PER_NAME_MAX", 2)
     with Link(config, "test", Role.SLAVE) as slave, ExitStack() as stack:
-        credentials = local_credentials("test", Office.VIEWER)
+        credentials = create_local_credentials("test", CertificateRole.VIEWER)
         for _ in range(4):
             stack.enter_context(open_session(credentials, [], [config.slave]))
         wait_until(lines_of(slave, "a connection of the certificate viewer.test: it has 2"))
-        connects_as = local_credentials("test", Office.RECORDER)
+        connects_as = create_local_credentials("test", CertificateRole.RECORDER)
         with open_session(connects_as, [], [config.slave]) as recorder:
             wait_until(lambda: bool(recorder.info.peers_zid()), 20.0)

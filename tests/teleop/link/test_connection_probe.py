@@ -6,9 +6,9 @@ from pathlib import Path
 import pytest
 
 from teleop.link import Link, LinkConfig, connection_probe
-from teleop.link.connection_probe import fault_of
+from teleop.link.connection_probe import find_connection_fault
 from teleop.messages.topics import Role
-from teleop.security import Office
+from teleop.security import CertificateRole
 from teleop.security import credentials as stored
 from tests.rogue import Rogue
 from tests.teleop.keys.folder import make_keys
@@ -21,26 +21,28 @@ def insecure(config: LinkConfig) -> LinkConfig:
 
 
 def test_what_is_wrong_with_an_endpoint_is_named(config: LinkConfig, tmp_path: Path) -> None:
-    theirs = stored.load(make_keys(tmp_path, "test"), "test", Office.MASTER)
+    theirs = stored.load(make_keys(tmp_path, "test"), "test", CertificateRole.MASTER)
     with Link(config, "test", Role.SLAVE) as slave:
         ours = slave.credentials
-        assert fault_of(config.slave, ours, "test") == ""
-        assert fault_of(config.slave, ours, "other") == "its certificate is slave.test"
-        assert "is of another authority" in fault_of(config.slave, theirs, "test")
-        assert "it is secure, and this side is not" in fault_of(config.slave, None, "test")
-    assert fault_of(config.slave, ours, "test") == ""  # nobody there
+        assert find_connection_fault(config.slave, ours, "test") == ""
+        assert find_connection_fault(config.slave, ours, "other") == "its certificate is slave.test"
+        assert "is of another authority" in find_connection_fault(config.slave, theirs, "test")
+        assert "it is secure, and this side is not" in find_connection_fault(
+            config.slave, None, "test"
+        )
+    assert find_connection_fault(config.slave, ours, "test") == ""  # nobody there
     with socket.socket() as other:
         other.bind(("127.0.0.1", 0))
         other.listen()
         place = f"127.0.0.1:{other.getsockname()[1]}"
-        assert "no answer in TLS" in fault_of(place, ours, "test")
-        assert fault_of(place, None, "test") == ""
+        assert "no answer in TLS" in find_connection_fault(place, ours, "test")
+        assert find_connection_fault(place, None, "test") == ""
 
 
 def test_neither_a_secure_nor_an_insecure_side_accepts_the_other_and_both_say_so(
     config: LinkConfig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(connection_probe, "EVERY_S", 0.1)
+    monkeypatch.setattr(connection_probe, "PROBE_PERIOD_S", 0.1)
     for slaves, masters, text in (
         (config, insecure(config), "it is secure, and this side is not (link.insecure)"),
         (insecure(config), config, "no answer in TLS"),

@@ -6,19 +6,19 @@ import tracemalloc
 import pytest
 
 from studies import denial
-from teleop.link.listener import LOOKS, Listener
+from teleop.link.listener import VERIFY_BURST, Listener
 from teleop.link.rate_limit import RateLimit
-from teleop.link.refusals import KINDS, Refusals
+from teleop.link.refusals import REFUSAL_KINDS_MAX, RefusalCounter
 from teleop.messages.messages import EmergencyStop
 from teleop.messages.topics import COMMAND, STOP, Role
 from teleop.runtime.clock import now_ns
-from teleop.security import Identity, Office
+from teleop.security import CertificateRole, Identity
 from teleop.security.handshake import PairKeys, Peer
-from teleop.security.keyring import ENTRY_BYTES, KEPT, Keyring, Verdict
+from teleop.security.keyring import DEPARTED_PEERS_MAX, ENTRY_BYTES, Keyring, TagVerdict
 from tests.tick.memory_link import Sample
 
 FLAT = 2_000_000  # [B]
-MASTER = Peer(Role.MASTER, 1, Identity(Office.MASTER, "test"), bytes(32))
+MASTER = Peer(Role.MASTER, 1, Identity(CertificateRole.MASTER, "test"), bytes(32))
 KEYS = PairKeys(bytes(32), b"\1" * 32)
 
 
@@ -57,15 +57,15 @@ def test_floods_are_counted_and_dropped_and_cost_no_memory(kind: str, count: int
 def test_a_flood_is_looked_at_no_more_than_the_limit_allows() -> None:
     keyring = ring()
     listener, looked = Listener(lambda *_: 1, keyring), []
-    keyring.verify = lambda *_: looked.append(1) or Verdict.UNKNOWN  # type: ignore[method-assign]
+    keyring.verify = lambda *_: looked.append(1) or TagVerdict.UNKNOWN  # type: ignore[method-assign]
     store = listener.store(STOP)
     data = EmergencyStop().pack(1, 1, 1)
     begin = now_ns()
-    for _ in range(5 * LOOKS):
+    for _ in range(5 * VERIFY_BURST):
         store(Sample(data, bytes(ENTRY_BYTES)))
-    allowed = LOOKS + (now_ns() - begin) * 1e-9 * 500 + 1
-    assert LOOKS <= len(looked) <= allowed
-    assert listener.refused(STOP) == 5 * LOOKS
+    allowed = VERIFY_BURST + (now_ns() - begin) * 1e-9 * 500 + 1
+    assert VERIFY_BURST <= len(looked) <= allowed
+    assert listener.refused(STOP) == 5 * VERIFY_BURST
 
 
 def test_a_rate_limit_refills_with_time() -> None:
@@ -81,13 +81,13 @@ def test_a_rate_limit_refills_with_time() -> None:
 
 
 def test_peers_and_refusals_are_bounded() -> None:
-    keyring, refusals = ring(), Refusals()
-    for n in range(10, 10 + 3 * KEPT):
+    keyring, refusals = ring(), RefusalCounter()
+    for n in range(10, 10 + 3 * DEPARTED_PEERS_MAX):
         keyring.add(MASTER._replace(nonce=n), KEYS)
         keyring.remove(Role.MASTER, n)
         refusals.note(f"{n}")
-    assert len(keyring.senders(COMMAND)) == KEPT + 1  # and the one that is there
+    assert len(keyring.senders(COMMAND)) == DEPARTED_PEERS_MAX + 1  # and the one that is there
     lines = refusals.take()
-    assert len(lines) == KINDS + 1
-    assert lines[-1] == f"refused: {3 * KEPT - KINDS} more"
+    assert len(lines) == REFUSAL_KINDS_MAX + 1
+    assert lines[-1] == f"refused: {3 * DEPARTED_PEERS_MAX - REFUSAL_KINDS_MAX} more"
     assert refusals.take() == []

@@ -7,13 +7,13 @@ import pytest
 
 from teleop.messages.messages import LAYOUT
 from teleop.messages.topics import Role
-from teleop.security import CertificateError, Credentials, Identity, Office
+from teleop.security import CertificateError, CertificateRole, Credentials, Identity
 from teleop.security.authority import Authority
 from teleop.security.handshake import Handshake
-from teleop.security.presence import Stage, Token
+from teleop.security.presence import RoleStage, Token
 
-MASTER, SLAVE = Identity(Office.MASTER, "test"), Identity(Office.SLAVE, "test")
-TOKEN = Token(Role.MASTER, LAYOUT, 7, Stage.HELD)
+MASTER, SLAVE = Identity(CertificateRole.MASTER, "test"), Identity(CertificateRole.SLAVE, "test")
+TOKEN = Token(Role.MASTER, LAYOUT, 7, RoleStage.HELD)
 NOW = datetime.now(UTC)
 
 
@@ -37,9 +37,15 @@ def test_each_wrong_certificate_is_refused_in_words_and_the_right_one_is_not() -
         (of(authority, MASTER, -0.5, NOW - timedelta(days=1)), r"master\.test expired on"),
         (of(authority, MASTER, 1.0, NOW + timedelta(hours=1)), r"valid from .* check the clock"),
         (revoked, r"master\.test was revoked"),
-        (of(authority, Identity(Office.VIEWER, "test")), r"master with the certificate viewer\."),
-        (of(authority, Identity(Office.ROUTER, "test")), r"master with the certificate router\."),
-        (of(authority, Identity(Office.MASTER, "other")), r"master of session 'other'"),
+        (
+            of(authority, Identity(CertificateRole.VIEWER, "test")),
+            r"master with the certificate viewer\.",
+        ),
+        (
+            of(authority, Identity(CertificateRole.ROUTER, "test")),
+            r"master with the certificate router\.",
+        ),
+        (of(authority, Identity(CertificateRole.MASTER, "other")), r"master of session 'other'"),
         (of(Authority.create("theirs", 2), MASTER), r"master\.test is of another authority"),
     ):
         with pytest.raises(CertificateError, match=complaint):
@@ -49,7 +55,9 @@ def test_each_wrong_certificate_is_refused_in_words_and_the_right_one_is_not() -
     assert (peer.identity, slave.fault, slave.fault_of(peer)) == (MASTER, "", "")
     master = Handshake(right, "test", 7)
     ours = slave.pair_keys(slave.check(master.prove(TOKEN)))
-    theirs = master.pair_keys(master.check(slave.prove(Token(Role.SLAVE, LAYOUT, 1, Stage.HELD))))
+    theirs = master.pair_keys(
+        master.check(slave.prove(Token(Role.SLAVE, LAYOUT, 1, RoleStage.HELD)))
+    )
     assert (ours.sending, ours.receiving) == (theirs.receiving, theirs.sending)
 
 

@@ -13,9 +13,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from teleop.link import Counts, message_queue
+from teleop.link import MessageCounts, message_queue
 from teleop.link.listener import Listener
-from teleop.link.message_queue import BACKLOG_S, CAPACITY_MIN, MessageQueue, capacity_of
+from teleop.link.message_queue import BACKLOG_S, CAPACITY_MIN, MessageQueue, compute_capacity
 from teleop.messages.messages import EmergencyStop
 from teleop.messages.topics import COMMAND, EVENT, LEDGER, STATE, STOP, TENDONS, TOPICS, Topic
 from tests.teleop.link.bench import packed
@@ -109,7 +109,7 @@ def test_counts_are_exact_with_several_threads_putting_while_one_takes() -> None
 
 @pytest.mark.parametrize("topic", TOPICS, ids=lambda topic: topic.name)
 def test_every_topic_has_room_for_a_slow_reader(topic: Topic) -> None:
-    assert capacity_of(topic) >= max(BACKLOG_S * topic.rate_hz, CAPACITY_MIN)
+    assert compute_capacity(topic) >= max(BACKLOG_S * topic.rate_hz, CAPACITY_MIN)
 
 
 def test_a_flood_on_one_topic_displaces_nothing_of_another() -> None:
@@ -117,11 +117,11 @@ def test_a_flood_on_one_topic_displaces_nothing_of_another() -> None:
     queue.add(STOP)
     queue.add(EVENT)
     queue.put(STOP, b"stop", 0)
-    for k in range(10 * capacity_of(EVENT)):
+    for k in range(10 * compute_capacity(EVENT)):
         queue.put(EVENT, b"", k)
     arrivals, _ = queue.take()
     assert [a.data for a in arrivals if a.topic is STOP] == [b"stop"]
-    assert len(arrivals) == 1 + capacity_of(EVENT)
+    assert len(arrivals) == 1 + compute_capacity(EVENT)
 
 
 def test_memory_is_bounded_by_messages_of_the_size_of_the_topic_whatever_is_sent() -> None:
@@ -129,14 +129,14 @@ def test_memory_is_bounded_by_messages_of_the_size_of_the_topic_whatever_is_sent
     store = hear(listener, STOP)
     tracemalloc.start()
     before = tracemalloc.get_traced_memory()[0]
-    for _ in range(2 * capacity_of(STOP)):
+    for _ in range(2 * compute_capacity(STOP)):
         store(bytes(100_000))
     grown = tracemalloc.get_traced_memory()[0] - before
     tracemalloc.stop()
-    assert grown < capacity_of(STOP) * (STOP.message.schema.size + 400)
+    assert grown < compute_capacity(STOP) * (STOP.message.schema.size + 400)
     assert listener.drain() == []
-    assert listener.counts(STOP) == Counts(layout=capacity_of(STOP))
-    assert listener.dropped(STOP) == capacity_of(STOP)
+    assert listener.counts(STOP) == MessageCounts(layout=compute_capacity(STOP))
+    assert listener.dropped(STOP) == compute_capacity(STOP)
 
 
 def test_memory_stays_flat_when_the_queue_of_a_recorder_is_filled_again_and_again() -> None:
@@ -173,7 +173,7 @@ def test_a_listener_that_falls_behind_keeps_the_newest_and_counts_the_others() -
     assert [h.sequence for h in listener.drain()] == kept
     dropped = last - 1 - CAPACITY_MIN
     assert listener.dropped(topic) == dropped
-    assert listener.counts(topic) == Counts(received=1 + CAPACITY_MIN, overwritten=dropped)
+    assert listener.counts(topic) == MessageCounts(received=1 + CAPACITY_MIN, overwritten=dropped)
     store(packed(last + 3))
     listener.drain()
     assert listener.counts(topic).lost == 2  # on the wire, as nothing was dropped since
@@ -221,7 +221,7 @@ def test_a_hundred_thousand_unknown_senders_take_no_memory_and_are_all_counted()
     assert resident_bytes() - before < 2 * MB
     counts = listener.counts(STOP)
     assert heard == count // 2
-    assert counts == Counts(received=heard, corrupted=count // 2)
+    assert counts == MessageCounts(received=heard, corrupted=count // 2)
 
 
 def test_a_sender_that_goes_on_is_not_forgotten_for_a_flood_of_others() -> None:

@@ -11,16 +11,16 @@ import pytest
 
 from teleop.link import Link, LinkConfig
 from teleop.link import roster as roster_module
-from teleop.link.challenge import CHALLENGE_BYTES, challenge_key
+from teleop.link.challenge import CHALLENGE_BYTES, build_challenge_key
 from teleop.link.network import open_session
-from teleop.link.roster import TOKENS
+from teleop.link.roster import GROUP_TOKENS_MAX
 from teleop.messages.messages import LAYOUT
 from teleop.messages.topics import COMMAND, Role
-from teleop.security import OFFICE_OF, Office
+from teleop.security import CERTIFICATE_ROLES, CertificateRole
 from teleop.security.handshake import Handshake
 from teleop.security.keyring import ADDRESSEES
-from teleop.security.local import local_credentials
-from teleop.security.presence import Stage, Token
+from teleop.security.local import create_local_credentials
+from teleop.security.presence import RoleStage, Token
 from tests.rogue import Rogue
 from tests.teleop.link.bench import pump, session, wait_until
 
@@ -29,20 +29,22 @@ SILENT = "that does not answer: it hangs, or somebody plays its token back"
 
 @pytest.fixture
 def short_patience(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(roster_module, "EVERY_NS", 200_000_000)
-    monkeypatch.setattr(roster_module, "SILENT_NS", 300_000_000)
+    monkeypatch.setattr(roster_module, "CHALLENGE_PERIOD_NS", 200_000_000)
+    monkeypatch.setattr(roster_module, "SILENCE_WARNING_NS", 300_000_000)
 
 
 def recorded(role: Role, nonce: int, relayed: bool = False) -> str:
     """The genuine token of a process of an earlier run."""
-    handshake = Handshake(local_credentials("test", OFFICE_OF[role]), "test", nonce)
-    token = handshake.prove(Token(role, LAYOUT, nonce, Stage.HELD))
+    handshake = Handshake(create_local_credentials("test", CERTIFICATE_ROLES[role]), "test", nonce)
+    token = handshake.prove(Token(role, LAYOUT, nonce, RoleStage.HELD))
     return token.key("test").replace("/@/", "/@/relay/") if relayed else token.key("test")
 
 
 def rogue_of(config: LinkConfig, count: int) -> Rogue:
     rogue = Rogue(
-        [config.slave, config.master], "test", local_credentials("test", Office.ROUTER).for_tls()
+        [config.slave, config.master],
+        "test",
+        create_local_credentials("test", CertificateRole.ROUTER).for_tls(),
     )
     wait_until(lambda: rogue.connected(count))
     return rogue
@@ -80,7 +82,7 @@ def test_recorded_tokens_evict_and_displace_nobody(config: LinkConfig) -> None:
 
 
 @pytest.mark.usefixtures("short_patience")
-@pytest.mark.parametrize("count", [2, TOKENS + 16])
+@pytest.mark.parametrize("count", [2, GROUP_TOKENS_MAX + 16])
 def test_recorded_tokens_keep_nobody_out(config: LinkConfig, count: int) -> None:
     """They stand before the pair comes, older and newer ones, more than are kept."""
     with Link(config, "test", Role.SLAVE) as slave, rogue_of(config, 1) as rogue:
@@ -91,7 +93,7 @@ def test_recorded_tokens_keep_nobody_out(config: LinkConfig, count: int) -> None
             assert slave.latest(COMMAND).message.sender == master.nonce
             assert {token.nonce for token in slave._roster.others} == {master.nonce}
             time.sleep(0.6)  # for the checks that were too many at once
-            assert len(slave._roster._processes) <= TOKENS + 2
+            assert len(slave._roster._processes) <= GROUP_TOKENS_MAX + 2
 
 
 @pytest.mark.usefixtures("short_patience")
@@ -122,7 +124,7 @@ def rogue_tokens(rogue: Rogue, master: Link) -> list[str]:
 
 
 def test_a_challenge_is_answered_to_genuine_askers_only(config: LinkConfig) -> None:
-    credentials = local_credentials("test", Office.ROUTER)
+    credentials = create_local_credentials("test", CertificateRole.ROUTER)
     with (
         Link(config, "test", Role.SLAVE) as slave,
         open_session(credentials, [], [config.slave]) as asking,
@@ -132,7 +134,7 @@ def test_a_challenge_is_answered_to_genuine_askers_only(config: LinkConfig) -> N
 
         def answers(role: str, token: str, subject: int = slave.nonce) -> list[bytes]:
             payload = challenge + subject.to_bytes(8, "little") + token.encode()
-            key = challenge_key("test", role, slave.nonce)
+            key = build_challenge_key("test", role, slave.nonce)
             replies = list(asking.get(key, payload=payload, timeout=1.0))
             return [reply.ok.payload.to_bytes() for reply in replies if reply.ok is not None]
 

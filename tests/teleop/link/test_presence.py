@@ -7,14 +7,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from teleop.messages.topics import Role
-from teleop.security.presence import EXCLUSIVE, Stage, Token, conflict, new_nonce
+from teleop.security.presence import EXCLUSIVE_ROLES, RoleStage, Token, create_nonce, find_conflict
 
 TOKENS = st.builds(
     Token,
     role=st.sampled_from(list(Role)),
     layout=st.sampled_from([1, 2]),
     nonce=st.integers(0, 2**64 - 1),
-    stage=st.sampled_from(list(Stage)),
+    stage=st.sampled_from(list(RoleStage)),
     relayed=st.booleans(),
 )
 
@@ -65,9 +65,9 @@ def test_a_token_has_one_key(key: str) -> None:
 
 @given(TOKENS, TOKENS)
 def test_of_two_that_cannot_both_be_there_exactly_one_leaves(one: Token, two: Token) -> None:
-    both = one.role in EXCLUSIVE and two.role in EXCLUSIVE and one.nonce != two.nonce
+    both = one.role in EXCLUSIVE_ROLES and two.role in EXCLUSIVE_ROLES and one.nonce != two.nonce
     clash = both and (one.role == two.role or one.layout != two.layout)
-    leaves = [conflict(one, [two]) is not None, conflict(two, [one]) is not None]
+    leaves = [find_conflict(one, [two]) is not None, find_conflict(two, [one]) is not None]
     if both:
         assert sum(leaves) == clash
     if clash and one.stage != two.stage:
@@ -79,15 +79,15 @@ def test_of_two_that_cannot_both_be_there_exactly_one_leaves(one: Token, two: To
 def test_listeners_make_nobody_leave_and_leave_only_for_another_layout(
     one: Token, two: Token
 ) -> None:
-    if two.role not in EXCLUSIVE:
-        assert conflict(one, [two]) is None
-    if one.role not in EXCLUSIVE and two.role in EXCLUSIVE and one.nonce != two.nonce:
-        assert (conflict(one, [two]) is not None) == (one.layout != two.layout)
+    if two.role not in EXCLUSIVE_ROLES:
+        assert find_conflict(one, [two]) is None
+    if one.role not in EXCLUSIVE_ROLES and two.role in EXCLUSIVE_ROLES and one.nonce != two.nonce:
+        assert (find_conflict(one, [two]) is not None) == (one.layout != two.layout)
 
 
 def test_nonces_differ_and_grow() -> None:
     drawn = []
     for _ in range(200):
-        drawn.append(new_nonce())
+        drawn.append(create_nonce())
         time.sleep(1e-5)
     assert drawn == sorted(set(drawn))

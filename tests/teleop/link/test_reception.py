@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from teleop.link import NEVER_NS, Counts, Latest
+from teleop.link import NEVER_NS, LatestMessage, MessageCounts
 from teleop.link.reception import DRIFT, Reception
 from teleop.messages.messages import Command, SlaveState
 from teleop.messages.topics import COMMAND
@@ -18,7 +18,7 @@ def take(latest, data, now_ns):
     latest.take([(item, now_ns) for item in data])
 
 
-def total(counts: Counts) -> int:
+def total(counts: MessageCounts) -> int:
     return counts.received + counts.rejected
 
 
@@ -58,7 +58,7 @@ def test_another_sender_is_let_in_only_when_ours_is_gone_and_it_is_announced() -
     there = {7}
     reception = Reception(COMMAND, visit=lambda nonce: nonce in there)
     assert reception.admit(packed(1, sender=9)) is None  # unknown so far: passed over
-    assert reception.counts == Counts(unknown=1)
+    assert reception.counts == MessageCounts(unknown=1)
     assert reception.counts.rejected == 0
     assert reception.admit(packed(5, sender=7))
     there.add(9)
@@ -67,7 +67,7 @@ def test_another_sender_is_let_in_only_when_ours_is_gone_and_it_is_announced() -
     there.discard(7)
     assert reception.admit(packed(1, sender=9))
     assert reception.admit(packed(6, sender=7)) is None
-    assert reception.counts == Counts(received=2, restarts=1, foreign=2, unknown=1)
+    assert reception.counts == MessageCounts(received=2, restarts=1, foreign=2, unknown=1)
 
 
 def test_a_message_of_another_topic_or_layout_is_counted_as_layout() -> None:
@@ -78,7 +78,7 @@ def test_a_message_of_another_topic_or_layout_is_counted_as_layout() -> None:
 
 
 def test_no_message_is_older_than_any_limit() -> None:
-    latest = Latest(COMMAND, visit=lambda _: True)
+    latest = LatestMessage(COMMAND, visit=lambda _: True)
     assert latest.age_ns(0) == NEVER_NS
     assert not latest.is_fresh(0, 10**18)
     take(latest, [], 5)
@@ -91,7 +91,7 @@ def test_age_is_time_since_sent_less_the_quickest_way_whatever_the_clocks_say(
 ) -> None:
     """Against a simulated wire on which the true age of every message is known."""
     chance = random.Random(1)  # noqa: S311 - a wire, not a secret
-    latest = Latest(COMMAND, visit=lambda _: True)
+    latest = LatestMessage(COMMAND, visit=lambda _: True)
     quickest = 200_000
     in_flight: list[tuple[int, int]] = []  # (arrives, sent), on our clock
     newest_sent = None
@@ -114,7 +114,7 @@ def test_age_is_time_since_sent_less_the_quickest_way_whatever_the_clocks_say(
 
 
 def test_a_message_that_was_held_up_is_old_when_it_arrives() -> None:
-    latest = Latest(COMMAND, visit=lambda _: True)
+    latest = LatestMessage(COMMAND, visit=lambda _: True)
     for k in range(100):
         take(latest, [packed(k + 1, stamp_ns=k * MS)], k * MS)
     assert latest.is_fresh(99 * MS, 2 * MS)
@@ -127,7 +127,7 @@ def test_a_message_that_was_held_up_is_old_when_it_arrives() -> None:
 
 def test_the_clocks_of_a_restarted_sender_are_learnt_anew() -> None:
     there = {7}
-    latest = Latest(COMMAND, visit=lambda nonce: nonce in there)
+    latest = LatestMessage(COMMAND, visit=lambda nonce: nonce in there)
     take(latest, [packed(1, sender=7, stamp_ns=10**15)], 0)
     there.symmetric_difference_update({7, 9})
     take(latest, [packed(1, sender=9, stamp_ns=0)], 10 * MS)
@@ -137,7 +137,7 @@ def test_the_clocks_of_a_restarted_sender_are_learnt_anew() -> None:
 @pytest.mark.parametrize("gain", [0.0005, -0.0005])
 def test_clocks_that_run_at_different_speeds_do_not_make_messages_old(gain: float) -> None:
     """The most that NTP slews, for ten minutes: 0.3 s between the clocks in the end."""
-    latest = Latest(COMMAND, visit=lambda _: 1)
+    latest = LatestMessage(COMMAND, visit=lambda _: 1)
     for k in range(60_000):
         now = k * 10 * MS
         data = packed(k + 1, stamp_ns=round(now * (1.0 - gain)))
@@ -147,7 +147,7 @@ def test_clocks_that_run_at_different_speeds_do_not_make_messages_old(gain: floa
 
 def test_a_peer_that_slept_is_fresh_again_once_its_token_has_come_back() -> None:
     visit = {7: 1}
-    latest = Latest(COMMAND, visit=lambda nonce: visit[nonce])
+    latest = LatestMessage(COMMAND, visit=lambda nonce: visit[nonce])
     slept = 10_000 * MS
     take(latest, [packed(1, stamp_ns=0)], 0)
     visit[7] = 0

@@ -13,15 +13,15 @@ import pytest
 
 from teleop.link import Link, LinkConfig
 from teleop.link import admission as admission_module
-from teleop.link.roster import TOKENS
+from teleop.link.roster import GROUP_TOKENS_MAX
 from teleop.messages.messages import LAYOUT, Command, EmergencyStop, Setting, SlaveState
 from teleop.messages.topics import COMMAND, SETTING, STATE, STOP, Role
 from teleop.remote.requests import RESET, RequestListener
-from teleop.security import Credentials, Identity, Office
+from teleop.security import CertificateRole, Credentials, Identity
 from teleop.security.authority import Authority
 from teleop.security.handshake import Handshake
-from teleop.security.local import local_credentials
-from teleop.security.presence import Stage, Token
+from teleop.security.local import create_local_credentials
+from teleop.security.presence import RoleStage, Token
 from teleop.session.state_machine import Reason
 from tests.rogue import ENGAGED, POSITION_AT, STATE_AT, Rogue, forged, head
 from tests.teleop.keys.folder import make_keys, put
@@ -40,8 +40,8 @@ def pair(config: LinkConfig) -> Iterator[tuple[Link, Link]]:
         yield slave, master
 
 
-def rogue_of(config: LinkConfig, office: Office, count: int = 2) -> Rogue:
-    tls = local_credentials("test", office).for_tls()
+def rogue_of(config: LinkConfig, office: CertificateRole, count: int = 2) -> Rogue:
+    tls = create_local_credentials("test", office).for_tls()
     rogue = Rogue([config.slave, config.master], "test", tls)
     for topic in ("command", "state"):
         rogue.listen(topic)
@@ -75,7 +75,7 @@ def test_forged_and_played_back_messages_move_nothing(
     pair: tuple[Link, Link], config: LinkConfig
 ) -> None:
     slave, master = pair
-    with rogue_of(config, Office.ROUTER) as rogue:
+    with rogue_of(config, CertificateRole.ROUTER) as rogue:
         capture(rogue, master, slave)
         command, tags = rogue.heard["command"][-1]
         state, _ = rogue.heard["state"][-1]
@@ -102,14 +102,14 @@ def test_forged_and_played_back_messages_move_nothing(
 def test_commands_of_an_earlier_run_mean_nothing_to_a_new_slave(config: LinkConfig) -> None:
     with session(config, Role.SLAVE, Role.MASTER) as (slave, master):
         slave.subscribe_latest(COMMAND)
-        with rogue_of(config, Office.ROUTER) as rogue:
+        with rogue_of(config, CertificateRole.ROUTER) as rogue:
             capture(rogue, master, slave)
             wait_until(lambda: any("/@/master/" in key for key in rogue.tokens))
             old = rogue.heard["command"][-1], rogue.token_of("master")
     (command, tags), token = old
     with Link(config, "test", Role.SLAVE) as slave:
         slave.subscribe_latest(COMMAND)
-        with rogue_of(config, Office.ROUTER, count=1) as rogue:
+        with rogue_of(config, CertificateRole.ROUTER, count=1) as rogue:
             rogue.announce_key(token)  # genuine, but its process is gone
             for _ in range(5):
                 rogue.put("command", command, tags)
@@ -127,7 +127,7 @@ def test_forged_tokens_are_refused_in_words_and_evict_nobody(
     pair: tuple[Link, Link], config: LinkConfig
 ) -> None:
     slave, master = pair
-    with rogue_of(config, Office.ROUTER) as rogue:
+    with rogue_of(config, CertificateRole.ROUTER) as rogue:
         wait_until(lambda: any("/@/master/" in key for key in rogue.tokens))
         proof = rogue.token_of("master").rsplit("/", 1)[1]
         for role in ("master", "slave", "remote"):
@@ -157,7 +157,7 @@ def test_stops_resets_and_settings_need_a_supervisor(
     slave, master = pair
     requests = {link: RequestListener(link) for link in pair}
     time.sleep(0.2)
-    with rogue_of(config, Office.ROUTER) as rogue:
+    with rogue_of(config, CertificateRole.ROUTER) as rogue:
         for sender in (master.nonce, slave.nonce, 12345):
             for action in range(4):
                 rogue.stop(LAYOUT, sender, action, side=int(Role.SLAVE))
@@ -181,7 +181,7 @@ def test_stops_resets_and_settings_need_a_supervisor(
 def test_a_viewer_is_heard_by_nobody(pair: tuple[Link, Link], config: LinkConfig) -> None:
     slave, master = pair
     requests = {link: RequestListener(link) for link in pair}
-    with rogue_of(config, Office.VIEWER) as rogue:
+    with rogue_of(config, CertificateRole.VIEWER) as rogue:
         capture(rogue, master, slave)
         time.sleep(0.2)
         before = slave.latest(COMMAND).counts.received
@@ -202,18 +202,18 @@ def test_a_viewer_is_heard_by_nobody(pair: tuple[Link, Link], config: LinkConfig
 @pytest.mark.parametrize(
     ("office", "group", "kept"),
     [
-        (Office.VIEWER, "viewer", 0),
-        (Office.RECORDER, "recorder", 0),
-        (Office.SUPERVISOR, "remote", 100),
+        (CertificateRole.VIEWER, "viewer", 0),
+        (CertificateRole.RECORDER, "recorder", 0),
+        (CertificateRole.SUPERVISOR, "remote", 100),
     ],
 )
 def test_nothing_is_kept_of_a_listener_but_subscribers(
-    office: Office, group: str, kept: int, config: LinkConfig
+    office: CertificateRole, group: str, kept: int, config: LinkConfig
 ) -> None:
     """Zenoh removes tokens and queryables at once when a connection ends, and sends nothing."""
     with Link(config, "test", Role.SLAVE) as slave:
         states = slave._zenoh.declare_publisher("teleop/test/state")
-        tls = local_credentials("test", office).for_tls()
+        tls = create_local_credentials("test", office).for_tls()
         with Rogue([config.slave], "test", tls) as rogue:
             wait_until(rogue.connected)
             for n in range(100):
@@ -238,12 +238,12 @@ def test_floods_of_tokens_are_bounded_and_a_genuine_one_gets_through(
     pair: tuple[Link, Link], config: LinkConfig
 ) -> None:
     slave, master = pair
-    with rogue_of(config, Office.ROUTER) as rogue:
+    with rogue_of(config, CertificateRole.ROUTER) as rogue:
         for n in range(500):
             rogue.announce("remote", LAYOUT, n, proof="AAAA")
             rogue.announce("master", LAYOUT, n)
         wait_until(lambda: any("too fast" in line for line in slave.refusals.take()))
-        assert len(slave._roster.others) < TOKENS
+        assert len(slave._roster.others) < GROUP_TOKENS_MAX
         goes_on(slave, master)
     with Link(config, "test", Role.REMOTE):
 
@@ -261,11 +261,11 @@ def test_worthless_proofs_of_who_may_not_stop_leave_a_stop_its_place(
     authority = Authority.create("test authority", 2)
     sides = make_keys(tmp_path / "sides", authority=authority)
     desk = make_keys(tmp_path / "desk", authority=authority)
-    put(authority, desk, Identity(Office.SUPERVISOR, "test", ("stop",)))
-    attacker = Identity(Office.SUPERVISOR, "test", ("set",))
+    put(authority, desk, Identity(CertificateRole.SUPERVISOR, "test", ("stop",)))
+    attacker = Identity(CertificateRole.SUPERVISOR, "test", ("set",))
     certificate, key = authority.issue(attacker, 1.0)
     credentials = Credentials(attacker, certificate, key, authority.certificate)
-    shown = Handshake(credentials, "test", 1).prove(Token(Role.REMOTE, LAYOUT, 1, Stage.HELD))
+    shown = Handshake(credentials, "test", 1).prove(Token(Role.REMOTE, LAYOUT, 1, RoleStage.HELD))
     with (
         session(with_keys(config, sides), Role.SLAVE, Role.MASTER) as (slave, master),
         Rogue([config.slave, config.master], "test", credentials.for_tls()) as rogue,
@@ -297,7 +297,7 @@ def test_a_lost_number_is_not_taken_by_somebody_else(
     twin._token = twin._handshake.prove(
         master._token.__class__(Role.MASTER, LAYOUT, master.nonce, master._token.stage)
     )
-    with rogue_of(config, Office.ROUTER) as rogue:
+    with rogue_of(config, CertificateRole.ROUTER) as rogue:
         rogue.announce_key(twin._token.key("test"))
         lines: list[str] = []
 

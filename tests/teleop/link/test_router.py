@@ -13,10 +13,10 @@ from teleop.link.network import open_session
 from teleop.link.router import Router
 from teleop.messages.messages import Command, LoopReport, SlaveState
 from teleop.messages.topics import COMMAND, REPORT, STATE, TOPICS, Role
-from teleop.security import Office
-from teleop.security.access import access_control
+from teleop.security import CertificateRole
+from teleop.security.access import build_access_control
 from teleop.security.identity import ALL_SESSIONS
-from teleop.security.local import local_credentials
+from teleop.security.local import create_local_credentials
 from tests.system.processes import free_ports
 from tests.teleop.link.bench import oldest, pump, wait_until
 
@@ -217,7 +217,11 @@ def test_what_a_role_must_not_send_ends_at_the_router(served: tuple[str, ...]) -
         Router(config, served, [end], []),
         pair(config, "a") as (slave, master),
         open_session(
-            local_credentials("a", Office.VIEWER), [], [end], access_control(["a"]), "client"
+            create_local_credentials("a", CertificateRole.VIEWER),
+            [],
+            [end],
+            build_access_control(["a"]),
+            "client",
         ) as viewer,
     ):
         pump(master, slave)

@@ -9,11 +9,11 @@ from typing import Any
 import pytest
 
 from teleop.errors import PeerError, UsageError
-from teleop.link import Counts, Link, LinkConfig
+from teleop.link import Link, LinkConfig, MessageCounts
 from teleop.link.config import Address
 from teleop.link.listener import Listener
 from teleop.link.network import BATCH_BYTES, open_session
-from teleop.link.ping_pong import ping_pong
+from teleop.link.ping_pong import measure_ping_pong
 from teleop.messages.messages import (
     LAYOUT,
     Command,
@@ -21,15 +21,15 @@ from teleop.messages.messages import (
     Hand,
     LoopReport,
     SlaveState,
-    text_bytes,
+    encode_text,
 )
 from teleop.messages.topics import COMMAND, EVENT, HAND, REPORT, STATE, TOPICS, Role, Topic
 from teleop.runtime.clock import now_ns
-from teleop.security import Office
+from teleop.security import CertificateRole
 from teleop.security.handshake import Handshake
-from teleop.security.keyring import Keyring, nonce_bytes
-from teleop.security.local import local_credentials
-from teleop.security.presence import Stage, Token, new_nonce
+from teleop.security.keyring import Keyring, pack_nonce
+from teleop.security.local import create_local_credentials
+from teleop.security.presence import RoleStage, Token, create_nonce
 from tests.teleop.link.bench import MS, free_config, pump, session, wait_until
 
 
@@ -45,7 +45,7 @@ def test_messages_cross_whole_and_in_order(config: LinkConfig) -> None:
             slave.publish(STATE, SlaveState(joints=k, echo_stamp_ns=stamp))
             sent.append(stamp)
             time.sleep(0.002)
-        slave.publish(EVENT, Event(role=Role.SLAVE, text=text_bytes("ready")))
+        slave.publish(EVENT, Event(role=Role.SLAVE, text=encode_text("ready")))
         master.publish(REPORT, LoopReport(role=Role.MASTER))
         slave.publish(REPORT, LoopReport(role=Role.SLAVE))
 
@@ -73,7 +73,9 @@ def test_messages_cross_whole_and_in_order(config: LinkConfig) -> None:
             assert h.received_ns >= h.stamp_ns - MS
         counts = listener.counts(COMMAND)
         first, last = commands[0].sequence, commands[-1].sequence
-        assert counts == Counts(received=len(commands), lost=last - first + 1 - len(commands))
+        assert counts == MessageCounts(
+            received=len(commands), lost=last - first + 1 - len(commands)
+        )
 
 
 def test_new_is_true_for_one_look_and_age_grows_until_the_next_message(config: LinkConfig) -> None:
@@ -151,15 +153,15 @@ def test_a_restarted_master_is_taken_up_again_and_counted(config: LinkConfig) ->
 
 def test_a_machine_that_slept_is_not_silent_after_it_has_come_back(config: LinkConfig) -> None:
     """The same process as far as anyone can tell, its clock ten seconds behind."""
-    nonce, sequence = new_nonce(), itertools.count(1)
-    handshake = Handshake(local_credentials("test", Office.MASTER), "test", nonce)
+    nonce, sequence = create_nonce(), itertools.count(1)
+    handshake = Handshake(create_local_credentials("test", CertificateRole.MASTER), "test", nonce)
     keyring = Keyring(Role.MASTER, nonce)
     with Link(config, "test", Role.SLAVE) as slave:
         latest = slave.subscribe_latest(COMMAND)
         for behind_ns in (0, 10_000 * MS):
             master = Link(config, "test", Role.MASTER)
             master.nonce = nonce
-            master._token = Token(Role.MASTER, LAYOUT, nonce, Stage.CLAIM)
+            master._token = Token(Role.MASTER, LAYOUT, nonce, RoleStage.CLAIM)
             master._handshake, master._keyring = handshake, keyring
             with master:
                 publisher = master._publisher(COMMAND)
@@ -177,14 +179,16 @@ def test_a_machine_that_slept_is_not_silent_after_it_has_come_back(config: LinkC
 
 
 def test_what_an_intruder_puts_on_the_key_is_counted_and_kept_out(config: LinkConfig) -> None:
-    router = local_credentials("test", Office.ROUTER)  # may pass on everything, and make nothing
+    router = create_local_credentials(
+        "test", CertificateRole.ROUTER
+    )  # may pass on everything, and make nothing
     with session(config, Role.SLAVE, Role.MASTER) as (slave, master):
         latest = pump(master, slave)
         with open_session(router, [], [config.slave]) as intruder:
             publisher = intruder.declare_publisher("teleop/test/command")
             wait_until(lambda: publisher.matching_status.matching)
             genuine = Command(state=2).pack(master.nonce, 10**6, now_ns())
-            tag = nonce_bytes(slave.nonce) + bytes(16)
+            tag = pack_nonce(slave.nonce) + bytes(16)
 
             def counted() -> tuple[int, ...]:
                 counts = slave.latest(COMMAND).counts
@@ -351,7 +355,7 @@ def test_every_message_fits_into_one_batch_with_room_for_its_key() -> None:
 
 
 def test_the_yardstick_measures_and_cleans_up() -> None:
-    result = ping_pong(Command.schema.size, SlaveState.schema.size, 50)
+    result = measure_ping_pong(Command.schema.size, SlaveState.schema.size, 50)
     assert result["n"] > 0
     assert 0.0 < result["one_way_p50_ms"] < result["p50_ms"]
     assert result["p50_ms"] <= result["p99_ms"] <= result["p99_9_ms"]

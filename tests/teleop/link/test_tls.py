@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from teleop.link import Counts, Link, LinkConfig
+from teleop.link import Link, LinkConfig, MessageCounts
 from teleop.messages.messages import Command
 from teleop.messages.topics import COMMAND, Role
 from tests.teleop.keys.folder import make_keys
@@ -46,7 +46,7 @@ def test_another_authority_the_local_one_and_plaintext_are_kept_out(
                     time.sleep(0.003)
                     assert not slave.present(Role.MASTER)
                     assert not master.present(Role.SLAVE)
-        assert slave.latest(COMMAND).counts == Counts()
+        assert slave.latest(COMMAND).counts == MessageCounts()
 
 
 def test_a_plaintext_session_is_possible_if_asked_for(config: LinkConfig) -> None:

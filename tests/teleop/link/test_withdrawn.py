@@ -10,7 +10,7 @@ from teleop.link import Link, LinkConfig
 from teleop.link import roster as roster_module
 from teleop.messages.messages import Command
 from teleop.messages.topics import COMMAND, Role
-from teleop.security import Identity, Office
+from teleop.security import CertificateRole, Identity
 from teleop.security.authority import REVOKED, Authority
 from tests.teleop.keys.folder import make_keys, put
 from tests.teleop.link.bench import pump, session, wait_until
@@ -21,7 +21,7 @@ DAY_S = 86_400.0
 
 @pytest.fixture(autouse=True)
 def short_patience(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(roster_module, "EVERY_NS", 100_000_000)
+    monkeypatch.setattr(roster_module, "CHALLENGE_PERIOD_NS", 100_000_000)
 
 
 @pytest.fixture
@@ -89,7 +89,7 @@ def test_a_certificate_that_expires_ends_the_pair(
     tmp_path: Path, config: LinkConfig, authority: Authority
 ) -> None:
     keys = make_keys(tmp_path, authority=authority)
-    put(authority, keys, Identity(Office.MASTER, "test"), 3.0 / DAY_S)
+    put(authority, keys, Identity(CertificateRole.MASTER, "test"), 3.0 / DAY_S)
     with session(with_keys(config, keys), Role.SLAVE, Role.MASTER) as (slave, master):
         pump(master, slave, 3)
         assert master.credentials is not None

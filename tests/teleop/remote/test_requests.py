@@ -5,12 +5,12 @@ from types import SimpleNamespace
 import pytest
 
 from teleop.link import ReceivedMessage
-from teleop.link.refusals import Refusals
+from teleop.link.refusals import RefusalCounter
 from teleop.messages.messages import EmergencyStop
 from teleop.messages.topics import STOP, Role
 from teleop.remote import stop_over_link
 from teleop.remote.requests import CALL, LEAVE, WATCH, RequestListener, Requests
-from teleop.session.loop_process import PEER_NS, LoopProcess
+from teleop.session.loop_process import PEER_TIMEOUT_NS, LoopProcess
 from teleop.session.state_machine import Reason, SessionOutline, State
 
 MS = 1_000_000
@@ -23,7 +23,7 @@ class FakeLink:
     role, nonce = Role.SLAVE, 1
 
     def __init__(self):
-        self.refusals, self.here, self._messages = Refusals(), True, []
+        self.refusals, self.here, self._messages = RefusalCounter(), True, []
 
     def send(self, action, now):
         call = EmergencyStop(role=Role.WATCH, action=action)
@@ -100,7 +100,7 @@ def test_a_side_says_that_its_peer_is_connected_and_silent(line, fresh, connecte
     line.present = lambda role: connected and role is Role.MASTER
     own = SimpleNamespace(is_asked=True, answer=told.append)
     newest = SimpleNamespace(
-        is_fresh=lambda _now, limit: fresh and limit == PEER_NS,
+        is_fresh=lambda _now, limit: fresh and limit == PEER_TIMEOUT_NS,
         packet=SimpleNamespace(records={"state": [State.ENGAGED]}),
     )
     side = SimpleNamespace(

@@ -17,7 +17,7 @@ import pytest
 from teleop.cli import commands
 from teleop.errors import TeleopError
 from teleop.remote import stop_over_link, stop_socket
-from teleop.remote.stop_socket import StopSocket, request_local, sessions_with_sockets
+from teleop.remote.stop_socket import StopSocket, list_sessions_with_sockets, request_local
 from teleop.session import running_sessions
 
 
@@ -125,7 +125,7 @@ def refuse_to_bind(monkeypatch):
     def fail(path, _stack):
         raise OSError(errno.ENOSPC, "No space left on device", str(path))
 
-    monkeypatch.setattr(stop_socket, "_bound", fail)
+    monkeypatch.setattr(stop_socket, "_bind_socket", fail)
 
 
 def test_a_stop_is_sent_though_no_answer_can_be_received(monkeypatch):
@@ -207,7 +207,7 @@ def test_only_the_user_reaches_a_socket_and_it_is_gone_at_the_end(runtime_folder
         (path,) = folder.iterdir()
         assert stat.S_IMODE(folder.stat().st_mode) == 0o700
         assert stat.S_IMODE(path.stat().st_mode) == 0o600
-        assert sessions_with_sockets() == {"s"}
+        assert list_sessions_with_sockets() == {"s"}
     assert list(folder.iterdir()) == []
 
 
@@ -218,7 +218,7 @@ def test_the_socket_of_a_killed_process_is_removed(runtime_folder):
     )
     subprocess.run([sys.executable, "-c", code], check=False)
     (left,) = runtime_folder.glob("*/*.stop")
-    assert sessions_with_sockets() == set()  # `teleop stop` does not ask which session
+    assert list_sessions_with_sockets() == set()  # `teleop stop` does not ask which session
     assert not left.exists()
 
 
@@ -242,7 +242,7 @@ def test_a_process_that_is_killed_during_a_request_is_not_waited_for(monkeypatch
     with datagrams() as killed:
         killed.bind(str(runtime_folder / "s.slave.stop"))
     paths = [(runtime_folder / "s.slave.stop", "s", "slave")]
-    monkeypatch.setattr(stop_socket, "_sockets", lambda: paths)
+    monkeypatch.setattr(stop_socket, "_list_sockets", lambda: paths)
     assert request_local("s", is_reset=False, reason="").states == {"slave": "silent"}
     assert not paths[0][0].exists()
 
@@ -288,14 +288,14 @@ def test_nobody_takes_away_the_local_stop_by_making_its_folders_first(occupied):
 
 def test_a_folder_in_which_no_socket_can_be_made_is_passed_over(monkeypatch, runtime_folder):
     """Without free inodes, for instance."""
-    bind, full = stop_socket._bound, runtime_folder / "tendon-teleop"
+    bind, full = stop_socket._bind_socket, runtime_folder / "tendon-teleop"
 
     def fail(path, stack):
         if path.parent == full:
             raise OSError(errno.ENOSPC, "No space left on device", str(path))
         return bind(path, stack)
 
-    monkeypatch.setattr(stop_socket, "_bound", fail)
+    monkeypatch.setattr(stop_socket, "_bind_socket", fail)
     with StopSocket("s", "master") as own:
         assert not own.warning
         side = Side(own, "master")

@@ -3,7 +3,7 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from teleop.remote.watches import BEAT_S, SILENCE_S, Beat, update
+from teleop.remote.watches import BEAT_S, SILENCE_S, Heartbeat, update_watches
 
 MS = 1_000_000
 SILENT = round(SILENCE_S * 1e9)
@@ -18,7 +18,7 @@ def gone(_nonce):
 
 
 def armed(now=0, watch=7, present=here):
-    watches, lost = update((), [Beat(watch, now, leaves=False)], present, now)
+    watches, lost = update_watches((), [Heartbeat(watch, now, leaves=False)], present, now)
     assert not lost
     assert [one.watch for one in watches] == [watch]
     return watches
@@ -28,40 +28,40 @@ def test_it_stays_armed_while_it_beats():
     watches = armed()
     for k in range(1, 200):
         now = round(k * BEAT_S * 1e9)
-        watches, lost = update(watches, [Beat(7, now, leaves=False)], here, now)
+        watches, lost = update_watches(watches, [Heartbeat(7, now, leaves=False)], here, now)
         assert not lost
     assert len(watches) == 1
 
 
 def test_silence_is_a_loss_told_once():
     watches = armed()
-    assert update(watches, [], here, SILENT) == (watches, False)
-    assert update(watches, [], here, SILENT + 1) == ((), True)
-    assert update((), [], here, SILENT + 2) == ((), False)
+    assert update_watches(watches, [], here, SILENT) == (watches, False)
+    assert update_watches(watches, [], here, SILENT + 1) == ((), True)
+    assert update_watches((), [], here, SILENT + 2) == ((), False)
 
 
 def test_a_vanished_token_is_a_loss_at_once():
-    assert update(armed(), [], gone, 1 * MS) == ((), True)
+    assert update_watches(armed(), [], gone, 1 * MS) == ((), True)
 
 
 def test_a_beat_may_come_before_its_token_but_the_token_may_not_vanish_then():
     watches = armed(present=gone)
-    watches, lost = update(watches, [], gone, 1 * MS)
+    watches, lost = update_watches(watches, [], gone, 1 * MS)
     assert not lost
-    watches, lost = update(watches, [], here, 2 * MS)
+    watches, lost = update_watches(watches, [], here, 2 * MS)
     assert not lost
-    assert update(watches, [], gone, 3 * MS) == ((), True)
+    assert update_watches(watches, [], gone, 3 * MS) == ((), True)
 
 
 def test_one_that_leaves_is_not_missed():
-    watches, lost = update(armed(), [Beat(7, 1 * MS, leaves=True)], gone, 1 * MS)
+    watches, lost = update_watches(armed(), [Heartbeat(7, 1 * MS, leaves=True)], gone, 1 * MS)
     assert (watches, lost) == ((), False)
-    assert update(watches, [], gone, 10 * SILENT) == ((), False)
+    assert update_watches(watches, [], gone, 10 * SILENT) == ((), False)
 
 
 def test_of_several_each_counts():
-    watches, _ = update(armed(), [Beat(8, 0, leaves=False)], here, 0)
-    watches, lost = update(watches, [Beat(8, SILENT, leaves=False)], here, SILENT + 1)
+    watches, _ = update_watches(armed(), [Heartbeat(8, 0, leaves=False)], here, 0)
+    watches, lost = update_watches(watches, [Heartbeat(8, SILENT, leaves=False)], here, SILENT + 1)
     assert lost
     assert [one.watch for one in watches] == [8]
 
@@ -71,8 +71,8 @@ def test_it_is_lost_exactly_when_it_was_silent_for_too_long(script):
     watches, now, heard = (), 0, None
     for wait_ms, what in script:
         now += wait_ms * MS
-        beats = [] if what == "nothing" else [Beat(7, now, leaves=what == "leave")]
-        watches, lost = update(watches, beats, here, now)
+        beats = [] if what == "nothing" else [Heartbeat(7, now, leaves=what == "leave")]
+        watches, lost = update_watches(watches, beats, here, now)
         if what != "nothing":
             heard = now if what == "beat" else None
             assert not lost

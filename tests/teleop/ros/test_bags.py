@@ -22,13 +22,13 @@ from teleop.messages.messages import (
     Sheath,
     SlaveState,
     TendonState,
-    padded,
+    pad_values,
 )
 from teleop.messages.topics import COMMAND, EVENT, HAND, REPORT, SHEATH, STATE, TENDONS, Role
 from teleop.recording.config import RecordConfig
 from teleop.recording.writer import RecordingWriter
 from teleop.ros import standard
-from teleop.ros.interface import interface_of
+from teleop.ros.interface import find_interface
 from teleop.ros.standard import JointState, WrenchStamped
 from tests.teleop.recorded import START_NS
 from tests.teleop.ros.values import as_theirs, typestore
@@ -43,19 +43,19 @@ def tension(k):
 
 def session(k):
     """All topics of millisecond `k`."""
-    bench = padded((tension(k) / 2, NAN), 16)
+    bench = pad_values((tension(k) / 2, NAN), 16)
     tendons = TendonState(
         tendons=2,
         time_s=k * 1e-3,
-        proximal_tension=padded((tension(k), 2.0), 16),
-        proximal_displacement=padded((k * 1e-6, NAN), 16),
+        proximal_tension=pad_values((tension(k), 2.0), 16),
+        proximal_displacement=pad_values((k * 1e-6, NAN), 16),
         bench_distal_tension=bench,
         bench_distal_displacement=(NAN,) * 16,
     )
     yield TENDONS, tendons
-    yield STATE, SlaveState(state=2, joints=1, force=padded((k * 1e-3,), 8))
-    yield COMMAND, Command(position=padded((k * 1e-3,), 8))
-    yield HAND, Hand(joints=1, position=padded((k * 1e-4,), 8))
+    yield STATE, SlaveState(state=2, joints=1, force=pad_values((k * 1e-3,), 8))
+    yield COMMAND, Command(position=pad_values((k * 1e-3,), 8))
+    yield HAND, Hand(joints=1, position=pad_values((k * 1e-4,), 8))
     if k % 100 == 0:
         yield REPORT, LoopReport(role=Role.SLAVE, state=2)
         yield EVENT, Event(role=Role.SLAVE)
@@ -162,7 +162,7 @@ class Foreign:
         self._writer.close()
 
     def write(self, topic, message, at_s):
-        interface = interface_of(type(message))
+        interface = find_interface(type(message))
         if topic not in self._connections:
             connection = self._writer.add_connection(topic, interface.name, typestore=self._store)
             self._connections[topic] = connection

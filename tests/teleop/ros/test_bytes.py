@@ -12,9 +12,9 @@ from rosbags.typesys import get_types_from_msg
 
 from teleop.messages.messages import SlaveState
 from teleop.ros import cdr
-from teleop.ros.interface import Text, definition, interface_of
+from teleop.ros.interface import Text, find_interface, format_definition
 from teleop.ros.standard import DiagnosticArray, JointState, StringStamped, TFMessage, Time
-from teleop.ros.type_hash import type_hash
+from teleop.ros.type_hash import compute_type_hash
 from tests.teleop.ros.values import TYPES, as_theirs, as_tree, typestore, value_of
 
 
@@ -24,7 +24,7 @@ def store():
 
 
 def name_of(cls):
-    return interface_of(cls).name
+    return find_interface(cls).name
 
 
 @pytest.mark.parametrize("cls", TYPES, ids=name_of)
@@ -33,7 +33,7 @@ def test_a_message_has_the_bytes_that_others_write_and_both_read_them(cls, store
     for _ in range(5):
         message = value_of(cls, rng)
         data = cdr.encode(message)
-        theirs = as_theirs(store, interface_of(cls), message)
+        theirs = as_theirs(store, find_interface(cls), message)
         assert bytes(store.serialize_cdr(theirs, name_of(cls))) == data
         assert as_tree(store.deserialize_cdr(data, name_of(cls))) == as_tree(message)
         assert cdr.decode(cls, data) == message
@@ -41,7 +41,7 @@ def test_a_message_has_the_bytes_that_others_write_and_both_read_them(cls, store
 
 @pytest.mark.parametrize("cls", TYPES, ids=name_of)
 def test_a_type_has_the_hash_that_others_compute(cls, store):
-    assert type_hash(cls) == store.hash_rihs01(name_of(cls))
+    assert compute_type_hash(cls) == store.hash_rihs01(name_of(cls))
 
 
 def test_hashes_that_ros_jazzy_ships():
@@ -52,17 +52,17 @@ def test_hashes_that_ros_jazzy_ships():
         ros_name: ClassVar[str] = "std_msgs/msg/String"
         data: Text = ""
 
-    assert type_hash(String).endswith(
+    assert compute_type_hash(String).endswith(
         "df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"
     )
-    assert type_hash(JointState).endswith(
+    assert compute_type_hash(JointState).endswith(
         "a13ee3a330e346c9d87b5aa18d24e11690752bd33a0350f11c5882bc9179260e"
     )
 
 
 def test_a_definition_contains_all_types_that_it_refers_to(store):
     for cls in (TFMessage, DiagnosticArray):
-        types = get_types_from_msg(definition(interface_of(cls)), name_of(cls))
+        types = get_types_from_msg(format_definition(find_interface(cls)), name_of(cls))
         assert {k: store.fielddefs[k][1] for k in types} == {k: v[1] for k, v in types.items()}
 
 

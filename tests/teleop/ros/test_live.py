@@ -6,9 +6,9 @@ import time
 import numpy as np
 import pytest
 
-from teleop.launch.supervisor import wait_for
+from teleop.launch.supervisor import wait_for_condition
 from teleop.link import Link
-from teleop.messages.messages import Hand, LoopReport, Sheath, SlaveState, TendonState, padded
+from teleop.messages.messages import Hand, LoopReport, Sheath, SlaveState, TendonState, pad_values
 from teleop.messages.topics import COMMAND, HAND, REPORT, SHEATH, STATE, TENDONS, Role
 from teleop.ros.config import RosConfig
 from teleop.ros.graph import RELIABLE, Qos
@@ -44,20 +44,20 @@ class Session:
         state = SlaveState(
             state=State.ENGAGED,
             joints=2,
-            position=padded((0.01, 0.02), 8),
-            force=padded((1.5, -2.5), 8),
-            force_low=padded((1.0, -3.0), 8),
-            force_high=padded((2.0, -2.0), 8),
+            position=pad_values((0.01, 0.02), 8),
+            force=pad_values((1.5, -2.5), 8),
+            force_low=pad_values((1.0, -3.0), 8),
+            force_high=pad_values((2.0, -2.0), 8),
         )
-        tendons = TendonState(tendons=4, proximal_tension=padded((5, 6, 7, 8), 16))
-        straight = Sheath(tendon=1, joint=0, sections=1, section_length=padded((0.5,), 16),
-                          section_radius=padded((float("inf"),), 16))  # fmt: skip
+        tendons = TendonState(tendons=4, proximal_tension=pad_values((5, 6, 7, 8), 16))
+        straight = Sheath(tendon=1, joint=0, sections=1, section_length=pad_values((0.5,), 16),
+                          section_radius=pad_values((float("inf"),), 16))  # fmt: skip
         while not self._over.wait(0.004):
             slave.publish(STATE, state)
             slave.publish(TENDONS, tendons)
             slave.publish(SHEATH, straight)
             slave.publish(REPORT, LoopReport(role=Role.SLAVE, state=State.FAULT, reason=46))
-            master.publish(HAND, Hand(joints=1, velocity=padded((0.5,), 8), force=(3.0,) * 8))
+            master.publish(HAND, Hand(joints=1, velocity=pad_values((0.5,), 8), force=(3.0,) * 8))
             master.publish(COMMAND, COMMAND.message(state=State.READY, velocity=(0.25,) * 8))
 
 
@@ -92,7 +92,7 @@ def heard():
         heard.node_there = lambda: any("/NN/%/%/tendon_teleop" in t for t in heard.tokens)
         assert heard.node_there()
         node.__exit__(None, None, None)
-        heard.left = wait_for(lambda: not heard.node_there(), PATIENCE_S)
+        heard.left = wait_for_condition(lambda: not heard.node_there(), PATIENCE_S)
     return heard
 
 

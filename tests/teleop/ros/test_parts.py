@@ -11,10 +11,10 @@ from teleop.cli import commands
 from teleop.config.loading import load
 from teleop.errors import UsageError
 from teleop.link import LinkConfig
-from teleop.messages.messages import MESSAGES, Sheath, padded
+from teleop.messages.messages import MESSAGES, Sheath, pad_values
 from teleop.ros.config import RosConfig, check_ports
-from teleop.ros.frames import quaternion, tip_of
-from teleop.ros.package import package_files
+from teleop.ros.frames import compute_tip_transform, to_quaternion
+from teleop.ros.package import build_package_files
 from tests.teleop.ros.values import typestore
 
 
@@ -55,7 +55,7 @@ def test_the_package_declares_the_messages_that_are_sent(tmp_path, capsys):
         assert definition == store.fielddefs[name]
         assert f'"msg/{cls.__name__}.msg"' in (root / "CMakeLists.txt").read_text()
     assert "[N]" in (root / "msg" / "SlaveState.msg").read_text()
-    assert set(package_files()) == {str(p.relative_to(root)) for p in root.rglob("*.*")}
+    assert set(build_package_files()) == {str(p.relative_to(root)) for p in root.rglob("*.*")}
 
 
 def test_a_package_that_cannot_be_written_is_one_line(tmp_path):
@@ -78,17 +78,17 @@ def test_a_quaternion_is_the_rotation_of_its_matrix():
         if rng.integers(2):  # half a turn, where the scalar part vanishes
             axis = rotation[0]
             rotation = 2 * np.outer(axis, axis) - np.eye(3)
-        np.testing.assert_allclose(matrix(quaternion(rotation)), rotation, atol=1e-7)
+        np.testing.assert_allclose(matrix(to_quaternion(rotation)), rotation, atol=1e-7)
 
 
 def test_a_tip_lies_where_its_sheath_ends():
     quarter = Sheath(
         sections=1,
-        section_length=padded((0.5 * math.pi * 0.2,), 16),
-        section_radius=padded((0.2,), 16),
+        section_length=pad_values((0.5 * math.pi * 0.2,), 16),
+        section_radius=pad_values((0.2,), 16),
     )
-    tip = tip_of(quarter)
+    tip = compute_tip_transform(quarter)
     place = (tip.translation.x, tip.translation.y, tip.translation.z)
     np.testing.assert_allclose(place, (0.2, 0.2, 0.0), atol=1e-12)
     np.testing.assert_allclose(matrix(tip.rotation)[:, 0], (0, 1, 0), atol=1e-7)
-    assert tip_of(Sheath()).translation.x == 0.0
+    assert compute_tip_transform(Sheath()).translation.x == 0.0

@@ -12,15 +12,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from teleop.launch.supervisor import wait_for
+from teleop.launch.supervisor import wait_for_condition
 from teleop.messages.messages import MESSAGES
 from teleop.ros import cdr
 from teleop.ros.graph import BEST_EFFORT, RELIABLE, Qos
-from teleop.ros.interface import definition, interface_of
+from teleop.ros.interface import find_interface, format_definition
 from teleop.ros.node import RosNode
 from teleop.ros.package import write_package
 from teleop.ros.standard import DiagnosticArray, JointState
-from teleop.ros.type_hash import type_hash
+from teleop.ros.type_hash import compute_type_hash
 from tests.teleop.ros.peers import router
 from tests.teleop.ros.values import STANDARD, as_tree, value_of
 
@@ -33,7 +33,7 @@ SHARE = Path(sys.prefix) / "share"
 
 def module_of(cls, package):
     """The module of a type's package in another library; None if it has no such type."""
-    name, _, short = interface_of(cls).name.partition("/msg/")
+    name, _, short = find_interface(cls).name.partition("/msg/")
     try:
         module = importlib.import_module(package.format(name))
     except ModuleNotFoundError:
@@ -48,7 +48,7 @@ PYTERFACES = [
 
 
 def name_of(cls):
-    return interface_of(cls).name
+    return find_interface(cls).name
 
 
 def official_tree(message):
@@ -86,7 +86,7 @@ def test_our_hashes_are_those_that_ros_ships(cls):
     package, _, short = name_of(cls).partition("/msg/")
     shipped = json.loads((SHARE / package / "msg" / f"{short}.json").read_text())
     hashes = {one["type_name"]: one["hash_string"] for one in shipped["type_hashes"]}
-    assert hashes[name_of(cls)] == type_hash(cls)
+    assert hashes[name_of(cls)] == compute_type_hash(cls)
 
 
 def test_the_generators_of_ros_read_our_package_and_compute_our_hashes(tmp_path):
@@ -106,13 +106,13 @@ def test_the_generators_of_ros_read_our_package_and_compute_our_hashes(tmp_path)
     for cls in MESSAGES:
         made = json.loads((tmp_path / "out" / "msg" / f"{cls.__name__}.json").read_text())
         hashes = {one["type_name"]: one["hash_string"] for one in made["type_hashes"]}
-        assert hashes[f"tendon_teleop/msg/{cls.__name__}"] == type_hash(cls)
+        assert hashes[f"tendon_teleop/msg/{cls.__name__}"] == compute_type_hash(cls)
 
 
 @pytest.mark.parametrize("cls", PYTERFACES, ids=name_of)
 def test_ros2_pyterfaces_has_our_hashes_and_bytes(cls):
     theirs = module_of(cls, "ros2_pyterfaces.cyclone.{}.msg")
-    assert theirs.hash_rihs01() == type_hash(cls)
+    assert theirs.hash_rihs01() == compute_type_hash(cls)
     message = value_of(cls, np.random.default_rng(12))
     assert as_tree(theirs.deserialize(cdr.encode(message))) == as_tree(message)
 
@@ -130,8 +130,8 @@ def test_the_sdk_of_robotis_receives_every_message_and_lists_the_topics():
             topic="/lab/slave/measured_js",
             msg_type="sensor_msgs/msg/JointState",
             callback=received.append,
-            msg_definition=definition(interface_of(JointState)),
-            type_hash=type_hash(JointState),
+            msg_definition=format_definition(find_interface(JointState)),
+            type_hash=compute_type_hash(JointState),
             domain_id=0,
             **where,
         )
@@ -140,11 +140,11 @@ def test_the_sdk_of_robotis_receives_every_message_and_lists_the_topics():
             live.look()
             return live.wanted
 
-        assert wait_for(heard, PATIENCE_S)
+        assert wait_for_condition(heard, PATIENCE_S)
         for k in range(1000):
             live.put(cdr.encode(JointState(name=("a", "b"), position=(k * 1e-3, -1.0))))
             time.sleep(0.001)
-        assert wait_for(lambda: len(received) == 1000, PATIENCE_S), len(received)
+        assert wait_for_condition(lambda: len(received) == 1000, PATIENCE_S), len(received)
         assert [m.position[0] for m in received] == [k * 1e-3 for k in range(1000)]
         topics = dict(discovery.get_topic_names_and_types(domain_id=0, **where))
         assert topics["/lab/slave/measured_js"] == ["sensor_msgs/msg/JointState"]
@@ -155,6 +155,6 @@ def test_the_sdk_of_robotis_receives_every_message_and_lists_the_topics():
         assert (about.publisher_count, about.subscriber_count) == (1, 1)
         (publisher,) = about.publishers
         assert publisher.node_name.lstrip("/") == "tendon_teleop"
-        assert publisher.type_hash == type_hash(JointState)
+        assert publisher.type_hash == compute_type_hash(JointState)
         assert publisher.qos == "2::,1:,:,:,,"
         subscriber.close()

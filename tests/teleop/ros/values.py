@@ -10,7 +10,7 @@ from rosbags.typesys.store import Typestore
 
 from teleop.messages.messages import MESSAGES
 from teleop.ros import standard
-from teleop.ros.interface import Field, Interface, interface_of
+from teleop.ros.interface import Field, Interface, find_interface
 
 STANDARD = tuple(cls for cls in vars(standard).values() if hasattr(cls, "ros_name"))
 TYPES = (*STANDARD, *MESSAGES)
@@ -21,7 +21,7 @@ def typestore() -> Typestore:
     """`rosbags` with the types of Jazzy, which it brings along, and those of other packages."""
     store = get_typestore(Stores.ROS2_JAZZY)
     for cls in TYPES:
-        interface = interface_of(cls)
+        interface = find_interface(cls)
         if interface.name not in store.fielddefs:
             store.register(get_types_from_msg(interface.text, interface.name))
     return store
@@ -29,7 +29,7 @@ def typestore() -> Typestore:
 
 def value_of(cls: type, rng: np.random.Generator) -> Any:
     """A message with a value of its own in every field; sequences of 0 to 4 elements."""
-    interface = interface_of(cls)
+    interface = find_interface(cls)
     return cls(**{field.name: _value(field, rng) for field in interface.fields})
 
 

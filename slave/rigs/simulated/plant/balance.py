@@ -9,15 +9,15 @@ link stays exactly where it is. Within its backlash the tendons' pulley turns wi
 
 from typing import NamedTuple
 
-from estimator.compiled import compiled
-from slave.rigs.simulated.plant.environment import Environment, environment_force
-from slave.rigs.simulated.plant.response import Curve, tension_on
+from estimator.compiled import jit_compile
+from slave.rigs.simulated.plant.environment import Environment, compute_environment_force
+from slave.rigs.simulated.plant.response import Curve, interpolate_curve
 
 MAX_ITERATIONS = 200  # of the root search; about ten are needed
-ENOUGH = 1e-11  # [N] of balance
+FORCE_TOLERANCE = 1e-11  # [N] of balance
 
 
-class Answer(NamedTuple):
+class JointResponse(NamedTuple):
     """Tension responses of the tendons of a joint to the position of its pulley in this step."""
 
     a: Curve
@@ -34,29 +34,29 @@ class Resistance(NamedTuple):
     backlash: float  # [m] whole play between pulley and link
 
 
-@compiled
-def pull(answer: Answer, pulley: float) -> tuple[float, float]:
+@jit_compile
+def compute_pulley_tensions(answer: JointResponse, pulley: float) -> tuple[float, float]:
     """Return the tensions of `a` and `b` [N] with the joint's pulley at `pulley` [m]."""
-    a = tension_on(answer.a, pulley)
+    a = interpolate_curve(answer.a, pulley)
     if not answer.pair:
         return a, 0.0
-    return a, tension_on(answer.b, -pulley)
+    return a, interpolate_curve(answer.b, -pulley)
 
 
-@compiled
-def drive(answer: Answer, travel: float, backlash: float) -> float:
+@jit_compile
+def compute_drive_force(answer: JointResponse, travel: float, backlash: float) -> float:
     """Return the force [N] of the tendons on a link at `travel` [m], through its backlash."""
-    a, b = pull(answer, travel + 0.5 * backlash)
+    a, b = compute_pulley_tensions(answer, travel + 0.5 * backlash)
     if backlash == 0.0:
         return a - b
     forward = a - b
-    a, b = pull(answer, travel - 0.5 * backlash)
+    a, b = compute_pulley_tensions(answer, travel - 0.5 * backlash)
     return max(0.0, forward) + min(0.0, a - b)
 
 
-@compiled
-def surplus(
-    answer: Answer,
+@jit_compile
+def compute_force_residual(
+    answer: JointResponse,
     resistance: Resistance,
     environment: Environment,
     travel: float,
@@ -66,13 +66,13 @@ def surplus(
 ) -> float:
     """Return resistance less driving force [N] for a move to `travel`."""
     against = resistance.base + resistance.slope * (travel - before)
-    against += environment_force(environment, travel, before, time, dt)
-    return against - drive(answer, travel, resistance.backlash)
+    against += compute_environment_force(environment, travel, before, time, dt)
+    return against - compute_drive_force(answer, travel, resistance.backlash)
 
 
-@compiled
-def balance(
-    answer: Answer,
+@jit_compile
+def solve_balance(
+    answer: JointResponse,
     resistance: Resistance,
     environment: Environment,
     before: float,
@@ -93,14 +93,16 @@ def balance(
     time, dt : float
         The end of the step [s] and its length [s].
     """
-    excess = surplus(answer, resistance, environment, before, before, time, dt)
+    excess = compute_force_residual(answer, resistance, environment, before, before, time, dt)
     if abs(excess) <= resistance.friction:
         return before
     sense = -1.0 if excess > 0.0 else 1.0  # of the move
     friction = sense * resistance.friction
     near, near_excess = before, excess + friction
     far = high if sense > 0.0 else low
-    far_excess = surplus(answer, resistance, environment, far, before, time, dt) + friction
+    far_excess = (
+        compute_force_residual(answer, resistance, environment, far, before, time, dt) + friction
+    )
     if sense * far_excess <= 0.0:
         return far
     kept = 0  # end kept in the last iteration (Illinois rule)
@@ -108,8 +110,11 @@ def balance(
         new = near - near_excess * (far - near) / (far_excess - near_excess)
         if not min(near, far) < new < max(near, far):
             new = 0.5 * (near + far)
-        excess = surplus(answer, resistance, environment, new, before, time, dt) + friction
-        if abs(excess) <= ENOUGH or new in (near, far):
+        excess = (
+            compute_force_residual(answer, resistance, environment, new, before, time, dt)
+            + friction
+        )
+        if abs(excess) <= FORCE_TOLERANCE or new in (near, far):
             return new
         if sense * excess < 0.0:
             near, near_excess = new, excess

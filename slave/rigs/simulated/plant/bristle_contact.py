@@ -16,17 +16,19 @@ same, but amplifies rounding errors from node to node.
 import numpy as np
 
 from estimator.array_types import Array
-from estimator.compiled import compiled, compiled_in_caller
+from estimator.compiled import jit_compile, jit_inline
 from slave.rigs.simulated.plant.elasticity import Springs
 from slave.rigs.simulated.plant.friction import Contacts
-from slave.rigs.simulated.plant.response import Curve, Curves, Response, tension_on
+from slave.rigs.simulated.plant.response import Curve, Curves, Response, interpolate_curve
 from slave.rigs.simulated.plant.tendon import FRICTION, POSITION, TENSION
 
-HUGE = 1e12  # [N] upper bound of responses: dashpots would make them infinite
+TENSION_MAX = 1e12  # [N] upper bound of responses: dashpots would make them infinite
 
 
-@compiled_in_caller
-def carry_leaning(springs: Springs, contacts: Contacts, state: Array, proximal: float) -> Response:
+@jit_inline
+def transfer_bristle_contact(
+    springs: Springs, contacts: Contacts, state: Array, proximal: float
+) -> Response:
     """Propagate the response from the motor end at `proximal` [m] to the tip."""
     n = len(contacts.pull)
     room = 2 * n + 8
@@ -42,23 +44,27 @@ def carry_leaning(springs: Springs, contacts: Contacts, state: Array, proximal: 
         stay = state[POSITION, i + 1]
         root = stay - state[FRICTION, i + 1] / contacts.bristle[i]
         x, T = place[i, : corners[i]], tension[i, : corners[i]]
-        count = lean(contacts, i, x, T, rays[i], stay, root, place[i + 1], tension[i + 1])
+        count = transfer_through_bristle(
+            contacts, i, x, T, rays[i], stay, root, place[i + 1], tension[i + 1]
+        )
         if count > room:  # a soft bristle sticks, slides and sticks again along one response
             more = np.empty((n + 1, count))
             place, tension = np.concatenate((place, more), 1), np.concatenate((tension, more), 1)
             room += count
             x, T = place[i, : corners[i]], tension[i, : corners[i]]
-            lean(contacts, i, x, T, rays[i], stay, root, place[i + 1], tension[i + 1])
-        rays[i + 1] = ray_after(contacts, i, rays[i])
-        corners[i + 1] = trim(place[i + 1], tension[i + 1], count, rays[i + 1])
+            transfer_through_bristle(
+                contacts, i, x, T, rays[i], stay, root, place[i + 1], tension[i + 1]
+            )
+        rays[i + 1] = compute_ray(contacts, i, rays[i])
+        corners[i + 1] = trim_response(place[i + 1], tension[i + 1], count, rays[i + 1])
         slack[i] = place[i + 1, 0]
     x, T = place[n, : corners[n]].copy(), tension[n, : corners[n]].copy()
     inner = Curves(place[:n], tension[:n], corners[:n], rays[:n])
     return Response(Curve(x, T, rays[n]), springs, contacts, slack, np.empty(0), inner)
 
 
-@compiled
-def lean(
+@jit_compile
+def transfer_through_bristle(
     contacts: Contacts,
     i: int,
     place: Array,
@@ -84,8 +90,8 @@ def lean(
         # distance of the elastic tension from its lower and its upper limit
         above = (T + drag) * (1.0 - pull) - bristle * (x - root)
         below = (T + drag) * (release - 1.0) + bristle * (x - root)
-        at_low = zero(above, dT * (1.0 - pull) - bristle * dx, j == corners)
-        at_high = zero(below, dT * (release - 1.0) + bristle * dx, j == corners)
+        at_low = find_line_zero(above, dT * (1.0 - pull) - bristle * dx, j == corners)
+        at_high = find_line_zero(below, dT * (release - 1.0) + bristle * dx, j == corners)
         for along in (0.0, min(at_low, at_high), max(at_low, at_high)):
             if along == np.inf:
                 break
@@ -104,8 +110,8 @@ def lean(
     return new
 
 
-@compiled
-def zero(value: float, rate: float, endless: bool) -> float:
+@jit_compile
+def find_line_zero(value: float, rate: float, endless: bool) -> float:
     """Return the zero of a line from `value` within (0, 1) or above 0; infinity if none."""
     end = rate if endless else value + rate
     if value < 0.0 < end or end < 0.0 < value:
@@ -113,8 +119,8 @@ def zero(value: float, rate: float, endless: bool) -> float:
     return np.inf
 
 
-@compiled
-def ray_after(contacts: Contacts, i: int, ray: float) -> float:
+@jit_compile
+def compute_ray(contacts: Contacts, i: int, ray: float) -> float:
     """Return the ray [m/N] of a response behind node i."""
     release, bristle = contacts.release[i], contacts.bristle[i]
     slides = release - 1.0 + bristle * ray < 0.0
@@ -122,17 +128,17 @@ def ray_after(contacts: Contacts, i: int, ray: float) -> float:
     return float(ray / (steep - contacts.dashpot[i] * ray))
 
 
-@compiled
-def trim(place: Array, tension: Array, corners: int, ray: float) -> int:
+@jit_compile
+def trim_response(place: Array, tension: Array, corners: int, ray: float) -> int:
     """Cut a response at the start of its positive part; return the remaining corners."""
-    while corners > 1 and tension[corners - 2] > HUGE:
+    while corners > 1 and tension[corners - 2] > TENSION_MAX:
         corners -= 1
-    if tension[corners - 1] > HUGE:
+    if tension[corners - 1] > TENSION_MAX:
         a, b = corners - 2, corners - 1
-        place[b] = place[a] + (HUGE - tension[a]) / (tension[b] - tension[a]) * (
+        place[b] = place[a] + (TENSION_MAX - tension[a]) / (tension[b] - tension[a]) * (
             place[b] - place[a]
         )
-        tension[b] = HUGE
+        tension[b] = TENSION_MAX
     first = 0  # with a tension
     while first < corners and tension[first] <= 0.0:
         first += 1
@@ -150,8 +156,8 @@ def trim(place: Array, tension: Array, corners: int, ray: float) -> int:
     return corners - last
 
 
-@compiled_in_caller
-def place_leaning(response: Response, state: Array, after: Array) -> None:
+@jit_inline
+def init_bristle_contact(response: Response, state: Array, after: Array) -> None:
     """Compute the nodes backwards from the tip: fill their entries in the new state.
 
     The tip position and the tension of the last spring are already filled in.
@@ -164,7 +170,7 @@ def place_leaning(response: Response, state: Array, after: Array) -> None:
         loose = after[POSITION, i + 1] + springs.rest[i]
         place = loose + springs.compliance[i] * tension if tension > 0.0 else free
         x, T = inner.place[i - 1, :corners], inner.tension[i - 1, :corners]
-        pulled = tension_on(Curve(x, T, inner.ray[i - 1]), place)
+        pulled = interpolate_curve(Curve(x, T, inner.ray[i - 1]), place)
         if pulled == 0.0 and tension == 0.0 and contacts.drag == 0.0:
             # its position is undetermined
             place = min(max(stay, free), loose)

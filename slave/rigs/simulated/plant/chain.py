@@ -13,25 +13,35 @@ The tension profile along the sheath is not assumed, in contrast to an estimator
 
 The balance is solved exactly and without iteration. For a given motor position, the housing side of
 any point responds with a tension that is piecewise linear in the point's position and falls towards
-the housing. `respond` propagates that response from the motor to the tip (`coulomb_contact`;
+the housing. `compute_response` propagates that response from the motor to the tip (`coulomb_contact`;
 `bristle_contact` for bristles and dashpots). The caller finds the tip position from that curve, and
-`recover` computes the nodes backwards from there.
+`recover_state` computes the nodes backwards from there.
 """
 
 import numpy as np
 
 from estimator.array_types import Array
-from estimator.compiled import compiled
-from slave.rigs.simulated.plant.bristle_contact import carry_leaning, place_leaning
-from slave.rigs.simulated.plant.coulomb_contact import carry_gripping, place_gripping
-from slave.rigs.simulated.plant.elasticity import creep_after, creep_gain, springs
-from slave.rigs.simulated.plant.friction import contacts, rested_after, speed_after
+from estimator.compiled import jit_compile
+from slave.rigs.simulated.plant.bristle_contact import (
+    init_bristle_contact,
+    transfer_bristle_contact,
+)
+from slave.rigs.simulated.plant.coulomb_contact import (
+    init_coulomb_contact,
+    transfer_coulomb_contact,
+)
+from slave.rigs.simulated.plant.elasticity import advance_creep, compute_creep_gain, compute_springs
+from slave.rigs.simulated.plant.friction import (
+    advance_contact_growth,
+    compute_contacts,
+    filter_speed,
+)
 from slave.rigs.simulated.plant.response import Response
-from slave.rigs.simulated.plant.tendon import CREEP, POSITION, RESTED, SPEED, TENSION, Chain
+from slave.rigs.simulated.plant.tendon import CONTACT_GROWTH, CREEP, POSITION, SPEED, TENSION, Chain
 
 
-@compiled
-def respond(chain: Chain, state: Array, proximal: float, dt: float) -> Response:
+@jit_compile
+def compute_response(chain: Chain, state: Array, proximal: float, dt: float) -> Response:
     """Return the tension response of the tendon at its tip in a step of `dt` [s].
 
     Parameters
@@ -41,14 +51,14 @@ def respond(chain: Chain, state: Array, proximal: float, dt: float) -> Response:
     proximal : float
         Position of the motor end [m] at the end of the step.
     """
-    spring, contact = springs(chain, state, dt), contacts(chain, state, dt)
+    spring, contact = compute_springs(chain, state, dt), compute_contacts(chain, state, dt)
     if len(contact.bristle) > 0:
-        return carry_leaning(spring, contact, state, proximal)
-    return carry_gripping(spring, contact, state, proximal)
+        return transfer_bristle_contact(spring, contact, state, proximal)
+    return transfer_coulomb_contact(spring, contact, state, proximal)
 
 
-@compiled
-def recover(
+@jit_compile
+def recover_state(
     chain: Chain,
     state: Array,
     response: Response,
@@ -59,23 +69,25 @@ def recover(
 ) -> Array:
     """Return the state after a step that ends with the tip at `distal` [m].
 
-    `tension` [N] is that of `response` there; `response` is from `respond` with the same arguments.
+    `tension` [N] is that of `response` there; `response` is from `compute_response` with the same arguments.
     """
     n = len(chain.friction)
     after = np.zeros_like(state)
     after[POSITION, 0], after[POSITION, n + 1] = proximal, distal
     after[TENSION, n] = tension
     if len(response.contacts.bristle) > 0:
-        place_leaning(response, state, after)
+        init_bristle_contact(response, state, after)
     else:
-        place_gripping(response, state, after)
+        init_coulomb_contact(response, state, after)
     stretch = proximal - after[POSITION, 1] - response.springs.rest[0]
     after[TENSION, 0] = max(0.0, stretch / response.springs.compliance[0])
-    gain = creep_gain(chain.knobs, dt)
+    gain = compute_creep_gain(chain.knobs, dt)
     for i in range(n + 1):
-        after[CREEP, i] = creep_after(chain, state[CREEP, i], after[TENSION, i], gain)
+        after[CREEP, i] = advance_creep(chain, state[CREEP, i], after[TENSION, i], gain)
     for i in range(1, n + 1):
         speed = (after[POSITION, i] - state[POSITION, i]) / dt
-        after[SPEED, i] = speed_after(chain.knobs, state[SPEED, i], speed, dt)
-        after[RESTED, i] = rested_after(chain.knobs, state[RESTED, i], speed, dt)
+        after[SPEED, i] = filter_speed(chain.knobs, state[SPEED, i], speed, dt)
+        after[CONTACT_GROWTH, i] = advance_contact_growth(
+            chain.knobs, state[CONTACT_GROWTH, i], speed, dt
+        )
     return after

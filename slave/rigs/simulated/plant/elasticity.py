@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 
 from estimator.array_types import Array
-from estimator.compiled import compiled, compiled_in_caller
+from estimator.compiled import jit_compile, jit_inline
 from slave.rigs.simulated.plant.knobs import Knobs
 from slave.rigs.simulated.plant.tendon import CREEP, TENSION, Chain
 
@@ -32,21 +32,21 @@ class Springs(NamedTuple):
     rest: Array  # [m] shape (n + 1,)
 
 
-@compiled_in_caller
-def springs(chain: Chain, state: Array, dt: float) -> Springs:
+@jit_inline
+def compute_springs(chain: Chain, state: Array, dt: float) -> Springs:
     """Return the springs during a step of `dt` [s] from `state`."""
     knobs, pretension = chain.knobs, chain.pretension
     whole = chain.compliance.sum()
     stiffness = chain.cell.sum() / whole
     toe, compression = knobs.toe_strain * stiffness, knobs.compression / whole
     too_much = knobs.slack / whole + knobs.expansion * stiffness
-    at_start = bedding(knobs, toe, compression, pretension)[0]
-    gain = creep_gain(knobs, dt)
+    at_start = compute_bedding(knobs, toe, compression, pretension)[0]
+    gain = compute_creep_gain(knobs, dt)
     soft = 1.0 + gain * knobs.creep_share
     compliance, rest = np.empty_like(chain.compliance), np.empty_like(chain.compliance)
     for i in range(len(compliance)):
         tension = state[TENSION, i]
-        more, slope = bedding(knobs, toe, compression, tension)
+        more, slope = compute_bedding(knobs, toe, compression, tension)
         offset = more - slope * tension - at_start - pretension * soft
         offset += state[CREEP, i] * (1.0 - gain) + too_much
         compliance[i] = chain.compliance[i] * (soft + slope)
@@ -54,8 +54,10 @@ def springs(chain: Chain, state: Array, dt: float) -> Springs:
     return Springs(compliance, rest)
 
 
-@compiled
-def bedding(knobs: Knobs, toe: float, compression: float, tension: float) -> tuple[float, float]:
+@jit_compile
+def compute_bedding(
+    knobs: Knobs, toe: float, compression: float, tension: float
+) -> tuple[float, float]:
     """Return E(T) - T [N] and its slope at `tension` [N]."""
     more, slope = 0.0, 0.0
     if toe != 0.0:
@@ -69,14 +71,14 @@ def bedding(knobs: Knobs, toe: float, compression: float, tension: float) -> tup
     return more, slope
 
 
-@compiled
-def creep_gain(knobs: Knobs, dt: float) -> float:
+@jit_compile
+def compute_creep_gain(knobs: Knobs, dt: float) -> float:
     """Return the fraction of the remaining creep completed in a step of `dt` [s]."""
     return -math.expm1(-dt / knobs.creep_time)
 
 
-@compiled
-def creep_after(chain: Chain, before: float, tension: float, gain: float) -> float:
+@jit_compile
+def advance_creep(chain: Chain, before: float, tension: float, gain: float) -> float:
     """Return the creep [N] of a spring after a step at `tension` [N], with the step's `gain`."""
     final = chain.knobs.creep_share * (tension - chain.pretension)
     return before + gain * (final - before)

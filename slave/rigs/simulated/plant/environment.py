@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.array_types import Array
-from estimator.compiled import compiled
+from estimator.compiled import jit_compile
 from teleop.config.loading import MAY_BE_INFINITE
 
-Whole = NDArray[np.int64]
+IntArray = NDArray[np.int64]
 
 STIFFNESS_MAX = 1e7  # [N/m] a thousand times a tendon's own; above it rounding shows in the force
 TRAVEL_MAX = 1.0  # [m]
@@ -113,38 +113,40 @@ class LoadMotorConfig:
                 raise ValueError(f"profile: values must be -{limit:g} to {limit:g} {unit}")
 
 
-SingleConfig = FreeConfig | WallConfig | TissueConfig | LoadMotorConfig
+SingleEnvironmentConfig = FreeConfig | WallConfig | TissueConfig | LoadMotorConfig
 
 
 @dataclass(frozen=True, slots=True)
-class SeveralConfig:
+class CombinedEnvironmentConfig:
     """Several environments whose forces add up: tissue before a wall, walls on both sides."""
 
     type: Literal["several"] = "several"
-    parts: tuple[SingleConfig, ...] = ()
+    parts: tuple[SingleEnvironmentConfig, ...] = ()
 
 
-EnvironmentConfig = FreeConfig | WallConfig | TissueConfig | LoadMotorConfig | SeveralConfig
+EnvironmentConfig = (
+    FreeConfig | WallConfig | TissueConfig | LoadMotorConfig | CombinedEnvironmentConfig
+)
 
 
 class Environment(NamedTuple):
     """An environment for compiled functions: one row per part."""
 
-    kind: Whole  # WALL, TISSUE, FORCE or POSITION, shape (parts,)
+    kind: IntArray  # WALL, TISSUE, FORCE or POSITION, shape (parts,)
     constants: Array  # shape (parts, 7): position, stiffness, damping, exponent, side, from, to
     points: Array  # shape (all points, 2): the profiles of all parts, one after another
-    extent: Whole  # shape (parts, 3): first and past-the-end point of a part; whether it repeats
+    extent: IntArray  # shape (parts, 3): first and past-the-end point of a part; whether it repeats
 
 
 def build_environment(config: EnvironmentConfig) -> Environment:
     """Return the environment that `config` describes."""
-    if isinstance(config, SeveralConfig):
-        environment = nothing()
+    if isinstance(config, CombinedEnvironmentConfig):
+        environment = build_empty_environment()
         for part in config.parts:
-            environment = both_environments(environment, build_environment(part))
+            environment = merge_environments(environment, build_environment(part))
         return environment
     if isinstance(config, FreeConfig):
-        return nothing()
+        return build_empty_environment()
     if isinstance(config, LoadMotorConfig):
         kind = FORCE if config.mode == "torque" else POSITION
         constants = (0.0, config.stiffness, 0.0, 1.0, 1.0, *config.coupled)
@@ -165,7 +167,7 @@ def build_environment(config: EnvironmentConfig) -> Environment:
     )
 
 
-def both_environments(first: Environment, second: Environment) -> Environment:
+def merge_environments(first: Environment, second: Environment) -> Environment:
     """Return an environment with the parts of both."""
     moved = second.extent + np.array([len(first.points), len(first.points), 0])
     return Environment(
@@ -176,16 +178,16 @@ def both_environments(first: Environment, second: Environment) -> Environment:
     )
 
 
-@compiled
-def nothing() -> Environment:
+@jit_compile
+def build_empty_environment() -> Environment:
     """Return an environment without parts."""
     return Environment(
         np.empty(0, np.int64), np.empty((0, 7)), np.empty((0, 2)), np.empty((0, 3), np.int64)
     )
 
 
-@compiled
-def profile_value(environment: Environment, part: int, time: float) -> float:
+@jit_compile
+def interpolate_profile(environment: Environment, part: int, time: float) -> float:
     """Return the value of a part's profile at `time` [s]: linear between its points."""
     first, end, repeats = environment.extent[part]
     points = environment.points
@@ -201,8 +203,8 @@ def profile_value(environment: Environment, part: int, time: float) -> float:
     return float(points[end - 1, 1])
 
 
-@compiled
-def environment_force(
+@jit_compile
+def compute_environment_force(
     environment: Environment, travel: float, before: float, time: float, dt: float
 ) -> float:
     """Return the force [N] at `travel` [m], reached in `dt` [s] from `before` [m] at `time` [s].
@@ -217,9 +219,9 @@ def environment_force(
         if not begin <= time < end:
             continue
         if kind == FORCE:
-            force += profile_value(environment, part, time)
+            force += interpolate_profile(environment, part, time)
         elif kind == POSITION:
-            force += stiffness * (travel - profile_value(environment, part, time))
+            force += stiffness * (travel - interpolate_profile(environment, part, time))
         else:
             depth = side * (travel - position)
             if depth > 0.0:

@@ -28,14 +28,16 @@ from typing import NamedTuple
 import numpy as np
 
 from estimator.array_types import Array
-from estimator.compiled import compiled, compiled_in_caller
+from estimator.compiled import jit_compile, jit_inline
 from slave.rigs.simulated.plant.knobs import Knobs
-from slave.rigs.simulated.plant.tendon import RESTED, SPEED, TENSION, Chain
+from slave.rigs.simulated.plant.tendon import CONTACT_GROWTH, SPEED, TENSION, Chain
 
-LIMIT = 1.5  # of a node's friction: at 2 the discretisation would jam
-ENOUGH = 15.0  # of all nodes together: nothing is transmitted, and more is lost in rounding
-RIGID = 1e10  # [N/m] of a practically rigid bristle
-LIGHT = 0.5  # [N] below it friction is proportional to tension for any exponent
+NODE_FRICTION_MAX = 1.5  # of a node's friction: at 2 the discretisation would jam
+TOTAL_FRICTION_MAX = (
+    15.0  # of all nodes together: nothing is transmitted, and more is lost in rounding
+)
+RIGID_STIFFNESS = 1e10  # [N/m] of a practically rigid bristle
+LIGHT_TENSION = 0.5  # [N] below it friction is proportional to tension for any exponent
 
 
 class Contacts(NamedTuple):
@@ -48,8 +50,8 @@ class Contacts(NamedTuple):
     dashpot: Array  # [N/m] shape (n,), force over motion in this step
 
 
-@compiled_in_caller
-def contacts(chain: Chain, state: Array, dt: float) -> Contacts:
+@jit_inline
+def compute_contacts(chain: Chain, state: Array, dt: float) -> Contacts:
     """Return the friction during a step of `dt` [s] from `state`."""
     knobs, tension = chain.knobs, state[TENSION]
     n = len(chain.friction)
@@ -57,18 +59,18 @@ def contacts(chain: Chain, state: Array, dt: float) -> Contacts:
     for i in range(n):
         friction = chain.friction[i] * knobs.friction_scale
         if knobs.tension_exponent != 1.0 or knobs.compression_friction != 0.0:
-            friction *= tension_factor(knobs, 0.5 * (tension[i] + tension[i + 1]))
+            friction *= compute_tension_factor(knobs, 0.5 * (tension[i] + tension[i + 1]))
         if knobs.stribeck_ratio != 0.0:
             relative = state[SPEED, i + 1] / knobs.stribeck_speed
             friction *= 1.0 + knobs.stribeck_ratio * math.exp(-relative * relative)
-        friction *= 1.0 + (knobs.static_ratio - 1.0) * state[RESTED, i + 1]
-        housing = min(friction, LIMIT, ENOUGH - total)
-        tip = min(housing * knobs.asymmetry, LIMIT)
+        friction *= 1.0 + (knobs.static_ratio - 1.0) * state[CONTACT_GROWTH, i + 1]
+        housing = min(friction, NODE_FRICTION_MAX, TOTAL_FRICTION_MAX - total)
+        tip = min(housing * knobs.asymmetry, NODE_FRICTION_MAX)
         total += housing
         pull[i] = (2.0 - housing) / (2.0 + housing)
         release[i] = (2.0 + tip) / (2.0 - tip)
     leaning = n if knobs.presliding > 0.0 or knobs.viscosity > 0.0 else 0
-    bristle, dashpot = np.full(leaning, RIGID), np.empty(leaning)
+    bristle, dashpot = np.full(leaning, RIGID_STIFFNESS), np.empty(leaning)
     for i in range(leaning):
         dashpot[i] = knobs.viscosity * chain.cell[i] / dt
         if knobs.presliding > 0.0 and chain.friction[i] > 0.0:
@@ -76,24 +78,26 @@ def contacts(chain: Chain, state: Array, dt: float) -> Contacts:
     return Contacts(pull, release, knobs.drag, bristle, dashpot)
 
 
-@compiled
-def tension_factor(knobs: Knobs, tension: float) -> float:
+@jit_compile
+def compute_tension_factor(knobs: Knobs, tension: float) -> float:
     """Return the tension-dependent factor of friction at `tension` [N] on the bend."""
-    factor = (max(tension, LIGHT) / knobs.tension_reference) ** (knobs.tension_exponent - 1.0)
+    factor = (max(tension, LIGHT_TENSION) / knobs.tension_reference) ** (
+        knobs.tension_exponent - 1.0
+    )
     above = max(0.0, tension - knobs.compression_threshold)
     return float(factor * (1.0 + knobs.compression_friction * above))
 
 
-@compiled
-def speed_after(knobs: Knobs, before: float, speed: float, dt: float) -> float:
+@jit_compile
+def filter_speed(knobs: Knobs, before: float, speed: float, dt: float) -> float:
     """Return the filtered speed [m/s] after `dt` [s] at `speed`."""
     if knobs.stribeck_ratio == 0.0:
         return speed
     return speed + (before - speed) * math.exp(-dt / knobs.stribeck_memory)
 
 
-@compiled
-def rested_after(knobs: Knobs, before: float, speed: float, dt: float) -> float:
+@jit_compile
+def advance_contact_growth(knobs: Knobs, before: float, speed: float, dt: float) -> float:
     """Return the growth R of a contact after `dt` [s] at `speed` [m/s].
 
     dR/dt = (1 - R) / static_time - R |v| / static_distance

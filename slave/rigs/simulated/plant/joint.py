@@ -15,14 +15,19 @@ from typing import NamedTuple
 import numpy as np
 
 from estimator.array_types import Array
-from estimator.compiled import compiled, compiled_in_caller
-from slave.rigs.simulated.plant.balance import Answer, Resistance, balance, pull
+from estimator.compiled import jit_compile, jit_inline
+from slave.rigs.simulated.plant.balance import (
+    JointResponse,
+    Resistance,
+    compute_pulley_tensions,
+    solve_balance,
+)
 from slave.rigs.simulated.plant.body import Body
-from slave.rigs.simulated.plant.chain import recover, respond
-from slave.rigs.simulated.plant.environment import Environment, nothing
-from slave.rigs.simulated.plant.motor import Motor, MotorState, follow, motor_at_rest
+from slave.rigs.simulated.plant.chain import compute_response, recover_state
+from slave.rigs.simulated.plant.environment import Environment, build_empty_environment
+from slave.rigs.simulated.plant.motor import Motor, MotorState, advance_motor, init_motor
 from slave.rigs.simulated.plant.sensors import CHANNELS
-from slave.rigs.simulated.plant.tendon import Chain, at_rest, tensions
+from slave.rigs.simulated.plant.tendon import Chain, get_tensions, init_chain_state
 
 
 class Winding(NamedTuple):
@@ -69,53 +74,57 @@ class JointState(NamedTuple):
     time: float  # [s]
 
 
-def joint_at_rest(joint: Joint, time: float = 0.0) -> JointState:
+def init_joint(joint: Joint, time: float = 0.0) -> JointState:
     """Return the initial state of a joint at `time` [s]."""
-    still = motor_at_rest()
-    a, b = (TendonState(still, at_rest(tendon.chain)) for tendon in (joint.a, joint.b))
+    still = init_motor()
+    a, b = (TendonState(still, init_chain_state(tendon.chain)) for tendon in (joint.a, joint.b))
     return JointState(a, b, 0.0, 0.0, 0.0, time)
 
 
-@compiled_in_caller
-def advance(joint: Joint, state: JointState, targets: Array, steps: int, dt: float) -> JointState:
+@jit_inline
+def advance_joint(
+    joint: Joint, state: JointState, targets: Array, steps: int, dt: float
+) -> JointState:
     """Advance by `steps` of `dt` [s] with the motor targets `targets` [m], shape (2,)."""
     chain_a, chain_b = joint.a.chain, joint.b.chain
     for _ in range(steps):
         time = state.time + dt
         a, b = state.a, state.b
-        motor_a, end_a = wind(joint.a, a, targets[0], dt)
-        response_a = response_b = respond(chain_a, a.chain, end_a, dt)
+        motor_a, end_a = wind_tendon(joint.a, a, targets[0], dt)
+        response_a = response_b = compute_response(chain_a, a.chain, end_a, dt)
         motor_b, end_b = b.motor, 0.0
         if joint.pair:
-            motor_b, end_b = wind(joint.b, b, targets[1], dt)
-            response_b = respond(chain_b, b.chain, end_b, dt)
-        answer = Answer(response_a.tip, response_b.tip, joint.pair)
+            motor_b, end_b = wind_tendon(joint.b, b, targets[1], dt)
+            response_b = compute_response(chain_b, b.chain, end_b, dt)
+        answer = JointResponse(response_a.tip, response_b.tip, joint.pair)
         travel, speed, pulley = move_body(joint, state, answer, dt)
-        tension_a, tension_b = pull(answer, pulley)
+        tension_a, tension_b = compute_pulley_tensions(answer, pulley)
         a = TendonState(
-            motor_a, recover(chain_a, a.chain, response_a, end_a, pulley, tension_a, dt)
+            motor_a, recover_state(chain_a, a.chain, response_a, end_a, pulley, tension_a, dt)
         )
         if joint.pair:
             b = TendonState(
-                motor_b, recover(chain_b, b.chain, response_b, end_b, -pulley, tension_b, dt)
+                motor_b, recover_state(chain_b, b.chain, response_b, end_b, -pulley, tension_b, dt)
             )
         state = JointState(a, b, travel, speed, pulley, time)
     return state
 
 
-@compiled
-def wind(tendon: Tendon, state: TendonState, target: float, dt: float) -> tuple[MotorState, float]:
+@jit_compile
+def wind_tendon(
+    tendon: Tendon, state: TendonState, target: float, dt: float
+) -> tuple[MotorState, float]:
     """Return a tendon's motor after a step, and its housing end [m]."""
-    tension = tensions(tendon.chain, state.chain)[0]
-    motor = follow(tendon.motor, state.motor, target, tension, dt)
+    tension = get_tensions(tendon.chain, state.chain)[0]
+    motor = advance_motor(tendon.motor, state.motor, target, tension, dt)
     winding, angle = tendon.winding, motor.pulley / tendon.motor.pulley_radius
     wobble = math.sin(angle + winding.phase) - math.sin(winding.phase)
     return motor, motor.pulley + winding.take_up + winding.eccentricity * wobble
 
 
-@compiled_in_caller
+@jit_inline
 def move_body(
-    joint: Joint, state: JointState, answer: Answer, dt: float
+    joint: Joint, state: JointState, answer: JointResponse, dt: float
 ) -> tuple[float, float, float]:
     """Return the link's travel [m] and speed [m/s], and the travel of the tendons' pulley [m]."""
     body, before, time = joint.body, state.travel, state.time + dt
@@ -125,7 +134,7 @@ def move_body(
         body.friction,
         body.backlash,
     )
-    travel = balance(
+    travel = solve_balance(
         answer, resistance, joint.environment, before, body.stop_low, body.stop_high, time, dt
     )
     speed = (travel - before) / dt
@@ -134,22 +143,26 @@ def move_body(
     low, high = travel - 0.5 * body.backlash, travel + 0.5 * body.backlash
     free = Resistance(0.0, 0.0, 0.0, 0.0)
     pulley = min(max(state.pulley, low), high)
-    return travel, speed, balance(answer, free, nothing(), pulley, low, high, time, dt)
+    return (
+        travel,
+        speed,
+        solve_balance(answer, free, build_empty_environment(), pulley, low, high, time, dt),
+    )
 
 
-@compiled
-def truth(joint: Joint, state: JointState) -> Array:
+@jit_compile
+def compute_truth(joint: Joint, state: JointState) -> Array:
     """Return the true values of the sensors, shape (4, 2): `sensors.CHANNELS` by tendon."""
     seen = np.zeros((len(CHANNELS), 2))
-    see(seen[:, 0], joint.a, state.a, state.travel)
+    fill_truth(seen[:, 0], joint.a, state.a, state.travel)
     if joint.pair:
-        see(seen[:, 1], joint.b, state.b, -state.travel)
+        fill_truth(seen[:, 1], joint.b, state.b, -state.travel)
     return seen
 
 
-@compiled
-def see(seen: Array, tendon: Tendon, state: TendonState, distal: float) -> None:
+@jit_compile
+def fill_truth(seen: Array, tendon: Tendon, state: TendonState, distal: float) -> None:
     """Write the true values of a tendon's sensors into `seen`, shape (4,)."""
-    tension = tensions(tendon.chain, state.chain)
+    tension = get_tensions(tendon.chain, state.chain)
     seen[0], seen[1] = tension[0], state.motor.position
     seen[2], seen[3] = tension[-1], distal

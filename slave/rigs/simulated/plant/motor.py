@@ -7,7 +7,7 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from estimator.compiled import compiled
+from estimator.compiled import jit_compile
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,13 +93,15 @@ def build_motor(config: MotorConfig, pretension: float) -> Motor:
     )
 
 
-def motor_at_rest() -> MotorState:
+def init_motor() -> MotorState:
     """Return the state of a motor at its zero."""
     return MotorState(0.0, 0.0, 0.0, 0.0)
 
 
-@compiled
-def follow(motor: Motor, state: MotorState, target: float, tension: float, dt: float) -> MotorState:
+@jit_compile
+def advance_motor(
+    motor: Motor, state: MotorState, target: float, tension: float, dt: float
+) -> MotorState:
     """Advance by `dt` [s] towards `target` [m] while the tendon pulls with `tension` [N].
 
     mass v' = F - tension;  F = mass speed_gain (v_wanted - v) + hold,

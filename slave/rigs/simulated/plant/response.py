@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.array_types import Array
-from estimator.compiled import compiled
+from estimator.compiled import jit_compile
 from slave.rigs.simulated.plant.elasticity import Springs
 from slave.rigs.simulated.plant.friction import Contacts
 
@@ -43,8 +43,8 @@ class Response(NamedTuple):
     inner: Curves  # on the housing's side of nodes with bristles
 
 
-@compiled
-def tension_on(curve: Curve, place: float) -> float:
+@jit_compile
+def interpolate_curve(curve: Curve, place: float) -> float:
     """Return the tension [N] of a curve at `place` [m]."""
     places, tensions = curve.place, curve.tension
     after, last = 0, len(places)  # corners beyond `place`, by bisection

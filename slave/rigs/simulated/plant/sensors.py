@@ -11,7 +11,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from estimator.array_types import Array
-from estimator.compiled import compiled
+from estimator.compiled import jit_compile
 from slave.rigs.simulated.plant.motor import MotorConfig
 from teleop.config.loading import MAY_BE_INFINITE
 
@@ -128,12 +128,12 @@ def build_sensors(
     return sensors
 
 
-def sensors_at_rest(truth: Array) -> SensorState:
+def init_sensors(truth: Array) -> SensorState:
     """Return the sensors' steady state at `truth`, shape (4, tendons)."""
     return SensorState(truth.copy(), truth.copy(), truth[1].copy(), np.zeros(truth.shape[1]))
 
 
-@compiled
+@jit_compile
 def measure(
     sensors: Sensors, state: SensorState, truth: Array, normal: Array, dt: float
 ) -> SensorState:

@@ -46,7 +46,7 @@ class SheathConfig:
             raise ValueError("axial_stiffness: must be 1 to 1e7 N")
         if not 1 <= self.nodes <= 1000:
             raise ValueError("nodes: must be 1 to 1000")
-        bend = cells(self)[1]
+        bend = divide_sheath(self)[1]
         if self.friction * bend.sum() > TOTAL_MAX:
             raise ValueError(
                 f"friction: must be at most {TOTAL_MAX / bend.sum():.3g} with these bends, or no "
@@ -58,7 +58,7 @@ class SheathConfig:
             raise ValueError(f"nodes: must be at least about {needed} to resolve this friction")
 
 
-def cells(config: SheathConfig) -> tuple[Array, Array]:
+def divide_sheath(config: SheathConfig) -> tuple[Array, Array]:
     """Divide a sheath into cells of similar length, at least one per section.
 
     Returns

@@ -9,9 +9,9 @@ from typing import NamedTuple
 import numpy as np
 
 from estimator.array_types import Array
-from estimator.compiled import compiled
+from estimator.compiled import jit_compile
 from slave.rigs.simulated.plant.knobs import NEUTRAL, Knobs
-from slave.rigs.simulated.plant.sheath import SheathConfig, cells
+from slave.rigs.simulated.plant.sheath import SheathConfig, divide_sheath
 
 # Rows of a state. Entry i of a row of nodes belongs to node i = 1 ... n, beside POSITION.
 POSITION = 0  # [m] of the motor's end, the nodes and the tip
@@ -19,8 +19,8 @@ TENSION = 1  # [N] of spring i = 0 ... n, between positions i and i + 1
 FRICTION = 2  # [N] dry friction on each node, positive towards the tip
 CREEP = 3  # [N] of each spring: its creep as an equivalent tension
 SPEED = 4  # [m/s] of each node, filtered for its friction
-RESTED = 5  # growth of each contact at rest: 0 just slid, 1 rested long
-ROWS = 6
+CONTACT_GROWTH = 5  # growth of each contact at rest: 0 just slid, 1 rested long
+STATE_ROWS = 6
 
 
 class Chain(NamedTuple):
@@ -39,27 +39,27 @@ def build_chain(config: SheathConfig, pretension: float) -> Chain:
 
     `pretension` [N] is the tension all along the tendon while all displacements are zero.
     """
-    cell, bend = cells(config)
+    cell, bend = divide_sheath(config)
     half = 0.5 * cell / config.axial_stiffness
     compliance = np.concatenate([half, [0.0]]) + np.concatenate([[0.0], half])
     parted = np.zeros(len(compliance))
     return Chain(compliance, config.friction * bend, cell, pretension, NEUTRAL, parted)
 
 
-@compiled
-def at_rest(chain: Chain) -> Array:
+@jit_compile
+def init_chain_state(chain: Chain) -> Array:
     """Return the initial state of a tendon, shape (6, n + 2).
 
     Row 0 holds the displacements [m] of motor end, nodes and tip; the others are this plant's own.
     """
     n = len(chain.friction)
-    state = np.zeros((ROWS, n + 2))
+    state = np.zeros((STATE_ROWS, n + 2))
     state[TENSION, : n + 1] = chain.pretension
-    state[RESTED, 1 : n + 1] = 1.0
+    state[CONTACT_GROWTH, 1 : n + 1] = 1.0
     return state
 
 
-@compiled
-def tensions(chain: Chain, state: Array) -> Array:
+@jit_compile
+def get_tensions(chain: Chain, state: Array) -> Array:
     """Return the tension of each spring [N], housing to tip, shape (n + 1,)."""
     return state[TENSION, : len(chain.compliance)].copy()

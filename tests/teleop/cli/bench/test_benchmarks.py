@@ -12,49 +12,49 @@ from master.config import MasterConfig
 from slave.config import SlaveConfig
 from teleop.cli import commands
 from teleop.cli.bench import cpu, figures, machine, rigs, session
-from teleop.cli.bench.bare_grid import run_bare
-from teleop.cli.bench.figures import Figure
+from teleop.cli.bench.bare_grid import run_idle_loops
+from teleop.cli.bench.figures import Metric
 from teleop.config.loading import load
 from teleop.runtime.realtime import RealtimeConfig
 
 
 def test_a_ratio_is_the_median_of_each_run_by_its_own_baseline():
-    busy = Figure("x", "us", (10.0, 40.0, 10.0), (5.0, 20.0, 5.0))  # the second run was held up
+    busy = Metric("x", "us", (10.0, 40.0, 10.0), (5.0, 20.0, 5.0))  # the second run was held up
     assert busy.ratio == 2.0
-    assert Figure("x", "", (1.0,), (0.0,)).ratio is None
-    assert Figure("x", "", (1.0,)).ratio is None
+    assert Metric("x", "", (1.0,), (0.0,)).ratio is None
+    assert Metric("x", "", (1.0,)).ratio is None
 
 
 def test_only_changes_beyond_the_spread_of_the_runs_count():
-    old = Figure("x", "us", (10.0, 11.0, 12.0))
-    assert figures.changed(old, old) == ""
-    assert figures.changed(old._replace(values=(11.5, 12.5, 13.0)), old) == ""
-    assert figures.changed(old._replace(values=(14.0, 14.5, 15.0)), old) == "WORSE"
-    assert figures.changed(old._replace(values=(7.0, 7.5, 8.0)), old) == "better"
+    old = Metric("x", "us", (10.0, 11.0, 12.0))
+    assert figures.classify_change(old, old) == ""
+    assert figures.classify_change(old._replace(values=(11.5, 12.5, 13.0)), old) == ""
+    assert figures.classify_change(old._replace(values=(14.0, 14.5, 15.0)), old) == "WORSE"
+    assert figures.classify_change(old._replace(values=(7.0, 7.5, 8.0)), old) == "better"
     rate = old._replace(higher_is_better=True)
-    assert figures.changed(rate._replace(values=(7.0, 7.5, 8.0)), rate) == "WORSE"
+    assert figures.classify_change(rate._replace(values=(7.0, 7.5, 8.0)), rate) == "WORSE"
     noisy = old._replace(values=(0.0, 14.5, 30.0))
-    assert figures.changed(noisy, old) == ""
+    assert figures.classify_change(noisy, old) == ""
 
 
 def test_a_figure_that_a_run_has_not_is_left_out_of_it():
     rows = [{"x": ("us", value, None, False), "y": ("us", None, 1.0, False)} for value in (1, None)]
-    (found,) = figures.gather(rows)
+    (found,) = figures.collect_metrics(rows)
     assert (found.name, found.values, found.baseline) == ("x", (1,), ())
 
 
 def test_figures_survive_their_file():
-    found = [Figure("x", "us", (1.0, 2.0), (0.5, 0.5)), Figure("r", "Hz", (9.0,), (), True)]
-    read = figures.from_tree(json.loads(json.dumps(figures.tree(found))))
+    found = [Metric("x", "us", (1.0, 2.0), (0.5, 0.5)), Metric("r", "Hz", (9.0,), (), True)]
+    read = figures.from_tree(json.loads(json.dumps(figures.to_tree(found))))
     assert list(read.values()) == found
 
 
 def test_the_comparison_names_what_got_worse():
-    old = Figure("x", "us", (1.0, 1.1))
-    lines = figures.comparison([old._replace(values=(3.0, 3.1))], {"x": old})
+    old = Metric("x", "us", (1.0, 1.1))
+    lines = figures.format_comparison([old._replace(values=(3.0, 3.1))], {"x": old})
     assert "WORSE" in lines[1]
     assert lines[-1].startswith("1 worse and 0 better")
-    assert figures.comparison([old], {}) == ["no figures in common with the older result"]
+    assert figures.format_comparison([old], {}) == ["no figures in common with the older result"]
 
 
 @pytest.mark.parametrize("joints", [1, 2, 4, 8])
@@ -71,13 +71,13 @@ def test_processor_time_is_that_of_the_process():
     with subprocess.Popen([sys.executable, "-c", program]) as busy:
         try:
             processes = {"busy": busy.pid, "us": os.getpid()}
-            before = cpu.sample(processes)
+            before = cpu.sample_cpu_time(processes)
             time.sleep(0.5)
-            shares = cpu.percent(processes, before, cpu.sample(processes))
+            shares = cpu.compute_cpu_load(processes, before, cpu.sample_cpu_time(processes))
         finally:
             busy.kill()
     assert 0.0 <= shares["us"] < shares["busy"] <= 110.0
-    assert cpu.percent(processes, before, cpu.sample(processes)).keys() == {"us"}
+    assert cpu.compute_cpu_load(processes, before, cpu.sample_cpu_time(processes)).keys() == {"us"}
 
 
 def test_a_session_is_measured_while_it_is_engaged(tmp_path):
@@ -88,14 +88,14 @@ def test_a_session_is_measured_while_it_is_engaged(tmp_path):
 
 
 def test_bare_loops_tick_at_their_rate_and_do_nothing():
-    for loop in run_bare(200.0, 0.5, RealtimeConfig(priority=0, cores=())):
+    for loop in run_idle_loops(200.0, 0.5, RealtimeConfig(priority=0, cores=())):
         assert loop["work_us"]["n"] <= 102
         assert loop["work_us"]["n"] + loop["overruns"] >= 95
         assert loop["work_us"]["p50"] < 100.0
 
 
 def test_facts_name_the_machine_and_the_versions():
-    facts = machine.facts()
+    facts = machine.describe_machine()
     assert facts["packages"]["numpy"]
     assert len(facts["load_average"]) == 3
     assert json.loads(json.dumps(facts)) == facts

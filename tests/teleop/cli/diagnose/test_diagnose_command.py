@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from matplotlib.mathtext import MathTextParser
 
-from estimator.drawing import svg
+from estimator.drawing import to_svg
 from estimator.effects import CATALOGUE
 from teleop.cli import commands
 from teleop.cli.diagnose import formulas
@@ -213,9 +213,12 @@ def test_every_formula_is_of_an_effect_and_can_be_drawn():
     labels = [effect.label for effect in CATALOGUE]
     assert set(formulas.FORMULAS) <= set(labels)
     parser = MathTextParser("path")
-    for line in (*formulas.law(elastic=True), *formulas.extension(CATALOGUE)):
+    for line in (
+        *formulas.get_law_formulas(elastic=True),
+        *formulas.get_effect_formulas(CATALOGUE),
+    ):
         assert parser.parse(f"${line}$").width > 10.0
-    assert "<svg" in svg(formulas.drawn(formulas.LAW), cut=True)
+    assert "<svg" in to_svg(formulas.draw_formula(formulas.LAW), cut=True)
 
 
 def test_options_that_contradict_the_data_are_refused(csv, capsys):

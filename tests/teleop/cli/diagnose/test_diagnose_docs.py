@@ -7,7 +7,7 @@ import pytest
 
 from estimator.diagnosis.engine import diagnose
 from estimator.diagnosis.outcome import Verdict
-from estimator.diagnosis.record import prepare
+from estimator.diagnosis.record import prepare_record
 from estimator.effects import Effect
 from teleop.cli import commands
 from teleop.cli.diagnose import catalogue
@@ -50,7 +50,7 @@ def test_the_effect_of_the_page_is_found_among_others():
     (effect,) = (one for one in names.values() if isinstance(one, Effect))
     data = hidden.make(5, (), bench="spring", duration=16.0, rate=50.0)
     T = data.channels["distal_tension"]
-    record = prepare(data.time, data.channels | {"distal_tension": T + 0.006 * T**2})
+    record = prepare_record(data.time, data.channels | {"distal_tension": T + 0.006 * T**2})
     found = diagnose([record], [*parse_effects("distal_tension_gain,constant_drag"), effect])
     assert (found.verdict, found.causes) == (Verdict.NAMED, (effect.name,))
     assert found.parameters[f"{effect.name}.curve"].value == pytest.approx(0.006, rel=0.1)

@@ -9,7 +9,7 @@ import pytest
 from estimator.diagnosis import report_text
 from estimator.diagnosis.engine import diagnose
 from estimator.diagnosis.outcome import Verdict
-from estimator.diagnosis.record import prepare
+from estimator.diagnosis.record import prepare_record
 
 ROOT = os.environ.get("TELEOP_SHARED_DATA")
 DATA = Path(ROOT) if ROOT else Path(__file__).resolve().parents[5] / "shared" / "data"
@@ -26,7 +26,7 @@ pytestmark = [
 def found():
     table = np.genfromtxt(SESSION, delimiter=",", names=True)
     signals = {name: table[f"{name}_N"] for name in ("proximal_tension", "distal_tension")}
-    return diagnose([prepare(table["time_s"], signals)], workers=2)
+    return diagnose([prepare_record(table["time_s"], signals)], workers=2)
 
 
 def test_what_removes_most_of_the_error_is_found_with_its_look_alikes(found):
@@ -50,6 +50,6 @@ def test_what_it_is_worth_on_held_out_blocks_is_what_it_is_worth_where_it_was_fi
 
 def test_the_experiments_that_would_tell_them_apart_and_what_is_left_are_said(found):
     assert any("known weight" in what for what in found.experiments)
-    (left,) = report_text.remains(found)
+    (left,) = report_text.describe_residuals(found)
     assert "0.18" in left
     assert "noise is 0.0" in left

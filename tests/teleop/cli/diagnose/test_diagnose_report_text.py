@@ -7,9 +7,9 @@ import pytest
 
 from estimator.diagnosis import report_text
 from estimator.diagnosis.engine import diagnose
-from estimator.diagnosis.outcome import DetectionLimit, Number, Structure, Verdict
-from estimator.diagnosis.record import prepare
-from estimator.diagnosis.troubles import Trouble
+from estimator.diagnosis.outcome import DetectionLimit, FittedValue, ResidualDependence, Verdict
+from estimator.diagnosis.record import prepare_record
+from estimator.diagnosis.troubles import DataIssue
 from teleop.cli.diagnose import page, report_json
 from teleop.cli.diagnose.effect_choice import parse_effects
 from tests.studies import hidden
@@ -18,7 +18,7 @@ FAULT, RIVAL = "distal_tension_gain", "constant_drag"
 
 
 def found_in(data, channels=hidden.CHANNELS):
-    record = prepare(data.time, {name: data.channels[name] for name in channels})
+    record = prepare_record(data.time, {name: data.channels[name] for name in channels})
     return diagnose([record], parse_effects(FAULT))
 
 
@@ -39,91 +39,95 @@ def nothing(found):
 
 
 def test_a_named_cause_is_said_with_size_and_gain(found):
-    said = report_text.sentence(found)
+    said = report_text.format_verdict(found)
     assert (
         "because the load cell at the tip has a wrong gain (distal_tension_gain: gain 0.04" in said
     )
     assert "%), to " in said
     assert "% below that of the best simple model (" in said
-    assert report_text.next_steps(found) == [f"{FAULT}: {found.steps[0].effect.advice}"]
+    assert report_text.list_next_steps(found) == [f"{FAULT}: {found.steps[0].effect.advice}"]
 
 
 def test_without_the_motor_s_travel_lengths_are_said_to_hold_for_an_elasticity_only(found):
-    viscous = found._replace(parameters={"viscous_friction.viscosity": Number(9, 8, 10, "N s/m")})
-    assert not any("travel" in line for line in report_text.next_steps(viscous))
+    viscous = found._replace(
+        parameters={"viscous_friction.viscosity": FittedValue(9, 8, 10, "N s/m")}
+    )
+    assert not any("travel" in line for line in report_text.list_next_steps(viscous))
     (record,) = found.dataset.records
     tensions = type(record)(**vars(record) | {"driver": "proximal_tension"})
     bench = found.dataset._replace(records=(tensions,))
-    line = report_text.next_steps(viscous._replace(dataset=bench))[-1]
+    line = report_text.list_next_steps(viscous._replace(dataset=bench))[-1]
     assert "without it viscous_friction.viscosity hold for an L/EA of 0.1 mm/N only" in line
-    gain = found._replace(dataset=bench, parameters={f"{FAULT}.gain": Number(0.1, 0.0, 0.2, "")})
-    assert len(report_text.next_steps(gain)) == 1
+    gain = found._replace(
+        dataset=bench, parameters={f"{FAULT}.gain": FittedValue(0.1, 0.0, 0.2, "")}
+    )
+    assert len(report_text.list_next_steps(gain)) == 1
 
 
 def test_rivals_are_said_with_what_would_tell_them_apart(found):
     step = found.steps[0]._replace(rivals=(RIVAL,))
     unsure = found._replace(verdict=Verdict.AMBIGUOUS, steps=(step,), experiments=("weigh it",))
-    assert f"({RIVAL}); these channels cannot tell which; " in report_text.sentence(unsure)
-    first, *others = report_text.next_steps(unsure)
+    assert f"({RIVAL}); these channels cannot tell which; " in report_text.format_verdict(unsure)
+    first, *others = report_text.list_next_steps(unsure)
     assert "weigh it" in first
     assert [line.partition(":")[0] for line in others] == [FAULT, RIVAL]
 
 
 def test_friction_that_wanders_is_said_to_do_so(found):
     astray = found._replace(verdict=Verdict.UNEXPLAINED, wanders=True)
-    assert "friction changes with time" in report_text.sentence(astray)
+    assert "friction changes with time" in report_text.format_verdict(astray)
 
 
 def test_a_clean_bench_is_said_with_what_would_have_been_seen(nothing):
     clean = nothing._replace(
         verdict=Verdict.CLEAN, detection_limits={"slack": DetectionLimit("length", 2e-5, "m")}
     )
-    assert report_text.sentence(clean).endswith(
+    assert report_text.format_verdict(clean).endswith(
         "slack would have been seen from a length of 20 µm on."
     )
-    assert report_text.detection_limits(clean).rows == (("slack", "length", "20 µm"),)
-    assert report_text.next_steps(clean) == ["Use the model as it is."]
+    assert report_text.build_detection_limit_table(clean).rows == (("slack", "length", "20 µm"),)
+    assert report_text.list_next_steps(clean) == ["Use the model as it is."]
 
 
 def test_the_unexplained_is_said_with_what_it_looks_like(nothing, found):
-    structure = (Structure("time", "distal_tension", 0.4),)
+    structure = (ResidualDependence("time", "distal_tension", 0.4),)
     unsure = nothing._replace(verdict=Verdict.UNEXPLAINED, structure=structure)
     assert unsure.ranking[0].left < 0.25
-    assert f"{unsure.ranking[0].name} would explain it" in report_text.sentence(unsure)
-    assert "Record for longer" in report_text.next_steps(unsure)[-1]
+    assert f"{unsure.ranking[0].name} would explain it" in report_text.format_verdict(unsure)
+    assert "Record for longer" in report_text.list_next_steps(unsure)[-1]
     strange = unsure._replace(ranking=())
-    assert report_text.sentence(strange) == (
+    assert report_text.format_verdict(strange) == (
         "The model is wrong, and nothing in the catalogue explains it: residuals depend on "
         "time (40% of its variance in the tension at the tip)."
     )
     partly = found._replace(verdict=Verdict.UNEXPLAINED, structure=(), left=0.5)
     assert (
         f"with {FAULT} in the model 50% of what noise does not explain is left"
-        in report_text.sentence(partly)
+        in report_text.format_verdict(partly)
     )
 
 
 @pytest.mark.parametrize("verdict", [Verdict.CLEAN, Verdict.UNEXPLAINED])
 def test_a_bench_without_a_cause_has_a_page_and_json_too(nothing, verdict):
     one = nothing._replace(verdict=verdict)
-    assert report_text.sentence(one) in page.render(one, ["a.csv"], {})
-    assert report_json.tree(one, ["a.csv"], 1.0, {})["verdict"] == verdict
+    assert report_text.format_verdict(one) in page.render(one, ["a.csv"], {})
+    assert report_json.build_report(one, ["a.csv"], 1.0, {})["verdict"] == verdict
 
 
 def test_samples_that_are_kept_out_are_said_by_file(found):
     (record,) = found.dataset.records
-    spikes = Trouble("single-sample spikes", "distal_tension", 3, 1.25)
+    spikes = DataIssue("single-sample spikes", "distal_tension", 3, 1.25)
     odd = found.dataset._replace(
         records=(type(record)(**vars(record) | {"troubles": (spikes,), "thinned": 5}),)
     )
-    first, second = report_text.remarks(found._replace(dataset=odd), ["a.csv"])
+    first, second = report_text.list_sample_remarks(found._replace(dataset=odd), ["a.csv"])
     assert first == "a.csv: 3 single-sample spikes (tension at the tip), the first at 1.25 s"
     assert "each 5 samples were averaged" in second
 
 
 def test_json_has_null_for_what_is_not_finite(found):
-    endless = {"K": Number(1.0, -math.inf, math.nan, "")}
-    tree = report_json.tree(found._replace(parameters=endless), ["a.csv"], 1.0, {})
+    endless = {"K": FittedValue(1.0, -math.inf, math.nan, "")}
+    tree = report_json.build_report(found._replace(parameters=endless), ["a.csv"], 1.0, {})
     assert json.loads(json.dumps(tree, allow_nan=False)) == tree
     ends = tree["parameters"]["K"]
     assert (ends["value"], ends["low"], ends["high"]) == (1.0, None, None)
@@ -140,7 +144,7 @@ def test_json_has_null_for_what_is_not_finite(found):
 def test_any_channels_will_do(data, channels):
     found = found_in(data, channels)
     text = page.render(found, ["a.csv"], {})
-    assert report_text.sentence(found).replace("'", "&#x27;") in text
+    assert report_text.format_verdict(found).replace("'", "&#x27;") in text
     assert text.count("<img") >= 3  # over time, the loop, structure
 
 
@@ -157,4 +161,4 @@ def test_any_channels_will_do(data, channels):
     ],
 )
 def test_quantities_are_said_in_a_fitting_unit(value, unit, said):
-    assert report_text.quantity(value, unit) == said
+    assert report_text.format_quantity(value, unit) == said

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 import estimator as est
-from estimator.diagnosis.force import force_error
+from estimator.diagnosis.force import compute_force_error
 from slave import loop, model_files
 from slave.config import SlaveConfig
 from slave.rigs import open_rig
 from slave.rigs.replayed import ReplayedRigConfig
-from slave.samples import sample_rows
+from slave.samples import to_sample_rows
 from slave.score import Score
 from teleop.cli import commands
 from teleop.data import model_file, read_table, write_table
@@ -84,15 +84,15 @@ def estimated(data, model, folder, *more):
 def played(data, model, *, drop_nonfinite=False):
     """Return the error of a session whose rig plays the data."""
     rig = open_rig(ReplayedRigConfig(file=data, drop_nonfinite=drop_nonfinite))
-    (tendon,) = model_files.apply([None], (), {"": model})
-    models = [model_files.with_noise_of(tendon, *rig.housing[0]).model()]
-    slave = loop.start(
-        loop.rig_model(rig.joints, models),
+    (tendon,) = model_files.apply_model_files([None], (), {"": model})
+    models = [model_files.set_noise_from_data(tendon, *rig.housing[0]).model()]
+    slave = loop.init_slave(
+        loop.build_rig_model(rig.joints, models),
         SlaveConfig(rig=ReplayedRigConfig(file=data)),
         loop.DIRECT,
         rig.starts_at_zero,
     )
-    rows = sample_rows(rig.read(1e9))
+    rows = to_sample_rows(rig.read(1e9))
     slave.estimate(*slave.estimated, rows, len(rows))
     score = Score(models)
     score.add_rows(slave.layout, rows, len(rows))
@@ -119,7 +119,7 @@ def test_values_that_are_missing_change_nothing_between_them(found, tables, tmp_
     write_table(lost, columns)
     model = saved(found, tmp_path / "model.yaml")
     table = read_table(lost, diagnosed=True, zero_errors=["distal_tension"])
-    error = force_error(found.extended.model, found.duration, table)
+    error = compute_force_error(found.extended.model, found.duration, table)
     one = estimated(lost, model, tmp_path, "--drop-nonfinite")
     other = played(lost, model, drop_nonfinite=True)
     spikes = json.loads((tmp_path / "estimate.json").read_text())["spikes"]["distal_tension"]

@@ -11,7 +11,7 @@ import pytest
 from estimator.pair.pair_study import SHARE
 from teleop.cli import commands
 from teleop.cli.pair.config import PairConfig
-from teleop.cli.pair.read import read
+from teleop.cli.pair.read import read_records
 from teleop.config.loading import load
 from teleop.errors import UsageError
 from tests.estimator.pair import pair_bench as bench
@@ -85,7 +85,7 @@ def test_files_are_read_in_the_order_of_their_bends_whatever_their_unit(tmp_path
         )
     config = tmp_path / "columns.yaml"
     config.write_text("unit: rad\nbend: 'x_{bend}_'\nbends: [{file: x_0.5_.csv, bend: 0.25}]\n")
-    found = read(names, load(config, PairConfig, None))
+    found = read_records(names, load(config, PairConfig, None))
     assert [record.bend for record in found] == [0.25, 1.5]
     np.testing.assert_allclose(found[1].angle, rows.angle)
 
@@ -140,7 +140,7 @@ def test_a_dead_sensor_and_degrees_are_named(tmp_path, changed, unit, message):
     np.savetxt(path, rows, delimiter=",", header=COLUMNS, comments="")
     config.write_text(f"unit: {unit}\n")
     with pytest.raises(UsageError, match=re.escape(message)):
-        read([path], load(config, PairConfig, None))
+        read_records([path], load(config, PairConfig, None))
 
 
 def test_a_pattern_without_the_bend_is_refused(files, tmp_path, capsys):

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from estimator.pair.pair_fit import PairVariant
-from estimator.pair.pair_study import COMMAND, SHARE, study
+from estimator.pair.pair_study import COMMAND, SHARE, run_study
 from teleop.cli.pair.config import PairConfig
-from teleop.cli.pair.read import read
+from teleop.cli.pair.read import read_records
 
 pytestmark = pytest.mark.measured
 
@@ -16,7 +16,7 @@ def found(measured_data):
     files = sorted((measured_data / "endoscope-pair").glob("bend*.csv"))
     if not files:
         pytest.skip(f"no endoscope-pair in {measured_data}")
-    return study(read(files, PairConfig()))
+    return run_study(read_records(files, PairConfig()))
 
 
 def shares(found, method):

@@ -12,9 +12,9 @@ from slave.rigs.simulated.plant.effects.along import BrokenTendon, JammedTendon,
 from slave.rigs.simulated.plant.effects.effect import (
     Effect,
     TendonEffect,
-    knobs_at,
-    of_tendon,
-    ranged,
+    build_ranged_field,
+    compute_knobs,
+    select_tendon_effects,
 )
 from slave.rigs.simulated.plant.effects.elasticity import (
     Creep,
@@ -30,7 +30,7 @@ from slave.rigs.simulated.plant.effects.ends import (
     Pretension,
     PulleyEccentricity,
     TipInertia,
-    TipMoved,
+    TipMotion,
 )
 from slave.rigs.simulated.plant.effects.friction import (
     ConstantDrag,
@@ -61,7 +61,14 @@ from slave.rigs.simulated.plant.effects.sensors import (
     StuckCell,
 )
 
-__all__ = ["Effect", "EffectConfig", "TendonEffect", "knobs_at", "of_tendon", "ranged"]
+__all__ = [
+    "Effect",
+    "EffectConfig",
+    "TendonEffect",
+    "build_ranged_field",
+    "compute_knobs",
+    "select_tendon_effects",
+]
 
 EffectConfig = (
     FrictionStep
@@ -84,7 +91,7 @@ EffectConfig = (
     | JointFriction
     | AntagonistTension
     | TipInertia
-    | TipMoved
+    | TipMotion
     | PulleyEccentricity
     | BrokenTendon
     | JammedTendon

@@ -5,13 +5,13 @@ from typing import Literal
 
 import numpy as np
 
-from slave.rigs.simulated.plant.effects.effect import ranged
+from slave.rigs.simulated.plant.effects.effect import build_ranged_field
 from slave.rigs.simulated.plant.effects.ends import SideEffect
 from slave.rigs.simulated.plant.joint import Tendon
 
-GAP = 0.3  # [m] between the ends of a broken tendon: more than a motor can close
-JAM = 6  # cells that hold a jammed tendon: a tension ratio of 7^6, still within rounding
-JAMMED = 1.5  # friction of each, which transmits a seventh
+BREAK_GAP = 0.3  # [m] between the ends of a broken tendon: more than a motor can close
+JAMMED_CELLS = 6  # cells that hold a jammed tendon: a tension ratio of 7^6, still within rounding
+JAM_FRICTION = 1.5  # friction of each, which transmits a seventh
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,7 +22,7 @@ class NonuniformCurvature(SideEffect):
     """
 
     type: Literal["nonuniform_curvature"] = "nonuniform_curvature"
-    ratio: float = ranged(4.5, 0.05, 20.0)
+    ratio: float = build_ranged_field(4.5, 0.05, 20.0)
 
     def change(self, tendon: Tendon, /) -> Tendon:
         """Return the tendon with this effect added."""
@@ -40,12 +40,12 @@ class BrokenTendon(SideEffect):
     """The tendon breaks at a fraction of its length from the housing."""
 
     type: Literal["broken_tendon"] = "broken_tendon"
-    share: float = ranged(0.5, 0.0, 1.0)
+    share: float = build_ranged_field(0.5, 0.0, 1.0)
 
     def change(self, tendon: Tendon, /) -> Tendon:
         """Return the tendon with this effect added."""
         parted = tendon.chain.parted.copy()
-        parted[round(self.share * (len(parted) - 1))] = GAP
+        parted[round(self.share * (len(parted) - 1))] = BREAK_GAP
         return tendon._replace(chain=tendon.chain._replace(parted=parted))
 
 
@@ -57,11 +57,11 @@ class JammedTendon(SideEffect):
     """
 
     type: Literal["jammed_tendon"] = "jammed_tendon"
-    share: float = ranged(0.5, 0.0, 1.0)
+    share: float = build_ranged_field(0.5, 0.0, 1.0)
 
     def change(self, tendon: Tendon, /) -> Tendon:
         """Return the tendon with this effect added."""
         friction = tendon.chain.friction.copy()
-        first = round(self.share * max(0, len(friction) - JAM))
-        friction[first : first + JAM] = JAMMED
+        first = round(self.share * max(0, len(friction) - JAMMED_CELLS))
+        friction[first : first + JAMMED_CELLS] = JAM_FRICTION
         return tendon._replace(chain=tendon.chain._replace(friction=friction))

@@ -10,7 +10,7 @@ from typing import Any, ClassVar, Literal
 from slave.rigs.simulated.plant.knobs import Knobs
 
 
-def ranged(default: float, low: float, high: float, unit: str = "") -> Any:
+def build_ranged_field(default: float, low: float, high: float, unit: str = "") -> Any:
     """Return a dataclass field whose value must be `low` to `high`."""
     return dataclasses.field(default=default, metadata={"range": (low, high, unit)})
 
@@ -54,7 +54,7 @@ class TendonEffect(Effect, ABC):
         """
 
 
-def of_tendon(
+def select_tendon_effects(
     effects: Sequence[object], joint: int, tendon: Literal["a", "b"]
 ) -> tuple[TendonEffect, ...]:
     """Return the effects that act in tendon `tendon` of joint `joint`, counted from 0."""
@@ -67,13 +67,13 @@ def of_tendon(
     )
 
 
-def knobs_at(effects: Sequence[TendonEffect], time: float, slid: Sequence[float]) -> Knobs:
+def compute_knobs(effects: Sequence[TendonEffect], time: float, slid: Sequence[float]) -> Knobs:
     """Return the knobs of a tendon under all its effects.
 
     Parameters
     ----------
     effects : sequence of TendonEffect
-        Of this tendon, `of_tendon`.
+        Of this tendon, `select_tendon_effects`.
     time : float
         Now [s].
     slid : sequence of float

@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 
-from slave.rigs.simulated.plant.effects.effect import TendonEffect, ranged
+from slave.rigs.simulated.plant.effects.effect import TendonEffect, build_ranged_field
 from slave.rigs.simulated.plant.knobs import Knobs
 
 
@@ -13,8 +13,8 @@ class NonlinearStiffness(TendonEffect):
     """Toe region of the elasticity: strain T/EA + strain (1 - exp(-T / tension))."""
 
     type: Literal["nonlinear_stiffness"] = "nonlinear_stiffness"
-    strain: float = ranged(1e-3, 0.0, 0.02)
-    tension: float = ranged(2.0, 0.1, 100.0, "N")
+    strain: float = build_ranged_field(1e-3, 0.0, 0.02)
+    tension: float = build_ranged_field(2.0, 0.1, 100.0, "N")
     adds_up: ClassVar[bool] = False
 
     def apply(self, knobs: Knobs, _time: float, _slid: float, /) -> Knobs:
@@ -27,8 +27,8 @@ class Creep(TendonEffect):
     """Creep of the tendon under tension: a standard linear solid."""
 
     type: Literal["creep"] = "creep"
-    share: float = ranged(0.1, 0.0, 2.0)  # final creep over elastic elongation
-    time_constant: float = ranged(8.0, 0.01, 1e4, "s")
+    share: float = build_ranged_field(0.1, 0.0, 2.0)  # final creep over elastic elongation
+    time_constant: float = build_ranged_field(8.0, 0.01, 1e4, "s")
     adds_up: ClassVar[bool] = False
 
     def apply(self, knobs: Knobs, _time: float, _slid: float, /) -> Knobs:
@@ -45,9 +45,9 @@ class SheathCompression(TendonEffect):
     """
 
     type: Literal["sheath_compression"] = "sheath_compression"
-    compression: float = ranged(1e-6, 0.0, 1e-4, "m/N^2")
-    threshold: float = ranged(5.0, 0.0, 100.0, "N")
-    friction_rise: float = ranged(0.0, 0.0, 0.1, "1/N")
+    compression: float = build_ranged_field(1e-6, 0.0, 1e-4, "m/N^2")
+    threshold: float = build_ranged_field(5.0, 0.0, 100.0, "N")
+    friction_rise: float = build_ranged_field(0.0, 0.0, 0.1, "1/N")
     adds_up: ClassVar[bool] = False
 
     def apply(self, knobs: Knobs, _time: float, _slid: float, /) -> Knobs:
@@ -64,7 +64,7 @@ class Slack(TendonEffect):
     """Excess tendon length, wound in before any tension builds up."""
 
     type: Literal["slack"] = "slack"
-    length: float = ranged(1e-3, 0.0, 0.05, "m")
+    length: float = build_ranged_field(1e-3, 0.0, 0.05, "m")
 
     def apply(self, knobs: Knobs, _time: float, _slid: float, /) -> Knobs:
         """Return the knobs with this effect added."""
@@ -76,9 +76,11 @@ class ThermalExpansion(TendonEffect):
     """Thermal expansion of the tendon relative to its sheath."""
 
     type: Literal["thermal_expansion"] = "thermal_expansion"
-    coefficient: float = ranged(1.2e-5, -1e-4, 1e-3, "1/K")  # of tendon over sheath; steel: 1.2e-5
-    warming: float = ranged(10.0, -100.0, 100.0, "K")  # in the end
-    time_constant: float = ranged(60.0, 0.01, 1e5, "s")
+    coefficient: float = build_ranged_field(
+        1.2e-5, -1e-4, 1e-3, "1/K"
+    )  # of tendon over sheath; steel: 1.2e-5
+    warming: float = build_ranged_field(10.0, -100.0, 100.0, "K")  # in the end
+    time_constant: float = build_ranged_field(60.0, 0.01, 1e5, "s")
     varies: ClassVar[bool] = True
 
     def apply(self, knobs: Knobs, time: float, _slid: float, /) -> Knobs:

@@ -5,11 +5,11 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 
-from slave.rigs.simulated.plant.effects.effect import Effect, ranged
+from slave.rigs.simulated.plant.effects.effect import Effect, build_ranged_field
 from slave.rigs.simulated.plant.environment import (
     LoadMotorConfig,
-    both_environments,
     build_environment,
+    merge_environments,
 )
 from slave.rigs.simulated.plant.joint import Joint, Tendon
 
@@ -47,7 +47,7 @@ class JointFriction(JointEffect):
     """Dry friction of the joint itself, load-independent."""
 
     type: Literal["joint_friction"] = "joint_friction"
-    friction: float = ranged(0.5, 0.0, 100.0, "N")
+    friction: float = build_ranged_field(0.5, 0.0, 100.0, "N")
 
     def apply(self, joint: Joint, _travel: float, /) -> Joint:
         """Return the joint with this effect added."""
@@ -61,7 +61,7 @@ class JointBacklash(JointEffect):
     """Play between the pulley that the tendons turn and the link, where the bench encoder is."""
 
     type: Literal["joint_backlash"] = "joint_backlash"
-    play: float = ranged(1e-4, 0.0, 0.01, "m")
+    play: float = build_ranged_field(1e-4, 0.0, 0.01, "m")
 
     def apply(self, joint: Joint, _travel: float, /) -> Joint:
         """Return the joint with this effect added."""
@@ -73,7 +73,7 @@ class TipInertia(JointEffect):
     """A mass at the tip."""
 
     type: Literal["tip_inertia"] = "tip_inertia"
-    mass: float = ranged(0.5, 0.0, 100.0, "kg")
+    mass: float = build_ranged_field(0.5, 0.0, 100.0, "kg")
 
     def apply(self, joint: Joint, _travel: float, /) -> Joint:
         """Return the joint with this effect added."""
@@ -81,14 +81,14 @@ class TipInertia(JointEffect):
 
 
 @dataclass(frozen=True, slots=True)
-class TipMoved(JointEffect):
+class TipMotion(JointEffect):
     """An external grip takes the tip where it is, moves it, holds it and releases it."""
 
     type: Literal["tip_moved"] = "tip_moved"
-    travel: float = ranged(2e-3, -0.1, 0.1, "m")
-    speed: float = ranged(0.01, 1e-5, 1.0, "m/s")
-    stiffness: float = ranged(20_000.0, 1.0, 1e6, "N/m")  # of the hold
-    hold: float = ranged(1.0, 0.0, 1e5, "s")
+    travel: float = build_ranged_field(2e-3, -0.1, 0.1, "m")
+    speed: float = build_ranged_field(0.01, 1e-5, 1.0, "m/s")
+    stiffness: float = build_ranged_field(20_000.0, 1.0, 1e6, "N/m")  # of the hold
+    hold: float = build_ranged_field(1.0, 0.0, 1e5, "s")
 
     def apply(self, joint: Joint, travel: float, /) -> Joint:
         """Return the joint with this effect added."""
@@ -99,7 +99,7 @@ class TipMoved(JointEffect):
             stiffness=self.stiffness,
             coupled=(self.start, there + self.hold),
         )
-        environment = both_environments(joint.environment, build_environment(hand))
+        environment = merge_environments(joint.environment, build_environment(hand))
         return joint._replace(environment=environment)
 
 
@@ -108,7 +108,7 @@ class Pretension(SideEffect):
     """More initial tension than configured; a return spring balances it."""
 
     type: Literal["pretension"] = "pretension"
-    tension: float = ranged(5.0, 0.0, 50.0, "N")
+    tension: float = build_ranged_field(5.0, 0.0, 50.0, "N")
 
     def __post_init__(self) -> None:
         """Check the values; raises `ValueError`."""
@@ -143,7 +143,7 @@ class AntagonistTension(JointEffect):
     """
 
     type: Literal["antagonist_tension"] = "antagonist_tension"
-    tension: float = ranged(1.0, 0.0, 50.0, "N")
+    tension: float = build_ranged_field(1.0, 0.0, 50.0, "N")
     tendon: Literal["a", "b"] = "b"
 
     def apply(self, joint: Joint, _travel: float, /) -> Joint:
@@ -162,8 +162,8 @@ class PulleyEccentricity(SideEffect):
     """Eccentric motor pulley: additional travel amplitude sin(angle + phase)."""
 
     type: Literal["pulley_eccentricity"] = "pulley_eccentricity"
-    amplitude: float = ranged(1e-4, 0.0, 0.01, "m")
-    phase: float = ranged(0.0, -math.tau, math.tau, "rad")  # at the start
+    amplitude: float = build_ranged_field(1e-4, 0.0, 0.01, "m")
+    phase: float = build_ranged_field(0.0, -math.tau, math.tau, "rad")  # at the start
     adds_up: ClassVar[bool] = False
 
     def change(self, tendon: Tendon, /) -> Tendon:

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 
-from slave.rigs.simulated.plant.effects.effect import TendonEffect, ranged
+from slave.rigs.simulated.plant.effects.effect import TendonEffect, build_ranged_field
 from slave.rigs.simulated.plant.knobs import Knobs
 
 
@@ -12,7 +12,7 @@ class FrictionStep(TendonEffect):
     """A change of the sheath's shape: a step of all friction by one factor."""
 
     type: Literal["friction_step"] = "friction_step"
-    change: float = ranged(0.25, -0.95, 5.0)  # relative
+    change: float = build_ranged_field(0.25, -0.95, 5.0)  # relative
 
     def apply(self, knobs: Knobs, _time: float, _slid: float, /) -> Knobs:
         """Return the knobs with this effect added."""
@@ -24,9 +24,9 @@ class FrictionDrift(TendonEffect):
     """Wear, lubricant or temperature: friction changes with time or with the distance slid."""
 
     type: Literal["friction_drift"] = "friction_drift"
-    per_second: float = ranged(0.0, -1.0, 1.0, "1/s")  # relative
-    per_metre: float = ranged(0.0, -10.0, 10.0, "1/m")  # relative
-    limit: float = ranged(0.5, 0.0, 5.0)  # of the relative change
+    per_second: float = build_ranged_field(0.0, -1.0, 1.0, "1/s")  # relative
+    per_metre: float = build_ranged_field(0.0, -10.0, 10.0, "1/m")  # relative
+    limit: float = build_ranged_field(0.5, 0.0, 5.0)  # of the relative change
     varies: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
@@ -47,7 +47,7 @@ class ConstantDrag(TendonEffect):
     """Load-independent friction, from seals or bending stiffness: an offset of the tension."""
 
     type: Literal["constant_drag"] = "constant_drag"
-    drag: float = ranged(0.6, 0.0, 10.0, "N")  # tau
+    drag: float = build_ranged_field(0.6, 0.0, 10.0, "N")  # tau
 
     def apply(self, knobs: Knobs, _time: float, _slid: float, /) -> Knobs:
         """Return the knobs with this effect added."""
@@ -59,7 +59,7 @@ class ViscousFriction(TendonEffect):
     """Viscous friction along the whole sheath, as from grease."""
 
     type: Literal["viscous_friction"] = "viscous_friction"
-    viscosity: float = ranged(50.0, 0.0, 5000.0, "N s/m^2")  # per metre of sheath
+    viscosity: float = build_ranged_field(50.0, 0.0, 5000.0, "N s/m^2")  # per metre of sheath
 
     def apply(self, knobs: Knobs, _time: float, _slid: float, /) -> Knobs:
         """Return the knobs with this effect added."""
@@ -75,9 +75,9 @@ class StribeckFriction(TendonEffect):
     """
 
     type: Literal["stribeck_friction"] = "stribeck_friction"
-    ratio: float = ranged(0.25, 0.0, 2.0)
-    speed: float = ranged(1e-3, 1e-5, 1.0, "m/s")
-    memory: float = ranged(0.2, 1e-3, 10.0, "s")
+    ratio: float = build_ranged_field(0.25, 0.0, 2.0)
+    speed: float = build_ranged_field(1e-3, 1e-5, 1.0, "m/s")
+    memory: float = build_ranged_field(0.2, 1e-3, 10.0, "s")
     adds_up: ClassVar[bool] = False
 
     def apply(self, knobs: Knobs, _time: float, _slid: float, /) -> Knobs:
@@ -92,8 +92,10 @@ class Presliding(TendonEffect):
     """Presliding: contacts yield elastically before they slide, in proportion to their friction."""
 
     type: Literal["presliding"] = "presliding"
-    distance: float = ranged(5e-5, 1e-6, 1e-3, "m")
-    tension: float = ranged(10.0, 0.1, 100.0, "N")  # at which a contact yields by that much
+    distance: float = build_ranged_field(5e-5, 1e-6, 1e-3, "m")
+    tension: float = build_ranged_field(
+        10.0, 0.1, 100.0, "N"
+    )  # at which a contact yields by that much
     adds_up: ClassVar[bool] = False
 
     def apply(self, knobs: Knobs, _time: float, _slid: float, /) -> Knobs:
@@ -106,7 +108,9 @@ class DirectionAsymmetry(TendonEffect):
     """Direction-dependent friction, from laid strands or coils."""
 
     type: Literal["direction_asymmetry"] = "direction_asymmetry"
-    ratio: float = ranged(0.8, 0.3, 3.0)  # rho, towards the tip over towards the housing
+    ratio: float = build_ranged_field(
+        0.8, 0.3, 3.0
+    )  # rho, towards the tip over towards the housing
 
     def apply(self, knobs: Knobs, _time: float, _slid: float, /) -> Knobs:
         """Return the knobs with this effect added."""
@@ -118,8 +122,8 @@ class TensionDependentFriction(TendonEffect):
     """Friction force ~ T^exponent: the coefficient times (T / reference)^(exponent - 1)."""
 
     type: Literal["tension_dependent_friction"] = "tension_dependent_friction"
-    exponent: float = ranged(0.85, 0.5, 1.5)
-    reference: float = ranged(10.0, 0.1, 100.0, "N")
+    exponent: float = build_ranged_field(0.85, 0.5, 1.5)
+    reference: float = build_ranged_field(10.0, 0.1, 100.0, "N")
     adds_up: ClassVar[bool] = False
 
     def apply(self, knobs: Knobs, _time: float, _slid: float, /) -> Knobs:
@@ -135,9 +139,11 @@ class StickSlip(TendonEffect):
     """
 
     type: Literal["stick_slip"] = "stick_slip"
-    ratio: float = ranged(1.3, 1.0, 3.0)  # static over sliding friction, after long rest
-    rest_time: float = ranged(0.5, 1e-3, 100.0, "s")
-    distance: float = ranged(2e-5, 1e-7, 1e-3, "m")
+    ratio: float = build_ranged_field(
+        1.3, 1.0, 3.0
+    )  # static over sliding friction, after long rest
+    rest_time: float = build_ranged_field(0.5, 1e-3, 100.0, "s")
+    distance: float = build_ranged_field(2e-5, 1e-7, 1e-3, "m")
     adds_up: ClassVar[bool] = False
 
     def apply(self, knobs: Knobs, _time: float, _slid: float, /) -> Knobs:

@@ -9,7 +9,12 @@ from typing import Literal
 import numpy as np
 
 from estimator.array_types import Array
-from slave.rigs.simulated.plant.effects.effect import Effect, TendonEffect, knobs_at, of_tendon
+from slave.rigs.simulated.plant.effects.effect import (
+    Effect,
+    TendonEffect,
+    compute_knobs,
+    select_tendon_effects,
+)
 from slave.rigs.simulated.plant.effects.ends import JointEffect
 from slave.rigs.simulated.plant.effects.sensors import LostSamples, SampleEffect, SensorEffect
 from slave.rigs.simulated.plant.joint import Joint
@@ -30,7 +35,7 @@ class JointSchedule:
             if isinstance(effect, JointEffect) and effect.joint in (None, index + 1)
         ]
         sides: tuple[Literal["a", "b"], ...] = ("a", "b") if joint.pair else ("a",)
-        self._knobs = {side: of_tendon(effects, index, side) for side in sides}
+        self._knobs = {side: select_tendon_effects(effects, index, side) for side in sides}
         self._all = [*self._ends, *(effect for of in self._knobs.values() for effect in of)]
         self._began: dict[Effect, float] = {}  # travel of the joint [m] at the start
         self._slid = {side: np.zeros(len(of)) for side, of in self._knobs.items()}
@@ -49,7 +54,7 @@ class JointSchedule:
             self._slid[side] += [way if effect in self._began else 0.0 for effect in of]
         begins = [e for e in self._all if e.start <= time and e not in self._began]
         self._began |= dict.fromkeys(begins, travel)
-        if not begins and not any(varies(effect) for effect in self._began):
+        if not begins and not any(is_varying(effect) for effect in self._began):
             return None
         return self._joint(time)
 
@@ -57,7 +62,7 @@ class JointSchedule:
         joint = self._healthy
         for side, effects in self._knobs.items():
             tendon = getattr(joint, side)
-            knobs = knobs_at(effects, time, self._slid[side].tolist())
+            knobs = compute_knobs(effects, time, self._slid[side].tolist())
             tendon = tendon._replace(chain=tendon.chain._replace(knobs=knobs))
             joint = joint._replace(**{side: tendon})
         for effect in self._ends:
@@ -77,13 +82,13 @@ class SensorSchedule:
     ) -> None:
         self._healthy = sensors
         self._all = [effect for effect in effects if isinstance(effect, SensorEffect)]
-        self._tendons = [affected_tendons(effect, joints) for effect in self._all]
+        self._tendons = [find_affected_tendons(effect, joints) for effect in self._all]
         self._began = 0
 
     def at(self, time: float) -> Sensors | None:
         """Return the sensors from `time` [s] on, or None if unchanged."""
         active = [(e, t) for e, t in zip(self._all, self._tendons, strict=True) if e.start <= time]
-        if len(active) == self._began and not any(varies(effect) for effect, _ in active):
+        if len(active) == self._began and not any(is_varying(effect) for effect, _ in active):
             return None
         self._began = len(active)
         sensors = self._healthy
@@ -115,7 +120,7 @@ class SampleSchedule:
         return reading
 
 
-def affected_tendons(effect: SensorEffect, joints: Sequence[Sequence[int]]) -> list[int]:
+def find_affected_tendons(effect: SensorEffect, joints: Sequence[Sequence[int]]) -> list[int]:
     """Return the tendons whose sensors have `effect`, counted over the rig."""
     sides = {"a": (0,), "b": (1,), "both": (0, 1)}[effect.tendon]
     return [
@@ -127,6 +132,6 @@ def affected_tendons(effect: SensorEffect, joints: Sequence[Sequence[int]]) -> l
     ]
 
 
-def varies(effect: Effect) -> bool:
+def is_varying(effect: Effect) -> bool:
     """Return whether an effect varies after its start."""
     return isinstance(effect, TendonEffect | SensorEffect) and effect.varies

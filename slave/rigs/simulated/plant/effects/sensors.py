@@ -9,7 +9,7 @@ from typing import ClassVar, Literal
 import numpy as np
 
 from estimator.array_types import Array
-from slave.rigs.simulated.plant.effects.effect import Effect, ranged
+from slave.rigs.simulated.plant.effects.effect import Effect, build_ranged_field
 from slave.rigs.simulated.plant.sensors import CHANNELS, Sensors
 
 
@@ -26,7 +26,7 @@ class SensorEffect(Effect, ABC):
         """Return the sensors with this effect on those of `tendons`, `time` [s] after its start."""
 
 
-def changed(
+def replace_sensor_values(
     sensors: Sensors, field: str, place: object, change: Callable[[Array], Array | float]
 ) -> Sensors:
     """Return the sensors with the array `field` changed at `place`."""
@@ -39,12 +39,14 @@ def changed(
 class GainEffect(SensorEffect, ABC):
     """A load cell whose reading is (1 + gain) times the tension."""
 
-    gain: float = ranged(0.06, -0.9, 9.0)
+    gain: float = build_ranged_field(0.06, -0.9, 9.0)
     channel: ClassVar[int]
 
     def apply(self, sensors: Sensors, tendons: Sequence[int], _time: float, /) -> Sensors:
         """Return the sensors with this effect."""
-        return changed(sensors, "gain", (self.channel, tendons), lambda g: g * (1.0 + self.gain))
+        return replace_sensor_values(
+            sensors, "gain", (self.channel, tendons), lambda g: g * (1.0 + self.gain)
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,12 +69,14 @@ class DistalTensionGain(GainEffect):
 class BiasEffect(SensorEffect, ABC):
     """A load cell with a zero offset `bias`."""
 
-    bias: float = ranged(0.4, -20.0, 20.0, "N")
+    bias: float = build_ranged_field(0.4, -20.0, 20.0, "N")
     channel: ClassVar[int]
 
     def apply(self, sensors: Sensors, tendons: Sequence[int], _time: float, /) -> Sensors:
         """Return the sensors with this effect."""
-        return changed(sensors, "bias", (self.channel, tendons), lambda b: b + self.bias)
+        return replace_sensor_values(
+            sensors, "bias", (self.channel, tendons), lambda b: b + self.bias
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,15 +99,15 @@ class DistalTensionBias(BiasEffect):
 class DriftEffect(SensorEffect, ABC):
     """A load cell with a linear zero drift, up to a limit."""
 
-    per_second: float = ranged(0.01, -10.0, 10.0, "N/s")
-    limit: float = ranged(20.0, 0.0, 100.0, "N")
+    per_second: float = build_ranged_field(0.01, -10.0, 10.0, "N/s")
+    limit: float = build_ranged_field(20.0, 0.0, 100.0, "N")
     varies: ClassVar[bool] = True
     channel: ClassVar[int]
 
     def apply(self, sensors: Sensors, tendons: Sequence[int], time: float, /) -> Sensors:
         """Return the sensors with this effect."""
         bias = max(-self.limit, min(self.limit, self.per_second * time))
-        return changed(sensors, "bias", (self.channel, tendons), lambda b: b + bias)
+        return replace_sensor_values(sensors, "bias", (self.channel, tendons), lambda b: b + bias)
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,13 +131,13 @@ class Saturation(SensorEffect):
     """A load cell that saturates at `limit`."""
 
     type: Literal["saturation"] = "saturation"
-    limit: float = ranged(10.0, 0.1, 1e4, "N")
+    limit: float = build_ranged_field(10.0, 0.1, 1e4, "N")
     sensor: Literal["proximal_tension", "distal_tension"] = "proximal_tension"
 
     def apply(self, sensors: Sensors, tendons: Sequence[int], _time: float, /) -> Sensors:
         """Return the sensors with this effect."""
         place = (CHANNELS.index(self.sensor), tendons)
-        return changed(sensors, "range", place, lambda r: np.minimum(r, self.limit))
+        return replace_sensor_values(sensors, "range", place, lambda r: np.minimum(r, self.limit))
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,7 +145,7 @@ class SensorLag(SensorEffect):
     """A sensor lag: first-order low-pass filter."""
 
     type: Literal["sensor_lag"] = "sensor_lag"
-    time_constant: float = ranged(0.06, 0.0, 10.0, "s")
+    time_constant: float = build_ranged_field(0.06, 0.0, 10.0, "s")
     sensor: Literal[
         "proximal_tension", "proximal_displacement", "distal_tension", "distal_displacement"
     ] = "proximal_tension"
@@ -149,7 +153,7 @@ class SensorLag(SensorEffect):
     def apply(self, sensors: Sensors, tendons: Sequence[int], _time: float, /) -> Sensors:
         """Return the sensors with this effect."""
         place = (CHANNELS.index(self.sensor), tendons)
-        return changed(sensors, "lag", place, lambda lag: lag + self.time_constant)
+        return replace_sensor_values(sensors, "lag", place, lambda lag: lag + self.time_constant)
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,13 +161,13 @@ class EncoderScale(SensorEffect):
     """An encoder that reads (1 + gain) times the travel, as on a pulley of another radius."""
 
     type: Literal["encoder_scale"] = "encoder_scale"
-    gain: float = ranged(0.04, -0.9, 9.0)
+    gain: float = build_ranged_field(0.04, -0.9, 9.0)
     sensor: Literal["proximal_displacement", "distal_displacement"] = "proximal_displacement"
 
     def apply(self, sensors: Sensors, tendons: Sequence[int], _time: float, /) -> Sensors:
         """Return the sensors with this effect."""
         place = (CHANNELS.index(self.sensor), tendons)
-        return changed(sensors, "gain", place, lambda g: g * (1.0 + self.gain))
+        return replace_sensor_values(sensors, "gain", place, lambda g: g * (1.0 + self.gain))
 
 
 @dataclass(frozen=True, slots=True)
@@ -171,13 +175,13 @@ class EncoderSlip(SensorEffect):
     """An encoder slip: a step of `slip` in the reading."""
 
     type: Literal["encoder_slip"] = "encoder_slip"
-    slip: float = ranged(8e-5, -0.01, 0.01, "m")
+    slip: float = build_ranged_field(8e-5, -0.01, 0.01, "m")
     sensor: Literal["proximal_displacement", "distal_displacement"] = "proximal_displacement"
 
     def apply(self, sensors: Sensors, tendons: Sequence[int], _time: float, /) -> Sensors:
         """Return the sensors with this effect."""
         place = (CHANNELS.index(self.sensor), tendons)
-        return changed(sensors, "bias", place, lambda b: b + self.slip)
+        return replace_sensor_values(sensors, "bias", place, lambda b: b + self.slip)
 
 
 @dataclass(frozen=True, slots=True)
@@ -185,16 +189,16 @@ class CoggingRipple(SensorEffect):
     """The gear's ripple in the housing load cell: amplitude sin(order angle + phase)."""
 
     type: Literal["cogging_ripple"] = "cogging_ripple"
-    amplitude: float = ranged(0.2, 0.0, 10.0, "N")
-    order: float = ranged(30.0, 1.0, 1e4)  # periods per turn of the pulley
-    phase: float = ranged(0.0, -math.tau, math.tau, "rad")
+    amplitude: float = build_ranged_field(0.2, 0.0, 10.0, "N")
+    order: float = build_ranged_field(30.0, 1.0, 1e4)  # periods per turn of the pulley
+    phase: float = build_ranged_field(0.0, -math.tau, math.tau, "rad")
     adds_up: ClassVar[bool] = False
 
     def apply(self, sensors: Sensors, tendons: Sequence[int], _time: float, /) -> Sensors:
         """Return the sensors with this effect."""
-        sensors = changed(sensors, "ripple", tendons, lambda _: self.amplitude)
-        sensors = changed(sensors, "ripple_order", tendons, lambda _: self.order)
-        return changed(sensors, "ripple_phase", tendons, lambda _: self.phase)
+        sensors = replace_sensor_values(sensors, "ripple", tendons, lambda _: self.amplitude)
+        sensors = replace_sensor_values(sensors, "ripple_order", tendons, lambda _: self.order)
+        return replace_sensor_values(sensors, "ripple_phase", tendons, lambda _: self.phase)
 
 
 @dataclass(frozen=True, slots=True)
@@ -205,14 +209,14 @@ class SheathRub(SensorEffect):
     """
 
     type: Literal["sheath_rub"] = "sheath_rub"
-    friction: float = ranged(0.3, 0.0, 20.0, "N")
-    travel: float = ranged(2e-4, 1e-6, 0.1, "m")
+    friction: float = build_ranged_field(0.3, 0.0, 20.0, "N")
+    travel: float = build_ranged_field(2e-4, 1e-6, 0.1, "m")
     adds_up: ClassVar[bool] = False
 
     def apply(self, sensors: Sensors, tendons: Sequence[int], _time: float, /) -> Sensors:
         """Return the sensors with this effect."""
-        sensors = changed(sensors, "rub", tendons, lambda _: self.friction)
-        return changed(sensors, "rub_travel", tendons, lambda _: self.travel)
+        sensors = replace_sensor_values(sensors, "rub", tendons, lambda _: self.friction)
+        return replace_sensor_values(sensors, "rub_travel", tendons, lambda _: self.travel)
 
 
 @dataclass(frozen=True, slots=True)
@@ -224,15 +228,17 @@ class StuckCell(SensorEffect):
 
     def apply(self, sensors: Sensors, tendons: Sequence[int], _time: float, /) -> Sensors:
         """Return the sensors with this effect."""
-        return changed(sensors, "frozen", (CHANNELS.index(self.sensor), tendons), lambda _: 1.0)
+        return replace_sensor_values(
+            sensors, "frozen", (CHANNELS.index(self.sensor), tendons), lambda _: 1.0
+        )
 
 
 @dataclass(frozen=True, slots=True)
 class SampleEffect(Effect):
     """An effect on whole samples, in bursts of random length."""
 
-    share: float = ranged(0.05, 0.0, 0.9)  # of all samples
-    burst: float = ranged(1.0, 1.0, 1e4)  # mean length, in samples
+    share: float = build_ranged_field(0.05, 0.0, 0.9)  # of all samples
+    burst: float = build_ranged_field(1.0, 1.0, 1e4)  # mean length, in samples
 
     def __post_init__(self) -> None:
         """Check that bursts of this length can reach the share; raises `ValueError`."""
