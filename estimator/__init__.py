@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from estimator.effects import CATALOGUE as CATALOGUE
     from estimator.law.sheath import Section as Section
     from estimator.law.sheath import Sheath as Sheath
-    from estimator.law.simulation import Simulation as Simulation
-    from estimator.law.simulation import simulate as simulate
+    from estimator.law.transmission import Simulation as Simulation
+    from estimator.law.transmission import simulate as simulate
     from estimator.measured_data import MeasuredData as MeasuredData
     from estimator.measured_data import Samples as Samples
     from estimator.online.estimator import Estimator as Estimator

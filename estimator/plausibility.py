@@ -65,8 +65,8 @@ def find_channel_faults(data: MeasuredData, units: Units = LINEAR) -> tuple[str,
     """Return what is wrong with the channels of a record, one line each with its remedy.
 
     A sensor that never changes while the tension does is stuck; only a tip that is blocked stays.
-    One tension of a tendon in another unit is told by `find_unit_slip`. The data are in `units`, NaN
-    where a value is missing.
+    One tension of a tendon in another unit is told by `find_unit_slip`. The data are in `units`,
+    NaN where a value is missing.
     """
     T_in, T_out = data.proximal_tension, data.distal_tension
     q_p, q_d = data.proximal_displacement, data.distal_displacement

@@ -5,8 +5,8 @@ those of the tip. The energy ledger uses the hand's own motion, whether or not t
 locked axis, a limit of the workspace), and the force that was actually rendered, in the scale used
 then.
 
-A tick has two phases. `add_hand_work` updates the energy ledger for the next command; `render_force`
-computes the force, when the slave may have answered that command.
+A tick has two phases. `add_hand_work` updates the energy ledger for the next command;
+`render_force` computes the force, when the slave may have answered that command.
 """
 
 import math

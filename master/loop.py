@@ -16,12 +16,11 @@ import numpy as np
 from estimator.array_types import Array
 from estimator.compiled import jit_compile
 from estimator.records import F64, I64, Flag, Struct, StructArray, view_struct
-from master import coupling_adapter, feedback, gate, local, operator, presence
+from master import coupling_adapter, feedback, gate, local, operator
 from master.coupling_adapter import RenderMemory
 from master.hand_input import Axes, HandInput, is_all_finite
-from master.local import WorkspaceLimits
+from master.local import Presence, WorkspaceLimits
 from master.operator import OperatorMemory
-from master.presence import Presence
 from master.settings_record import MasterSettings
 from teleop import coupling
 from teleop.config.bounds import MOTION_MAX
@@ -47,7 +46,7 @@ class MasterState(Struct):
     presence: Presence
     inputs: Inputs  # of the session in this tick
     may_render: Flag = False  # whether the session allowed forces in `compute_command`
-    counted: Flag = False  # whether `count_hand` ran as coupled there
+    counted: Flag = False  # whether `add_hand_work` ran as coupled there
 
 
 class TickInput(Struct):
@@ -168,7 +167,7 @@ def compute_command(
     hand, inputs, dt = tick.hand, memory.inputs, tick.dt
     wanted = np.zeros(MAX_JOINTS)
     finite = _compute_wanted_forces(settings, memory, tick, state, wanted)
-    presence.update_presence(settings.operator, memory.presence, hand, dt)
+    local.update_presence(settings.operator, memory.presence, hand, dt)
 
     inputs.usable = hand.present
     inputs.clutch = hand.clutch
@@ -227,8 +226,8 @@ def compute_force(
     settings, memory, tick, state
         As in `compute_command`; `tick.now_ns` and `tick.state_age_ns` are those of this phase.
     new_state : bool
-        Whether `state` has arrived since `compute_command`. Its faults, stops and non-finite values then
-        act at once.
+        Whether `state` has arrived since `compute_command`. Its faults, stops and non-finite values
+        then act at once.
     out : array of shape (8,)
         Forces [N] for the device, zero beyond its axes.
 

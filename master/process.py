@@ -46,9 +46,8 @@ from teleop.session.state_machine import OutlineReader, Reason, SessionOutline, 
 
 DIRECT = Bilateral()
 COMPILE_S = 12.0  # [s] without a cache, on a machine that does nothing else
-ANSWER_WAIT_SHARE = (
-    0.6  # of a period, from the reading of the device: longer is not waited for an answer
-)
+# of a period, from the reading of the device: longer is not waited for an answer
+ANSWER_WAIT_SHARE = 0.6
 LATE_ANSWERS_MAX = 20  # in a row, and the link is taken for one on which it is no use to wait
 _CLOCK_SET, _ENGAGED = int(Reason.CLOCK_SET), int(State.ENGAGED)
 RETRY_TICKS = 100  # ticks, whether it still is one

@@ -48,9 +48,8 @@ class SlaveConfig:
     control: ControlConfig = field(default_factory=ControlConfig)
     fault_detection: FaultDetectionConfig = field(default_factory=FaultDetectionConfig)
     gate: GateConfig = field(default_factory=GateConfig)
-    command_timeout: float = (
-        0.028  # [s] a command older than this makes the slave hold: < 30 ms in all
-    )
+    # [s] a command older than this makes the slave hold: < 30 ms in all
+    command_timeout: float = 0.028
     sample_timeout: float = 0.100  # [s] without a usable sample; longer is a fault
 
     def __post_init__(self) -> None:

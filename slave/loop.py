@@ -1,7 +1,7 @@
 """One tick of the slave as a compiled function: from a command to a state and motor positions.
 
-It uses no clock, link or rig; the process around it has those. `run_tick` updates its memory in place;
-keep a copy to undo a tick.
+It uses no clock, link or rig; the process around it has those. `run_tick` updates its memory in
+place; keep a copy to undo a tick.
 
 The steps: process samples, check faults and readiness, advance the session, compute motor targets,
 apply the gate, fill the state message. The calibration monitor is not time-critical:

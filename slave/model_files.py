@@ -19,9 +19,8 @@ from slave.tendon_config import TendonConfig
 from teleop.data import model_file
 from teleop.errors import UsageError
 
-FRICTION_RATIO_MAX = (
-    1.4  # ratio to the calibrated friction above which a model is hardly of that sheath
-)
+# ratio to the calibrated friction above which a model is hardly of that sheath
+FRICTION_RATIO_MAX = 1.4
 
 ModelFiles = Mapping[str, Path]
 """Model files by tendon name; the empty name stands for all other tendons."""

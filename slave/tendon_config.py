@@ -7,7 +7,7 @@ from estimator.law.sheath import Section, Sheath, SheathError
 from estimator.online import extension
 from estimator.online.extension import ExtendedModel
 from estimator.online.online import TendonModel
-from slave.rigs.simulated.plant.sheath import SectionConfig
+from slave.rigs.simulated.plant.tendon import SectionConfig
 from teleop.data import model_file
 from teleop.errors import UsageError
 from teleop.messages.messages import MAX_SECTIONS
@@ -34,9 +34,8 @@ class TendonConfig:
     length: float = 1.5  # [m] with effective_friction; else from the sections
     friction: float | None = None  # mu, dimensionless
     sections: tuple[SectionConfig, ...] = ()  # housing to tip
-    axial_stiffness: float = (
-        9000.0  # EA [N] of tendon and sheath in series; model_file takes precedence
-    )
+    # EA [N] of tendon and sheath in series; model_file takes precedence
+    axial_stiffness: float = 9000.0
     drag: float = 0.0  # tau [N], load-independent
     asymmetry: float = 1.0  # rho, friction releasing over friction pulling
     pretension: float = 0.0  # [N] uniform tension at the start; 0 = slack

@@ -28,7 +28,7 @@ from slave.rigs.simulated.plant.effects.friction import (
     ViscousFriction,
 )
 from slave.rigs.simulated.plant.joint import Joint, JointState, advance_joint, init_joint
-from slave.rigs.simulated.plant.sheath import SheathConfig
+from slave.rigs.simulated.plant.tendon import SheathConfig
 from slave.rigs.simulated.simulated import (
     JointConfig,
     SimulatedRig,

@@ -13,8 +13,8 @@ from teleop.link import ReceivedMessage
 from teleop.messages.messages import Command, Hand, SlaveState, TendonState, pad_values
 from teleop.messages.topics import COMMAND, HAND, STATE, TENDONS, Role
 from teleop.recording.config import RecordConfig
-from teleop.recording.readdress import SenderRewriter
 from teleop.recording.reader import RecordedMessage, open_recording, read_columns, read_messages
+from teleop.recording.replay import SenderRewriter
 from teleop.recording.writer import RecordingWriter
 
 SECONDS = 10

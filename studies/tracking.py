@@ -24,7 +24,7 @@ from slave import control, fault_detection, gate
 from slave.control import ControlConfig, ControllerState, JointEstimate
 from slave.fault_detection import FaultDetectionConfig, FaultDetector, MotorChecks
 from slave.gate import GateConfig
-from slave.rigs.simulated.plant.sheath import SectionConfig
+from slave.rigs.simulated.plant.tendon import SectionConfig
 from slave.rigs.simulated.simulated import JointConfig
 from slave.tendons import EstimatedTendon, RigLayout, build_rig_layout
 from teleop.messages.messages import MAX_JOINTS, MAX_TENDONS
@@ -122,7 +122,9 @@ def costs() -> None:
     state = online.initial(prepared[0])
     estimate, state = online.step(prepared[0], state, 5.0, 0.0, 0.0)
     layout, config, limits = (
-        build_rig_layout(joints)[0], to_struct_array(ControlConfig())[0], to_struct_array(GateConfig())[0],
+        build_rig_layout(joints)[0],
+        to_struct_array(ControlConfig())[0],
+        to_struct_array(GateConfig())[0],
     )  # fmt: skip
     memory, seen = ControllerState.array()[0], EstimatedTendon.array(MAX_TENDONS)
     seen["tension"][:8], seen["displacement"], seen["valid"] = 5.0 + np.arange(8), 0.0, True

@@ -35,11 +35,8 @@ _SLACK = math.log(_LEAST_TENSION) - LARGEST_K
 _RELATIVE_STEP = 1e-3  # relative, of the intervals
 _TURN_STEP = 2e-4  # relative, of the turning tensions
 _ZERO_STEP = 1e-4  # [N]
-_ENDS_RANGE, _TURNS_RANGE, _ZERO_RANGE = (
-    0.7,
-    0.5,
-    3.0,
-)  # how far refining goes: ln, ln, uncertainties
+# how far refining goes: ln, ln, uncertainties
+_ENDS_RANGE, _TURNS_RANGE, _ZERO_RANGE = 0.7, 0.5, 3.0
 
 
 @dataclass(frozen=True, slots=True)

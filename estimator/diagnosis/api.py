@@ -6,9 +6,8 @@ from types import MappingProxyType
 from estimator.array_types import Array
 from estimator.diagnosis import engine
 from estimator.diagnosis.force import compute_file_force, compute_rival_force
-from estimator.diagnosis.missing_values import mark_missing
+from estimator.diagnosis.model import BaseLaw
 from estimator.diagnosis.outcome import Diagnosis
-from estimator.diagnosis.progress import ignore_progress
 from estimator.diagnosis.record import (
     Record,
     RecordError,
@@ -17,7 +16,8 @@ from estimator.diagnosis.record import (
     prepare_record,
 )
 from estimator.diagnosis.rivals import CauseError
-from estimator.diagnosis.transmission_law import BaseLaw
+from estimator.diagnosis.sampling import mark_missing
+from estimator.diagnosis.settings import ignore_progress
 from estimator.effects import CATALOGUE, CHANNELS, Effect
 from estimator.measured_data import MeasuredData
 from estimator.units import LINEAR, Units

@@ -6,46 +6,190 @@ from typing import NamedTuple
 
 import numpy as np
 
-from estimator.diagnosis.baseline import refit_baseline
+from estimator.diagnosis.baseline import (
+    Choice,
+    choose_loads,
+    refit_baseline,
+    select_applicable_effects,
+)
 from estimator.diagnosis.dataset import (
     Dataset,
     Fit,
     build_contexts,
     replace_records,
     rescale_residuals,
+    use_all_samples,
 )
-from estimator.diagnosis.fit import fit_model
+from estimator.diagnosis.fit import ParameterLayout, fit_model
 from estimator.diagnosis.hidden_motion import recover_motion_beside_effects
-from estimator.diagnosis.law_choice import Choice, choose_loads, select_applicable_effects
-from estimator.diagnosis.layout import ParameterLayout
-from estimator.diagnosis.needed_causes import (
-    FINAL_ROUNDS,
-    prune_causes,
-    refit_without_effect,
-    score_effect,
-)
-from estimator.diagnosis.next_cause import find_next_cause, rank_candidates, score_candidate
-from estimator.diagnosis.outcome import CauseStep
-from estimator.diagnosis.progress import ProgressCallback, scale_progress
+from estimator.diagnosis.intervals import estimate_intervals, is_significant
+from estimator.diagnosis.outcome import CauseStep, RankedCandidate
 from estimator.diagnosis.record import shorten_blocks
 from estimator.diagnosis.score import (
+    ChannelErrors,
+    bootstrap_superiority,
     compute_bic_penalty,
     compute_errors,
+    compute_gain,
     compute_log_likelihood_ratio,
     compute_residual_fraction,
     is_noise,
     is_within_tolerance,
 )
 from estimator.diagnosis.search import Candidate, fit_candidates
-from estimator.diagnosis.settings import SETTINGS
-from estimator.effects.effect import Effect
+from estimator.diagnosis.settings import SETTINGS, ProgressCallback, scale_progress
+from estimator.effects.effect import Effect, EffectContext
 
-SEARCH_PROGRESS = (
-    0.1,
-    0.4,
-    0.55,
-    0.65,
-)  # shares of the time between which each search for a cause runs
+# --- which candidate is the next cause, and which others the data do not distinguish from it
+
+
+def find_next_cause(
+    dataset: Dataset, plain: Fit, fit: Fit, found: list[Candidate]
+) -> CauseStep | None:
+    """Return the cause that explains most, with those that cannot be told from it, if any does."""
+    base = compute_errors(dataset, fit)
+    order = sorted(found, key=lambda one: -score_candidate(dataset, base, one))
+    if not order:
+        return None
+    best = select_simplest_cause(dataset, plain, base, order)
+    if (
+        score_candidate(dataset, base, best) < SETTINGS.margin
+        or compute_gain(best.held_out, base) < SETTINGS.gain_min
+        or bootstrap_superiority(best.held_out, base) < SETTINGS.confidence
+    ):
+        return None
+    most = compute_residual_fraction(best.held_out, compute_errors(dataset, plain))
+    rivals: list[str] = []
+    for other in order:
+        if other.effect.name in (best.effect.name, *rivals) or len(rivals) == SETTINGS.rivals_max:
+            continue
+        behind = score_candidate(dataset, base, best) - score_candidate(dataset, base, other)
+        more = compute_residual_fraction(other.held_out, compute_errors(dataset, plain)) - most
+        unsure = (
+            bootstrap_superiority(best.held_out, other.held_out) < SETTINGS.confidence
+            and more < SETTINGS.unsure_left
+        )
+        if behind < SETTINGS.alike or more < SETTINGS.alike_left or unsure:
+            rivals.append(other.effect.name)
+    return CauseStep(
+        best.effect, tuple(rivals), rank_candidates(dataset, plain, fit, found), best.fit
+    )
+
+
+def select_simplest_cause(
+    dataset: Dataset, plain: Fit, base: dict[str, ChannelErrors], order: list[Candidate]
+) -> Candidate:
+    """Return of the best causes, which are as good as each other, that of the fewest parameters.
+
+    One with more can imitate another: an antagonist of hardly any friction is joint friction.
+    """
+    best, at_first = order[0], compute_errors(dataset, plain)
+    most = compute_residual_fraction(best.held_out, at_first) + SETTINGS.alike_left
+    least = score_candidate(dataset, base, best) - SETTINGS.alike
+    alike = [
+        one
+        for one in order
+        if score_candidate(dataset, base, one) > least
+        and compute_residual_fraction(one.held_out, at_first) < most
+    ]
+    return min(alike, key=lambda one: len(one.effect.parameters))
+
+
+def score_candidate(dataset: Dataset, base: dict[str, ChannelErrors], one: Candidate) -> float:
+    """Return ln of how much more probable held-out data are, parameters paid for."""
+    return compute_log_likelihood_ratio(one.held_out, base) - compute_bic_penalty(
+        dataset, len(one.effect.parameters)
+    )
+
+
+def rank_candidates(
+    dataset: Dataset, plain: Fit, fit: Fit, found: list[Candidate]
+) -> tuple[RankedCandidate, ...]:
+    """Return the candidates of a search on top of a fit, the most probable first."""
+    base, at_first = compute_errors(dataset, fit), compute_errors(dataset, plain)
+    ranked = [
+        RankedCandidate(
+            one.effect,
+            score_candidate(dataset, base, one),
+            {c: e.rmse for c, e in one.held_out.items()},
+            compute_residual_fraction(one.held_out, at_first),
+            one.fit.model.effects[-1][1],
+        )
+        for one in found
+    ]
+    return tuple(sorted(ranked, key=lambda one: -one.score))
+
+
+# --- which of the causes found one after the other are needed beside the later ones
+
+FINAL_ROUNDS = 12  # rounds of the fit to all samples
+
+
+def prune_causes(
+    dataset: Dataset, plain: Fit, steps: list[CauseStep], fit: Fit
+) -> tuple[list[CauseStep], Fit]:
+    """Return the causes that are needed and have a size, and the fit of them."""
+    return _prune_insignificant_causes(
+        dataset, plain, *_prune_redundant_causes(dataset, steps, fit)
+    )
+
+
+def _prune_redundant_causes(
+    dataset: Dataset, steps: list[CauseStep], fit: Fit
+) -> tuple[list[CauseStep], Fit]:
+    """Return the causes without those that later ones have made needless, and the fit of them."""
+    for step in steps[:-1] if len(steps) > 1 else ():
+        less = refit_without_effect(dataset, fit, step.effect)
+        if score_effect(dataset, fit, less, step.effect) < SETTINGS.margin:
+            steps = [one for one in steps if one is not step]
+            fit = less
+    return steps, fit
+
+
+def _prune_insignificant_causes(
+    dataset: Dataset, plain: Fit, steps: list[CauseStep], fit: Fit
+) -> tuple[list[CauseStep], Fit]:
+    """Return the causes without those whose size may be none, and the fit of them."""
+    about = build_contexts(dataset, plain)
+    while steps:
+        full = rescale_residuals(use_all_samples(dataset), fit)
+        last = fit_model(full, about, fit.model, FINAL_ROUNDS)
+        needless = [step for step in steps if not _has_size(full, about, last, step.effect)]
+        if not needless:
+            break
+        steps = [step for step in steps if step is not needless[-1]]
+        fit = refit_without_effect(dataset, fit, needless[-1].effect)
+    return steps, fit
+
+
+def _has_size(full: Dataset, about: Sequence[EffectContext], fit: Fit, effect: Effect) -> bool:
+    """Return whether an effect of a model has a size other than none."""
+    sizes = [p for p in effect.parameters if p.neutral is not None and not p.jumps]
+    if len(sizes) > 1:
+        return is_significant(full, fit, refit_without_effect(full, fit, effect))
+    named = {one.name: one for one in estimate_intervals(full, about, fit)}
+    return all(named[f"{effect.name}.{p.name}"].excludes_neutral for p in sizes)
+
+
+def refit_without_effect(dataset: Dataset, fit: Fit, effect: Effect) -> Fit:
+    """Return a model without one of its effects, fitted from where it was with it."""
+    rest = tuple(one for one in fit.model.effects if one[0].name != effect.name)
+    model = fit.model._replace(effects=rest)
+    return fit_model(
+        rescale_residuals(dataset, fit), build_contexts(dataset, fit), model, FINAL_ROUNDS
+    )
+
+
+def score_effect(dataset: Dataset, fit: Fit, less: Fit, effect: Effect) -> float:
+    """Return ln of how much more probable held-out data are with an effect, parameters paid for."""
+    ratio = compute_log_likelihood_ratio(
+        compute_errors(dataset, fit), compute_errors(dataset, less)
+    )
+    return ratio - compute_bic_penalty(dataset, len(effect.parameters))
+
+
+# shares of the time between which each search for a cause runs
+SEARCH_PROGRESS = 0.1, 0.4, 0.55, 0.65
 SAME_COST_TOLERANCE = 0.01  # of a cost: an effect that does the same leads nowhere else
 RESIDUAL_FRACTION_MAX = 0.5  # of the error beyond noise, to which hidden motion must lower it
 RESTART_PROGRESS = 0.9  # share at which a search that begins with another cause is done

@@ -8,6 +8,7 @@ import numpy as np
 
 from estimator.array_types import Array
 from estimator.diagnosis.model import (
+    BaseLaw,
     BaseParameters,
     LoadModel,
     SimulatedRecord,
@@ -22,7 +23,6 @@ from estimator.diagnosis.record import (
     select_subsample,
 )
 from estimator.diagnosis.settings import SETTINGS
-from estimator.diagnosis.transmission_law import BaseLaw
 from estimator.effects.effect import PROXIMAL_TENSION, Effect, EffectContext, Values
 
 

@@ -2,10 +2,16 @@
 
 from collections.abc import Callable, Sequence
 
-from estimator.diagnosis import equal_causes, experiments, rivals
-from estimator.diagnosis.baseline import fit_baseline, fit_robustly, refit_baseline
-from estimator.diagnosis.carried_over import transfer_to_validation
-from estimator.diagnosis.causes import RESTART_PROGRESS, find_causes
+from estimator.diagnosis import experiments, rivals
+from estimator.diagnosis.baseline import (
+    Choice,
+    choose_law,
+    fit_baseline,
+    fit_robustly,
+    refit_baseline,
+    select_applicable_effects,
+)
+from estimator.diagnosis.causes import FINAL_ROUNDS, RESTART_PROGRESS, find_causes, rank_candidates
 from estimator.diagnosis.dataset import (
     Dataset,
     Fit,
@@ -16,17 +22,11 @@ from estimator.diagnosis.dataset import (
     rescale_residuals,
     use_all_samples,
 )
-from estimator.diagnosis.detection_limit import compute_detection_limits
 from estimator.diagnosis.driver_noise import propagate_driver_noise
 from estimator.diagnosis.fit import fit_model
-from estimator.diagnosis.folds import compute_model_errors, fit_folds
-from estimator.diagnosis.free_friction import has_drifting_friction
 from estimator.diagnosis.hidden_motion import may_hide_motion, recover_hidden_motion
 from estimator.diagnosis.intervals import estimate_intervals
-from estimator.diagnosis.law_choice import Choice, choose_law, select_applicable_effects
 from estimator.diagnosis.model import SimulatedRecord, simulate_record
-from estimator.diagnosis.needed_causes import FINAL_ROUNDS
-from estimator.diagnosis.next_cause import rank_candidates
 from estimator.diagnosis.outcome import (
     CauseStep,
     Diagnosis,
@@ -40,25 +40,30 @@ from estimator.diagnosis.prediction import (
     predict_records,
     prepare_validation_records,
 )
-from estimator.diagnosis.progress import ProgressCallback, ignore_progress
 from estimator.diagnosis.record import Record, RecordError, mark_all_as_train
 from estimator.diagnosis.record_units import compute_bench_scale, to_bench_units, to_record_units
-from estimator.diagnosis.residual_dependence import find_residual_dependence
 from estimator.diagnosis.score import (
     bootstrap_gain,
     compute_errors,
     compute_residual_fraction,
+    find_residual_dependence,
     is_noise,
     join_errors,
 )
-from estimator.diagnosis.settings import SETTINGS
+from estimator.diagnosis.settings import SETTINGS, ProgressCallback, ignore_progress
 from estimator.diagnosis.simple_models import compute_simple_gains, fit_simple_models
+from estimator.diagnosis.validation import (
+    compute_detection_limits,
+    compute_model_errors,
+    fit_folds,
+    has_drifting_friction,
+    transfer_to_validation,
+)
 from estimator.effects import CATALOGUE
 from estimator.effects.effect import Effect
 
-HIDDEN_MOTION_PASSES = (
-    2  # times that hidden motion is looked for, with better numbers the second time
-)
+# times that hidden motion is looked for, with better numbers the second time
+HIDDEN_MOTION_PASSES = 2
 
 
 def diagnose(
@@ -135,7 +140,7 @@ def diagnose(
     usable = select_applicable_effects(effects, records[0], dataset.base)
     first = rank_candidates(dataset, plain, plain, found.firsts)
     if cause:
-        steps, fit = equal_causes.choose_equivalent_cause(dataset, plain, steps, fit, cause)
+        steps, fit = rivals.choose_equivalent_cause(dataset, plain, steps, fit, cause)
     outcome = _build_diagnosis(dataset, plain, fit, steps, first, usable, validate)
     if leave_one_file_out:
         report("leaving one file out", 1.0)
@@ -246,6 +251,6 @@ def _build_diagnosis(
         experiments=experiments.suggest_experiments(alike, dataset.records[0].signals),
         troubles=tuple(trouble for record in dataset.records for trouble in record.troubles),
         fit_all=all(record.train.all() for record in dataset.records),
-        rivals=rivals.fit_rivals(dataset, plain, last, equal_causes.find_equivalent_causes(steps)),
+        rivals=rivals.fit_rivals(dataset, plain, last, rivals.find_equivalent_causes(steps)),
         validation=further,
     )

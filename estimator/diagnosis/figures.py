@@ -69,7 +69,8 @@ def draw_figures(
             yield DrawnFigure(
                 "ranking",
                 draw_ranking(found),
-                f"Log-likelihood ratio of {name_judged_samples(found)} data with and without a cause, with a "
+                f"Log-likelihood ratio of {name_judged_samples(found)} data with and without a "
+                f"cause, with a "
                 "penalty for its parameters. Blue are the causes found, pale blue those that the "
                 "data do not distinguish from them.",
             )

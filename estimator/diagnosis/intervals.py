@@ -16,8 +16,7 @@ from estimator.diagnosis.dataset import (
     estimate_taut_travel,
     simulate_dataset,
 )
-from estimator.diagnosis.fit import SEARCH_REACHES, compute_jacobian
-from estimator.diagnosis.layout import ParameterLayout
+from estimator.diagnosis.fit import SEARCH_REACHES, ParameterLayout, compute_jacobian
 from estimator.diagnosis.settings import SETTINGS
 from estimator.effects.effect import EffectContext, Parameter
 

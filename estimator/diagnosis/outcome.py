@@ -3,12 +3,12 @@
 from enum import StrEnum
 from typing import TYPE_CHECKING, NamedTuple
 
+from estimator.diagnosis.baseline import Choice
 from estimator.diagnosis.bench_scale import UNIT_SCALE, BenchScale
 from estimator.diagnosis.dataset import Dataset, Fit
 from estimator.diagnosis.force import FileForce, RivalForce
-from estimator.diagnosis.law_choice import Choice
 from estimator.diagnosis.prediction import ErrorStatistics, PredictedRecord
-from estimator.diagnosis.rivals import Rival
+from estimator.diagnosis.score import ResidualDependence
 from estimator.diagnosis.simple_models import SimpleFit, SimpleGain
 from estimator.diagnosis.troubles import DataIssue
 from estimator.effects.effect import Effect, Values
@@ -82,12 +82,12 @@ class Gain(NamedTuple):
     high: float
 
 
-class ResidualDependence(NamedTuple):
-    """What a residual depends on, strongest first."""
+class Rival(NamedTuple):
+    """A model with another effect in the place of a cause, fitted to all samples."""
 
-    what: str
-    channel: str
-    share: float  # of the residual's variance
+    replaces: str  # name of that cause
+    effect: Effect
+    fit: Fit
 
 
 class DetectionLimit(NamedTuple):

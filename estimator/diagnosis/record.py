@@ -22,16 +22,17 @@ from estimator.diagnosis.drive import (
     find_turning_points,
     find_turns_between_samples,
 )
-from estimator.diagnosis.halves import assign_blocks, select_training_half
-from estimator.diagnosis.missing_values import (
+from estimator.diagnosis.sampling import (
+    assign_blocks,
+    decimate_record,
     drop_missing,
+    estimate_sample_times,
     find_long_gaps,
     mark_missing,
     select_signal_rows,
+    select_training_half,
 )
-from estimator.diagnosis.sampling import estimate_sample_times
 from estimator.diagnosis.settings import SETTINGS
-from estimator.diagnosis.thinning import decimate_record
 from estimator.diagnosis.troubles import (
     DataIssue,
     exclude_turns,
@@ -161,7 +162,8 @@ def prepare_record(
     Parameters
     ----------
     time : ndarray
-        Stamps [s], shape (n,), strictly rising; see `estimator.diagnosis.sampling.estimate_sample_times`.
+        Stamps [s], shape (n,), strictly rising; see
+        `estimator.diagnosis.sampling.estimate_sample_times`.
     signals : dict
         By channel of `estimator.effects.CHANNELS`, the tension at the housing at least, in
         `units`, shape (n,), not finite where a value is missing.

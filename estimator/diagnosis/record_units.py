@@ -4,9 +4,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import product
 
+from estimator.diagnosis.baseline import Choice
 from estimator.diagnosis.bench_scale import UNIT_SCALE, BenchScale, choose_bench_scale
 from estimator.diagnosis.dataset import Dataset, Fit, Model
-from estimator.diagnosis.law_choice import Choice
 from estimator.diagnosis.model import TAUT_TRAVEL, BaseParameters, SimulatedRecord
 from estimator.diagnosis.outcome import Diagnosis, FittedValue, ModelErrors, RankedCandidate
 from estimator.diagnosis.prediction import ErrorStatistics, PredictedRecord

@@ -3,8 +3,8 @@
 import re
 from collections.abc import Iterable, Sequence
 
+from estimator.diagnosis.baseline import Choice
 from estimator.diagnosis.dataset import compute_tolerance
-from estimator.diagnosis.law_choice import Choice
 from estimator.diagnosis.model import TIP_COMPLIANCE
 from estimator.diagnosis.outcome import (
     CauseStep,
@@ -49,7 +49,8 @@ def format_verdict(found: Diagnosis) -> str:
         if names := _list_unsure_causes(found):
             return (
                 f"The model is wrong, and these data do not determine the cause: "
-                f"{' or '.join(names)} would explain it, none of them surely; {_describe_dependence(found)}."
+                f"{' or '.join(names)} would explain it, none of them surely; "
+                f"{_describe_dependence(found)}."
             )
         labels = " and ".join(step.effect.label for step in found.steps)
         share = f"{found.left:.0%} of what noise does not explain"
@@ -251,7 +252,8 @@ def list_better_models(found: Diagnosis) -> list[str]:
             unit = found.units.of(channel)
             said.append(
                 f"{found.units.word(channel)}: {gain.model} predicts it better than this model, "
-                f"{format_quantity(simple.rmse[channel], unit, 3)} against {format_quantity(one.rmse, unit, 3)} "
+                f"{format_quantity(simple.rmse[channel], unit, 3)} against "
+                f"{format_quantity(one.rmse, unit, 3)} "
                 f"{name_judged_samples(found)} RMSE; {_suggest_remedy(found, gain.model)}."
             )
     return said
@@ -348,7 +350,8 @@ def describe_residuals(found: Diagnosis) -> list[str]:
         else:
             what = "it depends on no tension, speed, direction, travel or time"
         said.append(
-            f"{found.units.word(channel)}: {format_quantity(one.rmse, unit, 3)} {name_judged_samples(found)} RMSE, "
+            f"{found.units.word(channel)}: {format_quantity(one.rmse, unit, 3)} "
+            f"{name_judged_samples(found)} RMSE, "
             f"noise is {format_quantity(noise, unit, 2)}; {what}."
         )
     return said

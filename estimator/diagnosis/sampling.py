@@ -10,8 +10,10 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from estimator.array_types import Array
+from estimator.diagnosis.settings import SETTINGS
 from estimator.effects.effect import Signals
 
 STEP_SCATTER_MAX = 0.02  # of the period: scatter of the steps below which stamps are even
@@ -19,14 +21,11 @@ GAP_PERIODS = 1.75  # periods: a step with a sample missing in it
 DIFFERENCE_ORDER = 3  # of the differences that roughness is taken from
 BLOCK_SIZE = 20  # of them, of which one root mean square is taken
 ROUGHNESS_QUANTILE = 0.8  # quantile of the blocks: the motor may be at rest for most of a record
-ROUGHNESS_RATIO_MIN = (
-    1.25  # by stamps than by even times, all channels multiplied: the stamps are wrong
-)
+# by stamps than by even times, all channels multiplied: the stamps are wrong
+ROUGHNESS_RATIO_MIN = 1.25
 DRIFT_WINDOW = 99  # samples over which a clock runs evenly; no record is shorter
-PHASE_GAIN, PERIOD_GAIN = (
-    0.1,
-    0.002,
-)  # of a stamp's error that corrects the phase and the period of a clock
+# of a stamp's error that corrects the phase and the period of a clock
+PHASE_GAIN, PERIOD_GAIN = 0.1, 0.002
 
 
 class SampleTimes(NamedTuple):
@@ -137,10 +136,173 @@ def _count_with_gaps(time: Array) -> Array:
 
 
 def _fit_even_times(time: Array, counts: Array) -> Array:
-    """Return times in proportion to counts, but for a clock that drifts over `DRIFT_WINDOW` samples."""
+    """Return times in proportion to counts, but for a clock that drifts."""
     from scipy.signal import savgol_filter  # here: the control processes import this module
 
     period = float(np.polyfit(counts, time, 1)[0])
     drift = savgol_filter(time - period * counts, DRIFT_WINDOW, 1)
     even = period * counts + drift
     return np.asarray(even) if np.all(np.diff(even) > 0.0) else time
+
+
+# --- values that are missing (NaN) in one channel of a record while others have theirs
+# They are not compared. What drives the simulation must be known: rows without it are removed.
+
+
+LONG_GAP = 0.25  # [s] and
+# sample times between two values: a curve drawn through both would be invented
+LONG_GAP_PERIODS = 5.0
+
+
+def drop_missing(signal: Array) -> Array:
+    """Return the values of a signal that are not missing, in their order."""
+    return signal[np.isfinite(signal)]
+
+
+def mark_missing(signals: Signals) -> Signals:
+    """Return signals with NaN for what is not finite."""
+    return {name: np.where(np.isfinite(signal), signal, np.nan) for name, signal in signals.items()}
+
+
+def select_signal_rows(
+    time: Array, signals: Signals, rows: NDArray[np.bool_]
+) -> tuple[Array, Signals]:
+    """Return some of the rows of a record."""
+    return time[rows], {name: signal[rows] for name, signal in signals.items()}
+
+
+def find_long_gaps(time: Array, present: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return which times [s] lie where no value is present for long, shape (n,)."""
+    times = time[present]
+    steps = np.diff(times, prepend=time[0], append=time[-1])
+    long = np.flatnonzero(
+        steps > max(LONG_GAP, LONG_GAP_PERIODS * float(np.median(np.diff(times))))
+    )
+    edges = np.concatenate([[-np.inf], times, [np.inf]])
+    inside = np.zeros(len(time), dtype=np.bool_)
+    for begin, end in zip(edges[long], edges[long + 1], strict=True):
+        inside |= (begin < time) & (time < end)
+    return inside
+
+
+# --- samples that only repeat the one before, as their sensor is slower than the record
+
+REGULAR_SHARE = 0.8  # of the new values, that come at one distance, or a sample more or less
+STEPS_MIN = 4.0  # of a reading's rounding, between two new values: fewer are a slow motion
+
+
+def find_held_samples(signal: Array, step: float) -> NDArray[np.bool_]:
+    """Return which samples of a channel are held ones; none where the sensor keeps up.
+
+    Parameters
+    ----------
+    signal : ndarray
+        Shape (n,).
+    step : float
+        In which the reading is counted; 0 for none.
+    """
+    none = np.zeros(len(signal), dtype=np.bool_)
+    new = np.flatnonzero(np.diff(signal)) + 1
+    if len(new) < 3:
+        return none
+    apart = np.diff(new)
+    usual = float(np.median(apart))
+    if usual < 2.0 or np.mean(np.abs(apart - usual) <= 1.0) < REGULAR_SHARE:
+        return none
+    if np.median(np.abs(np.diff(signal[new]))) < STEPS_MIN * step:
+        return none
+    repeats = ~none
+    repeats[new] = repeats[0] = False
+    return repeats
+
+
+# --- which samples of a record are fitted, and which are held out: blocks in turn
+
+Mask = NDArray[np.bool_]
+
+
+def select_training_half(block: NDArray[np.int64], drive: Array, speed: Array) -> Mask:
+    """Return which samples are fitted: every other block, if both halves see the same motion.
+
+    A motion that repeats itself may be in one half while it pulls and in the other while it lets
+    go. Then it is the blocks whose number has an even count of ones, a sequence (of Thue and Morse)
+    that repeats nothing.
+    """
+    alternate: Mask = block % 2 == 0
+    if _compute_imbalance(alternate, drive, speed) < SETTINGS.imbalance_max:
+        return alternate
+    odd = np.zeros_like(block)
+    while block.any():
+        odd, block = odd ^ (block & 1), block >> 1
+    aperiodic = np.asarray(odd == 0)
+    return min((alternate, aperiodic), key=lambda one: _compute_imbalance(one, drive, speed))
+
+
+def _compute_imbalance(fitted: Mask, drive: Array, speed: Array) -> float:
+    """Return how differently two halves are moved: 0 if the same, 1 if nothing is in both.
+
+    It is the distance in total variation between what they have of low, middle and high drive,
+    each while it rises, rests and falls.
+    """
+    level = np.searchsorted(np.quantile(drive, [1.0 / 3.0, 2.0 / 3.0]), drive)
+    rest = SETTINGS.rest * float(np.quantile(np.abs(speed), 0.95))
+    way = np.sign(speed) * (np.abs(speed) > rest)
+    state = (3 * level + way + 1.0).astype(np.int64)
+    shares = [
+        np.bincount(state[half], minlength=9) / max(int(half.sum()), 1)
+        for half in (fitted, ~fitted)
+    ]
+    return 0.5 * float(np.abs(shares[0] - shares[1]).sum())
+
+
+def assign_blocks(time: Array, share: float = 1.0) -> NDArray[np.int64]:
+    """Return the number of the block each sample is in, shape (n,); they are a `share` as long."""
+    length = share * min(SETTINGS.block, float(time[-1] - time[0]) / SETTINGS.blocks_min)
+    length = max(length, 2.0 * float(np.median(np.diff(time))))
+    return np.asarray((time - time[0]) / length, dtype=np.int64)
+
+
+# --- a long record with fewer samples: means of several
+
+
+class DecimatedRecord(NamedTuple):
+    """A record of which several samples were averaged to one."""
+
+    time: Array
+    signals: Signals
+    good: dict[str, Mask]
+    present: dict[str, Mask]
+    averaged: dict[str, float]  # values in a sample, by channel
+    thinned: int  # samples in one
+
+
+def decimate_record(
+    time: Array,
+    signals: Signals,
+    good: dict[str, Mask],
+    present: dict[str, Mask],
+    most: int,
+) -> DecimatedRecord:
+    """Return every k-th sample, all channels averaged over the k around it.
+
+    What does not count is interpolated in `signals`, so that a mean of few values is one at the
+    same time as that of many. A channel counts where it has more than half as many values as it
+    usually has, and none where samples before and after a gap come together.
+    """
+    k = math.ceil(len(time) / most)
+    if k <= 1:
+        return DecimatedRecord(time, signals, good, present, dict.fromkeys(signals, 1.0), 1)
+    rows = np.arange(k // 2, len(time) - (k - 1) // 2, k)
+    window = rows[:, None] + np.arange(k) - k // 2
+    spans = time[window[:, -1]] - time[window[:, 0]]
+    unbroken = spans < float(np.median(spans)) + LONG_GAP
+    counts = {name: mask[window].sum(axis=1) for name, mask in good.items()}
+    usual = {name: float(np.median(count[count > 0])) for name, count in counts.items()}
+    return DecimatedRecord(
+        time[window].mean(axis=1),
+        {name: signal[window].sum(axis=1) / k for name, signal in signals.items()},
+        {name: unbroken & (count > 0.5 * usual[name]) for name, count in counts.items()},
+        {name: mask[window].any(axis=1) for name, mask in present.items()},
+        usual,
+        k,
+    )

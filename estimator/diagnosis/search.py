@@ -24,19 +24,21 @@ from estimator.diagnosis.dataset import (
     simulate_dataset,
     subsample,
 )
-from estimator.diagnosis.fit import QUICK_ROUNDS, compute_jacobian, fit_model, shift_parameters
-from estimator.diagnosis.layout import ParameterLayout
-from estimator.diagnosis.progress import ProgressCallback, scale_progress
+from estimator.diagnosis.fit import (
+    QUICK_ROUNDS,
+    ParameterLayout,
+    compute_jacobian,
+    fit_model,
+    shift_parameters,
+)
 from estimator.diagnosis.score import ChannelErrors, compute_errors, is_noise
-from estimator.diagnosis.settings import SETTINGS
+from estimator.diagnosis.settings import SETTINGS, ProgressCallback, scale_progress
 from estimator.effects.effect import Effect, EffectContext, Parameter, Values
 
 SUBSAMPLE_SIZE = 1200  # samples of a record in a first look
 SECOND_STARTS_MAX, RAW_STARTS_MAX = 10, 12  # starts of all effects, besides the best of each
-SCREENING_PROGRESS, FITTING_PROGRESS = (
-    0.3,
-    (0.6, 0.75),
-)  # shares of a search after which these are done
+# shares of a search after which these are done
+SCREENING_PROGRESS, FITTING_PROGRESS = 0.3, (0.6, 0.75)
 HALVINGS = 3  # of a linear step that leads uphill
 ROUNDS = (4, 6)  # of the first fits, on thin records
 FINAL_ROUNDS = 25  # rounds of the last fit, on whole records

@@ -5,6 +5,7 @@ simulated benches is right with it. How hard the fits search (rounds, starts, st
 it is used.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 
@@ -55,13 +56,13 @@ class Settings:
     excess_min: float = 0.1  # noise variances over 1 below which a channel has nothing to explain
     excess_ratio_max: float = 4.0  # by which one channel may become worse, for the mean over all
 
-    # which candidates are followed (search.py, engine.py)
+    # which candidates are followed (search.py, causes.py)
     kept: tuple[int, ...] = (14, 6)  # effects that go on after each round of fits
     hopeless: tuple[float, ...] = (40.0, 4.0)  # times the lowest cost, after each of them
     at_bound: float = 0.03  # of a bound: a number so near to it hardly leaves it again
     ahead: float = 1.5  # times as low a cost as any other's: followed though not enough alone
 
-    # when an effect is named (engine.py); docs/diagnosis.md, Verdicts
+    # when an effect is named (causes.py); docs/diagnosis.md, Verdicts
     margin: float = 15.0  # log-likelihood ratio less the BIC penalty (Schwarz 1978)
     gain_min: float = 0.04  # by which it lowers the error
     confidence: float = 0.98  # share of bootstrap resamples in which it is better
@@ -69,13 +70,13 @@ class Settings:
     free_friction: float = 0.3  # of what a step or drift leaves, left by friction free over time:
     # less, and the friction wanders
 
-    # when two effects are not told apart (engine.py)
+    # when two effects are not told apart (causes.py)
     alike: float = 6.0  # log-likelihood ratio, penalties included
     alike_left: float = 0.015  # of the error beyond noise
     unsure_left: float = 0.1  # of it, where the bootstrap does not prefer one
     rivals_max: int = 2  # that are reported beside the cause
 
-    # when to look no further (engine.py)
+    # when to look no further (causes.py)
     left_min: float = 0.01  # of the first error beyond noise
     further: float = 2.5  # rms residual over tolerance
     brief: float = 0.8  # of the squared error in two neighbouring blocks: blocks become short
@@ -91,3 +92,22 @@ class Settings:
 
 
 SETTINGS = Settings()
+
+
+# --- how far a long computation is, told by its parts
+
+ProgressCallback = Callable[[str, float], None]
+"""Told what is being done, and which share (0 to 1) of all is done."""
+
+
+def ignore_progress(_what: str, _share: float) -> None:
+    """Report nothing."""
+
+
+def scale_progress(report: ProgressCallback, begin: float, end: float) -> ProgressCallback:
+    """Return the report of a part that takes the whole from one share to another."""
+
+    def of_part(what: str, share: float) -> None:
+        report(what, begin + (end - begin) * share)
+
+    return of_part

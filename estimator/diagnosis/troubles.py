@@ -8,9 +8,13 @@ from numpy.typing import NDArray
 from estimator.array_types import Array
 from estimator.diagnosis.channel_noise import find_quantisation_step
 from estimator.diagnosis.drive import find_turning_points
-from estimator.diagnosis.held_samples import find_held_samples
-from estimator.diagnosis.missing_values import LONG_GAP, LONG_GAP_PERIODS, drop_missing
-from estimator.diagnosis.sampling import GAP_PERIODS
+from estimator.diagnosis.sampling import (
+    GAP_PERIODS,
+    LONG_GAP,
+    LONG_GAP_PERIODS,
+    drop_missing,
+    find_held_samples,
+)
 from estimator.diagnosis.settings import SETTINGS
 from estimator.effects.effect import PROXIMAL_TENSION, Signals
 from estimator.signals import noise_sigma
@@ -21,9 +25,8 @@ Mask = NDArray[np.bool_]
 STEP_TOLERANCE = 0.05  # of the period: a time step is uneven
 UNEVEN_SHARE = 0.02  # of the time steps, that are uneven before it is said
 SPEED_SAMPLES = 5  # samples over which a speed beside a gap is taken
-GAP_SPEED_MIN = (
-    0.5  # of the speed beside a gap: in one that is crossed slower the motor may have turned
-)
+# of the speed beside a gap: in one that is crossed slower the motor may have turned
+GAP_SPEED_MIN = 0.5
 GAPS_LISTED_MAX = 3
 
 

@@ -27,9 +27,8 @@ SLIP_STEP_COUNT = 6  # of a reading, that may be slips
 TURNS_MAX = 10.0  # of the pulley in a record
 BAND_COUNT = 3  # of wave numbers of a pulley that turns often, each with starts of its own
 PHASE_STEP = 5.0  # [rad] over a record, that a step of the pulley's radius is at most
-RIPPLE_PHASE_MIN = (
-    5.0  # [rad] that a ripple turns through in a record: a part of a wave may be anything
-)
+# [rad] that a ripple turns through in a record: a part of a wave may be anything
+RIPPLE_PHASE_MIN = 5.0
 SENSOR_NAMES = {
     PROXIMAL_TENSION: "the load cell at the housing",
     DISTAL_TENSION: "the load cell at the tip",
@@ -231,8 +230,8 @@ def _build_encoder_scale(channel: str) -> Effect:
         lambda q, values, context: scaled(q, 1.0 / (1.0 + values[0]), context),
         Effect(
             name="encoder_scale",
-            cause=f"{SENSOR_NAMES[channel]} counts too much or too little, as on a pulley of another "
-            "radius",
+            cause=f"{SENSOR_NAMES[channel]} counts too much or too little, as on a pulley of "
+            "another radius",
             equation="reading = (1 + gain) q",
             parameters=(Parameter("gain", "", -0.8, 4.0, 0.02),),
             source="range assumed: up to 5 %, by the wrap radius",
@@ -279,7 +278,8 @@ def _build_encoder_slip(channel: str) -> Effect:
                 Parameter("onset", "s", 1.0, 1e6, 0.3, None, jumps=True),
             ),
             source="range assumed: 0.01 to 1 mm",
-            advice=f"Return to a hard stop and compare; tighten the coupling of {SENSOR_NAMES[channel]}.",
+            advice="Return to a hard stop and compare; tighten the coupling of "
+            f"{SENSOR_NAMES[channel]}.",
             starts=lambda context: _find_slip_starts(context, channel),
             where=SENSOR_NAMES[channel],
             needs=frozenset({PROXIMAL_DISPLACEMENT}),

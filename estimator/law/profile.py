@@ -12,8 +12,8 @@ that both ends work on as on a stack. A sample adds at most one point and every 
 most once: the cost is O(1) per sample over a history.
 
 A `Profile` is one flat array, so that it copies in one move and passes into compiled code as is. It
-holds at most `CAPACITY` break points; see `get_merge_error_bound` for what happens beyond. The push functions
-advance it in place and leave it as it was when handed a number that is not finite.
+holds at most `CAPACITY` break points; see `get_merge_error_bound` for what happens beyond. The push
+functions advance it in place and leave it as it was when handed a number that is not finite.
 """
 
 import math

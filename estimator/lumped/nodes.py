@@ -23,9 +23,8 @@ EDGES = np.concatenate([[0.0], 0.5 * (PLACES[:-1] + PLACES[1:]), [1.0]])
 """Where the stretch of tendon that counts to a node ends and the next begins, shares of K."""
 
 _FRICTION_MIN = 0.05  # of K, that friction never falls below, however far a fit is carried on
-_HALF_FRICTION_MAX = (
-    0.45  # half the friction between two nodes, at most; beyond it nothing would pass
-)
+# half the friction between two nodes, at most; beyond it nothing would pass
+_HALF_FRICTION_MAX = 0.45
 _MIN_TENSION = 1e-2  # [N] below which friction is no power of the tension any more
 
 

@@ -8,8 +8,8 @@ than a tenth of the way that it would have had to go to cause the change, or wen
 A tenth, because that way is computed with an elongation that may be wrong by a factor: a bend next
 to the motor that the model spreads along the sheath is enough. A smaller threshold
 detects more on an exact model but reports false tip motion otherwise (`test_estimate_on_rig`). A
-window begins where T_in or the motor turns; it is forgotten after `WINDOW_MAX_S`, so that slow creep of
-a tendon at rest is not taken for the tip.
+window begins where T_in or the motor turns; it is forgotten after `WINDOW_MAX_S`, so that slow
+creep of a tendon at rest is not taken for the tip.
 """
 
 import math
@@ -20,12 +20,10 @@ from estimator.compiled import jit_compile
 from estimator.law import tables as _tables
 from estimator.law.profile import TIP, drive_end, push_proximal, to_log_tension
 from estimator.law.transmission import read_profile
-from estimator.online.estimator_state import EstimatorState
-from estimator.online.prepared_tendon import PreparedTendon
+from estimator.online.estimator_state import EstimatorState, PreparedTendon
 
-TRAVEL_SIGMAS = (
-    8.0  # sigma of a displacement before it decides: a running extreme stands 3 to 4 off
-)
+# sigma of a displacement before it decides: a running extreme stands 3 to 4 off
+TRAVEL_SIGMAS = 8.0
 STILL_RATIO = 0.1  # of the travel a motor would need for the change seen: less, and it stands still
 DRIVING_RATIO = 0.3  # of that travel: more, and it is the motor that drives
 WINDOW_MAX_S = 2.0  # [s] that a window of evidence lasts; a slower change is creep, not the tip

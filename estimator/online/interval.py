@@ -18,13 +18,11 @@ from estimator.law.profile import TIP, drive_end, from_log_tension, to_log_tensi
 from estimator.law.tables import Tables, integrate_exponential
 from estimator.law.transmission import read_profile
 from estimator.online.driving_end import anchor_window
-from estimator.online.estimator_state import EstimatorState
-from estimator.online.prepared_tendon import BOUND, TENSION_FLOOR, PreparedTendon
+from estimator.online.estimator_state import BOUND, TENSION_FLOOR, EstimatorState, PreparedTendon
 
 PRECISE_MARGINS = 10.0  # margins a window's change must exceed to be called precisely known
-CORRECTION_RATIO = (
-    2.0  # times the travel that proves all of the tendon to slide puts the profile right
-)
+# times the travel that proves all of the tendon to slide puts the profile right
+CORRECTION_RATIO = 2.0
 WINDOW_S = 0.1  # [s] after which a window of proof is closed as it is
 
 _K, _EA, _ASYMMETRY = _tables.K, _tables.EA, _tables.ASYMMETRY

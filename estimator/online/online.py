@@ -30,15 +30,17 @@ from estimator.law.profile import from_log_tension, push_proximal, to_log_tensio
 from estimator.law.transmission import evaluate_tension, read_profile
 from estimator.online import dynamic_correction
 from estimator.online.driving_end import anchor_window, drive_profile
-from estimator.online.estimator_state import EstimatorState, initial, initial_all
-from estimator.online.interval import open_window, tighten_interval
-from estimator.online.prepared_tendon import (
+from estimator.online.estimator_state import (
     BOUND,
     TENSION_FLOOR,
+    EstimatorState,
     PreparedTendon,
+    initial,
+    initial_all,
     prepare,
     prepare_all,
 )
+from estimator.online.interval import open_window, tighten_interval
 from estimator.online.reading_correction import correct_reading
 from estimator.online.tendon_estimate import (
     INVALID_INPUT,

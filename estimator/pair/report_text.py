@@ -23,11 +23,15 @@ def format_sentence(found: PairStudy) -> str:
     """Return the result in one sentence."""
     share = compute_mean_share(found.left_out[OWN_METHOD])
     return (
-        f"K grows by {format_interval(found.growth)} per radian of bend, from {found.friction.value:.2f} at "
+        f"K grows by {format_interval(found.growth)} per radian of bend, from "
+        f"{found.friction.value:.2f} at "
         f"none; bends that were not fitted are predicted within {share:.1%} of the angle's span "
-        f"({format_degrees(compute_mean_rmse(found.left_out[OWN_METHOD]))}), where one K for all leaves "
-        f"{compute_mean_share(found.left_out[PairVariant.ONE_K.value]):.1%} and the best model without "
-        f"tendons ({found.best_simple}) {compute_mean_share(found.left_out[found.best_simple]):.1%}."
+        f"({format_degrees(compute_mean_rmse(found.left_out[OWN_METHOD]))}), where one K for "
+        f"all leaves "
+        f"{compute_mean_share(found.left_out[PairVariant.ONE_K.value]):.1%} and the best model "
+        f"without "
+        f"tendons ({found.best_simple}) "
+        f"{compute_mean_share(found.left_out[found.best_simple]):.1%}."
     )
 
 
@@ -137,7 +141,8 @@ def describe_errors(found: PairStudy) -> list[str]:
     worst = max(range(len(errors)), key=lambda i: errors[i].share)
     share = compute_offset_share(records, found.predicted)
     lines = [
-        f"Worst is the bend of {format_degrees(records[worst].bend, 0)}: {errors[worst].share:.1%} of the "
+        f"Worst is the bend of {format_degrees(records[worst].bend, 0)}: "
+        f"{errors[worst].share:.1%} of the "
         f"span, {errors[worst].zeroed:.1%} if its zero were known.",
         f"{share:.0%} of the mean square is a constant of each record: a joint with friction rests "
         "anywhere in a band when its sensor is zeroed, and the command does not tell where.",

@@ -4,9 +4,8 @@ from collections.abc import Callable
 from typing import Any
 
 from master.device import Device, DeviceFault
-from master.devices.checked import CheckedDevice
 from master.devices.combined import CombinedConfig, CombinedDevice
-from master.devices.extension import DeviceExtension
+from master.devices.extension import CheckedDevice, DeviceExtension
 from master.devices.hid.config import HidConfig
 from master.devices.hid.device import HidDevice
 from master.devices.ros.config import RosDeviceConfig

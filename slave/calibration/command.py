@@ -211,7 +211,10 @@ def build_progress_bar(rig: Rig) -> Callable[[ProcedureProgress], None]:
         where = _format_pulled_tendon(rig, progress)
         bar = "#" * round(BAR_WIDTH * progress.done)
         tension = " ".join(f"{t:5.1f}" for t in progress.tension)
-        line = f"[{bar:<{BAR_WIDTH}}] {progress.time_s:5.1f} s  {where}: {progress.phase.text}  {tension} N"
+        line = (
+            f"[{bar:<{BAR_WIDTH}}] {progress.time_s:5.1f} s  {where}: {progress.phase.text}  "
+            f"{tension} N"
+        )
         print(f"\r{line:<100.100}", end="", file=sys.stderr, flush=True)
 
     return show
@@ -277,9 +280,11 @@ def _format_direction_rows(direction: TendonCalibration) -> list[str]:
     paper = direction.K_paper
     row = (
         f"joint {direction.joint} tendon {direction.tendon:2}"
-        f"{_format_uncertain_value(direction.K, 4):>15}{_format_uncertain_value(direction.K_slopes, 4):>16}"
+        f"{_format_uncertain_value(direction.K, 4):>15}"
+        f"{_format_uncertain_value(direction.K_slopes, 4):>16}"
         f"{_format_uncertain_value(paper, 4) if paper else 'needs EA and L':>16}"
-        f"{_format_uncertain_value(direction.M_pull, 5, 1e3):>20}{_format_uncertain_value(direction.M_rel, 5, 1e3):>20}"
+        f"{_format_uncertain_value(direction.M_pull, 5, 1e3):>20}"
+        f"{_format_uncertain_value(direction.M_rel, 5, 1e3):>20}"
         f"{_format_uncertain_value(direction.stiffness_per_length, 3, 1e-3):>16}"
     )
     return [row, f"  {direction.remark}"] if direction.remark else [row]

@@ -21,12 +21,11 @@ from slave.calibration.procedure_state import Phase
 from slave.calibration.pulled import PulledTendon, Rows, extract_loops, fit_slope
 from slave.calibration.refusals import TENDON_NAMES
 from slave.calibration.run import CalibrationRefused
-from slave.rigs.simulated.plant.sheath import SectionConfig
+from slave.rigs.simulated.plant.tendon import SectionConfig
 from slave.tendon_config import TendonConfig
 
-REST_TENSION_SHARE = (
-    0.15  # of the rise of tension after contact: from there on the tip rests at the stop
-)
+# of the rise of tension after contact: from there on the tip rests at the stop
+REST_TENSION_SHARE = 0.15
 SIGNIFICANCE = 3.0  # standard uncertainties
 CURVATURE_MAX = 0.06  # allowed relative difference of the slopes of the two halves of a pull
 COMPLIANCE_EXCESS_MAX = 0.15  # of the known L/EA: allowed excess of the measured compliance

@@ -32,7 +32,7 @@ class TendonCalibration:
 
     joint: int  # from 1
     tendon: str  # a or b
-    K: ValueWithUncertainty  # from the whole loop, and from the drags if there are two tendons: the one to use
+    K: ValueWithUncertainty  # the one to use: of the whole loop, and of the drags of two tendons
     K_slopes: ValueWithUncertainty  # ln(M_rel / M_pull)
     M_pull: ValueWithUncertainty  # [m/N]
     M_rel: ValueWithUncertainty  # [m/N]
@@ -113,7 +113,10 @@ def find_misfit(calibration: Calibration, rig: RigDescription, by_name: bool = T
     """
     tendons = sum(len(joint) for joint in rig.joints)
     if calibration.joints and calibration.joints != rig.joints:
-        return f"it describes the joints {_format_joints(calibration.joints)}, {_describe_rig_joints(rig)}"
+        return (
+            f"it describes the joints {_format_joints(calibration.joints)}, "
+            f"{_describe_rig_joints(rig)}"
+        )
     if len(calibration.tendons) not in (1, tendons):
         return f"it describes {len(calibration.tendons)} tendons, {_describe_rig_joints(rig)}"
     if not by_name:

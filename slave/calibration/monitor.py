@@ -37,31 +37,25 @@ from slave.tendons import EstimatedTendon, RigLayout
 
 MOBILISED_SHARE = 0.999  # of the length: the front has reached the tip
 FRONT_DEPTH = 0.7  # of K, up to which the front is inside the sheath even if friction has fallen
-TENSION_RATIO_MIN = (
-    1.8  # times the tension at which the tip moves in the model: there it moves in any case
-)
+# times the tension at which the tip moves in the model: there it moves in any case
+TENSION_RATIO_MIN = 1.8
 MIN_TRANSITIONS = 3  # transitions before the first advice
-SCATTER_MAX, SCATTER_SHARE_MAX = (
-    0.04,
-    0.2,
-)  # allowed scatter of the errors: absolute, and relative to the error
+# allowed scatter of the errors: absolute, and relative to the error
+SCATTER_MAX, SCATTER_SHARE_MAX = 0.04, 0.2
 POINT_SPACING = 2e-6  # [m] of elongation between points of the line
 POINTS_MIN = 5  # that the line needs
 SPAN_MIN = 3e-5  # [m] of elongation that the line needs
-DURATION_LAGS_MIN = (
-    5.0  # times the lag: least duration; averaging a curved signal would tilt the line
-)
+# times the lag: least duration; averaging a curved signal would tilt the line
+DURATION_LAGS_MIN = 5.0
 LINE_SCATTER_MAX = 0.03  # of the span: scatter about the line, above which the tip has moved
-TILT_SCATTER_MAX = (
-    0.06  # of the tilt of the line, allowed in addition: uneven friction also curves it
-)
+# of the tilt of the line, allowed in addition: uneven friction also curves it
+TILT_SCATTER_MAX = 0.06
 FORWARD_SHARE_MAX = 0.05  # of the span: allowed forward motion of the motor after the tension falls
 FORCE_CHANGE_MAX = 0.04  # of T_out: allowed change of the antagonist's force during a transition
 
 TRAVEL_ACCURACY = 0.02  # of the travel: accuracy of one transition, as the tip yields a little
-DELAY_SHARE = (
-    0.5  # of the lag: possible delay between tension and travel while the motor accelerates
-)
+# of the lag: possible delay between tension and travel while the motor accelerates
+DELAY_SHARE = 0.5
 SIGNIFICANCE = 2.0  # times its uncertainty, above which an error counts
 ERROR_RATIO_MAX = 8.0 / 3.0  # largest ratio of the relative errors of T_out and of travel
 TRANSITIONS_MAX = 99  # largest value of `transitions`

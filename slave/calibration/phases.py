@@ -7,7 +7,7 @@ start of another phase.
 import math
 from collections.abc import Callable
 
-from slave.calibration import cell, refusals, trend
+from slave.calibration import cell, procedure_state, refusals
 from slave.calibration.config import InitialiseConfig
 from slave.calibration.procedure_state import (
     JointConstants,
@@ -16,11 +16,11 @@ from slave.calibration.procedure_state import (
     ProcedureState,
     StopContact,
     Tendons,
+    Trend,
     abort_procedure,
     begin_phase,
 )
 from slave.calibration.refusals import format_tendon_name
-from slave.calibration.trend import Trend
 
 TREND_WINDOW = 2e-4  # [m] of motor travel for the stiffness estimate
 TENSION_GAIN = 0.004  # [m/s] of winding per [N] of missing tension
@@ -31,9 +31,8 @@ SETTLING_S = 0.05  # [s] for which tensions must stay in their range before the 
 TAUT_RATIO = 0.2  # of the wanted tension; below it a tendon counts as slack
 TENSION_RISE_MIN = 0.25  # of the target tension: least rise after contact with the stop
 LEFT_STOP_RATIO = 20.0  # times the compliance of the pull: the joint has left its stop
-TENSION_LOSS_RATIO = (
-    0.3  # of the highest tension of a pull; below it the tendon has slipped or broken
-)
+# of the highest tension of a pull; below it the tendon has slipped or broken
+TENSION_LOSS_RATIO = 0.3
 PROBE_INTERVAL = 5e-4  # [m] of travel before a working load cell is tested again
 PROBE_TRAVEL = 1e-5  # [m] to go back for the test
 PROBE_S = 0.2  # [s] in which the cell must respond
@@ -42,9 +41,8 @@ TRAVEL_ALLOWANCE = 5e-4  # [m] added to that
 DRAG_OVERSHOOT = 0.4  # of the range beyond the middle: end of the first of two drags
 LEAD_SHARE = 0.15  # of a drag, until both tendons slide
 DRAG_PEAK = 0.9  # of the target tension: where the tension of a drag turns
-STRETCH_RATIO = (
-    1.5  # times the stretch of the pulled tendon at the peak: about that of both together
-)
+# times the stretch of the pulled tendon at the peak: about that of both together
+STRETCH_RATIO = 1.5
 SPEED_SHARE_MAX = 0.8  # of the speed: largest difference between paying out and drawing
 
 PhaseResult = tuple[Tendons, ProcedureState]
@@ -95,7 +93,7 @@ def _seek_stop(
     name = format_tendon_name(joint.number, count, k)
     tension, travel = memory.tension[k], seen.travel[k]
     line = _update_line(memory, seen, k, 1.0)
-    stretching = trend.compute_stiffness(line, TREND_WINDOW) * joint.compliance[k] >= 1.0
+    stretching = procedure_state.compute_stiffness(line, TREND_WINDOW) * joint.compliance[k] >= 1.0
     contact = memory.contact
     if contact is None or not stretching:
         contact = StopContact(travel, tension)
@@ -177,7 +175,9 @@ def _release_tendon(
     line = _update_line(memory, seen, k, -1.0)
     memory = memory._replace(trend=line)
     left = (
-        trend.compute_stiffness(line, TREND_WINDOW) * memory.stops[k].compliance * LEFT_STOP_RATIO
+        procedure_state.compute_stiffness(line, TREND_WINDOW)
+        * memory.stops[k].compliance
+        * LEFT_STOP_RATIO
         < 1.0
     )
     enough = _compute_travel_max(config, memory)
@@ -318,8 +318,8 @@ def _build_single_speed(seen: JointReadings, tendon: int, speed: float) -> Tendo
 
 def _update_line(memory: ProcedureState, seen: JointReadings, k: int, direction: float) -> Trend:
     if memory.trend is None:
-        return trend.init_trend(seen.travel[k], seen.tension[k])
-    return trend.update_trend(
+        return procedure_state.init_trend(seen.travel[k], seen.tension[k])
+    return procedure_state.update_trend(
         memory.trend, seen.travel[k], seen.tension[k], direction, TREND_WINDOW
     )
 

@@ -15,13 +15,10 @@ from slave.calibration.run import ProcedureData
 
 Rows = NDArray[np.bool_]
 
-FREE_TRAVEL = (
-    2e-3,
-    3e-4,
-)  # [m] of travel before the contact, from and to: the joint moves freely there
-RELEASE_RATIO_MAX = (
-    1.5  # times the low tension; a release that ends above it ended as the joint left its stop
-)
+# [m] of travel before the contact, from and to: the joint moves freely there
+FREE_TRAVEL = 2e-3, 3e-4
+# times the low tension; a release that ends above it ended as the joint left its stop
+RELEASE_RATIO_MAX = 1.5
 STOP_TENSION_RATIO = 1.15  # times the tension at which the joint left its stop
 REVERSAL_COUNTS = 2.5  # encoder counts from a reversal
 RESOLUTION_MIN, RESOLUTION_MAX = 5e-7, 5e-6  # [m] of a count

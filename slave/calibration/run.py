@@ -145,7 +145,8 @@ def run_procedure(
     limits : Limits
         Of the procedure, and of the gate before the motors.
     ticks : iterable of Tick
-        Endless: a `teleop.runtime.clock.Grid` that never stops for a real rig, else `generate_fast_ticks`.
+        Endless: a `teleop.runtime.clock.Grid` that never stops for a real rig, else
+        `generate_fast_ticks`.
     start_ns : int
         Stamp [ns] from which the rig's session time counts.
     joints : sequence of int

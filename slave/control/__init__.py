@@ -4,7 +4,6 @@
 docs/control.md explains both.
 """
 
-from slave.control.config import ControlConfig
 from slave.control.joint import (
     JointEstimate,
     compute_joint_offsets,
@@ -12,7 +11,7 @@ from slave.control.joint import (
     estimate_joint,
     estimate_joints,
 )
-from slave.control.law import ControllerState, step
+from slave.control.law import ControlConfig, ControllerState, step
 
 __all__ = [
     "ControlConfig",

@@ -83,7 +83,7 @@ def compute_offset(joint: JointTendons, tendons: EstimatedTendons) -> float:
 
 @jit_compile
 def compute_joint_offsets(layout: RigLayout, tendons: EstimatedTendons, out_offsets: Array) -> bool:
-    """Write the `compute_offset` of each joint [m] if all of them are finite; return whether they are."""
+    """Write the offset of each joint [m] if all of them are finite; return whether they are."""
     for k in range(layout.joints):
         if not isfinite(compute_offset(layout.joint[k], tendons)):
             return False

@@ -9,12 +9,40 @@ known range. A cell that has only ever shown one reading is stuck once the motor
 than a taut tendon's backlash.
 """
 
-from math import erf, inf, log, sqrt
+from math import erf, inf, isfinite, log, nan, sqrt
 
 from estimator.compiled import jit_compile
 from estimator.records import F64, I64, Flag, Struct
 from slave.fault_detection.config import FaultDetectionConfig
 from teleop.session.state_machine import Reason
+
+# --- low-pass filtered tension and travel of a tendon, against noise
+
+TIME_CONSTANT = 0.005  # [s] of the averages
+
+
+class TendonAverage(Struct):
+    """One tendon, averaged; NaN before its first sample."""
+
+    tension: F64 = nan  # [N]
+    displacement: F64 = nan  # [m]
+    speed: F64 = nan  # [m/s]
+
+
+@jit_compile
+def update_average(average: TendonAverage, tension: float, displacement: float, dt: float) -> None:
+    """Update the averages with a sample `dt` [s] after the last; NaN averages are initialised."""
+    if not isfinite(average.displacement):
+        average.tension, average.displacement, average.speed = tension, displacement, 0.0
+        return
+    if not dt > 0.0:
+        return
+    share = dt / (dt + TIME_CONSTANT)
+    moved = share * (displacement - average.displacement)
+    average.tension += share * (tension - average.tension)
+    average.displacement += moved
+    average.speed += share * (moved / dt - average.speed)
+
 
 LOG_PROBABILITY_FAULT = log(1e-12)  # of p^n: once in thirty years at 1 kHz
 LOG_PROBABILITY_SUSPECT = log(1e-4)
@@ -23,17 +51,14 @@ RANGE_SHARE = 0.99  # of the cell's range
 RANGE_TIME = 0.010  # [s]
 
 # if the model has no noise
-REPEAT_SHARE_MAX = (
-    0.4  # fraction of repeated readings in a noisy cell, at most; one half between two steps
-)
-TURN_SHARE_MIN = (
-    0.3  # fraction of sign changes, at least; one half for noise, hardly any for a changing load
-)
+# fraction of repeated readings in a noisy cell, at most; one half between two steps
+REPEAT_SHARE_MAX = 0.4
+# fraction of sign changes, at least; one half for noise, hardly any for a changing load
+TURN_SHARE_MIN = 0.3
 NOISE_READINGS_MIN = 100  # least readings for the noise test
 
-TAUT_TRAVEL = (
-    0.002  # [m] of motor travel that changes the tension of a taut tendon: above its backlash
-)
+# [m] of motor travel that changes the tension of a taut tendon: above its backlash
+TAUT_TRAVEL = 0.002
 
 
 class ConstantRun(Struct):

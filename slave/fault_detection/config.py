@@ -12,12 +12,10 @@ class FaultDetectionConfig:
 
     slack: float = 0.1  # [N] at the housing: no tension; above the load cells' zero offset
     take_up: float = 0.020  # [m] wound in without tension, for a joint of a single tendon
-    misfit: float = (
-        0.0003  # [m] of winding not explained by the tensions, in a joint of two tendons
-    )
-    misfit_share: float = (
-        0.03  # of elongation and joint travel: relative error of EA, K and pulleys
-    )
+    # [m] of winding not explained by the tensions, in a joint of two tendons
+    misfit: float = 0.0003
+    # of elongation and joint travel: relative error of EA, K and pulleys
+    misfit_share: float = 0.03
     lag: float = 0.010  # [s] largest lag of a load cell behind its encoder
     cell_range: float = field(default=inf, metadata=MAY_BE_INFINITE)  # [N] of the load cells
     stuck_time: float = 0.1  # [s] of identical readings; well above the period of a slow cell

@@ -7,13 +7,15 @@ from typing import Annotated
 from estimator.compiled import jit_compile
 from estimator.online.online import TendonModel
 from estimator.records import Field, Struct, StructArray, view_struct
-from slave.fault_detection.average import update_average
-from slave.fault_detection.broken_tendon import check_slack
-from slave.fault_detection.cell import check_cell, is_suspect
-from slave.fault_detection.compliance import compute_compliance
+from slave.fault_detection.cell import check_cell, is_suspect, update_average
 from slave.fault_detection.config import FaultDetectionConfig
-from slave.fault_detection.tendon_state import CheckedTendon
-from slave.fault_detection.wound_length import WindingCheck, check_winding
+from slave.fault_detection.wound_length import (
+    CheckedTendon,
+    WindingCheck,
+    check_slack,
+    check_winding,
+    compute_compliance,
+)
 from slave.tendons import EstimatedTendon, JointTendons, RigLayout
 from teleop.messages.messages import MAX_JOINTS, MAX_TENDONS
 from teleop.session.state_machine import Reason

@@ -12,15 +12,123 @@ tendon has more tension than its stretch allows: it is jammed and stretched only
 jam.
 """
 
-from math import inf
+from math import inf, nan
 
 from estimator.compiled import jit_compile
+from estimator.law import tables
+from estimator.law.sheath import Sheath
 from estimator.records import F64, Struct
-from slave.fault_detection.broken_tendon import is_slack_longer
-from slave.fault_detection.compliance import compute_elongation_max, compute_elongation_min
+from slave.fault_detection.cell import LoadCell, TendonAverage
 from slave.fault_detection.config import FaultDetectionConfig
-from slave.fault_detection.tendon_state import CheckedTendon
 from teleop.session.state_machine import Reason
+
+# --- bounds of the elongation of a tendon at a tension, for any earlier motion
+# With friction the elongation at housing tension T lies between e(T) of a pull and e(T) of a
+# release (docs/theory.md (T2), (T4)),  M_pull (T + tau) - tau L/EA  <=  e  <=  M_rel (T + tau) -
+# tau L/EA.
+
+
+class ComplianceBounds(Struct):
+    """Bounds of the compliance of a tendon."""
+
+    pull: F64 = 0.0  # M_pull [m/N]
+    release: F64 = 0.0  # M_rel [m/N]
+    drag: F64 = 0.0  # tau [N]
+    rest: F64 = 0.0  # tau L/EA [m]
+
+
+def compute_compliance(sheath: Sheath) -> ComplianceBounds:
+    """Return the compliance of a tendon in a sheath."""
+    table = tables.build_tables(sheath)
+    K, EA, rho = table[tables.K], table[tables.EA], table[tables.ASYMMETRY]
+    drag = table[tables.DRAG]
+    return ComplianceBounds.new(
+        pull=tables.integrate_exponential(table, K, -1.0) / EA,
+        release=tables.integrate_exponential(table, K, rho) / EA,
+        drag=drag,
+        rest=drag * table[tables.LENGTH] / EA,
+    )
+
+
+@jit_compile
+def compute_elongation_min(compliance: ComplianceBounds, tension: float) -> float:
+    """Return the least elongation [m] of a taut tendon with `tension` [N] at the housing."""
+    return max(compliance.pull * (tension + compliance.drag) - compliance.rest, 0.0)
+
+
+@jit_compile
+def compute_elongation_max(compliance: ComplianceBounds, tension: float) -> float:
+    """Return the largest elongation [m] of a tendon with `tension` [N] at the housing."""
+    return compliance.release * (max(tension, 0.0) + compliance.drag) - compliance.rest
+
+
+# --- detect a broken tendon by the length wound in since it lost its tension
+# A moving joint may slacken a tendon, and winding it in makes it taut again. One that is wound in
+# further than the joint can have moved is broken.
+
+
+class SlackState(Struct):
+    """State of a tendon without tension; the defaults are those of a taut one."""
+
+    time: F64 = -1.0  # [s] since the tension was lost; below 0 while taut
+    lost: F64 = 0.0  # [N] tension before
+    wound: F64 = nan  # [m] wound in by the joint's motors when it went slack
+
+
+@jit_compile
+def check_slack(
+    config: FaultDetectionConfig,
+    slack: SlackState,
+    tension: float,
+    before: float,
+    wound: float,
+    dt: float,
+) -> bool:
+    """Process one sample of a tendon; return whether the tendon is broken.
+
+    Parameters
+    ----------
+    slack : Slack
+        Changed in place.
+    tension, before : float
+        At the housing [N], of this sample and of the last few.
+    wound : float
+        Length wound in by all motors of its joint [m].
+    dt : float
+        Time since the last sample [s].
+    """
+    if tension > config.slack:
+        slack.time, slack.lost, slack.wound = -1.0, 0.0, nan
+        return False
+    if slack.time < 0.0:
+        slack.time, slack.lost, slack.wound = 0.0, before, wound
+        return False
+    slack.time += dt
+    return slack.wound + config.take_up < wound
+
+
+@jit_compile
+def is_slack_longer(slack: SlackState, other: SlackState) -> bool:
+    """Return whether a tendon lost its tension first; at the same time, whether it had more."""
+    if slack.time != other.time:
+        return slack.time > other.time
+    if slack.lost != other.lost:
+        return slack.lost > other.lost
+    return slack.wound > other.wound
+
+
+# --- constants and state of the fault detection of one tendon
+
+
+class CheckedTendon(Struct):
+    """One tendon: constants of its model, then the state of its checks."""
+
+    compliance: ComplianceBounds
+    noise: F64 = 0.0  # [N] of its load cell
+    cell: LoadCell
+    average: TendonAverage
+    slack: SlackState
+
 
 MISFIT_TIME = 0.010  # [s] least duration of a misfit
 INTERVAL_GROWTH = 2e-5  # [m/s] at which the interval for c widens: creep, temperature

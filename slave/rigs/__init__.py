@@ -4,8 +4,7 @@ from collections.abc import Callable
 from typing import Any
 
 from slave.rig import Rig, RigFault
-from slave.rigs.checked import CheckedRig
-from slave.rigs.extension import RigExtension
+from slave.rigs.extension import CheckedRig, RigExtension
 from slave.rigs.hardware import HardwareRig, HardwareRigConfig
 from slave.rigs.replayed import ReplayedRig, ReplayedRigConfig
 from slave.rigs.simulated.simulated import SimulatedRig, SimulatedRigConfig

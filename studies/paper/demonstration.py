@@ -17,8 +17,14 @@ from estimator.law.transmission import (
 from slave.calibration.run import CalibrationRefused
 from slave.rigs.simulated.plant.chain import compute_response, recover_state
 from slave.rigs.simulated.plant.response import interpolate_curve
-from slave.rigs.simulated.plant.sheath import SectionConfig, SheathConfig, divide_sheath
-from slave.rigs.simulated.plant.tendon import build_chain, get_tensions, init_chain_state
+from slave.rigs.simulated.plant.tendon import (
+    SectionConfig,
+    SheathConfig,
+    build_chain,
+    divide_sheath,
+    get_tensions,
+    init_chain_state,
+)
 from studies.paper import methods
 from studies.paper.methods import METHODS, CalibratedMethod, Estimates, Initialisation
 from studies.paper.outcome import Outcome

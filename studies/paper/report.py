@@ -8,7 +8,7 @@ from studies.paper.methods import METHODS, OURS, PAPER
 from studies.paper.outcome import PUBLISHED, TARGETS, Outcome, Spread, spread, values
 from studies.paper.scoring import PHASES, WHOLE, Errors, Score
 from studies.paper.study import MOTIONS, PROFILE
-from teleop.cli.report.json_values import to_json_values
+from teleop.cli.report.page import to_json_values
 
 SIGNALS = ("force", "elongation")
 ITEMS = ("largest", "average")

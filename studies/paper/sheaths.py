@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from slave.rigs.simulated.plant.sheath import SectionConfig, SheathConfig
+from slave.rigs.simulated.plant.tendon import SectionConfig, SheathConfig
 
 LEAST_K, LARGEST_K = 0.4, 1.8
 LENGTHS = (1.0, 2.0)  # [m]

@@ -23,7 +23,7 @@ from teleop.errors import UsageError
 from teleop.runtime.output_file import make_folder
 from teleop.runtime.parallel import count_processors, parallel_map
 from teleop.runtime.process import write_summary, write_text_file
-from teleop.runtime.progress import Progress
+from teleop.runtime.status_line import Progress
 
 ROUND_TRIP_MAX = 400.0  # [ms] beyond it the sessions' watchdogs would have to be set slower
 QUICK = (0.0, 200.0)  # [ms] if no others are asked for

@@ -10,7 +10,7 @@ from estimator.text_table import Table
 from studies.transparency import llewellyn, stiffness, zwidth
 from studies.transparency.multisine import Response
 from studies.transparency.study import CONTACT, HANDS, LOAD, PRETENSION, SPRING, Case, Study, Walls
-from teleop.cli.report.json_values import to_json_values
+from teleop.cli.report.page import to_json_values
 
 PARAMETERS = ("h11", "h12", "h21", "h22")
 TRUSTED = 0.95  # coherence below which a line is no number of a linear system

@@ -38,7 +38,7 @@ COMMANDS = {
     ),
     "router": ("teleop.link.router_command", "connect the two sides of many sessions at one place"),
     "replay": ("teleop.recording.replay", "play a recording back onto the link"),
-    "recordings": ("teleop.ros.recordings_command", "convert a recording to a rosbag2"),
+    "recordings": ("teleop.ros.to_bag", "convert a recording to a rosbag2"),
     "devices": (
         "master.devices.hid.command",
         "list, probe, dump and test haptic devices; print udev rules",

@@ -151,7 +151,14 @@ def check_disk() -> Finding:
 
 
 CHECKS: tuple[Callable[[], Finding], ...] = (
-    check_python_version, check_packages, check_processors, check_real_time, check_timing, check_screen, check_hid_nodes, check_disk,
+    check_python_version,
+    check_packages,
+    check_processors,
+    check_real_time,
+    check_timing,
+    check_screen,
+    check_hid_nodes,
+    check_disk,
 )  # fmt: skip
 
 

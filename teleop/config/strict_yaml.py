@@ -8,7 +8,7 @@ from typing import Any
 import yaml
 
 from teleop.errors import UsageError
-from teleop.runtime.small_file import read_small_file
+from teleop.runtime.files import read_small_file
 
 SIZE_MAX = 100_000  # [B] of a file, which PyYAML parses in 2 to 4 s; that of two arms has 5 kB
 VALUES_MAX = 100_000  # keys and values of a document, aliases written out

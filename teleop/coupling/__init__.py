@@ -13,7 +13,7 @@ from teleop.coupling.config import (
     to_bilateral_settings,
 )
 from teleop.coupling.direct import DirectConfig
-from teleop.coupling.ledger_publisher import LEDGER_PERIOD_NS, LedgerPublisher
+from teleop.coupling.ledger import LEDGER_PERIOD_NS, LedgerPublisher
 from teleop.coupling.passivity import PassivityConfig
 from teleop.coupling.side import (
     Side,

@@ -92,8 +92,8 @@ def count_hand_work(
 ) -> None:
     """Add the work of the hand since the last tick: the master's first phase.
 
-    Then `passed_on` and `sent_wave` of the ports go into the next command; `render_force` is the second
-    phase. Nothing here depends on the present tip forces.
+    Then `passed_on` and `sent_wave` of the ports go into the next command; `render_force` is the
+    second phase. Nothing here depends on the present tip forces.
 
     Parameters
     ----------

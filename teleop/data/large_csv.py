@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from teleop.data import bounds
-from teleop.runtime.progress import Progress
+from teleop.runtime.status_line import Progress
 
 BLOCK_BYTES = 1 << 24  # [bytes] of text at once
 PROGRESS_DELAY_S = 0.5

@@ -27,9 +27,8 @@ import yaml
 
 from estimator.diagnosis.bench_scale import parse_dimension
 from estimator.diagnosis.dataset import Model
-from estimator.diagnosis.model import COMPLIANCE, TIP_COMPLIANCE
+from estimator.diagnosis.model import COMPLIANCE, FRICTION, TIP_COMPLIANCE, BaseLaw
 from estimator.diagnosis.outcome import Diagnosis, Verdict
-from estimator.diagnosis.transmission_law import FRICTION, BaseLaw
 from estimator.effects import CATALOGUE, Effect, Parameter, Values
 from teleop.config import strict_yaml
 from teleop.config.suggestions import suggest_spelling
@@ -43,9 +42,8 @@ BASE_PARAMETERS = {"K": FRICTION, "compliance": COMPLIANCE, "tip_compliance": TI
 DURATION = Parameter("duration", "s", 0.0, 1e7, 1.0)
 
 BOUND_TOLERANCE = 1e-6  # of a bound, tolerance of fitted values
-BENCH_SIZE_RATIO_MAX = (
-    100.0  # by which forces or travels may be larger or smaller than on the bench of the ranges
-)
+# by which forces or travels may be larger or smaller than on the bench of the ranges
+BENCH_SIZE_RATIO_MAX = 100.0
 
 
 class SavedModel(NamedTuple):

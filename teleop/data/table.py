@@ -41,9 +41,8 @@ HOUSING_CHANNELS = (
     "proximal_displacement",
 )  # what a force is estimated from
 NAMES_SHOWN = 12  # of a file's columns in an error message
-PERIOD_MAX = (
-    0.4  # [s] above this the unit is wrong, unless it is told: milliseconds of 2 kHz are 0.5
-)
+# [s] above this the unit is wrong, unless it is told: milliseconds of 2 kHz are 0.5
+PERIOD_MAX = 0.4
 NOISE_FLOOR = 0.1  # [N] tolerated reading below zero ...
 NOISE_SHARE = 0.02  # ... plus this fraction of the peak (zero error)
 ZERO_SHARE = 0.25  # of its peak, where a wrong zero is identified or only scored

@@ -24,9 +24,8 @@ class DirectionConfig:
 
     delay: float = 0.0  # [s] mean delay of a message
     jitter: float = 0.0  # [s] the delay wanders from delay - jitter to delay + jitter
-    jitter_time: float = (
-        0.1  # [s] between random delays, linear in between; 0 = a new one each message
-    )
+    # [s] between random delays, linear in between; 0 = a new one each message
+    jitter_time: float = 0.1
     loss: float = 0.0  # share of messages lost independently
     burst_loss: float = 0.0  # share of messages lost in bursts
     burst_length: float = 20.0  # messages a burst lasts on average

@@ -27,13 +27,13 @@ from teleop.config.options import add_option, add_options
 from teleop.errors import TeleopError, UsageError
 from teleop.impair.config import load_impair_config
 from teleop.launch import watch
-from teleop.launch.console import Console
-from teleop.launch.keys import KEY_HELP, KeyReader
+from teleop.launch.console import KEY_HELP, Console, KeyReader
 from teleop.launch.supervisor import Child, Supervisor
 from teleop.link import Link
 from teleop.messages.topics import EVENT, LATENCY, LINK, REPORT, Role
 from teleop.ros.config import RosConfig, check_ports
 from teleop.runtime.compiling import compile_in_parallel
+from teleop.runtime.files import ScratchFolder
 from teleop.runtime.output_file import SharedFolder
 from teleop.runtime.process import (
     TERMINATION_SIGNALS,
@@ -42,7 +42,6 @@ from teleop.runtime.process import (
     to_exit_code,
     write_summary,
 )
-from teleop.runtime.scratch_folder import ScratchFolder
 from teleop.runtime.status_line import StatusLine
 from teleop.session import own_endpoints
 from teleop.session import summary as summaries

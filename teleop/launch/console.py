@@ -1,9 +1,15 @@
 """What `teleop run` shows in the terminal: events with their time, the status, the summary."""
 
+import os
+import select
+import sys
+import termios
 import threading
+import time
+import tty
 from collections.abc import Callable, Mapping
 from datetime import datetime
-from typing import Any
+from typing import Any, Self
 
 from rich.table import Table
 from rich.text import Text
@@ -14,6 +20,48 @@ from teleop.messages.topics import Role
 from teleop.runtime.status_line import StatusLine
 from teleop.session import summary as summaries
 from teleop.session.state_machine import Reason, State
+
+# --- single keys of the launcher's terminal: space is the emergency stop
+
+KEY_HELP = "space: emergency stop, r: reset it, Ctrl-C: end"
+
+
+class KeyReader:
+    """Context manager that reads single keys; none without a controlling terminal."""
+
+    def __init__(self) -> None:
+        self._terminal = -1
+        self._before: list[Any] = []
+
+    def __enter__(self) -> Self:
+        if sys.stdin.isatty() and os.tcgetpgrp(sys.stdin.fileno()) == os.getpgrp():
+            self._terminal = sys.stdin.fileno()
+            self._before = termios.tcgetattr(self._terminal)
+            tty.setcbreak(self._terminal)  # single keys without echo; Ctrl-C still works
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._terminal >= 0:
+            termios.tcsetattr(self._terminal, termios.TCSADRAIN, self._before)
+            self._terminal = -1
+
+    @property
+    def there(self) -> bool:
+        """Whether keys can be read."""
+        return self._terminal >= 0
+
+    def wait(self, seconds: float) -> str:
+        """Return the keys pressed within `seconds` [s], as soon as there are any."""
+        if not self.there:
+            time.sleep(seconds)
+            return ""
+        if not select.select([self._terminal], [], [], seconds)[0]:
+            return ""
+        pressed = os.read(self._terminal, 64)
+        if not pressed:  # the terminal was closed
+            self._terminal = -1
+        return pressed.decode(errors="replace")
+
 
 _STYLES = {
     State.ENGAGED: "bold green", State.HOLDING: "bold yellow", State.FAULT: "bold white on red",

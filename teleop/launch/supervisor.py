@@ -26,12 +26,10 @@ from teleop.view.ports import WEB_VIEW
 REQUIRED_CHILDREN = ("master", "slave", "impair")  # the session continues without the others
 RESTARTED_CHILDREN = ("view",)  # started again after a failure, if it ever worked
 ERROR_PREFIX = "teleop: "  # prefix of an error line of the command line
-_HEARTBEAT_TIMEOUT_S = (
-    3.0  # a child that has beaten and then waits for so long, without a beat, is killed
-)
-_STARVATION_TIMEOUT_S = (
-    20.0  # and so is one that computes all the time, or is not given a processor
-)
+# a child that has beaten and then waits for so long, without a beat, is killed
+_HEARTBEAT_TIMEOUT_S = 3.0
+# and so is one that computes all the time, or is not given a processor
+_STARVATION_TIMEOUT_S = 20.0
 _SHORT_LIFE_S = 10.0  # a restarted child that fails sooner is started again later each time
 _RESTART_PAUSE_MAX_S = 30.0
 _EXIT_TIMEOUT_S = 5.0  # a child that has not ended by then, nor printed since, is killed
@@ -179,8 +177,8 @@ class Supervisor:
     def casualty(self) -> Child | None:
         """Return a child whose end ends the session.
 
-        Of the others that ended, `RESTARTED_CHILDREN` ones are started again, as are those that hang; for
-        the rest one line is printed.
+        Of the others that ended, `RESTARTED_CHILDREN` ones are started again, as are those that
+        hang; for the rest one line is printed.
         """
         for child in list(self.children.values()):
             if child.hung and child.name in RESTARTED_CHILDREN:

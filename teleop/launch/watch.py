@@ -4,8 +4,7 @@ import time
 from collections.abc import Iterable
 
 from teleop.errors import PeerError, TeleopError
-from teleop.launch.console import Console, format_status
-from teleop.launch.keys import KeyReader
+from teleop.launch.console import Console, KeyReader, format_status
 from teleop.launch.supervisor import Child, Supervisor
 from teleop.link import Link, Listener, ReceivedMessage
 from teleop.messages.messages import Event, Latency, LinkReport, LoopReport, decode_text
@@ -136,7 +135,7 @@ def watch(
     ----------
     listener : Listener
         Of events and reports, since before the first child was started.
-    hearing : Hearing
+    hearing : SessionMonitor
         State of the session so far.
     duration_s : float or None
         [s] of running, counted from when both loops have reported; None for ever.

@@ -7,7 +7,8 @@ time out, so keeps everybody out, for as long as that and a minute longer. It ke
 peer declares: subscribers, tokens and names of keys up to 64 KB, for as long as the connection
 lasts. No setting of Zenoh bounds either, so a thread looks at our own sockets, on Linux:
 
-- A source of connections that stay half open for `BLOCK_HALF_OPEN_AGE_S`, or of too many at once, is blocked by
+- A source of connections that stay half open for `BLOCK_HALF_OPEN_AGE_S`, or of too many at once,
+is blocked by
   a filter of packets in the listening socket. A source is an address, half of one of IPv6, or on
   this machine all users but ours and root: there the kernel tells whose a connecting socket is, and
   those of ours pass with their second SYN, after one second. A block lasts `BLOCK_S`, or a second
@@ -17,10 +18,10 @@ lasts. No setting of Zenoh bounds either, so a thread looks at our own sockets, 
 - Connections that are half open for `HALF_OPEN_S` are shut down, one at a time, so that the loop
   is awake in between.
 - A connection that has received more than the role in its certificate ever sends is shut down
-  (`find_allowance`), and so is the newest of more than `CONNECTIONS_PER_NAME_MAX` of one certificate's name. When
-  Zenoh has forgotten it, the memory is given back to the system. A peer that was cut off connects
-  again and declares everything at once, so new connections of a name that cannot stop a session
-  are shut down for `NAME_BLOCK_S`.
+  (`find_allowance`), and so is the newest of more than `CONNECTIONS_PER_NAME_MAX` of one
+  certificate's name. When Zenoh has forgotten it, the memory is given back to the system. A peer
+  that was cut off connects again and declares everything at once, so new connections of a name that
+  cannot stop a session are shut down for `NAME_BLOCK_S`.
 """
 
 import contextlib
@@ -47,21 +48,17 @@ import zenoh
 from teleop.security.identity import CertificateRole, Identity
 
 SCAN_PERIOD_S = 0.1  # between two looks; longer if a look takes more than a tenth of it
-BYTE_COUNT_PERIOD_S = (
-    0.01  # likewise, at the bytes alone; Zenoh reads a thousand declarations in it
-)
+# likewise, at the bytes alone; Zenoh reads a thousand declarations in it
+BYTE_COUNT_PERIOD_S = 0.01
 NEW_CONNECTION_DELAY_S = 0.005  # after a connection has come, until the next look
-BLOCK_HALF_OPEN_AGE_S, BLOCK_HALF_OPEN_COUNT = (
-    1.0,
-    8,
-)  # age and number of half-open connections after which a source is blocked
+# age and number of half-open connections after which a source is blocked
+BLOCK_HALF_OPEN_AGE_S, BLOCK_HALF_OPEN_COUNT = 1.0, 8
 HALF_OPEN_S = 2.0  # after which a half-open connection is shut down
 HALF_OPEN_CLOSE_PERIOD_S = 0.2  # between two of them, of which Zenoh sleeps for half
 BLOCK_S, BLOCK_MAX_S = 5.0, 600.0
 BLOCK_RESET_S = 300.0  # after the end of a block, the next one is short again
-PORT_EXEMPTION_S = (
-    5.0  # for which a socket of ours may connect past a block; its handshake takes less
-)
+# for which a socket of ours may connect past a block; its handshake takes less
+PORT_EXEMPTION_S = 5.0
 BLOCKED_SOURCES_MAX = 500  # blocked at a time, in one filter of 4096 instructions
 CONNECTIONS_PER_NAME_MAX = 32  # connections of one certificate's name
 DISCARD_READS_MAX = 100  # reads of what a connection that is shut down has sent
@@ -464,8 +461,11 @@ def _build_filter(
             )
             if mask:
                 drop = [
-                    _build_instruction(_LOAD, place + word), _build_instruction(_AND, mask), _build_instruction(_EQUAL, value, 1, 0),
-                    _build_instruction(_JUMP, len(drop)), *drop,
+                    _build_instruction(_LOAD, place + word),
+                    _build_instruction(_AND, mask),
+                    _build_instruction(_EQUAL, value, 1, 0),
+                    _build_instruction(_JUMP, len(drop)),
+                    *drop,
                 ]  # fmt: skip
         program += drop
     return [*program, _build_instruction(_RETURN, _PASS)] if program else []

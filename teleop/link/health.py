@@ -11,7 +11,8 @@ where `hold` is how long the peer kept our message, if it says so. `LinkWindow` 
 bounds of one to two `WINDOW_NS`; half their distance is the uncertainty of the offset. Bounds that
 contradict each other show that a clock was set. Jitter is the mean |D| of RFC 3550, section 6.4.1.
 
-`update_link_window` takes a message, `take_measurement` ends a span of them, `step` decides what follows.
+`update_link_window` takes a message, `take_measurement` ends a span of them, `step` decides what
+follows.
 """
 
 from collections import deque

@@ -17,8 +17,8 @@ from teleop.link.listener import Listener
 from teleop.link.network import Mode, open_session
 from teleop.link.protection import load_credentials
 from teleop.link.publisher import Publisher, build_sampled_key
+from teleop.link.rate_limit import RefusalCounter
 from teleop.link.reception import NEVER_NS, LatestMessage, MessageCounts
-from teleop.link.refusals import RefusalCounter
 from teleop.link.roster import DECISION_TIMEOUT_NS, Roster
 from teleop.messages.messages import LAYOUT, TOPIC_SLOTS, Message
 from teleop.messages.packet import Packet

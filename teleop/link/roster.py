@@ -14,7 +14,7 @@ import zenoh
 
 from teleop.link.admission import Admission
 from teleop.link.challenge import AnswerCallback, Challenger, Responder
-from teleop.link.refusals import RefusalCounter
+from teleop.link.rate_limit import RefusalCounter
 from teleop.messages.topics import Role
 from teleop.security import CertificateError, NotYetValidError
 from teleop.security.handshake import Handshake, PairKeys, Peer, SignatureError
@@ -37,25 +37,18 @@ TOKENS_PER_STEP = 16  # of them taken at a time
 CHALLENGES_PER_STEP = 8  # challenges sent at a time
 
 SECOND_NS = 1_000_000_000  # [ns]
-BUSY_PERIOD_S, IDLE_PERIOD_S = (
-    0.001,
-    0.01,
-)  # [s] between two steps: with much to do, which takes turns; with none
-CHALLENGE_PERIOD_NS = (
-    2 * SECOND_NS
-)  # between two challenges of a process, and two looks at the certificates
-RETRY_NS = (
-    SECOND_NS // 20
-)  # after the first challenge without an answer; doubles up to `CHALLENGE_PERIOD_NS`
-MISSED_ANSWERS_MAX = (
-    3  # challenges in succession without an answer, after which a process counts as gone
-)
-DEPARTED_NS = (
-    5 * SECOND_NS
-)  # for which a challenge of a vanished token is late; longer than any way takes
-SILENCE_WARNING_NS = (
-    5 * SECOND_NS
-)  # without an answer, after which a line says so; long, for a loaded machine
+# [s] between two steps: with much to do, which takes turns; with none
+BUSY_PERIOD_S, IDLE_PERIOD_S = 0.001, 0.01
+# between two challenges of a process, and two looks at the certificates
+CHALLENGE_PERIOD_NS = 2 * SECOND_NS
+# after the first challenge without an answer; doubles up to `CHALLENGE_PERIOD_NS`
+RETRY_NS = SECOND_NS // 20
+# challenges in succession without an answer, after which a process counts as gone
+MISSED_ANSWERS_MAX = 3
+# for which a challenge of a vanished token is late; longer than any way takes
+DEPARTED_NS = 5 * SECOND_NS
+# without an answer, after which a line says so; long, for a loaded machine
+SILENCE_WARNING_NS = 5 * SECOND_NS
 DECISION_TIMEOUT_NS = SECOND_NS  # after which a process without an answer is not waited for
 
 
@@ -83,11 +76,11 @@ class Roster:
     that expires or is revoked.
 
     What an attacker can make us do or keep is bounded for each group of tokens (`Token.group`),
-    whatever stands. Zenoh keeps the newest `PENDING_TOKENS_MAX` tokens, without our interpreter, of which
-    `TOKENS_PER_STEP` are taken at a time; `Admission` says which proofs are checked. `GROUP_TOKENS_MAX` are kept, of
-    which the certificate with the most makes place. A token that is lost by that is seen in the
-    challenge of its process, which repeats it until it is answered. That of a listener is seen
-    there only; its keys are kept to answer the next one.
+    whatever stands. Zenoh keeps the newest `PENDING_TOKENS_MAX` tokens, without our interpreter, of
+    which `TOKENS_PER_STEP` are taken at a time; `Admission` says which proofs are checked.
+    `GROUP_TOKENS_MAX` are kept, of which the certificate with the most makes place. A token that is
+    lost by that is seen in the challenge of its process, which repeats it until it is answered.
+    That of a listener is seen there only; its keys are kept to answer the next one.
 
     A thread of its own writes; anyone reads.
 

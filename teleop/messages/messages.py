@@ -292,9 +292,8 @@ class TendonState(Message):
     time_s: F64 = 0.0  # rig time of the sample; one message per sample
     proximal_tension: Tendons = NO_TENDONS  # [N] measured at the housing
     proximal_displacement: Tendons = NO_TENDONS  # [m] NaN without an encoder
-    commanded_displacement: Tendons = (
-        NO_TENDONS  # [m] output of the gate; NaN before the first engagement
-    )
+    # [m] output of the gate; NaN before the first engagement
+    commanded_displacement: Tendons = NO_TENDONS
     distal_tension: Tendons = NO_TENDONS  # [N] estimated
     distal_tension_low: Tendons = NO_TENDONS  # [N]
     distal_tension_high: Tendons = NO_TENDONS  # [N]

@@ -1,8 +1,8 @@
 """A message as bytes and as a record in the same memory, for the loops.
 
 A loop keeps one `Packet` for each message that it sends or receives at every tick. Compiled
-functions access its fields in place, `seal_message` fills in the head, and `Packet.data` are the bytes on
-the wire, without packing.
+functions access its fields in place, `seal_message` fills in the head, and `Packet.data` are the
+bytes on the wire, without packing.
 """
 
 from typing import Any, Generic, TypeVar

@@ -9,9 +9,11 @@ loops. The file (MCAP) opens in Foxglove, PlotJuggler, Rerun and Python: see doc
 
 import argparse
 import dataclasses
+import os
 import sys
 import time
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -22,17 +24,100 @@ from teleop.errors import TeleopError
 from teleop.link import Link
 from teleop.messages.topics import TOPICS, Role
 from teleop.recording.config import RecordConfig
-from teleop.recording.priority import request_priority
-from teleop.recording.progress import RecordingProgress
 from teleop.recording.reader import read_recorded_config
 from teleop.recording.recorder import BATCH, GRACE_NS, Recorder
 from teleop.recording.writer import RecordingWriter
 from teleop.runtime.clock import now_ns
 from teleop.runtime.output_file import SharedFolder
-from teleop.runtime.process import StopCondition, is_supervised, write_summary
-from teleop.runtime.realtime import limit_computing_time
+from teleop.runtime.process import STATUS, StopCondition, is_supervised, write_summary
+from teleop.runtime.realtime import limit_computing_time, share_heaps
 from teleop.runtime.status_line import StatusLine
 from teleop.session.config import load_section
+
+# --- processor time for the recorder: enough on a loaded machine, and after the loops
+
+FALLBACK_NICE = -5  # where real-time scheduling is not allowed, but this is
+
+
+def request_priority(priority: int) -> list[str]:
+    """Let this process go before ordinary programs; return what was granted.
+
+    Called before the link is opened: its threads inherit the priority. At SCHED_RR below that of
+    the loops the recorder waits for them, and for nothing else: four programs computing at nice 0
+    on two cores otherwise leave it a seventh of one, and messages are lost that it had no time to
+    receive. Where nothing is allowed, the loops run at ordinary priority too, and go first.
+
+    Parameters
+    ----------
+    priority : int
+        Of SCHED_RR, from 1; 0 = ordinary scheduling, after the loops.
+    """
+    share_heaps()
+    if priority:
+        with suppress(AttributeError, OSError):
+            os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(priority))
+            return [f"SCHED_RR {priority}"]
+        with suppress(OSError):
+            os.nice(FALLBACK_NICE - os.nice(0))
+            return [f"nice {os.nice(0)}"]
+    os.nice(5)
+    return ["no priority (see `teleop doctor`)"] if priority else []
+
+
+# --- what a recorder tells while it runs: how far it is behind, and what is missing
+
+STATUS_PERIOD_NS = 500_000_000  # between two messages to the launcher
+# lag that is told, and when it is over
+LAG_WARNING_NS, LAG_RECOVERED_NS = 1_000_000_000, 200_000_000
+DRAINING_NS = 1_000_000_000  # between two lines at the end
+
+
+class RecordingProgress:
+    """Shows a recorder's status: in its terminal, or through the launcher.
+
+    A lag above `LAG_WARNING_NS`, its end, and the first missing message are lines that stay.
+    """
+
+    def __init__(self, status: StatusLine) -> None:
+        self._status = status
+        self._shown_ns = self._told_ns = 0
+        self._is_behind, self._is_missing = False, False
+
+    def show(self, now_ns: int, lag_ns: int, missing: int, draining: bool) -> None:
+        """Show the present status, at intervals."""
+        text = format_status(lag_ns, missing)
+        if now_ns - self._shown_ns >= STATUS_PERIOD_NS:
+            self._shown_ns = now_ns
+            if is_supervised():
+                print(f"{STATUS}{text}", flush=True)
+            else:
+                self._status.show(text)
+        if draining and lag_ns and now_ns - self._told_ns >= DRAINING_NS:
+            self._told_ns = now_ns
+            self._say(f"writing what has come: {lag_ns * 1e-9:.1f} s behind")
+        if lag_ns > LAG_WARNING_NS and not self._is_behind and not draining:
+            self._is_behind = True
+            self._say(f"{text}: the disk or the processor is too slow; it keeps at most 10 s")
+        elif lag_ns < LAG_RECOVERED_NS and self._is_behind:
+            self._is_behind = False
+            self._say("caught up")
+        if missing and not self._is_missing:
+            self._is_missing = True
+            self._say(f"{missing} messages missing so far; the summary counts them by topic")
+
+    def clear(self) -> None:
+        """Remove the status line."""
+        self._status.clear()
+
+    def _say(self, text: str) -> None:
+        self._status.say(text if is_supervised() else f"recorder: {text}")
+
+
+def format_status(lag_ns: int, missing: int) -> str:
+    """Return the status of a recorder in words."""
+    lack = f", {missing} missing" if missing else ""
+    return f"recorder {lag_ns * 1e-9:.1f} s behind{lack}"
+
 
 SUPERVISED_GRACE_NS = 3_000_000_000  # the launcher stops us last: the sides have left, or soon will
 # Each message that arrives needs the interpreter. While a batch is written, 180 a second get it at

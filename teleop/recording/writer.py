@@ -8,12 +8,16 @@ import contextlib
 import io
 import json
 import platform
-from collections.abc import Iterable, Mapping, Sequence
+import tempfile
+from collections import OrderedDict
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, NoReturn, Self, cast
 
+from mcap.data_stream import RecordBuilder
+from mcap.records import ChunkIndex, MetadataIndex
 from mcap.well_known import MessageEncoding, Profile, SchemaEncoding
 from mcap.writer import CompressionType, Writer
 
@@ -22,9 +26,7 @@ from teleop.errors import TeleopError, UsageError
 from teleop.link import ReceivedMessage
 from teleop.messages.messages import LAYOUT
 from teleop.messages.topics import Topic
-from teleop.recording.chunk_indices import ChunkIndices, MetadataIndices
 from teleop.recording.config import RecordConfig
-from teleop.recording.gaps import GapCounter
 from teleop.recording.names import (
     CONFIG_ATTACHMENT,
     DROPPED_METADATA,
@@ -36,6 +38,123 @@ from teleop.recording.names import (
     to_channel_name,
 )
 from teleop.runtime.process import is_supervised
+
+# --- indices of a recording being written, in bounded memory
+
+MEMORY_BYTES_MAX = 65_536  # longer ones are in a file
+
+
+class ChunkIndices:
+    """Replaces the list of `ChunkIndex` objects in `mcap.writer.Writer`.
+
+    One is added for each chunk, ten a second by default, and written when the file is finished. As
+    objects those of eight channels take 860 bytes each, 31 MB an hour; as in the file, 160. Beyond
+    `MEMORY_BYTES_MAX` they are kept in a file without a name in the `folder` of the recording.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._encoded = tempfile.SpooledTemporaryFile(max_size=MEMORY_BYTES_MAX, dir=str(folder))  # noqa: SIM115 - `close`
+
+    def append(self, index: ChunkIndex) -> None:
+        """Add the index of a finished chunk."""
+        builder = RecordBuilder()
+        index.write(builder)
+        self._encoded.write(builder.end())
+
+    def __iter__(self) -> Iterator["ChunkIndices"]:
+        """Iterate over the items to be written: this one."""
+        yield self
+
+    def write(self, stream: RecordBuilder) -> None:
+        """Write all records."""
+        self._encoded.seek(0)
+        stream.write(self._encoded.read())
+
+    def close(self) -> None:
+        """Remove the file."""
+        self._encoded.close()
+
+
+class MetadataIndices:
+    """Replaces the list of `MetadataIndex` objects: of each name it keeps the last, which counts.
+
+    Losses are written whenever they change, ten times a second on a bad network.
+    """
+
+    def __init__(self) -> None:
+        self._last: dict[str, MetadataIndex] = {}
+
+    def append(self, index: MetadataIndex) -> None:
+        """Add the index of a record of metadata."""
+        self._last[index.name] = index
+
+    def __iter__(self) -> Iterator[MetadataIndex]:
+        """Iterate over the items to be written."""
+        yield from self._last.values()
+
+
+# --- messages that were sent but are not in a recording, counted from their sequence numbers
+
+SENDERS = 64  # senders tracked per topic; beyond that the least recent one is dropped
+DROPPED_SENDER = 0  # stands for dropped senders
+
+
+class GapCounter:
+    """Lost messages per topic and sender.
+
+    Each sender numbers the messages of a topic 0, 1, 2, ..., and the link delivers them in rising
+    order; a skipped number is a lost message. Messages before the first or after the last received
+    one are not counted, unless `note_sent` says that there were some after it: these are counted by
+    `finish`. A restarted process is a new sender, not a gap. Losses of dropped senders are summed
+    under `DROPPED_SENDER`.
+    """
+
+    def __init__(self) -> None:
+        self.lost: dict[tuple[str, int], int] = {}  # (topic, sender) -> messages
+        self._sent: dict[tuple[str, int], int] = {}  # the sender's own count
+        self._next: dict[str, OrderedDict[int, int]] = {}  # topic -> sender -> number, oldest first
+
+    def note(self, topic: str, sender: int, sequence: int) -> None:
+        """Add one message."""
+        stream, senders = (topic, sender), self._next.setdefault(topic, OrderedDict())
+        expected = senders.get(sender, sequence)
+        self.lost[stream] = self.lost.get(stream, 0) + max(0, sequence - expected)
+        senders[sender] = max(expected, sequence + 1)
+        senders.move_to_end(sender)
+        if len(senders) > SENDERS:
+            oldest, _ = senders.popitem(last=False)
+            forgotten = topic, DROPPED_SENDER
+            lost = self.lost.pop((topic, oldest), 0)
+            self._sent.pop((topic, oldest), None)
+            self.lost[forgotten] = self.lost.get(forgotten, 0) + lost
+
+    def note_sent(self, topic: str, sender: int, sequence: int) -> None:
+        """Note that a sender says that `sequence` is its last message of a topic so far.
+
+        Ignored while no message of them was received: the recording begins with the first.
+        """
+        if sender in self._next.get(topic, ()):
+            self._sent[topic, sender] = max(sequence, self._sent.get((topic, sender), 0))
+
+    def finish(self) -> None:
+        """Count as lost what senders sent after the last message received; once, at the end."""
+        for (topic, sender), sequence in self._sent.items():
+            expected = self._next[topic][sender]
+            self.lost[topic, sender] += max(0, sequence + 1 - expected)
+        self._sent.clear()
+
+    @property
+    def total(self) -> int:
+        """Lost messages of all topics and senders."""
+        return sum(self.lost.values())
+
+    def by_topic(self) -> dict[str, int]:
+        """Return lost messages per topic, senders taken together."""
+        topics: dict[str, int] = {}
+        for (topic, _), count in self.lost.items():
+            topics[topic] = topics.get(topic, 0) + count
+        return topics
+
 
 _VERSIONED_PACKAGES = ("tendon-teleop", "eclipse-zenoh", "mcap", "numpy", "numba")
 _COMPRESSION = {
@@ -302,7 +421,8 @@ def _create_file(directory: Path, session: str, started_ns: int) -> tuple[Path, 
                 attempt += 1
     except OSError as error:
         raise UsageError(
-            f"{directory}: cannot create a recording: {error.strerror}; choose another {find_folder_option()}"
+            f"{directory}: cannot create a recording: {error.strerror}; choose another "
+            f"{find_folder_option()}"
         ) from error
 
 

@@ -1,15 +1,75 @@
 """Requests of other processes to a loop; costs microseconds while there are none."""
 
 from collections import deque
+from collections.abc import Callable, Iterable
 from typing import NamedTuple
 
 from teleop.link import Link, ReceivedMessage
 from teleop.messages.messages import STOP_ACTIONS, EmergencyStop, Setting, decode_text, encode_text
 from teleop.messages.topics import SETTING, STOP, Role, format_role
-from teleop.remote import watches
 from teleop.remote.stop_socket import StopSocket
-from teleop.remote.watches import ArmedWatch, Heartbeat
 from teleop.session.state_machine import Reason, SessionOutline, State
+
+# --- watchdog processes of a session: the end of one, for any reason, is an emergency stop
+# A watch sends a heartbeat every `BEAT_S` and is armed from the first one. It is lost after
+# `SILENCE_S` without a heartbeat (frozen or disconnected), or when its presence token vanishes (it
+# died); a LEAVE message ends it without a stop. Pure.
+
+
+BEAT_S = 0.05  # [s] between two beats
+SILENCE_S = 0.25  # [s] timeout: five heartbeats
+
+
+class Heartbeat(NamedTuple):
+    """A heartbeat."""
+
+    watch: int  # nonce of its process
+    heard_ns: int  # on our clock
+    leaves: bool
+
+
+class ArmedWatch(NamedTuple):
+    """An armed watch."""
+
+    watch: int
+    heard_ns: int  # its newest heartbeat
+    seen: bool  # whether its token was present
+
+
+def update_watches(
+    armed: tuple[ArmedWatch, ...],
+    beats: Iterable[Heartbeat],
+    present: Callable[[int], bool],
+    now_ns: int,
+) -> tuple[tuple[ArmedWatch, ...], bool]:
+    """Return the watches that are armed after a tick, and whether one was lost in it.
+
+    Parameters
+    ----------
+    armed : tuple of ArmedWatch
+        Those of the tick before.
+    beats : iterable of Beat
+        Heartbeats since, oldest first.
+    present : callable
+        Returns whether the token of a nonce is present.
+    now_ns : int
+        Stamp of this tick [ns].
+    """
+    known = {one.watch: one for one in armed}
+    for beat in beats:
+        if beat.leaves:
+            known.pop(beat.watch, None)
+        else:
+            seen = beat.watch in known and known[beat.watch].seen
+            known[beat.watch] = ArmedWatch(beat.watch, beat.heard_ns, seen)
+    kept = []
+    for one in known.values():
+        here = present(one.watch)
+        silent = now_ns - one.heard_ns > SILENCE_S * 1e9
+        if not silent and (here or not one.seen):
+            kept.append(one._replace(seen=here))
+    return tuple(kept), len(kept) < len(known)
+
 
 SETTINGS_PER_TICK, SETTINGS_WAITING = 4, 32  # requests: in a tick, and waiting for one
 CALL, RESET, WATCH, LEAVE = range(len(STOP_ACTIONS))
@@ -80,7 +140,7 @@ class RequestListener:
             for item, call in calls_and_bodies
             if call.action in (WATCH, LEAVE)
         ]
-        self._armed, lost = watches.update_watches(self._armed, beats, self._is_watch, now_ns)
+        self._armed, lost = update_watches(self._armed, beats, self._is_watch, now_ns)
         requests = Requests(
             stop=Reason.WATCH_LOST if lost else Reason.NONE,
             reset=any(

@@ -9,9 +9,17 @@ from typing import Any
 from teleop.errors import TeleopError
 from teleop.link import Link
 from teleop.messages.topics import COMMAND, STATE, Role, Topic
-from teleop.remote.requests import CALL, LEAVE, RESET, WATCH, call_reset, call_stop
+from teleop.remote.requests import (
+    BEAT_S,
+    CALL,
+    LEAVE,
+    RESET,
+    SILENCE_S,
+    WATCH,
+    call_reset,
+    call_stop,
+)
 from teleop.remote.stop_socket import StopSocket
-from teleop.remote.watches import BEAT_S, SILENCE_S
 from teleop.runtime.process import StopCondition
 from teleop.session.config import RunConfig
 from teleop.session.state_machine import Reason, State

@@ -11,10 +11,14 @@ from collections.abc import Mapping
 import numpy as np
 
 from estimator.array_types import Array
-from teleop.messages.messages import MAX_SECTIONS, Sheath
+from teleop.messages.messages import MAX_SECTIONS, Event, LoopReport, Sheath, decode_text
+from teleop.messages.topics import Role
 from teleop.ros.outputs import build_frame_name
 from teleop.ros.standard import (
+    DiagnosticArray,
+    DiagnosticStatus,
     Header,
+    KeyValue,
     Quaternion,
     TFMessage,
     Time,
@@ -22,6 +26,7 @@ from teleop.ros.standard import (
     TransformStamped,
     Vector3,
 )
+from teleop.session.state_machine import State, to_reason
 from teleop.view.shape import compute_centreline
 
 HOUSING_SPACING_M = 0.02  # [m] between the housings of two sheaths
@@ -80,3 +85,72 @@ def to_quaternion(rotation: Array) -> Quaternion:
     parts[k] = float(rotation[k, i] + rotation[i, k]) / (4 * size)
     w = float(rotation[k, j] - rotation[j, k]) / (4 * size)
     return Quaternion(parts[0], parts[1], parts[2], w)
+
+
+# --- diagnostics for ROS: the state of both sides, from their reports and events. Pure
+
+OK, WARN, ERROR, STALE = range(4)  # levels of diagnostic_msgs/msg/DiagnosticStatus
+SILENT_NS = 2_000_000_000  # [ns] without a report, which come twice a second
+_LEVELS = {State.FAULT: ERROR, State.STOPPED: ERROR, State.HOLDING: WARN, State.OFF: WARN}
+_COUNTS = (
+    "ticks", "overruns", "received", "lost", "rejected", "corrupted", "repeated", "out_of_order",
+    "foreign", "forged", "unknown", "delayed", "clock_jumps", "restarts",
+)  # fmt: skip
+SIDES = (Role.MASTER, Role.SLAVE)
+
+
+def build_diagnostics(
+    session: str,
+    reports: Mapping[Role, tuple[LoopReport, int]],
+    events: Mapping[Role, Event],
+    now_ns: int,
+    refused: str = "",
+) -> DiagnosticArray:
+    """Return the status of both sides.
+
+    Parameters
+    ----------
+    session : str
+        Name of the session.
+    reports : mapping
+        Newest report of each side, and when it was received [ns].
+    events : mapping
+        Newest event of each side.
+    now_ns : int
+        Present stamp [ns].
+    refused : str
+        Why commands of ROS nodes are refused; empty if there are none.
+    """
+    status = [
+        _build_status(session, role, reports.get(role), events.get(role), now_ns) for role in SIDES
+    ]
+    if refused:
+        status.append(DiagnosticStatus(WARN, "teleop: ros", refused, session))
+    return DiagnosticArray(Header(Time.of(now_ns)), tuple(status))
+
+
+def _build_status(
+    session: str,
+    role: Role,
+    report: tuple[LoopReport, int] | None,
+    event: Event | None,
+    now_ns: int,
+) -> DiagnosticStatus:
+    name = f"teleop: {role.name.lower()}"
+    if report is None or now_ns - report[1] > SILENT_NS:
+        return DiagnosticStatus(STALE, name, "no reports", session)
+    latest = report[0]
+    state, reason = State(latest.state), to_reason(latest.reason)
+    values = [
+        KeyValue("state", state.name.lower()),
+        KeyValue("rate_hz", f"{latest.rate_hz:.1f}"),
+        KeyValue("lateness_max_ms", f"{latest.lateness_max_ns * 1e-6:.3f}"),
+        *(KeyValue(key, str(getattr(latest, key))) for key in _COUNTS),
+    ]
+    if latest.latency_p50_ns:
+        values.append(KeyValue("latency_p50_ms", f"{latest.latency_p50_ns * 1e-6:.3f}"))
+        values.append(KeyValue("latency_p99_ms", f"{latest.latency_p99_ns * 1e-6:.3f}"))
+    if event is not None:
+        values.append(KeyValue("event", decode_text(event.text)))
+    level = _LEVELS.get(state, OK)
+    return DiagnosticStatus(level, name, reason.text, session, tuple(values))

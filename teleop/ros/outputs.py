@@ -60,7 +60,7 @@ class OutputTopic:
     """One line of the table: a topic, its type, and what it is made from.
 
     `name` is below the prefix unless it begins with a slash. `convert` takes a message of `source`;
-    None = made elsewhere (`teleop.ros.reports`, `teleop.ros.frames`), or
+    None = made elsewhere (`teleop.ros.frames`, `teleop.ros.frames`), or
     the message as it is.
     """
 

@@ -9,10 +9,9 @@ from teleop.messages.topics import EVENT, REPORT, SHEATH, STATE, Role, Topic
 from teleop.ros import cdr
 from teleop.ros.command_topics import CommandTopics
 from teleop.ros.config import RosConfig
-from teleop.ros.frames import build_sheath_frames
+from teleop.ros.frames import SIDES, build_diagnostics, build_sheath_frames
 from teleop.ros.node import RosNode, RosPublisher
 from teleop.ros.outputs import EVENTS, OUTPUTS, NamingContext, OutputTopic, build_topic_name
-from teleop.ros.reports import SIDES, build_diagnostics
 from teleop.runtime.clock import Grid
 
 SLOW_HZ = 10.0  # [Hz] of states and frames

@@ -1,15 +1,20 @@
 """Convert a recording to a rosbag2, under the names that `teleop ros` publishes."""
 
+import argparse
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from teleop.errors import UsageError
 from teleop.messages.messages import MAX_JOINTS, Event, LoopReport, Sheath, TendonState
 from teleop.messages.topics import EVENT, REPORT, SHEATH, STATE, TENDONS, TOPICS, Role
-from teleop.recording.reader import RecordedMessage, RecordingInfo, read_messages
+from teleop.recording.reader import RecordedMessage, RecordingInfo, open_recording, read_messages
+from teleop.recording.replay import print_doubts, require_present_layout
 from teleop.ros.bag_writer import BagWriter
-from teleop.ros.frames import build_sheath_frames
+from teleop.ros.frames import SIDES, build_diagnostics, build_sheath_frames
+from teleop.ros.graph import is_name
 from teleop.ros.outputs import (
     EVENTS,
     LIVE,
@@ -20,8 +25,8 @@ from teleop.ros.outputs import (
     build_tendon_names,
     build_topic_name,
 )
-from teleop.ros.reports import SIDES, build_diagnostics
 from teleop.ros.standard import Header, JointState, Time
+from teleop.runtime.output_file import NewFolder
 
 BENCH = "slave/bench/measured_js"
 _TOPICS = {topic.name: topic for topic in TOPICS}
@@ -117,3 +122,41 @@ def convert_recording(info: RecordingInfo, bag: BagWriter, prefix: str, period_s
     converter = BagConverter(bag, info.session, prefix, period_s)
     for recorded in read_messages(info.path):
         converter(recorded)
+
+
+# --- work with recordings
+#   teleop recordings to-ros2 recordings/demo.mcap --out demo_bag       a rosbag2 for ros2 bag
+#   teleop recordings to-ros2 FILE --out BAG --rate 100 --prefix /lab   less of it, under a prefix
+#
+# The bag has the topics of `teleop ros` (docs/ros.md), and what a bench measured at the tip as
+# slave/bench/measured_js.
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the sub-commands and their options."""
+    works = parser.add_subparsers(dest="work", metavar="WORK", required=True)
+    to_ros2 = works.add_parser("to-ros2", help="convert a recording to a rosbag2")
+    to_ros2.add_argument("file", type=Path, metavar="FILE", help="the recording (.mcap)")
+    to_ros2.add_argument(
+        "--out", type=NewFolder(), metavar="BAG", required=True, help="folder of the bag, a new one"
+    )
+    to_ros2.add_argument(
+        "--rate", type=float, metavar="HZ", help="at most HZ messages a second of a live topic"
+    )
+    to_ros2.add_argument("--prefix", default="", help="before topics and frames, such as /lab")
+
+
+def main(args: argparse.Namespace) -> int:
+    """Convert a recording; returns the exit code."""
+    if args.rate is not None and not 0.01 <= args.rate <= 10_000:
+        raise UsageError(f"--rate {args.rate:g}: allowed are 0.01 to 10000 [Hz]")
+    if args.prefix and not is_name(args.prefix):
+        raise UsageError(f"--prefix {args.prefix}: must be a name such as /lab")
+    info = open_recording(args.file)
+    require_present_layout(info)
+    print_doubts(info)
+    with BagWriter(args.out) as bag:
+        convert_recording(info, bag, args.prefix, 0.0 if args.rate is None else 1.0 / args.rate)
+    total = sum(bag.counts.values())
+    print(f"wrote {args.out}: {total} messages on {len(bag.counts)} topics, {info.seconds:.1f} s")
+    return 0

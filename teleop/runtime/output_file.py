@@ -1,9 +1,9 @@
 """What a command writes: named on the command line, checked before any work, never by accident.
 
 An option that names an output has one of the classes below as its `type`. What exists is refused
-unless `--force` is given, which `add_force_option` adds to every command with such an option. An output
-that is an input of the same command, by another name or a link too, is refused always. Files are
-written beside their name and renamed, so that an interrupted command leaves the old one.
+unless `--force` is given, which `add_force_option` adds to every command with such an option. An
+output that is an input of the same command, by another name or a link too, is refused always. Files
+are written beside their name and renamed, so that an interrupted command leaves the old one.
 """
 
 # ruff: noqa: ARG002 - one signature of `require` for all kinds of output

@@ -19,12 +19,10 @@ _PR_SET_PDEATHSIG = 1
 
 # What ends a command: Ctrl-C, a service manager, and a terminal that is gone (ssh dropped).
 TERMINATION_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-SUPERVISED_VARIABLE = (
-    "TELEOP_SUPERVISED"  # the launcher's process id, in the environment of its children
-)
-STANDBY_VARIABLE = (
-    "TELEOP_STANDBY"  # set in the environment of a spare, which waits for a line to begin
-)
+# the launcher's process id, in the environment of its children
+SUPERVISED_VARIABLE = "TELEOP_SUPERVISED"
+# set in the environment of a spare, which waits for a line to begin
+STANDBY_VARIABLE = "TELEOP_STANDBY"
 _THREAD_COUNTS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 REPEAT_S = 0.01  # [s] until a signal whose exception was ignored is delivered again
 HEARTBEAT = "\x06"  # a line that says: not hung; the launcher does not print it
@@ -59,7 +57,7 @@ def send_heartbeat() -> None:
 
 
 def install_termination_handler(handler: Callable[[int, FrameType | None], None]) -> None:
-    """Install the handler of every signal of `TERMINATION_SIGNALS`; under `nohup` SIGHUP stays ignored."""
+    """Install the handler of `TERMINATION_SIGNALS`; under `nohup` SIGHUP stays ignored."""
     for number in TERMINATION_SIGNALS:
         if number != signal.SIGHUP or signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, handler)
@@ -102,8 +100,8 @@ def to_exit_code(reason: str) -> int:
 class StopCondition:
     """Asked by a loop before each tick; becomes true and stays so.
 
-    The signals of `TERMINATION_SIGNALS` set it, so does the end of `duration_s`, counted from the first asking
-    since setting up can take long, and `request` from inside.
+    The signals of `TERMINATION_SIGNALS` set it, so does the end of `duration_s`, counted from the
+    first asking since setting up can take long, and `request` from inside.
     """
 
     def __init__(self, duration_s: float | None = None) -> None:

@@ -6,8 +6,8 @@ seconds; threads of the link that are started after it inherit the priority.
 
 A thread at SCHED_FIFO that never sleeps blocks its core for everything else. Two limits apply: the
 kernel gives real-time threads 95 % of the time (`kernel.sched_rt_runtime_us`), from
-`limit_computing_time` on `RLIMIT_RTTIME` limits how long a thread may compute without sleeping. A loop
-sleeps in every period, far below.
+`limit_computing_time` on `RLIMIT_RTTIME` limits how long a thread may compute without sleeping. A
+loop sleeps in every period, far below.
 """
 
 import ctypes

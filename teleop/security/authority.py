@@ -27,7 +27,7 @@ from cryptography.utils import CryptographyDeprecationWarning
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from teleop.errors import UsageError
-from teleop.runtime.small_file import read_small_file
+from teleop.runtime.files import read_small_file
 from teleop.security.identity import Identity
 
 AUTHORITY_DAYS = 3650

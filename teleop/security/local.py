@@ -16,7 +16,7 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 from teleop.errors import UsageError
-from teleop.runtime.user_folders import find_state_folder
+from teleop.runtime.files import find_state_folder
 from teleop.security.authority import AUTHORITY, Authority
 from teleop.security.credentials import Credentials
 from teleop.security.identity import RIGHTS, CertificateRole, Identity

@@ -59,9 +59,8 @@ class Token:
     stage: RoleStage
     relayed: bool = False
     proof: str = ""
-    limit: str = (
-        ""  # rights of a supervisor that has some only (`teleop.security.identity.RIGHT_SUFFIXES`)
-    )
+    # rights of a supervisor that has some only (`teleop.security.identity.RIGHT_SUFFIXES`)
+    limit: str = ""
 
     @property
     def group(self) -> str:
@@ -77,7 +76,8 @@ class Token:
         """Return the key of this token."""
         stage = self.stage.name.lower()
         proof = f"/{self.proof}" if self.proof else ""
-        return f"{build_token_root(session)}/{self.group}/{self.layout:08x}/{self.nonce:016x}/{stage}{proof}"
+        ends = f"{self.layout:08x}/{self.nonce:016x}/{stage}{proof}"
+        return f"{build_token_root(session)}/{self.group}/{ends}"
 
     @classmethod
     def from_key(cls, key: str) -> "Token | None":

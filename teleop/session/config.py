@@ -23,9 +23,8 @@ T = TypeVar("T")
 RATE_MIN_HZ, RATE_MAX_HZ = 100.0, 4000.0
 SESSION_NAME_MAX = 40  # characters: with a role, the 64 of a certificate's common name
 ENDPOINT_KEYS = frozenset({"master", "slave", "routers"})  # of `link`
-TIMEOUT_PERIODS_MIN = (
-    3  # least timeout in periods of the link, to tolerate a lost message and jitter
-)
+# least timeout in periods of the link, to tolerate a lost message and jitter
+TIMEOUT_PERIODS_MIN = 3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -33,9 +32,8 @@ class RunConfig:
     """Name, rate, link and coupling of a session; `load(path, RunConfig, None)`."""
 
     session: str = "demo"  # root of every key; separates sessions on one network
-    rate_hz: float = (
-        1000.0  # [Hz] of the link and the slave, and of the master's device; 100 to 4000
-    )
+    # [Hz] of the link and the slave, and of the master's device; 100 to 4000
+    rate_hz: float = 1000.0
     link: LinkConfig = field(default_factory=LinkConfig)
     confidence: ConfidenceConfig = field(default_factory=ConfidenceConfig)  # in the force felt
     coupling: CouplingConfig = field(default_factory=PassivityConfig)  # of hand and tip
@@ -128,7 +126,7 @@ def load_section(
 
 
 def require_periods(key: str, timeout_s: float, rate_hz: float) -> None:
-    """Check that a timeout [s] is at least `TIMEOUT_PERIODS_MIN` of the link; `key` is its dotted key.
+    """Check that a timeout [s] is at least `TIMEOUT_PERIODS_MIN` periods; `key` is its dotted key.
 
     Raises
     ------

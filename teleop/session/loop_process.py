@@ -34,9 +34,8 @@ from teleop.session.state_machine import (
 from teleop.session.summary import find_fault, format_loop
 
 PEER_TIMEOUT_NS = 1_000_000_000  # [ns] without a message, after which a peer is not connected
-UNTAGGED_MIN = (
-    50  # messages without a tag between two reports; fewer are of a process that just starts
-)
+# messages without a tag between two reports; fewer are of a process that just starts
+UNTAGGED_MIN = 50
 
 
 class LoopProcess(ABC):

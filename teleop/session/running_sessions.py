@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from teleop.errors import UsageError
-from teleop.runtime.user_folders import find_state_folder
+from teleop.runtime.files import find_state_folder
 
 _FOLDER = "tendon-teleop"
 _RUN_USER = Path("/run/user")
@@ -109,7 +109,8 @@ def find_session(name: str = "", config: Path | None = None) -> RunningSession |
         entries = [entry for entry in entries if entry.config == str(config.absolute())]
     if len(entries) > 1:
         raise UsageError(
-            f"{len(entries)} sessions are running: {format_session_names(entries)}; name one with --session"
+            f"{len(entries)} sessions are running: {format_session_names(entries)}; name one "
+            f"with --session"
         )
     return entries[0] if entries else None
 

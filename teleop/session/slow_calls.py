@@ -33,6 +33,7 @@ class SlowCallMonitor:
             return ""
         self._told = True
         return (
-            f"{self._name} takes up to {longest_ns / 1e6:.0f} ms, {SLOW_CALL_NS / 1e6:g} ms at most: "
+            f"{self._name} takes up to {longest_ns / 1e6:.0f} ms, {SLOW_CALL_NS / 1e6:g} ms at "
+            f"most: "
             "it holds up the loop; let a thread wait for the hardware, and take its newest value"
         )

@@ -1,7 +1,7 @@
 """Columns of Rerun's components, made from numpy arrays.
 
-The archetypes' own `build_columns` convert and check each value by value; of many small blocks that takes
-longer than their sending.
+The archetypes' own `build_columns` convert and check each value by value; of many small blocks that
+takes longer than their sending.
 """
 
 from collections.abc import Sequence

@@ -56,9 +56,8 @@ class ViewConfig:
     )
     joint_radius_m: float = 0.012  # [m] of the pulley a joint is drawn on: angle = travel / radius
     hand_radius_m: float = 0.05  # [m] likewise of the hand
-    tube_radius: float = (
-        0.012  # of the size of the scene; radius of a sheath where its tendon slides
-    )
+    # of the size of the scene; radius of a sheath where its tendon slides
+    tube_radius: float = 0.012
     tendon_spacing: float = 0.05  # of the size of the scene, between sheaths
     server_memory_mb: int = 8  # [MB] of history for a page that is opened later: half a minute
     page_memory_mb: int = 1024  # [MB] memory of the viewer, in a browser or a window

@@ -18,9 +18,8 @@ from teleop.messages.topics import (
 from teleop.view import colours
 
 STAGE_COLOURS = (colours.HAND, colours.HOUSING, colours.ESTIMATE, colours.COMMANDED, colours.TRUTH)
-UNDERLAY_WIDTH = (
-    4.0  # [points] of a curve below another that is nearly equal: seen on both sides of it
-)
+# [points] of a curve below another that is nearly equal: seen on both sides of it
+UNDERLAY_WIDTH = 4.0
 LOSS, LATENESS = colours.PHASES[2], colours.PHASES[4]
 
 
@@ -74,7 +73,8 @@ CURVES: dict[Topic[Any], tuple[CurveGroup, ...]] = {
         "tendon",
         (
             Curve("tension/{}/in", "proximal_tension", "measured", colours.HOUSING),
-            Curve("tension/{}/out", "distal_tension", "estimated", colours.ESTIMATE, UNDERLAY_WIDTH),
+            Curve("tension/{}/out", "distal_tension", "estimated",
+                  colours.ESTIMATE, UNDERLAY_WIDTH),
             Curve("tension/{}/out_true", "bench_distal_tension", "true", colours.TRUTH),
             Curve("displacement/{}/in", "proximal_displacement", "measured",
                   colours.HOUSING, factor=MILLI, behind=True),

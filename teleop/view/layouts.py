@@ -37,7 +37,9 @@ def build_blueprint(config: ViewConfig, joints: Mapping[int, Sequence[int]]) -> 
     """
     views = _Views(config, dict(joints) or {0: [0, 1]})
     arrange = {
-        "surgeon": _arrange_surgeon, "experiment": _arrange_experiment, "presentation": _arrange_presentation
+        "surgeon": _arrange_surgeon,
+        "experiment": _arrange_experiment,
+        "presentation": _arrange_presentation,
     }[config.layout]  # fmt: skip
     bars: Literal["collapsed", "hidden"]
     bars = "collapsed" if config.layout == "experiment" else "hidden"  # the clock in it moves

@@ -14,10 +14,9 @@ import rerun as rr
 from estimator.array_types import Array
 from teleop.messages.topics import COMMAND, HAND, STATE, TENDONS
 from teleop.view import colours
-from teleop.view.batch import AnyTopic, Rows, Subsampler
+from teleop.view.batch import AnyTopic, Rows, Sender, Subsampler
 from teleop.view.columns import build_columns
 from teleop.view.config import ViewConfig
-from teleop.view.sender import Sender
 from teleop.view.sheaths import Sheaths
 from teleop.view.stage import ARROW, Lever
 

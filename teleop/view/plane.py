@@ -11,7 +11,7 @@ import numpy as np
 import rerun as rr
 
 from estimator.array_types import Array
-from teleop.view.sender import Sender
+from teleop.view.batch import Sender
 
 _TICK = 0.02
 
@@ -95,6 +95,6 @@ def compute_axis_end(top: float) -> float:
 
 
 def compute_ticks_to_end(top: float) -> list[float]:
-    """Return `compute_ticks` and `top` itself, without a tick so near to it that labels would collide."""
+    """Return ticks and `top` itself, without a tick so near to it that labels would collide."""
     step = _choose_tick_step(top)
     return [value for value in compute_ticks(top) if value <= top - 0.5 * step] + [top]

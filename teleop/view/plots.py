@@ -7,13 +7,12 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from teleop.messages.topics import HAND, LEDGER, STATE, TENDONS, Role, format_role
-from teleop.view.batch import AnyTopic, Rows, Subsampler, split_rows
+from teleop.view.batch import AnyTopic, Rows, Sender, Subsampler, split_rows
 from teleop.view.colours import BAND, TRUTH, lighten_colour
 from teleop.view.columns import build_columns
 from teleop.view.config import ViewConfig
 from teleop.view.curves import CURVES, Band, Curve, CurveGroup
 from teleop.view.levers import compute_true_force
-from teleop.view.sender import Sender
 from teleop.view.sheaths import Sheaths
 
 _TRUE_FORCE = Curve("force/{}/true", "", "true", TRUTH)

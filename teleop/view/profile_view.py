@@ -5,14 +5,12 @@ import rerun as rr
 
 from estimator.array_types import Array
 from teleop.messages.messages import PROFILE_POINTS
-from teleop.view.band import compute_tension_band
-from teleop.view.batch import Rows
+from teleop.view.batch import Rows, Sender
 from teleop.view.colours import BAND, ESTIMATE, FRONT, SECOND, to_rgba
 from teleop.view.columns import build_columns
 from teleop.view.config import ViewConfig
 from teleop.view.plane import Plane, compute_axis_end
-from teleop.view.sender import Sender
-from teleop.view.sheaths import Sheaths
+from teleop.view.sheaths import Sheaths, compute_tension_band
 
 WIDTH = 1.8
 _TIME_DIFFERENCE_MAX_NS = 50_000_000  # [ns] between a profile and the tip's interval, at most

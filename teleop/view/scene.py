@@ -19,21 +19,286 @@ panel/banner, words, joint_<j>, link    state, force and link in large letters
 
 from collections.abc import Callable, Iterator, Mapping
 
+import numpy as np
 import rerun as rr
+from numpy.typing import NDArray
 
-from teleop.messages.topics import HAND, PROFILE, SHEATH, STATE, TENDONS, Role
-from teleop.view.batch import AnyTopic, Rows, Subsampler, split_rows
+from estimator.array_types import Array
+from teleop.messages.messages import PHASE_NAMES, STOP_ACTIONS, decode_text
+from teleop.messages.topics import (
+    ANSWER,
+    EVENT,
+    HAND,
+    PROFILE,
+    SETTING,
+    SHEATH,
+    STATE,
+    STOP,
+    TENDONS,
+    Role,
+    format_role,
+)
+from teleop.session.state_machine import State
+from teleop.view.batch import AnyTopic, Rows, Sender, Subsampler, split_rows
+from teleop.view.colours import FRONT, PHASES, STATES, to_rgba
+from teleop.view.columns import build_columns
 from teleop.view.config import ViewConfig
-from teleop.view.legend import draw_stage
 from teleop.view.levers import Levers
-from teleop.view.log import LOGGED_TOPICS, StateLanes, log_rows
-from teleop.view.loop_view import LoopView
 from teleop.view.panel import Panel
+from teleop.view.plane import Plane, compute_axis_end, compute_ticks_to_end
 from teleop.view.plots import Plots
 from teleop.view.profile_view import ProfileView
-from teleop.view.sender import Sender
 from teleop.view.sheaths import Sheaths
-from teleop.view.tubes import Tubes
+from teleop.view.stage import PIECES, SEGMENTS, Stage, compute_rotations_from_z
+
+# --- fit the scene into its view, with the colour scale beside it
+
+_STEPS = 65
+_HALF_WIDTH = 0.035  # of its height
+_TITLE_HEIGHT = 1.2  # likewise
+
+
+def draw_stage(sender: Sender, config: ViewConfig, stage: Stage) -> None:
+    """Fit the scene into the view, with the colour scale beside it."""
+    scale = 1.0 / stage.span
+    fit = rr.Transform3D(translation=-scale * stage.centre, scale=scale)
+    sender.static("scene", fit)
+    _draw_scale(sender, stage.legend, stage.legend_up, config.tension_scale_N)
+
+
+def _draw_scale(sender: Sender, foot: Array, up: Array, top: float) -> None:
+    """Draw the colours from 0 to `top` [N] along `up` from `foot`, with round values beside."""
+    tall = float(np.linalg.norm(up))
+    levels = np.linspace(0.0, 1.0, _STEPS)
+    half = np.array([_HALF_WIDTH * tall, 0.0, 0.0])
+    edge = foot + levels[:, None] * up
+    left = np.arange(_STEPS - 1)
+    right = left + _STEPS
+    bar = rr.Mesh3D(  # without normals it is not shaded, so colours are exact
+        vertex_positions=np.concatenate([edge - half, edge + half]),
+        triangle_indices=np.concatenate(
+            [np.stack([left, right, right + 1], 1), np.stack([left, right + 1, left + 1], 1)]
+        ),
+        vertex_colors=np.tile(to_rgba(levels * top, top), 2),
+    )
+    sender.static("scene/legend/scale", bar)
+    beside = np.array([0.13 * tall, 0.0, 0.0])
+    marks = compute_ticks_to_end(top)
+    words = rr.Points3D(
+        [foot + value / top * up + beside for value in marks],
+        labels=[f"{value:g}" for value in marks],
+        colors=0xC0C0C0FF,
+        radii=1e-6,
+        show_labels=True,
+    )
+    sender.static("scene/legend/values", words)
+    title = rr.Points3D(
+        [foot + _TITLE_HEIGHT * up], labels="tension [N]", colors=0xFFFFFFFF, radii=1e-6,
+        show_labels=True,
+    )  # fmt: skip
+    sender.static("scene/legend/title", title)
+
+
+# --- events as a text log, and the sides' states as coloured lanes over time
+
+LOGGED_TOPICS: tuple[AnyTopic, ...] = (EVENT, STOP, SETTING, ANSWER)
+_REPEAT_NS = 10_000_000_000  # [ns] a state is repeated, for views of the recent past
+_LEVELS = {"fault": "ERROR", "stopped": "CRITICAL", "holding": "WARN"}
+
+
+def log_rows(sender: Sender, topic: AnyTopic, rows: Rows) -> None:
+    """Send text messages."""
+    texts = [_format_message(topic, row) for row in rows]
+    columns = rr.TextLog.columns(
+        text=[
+            f"{format_time_of_day(row)}  {text}" for row, (text, _) in zip(rows, texts, strict=True)
+        ],
+        level=[level for _, level in texts],
+    )
+    sender.columns("log", rows, columns)
+
+
+def format_time_of_day(row: np.void) -> str:
+    """Return the time of day at which a message was sent, UTC."""
+    moment = np.datetime64(int(row["stamp_ns"]), "ns").astype("datetime64[ms]")
+    return str(moment).split("T")[1]
+
+
+def _format_message(topic: AnyTopic, row: np.void) -> tuple[str, str]:
+    """Return the line of one message, and its level."""
+    if topic is STOP:
+        action = int(row["action"])
+        word = STOP_ACTIONS[action] if action < len(STOP_ACTIONS) else f"action {action}"
+        level = "CRITICAL" if word == "stop" else "INFO"
+        return f"{format_role(int(row['role']))}: {word}: {decode_text(tuple(row['text']))}", level
+    if topic is SETTING:
+        return f"set {decode_text(tuple(row['key']))} = {decode_text(tuple(row['value']))}", "INFO"
+    text = f"{format_role(int(row['role']))}: {decode_text(tuple(row['text']))}"
+    if topic is ANSWER:
+        return text, "INFO" if row["accepted"] else "WARN"
+    return text, _LEVELS.get(format_state(int(row["state"])), "INFO")
+
+
+def format_state(number: int) -> str:
+    """Return the name of a session's state in small letters."""
+    return State(number).name.lower()
+
+
+class StateLanes:
+    """Draws the state of each side under `state/<role>`, on changes and periodically."""
+
+    def __init__(self, sender: Sender) -> None:
+        self._sender = sender
+        self._shown: dict[Role, tuple[int, int]] = {}  # role -> state, stamp [ns] of the last row
+
+    def draw(self, role: Role, rows: Rows) -> None:
+        """Draw the states in messages of one side, every one of them."""
+        if len(rows) == 0:
+            return
+        state, said_ns = self._shown.get(role, (-1, 0))
+        states = rows["state"].astype(np.int64)
+        changed = np.diff(states, prepend=state) != 0
+        keep = np.flatnonzero(changed)
+        if len(keep) == 0 and int(rows["stamp_ns"][-1]) - said_ns > _REPEAT_NS:
+            keep = np.array([len(rows) - 1])
+        if len(keep) == 0:
+            return
+        self._shown[role] = int(states[keep[-1]]), int(rows["stamp_ns"][keep[-1]])
+        path = f"state/{format_role(role)}"
+        style = rr.StateConfiguration(values=list(STATES), colors=list(STATES.values()))
+        self._sender.once(path, style)
+        names = [format_state(int(number)) for number in states[keep]]
+        self._sender.columns(path, rows[keep], rr.StateChange.columns(state=names))
+
+
+# --- the hysteresis loop T_out over T_in as it grows, coloured by the paper's phases
+
+_GAP_NS = 500_000_000  # [ns] without a sample: the loop begins anew
+
+
+class LoopView:
+    """Draws one loop for each tendon, under `loop/tendon_<i>`.
+
+    Each row holds the one piece from the row before: the view shows all rows of its time range, so
+    the loop grows and what is old leaves it.
+    """
+
+    def __init__(self, config: ViewConfig, sender: Sender) -> None:
+        self._sender = sender
+        top = compute_axis_end(config.tension_scale_N)
+        self._plane = Plane(
+            top, top, 1.0, "T_in [N], measured at the housing", "T_out [N], estimated at the tip"
+        )
+        self._last: Rows | None = None  # the row drawn last
+
+    def draw(self, rows: Rows) -> None:
+        """Draw TendonState rows, all tendons in use."""
+        if len(rows) == 0:
+            return
+        if self._last is None:
+            self._plane.draw_axes(self._sender, "loop")
+            self._legend()
+        whole = rows if self._last is None else np.concatenate([self._last, rows])
+        self._last = rows[-1:]
+        before, after = whole[:-1], whole[1:]
+        near = after["stamp_ns"] - before["stamp_ns"] < _GAP_NS
+        palette = np.array(PHASES, np.uint32)
+        for tendon in range(int(rows["tendons"][-1])):
+            begin, end = (
+                self._plane.points(
+                    part["proximal_tension"][:, tendon], part["distal_tension"][:, tendon]
+                )
+                for part in (before, after)
+            )
+            known = near & np.isfinite(begin).all(axis=1) & np.isfinite(end).all(axis=1)
+            if not known.any():
+                continue
+            strips = np.stack([begin, end], axis=1)[known]
+            phase = np.minimum(after["phase"][known, tendon], len(PHASES) - 1)
+            radii = np.full(len(strips), 0.006)
+            pieces = build_columns(
+                rr.LineStrips2D, strips=strips, colors=palette[phase], radii=radii
+            )
+            path = f"loop/tendon_{tendon}/curve"
+            self._sender.columns_at(path, after["stamp_ns"][known], pieces)
+
+    def _legend(self) -> None:
+        """Name the phases, each in its colour."""
+        heights = -1.0 + 0.16 * np.arange(len(PHASES))
+        at = np.stack([np.full(len(PHASES), 1.4), heights], axis=1)
+        words = rr.Points2D(
+            at, labels=list(PHASE_NAMES), colors=list(PHASES), radii=1e-4, show_labels=True
+        )
+        self._sender.static("loop/names", words)
+
+
+# --- the sheaths in the scene: coloured by tension, thick where the tendon slides, and X'
+
+_STICKING_WIDTH = 0.5  # radius where the tendon sticks, of that where it slides
+
+
+class Tubes:
+    """Draws the shapes, and the tension in them."""
+
+    def __init__(self, config: ViewConfig, sender: Sender, sheaths: Sheaths) -> None:
+        self._config = config
+        self._sender = sender
+        self._sheaths = sheaths
+
+    def place(self) -> None:
+        """Draw the shapes where they now stand."""
+        stage = self._sheaths.stage
+        if stage is None:
+            return
+        radius = self._config.tube_radius * stage.size
+        for tendon, line in stage.lines.items():
+            knots = line[::PIECES]
+            steps = np.diff(knots, axis=0)
+            tube = rr.Capsules3D(
+                translations=knots[:-1],
+                lengths=np.linalg.norm(steps, axis=1),
+                quaternions=compute_rotations_from_z(steps),
+                fill_mode="solid",
+            )
+            self._sender.static(f"scene/tendon_{tendon}/tube", tube)
+            front = rr.Points3D.from_fields(radii=1.8 * radius, colors=FRONT)
+            self._sender.static(f"scene/tendon_{tendon}/tube", front)
+
+    def draw(self, tendon: int, rows: Rows) -> None:
+        """Draw T(x) and X' of some instants."""
+        stage = self._sheaths.stage
+        if stage is None or tendon not in stage.lines:
+            return
+        tension, length, front = rows["tension"], rows["length"], rows["front"]
+        middle = (tension[:, 1:] + tension[:, :-1]) / 2
+        colours = to_rgba(middle, self._config.tension_scale_N).ravel()
+        slides = find_sliding_segments(front, length)
+        radius = self._config.tube_radius * stage.size
+        radii = np.where(slides, radius, _STICKING_WIDTH * radius).astype(np.float32).ravel()
+        known = np.isfinite(front)
+        at = interpolate_line(stage.lines[tendon], (front / length)[known])
+        tube = build_columns(
+            rr.Capsules3D, np.full(len(rows), SEGMENTS), colors=colours, radii=radii
+        )
+        tube += build_columns(rr.Points3D, known, positions=at)
+        self._sender.columns(f"scene/tendon_{tendon}/tube", rows, tube)
+
+
+def find_sliding_segments(front: Array, length: Array) -> NDArray[np.bool_]:
+    """Return for each segment of the profile whether its tendon slides: those before X'.
+
+    The newest movement has got as far as X'; beyond it friction still holds what the last one
+    left. A segment with X' in its middle or further on counts as sliding.
+    """
+    middles = (np.arange(SEGMENTS) + 0.5) / SEGMENTS
+    slides: NDArray[np.bool_] = middles <= (front / length)[:, None]
+    return slides
+
+
+def interpolate_line(line: Array, place: Array) -> Array:
+    """Return the points of a line at `place`, 0 at its start and 1 at its end."""
+    whole = np.linspace(0.0, 1.0, len(line))
+    return np.stack([np.interp(place, whole, line[:, k]) for k in range(3)], axis=1)
 
 
 class Scene:

@@ -8,10 +8,8 @@ import numpy as np
 
 from estimator.array_types import Array
 
-_CAPITAL_HEIGHT, _GLYPH_ADVANCE = (
-    6.0,
-    5.8,
-)  # height of a capital, and from one glyph to the next [grid units]
+# height of a capital, and from one glyph to the next [grid units]
+_CAPITAL_HEIGHT, _GLYPH_ADVANCE = 6.0, 5.8
 _SPACE = 3.6
 _NARROW_MARKS, _NARROW_REDUCTION = (
     ".,:;'",

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from slave.drivers import packets, worker
-from slave.drivers.parent import ParentProcess
+from slave.drivers.worker import ParentProcess
 
 STOP = "stop"
 
@@ -114,9 +114,8 @@ def test_the_end_of_a_killed_process_is_seen_before_its_files_are_closed(large):
     process.kill()
     seen = closed = False
     while not closed:
-        closed = (
-            packets.receive_packet(ours) == b""
-        )  # looked at first: both may have come in between
+        # looked at first: both may have come in between
+        closed = packets.receive_packet(ours) == b""
         seen = seen or parent.ends()
     assert seen
     process.wait()

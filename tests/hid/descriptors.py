@@ -385,9 +385,8 @@ def rhino() -> bytes:
     """Return the VPforce Rhino: *disable* comes before *enable*, the start delay comes last."""
     blocks = 64
     types = (*EFFECT_TYPES, CUSTOM_FORCE)
-    source = (
-        page(VENDOR) + field(OUTPUT, 1, 0, 1, 0x20) + page(PID) + pad(OUTPUT, 4)
-    )  # the game, or the maker's own program
+    # the game, or the maker's own program
+    source = page(VENDOR) + field(OUTPUT, 1, 0, 1, 0x20) + page(PID) + pad(OUTPUT, 4)
     set_effect = pid_report(
         0x21,
         101,

@@ -2,7 +2,7 @@ import sys
 
 import pytest
 
-from master.devices.hid.claims import CLAIMS
+from master.devices.hid.device import CLAIMS
 from tests.hid.fake_hidraw import FakeHidraw
 
 

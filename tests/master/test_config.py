@@ -12,8 +12,8 @@ from master.devices import open_device
 from master.devices.combined import CombinedConfig
 from master.devices.extension import DeviceExtension
 from master.devices.hid.config import AxisConfig, ButtonsConfig
-from master.devices.references import Reaches
-from master.devices.virtual import VirtualConfig
+from master.devices.virtual import Reaches, VirtualConfig
+from teleop.cli import commands
 from teleop.config.loading import load
 from teleop.errors import UsageError
 

@@ -9,8 +9,7 @@ from estimator.records import view_struct
 from master import hand_input, loop
 from master.config import MasterConfig
 from master.device import HandState
-from master.devices.references import Reaches
-from master.devices.virtual import VirtualConfig, advance_hand
+from master.devices.virtual import Reaches, VirtualConfig, advance_hand
 from master.feedback import FeedbackConfig
 from master.gate import GateConfig
 from master.operator import OperatorConfig

@@ -38,8 +38,8 @@ def step(config, memory, the_hand, state, engaged):
     """The operator's step with a memory that it does not change, but returns anew."""
     memory, position, velocity = memory.copy(), eight(), eight()
     operator.step(
-        view_struct(build_operator_settings(config)), memory, hand_record(the_hand), *told(state), engaged,
-        position, velocity,
+        view_struct(build_operator_settings(config)), memory, hand_record(the_hand), *told(state),
+        engaged, position, velocity,
     )  # fmt: skip
     return TipCommand(tuple(position), tuple(velocity)), memory
 

@@ -6,11 +6,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from estimator.records import view_struct
-from master import presence
+from master import local
 from master.config import MasterConfig
 from master.device import HandState
+from master.local import Presence
 from master.operator import OperatorConfig, build_operator_settings
-from master.presence import Presence
 from teleop.session.state_machine import Reason, State
 from tests.master.records import hand_record
 from tests.master.run import Run
@@ -26,7 +26,7 @@ def held(*position, engage=True):
 def run(memory, *hands, config=CONFIG):
     memory, rule = memory.copy(), view_struct(build_operator_settings(config))
     for hand in hands:
-        presence.update_presence(rule, memory, hand_record(hand), DT)
+        local.update_presence(rule, memory, hand_record(hand), DT)
     return memory
 
 

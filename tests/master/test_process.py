@@ -13,7 +13,7 @@ from master.process import ANSWER_WAIT_SHARE, LATE_ANSWERS_MAX, RETRY_TICKS, Mas
 from teleop.config.loading import load
 from teleop.errors import PeerError, TeleopError, UsageError
 from teleop.link import LatestMessage, ReceivedMessage
-from teleop.link.refusals import RefusalCounter
+from teleop.link.rate_limit import RefusalCounter
 from teleop.messages.messages import (
     NO_TOPICS,
     STAGE_NAMES,

@@ -7,8 +7,7 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from master.device import DeviceFault
-from master.devices.references import Hold, Reaches, Sine
-from master.devices.virtual import VirtualConfig, VirtualDevice, advance_hand
+from master.devices.virtual import Hold, Reaches, Sine, VirtualConfig, VirtualDevice, advance_hand
 
 REFERENCES = [Hold(0.01), Sine(), Sine(offset=0.02, frequency=3.0), Reaches(), Reaches((0.01,))]
 

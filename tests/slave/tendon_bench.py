@@ -7,8 +7,14 @@ import numpy as np
 from estimator.compiled import jit_compile
 from slave.rigs.simulated.plant.chain import compute_response, recover_state
 from slave.rigs.simulated.plant.response import interpolate_curve
-from slave.rigs.simulated.plant.sheath import SectionConfig, SheathConfig
-from slave.rigs.simulated.plant.tendon import POSITION, TENSION, build_chain, init_chain_state
+from slave.rigs.simulated.plant.tendon import (
+    POSITION,
+    TENSION,
+    SectionConfig,
+    SheathConfig,
+    build_chain,
+    init_chain_state,
+)
 
 L, EA = 1.5, 9000.0
 

@@ -22,7 +22,7 @@ from slave.rigs.simulated.simulated import SimulatedRigConfig
 from slave.samples import estimate_with_dynamics
 from teleop.errors import PeerError, TeleopError, UsageError
 from teleop.link import LatestMessage, ReceivedMessage
-from teleop.link.refusals import RefusalCounter
+from teleop.link.rate_limit import RefusalCounter
 from teleop.messages.messages import (
     MAX_JOINTS,
     NO_TOPICS,

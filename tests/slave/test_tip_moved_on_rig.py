@@ -18,7 +18,7 @@ from slave.config import to_tendon_config
 from slave.rigs.simulated.plant.body import BodyConfig
 from slave.rigs.simulated.plant.environment import LoadMotorConfig
 from slave.rigs.simulated.plant.sensors import LoadCellConfig
-from slave.rigs.simulated.plant.sheath import SectionConfig, SheathConfig
+from slave.rigs.simulated.plant.tendon import SectionConfig, SheathConfig
 from slave.rigs.simulated.simulated import (
     JointConfig,
     SimulatedRig,

@@ -14,10 +14,9 @@ from teleop.launch.supervisor import wait_for_condition
 from teleop.messages.messages import Hand, SlaveState
 from teleop.messages.topics import HAND, STATE
 from teleop.session.state_machine import Reason, State
-from teleop.view.batch import decode
+from teleop.view.batch import Sender, decode
 from teleop.view.colours import STATES
 from teleop.view.scene import Scene
-from teleop.view.sender import Sender
 from teleop.view.sinks import Sink
 from tests import browser
 from tests.system.view_pictures import APPEARS_S, BANNER, EACH_VIEW, SCENE, pixels

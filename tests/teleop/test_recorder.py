@@ -14,14 +14,13 @@ from teleop.cli import commands
 from teleop.errors import TeleopError
 from teleop.launch import command
 from teleop.launch.supervisor import Supervisor, wait_for_exit
-from teleop.link import Link, ReceivedMessage, message_queue
-from teleop.link.listener import Listener
-from teleop.link.message_queue import compute_capacity_bytes
+from teleop.link import Link, ReceivedMessage, listener
+from teleop.link.listener import Listener, compute_capacity_bytes
 from teleop.messages.messages import LoopReport, TendonState
 from teleop.messages.topics import EVENT, REPORT, STATE, TENDONS, TOPICS, Role, Topic
 from teleop.recording import recorder as recorders
+from teleop.recording.command import format_status
 from teleop.recording.config import RecordConfig
-from teleop.recording.progress import format_status
 from teleop.recording.reader import open_recording, read_columns
 from teleop.recording.recorder import GRACE_NS, SILENCE_NS, Recorder
 from teleop.recording.writer import RecordingWriter
@@ -102,8 +101,8 @@ class Bench:
             self._stores[topic](Sample(data))  # type: ignore[arg-type]
 
 
-@patch.object(message_queue, "CAPACITY_MIN", 8)
-@patch.object(message_queue, "BACKLOG_S", 0.02)
+@patch.object(listener, "CAPACITY_MIN", 8)
+@patch.object(listener, "BACKLOG_S", 0.02)
 @patch.object(recorders, "BATCH", 5)
 @settings(max_examples=30)
 @given(

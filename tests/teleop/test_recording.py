@@ -29,17 +29,16 @@ from teleop.messages.messages import LAYOUT, MESSAGES
 from teleop.messages.topics import COMMAND, EVENT, STATE, TENDONS, TOPICS
 from teleop.recording import reader
 from teleop.recording.config import RecordConfig
-from teleop.recording.definition import to_dtype
-from teleop.recording.gaps import SENDERS, GapCounter
 from teleop.recording.names import CONFIG_ATTACHMENT, SESSION_METADATA
 from teleop.recording.reader import (
     open_recording,
     read_columns,
     read_messages,
     read_recorded_config,
+    to_dtype,
 )
 from teleop.recording.scan import RecordingError
-from teleop.recording.writer import RecordingWriter
+from teleop.recording.writer import SENDERS, GapCounter, RecordingWriter
 from teleop.runtime.process import SUPERVISED_VARIABLE
 from tests.teleop.recorded import START_NS, heard
 

@@ -11,7 +11,7 @@ from teleop.config import strict_yaml
 from teleop.config.loading import load
 from teleop.data import model_file
 from teleop.errors import UsageError
-from teleop.runtime.small_file import read_small_file
+from teleop.runtime.files import read_small_file
 from teleop.security.authority import (
     AUTHORITY,
     AUTHORITY_KEY,

@@ -8,7 +8,7 @@ import pytest
 from master.devices.hid import signs
 from teleop.cli import commands
 from teleop.security.local import find_local_folder
-from teleop.view.runtime_log import find_log_path
+from teleop.view.command import find_log_path
 
 PLACES = {
     "XDG_STATE_HOME": (find_local_folder, lambda: find_log_path("a")),

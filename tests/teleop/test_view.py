@@ -24,13 +24,12 @@ from teleop.messages.topics import HAND, TENDONS, TOPICS
 from teleop.recording.config import RecordConfig
 from teleop.recording.writer import RecordingWriter
 from teleop.view import viewer_process
-from teleop.view.batch import decode
+from teleop.view.batch import Sender, decode
 from teleop.view.config import ViewConfig, ViewRates
 from teleop.view.feed import MessageBuffer, NullDisplay, show_recording, show_session
 from teleop.view.ports import find_free_port
 from teleop.view.rrd import BlockBuffer, split_messages
 from teleop.view.scene import Scene
-from teleop.view.sender import Sender
 from teleop.view.sinks import Sink
 from teleop.view.viewer_process import disable_usage_statistics
 from tests.teleop.view_session import CONFIG, SENDER, T0, Session, read, save

@@ -7,8 +7,7 @@ import pytest
 
 from teleop.cli import commands
 from teleop.errors import UsageError
-from teleop.view.command import choose_destination
-from teleop.view.runtime_log import divert_stderr
+from teleop.view.command import choose_destination, divert_stderr
 
 
 def test_a_file_name_that_ends_in_rrd_is_a_view(tmp_path):

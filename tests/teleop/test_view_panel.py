@@ -15,8 +15,16 @@ from teleop.view import panel
 from teleop.view.batch import decode
 from teleop.view.colours import STATES
 from teleop.view.config import ViewConfig
-from teleop.view.pacing import Pacing
-from teleop.view.panel import format_force, format_link_parts
+from teleop.view.feed import Pacing
+from teleop.view.panel import (
+    Banner,
+    LinkCounts,
+    LinkQuality,
+    build_banner,
+    compute_link_quality,
+    format_force,
+    format_link_parts,
+)
 from teleop.view.panel_layout import (
     BANNER,
     LINK_HEIGHT,
@@ -30,7 +38,6 @@ from teleop.view.panel_layout import (
 from teleop.view.plane import compute_axis_end, compute_ticks, compute_ticks_to_end
 from teleop.view.scene import Scene
 from teleop.view.sinks import Sink
-from teleop.view.status import Banner, LinkCounts, LinkQuality, build_banner, compute_link_quality
 from teleop.view.stroke_text import (
     _GLYPHS,
     STROKE,

@@ -12,16 +12,19 @@ only one that fits. An axis without a sign from `run_device_test` renders no for
 
 import argparse
 import itertools
+import json
 import math
+import platform
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from importlib.metadata import version
 from pathlib import Path
 from typing import NamedTuple
 
 from master.device import DeviceFault
-from master.devices.hid import console_mode, dump, rules, search, signs, trial
+from master.devices.hid import console_mode, rules, search, signs, trial
 from master.devices.hid.descriptor import DescriptorError, parse_descriptor
 from master.devices.hid.driver import Controls
 from master.devices.hid.drivers import DRIVERS, AttachedNode
@@ -29,12 +32,47 @@ from master.devices.hid.line import DeviceConnection
 from master.devices.hid.node import Node
 from master.devices.hid.pid import PidConfig
 from master.devices.hid.report_text import describe_descriptor
-from master.devices.hid.search import FoundDevice
+from master.devices.hid.search import ExaminedNode, FoundDevice
 from master.devices.hid.signs import ForceSign
 from teleop.errors import UsageError
 from teleop.runtime.output_file import OutputFile, UpdatedFile
 from teleop.runtime.process import parse_seconds, write_text_file
 from teleop.runtime.status_line import StatusLine
+
+# --- dump of a HID device, to attach to a report: its numbers and its raw report descriptor, as
+# YAML
+# The serial number is left out. The descriptor is in hexadecimal, 16 bytes a line.
+
+
+_BYTES_A_LINE = 16
+
+
+def format_dump(one: ExaminedNode) -> str:
+    """Return the dump; `DeviceFault` if the descriptor cannot be read."""
+    item, data = one.item, one.descriptor
+    if not data:
+        raise DeviceFault(f"{item}: {one.not_ready_reason}")
+    lines = [
+        f"# tendon-teleop {version('tendon-teleop')}, {platform.platform()}",
+        f"name: {json.dumps(item.name)}",
+        f'vendor: "{item.vendor:04x}"',
+        f'product: "{item.product:04x}"',
+        f'release: "{item.release:04x}"',
+        f"serial_number: {'yes' if item.serial else 'no'}",
+        f"bus: {'bluetooth' if item.bluetooth else 'usb'}",
+        f"interface: {item.interface}",
+        f"usages: {json.dumps([f'{page:04x}:{usage:04x}' for page, usage in item.usages])}",
+        "drivers:",
+        *(f"  {name}: {json.dumps(why or 'fits')}" for name, why in one.misfits.items()),
+        f"bytes: {len(data)}",
+        "descriptor: |",
+    ]
+    lines += [
+        f"  {data[start : start + _BYTES_A_LINE].hex(' ')}"
+        for start in range(0, len(data), _BYTES_A_LINE)
+    ]
+    return "\n".join(lines) + "\n"
+
 
 PROBE_S, TEST_S = 2.0, 10.0  # [s] default durations
 _POLL_PERIOD_S = 0.005  # [s] between two looks at a device
@@ -166,7 +204,7 @@ def select_devices(find: str) -> list[AttachedNode]:
 
 def save_dump(items: Sequence[AttachedNode], file: Path | None) -> None:
     """Print the dump of each node, or write all to a file."""
-    text = "---\n".join(dump.format_dump(search.examine_node(item)) for item in items)
+    text = "---\n".join(format_dump(search.examine_node(item)) for item in items)
     if file is None:
         print(text, end="")
         return

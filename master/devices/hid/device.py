@@ -1,18 +1,173 @@
 """A HID haptic device with the interface of `master.device.Device`."""
 
 import math
+import os
+import threading
+from collections import Counter
 from collections.abc import Callable
+from typing import Generic, NamedTuple, Protocol, TypeVar
 
 from master.device import Axes, DeviceFault, DeviceLost, HandState
 from master.devices.hid import console_mode, mapping, search, signs
-from master.devices.hid.claims import CLAIMS
 from master.devices.hid.config import HidConfig
 from master.devices.hid.drivers import INPUTS_ONLY, PID, AttachedNode
 from master.devices.hid.line import DeviceConnection
 from master.devices.hid.pid import PidConfig, PidDriver
-from master.devices.hid.search import FoundDevice
-from master.devices.hid.seeker import DeviceReconnection
+from master.devices.hid.search import DeviceNotFoundError, FoundDevice
 from master.devices.hid.signs import ForceSigns
+
+# --- registry of the nodes open in this process, so that no device is opened twice
+
+
+class _FileIdentity(NamedTuple):
+    """Identity of a device file; not its times, as a change of permissions changes them."""
+
+    system: int
+    inode: int
+
+
+class _Claim(NamedTuple):
+    """An open device."""
+
+    identity: str
+    file: _FileIdentity | None  # None on systems without device files
+
+
+class Claims:
+    """The open devices; thread-safe.
+
+    A device with buttons alone (`buttons.find`) is not claimed: one pedal may serve two hands.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._open: dict[str, _Claim] = {}  # by path
+        self._most: Counter[str] = Counter()  # of each identity, largest number open at once
+
+    def claim(self, item: AttachedNode) -> None:
+        """Claim a device; `DeviceFault` if it is in use."""
+        with self._lock:
+            if item.path in self._open:
+                raise DeviceFault(
+                    f"{item}: already in use by another device of this session; set find to a "
+                    "serial number or path"
+                )
+            self._open[item.path] = _Claim(item.identity, _identify_file(item.path))
+            alike = sum(claim.identity == item.identity for claim in self._open.values())
+            self._most[item.identity] = max(self._most[item.identity], alike)
+
+    def release(self, item: AttachedNode) -> None:
+        """Release a device."""
+        with self._lock:
+            self._open.pop(item.path, None)
+
+    def forget(self) -> None:
+        """Reset, as in a new process."""
+        with self._lock:
+            self._open.clear()
+            self._most.clear()
+
+    def paths(self) -> frozenset[str]:
+        """Return the paths of the claimed devices."""
+        with self._lock:
+            return frozenset(self._open)
+
+    def is_ambiguous(self, item: AttachedNode) -> bool:
+        """Return whether a device that came back may be any of several that were unplugged.
+
+        Two devices open at once with the same identity (no serial number, or the same one) differ
+        only in their paths. If both were unplugged, each may come back at the other's path. An open
+        device whose file is gone is unplugged, even if that was not noticed yet.
+        """
+        with self._lock:
+            here = sum(
+                claim.identity == item.identity and claim.file == _identify_file(path)
+                for path, claim in self._open.items()
+            )
+            return self._most[item.identity] - here > 1
+
+
+def _identify_file(path: str) -> _FileIdentity | None:
+    try:
+        status = os.stat(path)
+    except OSError:
+        return None
+    return _FileIdentity(status.st_dev, status.st_ino)
+
+
+CLAIMS = Claims()  # of this process
+
+
+# --- thread that searches for an unplugged device
+
+POLL_PERIOD_S = 0.1  # between two looks
+# consecutive failures before they are reported; a device is not usable at once
+_FAILURES_REPORTED = 20
+
+
+class Closable(Protocol):
+    """An object that can be closed."""
+
+    def end(self, patience_s: float = 0.0) -> bool:
+        """Close it; return whether that was done in time. May be called again."""
+
+
+T = TypeVar("T", bound=Closable)
+
+
+class DeviceReconnection(Generic[T]):
+    """Closes the failed device, then tries `open_again` until it succeeds.
+
+    The failed device is closed completely first, so that its last report does not reach the next
+    one.
+
+    Attributes
+    ----------
+    found : object or None
+        The opened device, once available.
+    trouble : str
+        Why an attached device cannot be opened; empty while it may only need time.
+    """
+
+    def __init__(self, broken: T, open_again: Callable[[], T]) -> None:
+        self.found: T | None = None
+        self.trouble = ""
+        self._broken, self._open = broken, open_again
+        self._lock, self._over = threading.Lock(), threading.Event()
+        self._thread = threading.Thread(target=self._run, name="hid seeker", daemon=True)
+        self._thread.start()
+
+    def end(self, patience_s: float) -> None:
+        """Stop searching, and close a device found but not taken."""
+        with self._lock:
+            self._over.set()
+        self._thread.join(patience_s)
+        if self.found is not None:
+            self.found.end(patience_s)
+
+    def _run(self) -> None:
+        failures = 0
+        while not self._over.is_set():
+            try:
+                if self._broken.end(POLL_PERIOD_S):
+                    self._keep(self._open())
+                    return
+            except DeviceNotFoundError:
+                failures, self.trouble = 0, ""
+            except Exception as error:
+                failures += 1
+                if failures == _FAILURES_REPORTED:
+                    expected = isinstance(error, DeviceFault)
+                    self.trouble = str(error) if expected else f"search failed: {error!r}"
+            self._over.wait(POLL_PERIOD_S)
+
+    def _keep(self, found: T) -> None:
+        with self._lock:
+            if not self._over.is_set():
+                self.found = found
+                return
+        found.end()
+
 
 _PATIENCE_S = 2.0  # to remove the force at the end; a write may hang for 5 s
 

@@ -14,8 +14,8 @@ import yaml
 
 from teleop.config import loading
 from teleop.errors import UsageError
+from teleop.runtime.files import find_config_folder
 from teleop.runtime.process import write_text_file
-from teleop.runtime.user_folders import find_config_folder
 
 
 class ForceSignKey(NamedTuple):

@@ -1,7 +1,7 @@
 """Writer thread for forces, as a write may block and a control loop must not.
 
-Only the newest force is written. A device with a force timeout is re-armed every `REARM_PERIOD_S` while
-forces are posted; when posting stops, the force is removed and nothing is written any more.
+Only the newest force is written. A device with a force timeout is re-armed every `REARM_PERIOD_S`
+while forces are posted; when posting stops, the force is removed and nothing is written any more.
 """
 
 import math

@@ -14,8 +14,7 @@ from dataclasses import asdict
 
 from master.device import Axes, DeviceFault, DeviceLost, HandState
 from master.devices.ros.config import RosDeviceConfig
-from master.devices.ros.motion import CommandMotion
-from master.devices.ros.record import SIZE, CommandRecord
+from master.devices.ros.motion import SIZE, CommandMotion, CommandRecord
 from teleop.runtime.process import build_module_command
 
 RECORD_TIMEOUT_NS = 250_000_000  # [ns] without a record of the receiver

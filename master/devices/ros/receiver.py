@@ -2,8 +2,9 @@
 
   python -m master.devices.ros.receiver PIPE CONFIG
 
-It checks every command and writes the newest accepted one to a pipe, at most every `RECORD_INTERVAL_MIN_S`: no
-flood of messages reaches the loop, and an end or a stall of this process is noticed there.
+It checks every command and writes the newest accepted one to a pipe, at most every
+`RECORD_INTERVAL_MIN_S`: no flood of messages reaches the loop, and an end or a stall of this
+process is noticed there.
 """
 
 import json
@@ -15,7 +16,7 @@ from contextlib import suppress
 from functools import partial
 
 from master.devices.ros.config import RosDeviceConfig
-from master.devices.ros.record import CommandRecord
+from master.devices.ros.motion import CommandRecord
 from master.devices.ros.stream import CommandStream, ReceivedMessage
 from teleop.link.ros_session import is_router_listening
 from teleop.ros.command_topics import SERVO_CV, SERVO_JP, STATE_COMMAND
@@ -28,9 +29,8 @@ from teleop.runtime.process import StopCondition, die_with_parent, lower_priorit
 RECORD_INTERVAL_MIN_S = 0.002  # [s] least time between two records
 RECORD_INTERVAL_MAX_S = 0.02  # [s] largest time between two records
 _ROUTER_POLL_RECORDS = 25  # between two looks for the router
-_QUEUE_LENGTH = (
-    5000  # messages that wait; more are dropped, and counted as far as that shows a flood
-)
+# messages that wait; more are dropped, and counted as far as that shows a flood
+_QUEUE_LENGTH = 5000
 NODE = "tendon_teleop_master"
 
 Arrival = tuple[bool, ReceivedMessage]  # whether it is a motion command
@@ -80,7 +80,7 @@ def write_record(pipe: int, stream: CommandStream) -> None:
 
 
 def collect_arrivals(arrivals: "queue.Queue[Arrival]") -> list[Arrival]:
-    """Return the messages that have arrived, after waiting for one at most `RECORD_INTERVAL_MAX_S`."""
+    """Return the messages that have arrived, after a wait of at most `RECORD_INTERVAL_MAX_S`."""
     found: list[Arrival] = []
     with suppress(queue.Empty):
         found.append(arrivals.get(timeout=RECORD_INTERVAL_MAX_S))

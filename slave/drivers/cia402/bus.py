@@ -135,7 +135,8 @@ def require_sole_controller(bus: can.BusABC, config: Cia402Config) -> None:
         message = bus.recv(left_s)
         if message is not None and (text := identify_controller_frame(message, config.master)):
             raise DriverFault(
-                f"{format_bus_name(config)}: another controller is on the bus ({text} was received): "
+                f"{format_bus_name(config)}: another controller is on the bus ({text} was "
+                f"received): "
                 "end it first; nothing was sent"
             )
 

@@ -9,9 +9,8 @@ from slave.drivers.cia402.period import RATE_MAX, RATE_MIN, encode_period, highe
 INT32_MIN, INT32_MAX = -(1 << 31), (1 << 31) - 1
 FOLLOWING_ERROR_MAX = (1 << 32) - 2  # [counts] one more switches the supervision off (6065)
 FOLLOWING_TIME_MAX = 65.5  # [s] 16 bits of milliseconds (6066)
-HEARTBEATS_PER_TIMEOUT = (
-    4  # heartbeats, or requests to a guarded drive, in the time of its watchdog
-)
+# heartbeats, or requests to a guarded drive, in the time of its watchdog
+HEARTBEATS_PER_TIMEOUT = 4
 
 
 @dataclass(frozen=True, slots=True)

@@ -61,7 +61,7 @@ class _NodeState:
 
 
 class Cia402Driver:
-    """A `slave.drivers.driver.BusDriver`; every node samples at SYNC, so readings are of one time."""
+    """A `BusDriver`; every node samples at SYNC, so readings are of one time."""
 
     def __init__(self, config: Cia402Config, channels: Channels) -> None:
         self._config, self._channels = config, channels

@@ -87,7 +87,8 @@ class ServoBus:
         error = self.get(number, registers.HARDWARE_ERROR)
         if error:
             raise DriverFault(
-                f"servo {number} (model {model}): hardware error: {registers.format_hardware_error(error)}; "
+                f"servo {number} (model {model}): hardware error: "
+                f"{registers.format_hardware_error(error)}; "
                 "remove the cause, then `teleop rig reset`"
             )
 

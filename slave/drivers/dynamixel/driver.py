@@ -23,7 +23,7 @@ LIMIT = (1 << 31) - 1  # [counts]
 
 
 class DynamixelDriver:
-    """A `slave.drivers.driver.BusDriver`; a cell's reading is the present current of that servo [A].
+    """A `BusDriver`; a cell's reading is the present current of that servo [A].
 
     The goal is set to the present position before torque is enabled. Each servo's bus watchdog
     stops it when instructions cease; then it refuses goals, and this is a fault.

@@ -10,7 +10,6 @@ from contextlib import suppress
 import numpy as np
 import serial
 
-from slave.drivers.clock_map import ClockMap
 from slave.drivers.driver import Channels, Counts, DriverFault, Reading
 from slave.drivers.microcontroller import frames
 from slave.drivers.microcontroller.config import MicrocontrollerConfig
@@ -24,6 +23,38 @@ from slave.drivers.microcontroller.frames import (
 )
 from slave.drivers.serial_port import format_port_error, open_serial
 
+# --- times of a device's own clock on the machine's clock
+
+DRIFT = 200e-6  # largest relative error of the device's crystal
+WRAP = 1 << 32  # [us] of the device's clock
+
+
+class ClockMap:
+    """Maps a device's clock of microseconds, 32 bits wide, to the machine's monotonic clock [s].
+
+    A frame arrives at `sampled + offset + delay` with a delay of at least zero, so the least
+    difference of arrival and device time is the best estimate of the offset. It may grow by `DRIFT`
+    since crystals differ.
+    """
+
+    def __init__(self) -> None:
+        self._offset_s: float | None = None
+        self._unwrapped_us = 0
+
+    def __call__(self, device_us: int, arrival_s: float) -> float:
+        """Return the time [s] at which a frame with this device time was sampled."""
+        if self._offset_s is None:
+            self._unwrapped_us = device_us
+            self._offset_s = arrival_s - device_us * 1e-6
+            return arrival_s
+        elapsed_us = (device_us - self._unwrapped_us) % WRAP
+        self._unwrapped_us += elapsed_us
+        device_s = self._unwrapped_us * 1e-6
+        grown = self._offset_s + elapsed_us * 1e-6 * DRIFT
+        self._offset_s = min(grown, arrival_s - device_s)
+        return device_s + self._offset_s
+
+
 HELLO_S = 0.2  # [s] between two greetings; a board that was just opened may reset itself
 GREETING_S = 6.0  # [s] within which it must answer
 WAIT_S = 0.010  # [s] of one cycle without a state
@@ -33,7 +64,7 @@ LIMIT = (1 << 31) - 1  # [counts]
 
 
 class MicrocontrollerDriver:
-    """A `slave.drivers.driver.BusDriver`; the board samples on its own clock and sends every sample.
+    """A `BusDriver`; the board samples on its own clock and sends every sample.
 
     The board enables its motors at the first target. Once it has stopped them by itself (watchdog,
     emergency stop), they stay off until a SET that disables them was answered.

@@ -23,8 +23,15 @@ from slave.rigs.simulated.plant.environment import (
     TissueConfig,
     build_environment,
 )
-from slave.rigs.simulated.plant.joint import Joint, Tendon, Winding, init_joint
-from slave.rigs.simulated.plant.joints import advance_joints, replace_item, to_compiled_list
+from slave.rigs.simulated.plant.joint import (
+    Joint,
+    Tendon,
+    Winding,
+    advance_joints,
+    init_joint,
+    replace_item,
+    to_compiled_list,
+)
 from slave.rigs.simulated.plant.motor import MotorConfig, build_motor
 from slave.rigs.simulated.plant.sensors import (
     EncoderConfig,
@@ -33,8 +40,7 @@ from slave.rigs.simulated.plant.sensors import (
     init_sensors,
     measure,
 )
-from slave.rigs.simulated.plant.sheath import SheathConfig
-from slave.rigs.simulated.plant.tendon import build_chain
+from slave.rigs.simulated.plant.tendon import SheathConfig, build_chain
 from teleop.messages.messages import MAX_JOINTS
 
 CATCH_UP_STEPS_MAX = 10  # at a late read; if it is later still, longer steps are taken

@@ -11,10 +11,67 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from teleop.cli.bench import cpu
 from teleop.errors import TeleopError
 from teleop.launch.supervisor import ERROR_PREFIX
 from teleop.runtime.process import build_module_command
+
+# --- processor time of a running process and of its children, from /proc
+
+_TICK_S = 1.0 / os.sysconf("SC_CLK_TCK")
+
+
+class CpuSample(NamedTuple):
+    """Processor time [s] of each process by its id, all threads, and the time of reading [s]."""
+
+    time_s: float
+    used_s: dict[int, float]
+
+
+def find_children(parent: int) -> dict[str, int]:
+    """Return the ids of `teleop COMMAND` processes that `parent` has started, by the command."""
+    found = {}
+    for folder in Path("/proc").iterdir():
+        if not folder.name.isdecimal():
+            continue
+        try:
+            if int(_read_stat_fields(int(folder.name))[1]) != parent:
+                continue
+            words = (folder / "cmdline").read_bytes().split(b"\0")
+        except (FileNotFoundError, ProcessLookupError):  # it has ended
+            continue
+        if b"teleop" in words:
+            found[words[words.index(b"teleop") + 1].decode()] = int(folder.name)
+    return found
+
+
+def sample_cpu_time(processes: dict[str, int]) -> CpuSample:
+    """Read the processor time of the running processes."""
+    used = {}
+    for process in processes.values():
+        try:
+            fields = _read_stat_fields(process)
+        except (FileNotFoundError, ProcessLookupError):  # it has ended
+            continue
+        used[process] = (int(fields[11]) + int(fields[12])) * _TICK_S
+    return CpuSample(time.monotonic(), used)
+
+
+def compute_cpu_load(
+    processes: dict[str, int], before: CpuSample, after: CpuSample
+) -> dict[str, float]:
+    """Return the CPU load [% of a core] of each process between two samples."""
+    span = after.time_s - before.time_s
+    return {
+        name: 100.0 * (after.used_s[process] - before.used_s[process]) / span
+        for name, process in processes.items()
+        if process in after.used_s and process in before.used_s
+    }
+
+
+def _read_stat_fields(process: int) -> list[str]:
+    """Return the fields of /proc/PID/stat behind the name: state, parent, ...; see proc(5)."""
+    return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
+
 
 SIDES = ("slave", "master")
 START_S = 300.0  # timeout with an empty compile cache, on a busy machine
@@ -54,10 +111,10 @@ def run_session(config: Path, seconds: float) -> SessionMeasurement:
         output = _SessionOutput(process)
         output.await_engaged()
         time.sleep(_SETTLE_S)
-        processes = {"run": process.pid, **cpu.find_children(process.pid)}
-        before = cpu.sample_cpu_time(processes)
+        processes = {"run": process.pid, **find_children(process.pid)}
+        before = sample_cpu_time(processes)
         time.sleep(max(seconds - 2 * _SETTLE_S, _SETTLE_S))
-        after = cpu.sample_cpu_time(processes)
+        after = sample_cpu_time(processes)
         output.await_end(seconds)
         summary = json.loads(out.read_text())
         for side in SIDES:
@@ -65,7 +122,7 @@ def run_session(config: Path, seconds: float) -> SessionMeasurement:
                 raise TeleopError(
                     f"the {side} of the session to measure was killed: {output.last()}"
                 )
-        return SessionMeasurement(summary, cpu.compute_cpu_load(processes, before, after))
+        return SessionMeasurement(summary, compute_cpu_load(processes, before, after))
 
 
 class _SessionOutput:

@@ -5,9 +5,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 from estimator.diagnosis import report_text
-from estimator.diagnosis.model import COMPLIANCE
+from estimator.diagnosis.model import COMPLIANCE, FRICTION
 from estimator.diagnosis.outcome import Diagnosis, FittedValue
-from estimator.diagnosis.transmission_law import FRICTION
 from estimator.law.sheath import Sheath
 from estimator.text_table import Table
 from estimator.units import format_quantity

@@ -23,15 +23,15 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+from estimator.array_types import Array
 from estimator.diagnosis import report_text
 from estimator.diagnosis.api import CauseError, RecordError, collect_signals, diagnose
 from estimator.diagnosis.outcome import Diagnosis
 from estimator.effects import Effect
 from teleop.cli import estimate
-from teleop.cli.diagnose import acceptance, effect_choice, report_json
+from teleop.cli.diagnose import acceptance, options, report_json
 from teleop.cli.diagnose.acceptance import ComparedParameter
-from teleop.cli.diagnose.channel_options import NamedColumns, parse_column_options
-from teleop.cli.diagnose.noise_option import parse_noise
+from teleop.cli.diagnose.options import NamedColumns, parse_column_options, parse_noise
 from teleop.config.options import add_option, add_options
 from teleop.config.suggestions import suggest_spelling
 from teleop.data import model_file
@@ -40,7 +40,40 @@ from teleop.errors import UsageError
 from teleop.runtime.output_file import OutputFolder, make_folder
 from teleop.runtime.parallel import count_processors
 from teleop.runtime.process import write_summary, write_text_file
-from teleop.runtime.progress import Progress
+from teleop.runtime.status_line import Progress
+from teleop.view.series import PlotCurve, PlotPanel, save
+
+# --- residuals.rrd: measured and simulated signals of both models, for Rerun
+
+MEASURED, BEFORE, AFTER = 0x808080FF, 0xD55E00FF, 0x0072B2FF
+
+
+def write_residuals(path: Path, found: Diagnosis, files: Sequence[str]) -> None:
+    """Write the file: for each record a column, for each channel its curves and its residuals."""
+    columns = []
+    for k, file in enumerate(files):
+        record = found.dataset.records[k]
+        panels = []
+        for channel in record.compared:
+            rows = record.shown(channel)
+            measured = record.signals[channel][rows]
+            models = {
+                ("before", BEFORE): found.baseline.simulated[k].signals[channel][rows],
+                ("after", AFTER): found.extended.simulated[k].signals[channel][rows],
+            }
+            title = f"{record.units.word(channel)} [{record.units.of(channel)}]"
+            lines = {("measured", MEASURED): measured} | models
+            off = {key: measured - values for key, values in models.items()}
+            panels.append(_build_panel(f"{title}, {file}", record.time[rows], lines))
+            panels.append(_build_panel(f"residual of {title}", record.time[rows], off))
+        columns.append(panels)
+    save(path, report_text.format_verdict(found), columns)
+
+
+def _build_panel(title: str, time: Array, lines: dict[tuple[str, int], Array]) -> PlotPanel:
+    curves = (PlotCurve(name, colour, time, values) for (name, colour), values in lines.items())
+    return PlotPanel(title, tuple(curves))
+
 
 TENSIONS = ("proximal_tension", "distal_tension")  # whose zero errors a diagnosis identifies
 
@@ -127,7 +160,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def main(args: argparse.Namespace) -> int:
     """Diagnose and report; returns the exit code."""
-    effects = effect_choice.parse_effects(args.effects)
+    effects = options.parse_effects(args.effects)
     check_options(args, effects)
     if args.out is not None:
         make_folder(args.out, "report.html")
@@ -223,14 +256,15 @@ def read_data(
         if set(collect_signals(table)) != set(collect_signals(first)):
             raise UsageError(
                 f"{table.path}: has {', '.join(collect_signals(table))}, but {first.path} has "
-                f"{', '.join(collect_signals(first))}; data that are diagnosed together need the same "
+                f"{', '.join(collect_signals(first))}; data that are diagnosed together need "
+                f"the same "
                 "channels"
             )
     return DiagnosisData(tuple(tables[: len(paths)]), tuple(tables[len(paths) :]))
 
 
 def _write_report(report: ReportContent, folder: Path) -> None:
-    from teleop.cli.diagnose import page, residuals
+    from teleop.cli.diagnose import page
 
     found, files = report.found, report.data.files
     remark = (
@@ -239,4 +273,4 @@ def _write_report(report: ReportContent, folder: Path) -> None:
     model_file.save(folder / "model.yaml", model_file.from_diagnosis(found), remark)
     text = page.render(found, files, report.accepted, report.data.further)
     write_text_file(folder / "report.html", text, "the page")
-    residuals.write_residuals(folder / "residuals.rrd", found, files)
+    write_residuals(folder / "residuals.rrd", found, files)

@@ -4,12 +4,36 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+import matplotlib as mpl
+
 from estimator.diagnosis import file_tables, report_text
-from estimator.diagnosis.figures import RECORDS_MAX
+from estimator.diagnosis.figures import RECORDS_MAX, draw_figures
 from estimator.diagnosis.outcome import Diagnosis
-from teleop.cli.diagnose import acceptance, figures
+from estimator.drawing import STYLE
+from teleop.cli.diagnose import acceptance
 from teleop.cli.diagnose.acceptance import ComparedParameter
 from teleop.cli.report.page import Page
+from teleop.runtime.output_file import save_figure
+
+# --- write the figures of a diagnosis
+
+
+def write_figures(
+    found: Diagnosis,
+    files: Sequence[str],
+    folder: Path,
+    further: Sequence[str] = (),
+    kind: str = "png",
+) -> dict[str, str]:
+    """Write all figures into `folder` as PNG or SVG; return their captions by file name."""
+    captions = {}
+    with mpl.rc_context(STYLE | {"svg.hashsalt": "tendon-teleop"}):
+        for drawn in draw_figures(found, files, further):
+            file = f"diagnosis-{drawn.name}.{kind}"
+            metadata = {"Date": None} if kind == "svg" else None
+            save_figure(drawn.figure, folder / file, metadata=metadata)
+            captions[file] = drawn.caption
+    return captions
 
 
 def render(
@@ -44,7 +68,7 @@ def render(
         page.table(acceptance.build_comparison_table(calibrated), mark="NO")
     _add_file_tables(page, found, names)
     with TemporaryDirectory() as folder:
-        captions = figures.write_figures(found, files, Path(folder), further)
+        captions = write_figures(found, files, Path(folder), further)
         page.heading("Before and after")
         if len(files) > RECORDS_MAX:
             page.text(f"The first {RECORDS_MAX} of {len(files)} files are drawn.")

@@ -5,11 +5,11 @@ from importlib.metadata import version
 from typing import Any
 
 from estimator.diagnosis import file_tables, report_text
-from estimator.diagnosis.law_choice import Choice
+from estimator.diagnosis.baseline import Choice
 from estimator.diagnosis.outcome import Diagnosis, ModelErrors, RankedCandidate
 from estimator.diagnosis.prediction import ErrorStatistics, PredictedRecord
 from teleop.cli.diagnose.acceptance import ComparedParameter
-from teleop.cli.report.json_values import to_json_values
+from teleop.cli.report.page import to_json_values
 
 
 def build_report(

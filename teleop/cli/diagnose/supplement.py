@@ -1,14 +1,16 @@
 """A supplement for a paper: one page, its figures as SVG and its tables as CSV beside it."""
 
 import csv
+import sysconfig
 from collections.abc import Sequence
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import matplotlib as mpl
 import numpy as np
+import yaml
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
@@ -22,12 +24,52 @@ from estimator.drawing import BLACK, BLUE, STYLE, to_svg
 from estimator.text_table import Table
 from estimator.units import Units
 from teleop.cli.diagnose import formulas
-from teleop.cli.diagnose.citation import load_citations
 from teleop.cli.report.page import Page
 from teleop.data.table import write_table
 from teleop.data.table_files import Column
 from teleop.runtime.output_file import replace_file
 from teleop.runtime.process import write_text_file
+
+# --- how to cite this software, from CITATION.cff
+
+CITATION_FILE = "CITATION.cff"
+CITATION_PATHS = (
+    Path(__file__).parents[3] / CITATION_FILE,  # of the sources
+    Path(sysconfig.get_path("data"))
+    / "share"
+    / "tendon-teleop"
+    / CITATION_FILE,  # of an installed wheel
+)
+
+
+def load_citations() -> tuple[str, ...]:
+    """Return the references to be cited: the software, then the papers that it names."""
+    path = next((place for place in CITATION_PATHS if place.is_file()), None)
+    if path is None:
+        return (
+            f"tendon-teleop {version('tendon-teleop')} ({CITATION_FILE} is not in this "
+            f"installation)",
+        )
+    tree = yaml.safe_load(path.read_text(encoding="utf-8"))
+    software = (
+        f"{_format_authors(tree)}. {tree['title']} (version {tree['version']}) [software]. "
+        f"{tree['license']}."
+    )
+    return (software, *(_format_reference(one) for one in tree.get("references", ())))
+
+
+def _format_reference(tree: dict[str, Any]) -> str:
+    year = f" ({tree['year']})" if "year" in tree else ""
+    return f"{_format_authors(tree)}{year}. {tree['title']}."
+
+
+def _format_authors(tree: dict[str, Any]) -> str:
+    names = [
+        author.get("name") or f"{author['family-names']}, {author['given-names']}"
+        for author in tree["authors"]
+    ]
+    return ", ".join(names)
+
 
 SYMBOLS = (
     "T tension at the friction coordinate s, from 0 at the housing to K at the tip; q_p, q_d "

@@ -24,7 +24,7 @@ from teleop.config.options import add_options
 from teleop.errors import UsageError
 from teleop.runtime.output_file import make_folder
 from teleop.runtime.process import write_summary, write_text_file
-from teleop.runtime.progress import Progress
+from teleop.runtime.status_line import Progress
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -3,10 +3,25 @@
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from estimator.drawing import use_style
 from estimator.pair import report_text
+from estimator.pair.figures import draw_figures
 from estimator.pair.pair_study import PairStudy
-from teleop.cli.pair import figures
 from teleop.cli.report.page import Page
+from teleop.runtime.output_file import save_figure
+
+# --- write the figures of a study of a pair
+
+
+def write_figures(found: PairStudy, folder: Path) -> dict[str, str]:
+    """Write all figures into `folder`; return their captions by file name."""
+    captions = {}
+    with use_style():
+        for drawn in draw_figures(found):
+            file = f"pair-{drawn.name}.png"
+            save_figure(drawn.figure, folder / file)
+            captions[file] = drawn.caption
+    return captions
 
 
 def render(found: PairStudy) -> str:
@@ -17,7 +32,7 @@ def render(found: PairStudy) -> str:
     page.heading("Friction against bend")
     page.table(report_text.build_friction_table(found), mark="")
     with TemporaryDirectory() as folder:
-        captions = figures.write_figures(found, Path(folder))
+        captions = write_figures(found, Path(folder))
         paths = {name: Path(folder) / name for name in captions}
         page.figure(paths["pair-friction.png"], captions["pair-friction.png"])
         page.heading("The model for all bends")

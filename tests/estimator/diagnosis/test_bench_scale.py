@@ -14,10 +14,10 @@ from estimator.diagnosis.dataset import build_dataset
 from estimator.diagnosis.fit import DIFFERENCE_STEP
 from estimator.diagnosis.intervals import ParameterInterval
 from estimator.diagnosis.outcome import FittedValue
-from estimator.diagnosis.progress import ignore_progress
 from estimator.diagnosis.record import prepare_record
 from estimator.diagnosis.record_units import shift_encoder_zero
 from estimator.diagnosis.search import fit_candidates
+from estimator.diagnosis.settings import ignore_progress
 from estimator.effects import CATALOGUE
 from estimator.effects.effect import CHANNELS
 from estimator.effects.sensors import PULLEY_ECCENTRICITY

@@ -12,9 +12,9 @@ from estimator.diagnosis.dataset import (
 )
 from estimator.diagnosis.engine import diagnose
 from estimator.diagnosis.outcome import Verdict
-from estimator.diagnosis.progress import ignore_progress
 from estimator.diagnosis.record import prepare_record
 from estimator.diagnosis.search import SUBSAMPLE_SIZE, fit_candidates
+from estimator.diagnosis.settings import ignore_progress
 from estimator.effects import CATALOGUE
 from estimator.effects.friction import STRIBECK_WITH_MEMORY
 from tests.studies import hidden

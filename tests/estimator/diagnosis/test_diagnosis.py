@@ -16,10 +16,9 @@ from estimator.diagnosis.dataset import (
 )
 from estimator.diagnosis.engine import diagnose
 from estimator.diagnosis.outcome import Verdict
-from estimator.diagnosis.progress import ignore_progress
 from estimator.diagnosis.record import RecordError, prepare_record
 from estimator.diagnosis.search import SUBSAMPLE_SIZE, screen_candidates
-from estimator.diagnosis.settings import SETTINGS
+from estimator.diagnosis.settings import SETTINGS, ignore_progress
 from estimator.effects import CATALOGUE, NAMES
 from tests.studies import hidden
 

@@ -5,15 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from estimator.diagnosis.causes import select_simplest_cause
 from estimator.diagnosis.dataset import (
     Model,
     build_dataset,
     build_unsimulated_contexts,
     simulate_dataset,
 )
-from estimator.diagnosis.fit import _run_least_squares
-from estimator.diagnosis.layout import ParameterLayout
-from estimator.diagnosis.next_cause import select_simplest_cause
+from estimator.diagnosis.fit import ParameterLayout, _run_least_squares
 from estimator.diagnosis.record import prepare_record
 from estimator.diagnosis.score import compute_errors
 from estimator.diagnosis.search import Candidate, _reset_shapes_at_bound

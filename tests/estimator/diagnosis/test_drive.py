@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from estimator.diagnosis.channel_noise import estimate_white_noise
-from estimator.diagnosis.drive import estimate_travel_drive, find_turning_points
-from estimator.diagnosis.smoothing import smooth_signal
+from estimator.diagnosis.drive import estimate_travel_drive, find_turning_points, smooth_signal
 
 SIGMAS = [1e-7, 1e-6, 5e-6]
 

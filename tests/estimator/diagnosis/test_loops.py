@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from estimator.diagnosis.api import diagnose
+from estimator.diagnosis.model import BaseLaw
 from estimator.diagnosis.outcome import Verdict
 from estimator.diagnosis.record import RecordError
-from estimator.diagnosis.transmission_law import BaseLaw
 from estimator.measured_data import Samples
 from estimator.units import ROTARY
 from tests.studies import hidden

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from estimator.diagnosis.channel_noise import estimate_white_noise
+from estimator.diagnosis.drive import smooth_signal
 from estimator.diagnosis.record import prepare_record
-from estimator.diagnosis.smoothing import smooth_signal
 from tests.studies import hidden
 
 EVERY = 10  # samples of the simulation from one of the record to the next

@@ -25,7 +25,7 @@ from estimator.online.reading_correction import (
     build_corrections,
     correct_reading,
 )
-from estimator.online.tip_reading import build_reading_table, compute_reading
+from estimator.online.score import build_reading_table, compute_reading
 from tests.studies import hidden
 
 NOISE, STEP = 0.02, 1.2e-7  # [N], [m] of the hidden sensors

@@ -9,7 +9,7 @@ from estimator.pair import pair_fit, pair_study
 from estimator.pair.pair import PairModel, PairRecord, simulate_by_command, simulate_by_tensions
 from estimator.pair.pair_fit import PairError, PairVariant, fit
 from estimator.pair.pair_structure import analyse_residuals, compute_offset_share
-from estimator.pair.simple_pair_models import ONE_PLAY, fit_simple_predictors
+from estimator.pair.pair_study import ONE_PLAY, fit_simple_predictors
 from estimator.signals import apply_play
 from tests.estimator.pair import pair_bench as bench
 

@@ -3,9 +3,9 @@
 import threading
 
 from master.device import DeviceFault
-from master.devices.hid import seeker
+from master.devices.hid import device
+from master.devices.hid.device import DeviceReconnection
 from master.devices.hid.search import DeviceNotFoundError
-from master.devices.hid.seeker import DeviceReconnection
 from teleop.launch.supervisor import wait_for_condition
 
 
@@ -37,7 +37,7 @@ def seek(broken, *events):
 
 
 def test_whatever_a_look_fails_with_another_one_follows(monkeypatch):
-    monkeypatch.setattr(seeker, "POLL_PERIOD_S", 0.001)
+    monkeypatch.setattr(device, "POLL_PERIOD_S", 0.001)
     thing = Thing()
     errors = (
         DeviceNotFoundError("no"),
@@ -50,7 +50,7 @@ def test_whatever_a_look_fails_with_another_one_follows(monkeypatch):
 
 
 def test_what_goes_on_failing_is_told_of(monkeypatch):
-    monkeypatch.setattr(seeker, "POLL_PERIOD_S", 0.001)
+    monkeypatch.setattr(device, "POLL_PERIOD_S", 0.001)
     for error, words in (
         (DeviceFault("not_ready_reason"), "not_ready_reason"),
         (RuntimeError("odd"), "odd"),
@@ -62,7 +62,7 @@ def test_what_goes_on_failing_is_told_of(monkeypatch):
 
 
 def test_nothing_is_opened_before_what_broke_has_said_its_last_word(monkeypatch):
-    monkeypatch.setattr(seeker, "POLL_PERIOD_S", 0.01)
+    monkeypatch.setattr(device, "POLL_PERIOD_S", 0.01)
     broken, thing = Thing(ends=False), Thing()
     looking, seen = seek(broken, thing)
     assert wait_for_condition(lambda: broken.asked > 3, 5.0)

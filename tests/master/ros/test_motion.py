@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from master.devices.ros.config import RosDeviceConfig
-from master.devices.ros.motion import CommandMotion
-from master.devices.ros.record import CommandRecord
+from master.devices.ros.motion import CommandMotion, CommandRecord
 
 MS = 1_000_000
 BEGIN = 10**12

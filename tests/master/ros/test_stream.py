@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from master.devices.ros.config import RosDeviceConfig
-from master.devices.ros.record import SIZE, CommandRecord
+from master.devices.ros.motion import SIZE, CommandRecord
 from master.devices.ros.stream import CommandStream, ReceivedMessage
 from teleop.ros import cdr
 from teleop.ros.standard import JointState, StringStamped, Twist, TwistStamped, Vector3

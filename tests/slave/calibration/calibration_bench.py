@@ -11,7 +11,7 @@ from slave.rigs.simulated.plant.body import BodyConfig
 from slave.rigs.simulated.plant.effects import EffectConfig
 from slave.rigs.simulated.plant.environment import FreeConfig
 from slave.rigs.simulated.plant.sensors import LoadCellConfig
-from slave.rigs.simulated.plant.sheath import SectionConfig, SheathConfig
+from slave.rigs.simulated.plant.tendon import SectionConfig, SheathConfig
 from slave.rigs.simulated.simulated import (
     JointConfig,
     SimulatedRig,

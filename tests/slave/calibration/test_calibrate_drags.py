@@ -5,12 +5,12 @@ from functools import cache
 
 import pytest
 
+from slave.calibration.analysis import combine_with_drags
 from slave.calibration.config import KnownSheathConfig
 from slave.calibration.direction import calibrate_tendon as by_loop
-from slave.calibration.drags import combine_with_drags
 from slave.calibration.procedure_state import Phase
 from slave.calibration.pulled import PulledTendon
-from slave.rigs.simulated.plant.sheath import SectionConfig
+from slave.rigs.simulated.plant.tendon import SectionConfig
 from tests.slave.calibration.calibration_bench import (
     KNOWN,
     LENGTH,

@@ -15,7 +15,7 @@ from slave.calibration import monitor
 from slave.calibration.monitor import Advice, MonitorConfig, TendonMonitor
 from slave.config import SlaveConfig, load_tendon_configs
 from slave.rigs.simulated.plant.environment import LoadMotorConfig, TissueConfig
-from slave.rigs.simulated.plant.sheath import SectionConfig
+from slave.rigs.simulated.plant.tendon import SectionConfig
 from slave.rigs.simulated.simulated import SimulatedRig
 from slave.tendons import EstimatedTendon, build_rig_layout
 from tests.slave.calibration.calibration_bench import TIGHT_FIRST, effect, joint, rig_config

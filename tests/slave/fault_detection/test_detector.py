@@ -11,7 +11,7 @@ from estimator.online import online
 from estimator.records import to_struct, view_struct
 from slave import fault_detection
 from slave.fault_detection import FaultDetectionConfig
-from slave.fault_detection.compliance import compute_compliance, compute_elongation_min
+from slave.fault_detection.wound_length import compute_compliance, compute_elongation_min
 from slave.rig import RigSample
 from slave.tendons import EstimatedTendon, build_rig_layout
 from teleop.session.state_machine import Reason

@@ -10,14 +10,16 @@ from hypothesis import strategies as st
 from estimator.law.sheath import Sheath
 from estimator.records import to_struct
 from slave.fault_detection import FaultDetectionConfig
-from slave.fault_detection.broken_tendon import SlackState, check_slack
-from slave.fault_detection.compliance import (
+from slave.fault_detection.wound_length import (
+    CheckedTendon,
+    SlackState,
+    WindingCheck,
+    check_slack,
+    check_winding,
     compute_compliance,
     compute_elongation_max,
     compute_elongation_min,
 )
-from slave.fault_detection.tendon_state import CheckedTendon
-from slave.fault_detection.wound_length import WindingCheck, check_winding
 from teleop.session.state_machine import Reason
 from tests.slave.control_bench import DT
 

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from slave.drivers.clock_map import ClockMap
 from slave.drivers.driver import Reading
+from slave.drivers.microcontroller.driver import ClockMap
 from slave.rigs.alignment import Aligner
 
 SPEED, RATE = 3.0, -50.0  # [counts/s] of motor and cell

@@ -11,13 +11,14 @@ from slave.rigs.simulated.plant.chain import compute_response
 from slave.rigs.simulated.plant.friction import RIGID_STIFFNESS
 from slave.rigs.simulated.plant.knobs import Knobs
 from slave.rigs.simulated.plant.response import interpolate_curve
-from slave.rigs.simulated.plant.sheath import SectionConfig, SheathConfig
 from slave.rigs.simulated.plant.tendon import (
     CREEP,
     FRICTION,
     POSITION,
     TENSION,
     Chain,
+    SectionConfig,
+    SheathConfig,
     build_chain,
     get_tensions,
     init_chain_state,

@@ -7,8 +7,7 @@ import pytest
 
 from estimator.law import transmission
 from estimator.law.sheath import Section, Sheath
-from slave.rigs.simulated.plant.sheath import SectionConfig, SheathConfig
-from slave.rigs.simulated.plant.tendon import build_chain
+from slave.rigs.simulated.plant.tendon import SectionConfig, SheathConfig, build_chain
 from tests.slave.tendon_bench import Load, drive, ends, travels
 
 UNIFORM = ((1.5, 0.225),)

@@ -9,8 +9,7 @@ import pytest
 
 from slave.rig import RigFault, RigSample, as_enabling_rig, get_emergency_stop
 from slave.rigs import open_rig
-from slave.rigs.checked import CheckedRig
-from slave.rigs.extension import RigExtension
+from slave.rigs.extension import CheckedRig, RigExtension
 from teleop.errors import UsageError
 from tests.slave.test_process import FakeLink, FakeRig, StoppableRig, driven
 

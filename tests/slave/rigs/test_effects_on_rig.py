@@ -17,7 +17,7 @@ from slave.rigs.simulated.plant.environment import (
 )
 from slave.rigs.simulated.plant.motor import MotorConfig
 from slave.rigs.simulated.plant.sensors import CHANNELS, EncoderConfig, LoadCellConfig
-from slave.rigs.simulated.plant.sheath import SheathConfig
+from slave.rigs.simulated.plant.tendon import SheathConfig
 from slave.rigs.simulated.simulated import (
     JointConfig,
     SimulatedRig,

@@ -15,9 +15,14 @@ from slave.rigs.simulated.plant.environment import (
     TissueConfig,
     WallConfig,
 )
-from slave.rigs.simulated.plant.joint import advance_joint, compute_truth, init_joint
-from slave.rigs.simulated.plant.joints import advance_joints, to_compiled_list
-from slave.rigs.simulated.plant.sheath import SheathConfig
+from slave.rigs.simulated.plant.joint import (
+    advance_joint,
+    advance_joints,
+    compute_truth,
+    init_joint,
+    to_compiled_list,
+)
+from slave.rigs.simulated.plant.tendon import SheathConfig
 from slave.rigs.simulated.simulated import JointConfig, TendonPlantConfig, build_joint
 
 COARSE = TendonPlantConfig(sheath=SheathConfig(nodes=20))

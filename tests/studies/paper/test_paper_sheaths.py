@@ -51,7 +51,7 @@ def test_each_kind_is_a_quarter_and_bent_where_it_says(sheaths):
 
 
 def test_unevenness_is_the_one_of_theory():
-    from slave.rigs.simulated.plant.sheath import SectionConfig, SheathConfig
+    from slave.rigs.simulated.plant.tendon import SectionConfig, SheathConfig
     from studies.paper.sheaths import Specimen
 
     bends = (SectionConfig(0.2, 0.05), SectionConfig(1.3, 0.5))

@@ -13,12 +13,12 @@ import pytest
 from estimator.law.sheath import Sheath
 from estimator.online import online
 from estimator.online.online import Status
-from master.devices.references import Reaches, Sine
+from master.devices.virtual import Reaches, Sine
 from slave.config import to_tendon_config
 from slave.rigs.simulated.plant.body import BodyConfig
 from slave.rigs.simulated.plant.environment import FreeConfig, TissueConfig, WallConfig
 from slave.rigs.simulated.plant.sensors import LoadCellConfig
-from slave.rigs.simulated.plant.sheath import SectionConfig, SheathConfig
+from slave.rigs.simulated.plant.tendon import SectionConfig, SheathConfig
 from slave.rigs.simulated.simulated import (
     JointConfig,
     SimulatedRig,

@@ -9,7 +9,7 @@ from contextlib import suppress
 
 import pytest
 
-from teleop.launch.keys import KeyReader
+from teleop.launch.console import KeyReader
 
 
 @pytest.fixture

@@ -12,8 +12,7 @@ from teleop.cli import commands
 from teleop.config import extensions
 from teleop.errors import PeerError, TeleopError
 from teleop.launch import command, watch
-from teleop.launch.console import Console, format_status
-from teleop.launch.keys import KeyReader
+from teleop.launch.console import Console, KeyReader, format_status
 from teleop.launch.supervisor import Supervisor, wait_for_condition
 from teleop.link import ReceivedMessage
 from teleop.messages.messages import (
@@ -30,7 +29,7 @@ from teleop.remote.requests import CALL, RESET
 from teleop.runtime import process
 from teleop.runtime.status_line import StatusLine
 from teleop.session import summary as summaries
-from teleop.session.stages import StageMeter
+from teleop.session.meter import StageMeter
 from teleop.session.state_machine import Reason, State
 from teleop.session.summary import format_loop
 

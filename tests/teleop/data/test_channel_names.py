@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from estimator.units import FORCE, LINEAR, ROTARY
-from teleop.cli.diagnose.channel_options import parse_column_options
-from teleop.cli.diagnose.noise_option import parse_noise
+from teleop.cli.diagnose.options import parse_column_options, parse_noise
 from teleop.data.table import Columns, read_table, write_table
 from teleop.errors import UsageError
 

@@ -21,7 +21,7 @@ from teleop.link.admission import (
     Admission,
 )
 from teleop.link.challenge import CHALLENGE_BYTES
-from teleop.link.refusals import RefusalCounter
+from teleop.link.rate_limit import RefusalCounter
 from teleop.link.roster import GROUP_TOKENS_MAX, PENDING_TOKENS_MAX, Roster
 from teleop.messages.messages import LAYOUT
 from teleop.messages.topics import STOP, Role

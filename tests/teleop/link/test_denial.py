@@ -7,8 +7,7 @@ import pytest
 
 from studies import denial
 from teleop.link.listener import VERIFY_BURST, Listener
-from teleop.link.rate_limit import RateLimit
-from teleop.link.refusals import REFUSAL_KINDS_MAX, RefusalCounter
+from teleop.link.rate_limit import REFUSAL_KINDS_MAX, RateLimit, RefusalCounter
 from teleop.messages.messages import EmergencyStop
 from teleop.messages.topics import COMMAND, STOP, Role
 from teleop.runtime.clock import now_ns

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 
 import zenoh
 
-from teleop.link import linger
+from teleop.link import network
 
 ON = struct.pack("ii", 1, 10)
 
@@ -33,7 +33,7 @@ def test_a_connection_does_not_linger_though_no_descriptor_is_left():
             while True:
                 taken.append(os.dup(server.fileno()))
         except OSError:
-            linger._handle_link_event(event)
+            network._handle_link_event(event)
         finally:
             for number in taken:
                 os.close(number)

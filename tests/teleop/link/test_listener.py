@@ -13,9 +13,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from teleop.link import MessageCounts, message_queue
-from teleop.link.listener import Listener
-from teleop.link.message_queue import BACKLOG_S, CAPACITY_MIN, MessageQueue, compute_capacity
+from teleop.link import MessageCounts, listener
+from teleop.link.listener import BACKLOG_S, CAPACITY_MIN, Listener, MessageQueue, compute_capacity
 from teleop.messages.messages import EmergencyStop
 from teleop.messages.topics import COMMAND, EVENT, LEDGER, STATE, STOP, TENDONS, TOPICS, Topic
 from tests.teleop.link.bench import packed
@@ -179,7 +178,7 @@ def test_a_listener_that_falls_behind_keeps_the_newest_and_counts_the_others() -
     assert listener.counts(topic).lost == 2  # on the wire, as nothing was dropped since
 
 
-@patch.object(message_queue, "CAPACITY_MIN", 8)
+@patch.object(listener, "CAPACITY_MIN", 8)
 @given(st.lists(st.integers(0, 20), max_size=10), st.randoms(use_true_random=False))
 def test_every_message_stored_is_heard_rejected_or_dropped(
     bursts: list[int], chance: random.Random

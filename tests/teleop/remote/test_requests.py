@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import pytest
 
 from teleop.link import ReceivedMessage
-from teleop.link.refusals import RefusalCounter
+from teleop.link.rate_limit import RefusalCounter
 from teleop.messages.messages import EmergencyStop
 from teleop.messages.topics import STOP, Role
 from teleop.remote import stop_over_link

@@ -12,9 +12,9 @@ from teleop.config.loading import load
 from teleop.errors import UsageError
 from teleop.link import LinkConfig
 from teleop.messages.messages import MESSAGES, Sheath, pad_values
+from teleop.ros.command import build_package_files
 from teleop.ros.config import RosConfig, check_ports
 from teleop.ros.frames import compute_tip_transform, to_quaternion
-from teleop.ros.package import build_package_files
 from tests.teleop.ros.values import typestore
 
 

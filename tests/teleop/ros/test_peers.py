@@ -15,10 +15,10 @@ import pytest
 from teleop.launch.supervisor import wait_for_condition
 from teleop.messages.messages import MESSAGES
 from teleop.ros import cdr
+from teleop.ros.command import write_package
 from teleop.ros.graph import BEST_EFFORT, RELIABLE, Qos
 from teleop.ros.interface import find_interface, format_definition
 from teleop.ros.node import RosNode
-from teleop.ros.package import write_package
 from teleop.ros.standard import DiagnosticArray, JointState
 from teleop.ros.type_hash import compute_type_hash
 from tests.teleop.ros.peers import router

@@ -13,9 +13,9 @@ The tension profile along the sheath is not assumed, in contrast to an estimator
 
 The balance is solved exactly and without iteration. For a given motor position, the housing side of
 any point responds with a tension that is piecewise linear in the point's position and falls towards
-the housing. `compute_response` propagates that response from the motor to the tip (`coulomb_contact`;
-`bristle_contact` for bristles and dashpots). The caller finds the tip position from that curve, and
-`recover_state` computes the nodes backwards from there.
+the housing. `compute_response` propagates that response from the motor to the tip
+(`coulomb_contact`; `bristle_contact` for bristles and dashpots). The caller finds the tip position
+from that curve, and `recover_state` computes the nodes backwards from there.
 """
 
 import numpy as np
@@ -69,7 +69,8 @@ def recover_state(
 ) -> Array:
     """Return the state after a step that ends with the tip at `distal` [m].
 
-    `tension` [N] is that of `response` there; `response` is from `compute_response` with the same arguments.
+    `tension` [N] is that of `response` there; `response` is from `compute_response` with the same
+    arguments.
     """
     n = len(chain.friction)
     after = np.zeros_like(state)

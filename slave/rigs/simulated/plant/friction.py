@@ -33,9 +33,8 @@ from slave.rigs.simulated.plant.knobs import Knobs
 from slave.rigs.simulated.plant.tendon import CONTACT_GROWTH, SPEED, TENSION, Chain
 
 NODE_FRICTION_MAX = 1.5  # of a node's friction: at 2 the discretisation would jam
-TOTAL_FRICTION_MAX = (
-    15.0  # of all nodes together: nothing is transmitted, and more is lost in rounding
-)
+# of all nodes together: nothing is transmitted, and more is lost in rounding
+TOTAL_FRICTION_MAX = 15.0
 RIGID_STIFFNESS = 1e10  # [N/m] of a practically rigid bristle
 LIGHT_TENSION = 0.5  # [N] below it friction is proportional to tension for any exponent
 

@@ -11,7 +11,7 @@ import pytest
 from master.config import MasterConfig
 from slave.config import SlaveConfig
 from teleop.cli import commands
-from teleop.cli.bench import cpu, figures, machine, rigs, session
+from teleop.cli.bench import figures, machine, rigs, session
 from teleop.cli.bench.bare_grid import run_idle_loops
 from teleop.cli.bench.figures import Metric
 from teleop.config.loading import load
@@ -71,13 +71,15 @@ def test_processor_time_is_that_of_the_process():
     with subprocess.Popen([sys.executable, "-c", program]) as busy:
         try:
             processes = {"busy": busy.pid, "us": os.getpid()}
-            before = cpu.sample_cpu_time(processes)
+            before = session.sample_cpu_time(processes)
             time.sleep(0.5)
-            shares = cpu.compute_cpu_load(processes, before, cpu.sample_cpu_time(processes))
+            shares = session.compute_cpu_load(processes, before, session.sample_cpu_time(processes))
         finally:
             busy.kill()
     assert 0.0 <= shares["us"] < shares["busy"] <= 110.0
-    assert cpu.compute_cpu_load(processes, before, cpu.sample_cpu_time(processes)).keys() == {"us"}
+    assert session.compute_cpu_load(
+        processes, before, session.sample_cpu_time(processes)
+    ).keys() == {"us"}
 
 
 def test_a_session_is_measured_while_it_is_engaged(tmp_path):

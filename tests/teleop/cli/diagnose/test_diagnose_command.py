@@ -12,7 +12,7 @@ from estimator.drawing import to_svg
 from estimator.effects import CATALOGUE
 from teleop.cli import commands
 from teleop.cli.diagnose import formulas
-from teleop.cli.diagnose.effect_choice import parse_effects
+from teleop.cli.diagnose.options import parse_effects
 from teleop.data import model_file
 from teleop.data.table import write_table
 from teleop.data.table_files import read_columns

@@ -11,7 +11,7 @@ from estimator.diagnosis.record import prepare_record
 from estimator.effects import Effect
 from teleop.cli import commands
 from teleop.cli.diagnose import catalogue
-from teleop.cli.diagnose.effect_choice import parse_effects
+from teleop.cli.diagnose.options import parse_effects
 from tests.studies import hidden
 
 DOCS = Path(__file__).parents[4] / "docs"

@@ -2,7 +2,7 @@
 
 import io
 
-from teleop.runtime.progress import WIDTH, Progress
+from teleop.runtime.status_line import WIDTH, Progress
 
 
 class Terminal(io.StringIO):

@@ -7,11 +7,12 @@ import pytest
 
 from estimator.diagnosis import report_text
 from estimator.diagnosis.engine import diagnose
-from estimator.diagnosis.outcome import DetectionLimit, FittedValue, ResidualDependence, Verdict
+from estimator.diagnosis.outcome import DetectionLimit, FittedValue, Verdict
 from estimator.diagnosis.record import prepare_record
+from estimator.diagnosis.score import ResidualDependence
 from estimator.diagnosis.troubles import DataIssue
 from teleop.cli.diagnose import page, report_json
-from teleop.cli.diagnose.effect_choice import parse_effects
+from teleop.cli.diagnose.options import parse_effects
 from tests.studies import hidden
 
 FAULT, RIVAL = "distal_tension_gain", "constant_drag"
