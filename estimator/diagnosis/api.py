@@ -83,13 +83,13 @@ def diagnose(
     ValueError
         If an effect is not in the catalogue.
     """
-    one = isinstance(data, Record) or hasattr(data, "proximal_tension")
-    several: list[MeasuredData | Record] = [data] if one else list(data)  # type: ignore[list-item, arg-type]
-    records = prepare_records([*several, *validate], noise, loop=loop)
-    found = engine.diagnose(
-        records[: len(several)],
+    is_single = isinstance(data, Record) or hasattr(data, "proximal_tension")
+    data_sets: list[MeasuredData | Record] = [data] if is_single else list(data)  # type: ignore[list-item, arg-type]
+    records = prepare_records([*data_sets, *validate], noise, loop=loop)
+    diagnosis = engine.diagnose(
+        records[: len(data_sets)],
         tuple(map(_resolve_effect, effects)) if effects is not CATALOGUE else CATALOGUE,
-        validate=records[len(several) :],
+        validate=records[len(data_sets) :],
         cause=cause,
         fit_all=fit_all,
         leave_one_file_out=leave_one_file_out,
@@ -97,11 +97,11 @@ def diagnose(
         workers=workers,
     )
     progress("estimating the force", 1.0)
-    return _add_forces(found, several, validate)
+    return _add_forces(diagnosis, data_sets, validate)
 
 
 def _add_forces(
-    found: Diagnosis,
+    diagnosis: Diagnosis,
     data: Sequence[MeasuredData | Record],
     validate: Sequence[MeasuredData | Record],
 ) -> Diagnosis:
@@ -109,25 +109,27 @@ def _add_forces(
 
     The estimator runs the capstan law of one tendon only.
     """
-    if found.units.rotary or found.dataset.records[0].loop:
-        return found
-    if found.dataset.base.law is not BaseLaw.CAPSTAN:
-        return found
-    plain, model = found.baseline.model, found.extended.model
-    fitted = [one for one in data if not isinstance(one, Record)]
-    further = [one for one in validate if not isinstance(one, Record)]
-    places = [(one, False) for one in fitted] + [(one, True) for one in further]
-    forces = [
-        compute_file_force(plain, model, found.duration, one, validation=apart)
-        for one, apart in places
+    if diagnosis.units.rotary or diagnosis.dataset.records[0].loop:
+        return diagnosis
+    if diagnosis.dataset.base.law is not BaseLaw.CAPSTAN:
+        return diagnosis
+    base_model, model = diagnosis.baseline.model, diagnosis.extended.model
+    fitted_data = [item for item in data if not isinstance(item, Record)]
+    validation_data = [item for item in validate if not isinstance(item, Record)]
+    tagged_data = [(item, False) for item in fitted_data] + [
+        (item, True) for item in validation_data
     ]
-    names = [(rival.replaces, rival.effect.label) for rival in found.rivals]
-    return found._replace(
-        forces=tuple(one for one in forces if one is not None),
+    forces = [
+        compute_file_force(base_model, model, diagnosis.duration, item, validation=is_validation)
+        for item, is_validation in tagged_data
+    ]
+    names = [(rival.replaces, rival.effect.label) for rival in diagnosis.rivals]
+    return diagnosis._replace(
+        forces=tuple(item for item in forces if item is not None),
         rival_forces=tuple(
-            compute_rival_force(model, rival.fit.model, name, found.duration, fitted)
-            for rival, name in zip(found.rivals, names, strict=True)
-            if fitted
+            compute_rival_force(model, rival.fit.model, name, diagnosis.duration, fitted_data)
+            for rival, name in zip(diagnosis.rivals, names, strict=True)
+            if fitted_data
         ),
     )
 
@@ -155,27 +157,29 @@ def prepare_records(
     RecordError
         If one cannot be diagnosed or is in other units than the first.
     """
-    raw = [one for one in data if not isinstance(one, Record)]
-    signals = [mark_missing(collect_signals(one)) for one in raw]
+    raw_data = [item for item in data if not isinstance(item, Record)]
+    signals = [mark_missing(collect_signals(item)) for item in raw_data]
     for channels in signals:
         check_finite_values(channels)
-    if not raw:
-        return [one for one in data if isinstance(one, Record)]
-    units = get_units(raw[0])
-    if any(get_units(one) != units for one in raw):
+    if not raw_data:
+        return [item for item in data if isinstance(item, Record)]
+    units = get_units(raw_data[0])
+    if any(get_units(item) != units for item in raw_data):
         raise RecordError("torque and angle beside tension and travel: give data of one bench")
     loop = is_loop(units, signals) if loop is None else loop
     records = []
-    for one in data:
-        if isinstance(one, Record):
-            records.append(one)
+    for item in data:
+        if isinstance(item, Record):
+            records.append(item)
             continue
         try:
             records.append(
-                prepare_record(one.time, collect_signals(one), noise=noise, units=units, loop=loop)
+                prepare_record(
+                    item.time, collect_signals(item), noise=noise, units=units, loop=loop
+                )
             )
         except RecordError as error:
-            path = getattr(one, "path", None)
+            path = getattr(item, "path", None)
             raise RecordError(f"{path}: {error}" if path else str(error)) from error
     return records
 
@@ -194,8 +198,8 @@ def collect_signals(data: MeasuredData) -> dict[str, Array]:
 def _resolve_effect(effect: str | Effect) -> Effect:
     if isinstance(effect, Effect):
         return effect
-    found = [known for known in CATALOGUE if known.name == effect]
-    if not found:
-        names = ", ".join(dict.fromkeys(known.name for known in CATALOGUE))
+    matches = [candidate for candidate in CATALOGUE if candidate.name == effect]
+    if not matches:
+        names = ", ".join(dict.fromkeys(candidate.name for candidate in CATALOGUE))
         raise ValueError(f"effect {effect!r}: not in the catalogue, which has {names}")
-    return found[0]
+    return matches[0]

@@ -33,17 +33,17 @@ def compute_autocorrelation(residuals: Sequence[Array], period: float) -> Autoco
     period : float
         [s] from one sample to the next.
     """
-    shortest = min(len(one) for one in residuals)
+    shortest = min(len(residual) for residual in residuals)
     count = max(2, min(round(LAG_MAX / period), shortest // LENGTH_DIVISOR))
     mean = float(np.nanmean(np.concatenate(list(residuals))))
     products, pairs, samples = np.zeros(count), np.zeros(count), 0
-    for one in residuals:
-        known: NDArray[np.bool_] = np.isfinite(one)
-        centred = np.where(known, one - mean, 0.0)
+    for residual in residuals:
+        is_known: NDArray[np.bool_] = np.isfinite(residual)
+        centred = np.where(is_known, residual - mean, 0.0)
         for lag in range(count):
-            products[lag] += float(centred[lag:] @ centred[: len(one) - lag])
-            pairs[lag] += int((known[lag:] & known[: len(one) - lag]).sum())
-        samples += int(known.sum())
+            products[lag] += float(centred[lag:] @ centred[: len(residual) - lag])
+            pairs[lag] += int((is_known[lag:] & is_known[: len(residual) - lag]).sum())
+        samples += int(is_known.sum())
     value = products / np.maximum(pairs, 1.0)
     scale = value[0] if value[0] > 0.0 else 1.0
     return Autocorrelation(
@@ -55,22 +55,24 @@ def compute_autocorrelation(residuals: Sequence[Array], period: float) -> Autoco
 
 def resample_residual(time: Array, residual: Array, period: float) -> Array:
     """Return a residual at multiples of `period`: each sample at the nearest, NaN where none is."""
-    places = np.rint((time - time[0]) / period).astype(np.int64)
-    known = np.isfinite(residual)
-    even = np.full(int(places[-1]) + 1, np.nan)
-    even[places[known]] = residual[known]
-    return even
+    rows = np.rint((time - time[0]) / period).astype(np.int64)
+    is_known = np.isfinite(residual)
+    resampled = np.full(int(rows[-1]) + 1, np.nan)
+    resampled[rows[is_known]] = residual[is_known]
+    return resampled
 
 
-def autocorrelate_channel(found: Diagnosis, channel: str) -> Autocorrelation:
+def autocorrelate_channel(diagnosis: Diagnosis, channel: str) -> Autocorrelation:
     """Return that of the extended model's residual in a channel, of all fitted records."""
-    records = found.dataset.records
+    records = diagnosis.dataset.records
     period = float(np.median([_compute_period(record.time[record.measured]) for record in records]))
     residuals = []
-    for record, one in zip(records, found.extended.simulated, strict=True):
-        off = np.where(record.good[channel], record.signals[channel] - one.signals[channel], np.nan)
+    for record, simulated in zip(records, diagnosis.extended.simulated, strict=True):
+        residual = np.where(
+            record.good[channel], record.signals[channel] - simulated.signals[channel], np.nan
+        )
         residuals.append(
-            resample_residual(record.time[record.measured], off[record.measured], period)
+            resample_residual(record.time[record.measured], residual[record.measured], period)
         )
     return compute_autocorrelation(residuals, period)
 

@@ -58,17 +58,19 @@ ROUNDS = 15
 
 def fit_baseline(dataset: Dataset) -> Fit:
     """Return the best fit of the base law: from many starts on few samples, then on all."""
-    few = subsample(dataset, SUBSAMPLE_SIZE)
-    about = _build_initial_contexts(few)
-    starts = _build_starts(few)
-    costs = [compute_cost(few, simulate_dataset(few, about, model)) for model in starts]
+    subsampled = subsample(dataset, SUBSAMPLE_SIZE)
+    contexts = _build_initial_contexts(subsampled)
+    starts = _build_starts(subsampled)
+    costs = [
+        compute_cost(subsampled, simulate_dataset(subsampled, contexts, model)) for model in starts
+    ]
     order = np.argsort(costs)[:STARTS_KEPT]
-    fits = [fit_model(few, about, starts[k], ROUNDS) for k in order]
-    return refit_baseline(dataset, min(fits, key=lambda fit: compute_cost(few, fit)))
+    fits = [fit_model(subsampled, contexts, starts[k], ROUNDS) for k in order]
+    return refit_baseline(dataset, min(fits, key=lambda fit: compute_cost(subsampled, fit)))
 
 
 def refit_baseline(dataset: Dataset, fit: Fit) -> Fit:
-    """Return the fit of the base law on from that of the same records, weighed otherwise."""
+    """Return the fit of the base law, started from a fit of the same records, other weights."""
     return fit_model(dataset, _build_initial_contexts(dataset), fit.model, ROUNDS)
 
 
@@ -86,24 +88,30 @@ def _build_initial_contexts(dataset: Dataset) -> list[EffectContext]:
 
 
 def _build_starts(dataset: Dataset) -> list[Model]:
-    base, first = dataset.base, dataset.records[0]
+    base, first_record = dataset.base, dataset.records[0]
     laws = (
-        build_loop_starts(first, base.law) if first.loop else build_tendon_starts(first, base.law)
+        build_loop_starts(first_record, base.law)
+        if first_record.loop
+        else build_tendon_starts(first_record, base.law)
     )
-    tips = _estimate_tip_shares(first) if TIP_COMPLIANCE in (*base.shared, *base.own) else (0.0,)
+    tips = (
+        _estimate_tip_shares(first_record)
+        if TIP_COMPLIANCE in (*base.shared, *base.own)
+        else (0.0,)
+    )
     return [_build_start(dataset, law, share) for law in laws for share in tips]
 
 
 def _build_start(dataset: Dataset, law: dict[str, float], share: float) -> Model:
     """Return a start with friction as `law` says and a share of the travel at the tip."""
-    base, first = dataset.base, dataset.records[0]
+    base, first_record = dataset.base, dataset.records[0]
     K = law.get(FRICTION.name, 0.0)
-    total = _estimate_total_compliance(first)
-    if first.loop:
+    total = _estimate_total_compliance(first_record)
+    if first_record.loop:
         tip, compliance = share * total, 2.0 * (1.0 - share) * total
     elif COMPLIANCE in base.shared:
-        plain = -math.expm1(-K) / K if K > 0.0 else 1.0
-        tip, compliance = share * total * math.exp(K), (1.0 - share) * total / plain
+        mean_tension_ratio = -math.expm1(-K) / K if K > 0.0 else 1.0
+        tip, compliance = share * total * math.exp(K), (1.0 - share) * total / mean_tension_ratio
     else:
         tip, compliance = total * math.exp(K), 0.0
     compliance = max(compliance, 1e-6)
@@ -120,13 +128,13 @@ def build_tendon_starts(record: Record, law: BaseLaw) -> list[dict[str, float]]:
         return [{FRICTION.name: K} for K in START_FRICTIONS]
     T = record.signals[PROXIMAL_TENSION]
     forces = [share * float(np.quantile(T, 0.9)) for share in FORCE_SHARES]
-    ways = [share * float(np.ptp(record.drive)) for share in WIDTH_SHARES]
+    widths = [share * float(np.ptp(record.drive)) for share in WIDTH_SHARES]
     if record.driver == PROXIMAL_TENSION:
-        ways = [share * SETTINGS.assumed_compliance * float(np.ptp(T)) for share in WIDTH_SHARES]
+        widths = [share * SETTINGS.assumed_compliance * float(np.ptp(T)) for share in WIDTH_SHARES]
     return [
         {FRICTION.name: 0.2, FRICTION_FORCE.name: force, PRESLIDING_WIDTH.name: max(width, 2e-7)}
         for force in forces
-        for width in ways
+        for width in widths
     ]
 
 
@@ -136,16 +144,16 @@ def build_loop_starts(record: Record, law: BaseLaw) -> list[dict[str, float]]:
     A loop whose cables rub with F each takes 2 F to turn, F about K times the pretension.
     """
     T = record.signals[PROXIMAL_TENSION]
-    most = float(np.abs(T).max())
+    peak_tension = float(np.abs(T).max())
     widths = [share * float(np.ptp(record.drive)) for share in WIDTH_SHARES]
     starts = []
-    for pretension in (share * most for share in PRETENSION_SHARES):
-        for force in (share * most for share in FORCE_SHARES):
+    for pretension in (share * peak_tension for share in PRETENSION_SHARES):
+        for force in (share * peak_tension for share in FORCE_SHARES):
             K = min(max(force / pretension, 0.02), 3.0)
-            begin = {PRETENSION.name: pretension, FRICTION.name: K, FRICTION_FORCE.name: force}
+            start = {PRETENSION.name: pretension, FRICTION.name: K, FRICTION_FORCE.name: force}
             if law is BaseLaw.BOTH:
-                begin |= {FRICTION.name: 0.5 * K, FRICTION_FORCE.name: 0.5 * force}
-            starts += [begin | {PRESLIDING_WIDTH.name: max(width, 2e-7)} for width in widths]
+                start |= {FRICTION.name: 0.5 * K, FRICTION_FORCE.name: 0.5 * force}
+            starts += [start | {PRESLIDING_WIDTH.name: max(width, 2e-7)} for width in widths]
     return starts
 
 
@@ -161,9 +169,9 @@ def _estimate_total_compliance(record: Record) -> float:
         design = np.column_stack([T[rows], side, np.sign(record.speed[rows]), np.ones(rows.sum())])
         slope = float(np.linalg.lstsq(design, q[rows], rcond=None)[0][0])
         return min(max(slope, 1e-6), 1e-2)
-    taut = 0.1 * float(T.max()) < T
-    pulling = taut & (record.speed > 0.1 * float(np.abs(record.speed).max()))
-    rows = pulling if pulling.sum() > 10 else taut
+    is_taut = 0.1 * float(T.max()) < T
+    is_pulling = is_taut & (record.speed > 0.1 * float(np.abs(record.speed).max()))
+    rows = is_pulling if is_pulling.sum() > 10 else is_taut
     # a line through pulls of which each begins anywhere: steeper than the tendon, never softer
     slope = float(np.polyfit(T[rows], q[rows], 1)[0])
     return min(max(slope, 1e-6), 1e-2)
@@ -230,29 +238,33 @@ class Choice(NamedTuple):
     @property
     def alike(self) -> tuple[str, ...]:
         """Names of those that the data do not distinguish from the best."""
-        best = max((one.score for one in self.scores), default=0.0)
-        return tuple(one.name for one in self.scores if best - one.score < SETTINGS.alike)
+        best_score = max((choice.score for choice in self.scores), default=0.0)
+        return tuple(
+            choice.name for choice in self.scores if best_score - choice.score < SETTINGS.alike
+        )
 
 
-def choose_law(dataset: Dataset, plain: Fit) -> Choice:
-    """Return the base law that held-out samples speak for; `plain` is the fitted capstan law.
+def choose_law(dataset: Dataset, base_fit: Fit) -> Choice:
+    """Return the base law that held-out samples favour; `base_fit` is the fitted capstan law.
 
     Of a loop, the one of highest score; of those as good, the one of fewest parameters. A tendon
     stays with the capstan law and its effects, unless friction that no load changes is better alone
     and tension adds nothing to it.
     """
-    alone = replace_base(dataset, BaseLaw.INDEPENDENT)
-    tried = [(dataset, plain), (alone, fit_baseline(alone))]
-    tried.append(_fit_combined_law(*tried))
-    scores = _score_choices(tried, [one.base.law for one, _ in tried])
-    capstan, independent, both = (one.score for one in scores)
-    best = max(capstan, independent, both)
+    independent_dataset = replace_base(dataset, BaseLaw.INDEPENDENT)
+    trials = [(dataset, base_fit), (independent_dataset, fit_baseline(independent_dataset))]
+    trials.append(_fit_combined_law(*trials))
+    scores = _score_choices(trials, [entry.base.law for entry, _ in trials])
+    capstan, independent, combined = (entry.score for entry in scores)
+    best_score = max(capstan, independent, combined)
     if dataset.records[0].loop:
-        chosen = next(i for i, one in enumerate(scores) if best - one.score < SETTINGS.alike)
+        chosen = next(
+            i for i, entry in enumerate(scores) if best_score - entry.score < SETTINGS.alike
+        )
     else:
-        far = independent - capstan > SETTINGS.margin
-        chosen = int(far and best - independent < SETTINGS.alike)
-    return Choice(*tried[chosen], scores)
+        is_independent_better = independent - capstan > SETTINGS.margin
+        chosen = int(is_independent_better and best_score - independent < SETTINGS.alike)
+    return Choice(*trials[chosen], scores)
 
 
 def choose_loads(dataset: Dataset, fit: Fit) -> Choice:
@@ -260,47 +272,47 @@ def choose_loads(dataset: Dataset, fit: Fit) -> Choice:
     base = dataset.base
     if len(dataset.records) < 2 or TIP_COMPLIANCE not in base.shared:
         return Choice(dataset, fit, ())
-    tried = [(dataset, fit)]
+    trials = [(dataset, fit)]
     for loads in (LoadModel.SPRINGS, LoadModel.MASSES):
-        other = replace_base(dataset, base.law, loads)
-        about = build_unsimulated_contexts(*tried[-1])
-        start = _convert_load_model(tried[-1][0], tried[-1][1].model, other)
-        tried.append((other, fit_model(other, about, start, LAW_ROUNDS)))
-    scores = _score_choices(tried, [one.base.loads for one, _ in tried])
-    shared, springs, masses = (one.score for one in scores)
+        variant = replace_base(dataset, base.law, loads)
+        contexts = build_unsimulated_contexts(*trials[-1])
+        start = _convert_load_model(trials[-1][0], trials[-1][1].model, variant)
+        trials.append((variant, fit_model(variant, contexts, start, LAW_ROUNDS)))
+    scores = _score_choices(trials, [entry.base.loads for entry, _ in trials])
+    shared, springs, masses = (entry.score for entry in scores)
     if max(springs, masses) - shared < SETTINGS.margin:
         return Choice(dataset, fit, scores)
-    return Choice(*tried[2 if masses - springs > SETTINGS.margin else 1], scores)
+    return Choice(*trials[2 if masses - springs > SETTINGS.margin else 1], scores)
 
 
 def select_applicable_effects(
     effects: Sequence[Effect], record: Record, base: BaseParameters
 ) -> list[Effect]:
     """Return the effects that are defined for a record's channels and its base law."""
-    left_out = EXCLUDED_EFFECTS[base.law] | ({"tip_inertia"} if TIP_MASS in base.own else set())
+    excluded = EXCLUDED_EFFECTS[base.law] | ({"tip_inertia"} if TIP_MASS in base.own else set())
     return [
         effect
         for effect in effects
         if effect.needs <= set(record.signals)
-        and effect.name not in left_out
+        and effect.name not in excluded
         and (not record.loop or effect.name in LOOP_EFFECTS or effect.label in LOOP_EFFECTS)
     ]
 
 
 def _score_choices(
-    tried: Sequence[tuple[Dataset, Fit]], names: Sequence[str]
+    trials: Sequence[tuple[Dataset, Fit]], names: Sequence[str]
 ) -> tuple[ChoiceScore, ...]:
-    found = [compute_errors(*one) for one in tried]
-    size = [_count_parameters(one) for one, _ in tried]
-    samples = sum(len(record.time) for record in tried[0][0].records)
+    errors = [compute_errors(*entry) for entry in trials]
+    parameter_counts = [_count_parameters(entry) for entry, _ in trials]
+    samples = sum(len(record.time) for record in trials[0][0].records)
     return tuple(
         ChoiceScore(
             str(name),
-            compute_log_likelihood_ratio(one, found[0])
-            - 0.5 * (p - size[0]) * float(np.log(samples)),
-            {channel: of.rmse for channel, of in one.items()},
+            compute_log_likelihood_ratio(entry, errors[0])
+            - 0.5 * (count - parameter_counts[0]) * float(np.log(samples)),
+            {channel: channel_errors.rmse for channel, channel_errors in entry.items()},
         )
-        for name, one, p in zip(names, found, size, strict=True)
+        for name, entry, count in zip(names, errors, parameter_counts, strict=True)
     )
 
 
@@ -309,35 +321,37 @@ def _count_parameters(dataset: Dataset) -> int:
 
 
 def _fit_combined_law(
-    capstan: tuple[Dataset, Fit], alone: tuple[Dataset, Fit]
+    capstan: tuple[Dataset, Fit], independent: tuple[Dataset, Fit]
 ) -> tuple[Dataset, Fit]:
-    """Return the law of both, fitted from the fits of either with a little of the other."""
-    both = replace_base(capstan[0], BaseLaw.BOTH)
+    """Return the combined law, started from the fit of each with a little of the other."""
+    combined = replace_base(capstan[0], BaseLaw.BOTH)
     fits = []
-    for dataset, fit in (capstan, alone):
+    for dataset, fit in (capstan, independent):
         model = fit.model
         values = {FRICTION.name: START_FRICTION_SHARE, PRESLIDING_WIDTH.name: PRESLIDING_WIDTH.step}
         values |= dataset.base.values(model.shared, model.own[0])
         values.setdefault(
             FRICTION_FORCE.name, START_FRICTION_SHARE * max(values.get(PRETENSION.name, 0.0), 1.0)
         )
-        start = model._replace(shared=tuple(values[p.name] for p in both.base.shared))
-        fits.append(fit_model(both, build_unsimulated_contexts(dataset, fit), start, LAW_ROUNDS))
-    return both, min(fits, key=lambda one: compute_cost(both, one))
+        start = model._replace(shared=tuple(values[p.name] for p in combined.base.shared))
+        fits.append(
+            fit_model(combined, build_unsimulated_contexts(dataset, fit), start, LAW_ROUNDS)
+        )
+    return combined, min(fits, key=lambda fit: compute_cost(combined, fit))
 
 
-def _convert_load_model(dataset: Dataset, model: Model, other: Dataset) -> Model:
+def _convert_load_model(dataset: Dataset, model: Model, target: Dataset) -> Model:
     """Return a model with the parameters of another choice of loads, from its own values."""
     own = []
     for record, numbers in zip(dataset.records, model.own, strict=True):
         values = dataset.base.values(model.shared, numbers)
-        begun = dict(
+        guessed = dict(
             zip(
-                (p.name for p in other.base.own),
-                guess_record_parameters(record, other.base, 0.0),
+                (p.name for p in target.base.own),
+                guess_record_parameters(record, target.base, 0.0),
                 strict=True,
             )
         )
-        own.append(tuple(values.get(p.name, begun[p.name]) for p in other.base.own))
+        own.append(tuple(values.get(p.name, guessed[p.name]) for p in target.base.own))
     values = dataset.base.values(model.shared, model.own[0])
-    return model._replace(shared=tuple(values[p.name] for p in other.base.shared), own=tuple(own))
+    return model._replace(shared=tuple(values[p.name] for p in target.base.shared), own=tuple(own))

@@ -57,9 +57,9 @@ def parse_dimension(unit: str) -> tuple[int, int]:
     """Return the powers of force and of travel in a unit: (-1, 1) of "m/N", (0, 0) of "of K"."""
     force = travel = 0
     for sign, side in zip((1, -1), unit.split("/"), strict=False):
-        for one in side.split(" "):
-            of_force, of_travel = _POWERS.get(one, (0, 0))
-            force, travel = force + sign * of_force, travel + sign * of_travel
+        for factor in side.split(" "):
+            force_power, travel_power = _POWERS.get(factor, (0, 0))
+            force, travel = force + sign * force_power, travel + sign * travel_power
     return force, travel
 
 

@@ -1,4 +1,4 @@
-"""The search for causes: one after the other, from another first one, on another base law."""
+"""Stepwise search for causes, restarted from another first cause and on another base law."""
 
 import itertools
 from collections.abc import Sequence
@@ -44,146 +44,173 @@ from estimator.effects.effect import Effect, EffectContext
 
 
 def find_next_cause(
-    dataset: Dataset, plain: Fit, fit: Fit, found: list[Candidate]
+    dataset: Dataset, base_fit: Fit, current_fit: Fit, candidates: list[Candidate]
 ) -> CauseStep | None:
-    """Return the cause that explains most, with those that cannot be told from it, if any does."""
-    base = compute_errors(dataset, fit)
-    order = sorted(found, key=lambda one: -score_candidate(dataset, base, one))
-    if not order:
+    """Return the cause that explains most with the rivals that fit as well; None without any."""
+    current_errors = compute_errors(dataset, current_fit)
+    ranked = sorted(
+        candidates, key=lambda candidate: -score_candidate(dataset, current_errors, candidate)
+    )
+    if not ranked:
         return None
-    best = select_simplest_cause(dataset, plain, base, order)
+    best = select_simplest_cause(dataset, base_fit, current_errors, ranked)
     if (
-        score_candidate(dataset, base, best) < SETTINGS.margin
-        or compute_gain(best.held_out, base) < SETTINGS.gain_min
-        or bootstrap_superiority(best.held_out, base) < SETTINGS.confidence
+        score_candidate(dataset, current_errors, best) < SETTINGS.margin
+        or compute_gain(best.held_out, current_errors) < SETTINGS.gain_min
+        or bootstrap_superiority(best.held_out, current_errors) < SETTINGS.confidence
     ):
         return None
-    most = compute_residual_fraction(best.held_out, compute_errors(dataset, plain))
+    best_fraction = compute_residual_fraction(best.held_out, compute_errors(dataset, base_fit))
     rivals: list[str] = []
-    for other in order:
-        if other.effect.name in (best.effect.name, *rivals) or len(rivals) == SETTINGS.rivals_max:
+    for candidate in ranked:
+        if (
+            candidate.effect.name in (best.effect.name, *rivals)
+            or len(rivals) == SETTINGS.rivals_max
+        ):
             continue
-        behind = score_candidate(dataset, base, best) - score_candidate(dataset, base, other)
-        more = compute_residual_fraction(other.held_out, compute_errors(dataset, plain)) - most
-        unsure = (
-            bootstrap_superiority(best.held_out, other.held_out) < SETTINGS.confidence
-            and more < SETTINGS.unsure_left
+        score_deficit = score_candidate(dataset, current_errors, best) - score_candidate(
+            dataset, current_errors, candidate
         )
-        if behind < SETTINGS.alike or more < SETTINGS.alike_left or unsure:
-            rivals.append(other.effect.name)
+        extra_fraction = (
+            compute_residual_fraction(candidate.held_out, compute_errors(dataset, base_fit))
+            - best_fraction
+        )
+        is_uncertain = (
+            bootstrap_superiority(best.held_out, candidate.held_out) < SETTINGS.confidence
+            and extra_fraction < SETTINGS.unsure_left
+        )
+        if score_deficit < SETTINGS.alike or extra_fraction < SETTINGS.alike_left or is_uncertain:
+            rivals.append(candidate.effect.name)
     return CauseStep(
-        best.effect, tuple(rivals), rank_candidates(dataset, plain, fit, found), best.fit
+        best.effect,
+        tuple(rivals),
+        rank_candidates(dataset, base_fit, current_fit, candidates),
+        best.fit,
     )
 
 
 def select_simplest_cause(
-    dataset: Dataset, plain: Fit, base: dict[str, ChannelErrors], order: list[Candidate]
+    dataset: Dataset,
+    base_fit: Fit,
+    current_errors: dict[str, ChannelErrors],
+    ranked: list[Candidate],
 ) -> Candidate:
-    """Return of the best causes, which are as good as each other, that of the fewest parameters.
+    """Return the candidate with the fewest parameters among those as good as the best.
 
     One with more can imitate another: an antagonist of hardly any friction is joint friction.
     """
-    best, at_first = order[0], compute_errors(dataset, plain)
-    most = compute_residual_fraction(best.held_out, at_first) + SETTINGS.alike_left
-    least = score_candidate(dataset, base, best) - SETTINGS.alike
-    alike = [
-        one
-        for one in order
-        if score_candidate(dataset, base, one) > least
-        and compute_residual_fraction(one.held_out, at_first) < most
+    best, base_errors = ranked[0], compute_errors(dataset, base_fit)
+    fraction_max = compute_residual_fraction(best.held_out, base_errors) + SETTINGS.alike_left
+    score_min = score_candidate(dataset, current_errors, best) - SETTINGS.alike
+    equivalents = [
+        candidate
+        for candidate in ranked
+        if score_candidate(dataset, current_errors, candidate) > score_min
+        and compute_residual_fraction(candidate.held_out, base_errors) < fraction_max
     ]
-    return min(alike, key=lambda one: len(one.effect.parameters))
+    return min(equivalents, key=lambda candidate: len(candidate.effect.parameters))
 
 
-def score_candidate(dataset: Dataset, base: dict[str, ChannelErrors], one: Candidate) -> float:
-    """Return ln of how much more probable held-out data are, parameters paid for."""
-    return compute_log_likelihood_ratio(one.held_out, base) - compute_bic_penalty(
-        dataset, len(one.effect.parameters)
+def score_candidate(
+    dataset: Dataset, current_errors: dict[str, ChannelErrors], candidate: Candidate
+) -> float:
+    """Return the log-likelihood ratio of held-out data to the current fit, less the BIC penalty."""
+    return compute_log_likelihood_ratio(candidate.held_out, current_errors) - compute_bic_penalty(
+        dataset, len(candidate.effect.parameters)
     )
 
 
 def rank_candidates(
-    dataset: Dataset, plain: Fit, fit: Fit, found: list[Candidate]
+    dataset: Dataset, base_fit: Fit, current_fit: Fit, candidates: list[Candidate]
 ) -> tuple[RankedCandidate, ...]:
-    """Return the candidates of a search on top of a fit, the most probable first."""
-    base, at_first = compute_errors(dataset, fit), compute_errors(dataset, plain)
+    """Return the candidates of a search on top of `current_fit`, the most probable first."""
+    current_errors, base_errors = (
+        compute_errors(dataset, current_fit),
+        compute_errors(dataset, base_fit),
+    )
     ranked = [
         RankedCandidate(
-            one.effect,
-            score_candidate(dataset, base, one),
-            {c: e.rmse for c, e in one.held_out.items()},
-            compute_residual_fraction(one.held_out, at_first),
-            one.fit.model.effects[-1][1],
+            candidate.effect,
+            score_candidate(dataset, current_errors, candidate),
+            {channel: errors.rmse for channel, errors in candidate.held_out.items()},
+            compute_residual_fraction(candidate.held_out, base_errors),
+            candidate.fit.model.effects[-1][1],
         )
-        for one in found
+        for candidate in candidates
     ]
-    return tuple(sorted(ranked, key=lambda one: -one.score))
+    return tuple(sorted(ranked, key=lambda candidate: -candidate.score))
 
 
-# --- which of the causes found one after the other are needed beside the later ones
+# --- causes that later causes make redundant, or whose size may be zero
 
 FINAL_ROUNDS = 12  # rounds of the fit to all samples
 
 
 def prune_causes(
-    dataset: Dataset, plain: Fit, steps: list[CauseStep], fit: Fit
+    dataset: Dataset, base_fit: Fit, steps: list[CauseStep], fit: Fit
 ) -> tuple[list[CauseStep], Fit]:
-    """Return the causes that are needed and have a size, and the fit of them."""
+    """Return the causes that are neither redundant nor insignificant, and their fit."""
     return _prune_insignificant_causes(
-        dataset, plain, *_prune_redundant_causes(dataset, steps, fit)
+        dataset, base_fit, *_prune_redundant_causes(dataset, steps, fit)
     )
 
 
 def _prune_redundant_causes(
     dataset: Dataset, steps: list[CauseStep], fit: Fit
 ) -> tuple[list[CauseStep], Fit]:
-    """Return the causes without those that later ones have made needless, and the fit of them."""
+    """Return the causes without those that later ones make redundant, and their fit."""
     for step in steps[:-1] if len(steps) > 1 else ():
-        less = refit_without_effect(dataset, fit, step.effect)
-        if score_effect(dataset, fit, less, step.effect) < SETTINGS.margin:
-            steps = [one for one in steps if one is not step]
-            fit = less
+        fit_without = refit_without_effect(dataset, fit, step.effect)
+        if score_effect(dataset, fit, fit_without, step.effect) < SETTINGS.margin:
+            steps = [other_step for other_step in steps if other_step is not step]
+            fit = fit_without
     return steps, fit
 
 
 def _prune_insignificant_causes(
-    dataset: Dataset, plain: Fit, steps: list[CauseStep], fit: Fit
+    dataset: Dataset, base_fit: Fit, steps: list[CauseStep], fit: Fit
 ) -> tuple[list[CauseStep], Fit]:
-    """Return the causes without those whose size may be none, and the fit of them."""
-    about = build_contexts(dataset, plain)
+    """Return the causes without those whose size may be zero, and their fit."""
+    contexts = build_contexts(dataset, base_fit)
     while steps:
-        full = rescale_residuals(use_all_samples(dataset), fit)
-        last = fit_model(full, about, fit.model, FINAL_ROUNDS)
-        needless = [step for step in steps if not _has_size(full, about, last, step.effect)]
-        if not needless:
+        full_dataset = rescale_residuals(use_all_samples(dataset), fit)
+        final_fit = fit_model(full_dataset, contexts, fit.model, FINAL_ROUNDS)
+        insignificant = [
+            step for step in steps if not _has_size(full_dataset, contexts, final_fit, step.effect)
+        ]
+        if not insignificant:
             break
-        steps = [step for step in steps if step is not needless[-1]]
-        fit = refit_without_effect(dataset, fit, needless[-1].effect)
+        steps = [step for step in steps if step is not insignificant[-1]]
+        fit = refit_without_effect(dataset, fit, insignificant[-1].effect)
     return steps, fit
 
 
-def _has_size(full: Dataset, about: Sequence[EffectContext], fit: Fit, effect: Effect) -> bool:
-    """Return whether an effect of a model has a size other than none."""
+def _has_size(
+    full_dataset: Dataset, contexts: Sequence[EffectContext], fit: Fit, effect: Effect
+) -> bool:
+    """Return whether the size of an effect of a model differs from zero significantly."""
     sizes = [p for p in effect.parameters if p.neutral is not None and not p.jumps]
     if len(sizes) > 1:
-        return is_significant(full, fit, refit_without_effect(full, fit, effect))
-    named = {one.name: one for one in estimate_intervals(full, about, fit)}
-    return all(named[f"{effect.name}.{p.name}"].excludes_neutral for p in sizes)
+        return is_significant(full_dataset, fit, refit_without_effect(full_dataset, fit, effect))
+    intervals = {
+        interval.name: interval for interval in estimate_intervals(full_dataset, contexts, fit)
+    }
+    return all(intervals[f"{effect.name}.{p.name}"].excludes_neutral for p in sizes)
 
 
 def refit_without_effect(dataset: Dataset, fit: Fit, effect: Effect) -> Fit:
-    """Return a model without one of its effects, fitted from where it was with it."""
-    rest = tuple(one for one in fit.model.effects if one[0].name != effect.name)
-    model = fit.model._replace(effects=rest)
+    """Return the fit without one effect, started from the parameters of `fit`."""
+    other_effects = tuple(pair for pair in fit.model.effects if pair[0].name != effect.name)
+    model = fit.model._replace(effects=other_effects)
     return fit_model(
         rescale_residuals(dataset, fit), build_contexts(dataset, fit), model, FINAL_ROUNDS
     )
 
 
-def score_effect(dataset: Dataset, fit: Fit, less: Fit, effect: Effect) -> float:
-    """Return ln of how much more probable held-out data are with an effect, parameters paid for."""
+def score_effect(dataset: Dataset, fit: Fit, fit_without: Fit, effect: Effect) -> float:
+    """Return the log-likelihood ratio of `fit` to `fit_without`, less the effect's BIC penalty."""
     ratio = compute_log_likelihood_ratio(
-        compute_errors(dataset, fit), compute_errors(dataset, less)
+        compute_errors(dataset, fit), compute_errors(dataset, fit_without)
     )
     return ratio - compute_bic_penalty(dataset, len(effect.parameters))
 
@@ -196,7 +223,7 @@ RESTART_PROGRESS = 0.9  # share at which a search that begins with another cause
 
 
 class CauseSearchResult(NamedTuple):
-    """Causes, and what they were found from."""
+    """The causes, and the data and fits of the search."""
 
     loads: Choice
     dataset: Dataset
@@ -219,223 +246,254 @@ def find_causes(
     A law may have been chosen because it imitates a cause. So those after the first are tried while
     more than noise is left, and the one stays with which most is explained.
     """
-    tried: list[tuple[CauseSearchResult, Choice]] = []
+    attempts: list[tuple[CauseSearchResult, Choice]] = []
     for law in laws:
         loads = choose_loads(law.dataset, law.fit)
-        dataset, plain = loads.dataset, loads.fit
-        if not fit_all and _is_brief(dataset, plain):
-            dataset = replace_records(dataset, [shorten_blocks(one) for one in dataset.records])
-            plain = refit_baseline(dataset, plain)
-        plain = refit_baseline(
-            rescale_residuals(dataset, plain), plain
-        )  # weighed as its rivals will be
-        tried.append((_find_causes_stepwise(loads, dataset, plain, effects, report, workers), law))
-        if _is_explained(tried[-1][0]):
-            break
-    found, law = max(tried, key=lambda one: _compute_evidence(one[0], tried[0][0]))
-    if not _is_explained(found) and (moved := _recover_motion_beside_cause(found)) is not None:
-        found = _find_causes_stepwise(found.loads, *moved, effects, report, workers)
-    if not _is_explained(found):
-        found = _restart_from_other_cause(
-            found, effects, scale_progress(report, SEARCH_PROGRESS[-1], RESTART_PROGRESS), workers
+        dataset, base_fit = loads.dataset, loads.fit
+        if not fit_all and _is_brief(dataset, base_fit):
+            dataset = replace_records(
+                dataset, [shorten_blocks(record) for record in dataset.records]
+            )
+            base_fit = refit_baseline(dataset, base_fit)
+        base_fit = refit_baseline(
+            rescale_residuals(dataset, base_fit), base_fit
+        )  # with the weights that the candidates will have
+        attempts.append(
+            (_find_causes_stepwise(loads, dataset, base_fit, effects, report, workers), law)
         )
-    return found, law
+        if _is_explained(attempts[-1][0]):
+            break
+    result, law = max(attempts, key=lambda attempt: _compute_evidence(attempt[0], attempts[0][0]))
+    if (
+        not _is_explained(result)
+        and (recovered := _recover_motion_beside_cause(result)) is not None
+    ):
+        result = _find_causes_stepwise(result.loads, *recovered, effects, report, workers)
+    if not _is_explained(result):
+        result = _restart_from_other_cause(
+            result, effects, scale_progress(report, SEARCH_PROGRESS[-1], RESTART_PROGRESS), workers
+        )
+    return result, law
 
 
-def _recover_motion_beside_cause(found: CauseSearchResult) -> tuple[Dataset, Fit] | None:
+def _recover_motion_beside_cause(result: CauseSearchResult) -> tuple[Dataset, Fit] | None:
     """Return records with the hidden motion that shows beside a cause, and the base law's fit.
 
     A cause hides it from the base law. None where with it no more is explained.
     """
-    dataset = found.dataset
-    best = min(found.firsts, key=lambda one: one.cost, default=None)
-    fit = found.fit if found.steps or best is None else best.fit
-    about = build_contexts(dataset, found.plain)
-    most = fit_model(dataset, about, fit.model, FINAL_ROUNDS, robust=True).model
+    dataset = result.dataset
+    best = min(result.firsts, key=lambda candidate: candidate.cost, default=None)
+    fit = result.fit if result.steps or best is None else best.fit
+    contexts = build_contexts(dataset, result.plain)
+    robust_model = fit_model(dataset, contexts, fit.model, FINAL_ROUNDS, robust=True).model
     records = [
-        recover_motion_beside_effects(record, context, dataset.base, most.shared, own, most.effects)
-        for record, context, own in zip(dataset.records, about, most.own, strict=True)
+        recover_motion_beside_effects(
+            record, context, dataset.base, robust_model.shared, own, robust_model.effects
+        )
+        for record, context, own in zip(dataset.records, contexts, robust_model.own, strict=True)
     ]
     if all(new is old for new, old in zip(records, dataset.records, strict=True)):
         return None
-    moved = replace_records(dataset, records)
-    plain = refit_baseline(moved, found.plain)
-    then = fit_model(
-        rescale_residuals(moved, fit), build_contexts(moved, plain), most, FINAL_ROUNDS
+    moved_dataset = replace_records(dataset, records)
+    base_fit = refit_baseline(moved_dataset, result.plain)
+    refit = fit_model(
+        rescale_residuals(moved_dataset, fit),
+        build_contexts(moved_dataset, base_fit),
+        robust_model,
+        FINAL_ROUNDS,
     )
     if (
-        compute_residual_fraction(compute_errors(moved, then), compute_errors(dataset, fit))
+        compute_residual_fraction(
+            compute_errors(moved_dataset, refit), compute_errors(dataset, fit)
+        )
         > RESIDUAL_FRACTION_MAX
     ):
         return None
-    return rescale_residuals(moved, plain), plain
+    return rescale_residuals(moved_dataset, base_fit), base_fit
 
 
-def _is_explained(found: CauseSearchResult) -> bool:
-    return is_noise(found.dataset, compute_errors(found.dataset, found.fit))
+def _is_explained(result: CauseSearchResult) -> bool:
+    return is_noise(result.dataset, compute_errors(result.dataset, result.fit))
 
 
 def _compute_evidence(a: CauseSearchResult, b: CauseSearchResult) -> float:
-    """Return ln of how much more probable held-out data are by `a` than by `b`, numbers paid for.
+    """Return the log-likelihood ratio of `a` to `b`, less the BIC penalty of extra parameters.
 
-    What is needed to choose `a` before `b` is taken off.
+    The margin needed to prefer `a` is subtracted.
     """
     if a is b:
         return 0.0
     ratio = compute_log_likelihood_ratio(
         compute_errors(a.dataset, a.fit), compute_errors(b.dataset, b.fit)
     )
-    more = len(ParameterLayout(a.dataset, a.fit.model).names) - len(
+    extra_parameters = len(ParameterLayout(a.dataset, a.fit.model).names) - len(
         ParameterLayout(b.dataset, b.fit.model).names
     )
-    return ratio - compute_bic_penalty(a.dataset, more) - SETTINGS.alike
+    return ratio - compute_bic_penalty(a.dataset, extra_parameters) - SETTINGS.alike
 
 
 def _find_causes_stepwise(
     loads: Choice,
     dataset: Dataset,
-    plain: Fit,
+    base_fit: Fit,
     effects: Sequence[Effect],
     report: ProgressCallback,
     workers: int,
 ) -> CauseSearchResult:
-    """Return the causes of what the base law leaves, searched one after the other."""
-    usable = select_applicable_effects(effects, dataset.records[0], dataset.base)
-    fit, steps, firsts = plain, list[CauseStep](), list[Candidate]()
+    """Return the causes of the residual of the base law, searched one after the other."""
+    applicable = select_applicable_effects(effects, dataset.records[0], dataset.base)
+    fit, steps, first_candidates = base_fit, list[CauseStep](), list[Candidate]()
     for begin, end in itertools.pairwise(SEARCH_PROGRESS):
         if is_noise(dataset, compute_errors(dataset, fit)) or (
-            steps and _is_exhausted(dataset, fit, plain)
+            steps and _is_exhausted(dataset, fit, base_fit)
         ):
             break
-        rest = [effect for effect in usable if effect.name not in fit.names]
-        found = fit_candidates(dataset, fit, rest, scale_progress(report, begin, end), workers)
-        step = find_next_cause(dataset, plain, fit, found)
+        untried = [effect for effect in applicable if effect.name not in fit.names]
+        candidates = fit_candidates(
+            dataset, fit, untried, scale_progress(report, begin, end), workers
+        )
+        step = find_next_cause(dataset, base_fit, fit, candidates)
         if step is not None and not steps:
-            less = refit_without_effect(dataset, step.fit, step.effect)
-            if score_effect(dataset, step.fit, less, step.effect) < SETTINGS.margin:
-                plain = fit = less  # the previous fit was a local minimum
+            fit_without = refit_without_effect(dataset, step.fit, step.effect)
+            if score_effect(dataset, step.fit, fit_without, step.effect) < SETTINGS.margin:
+                base_fit = fit = fit_without  # the previous fit was a local minimum
                 continue
-        firsts = firsts or found
+        first_candidates = first_candidates or candidates
         if step is None:
-            two = _find_cause_pair(
+            pair_steps = _find_cause_pair(
                 dataset,
-                plain,
+                base_fit,
                 fit,
-                found,
-                rest,
+                candidates,
+                untried,
                 scale_progress(report, end, SEARCH_PROGRESS[-1]),
                 workers,
             )
-            steps, fit = [*steps, *two], two[-1].fit if two else fit
+            steps, fit = [*steps, *pair_steps], pair_steps[-1].fit if pair_steps else fit
             break
         steps.append(step)
         fit = step.fit
     return CauseSearchResult(
-        loads, dataset, plain, firsts, *prune_causes(dataset, plain, steps, fit)
+        loads, dataset, base_fit, first_candidates, *prune_causes(dataset, base_fit, steps, fit)
     )
 
 
 def _restart_from_other_cause(
-    found: CauseSearchResult, effects: Sequence[Effect], report: ProgressCallback, workers: int
+    result: CauseSearchResult, effects: Sequence[Effect], report: ProgressCallback, workers: int
 ) -> CauseSearchResult:
-    """Return better causes of which another is the first, if there are any.
+    """Return better causes that begin with another first cause, or `result`.
 
     The effect that explains most alone is not always one of those that together explain all: plays
     of many thresholds imitate the gain of a load cell, badly.
     """
-    dataset, plain = found.dataset, found.plain
-    usable = select_applicable_effects(effects, dataset.records[0], dataset.base)
-    names = {step.effect.name for step in found.steps[:1]}
-    first = min(
-        (one for one in found.firsts if one.effect.name in names or not names),
-        key=lambda one: one.cost,
+    dataset, base_fit = result.dataset, result.plain
+    applicable = select_applicable_effects(effects, dataset.records[0], dataset.base)
+    names = {step.effect.name for step in result.steps[:1]}
+    first_candidate = min(
+        (candidate for candidate in result.firsts if candidate.effect.name in names or not names),
+        key=lambda candidate: candidate.cost,
         default=None,
     )
-    others = [
-        one
-        for one in found.firsts
-        if first is not None
-        and one.effect.name != first.effect.name
-        and abs(one.cost / first.cost - 1.0) > SAME_COST_TOLERANCE
+    alternatives = [
+        candidate
+        for candidate in result.firsts
+        if first_candidate is not None
+        and candidate.effect.name != first_candidate.effect.name
+        and abs(candidate.cost / first_candidate.cost - 1.0) > SAME_COST_TOLERANCE
     ]
-    if not others:
-        return found
-    base = compute_errors(dataset, plain)
-    lead = max(others, key=lambda one: score_candidate(dataset, base, one))
-    order = rank_candidates(dataset, plain, plain, found.firsts)
-    steps, fit = [CauseStep(lead.effect, (), order, lead.fit)], lead.fit
+    if not alternatives:
+        return result
+    base_errors = compute_errors(dataset, base_fit)
+    new_first = max(
+        alternatives, key=lambda candidate: score_candidate(dataset, base_errors, candidate)
+    )
+    ranking = rank_candidates(dataset, base_fit, base_fit, result.firsts)
+    steps, fit = [CauseStep(new_first.effect, (), ranking, new_first.fit)], new_first.fit
     for share in (0.0, 0.5):
-        if is_noise(dataset, compute_errors(dataset, fit)) or _is_exhausted(dataset, fit, plain):
+        if is_noise(dataset, compute_errors(dataset, fit)) or _is_exhausted(dataset, fit, base_fit):
             break
-        rest = [effect for effect in usable if effect.name not in fit.names]
-        more = fit_candidates(
-            dataset, fit, rest, scale_progress(report, share, share + 0.5), workers
+        untried = [effect for effect in applicable if effect.name not in fit.names]
+        candidates = fit_candidates(
+            dataset, fit, untried, scale_progress(report, share, share + 0.5), workers
         )
-        step = find_next_cause(dataset, plain, fit, more)
+        step = find_next_cause(dataset, base_fit, fit, candidates)
         if step is None:
             break
         steps.append(step)
         fit = step.fit
-    steps, fit = prune_causes(dataset, plain, steps, fit)
-    other = found._replace(steps=steps, fit=fit)
-    sure = found.steps or is_within_tolerance(
+    steps, fit = prune_causes(dataset, base_fit, steps, fit)
+    restarted = result._replace(steps=steps, fit=fit)
+    is_accepted = result.steps or is_within_tolerance(
         dataset, compute_errors(dataset, fit), SETTINGS.further
     )  # see `_find_cause_pair`
-    return other if len(steps) > 1 and sure and _compute_evidence(other, found) > 0.0 else found
+    return (
+        restarted
+        if len(steps) > 1 and is_accepted and _compute_evidence(restarted, result) > 0.0
+        else result
+    )
 
 
 def _find_cause_pair(
     dataset: Dataset,
-    plain: Fit,
-    fit: Fit,
-    found: Sequence[Candidate],
-    rest: Sequence[Effect],
+    base_fit: Fit,
+    current_fit: Fit,
+    candidates: Sequence[Candidate],
+    untried: Sequence[Effect],
     report: ProgressCallback,
     workers: int,
 ) -> list[CauseStep]:
-    """Return two causes, none of which is worth it alone, if together they leave only noise.
+    """Return two causes, neither significant alone, if together they leave only noise.
 
     One of two can make a quiet channel worse while it takes most away from a loud one. It must fit
     far better than any other, since nothing else speaks for it yet.
     """
-    ahead = sorted(found, key=lambda one: one.cost)
-    others = [one.cost for one in ahead if one.effect.name != ahead[0].effect.name] if ahead else []
-    if not others or ahead[0].cost * SETTINGS.ahead > min(others):
+    by_cost = sorted(candidates, key=lambda candidate: candidate.cost)
+    other_costs = (
+        [candidate.cost for candidate in by_cost if candidate.effect.name != by_cost[0].effect.name]
+        if by_cost
+        else []
+    )
+    if not other_costs or by_cost[0].cost * SETTINGS.ahead > min(other_costs):
         return []
-    lead = ahead[0]
-    rest = [effect for effect in rest if effect.name != lead.effect.name]
-    more = fit_candidates(dataset, lead.fit, rest, report, workers)
-    second = find_next_cause(dataset, plain, lead.fit, more)
-    if second is None or not is_within_tolerance(
-        dataset, compute_errors(dataset, second.fit), SETTINGS.further
+    lead_candidate = by_cost[0]
+    untried = [effect for effect in untried if effect.name != lead_candidate.effect.name]
+    second_candidates = fit_candidates(dataset, lead_candidate.fit, untried, report, workers)
+    second_step = find_next_cause(dataset, base_fit, lead_candidate.fit, second_candidates)
+    if second_step is None or not is_within_tolerance(
+        dataset, compute_errors(dataset, second_step.fit), SETTINGS.further
     ):
         return []
     return [
-        CauseStep(lead.effect, (), rank_candidates(dataset, plain, fit, list(found)), lead.fit),
-        second,
+        CauseStep(
+            lead_candidate.effect,
+            (),
+            rank_candidates(dataset, base_fit, current_fit, list(candidates)),
+            lead_candidate.fit,
+        ),
+        second_step,
     ]
 
 
-def _is_exhausted(dataset: Dataset, fit: Fit, plain: Fit) -> bool:
-    """Return whether too little is left for another cause to be told from model error."""
-    found = compute_errors(dataset, fit)
-    if compute_residual_fraction(found, compute_errors(dataset, plain)) < SETTINGS.left_min:
+def _is_exhausted(dataset: Dataset, fit: Fit, base_fit: Fit) -> bool:
+    """Return whether the residual is too small to tell another cause from model error."""
+    errors = compute_errors(dataset, fit)
+    if compute_residual_fraction(errors, compute_errors(dataset, base_fit)) < SETTINGS.left_min:
         return True
-    return is_within_tolerance(dataset, found, SETTINGS.further)
+    return is_within_tolerance(dataset, errors, SETTINGS.further)
 
 
-def _is_brief(dataset: Dataset, plain: Fit) -> bool:
+def _is_brief(dataset: Dataset, base_fit: Fit) -> bool:
     """Return whether what is wrong is nearly all in one block, or in two side by side."""
-    most = total = 0.0
-    for record, one in zip(dataset.records, plain.simulated, strict=True):
+    peak = total = 0.0
+    for record, simulated in zip(dataset.records, base_fit.simulated, strict=True):
         excess = np.zeros(record.block[-1] + 1)
         for channel in record.compared:
             good = record.good[channel]
-            off = (one.signals[channel] - record.signals[channel])[good] / record.sigma[channel][
-                good
-            ]
-            excess += np.bincount(record.block[good], off**2 - 1.0, len(excess))
+            error = (simulated.signals[channel] - record.signals[channel])[good] / record.sigma[
+                channel
+            ][good]
+            excess += np.bincount(record.block[good], error**2 - 1.0, len(excess))
         excess = np.maximum(excess, 0.0)
-        most = max(most, float(np.convolve(excess, np.ones(2)).max()))
+        peak = max(peak, float(np.convolve(excess, np.ones(2)).max()))
         total += float(excess.sum())
-    return most > SETTINGS.brief * total
+    return peak > SETTINGS.brief * total

@@ -94,14 +94,16 @@ def use_all_samples(dataset: Dataset) -> Dataset:
     return dataset._replace(records=tuple(map(mark_all_as_train, dataset.records)))
 
 
-def subsample(dataset: Dataset, most: int) -> Dataset:
-    """Return a dataset of about `most` samples a record, for a first look."""
-    kept = [select_subsample(record, most) for record in dataset.records]
+def subsample(dataset: Dataset, samples_max: int) -> Dataset:
+    """Return a dataset of about `samples_max` samples a record, for a first look."""
+    row_masks = [select_subsample(record, samples_max) for record in dataset.records]
     return dataset._replace(
-        records=tuple(select_record_rows(*one) for one in zip(dataset.records, kept, strict=True)),
+        records=tuple(
+            select_record_rows(*pair) for pair in zip(dataset.records, row_masks, strict=True)
+        ),
         scale=tuple(
-            {channel: each[rows] for channel, each in scale.items()}
-            for scale, rows in zip(dataset.scale, kept, strict=True)
+            {channel: values[rows] for channel, values in scale.items()}
+            for scale, rows in zip(dataset.scale, row_masks, strict=True)
         ),
     )
 
@@ -121,16 +123,16 @@ def compute_tolerance(dataset: Dataset) -> dict[str, float]:
     """
     tolerances = {}
     for channel, variance in _collect_variances(dataset).items():
-        most = max(float(np.ptp(one.signals[channel])) for one in dataset.records)
-        off = SETTINGS.accuracy * most
-        tolerances[channel] = math.sqrt(1.0 + float(np.mean(off**2 / variance)))
+        range_max = max(float(np.ptp(record.signals[channel])) for record in dataset.records)
+        error_bound = SETTINGS.accuracy * range_max
+        tolerances[channel] = math.sqrt(1.0 + float(np.mean(error_bound**2 / variance)))
     return tolerances
 
 
 def _collect_variances(dataset: Dataset) -> dict[str, Array]:
     return {
         channel: np.concatenate(
-            [one.sigma[channel][one.good[channel]] ** 2 for one in dataset.records]
+            [record.sigma[channel][record.good[channel]] ** 2 for record in dataset.records]
         )
         for channel in dataset.records[0].compared
     }
@@ -139,50 +141,50 @@ def _collect_variances(dataset: Dataset) -> dict[str, Array]:
 def rescale_residuals(dataset: Dataset, fit: Fit) -> Dataset:
     """Return a dataset whose residuals are scaled by noise and a share of the fit's residual."""
     scale = []
-    for record, one in zip(dataset.records, fit.simulated, strict=True):
-        each = {}
+    for record, simulated in zip(dataset.records, fit.simulated, strict=True):
+        record_scale = {}
         for channel in record.compared:
-            off = (one.signals[channel] - record.signals[channel])[record.good[channel]]
-            left = SETTINGS.residual_share * float(off.std())
-            each[channel] = np.hypot(record.sigma[channel], left)
-        scale.append(each)
+            error = (simulated.signals[channel] - record.signals[channel])[record.good[channel]]
+            residual_part = SETTINGS.residual_share * float(error.std())
+            record_scale[channel] = np.hypot(record.sigma[channel], residual_part)
+        scale.append(record_scale)
     return dataset._replace(scale=tuple(scale))
 
 
 def build_contexts(dataset: Dataset, fit: Fit) -> tuple[EffectContext, ...]:
     """Return what effects may know of each record beside a model without them."""
-    elastic = dataset.base.compliance(fit.model.shared) or 0.0
+    compliance = dataset.base.compliance(fit.model.shared) or 0.0
     return tuple(
-        build_context(record, simulated, elastic)
+        build_context(record, simulated, compliance)
         for record, simulated in zip(dataset.records, fit.simulated, strict=True)
     )
 
 
 def build_unsimulated_contexts(dataset: Dataset, fit: Fit) -> tuple[EffectContext, ...]:
     """Return what effects may know of records that have not been simulated yet."""
-    elastic = dataset.base.compliance(fit.model.shared) or 0.0
-    return tuple(build_context(record, None, elastic) for record in dataset.records)
+    compliance = dataset.base.compliance(fit.model.shared) or 0.0
+    return tuple(build_context(record, None, compliance) for record in dataset.records)
 
 
-def simulate_dataset(dataset: Dataset, about: Sequence[EffectContext], model: Model) -> Fit:
+def simulate_dataset(dataset: Dataset, contexts: Sequence[EffectContext], model: Model) -> Fit:
     """Return a model with what it makes of each record."""
-    done = tuple(
+    simulated = tuple(
         simulate_record(record, context, dataset.base, model.shared, own, model.effects)
-        for record, context, own in zip(dataset.records, about, model.own, strict=True)
+        for record, context, own in zip(dataset.records, contexts, model.own, strict=True)
     )
-    return Fit(model, done)
+    return Fit(model, simulated)
 
 
 def compute_residual(dataset: Dataset, fit: Fit) -> Array:
     """Return what is fitted: simulated less measured where it counts, and what is expected."""
     parts = []
-    for record, one, scale, own in zip(
+    for record, simulated, scale, own in zip(
         dataset.records, fit.simulated, dataset.scale, fit.model.own, strict=True
     ):
         for channel in record.compared:
-            counts = record.train & record.good[channel]
-            off = one.signals[channel] - record.signals[channel]
-            parts.append((off / scale[channel])[counts])
+            is_counted = record.train & record.good[channel]
+            error = simulated.signals[channel] - record.signals[channel]
+            parts.append((error / scale[channel])[is_counted])
         expected = estimate_taut_travel(record, dataset.base, fit.model)
         if expected is not None:
             parts.append(np.array([(own[0] - expected.travel) / expected.uncertainty]))

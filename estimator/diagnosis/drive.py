@@ -90,26 +90,26 @@ def _fit_local_polynomials(
     for i in range(n):
         s0, s1, s2, s3, s4 = 1.0, 0.0, 0.0, 0.0, 0.0
         b0, b1, b2 = 0.0, 0.0, 0.0
-        done = 0
+        included = 0
         for k in range(len(halves)):
-            for j in range(done + 1, halves[k] + 1):
-                for at in (i - j, i + j):
-                    if at < 0 or at >= n:
+            for j in range(included + 1, halves[k] + 1):
+                for row in (i - j, i + j):
+                    if row < 0 or row >= n:
                         continue
-                    t, y = time[at] - time[i], signal[at] - signal[i]
+                    t, y = time[row] - time[i], signal[row] - signal[i]
                     s0, s1, s2 = s0 + 1.0, s1 + t, s2 + t * t
                     s3, s4 = s3 + t * t * t, s4 + t * t * t * t
                     b0, b1, b2 = b0 + y, b1 + t * y, b2 + t * t * y
-            done = halves[k]
-            straight = s0 * s2 - s1 * s1
-            off, gain = b0 / s0, 1.0 / s0
-            if done >= _ORDER and s0 > _ORDER + 1:
+            included = halves[k]
+            line_determinant = s0 * s2 - s1 * s1
+            offset, gain = b0 / s0, 1.0 / s0
+            if included >= _ORDER and s0 > _ORDER + 1:
                 c0, c1, c2 = s2 * s4 - s3 * s3, s2 * s3 - s1 * s4, s1 * s3 - s2 * s2
-                whole = s0 * c0 + s1 * c1 + s2 * c2
-                off, gain = (c0 * b0 + c1 * b1 + c2 * b2) / whole, c0 / whole
-            elif done > 0 and straight > 0.0:
-                off, gain = (s2 * b0 - s1 * b1) / straight, s2 / straight
-            values[k, i], gains[k, i] = signal[i] + off, math.sqrt(gain)
+                determinant = s0 * c0 + s1 * c1 + s2 * c2
+                offset, gain = (c0 * b0 + c1 * b1 + c2 * b2) / determinant, c0 / determinant
+            elif included > 0 and line_determinant > 0.0:
+                offset, gain = (s2 * b0 - s1 * b1) / line_determinant, s2 / line_determinant
+            values[k, i], gains[k, i] = signal[i] + offset, math.sqrt(gain)
     return values, gains
 
 
@@ -142,9 +142,9 @@ def estimate_travel_drive(travel: Array, sigma: float, time: Array | None = None
 
     It was sampled at `time` [s], evenly by default.
     """
-    smoothed, left = smooth_signal(travel, sigma, time)
+    smoothed, residual_sigma = smooth_signal(travel, sigma, time)
     jitter = max(
-        SETTINGS.jitter * float(np.quantile(left, SETTINGS.jitter_quantile)),
+        SETTINGS.jitter * float(np.quantile(residual_sigma, SETTINGS.jitter_quantile)),
         SETTINGS.reversal_noise * sigma,
     )
     turns = _find_latest_turns(travel, smoothed, find_turning_points(smoothed, jitter), sigma)
@@ -159,17 +159,17 @@ def make_monotone(signal: Array, turns: list[int], band: float) -> Array:
         return signal
     if len(turns) <= 2 and float(np.ptp(signal)) <= band:
         return np.full_like(signal, float(signal.mean()))
-    out = signal.copy()
+    monotone = signal.copy()
     for begin, end in itertools.pairwise(turns):
         piece = slice(begin, end + 1)
         rises = bool(signal[end] >= signal[begin])
-        out[piece] = isotonic_regression(signal[piece], increasing=rises).x
+        monotone[piece] = isotonic_regression(signal[piece], increasing=rises).x
     # with noise the extreme sample overshoots: clip it to its neighbours
     for turn in turns[1:-1]:
-        beside = out[[turn - 1, turn + 1]]
-        if abs(signal[turn] - beside.mean()) < band:
-            out[turn] = np.clip(signal[turn], beside.min(), beside.max())
-    return out
+        neighbours = monotone[[turn - 1, turn + 1]]
+        if abs(signal[turn] - neighbours.mean()) < band:
+            monotone[turn] = np.clip(signal[turn], neighbours.min(), neighbours.max())
+    return monotone
 
 
 def _find_latest_turns(travel: Array, smoothed: Array, turns: list[int], sigma: float) -> list[int]:
@@ -181,22 +181,22 @@ def _find_latest_turns(travel: Array, smoothed: Array, turns: list[int], sigma: 
     latest = list(turns)
     for i in range(1, len(turns) - 1):
         turn = turns[i]
-        near = np.abs(smoothed - smoothed[turn]) <= SETTINGS.jitter * sigma
-        begin = turn - _count_leading_true(near[latest[i - 1] : turn + 1][::-1]) + 1
-        end = turn + _count_leading_true(near[turn : turns[i + 1]]) - 1
+        is_near = np.abs(smoothed - smoothed[turn]) <= SETTINGS.jitter * sigma
+        begin = turn - _count_leading_true(is_near[latest[i - 1] : turn + 1][::-1]) + 1
+        end = turn + _count_leading_true(is_near[turn : turns[i + 1]]) - 1
         if end <= turn:
             continue
         rises = bool(smoothed[turn] > smoothed[turns[i - 1]])
-        places = np.unique(np.linspace(turn, end, TURN_CANDIDATES).astype(np.int64))
+        candidates = np.unique(np.linspace(turn, end, TURN_CANDIDATES).astype(np.int64))
         errors = np.array(
             [
-                _compute_monotone_error(travel[begin : at + 1], rises=rises)
-                + _compute_monotone_error(travel[at : end + 1], rises=not rises)
-                for at in places
+                _compute_monotone_error(travel[begin : row + 1], rises=rises)
+                + _compute_monotone_error(travel[row : end + 1], rises=not rises)
+                for row in candidates
             ]
         )
-        equal = errors <= errors.min() + SETTINGS.equal_error * sigma**2
-        latest[i] = int(places[np.flatnonzero(equal)[-1]])
+        is_equivalent = errors <= errors.min() + SETTINGS.equal_error * sigma**2
+        latest[i] = int(candidates[np.flatnonzero(is_equivalent)[-1]])
     return latest
 
 
@@ -233,9 +233,11 @@ def find_turning_points(signal: Array, band: float) -> list[int]:
 def compute_rate(time: Array, signal: Array) -> Array:
     """Return the slope of a signal over a few samples [1/s], shape (n,)."""
     reach = max(1, round(0.5 * SPEED_WINDOW / float(np.median(np.diff(time)))))
-    ahead = np.minimum(np.arange(len(time)) + reach, len(time) - 1)
-    behind = np.maximum(np.arange(len(time)) - reach, 0)
-    return np.asarray((signal[ahead] - signal[behind]) / (time[ahead] - time[behind]))
+    next_rows = np.minimum(np.arange(len(time)) + reach, len(time) - 1)
+    previous_rows = np.maximum(np.arange(len(time)) - reach, 0)
+    return np.asarray(
+        (signal[next_rows] - signal[previous_rows]) / (time[next_rows] - time[previous_rows])
+    )
 
 
 class Turns(NamedTuple):
@@ -255,27 +257,31 @@ class Turns(NamedTuple):
         return np.insert(mask, rows, mask[rows - 1] & mask[rows])
 
 
-def find_turns_between_samples(time: Array, drive: Array, least: float) -> Turns:
-    """Return where the motor turned between two samples, further than those by `least` [m].
+def find_turns_between_samples(time: Array, drive: Array, excess_min: float) -> Turns:
+    """Return where the motor turned between two samples, further than both by `excess_min` [m].
 
     Friction remembers how far it went. A parabola through three samples tells, where the motion is
     round there.
     """
-    bend = np.diff(np.diff(drive) / np.diff(time)) / (time[2:] - time[:-2])
+    curvatures = np.diff(np.diff(drive) / np.diff(time)) / (time[2:] - time[:-2])
     turns = Turns([], [], [])
     for i in find_turning_points(drive, SETTINGS.reversal * float(np.ptp(drive)))[1:-1]:
-        about = bend[max(i - 2, 0) : i + 1]
-        if len(about) < 3 or np.ptp(np.sign(about)):
+        curvature = curvatures[max(i - 2, 0) : i + 1]
+        if len(curvature) < 3 or np.ptp(np.sign(curvature)):
             continue
-        if not np.abs(about).min() > SETTINGS.corner * float(np.abs(about).max()):
+        if not np.abs(curvature).min() > SETTINGS.corner * float(np.abs(curvature).max()):
             continue
-        before, here = float(time[i - 1]), float(time[i])
-        slope = float(drive[i] - drive[i - 1]) / (here - before)
-        at = 0.5 * (before + here) - 0.5 * slope / float(about[1])
-        height = float(drive[i - 1]) + (at - before) * (slope + float(about[1]) * (at - here))
-        earliest = max([before, *turns.time[-1:]])
-        if abs(height - float(drive[i])) > least and earliest < at < float(time[i + 1]):
-            turns.rows.append(i if at < here else i + 1)
-            turns.time.append(at)
-            turns.drive.append(height)
+        time_before, time_here = float(time[i - 1]), float(time[i])
+        slope = float(drive[i] - drive[i - 1]) / (time_here - time_before)
+        turn_time = 0.5 * (time_before + time_here) - 0.5 * slope / float(curvature[1])
+        turn_drive = float(drive[i - 1]) + (turn_time - time_before) * (
+            slope + float(curvature[1]) * (turn_time - time_here)
+        )
+        earliest = max([time_before, *turns.time[-1:]])
+        if abs(turn_drive - float(drive[i])) > excess_min and earliest < turn_time < float(
+            time[i + 1]
+        ):
+            turns.rows.append(i if turn_time < time_here else i + 1)
+            turns.time.append(turn_time)
+            turns.drive.append(turn_drive)
     return turns

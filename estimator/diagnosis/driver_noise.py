@@ -36,19 +36,21 @@ def propagate_driver_noise(
     if not sigma > 0.0:
         return record
     rng = np.random.default_rng(0)
-    same = simulate(record).signals
+    reference = simulate(record).signals
     variance = {channel: np.zeros_like(record.time) for channel in record.compared}
     for _ in range(DRAWS):
         noisy = record.drive + sigma * rng.standard_normal(len(record.time))
         drive = estimate_drive(record.driver, record.time, noisy, sigma).signal
-        other = simulate(replace(record, drive=drive)).signals
+        perturbed = simulate(replace(record, drive=drive)).signals
         for channel in variance:
-            variance[channel] += (other[channel] - same[channel]) ** 2 / DRAWS
-    nearby = np.full(AVERAGING_SAMPLES, 1.0 / AVERAGING_SAMPLES)
+            variance[channel] += (perturbed[channel] - reference[channel]) ** 2 / DRAWS
+    kernel = np.full(AVERAGING_SAMPLES, 1.0 / AVERAGING_SAMPLES)
     return replace(
         record,
         sigma={
-            channel: np.sqrt(record.noise[channel] ** 2 + np.convolve(total, nearby, mode="same"))
-            for channel, total in variance.items()
+            channel: np.sqrt(
+                record.noise[channel] ** 2 + np.convolve(channel_variance, kernel, mode="same")
+            )
+            for channel, channel_variance in variance.items()
         },
     )

@@ -86,7 +86,7 @@ def diagnose(
     effects : sequence of Effect
         That may be the cause.
     validate : sequence of Record
-        To be predicted with what was found; only where each record starts is fitted to them.
+        To be predicted by the fitted models; only where each record starts is fitted to them.
     cause : str
         Name of the effect to be taken where several explain the data equally well.
     fit_all : bool
@@ -118,139 +118,153 @@ def diagnose(
         [mark_all_as_train(record) for record in records] if fit_all else records
     )
     report("fitting the base law", 0.0)
-    plain = fit_baseline(dataset)
-    before = dataset.records
-    noisy = [
-        propagate_driver_noise(record, build_drive_simulator(plain, dataset, record))
-        for record in before
+    base_fit = fit_baseline(dataset)
+    original_records = dataset.records
+    noisy_records = [
+        propagate_driver_noise(record, build_drive_simulator(base_fit, dataset, record))
+        for record in original_records
     ]
-    if any(new is not old for new, old in zip(noisy, before, strict=True)):
-        dataset = build_dataset(noisy)
-        dataset, plain = _recover_dataset_motion(dataset, refit_baseline(dataset, plain))
-    law = Choice(dataset, plain, ())
-    if records[0].loop or not is_noise(dataset, compute_errors(dataset, plain)):
+    if any(new is not old for new, old in zip(noisy_records, original_records, strict=True)):
+        dataset = build_dataset(noisy_records)
+        dataset, base_fit = _recover_dataset_motion(dataset, refit_baseline(dataset, base_fit))
+    law = Choice(dataset, base_fit, ())
+    if records[0].loop or not is_noise(dataset, compute_errors(dataset, base_fit)):
         report("choosing the base law", 0.0)
-        law = choose_law(dataset, plain)
+        law = choose_law(dataset, base_fit)
     laws = [law]
     if law.dataset.base.law is not dataset.base.law and not records[0].loop:
-        laws.append(law._replace(dataset=dataset, fit=plain))
-    found, law = find_causes(laws, effects, fit_all=fit_all, report=report, workers=workers)
+        laws.append(law._replace(dataset=dataset, fit=base_fit))
+    result, law = find_causes(laws, effects, fit_all=fit_all, report=report, workers=workers)
     report("fitting again and testing", RESTART_PROGRESS)
-    dataset, plain, steps, fit = found.dataset, found.plain, found.steps, found.fit
-    usable = select_applicable_effects(effects, records[0], dataset.base)
-    first = rank_candidates(dataset, plain, plain, found.firsts)
+    dataset, base_fit, steps, fit = result.dataset, result.plain, result.steps, result.fit
+    applicable = select_applicable_effects(effects, records[0], dataset.base)
+    first_ranking = rank_candidates(dataset, base_fit, base_fit, result.firsts)
     if cause:
-        steps, fit = rivals.choose_equivalent_cause(dataset, plain, steps, fit, cause)
-    outcome = _build_diagnosis(dataset, plain, fit, steps, first, usable, validate)
+        steps, fit = rivals.choose_equivalent_cause(dataset, base_fit, steps, fit, cause)
+    outcome = _build_diagnosis(dataset, base_fit, fit, steps, first_ranking, applicable, validate)
     if leave_one_file_out:
         report("leaving one file out", 1.0)
-        others = predict_left_out(dataset, outcome.baseline, outcome.extended)
-        outcome = outcome._replace(left_out=others)
-    return to_record_units(outcome._replace(laws=law, loads=found.loads), scale)
+        left_out = predict_left_out(dataset, outcome.baseline, outcome.extended)
+        outcome = outcome._replace(left_out=left_out)
+    return to_record_units(outcome._replace(laws=law, loads=result.loads), scale)
 
 
-def _recover_dataset_motion(dataset: Dataset, plain: Fit) -> tuple[Dataset, Fit]:
+def _recover_dataset_motion(dataset: Dataset, base_fit: Fit) -> tuple[Dataset, Fit]:
     """Return a dataset with the motion that the noise of its travel hides, and its fit.
 
-    A motion that is missing spoils the fit that is to find it: the first fit goes by most of a
-    record.
+    A missing motion spoils the fit that is to recover it: so the first fit is robust.
     """
-    noisy = dataset.records
-    if not any(may_hide_motion(record) for record in noisy):
-        return dataset, refit_baseline(dataset, plain)
+    noisy_records = dataset.records
+    if not any(may_hide_motion(record) for record in noisy_records):
+        return dataset, refit_baseline(dataset, base_fit)
     fit = (
-        plain if is_noise(dataset, compute_errors(dataset, plain)) else fit_robustly(dataset, plain)
+        base_fit
+        if is_noise(dataset, compute_errors(dataset, base_fit))
+        else fit_robustly(dataset, base_fit)
     )
     for _ in range(HIDDEN_MOTION_PASSES):
-        moved = [
+        recovered = [
             recover_hidden_motion(record, dataset.base, fit.model.shared, own)
-            for record, own in zip(noisy, fit.model.own, strict=True)
+            for record, own in zip(noisy_records, fit.model.own, strict=True)
         ]
-        dataset = build_dataset(moved)
-        plain = fit = refit_baseline(dataset, fit)
-    return dataset, plain
+        dataset = build_dataset(recovered)
+        base_fit = fit = refit_baseline(dataset, fit)
+    return dataset, base_fit
 
 
 def build_drive_simulator(
     fit: Fit, dataset: Dataset, record: Record
 ) -> Callable[[Record], SimulatedRecord]:
-    """Return a function that simulates a record of the dataset again with another drive."""
-    k = next(i for i, other in enumerate(dataset.records) if other is record)
-    about = build_unsimulated_contexts(dataset, fit)[k]
+    """Return a function that simulates a record of the dataset with another drive."""
+    k = next(i for i, candidate in enumerate(dataset.records) if candidate is record)
+    context = build_unsimulated_contexts(dataset, fit)[k]
 
-    def again_by(other: Record) -> SimulatedRecord:
-        return simulate_record(other, about, dataset.base, fit.model.shared, fit.model.own[k], ())
+    def simulate_with_drive(driven: Record) -> SimulatedRecord:
+        return simulate_record(
+            driven, context, dataset.base, fit.model.shared, fit.model.own[k], ()
+        )
 
-    return again_by
+    return simulate_with_drive
 
 
 def _build_diagnosis(
     dataset: Dataset,
-    plain: Fit,
+    base_fit: Fit,
     fit: Fit,
     steps: list[CauseStep],
-    first: tuple[RankedCandidate, ...],
-    usable: Sequence[Effect],
+    first_ranking: tuple[RankedCandidate, ...],
+    applicable: Sequence[Effect],
     validate: Sequence[Record],
 ) -> Diagnosis:
-    full = rescale_residuals(use_all_samples(dataset), fit)
-    last = fit_model(full, build_contexts(dataset, plain), fit.model, FINAL_ROUNDS)
-    first_law = fit_model(
-        rescale_residuals(use_all_samples(dataset), plain),
-        build_contexts(dataset, plain),
-        plain.model,
+    full_dataset = rescale_residuals(use_all_samples(dataset), fit)
+    final_fit = fit_model(full_dataset, build_contexts(dataset, base_fit), fit.model, FINAL_ROUNDS)
+    final_base_fit = fit_model(
+        rescale_residuals(use_all_samples(dataset), base_fit),
+        build_contexts(dataset, base_fit),
+        base_fit.model,
         FINAL_ROUNDS,
     )
-    folds = fit_folds(dataset, plain, last)
-    before, after = (
-        join_errors([compute_errors(one.dataset, one.fits[k]) for one in folds]) for k in (0, 1)
+    folds = fit_folds(dataset, base_fit, final_fit)
+    errors_before, errors_after = (
+        join_errors([compute_errors(item.dataset, item.fits[k]) for item in folds]) for k in (0, 1)
     )
-    left = compute_residual_fraction(after, before)
-    astray = not is_noise(dataset, after) and has_drifting_friction(dataset, fit)
+    residual_fraction = compute_residual_fraction(errors_after, errors_before)
+    is_drifting = not is_noise(dataset, errors_after) and has_drifting_friction(dataset, fit)
     if not steps:
-        verdict = Verdict.CLEAN if is_noise(dataset, before) else Verdict.UNEXPLAINED
-    elif astray or (left > SETTINGS.explained and not is_noise(dataset, after)):
+        verdict = Verdict.CLEAN if is_noise(dataset, errors_before) else Verdict.UNEXPLAINED
+    elif is_drifting or (
+        residual_fraction > SETTINGS.explained and not is_noise(dataset, errors_after)
+    ):
         verdict = Verdict.UNEXPLAINED
     elif any(step.rivals for step in steps):
         verdict = Verdict.AMBIGUOUS
     else:
         verdict = Verdict.NAMED
-    numbers = {
-        one.name: FittedValue(one.value, one.low, one.high, one.parameter.unit, one.at_bound)
-        for one in estimate_intervals(full, build_contexts(dataset, plain), last)
+    fitted_values = {
+        item.name: FittedValue(item.value, item.low, item.high, item.parameter.unit, item.at_bound)
+        for item in estimate_intervals(full_dataset, build_contexts(dataset, base_fit), final_fit)
     }
-    known = prepare_validation_records(dataset, validate, first_law)
-    other = last._replace(model=transfer_to_validation(dataset, last.model)) if steps else first_law
-    further = predict_records(dataset, first_law, other, known)
-    alike = [(step.effect.name, *step.rivals) for step in steps if step.rivals]
-    simple = fit_simple_models(dataset)
+    validation_records = prepare_validation_records(dataset, validate, final_base_fit)
+    transferred_fit = (
+        final_fit._replace(model=transfer_to_validation(dataset, final_fit.model))
+        if steps
+        else final_base_fit
+    )
+    predicted_records = predict_records(
+        dataset, final_base_fit, transferred_fit, validation_records
+    )
+    equivalents = [(step.effect.name, *step.rivals) for step in steps if step.rivals]
+    simple_models = fit_simple_models(dataset)
     return Diagnosis(
         verdict=verdict,
         steps=tuple(steps),
-        ranking=first,
-        parameters=numbers,
+        ranking=first_ranking,
+        parameters=fitted_values,
         dataset=dataset,
-        baseline=first_law,
-        extended=last if steps else first_law,
-        before=compute_model_errors(folds, 0, further),
-        after=compute_model_errors(folds, 1, further),
+        baseline=final_base_fit,
+        extended=final_fit if steps else final_base_fit,
+        before=compute_model_errors(folds, 0, predicted_records),
+        after=compute_model_errors(folds, 1, predicted_records),
         gain={
-            channel: Gain(*bootstrap_gain(after[channel], before[channel])) for channel in before
+            channel: Gain(*bootstrap_gain(errors_after[channel], errors_before[channel]))
+            for channel in errors_before
         },
         noise=compute_mean_noise(dataset),
-        left=left,
-        wanders=astray,
-        simple_models=simple,
-        simple_gain=compute_simple_gains(after, simple),
+        left=residual_fraction,
+        wanders=is_drifting,
+        simple_models=simple_models,
+        simple_gain=compute_simple_gains(errors_after, simple_models),
         structure=find_residual_dependence(dataset, fit),
-        detection_limits=compute_detection_limits(dataset, plain, usable)
+        detection_limits=compute_detection_limits(dataset, base_fit, applicable)
         if verdict is Verdict.CLEAN
         else {},
-        laws=Choice(dataset, plain, ()),
-        loads=Choice(dataset, plain, ()),
-        experiments=experiments.suggest_experiments(alike, dataset.records[0].signals),
+        laws=Choice(dataset, base_fit, ()),
+        loads=Choice(dataset, base_fit, ()),
+        experiments=experiments.suggest_experiments(equivalents, dataset.records[0].signals),
         troubles=tuple(trouble for record in dataset.records for trouble in record.troubles),
         fit_all=all(record.train.all() for record in dataset.records),
-        rivals=rivals.fit_rivals(dataset, plain, last, rivals.find_equivalent_causes(steps)),
-        validation=further,
+        rivals=rivals.fit_rivals(
+            dataset, base_fit, final_fit, rivals.find_equivalent_causes(steps)
+        ),
+        validation=predicted_records,
     )

@@ -91,21 +91,25 @@ def suggest_experiments(
     First those that leave least together, then channels that were not measured.
     """
     useful = [_select_useful_experiments(frozenset(names)) for names in sets]
-    in_turn = [what for turn in zip_longest(*useful) for what in turn if what is not None]
-    found = list(dict.fromkeys(in_turn))[:most]
+    interleaved = [
+        experiment for turn in zip_longest(*useful) for experiment in turn if experiment is not None
+    ]
+    experiments = list(dict.fromkeys(interleaved))[:most]
     missing = [text for channel, text in _CHANNELS.items() if channel not in set(channels)]
-    return tuple([*found, *missing][: most + 1]) if found else ()
+    return tuple([*experiments, *missing][: most + 1]) if experiments else ()
 
 
-def _select_useful_experiments(wanted: frozenset[str]) -> list[str]:
+def _select_useful_experiments(effects: frozenset[str]) -> list[str]:
     """Return the experiments that tell some of the effects apart, the best first."""
-    left = {what: _count_unresolved(what, wanted) for what in ISOLATED_EFFECTS}
-    useful = [what for what, count in left.items() if count < len(wanted)]
-    return sorted(useful, key=lambda what: left[what])
+    unresolved = {
+        experiment: _count_unresolved(experiment, effects) for experiment in ISOLATED_EFFECTS
+    }
+    useful = [experiment for experiment, count in unresolved.items() if count < len(effects)]
+    return sorted(useful, key=lambda experiment: unresolved[experiment])
 
 
-def _count_unresolved(what: str, wanted: frozenset[str]) -> int:
+def _count_unresolved(experiment: str, effects: frozenset[str]) -> int:
     """Return how many of the effects an experiment leaves together, at worst."""
-    seen = wanted & ISOLATED_EFFECTS[what]
-    together = min(len(seen), 1) if what in SEPARATING_EXPERIMENTS else len(seen)
-    return max(together, len(wanted - seen))
+    isolated = effects & ISOLATED_EFFECTS[experiment]
+    indistinct = min(len(isolated), 1) if experiment in SEPARATING_EXPERIMENTS else len(isolated)
+    return max(indistinct, len(effects - isolated))

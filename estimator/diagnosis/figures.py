@@ -48,66 +48,70 @@ class DrawnFigure(NamedTuple):
 
 
 def draw_figures(
-    found: Diagnosis, files: Sequence[str] = (), further: Sequence[str] = ()
+    diagnosis: Diagnosis, files: Sequence[str] = (), further: Sequence[str] = ()
 ) -> Iterator[DrawnFigure]:
     """Draw all figures; names of files and of those for validation are numbers by default."""
-    names = name_records(found, files, further)
-    count = len(found.dataset.records)
+    names = name_records(diagnosis, files, further)
+    count = len(diagnosis.dataset.records)
     with mpl.rc_context(STYLE):
-        yield from _draw_files(found, names[:count])
-        yield from _draw_predictions(found.validation, names[count:], "validation", "validation")
-        if found.left_out:
-            words = "predicted by the fit of the other files"
-            yield from _draw_predictions(found.left_out, names[:count], "left-out", words)
+        yield from _draw_files(diagnosis, names[:count])
+        yield from _draw_predictions(
+            diagnosis.validation, names[count:], "validation", "validation"
+        )
+        if diagnosis.left_out:
+            source = "predicted by the fit of the other files"
+            yield from _draw_predictions(diagnosis.left_out, names[:count], "left-out", source)
         yield DrawnFigure(
             "structure",
-            draw_residual_dependence(found),
+            draw_residual_dependence(diagnosis),
             "Residuals (measured less simulated) before and after, against tension, speed and "
             "time: points and their medians. A correct model leaves noise around zero.",
         )
-        if found.ranking:
+        if diagnosis.ranking:
             yield DrawnFigure(
                 "ranking",
-                draw_ranking(found),
-                f"Log-likelihood ratio of {name_judged_samples(found)} data with and without a "
+                draw_ranking(diagnosis),
+                f"Log-likelihood ratio of {name_judged_samples(diagnosis)} data with and without a "
                 f"cause, with a "
                 "penalty for its parameters. Blue are the causes found, pale blue those that the "
                 "data do not distinguish from them.",
             )
 
 
-def _draw_files(found: Diagnosis, files: Sequence[str]) -> Iterator[DrawnFigure]:
-    shaded = "" if found.fit_all else " Held-out blocks are shaded."
+def _draw_files(diagnosis: Diagnosis, files: Sequence[str]) -> Iterator[DrawnFigure]:
+    shaded = "" if diagnosis.fit_all else " Held-out blocks are shaded."
     for k, file in enumerate(files[:RECORDS_MAX]):
         number = f"-{k + 1}" if len(files) > 1 else ""
         yield DrawnFigure(
             f"over-time{number}",
-            draw_over_time(found, k),
+            draw_over_time(diagnosis, k),
             f"{file}: measured, and simulated before and after; below each channel the residual "
             f"(measured less simulated).{shaded}",
         )
-        if _select_loop_axes(found.dataset.records[k]) is not None:
-            yield DrawnFigure(f"loop{number}", draw_loop(found, k), f"{file}: the hysteresis loop.")
+        if _select_loop_axes(diagnosis.dataset.records[k]) is not None:
+            yield DrawnFigure(
+                f"loop{number}", draw_loop(diagnosis, k), f"{file}: the hysteresis loop."
+            )
 
 
 def _draw_predictions(
-    records: Sequence[PredictedRecord], names: Sequence[str], kind: str, words: str
+    records: Sequence[PredictedRecord], names: Sequence[str], kind: str, source: str
 ) -> Iterator[DrawnFigure]:
-    for k, (name, one) in enumerate(zip(names, records, strict=True)):
+    for k, (name, prediction) in enumerate(zip(names, records, strict=True)):
         if k == RECORDS_MAX:
             return
         yield DrawnFigure(
             f"{kind}-{k + 1}",
-            draw_record_over_time(one.record, one.before, one.after),
-            f"{name}, {words}: measured, and predicted before and after; below each channel the "
+            draw_record_over_time(prediction.record, prediction.before, prediction.after),
+            f"{name}, {source}: measured, and predicted before and after; below each channel the "
             "residual. Only where the record starts was fitted to it.",
         )
 
 
-def draw_over_time(found: Diagnosis, k: int) -> Figure:
+def draw_over_time(diagnosis: Diagnosis, k: int) -> Figure:
     """Draw one fitted record: each channel, and below it the residuals of both models."""
-    models = (found.baseline.simulated[k], found.extended.simulated[k])
-    return draw_record_over_time(found.dataset.records[k], *models)
+    models = (diagnosis.baseline.simulated[k], diagnosis.extended.simulated[k])
+    return draw_record_over_time(diagnosis.dataset.records[k], *models)
 
 
 def draw_record_over_time(
@@ -123,16 +127,18 @@ def draw_record_over_time(
     time = record.time + record.start
     for channel, above, below in zip(channels, grid[::2], grid[1::2], strict=True):
         measured, factor, unit = _scale_for_display(record.units, channel, record.signals[channel])
-        plain, extended = (factor * one.signals[channel] for one in (before, after))
-        drawn = np.where(record.shown(channel), measured, np.nan)
-        above.plot(time[keep], drawn[keep], color=BLACK, label="measured")
+        base_signal, extended_signal = (
+            factor * simulated.signals[channel] for simulated in (before, after)
+        )
+        drawn_signal = np.where(record.shown(channel), measured, np.nan)
+        above.plot(time[keep], drawn_signal[keep], color=BLACK, label="measured")
         dashes, dots = (0, (4, 2)), (0, (1, 1))
-        above.plot(time[keep], plain[keep], color=VERMILION, linestyle=dashes, label="before")
-        above.plot(time[keep], extended[keep], color=BLUE, linestyle=dots, label="after")
+        above.plot(time[keep], base_signal[keep], color=VERMILION, linestyle=dashes, label="before")
+        above.plot(time[keep], extended_signal[keep], color=BLUE, linestyle=dots, label="after")
         above.set(ylabel=f"[{unit}]", title=record.units.word(channel))
         good = keep[record.good[channel][keep]]
-        below.plot(time[good], (measured - plain)[good], color=VERMILION, linewidth=0.8)
-        below.plot(time[good], (measured - extended)[good], color=BLUE, linewidth=0.8)
+        below.plot(time[good], (measured - base_signal)[good], color=VERMILION, linewidth=0.8)
+        below.plot(time[good], (measured - extended_signal)[good], color=BLUE, linewidth=0.8)
         below.set(ylabel=f"residual [{unit}]")
         for axes in (above, below):
             _shade_held_out(axes, record)
@@ -141,24 +147,24 @@ def draw_record_over_time(
     return figure
 
 
-def draw_loop(found: Diagnosis, k: int) -> Figure:
+def draw_loop(diagnosis: Diagnosis, k: int) -> Figure:
     """Draw T_out over T_in, or T_in over the travel without a load cell at the tip."""
-    record = found.dataset.records[k]
+    record = diagnosis.dataset.records[k]
     axes_of = _select_loop_axes(record)
     if axes_of is None:
         raise ValueError("record: has no loop to draw")
     across, up = axes_of
-    x, x_factor, x_unit = _scale_for_display(found.units, across, record.signals[across])
-    y, y_factor, y_unit = _scale_for_display(found.units, up, record.signals[up])
+    x, x_factor, x_unit = _scale_for_display(diagnosis.units, across, record.signals[across])
+    y, y_factor, y_unit = _scale_for_display(diagnosis.units, up, record.signals[up])
     figure = Figure(figsize=(8.2, 3.8))
     pair = figure.subplots(1, 2, sharex=True, sharey=True)
-    drawn = np.where(record.shown(across) & record.shown(up), y, np.nan)
-    titles = (("before", found.baseline, VERMILION), ("after", found.extended, BLUE))
+    drawn_signal = np.where(record.shown(across) & record.shown(up), y, np.nan)
+    titles = (("before", diagnosis.baseline, VERMILION), ("after", diagnosis.extended, BLUE))
     keep = _subsample_rows(np.flatnonzero(record.measured), LINE_POINTS_MAX)
     for axes, (title, fit, colour) in zip(pair, titles, strict=True):
         signals = fit.simulated[k].signals
         simulated_x = x_factor * signals[across] if across in signals else x
-        axes.plot(x[keep], drawn[keep], color=GREY, linewidth=0.9, label="measured")
+        axes.plot(x[keep], drawn_signal[keep], color=GREY, linewidth=0.9, label="measured")
         axes.plot(
             simulated_x[keep],
             y_factor * signals[up][keep],
@@ -166,27 +172,27 @@ def draw_loop(found: Diagnosis, k: int) -> Figure:
             linewidth=1.0,
             label="simulated",
         )
-        axes.set(xlabel=f"{found.units.word(across)} [{x_unit}]", title=title)
+        axes.set(xlabel=f"{diagnosis.units.word(across)} [{x_unit}]", title=title)
         axes.legend(loc="lower right")
-    pair[0].set_ylabel(f"{found.units.word(up)} [{y_unit}]")
+    pair[0].set_ylabel(f"{diagnosis.units.word(up)} [{y_unit}]")
     return figure
 
 
-def draw_residual_dependence(found: Diagnosis) -> Figure:
+def draw_residual_dependence(diagnosis: Diagnosis) -> Figure:
     """Draw the residuals of both models against tension, speed and time."""
-    channels = report_text.list_compared_channels(found)
+    channels = report_text.list_compared_channels(diagnosis)
     figure = Figure(figsize=(8.2, 0.4 + 2.1 * len(channels)))
     grid = figure.subplots(len(channels), 3, sharey="row", squeeze=False)
     for row, channel in zip(grid, channels, strict=True):
         for axes, (label, values) in zip(
-            row, _collect_variables(found, channel).items(), strict=True
+            row, _collect_variables(diagnosis, channel).items(), strict=True
         ):
-            for when, colour in ((0, VERMILION), (1, BLUE)):
-                off = _concatenate_residuals(found, channel, when)
-                some = _subsample_rows(np.arange(len(off)), SCATTER_POINTS_MAX)
+            for stage, colour in ((0, VERMILION), (1, BLUE)):
+                residual = _concatenate_residuals(diagnosis, channel, stage)
+                rows = _subsample_rows(np.arange(len(residual)), SCATTER_POINTS_MAX)
                 axes.plot(
-                    values[some],
-                    off[some],
+                    values[rows],
+                    residual[rows],
                     ".",
                     color=colour,
                     markersize=1.2,
@@ -194,13 +200,16 @@ def draw_residual_dependence(found: Diagnosis) -> Figure:
                     rasterized=True,
                 )
                 axes.plot(
-                    *_compute_bin_medians(values, off), color=colour, marker="o", markersize=2.5
+                    *_compute_bin_medians(values, residual),
+                    color=colour,
+                    marker="o",
+                    markersize=2.5,
                 )
             axes.axhline(0.0, color=BLACK, linewidth=0.6)
             if channel == channels[-1]:
                 axes.set_xlabel(label)
-        unit = _scale_for_display(found.units, channel, np.zeros(1))[2]
-        row[0].set_ylabel(f"{found.units.word(channel)},\nresidual [{unit}]")
+        unit = _scale_for_display(diagnosis.units, channel, np.zeros(1))[2]
+        row[0].set_ylabel(f"{diagnosis.units.word(channel)},\nresidual [{unit}]")
     figure.legend(
         [Line2D([], [], color=VERMILION), Line2D([], [], color=BLUE)],
         ["before", "after"],
@@ -210,19 +219,21 @@ def draw_residual_dependence(found: Diagnosis) -> Figure:
     return figure
 
 
-def draw_ranking(found: Diagnosis) -> Figure:
+def draw_ranking(diagnosis: Diagnosis) -> Figure:
     """Draw the scores of the candidates."""
-    shown = report_text.select_best_candidates(found.ranking, BARS_MAX)[::-1]
-    figure = Figure(figsize=(8.2, 0.8 + 0.27 * len(shown)))
+    candidates = report_text.select_best_candidates(diagnosis.ranking, BARS_MAX)[::-1]
+    figure = Figure(figsize=(8.2, 0.8 + 0.27 * len(candidates)))
     axes = figure.add_subplot()
-    colours = dict.fromkeys(found.ambiguous_with, PALE_BLUE) | dict.fromkeys(found.causes, BLUE)
+    colours = dict.fromkeys(diagnosis.ambiguous_with, PALE_BLUE) | dict.fromkeys(
+        diagnosis.causes, BLUE
+    )
     bars = axes.barh(
-        range(len(shown)),
-        [ranked.score for ranked in shown],
-        color=[colours.get(ranked.name, LIGHT_GREY) for ranked in shown],
+        range(len(candidates)),
+        [ranked.score for ranked in candidates],
+        color=[colours.get(ranked.name, LIGHT_GREY) for ranked in candidates],
     )
     axes.bar_label(bars, fmt="%.0f", padding=3, fontsize=8)
-    axes.set_yticks(range(len(shown)), [ranked.label for ranked in shown])
+    axes.set_yticks(range(len(candidates)), [ranked.label for ranked in candidates])
     axes.set_xlabel("score")
     axes.axvline(0.0, color=BLACK, linewidth=0.6)
     axes.grid(visible=False, axis="y")
@@ -239,37 +250,37 @@ def _select_loop_axes(record: Record) -> tuple[str, str] | None:
 
 
 def _collect_channel(
-    found: Diagnosis, k: int, channel: str
+    diagnosis: Diagnosis, k: int, channel: str
 ) -> tuple[Array, tuple[Array, Array], str]:
     """Return a channel measured and from both models, and its unit."""
     measured, factor, unit = _scale_for_display(
-        found.units, channel, found.dataset.records[k].signals[channel]
+        diagnosis.units, channel, diagnosis.dataset.records[k].signals[channel]
     )
-    both = (found.baseline, found.extended)
-    before, after = (factor * fit.simulated[k].signals[channel] for fit in both)
+    fits = (diagnosis.baseline, diagnosis.extended)
+    before, after = (factor * fit.simulated[k].signals[channel] for fit in fits)
     return measured, (before, after), unit
 
 
 def _scale_for_display(units: Units, channel: str, signal: Array) -> tuple[Array, float, str]:
     """Return a signal scaled for drawing, the factor, and its unit."""
     unit = units.of(channel)
-    factor, shown = (1e3, "mm") if unit == "m" else (1.0, unit)
-    return factor * signal, factor, shown
+    factor, display_unit = (1e3, "mm") if unit == "m" else (1.0, unit)
+    return factor * signal, factor, display_unit
 
 
-def _concatenate_residuals(found: Diagnosis, channel: str, when: int) -> Array:
+def _concatenate_residuals(diagnosis: Diagnosis, channel: str, stage: int) -> Array:
     """Return the concatenated residuals of the model before (0) or after (1)."""
     parts = []
-    for k, record in enumerate(found.dataset.records):
-        measured, models, _ = _collect_channel(found, k, channel)
-        parts.append((measured - models[when])[record.good[channel]])
+    for k, record in enumerate(diagnosis.dataset.records):
+        measured, models, _ = _collect_channel(diagnosis, k, channel)
+        parts.append((measured - models[stage])[record.good[channel]])
     return np.concatenate(parts)
 
 
-def _collect_variables(found: Diagnosis, channel: str) -> dict[str, Array]:
+def _collect_variables(diagnosis: Diagnosis, channel: str) -> dict[str, Array]:
     """Return the variables of the residual plots by axis label."""
-    records = found.dataset.records
-    units = found.units
+    records = diagnosis.dataset.records
+    units = diagnosis.units
     _, effort, unit = _scale_for_display(units, PROXIMAL_TENSION, np.zeros(1))
     _, factor, drive = _scale_for_display(units, records[0].driver, np.zeros(1))
     columns = {
@@ -285,11 +296,11 @@ def _collect_variables(found: Diagnosis, channel: str) -> dict[str, Array]:
     }
 
 
-def _compute_bin_medians(values: Array, off: Array) -> tuple[Array, Array]:
-    """Return the medians of `off` in bins of `values`; NaN with too few samples."""
+def _compute_bin_medians(values: Array, residual: Array) -> tuple[Array, Array]:
+    """Return the medians of `residual` in bins of `values`; NaN with too few samples."""
     edges = np.linspace(values.min(), values.max(), MEDIAN_BINS + 1)
-    places = np.clip(np.digitize(values, edges) - 1, 0, MEDIAN_BINS - 1)
-    groups = [off[places == i] for i in range(MEDIAN_BINS)]
+    bins = np.clip(np.digitize(values, edges) - 1, 0, MEDIAN_BINS - 1)
+    groups = [residual[bins == i] for i in range(MEDIAN_BINS)]
     medians = [np.median(group) if len(group) >= MIN_SAMPLES else np.nan for group in groups]
     return 0.5 * (edges[:-1] + edges[1:]), np.array(medians)
 
@@ -300,6 +311,6 @@ def _shade_held_out(axes: Axes, record: Record) -> None:
         axes.axvspan(times[0], times[-1], color=SHADE, linewidth=0.0)
 
 
-def _subsample_rows(rows: NDArray[np.intp], most: int) -> NDArray[np.intp]:
-    """Return at most about `most` of the rows, evenly spread."""
-    return rows[:: max(1, -(-len(rows) // most))]
+def _subsample_rows(rows: NDArray[np.intp], count: int) -> NDArray[np.intp]:
+    """Return at most about `count` of the rows, evenly spread."""
+    return rows[:: max(1, -(-len(rows) // count))]

@@ -9,33 +9,35 @@ from estimator.text_table import Table
 from estimator.units import Units, format_quantity
 
 
-def name_records(found: Diagnosis, files: Sequence[str], further: Sequence[str]) -> list[str]:
+def name_records(diagnosis: Diagnosis, files: Sequence[str], further: Sequence[str]) -> list[str]:
     """Return what all records are called, the fitted ones first; numbered where not given."""
-    fitted = list(files) or [f"record {k + 1}" for k in range(len(found.dataset.records))]
-    apart = list(further) or [f"validation {k + 1}" for k in range(len(found.validation))]
-    return fitted + apart
+    fitted_names = list(files) or [f"record {k + 1}" for k in range(len(diagnosis.dataset.records))]
+    validation_names = list(further) or [
+        f"validation {k + 1}" for k in range(len(diagnosis.validation))
+    ]
+    return fitted_names + validation_names
 
 
 def build_prediction_table(records: Sequence[PredictedRecord], names: Sequence[str]) -> Table:
     """Return the errors of both models in records that were not fitted, by file and channel."""
     rows = []
-    for name, one in zip(names, records, strict=True):
-        before, after = one.fitness(one.before), one.fitness(one.after)
-        start, units = one.record.start, one.record.units
-        times = f"{start:.6g} to {start + float(one.record.time[-1]):.6g} s"
+    for name, prediction in zip(names, records, strict=True):
+        before, after = prediction.fitness(prediction.before), prediction.fitness(prediction.after)
+        start, units = prediction.record.start, prediction.record.units
+        times = f"{start:.6g} to {start + float(prediction.record.time[-1]):.6g} s"
         rows += [
             (
                 name,
                 times,
                 units.word(channel),
-                str(int(one.record.good[channel].sum())),
-                str(one.spikes[channel]),
+                str(int(prediction.record.good[channel].sum())),
+                str(prediction.spikes[channel]),
                 _format_error(units, channel, before[channel].rmse),
                 _format_error(units, channel, after[channel].rmse),
                 f"{after[channel].mean:.2%}",
                 f"{after[channel].largest:.2%}",
             )
-            for channel in one.record.compared
+            for channel in prediction.record.compared
         ]
     head = ("file", "time", "channel", "samples", "spikes excluded", "RMSE before", "RMSE after")
     return Table((*head, "mean after", "largest after"), tuple(rows))
@@ -45,19 +47,19 @@ def _format_error(units: Units, channel: str, error: float) -> str:
     return format_quantity(error, units.of(channel), 3)
 
 
-def build_force_table(found: Diagnosis, names: Sequence[str]) -> Table:
+def build_force_table(diagnosis: Diagnosis, names: Sequence[str]) -> Table:
     """Return the error of the force that `teleop estimate` and `run --replay` would give."""
     head = ("force at the tip in", "data", "samples", "spikes excluded", "RMSE before")
     rows = [
-        (name, "validation" if one.validation else "fitted", *_format_force_errors(one))
-        for name, one in zip(names, found.forces, strict=True)
+        (name, "validation" if force.validation else "fitted", *_format_force_errors(force))
+        for name, force in zip(names, diagnosis.forces, strict=True)
     ]
     return Table((*head, "RMSE after", "mean after", "largest after"), tuple(rows))
 
 
-def _format_force_errors(one: FileForce) -> tuple[str, ...]:
-    after = one.after
-    errors = (one.before.rmse, after.rmse, after.mean, after.largest)
+def _format_force_errors(force: FileForce) -> tuple[str, ...]:
+    after = force.after
+    errors = (force.before.rmse, after.rmse, after.mean, after.largest)
     return (
         str(after.samples),
         str(after.spikes),
@@ -65,31 +67,31 @@ def _format_force_errors(one: FileForce) -> tuple[str, ...]:
     )
 
 
-def build_rival_table(found: Diagnosis) -> Table:
+def build_rival_table(diagnosis: Diagnosis) -> Table:
     """Return what each rival in the model would do to the estimated force."""
     rows = [
         (
-            one.label,
-            one.replaces,
-            _format_with_full_scale(one.mean, one.full_scale),
-            _format_with_full_scale(one.largest, one.full_scale),
+            rival.label,
+            rival.replaces,
+            _format_with_full_scale(rival.mean, rival.full_scale),
+            _format_with_full_scale(rival.largest, rival.full_scale),
         )
-        for one in found.rival_forces
+        for rival in diagnosis.rival_forces
     ]
     head = ("rival", "in the place of", "mean change of the force", "largest")
     return Table(head, tuple(rows))
 
 
-def build_rival_parameter_table(found: Diagnosis) -> Table:
+def build_rival_parameter_table(diagnosis: Diagnosis) -> Table:
     """Return the parameters of each rival's model, fitted to all samples."""
-    names = [parameter.name for parameter in found.dataset.base.shared]
-    units, rows = found.units, []
-    for one in found.rivals:
-        model = one.fit.model
+    names = [parameter.name for parameter in diagnosis.dataset.base.shared]
+    units, rows = diagnosis.units, []
+    for rival in diagnosis.rivals:
+        model = rival.fit.model
         values = [
             f"{name} {format_quantity(value, units.name(parameter.unit))}"
             for name, value, parameter in zip(
-                names, model.shared, found.dataset.base.shared, strict=True
+                names, model.shared, diagnosis.dataset.base.shared, strict=True
             )
         ]
         for effect, numbers in model.effects:
@@ -97,7 +99,7 @@ def build_rival_parameter_table(found: Diagnosis) -> Table:
                 f"{effect.name}.{p.name} {format_quantity(value, units.name(p.unit))}"
                 for p, value in zip(effect.parameters, numbers, strict=True)
             ]
-        rows.append((one.effect.label, one.replaces, ", ".join(values)))
+        rows.append((rival.effect.label, rival.replaces, ", ".join(values)))
     return Table(("rival", "in the place of", "parameters of its model"), tuple(rows))
 
 

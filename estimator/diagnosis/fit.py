@@ -91,19 +91,19 @@ class ParameterLayout:
     def when(self) -> Mask:
         """Which numbers say when something happened, and how long it took."""
         mask = np.zeros(len(self.parameters), dtype=np.bool_)
-        at = len(self.base.shared)
+        offset = len(self.base.shared)
         for effect in self.effects:
             if any(p.jumps for p in effect.parameters):
-                for i, p in enumerate(effect.parameters, start=at):
+                for i, p in enumerate(effect.parameters, start=offset):
                     mask[i] = p.neutral is None
-            at += len(effect.parameters)
+            offset += len(effect.parameters)
         return mask
 
     @property
     def loads(self) -> list[int]:
         """Places of what the tips of single records pull at."""
-        known = {p.name for p in OWN_LOADS[self.base.loads]}
-        own = [p.name in known for p in self.base.own] * self.records
+        load_names = {p.name for p in OWN_LOADS[self.base.loads]}
+        own = [p.name in load_names for p in self.base.own] * self.records
         return [self.common + k for k, is_load in enumerate(own) if is_load]
 
     @property
@@ -124,8 +124,8 @@ class ParameterLayout:
 
     def values(self, model: Model) -> list[float]:
         """Return the numbers of a model, in a row."""
-        of_effects = [value for _, values in model.effects for value in values]
-        return [*model.shared, *of_effects, *(value for own in model.own for value in own)]
+        effect_values = [value for _, values in model.effects for value in values]
+        return [*model.shared, *effect_values, *(value for own in model.own for value in own)]
 
     def pack(self, model: Model) -> Array:
         """Return them in their steps."""
@@ -134,15 +134,17 @@ class ParameterLayout:
     def unpack(self, x: Array) -> Model:
         """Return the model of a row."""
         values = (np.asarray(x) * np.array(self._steps) + self._zeros).tolist()
-        at = len(self.base.shared)
-        shared = tuple(values[:at])
+        offset = len(self.base.shared)
+        shared = tuple(values[:offset])
         effects = []
         for effect in self.effects:
             count = len(effect.parameters)
-            effects.append((effect, tuple(values[at : at + count])))
-            at += count
+            effects.append((effect, tuple(values[offset : offset + count])))
+            offset += count
         size = len(self.base.own)
-        own = tuple(tuple(values[at + k * size : at + (k + 1) * size]) for k in range(self.records))
+        own = tuple(
+            tuple(values[offset + k * size : offset + (k + 1) * size]) for k in range(self.records)
+        )
         return Model(shared, own, tuple(effects))
 
     def _counted(self, values: Array) -> Array:
@@ -165,7 +167,7 @@ REGULARISATION = 1e-8  # information on a number about which there is none
 
 def fit_model(
     dataset: Dataset,
-    about: Sequence[EffectContext],
+    contexts: Sequence[EffectContext],
     start: Model,
     rounds: int = ROUNDS,
     *,
@@ -180,59 +182,66 @@ def fit_model(
     however far it is off the rest.
     """
     layout = ParameterLayout(dataset, start)
-    jumping = [i for i, p in enumerate(layout.parameters) if p.jumps]
-    if jumping and rounds > ROUNDS:  # a sample beside its time a descent takes an effect to nothing
-        dated = simulate_dataset(dataset, about, start)
-        for i in jumping:
-            times = _estimate_change_times(dataset, about, layout, dated, i)
-            dated = _search_times(dataset, about, layout, dated, i, times)
-        start = dated.model
-    fit = _run_least_squares(dataset, about, layout, start, rounds, layout.smooth, robust=robust)
+    jump_indices = [i for i, p in enumerate(layout.parameters) if p.jumps]
+    if (
+        jump_indices and rounds > ROUNDS
+    ):  # a sample beside its time a descent takes an effect to nothing
+        timed_fit = simulate_dataset(dataset, contexts, start)
+        for i in jump_indices:
+            times = _estimate_change_times(dataset, contexts, layout, timed_fit, i)
+            timed_fit = _search_times(dataset, contexts, layout, timed_fit, i, times)
+        start = timed_fit.model
+    fit = _run_least_squares(dataset, contexts, layout, start, rounds, layout.smooth, robust=robust)
     for _ in range(SHAPE_RESTARTS_MAX if rounds > ROUNDS else 0):
-        model = _search_shape_multiples(dataset, about, layout, fit)
+        model = _search_shape_multiples(dataset, contexts, layout, fit)
         if model is None:
             break
-        fit = _run_least_squares(dataset, about, layout, model, ROUNDS, layout.smooth)
-    for i in jumping if rounds > ROUNDS else ():
+        fit = _run_least_squares(dataset, contexts, layout, model, ROUNDS, layout.smooth)
+    for i in jump_indices if rounds > ROUNDS else ():
         fit = _search_times(
-            dataset, about, layout, fit, i, _estimate_change_times(dataset, about, layout, fit, i)
+            dataset,
+            contexts,
+            layout,
+            fit,
+            i,
+            _estimate_change_times(dataset, contexts, layout, fit, i),
         )
     reaches = (
         SEARCH_REACHES if rounds > ROUNDS else SEARCH_REACHES[:1] if rounds > QUICK_ROUNDS else ()
     )
-    for reach in (*compute_search_reaches(dataset), *reaches) if jumping and reaches else ():
-        for i in jumping:
+    for reach in (*compute_search_reaches(dataset), *reaches) if jump_indices and reaches else ():
+        for i in jump_indices:
             times = layout.values(fit.model)[i] + np.linspace(-reach, reach, SEARCH_POINTS)
-            fit = _search_times(dataset, about, layout, fit, i, times)
+            fit = _search_times(dataset, contexts, layout, fit, i, times)
         fit = _run_least_squares(
-            use_all_samples(dataset), about, layout, fit.model, max(2, rounds // 3), layout.when
+            use_all_samples(dataset), contexts, layout, fit.model, max(2, rounds // 3), layout.when
         )
         fit = _run_least_squares(
-            dataset, about, layout, fit.model, max(2, rounds // 3), ~layout.when
+            dataset, contexts, layout, fit.model, max(2, rounds // 3), ~layout.when
         )
     return fit
 
 
 def _search_shape_multiples(
-    dataset: Dataset, about: Sequence[EffectContext], layout: ParameterLayout, fit: Fit
+    dataset: Dataset, contexts: Sequence[EffectContext], layout: ParameterLayout, fit: Fit
 ) -> Model | None:
     """Return a fit's model with its shapes at better multiples of their values; None if none is."""
-    best, least = fit, compute_cost(dataset, fit)
+    best, cost_min = fit, compute_cost(dataset, fit)
     for i in np.flatnonzero(layout.shape):
         x = layout.pack(best.model)
         low, high = layout.bounds()
         for multiple in SHAPE_MULTIPLES:
-            moved = x.copy()
-            moved[i] = np.clip(multiple * x[i], low[i], high[i])
-            other = simulate_dataset(dataset, about, layout.unpack(moved))
-            found = compute_cost(dataset, other)
-            if found < least:
-                best, least = other, found
+            shifted = x.copy()
+            shifted[i] = np.clip(multiple * x[i], low[i], high[i])
+            trial = simulate_dataset(dataset, contexts, layout.unpack(shifted))
+            cost = compute_cost(dataset, trial)
+            if cost < cost_min:
+                best, cost_min = trial, cost
     return None if best is fit else best.model
 
 
 def _estimate_change_times(
-    dataset: Dataset, about: Sequence[EffectContext], layout: ParameterLayout, fit: Fit, i: int
+    dataset: Dataset, contexts: Sequence[EffectContext], layout: ParameterLayout, fit: Fit, i: int
 ) -> Array:
     """Return times about the one before which nothing fits better, and after which the effect [s].
 
@@ -242,30 +251,32 @@ def _estimate_change_times(
     """
     x = layout.pack(fit.model)
     ends = min(r.time[0] for r in dataset.records), max(r.time[-1] for r in dataset.records)
-    without, within = x.copy(), x.copy()
-    without[i], within[i] = (2.0 * ends[1] / layout.step(i), ends[0] / layout.step(i))
-    off = [
-        _compute_scaled_errors(dataset, simulate_dataset(dataset, about, layout.unpack(row)))
-        for row in (without, within)
+    x_without, x_with = x.copy(), x.copy()
+    x_without[i], x_with[i] = (2.0 * ends[1] / layout.step(i), ends[0] / layout.step(i))
+    errors = [
+        _compute_scaled_errors(dataset, simulate_dataset(dataset, contexts, layout.unpack(row)))
+        for row in (x_without, x_with)
     ]
     time = np.concatenate([record.time for record in dataset.records])
     order = np.argsort(time, kind="stable")
-    gain = np.concatenate([[0.0], np.cumsum((off[0] - off[1])[order])])
-    at = float(time[order][min(int(np.argmin(gain)), len(order) - 1)])
+    gain = np.concatenate([[0.0], np.cumsum((errors[0] - errors[1])[order])])
+    change_time = float(time[order][min(int(np.argmin(gain)), len(order) - 1)])
     step = min(float(np.median(np.diff(record.time))) for record in dataset.records)
-    return np.asarray(at + step * (np.arange(-SAMPLES_AROUND, SAMPLES_AROUND) + 0.5))
+    return np.asarray(change_time + step * (np.arange(-SAMPLES_AROUND, SAMPLES_AROUND) + 0.5))
 
 
 def _compute_scaled_errors(dataset: Dataset, fit: Fit) -> Array:
     """Return how far a model is off each sample, of all records, in their noises."""
-    total = []
-    for record, one, scale in zip(dataset.records, fit.simulated, dataset.scale, strict=True):
-        off = np.zeros(len(record.time))
+    parts = []
+    for record, simulated, scale in zip(dataset.records, fit.simulated, dataset.scale, strict=True):
+        errors = np.zeros(len(record.time))
         for channel in record.compared:
-            each = np.abs(one.signals[channel] - record.signals[channel]) / scale[channel]
-            off += np.where(record.good[channel], each, 0.0)
-        total.append(off)
-    return np.concatenate(total)
+            channel_errors = (
+                np.abs(simulated.signals[channel] - record.signals[channel]) / scale[channel]
+            )
+            errors += np.where(record.good[channel], channel_errors, 0.0)
+        parts.append(errors)
+    return np.concatenate(parts)
 
 
 def compute_search_reaches(dataset: Dataset) -> list[float]:
@@ -279,27 +290,27 @@ def compute_search_reaches(dataset: Dataset) -> list[float]:
 
 
 def refit_subset(
-    part: Dataset, of: Dataset, about: Sequence[EffectContext], fit: Fit, rounds: int
+    part: Dataset, whole: Dataset, contexts: Sequence[EffectContext], fit: Fit, rounds: int
 ) -> Fit:
-    """Return a model of the whole, fitted again to a part of the samples.
+    """Return a model of the whole dataset, refitted to a part of its samples.
 
-    What the part cannot tell stays as the whole has it: when something happened, and whatever shows
+    What the part does not determine stays as in the whole: when something happened, and what shows
     in hardly any of its samples, as where a record starts.
     """
-    layout = ParameterLayout(of, fit.model)
-    told = ~layout.when & (
-        _compute_uncertainty(part, about, fit)
-        < SETTINGS.blind * _compute_uncertainty(of, about, fit)
+    layout = ParameterLayout(whole, fit.model)
+    is_determined = ~layout.when & (
+        _compute_uncertainty(part, contexts, fit)
+        < SETTINGS.blind * _compute_uncertainty(whole, contexts, fit)
     )
-    return _run_least_squares(part, about, layout, fit.model, rounds, told)
+    return _run_least_squares(part, contexts, layout, fit.model, rounds, is_determined)
 
 
 def fit_record_parameters(dataset: Dataset, fit: Fit) -> Fit:
     """Return a model of other records of the dataset: only what each has for itself is fitted."""
-    about = build_unsimulated_contexts(dataset, fit)
+    contexts = build_unsimulated_contexts(dataset, fit)
     if not dataset.base.own:
         return simulate_dataset(
-            dataset, about, fit.model._replace(own=((),) * len(dataset.records))
+            dataset, contexts, fit.model._replace(own=((),) * len(dataset.records))
         )
     compliance = dataset.base.compliance(fit.model.shared) or 0.0
     own = tuple(
@@ -307,7 +318,7 @@ def fit_record_parameters(dataset: Dataset, fit: Fit) -> Fit:
     )
     model = fit.model._replace(own=own)
     layout = ParameterLayout(dataset, model)
-    return _run_least_squares(dataset, about, layout, model, ROUNDS, layout.own)
+    return _run_least_squares(dataset, contexts, layout, model, ROUNDS, layout.own)
 
 
 def guess_record_parameters(
@@ -352,36 +363,36 @@ def _find_idle_samples(record: Record) -> Mask:
     return np.asarray(rows & (size <= np.quantile(size[rows], 0.1)))
 
 
-def shift_parameters(dataset: Dataset, model: Model, by: Array) -> Model:
-    """Return a model with all its numbers moved, in their own steps, as far as they may be."""
+def shift_parameters(dataset: Dataset, model: Model, shift: Array) -> Model:
+    """Return a model with all parameters shifted by `shift`, in their steps, within bounds."""
     layout = ParameterLayout(dataset, model)
     low, high = layout.bounds()
-    return layout.unpack(np.clip(layout.pack(model) + by, low, high))
+    return layout.unpack(np.clip(layout.pack(model) + shift, low, high))
 
 
-def compute_jacobian(dataset: Dataset, about: Sequence[EffectContext], fit: Fit) -> Array:
+def compute_jacobian(dataset: Dataset, contexts: Sequence[EffectContext], fit: Fit) -> Array:
     """Return the derivatives of the residual by all parameters, each in its own step."""
     layout = ParameterLayout(dataset, fit.model)
     _, high = layout.bounds()
 
-    def off(x: Array) -> Array:
-        return compute_residual(dataset, simulate_dataset(dataset, about, layout.unpack(x)))
+    def evaluate_residual(x: Array) -> Array:
+        return compute_residual(dataset, simulate_dataset(dataset, contexts, layout.unpack(x)))
 
     return _compute_finite_differences(
-        off, layout.pack(fit.model), compute_residual(dataset, fit), high
+        evaluate_residual, layout.pack(fit.model), compute_residual(dataset, fit), high
     )
 
 
-def _compute_uncertainty(dataset: Dataset, about: Sequence[EffectContext], fit: Fit) -> Array:
+def _compute_uncertainty(dataset: Dataset, contexts: Sequence[EffectContext], fit: Fit) -> Array:
     """Return how uncertain each number of a model is, in its step, for residuals of 1."""
-    J = compute_jacobian(dataset, about, fit)
+    J = compute_jacobian(dataset, contexts, fit)
     information = J.T @ J + REGULARISATION * np.eye(J.shape[1])
     return np.asarray(np.sqrt(np.diag(np.linalg.inv(information))))
 
 
 def _search_times(
     dataset: Dataset,
-    about: Sequence[EffectContext],
+    contexts: Sequence[EffectContext],
     layout: ParameterLayout,
     fit: Fit,
     i: int,
@@ -393,49 +404,51 @@ def _search_times(
     """
     dataset = use_all_samples(dataset)
     x = layout.pack(fit.model)
-    best, least = fit, compute_cost(dataset, fit)
-    now = float(layout.values(fit.model)[i])
+    best, cost_min = fit, compute_cost(dataset, fit)
+    current_time = float(layout.values(fit.model)[i])
     for time in times.tolist():
-        moved = x.copy()
-        moved[i] = time / layout.step(i)
-        other = simulate_dataset(dataset, about, layout.unpack(moved))
-        found = compute_cost(dataset, other)
-        if found < least or (time > now and found < (1.0 + COST_TOLERANCE) * least):
-            best, least = other, min(found, least)
+        shifted = x.copy()
+        shifted[i] = time / layout.step(i)
+        trial = simulate_dataset(dataset, contexts, layout.unpack(shifted))
+        cost = compute_cost(dataset, trial)
+        if cost < cost_min or (time > current_time and cost < (1.0 + COST_TOLERANCE) * cost_min):
+            best, cost_min = trial, min(cost, cost_min)
     return best
 
 
 def _run_least_squares(
     dataset: Dataset,
-    about: Sequence[EffectContext],
+    contexts: Sequence[EffectContext],
     layout: ParameterLayout,
     start: Model,
     rounds: int,
-    free: Mask,
+    is_free: Mask,
     *,
     robust: bool = False,
 ) -> Fit:
     from scipy.optimize import least_squares  # here: the control processes import this module
 
-    if not free.any():
-        return simulate_dataset(dataset, about, start)
+    if not is_free.any():
+        return simulate_dataset(dataset, contexts, start)
     low, high = layout.bounds()
-    at_start = np.clip(layout.pack(start), low + 1e-9, high - 1e-9)
+    x_start = np.clip(layout.pack(start), low + 1e-9, high - 1e-9)
 
-    def full(x: Array) -> Array:
-        row = at_start.copy()
-        row[free] = x
+    def to_full_row(x: Array) -> Array:
+        row = x_start.copy()
+        row[is_free] = x
         return row
 
-    def off(x: Array) -> Array:
-        return compute_residual(dataset, simulate_dataset(dataset, about, layout.unpack(full(x))))
+    def evaluate_residual(x: Array) -> Array:
+        return compute_residual(
+            dataset, simulate_dataset(dataset, contexts, layout.unpack(to_full_row(x)))
+        )
 
-    slopes = _BroydenJacobian(off, high[free])
-    found = least_squares(
-        slopes.residual,
-        at_start[free],
-        jac=slopes,
-        bounds=(low[free], high[free]),
+    jacobian = _BroydenJacobian(evaluate_residual, high[is_free])
+    solution = least_squares(
+        jacobian.residual,
+        x_start[is_free],
+        jac=jacobian,
+        bounds=(low[is_free], high[is_free]),
         x_scale="jac",
         loss="cauchy" if robust else "linear",
         ftol=1e-4,
@@ -443,7 +456,7 @@ def _run_least_squares(
         gtol=1e-9,
         max_nfev=rounds,
     )
-    return simulate_dataset(dataset, about, layout.unpack(full(np.asarray(found.x))))
+    return simulate_dataset(dataset, contexts, layout.unpack(to_full_row(np.asarray(solution.x))))
 
 
 class _BroydenJacobian:
@@ -454,8 +467,8 @@ class _BroydenJacobian:
     one simulation for each number.
     """
 
-    def __init__(self, off: Callable[[Array], Array], high: Array) -> None:
-        self._off, self._high = off, high
+    def __init__(self, evaluate: Callable[[Array], Array], high: Array) -> None:
+        self._off, self._high = evaluate, high
         self._tried: tuple[bytes, Array] = (b"", np.empty(0))  # slopes are asked for there next
         self._x, self._r, self._J = np.empty(0), np.empty(0), np.empty((0, 0))
 
@@ -467,8 +480,8 @@ class _BroydenJacobian:
 
     def __call__(self, x: Array) -> Array:
         """Return its derivatives there, shape (samples, numbers)."""
-        known, r = self._tried
-        if known != x.tobytes():
+        tried_key, r = self._tried
+        if tried_key != x.tobytes():
             r = self._off(x)
         self._J = self._corrected(x, r) if len(self._x) else self._anew(x, r)
         self._x, self._r = x.copy(), r
@@ -479,23 +492,26 @@ class _BroydenJacobian:
 
     def _corrected(self, x: Array, r: Array) -> Array:
         step = x - self._x
-        foreseen = self._r + self._J @ step
-        before = float(self._r @ self._r)
-        fell, expected = before - float(r @ r), before - float(foreseen @ foreseen)
-        if not fell > TRUST_RATIO * expected or not step.any():
+        predicted = self._r + self._J @ step
+        cost_before = float(self._r @ self._r)
+        cost_decrease, expected_decrease = (
+            cost_before - float(r @ r),
+            cost_before - float(predicted @ predicted),
+        )
+        if not cost_decrease > TRUST_RATIO * expected_decrease or not step.any():
             return self._anew(x, r)
-        correction: Array = np.outer(r - foreseen, step / float(step @ step))
+        correction: Array = np.outer(r - predicted, step / float(step @ step))
         return self._J + correction
 
 
 def _compute_finite_differences(
-    off: Callable[[Array], Array], x: Array, at: Array, high: Array
+    evaluate: Callable[[Array], Array], x: Array, residual: Array, high: Array
 ) -> Array:
-    """Return the derivatives of a residual that is `at` where its numbers are `x`."""
+    """Return the derivatives of a residual by its parameters at `x`, where it is `residual`."""
     columns = []
     for i in range(len(x)):
         h = DIFFERENCE_STEP if x[i] + DIFFERENCE_STEP < high[i] else -DIFFERENCE_STEP
-        moved = x.copy()
-        moved[i] += h
-        columns.append((off(moved) - at) / h)
+        shifted = x.copy()
+        shifted[i] += h
+        columns.append((evaluate(shifted) - residual) / h)
     return np.column_stack(columns)

@@ -65,14 +65,14 @@ def build_tendon_model(model: Model, duration: float, data: MeasuredData) -> Ten
         The record.
     """
     stiffness = SHEATH_LENGTH / SETTINGS.assumed_compliance
-    found = build_extended_model(model.shared, model.effects, duration, SHEATH_LENGTH, stiffness)
+    extended = build_extended_model(model.shared, model.effects, duration, SHEATH_LENGTH, stiffness)
     travel = data.proximal_displacement
     return TendonModel(
-        found.sheath,
+        extended.sheath,
         tension_noise=signals.noise_sigma(data.proximal_tension),
         displacement_noise=0.0 if travel is None else signals.noise_sigma(travel),
-        extension=found.extension,
-        tip_effects=found.tip_effects,
+        extension=extended.extension,
+        tip_effects=extended.tip_effects,
     )
 
 
@@ -89,19 +89,19 @@ def compute_force_error(model: Model, duration: float, data: MeasuredData) -> Fo
     reading = clean.distal_tension
     if reading is None or data.distal_tension is None:
         return None
-    known = build_tendon_model(model, duration, data)
-    estimates = Estimator(known).run(clean)
-    score = Score([known])
+    tendon_model = build_tendon_model(model, duration, data)
+    estimates = Estimator(tendon_model).run(clean)
+    score = Score([tendon_model])
     score.add_columns(estimates.distal_tension, estimates.low, estimates.high, reading)
-    found = score.summary()
-    if found is None:
+    summary = score.summary()
+    if summary is None:
         return None
     return ForceError(
-        found["rmse_N"],
-        found["mean_N"],
-        found["max_N"],
-        found["full_scale_N"],
-        found["samples"],
+        summary["rmse_N"],
+        summary["mean_N"],
+        summary["max_N"],
+        summary["full_scale_N"],
+        summary["samples"],
         int(np.isnan(reading).sum() - np.isnan(data.distal_tension).sum()),
     )
 
@@ -118,10 +118,12 @@ def _select_complete_rows(data: MeasuredData) -> Samples:
 
 
 def compute_file_force(
-    plain: Model, model: Model, duration: float, data: MeasuredData, *, validation: bool
+    base_model: Model, model: Model, duration: float, data: MeasuredData, *, validation: bool
 ) -> FileForce | None:
     """Return the errors of the force in a record; None without a cell at the tip."""
-    before, after = (compute_force_error(one, duration, data) for one in (plain, model))
+    before, after = (
+        compute_force_error(trial_model, duration, data) for trial_model in (base_model, model)
+    )
     return None if before is None or after is None else FileForce(validation, before, after)
 
 
@@ -134,7 +136,7 @@ def compute_rival_force(
 ) -> RivalForce:
     """Return what a rival would do to the force; `names` are the cause it replaces and its own."""
     forces = [estimate_force(model, duration, data) for data in records]
-    others = [estimate_force(rival, duration, data) for data in records]
-    change = np.abs(np.concatenate(others) - np.concatenate(forces))
+    rival_forces = [estimate_force(rival, duration, data) for data in records]
+    change = np.abs(np.concatenate(rival_forces) - np.concatenate(forces))
     full_scale = max(float(force.max()) for force in forces)
     return RivalForce(*names, float(change.mean()), float(change.max()), full_scale)

@@ -2,8 +2,8 @@
 
 Just behind a turn the tension changes with the root of the travel: where the motor goes back by
 less than the noise, the travel looks at rest while the tension falls or rises by many times its own
-noise. There the tension tells the motion better. So where a simulation by the plain law leaves the
-measured tension, the most probable motion is followed sample by sample, by tension and travel
+noise. There the tension determines the motion better. So where a simulation by the base law leaves
+the measured tension, the most probable motion is followed sample by sample, by tension and travel
 together, until the travel alone tells the tension again: a few samples. It is taken if it lies
 within the noise of the travel. Otherwise something else is wrong and nothing changes.
 """
@@ -94,20 +94,20 @@ def recover_hidden_motion(
     if not may_hide_motion(record):
         return record
     physics = build_plain_physics(record, base, base.values(shared, own))
-    drive, told = record.drive - own[0], np.zeros(len(record.time), dtype=np.bool_)
+    drive, tension_inferred = record.drive - own[0], np.zeros(len(record.time), dtype=np.bool_)
     for noise in (record.sigma[PROXIMAL_TENSION], record.noise[PROXIMAL_TENSION]):
         tendon, position = DrivenTendon(physics, record.time), 0
         readings = _build_readings(record, own[0], np.full(len(drive), noise))
-        while (found := _find_next_motion(readings, tendon, drive, position)) is not None:
-            drive[found.begin : found.end] = found.travel
-            told[found.begin : found.told] = True
-            position = found.end
-        if told.mean() > SETTINGS.hidden_share:  # a misfit all over is no noise
+        while (motion := _find_next_motion(readings, tendon, drive, position)) is not None:
+            drive[motion.begin : motion.end] = motion.travel
+            tension_inferred[motion.begin : motion.told] = True
+            position = motion.end
+        if tension_inferred.mean() > SETTINGS.hidden_share:  # a misfit all over is no noise
             return record
-    if not told.any():
+    if not tension_inferred.any():
         return record
-    good = record.good | {PROXIMAL_TENSION: record.good[PROXIMAL_TENSION] & ~told}
-    first = record.start + float(record.time[int(np.argmax(told))])
+    good = record.good | {PROXIMAL_TENSION: record.good[PROXIMAL_TENSION] & ~tension_inferred}
+    first_time = record.start + float(record.time[int(np.argmax(tension_inferred))])
     return replace(
         record,
         drive=drive + own[0],
@@ -115,7 +115,7 @@ def recover_hidden_motion(
         good=good,
         troubles=(
             *record.troubles,
-            DataIssue(EXCLUSION_TEXT, PROXIMAL_TENSION, int(told.sum()), first),
+            DataIssue(EXCLUSION_TEXT, PROXIMAL_TENSION, int(tension_inferred.sum()), first_time),
         ),
     )
 
@@ -130,12 +130,12 @@ def recover_motion_beside_effects(
 ) -> Record:
     """Return a record with the hidden motion that shows beside effects.
 
-    What they make of readings and of the tension is taken off first, as they are without it.
+    The change that the effects make to readings and to the tension is subtracted first.
 
     Parameters
     ----------
     record : Record
-        With what hidden motion was found before, if any.
+        With the hidden motion recovered before, if any.
     context : EffectContext
         What effects may know of it.
     base, shared, own, effects
@@ -143,36 +143,40 @@ def recover_motion_beside_effects(
     """
     if not may_hide_motion(record):
         return record
-    alone = simulate_record(record, context, base, shared, own, effects).signals[PROXIMAL_TENSION]
+    tension_with = simulate_record(record, context, base, shared, own, effects).signals[
+        PROXIMAL_TENSION
+    ]
     travel = invert_effects(record.signals[PROXIMAL_DISPLACEMENT], context, effects)
-    bare = replace(record, drive=invert_effects(record.drive, context, effects))
-    plain = simulate_record(bare, context, base, shared, own, ()).signals[PROXIMAL_TENSION]
-    tension = record.signals[PROXIMAL_TENSION] - (alone - plain)
-    taken = {PROXIMAL_TENSION: tension, PROXIMAL_DISPLACEMENT: travel}
-    bare = replace(bare, signals=record.signals | taken)
-    moved = recover_hidden_motion(bare, base, shared, own)
-    if moved is bare:
+    record_without = replace(record, drive=invert_effects(record.drive, context, effects))
+    tension_without = simulate_record(record_without, context, base, shared, own, ()).signals[
+        PROXIMAL_TENSION
+    ]
+    tension = record.signals[PROXIMAL_TENSION] - (tension_with - tension_without)
+    signals_without = {PROXIMAL_TENSION: tension, PROXIMAL_DISPLACEMENT: travel}
+    record_without = replace(record_without, signals=record.signals | signals_without)
+    recovered = recover_hidden_motion(record_without, base, shared, own)
+    if recovered is record_without:
         return record
-    drive = record.drive + (moved.drive - bare.drive)
+    drive = record.drive + (recovered.drive - record_without.drive)
     return replace(
         record,
         drive=drive,
         speed=compute_rate(record.time, drive),
-        good=moved.good,
-        troubles=moved.troubles,
+        good=recovered.good,
+        troubles=recovered.troubles,
     )
 
 
-def _build_readings(record: Record, taut: float, noise: Array) -> _Readings:
+def _build_readings(record: Record, taut_travel: float, noise: Array) -> _Readings:
     tension, travel = record.signals[PROXIMAL_TENSION], record.signals[PROXIMAL_DISPLACEMENT]
-    off = SETTINGS.accuracy * float(np.ptp(tension))
+    simulation_error = SETTINGS.accuracy * float(np.ptp(tension))
     return _Readings(
         tension,
-        travel - taut,
+        travel - taut_travel,
         record.known[PROXIMAL_TENSION],
         record.good[PROXIMAL_TENSION],
         noise,
-        float(np.hypot(record.noise[PROXIMAL_TENSION], off)),
+        float(np.hypot(record.noise[PROXIMAL_TENSION], simulation_error)),
         record.noise[PROXIMAL_DISPLACEMENT],
         SETTINGS.accuracy * float(np.ptp(travel)),
     )
@@ -183,120 +187,133 @@ def _find_next_motion(
 ) -> _HiddenMotion | None:
     """Return the first hidden motion from a sample on."""
     while position < len(drive):
-        off = tendon.by_travel(drive, position) - readings.tension[position:]
-        off = np.abs(off) / readings.noise[position:]
-        off[~readings.good[position:]] = 0.0
-        far = off > SETTINGS.hidden_tension
-        both = far[:-1] & far[1:]
-        if not both.any():
+        deviation = tendon.by_travel(drive, position) - readings.tension[position:]
+        deviation = np.abs(deviation) / readings.noise[position:]
+        deviation[~readings.good[position:]] = 0.0
+        is_off = deviation > SETTINGS.hidden_tension
+        is_off_twice = is_off[:-1] & is_off[1:]
+        if not is_off_twice.any():
             return None
-        first = position + int(np.argmax(both))
-        begin = max(first - SAMPLES_BEFORE, position, 1)
-        for about in (drive, readings.travel):  # a short motion may have been smoothed away
-            found = _track_motion(readings, tendon, drive, about, begin, first)
-            if found is not None and not _is_within_noise(readings, found):
-                shifted = _shift_to_rest(readings, about, found)
-                found = _track_motion(readings, tendon, drive, shifted, begin, first)
-            if found is not None and _is_within_noise(readings, found):
-                return found
-        near = np.convolve(off < SETTINGS.hidden_again, np.ones(AGREEING_SAMPLES), "full")[
-            AGREEING_SAMPLES - 1 :
-        ]
-        again = np.flatnonzero(near[first - position :] == AGREEING_SAMPLES)
-        position = first + int(again[0]) if len(again) else len(drive)
+        first_off = position + int(np.argmax(is_off_twice))
+        begin = max(first_off - SAMPLES_BEFORE, position, 1)
+        for reference in (drive, readings.travel):  # a short motion may have been smoothed away
+            motion = _track_motion(readings, tendon, drive, reference, begin, first_off)
+            if motion is not None and not _is_within_noise(readings, motion):
+                shifted = _shift_to_rest(readings, reference, motion)
+                motion = _track_motion(readings, tendon, drive, shifted, begin, first_off)
+            if motion is not None and _is_within_noise(readings, motion):
+                return motion
+        agreeing = np.convolve(
+            deviation < SETTINGS.hidden_again, np.ones(AGREEING_SAMPLES), "full"
+        )[AGREEING_SAMPLES - 1 :]
+        agreement = np.flatnonzero(agreeing[first_off - position :] == AGREEING_SAMPLES)
+        position = first_off + int(agreement[0]) if len(agreement) else len(drive)
     return None
 
 
 def _track_motion(
-    readings: _Readings, tendon: DrivenTendon, drive: Array, about: Array, begin: int, first: int
+    readings: _Readings,
+    tendon: DrivenTendon,
+    drive: Array,
+    reference: Array,
+    begin: int,
+    first_off: int,
 ) -> _HiddenMotion | None:
-    """Return the most probable motion `about` a travel [m] from a sample on.
+    """Return the most probable motion near the travel `reference` [m] from sample `begin` on.
 
     It ends where the travel alone tells the tension best from there on, of the first few samples in
     which it does. None if it leaves the tension by more than noise, or never ends.
     """
-    tendon, moved = tendon.copy(), drive.copy()
-    found: _HiddenMotion | None = None
-    missed, least = 0.0, SETTINGS.hidden_again**2
-    last = min(begin + MOTION_SAMPLES_MAX, len(drive) - SAMPLES_AFTER)
-    for i in range(begin, last):
-        if i > last or not readings.known[i]:
+    tendon, tracked = tendon.copy(), drive.copy()
+    motion: _HiddenMotion | None = None
+    squared_error, error_min = 0.0, SETTINGS.hidden_again**2
+    end_max = min(begin + MOTION_SAMPLES_MAX, len(drive) - SAMPLES_AFTER)
+    for i in range(begin, end_max):
+        if i > end_max or not readings.known[i]:
             break
-        moved[i], off = _estimate_position(readings, tendon, moved, about, i)
-        missed += off**2
-        if missed > SETTINGS.hidden_again**2 * (i - begin + SAMPLES_AFTER):
+        tracked[i], deviation = _estimate_position(readings, tendon, tracked, reference, i)
+        squared_error += deviation**2
+        if squared_error > SETTINGS.hidden_again**2 * (i - begin + SAMPLES_AFTER):
             break
-        for end in _find_motion_ends(readings, drive, i + 1, float(moved[i])) if i >= first else ():
-            moved[i + 1 : end], moved[end:] = moved[i], drive[end:]
-            then = _compute_tension_error(readings, tendon, moved, i + 1)
-            if then < least:
-                last = last if found else i + SAMPLES_AFTER
-                least, found = then, _HiddenMotion(begin, i + 1, end, moved[begin:end].copy())
-    return found
+        for end in (
+            _find_motion_ends(readings, drive, i + 1, float(tracked[i])) if i >= first_off else ()
+        ):
+            tracked[i + 1 : end], tracked[end:] = tracked[i], drive[end:]
+            error = _compute_tension_error(readings, tendon, tracked, i + 1)
+            if error < error_min:
+                end_max = end_max if motion else i + SAMPLES_AFTER
+                error_min, motion = (
+                    error,
+                    _HiddenMotion(begin, i + 1, end, tracked[begin:end].copy()),
+                )
+    return motion
 
 
-def _shift_to_rest(readings: _Readings, about: Array, found: _HiddenMotion) -> Array:
-    """Return a travel moved so that a motion about it ends where the motor rests behind it.
+def _shift_to_rest(readings: _Readings, reference: Array, motion: _HiddenMotion) -> Array:
+    """Return a reference travel shifted so that a motion near it ends where the motor rests.
 
     From the turn on the tension tells by how far the motor went back; where it turned was read in
     one noisy sample, where it rests is read in many.
     """
-    rest = slice(found.told, found.end)
-    off = readings.travel[rest] - found.travel[rest.start - found.begin :]
-    shift = np.zeros_like(about)
-    if len(off):
-        shift[found.begin : found.told] = off.mean()
-    return np.asarray(about + shift)
+    rest_rows = slice(motion.told, motion.end)
+    deviation = readings.travel[rest_rows] - motion.travel[rest_rows.start - motion.begin :]
+    shift = np.zeros_like(reference)
+    if len(deviation):
+        shift[motion.begin : motion.told] = deviation.mean()
+    return np.asarray(reference + shift)
 
 
 def _estimate_position(
-    readings: _Readings, tendon: DrivenTendon, moved: Array, about: Array, i: int
+    readings: _Readings, tendon: DrivenTendon, tracked: Array, reference: Array, i: int
 ) -> tuple[float, float]:
     """Return where the motor most probably is at a sample [m], and by how far that tension is off.
 
-    That is counted in its noise. The motor is at `about`, or where it has a tension near the
+    That is counted in its noise. The motor is at `reference`, or where it has a tension near the
     measured one; behind a turn that is within nanometres, on the way millimetres.
     """
     tensions = np.maximum(readings.tension[i] + TENSION_OFFSETS * readings.accuracy, 0.0)
-    places = [
-        tendon.by_tension(moved, i, tensions[k : k + 1])[0][0] for k in range(len(TENSION_OFFSETS))
+    positions = [
+        tendon.by_tension(tracked, i, tensions[k : k + 1])[0][0]
+        for k in range(len(TENSION_OFFSETS))
     ]
-    costs = TENSION_OFFSETS**2 + ((np.array(places) - about[i]) / readings.sigma) ** 2
+    costs = TENSION_OFFSETS**2 + ((np.array(positions) - reference[i]) / readings.sigma) ** 2
     best = int(np.argmin(costs))
-    there = np.append(moved[:i], about[i])
-    off = float(tendon.by_travel(there, i)[0] - readings.tension[i]) / readings.accuracy
-    if off**2 <= costs[best]:
-        return float(about[i]), off
-    return float(places[best]), float(TENSION_OFFSETS[best])
+    reference_drive = np.append(tracked[:i], reference[i])
+    deviation = (
+        float(tendon.by_travel(reference_drive, i)[0] - readings.tension[i]) / readings.accuracy
+    )
+    if deviation**2 <= costs[best]:
+        return float(reference[i]), deviation
+    return float(positions[best]), float(TENSION_OFFSETS[best])
 
 
 def _compute_tension_error(
-    readings: _Readings, tendon: DrivenTendon, moved: Array, begin: int
+    readings: _Readings, tendon: DrivenTendon, drive: Array, begin: int
 ) -> float:
     """Return the mean square by which a travel misses the tension in the samples from one on."""
     later = slice(begin, begin + SAMPLES_AFTER)
-    simulated = tendon.copy().by_travel(moved[: later.stop], begin)
+    simulated = tendon.copy().by_travel(drive[: later.stop], begin)
     return float(np.mean(((simulated - readings.tension[later]) / readings.accuracy) ** 2))
 
 
-def _is_within_noise(readings: _Readings, found: _HiddenMotion) -> bool:
+def _is_within_noise(readings: _Readings, motion: _HiddenMotion) -> bool:
     """Return whether a motion is within the noise of the travel: on average, in scatter, anywhere.
 
     A simulation may be off itself besides, up to half the noise.
     """
-    off = readings.travel[found.begin : found.end] - found.travel
-    n, sigma, most = len(off), readings.sigma, SETTINGS.hidden_travel
+    deviation = readings.travel[motion.begin : motion.end] - motion.travel
+    n, sigma, tolerance = len(deviation), readings.sigma, SETTINGS.hidden_travel
     average = np.hypot(sigma / np.sqrt(n), min(readings.inaccuracy, 0.5 * sigma))
-    scatter = 1.5 + most * np.sqrt(2.0 / n)
+    scatter = 1.5 + tolerance * np.sqrt(2.0 / n)
     return bool(
-        abs(float(off.mean())) < most * average
-        and float(np.mean(off**2)) < scatter * sigma**2
-        and float(np.abs(off).max()) < SETTINGS.hidden_farthest * sigma
+        abs(float(deviation.mean())) < tolerance * average
+        and float(np.mean(deviation**2)) < scatter * sigma**2
+        and float(np.abs(deviation).max()) < SETTINGS.hidden_farthest * sigma
     )
 
 
 def _find_motion_ends(
-    readings: _Readings, drive: Array, begin: int, left_at: float
+    readings: _Readings, drive: Array, begin: int, position: float
 ) -> tuple[int, int]:
     """Return where a motor that the tension left at a place [m] may go on as the travel has it.
 
@@ -304,11 +321,11 @@ def _find_motion_ends(
     """
     steps = np.diff(drive[begin - 1 :])
     moving = np.flatnonzero(steps)
-    way = np.sign(steps[moving[0]]) if len(moving) else 0.0
-    off = drive[begin:] - left_at
-    passed = (way * off > 0.0) | (way * steps < 0.0)
-    left = np.abs(off) > SETTINGS.hidden_travel * readings.sigma
-    return _find_first_true(passed, begin), _find_first_true(left, begin)
+    direction = np.sign(steps[moving[0]]) if len(moving) else 0.0
+    deviation = drive[begin:] - position
+    is_past = (direction * deviation > 0.0) | (direction * steps < 0.0)
+    is_beyond_noise = np.abs(deviation) > SETTINGS.hidden_travel * readings.sigma
+    return _find_first_true(is_past, begin), _find_first_true(is_beyond_noise, begin)
 
 
 def _find_first_true(mask: Mask, begin: int) -> int:

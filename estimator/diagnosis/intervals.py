@@ -51,12 +51,14 @@ class ParameterInterval(NamedTuple):
     def at_bound(self) -> bool:
         """Whether the value is at a bound of what the parameter may be."""
         p = self.parameter
-        near = 1e-3 * (p.high - p.low)
-        return self.value <= p.low + min(near, p.step) or self.value >= p.high - min(near, p.step)
+        margin = 1e-3 * (p.high - p.low)
+        return self.value <= p.low + min(margin, p.step) or self.value >= p.high - min(
+            margin, p.step
+        )
 
 
 def estimate_intervals(
-    dataset: Dataset, about: Sequence[EffectContext], fit: Fit
+    dataset: Dataset, contexts: Sequence[EffectContext], fit: Fit
 ) -> tuple[ParameterInterval, ...]:
     """Return all numbers of a model but where single records start, with their intervals.
 
@@ -65,29 +67,29 @@ def estimate_intervals(
     gradient, from how far it can be moved until the residuals are as much larger.
     """
     layout = ParameterLayout(dataset, fit.model)
-    J, r = compute_jacobian(dataset, about, fit), compute_residual(dataset, fit)
-    inverse, spread = np.linalg.pinv(J), _estimate_residual_variance(r, J.shape[1])
-    sigma = np.sqrt((inverse**2).sum(axis=1) * spread)
-    most_off = _bound_simulation_error(dataset, fit.model, np.asarray(inverse))
-    found, values = [], layout.values(fit.model)
-    unseen = np.linalg.norm(J, axis=0) < SLOPE_MIN
+    J, residual = compute_jacobian(dataset, contexts, fit), compute_residual(dataset, fit)
+    inverse, variance = np.linalg.pinv(J), _estimate_residual_variance(residual, J.shape[1])
+    sigma = np.sqrt((inverse**2).sum(axis=1) * variance)
+    simulation_error = _bound_simulation_error(dataset, fit.model, np.asarray(inverse))
+    intervals, values = [], layout.values(fit.model)
+    is_unseen = np.linalg.norm(J, axis=0) < SLOPE_MIN
     for i in (*range(layout.common), *layout.loads):
         p, value = layout.parameters[i], values[i]
-        sampling = SETTINGS.cover * float(sigma[i]) * layout.step(i)
-        reach = math.hypot(sampling, float(most_off[i]) * layout.step(i))
+        sampling_error = SETTINGS.cover * float(sigma[i]) * layout.step(i)
+        reach = math.hypot(sampling_error, float(simulation_error[i]) * layout.step(i))
         low, high = value - reach, value + reach
         if p.jumps:
-            most = compute_cost(dataset, fit) + SETTINGS.cover**2 * spread
-            low = min(low, value + _find_reach(dataset, about, layout, fit, i, -1.0, most))
-            high = max(high, value + _find_reach(dataset, about, layout, fit, i, 1.0, most))
+            cost_max = compute_cost(dataset, fit) + SETTINGS.cover**2 * variance
+            low = min(low, value + _find_reach(dataset, contexts, layout, fit, i, -1.0, cost_max))
+            high = max(high, value + _find_reach(dataset, contexts, layout, fit, i, 1.0, cost_max))
         low, high = max(low, p.low), min(high, p.high)
-        if unseen[i] and not p.jumps:
+        if is_unseen[i] and not p.jumps:
             low, high = p.low, p.high
-        found.append(ParameterInterval(layout.names[i], p, value, low, high))
-    return tuple(found)
+        intervals.append(ParameterInterval(layout.names[i], p, value, low, high))
+    return tuple(intervals)
 
 
-def is_significant(dataset: Dataset, fit: Fit, without: Fit) -> bool:
+def is_significant(dataset: Dataset, fit: Fit, fit_without: Fit) -> bool:
     """Return whether data are surely less probable without numbers of a fit (likelihood ratio).
 
     The intervals of numbers that trade against each other, as the sine and cosine of a wave or the
@@ -95,18 +97,25 @@ def is_significant(dataset: Dataset, fit: Fit, without: Fit) -> bool:
     """
     from scipy.special import chdtri  # here: the control processes import this module
 
-    numbers, fewer = (len(ParameterLayout(dataset, one.model).names) for one in (fit, without))
-    least = chdtri(numbers - fewer, SIGNIFICANCE_LEVEL) * _estimate_residual_variance(
-        compute_residual(dataset, fit), numbers
+    numbers, numbers_without = (
+        len(ParameterLayout(dataset, trial.model).names) for trial in (fit, fit_without)
     )
-    return bool(compute_cost(dataset, without) - compute_cost(dataset, fit) > least)
+    increase_min = chdtri(
+        numbers - numbers_without, SIGNIFICANCE_LEVEL
+    ) * _estimate_residual_variance(compute_residual(dataset, fit), numbers)
+    return bool(compute_cost(dataset, fit_without) - compute_cost(dataset, fit) > increase_min)
 
 
-def _estimate_residual_variance(r: Array, numbers: int) -> float:
+def _estimate_residual_variance(residual: Array, numbers: int) -> float:
     """Return the variance of a fit's residuals, larger as they correlate with the next sample."""
-    correlation = float(r[1:] @ r[:-1]) / max(float(r @ r), 1e-30)
+    correlation = float(residual[1:] @ residual[:-1]) / max(float(residual @ residual), 1e-30)
     correlation = min(max(correlation, 0.0), 0.995)
-    return float(r @ r) / max(len(r) - numbers, 1) * (1.0 + correlation) / (1.0 - correlation)
+    return (
+        float(residual @ residual)
+        / max(len(residual) - numbers, 1)
+        * (1.0 + correlation)
+        / (1.0 - correlation)
+    )
 
 
 def _bound_simulation_error(dataset: Dataset, model: Model, inverse: Array) -> Array:
@@ -116,24 +125,24 @@ def _bound_simulation_error(dataset: Dataset, model: Model, inverse: Array) -> A
     independently of it in the next; the law's own numbers are fitted to all samples, and may be off
     the same way in all of them.
     """
-    parts, bins, first = [], [], 0
+    parts, bins, next_bin = [], [], 0
     for record, scale in zip(dataset.records, dataset.scale, strict=True):
-        bin_of = ((record.time - record.time[0]) / SETTINGS.bin).astype(np.int64) + first
-        first = int(bin_of[-1]) + 1
+        bin_of = ((record.time - record.time[0]) / SETTINGS.bin).astype(np.int64) + next_bin
+        next_bin = int(bin_of[-1]) + 1
         for channel in record.compared:
             counts = record.train & record.good[channel]
-            off = SETTINGS.accuracy * float(np.ptp(record.signals[channel]))
-            parts.append(off / scale[channel][counts])
+            error = SETTINGS.accuracy * float(np.ptp(record.signals[channel]))
+            parts.append(error / scale[channel][counts])
             bins.append(bin_of[counts])
         if estimate_taut_travel(record, dataset.base, model) is not None:
             parts.append(np.zeros(1))
             bins.append(bin_of[:1])
     worst = np.abs(inverse) * np.concatenate(parts)
-    of_bins = np.concatenate(bins)
-    of_law = len(dataset.base.shared)
+    all_bins = np.concatenate(bins)
+    law_count = len(dataset.base.shared)
     return np.array(
         [
-            float(np.linalg.norm(np.bincount(of_bins, row), 1 if i < of_law else 2))
+            float(np.linalg.norm(np.bincount(all_bins, row), 1 if i < law_count else 2))
             for i, row in enumerate(worst)
         ]
     )
@@ -141,24 +150,26 @@ def _bound_simulation_error(dataset: Dataset, model: Model, inverse: Array) -> A
 
 def _find_reach(
     dataset: Dataset,
-    about: Sequence[EffectContext],
+    contexts: Sequence[EffectContext],
     layout: ParameterLayout,
     fit: Fit,
     i: int,
-    way: float,
-    most: float,
+    direction: float,
+    cost_max: float,
 ) -> float:
-    """Return how far one number can go one way, in its unit, until the cost is more than `most`."""
+    """Return how far one number can go one way, in its unit, at a cost of at most `cost_max`."""
 
-    def bears(off: float) -> bool:
+    def is_tolerated(offset: float) -> bool:
         x = layout.pack(fit.model)
-        x[i] += off / layout.step(i)
-        return compute_cost(dataset, simulate_dataset(dataset, about, layout.unpack(x))) <= most
+        x[i] += offset / layout.step(i)
+        return (
+            compute_cost(dataset, simulate_dataset(dataset, contexts, layout.unpack(x))) <= cost_max
+        )
 
-    near, far = 0.0, way * SEARCH_REACHES[-1]
-    while bears(far) and abs(far) < SETTINGS.onset_max:
-        near, far = far, 2.0 * far
+    inner, outer = 0.0, direction * SEARCH_REACHES[-1]
+    while is_tolerated(outer) and abs(outer) < SETTINGS.onset_max:
+        inner, outer = outer, 2.0 * outer
     for _ in range(BISECTIONS):
-        middle = 0.5 * (near + far)
-        near, far = (middle, far) if bears(middle) else (near, middle)
-    return near
+        middle = 0.5 * (inner + outer)
+        inner, outer = (middle, outer) if is_tolerated(middle) else (inner, middle)
+    return inner

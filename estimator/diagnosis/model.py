@@ -131,11 +131,11 @@ def build_base_parameters(
     record: Record, law: BaseLaw = BaseLaw.CAPSTAN, loads: LoadModel = LoadModel.SHARED
 ) -> BaseParameters:
     """Return the parameters that the channels of a record call for."""
-    by_travel = record.driver != PROXIMAL_TENSION
-    tip_seen = DISTAL_DISPLACEMENT in record.signals
-    shared = [*list_law_parameters(law, record.loop), *([COMPLIANCE] if by_travel else [])]
-    has_load = by_travel or tip_seen
-    own = [*([TAUT_TRAVEL] if by_travel else []), *([TIP_ZERO] if tip_seen else [])]
+    is_travel_driven = record.driver != PROXIMAL_TENSION
+    has_tip_travel = DISTAL_DISPLACEMENT in record.signals
+    shared = [*list_law_parameters(law, record.loop), *([COMPLIANCE] if is_travel_driven else [])]
+    has_load = is_travel_driven or has_tip_travel
+    own = [*([TAUT_TRAVEL] if is_travel_driven else []), *([TIP_ZERO] if has_tip_travel else [])]
     if has_load and loads is LoadModel.SHARED:
         shared.append(TIP_COMPLIANCE)
     elif has_load:
@@ -147,10 +147,10 @@ def build_base_parameters(
 
 def find_record_zeros(record: Record, base: BaseParameters) -> list[float]:
     """Return what a record's own parameters count from: the first readings of its encoders."""
-    first = {TAUT_TRAVEL: float(record.drive[0])}
+    zeros = {TAUT_TRAVEL: float(record.drive[0])}
     if TIP_ZERO in base.own:
-        first[TIP_ZERO] = float(record.signals[DISTAL_DISPLACEMENT][0])
-    return [first.get(p, 0.0) for p in base.own]
+        zeros[TIP_ZERO] = float(record.signals[DISTAL_DISPLACEMENT][0])
+    return [zeros.get(p, 0.0) for p in base.own]
 
 
 def compute_record_bounds(record: Record, base: BaseParameters) -> list[tuple[float, float]]:
@@ -159,9 +159,9 @@ def compute_record_bounds(record: Record, base: BaseParameters) -> list[tuple[fl
     bounds = [(zero + p.low, zero + p.high) for zero, p in zip(zeros, base.own, strict=True)]
     if TAUT_TRAVEL in base.own and record.starts_slack:
         T = record.signals[PROXIMAL_TENSION]
-        soft = float(np.ptp(record.drive)) / float(np.ptp(T))
-        near = SETTINGS.slack_noise * record.noise[PROXIMAL_TENSION] * soft
-        bounds[0] = (float(record.drive[0]) - near, float(record.drive[0]) + near)
+        compliance = float(np.ptp(record.drive)) / float(np.ptp(T))
+        margin = SETTINGS.slack_noise * record.noise[PROXIMAL_TENSION] * compliance
+        bounds[0] = (float(record.drive[0]) - margin, float(record.drive[0]) + margin)
     return bounds
 
 
@@ -235,8 +235,8 @@ def _simulate_motion(
 ) -> Motion:
     """Return what the ends of the transmission do when it is driven."""
     if record.loop:
-        pretension, taut = values[PRETENSION.name], values[TAUT_TRAVEL.name]
-        return simulate_loop(physics, pretension, record.time, drive - taut, record.speed)
+        pretension, taut_travel = values[PRETENSION.name], values[TAUT_TRAVEL.name]
+        return simulate_loop(physics, pretension, record.time, drive - taut_travel, record.speed)
     if record.driver == PROXIMAL_TENSION:
         return simulate_by_tension(physics, record.time, np.maximum(drive, 0.0), record.speed)
     return simulate_by_travel(physics, record.time, drive - values[TAUT_TRAVEL.name], record.speed)
@@ -246,14 +246,14 @@ def build_context(
     record: Record, simulated: SimulatedRecord | None, compliance: float
 ) -> EffectContext:
     """Return what effects may know of a record, with the model without them where there is one."""
-    none: Mapping[str, Array] = {}
+    no_signals: Mapping[str, Array] = {}
     return EffectContext(
         record.time,
         record.driver,
         record.drive,
         record.speed,
         record.signals,
-        dict(none if simulated is None else simulated.signals),
+        dict(no_signals if simulated is None else simulated.signals),
         np.zeros_like(record.time) if simulated is None else simulated.motion.compliance,
         compliance,
         1.0 / record.scale.force,

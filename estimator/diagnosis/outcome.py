@@ -173,7 +173,10 @@ class Diagnosis(NamedTuple):
         from estimator.diagnosis import figures, report_text  # which import this module
         from estimator.drawing import format_html_report
 
-        drawn = [(one.figure, one.caption) for one in figures.draw_figures(self)]
+        figures_with_captions = [
+            (drawn_figure.figure, drawn_figure.caption)
+            for drawn_figure in figures.draw_figures(self)
+        ]
         return format_html_report(
-            report_text.format_verdict(self), report_text.build_tables(self), drawn
+            report_text.format_verdict(self), report_text.build_tables(self), figures_with_captions
         )

@@ -36,7 +36,7 @@ class PredictedRecord(NamedTuple):
     """A record that was not fitted, as both models predict it."""
 
     record: Record
-    before: SimulatedRecord  # by the plain law
+    before: SimulatedRecord  # by the base law
     after: SimulatedRecord  # by the extended law
 
     def fitness(self, simulated: SimulatedRecord) -> dict[str, ErrorStatistics]:
@@ -76,13 +76,13 @@ def compute_error_statistics(residuals: Sequence[Array], full_scale: float) -> E
 
 
 def predict_records(
-    fitted: Dataset, plain: Fit, fit: Fit, records: Sequence[Record]
+    fitted: Dataset, base_fit: Fit, fit: Fit, records: Sequence[Record]
 ) -> tuple[PredictedRecord, ...]:
     """Return records as two models of a dataset predict them; only where each starts is fitted."""
     if not records:
         return ()
     dataset = use_all_samples(replace_records(fitted, records))
-    before, after = fit_record_parameters(dataset, plain), fit_record_parameters(dataset, fit)
+    before, after = fit_record_parameters(dataset, base_fit), fit_record_parameters(dataset, fit)
     return tuple(
         PredictedRecord(*row)
         for row in zip(dataset.records, before.simulated, after.simulated, strict=True)
@@ -90,50 +90,55 @@ def predict_records(
 
 
 def prepare_validation_records(
-    fitted: Dataset, records: Sequence[Record], plain: Fit
+    fitted: Dataset, records: Sequence[Record], base_fit: Fit
 ) -> tuple[Record, ...]:
     """Return records that were not fitted with what the noise of their drive does, as fitted ones.
 
-    `plain` is the plain law, fitted to a dataset of other records.
+    `base_fit` is the base law, fitted to a dataset of other records.
     """
     if not records:
         return ()
     dataset = use_all_samples(replace_records(fitted, records))
-    fit = fit_record_parameters(dataset, plain)
-    about = build_unsimulated_contexts(dataset, fit)
+    fit = fit_record_parameters(dataset, base_fit)
+    contexts = build_unsimulated_contexts(dataset, fit)
 
-    def again(k: int) -> Callable[[Record], SimulatedRecord]:
+    def build_simulator(k: int) -> Callable[[Record], SimulatedRecord]:
         own = fit.model.own[k]
-        return lambda other: simulate_record(
-            other, about[k], dataset.base, fit.model.shared, own, ()
+        return lambda driven: simulate_record(
+            driven, contexts[k], dataset.base, fit.model.shared, own, ()
         )
 
-    noisy = [propagate_driver_noise(record, again(k)) for k, record in enumerate(records)]
-    if all(new is old for new, old in zip(noisy, records, strict=True)):
+    noisy_records = [
+        propagate_driver_noise(record, build_simulator(k)) for k, record in enumerate(records)
+    ]
+    if all(new is old for new, old in zip(noisy_records, records, strict=True)):
         return tuple(records)
-    own = fit_record_parameters(use_all_samples(replace_records(fitted, noisy)), plain).model.own
+    own = fit_record_parameters(
+        use_all_samples(replace_records(fitted, noisy_records)), base_fit
+    ).model.own
     return tuple(
-        recover_hidden_motion(record, fitted.base, plain.model.shared, one)
-        for record, one in zip(noisy, own, strict=True)
+        recover_hidden_motion(record, fitted.base, base_fit.model.shared, record_own)
+        for record, record_own in zip(noisy_records, own, strict=True)
     )
 
 
-def predict_left_out(dataset: Dataset, plain: Fit, fit: Fit) -> tuple[PredictedRecord, ...]:
+def predict_left_out(dataset: Dataset, base_fit: Fit, fit: Fit) -> tuple[PredictedRecord, ...]:
     """Return each record as the models predict it whose numbers the other records gave.
 
     The causes are those of all records; their sizes and the law's parameters are fitted without the
     record.
     """
-    found: list[PredictedRecord] = []
+    predicted: list[PredictedRecord] = []
     for k, record in enumerate(dataset.records):
-        rest = use_all_samples(_drop_record(dataset, k))
-        models = [_drop_record_fit(one, k) for one in (plain, fit)]
-        about = build_contexts(rest, models[0])
+        remaining = use_all_samples(_drop_record(dataset, k))
+        fits = [_drop_record_fit(model_fit, k) for model_fit in (base_fit, fit)]
+        contexts = build_contexts(remaining, fits[0])
         before, after = (
-            fit_model(rescale_residuals(rest, one), about, one.model, ROUNDS) for one in models
+            fit_model(rescale_residuals(remaining, model_fit), contexts, model_fit.model, ROUNDS)
+            for model_fit in fits
         )
-        found += predict_records(dataset, before, after, [record])
-    return tuple(found)
+        predicted += predict_records(dataset, before, after, [record])
+    return tuple(predicted)
 
 
 def _drop_record(dataset: Dataset, k: int) -> Dataset:

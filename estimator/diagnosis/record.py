@@ -200,26 +200,34 @@ def prepare_record(
             )
     noise = dict(noise)
     driver = PROXIMAL_DISPLACEMENT if PROXIMAL_DISPLACEMENT in signals else PROXIMAL_TENSION
-    time, signals, absent = _select_driver_rows(driver, time, signals, units)
+    time, signals, missing_issues = _select_driver_rows(driver, time, signals, units)
     start = float(time[0])
-    time, late = estimate_sample_times(time - start, signals)
+    time, stamp_jitter = estimate_sample_times(time - start, signals)
     present = {name: np.isfinite(signal) for name, signal in signals.items()}
-    good, rounded, troubles = {}, {}, find_sampling_issues(time, signals)
-    if late > 0.0:
-        what = f"time stamps jitter by {1e3 * late:.2g} ms where samples are even: taken as even"
-        troubles.append(DataIssue(what, "all channels", len(time), 0.0, excluded=False))
+    good, rounding, troubles = {}, {}, find_sampling_issues(time, signals)
+    if stamp_jitter > 0.0:
+        message = (
+            f"time stamps jitter by {1e3 * stamp_jitter:.2g} ms where samples are even: "
+            "taken as even"
+        )
+        troubles.append(DataIssue(message, "all channels", len(time), 0.0, excluded=False))
     for name, signal in signals.items():
-        good[name], found = select_valid_samples(time, name, signal)
-        rounded[name] = find_quantisation_step(signal[good[name]]) / math.sqrt(12.0)
+        good[name], channel_issues = select_valid_samples(time, name, signal)
+        rounding[name] = find_quantisation_step(signal[good[name]]) / math.sqrt(12.0)
         signals[name] = np.interp(time, time[good[name]], signal[good[name]])
-        troubles += found
-    thin = decimate_record(time, signals, good, present, most)
-    time, signals, good, present = thin.time, thin.signals, thin.good, thin.present
-    rounded, given = (
-        {name: value / math.sqrt(thin.averaged[name]) for name, value in each.items()}
-        for each in (rounded, noise)
+        troubles += channel_issues
+    decimated = decimate_record(time, signals, good, present, most)
+    time, signals, good, present = (
+        decimated.time,
+        decimated.signals,
+        decimated.good,
+        decimated.present,
     )
-    sigma = _estimate_noise(driver, time, signals, good, rounded, given)
+    rounding, given_noise = (
+        {name: value / math.sqrt(decimated.averaged[name]) for name, value in values.items()}
+        for values in (rounding, noise)
+    )
+    sigma = _estimate_noise(driver, time, signals, good, rounding, given_noise)
     measured = np.ones(len(time), dtype=np.bool_)
     drive, jitter = estimate_drive(driver, time, signals[driver], sigma[driver])
     troubles += find_unseen_turns(driver, time, drive, jitter, start)
@@ -231,8 +239,8 @@ def prepare_record(
         measured = np.insert(measured, turns.rows, False)
         time = np.insert(time, turns.rows, turns.time)
         drive = np.insert(drive, turns.rows, turns.drive)
-        good[PROXIMAL_TENSION], trouble = exclude_turns(time, drive, good[PROXIMAL_TENSION])
-        troubles += trouble
+        good[PROXIMAL_TENSION], turn_issues = exclude_turns(time, drive, good[PROXIMAL_TENSION])
+        troubles += turn_issues
     block, speed = assign_blocks(time), compute_rate(time, drive)
     return Record(
         time=time,
@@ -246,8 +254,11 @@ def prepare_record(
         measured=measured,
         train=select_training_half(block, drive, speed),
         block=block,
-        troubles=(*absent, *(one._replace(first=one.first + start) for one in troubles)),
-        thinned=thin.thinned,
+        troubles=(
+            *missing_issues,
+            *(issue._replace(first=issue.first + start) for issue in troubles),
+        ),
+        thinned=decimated.thinned,
         units=units,
         loop=loop,
         start=start,
@@ -267,8 +278,11 @@ def collect_efforts(signals: Signals) -> list[Array]:
 def is_loop(units: Units, records: Sequence[Signals]) -> bool:
     """Return whether records are of a closed loop: effort pushes in earnest in one of them."""
     efforts = [effort for signals in records for effort in collect_efforts(signals)]
-    least, most = min(float(one.min()) for one in efforts), max(float(one.max()) for one in efforts)
-    return units.signed and min(-least, most) > SETTINGS.push * max(-least, most)
+    lowest, highest = (
+        min(float(values.min()) for values in efforts),
+        max(float(values.max()) for values in efforts),
+    )
+    return units.signed and min(-lowest, highest) > SETTINGS.push * max(-lowest, highest)
 
 
 def _estimate_noise(
@@ -276,8 +290,8 @@ def _estimate_noise(
     time: Array,
     signals: Signals,
     good: dict[str, Mask],
-    rounded: dict[str, float],
-    given: dict[str, float],
+    rounding: dict[str, float],
+    given_noise: dict[str, float],
 ) -> dict[str, float]:
     """Return the standard deviation of each channel's white noise, as given or as the data say.
 
@@ -285,8 +299,8 @@ def _estimate_noise(
     """
     sigma = {}
     for name, signal in signals.items():
-        told = max(estimate_white_noise(signal[good[name]], time[good[name]]), rounded[name])
-        sigma[name] = given.get(name, told)
+        estimated = max(estimate_white_noise(signal[good[name]], time[good[name]]), rounding[name])
+        sigma[name] = given_noise.get(name, estimated)
         if name != driver:  # nothing is simulated more precisely
             sigma[name] = max(sigma[name], SETTINGS.noise_min * float(np.ptp(signal)), 1e-9)
     return sigma
@@ -296,8 +310,8 @@ def check_finite_values(signals: Signals) -> None:
     """Raise `RecordError` for a channel without any finite value."""
     for name, signal in signals.items():
         if not np.isfinite(signal).any():
-            needed = name == PROXIMAL_TENSION
-            remedy = "it is needed; check the load cell" if needed else "remove the channel"
+            is_required = name == PROXIMAL_TENSION
+            remedy = "it is needed; check the load cell" if is_required else "remove the channel"
             raise RecordError(f"{name}: has no finite value: {remedy}")
 
 
@@ -315,9 +329,9 @@ def _validate_signals(time: Array, signals: Signals, units: Units) -> None:
     if not np.isfinite(time).all():
         k = int(np.argmin(np.isfinite(time)))
         raise RecordError(f"time: sample {k} is {time[k]}: remove samples without a time")
-    late = np.flatnonzero(~(np.diff(time) > 0.0))
-    if len(late):
-        k = int(late[0]) + 1
+    unordered = np.flatnonzero(~(np.diff(time) > 0.0))
+    if len(unordered):
+        k = int(unordered[0]) + 1
         raise RecordError(
             f"time: sample {k} at {time[k]:.6g} s does not follow {time[k - 1]:.6g} s: "
             "remove samples that repeat a time, and sort them"
@@ -331,31 +345,31 @@ def _validate_signals(time: Array, signals: Signals, units: Units) -> None:
     if not np.ptp(drop_missing(signals[PROXIMAL_TENSION])) > 0.0:
         raise RecordError("proximal_tension never changes: pull and release while you record")
     q_p, T_out, q_d = (signals.get(name) for name in CHANNELS[1:])
-    if wrong := find_channel_faults(
+    if faults := find_channel_faults(
         Samples(time, signals[PROXIMAL_TENSION], q_p, T_out, q_d), units
     ):
-        raise RecordError("; ".join(wrong))
+        raise RecordError("; ".join(faults))
 
 
 def _select_driver_rows(
     driver: str, time: Array, signals: Signals, units: Units
 ) -> tuple[Array, Signals, list[DataIssue]]:
     """Return the rows in which the driver was measured, and what is said of missing values."""
-    driven = np.isfinite(signals[driver])
+    has_driver = np.isfinite(signals[driver])
     removed = "missing values of what drives the simulation, their rows removed"
     troubles = []
     for name, signal in signals.items():
-        absent = ~driven if name == driver else driven & ~np.isfinite(signal)
-        if absent.any():
-            what = removed if name == driver else "missing values, not compared"
-            first = float(time[int(np.argmax(absent))])
-            troubles.append(DataIssue(what, name, int(absent.sum()), first))
-    time, signals = select_signal_rows(time, signals, driven)
+        is_missing = ~has_driver if name == driver else has_driver & ~np.isfinite(signal)
+        if is_missing.any():
+            message = removed if name == driver else "missing values, not compared"
+            first_time = float(time[int(np.argmax(is_missing))])
+            troubles.append(DataIssue(message, name, int(is_missing.sum()), first_time))
+    time, signals = select_signal_rows(time, signals, has_driver)
     for name, signal in signals.items():
         if (count := len(drop_missing(signal))) < SETTINGS.samples_min:
-            beside = "" if name == driver else f" in rows that have the {units.word(driver)}"
+            condition = "" if name == driver else f" in rows that have the {units.word(driver)}"
             raise RecordError(
-                f"{name}: {count} values{beside}, at least {SETTINGS.samples_min} are needed: "
+                f"{name}: {count} values{condition}, at least {SETTINGS.samples_min} are needed: "
                 "record all channels at the same times, or remove this one"
             )
     return time, signals, troubles
@@ -377,31 +391,31 @@ def shorten_blocks(record: Record) -> Record:
     )
 
 
-def select_subsample(record: Record, most: int) -> Mask:
-    """Return which samples of a record stay for a first look: about `most`, and all turns.
+def select_subsample(record: Record, samples_max: int) -> Mask:
+    """Return which samples of a record stay for a first look: about `samples_max`, and all turns.
 
     The drive has no turn by noise, and none is too small: one of 2 um may take a newton away, which
     friction then remembers.
     """
     n = len(record.time)
-    kept = np.zeros(n, dtype=np.bool_)
-    kept[:: math.ceil(n / most)] = True
-    kept[find_turning_points(record.drive, TURN_TOLERANCE * float(np.ptp(record.drive)))] = True
-    return kept
+    is_kept = np.zeros(n, dtype=np.bool_)
+    is_kept[:: math.ceil(n / samples_max)] = True
+    is_kept[find_turning_points(record.drive, TURN_TOLERANCE * float(np.ptp(record.drive)))] = True
+    return is_kept
 
 
-def select_record_rows(record: Record, kept: Mask) -> Record:
+def select_record_rows(record: Record, rows: Mask) -> Record:
     """Return a record of some of its samples."""
     return replace(
         record,
-        time=record.time[kept],
-        signals={name: signal[kept] for name, signal in record.signals.items()},
-        drive=record.drive[kept],
-        speed=record.speed[kept],
-        sigma={name: sigma[kept] for name, sigma in record.sigma.items()},
-        good={name: good[kept] for name, good in record.good.items()},
-        known={name: known[kept] for name, known in record.known.items()},
-        measured=record.measured[kept],
-        train=record.train[kept],
-        block=record.block[kept],
+        time=record.time[rows],
+        signals={name: signal[rows] for name, signal in record.signals.items()},
+        drive=record.drive[rows],
+        speed=record.speed[rows],
+        sigma={name: sigma[rows] for name, sigma in record.sigma.items()},
+        good={name: good[rows] for name, good in record.good.items()},
+        known={name: known[rows] for name, known in record.known.items()},
+        measured=record.measured[rows],
+        train=record.train[rows],
+        block=record.block[rows],
     )

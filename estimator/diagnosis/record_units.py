@@ -42,45 +42,49 @@ def to_bench_units(record: Record, scale: BenchScale) -> Record:
     return _convert_record(record, scale, scale)
 
 
-def to_record_units(found: Diagnosis, scale: BenchScale) -> Diagnosis:
+def to_record_units(diagnosis: Diagnosis, scale: BenchScale) -> Diagnosis:
     """Return a diagnosis in the units of its records, made in those of their bench."""
-    units, base = found.units, found.dataset.base
+    units, base = diagnosis.units, diagnosis.dataset.base
 
-    def fit(one: Fit) -> Fit:
-        return _unscale_fit(one, base, scale)
+    def fit(original: Fit) -> Fit:
+        return _unscale_fit(original, base, scale)
 
-    return found._replace(
+    return diagnosis._replace(
         scale=scale,
         steps=tuple(
             step._replace(ranking=_unscale_ranking(step.ranking, scale), fit=fit(step.fit))
-            for step in found.steps
+            for step in diagnosis.steps
         ),
-        ranking=_unscale_ranking(found.ranking, scale),
-        parameters=_unscale_numbers(found, scale),
-        dataset=_unscale_dataset(found.dataset, scale),
-        baseline=fit(found.baseline),
-        extended=fit(found.extended),
-        before=_unscale_model_errors(found.before, scale),
-        after=_unscale_model_errors(found.after, scale),
-        noise=_unscale_errors(found.noise, scale),
-        laws=_unscale_choice(found.laws, scale),
-        loads=_unscale_choice(found.loads, scale),
-        simple_models=tuple(_unscale_simple_fit(one, scale) for one in found.simple_models),
+        ranking=_unscale_ranking(diagnosis.ranking, scale),
+        parameters=_unscale_numbers(diagnosis, scale),
+        dataset=_unscale_dataset(diagnosis.dataset, scale),
+        baseline=fit(diagnosis.baseline),
+        extended=fit(diagnosis.extended),
+        before=_unscale_model_errors(diagnosis.before, scale),
+        after=_unscale_model_errors(diagnosis.after, scale),
+        noise=_unscale_errors(diagnosis.noise, scale),
+        laws=_unscale_choice(diagnosis.laws, scale),
+        loads=_unscale_choice(diagnosis.loads, scale),
+        simple_models=tuple(
+            _unscale_simple_fit(original, scale) for original in diagnosis.simple_models
+        ),
         detection_limits={
-            name: one._replace(size=one.size * scale.size(one.unit), unit=units.name(one.unit))
-            for name, one in found.detection_limits.items()
+            name: original._replace(
+                size=original.size * scale.size(original.unit), unit=units.name(original.unit)
+            )
+            for name, original in diagnosis.detection_limits.items()
         },
-        rivals=tuple(one._replace(fit=fit(one.fit)) for one in found.rivals),
-        validation=tuple(_unscale_prediction(one, scale) for one in found.validation),
-        left_out=tuple(_unscale_prediction(one, scale) for one in found.left_out),
+        rivals=tuple(original._replace(fit=fit(original.fit)) for original in diagnosis.rivals),
+        validation=tuple(_unscale_prediction(original, scale) for original in diagnosis.validation),
+        left_out=tuple(_unscale_prediction(original, scale) for original in diagnosis.left_out),
     )
 
 
-def _convert_record(record: Record, by: BenchScale, scale: BenchScale) -> Record:
-    """Return a record counted in the units of `by`, whose scale is then another."""
-    signals = {name: signal / by.size_of(name) for name, signal in record.signals.items()}
-    unit = by.size_of(record.driver)
-    zero = by.zero if record.driver == PROXIMAL_DISPLACEMENT else 0.0
+def _convert_record(record: Record, unit_scale: BenchScale, scale: BenchScale) -> Record:
+    """Return a record in the units of `unit_scale`, with `scale` as its new scale."""
+    signals = {name: signal / unit_scale.size_of(name) for name, signal in record.signals.items()}
+    unit = unit_scale.size_of(record.driver)
+    zero = unit_scale.zero if record.driver == PROXIMAL_DISPLACEMENT else 0.0
     if zero:
         signals[record.driver] = (record.signals[record.driver] - zero) / unit
     return replace(
@@ -88,8 +92,8 @@ def _convert_record(record: Record, by: BenchScale, scale: BenchScale) -> Record
         signals=signals,
         drive=(record.drive - zero) / unit,
         speed=record.speed / unit,
-        noise={name: sigma / by.size_of(name) for name, sigma in record.noise.items()},
-        sigma={name: sigma / by.size_of(name) for name, sigma in record.sigma.items()},
+        noise={name: sigma / unit_scale.size_of(name) for name, sigma in record.noise.items()},
+        sigma={name: sigma / unit_scale.size_of(name) for name, sigma in record.sigma.items()},
         scale=scale,
     )
 
@@ -102,8 +106,8 @@ def _unscale_dataset(dataset: Dataset, scale: BenchScale) -> Dataset:
     return dataset._replace(
         records=tuple(_unscale_record(record, scale) for record in dataset.records),
         scale=tuple(
-            {name: scale.size_of(name) * sigma for name, sigma in each.items()}
-            for each in dataset.scale
+            {name: scale.size_of(name) * sigma for name, sigma in sigmas.items()}
+            for sigmas in dataset.scale
         ),
     )
 
@@ -119,7 +123,7 @@ def _unscale_fit(fit: Fit, base: BaseParameters, scale: BenchScale) -> Fit:
                 for effect, values in model.effects
             ),
         ),
-        tuple(_unscale_simulated_record(one, scale) for one in fit.simulated),
+        tuple(_unscale_simulated_record(simulated, scale) for simulated in fit.simulated),
     )
 
 
@@ -136,36 +140,36 @@ def _unscale_effect_values(effect: Effect, values: Values, scale: BenchScale) ->
     return effect.from_zero(_unscale_values(effect.parameters, values, scale), scale.zero)
 
 
-def _unscale_simulated_record(one: SimulatedRecord, scale: BenchScale) -> SimulatedRecord:
+def _unscale_simulated_record(simulated: SimulatedRecord, scale: BenchScale) -> SimulatedRecord:
     """Return what was simulated; the motion's travel counts from the slack tendon on anyway."""
-    signals = {name: scale.size_of(name) * signal for name, signal in one.signals.items()}
+    signals = {name: scale.size_of(name) * signal for name, signal in simulated.signals.items()}
     sizes = map(scale.size, ("N", "N", "m", "m", "m/N"))
     if PROXIMAL_DISPLACEMENT in signals:
         signals[PROXIMAL_DISPLACEMENT] = signals[PROXIMAL_DISPLACEMENT] + scale.zero
-    motion = (size * signal for size, signal in zip(sizes, one.motion, strict=True))
-    return SimulatedRecord(signals, type(one.motion)(*motion))
+    motion = (size * signal for size, signal in zip(sizes, simulated.motion, strict=True))
+    return SimulatedRecord(signals, type(simulated.motion)(*motion))
 
 
-def _unscale_prediction(one: PredictedRecord, scale: BenchScale) -> PredictedRecord:
+def _unscale_prediction(prediction: PredictedRecord, scale: BenchScale) -> PredictedRecord:
     return PredictedRecord(
-        _unscale_record(one.record, scale),
-        _unscale_simulated_record(one.before, scale),
-        _unscale_simulated_record(one.after, scale),
+        _unscale_record(prediction.record, scale),
+        _unscale_simulated_record(prediction.before, scale),
+        _unscale_simulated_record(prediction.after, scale),
     )
 
 
-def _unscale_numbers(found: Diagnosis, scale: BenchScale) -> dict[str, FittedValue]:
+def _unscale_numbers(diagnosis: Diagnosis, scale: BenchScale) -> dict[str, FittedValue]:
     """Return all numbers with their intervals."""
     numbers = {}
-    for name, one in found.parameters.items():
-        size = scale.size(one.unit)
-        numbers[name] = one._replace(
-            value=size * one.value,
-            low=size * one.low,
-            high=size * one.high,
-            unit=found.units.name(one.unit),
+    for name, number in diagnosis.parameters.items():
+        size = scale.size(number.unit)
+        numbers[name] = number._replace(
+            value=size * number.value,
+            low=size * number.low,
+            high=size * number.high,
+            unit=diagnosis.units.name(number.unit),
         )
-    for effect, values in found.extended.model.effects if scale.zero else ():
+    for effect, values in diagnosis.extended.model.effects if scale.zero else ():
         numbers |= shift_encoder_zero(
             effect, _unscale_values(effect.parameters, values, scale), numbers, scale.zero
         )
@@ -180,8 +184,8 @@ def shift_encoder_zero(
     The intervals of its amplitudes include those of all pairs within theirs, its shape as it is:
     what another radius or wave number would do to a phase so far away is not in them.
     """
-    moved = effect.from_zero(values, zero)
-    if moved == values:
+    shifted = effect.from_zero(values, zero)
+    if shifted == values:
         return {}
     names = [f"{effect.name}.{p.name}" for p in effect.parameters]
     ends = [
@@ -193,8 +197,10 @@ def shift_encoder_zero(
         numbers[name].at_bound for name, end in zip(names, ends, strict=True) if len(end) > 1
     )
     return {
-        name: numbers[name]._replace(value=value, low=min(of), high=max(of), at_bound=at_bound)
-        for name, value, end, *of in zip(names, moved, ends, *corners, strict=True)
+        name: numbers[name]._replace(
+            value=value, low=min(corner_values), high=max(corner_values), at_bound=at_bound
+        )
+        for name, value, end, *corner_values in zip(names, shifted, ends, *corners, strict=True)
         if len(end) > 1
     }
 
@@ -203,23 +209,23 @@ def _unscale_ranking(
     ranking: tuple[RankedCandidate, ...], scale: BenchScale
 ) -> tuple[RankedCandidate, ...]:
     return tuple(
-        one._replace(
-            rmse=_unscale_errors(one.rmse, scale),
-            values=_unscale_effect_values(one.effect, one.values, scale),
+        candidate._replace(
+            rmse=_unscale_errors(candidate.rmse, scale),
+            values=_unscale_effect_values(candidate.effect, candidate.values, scale),
         )
-        for one in ranking
+        for candidate in ranking
     )
 
 
 def _unscale_errors(errors: RmseByChannel, scale: BenchScale) -> RmseByChannel:
-    return {channel: scale.size_of(channel) * one for channel, one in errors.items()}
+    return {channel: scale.size_of(channel) * error for channel, error in errors.items()}
 
 
 def _unscale_simple_fit(model: SimpleFit, scale: BenchScale) -> SimpleFit:
     return model._replace(
         held_out={
-            channel: one._replace(power=scale.size_of(channel) ** 2 * one.power)
-            for channel, one in model.held_out.items()
+            channel: errors._replace(power=scale.size_of(channel) ** 2 * errors.power)
+            for channel, errors in model.held_out.items()
         }
     )
 
@@ -228,15 +234,15 @@ def _unscale_choice(choice: Choice, scale: BenchScale) -> Choice:
     return Choice(
         _unscale_dataset(choice.dataset, scale),
         _unscale_fit(choice.fit, choice.dataset.base, scale),
-        tuple(one._replace(rmse=_unscale_errors(one.rmse, scale)) for one in choice.scores),
+        tuple(score._replace(rmse=_unscale_errors(score.rmse, scale)) for score in choice.scores),
     )
 
 
-def _unscale_model_errors(fitnesses: ModelErrors, scale: BenchScale) -> ModelErrors:
-    def converted(errors: dict[str, ErrorStatistics]) -> dict[str, ErrorStatistics]:
+def _unscale_model_errors(model_errors: ModelErrors, scale: BenchScale) -> ModelErrors:
+    def unscale(errors: dict[str, ErrorStatistics]) -> dict[str, ErrorStatistics]:
         return {
-            channel: one._replace(rmse=scale.size_of(channel) * one.rmse)
-            for channel, one in errors.items()
+            channel: statistics._replace(rmse=scale.size_of(channel) * statistics.rmse)
+            for channel, statistics in errors.items()
         }
 
-    return ModelErrors(*map(converted, fitnesses))
+    return ModelErrors(*map(unscale, model_errors))

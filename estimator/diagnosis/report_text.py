@@ -34,38 +34,38 @@ DIGITS_MAX = 8
 SAMPLE_SETS = {"fit": "fitted", "held_out": "held out", "validation": "validation"}
 
 
-def format_verdict(found: Diagnosis) -> str:
+def format_verdict(diagnosis: Diagnosis) -> str:
     """Return the verdict in one sentence."""
-    if found.verdict is Verdict.CLEAN:
-        smallest = _describe_detection_limits(found.detection_limits)
+    if diagnosis.verdict is Verdict.CLEAN:
+        smallest = _describe_detection_limits(diagnosis.detection_limits)
         return f"Nothing is wrong with the model beyond noise{smallest}."
-    if found.verdict is Verdict.UNEXPLAINED:
-        if found.wanders:
-            labels = " and ".join(step.effect.label for step in found.steps)
+    if diagnosis.verdict is Verdict.UNEXPLAINED:
+        if diagnosis.wanders:
+            labels = " and ".join(step.effect.label for step in diagnosis.steps)
             return (
                 f"The model is wrong, and nothing in the catalogue explains it: friction changes "
                 f"with time, and {labels} is only the closest match in the catalogue."
             )
-        if names := _list_unsure_causes(found):
+        if names := _list_unsure_causes(diagnosis):
             return (
                 f"The model is wrong, and these data do not determine the cause: "
                 f"{' or '.join(names)} would explain it, none of them surely; "
-                f"{_describe_dependence(found)}."
+                f"{_describe_dependence(diagnosis)}."
             )
-        labels = " and ".join(step.effect.label for step in found.steps)
-        share = f"{found.left:.0%} of what noise does not explain"
-        still = f"with {labels} in the model {share} is left, and " if found.steps else ""
+        labels = " and ".join(step.effect.label for step in diagnosis.steps)
+        share = f"{diagnosis.left:.0%} of what noise does not explain"
+        remainder = f"with {labels} in the model {share} is left, and " if diagnosis.steps else ""
         return (
-            f"The model is wrong, and nothing in the catalogue explains it: {still}"
-            f"{_describe_dependence(found)}."
+            f"The model is wrong, and nothing in the catalogue explains it: {remainder}"
+            f"{_describe_dependence(diagnosis)}."
         )
-    causes = " and ".join(f"because {_describe_cause(found, step)}" for step in found.steps)
-    unsure = "; these channels cannot tell which" * (found.verdict is Verdict.AMBIGUOUS)
-    return f"The model is wrong {causes}{unsure}; {_describe_gain(found)}."
+    causes = " and ".join(f"because {_describe_cause(diagnosis, step)}" for step in diagnosis.steps)
+    ambiguity = "; these channels cannot tell which" * (diagnosis.verdict is Verdict.AMBIGUOUS)
+    return f"The model is wrong {causes}{ambiguity}; {_describe_gain(diagnosis)}."
 
 
 def format_summary(
-    found: Diagnosis,
+    diagnosis: Diagnosis,
     files: Sequence[str] = (),
     compared: Table | None = None,
     further: Sequence[str] = (),
@@ -74,8 +74,8 @@ def format_summary(
 
     Parameters
     ----------
-    found : Diagnosis
-        What was found.
+    diagnosis : Diagnosis
+        The result.
     files : sequence of str, optional
         What the records are called; "record 1" and so on by default.
     compared : Table, optional
@@ -85,19 +85,19 @@ def format_summary(
     """
     from estimator.diagnosis import file_tables  # which imports this module
 
-    named = file_tables.name_records(found, files, further)
-    warnings = [f"WARNING: {what}" for what in list_better_models(found)]
-    parts = ["\n".join([format_verdict(found), *warnings])]
-    parts += [table.markdown() for table in build_tables(found, files, compared, further)]
-    parts.append("Residuals:\n" + "\n".join(f"- {what}" for what in describe_residuals(found)))
-    parts.append("Next:\n" + "\n".join(f"- {step}" for step in list_next_steps(found)))
-    if said := list_sample_remarks(found, named[: len(found.dataset.records)]):
-        parts.append("Samples:\n" + "\n".join(f"- {remark}" for remark in said))
+    names = file_tables.name_records(diagnosis, files, further)
+    warnings = [f"WARNING: {line}" for line in list_better_models(diagnosis)]
+    parts = ["\n".join([format_verdict(diagnosis), *warnings])]
+    parts += [table.markdown() for table in build_tables(diagnosis, files, compared, further)]
+    parts.append("Residuals:\n" + "\n".join(f"- {line}" for line in describe_residuals(diagnosis)))
+    parts.append("Next:\n" + "\n".join(f"- {step}" for step in list_next_steps(diagnosis)))
+    if remarks := list_sample_remarks(diagnosis, names[: len(diagnosis.dataset.records)]):
+        parts.append("Samples:\n" + "\n".join(f"- {remark}" for remark in remarks))
     return "\n\n".join(parts)
 
 
 def build_tables(
-    found: Diagnosis,
+    diagnosis: Diagnosis,
     files: Sequence[str] = (),
     compared: Table | None = None,
     further: Sequence[str] = (),
@@ -105,57 +105,66 @@ def build_tables(
     """Return the tables of a diagnosis; for the parameters see `format_summary`."""
     from estimator.diagnosis import file_tables  # which imports this module
 
-    names = file_tables.name_records(found, files, further)
-    named = names[: len(found.dataset.records)]
-    shown = [build_candidate_table(found)] if found.ranking else []
-    shown.append(build_parameter_table(found))
-    shown += [one for one in (build_law_table(found), build_load_table(found)) if one is not None]
+    names = file_tables.name_records(diagnosis, files, further)
+    fitted_names = names[: len(diagnosis.dataset.records)]
+    tables = [build_candidate_table(diagnosis)] if diagnosis.ranking else []
+    tables.append(build_parameter_table(diagnosis))
+    tables += [
+        table
+        for table in (build_law_table(diagnosis), build_load_table(diagnosis))
+        if table is not None
+    ]
     if compared is not None:
-        shown.append(compared)
-    if found.steps:
-        shown.append(build_gain_table(found))
-    shown += [build_model_table(found), build_simple_gain_table(found)]
-    if found.validation:
-        shown.append(file_tables.build_prediction_table(found.validation, names[len(named) :]))
-    if found.left_out:
-        left_out = [f"{name}, left out" for name in named]
-        shown.append(file_tables.build_prediction_table(found.left_out, left_out))
-    if found.forces:
-        shown.append(file_tables.build_force_table(found, names))
-    if found.rival_forces:
-        shown.append(file_tables.build_rival_table(found))
-    if found.detection_limits:
-        shown.append(build_detection_limit_table(found))
-    return shown
+        tables.append(compared)
+    if diagnosis.steps:
+        tables.append(build_gain_table(diagnosis))
+    tables += [build_model_table(diagnosis), build_simple_gain_table(diagnosis)]
+    if diagnosis.validation:
+        tables.append(
+            file_tables.build_prediction_table(diagnosis.validation, names[len(fitted_names) :])
+        )
+    if diagnosis.left_out:
+        left_out = [f"{name}, left out" for name in fitted_names]
+        tables.append(file_tables.build_prediction_table(diagnosis.left_out, left_out))
+    if diagnosis.forces:
+        tables.append(file_tables.build_force_table(diagnosis, names))
+    if diagnosis.rival_forces:
+        tables.append(file_tables.build_rival_table(diagnosis))
+    if diagnosis.detection_limits:
+        tables.append(build_detection_limit_table(diagnosis))
+    return tables
 
 
-def build_candidate_table(found: Diagnosis) -> Table:
+def build_candidate_table(diagnosis: Diagnosis) -> Table:
     """Return how the candidates of the first search came out, the best first."""
-    return build_ranking_table(found, found.ranking)
+    return build_ranking_table(diagnosis, diagnosis.ranking)
 
 
-def build_ranking_table(found: Diagnosis, ranking: Sequence[RankedCandidate]) -> Table:
+def build_ranking_table(diagnosis: Diagnosis, ranking: Sequence[RankedCandidate]) -> Table:
     """Return how the candidates of one search came out, the best first."""
-    channels = list_compared_channels(found)
+    channels = list_compared_channels(diagnosis)
     rows = [
         (
-            one.label,
-            f"{one.score:.0f}",
-            *(format_quantity(one.rmse.get(c), found.units.of(c), 3) for c in channels),
-            f"{one.left:.0%}",
+            candidate.label,
+            f"{candidate.score:.0f}",
+            *(
+                format_quantity(candidate.rmse.get(channel), diagnosis.units.of(channel), 3)
+                for channel in channels
+            ),
+            f"{candidate.left:.0%}",
         )
-        for one in select_best_candidates(ranking, CANDIDATES_SHOWN)
+        for candidate in select_best_candidates(ranking, CANDIDATES_SHOWN)
     ]
     head = (
         "candidate",
         "score",
-        *(f"RMSE, {found.units.word(c)}" for c in channels),
+        *(f"RMSE, {diagnosis.units.word(channel)}" for channel in channels),
         "unexplained",
     )
     return Table(head, tuple(rows))
 
 
-def build_parameter_table(found: Diagnosis) -> Table:
+def build_parameter_table(diagnosis: Diagnosis) -> Table:
     """Return the numbers of the extended model."""
     rows = [
         (
@@ -163,152 +172,165 @@ def build_parameter_table(found: Diagnosis) -> Table:
             format_quantity(number.value, number.unit, count_interval_digits(number)),
             format_interval(number),
         )
-        for name, number in found.parameters.items()
+        for name, number in diagnosis.parameters.items()
     ]
     return Table(("parameter", "value", "95 % interval"), tuple(rows))
 
 
-def build_law_table(found: Diagnosis) -> Table | None:
+def build_law_table(diagnosis: Diagnosis) -> Table | None:
     """Return the evidence for the base law; None where nothing was to be chosen."""
-    return _build_choice_table(found, found.laws, "base law", found.dataset.base.law)
+    return _build_choice_table(diagnosis, diagnosis.laws, "base law", diagnosis.dataset.base.law)
 
 
-def build_load_table(found: Diagnosis) -> Table | None:
+def build_load_table(diagnosis: Diagnosis) -> Table | None:
     """Return the evidence for loads that differ by file; None where nothing was to be chosen."""
-    return _build_choice_table(found, found.loads, "load at the tip", found.dataset.base.loads)
-
-
-def _build_choice_table(found: Diagnosis, choice: Choice, what: str, chosen: str) -> Table | None:
-    """Return the scores of what could be chosen, the choice marked."""
-    if not choice.scores:
-        return None
-    channels = list_compared_channels(found)
-    alike = choice.alike if len(choice.alike) > 1 else ()
-    rows = [
-        (
-            one.name,
-            f"{one.score:.0f}",
-            *(format_quantity(one.rmse[c], found.units.of(c), 3) for c in channels),
-            "chosen" if one.name == chosen else "as good" if one.name in alike else "",
-        )
-        for one in choice.scores
-    ]
-    head = (what, "score", *(f"RMSE, {found.units.word(c)}" for c in channels), "")
-    return Table(head, tuple(rows))
-
-
-def build_gain_table(found: Diagnosis) -> Table:
-    """Return by how much errors fell, of held-out samples if any are."""
-    rows = [
-        (found.units.word(channel), f"{gain.value:.1%}", f"{gain.low:.1%} to {gain.high:.1%}")
-        for channel, gain in found.gain.items()
-    ]
-    return Table(
-        ("channel", f"{name_judged_samples(found)} RMSE falls by", "95 % interval"), tuple(rows)
+    return _build_choice_table(
+        diagnosis, diagnosis.loads, "load at the tip", diagnosis.dataset.base.loads
     )
 
 
-def build_model_table(found: Diagnosis) -> Table:
+def _build_choice_table(
+    diagnosis: Diagnosis, choice: Choice, title: str, chosen: str
+) -> Table | None:
+    """Return the scores of what could be chosen, the choice marked."""
+    if not choice.scores:
+        return None
+    channels = list_compared_channels(diagnosis)
+    equivalents = choice.alike if len(choice.alike) > 1 else ()
+    rows = [
+        (
+            score.name,
+            f"{score.score:.0f}",
+            *(
+                format_quantity(score.rmse[channel], diagnosis.units.of(channel), 3)
+                for channel in channels
+            ),
+            "chosen" if score.name == chosen else "as good" if score.name in equivalents else "",
+        )
+        for score in choice.scores
+    ]
+    head = (title, "score", *(f"RMSE, {diagnosis.units.word(channel)}" for channel in channels), "")
+    return Table(head, tuple(rows))
+
+
+def build_gain_table(diagnosis: Diagnosis) -> Table:
+    """Return by how much errors fell, of held-out samples if any are."""
+    rows = [
+        (diagnosis.units.word(channel), f"{gain.value:.1%}", f"{gain.low:.1%} to {gain.high:.1%}")
+        for channel, gain in diagnosis.gain.items()
+    ]
+    return Table(
+        ("channel", f"{name_judged_samples(diagnosis)} RMSE falls by", "95 % interval"), tuple(rows)
+    )
+
+
+def build_model_table(diagnosis: Diagnosis) -> Table:
     """Return the held-out errors of the law and of models that know no sheath."""
-    errors = {"the plain law": {c: one.rmse for c, one in found.before.held_out.items()}}
-    if found.steps:
-        errors["the extended law"] = {c: one.rmse for c, one in found.after.held_out.items()}
-    errors |= {one.name: one.rmse for one in found.simple_models}
-    channels = list(found.before.held_out)
+    errors = {"the plain law": {c: result.rmse for c, result in diagnosis.before.held_out.items()}}
+    if diagnosis.steps:
+        errors["the extended law"] = {
+            c: result.rmse for c, result in diagnosis.after.held_out.items()
+        }
+    errors |= {result.name: result.rmse for result in diagnosis.simple_models}
+    channels = list(diagnosis.before.held_out)
     rows = [
         (
             name,
-            *(format_quantity(rmse[channel], found.units.of(channel), 3) for channel in channels),
+            *(
+                format_quantity(rmse[channel], diagnosis.units.of(channel), 3)
+                for channel in channels
+            ),
         )
         for name, rmse in errors.items()
     ]
-    words = (found.units.word(channel) for channel in channels)
-    return Table((f"{name_judged_samples(found)} RMSE of", *words), tuple(rows))
+    channel_names = (diagnosis.units.word(channel) for channel in channels)
+    return Table((f"{name_judged_samples(diagnosis)} RMSE of", *channel_names), tuple(rows))
 
 
-def build_simple_gain_table(found: Diagnosis) -> Table:
+def build_simple_gain_table(diagnosis: Diagnosis) -> Table:
     """Return by how much the law is better than the best model that knows no sheath."""
     rows = [
         (
-            found.units.word(channel),
+            diagnosis.units.word(channel),
             gain.model,
             f"{gain.value:.1%}",
             f"{gain.low:.1%} to {gain.high:.1%}",
         )
-        for channel, gain in found.simple_gain.items()
+        for channel, gain in diagnosis.simple_gain.items()
     ]
-    lower = f"{name_judged_samples(found)} RMSE of the law is lower by"
+    lower = f"{name_judged_samples(diagnosis)} RMSE of the law is lower by"
     head = ("channel", "best simple model", lower, "95 % interval")
     return Table(head, tuple(rows))
 
 
-def list_better_models(found: Diagnosis) -> list[str]:
+def list_better_models(diagnosis: Diagnosis) -> list[str]:
     """Return in which channels a model that knows no sheath is surely better, and what to do."""
-    said, floor = [], compute_tolerance(found.dataset)
-    for channel, gain in found.simple_gain.items():
-        one, noise = found.after.held_out[channel], found.noise[channel]
-        if gain.high < 0.0 and one.rmse > SETTINGS.noise_ratio * floor[channel] * noise:
-            simple = next(m for m in found.simple_models if m.name == gain.model)
-            unit = found.units.of(channel)
-            said.append(
-                f"{found.units.word(channel)}: {gain.model} predicts it better than this model, "
-                f"{format_quantity(simple.rmse[channel], unit, 3)} against "
-                f"{format_quantity(one.rmse, unit, 3)} "
-                f"{name_judged_samples(found)} RMSE; {_suggest_remedy(found, gain.model)}."
+    warnings, tolerance = [], compute_tolerance(diagnosis.dataset)
+    for channel, gain in diagnosis.simple_gain.items():
+        errors, noise = diagnosis.after.held_out[channel], diagnosis.noise[channel]
+        if gain.high < 0.0 and errors.rmse > SETTINGS.noise_ratio * tolerance[channel] * noise:
+            simple_model = next(m for m in diagnosis.simple_models if m.name == gain.model)
+            unit = diagnosis.units.of(channel)
+            warnings.append(
+                f"{diagnosis.units.word(channel)}: {gain.model} predicts it better than this "
+                f"model, {format_quantity(simple_model.rmse[channel], unit, 3)} against "
+                f"{format_quantity(errors.rmse, unit, 3)} "
+                f"{name_judged_samples(diagnosis)} RMSE; {_suggest_remedy(diagnosis, gain.model)}."
             )
-    return said
+    return warnings
 
 
-def _suggest_remedy(found: Diagnosis, model: str) -> str:
+def _suggest_remedy(diagnosis: Diagnosis, model: str) -> str:
     """Return what to do where a simple model is better than the law."""
-    like_it = ("presliding", "stribeck_friction") if model == LUGRE else ("distributed_play",)
-    missing = [name for name in like_it if name not in found.causes]
-    if missing and DISTAL_TENSION in found.dataset.records[0].signals:
-        asked = ",".join([*found.causes, *missing])
-        return f"test the effect that is like it, with --effects {asked}"
+    similar = ("presliding", "stribeck_friction") if model == LUGRE else ("distributed_play",)
+    missing = [name for name in similar if name not in diagnosis.causes]
+    if missing and DISTAL_TENSION in diagnosis.dataset.records[0].signals:
+        requested = ",".join([*diagnosis.causes, *missing])
+        return f"test the effect that is like it, with --effects {requested}"
     return "do not trust the estimate beyond that error, and look at what the residuals depend on"
 
 
-def build_error_table(found: Diagnosis) -> Table:
+def build_error_table(diagnosis: Diagnosis) -> Table:
     """Return the errors of both models, by channel and by what they were judged on."""
     rows = []
-    for name, words in SAMPLE_SETS.items():
-        if found.fit_all and name == "held_out":
+    for name, samples_name in SAMPLE_SETS.items():
+        if diagnosis.fit_all and name == "held_out":
             continue
-        for channel in getattr(found.before, name):
+        for channel in getattr(diagnosis.before, name):
             pair = [
-                _format_errors(found, model, name, channel) for model in (found.before, found.after)
+                _format_errors(diagnosis, model, name, channel)
+                for model in (diagnosis.before, diagnosis.after)
             ]
-            cells = [cell for both in zip(*pair, strict=True) for cell in both]
-            rows.append((found.units.word(channel), words, *cells))
+            cells = [cell for stage_pair in zip(*pair, strict=True) for cell in stage_pair]
+            rows.append((diagnosis.units.word(channel), samples_name, *cells))
     head = tuple(
-        f"{item}, {when}" for item in ("RMSE", "largest", "mean") for when in _MODEL_STAGES
+        f"{item}, {stage}" for item in ("RMSE", "largest", "mean") for stage in _MODEL_STAGES
     )
     return Table(("channel", "data", *head), tuple(rows))
 
 
-def list_next_steps(found: Diagnosis) -> list[str]:
+def list_next_steps(diagnosis: Diagnosis) -> list[str]:
     """Return what a person does next, most useful first."""
-    steps = [f"To tell the causes apart: {what}." for what in found.experiments]
-    effects = [step.effect for step in found.steps]
-    effects += [effect for name in found.ambiguous_with for effect in _find_effects(name)[:1]]
+    steps = [f"To tell the causes apart: {experiment}." for experiment in diagnosis.experiments]
+    effects = [step.effect for step in diagnosis.steps]
+    effects += [effect for name in diagnosis.ambiguous_with for effect in _find_effects(name)[:1]]
     advice = {effect.advice: effect.name for effect in reversed(effects)}
-    steps += [f"{name}: {words}" for words, name in reversed(advice.items())]
-    if found.dataset.records[0].driver == PROXIMAL_TENSION and (
-        rough := _list_length_parameters(found)
+    steps += [f"{name}: {advice_text}" for advice_text, name in reversed(advice.items())]
+    if diagnosis.dataset.records[0].driver == PROXIMAL_TENSION and (
+        length_parameters := _list_length_parameters(diagnosis)
     ):
-        units, motor = found.units, "angle" if found.units.rotary else "travel"
-        assumed = SETTINGS.assumed_compliance * found.scale.size("m/N")
+        units, motor = diagnosis.units, "angle" if diagnosis.units.rotary else "travel"
+        assumed = SETTINGS.assumed_compliance * diagnosis.scale.size("m/N")
         steps.append(
-            f"Record the motor's {motor}: without it {', '.join(rough)} "
+            f"Record the motor's {motor}: without it {', '.join(length_parameters)} "
             f"hold for an L/EA of {format_quantity(assumed, units.name('m/N'))} only."
         )
-    if found.verdict is Verdict.UNEXPLAINED and _list_unsure_causes(found):
+    if diagnosis.verdict is Verdict.UNEXPLAINED and _list_unsure_causes(diagnosis):
         steps.append(
             "Record for longer, with swings of several depths and speeds, so that a cause can be "
             "told in one part of the data and tested in another."
         )
-    elif found.verdict is Verdict.UNEXPLAINED:
+    elif diagnosis.verdict is Verdict.UNEXPLAINED:
         steps.append(
             "Look at what is left against tension, speed and time, and do not trust the estimate "
             "beyond it; a cause that the catalogue lacks is an effect to add to it."
@@ -316,69 +338,69 @@ def list_next_steps(found: Diagnosis) -> list[str]:
     return steps or ["Use the model as it is."]
 
 
-def list_sample_remarks(found: Diagnosis, files: Sequence[str]) -> list[str]:
+def list_sample_remarks(diagnosis: Diagnosis, files: Sequence[str]) -> list[str]:
     """Return which samples were excluded, averaged, or are odd."""
-    said = []
-    for file, record in zip(files, found.dataset.records, strict=True):
-        said += [
-            f"{file}: {trouble.samples} {trouble.what} ({_name_channel(found, trouble.channel)}), "
-            f"the first at {trouble.first:.4g} s"
+    remarks = []
+    for file, record in zip(files, diagnosis.dataset.records, strict=True):
+        remarks += [
+            f"{file}: {trouble.samples} {trouble.what} "
+            f"({_name_channel(diagnosis, trouble.channel)}), the first at {trouble.first:.4g} s"
             for trouble in record.troubles
         ]
         if record.thinned > 1:
-            said.append(
+            remarks.append(
                 f"{file}: each {record.thinned} samples were averaged to one; what happens "
                 "faster is not seen"
             )
-    return said
+    return remarks
 
 
-def describe_residuals(found: Diagnosis) -> list[str]:
+def describe_residuals(diagnosis: Diagnosis) -> list[str]:
     """Return what the extended model leaves in each channel, and what that depends on."""
-    said, floor = [], compute_tolerance(found.dataset)
-    for channel, one in found.after.held_out.items():
-        unit, noise = found.units.of(channel), found.noise[channel]
-        along = [
-            f"{s.what} ({s.share:.0%} of its variance)"
-            for s in found.structure
-            if s.channel == channel
+    lines, tolerance = [], compute_tolerance(diagnosis.dataset)
+    for channel, errors in diagnosis.after.held_out.items():
+        unit, noise = diagnosis.units.of(channel), diagnosis.noise[channel]
+        dependences = [
+            f"{dependence.what} ({dependence.share:.0%} of its variance)"
+            for dependence in diagnosis.structure
+            if dependence.channel == channel
         ]
-        if one.rmse < SETTINGS.noise_ratio * floor[channel] * noise:
-            what = "no more than noise and the simulation's own error"
-        elif along:
-            what = f"the residual depends on {', '.join(along)}"
+        if errors.rmse < SETTINGS.noise_ratio * tolerance[channel] * noise:
+            remark = "no more than noise and the simulation's own error"
+        elif dependences:
+            remark = f"the residual depends on {', '.join(dependences)}"
         else:
-            what = "it depends on no tension, speed, direction, travel or time"
-        said.append(
-            f"{found.units.word(channel)}: {format_quantity(one.rmse, unit, 3)} "
-            f"{name_judged_samples(found)} RMSE, "
-            f"noise is {format_quantity(noise, unit, 2)}; {what}."
+            remark = "it depends on no tension, speed, direction, travel or time"
+        lines.append(
+            f"{diagnosis.units.word(channel)}: {format_quantity(errors.rmse, unit, 3)} "
+            f"{name_judged_samples(diagnosis)} RMSE, "
+            f"noise is {format_quantity(noise, unit, 2)}; {remark}."
         )
-    return said
+    return lines
 
 
-def build_detection_limit_table(found: Diagnosis) -> Table:
+def build_detection_limit_table(diagnosis: Diagnosis) -> Table:
     """Return the smallest effects that would have been seen."""
     rows = [
-        (name, least.parameter, format_quantity(least.size, least.unit, 2))
-        for name, least in found.detection_limits.items()
+        (name, limit.parameter, format_quantity(limit.size, limit.unit, 2))
+        for name, limit in diagnosis.detection_limits.items()
     ]
     return Table(("effect", "parameter", "would have been seen from"), tuple(rows))
 
 
-def name_judged_samples(found: Diagnosis) -> str:
+def name_judged_samples(diagnosis: Diagnosis) -> str:
     """Return which errors are stated: of samples that were held out, or of fitted ones."""
-    return "in-sample" if found.fit_all else "held-out"
+    return "in-sample" if diagnosis.fit_all else "held-out"
 
 
-def select_best_candidates(ranking: Iterable[RankedCandidate], most: int) -> list[RankedCandidate]:
+def select_best_candidates(ranking: Iterable[RankedCandidate], count: int) -> list[RankedCandidate]:
     """Return the candidates of highest score, the best first."""
-    return sorted(ranking, key=lambda ranked: -ranked.score)[:most]
+    return sorted(ranking, key=lambda ranked: -ranked.score)[:count]
 
 
-def list_compared_channels(found: Diagnosis) -> tuple[str, ...]:
+def list_compared_channels(diagnosis: Diagnosis) -> tuple[str, ...]:
     """Return the channels that the model was compared with."""
-    return tuple(dict.fromkeys(c for r in found.dataset.records for c in r.compared))
+    return tuple(dict.fromkeys(c for r in diagnosis.dataset.records for c in r.compared))
 
 
 def format_interval(number: FittedValue) -> str:
@@ -401,41 +423,46 @@ def count_interval_digits(number: FittedValue) -> int:
 _MODEL_STAGES = ("before", "after")
 
 
-def _name_channel(found: Diagnosis, channel: str) -> str:
-    return found.units.word(channel) if channel in CHANNELS else channel
+def _name_channel(diagnosis: Diagnosis, channel: str) -> str:
+    return diagnosis.units.word(channel) if channel in CHANNELS else channel
 
 
-def _describe_cause(found: Diagnosis, step: CauseStep) -> str:
+def _describe_cause(diagnosis: Diagnosis, step: CauseStep) -> str:
     sizes = ", ".join(
         f"{p.name} {format_quantity(number.value, number.unit, 3)}"
         for p in step.effect.parameters
-        if (number := found.parameters.get(f"{step.effect.name}.{p.name}")) is not None
+        if (number := diagnosis.parameters.get(f"{step.effect.name}.{p.name}")) is not None
     )
-    first = f"{step.effect.cause} ({step.effect.label}: {sizes})"
+    cause_text = f"{step.effect.cause} ({step.effect.label}: {sizes})"
     rivals = [
         f"{effect.cause} ({name})"
         for name in step.rivals
-        if name not in found.causes
+        if name not in diagnosis.causes
         for effect in _find_effects(name)[:1]
     ]
-    return " or ".join([first, *rivals])
+    return " or ".join([cause_text, *rivals])
 
 
-def _list_length_parameters(found: Diagnosis) -> list[str]:
+def _list_length_parameters(diagnosis: Diagnosis) -> list[str]:
     """Return the parameters with a length in their unit."""
-    told = TIP_COMPLIANCE.name if DISTAL_DISPLACEMENT in found.dataset.records[0].signals else ""
+    known_parameter = (
+        TIP_COMPLIANCE.name if DISTAL_DISPLACEMENT in diagnosis.dataset.records[0].signals else ""
+    )
     return [
         name
-        for name, one in found.parameters.items()
-        if re.search(r"\b(?<!N )(m|rad)\b", one.unit) and not name.startswith(told or " ")
+        for name, number in diagnosis.parameters.items()
+        if re.search(r"\b(?<!N )(m|rad)\b", number.unit)
+        and not name.startswith(known_parameter or " ")
     ]
 
 
-def _list_unsure_causes(found: Diagnosis) -> list[str]:
+def _list_unsure_causes(diagnosis: Diagnosis) -> list[str]:
     """Return names of causes that would explain what no cause was surely found for."""
-    if found.steps:
+    if diagnosis.steps:
         return []
-    names = [one.name for one in found.ranking if one.left < SETTINGS.explained]
+    names = [
+        candidate.name for candidate in diagnosis.ranking if candidate.left < SETTINGS.explained
+    ]
     return list(dict.fromkeys(names))[:UNSURE_CAUSES_SHOWN]
 
 
@@ -443,35 +470,39 @@ def _find_effects(name: str) -> list[Effect]:
     return [effect for effect in CATALOGUE if effect.name == name]
 
 
-def _describe_gain(found: Diagnosis) -> str:
+def _describe_gain(diagnosis: Diagnosis) -> str:
     """Return the gain of the channel that was furthest off, counted in its noise."""
 
-    def fall(channel: str) -> float:
-        before, after = (model.held_out[channel].rmse for model in (found.before, found.after))
-        return (before - after) / found.noise[channel]
+    def compute_reduction(channel: str) -> float:
+        before, after = (
+            model.held_out[channel].rmse for model in (diagnosis.before, diagnosis.after)
+        )
+        return (before - after) / diagnosis.noise[channel]
 
-    channel = max(found.gain, key=fall)
-    most = found.gain[channel]
-    causes = "that" if len(found.steps) == 1 else "them"
+    channel = max(diagnosis.gain, key=compute_reduction)
+    largest_gain = diagnosis.gain[channel]
+    causes = "that" if len(diagnosis.steps) == 1 else "them"
     return (
-        f"with {causes} in the model the {name_judged_samples(found)} error of the "
-        f"{found.units.word(channel)} falls by {most.value:.0%} "
-        f"({most.low:.0%} to {most.high:.0%}), to {_compare_with_simple_model(found, channel)}"
+        f"with {causes} in the model the {name_judged_samples(diagnosis)} error of the "
+        f"{diagnosis.units.word(channel)} falls by {largest_gain.value:.0%} "
+        f"({largest_gain.low:.0%} to {largest_gain.high:.0%}), to "
+        f"{_compare_with_simple_model(diagnosis, channel)}"
     )
 
 
-def _compare_with_simple_model(found: Diagnosis, channel: str) -> str:
-    gain = found.simple_gain[channel]
-    where = "below" if gain.value >= 0.0 else "above"
-    return f"{abs(gain.value):.0%} {where} that of the best simple model ({gain.model})"
+def _compare_with_simple_model(diagnosis: Diagnosis, channel: str) -> str:
+    gain = diagnosis.simple_gain[channel]
+    relation = "below" if gain.value >= 0.0 else "above"
+    return f"{abs(gain.value):.0%} {relation} that of the best simple model ({gain.model})"
 
 
-def _describe_dependence(found: Diagnosis) -> str:
-    if not found.structure:
+def _describe_dependence(diagnosis: Diagnosis) -> str:
+    if not diagnosis.structure:
         return "residuals depend on none of the tested variables"
     parts = [
-        f"{s.what} ({s.share:.0%} of its variance in the {found.units.word(s.channel)})"
-        for s in found.structure[:DEPENDENCES_SHOWN]
+        f"{dependence.what} ({dependence.share:.0%} of its variance in the "
+        f"{diagnosis.units.word(dependence.channel)})"
+        for dependence in diagnosis.structure[:DEPENDENCES_SHOWN]
     ]
     return "residuals depend on " + " and ".join(parts)
 
@@ -479,20 +510,20 @@ def _describe_dependence(found: Diagnosis) -> str:
 def _describe_detection_limits(sizes: dict[str, DetectionLimit]) -> str:
     if not sizes:
         return ""
-    name, least = next(iter(sizes.items()))
-    others = f", and {len(sizes) - 1} other effects from sizes listed below" * (len(sizes) > 1)
-    size = format_quantity(least.size, least.unit, 2)
-    return f"; {name} would have been seen from a {least.parameter} of {size} on{others}"
+    name, limit = next(iter(sizes.items()))
+    other_text = f", and {len(sizes) - 1} other effects from sizes listed below" * (len(sizes) > 1)
+    size = format_quantity(limit.size, limit.unit, 2)
+    return f"; {name} would have been seen from a {limit.parameter} of {size} on{other_text}"
 
 
 def _format_errors(
-    found: Diagnosis, model: ModelErrors, name: str, channel: str
+    diagnosis: Diagnosis, model: ModelErrors, name: str, channel: str
 ) -> tuple[str, ...]:
-    one = getattr(model, name).get(channel)
-    if one is None:
+    statistics = getattr(model, name).get(channel)
+    if statistics is None:
         return "", "", ""
     return (
-        format_quantity(one.rmse, found.units.of(channel), 3),
-        f"{one.largest:.2%}",
-        f"{one.mean:.2%}",
+        format_quantity(statistics.rmse, diagnosis.units.of(channel), 3),
+        f"{statistics.largest:.2%}",
+        f"{statistics.mean:.2%}",
     )

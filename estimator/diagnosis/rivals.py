@@ -31,25 +31,27 @@ class EquivalentCause(NamedTuple):
 
 
 def fit_rivals(
-    dataset: Dataset, plain: Fit, fit: Fit, equals: Sequence[EquivalentCause]
+    dataset: Dataset, base_fit: Fit, fit: Fit, equivalents: Sequence[EquivalentCause]
 ) -> tuple[Rival, ...]:
     """Return the models of all rivals."""
-    full = rescale_residuals(use_all_samples(dataset), fit)
-    about = build_contexts(dataset, plain)
+    full_dataset = rescale_residuals(use_all_samples(dataset), fit)
+    contexts = build_contexts(dataset, base_fit)
     return tuple(
         Rival(
-            one.replaces,
-            one.effect,
-            fit_model(full, about, replace_cause(fit.model, one), ROUNDS),
+            equivalent.replaces,
+            equivalent.effect,
+            fit_model(full_dataset, contexts, replace_cause(fit.model, equivalent), ROUNDS),
         )
-        for one in equals
+        for equivalent in equivalents
     )
 
 
-def replace_cause(model: Model, equal: EquivalentCause) -> Model:
+def replace_cause(model: Model, equivalent: EquivalentCause) -> Model:
     """Return a model with a rival in the place of its cause."""
     effects = tuple(
-        (equal.effect, equal.values) if effect.name == equal.replaces else (effect, values)
+        (equivalent.effect, equivalent.values)
+        if effect.name == equivalent.replaces
+        else (effect, values)
         for effect, values in model.effects
     )
     return model._replace(effects=effects)
@@ -60,7 +62,7 @@ def replace_cause(model: Model, equal: EquivalentCause) -> Model:
 
 def choose_equivalent_cause(
     dataset: Dataset,
-    plain: Fit,
+    base_fit: Fit,
     steps: list[CauseStep],
     fit: Fit,
     cause: str,
@@ -68,13 +70,15 @@ def choose_equivalent_cause(
     """Return the causes with one of equally good ones in the place of the first of them."""
     if cause in [step.effect.name for step in steps]:
         return steps, fit
-    known = {one.effect.name: one for one in find_equivalent_causes(steps)}
-    if cause not in known:
-        raise _build_cause_error(cause, [*(step.effect.name for step in steps), *known])
-    chosen = known[cause]
+    equivalents = {
+        equivalent.effect.name: equivalent for equivalent in find_equivalent_causes(steps)
+    }
+    if cause not in equivalents:
+        raise _build_cause_error(cause, [*(step.effect.name for step in steps), *equivalents])
+    chosen = equivalents[cause]
     fit = fit_model(
         rescale_residuals(dataset, fit),
-        build_contexts(dataset, plain),
+        build_contexts(dataset, base_fit),
         replace_cause(fit.model, chosen),
         ROUNDS,
     )
@@ -101,10 +105,10 @@ def _build_cause_error(cause: str, names: Sequence[str]) -> CauseError:
 def find_equivalent_causes(steps: Sequence[CauseStep]) -> list[EquivalentCause]:
     """Return the effects that explain as much as the causes, each in its best variant."""
     causes = [step.effect.name for step in steps]
-    found = []
+    equivalents = []
     for step in steps:
         for name in step.rivals:
             if name not in causes:
-                ranked = next(one for one in step.ranking if one.name == name)
-                found.append(EquivalentCause(step.effect.name, ranked.effect, ranked.values))
-    return found
+                ranked = next(candidate for candidate in step.ranking if candidate.name == name)
+                equivalents.append(EquivalentCause(step.effect.name, ranked.effect, ranked.values))
+    return equivalents

@@ -84,19 +84,19 @@ def estimate_sample_times(time: Array, signals: Signals) -> SampleTimes:
     """
     steps = np.diff(time)
     period = float(np.median(steps))
-    usual = steps[steps < GAP_PERIODS * period]
-    if not float(usual.std()) > STEP_SCATTER_MAX * period:
+    regular_steps = steps[steps < GAP_PERIODS * period]
+    if not float(regular_steps.std()) > STEP_SCATTER_MAX * period:
         return SampleTimes(time, 0.0)
     candidates = [
-        _fit_even_times(time, counted)
-        for counted in (_count_without_gaps(time), _count_with_gaps(time))
+        _fit_even_times(time, counts)
+        for counts in (_count_without_gaps(time), _count_with_gaps(time))
     ]
-    roughness = [_compute_roughness(one, signals) for one in candidates]
+    roughness = [_compute_roughness(times, signals) for times in candidates]
     best = int(np.argmin(roughness))
     if roughness[best] + math.log(ROUGHNESS_RATIO_MIN) > _compute_roughness(time, signals):
         return SampleTimes(time, 0.0)
-    even = candidates[best]
-    return SampleTimes(even, float(np.std(time - even)))
+    even_times = candidates[best]
+    return SampleTimes(even_times, float(np.std(time - even_times)))
 
 
 def _compute_roughness(time: Array, signals: Signals) -> float:
@@ -107,11 +107,11 @@ def _compute_roughness(time: Array, signals: Signals) -> float:
         span = float(np.ptp(signal[present]))
         if not span > 0.0:
             continue
-        rough = compute_block_rms(
+        block_rms = compute_block_rms(
             compute_divided_differences(time[present], signal[present], DIFFERENCE_ORDER),
             BLOCK_SIZE,
         )
-        total += math.log(max(float(np.quantile(rough, ROUGHNESS_QUANTILE)), 1e-12 * span))
+        total += math.log(max(float(np.quantile(block_rms, ROUGHNESS_QUANTILE)), 1e-12 * span))
     return total
 
 
@@ -125,12 +125,12 @@ def _count_with_gaps(time: Array) -> Array:
     period = float(np.median(np.diff(time)))
     counts, clock, count = np.zeros(len(time)), float(time[0]), 0
     for i, stamp in enumerate(time[1:].tolist(), start=1):
-        passed = max(1, round((stamp - clock) / period))
-        count += passed
-        clock += passed * period
-        late = stamp - clock
-        clock += PHASE_GAIN * late
-        period += PERIOD_GAIN * late / passed
+        elapsed_periods = max(1, round((stamp - clock) / period))
+        count += elapsed_periods
+        clock += elapsed_periods * period
+        lag = stamp - clock
+        clock += PHASE_GAIN * lag
+        period += PERIOD_GAIN * lag / elapsed_periods
         counts[i] = count
     return counts
 
@@ -141,8 +141,8 @@ def _fit_even_times(time: Array, counts: Array) -> Array:
 
     period = float(np.polyfit(counts, time, 1)[0])
     drift = savgol_filter(time - period * counts, DRIFT_WINDOW, 1)
-    even = period * counts + drift
-    return np.asarray(even) if np.all(np.diff(even) > 0.0) else time
+    even_times = period * counts + drift
+    return np.asarray(even_times) if np.all(np.diff(even_times) > 0.0) else time
 
 
 # --- values that are missing (NaN) in one channel of a record while others have theirs
@@ -175,12 +175,12 @@ def find_long_gaps(time: Array, present: NDArray[np.bool_]) -> NDArray[np.bool_]
     """Return which times [s] lie where no value is present for long, shape (n,)."""
     times = time[present]
     steps = np.diff(times, prepend=time[0], append=time[-1])
-    long = np.flatnonzero(
+    long_steps = np.flatnonzero(
         steps > max(LONG_GAP, LONG_GAP_PERIODS * float(np.median(np.diff(times))))
     )
     edges = np.concatenate([[-np.inf], times, [np.inf]])
     inside = np.zeros(len(time), dtype=np.bool_)
-    for begin, end in zip(edges[long], edges[long + 1], strict=True):
+    for begin, end in zip(edges[long_steps], edges[long_steps + 1], strict=True):
         inside |= (begin < time) & (time < end)
     return inside
 
@@ -201,19 +201,19 @@ def find_held_samples(signal: Array, step: float) -> NDArray[np.bool_]:
     step : float
         In which the reading is counted; 0 for none.
     """
-    none = np.zeros(len(signal), dtype=np.bool_)
-    new = np.flatnonzero(np.diff(signal)) + 1
-    if len(new) < 3:
-        return none
-    apart = np.diff(new)
-    usual = float(np.median(apart))
-    if usual < 2.0 or np.mean(np.abs(apart - usual) <= 1.0) < REGULAR_SHARE:
-        return none
-    if np.median(np.abs(np.diff(signal[new]))) < STEPS_MIN * step:
-        return none
-    repeats = ~none
-    repeats[new] = repeats[0] = False
-    return repeats
+    no_samples = np.zeros(len(signal), dtype=np.bool_)
+    changes = np.flatnonzero(np.diff(signal)) + 1
+    if len(changes) < 3:
+        return no_samples
+    distances = np.diff(changes)
+    usual_distance = float(np.median(distances))
+    if usual_distance < 2.0 or np.mean(np.abs(distances - usual_distance) <= 1.0) < REGULAR_SHARE:
+        return no_samples
+    if np.median(np.abs(np.diff(signal[changes]))) < STEPS_MIN * step:
+        return no_samples
+    is_held = ~no_samples
+    is_held[changes] = is_held[0] = False
+    return is_held
 
 
 # --- which samples of a record are fitted, and which are held out: blocks in turn
@@ -231,11 +231,11 @@ def select_training_half(block: NDArray[np.int64], drive: Array, speed: Array) -
     alternate: Mask = block % 2 == 0
     if _compute_imbalance(alternate, drive, speed) < SETTINGS.imbalance_max:
         return alternate
-    odd = np.zeros_like(block)
+    parity = np.zeros_like(block)
     while block.any():
-        odd, block = odd ^ (block & 1), block >> 1
-    aperiodic = np.asarray(odd == 0)
-    return min((alternate, aperiodic), key=lambda one: _compute_imbalance(one, drive, speed))
+        parity, block = parity ^ (block & 1), block >> 1
+    aperiodic = np.asarray(parity == 0)
+    return min((alternate, aperiodic), key=lambda half: _compute_imbalance(half, drive, speed))
 
 
 def _compute_imbalance(fitted: Mask, drive: Array, speed: Array) -> float:
@@ -245,9 +245,9 @@ def _compute_imbalance(fitted: Mask, drive: Array, speed: Array) -> float:
     each while it rises, rests and falls.
     """
     level = np.searchsorted(np.quantile(drive, [1.0 / 3.0, 2.0 / 3.0]), drive)
-    rest = SETTINGS.rest * float(np.quantile(np.abs(speed), 0.95))
-    way = np.sign(speed) * (np.abs(speed) > rest)
-    state = (3 * level + way + 1.0).astype(np.int64)
+    rest_speed = SETTINGS.rest * float(np.quantile(np.abs(speed), 0.95))
+    direction = np.sign(speed) * (np.abs(speed) > rest_speed)
+    state = (3 * level + direction + 1.0).astype(np.int64)
     shares = [
         np.bincount(state[half], minlength=9) / max(int(half.sum()), 1)
         for half in (fitted, ~fitted)
@@ -281,7 +281,7 @@ def decimate_record(
     signals: Signals,
     good: dict[str, Mask],
     present: dict[str, Mask],
-    most: int,
+    samples_max: int,
 ) -> DecimatedRecord:
     """Return every k-th sample, all channels averaged over the k around it.
 
@@ -289,7 +289,7 @@ def decimate_record(
     same time as that of many. A channel counts where it has more than half as many values as it
     usually has, and none where samples before and after a gap come together.
     """
-    k = math.ceil(len(time) / most)
+    k = math.ceil(len(time) / samples_max)
     if k <= 1:
         return DecimatedRecord(time, signals, good, present, dict.fromkeys(signals, 1.0), 1)
     rows = np.arange(k // 2, len(time) - (k - 1) // 2, k)
@@ -297,12 +297,12 @@ def decimate_record(
     spans = time[window[:, -1]] - time[window[:, 0]]
     unbroken = spans < float(np.median(spans)) + LONG_GAP
     counts = {name: mask[window].sum(axis=1) for name, mask in good.items()}
-    usual = {name: float(np.median(count[count > 0])) for name, count in counts.items()}
+    usual_counts = {name: float(np.median(count[count > 0])) for name, count in counts.items()}
     return DecimatedRecord(
         time[window].mean(axis=1),
         {name: signal[window].sum(axis=1) / k for name, signal in signals.items()},
-        {name: unbroken & (count > 0.5 * usual[name]) for name, count in counts.items()},
+        {name: unbroken & (count > 0.5 * usual_counts[name]) for name, count in counts.items()},
         {name: mask[window].any(axis=1) for name, mask in present.items()},
-        usual,
+        usual_counts,
         k,
     )

@@ -43,12 +43,12 @@ def compute_errors(
     Where all samples are fitted and none is held out, the fitted ones are judged.
     """
     parts: dict[str, list[ChannelErrors]] = {}
-    for record, one in zip(dataset.records, fit.simulated, strict=True):
-        judged = record.train if record.train.all() else record.train != held_out
+    for record, simulated in zip(dataset.records, fit.simulated, strict=True):
+        samples = record.train if record.train.all() else record.train != held_out
         for channel in record.compared:
-            found = compute_channel_errors(record, channel, one.signals[channel], judged)
-            parts.setdefault(channel, []).append(found)
-    return {channel: concatenate_errors(found) for channel, found in parts.items()}
+            errors = compute_channel_errors(record, channel, simulated.signals[channel], samples)
+            parts.setdefault(channel, []).append(errors)
+    return {channel: concatenate_errors(errors) for channel, errors in parts.items()}
 
 
 def compute_channel_errors(
@@ -59,44 +59,47 @@ def compute_channel_errors(
     bins = ((record.time - record.time[0]) / SETTINGS.bin).astype(np.int64) + record.block
     rows = record.good[channel] & samples
     error = (record.signals[channel] - predicted)[rows]
-    off = error / record.sigma[channel][rows]
-    squares = np.bincount(bins[rows], off**2, bins[-1] + 1).astype(np.float64)
+    scaled_error = error / record.sigma[channel][rows]
+    squares = np.bincount(bins[rows], scaled_error**2, bins[-1] + 1).astype(np.float64)
     counts = np.bincount(bins[rows], minlength=bins[-1] + 1).astype(np.float64)
-    kept = counts > 0
+    has_samples = counts > 0
     return ChannelErrors(
-        squares[kept], float(error @ error), counts[kept], _estimate_independent_share(off)
+        squares[has_samples],
+        float(error @ error),
+        counts[has_samples],
+        _estimate_independent_share(scaled_error),
     )
 
 
-def join_errors(found: Sequence[dict[str, ChannelErrors]]) -> dict[str, ChannelErrors]:
-    """Return the errors of several halves as those of a whole."""
-    return {channel: concatenate_errors([one[channel] for one in found]) for channel in found[0]}
+def join_errors(parts: Sequence[dict[str, ChannelErrors]]) -> dict[str, ChannelErrors]:
+    """Return the errors of several parts by channel, concatenated."""
+    return {channel: concatenate_errors([part[channel] for part in parts]) for channel in parts[0]}
 
 
-def concatenate_errors(found: Sequence[ChannelErrors]) -> ChannelErrors:
-    """Return the errors of several parts as those of a whole."""
+def concatenate_errors(parts: Sequence[ChannelErrors]) -> ChannelErrors:
+    """Return the errors of several parts of one channel, concatenated."""
     return ChannelErrors(
-        np.concatenate([part.squares for part in found]),
-        sum(part.power for part in found),
-        np.concatenate([part.counts for part in found]),
-        min(part.independent for part in found),
+        np.concatenate([part.squares for part in parts]),
+        sum(part.power for part in parts),
+        np.concatenate([part.counts for part in parts]),
+        min(part.independent for part in parts),
     )
 
 
 def compute_log_likelihood_ratio(a: dict[str, ChannelErrors], b: dict[str, ChannelErrors]) -> float:
-    """Return ln of how much more probable held-out data are under `a` than under `b`.
+    """Return the log-likelihood ratio of held-out data under `a` to that under `b`.
 
     Each channel's own mean square stands for its variance, so that neither the unit nor a
     noise that was estimated wrongly decides.
     """
     total = 0.0
-    for channel, one in a.items():
-        share = min(one.independent, b[channel].independent)
+    for channel, errors in a.items():
+        share = min(errors.independent, b[channel].independent)
         total += (
             0.5
             * share
-            * float(one.counts.sum())
-            * math.log(_floor_variance(b[channel]) / _floor_variance(one))
+            * float(errors.counts.sum())
+            * math.log(_floor_variance(b[channel]) / _floor_variance(errors))
         )
     return total
 
@@ -106,9 +109,9 @@ def bootstrap_superiority(
 ) -> float:
     """Return the share of bootstrapped records in which `a` is better than `b` (paired bins)."""
     difference = []
-    for channel, one in a.items():
-        scale = _floor_variance(one)
-        difference.append((b[channel].squares - one.squares) / scale)
+    for channel, errors in a.items():
+        scale = _floor_variance(errors)
+        difference.append((b[channel].squares - errors.squares) / scale)
     total = (
         np.sum(difference, axis=0)
         if len({len(d) for d in difference}) == 1
@@ -120,24 +123,26 @@ def bootstrap_superiority(
 
 def compute_gain(a: dict[str, ChannelErrors], b: dict[str, ChannelErrors]) -> float:
     """Return by which share errors are smaller under `a` than under `b`, over all channels."""
-    samples = sum(one.independent * float(one.counts.sum()) for one in a.values())
+    samples = sum(errors.independent * float(errors.counts.sum()) for errors in a.values())
     return -math.expm1(-compute_log_likelihood_ratio(a, b) / max(samples / len(a), 1.0))
 
 
 def compute_residual_fraction(a: dict[str, ChannelErrors], b: dict[str, ChannelErrors]) -> float:
-    """Return how much `a` leaves of what `b` leaves beyond the noise; worse channels weigh more.
+    """Return the residual of `a` over that of `b`, both beyond noise; worse channels weigh more.
 
     0 where noise is all that is left, 1 where nothing was gained.
     """
-    left = total = 0.0
-    for channel, one in b.items():
-        excess = max(one.mean - 1.0, 0.0)
+    remaining = total = 0.0
+    for channel, errors in b.items():
+        excess = max(errors.mean - 1.0, 0.0)
         if excess < SETTINGS.excess_min:
             continue
         weight = math.sqrt(excess)
-        left += weight * min(max(a[channel].mean - 1.0, 0.0) / excess, SETTINGS.excess_ratio_max)
+        remaining += weight * min(
+            max(a[channel].mean - 1.0, 0.0) / excess, SETTINGS.excess_ratio_max
+        )
         total += weight
-    return left / total if total else 0.0
+    return remaining / total if total else 0.0
 
 
 def bootstrap_gain(a: ChannelErrors, b: ChannelErrors, seed: int = 0) -> tuple[float, float, float]:
@@ -150,33 +155,38 @@ def bootstrap_gain(a: ChannelErrors, b: ChannelErrors, seed: int = 0) -> tuple[f
     return value, float(low), float(high)
 
 
-def is_noise(dataset: Dataset, found: dict[str, ChannelErrors]) -> bool:
+def is_noise(dataset: Dataset, errors: dict[str, ChannelErrors]) -> bool:
     """Return whether errors are what noise makes, and a simulation's own error."""
-    return is_within_tolerance(dataset, found, SETTINGS.noise_ratio)
+    return is_within_tolerance(dataset, errors, SETTINGS.noise_ratio)
 
 
-def is_within_tolerance(dataset: Dataset, found: dict[str, ChannelErrors], times: float) -> bool:
-    """Return whether errors are less than so many times what noise and a simulation make."""
+def is_within_tolerance(
+    dataset: Dataset, errors: dict[str, ChannelErrors], ratio_max: float
+) -> bool:
+    """Return whether errors are below `ratio_max` times those of noise and of a simulation."""
     floor = compute_tolerance(dataset)
-    return all(math.sqrt(one.mean) < times * floor[c] for c, one in found.items())
+    return all(
+        math.sqrt(channel_errors.mean) < ratio_max * floor[channel]
+        for channel, channel_errors in errors.items()
+    )
 
 
-def compute_bic_penalty(dataset: Dataset, numbers: int) -> float:
-    """Return what so many more numbers must earn in ln of the likelihood (BIC, Schwarz 1978)."""
+def compute_bic_penalty(dataset: Dataset, parameters: int) -> float:
+    """Return the log-likelihood penalty of a count of parameters (BIC, Schwarz 1978)."""
     samples = sum(len(record.time) for record in dataset.records)
-    return 0.5 * numbers * math.log(samples)
+    return 0.5 * parameters * math.log(samples)
 
 
-def _floor_variance(one: ChannelErrors) -> float:
-    return max(one.mean, SETTINGS.variance_min)
+def _floor_variance(errors: ChannelErrors) -> float:
+    return max(errors.mean, SETTINGS.variance_min)
 
 
-def _estimate_independent_share(off: Array) -> float:
-    centred = off - off.mean()
+def _estimate_independent_share(error: Array) -> float:
+    centred = error - error.mean()
     power = float(centred @ centred)
-    r = float(centred[1:] @ centred[:-1]) / power if power > 0.0 else 0.0
-    r = min(max(r, 0.0), 0.9999)
-    return max((1.0 - r) / (1.0 + r), SETTINGS.independent_min)
+    correlation = float(centred[1:] @ centred[:-1]) / power if power > 0.0 else 0.0
+    correlation = min(max(correlation, 0.0), 0.9999)
+    return max((1.0 - correlation) / (1.0 + correlation), SETTINGS.independent_min)
 
 
 # --- what a residual depends on: hints for a person, no verdict
@@ -196,27 +206,27 @@ def find_residual_dependence(dataset: Dataset, fit: Fit) -> tuple[ResidualDepend
     The share of its variance between bins of the tension, its rate, the speed, the direction, the
     travel and the time, less what bins of noise would have.
     """
-    found = []
+    dependences = []
     for channel in dataset.records[0].compared:
-        residual, along = [], dict[str, list[Array]]()
-        for record, one in zip(dataset.records, fit.simulated, strict=True):
+        residual, signals = [], dict[str, list[Array]]()
+        for record, simulated in zip(dataset.records, fit.simulated, strict=True):
             rows = record.good[channel]
-            residual.append((record.signals[channel] - one.signals[channel])[rows])
+            residual.append((record.signals[channel] - simulated.signals[channel])[rows])
             T = record.signals[PROXIMAL_TENSION]
-            for what, signal in (
+            for variable, signal in (
                 ("tension", T),
                 ("speed", record.speed),
                 ("direction", np.sign(record.speed)),
                 ("travel" if record.driver != PROXIMAL_TENSION else "drive", record.drive),
                 ("time", record.time - record.time[0]),
             ):
-                along.setdefault(what, []).append(signal[rows])
+                signals.setdefault(variable, []).append(signal[rows])
         r = np.concatenate(residual)
-        for what, parts in along.items():
+        for variable, parts in signals.items():
             share = compute_explained_variance(r, np.concatenate(parts))
             if share > SETTINGS.dependence_min:
-                found.append(ResidualDependence(what, channel, share))
-    return tuple(sorted(found, key=lambda one: -one.share))
+                dependences.append(ResidualDependence(variable, channel, share))
+    return tuple(sorted(dependences, key=lambda dependence: -dependence.share))
 
 
 def compute_explained_variance(residual: Array, signal: Array) -> float:

@@ -2,7 +2,7 @@
 
 A regression on the residual would be wrong, since the model's own parameters have taken up part of
 every effect. So each candidate is first tried by a linear step of all parameters together, from
-each of its starts, and those that promise most are then fitted by re-simulation.
+each of its starts; the starts of lowest cost are then fitted by re-simulation.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -40,7 +40,7 @@ SECOND_STARTS_MAX, RAW_STARTS_MAX = 10, 12  # starts of all effects, besides the
 # shares of a search after which these are done
 SCREENING_PROGRESS, FITTING_PROGRESS = 0.3, (0.6, 0.75)
 HALVINGS = 3  # of a linear step that leads uphill
-ROUNDS = (4, 6)  # of the first fits, on thin records
+ROUNDS = (4, 6)  # of the first fits, on subsampled records
 FINAL_ROUNDS = 25  # rounds of the last fit, on whole records
 AMPLITUDE_RATIO_MAX = 6.0  # times a start's amplitude that a linear step may go
 
@@ -73,163 +73,204 @@ class Starts(NamedTuple):
 
 def fit_candidates(
     dataset: Dataset,
-    fit: Fit,
+    current_fit: Fit,
     effects: Sequence[Effect],
     report: ProgressCallback,
     workers: int = 1,
 ) -> list[Candidate]:
-    """Return what came of each effect that promised something, the best first.
+    """Return the fitted candidates, the lowest cost first.
 
     Parameters
     ----------
     dataset : Dataset
         What was measured.
-    fit : Fit
-        The model without.
+    current_fit : Fit
+        The model without the effects.
     effects : sequence of Effect
         To try on top of it.
     report : callable
-        Told what is done, and which share of it is.
+        Called with the current task and the share that is done.
     workers : int
-        Fits side by side.
+        Threads that fit in parallel.
     """
-    dataset = rescale_residuals(dataset, fit)
-    about = build_contexts(dataset, fit)
-    thin_bench = subsample(dataset, SUBSAMPLE_SIZE)
-    there = simulate_dataset(thin_bench, build_unsimulated_contexts(thin_bench, fit), fit.model)
-    around = build_contexts(thin_bench, there)
+    dataset = rescale_residuals(dataset, current_fit)
+    contexts = build_contexts(dataset, current_fit)
+    subsampled = subsample(dataset, SUBSAMPLE_SIZE)
+    subsampled_fit = simulate_dataset(
+        subsampled, build_unsimulated_contexts(subsampled, current_fit), current_fit.model
+    )
+    subsampled_contexts = build_contexts(subsampled, subsampled_fit)
     sudden = [effect for effect in effects if any(p.jumps for p in effect.parameters)]
     gradual = [effect for effect in effects if effect not in sudden]
-    trying = scale_progress(
+    screening_report = scale_progress(
         report, 0.0, SCREENING_PROGRESS if not sudden else 0.5 * SCREENING_PROGRESS
     )
-    led, bare = screen_candidates(thin_bench, there, around, gradual, trying, workers)
+    linearised_starts, raw_starts = screen_candidates(
+        subsampled, subsampled_fit, subsampled_contexts, gradual, screening_report, workers
+    )
     if sudden:
-        by_part = fit_robustly(thin_bench, there)
-        trying = scale_progress(report, 0.5 * SCREENING_PROGRESS, SCREENING_PROGRESS)
-        more = screen_candidates(thin_bench, by_part, around, sudden, trying, workers)
-        led, bare = led + more.led, bare + more.bare
-    firsts = [pair[0] for pair in led]
-    seconds = [pair[1] for pair in led if len(pair) > 1]
-    begin = [
-        *firsts,
-        *_select_cheapest(seconds, SECOND_STARTS_MAX),
-        *_select_cheapest(bare, RAW_STARTS_MAX),
+        robust_fit = fit_robustly(subsampled, subsampled_fit)
+        screening_report = scale_progress(report, 0.5 * SCREENING_PROGRESS, SCREENING_PROGRESS)
+        sudden_starts = screen_candidates(
+            subsampled, robust_fit, subsampled_contexts, sudden, screening_report, workers
+        )
+        linearised_starts, raw_starts = (
+            linearised_starts + sudden_starts.led,
+            raw_starts + sudden_starts.bare,
+        )
+    best_starts = [pair[0] for pair in linearised_starts]
+    second_starts = [pair[1] for pair in linearised_starts if len(pair) > 1]
+    selected_starts = [
+        *best_starts,
+        *_select_cheapest(second_starts, SECOND_STARTS_MAX),
+        *_select_cheapest(raw_starts, RAW_STARTS_MAX),
     ]
-    models = [one.model for one in sorted(begin, key=lambda one: one.cost)]
+    models = [
+        candidate.model
+        for candidate in sorted(selected_starts, key=lambda candidate: candidate.cost)
+    ]
     best: list[Candidate] = []
-    begun = SCREENING_PROGRESS
-    for rounds, kept, hopeless, done in zip(
+    progress_begin = SCREENING_PROGRESS
+    for rounds, kept_count, cost_ratio_max, progress_end in zip(
         ROUNDS, SETTINGS.kept, SETTINGS.hopeless, FITTING_PROGRESS, strict=True
     ):
-        fitting, begun = scale_progress(report, begun, done), done
+        fitting_report, progress_begin = (
+            scale_progress(report, progress_begin, progress_end),
+            progress_end,
+        )
 
-        def fitted(model: Model, rounds: int = rounds) -> Candidate:
-            return _fit_candidate(thin_bench, around, model, rounds)
+        def fit_subsampled(model: Model, rounds: int = rounds) -> Candidate:
+            return _fit_candidate(subsampled, subsampled_contexts, model, rounds)
 
         best = _select_best_by_label(
-            _map_parallel(fitted, models, fitting, "fitting candidates", workers)
-        )[:kept]
-        models = [one.fit.model for one in best if one.cost < hopeless * best[0].cost]
+            _map_parallel(fit_subsampled, models, fitting_report, "fitting candidates", workers)
+        )[:kept_count]
+        models = [
+            candidate.fit.model
+            for candidate in best
+            if candidate.cost < cost_ratio_max * best[0].cost
+        ]
 
     def fit_cheapest(starts: Iterable[Model]) -> Candidate:
         return min(
-            (_fit_candidate(dataset, about, one, FINAL_ROUNDS) for one in starts),
-            key=lambda one: one.cost,
+            (_fit_candidate(dataset, contexts, candidate, FINAL_ROUNDS) for candidate in starts),
+            key=lambda candidate: candidate.cost,
         )
 
-    def finished(model: Model) -> Candidate:
-        begun = (
+    def refine_candidate(model: Model) -> Candidate:
+        models = (
             [model]
-            if (inside := _reset_shapes_at_bound(model, about[0])) is None
-            else [model, inside]
+            if (reset_model := _reset_shapes_at_bound(model, contexts[0])) is None
+            else [model, reset_model]
         )
-        best = fit_cheapest(begun)
+        best = fit_cheapest(models)
         if best.effect.brief and not is_noise(dataset, best.held_out):
-            restarted = fit_cheapest(_refine_starts(dataset, about, fit.model, best.effect))
-            best = min(best, restarted, key=lambda one: one.cost)
+            restarted = fit_cheapest(
+                _refine_starts(dataset, contexts, current_fit.model, best.effect)
+            )
+            best = min(best, restarted, key=lambda candidate: candidate.cost)
         return best
 
-    finishing = scale_progress(report, FITTING_PROGRESS[-1], 1.0)
-    refined = list(_map_parallel(finished, models, finishing, "finishing the best", workers))
-    rest = [
-        _build_candidate(dataset, simulate_dataset(dataset, about, one.fit.model))
-        for one in best[len(models) :]
+    finishing_report = scale_progress(report, FITTING_PROGRESS[-1], 1.0)
+    refined = list(
+        _map_parallel(refine_candidate, models, finishing_report, "finishing the best", workers)
+    )
+    unrefined = [
+        _build_candidate(dataset, simulate_dataset(dataset, contexts, candidate.fit.model))
+        for candidate in best[len(models) :]
     ]
-    return sorted(refined + rest, key=lambda one: one.cost)
+    return sorted(refined + unrefined, key=lambda candidate: candidate.cost)
 
 
 def _refine_starts(
-    dataset: Dataset, about: Sequence[EffectContext], model: Model, effect: Effect
+    dataset: Dataset, contexts: Sequence[EffectContext], model: Model, effect: Effect
 ) -> list[Model]:
-    """Return where a few rounds on all samples lead from the starts of an effect: the best two."""
-    starts = [_add_effect(model, effect, values) for values in effect.starts(about[0])]
-    fits = [fit_model(dataset, about, one, QUICK_ROUNDS) for one in starts]
-    return [one.model for one in sorted(fits, key=lambda one: compute_cost(dataset, one))[:2]]
+    """Return the best two models of a few rounds on all samples, from each start of an effect."""
+    starts = [_add_effect(model, effect, values) for values in effect.starts(contexts[0])]
+    fits = [fit_model(dataset, contexts, trial, QUICK_ROUNDS) for trial in starts]
+    return [
+        trial.model for trial in sorted(fits, key=lambda trial: compute_cost(dataset, trial))[:2]
+    ]
 
 
 def screen_candidates(
     dataset: Dataset,
-    fit: Fit,
-    about: Sequence[EffectContext],
+    current_fit: Fit,
+    contexts: Sequence[EffectContext],
     effects: Sequence[Effect],
     report: ProgressCallback,
     workers: int,
 ) -> Starts:
-    """Return models to begin fits from: for each effect those of its starts that promise most.
+    """Return models to start fits from: of each effect the starts of lowest predicted cost.
 
     Each start is taken as far as a linear step of all parameters would go along it, the model's own
     parameters with it, or a part of that way where the whole leads uphill; and the best as it is,
-    since where a record starts, for one, nothing is linear.
+    since the first samples of a record, for example, are not linear in the parameters.
     """
-    r = compute_residual(dataset, fit)
-    J = compute_jacobian(dataset, about, fit)
-    J[:, ~ParameterLayout(dataset, fit.model).smooth] = 0.0  # times have no gradient
+    residual = compute_residual(dataset, current_fit)
+    J = compute_jacobian(dataset, contexts, current_fit)
+    J[:, ~ParameterLayout(dataset, current_fit.model).smooth] = 0.0  # times have no gradient
     solve = np.linalg.pinv(J)
-    without = compute_cost(dataset, fit)
-    begin = [(effect, values) for effect in effects for values in effect.starts(about[0])]
+    current_cost = compute_cost(dataset, current_fit)
+    effect_starts = [
+        (effect, values) for effect in effects for values in effect.starts(contexts[0])
+    ]
 
-    def start(model: Model) -> Start:
-        return Start(model, compute_cost(dataset, simulate_dataset(dataset, about, model)))
+    def evaluate_start(model: Model) -> Start:
+        return Start(model, compute_cost(dataset, simulate_dataset(dataset, contexts, model)))
 
-    def promise(one: tuple[Effect, Values]) -> tuple[Start, Start] | None:
-        effect, values = one
-        begun = simulate_dataset(dataset, about, _add_effect(fit.model, effect, values))
-        change = compute_residual(dataset, begun) - r
+    def screen_start(pair: tuple[Effect, Values]) -> tuple[Start, Start] | None:
+        effect, values = pair
+        raw_fit = simulate_dataset(
+            dataset, contexts, _add_effect(current_fit.model, effect, values)
+        )
+        change = compute_residual(dataset, raw_fit) - residual
         if not np.isfinite(change).all():
             return None
-        alone = change - J @ (solve @ change)
-        power = float(alone @ alone)
+        projected = change - J @ (solve @ change)
+        power = float(projected @ projected)
         if power < 1e-12:
             return None
 
-        def led(share: float) -> tuple[float, Model]:
-            scaled, step = _scale_start(effect, values, share)
-            wanted = r + step * change
-            base = -(solve @ wanted)
-            foreseen = float(np.sum((wanted + J @ base) ** 2))
-            return foreseen, _add_effect(shift_parameters(dataset, fit.model, base), effect, scaled)
+        def linearise(share: float) -> tuple[float, Model]:
+            scaled, applied_share = _scale_start(effect, values, share)
+            target = residual + applied_share * change
+            parameter_step = -(solve @ target)
+            predicted_cost = float(np.sum((target + J @ parameter_step) ** 2))
+            return predicted_cost, _add_effect(
+                shift_parameters(dataset, current_fit.model, parameter_step), effect, scaled
+            )
 
-        share = min((1.0, -(float(alone @ r)) / power), key=lambda share: led(share)[0])
-        best = start(led(share)[1])
+        share = min(
+            (1.0, -(float(projected @ residual)) / power), key=lambda share: linearise(share)[0]
+        )
+        start = evaluate_start(linearise(share)[1])
         for _ in range(HALVINGS):
-            if best.cost < without:
+            if start.cost < current_cost:
                 break
             share *= 0.5
-            best = min(best, start(led(share)[1]), key=lambda one: one.cost)
-        return best, Start(begun.model, float(np.sum((r + change) ** 2)))
+            start = min(
+                start,
+                evaluate_start(linearise(share)[1]),
+                key=lambda candidate_start: candidate_start.cost,
+            )
+        return start, Start(raw_fit.model, float(np.sum((residual + change) ** 2)))
 
-    of_effect: dict[str, list[tuple[Start, Start]]] = {}
-    for one in _map_parallel(promise, begin, report, "trying effects", workers):
-        if one is not None:
-            of_effect.setdefault(one[0].model.effects[-1][0].label, []).append(one)
-    led = [_select_cheapest([of_two for of_two, _ in pairs], 2) for pairs in of_effect.values()]
-    bare = [_select_cheapest([of_two for _, of_two in pairs], 1)[0] for pairs in of_effect.values()]
-    return Starts(led, bare)
+    pairs_by_effect: dict[str, list[tuple[Start, Start]]] = {}
+    for pair in _map_parallel(screen_start, effect_starts, report, "trying effects", workers):
+        if pair is not None:
+            pairs_by_effect.setdefault(pair[0].model.effects[-1][0].label, []).append(pair)
+    linearised_starts = [
+        _select_cheapest([start for start, _ in pairs], 2) for pairs in pairs_by_effect.values()
+    ]
+    raw_starts = [
+        _select_cheapest([start for _, start in pairs], 1)[0] for pairs in pairs_by_effect.values()
+    ]
+    return Starts(linearised_starts, raw_starts)
 
 
-def _select_cheapest(starts: Sequence[Start], most: int) -> list[Start]:
-    return sorted(starts, key=lambda one: one.cost)[:most]
+def _select_cheapest(starts: Sequence[Start], count: int) -> list[Start]:
+    return sorted(starts, key=lambda start: start.cost)[:count]
 
 
 def _scale_start(effect: Effect, values: Values, share: float) -> tuple[Values, float]:
@@ -242,8 +283,8 @@ def _scale_start(effect: Effect, values: Values, share: float) -> tuple[Values, 
         if p.neutral is None or value == p.neutral:
             continue
         room = (p.high if share * (value - p.neutral) > 0.0 else p.low) - p.neutral
-        most = room / (value - p.neutral)
-        share = min(share, most) if share > 0.0 else max(share, most)
+        limit = room / (value - p.neutral)
+        share = min(share, limit) if share > 0.0 else max(share, limit)
     scaled = tuple(
         value if p.neutral is None else p.neutral + share * (value - p.neutral)
         for value, p in zip(values, effect.parameters, strict=True)
@@ -258,24 +299,24 @@ def _add_effect(model: Model, effect: Effect, values: Values) -> Model:
 def _reset_shapes_at_bound(model: Model, context: EffectContext) -> Model | None:
     """Return a model with its last effect reset to its default shape parameters where at a bound.
 
-    A thin record does not have what is short, such as a memory: there it may end at a bound that
+    A subsampled record lacks what is short, such as a memory: a fit may end there at a bound that
     whole records would not have led it to, and would not lead it away from. None if there is none.
     """
-    *rest, (effect, values) = model.effects
+    *other_effects, (effect, values) = model.effects
     allowed = effect.within(effect.parameters, float(np.ptp(context.drive)), values)
-    stopped = [
+    are_at_bound = [
         p.neutral is None and not p.jumps and _is_at_bound(value, p)
         for value, p in zip(values, allowed, strict=True)
     ]
-    starts = list(effect.starts(context)) if any(stopped) else []
+    starts = list(effect.starts(context)) if any(are_at_bound) else []
     if not starts:
         return None
-    usual = np.median(np.array(starts), axis=0).tolist()
+    median_start = np.median(np.array(starts), axis=0).tolist()
     shape = tuple(
         start if at_bound else value
-        for value, start, at_bound in zip(values, usual, stopped, strict=True)
+        for value, start, at_bound in zip(values, median_start, are_at_bound, strict=True)
     )
-    return model._replace(effects=(*rest, (effect, shape)))
+    return model._replace(effects=(*other_effects, (effect, shape)))
 
 
 def _is_at_bound(value: float, parameter: Parameter) -> bool:
@@ -286,9 +327,9 @@ def _is_at_bound(value: float, parameter: Parameter) -> bool:
 
 
 def _fit_candidate(
-    dataset: Dataset, about: Sequence[EffectContext], start: Model, rounds: int
+    dataset: Dataset, contexts: Sequence[EffectContext], start: Model, rounds: int
 ) -> Candidate:
-    return _build_candidate(dataset, fit_model(dataset, about, start, rounds))
+    return _build_candidate(dataset, fit_model(dataset, contexts, start, rounds))
 
 
 def _build_candidate(dataset: Dataset, fit: Fit) -> Candidate:
@@ -297,10 +338,10 @@ def _build_candidate(dataset: Dataset, fit: Fit) -> Candidate:
     )
 
 
-def _select_best_by_label(found: Iterable[Candidate]) -> list[Candidate]:
+def _select_best_by_label(candidates: Iterable[Candidate]) -> list[Candidate]:
     best: dict[str, Candidate] = {}
-    for one in sorted(found, key=lambda one: one.cost):
-        best.setdefault(one.effect.label, one)
+    for candidate in sorted(candidates, key=lambda candidate: candidate.cost):
+        best.setdefault(candidate.effect.label, candidate)
     return list(best.values())
 
 
@@ -308,11 +349,11 @@ def _map_parallel(
     work: Callable[[Task], Done],
     tasks: Sequence[Task],
     report: ProgressCallback,
-    what: str,
+    task_name: str,
     workers: int,
 ) -> Iterator[Done]:
     """Yield what `work` makes of each task, in their order; compiled code runs side by side."""
     with ThreadPoolExecutor(workers) as pool:
-        for i, done in enumerate(pool.map(work, tasks), start=1):
-            report(what, i / max(len(tasks), 1))
-            yield done
+        for i, result in enumerate(pool.map(work, tasks), start=1):
+            report(task_name, i / max(len(tasks), 1))
+            yield result

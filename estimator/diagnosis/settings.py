@@ -94,7 +94,7 @@ class Settings:
 SETTINGS = Settings()
 
 
-# --- how far a long computation is, told by its parts
+# --- progress of a long computation, reported by its parts
 
 ProgressCallback = Callable[[str, float], None]
 """Told what is being done, and which share (0 to 1) of all is done."""
@@ -105,9 +105,9 @@ def ignore_progress(_what: str, _share: float) -> None:
 
 
 def scale_progress(report: ProgressCallback, begin: float, end: float) -> ProgressCallback:
-    """Return the report of a part that takes the whole from one share to another."""
+    """Return a callback for a part that takes the whole from share `begin` to `end`."""
 
-    def of_part(what: str, share: float) -> None:
-        report(what, begin + (end - begin) * share)
+    def report_part(task: str, share: float) -> None:
+        report(task, begin + (end - begin) * share)
 
-    return of_part
+    return report_part

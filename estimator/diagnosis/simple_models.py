@@ -45,7 +45,7 @@ class SimpleFit(NamedTuple):
     @property
     def rmse(self) -> dict[str, float]:
         """Root mean square by channel [N] or [m]."""
-        return {channel: one.rmse for channel, one in self.held_out.items()}
+        return {channel: errors.rmse for channel, errors in self.held_out.items()}
 
 
 class SimpleGain(NamedTuple):
@@ -72,12 +72,12 @@ def compute_simple_gains(
     law: Mapping[str, ChannelErrors], models: Sequence[SimpleFit]
 ) -> dict[str, SimpleGain]:
     """Return how much better a law is than the best of simple models on the same samples."""
-    found = {}
+    gains = {}
     for channel, errors in law.items():
-        best = min(models, key=lambda one: one.held_out[channel].mean)
+        best = min(models, key=lambda model: model.held_out[channel].mean)
         gain = bootstrap_gain(errors, best.held_out[channel])
-        found[channel] = SimpleGain(best.name, *gain)
-    return found
+        gains[channel] = SimpleGain(best.name, *gain)
+    return gains
 
 
 def _cross_validate_model(dataset: Dataset, channel: str, name: str) -> ChannelErrors:
@@ -92,8 +92,8 @@ def _cross_validate_model(dataset: Dataset, channel: str, name: str) -> ChannelE
         )
         _, predicted = min(fits, key=lambda fit: fit[0])
         for record, signal in zip(dataset.records, predicted, strict=True):
-            judged = record.train if all_fitted else record.train != fitted_half
-            parts.append(compute_channel_errors(record, channel, signal, judged))
+            samples = record.train if all_fitted else record.train != fitted_half
+            parts.append(compute_channel_errors(record, channel, signal, samples))
     return concatenate_errors(parts)
 
 
@@ -110,8 +110,8 @@ def _fit_features(
         fitted.append(record.good[channel] & (record.train == fitted_half))
     A, y, mask = np.concatenate(rows), np.concatenate(values), np.concatenate(fitted)
     weights = _solve_weights(A[mask], y[mask], A.shape[1] - len(offsets) if positive else 0)
-    off = y[mask] - A[mask] @ weights
-    return float(off @ off), [each @ weights for each in rows]
+    error = y[mask] - A[mask] @ weights
+    return float(error @ error), [design @ weights for design in rows]
 
 
 def _solve_weights(A: Array, y: Array, positive: int) -> Array:
@@ -120,10 +120,10 @@ def _solve_weights(A: Array, y: Array, positive: int) -> Array:
 
     size = np.maximum(np.abs(A).max(axis=0), 1e-30)
     Q, R = np.linalg.qr(A / size)
-    free = R[:, positive:]
-    found, _ = nnls(np.column_stack([R, -free]), Q.T @ y)
-    found[positive : R.shape[1]] -= found[R.shape[1] :]
-    return np.asarray(found[: R.shape[1]] / size)
+    unconstrained = R[:, positive:]
+    solution, _ = nnls(np.column_stack([R, -unconstrained]), Q.T @ y)
+    solution[positive : R.shape[1]] -= solution[R.shape[1] :]
+    return np.asarray(solution[: R.shape[1]] / size)
 
 
 def _generate_play_features(dataset: Dataset) -> Iterator[list[Array]]:
@@ -144,8 +144,8 @@ def _generate_prandtl_features(dataset: Dataset) -> Iterator[list[Array]]:
         for record, span in _pair_records_with_span(dataset)
     ]
     if dataset.records[0].driver == PROXIMAL_TENSION:
-        for most in _FRICTIONS:
-            frictions = most * np.arange(1, PLAYS + 1) / PLAYS
+        for friction_max in _FRICTIONS:
+            frictions = friction_max * np.arange(1, PLAYS + 1) / PLAYS
             yield [
                 np.column_stack([apply_proportional_play(record.drive, K) for K in frictions])
                 for record in dataset.records

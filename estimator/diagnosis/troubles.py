@@ -47,25 +47,27 @@ def exclude_turns(time: Array, drive: Array, good: Mask) -> tuple[Mask, list[Dat
     of the reversal is unknown.
     """
     turns = np.array(find_turning_points(drive, SETTINGS.reversal * float(np.ptp(drive))))[1:-1]
-    beside = np.zeros_like(good)
-    for off in (-1, 0, 1):
-        beside[turns + off] = True
-    if not beside.any() or np.mean(beside) > SETTINGS.reversals_max:
+    is_at_turn = np.zeros_like(good)
+    for offset in (-1, 0, 1):
+        is_at_turn[turns + offset] = True
+    if not is_at_turn.any() or np.mean(is_at_turn) > SETTINGS.reversals_max:
         return good, []
-    first = float(time[int(np.argmax(beside))])
-    what = "samples at motor reversals excluded"
-    return good & ~beside, [DataIssue(what, PROXIMAL_TENSION, int(beside.sum()), first)]
+    first_time = float(time[int(np.argmax(is_at_turn))])
+    message = "samples at motor reversals excluded"
+    return good & ~is_at_turn, [
+        DataIssue(message, PROXIMAL_TENSION, int(is_at_turn.sum()), first_time)
+    ]
 
 
 def select_valid_samples(time: Array, name: str, signal: Array) -> tuple[Mask, list[DataIssue]]:
     """Return which samples of a channel count, and what is said of the others."""
     present = np.isfinite(signal)
-    repeats = np.zeros(len(signal), dtype=np.bool_)
-    repeats[present] = find_held_samples(signal[present], find_quantisation_step(signal[present]))
-    excluded = {"single-sample spikes": find_spikes(signal), "held samples excluded": repeats}
+    is_held = np.zeros(len(signal), dtype=np.bool_)
+    is_held[present] = find_held_samples(signal[present], find_quantisation_step(signal[present]))
+    excluded = {"single-sample spikes": find_spikes(signal), "held samples excluded": is_held}
     troubles = [
-        DataIssue(what, name, int(rows.sum()), float(time[int(np.argmax(rows))]))
-        for what, rows in excluded.items()
+        DataIssue(message, name, int(rows.sum()), float(time[int(np.argmax(rows))]))
+        for message, rows in excluded.items()
         if rows.any()
     ]
     return present & ~np.logical_or.reduce(list(excluded.values())), troubles
@@ -73,27 +75,32 @@ def select_valid_samples(time: Array, name: str, signal: Array) -> tuple[Mask, l
 
 def find_sampling_issues(time: Array, signals: Signals) -> list[DataIssue]:
     """Say where all channels repeat a sample, or where samples are missing."""
-    found = []
-    same = np.ones(len(time) - 1, dtype=np.bool_)
+    issues = []
+    is_repeated = np.ones(len(time) - 1, dtype=np.bool_)
     for signal in signals.values():
         change = np.diff(signal)
-        same &= (change == 0.0) | np.isnan(change)
-    noisy = any(noise_sigma(drop_missing(signal)) > 0.0 for signal in signals.values())
-    if noisy and same.any():
-        first = float(time[1:][same][0])
-        found.append(DataIssue("repeated samples", "all channels", int(same.sum()), first, False))
+        is_repeated &= (change == 0.0) | np.isnan(change)
+    has_noise = any(noise_sigma(drop_missing(signal)) > 0.0 for signal in signals.values())
+    if has_noise and is_repeated.any():
+        first_time = float(time[1:][is_repeated][0])
+        issues.append(
+            DataIssue("repeated samples", "all channels", int(is_repeated.sum()), first_time, False)
+        )
     steps = np.diff(time)
     period = float(np.median(steps))
-    uneven = np.abs(steps - period) > STEP_TOLERANCE * period
-    gaps = steps > GAP_PERIODS * period
-    if np.mean(uneven & ~gaps) > UNEVEN_SHARE:
-        what = f"uneven time steps, from {1e3 * steps.min():.3g} to {1e3 * steps.max():.3g} ms"
-        first = float(time[1:][uneven][0])
-        found.append(DataIssue(what, "all channels", int(uneven.sum()), first, False))
-    if gaps.any():
-        missing, first = int(np.rint(steps[gaps] / period - 1.0).sum()), float(time[1:][gaps][0])
-        found.append(DataIssue("missing samples", "all channels", missing, first, False))
-    return found
+    is_uneven = np.abs(steps - period) > STEP_TOLERANCE * period
+    is_gap = steps > GAP_PERIODS * period
+    if np.mean(is_uneven & ~is_gap) > UNEVEN_SHARE:
+        message = f"uneven time steps, from {1e3 * steps.min():.3g} to {1e3 * steps.max():.3g} ms"
+        first_time = float(time[1:][is_uneven][0])
+        issues.append(DataIssue(message, "all channels", int(is_uneven.sum()), first_time, False))
+    if is_gap.any():
+        missing, first_time = (
+            int(np.rint(steps[is_gap] / period - 1.0).sum()),
+            float(time[1:][is_gap][0]),
+        )
+        issues.append(DataIssue("missing samples", "all channels", missing, first_time, False))
+    return issues
 
 
 def find_unseen_turns(
@@ -102,25 +109,31 @@ def find_unseen_turns(
     """Say in which gaps the drive may have turned: it went another way, or slower, than beside."""
     steps = np.diff(time)
     gaps = np.flatnonzero(steps > max(LONG_GAP, LONG_GAP_PERIODS * float(np.median(steps))))
-    found = []
+    uncertain_gaps = []
     for i in gaps.tolist():
         spans = (
             (max(i - SPEED_SAMPLES, 0), i),
             (i, i + 1),
             (i + 1, min(i + 1 + SPEED_SAMPLES, len(time) - 1)),
         )
-        ways = [float(drive[end] - drive[begin]) for begin, end in spans]
+        distances = [float(drive[end] - drive[begin]) for begin, end in spans]
         speeds = [
-            way / float(time[end] - time[begin]) if abs(way) > jitter else 0.0
-            for way, (begin, end) in zip(ways, spans, strict=True)
+            distance / float(time[end] - time[begin]) if abs(distance) > jitter else 0.0
+            for distance, (begin, end) in zip(distances, spans, strict=True)
         ]
-        before, across, after = speeds
-        beside = min(abs(before), abs(after))
-        if min(speeds) < 0.0 < max(speeds) or abs(across) < GAP_SPEED_MIN * beside:
-            found.append((start + float(time[i]), start + float(time[i + 1])))
-    if not found:
+        speed_before, speed_across, speed_after = speeds
+        speed_beside = min(abs(speed_before), abs(speed_after))
+        if min(speeds) < 0.0 < max(speeds) or abs(speed_across) < GAP_SPEED_MIN * speed_beside:
+            uncertain_gaps.append((start + float(time[i]), start + float(time[i + 1])))
+    if not uncertain_gaps:
         return []
-    times = ", ".join(f"{begin:.4g} to {end:.4g} s" for begin, end in found[:GAPS_LISTED_MAX])
-    times += ", ..." * (len(found) > GAPS_LISTED_MAX)
-    what = f"gaps in which the motor may have turned ({times}): friction after them is uncertain"
-    return [DataIssue(what, driver, len(found), found[0][0] - start, excluded=False)]
+    times = ", ".join(
+        f"{begin:.4g} to {end:.4g} s" for begin, end in uncertain_gaps[:GAPS_LISTED_MAX]
+    )
+    times += ", ..." * (len(uncertain_gaps) > GAPS_LISTED_MAX)
+    message = f"gaps in which the motor may have turned ({times}): friction after them is uncertain"
+    return [
+        DataIssue(
+            message, driver, len(uncertain_gaps), uncertain_gaps[0][0] - start, excluded=False
+        )
+    ]

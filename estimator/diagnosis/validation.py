@@ -70,38 +70,47 @@ def has_drifting_friction(dataset: Dataset, fit: Fit) -> bool:
 
     Both are fitted to all samples: a course that is free has no say about a time that is held out.
     """
-    in_time = [effect for effect, _ in fit.model.effects if effect.name in FRICTION_TIME_EFFECTS]
-    if not in_time:
+    time_effects = [
+        effect for effect, _ in fit.model.effects if effect.name in FRICTION_TIME_EFFECTS
+    ]
+    if not time_effects:
         return False
-    full = use_all_samples(dataset)
-    described = fit_model(
-        rescale_residuals(full, fit), build_contexts(full, fit), fit.model, FRICTION_ROUNDS
+    full_dataset = use_all_samples(dataset)
+    cause_fit = fit_model(
+        rescale_residuals(full_dataset, fit),
+        build_contexts(full_dataset, fit),
+        fit.model,
+        FRICTION_ROUNDS,
     )
     return any(
-        _is_far_better(full, fit_time_varying_friction(full, described, one), described)
-        for one in in_time
+        _is_far_better(
+            full_dataset, fit_time_varying_friction(full_dataset, cause_fit, time_effect), cause_fit
+        )
+        for time_effect in time_effects
     )
 
 
-def _is_far_better(dataset: Dataset, free: Fit, described: Fit) -> bool:
-    a, b = (compute_errors(dataset, one, held_out=False) for one in (free, described))
-    return compute_residual_fraction(a, b) < SETTINGS.free_friction
+def _is_far_better(dataset: Dataset, free_fit: Fit, cause_fit: Fit) -> bool:
+    free_errors, cause_errors = (
+        compute_errors(dataset, fit, held_out=False) for fit in (free_fit, cause_fit)
+    )
+    return compute_residual_fraction(free_errors, cause_errors) < SETTINGS.free_friction
 
 
 def fit_time_varying_friction(dataset: Dataset, fit: Fit, effect: Effect) -> Fit:
     """Return a model in which friction takes any course instead of what `effect` says of it."""
-    about = build_contexts(dataset, fit)
-    rest: list[tuple[Effect, Values]] = []
+    contexts = build_contexts(dataset, fit)
+    other_effects: list[tuple[Effect, Values]] = []
     course: Values = (0.0,) * KNOTS
-    for one, values in fit.model.effects:
-        if one.name != effect.name:
-            rest.append((one, values))
+    for other_effect, values in fit.model.effects:
+        if other_effect.name != effect.name:
+            other_effects.append((other_effect, values))
             continue
-        plain = Physics(np.ones_like(about[0].time), 1.0, np.ones(1))
-        change = one.physics(plain, values, about[0]).friction - 1.0
-        course = tuple(np.interp(_place_knots(about[0]), about[0].time, change).tolist())
-    model = fit.model._replace(effects=(*rest, (FRICTION_COURSE, course)))
-    return fit_model(rescale_residuals(dataset, fit), about, model, FRICTION_ROUNDS)
+        unit_physics = Physics(np.ones_like(contexts[0].time), 1.0, np.ones(1))
+        change = other_effect.physics(unit_physics, values, contexts[0]).friction - 1.0
+        course = tuple(np.interp(_place_knots(contexts[0]), contexts[0].time, change).tolist())
+    model = fit.model._replace(effects=(*other_effects, (FRICTION_COURSE, course)))
+    return fit_model(rescale_residuals(dataset, fit), contexts, model, FRICTION_ROUNDS)
 
 
 # --- what of an extended model holds for records of another day, as it does in the loop
@@ -129,10 +138,12 @@ def transfer_to_validation(dataset: Dataset, model: Model) -> Model:
 def _freeze_friction(end: float, effect: Effect) -> Effect:
     """Return an effect on friction that stays as it is at a time [s]."""
 
-    def physics(before: Physics, values: Values, context: EffectContext) -> Physics:
-        unit = before._replace(friction=np.ones(2))
-        late = effect.physics(unit, values, context._replace(time=np.array([0.0, end])))
-        return before._replace(friction=before.friction * late.friction[-1])
+    def physics(base_physics: Physics, values: Values, context: EffectContext) -> Physics:
+        unit_physics = base_physics._replace(friction=np.ones(2))
+        end_physics = effect.physics(
+            unit_physics, values, context._replace(time=np.array([0.0, end]))
+        )
+        return base_physics._replace(friction=base_physics.friction * end_physics.friction[-1])
 
     return replace(effect, physics=physics)
 
@@ -149,67 +160,75 @@ class Fold(NamedTuple):
     fits: tuple[Fit, Fit]
 
 
-def fit_folds(dataset: Dataset, plain: Fit, fit: Fit) -> tuple[Fold, ...]:
+def fit_folds(dataset: Dataset, base_fit: Fit, fit: Fit) -> tuple[Fold, ...]:
     """Return both ways to fit one half of the samples and to be judged by the other.
 
     Where all samples are fitted, they are judged as well.
     """
-    about = build_contexts(dataset, plain)
-    full = use_all_samples(dataset)
+    contexts = build_contexts(dataset, base_fit)
+    full_dataset = use_all_samples(dataset)
     if all(record.train.all() for record in dataset.records):
-        return (Fold(dataset, (plain, fit)),)
+        return (Fold(dataset, (base_fit, fit)),)
 
     def fold(half: Dataset) -> Fold:
-        before, after = (
+        half_base_fit, half_fit = (
             refit_subset(
-                rescale_residuals(half, one), rescale_residuals(full, one), about, one, FOLD_ROUNDS
+                rescale_residuals(half, model_fit),
+                rescale_residuals(full_dataset, model_fit),
+                contexts,
+                model_fit,
+                FOLD_ROUNDS,
             )
-            for one in (plain, fit)
+            for model_fit in (base_fit, fit)
         )
-        return Fold(half, (before, after))
+        return Fold(half, (half_base_fit, half_fit))
 
-    swapped = tuple(replace(record, train=~record.train) for record in dataset.records)
-    return fold(dataset), fold(dataset._replace(records=swapped))
+    swapped_records = tuple(replace(record, train=~record.train) for record in dataset.records)
+    return fold(dataset), fold(dataset._replace(records=swapped_records))
 
 
 def compute_model_errors(
-    folds: tuple[Fold, ...], which: int, further: Sequence[PredictedRecord]
+    folds: tuple[Fold, ...], which: int, predicted: Sequence[PredictedRecord]
 ) -> ModelErrors:
     """Return the errors of the plain (0) or the extended (1) model on all sets of samples."""
     return ModelErrors(
         _compute_fold_errors(folds, which, fitted=True),
         _compute_fold_errors(folds, which, fitted=False),
-        _compute_validation_errors(further, which),
+        _compute_validation_errors(predicted, which),
     )
 
 
 def _compute_fold_errors(
     folds: Sequence[Fold], which: int, *, fitted: bool
 ) -> dict[str, ErrorStatistics]:
-    found = {}
+    statistics = {}
     for channel in folds[0].dataset.records[0].compared:
-        off, full = [], 0.0
+        errors, full_scale = [], 0.0
         for fold in folds:
-            for record, one in zip(fold.dataset.records, fold.fits[which].simulated, strict=True):
-                judged = record.train if record.train.all() else record.train == fitted
-                rows = record.good[channel] & judged
-                off.append((record.signals[channel] - one.signals[channel])[rows])
-                full = max(full, float(np.ptp(record.signals[channel])))
-        found[channel] = compute_error_statistics(off, full)
-    return found
+            for record, simulated in zip(
+                fold.dataset.records, fold.fits[which].simulated, strict=True
+            ):
+                samples = record.train if record.train.all() else record.train == fitted
+                rows = record.good[channel] & samples
+                errors.append((record.signals[channel] - simulated.signals[channel])[rows])
+                full_scale = max(full_scale, float(np.ptp(record.signals[channel])))
+        statistics[channel] = compute_error_statistics(errors, full_scale)
+    return statistics
 
 
 def _compute_validation_errors(
-    further: Sequence[PredictedRecord], which: int
+    predicted: Sequence[PredictedRecord], which: int
 ) -> dict[str, ErrorStatistics]:
     """Return how far a model is off in all records that it predicts."""
-    channels = further[0].record.compared if further else ()
-    found = {}
+    channels = predicted[0].record.compared if predicted else ()
+    statistics = {}
     for channel in channels:
-        off = [one.residual((one.before, one.after)[which], channel) for one in further]
-        full = max(float(np.ptp(one.record.signals[channel])) for one in further)
-        found[channel] = compute_error_statistics(off, full)
-    return found
+        errors = [
+            record.residual((record.before, record.after)[which], channel) for record in predicted
+        ]
+        full_scale = max(float(np.ptp(record.record.signals[channel])) for record in predicted)
+        statistics[channel] = compute_error_statistics(errors, full_scale)
+    return statistics
 
 
 # --- smallest detectable effect size on a clean dataset
@@ -227,44 +246,50 @@ def compute_detection_limits(
     """
     dataset = subsample(dataset, SUBSAMPLE_SIZE)
     fit = simulate_dataset(dataset, build_unsimulated_contexts(dataset, fit), fit.model)
-    about = build_contexts(dataset, fit)
-    r = compute_residual(dataset, fit)
-    basis, _ = np.linalg.qr(compute_jacobian(dataset, about, fit))
-    found: dict[str, DetectionLimit] = {}
+    contexts = build_contexts(dataset, fit)
+    residual = compute_residual(dataset, fit)
+    basis, _ = np.linalg.qr(compute_jacobian(dataset, contexts, fit))
+    limits: dict[str, DetectionLimit] = {}
     for effect in effects:
-        first = effect.parameters[0]
-        if first.neutral is None:
+        amplitude = effect.parameters[0]
+        if amplitude.neutral is None:
             continue
-        for values in effect.starts(about[0]):
-            if values[0] == first.neutral:
+        for values in effect.starts(contexts[0]):
+            if values[0] == amplitude.neutral:
                 continue
             model = fit.model._replace(effects=(*fit.model.effects, (effect, values)))
-            change = compute_residual(dataset, simulate_dataset(dataset, about, model)) - r
+            change = (
+                compute_residual(dataset, simulate_dataset(dataset, contexts, model)) - residual
+            )
             change -= basis @ (basis.T @ change)
-            share = _compute_detection_ratio(dataset, fit, change)
-            size = abs(values[0] - first.neutral) / share if share > 0.0 else math.inf
-            known = found.get(effect.name)
-            most = max(abs(first.low - first.neutral), abs(first.high - first.neutral))
-            if size < most and (known is None or size < known.size):
-                found[effect.name] = DetectionLimit(first.name, size, first.unit)
-    return found
+            ratio = _compute_detection_ratio(dataset, fit, change)
+            size = abs(values[0] - amplitude.neutral) / ratio if ratio > 0.0 else math.inf
+            smallest = limits.get(effect.name)
+            size_max = max(
+                abs(amplitude.low - amplitude.neutral), abs(amplitude.high - amplitude.neutral)
+            )
+            if size < size_max and (smallest is None or size < smallest.size):
+                limits[effect.name] = DetectionLimit(amplitude.name, size, amplitude.unit)
+    return limits
 
 
 def _compute_detection_ratio(dataset: Dataset, fit: Fit, change: Array) -> float:
     """Return how many times the least that would be seen a change of the residual is."""
-    floor = compute_tolerance(dataset)
-    squares, counts, at = dict.fromkeys(floor, 0.0), dict.fromkeys(floor, 0), 0
+    tolerance = compute_tolerance(dataset)
+    squares, counts, offset = dict.fromkeys(tolerance, 0.0), dict.fromkeys(tolerance, 0), 0
     for record, scale in zip(dataset.records, dataset.scale, strict=True):
         for channel in record.compared:
             rows = record.train & record.good[channel]
             count = int(rows.sum())
             noises = (scale[channel] / record.sigma[channel])[rows]
-            squares[channel] += float(np.sum((noises * change[at : at + count]) ** 2))
+            squares[channel] += float(np.sum((noises * change[offset : offset + count]) ** 2))
             counts[channel] += count
-            at += count
-        at += estimate_taut_travel(record, dataset.base, fit.model) is not None
+            offset += count
+        offset += estimate_taut_travel(record, dataset.base, fit.model) is not None
     shares = [
-        math.sqrt(squares[c] / max(counts[c], 1) / ((SETTINGS.noise_ratio * floor[c]) ** 2 - 1.0))
-        for c in floor
+        math.sqrt(
+            squares[c] / max(counts[c], 1) / ((SETTINGS.noise_ratio * tolerance[c]) ** 2 - 1.0)
+        )
+        for c in tolerance
     ]
     return max(shares) if np.isfinite(shares).all() else 0.0

@@ -116,7 +116,7 @@ class Score:
         add_sample(self._sums, self._tables[0], estimate, low, high, measured)
 
     def add_columns(self, estimate: Array, low: Array, high: Array, measured: Array) -> None:
-        """Add a whole record [N] of the first tendon, arrays of shape (n,); see `add_sample`."""
+        """Add a whole record [N] of the first tendon, arrays of shape (n,); see `add`."""
         columns = (estimate, low, high, measured)
         rows = (np.ascontiguousarray(column, dtype=np.float64) for column in columns)
         add_columns(self._all_sums, self._tables, *rows)

@@ -21,36 +21,36 @@ class DrawnFigure(NamedTuple):
     caption: str
 
 
-def draw_figures(found: PairStudy) -> Iterator[DrawnFigure]:
+def draw_figures(study: PairStudy) -> Iterator[DrawnFigure]:
     """Draw all figures."""
     with use_style():
         yield DrawnFigure(
             "friction",
-            draw_friction(found),
+            draw_friction(study),
             "K of each record with its interval of 95 %, and the line of the model for all.",
         )
         yield DrawnFigure(
             "loops",
-            draw_loops(found),
+            draw_loops(study),
             "Angle over command: measured, and predicted by the model of the other records.",
         )
         yield DrawnFigure(
             "left",
-            draw_residuals(found),
+            draw_residuals(study),
             "Residuals over time (predicted less measured), each record held out.",
         )
 
 
-def draw_friction(found: PairStudy) -> Figure:
+def draw_friction(study: PairStudy) -> Figure:
     """Draw K over the bend."""
     figure = Figure(figsize=(6.0, 3.6))
     axes = figure.add_subplot()
-    bends = np.degrees([record.bend for record in found.records])
-    values = np.array(found.each)
+    bends = np.degrees([record.bend for record in study.records])
+    values = np.array(study.each)
     spread = np.abs(values[:, 1:].T - values[:, 0])
     axes.errorbar(bends, values[:, 0], spread, fmt="o", color=BLACK, capsize=3, label="each record")
     line = np.array([0.0, bends.max()])
-    model = found.fit.model
+    model = study.fit.model
     K = [model.friction_at(float(bend)) for bend in np.radians(line)]
     axes.plot(line, K, color=BLUE, label="K0 + mu bend")
     axes.set(xlabel="bend of the sheath [deg]", ylabel="K", ylim=(0.0, None))
@@ -58,14 +58,14 @@ def draw_friction(found: PairStudy) -> Figure:
     return figure
 
 
-def draw_loops(found: PairStudy) -> Figure:
+def draw_loops(study: PairStudy) -> Figure:
     """Draw the angle over the command, a record each."""
-    rows = -(-len(found.records) // COLUMN_COUNT)
+    rows = -(-len(study.records) // COLUMN_COUNT)
     figure = Figure(figsize=(8.2, 0.5 + 2.6 * rows))
     grid = figure.subplots(rows, COLUMN_COUNT, sharex=True, squeeze=False).ravel()
-    for axes in grid[len(found.records) :]:
+    for axes in grid[len(study.records) :]:
         axes.set_visible(False)
-    for axes, record, angle in zip(grid, found.records, found.predicted, strict=False):
+    for axes, record, angle in zip(grid, study.records, study.predicted, strict=False):
         command = np.degrees(record.command)
         axes.plot(command, np.degrees(record.angle), color=BLACK, label="measured")
         axes.plot(
@@ -81,11 +81,11 @@ def draw_loops(found: PairStudy) -> Figure:
     return figure
 
 
-def draw_residuals(found: PairStudy) -> Figure:
+def draw_residuals(study: PairStudy) -> Figure:
     """Draw the residuals over time, one panel per record."""
-    figure = Figure(figsize=(8.2, 0.4 + 1.2 * len(found.records)))
-    grid = figure.subplots(len(found.records), 1, sharex=True, sharey=True, squeeze=False)[:, 0]
-    for axes, record, angle in zip(grid, found.records, found.predicted, strict=True):
+    figure = Figure(figsize=(8.2, 0.4 + 1.2 * len(study.records)))
+    grid = figure.subplots(len(study.records), 1, sharex=True, sharey=True, squeeze=False)[:, 0]
+    for axes, record, angle in zip(grid, study.records, study.predicted, strict=True):
         axes.plot(record.time, np.degrees(angle - record.angle), color=BLUE, linewidth=0.9)
         axes.axhline(0.0, color=BLACK, linewidth=0.6)
         axes.set_ylabel(f"{format_degrees(record.bend, 0)}: residual [deg]", fontsize=7.5)

@@ -139,21 +139,23 @@ def _simulate_after_pull(
     physics: Physics,
     time: Array,
     drive: Array,
-    by: Callable[[Physics, Array, Array, Array], Motion],
+    simulate: Callable[[Physics, Array, Array, Array], Motion],
 ) -> Motion:
-    before = np.linspace(0.0, drive[0], _STEPS, endpoint=False)
-    at = time[0] + np.arange(-_STEPS, 0, dtype=np.float64)
-    still = np.zeros(_STEPS + len(time))
-    motion = by(physics, np.concatenate([at, time]), np.concatenate([before, drive]), still)
+    pull = np.linspace(0.0, drive[0], _STEPS, endpoint=False)
+    pull_time = time[0] + np.arange(-_STEPS, 0, dtype=np.float64)
+    speed = np.zeros(_STEPS + len(time))
+    motion = simulate(
+        physics, np.concatenate([pull_time, time]), np.concatenate([pull, drive]), speed
+    )
     return Motion(*(row[_STEPS:] for row in motion))
 
 
 @jit_compile
-def _apply_joint_friction(free: Array, half: float) -> Array:
+def _apply_joint_friction(frictionless: Array, half_width: float) -> Array:
     """Return the angle of a joint with friction for the one it would have without; from zero."""
-    angle = np.empty_like(free)
-    now = 0.0
-    for i in range(len(free)):
-        now = signals.update_play(now, free[i], half)
-        angle[i] = now
+    angle = np.empty_like(frictionless)
+    position = 0.0
+    for i in range(len(frictionless)):
+        position = signals.update_play(position, frictionless[i], half_width)
+        angle[i] = position
     return angle

@@ -75,11 +75,11 @@ class PairFit(NamedTuple):
 
     def at(self, bend: float) -> PairModel:
         """Return the model at a bend [rad]: its neutral angle between those of its neighbours."""
-        bends, which = np.unique(self.bends, return_inverse=True)
-        each = np.bincount(which, self.neutrals) / np.bincount(which)
+        bends, group = np.unique(self.bends, return_inverse=True)
+        group_means = np.bincount(group, self.neutrals) / np.bincount(group)
         mean = self.model.neutral
         return self.model._replace(
-            neutral=float(np.interp(bend, bends, each, left=mean, right=mean))
+            neutral=float(np.interp(bend, bends, group_means, left=mean, right=mean))
         )
 
 
@@ -111,17 +111,17 @@ def fit(
     check_records(records)
     _check_bends(records, law)
     layout = _ParameterLayout(records, law, start, each_friction)
-    thinned = [_subsample_record(record) for record in records]
-    remembered = [_TendonCache(record, law) for record in thinned]
+    subsampled = [_subsample_record(record) for record in records]
+    caches = [_TendonCache(record, law) for record in subsampled]
 
-    def left(values: Array) -> Array:
-        each = zip(layout.models(values), thinned, remembered, strict=True)
+    def evaluate_residuals(values: Array) -> Array:
+        parts = zip(layout.models(values), subsampled, caches, strict=True)
         return np.concatenate(
-            [_compute_residuals(model, record, law, made) for model, record, made in each]
+            [_compute_residuals(model, record, law, cache) for model, record, cache in parts]
         )
 
-    found = least_squares(
-        left,
+    solution = least_squares(
+        evaluate_residuals,
         layout.begin,
         bounds=layout.bounds,
         x_scale=np.maximum(np.abs(layout.begin), 0.02),
@@ -129,18 +129,18 @@ def fit(
         ftol=COST_TOLERANCE,
         max_nfev=MAX_ITERATIONS,
     )
-    each = layout.models(found.x)
-    frictions = tuple(float(m.friction_at(r.bend)) for m, r in zip(each, records, strict=True))
-    neutral = float(np.mean([m.neutral for m in each]))
+    models = layout.models(solution.x)
+    frictions = tuple(float(m.friction_at(r.bend)) for m, r in zip(models, records, strict=True))
+    neutral = float(np.mean([m.neutral for m in models]))
     errors = np.full(len(records), np.nan)
     if each_friction:
-        strokes = _group_by_stroke(thinned, law)
-        errors = _compute_robust_errors(found.jac, found.fun, strokes)[layout.frictions]
+        strokes = _group_by_stroke(subsampled, law)
+        errors = _compute_robust_errors(solution.jac, solution.fun, strokes)[layout.frictions]
     return PairFit(
         law,
-        each[0]._replace(neutral=neutral),
+        models[0]._replace(neutral=neutral),
         tuple(record.bend for record in records),
-        tuple(m.neutral for m in each),
+        tuple(m.neutral for m in models),
         frictions,
         tuple(map(float, errors)),
     )
@@ -155,12 +155,12 @@ def predict_angle(model: PairModel, record: PairRecord, law: PairVariant) -> Arr
 
 def number_strokes(command: Array) -> NDArray[np.intp]:
     """Return the number of the stroke that each sample is in; one ends where the command turns."""
-    ways = np.sign(np.diff(command, prepend=command[0]))
-    for i in range(1, len(ways)):
-        if ways[i] == 0.0:
-            ways[i] = ways[i - 1]
-    turned = (ways[1:] != ways[:-1]) & (ways[:-1] != 0.0)
-    return np.concatenate([[0], np.cumsum(turned)])
+    directions = np.sign(np.diff(command, prepend=command[0]))
+    for i in range(1, len(directions)):
+        if directions[i] == 0.0:
+            directions[i] = directions[i - 1]
+    turns = (directions[1:] != directions[:-1]) & (directions[:-1] != 0.0)
+    return np.concatenate([[0], np.cumsum(turns)])
 
 
 class _ParameterLayout:
@@ -224,34 +224,34 @@ class _TendonCache:
 def _compute_residuals(
     model: PairModel, record: PairRecord, law: PairVariant, tendons: _TendonCache
 ) -> Array:
-    made = combine_tendons(model, *tendons(model))
-    parts = [(made.angle - record.angle) / record.span]
+    motion = combine_tendons(model, *tendons(model))
+    parts = [(motion.angle - record.angle) / record.span]
     if law is PairVariant.TENSIONS:
         return parts[0]
     for tension, measured in (
-        (made.tension_a, record.tension_a),
-        (made.tension_b, record.tension_b),
+        (motion.tension_a, record.tension_a),
+        (motion.tension_b, record.tension_b),
     ):
         parts.append(TENSION_WEIGHT * (tension - measured) / np.ptp(measured))
     return np.concatenate(parts)
 
 
 def _subsample_record(record: PairRecord) -> PairRecord:
-    every = -(-len(record.time) // SAMPLES_MAX)
-    return PairRecord(record.bend, *(column[::every] for column in record[1:]))
+    stride = -(-len(record.time) // SAMPLES_MAX)
+    return PairRecord(record.bend, *(column[::stride] for column in record[1:]))
 
 
 def _group_by_stroke(records: Sequence[PairRecord], law: PairVariant) -> NDArray[np.intp]:
     """Return a number for each residual: those of one stroke of one record go together."""
-    parts, begun = [], 0
+    parts, next_number = [], 0
     for record in records:
-        strokes = begun + number_strokes(record.command)
+        strokes = next_number + number_strokes(record.command)
         parts += [strokes] * (1 if law is PairVariant.TENSIONS else 3)
-        begun = int(strokes[-1]) + 1
+        next_number = int(strokes[-1]) + 1
     return np.concatenate(parts)
 
 
-def _compute_robust_errors(jacobian: Array, left: Array, groups: NDArray[np.intp]) -> Array:
+def _compute_robust_errors(jacobian: Array, residuals: Array, groups: NDArray[np.intp]) -> Array:
     """Return standard uncertainties that allow for errors which last a whole stroke.
 
     The sandwich (J'J)^-1 (sum over groups of J_g' r_g r_g' J_g) (J'J)^-1: residuals are a model's,
@@ -259,9 +259,9 @@ def _compute_robust_errors(jacobian: Array, left: Array, groups: NDArray[np.intp
     """
     inverse = np.linalg.pinv(jacobian.T @ jacobian)
     count = int(groups.max()) + 1
-    scores = np.array([jacobian[groups == g].T @ left[groups == g] for g in range(count)])
-    spread = count / max(count - jacobian.shape[1], 1)
-    errors: Array = np.sqrt(spread * np.diag(inverse @ (scores.T @ scores) @ inverse))
+    scores = np.array([jacobian[groups == g].T @ residuals[groups == g] for g in range(count)])
+    correction = count / max(count - jacobian.shape[1], 1)
+    errors: Array = np.sqrt(correction * np.diag(inverse @ (scores.T @ scores) @ inverse))
     return errors
 
 

@@ -24,44 +24,48 @@ class ResidualPart(NamedTuple):
 
 def compute_offset_share(records: Sequence[PairRecord], predicted: Sequence[Array]) -> float:
     """Return which share of the mean square is a constant of each record."""
-    offs = [(p - r.angle) / r.span for p, r in zip(predicted, records, strict=True)]
-    whole = sum(float(np.mean(off**2)) for off in offs)
-    return sum(float(np.mean(off)) ** 2 for off in offs) / whole if whole > 0.0 else 0.0
+    residuals = [(p - r.angle) / r.span for p, r in zip(predicted, records, strict=True)]
+    total = sum(float(np.mean(residual**2)) for residual in residuals)
+    return (
+        sum(float(np.mean(residual)) ** 2 for residual in residuals) / total if total > 0.0 else 0.0
+    )
 
 
 def analyse_residuals(
     records: Sequence[PairRecord], predicted: Sequence[Array]
 ) -> tuple[ResidualPart, ...]:
     """Return what is left by direction, motion, command and time, each record's mean taken off."""
-    left, groups = [], []
+    residuals, groups = [], []
     for record, angle in zip(records, predicted, strict=True):
-        off = (angle - record.angle) / record.span
-        left.append(off - off.mean())
+        residual = (angle - record.angle) / record.span
+        residuals.append(residual - residual.mean())
         groups.append(_group_samples(record))
-    whole = np.concatenate(left)
+    all_residuals = np.concatenate(residuals)
     parts = []
     for name in groups[0]:
-        off = whole[np.concatenate([group[name] for group in groups])]
-        if off.size:
-            parts.append(ResidualPart(name, float(off.mean()), float(np.sqrt(np.mean(off**2)))))
+        residual = all_residuals[np.concatenate([group[name] for group in groups])]
+        if residual.size:
+            parts.append(
+                ResidualPart(name, float(residual.mean()), float(np.sqrt(np.mean(residual**2))))
+            )
     return tuple(parts)
 
 
 def _group_samples(record: PairRecord) -> dict[str, NDArray[np.bool_]]:
     rising = np.gradient(record.command, record.time) > 0.0
     speed = np.abs(np.gradient(record.angle, record.time))
-    rests = speed < REST_SPEED_RATIO * speed.max()
+    is_resting = speed < REST_SPEED_RATIO * speed.max()
     share = record.command / np.abs(record.command).max()
-    first = number_strokes(record.command) == 0
+    is_first = number_strokes(record.command) == 0
     return {
         "command rises": rising,
         "command falls": ~rising,
-        "joint moves up": rising & ~rests,
-        "joint moves down": ~rising & ~rests,
-        "joint rests": rests,
+        "joint moves up": rising & ~is_resting,
+        "joint moves down": ~rising & ~is_resting,
+        "joint rests": is_resting,
         "command is far out, positive": share > FAR_COMMAND_RATIO,
         "command is near zero": np.abs(share) <= FAR_COMMAND_RATIO,
         "command is far out, negative": share < -FAR_COMMAND_RATIO,
-        "stroke is the first": first,
-        "stroke is a later one": ~first,
+        "stroke is the first": is_first,
+        "stroke is a later one": ~is_first,
     }

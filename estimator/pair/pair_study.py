@@ -55,12 +55,14 @@ def _fit_one_play(records: Sequence[PairRecord]) -> Predictor:
         gain, width, zero = values[:3] + values[3:] * record.bend
         return np.asarray(gain * apply_play(record.command, max(float(width), 0.0)) + zero)
 
-    def off(values: Array) -> Array:
+    def compute_residuals(values: Array) -> Array:
         return np.concatenate([(predict(values, r) - r.angle) / r.span for r in records])
 
     starts = [np.array([0.6, width, 0.0, -0.1, 0.05, 0.0]) for width in (0.05, 0.2, 0.5)]
-    found = min((least_squares(off, start) for start in starts), key=lambda one: one.cost)
-    return lambda record: predict(found.x, record)
+    solution = min(
+        (least_squares(compute_residuals, start) for start in starts), key=lambda trial: trial.cost
+    )
+    return lambda record: predict(solution.x, record)
 
 
 def _fit_linear_model(
@@ -69,19 +71,19 @@ def _fit_linear_model(
     """Return the best of models whose weights are linear in the bend, by least squares."""
     best, weights = np.inf, np.zeros(0)
     columns: Callable[[PairRecord], Array] = _compute_play_features
-    for one in features:
-        A = np.concatenate([_build_bend_features(one, r) / r.span for r in records])
+    for feature in features:
+        A = np.concatenate([_build_bend_features(feature, r) / r.span for r in records])
         y = np.concatenate([r.angle / r.span for r in records])
-        found = np.linalg.lstsq(A, y, rcond=None)[0]
-        error = float(np.sum((A @ found - y) ** 2))
+        solution = np.linalg.lstsq(A, y, rcond=None)[0]
+        error = float(np.sum((A @ solution - y) ** 2))
         if error < best:
-            best, weights, columns = error, found, one
+            best, weights, columns = error, solution, feature
     return lambda record: np.asarray(_build_bend_features(columns, record) @ weights)
 
 
 def _build_bend_features(features: Callable[[PairRecord], Array], record: PairRecord) -> Array:
-    plain = np.column_stack([features(record), np.ones(len(record.time))])
-    return np.column_stack([plain, plain * record.bend])
+    columns = np.column_stack([features(record), np.ones(len(record.time))])
+    return np.column_stack([columns, columns * record.bend])
 
 
 def _compute_play_features(record: PairRecord) -> Array:
@@ -164,9 +166,14 @@ class PairStudy(NamedTuple):
         from estimator.drawing import format_html_report
         from estimator.pair import figures, report_text  # which import this module
 
-        drawn = [(one.figure, one.caption) for one in figures.draw_figures(self)]
+        figures_with_captions = [
+            (drawn_figure.figure, drawn_figure.caption)
+            for drawn_figure in figures.draw_figures(self)
+        ]
         return format_html_report(
-            report_text.format_sentence(self), report_text.build_report_tables(self), drawn
+            report_text.format_sentence(self),
+            report_text.build_report_tables(self),
+            figures_with_captions,
         )
 
     @property
@@ -206,8 +213,8 @@ def study_pair(
         There are fewer than three bends, or a record cannot be fitted.
     """
     check_records(validate)
-    found = run_study(sorted(records, key=lambda one: one.bend), progress)
-    return found._replace(validation=_validate_records(found, validate))
+    study = run_study(sorted(records, key=lambda record: record.bend), progress)
+    return study._replace(validation=_validate_records(study, validate))
 
 
 def run_study(
@@ -226,40 +233,43 @@ def run_study(
     steps = len(PairVariant) * (len(records) + 1) + 1
     done = 0
 
-    def next_step(what: str) -> None:
+    def next_step(task: str) -> None:
         nonlocal done
-        report(what, done / steps)
+        report(task, done / steps)
         done += 1
 
     left_out = cross_validate_baselines(records)
-    whole: dict[PairVariant, PairFit] = {}
-    others: dict[PairVariant, list[PairFit]] = {}
+    full_fits: dict[PairVariant, PairFit] = {}
+    left_out_fits: dict[PairVariant, list[PairFit]] = {}
     for law in PairVariant:
         next_step(f"fitting: {law.value}")
-        whole[law] = fit(records, law)
-        others[law] = []
+        full_fits[law] = fit(records, law)
+        left_out_fits[law] = []
         for i in range(len(records)):
             next_step(f"leaving one out: {law.value}")
-            rest = [record for j, record in enumerate(records) if j != i]
-            others[law].append(fit(rest, law, whole[law].model))
+            other_records = [record for j, record in enumerate(records) if j != i]
+            left_out_fits[law].append(fit(other_records, law, full_fits[law].model))
         left_out[law.value] = tuple(
-            compute_error(predict_angle(one.at(record.bend), record, law), record)
-            for one, record in zip(others[law], records, strict=True)
+            compute_error(predict_angle(left_out_fit.at(record.bend), record, law), record)
+            for left_out_fit, record in zip(left_out_fits[law], records, strict=True)
         )
     next_step("fitting a K for each")
-    full = whole[PairVariant.FULL]
-    free = fit(records, PairVariant.FULL, full.model, each_friction=True)
-    without = others[PairVariant.FULL]
-    models = [one.at(record.bend) for one, record in zip(without, records, strict=True)]
+    full_fit = full_fits[PairVariant.FULL]
+    free_fit = fit(records, PairVariant.FULL, full_fit.model, each_friction=True)
+    full_left_out = left_out_fits[PairVariant.FULL]
+    models = [
+        left_out_fit.at(record.bend)
+        for left_out_fit, record in zip(full_left_out, records, strict=True)
+    ]
     return PairStudy(
         tuple(records),
-        full,
+        full_fit,
         tuple(
             _compute_interval(K, error, len(records))
-            for K, error in zip(free.frictions, free.friction_errors, strict=True)
+            for K, error in zip(free_fit.frictions, free_fit.friction_errors, strict=True)
         ),
-        _compute_jackknife_interval(full.model, models, "friction"),
-        _compute_jackknife_interval(full.model, models, "growth"),
+        _compute_jackknife_interval(full_fit.model, models, "friction"),
+        _compute_jackknife_interval(full_fit.model, models, "growth"),
         left_out,
         tuple(predict_angle(m, r, PairVariant.FULL) for m, r in zip(models, records, strict=True)),
     )
@@ -267,32 +277,34 @@ def run_study(
 
 def cross_validate_baselines(records: Sequence[PairRecord]) -> dict[str, tuple[HeldOutError, ...]]:
     """Return the errors of predictions without a model of the pair, each record left out once."""
-    found: dict[str, list[HeldOutError]] = {}
-    for left in records:
-        errors = _compute_baseline_errors([other for other in records if other is not left], left)
+    errors_by_method: dict[str, list[HeldOutError]] = {}
+    for left_out_record in records:
+        errors = _compute_baseline_errors(
+            [record for record in records if record is not left_out_record], left_out_record
+        )
         for method, error in errors.items():
-            found.setdefault(method, []).append(error)
-    return {method: tuple(errors) for method, errors in found.items()}
+            errors_by_method.setdefault(method, []).append(error)
+    return {method: tuple(errors) for method, errors in errors_by_method.items()}
 
 
 def _compute_baseline_errors(
-    records: Sequence[PairRecord], other: PairRecord
+    records: Sequence[PairRecord], record: PairRecord
 ) -> dict[str, HeldOutError]:
     """Return the errors of one record by what is fitted to others without a model of the pair."""
-    angles = {COMMAND: other.command, SHARE: _fit_fixed_share(records) * other.command}
-    angles |= {name: predict(other) for name, predict in fit_simple_predictors(records).items()}
-    return {method: compute_error(angle, other) for method, angle in angles.items()}
+    angles = {COMMAND: record.command, SHARE: _fit_fixed_share(records) * record.command}
+    angles |= {name: predict(record) for name, predict in fit_simple_predictors(records).items()}
+    return {method: compute_error(angle, record) for method, angle in angles.items()}
 
 
-def _validate_records(found: PairStudy, records: Sequence[PairRecord]) -> tuple[Validation, ...]:
+def _validate_records(study: PairStudy, records: Sequence[PairRecord]) -> tuple[Validation, ...]:
     """Return the errors of further records, predicted from their command and bend."""
     return tuple(
         Validation(
             record.bend,
             compute_error(
-                predict_angle(found.fit.at(record.bend), record, PairVariant.FULL), record
+                predict_angle(study.fit.at(record.bend), record, PairVariant.FULL), record
             ),
-            _compute_baseline_errors(found.records, record),
+            _compute_baseline_errors(study.records, record),
         )
         for record in records
     )
@@ -305,9 +317,9 @@ def compute_mean_share(errors: Sequence[HeldOutError]) -> float:
 
 def compute_error(angle: Array, record: PairRecord) -> HeldOutError:
     """Return the error of a predicted angle [rad]."""
-    off = angle - record.angle
-    rmse = float(np.sqrt(np.mean(off**2)))
-    return HeldOutError(rmse, rmse / record.span, float(off.std()) / record.span)
+    error = angle - record.angle
+    rmse = float(np.sqrt(np.mean(error**2)))
+    return HeldOutError(rmse, rmse / record.span, float(error.std()) / record.span)
 
 
 def _fit_fixed_share(records: Sequence[PairRecord]) -> float:
@@ -322,10 +334,10 @@ def _compute_interval(value: float, error: float, count: int) -> Number:
 
 
 def _compute_jackknife_interval(
-    model: PairModel, without_one: Sequence[PairModel], name: str
+    model: PairModel, left_out_models: Sequence[PairModel], name: str
 ) -> Number:
     """Return a parameter with the interval that leaving records out gives it."""
-    n = len(without_one)
-    values = np.array([getattr(one, name) for one in without_one])
+    n = len(left_out_models)
+    values = np.array([getattr(left_out_model, name) for left_out_model in left_out_models])
     error = float(np.sqrt((n - 1) / n * np.sum((values - values.mean()) ** 2)))
     return _compute_interval(getattr(model, name), error, n)

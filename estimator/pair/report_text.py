@@ -19,39 +19,39 @@ OWN_METHOD = PairVariant.FULL.value
 DEPENDENCE_MIN = 0.02  # of the span: larger means count as a dependence
 
 
-def format_sentence(found: PairStudy) -> str:
+def format_sentence(study: PairStudy) -> str:
     """Return the result in one sentence."""
-    share = compute_mean_share(found.left_out[OWN_METHOD])
+    share = compute_mean_share(study.left_out[OWN_METHOD])
     return (
-        f"K grows by {format_interval(found.growth)} per radian of bend, from "
-        f"{found.friction.value:.2f} at "
+        f"K grows by {format_interval(study.growth)} per radian of bend, from "
+        f"{study.friction.value:.2f} at "
         f"none; bends that were not fitted are predicted within {share:.1%} of the angle's span "
-        f"({format_degrees(compute_mean_rmse(found.left_out[OWN_METHOD]))}), where one K for "
+        f"({format_degrees(compute_mean_rmse(study.left_out[OWN_METHOD]))}), where one K for "
         f"all leaves "
-        f"{compute_mean_share(found.left_out[PairVariant.ONE_K.value]):.1%} and the best model "
+        f"{compute_mean_share(study.left_out[PairVariant.ONE_K.value]):.1%} and the best model "
         f"without "
-        f"tendons ({found.best_simple}) "
-        f"{compute_mean_share(found.left_out[found.best_simple]):.1%}."
+        f"tendons ({study.best_simple}) "
+        f"{compute_mean_share(study.left_out[study.best_simple]):.1%}."
     )
 
 
-def format_model_warning(found: PairStudy) -> list[str]:
+def format_model_warning(study: PairStudy) -> list[str]:
     """Return a warning if a model without tendons predicts bends that were not fitted better."""
-    simple, ours = (
-        compute_mean_share(found.left_out[name]) for name in (found.best_simple, OWN_METHOD)
+    simple_share, own_share = (
+        compute_mean_share(study.left_out[name]) for name in (study.best_simple, OWN_METHOD)
     )
-    if simple >= ours:
+    if simple_share >= own_share:
         return []
     return [
-        f"WARNING: {found.best_simple} predicts bends that were not fitted better than this model, "
-        f"{simple:.1%} against {ours:.1%} of the span; check the zero of the angle in each file, "
-        "and add bends between those that were measured."
+        f"WARNING: {study.best_simple} predicts bends that were not fitted better than this model, "
+        f"{simple_share:.1%} against {own_share:.1%} of the span; check the zero of the angle in "
+        "each file, and add bends between those that were measured."
     ]
 
 
-def build_friction_table(found: PairStudy) -> Table:
+def build_friction_table(study: PairStudy) -> Table:
     """Return K of each record and of the linear model."""
-    model = found.fit.model
+    model = study.fit.model
     rows = tuple(
         (
             format_degrees(record.bend, 0),
@@ -59,22 +59,22 @@ def build_friction_table(found: PairStudy) -> Table:
             f"{model.friction_at(record.bend):.2f}",
             format_degrees(neutral),
         )
-        for record, K, neutral in zip(found.records, found.each, found.fit.neutrals, strict=True)
+        for record, K, neutral in zip(study.records, study.each, study.fit.neutrals, strict=True)
     )
     return Table(("bend", "K (95 %)", "K0 + mu bend", "neutral angle"), rows)
 
 
-def build_parameter_table(found: PairStudy) -> Table:
+def build_parameter_table(study: PairStudy) -> Table:
     """Return the numbers of the model for all records."""
-    model = found.fit.model
+    model = study.fit.model
     degree = math.radians(1.0)
     rows = (
         (
             "K0",
-            format_interval(found.friction),
+            format_interval(study.friction),
             "friction of the straight sheath with its bending section",
         ),
-        ("mu", f"{format_interval(found.growth)} 1/rad", "growth of K with the bend"),
+        ("mu", f"{format_interval(study.growth)} 1/rad", "growth of K with the bend"),
         (
             "compliance",
             f"{model.compliance / degree:.1f} deg/N",
@@ -92,15 +92,15 @@ def build_parameter_table(found: PairStudy) -> Table:
     return Table(("parameter", "value", "what it is"), rows)
 
 
-def build_held_out_table(found: PairStudy) -> Table:
+def build_held_out_table(study: PairStudy) -> Table:
     """Return the errors of held-out records."""
-    head = ("angle predicted by", *(format_degrees(r.bend, 0) for r in found.records), "mean")
+    head = ("angle predicted by", *(format_degrees(r.bend, 0) for r in study.records), "mean")
     rows = []
-    for method, errors in found.left_out.items():
+    for method, errors in study.left_out.items():
         cells = (f"{format_degrees(e.rmse)} {e.share:.1%}" for e in errors)
         mean = f"{format_degrees(compute_mean_rmse(errors))} {compute_mean_share(errors):.1%}"
         rows.append((method, *cells, mean))
-    zeroed = found.left_out[OWN_METHOD]
+    zeroed = study.left_out[OWN_METHOD]
     rows.append(
         (
             "K grows, from the command, its zero known",
@@ -111,35 +111,40 @@ def build_held_out_table(found: PairStudy) -> Table:
     return Table(head, tuple(rows))
 
 
-def build_validation_table(kept: tuple[Validation, ...]) -> Table:
+def build_validation_table(validations: tuple[Validation, ...]) -> Table:
     """Return the errors of validation records."""
     rows = tuple(
         (
-            format_degrees(one.bend, 0),
-            f"{format_degrees(one.ours.rmse)} {one.ours.share:.1%}",
-            f"{one.ours.zeroed:.1%}",
-            *(f"{format_degrees(e.rmse)} {e.share:.1%}" for e in one.baselines.values()),
+            format_degrees(validation.bend, 0),
+            f"{format_degrees(validation.ours.rmse)} {validation.ours.share:.1%}",
+            f"{validation.ours.zeroed:.1%}",
+            *(f"{format_degrees(e.rmse)} {e.share:.1%}" for e in validation.baselines.values()),
         )
-        for one in kept
+        for validation in validations
     )
-    head = ("bend kept apart", "predicted by the model", "its zero known", *kept[0].baselines)
+    head = (
+        "bend kept apart",
+        "predicted by the model",
+        "its zero known",
+        *validations[0].baselines,
+    )
     return Table(head, rows)
 
 
-def build_residual_table(found: PairStudy) -> Table:
+def build_residual_table(study: PairStudy) -> Table:
     """Return the residuals of held-out records, by dependence."""
     rows = tuple(
         (part.what, f"{part.mean:+.1%}", f"{part.rms:.1%}")
-        for part in analyse_residuals(found.records, found.predicted)
+        for part in analyse_residuals(study.records, study.predicted)
     )
     return Table(("samples in which", "mean", "RMS"), rows)
 
 
-def describe_errors(found: PairStudy) -> list[str]:
+def describe_errors(study: PairStudy) -> list[str]:
     """Return the errors of the model as text."""
-    records, errors = found.records, found.left_out[OWN_METHOD]
+    records, errors = study.records, study.left_out[OWN_METHOD]
     worst = max(range(len(errors)), key=lambda i: errors[i].share)
-    share = compute_offset_share(records, found.predicted)
+    share = compute_offset_share(records, study.predicted)
     lines = [
         f"Worst is the bend of {format_degrees(records[worst].bend, 0)}: "
         f"{errors[worst].share:.1%} of the "
@@ -147,15 +152,15 @@ def describe_errors(found: PairStudy) -> list[str]:
         f"{share:.0%} of the mean square is a constant of each record: a joint with friction rests "
         "anywhere in a band when its sensor is zeroed, and the command does not tell where.",
     ]
-    found_parts = analyse_residuals(records, found.predicted)
-    along = sorted(found_parts, key=lambda part: -abs(part.mean))
+    parts = analyse_residuals(records, study.predicted)
+    ordered_parts = sorted(parts, key=lambda part: -abs(part.mean))
     lines += [
         f"Where the {part.what}, the prediction is {abs(part.mean):.1%} of the span too "
         f"{'high' if part.mean > 0.0 else 'low'} on average."
-        for part in along
+        for part in ordered_parts
         if abs(part.mean) > DEPENDENCE_MIN
     ]
-    if all(abs(part.mean) <= DEPENDENCE_MIN for part in found_parts):
+    if all(abs(part.mean) <= DEPENDENCE_MIN for part in parts):
         lines.append(
             "The rest of the residual depends on direction, command and time by less than "
             f"{DEPENDENCE_MIN:.0%} of the span."
@@ -163,24 +168,24 @@ def describe_errors(found: PairStudy) -> list[str]:
     return lines
 
 
-def build_report_tables(found: PairStudy) -> list[Table]:
+def build_report_tables(study: PairStudy) -> list[Table]:
     """Return the tables of a study."""
-    shown = [
-        build_friction_table(found),
-        build_parameter_table(found),
-        build_held_out_table(found),
-        build_residual_table(found),
+    tables = [
+        build_friction_table(study),
+        build_parameter_table(study),
+        build_held_out_table(study),
+        build_residual_table(study),
     ]
-    if found.validation:
-        shown.insert(3, build_validation_table(found.validation))
-    return shown
+    if study.validation:
+        tables.insert(3, build_validation_table(study.validation))
+    return tables
 
 
-def format_report(found: PairStudy) -> str:
+def format_report(study: PairStudy) -> str:
     """Return the report for a terminal."""
-    said = "\n".join([format_sentence(found), *format_model_warning(found)])
-    pieces = [said, *(table.markdown() for table in build_report_tables(found))]
-    pieces.append("What is wrong:\n" + "\n".join(f"- {line}" for line in describe_errors(found)))
+    summary = "\n".join([format_sentence(study), *format_model_warning(study)])
+    pieces = [summary, *(table.markdown() for table in build_report_tables(study))]
+    pieces.append("What is wrong:\n" + "\n".join(f"- {line}" for line in describe_errors(study)))
     return "\n\n".join(pieces)
 
 

@@ -1,6 +1,6 @@
 """Columns of Rerun's components, made from numpy arrays.
 
-The archetypes' own `build_columns` convert and check each value by value; of many small blocks that
+The archetypes' own `columns` convert and check each value by value; of many small blocks that
 takes longer than their sending.
 """
 

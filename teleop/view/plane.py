@@ -86,7 +86,7 @@ def compute_ticks(top: float) -> list[float]:
 
 
 def compute_axis_end(top: float) -> float:
-    """Return where an axis for values up to `top` ends: on the last of its own `compute_ticks`."""
+    """Return where an axis for values up to `top` ends: on the last of its own ticks."""
     end, step = top, 0.0
     while step != _choose_tick_step(end):  # the longer axis may have another step
         step = _choose_tick_step(end)

@@ -7,7 +7,7 @@
   teleop devices rules | sudo tee /etc/udev/rules.d/70-tendon-teleop.rules
 
 A device is given like `find` in a config: vendor:product, serial number or path; by default the
-only one that fits. An axis without a sign from `run_device_test` renders no force.
+only one that fits. An axis without a sign from `test` renders no force.
 """
 
 import argparse
