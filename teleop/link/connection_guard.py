@@ -8,13 +8,16 @@ peer declares: subscribers, tokens and names of keys up to 64 KB, for as long as
 lasts. No setting of Zenoh bounds either, so a thread looks at our own sockets, on Linux:
 
 - A source of connections that stay half open for `BLOCK_HALF_OPEN_AGE_S`, or of too many at once,
-is blocked by
-  a filter of packets in the listening socket. A source is an address, half of one of IPv6, or on
-  this machine all users but ours and root: there the kernel tells whose a connecting socket is, and
-  those of ours pass with their second SYN, after one second. A block lasts `BLOCK_S`, or a second
-  for each of its connections, and twice as long each time, up to `BLOCK_MAX_S`.
+  is blocked by a filter of packets in the listening socket. A source is an address, or on this
+  machine all users but ours and root: there the kernel tells whose a connecting socket is, and
+  those of ours pass with their second SYN, after one second. Of IPv6, where one machine has as many
+  addresses as it likes, it is the /64 as soon as `MISBEHAVING_ADDRESSES_MAX` addresses in it
+  misbehave, unless we are in it ourselves: that is the local subnet. A block lasts `BLOCK_S`, or a
+  second for each of its connections, and twice as long each time, up to `BLOCK_MAX_S`.
 - The connections that it has half open are frozen, by a filter too, so that they do not fail all
   at once when it closes them: nobody would get in until the last of them.
+- Of more than `HALF_OPEN_MAX` half-open connections of all sources together the oldest are shut
+  down, so that descriptors are left; without any the guard goes on, by those that Zenoh has.
 - Connections that are half open for `HALF_OPEN_S` are shut down, one at a time, so that the loop
   is awake in between.
 - A connection that has received more than the role in its certificate ever sends is shut down
@@ -26,9 +29,11 @@ is blocked by
 
 import contextlib
 import ctypes
+import errno
 import math
 import os
 import re
+import resource
 import select
 import socket
 import stat
@@ -36,9 +41,10 @@ import struct
 import sys
 import threading
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from ipaddress import IPv4Network, IPv6Network, ip_address, ip_network
+from io import FileIO
+from ipaddress import IPv4Network, IPv6Address, IPv6Network, ip_address, ip_network
 from pathlib import Path
 from time import monotonic, sleep, thread_time
 from typing import NamedTuple
@@ -53,13 +59,19 @@ BYTE_COUNT_PERIOD_S = 0.01
 NEW_CONNECTION_DELAY_S = 0.005  # after a connection has come, until the next look
 # age and number of half-open connections after which a source is blocked
 BLOCK_HALF_OPEN_AGE_S, BLOCK_HALF_OPEN_COUNT = 1.0, 8
+# addresses of a /64 that misbehave, after which it is blocked as one source
+MISBEHAVING_ADDRESSES_MAX = 8
+HALF_OPEN_MAX = 500  # connections of all sources; of more the oldest are shut down
 HALF_OPEN_S = 2.0  # after which a half-open connection is shut down
 HALF_OPEN_CLOSE_PERIOD_S = 0.2  # between two of them, of which Zenoh sleeps for half
 BLOCK_S, BLOCK_MAX_S = 5.0, 600.0
 BLOCK_RESET_S = 300.0  # after the end of a block, the next one is short again
 # for which a socket of ours may connect past a block; its handshake takes less
 PORT_EXEMPTION_S = 5.0
-BLOCKED_SOURCES_MAX = 500  # blocked at a time, in one filter of 4096 instructions
+# Of a filter. The kernel allows a socket 20 480 (net.core.optmem_max before Linux 6.8), in which a
+# new filter stands beside the one that it replaces: 185 sources of IPv4, 60 of IPv6
+FILTER_BYTES = 9000
+PORTS_MAX = 400  # in it, for each source on this machine
 CONNECTIONS_PER_NAME_MAX = 32  # connections of one certificate's name
 DISCARD_READS_MAX = 100  # reads of what a connection that is shut down has sent
 CLOSE_DELAY_S = 1.0  # in which Zenoh forgets a connection that was shut down
@@ -98,7 +110,9 @@ def find_allowance(identity: Identity) -> Allowance | None:
 
 SocketAddress = tuple[str, int]  # host and port
 Network = IPv4Network | IPv6Network
-_OPEN_FILES = Path("/dev/fd")  # of this process; absent on Windows
+_TABLES = Path("/proc/net/tcp"), Path("/proc/net/tcp6")  # TCP sockets of this machine
+_INTERFACES = Path("/proc/net/if_inet6")  # its addresses of IPv6
+OPEN_FILES_FOLDER = Path("/dev/fd")  # of this process; absent on Windows
 _LINUX = sys.platform == "linux"
 _ENDPOINT = re.compile(r"\w+/\[?(?P<host>[^\]%]+?)(?:%\w+)?\]?:(?P<port>\d+)")
 _LOOPBACK = ip_network("127.0.0.0/8"), ip_network("::1/128")
@@ -106,6 +120,9 @@ _SYN_SENT = b"02"
 _BYTES_RECEIVED = 128  # place of tcpi_bytes_received in TCP_INFO
 _ATTACH_FILTER, _DETACH_FILTER = 26, 27
 _LOAD, _LOAD_HALF, _AND, _EQUAL, _JUMP, _RETURN = 0x20, 0x28, 0x54, 0x15, 0x05, 0x06  # classic BPF
+_STORE, _LOAD_STORED = 0x02, 0x60
+_STEP_BYTES = {_LOAD: 72, _LOAD_HALF: 112, _EQUAL: 16, _RETURN: 16}  # as eBPF; others 8
+_JUMP_MAX = 200  # steps that a test may skip, of 255
 _NETWORK_HEADER = 0xFFF00000  # place of the IP header; places from 0 are of the TCP header
 _PASS = 0xFFFFFFFF
 
@@ -146,13 +163,25 @@ class _Connection:
         self._apply(read)
         return received[0]
 
-    def filter_packets(self, program: list[bytes]) -> None:
-        """Let the kernel drop packets to the socket; all pass if `program` is empty."""
-        self._apply(lambda own: _filter_packets(own, program))
+    def filter_packets(self, program: list[bytes]) -> str:
+        """Let the kernel drop packets to the socket; all pass if `program` is empty.
+
+        Returns why the kernel takes no filter; empty if it does, or if the socket is closed.
+        """
+        refused = [""]
+
+        def change(own: socket.socket) -> None:
+            try:
+                _filter_packets(own, program)
+            except OSError as error:
+                refused.append(str(error) if program else "")  # there was none to be removed
+
+        self._apply(change)
+        return refused[-1]
 
     def _apply(self, change: Callable[[socket.socket], None]) -> None:
         """Change the socket, unless its file descriptor was closed, or reused."""
-        with contextlib.suppress(OSError), socket.socket(fileno=os.dup(self.number)) as own:
+        with contextlib.suppress(OSError), _opened(self.number) as own:
             if os.fstat(own.fileno()).st_ino == self.inode:
                 change(own)
 
@@ -194,10 +223,12 @@ class ConnectionGuard:
         self._charged: list[tuple[_Connection, str, int]] = []  # with a number by name
         self._has_new = False
         self._shut_s = self._trim_s = 0.0
+        self._tables: list[FileIO] = []
+        self._interfaces: list[FileIO] = []
         self._listening: dict[SocketAddress, _Connection] = {}
         ports = {int(address.rpartition(":")[2]) for address in listen}
         for number, inode in _list_open_sockets():
-            with contextlib.suppress(OSError), socket.socket(fileno=os.dup(number)) as own:
+            with contextlib.suppress(OSError), _opened(number) as own:
                 if own.getsockopt(socket.SOL_SOCKET, socket.SO_ACCEPTCONN):
                     ends = _parse_socket_name(own.getsockname())
                     if ends[1] in ports:
@@ -210,6 +241,8 @@ class ConnectionGuard:
         direct = zenoh.handlers.Callback(self._on_link, indirect=False)
         self._links = session.info.declare_link_events_listener(direct, history=True)
         if _LINUX:
+            self._tables = _open_tables(_TABLES)
+            self._interfaces = _open_tables([_INTERFACES])
             threading.Thread(target=self._work, name="connection guard", daemon=True).start()
 
     def _on_link(self, event: zenoh.LinkEvent) -> None:
@@ -227,7 +260,7 @@ class ConnectionGuard:
         is_barred = self._barred.get(name, 0.0) > monotonic()
         if local in self._listening and (self._blocks or is_barred):
             for number, _ in _list_open_sockets():
-                with contextlib.suppress(OSError), socket.socket(fileno=os.dup(number)) as own:
+                with contextlib.suppress(OSError), _opened(number) as own:
                     if (
                         _parse_socket_name(own.getsockname()),
                         _parse_socket_name(own.getpeername()),
@@ -256,6 +289,8 @@ class ConnectionGuard:
                     self._charge(*charged, monotonic())
                 pause_s = max(BYTE_COUNT_PERIOD_S, 10 * (thread_time() - begin_s))
         arrivals.close()
+        for table in self._tables + self._interfaces:
+            table.close()
 
     def _look(self, now_s: float) -> None:
         """Look at all connections once."""
@@ -273,6 +308,7 @@ class ConnectionGuard:
         is_stuck = any(now_s - c.since_s > BLOCK_HALF_OPEN_AGE_S for c in half_open)
         if is_stuck or len(half_open) >= self._burst or self._blocks:
             self._block(half_open, now_s)
+        self._cap([c for c in half_open if not c.shut])
         old = [c for c in half_open if now_s - c.since_s > HALF_OPEN_S and not c.shut]
         if old and now_s - self._shut_s >= HALF_OPEN_CLOSE_PERIOD_S:
             self._shut_s = now_s
@@ -280,6 +316,18 @@ class ConnectionGuard:
         if 0.0 < self._trim_s < now_s:
             self._trim_s = 0.0
             _release_free_memory()
+
+    def _cap(self, half_open: list[_Connection]) -> None:
+        """Shut down the oldest of too many half-open connections, from however many sources."""
+        soft, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
+        limit = max(HALF_OPEN_MAX, self._burst)
+        if soft != resource.RLIM_INFINITY:
+            limit = min(limit, soft // 2)
+        excess = half_open[: max(0, len(half_open) - limit)]
+        if excess:
+            self._note(f"more than {limit} connections without a certificate at a time")
+        for connection in excess:
+            connection.shut_down()
 
     def _connections(self, now_s: float) -> list[_Connection]:
         """Return the connections of this process, oldest first."""
@@ -290,7 +338,7 @@ class ConnectionGuard:
                 connection.number = number
             elif inode not in known:
                 try:
-                    with socket.socket(fileno=os.dup(number)) as own:
+                    with _opened(number) as own:
                         ends = (
                             _parse_socket_name(own.getsockname()),
                             _parse_socket_name(own.getpeername()),
@@ -333,7 +381,7 @@ class ConnectionGuard:
         """Block the sources of stuck or many connections, and end blocks."""
         rows = {
             (local, remote): (state, int(user), inode)
-            for local, remote, state, user, inode in self._row.findall(_read_socket_tables())
+            for local, remote, state, user, inode in self._row.findall(_read_tables(self._tables))
         }
         ours = 0, os.getuid()
         by_source: dict[Network, list[_Connection]] = {}
@@ -343,20 +391,27 @@ class ConnectionGuard:
             _, user, inode = rows.get((ends[0].encode(), ends[1].encode()), (b"", -1, b""))
             if user in ours and inode != b"0":
                 continue
-            source = _find_source_network(connection.remote[0], user != -1)
+            source = _find_source_network(connection.remote[0])
             by_source.setdefault(source, []).append(connection)
             if user != -1 or source in _LOOPBACK:
                 local_sources.add(source)
-        for source, connections in by_source.items():
-            stuck = sum(now_s - c.since_s > BLOCK_HALF_OPEN_AGE_S for c in connections)
+        counts = {
+            source: (
+                len(connections),
+                sum(now_s - c.since_s > BLOCK_HALF_OPEN_AGE_S for c in connections),
+            )
+            for source, connections in by_source.items()
+        }
+        active = {source for source, block in self._blocks.items() if now_s <= block.until_s}
+        interfaces = _read_tables(self._interfaces).decode()
+        ours_too = _own_networks((host for host, _ in self._listening), interfaces)
+        for source in _choose_blocks(counts, active, self._burst, ours_too):
             block = self._blocks.get(source)
-            if block is None or block.until_s < now_s:
-                if stuck < BLOCK_HALF_OPEN_COUNT and len(connections) < self._burst:
-                    continue
-                seconds = BLOCK_S if block is None else 2 * block.seconds
-                seconds = min(max(seconds, len(connections)), BLOCK_MAX_S)
-                self._blocks[source] = _Block(now_s + seconds, seconds, source in local_sources)
-                self._note(f"connections without a certificate from {source}")
+            number = sum(n for s, (n, _) in counts.items() if source in (s, _network_of(s)))
+            seconds = BLOCK_S if block is None else 2 * block.seconds
+            seconds = min(max(seconds, number), BLOCK_MAX_S)
+            self._blocks[source] = _Block(now_s + seconds, seconds, source in local_sources)
+            self._note(f"connections without a certificate from {source}")
         self._blocks = {s: b for s, b in self._blocks.items() if now_s < b.until_s + BLOCK_RESET_S}
         blocked = {s: b.local for s, b in self._blocks.items() if now_s < b.until_s}
         if any(blocked.values()):
@@ -368,10 +423,13 @@ class ConnectionGuard:
         if wanted != self._filter:
             self._filter = wanted
             for (host, _), listening in self._listening.items():
-                listening.filter_packets(_build_filter(ip_address(host).version, *wanted))
-        for source in blocked:
-            for connection in by_source.get(source, ()):
-                connection.freeze()
+                program = _build_filter(ip_address(host).version, *wanted)
+                if refused := listening.filter_packets(program):
+                    self._note(f"a filter for blocked sources, by the kernel: {refused}")
+        for source, connections in by_source.items():
+            if source in blocked or _network_of(source) in blocked:
+                for connection in connections:
+                    connection.freeze()
 
 
 def _is_closed(session: zenoh.Session) -> bool:
@@ -383,15 +441,33 @@ def _is_closed(session: zenoh.Session) -> bool:
 
 def _list_open_sockets() -> Iterator[tuple[int, int]]:
     """Yield file descriptor and inode of each socket of this process."""
-    try:
-        names = os.listdir(_OPEN_FILES)
-    except OSError:  # no descriptor is left to list them with
-        return
-    for name in names:
+    for number in list_open_files():
         with contextlib.suppress(OSError):  # closed since it was listed
-            status = os.fstat(int(name))
+            status = os.fstat(number)
             if stat.S_ISSOCK(status.st_mode):
-                yield int(name), status.st_ino
+                yield number, status.st_ino
+
+
+@contextlib.contextmanager
+def _opened(number: int) -> Iterator[socket.socket]:
+    """Give a socket of this process under a descriptor of its own, if there is one left.
+
+    Nobody else closes that one meanwhile, after which the number could mean another file.
+    """
+    try:
+        number, is_copy = os.dup(number), True
+    except OSError as error:
+        if error.errno != errno.EMFILE:
+            raise
+        is_copy = False
+    own = socket.socket(fileno=number)
+    try:
+        yield own
+    finally:
+        if is_copy:
+            own.close()
+        else:
+            own.detach()
 
 
 def _parse_socket_name(name: tuple[str, int] | str | bytes) -> SocketAddress:
@@ -407,13 +483,23 @@ def _parse_endpoint(endpoint: str) -> SocketAddress | None:
     return None if match is None else (match["host"], int(match["port"]))
 
 
-def _read_socket_tables() -> bytes:
-    """Return the tables of TCP sockets of this machine; empty if they cannot be read."""
-    tables = b""
-    for table in Path("/proc/net/tcp"), Path("/proc/net/tcp6"):
+def _open_tables(paths: Iterable[Path]) -> list[FileIO]:
+    """Open tables of the kernel, to read them when no descriptor is left; without those missing."""
+    tables = []
+    for path in paths:
         with contextlib.suppress(OSError):
-            tables += table.read_bytes()
+            tables.append(path.open("rb", buffering=0))
     return tables
+
+
+def _read_tables(tables: Iterable[FileIO]) -> bytes:
+    """Return the present contents of open tables; what cannot be read is left out."""
+    contents = b""
+    for table in tables:
+        with contextlib.suppress(OSError):
+            table.seek(0)
+            contents += table.read()
+    return contents
 
 
 def _format_hex_address(ends: SocketAddress) -> str:
@@ -423,52 +509,138 @@ def _format_hex_address(ends: SocketAddress) -> str:
     return "".join(f"{word:08X}" for word in words) + f":{ends[1]:04X}"
 
 
-def _find_source_network(host: str, local: bool) -> Network:
-    """Return what a connection counts for: an address, or the many that one machine has."""
+def _find_source_network(host: str) -> Network:
+    """Return what a connection counts for: its address, or all of this machine."""
     address = ip_address(host)
     for loopback in _LOOPBACK:
         if address in loopback:
             return loopback
-    return ip_network(
-        (host, 64 if address.version == 6 and not local else address.max_prefixlen), strict=False
-    )
+    return ip_network(host)
+
+
+def _network_of(source: Network) -> Network | None:
+    """Return the /64 of an address of IPv6; None of anything that has none of its own."""
+    if source.version == 4 or source.prefixlen != source.max_prefixlen:
+        return None
+    address = IPv6Address(int(source.network_address))
+    if address.is_loopback or address.is_link_local or address.ipv4_mapped is not None:
+        return None
+    return source.supernet(new_prefix=64)
+
+
+def _own_networks(listening: Iterable[str], interfaces: str) -> set[Network]:
+    """Return the /64s of the addresses that we listen at, and of those in /proc/net/if_inet6."""
+    addresses = {ip_address(host) for host in listening}
+    addresses |= {ip_address(bytes.fromhex(row.split()[0])) for row in interfaces.splitlines()}
+    networks = {_network_of(ip_network(address)) for address in addresses}
+    return {network for network in networks if network is not None}
+
+
+def _choose_blocks(
+    half_open: Mapping[Network, tuple[int, int]],
+    blocked: Collection[Network],
+    burst: int,
+    own: Collection[Network],
+) -> list[Network]:
+    """Return the sources to block.
+
+    An address is blocked for its own connections. Its /64 is blocked in its place if
+    `MISBEHAVING_ADDRESSES_MAX` addresses there are, or if as many that are not have too many
+    together; never one in `own`.
+
+    Parameters
+    ----------
+    half_open : mapping of Network to (int, int)
+        Number of half-open connections of each source, and how many of them are stuck.
+    blocked : collection of Network
+        Sources that are blocked already.
+    burst : int
+        Number of half-open connections after which a source is blocked.
+    own : collection of Network
+        The /64s that we are in.
+    """
+    bad = {
+        s
+        for s, (number, stuck) in half_open.items()
+        if stuck >= BLOCK_HALF_OPEN_COUNT or number >= burst
+    }
+    members = Counter(_network_of(source) for source in {*bad, *blocked})
+    others: dict[Network | None, list[tuple[int, int]]] = {}
+    for source, count in half_open.items():
+        others.setdefault(_network_of(source), []).extend([count] * (source not in bad))
+    wide = set()
+    for network, counts in others.items():
+        if network is None or network in own:
+            continue
+        is_burst = (
+            len(counts) >= MISBEHAVING_ADDRESSES_MAX
+            and sum(number for number, _ in counts) >= burst
+        )
+        is_stuck = sum(stuck > 0 for _, stuck in counts) >= MISBEHAVING_ADDRESSES_MAX
+        if members[network] >= MISBEHAVING_ADDRESSES_MAX or is_burst or is_stuck:
+            wide.add(network)
+    chosen = [*wide, *(s for s in bad if not {_network_of(s)} & {*wide, *blocked})]
+    return [source for source in chosen if source not in blocked]
+
+
+def list_open_files() -> Iterable[int]:
+    """Return the numbers of the open files of this process, and perhaps further ones."""
+    try:
+        return map(int, os.listdir(OPEN_FILES_FOLDER))
+    except OSError:  # no descriptor is left to list them with: all below the limit are open
+        return range(os.sysconf("SC_OPEN_MAX"))
 
 
 def _build_filter(
     version: int, blocked: dict[Network, bool], ports: Collection[int]
 ) -> list[bytes]:
-    """Return a filter in classic BPF; of sources on this machine, some ports pass."""
+    """Return a filter in classic BPF of the newest sources that fit into `FILTER_BYTES`.
+
+    Of sources on this machine, some ports pass.
+    """
+    place = _NETWORK_HEADER + (12 if version == 4 else 8)  # of the source address
+    address = [
+        step
+        for word in range(1 if version == 4 else 4)
+        for step in (_build_instruction(_LOAD, place + 4 * word), _build_instruction(_STORE, word))
+    ]
     program: list[bytes] = []
-    for source, local in list(blocked.items())[-BLOCKED_SOURCES_MAX:]:
-        if source.version != version:
-            continue
-        drop = [_build_instruction(_RETURN, 0)]
-        if local:
-            tests = (
-                [_build_instruction(_EQUAL, port, 0, 1), _build_instruction(_RETURN, _PASS)]
-                for port in ports
-            )
-            drop = [
-                _build_instruction(_LOAD_HALF, 0),
-                *(step for test in tests for step in test),
-                *drop,
-            ]
-        place = _NETWORK_HEADER + (12 if version == 4 else 8)  # of the source address
-        words = range(0, source.max_prefixlen // 8, 4)
-        for word in reversed(words):
-            value, mask = (
-                int.from_bytes(x.packed[word : word + 4]) for x in (source[0], source.netmask)
-            )
-            if mask:
-                drop = [
-                    _build_instruction(_LOAD, place + word),
-                    _build_instruction(_AND, mask),
-                    _build_instruction(_EQUAL, value, 1, 0),
-                    _build_instruction(_JUMP, len(drop)),
-                    *drop,
-                ]  # fmt: skip
-        program += drop
-    return [*program, _build_instruction(_RETURN, _PASS)] if program else []
+    for source, local in reversed(blocked.items()):
+        if source.version == version:
+            drop = _build_drop(source, sorted(ports)[:PORTS_MAX] if local else [])
+            if _measure_filter([*address, *program, *drop]) > FILTER_BYTES:
+                break
+            program += drop
+    return [*address, *program, _build_instruction(_RETURN, _PASS)] if program else []
+
+
+def _build_drop(source: Network, ports: list[int]) -> list[bytes]:
+    """Return the steps that drop the packets of a source, whose address is stored; ports pass."""
+    steps = [_build_instruction(_LOAD_HALF, 0)] * bool(ports)
+    for begin in range(0, len(ports), _JUMP_MAX):
+        some = ports[begin : begin + _JUMP_MAX]
+        steps += [_build_instruction(_EQUAL, port, len(some) - k, 0) for k, port in enumerate(some)]
+        steps += [_build_instruction(_JUMP, 1), _build_instruction(_RETURN, _PASS)]
+    steps.append(_build_instruction(_RETURN, 0))
+    for word in reversed(range(source.max_prefixlen // 32)):
+        value, mask = (
+            int.from_bytes(x.packed[4 * word : 4 * word + 4]) for x in (source[0], source.netmask)
+        )
+        if mask:
+            part = [_build_instruction(_AND, mask)] * (mask != _PASS)
+            steps = [
+                _build_instruction(_LOAD_STORED, word),
+                *part,
+                _build_instruction(_EQUAL, value, 1, 0),
+                _build_instruction(_JUMP, len(steps)),
+                *steps,
+            ]  # fmt: skip
+    return steps
+
+
+def _measure_filter(program: list[bytes]) -> int:
+    """Return how much memory of a socket a filter takes in the kernel, as eBPF [B]; measured."""
+    return sum(_STEP_BYTES.get(struct.unpack_from("H", step)[0], 8) for step in program)
 
 
 def _build_instruction(code: int, value: int, if_true: int = 0, if_false: int = 0) -> bytes:

@@ -8,14 +8,18 @@ import socket
 import stat
 import struct
 import sys
-from collections.abc import Callable, Iterable
-from pathlib import Path
+from collections.abc import Callable
 from typing import Any, Literal
 
 import zenoh
 
 from teleop.errors import TeleopError, UsageError
-from teleop.link.connection_guard import HANDSHAKE_TIMEOUT_MS, ConnectionGuard
+from teleop.link.connection_guard import (
+    HANDSHAKE_TIMEOUT_MS,
+    OPEN_FILES_FOLDER,
+    ConnectionGuard,
+    list_open_files,
+)
 from teleop.security import Credentials
 
 # --- close connections to processes that no longer read without waiting for them
@@ -26,7 +30,6 @@ from teleop.security import Credentials
 # kernel sends what it can and closing takes no time.
 
 
-_OPEN_FILES = Path("/dev/fd")  # of this process; absent on Windows
 _LINGER_OFF = struct.pack("ii", 0, 0)
 _ENDPOINT = re.compile(r"\w+/\[?(?P<host>[^\]]+?)\]?:(?P<port>\d+)")
 
@@ -39,9 +42,9 @@ def disable_linger(session: zenoh.Session) -> None:
 
 def _handle_link_event(event: zenoh.LinkEvent) -> None:
     ours = _parse_endpoint(event.link.src)  # the other end may be named by its host
-    if event.kind != zenoh.SampleKind.PUT or ours is None or not _OPEN_FILES.exists():
+    if event.kind != zenoh.SampleKind.PUT or ours is None or not OPEN_FILES_FOLDER.exists():
         return
-    for number in _list_open_files():
+    for number in list_open_files():
         try:
             if not stat.S_ISSOCK(os.fstat(number).st_mode):
                 continue
@@ -55,14 +58,6 @@ def _handle_link_event(event: zenoh.LinkEvent) -> None:
             continue
         finally:
             connection.detach()  # it is Zenoh's
-
-
-def _list_open_files() -> Iterable[int]:
-    """Return the numbers of the open files of this process, and perhaps further ones."""
-    try:
-        return map(int, os.listdir(_OPEN_FILES))
-    except OSError:  # no descriptor is left to list them with: all below the limit are open
-        return range(os.sysconf("SC_OPEN_MAX"))
 
 
 def _parse_endpoint(endpoint: str) -> tuple[str, int] | None:
@@ -79,6 +74,9 @@ OPEN_MS = 3000  # of the handshake, and of closing with an unresponsive target
 CONNECTIONS = 10_000  # that a router takes; its processor is the limit before (docs/scale.md)
 BURST = 16  # that shake hands at a time with one address of a side
 OPEN_FILES = 64  # a session runs with as many; with 24 the threads of Zenoh panic
+# Of a process that listens: strangers take one for each connection. No more, since all are looked
+# through when none is left to list them with
+OPEN_FILES_LISTENING = 65536
 LEASE_MS = 2000  # timeout of a silent peer; a closed connection is detected at once
 # Zenoh's threads of this process. With its default of two receiving threads, each message wakes
 # both: 30 us more of a round trip, 11 % more of a core in the recorder (docs/latency.md)
@@ -108,7 +106,7 @@ def open_session(
     TeleopError
         No target of a client answers.
     """
-    _require_open_files()
+    _require_open_files(OPEN_FILES_LISTENING if listen else OPEN_FILES)
     if mode != "router":  # that one serves many connections at once
         os.environ.setdefault("ZENOH_RUNTIME", THREADS)  # read when the first session opens
     flat = build_settings(credentials, listen, connect, access, mode)
@@ -132,17 +130,22 @@ def open_session(
     return session
 
 
-def _require_open_files() -> None:
-    """Raise `UsageError` if this process may open too few files: Zenoh would hang for ever."""
+def _require_open_files(wanted: int) -> None:
+    """Let this process open `wanted` files, or as many as it may.
+
+    `UsageError` if they are fewer than `OPEN_FILES`: Zenoh would hang for ever.
+    """
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     unlimited = resource.RLIM_INFINITY
-    if soft != unlimited and soft < OPEN_FILES:
-        if hard != unlimited and hard < OPEN_FILES:
-            raise UsageError(
-                f"this process may open {hard} files only; allow it {OPEN_FILES}: "
-                f"ulimit -n {OPEN_FILES}"
-            )
-        resource.setrlimit(resource.RLIMIT_NOFILE, (OPEN_FILES, hard))
+    if hard != unlimited and hard < OPEN_FILES:
+        raise UsageError(
+            f"this process may open {hard} files only; allow it {OPEN_FILES}: "
+            f"ulimit -n {OPEN_FILES}"
+        )
+    if hard != unlimited:
+        wanted = min(wanted, hard)
+    if soft != unlimited and soft < wanted:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (wanted, hard))
 
 
 def to_zenoh_config(settings: dict[str, Any]) -> zenoh.Config:

@@ -87,6 +87,15 @@ except UsageError as error:
 """
 
 
+def test_a_process_that_listens_may_open_as_many_files_as_its_user() -> None:
+    """Strangers take one for each connection."""
+    code = FEW_FILES.replace("[], []", "['127.0.0.1:0'], []")
+    code += "print(resource.getrlimit(resource.RLIMIT_NOFILE))"
+    words = [sys.executable, "-c", code, "100", "5000"]
+    run = subprocess.run(words, capture_output=True, text=True, check=True, timeout=60)
+    assert (run.stdout, run.stderr) == ("(5000, 5000)\n", "")
+
+
 @pytest.mark.parametrize(
     ("limits", "said"),
     [(("20", "24"), "this process may open 24 files only; allow it 64: ulimit -n 64\n"),

@@ -2,13 +2,17 @@
 
 import itertools
 import os
+import re
+import resource
 import socket
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from collections.abc import Iterable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from ipaddress import ip_network
+from pathlib import Path
+from typing import Any
 
 import pytest
 import zenoh
@@ -126,6 +130,208 @@ def test_a_filter_drops_a_source_and_passes_ports_of_ours(host: str, network: st
         )
         with socket.create_connection(listening.getsockname()[:2], 5.0):
             listening.accept()[0].close()
+
+
+FEW, STUCK, BURST = (
+    (1, 0),
+    (connection_guard.BLOCK_HALF_OPEN_COUNT, connection_guard.BLOCK_HALF_OPEN_COUNT),
+    (16, 0),
+)
+
+
+def addresses(network: str, count: int, counts: tuple[int, int]) -> dict[Any, tuple[int, int]]:
+    """Half-open connections of the first addresses of a network."""
+    hosts = itertools.islice(ip_network(network).hosts(), count)
+    return {ip_network(host): counts for host in hosts}
+
+
+FOREIGN, OWN = "2001:db8:1::/64", "2001:db8:2::/64"
+CHOICES = {
+    "many addresses with few connections together": (addresses(FOREIGN, 15, FEW), []),
+    "many connections of one address": (addresses(FOREIGN, 1, BURST), ["2001:db8:1::1/128"]),
+    "one stuck address among others": (
+        addresses(FOREIGN, 6, FEW) | addresses(FOREIGN, 1, STUCK),
+        ["2001:db8:1::1/128"],
+    ),
+    "many bad addresses": (addresses(FOREIGN, 8, STUCK), [FOREIGN]),
+    "many addresses, each stuck once": (addresses(FOREIGN, 8, (1, 1)), [FOREIGN]),
+    "many addresses with a burst together": (addresses(FOREIGN, 8, (2, 0)), [FOREIGN]),
+    "many bad addresses of our subnet": (addresses(OWN, 20, STUCK), addresses(OWN, 20, STUCK)),
+    "many addresses of our subnet": (addresses(OWN, 100, (1, 1)), []),
+    "many bad link-local addresses": (
+        addresses("fe80::/64", 9, STUCK),
+        addresses("fe80::/64", 9, STUCK),
+    ),
+    "many bad addresses of IPv4 at a socket of both": (
+        addresses("::ffff:192.0.2.0/120", 9, STUCK),
+        addresses("::ffff:192.0.2.0/120", 9, STUCK),
+    ),
+    "addresses of IPv4": (
+        addresses("192.0.2.0/24", 20, FEW) | addresses("198.51.100.0/24", 9, BURST),
+        addresses("198.51.100.0/24", 9, BURST),
+    ),
+}
+
+
+@pytest.mark.parametrize(("half_open", "blocked"), CHOICES.values(), ids=CHOICES)
+def test_a_network_is_blocked_only_for_many_of_its_addresses_and_never_our_own(
+    half_open: dict[Any, tuple[int, int]], blocked: Iterable[Any]
+) -> None:
+    chosen = connection_guard._choose_blocks(half_open, [], 16, {ip_network(OWN)})
+    assert sorted(map(str, chosen)) == sorted(map(str, blocked))
+
+
+def test_a_network_follows_its_addresses_that_are_blocked_one_after_another() -> None:
+    blocked = [*addresses(FOREIGN, 7, FEW)]
+    for last, chosen in ((FEW, []), (STUCK, [ip_network(FOREIGN)])):
+        half_open = {ip_network("2001:db8:1::99"): last}
+        assert connection_guard._choose_blocks(half_open, blocked, 16, set()) == chosen
+    assert connection_guard._choose_blocks(half_open, [ip_network(FOREIGN)], 16, set()) == []
+
+
+def test_our_networks_are_those_of_the_interfaces_and_of_what_is_listened_at() -> None:
+    table = (
+        "20010db8000200000000000000000005 02 40 00 80     eth0\n"
+        "fe800000000000000000000000000005 02 40 20 80     eth0\n"
+        "00000000000000000000000000000001 01 80 10 80       lo\n"
+    )
+    found = connection_guard._own_networks(["127.0.0.1", "2001:db8:3::7"], table)
+    assert found == {ip_network(OWN), ip_network("2001:db8:3::/64")}
+
+
+LARGEST = """
+import pathlib, socket
+from ipaddress import ip_network
+from teleop.link.connection_guard import FILTER_BYTES, _build_filter, _filter_packets
+from teleop.link.connection_guard import _measure_filter
+allowed = pathlib.Path("/proc/sys/net/core/optmem_max")
+if allowed.exists():  # of this network
+    allowed.write_text("20480")
+addresses = {
+    4: [ip_network(f"198.18.{n // 256}.{n % 256}") for n in range(1000)],
+    6: [ip_network(f"2001:db8:{n:x}:{n:x}:8000:{n:x}:ffff:{n:x}") for n in range(1000)],
+}
+for version, family in ((4, socket.AF_INET), (6, socket.AF_INET6)):
+    blocks = [dict.fromkeys(addresses[version], False), dict.fromkeys(addresses[version], True)]
+    with socket.socket(family) as listening:
+        for blocked, ports in [(blocks[0], []), (blocks[1], range(40000, 41000))] * 3:
+            program = _build_filter(version, blocked, ports)
+            assert FILTER_BYTES * 0.2 < _measure_filter(program) <= FILTER_BYTES + 16
+            _filter_packets(listening, program)
+        print(version, len(_build_filter(version, blocks[0], [])))
+"""
+
+
+@needs_root
+def test_the_largest_filter_fits_into_what_kernels_allow_beside_the_one_before_it() -> None:
+    """In a network of its own, whose limit is the default before Linux 6.8."""
+    words = ["unshare", "--net", sys.executable, "-c", LARGEST]
+    run = subprocess.run(words, capture_output=True, text=True, check=False)
+    assert (run.returncode, run.stderr) == (0, "")
+
+
+def test_the_newest_sources_are_in_a_filter_that_is_full() -> None:
+    blocked = dict.fromkeys((ip_network(f"198.18.{n}.1") for n in range(250)), False)
+    program = b"".join(connection_guard._build_filter(4, blocked, []))
+    assert b"".join(connection_guard._build_drop(ip_network("198.18.249.1"), [])) in program
+    assert b"".join(connection_guard._build_drop(ip_network("198.18.0.1"), [])) not in program
+
+
+def test_a_filter_that_the_kernel_refuses_is_noted(monkeypatch: pytest.MonkeyPatch) -> None:
+    noted: list[str] = []
+    guard = ConnectionGuard.__new__(ConnectionGuard)
+    guard._note, guard._burst, guard._tables, guard._interfaces = noted.append, 4, [], []
+    guard._row, guard._filter, guard._blocks, guard._ports = re.compile(b"none"), ({}, []), {}, {}
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        ends, inode = server.getsockname(), os.fstat(server.fileno()).st_ino
+        Connection = connection_guard._Connection
+        guard._listening = {ends: Connection(server.fileno(), inode, ends, ("", 0), 0.0)}
+        half_open = [Connection(-1, 0, ends, ("192.0.2.1", port), 0.0) for port in range(4)]
+        monkeypatch.setattr(connection_guard, "FILTER_BYTES", 10**6)
+        monkeypatch.setattr(connection_guard, "_build_drop", lambda *_: [bytes(8)] * 5000)
+        guard._block(half_open, 0.5)
+    assert noted == [
+        "connections without a certificate from 192.0.2.1/32",
+        "a filter for blocked sources, by the kernel: [Errno 22] Invalid argument",
+    ]
+
+
+@contextmanager
+def no_descriptor_left() -> Iterator[None]:
+    """Take all descriptors that this process may have."""
+    limit, taken = resource.getrlimit(resource.RLIMIT_NOFILE), []
+    highest = max(map(int, os.listdir("/dev/fd")))
+    resource.setrlimit(resource.RLIMIT_NOFILE, (highest + 3, limit[1]))
+    try:
+        with suppress(OSError):
+            while True:
+                taken.append(os.dup(0))
+        yield
+    finally:
+        for number in taken:
+            os.close(number)
+        resource.setrlimit(resource.RLIMIT_NOFILE, limit)
+
+
+def test_nothing_is_forgotten_when_no_descriptor_is_left() -> None:
+    guard = ConnectionGuard.__new__(ConnectionGuard)
+    guard._sockets = {}
+    with socket.create_server(("127.0.0.1", 0)) as server, ExitStack() as stack:
+        ends = []
+        for _ in range(2):
+            ends.append(stack.enter_context(socket.create_connection(server.getsockname())))
+            ends[-1].settimeout(10.0)
+            stack.enter_context(server.accept()[0])
+        before = {c.inode: c.since_s for c in guard._connections(1.0)}
+        ends.append(stack.enter_context(socket.create_connection(server.getsockname())))
+        stack.enter_context(server.accept()[0])
+        with no_descriptor_left():
+            after = guard._connections(2.0)
+            assert {c.inode: c.since_s for c in after if c.inode in before} == before
+            assert sum(c.since_s == 2.0 for c in after) == 2  # both ends of the new one
+            for connection in after:
+                if connection.remote == ends[0].getsockname():
+                    connection.shut_down()
+            assert ends[0].recv(1) == b""
+        ends[1].send(b"still open")
+
+
+def test_the_tables_of_the_machine_are_read_when_no_descriptor_is_left() -> None:
+    tables = connection_guard._open_tables([Path("/proc/net/tcp"), Path("/no/such")])
+    with socket.create_server(("127.0.0.1", 0)) as server, no_descriptor_left():
+        row = connection_guard._format_hex_address(server.getsockname()).encode()
+        assert row in connection_guard._read_tables(tables)
+        assert row in connection_guard._read_tables(tables)
+    for table in tables:
+        table.close()
+
+
+@pytest.mark.parametrize(("files", "limit"), [(10_000, 20), (24, 12)])
+def test_half_open_connections_of_all_sources_are_bounded(
+    files: int, limit: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each of them has fewer than are blocked."""
+
+    class Connection(connection_guard._Connection):
+        def shut_down(self) -> None:
+            self.shut = True
+
+    monkeypatch.setattr(connection_guard, "HALF_OPEN_MAX", 20)
+    monkeypatch.setattr(resource, "getrlimit", lambda _: (files, files))
+    guard = ConnectionGuard.__new__(ConnectionGuard)
+    noted: list[str] = []
+    guard._burst, guard._note = 16, noted.append
+    guard._names, guard._blocks, guard._shut_s, guard._trim_s = {}, {}, 0.0, 0.0
+    guard._listening = {("", 0): Connection(-1, 0, ("", 0), ("", 0), 0.0)}
+    monkeypatch.setattr(guard, "_block", lambda *_: None)
+    connections = [Connection(-1, n, ("", 0), (f"192.0.2.{n}", 1), 0.0) for n in range(30)]
+    monkeypatch.setattr(guard, "_connections", lambda _: connections[:limit])
+    guard._look(0.5)
+    assert not noted
+    monkeypatch.setattr(guard, "_connections", lambda _: connections)
+    guard._look(0.5)
+    assert [c.inode for c in connections if not c.shut] == list(range(30 - limit, 30))
+    assert noted == [f"more than {limit} connections without a certificate at a time"]
 
 
 def test_a_viewer_that_declares_too_much_is_cut_off(config: LinkConfig) -> None:
