@@ -33,7 +33,6 @@ from teleop.link import Link
 from teleop.messages.topics import EVENT, LATENCY, LINK, REPORT, Role
 from teleop.ros.config import RosConfig, check_ports
 from teleop.runtime.compiling import compile_in_parallel
-from teleop.runtime.files import ScratchFolder
 from teleop.runtime.output_file import SharedFolder
 from teleop.runtime.process import (
     TERMINATION_SIGNALS,
@@ -42,6 +41,7 @@ from teleop.runtime.process import (
     to_exit_code,
     write_summary,
 )
+from teleop.runtime.scratch_folder import ScratchFolder
 from teleop.runtime.status_line import StatusLine
 from teleop.session import own_endpoints
 from teleop.session import summary as summaries

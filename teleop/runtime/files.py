@@ -1,13 +1,8 @@
 """Files that people and programs hand us, of a kind that is small: read whole, within a bound."""
 
-import fcntl
 import os
-import shutil
 import stat
-import tempfile
-import time
 from collections.abc import Callable
-from contextlib import suppress
 from pathlib import Path
 
 from teleop.errors import UsageError
@@ -45,36 +40,6 @@ def read_small_file(
     if len(data) > size_max:
         raise UsageError(f"{path}: has more than {size_max // 1000} kB, the bound of such a file")
     return data
-
-
-# --- temporary folders that do not outlive their process for long
-
-_SCRATCH_PREFIX = "teleop-run-"
-_SCRATCH_AGE_MIN_S = 60.0  # a younger folder may be one that is not locked yet
-
-
-class ScratchFolder(tempfile.TemporaryDirectory[str]):
-    """A temporary folder of this process; those of killed processes of this user are removed."""
-
-    def __init__(self) -> None:
-        for folder in Path(tempfile.gettempdir()).glob(f"{_SCRATCH_PREFIX}*"):
-            with suppress(OSError):
-                if time.time() - folder.stat().st_mtime > _SCRATCH_AGE_MIN_S:
-                    os.close(_lock_folder(folder))
-                    shutil.rmtree(folder)
-        super().__init__(prefix=_SCRATCH_PREFIX)
-        self._lock = _lock_folder(Path(self.name))  # until this process ends, however it does
-
-
-def _lock_folder(folder: Path) -> int:
-    """Return a handle that locks a folder; `OSError` if another process has one."""
-    handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:
-        os.close(handle)
-        raise
-    return handle
 
 
 # --- folders of a user for state and settings, as the XDG base directory specification names them

@@ -16,8 +16,8 @@ import rerun as rr
 
 from teleop.config.options import ViewMode
 from teleop.errors import UsageError
-from teleop.runtime.files import ScratchFolder
 from teleop.runtime.process import has_display
+from teleop.runtime.scratch_folder import ScratchFolder
 from teleop.view.config import ViewConfig
 from teleop.view.layouts import build_blueprint
 from teleop.view.page import Page

@@ -27,8 +27,8 @@ from typing import Self
 import rerun_cli  # type: ignore[import-untyped]
 
 from teleop.errors import TeleopError
-from teleop.runtime.files import ScratchFolder
 from teleop.runtime.process import die_with_parent
+from teleop.runtime.scratch_folder import ScratchFolder
 from teleop.view.local_server import is_own_connection
 from teleop.view.page import VIEWER_FILES
 from teleop.view.ports import LOOPBACK, find_free_port

@@ -6,13 +6,13 @@ import sys
 import tempfile
 from pathlib import Path
 
-from teleop.runtime.files import ScratchFolder
+from teleop.runtime.scratch_folder import ScratchFolder
 
 
 def test_scratch_folders_of_killed_processes_are_removed_and_no_others(tmp_path, monkeypatch):
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     program = (
-        "import signal, os; from teleop.runtime.files import ScratchFolder\n"
+        "import signal, os; from teleop.runtime.scratch_folder import ScratchFolder\n"
         "folder = ScratchFolder(); print(folder.name, flush=True); signal.pause()"
     )
     environment = os.environ | {"TMPDIR": str(tmp_path)}

@@ -25,6 +25,9 @@ from teleop.session import running_sessions
 def runtime_folder(monkeypatch):
     with tempfile.TemporaryDirectory(dir="/tmp") as name:  # short, as the address of a socket
         monkeypatch.setenv("XDG_RUNTIME_DIR", name)
+        # nor those of sessions that run beside the tests
+        monkeypatch.setattr(running_sessions, "_RUN_USER", Path(name))
+        monkeypatch.setattr(running_sessions, "_TEMPORARY", ())
         yield Path(name)
 
 
