@@ -19,6 +19,8 @@ from tests.rogue import ENGAGED, POSITION_AT, RESET, STATE_AT, Rogue, forged, he
 from tests.system.processes import OURS, START_S, Processes
 
 STILL = 1e-4  # [m] a tip at rest stays within
+STANDING = 8000  # tokens that a rogue declares and keeps
+ENGAGEMENTS = 10
 FAR = struct.pack("<8d", *(0.014,) * 8)  # [m]
 TAKE_OVER = ((STATE_AT, struct.pack("<I", ENGAGED)), (POSITION_AT, FAR))
 
@@ -119,3 +121,38 @@ def test_strangers_on_the_machine_do_not_get_in(
                     time.sleep(2.0)
                     assert not rogue.connected()
                     assert not any(rogue.heard.values())
+
+
+def watch(link: Link, seconds: float) -> dict[str, list[State]]:
+    """Return the states that each side was seen in, in order."""
+    seen: dict[str, list[State]] = {"master": [], "slave": []}
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        for side, topic in (("master", HAND), ("slave", STATE)):
+            message = link.latest(topic).message
+            if message is not None and seen[side][-1:] != [message.state]:
+                seen[side].append(State(message.state))
+        time.sleep(0.002)
+    return seen
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("office", [CertificateRole.ROUTER, CertificateRole.VIEWER])
+def test_standing_tokens_interrupt_no_engagement(
+    demo_config: Path, tmp_path: Path, office: CertificateRole
+) -> None:
+    period = 4.0  # [s]
+    hand = "master.device.engage=[[1, 3.5]]", f"master.device.engage_period={period}"
+    with Processes(tmp_path, demo_config, "rate_hz=250", *hand) as session:
+        session.start("slave")
+        session.start("master")
+        with session.look() as link, rogue_of(session, office) as rogue:
+            link.subscribe_latest(STATE)
+            assert wait_for_condition(lambda: session.engaged(link), START_S), session.outputs()
+            for n in range(STANDING):
+                rogue.announce(("viewer", "remote", "master", "slave")[n % 4], LAYOUT, n, proof="A")
+            seen = watch(link, (ENGAGEMENTS + 1) * period)
+            assert rogue.connected()
+    for side, states in seen.items():
+        assert states.count(State.ENGAGED) >= ENGAGEMENTS, (side, states)
+        assert set(states) <= {State.READY, State.ENGAGED}, (side, states)

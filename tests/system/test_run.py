@@ -21,6 +21,19 @@ from teleop.session.state_machine import Reason, State
 from tests.root import ROOT
 from tests.system.processes import OURS, START_S, Processes, free_ports, pause
 
+_started: list[subprocess.Popen[str]] = []
+
+
+@pytest.fixture(autouse=True)
+def nothing_left():
+    """End what a failed test has started: it would take the processor from all later ones."""
+    yield
+    while _started:
+        process = _started.pop()
+        if process.poll() is None:
+            process.terminate()
+            process.communicate(timeout=30)
+
 
 def run(config, folder, *arguments, wait=True, environment=OURS):
     master, slave = free_ports(2)
@@ -37,6 +50,7 @@ def run(config, folder, *arguments, wait=True, environment=OURS):
         cwd=folder,
         env=environment,
     )
+    _started.append(process)
     if not wait:
         return process
     out, err = process.communicate(timeout=START_S)
@@ -172,9 +186,8 @@ def test_a_viewer_that_fails_is_done_without(demo_config, tmp_path):
     broken.mkdir()
     (broken / "__init__.py").touch()  # without the viewer program in it
     environment = OURS | {"PYTHONPATH": str(tmp_path)}
-    code, out, err = run(
-        demo_config, tmp_path, "--duration", "1", "--view", "web", environment=environment
-    )
+    words = ("--duration", "1", "--view", "web", "--set", "rate_hz=500")
+    code, out, err = run(demo_config, tmp_path, *words, environment=environment)
     assert code == 0, out + err
     assert "the session goes on" in out
     assert "command to force" in out
