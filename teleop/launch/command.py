@@ -32,6 +32,7 @@ from teleop.launch.supervisor import Child, Supervisor
 from teleop.link import Link
 from teleop.messages.topics import EVENT, LATENCY, LINK, REPORT, Role
 from teleop.ros.config import RosConfig, check_ports
+from teleop.ros.message_types import require_rosbags
 from teleop.runtime.compiling import compile_in_parallel
 from teleop.runtime.output_file import SharedFolder
 from teleop.runtime.process import (
@@ -107,6 +108,7 @@ def main(args: argparse.Namespace) -> int:
             part.check_rate(config.rate_hz)
     ros = load(args.config, RosConfig, "ros", overrides)
     if ros.start:
+        require_rosbags()
         check_ports(ros.router, config.link)
     shared = [f"--set={text}" for text in overrides]
     if args.config:

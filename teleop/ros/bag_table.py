@@ -29,13 +29,11 @@ from teleop.data.channel_names import format_standard_name
 from teleop.errors import UsageError
 from teleop.recording.names import SESSION_METADATA
 from teleop.recording.scan import MESSAGE_HEAD, Scan
-from teleop.ros import cdr
-from teleop.ros.standard import JointState, WrenchStamped
+from teleop.ros.message_types import JOINT_STATE, WRENCH_STAMPED, CdrError, decode, to_stamp_ns
 from teleop.runtime.process import print_warning
 
 ACTUATORS, BENCH = "actuators/measured_js", "bench/measured_js"
 METADATA = "metadata.yaml"
-_TYPES: dict[str, type[Any]] = {cls.ros_name: cls for cls in (JointState, WrenchStamped)}
 _AXES = "xyz"
 _MOTION = ("position", "velocity", "effort")
 
@@ -81,7 +79,7 @@ def read_bag(path: Path) -> BagTable:
     joints: dict[str, Signals] = {}
     wrenches: dict[str, Signals] = {}
     for topic, recorded in _read_topics(path).items():
-        (joints if recorded.cls is JointState else wrenches)[topic] = recorded.signals()
+        (joints if recorded.type == JOINT_STATE else wrenches)[topic] = recorded.signals()
     main = _find_main_topic(path, joints)
     for topic, signals in (joints | wrenches).items():
         if topic != main and (np.diff(signals.times) <= 0).any():
@@ -181,8 +179,8 @@ class _RecordedTopic:
     A joint is one that the first message names; what a message lacks is NaN.
     """
 
-    def __init__(self, cls: type[Any]) -> None:
-        self.cls = cls
+    def __init__(self, type_name: str) -> None:
+        self.type = type_name
         self._log_ns, self._stamps_ns = array("q"), array("q")
         self._values: dict[str, array[float]] = {}
 
@@ -190,13 +188,13 @@ class _RecordedTopic:
         """Add a message; return the number of values that it takes."""
         values = (
             _extract_joint_values(message)
-            if self.cls is JointState
+            if self.type == JOINT_STATE
             else _extract_wrench_values(message)
         )
         if not self._log_ns:
             self._values = {name: array("d") for name in values}
         self._log_ns.append(log_ns)
-        self._stamps_ns.append(message.header.stamp.ns)
+        self._stamps_ns.append(to_stamp_ns(message.header))
         for name, column in self._values.items():
             column.append(values.get(name, np.nan))
         return len(self._values) + 2
@@ -212,7 +210,8 @@ class _RecordedTopic:
 
 def _extract_joint_values(message: Any) -> dict[str, float]:
     measured = {
-        what: dict(zip(message.name, getattr(message, what), strict=False)) for what in _MOTION
+        what: dict(zip(message.name, getattr(message, what).tolist(), strict=False))
+        for what in _MOTION
     }
     return {
         f"{name}/{what}": measured[what].get(name, np.nan)
@@ -239,16 +238,19 @@ def _read_topics(path: Path) -> dict[str, _RecordedTopic]:
             for number, start, end in block.messages:
                 channel = scan.channel(number)
                 schema = scan.schemas.get(channel.schema_id)
-                cls = None if schema is None else _TYPES.get(schema.name)
-                if cls is None or channel.message_encoding != "cdr":
+                if (
+                    schema is None
+                    or schema.name not in (JOINT_STATE, WRENCH_STAMPED)
+                    or channel.message_encoding != "cdr"
+                ):
                     continue
                 log_ns = MESSAGE_HEAD.unpack_from(block.content, start)[2]
                 try:
-                    message = cdr.decode(cls, block.content[start + MESSAGE_HEAD.size : end])
-                    cells += topics.setdefault(channel.topic, _RecordedTopic(cls)).add(
-                        log_ns, message
-                    )
-                except (cdr.CdrError, OverflowError) as error:
+                    data = block.content[start + MESSAGE_HEAD.size : end]
+                    message = decode(schema.name, data)
+                    topic = topics.setdefault(channel.topic, _RecordedTopic(schema.name))
+                    cells += topic.add(log_ns, message)
+                except (CdrError, OverflowError) as error:
                     raise UsageError(
                         f"{file}: a message of {channel.topic} is damaged: {error}"
                     ) from error

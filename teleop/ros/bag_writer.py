@@ -11,10 +11,8 @@ from mcap.well_known import MessageEncoding, Profile, SchemaEncoding
 from mcap.writer import Writer
 
 from teleop.errors import UsageError
-from teleop.ros import cdr
 from teleop.ros.graph import RELIABLE, Qos
-from teleop.ros.interface import find_interface, format_definition
-from teleop.ros.type_hash import compute_type_hash
+from teleop.ros.message_types import compute_type_hash, encode, format_definition
 
 VERSION = 9  # of metadata.yaml
 _INFINITE_DURATION = {"sec": 9223372036, "nsec": 854775807}
@@ -58,16 +56,17 @@ class BagWriter:
         self.close()
 
     def write(self, topic: str, message: Any, qos: Qos, log_ns: int, publish_ns: int) -> None:
-        """Add a message of a declared type."""
-        self.write_bytes(topic, type(message), cdr.encode(message), qos, log_ns, publish_ns)
+        """Add a message."""
+        data = encode(message)
+        self.write_bytes(topic, message.__msgtype__, data, qos, log_ns, publish_ns)
 
     def write_bytes(
-        self, topic: str, cls: type[Any], data: bytes, qos: Qos, log_ns: int, publish_ns: int
+        self, topic: str, type_name: str, data: bytes, qos: Qos, log_ns: int, publish_ns: int
     ) -> None:
         """Add the bytes of a message; times in ns since the Unix epoch."""
         channel = self._channels.get(topic)
         if channel is None:
-            channel = self._register(topic, cls, qos)
+            channel = self._register(topic, type_name, qos)
         self.counts[topic] += 1
         self._mcap.add_message(channel, log_ns, data, publish_ns, self.counts[topic])
         self._first_ns = min(self._first_ns or log_ns, log_ns)
@@ -85,25 +84,25 @@ class BagWriter:
         whole = {"rosbag2_bagfile_information": information}
         (self._folder / "metadata.yaml").write_text(yaml.safe_dump(whole, sort_keys=False))
 
-    def _register(self, topic: str, cls: type[Any], qos: Qos) -> int:
-        interface, profiles = find_interface(cls), [_build_qos_profile(qos)]
-        if interface.name not in self._schemas:
-            self._schemas[interface.name] = self._mcap.register_schema(
-                interface.name, SchemaEncoding.ROS2, format_definition(interface).encode()
+    def _register(self, topic: str, type_name: str, qos: Qos) -> int:
+        profiles = [_build_qos_profile(qos)]
+        if type_name not in self._schemas:
+            self._schemas[type_name] = self._mcap.register_schema(
+                type_name, SchemaEncoding.ROS2, format_definition(type_name).encode()
             )
-        schema = self._schemas[interface.name]
+        schema = self._schemas[type_name]
         metadata = {
             "offered_qos_profiles": yaml.safe_dump(profiles, sort_keys=False),
-            "topic_type_hash": compute_type_hash(cls),
+            "topic_type_hash": compute_type_hash(type_name),
         }
         channel = self._mcap.register_channel(topic, MessageEncoding.CDR, schema, metadata)
         self._channels[topic], self.counts[topic] = channel, 0
         self._topics[topic] = {
             "name": topic,
-            "type": interface.name,
+            "type": type_name,
             "serialization_format": "cdr",
             "offered_qos_profiles": profiles,
-            "type_description_hash": compute_type_hash(cls),
+            "type_description_hash": compute_type_hash(type_name),
         }
         return channel
 

@@ -25,7 +25,7 @@ from teleop.messages.page import read_field_comments
 from teleop.messages.topics import Role
 from teleop.recording.names import SCHEMA_PACKAGE
 from teleop.ros.config import RosConfig, check_ports
-from teleop.ros.interface import find_interface
+from teleop.ros.message_types import require_rosbags
 from teleop.ros.node import RosNode
 from teleop.ros.publishers import Publishers
 from teleop.runtime.output_file import OutputFolder
@@ -90,9 +90,9 @@ def format_message_file(cls: type[Message]) -> str:
     """Return the `.msg` file of a message, with units and meaning of its fields."""
     comments = read_field_comments(cls)
     lines = [f"# {line}".rstrip() for line in (inspect.getdoc(cls) or "").splitlines()]
-    for field in find_interface(cls).fields:
-        comment = comments.get(field.name, "")
-        lines.append(f"{field.text}  # {comment}" if comment else field.text)
+    for line in cls.schema.ros_definition.splitlines():
+        comment = comments.get(line.rpartition(" ")[2], "")
+        lines.append(f"{line}  # {comment}" if comment else line)
     return "\n".join(lines) + "\n"
 
 
@@ -128,6 +128,7 @@ def main(args: argparse.Namespace) -> int:
     if args.package is not None:
         print(f"wrote {write_package(args.package)}; build it with colcon")
         return 0
+    require_rosbags()
     run, config = load_section(args, RosConfig, "ros")
     check_ports(config.router, run.link)
     lower_priority()

@@ -7,64 +7,78 @@ end of the sheath as the config describes it, its x axis along the sheath and aw
 
 import math
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
 from estimator.array_types import Array
 from teleop.messages.messages import MAX_SECTIONS, Event, LoopReport, Sheath, decode_text
 from teleop.messages.topics import Role
-from teleop.ros.outputs import build_frame_name
-from teleop.ros.standard import (
-    DiagnosticArray,
-    DiagnosticStatus,
-    Header,
-    KeyValue,
-    Quaternion,
-    TFMessage,
-    Time,
-    Transform,
-    TransformStamped,
-    Vector3,
+from teleop.ros.message_types import (
+    DIAGNOSTIC_ARRAY,
+    DIAGNOSTIC_STATUS,
+    KEY_VALUE,
+    QUATERNION,
+    TF_MESSAGE,
+    TRANSFORM,
+    TRANSFORM_STAMPED,
+    VECTOR3,
+    build_header,
+    build_message,
 )
+from teleop.ros.outputs import build_frame_name
 from teleop.session.state_machine import State, to_reason
 from teleop.view.shape import compute_centreline
 
 HOUSING_SPACING_M = 0.02  # [m] between the housings of two sheaths
 
 
-def build_sheath_frames(sheaths: Mapping[int, Sheath], stamp_ns: int, prefix: str) -> TFMessage:
-    """Return the transforms of all known sheaths, by number of the tendon from 0."""
+def build_sheath_frames(sheaths: Mapping[int, Sheath], stamp_ns: int, prefix: str) -> Any:
+    """Return the transforms of all known sheaths as a TFMessage, by number of the tendon from 0."""
     found, seen = [], set[int]()
-    stamp = Time.of(stamp_ns)
 
-    def add(parent: str, child: str, place: Transform) -> None:
-        parent, child = build_frame_name(prefix, parent), build_frame_name(prefix, child)
-        found.append(TransformStamped(Header(stamp, parent), child, place))
+    def add(parent: str, child: str, place: Any) -> None:
+        header = build_header(stamp_ns, build_frame_name(prefix, parent))
+        child = build_frame_name(prefix, child)
+        found.append(
+            build_message(TRANSFORM_STAMPED, header=header, child_frame_id=child, transform=place)
+        )
 
     for tendon in sorted(sheaths):
         sheath, name = sheaths[tendon], f"sheath_{tendon + 1}"
-        add("housing", f"{name}_housing", Transform(Vector3(y=HOUSING_SPACING_M * tendon)))
+        add("housing", f"{name}_housing", build_transform(y=HOUSING_SPACING_M * tendon))
         add(f"{name}_housing", f"{name}_tip", compute_tip_transform(sheath))
         if sheath.joint not in seen:
             seen.add(sheath.joint)
-            add(f"{name}_tip", f"tip_{sheath.joint + 1}", Transform())
-    return TFMessage(tuple(found))
+            add(f"{name}_tip", f"tip_{sheath.joint + 1}", build_transform())
+    return build_message(TF_MESSAGE, transforms=found)
 
 
-def compute_tip_transform(sheath: Sheath) -> Transform:
-    """Return the place of a sheath's tip in the frame of its housing."""
+def build_transform(
+    x: float = 0.0, y: float = 0.0, z: float = 0.0, rotation: Any | None = None
+) -> Any:
+    """Return a Transform: a translation [m] and a Quaternion, None = no rotation."""
+    return build_message(
+        TRANSFORM,
+        translation=build_message(VECTOR3, x=x, y=y, z=z),
+        rotation=build_message(QUATERNION, w=1.0) if rotation is None else rotation,
+    )
+
+
+def compute_tip_transform(sheath: Sheath) -> Any:
+    """Return the place of a sheath's tip in the frame of its housing, a Transform."""
     n = min(sheath.sections, MAX_SECTIONS)
     length, radius = np.array(sheath.section_length[:n]), np.array(sheath.section_radius[:n])
     if not (length.sum() > 0.0 and np.isfinite(length).all()):
-        return Transform()
+        return build_transform()
     line = compute_centreline(length, radius, np.array([length.sum()]))
     x, y, z = line.points[-1].tolist()
     axes = np.stack([line.along, line.aside, np.cross(line.along, line.aside)], axis=1)
-    return Transform(Vector3(x, y, z), to_quaternion(axes))
+    return build_transform(x, y, z, to_quaternion(axes))
 
 
-def to_quaternion(rotation: Array) -> Quaternion:
-    """Return the unit quaternion of a rotation matrix, by the largest component (Shepperd 1978)."""
+def to_quaternion(rotation: Array) -> Any:
+    """Return the unit Quaternion of a rotation matrix, by the largest component (Shepperd 1978)."""
     trace = float(np.trace(rotation))
     squares = [trace, *np.diag(rotation).tolist()]
     largest = int(np.argmax(squares))
@@ -75,7 +89,7 @@ def to_quaternion(rotation: Array) -> Quaternion:
             (rotation[0, 2] - rotation[2, 0]) / (4 * w),
             (rotation[1, 0] - rotation[0, 1]) / (4 * w),
         )
-        return Quaternion(float(x), float(y), float(z), w)
+        return build_message(QUATERNION, x=float(x), y=float(y), z=float(z), w=w)
     i = largest - 1
     j, k = (i + 1) % 3, (i + 2) % 3
     size = math.sqrt(max(0.0, 1.0 + rotation[i, i] - rotation[j, j] - rotation[k, k])) / 2
@@ -84,7 +98,7 @@ def to_quaternion(rotation: Array) -> Quaternion:
     parts[j] = float(rotation[j, i] + rotation[i, j]) / (4 * size)
     parts[k] = float(rotation[k, i] + rotation[i, k]) / (4 * size)
     w = float(rotation[k, j] - rotation[j, k]) / (4 * size)
-    return Quaternion(parts[0], parts[1], parts[2], w)
+    return build_message(QUATERNION, x=parts[0], y=parts[1], z=parts[2], w=w)
 
 
 # --- diagnostics for ROS: the state of both sides, from their reports and events. Pure
@@ -105,8 +119,8 @@ def build_diagnostics(
     events: Mapping[Role, Event],
     now_ns: int,
     refused: str = "",
-) -> DiagnosticArray:
-    """Return the status of both sides.
+) -> Any:
+    """Return the status of both sides, a DiagnosticArray.
 
     Parameters
     ----------
@@ -125,8 +139,8 @@ def build_diagnostics(
         _build_status(session, role, reports.get(role), events.get(role), now_ns) for role in SIDES
     ]
     if refused:
-        status.append(DiagnosticStatus(WARN, "teleop: ros", refused, session))
-    return DiagnosticArray(Header(Time.of(now_ns)), tuple(status))
+        status.append(_build_status_message(WARN, "teleop: ros", refused, session))
+    return build_message(DIAGNOSTIC_ARRAY, header=build_header(now_ns), status=status)
 
 
 def _build_status(
@@ -135,22 +149,34 @@ def _build_status(
     report: tuple[LoopReport, int] | None,
     event: Event | None,
     now_ns: int,
-) -> DiagnosticStatus:
+) -> Any:
     name = f"teleop: {role.name.lower()}"
     if report is None or now_ns - report[1] > SILENT_NS:
-        return DiagnosticStatus(STALE, name, "no reports", session)
+        return _build_status_message(STALE, name, "no reports", session)
     latest = report[0]
     state, reason = State(latest.state), to_reason(latest.reason)
-    values = [
-        KeyValue("state", state.name.lower()),
-        KeyValue("rate_hz", f"{latest.rate_hz:.1f}"),
-        KeyValue("lateness_max_ms", f"{latest.lateness_max_ns * 1e-6:.3f}"),
-        *(KeyValue(key, str(getattr(latest, key))) for key in _COUNTS),
-    ]
+    values = {
+        "state": state.name.lower(),
+        "rate_hz": f"{latest.rate_hz:.1f}",
+        "lateness_max_ms": f"{latest.lateness_max_ns * 1e-6:.3f}",
+        **{key: str(getattr(latest, key)) for key in _COUNTS},
+    }
     if latest.latency_p50_ns:
-        values.append(KeyValue("latency_p50_ms", f"{latest.latency_p50_ns * 1e-6:.3f}"))
-        values.append(KeyValue("latency_p99_ms", f"{latest.latency_p99_ns * 1e-6:.3f}"))
+        values["latency_p50_ms"] = f"{latest.latency_p50_ns * 1e-6:.3f}"
+        values["latency_p99_ms"] = f"{latest.latency_p99_ns * 1e-6:.3f}"
     if event is not None:
-        values.append(KeyValue("event", decode_text(event.text)))
-    level = _LEVELS.get(state, OK)
-    return DiagnosticStatus(level, name, reason.text, session, tuple(values))
+        values["event"] = decode_text(event.text)
+    return _build_status_message(_LEVELS.get(state, OK), name, reason.text, session, values)
+
+
+def _build_status_message(
+    level: int, name: str, text: str, session: str, values: Mapping[str, str] | None = None
+) -> Any:
+    return build_message(
+        DIAGNOSTIC_STATUS,
+        level=level,
+        name=name,
+        message=text,
+        hardware_id=session,
+        values=[build_message(KEY_VALUE, key=k, value=v) for k, v in (values or {}).items()],
+    )

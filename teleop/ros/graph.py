@@ -9,12 +9,10 @@ import re
 import struct
 from dataclasses import dataclass
 from enum import Enum
-from typing import Any
 
 import xxhash
 
-from teleop.ros.interface import find_interface
-from teleop.ros.type_hash import compute_type_hash
+from teleop.ros.message_types import compute_type_hash
 
 RELIABLE, BEST_EFFORT = 1, 2  # rmw_qos_reliability_policy_e
 _ATTACHMENT = struct.Struct("<qqB16s")
@@ -57,12 +55,12 @@ class Node:
         return f"{self._entity('0')}/NN/%/%/{self.name}"
 
     def endpoint_key(
-        self, number: int, kind: EndpointKind, topic: str, cls: type[Any], qos: Qos
+        self, number: int, kind: EndpointKind, topic: str, type_name: str, qos: Qos
     ) -> str:
         """Return the key of the liveliness token of its endpoint `number`, from 1."""
         return (
             f"{self._entity(str(number))}/{kind.value}/%/%/{self.name}/{_mangle_name(topic)}/"
-            f"{to_dds_name(cls)}/{compute_type_hash(cls)}/{qos.text}"
+            f"{to_dds_name(type_name)}/{compute_type_hash(type_name)}/{qos.text}"
         )
 
     def _entity(self, number: str) -> str:
@@ -84,14 +82,14 @@ def is_name(topic: str) -> bool:
     return _NAME.fullmatch(topic) is not None
 
 
-def build_topic_key(domain: int, topic: str, cls: type[Any]) -> str:
+def build_topic_key(domain: int, topic: str, type_name: str) -> str:
     """Return the key of a topic's samples."""
-    return f"{domain}/{topic.strip('/')}/{to_dds_name(cls)}/{compute_type_hash(cls)}"
+    return f"{domain}/{topic.strip('/')}/{to_dds_name(type_name)}/{compute_type_hash(type_name)}"
 
 
-def to_dds_name(cls: type[Any]) -> str:
+def to_dds_name(type_name: str) -> str:
     """Return the name of a type on the wire: `sensor_msgs::msg::dds_::JointState_`."""
-    package, _, name = find_interface(cls).name.partition("/msg/")
+    package, _, name = type_name.partition("/msg/")
     return f"{package}::msg::dds_::{name}_"
 
 

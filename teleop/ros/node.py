@@ -1,7 +1,7 @@
 """A node in the ROS graph: its publishers and subscribers on a Zenoh session of its own."""
 
 from collections.abc import Callable
-from typing import Any, Self
+from typing import Self
 
 from teleop.link.ros_session import RosSampleSender, RosSession
 from teleop.ros import graph
@@ -37,15 +37,16 @@ class RosNode:
     def __exit__(self, *_: object) -> None:
         self._session.close()
 
-    def advertise(self, topic: str, cls: type[Any], qos: Qos) -> "RosPublisher":
+    def advertise(self, topic: str, type_name: str, qos: Qos) -> "RosPublisher":
         """Return a publisher of a topic."""
-        key = graph.build_topic_key(self._node.domain, topic, cls)
+        key = graph.build_topic_key(self._node.domain, topic, type_name)
         samples = self._session.declare_publisher(key, qos.reliability == RELIABLE)
         return RosPublisher(
-            samples, graph.compute_gid(self._announce(EndpointKind.PUBLISHER, topic, cls, qos))
+            samples,
+            graph.compute_gid(self._announce(EndpointKind.PUBLISHER, topic, type_name, qos)),
         )
 
-    def subscribe(self, topic: str, cls: type[Any], qos: Qos, receive: SampleCallback) -> None:
+    def subscribe(self, topic: str, type_name: str, qos: Qos, receive: SampleCallback) -> None:
         """Pass each sample of a topic to `receive`, in Zenoh's thread.
 
         A sample without the attachment of rmw_zenoh is not one of a ROS node, and is ignored.
@@ -57,8 +58,10 @@ class RosNode:
                 _, sent_ns, publisher = about
                 receive(data, publisher, sent_ns)
 
-        self._session.subscribe(graph.build_topic_key(self._node.domain, topic, cls), on_sample)
-        self._announce(EndpointKind.SUBSCRIBER, topic, cls, qos)
+        self._session.subscribe(
+            graph.build_topic_key(self._node.domain, topic, type_name), on_sample
+        )
+        self._announce(EndpointKind.SUBSCRIBER, topic, type_name, qos)
 
     def watch(self, changed: Callable[[GraphEndpoint, bool], None]) -> None:
         """Call `changed` with each endpoint of other nodes and whether it has come or gone."""
@@ -70,9 +73,9 @@ class RosNode:
 
         self._session.watch_tokens(f"@ros2_lv/{self._node.domain}/**", on_token)
 
-    def _announce(self, kind: EndpointKind, topic: str, cls: type[Any], qos: Qos) -> str:
+    def _announce(self, kind: EndpointKind, topic: str, type_name: str, qos: Qos) -> str:
         self._endpoints += 1
-        key = self._node.endpoint_key(self._endpoints, kind, topic, cls, qos)
+        key = self._node.endpoint_key(self._endpoints, kind, topic, type_name, qos)
         self._session.declare_token(key)
         return key
 

@@ -6,10 +6,10 @@ from typing import Any
 from teleop.link import LatestMessage, Link, ReceivedMessage
 from teleop.messages.messages import MAX_JOINTS, Event, LoopReport, Sheath, SlaveState
 from teleop.messages.topics import EVENT, REPORT, SHEATH, STATE, Role, Topic
-from teleop.ros import cdr
 from teleop.ros.command_topics import CommandTopics
 from teleop.ros.config import RosConfig
 from teleop.ros.frames import SIDES, build_diagnostics, build_sheath_frames
+from teleop.ros.message_types import encode
 from teleop.ros.node import RosNode, RosPublisher
 from teleop.ros.outputs import EVENTS, OUTPUTS, NamingContext, OutputTopic, build_topic_name
 from teleop.runtime.clock import Grid
@@ -113,7 +113,7 @@ class Publishers:
     def _put(self, name: str, output: OutputTopic, message: Any) -> None:
         publisher = self._topic(name, output)
         if publisher.wanted:
-            publisher.put(cdr.encode(message))
+            publisher.put(encode(message))
 
     def _topic(self, name: str, output: OutputTopic) -> RosPublisher:
         """Return the publisher of a topic; further joints have theirs when they are known."""

@@ -15,6 +15,7 @@ from teleop.recording.replay import print_doubts, require_present_layout
 from teleop.ros.bag_writer import BagWriter
 from teleop.ros.frames import SIDES, build_diagnostics, build_sheath_frames
 from teleop.ros.graph import is_name
+from teleop.ros.message_types import build_header, build_joint_state, require_rosbags
 from teleop.ros.outputs import (
     EVENTS,
     LIVE,
@@ -25,7 +26,6 @@ from teleop.ros.outputs import (
     build_tendon_names,
     build_topic_name,
 )
-from teleop.ros.standard import Header, JointState, Time
 from teleop.runtime.output_file import NewFolder
 
 BENCH = "slave/bench/measured_js"
@@ -40,8 +40,8 @@ def to_bench_measured(state: TendonState) -> Iterator[Sample]:
     n = min(state.tendons, len(state.bench_distal_tension))
     position, effort = state.bench_distal_displacement[:n], state.bench_distal_tension[:n]
     if n and not np.isnan((*position, *effort)).all():
-        header = Header(Time.of(state.stamp_ns))
-        yield Sample(BENCH, JointState(header, build_tendon_names(n), position, effort=effort))
+        header, names = build_header(state.stamp_ns), build_tendon_names(n)
+        yield Sample(BENCH, build_joint_state(header, names, position, effort=effort))
 
 
 class BagConverter:
@@ -152,6 +152,7 @@ def main(args: argparse.Namespace) -> int:
         raise UsageError(f"--rate {args.rate:g}: allowed are 0.01 to 10000 [Hz]")
     if args.prefix and not is_name(args.prefix):
         raise UsageError(f"--prefix {args.prefix}: must be a name such as /lab")
+    require_rosbags()
     info = open_recording(args.file)
     require_present_layout(info)
     print_doubts(info)

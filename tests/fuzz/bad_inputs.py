@@ -33,15 +33,23 @@ from mcap.writer import MCAP0_MAGIC
 from pyarrow import parquet
 
 from teleop.cli import commands
-from teleop.ros import cdr
-from teleop.ros.standard import Header, JointState, Time, Vector3, Wrench, WrenchStamped
+from teleop.ros.message_types import (
+    JOINT_STATE,
+    VECTOR3,
+    WRENCH,
+    WRENCH_STAMPED,
+    build_header,
+    build_joint_state,
+    build_message,
+    encode,
+)
 from tests.fuzz.cases import COLUMNS, CONFIGS, Fuzz, recording_bytes
 from tests.fuzz.running import HANG_CPU_S, HANG_S, check, contents, hang, load_all
 
 MEMORY_MAX = 4_000_000_000  # [bytes] of address space, beyond what Python and its packages take; compiling takes 1
+SECOND_NS = 1_000_000_000
 MODEL = ("--set", "slave.tendons=[{effective_friction: 0.5}]")
 NO_NUMBERS = ("oops", "1,5", "None", "0x10", "12:30", "true", "=1+1", "1 N", "--1", "1e", "N/A")
-JOINT = "sensor_msgs/msg/JointState"
 
 
 class BadInput(NamedTuple):
@@ -316,16 +324,17 @@ class BadInputs:
         folder.mkdir()
         kind = self.random.choice(list(BAGS))
         messages = [joint_state(k, BAGS[kind]) for k in range(40)]
-        name = JOINT if kind != "other type" else "std_msgs/msg/String"
+        name = JOINT_STATE if kind != "other type" else "std_msgs/msg/String"
         data = bag_bytes("/joint_states", name, messages)
         if kind == "bytes":
-            data = bag_bytes("/joint_states", JOINT, [self.random.randbytes(60)] * 9)
+            data = bag_bytes("/joint_states", JOINT_STATE, [self.random.randbytes(60)] * 9)
         elif kind == "long sequence":
-            head = cdr.encode(Header(Time(1, 0))) + struct.pack("<I", 1 << 31)
-            data = bag_bytes("/joint_states", JOINT, [head] * 9)
+            head = encode(build_header(SECOND_NS)) + struct.pack("<I", 1 << 31)
+            data = bag_bytes("/joint_states", JOINT_STATE, [head] * 9)
         elif kind == "wrench alone":
-            one = WrenchStamped(Header(Time(1, 0)), Wrench(Vector3(1.0, 0.0, 0.0)))
-            data = bag_bytes("/w", WrenchStamped.ros_name, [cdr.encode(one)] * 9)
+            wrench = build_message(WRENCH, force=build_message(VECTOR3, x=1.0))
+            one = build_message(WRENCH_STAMPED, header=build_header(SECOND_NS), wrench=wrench)
+            data = bag_bytes("/w", WRENCH_STAMPED, [encode(one)] * 9)
         (folder / "bag.mcap").write_bytes(data)
         about = {"rosbag2_bagfile_information": {"relative_file_paths": ["bag.mcap"]}}
         text = yaml.safe_dump(about)
@@ -338,7 +347,7 @@ class BadInputs:
     def mutated_bag(self) -> BadInput:
         messages = [joint_state(k, {}) for k in range(40)]
         path = self.folder / "bag.mcap"
-        path.write_bytes(self.mutate(bag_bytes("/joint_states", JOINT, messages)))
+        path.write_bytes(self.mutate(bag_bytes("/joint_states", JOINT_STATE, messages)))
         words = [f"--column={c}" for c in NAMED]
         return BadInput("mutated bag", self.estimate(path, *words), refused=False)
 
@@ -467,7 +476,8 @@ TEXTS = (
 
 def joint_state(k: int, changes: dict[str, tuple[float, ...]]) -> bytes:
     fields = {"position": (0.001 * k,), "effort": (1.0 + 0.1 * k,)} | changes
-    return cdr.encode(JointState(Header(Time(1000, k * 10_000_000)), ("a",), **fields))
+    header = build_header(1000 * SECOND_NS + k * 10_000_000)
+    return encode(build_joint_state(header, ("a",), **fields))
 
 
 def bag_bytes(name: str, kind: str, messages: list[bytes]) -> bytes:

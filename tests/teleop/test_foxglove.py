@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from teleop.messages.topics import STATE, TOPICS
+from teleop.ros.message_types import JOINT_STATE
 from teleop.ros.outputs import OUTPUTS
-from teleop.ros.standard import JointState
 from teleop.view.foxglove_server import FoxgloveServer
 from tests.root import ROOT
 from tests.teleop.recorded import heard
@@ -178,7 +178,7 @@ def test_the_layouts_name_what_there_is():
     for curve in tree.iter("curve"):
         topic, _, rest = curve.get("name").rpartition("/")
         if topic in outputs:
-            assert field_of(outputs[topic].type, rest), curve.get("name")
+            assert field_of(outputs[topic].source.message, rest), curve.get("name")
         else:  # /topic/joint/field, as PlotJuggler names the signals of a JointState
-            assert outputs[topic.rpartition("/")[0]].type is JointState
+            assert outputs[topic.rpartition("/")[0]].type == JOINT_STATE
             assert rest in ("position", "velocity", "effort")

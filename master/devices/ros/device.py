@@ -11,10 +11,12 @@ import subprocess
 import time
 from contextlib import suppress
 from dataclasses import asdict
+from importlib.util import find_spec
 
 from master.device import Axes, DeviceFault, DeviceLost, HandState
 from master.devices.ros.config import RosDeviceConfig
 from master.devices.ros.motion import SIZE, CommandMotion, CommandRecord
+from teleop.ros.message_types import MISSING_EXTRA
 from teleop.runtime.process import build_module_command
 
 RECORD_TIMEOUT_NS = 250_000_000  # [ns] without a record of the receiver
@@ -31,10 +33,12 @@ class RosDevice:
     Raises
     ------
     DeviceFault
-        The receiver process cannot be started.
+        `rosbags` is not installed, or the receiver process cannot be started.
     """
 
     def __init__(self, config: RosDeviceConfig) -> None:
+        if find_spec("rosbags") is None:
+            raise DeviceFault(MISSING_EXTRA)
         self.axes = config.axes
         self._config = config
         self._motion = CommandMotion(config)

@@ -21,9 +21,9 @@ from master.devices.ros.stream import CommandStream, ReceivedMessage
 from teleop.link.ros_session import is_router_listening
 from teleop.ros.command_topics import SERVO_CV, SERVO_JP, STATE_COMMAND
 from teleop.ros.graph import BEST_EFFORT, RELIABLE, Qos
+from teleop.ros.message_types import JOINT_STATE, STRING_STAMPED, TWIST_STAMPED
 from teleop.ros.node import RosNode
 from teleop.ros.outputs import build_topic_name
-from teleop.ros.standard import JointState, StringStamped, TwistStamped
 from teleop.runtime.process import StopCondition, die_with_parent, lower_priority
 
 RECORD_INTERVAL_MIN_S = 0.002  # [s] least time between two records
@@ -53,11 +53,11 @@ def run(config: RosDeviceConfig, pipe: int) -> None:
             arrivals.put_nowait((motion, ReceivedMessage(data, publisher, sent_ns, now)))
 
     servo = SERVO_JP if config.command == "servo_jp" else SERVO_CV
-    message = JointState if config.command == "servo_jp" else TwistStamped
+    message = JOINT_STATE if config.command == "servo_jp" else TWIST_STAMPED
     topic, state_topic = (build_topic_name(name, config.prefix) for name in (servo, STATE_COMMAND))
     with RosNode(config.router, config.domain, NODE) as node:
         node.subscribe(topic, message, Qos(BEST_EFFORT, 1), partial(receive, True))
-        node.subscribe(state_topic, StringStamped, Qos(RELIABLE, 10), partial(receive, False))
+        node.subscribe(state_topic, STRING_STAMPED, Qos(RELIABLE, 10), partial(receive, False))
         while not stop():
             process_messages(stream, collect_arrivals(arrivals))
             stream.step(time.monotonic_ns())

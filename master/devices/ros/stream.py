@@ -10,8 +10,13 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from master.devices.ros.config import RosDeviceConfig
-from teleop.ros import cdr
-from teleop.ros.standard import JointState, StringStamped, TwistStamped
+from teleop.ros.message_types import (
+    JOINT_STATE,
+    STRING_STAMPED,
+    TWIST_STAMPED,
+    CdrError,
+    decode,
+)
 
 _WINDOW_NS = 100_000_000  # [ns] over which messages are counted
 _BURST_S = 0.02  # [s] of motion that may arrive at once: one period at 50 Hz, the slowest stream
@@ -75,8 +80,8 @@ class CommandStream:
     def state_command(self, data: bytes, now_ns: int) -> None:
         """Take a command of state at `now_ns` [ns]."""
         try:
-            word = cdr.decode(StringStamped, data).string
-        except cdr.CdrError as error:
+            word = decode(STRING_STAMPED, data).string
+        except CdrError as error:
             self.engage, self.fault = False, f"ROS state_command: invalid message: {error}"
             return
         if word in _DISABLE:
@@ -103,7 +108,7 @@ class CommandStream:
         """Take a command, or fail."""
         try:
             values = self._decode(sample.data)
-        except cdr.CdrError as error:
+        except CdrError as error:
             self._fail(f"invalid message: {error}")
             return
         wrong = self._wrong_sender(sample) or self._wrong_values(values, sample.received_ns)
@@ -129,8 +134,8 @@ class CommandStream:
 
     def _decode(self, data: bytes) -> tuple[float, ...]:
         if self.config.command == "servo_jp":
-            return cdr.decode(JointState, data).position
-        linear = cdr.decode(TwistStamped, data).twist.linear
+            return tuple(decode(JOINT_STATE, data).position.tolist())
+        linear = decode(TWIST_STAMPED, data).twist.linear
         return (linear.x, linear.y, linear.z)[: self.config.axes]
 
     def _wrong_sender(self, sample: ReceivedMessage) -> str:

@@ -16,10 +16,16 @@ from master.devices.ros.device import RosDevice
 from teleop.launch.supervisor import wait_for_condition
 from teleop.messages.messages import Event, decode_text
 from teleop.messages.topics import COMMAND, EVENT, STATE
-from teleop.ros import cdr
 from teleop.ros.graph import BEST_EFFORT, RELIABLE, Qos
+from teleop.ros.message_types import (
+    JOINT_STATE,
+    STRING_STAMPED,
+    build_header,
+    build_joint_state,
+    build_message,
+    encode,
+)
 from teleop.ros.node import RosNode
-from teleop.ros.standard import JointState, StringStamped
 from teleop.session.state_machine import State
 from tests.root import ROOT
 from tests.system.processes import START_S, Processes
@@ -34,8 +40,8 @@ class Operator:
 
     def __init__(self, node):
         self._node = node
-        self.servo = node.advertise("/master/servo_jp", JointState, Qos(BEST_EFFORT, 1))
-        self._state = node.advertise("/master/state_command", StringStamped, Qos(RELIABLE, 10))
+        self.servo = node.advertise("/master/servo_jp", JOINT_STATE, Qos(BEST_EFFORT, 1))
+        self._state = node.advertise("/master/state_command", STRING_STAMPED, Qos(RELIABLE, 10))
         self.begin_s = 0.0
         self.send = self.hold
         self._over = threading.Event()
@@ -50,25 +56,25 @@ class Operator:
         self._thread.join()
 
     def hold(self):
-        return JointState(position=(0.0,))
+        return build_joint_state(build_header(0), position=(0.0,))
 
     def wave(self):
         """From where it held, to 10 mm and back."""
         phase = 3 * (time.monotonic() - self.begin_s)
-        return JointState(position=(0.005 * (1 - math.cos(phase)),))
+        return build_joint_state(build_header(0), position=(0.005 * (1 - math.cos(phase)),))
 
     def move(self):
         self.begin_s = time.monotonic()
         self.send = self.wave
 
     def say(self, word):
-        self._state.put(cdr.encode(StringStamped(string=word)))
+        self._state.put(encode(build_message(STRING_STAMPED, string=word)))
 
     def _run(self):
         while not self._over.wait(0.01):
             message = self.send()
             if message is not None:
-                self.servo.put(cdr.encode(message))
+                self.servo.put(encode(message))
 
 
 @contextmanager
@@ -139,13 +145,17 @@ def test_a_ros_node_moves_the_tip_and_no_wrong_command_does(tmp_path):
         assert wait_for_condition(moved, PATIENCE_S), texts(events)
 
         def flood():
-            data = cdr.encode(operator.wave())
+            data = encode(operator.wave())
             for _ in range(400):
                 operator.servo.put(data)
 
         wrong = {
-            "joint 1 is not finite": lambda: JointState(position=(math.nan,)),
-            "3 joints, must be 1": lambda: JointState(position=(0.0, 0.0, 0.0)),
+            "joint 1 is not finite": lambda: build_joint_state(
+                build_header(0), position=(math.nan,)
+            ),
+            "3 joints, must be 1": lambda: build_joint_state(
+                build_header(0), position=(0.0, 0.0, 0.0)
+            ),
             "silent for 0.5 s": lambda: None,
             "flood of more than": flood,
         }

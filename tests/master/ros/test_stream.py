@@ -9,8 +9,16 @@ from hypothesis import strategies as st
 from master.devices.ros.config import RosDeviceConfig
 from master.devices.ros.motion import SIZE, CommandRecord
 from master.devices.ros.stream import CommandStream, ReceivedMessage
-from teleop.ros import cdr
-from teleop.ros.standard import JointState, StringStamped, Twist, TwistStamped, Vector3
+from teleop.ros.message_types import (
+    STRING_STAMPED,
+    TWIST,
+    TWIST_STAMPED,
+    VECTOR3,
+    build_header,
+    build_joint_state,
+    build_message,
+    encode,
+)
 
 MS = 1_000_000
 BEGIN = 10**12
@@ -19,11 +27,12 @@ OFFSET = 7 * 10**15  # of the sender's clock
 
 
 def joints(*positions):
-    return cdr.encode(JointState(position=positions))
+    return encode(build_joint_state(build_header(0), position=positions))
 
 
 def twist(x, y=0.0):
-    return cdr.encode(TwistStamped(twist=Twist(linear=Vector3(x, y))))
+    twist = build_message(TWIST, linear=build_message(VECTOR3, x=x, y=y))
+    return encode(build_message(TWIST_STAMPED, twist=twist))
 
 
 def sample(data, at_ms, publisher=ONE, late_ms=0):
@@ -32,7 +41,7 @@ def sample(data, at_ms, publisher=ONE, late_ms=0):
 
 
 def command(stream, word, at_ms):
-    stream.state_command(cdr.encode(StringStamped(string=word)), BEGIN + at_ms * MS)
+    stream.state_command(encode(build_message(STRING_STAMPED, string=word)), BEGIN + at_ms * MS)
 
 
 def engaged(**config):

@@ -27,11 +27,17 @@ from teleop.messages.messages import (
 from teleop.messages.topics import COMMAND, EVENT, HAND, REPORT, SHEATH, STATE, TENDONS, Role
 from teleop.recording.config import RecordConfig
 from teleop.recording.writer import RecordingWriter
-from teleop.ros import standard
-from teleop.ros.interface import find_interface
-from teleop.ros.standard import JointState, WrenchStamped
+from teleop.ros.message_types import (
+    VECTOR3,
+    WRENCH,
+    WRENCH_STAMPED,
+    build_header,
+    build_joint_state,
+    build_message,
+    encode,
+    typestore,
+)
 from tests.teleop.recorded import START_NS
-from tests.teleop.ros.values import as_theirs, typestore
 
 MS = 1_000_000
 NAN = float("nan")
@@ -150,7 +156,6 @@ class Foreign:
     """A bag written by `rosbags`."""
 
     def __init__(self, path, plugin=StoragePlugin.MCAP):
-        self._store = typestore()
         self._writer = Writer(path, version=9, storage_plugin=plugin)
         self._connections = {}
 
@@ -162,24 +167,28 @@ class Foreign:
         self._writer.close()
 
     def write(self, topic, message, at_s):
-        interface = find_interface(type(message))
         if topic not in self._connections:
-            connection = self._writer.add_connection(topic, interface.name, typestore=self._store)
-            self._connections[topic] = connection
-        data = self._store.serialize_cdr(as_theirs(self._store, interface, message), interface.name)
-        self._writer.write(self._connections[topic], START_NS + round(at_s * 1e9), data)
+            self._connections[topic] = self._writer.add_connection(
+                topic, message.__msgtype__, typestore=typestore()
+            )
+        stamp_ns = START_NS + round(at_s * 1e9)
+        self._writer.write(self._connections[topic], stamp_ns, encode(message))
 
 
 def header(at_s):
-    return standard.Header(standard.Time.of(START_NS + round(at_s * 1e9)))
+    return build_header(START_NS + round(at_s * 1e9))
 
 
 def joint_state(at_s, *efforts, names=("cable", "other")):
-    return JointState(header(at_s), names[: len(efforts)], (at_s,) * len(efforts), effort=efforts)
+    position = (at_s,) * len(efforts)
+    return build_joint_state(header(at_s), names[: len(efforts)], position, effort=efforts)
 
 
 def wrench(at_s, x):
-    return WrenchStamped(header(at_s), standard.Wrench(standard.Vector3(x, 0.0, 2 * x)))
+    force = build_message(VECTOR3, x=x, z=2 * x)
+    return build_message(
+        WRENCH_STAMPED, header=header(at_s), wrench=build_message(WRENCH, force=force)
+    )
 
 
 def named(joint, topic="/motor/joint_states", **others):
@@ -216,7 +225,7 @@ def test_an_estimate_is_never_taken_for_a_measurement(tmp_path):
 def test_without_stamps_the_times_of_the_bag_count(tmp_path):
     with Foreign(tmp_path / "lab") as bag:
         for k in range(5):
-            message = JointState(name=("a",), position=(0.0,), effort=(1.0 * k,))
+            message = build_joint_state(build_header(0), ("a",), (0.0,), effort=(1.0 * k,))
             bag.write("/joint_states", message, k * 0.5)
     table = read_table(tmp_path / "lab", named("a", "/joint_states"))
     np.testing.assert_allclose(table.time, np.arange(5) * 0.5)
@@ -312,7 +321,7 @@ def test_a_joint_state_is_not_taken_for_metres_and_newtons_unasked(pull, capsys)
 def test_efforts_that_no_message_has_are_said_to_be_empty(tmp_path, capsys):
     with Foreign(tmp_path / "lab") as bag:
         for k in range(5):
-            message = JointState(header(k * 0.1), ("a",), (0.1 * k,))
+            message = build_joint_state(header(k * 0.1), ("a",), (0.1 * k,))
             bag.write("/joint_states", message, k * 0.1)
     code, (said,) = answer([tmp_path / "lab"], capsys)
     assert code == 2

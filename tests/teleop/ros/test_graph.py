@@ -1,22 +1,13 @@
 """Keys, tokens, ids and attachments, against what rmw_zenoh documents and others implement."""
 
-import dataclasses
-from typing import ClassVar
-
 import pytest
 
 from teleop.ros import graph
 from teleop.ros.graph import BEST_EFFORT, EndpointKind, Node, Qos
-from teleop.ros.interface import Text
-from teleop.ros.standard import JointState
+from teleop.ros.message_types import JOINT_STATE
 
+STRING = "std_msgs/msg/String"
 STRING_HASH = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"
-
-
-@dataclasses.dataclass(frozen=True)
-class String:
-    ros_name: ClassVar[str] = "std_msgs/msg/String"
-    data: Text = ""
 
 
 @pytest.fixture
@@ -26,11 +17,11 @@ def talker():
 
 def test_keys_are_those_of_the_design_page_of_rmw_zenoh(talker):
     """Source: github.com/ros2/rmw_zenoh, docs/design.md, "Graph Cache"."""
-    assert graph.build_topic_key(0, "/chatter", String) == (
+    assert graph.build_topic_key(0, "/chatter", STRING) == (
         f"0/chatter/std_msgs::msg::dds_::String_/{STRING_HASH}"
     )
     assert talker.key == "@ros2_lv/2/aac3178e146ba6f1fc6e6a4085e77f21/0/0/NN/%/%/talker"
-    key = talker.endpoint_key(10, EndpointKind.PUBLISHER, "/chatter", String, Qos())
+    key = talker.endpoint_key(10, EndpointKind.PUBLISHER, "/chatter", STRING, Qos())
     assert key == (
         "@ros2_lv/2/aac3178e146ba6f1fc6e6a4085e77f21/0/10/MP/%/%/talker/%chatter/"
         f"std_msgs::msg::dds_::String_/{STRING_HASH}/::,10:,:,:,,"
@@ -39,7 +30,7 @@ def test_keys_are_those_of_the_design_page_of_rmw_zenoh(talker):
 
 def test_an_endpoint_is_read_back_from_its_token(talker):
     qos = Qos(BEST_EFFORT, 100)
-    key = talker.endpoint_key(3, EndpointKind.SUBSCRIBER, "/lab/measured_js", JointState, qos)
+    key = talker.endpoint_key(3, EndpointKind.SUBSCRIBER, "/lab/measured_js", JOINT_STATE, qos)
     assert key.endswith("/2::,100:,:,:,,")
     assert graph.parse_endpoint(key) == graph.GraphEndpoint(
         "/talker", EndpointKind.SUBSCRIBER, "/lab/measured_js", "sensor_msgs/msg/JointState"

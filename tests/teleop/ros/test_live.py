@@ -12,13 +12,12 @@ from teleop.messages.messages import Hand, LoopReport, Sheath, SlaveState, Tendo
 from teleop.messages.topics import COMMAND, HAND, REPORT, SHEATH, STATE, TENDONS, Role
 from teleop.ros.config import RosConfig
 from teleop.ros.graph import RELIABLE, Qos
+from teleop.ros.message_types import JOINT_STATE, typestore
 from teleop.ros.node import RosNode
 from teleop.ros.publishers import Publishers
-from teleop.ros.standard import JointState
 from teleop.session.state_machine import State
 from tests.teleop.recorded import free_link
 from tests.teleop.ros.peers import Heard, peer, router
-from tests.teleop.ros.values import typestore
 
 PATIENCE_S = 20.0
 
@@ -79,7 +78,7 @@ def heard():
     ):
         heard = Heard(other)
         publishers = Publishers(link, node, config, said.append)
-        intruder.advertise("/lab/master/servo_jp", JointState, Qos(RELIABLE, 10))
+        intruder.advertise("/lab/master/servo_jp", JOINT_STATE, Qos(RELIABLE, 10))
         begin = time.monotonic()
 
         def enough():

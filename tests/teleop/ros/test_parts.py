@@ -15,7 +15,7 @@ from teleop.messages.messages import MESSAGES, Sheath, pad_values
 from teleop.ros.command import build_package_files
 from teleop.ros.config import RosConfig, check_ports
 from teleop.ros.frames import compute_tip_transform, to_quaternion
-from tests.teleop.ros.values import typestore
+from teleop.ros.message_types import typestore
 
 
 @pytest.mark.parametrize(

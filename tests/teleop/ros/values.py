@@ -1,82 +1,64 @@
-"""Values for every declared type, and the same types as `rosbags` knows them."""
+"""Random values for every type that is sent or read, and messages as plain numbers."""
 
 import dataclasses
-from functools import cache
+import re
 from typing import Any
 
 import numpy as np
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-from rosbags.typesys.store import Typestore
+from rosbags.interfaces import Nodetype
 
 from teleop.messages.messages import MESSAGES
-from teleop.ros import standard
-from teleop.ros.interface import Field, Interface, find_interface
+from teleop.ros import message_types
+from teleop.ros.message_types import build_message, to_type_name, typestore
 
-STANDARD = tuple(cls for cls in vars(standard).values() if hasattr(cls, "ros_name"))
-TYPES = (*STANDARD, *MESSAGES)
-
-
-@cache
-def typestore() -> Typestore:
-    """`rosbags` with the types of Jazzy, which it brings along, and those of other packages."""
-    store = get_typestore(Stores.ROS2_JAZZY)
-    for cls in TYPES:
-        interface = find_interface(cls)
-        if interface.name not in store.fielddefs:
-            store.register(get_types_from_msg(interface.text, interface.name))
-    return store
+STANDARD = tuple(
+    value
+    for key, value in vars(message_types).items()
+    if key.isupper() and re.fullmatch(r"\w+/msg/\w+", str(value))
+)
+TYPES = (*STANDARD, *map(to_type_name, MESSAGES))
 
 
-def value_of(cls: type, rng: np.random.Generator) -> Any:
+def value_of(name: str, rng: np.random.Generator) -> Any:
     """A message with a value of its own in every field; sequences of 0 to 4 elements."""
-    interface = find_interface(cls)
-    return cls(**{field.name: _value(field, rng) for field in interface.fields})
+    fields = typestore().fielddefs[name][1]
+    return build_message(
+        name, **{field: _value(kind, detail, rng) for field, (kind, detail) in fields}
+    )
 
 
-def _value(field: Field, rng: np.random.Generator) -> Any:
-    if field.count is None:
-        return _one(field, rng)
-    count = field.count or int(rng.integers(0, 5))
-    return tuple(_one(field, rng) for _ in range(count))
-
-
-def _one(field: Field, rng: np.random.Generator) -> Any:
-    if field.nested is not None:
-        return value_of(field.nested.cls, rng)
-    if field.type == "string":
+def _value(kind: Nodetype, detail: Any, rng: np.random.Generator) -> Any:
+    if kind == Nodetype.NAME:
+        return value_of(detail, rng)
+    if kind != Nodetype.BASE:  # a sequence or an array
+        inner, count = detail
+        values = [_value(*inner, rng) for _ in range(count or int(rng.integers(0, 5)))]
+        number = inner[0] == Nodetype.BASE and inner[1][0] != "string"
+        return np.array(values, _dtype(inner[1][0])) if number else values
+    if detail[0] == "string":
         return "".join(rng.choice(list("aé_/ 1"), int(rng.integers(0, 9))))
-    if field.type == "bool":
+    if detail[0] == "bool":
         return bool(rng.integers(2))
-    if field.type.startswith("float"):
+    dtype = _dtype(detail[0])
+    if dtype.kind == "f":
         return float(rng.normal())
-    dtype = np.dtype("i1" if field.type == "byte" else field.type)  # as `rosbags` has it
-    return int(rng.integers(0, np.iinfo(dtype).max, dtype=dtype))
+    return int(rng.integers(np.iinfo(dtype).max, dtype=dtype))
 
 
-def as_theirs(store: Typestore, interface: Interface, message: Any) -> Any:
-    """The message as `rosbags` has it."""
-    values = {}
-    for field in interface.fields:
-        value = getattr(message, field.name)
-        if field.nested is not None:
-            nested = field.nested
-            value = (
-                as_theirs(store, nested, value)
-                if field.count is None
-                else [as_theirs(store, nested, item) for item in value]
-            )
-        elif field.count is not None and field.type != "string":
-            value = np.array(value, dtype=field.type)
-        values[field.name] = value
-    return store.types[interface.name](**values)
+def _dtype(name: str) -> np.dtype[Any]:
+    return np.dtype("i1" if name == "byte" else name)  # as `rosbags` has it
 
 
 def as_tree(message: Any) -> Any:
-    """A message of either kind as lists and plain numbers."""
+    """A message as lists and plain numbers."""
     if dataclasses.is_dataclass(message):
         names = (field.name for field in dataclasses.fields(message))
         # without the type's name and constants, which `rosbags` has as fields
         return {n: as_tree(getattr(message, n)) for n in names if n[0].islower()}
+    if hasattr(message, "__slots__") and not isinstance(message, np.ndarray):  # of `mcap_ros2`
+        return {n: as_tree(getattr(message, n)) for n in message.__slots__}
     if isinstance(message, np.ndarray):
         return message.tolist()
+    if isinstance(message, bytes):
+        return list(message)
     return [as_tree(one) for one in message] if isinstance(message, list | tuple) else message
