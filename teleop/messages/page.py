@@ -1,6 +1,6 @@
-"""Generate the docs page of topics and messages from the declarations.
+"""Generate the page of topics and messages from the declarations.
 
-python -m teleop.messages.page > docs/messages.md
+`python -m teleop.messages.page` prints it, and `make docs` puts it into the site as messages.md.
 """
 
 import inspect
@@ -32,7 +32,7 @@ _INTRODUCTION = """\
 # Topics and messages
 
 Generated from `teleop/messages/messages.py` and `teleop/messages/topics.py` by
-`python -m teleop.messages.page`; do not edit.
+`python -m teleop.messages.page`.
 
 | | |
 |---|---|

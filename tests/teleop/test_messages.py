@@ -4,7 +4,6 @@ import re
 import struct
 import zlib
 from dataclasses import fields
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -205,10 +204,3 @@ def test_the_checksum_of_the_docs_is_that_of_every_message() -> None:
         message[4:8] = b"\0\0\0\0"
         scope["seal"](cls.__name__, message)
         assert message == data
-
-
-def test_the_page_in_the_docs_is_current() -> None:
-    path = Path(__file__).parents[2] / "docs" / "messages.md"
-    assert path.read_text() == format_page(), (
-        "run: python -m teleop.messages.page > docs/messages.md"
-    )

@@ -1,17 +1,16 @@
-"""A stranger who has only docs/messages.md writes valid messages: nothing of ours builds them."""
+"""A stranger who has only the page writes valid messages: nothing of ours builds them."""
 
 import random
 import re
 import struct
 import zlib
-from pathlib import Path
 
 import pytest
 
 from teleop.messages import messages
+from teleop.messages.page import format_page
 from teleop.messages.topics import TOPICS
 
-PAGE = Path(__file__).parents[2] / "docs" / "messages.md"
 PLACED = re.compile(r"\| (\d+) \| `(\w+)` \| (\w+)(?:\[(\d+)\])? \|")  # byte, field, type, count
 HEX = re.compile(r"^[0-9a-f]{4}  ((?:[0-9a-f]{2} ?)+)$", re.MULTILINE)
 
@@ -60,7 +59,7 @@ class Stranger:
 
 @pytest.fixture(scope="module")
 def stranger():
-    return Stranger(PAGE.read_text())
+    return Stranger(format_page())
 
 
 def random_value(draw, code):

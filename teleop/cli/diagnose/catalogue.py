@@ -1,11 +1,9 @@
-"""Generate the catalogue of effects, the last table of docs/diagnosis.md.
+"""Generate the catalogue of effects as a table.
 
-python -m teleop.cli.diagnose.catalogue docs/diagnosis.md
+`python -m teleop.cli.diagnose.catalogue` prints it, and `make docs` puts it into diagnosis.md.
 """
 
-import sys
 from collections.abc import Callable, Iterable, Sequence
-from pathlib import Path
 
 from estimator.effects import CATALOGUE, NAMES, Effect, Parameter
 
@@ -57,11 +55,5 @@ def _format_parameter(parameter: Parameter) -> str:
     return f"{parameter.name} {parameter.low:g} to {parameter.high:g}{unit}"
 
 
-def replace_table(page: str) -> str:
-    """Return a page with the table at its end replaced."""
-    return page[: page.index("| " + " | ".join(TABLE_HEAD))] + format_catalogue() + "\n"
-
-
 if __name__ == "__main__":
-    path = Path(sys.argv[1])
-    path.write_text(replace_table(path.read_text()))
+    print(format_catalogue())

@@ -10,7 +10,6 @@ from estimator.diagnosis.outcome import Verdict
 from estimator.diagnosis.record import prepare_record
 from estimator.effects import Effect
 from teleop.cli import commands
-from teleop.cli.diagnose import catalogue
 from teleop.cli.diagnose.options import parse_effects
 from tests.studies import hidden
 
@@ -21,13 +20,6 @@ PAGE = DOCS / "diagnosis.md"
 def block(language):
     (text,) = re.findall(rf"^```{language}\n(.*?)^```", PAGE.read_text(), re.M | re.S)
     return text
-
-
-def test_the_catalogue_of_the_page_is_that_of_the_estimator():
-    page = PAGE.read_text()
-    assert page == catalogue.replace_table(page), (
-        "run: python -m teleop.cli.diagnose.catalogue docs/diagnosis.md"
-    )
 
 
 def test_pictures_of_the_page_are_there():

@@ -1,0 +1,23 @@
+"""What `make docs` generates: the page messages.md and the catalogue of effects in diagnosis.md.
+
+A hook of mkdocs (`hooks` in mkdocs.yml); nothing is written beside the site.
+"""
+
+from mkdocs.config.defaults import MkDocsConfig
+from mkdocs.structure.files import File, Files
+
+from teleop.cli.diagnose.catalogue import format_catalogue
+from teleop.messages.page import format_page
+
+CATALOGUE_MARK = "<!-- catalogue of effects -->"
+
+
+def on_files(files: Files, config: MkDocsConfig) -> Files:
+    """Add the page of topics and messages."""
+    files.append(File.generated(config, "messages.md", content=format_page()))
+    return files
+
+
+def on_page_markdown(markdown: str, **_: object) -> str:
+    """Put the catalogue of effects in the place of its mark."""
+    return markdown.replace(CATALOGUE_MARK, format_catalogue())
