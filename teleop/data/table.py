@@ -17,6 +17,7 @@ from estimator.array_types import Array
 from estimator.units import LINEAR, Units
 from teleop.config.suggestions import suggest_spelling
 from teleop.data import channel_names
+from teleop.data.column_units import convert_to_si, split_unit
 from teleop.data.table_files import Column, RawTable, check_destination, read_columns, write_columns
 from teleop.errors import UsageError
 from teleop.runtime.process import print_warning
@@ -172,7 +173,10 @@ def read_tables(
     A row omitted for one tendon is omitted for all.
     """
     raw = read_columns(path)
-    told = [_split_column_units(raw, columns) for columns in tendons]
+    told = [
+        {item: split_unit(name, raw.columns) for item, name in columns.names().items()}
+        for columns in tendons
+    ]
     tendons = [
         replace(c, **{k: name for k, (name, _) in t.items()})
         for c, t in zip(tendons, told, strict=True)
@@ -182,7 +186,7 @@ def read_tables(
     claimed = {name for columns in tendons for name in columns.names().values()}
     found = [_find_columns(path, raw, columns, claimed) for columns in tendons]
     numbers = {name: _parse_column(path, raw, name) for names in found for name in names.values()}
-    converted = _convert_to_si(path, numbers, found, told, units)
+    converted = convert_to_si(path, numbers, found, told, units)
     rows = len(numbers[tendons[0].time])
     if rows == 0:
         raise UsageError(f"{path}: has a header but no rows")
@@ -209,34 +213,6 @@ def read_tables(
     for line in converted:
         print_warning(line)
     return tuple(tables)
-
-
-def _split_column_units(raw: RawTable, columns: Columns) -> dict[str, tuple[str, str]]:
-    """Return field -> column name without its unit, and the unit; "" where none is told."""
-    return {
-        item: channel_names.split_unit(name, raw.columns) for item, name in columns.names().items()
-    }
-
-
-def _convert_to_si(
-    path: Path,
-    numbers: dict[str, Array],
-    found: Sequence[Mapping[str, str]],
-    told: Sequence[Mapping[str, tuple[str, str]]],
-    units: Units,
-) -> list[str]:
-    """Convert columns to SI units, in place; return what was converted, one line each."""
-    factors: dict[str, tuple[str, float]] = {}
-    for names, told_of in zip(found, told, strict=True):
-        for item, name in names.items():
-            unit = told_of[item][1]
-            factors[name] = channel_names.find_unit_factor(path, name, item, units, unit)
-    lines = []
-    for name, (unit, factor) in factors.items():
-        if factor != 1.0:
-            numbers[name] = factor * numbers[name]
-            lines.append(f"{path}: column {name!r} is in {unit}: converted to SI units")
-    return lines
 
 
 def write_table(path: Path, columns: Mapping[str, Column]) -> None:
