@@ -13,13 +13,19 @@ Noise of T_in moves K by some tenths of a per cent (section 9), which the interv
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import minimize_scalar
 
 from estimator.array_types import Array
+from estimator.fitting import (
+    COVERAGE_FACTOR,
+    IntervalEstimate,
+    build_interval,
+    compute_residual_variance,
+    estimate_correlation,
+)
 from estimator.law.sheath import Sheath
 from estimator.law.transmission import build_slack_profile, build_tables, simulate_tensions
 
@@ -31,19 +37,10 @@ RMSE_SHARE_MAX = 0.05
 
 _LARGEST_K = 4.0
 _SAMPLES_MIN = 50
-_COVERAGE_FACTOR = 1.96  # standard deviations of the normal distribution on each side of 95 %
 
 
 class IdentificationError(ValueError):
     """A record that cannot be fitted; the message says what is missing and what to do."""
-
-
-class Parameter(NamedTuple):
-    """A fitted value and its 95 % interval, from the residual's scatter and autocorrelation."""
-
-    value: float
-    low: float
-    high: float
 
 
 @dataclass(frozen=True)
@@ -68,7 +65,7 @@ class FitResult:
         One line that justifies `accept`.
     """
 
-    parameters: dict[str, Parameter]
+    parameters: dict[str, IntervalEstimate]
     rmse: float
     residuals: Array
     n: int
@@ -186,23 +183,15 @@ def _search_friction(cost: Callable[[float], float]) -> float:
 
 
 def _compute_covariance(slopes: Array, residuals: Array) -> Array:
-    """Return the covariance of least squares, residuals counted as the fewer they amount to.
-
-    Neighbouring residuals of a hysteresis model repeat each other; with their correlation r from
-    one sample to the next, n of them carry what n (1 - r)/(1 + r) independent ones would.
-    """
-    centred = residuals - residuals.mean()
-    power = float(centred @ centred)
-    r = float(centred[1:] @ centred[:-1]) / power if power > 0.0 else 0.0
-    r = min(max(r, 0.0), 0.9999)
-    degrees = max(len(residuals) - slopes.shape[1] - 1, 1)
-    variance = float(residuals @ residuals) / degrees * (1.0 + r) / (1.0 - r)
+    """Return the covariance of least squares, residuals counted as the fewer they amount to."""
+    variance = compute_residual_variance(
+        residuals, len(residuals) - slopes.shape[1] - 1, estimate_correlation(residuals)
+    )
     return np.asarray(np.linalg.pinv(slopes.T @ slopes) * variance)
 
 
-def _compute_interval(value: float, variance: float) -> Parameter:
-    half = _COVERAGE_FACTOR * math.sqrt(max(variance, 0.0))
-    return Parameter(value, max(value - half, 0.0), value + half)
+def _compute_interval(value: float, variance: float) -> IntervalEstimate:
+    return build_interval(value, COVERAGE_FACTOR * math.sqrt(max(variance, 0.0)), 0.0)
 
 
 def _compute_rms(residuals: Array) -> float:

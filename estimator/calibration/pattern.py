@@ -12,7 +12,6 @@ from least squares, and only the ends of the intervals, of which the last is K, 
 """
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -21,6 +20,7 @@ from numpy.typing import NDArray
 
 from estimator.array_types import Array
 from estimator.calibration.blocked_loop import BlockedLoop
+from estimator.fitting import compute_central_differences, minimise_squares
 from estimator.law.sheath import Section, Sheath
 
 LARGEST_K = 3.0
@@ -257,19 +257,18 @@ class PatternLeastSquares:
         def residual(x: Array) -> Array:
             return self._solve(self._play.columns(shape._replace(ends=ends(x))))[0]
 
-        from scipy.optimize import least_squares
-
-        found = least_squares(
+        found = minimise_squares(
             residual,
             free,
-            bounds=(math.log(LEAST_STEP) - 1e-6, math.log(LARGEST_K)),
+            math.log(LEAST_STEP) - 1e-6,
+            math.log(LARGEST_K),
             diff_step=_RELATIVE_STEP,
             x_scale=1.0,
             xtol=1e-4,
             ftol=1e-5,
             max_nfev=evaluations,
         )
-        return self._fitted(shape._replace(ends=ends(found.x)))
+        return self._fitted(shape._replace(ends=ends(found.values)))
 
     def refine(self, fit: PatternFit) -> tuple[PatternFit, Uncertainty]:
         """Move the turning tensions and the zero too; return the fit and what noise leaves open."""
@@ -288,21 +287,20 @@ class PatternLeastSquares:
             [_ENDS_RANGE, _TURNS_RANGE, _ZERO_RANGE * self._zero_uncertainty],
             [n, len(self._turns), 1],
         )
-        from scipy.optimize import least_squares
-
-        found = least_squares(
+        found = minimise_squares(
             residual,
             start,
-            jac=lambda x: _compute_jacobian(residual, x, steps),
+            start - room,
+            start + room,
+            jac=lambda x: compute_central_differences(residual, x, steps),
             x_scale="jac",
-            bounds=(start - room, start + room),
             max_nfev=10,
         )
-        best = np.asarray(found.x)
-        covariance = np.linalg.pinv(found.jac.T @ found.jac)
+        best = found.values
+        covariance = np.linalg.pinv(found.jacobian.T @ found.jacobian)
         K_by = np.zeros(len(best))
         K_by[:n] = np.exp(best[:n])  # K is the sum of the intervals
-        C_by = _compute_jacobian(lambda x: solve(x)[1].sum(keepdims=True), best, steps)[0]
+        C_by = compute_central_differences(lambda x: solve(x)[1].sum(keepdims=True), best, steps)[0]
         self.state = np.exp(best[n:-1]), float(best[-1])
         refined = self._fitted(fit.shape._replace(ends=_from_logs(best[:n])))
         linear = self._linear_variance(refined)
@@ -356,13 +354,6 @@ class PatternLeastSquares:
             tuple(shape.ends.tolist()), tuple(x[:n].tolist()), tuple(straight.tolist())
         )
         return PatternFit(shape, pattern, float(residual @ residual))
-
-
-def _compute_jacobian(function: Callable[[Array], Array], x: Array, steps: Array) -> Array:
-    """Return the derivative of `function`, one column for each entry of `x`."""
-    return np.column_stack(
-        [(function(x + h) - function(x - h)) / (2.0 * float(h.sum())) for h in np.diag(steps)]
-    )
 
 
 def _to_logs(ends: Array) -> Array:

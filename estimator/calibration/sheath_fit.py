@@ -19,10 +19,10 @@ from estimator.calibration.calibration import (
 from estimator.calibration.identification import (
     FitResult,
     IdentificationError,
-    Parameter,
     fit_bench,
     fit_blocked_tip,
 )
+from estimator.fitting import COVERAGE_FACTOR, IntervalEstimate, build_interval
 from estimator.law.sheath import Sheath
 from estimator.measured_data import MeasuredData, Samples
 from estimator.online.estimator import Estimator
@@ -37,7 +37,6 @@ from estimator.plausibility import (
 from estimator.spikes import remove_spikes
 
 AXIAL_STIFFNESS = 9000.0  # [N] where the data do not tell EA: the tendon of Phee et al. 2009
-COVERAGE_FACTOR = 1.96  # standard uncertainties on each side of 95 %
 ROWS_MIN = 20
 LENGTH_MAX = 100.0  # [m]
 SMOOTHING_WINDOW = 9  # samples, where the loop's turns are looked for
@@ -71,7 +70,7 @@ class SheathFit:
 
     model: TendonModel
     method: str
-    parameters: Mapping[str, Parameter]
+    parameters: Mapping[str, IntervalEstimate]
     accept: bool
     reason: str
 
@@ -81,12 +80,12 @@ class SheathFit:
         return self.model.sheath
 
     @property
-    def K(self) -> Parameter:  # noqa: N802 (the paper's symbol)
+    def K(self) -> IntervalEstimate:  # noqa: N802 (the paper's symbol)
         """Effective friction of the whole sheath, with its 95 % interval."""
         return self.parameters["K"]
 
     @property
-    def EA(self) -> Parameter | None:  # noqa: N802 (the paper's symbol)
+    def EA(self) -> IntervalEstimate | None:  # noqa: N802 (the paper's symbol)
         """Axial stiffness [N] with its 95 % interval; None where the data do not tell it."""
         return self.parameters.get("EA")
 
@@ -273,7 +272,7 @@ def _require_identifiable(result: FitResult) -> None:
         raise FitError(result.reason)
 
 
-def _build_model(data: MeasuredData, K: Parameter, length: float, EA: float) -> TendonModel:
+def _build_model(data: MeasuredData, K: IntervalEstimate, length: float, EA: float) -> TendonModel:
     """Return the model of a fitted tendon, with the noise of the data."""
     travel = data.proximal_displacement
     model = TendonModel(
@@ -285,7 +284,6 @@ def _build_model(data: MeasuredData, K: Parameter, length: float, EA: float) -> 
     return dataclasses.replace(model, friction_error=error)
 
 
-def _compute_interval(value: MeasuredValue) -> Parameter:
+def _compute_interval(value: MeasuredValue) -> IntervalEstimate:
     """Return a value with its 95 % interval."""
-    half = COVERAGE_FACTOR * value.uncertainty
-    return Parameter(value.value, value.value - half, value.value + half)
+    return build_interval(value.value, COVERAGE_FACTOR * value.uncertainty)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from estimator.array_types import Array
 from estimator.diagnosis.outcome import Diagnosis
 from estimator.diagnosis.sampling import GAP_PERIODS
+from estimator.fitting import COVERAGE_FACTOR
 
 LAG_MAX = 5.0  # [s]
 LENGTH_DIVISOR = 4  # of a record's length, at most
@@ -49,7 +50,7 @@ def compute_autocorrelation(residuals: Sequence[Array], period: float) -> Autoco
     return Autocorrelation(
         period * np.arange(count, dtype=np.float64),
         value / scale,
-        1.96 / math.sqrt(max(samples, 1)),
+        COVERAGE_FACTOR / math.sqrt(max(samples, 1)),
     )
 
 

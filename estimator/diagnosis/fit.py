@@ -1,6 +1,6 @@
 """Fits by re-simulation: all of a record is simulated for every trial, so its memory is right."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +34,12 @@ from estimator.effects.effect import (
     PROXIMAL_TENSION,
     EffectContext,
     Values,
+)
+from estimator.fitting import (
+    BroydenJacobian,
+    compute_forward_differences,
+    minimise_squares,
+    move_inside_bounds,
 )
 
 Mask = NDArray[np.bool_]
@@ -161,7 +167,7 @@ SAMPLES_AROUND = 6  # samples to either side of a likely time that are tried
 COST_TOLERANCE = 1e-6  # of a cost
 SHAPE_RESTARTS_MAX = 3  # times at most that a fit goes on from other shapes
 SHAPE_MULTIPLES = (0.4, 0.6, 0.8, 1.25, 1.6, 2.5)  # of a shape that are tried
-TRUST_RATIO = 0.5  # of the fall foreseen: slopes that foresaw a step as well are not taken anew
+BOUND_MARGIN = 1e-9  # of a parameter's step, from a bound where a fit begins
 REGULARISATION = 1e-8  # information on a number about which there is none
 
 
@@ -378,8 +384,12 @@ def compute_jacobian(dataset: Dataset, contexts: Sequence[EffectContext], fit: F
     def evaluate_residual(x: Array) -> Array:
         return compute_residual(dataset, simulate_dataset(dataset, contexts, layout.unpack(x)))
 
-    return _compute_finite_differences(
-        evaluate_residual, layout.pack(fit.model), compute_residual(dataset, fit), high
+    return compute_forward_differences(
+        evaluate_residual,
+        layout.pack(fit.model),
+        compute_residual(dataset, fit),
+        DIFFERENCE_STEP,
+        high,
     )
 
 
@@ -426,12 +436,10 @@ def _run_least_squares(
     *,
     robust: bool = False,
 ) -> Fit:
-    from scipy.optimize import least_squares  # here: the control processes import this module
-
     if not is_free.any():
         return simulate_dataset(dataset, contexts, start)
     low, high = layout.bounds()
-    x_start = np.clip(layout.pack(start), low + 1e-9, high - 1e-9)
+    x_start = move_inside_bounds(layout.pack(start), low, high, BOUND_MARGIN)
 
     def to_full_row(x: Array) -> Array:
         row = x_start.copy()
@@ -443,12 +451,13 @@ def _run_least_squares(
             dataset, simulate_dataset(dataset, contexts, layout.unpack(to_full_row(x)))
         )
 
-    jacobian = _BroydenJacobian(evaluate_residual, high[is_free])
-    solution = least_squares(
+    jacobian = BroydenJacobian(evaluate_residual, DIFFERENCE_STEP, high[is_free])
+    solution = minimise_squares(
         jacobian.residual,
         x_start[is_free],
+        low[is_free],
+        high[is_free],
         jac=jacobian,
-        bounds=(low[is_free], high[is_free]),
         x_scale="jac",
         loss="cauchy" if robust else "linear",
         ftol=1e-4,
@@ -456,62 +465,4 @@ def _run_least_squares(
         gtol=1e-9,
         max_nfev=rounds,
     )
-    return simulate_dataset(dataset, contexts, layout.unpack(to_full_row(np.asarray(solution.x))))
-
-
-class _BroydenJacobian:
-    """Derivatives of a residual along a descent.
-
-    From one accepted step to the next they are corrected by what the step taught (Broyden, Math.
-    Comput. 19, 1965), which costs nothing. Where they foresaw a step badly they are taken anew, by
-    one simulation for each number.
-    """
-
-    def __init__(self, evaluate: Callable[[Array], Array], high: Array) -> None:
-        self._off, self._high = evaluate, high
-        self._tried: tuple[bytes, Array] = (b"", np.empty(0))  # slopes are asked for there next
-        self._x, self._r, self._J = np.empty(0), np.empty(0), np.empty((0, 0))
-
-    def residual(self, x: Array) -> Array:
-        """Return the residual where the numbers are `x`."""
-        r = self._off(x)
-        self._tried = (x.tobytes(), r)
-        return r
-
-    def __call__(self, x: Array) -> Array:
-        """Return its derivatives there, shape (samples, numbers)."""
-        tried_key, r = self._tried
-        if tried_key != x.tobytes():
-            r = self._off(x)
-        self._J = self._corrected(x, r) if len(self._x) else self._anew(x, r)
-        self._x, self._r = x.copy(), r
-        return self._J
-
-    def _anew(self, x: Array, r: Array) -> Array:
-        return _compute_finite_differences(self._off, x, r, self._high)
-
-    def _corrected(self, x: Array, r: Array) -> Array:
-        step = x - self._x
-        predicted = self._r + self._J @ step
-        cost_before = float(self._r @ self._r)
-        cost_decrease, expected_decrease = (
-            cost_before - float(r @ r),
-            cost_before - float(predicted @ predicted),
-        )
-        if not cost_decrease > TRUST_RATIO * expected_decrease or not step.any():
-            return self._anew(x, r)
-        correction: Array = np.outer(r - predicted, step / float(step @ step))
-        return self._J + correction
-
-
-def _compute_finite_differences(
-    evaluate: Callable[[Array], Array], x: Array, residual: Array, high: Array
-) -> Array:
-    """Return the derivatives of a residual by its parameters at `x`, where it is `residual`."""
-    columns = []
-    for i in range(len(x)):
-        h = DIFFERENCE_STEP if x[i] + DIFFERENCE_STEP < high[i] else -DIFFERENCE_STEP
-        shifted = x.copy()
-        shifted[i] += h
-        columns.append((evaluate(shifted) - residual) / h)
-    return np.column_stack(columns)
+    return simulate_dataset(dataset, contexts, layout.unpack(to_full_row(solution.values)))

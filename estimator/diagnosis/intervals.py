@@ -19,9 +19,11 @@ from estimator.diagnosis.dataset import (
 from estimator.diagnosis.fit import SEARCH_REACHES, ParameterLayout, compute_jacobian
 from estimator.diagnosis.settings import SETTINGS
 from estimator.effects.effect import EffectContext, Parameter
+from estimator.fitting import COVERAGE_FACTOR, compute_residual_variance, estimate_correlation
 
 SLOPE_MIN = 1e-3  # slope of all residuals below which they tell nothing of a number
 SIGNIFICANCE_LEVEL = 0.05  # probability of numbers so far from none by chance
+CORRELATION_MAX = 0.995  # of a residual: a row of all channels may be one error that lasts
 BISECTIONS = 5  # times, the step that is one too far
 
 
@@ -75,11 +77,11 @@ def estimate_intervals(
     is_unseen = np.linalg.norm(J, axis=0) < SLOPE_MIN
     for i in (*range(layout.common), *layout.loads):
         p, value = layout.parameters[i], values[i]
-        sampling_error = SETTINGS.cover * float(sigma[i]) * layout.step(i)
+        sampling_error = COVERAGE_FACTOR * float(sigma[i]) * layout.step(i)
         reach = math.hypot(sampling_error, float(simulation_error[i]) * layout.step(i))
         low, high = value - reach, value + reach
         if p.jumps:
-            cost_max = compute_cost(dataset, fit) + SETTINGS.cover**2 * variance
+            cost_max = compute_cost(dataset, fit) + COVERAGE_FACTOR**2 * variance
             low = min(low, value + _find_reach(dataset, contexts, layout, fit, i, -1.0, cost_max))
             high = max(high, value + _find_reach(dataset, contexts, layout, fit, i, 1.0, cost_max))
         low, high = max(low, p.low), min(high, p.high)
@@ -108,14 +110,8 @@ def is_significant(dataset: Dataset, fit: Fit, fit_without: Fit) -> bool:
 
 def _estimate_residual_variance(residual: Array, numbers: int) -> float:
     """Return the variance of a fit's residuals, larger as they correlate with the next sample."""
-    correlation = float(residual[1:] @ residual[:-1]) / max(float(residual @ residual), 1e-30)
-    correlation = min(max(correlation, 0.0), 0.995)
-    return (
-        float(residual @ residual)
-        / max(len(residual) - numbers, 1)
-        * (1.0 + correlation)
-        / (1.0 - correlation)
-    )
+    correlation = estimate_correlation(residual, centred=False, correlation_max=CORRELATION_MAX)
+    return compute_residual_variance(residual, len(residual) - numbers, correlation)
 
 
 def _bound_simulation_error(dataset: Dataset, model: Model, inverse: Array) -> Array:

@@ -12,6 +12,7 @@ from estimator.diagnosis.dataset import Dataset, Fit, compute_tolerance
 from estimator.diagnosis.record import Record
 from estimator.diagnosis.settings import SETTINGS
 from estimator.effects.effect import PROXIMAL_TENSION
+from estimator.fitting import compute_independent_share, estimate_correlation
 
 DRAWS = 400
 
@@ -182,11 +183,7 @@ def _floor_variance(errors: ChannelErrors) -> float:
 
 
 def _estimate_independent_share(error: Array) -> float:
-    centred = error - error.mean()
-    power = float(centred @ centred)
-    correlation = float(centred[1:] @ centred[:-1]) / power if power > 0.0 else 0.0
-    correlation = min(max(correlation, 0.0), 0.9999)
-    return max((1.0 - correlation) / (1.0 + correlation), SETTINGS.independent_min)
+    return max(compute_independent_share(estimate_correlation(error)), SETTINGS.independent_min)
 
 
 # --- what a residual depends on: hints for a person, no verdict

@@ -85,7 +85,6 @@ class Settings:
     blind: float = 4.0  # times the uncertainty from all samples: too much to refit a number
 
     # intervals, and what residuals depend on (intervals.py, residual_dependence.py)
-    cover: float = 1.96  # standard deviations on each side: 95 % of a normal distribution
     onset_max: float = 60.0  # [s] that an onset is tried to be off by
     dependence_min: float = 0.05  # of a residual's variance that is reported
     dependence_bins: int = 12

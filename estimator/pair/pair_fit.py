@@ -13,9 +13,9 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 
 from estimator.array_types import Array
+from estimator.fitting import compute_clustered_errors, minimise_squares, move_inside_bounds
 from estimator.lumped.lumped_model import Motion
 from estimator.pair.pair import (
     PairModel,
@@ -31,6 +31,7 @@ SAMPLES_MAX = 180  # of a record that are fitted: the law does not depend on the
 MIN_SAMPLES = 20
 MAX_ITERATIONS = 30
 COST_TOLERANCE = 1e-4  # relative change of the cost
+BOUND_MARGIN = 1e-6  # from a bound where a fit begins
 STEP = 3e-3  # of a parameter, for derivatives
 TENSION_WEIGHT = 2.0**-0.5
 
@@ -120,22 +121,23 @@ def fit(
             [_compute_residuals(model, record, law, cache) for model, record, cache in parts]
         )
 
-    solution = least_squares(
+    solution = minimise_squares(
         evaluate_residuals,
         layout.begin,
-        bounds=layout.bounds,
+        *layout.bounds,
         x_scale=np.maximum(np.abs(layout.begin), 0.02),
         diff_step=STEP,
         ftol=COST_TOLERANCE,
         max_nfev=MAX_ITERATIONS,
     )
-    models = layout.models(solution.x)
+    models = layout.models(solution.values)
     frictions = tuple(float(m.friction_at(r.bend)) for m, r in zip(models, records, strict=True))
     neutral = float(np.mean([m.neutral for m in models]))
     errors = np.full(len(records), np.nan)
     if each_friction:
         strokes = _group_by_stroke(subsampled, law)
-        errors = _compute_robust_errors(solution.jac, solution.fun, strokes)[layout.frictions]
+        errors = compute_clustered_errors(solution.jacobian, solution.residual, strokes)
+        errors = errors[layout.frictions]
     return PairFit(
         law,
         models[0]._replace(neutral=neutral),
@@ -189,7 +191,7 @@ class _ParameterLayout:
         begin = np.array([getattr(self._first, name) for name in names])
         if each_friction:
             begin[self.frictions] = [start.friction_at(record.bend) for record in records]
-        self.begin, self.bounds = np.clip(begin, low + 1e-6, high - 1e-6), (low, high)
+        self.begin, self.bounds = move_inside_bounds(begin, low, high, BOUND_MARGIN), (low, high)
 
     def models(self, values: Array) -> list[PairModel]:
         """Return the model of each record."""
@@ -249,20 +251,6 @@ def _group_by_stroke(records: Sequence[PairRecord], law: PairVariant) -> NDArray
         parts += [strokes] * (1 if law is PairVariant.TENSIONS else 3)
         next_number = int(strokes[-1]) + 1
     return np.concatenate(parts)
-
-
-def _compute_robust_errors(jacobian: Array, residuals: Array, groups: NDArray[np.intp]) -> Array:
-    """Return standard uncertainties that allow for errors which last a whole stroke.
-
-    The sandwich (J'J)^-1 (sum over groups of J_g' r_g r_g' J_g) (J'J)^-1: residuals are a model's,
-    not noise, and thousands of samples are no thousands of measurements.
-    """
-    inverse = np.linalg.pinv(jacobian.T @ jacobian)
-    count = int(groups.max()) + 1
-    scores = np.array([jacobian[groups == g].T @ residuals[groups == g] for g in range(count)])
-    correction = count / max(count - jacobian.shape[1], 1)
-    errors: Array = np.sqrt(correction * np.diag(inverse @ (scores.T @ scores) @ inverse))
-    return errors
 
 
 def check_records(records: Sequence[PairRecord]) -> None:

@@ -4,10 +4,10 @@ from collections.abc import Callable, Iterable, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from scipy.optimize import least_squares
 from scipy.stats import t as student
 
 from estimator.array_types import Array
+from estimator.fitting import IntervalEstimate, build_interval, minimise_squares
 from estimator.hysteresis import compute_bristle_deflection
 from estimator.pair.pair import PairModel, PairRecord
 from estimator.pair.pair_fit import (
@@ -60,9 +60,10 @@ def _fit_one_play(records: Sequence[PairRecord]) -> Predictor:
 
     starts = [np.array([0.6, width, 0.0, -0.1, 0.05, 0.0]) for width in (0.05, 0.2, 0.5)]
     solution = min(
-        (least_squares(compute_residuals, start) for start in starts), key=lambda trial: trial.cost
+        (minimise_squares(compute_residuals, start) for start in starts),
+        key=lambda trial: trial.cost,
     )
-    return lambda record: predict(solution.x, record)
+    return lambda record: predict(solution.values, record)
 
 
 def _fit_linear_model(
@@ -111,14 +112,6 @@ SHARE = "a fixed share of the command"
 ProgressCallback = Callable[[str, float], None]
 
 
-class Number(NamedTuple):
-    """A value that cannot be negative, with its interval of 95 %."""
-
-    value: float
-    low: float
-    high: float
-
-
 class HeldOutError(NamedTuple):
     """Error of the angle of a record that was not fitted."""
 
@@ -140,9 +133,9 @@ class PairStudy(NamedTuple):
 
     records: tuple[PairRecord, ...]
     fit: PairFit  # one model for all records
-    each: tuple[Number, ...]  # K of each record
-    friction: Number  # K of the straight sheath
-    growth: Number  # mu [1/rad]
+    each: tuple[IntervalEstimate, ...]  # K of each record
+    friction: IntervalEstimate  # K of the straight sheath
+    growth: IntervalEstimate  # mu [1/rad]
     left_out: dict[str, tuple[HeldOutError, ...]]  # by method, for each record
     predicted: tuple[Array, ...]  # angle of each record [rad], by the model of the others
     validation: tuple[Validation, ...] = ()  # errors of records that were kept apart
@@ -328,14 +321,14 @@ def _fit_fixed_share(records: Sequence[PairRecord]) -> float:
     return float(across @ up) / float(across @ across)
 
 
-def _compute_interval(value: float, error: float, count: int) -> Number:
+def _compute_interval(value: float, error: float, count: int) -> IntervalEstimate:
     reach = float(student.ppf(0.5 + 0.5 * CONFIDENCE, count - 1)) * error
-    return Number(value, max(value - reach, 0.0), value + reach)
+    return build_interval(value, reach, 0.0)
 
 
 def _compute_jackknife_interval(
     model: PairModel, left_out_models: Sequence[PairModel], name: str
-) -> Number:
+) -> IntervalEstimate:
     """Return a parameter with the interval that leaving records out gives it."""
     n = len(left_out_models)
     values = np.array([getattr(left_out_model, name) for left_out_model in left_out_models])

@@ -4,11 +4,11 @@ import math
 
 import numpy as np
 
+from estimator.fitting import IntervalEstimate
 from estimator.pair.pair_fit import PairVariant
 from estimator.pair.pair_structure import analyse_residuals, compute_offset_share
 from estimator.pair.pair_study import (
     HeldOutError,
-    Number,
     PairStudy,
     Validation,
     compute_mean_share,
@@ -189,7 +189,7 @@ def format_report(study: PairStudy) -> str:
     return "\n\n".join(pieces)
 
 
-def format_interval(number: Number) -> str:
+def format_interval(number: IntervalEstimate) -> str:
     """Return a number with its interval."""
     return f"{number.value:.2f} ({number.low:.2f} to {number.high:.2f})"
 
