@@ -9,7 +9,7 @@ apply the gate, fill the state message. The calibration monitor is not time-crit
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 from estimator.arrays import copy_values
@@ -32,7 +32,7 @@ from slave.loop_records import (
     TickInput,
 )
 from slave.rig import RigSample
-from slave.samples import estimate, estimate_with_dynamics, fill_sample
+from slave.samples import estimate, fill_sample
 from slave.tendons import EstimatedTendon, RigLayout, build_rig_layout
 from teleop import coupling
 from teleop.config.bounds import MOTION_MAX
@@ -68,12 +68,14 @@ class SlaveRecords(NamedTuple):
     memory: StructArray
     scratch: StructArray
     watched: StructArray
-    estimate: Callable[..., None]  # `estimate`, or `estimate_with_dynamics`
+    with_dynamics: bool | None  # None where no model has dynamic effects; see `estimate`
 
     @property
-    def estimated(self) -> tuple[StructArray, StructArray, StructArray, StructArray]:
+    def estimated(
+        self,
+    ) -> tuple[StructArray, StructArray, StructArray, StructArray, bool | None]:
         """First arguments of `estimate`."""
-        return self.layout, self.prepared, self.estimators, self.memory
+        return self.layout, self.prepared, self.estimators, self.memory, self.with_dynamics
 
     @property
     def ticked(self) -> tuple[StructArray, StructArray, StructArray, StructArray]:
@@ -136,12 +138,12 @@ def init_slave(
         memory,
         Scratch.array(),
         model.watched,
-        estimate_with_dynamics if model.prepared["has_dynamics"].any() else estimate,
+        True if model.prepared["has_dynamics"].any() else None,
     )
     row = EstimatedSample.array()
     for sample in samples:
         fill_sample(row, 0, sample)
-        slave.estimate(*slave.estimated, row, 1)
+        estimate(*slave.estimated, row, 1)
         locate_motors(slave.layout, memory, slave.scratch, row)
     if motor:
         memory["motor"][0, :tendons] = motor

@@ -35,7 +35,7 @@ from slave.rigs import open_rig
 from slave.rigs.replayed import ReplayedRig
 from slave.rigs.simulated.effect_text import format_late_effects
 from slave.rigs.simulated.simulated import SimulatedRigConfig
-from slave.samples import fill_sample
+from slave.samples import estimate, fill_sample
 from slave.score import Score
 from slave.state_messages import fill_tendon_state
 from slave.telemetry import Telemetry, build_progress_printer
@@ -211,9 +211,9 @@ class SlaveProcess(LoopProcess):
             commands.settles or self._link_holds,
             self._motors_follow,
         )
-        slave, rows, samples = self._slave, self._rows, self._samples
+        rows, samples = self._rows, self._samples
         if not self._is_estimated:
-            slave.estimate(*self._estimated, rows, samples)
+            estimate(*self._estimated, rows, samples)
         self._is_estimated = False
         return loop.run_tick(
             *self._ticked, rows, samples, given, commands.packet.records, self._state.records
@@ -282,7 +282,7 @@ class SlaveProcess(LoopProcess):
     def _estimate_ahead(self, sample: RigSample) -> None:
         """Estimate from the sample that the rig gives next; last, as the memory then has it."""
         fill_sample(self._rows, 0, sample)
-        self._slave.estimate(*self._estimated, self._rows, 1)
+        estimate(*self._estimated, self._rows, 1)
         self._ahead = sample
 
     def _advance_rig(self) -> RigSample | None:

@@ -82,41 +82,20 @@ def estimate(
     prepared: StructArray,
     estimators: StructArray,
     memories: StructArray,
+    with_dynamics: bool | None,
     rows: StructArray,
     samples: int,
 ) -> None:
-    """Step each tendon's estimator with the first `samples` of `rows`; fill in their estimates."""
+    """Step each tendon's estimator with the first `samples` of `rows`; fill in their estimates.
+
+    `with_dynamics` is None where no model has dynamic effects; see `online.advance`.
+    """
     layout, memory = layouts[0], memories[0]
     for s in range(samples):
         row = rows[s]
-        _begin_sample(memory, row)
-        for i in range(layout.tendons):
-            tendon = row.tendons[i]
-            tendon.corrected_tension, tendon.corrected_displacement = online.advance_law(
-                prepared[i],
-                estimators[i],
-                tendon.tension,
-                tendon.displacement,
-                row.elapsed,
-                tendon.estimate,
-            )
-        _end_sample(layout, memory, row)
-
-
-@jit_compile
-def estimate_with_dynamics(
-    layouts: StructArray,
-    prepared: StructArray,
-    estimators: StructArray,
-    memories: StructArray,
-    rows: StructArray,
-    samples: int,
-) -> None:
-    """Like `estimate`, for models with dynamic effects; takes longer to compile."""
-    layout, memory = layouts[0], memories[0]
-    for s in range(samples):
-        row = rows[s]
-        _begin_sample(memory, row)
+        row.elapsed = row.time_s - memory.sample_time if memory.has_sample else 0.0
+        memory.sample_time = row.time_s
+        memory.has_sample = True
         for i in range(layout.tendons):
             tendon = row.tendons[i]
             tendon.corrected_tension, tendon.corrected_displacement = online.advance(
@@ -126,15 +105,9 @@ def estimate_with_dynamics(
                 tendon.displacement,
                 row.elapsed,
                 tendon.estimate,
+                with_dynamics,
             )
         _end_sample(layout, memory, row)
-
-
-@jit_compile
-def _begin_sample(memory: SlaveMemory, row: EstimatedSample) -> None:
-    row.elapsed = row.time_s - memory.sample_time if memory.has_sample else 0.0
-    memory.sample_time = row.time_s
-    memory.has_sample = True
 
 
 @jit_compile

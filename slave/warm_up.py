@@ -12,7 +12,7 @@ from slave.config import SlaveConfig
 from slave.loop_records import EstimatedSample, TickInput
 from slave.rig import RigSample
 from slave.rigs import RIG_COMPILE_S, compile_rig
-from slave.samples import estimate_with_dynamics, fill_sample
+from slave.samples import estimate, fill_sample
 from slave.score import Score
 from slave.state_messages import fill_tendon_state, fill_tension_profile
 from slave.tendon_config import TendonConfig
@@ -48,7 +48,7 @@ def compile_session(config: SlaveConfig, with_dynamics: bool) -> None:
         _compile_tick()
         if with_dynamics:
             slave, rows, _ = _build_example()
-            estimate_with_dynamics(*slave.estimated, rows, 1)
+            estimate(*slave._replace(with_dynamics=True).estimated, rows, 1)
         if config.initialise.at_start:
             calibration_run.warm_up()
     if config.initialise.at_start:
@@ -64,7 +64,7 @@ def _compile_outside_tick(config: SlaveConfig) -> None:
 def _compile_tick() -> None:
     slave, rows, state = _build_example()
     given, command = TickInput(1e-3, True, False), Packet(Command)
-    slave.estimate(*slave.estimated, rows, 1)
+    estimate(*slave.estimated, rows, 1)
     loop.run_tick(*slave.ticked, rows, 1, given, command.records, state.records)
 
 

@@ -63,7 +63,6 @@ __all__ = [
     "TendonEstimate",
     "TendonModel",
     "advance",
-    "advance_law",
     "initial",
     "initial_all",
     "prepare",
@@ -165,6 +164,7 @@ def advance(
     q: float,
     dt: float,
     estimate: TendonEstimate,
+    with_dynamics: bool | None = True,
 ) -> tuple[float, float]:
     """Take one sample: change `state` and `estimate` in place; return the corrected reading.
 
@@ -180,6 +180,9 @@ def advance(
         Time since the previous sample [s]; 0 for the first.
     estimate : TendonEstimate
         All fields are written.
+    with_dynamics : bool or None
+        None for a tendon whose model has no `dynamics`: numba omits a branch on an argument that
+        is None, so that the law alone is compiled, in half the time.
 
     Returns
     -------
@@ -188,26 +191,14 @@ def advance(
         read where the model has no such effects.
     """
     T, q = correct_reading(prepared.corrections, state.remembered[:], T, q)
-    # who drives is decided by the travel that the law knows
-    travel = state.dynamics.travel if prepared.has_dynamics else 0.0
-    _advance_law(prepared, state, T, q - travel, dt, estimate)
-    if prepared.has_dynamics:
-        _add_dynamics(prepared, state, q, dt, estimate)
-    return T, q
-
-
-@jit_compile
-def advance_law(
-    prepared: PreparedTendon,
-    state: EstimatorState,
-    T: float,
-    q: float,
-    dt: float,
-    estimate: TendonEstimate,
-) -> tuple[float, float]:
-    """Do what `advance` does for a tendon without `dynamics`, and compile in half the time."""
-    T, q = correct_reading(prepared.corrections, state.remembered[:], T, q)
-    _advance_law(prepared, state, T, q, dt, estimate)
+    if with_dynamics is None:
+        _advance_law(prepared, state, T, q, dt, estimate)
+    else:
+        # who drives is decided by the travel that the law knows
+        travel = state.dynamics.travel if prepared.has_dynamics else 0.0
+        _advance_law(prepared, state, T, q - travel, dt, estimate)
+        if prepared.has_dynamics:
+            _add_dynamics(prepared, state, q, dt, estimate)
     return T, q
 
 

@@ -20,7 +20,7 @@ from slave.config import SlaveConfig
 from slave.gate import GateConfig
 from slave.loop_records import SlaveMemory, TickInput
 from slave.rig import RigSample
-from slave.samples import to_sample_rows
+from slave.samples import estimate, to_sample_rows
 from slave.tendon_config import TendonConfig
 from studies.transparency.channel import Channel
 from studies.transparency.hand import DT
@@ -204,7 +204,7 @@ class Teleoperator:
     def _slave_tick(self, samples: Sequence[RigSample], now: int) -> None:
         slave, latest = self._slave, self._commands.newest(now)
         rows = to_sample_rows(samples)
-        slave.estimate(*slave.estimated, rows, len(samples))
+        estimate(*slave.estimated, rows, len(samples))
         fresh = latest.is_fresh(now, self._timeout_ns)
         tick_input = TickInput(DT, latest.is_there, fresh)
         slave_loop.run_tick(

@@ -12,7 +12,7 @@ from slave.gate import GateFlags
 from slave.loop import RigModel
 from slave.loop_records import SlaveMemory, TickInput
 from slave.rig import RigSample
-from slave.samples import to_sample_rows
+from slave.samples import estimate, to_sample_rows
 from teleop.coupling import Bilateral
 from teleop.messages.messages import Command, SlaveState
 from teleop.messages.packet import Packet
@@ -83,7 +83,7 @@ class SlaveBench:
     def step(self, samples: Sequence[RigSample], commands: StructArray, given: TickInput) -> Output:
         """Go on by a tick, with the newest command as a record."""
         slave, rows, count = self.slave, to_sample_rows(samples), len(samples)
-        slave.estimate(*slave.estimated, rows, count)
+        estimate(*slave.estimated, rows, count)
         verdict = loop.run_tick(*slave.ticked, rows, count, given, commands, self._state.records)
         loop.monitor_calibration(
             slave.settings, slave.layout, slave.watched, slave.memory, rows, count

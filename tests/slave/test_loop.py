@@ -16,7 +16,7 @@ from slave.config import SlaveConfig, TendonConfig
 from slave.gate import GateConfig, GateFlags
 from slave.loop_records import NO_POSITION, NO_SAMPLE, NOT_CALIBRATED, EstimatedSample
 from slave.rig import RigSample
-from slave.samples import _fill_row, fill_sample
+from slave.samples import _fill_row, estimate, fill_sample
 from teleop.messages.messages import MAX_JOINTS, MAX_TENDONS, Command
 from teleop.session import state_machine
 from teleop.session.state_machine import Reason, State
@@ -443,7 +443,7 @@ def test_a_sample_that_lacks_a_tendon_is_silence_and_not_the_one_before():
     rows = EstimatedSample.array()
     for k, tendons in enumerate((3, 3, 2)):
         fill_sample(rows, 0, RigSample(k * DT, np.full(tendons, 5.0), np.zeros(tendons)))
-        slave.slave.estimate(*slave.slave.estimated, rows, 1)
+        estimate(*slave.slave.estimated, rows, 1)
     assert rows["tendons"]["valid"][0, :3].tolist() == [True, True, False]
 
 

@@ -13,7 +13,7 @@ from slave import loop, model_files
 from slave.config import SlaveConfig
 from slave.rigs import open_rig
 from slave.rigs.replayed import ReplayedRigConfig
-from slave.samples import to_sample_rows
+from slave.samples import estimate, to_sample_rows
 from slave.score import Score
 from teleop.cli import commands
 from teleop.data import model_file, read_table, write_table
@@ -93,7 +93,7 @@ def played(data, model, *, drop_nonfinite=False):
         rig.starts_at_zero,
     )
     rows = to_sample_rows(rig.read(1e9))
-    slave.estimate(*slave.estimated, rows, len(rows))
+    estimate(*slave.estimated, rows, len(rows))
     score = Score(models)
     score.add_rows(slave.layout, rows, len(rows))
     return score.summary()
