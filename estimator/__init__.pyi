@@ -21,6 +21,9 @@ from estimator.pair.pair import PairRecord as PairRecord
 from estimator.pair.pair_fit import PairError as PairError
 from estimator.pair.pair_study import PairStudy as PairStudy
 from estimator.pair.pair_study import study_pair as study_pair
+from estimator.results import plot_result as plot_result
+from estimator.results import show_result as show_result
+from estimator.results import summarise_result as summarise_result
 from estimator.units import FORCE as FORCE
 from estimator.units import LINEAR as LINEAR
 from estimator.units import ROTARY as ROTARY

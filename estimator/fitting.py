@@ -229,3 +229,10 @@ class IntervalEstimate(NamedTuple):
 def build_interval(value: float, half_width: float, low_min: float = -math.inf) -> IntervalEstimate:
     """Return a value with an interval to both sides, cut at the least that it can be."""
     return IntervalEstimate(value, max(value - half_width, low_min), value + half_width)
+
+
+class MeasuredValue(NamedTuple):
+    """A value and its standard uncertainty, in the same unit."""
+
+    value: float
+    uncertainty: float

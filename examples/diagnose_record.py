@@ -27,4 +27,4 @@ wrong = est.Samples(
     run.distal_displacement,
 )
 found = est.diagnose(wrong, ["distal_tension_gain", "creep", "friction_step"])
-print(found.summary())
+print(est.summarise_result(found))

@@ -2,7 +2,7 @@
 
     python examples/notebook_report.py report.html
 
-In a notebook, `found` at the end of a cell is enough: it draws itself.
+In a notebook, `est.show_result(found)` at the end of a cell shows the same.
 """
 
 import sys
@@ -30,6 +30,6 @@ found = est.diagnose(
 for file in found.forces:
     kind = "validation" if file.validation else "fitted"
     print(f"{kind}: force off by {file.before.rmse:.3f} N before, {file.after.rmse:.3f} N after")
-found.plot().savefig(folder / "monday.svg")
+est.plot_result(found).savefig(folder / "monday.svg")
 if len(sys.argv) > 1:
-    Path(sys.argv[1]).write_text(found._repr_html_())
+    Path(sys.argv[1]).write_text(est.show_result(found).html)

@@ -47,7 +47,7 @@ print(f"RMSE {np.sqrt(np.mean(error**2)):.3f} N; first half {error[:1200].std():
 
 # %%
 found = est.diagnose(run, ["friction_step", "friction_drift", "creep", "distal_tension_gain"])
-print(found.summary())
+print(est.summarise_result(found))
 
 # %% [markdown]
 # ## 4. The verdict

@@ -13,8 +13,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from estimator.array_types import Array
-from estimator.calibration.measured import CalibrationError
 from estimator.signals import noise_sigma
+
+
+class CalibrationError(ValueError):
+    """Data insufficient for a calibration; the message says what is missing and what to do."""
+
 
 MIN_SAMPLES = 40
 """Samples a branch needs."""

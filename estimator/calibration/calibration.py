@@ -18,12 +18,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from estimator.array_types import Array
-from estimator.calibration.blocked_loop import BlockedLoop, Branch, segment_loop
-from estimator.calibration.measured import CalibrationError, MeasuredValue
+from estimator.calibration.blocked_loop import BlockedLoop, Branch, CalibrationError, segment_loop
 from estimator.calibration.model_averaging import UNMODELLED_UNCERTAINTY, ModelAverage, Rival
 from estimator.calibration.model_averaging import average_antagonists as weighed_together
 from estimator.calibration.pattern import Pattern, PatternLeastSquares
 from estimator.calibration.pattern_search import PatternSearchResult, search_pattern
+from estimator.fitting import MeasuredValue
 from estimator.law.sheath import Sheath
 
 # --- the calibration of Phee et al. 2009: K from the elongation constant of the pull, eq. (13)

@@ -15,7 +15,8 @@ import math
 import numpy as np
 
 from estimator.array_types import Array
-from estimator.calibration.measured import CalibrationError, MeasuredValue
+from estimator.calibration.blocked_loop import CalibrationError
+from estimator.fitting import MeasuredValue
 from estimator.signals import noise_sigma
 
 _MIN_SHARE = 0.3  # of the highest tension; above it the pull has wiped out what was before

@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 
 from estimator.array_types import Array
-from estimator.calibration.measured import MeasuredValue
 from estimator.calibration.pattern import Pattern
+from estimator.fitting import MeasuredValue
 
 UNMODELLED_UNCERTAINTY = 0.01
 """Standard uncertainty of K that no rival's own allows for, as a pattern that was never tried."""

@@ -14,7 +14,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.calibration.measured import MeasuredValue
 from estimator.calibration.model_averaging import (
     ModelAverage,
     Rival,
@@ -28,6 +27,7 @@ from estimator.calibration.pattern import (
     PatternLeastSquares,
     Shape,
 )
+from estimator.fitting import MeasuredValue
 
 Mask = NDArray[np.bool_]
 

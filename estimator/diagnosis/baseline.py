@@ -1,23 +1,13 @@
-"""The fit of a base law: multi-start, to avoid local minima."""
+"""The baseline of a diagnosis: the base law, and models of hysteresis without a sheath."""
 
+import itertools
 import math
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
+from estimator.array_types import Array
 from estimator.diagnosis.dataset import (
-    Dataset,
-    Fit,
-    Model,
-    build_unsimulated_contexts,
-    compute_cost,
-    replace_base,
-    simulate_dataset,
-    subsample,
-)
-from estimator.diagnosis.fit import fit_model, guess_record_parameters
-from estimator.diagnosis.model import (
     COMPLIANCE,
     EXCLUDED_EFFECTS,
     FRICTION,
@@ -28,19 +18,45 @@ from estimator.diagnosis.model import (
     TIP_MASS,
     BaseLaw,
     BaseParameters,
+    Dataset,
+    Fit,
     LoadModel,
-    build_context,
+    Model,
+    build_unsimulated_contexts,
+    compute_cost,
+    replace_base,
+    simulate_dataset,
+    subsample,
 )
-from estimator.diagnosis.record import Record
-from estimator.diagnosis.score import compute_errors, compute_log_likelihood_ratio
+from estimator.diagnosis.fit import (
+    BASELINE_ROUNDS,
+    build_initial_contexts,
+    fit_model,
+    guess_record_parameters,
+    refit_baseline,
+)
+from estimator.diagnosis.measured_data import Record
+from estimator.diagnosis.scoring import (
+    ChannelErrors,
+    Choice,
+    ChoiceScore,
+    SimpleFit,
+    SimpleGain,
+    bootstrap_gain,
+    compute_channel_errors,
+    compute_errors,
+    compute_log_likelihood_ratio,
+    concatenate_errors,
+)
 from estimator.diagnosis.settings import SETTINGS
 from estimator.effects.effect import (
     DISTAL_DISPLACEMENT,
     PROXIMAL_DISPLACEMENT,
     PROXIMAL_TENSION,
     Effect,
-    EffectContext,
 )
+from estimator.hysteresis import apply_proportional_play, compute_bristle_deflection
+from estimator.signals import apply_play
 
 START_FRICTIONS = (0.2, 0.45, 0.8, 1.2, 1.8)
 TIP_SHARES = (0.0, 0.35, 0.75)
@@ -53,38 +69,19 @@ WIDTH_SHARES = (2e-3, 2e-2)
 """Of the motor's range, that contacts may give before they slide."""
 STARTS_KEPT = 5  # of the starts
 SUBSAMPLE_SIZE = 1500  # samples of a record
-ROUNDS = 15
 
 
 def fit_baseline(dataset: Dataset) -> Fit:
     """Return the best fit of the base law: from many starts on few samples, then on all."""
     subsampled = subsample(dataset, SUBSAMPLE_SIZE)
-    contexts = _build_initial_contexts(subsampled)
+    contexts = build_initial_contexts(subsampled)
     starts = _build_starts(subsampled)
     costs = [
         compute_cost(subsampled, simulate_dataset(subsampled, contexts, model)) for model in starts
     ]
     order = np.argsort(costs)[:STARTS_KEPT]
-    fits = [fit_model(subsampled, contexts, starts[k], ROUNDS) for k in order]
+    fits = [fit_model(subsampled, contexts, starts[k], BASELINE_ROUNDS) for k in order]
     return refit_baseline(dataset, min(fits, key=lambda fit: compute_cost(subsampled, fit)))
-
-
-def refit_baseline(dataset: Dataset, fit: Fit) -> Fit:
-    """Return the fit of the base law, started from a fit of the same records, other weights."""
-    return fit_model(dataset, _build_initial_contexts(dataset), fit.model, ROUNDS)
-
-
-def fit_robustly(dataset: Dataset, fit: Fit) -> Fit:
-    """Return the robust fit, started from the ordinary fit `fit`.
-
-    Where something happened at one time, what came before it and what came after it are each fitted
-    badly by one model; this one fits the longer part.
-    """
-    return fit_model(dataset, _build_initial_contexts(dataset), fit.model, ROUNDS, robust=True)
-
-
-def _build_initial_contexts(dataset: Dataset) -> list[EffectContext]:
-    return [build_context(record, None, 1e-4) for record in dataset.records]
 
 
 def _build_starts(dataset: Dataset) -> list[Model]:
@@ -220,30 +217,6 @@ LOOP_EFFECTS = frozenset(
 """Effects, by name or label, that `lumped.loop_model` simulates or that are of a sensor."""
 
 
-class ChoiceScore(NamedTuple):
-    """A base law or a choice of loads, as it came out."""
-
-    name: str
-    score: float  # ln of how much more probable held-out data are than with the first, less BIC
-    rmse: dict[str, float]  # held out, by channel, in the channel's unit
-
-
-class Choice(NamedTuple):
-    """A dataset with what was chosen, its fit, and the evidence."""
-
-    dataset: Dataset
-    fit: Fit
-    scores: tuple[ChoiceScore, ...]  # of all that were tried; empty where nothing was to be chosen
-
-    @property
-    def alike(self) -> tuple[str, ...]:
-        """Names of those that the data do not distinguish from the best."""
-        best_score = max((choice.score for choice in self.scores), default=0.0)
-        return tuple(
-            choice.name for choice in self.scores if best_score - choice.score < SETTINGS.alike
-        )
-
-
 def choose_law(dataset: Dataset, base_fit: Fit) -> Choice:
     """Return the base law that held-out samples favour; `base_fit` is the fitted capstan law.
 
@@ -355,3 +328,139 @@ def _convert_load_model(dataset: Dataset, model: Model, target: Dataset) -> Mode
         own.append(tuple(values.get(p.name, guessed[p.name]) for p in target.base.own))
     values = dataset.base.values(model.shared, model.own[0])
     return model._replace(shared=tuple(values[p.name] for p in target.base.shared), own=tuple(own))
+
+
+# --- models of hysteresis without a sheath in them: what the law has to be better than
+# Each gives a channel from the drive alone, by a least-squares fit of a few weights:
+#
+# * one play operator with a gain, and a Prandtl-Ishlinskii model of five (Kuhnen, Eur. J. Control
+#   9, 2003): y = c + sum_j w_j p_j, where p_j is the drive after a play of half-width r_j and
+#   w_j >= 0; for a tension also with a half-width in proportion to it, from T e^-K to T e^K;
+# * LuGre (Canudas de Wit et al., IEEE Trans. Autom. Control 40, 1995): y = c + a u - s z - d v,
+#   with dz/dt = v - |v| z / (r g(v)), g(v) = 1 + b exp(-(v/w)^2).
+
+PLAYS = 5
+LUGRE = "LuGre"
+_HALF_WIDTHS = np.geomspace(1e-3, 0.45, 24)  # of the drive's range, that one play is tried with
+_FRICTIONS = np.linspace(0.05, 2.5, 50)  # K of plays in proportion to a tension
+_REACHES = np.geomspace(1e-3, 0.3, 10)  # of it, of LuGre's bristles
+_STRIBECK = ((0.0, 1.0), (0.5, 0.1), (0.5, 0.4), (1.0, 0.1), (1.0, 0.4))  # b, and w over rms speed
+
+
+def fit_simple_models(dataset: Dataset) -> tuple[SimpleFit, ...]:
+    """Return the held-out errors of one play operator, of five, and of LuGre."""
+    channels = dataset.records[0].compared
+    return tuple(
+        SimpleFit(
+            name, {channel: _cross_validate_model(dataset, channel, name) for channel in channels}
+        )
+        for name in _MODELS
+    )
+
+
+def compute_simple_gains(
+    law: Mapping[str, ChannelErrors], models: Sequence[SimpleFit]
+) -> dict[str, SimpleGain]:
+    """Return how much better a law is than the best of simple models on the same samples."""
+    gains = {}
+    for channel, errors in law.items():
+        best = min(models, key=lambda model: model.held_out[channel].mean)
+        gain = bootstrap_gain(errors, best.held_out[channel])
+        gains[channel] = SimpleGain(best.name, *gain)
+    return gains
+
+
+def _cross_validate_model(dataset: Dataset, channel: str, name: str) -> ChannelErrors:
+    """Return the errors of both halves, each fitted to the other; of all where all is fitted."""
+    parts = []
+    candidates = list(_MODELS[name](dataset))
+    all_fitted = all(record.train.all() for record in dataset.records)
+    for fitted_half in (True,) if all_fitted else (True, False):
+        fits = (
+            _fit_features(dataset, channel, features, fitted_half, name != LUGRE)
+            for features in candidates
+        )
+        _, predicted = min(fits, key=lambda fit: fit[0])
+        for record, signal in zip(dataset.records, predicted, strict=True):
+            samples = record.train if all_fitted else record.train != fitted_half
+            parts.append(compute_channel_errors(record, channel, signal, samples))
+    return concatenate_errors(parts)
+
+
+def _fit_features(
+    dataset: Dataset, channel: str, features: list[Array], fitted_half: bool, positive: bool
+) -> tuple[float, list[Array]]:
+    """Return the squared error of the fitted half, and what is predicted of each record."""
+    rows, values, fitted = [], [], []
+    offsets = np.eye(len(dataset.records))
+    for k, (record, columns) in enumerate(zip(dataset.records, features, strict=True)):
+        own = np.repeat(offsets[k][None], len(columns), axis=0)  # each record its own zero
+        rows.append(np.column_stack([columns, own]))
+        values.append(record.signals[channel])
+        fitted.append(record.good[channel] & (record.train == fitted_half))
+    A, y, mask = np.concatenate(rows), np.concatenate(values), np.concatenate(fitted)
+    weights = _solve_weights(A[mask], y[mask], A.shape[1] - len(offsets) if positive else 0)
+    error = y[mask] - A[mask] @ weights
+    return float(error @ error), [design @ weights for design in rows]
+
+
+def _solve_weights(A: Array, y: Array, positive: int) -> Array:
+    """Return the weights of least squares, the first `positive` of them not below zero."""
+    from scipy.optimize import nnls
+
+    size = np.maximum(np.abs(A).max(axis=0), 1e-30)
+    Q, R = np.linalg.qr(A / size)
+    unconstrained = R[:, positive:]
+    solution, _ = nnls(np.column_stack([R, -unconstrained]), Q.T @ y)
+    solution[positive : R.shape[1]] -= solution[R.shape[1] :]
+    return np.asarray(solution[: R.shape[1]] / size)
+
+
+def _generate_play_features(dataset: Dataset) -> Iterator[list[Array]]:
+    for share in _HALF_WIDTHS:
+        yield [
+            apply_play(record.drive, share * span)[:, None]
+            for record, span in _pair_records_with_span(dataset)
+        ]
+    if dataset.records[0].driver == PROXIMAL_TENSION:
+        for K in _FRICTIONS:
+            yield [apply_proportional_play(record.drive, K)[:, None] for record in dataset.records]
+
+
+def _generate_prandtl_features(dataset: Dataset) -> Iterator[list[Array]]:
+    shares = np.concatenate([[0.0], 0.45 * (np.arange(1, PLAYS) / (PLAYS - 1)) ** 2])
+    yield [
+        np.column_stack([apply_play(record.drive, share * span) for share in shares])
+        for record, span in _pair_records_with_span(dataset)
+    ]
+    if dataset.records[0].driver == PROXIMAL_TENSION:
+        for friction_max in _FRICTIONS:
+            frictions = friction_max * np.arange(1, PLAYS + 1) / PLAYS
+            yield [
+                np.column_stack([apply_proportional_play(record.drive, K) for K in frictions])
+                for record in dataset.records
+            ]
+
+
+def _generate_lugre_features(dataset: Dataset) -> Iterator[list[Array]]:
+    for reach, (excess, speed) in itertools.product(_REACHES, _STRIBECK):
+        columns = []
+        for record, span in _pair_records_with_span(dataset):
+            scale = speed * max(float(np.sqrt(np.mean(record.speed**2))), 1e-12)
+            g = 1.0 + excess * np.exp(-((record.speed / scale) ** 2))
+            z = compute_bristle_deflection(record.drive, reach * span * g)
+            columns.append(np.column_stack([record.drive, z / (reach * span), record.speed]))
+        yield columns
+
+
+def _pair_records_with_span(dataset: Dataset) -> list[tuple[Record, float]]:
+    """Return each record with the range of the drive over all of them."""
+    span = max(float(np.ptp(record.drive)) for record in dataset.records)
+    return [(record, span) for record in dataset.records]
+
+
+_MODELS = {
+    "play operator with gain": _generate_play_features,
+    f"Prandtl-Ishlinskii, {PLAYS} plays": _generate_prandtl_features,
+    LUGRE: _generate_lugre_features,
+}

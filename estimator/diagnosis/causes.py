@@ -6,12 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from estimator.diagnosis.baseline import (
-    Choice,
-    choose_loads,
-    refit_baseline,
-    select_applicable_effects,
-)
+from estimator.diagnosis.baseline import choose_loads, select_applicable_effects
 from estimator.diagnosis.dataset import (
     Dataset,
     Fit,
@@ -20,13 +15,14 @@ from estimator.diagnosis.dataset import (
     rescale_residuals,
     use_all_samples,
 )
-from estimator.diagnosis.fit import ParameterLayout, fit_model
+from estimator.diagnosis.fit import ParameterLayout, fit_model, refit_baseline
 from estimator.diagnosis.hidden_motion import recover_motion_beside_effects
 from estimator.diagnosis.intervals import estimate_intervals, is_significant
+from estimator.diagnosis.measured_data import shorten_blocks
 from estimator.diagnosis.outcome import CauseStep, RankedCandidate
-from estimator.diagnosis.record import shorten_blocks
-from estimator.diagnosis.score import (
+from estimator.diagnosis.scoring import (
     ChannelErrors,
+    Choice,
     bootstrap_superiority,
     compute_bic_penalty,
     compute_errors,
@@ -36,7 +32,7 @@ from estimator.diagnosis.score import (
     is_noise,
     is_within_tolerance,
 )
-from estimator.diagnosis.search import Candidate, fit_candidates
+from estimator.diagnosis.screening import Candidate, fit_candidates
 from estimator.diagnosis.settings import SETTINGS, ProgressCallback, scale_progress
 from estimator.effects.effect import Effect, EffectContext
 

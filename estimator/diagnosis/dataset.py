@@ -1,29 +1,273 @@
-"""Records and their simulation by a model."""
+"""Records of one bench, the model that simulates them, and its residual."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from enum import StrEnum
 from typing import NamedTuple
 
 import numpy as np
 
 from estimator.array_types import Array
-from estimator.diagnosis.model import (
-    BaseLaw,
-    BaseParameters,
-    LoadModel,
-    SimulatedRecord,
-    build_base_parameters,
-    build_context,
-    simulate_record,
-)
-from estimator.diagnosis.record import (
+from estimator.diagnosis.measured_data import (
     Record,
     mark_all_as_train,
     select_record_rows,
     select_subsample,
 )
 from estimator.diagnosis.settings import SETTINGS
-from estimator.effects.effect import PROXIMAL_TENSION, Effect, EffectContext, Values
+from estimator.effects.effect import (
+    DISTAL_DISPLACEMENT,
+    DISTAL_TENSION,
+    PROXIMAL_DISPLACEMENT,
+    PROXIMAL_TENSION,
+    Effect,
+    EffectContext,
+    Parameter,
+    Signals,
+    Values,
+)
+from estimator.lumped.loop_model import simulate_loop
+from estimator.lumped.lumped_model import Motion, Physics, simulate_by_tension, simulate_by_travel
+from estimator.lumped.nodes import build_even_weights
+
+# --- base laws of a transmission: how friction goes with the load
+# * capstan: dT/ds = -/+ T, s from 0 to K; contacts of a tendon are rigid, those of a loop's cables
+#   have a presliding width;
+# * load-independent: dT/ds = -/+ F, s from 0 to 1, F the friction of the whole sheath [N]; contacts
+#   give elastically before they slide, over the presliding width (Dahl 1968);
+# * both: dT/ds = -/+ (T + F/K), with a presliding width.
+
+
+FRICTION = Parameter("K", "", 0.01, 5.0, 0.05)
+FRICTION_FORCE = Parameter("friction", "N", 1e-3, 200.0, 0.05)  # of a whole sheath, at any load
+PRESLIDING_WIDTH = Parameter("presliding width", "m", 1e-7, 5e-3, 5e-6, None)
+
+_LOAD_INDEPENDENT_K = 1e-3  # K of friction that no load changes: to within 0.1 % of the load
+
+
+class BaseLaw(StrEnum):
+    """Base laws."""
+
+    CAPSTAN = "capstan"
+    INDEPENDENT = "load-independent"
+    BOTH = "capstan and load-independent"
+
+
+_PARAMETERS: Mapping[BaseLaw, tuple[Parameter, ...]] = {
+    BaseLaw.CAPSTAN: (FRICTION,),
+    BaseLaw.INDEPENDENT: (FRICTION_FORCE, PRESLIDING_WIDTH),
+    BaseLaw.BOTH: (FRICTION, FRICTION_FORCE, PRESLIDING_WIDTH),
+}
+
+
+def list_law_parameters(law: BaseLaw, loop: bool) -> tuple[Parameter, ...]:
+    """Return the parameters of a law, before those of elasticity and load."""
+    return (FRICTION, PRESLIDING_WIDTH) if loop and law is BaseLaw.CAPSTAN else _PARAMETERS[law]
+
+
+EXCLUDED_EFFECTS: Mapping[BaseLaw, frozenset[str]] = {
+    BaseLaw.CAPSTAN: frozenset(),
+    BaseLaw.INDEPENDENT: frozenset({"constant_drag", "presliding", "tension_dependent_friction"}),
+    BaseLaw.BOTH: frozenset({"constant_drag", "presliding"}),
+}
+"""Effects that a law has in it already, or that are defined on another only."""
+
+
+def apply_base_law(physics: Physics, law: BaseLaw, values: Mapping[str, float]) -> Physics:
+    """Return a tendon with the friction of a law; `values` by name of `list_law_parameters`."""
+    ones, width = np.ones_like(physics.friction), values.get(PRESLIDING_WIDTH.name, 0.0)
+    if law is BaseLaw.CAPSTAN:
+        return physics._replace(friction=values[FRICTION.name] * ones, presliding=width)
+    K = _LOAD_INDEPENDENT_K if law is BaseLaw.INDEPENDENT else values[FRICTION.name]
+    return physics._replace(
+        friction=K * ones, drag=values[FRICTION_FORCE.name] / K, presliding=width
+    )
+
+
+COMPLIANCE = Parameter("L/EA", "m/N", 1e-7, 2e-2, 5e-6)
+TIP_COMPLIANCE = Parameter("tip compliance", "m/N", 0.0, 0.1, 1e-5)
+PRETENSION = Parameter("pretension", "N", 0.1, 500.0, 0.2)  # of a closed loop
+# of each record, about the first reading of its encoder
+TAUT_TRAVEL = Parameter("taut at", "m", -10.0, 10.0, 1e-5)
+TIP_ZERO = Parameter("tip zero", "m", -10.0, 10.0, 1e-6)
+TIP_MASS = Parameter("tip mass", "kg", 0.0, 50.0, 0.02)
+
+
+class LoadModel(StrEnum):
+    """What several records have in common of what their tips pull at."""
+
+    SHARED = "the same load in all files"
+    SPRINGS = "a spring in each file"
+    MASSES = "a spring and a mass in each file"
+
+
+OWN_LOADS = {
+    LoadModel.SHARED: (),
+    LoadModel.SPRINGS: (TIP_COMPLIANCE,),
+    LoadModel.MASSES: (TIP_COMPLIANCE, TIP_MASS),
+}
+
+
+class BaseParameters(NamedTuple):
+    """Parameters that every model has: of the dataset, and of each record."""
+
+    shared: tuple[Parameter, ...]
+    own: tuple[Parameter, ...]
+    law: BaseLaw = BaseLaw.CAPSTAN
+    loads: LoadModel = LoadModel.SHARED
+
+    def values(self, shared: Sequence[float], own: Sequence[float]) -> dict[str, float]:
+        """Return the values of a record's model by name of their parameter."""
+        names = (p.name for p in (*self.shared, *self.own))
+        return dict(zip(names, (*shared, *own), strict=True))
+
+    def compliance(self, shared: Sequence[float]) -> float | None:
+        """Return L/EA [m/N]; None where the channels do not tell it."""
+        return self.values(shared, [0.0] * len(self.own)).get(COMPLIANCE.name)
+
+
+class SimulatedRecord(NamedTuple):
+    """One record, simulated."""
+
+    signals: Signals  # what the sensors would have read, by channel
+    motion: Motion  # what they would have read it of
+
+
+def build_base_parameters(
+    record: Record, law: BaseLaw = BaseLaw.CAPSTAN, loads: LoadModel = LoadModel.SHARED
+) -> BaseParameters:
+    """Return the parameters that the channels of a record call for."""
+    is_travel_driven = record.driver != PROXIMAL_TENSION
+    has_tip_travel = DISTAL_DISPLACEMENT in record.signals
+    shared = [*list_law_parameters(law, record.loop), *([COMPLIANCE] if is_travel_driven else [])]
+    has_load = is_travel_driven or has_tip_travel
+    own = [*([TAUT_TRAVEL] if is_travel_driven else []), *([TIP_ZERO] if has_tip_travel else [])]
+    if has_load and loads is LoadModel.SHARED:
+        shared.append(TIP_COMPLIANCE)
+    elif has_load:
+        own += OWN_LOADS[loads]
+    if record.loop:
+        shared.append(PRETENSION)
+    return BaseParameters(tuple(shared), tuple(own), law, loads)
+
+
+def find_record_zeros(record: Record, base: BaseParameters) -> list[float]:
+    """Return what a record's own parameters count from: the first readings of its encoders."""
+    zeros = {TAUT_TRAVEL: float(record.drive[0])}
+    if TIP_ZERO in base.own:
+        zeros[TIP_ZERO] = float(record.signals[DISTAL_DISPLACEMENT][0])
+    return [zeros.get(p, 0.0) for p in base.own]
+
+
+def compute_record_bounds(record: Record, base: BaseParameters) -> list[tuple[float, float]]:
+    """Return between which values a record's own parameters may be, in the order of its base."""
+    zeros = find_record_zeros(record, base)
+    bounds = [(zero + p.low, zero + p.high) for zero, p in zip(zeros, base.own, strict=True)]
+    if TAUT_TRAVEL in base.own and record.starts_slack:
+        T = record.signals[PROXIMAL_TENSION]
+        compliance = float(np.ptp(record.drive)) / float(np.ptp(T))
+        margin = SETTINGS.slack_noise * record.noise[PROXIMAL_TENSION] * compliance
+        bounds[0] = (float(record.drive[0]) - margin, float(record.drive[0]) + margin)
+    return bounds
+
+
+def simulate_record(
+    record: Record,
+    context: EffectContext,
+    base: BaseParameters,
+    shared: Sequence[float],
+    own: Sequence[float],
+    effects: Sequence[tuple[Effect, Values]],
+) -> SimulatedRecord:
+    """Return what the sensors of a record would have read.
+
+    Parameters
+    ----------
+    record : Record
+        What drives it.
+    context : EffectContext
+        What effects may know of it.
+    base : Base
+        Parameters of the model.
+    shared, own : sequence of float
+        Their values.
+    effects : sequence of (Effect, values)
+        On top, in this order.
+    """
+    values = base.values(shared, own)
+    physics = build_plain_physics(record, base, values)
+    for effect, numbers in effects:
+        physics = effect.physics(physics, numbers, context)
+    motion = _simulate_motion(
+        record, physics, invert_effects(record.drive, context, effects), values
+    )
+    signals: Signals = {
+        PROXIMAL_TENSION: motion.proximal_tension,
+        PROXIMAL_DISPLACEMENT: motion.proximal_displacement,
+        DISTAL_TENSION: motion.distal_tension,
+    }
+    if TIP_ZERO in base.own:
+        signals[DISTAL_DISPLACEMENT] = motion.distal_displacement + values[TIP_ZERO.name]
+    for effect, numbers in effects:
+        signals = effect.measure(signals, numbers, context)
+    return SimulatedRecord({name: signals[name] for name in record.compared}, motion)
+
+
+def invert_effects(
+    drive: Array, context: EffectContext, effects: Sequence[tuple[Effect, Values]]
+) -> Array:
+    """Return what a reading of the driver is of, without what the effects have made of it."""
+    for effect, numbers in reversed(effects):
+        drive = effect.invert(drive, numbers, context)
+    return drive
+
+
+def build_plain_physics(
+    record: Record, base: BaseParameters, values: Mapping[str, float]
+) -> Physics:
+    """Return the tendon of a record, or each cable of its loop, without effects."""
+    physics = Physics(
+        np.ones(len(record.time)),
+        values.get(COMPLIANCE.name, SETTINGS.assumed_compliance),
+        build_even_weights(),
+        values.get(TIP_COMPLIANCE.name, 0.0),
+        mass=values.get(TIP_MASS.name, 0.0),
+    )
+    return apply_base_law(physics, base.law, values)
+
+
+def _simulate_motion(
+    record: Record, physics: Physics, drive: Array, values: Mapping[str, float]
+) -> Motion:
+    """Return what the ends of the transmission do when it is driven."""
+    if record.loop:
+        pretension, taut_travel = values[PRETENSION.name], values[TAUT_TRAVEL.name]
+        return simulate_loop(physics, pretension, record.time, drive - taut_travel, record.speed)
+    if record.driver == PROXIMAL_TENSION:
+        return simulate_by_tension(physics, record.time, np.maximum(drive, 0.0), record.speed)
+    return simulate_by_travel(physics, record.time, drive - values[TAUT_TRAVEL.name], record.speed)
+
+
+def build_context(
+    record: Record, simulated: SimulatedRecord | None, compliance: float
+) -> EffectContext:
+    """Return what effects may know of a record, with the model without them where there is one."""
+    no_signals: Mapping[str, Array] = {}
+    return EffectContext(
+        record.time,
+        record.driver,
+        record.drive,
+        record.speed,
+        record.signals,
+        dict(no_signals if simulated is None else simulated.signals),
+        np.zeros_like(record.time) if simulated is None else simulated.motion.compliance,
+        compliance,
+        1.0 / record.scale.force,
+        record.known,
+    )
+
+
+# --- records of one bench, and their simulation by a model
 
 
 class Dataset(NamedTuple):

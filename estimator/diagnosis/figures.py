@@ -15,13 +15,11 @@ from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
 from estimator.array_types import Array
-from estimator.diagnosis import report_text
-from estimator.diagnosis.file_tables import name_records
-from estimator.diagnosis.model import SimulatedRecord
-from estimator.diagnosis.outcome import Diagnosis
-from estimator.diagnosis.prediction import PredictedRecord
-from estimator.diagnosis.record import Record
-from estimator.diagnosis.report_text import name_judged_samples
+from estimator.diagnosis import report_tables
+from estimator.diagnosis.dataset import SimulatedRecord
+from estimator.diagnosis.measured_data import Record
+from estimator.diagnosis.outcome import Diagnosis, PredictedRecord
+from estimator.diagnosis.report_tables import name_judged_samples, name_records
 from estimator.drawing import BLACK, BLUE, GREY, STYLE, VERMILION
 from estimator.effects.effect import (
     DISTAL_TENSION,
@@ -180,7 +178,7 @@ def draw_loop(diagnosis: Diagnosis, k: int) -> Figure:
 
 def draw_residual_dependence(diagnosis: Diagnosis) -> Figure:
     """Draw the residuals of both models against tension, speed and time."""
-    channels = report_text.list_compared_channels(diagnosis)
+    channels = report_tables.list_compared_channels(diagnosis)
     figure = Figure(figsize=(8.2, 0.4 + 2.1 * len(channels)))
     grid = figure.subplots(len(channels), 3, sharey="row", squeeze=False)
     for row, channel in zip(grid, channels, strict=True):
@@ -221,7 +219,7 @@ def draw_residual_dependence(diagnosis: Diagnosis) -> Figure:
 
 def draw_ranking(diagnosis: Diagnosis) -> Figure:
     """Draw the scores of the candidates."""
-    candidates = report_text.select_best_candidates(diagnosis.ranking, BARS_MAX)[::-1]
+    candidates = report_tables.select_best_candidates(diagnosis.ranking, BARS_MAX)[::-1]
     figure = Figure(figsize=(8.2, 0.8 + 0.27 * len(candidates)))
     axes = figure.add_subplot()
     colours = dict.fromkeys(diagnosis.ambiguous_with, PALE_BLUE) | dict.fromkeys(

@@ -7,26 +7,25 @@ from numpy.typing import NDArray
 
 from estimator.array_types import Array
 from estimator.diagnosis.dataset import (
-    Dataset,
-    Fit,
-    Model,
-    build_unsimulated_contexts,
-    compute_cost,
-    compute_residual,
-    simulate_dataset,
-    use_all_samples,
-)
-from estimator.diagnosis.model import (
     OWN_LOADS,
     TAUT_TRAVEL,
     TIP_COMPLIANCE,
     TIP_MASS,
     TIP_ZERO,
     BaseParameters,
+    Dataset,
+    Fit,
+    Model,
+    build_context,
+    build_unsimulated_contexts,
+    compute_cost,
     compute_record_bounds,
+    compute_residual,
     find_record_zeros,
+    simulate_dataset,
+    use_all_samples,
 )
-from estimator.diagnosis.record import Record
+from estimator.diagnosis.measured_data import Record
 from estimator.diagnosis.settings import SETTINGS
 from estimator.effects.effect import (
     DISTAL_DISPLACEMENT,
@@ -466,3 +465,27 @@ def _run_least_squares(
         max_nfev=rounds,
     )
     return simulate_dataset(dataset, contexts, layout.unpack(to_full_row(solution.values)))
+
+
+BASELINE_ROUNDS = 15
+
+
+def refit_baseline(dataset: Dataset, fit: Fit) -> Fit:
+    """Return the fit of the base law, started from a fit of the same records, other weights."""
+    return fit_model(dataset, build_initial_contexts(dataset), fit.model, BASELINE_ROUNDS)
+
+
+def fit_robustly(dataset: Dataset, fit: Fit) -> Fit:
+    """Return the robust fit, started from the ordinary fit `fit`.
+
+    Where something happened at one time, what came before it and what came after it are each fitted
+    badly by one model; this one fits the longer part.
+    """
+    return fit_model(
+        dataset, build_initial_contexts(dataset), fit.model, BASELINE_ROUNDS, robust=True
+    )
+
+
+def build_initial_contexts(dataset: Dataset) -> list[EffectContext]:
+    """Return what effects may know of each record while no model of it is fitted."""
+    return [build_context(record, None, 1e-4) for record in dataset.records]

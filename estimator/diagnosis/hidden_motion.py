@@ -1,39 +1,89 @@
-"""Motion of the motor that the noise of its travel hides and the tension at the housing shows.
+"""What the noise of the driving channel does to a simulation, and motion that it hides."""
 
-Just behind a turn the tension changes with the root of the travel: where the motor goes back by
-less than the noise, the travel looks at rest while the tension falls or rises by many times its own
-noise. There the tension determines the motion better. So where a simulation by the base law leaves
-the measured tension, the most probable motion is followed sample by sample, by tension and travel
-together, until the travel alone tells the tension again: a few samples. It is taken if it lies
-within the noise of the travel. Otherwise something else is wrong and nothing changes.
-"""
-
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from estimator.array_types import Array
-from estimator.diagnosis.drive import compute_rate
-from estimator.diagnosis.model import (
+from estimator.diagnosis.dataset import (
     BaseParameters,
     build_plain_physics,
     invert_effects,
     simulate_record,
 )
-from estimator.diagnosis.record import Record
+from estimator.diagnosis.drive import compute_rate, estimate_drive
+from estimator.diagnosis.measured_data import Record
+from estimator.diagnosis.sampling import DataIssue
 from estimator.diagnosis.settings import SETTINGS
-from estimator.diagnosis.troubles import DataIssue
 from estimator.effects.effect import (
     PROXIMAL_DISPLACEMENT,
     PROXIMAL_TENSION,
     Effect,
     EffectContext,
+    Signals,
     Values,
 )
 from estimator.lumped.lumped_model import DrivenTendon
+
+# --- what the noise of what drives a simulation makes of it
+
+
+NOISE_DRAWS = 8  # of the driver's noise
+AVERAGING_SAMPLES = 5  # samples over which the variance that it makes is averaged
+
+
+class SimulatedSignals(Protocol):
+    """What a simulation gives."""
+
+    @property
+    def signals(self) -> Signals:
+        """By channel, shape (n,)."""
+
+
+def propagate_driver_noise(
+    record: Record, simulate: Callable[[Record], SimulatedSignals]
+) -> Record:
+    """Return a record whose `sigma` has in it what the driver's noise does to a simulation.
+
+    Friction remembers where the driver turned, so an error of the driver shows most just behind a
+    turn, where the tension changes with the root of the travel. `simulate` takes the record with
+    noise put on its drive once more (parametric bootstrap); the variance that this makes of each
+    channel is taken sample by sample.
+    """
+    sigma = record.noise[record.driver]
+    if not sigma > 0.0:
+        return record
+    rng = np.random.default_rng(0)
+    reference = simulate(record).signals
+    variance = {channel: np.zeros_like(record.time) for channel in record.compared}
+    for _ in range(NOISE_DRAWS):
+        noisy = record.drive + sigma * rng.standard_normal(len(record.time))
+        drive = estimate_drive(record.driver, record.time, noisy, sigma).signal
+        perturbed = simulate(replace(record, drive=drive)).signals
+        for channel in variance:
+            variance[channel] += (perturbed[channel] - reference[channel]) ** 2 / NOISE_DRAWS
+    kernel = np.full(AVERAGING_SAMPLES, 1.0 / AVERAGING_SAMPLES)
+    return replace(
+        record,
+        sigma={
+            channel: np.sqrt(
+                record.noise[channel] ** 2 + np.convolve(channel_variance, kernel, mode="same")
+            )
+            for channel, channel_variance in variance.items()
+        },
+    )
+
+
+# --- motion of the motor that the noise of its travel hides and the tension at the housing shows
+# Just behind a turn the tension changes with the root of the travel: where the motor goes back by
+# less than the noise, the travel looks at rest while the tension falls or rises by many times its
+# own noise. There the tension determines the motion better. So where a simulation by the base law
+# leaves the measured tension, the most probable motion is followed sample by sample, by tension and
+# travel together, until the travel alone tells the tension again: a few samples. It is taken if it
+# lies within the noise of the travel. Otherwise something else is wrong and nothing changes.
 
 Mask = NDArray[np.bool_]
 

@@ -1,21 +1,105 @@
 """What a diagnosis says."""
 
+from collections.abc import Iterable, Sequence
 from enum import StrEnum
-from typing import TYPE_CHECKING, NamedTuple
+from itertools import zip_longest
+from typing import NamedTuple
 
-from estimator.diagnosis.baseline import Choice
-from estimator.diagnosis.bench_scale import UNIT_SCALE, BenchScale
-from estimator.diagnosis.dataset import Dataset, Fit
-from estimator.diagnosis.force import FileForce, RivalForce
-from estimator.diagnosis.prediction import ErrorStatistics, PredictedRecord
-from estimator.diagnosis.score import ResidualDependence
-from estimator.diagnosis.simple_models import SimpleFit, SimpleGain
-from estimator.diagnosis.troubles import DataIssue
-from estimator.effects.effect import Effect, Values
+import numpy as np
+
+from estimator.array_types import Array
+from estimator.diagnosis.dataset import Dataset, Fit, SimulatedRecord
+from estimator.diagnosis.measured_data import UNIT_SCALE, BenchScale, Record
+from estimator.diagnosis.sampling import DataIssue
+from estimator.diagnosis.scoring import Choice, ResidualDependence, SimpleFit, SimpleGain
+from estimator.effects.effect import (
+    DISTAL_DISPLACEMENT,
+    DISTAL_TENSION,
+    PROXIMAL_DISPLACEMENT,
+    Effect,
+    Values,
+)
 from estimator.units import Units
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+
+class ErrorStatistics(NamedTuple):
+    """How far a model is off in one channel, on one set of samples."""
+
+    rmse: float  # in the channel's unit
+    largest: float  # share of full scale
+    mean: float  # share of full scale
+
+
+class PredictedRecord(NamedTuple):
+    """A record that was not fitted, as both models predict it."""
+
+    record: Record
+    before: SimulatedRecord  # by the base law
+    after: SimulatedRecord  # by the extended law
+
+    def fitness(self, simulated: SimulatedRecord) -> dict[str, ErrorStatistics]:
+        """Return how far one of the two is off, by channel."""
+        return {
+            channel: compute_error_statistics(
+                [self.residual(simulated, channel)], float(np.ptp(self.record.signals[channel]))
+            )
+            for channel in self.record.compared
+        }
+
+    def residual(self, simulated: SimulatedRecord, channel: str) -> Array:
+        """Return measured less simulated of the samples that count [N] or [m]."""
+        good = self.record.good[channel]
+        return (self.record.signals[channel] - simulated.signals[channel])[good]
+
+    @property
+    def spikes(self) -> dict[str, int]:
+        """Single-sample spikes that were excluded, by channel."""
+        excluded = dict.fromkeys(self.record.signals, 0)
+        for trouble in self.record.troubles:
+            if trouble.what == SPIKES:
+                excluded[trouble.channel] = trouble.samples
+        return excluded
+
+
+SPIKES = "single-sample spikes"
+
+
+def compute_error_statistics(residuals: Sequence[Array], full_scale: float) -> ErrorStatistics:
+    """Return the errors of some residuals, in shares of a full scale [N] or [m]."""
+    error = np.concatenate(residuals)
+    share = np.abs(error) / max(full_scale, 1e-12)
+    return ErrorStatistics(
+        float(np.sqrt(np.mean(error**2))), float(share.max()), float(share.mean())
+    )
+
+
+class ForceError(NamedTuple):
+    """How far the estimated force is off what the load cell at the tip reads."""
+
+    rmse: float  # [N]
+    mean: float  # [N]
+    largest: float  # [N]
+    full_scale: float  # [N] largest reading
+    samples: int
+    spikes: int  # single-sample spikes of that cell, excluded
+
+
+class FileForce(NamedTuple):
+    """The force in one record, estimated with both models."""
+
+    validation: bool  # not fitted
+    before: ForceError
+    after: ForceError
+
+
+class RivalForce(NamedTuple):
+    """What another cause in the model would do to the estimated force."""
+
+    replaces: str
+    label: str
+    mean: float  # [N] mean of the absolute difference
+    largest: float  # [N]
+    full_scale: float  # [N] largest force estimated with the cause itself
 
 
 class Verdict(StrEnum):
@@ -154,29 +238,115 @@ class Diagnosis(NamedTuple):
         names = [name for step in self.steps for name in step.rivals]
         return tuple(dict.fromkeys(name for name in names if name not in self.causes))
 
-    def summary(self) -> str:
-        """Return the verdict, tables and next steps as Markdown text."""
-        from estimator.diagnosis import report_text  # which imports this module
 
-        return report_text.format_summary(self)
+# --- what to measure next, so that causes which look alike in the channels at hand come apart
 
-    def plot(self, record: int = 0) -> "Figure":
-        """Return a figure of one fitted record: measured, simulated, and residuals."""
-        from estimator.diagnosis import figures  # which imports this module
-        from estimator.drawing import use_style
 
-        with use_style():
-            return figures.draw_over_time(self, record)
+WEIGHTS = "hang the same known weight on both load cells"
+TARE = "tare both load cells while the tendon is slack"
+STRAIGHT_SHEATH = "one run with the sheath laid straight: friction goes, errors of sensors stay"
+SEVERAL_SPEEDS = "the same swing at three speeds or more, down to creeping"
+NESTED_SWINGS = "swings of several depths, nested in one another"
+TENSION_HOLDS = "holds of 10 s or more at two tensions"
+REPEATED_SWING = "the same swing at the beginning and at the end"
+HARD_STOP = "a return to a hard stop now and then"
+KNOWN_TRAVEL = "a known travel, measured beside the encoders"
+PULLEY_TURNS = "two turns of the pulley or more"
+BLOCKED_TIP = "a run with the tip blocked"
+TEMPERATURE_LOG = "a log of the temperature"
+TIP_CELL = "a load cell at the tip"
+TIP_ENCODER = "an encoder at the tip"
+MOTOR_TRAVEL = "the motor's travel"
 
-    def _repr_html_(self) -> str:
-        """Return the verdict, tables and figures for a notebook."""
-        from estimator.diagnosis import figures, report_text  # which import this module
-        from estimator.drawing import format_html_report
+ISOLATED_EFFECTS: dict[str, frozenset[str]] = {
+    WEIGHTS: frozenset({"proximal_tension_gain", "distal_tension_gain"}),
+    TARE: frozenset({"proximal_tension_bias", "distal_tension_bias"}),
+    STRAIGHT_SHEATH: frozenset(
+        {
+            "friction_step",
+            "friction_drift",
+            "constant_drag",
+            "stribeck_friction",
+            "presliding",
+            "distributed_play",
+            "direction_asymmetry",
+            "tension_dependent_friction",
+            "nonuniform_curvature",
+            "stick_slip",
+        }
+    ),
+    SEVERAL_SPEEDS: frozenset(
+        {"viscous_friction", "stribeck_friction", "sensor_lag", "tip_inertia", "stick_slip"}
+    ),
+    NESTED_SWINGS: frozenset(
+        {
+            "presliding",
+            "distributed_play",
+            "tension_dependent_friction",
+            "joint_backlash",
+            "sheath_rub",
+        }
+    ),
+    TENSION_HOLDS: frozenset({"creep"}),
+    REPEATED_SWING: frozenset(
+        {
+            "friction_step",
+            "friction_drift",
+            "proximal_tension_drift",
+            "distal_tension_drift",
+            "pretension",
+            "tip_moved",
+        }
+    ),
+    HARD_STOP: frozenset({"encoder_slip", "thermal_expansion", "creep"}),
+    KNOWN_TRAVEL: frozenset({"encoder_scale"}),
+    PULLEY_TURNS: frozenset({"pulley_eccentricity", "cogging_ripple"}),
+    BLOCKED_TIP: frozenset(
+        {"joint_friction", "joint_backlash", "antagonist_tension", "tip_inertia", "tip_moved"}
+    ),
+    TEMPERATURE_LOG: frozenset(
+        {"thermal_expansion", "proximal_tension_drift", "distal_tension_drift", "friction_drift"}
+    ),
+}
+"""Which effects an experiment singles out."""
 
-        figures_with_captions = [
-            (drawn_figure.figure, drawn_figure.caption)
-            for drawn_figure in figures.draw_figures(self)
-        ]
-        return format_html_report(
-            report_text.format_verdict(self), report_text.build_tables(self), figures_with_captions
-        )
+SEPARATING_EXPERIMENTS = frozenset({WEIGHTS, TARE})
+"""Experiments that tell the effects they single out from one another, too."""
+
+_CHANNELS = {
+    DISTAL_TENSION: TIP_CELL,
+    PROXIMAL_DISPLACEMENT: MOTOR_TRAVEL,
+    DISTAL_DISPLACEMENT: TIP_ENCODER,
+}
+
+
+def suggest_experiments(
+    sets: Iterable[Iterable[str]], channels: Iterable[str], most: int = 3
+) -> tuple[str, ...]:
+    """Return experiments that tell effects apart which look alike, for each of some sets of them.
+
+    First those that leave least together, then channels that were not measured.
+    """
+    useful = [_select_useful_experiments(frozenset(names)) for names in sets]
+    interleaved = [
+        experiment for turn in zip_longest(*useful) for experiment in turn if experiment is not None
+    ]
+    experiments = list(dict.fromkeys(interleaved))[:most]
+    missing = [text for channel, text in _CHANNELS.items() if channel not in set(channels)]
+    return tuple([*experiments, *missing][: most + 1]) if experiments else ()
+
+
+def _select_useful_experiments(effects: frozenset[str]) -> list[str]:
+    """Return the experiments that tell some of the effects apart, the best first."""
+    unresolved = {
+        experiment: _count_unresolved(experiment, effects) for experiment in ISOLATED_EFFECTS
+    }
+    useful = [experiment for experiment, count in unresolved.items() if count < len(effects)]
+    return sorted(useful, key=lambda experiment: unresolved[experiment])
+
+
+def _count_unresolved(experiment: str, effects: frozenset[str]) -> int:
+    """Return how many of the effects an experiment leaves together, at worst."""
+    isolated = effects & ISOLATED_EFFECTS[experiment]
+    indistinct = min(len(isolated), 1) if experiment in SEPARATING_EXPERIMENTS else len(isolated)
+    return max(indistinct, len(effects - isolated))

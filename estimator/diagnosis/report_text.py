@@ -1,37 +1,36 @@
 """A diagnosis in words: the verdict in one sentence, tables of text, and what to do next."""
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 
-from estimator.diagnosis.baseline import Choice
-from estimator.diagnosis.dataset import compute_tolerance
-from estimator.diagnosis.model import TIP_COMPLIANCE
+from estimator.diagnosis import report_tables
+from estimator.diagnosis.baseline import LUGRE
+from estimator.diagnosis.dataset import TIP_COMPLIANCE, compute_tolerance
 from estimator.diagnosis.outcome import (
     CauseStep,
     DetectionLimit,
     Diagnosis,
-    FittedValue,
-    ModelErrors,
-    RankedCandidate,
     Verdict,
 )
-from estimator.diagnosis.settings import SETTINGS
-from estimator.diagnosis.simple_models import LUGRE
-from estimator.effects import CATALOGUE, Effect
-from estimator.effects.effect import (
-    CHANNELS,
-    DISTAL_DISPLACEMENT,
-    DISTAL_TENSION,
-    PROXIMAL_TENSION,
+from estimator.diagnosis.report_tables import (
+    build_candidate_table,
+    build_detection_limit_table,
+    build_gain_table,
+    build_law_table,
+    build_load_table,
+    build_model_table,
+    build_parameter_table,
+    build_simple_gain_table,
+    name_judged_samples,
 )
+from estimator.diagnosis.settings import SETTINGS
+from estimator.effects import CATALOGUE, Effect
+from estimator.effects.effect import CHANNELS, DISTAL_DISPLACEMENT, DISTAL_TENSION, PROXIMAL_TENSION
 from estimator.text_table import Table
 from estimator.units import format_quantity
 
-CANDIDATES_SHOWN = 8  # candidates in a table
 DEPENDENCES_SHOWN = 2  # named in a sentence
 UNSURE_CAUSES_SHOWN = 3  # causes in a sentence, none of them sure
-DIGITS_MAX = 8
-SAMPLE_SETS = {"fit": "fitted", "held_out": "held out", "validation": "validation"}
 
 
 def format_verdict(diagnosis: Diagnosis) -> str:
@@ -83,9 +82,7 @@ def format_summary(
     further : sequence of str, optional
         What the records for validation are called.
     """
-    from estimator.diagnosis import file_tables  # which imports this module
-
-    names = file_tables.name_records(diagnosis, files, further)
+    names = report_tables.name_records(diagnosis, files, further)
     warnings = [f"WARNING: {line}" for line in list_better_models(diagnosis)]
     parts = ["\n".join([format_verdict(diagnosis), *warnings])]
     parts += [table.markdown() for table in build_tables(diagnosis, files, compared, further)]
@@ -103,9 +100,7 @@ def build_tables(
     further: Sequence[str] = (),
 ) -> list[Table]:
     """Return the tables of a diagnosis; for the parameters see `format_summary`."""
-    from estimator.diagnosis import file_tables  # which imports this module
-
-    names = file_tables.name_records(diagnosis, files, further)
+    names = report_tables.name_records(diagnosis, files, further)
     fitted_names = names[: len(diagnosis.dataset.records)]
     tables = [build_candidate_table(diagnosis)] if diagnosis.ranking else []
     tables.append(build_parameter_table(diagnosis))
@@ -121,146 +116,18 @@ def build_tables(
     tables += [build_model_table(diagnosis), build_simple_gain_table(diagnosis)]
     if diagnosis.validation:
         tables.append(
-            file_tables.build_prediction_table(diagnosis.validation, names[len(fitted_names) :])
+            report_tables.build_prediction_table(diagnosis.validation, names[len(fitted_names) :])
         )
     if diagnosis.left_out:
         left_out = [f"{name}, left out" for name in fitted_names]
-        tables.append(file_tables.build_prediction_table(diagnosis.left_out, left_out))
+        tables.append(report_tables.build_prediction_table(diagnosis.left_out, left_out))
     if diagnosis.forces:
-        tables.append(file_tables.build_force_table(diagnosis, names))
+        tables.append(report_tables.build_force_table(diagnosis, names))
     if diagnosis.rival_forces:
-        tables.append(file_tables.build_rival_table(diagnosis))
+        tables.append(report_tables.build_rival_table(diagnosis))
     if diagnosis.detection_limits:
         tables.append(build_detection_limit_table(diagnosis))
     return tables
-
-
-def build_candidate_table(diagnosis: Diagnosis) -> Table:
-    """Return how the candidates of the first search came out, the best first."""
-    return build_ranking_table(diagnosis, diagnosis.ranking)
-
-
-def build_ranking_table(diagnosis: Diagnosis, ranking: Sequence[RankedCandidate]) -> Table:
-    """Return how the candidates of one search came out, the best first."""
-    channels = list_compared_channels(diagnosis)
-    rows = [
-        (
-            candidate.label,
-            f"{candidate.score:.0f}",
-            *(
-                format_quantity(candidate.rmse.get(channel), diagnosis.units.of(channel), 3)
-                for channel in channels
-            ),
-            f"{candidate.left:.0%}",
-        )
-        for candidate in select_best_candidates(ranking, CANDIDATES_SHOWN)
-    ]
-    head = (
-        "candidate",
-        "score",
-        *(f"RMSE, {diagnosis.units.word(channel)}" for channel in channels),
-        "unexplained",
-    )
-    return Table(head, tuple(rows))
-
-
-def build_parameter_table(diagnosis: Diagnosis) -> Table:
-    """Return the numbers of the extended model."""
-    rows = [
-        (
-            name,
-            format_quantity(number.value, number.unit, count_interval_digits(number)),
-            format_interval(number),
-        )
-        for name, number in diagnosis.parameters.items()
-    ]
-    return Table(("parameter", "value", "95 % interval"), tuple(rows))
-
-
-def build_law_table(diagnosis: Diagnosis) -> Table | None:
-    """Return the evidence for the base law; None where nothing was to be chosen."""
-    return _build_choice_table(diagnosis, diagnosis.laws, "base law", diagnosis.dataset.base.law)
-
-
-def build_load_table(diagnosis: Diagnosis) -> Table | None:
-    """Return the evidence for loads that differ by file; None where nothing was to be chosen."""
-    return _build_choice_table(
-        diagnosis, diagnosis.loads, "load at the tip", diagnosis.dataset.base.loads
-    )
-
-
-def _build_choice_table(
-    diagnosis: Diagnosis, choice: Choice, title: str, chosen: str
-) -> Table | None:
-    """Return the scores of what could be chosen, the choice marked."""
-    if not choice.scores:
-        return None
-    channels = list_compared_channels(diagnosis)
-    equivalents = choice.alike if len(choice.alike) > 1 else ()
-    rows = [
-        (
-            score.name,
-            f"{score.score:.0f}",
-            *(
-                format_quantity(score.rmse[channel], diagnosis.units.of(channel), 3)
-                for channel in channels
-            ),
-            "chosen" if score.name == chosen else "as good" if score.name in equivalents else "",
-        )
-        for score in choice.scores
-    ]
-    head = (title, "score", *(f"RMSE, {diagnosis.units.word(channel)}" for channel in channels), "")
-    return Table(head, tuple(rows))
-
-
-def build_gain_table(diagnosis: Diagnosis) -> Table:
-    """Return by how much errors fell, of held-out samples if any are."""
-    rows = [
-        (diagnosis.units.word(channel), f"{gain.value:.1%}", f"{gain.low:.1%} to {gain.high:.1%}")
-        for channel, gain in diagnosis.gain.items()
-    ]
-    return Table(
-        ("channel", f"{name_judged_samples(diagnosis)} RMSE falls by", "95 % interval"), tuple(rows)
-    )
-
-
-def build_model_table(diagnosis: Diagnosis) -> Table:
-    """Return the held-out errors of the law and of models that know no sheath."""
-    errors = {"the plain law": {c: result.rmse for c, result in diagnosis.before.held_out.items()}}
-    if diagnosis.steps:
-        errors["the extended law"] = {
-            c: result.rmse for c, result in diagnosis.after.held_out.items()
-        }
-    errors |= {result.name: result.rmse for result in diagnosis.simple_models}
-    channels = list(diagnosis.before.held_out)
-    rows = [
-        (
-            name,
-            *(
-                format_quantity(rmse[channel], diagnosis.units.of(channel), 3)
-                for channel in channels
-            ),
-        )
-        for name, rmse in errors.items()
-    ]
-    channel_names = (diagnosis.units.word(channel) for channel in channels)
-    return Table((f"{name_judged_samples(diagnosis)} RMSE of", *channel_names), tuple(rows))
-
-
-def build_simple_gain_table(diagnosis: Diagnosis) -> Table:
-    """Return by how much the law is better than the best model that knows no sheath."""
-    rows = [
-        (
-            diagnosis.units.word(channel),
-            gain.model,
-            f"{gain.value:.1%}",
-            f"{gain.low:.1%} to {gain.high:.1%}",
-        )
-        for channel, gain in diagnosis.simple_gain.items()
-    ]
-    lower = f"{name_judged_samples(diagnosis)} RMSE of the law is lower by"
-    head = ("channel", "best simple model", lower, "95 % interval")
-    return Table(head, tuple(rows))
 
 
 def list_better_models(diagnosis: Diagnosis) -> list[str]:
@@ -288,25 +155,6 @@ def _suggest_remedy(diagnosis: Diagnosis, model: str) -> str:
         requested = ",".join([*diagnosis.causes, *missing])
         return f"test the effect that is like it, with --effects {requested}"
     return "do not trust the estimate beyond that error, and look at what the residuals depend on"
-
-
-def build_error_table(diagnosis: Diagnosis) -> Table:
-    """Return the errors of both models, by channel and by what they were judged on."""
-    rows = []
-    for name, samples_name in SAMPLE_SETS.items():
-        if diagnosis.fit_all and name == "held_out":
-            continue
-        for channel in getattr(diagnosis.before, name):
-            pair = [
-                _format_errors(diagnosis, model, name, channel)
-                for model in (diagnosis.before, diagnosis.after)
-            ]
-            cells = [cell for stage_pair in zip(*pair, strict=True) for cell in stage_pair]
-            rows.append((diagnosis.units.word(channel), samples_name, *cells))
-    head = tuple(
-        f"{item}, {stage}" for item in ("RMSE", "largest", "mean") for stage in _MODEL_STAGES
-    )
-    return Table(("channel", "data", *head), tuple(rows))
 
 
 def list_next_steps(diagnosis: Diagnosis) -> list[str]:
@@ -377,50 +225,6 @@ def describe_residuals(diagnosis: Diagnosis) -> list[str]:
             f"noise is {format_quantity(noise, unit, 2)}; {remark}."
         )
     return lines
-
-
-def build_detection_limit_table(diagnosis: Diagnosis) -> Table:
-    """Return the smallest effects that would have been seen."""
-    rows = [
-        (name, limit.parameter, format_quantity(limit.size, limit.unit, 2))
-        for name, limit in diagnosis.detection_limits.items()
-    ]
-    return Table(("effect", "parameter", "would have been seen from"), tuple(rows))
-
-
-def name_judged_samples(diagnosis: Diagnosis) -> str:
-    """Return which errors are stated: of samples that were held out, or of fitted ones."""
-    return "in-sample" if diagnosis.fit_all else "held-out"
-
-
-def select_best_candidates(ranking: Iterable[RankedCandidate], count: int) -> list[RankedCandidate]:
-    """Return the candidates of highest score, the best first."""
-    return sorted(ranking, key=lambda ranked: -ranked.score)[:count]
-
-
-def list_compared_channels(diagnosis: Diagnosis) -> tuple[str, ...]:
-    """Return the channels that the model was compared with."""
-    return tuple(dict.fromkeys(c for r in diagnosis.dataset.records for c in r.compared))
-
-
-def format_interval(number: FittedValue) -> str:
-    """Return from where to where a value may be."""
-    ends = (
-        format_quantity(end, number.unit, count_interval_digits(number))
-        for end in (number.low, number.high)
-    )
-    return " to ".join(ends) + (", at its bound" if number.at_bound else "")
-
-
-def count_interval_digits(number: FittedValue) -> int:
-    """Return how many digits tell the ends of an interval apart."""
-    for count in range(4, DIGITS_MAX):
-        if f"{number.low:.{count}g}" != f"{number.high:.{count}g}":
-            return count
-    return DIGITS_MAX
-
-
-_MODEL_STAGES = ("before", "after")
 
 
 def _name_channel(diagnosis: Diagnosis, channel: str) -> str:
@@ -514,16 +318,3 @@ def _describe_detection_limits(sizes: dict[str, DetectionLimit]) -> str:
     other_text = f", and {len(sizes) - 1} other effects from sizes listed below" * (len(sizes) > 1)
     size = format_quantity(limit.size, limit.unit, 2)
     return f"; {name} would have been seen from a {limit.parameter} of {size} on{other_text}"
-
-
-def _format_errors(
-    diagnosis: Diagnosis, model: ModelErrors, name: str, channel: str
-) -> tuple[str, ...]:
-    statistics = getattr(model, name).get(channel)
-    if statistics is None:
-        return "", "", ""
-    return (
-        format_quantity(statistics.rmse, diagnosis.units.of(channel), 3),
-        f"{statistics.largest:.2%}",
-        f"{statistics.mean:.2%}",
-    )

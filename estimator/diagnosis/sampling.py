@@ -13,8 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.array_types import Array
+from estimator.diagnosis.noise import (
+    compute_block_rms,
+    compute_divided_differences,
+    find_quantisation_step,
+)
 from estimator.diagnosis.settings import SETTINGS
 from estimator.effects.effect import Signals
+from estimator.signals import noise_sigma
+from estimator.spikes import find_spikes
 
 STEP_SCATTER_MAX = 0.02  # of the period: scatter of the steps below which stamps are even
 GAP_PERIODS = 1.75  # periods: a step with a sample missing in it
@@ -33,43 +40,6 @@ class SampleTimes(NamedTuple):
 
     time: Array  # [s], shape (n,), strictly rising
     jitter: float  # [s] rms of the stamps about it; 0 where they are the time
-
-
-def compute_divided_differences(time: Array, signal: Array, order: int) -> Array:
-    """Return divided differences, normalised so that white noise of 1 has a variance of 1.
-
-    Parameters
-    ----------
-    time, signal : ndarray
-        Shape (n,), the time strictly rising.
-    order : int
-        m.
-
-    Returns
-    -------
-    ndarray
-        Shape (n - m,): sum w_j y_j over each m + 1 neighbours, w_j = 1 / prod_k (t_j - t_k), by
-        the root of sum w_j^2.
-    """
-    count = len(time) - order
-    t = time * ((len(time) - 1) / float(time[-1] - time[0]))  # in mean periods
-    differences = signal
-    for m in range(1, order + 1):
-        differences = np.diff(differences) / (t[m:] - t[:-m])
-    power = np.zeros(count)
-    for j in range(order + 1):
-        weight = np.ones(count)
-        for k in range(order + 1):
-            if k != j:
-                weight /= t[j : j + count] - t[k : k + count]
-        power += weight**2
-    return np.asarray(differences / np.sqrt(power))
-
-
-def compute_block_rms(values: Array, block: int) -> Array:
-    """Return the root mean square of values over consecutive blocks."""
-    count = max(len(values) // block, 1)
-    return np.asarray(np.sqrt(np.mean(values[: count * block].reshape(count, -1) ** 2, axis=1)))
 
 
 def estimate_sample_times(time: Array, signals: Signals) -> SampleTimes:
@@ -306,3 +276,101 @@ def decimate_record(
         usual_counts,
         k,
     )
+
+
+STEP_TOLERANCE = 0.05  # of the period: a time step is uneven
+UNEVEN_SHARE = 0.02  # of the time steps, that are uneven before it is said
+SPEED_SAMPLES = 5  # samples over which a speed beside a gap is taken
+# of the speed beside a gap: in one that is crossed slower the motor may have turned
+GAP_SPEED_MIN = 0.5
+GAPS_LISTED_MAX = 3
+
+
+class DataIssue(NamedTuple):
+    """Samples that were excluded, or are odd, and why."""
+
+    what: str
+    channel: str
+    samples: int
+    first: float  # [s], as in the data
+    excluded: bool = True
+
+
+def select_valid_samples(time: Array, name: str, signal: Array) -> tuple[Mask, list[DataIssue]]:
+    """Return which samples of a channel count, and what is said of the others."""
+    present = np.isfinite(signal)
+    is_held = np.zeros(len(signal), dtype=np.bool_)
+    is_held[present] = find_held_samples(signal[present], find_quantisation_step(signal[present]))
+    excluded = {"single-sample spikes": find_spikes(signal), "held samples excluded": is_held}
+    troubles = [
+        DataIssue(message, name, int(rows.sum()), float(time[int(np.argmax(rows))]))
+        for message, rows in excluded.items()
+        if rows.any()
+    ]
+    return present & ~np.logical_or.reduce(list(excluded.values())), troubles
+
+
+def find_sampling_issues(time: Array, signals: Signals) -> list[DataIssue]:
+    """Say where all channels repeat a sample, or where samples are missing."""
+    issues = []
+    is_repeated = np.ones(len(time) - 1, dtype=np.bool_)
+    for signal in signals.values():
+        change = np.diff(signal)
+        is_repeated &= (change == 0.0) | np.isnan(change)
+    has_noise = any(noise_sigma(drop_missing(signal)) > 0.0 for signal in signals.values())
+    if has_noise and is_repeated.any():
+        first_time = float(time[1:][is_repeated][0])
+        issues.append(
+            DataIssue("repeated samples", "all channels", int(is_repeated.sum()), first_time, False)
+        )
+    steps = np.diff(time)
+    period = float(np.median(steps))
+    is_uneven = np.abs(steps - period) > STEP_TOLERANCE * period
+    is_gap = steps > GAP_PERIODS * period
+    if np.mean(is_uneven & ~is_gap) > UNEVEN_SHARE:
+        message = f"uneven time steps, from {1e3 * steps.min():.3g} to {1e3 * steps.max():.3g} ms"
+        first_time = float(time[1:][is_uneven][0])
+        issues.append(DataIssue(message, "all channels", int(is_uneven.sum()), first_time, False))
+    if is_gap.any():
+        missing, first_time = (
+            int(np.rint(steps[is_gap] / period - 1.0).sum()),
+            float(time[1:][is_gap][0]),
+        )
+        issues.append(DataIssue("missing samples", "all channels", missing, first_time, False))
+    return issues
+
+
+def find_unseen_turns(
+    driver: str, time: Array, drive: Array, jitter: float, start: float
+) -> list[DataIssue]:
+    """Say in which gaps the drive may have turned: it went another way, or slower, than beside."""
+    steps = np.diff(time)
+    gaps = np.flatnonzero(steps > max(LONG_GAP, LONG_GAP_PERIODS * float(np.median(steps))))
+    uncertain_gaps = []
+    for i in gaps.tolist():
+        spans = (
+            (max(i - SPEED_SAMPLES, 0), i),
+            (i, i + 1),
+            (i + 1, min(i + 1 + SPEED_SAMPLES, len(time) - 1)),
+        )
+        distances = [float(drive[end] - drive[begin]) for begin, end in spans]
+        speeds = [
+            distance / float(time[end] - time[begin]) if abs(distance) > jitter else 0.0
+            for distance, (begin, end) in zip(distances, spans, strict=True)
+        ]
+        speed_before, speed_across, speed_after = speeds
+        speed_beside = min(abs(speed_before), abs(speed_after))
+        if min(speeds) < 0.0 < max(speeds) or abs(speed_across) < GAP_SPEED_MIN * speed_beside:
+            uncertain_gaps.append((start + float(time[i]), start + float(time[i + 1])))
+    if not uncertain_gaps:
+        return []
+    times = ", ".join(
+        f"{begin:.4g} to {end:.4g} s" for begin, end in uncertain_gaps[:GAPS_LISTED_MAX]
+    )
+    times += ", ..." * (len(uncertain_gaps) > GAPS_LISTED_MAX)
+    message = f"gaps in which the motor may have turned ({times}): friction after them is uncertain"
+    return [
+        DataIssue(
+            message, driver, len(uncertain_gaps), uncertain_gaps[0][0] - start, excluded=False
+        )
+    ]

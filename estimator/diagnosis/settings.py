@@ -13,7 +13,7 @@ from dataclasses import dataclass
 class Settings:
     """Thresholds, by the decision that they are for."""
 
-    # which samples of a record count (record.py)
+    # which samples of a record count (measured_data.py)
     samples_min: int = 100  # of a record that is accepted
     samples_max: int = 20_000  # that are simulated; a longer record is averaged
     block: float = 5.0  # [s] that are fitted, and as long that are held out
@@ -37,7 +37,7 @@ class Settings:
     hidden_share: float = 0.3  # of the samples at most: more are no noise
     loose_tension: float = 0.5  # [N] at the tip that hardly moves what it pulls at
 
-    # when a record starts slack, and where it is taut then (model.py, dataset.py)
+    # when a record starts slack, and where it is taut then (dataset.py)
     assumed_compliance: float = 1e-4  # [m/N] L/EA without a travel: tensions do not tell it
     slack_noise: float = 3.0  # in sigma: tension below which the start is slack
     taut_sigma: float = 2.0  # standard deviations of the tension: how surely the start tells it
@@ -49,14 +49,14 @@ class Settings:
     residual_share: float = 0.3  # of the rms residual of a model, added to the noise
     noise_ratio: float = 1.25  # rms residual over tolerance up to which nothing is wrong
 
-    # how probable held-out data are (score.py)
+    # how probable held-out data are (scoring.py)
     bin: float = 1.0  # [s] of errors that are resampled together; longer than they correlate
     variance_min: float = 0.5  # noise variances: a mean square below it is not better
     independent_min: float = 0.02  # of the samples that count, however correlated they are
     excess_min: float = 0.1  # noise variances over 1 below which a channel has nothing to explain
     excess_ratio_max: float = 4.0  # by which one channel may become worse, for the mean over all
 
-    # which candidates are followed (search.py, causes.py)
+    # which candidates are followed (screening.py, causes.py)
     kept: tuple[int, ...] = (14, 6)  # effects that go on after each round of fits
     hopeless: tuple[float, ...] = (40.0, 4.0)  # times the lowest cost, after each of them
     at_bound: float = 0.03  # of a bound: a number so near to it hardly leaves it again
@@ -84,7 +84,7 @@ class Settings:
     # what a part of the samples tells (fit.py)
     blind: float = 4.0  # times the uncertainty from all samples: too much to refit a number
 
-    # intervals, and what residuals depend on (intervals.py, residual_dependence.py)
+    # intervals, and what residuals depend on (intervals.py, scoring.py)
     onset_max: float = 60.0  # [s] that an onset is tried to be off by
     dependence_min: float = 0.05  # of a residual's variance that is reported
     dependence_bins: int = 12

@@ -1,43 +1,144 @@
-"""Piecewise-linear friction over time, the reference for causes in time.
-
-A step or a drift is the nearest of the catalogue to friction that wanders, and takes most of it up.
-It is not the cause if a course that is free to be anything does far better.
-"""
+"""How an extended model holds on what it was not fitted to, and how it estimates the force."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
+from estimator import signals
 from estimator.array_types import Array
 from estimator.diagnosis.dataset import (
     Dataset,
     Fit,
     Model,
+    SimulatedRecord,
     build_contexts,
     build_unsimulated_contexts,
     compute_residual,
     compute_tolerance,
     estimate_taut_travel,
+    replace_records,
     rescale_residuals,
     simulate_dataset,
+    simulate_record,
     subsample,
     use_all_samples,
 )
-from estimator.diagnosis.fit import compute_jacobian, fit_model, refit_subset
-from estimator.diagnosis.outcome import DetectionLimit, ModelErrors
-from estimator.diagnosis.prediction import (
+from estimator.diagnosis.fit import compute_jacobian, fit_model, fit_record_parameters, refit_subset
+from estimator.diagnosis.hidden_motion import propagate_driver_noise, recover_hidden_motion
+from estimator.diagnosis.measured_data import Record
+from estimator.diagnosis.outcome import (
+    DetectionLimit,
     ErrorStatistics,
+    FileForce,
+    ForceError,
+    ModelErrors,
     PredictedRecord,
+    RivalForce,
     compute_error_statistics,
 )
-from estimator.diagnosis.score import compute_errors, compute_residual_fraction
+from estimator.diagnosis.scoring import compute_errors, compute_residual_fraction
 from estimator.diagnosis.settings import SETTINGS
 from estimator.effects.effect import Effect, EffectContext, Parameter, Values
 from estimator.lumped.lumped_model import Physics
-from estimator.online.extension import is_record_specific
+from estimator.measured_data import MeasuredData, Samples
+from estimator.online.estimator import Estimator
+from estimator.online.extension import build_extended_model, is_record_specific
+from estimator.online.score import Score
+from estimator.online.tendon_model import TendonModel
+from estimator.spikes import remove_spikes
+
+# --- records that a model was not fitted to, predicted by it: validation, and leave-one-file-out
+
+
+LEFT_OUT_ROUNDS = 12  # of a fit to the other files
+
+
+def predict_records(
+    fitted: Dataset, base_fit: Fit, fit: Fit, records: Sequence[Record]
+) -> tuple[PredictedRecord, ...]:
+    """Return records as two models of a dataset predict them; only where each starts is fitted."""
+    if not records:
+        return ()
+    dataset = use_all_samples(replace_records(fitted, records))
+    before, after = fit_record_parameters(dataset, base_fit), fit_record_parameters(dataset, fit)
+    return tuple(
+        PredictedRecord(*row)
+        for row in zip(dataset.records, before.simulated, after.simulated, strict=True)
+    )
+
+
+def prepare_validation_records(
+    fitted: Dataset, records: Sequence[Record], base_fit: Fit
+) -> tuple[Record, ...]:
+    """Return records that were not fitted with what the noise of their drive does, as fitted ones.
+
+    `base_fit` is the base law, fitted to a dataset of other records.
+    """
+    if not records:
+        return ()
+    dataset = use_all_samples(replace_records(fitted, records))
+    fit = fit_record_parameters(dataset, base_fit)
+    contexts = build_unsimulated_contexts(dataset, fit)
+
+    def build_simulator(k: int) -> Callable[[Record], SimulatedRecord]:
+        own = fit.model.own[k]
+        return lambda driven: simulate_record(
+            driven, contexts[k], dataset.base, fit.model.shared, own, ()
+        )
+
+    noisy_records = [
+        propagate_driver_noise(record, build_simulator(k)) for k, record in enumerate(records)
+    ]
+    if all(new is old for new, old in zip(noisy_records, records, strict=True)):
+        return tuple(records)
+    own = fit_record_parameters(
+        use_all_samples(replace_records(fitted, noisy_records)), base_fit
+    ).model.own
+    return tuple(
+        recover_hidden_motion(record, fitted.base, base_fit.model.shared, record_own)
+        for record, record_own in zip(noisy_records, own, strict=True)
+    )
+
+
+def predict_left_out(dataset: Dataset, base_fit: Fit, fit: Fit) -> tuple[PredictedRecord, ...]:
+    """Return each record as the models predict it whose numbers the other records gave.
+
+    The causes are those of all records; their sizes and the law's parameters are fitted without the
+    record.
+    """
+    predicted: list[PredictedRecord] = []
+    for k, record in enumerate(dataset.records):
+        remaining = use_all_samples(_drop_record(dataset, k))
+        fits = [_drop_record_fit(model_fit, k) for model_fit in (base_fit, fit)]
+        contexts = build_contexts(remaining, fits[0])
+        before, after = (
+            fit_model(
+                rescale_residuals(remaining, model_fit), contexts, model_fit.model, LEFT_OUT_ROUNDS
+            )
+            for model_fit in fits
+        )
+        predicted += predict_records(dataset, before, after, [record])
+    return tuple(predicted)
+
+
+def _drop_record(dataset: Dataset, k: int) -> Dataset:
+    return dataset._replace(
+        records=dataset.records[:k] + dataset.records[k + 1 :],
+        scale=dataset.scale[:k] + dataset.scale[k + 1 :],
+    )
+
+
+def _drop_record_fit(fit: Fit, k: int) -> Fit:
+    own = fit.model.own[:k] + fit.model.own[k + 1 :]
+    return Fit(fit.model._replace(own=own), fit.simulated[:k] + fit.simulated[k + 1 :])
+
+
+# --- piecewise-linear friction over time, the reference for causes in time
+# A step or a drift is the nearest of the catalogue to friction that wanders, and takes most of it
+# up. It is not the cause if a course that is free to be anything does far better.
 
 KNOTS = 20
 FRICTION_TIME_EFFECTS = frozenset({"friction_step", "friction_drift"})
@@ -293,3 +394,100 @@ def _compute_detection_ratio(dataset: Dataset, fit: Fit, change: Array) -> float
         for c in tolerance
     ]
     return max(shares) if np.isfinite(shares).all() else 0.0
+
+
+# --- the force at the tip that a loop would estimate with a model, and how far off it is
+# The numbers are those of `teleop estimate` and `teleop run --replay` with the model's file: the
+# same estimator (estimator.online), the same noise, the same spikes excluded, and the same
+# comparison with what the load cell at the tip reads (estimator.online.score).
+
+SHEATH_LENGTH = 1.0  # [m] of the sheath: elongation and force go by L/EA
+
+
+def build_tendon_model(model: Model, duration: float, data: MeasuredData) -> TendonModel:
+    """Return the estimator's model of a diagnosis's, with the noise of a record.
+
+    Parameters
+    ----------
+    model : Model
+    duration : float
+        Of the longest fitted record [s]; friction is taken as at its end.
+    data : MeasuredData
+        The record.
+    """
+    stiffness = SHEATH_LENGTH / SETTINGS.assumed_compliance
+    extended = build_extended_model(model.shared, model.effects, duration, SHEATH_LENGTH, stiffness)
+    travel = data.proximal_displacement
+    return TendonModel(
+        extended.sheath,
+        tension_noise=signals.noise_sigma(data.proximal_tension),
+        displacement_noise=0.0 if travel is None else signals.noise_sigma(travel),
+        extension=extended.extension,
+        tip_effects=extended.tip_effects,
+    )
+
+
+def estimate_force(model: Model, duration: float, data: MeasuredData) -> Array:
+    """Return the estimated force [N] of rows that have all that it is estimated from."""
+    data = _select_complete_rows(data)
+    return Estimator(build_tendon_model(model, duration, data)).run(remove_spikes(data)).tension
+
+
+def compute_force_error(model: Model, duration: float, data: MeasuredData) -> ForceError | None:
+    """Return how far the estimated force is off in a record; None without a cell at the tip."""
+    data = _select_complete_rows(data)
+    clean = remove_spikes(data)
+    reading = clean.distal_tension
+    if reading is None or data.distal_tension is None:
+        return None
+    tendon_model = build_tendon_model(model, duration, data)
+    estimates = Estimator(tendon_model).run(clean)
+    score = Score([tendon_model])
+    score.add_columns(estimates.distal_tension, estimates.low, estimates.high, reading)
+    summary = score.summary()
+    if summary is None:
+        return None
+    return ForceError(
+        summary["rmse_N"],
+        summary["mean_N"],
+        summary["max_N"],
+        summary["full_scale_N"],
+        summary["samples"],
+        int(np.isnan(reading).sum() - np.isnan(data.distal_tension).sum()),
+    )
+
+
+def _select_complete_rows(data: MeasuredData) -> Samples:
+    """Return the rows of a record in which nothing is missing that the force is estimated from."""
+    travel, tip = data.proximal_displacement, data.distal_tension
+    rows = np.isfinite(data.proximal_tension)
+    if travel is not None:
+        rows &= np.isfinite(travel)
+        travel = travel[rows]
+    tip = None if tip is None else np.where(np.isfinite(tip), tip, np.nan)[rows]
+    return Samples(data.time[rows], data.proximal_tension[rows], travel, tip)
+
+
+def compute_file_force(
+    base_model: Model, model: Model, duration: float, data: MeasuredData, *, validation: bool
+) -> FileForce | None:
+    """Return the errors of the force in a record; None without a cell at the tip."""
+    before, after = (
+        compute_force_error(trial_model, duration, data) for trial_model in (base_model, model)
+    )
+    return None if before is None or after is None else FileForce(validation, before, after)
+
+
+def compute_rival_force(
+    model: Model,
+    rival: Model,
+    names: tuple[str, str],
+    duration: float,
+    records: Sequence[MeasuredData],
+) -> RivalForce:
+    """Return what a rival would do to the force; `names` are the cause it replaces and its own."""
+    forces = [estimate_force(model, duration, data) for data in records]
+    rival_forces = [estimate_force(rival, duration, data) for data in records]
+    change = np.abs(np.concatenate(rival_forces) - np.concatenate(forces))
+    full_scale = max(float(force.max()) for force in forces)
+    return RivalForce(*names, float(change.mean()), float(change.max()), full_scale)

@@ -58,7 +58,7 @@ class EffectContext(NamedTuple):
     simulated: Signals  # by the model without the effect
     compliance: Array  # dq_p/dT_in [m/N] of that model
     elongation_per_newton: float  # L/EA [m/N] of that model
-    newton: float = 1.0  # of the records, in the unit of force here (diagnosis.bench_scale)
+    newton: float = 1.0  # of the records, in the unit of force here (diagnosis.measured_data)
     present: Mapping[str, NDArray[np.bool_]] = MappingProxyType({})  # the others are interpolated
 
     @property

@@ -1,9 +1,10 @@
 """Friction of a pair against the bend of its sheath, and how well other bends are predicted."""
 
 from collections.abc import Callable, Iterable, Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.stats import t as student
 
 from estimator.array_types import Array
@@ -16,6 +17,7 @@ from estimator.pair.pair_fit import (
     PairVariant,
     check_records,
     fit,
+    number_strokes,
     predict_angle,
 )
 from estimator.signals import apply_play
@@ -100,9 +102,6 @@ def _build_bristle_features(share: float) -> Callable[[PairRecord], Array]:
     return features
 
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 LEAST_BENDS = 3
 CONFIDENCE = 0.95
 
@@ -139,35 +138,6 @@ class PairStudy(NamedTuple):
     left_out: dict[str, tuple[HeldOutError, ...]]  # by method, for each record
     predicted: tuple[Array, ...]  # angle of each record [rad], by the model of the others
     validation: tuple[Validation, ...] = ()  # errors of records that were kept apart
-
-    def summary(self) -> str:
-        """Return the result, tables and what is wrong as Markdown text."""
-        from estimator.pair import report_text  # which imports this module
-
-        return report_text.format_report(self)
-
-    def plot(self) -> "Figure":
-        """Return a figure of the measured and the predicted angle over the command."""
-        from estimator.drawing import use_style
-        from estimator.pair import figures  # which imports this module
-
-        with use_style():
-            return figures.draw_loops(self)
-
-    def _repr_html_(self) -> str:
-        """Return the result, tables and figures for a notebook."""
-        from estimator.drawing import format_html_report
-        from estimator.pair import figures, report_text  # which import this module
-
-        figures_with_captions = [
-            (drawn_figure.figure, drawn_figure.caption)
-            for drawn_figure in figures.draw_figures(self)
-        ]
-        return format_html_report(
-            report_text.format_sentence(self),
-            report_text.build_report_tables(self),
-            figures_with_captions,
-        )
 
     @property
     def best_simple(self) -> str:
@@ -334,3 +304,67 @@ def _compute_jackknife_interval(
     values = np.array([getattr(left_out_model, name) for left_out_model in left_out_models])
     error = float(np.sqrt((n - 1) / n * np.sum((values - values.mean()) ** 2)))
     return _compute_interval(getattr(model, name), error, n)
+
+
+# --- what a model of a pair leaves of the angle, and what that depends on
+
+
+REST_SPEED_RATIO = 0.1  # of the angle's greatest speed: below, it rests
+FAR_COMMAND_RATIO = 1.0 / 3.0  # of the command's peak: beyond, it counts as far out
+
+
+class ResidualPart(NamedTuple):
+    """What is left in some of the samples (predicted less measured), as shares of the span."""
+
+    what: str
+    mean: float
+    rms: float
+
+
+def compute_offset_share(records: Sequence[PairRecord], predicted: Sequence[Array]) -> float:
+    """Return which share of the mean square is a constant of each record."""
+    residuals = [(p - r.angle) / r.span for p, r in zip(predicted, records, strict=True)]
+    total = sum(float(np.mean(residual**2)) for residual in residuals)
+    return (
+        sum(float(np.mean(residual)) ** 2 for residual in residuals) / total if total > 0.0 else 0.0
+    )
+
+
+def analyse_residuals(
+    records: Sequence[PairRecord], predicted: Sequence[Array]
+) -> tuple[ResidualPart, ...]:
+    """Return what is left by direction, motion, command and time, each record's mean taken off."""
+    residuals, groups = [], []
+    for record, angle in zip(records, predicted, strict=True):
+        residual = (angle - record.angle) / record.span
+        residuals.append(residual - residual.mean())
+        groups.append(_group_samples(record))
+    all_residuals = np.concatenate(residuals)
+    parts = []
+    for name in groups[0]:
+        residual = all_residuals[np.concatenate([group[name] for group in groups])]
+        if residual.size:
+            parts.append(
+                ResidualPart(name, float(residual.mean()), float(np.sqrt(np.mean(residual**2))))
+            )
+    return tuple(parts)
+
+
+def _group_samples(record: PairRecord) -> dict[str, NDArray[np.bool_]]:
+    rising = np.gradient(record.command, record.time) > 0.0
+    speed = np.abs(np.gradient(record.angle, record.time))
+    is_resting = speed < REST_SPEED_RATIO * speed.max()
+    share = record.command / np.abs(record.command).max()
+    is_first = number_strokes(record.command) == 0
+    return {
+        "command rises": rising,
+        "command falls": ~rising,
+        "joint moves up": rising & ~is_resting,
+        "joint moves down": ~rising & ~is_resting,
+        "joint rests": is_resting,
+        "command is far out, positive": share > FAR_COMMAND_RATIO,
+        "command is near zero": np.abs(share) <= FAR_COMMAND_RATIO,
+        "command is far out, negative": share < -FAR_COMMAND_RATIO,
+        "stroke is the first": is_first,
+        "stroke is a later one": ~is_first,
+    }

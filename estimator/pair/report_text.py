@@ -6,12 +6,13 @@ import numpy as np
 
 from estimator.fitting import IntervalEstimate
 from estimator.pair.pair_fit import PairVariant
-from estimator.pair.pair_structure import analyse_residuals, compute_offset_share
 from estimator.pair.pair_study import (
     HeldOutError,
     PairStudy,
     Validation,
+    analyse_residuals,
     compute_mean_share,
+    compute_offset_share,
 )
 from estimator.text_table import Table
 

@@ -15,9 +15,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from estimator.diagnosis.engine import diagnose
+from estimator.diagnosis.api import diagnose_records
+from estimator.diagnosis.measured_data import prepare_record
 from estimator.diagnosis.outcome import Verdict
-from estimator.diagnosis.record import prepare_record
 from estimator.effects import CATALOGUE
 from tests.studies import hidden
 from tests.studies.hidden.numbers import Checked, checked
@@ -102,7 +102,7 @@ def judge(case, among=CATALOGUE, oracle=True):
     )
     record = prepare_record(made.time, dict(made.channels))
     began = time.perf_counter()
-    found = diagnose([record], among)
+    found = diagnose_records([record], among)
     seconds = time.perf_counter() - began
     return Result(
         case,
@@ -124,7 +124,7 @@ def _over_oracle(record, found, effects):
     """
     if not effects or any(name in hidden.OUTSIDE for name in effects):
         return math.nan
-    true = diagnose([record], [effect for effect in CATALOGUE if effect.name in effects])
+    true = diagnose_records([record], [effect for effect in CATALOGUE if effect.name in effects])
     return max(
         one.rmse / max(true.after.held_out[channel].rmse, found.noise[channel])
         for channel, one in found.after.held_out.items()

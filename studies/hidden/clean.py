@@ -11,9 +11,9 @@ import time
 from multiprocessing import get_context
 from typing import NamedTuple
 
-from estimator.diagnosis.engine import diagnose
+from estimator.diagnosis.api import diagnose_records
+from estimator.diagnosis.measured_data import prepare_record
 from estimator.diagnosis.outcome import Verdict
-from estimator.diagnosis.record import prepare_record
 from tests.studies import hidden
 from tests.studies.hidden.play_grid import make_grid
 
@@ -66,7 +66,7 @@ def judge(case):
         )
         K = made.truth["sheath"]["K"]
     began = time.process_time()
-    found = diagnose([prepare_record(made.time, dict(made.channels))])
+    found = diagnose_records([prepare_record(made.time, dict(made.channels))])
     seconds = time.process_time() - began
     number = found.parameters["K"]
     return Result(

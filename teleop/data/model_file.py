@@ -25,9 +25,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import yaml
 
-from estimator.diagnosis.bench_scale import parse_dimension
-from estimator.diagnosis.dataset import Model
-from estimator.diagnosis.model import COMPLIANCE, FRICTION, TIP_COMPLIANCE, BaseLaw
+from estimator.diagnosis.dataset import COMPLIANCE, FRICTION, TIP_COMPLIANCE, BaseLaw, Model
+from estimator.diagnosis.measured_data import parse_dimension
 from estimator.diagnosis.outcome import Diagnosis, Verdict
 from estimator.effects import CATALOGUE, Effect, Parameter, Values
 from teleop.config import strict_yaml

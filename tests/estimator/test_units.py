@@ -2,7 +2,7 @@
 
 import pytest
 
-from estimator.diagnosis.bench_scale import BenchScale, parse_dimension
+from estimator.diagnosis.measured_data import BenchScale, parse_dimension
 from estimator.units import FORCE, LINEAR, ROTARY, format_quantity
 
 R = 0.01

@@ -4,8 +4,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
 
-from estimator.diagnosis import report_text
-from estimator.diagnosis.model import COMPLIANCE, FRICTION
+from estimator.diagnosis import report_tables
+from estimator.diagnosis.dataset import COMPLIANCE, FRICTION
 from estimator.diagnosis.outcome import Diagnosis, FittedValue
 from estimator.law.sheath import Sheath
 from estimator.text_table import Table
@@ -54,7 +54,7 @@ def build_comparison_table(numbers: Mapping[str, ComparedParameter]) -> Table:
             name,
             format_quantity(one.accepted, one.found.unit),
             format_quantity(one.found.value, one.found.unit),
-            report_text.format_interval(one.found),
+            report_tables.format_interval(one.found),
             "yes" if one.agrees else "NO",
         )
         for name, one in numbers.items()

@@ -6,7 +6,7 @@ from tempfile import TemporaryDirectory
 
 import matplotlib as mpl
 
-from estimator.diagnosis import file_tables, report_text
+from estimator.diagnosis import report_tables, report_text
 from estimator.diagnosis.figures import RECORDS_MAX, draw_figures
 from estimator.diagnosis.outcome import Diagnosis
 from estimator.drawing import STYLE
@@ -46,7 +46,7 @@ def render(
 
     `files` and `further` are the names of the fitted files and of those for validation.
     """
-    names = file_tables.name_records(found, files, further)
+    names = report_tables.name_records(found, files, further)
     page = Page(report_text.format_verdict(found))
     page.text(f"Data: {', '.join(files)}.")
     for what in report_text.list_better_models(found):
@@ -55,13 +55,13 @@ def render(
     page.points(report_text.list_next_steps(found))
     if found.steps:
         page.heading("Gain")
-        page.table(report_text.build_gain_table(found), mark="")
+        page.table(report_tables.build_gain_table(found), mark="")
     page.heading("Beside models that know no sheath")
-    page.table(report_text.build_model_table(found), mark="")
-    page.table(report_text.build_simple_gain_table(found), mark="")
+    page.table(report_tables.build_model_table(found), mark="")
+    page.table(report_tables.build_simple_gain_table(found), mark="")
     page.heading("Parameters of the model")
-    page.table(report_text.build_parameter_table(found), mark="")
-    for table in (report_text.build_law_table(found), report_text.build_load_table(found)):
+    page.table(report_tables.build_parameter_table(found), mark="")
+    for table in (report_tables.build_law_table(found), report_tables.build_load_table(found)):
         if table is not None:
             page.table(table, mark="chosen")
     if calibrated:
@@ -78,16 +78,16 @@ def render(
     page.points(report_text.describe_residuals(found))
     page.heading("Errors")
     page.text("Largest and mean error in % of the channel's range.")
-    page.table(report_text.build_error_table(found), mark="")
+    page.table(report_tables.build_error_table(found), mark="")
     for i, step in enumerate(found.steps, start=1):
         page.heading(f"Candidates for cause {i}")
-        page.table(report_text.build_ranking_table(found, step.ranking), mark=step.effect.label)
+        page.table(report_tables.build_ranking_table(found, step.ranking), mark=step.effect.label)
     if not found.steps and found.ranking:
         page.heading("Candidates")
-        page.table(report_text.build_candidate_table(found), mark="")
+        page.table(report_tables.build_candidate_table(found), mark="")
     if found.detection_limits:
         page.heading("Detection limits")
-        page.table(report_text.build_detection_limit_table(found), mark="")
+        page.table(report_tables.build_detection_limit_table(found), mark="")
     if remarks := report_text.list_sample_remarks(found, files):
         page.heading("Samples")
         page.points(remarks)
@@ -99,21 +99,21 @@ def _add_file_tables(page: Page, found: Diagnosis, names: Sequence[str]) -> None
     fitted = len(found.dataset.records)
     if found.validation:
         page.heading("Validation")
-        page.table(file_tables.build_prediction_table(found.validation, names[fitted:]), mark="")
+        page.table(report_tables.build_prediction_table(found.validation, names[fitted:]), mark="")
     if found.left_out:
         page.heading("Leave-one-file-out")
         page.text("Each file is predicted with parameters fitted to the other files.")
-        page.table(file_tables.build_prediction_table(found.left_out, names[:fitted]), mark="")
+        page.table(report_tables.build_prediction_table(found.left_out, names[:fitted]), mark="")
     if found.forces:
         page.heading("Force at the tip")
         page.text(
             "Estimated from the housing alone, as by teleop estimate and teleop run --replay with "
             "this model, and compared with what the load cell at the tip reads."
         )
-        page.table(file_tables.build_force_table(found, names), mark="")
+        page.table(report_tables.build_force_table(found, names), mark="")
     if found.rivals:
         page.heading("Rivals")
         page.text("Causes that fit as well, and what each would do to the estimated force.")
-        page.table(file_tables.build_rival_parameter_table(found), mark="")
+        page.table(report_tables.build_rival_parameter_table(found), mark="")
     if found.rival_forces:
-        page.table(file_tables.build_rival_table(found), mark="")
+        page.table(report_tables.build_rival_table(found), mark="")

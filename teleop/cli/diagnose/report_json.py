@@ -4,10 +4,15 @@ from collections.abc import Mapping, Sequence
 from importlib.metadata import version
 from typing import Any
 
-from estimator.diagnosis import file_tables, report_text
-from estimator.diagnosis.baseline import Choice
-from estimator.diagnosis.outcome import Diagnosis, ModelErrors, RankedCandidate
-from estimator.diagnosis.prediction import ErrorStatistics, PredictedRecord
+from estimator.diagnosis import report_tables, report_text
+from estimator.diagnosis.outcome import (
+    Diagnosis,
+    ErrorStatistics,
+    ModelErrors,
+    PredictedRecord,
+    RankedCandidate,
+)
+from estimator.diagnosis.scoring import Choice
 from teleop.cli.diagnose.acceptance import ComparedParameter
 from teleop.cli.report.page import to_json_values
 
@@ -33,7 +38,7 @@ def build_report(
     further : sequence of str
         Names of the files for validation.
     """
-    names = file_tables.name_records(found, files, further)
+    names = report_tables.name_records(found, files, further)
     report = {
         "verdict": found.verdict.value,
         "sentence": report_text.format_verdict(found),
@@ -161,7 +166,7 @@ def _build_candidates(ranking: Sequence[RankedCandidate]) -> list[dict[str, Any]
                 for p, value in zip(ranked.effect.parameters, ranked.values, strict=True)
             },
         }
-        for ranked in report_text.select_best_candidates(ranking, len(ranking))
+        for ranked in report_tables.select_best_candidates(ranking, len(ranking))
     ]
 
 
@@ -180,7 +185,7 @@ def _build_choice(choice: Choice, chosen: str) -> dict[str, Any]:
 def _build_fitness_sets(all_of: ModelErrors) -> dict[str, Any]:
     return {
         name: {channel: _build_fitness(one) for channel, one in getattr(all_of, name).items()}
-        for name in report_text.SAMPLE_SETS
+        for name in report_tables.SAMPLE_SETS
     }
 
 

@@ -15,11 +15,10 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from estimator.array_types import Array
-from estimator.diagnosis import file_tables, report_text
-from estimator.diagnosis.autocorrelation import Autocorrelation, autocorrelate_channel
+from estimator.diagnosis import report_tables, report_text
 from estimator.diagnosis.figures import draw_figures
-from estimator.diagnosis.outcome import Diagnosis
-from estimator.diagnosis.prediction import PredictedRecord
+from estimator.diagnosis.outcome import Diagnosis, PredictedRecord
+from estimator.diagnosis.scoring import Autocorrelation, autocorrelate_channel
 from estimator.drawing import BLACK, BLUE, STYLE, to_svg
 from estimator.text_table import Table
 from estimator.units import Units
@@ -100,13 +99,13 @@ def write_supplement(folder: Path, found: Diagnosis, sources: Sources) -> Path:
     page.text(report_text.format_verdict(found))
     _add_data(page, found, sources)
     _add_law(page, found, folder)
-    _add_table(page, folder, "parameters", report_text.build_parameter_table(found))
+    _add_table(page, folder, "parameters", report_tables.build_parameter_table(found))
     if found.rivals:
         page.heading("Rivals")
         page.text("Causes that explain the data equally well, each fitted to all samples.")
-        _add_table(page, folder, "rivals", file_tables.build_rival_parameter_table(found))
+        _add_table(page, folder, "rivals", report_tables.build_rival_parameter_table(found))
     if found.rival_forces:
-        _add_table(page, folder, "rival-forces", file_tables.build_rival_table(found))
+        _add_table(page, folder, "rival-forces", report_tables.build_rival_table(found))
     _add_errors(page, found, folder, sources)
     _add_residuals(page, found, folder)
     page.heading("How to cite")
@@ -164,18 +163,18 @@ def _add_law(page: Page, found: Diagnosis, folder: Path) -> None:
 
 
 def _add_errors(page: Page, found: Diagnosis, folder: Path, sources: Sources) -> None:
-    names = file_tables.name_records(found, sources.files, sources.further)
+    names = report_tables.name_records(found, sources.files, sources.further)
     fitted = len(found.dataset.records)
     page.heading("Cross-validation" if not found.fit_all else "Errors")
-    _add_table(page, folder, "errors", report_text.build_error_table(found))
-    _add_table(page, folder, "models", report_text.build_model_table(found))
+    _add_table(page, folder, "errors", report_tables.build_error_table(found))
+    _add_table(page, folder, "models", report_tables.build_model_table(found))
     if found.validation:
         page.heading("Validation")
         _add_table(
             page,
             folder,
             "validation",
-            file_tables.build_prediction_table(found.validation, names[fitted:]),
+            report_tables.build_prediction_table(found.validation, names[fitted:]),
         )
     if found.left_out:
         page.heading("Leave-one-file-out cross-validation")
@@ -183,11 +182,11 @@ def _add_errors(page: Page, found: Diagnosis, folder: Path, sources: Sources) ->
             page,
             folder,
             "left-out",
-            file_tables.build_prediction_table(found.left_out, names[:fitted]),
+            report_tables.build_prediction_table(found.left_out, names[:fitted]),
         )
     if found.forces:
         page.heading("Estimated force")
-        _add_table(page, folder, "forces", file_tables.build_force_table(found, names))
+        _add_table(page, folder, "forces", report_tables.build_force_table(found, names))
     page.heading("Figures")
     with mpl.rc_context(STYLE):
         for drawn in draw_figures(found, sources.files, sources.further):
@@ -206,8 +205,11 @@ def _add_residuals(page: Page, found: Diagnosis, folder: Path) -> None:
         ]
         or ["The residual correlates with no tension, speed, direction, travel or time."]
     )
-    channels = report_text.list_compared_channels(found)
-    parts = {channel: autocorrelate_channel(found, channel) for channel in channels}
+    channels = report_tables.list_compared_channels(found)
+    parts = {
+        channel: autocorrelate_channel(found.dataset, found.extended, channel)
+        for channel in channels
+    }
     drawing = to_svg(draw_autocorrelations(parts, found.units))
     write_text_file(folder / "autocorrelation.svg", drawing, "a figure")
     page.drawing(

@@ -14,6 +14,7 @@ import argparse
 import time
 from pathlib import Path
 
+from estimator.pair import report_text
 from estimator.pair.pair_fit import PairError
 from estimator.pair.pair_study import study_pair
 from teleop.cli.pair import report_json
@@ -56,7 +57,7 @@ def main(args: argparse.Namespace) -> int:
         progress.end()
     tree = report_json.build_report(found, time.monotonic() - begun)
     write_summary(args.json, tree)
-    print(found.summary(), flush=True)
+    print(report_text.format_report(found), flush=True)
     if args.out is not None:
         from teleop.cli.pair import page
 

@@ -4,8 +4,7 @@ from importlib.metadata import version
 from typing import Any
 
 from estimator.pair import report_text
-from estimator.pair.pair_structure import analyse_residuals, compute_offset_share
-from estimator.pair.pair_study import PairStudy
+from estimator.pair.pair_study import PairStudy, analyse_residuals, compute_offset_share
 
 
 def build_report(found: PairStudy, seconds: float) -> dict[str, Any]:

@@ -2,9 +2,9 @@
 
 import pytest
 
-from estimator.calibration.measured import MeasuredValue
 from estimator.calibration.model_averaging import Rival, average_antagonists, average_rivals
 from estimator.calibration.pattern import Pattern
+from estimator.fitting import MeasuredValue
 
 
 def rival(K, score, uncertainty=0.002):

@@ -7,11 +7,10 @@ import pytest
 
 from estimator.diagnosis.api import diagnose
 from estimator.diagnosis.baseline import fit_baseline
-from estimator.diagnosis.channel_noise import find_quantisation_step
-from estimator.diagnosis.dataset import build_contexts, build_dataset
+from estimator.diagnosis.dataset import build_contexts, build_dataset, build_plain_physics
 from estimator.diagnosis.fit import SEARCH_DIVISIONS, SEARCH_REACHES, compute_search_reaches
-from estimator.diagnosis.model import build_plain_physics
-from estimator.diagnosis.record import RecordError, prepare_record, shorten_blocks
+from estimator.diagnosis.measured_data import RecordError, prepare_record, shorten_blocks
+from estimator.diagnosis.noise import find_quantisation_step
 from estimator.diagnosis.sampling import find_held_samples
 from estimator.diagnosis.validation import transfer_to_validation
 from estimator.effects import CATALOGUE

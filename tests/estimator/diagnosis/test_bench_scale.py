@@ -6,17 +6,21 @@ Records are those of the hidden benches (tests.studies.hidden), which know nothi
 import numpy as np
 import pytest
 
-from estimator.diagnosis import engine
+from estimator.diagnosis import api
 from estimator.diagnosis.api import diagnose
 from estimator.diagnosis.baseline import fit_baseline
-from estimator.diagnosis.bench_scale import UNIT_SCALE, BenchScale, choose_bench_scale
+from estimator.diagnosis.bench_units import shift_encoder_zero
 from estimator.diagnosis.dataset import build_dataset
 from estimator.diagnosis.fit import DIFFERENCE_STEP
 from estimator.diagnosis.intervals import ParameterInterval
+from estimator.diagnosis.measured_data import (
+    UNIT_SCALE,
+    BenchScale,
+    choose_bench_scale,
+    prepare_record,
+)
 from estimator.diagnosis.outcome import FittedValue
-from estimator.diagnosis.record import prepare_record
-from estimator.diagnosis.record_units import shift_encoder_zero
-from estimator.diagnosis.search import fit_candidates
+from estimator.diagnosis.screening import fit_candidates
 from estimator.diagnosis.settings import ignore_progress
 from estimator.effects import CATALOGUE
 from estimator.effects.effect import CHANNELS
@@ -87,7 +91,7 @@ def test_a_bench_of_another_size_has_its_cause_and_its_numbers(size):
     tried = [one for one in CATALOGUE if one.name == "presliding"]
     data = multiplied(made, *size)
     signals = {name: getattr(data, name) for name in CHANNELS}
-    found = engine.diagnose([prepare_record(data.time, signals, units=data.units)], tried)
+    found = api.diagnose_records([prepare_record(data.time, signals, units=data.units)], tried)
     assert found.causes == ("presliding",)
     sheath, (force, travel) = made.truth["sheath"], size[:2]
     assert found.parameters["K"].value == pytest.approx(sheath["K"], rel=2e-3)

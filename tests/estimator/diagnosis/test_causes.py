@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from estimator.diagnosis.api import diagnose_records
 from estimator.diagnosis.baseline import fit_baseline
 from estimator.diagnosis.dataset import (
     build_dataset,
@@ -10,10 +11,9 @@ from estimator.diagnosis.dataset import (
     simulate_dataset,
     subsample,
 )
-from estimator.diagnosis.engine import diagnose
+from estimator.diagnosis.measured_data import prepare_record
 from estimator.diagnosis.outcome import Verdict
-from estimator.diagnosis.record import prepare_record
-from estimator.diagnosis.search import SUBSAMPLE_SIZE, fit_candidates
+from estimator.diagnosis.screening import SUBSAMPLE_SIZE, fit_candidates
 from estimator.diagnosis.settings import ignore_progress
 from estimator.effects import CATALOGUE
 from estimator.effects.friction import STRIBECK_WITH_MEMORY
@@ -24,7 +24,9 @@ from tests.studies.hidden.play_grid import pulled
 def diagnosed(seed, hide, bench, among, **how):
     made = hidden.make(seed, hide, bench=bench, **how)
     effects = [effect for effect in CATALOGUE if effect.name in {hide, *among}]
-    return made, diagnose([prepare_record(made.time, dict(made.channels))], effects, workers=2)
+    return made, diagnose_records(
+        [prepare_record(made.time, dict(made.channels))], effects, workers=2
+    )
 
 
 def test_a_first_look_leaves_out_no_turn_however_small():
@@ -75,7 +77,7 @@ def test_a_slip_while_the_tendon_slides_is_not_taken_for_a_tip_that_moved():
     how = {"duration": 40.0, "rate": 50.0, "travel_noise": 5e-7}
     made = hidden.make(41, "encoder_slip", bench="blocked", channels=hidden.CHANNELS[:3], **how)
     effects = [effect for effect in CATALOGUE if effect.name in {"encoder_slip", "tip_moved"}]
-    found = diagnose([prepare_record(made.time, dict(made.channels))], effects)
+    found = diagnose_records([prepare_record(made.time, dict(made.channels))], effects)
     assert found.causes == ("encoder_slip",)
     truth = made.truth["encoder_slip"]
     assert found.parameters["encoder_slip.slip"].value == pytest.approx(truth["slip"], rel=0.05)

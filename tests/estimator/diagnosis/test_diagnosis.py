@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from estimator.diagnosis import record
-from estimator.diagnosis.baseline import fit_baseline, refit_baseline
+from estimator.diagnosis import measured_data
+from estimator.diagnosis.api import diagnose_records
+from estimator.diagnosis.baseline import fit_baseline
 from estimator.diagnosis.dataset import (
     build_contexts,
     build_dataset,
@@ -14,10 +15,10 @@ from estimator.diagnosis.dataset import (
     simulate_dataset,
     subsample,
 )
-from estimator.diagnosis.engine import diagnose
+from estimator.diagnosis.fit import refit_baseline
+from estimator.diagnosis.measured_data import RecordError, prepare_record
 from estimator.diagnosis.outcome import Verdict
-from estimator.diagnosis.record import RecordError, prepare_record
-from estimator.diagnosis.search import SUBSAMPLE_SIZE, screen_candidates
+from estimator.diagnosis.screening import SUBSAMPLE_SIZE, screen_candidates
 from estimator.diagnosis.settings import SETTINGS, ignore_progress
 from estimator.effects import CATALOGUE, NAMES
 from tests.studies import hidden
@@ -39,7 +40,9 @@ def diagnosed(seed, hide, bench, channels=hidden.CHANNELS, among=NAMES, size=1.0
         seed, hide, bench=bench, channels=channels, duration=30.0, rate=50.0, size=size
     )
     effects = [effect for effect in CATALOGUE if effect.name in among]
-    return made, diagnose([prepare_record(made.time, dict(made.channels))], effects, workers=2)
+    return made, diagnose_records(
+        [prepare_record(made.time, dict(made.channels))], effects, workers=2
+    )
 
 
 @pytest.mark.parametrize(("seed", "effect", "bench"), HIDDEN)
@@ -71,7 +74,7 @@ def test_a_record_that_begins_in_the_midst_of_motion_says_so(bench, begin, chann
     rest = made.time >= begin
     cut = {name: made.channels[name][rest] for name in channels}
     effects = [effect for effect in CATALOGUE if effect.name in {"pretension", "creep", "slack"}]
-    found = diagnose([prepare_record(made.time[rest], cut)], effects, workers=2)
+    found = diagnose_records([prepare_record(made.time[rest], cut)], effects, workers=2)
     assert found.causes == ("pretension",)
     assert found.after.held_out["distal_tension"].rmse < 1.3 * found.noise["distal_tension"]
     K = found.parameters["K"]
@@ -146,7 +149,7 @@ def test_another_record_of_the_bench_is_predicted_with_what_was_found(channels):
         )
     )
     effects = [effect for effect in CATALOGUE if effect.name == "distal_tension_gain"]
-    found = diagnose([first], effects, validate=[second])
+    found = diagnose_records([first], effects, validate=[second])
     before, after = found.before.validation, found.after.validation
     assert after["distal_tension"].rmse < 0.7 * before["distal_tension"].rmse
 
@@ -227,7 +230,7 @@ def test_a_long_record_is_thinned_and_its_turns_stay():
     ready = prepare_record(time, {"proximal_tension": T, "proximal_displacement": q})
     assert ready.thinned == 3
     assert len(ready.time) <= SETTINGS.samples_max
-    few = record.select_record_rows(ready, record.select_subsample(ready, 500))
+    few = measured_data.select_record_rows(ready, measured_data.select_subsample(ready, 500))
     assert few.drive.max() == ready.drive.max()
     assert few.drive.min() == ready.drive.min()
 

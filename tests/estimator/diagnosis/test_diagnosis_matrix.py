@@ -9,9 +9,9 @@ import zlib
 import numpy as np
 import pytest
 
-from estimator.diagnosis.engine import diagnose
+from estimator.diagnosis.api import diagnose_records
+from estimator.diagnosis.measured_data import prepare_record
 from estimator.diagnosis.outcome import Verdict
-from estimator.diagnosis.record import prepare_record
 from estimator.effects import CATALOGUE, NAMES
 from studies.hidden.campaign import Case, judge
 from tests.studies import hidden
@@ -108,7 +108,7 @@ def test_noise_of_the_travel_is_no_cause(case):
 )
 def test_strokes_at_random_on_a_grid_of_plays_are_clean(seed, bench, rate, noise):
     made = make_grid(seed, bench, duration=40.0, rate=rate, travel_noise=noise)
-    found = diagnose([prepare_record(made.time, dict(made.channels))])
+    found = diagnose_records([prepare_record(made.time, dict(made.channels))])
     assert found.verdict == Verdict.CLEAN
     assert found.parameters["K"].low <= made.K <= found.parameters["K"].high
 

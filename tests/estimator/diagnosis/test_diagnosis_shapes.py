@@ -13,9 +13,9 @@ from estimator.diagnosis.dataset import (
     simulate_dataset,
 )
 from estimator.diagnosis.fit import ParameterLayout, _run_least_squares
-from estimator.diagnosis.record import prepare_record
-from estimator.diagnosis.score import compute_errors
-from estimator.diagnosis.search import Candidate, _reset_shapes_at_bound
+from estimator.diagnosis.measured_data import prepare_record
+from estimator.diagnosis.scoring import compute_errors
+from estimator.diagnosis.screening import Candidate, _reset_shapes_at_bound
 from estimator.effects.ends import ANTAGONIST_TENSION, JOINT_FRICTION
 from estimator.effects.friction import STRIBECK_WITH_MEMORY
 from estimator.effects.sensors import COGGING_RIPPLE

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from scipy.optimize import nnls
 
-from estimator.diagnosis.baseline import fit_baseline, refit_baseline
+from estimator.diagnosis.api import diagnose_records
+from estimator.diagnosis.baseline import fit_baseline
 from estimator.diagnosis.dataset import build_dataset, use_all_samples
-from estimator.diagnosis.engine import diagnose
-from estimator.diagnosis.fit import fit_record_parameters
-from estimator.diagnosis.record import prepare_record
+from estimator.diagnosis.fit import fit_record_parameters, refit_baseline
+from estimator.diagnosis.measured_data import prepare_record
 from estimator.effects import CATALOGUE
 
 GAIN, SPREAD, STRANDS = 0.85, 0.5, 80
@@ -124,7 +124,7 @@ def test_distributed_play_is_found_beside_a_gain():
     first = day(1, 0.6, 0.01, (0.2, 1.2), samples=2400)
     second = day(2, 0.62, 0.015, (0.4, 2.5), samples=2400)
     effects = [e for e in CATALOGUE if e.name in CHECKED]
-    found = diagnose([first.record], effects, validate=[second.record])
+    found = diagnose_records([first.record], effects, validate=[second.record])
     assert set(found.causes) == CHECKED
     assert found.parameters["distal_tension_gain.gain"].value == pytest.approx(GAIN - 1.0, abs=0.03)
     law = found.after.validation["distal_tension"].rmse

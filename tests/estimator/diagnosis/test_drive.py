@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from estimator.diagnosis.channel_noise import estimate_white_noise
 from estimator.diagnosis.drive import estimate_travel_drive, find_turning_points, smooth_signal
+from estimator.diagnosis.noise import estimate_white_noise
 
 SIGMAS = [1e-7, 1e-6, 5e-6]
 

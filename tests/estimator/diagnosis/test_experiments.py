@@ -2,7 +2,7 @@
 
 import pytest
 
-from estimator.diagnosis.experiments import (
+from estimator.diagnosis.outcome import (
     ISOLATED_EFFECTS,
     MOTOR_TRAVEL,
     SEPARATING_EXPERIMENTS,

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from estimator.diagnosis.baseline import fit_baseline, refit_baseline
+from estimator.diagnosis.api import build_drive_simulator
+from estimator.diagnosis.baseline import fit_baseline
 from estimator.diagnosis.dataset import build_dataset
-from estimator.diagnosis.driver_noise import propagate_driver_noise
-from estimator.diagnosis.engine import build_drive_simulator
-from estimator.diagnosis.hidden_motion import recover_hidden_motion
-from estimator.diagnosis.record import prepare_record
-from estimator.diagnosis.score import compute_errors
+from estimator.diagnosis.fit import refit_baseline
+from estimator.diagnosis.hidden_motion import propagate_driver_noise, recover_hidden_motion
+from estimator.diagnosis.measured_data import prepare_record
+from estimator.diagnosis.scoring import compute_errors
 from tests.studies import hidden
 from tests.studies.hidden.play_grid import make_grid
 

@@ -7,10 +7,11 @@ Data of loops are made by masses, springs and bristles in time
 import numpy as np
 import pytest
 
+import estimator as est
 from estimator.diagnosis.api import diagnose
-from estimator.diagnosis.model import BaseLaw
+from estimator.diagnosis.dataset import BaseLaw
+from estimator.diagnosis.measured_data import RecordError
 from estimator.diagnosis.outcome import Verdict
-from estimator.diagnosis.record import RecordError
 from estimator.measured_data import Samples
 from estimator.units import ROTARY
 from tests.studies import hidden
@@ -71,8 +72,8 @@ def test_law_stiffness_and_friction_are_found(loop, law):
         number = found.parameters[name]
         assert number.low < true < number.high, name
         assert number.high - number.low < 0.5 * true, name
-    assert f"| {law}" in found.summary()
-    assert "rad/(N m)" in found.summary()
+    assert f"| {law}" in est.summarise_result(found)
+    assert "rad/(N m)" in est.summarise_result(found)
 
 
 def test_a_loop_needs_the_angle_that_drives_it():

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import estimator as est
-from estimator.diagnosis.autocorrelation import compute_autocorrelation, resample_residual
-from estimator.diagnosis.record import RecordError, prepare_record
+from estimator.diagnosis.measured_data import RecordError, prepare_record
+from estimator.diagnosis.scoring import compute_autocorrelation, resample_residual
 from estimator.effects.effect import EffectContext
 from estimator.effects.ends import find_largest_deviation
 from estimator.effects.sensors import PULLEY_ECCENTRICITY

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from estimator.diagnosis.channel_noise import estimate_white_noise
 from estimator.diagnosis.drive import smooth_signal
-from estimator.diagnosis.record import prepare_record
+from estimator.diagnosis.measured_data import prepare_record
+from estimator.diagnosis.noise import estimate_white_noise
 from tests.studies import hidden
 
 EVERY = 10  # samples of the simulation from one of the record to the next

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from estimator.diagnosis import report_text
+from estimator.diagnosis.api import diagnose_records
+from estimator.diagnosis.baseline import fit_simple_models
 from estimator.diagnosis.dataset import build_dataset
-from estimator.diagnosis.engine import diagnose
-from estimator.diagnosis.record import prepare_record
-from estimator.diagnosis.simple_models import fit_simple_models
+from estimator.diagnosis.measured_data import prepare_record
 from tests.studies import hidden
 
 NOISE = 0.01  # [N]
@@ -83,7 +83,7 @@ def test_lugre_is_found():
 @pytest.mark.parametrize("bench", ["blocked", "spring"])
 def test_on_a_clean_bench_the_law_is_better_than_any(bench):
     made = hidden.make(71, (), bench=bench, duration=40.0, rate=50.0)
-    found = diagnose([prepare_record(made.time, dict(made.channels))], ())
+    found = diagnose_records([prepare_record(made.time, dict(made.channels))], ())
     assert report_text.list_better_models(found) == []
     for channel in ("proximal_tension", "distal_tension"):
         assert found.simple_gain[channel].low > 0.5
@@ -95,7 +95,7 @@ def test_on_a_clean_bench_the_law_is_better_than_any(bench):
 def test_a_model_that_beats_the_law_is_named():
     T_in = walk(2)
     signals = {"proximal_tension": T_in, "distal_tension": 0.7 * after_a_play(T_in, 1.9)}
-    found = diagnose([prepare_record(np.arange(len(T_in)) * 0.01, signals)], ())
+    found = diagnose_records([prepare_record(np.arange(len(T_in)) * 0.01, signals)], ())
     (said,) = report_text.list_better_models(found)
     assert said.startswith("tension at the tip: ")
     assert "play operator with gain predicts it better than this model" in said

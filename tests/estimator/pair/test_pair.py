@@ -5,11 +5,16 @@ import math
 import numpy as np
 import pytest
 
+import estimator as est
 from estimator.pair import pair_fit, pair_study
 from estimator.pair.pair import PairModel, PairRecord, simulate_by_command, simulate_by_tensions
 from estimator.pair.pair_fit import PairError, PairVariant, fit
-from estimator.pair.pair_structure import analyse_residuals, compute_offset_share
-from estimator.pair.pair_study import ONE_PLAY, fit_simple_predictors
+from estimator.pair.pair_study import (
+    ONE_PLAY,
+    analyse_residuals,
+    compute_offset_share,
+    fit_simple_predictors,
+)
 from estimator.signals import apply_play
 from tests.estimator.pair import pair_bench as bench
 
@@ -127,10 +132,10 @@ def test_a_further_bend_is_predicted(found):
 
 
 def test_a_notebook_shows_a_study_with_its_figures(found):
-    page = found._repr_html_()
+    page = est.show_result(found).html
     assert page.count("<svg") == 3
     assert "bend kept apart" in page
-    assert "bend kept apart" in found.summary()
+    assert "bend kept apart" in est.summarise_result(found)
     assert len(found.plot().axes) >= len(BENDS)
 
 

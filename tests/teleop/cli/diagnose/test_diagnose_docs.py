@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from estimator.diagnosis.engine import diagnose
+from estimator.diagnosis.api import diagnose_records
+from estimator.diagnosis.measured_data import prepare_record
 from estimator.diagnosis.outcome import Verdict
-from estimator.diagnosis.record import prepare_record
 from estimator.effects import Effect
 from teleop.cli import commands
 from teleop.cli.diagnose.options import parse_effects
@@ -43,6 +43,8 @@ def test_the_effect_of_the_page_is_found_among_others():
     data = hidden.make(5, (), bench="spring", duration=16.0, rate=50.0)
     T = data.channels["distal_tension"]
     record = prepare_record(data.time, data.channels | {"distal_tension": T + 0.006 * T**2})
-    found = diagnose([record], [*parse_effects("distal_tension_gain,constant_drag"), effect])
+    found = diagnose_records(
+        [record], [*parse_effects("distal_tension_gain,constant_drag"), effect]
+    )
     assert (found.verdict, found.causes) == (Verdict.NAMED, (effect.name,))
     assert found.parameters[f"{effect.name}.curve"].value == pytest.approx(0.006, rel=0.1)

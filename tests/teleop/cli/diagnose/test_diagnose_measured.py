@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from estimator.diagnosis import report_text
-from estimator.diagnosis.engine import diagnose
+from estimator.diagnosis.api import diagnose_records
+from estimator.diagnosis.measured_data import prepare_record
 from estimator.diagnosis.outcome import Verdict
-from estimator.diagnosis.record import prepare_record
 
 ROOT = os.environ.get("TELEOP_SHARED_DATA")
 DATA = Path(ROOT) if ROOT else Path(__file__).resolve().parents[5] / "shared" / "data"
@@ -26,7 +26,7 @@ pytestmark = [
 def found():
     table = np.genfromtxt(SESSION, delimiter=",", names=True)
     signals = {name: table[f"{name}_N"] for name in ("proximal_tension", "distal_tension")}
-    return diagnose([prepare_record(table["time_s"], signals)], workers=2)
+    return diagnose_records([prepare_record(table["time_s"], signals)], workers=2)
 
 
 def test_what_removes_most_of_the_error_is_found_with_its_look_alikes(found):

@@ -5,12 +5,13 @@ import math
 
 import pytest
 
-from estimator.diagnosis import report_text
-from estimator.diagnosis.engine import diagnose
+from estimator.diagnosis import report_tables, report_text
+from estimator.diagnosis.api import diagnose_records
+from estimator.diagnosis.measured_data import prepare_record
 from estimator.diagnosis.outcome import DetectionLimit, FittedValue, Verdict
-from estimator.diagnosis.record import prepare_record
-from estimator.diagnosis.score import ResidualDependence
-from estimator.diagnosis.troubles import DataIssue
+from estimator.diagnosis.sampling import DataIssue
+from estimator.diagnosis.scoring import ResidualDependence
+from estimator.units import format_quantity
 from teleop.cli.diagnose import page, report_json
 from teleop.cli.diagnose.options import parse_effects
 from tests.studies import hidden
@@ -20,7 +21,7 @@ FAULT, RIVAL = "distal_tension_gain", "constant_drag"
 
 def found_in(data, channels=hidden.CHANNELS):
     record = prepare_record(data.time, {name: data.channels[name] for name in channels})
-    return diagnose([record], parse_effects(FAULT))
+    return diagnose_records([record], parse_effects(FAULT))
 
 
 @pytest.fixture(scope="module")
@@ -86,7 +87,7 @@ def test_a_clean_bench_is_said_with_what_would_have_been_seen(nothing):
     assert report_text.format_verdict(clean).endswith(
         "slack would have been seen from a length of 20 µm on."
     )
-    assert report_text.build_detection_limit_table(clean).rows == (("slack", "length", "20 µm"),)
+    assert report_tables.build_detection_limit_table(clean).rows == (("slack", "length", "20 µm"),)
     assert report_text.list_next_steps(clean) == ["Use the model as it is."]
 
 
@@ -162,4 +163,4 @@ def test_any_channels_will_do(data, channels):
     ],
 )
 def test_quantities_are_said_in_a_fitting_unit(value, unit, said):
-    assert report_text.format_quantity(value, unit) == said
+    assert format_quantity(value, unit) == said

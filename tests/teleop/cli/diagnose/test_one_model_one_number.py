@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import estimator as est
-from estimator.diagnosis.force import compute_force_error
+from estimator.diagnosis.validation import compute_force_error
 from slave import loop, model_files
 from slave.config import SlaveConfig
 from slave.rigs import open_rig
@@ -153,11 +153,11 @@ def test_validation_is_stated_by_file_as_it_is_in_the_file(found):
     assert (one.record.signals["distal_tension"].size - 4) == one.record.good[
         "distal_tension"
     ].sum()
-    assert f"{START:g} to {START + 23.98:g} s" in found.summary()
+    assert f"{START:g} to {START + 23.98:g} s" in est.summarise_result(found)
     axes = found.plot().axes
     assert len(axes) == 2
     with pytest.raises(IndexError):
-        found.plot(1)
+        est.plot_result(found, 1)
 
 
 def test_rivals_have_the_force_that_each_would_give(found):
@@ -166,7 +166,7 @@ def test_rivals_have_the_force_that_each_would_give(found):
     assert (rival.label, rival.replaces) == (found.ambiguous_with[0], found.causes[0])
     assert 0.1 < rival.largest / rival.full_scale < 0.25  # 20 % on one cell or the other
     assert rival.mean < rival.largest
-    assert f"{rival.largest / rival.full_scale:.1%}" in found.summary()
+    assert f"{rival.largest / rival.full_scale:.1%}" in est.summarise_result(found)
 
 
 def test_the_cause_that_was_asked_for_is_in_the_model(chosen):
@@ -179,8 +179,8 @@ def test_the_cause_that_was_asked_for_is_in_the_model(chosen):
 def test_all_samples_are_fitted_and_said_to_be(chosen):
     assert chosen.fit_all
     assert chosen.after.fit == chosen.after.held_out
-    assert "in-sample RMSE" in chosen.summary()
-    assert "held-out" not in chosen.summary()
+    assert "in-sample RMSE" in est.summarise_result(chosen)
+    assert "held-out" not in est.summarise_result(chosen)
 
 
 def test_each_file_is_predicted_by_the_fit_of_the_other(chosen):
@@ -198,7 +198,7 @@ def test_a_cause_that_is_not_as_good_is_refused(tables):
 
 
 def test_a_notebook_shows_a_diagnosis_with_its_figures(found):
-    page = found._repr_html_()
+    page = est.show_result(found).html
     assert page.count("<svg") == page.count("</svg>") >= 4
     assert "in the place of" in page
     assert "<script" not in page

@@ -1,11 +1,48 @@
-"""The white noise of a channel, told from the motion in it and from coarse steps of its reading."""
+"""White noise of a channel, estimated from the readings."""
 
 import math
 
 import numpy as np
 
 from estimator.array_types import Array
-from estimator.diagnosis.sampling import compute_block_rms, compute_divided_differences
+
+
+def compute_divided_differences(time: Array, signal: Array, order: int) -> Array:
+    """Return divided differences, normalised so that white noise of 1 has a variance of 1.
+
+    Parameters
+    ----------
+    time, signal : ndarray
+        Shape (n,), the time strictly rising.
+    order : int
+        m.
+
+    Returns
+    -------
+    ndarray
+        Shape (n - m,): sum w_j y_j over each m + 1 neighbours, w_j = 1 / prod_k (t_j - t_k), by
+        the root of sum w_j^2.
+    """
+    count = len(time) - order
+    t = time * ((len(time) - 1) / float(time[-1] - time[0]))  # in mean periods
+    differences = signal
+    for m in range(1, order + 1):
+        differences = np.diff(differences) / (t[m:] - t[:-m])
+    power = np.zeros(count)
+    for j in range(order + 1):
+        weight = np.ones(count)
+        for k in range(order + 1):
+            if k != j:
+                weight /= t[j : j + count] - t[k : k + count]
+        power += weight**2
+    return np.asarray(differences / np.sqrt(power))
+
+
+def compute_block_rms(values: Array, block: int) -> Array:
+    """Return the root mean square of values over consecutive blocks."""
+    count = max(len(values) // block, 1)
+    return np.asarray(np.sqrt(np.mean(values[: count * block].reshape(count, -1) ** 2, axis=1)))
+
 
 ORDERS = (2, 3, 4, 5, 6)  # of the differences that it is taken from
 BLOCK_SIZE = 20  # differences of which one root mean square is taken

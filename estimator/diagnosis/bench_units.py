@@ -4,14 +4,30 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import product
 
-from estimator.diagnosis.baseline import Choice
-from estimator.diagnosis.bench_scale import UNIT_SCALE, BenchScale, choose_bench_scale
-from estimator.diagnosis.dataset import Dataset, Fit, Model
-from estimator.diagnosis.model import TAUT_TRAVEL, BaseParameters, SimulatedRecord
-from estimator.diagnosis.outcome import Diagnosis, FittedValue, ModelErrors, RankedCandidate
-from estimator.diagnosis.prediction import ErrorStatistics, PredictedRecord
-from estimator.diagnosis.record import Record, collect_efforts
-from estimator.diagnosis.simple_models import SimpleFit
+from estimator.diagnosis.dataset import (
+    TAUT_TRAVEL,
+    BaseParameters,
+    Dataset,
+    Fit,
+    Model,
+    SimulatedRecord,
+)
+from estimator.diagnosis.measured_data import (
+    UNIT_SCALE,
+    BenchScale,
+    Record,
+    choose_bench_scale,
+    collect_efforts,
+)
+from estimator.diagnosis.outcome import (
+    Diagnosis,
+    ErrorStatistics,
+    FittedValue,
+    ModelErrors,
+    PredictedRecord,
+    RankedCandidate,
+)
+from estimator.diagnosis.scoring import Choice, SimpleFit
 from estimator.effects.effect import (
     PROXIMAL_DISPLACEMENT,
     PROXIMAL_TENSION,

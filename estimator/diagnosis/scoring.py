@@ -8,11 +8,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.array_types import Array
-from estimator.diagnosis.dataset import Dataset, Fit, compute_tolerance
-from estimator.diagnosis.record import Record
+from estimator.diagnosis.dataset import (
+    Dataset,
+    Fit,
+    compute_tolerance,
+)
+from estimator.diagnosis.measured_data import Record
+from estimator.diagnosis.sampling import GAP_PERIODS
 from estimator.diagnosis.settings import SETTINGS
-from estimator.effects.effect import PROXIMAL_TENSION
-from estimator.fitting import compute_independent_share, estimate_correlation
+from estimator.effects.effect import (
+    PROXIMAL_TENSION,
+)
+from estimator.fitting import COVERAGE_FACTOR, compute_independent_share, estimate_correlation
 
 DRAWS = 400
 
@@ -236,3 +243,126 @@ def compute_explained_variance(residual: Array, signal: Array) -> float:
     mean = np.bincount(bin_of, residual, len(edges) - 1) / np.maximum(count, 1)
     between = float(np.sum(count * (mean - residual.mean()) ** 2)) / len(residual)
     return max(0.0, between / float(residual.var()) - (len(edges) - 1) / len(residual))
+
+
+# --- autocorrelation of a residual: of white noise it is zero at every lag but 0
+
+
+LAG_MAX = 5.0  # [s]
+LENGTH_DIVISOR = 4  # of a record's length, at most
+
+
+class Autocorrelation(NamedTuple):
+    """Of the residual of one channel."""
+
+    lag: Array  # [s], shape (m,), from 0
+    value: Array  # shape (m,), 1 at lag 0
+    band: float  # 95 % of white noise lie between -band and band
+
+
+def compute_autocorrelation(residuals: Sequence[Array], period: float) -> Autocorrelation:
+    """Return the autocorrelation of residuals of one or several records.
+
+    Parameters
+    ----------
+    residuals : sequence of ndarray
+        Of each record, shape (n,), on even times (`resample_residual`); NaN where none counts.
+    period : float
+        [s] from one sample to the next.
+    """
+    shortest = min(len(residual) for residual in residuals)
+    count = max(2, min(round(LAG_MAX / period), shortest // LENGTH_DIVISOR))
+    mean = float(np.nanmean(np.concatenate(list(residuals))))
+    products, pairs, samples = np.zeros(count), np.zeros(count), 0
+    for residual in residuals:
+        is_known: NDArray[np.bool_] = np.isfinite(residual)
+        centred = np.where(is_known, residual - mean, 0.0)
+        for lag in range(count):
+            products[lag] += float(centred[lag:] @ centred[: len(residual) - lag])
+            pairs[lag] += int((is_known[lag:] & is_known[: len(residual) - lag]).sum())
+        samples += int(is_known.sum())
+    value = products / np.maximum(pairs, 1.0)
+    scale = value[0] if value[0] > 0.0 else 1.0
+    return Autocorrelation(
+        period * np.arange(count, dtype=np.float64),
+        value / scale,
+        COVERAGE_FACTOR / math.sqrt(max(samples, 1)),
+    )
+
+
+def resample_residual(time: Array, residual: Array, period: float) -> Array:
+    """Return a residual at multiples of `period`: each sample at the nearest, NaN where none is."""
+    rows = np.rint((time - time[0]) / period).astype(np.int64)
+    is_known = np.isfinite(residual)
+    resampled = np.full(int(rows[-1]) + 1, np.nan)
+    resampled[rows[is_known]] = residual[is_known]
+    return resampled
+
+
+def autocorrelate_channel(dataset: Dataset, fit: Fit, channel: str) -> Autocorrelation:
+    """Return that of a fit's residual in a channel, of all fitted records."""
+    records = dataset.records
+    period = float(np.median([_compute_period(record.time[record.measured]) for record in records]))
+    residuals = []
+    for record, simulated in zip(records, fit.simulated, strict=True):
+        residual = np.where(
+            record.good[channel], record.signals[channel] - simulated.signals[channel], np.nan
+        )
+        residuals.append(
+            resample_residual(record.time[record.measured], residual[record.measured], period)
+        )
+    return compute_autocorrelation(residuals, period)
+
+
+def _compute_period(time: Array) -> float:
+    """Return the mean time from one sample to the next, gaps left out."""
+    steps = np.diff(time)
+    return float(steps[steps < GAP_PERIODS * float(np.median(steps))].mean())
+
+
+# --- scores of base laws and of models without a sheath, by held-out samples
+
+
+class ChoiceScore(NamedTuple):
+    """A base law or a choice of loads, as it came out."""
+
+    name: str
+    score: float  # ln of how much more probable held-out data are than with the first, less BIC
+    rmse: dict[str, float]  # held out, by channel, in the channel's unit
+
+
+class Choice(NamedTuple):
+    """A dataset with what was chosen, its fit, and the evidence."""
+
+    dataset: Dataset
+    fit: Fit
+    scores: tuple[ChoiceScore, ...]  # of all that were tried; empty where nothing was to be chosen
+
+    @property
+    def alike(self) -> tuple[str, ...]:
+        """Names of those that the data do not distinguish from the best."""
+        best_score = max((choice.score for choice in self.scores), default=0.0)
+        return tuple(
+            choice.name for choice in self.scores if best_score - choice.score < SETTINGS.alike
+        )
+
+
+class SimpleFit(NamedTuple):
+    """A model and how far it is off in each channel."""
+
+    name: str
+    held_out: dict[str, ChannelErrors]  # of both halves, each fitted to the other
+
+    @property
+    def rmse(self) -> dict[str, float]:
+        """Root mean square by channel [N] or [m]."""
+        return {channel: errors.rmse for channel, errors in self.held_out.items()}
+
+
+class SimpleGain(NamedTuple):
+    """By which share a law's held-out RMSE is below that of the best simple model."""
+
+    model: str
+    value: float  # negative where the simple model is better
+    low: float  # of the 95 % interval, by the same bins of time of both
+    high: float

@@ -11,7 +11,6 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 
-from estimator.diagnosis.baseline import fit_robustly
 from estimator.diagnosis.dataset import (
     Dataset,
     Fit,
@@ -29,9 +28,10 @@ from estimator.diagnosis.fit import (
     ParameterLayout,
     compute_jacobian,
     fit_model,
+    fit_robustly,
     shift_parameters,
 )
-from estimator.diagnosis.score import ChannelErrors, compute_errors, is_noise
+from estimator.diagnosis.scoring import ChannelErrors, compute_errors, is_noise
 from estimator.diagnosis.settings import SETTINGS, ProgressCallback, scale_progress
 from estimator.effects.effect import Effect, EffectContext, Parameter, Values
 
