@@ -1,6 +1,9 @@
 """Names in a recording, for writer and reader."""
 
-from mcap.records import Channel
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from mcap.records import Channel  # not needed for the names alone
 
 SESSION_METADATA = "recording"  # session, start, message layout, protection
 VERSIONS_METADATA = "versions"  # of the writing software
@@ -16,6 +19,6 @@ def to_channel_name(topic: str) -> str:
     return f"/{topic}"
 
 
-def to_topic_name(channel: Channel) -> str:
+def to_topic_name(channel: "Channel") -> str:
     """Return the topic's name in `teleop.messages.topics`."""
     return channel.topic.removeprefix("/")
