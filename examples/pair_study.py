@@ -28,5 +28,5 @@ def record(bend: float) -> est.PairRecord:
 
 found = est.study_pair([record(bend) for bend in (0.0, 1.5, 3.0)], validate=[record(2.2)])
 print(f"K grows by {found.growth.value:.2f} per radian ({true.growth} was put in)")
-print(f"a bend kept apart: {found.validation[0].ours.share:.1%} of the span")
+print(f"a bend kept apart: {found.validation[0].model_error.share:.1%} of the span")
 est.plot_result(found)  # a figure; in a notebook, est.show_result(found) shows all of them

@@ -28,7 +28,7 @@ _BIN_COUNT = 80  # of a branch
 _END_SHARE = 0.1  # of a branch: what the tension at its end is read from
 _NOISE_FLOOR = 1e-5  # of the peak; a record free of noise is not known better than the law holds
 _SLACK_SIGMAS = 5.0  # sigma: tension below is slack, or nearly
-_LARGEST_SWING = 4.0  # 2K of the largest friction for which a pull from low tension is trusted
+_SWING_MAX = 4.0  # 2K of the largest friction for which a pull from low tension is trusted
 _TRUSTED_SHARE = 0.6  # of the peak: where a first pull is trusted, whatever came before
 _TURN_SIGMAS = 4.0  # sigma
 _PLATEAU_SHARE = 0.03  # of the travel: a flat top as wide is a saturated cell, not a turn
@@ -220,7 +220,7 @@ def _average_branch(
     if number == 0 or before < loop.slack:
         # The profile before is unknown, but nowhere above T e^s: the pull has wiped it out from
         # e^2K on.
-        from_ = min(max(before, loop.slack) * math.exp(_LARGEST_SWING), _TRUSTED_SHARE * loop.peak)
+        from_ = min(max(before, loop.slack) * math.exp(_SWING_MAX), _TRUSTED_SHARE * loop.peak)
         usable &= mean_T > (from_ if pull else 0.0)
     else:
         usable &= np.abs(mean_T - before) > _TURN_SIGMAS * loop.sigma / np.sqrt(n)

@@ -83,8 +83,8 @@ def compute_paper_friction(
 # the straight parts are is known once K is.
 
 
-_LEAST_AVERAGES = 6
-_LEAST_SWING = 1.3  # ratio of tensions a straight part must span
+_AVERAGES_MIN = 6
+_SWING_MIN = 1.3  # ratio of tensions a straight part must span
 _SLOPE_DIFFERENCE_MAX = 0.05  # by which the slope may differ between the halves of a straight part
 _SIGNIFICANT_SIGMAS = 6.0  # standard uncertainties
 
@@ -125,7 +125,7 @@ def require_straight_pulls(loop: BlockedLoop, K: float) -> None:
         If one is.
     """
     for branch, part in _select_sliding_pulls(loop, K):
-        if part.sum() < 2 * _LEAST_AVERAGES:
+        if part.sum() < 2 * _AVERAGES_MIN:
             continue
         T, q, n = branch.T[part], branch.q[part], branch.count[part]
         middle = 0.5 * (T.min() + T.max())
@@ -162,7 +162,7 @@ def _fit_common_slope(parts: list[tuple[Branch, NDArray[np.bool_]]]) -> Measured
         q.append(branch.q[part] - np.average(branch.q[part], weights=weight))
         n.append(weight)
     used = [branch.T[part] for branch, part in parts if part.sum() >= 3]
-    if sum(map(len, T)) < _LEAST_AVERAGES or max(t.max() / t.min() for t in used) < _LEAST_SWING:
+    if sum(map(len, T)) < _AVERAGES_MIN or max(t.max() / t.min() for t in used) < _SWING_MIN:
         return None
     return _fit_line(np.concatenate(T), np.concatenate(q), np.concatenate(n), len(T))
 

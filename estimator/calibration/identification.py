@@ -35,7 +35,7 @@ STARTS = (0.1, 0.3, 0.6, 1.0, 1.5, 2.2)
 RMSE_SHARE_MAX = 0.05
 """Share of the signal's peak the RMSE may be for the fit to be accepted."""
 
-_LARGEST_K = 4.0
+_K_MAX = 4.0
 _SAMPLES_MIN = 50
 
 
@@ -57,7 +57,7 @@ class FitResult:
         Measured less simulated, shape (n,).
     n
         Number of samples.
-    decided
+    identifiable
         Whether the record decides K at all.
     accept
         Whether the law describes the record: see `reason`.
@@ -69,7 +69,7 @@ class FitResult:
     rmse: float
     residuals: Array
     n: int
-    decided: bool
+    identifiable: bool
     accept: bool
     reason: str
 
@@ -100,9 +100,11 @@ def fit_bench(proximal_tension: ArrayLike, distal_tension: ArrayLike) -> FitResu
     at_best = residual(K)
     slope = (residual(K * (1.0 + 1e-3)) - residual(K * (1.0 - 1e-3)))[:, None] / (2e-3 * K)
     covariance = _compute_covariance(slope, at_best)
-    decided, accept, reason = _judge_fit(T_in, T_out, at_best, K)
+    identifiable, accept, reason = _judge_fit(T_in, T_out, at_best, K)
     parameters = {"K": _compute_interval(K, covariance[0, 0])}
-    return FitResult(parameters, _compute_rms(at_best), at_best, len(T_in), decided, accept, reason)
+    return FitResult(
+        parameters, _compute_rms(at_best), at_best, len(T_in), identifiable, accept, reason
+    )
 
 
 def fit_blocked_tip(
@@ -140,12 +142,14 @@ def fit_blocked_tip(
     EA = length / compliance
     by_K = (shape(K * (1.0 + 1e-3))[0] - shape(K * (1.0 - 1e-3))[0]) * compliance / (2e-3 * K)
     covariance = _compute_covariance(np.column_stack([by_K, centred * compliance]), at_best)
-    decided, accept, reason = _judge_fit(T_in, q - q.min(), at_best, K)
+    identifiable, accept, reason = _judge_fit(T_in, q - q.min(), at_best, K)
     parameters = {
         "K": _compute_interval(K, covariance[0, 0]),
         "axial_stiffness": _compute_interval(EA, covariance[1, 1] * EA**2),
     }
-    return FitResult(parameters, _compute_rms(at_best), at_best, len(T_in), decided, accept, reason)
+    return FitResult(
+        parameters, _compute_rms(at_best), at_best, len(T_in), identifiable, accept, reason
+    )
 
 
 def _validate_signals(tension: ArrayLike, other: ArrayLike) -> tuple[Array, Array]:
@@ -174,7 +178,7 @@ def _simulate(T_in: Array, K: float) -> tuple[Array, Array]:
 
 def _search_friction(cost: Callable[[float], float]) -> float:
     """Return the K of least cost, each start searched between its neighbours."""
-    edges = (1e-3, *STARTS, _LARGEST_K)
+    edges = (1e-3, *STARTS, _K_MAX)
     minima = [
         minimize_scalar(cost, bounds=(low, high), method="bounded", options={"xatol": 1e-6})
         for low, high in zip(edges[:-2], edges[2:], strict=True)
@@ -199,7 +203,7 @@ def _compute_rms(residuals: Array) -> float:
 
 
 def _judge_fit(T_in: Array, signal: Array, residuals: Array, K: float) -> tuple[bool, bool, str]:
-    if K > 0.99 * _LARGEST_K or K < 2e-3:
+    if K > 0.99 * _K_MAX or K < 2e-3:
         return False, False, f"K = {K:.3g} is the end of the search: the record does not decide it"
     if T_in.max() < math.exp(2.0 * K) * max(float(T_in.min()), 1e-3 * float(T_in.max())):
         return False, False, "tension never swings by e^2K: the start of the record decides the fit"

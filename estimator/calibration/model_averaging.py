@@ -14,7 +14,7 @@ UNMODELLED_UNCERTAINTY = 0.01
 """Standard uncertainty of K that no rival's own allows for, as a pattern that was never tried."""
 
 _K_TOLERANCE = 0.002  # of K: fits of one shape that differ by less are one
-_LEAST_WEIGHT = 1e-300
+_WEIGHT_MIN = 1e-300
 
 
 class Rival(NamedTuple):
@@ -81,7 +81,7 @@ def _average_pairs(
     rivals: tuple[Rival, ...], weight: Array, shift: Array, variance: Array
 ) -> ModelAverage:
     """Weigh rivals by pairs: what each asks for and leaves open of K, shape (rivals, of other)."""
-    each = np.maximum(weight.sum(axis=1), _LEAST_WEIGHT)
+    each = np.maximum(weight.sum(axis=1), _WEIGHT_MIN)
     mean = (weight * shift).sum(axis=1) / each
     left = (weight * (variance + (shift - mean[:, None]) ** 2)).sum(axis=1) / each
     K, *_ = _to_arrays(rivals)

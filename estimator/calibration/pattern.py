@@ -23,15 +23,15 @@ from estimator.calibration.blocked_loop import BlockedLoop
 from estimator.fitting import compute_central_differences, minimise_squares
 from estimator.law.sheath import Section, Sheath
 
-LARGEST_K = 3.0
+K_MAX = 3.0
 """Friction coordinate up to which a loop is searched."""
 
-LEAST_STEP = 0.004
+STEP_MIN = 0.004
 """Shortest interval of s that is searched."""
 
 _NODE_SPACING = 0.01  # of s
-_LEAST_TENSION = 1e-9  # [N]
-_SLACK = math.log(_LEAST_TENSION) - LARGEST_K
+_TENSION_MIN = 1e-9  # [N]
+_SLACK = math.log(_TENSION_MIN) - K_MAX
 _RELATIVE_STEP = 1e-3  # relative, of the intervals
 _TURN_STEP = 2e-4  # relative, of the turning tensions
 _ZERO_STEP = 1e-4  # [N]
@@ -81,7 +81,7 @@ class Pattern:
         Its compliances stay: the loop has shown them, and hardly how far the last bend goes.
         """
         before = self.ends[-2] if len(self.ends) > 1 else 0.0
-        if before + LEAST_STEP < K:
+        if before + STEP_MIN < K:
             return replace(self, ends=(*self.ends[:-1], K))
         return replace(self, ends=tuple(end * K / self.K for end in self.ends))
 
@@ -145,11 +145,11 @@ class PlayOperators:
         `turns` [N] are the tensions between branches, `zero` [N] is the reading without tension.
         """
         self._loop = loop
-        self._s = np.arange(0.0, LARGEST_K + 1.5 * _NODE_SPACING, _NODE_SPACING)[:, None]
+        self._s = np.arange(0.0, K_MAX + 1.5 * _NODE_SPACING, _NODE_SPACING)[:, None]
         y = np.full_like(self._s, _SLACK)
         lines, logs = [], []
         for number, branch in enumerate(loop.branches):
-            u = np.log(np.maximum(branch.T - zero, _LEAST_TENSION))
+            u = np.log(np.maximum(branch.T - zero, _TENSION_MIN))
             line = u - self._s if branch.pull else u + self._s
             lines.append(line)
             logs.append(np.maximum(y, line) if branch.pull else np.minimum(y, line))
@@ -212,7 +212,7 @@ class PatternLeastSquares:
         """
         self._loop = loop
         self._zero_uncertainty = max(zero_uncertainty, 1e-9)
-        self._turns = np.maximum(loop.turns[:-1], _LEAST_TENSION)
+        self._turns = np.maximum(loop.turns[:-1], _TENSION_MIN)
         self.zero = 0.0
         self._q = np.concatenate([branch.q for branch in loop.branches])
         self._count = np.concatenate([branch.count for branch in loop.branches])
@@ -260,8 +260,8 @@ class PatternLeastSquares:
         found = minimise_squares(
             residual,
             free,
-            math.log(LEAST_STEP) - 1e-6,
-            math.log(LARGEST_K),
+            math.log(STEP_MIN) - 1e-6,
+            math.log(K_MAX),
             diff_step=_RELATIVE_STEP,
             x_scale=1.0,
             xtol=1e-4,
@@ -357,9 +357,9 @@ class PatternLeastSquares:
 
 
 def _to_logs(ends: Array) -> Array:
-    return np.log(np.maximum(np.diff(ends, prepend=0.0), LEAST_STEP))
+    return np.log(np.maximum(np.diff(ends, prepend=0.0), STEP_MIN))
 
 
 def _from_logs(logs: Array) -> Array:
     ends = np.cumsum(np.exp(logs))
-    return np.asarray(ends * min(1.0, LARGEST_K / float(ends[-1])))
+    return np.asarray(ends * min(1.0, K_MAX / float(ends[-1])))

@@ -21,8 +21,8 @@ from estimator.calibration.model_averaging import (
     deduplicate_rivals,
 )
 from estimator.calibration.pattern import (
-    LARGEST_K,
-    LEAST_STEP,
+    K_MAX,
+    STEP_MIN,
     PatternFit,
     PatternLeastSquares,
     Shape,
@@ -122,9 +122,7 @@ def _find_rivals(
     # How wide the last bend is, is hardly seen where it is slight: each width counts for itself.
     middle = 0.5 * float(ends[-1] + ends[-2])
     for width in _WIDTHS:
-        begin = max(
-            middle - 0.5 * width, float(ends[-3]) + LEAST_STEP if len(ends) > 2 else LEAST_STEP
-        )
+        begin = max(middle - 0.5 * width, float(ends[-3]) + STEP_MIN if len(ends) > 2 else STEP_MIN)
         shape = Shape(np.append(ends[:-2], [begin, begin + width]), straight)
         prior = -2.0 * math.log(_BEND_ODDS * _WIDTH_STEP / _WIDTH_RANGE) - SCORE_PENALTY
         yield _build_rival(fitter.fit(shape, hold_last=True), scale, uncertainty, prior)
@@ -190,7 +188,7 @@ def _generate_larger_shapes(shape: Shape) -> Iterator[Shape]:
         shorter = np.append(ends[:-1], begin + 0.8 * (float(ends[-1]) - begin))
         yield Shape(shorter, _replace_entry(straight, -1, value=True))
     for j, (begin, end) in enumerate(zip((0.0, *ends[:-1]), ends, strict=True)):
-        if end - begin < 4.0 * LEAST_STEP:
+        if end - begin < 4.0 * STEP_MIN:
             continue
         for share in (0.2, 0.5, 0.8):
             cut = np.insert(ends, j, begin + share * (end - begin))
@@ -198,7 +196,7 @@ def _generate_larger_shapes(shape: Shape) -> Iterator[Shape]:
             yield Shape(cut, np.insert(straight, j + 1, values=True))
     for width in _ADDED_WIDTHS:
         longer = np.append(ends, ends[-1] + width)
-        if longer[-1] < LARGEST_K:
+        if longer[-1] < K_MAX:
             yield Shape(longer, np.append(straight, False))
         for i in np.flatnonzero(straight):
             widened = np.insert(ends, i, 0.0 if i == 0 else ends[i - 1])

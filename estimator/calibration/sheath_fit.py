@@ -268,7 +268,7 @@ def _compute_excess_rms(residuals: Array, noise: float) -> float:
 def _require_identifiable(result: FitResult) -> None:
     """Refuse a fit in which the record did not decide K."""
     K = result.parameters["K"]
-    if not result.decided or not math.isfinite(K.high - K.low):
+    if not result.identifiable or not math.isfinite(K.high - K.low):
         raise FitError(result.reason)
 
 

@@ -338,9 +338,9 @@ def diagnose_records(
         laws.append(law._replace(dataset=dataset, fit=base_fit))
     result, law = find_causes(laws, effects, fit_all=fit_all, report=report, workers=workers)
     report("fitting again and testing", RESTART_PROGRESS)
-    dataset, base_fit, steps, fit = result.dataset, result.plain, result.steps, result.fit
+    dataset, base_fit, steps, fit = result.dataset, result.base_fit, result.steps, result.fit
     applicable = select_applicable_effects(effects, records[0], dataset.base)
-    first_ranking = rank_candidates(dataset, base_fit, base_fit, result.firsts)
+    first_ranking = rank_candidates(dataset, base_fit, base_fit, result.first_candidates)
     if cause:
         steps, fit = rivals.choose_equivalent_cause(dataset, base_fit, steps, fit, cause)
     outcome = _build_diagnosis(dataset, base_fit, fit, steps, first_ranking, applicable, validate)
@@ -415,7 +415,8 @@ def _build_diagnosis(
     if not steps:
         verdict = Verdict.CLEAN if is_noise(dataset, errors_before) else Verdict.UNEXPLAINED
     elif is_drifting or (
-        residual_fraction > SETTINGS.explained and not is_noise(dataset, errors_after)
+        residual_fraction > SETTINGS.unexplained_fraction_max
+        and not is_noise(dataset, errors_after)
     ):
         verdict = Verdict.UNEXPLAINED
     elif any(step.rivals for step in steps):
@@ -452,18 +453,18 @@ def _build_diagnosis(
             for channel in errors_before
         },
         noise=compute_mean_noise(dataset),
-        left=residual_fraction,
-        wanders=is_drifting,
+        residual_fraction=residual_fraction,
+        has_drifting_friction=is_drifting,
         simple_models=simple_models,
         simple_gain=compute_simple_gains(errors_after, simple_models),
-        structure=find_residual_dependence(dataset, fit),
+        residual_dependences=find_residual_dependence(dataset, fit),
         detection_limits=compute_detection_limits(dataset, base_fit, applicable)
         if verdict is Verdict.CLEAN
         else {},
         laws=Choice(dataset, base_fit, ()),
         loads=Choice(dataset, base_fit, ()),
         experiments=outcome.suggest_experiments(equivalents, dataset.records[0].signals),
-        troubles=tuple(trouble for record in dataset.records for trouble in record.troubles),
+        issues=tuple(issue for record in dataset.records for issue in record.issues),
         fit_all=all(record.train.all() for record in dataset.records),
         rivals=rivals.fit_rivals(
             dataset, base_fit, final_fit, rivals.find_equivalent_causes(steps)

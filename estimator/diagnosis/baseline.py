@@ -232,11 +232,15 @@ def choose_law(dataset: Dataset, base_fit: Fit) -> Choice:
     best_score = max(capstan, independent, combined)
     if dataset.records[0].loop:
         chosen = next(
-            i for i, entry in enumerate(scores) if best_score - entry.score < SETTINGS.alike
+            i
+            for i, entry in enumerate(scores)
+            if best_score - entry.score < SETTINGS.equivalent_score_max
         )
     else:
-        is_independent_better = independent - capstan > SETTINGS.margin
-        chosen = int(is_independent_better and best_score - independent < SETTINGS.alike)
+        is_independent_better = independent - capstan > SETTINGS.score_min
+        chosen = int(
+            is_independent_better and best_score - independent < SETTINGS.equivalent_score_max
+        )
     return Choice(*trials[chosen], scores)
 
 
@@ -253,9 +257,9 @@ def choose_loads(dataset: Dataset, fit: Fit) -> Choice:
         trials.append((variant, fit_model(variant, contexts, start, LAW_ROUNDS)))
     scores = _score_choices(trials, [entry.base.loads for entry, _ in trials])
     shared, springs, masses = (entry.score for entry in scores)
-    if max(springs, masses) - shared < SETTINGS.margin:
+    if max(springs, masses) - shared < SETTINGS.score_min:
         return Choice(dataset, fit, scores)
-    return Choice(*trials[2 if masses - springs > SETTINGS.margin else 1], scores)
+    return Choice(*trials[2 if masses - springs > SETTINGS.score_min else 1], scores)
 
 
 def select_applicable_effects(

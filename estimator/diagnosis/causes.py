@@ -51,7 +51,7 @@ def find_next_cause(
         return None
     best = select_simplest_cause(dataset, base_fit, current_errors, ranked)
     if (
-        score_candidate(dataset, current_errors, best) < SETTINGS.margin
+        score_candidate(dataset, current_errors, best) < SETTINGS.score_min
         or compute_gain(best.held_out, current_errors) < SETTINGS.gain_min
         or bootstrap_superiority(best.held_out, current_errors) < SETTINGS.confidence
     ):
@@ -73,9 +73,13 @@ def find_next_cause(
         )
         is_uncertain = (
             bootstrap_superiority(best.held_out, candidate.held_out) < SETTINGS.confidence
-            and extra_fraction < SETTINGS.unsure_left
+            and extra_fraction < SETTINGS.uncertain_fraction_max
         )
-        if score_deficit < SETTINGS.alike or extra_fraction < SETTINGS.alike_left or is_uncertain:
+        if (
+            score_deficit < SETTINGS.equivalent_score_max
+            or extra_fraction < SETTINGS.equivalent_fraction_max
+            or is_uncertain
+        ):
             rivals.append(candidate.effect.name)
     return CauseStep(
         best.effect,
@@ -96,8 +100,10 @@ def select_simplest_cause(
     One with more can imitate another: an antagonist of hardly any friction is joint friction.
     """
     best, base_errors = ranked[0], compute_errors(dataset, base_fit)
-    fraction_max = compute_residual_fraction(best.held_out, base_errors) + SETTINGS.alike_left
-    score_min = score_candidate(dataset, current_errors, best) - SETTINGS.alike
+    fraction_max = (
+        compute_residual_fraction(best.held_out, base_errors) + SETTINGS.equivalent_fraction_max
+    )
+    score_min = score_candidate(dataset, current_errors, best) - SETTINGS.equivalent_score_max
     equivalents = [
         candidate
         for candidate in ranked
@@ -157,7 +163,7 @@ def _prune_redundant_causes(
     """Return the causes without those that later ones make redundant, and their fit."""
     for step in steps[:-1] if len(steps) > 1 else ():
         fit_without = refit_without_effect(dataset, fit, step.effect)
-        if score_effect(dataset, fit, fit_without, step.effect) < SETTINGS.margin:
+        if score_effect(dataset, fit, fit_without, step.effect) < SETTINGS.score_min:
             steps = [other_step for other_step in steps if other_step is not step]
             fit = fit_without
     return steps, fit
@@ -223,8 +229,8 @@ class CauseSearchResult(NamedTuple):
 
     loads: Choice
     dataset: Dataset
-    plain: Fit  # the base law
-    firsts: list[Candidate]  # of the first search
+    base_fit: Fit  # the base law
+    first_candidates: list[Candidate]  # of the first search
     steps: list[CauseStep]
     fit: Fit  # of the base law with the causes
 
@@ -278,9 +284,9 @@ def _recover_motion_beside_cause(result: CauseSearchResult) -> tuple[Dataset, Fi
     A cause hides it from the base law. None where with it no more is explained.
     """
     dataset = result.dataset
-    best = min(result.firsts, key=lambda candidate: candidate.cost, default=None)
+    best = min(result.first_candidates, key=lambda candidate: candidate.cost, default=None)
     fit = result.fit if result.steps or best is None else best.fit
-    contexts = build_contexts(dataset, result.plain)
+    contexts = build_contexts(dataset, result.base_fit)
     robust_model = fit_model(dataset, contexts, fit.model, FINAL_ROUNDS, robust=True).model
     records = [
         recover_motion_beside_effects(
@@ -291,7 +297,7 @@ def _recover_motion_beside_cause(result: CauseSearchResult) -> tuple[Dataset, Fi
     if all(new is old for new, old in zip(records, dataset.records, strict=True)):
         return None
     moved_dataset = replace_records(dataset, records)
-    base_fit = refit_baseline(moved_dataset, result.plain)
+    base_fit = refit_baseline(moved_dataset, result.base_fit)
     refit = fit_model(
         rescale_residuals(moved_dataset, fit),
         build_contexts(moved_dataset, base_fit),
@@ -325,7 +331,7 @@ def _compute_evidence(a: CauseSearchResult, b: CauseSearchResult) -> float:
     extra_parameters = len(ParameterLayout(a.dataset, a.fit.model).names) - len(
         ParameterLayout(b.dataset, b.fit.model).names
     )
-    return ratio - compute_bic_penalty(a.dataset, extra_parameters) - SETTINGS.alike
+    return ratio - compute_bic_penalty(a.dataset, extra_parameters) - SETTINGS.equivalent_score_max
 
 
 def _find_causes_stepwise(
@@ -351,7 +357,7 @@ def _find_causes_stepwise(
         step = find_next_cause(dataset, base_fit, fit, candidates)
         if step is not None and not steps:
             fit_without = refit_without_effect(dataset, step.fit, step.effect)
-            if score_effect(dataset, step.fit, fit_without, step.effect) < SETTINGS.margin:
+            if score_effect(dataset, step.fit, fit_without, step.effect) < SETTINGS.score_min:
                 base_fit = fit = fit_without  # the previous fit was a local minimum
                 continue
         first_candidates = first_candidates or candidates
@@ -382,17 +388,21 @@ def _restart_from_other_cause(
     The effect that explains most alone is not always one of those that together explain all: plays
     of many thresholds imitate the gain of a load cell, badly.
     """
-    dataset, base_fit = result.dataset, result.plain
+    dataset, base_fit = result.dataset, result.base_fit
     applicable = select_applicable_effects(effects, dataset.records[0], dataset.base)
     names = {step.effect.name for step in result.steps[:1]}
     first_candidate = min(
-        (candidate for candidate in result.firsts if candidate.effect.name in names or not names),
+        (
+            candidate
+            for candidate in result.first_candidates
+            if candidate.effect.name in names or not names
+        ),
         key=lambda candidate: candidate.cost,
         default=None,
     )
     alternatives = [
         candidate
-        for candidate in result.firsts
+        for candidate in result.first_candidates
         if first_candidate is not None
         and candidate.effect.name != first_candidate.effect.name
         and abs(candidate.cost / first_candidate.cost - 1.0) > SAME_COST_TOLERANCE
@@ -403,7 +413,7 @@ def _restart_from_other_cause(
     new_first = max(
         alternatives, key=lambda candidate: score_candidate(dataset, base_errors, candidate)
     )
-    ranking = rank_candidates(dataset, base_fit, base_fit, result.firsts)
+    ranking = rank_candidates(dataset, base_fit, base_fit, result.first_candidates)
     steps, fit = [CauseStep(new_first.effect, (), ranking, new_first.fit)], new_first.fit
     for share in (0.0, 0.5):
         if is_noise(dataset, compute_errors(dataset, fit)) or _is_exhausted(dataset, fit, base_fit):
@@ -420,7 +430,7 @@ def _restart_from_other_cause(
     steps, fit = prune_causes(dataset, base_fit, steps, fit)
     restarted = result._replace(steps=steps, fit=fit)
     is_accepted = result.steps or is_within_tolerance(
-        dataset, compute_errors(dataset, fit), SETTINGS.further
+        dataset, compute_errors(dataset, fit), SETTINGS.tolerance_ratio_max
     )  # see `_find_cause_pair`
     return (
         restarted
@@ -449,14 +459,14 @@ def _find_cause_pair(
         if by_cost
         else []
     )
-    if not other_costs or by_cost[0].cost * SETTINGS.ahead > min(other_costs):
+    if not other_costs or by_cost[0].cost * SETTINGS.lead_cost_ratio > min(other_costs):
         return []
     lead_candidate = by_cost[0]
     untried = [effect for effect in untried if effect.name != lead_candidate.effect.name]
     second_candidates = fit_candidates(dataset, lead_candidate.fit, untried, report, workers)
     second_step = find_next_cause(dataset, base_fit, lead_candidate.fit, second_candidates)
     if second_step is None or not is_within_tolerance(
-        dataset, compute_errors(dataset, second_step.fit), SETTINGS.further
+        dataset, compute_errors(dataset, second_step.fit), SETTINGS.tolerance_ratio_max
     ):
         return []
     return [
@@ -473,9 +483,12 @@ def _find_cause_pair(
 def _is_exhausted(dataset: Dataset, fit: Fit, base_fit: Fit) -> bool:
     """Return whether the residual is too small to tell another cause from model error."""
     errors = compute_errors(dataset, fit)
-    if compute_residual_fraction(errors, compute_errors(dataset, base_fit)) < SETTINGS.left_min:
+    if (
+        compute_residual_fraction(errors, compute_errors(dataset, base_fit))
+        < SETTINGS.residual_fraction_min
+    ):
         return True
-    return is_within_tolerance(dataset, errors, SETTINGS.further)
+    return is_within_tolerance(dataset, errors, SETTINGS.tolerance_ratio_max)
 
 
 def _is_brief(dataset: Dataset, base_fit: Fit) -> bool:
@@ -492,4 +505,4 @@ def _is_brief(dataset: Dataset, base_fit: Fit) -> bool:
         excess = np.maximum(excess, 0.0)
         peak = max(peak, float(np.convolve(excess, np.ones(2)).max()))
         total += float(excess.sum())
-    return peak > SETTINGS.brief * total
+    return peak > SETTINGS.brief_share * total

@@ -265,11 +265,11 @@ def find_turns_between_samples(time: Array, drive: Array, excess_min: float) -> 
     """
     curvatures = np.diff(np.diff(drive) / np.diff(time)) / (time[2:] - time[:-2])
     turns = Turns([], [], [])
-    for i in find_turning_points(drive, SETTINGS.reversal * float(np.ptp(drive)))[1:-1]:
+    for i in find_turning_points(drive, SETTINGS.reversal_share * float(np.ptp(drive)))[1:-1]:
         curvature = curvatures[max(i - 2, 0) : i + 1]
         if len(curvature) < 3 or np.ptp(np.sign(curvature)):
             continue
-        if not np.abs(curvature).min() > SETTINGS.corner * float(np.abs(curvature).max()):
+        if not np.abs(curvature).min() > SETTINGS.corner_ratio * float(np.abs(curvature).max()):
             continue
         time_before, time_here = float(time[i - 1]), float(time[i])
         slope = float(drive[i] - drive[i - 1]) / (time_here - time_before)

@@ -128,7 +128,7 @@ def draw_record_over_time(
         base_signal, extended_signal = (
             factor * simulated.signals[channel] for simulated in (before, after)
         )
-        drawn_signal = np.where(record.shown(channel), measured, np.nan)
+        drawn_signal = np.where(record.select_drawn_rows(channel), measured, np.nan)
         above.plot(time[keep], drawn_signal[keep], color=BLACK, label="measured")
         dashes, dots = (0, (4, 2)), (0, (1, 1))
         above.plot(time[keep], base_signal[keep], color=VERMILION, linestyle=dashes, label="before")
@@ -156,7 +156,9 @@ def draw_loop(diagnosis: Diagnosis, k: int) -> Figure:
     y, y_factor, y_unit = _scale_for_display(diagnosis.units, up, record.signals[up])
     figure = Figure(figsize=(8.2, 3.8))
     pair = figure.subplots(1, 2, sharex=True, sharey=True)
-    drawn_signal = np.where(record.shown(across) & record.shown(up), y, np.nan)
+    drawn_signal = np.where(
+        record.select_drawn_rows(across) & record.select_drawn_rows(up), y, np.nan
+    )
     titles = (("before", diagnosis.baseline, VERMILION), ("after", diagnosis.extended, BLUE))
     keep = _subsample_rows(np.flatnonzero(record.measured), LINE_POINTS_MAX)
     for axes, (title, fit, colour) in zip(pair, titles, strict=True):

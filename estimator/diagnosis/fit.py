@@ -83,17 +83,17 @@ class ParameterLayout:
                     self._steps[i] = 0.03 * max(compliance, 1e-7)
 
     @property
-    def smooth(self) -> Mask:
+    def is_smooth(self) -> Mask:
         """Which numbers a slope leads to."""
         return np.array([not p.jumps for p in self.parameters])
 
     @property
-    def shape(self) -> Mask:
+    def is_shape(self) -> Mask:
         """Which numbers only shape an effect, and have a slope."""
         return np.array([p.neutral is None and not p.jumps for p in self.parameters])
 
     @property
-    def when(self) -> Mask:
+    def is_time(self) -> Mask:
         """Which numbers say when something happened, and how long it took."""
         mask = np.zeros(len(self.parameters), dtype=np.bool_)
         offset = len(self.base.shared)
@@ -105,14 +105,14 @@ class ParameterLayout:
         return mask
 
     @property
-    def loads(self) -> list[int]:
+    def load_indices(self) -> list[int]:
         """Places of what the tips of single records pull at."""
         load_names = {p.name for p in OWN_LOADS[self.base.loads]}
         own = [p.name in load_names for p in self.base.own] * self.records
         return [self.common + k for k, is_load in enumerate(own) if is_load]
 
     @property
-    def own(self) -> Mask:
+    def is_own(self) -> Mask:
         """Which numbers are of single records."""
         return np.arange(len(self.parameters)) >= self.common
 
@@ -123,8 +123,8 @@ class ParameterLayout:
     def bounds(self) -> tuple[Array, Array]:
         """Return the least and the largest of each number."""
         return (
-            self._counted(np.array([p.low for p in self.parameters])),
-            self._counted(np.array([p.high for p in self.parameters])),
+            self._to_steps(np.array([p.low for p in self.parameters])),
+            self._to_steps(np.array([p.high for p in self.parameters])),
         )
 
     def values(self, model: Model) -> list[float]:
@@ -134,7 +134,7 @@ class ParameterLayout:
 
     def pack(self, model: Model) -> Array:
         """Return them in their steps."""
-        return self._counted(np.array(self.values(model)))
+        return self._to_steps(np.array(self.values(model)))
 
     def unpack(self, x: Array) -> Model:
         """Return the model of a row."""
@@ -152,7 +152,7 @@ class ParameterLayout:
         )
         return Model(shared, own, tuple(effects))
 
-    def _counted(self, values: Array) -> Array:
+    def _to_steps(self, values: Array) -> Array:
         return np.asarray((values - self._zeros) / np.array(self._steps))
 
 
@@ -196,12 +196,14 @@ def fit_model(
             times = _estimate_change_times(dataset, contexts, layout, timed_fit, i)
             timed_fit = _search_times(dataset, contexts, layout, timed_fit, i, times)
         start = timed_fit.model
-    fit = _run_least_squares(dataset, contexts, layout, start, rounds, layout.smooth, robust=robust)
+    fit = _run_least_squares(
+        dataset, contexts, layout, start, rounds, layout.is_smooth, robust=robust
+    )
     for _ in range(SHAPE_RESTARTS_MAX if rounds > ROUNDS else 0):
         model = _search_shape_multiples(dataset, contexts, layout, fit)
         if model is None:
             break
-        fit = _run_least_squares(dataset, contexts, layout, model, ROUNDS, layout.smooth)
+        fit = _run_least_squares(dataset, contexts, layout, model, ROUNDS, layout.is_smooth)
     for i in jump_indices if rounds > ROUNDS else ():
         fit = _search_times(
             dataset,
@@ -219,10 +221,15 @@ def fit_model(
             times = layout.values(fit.model)[i] + np.linspace(-reach, reach, SEARCH_POINTS)
             fit = _search_times(dataset, contexts, layout, fit, i, times)
         fit = _run_least_squares(
-            use_all_samples(dataset), contexts, layout, fit.model, max(2, rounds // 3), layout.when
+            use_all_samples(dataset),
+            contexts,
+            layout,
+            fit.model,
+            max(2, rounds // 3),
+            layout.is_time,
         )
         fit = _run_least_squares(
-            dataset, contexts, layout, fit.model, max(2, rounds // 3), ~layout.when
+            dataset, contexts, layout, fit.model, max(2, rounds // 3), ~layout.is_time
         )
     return fit
 
@@ -232,7 +239,7 @@ def _search_shape_multiples(
 ) -> Model | None:
     """Return a fit's model with its shapes at better multiples of their values; None if none is."""
     best, cost_min = fit, compute_cost(dataset, fit)
-    for i in np.flatnonzero(layout.shape):
+    for i in np.flatnonzero(layout.is_shape):
         x = layout.pack(best.model)
         low, high = layout.bounds()
         for multiple in SHAPE_MULTIPLES:
@@ -303,9 +310,9 @@ def refit_subset(
     in hardly any of its samples, as where a record starts.
     """
     layout = ParameterLayout(whole, fit.model)
-    is_determined = ~layout.when & (
+    is_determined = ~layout.is_time & (
         _compute_uncertainty(part, contexts, fit)
-        < SETTINGS.blind * _compute_uncertainty(whole, contexts, fit)
+        < SETTINGS.uncertainty_ratio_max * _compute_uncertainty(whole, contexts, fit)
     )
     return _run_least_squares(part, contexts, layout, fit.model, rounds, is_determined)
 
@@ -323,7 +330,7 @@ def fit_record_parameters(dataset: Dataset, fit: Fit) -> Fit:
     )
     model = fit.model._replace(own=own)
     layout = ParameterLayout(dataset, model)
-    return _run_least_squares(dataset, contexts, layout, model, ROUNDS, layout.own)
+    return _run_least_squares(dataset, contexts, layout, model, ROUNDS, layout.is_own)
 
 
 def guess_record_parameters(

@@ -114,7 +114,7 @@ class _HiddenMotion(NamedTuple):
     """A hidden motion."""
 
     begin: int
-    told: int  # the first sample that the tension does not tell
+    inferred_end: int  # the first sample that the tension does not tell
     end: int  # the first one in which the motor is where the travel has it
     travel: Array  # [m], shape (end - begin,)
 
@@ -150,7 +150,7 @@ def recover_hidden_motion(
         readings = _build_readings(record, own[0], np.full(len(drive), noise))
         while (motion := _find_next_motion(readings, tendon, drive, position)) is not None:
             drive[motion.begin : motion.end] = motion.travel
-            tension_inferred[motion.begin : motion.told] = True
+            tension_inferred[motion.begin : motion.inferred_end] = True
             position = motion.end
         if tension_inferred.mean() > SETTINGS.hidden_share:  # a misfit all over is no noise
             return record
@@ -163,8 +163,8 @@ def recover_hidden_motion(
         drive=drive + own[0],
         speed=compute_rate(record.time, drive),
         good=good,
-        troubles=(
-            *record.troubles,
+        issues=(
+            *record.issues,
             DataIssue(EXCLUSION_TEXT, PROXIMAL_TENSION, int(tension_inferred.sum()), first_time),
         ),
     )
@@ -213,7 +213,7 @@ def recover_motion_beside_effects(
         drive=drive,
         speed=compute_rate(record.time, drive),
         good=recovered.good,
-        troubles=recovered.troubles,
+        issues=recovered.issues,
     )
 
 
@@ -254,7 +254,7 @@ def _find_next_motion(
             if motion is not None and _is_within_noise(readings, motion):
                 return motion
         agreeing = np.convolve(
-            deviation < SETTINGS.hidden_again, np.ones(AGREEING_SAMPLES), "full"
+            deviation < SETTINGS.hidden_tension_end, np.ones(AGREEING_SAMPLES), "full"
         )[AGREEING_SAMPLES - 1 :]
         agreement = np.flatnonzero(agreeing[first_off - position :] == AGREEING_SAMPLES)
         position = first_off + int(agreement[0]) if len(agreement) else len(drive)
@@ -276,14 +276,14 @@ def _track_motion(
     """
     tendon, tracked = tendon.copy(), drive.copy()
     motion: _HiddenMotion | None = None
-    squared_error, error_min = 0.0, SETTINGS.hidden_again**2
+    squared_error, error_min = 0.0, SETTINGS.hidden_tension_end**2
     end_max = min(begin + MOTION_SAMPLES_MAX, len(drive) - SAMPLES_AFTER)
     for i in range(begin, end_max):
         if i > end_max or not readings.known[i]:
             break
         tracked[i], deviation = _estimate_position(readings, tendon, tracked, reference, i)
         squared_error += deviation**2
-        if squared_error > SETTINGS.hidden_again**2 * (i - begin + SAMPLES_AFTER):
+        if squared_error > SETTINGS.hidden_tension_end**2 * (i - begin + SAMPLES_AFTER):
             break
         for end in (
             _find_motion_ends(readings, drive, i + 1, float(tracked[i])) if i >= first_off else ()
@@ -305,11 +305,11 @@ def _shift_to_rest(readings: _Readings, reference: Array, motion: _HiddenMotion)
     From the turn on the tension tells by how far the motor went back; where it turned was read in
     one noisy sample, where it rests is read in many.
     """
-    rest_rows = slice(motion.told, motion.end)
+    rest_rows = slice(motion.inferred_end, motion.end)
     deviation = readings.travel[rest_rows] - motion.travel[rest_rows.start - motion.begin :]
     shift = np.zeros_like(reference)
     if len(deviation):
-        shift[motion.begin : motion.told] = deviation.mean()
+        shift[motion.begin : motion.inferred_end] = deviation.mean()
     return np.asarray(reference + shift)
 
 
@@ -358,7 +358,7 @@ def _is_within_noise(readings: _Readings, motion: _HiddenMotion) -> bool:
     return bool(
         abs(float(deviation.mean())) < tolerance * average
         and float(np.mean(deviation**2)) < scatter * sigma**2
-        and float(np.abs(deviation).max()) < SETTINGS.hidden_farthest * sigma
+        and float(np.abs(deviation).max()) < SETTINGS.hidden_travel_max * sigma
     )
 
 

@@ -75,7 +75,7 @@ def estimate_intervals(
     simulation_error = _bound_simulation_error(dataset, fit.model, np.asarray(inverse))
     intervals, values = [], layout.values(fit.model)
     is_unseen = np.linalg.norm(J, axis=0) < SLOPE_MIN
-    for i in (*range(layout.common), *layout.loads):
+    for i in (*range(layout.common), *layout.load_indices):
         p, value = layout.parameters[i], values[i]
         sampling_error = COVERAGE_FACTOR * float(sigma[i]) * layout.step(i)
         reach = math.hypot(sampling_error, float(simulation_error[i]) * layout.step(i))
@@ -123,7 +123,7 @@ def _bound_simulation_error(dataset: Dataset, model: Model, inverse: Array) -> A
     """
     parts, bins, next_bin = [], [], 0
     for record, scale in zip(dataset.records, dataset.scale, strict=True):
-        bin_of = ((record.time - record.time[0]) / SETTINGS.bin).astype(np.int64) + next_bin
+        bin_of = ((record.time - record.time[0]) / SETTINGS.bin_width).astype(np.int64) + next_bin
         next_bin = int(bin_of[-1]) + 1
         for channel in record.compared:
             counts = record.train & record.good[channel]

@@ -147,7 +147,8 @@ def exclude_turns(time: Array, drive: Array, good: Mask) -> tuple[Mask, list[Dat
     There friction reverses within less than an encoder resolves, or between two samples: the state
     of the reversal is unknown.
     """
-    turns = np.array(find_turning_points(drive, SETTINGS.reversal * float(np.ptp(drive))))[1:-1]
+    reversal_min = SETTINGS.reversal_share * float(np.ptp(drive))
+    turns = np.array(find_turning_points(drive, reversal_min))[1:-1]
     is_at_turn = np.zeros_like(good)
     for offset in (-1, 0, 1):
         is_at_turn[turns + offset] = True
@@ -189,9 +190,9 @@ class Record:
         Which samples are fitted while others are kept for the test, shape (n,).
     block
         Number of the block each sample is in, shape (n,).
-    troubles
+    issues
         What was excluded.
-    thinned
+    decimation_factor
         How many measured samples became one.
     units
         Of the measured data.
@@ -216,8 +217,8 @@ class Record:
     measured: Mask
     train: Mask
     block: NDArray[np.int64]
-    troubles: tuple[DataIssue, ...]
-    thinned: int
+    issues: tuple[DataIssue, ...]
+    decimation_factor: int
     units: Units = LINEAR
     loop: bool = False
     start: float = 0.0
@@ -243,7 +244,7 @@ class Record:
         rows = np.flatnonzero(self.known[PROXIMAL_TENSION])[:5]
         return float(self.drive[rows[0]]), self.signals[PROXIMAL_TENSION][rows]
 
-    def shown(self, channel: str) -> Mask:
+    def select_drawn_rows(self, channel: str) -> Mask:
         """Return which rows of a channel are to be drawn: not those that lack values for long."""
         return self.measured & ~find_long_gaps(self.time, self.known[channel])
 
@@ -252,7 +253,7 @@ def prepare_record(
     time: Array,
     signals: Signals,
     *,
-    most: int = SETTINGS.samples_max,
+    samples_max: int = SETTINGS.samples_max,
     noise: Mapping[str, float] = MappingProxyType({}),
     units: Units = LINEAR,
     loop: bool | None = None,
@@ -267,7 +268,7 @@ def prepare_record(
     signals : dict
         By channel of `estimator.effects.CHANNELS`, the tension at the housing at least, in
         `units`, shape (n,), not finite where a value is missing.
-    most : int
+    samples_max : int
         Samples that are kept of a longer record.
     noise : mapping
         Standard deviation of the white noise of channels, in `units`, where it is known better
@@ -304,19 +305,19 @@ def prepare_record(
     start = float(time[0])
     time, stamp_jitter = estimate_sample_times(time - start, signals)
     present = {name: np.isfinite(signal) for name, signal in signals.items()}
-    good, rounding, troubles = {}, {}, find_sampling_issues(time, signals)
+    good, rounding, issues = {}, {}, find_sampling_issues(time, signals)
     if stamp_jitter > 0.0:
         message = (
             f"time stamps jitter by {1e3 * stamp_jitter:.2g} ms where samples are even: "
             "taken as even"
         )
-        troubles.append(DataIssue(message, "all channels", len(time), 0.0, excluded=False))
+        issues.append(DataIssue(message, "all channels", len(time), 0.0, excluded=False))
     for name, signal in signals.items():
         good[name], channel_issues = select_valid_samples(time, name, signal)
         rounding[name] = find_quantisation_step(signal[good[name]]) / math.sqrt(12.0)
         signals[name] = np.interp(time, time[good[name]], signal[good[name]])
-        troubles += channel_issues
-    decimated = decimate_record(time, signals, good, present, most)
+        issues += channel_issues
+    decimated = decimate_record(time, signals, good, present, samples_max)
     time, signals, good, present = (
         decimated.time,
         decimated.signals,
@@ -330,7 +331,7 @@ def prepare_record(
     sigma = _estimate_noise(driver, time, signals, good, rounding, given_noise)
     measured = np.ones(len(time), dtype=np.bool_)
     drive, jitter = estimate_drive(driver, time, signals[driver], sigma[driver])
-    troubles += find_unseen_turns(driver, time, drive, jitter, start)
+    issues += find_unseen_turns(driver, time, drive, jitter, start)
     if driver != PROXIMAL_TENSION:
         turns = find_turns_between_samples(time, drive, jitter)
         signals = {name: turns.insert(time, signal) for name, signal in signals.items()}
@@ -340,7 +341,7 @@ def prepare_record(
         time = np.insert(time, turns.rows, turns.time)
         drive = np.insert(drive, turns.rows, turns.drive)
         good[PROXIMAL_TENSION], turn_issues = exclude_turns(time, drive, good[PROXIMAL_TENSION])
-        troubles += turn_issues
+        issues += turn_issues
     block, speed = assign_blocks(time), compute_rate(time, drive)
     return Record(
         time=time,
@@ -354,11 +355,11 @@ def prepare_record(
         measured=measured,
         train=select_training_half(block, drive, speed),
         block=block,
-        troubles=(
+        issues=(
             *missing_issues,
-            *(issue._replace(first=issue.first + start) for issue in troubles),
+            *(issue._replace(first=issue.first + start) for issue in issues),
         ),
-        thinned=decimated.thinned,
+        decimation_factor=decimated.decimation_factor,
         units=units,
         loop=loop,
         start=start,
@@ -382,7 +383,7 @@ def is_loop(units: Units, records: Sequence[Signals]) -> bool:
         min(float(values.min()) for values in efforts),
         max(float(values.max()) for values in efforts),
     )
-    return units.signed and min(-lowest, highest) > SETTINGS.push * max(-lowest, highest)
+    return units.signed and min(-lowest, highest) > SETTINGS.push_share * max(-lowest, highest)
 
 
 def _estimate_noise(
@@ -457,13 +458,13 @@ def _select_driver_rows(
     """Return the rows in which the driver was measured, and what is said of missing values."""
     has_driver = np.isfinite(signals[driver])
     removed = "missing values of what drives the simulation, their rows removed"
-    troubles = []
+    issues = []
     for name, signal in signals.items():
         is_missing = ~has_driver if name == driver else has_driver & ~np.isfinite(signal)
         if is_missing.any():
             message = removed if name == driver else "missing values, not compared"
             first_time = float(time[int(np.argmax(is_missing))])
-            troubles.append(DataIssue(message, name, int(is_missing.sum()), first_time))
+            issues.append(DataIssue(message, name, int(is_missing.sum()), first_time))
     time, signals = select_signal_rows(time, signals, has_driver)
     for name, signal in signals.items():
         if (count := len(drop_missing(signal))) < SETTINGS.samples_min:
@@ -472,7 +473,7 @@ def _select_driver_rows(
                 f"{name}: {count} values{condition}, at least {SETTINGS.samples_min} are needed: "
                 "record all channels at the same times, or remove this one"
             )
-    return time, signals, troubles
+    return time, signals, issues
 
 
 def mark_all_as_train(record: Record) -> Record:

@@ -55,9 +55,9 @@ class PredictedRecord(NamedTuple):
     def spikes(self) -> dict[str, int]:
         """Single-sample spikes that were excluded, by channel."""
         excluded = dict.fromkeys(self.record.signals, 0)
-        for trouble in self.record.troubles:
-            if trouble.what == SPIKES:
-                excluded[trouble.channel] = trouble.samples
+        for issue in self.record.issues:
+            if issue.what == SPIKES:
+                excluded[issue.channel] = issue.samples
         return excluded
 
 
@@ -135,7 +135,7 @@ class RankedCandidate(NamedTuple):
     effect: Effect  # the best of its variants
     score: float  # ln of how much more probable held-out data are with it than without
     rmse: dict[str, float]  # held out, by channel
-    left: float  # share of what noise does not explain that it leaves
+    residual_fraction: float  # share of what noise does not explain that it leaves
     values: Values  # of its parameters
 
     @property
@@ -199,16 +199,16 @@ class Diagnosis(NamedTuple):
     after: ModelErrors
     gain: dict[str, Gain]
     noise: dict[str, float]
-    left: float  # unexplained share: of the error beyond noise, what the extended model leaves
-    wanders: bool  # friction changes with time, and not as the causes say
+    residual_fraction: float  # of the error beyond noise, what the extended model leaves
+    has_drifting_friction: bool  # friction changes with time, and not as the causes say
     laws: Choice  # of the base law
     loads: Choice  # of what the tips of several files pull at
     simple_models: tuple[SimpleFit, ...]  # that know no sheath, fitted to the same data
     simple_gain: dict[str, SimpleGain]  # of the extended law over the best of them, by channel
-    structure: tuple[ResidualDependence, ...]  # of what the extended model leaves
+    residual_dependences: tuple[ResidualDependence, ...]  # of what the extended model leaves
     detection_limits: dict[str, DetectionLimit]  # by effect; of a clean dataset
     experiments: tuple[str, ...]  # that would settle what is ambiguous
-    troubles: tuple[DataIssue, ...]
+    issues: tuple[DataIssue, ...]
     fit_all: bool = False  # no sample was held out: all errors are of fitted samples
     rivals: tuple[Rival, ...] = ()  # models with one of the equally good causes
     validation: tuple[PredictedRecord, ...] = ()  # records that were not fitted
@@ -321,7 +321,7 @@ _CHANNELS = {
 
 
 def suggest_experiments(
-    sets: Iterable[Iterable[str]], channels: Iterable[str], most: int = 3
+    sets: Iterable[Iterable[str]], channels: Iterable[str], count_max: int = 3
 ) -> tuple[str, ...]:
     """Return experiments that tell effects apart which look alike, for each of some sets of them.
 
@@ -331,9 +331,9 @@ def suggest_experiments(
     interleaved = [
         experiment for turn in zip_longest(*useful) for experiment in turn if experiment is not None
     ]
-    experiments = list(dict.fromkeys(interleaved))[:most]
+    experiments = list(dict.fromkeys(interleaved))[:count_max]
     missing = [text for channel, text in _CHANNELS.items() if channel not in set(channels)]
-    return tuple([*experiments, *missing][: most + 1]) if experiments else ()
+    return tuple([*experiments, *missing][: count_max + 1]) if experiments else ()
 
 
 def _select_useful_experiments(effects: frozenset[str]) -> list[str]:

@@ -35,7 +35,7 @@ def build_ranking_table(diagnosis: Diagnosis, ranking: Sequence[RankedCandidate]
                 format_quantity(candidate.rmse.get(channel), diagnosis.units.of(channel), 3)
                 for channel in channels
             ),
-            f"{candidate.left:.0%}",
+            f"{candidate.residual_fraction:.0%}",
         )
         for candidate in select_best_candidates(ranking, CANDIDATES_SHOWN)
     ]
@@ -80,7 +80,7 @@ def _build_choice_table(
     if not choice.scores:
         return None
     channels = list_compared_channels(diagnosis)
-    equivalents = choice.alike if len(choice.alike) > 1 else ()
+    equivalents = choice.equivalents if len(choice.equivalents) > 1 else ()
     rows = [
         (
             score.name,

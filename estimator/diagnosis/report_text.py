@@ -39,7 +39,7 @@ def format_verdict(diagnosis: Diagnosis) -> str:
         smallest = _describe_detection_limits(diagnosis.detection_limits)
         return f"Nothing is wrong with the model beyond noise{smallest}."
     if diagnosis.verdict is Verdict.UNEXPLAINED:
-        if diagnosis.wanders:
+        if diagnosis.has_drifting_friction:
             labels = " and ".join(step.effect.label for step in diagnosis.steps)
             return (
                 f"The model is wrong, and nothing in the catalogue explains it: friction changes "
@@ -52,7 +52,7 @@ def format_verdict(diagnosis: Diagnosis) -> str:
                 f"{_describe_dependence(diagnosis)}."
             )
         labels = " and ".join(step.effect.label for step in diagnosis.steps)
-        share = f"{diagnosis.left:.0%} of what noise does not explain"
+        share = f"{diagnosis.residual_fraction:.0%} of what noise does not explain"
         remainder = f"with {labels} in the model {share} is left, and " if diagnosis.steps else ""
         return (
             f"The model is wrong, and nothing in the catalogue explains it: {remainder}"
@@ -191,14 +191,14 @@ def list_sample_remarks(diagnosis: Diagnosis, files: Sequence[str]) -> list[str]
     remarks = []
     for file, record in zip(files, diagnosis.dataset.records, strict=True):
         remarks += [
-            f"{file}: {trouble.samples} {trouble.what} "
-            f"({_name_channel(diagnosis, trouble.channel)}), the first at {trouble.first:.4g} s"
-            for trouble in record.troubles
+            f"{file}: {issue.samples} {issue.what} "
+            f"({_name_channel(diagnosis, issue.channel)}), the first at {issue.first:.4g} s"
+            for issue in record.issues
         ]
-        if record.thinned > 1:
+        if record.decimation_factor > 1:
             remarks.append(
-                f"{file}: each {record.thinned} samples were averaged to one; what happens "
-                "faster is not seen"
+                f"{file}: each {record.decimation_factor} samples were averaged to one; what "
+                "happens faster is not seen"
             )
     return remarks
 
@@ -210,7 +210,7 @@ def describe_residuals(diagnosis: Diagnosis) -> list[str]:
         unit, noise = diagnosis.units.of(channel), diagnosis.noise[channel]
         dependences = [
             f"{dependence.what} ({dependence.share:.0%} of its variance)"
-            for dependence in diagnosis.structure
+            for dependence in diagnosis.residual_dependences
             if dependence.channel == channel
         ]
         if errors.rmse < SETTINGS.noise_ratio * tolerance[channel] * noise:
@@ -265,7 +265,9 @@ def _list_unsure_causes(diagnosis: Diagnosis) -> list[str]:
     if diagnosis.steps:
         return []
     names = [
-        candidate.name for candidate in diagnosis.ranking if candidate.left < SETTINGS.explained
+        candidate.name
+        for candidate in diagnosis.ranking
+        if candidate.residual_fraction < SETTINGS.unexplained_fraction_max
     ]
     return list(dict.fromkeys(names))[:UNSURE_CAUSES_SHOWN]
 
@@ -301,12 +303,12 @@ def _compare_with_simple_model(diagnosis: Diagnosis, channel: str) -> str:
 
 
 def _describe_dependence(diagnosis: Diagnosis) -> str:
-    if not diagnosis.structure:
+    if not diagnosis.residual_dependences:
         return "residuals depend on none of the tested variables"
     parts = [
         f"{dependence.what} ({dependence.share:.0%} of its variance in the "
         f"{diagnosis.units.word(dependence.channel)})"
-        for dependence in diagnosis.structure[:DEPENDENCES_SHOWN]
+        for dependence in diagnosis.residual_dependences[:DEPENDENCES_SHOWN]
     ]
     return "residuals depend on " + " and ".join(parts)
 

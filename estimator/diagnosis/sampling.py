@@ -27,7 +27,9 @@ STEP_SCATTER_MAX = 0.02  # of the period: scatter of the steps below which stamp
 GAP_PERIODS = 1.75  # periods: a step with a sample missing in it
 DIFFERENCE_ORDER = 3  # of the differences that roughness is taken from
 BLOCK_SIZE = 20  # of them, of which one root mean square is taken
-ROUGHNESS_QUANTILE = 0.8  # quantile of the blocks: the motor may be at rest for most of a record
+ROUGHNESS_QUANTILE = (
+    0.8  # quantile of the blocks: the motor may be at rest for samples_max of a record
+)
 # by stamps than by even times, all channels multiplied: the stamps are wrong
 ROUGHNESS_RATIO_MIN = 1.25
 DRIFT_WINDOW = 99  # samples over which a clock runs evenly; no record is shorter
@@ -215,7 +217,7 @@ def _compute_imbalance(fitted: Mask, drive: Array, speed: Array) -> float:
     each while it rises, rests and falls.
     """
     level = np.searchsorted(np.quantile(drive, [1.0 / 3.0, 2.0 / 3.0]), drive)
-    rest_speed = SETTINGS.rest * float(np.quantile(np.abs(speed), 0.95))
+    rest_speed = SETTINGS.rest_speed_ratio * float(np.quantile(np.abs(speed), 0.95))
     direction = np.sign(speed) * (np.abs(speed) > rest_speed)
     state = (3 * level + direction + 1.0).astype(np.int64)
     shares = [
@@ -243,7 +245,7 @@ class DecimatedRecord(NamedTuple):
     good: dict[str, Mask]
     present: dict[str, Mask]
     averaged: dict[str, float]  # values in a sample, by channel
-    thinned: int  # samples in one
+    decimation_factor: int  # samples in one
 
 
 def decimate_record(
@@ -302,12 +304,12 @@ def select_valid_samples(time: Array, name: str, signal: Array) -> tuple[Mask, l
     is_held = np.zeros(len(signal), dtype=np.bool_)
     is_held[present] = find_held_samples(signal[present], find_quantisation_step(signal[present]))
     excluded = {"single-sample spikes": find_spikes(signal), "held samples excluded": is_held}
-    troubles = [
+    issues = [
         DataIssue(message, name, int(rows.sum()), float(time[int(np.argmax(rows))]))
         for message, rows in excluded.items()
         if rows.any()
     ]
-    return present & ~np.logical_or.reduce(list(excluded.values())), troubles
+    return present & ~np.logical_or.reduce(list(excluded.values())), issues
 
 
 def find_sampling_issues(time: Array, signals: Signals) -> list[DataIssue]:

@@ -64,7 +64,7 @@ def compute_channel_errors(
 ) -> ChannelErrors:
     """Return the errors of a predicted channel of a record on some of its samples, shape (n,)."""
     # no bin goes beyond its block: both numbers rise with time
-    bins = ((record.time - record.time[0]) / SETTINGS.bin).astype(np.int64) + record.block
+    bins = ((record.time - record.time[0]) / SETTINGS.bin_width).astype(np.int64) + record.block
     rows = record.good[channel] & samples
     error = (record.signals[channel] - predicted)[rows]
     scaled_error = error / record.sigma[channel][rows]
@@ -339,11 +339,13 @@ class Choice(NamedTuple):
     scores: tuple[ChoiceScore, ...]  # of all that were tried; empty where nothing was to be chosen
 
     @property
-    def alike(self) -> tuple[str, ...]:
+    def equivalents(self) -> tuple[str, ...]:
         """Names of those that the data do not distinguish from the best."""
         best_score = max((choice.score for choice in self.scores), default=0.0)
         return tuple(
-            choice.name for choice in self.scores if best_score - choice.score < SETTINGS.alike
+            choice.name
+            for choice in self.scores
+            if best_score - choice.score < SETTINGS.equivalent_score_max
         )
 
 

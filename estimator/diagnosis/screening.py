@@ -67,8 +67,10 @@ class Start(NamedTuple):
 class Starts(NamedTuple):
     """Two ways to begin with an effect."""
 
-    led: list[list[Start]]  # of each: it and the model's own parameters where a linear step leads
-    bare: list[Start]  # on top of the model as it is
+    linearised_starts: list[
+        list[Start]
+    ]  # of each: it and the model's own parameters where a linear step leads
+    raw_starts: list[Start]  # on top of the model as it is
 
 
 def fit_candidates(
@@ -115,8 +117,8 @@ def fit_candidates(
             subsampled, robust_fit, subsampled_contexts, sudden, screening_report, workers
         )
         linearised_starts, raw_starts = (
-            linearised_starts + sudden_starts.led,
-            raw_starts + sudden_starts.bare,
+            linearised_starts + sudden_starts.linearised_starts,
+            raw_starts + sudden_starts.raw_starts,
         )
     best_starts = [pair[0] for pair in linearised_starts]
     second_starts = [pair[1] for pair in linearised_starts if len(pair) > 1]
@@ -132,7 +134,7 @@ def fit_candidates(
     best: list[Candidate] = []
     progress_begin = SCREENING_PROGRESS
     for rounds, kept_count, cost_ratio_max, progress_end in zip(
-        ROUNDS, SETTINGS.kept, SETTINGS.hopeless, FITTING_PROGRESS, strict=True
+        ROUNDS, SETTINGS.candidates_kept, SETTINGS.cost_ratio_max, FITTING_PROGRESS, strict=True
     ):
         fitting_report, progress_begin = (
             scale_progress(report, progress_begin, progress_end),
@@ -209,7 +211,7 @@ def screen_candidates(
     """
     residual = compute_residual(dataset, current_fit)
     J = compute_jacobian(dataset, contexts, current_fit)
-    J[:, ~ParameterLayout(dataset, current_fit.model).smooth] = 0.0  # times have no gradient
+    J[:, ~ParameterLayout(dataset, current_fit.model).is_smooth] = 0.0  # times have no gradient
     solve = np.linalg.pinv(J)
     current_cost = compute_cost(dataset, current_fit)
     effect_starts = [
@@ -321,7 +323,7 @@ def _reset_shapes_at_bound(model: Model, context: EffectContext) -> Model | None
 
 def _is_at_bound(value: float, parameter: Parameter) -> bool:
     return any(
-        abs(value - bound) <= SETTINGS.at_bound * abs(bound)
+        abs(value - bound) <= SETTINGS.bound_tolerance * abs(bound)
         for bound in (parameter.low, parameter.high)
     )
 

@@ -19,21 +19,21 @@ class Settings:
     block: float = 5.0  # [s] that are fitted, and as long that are held out
     blocks_min: int = 12  # of a record; in a short one they are shorter
     imbalance_max: float = 0.5  # of what moves both halves, up to which every other block is fitted
-    rest: float = 0.02  # of a high speed, below which the drive rests
+    rest_speed_ratio: float = 0.02  # of a high speed, below which the drive rests
     short_block: float = 0.02  # of a block's length, where the error fills but a block or two
     noise_min: float = 2e-4  # of a channel's range; nothing is simulated more precisely
-    reversal: float = 1e-3  # of the drive's range that the motor goes back by, at least
+    reversal_share: float = 1e-3  # of the drive's range that the motor goes back by, at least
     reversals_max: float = 0.3  # of the samples, that are left out beside reversals
     jitter: float = 4.0  # minimum reversal size, in sigma of the drive's noise
     jitter_quantile: float = 0.9  # of the noise that smoothing leaves on its samples
     reversal_noise: float = 3.0  # minimum reversal size, in sigma of a travel's noise
     equal_error: float = 12.0  # noise variances by which two places of a reversal fit alike
-    corner: float = 0.4  # least over largest curvature about a reversal; below it is a corner
-    push: float = 0.1  # of the largest effort, of the other sign: a closed loop, no tendon
+    corner_ratio: float = 0.4  # least over largest curvature about a reversal; below it is a corner
+    push_share: float = 0.1  # of the largest effort, of the other sign: a closed loop, no tendon
     hidden_tension: float = 4.0  # sigma: a tension so far off shows a motion that travel hides,
-    hidden_again: float = 2.0  # until it is no further off than that;
+    hidden_tension_end: float = 2.0  # until it is no further off than that;
     hidden_travel: float = 3.0  # sigma: the motion may be so far from the measured travel,
-    hidden_farthest: float = 5.0  # sigma, in one sample;
+    hidden_travel_max: float = 5.0  # sigma, in one sample;
     hidden_share: float = 0.3  # of the samples at most: more are no noise
     loose_tension: float = 0.5  # [N] at the tip that hardly moves what it pulls at
 
@@ -50,39 +50,39 @@ class Settings:
     noise_ratio: float = 1.25  # rms residual over tolerance up to which nothing is wrong
 
     # how probable held-out data are (scoring.py)
-    bin: float = 1.0  # [s] of errors that are resampled together; longer than they correlate
+    bin_width: float = 1.0  # [s] of errors that are resampled together; longer than they correlate
     variance_min: float = 0.5  # noise variances: a mean square below it is not better
     independent_min: float = 0.02  # of the samples that count, however correlated they are
     excess_min: float = 0.1  # noise variances over 1 below which a channel has nothing to explain
     excess_ratio_max: float = 4.0  # by which one channel may become worse, for the mean over all
 
     # which candidates are followed (screening.py, causes.py)
-    kept: tuple[int, ...] = (14, 6)  # effects that go on after each round of fits
-    hopeless: tuple[float, ...] = (40.0, 4.0)  # times the lowest cost, after each of them
-    at_bound: float = 0.03  # of a bound: a number so near to it hardly leaves it again
-    ahead: float = 1.5  # times as low a cost as any other's: followed though not enough alone
+    candidates_kept: tuple[int, ...] = (14, 6)  # effects that go on after each round of fits
+    cost_ratio_max: tuple[float, ...] = (40.0, 4.0)  # times the lowest cost, after each of them
+    bound_tolerance: float = 0.03  # of a bound: a number so near to it hardly leaves it again
+    lead_cost_ratio: float = 1.5  # of any other's cost to its own: followed, not enough alone
 
     # when an effect is named (causes.py); docs/diagnosis.md, Verdicts
-    margin: float = 15.0  # log-likelihood ratio less the BIC penalty (Schwarz 1978)
+    score_min: float = 15.0  # log-likelihood ratio less the BIC penalty (Schwarz 1978)
     gain_min: float = 0.04  # by which it lowers the error
     confidence: float = 0.98  # share of bootstrap resamples in which it is better
-    explained: float = 0.25  # of the error beyond noise that may be left by named effects
-    free_friction: float = 0.3  # of what a step or drift leaves, left by friction free over time:
-    # less, and the friction wanders
+    unexplained_fraction_max: float = 0.25  # of the error beyond noise, with the named effects
+    # of what a step or drift leaves, with friction free over time: less, and friction drifts
+    free_friction_fraction: float = 0.3
 
     # when two effects are not told apart (causes.py)
-    alike: float = 6.0  # log-likelihood ratio, penalties included
-    alike_left: float = 0.015  # of the error beyond noise
-    unsure_left: float = 0.1  # of it, where the bootstrap does not prefer one
+    equivalent_score_max: float = 6.0  # log-likelihood ratio, penalties included
+    equivalent_fraction_max: float = 0.015  # of the error beyond noise
+    uncertain_fraction_max: float = 0.1  # of it, where the bootstrap does not prefer one
     rivals_max: int = 2  # that are reported beside the cause
 
     # when to look no further (causes.py)
-    left_min: float = 0.01  # of the first error beyond noise
-    further: float = 2.5  # rms residual over tolerance
-    brief: float = 0.8  # of the squared error in two neighbouring blocks: blocks become short
+    residual_fraction_min: float = 0.01  # of the first error beyond noise
+    tolerance_ratio_max: float = 2.5  # rms residual over tolerance
+    brief_share: float = 0.8  # of the squared error in two neighbouring blocks: blocks become short
 
     # what a part of the samples tells (fit.py)
-    blind: float = 4.0  # times the uncertainty from all samples: too much to refit a number
+    uncertainty_ratio_max: float = 4.0  # of that from all samples: above it, no refit
 
     # intervals, and what residuals depend on (intervals.py, scoring.py)
     onset_max: float = 60.0  # [s] that an onset is tried to be off by

@@ -195,7 +195,7 @@ def _is_far_better(dataset: Dataset, free_fit: Fit, cause_fit: Fit) -> bool:
     free_errors, cause_errors = (
         compute_errors(dataset, fit, held_out=False) for fit in (free_fit, cause_fit)
     )
-    return compute_residual_fraction(free_errors, cause_errors) < SETTINGS.free_friction
+    return compute_residual_fraction(free_errors, cause_errors) < SETTINGS.free_friction_fraction
 
 
 def fit_time_varying_friction(dataset: Dataset, fit: Fit, effect: Effect) -> Fit:
@@ -289,25 +289,25 @@ def fit_folds(dataset: Dataset, base_fit: Fit, fit: Fit) -> tuple[Fold, ...]:
 
 
 def compute_model_errors(
-    folds: tuple[Fold, ...], which: int, predicted: Sequence[PredictedRecord]
+    folds: tuple[Fold, ...], model_index: int, predicted: Sequence[PredictedRecord]
 ) -> ModelErrors:
     """Return the errors of the plain (0) or the extended (1) model on all sets of samples."""
     return ModelErrors(
-        _compute_fold_errors(folds, which, fitted=True),
-        _compute_fold_errors(folds, which, fitted=False),
-        _compute_validation_errors(predicted, which),
+        _compute_fold_errors(folds, model_index, fitted=True),
+        _compute_fold_errors(folds, model_index, fitted=False),
+        _compute_validation_errors(predicted, model_index),
     )
 
 
 def _compute_fold_errors(
-    folds: Sequence[Fold], which: int, *, fitted: bool
+    folds: Sequence[Fold], model_index: int, *, fitted: bool
 ) -> dict[str, ErrorStatistics]:
     statistics = {}
     for channel in folds[0].dataset.records[0].compared:
         errors, full_scale = [], 0.0
         for fold in folds:
             for record, simulated in zip(
-                fold.dataset.records, fold.fits[which].simulated, strict=True
+                fold.dataset.records, fold.fits[model_index].simulated, strict=True
             ):
                 samples = record.train if record.train.all() else record.train == fitted
                 rows = record.good[channel] & samples
@@ -318,14 +318,15 @@ def _compute_fold_errors(
 
 
 def _compute_validation_errors(
-    predicted: Sequence[PredictedRecord], which: int
+    predicted: Sequence[PredictedRecord], model_index: int
 ) -> dict[str, ErrorStatistics]:
     """Return how far a model is off in all records that it predicts."""
     channels = predicted[0].record.compared if predicted else ()
     statistics = {}
     for channel in channels:
         errors = [
-            record.residual((record.before, record.after)[which], channel) for record in predicted
+            record.residual((record.before, record.after)[model_index], channel)
+            for record in predicted
         ]
         full_scale = max(float(np.ptp(record.record.signals[channel])) for record in predicted)
         statistics[channel] = compute_error_statistics(errors, full_scale)

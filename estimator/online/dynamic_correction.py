@@ -43,7 +43,9 @@ class DynamicConstants(Struct):
 
     friction: F64 = 0.0  # K
     bench_compliance: F64 = 0.0  # [m/N] of what the tip pulled at on the bench
-    plain: Annotated[Array, Field("f8", lumped_model.CONSTANTS)]  # the tendon of the closed law
+    without_effects: Annotated[
+        Array, Field("f8", lumped_model.CONSTANTS)
+    ]  # the tendon of the closed law
     with_effects: Annotated[
         Array, Field("f8", lumped_model.CONSTANTS)
     ]  # the tendon with the effects
@@ -66,18 +68,18 @@ class DynamicState(Struct):
     sum_travel_tension: F64 = 0.0  # [m N s] of products of changes at the tip
     sum_tension_squared: F64 = 0.0  # [N^2 s]
     contact_displacements: Annotated[Array, Field("f8", NODES - 1)]  # [m] averaged
-    plain: Annotated[Array, Field("f8", lumped_model.STATE)]
+    without_effects: Annotated[Array, Field("f8", lumped_model.STATE)]
     with_effects: Annotated[Array, Field("f8", lumped_model.STATE)]
 
 
 def build_constants(
-    plain: lumped_model.Physics, with_effects: lumped_model.Physics
+    without_effects: lumped_model.Physics, with_effects: lumped_model.Physics
 ) -> DynamicConstants:
     """Return what `update_correction` needs to know."""
     return DynamicConstants.new(
-        friction=float(plain.friction[0]),
-        bench_compliance=plain.tip_compliance,
-        plain=lumped_model.build_constants(plain),
+        friction=float(without_effects.friction[0]),
+        bench_compliance=without_effects.tip_compliance,
+        without_effects=lumped_model.build_constants(without_effects),
         with_effects=lumped_model.build_constants(with_effects),
     )
 
@@ -93,7 +95,7 @@ def update_correction(
     has_travel = not math.isnan(q)
     dt += state.refused_time
     state.refused_time = 0.0
-    plain, beside = state.plain[:], constants.with_effects[:]
+    plain, beside = state.without_effects[:], constants.with_effects[:]
     sample = np.empty((1, SAMPLE))
     sample[0, lumped_model.DT], sample[0, lumped_model.FRICTION] = dt, constants.friction
     sample[0, lumped_model.STRETCH], sample[0, lumped_model.OFFSET] = 0.0, 0.0
@@ -101,7 +103,9 @@ def update_correction(
     sample[0, lumped_model.TARGET] = T
     sample[0, lumped_model.SPEED] = abs(T - plain[0]) / dt if dt > 0.0 else 0.0
     none = np.empty(0)
-    without = lumped_model.advance(constants.plain[:], plain, sample, none, True, NO_SUBSTEPS)[0]
+    without = lumped_model.advance(
+        constants.without_effects[:], plain, sample, none, True, NO_SUBSTEPS
+    )[0]
     speeds = none
     if has_travel and beside[lumped_model.STRIBECK] != 0.0:
         speeds = _estimate_sliding_speeds(state, plain, q, dt)
@@ -192,7 +196,9 @@ def reset(constants: DynamicConstants, state: DynamicState) -> None:
     state.slow_displacement = state.slow_tension = 0.0
     state.sum_travel_tension = state.sum_tension_squared = 0.0
     state.contact_displacements[:] = 0.0
-    state.plain[:] = lumped_model.build_initial_state(constants.plain[:], 0.0, 0.0, 0.0)
+    state.without_effects[:] = lumped_model.build_initial_state(
+        constants.without_effects[:], 0.0, 0.0, 0.0
+    )
     state.with_effects[:] = lumped_model.build_initial_state(
         constants.with_effects[:], 0.0, 0.0, 0.0
     )

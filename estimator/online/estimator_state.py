@@ -20,7 +20,7 @@ TENSION_FLOOR = 1e-3
 DISPLACEMENT_FLOOR = 2e-7
 """Least noise [m] the decisions reckon with: an encoder has counts."""
 
-BOUND = 4.0
+BOUND_SIGMAS = 4.0
 """Sigma that bound a single reading."""
 
 
@@ -87,8 +87,8 @@ class EstimatorState(Struct):
     mean_displacement: F64 = 0.0  # [m] averaged with the same lag
     held_tension: F64 = 0.0  # [N] treated: averaged, then a dead band; it drives the profile
     tension_direction: F64 = 0.0  # sign of its last change
-    least_tension: F64 = INF  # [N] extremes of the treated tension since the start
-    most_tension: F64 = 0.0  # [N]
+    min_tension: F64 = INF  # [N] extremes of the treated tension since the start
+    max_tension: F64 = 0.0  # [N]
     held_displacement: F64 = 0.0  # [m] behind a dead band, which tells where the motor turned
     displacement_direction: F64 = 0.0  # sign of its last change
 
@@ -102,8 +102,8 @@ class EstimatorState(Struct):
     window_tension: F64 = 0.0  # [N]
     window_displacement: F64 = 0.0  # [m]
     window_age: F64 = 0.0  # [s]
-    window_least: F64 = 0.0  # [N]
-    window_most: F64 = 0.0  # [N]
+    window_min: F64 = 0.0  # [N]
+    window_max: F64 = 0.0  # [N]
 
     proved_low: F64 = 0.0  # [N] T_out as proved by motion and aged since
     proved_high: F64 = INF  # [N]

@@ -18,7 +18,12 @@ from estimator.law.profile import TIP, drive_end, from_log_tension, to_log_tensi
 from estimator.law.tables import Tables, integrate_exponential
 from estimator.law.transmission import read_profile
 from estimator.online.driving_end import anchor_window
-from estimator.online.estimator_state import BOUND, TENSION_FLOOR, EstimatorState, PreparedTendon
+from estimator.online.estimator_state import (
+    BOUND_SIGMAS,
+    TENSION_FLOOR,
+    EstimatorState,
+    PreparedTendon,
+)
 
 PRECISE_MARGINS = 10.0  # margins a window's change must exceed to be called precisely known
 # times the travel that proves all of the tendon to slide puts the profile right
@@ -47,7 +52,7 @@ def _find_sliding_depth(table: Tables, side: float, compliance: float) -> float:
 @jit_compile
 def open_window(state: EstimatorState, T: float, q: float) -> None:
     """Begin a window of proof at (T [N], q [m])."""
-    state.window_tension = state.window_least = state.window_most = T
+    state.window_tension = state.window_min = state.window_max = T
     state.window_displacement, state.window_age = q, 0.0
 
 
@@ -70,10 +75,10 @@ def tighten_interval(
     table = prepared.tables[:]
     state.window_age += dt
     dT, dq = T - state.window_tension, q - state.window_displacement
-    margin_q = BOUND * math.sqrt(2.0) * prepared.displacement_noise
-    margin_T = BOUND * (math.sqrt(2.0) * sigma_mean + TENSION_FLOOR)
-    least = state.window_least = min(T, state.window_least)
-    most = state.window_most = max(T, state.window_most)
+    margin_q = BOUND_SIGMAS * math.sqrt(2.0) * prepared.displacement_noise
+    margin_T = BOUND_SIGMAS * (math.sqrt(2.0) * sigma_mean + TENSION_FLOOR)
+    least = state.window_min = min(T, state.window_min)
+    most = state.window_max = max(T, state.window_max)
     turned = most - least - abs(dT)
     if turned > margin_T:
         open_window(state, T, q)
@@ -88,7 +93,7 @@ def tighten_interval(
         precise = abs(dq) > PRECISE_MARGINS * margin_q and abs(dT) > PRECISE_MARGINS * margin_T
         if not (full or precise or state.window_age > WINDOW_S):
             return
-        margin = BOUND * prepared.tension_noise
+        margin = BOUND_SIGMAS * prepared.tension_noise
         least, most = max(least - margin, 0.0), most + margin
         depth = _find_sliding_depth(table, side, compliance)
         slack_K = prepared.friction_error * table[_K]

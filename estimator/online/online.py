@@ -31,7 +31,7 @@ from estimator.law.transmission import evaluate_tension, read_profile
 from estimator.online import dynamic_correction
 from estimator.online.driving_end import anchor_window, drive_profile
 from estimator.online.estimator_state import (
-    BOUND,
+    BOUND_SIGMAS,
     TENSION_FLOOR,
     EstimatorState,
     PreparedTendon,
@@ -277,8 +277,8 @@ def _filter_tension(
     slack = mean <= 3.0 * max(sigma_mean, TENSION_FLOOR)
     if slack:
         held = 0.0
-    state.least_tension = min(state.least_tension, held)
-    state.most_tension = max(state.most_tension, held)
+    state.min_tension = min(state.min_tension, held)
+    state.max_tension = max(state.max_tension, held)
     return _FilteredTension(mean, held, sigma_mean, band, slack)
 
 
@@ -304,7 +304,7 @@ def _update_profile(
         open_window(state, mean, q)
     else:
         mean_q = signals.update_average(state.mean_displacement, q, dt, prepared.time_constant)
-        sure_T = tension.band + BOUND * (sigma_mean + TENSION_FLOOR)
+        sure_T = tension.band + BOUND_SIGMAS * (sigma_mean + TENSION_FLOOR)
         drive_profile(prepared, state, held, mean_q, sure_T, dt)
         tighten_interval(prepared, state, mean, mean_q, sigma_mean, dt)
     return TIP_MOVED if state.tip_drives else 0
@@ -316,7 +316,7 @@ def _compute_bounds(
 ) -> tuple[float, float]:
     """Return the interval of T_out [N]: (T2) with the sensor noise, cut by what was proved."""
     table, mean, held = prepared.tables[:], tension.mean, tension.held
-    margin = BOUND * prepared.tension_noise
+    margin = BOUND_SIGMAS * prepared.tension_noise
     K = table[_K] * (1.0 + prepared.friction_error)
     low = from_log_tension(table, to_log_tension(table, min(mean, T, held) - margin) - K)
     high = from_log_tension(
@@ -370,7 +370,7 @@ def _add_dynamics(
     change, T_out, low, high = (
         dynamics.tension, estimate.distal_tension, estimate.low, estimate.high,
     )  # fmt: skip
-    most = max(state.most_tension, T_out)  # no tip that is only pulled at pulls harder than that
+    most = max(state.max_tension, T_out)  # no tip that is only pulled at pulls harder than that
     corrected = min(max(T_out + change, 0.0), most)
     estimate.distal_tension = corrected
     estimate.low = min(max(min(low, low + change), 0.0), corrected)
@@ -383,8 +383,8 @@ def _is_initialised(table: Array, state: EstimatorState) -> bool:
     """Return whether T_in has swung so far since the start that the first profile is forgotten."""
     swing = math.exp((1.0 + table[_ASYMMETRY]) * table[_K])
     drag = table[_DRAG]
-    least = max(state.least_tension, TENSION_FLOOR)
-    erased: bool = state.most_tension + drag >= swing * (least + drag)
+    least = max(state.min_tension, TENSION_FLOOR)
+    erased: bool = state.max_tension + drag >= swing * (least + drag)
     return erased
 
 

@@ -46,7 +46,7 @@ def draw_friction(study: PairStudy) -> Figure:
     figure = Figure(figsize=(6.0, 3.6))
     axes = figure.add_subplot()
     bends = np.degrees([record.bend for record in study.records])
-    values = np.array(study.each)
+    values = np.array(study.record_frictions)
     spread = np.abs(values[:, 1:].T - values[:, 0])
     axes.errorbar(bends, values[:, 0], spread, fmt="o", color=BLACK, capsize=3, label="each record")
     line = np.array([0.0, bends.max()])

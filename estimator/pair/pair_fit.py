@@ -74,7 +74,7 @@ class PairFit(NamedTuple):
     frictions: tuple[float, ...]  # K of each
     friction_errors: tuple[float, ...]  # their standard uncertainties; NaN where K was not free
 
-    def at(self, bend: float) -> PairModel:
+    def get_model(self, bend: float) -> PairModel:
         """Return the model at a bend [rad]: its neutral angle between those of its neighbours."""
         bends, group = np.unique(self.bends, return_inverse=True)
         group_means = np.bincount(group, self.neutrals) / np.bincount(group)

@@ -102,7 +102,7 @@ def _build_bristle_features(share: float) -> Callable[[PairRecord], Array]:
     return features
 
 
-LEAST_BENDS = 3
+BENDS_MIN = 3
 CONFIDENCE = 0.95
 
 COMMAND = "command taken as the angle"
@@ -123,7 +123,7 @@ class Validation(NamedTuple):
     """Errors of a record that was kept apart."""
 
     bend: float  # [rad]
-    ours: HeldOutError
+    model_error: HeldOutError
     baselines: dict[str, HeldOutError]  # by method, of the records that were fitted
 
 
@@ -132,7 +132,7 @@ class PairStudy(NamedTuple):
 
     records: tuple[PairRecord, ...]
     fit: PairFit  # one model for all records
-    each: tuple[IntervalEstimate, ...]  # K of each record
+    record_frictions: tuple[IntervalEstimate, ...]  # K of each record
     friction: IntervalEstimate  # K of the straight sheath
     growth: IntervalEstimate  # mu [1/rad]
     left_out: dict[str, tuple[HeldOutError, ...]]  # by method, for each record
@@ -190,8 +190,8 @@ def run_study(
     PairError
         There are fewer than three bends, or a record cannot be fitted.
     """
-    if len({record.bend for record in records}) < LEAST_BENDS:
-        raise PairError(f"records: at least {LEAST_BENDS} bends are needed, to leave one out")
+    if len({record.bend for record in records}) < BENDS_MIN:
+        raise PairError(f"records: at least {BENDS_MIN} bends are needed, to leave one out")
     check_records(records)
     steps = len(PairVariant) * (len(records) + 1) + 1
     done = 0
@@ -213,7 +213,7 @@ def run_study(
             other_records = [record for j, record in enumerate(records) if j != i]
             left_out_fits[law].append(fit(other_records, law, full_fits[law].model))
         left_out[law.value] = tuple(
-            compute_error(predict_angle(left_out_fit.at(record.bend), record, law), record)
+            compute_error(predict_angle(left_out_fit.get_model(record.bend), record, law), record)
             for left_out_fit, record in zip(left_out_fits[law], records, strict=True)
         )
     next_step("fitting a K for each")
@@ -221,7 +221,7 @@ def run_study(
     free_fit = fit(records, PairVariant.FULL, full_fit.model, each_friction=True)
     full_left_out = left_out_fits[PairVariant.FULL]
     models = [
-        left_out_fit.at(record.bend)
+        left_out_fit.get_model(record.bend)
         for left_out_fit, record in zip(full_left_out, records, strict=True)
     ]
     return PairStudy(
@@ -265,7 +265,7 @@ def _validate_records(study: PairStudy, records: Sequence[PairRecord]) -> tuple[
         Validation(
             record.bend,
             compute_error(
-                predict_angle(study.fit.at(record.bend), record, PairVariant.FULL), record
+                predict_angle(study.fit.get_model(record.bend), record, PairVariant.FULL), record
             ),
             _compute_baseline_errors(study.records, record),
         )

@@ -60,7 +60,9 @@ def build_friction_table(study: PairStudy) -> Table:
             f"{model.friction_at(record.bend):.2f}",
             format_degrees(neutral),
         )
-        for record, K, neutral in zip(study.records, study.each, study.fit.neutrals, strict=True)
+        for record, K, neutral in zip(
+            study.records, study.record_frictions, study.fit.neutrals, strict=True
+        )
     )
     return Table(("bend", "K (95 %)", "K0 + mu bend", "neutral angle"), rows)
 
@@ -117,8 +119,8 @@ def build_validation_table(validations: tuple[Validation, ...]) -> Table:
     rows = tuple(
         (
             format_degrees(validation.bend, 0),
-            f"{format_degrees(validation.ours.rmse)} {validation.ours.share:.1%}",
-            f"{validation.ours.zeroed:.1%}",
+            f"{format_degrees(validation.model_error.rmse)} {validation.model_error.share:.1%}",
+            f"{validation.model_error.zeroed:.1%}",
             *(f"{format_degrees(e.rmse)} {e.share:.1%}" for e in validation.baselines.values()),
         )
         for validation in validations

@@ -110,7 +110,7 @@ def judge(case, among=CATALOGUE, oracle=True):
         found.causes,
         found.ambiguous_with,
         max(one.rmse / found.noise[c] for c, one in found.before.held_out.items()),
-        found.left,
+        found.residual_fraction,
         checked(made, found) if set(found.causes) == set(case.effects) else (),
         _over_oracle(record, found, case.effects) if oracle else math.nan,
         seconds,

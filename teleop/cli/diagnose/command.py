@@ -55,7 +55,7 @@ def write_residuals(path: Path, found: Diagnosis, files: Sequence[str]) -> None:
         record = found.dataset.records[k]
         panels = []
         for channel in record.compared:
-            rows = record.shown(channel)
+            rows = record.select_drawn_rows(channel)
             measured = record.signals[channel][rows]
             models = {
                 ("before", BEFORE): found.baseline.simulated[k].signals[channel][rows],

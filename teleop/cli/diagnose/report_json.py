@@ -79,9 +79,9 @@ def build_report(
             "channel": found.dataset.records[0].driver,
             "noise": [record.noise[record.driver] for record in found.dataset.records],
         },
-        "left": found.left,
-        "wanders": found.wanders,
-        "structure": [one._asdict() for one in found.structure],
+        "left": found.residual_fraction,
+        "wanders": found.has_drifting_friction,
+        "structure": [one._asdict() for one in found.residual_dependences],
         "detection_limits": {
             name: least._asdict() for name, least in found.detection_limits.items()
         },
@@ -90,10 +90,10 @@ def build_report(
         },
         "experiments": list(found.experiments),
         "next": report_text.list_next_steps(found),
-        "troubles": [trouble._asdict() for trouble in found.troubles],
+        "troubles": [trouble._asdict() for trouble in found.issues],
         "files": list(files),
         "samples": [int(record.measured.sum()) for record in found.dataset.records],
-        "thinned": [record.thinned for record in found.dataset.records],
+        "thinned": [record.decimation_factor for record in found.dataset.records],
         "seconds": seconds,
         "version": version("tendon-teleop"),
     }
@@ -160,7 +160,7 @@ def _build_candidates(ranking: Sequence[RankedCandidate]) -> list[dict[str, Any]
             "label": ranked.label,
             "score": ranked.score,
             "held_out_rmse": ranked.rmse,
-            "left": ranked.left,
+            "left": ranked.residual_fraction,
             "parameters": {
                 p.name: value
                 for p, value in zip(ranked.effect.parameters, ranked.values, strict=True)
@@ -174,7 +174,7 @@ def _build_choice(choice: Choice, chosen: str) -> dict[str, Any]:
     """Return what was chosen, and the scores of all that could be."""
     return {
         "chosen": str(chosen),
-        "alike": list(choice.alike) if len(choice.alike) > 1 else [],
+        "alike": list(choice.equivalents) if len(choice.equivalents) > 1 else [],
         "scores": [
             {"name": one.name, "score": one.score, "held_out_rmse": one.rmse}
             for one in choice.scores

@@ -128,7 +128,7 @@ def _add_data(page: Page, found: Diagnosis, sources: Sources) -> None:
     rows = []
     for file, record in zip(sources.files, found.dataset.records, strict=True):
         count, time = int(record.measured.sum()), record.time[record.measured]
-        excluded = sum(trouble.samples for trouble in record.troubles if trouble.excluded)
+        excluded = sum(trouble.samples for trouble in record.issues if trouble.excluded)
         rows.append(
             (
                 Path(file).name,
@@ -201,7 +201,7 @@ def _add_residuals(page: Page, found: Diagnosis, folder: Path) -> None:
         [
             f"{found.units.word(one.channel)}: the residual correlates with {one.what}, which "
             f"explains {one.share:.0%} of its variance"
-            for one in found.structure
+            for one in found.residual_dependences
         ]
         or ["The residual correlates with no tension, speed, direction, travel or time."]
     )

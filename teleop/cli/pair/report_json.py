@@ -12,7 +12,7 @@ def build_report(found: PairStudy, seconds: float) -> dict[str, Any]:
     return {
         "sentence": report_text.format_sentence(found),
         "bends": [float(record.bend) for record in found.records],
-        "friction": [number._asdict() for number in found.each],
+        "friction": [number._asdict() for number in found.record_frictions],
         "friction_straight": found.friction._asdict(),
         "growth": found.growth._asdict(),
         "model": {name: float(value) for name, value in found.fit.model._asdict().items()},
@@ -26,7 +26,7 @@ def build_report(found: PairStudy, seconds: float) -> dict[str, Any]:
         "validation": [
             {
                 "bend": one.bend,
-                "ours": one.ours._asdict(),
+                "ours": one.model_error._asdict(),
                 "baselines": {name: e._asdict() for name, e in one.baselines.items()},
             }
             for one in found.validation

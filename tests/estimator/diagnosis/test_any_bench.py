@@ -47,7 +47,7 @@ def test_a_spike_changes_no_noise_and_no_range(clean):
     spoiled = {name: signal.copy() for name, signal in clean.channels.items()}
     spoiled["distal_tension"][700] += 300.0
     before, after = (prepare_record(clean.time, dict(one)) for one in (clean.channels, spoiled))
-    assert after.troubles
+    assert after.issues
     for channel in before.compared:
         assert after.noise[channel] == pytest.approx(before.noise[channel], rel=0.02)
         range_before = np.ptp(before.signals[channel])
@@ -102,7 +102,7 @@ def test_samples_held_by_a_slow_sensor_do_not_count(clean):
     record = prepare_record(clean.time, clean.channels | {"distal_tension": slow})
     share = np.mean(record.good["distal_tension"])
     assert share == pytest.approx(1.0 / 6.0, abs=0.02)
-    assert any("held" in one.what for one in record.troubles)
+    assert any("held" in one.what for one in record.issues)
     true = clean.channels["distal_tension"]
     at = np.isin(record.time, clean.time[::6])
     assert np.abs(record.signals["distal_tension"][at] - true[::6]).max() < 0.01

@@ -103,9 +103,9 @@ def test_a_second_cause_is_looked_for_by_no_slope_in_the_time_of_a_sudden_one():
     bench = rescale_residuals(bench, fit)
     bench = subsample(bench, SUBSAMPLE_SIZE)
     fit = simulate_dataset(bench, build_unsimulated_contexts(bench, fit), fit.model)
-    led = screen_candidates(bench, fit, build_contexts(bench, fit), [drag], ignore_progress, 1).led[
-        0
-    ][0]
+    led = screen_candidates(
+        bench, fit, build_contexts(bench, fit), [drag], ignore_progress, 1
+    ).linearised_starts[0][0]
     assert led.cost < 0.1 * compute_cost(bench, fit)
 
 
@@ -126,7 +126,7 @@ def test_friction_that_wanders_is_no_drift_and_no_step(bench):
         _, found = diagnosed(7, effect, bench, among=in_time)
         assert found.verdict is Verdict.NAMED
         assert found.causes == (effect,)
-        assert not found.wanders
+        assert not found.has_drifting_friction
 
 
 def test_what_two_channels_cannot_tell_apart_is_said_to_be_so():
@@ -166,7 +166,7 @@ def test_a_parameter_is_found_and_its_interval_is_no_ornament():
 def test_a_catalogue_without_the_cause_does_not_explain_it():
     _, found = diagnosed(3, "creep", "blocked", among={"saturation", "distal_tension_drift"})
     assert found.verdict is Verdict.UNEXPLAINED
-    assert found.structure
+    assert found.residual_dependences
 
 
 def test_every_effect_has_all_that_a_person_wants_to_know():
@@ -187,11 +187,11 @@ def test_spikes_are_kept_out_and_said_to_be_and_sharp_turns_are_not():
     T = 5.0 + 4.0 * np.abs((0.4 * time) % 2.0 - 1.0)  # sharp turns
     T = T + 0.01 * np.random.default_rng(0).standard_normal(len(time))
     signals = {"proximal_tension": T, "distal_tension": 0.5 * T}
-    assert not prepare_record(time, signals).troubles
+    assert not prepare_record(time, signals).issues
     spoiled = T.copy()
     spoiled[[300, 1200]] += (3.0, -2.0)
     ready = prepare_record(time, signals | {"proximal_tension": spoiled})
-    (trouble,) = ready.troubles
+    (trouble,) = ready.issues
     assert trouble.samples == 2
     assert trouble.first == pytest.approx(3.0)
     assert np.abs(ready.drive - T).max() < 0.2
@@ -228,7 +228,7 @@ def test_a_long_record_is_thinned_and_its_turns_stay():
     q = 1e-3 * np.sin(time)
     T = np.clip(8.0 * np.sin(time), 0.0, None)
     ready = prepare_record(time, {"proximal_tension": T, "proximal_displacement": q})
-    assert ready.thinned == 3
+    assert ready.decimation_factor == 3
     assert len(ready.time) <= SETTINGS.samples_max
     few = measured_data.select_record_rows(ready, measured_data.select_subsample(ready, 500))
     assert few.drive.max() == ready.drive.max()

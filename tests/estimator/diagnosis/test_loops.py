@@ -66,7 +66,7 @@ def test_law_stiffness_and_friction_are_found(loop, law):
     found = diagnose(recorded(loop), effects=[])
     assert found.dataset.base.law is law
     wrong = BaseLaw.INDEPENDENT if law is BaseLaw.CAPSTAN else BaseLaw.CAPSTAN
-    assert wrong not in found.laws.alike  # both together have either within
+    assert wrong not in found.laws.equivalents  # both together have either within
     assert found.verdict is Verdict.CLEAN
     for name, true in expected(loop).items():
         number = found.parameters[name]

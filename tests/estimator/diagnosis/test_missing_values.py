@@ -44,11 +44,11 @@ def test_missing_values_are_not_compared_and_change_nothing_else(whole, channel)
     np.testing.assert_array_equal(record.good[channel][~lost], complete.good[channel][~lost])
     np.testing.assert_array_equal(record.drive, complete.drive)
     assert record.noise[channel] == pytest.approx(complete.noise[channel], rel=0.05)
-    assert (record.measured & ~record.shown(channel)).sum() == 50
+    assert (record.measured & ~record.select_drawn_rows(channel)).sum() == 50
     for other in set(record.compared) - {channel}:
         np.testing.assert_array_equal(record.good[other], complete.good[other])
-        np.testing.assert_array_equal(record.shown(other), record.measured)
-    (said,) = [one for one in record.troubles if "missing" in one.what]
+        np.testing.assert_array_equal(record.select_drawn_rows(other), record.measured)
+    (said,) = [one for one in record.issues if "missing" in one.what]
     assert (said.channel, said.samples) == (channel, 50)
     assert said.first == pytest.approx(whole.time[LOST][0])
 
@@ -57,7 +57,7 @@ def test_rows_without_what_drives_are_removed(whole):
     record = prepare_record(whole.time, without(whole, Q, LOST))
     assert record.measured.sum() == len(whole.time) - 50
     assert not is_lost(record, whole)[record.measured].any()
-    (said,) = [one for one in record.troubles if "rows removed" in one.what]
+    (said,) = [one for one in record.issues if "rows removed" in one.what]
     assert (said.channel, said.samples) == (Q, 50)
 
 
@@ -69,8 +69,8 @@ def test_a_start_without_tension_is_not_taken_for_slack(whole):
 
 def test_cells_that_a_slow_sensor_leaves_empty_do_not_count(whole):
     empty = np.arange(len(whole.time)) % 5 > 0
-    record = prepare_record(whole.time, without(whole, T_OUT, empty), most=800)
-    assert record.thinned == 2
+    record = prepare_record(whole.time, without(whole, T_OUT, empty), samples_max=800)
+    assert record.decimation_factor == 2
     assert record.good[T_OUT].sum() == pytest.approx(len(whole.time) / 5, rel=0.05)
 
 
@@ -89,7 +89,7 @@ def test_infinite_values_are_missing(whole):
     infinite = lost | {T_OUT: np.where(np.isnan(lost[T_OUT]), np.inf, lost[T_OUT])}
     one, other = prepare_record(whole.time, lost), prepare_record(whole.time, infinite)
     np.testing.assert_array_equal(one.signals[T_OUT], other.signals[T_OUT])
-    assert one.troubles == other.troubles
+    assert one.issues == other.issues
 
 
 @pytest.mark.parametrize("channel", [T_IN, T_OUT])
@@ -114,15 +114,15 @@ def test_times_are_those_of_the_file_where_the_first_rows_are_removed(whole):
     assert record.start == pytest.approx(whole.time[100] + 100.0)
     times = record.start + record.time[record.measured]
     np.testing.assert_allclose(times, whole.time[100:] + 100.0, atol=1e-9)
-    (said,) = [one for one in record.troubles if "rows removed" in one.what]
+    (said,) = [one for one in record.issues if "rows removed" in one.what]
     assert said.first == pytest.approx(whole.time[0] + 100.0)
 
 
 def test_a_slow_sensor_of_a_thinned_record_keeps_its_times_and_its_noise(whole):
     held = whole.channels[T_OUT][np.arange(len(whole.time)) // 4 * 4]
     signals = whole.channels | {T_OUT: held}
-    record = prepare_record(whole.time, signals, most=800, noise={T_OUT: 0.1, T_IN: 0.1})
-    assert record.thinned == 2
+    record = prepare_record(whole.time, signals, samples_max=800, noise={T_OUT: 0.1, T_IN: 0.1})
+    assert record.decimation_factor == 2
     true = np.interp(record.time, whole.time - whole.time[0], whole.channels[T_OUT])
     rows = record.good[T_OUT]
     slope = np.gradient(true, record.time)[rows]
@@ -136,9 +136,9 @@ def test_no_mean_of_samples_on_both_sides_of_a_gap_counts(whole):
     rows = (whole.time < 10.0) | (whole.time > 15.01)
     rows[0] = False  # an odd number is before the gap, and k is 2
     signals = {name: signal[rows] for name, signal in whole.channels.items()}
-    record = prepare_record(whole.time[rows], signals, most=700)
+    record = prepare_record(whole.time[rows], signals, samples_max=700)
     within = (record.time + record.start > 10.0) & (record.time + record.start < 15.0)
-    assert record.thinned == 2
+    assert record.decimation_factor == 2
     assert within.any()
     assert not record.good[T_OUT][within].any()
 
@@ -146,7 +146,7 @@ def test_no_mean_of_samples_on_both_sides_of_a_gap_counts(whole):
 def test_values_missing_at_the_ends_are_not_drawn(whole):
     lost = np.r_[0:40, len(whole.time) - 60 : len(whole.time)]
     record = prepare_record(whole.time, without(whole, T_OUT, lost))
-    assert (record.measured & ~record.shown(T_OUT)).sum() == 100
+    assert (record.measured & ~record.select_drawn_rows(T_OUT)).sum() == 100
 
 
 def test_a_record_begins_with_the_first_tension_that_was_measured(whole):
@@ -192,7 +192,7 @@ def test_a_gap_in_which_the_motor_turned_is_told(turns, said):
     noise = np.random.default_rng(1).normal(0.0, 0.01, (2, len(time)))
     signals = {Q: travel, T_IN: 1.0 + 4e3 * travel + noise[0], T_OUT: 1.0 + 3e3 * travel + noise[1]}
     record = prepare_record(time[rows] + 100.0, {name: y[rows] for name, y in signals.items()})
-    found = [one for one in record.troubles if "may have turned" in one.what]
+    found = [one for one in record.issues if "may have turned" in one.what]
     assert len(found) == said
     for one in found:
         assert f"({99.3 + middle:.4g} to {100.7 + middle:.4g} s)" in one.what

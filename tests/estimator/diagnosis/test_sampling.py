@@ -63,7 +63,7 @@ def test_stamps_that_jitter_are_made_even(fine, jitter, lost):
     assert_noise_is_told(record)
     error = record.time[record.measured] - true
     assert np.std(error) < 0.25 * np.std(off)
-    (said,) = [one for one in record.troubles if "stamps jitter" in one.what]
+    (said,) = [one for one in record.issues if "stamps jitter" in one.what]
     assert not said.excluded
 
 
@@ -104,6 +104,6 @@ def test_noise_and_smoothing_go_by_the_time():
 def test_gaps_of_uneven_samples_are_told_too(fine):
     rows = rows_of(fine, jitter=0.3)
     time, channels = sampled(fine, rows[(rows < 4000) | (rows > 4100)])
-    said = [one.what for one in prepare_record(time, channels).troubles]
+    said = [one.what for one in prepare_record(time, channels).issues]
     assert sum("uneven time steps" in what for what in said) == 1
     assert "missing samples" in said

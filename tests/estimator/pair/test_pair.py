@@ -74,7 +74,7 @@ def test_a_pull_that_friction_keeps_from_the_tip_does_not_bend_the_joint():
 
 
 def test_friction_of_each_record_and_its_growth_are_found(found):
-    for number, bend in zip(found.each, BENDS, strict=True):
+    for number, bend in zip(found.record_frictions, BENDS, strict=True):
         assert number.low <= TRUE.friction_at(bend) <= number.high
         assert number.value == pytest.approx(TRUE.friction_at(bend), rel=0.05)
     assert found.growth.value == pytest.approx(bench.COEFFICIENT, rel=0.05)
@@ -89,9 +89,11 @@ def test_each_record_has_a_zero_of_its_own(found):
 
 def test_a_bend_between_others_has_a_zero_between_theirs(found):
     low, middle = found.fit.neutrals[:2]
-    between = found.fit.at(0.5 * (BENDS[0] + BENDS[1])).neutral
+    between = found.fit.get_model(0.5 * (BENDS[0] + BENDS[1])).neutral
     assert between == pytest.approx(0.5 * (low + middle))
-    assert found.fit.at(BENDS[-1] + 1.0).neutral == pytest.approx(np.mean(found.fit.neutrals))
+    assert found.fit.get_model(BENDS[-1] + 1.0).neutral == pytest.approx(
+        np.mean(found.fit.neutrals)
+    )
 
 
 def test_models_without_tendons_are_beside_it_on_the_same_bends(found):
@@ -127,8 +129,8 @@ def test_a_bend_that_was_left_out_is_predicted_but_for_its_zero(found):
 
 def test_a_further_bend_is_predicted(found):
     (error,) = found.validation
-    assert error.ours.zeroed < 0.06
-    assert error.ours.share < 0.12 < error.baselines[pair_study.SHARE].share
+    assert error.model_error.zeroed < 0.06
+    assert error.model_error.share < 0.12 < error.baselines[pair_study.SHARE].share
 
 
 def test_a_notebook_shows_a_study_with_its_figures(found):

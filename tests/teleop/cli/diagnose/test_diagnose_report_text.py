@@ -37,7 +37,7 @@ def found(data):
 @pytest.fixture(scope="module")
 def nothing(found):
     """The same with no cause found."""
-    return found._replace(steps=(), gain={}, structure=())
+    return found._replace(steps=(), gain={}, residual_dependences=())
 
 
 def test_a_named_cause_is_said_with_size_and_gain(found):
@@ -76,7 +76,7 @@ def test_rivals_are_said_with_what_would_tell_them_apart(found):
 
 
 def test_friction_that_wanders_is_said_to_do_so(found):
-    astray = found._replace(verdict=Verdict.UNEXPLAINED, wanders=True)
+    astray = found._replace(verdict=Verdict.UNEXPLAINED, has_drifting_friction=True)
     assert "friction changes with time" in report_text.format_verdict(astray)
 
 
@@ -93,8 +93,8 @@ def test_a_clean_bench_is_said_with_what_would_have_been_seen(nothing):
 
 def test_the_unexplained_is_said_with_what_it_looks_like(nothing, found):
     structure = (ResidualDependence("time", "distal_tension", 0.4),)
-    unsure = nothing._replace(verdict=Verdict.UNEXPLAINED, structure=structure)
-    assert unsure.ranking[0].left < 0.25
+    unsure = nothing._replace(verdict=Verdict.UNEXPLAINED, residual_dependences=structure)
+    assert unsure.ranking[0].residual_fraction < 0.25
     assert f"{unsure.ranking[0].name} would explain it" in report_text.format_verdict(unsure)
     assert "Record for longer" in report_text.list_next_steps(unsure)[-1]
     strange = unsure._replace(ranking=())
@@ -102,7 +102,9 @@ def test_the_unexplained_is_said_with_what_it_looks_like(nothing, found):
         "The model is wrong, and nothing in the catalogue explains it: residuals depend on "
         "time (40% of its variance in the tension at the tip)."
     )
-    partly = found._replace(verdict=Verdict.UNEXPLAINED, structure=(), left=0.5)
+    partly = found._replace(
+        verdict=Verdict.UNEXPLAINED, residual_dependences=(), residual_fraction=0.5
+    )
     assert (
         f"with {FAULT} in the model 50% of what noise does not explain is left"
         in report_text.format_verdict(partly)
