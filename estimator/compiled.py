@@ -1,4 +1,13 @@
-"""One typed decorator for everything that is compiled, so that types survive it."""
+"""One typed decorator for everything that is compiled, so that types survive it.
+
+Some code is written for the compiler or for the type checker, here and in the loops:
+
+* `table = prepared.tables[:]`: the array within a record has the record's layout in its type; its
+  slice is an ordinary array, of the type for which functions are compiled already.
+* `fields: Any = record`: type checkers know the items of a record's array as read-only, or a
+  record as an array of them; compiled code writes to them.
+* `if with_dynamics is None`: numba omits a branch on an argument that is None.
+"""
 
 from collections.abc import Callable
 from typing import Any, ParamSpec, TypeVar, cast

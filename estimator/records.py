@@ -2,7 +2,7 @@
 
 A record is declared as a class and used as a structure:
 
-    class Port(Record):
+    class Port(Struct):
         credit: F64 = 0.0  # [J]
         waves: Annotated[NDArray[np.float64], Field("f8", 8)]
 

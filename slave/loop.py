@@ -221,7 +221,8 @@ def _process_samples(
     dt: float,
 ) -> tuple[int, int]:
     """Process the samples; return the newest fault Reason and its tendon."""
-    found, tendon = Reason.NONE + 0, -1
+    found: int = Reason.NONE
+    tendon = -1
     initial_position.increase_age(memory.initial_position, dt)
     for i in range(samples):
         row = rows[i]
@@ -351,9 +352,7 @@ def _advance_session(
     command: Command,
     tick_input: TickInput,
 ) -> None:
-    master = (
-        state_machine.to_known_state(command.state) if tick_input.has_command else State.OFF + 0
-    )
+    master = state_machine.to_known_state(command.state) if tick_input.has_command else State.OFF
     fault = tick_input.fault
     if fault == Reason.NONE:
         fault = _find_own_fault(setting, layout, memory, work)
@@ -383,17 +382,17 @@ def _find_own_fault(
 ) -> int:
     """Return the Reason of a fault on this side."""
     if memory.has_sample and memory.silence > setting.sample_timeout:
-        return Reason.SAMPLES_FROZEN + 0 if memory.motors.repeated else Reason.SAMPLES_STALE + 0
+        return Reason.SAMPLES_FROZEN if memory.motors.repeated else Reason.SAMPLES_STALE
     if memory.overload > OVERLOAD_S:
-        return Reason.OVER_LIMIT + 0
+        return Reason.OVER_LIMIT
     if memory.found != Reason.NONE:
         return memory.found
     if memory.advice == Advice.DEMANDED:
-        return Reason.CALIBRATION_DUE + 0
+        return Reason.CALIBRATION_DUE
     for k in range(layout.joints):
         if not (abs(work.requested[k]) < MOTION_MAX and abs(work.speed[k]) < MOTION_MAX):
-            return Reason.NOT_FINITE + 0
-    return Reason.NONE + 0
+            return Reason.NOT_FINITE
+    return Reason.NONE
 
 
 @jit_compile
