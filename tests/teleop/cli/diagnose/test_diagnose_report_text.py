@@ -122,7 +122,7 @@ def test_samples_that_are_kept_out_are_said_by_file(found):
     (record,) = found.dataset.records
     spikes = DataIssue("single-sample spikes", "distal_tension", 3, 1.25)
     odd = found.dataset._replace(
-        records=(type(record)(**vars(record) | {"troubles": (spikes,), "thinned": 5}),)
+        records=(type(record)(**vars(record) | {"issues": (spikes,), "decimation_factor": 5}),)
     )
     first, second = report_text.list_sample_remarks(found._replace(dataset=odd), ["a.csv"])
     assert first == "a.csv: 3 single-sample spikes (tension at the tip), the first at 1.25 s"

@@ -154,7 +154,7 @@ def test_validation_is_stated_by_file_as_it_is_in_the_file(found):
         "distal_tension"
     ].sum()
     assert f"{START:g} to {START + 23.98:g} s" in est.summarise_result(found)
-    axes = found.plot().axes
+    axes = est.plot_result(found).axes
     assert len(axes) == 2
     with pytest.raises(IndexError):
         est.plot_result(found, 1)
