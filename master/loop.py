@@ -2,11 +2,11 @@
 
 A tick has two phases, both compiled and without clock, link or device:
 
-    command reads the hand, steps the session and computes the command for the slave
-    force after the slave's answer or a timeout: computes the force
+    compute_command reads the hand, steps the session and computes the command for the slave
+    compute_force   after the slave's answer or a timeout: computes the force
 
 So a force can be rendered in the tick in which its command was sent. Both phases update the
-caller's `MasterState` in place.
+caller's `MasterState` in place; a copy of it undoes them.
 """
 
 from typing import Any, NamedTuple
@@ -15,7 +15,7 @@ import numpy as np
 
 from estimator.array_types import Array
 from estimator.compiled import jit_compile
-from estimator.records import F64, I64, Flag, Struct, StructArray, view_struct
+from estimator.records import I64, Flag, Struct, StructArray, view_struct
 from master import coupling_adapter, feedback, gate, local, operator
 from master.coupling_adapter import RenderMemory
 from master.hand_input import Axes, HandInput, is_all_finite
@@ -25,7 +25,7 @@ from master.settings_record import MasterSettings
 from teleop import coupling
 from teleop.config.bounds import MOTION_MAX
 from teleop.coupling import Side
-from teleop.messages.messages import MAX_JOINTS, Command, Hand, SlaveState
+from teleop.messages.messages import MAX_JOINTS, Command, SlaveState
 from teleop.session import state_machine
 from teleop.session.state_machine import Inputs, Reason, Session, State
 
@@ -49,86 +49,18 @@ class MasterState(Struct):
     counted: Flag = False  # whether `add_hand_work` ran as coupled there
 
 
-class TickInput(Struct):
-    """Inputs of a phase of a tick.
+class TickInput(NamedTuple):
+    """Inputs of a phase of a tick besides the hand and the slave's state."""
 
-    The caller sets all fields before `compute_command`, and updates `has_state`, `state_age_ns` and
-    `now_ns` before `compute_force`.
-    """
-
-    hand: HandInput
-    has_state: Flag = False  # a slave state has been received
-    state_age_ns: I64 = 0  # age of its newest state
-    now_ns: I64 = 0
-    dt: F64 = 0.0  # [s] since the last tick
-    fault: I64 = Reason.NONE  # fault on this side detected by the caller
-    stop: I64 = Reason.NONE  # reason of an emergency stop by another process
-    reset: Flag = False  # whether the stop is reset
-    link: I64 = Reason.NONE  # bound that the link exceeds
-    link_holds: Flag = False  # whether the session must hold because of it
-
-
-class PhaseInput(NamedTuple):
-    """Inputs of a phase besides the hand and the slave's state."""
-
-    has_state: bool  # a slave state has been received
-    state_age_ns: int  # age of its newest state
-    now_ns: int
     dt: float  # [s] since the last tick
-    fault: int = int(Reason.NONE)
-    stop: int = int(Reason.NONE)
-    reset: bool = False
-    link: int = int(Reason.NONE)
-    link_holds: bool = False
-
-
-@jit_compile
-def run_command(
-    settings: StructArray,
-    memories: StructArray,
-    ticks: StructArray,
-    states: StructArray,
-    phase_input: PhaseInput,
-    commands: StructArray,
-) -> None:
-    """Run `compute_command` on arrays of one record each; called by the loop."""
-    _copy_phase_input(ticks[0], phase_input)
-    compute_command(settings[0], memories[0], ticks[0], states[0], commands[0])
-
-
-@jit_compile
-def run_force(
-    settings: StructArray,
-    memories: StructArray,
-    ticks: StructArray,
-    states: StructArray,
-    phase_input: PhaseInput,
-    new_state: bool,
-    out: Array,
-) -> int:
-    """Run `compute_force` on arrays of one record each; called by the loop."""
-    _copy_phase_input(ticks[0], phase_input)
-    return compute_force(settings[0], memories[0], ticks[0], states[0], new_state, out)
-
-
-@jit_compile
-def _copy_phase_input(tick: TickInput, phase_input: PhaseInput) -> None:
-    tick.has_state, tick.state_age_ns = phase_input.has_state, phase_input.state_age_ns
-    tick.now_ns, tick.dt = phase_input.now_ns, phase_input.dt
-    tick.fault, tick.stop, tick.reset = phase_input.fault, phase_input.stop, phase_input.reset
-    tick.link, tick.link_holds = phase_input.link, phase_input.link_holds
-
-
-@jit_compile
-def fill_hand_message(
-    memories: StructArray,
-    ticks: StructArray,
-    state_age_ns: int,
-    round_trip_ns: int,
-    messages: StructArray,
-) -> None:
-    """Run `write_hand_message` on arrays of one record each."""
-    write_hand_message(memories[0], ticks[0].hand, state_age_ns, round_trip_ns, messages[0])
+    now_ns: int
+    has_state: bool  # whether a slave state ever came
+    state_age_ns: int  # age of the newest one
+    fault: int = int(Reason.NONE)  # Reason: fault on this side detected by the caller
+    stop: int = int(Reason.NONE)  # Reason of an emergency stop by another process
+    reset: bool = False  # whether a stop is reset
+    link: int = int(Reason.NONE)  # Reason: bound that the link exceeds
+    link_holds: bool = False  # whether the session must hold because of it
 
 
 def init_master(axes: int, now_ns: int) -> StructArray:
@@ -145,39 +77,43 @@ def init_master(axes: int, now_ns: int) -> StructArray:
 
 @jit_compile
 def compute_command(
-    settings: MasterSettings,
-    memory: MasterState,
-    tick: TickInput,
-    state: SlaveState,
-    out: Command,
+    settings_records: StructArray,
+    memories: StructArray,
+    hands: StructArray,
+    states: StructArray,
+    tick_input: TickInput,
+    commands: StructArray,
 ) -> None:
     """Run the first phase of a tick: from the hand to the command.
 
     Parameters
     ----------
-    settings : MasterSettings
-    memory : MasterState
-        Changed in place.
-    tick : TickInput
-    state : SlaveState
-        The slave's newest state; not read unless `tick.has_state`.
-    out : Command
-        Written, except for its head.
+    settings_records, memories : Records
+        `MasterSettings` and `MasterState`, shape (1,); the state is updated.
+    hands : Records
+        `HandInput`, shape (1,).
+    states : Records
+        `SlaveState`, the newest, shape (1,); ignored unless `tick_input.has_state`.
+    tick_input : TickInput
+        Other inputs.
+    commands : Records
+        `Command`, shape (1,), filled in except for the head.
     """
-    hand, inputs, dt = tick.hand, memory.inputs, tick.dt
+    settings, memory, out = settings_records[0], memories[0], commands[0]
+    hand, state, inputs, dt = hands[0], states[0], memory.inputs, tick_input.dt
     wanted = np.zeros(MAX_JOINTS)
-    finite = _compute_wanted_forces(settings, memory, tick, state, wanted)
+    finite = _compute_wanted_forces(settings, memory, tick_input, state, wanted)
     local.update_presence(settings.operator, memory.presence, hand, dt)
 
     inputs.usable = hand.present
     inputs.clutch = hand.clutch
-    inputs.reset = tick.reset
-    inputs.stop = tick.stop
-    inputs.link, inputs.link_holds = tick.link, tick.link_holds
-    if tick.stop == Reason.NONE and hand.stop:
+    inputs.reset = tick_input.reset
+    inputs.stop = tick_input.stop
+    inputs.link, inputs.link_holds = tick_input.link, tick_input.link_holds
+    if tick_input.stop == Reason.NONE and hand.stop:
         inputs.stop = Reason.EMERGENCY_STOP
     inputs.follow_s = state_machine.FOLLOW_LIMIT_S + settings.delay_max
-    _step_session(settings, memory, tick, state, finite, dt)
+    _step_session(settings, memory, hand, state, tick_input, finite, dt)
     memory.may_render = state_machine.may_render(memory.session)
     memory.counted = memory.may_render and finite
 
@@ -185,9 +121,16 @@ def compute_command(
     velocity: Any = out.velocity
     engaged = memory.session.state == State.ENGAGED
     operator.step(
-        settings.operator, memory.operator, hand, state, tick.has_state, engaged, position, velocity
+        settings.operator,
+        memory.operator,
+        hand,
+        state,
+        tick_input.has_state,
+        engaged,
+        position,
+        velocity,
     )
-    _receive_state(settings, memory, tick, state, wanted)
+    _receive_state(settings, memory, tick_input, state, wanted)
     written = np.zeros(MAX_JOINTS)
     for k in range(memory.axes):
         written[k] = memory.force[k] - memory.own_force[k]
@@ -203,15 +146,16 @@ def compute_command(
         memory.counted,
         dt,
     )
-    _fill_command(settings, memory, tick, state, out)
+    _fill_command(settings, memory, tick_input, state, out)
 
 
 @jit_compile
 def compute_force(
-    settings: MasterSettings,
-    memory: MasterState,
-    tick: TickInput,
-    state: SlaveState,
+    settings_records: StructArray,
+    memories: StructArray,
+    hands: StructArray,
+    states: StructArray,
+    tick_input: TickInput,
     new_state: bool,
     out: Array,
 ) -> int:
@@ -223,11 +167,13 @@ def compute_force(
 
     Parameters
     ----------
-    settings, memory, tick, state
-        As in `compute_command`; `tick.now_ns` and `tick.state_age_ns` are those of this phase.
+    settings_records, memories, hands, states
+        As in `compute_command`.
+    tick_input : TickInput
+        As in `compute_command`; `now_ns` and what there is of a state are those of this phase.
     new_state : bool
-        Whether `state` has arrived since `compute_command`. Its faults, stops and non-finite values
-        then act at once.
+        Whether `states` has arrived since `compute_command`. Its faults, stops and non-finite
+        values then act at once.
     out : array of shape (8,)
         Forces [N] for the device, zero beyond its axes.
 
@@ -236,16 +182,17 @@ def compute_force(
     int
         The bits of a `gate.GateFlags`.
     """
-    hand, axes, dt = tick.hand, memory.axes, tick.dt
+    settings, memory, state = settings_records[0], memories[0], states[0]
+    hand, axes, dt = hands[0], memory.axes, tick_input.dt
     wanted = np.zeros(MAX_JOINTS)
-    finite = _compute_wanted_forces(settings, memory, tick, state, wanted)
-    fresh = is_fresh(settings, tick, state)
+    finite = _compute_wanted_forces(settings, memory, tick_input, state, wanted)
+    fresh = is_fresh(settings, tick_input, state)
     if new_state:
-        _receive_state(settings, memory, tick, state, wanted)
-        memory.inputs.link, memory.inputs.link_holds = tick.link, tick.link_holds
+        _receive_state(settings, memory, tick_input, state, wanted)
+        memory.inputs.link, memory.inputs.link_holds = tick_input.link, tick_input.link_holds
     if new_state or fresh != memory.inputs.peer_fresh:
         memory.inputs.reset = False  # already processed
-        _step_session(settings, memory, tick, state, finite, 0.0)
+        _step_session(settings, memory, hand, state, tick_input, finite, 0.0)
     # no force outside the ledger: a coupling that could start now starts at the next tick
     renders = memory.may_render and state_machine.may_render(memory.session)
     renders = renders and (memory.counted or not finite)
@@ -280,7 +227,7 @@ def compute_force(
         out[k] = out[k] if k < axes else 0.0
         memory.force[k] = out[k]
         memory.own_force[k] = own[k]
-    _record_answer(memory, tick, state)
+    _record_answer(memory, tick_input, state)
     return verdict
 
 
@@ -288,13 +235,13 @@ def compute_force(
 def _compute_wanted_forces(
     settings: MasterSettings,
     memory: MasterState,
-    tick: TickInput,
+    tick_input: TickInput,
     state: SlaveState,
     out: Array,
 ) -> bool:
     """Write the wanted forces on the hand [N] to `out`; return whether all are finite."""
     feedback.compute_tip_forces(
-        settings.bilateral.confidence, state, tick.has_state, memory.axes, out
+        settings.bilateral.confidence, state, tick_input.has_state, memory.axes, out
     )
     for k in range(memory.axes):
         out[k] = feedback.reflect_force(settings.force.scale, out[k])
@@ -305,24 +252,25 @@ def _compute_wanted_forces(
 def _step_session(
     settings: MasterSettings,
     memory: MasterState,
-    tick: TickInput,
+    hand: HandInput,
     state: SlaveState,
+    tick_input: TickInput,
     finite: bool,
     dt: float,
 ) -> None:
     """Step the session with hand and peer; `finite` refers to the wanted forces."""
-    inputs, hand = memory.inputs, tick.hand
-    inputs.peer_fresh = is_fresh(settings, tick, state)
+    inputs = memory.inputs
+    inputs.peer_fresh = is_fresh(settings, tick_input, state)
     inputs.peer_state = State.OFF
     inputs.peer = 0
-    if tick.has_state:
+    if tick_input.has_state:
         inputs.peer_state = state_machine.to_known_state(state.state)
         inputs.peer = state.sender
     inputs.engage = hand.present and is_switch_closed(memory.session, hand, memory.presence)
-    inputs.fault = tick.fault
-    if tick.fault == Reason.NONE and not is_plausible(memory.session, hand, finite):
+    inputs.fault = tick_input.fault
+    if tick_input.fault == Reason.NONE and not is_plausible(memory.session, hand, finite):
         inputs.fault = Reason.NOT_FINITE
-    inputs.not_ready_reason = find_not_ready_reason(settings, memory, tick, state)
+    inputs.not_ready_reason = find_not_ready_reason(settings, memory, hand, state, tick_input)
     state_machine.step(memory.session, inputs, dt)
 
 
@@ -330,12 +278,12 @@ def _step_session(
 def _receive_state(
     settings: MasterSettings,
     memory: MasterState,
-    tick: TickInput,
+    tick_input: TickInput,
     state: SlaveState,
     wanted: Array,
 ) -> None:
     """Take over what the newest state says of energy, waves and tips; `wanted` are its forces."""
-    if not tick.has_state:
+    if not tick_input.has_state:
         return
     energy: Any = state.energy
     wave: Any = state.wave
@@ -355,7 +303,7 @@ def _receive_state(
 def _fill_command(
     settings: MasterSettings,
     memory: MasterState,
-    tick: TickInput,
+    tick_input: TickInput,
     state: SlaveState,
     out: Command,
 ) -> None:
@@ -363,7 +311,7 @@ def _fill_command(
     fields: Any = out
     fields.state = memory.session.state
     fields.reason = memory.session.reason
-    fields.echo_stamp_ns = state.stamp_ns if tick.has_state else 0
+    fields.echo_stamp_ns = state.stamp_ns if tick_input.has_state else 0
     fields.stops = memory.session.stops
     fields.coupling = settings.bilateral.signature
     fields.force_max = feedback.compute_saturation(settings.force)
@@ -373,11 +321,13 @@ def _fill_command(
 
 
 @jit_compile
-def _record_answer(memory: MasterState, tick: TickInput, state: SlaveState) -> None:
+def _record_answer(memory: MasterState, tick_input: TickInput, state: SlaveState) -> None:
     """Record the command that is answered for the first time."""
     memory.answer_ns = 0
-    memory.answered_ns = min(memory.answered_ns, tick.now_ns)  # our clock may have been set back
-    if tick.has_state and memory.answered_ns < state.echo_stamp_ns <= tick.now_ns:
+    memory.answered_ns = min(
+        memory.answered_ns, tick_input.now_ns
+    )  # our clock may have been set back
+    if tick_input.has_state and memory.answered_ns < state.echo_stamp_ns <= tick_input.now_ns:
         memory.answer_ns = state.echo_stamp_ns
         memory.answered_ns = state.echo_stamp_ns
 
@@ -394,18 +344,18 @@ def _has_weight_compensation(side: Session) -> bool:
 
 
 @jit_compile
-def is_fresh(settings: MasterSettings, tick: TickInput, state: SlaveState) -> bool:
+def is_fresh(settings: MasterSettings, tick_input: TickInput, state: SlaveState) -> bool:
     """Return whether `state` exists and is fresh.
 
     Its age detects a silent slave and, with the age of its sample, a silent rig. The age of the
     command it answers detects a slave that no longer receives, and the round-trip delay, which no
     single clock shows.
     """
-    if not tick.has_state:
+    if not tick_input.has_state:
         return False
     # as floats: sums of message fields may exceed 64 bits
-    behind_ns = float(tick.state_age_ns) + max(float(state.sample_age_ns), 0.0)
-    answered_ns = float(tick.now_ns - state.echo_stamp_ns)
+    behind_ns = float(tick_input.state_age_ns) + max(float(state.sample_age_ns), 0.0)
+    answered_ns = float(tick_input.now_ns - state.echo_stamp_ns)
     return (
         behind_ns <= settings.state_timeout * 1e9 and 0.0 <= answered_ns <= settings.delay_max * 1e9
     )
@@ -428,15 +378,19 @@ def is_switch_closed(side: Session, hand: HandInput, there: Presence) -> bool:
 
 @jit_compile
 def find_not_ready_reason(
-    settings: MasterSettings, memory: MasterState, tick: TickInput, state: SlaveState
+    settings: MasterSettings,
+    memory: MasterState,
+    hand: HandInput,
+    state: SlaveState,
+    tick_input: TickInput,
 ) -> int:
     """Return why this side must not engage, `Reason.NONE` if it may."""
-    if tick.has_state and coupling.has_settings_mismatch(settings.bilateral, state.coupling):
+    if tick_input.has_state and coupling.has_settings_mismatch(settings.bilateral, state.coupling):
         return Reason.COUPLING_DIFFERS
     if memory.presence.away:
         return Reason.HAND_AWAY
     return operator.find_not_ready_reason(
-        settings.operator, memory.operator, tick.hand, state, tick.has_state
+        settings.operator, memory.operator, hand, state, tick_input.has_state
     )
 
 
@@ -450,11 +404,15 @@ def is_plausible(side: Session, hand: HandInput, finite: bool) -> bool:
 
 
 @jit_compile
-def write_hand_message(
-    memory: MasterState, hand: HandInput, state_age_ns: int, round_trip_ns: int, out: Hand
+def fill_hand_message(
+    memories: StructArray,
+    hands: StructArray,
+    state_age_ns: int,
+    round_trip_ns: int,
+    messages: StructArray,
 ) -> None:
-    """Fill in the `Hand` message after a tick, except for its head."""
-    fields: Any = out
+    """Fill in a `Hand` message after a tick, except for its head; all of shape (1,)."""
+    memory, hand, fields = memories[0], hands[0], messages[0]
     fields.state = memory.session.state
     fields.reason = memory.session.reason
     fields.joints = memory.axes

@@ -12,17 +12,20 @@ has been reset too (`teleop stop --reset`). A HID device that is unplugged may b
 """
 
 import argparse
+from collections.abc import Callable
 from contextlib import ExitStack, suppress
 from functools import partial
+from typing import Any, TypeVar
 
 import numpy as np
 
-from estimator.records import StructArray, as_bytes, view_struct
-from master import hand_input, live_settings, loop
+from estimator.records import StructArray, view_struct
+from master import live_settings, loop
 from master.config import MasterConfig
 from master.device import Device, DeviceFault, DeviceLost, HandState
 from master.devices import open_device
 from master.gate import GateFlags
+from master.hand_input import HandInput, fill_hand_input
 from master.settings_record import SettingsRecord
 from teleop.config.bounds import build_bounds_warnings
 from teleop.config.options import add_option, add_options
@@ -37,12 +40,15 @@ from teleop.remote.requests import RequestListener, Requests, SettingRequest
 from teleop.runtime.clock import STALL_NS, Grid, Tick, monotonic_ns, now_ns
 from teleop.runtime.compiling import announce_compilation
 from teleop.runtime.process import StopCondition
+from teleop.session.checkpoint import Checkpoint
 from teleop.session.config import load_section
 from teleop.session.events import publish_event
 from teleop.session.loop_process import LoopProcess, report_outcome, run_session
 from teleop.session.meter import format_reason
 from teleop.session.slow_calls import SlowCallMonitor
 from teleop.session.state_machine import OutlineReader, Reason, SessionOutline, State
+
+R = TypeVar("R")
 
 DIRECT = Bilateral()
 COMPILE_S = 12.0  # [s] without a cache, on a machine that does nothing else
@@ -54,7 +60,7 @@ RETRY_TICKS = 100  # ticks, whether it still is one
 
 
 class MasterProcess(LoopProcess):
-    """The world around `loop.command` and `loop.force`: one device, one link, and the counts.
+    """The world around the two phases of `master.loop`: one device, one link, and the counts.
 
     Parameters
     ----------
@@ -77,15 +83,11 @@ class MasterProcess(LoopProcess):
     ) -> None:
         self._memory = loop.init_master(device.axes, now_ns())
         self.memory: loop.MasterState = view_struct(self._memory)
-        self._now = as_bytes(self._memory)
-        self._before = self._now.copy()
-        with_command = self._memory.copy()  # as it was when the command was found
-        self._commanded = as_bytes(with_command)
-        self._commanded_outline = OutlineReader(with_command["session"])
+        self._checkpoint = Checkpoint(self._memory)  # of the tick, then of its second phase
+        self._commanded_outline = OutlineReader(self._checkpoint.saved[0]["session"])
         super().__init__(link, grid.stats, self._memory, device.axes, requests, health)
         self._answer_ns = self._memory["answer_ns"]
-        self._ticks = loop.TickInput.array()
-        self._write_hand = partial(hand_input.fill_hand_input, self._ticks["hand"])
+        self._hands = HandInput.array()
         self._live, self._device = live_settings.init_settings(config), device
         self._reads, self._writes = (
             SlowCallMonitor("device: read"),
@@ -113,14 +115,24 @@ class MasterProcess(LoopProcess):
         """Read, command, wait for the answer, render; then do what nobody waits for."""
         fault, hand, away = self._read((tick.stamp_ns - self._start_ns) * 1e-9)
         self._link.latest(STATE)
-        requests = self._listen(tick.stamp_ns)
+        requests = self._requests(tick.stamp_ns, int(self._stops[0]))
+        if requests.words or requests.settings:
+            self._execute(requests)
         self._live, changed = live_settings.update_settings(self._live, hand, tick.dt)
         config = self._live.config
         settings = self._settings.update(
             config if self._link_scale == 1.0 else self._scaled(config)
         )
-        self._write_hand(hand)
-        self._find_command(settings, tick.dt, fault, requests)
+        fill_hand_input(self._hands, hand)
+        compute = partial(
+            self._run_phase,
+            loop.compute_command,
+            (self._command.records,),
+            settings,
+            fault,
+            requests,
+        )
+        self._checkpoint.run_step(compute, now_ns(), tick.dt)
         known_ns = self._states.stamp_ns
         sent_ns = 0
         if self._index % self._commands_every == 0:
@@ -130,7 +142,6 @@ class MasterProcess(LoopProcess):
         self._index += 1
         verdict = self._render(settings, tick, fault, requests, known_ns, hand)
         written_ns = now_ns()
-        self._before[:] = self._now
         self._verdicts[verdict] += 1
         round_trip = self._measure(tick.stamp_ns, sent_ns, written_ns)
         self._follow_up(tick, hand, requests, round_trip)
@@ -163,14 +174,31 @@ class MasterProcess(LoopProcess):
         finally:
             self._reads.add(now_ns() - begin_ns)
 
-    def _phase_input(self, dt: float, fault: Reason, requests: Requests) -> loop.PhaseInput:
-        states, now = self._states, now_ns()
-        age_ns = states.age_ns(now)
-        stop, reset = int(requests.stop), requests.reset
-        link = _CLOCK_SET if states.settles else self._link_reason
-        holds = states.settles or self._link_holds
-        return loop.PhaseInput(
-            states.is_there, age_ns, now, dt, int(fault), stop, reset, link, holds
+    def _run_phase(
+        self,
+        phase: Callable[..., R],
+        outputs: tuple[Any, ...],
+        settings: StructArray,
+        fault: Reason,
+        requests: Requests,
+        now: int,
+        dt: float,
+    ) -> R:
+        """Run a phase of the tick with what is known at the stamp `now`; return what it returns."""
+        states = self._states
+        tick_input = loop.TickInput(
+            dt,
+            now,
+            states.is_there,
+            states.age_ns(now),
+            int(fault),
+            int(requests.stop),
+            requests.reset,
+            _CLOCK_SET if states.settles else self._link_reason,
+            states.settles or self._link_holds,
+        )
+        return phase(
+            settings, self._memory, self._hands, states.packet.records, tick_input, *outputs
         )
 
     def _scaled(self, config: MasterConfig) -> MasterConfig:
@@ -180,27 +208,6 @@ class MasterProcess(LoopProcess):
             self._scaled_from = config, self._link_scale
             self._scaled_config = live_settings.scale_config(config, self._link_scale)
         return self._scaled_config
-
-    def _find_command(
-        self, settings: StructArray, dt: float, fault: Reason, requests: Requests
-    ) -> None:
-        """Run the first phase; again, from where it began, if it stalled."""
-        phase, late_ns = self._phase_input(dt, fault, requests), 0
-        for again in (False, True):
-            if again:
-                self._now[:] = self._before
-                phase = self._phase_input(dt + late_ns * 1e-9, fault, requests)
-            loop.run_command(
-                settings,
-                self._memory,
-                self._ticks,
-                self._states.packet.records,
-                phase,
-                self._command.records,
-            )
-            late_ns = now_ns() - phase.now_ns
-            if late_ns <= STALL_NS:
-                return
 
     def _await_answer(self, sent_ns: int, deadline_ns: int) -> None:
         """Wait for the state that answers the command of `sent_ns`.
@@ -228,53 +235,38 @@ class MasterProcess(LoopProcess):
         hand: HandState | None,
     ) -> int:
         """Find the force and write it to the device; return the gate's verdict."""
-        self._commanded[:] = self._now
+        self._checkpoint.save()
         is_new = self._states.stamp_ns != known_ns
-        verdict = self._find_force(settings, tick, fault, requests, is_new)
+        verdict = self._compute_force(settings, tick, fault, requests, is_new)
         begin_ns = now_ns()
         try:
             self._device.write(tuple(self._force[: self._device.axes].tolist()))
             self._writes.add(now_ns() - begin_ns)
         except DeviceFault as error:
-            self._now[:] = self._commanded
-            self._write_hand(None)
+            self._checkpoint.restore()
+            fill_hand_input(self._hands, None)
             failed = self._device_failed(error)
-            verdict = self._find_force(settings, tick, failed, requests, is_new=True)
-            self._write_hand(hand)
-            self._command_outline()
+            verdict = self._compute_force(settings, tick, failed, requests, is_new=True)
+            fill_hand_input(self._hands, hand)
+            self._publish_fault()
         return verdict
 
-    def _find_force(
+    def _compute_force(
         self, settings: StructArray, tick: Tick, fault: Reason, requests: Requests, is_new: bool
     ) -> int:
-        """Run the second phase; again, from where it began, if it stalled.
+        """Run the second phase; return the gate's verdict.
 
         The time of a stall before it, while the answer was waited for, counts as passed.
         """
-        verdict, dt, phase, late_ns = 0, tick.dt, self._phase_input(tick.dt, fault, requests), 0
-        waited_ns = phase.now_ns - tick.stamp_ns
+        outputs = is_new, self._force
+        compute = partial(self._run_phase, loop.compute_force, outputs, settings, fault, requests)
+        now, dt = now_ns(), tick.dt
+        waited_ns = now - tick.stamp_ns
         if waited_ns > STALL_NS + self._wait_ns:
             dt += waited_ns * 1e-9
-            phase = self._phase_input(dt, fault, requests)
-        for again in (False, True):
-            if again:
-                self._now[:] = self._commanded
-                phase = self._phase_input(dt + late_ns * 1e-9, fault, requests)
-            verdict = loop.run_force(
-                settings,
-                self._memory,
-                self._ticks,
-                self._states.packet.records,
-                phase,
-                is_new,
-                self._force,
-            )
-            late_ns = now_ns() - phase.now_ns
-            if late_ns <= STALL_NS:
-                break
-        return verdict
+        return self._checkpoint.run_step(compute, now, dt)
 
-    def _command_outline(self) -> None:
+    def _publish_fault(self) -> None:
         """Tell the slave of a fault found after the tick's command: there may be no next."""
         side, fields = self._outline(), self._command.records
         fields["state"], fields["reason"] = side
@@ -305,7 +297,7 @@ class MasterProcess(LoopProcess):
             age = self._states.age_ns(tick.stamp_ns)
             loop.fill_hand_message(
                 self._memory,
-                self._ticks,
+                self._hands,
                 -1 if age == NEVER_NS else age,
                 round_trip,
                 self._hand.records,
@@ -325,6 +317,7 @@ class MasterProcess(LoopProcess):
         if self._report(tick.stamp_ns, self._states):
             self._link.publish(LATENCY, self._meter.stages.message(Role.MASTER))
             self._warn([self._reads.take(), self._writes.take(), self._layout_difference()])
+        self._checkpoint.save()
 
     def _layout_difference(self) -> str:
         """Return, once, which axes of the device or joints of the rig have no counterpart."""
@@ -354,16 +347,14 @@ class MasterProcess(LoopProcess):
             return self._stop_text
         return self._away if side.reason is Reason.DEVICE_FAULT else ""
 
-    def _listen(self, now: int) -> Requests:
-        """Return what other processes ask for, having changed the settings that they want."""
-        requests = self._requests(now, self._outline.stops)
+    def _execute(self, requests: Requests) -> None:
+        """Note who calls for a stop, and change settings as other processes ask."""
         if requests.words and self._published.state is not State.STOPPED:  # the first caller's
             self._stop_text = requests.words
         for request in requests.settings:
-            self._change(request)
-        return requests
+            self._change_setting(request)
 
-    def _change(self, request: SettingRequest) -> None:
+    def _change_setting(self, request: SettingRequest) -> None:
         """Change a setting, or say why not."""
         try:
             self._live, text = live_settings.change_setting(self._live, request.key, request.value)
@@ -423,13 +414,14 @@ def main(args: argparse.Namespace) -> int:
 
 def warm_up() -> None:
     """Compile what the loop calls, before it has to be on time."""
-    memory, ticks = loop.init_master(1, 0), loop.TickInput.array()
+    memory, hands = loop.init_master(1, 0), HandInput.array()
     settings = SettingsRecord(MasterConfig(), DIRECT).records
-    state, command, hand = Packet(SlaveState), Packet(Command), Packet(Hand)
-    hand_input.fill_hand_input(ticks["hand"], HandState((0.0,), (0.0,), engage=False))
-    phase = loop.PhaseInput(False, NEVER_NS, 0, 1e-3)
-    loop.run_command(settings, memory, ticks, state.records, phase, command.records)
-    loop.run_force(settings, memory, ticks, state.records, phase, False, np.zeros(MAX_JOINTS))
-    loop.fill_hand_message(memory, ticks, -1, 0, hand.records)
+    state, command, message = Packet(SlaveState), Packet(Command), Packet(Hand)
+    fill_hand_input(hands, HandState((0.0,), (0.0,), engage=False))
+    tick_input = loop.TickInput(1e-3, 0, False, NEVER_NS)
+    inputs = settings, memory, hands, state.records, tick_input
+    loop.compute_command(*inputs, command.records)
+    loop.compute_force(*inputs, False, np.zeros(MAX_JOINTS))
+    loop.fill_hand_message(memory, hands, -1, 0, message.records)
     command.seal(0, 0, 0)
     compile_link_window_update()

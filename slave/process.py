@@ -17,7 +17,7 @@ from contextlib import ExitStack
 from functools import partial
 from typing import Any, NamedTuple
 
-from estimator.records import as_bytes, view_struct
+from estimator.records import view_struct
 from slave import loop, model_files
 from slave.calibration.initialise import initialise
 from slave.config import (
@@ -50,9 +50,10 @@ from teleop.messages.messages import SlaveState, TendonState
 from teleop.messages.packet import Packet
 from teleop.messages.topics import COMMAND, STATE, TENDONS, Role
 from teleop.remote.requests import RequestListener, Requests, call_stop
-from teleop.runtime.clock import STALL_NS, EventClock, Grid, Tick, now_ns
+from teleop.runtime.clock import EventClock, Grid, Tick, now_ns
 from teleop.runtime.process import StopCondition
 from teleop.runtime.realtime import use_ordinary_scheduling
+from teleop.session.checkpoint import Checkpoint
 from teleop.session.config import load_section
 from teleop.session.events import publish_event
 from teleop.session.loop_process import LoopProcess, answer_requests, report_outcome, run_session
@@ -109,12 +110,13 @@ class SlaveProcess(LoopProcess):
         self._motor = self._slave.memory["motor"][0]  # [m] that the gate let through
         self._has_motor = self._slave.memory["has_motor"]
         self._estimated, self._ticked = self._slave.estimated, self._slave.ticked
-        self._changing = [as_bytes(part) for part in (self._slave.memory, self._slave.estimators)]
-        self._before = [part.copy() for part in self._changing]
+        self._checkpoint = Checkpoint(self._slave.memory, self._slave.estimators)
         self._rows = EstimatedSample.array(ROWS_INITIAL)
         self._samples = 0
-        self._ahead: RigSample | None = None  # that the memory is estimated from already
-        self._is_estimated = False  # whether the rows of this tick are
+        self._next_sample: RigSample | None = (
+            None  # estimated from in advance, after the checkpoint
+        )
+        self._is_estimated = False  # whether the rows of this tick are, in advance
         self._commands = link.subscribe_latest(COMMAND, round(config.command_timeout * 1e9))
         self._echo_ns = self._commands.packet.records["echo_stamp_ns"]
         self._state, self._tendon_state = Packet(SlaveState), Packet(TendonState)
@@ -130,20 +132,17 @@ class SlaveProcess(LoopProcess):
         fault = self._read(time_s)
         commands = self._link.latest(COMMAND)
         now = now_ns()
-        requests = self._requests(now, self._outline.stops)
+        requests = self._requests(now, int(self._stops[0]))
         if requests.words and self._outline().state is not State.STOPPED:  # the first caller's
             self._telemetry.stop_text = requests.words
-        verdict = self._step(now, tick.dt, fault, requests)
-        late_ns = now_ns() - now
-        if late_ns > STALL_NS:
-            self._take_back()
-            verdict = self._step(now + late_ns, tick.dt + late_ns * 1e-9, fault, requests)
+        step = partial(self._step, fault, requests)
+        verdict = self._checkpoint.run_step(step, now, tick.dt)
         if fault is Reason.NONE:
             try:
                 self._move_rig()
             except RigFault as error:
-                self._take_back()
-                verdict = self._step(now_ns(), tick.dt, self._failed(error), requests)
+                self._checkpoint.restore()
+                verdict = self._step(self._rig_failed(error), requests, now_ns(), tick.dt)
         if commands.new:
             self._answer_ns[0] = now_ns() - commands.received_ns
         self._link.publish_packet(STATE, self._state)
@@ -192,15 +191,10 @@ class SlaveProcess(LoopProcess):
             self._emergency_stop()
             self._is_rig_stopped = True
 
-    def _take_back(self) -> None:
-        """Forget the tick that was just stepped, and what was estimated ahead for it."""
-        self._is_estimated = False
-        for now, before in zip(self._changing, self._before, strict=True):
-            now[:] = before
-
-    def _step(self, now: int, dt: float, fault: Reason, requests: Requests) -> int:
+    def _step(self, fault: Reason, requests: Requests, now: int, dt: float) -> int:
+        """Step the slave with what is known at the stamp `now`; return the gate's verdict."""
         commands = self._commands
-        given = TickInput(
+        tick_input = TickInput(
             dt,
             commands.is_there,
             commands.age_ns(now) <= self._timeout_ns,
@@ -216,12 +210,12 @@ class SlaveProcess(LoopProcess):
             estimate(*self._estimated, rows, samples)
         self._is_estimated = False
         return loop.run_tick(
-            *self._ticked, rows, samples, given, commands.packet.records, self._state.records
+            *self._ticked, rows, samples, tick_input, commands.packet.records, self._state.records
         )
 
     def _read(self, time_s: float) -> Reason:
         """Take over the rig's new samples; return what is wrong with it."""
-        ahead, self._ahead, self._samples = self._ahead, None, 0
+        expected, self._next_sample, self._samples = self._next_sample, None, 0
         samples: tuple[RigSample, ...] = ()
         fault = Reason.NONE
         begin_ns = now_ns()
@@ -233,13 +227,13 @@ class SlaveProcess(LoopProcess):
             self.ended = Reason.RIG_FINISHED.text
             fault = Reason.RIG_FINISHED
         except RigFault as error:
-            fault = self._failed(error)
+            fault = self._rig_failed(error)
         self._reads.add(now_ns() - begin_ns)
-        if ahead is not None:
-            if len(samples) == 1 and samples[0] is ahead:
+        if expected is not None:
+            if len(samples) == 1 and samples[0] is expected:
                 self._samples, self._is_estimated = 1, True
                 return fault
-            self._take_back()  # it was not given: it came too early or too late for that
+            self._checkpoint.restore()  # it was not given: the read came too early or too late
         if len(samples) > len(self._rows):  # behind a stall; it stays that long
             self._rows = EstimatedSample.array(2 * len(samples))
         for sample in samples:
@@ -247,7 +241,7 @@ class SlaveProcess(LoopProcess):
             self._samples += 1
         return fault
 
-    def _failed(self, error: RigFault) -> Reason:
+    def _rig_failed(self, error: RigFault) -> Reason:
         self._end(TeleopError(f"rig: {error}"))
         return Reason.RIG_FAULT
 
@@ -255,13 +249,12 @@ class SlaveProcess(LoopProcess):
         """Do what nobody waits for, once the answer is out; return how long the rig took [ns]."""
         slave, rows, samples = self._slave, self._rows, self._samples
         begin_ns = now_ns()
-        ahead = None if self.error or self.ended else self._advance_rig()
+        next_sample = None if self.error or self.ended else self._advance_rig()
         rig_ns = now_ns() - begin_ns
         loop.monitor_calibration(
             slave.settings, slave.layout, slave.watched, slave.memory, rows, samples
         )
-        for now, before in zip(self._changing, self._before, strict=True):
-            before[:] = now
+        self._checkpoint.save()
         side = self._outline()
         for k in range(samples):
             if self._link.skip_unsubscribed(TENDONS):
@@ -275,22 +268,22 @@ class SlaveProcess(LoopProcess):
         self._watch_link(tick.stamp_ns, self._commands, int(self._echo_ns[0]), 0)
         if self._report(tick.stamp_ns, self._commands):
             self._warn([self._reads.take(), self._writes.take()])
-        if ahead is not None:
-            self._estimate_ahead(ahead)
+        if next_sample is not None:
+            self._estimate_ahead(next_sample)
         return rig_ns
 
     def _estimate_ahead(self, sample: RigSample) -> None:
         """Estimate from the sample that the rig gives next; last, as the memory then has it."""
         fill_sample(self._rows, 0, sample)
         estimate(*self._estimated, self._rows, 1)
-        self._ahead = sample
+        self._next_sample = sample
 
     def _advance_rig(self) -> RigSample | None:
         try:
             return self._rig.advance()
         except RigFault as error:  # told at once: there is no next tick
             self._samples = 0
-            self._step(now_ns(), 0.0, self._failed(error), Requests())
+            self._step(self._rig_failed(error), Requests(), now_ns(), 0.0)
             self._link.publish_packet(STATE, self._state)
             return None
 

@@ -153,7 +153,7 @@ class Teleoperator:
         self._master_settings = build_master_settings(configs.master, bilateral)
         self._master = master_loop.init_master(1, EPOCH)
         self.master: master_loop.MasterState = view_struct(self._master)
-        self._inputs = master_loop.TickInput.array()
+        self._hands = hand_input.HandInput.array()
         self._force = np.zeros(MAX_JOINTS)  # [N]
         self._slave = slave_loop.init_slave(
             model, configs.slave, slave_bilateral or bilateral, False
@@ -188,17 +188,17 @@ class Teleoperator:
 
     def _master_tick(self, hand: HandState, now: int) -> None:
         latest = self._states.newest(now)
-        hand_input.fill_hand_input(self._inputs["hand"], hand)
-        phase_input = master_loop.PhaseInput(latest.is_there, latest.age_ns(now), now, DT)
+        hand_input.fill_hand_input(self._hands, hand)
+        tick_input = master_loop.TickInput(DT, now, latest.is_there, latest.age_ns(now))
         known = (
             self._master_settings,
             self._master,
-            self._inputs,
+            self._hands,
             latest.packet.records,
-            phase_input,
+            tick_input,
         )
-        master_loop.run_command(*known, self._command.records)
-        master_loop.run_force(*known, False, self._force)
+        master_loop.compute_command(*known, self._command.records)
+        master_loop.compute_force(*known, False, self._force)
         self._commands.send(self._command, now)
 
     def _slave_tick(self, samples: Sequence[RigSample], now: int) -> None:

@@ -80,6 +80,7 @@ class LoopProcess(ABC):
         self.ended = ""
         self._link = link
         self._outline = OutlineReader(memory["session"])
+        self._stops = memory["session"]["stops"]
         self._ledger = LedgerPublisher(self.role, memory["coupling"], joints)
         self._requests = requests or RequestListener(link)
         self._meter = LoopMeter(self.role, stats)
@@ -123,7 +124,7 @@ class LoopProcess(ABC):
         self._requests.relay(self.role, side, requests.words)
         if self._requests.is_asked:
             answer_requests(
-                self._link, self._requests, self.role, side, self._outline.stops, latest, now
+                self._link, self._requests, self.role, side, int(self._stops[0]), latest, now
             )
 
     def _warn(self, texts: Iterable[str]) -> None:

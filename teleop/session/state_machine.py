@@ -197,9 +197,7 @@ class OutlineReader:
     """
 
     def __init__(self, sessions: StructArray) -> None:
-        self._state, self._reason, self._stops = (
-            sessions[name] for name in ("state", "reason", "stops")
-        )
+        self._state, self._reason = sessions["state"], sessions["reason"]
         self._sessions, self._numbers = sessions, (-1, -1)
         self._outline = SessionOutline()
 
@@ -210,11 +208,6 @@ class OutlineReader:
             self._numbers = numbers
             self._outline = to_outline(view_struct(self._sessions))
         return self._outline
-
-    @property
-    def stops(self) -> int:
-        """Number of stops so far."""
-        return int(self._stops[0])
 
 
 @jit_compile

@@ -18,10 +18,15 @@ def message_records(cls: type[Message]) -> Any:
 
 def message_record(message: Message) -> Any:
     """Return a message as a record."""
+    return view_struct(to_message_records(message))
+
+
+def to_message_records(message: Message) -> Any:
+    """Return a message as an array of one record."""
     records = message_records(type(message))
     for name in records.dtype.names:
         records[name] = getattr(message, name)
-    return view_struct(records)
+    return records
 
 
 def hand_record(hand: Any) -> Any:

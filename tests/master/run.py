@@ -10,13 +10,13 @@ from master.config import MasterConfig
 from master.device import HandState
 from master.feedback import FeedbackConfig
 from master.gate import GateConfig
-from master.hand_input import fill_hand_input
+from master.hand_input import HandInput, fill_hand_input
 from master.settings_record import SettingsRecord
 from teleop.coupling import Bilateral
 from teleop.messages.messages import MAX_JOINTS, Command, SlaveState, pad_values
 from teleop.session import state_machine
 from teleop.session.state_machine import Reason, State
-from tests.master.records import message_record, message_records
+from tests.master.records import message_records, to_message_records
 
 MS = 1_000_000
 EPOCH = 1_700_000_000 * 10**9
@@ -59,10 +59,11 @@ class Run:
     def __init__(self, config=CONFIG, bilateral=DIRECT, axes=1):
         self.config, self.now, self.axes = config, EPOCH, axes
         self._settings = SettingsRecord(config, bilateral)
-        self.memory = view_struct(loop.init_master(axes, self.now))
-        self._inputs = loop.TickInput.array()
-        self.input = view_struct(self._inputs)
-        self._state = view_struct(message_records(SlaveState))
+        self.memories = loop.init_master(axes, self.now)
+        self.memory = view_struct(self.memories)
+        self.hands = HandInput.array()
+        self.input = loop.TickInput(1e-3, self.now, False, 0)
+        self._states = message_records(SlaveState)
         self.output: Any = None
 
     def tick(
@@ -80,20 +81,16 @@ class Run:
     ):
         """Run both phases; the second one `wait` ns later, with the state `later` if there is."""
         self.now += MS
-        settings = self.settings
-        tick = self.input
-        fill_hand_input(self._inputs["hand"], the_hand)
-        tick.dt, tick.fault, tick.stop, tick.reset = dt, fault, stop, reset
+        fill_hand_input(self.hands, the_hand)
+        self.input = loop.TickInput(dt, self.now, False, 0, int(fault), int(stop), reset)
         self._receive(state, age, self.now)
         out, force = message_records(Command), np.zeros(MAX_JOINTS)
-        loop.compute_command(settings, self.memory, tick, self._state, view_struct(out))
+        loop.compute_command(*self.inputs, out)
         if later is None:
             self._receive(state, age + wait, self.now + wait)
         else:
             self._receive(later, later_age, self.now + wait)
-        verdict = loop.compute_force(
-            settings, self.memory, tick, self._state, later is not None, force
-        )
+        verdict = loop.compute_force(*self.inputs, later is not None, force)
         assert not force[self.axes :].any()
         self.output = Output(
             Command(**{n: self._value(out[n][0]) for n in out.dtype.names}),
@@ -115,8 +112,10 @@ class Run:
         return self
 
     @property
-    def settings(self):
-        return view_struct(self._settings.update(self.config))
+    def inputs(self):
+        """First arguments of both phases."""
+        settings = self._settings.update(self.config)
+        return settings, self.memories, self.hands, self._states, self.input
 
     @property
     def session(self):
@@ -127,10 +126,9 @@ class Run:
         return self.session.state
 
     def _receive(self, state, age, now):
-        self.input.has_state = state is not None
-        self.input.state_age_ns, self.input.now_ns = age, now
+        self.input = self.input._replace(has_state=state is not None, state_age_ns=age, now_ns=now)
         if state is not None:
-            self._state = message_record(state)
+            self._states = to_message_records(state)
 
     @staticmethod
     def _value(value):

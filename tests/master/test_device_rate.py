@@ -113,7 +113,7 @@ def pressed(config, rate_hz, every, late=0):
         delay_max=0.5,
     )
     settings = SettingsRecord(master, bilateral).records
-    memories, ticks = loop.init_master(1, EPOCH), loop.TickInput.array()
+    memories, hands = loop.init_master(1, EPOCH), hand_input.HandInput.array()
     memory, slave = view_struct(memories), Wall(bilateral)
     states, commands = message_records(SlaveState), message_records(Command)
     dt = 1.0 / (rate_hz * every)
@@ -129,9 +129,9 @@ def pressed(config, rate_hz, every, late=0):
             x, v = advance_hand(ARM, x, v, time_s, float(force[0]), dt / steps)
         gained += float(force[0]) * (x - before)
         engage = time_s >= ENGAGED_S
-        hand_input.fill_hand_input(ticks["hand"], HandState((x,), (v,), engage))
-        told = loop.PhaseInput(has_state, now - received, now, dt)
-        loop.run_command(settings, memories, ticks, states, told, commands)
+        hand_input.fill_hand_input(hands, HandState((x,), (v,), engage))
+        given = loop.TickInput(dt, now, has_state, now - received)
+        loop.compute_command(settings, memories, hands, states, given, commands)
         if k % every == 0:
             commands["stamp_ns"] = now
             there.append((k + late, commands[0].copy()))
@@ -143,10 +143,10 @@ def pressed(config, rate_hz, every, late=0):
                 states[name] = value
             is_new = has_state = True
             received = now
-        told = loop.PhaseInput(has_state, now - received, now, dt)
-        loop.run_force(settings, memories, ticks, states, told, is_new, force)
+        given = loop.TickInput(dt, now, has_state, now - received)
+        loop.compute_force(settings, memories, hands, states, given, is_new, force)
         near, far = memory.coupling.ports[0], slave.side.ports[0]
-        given = near.put_in + far.put_in + near.granted + far.granted
+        put_in = near.put_in + far.put_in + near.granted + far.granted
         rows.append(
             (
                 time_s,
@@ -154,7 +154,7 @@ def pressed(config, rate_hz, every, late=0):
                 float(force[0]),
                 float(states["force"][0][0]),
                 min(near.credit, far.credit),
-                given - near.taken_out - far.taken_out,
+                put_in - near.taken_out - far.taken_out,
                 gained / SCALE,
             )
         )

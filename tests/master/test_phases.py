@@ -8,16 +8,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from estimator.records import view_struct
 from master import loop
 from master.config import MasterConfig
 from master.device import HandState
 from master.gate import GateConfig, GateFlags
+from master.hand_input import fill_hand_input
 from teleop.coupling import Bilateral, PassivityConfig, WaveConfig
 from teleop.messages.messages import Command, Hand
 from teleop.session import state_machine
 from teleop.session.state_machine import Reason, State
-from tests.master.records import hand_record, message_record, message_records
+from tests.master.records import message_records
 from tests.master.run import CONFIG, MS, Run, answer, hand
 
 
@@ -191,9 +191,8 @@ def test_what_listeners_are_told_is_the_hand_and_the_force_on_it():
     run = Run().engaged()
     force = run.answered(hand()).force
     out = message_records(Hand)
-    loop.write_hand_message(
-        run.memory, hand_record(hand(0.01, velocity=0.5)), 7, 9, view_struct(out)
-    )
+    fill_hand_input(run.hands, hand(0.01, velocity=0.5))
+    loop.fill_hand_message(run.memories, run.hands, 7, 9, out)
     (told,) = out
     assert told["position"].tolist() == [0.01, *[0.0] * 7]
     assert told["velocity"].tolist() == [0.5, *[0.0] * 7]
@@ -210,8 +209,7 @@ def test_a_command_is_written_whole_whatever_was_in_it():
         out = message_records(Command)
         for name in out.dtype.names:
             out[name] = filled
-        state = message_record(answer(run.now))
-        loop.compute_command(run.settings, run.memory, run.input, state, view_struct(out))
+        loop.compute_command(*run.inputs, out)
         found.append([out[name].tolist() for name in out.dtype.names[5:]])
     assert found[0] == found[1]
 

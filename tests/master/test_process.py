@@ -463,7 +463,7 @@ def freezing(monkeypatch, phase, at, decided, what):
 
 def test_a_process_that_froze_after_it_decided_decides_again(monkeypatch):
     decided = []
-    freezing(monkeypatch, "run_force", (30,), decided, lambda args: args[-1][0])
+    freezing(monkeypatch, "compute_force", (30,), decided, lambda args: args[-1][0])
     device = Stylus()
     driven(device)
     assert decided[29] < -0.1
@@ -473,7 +473,7 @@ def test_a_process_that_froze_after_it_decided_decides_again(monkeypatch):
 
 def test_one_that_froze_twice_remembers_the_force_that_it_wrote(monkeypatch):
     decided = []
-    freezing(monkeypatch, "run_force", (30, 31), decided, lambda args: args[-1][0])
+    freezing(monkeypatch, "compute_force", (30, 31), decided, lambda args: args[-1][0])
     device = Stylus()
     _, line, _ = driven(device)
     assert [hand.force[0] for hand in line.of(HAND)] == [force for (force,) in device.forces[:-1]]
@@ -481,7 +481,7 @@ def test_one_that_froze_twice_remembers_the_force_that_it_wrote(monkeypatch):
 
 def test_one_that_froze_before_it_commanded_commands_what_it_then_knows(monkeypatch):
     decided = []
-    freezing(monkeypatch, "run_command", (30,), decided, lambda args: args[-1]["state"][0])
+    freezing(monkeypatch, "compute_command", (30,), decided, lambda args: args[-1]["state"][0])
     device = Stylus()
     _, line, _ = driven(device)
     assert decided[29] == State.ENGAGED
@@ -499,7 +499,7 @@ class LetGo(Stylus):
 
 
 def test_a_hand_that_let_go_is_without_force_in_that_tick_though_both_decisions_froze(monkeypatch):
-    freezing(monkeypatch, "run_command", (30, 31), [], lambda _: None)
+    freezing(monkeypatch, "compute_command", (30, 31), [], lambda _: None)
     device = LetGo()
     _, line, _ = driven(device)
     assert device.forces[28][0] < -0.1
