@@ -44,9 +44,14 @@ from teleop.session.checkpoint import Checkpoint
 from teleop.session.config import load_section
 from teleop.session.events import publish_event
 from teleop.session.loop_process import LoopProcess, report_outcome, run_session
-from teleop.session.meter import format_reason
 from teleop.session.slow_calls import SlowCallMonitor
-from teleop.session.state_machine import OutlineReader, Reason, SessionOutline, State
+from teleop.session.state_machine import (
+    DetailedReason,
+    OutlineReader,
+    Reason,
+    SessionOutline,
+    State,
+)
 
 R = TypeVar("R")
 
@@ -338,7 +343,7 @@ class MasterProcess(LoopProcess):
 
     def _publish_session(self, side: SessionOutline) -> None:
         self._published = side
-        text = format_reason(side.reason, self._detail(side))
+        text = DetailedReason(side.reason, self._detail(side)).text
         publish_event(self._link, Role.MASTER, side, f"{side.state.name.lower()}: {text}")
 
     def _detail(self, side: SessionOutline) -> str:

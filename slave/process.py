@@ -14,8 +14,9 @@ rig has none; it must be reset before the operator engages again.
 import argparse
 from collections.abc import Sequence
 from contextlib import ExitStack
+from dataclasses import replace
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple, cast
 
 from estimator.records import view_struct
 from slave import loop, model_files
@@ -57,10 +58,9 @@ from teleop.session.checkpoint import Checkpoint
 from teleop.session.config import load_section
 from teleop.session.events import publish_event
 from teleop.session.loop_process import LoopProcess, answer_requests, report_outcome, run_session
-from teleop.session.meter import format_reason
 from teleop.session.slow_calls import SlowCallMonitor
-from teleop.session.state_machine import Reason, SessionOutline, State
-from teleop.session.summary import format_force_error
+from teleop.session.state_machine import DetailedReason, Reason, SessionOutline, State
+from teleop.session.summary import ForceError, LoopSummary, RigSummary
 
 CALIBRATION_ABORTED = "calibration given up: "
 ROWS_INITIAL = 32  # samples that a tick takes at first; more are made room for
@@ -167,12 +167,11 @@ class SlaveProcess(LoopProcess):
         self._link.publish_packet(STATE, self._state)
         publish_event(self._link, Role.SLAVE, last, f"off: {self.ended or 'ended'}")
 
-    def summary(self) -> dict[str, Any]:
-        """Return the run in numbers."""
-        return super().summary() | {
-            "force_error": self._score.summary(),
-            "rig": self._rig.summary(),
-        }
+    def summary(self) -> LoopSummary:
+        """Return the figures of the run."""
+        force_error = cast("ForceError | None", self._score.summary())
+        rig = RigSummary(force_error, self._rig.summary())
+        return replace(super().summary(), rig=rig)
 
     def _move_rig(self) -> None:
         """Write the gated positions, if there are any; in an emergency stop use the motors' own.
@@ -322,11 +321,9 @@ def main(args: argparse.Namespace) -> int:
 
     slave, summary = run_session(Role.SLAVE, shared, start)
     if isinstance(config.rig, SimulatedRigConfig):
-        for line in format_late_effects(config.rig.effects, summary["seconds"]):
+        for line in format_late_effects(config.rig.effects, summary.seconds):
             print(line, flush=True)
-    return report_outcome(
-        args, slave, summary, [f"force     {format_force_error(summary['force_error'])}"]
-    )
+    return report_outcome(args, slave, summary)
 
 
 def prepare_rig_model(
@@ -370,7 +367,7 @@ def prepare_rig_model(
         if asked.stop:
             call_stop(link, Role.SLAVE, asked.words or asked.stop.text)
             stop_motors(
-                rig, said := f"{CALIBRATION_ABORTED}{format_reason(asked.stop, asked.words)}"
+                rig, said := f"{CALIBRATION_ABORTED}{DetailedReason(asked.stop, asked.words).text}"
             )
             done = SessionOutline(State.STOPPED, asked.stop)
             if requests.is_asked:

@@ -19,8 +19,13 @@ from teleop.messages.messages import PROFILE_POINTS, TensionProfile
 from teleop.messages.packet import Packet
 from teleop.messages.topics import PROFILE, SHEATH, Role
 from teleop.session.events import publish_event
-from teleop.session.meter import format_reason
-from teleop.session.state_machine import OutlineReader, Reason, SessionOutline, State
+from teleop.session.state_machine import (
+    DetailedReason,
+    OutlineReader,
+    Reason,
+    SessionOutline,
+    State,
+)
 
 PROFILE_PERIOD_S = 0.02  # T(x) of one tendon; the viewer shows no more
 PROFILE_PERIOD_MIN_S = 0.005  # least period between two of them, for any number of tendons
@@ -66,7 +71,7 @@ class Telemetry:
         now = side, self.detail
         if now != before:
             self._published = now
-            text = f"{side.state.name.lower()}: {format_reason(side.reason, self.detail)}"
+            text = f"{side.state.name.lower()}: {DetailedReason(side.reason, self.detail).text}"
             publish_event(self._link, Role.SLAVE, side, text)
         advice = int(self._now["advice"][0])
         if advice != self._advice:

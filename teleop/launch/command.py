@@ -18,9 +18,9 @@ import argparse
 import json
 import signal
 from contextlib import ExitStack
+from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
-from typing import Any
 
 from teleop.config.loading import load
 from teleop.config.options import add_option, add_options
@@ -45,9 +45,9 @@ from teleop.runtime.process import (
 from teleop.runtime.scratch_folder import ScratchFolder
 from teleop.runtime.status_line import StatusLine
 from teleop.session import own_endpoints
-from teleop.session import summary as summaries
 from teleop.session.config import RateCheckedSection, RunConfig
 from teleop.session.running_sessions import register_session
+from teleop.session.summary import SessionSummary, find_fault, read_child_summary
 from teleop.view.config import ViewConfig
 from teleop.view.ports import hold_port
 
@@ -174,18 +174,14 @@ def _compile_master() -> None:
     import_module("master.process").warm_up()
 
 
-def _report_outcome(
-    summary: dict[str, Any],
-    path: Path | None,
-    console: Console | None = None,
-) -> int:
+def _report_outcome(summary: SessionSummary, path: Path | None, console: Console) -> int:
     """Write and print the summary; return the exit code, or raise what ended the session."""
-    began = summaries.has_run(summary.get("master"))
-    write_summary(path, summary)
-    (console or Console(StatusLine())).summarise(summary)
-    if summary["exit_code"]:
-        raise TeleopError(summary["reason"])
-    return 0 if began else to_exit_code(summary["reason"])
+    write_summary(path, summary.to_json())
+    console.summarise(summary)
+    if summary.exit_code:
+        raise TeleopError(summary.reason)
+    began = any(loop.role is Role.MASTER for loop in summary.loops)
+    return 0 if began else to_exit_code(summary.reason)
 
 
 def _build_rig_overrides(args: argparse.Namespace) -> list[str]:
@@ -210,23 +206,24 @@ def _describe_recorder_fault(family: Supervisor) -> str:
     return f"recorder: {child.complaint or f'ended {child.how()}; its last messages are missing'}"
 
 
-def _combine_summaries(family: Supervisor, ended: Child | None, reason: str) -> dict[str, Any]:
+def _combine_summaries(family: Supervisor, ended: Child | None, reason: str) -> SessionSummary:
     """Combine the children's summaries and decide the exit code."""
-    out: dict[str, Any] = {
-        name: summaries.read_child_summary(child.summary)
-        for name, child in family.children.items()
-        if child.exit_code not in _STARTUP_EXIT_CODES
-    }
-    out["reason"] = reason
-    out["exit_code"] = 0
-    if ended is not None:
-        out["reason"] = ended.complaint or f"{ended.name} ended {ended.how()}"
-        if ended.exit_code == UsageError.exit_code:
-            raise UsageError(out["reason"])
-        out["exit_code"] = TeleopError.exit_code if ended.exit_code else 0
-    trouble = (
-        "" if out["exit_code"] else summaries.find_fault(out) or _describe_recorder_fault(family)
+    summary = SessionSummary(
+        {
+            name: read_child_summary(name, child.summary)
+            for name, child in family.children.items()
+            if child.exit_code not in _STARTUP_EXIT_CODES
+        },
+        reason,
     )
-    if trouble:
-        out |= {"reason": trouble, "exit_code": TeleopError.exit_code}
-    return out
+    if ended is not None:
+        reason = ended.complaint or f"{ended.name} ended {ended.how()}"
+        if ended.exit_code == UsageError.exit_code:
+            raise UsageError(reason)
+        summary = replace(summary, reason=reason)
+        if ended.exit_code:
+            return replace(summary, exit_code=TeleopError.exit_code)
+    fault = find_fault(summary.loops) or _describe_recorder_fault(family)
+    if fault:
+        return replace(summary, reason=fault, exit_code=TeleopError.exit_code)
+    return summary

@@ -18,8 +18,8 @@ from teleop.link.health import format_link_health
 from teleop.messages.messages import Latency, LinkReport, LoopReport, SlaveState
 from teleop.messages.topics import Role
 from teleop.runtime.status_line import StatusLine
-from teleop.session import summary as summaries
 from teleop.session.state_machine import Reason, State
+from teleop.session.summary import SessionSummary, build_loop_figures, format_summary
 
 # --- single keys of the launcher's terminal: space is the emergency stop
 
@@ -129,52 +129,26 @@ class Console:
     def _print(self, source: str, line: str) -> None:
         self.status.say(f"{self._clock()} [{source}] {line}")
 
-    def summarise(self, summary: Mapping[str, Any]) -> None:
+    def summarise(self, summary: SessionSummary) -> None:
         """Print the summary of the session: in a terminal its loops as a table."""
         if self.status.live:
             table = build_summary_table(summary)
             if table.row_count:
                 self.status.say(table)
-        for line in summaries.format_summary(summary, with_loops=not self.status.live):
+        for line in format_summary(summary, with_loops=not self.status.live):
             self.status.say(line)
 
 
-def build_summary_table(summary: Mapping[str, Any]) -> Table:
+def build_summary_table(summary: SessionSummary) -> Table:
     """Return the figures of both loops as a table; without rows if none ran."""
     table = Table(title="Session")
     table.add_column("")
-    loops = {
-        role: loop
-        for role in ("slave", "master")
-        if (loop := summary.get(role)) is not None and summaries.has_run(loop)
-    }
-    for role in loops:
-        table.add_column(role, justify="right")
-    rows = {name: [cell(loop) for loop in loops.values()] for name, cell in _ROWS.items()}
-    for name, cells in rows.items() if loops else ():
-        table.add_row(name, *cells)
+    for loop in summary.loops:
+        table.add_column(loop.role.name.lower(), justify="right")
+    columns = [build_loop_figures(loop) for loop in summary.loops]
+    for name in columns[0] if columns else ():
+        table.add_row(name, *(figures[name] for figures in columns))
     return table
-
-
-def _format_engaged_time(loop: Mapping[str, Any]) -> str:
-    seconds = loop["ticks_in"]["engaged"] / (loop["ticks"] or 1) * loop["seconds"]
-    return f"{seconds:.1f} s"
-
-
-_ROWS: dict[str, Callable[[Mapping[str, Any]], str]] = {
-    "rate": lambda loop: f"{loop['rate_hz']:.1f} Hz",
-    "duration": lambda loop: f"{loop['seconds']:.1f} s",
-    "engaged": _format_engaged_time,
-    "overruns": lambda loop: str(loop["overruns"]),
-    "latest tick": lambda loop: f"{loop['lateness_max_ms']:.2f} ms",
-    "work, median": lambda loop: f"{loop['work_us']['p50'] or 0:.0f} us",
-    "work, 99 %": lambda loop: f"{loop['work_us']['p99'] or 0:.0f} us",
-    "received": lambda loop: str(loop["received"]),
-    "lost": lambda loop: str(loop["lost"]),
-    "rejected": lambda loop: str(sum(loop["rejected"].values())),
-    "faults": lambda loop: str(len(loop["faults"])),
-    "last fault": lambda loop: loop["faults"][-1] if loop["faults"] else "none",
-}
 
 
 def format_status(

@@ -17,14 +17,14 @@ follows.
 
 from collections import deque
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from estimator.compiled import jit_compile
 from estimator.records import I64, Flag, Struct, StructArray, view_struct
 from teleop.link.reception import DRIFT, NEVER_NS, MessageCounts
 from teleop.messages.messages import LinkReport
 from teleop.messages.topics import Role
-from teleop.runtime.timing import Durations
+from teleop.runtime.timing import Durations, Percentiles
 from teleop.session.state_machine import Reason, to_reason
 
 WINDOW_NS = 1_000_000_000  # [ns] of the bounds of the offset, which drift apart in longer ones
@@ -231,6 +231,22 @@ def _find_exceeded_bounds(
     return [reason for _, reason in sorted(excess, reverse=True)]
 
 
+@dataclass(frozen=True, slots=True)
+class LinkSummary:
+    """Figures of a side's link over a whole run."""
+
+    round_trip_ms: Percentiles
+    jitter_ms: Percentiles
+    offset_ms: float | None  # of the peer's clock; None = not known
+    uncertainty_ms: float | None  # of the offset
+    loss: float  # fraction of the peer's messages
+    repeated: int
+    out_of_order: int
+    clock_jumps: int
+    scaled_s: float  # [s] with force and motion scaled down
+    held_s: float  # [s] in which the session held
+
+
 class LinkHealth:
     """Health of one side's link: the window, the counts of the last second, the decision.
 
@@ -302,23 +318,21 @@ class LinkHealth:
             clock_jumps=counts.clock_jumps,
         )
 
-    def summary(self, counts: MessageCounts) -> dict[str, Any]:
-        """Return the run in numbers."""
-        figures = self.figures
-        return {
-            "round_trip_ms": self.round_trip.percentiles(1e-6),
-            "jitter_ms": self.jitter.percentiles(1e-6),
-            "offset_ms": None if figures.offset_ns is None else figures.offset_ns * 1e-6,
-            "uncertainty_ms": None
-            if figures.uncertainty_ns is None
-            else figures.uncertainty_ns * 1e-6,
-            "loss": counts.lost / max(counts.lost + counts.received, 1),
-            "repeated": counts.repeated,
-            "out_of_order": counts.out_of_order,
-            "clock_jumps": counts.clock_jumps,
-            "scaled_s": self.scaled_s,
-            "held_s": self.held_s,
-        }
+    def summary(self, counts: MessageCounts) -> LinkSummary:
+        """Return the figures of the whole run."""
+        offset_ns, uncertainty_ns = self.figures.offset_ns, self.figures.uncertainty_ns
+        return LinkSummary(
+            round_trip_ms=self.round_trip.percentiles(1e-6),
+            jitter_ms=self.jitter.percentiles(1e-6),
+            offset_ms=None if offset_ns is None else offset_ns * 1e-6,
+            uncertainty_ms=None if uncertainty_ns is None else uncertainty_ns * 1e-6,
+            loss=counts.lost / max(counts.lost + counts.received, 1),
+            repeated=counts.repeated,
+            out_of_order=counts.out_of_order,
+            clock_jumps=counts.clock_jumps,
+            scaled_s=self.scaled_s,
+            held_s=self.held_s,
+        )
 
 
 def _encode_optional(value: int | None) -> int:

@@ -1,6 +1,7 @@
 """Duration statistics of a whole run and since the last report, in constant memory."""
 
 from array import array
+from dataclasses import dataclass
 from typing import NamedTuple
 
 _FINE_NS, _FINE = 1_000, 100_000  # bins up to 0.1 s
@@ -16,6 +17,17 @@ class Span(NamedTuple):
     p99: int = 0
     p99_9: int = 0
     largest: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Percentiles:
+    """Durations of a whole run, in a unit of its field's name; None without values."""
+
+    n: int = 0
+    p50: float | None = None
+    p99: float | None = None
+    p99_9: float | None = None
+    max: float | None = None
 
 
 class Durations:
@@ -57,14 +69,12 @@ class Durations:
             seen += self._bins[index]
         return min(index, _FINE) * _FINE_NS + max(index - _FINE, 0) * _COARSE_NS
 
-    def percentiles(self, unit: float) -> dict[str, float | int | None]:
+    def percentiles(self, unit: float) -> Percentiles:
         """Return the count, p50, p99, p99.9 and largest; `unit` converts from nanoseconds."""
-        out: dict[str, float | int | None] = {"n": self.count}
-        for name, percent in (("p50", 50.0), ("p99", 99.0), ("p99_9", 99.9)):
-            value = self.percentile_ns(percent)
-            out[name] = None if value is None else value * unit
-        out["max"] = self._largest * unit if self.count else None
-        return out
+        values = [self.percentile_ns(percent) for percent in (50.0, 99.0, 99.9)]
+        p50, p99, p99_9 = (None if value is None else value * unit for value in values)
+        largest = self._largest * unit if self.count else None
+        return Percentiles(self.count, p50, p99, p99_9, largest)
 
     def take_span(self) -> Span:
         """Return the durations since the last call, and start a new span."""

@@ -3,7 +3,7 @@
 import argparse
 from abc import ABC, abstractmethod
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from contextlib import ExitStack
 from dataclasses import replace
 from enum import IntFlag
@@ -31,7 +31,7 @@ from teleop.session.state_machine import (
     to_known_state,
     to_reason,
 )
-from teleop.session.summary import find_fault, format_loop
+from teleop.session.summary import LoopSummary, find_fault, format_loop, format_rig
 
 PEER_TIMEOUT_NS = 1_000_000_000  # [ns] without a message, after which a peer is not connected
 # messages without a tag between two reports; fewer are of a process that just starts
@@ -100,12 +100,12 @@ class LoopProcess(ABC):
     def close(self) -> None:
         """Leave the actuators safe and tell the peers; called however the loop ends."""
 
-    def summary(self) -> dict[str, Any]:
-        """Return the run in numbers."""
+    def summary(self) -> LoopSummary:
+        """Return the figures of the run."""
         verdicts = {str(self.verdict(bits).name): n for bits, n in self._verdicts.items()}
         counts = self._link.counts()
-        summary = self._meter.summary(self._outline(), counts, verdicts)
-        return summary | {"link": self._health.summary(counts)}
+        link = self._health.summary(counts)
+        return self._meter.summary(self._outline(), counts, verdicts, link)
 
     def publish_end(self) -> None:
         """Publish the last report, from which a recorder sees whether it has everything."""
@@ -231,7 +231,7 @@ def run_session(
     role: Role,
     shared: RunConfig,
     start: Callable[[Link, RequestListener, ExitStack], StartedProcess[Process]],
-) -> tuple[Process, dict[str, Any]]:
+) -> tuple[Process, LoopSummary]:
     """Join the session, `start` the process with its hardware, and run it to its end.
 
     Returns the process and its summary.
@@ -247,21 +247,16 @@ def run_session(
         enter_loop(granted, shared.realtime)
         run(process, clock, stop.request)
         summary = process.summary()
-    return process, summary | {"stopped": stop.reason, "realtime": granted}
+    return process, replace(summary, stopped=stop.reason, realtime=tuple(granted))
 
 
-def report_outcome(
-    args: argparse.Namespace,
-    process: LoopProcess,
-    summary: dict[str, Any],
-    further: Sequence[str] = (),
-) -> int:
+def report_outcome(args: argparse.Namespace, process: LoopProcess, summary: LoopSummary) -> int:
     """Write and print the summary; return the exit code, or raise what ended the session."""
-    write_summary(args.json, summary)
+    write_summary(args.json, summary.to_json())
     if not is_supervised():
-        print("\n".join([*format_loop(summary), *further]))
+        print("\n".join([*format_loop(summary), *format_rig(summary)]))
     if process.error:
         raise process.error
-    if not is_supervised() and (ended := find_fault({process.role.name.lower(): summary})):
+    if not is_supervised() and (ended := find_fault([summary])):
         raise TeleopError(ended)
     return 0

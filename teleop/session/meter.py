@@ -2,14 +2,15 @@
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 from teleop.link import REJECTION_COUNTERS, MessageCounts
+from teleop.link.health import LinkSummary
 from teleop.messages.messages import STAGE_NAMES, Latency, LoopReport
 from teleop.messages.topics import Role
 from teleop.runtime.clock import TickStats, now_ns
-from teleop.runtime.timing import Durations
-from teleop.session.state_machine import Reason, SessionOutline, State
+from teleop.runtime.timing import Durations, Percentiles
+from teleop.session.state_machine import DetailedReason, Reason, SessionOutline, State
+from teleop.session.summary import LoopSummary
 
 # --- durations of the stages from hand to force
 
@@ -37,7 +38,7 @@ class StageMeter:
             max_ns=tuple(span.largest for span in spans),
         )
 
-    def summary(self) -> dict[str, dict[str, Any]]:
+    def summary(self) -> dict[str, Percentiles]:
         """Return percentiles [us] of the whole run, by the stages' names."""
         return {
             name: stage.percentiles(1e-3)
@@ -62,27 +63,27 @@ class LoopMeter:
         self._ticks = 0
         self._since_ns = now_ns()
         self._in_state: Counter[State] = Counter()  # ticks
-        self._faults: list[str] = []
-        self._pending = ""  # the fault since the last engagement
+        self._faults: list[DetailedReason] = []
+        self._pending: DetailedReason | None = None  # the fault since the last engagement
         self._state = State.OFF
-        self._words = self._not_usable = Reason.NOT_USABLE.text
+        self._reason = self._not_usable = DetailedReason(Reason.NOT_USABLE)
 
     def tick(self, side: SessionOutline, work_ns: int, detail: str = "") -> None:
         """Add one tick that left the session at `side` and took `work_ns` [ns].
 
         `detail` of the session's reason: which tendon, or why it is not usable.
         """
-        self._words = format_reason(side.reason, detail)
+        self._reason = DetailedReason(side.reason, detail)
         if side.reason is Reason.NOT_USABLE:
-            self._not_usable = self._words
+            self._not_usable = self._reason
         self.work.add(work_ns)
         self._in_state[side.state] += 1
         if side.state is State.FAULT and self._state is not State.FAULT:
-            self._faults.append(self._words)
+            self._faults.append(self._reason)
             if self._state in (State.ENGAGED, State.CLUTCHED, State.HOLDING):
-                self._pending = self._words
+                self._pending = self._reason
         if side.state is State.ENGAGED:
-            self._pending = ""
+            self._pending = None
         self._state = side.state
 
     def report(
@@ -129,42 +130,40 @@ class LoopMeter:
         )
 
     def summary(
-        self, side: SessionOutline, counts: MessageCounts, verdicts: Mapping[str, int]
-    ) -> dict[str, Any]:
+        self,
+        side: SessionOutline,
+        counts: MessageCounts,
+        verdicts: Mapping[str, int],
+        link: LinkSummary,
+    ) -> LoopSummary:
         """Return the summary of the whole run."""
         stats = self._stats
-        return {
-            "role": self._role.name.lower(),
-            "seconds": (stats.last_ns - stats.first_ns) * 1e-9,
-            "ticks": stats.ticks,
-            "rate_hz": stats.rate_hz,
-            "overruns": stats.overruns,
-            "lateness_max_ms": stats.lateness_max_ns * 1e-6,
-            "work_us": self.work.percentiles(1e-3),
-            "answer_us": self.answer.percentiles(1e-3),
-            "without_rig_us": self.without_rig.percentiles(1e-3),
-            "latency_ms": self.latency.percentiles(1e-6),
-            "stages_us": self.stages.summary(),
-            "received": counts.received,
-            "lost": counts.lost,
-            "overwritten": counts.overwritten,
-            "rejected": {kind: getattr(counts, kind) for kind in REJECTION_COUNTERS},
-            "unknown": counts.unknown,
-            "delayed": counts.delayed,
-            "clock_jumps": counts.clock_jumps,
-            "restarts": counts.restarts,
-            "gate": dict(verdicts),
-            "ticks_in": {state.name.lower(): self._in_state[state] for state in State},
-            "faults": self._faults,
-            "final_state": side.state.name.lower(),
-            "reason": self._words,
-            "not_usable": self._not_usable,
-            "ended_in": self._words
-            if side.state in (State.FAULT, State.STOPPED)
-            else self._pending,
-        }
-
-
-def format_reason(reason: Reason, detail: str) -> str:
-    """Return a reason and its detail in one line."""
-    return f"{reason.text}: {detail}" if detail else reason.text
+        return LoopSummary(
+            role=self._role,
+            seconds=(stats.last_ns - stats.first_ns) * 1e-9,
+            ticks=stats.ticks,
+            rate_hz=stats.rate_hz,
+            overruns=stats.overruns,
+            lateness_max_ms=stats.lateness_max_ns * 1e-6,
+            work_us=self.work.percentiles(1e-3),
+            answer_us=self.answer.percentiles(1e-3),
+            without_rig_us=self.without_rig.percentiles(1e-3),
+            latency_ms=self.latency.percentiles(1e-6),
+            stages_us=self.stages.summary(),
+            received=counts.received,
+            lost=counts.lost,
+            overwritten=counts.overwritten,
+            rejected={kind: getattr(counts, kind) for kind in REJECTION_COUNTERS},
+            unknown=counts.unknown,
+            delayed=counts.delayed,
+            clock_jumps=counts.clock_jumps,
+            restarts=counts.restarts,
+            gate=dict(verdicts),
+            ticks_in={state: self._in_state[state] for state in State},
+            faults=tuple(self._faults),
+            final_state=side.state,
+            reason=self._reason,
+            not_usable=self._not_usable,
+            ended_in=self._reason if side.state in (State.FAULT, State.STOPPED) else self._pending,
+            link=link,
+        )

@@ -35,8 +35,8 @@ STOPPED  motors stop by their own means or, if the rig has none, hold;  an expli
 None of them ends in motion: each goes to READY, where the switch must be open and then pressed
 again; only the clutch returns directly to ENGAGED.
 
-What each side may do depends on `may_move` and `may_yield` (slave), `may_render` and `fades`
-(master), and on nothing else.
+What each side may do depends on `may_move` and `may_yield` (slave), `may_render` and
+`fades` (master), and on nothing else.
 
 `Session` and `Inputs` are records (`estimator.records`), and all functions of them are compiled.
 Python code around the loops, which reports and prints, takes a `SessionOutline`.
@@ -131,6 +131,17 @@ class Reason(IntEnum):
     UNKNOWN = 255, "reason unknown to this version"
 
 
+# reasons of a fault that started at the peer
+PEER_REASONS = (
+    Reason.PEER_SILENT,
+    Reason.PEER_FAULT,
+    Reason.PEER_LEFT,
+    Reason.PEER_DECLINED,
+    Reason.PEER_STOPPED,
+    Reason.PEER_RESTARTED,
+)
+
+
 class Inputs(Struct):
     """Inputs of a side at a tick."""
 
@@ -164,6 +175,26 @@ class Session(Struct):
 
 
 _REASONS = {int(reason): reason for reason in Reason}
+_REASONS_BY_TEXT = {reason.text: reason for reason in Reason}
+
+
+class DetailedReason(NamedTuple):
+    """A reason and what it is about: which tendon, or why it is not usable."""
+
+    reason: Reason
+    detail: str = ""
+
+    @property
+    def text(self) -> str:
+        """Both in one line."""
+        return f"{self.reason.text}: {self.detail}" if self.detail else self.reason.text
+
+    @classmethod
+    def parse(cls, text: str) -> "DetailedReason":
+        """Return what has this `text`, as it is read from a file; an unknown reason as UNKNOWN."""
+        name, _, detail = text.partition(": ")
+        reason = _REASONS_BY_TEXT.get(name)
+        return cls(Reason.UNKNOWN, text) if reason is None else cls(reason, detail)
 
 
 class SessionOutline(NamedTuple):

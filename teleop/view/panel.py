@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 from estimator.array_types import Array
 from teleop.messages.topics import COMMAND, HAND, LINK, REPORT, STATE, Role, format_role
 from teleop.runtime.clock import now_ns
-from teleop.session.state_machine import Reason, State
-from teleop.session.summary import PEER_REASONS
+from teleop.session.state_machine import PEER_REASONS, Reason, State
 from teleop.view.batch import AnyTopic, RowDecimator, Rows, Sender, split_rows
 from teleop.view.colours import PLAIN, STATES, choose_force_colour, choose_quality_colour
 from teleop.view.columns import build_columns

@@ -237,7 +237,7 @@ def test_events_tell_each_change_once_and_the_end():
 def test_round_trips_are_measured_from_our_own_commands():
     master, line, _ = driven(Stylus())
     summary = master.summary()
-    assert summary["latency_ms"]["n"] == 40
+    assert summary.latency_ms.n == 40
     trips = [hand.round_trip_ns for hand in line.of(HAND)]
     assert all(0 < trip < 10**9 for trip in trips)
 
@@ -291,7 +291,7 @@ def test_states_that_answer_older_commands_are_not_waited_for_but_looked_behind(
     assert line.latest_state.message.echo_stamp_ns == commands[-1].stamp_ns
     assert all(hand.round_trip_ns > 0 for hand in line.of(HAND))
     assert line.waits >= 4 * 39
-    assert master.summary()["stages_us"]["all"]["n"] == 40
+    assert master.summary().stages_us["all"].n == 40
 
 
 def test_a_wait_ends_at_its_time_though_states_keep_coming():
@@ -335,8 +335,8 @@ def test_on_a_link_that_is_always_late_no_time_is_spent_waiting_but_now_and_then
     run_on(RETRY_TICKS - 1)
     assert len(line.waited) == LATE_ANSWERS_MAX + 2
     assert device.forces[-1][0] < -0.5  # the newest state is rendered all the same
-    assert master.summary()["latency_ms"]["n"] > RETRY_TICKS
-    assert master.summary()["stages_us"]["all"]["n"] == 0  # none was answered in its own tick
+    assert master.summary().latency_ms.n > RETRY_TICKS
+    assert master.summary().stages_us["all"].n == 0  # none was answered in its own tick
     line.commands, before = 0, len(line.waited)
     run_on(RETRY_TICKS + 10)
     assert len(line.waited) >= before + 10  # they are waited for again
@@ -347,7 +347,7 @@ def test_what_does_not_come_is_waited_for_a_part_of_the_period():
     line.answering = False
     master, run_on = ticking(line, Stylus(), rate_hz=100.0)
     run_on(10)
-    assert ANSWER_WAIT_SHARE * 1e4 <= master.summary()["work_us"]["p50"] < 1e4
+    assert ANSWER_WAIT_SHARE * 1e4 <= master.summary().work_us.p50 < 1e4
 
 
 @pytest.mark.parametrize(
@@ -384,9 +384,9 @@ def test_the_stages_of_the_latency_add_up():
         assert quantiles[0] > 0
     assert max(part[-1] for part in parts) <= whole[-1] <= sum(part[-1] for part in parts)
     assert parts[2] == (1000,) * 4  # what the slave said
-    stages = master.summary()["stages_us"]
+    stages = master.summary().stages_us
     assert set(stages) == set(STAGE_NAMES)
-    assert {stage["n"] for stage in stages.values()} == {240}
+    assert {stage.n for stage in stages.values()} == {240}
 
 
 def test_of_each_command_the_stages_are_all_of_its_time():
@@ -554,7 +554,7 @@ def test_a_device_that_is_looked_for_is_a_fault_told_once_and_the_master_goes_on
         "haptic device: it is back; let go of everything, then engage",
         "off: ended",
     ]
-    assert master.summary()["faults"] == [f"{Reason.DEVICE_FAULT.text}: pulled out"]
+    assert master.summary().faults == ((Reason.DEVICE_FAULT, "pulled out"),)
 
 
 def test_whatever_else_goes_wrong_the_hand_is_left_without_force():

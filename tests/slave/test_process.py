@@ -322,7 +322,7 @@ def test_a_rig_that_fails_ends_the_session_in_fault_and_is_left_alone(fails):
     for state in line.of(STATE)[-2:]:  # also the one that may be the only one seen
         assert (state.state, state.reason) == (State.FAULT, Reason.RIG_FAULT)
     assert line.said()[-2:] == [f"fault: {Reason.RIG_FAULT.text}", f"off: {slave.error}"]
-    assert slave.summary()["reason"] == Reason.RIG_FAULT.text
+    assert slave.summary().reason.reason is Reason.RIG_FAULT
 
 
 def test_a_rig_that_fails_to_advance_has_moved_where_it_was_told_to():

@@ -192,7 +192,7 @@ def test_the_message_and_the_summary_have_the_figures() -> None:
     )
     assert (message.round_trip_ns, message.offset_ns) == (120 * MS, 5 * MS)
     assert (message.reason, message.repeated, message.age_ns) == (Reason.LINK_SLOW, 3, 7)
-    assert health.summary(MessageCounts())["scaled_s"] == pytest.approx(DT)
+    assert health.summary(MessageCounts()).scaled_s == pytest.approx(DT)
 
 
 @pytest.mark.parametrize(

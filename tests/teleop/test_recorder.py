@@ -255,7 +255,7 @@ def test_the_launcher_waits_for_a_recorder_that_makes_progress_and_ends_with_its
     child.hear_out()
     assert child.status == "recorder 3.0 s behind"
     out = command._combine_summaries(family, None, "SIGINT")
-    assert (out["exit_code"], out["reason"]) == (1, "recorder: 3 messages are missing")
+    assert (out.exit_code, out.reason) == (1, "recorder: 3 messages are missing")
 
 
 @pytest.fixture(scope="module")

@@ -13,6 +13,7 @@ from contextlib import ExitStack
 import pytest
 
 from teleop.messages.topics import COMMAND, HAND, STATE, TENDONS
+from teleop.session.state_machine import State
 from tests.tick.session import Session
 
 SETTLED = 600  # ticks, until both sides are engaged, all is compiled and a report has been made
@@ -50,12 +51,13 @@ def counted(session: Session) -> Session:
 def test_what_is_counted_is_a_session_that_renders_forces(session: Session) -> None:
     master, slave = session.master.summary(), session.slave.summary()
     for side in (master, slave):
-        assert side["final_state"] == "engaged"
-        assert side["faults"] == []
-        assert side["lost"] == side["unknown"] == side["overruns"] == 0
-    assert master["ticks"] == slave["ticks"]
-    assert master["latency_ms"]["n"] >= SETTLED - 1  # each command was answered in its own tick
-    assert slave["rig"]["coarse_reads"] == 0
+        assert side.final_state is State.ENGAGED
+        assert side.faults == ()
+        assert side.lost == side.unknown == side.overruns == 0
+    assert master.ticks == slave.ticks
+    assert master.latency_ms.n >= SETTLED - 1  # each command was answered in its own tick
+    assert slave.rig is not None
+    assert slave.rig.rig["coarse_reads"] == 0
 
 
 def test_the_master_calls_no_more_from_its_tick_to_the_device(counted: Session) -> None:

@@ -5,6 +5,7 @@ import os
 import subprocess
 import sys
 import time
+from dataclasses import asdict
 from typing import Any
 
 from teleop.runtime.clock import Grid, now_ns, pause_garbage_collection
@@ -62,7 +63,7 @@ def _run_idle_loop(
         "rate_hz": grid.stats.rate_hz,
         "overruns": grid.stats.overruns,
         "lateness_max_ms": grid.stats.lateness_max_ns * 1e-6,
-        "work_us": work.percentiles(1e-3),
+        "work_us": asdict(work.percentiles(1e-3)),
         "cpu": 100.0 * used / span,
     }
 

@@ -179,7 +179,9 @@ def test_what_fails_at_the_end_replaces_no_fault_and_no_summary(capsys):
     slave, _, _ = driven(rig)
     summary = slave.summary()
     assert str(slave.error) == "rig: the amplifier has tripped"
-    assert json.loads(json.dumps(summary["rig"]))["error"].startswith("mylab: summary fails: KeyE")
+    assert json.loads(json.dumps(summary.to_json()["rig"]))["error"].startswith(
+        "mylab: summary fails: KeyE"
+    )
     rig.close()
     said = capsys.readouterr().err
     assert "WARNING: mylab: summary fails: KeyError: 'temperature' (" in said

@@ -4,6 +4,7 @@ import io
 import json
 import sys
 import time
+from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
@@ -14,7 +15,8 @@ from teleop.errors import PeerError, TeleopError
 from teleop.launch import command, watch
 from teleop.launch.console import Console, KeyReader, format_status
 from teleop.launch.supervisor import Supervisor, wait_for_condition
-from teleop.link import ReceivedMessage
+from teleop.link import MessageCounts, ReceivedMessage
+from teleop.link.health import HealthConfig, LinkHealth
 from teleop.messages.messages import (
     Event,
     Latency,
@@ -28,25 +30,70 @@ from teleop.messages.topics import COMMAND, EVENT, LATENCY, LINK, REPORT, STATE,
 from teleop.remote.requests import CALL, RESET
 from teleop.runtime import process
 from teleop.runtime.status_line import StatusLine
-from teleop.session import summary as summaries
+from teleop.runtime.timing import Percentiles
 from teleop.session.meter import StageMeter
-from teleop.session.state_machine import Reason, State
-from teleop.session.summary import format_loop
+from teleop.session.state_machine import DetailedReason, Reason, State
+from teleop.session.summary import (
+    ForceError,
+    LoopSummary,
+    RigSummary,
+    SessionSummary,
+    find_fault,
+    format_force_error,
+    format_loop,
+    format_summary,
+    read_child_summary,
+)
+
+UNMEASURED = LinkHealth(HealthConfig()).summary(MessageCounts())
 
 
-def loop(ticks=1000, latencies=0):
+def loop(ticks=1000, latencies=0, **changes):
     """A loop's summary, as `teleop.session.meter` makes it."""
-    none = {"n": 0, "p50": None, "p99": None, "p99_9": None}
-    some = {"n": max(ticks, 1), "p50": 2.0, "p99": 3.0, "p99_9": 4.0}
-    return {
-        "ticks": ticks, "rate_hz": 1000.0, "seconds": 1.0, "overruns": 3, "lateness_max_ms": 0.5,
-        "work_us": some if ticks else none, "latency_ms": some if latencies else none,
-        "role": "slave", "faults": [Reason.RIG_FAULT.text] if ticks else [],
-        "ticks_in": {"off": ticks - ticks // 2, "ready": 0, "engaged": ticks // 2, "fault": 0},
-        "not_usable": "no calibration", "reason": "", "ended_in": "",
-        "gate": {"PASSED": 1, "SPEED": ticks // 4},
-        "received": 999, "lost": 7, "rejected": {"corrupted": 1, "foreign": 2},
-    }  # fmt: skip
+    some = Percentiles(max(ticks, 1), 2.0, 3.0, 4.0, 5.0)
+    ticks_in = {State.OFF: ticks - ticks // 2, State.ENGAGED: ticks // 2}
+    summary = LoopSummary(
+        role=Role.SLAVE,
+        seconds=1.0,
+        ticks=ticks,
+        rate_hz=1000.0,
+        overruns=3,
+        lateness_max_ms=0.5,
+        work_us=some if ticks else Percentiles(),
+        answer_us=some,
+        without_rig_us=some,
+        latency_ms=some if latencies else Percentiles(),
+        stages_us=StageMeter().summary(),
+        received=999,
+        lost=7,
+        overwritten=5,
+        rejected={"corrupted": 1, "foreign": 2},
+        unknown=0,
+        delayed=0,
+        clock_jumps=0,
+        restarts=0,
+        gate={"PASSED": 1, "SPEED": ticks // 4},
+        ticks_in=dict.fromkeys(State, 0) | ticks_in,
+        faults=(DetailedReason(Reason.RIG_FAULT),) if ticks else (),
+        final_state=State.OFF,
+        reason=DetailedReason(Reason.RIG_FAULT, "unplugged"),
+        not_usable=DetailedReason(Reason.NOT_USABLE, "no calibration"),
+        ended_in=None,
+        link=UNMEASURED,
+    )
+    return replace(summary, **changes)
+
+
+def master(**changes):
+    return loop(role=Role.MASTER, **changes)
+
+
+FORCE_ERROR: ForceError = {
+    "samples": 9, "full_scale_N": 1.1, "rmse_N": 0.13, "mean_N": 0.1, "max_N": 0.6,
+    "inside_interval": 1.0, "rmse_percent": 11.6, "mean_percent": 9.0, "max_percent": 55.0,
+    "pulled": False,
+}  # fmt: skip
+NO_BENCH = RigSummary(None, {})
 
 
 # words
@@ -56,9 +103,8 @@ def test_the_summary_of_a_session_in_words():
     recorder = {
         "file": "a.mcap", "messages": {"state": 5, "hand": 6}, "missing": 1, "lag_max_s": 0.4,
     }  # fmt: skip
-    slave = loop() | {"force_error": None}
-    whole = {"slave": slave, "master": loop(latencies=9), "record": recorder}
-    text = "\n".join(summaries.format_summary(whole))
+    children = {"slave": loop(rig=NO_BENCH), "master": master(latencies=9), "record": recorder}
+    text = "\n".join(format_summary(SessionSummary(children)))
     for words in (
         "received 999, lost 7, rejected 3",
         f"1 fault, last: {Reason.RIG_FAULT.text}",
@@ -70,44 +116,73 @@ def test_the_summary_of_a_session_in_words():
         assert words in text
 
 
-def ended_in(fault):
-    return loop() | {"ended_in": fault}
+@pytest.mark.parametrize("rig", [None, NO_BENCH, RigSummary(FORCE_ERROR, {"coarse_reads": 3})])
+@pytest.mark.parametrize("reason", Reason)
+def test_a_summary_that_is_read_from_its_file_is_the_one_that_was_written(rig, reason, tmp_path):
+    ended_in = DetailedReason(reason, "joint 1: tendon a")
+    written = loop(rig=rig, ended_in=ended_in, stopped="SIGINT", realtime=("memory locked",))
+    path = tmp_path / "slave.json"
+    process.write_summary(path, written.to_json())
+    assert read_child_summary("slave", path) == written
+    path.write_text(json.dumps(loop().to_json()))
+    assert read_child_summary("slave", path) == loop()
+
+
+def test_a_summary_in_a_file_has_names_and_texts_in_an_order_of_its_own():
+    """Programs of users read it."""
+    content = loop(rig=RigSummary(FORCE_ERROR, {"coarse_reads": 3})).to_json()
+    assert list(content) == [
+        "role", "seconds", "ticks", "rate_hz", "overruns", "lateness_max_ms", "work_us",
+        "answer_us", "without_rig_us", "latency_ms", "stages_us", "received", "lost", "overwritten",
+        "rejected", "unknown", "delayed", "clock_jumps", "restarts", "gate", "ticks_in", "faults",
+        "final_state", "reason", "not_usable", "ended_in", "link", "force_error", "rig", "stopped",
+        "realtime",
+    ]  # fmt: skip
+    assert (content["role"], content["final_state"], content["ended_in"]) == ("slave", "off", "")
+    assert content["faults"] == [Reason.RIG_FAULT.text]
+    assert content["reason"] == f"{Reason.RIG_FAULT.text}: unplugged"
+    assert list(content["ticks_in"]) == [state.name.lower() for state in State]
+    assert content["work_us"] == {"n": 1000, "p50": 2.0, "p99": 3.0, "p99_9": 4.0, "max": 5.0}
+    assert content["force_error"] == FORCE_ERROR
+    assert content["rig"] == {"coarse_reads": 3}
+    assert loop(rig=NO_BENCH).to_json()["force_error"] is None
+    assert not {"force_error", "rig"} & master().to_json().keys()
+    session = SessionSummary({"slave": loop(), "record": None}, "SIGINT", 1).to_json()
+    assert session == {"slave": loop().to_json(), "record": None, "reason": "SIGINT",
+                       "exit_code": 1}  # fmt: skip
 
 
 def test_a_session_that_was_never_usable_or_ended_in_a_fault_is_told_from_a_good_one():
-    never = loop() | {"ticks_in": dict.fromkeys(("ready", "engaged", "fault"), 0) | {"off": 9}}
-    assert summaries.find_fault({"slave": loop(), "master": loop()}) == ""
-    assert summaries.find_fault({"slave": loop(ticks=0), "master": None}) == ""
-    assert summaries.find_fault({"slave": never}) == "the slave was never usable: no calibration"
-    afar = ended_in(Reason.PEER_FAULT.text)
-    broken = ended_in("a tendon is broken: joint 1, tendon a")
-    said = "ended the session: a tendon is broken: joint 1, tendon a"
-    assert summaries.find_fault({"slave": broken, "master": afar}) == f"a fault of the slave {said}"
-    assert (
-        summaries.find_fault({"slave": afar, "master": broken}) == f"a fault of the master {said}"
+    never = loop(ticks_in=dict.fromkeys(State, 0) | {State.OFF: 9})
+    assert find_fault([loop(), master()]) == ""
+    assert find_fault([loop(ticks=0)]) == ""
+    assert find_fault([never]) == (
+        f"the slave was never usable: {Reason.NOT_USABLE.text}: no calibration"
     )
-    assert Reason.PEER_FAULT.text in summaries.find_fault({"slave": loop(), "master": afar})
+    afar = {"ended_in": DetailedReason(Reason.PEER_FAULT)}
+    broken = {"ended_in": DetailedReason(Reason.TENDON_BROKEN, "joint 1, tendon a")}
+    said = f"ended the session: {Reason.TENDON_BROKEN.text}: joint 1, tendon a"
+    assert find_fault([loop(**broken), master(**afar)]) == f"a fault of the slave {said}"
+    assert find_fault([loop(**afar), master(**broken)]) == f"a fault of the master {said}"
+    assert Reason.PEER_FAULT.text in find_fault([loop(), master(**afar)])
 
 
 def test_of_a_tip_that_nothing_pulled_there_is_no_percentage():
-    error = {
-        "full_scale_N": 1.1, "rmse_N": 0.13, "mean_N": 0.1, "max_N": 0.6, "inside_interval": 1.0,
-        "rmse_percent": 11.6, "mean_percent": 9.0, "max_percent": 55.0, "pulled": False,
-    }  # fmt: skip
-    line = summaries.format_force_error(error)
+    line = format_force_error(FORCE_ERROR)
     assert "nothing was pulled: largest true force 1.1 N" in line
     assert "max 0.600 N" in line
     assert "55" not in line
-    assert "max 0.600 N (55.0 %) of 1.1 N" in summaries.format_force_error(error | {"pulled": True})
+    assert "max 0.600 N (55.0 %) of 1.1 N" in format_force_error(FORCE_ERROR | {"pulled": True})
 
 
 def test_a_killed_side_is_named_and_one_that_never_ran_is_not():
-    assert summaries.format_summary({"slave": loop(), "master": None})[-2:] == [
+    killed = SessionSummary({"slave": loop(rig=NO_BENCH), "master": None})
+    assert format_summary(killed)[-2:] == [
         "master    left no summary (killed?)",
         "force     no distal tension measured to compare the estimate with",
     ]
-    assert summaries.format_summary({}) == []
-    assert summaries.format_summary({"slave": loop(ticks=0), "master": loop(ticks=0)}) == []
+    assert format_summary(SessionSummary({})) == []
+    assert format_summary(SessionSummary({"slave": loop(ticks=0), "master": master(ticks=0)})) == []
 
 
 def test_the_status_of_a_session_grows_with_what_is_known():
@@ -145,29 +220,34 @@ def test_the_status_shows_a_recorder_that_is_behind_and_a_link_beyond_its_bound(
 
 
 def test_the_summary_tells_of_the_link():
-    figures = {"n": 5, "p50": 1.0, "p99": 2.0}
-    link = {
-        "round_trip_ms": figures, "jitter_ms": figures, "offset_ms": 7.0, "uncertainty_ms": 0.5,
-        "loss": 0.01, "scaled_s": 2.0, "held_s": 0.0,
-    }  # fmt: skip
-    told = format_loop(loop() | {"link": link})
+    figures = Percentiles(5, 1.0, 2.0)
+    link = replace(
+        UNMEASURED,
+        round_trip_ms=figures,
+        jitter_ms=figures,
+        offset_ms=7.0,
+        uncertainty_ms=0.5,
+        loss=0.01,
+        scaled_s=2.0,
+    )
+    told = format_loop(loop(link=link))
     assert "round trip p50 1.00 p99 2.00 ms" in told[-2]
     assert "offset of the peer's clock 7.000 +- 0.500 ms" in told[-2]
     assert "because of the link scaled down for 2.0 s" in told[-1]
-    unmeasured = link | {"round_trip_ms": {"n": 0}}
-    assert format_loop(loop() | {"link": unmeasured}) == format_loop(loop())
+    unmeasured = replace(link, round_trip_ms=Percentiles())
+    assert format_loop(loop(link=unmeasured)) == format_loop(loop())
 
 
 def test_the_summary_shows_where_the_time_from_hand_to_force_went():
     meter = StageMeter()
     for _ in range(10):
         meter.add((20_000, 210_000, 100_000, 50_000, 380_000))
-    told = format_loop(loop() | {"stages_us": meter.summary()})
+    told = format_loop(loop(stages_us=meter.summary()))
     assert told[-1] == (
         "latency   hand to force p50 0.38 p99 0.38 p99.9 0.38 max 0.38 ms: "
         "read 0.02, link 0.21, slave 0.10, render 0.05 (10 commands answered in their own tick)"
     )
-    assert format_loop(loop() | {"stages_us": StageMeter().summary()}) == format_loop(loop())
+    assert not any("hand to force" in line for line in format_loop(loop()))
 
 
 def test_a_latency_that_is_heard_is_kept():
@@ -222,12 +302,12 @@ def test_lines_have_their_time_and_their_source_and_repeats_are_counted():
 
 
 def test_the_summary_is_a_table_in_a_terminal_and_plain_lines_in_a_pipe():
-    summary = {"slave": loop() | {"force_error": None}, "master": loop(latencies=9)}
+    summary = SessionSummary({"slave": loop(rig=NO_BENCH), "master": master(latencies=9)})
     plain, terminal = io.StringIO(), io.StringIO()
     terminal.isatty = lambda: True
     console_on(plain).summarise(summary)
     console_on(terminal).summarise(summary)
-    assert plain.getvalue().splitlines() == summaries.format_summary(summary)
+    assert plain.getvalue().splitlines() == format_summary(summary)
     for words in ("overruns", "last fault", Reason.RIG_FAULT.text, "command to force"):
         assert words in terminal.getvalue()
     assert "received 999" not in terminal.getvalue()  # once is enough
@@ -543,7 +623,7 @@ def scene(monkeypatch, tmp_path):
     monkeypatch.setattr(command, "StopCondition", NeverStop)
     monkeypatch.setattr(command.watch, "wait_for_slave", lambda *_: scene.log.append("wait"))
     monkeypatch.setattr(command.watch, "watch", lambda *_: scene.log.append("watch"))
-    monkeypatch.setattr(command, "_combine_summaries", lambda *_: {"reason": "", "exit_code": 0})
+    monkeypatch.setattr(command, "_combine_summaries", lambda *_: SessionSummary({}))
     return scene
 
 
@@ -578,7 +658,7 @@ def test_a_wrong_option_is_found_before_anything_else(scene, option, capsys):
 
 
 def test_an_interrupted_start_says_nothing(capsys, tmp_path):
-    summary = {"slave": loop(ticks=0), "reason": "SIGINT", "exit_code": 0}
-    assert command._report_outcome(summary, tmp_path / "run.json") == 130
-    assert capsys.readouterr().out == ""
+    summary, stream = SessionSummary({"slave": loop(ticks=0)}, "SIGINT"), io.StringIO()
+    assert command._report_outcome(summary, tmp_path / "run.json", console_on(stream)) == 130
+    assert stream.getvalue() == capsys.readouterr().out == ""
     assert json.loads((tmp_path / "run.json").read_text())["reason"] == "SIGINT"
