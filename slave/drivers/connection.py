@@ -10,7 +10,7 @@ from slave.drivers import packets
 from slave.drivers.configs import DriverConfig
 from slave.drivers.driver import Channels, Counts, DriverFault, Reading
 from teleop.config.loading import as_tree
-from teleop.runtime.process import build_module_command
+from teleop.runtime.child_process import start_module
 
 START_S = 20.0  # [s] in which a bus must be set up
 END_S = 2.0  # [s] in which it must be released
@@ -134,11 +134,9 @@ def start_process(
     """Start the process of a driver, which serves this end of a pair."""
     words = [as_tree(config), as_tree(channels)]
     number = end.fileno()
-    return subprocess.Popen(
-        [
-            *build_module_command("slave.drivers.worker"),
-            *(str(number), *map(json.dumps, words)),
-        ],
+    return start_module(
+        "slave.drivers.worker",
+        *(str(number), *map(json.dumps, words)),
+        gets_interrupts=True,
         pass_fds=[number],
-        stdin=subprocess.DEVNULL,
     )

@@ -20,8 +20,9 @@ import zenoh
 
 from teleop.link.inbox import Inbox
 from teleop.link.network import declare_publisher, open_session
+from teleop.runtime.child_process import start_module
 from teleop.runtime.clock import pause_garbage_collection
-from teleop.runtime.process import SUPERVISED_VARIABLE, build_module_command, die_with_launcher
+from teleop.runtime.process import die_with_launcher
 from teleop.runtime.realtime import RealtimeConfig, enter_loop, request_realtime
 from teleop.security import CertificateRole
 from teleop.security.local import create_local_credentials
@@ -80,13 +81,14 @@ def compute_percentiles_ms(durations_ns: list[int], prefix: str = "") -> dict[st
 def _start_process(words: list[str]) -> subprocess.Popen[bytes]:
     root = str(Path(__file__).parents[2])
     path = os.pathsep.join([root, *filter(None, [os.environ.get("PYTHONPATH")])])
-    return subprocess.Popen(
-        [*build_module_command("teleop.link.ping_pong"), *words],
+    return start_module(
+        "teleop.link.ping_pong",
+        *words,
+        environment={"PYTHONPATH": path},
+        is_supervised=True,
         stdin=subprocess.PIPE,  # pong ends when this closes
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
-        env=os.environ | {"PYTHONPATH": path, SUPERVISED_VARIABLE: str(os.getpid())},
-        start_new_session=True,  # Ctrl-C is handled by this process
     )
 
 

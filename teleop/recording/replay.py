@@ -30,8 +30,9 @@ from teleop.messages.messages import LAYOUT
 from teleop.messages.topics import HAND, TOPICS, Role, Topic
 from teleop.recording.reader import RecordedMessage, RecordingInfo, open_recording, read_messages
 from teleop.recording.scan import RecordingError
+from teleop.runtime.child_process import start_module
 from teleop.runtime.clock import now_ns
-from teleop.runtime.process import StopCondition, build_module_command, print_warning
+from teleop.runtime.process import StopCondition, print_warning
 from teleop.runtime.status_line import StatusLine
 from teleop.session import own_endpoints
 from teleop.session.config import RunConfig
@@ -159,7 +160,7 @@ def open_view(args: argparse.Namespace) -> Iterator[subprocess.Popen[bytes]]:
     """Show the replay with `teleop view` while this context lasts."""
     words = ["--view", str(args.view), *(f"--set={text}" for text in args.overrides)]
     words += ["--config", str(args.config)] if args.config else []
-    process = subprocess.Popen([*build_module_command("teleop"), "view", *words])
+    process = start_module("teleop", "view", *words, gets_interrupts=True, stdin=None)
     try:
         yield process
     finally:

@@ -27,6 +27,7 @@ from typing import Self
 import rerun_cli  # type: ignore[import-untyped]
 
 from teleop.errors import TeleopError
+from teleop.runtime.child_process import end_process
 from teleop.runtime.process import die_with_parent
 from teleop.runtime.scratch_folder import ScratchFolder
 from teleop.view.local_server import is_own_connection
@@ -98,12 +99,7 @@ class ViewerProcess:
 
     def close(self) -> None:
         """End it, kindly and then not, and remove its folder."""
-        self.process.terminate()
-        try:
-            self.process.wait(_END_S)
-        except subprocess.TimeoutExpired:
-            self.process.kill()
-            self.process.wait()
+        end_process(self.process, _END_S)
         if self.process.stdin is not None:
             with contextlib.suppress(BrokenPipeError):
                 self.process.stdin.close()

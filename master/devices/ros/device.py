@@ -17,7 +17,7 @@ from master.device import Axes, DeviceFault, DeviceLost, HandState
 from master.devices.ros.config import RosDeviceConfig
 from master.devices.ros.motion import SIZE, CommandMotion, CommandRecord
 from teleop.ros.message_types import MISSING_EXTRA
-from teleop.runtime.process import build_module_command
+from teleop.runtime.child_process import end_process, start_module
 
 RECORD_TIMEOUT_NS = 250_000_000  # [ns] without a record of the receiver
 _READ_BYTES = 64 * SIZE
@@ -47,14 +47,12 @@ class RosDevice:
         self._began = False
         self._pipe, theirs = os.pipe()
         os.set_blocking(self._pipe, False)
-        words = [*build_module_command("master.devices.ros.receiver"), str(theirs)]
         try:
-            self._process = subprocess.Popen(
-                [*words, json.dumps(asdict(config)), str(os.getpid())],
+            self._process = start_module(
+                "master.devices.ros.receiver",
+                *(str(theirs), json.dumps(asdict(config)), str(os.getpid())),
                 pass_fds=(theirs,),
-                stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
-                start_new_session=True,  # so that Ctrl-C does not reach it
             )
         except OSError as error:
             os.close(self._pipe)
@@ -100,12 +98,7 @@ class RosDevice:
 
     def close(self) -> None:
         """End the receiver."""
-        self._process.terminate()
-        try:
-            self._process.wait(2.0)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
+        end_process(self._process, 2.0)
         os.close(self._pipe)
 
     def _take(self) -> None:

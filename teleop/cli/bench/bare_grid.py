@@ -1,18 +1,16 @@
 """The baseline of a loop: idle processes that tick at its rate and priority."""
 
 import json
-import os
 import subprocess
 import sys
 import time
 from dataclasses import asdict
 from typing import Any
 
+from teleop.runtime.child_process import start_module
 from teleop.runtime.clock import Grid, now_ns, pause_garbage_collection
 from teleop.runtime.process import (
-    SUPERVISED_VARIABLE,
     StopCondition,
-    build_module_command,
     die_with_launcher,
     limit_numeric_threads,
 )
@@ -27,15 +25,12 @@ def run_idle_loops(
 ) -> list[dict[str, Any]]:
     """Run two idle loops for `seconds` [s]; return rate, overruns, work and CPU of each."""
     processes = [
-        subprocess.Popen(
-            [
-                *build_module_command("teleop.cli.bench.bare_grid"),
-                *(str(rate_hz), str(seconds)),
-                *(str(phase), str(realtime.priority), json.dumps(realtime.cores)),
-            ],
-            stdin=subprocess.DEVNULL,
+        start_module(
+            "teleop.cli.bench.bare_grid",
+            *(str(rate_hz), str(seconds)),
+            *(str(phase), str(realtime.priority), json.dumps(realtime.cores)),
+            is_supervised=True,
             stdout=subprocess.PIPE,
-            env=os.environ | {SUPERVISED_VARIABLE: str(os.getpid())},
         )
         for phase in PHASES
     ]

@@ -2,7 +2,6 @@
 
 import json
 import os
-import signal
 import socket
 import subprocess
 import threading
@@ -13,10 +12,11 @@ from typing import Any, NamedTuple
 
 from teleop.errors import TeleopError
 from teleop.launch.supervisor import ERROR_PREFIX
-from teleop.runtime.process import build_module_command
+from teleop.runtime.child_process import end_process, start_module
 
 # --- processor time of a running process and of its children, from /proc
 
+_END_S = 30.0  # [s] until a session that was told to end is killed
 _TICK_S = 1.0 / os.sysconf("SC_CLK_TCK")
 
 
@@ -98,16 +98,16 @@ def run_session(config: Path, seconds: float) -> SessionMeasurement:
             *("--set", f"link.slave=127.0.0.1:{slave}"),
         ]
         process = stack.enter_context(
-            subprocess.Popen(
-                [*build_module_command("teleop"), "run", *words],
-                stdin=subprocess.DEVNULL,
+            start_module(
+                "teleop",
+                "run",
+                *words,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.STDOUT,
                 text=True,
-                start_new_session=True,  # Ctrl-C is handled by this process
             )
         )
-        stack.callback(_end_process, process)
+        stack.callback(end_process, process, _END_S)  # if it is killed, its children end too
         output = _SessionOutput(process)
         output.await_engaged()
         time.sleep(_SETTLE_S)
@@ -161,16 +161,6 @@ class _SessionOutput:
     def last(self) -> str:
         complaints = [line for line in self._lines if line.startswith(ERROR_PREFIX)] or self._lines
         return complaints[-1].removeprefix(ERROR_PREFIX) if complaints else "no output"
-
-
-def _end_process(process: subprocess.Popen[str]) -> None:
-    if process.poll() is None:
-        process.send_signal(signal.SIGTERM)
-        try:
-            process.wait(30.0)
-        except subprocess.TimeoutExpired:
-            process.kill()  # its children end too
-            process.wait()
 
 
 def _find_free_ports(count: int) -> list[int]:
