@@ -123,43 +123,45 @@ def main(args: argparse.Namespace) -> int:
     console = Console(StatusLine())
     with ExitStack() as stack:
         scratch = Path(stack.enter_context(ScratchFolder()))
-        family = Supervisor(scratch, console.say)
-        stack.callback(family.stop, SHUTDOWN_ORDER)
+        supervisor = Supervisor(scratch, console.say)
+        stack.callback(supervisor.stop, SHUTDOWN_ORDER)
         link = stack.enter_context(Link(config.link, config.session, Role.LAUNCHER))
         watch.require_free_session(link)  # before anything is started
         stack.enter_context(
             register_session(own_endpoints.build_entry(config, impair, args.config))
         )
         console.status.say(_format_join_hint(config.session))
-        listener, hearing = link.listen((EVENT, REPORT, LATENCY, LINK)), watch.SessionMonitor()
+        listener, monitor = link.listen((EVENT, REPORT, LATENCY, LINK)), watch.SessionMonitor()
         if args.record:
-            family.start("record", [*shared, "--out", str(args.record)])
+            supervisor.start("record", [*shared, "--out", str(args.record)])
         if impair is not None:
-            family.start("impair", shared)
-        family.start("slave", [*sides, *(f"--model={word}" for word in args.model)])
+            supervisor.start("impair", shared)
+        supervisor.start("slave", [*sides, *(f"--model={word}" for word in args.model)])
         if ros.start:
-            family.start("ros", shared)
+            supervisor.start("ros", shared)
         if view != "none":
-            held, told = hold_port(load(args.config, ViewConfig, "view", overrides).web_port)
+            held, environment = hold_port(load(args.config, ViewConfig, "view", overrides).web_port)
             stack.enter_context(held)
-            family.start("view", [*shared, "--view", str(view)], told, (held.fileno(),))
+            supervisor.start("view", [*shared, "--view", str(view)], environment, (held.fileno(),))
         stack.enter_context(compile_in_parallel(_compile_master))
         keys = stack.enter_context(KeyReader())
         keyboard = watch.Keyboard(keys, link)
         if keys.there:
             console.status.say(KEY_HELP)
         try:
-            ended = watch.wait_for_slave(link, listener, hearing, family, console, stop, keyboard)
+            ended = watch.wait_for_slave(
+                link, listener, monitor, supervisor, console, stop, keyboard
+            )
             if not ended and not stop():
-                family.start("master", [*sides, *to_slave])
+                supervisor.start("master", [*sides, *to_slave])
                 ended = watch.watch(
-                    link, listener, hearing, family, console, stop, args.duration, keyboard
+                    link, listener, monitor, supervisor, console, stop, args.duration, keyboard
                 )
         finally:
             console.status.clear()
-            family.stop(SHUTDOWN_ORDER)
+            supervisor.stop(SHUTDOWN_ORDER)
             console.finish()
-        summary = _combine_summaries(family, ended, stop.reason)
+        summary = _combine_summaries(supervisor, ended, stop.reason)
     return _report_outcome(summary, args.json, console)
 
 
@@ -198,32 +200,33 @@ def _build_rig_overrides(args: argparse.Namespace) -> list[str]:
     return out
 
 
-def _describe_recorder_fault(family: Supervisor) -> str:
+def _describe_recorder_fault(supervisor: Supervisor) -> str:
     """Return why the recording is not whole; empty if it is, or if there is none."""
-    child = family.children.get("record")
+    child = supervisor.children.get("record")
     if child is None or child.exit_code in (0, *_STARTUP_EXIT_CODES):
         return ""
-    return f"recorder: {child.complaint or f'ended {child.how()}; its last messages are missing'}"
+    missing = f"ended {child.describe_end()}; its last messages are missing"
+    return f"recorder: {child.complaint or missing}"
 
 
-def _combine_summaries(family: Supervisor, ended: Child | None, reason: str) -> SessionSummary:
+def _combine_summaries(supervisor: Supervisor, ended: Child | None, reason: str) -> SessionSummary:
     """Combine the children's summaries and decide the exit code."""
     summary = SessionSummary(
         {
             name: read_child_summary(name, child.summary)
-            for name, child in family.children.items()
+            for name, child in supervisor.children.items()
             if child.exit_code not in _STARTUP_EXIT_CODES
         },
         reason,
     )
     if ended is not None:
-        reason = ended.complaint or f"{ended.name} ended {ended.how()}"
+        reason = ended.complaint or f"{ended.name} ended {ended.describe_end()}"
         if ended.exit_code == UsageError.exit_code:
             raise UsageError(reason)
         summary = replace(summary, reason=reason)
         if ended.exit_code:
             return replace(summary, exit_code=TeleopError.exit_code)
-    fault = find_fault(summary.loops) or _describe_recorder_fault(family)
+    fault = find_fault(summary.loops) or _describe_recorder_fault(supervisor)
     if fault:
         return replace(summary, reason=fault, exit_code=TeleopError.exit_code)
     return summary

@@ -1,7 +1,6 @@
 """Start, supervise and stop child processes."""
 
 import math
-import os
 import shlex
 import signal
 import subprocess
@@ -13,14 +12,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from teleop.errors import UsageError
+from teleop.runtime.child_process import start_module
 from teleop.runtime.output_file import FORCE_OPTION
-from teleop.runtime.process import (
-    HEARTBEAT,
-    STANDBY_VARIABLE,
-    STATUS,
-    SUPERVISED_VARIABLE,
-    build_module_command,
-)
+from teleop.runtime.process import HEARTBEAT, STANDBY_VARIABLE, STATUS
 from teleop.view.ports import WEB_VIEW
 
 REQUIRED_CHILDREN = ("master", "slave", "impair")  # the session continues without the others
@@ -48,18 +42,18 @@ class Child:
     process: subprocess.Popen[str]
     summary: Path
     arguments: tuple[str, ...] = ()
-    told: Mapping[str, str] = field(default_factory=dict)  # added to its environment
+    environment: Mapping[str, str] = field(default_factory=dict)  # added to its environment
     descriptors: tuple[int, ...] = ()  # that it has too
     status: str = ""  # of its own, for the status line
     complaint: str = ""  # its error line, which the launcher repeats at the end
     threads: list[threading.Thread] = field(default_factory=list)
     heard_s: float = field(default_factory=time.monotonic)  # when it started or last printed
     beat_s: float | None = None  # when it last beat, None = never
-    worked: bool = False  # it has beaten, or one before it in its place has
+    was_healthy: bool = False  # it has beaten, or one before it in its place has
     began_s: float = field(default_factory=time.monotonic)
     pause_s: float = 0.0  # before it is started again
-    again: str = ""  # why it was started again, until it has said so
-    reborn: bool = False  # it was started again
+    restart_reason: str = ""  # why it was started again, until it has said so
+    was_restarted: bool = False  # it was started again
 
     @property
     def exit_code(self) -> int | None:
@@ -67,13 +61,13 @@ class Child:
         return self.process.poll()
 
     @property
-    def fatal(self) -> bool:
+    def is_fatal(self) -> bool:
         """Whether its end is that of the session: it is vital, or failed by a usage error."""
         code = self.exit_code
         return code is not None and (self.name in REQUIRED_CHILDREN or code == UsageError.exit_code)
 
     @property
-    def hung(self) -> bool:
+    def is_hung(self) -> bool:
         """Whether it runs, but its heartbeats have ceased."""
         if self.beat_s is None or self.exit_code is not None:
             return False
@@ -83,16 +77,18 @@ class Child:
         )
 
     @property
-    def restarts(self) -> bool:
+    def may_restart(self) -> bool:
         """Whether it is to be started again after it ended."""
-        return self.name in RESTARTED_CHILDREN and self.worked and self.exit_code not in (None, 0)
+        return (
+            self.name in RESTARTED_CHILDREN and self.was_healthy and self.exit_code not in (None, 0)
+        )
 
-    def hear_out(self) -> None:
+    def join_readers(self) -> None:
         """Wait for the remaining output of an ended child."""
         for thread in self.threads:
             thread.join(_READ_S)
 
-    def how(self) -> str:
+    def describe_end(self) -> str:
         """Return how it ended, as text."""
         code = self.exit_code or 0
         return f"by {signal.Signals(-code).name}" if code < 0 else f"with exit code {code}"
@@ -118,102 +114,102 @@ class Supervisor:
     def __init__(self, scratch: Path, say: Callable[[str, str], None]) -> None:
         self.children: dict[str, Child] = {}
         self._scratch, self._say = scratch, say
-        self._missed: set[str] = set()
+        self._reported: set[str] = set()
         self._spares: dict[str, Child] = {}  # of RESTARTED ones: all imported, waiting for a call
 
     def start(
         self,
         name: str,
         arguments: Sequence[str],
-        told: Mapping[str, str] | None = None,
+        environment: Mapping[str, str] | None = None,
         descriptors: tuple[int, ...] = (),
     ) -> Child:
         """Start `teleop NAME ARGUMENTS --json ...`.
 
-        `told` is added to its environment, and `descriptors` are those that it has too.
+        `environment` is added to that of this process; it has the file `descriptors` too.
         """
-        child = self.children[name] = self._spawn(name, tuple(arguments), told or {}, descriptors)
-        self._listen(child)
+        child = self.children[name] = self._spawn(
+            name, tuple(arguments), environment or {}, descriptors
+        )
+        self._start_reader(child)
         return child
 
     def _spawn(
         self,
         name: str,
         arguments: tuple[str, ...],
-        told: Mapping[str, str],
+        environment: Mapping[str, str],
         descriptors: tuple[int, ...],
         standby: bool = False,
     ) -> Child:
         summary = self._scratch / f"{name}.json"
-        process = subprocess.Popen(
-            [
-                *build_module_command("teleop"),
-                name,
-                *arguments,
-                "--json",
-                str(summary),
-                FORCE_OPTION,
-            ],
+        process = start_module(
+            "teleop",
+            *(name, *arguments, "--json", str(summary), FORCE_OPTION),
+            environment={
+                "NO_COLOR": "1",
+                **environment,
+                **({STANDBY_VARIABLE: "1"} if standby else {}),
+            },
+            is_supervised=True,
             stdin=subprocess.PIPE if standby else subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             text=True,
-            env=os.environ
-            | {SUPERVISED_VARIABLE: str(os.getpid()), "NO_COLOR": "1", **told}
-            | ({STANDBY_VARIABLE: "1"} if standby else {}),
-            start_new_session=True,
             pass_fds=descriptors,
         )
-        return Child(name, process, summary, arguments, told, descriptors)
+        return Child(name, process, summary, arguments, environment, descriptors)
 
-    def _spawn_like(self, child: Child, standby: bool = False) -> Child:
-        return self._spawn(child.name, child.arguments, child.told, child.descriptors, standby)
+    def _respawn(self, child: Child, standby: bool = False) -> Child:
+        return self._spawn(
+            child.name, child.arguments, child.environment, child.descriptors, standby
+        )
 
-    def _listen(self, child: Child) -> None:
+    def _start_reader(self, child: Child) -> None:
         reader = threading.Thread(target=self._relay, args=(child,), daemon=True)
         reader.start()
         child.threads.append(reader)
 
-    def casualty(self) -> Child | None:
+    def failed_child(self) -> Child | None:
         """Return a child whose end ends the session.
 
         Of the others that ended, `RESTARTED_CHILDREN` ones are started again, as are those that
         hang; for the rest one line is printed.
         """
         for child in list(self.children.values()):
-            if child.hung and child.name in RESTARTED_CHILDREN:
+            if child.is_hung and child.name in RESTARTED_CHILDREN:
                 child.complaint = "it hung"
                 child.process.kill()
                 child.process.wait()
-            if child.exit_code is None and child.worked and child.name not in self._spares:
-                self._spares[child.name] = self._spawn_like(child, standby=True)
-            if child.exit_code is None or child.name in self._missed:
+            if child.exit_code is None and child.was_healthy and child.name not in self._spares:
+                self._spares[child.name] = self._respawn(child, standby=True)
+            if child.exit_code is None or child.name in self._reported:
                 continue
-            if child.restarts:
-                self._start_again(child)
+            if child.may_restart:
+                self._restart(child)
                 continue
-            child.hear_out()
-            if child.fatal:
+            child.join_readers()
+            if child.is_fatal:
                 return child
-            self._missed.add(child.name)
-            why = child.complaint or f"ended {child.how()}"
-            self._say(child.name, f"{why}; the session goes on{self._remedy(child)}")
+            self._reported.add(child.name)
+            why = child.complaint or f"ended {child.describe_end()}"
+            self._say(child.name, f"{why}; the session goes on{self._format_restart_hint(child)}")
         return None
 
-    def _start_again(self, child: Child) -> None:
+    def _restart(self, child: Child) -> None:
         """Start an ended child again, at once, or after a pause if it was started again lately."""
         if time.monotonic() < child.heard_s + child.pause_s:
             return
-        child.hear_out()
-        new = self._called(child.name) or self._spawn_like(child)
-        new.worked = new.reborn = True
-        new.again = child.complaint or f"ended {child.how()}"
-        if child.reborn and time.monotonic() - child.began_s < _SHORT_LIFE_S:
+        child.join_readers()
+        new = self._activate_spare(child.name) or self._respawn(child)
+        new.was_healthy = new.was_restarted = True
+        new.restart_reason = child.complaint or f"ended {child.describe_end()}"
+        if child.was_restarted and time.monotonic() - child.began_s < _SHORT_LIFE_S:
             new.pause_s = min(max(1.0, 2 * child.pause_s), _RESTART_PAUSE_MAX_S)
         self.children[child.name] = new
-        self._listen(new)
+        self._start_reader(new)
 
-    def _called(self, name: str) -> Child | None:
+    def _activate_spare(self, name: str) -> Child | None:
         """Return the spare of a child, told to begin; None if there is none."""
         spare = self._spares.pop(name, None)
         if spare is None or spare.process.stdin is None:
@@ -226,7 +222,7 @@ class Supervisor:
         spare.began_s = spare.heard_s = time.monotonic()
         return spare
 
-    def _remedy(self, child: Child) -> str:
+    def _format_restart_hint(self, child: Child) -> str:
         if child.name not in RESTARTED_CHILDREN:
             return ""
         command = shlex.join(["teleop", child.name, *child.arguments])
@@ -253,7 +249,7 @@ class Supervisor:
                 )
                 child.process.kill()
                 child.process.wait()
-            child.hear_out()
+            child.join_readers()
 
     def _relay(self, child: Child) -> None:
         assert child.process.stdout is not None  # noqa: S101 - given as PIPE above
@@ -261,7 +257,7 @@ class Supervisor:
             for line in map(str.rstrip, lines):
                 now = time.monotonic()
                 if line == HEARTBEAT:
-                    child.beat_s, child.worked = now, True
+                    child.beat_s, child.was_healthy = now, True
                     continue
                 child.heard_s = now
                 if line.startswith(STATUS):
@@ -269,9 +265,9 @@ class Supervisor:
                 elif line.startswith(ERROR_PREFIX):
                     child.complaint = line.removeprefix(ERROR_PREFIX)
                 else:
-                    if child.again:
-                        line = f"started again ({child.again}); {format_view_hint(line)}"  # noqa: PLW2901
-                        child.again = ""
+                    if child.restart_reason:
+                        line = f"started again ({child.restart_reason}); {format_view_hint(line)}"  # noqa: PLW2901
+                        child.restart_reason = ""
                     with suppress(OSError):  # the main thread ends for it; the pipe must not fill
                         self._say(child.name, line)
 

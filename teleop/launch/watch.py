@@ -96,8 +96,8 @@ def require_free_session(link: Link) -> None:
 def wait_for_slave(
     link: Link,
     listener: Listener,
-    hearing: SessionMonitor,
-    family: Supervisor,
+    monitor: SessionMonitor,
+    supervisor: Supervisor,
     console: Console,
     stop: StopCondition,
     keyboard: Keyboard,
@@ -108,12 +108,12 @@ def wait_for_slave(
     """
     link.subscribe_latest(STATE)
     while not stop() and link.latest(STATE).message is None:
-        for source, text in hearing.take(listener.drain()):
+        for source, text in monitor.take(listener.drain()):
             console.say(source, text)
-        child = family.casualty()
+        child = supervisor.failed_child()
         if child is not None:
             return child
-        if time.monotonic() > family.children["slave"].heard_s + START_S:
+        if time.monotonic() > supervisor.children["slave"].heard_s + START_S:
             raise TeleopError(f"the slave did not start within {START_S:g} s")
         keyboard.look(_POLL_S)
     return None
@@ -122,8 +122,8 @@ def wait_for_slave(
 def watch(
     link: Link,
     listener: Listener,
-    hearing: SessionMonitor,
-    family: Supervisor,
+    monitor: SessionMonitor,
+    supervisor: Supervisor,
     console: Console,
     stop: StopCondition,
     duration_s: float | None,
@@ -135,7 +135,7 @@ def watch(
     ----------
     listener : Listener
         Of events and reports, since before the first child was started.
-    hearing : SessionMonitor
+    monitor : SessionMonitor
         State of the session so far.
     duration_s : float or None
         [s] of running, counted from when both loops have reported; None for ever.
@@ -145,23 +145,23 @@ def watch(
     patience = time.monotonic() + START_S
     end = float("inf")
     while not stop():
-        for source, text in hearing.take(listener.drain()):
+        for source, text in monitor.take(listener.drain()):
             console.say(source, text)
-        child = family.casualty()
+        child = supervisor.failed_child()
         if child is not None:
             return child
-        if hearing.running and end == float("inf") and duration_s is not None:
+        if monitor.running and end == float("inf") and duration_s is not None:
             end = time.monotonic() + duration_s
         if time.monotonic() >= end:
             stop.request("duration reached")
-        if not hearing.running and time.monotonic() > patience:
+        if not monitor.running and time.monotonic() > patience:
             raise TeleopError(f"the loops did not start within {START_S:g} s")
         if console.status.live:
             state = link.latest(STATE).message
-            record = family.children.get("record")
+            record = supervisor.children.get("record")
             recorder = "" if record is None else record.status
             line = format_status(
-                hearing.reports, state, hearing.latency, recorder, hearing.links, link.insecure
+                monitor.reports, state, monitor.latency, recorder, monitor.links, link.insecure
             )
             console.status.show(line)
         keyboard.look(_POLL_S)

@@ -252,7 +252,7 @@ def test_the_launcher_waits_for_a_recorder_that_makes_progress_and_ends_with_its
         time.sleep(0.01)
     child.process.terminate()
     assert wait_for_exit(child)
-    child.hear_out()
+    child.join_readers()
     assert child.status == "recorder 3.0 s behind"
     out = command._combine_summaries(family, None, "SIGINT")
     assert (out.exit_code, out.reason) == (1, "recorder: 3 messages are missing")

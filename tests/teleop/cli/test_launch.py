@@ -373,8 +373,8 @@ def ended(family, name, code):
 @pytest.mark.parametrize("name", ["view", "record"])
 def test_a_session_goes_on_without_a_viewer_or_recorder_and_says_so_once(family, name):
     ended(family, name, COMPLAIN.format(1))
-    assert family.casualty() is None
-    assert family.casualty() is None
+    assert family.failed_child() is None
+    assert family.failed_child() is None
     ((who, line),) = family.said
     assert who == name
     assert line.startswith("no room; the session goes on")
@@ -393,7 +393,7 @@ def test_a_view_that_worked_is_started_again_in_one_line(family, monkeypatch, th
     first = family.start("view", [ANNOUNCE + then])
 
     def again():
-        assert family.casualty() is None
+        assert family.failed_child() is None
         return any("started again" in line for _, line in family.said)
 
     assert wait_for_condition(again, 30.0)
@@ -408,16 +408,16 @@ def test_a_view_that_worked_is_started_again_in_one_line(family, monkeypatch, th
 
 def test_a_window_that_was_closed_stays_closed(family):
     ended(family, "view", ANNOUNCE)
-    assert wait_for_condition(lambda: family.casualty() is None and len(family.said) == 2, 20.0)
+    assert wait_for_condition(lambda: family.failed_child() is None and len(family.said) == 2, 20.0)
     time.sleep(0.2)
-    assert family.casualty() is None
+    assert family.failed_child() is None
     assert [line for _, line in family.said if "started again" in line] == []
 
 
 @pytest.mark.parametrize(("name", "code"), [("view", 2), ("slave", 1), ("master", 0), ("slave", 2)])
 def test_a_vital_child_or_a_wrong_option_ends_the_session(family, name, code):
     ended(family, name, COMPLAIN.format(code))
-    child = family.casualty()
+    child = family.failed_child()
     assert (child.name, child.exit_code, child.complaint) == (name, code, "no room")
     assert family.said == []
 
