@@ -6,7 +6,7 @@ A tick has two phases, both compiled and without clock, link or device:
     compute_force   after the slave's answer or a timeout: computes the force
 
 So a force can be rendered in the tick in which its command was sent. Both phases update the
-caller's `MasterState` in place; a copy of it undoes them.
+caller's `MasterMemory` in place; a copy of it undoes them.
 """
 
 from typing import Any, NamedTuple
@@ -30,7 +30,7 @@ from teleop.session import state_machine
 from teleop.session.state_machine import Inputs, Reason, Session, State
 
 
-class MasterState(Struct):
+class MasterMemory(Struct):
     """State of the master between ticks, and between `compute_command` and `compute_force`."""
 
     axes: I64  # of the device
@@ -38,8 +38,8 @@ class MasterState(Struct):
     operator: OperatorMemory
     force: Axes  # [N] last output of the gate
     own_force: Axes  # [N] its part from local forces
-    answered_ns: I64  # stamp of the newest command answered by the slave
-    answer_ns: I64 = 0  # the same if it was answered in this tick, 0 = none
+    answered_command_ns: I64  # stamp of the newest command that the slave has answered
+    newly_answered_ns: I64 = 0  # the same if its answer came in this tick, 0 = none
     coupling: Side
     rendered: RenderMemory
     limits: WorkspaceLimits
@@ -64,14 +64,14 @@ class TickInput(NamedTuple):
 
 
 def init_master(axes: int, now_ns: int) -> StructArray:
-    """Return the initial state as an array of one `MasterState`.
+    """Return the initial state as an array of one `MasterMemory`.
 
     Off, no force, no command since `now_ns`.
     """
-    records = MasterState.array()
-    state: MasterState = view_struct(records)
+    records = MasterMemory.array()
+    state: MasterMemory = view_struct(records)
     state.axes = axes
-    state.answered_ns = now_ns
+    state.answered_command_ns = now_ns
     return records
 
 
@@ -89,7 +89,7 @@ def compute_command(
     Parameters
     ----------
     settings_records, memories : Records
-        `MasterSettings` and `MasterState`, shape (1,); the state is updated.
+        `MasterSettings` and `MasterMemory`, shape (1,); the state is updated.
     hands : Records
         `HandInput`, shape (1,).
     states : Records
@@ -219,9 +219,9 @@ def compute_force(
             own[k] += rest[k]
         total[k] = feedback.limit_slew(settings.force.slew, memory.force[k], total[k] + own[k], dt)
         total[k] = feedback.clamp(settings.force.limit, total[k])
-    fades = state_machine.fades(memory.session)
+    is_fading = state_machine.is_force_fading(memory.session)
     verdict = gate.step(
-        settings.gate, memory.force, total, axes, fresh, renders, dt, fades, rest, out
+        settings.gate, memory.force, total, axes, fresh, renders, dt, is_fading, rest, out
     )
     for k in range(MAX_JOINTS):
         out[k] = out[k] if k < axes else 0.0
@@ -234,7 +234,7 @@ def compute_force(
 @jit_compile
 def _compute_wanted_forces(
     settings: MasterSettings,
-    memory: MasterState,
+    memory: MasterMemory,
     tick_input: TickInput,
     state: SlaveState,
     out: Array,
@@ -251,7 +251,7 @@ def _compute_wanted_forces(
 @jit_compile
 def _step_session(
     settings: MasterSettings,
-    memory: MasterState,
+    memory: MasterMemory,
     hand: HandInput,
     state: SlaveState,
     tick_input: TickInput,
@@ -277,7 +277,7 @@ def _step_session(
 @jit_compile
 def _receive_state(
     settings: MasterSettings,
-    memory: MasterState,
+    memory: MasterMemory,
     tick_input: TickInput,
     state: SlaveState,
     wanted: Array,
@@ -302,7 +302,7 @@ def _receive_state(
 @jit_compile
 def _fill_command(
     settings: MasterSettings,
-    memory: MasterState,
+    memory: MasterMemory,
     tick_input: TickInput,
     state: SlaveState,
     out: Command,
@@ -321,15 +321,18 @@ def _fill_command(
 
 
 @jit_compile
-def _record_answer(memory: MasterState, tick_input: TickInput, state: SlaveState) -> None:
+def _record_answer(memory: MasterMemory, tick_input: TickInput, state: SlaveState) -> None:
     """Record the command that is answered for the first time."""
-    memory.answer_ns = 0
-    memory.answered_ns = min(
-        memory.answered_ns, tick_input.now_ns
+    memory.newly_answered_ns = 0
+    memory.answered_command_ns = min(
+        memory.answered_command_ns, tick_input.now_ns
     )  # our clock may have been set back
-    if tick_input.has_state and memory.answered_ns < state.echo_stamp_ns <= tick_input.now_ns:
-        memory.answer_ns = state.echo_stamp_ns
-        memory.answered_ns = state.echo_stamp_ns
+    if (
+        tick_input.has_state
+        and memory.answered_command_ns < state.echo_stamp_ns <= tick_input.now_ns
+    ):
+        memory.newly_answered_ns = state.echo_stamp_ns
+        memory.answered_command_ns = state.echo_stamp_ns
 
 
 @jit_compile
@@ -354,15 +357,16 @@ def is_fresh(settings: MasterSettings, tick_input: TickInput, state: SlaveState)
     if not tick_input.has_state:
         return False
     # as floats: sums of message fields may exceed 64 bits
-    behind_ns = float(tick_input.state_age_ns) + max(float(state.sample_age_ns), 0.0)
-    answered_ns = float(tick_input.now_ns - state.echo_stamp_ns)
+    state_age_ns = float(tick_input.state_age_ns) + max(float(state.sample_age_ns), 0.0)
+    command_age_ns = float(tick_input.now_ns - state.echo_stamp_ns)
     return (
-        behind_ns <= settings.state_timeout * 1e9 and 0.0 <= answered_ns <= settings.delay_max * 1e9
+        state_age_ns <= settings.state_timeout * 1e9
+        and 0.0 <= command_age_ns <= settings.delay_max * 1e9
     )
 
 
 @jit_compile
-def is_switch_closed(side: Session, hand: HandInput, there: Presence) -> bool:
+def is_switch_closed(side: Session, hand: HandInput, presence: Presence) -> bool:
     """Return whether the engage switch counts as closed.
 
     Not while no hand is detected; but a fault is cleared only when the real switch is released.
@@ -373,13 +377,13 @@ def is_switch_closed(side: Session, hand: HandInput, there: Presence) -> bool:
         or side.state == State.STOPPED
     ):
         return hand.engage or hand.clutch or hand.stop
-    return hand.engage and not there.away
+    return hand.engage and not presence.away
 
 
 @jit_compile
 def find_not_ready_reason(
     settings: MasterSettings,
-    memory: MasterState,
+    memory: MasterMemory,
     hand: HandInput,
     state: SlaveState,
     tick_input: TickInput,

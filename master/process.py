@@ -59,9 +59,9 @@ DIRECT = Bilateral()
 COMPILE_S = 12.0  # [s] without a cache, on a machine that does nothing else
 # of a period, from the reading of the device: longer is not waited for an answer
 ANSWER_WAIT_SHARE = 0.6
-LATE_ANSWERS_MAX = 20  # in a row, and the link is taken for one on which it is no use to wait
+LATE_ANSWERS_MAX = 20  # in a row, after which the master stops waiting for same-tick answers
 _CLOCK_SET, _ENGAGED = int(Reason.CLOCK_SET), int(State.ENGAGED)
-RETRY_TICKS = 100  # ticks, whether it still is one
+RETRY_TICKS = 100  # ticks from one wait to the next then, to see whether answers come in time
 
 
 class MasterProcess(LoopProcess):
@@ -87,11 +87,11 @@ class MasterProcess(LoopProcess):
         requests: RequestListener | None = None,
     ) -> None:
         self._memory = loop.init_master(device.axes, now_ns())
-        self.memory: loop.MasterState = view_struct(self._memory)
+        self.memory: loop.MasterMemory = view_struct(self._memory)
         self._checkpoint = Checkpoint(self._memory)  # of the tick, then of its second phase
         self._commanded_outline = OutlineReader(self._checkpoint.saved[0]["session"])
         super().__init__(link, grid.stats, self._memory, device.axes, requests, health)
-        self._answer_ns = self._memory["answer_ns"]
+        self._newly_answered_ns = self._memory["newly_answered_ns"]
         self._hands = HandInput.array()
         self._live, self._device = live_settings.init_settings(config), device
         self._reads, self._writes = (
@@ -110,14 +110,14 @@ class MasterProcess(LoopProcess):
         self._away = ""  # why the device cannot be read, while it is looked for
         self._states = link.subscribe_latest(STATE, round(config.state_timeout * 1e9))
         self._echo_ns = self._states.packet.records["echo_stamp_ns"]
-        self._answered_in_ns = self._states.packet.records["answer_ns"]
+        self._slave_answer_ns = self._states.packet.records["answer_ns"]
         self._peer_state = self._states.packet.records["state"]
         self._peer_reason = self._states.packet.records["reason"]
         self._joints = self._states.packet.records["joints"]
         self._scaled_from, self._scaled_config = (config, 1.0), config
 
     def tick(self, tick: Tick) -> None:
-        """Read, command, wait for the answer, render; then do what nobody waits for."""
+        """Read, command, wait for the answer, render; then the work that is not time-critical."""
         fault, hand, away = self._read((tick.stamp_ns - self._start_ns) * 1e-9)
         self._link.latest(STATE)
         requests = self._requests(tick.stamp_ns, int(self._stops[0]))
@@ -149,7 +149,7 @@ class MasterProcess(LoopProcess):
         written_ns = now_ns()
         self._verdicts[verdict] += 1
         round_trip = self._measure(tick.stamp_ns, sent_ns, written_ns)
-        self._follow_up(tick, hand, requests, round_trip)
+        self._finish_tick(tick, hand, requests, round_trip)
         if changed:
             publish_event(self._link, Role.MASTER, self._outline(), f"set: {changed}")
         if away != self._away:
@@ -217,7 +217,7 @@ class MasterProcess(LoopProcess):
     def _await_answer(self, sent_ns: int, deadline_ns: int) -> None:
         """Wait for the state that answers the command of `sent_ns`.
 
-        Not on a link that is so slow that no answer comes in time: that is tried now and then.
+        After `LATE_ANSWERS_MAX` that came too late only every `RETRY_TICKS` ticks.
         """
         if self._late_answers > LATE_ANSWERS_MAX and self._index % RETRY_TICKS:
             return
@@ -239,7 +239,7 @@ class MasterProcess(LoopProcess):
         known_ns: int,
         hand: HandState | None,
     ) -> int:
-        """Find the force and write it to the device; return the gate's verdict."""
+        """Compute the force and write it to the device; return the gate's verdict."""
         self._checkpoint.save()
         is_new = self._states.stamp_ns != known_ns
         verdict = self._compute_force(settings, tick, fault, requests, is_new)
@@ -279,23 +279,23 @@ class MasterProcess(LoopProcess):
 
     def _measure(self, read_ns: int, sent_ns: int, written_ns: int) -> int:
         """Note how long the stages of an answered command took; return its round trip [ns]."""
-        answer_ns = int(self._answer_ns[0])
-        if not answer_ns:
+        command_ns = int(self._newly_answered_ns[0])
+        if not command_ns:
             return 0
-        round_trip = written_ns - answer_ns
+        round_trip = written_ns - command_ns
         self._meter.latency.add(round_trip)
-        answered_in_ns = int(self._answered_in_ns[0])
-        if answer_ns == sent_ns and answered_in_ns:
+        slave_ns = int(self._slave_answer_ns[0])
+        if command_ns == sent_ns and slave_ns:
             received_ns = self._states.received_ns
-            link_ns = received_ns - sent_ns - answered_in_ns
-            stages = (sent_ns - read_ns, link_ns, answered_in_ns, written_ns - received_ns)
+            link_ns = received_ns - sent_ns - slave_ns
+            stages = (sent_ns - read_ns, link_ns, slave_ns, written_ns - received_ns)
             self._meter.stages.add((*stages, written_ns - read_ns))
         return round_trip
 
-    def _follow_up(
+    def _finish_tick(
         self, tick: Tick, hand: HandState | None, requests: Requests, round_trip: int
     ) -> None:
-        """Do what nobody waits for, once the force is written."""
+        """Do the work that is not time-critical, once the force is written."""
         side = self._outline()
         self._finish_requests(side, requests, self._states, tick.stamp_ns)
         if hand is not None and not self._link.skip_unsubscribed(HAND):
@@ -316,7 +316,7 @@ class MasterProcess(LoopProcess):
             tick.stamp_ns,
             self._states,
             int(self._echo_ns[0]),
-            int(self._answered_in_ns[0]),
+            int(self._slave_answer_ns[0]),
             int(self._peer_reason[0]) if self._peer_state[0] == _ENGAGED else 0,
         )
         if self._report(tick.stamp_ns, self._states):

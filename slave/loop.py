@@ -144,7 +144,7 @@ def init_slave(
     for sample in samples:
         fill_sample(row, 0, sample)
         estimate(*slave.estimated, row, 1)
-        locate_motors(slave.layout, memory, slave.scratch, row)
+        track_initial_position(*map(view_struct, (slave.layout, memory, slave.scratch, row)))
     if motor:
         memory["motor"][0, :tendons] = motor
         memory["has_motor"] = True
@@ -183,31 +183,23 @@ def run_tick(
         `SlaveState`, shape (1,), filled in except for the head.
     """
     setting, layout, memory = settings_records[0], layouts[0], memories[0]
-    work, command = scratches[0], commands[0]
-    found, tendon = _process_samples(setting, layout, memory, work, rows, samples, tick_input.dt)
-    _update_faults(setting, layout, memory, rows, samples, found, tendon, tick_input.dt)
-    _update_readiness(setting, memory, work, tick_input.motors_follow)
-    commanded = _copy_command(layout, work, command, tick_input)
-    _advance_session(setting, layout, memory, work, command, tick_input)
+    scratch, command = scratches[0], commands[0]
+    fault, tendon = _process_samples(setting, layout, memory, scratch, rows, samples, tick_input.dt)
+    _update_faults(setting, layout, memory, rows, samples, fault, tendon, tick_input.dt)
+    _update_readiness(setting, memory, scratch, tick_input.motors_follow)
+    commanded = _copy_command(layout, scratch, command, tick_input)
+    _advance_session(setting, layout, memory, scratch, command, tick_input)
     engaged = state_machine.may_move(memory.session) and commanded
     if memory.has_sample:
         control.estimate_joints(layout, memory.tendons, memory.offsets, memory.joints)
-    _apply_coupling(setting, layout, memory, work, command, tick_input, commanded, engaged)
+    _apply_coupling(setting, layout, memory, scratch, command, tick_input, commanded, engaged)
     verdict = gate.HELD
     if memory.has_sample and (memory.has_motor or engaged):
         moving = engaged and tick_input.motors_follow
-        verdict = _command_motors(setting, layout, memory, work, moving, tick_input.dt)
+        verdict = _command_motors(setting, layout, memory, scratch, moving, tick_input.dt)
         memory.has_motor = True
     _fill_state(setting, layout, memory, command, tick_input, states[0])
     return verdict
-
-
-@jit_compile
-def locate_motors(
-    layouts: StructArray, memories: StructArray, scratches: StructArray, rows: StructArray
-) -> None:
-    """Initialise the motor positions from the first of `rows`, before the first tick."""
-    _locate_motors(layouts[0], memories[0], scratches[0], rows[0])
 
 
 @jit_compile
@@ -215,13 +207,13 @@ def _process_samples(
     setting: SlaveSettings,
     layout: RigLayout,
     memory: SlaveMemory,
-    work: Scratch,
+    scratch: Scratch,
     rows: StructArray,
     samples: int,
     dt: float,
 ) -> tuple[int, int]:
     """Process the samples; return the newest fault Reason and its tendon."""
-    found: int = Reason.NONE
+    fault: int = Reason.NONE
     tendon = -1
     initial_position.increase_age(memory.initial_position, dt)
     for i in range(samples):
@@ -230,22 +222,22 @@ def _process_samples(
             setting.fault_detection, layout, memory.detector, row.tendons, row.elapsed
         )
         if reason != Reason.NONE:
-            found, tendon = reason, where
-        _locate_motors(layout, memory, work, row)
+            fault, tendon = reason, where
+        track_initial_position(layout, memory, scratch, row)
         if setting.rig_obeys and memory.has_motor:
             fault_detection.record_motor_readings(memory.motors, layout, row.tendons, memory.motor)
-    return found, tendon
+    return fault, tendon
 
 
 @jit_compile
-def _locate_motors(
-    layout: RigLayout, memory: SlaveMemory, work: Scratch, row: EstimatedSample
+def track_initial_position(
+    layout: RigLayout, memory: SlaveMemory, scratch: Scratch, row: EstimatedSample
 ) -> None:
     """Update the initial motor positions with a sample."""
     for i in range(layout.tendons):
-        work.displacement[i] = row.tendons[i].displacement
+        scratch.displacement[i] = row.tendons[i].displacement
     initial_position.process_sample(
-        memory.initial_position, layout.tendons, work.displacement, row.has_displacement
+        memory.initial_position, layout.tendons, scratch.displacement, row.has_displacement
     )
 
 
@@ -256,13 +248,13 @@ def _update_faults(
     memory: SlaveMemory,
     rows: StructArray,
     samples: int,
-    found: int,
+    fault: int,
     tendon: int,
     dt: float,
 ) -> None:
     """Update the fault conditions: motors, missing samples, tension over its limit."""
     if setting.rig_obeys:
-        astray, motor = fault_detection.check_motors(
+        motor_fault, motor = fault_detection.check_motors(
             setting.fault_detection,
             memory.motors,
             layout,
@@ -271,10 +263,10 @@ def _update_faults(
             samples > 0,
             dt,
         )
-        if found == Reason.NONE:
-            found, tendon = astray, motor
+        if fault == Reason.NONE:
+            fault, tendon = motor_fault, motor
     if samples > 0:
-        memory.found, memory.found_tendon = found, tendon
+        memory.detected_fault, memory.faulty_tendon = fault, tendon
     usable = False
     for i in range(samples):
         usable = usable or _is_usable(layout, rows[i].tendons)
@@ -308,7 +300,7 @@ def _is_overloaded(setting: SlaveSettings, layout: RigLayout, memory: SlaveMemor
 
 @jit_compile
 def _update_readiness(
-    setting: SlaveSettings, memory: SlaveMemory, work: Scratch, motors_follow: bool
+    setting: SlaveSettings, memory: SlaveMemory, scratch: Scratch, motors_follow: bool
 ) -> None:
     """Update the motor positions and whether the rig is usable.
 
@@ -316,9 +308,9 @@ def _update_readiness(
     """
     measured = initial_position.is_known(memory.initial_position, setting.sample_timeout)
     if memory.has_motor and (motors_follow or not measured):
-        copy_values(memory.motor[:], work.motor[:])
+        copy_values(memory.motor[:], scratch.motor_position[:])
     elif measured:
-        copy_values(memory.initial_position.position[:], work.motor[:])
+        copy_values(memory.initial_position.position[:], scratch.motor_position[:])
     known = memory.has_motor or measured
     if not memory.has_sample:
         memory.not_ready = NO_SAMPLE
@@ -330,16 +322,16 @@ def _update_readiness(
 
 @jit_compile
 def _copy_command(
-    layout: RigLayout, work: Scratch, command: Command, tick_input: TickInput
+    layout: RigLayout, scratch: Scratch, command: Command, tick_input: TickInput
 ) -> bool:
     """Copy the commanded joint motion; return whether motion is commanded."""
-    work.requested[:] = 0.0
-    work.speed[:] = 0.0
+    scratch.requested[:] = 0.0
+    scratch.speed[:] = 0.0
     commanded = tick_input.has_command and tick_input.fresh and command.state == State.ENGAGED
     if commanded:
         for k in range(layout.joints):
-            work.requested[k] = command.position[k]
-            work.speed[k] = command.velocity[k]
+            scratch.requested[k] = command.position[k]
+            scratch.speed[k] = command.velocity[k]
     return commanded
 
 
@@ -348,28 +340,30 @@ def _advance_session(
     setting: SlaveSettings,
     layout: RigLayout,
     memory: SlaveMemory,
-    work: Scratch,
+    scratch: Scratch,
     command: Command,
     tick_input: TickInput,
 ) -> None:
-    master = state_machine.to_known_state(command.state) if tick_input.has_command else State.OFF
+    master_state: int = State.OFF
+    if tick_input.has_command:
+        master_state = state_machine.to_known_state(command.state)
     fault = tick_input.fault
     if fault == Reason.NONE:
-        fault = _find_own_fault(setting, layout, memory, work)
-    differs = tick_input.has_command and coupling.has_settings_mismatch(
+        fault = _find_own_fault(setting, layout, memory, scratch)
+    has_mismatch = tick_input.has_command and coupling.has_settings_mismatch(
         setting.bilateral, command.coupling
     )
-    inputs = work.inputs
+    inputs = scratch.inputs
     inputs.usable = memory.not_ready == USABLE
     inputs.peer_fresh = tick_input.fresh
-    inputs.peer_state = master
-    inputs.engage = state_machine.is_switch_closed(master)
+    inputs.peer_state = master_state
+    inputs.engage = state_machine.is_switch_closed(master_state)
     inputs.fault = fault
-    inputs.clutch = master == State.CLUTCHED
+    inputs.clutch = master_state == State.CLUTCHED
     inputs.stop = tick_input.stop
     inputs.reset = tick_input.reset
     inputs.link, inputs.link_holds = tick_input.link, tick_input.link_holds
-    inputs.not_ready_reason = Reason.COUPLING_DIFFERS if differs else Reason.NONE
+    inputs.not_ready_reason = Reason.COUPLING_DIFFERS if has_mismatch else Reason.NONE
     inputs.peer = 0
     if tick_input.has_command:
         inputs.peer = command.sender
@@ -378,19 +372,19 @@ def _advance_session(
 
 @jit_compile
 def _find_own_fault(
-    setting: SlaveSettings, layout: RigLayout, memory: SlaveMemory, work: Scratch
+    setting: SlaveSettings, layout: RigLayout, memory: SlaveMemory, scratch: Scratch
 ) -> int:
     """Return the Reason of a fault on this side."""
     if memory.has_sample and memory.silence > setting.sample_timeout:
         return Reason.SAMPLES_FROZEN if memory.motors.repeated else Reason.SAMPLES_STALE
     if memory.overload > OVERLOAD_S:
         return Reason.OVER_LIMIT
-    if memory.found != Reason.NONE:
-        return memory.found
+    if memory.detected_fault != Reason.NONE:
+        return memory.detected_fault
     if memory.advice == Advice.DEMANDED:
         return Reason.CALIBRATION_DUE
     for k in range(layout.joints):
-        if not (abs(work.requested[k]) < MOTION_MAX and abs(work.speed[k]) < MOTION_MAX):
+        if not (abs(scratch.requested[k]) < MOTION_MAX and abs(scratch.speed[k]) < MOTION_MAX):
             return Reason.NOT_FINITE
     return Reason.NONE
 
@@ -400,7 +394,7 @@ def _apply_coupling(
     setting: SlaveSettings,
     layout: RigLayout,
     memory: SlaveMemory,
-    work: Scratch,
+    scratch: Scratch,
     command: Command,
     tick_input: TickInput,
     commanded: bool,
@@ -418,14 +412,14 @@ def _apply_coupling(
             memory.joints,
             layout.joints,
             command.force_max,
-            work.force,
+            scratch.force,
         )
     coupling.compute_tip_motion(
         setting.bilateral,
         memory.coupling,
-        work.requested,
-        work.speed,
-        work.force,
+        scratch.requested,
+        scratch.speed,
+        scratch.force,
         layout.joints if commanded else 0,
         engaged,
         tick_input.dt,
@@ -437,7 +431,7 @@ def _command_motors(
     setting: SlaveSettings,
     layout: RigLayout,
     memory: SlaveMemory,
-    work: Scratch,
+    scratch: Scratch,
     moving: bool,
     dt: float,
 ) -> int:
@@ -446,27 +440,27 @@ def _command_motors(
         setting.control,
         layout,
         memory.control,
-        work.requested,
-        work.speed,
-        work.motor,
+        scratch.requested,
+        scratch.speed,
+        scratch.motor_position,
         memory.tendons,
         moving,
         dt,
-        work.wanted,
+        scratch.motor_target,
     )
     for i in range(layout.tendons):
         tendon = memory.tendons[i]
-        work.tension[i] = math.nan
+        scratch.tension[i] = math.nan
         if tendon.valid:
-            work.tension[i] = max(tendon.tension, tendon.corrected_tension)
+            scratch.tension[i] = max(tendon.tension, tendon.corrected_tension)
     if moving:
         gate.compute_reaches(setting.gate, layout, memory.joints, memory.reach)
     return gate.step(
         setting.gate,
         layout.tendons,
-        work.motor,
-        work.wanted,
-        work.tension,
+        scratch.motor_position,
+        scratch.motor_target,
+        scratch.tension,
         memory.silence,
         moving,
         dt,

@@ -75,8 +75,8 @@ class SlaveMemory(Struct):
     sample_time: F64 = 0.0  # [s] of the newest sample
     silence: F64 = 0.0  # [s] since the last new and usable sample
     overload: F64 = 0.0  # [s] for which a tension has been far over its limit while engaged
-    found: I64 = Reason.NONE  # last Reason of the fault detection
-    found_tendon: I64 = -1
+    detected_fault: I64 = Reason.NONE  # Reason that the fault detection gave last
+    faulty_tendon: I64 = -1
     advice: I64 = Advice.NONE
     not_ready: I64 = NO_SAMPLE
 
@@ -90,8 +90,8 @@ class Scratch(Struct):
     force: Annotated[Array, Field("f8", MAX_JOINTS)]  # [N] rendered to the hand
     displacement: Annotated[Array, Field("f8", MAX_TENDONS)]  # [m] of the motors in a sample
     tension: Annotated[Array, Field("f8", MAX_TENDONS)]  # [N] used for the limits
-    motor: Annotated[Array, Field("f8", MAX_TENDONS)]  # [m] motor positions
-    wanted: Annotated[Array, Field("f8", MAX_TENDONS)]  # [m] motor targets
+    motor_position: Annotated[Array, Field("f8", MAX_TENDONS)]  # [m] present motor positions
+    motor_target: Annotated[Array, Field("f8", MAX_TENDONS)]  # [m] motor targets
 
 
 class TickInput(NamedTuple):

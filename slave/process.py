@@ -77,7 +77,7 @@ class CalibrationHistory(NamedTuple):
 
 
 class SlaveProcess(LoopProcess):
-    """The world around `loop.tick`: one rig, one link, and the counts."""
+    """The world around `loop.run_tick`: one rig, one link, and the counts."""
 
     role, verdict = Role.SLAVE, GateFlags
 
@@ -113,10 +113,9 @@ class SlaveProcess(LoopProcess):
         self._checkpoint = Checkpoint(self._slave.memory, self._slave.estimators)
         self._rows = EstimatedSample.array(ROWS_INITIAL)
         self._samples = 0
-        self._next_sample: RigSample | None = (
-            None  # estimated from in advance, after the checkpoint
-        )
-        self._is_estimated = False  # whether the rows of this tick are, in advance
+        # what the rig gives next: the estimate from it is in the memory, but not in the checkpoint
+        self._next_sample: RigSample | None = None
+        self._is_estimated = False  # whether this tick's sample was such a one
         self._commands = link.subscribe_latest(COMMAND, round(config.command_timeout * 1e9))
         self._echo_ns = self._commands.packet.records["echo_stamp_ns"]
         self._state, self._tendon_state = Packet(SlaveState), Packet(TendonState)
@@ -127,7 +126,7 @@ class SlaveProcess(LoopProcess):
         self._start_ns = past.start_ns
 
     def tick(self, tick: Tick) -> None:
-        """Answer the newest command; then do what nobody waits for."""
+        """Answer the newest command; then the work that is not time-critical."""
         time_s = (tick.stamp_ns - self._start_ns) * 1e-9
         fault = self._read(time_s)
         commands = self._link.latest(COMMAND)
@@ -146,10 +145,10 @@ class SlaveProcess(LoopProcess):
         if commands.new:
             self._answer_ns[0] = now_ns() - commands.received_ns
         self._link.publish_packet(STATE, self._state)
-        answered_ns = now_ns()
+        published_ns = now_ns()
         self._verdicts[verdict] += 1
-        self._meter.answer.add(answered_ns - tick.stamp_ns)
-        rig_ns = self._follow_up(tick, time_s, requests)
+        self._meter.answer.add(published_ns - tick.stamp_ns)
+        rig_ns = self._finish_tick(tick, time_s, requests)
         work_ns = now_ns() - tick.stamp_ns
         self._meter.without_rig.add(work_ns - rig_ns)
         self._meter.tick(self._outline(), work_ns, self._telemetry.detail)
@@ -244,8 +243,8 @@ class SlaveProcess(LoopProcess):
         self._end(TeleopError(f"rig: {error}"))
         return Reason.RIG_FAULT
 
-    def _follow_up(self, tick: Tick, time_s: float, requests: Requests) -> int:
-        """Do what nobody waits for, once the answer is out; return how long the rig took [ns]."""
+    def _finish_tick(self, tick: Tick, time_s: float, requests: Requests) -> int:
+        """Do the work that is not time-critical; return how long the rig took of it [ns]."""
         slave, rows, samples = self._slave, self._rows, self._samples
         begin_ns = now_ns()
         next_sample = None if self.error or self.ended else self._advance_rig()

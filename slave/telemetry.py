@@ -49,7 +49,8 @@ class Telemetry:
         self._memory: SlaveMemory = view_struct(slave.memory)
         self._outline = OutlineReader(slave.memory["session"])
         self._now = {
-            name: slave.memory[name] for name in ("advice", "has_sample", "not_ready", "found")
+            name: slave.memory[name]
+            for name in ("advice", "has_sample", "not_ready", "detected_fault")
         }
         self._points = [np.linspace(0.0, m.sheath.length, PROFILE_POINTS) for m in model.models]
         self._joint_of = {k: j for j, tendons in enumerate(model.joints) for k in tendons}
@@ -106,8 +107,8 @@ class Telemetry:
             return self._misfit()
         if reason is Reason.STOP_CALLED:
             return self.stop_text
-        if self._now["found"][0] == reason:
-            return self._named(int(self._memory.found_tendon))
+        if self._now["detected_fault"][0] == reason:
+            return self._named(int(self._memory.faulty_tendon))
         return ""
 
     def _unreadable(self) -> str:

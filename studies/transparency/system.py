@@ -133,7 +133,7 @@ class Teleoperator:
 
     Attributes
     ----------
-    master : MasterState
+    master : MasterMemory
         State of the master.
     slave : SlaveMemory
         State of the slave.
@@ -152,7 +152,7 @@ class Teleoperator:
         self._tendons = len(model.models)
         self._master_settings = build_master_settings(configs.master, bilateral)
         self._master = master_loop.init_master(1, EPOCH)
-        self.master: master_loop.MasterState = view_struct(self._master)
+        self.master: master_loop.MasterMemory = view_struct(self._master)
         self._hands = hand_input.HandInput.array()
         self._force = np.zeros(MAX_JOINTS)  # [N]
         self._slave = slave_loop.init_slave(

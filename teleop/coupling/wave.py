@@ -54,8 +54,8 @@ class WaveConfig:
 
 
 @jit_compile
-def play(config: WaveConfig, port: Port, dt: float) -> float:
-    """Return the played wave [sqrt(W)] of the other side, with no more energy than the credit.
+def reconstruct_wave(config: WaveConfig, port: Port, dt: float) -> float:
+    """Return the wave [sqrt(W)] of the other side, with no more energy than the credit.
 
     With the rest U of the integral and its energy E the output is
 
@@ -104,8 +104,8 @@ def render_force(
     if not math.isfinite(force) or dt <= 0.0:
         return force
     b = config.impedance
-    came = play(config, port, dt)
-    rendered = b * hand.velocity - math.sqrt(2.0 * b) * came
+    returned_wave = reconstruct_wave(config, port, dt)
+    rendered = b * hand.velocity - math.sqrt(2.0 * b) * returned_wave
     margin = ledger.scale_step_tolerance(config.step_tolerance, dt)
     return ledger.limit_force_to_credit(port, rendered, hand.travel, 1.0, margin)
 
@@ -116,9 +116,11 @@ def compute_tip_motion(config: WaveConfig, port: Port, tip: SlaveInput, dt: floa
     if dt <= 0.0:
         return SlaveOutput(0.0, 0.0)
     b = config.impedance
-    came = play(config, port, dt)
-    wanted = (math.sqrt(2.0 * b) * came - tip.force) / b * dt
-    used = abs(came * (port.received_wave - port.played_wave))  # by the wave being played
+    returned_wave = reconstruct_wave(config, port, dt)
+    wanted = (math.sqrt(2.0 * b) * returned_wave - tip.force) / b * dt
+    used = abs(
+        returned_wave * (port.received_wave - port.played_wave)
+    )  # by the wave being reconstructed
     spare = min(max((port.credit - used) / config.reserve - 1.0, 0.0), 1.0)
     wanted += (tip.travel + tip.lag) * min(spare * dt / config.catch_up, 1.0)
     travel = ledger.limit_travel_to_credit(port, tip.force, wanted, 1.0)

@@ -36,7 +36,7 @@ None of them ends in motion: each goes to READY, where the switch must be open a
 again; only the clutch returns directly to ENGAGED.
 
 What each side may do depends on `may_move` and `may_yield` (slave), `may_render` and
-`fades` (master), and on nothing else.
+`is_force_fading` (master), and on nothing else.
 
 `Session` and `Inputs` are records (`estimator.records`), and all functions of them are compiled.
 Python code around the loops, which reports and prints, takes a `SessionOutline`.
@@ -277,7 +277,7 @@ def may_render(session: Session) -> bool:
 
 
 @jit_compile
-def fades(session: Session) -> bool:
+def is_force_fading(session: Session) -> bool:
     """Return whether the force on the hand ramps to zero instead of stepping."""
     return session.state == State.HOLDING
 

@@ -54,7 +54,7 @@ class Output(NamedTuple):
 
 
 class Run:
-    """A master and its records; `memory` is its `MasterState`."""
+    """A master and its records; `memory` is its `MasterMemory`."""
 
     def __init__(self, config=CONFIG, bilateral=DIRECT, axes=1):
         self.config, self.now, self.axes = config, EPOCH, axes
@@ -96,7 +96,7 @@ class Run:
             Command(**{n: self._value(out[n][0]) for n in out.dtype.names}),
             tuple(force[: self.axes].tolist()),
             verdict,
-            int(self.memory.answer_ns),
+            int(self.memory.newly_answered_ns),
         )
         return self.output
 

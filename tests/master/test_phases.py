@@ -176,7 +176,7 @@ def test_an_answer_that_comes_during_the_wait_is_one_to_the_command_of_this_tick
     newer = replace(later(run), echo_stamp_ns=sent)
     assert both(run, hand(), newer).answer_ns == sent
     assert run.answered(hand(), echo=sent).answer_ns == 0
-    assert run.memory.answered_ns == sent
+    assert run.memory.answered_command_ns == sent
 
 
 def test_a_sample_age_beyond_every_limit_is_not_fresh():

@@ -217,7 +217,7 @@ def test_a_broken_tendon_is_a_fault_that_names_it_and_holds_the_motors():
         if slave.state is State.FAULT:
             break
     assert slave.session == (State.FAULT, Reason.TENDON_BROKEN)
-    assert slave.memory.found_tendon == 0
+    assert slave.memory.faulty_tendon == 0
     assert slave.motor == held
     assert CONFIG.fault_detection.take_up <= reeled < CONFIG.fault_detection.take_up + 0.002
 

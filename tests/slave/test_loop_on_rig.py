@@ -144,7 +144,7 @@ def test_a_motor_that_does_not_go_where_it_is_sent_is_a_fault_that_names_it():
     free = slave(joint(0.8, environment=FreeConfig()))
     session = run(free, to(0.020, 0.02), 2.0, spoiled)
     assert session.bench.session.reason is Reason.MOTOR_ASTRAY
-    assert session.bench.memory.found_tendon == 1
+    assert session.bench.memory.faulty_tendon == 1
     lag = free.fault_detection.motor_lag
     assert lag < np.abs(session.behind[-1, 1]) < lag + 0.002
 
@@ -224,7 +224,7 @@ def test_a_stuck_cell_is_found_where_the_model_was_written_without_its_noise(ten
     session = run(by_hand(tendons=tendons, effects=effects), to(0.020, 0.02), 3.0)
     reasons = {Reason.CELL_STUCK, Reason.CELL_SATURATED}
     assert session.bench.session.reason in reasons
-    assert session.bench.memory.found_tendon == 0
+    assert session.bench.memory.faulty_tendon == 0
     assert session.tension.max() < GATE.tension_max
 
 

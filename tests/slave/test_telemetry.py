@@ -52,8 +52,8 @@ def enter(memory, state, reason):
 
 def find(memory, tendon):
     """Let the fault detection find this tendon broken, or nothing if it is None."""
-    memory.found = Reason.NONE if tendon is None else Reason.TENDON_BROKEN
-    memory.found_tendon = -1 if tendon is None else tendon
+    memory.detected_fault = Reason.NONE if tendon is None else Reason.TENDON_BROKEN
+    memory.faulty_tendon = -1 if tendon is None else tendon
 
 
 def test_a_fault_keeps_the_place_where_it_began_and_is_told_once(said, memory_and_tell):

@@ -17,7 +17,7 @@ from teleop.session.state_machine import (
     Session,
     SessionOutline,
     State,
-    fades,
+    is_force_fading,
     is_switch_closed,
     may_move,
     may_render,
@@ -92,7 +92,7 @@ def step_each(sessions: StructArray, inputs: StructArray, dt: float, allowed: np
         allowed[k, 0] = may_move(sessions[k])
         allowed[k, 1] = may_yield(sessions[k])
         allowed[k, 2] = may_render(sessions[k])
-        allowed[k, 3] = fades(sessions[k])
+        allowed[k, 3] = is_force_fading(sessions[k])
 
 
 def after_each(before: Now, inputs: StructArray, dt: float) -> list[Now]:
