@@ -11,7 +11,7 @@ from estimator.law.sheath import Sheath
 from estimator.law.transmission import evaluate_tension
 from estimator.records import StructArray
 from teleop.messages import messages
-from teleop.messages.messages import MAX_SECTIONS, MAX_TENDONS, PROFILE_POINTS, pad_values
+from teleop.messages.messages import MAX_MESSAGE_SECTIONS, MAX_TENDONS, PROFILE_POINTS, pad_values
 
 Array = NDArray[np.float64]
 
@@ -86,7 +86,7 @@ def fill_tension_profile(
 
 
 def build_sheath_message(tendon: int, joint: int, model: Sheath) -> messages.Sheath:
-    """Return the shape and constants of one sheath of at most `MAX_SECTIONS` sections."""
+    """Return the shape and constants of one sheath of at most `MAX_MESSAGE_SECTIONS` sections."""
     sections = model.sections
     return messages.Sheath(
         tendon=tendon,
@@ -94,6 +94,6 @@ def build_sheath_message(tendon: int, joint: int, model: Sheath) -> messages.She
         sections=len(sections),
         effective_friction=model.K,
         axial_stiffness=model.axial_stiffness,
-        section_length=pad_values([s.length for s in sections], MAX_SECTIONS),
-        section_radius=pad_values([s.radius for s in sections], MAX_SECTIONS),
+        section_length=pad_values([s.length for s in sections], MAX_MESSAGE_SECTIONS),
+        section_radius=pad_values([s.radius for s in sections], MAX_MESSAGE_SECTIONS),
     )

@@ -10,7 +10,7 @@ from estimator.online.online import TendonModel
 from slave.rigs.simulated.plant.tendon import SectionConfig
 from teleop.data import model_file
 from teleop.errors import UsageError
-from teleop.messages.messages import MAX_SECTIONS
+from teleop.messages.messages import MAX_MESSAGE_SECTIONS
 
 _IN_MODEL_FILE = (
     "effective_friction",
@@ -54,8 +54,8 @@ class TendonConfig:
             raise ValueError("effective_friction: set either this or friction with sections")
         if (self.friction is None) != (not self.sections):
             raise ValueError("sections: required with friction, and only with it")
-        if len(self.sections) > MAX_SECTIONS:
-            raise ValueError(f"sections: at most {MAX_SECTIONS}")
+        if len(self.sections) > MAX_MESSAGE_SECTIONS:
+            raise ValueError(f"sections: at most {MAX_MESSAGE_SECTIONS}")
         self.model()
 
     def _refuse_beside_model_file(self) -> None:

@@ -43,7 +43,9 @@ def open_rig(config: RigConfig, read_only: bool = False) -> Rig:
     """
     try:
         if isinstance(config, RigExtension):
-            rig = checked(config.open_read_only() if read_only else config.open(), config.type)
+            rig = wrap_external_rig(
+                config.open_read_only() if read_only else config.open(), config.type
+            )
         elif isinstance(config, HardwareRigConfig):
             rig = HardwareRig(config, read_only)
         else:
@@ -60,7 +62,7 @@ def open_rig(config: RigConfig, read_only: bool = False) -> Rig:
     return rig
 
 
-def checked(rig: Rig, place: str) -> Rig:
+def wrap_external_rig(rig: Rig, place: str) -> Rig:
     """Return a rig of another package with its samples checked; closed if it is no rig."""
     try:
         return CheckedRig(rig, place)

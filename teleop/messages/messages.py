@@ -30,7 +30,7 @@ from teleop.errors import TeleopError
 
 MAX_JOINTS = 8
 MAX_TENDONS = 2 * MAX_JOINTS
-MAX_SECTIONS = 16
+MAX_MESSAGE_SECTIONS = 16  # of a sheath; the estimator itself takes `tables.MAX_SECTIONS`
 PROFILE_POINTS = 65
 TEXT_BYTES = 256
 TOPIC_SLOTS = 16  # room for the topics of `teleop.messages.topics.TOPICS`
@@ -90,7 +90,7 @@ JointFlags = Annotated[tuple[int, ...], WireType("I", "uint32", "<u4", MAX_JOINT
 Joints = Annotated[tuple[float, ...], WireType("d", "float64", "<f8", MAX_JOINTS)]
 TendonFlags = Annotated[tuple[int, ...], WireType("I", "uint32", "<u4", MAX_TENDONS)]
 Tendons = Annotated[tuple[float, ...], WireType("d", "float64", "<f8", MAX_TENDONS)]
-Sections = Annotated[tuple[float, ...], WireType("d", "float64", "<f8", MAX_SECTIONS)]
+Sections = Annotated[tuple[float, ...], WireType("d", "float64", "<f8", MAX_MESSAGE_SECTIONS)]
 ProfilePoints = Annotated[tuple[float, ...], WireType("d", "float64", "<f8", PROFILE_POINTS)]
 
 Stages = Annotated[tuple[int, ...], WireType("q", "int64", "<i8", len(STAGE_NAMES))]
@@ -104,7 +104,7 @@ NO_JOINTS = (0.0,) * MAX_JOINTS
 NO_JOINT_FLAGS = (0,) * MAX_JOINTS
 NO_TENDONS = (0.0,) * MAX_TENDONS
 NO_TENDON_FLAGS = (0,) * MAX_TENDONS
-NO_SECTIONS = (0.0,) * MAX_SECTIONS
+NO_SECTIONS = (0.0,) * MAX_MESSAGE_SECTIONS
 NO_PROFILE = (0.0,) * PROFILE_POINTS
 NO_STAGES = (0,) * len(STAGE_NAMES)
 NO_TOPICS = (0,) * TOPIC_SLOTS

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from estimator.array_types import Array
-from teleop.messages.messages import MAX_SECTIONS, Event, LoopReport, Sheath, decode_text
+from teleop.messages.messages import MAX_MESSAGE_SECTIONS, Event, LoopReport, Sheath, decode_text
 from teleop.messages.topics import Role
 from teleop.ros.message_types import (
     DIAGNOSTIC_ARRAY,
@@ -67,7 +67,7 @@ def build_transform(
 
 def compute_tip_transform(sheath: Sheath) -> Any:
     """Return the place of a sheath's tip in the frame of its housing, a Transform."""
-    n = min(sheath.sections, MAX_SECTIONS)
+    n = min(sheath.sections, MAX_MESSAGE_SECTIONS)
     length, radius = np.array(sheath.section_length[:n]), np.array(sheath.section_radius[:n])
     if not (length.sum() > 0.0 and np.isfinite(length).all()):
         return build_transform()

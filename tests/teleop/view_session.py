@@ -9,7 +9,7 @@ from rerun.chunk import RrdReader
 
 from teleop.messages.messages import (
     MAX_JOINTS,
-    MAX_SECTIONS,
+    MAX_MESSAGE_SECTIONS,
     MAX_TENDONS,
     PROFILE_POINTS,
     Command,
@@ -85,8 +85,8 @@ def sheath(tendon=0):
         tendon=tendon,
         sections=2,
         effective_friction=0.4,
-        section_length=pad_values((0.3, 0.5), MAX_SECTIONS),
-        section_radius=pad_values((math.inf, 0.2), MAX_SECTIONS),
+        section_length=pad_values((0.3, 0.5), MAX_MESSAGE_SECTIONS),
+        section_radius=pad_values((math.inf, 0.2), MAX_MESSAGE_SECTIONS),
     )
 
 
