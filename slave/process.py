@@ -88,7 +88,7 @@ class SlaveProcess(LoopProcess):
         rig: Rig,
         model: RigModel,
         clock: EventClock,
-        past: CalibrationHistory | None = None,
+        history: CalibrationHistory | None = None,
         bilateral: Bilateral = loop.DIRECT,
         requests: RequestListener | None = None,
         health: HealthConfig = DEFAULT_BOUNDS,
@@ -99,10 +99,10 @@ class SlaveProcess(LoopProcess):
         self._motors_follow = self._enabling is None  # as of the last read
         self._reads, self._writes = SlowCallMonitor("rig: read"), SlowCallMonitor("rig: write")
         self._is_rig_stopped = False  # its emergency stop was called, nothing written since
-        past = past or CalibrationHistory(now_ns(), ())
+        history = history or CalibrationHistory(now_ns(), ())
         with use_ordinary_scheduling():  # the samples of a calibration take up to seconds
             self._slave = loop.init_slave(
-                model, config, bilateral, rig.starts_at_zero, past.samples, past.motor
+                model, config, bilateral, rig.starts_at_zero, history.samples, history.motor
             )
         self.memory: SlaveMemory = view_struct(self._slave.memory)
         joints = len(model.joints)
@@ -123,7 +123,7 @@ class SlaveProcess(LoopProcess):
         self._telemetry = Telemetry(link, model, self._slave)
         self._score = Score(model.models)
         self._timeout_ns = round(config.command_timeout * 1e9)
-        self._start_ns = past.start_ns
+        self._start_ns = history.start_ns
 
     def tick(self, tick: Tick) -> None:
         """Answer the newest command; then the work that is not time-critical."""
@@ -311,10 +311,10 @@ def main(args: argparse.Namespace) -> int:
         stop = StopCondition(args.duration)
         stop.wake = link.wake
         link.subscribe_latest(COMMAND, round(config.command_timeout * 1e9))
-        model, past = prepare_rig_model(config, rig, link, requests, stop, shared.rate_hz, files)
+        model, history = prepare_rig_model(config, rig, link, requests, stop, shared.rate_hz, files)
         clock = EventClock(shared.rate_hz, stop, partial(link.wait, COMMAND))
         slave = SlaveProcess(
-            config, link, rig, model, clock, past, shared.bilateral, requests, shared.health
+            config, link, rig, model, clock, history, shared.bilateral, requests, shared.health
         )
         return slave, clock, stop
 
@@ -340,7 +340,7 @@ def prepare_rig_model(
     rig is calibrated first, in its quick form; `TeleopError` if that has to be given up. An
     emergency stop, among the `requests` or of the master, stops the motors and ends it.
     """
-    past = CalibrationHistory(now_ns(), ())
+    history = CalibrationHistory(now_ns(), ())
     if not config.initialise.at_start:
         tendons = load_tendon_configs(config, rig.tendons, rig.joints, files)
         if isinstance(rig, ReplayedRig):
@@ -348,52 +348,53 @@ def prepare_rig_model(
                 model_files.set_noise_from_data(tendon, *rig.housing[k])
                 for k, tendon in enumerate(tendons)
             )
-        said = describe_models(tendons)
+        notes = describe_models(tendons)
         if files and (config.tendons or config.calibration):
-            said += model_files.find_friction_warnings(
+            notes += model_files.find_friction_warnings(
                 load_tendon_configs(config, rig.tendons, rig.joints), tendons
             )
-        for line in said:
+        for line in notes:
             print(line, flush=True)
         not_ready_text = find_not_ready_reason(config, rig, modelled=bool(files))
         return loop.build_rig_model(
             rig.joints, [tendon.model() for tendon in tendons], not_ready_text
-        ), past
+        ), history
 
     def stopped() -> str:
-        asked = requests(now_ns())
+        pending = requests(now_ns())
         master = link.latest(COMMAND).message
-        if asked.stop:
-            call_stop(link, Role.SLAVE, asked.words or asked.stop.text)
-            stop_motors(
-                rig, said := f"{CALIBRATION_ABORTED}{DetailedReason(asked.stop, asked.words).text}"
-            )
-            done = SessionOutline(State.STOPPED, asked.stop)
+        if pending.stop:
+            call_stop(link, Role.SLAVE, pending.words or pending.stop.text)
+            cause = DetailedReason(pending.stop, pending.words)
+            reason = f"{CALIBRATION_ABORTED}{cause.text}"
+            stop_motors(rig, reason)
+            outline = SessionOutline(State.STOPPED, pending.stop)
             if requests.is_asked:
                 latest = link.latest(COMMAND)
-                answer_requests(link, requests, Role.SLAVE, done, 0, latest, now_ns())
-            raise TeleopError(said)
+                answer_requests(link, requests, Role.SLAVE, outline, 0, latest, now_ns())
+            raise TeleopError(reason)
         if master is not None and State(master.state) is State.STOPPED:
-            stop_motors(rig, said := f"{CALIBRATION_ABORTED}{Reason.PEER_STOPPED.text}")
-            raise TeleopError(said)
+            reason = f"{CALIBRATION_ABORTED}{Reason.PEER_STOPPED.text}"
+            stop_motors(rig, reason)
+            raise TeleopError(reason)
         return stop.reason if stop() else ""
 
     publish_event(
         link, Role.SLAVE, SessionOutline(), f"off: calibrating {rig.name}; keep its joints free"
     )
-    done = initialise(
+    result = initialise(
         rig,
         config,
         Grid(rate_hz, lambda: False, phase=0.5),
-        past.start_ns,
+        history.start_ns,
         stopped=stopped,
         progress=build_progress_printer(rig),
         analysing=stop.interrupting,
     )
     publish_event(link, Role.SLAVE, SessionOutline(), f"off: {rig.name} is calibrated")
-    found = [tendon.model() for tendon in done.calibration.tendons]
-    return loop.build_rig_model(rig.joints, found), past._replace(
-        samples=done.samples, motor=done.motor
+    models = [tendon.model() for tendon in result.calibration.tendons]
+    return loop.build_rig_model(rig.joints, models), history._replace(
+        samples=result.samples, motor=result.motor
     )
 
 
@@ -409,11 +410,11 @@ def stop_motors(rig: Rig, reason: str) -> None:
 
 def describe_models(tendons: Sequence[TendonConfig]) -> list[str]:
     """Return what the models of diagnoses do in the loop, and what is doubtful about them."""
-    said: dict[str, None] = {}
+    notes: dict[str, None] = {}
     for tendon in tendons:
         for sentence in model_files.describe_effects(tendon):
-            said[f"{tendon.model_file}: {sentence}"] = None
+            notes[f"{tendon.model_file}: {sentence}"] = None
         if tendon.model_file is not None and tendon.tension_noise == 0.0:
             line = f"WARNING: {tendon.model_file}: no tension_noise is known beside it: noise is"
-            said[f"{line} taken for tension, and a stuck load cell may not be noticed"] = None
-    return list(said)
+            notes[f"{line} taken for tension, and a stuck load cell may not be noticed"] = None
+    return list(notes)

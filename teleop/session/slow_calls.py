@@ -16,7 +16,7 @@ class SlowCallMonitor:
     def __init__(self, name: str) -> None:
         self._name = name
         self._calls = self._slow = self._longest_ns = 0
-        self._told = False
+        self._is_reported = False
 
     def add(self, elapsed_ns: int) -> None:
         """Add the time of one call [ns]."""
@@ -29,11 +29,11 @@ class SlowCallMonitor:
         """Return the warning, once, if most calls since the last report were slow; else nothing."""
         calls, slow, longest_ns = self._calls, self._slow, self._longest_ns
         self._calls = self._slow = self._longest_ns = 0
-        if self._told or calls < CALLS_MIN or 2 * slow <= calls:
+        if self._is_reported or calls < CALLS_MIN or 2 * slow <= calls:
             return ""
-        self._told = True
+        self._is_reported = True
         return (
             f"{self._name} takes up to {longest_ns / 1e6:.0f} ms, {SLOW_CALL_NS / 1e6:g} ms at "
-            f"most: "
-            "it holds up the loop; let a thread wait for the hardware, and take its newest value"
+            "most: it holds up the loop; let a thread wait for the hardware, and take its newest "
+            "value"
         )

@@ -238,10 +238,10 @@ class Until:
         self.reason = self.reason or reason
 
 
-def started(rig, line, stop, rate_hz=1000.0, past=None, config=CONFIG):
+def started(rig, line, stop, rate_hz=1000.0, history=None, config=CONFIG):
     clock = EventClock(rate_hz, stop, partial(line.wait, COMMAND))
     model = loop.build_rig_model(rig.joints, [TENDON.model()])
-    return SlaveProcess(config, line, rig, model, clock, past), clock
+    return SlaveProcess(config, line, rig, model, clock, history), clock
 
 
 def driven(rig, line=None, ticks=40, rate_hz=1000.0):
@@ -612,8 +612,8 @@ def test_a_calibration_at_the_start_leaves_the_motors_held_from_the_first_tick_o
     held = START + 0.0004
     done = InitialiseResult(calibration, None, rig.read(0.0), (held,))
     monkeypatch.setattr(process, "initialise", lambda *_, **__: done)
-    _, past = model_of(rig, line)
-    slave, clock = started(rig, line, lambda: False, past=past)
+    _, history = model_of(rig, line)
+    slave, clock = started(rig, line, lambda: False, history=history)
     ticks = iter(clock)
     for _ in range(20):
         slave.tick(next(ticks))
