@@ -27,14 +27,14 @@ from teleop.messages.messages import PROFILE_POINTS
 from teleop.messages.topics import PROFILE, SHEATH, STATE, TENDONS, TOPICS
 from teleop.recording.reader import read_messages
 from teleop.session.state_machine import State
-from teleop.view.batch import AnyTopic, Rows, decode
 from teleop.view.colours import TENSION_MAP
+from teleop.view.columns import AnyTopic, Rows, decode
 from teleop.view.config import Layout, ViewConfig
 from teleop.view.feed import show_recording
 from teleop.view.scene import Scene
+from teleop.view.scene_geometry import RIGHT, UP
 from teleop.view.sheaths import Sheaths, compute_tension_band
 from teleop.view.sinks import Sink
-from teleop.view.stage import RIGHT, UP
 from tests import browser
 from tests.system.processes import free_ports
 

@@ -17,8 +17,8 @@ from matplotlib.figure import Figure
 from estimator.array_types import Array
 from estimator.drawing import STYLE
 from studies.transparency import zwidth
-from studies.transparency.figures import COLOURS
 from studies.transparency.hand import DT
+from studies.transparency.page import COLOURS
 from studies.transparency.rig import TENDON, Rig, wall
 from studies.transparency.study import CONTACT, FRICTION, HANDS, PRETENSION, SPRING, Study
 from studies.transparency.system import Network, Teleoperator, rig_model, settings

@@ -15,7 +15,7 @@ from slave.fault_detection import FaultDetectionConfig
 from slave.gate import GateConfig
 from slave.rigs import RigConfig
 from slave.rigs.replayed import ReplayedRigConfig
-from slave.rigs.simulated.simulated import SimulatedRigConfig, TendonPlantConfig
+from slave.rigs.simulated import SimulatedRigConfig, TendonPlantConfig
 from slave.tendon_config import TendonConfig
 from teleop.config.bounds import build_bounds_warnings
 from teleop.coupling import CouplingConfig, DirectConfig

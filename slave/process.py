@@ -20,7 +20,7 @@ from typing import NamedTuple, cast
 
 from estimator.records import view_struct
 from slave import loop, model_files
-from slave.calibration.initialise import initialise
+from slave.calibration.initialisation import initialise
 from slave.config import (
     SlaveConfig,
     find_config_warnings,
@@ -34,8 +34,7 @@ from slave.loop_records import EstimatedSample, SlaveMemory, TickInput
 from slave.rig import Rig, RigFault, RigFinished, RigSample, as_enabling_rig, get_emergency_stop
 from slave.rigs import open_rig
 from slave.rigs.replayed import ReplayedRig
-from slave.rigs.simulated.effect_text import format_late_effects
-from slave.rigs.simulated.simulated import SimulatedRigConfig
+from slave.rigs.simulated import SimulatedRigConfig, format_late_effects
 from slave.samples import estimate, fill_sample
 from slave.score import Score
 from slave.state_messages import fill_tendon_state

@@ -144,3 +144,15 @@ def has_following_motors(rig: Rig) -> bool:
 
 class RigFinished(Exception):
     """A replayed rig has played its last row; the session ends without a fault."""
+
+
+# --- numbers of the tendons of a rig's joints
+
+
+def number_joint_tendons(counts: list[int]) -> tuple[tuple[int, ...], ...]:
+    """Return which tendons each joint has: numbered from 0, joint after joint."""
+    joints, first = [], 0
+    for count in counts:
+        joints.append(tuple(range(first, first + count)))
+        first += count
+    return tuple(joints)

@@ -22,11 +22,10 @@ from teleop.link.reception import Reception
 from teleop.messages.messages import LAYOUT
 from teleop.messages.topics import COMMAND, STATE, Role
 from teleop.security import CertificateRole
-from teleop.security.handshake import Handshake
+from teleop.security.credentials import create_local_credentials
 from teleop.security.keyring import Keyring
-from teleop.security.local import create_local_credentials
-from teleop.security.presence import RoleStage, Token
-from teleop.view.ports import find_free_port
+from teleop.security.presence import Handshake, RoleStage, Token
+from teleop.view.local_server import find_free_port
 
 ROUNDS, CALLS = 300, 200  # the quickest round counts: whatever else runs is left out
 

@@ -37,9 +37,9 @@ from teleop.messages.messages import Command, EmergencyStop
 from teleop.messages.topics import COMMAND, STOP, Role, Topic
 from teleop.runtime.clock import now_ns
 from teleop.security import CertificateRole, Identity
-from teleop.security.handshake import PairKeys, Peer
+from teleop.security.credentials import create_local_credentials
 from teleop.security.keyring import ENTRY_BYTES, Keyring
-from teleop.security.local import create_local_credentials
+from teleop.security.presence import PairKeys, Peer
 
 FLAT_MB = 2.0
 WARM = 20_000  # frames before memory is measured, which fill caches

@@ -16,9 +16,16 @@ from scipy.linalg import lapack
 
 from estimator.array_types import Array
 from estimator.compiled import jit_compile
-from slave.rigs.simulated.plant.effects import compute_knobs
-from slave.rigs.simulated.plant.effects.elasticity import Creep, NonlinearStiffness
-from slave.rigs.simulated.plant.effects.friction import (
+from slave.rigs.simulated import (
+    JointConfig,
+    SimulatedRig,
+    SimulatedRigConfig,
+    TendonPlantConfig,
+    build_joint,
+)
+from slave.simulation.effects import compute_knobs
+from slave.simulation.effects.elasticity import Creep, NonlinearStiffness
+from slave.simulation.effects.friction import (
     ConstantDrag,
     FrictionStep,
     Presliding,
@@ -27,15 +34,8 @@ from slave.rigs.simulated.plant.effects.friction import (
     TensionDependentFriction,
     ViscousFriction,
 )
-from slave.rigs.simulated.plant.joint import Joint, JointState, advance_joint, init_joint
-from slave.rigs.simulated.plant.tendon import SheathConfig
-from slave.rigs.simulated.simulated import (
-    JointConfig,
-    SimulatedRig,
-    SimulatedRigConfig,
-    TendonPlantConfig,
-    build_joint,
-)
+from slave.simulation.joint import Joint, JointState, advance_joint, init_joint
+from slave.simulation.tendon import SheathConfig
 
 NODES = (10, 30, 60, 120, 300)
 STEPS = 2000

@@ -12,10 +12,9 @@ import numpy as np
 from teleop.link import ReceivedMessage
 from teleop.messages.messages import Command, Hand, SlaveState, TendonState, pad_values
 from teleop.messages.topics import COMMAND, HAND, STATE, TENDONS, Role
-from teleop.recording.config import RecordConfig
 from teleop.recording.reader import RecordedMessage, open_recording, read_columns, read_messages
 from teleop.recording.replay import SenderRewriter
-from teleop.recording.writer import RecordingWriter
+from teleop.recording.writer import RecordConfig, RecordingWriter
 
 SECONDS = 10
 DRAIN = 20  # ticks between two looks at the link

@@ -21,7 +21,7 @@ from view import CONFIG, Spans, end, report, wait_until_engaged
 
 from teleop.runtime.clock import now_ns
 from teleop.runtime.process import write_text_file
-from teleop.view.ports import find_free_port
+from teleop.view.local_server import find_free_port
 
 SETTLE_S = 4.0  # [s] after a change of state that are not counted
 PATIENCE_S = 60.0

@@ -36,8 +36,8 @@ from teleop.runtime.process import SUPERVISED_VARIABLE, die_with_launcher
 from teleop.runtime.realtime import request_realtime
 from teleop.security import CertificateRole
 from teleop.security.access import build_access_control
+from teleop.security.credentials import create_local_credentials
 from teleop.security.identity import ALL_SESSIONS
-from teleop.security.local import create_local_credentials
 from teleop.session.own_endpoints import find_free_ports
 
 SIZES = {"command": Command.schema.size, "state": SlaveState.schema.size}

@@ -24,8 +24,8 @@ from slave import control, fault_detection, gate
 from slave.control import ControlConfig, ControllerState, JointEstimate
 from slave.fault_detection import FaultDetectionConfig, FaultDetector, MotorChecks
 from slave.gate import GateConfig
-from slave.rigs.simulated.plant.tendon import SectionConfig
-from slave.rigs.simulated.simulated import JointConfig
+from slave.rigs.simulated import JointConfig
+from slave.simulation.tendon import SectionConfig
 from slave.tendons import EstimatedTendon, RigLayout, build_rig_layout
 from teleop.messages.messages import MAX_JOINTS, MAX_TENDONS
 from tests.slave.control_bench import DT, Command, follow, joint, sine, staircase

@@ -38,9 +38,9 @@ from teleop.runtime.clock import now_ns
 from teleop.runtime.process import STANDBY_VARIABLE
 from teleop.session.config import RunConfig
 from teleop.session.state_machine import State
-from teleop.view.batch import AnyTopic, Rows, decode
+from teleop.view.columns import AnyTopic, Rows, decode
 from teleop.view.config import ViewConfig
-from teleop.view.ports import WEB_VIEW, find_free_port
+from teleop.view.local_server import WEB_VIEW, find_free_port
 from teleop.view.scene import Scene
 from teleop.view.sinks import Sink
 from tests import browser

@@ -29,7 +29,7 @@ import numpy as np
 from teleop.recording.reader import read_columns
 from teleop.runtime.clock import now_ns
 from teleop.runtime.process import STANDBY_VARIABLE
-from teleop.view.ports import WEB_VIEW, find_free_port
+from teleop.view.local_server import WEB_VIEW, find_free_port
 from tests import browser
 
 ROOT = Path(__file__).parents[1]

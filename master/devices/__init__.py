@@ -4,13 +4,11 @@ from collections.abc import Callable
 from typing import Any
 
 from master.device import Device, DeviceFault
-from master.devices.combined import CombinedConfig, CombinedDevice
+from master.devices.combined import CombinedConfig, CombinedDevice, SingleConfig
 from master.devices.extension import CheckedDevice, DeviceExtension
-from master.devices.hid.config import HidConfig
 from master.devices.hid.device import HidDevice
-from master.devices.ros.config import RosDeviceConfig
-from master.devices.ros.device import RosDevice
-from master.devices.single import SingleConfig
+from master.devices.hid.mapping import HidConfig
+from master.devices.ros_device import RosDevice, RosDeviceConfig
 from master.devices.virtual import VirtualConfig, VirtualDevice
 from teleop.config.extensions import format_opening_failure
 from teleop.errors import UsageError

@@ -12,9 +12,16 @@ from dataclasses import dataclass
 from typing import Literal
 
 from master.device import Axes, Device, DeviceFault, DeviceLost, HandState
-from master.devices.single import SingleConfig
+from master.devices.extension import DeviceExtension
+from master.devices.hid.mapping import HidConfig
+from master.devices.ros_device import RosDeviceConfig
 from master.devices.virtual import VirtualConfig
 from teleop.messages.messages import MAX_JOINTS
+
+# --- the configs of single haptic devices
+
+# all of them, joined by `|`; the key `type` in a config chooses
+SingleConfig = VirtualConfig | HidConfig | RosDeviceConfig | DeviceExtension
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,8 +16,16 @@ from pathlib import Path
 
 import numpy as np
 
-from slave.bring_up.moving import GatedRig, MotorMove, evaluate_move, move_motor, warm_up
-from slave.bring_up.reading import RestMeasurement, format_rest_measurement, measure_at_rest
+from slave.bring_up.rig_check import (
+    GatedRig,
+    MotorMove,
+    RestMeasurement,
+    evaluate_move,
+    format_rest_measurement,
+    measure_at_rest,
+    move_motor,
+    warm_up,
+)
 from slave.config import SlaveConfig
 from slave.drivers import configs
 from slave.drivers.configs import DriverConfig

@@ -1,7 +1,7 @@
 """Evaluate the record of an initialisation, joint by joint: pure functions.
 
-Each tendon is calibrated by its own pulls and releases (`slave.calibration.direction`); the two of
-a joint are then corrected with the drags (`slave.calibration.analysis`).
+Each tendon is calibrated by its own pulls and releases (`tendon_identification`); the two of a
+joint are then corrected with the drags.
 """
 
 import math
@@ -19,15 +19,15 @@ from estimator.calibration.calibration import (
 )
 from estimator.calibration.drag import fit_friction_sum
 from slave.calibration.config import InitialiseConfig, get_known_sheath
-from slave.calibration.direction import (
+from slave.calibration.file import TendonCalibration
+from slave.calibration.procedure_state import Phase
+from slave.calibration.run import CalibrationRefused, ProcedureData
+from slave.calibration.tendon_identification import (
+    PulledTendon,
     build_tendon_calibration,
     calibrate_tendon,
     round_significant,
 )
-from slave.calibration.file import TendonCalibration
-from slave.calibration.procedure_state import Phase
-from slave.calibration.pulled import PulledTendon
-from slave.calibration.run import CalibrationRefused, ProcedureData
 from slave.tendon_config import TendonConfig
 
 # --- combine the loops of a joint's two tendons with the drags, which measure K_a + K_b

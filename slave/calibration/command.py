@@ -21,7 +21,7 @@ from typing import Any
 
 from slave.calibration import file
 from slave.calibration.file import Calibration, TendonCalibration, ValueWithUncertainty
-from slave.calibration.initialise import InitialiseResult, initialise
+from slave.calibration.initialisation import InitialiseResult, initialise
 from slave.calibration.refusals import format_tendon_name
 from slave.calibration.run import (
     CalibrationInterrupted,
@@ -34,7 +34,7 @@ from slave.config import SlaveConfig
 from slave.rig import Rig
 from slave.rigs import open_rig
 from slave.rigs.replayed import ReplayedRigConfig
-from slave.rigs.simulated.simulated import SimulatedRigConfig
+from slave.rigs.simulated import SimulatedRigConfig
 from teleop.config.loading import load
 from teleop.config.options import add_option, add_options
 from teleop.errors import UsageError

@@ -7,7 +7,7 @@ start of another phase.
 import math
 from collections.abc import Callable
 
-from slave.calibration import cell, procedure_state, refusals
+from slave.calibration import procedure_state, refusals
 from slave.calibration.config import InitialiseConfig
 from slave.calibration.procedure_state import (
     JointConstants,
@@ -113,7 +113,9 @@ def _seek_stop(
         return _abort_and_hold(
             memory, seen, refusals.format_lost_tension(name, memory.highest, tension)
         )
-    if travel > memory.tried + PROBE_INTERVAL and cell.is_stuck(memory.cells[k], travel):
+    if travel > memory.tried + PROBE_INTERVAL and procedure_state.is_cell_stuck(
+        memory.cells[k], travel
+    ):
         return _build_zero_speeds(seen), begin_phase(memory, Phase.PROBE, seen)
     speed = config.stretch_speed if stretching else config.seek_speed
     return _draw_joint(config, joint, memory, seen, k, speed)
@@ -202,7 +204,7 @@ def _pull_tendon(
     if tension >= config.tension:
         return _build_zero_speeds(seen), begin_phase(memory, Phase.RELEASE, seen)
     name = format_tendon_name(joint.number, len(seen.tension), k)
-    if cell.is_stuck(memory.cells[k], seen.travel[k]):
+    if procedure_state.is_cell_stuck(memory.cells[k], seen.travel[k]):
         return _abort_and_hold(memory, seen, refusals.format_saturated_cell(name, tension))
     if (
         tension < TENSION_LOSS_RATIO * memory.highest

@@ -13,11 +13,11 @@ inconsistency: the tendons are then released to a low tension, and nothing is pu
 
 import math
 
-from slave.calibration import cell, refusals
-from slave.calibration.cell import CellState
+from slave.calibration import procedure_state, refusals
 from slave.calibration.config import InitialiseConfig
 from slave.calibration.phases import HANDLERS, is_settled
 from slave.calibration.procedure_state import (
+    CellState,
     JointConstants,
     JointReadings,
     Phase,
@@ -85,7 +85,7 @@ def _update_readings(
         steady=memory.steady + dt if is_settled(config, memory.phase, tension) else 0.0,
         highest=max(memory.highest, tension[k]),
         lowest=min(memory.lowest, seen.travel[1 - k]) if len(tension) > 1 else math.inf,
-        cells=tuple(map(cell.update, memory.cells, seen.tension, seen.travel))
+        cells=tuple(map(procedure_state.update_cell_state, memory.cells, seen.tension, seen.travel))
         if seen.fresh
         else memory.cells,
         blocked=_update_blocked_times(memory, seen, dt),

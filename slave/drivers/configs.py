@@ -25,19 +25,19 @@ class DriverEntry(NamedTuple):
 DRIVERS: dict[type[Any], DriverEntry] = {
     MicrocontrollerConfig: DriverEntry(
         "slave.drivers.microcontroller.driver:MicrocontrollerDriver",
-        "slave.drivers.microcontroller.reader:MicrocontrollerReader",
-        "slave.drivers.microcontroller.tools",
+        "slave.drivers.microcontroller.driver:MicrocontrollerReader",
+        "slave.drivers.microcontroller.driver",
         "serial",
     ),
     DynamixelConfig: DriverEntry(
         "slave.drivers.dynamixel.driver:DynamixelDriver",
-        "slave.drivers.dynamixel.reader:DynamixelReader",
+        "slave.drivers.dynamixel.tools:DynamixelReader",
         "slave.drivers.dynamixel.tools",
         "dynamixel",
     ),
     Cia402Config: DriverEntry(
         "slave.drivers.cia402.driver:Cia402Driver",
-        "slave.drivers.cia402.reader:Cia402Reader",
+        "slave.drivers.cia402.tools:Cia402Reader",
         "slave.drivers.cia402.tools",
         "can",
     ),

@@ -7,7 +7,7 @@ from slave.rig import Rig, RigFault
 from slave.rigs.extension import CheckedRig, RigExtension
 from slave.rigs.hardware import HardwareRig, HardwareRigConfig
 from slave.rigs.replayed import ReplayedRig, ReplayedRigConfig
-from slave.rigs.simulated.simulated import SimulatedRig, SimulatedRigConfig
+from slave.rigs.simulated import SimulatedRig, SimulatedRigConfig
 from teleop.config.extensions import close_extension, format_opening_failure
 from teleop.errors import UsageError
 from teleop.messages.messages import MAX_JOINTS

@@ -24,9 +24,8 @@ from pathlib import Path
 
 import numpy as np
 
-from studies.faults.bench import FaultSession
 from studies.faults.judge import CampaignResult, judge
-from studies.faults.kinds import PLAN, Fault, inject, may_end_engagement
+from studies.faults.session import PLAN, Fault, FaultSession, inject, may_end_engagement
 from tests.root import ROOT
 from tests.system.processes import pause
 

@@ -10,8 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from studies.faults.bench import HELD, PERIOD
-from studies.faults.kinds import Fault
+from studies.faults.session import HELD, PERIOD, Fault
 from teleop.messages.topics import COMMAND, HAND, STATE, TENDONS
 from teleop.recording.reader import RecordingError, read_columns
 from teleop.session.state_machine import State

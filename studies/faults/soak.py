@@ -18,10 +18,9 @@ from pathlib import Path
 
 import numpy as np
 
-from studies.faults.bench import NAMES, FaultSession
 from studies.faults.campaign import failures, summarise
 from studies.faults.judge import FRESH_NS, judge
-from studies.faults.kinds import PLAN, Fault, inject
+from studies.faults.session import NAMES, PLAN, Fault, FaultSession, inject
 from tests.root import ROOT
 from tests.system.processes import pause
 

@@ -21,8 +21,7 @@ from typing import Any, Protocol
 
 from studies.kernel import image
 from studies.kernel.cases import CASES
-from studies.kernel.kernel import CAN, MissingError, emulator, kernel
-from studies.kernel.machine import Machine
+from studies.kernel.machine import CAN, Machine, MissingError, emulator, kernel
 
 _LATE = ("hidraw", "multiprocessing.popen_fork", "encodings.utf_8_sig")  # imported while it runs
 _LATE_CAN = (  # imported by the driver's process and that of the drives
@@ -52,7 +51,7 @@ def run(names: list[str], by_the_wall: bool, folder: Path) -> int:
         if devices:
             vmlinuz, modules = kernel()
             initrd = folder / "initrd"
-            initrd.write_bytes(image.build("studies.kernel.guest", _LATE, modules))
+            initrd.write_bytes(image.build("studies.kernel.hid_guest", _LATE, modules))
             count = 1 if by_the_wall else min(_MACHINES_MAX, len(devices), os.cpu_count() or 1)
             words = [f"devices={','.join(devices[k::count])}" for k in range(count)]
             machines += [(vmlinuz, initrd, text) for text in words]

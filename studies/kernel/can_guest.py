@@ -9,10 +9,12 @@ all checks, as on a bench, and the driver's process is a fork of this one, which
 it needs; only the first one of each number of drives is started as the slave does it.
 """
 
+import fcntl
 import json
 import os
 import signal
 import socket
+import struct
 import subprocess
 import time
 import traceback
@@ -25,11 +27,49 @@ from slave.drivers.cia402 import driver  # noqa: F401 - so that forks have it
 from slave.drivers.cia402.config import BusConfig, Cia402Config
 from slave.drivers.connection import DriverProcess, start_process
 from slave.drivers.driver import Channels, DriverFault
-from studies.kernel import vcan
 from studies.kernel.init import run
 from studies.kernel.judge import WrongError
 from studies.rigs.bench import BUS, Model
 from teleop.config.loading import as_tree
+
+# --- virtual CAN interfaces of the kernel, and error frames on them, without the program `ip`
+
+_NEW_LINK, _REQUEST, _ACK, _CREATE, _EXCLUSIVE = 16, 1, 4, 0x400, 0x200
+_NAME, _LINK_INFO, _KIND = 3, 18, 1  # attributes
+_SET_FLAGS, _UP = 0x8914, 1
+_ERROR_FRAME, _BUS_OFF = 1 << 29, 0x40
+
+
+def create_interface(name: str) -> None:
+    """Create a virtual CAN interface and set it up; `OSError`."""
+    kind = _attribute(_LINK_INFO, _attribute(_KIND, b"vcan\0"))
+    body = struct.pack("=BxHiII", 0, 0, 0, 0, 0) + _attribute(_NAME, name.encode() + b"\0") + kind
+    flags = _REQUEST | _ACK | _CREATE | _EXCLUSIVE
+    with socket.socket(socket.AF_NETLINK, socket.SOCK_RAW, socket.NETLINK_ROUTE) as link:
+        link.send(struct.pack("=IHHII", 16 + len(body), _NEW_LINK, flags, 1, 0) + body)
+        (error,) = struct.unpack_from("=i", link.recv(4096), 16)
+    if error:
+        raise OSError(-error, f"interface {name}")
+    switch_interface(name, up=True)
+
+
+def switch_interface(name: str, up: bool) -> None:
+    """Set an interface up or down; `OSError`."""
+    with socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW) as can:
+        fcntl.ioctl(can, _SET_FLAGS, struct.pack("16sH14x", name.encode(), _UP if up else 0))
+
+
+def send_bus_off(name: str) -> None:
+    """Send the frame by which a controller says that it is off the bus."""
+    with socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW) as can:
+        can.bind((name,))
+        can.send(struct.pack("=IB3x8x", _ERROR_FRAME | _BUS_OFF, 8))
+
+
+def _attribute(number: int, value: bytes) -> bytes:
+    padding = bytes(-len(value) % 4)
+    return struct.pack("=HH", 4 + len(value), number) + value + padding
+
 
 CHANNEL = "vcan0"
 RATE_HZ = 50.0  # of an emulated processor
@@ -52,7 +92,7 @@ def main() -> None:
 
 
 def _try_all(say: Callable[..., None]) -> None:
-    vcan.create(CHANNEL)
+    create_interface(CHANNEL)
     for drives in COUNTS:
         connection.start_process = start_process
         left = list(CHECKS)
@@ -292,7 +332,7 @@ def bus_off(bench: Bench) -> Figures:
     connection = bench.opened()
     try:
         target = bench.engage(connection)
-        vcan.send_bus_off(CHANNEL)
+        send_bus_off(CHANNEL)
         said = bench.fails(connection, target, "bus off")
     finally:
         connection.close()
@@ -306,12 +346,12 @@ def interface_down(bench: Bench) -> Figures:
     try:
         target = bench.engage(connection)
         began_s = time.monotonic()
-        vcan.switch(CHANNEL, up=False)
+        switch_interface(CHANNEL, up=False)
         said = bench.fails(connection, target, "unplugged", "silent")
         took = bench.stopped_after(began_s)
     finally:
         connection.close()
-        vcan.switch(CHANNEL, up=True)
+        switch_interface(CHANNEL, up=True)
     return {"fault": said, "stopped after": took}
 
 

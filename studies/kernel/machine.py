@@ -1,10 +1,137 @@
-"""One virtual machine: booted, listened to, and gone again."""
+"""A virtual machine: the kernel that it boots, kept in .cache/, and its process."""
 
 import json
 import os
+import shutil
 import subprocess
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
+
+# --- kernels to boot: Debian's, downloaded once and kept in .cache/
+
+CACHE = Path(__file__).resolve().parents[2] / ".cache" / "kernel"
+
+
+class Flavour(NamedTuple):
+    """One of Debian's kernels, and the modules that are loaded, each after those it needs."""
+
+    package: str  # that depends on the newest one
+    folder: Path
+    modules: tuple[str, ...]
+
+
+HID = Flavour(
+    "linux-image-cloud-amd64",
+    CACHE,
+    (
+        "drivers/hid/hid",
+        "drivers/hid/uhid",
+        "drivers/hid/hid-generic",
+        "drivers/leds/led-class-multicolor",
+        "drivers/input/ff-memless",
+        "drivers/hid/hid-playstation",
+        "drivers/input/evdev",
+    ),
+)
+CAN = Flavour(
+    "linux-image-amd64",  # that for clouds has no CAN
+    CACHE.with_name("kernel-full"),
+    ("net/can/can", "net/can/can-raw", "drivers/net/can/dev/can-dev", "drivers/net/can/vcan"),
+)
+_QEMU = "qemu-system-x86"
+EMULATOR = "qemu-system-x86_64"
+
+
+class MissingError(Exception):
+    """Something is not there and cannot be installed; the message names the remedy."""
+
+
+def emulator() -> str:
+    """Return the path of qemu, installed if need be."""
+    if found := shutil.which(EMULATOR):
+        return found
+    if not shutil.which("apt-get") or os.geteuid() != 0:
+        raise MissingError(f"{EMULATOR} is missing: apt-get install {_QEMU} (as root)")
+    _apt("update")
+    _apt("install", "--no-install-recommends", "-y", _QEMU)
+    return shutil.which(EMULATOR) or EMULATOR
+
+
+def kernel(flavour: Flavour = HID) -> tuple[Path, list[Path]]:
+    """Return a kernel and its modules, in the order to load them."""
+    folder = flavour.folder
+    if not (folder / "complete").exists():
+        _download(flavour)
+    found = [next((folder / "modules").glob(f"{Path(name).name}.ko*")) for name in flavour.modules]
+    return folder / "vmlinuz", found
+
+
+def _download(flavour: Flavour) -> None:
+    folder = flavour.folder
+    if not shutil.which("apt-get") or not shutil.which("dpkg-deb"):
+        raise MissingError(
+            f"no Debian kernel in {folder}, and no apt-get to download it: use Debian"
+        )
+    shutil.rmtree(folder, ignore_errors=True)
+    unpacked = folder / "package"
+    unpacked.mkdir(parents=True)
+    package = _package(flavour.package)
+    _run("apt-get", "download", package, folder=folder)
+    (archive,) = folder.glob("*.deb")
+    _run("dpkg-deb", "-x", str(archive), str(unpacked), folder=folder)
+    (image,) = (unpacked / "boot").glob("vmlinuz-*")
+    (drivers,) = unpacked.glob("**/kernel/drivers")
+    image.rename(folder / "vmlinuz")
+    (folder / "modules").mkdir()
+    for name in flavour.modules:
+        (module,) = (drivers.parent / name).parent.glob(f"{Path(name).name}.ko*")
+        module.rename(folder / "modules" / module.name)
+    shutil.rmtree(unpacked)
+    archive.unlink()
+    (folder / "complete").write_text(f"{package}\n")
+
+
+def _package(meta: str) -> str:
+    """Return the newest kernel package, after an update of apt's lists if they know none."""
+    for update in (False, True):
+        if update and os.geteuid() == 0:
+            _apt("update")
+        shown = subprocess.run(
+            ["apt-cache", "depends", "--important", meta],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            text=True,
+            check=False,
+        ).stdout
+        for line in shown.splitlines():
+            kind, _, package = line.strip().partition(" ")
+            if kind == "Depends:":
+                return package
+    raise MissingError(f"apt knows no {meta}: apt-get update (as root, on Debian)")
+
+
+def _apt(*arguments: str) -> None:
+    environment = os.environ | {"DEBIAN_FRONTEND": "noninteractive"}
+    _run("apt-get", "-qq", *arguments, environment=environment)
+
+
+def _run(
+    *command: str, folder: Path | None = None, environment: dict[str, str] | None = None
+) -> None:
+    done = subprocess.run(
+        command,
+        cwd=folder,
+        env=environment,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        check=False,
+    )
+    if done.returncode:
+        last = next((x for x in reversed(done.stdout.splitlines()) if x.startswith("E:")), "")
+        raise MissingError(f"{' '.join(command)} failed: {last or done.stdout[-300:].strip()}")
+
 
 _PROCESSOR = "Nehalem,+rdrand"  # what numpy needs, and a source of random numbers; no more
 _COMMAND_LINE = "console=ttyS0 quiet panic=-1 mitigations=off random.trust_cpu=on tsc=reliable"

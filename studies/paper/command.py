@@ -17,12 +17,10 @@ from pathlib import Path
 from typing import TypeVar
 
 from studies.paper import report
-from studies.paper.demonstration import SPECIMEN, Demonstration, demonstrate
+from studies.paper.bench import Specimen, random_sheaths
 from studies.paper.methods import METHODS, OURS
-from studies.paper.outcome import Outcome
-from studies.paper.sheaths import Specimen, random_sheaths
-from studies.paper.study import experiment, judge
-from teleop.cli.report.page import Page
+from studies.paper.study import SPECIMEN, Demonstration, Outcome, demonstrate, experiment, judge
+from teleop.cli.html_page import Page
 from teleop.config.options import add_option, add_options
 from teleop.errors import UsageError
 from teleop.runtime.output_file import make_folder

@@ -13,12 +13,18 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from estimator.drawing import BLACK, BLUE, GREEN, GREY, STYLE, VERMILION
-from studies.paper import scoring
-from studies.paper.demonstration import Demonstration
+from studies.paper import study
 from studies.paper.methods import METHODS, OURS, PAPER, PAPER_AT_BEST
-from studies.paper.outcome import PUBLISHED, TARGETS, Outcome, values
-from studies.paper.scoring import PHASES
-from studies.paper.study import NESTED, PROFILE
+from studies.paper.study import (
+    NESTED,
+    PHASES,
+    PROFILE,
+    PUBLISHED,
+    TARGETS,
+    Demonstration,
+    Outcome,
+    values,
+)
 from teleop.runtime.output_file import save_figure
 
 COLOURS = {PAPER: VERMILION, PAPER_AT_BEST: GREEN, OURS: BLUE}
@@ -161,7 +167,7 @@ def phases(shown: Demonstration) -> tuple[Figure, str]:
     """Draw figure 8: predicted and actual, leg by leg, for force and elongation."""
     figure = Figure(figsize=(7.6, 7.2))
     record = shown.session.records[PROFILE]
-    counts = scoring.taut(record.tension)
+    counts = study.taut(record.tension)
     names = ("first profile: pull", "second: release", "third: pull again")
     grid = figure.subplots(3, 2)
     for leg, (row, name) in enumerate(zip(grid, names, strict=True)):
@@ -247,7 +253,7 @@ def against_unevenness(outcomes: list[Outcome]) -> tuple[Figure, str]:
 
 def _shade_phases(axes: Axes, shown: Demonstration) -> None:
     record = shown.session.records[PROFILE]
-    label = scoring.phases(record.leg, record.tension, record.distal_tension)
+    label = study.phases(record.leg, record.tension, record.distal_tension)
     for i, name in enumerate(PHASES):
         times = record.time[label == i]
         if times.size:

@@ -25,14 +25,12 @@ from slave.calibration.analysis import evaluate_tendons
 from slave.calibration.config import InitialiseConfig, KnownSheathConfig
 from slave.calibration.file import TendonCalibration
 from slave.calibration.procedure_state import Phase
-from slave.calibration.pulled import PulledTendon
 from slave.calibration.run import CalibrationRefused
+from slave.calibration.tendon_identification import PulledTendon
 from slave.gate import GateConfig
 from slave.tendon_config import TendonConfig
 from studies.paper import paper_method
-from studies.paper.bench import PERIOD, build
-from studies.paper.protocol import LOOSE, BenchRun
-from studies.paper.sheaths import Specimen
+from studies.paper.bench import LOOSE, PERIOD, BenchRun, Specimen, build
 
 PAPER, PAPER_AT_BEST, OURS = "paper", "paper at its best", "ours"
 METHODS = (PAPER, PAPER_AT_BEST, OURS)

@@ -5,10 +5,21 @@ from typing import Any
 
 from estimator.text_table import Table
 from studies.paper.methods import METHODS, OURS, PAPER
-from studies.paper.outcome import PUBLISHED, TARGETS, Outcome, Spread, spread, values
-from studies.paper.scoring import PHASES, WHOLE, Errors, Score
-from studies.paper.study import MOTIONS, PROFILE
-from teleop.cli.report.page import to_json_values
+from studies.paper.study import (
+    MOTIONS,
+    PHASES,
+    PROFILE,
+    PUBLISHED,
+    TARGETS,
+    WHOLE,
+    Errors,
+    Outcome,
+    Score,
+    Spread,
+    spread,
+    values,
+)
+from teleop.cli.html_page import to_json_values
 
 SIGNALS = ("force", "elongation")
 ITEMS = ("largest", "average")

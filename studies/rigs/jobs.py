@@ -19,7 +19,7 @@ from pathlib import Path
 
 from slave.calibration import file
 from slave.tendon_config import TendonConfig
-from studies.rigs import namespace
+from studies.rigs import session
 from studies.rigs.bench import TRUE_K, Model, write_config
 from studies.rigs.session import Session
 from teleop.launch.supervisor import wait_for_condition
@@ -62,7 +62,7 @@ def main() -> int:
     if unknown := set(args.drivers) - set(DRIVERS):
         parser.error(f"no driver {', '.join(sorted(unknown))}; there are {', '.join(DRIVERS)}")
     if args.multicast:
-        namespace.enter()
+        session.enter_namespace()
     print(f"{'driver':16} {'motors':>6}  {'job':14} result")
     failed = 0
     for driver in args.drivers:

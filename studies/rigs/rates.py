@@ -14,7 +14,7 @@ import time
 import numpy as np
 
 from slave.config import SlaveConfig
-from slave.drivers.cia402.bus_load import compute_bus_load
+from slave.drivers.cia402.config import compute_bus_load
 from slave.rig import RigFault
 from slave.rigs.hardware import HardwareRig
 from studies.rigs.bench import Model, rig_tree

@@ -1,16 +1,42 @@
 """A slave and a master on a model of a bus: engaged, watched from both ends, engaged anew."""
 
+import os
 import subprocess
 import sys
 import time
 from pathlib import Path
 
-from studies.rigs.bench import Model
+from studies.rigs.bench import BUS, Model
 from teleop.launch.supervisor import wait_for_condition
 from teleop.messages.messages import Hand
 from teleop.messages.topics import HAND
 from teleop.session.state_machine import State
 from tests.system.processes import START_S, Processes
+
+# --- a network namespace of this process's own, in which CAN runs over UDP multicast
+
+GROUP = "239.74.163.2"
+_INSIDE = "TELEOP_CAN_NAMESPACE"
+_COMMANDS = "ip link set lo up multicast on && ip route add 224.0.0.0/4 dev lo"
+
+
+def enter_namespace() -> None:
+    """Start this command again in a namespace of its own, unless it runs in one.
+
+    Its loopback carries multicast; nothing leaves the machine, and nothing of it comes in. It is
+    gone when the command ends.
+    """
+    os.environ[BUS] = f"udp_multicast,{GROUP}"
+    if _INSIDE in os.environ:
+        return
+    command = f'{_COMMANDS} && exec "$@"'
+    ended = subprocess.run(
+        ["unshare", "--net", "sh", "-c", command, "sh", *sys.orig_argv],
+        env=os.environ | {_INSIDE: "1"},
+        check=False,
+    )
+    sys.exit(ended.returncode)
+
 
 MOVING_S = 5.0  # [s] in which motors must move, or stop
 END_S = 10.0  # [s] in which a slave with a fault must end

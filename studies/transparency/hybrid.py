@@ -1,4 +1,4 @@
-"""Hybrid parameters over frequency.
+"""Hybrid parameters over frequency, how they are measured, and Llewellyn's criterion.
 
 With force f and velocity v at the hand (1) and at the tip (2), f_e against the tip's motion,
 
@@ -18,20 +18,83 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from estimator.array_types import Array
 from studies.transparency.hand import DT, Device, GuidedHand
-from studies.transparency.multisine import (
-    Lines,
-    Multisine,
-    Response,
-    draw,
-    held,
-    response,
-    spectrum,
-)
-from studies.transparency.run import SETTLED, RunData, part, run
-from studies.transparency.system import System
+from studies.transparency.system import SETTLED, RunData, System, part, run
+
+# --- signals with few lines in their spectrum, and what a system answered at those lines
+# A multisine has odd harmonics of its period only, so that a system that is not linear answers at
+# harmonics that were not asked (Pintelon & Schoukens, "System Identification: A Frequency Domain
+# Approach", 2nd ed. 2012, chapters 3 and 4).
+
+
+Lines = NDArray[np.complex128]
+
+
+class Multisine(NamedTuple):
+    """Sines of one period."""
+
+    period: float  # [s]
+    harmonics: tuple[int, ...]
+    amplitude: tuple[float, ...]
+    phase: tuple[float, ...]
+
+    @property
+    def frequency(self) -> Array:
+        """Of each line [Hz]."""
+        return np.array(self.harmonics) / self.period
+
+    def at(self, time: float) -> float:
+        """Return its value at a time [s]."""
+        turns = 2.0 * np.pi * self.frequency * time + np.array(self.phase)
+        return float(np.dot(self.amplitude, np.sin(turns)))
+
+
+def draw_multisine(
+    period: float, harmonics: tuple[int, ...], amplitude: Array, seed: int
+) -> Multisine:
+    """Return a multisine with phases by `seed`."""
+    phase = np.random.default_rng(seed).uniform(0.0, 2.0 * np.pi, len(harmonics))
+    return Multisine(period, harmonics, tuple(amplitude.tolist()), tuple(phase.tolist()))
+
+
+def spectrum(values: Array, time: Array, frequency: Array) -> Lines:
+    """Return the complex amplitude at each frequency [Hz]; whole periods, evenly sampled.
+
+    `time` [s] is that of each value.
+    """
+    turns = np.exp(-2j * np.pi * np.outer(frequency, time))
+    found: Lines = 2.0 / len(values) * turns @ values
+    return found
+
+
+def held(frequency: Array, dt: float) -> Lines:
+    """Return what holding each sample for `dt` [s] does to a line: sinc and half a `dt` of lag."""
+    found: Lines = np.sinc(frequency * dt) * np.exp(-1j * np.pi * frequency * dt)
+    return found
+
+
+class Response(NamedTuple):
+    """Answer over input, a number a line, and its uncertainty."""
+
+    value: Lines
+    coherence: Array  # 1: all that was answered at this line was answered to this input
+    distortion: float  # answer at lines not asked over answer at those asked, RMS
+
+
+def response(excited: Lines, answer: Lines, others: Lines) -> Response:
+    """Return the best linear approximation over several periods, shape (periods, lines).
+
+    The coherence falls with noise, and with all that depends on the phases of the other lines.
+    """
+    cross = np.sum(answer * excited.conj(), axis=0)
+    power, back = (np.sum(np.abs(x) ** 2, axis=0) for x in (excited, answer))
+    coherence = np.abs(cross) ** 2 / np.maximum(power * back, np.finfo(float).tiny)
+    distortion = float(np.sqrt(np.sum(np.abs(others) ** 2) / max(back.sum(), 1e-300)))
+    return Response(cross / power, coherence, distortion)
+
 
 RISE = 0.3  # [s] in which an input grows to its full amplitude
 
@@ -75,10 +138,10 @@ def measure(
     moved, pushed = [], []
     for seed in range(excitation.draws):
         amplitude = excitation.speed / position_scale / (2.0 * np.pi * frequency)
-        motion = draw(excitation.period, excitation.harmonics, amplitude, seed)
+        motion = draw_multisine(excitation.period, excitation.harmonics, amplitude, seed)
         moved += _periods(build(), excitation, device, round_trip, motion, None)
         even = np.full(len(frequency), excitation.force)
-        force = draw(excitation.period, excitation.harmonics, even, seed)
+        force = draw_multisine(excitation.period, excitation.harmonics, even, seed)
         pushed += _periods(build(), excitation, device, round_trip, None, force)
     harmonics = np.arange(1, max(excitation.harmonics) + 2)
     is_excited = np.isin(harmonics, excitation.harmonics)
@@ -154,3 +217,29 @@ def _ports(record: RunData, frequency: Array, device: Device) -> _Ports:
         s * spectrum(record.tip, later, frequency),
         spectrum(record.load, later, frequency),
     )
+
+
+# --- Llewellyn's criterion: whether a two-port is stable between any two passive ends
+# It is, and only then, if at every frequency Re h11 >= 0, Re h22 >= 0 and
+#
+#     eta = (2 Re h11 Re h22 - Re(h12 h21)) / |h12 h21| >= 1
+#
+# (Llewellyn, "Some fundamental properties of transmission systems", Proc. IRE 40, 1952, 271-283;
+# Adams & Hannaford, "Stable haptic interaction with virtual environments", IEEE Trans. Robotics and
+# Automation 15, 1999, 465-474). It speaks of systems that are linear and do not change with time.
+# An ideal teleoperator has eta = 1.
+
+
+class Margin(NamedTuple):
+    """Of each line."""
+
+    eta: Array
+    stable: NDArray[np.bool_]  # all three conditions hold
+
+
+def margin(two_port: Hybrid) -> Margin:
+    """Return the criterion's numbers at each line of a two-port."""
+    h11, h12, h21, h22 = (r.value for r in two_port[1:])
+    through = h12 * h21
+    eta = (2.0 * h11.real * h22.real - through.real) / np.abs(through)
+    return Margin(eta, (h11.real >= 0.0) & (h22.real >= 0.0) & (eta >= 1.0))

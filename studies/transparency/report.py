@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 
 from estimator.text_table import Table
-from studies.transparency import llewellyn, stiffness, zwidth
-from studies.transparency.multisine import Response
+from studies.transparency import hybrid, stiffness, zwidth
+from studies.transparency.hybrid import Response
 from studies.transparency.study import CONTACT, HANDS, LOAD, PRETENSION, SPRING, Case, Study, Walls
-from teleop.cli.report.page import to_json_values
+from teleop.cli.html_page import to_json_values
 
 PARAMETERS = ("h11", "h12", "h21", "h22")
 TRUSTED = 0.95  # coherence below which a line is no number of a linear system
@@ -172,7 +172,7 @@ def _case_tree(study: Study, case: Case) -> dict[str, Any]:
             "distortion": response.distortion,
         }
     if study.linear(case.coupling, case.round_trip):
-        margin = llewellyn.margin(two_port)
+        margin = hybrid.margin(two_port)
         found["llewellyn"] = {"eta": margin.eta.tolist(), "stable": margin.stable.tolist()}
     return found
 
@@ -180,7 +180,7 @@ def _case_tree(study: Study, case: Case) -> dict[str, Any]:
 def _criterion(study: Study, case: Case) -> str:
     if not study.linear(case.coupling, case.round_trip):
         return "does not apply"
-    found = llewellyn.margin(case.hybrid)
+    found = hybrid.margin(case.hybrid)
     if found.stable.all():
         return f"stable, η ≥ {found.eta.min():.2f}"
     at = case.hybrid.frequency[int(np.argmin(found.eta))]

@@ -10,8 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from studies.transparency.hand import DT, Device, GuidedHand, Motion, reach
-from studies.transparency.run import SETTLED, run
-from studies.transparency.system import System
+from studies.transparency.system import SETTLED, System, run
 
 FORCE = 4.0  # [N] at the tip, at the deepest
 STEPS = 4

@@ -1,10 +1,12 @@
-"""The system between hand and tip: both live loops and a simulated network."""
+"""The system between hand and tip: both live loops, a simulated network, a hand's runs."""
 
-from collections.abc import Sequence
-from typing import NamedTuple, Protocol
+from collections.abc import Callable, Sequence
+from typing import Generic, NamedTuple, Protocol, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
+from estimator.array_types import Array
 from estimator.law.sheath import Sheath
 from estimator.online.online import TendonModel
 from estimator.records import view_struct
@@ -22,14 +24,68 @@ from slave.loop_records import SlaveMemory, TickInput
 from slave.rig import RigSample
 from slave.samples import estimate, to_sample_rows
 from slave.tendon_config import TendonConfig
-from studies.transparency.channel import Channel
-from studies.transparency.hand import DT
+from studies.transparency.hand import DT, Encoder, Hand
 from studies.transparency.rig import TestRig
 from teleop.coupling import Bilateral
-from teleop.messages.messages import MAX_JOINTS, Command, SlaveState
+from teleop.link.reception import LatestMessage
+from teleop.messages.messages import MAX_JOINTS, Command, Message, SlaveState
 from teleop.messages.packet import Packet
-from teleop.messages.topics import COMMAND, STATE
+from teleop.messages.topics import COMMAND, STATE, Topic
 from teleop.session.state_machine import State
+
+# --- a network with delay, jitter and loss, by seed, in front of the live reception
+
+M = TypeVar("M", bound=Message)
+
+
+class Channel(Generic[M]):
+    """One direction of one topic: message bytes with delay, reordering and loss.
+
+    Parameters
+    ----------
+    topic : Topic
+        Topic of the messages.
+    sender : int
+        Nonce of the sender.
+    delay, jitter : float
+        A message is under way for `delay` +- `jitter` [s], evenly spread, and not below 0.
+    loss : float
+        Share of the messages that never arrive.
+    seed : int
+        Of jitter and loss.
+    """
+
+    def __init__(
+        self,
+        topic: Topic[M],
+        sender: int,
+        delay: float,
+        jitter: float = 0.0,
+        loss: float = 0.0,
+        seed: int = 0,
+    ) -> None:
+        self._sender, self._delay, self._jitter, self._loss = sender, delay, jitter, loss
+        self._rng = np.random.default_rng(seed)
+        self._under_way: list[tuple[int, int, bytes]] = []  # (arrives [ns], number, bytes)
+        self._latest = LatestMessage(topic, lambda _nonce: 1)
+        self._sent = 0
+
+    def send(self, packet: Packet[M], now_ns: int) -> None:
+        """Fill in the head of a message and send it at `now_ns`."""
+        self._sent += 1
+        data = packet.seal(self._sender, self._sent, now_ns)
+        late = self._delay + self._rng.uniform(-self._jitter, self._jitter)
+        if self._rng.random() >= self._loss:
+            arrives = now_ns + round(max(late, 0.0) * 1e9)
+            self._under_way.append((arrives, self._sent, data))
+
+    def newest(self, now_ns: int) -> LatestMessage[M]:
+        """Return the live `Latest` at `now_ns`."""
+        arrived = sorted(item for item in self._under_way if item[0] <= now_ns)
+        self._under_way = [item for item in self._under_way if item[0] > now_ns]
+        self._latest.take([(data, now_ns) for *_, data in arrived])
+        return self._latest
+
 
 TICK_NS = round(DT * 1e9)
 EPOCH = 1_700_000_000 * 10**9  # [ns] the time of the first tick
@@ -221,3 +277,83 @@ class Teleoperator:
         if self.slave.has_motor:
             self._rig.wanted = tuple(self.slave.motor[: self._tendons].tolist())
         self._states.send(self._state, now)
+
+
+# --- simulate a hand on a system
+
+SETTLED = 0.4  # [s] after which a session over a network without delay may engage
+
+
+class RunData(NamedTuple):
+    """Signals of a run, one value per tick."""
+
+    time: Array  # [s]
+    hand: Array  # [m] true
+    velocity: Array  # [m/s] true, of the hand
+    force: Array  # [N] on the hand, held until the next tick
+    tip: Array  # [m] true, half a tick later
+    load: Array  # [N] true, on the tip, half a tick later
+    commanded: Array  # [m] of the tip
+    followed: Array  # [m]
+    credit: Array  # [J] of master and slave, shape (n, 2)
+    engaged: NDArray[np.bool_]
+    work: Array  # [J] done on the hand so far
+    dragged: Array  # [m^2/s] times a damping at the hand: what that has dissipated [J]
+
+
+def part(record: RunData, begin: int, end: int) -> RunData:
+    """Return the ticks from `begin` to before `end`."""
+    span = slice(begin, end)
+    return record._replace(**{name: column[span] for name, column in record._asdict().items()})
+
+
+def nobody(_time: float) -> float:
+    """Push nothing."""
+    return 0.0
+
+
+def run(
+    system: System,
+    hand: Hand,
+    seconds: float,
+    engage: float = SETTLED,
+    push: Callable[[float], float] = nobody,
+) -> RunData:
+    """Simulate for `seconds` [s].
+
+    Parameters
+    ----------
+    system : System
+        What is between hand and tip.
+    hand : Hand
+        What holds the device.
+    engage : float
+        When the operator engages [s].
+    push : callable
+        Force on the tip [N] besides all that it meets, at a time [s].
+    """
+    encoder, rows = Encoder(hand.device), []
+    for k in range(round(seconds / DT)):
+        time = k * DT
+        position, velocity = encoder.read(hand.position, hand.velocity)
+        seen = HandState((position,), (velocity,), engage=time > engage)
+        answer = system.tick(seen, push(time + DT / 2))
+        rows.append((time, hand.position, hand.velocity, *answer))
+        hand.advance(answer.force)
+    time, x, v, f, tip, load, commanded, followed, *credit, engaged = np.array(rows, float).T
+    work = np.concatenate([[0.0], np.cumsum(f[:-1] * np.diff(x))])
+    dragged = np.concatenate([[0.0], np.cumsum(np.square(v[1:]) + np.square(v[:-1])) * DT / 2])
+    return RunData(
+        time,
+        x,
+        v,
+        f,
+        tip,
+        load,
+        commanded,
+        followed,
+        np.array(credit).T,
+        engaged > 0,
+        work,
+        dragged,
+    )

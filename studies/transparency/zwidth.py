@@ -16,8 +16,7 @@ from scipy.signal import detrend
 
 from estimator.array_types import Array
 from studies.transparency.hand import DT, Arm, Device, HandModel, reach
-from studies.transparency.run import SETTLED, RunData, run
-from studies.transparency.system import System
+from studies.transparency.system import SETTLED, RunData, System, run
 
 SPAN = 1.0  # [s] at the end, and as long before, in which the hand's swing is looked at
 SWING = 0.3e-3  # [m] is rest; more must have become less,

@@ -36,7 +36,7 @@ COMMANDS = {
         "teleop.impair.command",
         "put delay, loss, corruption or a cut between master and slave",
     ),
-    "router": ("teleop.link.router_command", "connect the two sides of many sessions at one place"),
+    "router": ("teleop.link.router", "connect the two sides of many sessions at one place"),
     "replay": ("teleop.recording.replay", "play a recording back onto the link"),
     "recordings": ("teleop.ros.to_bag", "convert a recording to a rosbag2"),
     "devices": (
@@ -51,7 +51,7 @@ COMMANDS = {
         "find what the model of a bench gets wrong, and why",
     ),
     "pair": (
-        "teleop.cli.pair.command",
+        "teleop.cli.pair",
         "measure a pair's friction against the bend of its sheath",
     ),
     "simulate": ("teleop.cli.simulate", "write data as a simulated rig would measure it"),

@@ -32,9 +32,9 @@ from slave import model_files
 from slave.calibration import file
 from slave.calibration.file import Calibration, JointTendons
 from slave.config import SlaveConfig, load_tendon_configs
+from slave.rig import number_joint_tendons
 from slave.rigs.hardware import HardwareRigConfig
-from slave.rigs.joint_layout import number_joint_tendons
-from slave.rigs.simulated.simulated import SimulatedRigConfig
+from slave.rigs.simulated import SimulatedRigConfig
 from slave.tendon_config import TendonConfig
 from teleop.config.loading import RECORDING_SUFFIX, as_tree, load
 from teleop.config.options import add_option, add_options

@@ -24,8 +24,7 @@ from typing import Any, get_type_hints
 from teleop.config.options import add_options
 from teleop.errors import UsageError
 from teleop.impair.config import DirectionConfig, ImpairConfig, load_impair_config
-from teleop.impair.delay_queue import WAIT_S, DelayQueue
-from teleop.impair.direction import Direction
+from teleop.impair.direction import WAIT_S, DelayQueue, Direction
 from teleop.link.bridge import BridgeEnd, send_request
 from teleop.runtime.clock import pause_garbage_collection
 from teleop.runtime.process import StopCondition, is_supervised, write_summary

@@ -49,17 +49,17 @@ from teleop.session.config import RateCheckedSection, RunConfig
 from teleop.session.running_sessions import register_session
 from teleop.session.summary import SessionSummary, find_fault, read_child_summary
 from teleop.view.config import ViewConfig
-from teleop.view.ports import hold_port
+from teleop.view.local_server import hold_port
 
 # the sections of a config file and who checks them; imported by name, as the command line does
 SECTIONS = {
     "master": ("master.config", "MasterConfig"),
     "slave": ("slave.config", "SlaveConfig"),
-    "record": ("teleop.recording.config", "RecordConfig"),
+    "record": ("teleop.recording.writer", "RecordConfig"),
     "view": ("teleop.view.config", "ViewConfig"),
     "impair": ("teleop.impair.config", "ImpairConfig"),
     "ros": ("teleop.ros.config", "RosConfig"),
-    "router": ("teleop.link.router_config", "RouterConfig"),
+    "router": ("teleop.link.router", "RouterConfig"),
 }
 SHUTDOWN_ORDER = (
     "master",

@@ -15,7 +15,7 @@ from teleop.errors import UsageError
 from teleop.runtime.child_process import start_module
 from teleop.runtime.output_file import FORCE_OPTION
 from teleop.runtime.process import HEARTBEAT, STANDBY_VARIABLE, STATUS
-from teleop.view.ports import WEB_VIEW
+from teleop.view.local_server import WEB_VIEW
 
 REQUIRED_CHILDREN = ("master", "slave", "impair")  # the session continues without the others
 RESTARTED_CHILDREN = ("view",)  # started again after a failure, if it ever worked

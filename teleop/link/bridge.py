@@ -13,10 +13,9 @@ from typing import Any
 import zenoh
 
 from teleop.errors import TeleopError
-from teleop.link.challenge import build_challenge_key
+from teleop.link.admission import build_challenge_key
 from teleop.link.config import LinkConfig
-from teleop.link.network import declare_publisher, open_session
-from teleop.link.protection import load_credentials
+from teleop.link.network import declare_publisher, load_credentials, open_session
 from teleop.messages.topics import TOPICS, Topic
 from teleop.runtime.clock import now_ns
 from teleop.security import CertificateRole

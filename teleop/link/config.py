@@ -84,7 +84,7 @@ class LinkConfig:
     of ROS on its machine, and every ROS node connects to what is there.
 
     Everything is authenticated and encrypted, on loopback too. Without `keys` the processes of one
-    user on one machine make their own (`teleop.security.local`).
+    user on one machine make their own (`teleop.security.credentials`).
     """
 
     master: str = "127.0.0.1:7451"  # HOST:PORT of the master

@@ -29,28 +29,37 @@ lasts. No setting of Zenoh bounds either, so a thread looks at our own sockets, 
 
 import contextlib
 import ctypes
-import errno
 import math
 import os
 import re
 import resource
 import select
 import socket
-import stat
-import struct
 import sys
 import threading
 from collections import Counter
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass
 from io import FileIO
-from ipaddress import IPv4Network, IPv6Address, IPv6Network, ip_address, ip_network
+from ipaddress import IPv6Address, ip_address, ip_network
 from pathlib import Path
 from time import monotonic, sleep, thread_time
 from typing import NamedTuple
 
 import zenoh
 
+from teleop.link.packet_filter import Network, build_filter, filter_packets
+from teleop.link.socket_tables import (
+    Connection,
+    SocketAddress,
+    format_hex_address,
+    list_open_sockets,
+    open_socket_copy,
+    open_tables,
+    parse_socket_name,
+    read_tables,
+    shut_down_socket,
+)
 from teleop.security.identity import CertificateRole, Identity
 
 SCAN_PERIOD_S = 0.1  # between two looks; longer if a look takes more than a tenth of it
@@ -68,12 +77,7 @@ BLOCK_S, BLOCK_MAX_S = 5.0, 600.0
 BLOCK_RESET_S = 300.0  # after the end of a block, the next one is short again
 # for which a socket of ours may connect past a block; its handshake takes less
 PORT_EXEMPTION_S = 5.0
-# Of a filter. The kernel allows a socket 20 480 (net.core.optmem_max before Linux 6.8), in which a
-# new filter stands beside the one that it replaces: 185 sources of IPv4, 60 of IPv6
-FILTER_BYTES = 9000
-PORTS_MAX = 400  # in it, for each source on this machine
 CONNECTIONS_PER_NAME_MAX = 32  # connections of one certificate's name
-DISCARD_READS_MAX = 100  # reads of what a connection that is shut down has sent
 CLOSE_DELAY_S = 1.0  # in which Zenoh forgets a connection that was shut down
 NAME_BLOCK_S = 5.0  # for which a name that sent too much, and cannot stop, gets no new connection
 
@@ -108,82 +112,12 @@ def find_allowance(identity: Identity) -> Allowance | None:
     )
 
 
-SocketAddress = tuple[str, int]  # host and port
-Network = IPv4Network | IPv6Network
 _TABLES = Path("/proc/net/tcp"), Path("/proc/net/tcp6")  # TCP sockets of this machine
 _INTERFACES = Path("/proc/net/if_inet6")  # its addresses of IPv6
-OPEN_FILES_FOLDER = Path("/dev/fd")  # of this process; absent on Windows
 _LINUX = sys.platform == "linux"
 _ENDPOINT = re.compile(r"\w+/\[?(?P<host>[^\]%]+?)(?:%\w+)?\]?:(?P<port>\d+)")
 _LOOPBACK = ip_network("127.0.0.0/8"), ip_network("::1/128")
 _SYN_SENT = b"02"
-_BYTES_RECEIVED = 128  # place of tcpi_bytes_received in TCP_INFO
-_ATTACH_FILTER, _DETACH_FILTER = 26, 27
-_LOAD, _LOAD_HALF, _AND, _EQUAL, _JUMP, _RETURN = 0x20, 0x28, 0x54, 0x15, 0x05, 0x06  # classic BPF
-_STORE, _LOAD_STORED = 0x02, 0x60
-_STEP_BYTES = {_LOAD: 72, _LOAD_HALF: 112, _EQUAL: 16, _RETURN: 16}  # as eBPF; others 8
-_JUMP_MAX = 200  # steps that a test may skip, of 255
-_NETWORK_HEADER = 0xFFF00000  # place of the IP header; places from 0 are of the TCP header
-_PASS = 0xFFFFFFFF
-
-
-@dataclass(slots=True, eq=False)
-class _Connection:
-    """A TCP socket of this process."""
-
-    number: int  # file descriptor
-    inode: int
-    local: SocketAddress
-    remote: SocketAddress
-    since_s: float
-    received: int = 0  # [B]
-    left: float | None = None  # of its allowance [B]
-    charged_s: float = 0.0
-    frozen: bool = False
-    shut: bool = False
-
-    def shut_down(self) -> None:
-        """End the connection."""
-        self.shut = True
-        self._apply(_shut_down_socket)
-
-    def freeze(self) -> None:
-        """Receive nothing more, not even the end of the connection."""
-        self.frozen = True
-        self.filter_packets([_build_instruction(_RETURN, 0)])
-
-    def read_received(self) -> int:
-        """Return how many bytes it has received; what was known last if it was closed."""
-        received = [self.received]
-
-        def read(own: socket.socket) -> None:
-            state = own.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, _BYTES_RECEIVED + 8)
-            received[0] = int.from_bytes(state[_BYTES_RECEIVED:], sys.byteorder)
-
-        self._apply(read)
-        return received[0]
-
-    def filter_packets(self, program: list[bytes]) -> str:
-        """Let the kernel drop packets to the socket; all pass if `program` is empty.
-
-        Returns why the kernel takes no filter; empty if it does, or if the socket is closed.
-        """
-        refused = [""]
-
-        def change(own: socket.socket) -> None:
-            try:
-                _filter_packets(own, program)
-            except OSError as error:
-                refused.append(str(error) if program else "")  # there was none to be removed
-
-        self._apply(change)
-        return refused[-1]
-
-    def _apply(self, change: Callable[[socket.socket], None]) -> None:
-        """Change the socket, unless its file descriptor was closed, or reused."""
-        with contextlib.suppress(OSError), _opened(self.number) as own:
-            if os.fstat(own.fileno()).st_ino == self.inode:
-                change(own)
 
 
 @dataclass(slots=True)
@@ -215,34 +149,34 @@ class ConnectionGuard:
         self._names: dict[
             tuple[SocketAddress, SocketAddress | None], str
         ] = {}  # of certificates, by the ends
-        self._sockets: dict[int, _Connection | None] = {}  # by inode; None: not a connection
+        self._sockets: dict[int, Connection | None] = {}  # by inode; None: not a connection
         self._blocks: dict[Network, _Block] = {}
         self._ports: dict[int, float] = {}  # of ours that connect past a block, and until when
         self._barred: dict[str, float] = {}  # names that get no new connection, and until when
         self._filter: tuple[dict[Network, bool], list[int]] = {}, []
-        self._charged: list[tuple[_Connection, str, int]] = []  # with a number by name
+        self._charged: list[tuple[Connection, str, int]] = []  # with a number by name
         self._has_new = False
         self._shut_s = self._trim_s = 0.0
         self._tables: list[FileIO] = []
         self._interfaces: list[FileIO] = []
-        self._listening: dict[SocketAddress, _Connection] = {}
+        self._listening: dict[SocketAddress, Connection] = {}
         ports = {int(address.rpartition(":")[2]) for address in listen}
-        for number, inode in _list_open_sockets():
-            with contextlib.suppress(OSError), _opened(number) as own:
+        for number, inode in list_open_sockets():
+            with contextlib.suppress(OSError), open_socket_copy(number) as own:
                 if own.getsockopt(socket.SOL_SOCKET, socket.SO_ACCEPTCONN):
-                    ends = _parse_socket_name(own.getsockname())
+                    ends = parse_socket_name(own.getsockname())
                     if ends[1] in ports:
                         # no copy is kept, which would keep the port after the session's end
-                        self._listening[ends] = _Connection(number, inode, ends, ("", 0), 0.0)
-        hexadecimal = "|".join(map(_format_hex_address, self._listening)).encode()
+                        self._listening[ends] = Connection(number, inode, ends, ("", 0), 0.0)
+        hexadecimal = "|".join(map(format_hex_address, self._listening)).encode()
         self._row = re.compile(  # of /proc/net/tcp: ends, state, user and inode
             rb"(\w+:\w+) (%s) (\w\w) \S+ \S+ \S+ +(\d+) +\d+ (\d+)" % hexadecimal
         )
         direct = zenoh.handlers.Callback(self._on_link, indirect=False)
         self._links = session.info.declare_link_events_listener(direct, history=True)
         if _LINUX:
-            self._tables = _open_tables(_TABLES)
-            self._interfaces = _open_tables([_INTERFACES])
+            self._tables = open_tables(_TABLES)
+            self._interfaces = open_tables([_INTERFACES])
             threading.Thread(target=self._work, name="connection guard", daemon=True).start()
 
     def _on_link(self, event: zenoh.LinkEvent) -> None:
@@ -259,16 +193,16 @@ class ConnectionGuard:
         self._has_new = True
         is_barred = self._barred.get(name, 0.0) > monotonic()
         if local in self._listening and (self._blocks or is_barred):
-            for number, _ in _list_open_sockets():
-                with contextlib.suppress(OSError), _opened(number) as own:
+            for number, _ in list_open_sockets():
+                with contextlib.suppress(OSError), open_socket_copy(number) as own:
                     if (
-                        _parse_socket_name(own.getsockname()),
-                        _parse_socket_name(own.getpeername()),
+                        parse_socket_name(own.getsockname()),
+                        parse_socket_name(own.getpeername()),
                     ) == ends:
                         if is_barred:
-                            _shut_down_socket(own)
+                            shut_down_socket(own)
                         else:
-                            _filter_packets(own, [])  # it has that of the listening socket
+                            filter_packets(own, [])  # it has that of the listening socket
 
     def _work(self) -> None:
         arrivals = select.epoll()
@@ -317,7 +251,7 @@ class ConnectionGuard:
             self._trim_s = 0.0
             _release_free_memory()
 
-    def _cap(self, half_open: list[_Connection]) -> None:
+    def _cap(self, half_open: list[Connection]) -> None:
         """Shut down the oldest of too many half-open connections, from however many sources."""
         soft, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
         limit = max(HALF_OPEN_MAX, self._burst)
@@ -329,28 +263,28 @@ class ConnectionGuard:
         for connection in excess:
             connection.shut_down()
 
-    def _connections(self, now_s: float) -> list[_Connection]:
+    def _connections(self, now_s: float) -> list[Connection]:
         """Return the connections of this process, oldest first."""
         known, self._sockets = self._sockets, {}
-        for number, inode in _list_open_sockets():
+        for number, inode in list_open_sockets():
             connection = known.get(inode)
             if connection is not None:
                 connection.number = number
             elif inode not in known:
                 try:
-                    with _opened(number) as own:
+                    with open_socket_copy(number) as own:
                         ends = (
-                            _parse_socket_name(own.getsockname()),
-                            _parse_socket_name(own.getpeername()),
+                            parse_socket_name(own.getsockname()),
+                            parse_socket_name(own.getpeername()),
                         )
                         if own.family in (socket.AF_INET, socket.AF_INET6):
-                            connection = _Connection(number, inode, *ends, now_s)
+                            connection = Connection(number, inode, *ends, now_s)
                 except OSError:  # listens, or is not connected yet
                     continue
             self._sockets[inode] = connection
         return sorted((c for c in self._sockets.values() if c is not None), key=lambda c: c.since_s)
 
-    def _charge(self, connection: _Connection, name: str, count: int, now_s: float) -> None:
+    def _charge(self, connection: Connection, name: str, count: int, now_s: float) -> None:
         """Charge a connection for what it has received since the last time."""
         try:
             identity = Identity.parse(name)
@@ -377,17 +311,17 @@ class ConnectionGuard:
         connection.shut_down()
         self._trim_s = now_s + CLOSE_DELAY_S
 
-    def _block(self, half_open: list[_Connection], now_s: float) -> None:
+    def _block(self, half_open: list[Connection], now_s: float) -> None:
         """Block the sources of stuck or many connections, and end blocks."""
         rows = {
             (local, remote): (state, int(user), inode)
-            for local, remote, state, user, inode in self._row.findall(_read_tables(self._tables))
+            for local, remote, state, user, inode in self._row.findall(read_tables(self._tables))
         }
         ours = 0, os.getuid()
-        by_source: dict[Network, list[_Connection]] = {}
+        by_source: dict[Network, list[Connection]] = {}
         local_sources = set()
         for connection in (c for c in half_open if not c.frozen):
-            ends = _format_hex_address(connection.remote), _format_hex_address(connection.local)
+            ends = format_hex_address(connection.remote), format_hex_address(connection.local)
             _, user, inode = rows.get((ends[0].encode(), ends[1].encode()), (b"", -1, b""))
             if user in ours and inode != b"0":
                 continue
@@ -403,7 +337,7 @@ class ConnectionGuard:
             for source, connections in by_source.items()
         }
         active = {source for source, block in self._blocks.items() if now_s <= block.until_s}
-        interfaces = _read_tables(self._interfaces).decode()
+        interfaces = read_tables(self._interfaces).decode()
         ours_too = _own_networks((host for host, _ in self._listening), interfaces)
         for source in _choose_blocks(counts, active, self._burst, ours_too):
             block = self._blocks.get(source)
@@ -423,7 +357,7 @@ class ConnectionGuard:
         if wanted != self._filter:
             self._filter = wanted
             for (host, _), listening in self._listening.items():
-                program = _build_filter(ip_address(host).version, *wanted)
+                program = build_filter(ip_address(host).version, *wanted)
                 if refused := listening.filter_packets(program):
                     self._note(f"a filter for blocked sources, by the kernel: {refused}")
         for source, connections in by_source.items():
@@ -439,74 +373,10 @@ def _is_closed(session: zenoh.Session) -> bool:
         return True
 
 
-def _list_open_sockets() -> Iterator[tuple[int, int]]:
-    """Yield file descriptor and inode of each socket of this process."""
-    for number in list_open_files():
-        with contextlib.suppress(OSError):  # closed since it was listed
-            status = os.fstat(number)
-            if stat.S_ISSOCK(status.st_mode):
-                yield number, status.st_ino
-
-
-@contextlib.contextmanager
-def _opened(number: int) -> Iterator[socket.socket]:
-    """Give a socket of this process under a descriptor of its own, if there is one left.
-
-    Nobody else closes that one meanwhile, after which the number could mean another file.
-    """
-    try:
-        number, is_copy = os.dup(number), True
-    except OSError as error:
-        if error.errno != errno.EMFILE:
-            raise
-        is_copy = False
-    own = socket.socket(fileno=number)
-    try:
-        yield own
-    finally:
-        if is_copy:
-            own.close()
-        else:
-            own.detach()
-
-
-def _parse_socket_name(name: tuple[str, int] | str | bytes) -> SocketAddress:
-    """Return host and port of a name of a socket; of no host if it is none of IP."""
-    if not isinstance(name, tuple) or not isinstance(name[0], str):
-        return "", 0
-    return name[0].partition("%")[0], name[1]
-
-
 def _parse_endpoint(endpoint: str) -> SocketAddress | None:
     """Return host and port of Zenoh's `tls/HOST:PORT`; None if it has none."""
     match = _ENDPOINT.fullmatch(endpoint)
     return None if match is None else (match["host"], int(match["port"]))
-
-
-def _open_tables(paths: Iterable[Path]) -> list[FileIO]:
-    """Open tables of the kernel, to read them when no descriptor is left; without those missing."""
-    tables = []
-    for path in paths:
-        with contextlib.suppress(OSError):
-            tables.append(path.open("rb", buffering=0))
-    return tables
-
-
-def _read_tables(tables: Iterable[FileIO]) -> bytes:
-    """Return the present contents of open tables; what cannot be read is left out."""
-    contents = b""
-    for table in tables:
-        with contextlib.suppress(OSError):
-            table.seek(0)
-            contents += table.read()
-    return contents
-
-
-def _format_hex_address(ends: SocketAddress) -> str:
-    """Return an address as in /proc/net/tcp."""
-    packed = ip_address(ends[0]).packed
-    words = struct.unpack(f"={len(packed) // 4}I", packed)
-    return "".join(f"{word:08X}" for word in words) + f":{ends[1]:04X}"
 
 
 def _find_source_network(host: str) -> Network:
@@ -581,88 +451,6 @@ def _choose_blocks(
             wide.add(network)
     chosen = [*wide, *(s for s in bad if not {_network_of(s)} & {*wide, *blocked})]
     return [source for source in chosen if source not in blocked]
-
-
-def list_open_files() -> Iterable[int]:
-    """Return the numbers of the open files of this process, and perhaps further ones."""
-    try:
-        return map(int, os.listdir(OPEN_FILES_FOLDER))
-    except OSError:  # no descriptor is left to list them with: all below the limit are open
-        return range(os.sysconf("SC_OPEN_MAX"))
-
-
-def _build_filter(
-    version: int, blocked: dict[Network, bool], ports: Collection[int]
-) -> list[bytes]:
-    """Return a filter in classic BPF of the newest sources that fit into `FILTER_BYTES`.
-
-    Of sources on this machine, some ports pass.
-    """
-    place = _NETWORK_HEADER + (12 if version == 4 else 8)  # of the source address
-    address = [
-        step
-        for word in range(1 if version == 4 else 4)
-        for step in (_build_instruction(_LOAD, place + 4 * word), _build_instruction(_STORE, word))
-    ]
-    program: list[bytes] = []
-    for source, local in reversed(blocked.items()):
-        if source.version == version:
-            drop = _build_drop(source, sorted(ports)[:PORTS_MAX] if local else [])
-            if _measure_filter([*address, *program, *drop]) > FILTER_BYTES:
-                break
-            program += drop
-    return [*address, *program, _build_instruction(_RETURN, _PASS)] if program else []
-
-
-def _build_drop(source: Network, ports: list[int]) -> list[bytes]:
-    """Return the steps that drop the packets of a source, whose address is stored; ports pass."""
-    steps = [_build_instruction(_LOAD_HALF, 0)] * bool(ports)
-    for begin in range(0, len(ports), _JUMP_MAX):
-        some = ports[begin : begin + _JUMP_MAX]
-        steps += [_build_instruction(_EQUAL, port, len(some) - k, 0) for k, port in enumerate(some)]
-        steps += [_build_instruction(_JUMP, 1), _build_instruction(_RETURN, _PASS)]
-    steps.append(_build_instruction(_RETURN, 0))
-    for word in reversed(range(source.max_prefixlen // 32)):
-        value, mask = (
-            int.from_bytes(x.packed[4 * word : 4 * word + 4]) for x in (source[0], source.netmask)
-        )
-        if mask:
-            part = [_build_instruction(_AND, mask)] * (mask != _PASS)
-            steps = [
-                _build_instruction(_LOAD_STORED, word),
-                *part,
-                _build_instruction(_EQUAL, value, 1, 0),
-                _build_instruction(_JUMP, len(steps)),
-                *steps,
-            ]  # fmt: skip
-    return steps
-
-
-def _measure_filter(program: list[bytes]) -> int:
-    """Return how much memory of a socket a filter takes in the kernel, as eBPF [B]; measured."""
-    return sum(_STEP_BYTES.get(struct.unpack_from("H", step)[0], 8) for step in program)
-
-
-def _build_instruction(code: int, value: int, if_true: int = 0, if_false: int = 0) -> bytes:
-    return struct.pack("HBBI", code, if_true, if_false, value)
-
-
-def _filter_packets(listening: socket.socket, program: list[bytes]) -> None:
-    """Let the kernel drop packets to a listening socket; all pass if `program` is empty."""
-    if program:
-        steps = ctypes.create_string_buffer(b"".join(program))
-        named = struct.pack("HP", len(program), ctypes.addressof(steps))
-        listening.setsockopt(socket.SOL_SOCKET, _ATTACH_FILTER, named)
-    else:
-        listening.setsockopt(socket.SOL_SOCKET, _DETACH_FILTER, 0)
-
-
-def _shut_down_socket(own: socket.socket) -> None:
-    """End a connection, with what was received and not read, of which Zenoh would do all."""
-    own.shutdown(socket.SHUT_RDWR)
-    for _ in range(DISCARD_READS_MAX):
-        if not own.recv(65536, socket.MSG_DONTWAIT):
-            break
 
 
 def _release_free_memory() -> None:

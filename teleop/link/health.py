@@ -24,7 +24,7 @@ from estimator.records import I64, Flag, Struct, StructArray, view_struct
 from teleop.link.reception import DRIFT, NEVER_NS, MessageCounts
 from teleop.messages.messages import LinkReport
 from teleop.messages.topics import Role
-from teleop.runtime.timing import Durations, Percentiles
+from teleop.runtime.clock import Durations, Percentiles
 from teleop.session.state_machine import Reason, to_reason
 
 WINDOW_NS = 1_000_000_000  # [ns] of the bounds of the offset, which drift apart in longer ones

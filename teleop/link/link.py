@@ -11,14 +11,11 @@ import zenoh
 
 from teleop.errors import PeerError, UsageError
 from teleop.link.config import LinkConfig
-from teleop.link.connection_probe import ConnectionProbe
-from teleop.link.inbox import Inbox
 from teleop.link.listener import Listener
-from teleop.link.network import Mode, open_session
-from teleop.link.protection import load_credentials
+from teleop.link.network import ConnectionProbe, Mode, load_credentials, open_session
 from teleop.link.publisher import Publisher, build_sampled_key
 from teleop.link.rate_limit import RefusalCounter
-from teleop.link.reception import NEVER_NS, LatestMessage, MessageCounts
+from teleop.link.reception import NEVER_NS, Inbox, LatestMessage, MessageCounts
 from teleop.link.roster import DECISION_TIMEOUT_NS, Roster
 from teleop.messages.messages import LAYOUT, TOPIC_SLOTS, Message
 from teleop.messages.packet import Packet
@@ -26,9 +23,8 @@ from teleop.messages.topics import TOPICS, Role, Topic
 from teleop.runtime.clock import now_ns
 from teleop.security import CERTIFICATE_ROLES, Identity, presence
 from teleop.security.access import build_access_control
-from teleop.security.handshake import Handshake
 from teleop.security.keyring import Keyring, TagKeys
-from teleop.security.presence import RoleStage, Token
+from teleop.security.presence import Handshake, RoleStage, Token
 
 M = TypeVar("M", bound=Message)
 

@@ -1,8 +1,8 @@
 """Round-trip time of bare Zenoh on this machine: the baseline for the latency of a session.
 
 Two processes on loopback send raw bytes to and fro, without messages, checks or loops. They have
-the same sessions, publishers, priority and way of waiting as the loops (`teleop.link.inbox`), so
-the additional latency of a session is due to the loops.
+the same sessions, publishers, priority and way of waiting as the loops (`teleop.link.reception`),
+so the additional latency of a session is due to the loops.
 """
 
 import json
@@ -18,14 +18,14 @@ from typing import Any
 import numpy as np
 import zenoh
 
-from teleop.link.inbox import Inbox
 from teleop.link.network import declare_publisher, open_session
+from teleop.link.reception import Inbox
 from teleop.runtime.child_process import start_module
 from teleop.runtime.clock import pause_garbage_collection
 from teleop.runtime.process import die_with_launcher
 from teleop.runtime.realtime import RealtimeConfig, enter_loop, request_realtime
 from teleop.security import CertificateRole
-from teleop.security.local import create_local_credentials
+from teleop.security.credentials import create_local_credentials
 
 PERIOD_S = 1e-3  # between two commands, as in a 1 kHz session
 ANSWER_TIMEOUT_S = 0.05  # timeout of an answer

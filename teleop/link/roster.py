@@ -12,17 +12,19 @@ from typing import Any
 
 import zenoh
 
-from teleop.link.admission import Admission
-from teleop.link.challenge import AnswerCallback, Challenger, Responder
+from teleop.link.admission import Admission, AnswerCallback, Challenger, Responder
 from teleop.link.rate_limit import RefusalCounter
 from teleop.messages.topics import Role
 from teleop.security import CertificateError, NotYetValidError
-from teleop.security.handshake import Handshake, PairKeys, Peer, SignatureError
 from teleop.security.keyring import Keyring
 from teleop.security.presence import (
     EXCLUSIVE_ROLES,
     LISTENER_ROLES,
+    Handshake,
+    PairKeys,
+    Peer,
     RoleStage,
+    SignatureError,
     Token,
     build_token_root,
     list_groups,
@@ -71,7 +73,7 @@ class Roster:
     """Tracks the tokens of other processes; a slave also relays those of masters.
 
     A token without a valid proof is ignored. One of a master or slave, and to these one of a
-    supervisor, counts only while its process answers challenges (`teleop.link.challenge`): a token
+    supervisor, counts only while its process answers challenges (`teleop.link.admission`): a token
     that is played back neither evicts nor blocks anybody. Nothing counts any more of a certificate
     that expires or is revoked.
 

@@ -23,10 +23,9 @@ from teleop.config.strict_yaml import read_text
 from teleop.errors import TeleopError
 from teleop.link import Link
 from teleop.messages.topics import TOPICS, Role
-from teleop.recording.config import RecordConfig
 from teleop.recording.reader import read_recorded_config
 from teleop.recording.recorder import BATCH, GRACE_NS, Recorder
-from teleop.recording.writer import RecordingWriter
+from teleop.recording.writer import RecordConfig, RecordingWriter
 from teleop.runtime.clock import now_ns
 from teleop.runtime.output_file import SharedFolder
 from teleop.runtime.process import STATUS, StopCondition, is_supervised, write_summary

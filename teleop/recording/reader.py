@@ -18,16 +18,18 @@ from numpy.typing import NDArray
 
 from teleop.config.strict_yaml import SIZE_MAX
 from teleop.messages.messages import ENCAPSULATION
-from teleop.recording.names import (
+from teleop.recording.scan import (
     CONFIG_ATTACHMENT,
     DROPPED_METADATA,
     END_METADATA,
     GAPS_METADATA,
+    MESSAGE_HEAD,
     SESSION_METADATA,
     VERSIONS_METADATA,
+    RecordingError,
+    Scan,
     to_topic_name,
 )
-from teleop.recording.scan import MESSAGE_HEAD, RecordingError, Scan
 
 # --- parse ROS 2 message definitions of recorded messages
 

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
-from typing import IO
+from typing import IO, TYPE_CHECKING
 
 import lz4.frame
 import zstandard
@@ -22,7 +22,30 @@ from mcap.opcode import Opcode
 from mcap.writer import MCAP0_MAGIC
 
 from teleop.errors import UsageError
-from teleop.recording.names import CONFIG_ATTACHMENT
+
+# --- names in a recording, for writer and reader
+
+if TYPE_CHECKING:
+    from mcap.records import Channel  # not needed for the names alone
+
+SESSION_METADATA = "recording"  # session, start, message layout, protection
+VERSIONS_METADATA = "versions"  # of the writing software
+GAPS_METADATA = "gaps"  # "<topic>/<sender>": lost messages; the last record of the name counts
+DROPPED_METADATA = "dropped"  # "<topic>": came, but the recorder was too slow; the last one counts
+END_METADATA = "end"  # how the recording ended: what is missing, largest lag, unfinished senders
+CONFIG_ATTACHMENT = "config.yaml"
+SCHEMA_PACKAGE = "tendon_teleop"
+
+
+def to_channel_name(topic: str) -> str:
+    """Return the MCAP name of a topic, which as in ROS begins with a slash."""
+    return f"/{topic}"
+
+
+def to_topic_name(channel: "Channel") -> str:
+    """Return the topic's name in `teleop.messages.topics`."""
+    return channel.topic.removeprefix("/")
+
 
 CHUNK_MAX = 1 << 26
 """Bytes of a chunk, unpacked; recorders write 1 MB."""

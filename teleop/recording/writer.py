@@ -11,10 +11,11 @@ import platform
 import tempfile
 from collections import OrderedDict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any, NoReturn, Self, cast
+from typing import Any, Literal, NoReturn, Self, cast
 
 from mcap.data_stream import RecordBuilder
 from mcap.records import ChunkIndex, MetadataIndex
@@ -26,8 +27,7 @@ from teleop.errors import TeleopError, UsageError
 from teleop.link import ReceivedMessage
 from teleop.messages.messages import LAYOUT
 from teleop.messages.topics import Topic
-from teleop.recording.config import RecordConfig
-from teleop.recording.names import (
+from teleop.recording.scan import (
     CONFIG_ATTACHMENT,
     DROPPED_METADATA,
     END_METADATA,
@@ -38,6 +38,30 @@ from teleop.recording.names import (
     to_channel_name,
 )
 from teleop.runtime.process import is_supervised
+
+# --- the `record:` section of a config file
+
+
+@dataclass(frozen=True, slots=True)
+class RecordConfig:
+    """Folder of recordings, write intervals, scheduling."""
+
+    directory: str = "recordings"  # created if missing; `--out` overrides it
+    chunk_s: float = 0.1  # [s] messages are written to the file in chunks of this duration
+    drain_s: float = 0.02  # [s] between two reads from the link
+    priority: int = 1  # SCHED_RR, below the loops (realtime.priority); 0: ordinary, after them
+    compression: Literal["zstd", "lz4", "none"] = "zstd"
+
+    def __post_init__(self) -> None:
+        if not self.directory:
+            raise ValueError("directory: is empty, give a path (recordings)")
+        if not 0.01 <= self.chunk_s <= 10:
+            raise ValueError(f"chunk_s: {self.chunk_s} s is outside 0.01 to 10 s")
+        if not 0.001 <= self.drain_s <= 1:
+            raise ValueError(f"drain_s: {self.drain_s} s is outside 0.001 to 1 s")
+        if not 0 <= self.priority <= 49:
+            raise ValueError(f"priority: {self.priority} is outside 0 to 49")
+
 
 # --- indices of a recording being written, in bounded memory
 

@@ -27,8 +27,7 @@ from teleop.config import strict_yaml
 from teleop.data import bounds
 from teleop.data.channel_names import format_standard_name
 from teleop.errors import UsageError
-from teleop.recording.names import SESSION_METADATA
-from teleop.recording.scan import MESSAGE_HEAD, Scan
+from teleop.recording.scan import MESSAGE_HEAD, SESSION_METADATA, Scan
 from teleop.ros.message_types import JOINT_STATE, WRENCH_STAMPED, CdrError, decode, to_stamp_ns
 from teleop.runtime.process import print_warning
 

@@ -23,7 +23,7 @@ from teleop.link.ros_session import is_router_listening
 from teleop.messages.messages import MESSAGES, Message
 from teleop.messages.page import read_field_comments
 from teleop.messages.topics import Role
-from teleop.recording.names import SCHEMA_PACKAGE
+from teleop.recording.scan import SCHEMA_PACKAGE
 from teleop.ros.config import RosConfig, check_ports
 from teleop.ros.message_types import require_rosbags
 from teleop.ros.node import RosNode

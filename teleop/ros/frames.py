@@ -28,7 +28,7 @@ from teleop.ros.message_types import (
 )
 from teleop.ros.outputs import build_frame_name
 from teleop.session.state_machine import State, to_reason
-from teleop.view.shape import compute_centreline
+from teleop.view.scene_geometry import compute_centreline
 
 HOUSING_SPACING_M = 0.02  # [m] between the housings of two sheaths
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from teleop.errors import TeleopError, UsageError
 from teleop.messages.messages import ENCAPSULATION, MESSAGES, Message
-from teleop.recording.names import SCHEMA_PACKAGE
+from teleop.recording.scan import SCHEMA_PACKAGE
 
 if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore

@@ -5,6 +5,12 @@ that runs on this machine `<session>.<role>.pem` and `<session>.<role>.key`.
 """
 
 import base64
+import contextlib
+import fcntl
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -15,16 +21,18 @@ from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption,
 from cryptography.x509.oid import NameOID
 
 from teleop.errors import TeleopError, UsageError
+from teleop.runtime.files import find_state_folder
 from teleop.security.authority import (
     AUTHORITY,
     UNREADABLE_ERRORS,
+    Authority,
     is_signed_by,
     load_certificate,
     load_key,
     load_revoked,
     require_unshared_folder,
 )
-from teleop.security.identity import ALL_SESSIONS, CertificateRole, Identity
+from teleop.security.identity import ALL_SESSIONS, RIGHTS, CertificateRole, Identity
 
 NAME_MAX = 64  # characters of a common name (X.520)
 EXPIRY_WARNING = timedelta(days=14)  # before a certificate expires
@@ -172,3 +180,87 @@ def load(folder: Path, session: str, office: CertificateRole) -> Credentials:
     if not identity.may_join(session):
         raise UsageError(f"{path}: is of session {identity.session!r}, not {session!r}")
     return Credentials(identity, certificate, key, authority, revoked, folder=folder)
+
+
+# --- credentials without asking, for sessions on one machine
+# Each user has an authority of his own, below `$XDG_STATE_HOME/teleop/keys` (default
+# `~/.local/state`), which he alone can read. Every process issues itself a certificate that lasts
+# for `LOCAL_DAYS` and is kept in memory only. So all processes of one user find together, and
+# another user of the machine gets nowhere.
+
+
+LOCAL_DAYS = 7  # longer than any session
+AUTHORITY_LIFE_DAYS = 365  # [days]
+_EPOCH = datetime(2000, 1, 1, tzinfo=UTC)  # on one machine a clock set back must not matter
+
+
+def find_local_folder() -> Path:
+    """Return the folder of this user's authority."""
+    return find_state_folder() / "teleop" / "keys"
+
+
+def create_local_credentials(session: str, office: CertificateRole) -> Credentials:
+    """Return new credentials of a role in a session; `UsageError` if they cannot be kept."""
+    authority = _obtain_authority()
+    identity = Identity(office, session, RIGHTS if office is CertificateRole.SUPERVISOR else ())
+    certificate, key = authority.issue(identity, LOCAL_DAYS, _EPOCH)
+    return Credentials(
+        identity, certificate, key, authority.certificate, authority.revoked, lasting=False,
+        folder=find_local_folder(),
+    )  # fmt: skip
+
+
+def _obtain_authority() -> Authority:
+    """Return this user's authority, made if there is none that lasts."""
+    folder = find_local_folder()
+    try:
+        return _load_valid_authority(folder) or _make_authority(folder)
+    except OSError as error:
+        raise UsageError(
+            f"{folder}: no keys can be kept here: {error.strerror}; set XDG_STATE_HOME to a folder "
+            "of yours, or link.keys"
+        ) from error
+
+
+def _load_valid_authority(folder: Path) -> Authority | None:
+    """Return the authority of a folder; None if there is none, or it expires soon."""
+    if not (folder / AUTHORITY).is_file():
+        return None
+    _require_private_folder(folder)
+    authority = Authority.load(folder)
+    left = authority.certificate.not_valid_after_utc - datetime.now(UTC)
+    return authority if left > timedelta(days=LOCAL_DAYS) else None
+
+
+def _make_authority(folder: Path) -> Authority:
+    """Make the authority; of several processes at once the first one wins."""
+    folder.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
+    with _lock_folder(folder.parent):
+        if (authority := _load_valid_authority(folder)) is not None:  # another process was faster
+            return authority
+        # a new name, which nobody can have taken before
+        draft = Path(tempfile.mkdtemp(prefix=".keys-", dir=folder.parent))
+        Authority.create("teleop on this machine", AUTHORITY_LIFE_DAYS, _EPOCH).save(draft / "new")
+        if folder.exists():
+            folder.rename(draft / "old")
+        (draft / "new").rename(folder)
+        shutil.rmtree(draft)
+        _require_private_folder(folder)
+        return Authority.load(folder)
+
+
+@contextlib.contextmanager
+def _lock_folder(folder: Path) -> Iterator[None]:
+    """Let one process at a time make an authority in `folder`."""
+    handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(handle)
+
+
+def _require_private_folder(folder: Path) -> None:
+    status = folder.stat()
+    if status.st_uid != os.geteuid() or status.st_mode & 0o077:
+        raise UsageError(f"{folder}: must belong to this user alone; chmod 700 {folder}")

@@ -7,8 +7,7 @@ from teleop.link import REJECTION_COUNTERS, MessageCounts
 from teleop.link.health import LinkSummary
 from teleop.messages.messages import STAGE_NAMES, Latency, LoopReport
 from teleop.messages.topics import Role
-from teleop.runtime.clock import TickStats, now_ns
-from teleop.runtime.timing import Durations, Percentiles
+from teleop.runtime.clock import Durations, Percentiles, TickStats, now_ns
 from teleop.session.state_machine import DetailedReason, Reason, SessionOutline, State
 from teleop.session.summary import LoopSummary
 

@@ -13,7 +13,7 @@ from teleop.errors import PeerError, TeleopError
 from teleop.impair.config import ImpairConfig
 from teleop.session.config import RunConfig, has_stated_endpoints
 from teleop.session.running_sessions import RunningSession, create_session_name, list_sessions
-from teleop.view.ports import LOOPBACK, find_free_port
+from teleop.view.local_server import LOOPBACK, find_free_port
 
 # below the ports that Linux gives to outgoing connections (32768 ...), so that none of those takes
 # a port between this choice and the start of the process that listens there

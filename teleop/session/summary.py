@@ -9,7 +9,7 @@ from typing import Any, TypedDict
 from teleop.link.health import LinkSummary
 from teleop.messages.messages import STAGE_NAMES
 from teleop.messages.topics import Role
-from teleop.runtime.timing import Percentiles
+from teleop.runtime.clock import Percentiles
 from teleop.session.state_machine import PEER_REASONS, DetailedReason, State
 
 

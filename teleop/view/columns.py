@@ -1,10 +1,10 @@
-"""Columns of Rerun's components, made from numpy arrays.
+"""Packed messages as numpy rows, and rows as columns of Rerun's components.
 
 The archetypes' own `columns` convert and check each value by value; of many small blocks that
 takes longer than their sending.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from functools import cache
 from typing import Any
 
@@ -12,8 +12,11 @@ import numpy as np
 import pyarrow as pa
 import rerun as rr
 from numpy.typing import ArrayLike, NDArray
+from rerun import AsComponents
 
 from estimator.array_types import Array
+from teleop.messages.messages import LAYOUT, MessageError
+from teleop.messages.topics import Topic
 
 TIMELINE = "time"  # the stamp its sender gave a message
 Strips = Sequence[Array] | Array  # lines of shape (points, 2 or 3), or as many points each stacked
@@ -114,3 +117,120 @@ _CONVERSIONS = {
     "vectors": _to_point_array,
     "strips": _to_strip_array,
 }
+
+
+# --- convert packed messages to numpy rows in batches, and downsample rows
+
+AnyTopic = Topic[Any]
+Rows = NDArray[np.void]  # one row a message, its fields those of the message's dtype
+
+
+def decode(messages: Iterable[tuple[AnyTopic, bytes]]) -> dict[AnyTopic, Rows]:
+    """Return the messages of each topic as one structured array, in their order.
+
+    Only the layout is checked (the link has checked the rest); raises `MessageError`.
+    """
+    pieces: dict[AnyTopic, list[bytes]] = {}
+    for topic, data in messages:
+        pieces.setdefault(topic, []).append(data)
+    batches = {}
+    for topic, parts in pieces.items():
+        schema = topic.message.schema
+        foreign = any(len(part) != schema.size for part in parts)
+        rows = (
+            np.empty(0, schema.dtype) if foreign else np.frombuffer(b"".join(parts), schema.dtype)
+        )
+        if foreign or (rows["layout"] != LAYOUT).any():
+            raise MessageError("layout", f"{topic.name}: made by another version of the messages")
+        batches[topic] = rows
+    return batches
+
+
+def subsample_rows(rows: Rows, rate_hz: float) -> Rows:
+    """Return about `rate_hz` rows a second: the last of each period, and always the newest.
+
+    Periods are on a fixed grid of stamps, so no state is kept; at most one extra row per batch.
+    """
+    if len(rows) == 0:
+        return rows
+    period = rows["stamp_ns"] // round(1e9 / rate_hz)
+    keep = np.append(period[1:] != period[:-1], True)
+    kept: Rows = rows[keep]
+    return kept
+
+
+class Subsampler:
+    """Downsamples rows; to lower rates while drawing would take too much processor time."""
+
+    def __init__(self) -> None:
+        self.stretch = 1.0  # factor of all periods
+
+    def __call__(self, rows: Rows, rate_hz: float) -> Rows:
+        """Return about `rate_hz` rows a second over the factor, as `subsample_rows`."""
+        return subsample_rows(rows, rate_hz / self.stretch)
+
+
+class RowDecimator:
+    """Passes the first row of each period on, however the rows come in blocks.
+
+    Periods are on a fixed grid of stamps.
+    """
+
+    def __init__(self, rate_hz: float) -> None:
+        self._period_ns = round(1e9 / rate_hz)
+        self._newest = -1  # period of the newest row
+
+    def __call__(self, rows: Rows) -> Rows:
+        """Return at most `rate_hz` rows a second."""
+        period = rows["stamp_ns"].astype(np.int64) // self._period_ns
+        kept: Rows = rows[np.diff(period, prepend=self._newest) != 0]
+        self._newest = int(period[-1]) if len(period) else self._newest
+        return kept
+
+
+def split_rows(rows: Rows, key: str) -> dict[int, Rows]:
+    """Return the rows of each value of the integer field `key`."""
+    return {int(value): rows[rows[key] == value] for value in np.unique(rows[key])}
+
+
+# --- send columns of rows and static data to Rerun
+
+
+class Sender:
+    """A Rerun stream that takes blocks of rows, and remembers which entities have their style."""
+
+    def __init__(self, stream: rr.RecordingStream) -> None:
+        self._stream = stream
+        self._styled: set[str] = set()
+        self.newest_ns = 0  # [ns] the newest stamp sent
+
+    def columns(self, path: str, rows: Rows, columns: Iterable[rr.ComponentColumn]) -> None:
+        """Send `columns`, one row at the stamp of each of `rows`."""
+        if len(rows) == 0:
+            return
+        self.columns_at(path, rows["stamp_ns"], columns)
+
+    def columns_at(
+        self, path: str, stamps_ns: NDArray[np.int64], columns: Iterable[rr.ComponentColumn]
+    ) -> None:
+        """Send `columns`, one row at each stamp [ns since the epoch]."""
+        self._stream.send_columns(path, [Stamps(stamps_ns)], columns)
+        self.newest_ns = max(self.newest_ns, int(stamps_ns.max(initial=0)))
+
+    def static(self, path: str, archetype: AsComponents) -> None:
+        """Send static data, replacing earlier ones."""
+        self._stream.log(path, archetype, static=True)
+
+    def once(self, path: str, archetype: AsComponents) -> None:
+        """Send static data, if none were sent for this entity."""
+        if path not in self._styled:
+            self._styled.add(path)
+            self.static(path, archetype)
+
+    def styled(self, path: str) -> bool:
+        """Return whether static data were sent for this entity."""
+        return path in self._styled
+
+    def restyle(self) -> None:
+        """Reset, so that static data are sent again."""
+        self._styled.clear()

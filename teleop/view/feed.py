@@ -13,7 +13,7 @@ from teleop.recording.reader import read_messages
 from teleop.recording.scan import RecordingError
 from teleop.runtime.clock import Grid
 from teleop.runtime.process import StopCondition, send_heartbeat
-from teleop.view.batch import AnyTopic, Rows, decode
+from teleop.view.columns import AnyTopic, Rows, decode
 from teleop.view.curves import CURVES
 from teleop.view.sinks import Sink
 

@@ -20,7 +20,7 @@ from mcap.well_known import MessageEncoding, SchemaEncoding
 from teleop.errors import UsageError
 from teleop.link import ReceivedMessage
 from teleop.messages.topics import TOPICS
-from teleop.recording.names import SCHEMA_PACKAGE, to_channel_name
+from teleop.recording.scan import SCHEMA_PACKAGE, to_channel_name
 from teleop.view.feed import MessageSource
 from teleop.view.local_server import GuardedHandler, LocalServer
 

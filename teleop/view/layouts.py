@@ -11,8 +11,8 @@ from teleop.view.colours import BACKGROUND, UNKNOWN
 from teleop.view.columns import TIMELINE
 from teleop.view.config import ViewConfig
 from teleop.view.panel_layout import BANNER, PANEL_HEIGHT, PANEL_WIDTH
-from teleop.view.profile_view import WIDTH
-from teleop.view.stage import EYE
+from teleop.view.profile_plot import WIDTH
+from teleop.view.scene_geometry import EYE
 
 _DARK = list(BACKGROUND)
 _LEGEND_SHARE = 0.32  # of the window, right of the newest data, for the legend

@@ -14,11 +14,10 @@ import rerun as rr
 from estimator.array_types import Array
 from teleop.messages.topics import COMMAND, HAND, STATE, TENDONS
 from teleop.view import colours
-from teleop.view.batch import AnyTopic, Rows, Sender, Subsampler
-from teleop.view.columns import build_columns
+from teleop.view.columns import AnyTopic, Rows, Sender, Subsampler, build_columns
 from teleop.view.config import ViewConfig
+from teleop.view.scene_geometry import ARROW, Lever
 from teleop.view.sheaths import Sheaths
-from teleop.view.stage import ARROW, Lever
 
 _WEDGE = 0.5  # [rad] of the environment, as drawn
 _WEDGE_STEPS = 12

@@ -18,9 +18,8 @@ from estimator.array_types import Array
 from teleop.messages.topics import COMMAND, HAND, LINK, REPORT, STATE, Role, format_role
 from teleop.runtime.clock import now_ns
 from teleop.session.state_machine import PEER_REASONS, Reason, State
-from teleop.view.batch import AnyTopic, RowDecimator, Rows, Sender, split_rows
 from teleop.view.colours import PLAIN, STATES, choose_force_colour, choose_quality_colour
-from teleop.view.columns import build_columns
+from teleop.view.columns import AnyTopic, RowDecimator, Rows, Sender, build_columns, split_rows
 from teleop.view.config import ViewConfig
 from teleop.view.panel_layout import (
     BANNER,
@@ -32,12 +31,15 @@ from teleop.view.panel_layout import (
     REASON_TOP,
     STATE_HEIGHT,
     STATE_TOP,
+    STROKE,
     ForceRow,
+    build_text_strips,
     compute_force_rows,
+    compute_text_width,
     fill_box,
+    fit_height,
 )
 from teleop.view.sheaths import Sheaths
-from teleop.view.stroke_text import STROKE, build_text_strips, compute_text_width, fit_height
 
 # --- state of a session as the panel shows it: both sides' states as one, and the link's quality
 

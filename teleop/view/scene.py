@@ -39,17 +39,15 @@ from teleop.messages.topics import (
     format_role,
 )
 from teleop.session.state_machine import State
-from teleop.view.batch import AnyTopic, Rows, Sender, Subsampler, split_rows
 from teleop.view.colours import FRONT, PHASES, STATES, to_rgba
-from teleop.view.columns import build_columns
+from teleop.view.columns import AnyTopic, Rows, Sender, Subsampler, build_columns, split_rows
 from teleop.view.config import ViewConfig
+from teleop.view.curves import Plots
 from teleop.view.levers import Levers
 from teleop.view.panel import Panel
-from teleop.view.plane import Plane, compute_axis_end, compute_ticks_to_end
-from teleop.view.plots import Plots
-from teleop.view.profile_view import ProfileView
+from teleop.view.profile_plot import Plane, ProfileView, compute_axis_end, compute_ticks_to_end
+from teleop.view.scene_geometry import PIECES, SEGMENTS, Stage, compute_rotations_from_z
 from teleop.view.sheaths import Sheaths
-from teleop.view.stage import PIECES, SEGMENTS, Stage, compute_rotations_from_z
 
 # --- fit the scene into its view, with the colour scale beside it
 

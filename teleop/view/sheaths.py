@@ -4,9 +4,9 @@ import numpy as np
 
 from estimator.array_types import Array
 from teleop.messages.messages import PROFILE_POINTS
-from teleop.view.batch import Rows
+from teleop.view.columns import Rows
 from teleop.view.config import ViewConfig
-from teleop.view.stage import Shape, Stage, build_stage
+from teleop.view.scene_geometry import Shape, Stage, build_stage
 
 # --- certified band of T(x) from the tensions at both ends
 # Friction changes the tension by a factor of at most e^k from the housing to x, for any history: |d

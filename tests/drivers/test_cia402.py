@@ -19,15 +19,20 @@ from durand.datatypes import DatatypeEnum
 
 from slave.drivers import configs
 from slave.drivers.cia402 import bus
-from slave.drivers.cia402.bus_load import LOAD_MAX, compute_bus_load, compute_frame_bits
-from slave.drivers.cia402.config import BusConfig, Cia402Config
-from slave.drivers.cia402.emergency import format_emergency
-from slave.drivers.cia402.set_up import NodeSetup
-from slave.drivers.cia402.state_machine import (
+from slave.drivers.cia402.config import (
+    LOAD_MAX,
+    BusConfig,
+    Cia402Config,
+    compute_bus_load,
+    compute_frame_bits,
+)
+from slave.drivers.cia402.drive import (
     ControlWord,
     DriveState,
+    NodeSetup,
     RequestedState,
     decode_drive_state,
+    format_emergency,
     select_control_word,
 )
 from slave.drivers.driver import DriverFault

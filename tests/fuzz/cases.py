@@ -14,8 +14,7 @@ from pyarrow import parquet
 from teleop.link import ReceivedMessage
 from teleop.messages.messages import MAX_TENDONS, TendonState
 from teleop.messages.topics import TENDONS, TOPICS
-from teleop.recording.config import RecordConfig
-from teleop.recording.writer import RecordingWriter
+from teleop.recording.writer import RecordConfig, RecordingWriter
 from tests.teleop.recorded import SENDER, START_NS, heard
 
 CONFIGS = sorted((Path(__file__).parents[2] / "configs").glob("*.yaml"))

@@ -9,8 +9,8 @@ from master.device import DeviceFault, DeviceLost, HandState
 from master.devices import open_device
 from master.devices.combined import CombinedConfig, CombinedDevice
 from master.devices.hid import search
-from master.devices.hid.config import AxisConfig, HidConfig
 from master.devices.hid.device import HidDevice
+from master.devices.hid.mapping import AxisConfig, HidConfig
 from master.devices.virtual import VirtualConfig, VirtualDevice
 from teleop.config.loading import load
 from teleop.errors import UsageError

@@ -11,7 +11,7 @@ from master.device import DeviceFault
 from master.devices import open_device
 from master.devices.combined import CombinedConfig
 from master.devices.extension import DeviceExtension
-from master.devices.hid.config import AxisConfig, ButtonsConfig
+from master.devices.hid.mapping import AxisConfig, ButtonsConfig
 from master.devices.virtual import Reaches, VirtualConfig
 from teleop.cli import commands
 from teleop.config.loading import load

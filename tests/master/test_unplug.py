@@ -7,10 +7,10 @@ link, and a slave with its simulated rig in a process of its own.
 import pytest
 
 from master.config import MasterConfig
-from master.devices.hid import search, signs
-from master.devices.hid.config import AxisConfig, ButtonsConfig, HidConfig
+from master.devices.hid import force_signs, search
 from master.devices.hid.device import HidDevice
-from master.devices.hid.signs import ForceSign, ForceSigns
+from master.devices.hid.force_signs import ForceSign, ForceSigns
+from master.devices.hid.mapping import AxisConfig, ButtonsConfig, HidConfig
 from master.feedback import FeedbackConfig
 from master.process import MasterProcess
 from teleop.config.loading import load
@@ -143,7 +143,7 @@ def console(hidraw, session):
     node = hidraw.plug(wheel())
     pusher = search.find_device("", "auto").pusher
     hidraw.unplug(node)
-    signs.save(None, ForceSigns((ForceSign(*pusher, "x", 1),)))
+    force_signs.save(None, ForceSigns((ForceSign(*pusher, "x", 1),)))
     with Link(session.link_config, session.session, Role.MASTER) as link:
         console = Console(hidraw, link)
         try:

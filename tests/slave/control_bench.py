@@ -15,16 +15,11 @@ from slave.control import ControlConfig, ControllerState, JointEstimate
 from slave.fault_detection import FaultDetectionConfig
 from slave.gate import GateConfig
 from slave.rig import RigSample
-from slave.rigs.simulated.plant.body import BodyConfig
-from slave.rigs.simulated.plant.environment import EnvironmentConfig, FreeConfig
-from slave.rigs.simulated.plant.sensors import LoadCellConfig
-from slave.rigs.simulated.plant.tendon import SectionConfig, SheathConfig
-from slave.rigs.simulated.simulated import (
-    JointConfig,
-    SimulatedRig,
-    SimulatedRigConfig,
-    TendonPlantConfig,
-)
+from slave.rigs.simulated import JointConfig, SimulatedRig, SimulatedRigConfig, TendonPlantConfig
+from slave.simulation.environment import EnvironmentConfig, FreeConfig
+from slave.simulation.joint import BodyConfig
+from slave.simulation.sensors import LoadCellConfig
+from slave.simulation.tendon import SectionConfig, SheathConfig
 from slave.tendons import EstimatedTendon, build_rig_layout
 from teleop.messages.messages import MAX_JOINTS, MAX_TENDONS
 from teleop.session.state_machine import Reason

@@ -10,7 +10,7 @@ from contextlib import ExitStack
 
 import numpy as np
 
-from slave.bring_up import moving, reading
+from slave.bring_up import rig_check
 from slave.calibration import run as calibration_run
 from slave.calibration.config import InitialiseConfig
 from slave.gate import GateConfig
@@ -38,14 +38,16 @@ class Pair(calibration_run.StationaryRig):
 
 def check():
     """`teleop rig check`, of which `warm_up` is called before the rig is opened."""
-    moving.warm_up()
+    rig_check.warm_up()
     yield
     ticks = calibration_run.generate_fast_ticks(500.0)
     rig = Pair()
-    rest = reading.measure_at_rest(rig, ticks, 0, 0.1)
-    mover = moving.GatedRig(rig, GateConfig(), ticks, 0, rest)
+    rest = rig_check.measure_at_rest(rig, ticks, 0, 0.1)
+    mover = rig_check.GatedRig(rig, GateConfig(), ticks, 0, rest)
     mover.enable()
-    moving.evaluate_move(moving.move_motor(mover, rest, 1, moving.MotorMove(0.5e-3, 2.0)), rest)
+    rig_check.evaluate_move(
+        rig_check.move_motor(mover, rest, 1, rig_check.MotorMove(0.5e-3, 2.0)), rest
+    )
 
 
 def calibrate():

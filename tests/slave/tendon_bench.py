@@ -5,9 +5,9 @@ from typing import NamedTuple
 import numpy as np
 
 from estimator.compiled import jit_compile
-from slave.rigs.simulated.plant.chain import compute_response, recover_state
-from slave.rigs.simulated.plant.response import interpolate_curve
-from slave.rigs.simulated.plant.tendon import (
+from slave.simulation.chain import compute_response, recover_state
+from slave.simulation.contacts import interpolate_curve
+from slave.simulation.tendon import (
     POSITION,
     TENSION,
     SectionConfig,

@@ -6,8 +6,14 @@ import numpy as np
 import pytest
 
 from slave.bring_up import command
-from slave.bring_up.moving import GatedRig, MotorMove, evaluate_move, move_motor
-from slave.bring_up.reading import format_rest_measurement, measure_at_rest
+from slave.bring_up.rig_check import (
+    GatedRig,
+    MotorMove,
+    evaluate_move,
+    format_rest_measurement,
+    measure_at_rest,
+    move_motor,
+)
 from slave.calibration.run import generate_fast_ticks
 from slave.drivers import configs
 from slave.drivers.cia402.config import Cia402Config

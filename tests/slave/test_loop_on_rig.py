@@ -13,9 +13,9 @@ from slave.calibration.monitor import Advice
 from slave.config import SlaveConfig, TendonConfig, load_tendon_configs
 from slave.gate import GateConfig
 from slave.rigs.replayed import ReplayedRigConfig
-from slave.rigs.simulated.plant.effects import FrictionStep, StuckCell
-from slave.rigs.simulated.plant.environment import FreeConfig, TissueConfig, WallConfig
-from slave.rigs.simulated.simulated import SimulatedRig, SimulatedRigConfig
+from slave.rigs.simulated import SimulatedRig, SimulatedRigConfig
+from slave.simulation.effects import FrictionStep, StuckCell
+from slave.simulation.environment import FreeConfig, TissueConfig, WallConfig
 from teleop.config.loading import load
 from teleop.messages.messages import MAX_JOINTS, Command
 from teleop.session.state_machine import Reason, State

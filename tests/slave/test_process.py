@@ -14,11 +14,11 @@ import pytest
 from slave import loop, process, rigs, warm_up
 from slave.calibration.config import InitialiseConfig
 from slave.calibration.file import Calibration
-from slave.calibration.initialise import InitialiseResult
+from slave.calibration.initialisation import InitialiseResult
 from slave.config import SlaveConfig, TendonConfig
 from slave.process import SlaveProcess
 from slave.rig import RigFault, RigFinished, RigSample
-from slave.rigs.simulated.simulated import SimulatedRigConfig
+from slave.rigs.simulated import SimulatedRigConfig
 from slave.samples import estimate
 from teleop.errors import PeerError, TeleopError, UsageError
 from teleop.link import LatestMessage, ReceivedMessage

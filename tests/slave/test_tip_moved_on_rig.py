@@ -15,16 +15,11 @@ import pytest
 from estimator.online import online
 from estimator.online.online import Status
 from slave.config import to_tendon_config
-from slave.rigs.simulated.plant.body import BodyConfig
-from slave.rigs.simulated.plant.environment import LoadMotorConfig
-from slave.rigs.simulated.plant.sensors import LoadCellConfig
-from slave.rigs.simulated.plant.tendon import SectionConfig, SheathConfig
-from slave.rigs.simulated.simulated import (
-    JointConfig,
-    SimulatedRig,
-    SimulatedRigConfig,
-    TendonPlantConfig,
-)
+from slave.rigs.simulated import JointConfig, SimulatedRig, SimulatedRigConfig, TendonPlantConfig
+from slave.simulation.environment import LoadMotorConfig
+from slave.simulation.joint import BodyConfig
+from slave.simulation.sensors import LoadCellConfig
+from slave.simulation.tendon import SectionConfig, SheathConfig
 
 K = 0.5
 BENDS = {

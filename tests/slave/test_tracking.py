@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from slave.control import ControlConfig
-from slave.rigs.simulated.plant.environment import WallConfig
+from slave.simulation.environment import WallConfig
 from tests.slave.control_bench import CONFIG, follow, hold, joint, sine, staircase
 
 OFF = ControlConfig(compensation=0.0)

@@ -5,10 +5,9 @@ import shutil
 
 import numpy as np
 
-from studies.faults.bench import HELD, PERIOD, FaultSession
 from studies.faults.campaign import failures, harm
 from studies.faults.judge import FRESH_NS, CampaignResult, Ticks, judge, onsets, silences, unasked
-from studies.faults.kinds import Fault
+from studies.faults.session import HELD, PERIOD, Fault, FaultSession
 
 LIMIT_S = 0.050  # what a side has, counted from the last fresh message it heard
 RATE = "rate_hz=250"  # five processes with a 1 kHz loop each are more than two slow cores carry

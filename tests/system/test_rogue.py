@@ -13,7 +13,7 @@ from teleop.link import Link
 from teleop.messages.messages import LAYOUT, Event, SlaveState, decode_text
 from teleop.messages.topics import EVENT, HAND, STATE, Role
 from teleop.security import CertificateRole
-from teleop.security.local import create_local_credentials
+from teleop.security.credentials import create_local_credentials
 from teleop.session.state_machine import State
 from tests.rogue import ENGAGED, POSITION_AT, RESET, STATE_AT, Rogue, forged, head
 from tests.system.processes import OURS, START_S, Processes

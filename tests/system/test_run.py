@@ -15,8 +15,8 @@ from mcap_ros2.decoder import DecoderFactory
 from teleop.launch.supervisor import wait_for_condition
 from teleop.messages.messages import MESSAGES
 from teleop.messages.topics import HAND, TENDONS, TOPICS, Role
-from teleop.recording.names import to_channel_name
 from teleop.recording.reader import read_columns
+from teleop.recording.scan import to_channel_name
 from teleop.session.state_machine import Reason, State
 from tests.root import ROOT
 from tests.system.processes import OURS, START_S, Processes, free_ports, pause

@@ -14,8 +14,8 @@ from teleop.launch.supervisor import wait_for_condition
 from teleop.messages.messages import Hand, SlaveState
 from teleop.messages.topics import HAND, STATE
 from teleop.session.state_machine import Reason, State
-from teleop.view.batch import Sender, decode
 from teleop.view.colours import STATES
+from teleop.view.columns import Sender, decode
 from teleop.view.scene import Scene
 from teleop.view.sinks import Sink
 from tests import browser

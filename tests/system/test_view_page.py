@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from teleop.launch.supervisor import wait_for_condition
-from teleop.view.batch import decode
 from teleop.view.colours import ESTIMATE, to_rgba
+from teleop.view.columns import decode
 from teleop.view.scene import Scene
 from teleop.view.sinks import Sink
 from tests import browser

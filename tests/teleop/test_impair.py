@@ -19,8 +19,7 @@ from hypothesis import strategies as st
 from teleop.errors import TeleopError, UsageError
 from teleop.impair import model
 from teleop.impair.config import DirectionConfig, ImpairConfig, load_impair_config
-from teleop.impair.delay_queue import CAPACITY_BYTES, ENTRY_BYTES, DelayQueue
-from teleop.impair.direction import Direction
+from teleop.impair.direction import CAPACITY_BYTES, ENTRY_BYTES, DelayQueue, Direction
 from teleop.impair.model import Fate, StreamState
 from teleop.launch.supervisor import wait_for_condition
 from teleop.link import Link, LinkConfig

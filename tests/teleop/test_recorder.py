@@ -20,10 +20,9 @@ from teleop.messages.messages import LoopReport, TendonState
 from teleop.messages.topics import EVENT, REPORT, STATE, TENDONS, TOPICS, Role, Topic
 from teleop.recording import recorder as recorders
 from teleop.recording.command import format_status
-from teleop.recording.config import RecordConfig
 from teleop.recording.reader import open_recording, read_columns
 from teleop.recording.recorder import GRACE_NS, SILENCE_NS, Recorder
-from teleop.recording.writer import RecordingWriter
+from teleop.recording.writer import RecordConfig, RecordingWriter
 from tests.teleop.recorded import START_NS, free_link, start
 
 MS = 1_000_000

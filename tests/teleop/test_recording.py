@@ -28,8 +28,6 @@ from teleop.link import ReceivedMessage
 from teleop.messages.messages import LAYOUT, MESSAGES
 from teleop.messages.topics import COMMAND, EVENT, STATE, TENDONS, TOPICS
 from teleop.recording import reader
-from teleop.recording.config import RecordConfig
-from teleop.recording.names import CONFIG_ATTACHMENT, SESSION_METADATA
 from teleop.recording.reader import (
     open_recording,
     read_columns,
@@ -37,8 +35,8 @@ from teleop.recording.reader import (
     read_recorded_config,
     to_dtype,
 )
-from teleop.recording.scan import RecordingError
-from teleop.recording.writer import SENDERS, GapCounter, RecordingWriter
+from teleop.recording.scan import CONFIG_ATTACHMENT, SESSION_METADATA, RecordingError
+from teleop.recording.writer import SENDERS, GapCounter, RecordConfig, RecordingWriter
 from teleop.runtime.process import SUPERVISED_VARIABLE
 from tests.teleop.recorded import START_NS, heard
 
@@ -471,7 +469,7 @@ KILLED = textwrap.dedent(
     import numpy as np
     from teleop.runtime.clock import now_ns
     from teleop.link import ReceivedMessage
-    from teleop.recording.config import RecordConfig
+    from teleop.recording.writer import RecordConfig
     from teleop.recording.writer import RecordingWriter
     from teleop.messages.topics import STATE
     from tests.teleop.recorded import SENDER

@@ -14,11 +14,10 @@ from teleop.link import Link, ReceivedMessage
 from teleop.messages.messages import Event
 from teleop.messages.topics import COMMAND, EVENT, STATE, TOPICS, Role
 from teleop.recording import writer as writer_module
-from teleop.recording.config import RecordConfig
 from teleop.recording.reader import RecordedMessage, open_recording, read_columns, read_messages
 from teleop.recording.replay import Player, SenderRewriter, require_present_layout
 from teleop.recording.scan import RecordingError
-from teleop.recording.writer import GapCounter, RecordingWriter
+from teleop.recording.writer import GapCounter, RecordConfig, RecordingWriter
 from teleop.runtime.clock import now_ns
 from tests.teleop.recorded import START_NS, free_link, heard, start
 

@@ -18,8 +18,12 @@ from teleop.cli import commands
 from teleop.config.loading import load
 from teleop.errors import UsageError
 from teleop.link import Link, LinkConfig
-from teleop.link.router_command import build_router_config, build_router_link
-from teleop.link.router_config import DEFAULT_ENDPOINT, RouterConfig
+from teleop.link.router import (
+    DEFAULT_ENDPOINT,
+    RouterConfig,
+    build_router_config,
+    build_router_link,
+)
 from teleop.messages.topics import COMMAND, Role
 from teleop.session.config import RunConfig
 from tests.root import ROOT

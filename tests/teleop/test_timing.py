@@ -2,7 +2,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from teleop.runtime.timing import Durations, Span
+from teleop.runtime.clock import Durations, Span
 
 
 @given(st.lists(st.integers(0, 99_000_000), min_size=1, max_size=300), st.floats(0.0, 100.0))

@@ -5,14 +5,14 @@ from pathlib import Path
 
 import pytest
 
-from master.devices.hid import signs
+from master.devices.hid import force_signs
 from teleop.cli import commands
-from teleop.security.local import find_local_folder
+from teleop.security.credentials import find_local_folder
 from teleop.view.command import find_log_path
 
 PLACES = {
     "XDG_STATE_HOME": (find_local_folder, lambda: find_log_path("a")),
-    "XDG_CONFIG_HOME": (signs.get_default_path,),
+    "XDG_CONFIG_HOME": (force_signs.get_default_path,),
 }
 
 

@@ -21,17 +21,15 @@ from teleop.errors import TeleopError, UsageError
 from teleop.launch.supervisor import wait_for_condition
 from teleop.link import ReceivedMessage
 from teleop.messages.topics import HAND, TENDONS, TOPICS
-from teleop.recording.config import RecordConfig
-from teleop.recording.writer import RecordingWriter
-from teleop.view import viewer_process
-from teleop.view.batch import Sender, decode
+from teleop.recording.writer import RecordConfig, RecordingWriter
+from teleop.view import sinks
+from teleop.view.columns import Sender, decode
 from teleop.view.config import ViewConfig, ViewRates
 from teleop.view.feed import MessageBuffer, NullDisplay, show_recording, show_session
-from teleop.view.ports import find_free_port
-from teleop.view.rrd import BlockBuffer, split_messages
+from teleop.view.local_server import find_free_port
+from teleop.view.page import BlockBuffer, split_messages
 from teleop.view.scene import Scene
-from teleop.view.sinks import Sink
-from teleop.view.viewer_process import disable_usage_statistics
+from teleop.view.sinks import Sink, disable_usage_statistics
 from tests.teleop.view_session import CONFIG, SENDER, T0, Session, read, save
 
 
@@ -410,9 +408,9 @@ def test_a_window_that_gets_no_more_data_for_a_damaged_block_is_stuck(tmp_path, 
     program = tmp_path / "rerun"
     program.write_text("#!/bin/sh\nexec cat > /dev/null\n")
     program.chmod(0o700)
-    monkeypatch.setattr(viewer_process, "find_program", lambda: program)
+    monkeypatch.setattr(sinks, "find_program", lambda: program)
     monkeypatch.setenv("DISPLAY", ":0")
-    with viewer_process.Window(100) as window:
+    with sinks.Window(100) as window:
         assert not window.stuck()
         window.add(b"no block of Rerun")
         assert wait_for_condition(window.stuck, 20)
@@ -427,7 +425,7 @@ def test_a_window_gets_all_that_was_sent_and_one_that_hangs_does_not_hold_us(
     fed, program = tmp_path / "fed.rrd", tmp_path / "rerun"
     program.write_text("#!/bin/sh\n" + ("exec sleep 60" if hangs else f"exec cat > '{fed}'") + "\n")
     program.chmod(0o700)
-    monkeypatch.setattr(viewer_process, "find_program", lambda: program)
+    monkeypatch.setattr(sinks, "find_program", lambda: program)
     monkeypatch.setenv("DISPLAY", ":0")
     begin = time.monotonic()
     with Sink("native", CONFIG, "test", None, live=True) as sink:
@@ -453,7 +451,7 @@ def test_a_window_has_a_network_of_its_own(tmp_path, monkeypatch):
     program = tmp_path / "rerun"
     program.write_text('#!/bin/sh\ncat /proc/net/dev > "$XDG_CONFIG_HOME/dev"\nexec cat\n')
     program.chmod(0o700)
-    monkeypatch.setattr(viewer_process, "find_program", lambda: program)
+    monkeypatch.setattr(sinks, "find_program", lambda: program)
     monkeypatch.setenv("DISPLAY", ":0")
     with Sink("native", CONFIG, "test", None, live=True) as sink:
         ours, theirs = (os.readlink(f"/proc/{pid}/ns/net") for pid in ("self", sink._window.pid))
@@ -480,9 +478,9 @@ def test_a_viewer_that_cannot_start_says_why(monkeypatch, tmp_path):
     program = tmp_path / "rerun"
     program.write_text("#!/bin/sh\necho no such thing >&2\nexit 1\n")
     program.chmod(0o700)
-    monkeypatch.setattr(viewer_process, "find_program", lambda: program)
+    monkeypatch.setattr(sinks, "find_program", lambda: program)
     with pytest.raises(TeleopError, match="did not start: no such thing"):
-        viewer_process.read_viewer_files()
+        sinks.read_viewer_files()
 
 
 def test_a_free_port_is_taken_when_the_first_choice_is_not():
@@ -497,7 +495,7 @@ def test_a_free_port_is_taken_when_the_first_choice_is_not():
 def test_the_viewer_ends_when_we_are_killed(tmp_path):
     script = (
         "import sys, time\n"
-        "from teleop.view.viewer_process import ViewerProcess\n"
+        "from teleop.view.sinks import ViewerProcess\n"
         "viewer = ViewerProcess(['--serve-grpc', '--port', 'auto'])\n"
         "print(viewer.process.pid, flush=True)\n"
         "time.sleep(60)\n"
@@ -521,7 +519,7 @@ def test_a_killed_view_leaves_a_readable_file(tmp_path):
         "import os, signal, sys\n"
         "from pathlib import Path\n"
         "from tests.teleop.view_session import CONFIG, Session\n"
-        "from teleop.view.batch import decode\n"
+        "from teleop.view.columns import decode\n"
         "from teleop.view.scene import Scene\n"
         "from teleop.view.sinks import Sink\n"
         "import time\n"

@@ -12,8 +12,8 @@ from teleop.messages.messages import MAX_JOINTS, Command, Hand, LoopReport, Slav
 from teleop.messages.topics import COMMAND, HAND, REPORT, SHEATH, STATE, Role
 from teleop.session.state_machine import Reason, State
 from teleop.view import panel
-from teleop.view.batch import decode
 from teleop.view.colours import STATES
+from teleop.view.columns import decode
 from teleop.view.config import ViewConfig
 from teleop.view.feed import Pacing
 from teleop.view.panel import (
@@ -26,25 +26,23 @@ from teleop.view.panel import (
     format_link_parts,
 )
 from teleop.view.panel_layout import (
+    _GLYPHS,
     BANNER,
     LINK_HEIGHT,
     LINK_LEFT,
     LINK_TOP,
     PANEL_HEIGHT,
     PANEL_WIDTH,
-    compute_force_rows,
-    fill_box,
-)
-from teleop.view.plane import compute_axis_end, compute_ticks, compute_ticks_to_end
-from teleop.view.scene import Scene
-from teleop.view.sinks import Sink
-from teleop.view.stroke_text import (
-    _GLYPHS,
     STROKE,
     build_text_strips,
+    compute_force_rows,
     compute_text_width,
+    fill_box,
     fit_height,
 )
+from teleop.view.profile_plot import compute_axis_end, compute_ticks, compute_ticks_to_end
+from teleop.view.scene import Scene
+from teleop.view.sinks import Sink
 from tests.teleop.view_session import T0, Session, read
 
 SURGEON = ViewConfig(layout="surgeon", tension_scale_N=10.0)

@@ -9,16 +9,21 @@ from hypothesis import strategies as st
 
 from teleop.messages.messages import PROFILE_POINTS, MessageError
 from teleop.messages.topics import TENDONS
-from teleop.view.batch import decode, subsample_rows
 from teleop.view.colours import BACKGROUND as DARK
 from teleop.view.colours import UNKNOWN, to_rgba
-from teleop.view.columns import Stamps, build_columns
+from teleop.view.columns import Stamps, build_columns, decode, subsample_rows
 from teleop.view.config import ViewConfig
-from teleop.view.plane import Plane, compute_ticks
+from teleop.view.profile_plot import Plane, compute_ticks
 from teleop.view.scene import find_sliding_segments, interpolate_line
-from teleop.view.shape import compute_centreline
+from teleop.view.scene_geometry import (
+    EYE,
+    UP,
+    Shape,
+    build_stage,
+    compute_centreline,
+    compute_rotations_from_z,
+)
 from teleop.view.sheaths import compute_friction_profile, compute_tension_band
-from teleop.view.stage import EYE, UP, Shape, build_stage, compute_rotations_from_z
 from tests.teleop.view_session import T0, Session
 
 

@@ -36,14 +36,14 @@ from teleop.messages.topics import (
     TENDONS,
 )
 from teleop.session.state_machine import State
-from teleop.view.batch import decode
 from teleop.view.colours import PHASES, to_rgba
+from teleop.view.columns import decode
 from teleop.view.config import LAYOUTS, ViewConfig
 from teleop.view.curves import CURVES
 from teleop.view.layouts import build_blueprint
 from teleop.view.scene import Scene
+from teleop.view.scene_geometry import PIECES, SEGMENTS, Shape, build_stage
 from teleop.view.sinks import Sink
-from teleop.view.stage import PIECES, SEGMENTS, Shape, build_stage
 from tests.teleop.view_session import CONFIG, T0, Session, front_of, read, reader, save, sheath
 
 

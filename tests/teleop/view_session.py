@@ -37,7 +37,7 @@ from teleop.messages.topics import (
     Role,
 )
 from teleop.session.state_machine import State
-from teleop.view.batch import decode
+from teleop.view.columns import decode
 from teleop.view.config import ViewConfig
 from teleop.view.scene import Scene
 from teleop.view.sinks import Sink

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from teleop.link import inbox
+from teleop.link import reception
 from teleop.runtime import clock
 
 
@@ -22,7 +22,7 @@ class StandingClock:
     def __init__(self, patch: pytest.MonkeyPatch) -> None:
         self._now = [clock.time.monotonic_ns()]
         self.now = partial(getitem, self._now, 0)
-        for module in (clock, inbox):
+        for module in (clock, reception):
             patch.setattr(module, "time", SimpleNamespace(monotonic_ns=self.now))
 
     def sleep(self, seconds: float) -> None:

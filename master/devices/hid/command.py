@@ -24,16 +24,16 @@ from pathlib import Path
 from typing import NamedTuple
 
 from master.device import DeviceFault
-from master.devices.hid import console_mode, rules, search, signs, trial
+from master.devices.hid import drivers, force_signs, search
+from master.devices.hid.connection import DeviceConnection
 from master.devices.hid.descriptor import DescriptorError, parse_descriptor
 from master.devices.hid.driver import Controls
 from master.devices.hid.drivers import DRIVERS, AttachedNode
-from master.devices.hid.line import DeviceConnection
+from master.devices.hid.force_signs import ForceSign
 from master.devices.hid.node import Node
 from master.devices.hid.pid import PidConfig
-from master.devices.hid.report_text import describe_descriptor
 from master.devices.hid.search import ExaminedNode, FoundDevice
-from master.devices.hid.signs import ForceSign
+from master.devices.hid.usages import describe_descriptor
 from teleop.errors import UsageError
 from teleop.runtime.output_file import OutputFile, UpdatedFile
 from teleop.runtime.process import parse_seconds, write_text_file
@@ -136,7 +136,7 @@ def main(args: argparse.Namespace) -> int:
         if args.action == "list":
             print("\n".join(format_nodes(search.list_attached_nodes())))
         elif args.action == "rules":
-            print(rules.format_rules(list_fitting_devices(search.list_attached_nodes())), end="")
+            print(drivers.format_rules(list_fitting_devices(search.list_attached_nodes())), end="")
         elif args.action == "probe":
             print("\n".join(probe_device(select_device(args.find), args.seconds or PROBE_S)))
         elif args.action == "dump":
@@ -256,10 +256,10 @@ def run_device_test(
     find: str, driver: str, file: Path | None, watched_s: float, person: OperatorDialogue
 ) -> None:
     """Guide a person through a test of all inputs and forces; save the signs found."""
-    if switched := console_mode.leave_console_mode(find, driver):
+    if switched := search.leave_console_mode(find, driver):
         person.write(switched)
     found = search.find_device(find, driver)
-    known = signs.load(file) if file is None or file.exists() else signs.ForceSigns()
+    known = force_signs.load(file) if file is None or file.exists() else force_signs.ForceSigns()
     forces = DRIVERS[found.kind].make(found.item, found.descriptor, PidConfig(), None).forces
     with _open_connection(found, ()) as line:
         person.write(f"{found.item}, driver {found.kind}")
@@ -275,8 +275,8 @@ def run_device_test(
             person.write(f"{axis}: sign not found; it will render no force")
             continue
         known = known.having(ForceSign(*found.pusher, axis, 1 if sign > 0 else -1))
-        signs.save(file, known)
-        person.write(f"{axis}: sign {sign:+d}, saved in {file or signs.get_default_path()}")
+        force_signs.save(file, known)
+        person.write(f"{axis}: sign {sign:+d}, saved in {file or force_signs.get_default_path()}")
         if not found.item.serial:
             person.write(
                 "It has no serial number: another device of this model, wired the other way, "
@@ -332,7 +332,7 @@ def _format_controls(line: DeviceConnection, controls: Controls) -> str:
 
 def determine_sign(line: DeviceConnection, axis: str, person: OperatorDialogue) -> int:
     """Find the sign of one axis by pushing it, or else by asking; 0 = not found."""
-    most = f"{trial.TEST_FORCES[-1]:.0%}"
+    most = f"{force_signs.TEST_FORCES[-1]:.0%}"
     answer = _ask_operator(
         person,
         f"Release the device and keep clear: {axis} is pushed with up to {most} of its force. "
@@ -342,7 +342,7 @@ def determine_sign(line: DeviceConnection, axis: str, person: OperatorDialogue) 
         return 0
     place, force = line.driver.axes.index(axis), line.driver.forces.index(axis)
     count = len(line.driver.forces)
-    sign = trial.find_sign(line, place, force, count, time.monotonic, time.sleep)
+    sign = force_signs.find_sign(line, place, force, count, time.monotonic, time.sleep)
     if sign:
         return sign
     person.write(f"{axis} did not move.")
@@ -353,8 +353,8 @@ def determine_sign(line: DeviceConnection, axis: str, person: OperatorDialogue) 
     )
     if answer.startswith("s"):
         return 0
-    for share, way in ((trial.TEST_FORCES[-1], 1), (-trial.TEST_FORCES[-1], -1)):
-        trial.hold_force(line, force, count, share, time.monotonic, time.sleep)
+    for share, way in ((force_signs.TEST_FORCES[-1], 1), (-force_signs.TEST_FORCES[-1], -1)):
+        force_signs.hold_force(line, force, count, share, time.monotonic, time.sleep)
         reply = ""
         while reply[:1] not in _ANSWERS:
             reply = _ask_operator(

@@ -8,13 +8,13 @@ from collections.abc import Callable
 from typing import Generic, NamedTuple, Protocol, TypeVar
 
 from master.device import Axes, DeviceFault, DeviceLost, HandState
-from master.devices.hid import console_mode, mapping, search, signs
-from master.devices.hid.config import HidConfig
+from master.devices.hid import force_signs, mapping, search
+from master.devices.hid.connection import DeviceConnection
 from master.devices.hid.drivers import INPUTS_ONLY, PID, AttachedNode
-from master.devices.hid.line import DeviceConnection
+from master.devices.hid.force_signs import ForceSigns
+from master.devices.hid.mapping import HidConfig
 from master.devices.hid.pid import PidConfig, PidDriver
 from master.devices.hid.search import DeviceNotFoundError, FoundDevice
-from master.devices.hid.signs import ForceSigns
 
 # --- registry of the nodes open in this process, so that no device is opened twice
 
@@ -217,12 +217,12 @@ class HidDevice:
 
     def __init__(self, config: HidConfig, say: Callable[[str], None] = print) -> None:
         self._config = config
-        if switched := console_mode.leave_console_mode(config.find, config.driver):
+        if switched := search.leave_console_mode(config.find, config.driver):
             say(switched)
         self._found: tuple[FoundDevice, ...] = (search.find_device(config.find, config.driver),)
         if config.buttons.find:
             self._found += (search.find_device(config.buttons.find, INPUTS_ONLY),)
-        self._signs = signs.load(config.signs)
+        self._signs = force_signs.load(config.signs)
         advice = search.examine_node(self._found[0].item).advice
         if advice and any(axis.force > 0.0 for axis in config.axes):
             raise DeviceFault(f"{self._found[0].item}: {advice}")
@@ -288,7 +288,7 @@ class HidDevice:
 
     def _open_again(self, before: frozenset[str]) -> OpenedDevice:
         device, *switches = self._found
-        back = [console_mode.find_reattached_device(device, before, CLAIMS.paths())]
+        back = [search.reattach_device(device, before, CLAIMS.paths())]
         if CLAIMS.is_ambiguous(device.item):
             raise DeviceFault(
                 f"{device.item}: was unplugged together with a device of the same identity, which "

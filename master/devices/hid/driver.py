@@ -1,13 +1,127 @@
-"""The driver interface: the report codec of one kind of device.
+"""The driver interface: the report codec of one kind of device, and its actuator state.
 
 A driver owns no handle, no thread and no clock; only `begin` talks to the device, through its
 `ReportAccess` argument. `master.devices.hid.device` transfers the reports.
 """
 
 import math
+from contextlib import suppress
 from typing import NamedTuple, Protocol
 
-from master.devices.hid.actuators import ActuatorState
+from master.device import DeviceFault
+from master.devices.hid import usages as U  # noqa: N812
+from master.devices.hid.descriptor import ReportDescriptor, ReportType
+
+# --- actuator state of a PID device, from its PID State reports
+# A device may say that its actuators are disabled or without power, that its safety switch is open,
+# or that it is paused: then it renders no force, whatever is written. Firmware differs in what it
+# reports: OpenFFBoard never closes the safety switch that its descriptor has. So a condition counts
+# once it was reported as met; until then nothing is known. If it is met only later, a force may
+# begin by surprise, which counts as an interruption, too. Most firmware reports changes only: the
+# state at the beginning is asked for.
+
+
+class _ActuatorCondition(NamedTuple):
+    """What a device needs to render a force."""
+
+    usage: int
+    met: bool  # value of its field if it is met
+    unmet: str  # in a message
+
+
+_CONDITIONS = (
+    _ActuatorCondition(U.ACTUATOR_POWER, True, "its actuators have no power; switch them on"),
+    _ActuatorCondition(U.SAFETY_SWITCH, True, "its safety switch is open; close it"),
+    _ActuatorCondition(
+        U.ACTUATORS_ENABLED,
+        True,
+        "its actuators are disabled; close other programs that use it, then plug it in again",
+    ),
+    _ActuatorCondition(
+        U.PAUSED, False, "it is paused; close other programs that use it, then plug it in again"
+    ),
+)
+
+
+class ActuatorState(NamedTuple):
+    """Conditions as masks; bit k is condition k."""
+
+    known: int = 0  # reported as met at least once
+    unmet: int = 0  # not met in the newest report
+    interrupted: int = 0  # unmet at some time since `read`
+
+    @property
+    def faults(self) -> tuple[str, ...]:
+        """Why a force is not rendered, or was not; empty if nothing is known against it."""
+        faults = self.unmet & self.known | self.interrupted
+        return tuple(condition.unmet for k, condition in enumerate(_CONDITIONS) if faults >> k & 1)
+
+    def read(self) -> "ActuatorState":
+        """Return the state without past interruptions."""
+        return self._replace(interrupted=0)
+
+
+class InputReports(Protocol):
+    """A device that can be asked for its input reports."""
+
+    def get_input(self, number: int, length: int) -> bytes:
+        """Return input report `number`, at most `length` bytes; `DeviceFault` if it has none."""
+
+
+class _ConditionBit(NamedTuple):
+    """One bit of a report."""
+
+    condition: int  # its mask
+    offset: int  # [bit]
+    met: int  # value of the bit
+
+
+class ActuatorReports:
+    """Decodes the PID State reports of one device."""
+
+    def __init__(self, descriptor: ReportDescriptor) -> None:
+        self._numbered = any(report.number for report in descriptor.reports)
+        self._reports: dict[int, tuple[int, tuple[_ConditionBit, ...]]] = {}  # length and flags
+        for report in descriptor.reports:
+            if report.kind is not ReportType.INPUT:
+                continue
+            flags = tuple(
+                _ConditionBit(1 << k, field.offset, int(condition.met))
+                for field in report.fields
+                for k, condition in enumerate(_CONDITIONS)
+                if field.usage == condition.usage and field.size == 1 and not field.array
+            )
+            if flags:
+                self._reports[report.number] = (report.length, flags)
+
+    def ask(self, device: InputReports) -> ActuatorState:
+        """Return the present state; what the device does not answer stays unknown."""
+        state = ActuatorState()
+        for number, (length, _) in self._reports.items():
+            with suppress(DeviceFault):
+                state = self.decode(state, device.get_input(number, length))
+        return state
+
+    def decode(self, state: ActuatorState, report: bytes) -> ActuatorState:
+        """Return `state` updated with `report`; other reports are ignored. Never raises."""
+        if not report:
+            return state
+        length, flags = self._reports.get(report[0] if self._numbered else 0, (0, ()))
+        if not flags or len(report) < length:
+            return state
+        bits = int.from_bytes(report, "little")
+        known, unmet, interrupted = state
+        for condition, offset, met in flags:
+            if bits >> offset & 1 != met:
+                unmet |= condition
+                interrupted |= condition & known
+                continue
+            if unmet & condition:
+                interrupted |= condition
+            known |= condition
+            unmet &= ~condition
+        return ActuatorState(known, unmet, interrupted)
+
 
 Share = float  # of full scale, -1 ... 1
 

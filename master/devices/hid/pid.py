@@ -8,14 +8,24 @@ rendered by the device, whose loop is faster than ours.
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from master.devices.hid import pid_effects
+from master.devices.hid import pid_reports
 from master.devices.hid import usages as U  # noqa: N812
-from master.devices.hid.actuators import ActuatorReports, ActuatorState
-from master.devices.hid.bits import compute_limits, scale_share
-from master.devices.hid.descriptor import DescriptorError, parse_descriptor
-from master.devices.hid.driver import Controls, DriverError, ReportAccess, Share
-from master.devices.hid.inputs import Inputs
-from master.devices.hid.pid_layout import FieldValue, ReportPart, build_layout
+from master.devices.hid.descriptor import (
+    DescriptorError,
+    compute_limits,
+    parse_descriptor,
+    scale_share,
+)
+from master.devices.hid.driver import (
+    ActuatorReports,
+    ActuatorState,
+    Controls,
+    DriverError,
+    ReportAccess,
+    Share,
+)
+from master.devices.hid.joystick import Inputs
+from master.devices.hid.pid_reports import FieldValue, ReportPart, build_layout
 
 # A direction is where the force comes from, clockwise from -y. One from +x (90 deg) pushes
 # towards -x, one from -y (0 deg) towards +y.
@@ -89,9 +99,9 @@ class PidDriver:
         # detect errors now, not while the device is in use
         for usage in (U.CONSTANT_FORCE, *self._conditions):
             layout.creation.choose(usage)
-            pid_effects.build_effect_report(layout, usage, 1, layout.forces[0])
+            pid_reports.build_effect_report(layout, usage, 1, layout.forces[0])
         for share in self._conditions.values():
-            pid_effects.build_condition_reports(layout, 1, share)
+            pid_reports.build_condition_reports(layout, 1, share)
         self._magnitude = layout.constant_force.need(U.MAGNITUDE)
         self.axes = self._inputs.axes
         self.forces = layout.forces if pushed is None else _select_axes(layout.forces, pushed)
@@ -163,17 +173,17 @@ class PidDriver:
         self._frees: list[bytes] = []
 
     def _create(self, device: ReportAccess, usage: int) -> int:
-        block = pid_effects.create_effect(self._layout, device, usage, self._blocks)
+        block = pid_reports.create_effect(self._layout, device, usage, self._blocks)
         self._blocks.append(block)
-        self._frees += pid_effects.build_free_reports(self._layout, block)
+        self._frees += pid_reports.build_free_reports(self._layout, block)
         return block
 
     def _add_force(self, device: ReportAccess, axis: str) -> None:
         block = self._create(device, U.CONSTANT_FORCE)
-        self._starts.append(pid_effects.build_start_report(self._layout, block))
-        self._stops.append(pid_effects.build_stop_report(self._layout, block))
-        zero = pid_effects.build_zero_force_report(self._layout, block)
-        device.write(pid_effects.build_effect_report(self._layout, U.CONSTANT_FORCE, block, axis))
+        self._starts.append(pid_reports.build_start_report(self._layout, block))
+        self._stops.append(pid_reports.build_stop_report(self._layout, block))
+        zero = pid_reports.build_zero_force_report(self._layout, block)
+        device.write(pid_reports.build_effect_report(self._layout, U.CONSTANT_FORCE, block, axis))
         device.write(zero)
         low, high = compute_limits(self._magnitude)
         full = _SIGNS[axis] * min(-low, high)
@@ -186,11 +196,11 @@ class PidDriver:
         away) unless the parameters come first; other firmware needs the effect first.
         """
         block = self._create(device, usage)
-        self._condition_starts.append(pid_effects.build_start_report(self._layout, block))
-        self._condition_stops.append(pid_effects.build_stop_report(self._layout, block))
-        effect = pid_effects.build_effect_report(self._layout, usage, block, self._layout.forces[0])
+        self._condition_starts.append(pid_reports.build_start_report(self._layout, block))
+        self._condition_stops.append(pid_reports.build_stop_report(self._layout, block))
+        effect = pid_reports.build_effect_report(self._layout, usage, block, self._layout.forces[0])
         device.write(effect)
-        for report in pid_effects.build_condition_reports(self._layout, block, share):
+        for report in pid_reports.build_condition_reports(self._layout, block, share):
             device.write(report)
         device.write(effect)
 

@@ -1,18 +1,20 @@
-"""Find attached devices and the drivers that fit them."""
+"""Find attached devices and the drivers that fit them; switch a wheel to its mode for computers."""
 
 import hashlib
 import os
+import time
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
 
 from master.device import DeviceFault
-from master.devices.hid import logitech
+from master.devices.hid import wheels
 from master.devices.hid.descriptor import DescriptorError, parse_descriptor
 from master.devices.hid.drivers import DRIVERS, INPUTS_ONLY, PID, AttachedNode
+from master.devices.hid.force_signs import ForceSignKey
 from master.devices.hid.node import REMEDY, Node, load_hidapi
-from master.devices.hid.pid_layout import has_pid_collection
-from master.devices.hid.signs import ForceSignKey
+from master.devices.hid.pid_reports import has_pid_collection
 
 # --- what to do about a force-feedback device that no driver can use
 
@@ -29,7 +31,7 @@ def format_driver_advice(item: AttachedNode, descriptor: bytes, misfits: Mapping
     misfits : mapping of str to str
         By driver, why it does not fit; empty if it fits.
     """
-    other_protocol = item.vendor == logitech.VENDOR and item.product in logitech.HIDPP_PRODUCTS
+    other_protocol = item.vendor == wheels.LOGITECH_VENDOR and item.product in wheels.HIDPP_PRODUCTS
     if any(not why and name != INPUTS_ONLY for name, why in misfits.items()):
         return ""
     if not (_has_pid_descriptor(descriptor) or (other_protocol and item.interface <= 0)):
@@ -289,3 +291,82 @@ def _describe_missing_device(
 
 def _format_node_list(items: Iterable[AttachedNode]) -> str:
     return ", ".join(map(str, items))
+
+
+# --- a wheel that starts as an accessory of a console, switched to the mode for computers
+# The G923 for PlayStation has no classic commands in console mode. One report switches it over: it
+# detaches and comes back as another product.
+
+
+MODE_SWITCH_TIMEOUT_S = 10.0  # [s] timeout for the device in its other mode
+_POLL_PERIOD_S = 0.1
+
+
+def leave_console_mode(find: str, driver: str) -> str:
+    """Switch the wheel that a config selects; return a message, empty if there was none to switch.
+
+    Only the wheel that is selected by `find`, or is alone: no device beside it has a force driver.
+
+    Raises
+    ------
+    DeviceFault
+        It cannot be opened, or does not come back.
+    """
+    everything = list_attached_nodes() if driver in ("auto", "logitech") else ()
+    in_console = [one for one in everything if is_in_console_mode(one) and is_match(one, find)]
+    if len(in_console) != 1 or (not find and any(map(_has_driver, everything))):
+        return ""
+    switch_to_pc_mode(in_console[0])
+    end = time.monotonic() + MODE_SWITCH_TIMEOUT_S
+    while not any(map(_is_in_pc_mode, list_attached_nodes())):
+        if time.monotonic() > end:
+            raise DeviceFault(
+                f"{in_console[0]}: does not leave its console mode; plug it in again, and check that "
+                "its switch and its udev rule (docs/devices.md) are right"
+            )
+        time.sleep(_POLL_PERIOD_S)
+    return f"{in_console[0]}: switched from console to PC mode"
+
+
+def reattach_device(
+    found: FoundDevice, before: frozenset[str], taken: frozenset[str]
+) -> FoundDevice:
+    """Return the same device at its present path, as as `find_reattached_device`; switch it over."""
+    try:
+        return find_reattached_device(found, before, taken)
+    except DeviceNotFoundError:
+        known = found.item
+        if (known.vendor, known.product) == (wheels.LOGITECH_VENDOR, wheels.G923):
+            others = before - {known.path} | taken
+            for item in list_attached_nodes():
+                if is_in_console_mode(item) and item.path not in others:
+                    switch_to_pc_mode(item)
+        raise
+
+
+def is_in_console_mode(item: AttachedNode) -> bool:
+    """Return whether this is a wheel to be switched over."""
+    model = (item.vendor, item.product)
+    return model == (wheels.LOGITECH_VENDOR, wheels.G923_CONSOLE) and item.interface <= 0
+
+
+def switch_to_pc_mode(item: AttachedNode) -> None:
+    """Send the report; `DeviceFault` if the wheel cannot be opened."""
+    if why := find_access_error(item):
+        raise DeviceFault(f"{item}: {why}")
+    node = Node(item.path, str(item))
+    try:
+        with suppress(DeviceFault):  # it may detach before it acknowledges
+            node.write(wheels.LEAVE_CONSOLE)
+    finally:
+        node.close()
+
+
+def _has_driver(item: AttachedNode) -> bool:
+    return any(name != INPUTS_ONLY for name in examine_node(item).fits)
+
+
+def _is_in_pc_mode(item: AttachedNode) -> bool:
+    model = (item.vendor, item.product)
+    is_wheel = model == (wheels.LOGITECH_VENDOR, wheels.G923) and item.interface <= 0
+    return is_wheel and not find_access_error(item)

@@ -6,15 +6,65 @@ import socket
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import can
 import canopen
 
-from slave.drivers.cia402.buffered_port import BufferedPort
 from slave.drivers.cia402.config import Cia402Config
 from slave.drivers.claim import claim_bus, claim_port
 from slave.drivers.driver import DriverFault
+
+# --- the serial port of an slcan adapter, read in whole chunks
+
+
+class BufferedPort:
+    """A `serial.Serial` whose small reads are served from memory.
+
+    python-can reads an slcan adapter byte by byte, which costs two system calls a byte: more than
+    all else that a frame takes.
+
+    Parameters
+    ----------
+    port : serial.Serial
+        Open; everything but reading is passed on to it.
+    """
+
+    def __init__(self, port: Any) -> None:
+        self._port = port
+        self._data, self._at = b"", 0
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._port, name)
+
+    @property
+    def in_waiting(self) -> int:
+        """Bytes that can be read without waiting."""
+        return (len(self._data) - self._at) or int(self._port.in_waiting)
+
+    @property
+    def write_timeout(self) -> float | None:
+        """Time [s] that a write may take."""
+        timeout: float | None = self._port.write_timeout
+        return timeout
+
+    @write_timeout.setter
+    def write_timeout(self, timeout: float | None) -> None:
+        self._port.write_timeout = timeout
+
+    def read(self, size: int = 1) -> bytes:
+        """Return up to `size` bytes; waits for the port's `timeout` if there are none."""
+        if self._at >= len(self._data):
+            self._data, self._at = self._port.read(max(size, self._port.in_waiting)), 0
+        found = self._data[self._at : self._at + size]
+        self._at += len(found)
+        return found
+
+    def reset_input_buffer(self) -> None:
+        """Forget what has arrived."""
+        self._data, self._at = b"", 0
+        self._port.reset_input_buffer()
+
 
 SYNC, HEARTBEAT = 0x80, 0x700
 NMT, SDO = 0x000, 0x600  # commands to nodes, requests to them

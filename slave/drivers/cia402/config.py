@@ -1,10 +1,102 @@
-"""Config of CiA 402 drives on a CAN bus."""
+"""Config of CiA 402 drives on a CAN bus, with the load of the bus and the drives' period."""
 
+import math
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-from slave.drivers.cia402.bus_load import HEARTBEATS_HZ, LOAD_MAX, compute_bus_load
-from slave.drivers.cia402.period import RATE_MAX, RATE_MIN, encode_period, highest_rate
+# --- share of a CAN bus that cyclic PDOs take
+
+LOAD_MAX = 0.95
+HEARTBEATS_HZ = 110.0  # ours, every 10 ms, and one a node every 100 ms
+
+
+def compute_frame_bits(data: int) -> int:
+    """Return the most bits of a frame with 11-bit identifier and `data` bytes, stuffing included.
+
+    44 bits of frame and 3 of interframe space; one stuff bit for every four of the 34 + 8 data bits
+    that are stuffed, less one (Tindell, Burns 1994; Davis et al. 2007).
+    """
+    stuffed = 34 + 8 * data
+    return 47 + 8 * data + (stuffed - 1) // 4
+
+
+def compute_bus_load(
+    bitrate: float,
+    rate_hz: float,
+    drives: int,
+    cells: int,
+    together: int,
+    wide: bool,
+    beats_hz: float = HEARTBEATS_HZ,
+) -> float:
+    """Return the share of the bus in use in the worst case.
+
+    Each cycle carries a SYNC, a PDO of control word and target to each drive, one of status word
+    and position back, and the cells' values: of 16 bits beside a drive's own, otherwise in a PDO of
+    their own.
+
+    Parameters
+    ----------
+    bitrate : float
+        [bit/s]
+    rate_hz : float
+        Of SYNC.
+    drives, cells, together : int
+        Nodes with a motor, with a cell, and with both.
+    wide : bool
+        Whether a cell's value has 32 bits.
+    beats_hz : float
+        Frames a second of NMT error control: heartbeats, or node guarding.
+    """
+    width = 4 if wide else 2
+    shared = 0 if wide else together
+    cycle = compute_frame_bits(0) + drives * compute_frame_bits(6)
+    cycle += (drives - shared) * compute_frame_bits(6) + shared * compute_frame_bits(6 + width)
+    cycle += (cells - shared) * compute_frame_bits(width)
+    return (cycle * rate_hz + beats_hz * compute_frame_bits(1)) / bitrate
+
+
+# --- the interpolation period of a drive (object 60C2): a count of units of a power of ten
+
+RATE_MIN, RATE_MAX = 10.0, 2000.0  # [Hz] of SYNC
+COUNT_MAX = 255  # of 60C2:1, unsigned 8 bits
+EXPONENTS = (-3, -4, -5)  # of 60C2:2, in order of preference: drives know milliseconds best
+TOLERANCE = 1e-5  # of a rate that is written with six digits
+
+
+def encode_period(rate_hz: float) -> tuple[int, int]:
+    """Return the period of a rate [Hz] as a count, and the exponent of ten of its unit [s].
+
+    Raises
+    ------
+    ValueError
+        The period is no whole number of any unit; the nearest rate with such a period is named.
+    """
+    for exponent in EXPONENTS:
+        period = 10.0**-exponent / rate_hz
+        count = round(period)
+        if 1 <= count <= COUNT_MAX and math.isclose(period, count, rel_tol=TOLERANCE):
+            return count, exponent
+    raise ValueError(
+        f"rate_hz: its period must be 1 to {COUNT_MAX} whole units of 1, 0.1 or 0.01 ms (object "
+        f"60C2); the nearest is {nearest_rate(rate_hz):.6g} Hz"
+    )
+
+
+def nearest_rate(rate_hz: float) -> float:
+    """Return the rate [Hz] nearest to `rate_hz` whose period can be encoded."""
+    return min(_usable_rates(), key=lambda usable: abs(usable - rate_hz))
+
+
+def highest_rate(limit_hz: float) -> float:
+    """Return the highest rate [Hz] up to `limit_hz` whose period can be encoded, or the lowest."""
+    return max((usable for usable in _usable_rates() if usable <= limit_hz), default=RATE_MIN)
+
+
+def _usable_rates() -> list[float]:
+    rates = (10.0**-e / count for e in EXPONENTS for count in range(1, COUNT_MAX + 1))
+    return [rate for rate in rates if RATE_MIN <= rate <= RATE_MAX]
+
 
 INT32_MIN, INT32_MAX = -(1 << 31), (1 << 31) - 1
 FOLLOWING_ERROR_MAX = (1 << 32) - 2  # [counts] one more switches the supervision off (6065)

@@ -19,14 +19,14 @@ from slave.drivers.cia402.bus import (
     to_driver_fault,
 )
 from slave.drivers.cia402.config import Cia402Config
-from slave.drivers.cia402.emergency import format_emergency
-from slave.drivers.cia402.set_up import NodeSetup
-from slave.drivers.cia402.state_machine import (
+from slave.drivers.cia402.drive import (
     FOLLOWING_ERROR,
     INTERPOLATE,
     DriveState,
+    NodeSetup,
     RequestedState,
     decode_drive_state,
+    format_emergency,
     select_control_word,
 )
 from slave.drivers.driver import Channels, Counts, DriverFault, Reading

@@ -1,12 +1,68 @@
-"""What `teleop rig` does with CANopen nodes."""
+"""What `teleop rig` does with CANopen nodes: read, scan, reset."""
 
-from collections.abc import Iterator
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack
 
-from slave.drivers.cia402.bus import format_bus_name, open_network
+import can
+import numpy as np
+
+from slave.drivers.cia402.bus import format_bus_name, open_network, to_driver_fault
 from slave.drivers.cia402.config import Cia402Config
-from slave.drivers.cia402.set_up import NoAnswer, NodeSetup
-from slave.drivers.cia402.state_machine import DriveState
-from slave.drivers.driver import DriverFault
+from slave.drivers.cia402.drive import DriveState, NoAnswer, NodeSetup
+from slave.drivers.driver import Channels, Counts, DriverFault, Reading
+
+# --- CANopen nodes that are only read: every frame is an SDO upload
+
+RATE_HZ = 50.0  # at most; an upload takes two frames a value
+
+
+class Cia402Reader:
+    """A `slave.drivers.driver.BusDriver` that writes nothing and takes no targets."""
+
+    def __init__(self, config: Cia402Config, channels: Channels) -> None:
+        self._config, self._channels = config, channels
+        self.period_s = 1.0 / min(RATE_HZ, config.rate_hz)
+        self._stack = ExitStack()
+        self._nodes: dict[int, NodeSetup] = {}
+
+    def start(self) -> None:
+        """Open the bus; look at the state of every drive."""
+        network = self._stack.enter_context(open_network(self._config))
+        for number in sorted({*self._channels.motors, *self._channels.cells}):
+            self._nodes[number] = NodeSetup(network, number, self._config)
+        try:
+            for number in self._channels.motors:
+                self._nodes[number].require_drive()
+        except (can.CanError, OSError) as error:
+            raise to_driver_fault(self._config, error) from error
+
+    def cycle(self, target: Counts | None) -> Sequence[Reading]:  # noqa: ARG002 - of a Driver
+        """Read the position of every motor and the value of every cell."""
+        analogue = self._config.analogue
+        began_s = time.monotonic()
+        try:
+            position = [self._nodes[k].get(0x6064, 0, True) for k in self._channels.motors]
+            cell = [
+                self._nodes[k].get(analogue.index, analogue.subindex, True)
+                for k in self._channels.cells
+            ]
+        except (can.CanError, OSError) as error:
+            raise to_driver_fault(self._config, error) from error
+        sampled_s = 0.5 * (began_s + time.monotonic())
+        return (Reading(sampled_s, np.array(position, float), np.array(cell, float)),)
+
+    def stop(self) -> None:
+        """Do nothing: no motor was enabled."""
+
+    def counts(self) -> dict[str, int | float | str]:
+        """Return nothing."""
+        return {}
+
+    def close(self) -> None:
+        """Release the bus."""
+        self._stack.close()
+
 
 NODE_NUMBER_MAX = 127  # node number
 ANSWER_S = 0.03  # [s] of a node to a question

@@ -12,9 +12,8 @@ from dynamixel_sdk import GroupSyncRead, GroupSyncWrite
 
 from slave.drivers.driver import Channels, Counts, DriverFault, Reading
 from slave.drivers.dynamixel import registers
-from slave.drivers.dynamixel.bus import ServoBus
+from slave.drivers.dynamixel.bus import ServoBus, format_result
 from slave.drivers.dynamixel.config import WATCHDOG_UNIT, DynamixelConfig
-from slave.drivers.dynamixel.port import format_result
 from slave.drivers.dynamixel.registers import STATUS_SIZE, Register, Status
 
 GOAL_ERROR_MAX = 20  # [counts] of a goal from the position, when torque is switched on

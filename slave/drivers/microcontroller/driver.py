@@ -4,7 +4,7 @@ import math
 import socket
 import time
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 
 import numpy as np
@@ -272,3 +272,48 @@ def _select_channels(values: tuple[int, ...], numbers: tuple[int, ...]) -> Count
     """Return the values of the channels in use; NaN if the board could not read one."""
     known = {k: float(v) for k, v in enumerate(values, 1) if v != frames.MISSING}
     return np.array([known.get(number, math.nan) for number in numbers])
+
+
+# --- a microcontroller that is only listened to: it sends its states by itself
+
+LISTEN_S = 6.0  # [s] within which a state must come; a board may restart as its port is opened
+
+
+class MicrocontrollerReader(MicrocontrollerDriver):
+    """A `MicrocontrollerDriver` that sends nothing and takes no targets."""
+
+    def _greet(self) -> BoardInfo:
+        """Wait for a state, which tells what the board has."""
+        until_s = time.monotonic() + LISTEN_S
+        while time.monotonic() < until_s:
+            for frame in self._receive():
+                if frame.kind == FrameType.STATE:
+                    state = self._parse(frame)
+                    self._reader.bad = self._reader.lost = 0  # a frame was cut at opening
+                    watchdog_ms = round(self._config.watchdog * 1e3)
+                    return BoardInfo(watchdog_ms, 0, len(state.position), len(state.cell), "")
+        raise DriverFault(f"{self._config.port}: no states of a board within {LISTEN_S:g} s")
+
+    def _send(self, kind: FrameType, body: bytes = b"") -> None:
+        """Send nothing."""
+
+
+# --- what `teleop rig` does with a microcontroller
+
+
+def scan(config: MicrocontrollerConfig) -> Iterator[str]:
+    """Greet the board; yield what it says it is."""
+    driver = MicrocontrollerDriver(config, Channels())
+    try:
+        driver.start()
+        info = driver.info
+    finally:
+        driver.close()
+    if info is not None:
+        what = f"{info.motors} motors, {info.cells} cells, {info.rate_hz} Hz"
+        yield f"{config.port}: {info.name}, {what}"
+
+
+def reset(config: MicrocontrollerConfig, motors: tuple[int, ...]) -> Iterator[str]:  # noqa: ARG001
+    """Yield that there is nothing to reset from here."""
+    yield f"{config.port}: its faults end with their cause; restart the board if they do not"

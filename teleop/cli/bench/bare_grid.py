@@ -8,14 +8,13 @@ from dataclasses import asdict
 from typing import Any
 
 from teleop.runtime.child_process import start_module
-from teleop.runtime.clock import Grid, now_ns, pause_garbage_collection
+from teleop.runtime.clock import Durations, Grid, now_ns, pause_garbage_collection
 from teleop.runtime.process import (
     StopCondition,
     die_with_launcher,
     limit_numeric_threads,
 )
 from teleop.runtime.realtime import RealtimeConfig, enter_loop, request_realtime
-from teleop.runtime.timing import Durations
 
 PHASES = (0.0, 0.5)  # of two alternating loops
 

@@ -1,22 +1,148 @@
-"""Common parts of the benchmark commands: options, repetition, report."""
+"""Common parts of the benchmarks: their rig, their machine, options, repetition, report."""
 
 import argparse
 import json
+import os
+import platform
+import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Callable, Sequence
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from teleop.cli.bench import figures, machine, rigs, session
+from teleop.cli.bench import figures, session
 from teleop.cli.bench.figures import Metric, Row
 from teleop.config import strict_yaml
 from teleop.config.loading import load
 from teleop.config.options import add_option
 from teleop.errors import UsageError
+from teleop.runtime.parallel import count_processors
 from teleop.runtime.process import parse_seconds, write_summary
 from teleop.session.config import RunConfig
+
+# --- config of a session to measure: a simulated arm of a number of joints, a hand for each
+
+
+def write_config(path: Path, joints: int) -> Path:
+    """Write the config of an arm of `joints` joints, two tendons each; return `path`.
+
+    The sheaths are those of configs/arm.yaml, one bend longer for each joint further out; the last
+    joint closes on tissue.
+    """
+    path.write_text(json.dumps(_build_config(joints)))  # which is YAML, too
+    return path
+
+
+def _build_config(joints: int) -> dict[str, Any]:
+    environments: list[dict[str, Any]] = [{"type": "free"} for _ in range(joints - 1)]
+    environments.append({"type": "tissue", "position": 0.003, "stiffness": 10000, "exponent": 1.5})
+    body = {
+        "mass": 0.02, "damping": 2.0, "friction": 0.1, "spring": 0.0,
+        "pretension": 0.5, "stops": [-0.008, 0.008],
+    }  # fmt: skip
+    rig = {
+        "type": "simulated",
+        "name": f"bench-{joints}",
+        "joints": [
+            {
+                "tendons": [_build_tendon(k), _build_tendon(k)],
+                "body": body,
+                "environment": environment,
+            }
+            for k, environment in enumerate(environments)
+        ],
+    }
+    gate = {
+        "displacement_min": -0.025, "displacement_max": 0.025, "speed_max": 0.05, "tension_max": 25,
+    }  # fmt: skip
+    reference = {
+        "type": "reaches", "targets": [0.0, 0.02, -0.01, 0.025, -0.02], "reach": 0.8, "rest": 0.3,
+    }  # fmt: skip
+    device = {
+        "type": "virtual", "axes": joints, "reference": reference, "engage": [[0.2, 1e6]],
+    }  # fmt: skip
+    return {
+        "slave": {"rig": rig, "calibration": "as-built", "gate": gate},
+        "master": {
+            "device": device,
+            "operator": {"position_scale": 0.25},
+            "force": {"scale": 0.2},
+        },
+    }
+
+
+def _build_tendon(joint: int) -> dict[str, Any]:
+    sections: list[dict[str, float]] = [
+        {"length": 0.4},
+        {"length": 0.5, "radius": 0.15},
+        {"length": 0.4, "radius": 0.40},
+    ]
+    if joint:
+        sections.append({"length": 0.06 * joint, "radius": 0.05})
+    return {"sheath": {"sections": sections, "friction": 0.1, "axial_stiffness": 9000}}
+
+
+# --- description of the machine of a measurement
+
+PACKAGES = ("tendon-teleop", "eclipse-zenoh", "numpy", "numba", "scipy")
+
+
+def describe_machine() -> dict[str, Any]:
+    """Return processor, cores, kernel, versions, commit and the load before the measurement."""
+    return {
+        "cpu": _read_cpu_model(),
+        "cores": count_processors(),
+        "kernel": f"{platform.system()} {platform.release()}",
+        "python": platform.python_version(),
+        "packages": {name: _find_version(name) for name in PACKAGES},
+        "commit": _find_commit(),
+        "load_average": [round(load, 2) for load in os.getloadavg()],
+    }
+
+
+def format_description(machine: dict[str, Any], realtime: Sequence[str]) -> list[str]:
+    """Return the description as text; `realtime` is the scheduling granted to the loops."""
+    packages = ", ".join(f"{name} {number}" for name, number in machine["packages"].items())
+    return [
+        f"machine   {machine['cpu']}, {machine['cores']} cores, {machine['kernel']}, "
+        f"load {machine['load_average'][0]:.1f} at the start",
+        f"software  Python {machine['python']}, {packages}, "
+        f"commit {machine['commit'] or 'unknown'}",
+        f"granted   {', '.join(realtime) or 'nothing'}",
+    ]
+
+
+def _read_cpu_model() -> str:
+    try:
+        text = Path("/proc/cpuinfo").read_text()
+    except OSError:
+        return platform.processor() or platform.machine()
+    names = [line.split(":", 1)[1].strip() for line in text.splitlines() if "model name" in line]
+    return names[0] if names else platform.machine()
+
+
+def _find_version(name: str) -> str | None:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return None
+
+
+def _find_commit() -> str | None:
+    """Return the commit of the sources; None outside a repository, `+` if they were changed."""
+    root = Path(__file__).parents[2]
+    if not (root / ".git").exists():
+        return None
+    try:
+        words = ["git", "-C", str(root), "describe", "--always", "--dirty=+", "--exclude=*"]
+        done = subprocess.run(words, capture_output=True, text=True, check=True)
+    except (OSError, subprocess.CalledProcessError):
+        return None
+    return done.stdout.strip()
+
 
 RUNS, SECONDS = 5, 10.0
 QUICK_RUNS, QUICK_SECONDS = 3, 4.0
@@ -61,7 +187,7 @@ class RepeatedRuns:
         self.granted: list[str] = []
         self._name, self._out = name, args.json
         self._old = None if args.compare is None else read_result(args.compare, name)
-        self._machine = machine.describe_machine()
+        self._machine = describe_machine()
         self._begin_s = time.monotonic()
 
     def say(self, text: str) -> None:
@@ -76,7 +202,7 @@ class RepeatedRuns:
 
     def conclude(self, found: Sequence[Metric]) -> int:
         """Print the result, write it, compare it; return the exit code."""
-        print("\n".join(machine.format_description(self._machine, self.granted)))
+        print("\n".join(format_description(self._machine, self.granted)))
         print(f"medians of {self.runs} runs of {self.seconds:g} s\n")
         print("\n".join(figures.format_table(found)))
         result = {
@@ -98,7 +224,7 @@ def repeat_measurement(
     """Measure one session repeatedly; `measure` takes its config file, seconds and config."""
     repeated = RepeatedRuns(name, args)
     with tempfile.TemporaryDirectory(prefix="teleop-bench-") as folder:
-        config = args.config or rigs.write_config(
+        config = args.config or write_config(
             Path(folder) / "session.yaml", validate_joints(args.joints)
         )
         shared = load(config, RunConfig, None, ())

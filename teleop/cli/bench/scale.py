@@ -14,7 +14,7 @@ import argparse
 import tempfile
 from pathlib import Path
 
-from teleop.cli.bench import figures, rigs, runs
+from teleop.cli.bench import figures, runs
 from teleop.cli.bench.bare_grid import run_idle_loops
 from teleop.cli.bench.figures import Row
 from teleop.cli.bench.latency import measure_baseline_latency
@@ -43,7 +43,7 @@ def main(args: argparse.Namespace) -> int:
     numbers = sorted({runs.validate_joints(number) for number in args.joints})
     repeated = runs.RepeatedRuns("scale", args)
     with tempfile.TemporaryDirectory(prefix="teleop-bench-") as folder:
-        configs = {n: rigs.write_config(Path(folder) / f"{n}.yaml", n) for n in numbers}
+        configs = {n: runs.write_config(Path(folder) / f"{n}.yaml", n) for n in numbers}
         repeated.warm_up(configs[numbers[0]])
         rows = []
         for k in range(repeated.runs):

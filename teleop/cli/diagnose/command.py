@@ -18,6 +18,7 @@ together. With --out a folder gets report.html, report.json, model.yaml and resi
 """
 
 import argparse
+import math
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -27,21 +28,89 @@ from estimator.array_types import Array
 from estimator.diagnosis import report_text
 from estimator.diagnosis.api import CauseError, RecordError, collect_signals, diagnose
 from estimator.diagnosis.outcome import Diagnosis
-from estimator.effects import Effect
+from estimator.effects import CATALOGUE, CHANNELS, NAMES, Effect
+from estimator.units import Units
 from teleop.cli import estimate
-from teleop.cli.diagnose import acceptance, options, report_json
-from teleop.cli.diagnose.acceptance import ComparedParameter
-from teleop.cli.diagnose.options import NamedColumns, parse_column_options, parse_noise
+from teleop.cli.diagnose import json_report
+from teleop.cli.diagnose.json_report import ComparedParameter
 from teleop.config.options import add_option, add_options
 from teleop.config.suggestions import suggest_spelling
-from teleop.data import model_file
-from teleop.data.table import MeasuredTable, read_table
+from teleop.data import channel_names, model_file
+from teleop.data.channel_names import to_channel
+from teleop.data.effect_extensions import is_extension, load_effects
+from teleop.data.table import Columns, MeasuredTable, read_table
 from teleop.errors import UsageError
 from teleop.runtime.output_file import OutputFolder, make_folder
 from teleop.runtime.parallel import count_processors
 from teleop.runtime.process import write_summary, write_text_file
 from teleop.runtime.status_line import Progress
 from teleop.view.series import PlotCurve, PlotPanel, save
+
+# --- `--column NAME=COLUMN` of a diagnosis: NAME tells the units, too
+
+
+class NamedColumns(NamedTuple):
+    """Column names, and the units that they were named in; None where none was told."""
+
+    names: Columns
+    units: Units | None
+
+
+def parse_column_options(words: Sequence[str], tendon: int = 0) -> NamedColumns:
+    """Return the columns of a tendon, from 0, with the overrides of `--column`.
+
+    NAME may be that of a torque, an angle or a force, such as `proximal_torque`.
+
+    Raises
+    ------
+    UsageError
+        An override is none, or they are linear in part and rotary in part.
+    """
+    pairs = [word.partition("=") for word in words]
+    units = channel_names.detect_option_units([name for name, _, _ in pairs])
+    meant = [f"{channel_names.to_channel(name)}{equals}{column}" for name, equals, column in pairs]
+    return NamedColumns(estimate.parse_column_names(meant, tendon), units)
+
+
+# --- parser of `--effects`
+
+
+def parse_effects(text: str) -> Sequence[Effect]:
+    """Return the effects of `--effects`: comma-separated names, or all."""
+    if text.strip() == "all":
+        return CATALOGUE
+    names = [name.strip() for name in text.split(",") if name.strip()]
+    if not names:
+        raise UsageError("--effects: names of effects with commas between them, or all")
+    others = tuple(effect for name in names if is_extension(name) for effect in load_effects(name))
+    for name in names:
+        if name not in NAMES and not is_extension(name):
+            listed = suggest_spelling(name, NAMES, 3, 0.5) or f"; there are {', '.join(NAMES)}"
+            raise UsageError(f"--effects {name}: no such effect{listed}")
+    return (*(effect for effect in CATALOGUE if effect.name in names), *others)
+
+
+# --- `--noise NAME=SIGMA`: noise of a channel that is known better than the data tell it
+
+
+def parse_noise(words: Sequence[str]) -> dict[str, float]:
+    """Return standard deviations by channel, in its unit; `UsageError` if a word is none."""
+    noise = {}
+    for word in words:
+        name, _, text = word.partition("=")
+        try:
+            sigma = float(text)
+        except ValueError:
+            sigma = math.nan
+        channel = to_channel(name)
+        if channel not in CHANNELS or not 0.0 <= sigma < math.inf:
+            raise UsageError(
+                f"--noise {word}: expected NAME=SIGMA in the unit of the data, NAME one of "
+                f"{', '.join(CHANNELS)}"
+            )
+        noise[channel] = sigma
+    return noise
+
 
 # --- residuals.rrd: measured and simulated signals of both models, for Rerun
 
@@ -160,14 +229,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def main(args: argparse.Namespace) -> int:
     """Diagnose and report; returns the exit code."""
-    effects = options.parse_effects(args.effects)
+    effects = parse_effects(args.effects)
     check_options(args, effects)
     if args.out is not None:
         make_folder(args.out, "report.html")
     if args.supplement is not None:
         make_folder(args.supplement, "supplement.html")
     tendon = estimate.select_tendon(args.tendon, estimate.read_recorded_joints(args.data[0]), 1)
-    sheath = None if args.calibration is None else acceptance.load_sheath(args.calibration, tendon)
+    sheath = None if args.calibration is None else json_report.load_sheath(args.calibration, tendon)
     columns = parse_column_options(args.column, tendon)
     noise = parse_noise(args.noise)
     loop = None if args.transmission == "auto" else args.transmission == "loop"
@@ -194,11 +263,11 @@ def main(args: argparse.Namespace) -> int:
         progress.end()
     seconds = time.monotonic() - begun
     report = ReportContent(
-        found, data, {} if sheath is None else acceptance.compare_parameters(found, sheath)
+        found, data, {} if sheath is None else json_report.compare_parameters(found, sheath)
     )
-    tree = report_json.build_report(found, data.files, seconds, report.accepted, data.further)
+    tree = json_report.build_report(found, data.files, seconds, report.accepted, data.further)
     write_summary(args.json, tree)
-    beside = acceptance.build_comparison_table(report.accepted) if report.accepted else None
+    beside = json_report.build_comparison_table(report.accepted) if report.accepted else None
     print(report_text.format_summary(found, data.files, beside, data.further), flush=True)
     if args.out is not None:
         write_summary(args.out / "report.json", tree)
@@ -264,13 +333,13 @@ def read_data(
 
 
 def _write_report(report: ReportContent, folder: Path) -> None:
-    from teleop.cli.diagnose import page
+    from teleop.cli.diagnose import html_report
 
     found, files = report.found, report.data.files
     remark = (
         f"Fitted by teleop diagnose to {', '.join(files)}.\n{report_text.format_verdict(found)}"
     )
     model_file.save(folder / "model.yaml", model_file.from_diagnosis(found), remark)
-    text = page.render(found, files, report.accepted, report.data.further)
+    text = html_report.render(found, files, report.accepted, report.data.further)
     write_text_file(folder / "report.html", text, "the page")
     write_residuals(folder / "residuals.rrd", found, files)

@@ -49,14 +49,14 @@ class Tendons:
     """The simulated rig of the project behind the motors: sheaths, friction, joints with stops."""
 
     def __init__(self, joints: int, paired: bool = True) -> None:
-        from slave.rigs.simulated.plant.body import BodyConfig
-        from slave.rigs.simulated.plant.environment import FreeConfig
-        from slave.rigs.simulated.simulated import (
+        from slave.rigs.simulated import (
             JointConfig,
             SimulatedRig,
             SimulatedRigConfig,
             TendonPlantConfig,
         )
+        from slave.simulation.environment import FreeConfig
+        from slave.simulation.joint import BodyConfig
 
         tendons = (TendonPlantConfig(),) * (2 if paired else 1)
         # a tendon must reach its stop well below the tension of a calibration

@@ -5,10 +5,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from master.device import DeviceLost
-from master.devices.hid.actuators import ActuatorReports, ActuatorState
-from master.devices.hid.config import AxisConfig, HidConfig
 from master.devices.hid.descriptor import parse_descriptor
 from master.devices.hid.device import HidDevice
+from master.devices.hid.driver import ActuatorReports, ActuatorState
+from master.devices.hid.mapping import AxisConfig, HidConfig
 from teleop.launch.supervisor import wait_for_condition
 from tests.hid import descriptors
 from tests.hid.virtual.catalogue import DEVICES

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from master.devices.hid import bits
+from master.devices.hid import descriptor
 from master.devices.hid.descriptor import ReportField
 
 SIZES = st.integers(1, 64)
@@ -43,7 +43,7 @@ def field(offset, size, low, high, count=1):
     ],
 )
 def test_values_by_hand(report, where, value):
-    assert bits.read_field(bytes.fromhex(report), where) == value
+    assert descriptor.read_field(bytes.fromhex(report), where) == value
 
 
 def as_text(report):
@@ -57,8 +57,8 @@ def test_what_is_put_is_got_and_nothing_else_changes(report, offset, size, signe
     where = field(offset, size, low, low + (1 << size) - 1)
     value = data.draw(st.integers(where.minimum, where.maximum))
     buffer = bytearray(report)
-    bits.write_field(buffer, where, value)
-    assert bits.read_field(bytes(buffer), where) == value
+    descriptor.write_field(buffer, where, value)
+    assert descriptor.read_field(bytes(buffer), where) == value
     before, after = as_text(report), as_text(buffer)
     assert after[:offset] == before[:offset]
     assert after[offset + size :] == before[offset + size :]
@@ -69,36 +69,36 @@ def test_what_is_put_is_got_and_nothing_else_changes(report, offset, size, signe
 def test_elements_follow_one_another(report, k, size):
     where = field(11, size, 0, 1, count=4)
     text = as_text(report)[11 + k * size :][:size]
-    assert bits.read_field(report, where, k) == int(text[::-1], 2)
+    assert descriptor.read_field(report, where, k) == int(text[::-1], 2)
 
 
 @pytest.mark.parametrize(("value", "where"), [(256, field(8, 8, 0, 9)), (-1, field(8, 8, 0, 9))])
 def test_a_value_that_does_not_fit_is_refused(value, where):
     with pytest.raises(ValueError, match="does not fit"):
-        bits.write_field(bytearray(4), where, value)
+        descriptor.write_field(bytearray(4), where, value)
 
 
 def test_a_field_outside_the_report_is_refused():
     with pytest.raises(ValueError, match="not in 2 bytes"):
-        bits.write_field(bytearray(2), field(9, 8, 0, 9), 1)
+        descriptor.write_field(bytearray(2), field(9, 8, 0, 9), 1)
 
 
 def test_a_value_outside_the_range_that_fits_is_written():
     report = bytearray(2)
-    bits.write_field(report, field(8, 8, 1, 8), 0xFF)
+    descriptor.write_field(report, field(8, 8, 1, 8), 0xFF)
     assert report == b"\x00\xff"
 
 
 def test_limits_are_those_of_range_and_bits():
-    assert bits.compute_limits(field(0, 8, 0, 65535)) == (0, 255)
-    assert bits.compute_limits(field(0, 16, -40000, 100)) == (-32768, 100)
-    low, high = bits.compute_limits(field(0, 1, 2, 6))
+    assert descriptor.compute_limits(field(0, 8, 0, 65535)) == (0, 255)
+    assert descriptor.compute_limits(field(0, 16, -40000, 100)) == (-32768, 100)
+    low, high = descriptor.compute_limits(field(0, 1, 2, 6))
     assert low > high
 
 
 @given(st.floats(), st.integers(-40000, 40000))
 def test_a_share_never_exceeds_the_whole_nor_turns_around(share, full):
-    value = bits.scale_share(share, full)
+    value = descriptor.scale_share(share, full)
     assert abs(value) <= abs(full)
     if math.isnan(share):
         assert value == 0

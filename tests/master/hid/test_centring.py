@@ -3,8 +3,8 @@
 import pytest
 
 from master.device import DeviceFault, DeviceLost
-from master.devices.hid.config import AxisConfig, HidConfig
 from master.devices.hid.device import HidDevice
+from master.devices.hid.mapping import AxisConfig, HidConfig
 from master.devices.hid.pid import PidDriver
 from teleop.launch.supervisor import wait_for_condition
 from tests.hid import descriptors

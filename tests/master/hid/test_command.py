@@ -3,7 +3,7 @@
 import pytest
 import yaml
 
-from master.devices.hid import command, search, signs
+from master.devices.hid import command, force_signs, search
 from master.devices.hid.command import OperatorDialogue
 from teleop.cli import commands
 from tests.hid import descriptors
@@ -46,7 +46,7 @@ class Someone:
 
 def found_in(file):
     """Return the signs that were kept for the only device that is plugged in."""
-    return signs.load(file).of(search.find_device("", "auto").pusher)
+    return force_signs.load(file).of(search.find_device("", "auto").pusher)
 
 
 def teleop(capsys, *words):

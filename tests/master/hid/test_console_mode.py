@@ -3,9 +3,9 @@
 import pytest
 
 from master.device import DeviceFault, DeviceLost
-from master.devices.hid import console_mode, search
-from master.devices.hid.config import AxisConfig, HidConfig
+from master.devices.hid import search
 from master.devices.hid.device import HidDevice
+from master.devices.hid.mapping import AxisConfig, HidConfig
 from teleop.launch.supervisor import wait_for_condition
 from tests.hid import descriptors
 from tests.hid.virtual.logitech import Logitech
@@ -95,17 +95,17 @@ def test_another_one_in_console_mode_is_left_alone_by_a_replug(hidraw):
 def test_beside_another_device_it_must_be_selected(hidraw):
     node = hidraw.plug(ConsoleWheel(hidraw))
     hidraw.plug(OpenFFBoard(descriptors.openffboard()))
-    assert console_mode.leave_console_mode("", "auto") == ""
-    assert console_mode.leave_console_mode("1209:ffb0", "auto") == ""
-    assert console_mode.leave_console_mode("046d:c267", "joystick") == ""
+    assert search.leave_console_mode("", "auto") == ""
+    assert search.leave_console_mode("1209:ffb0", "auto") == ""
+    assert search.leave_console_mode("046d:c267", "joystick") == ""
     assert node.written == []
     assert search.find_device("", "auto").kind == "pid"
-    assert console_mode.leave_console_mode("046d:c267", "auto")
+    assert search.leave_console_mode("046d:c267", "auto")
     assert node.written == [SWITCH]
 
 
 def test_one_that_stays_in_console_mode_is_said(hidraw, monkeypatch):
-    monkeypatch.setattr(console_mode, "MODE_SWITCH_TIMEOUT_S", 0.1)
+    monkeypatch.setattr(search, "MODE_SWITCH_TIMEOUT_S", 0.1)
     hidraw.plug(ConsoleWheel(hidraw, leaves=False))
     with pytest.raises(DeviceFault, match="does not leave its console mode"):
         HidDevice(config(), lambda _line: None)

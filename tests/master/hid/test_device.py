@@ -9,11 +9,11 @@ import pytest
 
 from master.device import DeviceFault, DeviceLost
 from master.devices import open_device
-from master.devices.hid import search, signs
-from master.devices.hid.config import AxisConfig, ButtonsConfig, HidConfig
+from master.devices.hid import force_signs, search
 from master.devices.hid.device import HidDevice
+from master.devices.hid.force_signs import ForceSign, ForceSigns
+from master.devices.hid.mapping import AxisConfig, ButtonsConfig, HidConfig
 from master.devices.hid.pid import PidConfig
-from master.devices.hid.signs import ForceSign, ForceSigns
 from teleop.errors import UsageError
 from teleop.launch.supervisor import wait_for_condition
 from tests.hid import descriptors
@@ -38,7 +38,7 @@ def board():
 def know_signs(**found):
     """Have the signs of the only device that is plugged in."""
     pusher = search.find_device("", "auto").pusher
-    signs.save(None, ForceSigns(tuple(ForceSign(*pusher, *item) for item in found.items())))
+    force_signs.save(None, ForceSigns(tuple(ForceSign(*pusher, *item) for item in found.items())))
 
 
 class Loop:
@@ -416,7 +416,7 @@ def test_a_wheel_that_forgets_nothing_is_pushed_and_let_go_of(hidraw, open_, nam
     node = hidraw.plug(DEVICES[name](), usages)
     pedal = hidraw.plug(board(), interface=1)
     pusher = search.find_device(str(node.path), name).pusher
-    signs.save(None, ForceSigns((ForceSign(*pusher, "x", sign),)))
+    force_signs.save(None, ForceSigns((ForceSign(*pusher, "x", sign),)))
     config = HidConfig(
         find=str(node.path),
         driver=name,

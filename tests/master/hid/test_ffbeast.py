@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from master.devices.hid.driver import build_unknown_controls
-from master.devices.hid.ffbeast import FFBeastDriver
+from master.devices.hid.wheels import FFBeastDriver
 
 DRIVER = FFBeastDriver()
 UNKNOWN = build_unknown_controls(len(DRIVER.axes))

@@ -9,14 +9,17 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from master.device import DeviceFault
-from master.devices.hid.bits import compute_limits
-from master.devices.hid.descriptor import DescriptorError, ReportDescriptor, parse_descriptor
+from master.devices.hid.descriptor import (
+    DescriptorError,
+    ReportDescriptor,
+    compute_limits,
+    parse_descriptor,
+)
 from master.devices.hid.driver import DriverError, build_unknown_controls
-from master.devices.hid.inputs import Inputs
+from master.devices.hid.joystick import Inputs
 from master.devices.hid.pid import PidConfig, PidDriver
-from master.devices.hid.pid_layout import build_layout
-from master.devices.hid.report_text import describe_descriptor
-from master.devices.hid.usages import MAGNITUDE
+from master.devices.hid.pid_reports import build_layout
+from master.devices.hid.usages import MAGNITUDE, describe_descriptor
 from tests.hid.descriptors import LAYOUTS
 
 fuzz = settings(

@@ -8,13 +8,13 @@ import time
 
 import pytest
 
-from master.devices.hid import guard
-from master.devices.hid.guard import ForceWatchdog
+from master.devices.hid import watchdog
+from master.devices.hid.watchdog import ForceWatchdog
 from teleop.launch.supervisor import wait_for_condition
 
 OWNER = """
 import sys, time
-from master.devices.hid.guard import ForceWatchdog
+from master.devices.hid.watchdog import ForceWatchdog
 owner = ForceWatchdog(sys.argv[1], [b"one", b"two"])
 print("up", flush=True)
 for _ in range(1000):
@@ -53,7 +53,7 @@ def test_a_stopped_owner_leaves_a_silent_device_each_time(owned):
         silenced += wait_for_condition(lambda before=before: node.read_bytes() != before, 1.0)
         said = node.read_bytes()
         assert not wait_for_condition(
-            lambda said=said: node.read_bytes() != said, 3 * guard.HEARTBEAT_TIMEOUT_S
+            lambda said=said: node.read_bytes() != said, 3 * watchdog.HEARTBEAT_TIMEOUT_S
         )
         if silenced == 2:
             break
@@ -67,7 +67,7 @@ def test_before_the_first_beat_nothing_is_written(tmp_path):
     node = tmp_path / "node"
     node.touch()
     owner = ForceWatchdog(str(node), [b"zero"])
-    assert not wait_for_condition(node.read_bytes, 2 * guard.HEARTBEAT_TIMEOUT_S)
+    assert not wait_for_condition(node.read_bytes, 2 * watchdog.HEARTBEAT_TIMEOUT_S)
     assert owner.end()
 
 
@@ -91,10 +91,10 @@ def test_one_report_that_fails_does_not_keep_the_others_back(tmp_path, monkeypat
             raise OSError
         written.append(data)
 
-    monkeypatch.setattr(guard.os, "write", write)
-    monkeypatch.setattr(guard.os, "read", lambda *_: b"")
-    monkeypatch.setattr(guard.select, "select", lambda *_: ([0], [], []))
-    guard.main(os.devnull, b"bad".hex(), b"good".hex())
+    monkeypatch.setattr(watchdog.os, "write", write)
+    monkeypatch.setattr(watchdog.os, "read", lambda *_: b"")
+    monkeypatch.setattr(watchdog.select, "select", lambda *_: ([0], [], []))
+    watchdog.main(os.devnull, b"bad".hex(), b"good".hex())
     assert written == [b"ready\n", b"good"]
 
 

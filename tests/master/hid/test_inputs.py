@@ -6,7 +6,7 @@ import pytest
 
 from master.devices.hid.descriptor import parse_descriptor
 from master.devices.hid.driver import Controls, build_unknown_controls
-from master.devices.hid.inputs import Inputs
+from master.devices.hid.joystick import Inputs
 from tests.hid import descriptors as d
 from tests.hid.descriptors import LAYOUTS, arduino, ffbeast_pid, logitech_g29, openffboard, rhino
 

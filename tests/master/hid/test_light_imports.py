@@ -10,7 +10,7 @@ class Blocked:
         if name.split(".")[0] in ("numba", "scipy", "xxhash", "zenoh"):
             raise ImportError(name)
 sys.meta_path.insert(0, Blocked())
-import master.devices.hid.device, master.devices.single
+import master.devices.hid.device, master.devices.combined
 """
 
 

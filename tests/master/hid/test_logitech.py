@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from master.devices.hid.descriptor import parse_descriptor
 from master.devices.hid.driver import DriverError, build_unknown_controls
 from master.devices.hid.drivers import DRIVERS, AttachedNode
-from master.devices.hid.logitech import PRODUCTS, LogitechDriver
 from master.devices.hid.pid import PidConfig
+from master.devices.hid.wheels import LOGITECH_PRODUCTS, LogitechDriver
 from tests.hid.descriptors import logitech_g29, spacemouse
 
 DRIVER = LogitechDriver(parse_descriptor(logitech_g29()))
@@ -76,7 +76,7 @@ def test_every_wheel_of_the_kernel_gets_the_classic_commands(product, _name):
 
 
 def test_the_driver_fits_those_wheels_and_no_others():
-    assert set(PRODUCTS) == {product for product, _ in CLASSIC}
+    assert set(LOGITECH_PRODUCTS) == {product for product, _ in CLASSIC}
 
 
 def test_formula_force_ex_has_a_centring_command_of_its_own():

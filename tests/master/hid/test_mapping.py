@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 from master.device import DeviceFault
 from master.devices.hid import mapping
-from master.devices.hid.config import AxisConfig, ButtonsConfig, HidConfig
 from master.devices.hid.driver import Controls, build_unknown_controls
+from master.devices.hid.mapping import AxisConfig, ButtonsConfig, HidConfig
 
 STICK = SimpleNamespace(axes=("x", "y", "z"), forces=("y", "x"), buttons=4)
 BUTTONS = ButtonsConfig(engage=1, clutch=2, stop=3)

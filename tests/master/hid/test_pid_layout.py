@@ -2,8 +2,8 @@ import pytest
 
 from master.devices.hid.descriptor import parse_descriptor
 from master.devices.hid.driver import DriverError
-from master.devices.hid.inputs import Inputs
-from master.devices.hid.pid_layout import build_layout, has_pid_collection
+from master.devices.hid.joystick import Inputs
+from master.devices.hid.pid_reports import build_layout, has_pid_collection
 from tests.hid import descriptors as d
 from tests.hid.descriptors import LAYOUTS
 

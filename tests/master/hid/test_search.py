@@ -210,7 +210,7 @@ def test_what_was_beside_it_when_it_went_is_not_it_but_it_may_never_have_left(hi
 def test_the_config_offers_each_driver():
     from typing import get_args, get_type_hints
 
-    from master.devices.hid.config import HidConfig
+    from master.devices.hid.mapping import HidConfig
 
     assert set(get_args(get_type_hints(HidConfig)["driver"])) == {"auto", *DRIVERS}
 

@@ -1,7 +1,7 @@
 import pytest
 
-from master.devices.hid import signs
-from master.devices.hid.signs import ForceSign, ForceSignKey, ForceSigns
+from master.devices.hid import force_signs
+from master.devices.hid.force_signs import ForceSign, ForceSignKey, ForceSigns
 from teleop.errors import UsageError
 
 BOARD = ForceSignKey("1209:ffb0:abc", "pid", "c0ffee")
@@ -12,8 +12,8 @@ def test_what_is_written_is_read_and_the_newest_finding_counts(tmp_path):
     path = tmp_path / "below" / "signs.yaml"
     other = ForceSignKey("1209:5968", "pid", "123456")
     known = ForceSigns().having(X).having(ForceSign(*other, "x", -1))
-    signs.save(path, known)
-    assert signs.load(path) == known
+    force_signs.save(path, known)
+    assert force_signs.load(path) == known
     assert known.of(other) == {"x": -1}
     turned = known.having(ForceSign(*BOARD, "x", -1)).having(ForceSign(*BOARD, "y", 1))
     assert len(turned.signs) == 3
@@ -29,12 +29,12 @@ def test_a_sign_is_of_one_device_one_driver_and_one_descriptor(other):
 
 def test_without_a_file_nothing_is_known_but_a_named_one_must_be_there(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
-    assert signs.load(None) == ForceSigns()
-    signs.save(None, ForceSigns((X,)))
-    assert signs.load(None) == ForceSigns((X,))
+    assert force_signs.load(None) == ForceSigns()
+    force_signs.save(None, ForceSigns((X,)))
+    assert force_signs.load(None) == ForceSigns((X,))
     assert (tmp_path / "tendon-teleop" / "force-signs.yaml").exists()
     with pytest.raises(UsageError, match=r"nowhere\.yaml: .*`teleop devices test --signs"):
-        signs.load(tmp_path / "nowhere.yaml")
+        force_signs.load(tmp_path / "nowhere.yaml")
 
 
 @pytest.mark.parametrize(
@@ -45,5 +45,5 @@ def test_a_file_that_says_anything_else_is_refused_in_a_line(tmp_path, text):
     path = tmp_path / "signs.yaml"
     path.write_text(text)
     with pytest.raises(UsageError, match=r"signs\.yaml") as refused:
-        signs.load(path)
+        force_signs.load(path)
     assert "\n" not in str(refused.value)

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from master.devices.hid.driver import Controls
-from master.devices.hid.spacemouse import SpaceMouseDriver
+from master.devices.hid.joystick import SpaceMouseDriver
 
 DRIVER = SpaceMouseDriver()
 REST = Controls((0.0,) * 6, 0, 0)

@@ -4,10 +4,10 @@ import math
 
 import pytest
 
-from master.devices.hid import trial
+from master.devices.hid import force_signs
 from master.devices.hid.driver import Controls
 
-MOST = trial.TEST_FORCES[-1]
+MOST = force_signs.TEST_FORCES[-1]
 
 
 class Handle:
@@ -38,7 +38,7 @@ class Handle:
         return self.time
 
     def find(self):
-        return trial.find_sign(self, 1, 1, 2, self.clock, self.sleep)
+        return force_signs.find_sign(self, 1, 1, 2, self.clock, self.sleep)
 
 
 @pytest.mark.parametrize("wired", [1, -1])
@@ -61,8 +61,8 @@ def test_what_does_not_move_by_the_push_has_no_sign(handle):
 def test_it_is_pushed_no_harder_and_no_further_than_it_takes():
     light = Handle(1)
     light.find()
-    assert light.most == trial.TEST_FORCES[0]
-    assert light.moved < 4.0 * trial.MOTION_MIN
+    assert light.most == force_signs.TEST_FORCES[0]
+    assert light.moved < 4.0 * force_signs.MOTION_MIN
     stuck = Handle(1, stiction=1.0)
     stuck.find()
     assert stuck.most == MOST
@@ -77,5 +77,5 @@ def test_a_device_that_fails_is_left_without_force():
             raise OSError
 
     with pytest.raises(OSError):  # noqa: PT011 - ours
-        trial.find_sign(handle, 1, 1, 2, handle.clock, fails)
+        force_signs.find_sign(handle, 1, 1, 2, handle.clock, fails)
     assert handle.share == 0.0

@@ -1,7 +1,7 @@
 import pytest
 
 from master.devices.hid.descriptor import parse_descriptor
-from master.devices.hid.report_text import describe_descriptor
+from master.devices.hid.usages import describe_descriptor
 from tests.hid.descriptors import LAYOUTS
 
 

@@ -7,8 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from master.device import DeviceFault
-from master.devices.hid import writer
-from master.devices.hid.writer import REARM_PERIOD_S, Writer, WriterState, step
+from master.devices.hid import connection
+from master.devices.hid.connection import REARM_PERIOD_S, Writer, WriterState, step
 from teleop.launch.supervisor import wait_for_condition
 
 
@@ -132,7 +132,7 @@ def test_a_force_that_was_posted_before_a_stall_is_not_started_after_it(sink):
     thread.post((0.1, 0.0))
     assert sink.waiting.wait(5.0)
     thread.post((0.9, 0.0))
-    now[0] = writer.POST_TIMEOUT_S + 0.01
+    now[0] = connection.POST_TIMEOUT_S + 0.01
     sink.free.set()
     assert wait_for_condition(lambda: b"x 0" in sink.written, 5.0)
     assert b"x 0.9" not in sink.written
@@ -147,7 +147,7 @@ def test_when_nobody_posts_any_more_the_force_is_taken_away_and_nothing_is_writt
     taken = b"x 0" if force[0] else b"y 0"
     assert wait_for_condition(lambda: taken in sink.written, 5.0)
     count = len(sink.written)
-    assert not wait_for_condition(lambda: len(sink.written) > count, 4 * writer.POST_TIMEOUT_S)
+    assert not wait_for_condition(lambda: len(sink.written) > count, 4 * connection.POST_TIMEOUT_S)
 
 
 def test_of_its_last_reports_one_that_fails_keeps_none_of_the_others_back(sink):
@@ -198,7 +198,7 @@ def test_a_write_that_takes_too_long_is_seen_while_it_hangs(sink):
     thread.post((0.5, 0.0))
     assert sink.waiting.wait(5.0)
     assert not thread.hangs
-    now[0] = writer.WRITE_TIMEOUT_S + 0.01
+    now[0] = connection.WRITE_TIMEOUT_S + 0.01
     assert thread.hangs
     sink.free.set()
     assert wait_for_condition(lambda: not thread.hangs, 5.0)

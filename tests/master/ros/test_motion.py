@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from master.devices.ros.config import RosDeviceConfig
-from master.devices.ros.motion import CommandMotion, CommandRecord
+from master.devices.ros_device import CommandMotion, CommandRecord, RosDeviceConfig
 
 MS = 1_000_000
 BEGIN = 10**12

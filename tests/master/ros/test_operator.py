@@ -11,8 +11,7 @@ from functools import partial
 import pytest
 
 from master.device import DeviceFault, DeviceLost
-from master.devices.ros.config import RosDeviceConfig
-from master.devices.ros.device import RosDevice
+from master.devices.ros_device import RosDevice, RosDeviceConfig
 from teleop.launch.supervisor import wait_for_condition
 from teleop.messages.messages import Event, decode_text
 from teleop.messages.topics import COMMAND, EVENT, STATE

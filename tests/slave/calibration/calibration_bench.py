@@ -7,17 +7,12 @@ from slave.calibration.config import InitialiseConfig, KnownSheathConfig
 from slave.calibration.run import ProcedureLimits, generate_fast_ticks, run_procedure
 from slave.gate import GateConfig
 from slave.rig import RigSample
-from slave.rigs.simulated.plant.body import BodyConfig
-from slave.rigs.simulated.plant.effects import EffectConfig
-from slave.rigs.simulated.plant.environment import FreeConfig
-from slave.rigs.simulated.plant.sensors import LoadCellConfig
-from slave.rigs.simulated.plant.tendon import SectionConfig, SheathConfig
-from slave.rigs.simulated.simulated import (
-    JointConfig,
-    SimulatedRig,
-    SimulatedRigConfig,
-    TendonPlantConfig,
-)
+from slave.rigs.simulated import JointConfig, SimulatedRig, SimulatedRigConfig, TendonPlantConfig
+from slave.simulation.effects import EffectConfig
+from slave.simulation.environment import FreeConfig
+from slave.simulation.joint import BodyConfig
+from slave.simulation.sensors import LoadCellConfig
+from slave.simulation.tendon import SectionConfig, SheathConfig
 
 LENGTH, EA = 1.5, 9000.0
 EVEN = (SectionConfig(LENGTH, 0.225),)

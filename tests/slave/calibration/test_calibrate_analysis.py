@@ -8,12 +8,15 @@ import pytest
 
 from slave.calibration.analysis import analyse_procedure
 from slave.calibration.config import KnownSheathConfig
-from slave.calibration.direction import build_tendon_calibration
-from slave.calibration.direction import calibrate_tendon as calibrated_by_loop
 from slave.calibration.procedure_state import Phase
-from slave.calibration.pulled import PulledTendon, extract_loops
 from slave.calibration.run import CalibrationRefused
-from slave.rigs.simulated.plant.environment import TissueConfig, WallConfig
+from slave.calibration.tendon_identification import (
+    PulledTendon,
+    build_tendon_calibration,
+    extract_loops,
+)
+from slave.calibration.tendon_identification import calibrate_tendon as calibrated_by_loop
+from slave.simulation.environment import TissueConfig, WallConfig
 from tests.slave.calibration.calibration_bench import (
     EA,
     LENGTH,

@@ -10,11 +10,10 @@ import numpy as np
 import pytest
 import yaml
 
-from slave.calibration import command, file, run
-from slave.calibration import initialise as initialisation
+from slave.calibration import command, file, initialisation, run
 from slave.calibration.analysis import analyse_procedure
 from slave.calibration.config import InitialiseConfig
-from slave.calibration.initialise import initialise
+from slave.calibration.initialisation import initialise
 from slave.config import SlaveConfig, find_not_ready_reason, load_tendon_configs
 from slave.rigs import open_rig
 from teleop.cli import commands

@@ -7,10 +7,10 @@ import pytest
 
 from slave.calibration.analysis import combine_with_drags
 from slave.calibration.config import KnownSheathConfig
-from slave.calibration.direction import calibrate_tendon as by_loop
 from slave.calibration.procedure_state import Phase
-from slave.calibration.pulled import PulledTendon
-from slave.rigs.simulated.plant.tendon import SectionConfig
+from slave.calibration.tendon_identification import PulledTendon
+from slave.calibration.tendon_identification import calibrate_tendon as by_loop
+from slave.simulation.tendon import SectionConfig
 from tests.slave.calibration.calibration_bench import (
     KNOWN,
     LENGTH,

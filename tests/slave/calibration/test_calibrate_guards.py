@@ -9,7 +9,7 @@ import pytest
 from slave.calibration.procedure_state import Phase
 from slave.calibration.run import CalibrationRefused
 from slave.rig import RigSample
-from slave.rigs.simulated.plant.motor import MotorConfig
+from slave.simulation.motor import MotorConfig
 from tests.slave.calibration.calibration_bench import (
     EA,
     GATE,

@@ -7,7 +7,7 @@ import pytest
 
 from slave.calibration.procedure_state import Phase
 from slave.calibration.run import CalibrationRefused
-from slave.rigs.simulated.plant.environment import TissueConfig, WallConfig
+from slave.simulation.environment import TissueConfig, WallConfig
 from tests.slave.calibration.calibration_bench import (
     GATE,
     KNOWN,

@@ -5,14 +5,14 @@ import math
 import numpy as np
 import pytest
 
-from slave.rigs.simulated.plant.effects import (
+from slave.simulation.effects import (
     BrokenTendon,
     JammedTendon,
     RepeatedSamples,
     Saturation,
     StuckCell,
 )
-from slave.rigs.simulated.plant.environment import LoadMotorConfig, TissueConfig, WallConfig
+from slave.simulation.environment import LoadMotorConfig, TissueConfig, WallConfig
 from teleop.session.state_machine import Reason
 from tests.slave.control_bench import follow, joint, sine
 

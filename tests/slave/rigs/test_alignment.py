@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from slave.drivers.driver import Reading
 from slave.drivers.microcontroller.driver import ClockMap
-from slave.rigs.alignment import Aligner
+from slave.rigs.hardware import Aligner
 
 SPEED, RATE = 3.0, -50.0  # [counts/s] of motor and cell
 NONE = np.empty(0)

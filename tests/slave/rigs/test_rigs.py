@@ -7,11 +7,7 @@ import pytest
 from slave.rig import RigFault, RigFinished
 from slave.rigs import open_rig
 from slave.rigs.replayed import ReplayedRigConfig
-from slave.rigs.simulated.plant.body import BodyConfig
-from slave.rigs.simulated.plant.environment import WallConfig
-from slave.rigs.simulated.plant.joint import Joint
-from slave.rigs.simulated.plant.sensors import EncoderConfig, LoadCellConfig
-from slave.rigs.simulated.simulated import (
+from slave.rigs.simulated import (
     CATCH_UP_STEPS_MAX,
     JointConfig,
     SimulatedRig,
@@ -19,6 +15,9 @@ from slave.rigs.simulated.simulated import (
     TendonPlantConfig,
     build_joint,
 )
+from slave.simulation.environment import WallConfig
+from slave.simulation.joint import BodyConfig, Joint
+from slave.simulation.sensors import EncoderConfig, LoadCellConfig
 from teleop.config.loading import load
 from teleop.data.table import Columns, read_table, write_table
 from teleop.errors import UsageError

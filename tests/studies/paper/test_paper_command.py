@@ -6,11 +6,9 @@ import re
 import pytest
 
 from studies.paper import command, report
+from studies.paper.bench import random_sheaths
 from studies.paper.methods import METHODS, OURS, PAPER
-from studies.paper.outcome import TARGETS
-from studies.paper.scoring import PHASES, WHOLE
-from studies.paper.sheaths import random_sheaths
-from studies.paper.study import MOTIONS, NESTED, PROFILE, experiment, judge
+from studies.paper.study import MOTIONS, NESTED, PHASES, PROFILE, TARGETS, WHOLE, experiment, judge
 from teleop.cli import commands
 
 SHEATHS, SEED = 2, 2

@@ -3,8 +3,7 @@ import math
 import numpy as np
 import pytest
 
-from studies.paper.outcome import spread
-from studies.paper.scoring import PHASES, WHOLE, Truth, errors, phases, score, taut
+from studies.paper.study import PHASES, WHOLE, Truth, errors, phases, score, spread, taut
 
 
 def test_errors_are_shares_of_the_runs_largest_truth():

@@ -4,7 +4,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from studies.paper.sheaths import KINDS, random_sheaths
+from studies.paper.bench import KINDS, random_sheaths
 from studies.paper.study import unevenness
 
 COUNT = 80
@@ -51,8 +51,8 @@ def test_each_kind_is_a_quarter_and_bent_where_it_says(sheaths):
 
 
 def test_unevenness_is_the_one_of_theory():
-    from slave.rigs.simulated.plant.tendon import SectionConfig, SheathConfig
-    from studies.paper.sheaths import Specimen
+    from slave.simulation.tendon import SectionConfig, SheathConfig
+    from studies.paper.bench import Specimen
 
     bends = (SectionConfig(0.2, 0.05), SectionConfig(1.3, 0.5))
     for sections, ratio in ((bends, 1.59), (bends[::-1], 0.63)):

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from studies.transparency import command, report, study
-from studies.transparency.hybrid import Hybrid
-from studies.transparency.multisine import Response
+from studies.transparency.hybrid import Hybrid, Response
 from studies.transparency.stiffness import SpringContact
 from studies.transparency.study import HANDS, Case, Study, Task, Walls
 from studies.transparency.zwidth import Width

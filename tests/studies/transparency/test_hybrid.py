@@ -6,8 +6,7 @@ import pytest
 from master.device import HandState
 from studies.transparency import hybrid
 from studies.transparency.hand import Device
-from studies.transparency.hybrid import Excitation
-from studies.transparency.multisine import draw, response, spectrum
+from studies.transparency.hybrid import Excitation, draw_multisine, response, spectrum
 from tests.studies.transparency.two_ports import DelayedSpringDamper
 
 BRIEF = Excitation(
@@ -72,7 +71,7 @@ def test_coherence_falls_with_noise_as_it_must():
 
 
 def test_a_multisine_has_its_lines_and_no_other():
-    signal = draw(2.0, (1, 5), np.array([1.0, 0.5]), seed=3)
+    signal = draw_multisine(2.0, (1, 5), np.array([1.0, 0.5]), seed=3)
     time = np.arange(0.0, 2.0, 1e-3)
     values = np.array([signal.at(t) for t in time])
     size = np.abs(spectrum(values, time, np.arange(1, 8) / 2.0))

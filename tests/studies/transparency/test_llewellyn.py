@@ -3,9 +3,7 @@
 import numpy as np
 import pytest
 
-from studies.transparency.hybrid import Hybrid
-from studies.transparency.llewellyn import margin
-from studies.transparency.multisine import Response
+from studies.transparency.hybrid import Hybrid, Response, margin
 
 
 def two_port(h11, h12, h21, h22):

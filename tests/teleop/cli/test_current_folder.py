@@ -12,7 +12,7 @@ from tests.system.processes import OURS, free_ports
 
 TELEOP = Path(sys.executable).with_name("teleop")
 PACKAGES = ("estimator", "teleop", "master", "slave")
-STARTERS = {"teleop/runtime/process.py", "master/devices/hid/guard.py"}  # that know how
+STARTERS = {"teleop/runtime/process.py", "master/devices/hid/watchdog.py"}  # that know how
 IN_PARALLEL = """
 import math
 import sys

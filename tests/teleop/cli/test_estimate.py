@@ -7,7 +7,7 @@ import pytest
 import yaml
 
 from slave.calibration.file import Calibration
-from slave.rigs.simulated.plant.environment import STIFFNESS_MAX
+from slave.simulation.environment import STIFFNESS_MAX
 from teleop.cli import commands
 from teleop.config.loading import load
 from teleop.data.table import Columns, read_table, write_table

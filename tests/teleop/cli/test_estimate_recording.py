@@ -13,8 +13,7 @@ from teleop.data.table import read_table, write_table
 from teleop.link import LinkConfig, ReceivedMessage
 from teleop.messages.messages import MAX_TENDONS, TendonState
 from teleop.messages.topics import TENDONS
-from teleop.recording.config import RecordConfig
-from teleop.recording.writer import RecordingWriter
+from teleop.recording.writer import RecordConfig, RecordingWriter
 from teleop.session.config import RunConfig
 from teleop.view.config import ViewConfig
 from tests.root import ROOT

@@ -29,8 +29,8 @@ from teleop.messages.messages import (
 from teleop.messages.topics import COMMAND, EVENT, LATENCY, LINK, REPORT, STATE, STOP, Role
 from teleop.remote.requests import CALL, RESET
 from teleop.runtime import process
+from teleop.runtime.clock import Percentiles
 from teleop.runtime.status_line import StatusLine
-from teleop.runtime.timing import Percentiles
 from teleop.session.meter import StageMeter
 from teleop.session.state_machine import DetailedReason, Reason, State
 from teleop.session.summary import (

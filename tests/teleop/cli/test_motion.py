@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from teleop.cli.motion import (
+from teleop.cli.simulate import (
     MOTIONS,
     MotionSample,
     MotionScale,

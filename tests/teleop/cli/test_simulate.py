@@ -1,13 +1,13 @@
 import numpy as np
 import pytest
 
-from slave.rigs.simulated.plant.effects.sensors import LostSamples
-from slave.rigs.simulated.plant.environment import WallConfig
-from slave.rigs.simulated.plant.sensors import EncoderConfig, LoadCellConfig
-from slave.rigs.simulated.simulated import JointConfig, SimulatedRigConfig, TendonPlantConfig
+from slave.rigs.simulated import JointConfig, SimulatedRigConfig, TendonPlantConfig
+from slave.simulation.effects.sensors import LostSamples
+from slave.simulation.environment import WallConfig
+from slave.simulation.sensors import EncoderConfig, LoadCellConfig
 from teleop.cli import simulate
 from teleop.cli.commands import Parser
-from teleop.cli.motion import MOTIONS, MotionScale
+from teleop.cli.simulate import MOTIONS, MotionScale
 from teleop.data.table import Columns, read_table, read_tables
 from teleop.errors import UsageError
 

@@ -9,8 +9,7 @@ from studies.transparency import zwidth
 from studies.transparency.hand import DT, Arm, Device, HandModel
 from studies.transparency.hand import reach as reaching
 from studies.transparency.rig import Rig, free, tissue, wall
-from studies.transparency.run import SETTLED, run
-from studies.transparency.system import Network, Teleoperator, settings
+from studies.transparency.system import SETTLED, Network, Teleoperator, run, settings
 from teleop.coupling import Bilateral, DirectConfig, PassivityConfig, WaveConfig
 from teleop.session import state_machine
 from teleop.session.state_machine import Reason, State

@@ -6,11 +6,10 @@ import pytest
 from slave import loop as slave_loop
 from slave.config import SlaveConfig, load_tendon_configs
 from slave.gate import GateConfig
-from slave.rigs.simulated.plant.environment import WallConfig
-from slave.rigs.simulated.simulated import SimulatedRig, SimulatedRigConfig
+from slave.rigs.simulated import SimulatedRig, SimulatedRigConfig
+from slave.simulation.environment import WallConfig
 from studies.transparency.hand import DT, Arm, reach
-from studies.transparency.run import SETTLED, run
-from studies.transparency.system import Network, Settings, Teleoperator, settings
+from studies.transparency.system import SETTLED, Network, Settings, Teleoperator, run, settings
 from teleop.coupling import Bilateral, DirectConfig, PassivityConfig
 from tests.slave.control_bench import joint
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from estimator.units import FORCE, LINEAR, ROTARY
-from teleop.cli.diagnose.options import parse_column_options, parse_noise
+from teleop.cli.diagnose.command import parse_column_options, parse_noise
 from teleop.data.table import Columns, read_table, write_table
 from teleop.errors import UsageError
 from tests.teleop.data.records import refusal

@@ -14,8 +14,7 @@ from teleop.errors import UsageError
 from teleop.link import ReceivedMessage
 from teleop.messages.messages import MAX_TENDONS, TendonState, pad_values
 from teleop.messages.topics import TENDONS
-from teleop.recording.config import RecordConfig
-from teleop.recording.writer import RecordingWriter
+from teleop.recording.writer import RecordConfig, RecordingWriter
 
 GOOD = "time_s,proximal_tension_N\n0.0,1.0\n0.1,2.0\n0.2,3.0\n"
 HEAD = "time_s,proximal_tension_N,proximal_displacement_m\n"

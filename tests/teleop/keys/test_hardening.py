@@ -23,10 +23,9 @@ from teleop.security.authority import (
     _build_name,
     write_file,
 )
-from teleop.security.handshake import Handshake
+from teleop.security.credentials import create_local_credentials, find_local_folder
 from teleop.security.identity import CertificateRole, Identity
-from teleop.security.local import create_local_credentials, find_local_folder
-from teleop.security.presence import RoleStage, Token
+from teleop.security.presence import Handshake, RoleStage, Token
 from tests.teleop.keys.folder import make_keys
 
 MASTER = Identity(CertificateRole.MASTER, "test")

@@ -10,8 +10,8 @@ from teleop.cli import commands
 from teleop.errors import UsageError
 from teleop.security import credentials
 from teleop.security.authority import Authority, load_revoked
+from teleop.security.credentials import create_local_credentials, find_local_folder
 from teleop.security.identity import RIGHTS, CertificateRole, Identity, list_supervisor_names
-from teleop.security.local import create_local_credentials, find_local_folder
 from tests.teleop.keys.folder import make_keys, put
 
 MASTER = Identity(CertificateRole.MASTER, "test")

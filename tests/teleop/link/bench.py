@@ -10,9 +10,8 @@ from typing import Any
 from teleop.link import LatestMessage, Link, LinkConfig
 from teleop.messages.messages import LAYOUT, Command
 from teleop.messages.topics import COMMAND, Role
-from teleop.security.handshake import Handshake
 from teleop.security.keyring import Keyring
-from teleop.security.presence import EXCLUSIVE_ROLES, LISTENER_ROLES, RoleStage, Token
+from teleop.security.presence import EXCLUSIVE_ROLES, LISTENER_ROLES, Handshake, RoleStage, Token
 
 MS = 1_000_000
 

@@ -15,12 +15,12 @@ import zenoh
 from teleop.link import roster as roster_module
 from teleop.link.admission import (
     CERTIFICATES,
+    CHALLENGE_BYTES,
     CHECK_BURST,
     QUEUED_TOKENS_MAX,
     STOP_CHECKS_HZ,
     Admission,
 )
-from teleop.link.challenge import CHALLENGE_BYTES
 from teleop.link.rate_limit import RefusalCounter
 from teleop.link.roster import GROUP_TOKENS_MAX, PENDING_TOKENS_MAX, Roster
 from teleop.messages.messages import LAYOUT
@@ -29,10 +29,11 @@ from teleop.security import CERTIFICATE_ROLES, RIGHTS, CertificateRole, Credenti
 from teleop.security import credentials as credentials_module
 from teleop.security.access import build_access_control
 from teleop.security.authority import Authority
-from teleop.security.handshake import Handshake, PairKeys
 from teleop.security.keyring import DEPARTED_PEERS_MAX, Keyring
 from teleop.security.presence import (
     LISTENER_ROLES,
+    Handshake,
+    PairKeys,
     RoleStage,
     Token,
     build_token_root,

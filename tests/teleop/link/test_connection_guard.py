@@ -17,12 +17,12 @@ from typing import Any
 import pytest
 import zenoh
 
-from teleop.link import Link, LinkConfig, connection_guard
+from teleop.link import Link, LinkConfig, connection_guard, packet_filter, socket_tables
 from teleop.link.connection_guard import ConnectionGuard
 from teleop.link.network import open_session
 from teleop.messages.topics import Role
 from teleop.security import CertificateRole, Identity
-from teleop.security.local import create_local_credentials
+from teleop.security.credentials import create_local_credentials
 from tests.rogue import Rogue
 from tests.teleop.link.bench import session, wait_until
 from tests.teleop.link.test_played_back import lines_of
@@ -118,16 +118,14 @@ def test_a_filter_drops_a_source_and_passes_ports_of_ours(host: str, network: st
         allowed = [*range(1, 300), ours.getsockname()[1]]
         elsewhere = {ip_network("192.0.2.0/24"): False, ip_network("2001:db8::/64"): False}
         blocked = elsewhere | {ip_network(network): True}
-        connection_guard._filter_packets(
-            listening, connection_guard._build_filter(version, blocked, allowed)
+        packet_filter.filter_packets(
+            listening, packet_filter.build_filter(version, blocked, allowed)
         )
         with pytest.raises(TimeoutError):
             others.connect(listening.getsockname())
         ours.connect(listening.getsockname())
         listening.accept()[0].close()
-        connection_guard._filter_packets(
-            listening, connection_guard._build_filter(version, elsewhere, [])
-        )
+        packet_filter.filter_packets(listening, packet_filter.build_filter(version, elsewhere, []))
         with socket.create_connection(listening.getsockname()[:2], 5.0):
             listening.accept()[0].close()
 
@@ -202,8 +200,7 @@ def test_our_networks_are_those_of_the_interfaces_and_of_what_is_listened_at() -
 LARGEST = """
 import pathlib, socket
 from ipaddress import ip_network
-from teleop.link.connection_guard import FILTER_BYTES, _build_filter, _filter_packets
-from teleop.link.connection_guard import _measure_filter
+from teleop.link.packet_filter import FILTER_BYTES, build_filter, filter_packets, measure_filter
 allowed = pathlib.Path("/proc/sys/net/core/optmem_max")
 if allowed.exists():  # of this network
     allowed.write_text("20480")
@@ -215,10 +212,10 @@ for version, family in ((4, socket.AF_INET), (6, socket.AF_INET6)):
     blocks = [dict.fromkeys(addresses[version], False), dict.fromkeys(addresses[version], True)]
     with socket.socket(family) as listening:
         for blocked, ports in [(blocks[0], []), (blocks[1], range(40000, 41000))] * 3:
-            program = _build_filter(version, blocked, ports)
-            assert FILTER_BYTES * 0.2 < _measure_filter(program) <= FILTER_BYTES + 16
-            _filter_packets(listening, program)
-        print(version, len(_build_filter(version, blocks[0], [])))
+            program = build_filter(version, blocked, ports)
+            assert FILTER_BYTES * 0.2 < measure_filter(program) <= FILTER_BYTES + 16
+            filter_packets(listening, program)
+        print(version, len(build_filter(version, blocks[0], [])))
 """
 
 
@@ -232,9 +229,9 @@ def test_the_largest_filter_fits_into_what_kernels_allow_beside_the_one_before_i
 
 def test_the_newest_sources_are_in_a_filter_that_is_full() -> None:
     blocked = dict.fromkeys((ip_network(f"198.18.{n}.1") for n in range(250)), False)
-    program = b"".join(connection_guard._build_filter(4, blocked, []))
-    assert b"".join(connection_guard._build_drop(ip_network("198.18.249.1"), [])) in program
-    assert b"".join(connection_guard._build_drop(ip_network("198.18.0.1"), [])) not in program
+    program = b"".join(packet_filter.build_filter(4, blocked, []))
+    assert b"".join(packet_filter._build_drop(ip_network("198.18.249.1"), [])) in program
+    assert b"".join(packet_filter._build_drop(ip_network("198.18.0.1"), [])) not in program
 
 
 def test_a_filter_that_the_kernel_refuses_is_noted(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -244,11 +241,11 @@ def test_a_filter_that_the_kernel_refuses_is_noted(monkeypatch: pytest.MonkeyPat
     guard._row, guard._filter, guard._blocks, guard._ports = re.compile(b"none"), ({}, []), {}, {}
     with socket.create_server(("127.0.0.1", 0)) as server:
         ends, inode = server.getsockname(), os.fstat(server.fileno()).st_ino
-        Connection = connection_guard._Connection
+        Connection = socket_tables.Connection
         guard._listening = {ends: Connection(server.fileno(), inode, ends, ("", 0), 0.0)}
         half_open = [Connection(-1, 0, ends, ("192.0.2.1", port), 0.0) for port in range(4)]
-        monkeypatch.setattr(connection_guard, "FILTER_BYTES", 10**6)
-        monkeypatch.setattr(connection_guard, "_build_drop", lambda *_: [bytes(8)] * 5000)
+        monkeypatch.setattr(packet_filter, "FILTER_BYTES", 10**6)
+        monkeypatch.setattr(packet_filter, "_build_drop", lambda *_: [bytes(8)] * 5000)
         guard._block(half_open, 0.5)
     assert noted == [
         "connections without a certificate from 192.0.2.1/32",
@@ -297,11 +294,11 @@ def test_nothing_is_forgotten_when_no_descriptor_is_left() -> None:
 
 
 def test_the_tables_of_the_machine_are_read_when_no_descriptor_is_left() -> None:
-    tables = connection_guard._open_tables([Path("/proc/net/tcp"), Path("/no/such")])
+    tables = socket_tables.open_tables([Path("/proc/net/tcp"), Path("/no/such")])
     with socket.create_server(("127.0.0.1", 0)) as server, no_descriptor_left():
-        row = connection_guard._format_hex_address(server.getsockname()).encode()
-        assert row in connection_guard._read_tables(tables)
-        assert row in connection_guard._read_tables(tables)
+        row = socket_tables.format_hex_address(server.getsockname()).encode()
+        assert row in socket_tables.read_tables(tables)
+        assert row in socket_tables.read_tables(tables)
     for table in tables:
         table.close()
 
@@ -312,7 +309,7 @@ def test_half_open_connections_of_all_sources_are_bounded(
 ) -> None:
     """Each of them has fewer than are blocked."""
 
-    class Connection(connection_guard._Connection):
+    class Connection(socket_tables.Connection):
         def shut_down(self) -> None:
             self.shut = True
 
@@ -394,7 +391,7 @@ def test_a_watch_may_go_on_for_good_and_who_cannot_stop_may_not(
 ) -> None:
     """An hour of what `teleop stop --watch` sends: 20 times a second 400 bytes."""
 
-    class Connection(connection_guard._Connection):
+    class Connection(socket_tables.Connection):
         def read_received(self) -> int:
             return round(8000.0 * self.charged_s)
 

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from teleop.link import Link, LinkConfig, connection_probe
-from teleop.link.connection_probe import find_connection_fault
+from teleop.link import Link, LinkConfig, network
+from teleop.link.network import find_connection_fault
 from teleop.messages.topics import Role
 from teleop.security import CertificateRole
 from teleop.security import credentials as stored
@@ -42,7 +42,7 @@ def test_what_is_wrong_with_an_endpoint_is_named(config: LinkConfig, tmp_path: P
 def test_neither_a_secure_nor_an_insecure_side_accepts_the_other_and_both_say_so(
     config: LinkConfig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(connection_probe, "PROBE_PERIOD_S", 0.1)
+    monkeypatch.setattr(network, "PROBE_PERIOD_S", 0.1)
     for slaves, masters, text in (
         (config, insecure(config), "it is secure, and this side is not (link.insecure)"),
         (insecure(config), config, "no answer in TLS"),

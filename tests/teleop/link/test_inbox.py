@@ -9,7 +9,7 @@ from types import SimpleNamespace
 from hypothesis import given
 from hypothesis import strategies as st
 
-from teleop.link.inbox import Inbox
+from teleop.link.reception import Inbox
 
 
 def sample(number: int):

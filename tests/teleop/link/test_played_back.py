@@ -11,16 +11,15 @@ import pytest
 
 from teleop.link import Link, LinkConfig
 from teleop.link import roster as roster_module
-from teleop.link.challenge import CHALLENGE_BYTES, build_challenge_key
+from teleop.link.admission import CHALLENGE_BYTES, build_challenge_key
 from teleop.link.network import open_session
 from teleop.link.roster import GROUP_TOKENS_MAX
 from teleop.messages.messages import LAYOUT
 from teleop.messages.topics import COMMAND, Role
 from teleop.security import CERTIFICATE_ROLES, CertificateRole
-from teleop.security.handshake import Handshake
+from teleop.security.credentials import create_local_credentials
 from teleop.security.keyring import ADDRESSEES
-from teleop.security.local import create_local_credentials
-from teleop.security.presence import RoleStage, Token
+from teleop.security.presence import Handshake, RoleStage, Token
 from tests.rogue import Rogue
 from tests.teleop.link.bench import pump, session, wait_until
 

@@ -15,8 +15,8 @@ from teleop.messages.messages import Command, LoopReport, SlaveState
 from teleop.messages.topics import COMMAND, REPORT, STATE, TOPICS, Role
 from teleop.security import CertificateRole
 from teleop.security.access import build_access_control
+from teleop.security.credentials import create_local_credentials
 from teleop.security.identity import ALL_SESSIONS
-from teleop.security.local import create_local_credentials
 from tests.system.processes import free_ports
 from tests.teleop.link.bench import oldest, pump, wait_until
 

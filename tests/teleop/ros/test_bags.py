@@ -25,8 +25,7 @@ from teleop.messages.messages import (
     pad_values,
 )
 from teleop.messages.topics import COMMAND, EVENT, HAND, REPORT, SHEATH, STATE, TENDONS, Role
-from teleop.recording.config import RecordConfig
-from teleop.recording.writer import RecordingWriter
+from teleop.recording.writer import RecordConfig, RecordingWriter
 from teleop.ros.message_types import (
     VECTOR3,
     WRENCH,

@@ -14,8 +14,8 @@ from mcap_ros2.decoder import DecoderFactory
 from rosbags.typesys import get_types_from_msg
 
 from master.device import DeviceFault
-from master.devices.ros import device
-from master.devices.ros.config import RosDeviceConfig
+from master.devices import ros_device
+from master.devices.ros_device import RosDeviceConfig
 from teleop.cli import commands
 from teleop.errors import UsageError
 from teleop.messages.messages import SlaveState
@@ -125,7 +125,7 @@ def test_a_time_is_that_of_its_stamp_or_zero(stamp_ns):
 
 def test_without_the_extra_one_line_names_the_remedy(monkeypatch, capsys):
     monkeypatch.setattr(message_types, "find_spec", lambda _: None)
-    monkeypatch.setattr(device, "find_spec", lambda _: None)
+    monkeypatch.setattr(ros_device, "find_spec", lambda _: None)
     for words in (["ros"], ["recordings", "to-ros2", "a.mcap", "--out", "b"]):
         assert commands.main(words) == 2
         (line,) = capsys.readouterr().err.splitlines()
@@ -133,4 +133,4 @@ def test_without_the_extra_one_line_names_the_remedy(monkeypatch, capsys):
     with pytest.raises(UsageError, match=r"tendon-teleop\[ros\]"):
         typestore.__wrapped__()
     with pytest.raises(DeviceFault, match=r"tendon-teleop\[ros\]"):
-        device.RosDevice(RosDeviceConfig())
+        ros_device.RosDevice(RosDeviceConfig())

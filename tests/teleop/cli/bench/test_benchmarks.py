@@ -11,7 +11,7 @@ import pytest
 from master.config import MasterConfig
 from slave.config import SlaveConfig
 from teleop.cli import commands
-from teleop.cli.bench import figures, machine, rigs, session
+from teleop.cli.bench import figures, runs, session
 from teleop.cli.bench.bare_grid import run_idle_loops
 from teleop.cli.bench.figures import Metric
 from teleop.config.loading import load
@@ -59,7 +59,7 @@ def test_the_comparison_names_what_got_worse():
 
 @pytest.mark.parametrize("joints", [1, 2, 4, 8])
 def test_configs_that_are_made_are_valid_and_have_so_many_joints(tmp_path, joints):
-    path = rigs.write_config(tmp_path / "c.yaml", joints)
+    path = runs.write_config(tmp_path / "c.yaml", joints)
     slave = load(path, SlaveConfig, "slave", ())
     master = load(path, MasterConfig, "master", ())
     assert [len(joint.tendons) for joint in slave.rig.joints] == [2] * joints
@@ -83,7 +83,7 @@ def test_processor_time_is_that_of_the_process():
 
 
 def test_a_session_is_measured_while_it_is_engaged(tmp_path):
-    measured = session.run_session(rigs.write_config(tmp_path / "session.yaml", 1), 1.5)
+    measured = session.run_session(runs.write_config(tmp_path / "session.yaml", 1), 1.5)
     assert measured.summary["master"]["ticks_in"]["engaged"] > 1000
     assert {"run", "slave", "master"} <= measured.cpu.keys()
     assert measured.cpu["slave"] > 0.0
@@ -97,7 +97,7 @@ def test_bare_loops_tick_at_their_rate_and_do_nothing():
 
 
 def test_facts_name_the_machine_and_the_versions():
-    facts = machine.describe_machine()
+    facts = runs.describe_machine()
     assert facts["packages"]["numpy"]
     assert len(facts["load_average"]) == 3
     assert json.loads(json.dumps(facts)) == facts

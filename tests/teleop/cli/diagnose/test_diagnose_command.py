@@ -11,8 +11,8 @@ from matplotlib.mathtext import MathTextParser
 from estimator.drawing import to_svg
 from estimator.effects import CATALOGUE
 from teleop.cli import commands
-from teleop.cli.diagnose import formulas
-from teleop.cli.diagnose.options import parse_effects
+from teleop.cli.diagnose import supplement
+from teleop.cli.diagnose.command import parse_effects
 from teleop.data import model_file
 from teleop.data.table import write_table
 from teleop.data.table_files import read_columns
@@ -211,14 +211,14 @@ def test_a_supplement_has_what_a_paper_needs(report, folder):
 
 def test_every_formula_is_of_an_effect_and_can_be_drawn():
     labels = [effect.label for effect in CATALOGUE]
-    assert set(formulas.FORMULAS) <= set(labels)
+    assert set(supplement.FORMULAS) <= set(labels)
     parser = MathTextParser("path")
     for line in (
-        *formulas.get_law_formulas(elastic=True),
-        *formulas.get_effect_formulas(CATALOGUE),
+        *supplement.get_law_formulas(elastic=True),
+        *supplement.get_effect_formulas(CATALOGUE),
     ):
         assert parser.parse(f"${line}$").width > 10.0
-    assert "<svg" in to_svg(formulas.draw_formula(formulas.LAW), cut=True)
+    assert "<svg" in to_svg(supplement.draw_formula(supplement.LAW), cut=True)
 
 
 def test_options_that_contradict_the_data_are_refused(csv, capsys):

@@ -10,7 +10,7 @@ from estimator.diagnosis.measured_data import prepare_record
 from estimator.diagnosis.outcome import Verdict
 from estimator.effects import Effect
 from teleop.cli import commands
-from teleop.cli.diagnose.options import parse_effects
+from teleop.cli.diagnose.command import parse_effects
 from tests.studies import hidden
 
 DOCS = Path(__file__).parents[4] / "docs"

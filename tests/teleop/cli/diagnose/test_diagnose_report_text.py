@@ -12,8 +12,8 @@ from estimator.diagnosis.outcome import DetectionLimit, FittedValue, Verdict
 from estimator.diagnosis.sampling import DataIssue
 from estimator.diagnosis.scoring import ResidualDependence
 from estimator.units import format_quantity
-from teleop.cli.diagnose import page, report_json
-from teleop.cli.diagnose.options import parse_effects
+from teleop.cli.diagnose import html_report, json_report
+from teleop.cli.diagnose.command import parse_effects
 from tests.studies import hidden
 
 FAULT, RIVAL = "distal_tension_gain", "constant_drag"
@@ -114,8 +114,8 @@ def test_the_unexplained_is_said_with_what_it_looks_like(nothing, found):
 @pytest.mark.parametrize("verdict", [Verdict.CLEAN, Verdict.UNEXPLAINED])
 def test_a_bench_without_a_cause_has_a_page_and_json_too(nothing, verdict):
     one = nothing._replace(verdict=verdict)
-    assert report_text.format_verdict(one) in page.render(one, ["a.csv"], {})
-    assert report_json.build_report(one, ["a.csv"], 1.0, {})["verdict"] == verdict
+    assert report_text.format_verdict(one) in html_report.render(one, ["a.csv"], {})
+    assert json_report.build_report(one, ["a.csv"], 1.0, {})["verdict"] == verdict
 
 
 def test_samples_that_are_kept_out_are_said_by_file(found):
@@ -131,7 +131,7 @@ def test_samples_that_are_kept_out_are_said_by_file(found):
 
 def test_json_has_null_for_what_is_not_finite(found):
     endless = {"K": FittedValue(1.0, -math.inf, math.nan, "")}
-    tree = report_json.build_report(found._replace(parameters=endless), ["a.csv"], 1.0, {})
+    tree = json_report.build_report(found._replace(parameters=endless), ["a.csv"], 1.0, {})
     assert json.loads(json.dumps(tree, allow_nan=False)) == tree
     ends = tree["parameters"]["K"]
     assert (ends["value"], ends["low"], ends["high"]) == (1.0, None, None)
@@ -147,7 +147,7 @@ def test_json_has_null_for_what_is_not_finite(found):
 )
 def test_any_channels_will_do(data, channels):
     found = found_in(data, channels)
-    text = page.render(found, ["a.csv"], {})
+    text = html_report.render(found, ["a.csv"], {})
     assert report_text.format_verdict(found).replace("'", "&#x27;") in text
     assert text.count("<img") >= 3  # over time, the loop, structure
 

@@ -1,1 +1,0 @@
-"""A ROS node in the place of the hand."""

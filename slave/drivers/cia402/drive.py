@@ -1,0 +1,354 @@
+"""One CiA 402 drive: its state machine, its emergency messages, and its set-up by SDO."""
+
+import contextlib
+import struct
+import time
+from enum import Enum, IntEnum
+
+import canopen
+from canopen.sdo.exceptions import SdoAbortedError, SdoError
+
+from slave.drivers.cia402.config import HEARTBEATS_PER_TIMEOUT, Cia402Config
+from slave.drivers.driver import DriverFault
+
+
+class DriveState(Enum):
+    """States of a drive; the value is (mask, pattern) of the status word."""
+
+    NOT_READY = (0x4F, 0x00)
+    SWITCH_ON_DISABLED = (0x4F, 0x40)
+    READY_TO_SWITCH_ON = (0x6F, 0x21)
+    SWITCHED_ON = (0x6F, 0x23)
+    OPERATION_ENABLED = (0x6F, 0x27)
+    QUICK_STOP_ACTIVE = (0x6F, 0x07)
+    FAULT_REACTION = (0x4F, 0x0F)
+    FAULT = (0x4F, 0x08)
+
+    @property
+    def text(self) -> str:
+        """Name for messages."""
+        return self.name.replace("_", " ").lower()
+
+
+class ControlWord(IntEnum):
+    """Control words."""
+
+    DISABLE_VOLTAGE = 0x00
+    QUICK_STOP = 0x02
+    SHUTDOWN = 0x06
+    SWITCH_ON = 0x07
+    ENABLE_OPERATION = 0x0F
+    RESET_FAULT = 0x80
+
+
+class RequestedState(Enum):
+    """What a drive is wanted to do."""
+
+    OFF = 0  # without power
+    MOVE = 1  # follow targets
+    STOP = 2  # stop by its own ramp and hold
+
+
+FOLLOWING_ERROR = 1 << 13  # of the status word, in the modes used here
+INTERPOLATE = 1 << 4  # of the control word, in interpolated mode
+
+_TO_MOVE = {
+    DriveState.SWITCH_ON_DISABLED: ControlWord.SHUTDOWN,
+    DriveState.READY_TO_SWITCH_ON: ControlWord.SWITCH_ON,
+    DriveState.SWITCHED_ON: ControlWord.ENABLE_OPERATION,
+    DriveState.OPERATION_ENABLED: ControlWord.ENABLE_OPERATION,
+    DriveState.QUICK_STOP_ACTIVE: ControlWord.DISABLE_VOLTAGE,
+}
+
+
+def decode_drive_state(status_word: int) -> DriveState:
+    """Return the state that a status word tells."""
+    for state in DriveState:
+        mask, pattern = state.value
+        if status_word & mask == pattern:
+            return state
+    return DriveState.NOT_READY
+
+
+def select_control_word(state: DriveState, requested: RequestedState) -> int:
+    """Return the control word that takes a drive one step towards what is wanted.
+
+    A fault is never reset here: that is the operator's.
+    """
+    if requested is RequestedState.MOVE:
+        return int(_TO_MOVE.get(state, ControlWord.DISABLE_VOLTAGE))
+    if requested is RequestedState.STOP and state in (
+        DriveState.OPERATION_ENABLED,
+        DriveState.QUICK_STOP_ACTIVE,
+    ):
+        return int(ControlWord.QUICK_STOP)
+    return int(ControlWord.DISABLE_VOLTAGE)
+
+
+# --- emergency messages (CiA 301, CiA 402) in words
+
+_TEXTS = {  # the more exact first: by code, then by its first two digits, then by the first
+    0x2310: "continuous over current",
+    0x2320: "short circuit",
+    0x2340: "short circuit on the motor side",
+    0x3110: "mains over voltage",
+    0x3120: "mains under voltage",
+    0x3210: "over voltage of the power stage",
+    0x3220: "under voltage of the power stage",
+    0x4210: "drive too hot",
+    0x4310: "drive or motor too hot",
+    0x5441: "enable input missing (safe torque off)",
+    0x6320: "wrong parameter",
+    0x7120: "motor",
+    0x7121: "motor blocked",
+    0x7305: "incremental encoder",
+    0x7310: "over speed",
+    0x7320: "position sensor",
+    0x8110: "CAN overrun, messages lost",
+    0x8120: "CAN in error passive mode",
+    0x8130: "heartbeat missing",
+    0x8140: "CAN recovered from bus off",
+    0x8141: "CAN recovered from bus off",
+    0x8150: "CAN identifier collision",
+    0x8210: "PDO not processed, wrong length",
+    0x8611: "following error",
+    0x8612: "position limit exceeded",
+    0x8613: "homing",
+    0x2000: "over current",
+    0x3000: "voltage",
+    0x4000: "too hot",
+    0x5000: "drive hardware",
+    0x6000: "drive software",
+    0x7000: "additional module or sensor",
+    0x8000: "monitoring",
+    0x9000: "external error",
+    0xF000: "of the manufacturer",
+    0x1000: "generic error",
+}
+
+
+def format_emergency(code: int) -> str:
+    """Return an error code in words with its number, as in 'following error (0x8611)'."""
+    for known in (code, code & 0xFF00, code & 0xF000):
+        if known in _TEXTS:
+            return f"{_TEXTS[known]} (0x{code:04X})"
+    return f"error 0x{code:04X}"
+
+
+# --- set up a CANopen node by SDO: PDOs, modes, limits, watchdog; each value is read back
+
+SDO_TIMEOUT_S = 0.3
+HEARTBEAT_MS = 100  # of the nodes
+DISABLE_S = 1.0  # [s] in which a drive must be without power, its brake closed
+POLL_S = 0.02  # [s] between two requests of the status word
+_POWERED = (DriveState.OPERATION_ENABLED, DriveState.QUICK_STOP_ACTIVE, DriveState.FAULT_REACTION)
+_MODES = {"position": (8, 7), "interpolation": (7, 6)}  # value of 6060, bit of 6502
+_OFF = 1 << 31  # of a PDO's identifier
+_NO_OBJECT = (0x06020000, 0x06090011)  # abort codes: no such object, no such subindex
+_POSITION_SETTINGS = (  # object, bits that must be 0, what they do
+    (0x607E, 0x80, "reversed positions"),
+    (0x60B0, 0xFFFFFFFF, "an offset of its targets"),
+)
+SYNCHRONOUS = 1  # transmission type: at every SYNC
+QUICK_STOP_AND_HOLD = 6  # of 605A
+QUICK_STOP_ON_LOSS = 3  # of 6007
+
+
+class NoAnswer(DriverFault):
+    """A node does not answer SDO requests."""
+
+
+class NodeSetup:
+    """One node while it is set up, in the state pre-operational."""
+
+    def __init__(
+        self,
+        network: canopen.Network,
+        number: int,
+        config: Cia402Config,
+        timeout_s: float = SDO_TIMEOUT_S,
+    ) -> None:
+        self._config, self._number = config, number
+        node = network.add_node(number, canopen.ObjectDictionary())
+        self._sdo = node.sdo
+        self._sdo.RESPONSE_TIMEOUT = timeout_s
+
+    def drive(self, with_cell: bool) -> None:
+        """Set up a drive, without power; `DriverFault` if it refuses, has a fault or no home."""
+        self.require_drive()
+        config = self._config
+        mode, bit = _MODES[config.mode]
+        if not self.get(0x6502, 0) >> bit & 1:
+            raise self._fault(f"has no mode '{config.mode}' (object 6502)")
+        self._disable()
+        self.put(0x6060, 0, 1, mode, signed=True)
+        self.put(0x6065, 0, 4, config.following_error)
+        self.put(0x6066, 0, 2, round(config.following_time * 1e3))
+        self.put(0x607D, 1, 4, config.position_min, signed=True)
+        self.put(0x607D, 2, 4, config.position_max, signed=True)
+        self.put(0x607F, 0, 4, config.velocity_max)
+        self.put(0x6085, 0, 4, config.quick_stop_deceleration)
+        self.put(0x605A, 0, 2, QUICK_STOP_AND_HOLD, signed=True)
+        self.put(0x6007, 0, 2, QUICK_STOP_ON_LOSS, signed=True)
+        count, exponent = config.period
+        self.put(0x60C2, 1, 1, count)
+        self.put(0x60C2, 2, 1, exponent, signed=True)
+        self._error_control()
+        target = (0x60C1, 1, 32) if config.mode == "interpolation" else (0x607A, 0, 32)
+        self._map(0x1400, 0x200, [(0x6040, 0, 16), target])
+        cell = self._cell()
+        sent = [(0x6041, 0, 16), (0x6064, 0, 32)]
+        beside = with_cell and cell[2] == 16
+        self._map(0x1800, 0x180, [*sent, cell] if beside else sent)
+        self._map(0x1801, 0x280, [cell] if with_cell and not beside else [])
+
+    def cell(self) -> None:
+        """Set up a node that has a load cell and no motor in use."""
+        self.put(0x1017, 0, 2, HEARTBEAT_MS)
+        self._map(0x1800, 0x180, [])
+        self._map(0x1801, 0x280, [self._cell()])
+
+    def reset_fault(self) -> DriveState:
+        """Reset a fault by the rising edge of its bit; return the state after it."""
+        self.put(0x6040, 0, 2, ControlWord.DISABLE_VOLTAGE, check=False)
+        self.put(0x6040, 0, 2, ControlWord.RESET_FAULT, check=False)
+        self.put(0x6040, 0, 2, ControlWord.DISABLE_VOLTAGE, check=False)
+        return decode_drive_state(self.get(0x6041, 0))
+
+    def description(self) -> str:
+        """Return name, profile and state, as far as the node tells."""
+        profile = self.get(0x1000, 0) & 0xFFFF
+        name = ""
+        with contextlib.suppress(SdoError):
+            name = self._sdo.upload(0x1008, 0).rstrip(b"\0").decode("ascii", "replace")
+        state = f", {decode_drive_state(self.get(0x6041, 0)).text}" if profile == 402 else ""
+        return f"node {self._number}: {name or 'no name'}, profile {profile}{state}"
+
+    def get(self, index: int, subindex: int, signed: bool = False) -> int:
+        """Read a value; `DriverFault` if the node has none."""
+        try:
+            return int.from_bytes(self._sdo.upload(index, subindex), "little", signed=signed)
+        except SdoAbortedError as error:
+            raise self._fault(f"object {index:04X}:{subindex}: {error}") from error
+        except SdoError as error:
+            raise NoAnswer(f"drive {self._number} does not answer ({error})") from error
+
+    def _get_if_there(self, index: int) -> int:
+        """Read an unsigned value; 0 if the node has no such object, `DriverFault` if it refuses."""
+        try:
+            return int.from_bytes(self._sdo.upload(index, 0), "little")
+        except SdoAbortedError as error:
+            if error.code in _NO_OBJECT:
+                return 0
+            raise self._fault(f"object {index:04X}:0: {error}") from error
+        except SdoError as error:
+            raise NoAnswer(f"drive {self._number} does not answer ({error})") from error
+
+    def put(
+        self,
+        index: int,
+        subindex: int,
+        size: int,
+        value: int,
+        check: bool = True,
+        signed: bool = False,
+    ) -> None:
+        """Write a value of `size` bytes and read it back.
+
+        Raises
+        ------
+        DriverFault
+            The value does not fit `size` bytes, in two's complement if `signed`, or the node does
+            not take it.
+        """
+        try:
+            data = int(value).to_bytes(size, "little", signed=signed)
+        except OverflowError as error:
+            kind = f"{8 * size} bits, {'signed' if signed else 'unsigned'}"
+            raise self._fault(
+                f"object {index:04X}:{subindex}: {value} does not fit {kind}"
+            ) from error
+        try:
+            self._sdo.download(index, subindex, data)
+            again = self._sdo.upload(index, subindex) if check else data
+        except SdoAbortedError as error:
+            raise self._fault(f"object {index:04X}:{subindex} = {value}: {error}") from error
+        except SdoError as error:
+            raise NoAnswer(f"drive {self._number} does not answer ({error})") from error
+        if again[:size] != data:
+            read = int.from_bytes(again[:size], "little", signed=signed)
+            raise self._fault(f"object {index:04X}:{subindex}: set to {value}, reads back {read}")
+
+    def require_drive(self) -> None:
+        """Raise `DriverFault` if the node is no drive, has a fault or is not homed; read only."""
+        if self.get(0x1000, 0) & 0xFFFF != 402:
+            raise self._fault("is no CiA 402 drive (object 1000)")
+        status = self.get(0x6041, 0)
+        if decode_drive_state(status) in (DriveState.FAULT, DriveState.FAULT_REACTION):
+            code = format_emergency(self.get(0x603F, 0))
+            raise self._fault(f"has a fault: {code}; remove its cause, then `teleop rig reset`")
+        bit = self._config.homed_bit
+        if bit is not None and not status >> bit & 1:
+            raise self._fault(
+                f"is not homed (bit {bit} of its status word): home it by its own tool, or set "
+                "homed_bit to null if its encoder is absolute"
+            )
+        for index, bits, text in _POSITION_SETTINGS:
+            value = self._get_if_there(index)
+            if value & bits:
+                raise self._fault(
+                    f"has {text} (object {index:04X} is 0x{value:X}): set it to 0 by its own tool"
+                )
+
+    def _disable(self) -> None:
+        """Take the drive's power off: enabled, it would go to an old target in the new mode."""
+        self.put(0x6040, 0, 2, ControlWord.DISABLE_VOLTAGE, check=False)
+        until_s = time.monotonic() + DISABLE_S
+        while (state := decode_drive_state(self.get(0x6041, 0))) in _POWERED:
+            if time.monotonic() > until_s:
+                raise self._fault(
+                    f"is still {state.text} {DISABLE_S:g} s after disable voltage (object 6040): "
+                    "disable it by its own tool; its mode and limits were not changed"
+                )
+            time.sleep(POLL_S)
+
+    def _error_control(self) -> None:
+        """Set up how the drive notices that this side is gone."""
+        config = self._config
+        if config.error_control == "guarding":
+            self.put(0x1017, 0, 2, 0)  # a node that sends heartbeats cannot be guarded
+            self.put(0x100C, 0, 2, int(config.beat_s * 1e3))
+            self.put(0x100D, 0, 1, HEARTBEATS_PER_TIMEOUT)
+        else:
+            self.put(0x1017, 0, 2, HEARTBEAT_MS)
+            self.put(0x1016, 1, 4, config.master << 16 | round(config.watchdog * 1e3))
+
+    def _cell(self) -> tuple[int, int, int]:
+        analogue = self._config.analogue
+        return analogue.index, analogue.subindex, analogue.bits
+
+    def _map(self, index: int, base: int, objects: list[tuple[int, int, int]]) -> None:
+        """Map objects (index, subindex, bits) to the PDO of communication object `index`.
+
+        The order is that of CiA 301: PDO off, mapping off, objects, their number, PDO on.
+        """
+        identifier = base + self._number
+        try:
+            self._sdo.download(index, 1, struct.pack("<I", identifier | _OFF))
+        except SdoAbortedError as error:
+            if not objects and error.code in _NO_OBJECT:
+                return
+            raise self._fault(f"object {index:04X}:1: {error}") from error
+        except SdoError as error:
+            raise NoAnswer(f"drive {self._number} does not answer ({error})") from error
+        self.put(index + 0x200, 0, 1, 0)
+        if not objects:
+            return
+        self.put(index, 2, 1, SYNCHRONOUS)
+        for k, (mapped, subindex, bits) in enumerate(objects, 1):
+            self.put(index + 0x200, k, 4, mapped << 16 | subindex << 8 | bits)
+        self.put(index + 0x200, 0, 1, len(objects))
+        self.put(index, 1, 4, identifier)
+
+    def _fault(self, text: str) -> DriverFault:
+        return DriverFault(f"drive {self._number} {text}")

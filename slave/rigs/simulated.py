@@ -1,0 +1,300 @@
+"""A simulated rig: motors, elastic tendons in their sheaths, joints, noisy sensors."""
+
+import dataclasses
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from estimator.array_types import Array
+from slave.rig import RigFault, RigSample, number_joint_tendons
+from slave.simulation.effects import EffectConfig
+from slave.simulation.effects.ends import AntagonistTension
+from slave.simulation.effects.schedule import JointSchedule, SampleSchedule, SensorSchedule
+from slave.simulation.environment import EnvironmentConfig, TissueConfig, build_environment
+from slave.simulation.joint import (
+    BodyConfig,
+    Joint,
+    Tendon,
+    Winding,
+    advance_joints,
+    build_body,
+    init_joint,
+    replace_item,
+    to_compiled_list,
+)
+from slave.simulation.motor import MotorConfig, build_motor
+from slave.simulation.sensors import (
+    EncoderConfig,
+    LoadCellConfig,
+    build_sensors,
+    init_sensors,
+    measure,
+)
+from slave.simulation.tendon import SheathConfig, build_chain
+from teleop.messages.messages import MAX_JOINTS
+
+CATCH_UP_STEPS_MAX = 10  # at a late read; if it is later still, longer steps are taken
+
+
+@dataclass(frozen=True, slots=True)
+class TendonPlantConfig:
+    """A tendon in its sheath, the motor that winds it and the sensors at the housing."""
+
+    sheath: SheathConfig = field(default_factory=SheathConfig)
+    motor: MotorConfig = field(default_factory=MotorConfig)
+    load_cell: LoadCellConfig = field(default_factory=LoadCellConfig)
+    encoder: EncoderConfig = field(default_factory=EncoderConfig)
+
+
+@dataclass(frozen=True, slots=True)
+class JointConfig:
+    """One joint, pulled by one tendon against its spring or by two against each other."""
+
+    tendons: tuple[TendonPlantConfig, ...] = (TendonPlantConfig(),)  # a, or a and b
+    body: BodyConfig = field(default_factory=BodyConfig)
+    environment: EnvironmentConfig = field(default_factory=TissueConfig)
+
+    def __post_init__(self) -> None:
+        """Check the number of tendons; raises `ValueError`."""
+        if len(self.tendons) not in (1, 2):
+            raise ValueError("tendons: must be 1 or 2")
+
+
+@dataclass(frozen=True, slots=True)
+class SimulatedRigConfig:
+    """A rig of one joint or several."""
+
+    type: Literal["simulated"] = "simulated"
+    name: str = "simulated"  # name of the rig in calibration files
+    joints: tuple[JointConfig, ...] = (JointConfig(),)
+    period: float = 0.001  # [s] step of the plant
+    seed: int = 1  # of the sensors' noise
+    effects: tuple[EffectConfig, ...] = ()  # faults and deviations, docs/rigs.md
+
+    def __post_init__(self) -> None:
+        """Check joints, period and effects; raises `ValueError`."""
+        if not self.name.strip():
+            raise ValueError("name: must not be empty")
+        if not 1 <= len(self.joints) <= MAX_JOINTS:
+            raise ValueError(f"joints: must be 1 to {MAX_JOINTS}")
+        if not 1e-5 <= self.period <= 0.01:
+            raise ValueError("period: must be 0.00001 to 0.01 s")
+        if self.seed < 0:
+            raise ValueError("seed: must not be negative")
+        for number, joint in enumerate(self.joints, 1):
+            longest = min(map(compute_step_max, joint.tendons))
+            if self.period > longest:
+                raise ValueError(
+                    f"period: must be at most {longest:.2g} s for the rotor inertia of joint "
+                    f"{number} (motor.rotor_inertia, motor.gear)"
+                )
+        validate_effects(self.effects, [len(joint.tendons) for joint in self.joints])
+
+
+def validate_effects(effects: Sequence[EffectConfig], counts: Sequence[int]) -> None:
+    """Check effects against joints of `counts` tendons each.
+
+    Raises `ValueError`.
+    """
+    for i, effect in enumerate(effects):
+        if effect.joint is not None and effect.joint > len(counts):
+            raise ValueError(f"effects[{i}].joint: must be 1 to {len(counts)}")
+        chosen = counts if effect.joint is None else counts[effect.joint - 1 : effect.joint]
+        if isinstance(effect, AntagonistTension) and 2 not in chosen:
+            raise ValueError(f"effects[{i}].joint: must have two tendons")
+        sides = find_effect_sides(effect, counts)
+        if not sides:
+            raise ValueError(f"effects[{i}].tendon: must be a, no joint has a tendon b")
+        for k, other in enumerate(effects[:i]):
+            alike = other.type == effect.type and not effect.adds_up
+            if alike and sides & find_effect_sides(other, counts):
+                raise ValueError(
+                    f"effects[{i}]: must be on another tendon than effects[{k}]; two of type "
+                    f"{effect.type} cannot be combined"
+                )
+
+
+def find_effect_sides(effect: EffectConfig, counts: Sequence[int]) -> set[tuple[int, str]]:
+    """Return the joints, counted from 0, and sides of an effect; joints have `counts` tendons."""
+    wanted = getattr(effect, "tendon", "both")
+    return {
+        (j, side)
+        for j, count in enumerate(counts)
+        for side in "ab"[:count]
+        if effect.joint in (None, j + 1) and wanted in (side, "both")
+    }
+
+
+def compute_step_max(config: TendonPlantConfig) -> float:
+    """Return the largest stable step [s] of a motor loaded by the last step's tension."""
+    stiffness = 1.0 / float(build_chain(config.sheath, 0.0).compliance[0])
+    return math.sqrt(build_motor(config.motor, 0.0).mass / stiffness)
+
+
+def build_joint(config: JointConfig) -> Joint:
+    """Return the plant of one joint."""
+    tendons = [
+        Tendon(
+            build_motor(tendon.motor, config.body.pretension),
+            Winding(),
+            build_chain(tendon.sheath, config.body.pretension),
+        )
+        for tendon in config.tendons
+    ]
+    return Joint(
+        tendons[0],
+        tendons[-1],
+        len(tendons) == 2,
+        build_body(config.body, len(tendons)),
+        build_environment(config.environment),
+    )
+
+
+class SimulatedRig:
+    """A `slave.rig.Rig` with bench sensors at the tips.
+
+    Displacements are relative to the start, where every tendon is at its pretension. The same
+    config, reads and writes give the same samples.
+
+    Attributes
+    ----------
+    coarse_reads : int
+        Number of reads so late that the plant took longer steps than its period.
+    """
+
+    starts_at_zero = True
+
+    def __init__(self, config: SimulatedRigConfig) -> None:
+        self.name = config.name
+        self.joints = number_joint_tendons([len(joint.tendons) for joint in config.joints])
+        self.tendons = sum(map(len, self.joints))
+        self.coarse_reads = 0
+        self._period = config.period
+        self._step = -1  # index of the newest sample that was read
+        self._ahead = False  # whether the plant is one step ahead of it
+        self._next: RigSample | None = None  # of that step, unless an effect changes it
+        self._targets = np.zeros((len(self.joints), 2))
+        self._random = np.random.default_rng(config.seed)
+        self._paired = np.array([[True, len(tendons) == 2] for tendons in self.joints])
+
+        joints = [build_joint(joint) for joint in config.joints]
+        self._schedules = [
+            JointSchedule(config.effects, i, joint) for i, joint in enumerate(joints)
+        ]
+        start = np.zeros(2)
+        joints = [
+            schedule.at(0.0, 0.0, start[: len(tendons)]) or joint
+            for schedule, joint, tendons in zip(self._schedules, joints, self.joints, strict=True)
+        ]
+        self._joints = to_compiled_list(joints)
+        replace_item(self._joints, 0, joints[0])  # compiles the functions for effects
+        self._states = to_compiled_list([init_joint(joint, -config.period) for joint in joints])
+        self._truth = self._advance(0, config.period)  # compiles the functions for the loop
+
+        sensors = build_sensors(
+            [(t.load_cell, t.encoder, t.motor) for joint in config.joints for t in joint.tendons]
+        )
+        self._sensor_schedule = SensorSchedule(config.effects, self.joints, sensors)
+        self._sensors = self._sensor_schedule.at(0.0) or sensors
+        self._sensed = init_sensors(self._truth)
+        self._measure(config.period)  # compiles
+        self._effects = bool(config.effects)
+        self._samples = SampleSchedule(config.effects, config.seed)
+
+    def read(self, time_s: float) -> tuple[RigSample, ...]:
+        """Advance the plant to `time_s` [s]; return its newest sample, if new."""
+        behind = round(time_s / self._period) - self._step
+        if behind <= 0:
+            return ()
+        if self._ahead:
+            self._ahead = False
+            self._step += 1
+            behind -= 1
+        if behind == 0 and self._next is not None:
+            return (self._next,)
+        if behind > 0:
+            self._simulate(behind)
+            self._step += behind
+        time = self._step * self._period
+        if not self._effects:
+            return (RigSample(time, *self._sensed.reading),)
+        reading = self._samples.transmit(time, self._sensed.reading)
+        return () if reading is None else (RigSample(time, *reading),)
+
+    def advance(self) -> RigSample | None:
+        """Compute the next step in advance, with the targets written last."""
+        if not self._ahead:
+            self._simulate(1)
+            self._ahead = True
+            if not self._effects:
+                time = (self._step + 1) * self._period
+                self._next = RigSample(time, *self._sensed.reading)
+        return self._next
+
+    def write(self, proximal_displacement: Array) -> None:
+        """Set the motor targets [m], shape (tendons,)."""
+        targets = proximal_displacement.tolist()
+        if len(targets) != self.tendons or not all(map(math.isfinite, targets)):
+            raise RigFault(f"invalid motor targets {targets}: {self.tendons} finite values needed")
+        self._targets[self._paired] = proximal_displacement
+
+    def summary(self) -> dict[str, int | float | str]:
+        """Return the number of coarse reads."""
+        return {"coarse_reads": self.coarse_reads}
+
+    def close(self) -> None:
+        """Do nothing."""
+
+    def _simulate(self, behind: int) -> None:
+        """Advance the plant and its sensors by `steps` periods."""
+        steps, dt = behind, self._period
+        if behind > CATCH_UP_STEPS_MAX:
+            steps, dt = CATCH_UP_STEPS_MAX, behind * dt / CATCH_UP_STEPS_MAX
+            self.coarse_reads += 1
+        if self._effects:
+            self._turn_effects((self._step + behind) * self._period)
+        self._truth = self._advance(steps, dt)
+        self._measure(behind * self._period)
+
+    def _advance(self, steps: int, dt: float) -> Array:
+        seen = advance_joints(self._joints, self._states, self._targets, steps, dt)
+        return seen[:, self._paired]
+
+    def _measure(self, dt: float) -> None:
+        normal = self._random.standard_normal(self._truth.shape)
+        self._sensed = measure(self._sensors, self._sensed, self._truth, normal, dt)
+
+    def _turn_effects(self, time: float) -> None:
+        for i, (schedule, tendons) in enumerate(zip(self._schedules, self.joints, strict=True)):
+            _, housing, _, tip = self._truth[:, tendons]
+            joint = schedule.at(time, tip[0], housing)
+            if joint is not None:
+                replace_item(self._joints, i, joint)
+        self._sensors = self._sensor_schedule.at(time) or self._sensors
+
+
+# --- text descriptions of effects, and warnings for those that a run did not reach
+
+
+def describe_effect(effect: EffectConfig) -> str:
+    """Return an effect in one line: name, parameters, place and start."""
+    values = {field.name: getattr(effect, field.name) for field in dataclasses.fields(effect)}
+    name, joint, start = (values.pop(key) for key in ("type", "joint", "start"))
+    tendon = values.pop("tendon", "both")
+    numbers = ", ".join(f"{key} {value}" for key, value in values.items())
+    place = "every joint" if joint is None else f"joint {joint}"
+    place += "" if tendon == "both" else f", tendon {tendon}"
+    return f"{name} ({numbers}), {place}, from {start:g} s"
+
+
+def format_late_effects(effects: Sequence[EffectConfig], span: float) -> list[str]:
+    """Return a warning for each effect that starts after a run of `span` [s]."""
+    return [
+        f"WARNING: slave.rig.effects.{i}: {effect.type} starts at {effect.start:g} s, after the "
+        f"end at {span:.3g} s: it had no effect"
+        for i, effect in enumerate(effects)
+        if effect.start >= span
+    ]

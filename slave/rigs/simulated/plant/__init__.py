@@ -1,1 +1,0 @@
-"""The physics of the simulated rig: tendon chains, motors, joints, environments, sensors."""

@@ -1,0 +1,99 @@
+"""One step of an elastic tendon in its sheath, a chain of springs and friction nodes.
+
+Quasi-static: every node is in balance at the end of a step. With u the displacement of the tendon
+(positive towards the housing), T_i the tension of the spring behind node i, and the laws of springs
+and nodes linearised over a step (`elasticity`, `friction`),
+
+    u_i - u_{i+1} = compliance_i T_i + rest_i      where T_i > 0; less stretched, T_i = 0
+    T_{i-1} - T_i = f_i + b_i du_i / dt            dry friction and a dashpot
+    f_i at its upper limit where the node slides towards the housing, at its lower one where it
+    slides towards the tip, anything between where it stays, or as its bristle says
+
+The tension profile along the sheath is not assumed, in contrast to an estimator.
+
+The balance is solved exactly and without iteration. For a given motor position, the housing side of
+any point responds with a tension that is piecewise linear in the point's position and falls towards
+the housing. `compute_response` propagates that response from the motor to the tip
+(`coulomb_contact`; `bristle_contact` for bristles and dashpots). The caller finds the tip position
+from that curve, and `recover_state` computes the nodes backwards from there.
+"""
+
+import numpy as np
+
+from estimator.array_types import Array
+from estimator.compiled import jit_compile
+from slave.simulation.contacts import (
+    Response,
+    init_bristle_contact,
+    init_coulomb_contact,
+    transfer_bristle_contact,
+    transfer_coulomb_contact,
+)
+from slave.simulation.tendon import (
+    CONTACT_GROWTH,
+    CREEP,
+    POSITION,
+    SPEED,
+    TENSION,
+    Chain,
+    advance_contact_growth,
+    advance_creep,
+    compute_contacts,
+    compute_creep_gain,
+    compute_springs,
+    filter_speed,
+)
+
+
+@jit_compile
+def compute_response(chain: Chain, state: Array, proximal: float, dt: float) -> Response:
+    """Return the tension response of the tendon at its tip in a step of `dt` [s].
+
+    Parameters
+    ----------
+    state : array, shape (6, n + 2)
+        Of the tendon before the step.
+    proximal : float
+        Position of the motor end [m] at the end of the step.
+    """
+    spring, contact = compute_springs(chain, state, dt), compute_contacts(chain, state, dt)
+    if len(contact.bristle) > 0:
+        return transfer_bristle_contact(spring, contact, state, proximal)
+    return transfer_coulomb_contact(spring, contact, state, proximal)
+
+
+@jit_compile
+def recover_state(
+    chain: Chain,
+    state: Array,
+    response: Response,
+    proximal: float,
+    distal: float,
+    tension: float,
+    dt: float,
+) -> Array:
+    """Return the state after a step that ends with the tip at `distal` [m].
+
+    `tension` [N] is that of `response` there; `response` is from `compute_response` with the same
+    arguments.
+    """
+    n = len(chain.friction)
+    after = np.zeros_like(state)
+    after[POSITION, 0], after[POSITION, n + 1] = proximal, distal
+    after[TENSION, n] = tension
+    if len(response.contacts.bristle) > 0:
+        init_bristle_contact(response, state, after)
+    else:
+        init_coulomb_contact(response, state, after)
+    stretch = proximal - after[POSITION, 1] - response.springs.rest[0]
+    after[TENSION, 0] = max(0.0, stretch / response.springs.compliance[0])
+    gain = compute_creep_gain(chain.knobs, dt)
+    for i in range(n + 1):
+        after[CREEP, i] = advance_creep(chain, state[CREEP, i], after[TENSION, i], gain)
+    for i in range(1, n + 1):
+        speed = (after[POSITION, i] - state[POSITION, i]) / dt
+        after[SPEED, i] = filter_speed(chain.knobs, state[SPEED, i], speed, dt)
+        after[CONTACT_GROWTH, i] = advance_contact_growth(
+            chain.knobs, state[CONTACT_GROWTH, i], speed, dt
+        )
+    return after

@@ -1,0 +1,86 @@
+"""Base classes of effects: place, start time and parameter ranges."""
+
+import dataclasses
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar, Literal
+
+from slave.simulation.tendon import Knobs
+
+
+def build_ranged_field(default: float, low: float, high: float, unit: str = "") -> Any:
+    """Return a dataclass field whose value must be `low` to `high`."""
+    return dataclasses.field(default=default, metadata={"range": (low, high, unit)})
+
+
+@dataclass(frozen=True, slots=True)
+class Effect:
+    """A deviation from the estimator's model, active from `start` on."""
+
+    joint: int | None = None  # counted from 1; null = every joint
+    start: float = 0.0  # [s]
+
+    adds_up: ClassVar[bool] = True  # whether two of them on one tendon accumulate
+
+    def __post_init__(self) -> None:
+        """Check place, time and parameter ranges; raises `ValueError`."""
+        if self.joint is not None and self.joint < 1:
+            raise ValueError("joint: must be at least 1")
+        if not 0.0 <= self.start < math.inf:
+            raise ValueError("start: must be at least 0 s")
+        for item in dataclasses.fields(self):
+            if "range" in item.metadata:
+                low, high, unit = item.metadata["range"]
+                if not low <= getattr(self, item.name) <= high:
+                    raise ValueError(f"{item.name}: must be {low:g} to {high:g} {unit}".rstrip())
+
+
+@dataclass(frozen=True, slots=True)
+class TendonEffect(Effect, ABC):
+    """An effect in the physics of a tendon and its sheath."""
+
+    tendon: Literal["a", "b", "both"] = "both"
+
+    varies: ClassVar[bool] = False  # whether it varies after its start
+
+    @abstractmethod
+    def apply(self, knobs: Knobs, time: float, slid: float, /) -> Knobs:
+        """Return the knobs with this effect added.
+
+        `time` [s] is since its start, `slid` [m] the accumulated travel of the tendon's housing end
+        since then.
+        """
+
+
+def select_tendon_effects(
+    effects: Sequence[object], joint: int, tendon: Literal["a", "b"]
+) -> tuple[TendonEffect, ...]:
+    """Return the effects that act in tendon `tendon` of joint `joint`, counted from 0."""
+    return tuple(
+        effect
+        for effect in effects
+        if isinstance(effect, TendonEffect)
+        and effect.joint in (None, joint + 1)
+        and effect.tendon in (tendon, "both")
+    )
+
+
+def compute_knobs(effects: Sequence[TendonEffect], time: float, slid: Sequence[float]) -> Knobs:
+    """Return the knobs of a tendon under all its effects.
+
+    Parameters
+    ----------
+    effects : sequence of TendonEffect
+        Of this tendon, `select_tendon_effects`.
+    time : float
+        Now [s].
+    slid : sequence of float
+        Accumulated travel of the tendon's housing end [m] since the start of each effect.
+    """
+    knobs = Knobs()
+    for effect, distance in zip(effects, slid, strict=True):
+        if time >= effect.start:
+            knobs = effect.apply(knobs, time - effect.start, distance)
+    return knobs

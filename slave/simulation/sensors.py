@@ -1,0 +1,169 @@
+"""Sensor models, at the housing and, on a bench, at the tip.
+
+Every sensor has lag, gain, bias, noise, range and resolution.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from math import inf, pi
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from estimator.array_types import Array
+from estimator.compiled import jit_compile
+from slave.simulation.motor import MotorConfig
+from teleop.config.loading import MAY_BE_INFINITE
+
+CHANNELS = (
+    "proximal_tension",
+    "proximal_displacement",
+    "distal_tension",
+    "distal_displacement",
+)
+
+
+@dataclass(frozen=True, slots=True)
+class LoadCellConfig:
+    """A load cell and its converter, for compression by up to `range` as under a sheath's end."""
+
+    noise: float = 0.010  # [N] standard deviation, white
+    resolution: float = 0.002  # [N] of the converter; 0 = no quantisation
+    range: float = 100.0  # [N] saturation, at both ends
+    gain: float = 1.0  # reading over true tension
+    bias: float = 0.0  # [N] reading without tension
+    bandwidth: float = field(default=inf, metadata=MAY_BE_INFINITE)  # [Hz] first order
+
+    def __post_init__(self) -> None:
+        """Check the values; raises `ValueError`."""
+        for name in ("noise", "resolution"):
+            if not 0.0 <= getattr(self, name) <= 10.0:
+                raise ValueError(f"{name}: must be 0 to 10 N")
+        if not 0.0 < self.range <= 1e5:
+            raise ValueError("range: must be above 0 and at most 100 000 N")
+        if not 0.1 <= self.gain <= 10.0:
+            raise ValueError("gain: must be 0.1 to 10")
+        if not abs(self.bias) <= 100.0:
+            raise ValueError("bias: must be -100 to 100 N")
+        if not self.bandwidth >= 0.01:
+            raise ValueError("bandwidth: must be at least 0.01 Hz")
+
+
+@dataclass(frozen=True, slots=True)
+class EncoderConfig:
+    """An encoder on the motor; 500 lines and a gear of 134:1 as in Phee et al. 2009."""
+
+    lines: int = 67_000  # per revolution of the pulley, gear included; 0 = no quantisation
+    decoding: Literal[1, 2, 4] = 1  # counts per line; 4 = both edges of both tracks
+
+    def __post_init__(self) -> None:
+        """Check the values; raises `ValueError`."""
+        if not 0 <= self.lines <= 10**9:
+            raise ValueError("lines: must be 0 to 1 000 000 000")
+
+    def resolution(self, pulley_radius: float) -> float:
+        """Return the tendon travel of one count [m] on a pulley of that radius [m]."""
+        counts = self.lines * self.decoding
+        return 2.0 * pi * pulley_radius / counts if counts else 0.0
+
+
+class Sensors(NamedTuple):
+    """The constants of all sensors of a rig."""
+
+    # each of shape (4, tendons), by CHANNELS
+    lag: Array  # [s] time constant
+    gain: Array
+    bias: Array  # [N] or [m]
+    noise: Array  # [N] or [m] standard deviation
+    range: Array  # [N] or [m]
+    resolution: Array  # [N] or [m]
+    frozen: Array  # 1 if the reading is frozen, else 0
+
+    # disturbances of a housing load cell, each of shape (tendons,)
+    ripple: Array  # [N] of the gear
+    ripple_order: Array  # periods per turn of the pulley
+    ripple_phase: Array  # [rad]
+    rub: Array  # [N] of the sheath on its surroundings
+    rub_travel: Array  # [m] of travel over which the rub reverses
+    pulley_radius: Array  # [m]
+
+
+class SensorState(NamedTuple):
+    """State of the sensors of a rig."""
+
+    reading: Array  # [N] or [m], shape (4, tendons)
+    lagged: Array  # [N] or [m], shape (4, tendons)
+    travel: Array  # [m] of the housing ends, shape (tendons,)
+    rubbed: Array  # -1 to 1, shape (tendons,)
+
+
+def build_sensors(
+    tendons: Sequence[tuple[LoadCellConfig, EncoderConfig, MotorConfig]],
+) -> Sensors:
+    """Return the sensors of a rig's tendons; those at the tip are ideal."""
+    shape = (len(CHANNELS), len(tendons))
+    sensors = Sensors(
+        lag=np.zeros(shape),
+        gain=np.ones(shape),
+        bias=np.zeros(shape),
+        noise=np.zeros(shape),
+        range=np.full(shape, inf),
+        resolution=np.zeros(shape),
+        frozen=np.zeros(shape),
+        ripple=np.zeros(len(tendons)),
+        ripple_order=np.zeros(len(tendons)),
+        ripple_phase=np.zeros(len(tendons)),
+        rub=np.zeros(len(tendons)),
+        rub_travel=np.ones(len(tendons)),
+        pulley_radius=np.array([motor.pulley_radius for _, _, motor in tendons]),
+    )
+    for i, (cell, encoder, motor) in enumerate(tendons):
+        sensors.lag[0, i] = 0.5 / (pi * cell.bandwidth)
+        sensors.gain[0, i] = cell.gain
+        sensors.bias[0, i] = cell.bias
+        sensors.noise[0, i] = cell.noise
+        sensors.range[0, i] = cell.range
+        sensors.resolution[0, i] = cell.resolution
+        sensors.resolution[1, i] = encoder.resolution(motor.pulley_radius)
+    return sensors
+
+
+def init_sensors(truth: Array) -> SensorState:
+    """Return the sensors' steady state at `truth`, shape (4, tendons)."""
+    return SensorState(truth.copy(), truth.copy(), truth[1].copy(), np.zeros(truth.shape[1]))
+
+
+@jit_compile
+def measure(
+    sensors: Sensors, state: SensorState, truth: Array, normal: Array, dt: float
+) -> SensorState:
+    """Return the sensors' readings `dt` [s] after `state`.
+
+    Parameters
+    ----------
+    truth, normal : arrays, shape (4, tendons)
+        The true values [N], [m], and as many standard normal deviates.
+    """
+    channels, tendons = truth.shape
+    reading, lagged = np.empty((channels, tendons)), np.empty((channels, tendons))
+    travel, rubbed = truth[1].copy(), np.empty(tendons)
+    for tendon in range(tendons):
+        moved = 2.0 * (travel[tendon] - state.travel[tendon]) / sensors.rub_travel[tendon]
+        rubbed[tendon] = min(max(state.rubbed[tendon] + moved, -1.0), 1.0)
+        angle = travel[tendon] / sensors.pulley_radius[tendon]
+        wave = np.sin(sensors.ripple_order[tendon] * angle + sensors.ripple_phase[tendon])
+        felt = sensors.ripple[tendon] * wave + sensors.rub[tendon] * rubbed[tendon]
+        for channel in range(channels):
+            place = (channel, tendon)
+            value = truth[place] + (felt if channel == 0 else 0.0)
+            if sensors.lag[place] > 0.0:
+                kept = np.exp(-dt / sensors.lag[place])
+                value += kept * (state.lagged[place] - value)
+            lagged[place] = value
+            value = sensors.gain[place] * value + sensors.bias[place]
+            value += sensors.noise[place] * normal[place]
+            value = min(max(value, -sensors.range[place]), sensors.range[place])
+            step = sensors.resolution[place]
+            value = round(value / step) * step if step > 0.0 else value
+            reading[place] = state.reading[place] if sensors.frozen[place] else value
+    return SensorState(reading, lagged, travel, rubbed)

@@ -1,0 +1,119 @@
+"""report.html: a diagnosis on one self-contained page."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import matplotlib as mpl
+
+from estimator.diagnosis import report_tables, report_text
+from estimator.diagnosis.figures import RECORDS_MAX, draw_figures
+from estimator.diagnosis.outcome import Diagnosis
+from estimator.drawing import STYLE
+from teleop.cli.diagnose import json_report
+from teleop.cli.diagnose.json_report import ComparedParameter
+from teleop.cli.html_page import Page
+from teleop.runtime.output_file import save_figure
+
+# --- write the figures of a diagnosis
+
+
+def write_figures(
+    found: Diagnosis,
+    files: Sequence[str],
+    folder: Path,
+    further: Sequence[str] = (),
+    kind: str = "png",
+) -> dict[str, str]:
+    """Write all figures into `folder` as PNG or SVG; return their captions by file name."""
+    captions = {}
+    with mpl.rc_context(STYLE | {"svg.hashsalt": "tendon-teleop"}):
+        for drawn in draw_figures(found, files, further):
+            file = f"diagnosis-{drawn.name}.{kind}"
+            metadata = {"Date": None} if kind == "svg" else None
+            save_figure(drawn.figure, folder / file, metadata=metadata)
+            captions[file] = drawn.caption
+    return captions
+
+
+def render(
+    found: Diagnosis,
+    files: Sequence[str],
+    calibrated: Mapping[str, ComparedParameter],
+    further: Sequence[str] = (),
+) -> str:
+    """Return the page; `calibrated` is the comparison with a calibration, by parameter.
+
+    `files` and `further` are the names of the fitted files and of those for validation.
+    """
+    names = report_tables.name_records(found, files, further)
+    page = Page(report_text.format_verdict(found))
+    page.text(f"Data: {', '.join(files)}.")
+    for what in report_text.list_better_models(found):
+        page.text(f"WARNING: {what}")
+    page.heading("Next steps")
+    page.points(report_text.list_next_steps(found))
+    if found.steps:
+        page.heading("Gain")
+        page.table(report_tables.build_gain_table(found), mark="")
+    page.heading("Beside models that know no sheath")
+    page.table(report_tables.build_model_table(found), mark="")
+    page.table(report_tables.build_simple_gain_table(found), mark="")
+    page.heading("Parameters of the model")
+    page.table(report_tables.build_parameter_table(found), mark="")
+    for table in (report_tables.build_law_table(found), report_tables.build_load_table(found)):
+        if table is not None:
+            page.table(table, mark="chosen")
+    if calibrated:
+        page.table(json_report.build_comparison_table(calibrated), mark="NO")
+    _add_file_tables(page, found, names)
+    with TemporaryDirectory() as folder:
+        captions = write_figures(found, files, Path(folder), further)
+        page.heading("Before and after")
+        if len(files) > RECORDS_MAX:
+            page.text(f"The first {RECORDS_MAX} of {len(files)} files are drawn.")
+        for file, caption in captions.items():
+            page.figure(Path(folder) / file, caption)
+    page.heading("Residuals")
+    page.points(report_text.describe_residuals(found))
+    page.heading("Errors")
+    page.text("Largest and mean error in % of the channel's range.")
+    page.table(report_tables.build_error_table(found), mark="")
+    for i, step in enumerate(found.steps, start=1):
+        page.heading(f"Candidates for cause {i}")
+        page.table(report_tables.build_ranking_table(found, step.ranking), mark=step.effect.label)
+    if not found.steps and found.ranking:
+        page.heading("Candidates")
+        page.table(report_tables.build_candidate_table(found), mark="")
+    if found.detection_limits:
+        page.heading("Detection limits")
+        page.table(report_tables.build_detection_limit_table(found), mark="")
+    if remarks := report_text.list_sample_remarks(found, files):
+        page.heading("Samples")
+        page.points(remarks)
+    return page.render()
+
+
+def _add_file_tables(page: Page, found: Diagnosis, names: Sequence[str]) -> None:
+    """Add the tables by file: validation, leave-one-file-out, the force, and its rivals."""
+    fitted = len(found.dataset.records)
+    if found.validation:
+        page.heading("Validation")
+        page.table(report_tables.build_prediction_table(found.validation, names[fitted:]), mark="")
+    if found.left_out:
+        page.heading("Leave-one-file-out")
+        page.text("Each file is predicted with parameters fitted to the other files.")
+        page.table(report_tables.build_prediction_table(found.left_out, names[:fitted]), mark="")
+    if found.forces:
+        page.heading("Force at the tip")
+        page.text(
+            "Estimated from the housing alone, as by teleop estimate and teleop run --replay with "
+            "this model, and compared with what the load cell at the tip reads."
+        )
+        page.table(report_tables.build_force_table(found, names), mark="")
+    if found.rivals:
+        page.heading("Rivals")
+        page.text("Causes that fit as well, and what each would do to the estimated force.")
+        page.table(report_tables.build_rival_parameter_table(found), mark="")
+    if found.rival_forces:
+        page.table(report_tables.build_rival_table(found), mark="")

@@ -1,0 +1,304 @@
+"""Measure how the friction of an antagonistic pair grows with the bend of its sheath.
+
+  teleop pair bend*.csv                          K of each file, its growth, predictions
+  teleop pair bend*.csv --out pair               ... with a report
+  teleop pair bend*.csv --validate more/*.csv    ... and validate on further bends
+  teleop pair run_*.csv --columns columns.yaml   ... for data with other columns or names
+
+The data: one table for each bend with time, the command, the measured angle of the joint and both
+tensions at the housing. One model is fitted to all files; then each file is predicted by
+leave-one-out cross-validation (docs/endoscope.md). Needs at least three bends.
+"""
+
+import argparse
+import math
+import re
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from importlib.metadata import version
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, Literal
+
+import numpy as np
+
+from estimator.array_types import Array
+from estimator.pair import report_text
+from estimator.pair.pair import PairRecord
+from estimator.pair.pair_fit import PairError
+from estimator.pair.pair_study import PairStudy, analyse_residuals, compute_offset_share, study_pair
+from teleop.config.loading import load
+from teleop.config.options import add_options
+from teleop.data.table import check_effort, check_time
+from teleop.data.table_files import RawTable, read_columns
+from teleop.errors import UsageError
+from teleop.runtime.output_file import make_folder, save_figure
+from teleop.runtime.process import write_summary, write_text_file
+from teleop.runtime.status_line import Progress
+
+BEND = "{bend}"
+_NUMBER = r"(?<![\d.])(-?\d+(?:\.\d+)?)"
+
+
+@dataclass(frozen=True, slots=True)
+class PairColumns:
+    """Names of columns."""
+
+    time: str = "time_s"  # [s]
+    command: str = "command_angle_deg"  # of the motor, pulling a in and letting b out
+    angle: str = "distal_angle_deg"  # of the joint
+    tension_a: str = "proximal_tension_a_N"  # [N] at the housing
+    tension_b: str = "proximal_tension_b_N"  # [N] at the housing
+
+
+@dataclass(frozen=True, slots=True)
+class FileBend:
+    """The bend of one file."""
+
+    file: str = ""  # its name, without the folder
+    bend: float = 0.0  # in the unit of the angles
+
+
+@dataclass(frozen=True, slots=True)
+class PairConfig:
+    """Format of the files of a pair."""
+
+    columns: PairColumns = field(default_factory=PairColumns)
+    unit: Literal["deg", "rad"] = "deg"  # of command, angle and bend
+    bend: str = "bend{bend}"  # pattern of file names with the bend
+    bends: tuple[FileBend, ...] = ()  # of files without the bend in their name
+
+    def __post_init__(self) -> None:
+        """Check the pattern; raises `ValueError`."""
+        if self.bend.count(BEND) != 1:
+            raise ValueError(f"bend: {self.bend!r}, must have {BEND} once, where the number stands")
+
+    @property
+    def radians(self) -> float:
+        """One unit of an angle [rad]."""
+        return math.radians(1.0) if self.unit == "deg" else 1.0
+
+    def bend_of(self, path: Path) -> float:
+        """Return the bend [rad] of a file's sheath, from the list or the file's name.
+
+        Raises
+        ------
+        UsageError
+            Neither has it.
+        """
+        for one in self.bends:
+            if one.file == path.name:
+                return self._checked(path, one.bend)
+        before, after = self.bend.split(BEND)
+        lead = re.escape(before) + r"(-?\d+(?:\.\d+)?)" if before else _NUMBER
+        found = re.search(lead + re.escape(after), path.name)
+        if not path.exists():
+            raise UsageError(f"{path}: file not found")
+        if found is None:
+            raise UsageError(
+                f"{path}: the name does not tell the sheath's bend as {self.bend!r} would; rename "
+                "the file, or give pattern or list in --columns FILE (bend, bends)"
+            )
+        return self._checked(path, float(found[1]))
+
+    def _checked(self, path: Path, bend: float) -> float:
+        if not 0.0 <= bend < math.inf:
+            raise UsageError(
+                f"{path}: a bend of {bend:g}, must not be negative; if that is a dash, put it into "
+                "the pattern in --columns FILE (bend: 'bend-{bend}')"
+            )
+        return self.radians * bend
+
+
+# --- reading the records of a pair
+
+ANGLE_SPAN = 7.0  # [rad] of a joint: above a full turn the unit is wrong
+SAMPLES_MIN = 20  # in which a sensor that works changes
+
+
+def read_records(paths: Sequence[Path], config: PairConfig) -> tuple[PairRecord, ...]:
+    """Return the records of some files, in the order of their bends.
+
+    Raises
+    ------
+    UsageError
+        A file cannot be read, lacks a column or its bend, or has invalid values.
+    """
+    return tuple(sorted((_read_record(path, config) for path in paths), key=lambda one: one.bend))
+
+
+def _read_record(path: Path, config: PairConfig) -> PairRecord:
+    bend = config.bend_of(path)
+    raw = read_columns(path)
+    columns = {f.name: _parse_column(path, raw, config, f.name) for f in fields(PairColumns)}
+    time = columns["time"]
+    if not len(time):
+        raise UsageError(f"{path}: has a header but no rows")
+    check_time(path, raw, config.columns.time, time, "convert it to seconds")
+    for item in ("tension_a", "tension_b"):
+        check_effort(path, raw, getattr(config.columns, item), columns[item], may_err=True)
+    _check_columns(path, columns, config)
+    return PairRecord(
+        bend,
+        time,
+        config.radians * columns["command"],
+        config.radians * columns["angle"],
+        columns["tension_a"],
+        columns["tension_b"],
+    )
+
+
+def _check_columns(path: Path, columns: Mapping[str, Array], config: PairConfig) -> None:
+    """Refuse a sensor that never changes, and angles that are plainly in degrees."""
+    for item, column in columns.items():
+        span = float(np.ptp(column))
+        name = getattr(config.columns, item)
+        if len(column) >= SAMPLES_MIN and span == 0.0:
+            raise UsageError(
+                f"{path}: column {name!r} never changes ({column[0]:g}): the sensor is stuck or "
+                "not connected, or nothing moved; check it, and move the joint while you record"
+            )
+        if item in ("command", "angle") and config.radians * span > ANGLE_SPAN:
+            raise UsageError(
+                f"{path}: column {name!r} spans {config.radians * span:.4g} rad; if it is in "
+                "degrees, set unit: deg in --columns FILE"
+            )
+
+
+def _parse_column(path: Path, raw: RawTable, config: PairConfig, item: str) -> Array:
+    name = getattr(config.columns, item)
+    if name not in raw.columns:
+        raise UsageError(
+            f"{path}: there is no column {name!r} (it has {', '.join(raw.columns)}); "
+            f"--columns FILE says what {item} is called"
+        )
+    try:
+        column = np.asarray(raw.columns[name], dtype=np.float64)
+    except (TypeError, ValueError):
+        raise UsageError(f"{path}: column {name!r} is not numbers throughout") from None
+    if (bad := np.flatnonzero(~np.isfinite(column))).size:
+        place = raw.place(int(bad[0]))
+        raise UsageError(f"{path}: column {name!r}, {place}: is blank or not finite")
+    return column
+
+
+# --- report.json, everything in SI units and radians
+
+
+def build_report(found: PairStudy, seconds: float) -> dict[str, Any]:
+    """Return the report; `seconds` is what the study took."""
+    return {
+        "sentence": report_text.format_sentence(found),
+        "bends": [float(record.bend) for record in found.records],
+        "friction": [number._asdict() for number in found.record_frictions],
+        "friction_straight": found.friction._asdict(),
+        "growth": found.growth._asdict(),
+        "model": {name: float(value) for name, value in found.fit.model._asdict().items()},
+        "neutral": list(found.fit.neutrals),
+        "best_simple": found.best_simple,
+        "better_model": report_text.format_model_warning(found),
+        "left_out": {
+            method: [error._asdict() for error in errors]
+            for method, errors in found.left_out.items()
+        },
+        "validation": [
+            {
+                "bend": one.bend,
+                "ours": one.model_error._asdict(),
+                "baselines": {name: e._asdict() for name, e in one.baselines.items()},
+            }
+            for one in found.validation
+        ],
+        "structure": [part._asdict() for part in analyse_residuals(found.records, found.predicted)],
+        "offset_share": compute_offset_share(found.records, found.predicted),
+        "wrong": report_text.describe_errors(found),
+        "seconds": seconds,
+        "version": version("tendon-teleop"),
+    }
+
+
+# --- report.html, on one self-contained page
+
+
+def write_figures(found: PairStudy, folder: Path) -> dict[str, str]:
+    """Write all figures into `folder`; return their captions by file name."""
+    from estimator.drawing import use_style  # with matplotlib, which takes long
+    from estimator.pair.figures import draw_figures
+
+    captions = {}
+    with use_style():
+        for drawn in draw_figures(found):
+            file = f"pair-{drawn.name}.png"
+            save_figure(drawn.figure, folder / file)
+            captions[file] = drawn.caption
+    return captions
+
+
+def render(found: PairStudy) -> str:
+    """Return the page."""
+    from teleop.cli.html_page import Page
+
+    page = Page(report_text.format_sentence(found))
+    for what in report_text.format_model_warning(found):
+        page.text(what)
+    page.heading("Friction against bend")
+    page.table(report_text.build_friction_table(found), mark="")
+    with TemporaryDirectory() as folder:
+        captions = write_figures(found, Path(folder))
+        paths = {name: Path(folder) / name for name in captions}
+        page.figure(paths["pair-friction.png"], captions["pair-friction.png"])
+        page.heading("The model for all bends")
+        page.table(report_text.build_parameter_table(found), mark="")
+        page.heading("Bends that were not fitted")
+        page.text("Root mean square of the angle's error, and its share of the span.")
+        page.table(report_text.build_held_out_table(found), mark=report_text.OWN_METHOD)
+        page.figure(paths["pair-loops.png"], captions["pair-loops.png"])
+        if found.validation:
+            page.heading("Bends kept apart")
+            page.table(report_text.build_validation_table(found.validation), mark="")
+        page.heading("What is wrong")
+        page.points(report_text.describe_errors(found))
+        page.table(report_text.build_residual_table(found), mark="")
+        page.figure(paths["pair-left.png"], captions["pair-left.png"])
+    return page.render()
+
+
+# --- the command
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the command's arguments."""
+    parser.add_argument(
+        "data", nargs="+", type=Path, metavar="DATA", help="measured data, one file for each bend"
+    )
+    add_options(parser, "--validate", "--out", "--json")
+    parser.add_argument(
+        "--columns",
+        type=Path,
+        metavar="FILE",
+        help="column names, and the pattern of the bend (see configs/endoscope-pair.yaml)",
+    )
+
+
+def main(args: argparse.Namespace) -> int:
+    """Study the pair and report; returns the exit code."""
+    config = load(args.columns, PairConfig, None)
+    records, further = read_records(args.data, config), read_records(args.validate, config)
+    if args.out is not None:
+        make_folder(args.out, "report.html")
+    progress, begun = Progress(), time.monotonic()
+    try:
+        found = study_pair(records, validate=further, progress=progress)
+    except PairError as error:
+        raise UsageError(f"{', '.join(map(str, args.data + args.validate))}: {error}") from error
+    finally:
+        progress.end()
+    tree = build_report(found, time.monotonic() - begun)
+    write_summary(args.json, tree)
+    print(report_text.format_report(found), flush=True)
+    if args.out is not None:
+        write_summary(args.out / "report.json", tree)
+        write_text_file(args.out / "report.html", render(found), "the page")
+        print(f"\nwritten: {args.out / 'report.html'}")
+    return 0

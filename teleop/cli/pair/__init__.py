@@ -1,1 +1,0 @@
-"""Friction of an antagonistic pair of tendons against the bend of its sheath."""

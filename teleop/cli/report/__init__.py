@@ -1,1 +1,0 @@
-"""Parts of reports: page, style of figures, progress bar."""

@@ -1,0 +1,452 @@
+"""The chain against the laws it is made of, and against limits that need no theory of sheaths."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from slave.simulation.chain import compute_response
+from slave.simulation.contacts import interpolate_curve
+from slave.simulation.tendon import (
+    CREEP,
+    FRICTION,
+    POSITION,
+    RIGID_STIFFNESS,
+    TENSION,
+    Chain,
+    Knobs,
+    SectionConfig,
+    SheathConfig,
+    build_chain,
+    get_tensions,
+    init_chain_state,
+)
+from tests.brute import chain as brute
+from tests.slave.tendon_bench import (
+    BLOCKED,
+    EA,
+    SPRING,
+    L,
+    Load,
+    distal,
+    drive,
+    ends,
+    proximal,
+    stretch,
+    travels,
+    turned,
+    uniform,
+)
+
+EXACT = {
+    "plain": {},
+    "friction": {"friction_scale": 1.4, "asymmetry": 0.7, "drag": 0.6},
+    "length": {"slack": 1e-3, "expansion": 1e-4, "creep_share": 0.3, "creep_time": 0.05},
+    "dashpots": {"viscosity": 300.0, "drag": 0.2, "asymmetry": 1.3},
+    "bristles": {"presliding": 5e-5, "drag": 0.3},
+    "short bristles": {"presliding": 1e-6, "presliding_tension": 30.0, "asymmetry": 1.2},
+    "all": {
+        "friction_scale": 0.8,
+        "viscosity": 3000.0,
+        "presliding": 2e-4,
+        "presliding_tension": 3.0,
+        "drag": 1.0,
+        "slack": 1e-3,
+        "creep_share": 0.5,
+        "creep_time": 0.01,
+    },
+}
+
+
+def random_chain(rng, **knobs):
+    nodes = int(rng.choice([1, 2, 20, 60]))
+    cell = rng.uniform(0.5, 2.0, nodes)
+    cell *= L / cell.sum()
+    friction = rng.uniform(0.0, 1.0, nodes) * (rng.random(nodes) < 0.8)
+    friction *= rng.choice([0.0, 0.1, 1.0, 3.0]) / max(0.1, sum(friction))
+    compliance = np.concatenate([cell / 2, [0]]) + np.concatenate([[0], cell / 2])
+    compliance /= rng.choice([1e3, 9e3, 5e4])
+    pretension = float(rng.choice([0, 1, 5]))
+    friction, whole = np.minimum(1.0, friction), np.zeros(nodes + 1)
+    return Chain(compliance, friction, cell, pretension, Knobs(**knobs), whole)
+
+
+def random_path(rng, steps):
+    """Return places of a motor that creeps, jumps, and lets the tendon go slack."""
+    path, motor = [], 0.0
+    for _ in range(steps):
+        kind = rng.integers(4)
+        if kind == 0:
+            motor += rng.normal() * 1e-5
+        elif kind == 1:
+            motor += rng.normal() * 1e-3
+        elif kind == 2:
+            motor = rng.uniform(-3e-3, 15e-3)
+        path.append(motor)
+    return np.array(path)
+
+
+def assert_balanced(chain, before, after, dt):
+    """Require of a step what friction, bristles, dashpots and springs each demand."""
+    knobs = chain.knobs
+    T, u = after[TENSION, :-1], after[POSITION]
+    scale = 1e-10 * max(1.0, T.max())
+    gain = 1.0 - np.exp(-dt / knobs.creep_time)
+    crept = knobs.creep_share * (T - chain.pretension)
+    crept = before[CREEP, :-1] + gain * (crept - before[CREEP, :-1])
+    assert after[CREEP, :-1] == pytest.approx(crept, abs=scale)
+    stiffness = chain.cell.sum() / chain.compliance.sum()
+    too_long = knobs.slack * stiffness / chain.cell.sum() + knobs.expansion * stiffness
+    stretched = (u[:-1] - u[1:] - chain.parted) / chain.compliance
+    pulled = chain.pretension + stretched - crept - too_long
+    assert pytest.approx(np.maximum(0.0, pulled), abs=scale) == T
+    assert T.min() >= 0.0
+
+    moved = after[POSITION, 1:-1] - before[POSITION, 1:-1]
+    dry = T[:-1] - T[1:] - knobs.viscosity * chain.cell * moved / dt
+    assert after[FRICTION, 1:-1] == pytest.approx(dry, abs=scale)
+    pressed = T[:-1] - dry / 2 + knobs.drag
+    most = chain.friction * knobs.friction_scale * pressed
+    least = -knobs.asymmetry * most
+    assert np.all(dry <= most + scale)
+    assert np.all(dry >= least - scale)
+    within = (dry < most - 2 * scale) & (dry > least + 2 * scale)
+    sliding = chain.friction > 0.0
+    if knobs.presliding > 0.0 or knobs.viscosity > 0.0:
+        bristle = np.full(len(moved), RIGID_STIFFNESS)
+        if knobs.presliding > 0.0:
+            bristle = chain.friction * knobs.presliding_tension / knobs.presliding
+        leaning, scale = before[FRICTION, 1:-1] + bristle * moved, scale + 1e-17 * bristle.max()
+        assert dry[within & sliding] == pytest.approx(leaning[within & sliding], abs=scale)
+        in_, out = leaning > most + 2 * scale, leaning < least - 2 * scale
+    else:
+        assert np.abs(moved[within & sliding]).max(initial=0.0) < 1e-14
+        in_, out = moved > 1e-14, moved < -1e-14
+    assert dry[in_] == pytest.approx(most[in_], abs=scale)
+    assert dry[out] == pytest.approx(least[out], abs=scale)
+
+
+@pytest.mark.parametrize("knobs", EXACT.values(), ids=EXACT.keys())
+@pytest.mark.parametrize("seed", range(8))
+def test_every_step_obeys_every_law_at_each_node_and_balances_the_load(seed, knobs):
+    rng = np.random.default_rng(seed)
+    chain = random_chain(rng, **knobs)
+    dt = float(rng.choice([1e-5, 1e-3, 1e-2]))
+    stiffness = float(rng.choice([1.0, 200.0, 1e6]))
+    states = [init_chain_state(chain)]
+    for motor in np.split(random_path(rng, 240), 8):
+        load = Load(float(rng.uniform(0.0, 10.0)), stiffness)
+        states += list(drive(chain, load, motor, states[-1], dt)[1:])
+        assert proximal(states[-1]) == motor[-1]
+        pull = load.force + load.stiffness * distal(states[-1])
+        T_out = get_tensions(chain, states[-1])[-1]
+        assert pytest.approx(max(0.0, pull), abs=1e-8 * max(1.0, T_out)) == T_out
+    for before, after in pairwise(states):
+        assert_balanced(chain, before, after, dt)
+
+
+@pytest.mark.parametrize("knobs", EXACT.values(), ids=EXACT.keys())
+def test_the_tension_never_rises_as_the_tip_comes(knobs):
+    rng = np.random.default_rng(3)
+    chain = random_chain(rng, **knobs)
+    state = drive(chain, SPRING, random_path(rng, 30))[-1]
+    response = compute_response(chain, state, 4e-3, 1e-3)
+    places = np.sort(np.concatenate([response.tip.place, rng.uniform(-1e-2, 1e-2, 300)]))
+    T = np.array([interpolate_curve(response.tip, place) for place in places])
+    assert np.all(np.diff(T) <= 1e-9)
+    assert np.all(T >= 0.0)
+    assert T[-1] == 0.0
+    assert T[0] > 10.0
+
+
+def test_a_dashpot_too_weak_to_feel_changes_nothing():
+    """Two different ways through the chain: with steps at its nodes, and with bristles."""
+    rng = np.random.default_rng(5)
+    path = random_path(rng, 500)
+    for knobs in ({}, {"drag": 0.4, "asymmetry": 0.8}):
+        chain = uniform(1.3, pretension=1.0, **knobs)
+        plain = drive(chain, SPRING, path)
+        damped = drive(turned(chain, viscosity=1e-9), SPRING, path)
+        assert damped[:, TENSION] == pytest.approx(plain[:, TENSION], abs=1e-4)
+        assert travels(damped)[1] == pytest.approx(travels(plain)[1], abs=1e-9)
+
+
+def test_bristles_may_need_more_corners_than_there_is_room_for_at_first():
+    """Soft contacts of many small cells lean, slide and lean again along one response."""
+    rng = np.random.default_rng(45)
+    chain = uniform(2.0, 200, presliding=1e-3, drag=2.0)
+    most, state = 0, init_chain_state(chain)
+    for motor in random_path(rng, 40):
+        response = compute_response(chain, state, motor, 1e-3)
+        most = max(most, response.inner.corners.max())
+        assert np.all(np.diff(response.tip.place) < 1e-12)
+        assert np.all(np.diff(response.tip.tension) > -1e-6)
+        before, state = state, drive(chain, SPRING, [motor], state)[-1]
+        assert_balanced(chain, before, state, 1e-3)
+    assert most > 2 * 200 + 8
+
+
+@pytest.mark.parametrize(
+    ("knobs", "nodes", "steps"),
+    [
+        ({"friction_scale": 50.0, "asymmetry": 3.0, "drag": 1.0}, 300, 60),
+        ({"viscosity": 5000.0}, 1000, 6),
+        ({"presliding": 1e-6, "presliding_tension": 100.0, "drag": 10.0}, 300, 60),
+    ],
+    ids=["friction", "dashpots", "bristles"],
+)
+def test_what_nothing_passes_stays_finite(knobs, nodes, steps):
+    chain = uniform(9.0, nodes, 1.0, axial_stiffness=900.0, **knobs)
+    chain.friction[100:105] = 1e3
+    path = random_path(np.random.default_rng(1), steps)
+    states = drive(chain, SPRING, path, dt=1e-5)
+    assert np.all(np.isfinite(states))
+    assert states[:, TENSION].min() == 0.0
+    assert ends(states)[1].max() < 2.0 + 500.0 * travels(states)[1].max()
+
+
+def test_a_node_that_jams_leaves_the_others_their_friction():
+    chain = uniform(1.0, pretension=5.0)
+    chain.friction[10] = 1e3
+    T = get_tensions(chain, drive(chain, Load(5.0, 500.0), np.linspace(0.0, 20e-3, 50))[-1])
+    assert T[11] < 0.2 * T[10]
+    slid = slice(11, 20)
+    assert T[slid][-1] / T[slid][0] == pytest.approx(np.exp(-8.0 / 60.0), rel=1e-3)
+
+
+def test_without_friction_the_tension_arrives_and_the_tendon_is_one_spring():
+    chain = uniform(0.0)
+    states = drive(chain, SPRING, [1e-3, 4e-3, 2e-3])[1:]
+    (T_in, T_out), (motor, tip) = ends(states), travels(states)
+    assert pytest.approx(T_in, rel=1e-10) == T_out
+    assert motor - tip == pytest.approx(T_out * L / EA, rel=1e-9)
+
+
+def test_a_rigid_tendon_moves_its_tip_by_what_the_motor_moves():
+    path = np.linspace(0.0, 0.01, 50)
+    states = drive(uniform(1.0, axial_stiffness=1e7), SPRING, path)[1:]
+    assert travels(states)[1] == pytest.approx(path, abs=1e-5)
+
+
+def capstan(K, steps):
+    """Tension ratio and mean tension of a full pull, one small friction loss after another."""
+    tension, total = 1.0, 0.0
+    for _ in range(steps):
+        total += tension / steps
+        tension -= tension * K / steps
+    return tension, total - 0.5 * (1.0 - tension) / steps
+
+
+@pytest.mark.parametrize("K", [0.3, 1.0, 2.5])
+def test_a_full_pull_loses_what_summing_small_losses_gives(K):
+    ratio, mean = capstan(K, 400_000)
+    state = drive(uniform(K, nodes=120), BLOCKED, np.linspace(0.0, 3e-3, 30))[-1:]
+    (T_in, T_out), (motor, tip) = ends(state), travels(state)
+    assert T_out / T_in == pytest.approx(ratio, rel=2e-4)
+    assert (motor - tip) / T_in == pytest.approx(mean * L / EA, rel=2e-4)
+
+
+def test_a_full_release_gains_what_a_pull_loses():
+    path = np.concatenate([np.linspace(0, 3e-3, 30), np.linspace(3e-3, 5e-4, 60)])
+    T_in, T_out = ends(drive(uniform(1.0), BLOCKED, path))
+    assert T_out[-1] / T_in[-1] == pytest.approx(T_in[30] / T_out[30], rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    "knobs",
+    [{"asymmetry": 0.75, "drag": 0.5}, {"asymmetry": 1.3}, {"drag": 2.0}],
+    ids=["both", "asymmetry", "drag"],
+)
+def test_nested_reversals_against_a_solver_that_guesses_and_corrects(knobs):
+    sections = (0.4, 0.3), (0.6, 0.15), (0.5, 1.0)
+    sheath = SheathConfig(tuple(SectionConfig(*s) for s in sections), 0.2, EA, 60)
+    chain = turned(build_chain(sheath, 4.0), **knobs)
+    other = brute.Chain(sections, 0.2, EA, beads=60, tension=4.0, **knobs)
+    turns = (0.0, 12e-3, 6e-3, 10e-3, 7e-3, 9e-3, 5e-3, 11e-3)
+    path = np.concatenate([np.linspace(a, b, 80)[1:] for a, b in pairwise(turns)])
+    states = drive(chain, Load(4.0, 400.0), path)[1:]
+    for motor, state in zip(path, states, strict=True):
+        other.move(brute.Position(motor), brute.Spring(400.0, -4.0 / 400.0))
+        assert get_tensions(chain, state) == pytest.approx(other.tensions, abs=1e-8)
+
+
+def test_the_error_of_coarse_cells_falls_with_their_square():
+    path = np.concatenate([np.linspace(0, 3e-3, 40), np.linspace(3e-3, 1.5e-3, 40)])
+    path = np.concatenate([path, np.linspace(1.5e-3, 2.5e-3, 40)])
+
+    def seen(nodes):
+        return np.array(ends(drive(uniform(1.0, nodes), BLOCKED, path)))
+
+    fine = seen(640)
+    errors = [np.abs(seen(n) - fine).max() for n in (10, 20, 40, 80)]
+    # 4 a doubling if every front stopped on a node, which none does
+    assert errors[0] / errors[3] > 4.0**3 / 2.0
+    assert errors[2] < 2e-3 * fine.max()
+
+
+def test_the_parts_of_a_sheath_add_up_to_the_whole():
+    sections = SectionConfig(0.3), SectionConfig(0.8, 0.25), SectionConfig(0.4, 0.1)
+    chain = build_chain(SheathConfig(sections, 0.15, EA, 50), 1.0)
+    assert chain.compliance.sum() == pytest.approx(L / EA)
+    assert chain.cell.sum() == pytest.approx(L)
+    assert chain.friction.sum() == pytest.approx(0.15 * (0.8 / 0.25 + 0.4 / 0.1))
+    assert chain.friction[0] == 0.0
+    assert len(chain.compliance) == len(chain.friction) + 1
+
+
+def test_after_a_reversal_the_tip_stays_until_the_change_arrives():
+    chain = uniform(1.0)
+    pulled = drive(chain, SPRING, np.linspace(0, 6e-3, 60))[-1]
+    back = drive(chain, SPRING, np.linspace(6e-3, 3e-3, 300), pulled)
+    T_in, _ = ends(back)
+    still = np.abs(travels(back)[1] - distal(pulled)) < 1e-15
+    assert 20 < still.sum() < 280
+    assert np.all(np.diff(still.astype(int)) <= 0)  # once it moves it goes on moving
+    last = np.flatnonzero(still)[-1]
+    ratio, _ = capstan(1.0, 400_000)
+    assert T_in[last + 1] / T_in[0] == pytest.approx(ratio**2, rel=0.05)
+
+
+def test_one_large_step_ends_where_many_small_ones_do():
+    chain = uniform(1.3, pretension=1.0, drag=0.3, asymmetry=0.8)
+    load = Load(1.0, 1000.0)
+    far = drive(chain, load, [8e-3])[-1]
+    near = drive(chain, load, np.linspace(0, 8e-3, 500))[-1]
+    assert far[POSITION] == pytest.approx(near[POSITION], abs=1e-12)
+
+
+def energies(chain, states):
+    """Return what springs, creep and bristles store [J], each of shape (states, parts)."""
+    knobs = chain.knobs
+    T, y, f = states[:, TENSION, :-1], states[:, CREEP, :-1], states[:, FRICTION, 1:-1]
+    spring = 0.5 * chain.compliance * T**2
+    creep = 0.0 * y
+    if knobs.creep_share > 0.0:
+        creep = chain.compliance * (0.5 * y**2 / knobs.creep_share + chain.pretension * y)
+    bristle = 0.0 * f
+    if knobs.presliding > 0.0:
+        stiffness = chain.friction * knobs.presliding_tension / knobs.presliding
+        bristle = 0.5 * f**2 / np.where(stiffness > 0.0, stiffness, np.inf)
+    elif knobs.viscosity > 0.0:
+        bristle = 0.5 * f**2 / RIGID_STIFFNESS
+    return spring, creep, bristle
+
+
+PASSIVE = st.fixed_dictionaries(
+    {
+        "friction_scale": st.floats(0.0, 2.0),
+        "asymmetry": st.floats(0.3, 2.0),
+        "drag": st.sampled_from([0.0, 0.5, 3.0]),
+        "viscosity": st.sampled_from([0.0, 10.0, 3000.0]),
+        "presliding": st.sampled_from([0.0, 1e-6, 5e-5, 1e-3]),
+        "stribeck_ratio": st.sampled_from([0.0, 0.5]),
+        "stribeck_memory": st.sampled_from([1e-3, 0.2]),
+        "static_ratio": st.sampled_from([1.0, 1.5]),
+        "tension_exponent": st.sampled_from([0.7, 1.0]),
+        "compression_friction": st.sampled_from([0.0, 0.005]),
+        "creep_share": st.sampled_from([0.0, 0.5]),
+        "creep_time": st.sampled_from([1e-3, 1.0]),
+        "slack": st.sampled_from([0.0, 5e-4]),
+    }
+)
+
+
+@settings(max_examples=120, deadline=None)
+@given(knobs=PASSIVE, seed=st.integers(0, 2**20), dt=st.sampled_from([1e-5, 1e-3, 1e-2]))
+def test_a_tendon_never_gives_more_work_than_it_was_given(knobs, seed, dt):
+    rng = np.random.default_rng(seed)
+    chain = random_chain(rng, **knobs)
+    tip = rng.uniform(-0.3, 0.3) * random_path(rng, 150)
+    states = stretch(chain, 0.3 * random_path(rng, 150), tip, dt=dt)
+    T, u = states[1:, TENSION, :-1], states[:, POSITION]
+    moved = np.diff(u, axis=0)
+    spring, creep, bristle = (np.diff(part, axis=0) for part in energies(chain, states))
+    scale = 1e-10 * max(1.0, T.max()) * (np.abs(moved).max() + 1e-6)
+
+    friction = states[1:, FRICTION, 1:-1] * moved[:, 1:-1]
+    assert np.min(friction - bristle) > -scale
+    dashpots = knobs["viscosity"] * chain.cell * moved[:, 1:-1] ** 2 / dt
+    springs = T * (moved[:, :-1] - moved[:, 1:])
+    given_ = T[:, 0] * moved[:, 0] - T[:, -1] * moved[:, -1]
+    kept = np.sum(spring + creep, axis=1) + np.sum(bristle, axis=1)
+    lost = np.sum(friction - bristle + dashpots, axis=1)
+    assert given_ == pytest.approx(
+        np.sum(springs, axis=1) + np.sum(friction + dashpots, axis=1), abs=100 * scale
+    )
+    if knobs["slack"] == 0.0:  # slack that appears lets springs go without work
+        assert np.min(springs - spring - creep) > -scale
+        assert np.min(given_ - kept - lost) > -100 * scale
+
+
+def test_friction_takes_what_the_loop_encloses():
+    chain = uniform(1.0, pretension=1.0)
+    wave = 4e-3 * (1.0 - np.cos(np.linspace(0, 4 * np.pi, 4001)))
+    states = drive(chain, Load(1.0, 1000.0), wave)[1:]
+    T, u = states[:, TENSION, :-1], states[:, POSITION]
+    lost = ((T[1:, :-1] - T[1:, 1:]) * np.diff(u[:, 1:-1], axis=0)).sum(axis=1)
+    second = slice(2000, 4001)  # the first turn starts from rest, the second is a closed loop
+    work = np.trapezoid(T[second, 0], u[second, 0])
+    assert u[-1] == pytest.approx(u[2000], abs=1e-12)
+    assert work == pytest.approx(lost[2000:].sum(), rel=2e-3)
+    assert work > 0.0
+
+
+def test_a_slack_tendon_pushes_nothing_and_takes_up_what_was_paid_out():
+    chain = uniform(1.0, pretension=1.0)
+    load = Load(1.0, 200.0)
+    states = drive(chain, load, np.linspace(0, -12e-3, 100))
+    T = get_tensions(chain, states[-1])
+    assert np.all(T[0] == 0.0)
+    assert T.max() < 1e-12
+    assert distal(states[-1]) == pytest.approx(-1.0 / 200.0, abs=1e-12)  # where the spring rests
+    again = drive(chain, load, np.linspace(-12e-3, 0, 500), states[-1])
+    taut = travels(again)[0][np.flatnonzero(ends(again)[0] > 0.0)[0]]
+    # the tip rests 5 mm out, and a tendon without its pretension is 1 N * L/EA shorter stretched
+    assert taut == pytest.approx(-5e-3 - L / EA, abs=4e-5)
+
+
+@pytest.mark.parametrize("knobs", EXACT.values(), ids=EXACT.keys())
+def test_both_ends_of_a_broken_tendon_may_be_pulled(knobs):
+    rng = np.random.default_rng(2)
+    for _ in range(40):
+        chain = random_chain(rng, **{"drag": 0.6} | knobs)
+        chain.parted[rng.integers(len(chain.parted))] = 0.05
+        loose = stretch(chain, [0.0], [0.0])[-1]
+        apart = stretch(chain, [rng.uniform(0.0, 8e-3)], [rng.uniform(-8e-3, 0.0)], loose)[-1]
+        assert_balanced(chain, loose, apart, 1e-3)
+        assert get_tensions(chain, apart).min() == 0.0
+
+
+def test_a_load_that_falls_is_seen_at_the_housing_and_one_that_rises_is_not():
+    chain = uniform(1.0)
+    pulled = drive(chain, Load(2.0, 500.0), np.linspace(0, 8e-3, 80))[-1]
+    T_in, T_out = get_tensions(chain, pulled)[[0, -1]]
+    less = drive(chain, Load(1.5, 500.0), [proximal(pulled)], pulled)[-1]
+    more = drive(chain, Load(4.0, 500.0), [proximal(pulled)], pulled)[-1]
+    assert get_tensions(chain, less)[0] < T_in - 0.1
+    assert get_tensions(chain, more)[0] == pytest.approx(T_in, abs=1e-9)
+    assert get_tensions(chain, more)[-1] > T_out + 0.1
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: SheathConfig(friction=0.5, nodes=2), "nodes: must be at least about"),
+        (lambda: SheathConfig(friction=2.0), "friction: must be at most 1.5 with these bends"),
+        (lambda: SheathConfig(sections=()), "sections"),
+        (lambda: SectionConfig(1.0, float("nan")), "radius"),
+        (lambda: SectionConfig(-1.0), "length"),
+    ],
+)
+def test_a_sheath_that_cannot_be_is_refused(make, message):
+    with pytest.raises(ValueError, match=message):
+        make()
+
+
+def test_the_number_of_nodes_asked_for_is_enough():
+    with pytest.raises(ValueError, match="about") as caught:
+        SheathConfig(friction=1.4, nodes=5)
+    needed = int(str(caught.value).split("about ")[1].split(" ")[0])
+    SheathConfig(friction=1.4, nodes=needed)

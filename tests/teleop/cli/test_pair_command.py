@@ -1,0 +1,148 @@
+"""`teleop pair`: what it reads, what it refuses in one line, and what it writes."""
+
+import json
+import math
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from estimator.pair.pair_study import SHARE
+from teleop.cli import commands
+from teleop.cli.pair import PairConfig, read_records
+from teleop.config.loading import load
+from teleop.errors import UsageError
+from tests.estimator.pair import pair_bench as bench
+
+CONFIG = Path(__file__).parents[3] / "configs" / "endoscope-pair.yaml"
+COLUMNS = "time_s,command_angle_deg,distal_angle_deg,proximal_tension_a_N,proximal_tension_b_N"
+BENDS = (0, 100, 200)
+
+
+def write(path, record, head=COLUMNS):
+    angles = np.degrees([record.command, record.angle])
+    rows = np.column_stack([record.time, *angles, record.tension_a, record.tension_b])
+    np.savetxt(path, rows, delimiter=",", header=head, comments="", fmt="%.9g")
+    return str(path)
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("pair")
+    return [
+        write(folder / f"bend{bend}.csv", bench.record(math.radians(bend), samples=60))
+        for bend in BENDS
+    ]
+
+
+@pytest.fixture(scope="module")
+def done(files, tmp_path_factory):
+    """Return the folder that the command has written, with one bend kept apart."""
+    folder = tmp_path_factory.mktemp("out")
+    further = write(folder / "bend150.csv", bench.record(math.radians(150.0), samples=60))
+    out = folder / "report"
+    words = ["pair", *files, "--columns", str(CONFIG), "--validate", further, "--out", str(out)]
+    assert commands.main([*words, "--json", str(folder / "numbers.json")]) == 0
+    return out
+
+
+def refusal(words, capsys):
+    assert commands.main(["pair", *map(str, words)]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    return line
+
+
+def test_the_report_has_friction_and_its_growth(done):
+    report = json.loads((done / "report.json").read_text())
+    assert report["bends"] == pytest.approx([math.radians(bend) for bend in BENDS])
+    assert report["growth"]["value"] == pytest.approx(bench.COEFFICIENT, rel=0.1)
+    K = [number["value"] for number in report["friction"]]
+    assert sorted(K) == K
+    (kept,) = report["validation"]
+    assert kept["ours"]["share"] < 0.05 < kept["baselines"][SHARE]["share"]
+    assert json.loads((done.parent / "numbers.json").read_text()) == report
+
+
+def test_the_page_needs_nothing_else(done):
+    page = (done / "report.html").read_text()
+    assert page.count("data:image/png;base64,") == 3
+    assert "http" not in page
+    assert "Bends kept apart" in page
+
+
+def test_files_are_read_in_the_order_of_their_bends_whatever_their_unit(tmp_path):
+    rows = bench.record(1.5, samples=60)
+    names = [tmp_path / "x_1.5_.csv", tmp_path / "x_0.5_.csv"]
+    for path in names:
+        np.savetxt(
+            path,
+            np.column_stack(rows[1:]),
+            delimiter=",",
+            header=COLUMNS,
+            comments="",
+        )
+    config = tmp_path / "columns.yaml"
+    config.write_text("unit: rad\nbend: 'x_{bend}_'\nbends: [{file: x_0.5_.csv, bend: 0.25}]\n")
+    found = read_records(names, load(config, PairConfig, None))
+    assert [record.bend for record in found] == [0.25, 1.5]
+    np.testing.assert_allclose(found[1].angle, rows.angle)
+
+
+def test_one_file_is_not_enough(files, capsys):
+    assert "at least 3 bends" in refusal(files[:1], capsys)
+
+
+def test_a_missing_column_is_named(files, tmp_path, capsys):
+    path = tmp_path / "bend10.csv"
+    path.write_text("time_s,command_angle_deg\n0,0\n")
+    assert "no column 'distal_angle_deg'" in refusal([*files, path], capsys)
+
+
+def test_a_file_without_a_bend_is_named(files, tmp_path, capsys):
+    path = tmp_path / "run.csv"
+    path.write_text(COLUMNS + "\n0,0,0,5,5\n")
+    assert "does not tell the sheath's bend" in refusal([*files, path], capsys)
+
+
+@pytest.mark.parametrize(
+    ("rows", "message"),
+    [
+        ("0,0,0,5,5\n0,1,1,5,5\n", "time must increase"),
+        ("0,0,0,5,5\n1,1,nan,5,5\n", "not finite"),
+        ("0,0,0,5,5\n1,1,x,5,5\n", "not numbers"),
+    ],
+)
+def test_what_cannot_be_right_is_said(files, tmp_path, rows, message, capsys):
+    path = tmp_path / "bend10.csv"
+    path.write_text(f"{COLUMNS}\n{rows}")
+    line = refusal([*files, path], capsys)
+    assert message in line
+    assert str(path) in line
+
+
+@pytest.mark.parametrize(
+    ("changed", "unit", "message"),
+    [
+        (3, "deg", "'distal_angle_deg' never changes"),
+        (4, "deg", "never changes (5)"),
+        (None, "rad", "set unit: deg"),
+    ],
+)
+def test_a_dead_sensor_and_degrees_are_named(tmp_path, changed, unit, message):
+    time = 0.1 * np.arange(30.0)
+    angles = (60.0 * np.sin(10.0 * time + k) for k in range(2))
+    rows = np.column_stack([time, *angles, *[5.0 + time] * 2])
+    if changed is not None:
+        rows[:, changed - 1] = 5.0
+    path, config = tmp_path / "bend10.csv", tmp_path / "columns.yaml"
+    np.savetxt(path, rows, delimiter=",", header=COLUMNS, comments="")
+    config.write_text(f"unit: {unit}\n")
+    with pytest.raises(UsageError, match=re.escape(message)):
+        read_records([path], load(config, PairConfig, None))
+
+
+def test_a_pattern_without_the_bend_is_refused(files, tmp_path, capsys):
+    config = tmp_path / "columns.yaml"
+    config.write_text("bend: shape\n")
+    assert "must have {bend} once" in refusal([*files, "--columns", config], capsys)
