@@ -2,8 +2,8 @@
 
 Each config dataclass is next to the code it configures, with a default for every field and its
 ranges checked in `__post_init__` by `ValueError("field: what is wrong, what is allowed")`. This
-module builds such dataclasses from a file and from `--set key=value` overrides, using only their
-annotations:
+module builds such dataclasses from a file and from `--set key=value` (`overrides`), using only
+their annotations:
 
 =========================== =====================================================================
 annotation                  what the file may say
@@ -26,12 +26,12 @@ import math
 import re
 import types
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, TypeVar, Union, cast, get_args, get_origin, get_type_hints
 
 from teleop.config import strict_yaml
 from teleop.config.extensions import Extension, ExtensionError, list_entry_points, resolve_class
+from teleop.config.overrides import LIST_INDEX, Override, apply_override, find_override
 from teleop.config.suggestions import suggest_spelling
 from teleop.errors import UsageError
 
@@ -47,7 +47,6 @@ T = TypeVar("T")
 _FIELD_ERROR_PATTERN = re.compile(
     r"^(?P<field>[A-Za-z_]\w*)(?P<rest>[\w.\[\]]*): (?P<what>.*)$", re.DOTALL
 )
-_INDEX = re.compile(r"0|[1-9][0-9]{0,8}")
 _MISSING = object()
 
 
@@ -71,7 +70,7 @@ def load(path: Path | None, cls: type[T], section: str | None, overrides: Sequen
     UsageError
         The file cannot be read, or is invalid for `cls`.
     """
-    source = _Source(path, [_Override.parse(text) for text in overrides])
+    source = _Source(path, [Override.parse(text) for text in overrides])
     tree = source.tree()
     own = tuple(f.name for f in dataclasses.fields(cast(Any, cls)))
     shared = SHARED_KEYS + SECTIONS
@@ -87,7 +86,7 @@ def load(path: Path | None, cls: type[T], section: str | None, overrides: Sequen
 
 def read_stated_keys(path: Path | None, overrides: Sequence[str] = ()) -> dict[str, Any]:
     """Return what a config file and overrides state, as nested mappings, unchecked."""
-    return _Source(path, [_Override.parse(text) for text in overrides]).tree()
+    return _Source(path, [Override.parse(text) for text in overrides]).tree()
 
 
 def as_tree(config: Any) -> Any:
@@ -101,30 +100,10 @@ def as_tree(config: Any) -> Any:
     return str(config) if isinstance(config, Path) else config
 
 
-@dataclass(frozen=True, slots=True)
-class _Override:
-    """One `--set` argument."""
-
-    text: str
-    keys: tuple[str, ...]
-    value: Any
-
-    @classmethod
-    def parse(cls, text: str) -> "_Override":
-        """Parse `dotted.key=value`."""
-        key, equals, value = text.partition("=")
-        keys = tuple(key.strip().split("."))
-        if not equals or not all(re.fullmatch(r"\w+", k) for k in keys):
-            raise UsageError(f"--set {text}: expected dotted.key=value, e.g. master.force.scale=2")
-        if re.fullmatch(r"\[[0-9A-Fa-f:.]*::?[0-9A-Fa-f:.]*\]:\d+", value):  # no YAML: [::1]:7451
-            return cls(text, keys, value)
-        return cls(text, keys, strict_yaml.parse(value, f"--set {text}"))
-
-
 class _Source:
     """The merged tree of file and overrides, with the origin of each key."""
 
-    def __init__(self, path: Path | None, overrides: list[_Override]) -> None:
+    def __init__(self, path: Path | None, overrides: list[Override]) -> None:
         self.path = path
         self.overrides = overrides
 
@@ -132,7 +111,7 @@ class _Source:
         """Return the file's mapping with the overrides applied."""
         tree = {} if self.path is None else self._read(self.path)
         for override in self.overrides:
-            tree = self._replaced(tree, override, override.keys)
+            tree = apply_override(tree, override, self.error)
         return tree
 
     def _read(self, path: Path) -> dict[str, Any]:
@@ -143,41 +122,13 @@ class _Source:
 
         text, overrides = read_recorded_config(path)
         tree = strict_yaml.parse_mapping(text, str(path))
-        for override in map(_Override.parse, overrides):
-            tree = self._replaced(tree, override, override.keys)
+        for override in map(Override.parse, overrides):
+            tree = apply_override(tree, override, self.error)
         return {key: value for key, value in tree.items() if key not in _RUN_SPECIFIC_KEYS}
-
-    def _replaced(self, node: Any, override: _Override, rest: tuple[str, ...]) -> Any:
-        """Return a copy of `node` with the value at the keys `rest` replaced.
-
-        Nodes on the way are copied: an alias in YAML makes one node of several places.
-        """
-        if not rest:
-            return override.value
-        slot: Any = rest[0]
-        if isinstance(node, list):
-            if not _INDEX.fullmatch(slot) or int(slot) >= len(node):
-                raise self.error(override.keys, f"the list has {len(node)} items, counted from 0")
-            slot = int(slot)
-            copy: Any = node.copy()
-            inner = node[slot]
-        else:
-            copy = dict(node) if isinstance(node, dict) else {}
-            inner = copy.get(slot)
-        copy[slot] = self._replaced(inner, override, rest[1:])
-        return copy
-
-    def by_override(self, keys: tuple[str, ...]) -> _Override | None:
-        """Return the override that set the value at `keys` or one of its parents."""
-        for override in reversed(self.overrides):
-            shared = min(len(keys), len(override.keys))
-            if override.keys[:shared] == keys[:shared]:
-                return override
-        return None
 
     def error(self, keys: tuple[str, ...], what: str) -> UsageError:
         """Return the error to raise about the value at `keys`."""
-        override = self.by_override(keys) if keys else None
+        override = find_override(self.overrides, keys) if keys else None
         if override is not None:
             place = f"--set {override.text}"
         else:
@@ -263,7 +214,7 @@ class _Builder:
         if hint is float:
             return self._float(data, keys, infinite)
         if hint is Path and isinstance(data, str) and data:
-            override = self.source.by_override(keys)
+            override = find_override(self.source.overrides, keys)
             try:
                 path = Path(data).expanduser()
             except RuntimeError as error:
@@ -312,7 +263,7 @@ class _Builder:
             if "type" in changed:  # of one item, without its brackets
                 item = f"; [{{type: {changed['type']}, ...}}] is wanted"
                 raise self._wrong(hint, data, keys, item)
-            if not all(_INDEX.fullmatch(str(k)) and int(k) < len(bases) for k in changed):
+            if not all(LIST_INDEX.fullmatch(str(k)) and int(k) < len(bases) for k in changed):
                 count = f"the list has {len(bases)} items, counted from 0"
                 raise self.source.error((*keys, str(next(iter(changed)))), count)
             data = [changed.get(str(i), base) for i, base in enumerate(bases)]

@@ -321,8 +321,8 @@ def leave_console_mode(find: str, driver: str) -> str:
     while not any(map(_is_in_pc_mode, list_attached_nodes())):
         if time.monotonic() > end:
             raise DeviceFault(
-                f"{in_console[0]}: does not leave its console mode; plug it in again, and check that "
-                "its switch and its udev rule (docs/devices.md) are right"
+                f"{in_console[0]}: does not leave its console mode; plug it in again, and check "
+                "that its switch and its udev rule (docs/devices.md) are right"
             )
         time.sleep(_POLL_PERIOD_S)
     return f"{in_console[0]}: switched from console to PC mode"

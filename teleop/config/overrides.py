@@ -1,0 +1,78 @@
+"""`--set dotted.key=value`: what replaces values of a config file; the last one wins."""
+
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from teleop.config import strict_yaml
+from teleop.errors import UsageError
+
+LIST_INDEX = re.compile(r"0|[1-9][0-9]{0,8}")
+"""A key that is the place of an item in a list."""
+
+Keys = tuple[str, ...]
+"""The keys on the way to a value."""
+
+
+@dataclass(frozen=True, slots=True)
+class Override:
+    """One `--set` argument."""
+
+    text: str
+    keys: Keys
+    value: Any
+
+    @classmethod
+    def parse(cls, text: str) -> "Override":
+        """Parse `dotted.key=value`; raises `UsageError`."""
+        key, equals, value = text.partition("=")
+        keys = tuple(key.strip().split("."))
+        if not equals or not all(re.fullmatch(r"\w+", k) for k in keys):
+            raise UsageError(f"--set {text}: expected dotted.key=value, e.g. master.force.scale=2")
+        if re.fullmatch(r"\[[0-9A-Fa-f:.]*::?[0-9A-Fa-f:.]*\]:\d+", value):  # no YAML: [::1]:7451
+            return cls(text, keys, value)
+        return cls(text, keys, strict_yaml.parse(value, f"--set {text}"))
+
+
+def apply_override(
+    tree: dict[str, Any], override: Override, error: Callable[[Keys, str], UsageError]
+) -> dict[str, Any]:
+    """Return a copy of a config's tree with an override applied.
+
+    `error` makes the error to raise of keys and what is wrong: an index beyond the end of a list.
+    """
+    replaced: dict[str, Any] = _replace_value(tree, override, override.keys, error)
+    return replaced
+
+
+def find_override(overrides: Sequence[Override], keys: Keys) -> Override | None:
+    """Return the last override that sets the value at `keys` or one of its parents."""
+    for override in reversed(overrides):
+        shared = min(len(keys), len(override.keys))
+        if override.keys[:shared] == keys[:shared]:
+            return override
+    return None
+
+
+def _replace_value(
+    node: Any, override: Override, rest: Keys, error: Callable[[Keys, str], UsageError]
+) -> Any:
+    """Return a copy of `node` with the value at the keys `rest` replaced.
+
+    Nodes on the way are copied: an alias in YAML makes one node of several places.
+    """
+    if not rest:
+        return override.value
+    slot: Any = rest[0]
+    if isinstance(node, list):
+        if not LIST_INDEX.fullmatch(slot) or int(slot) >= len(node):
+            raise error(override.keys, f"the list has {len(node)} items, counted from 0")
+        slot = int(slot)
+        copy: Any = node.copy()
+        inner = node[slot]
+    else:
+        copy = dict(node) if isinstance(node, dict) else {}
+        inner = copy.get(slot)
+    copy[slot] = _replace_value(inner, override, rest[1:], error)
+    return copy
