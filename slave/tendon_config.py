@@ -7,7 +7,7 @@ from estimator.law.sheath import Section, Sheath, SheathError
 from estimator.online import extension
 from estimator.online.extension import ExtendedModel
 from estimator.online.online import TendonModel
-from slave.simulation.tendon import SectionConfig
+from slave.sheath_section import SectionConfig
 from teleop.data import model_file
 from teleop.errors import UsageError
 from teleop.messages.messages import MAX_MESSAGE_SECTIONS

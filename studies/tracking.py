@@ -25,7 +25,7 @@ from slave.control import ControlConfig, ControllerState, JointEstimate
 from slave.fault_detection import FaultDetectionConfig, FaultDetector, MotorChecks
 from slave.gate import GateConfig
 from slave.rigs.simulated import JointConfig
-from slave.simulation.tendon import SectionConfig
+from slave.sheath_section import SectionConfig
 from slave.tendons import EstimatedTendon, RigLayout, build_rig_layout
 from teleop.messages.messages import MAX_JOINTS, MAX_TENDONS
 from tests.slave.control_bench import DT, Command, follow, joint, sine, staircase

@@ -24,7 +24,7 @@ from slave.calibration.file import TendonCalibration, ValueWithUncertainty
 from slave.calibration.procedure_state import Phase, StopContact
 from slave.calibration.refusals import TENDON_NAMES, format_tendon_name
 from slave.calibration.run import CalibrationRefused, ProcedureData
-from slave.simulation.tendon import SectionConfig
+from slave.sheath_section import SectionConfig
 from slave.tendon_config import TendonConfig
 
 Rows = NDArray[np.bool_]

@@ -5,14 +5,14 @@ nodes is a spring that can only pull. Displacements are positive towards the hou
 """
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from estimator.array_types import Array
 from estimator.compiled import jit_compile, jit_inline
-from teleop.config.loading import MAY_BE_INFINITE
+from slave.sheath_section import SectionConfig
 
 # --- run-time parameters of a tendon: one number per effect, neutral by default
 # The chain reads them at every step, so a fault that starts or grows is a changing knob. `effects`
@@ -56,21 +56,6 @@ NEUTRAL = Knobs()
 
 TOTAL_MAX = 10.0  # K of a whole sheath; transmits 1/20000 of the tension
 FRICTION_MAX = 1.0  # of one cell: above it cells are too coarse, and at 2 a chain would jam
-
-
-@dataclass(frozen=True, slots=True)
-class SectionConfig:
-    """A stretch of sheath of constant bend radius."""
-
-    length: float  # [m]
-    radius: float = field(default=math.inf, metadata=MAY_BE_INFINITE)  # [m] .inf = straight
-
-    def __post_init__(self) -> None:
-        """Check the values; raises `ValueError`."""
-        if not 0.0 < self.length <= 100.0:
-            raise ValueError("length: must be above 0 and at most 100 m")
-        if not self.radius > 0.0:
-            raise ValueError("radius: must be above 0 m")
 
 
 @dataclass(frozen=True, slots=True)

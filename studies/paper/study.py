@@ -17,10 +17,10 @@ from estimator.law.transmission import (
     observe,
 )
 from slave.calibration.run import CalibrationRefused
+from slave.sheath_section import SectionConfig
 from slave.simulation.chain import compute_response, recover_state
 from slave.simulation.contacts import interpolate_curve
 from slave.simulation.tendon import (
-    SectionConfig,
     SheathConfig,
     build_chain,
     divide_sheath,

@@ -5,16 +5,10 @@ from typing import NamedTuple
 import numpy as np
 
 from estimator.compiled import jit_compile
+from slave.sheath_section import SectionConfig
 from slave.simulation.chain import compute_response, recover_state
 from slave.simulation.contacts import interpolate_curve
-from slave.simulation.tendon import (
-    POSITION,
-    TENSION,
-    SectionConfig,
-    SheathConfig,
-    build_chain,
-    init_chain_state,
-)
+from slave.simulation.tendon import POSITION, TENSION, SheathConfig, build_chain, init_chain_state
 
 L, EA = 1.5, 9000.0
 

@@ -16,10 +16,11 @@ from estimator.online import online
 from estimator.online.online import Status
 from slave.config import to_tendon_config
 from slave.rigs.simulated import JointConfig, SimulatedRig, SimulatedRigConfig, TendonPlantConfig
+from slave.sheath_section import SectionConfig
 from slave.simulation.environment import LoadMotorConfig
 from slave.simulation.joint import BodyConfig
 from slave.simulation.sensors import LoadCellConfig
-from slave.simulation.tendon import SectionConfig, SheathConfig
+from slave.simulation.tendon import SheathConfig
 
 K = 0.5
 BENDS = {

@@ -331,7 +331,7 @@ def leave_console_mode(find: str, driver: str) -> str:
 def reattach_device(
     found: FoundDevice, before: frozenset[str], taken: frozenset[str]
 ) -> FoundDevice:
-    """Return the same device at its present path, as as `find_reattached_device`; switch it over."""
+    """Return `find_reattached_device`; switch the wheel over if it is in console mode."""
     try:
         return find_reattached_device(found, before, taken)
     except DeviceNotFoundError:

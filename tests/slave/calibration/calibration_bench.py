@@ -8,11 +8,12 @@ from slave.calibration.run import ProcedureLimits, generate_fast_ticks, run_proc
 from slave.gate import GateConfig
 from slave.rig import RigSample
 from slave.rigs.simulated import JointConfig, SimulatedRig, SimulatedRigConfig, TendonPlantConfig
+from slave.sheath_section import SectionConfig
 from slave.simulation.effects import EffectConfig
 from slave.simulation.environment import FreeConfig
 from slave.simulation.joint import BodyConfig
 from slave.simulation.sensors import LoadCellConfig
-from slave.simulation.tendon import SectionConfig, SheathConfig
+from slave.simulation.tendon import SheathConfig
 
 LENGTH, EA = 1.5, 9000.0
 EVEN = (SectionConfig(LENGTH, 0.225),)

@@ -10,7 +10,7 @@ from slave.calibration.config import KnownSheathConfig
 from slave.calibration.procedure_state import Phase
 from slave.calibration.tendon_identification import PulledTendon
 from slave.calibration.tendon_identification import calibrate_tendon as by_loop
-from slave.simulation.tendon import SectionConfig
+from slave.sheath_section import SectionConfig
 from tests.slave.calibration.calibration_bench import (
     KNOWN,
     LENGTH,

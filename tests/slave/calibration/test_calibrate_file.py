@@ -8,7 +8,7 @@ from slave.calibration import file
 from slave.calibration.file import Calibration, TendonCalibration, ValueWithUncertainty, find_misfit
 from slave.config import SlaveConfig, find_not_ready_reason, load_tendon_configs
 from slave.rigs.replayed import ReplayedRigConfig
-from slave.simulation.tendon import SectionConfig
+from slave.sheath_section import SectionConfig
 from slave.tendon_config import TendonConfig
 from teleop.config.loading import load
 from teleop.errors import UsageError

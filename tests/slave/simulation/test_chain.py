@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from slave.sheath_section import SectionConfig
 from slave.simulation.chain import compute_response
 from slave.simulation.contacts import interpolate_curve
 from slave.simulation.tendon import (
@@ -17,7 +18,6 @@ from slave.simulation.tendon import (
     TENSION,
     Chain,
     Knobs,
-    SectionConfig,
     SheathConfig,
     build_chain,
     get_tensions,

@@ -7,7 +7,8 @@ import pytest
 
 from estimator.law import transmission
 from estimator.law.sheath import Section, Sheath
-from slave.simulation.tendon import SectionConfig, SheathConfig, build_chain
+from slave.sheath_section import SectionConfig
+from slave.simulation.tendon import SheathConfig, build_chain
 from tests.slave.tendon_bench import Load, drive, ends, travels
 
 UNIFORM = ((1.5, 0.225),)

@@ -51,7 +51,8 @@ def test_each_kind_is_a_quarter_and_bent_where_it_says(sheaths):
 
 
 def test_unevenness_is_the_one_of_theory():
-    from slave.simulation.tendon import SectionConfig, SheathConfig
+    from slave.sheath_section import SectionConfig
+    from slave.simulation.tendon import SheathConfig
     from studies.paper.bench import Specimen
 
     bends = (SectionConfig(0.2, 0.05), SectionConfig(1.3, 0.5))

@@ -16,10 +16,11 @@ from estimator.online.online import Status
 from master.devices.virtual import Reaches, Sine
 from slave.config import to_tendon_config
 from slave.rigs.simulated import JointConfig, SimulatedRig, SimulatedRigConfig, TendonPlantConfig
+from slave.sheath_section import SectionConfig
 from slave.simulation.environment import FreeConfig, TissueConfig, WallConfig
 from slave.simulation.joint import BodyConfig
 from slave.simulation.sensors import LoadCellConfig
-from slave.simulation.tendon import SectionConfig, SheathConfig
+from slave.simulation.tendon import SheathConfig
 
 TISSUE = BodyConfig(pretension=1.0, spring=250.0), TissueConfig(position=0.008, stiffness=9000.0)
 WALL = BodyConfig(pretension=1.0, spring=300.0), WallConfig(position=0.006, stiffness=20_000.0)
