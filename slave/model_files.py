@@ -11,7 +11,7 @@ from pathlib import Path
 
 from estimator import signals
 from estimator.array_types import Array
-from estimator.diagnosis.settings import SETTINGS
+from estimator.law.sheath import ASSUMED_COMPLIANCE
 from estimator.online.extension import EffectUse, explain_omission
 from estimator.spikes import SAMPLES_MIN
 from slave.calibration.file import JointTendons
@@ -109,7 +109,7 @@ def set_sheath_length(tendon: TendonConfig, length: float) -> TendonConfig:
     Where the model's data did not tell its elasticity, it has the L/EA that the diagnosis assumed:
     with another one the model's effects would give another force.
     """
-    return replace(tendon, length=length, axial_stiffness=length / SETTINGS.assumed_compliance)
+    return replace(tendon, length=length, axial_stiffness=length / ASSUMED_COMPLIANCE)
 
 
 def set_noise_from_data(tendon: TendonConfig, tension: Array, travel: Array | None) -> TendonConfig:

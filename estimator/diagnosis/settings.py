@@ -8,6 +8,8 @@ it is used.
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from estimator.law.sheath import ASSUMED_COMPLIANCE
+
 
 @dataclass(frozen=True, slots=True)
 class Settings:
@@ -38,7 +40,7 @@ class Settings:
     loose_tension: float = 0.5  # [N] at the tip that hardly moves what it pulls at
 
     # when a record starts slack, and where it is taut then (dataset.py)
-    assumed_compliance: float = 1e-4  # [m/N] L/EA without a travel: tensions do not tell it
+    assumed_compliance: float = ASSUMED_COMPLIANCE  # [m/N] L/EA without a travel
     slack_noise: float = 3.0  # in sigma: tension below which the start is slack
     taut_sigma: float = 2.0  # standard deviations of the tension: how surely the start tells it
     taut_sigma_min: float = 1e-6  # [m]

@@ -7,6 +7,9 @@ from typing import Self
 MAX_K = 20.0
 """Largest friction coordinate accepted: at e^-20 nothing measurable reaches the tip."""
 
+ASSUMED_COMPLIANCE = 1e-4
+"""L/EA [m/N] of a sheath of which only tensions were measured, which do not tell it."""
+
 
 class SheathError(ValueError):
     """A sheath that cannot exist; the message names the field, the value and what is allowed."""
