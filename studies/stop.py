@@ -1,6 +1,6 @@
 """How long `teleop stop` takes while strangers keep both ports busy, and while nobody does.
 
-python studies/stop.py [--count 200]
+python studies/stop.py [--count 200] [--set rate_hz=250]
 
 The time is that of the whole command, until it has printed that both sides have stopped, without a
 flood (the baseline) and under one of silent connections and failing TLS at each port. After each
@@ -60,9 +60,16 @@ def main() -> int:
     """Print all; returns 1 if a stop failed."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--count", type=int, default=200)
-    count = parser.parse_args().count
-    failures = 0
-    with tempfile.TemporaryDirectory() as folder, Processes(Path(folder), CONFIG) as session:
+    parser.add_argument(
+        "--set", dest="overrides", action="append", default=[], metavar="KEY=VALUE",
+        help="of the config: rate_hz=250 where a session at 1 kHz leaves commands no processor",
+    )  # fmt: skip
+    args = parser.parse_args()
+    count, failures = args.count, 0
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        Processes(Path(folder), CONFIG, *args.overrides) as session,
+    ):
         session.start_all()
         ports = [session.link_config.master, session.link_config.slave]
         flood = f"{SILENT} silent connections, {FAILING_HZ:g} failing ones a second at each port"
