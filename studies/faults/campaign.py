@@ -5,8 +5,8 @@
     python -m studies.faults.campaign --rounds 2 --out /tmp/faults --json faults.json
     python -m studies.faults.campaign --judge /tmp/faults         look again at what was recorded
 
-Ends with exit code 1 unless the 99th percentile of the slave's reaction is within `SLAVE_S`, every
-reaction of the master within `MASTER_S`, and nothing moved or engaged that was not asked to.
+Ends with exit code 1 unless the 99th percentile of the slave's reaction is within `SLAVE_S` and a
+tick, every reaction of the master within `MASTER_S`, and nothing moved or engaged unasked.
 """
 
 import argparse
@@ -97,7 +97,7 @@ def failures(verdict: CampaignResult, faults: list[Fault]) -> list[str]:
         side: [seconds for _, name, seconds in verdict.reactions if name == side]
         for side in ("master", "slave")
     }
-    if times["slave"] and np.percentile(times["slave"], 99) > SLAVE_S:
+    if times["slave"] and np.percentile(times["slave"], 99) > SLAVE_S + verdict.tick:
         out.append("the slave held late")
     if times["master"] and max(times["master"]) > MASTER_S:
         out.append("the master's force was zero late")

@@ -135,6 +135,7 @@ class CampaignResult(NamedTuple):
     let_out: float  # [m] by motors that had not even to give way
     engagements: int
     broken_off: list[str]  # faults that need not end an engagement, and did
+    tick: float  # [s] of the slave
 
 
 def judge(paths: list[Path], faults: list[Fault], fresh_ns: int = FRESH_NS) -> CampaignResult:
@@ -176,6 +177,7 @@ def judge(paths: list[Path], faults: list[Fault], fresh_ns: int = FRESH_NS) -> C
         let_out,
         len(starts),
         broken_off(master, faults),
+        slave.tick_ns * 1e-9,
     )
 
 

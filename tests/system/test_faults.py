@@ -44,7 +44,7 @@ def test_faults_are_taken_in_time_and_nothing_moves_again_unasked(tmp_path, demo
 
 def test_a_campaign_in_which_nothing_was_seen_has_failed():
     faults = [Fault("cut", "both", 0.2, 0, MS)] * 4
-    nothing = CampaignResult([], {"master": 0.0, "slave": 0.0}, {}, 0, 0, 0.0, 0.0, 0, [])
+    nothing = CampaignResult([], {"master": 0.0, "slave": 0.0}, {}, 0, 0, 0.0, 0.0, 0, [], 0.001)
     assert len(failures(nothing, faults)) == 2
     seen = [(fault, side, 0.028) for fault in faults for side in ("master", "slave")]
     assert failures(nothing._replace(reactions=seen, engagements=4), faults) == []
