@@ -157,7 +157,7 @@ def describe_effects(tendon: TendonConfig) -> list[str]:
         return []
     warnings = []
     for effect, _, use in extended.uses:
-        why = f": it {explain_omission(effect)}" if use is EffectUse.NOTHING else ""
+        why = f": it {explain_omission(effect)}" if use is EffectUse.OMITTED else ""
         warnings.append(f"{effect.label} is {use.value}{why}")
     saved = model_file.load(tendon.model_file)
     if saved.unexplained:

@@ -270,7 +270,7 @@ def select_applicable_effects(
     return [
         effect
         for effect in effects
-        if effect.needs <= set(record.signals)
+        if effect.required_channels <= set(record.signals)
         and effect.name not in excluded
         and (not record.loop or effect.name in LOOP_EFFECTS or effect.label in LOOP_EFFECTS)
     ]

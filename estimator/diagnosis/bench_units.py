@@ -153,7 +153,7 @@ def _unscale_own_values(base: BaseParameters, own: Values, scale: BenchScale) ->
 
 
 def _unscale_effect_values(effect: Effect, values: Values, scale: BenchScale) -> Values:
-    return effect.from_zero(_unscale_values(effect.parameters, values, scale), scale.zero)
+    return effect.shift_encoder_zero(_unscale_values(effect.parameters, values, scale), scale.zero)
 
 
 def _unscale_simulated_record(simulated: SimulatedRecord, scale: BenchScale) -> SimulatedRecord:
@@ -200,7 +200,7 @@ def shift_encoder_zero(
     The intervals of its amplitudes include those of all pairs within theirs, its shape as it is:
     what another radius or wave number would do to a phase so far away is not in them.
     """
-    shifted = effect.from_zero(values, zero)
+    shifted = effect.shift_encoder_zero(values, zero)
     if shifted == values:
         return {}
     names = [f"{effect.name}.{p.name}" for p in effect.parameters]
@@ -208,7 +208,7 @@ def shift_encoder_zero(
         (value,) if p.neutral is None else (numbers[name].low, numbers[name].high)
         for p, name, value in zip(effect.parameters, names, values, strict=True)
     ]
-    corners = [effect.from_zero(corner, zero) for corner in product(*ends)]
+    corners = [effect.shift_encoder_zero(corner, zero) for corner in product(*ends)]
     at_bound = any(
         numbers[name].at_bound for name, end in zip(names, ends, strict=True) if len(end) > 1
     )

@@ -63,7 +63,7 @@ class ParameterLayout:
         span = max(float(np.ptp(record.drive)) for record in dataset.records)
         for effect, values in model.effects:
             self.names += [f"{effect.name}.{p.name}" for p in effect.parameters]
-            self.parameters += effect.within(effect.parameters, span, values)
+            self.parameters += effect.limit_parameters(effect.parameters, span, values)
         self.common = len(self.parameters)  # those of the dataset come first
         for k, record in enumerate(dataset.records):
             self.names += [f"{p.name} ({k + 1})" for p in base.own]

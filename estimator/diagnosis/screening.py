@@ -166,7 +166,7 @@ def fit_candidates(
             else [model, reset_model]
         )
         best = fit_cheapest(models)
-        if best.effect.brief and not is_noise(dataset, best.held_out):
+        if best.effect.is_transient and not is_noise(dataset, best.held_out):
             restarted = fit_cheapest(
                 _refine_starts(dataset, contexts, current_fit.model, best.effect)
             )
@@ -305,7 +305,7 @@ def _reset_shapes_at_bound(model: Model, context: EffectContext) -> Model | None
     whole records would not have led it to, and would not lead it away from. None if there is none.
     """
     *other_effects, (effect, values) = model.effects
-    allowed = effect.within(effect.parameters, float(np.ptp(context.drive)), values)
+    allowed = effect.limit_parameters(effect.parameters, float(np.ptp(context.drive)), values)
     are_at_bound = [
         p.neutral is None and not p.jumps and _is_at_bound(value, p)
         for value, p in zip(values, allowed, strict=True)

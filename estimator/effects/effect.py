@@ -70,7 +70,7 @@ class EffectContext(NamedTuple):
         """Return which samples of a channel were measured, shape (n,)."""
         return self.present.get(channel, np.ones(len(self.time), dtype=np.bool_))
 
-    def instants(self, count: int) -> list[float]:
+    def spread_times(self, count: int) -> list[float]:
         """Return times [s] spread over the record, its very ends left out."""
         shares = (np.arange(count) + 0.5) / count
         return [float(t) for t in self.time[0] + shares * (self.time[-1] - self.time[0])]
@@ -120,19 +120,20 @@ class Effect:
         What a person does who has it on their bench.
     starts
         Values to begin fits from; where it decides the local minimum, several.
-    needs
+    required_channels
         Channels without which the effect is not defined.
-    within
-        Its parameters, for records whose motor goes through a span [m] and a fit from values: what
-        needs a way to show.
+    limit_parameters
+        Given the parameters, the motor's span [m] in a record and values of a fit, returns the
+        parameters with the bounds that such a span can resolve.
     correction
         Of a sensor at the housing: how its readings are put right one by one, in another session
         too; None where they cannot be.
-    from_zero
-        Its values for readings of the motor's encoder that are more by `zero`.
-    brief
-        Whether it shows in short times only, such as the first samples of a motion, which a thin
-        record does not have.
+    shift_encoder_zero
+        Given values and `zero` [m], returns the values for readings of the motor's encoder that are
+        higher by `zero`.
+    is_transient
+        Whether it shows only in short intervals, such as the first samples of a motion, which a
+        subsampled record does not contain.
     """
 
     name: str
@@ -146,13 +147,13 @@ class Effect:
     measure: Callable[[Signals, Values, EffectContext], Signals] = _keep_signals
     invert: Callable[[Array, Values, EffectContext], Array] = _keep_drive
     where: str = ""
-    needs: frozenset[str] = frozenset()
-    within: Callable[[tuple[Parameter, ...], float, Values], tuple[Parameter, ...]] = (
+    required_channels: frozenset[str] = frozenset()
+    limit_parameters: Callable[[tuple[Parameter, ...], float, Values], tuple[Parameter, ...]] = (
         _keep_parameters
     )
     correction: CorrectionKind | None = None
-    from_zero: Callable[[Values, float], Values] = _keep_values
-    brief: bool = False
+    shift_encoder_zero: Callable[[Values, float], Values] = _keep_values
+    is_transient: bool = False
 
     @property
     def label(self) -> str:
@@ -160,13 +161,13 @@ class Effect:
         return f"{self.name} ({self.where})" if self.where else self.name
 
 
-def compute_step(time: Array, onset: float, over: float = 0.0) -> Array:
-    """Return 0 before `onset` [s] and 1 after, shape (n,), the step taken `over` so long [s].
+def compute_step(time: Array, onset: float, duration: float = 0.0) -> Array:
+    """Return 0 before `onset` [s] and 1 after, shape (n,), the step taken `duration` so long [s].
 
     No shorter than from one sample to the next, which one in between would be in anyway.
     """
-    over = max(over, float(np.median(np.diff(time))))
-    return np.clip((time - onset) / over + 0.5, 0.0, 1.0)
+    duration = max(duration, float(np.median(np.diff(time))))
+    return np.clip((time - onset) / duration + 0.5, 0.0, 1.0)
 
 
 def changed(signals: Signals, channel: str, change: Callable[[Array], Array]) -> Signals:

@@ -3,13 +3,7 @@
 import numpy as np
 
 from estimator.array_types import Array
-from estimator.effects.effect import (
-    PROXIMAL_DISPLACEMENT,
-    Effect,
-    EffectContext,
-    Parameter,
-    Values,
-)
+from estimator.effects.effect import PROXIMAL_DISPLACEMENT, Effect, EffectContext, Parameter, Values
 from estimator.lumped.lumped_model import Physics
 from estimator.lumped.nodes import EDGES, PLACES
 
@@ -58,7 +52,7 @@ TWO_SECTIONS = Effect(
     starts=lambda _: [(0.6, cut) for cut in (0.15, 0.35, 0.6, 0.85)],
     physics=_apply_two_sections,
     where="two sections",
-    needs=TRAVEL,
+    required_channels=TRAVEL,
 )
 
 THREE_SECTIONS = Effect(
@@ -79,7 +73,7 @@ THREE_SECTIONS = Effect(
     ],
     physics=_apply_three_sections,
     where="three sections",
-    needs=TRAVEL,
+    required_channels=TRAVEL,
 )
 
 GRADUAL_CURVATURE = Effect(
@@ -92,7 +86,7 @@ GRADUAL_CURVATURE = Effect(
     starts=lambda _: [(0.6,)],
     physics=_apply_gradual_curvature,
     where="gradually along the sheath",
-    needs=TRAVEL,
+    required_channels=TRAVEL,
 )
 
 NONLINEAR_STIFFNESS = Effect(
@@ -107,7 +101,7 @@ NONLINEAR_STIFFNESS = Effect(
     advice="Test the bare tendon in tension, stay above the toe, or use a tendon that is set.",
     starts=lambda _: [(1e-4, tension) for tension in (0.7, 2.0, 6.0)],
     physics=lambda physics, values, _: physics._replace(toe=values[0], toe_tension=values[1]),
-    needs=TRAVEL,
+    required_channels=TRAVEL,
 )
 
 CREEP = Effect(
@@ -122,7 +116,7 @@ CREEP = Effect(
     advice="Preload the tendon before use; polymer tendons need the model.",
     starts=lambda _: [(0.08, time) for time in (1.0, 4.0, 15.0)],
     physics=lambda physics, values, _: physics._replace(creep=values[0], creep_time=values[1]),
-    needs=TRAVEL,
+    required_channels=TRAVEL,
 )
 
 SHEATH_COMPRESSION = Effect(
@@ -137,7 +131,7 @@ SHEATH_COMPRESSION = Effect(
     advice="Anchor the sheath, use an over-tube, or one of a stiffer winding.",
     starts=lambda context: [(5e-7, share * context.peak) for share in (0.1, 0.35, 0.6)],
     physics=lambda physics, values, _: physics._replace(compression=values[0], threshold=values[1]),
-    needs=TRAVEL,
+    required_channels=TRAVEL,
 )
 
 SLACK = Effect(
@@ -149,7 +143,7 @@ SLACK = Effect(
     advice="Wind the slack in before you begin, or keep a small tension.",
     starts=lambda _: [(2e-5,), (3e-4,), (1.5e-3,)],
     physics=lambda physics, values, _: physics._replace(stretch=physics.stretch + values[0]),
-    needs=TRAVEL,
+    required_channels=TRAVEL,
 )
 
 
@@ -172,7 +166,7 @@ THERMAL_EXPANSION = Effect(
     advice="Warm the bench up, log the temperature, or return to a hard stop now and then.",
     starts=lambda _: [(5e-5, time) for time in (10.0, 40.0, 1e3)],
     physics=_apply_expansion,
-    needs=TRAVEL,
+    required_channels=TRAVEL,
 )
 
 EFFECTS = (

@@ -38,12 +38,13 @@ PRETENSION = Effect(
 
 
 def _build_pretension(
-    way: str, where: str, came_from: Callable[[float, float], list[float]]
+    stroke: str, where: str, build_turns: Callable[[float, float], list[float]]
 ) -> Effect:
     """Return the pretension that motion before the record has left behind in the sheath."""
     return Effect(
         name="pretension",
-        cause=f"the record begins in the midst of motion, after a {way} that the sheath remembers",
+        cause=f"the record begins in the midst of motion, after a {stroke} that the "
+        "sheath remembers",
         equation=f"before the first sample the motor came from further {where}, by a share of its "
         "range in the record (the tension did, where there is no travel)",
         parameters=(Parameter("share", "", 0.0, 1.0, 0.01, None),),
@@ -51,9 +52,9 @@ def _build_pretension(
         advice=PRETENSION.advice,
         starts=lambda _: [(share,) for share in (0.01, 0.04, 0.2)],
         physics=lambda physics, values, context: physics._replace(
-            earlier=np.array(came_from(values[0], float(np.ptp(context.drive))))
+            earlier_turns=np.array(build_turns(values[0], float(np.ptp(context.drive))))
         ),
-        where=f"left by a {way}",
+        where=f"left by a {stroke}",
     )
 
 
@@ -77,7 +78,7 @@ JOINT_BACKLASH = Effect(
     measure=lambda signals, values, _: changed(
         signals, DISTAL_DISPLACEMENT, lambda q: apply_backlash(q, values[0])
     ),
-    needs=BOTH_TRAVELS,
+    required_channels=BOTH_TRAVELS,
 )
 
 
@@ -94,7 +95,7 @@ JOINT_FRICTION = Effect(
     advice="Look at the joint's bearings; the force on the tool is less than the tendon's by it.",
     starts=lambda _: [(0.15,), (0.6,)],
     physics=_apply_joint_friction,
-    needs=TRAVEL,
+    required_channels=TRAVEL,
 )
 
 
@@ -119,7 +120,7 @@ ANTAGONIST_TENSION = Effect(
     advice="Read its load cell, and let it out further before you measure.",
     starts=lambda _: [(tension, 0.8, s) for tension in (0.2, 0.8) for s in (2e3, 1e4)],
     physics=_apply_antagonist,
-    needs=TRAVEL,
+    required_channels=TRAVEL,
 )
 
 
@@ -139,7 +140,7 @@ TIP_INERTIA = Effect(
     advice="Move more smoothly, or take the load off the tip.",
     starts=lambda _: [(0.05, 5.0), (0.5, 10.0), (0.05, 100.0)],
     physics=_apply_tip_inertia,
-    needs=TRAVEL,
+    required_channels=TRAVEL,
 )
 
 
@@ -151,14 +152,14 @@ def _apply_tip_motion(physics: Physics, values: Values, context: EffectContext) 
 
 def _apply_tip_excursion(physics: Physics, values: Values, context: EffectContext) -> Physics:
     size, onset, duration, stay = values
-    over = max(duration, 0.02)
-    there = compute_step(context.time, onset + 0.5 * duration, over)
-    back = compute_step(context.time, onset + stay + 1.5 * duration, over)
-    return physics._replace(tip_offset=physics.tip_offset + size * (there - back))
+    step_duration = max(duration, 0.02)
+    departure = compute_step(context.time, onset + 0.5 * duration, step_duration)
+    return_step = compute_step(context.time, onset + stay + 1.5 * duration, step_duration)
+    return physics._replace(tip_offset=physics.tip_offset + size * (departure - return_step))
 
 
 def _build_motion_starts(context: EffectContext) -> Iterable[Values]:
-    return [(2e-4, onset, 0.5) for onset in context.instants(2 * ONSET_COUNT)]
+    return [(2e-4, onset, 0.5) for onset in context.spread_times(2 * ONSET_COUNT)]
 
 
 def _build_excursion_starts(context: EffectContext) -> Iterable[Values]:
@@ -170,15 +171,15 @@ def _build_excursion_starts(context: EffectContext) -> Iterable[Values]:
 def find_largest_deviation(context: EffectContext, width: float) -> float:
     """Return when [s] a while of `width` [s] begins whose residual differs most from the rest."""
     count = max(2, round(width / float(np.median(np.diff(context.time)))))
-    most, begin = 0.0, 0
+    peak, begin = 0.0, 0
     for channel, simulated in context.simulated.items():
-        off, rows = context.measured[channel] - simulated, context.measured_rows(channel)
-        off = (off - np.median(off[rows])) / max(float(np.std(off[rows])), 1e-30)
-        off[~rows] = 0.0
-        total = np.concatenate([[0.0], np.cumsum(off)])
-        within = np.abs(total[count:] - total[:-count])
-        if within.max() > most:
-            most, begin = float(within.max()), int(np.argmax(within))
+        error, rows = context.measured[channel] - simulated, context.measured_rows(channel)
+        error = (error - np.median(error[rows])) / max(float(np.std(error[rows])), 1e-30)
+        error[~rows] = 0.0
+        cumulative = np.concatenate([[0.0], np.cumsum(error)])
+        window_sum = np.abs(cumulative[count:] - cumulative[:-count])
+        if window_sum.max() > peak:
+            peak, begin = float(window_sum.max()), int(np.argmax(window_sum))
     return float(context.time[begin])
 
 
@@ -198,7 +199,7 @@ TIP_MOVED = Effect(
     starts=_build_motion_starts,
     physics=_apply_tip_motion,
     where="and left it there",
-    needs=TRAVEL,
+    required_channels=TRAVEL,
 )
 
 TIP_MOVED_BACK = Effect(
@@ -211,7 +212,7 @@ TIP_MOVED_BACK = Effect(
     starts=_build_excursion_starts,
     physics=_apply_tip_excursion,
     where="and took it back",
-    needs=TRAVEL,
+    required_channels=TRAVEL,
 )
 
 EFFECTS = (

@@ -27,7 +27,7 @@ def _apply_friction_step(physics: Physics, values: Values, context: EffectContex
 
 
 def _build_step_starts(context: EffectContext) -> Iterable[Values]:
-    return [(a, onset) for onset in context.instants(ONSET_COUNT) for a in (-0.2, 0.2)]
+    return [(a, onset) for onset in context.spread_times(ONSET_COUNT) for a in (-0.2, 0.2)]
 
 
 FRICTION_STEP = Effect(
@@ -122,7 +122,7 @@ STRIBECK_WITH_MEMORY = Effect(
         stribeck=values[0], stribeck_speed=values[1], stribeck_memory=values[2]
     ),
     where="by each contact's own, with a memory",
-    brief=True,
+    is_transient=True,
 )
 
 PRESLIDING = Effect(
@@ -174,10 +174,10 @@ _K_WEIGHTS = np.eye(len(_SPREAD_THRESHOLDS))[_SPREAD_K]
 
 
 def _apply_threshold_spread(physics: Physics, values: Values, _context: EffectContext) -> Physics:
-    early, late = values
-    if early == late == 0.0:
+    early_share, late_share = values
+    if early_share == late_share == 0.0:
         return physics._replace(spectrum=ONE_PLAY)
-    weights = _K_WEIGHTS + early * _EARLY_WEIGHTS + late * _LATE_WEIGHTS
+    weights = _K_WEIGHTS + early_share * _EARLY_WEIGHTS + late_share * _LATE_WEIGHTS
     return physics._replace(spectrum=build_spectrum(_SPREAD_THRESHOLDS, weights))
 
 
@@ -202,7 +202,7 @@ DISTRIBUTED_PLAY = Effect(
     starts=lambda _: [(0.3, 0.0), (0.0, 0.3), (0.3, 0.3)],
     physics=_apply_threshold_spread,
     where="spread about K",
-    needs=frozenset({DISTAL_TENSION}),
+    required_channels=frozenset({DISTAL_TENSION}),
 )
 
 PLAY_SPECTRUM = Effect(
@@ -219,7 +219,7 @@ PLAY_SPECTRUM = Effect(
     starts=lambda _: [(0.1, 0.1, 0.1, 0.1), (0.2, 0.2, 0.0, 0.0), (0.0, 0.0, 0.2, 0.2)],
     physics=_apply_play_spectrum,
     where="a weight for each of five plays",
-    needs=DISTRIBUTED_PLAY.needs,
+    required_channels=DISTRIBUTED_PLAY.required_channels,
 )
 
 DIRECTION_ASYMMETRY = Effect(
@@ -274,7 +274,7 @@ STICK_SLIP = Effect(
     physics=lambda physics, values, _: physics._replace(
         static=values[0], static_time=values[1], static_distance=values[2]
     ),
-    brief=True,
+    is_transient=True,
 )
 
 EFFECTS = (

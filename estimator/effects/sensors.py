@@ -57,7 +57,7 @@ def _build_sensor_effect(
         effect,
         measure=measure,
         invert=invert,
-        needs=effect.needs | {channel},
+        required_channels=effect.required_channels | {channel},
         correction=effect.correction if at_housing else None,
     )
 
@@ -132,14 +132,14 @@ def _apply_first_order_lag(signal: Array, values: Values, context: EffectContext
     steps = np.diff(context.time, prepend=context.time[0])
     if tau < 1e-6:
         return signal
-    kept = np.exp(-steps / tau)
+    decay = np.exp(-steps / tau)
     # exact for a signal that is straight between samples
-    late = 1.0 - (1.0 - kept) * tau / np.maximum(steps, 1e-12)
-    out, y, before = np.empty_like(signal), float(signal[0]), float(signal[0])
-    for i, (x, k, f) in enumerate(zip(signal.tolist(), kept.tolist(), late.tolist(), strict=True)):
+    gain = 1.0 - (1.0 - decay) * tau / np.maximum(steps, 1e-12)
+    out, y, previous = np.empty_like(signal), float(signal[0]), float(signal[0])
+    for i, (x, k, f) in enumerate(zip(signal.tolist(), decay.tolist(), gain.tolist(), strict=True)):
         if i:
-            y = y * k + x * f + before * (1.0 - k - f)
-        before = x
+            y = y * k + x * f + previous * (1.0 - k - f)
+        previous = x
         out[i] = y
     return out
 
@@ -149,7 +149,7 @@ def _invert_first_order_lag(signal: Array, values: Values, context: EffectContex
 
 
 def _build_lag(
-    channel: str, forward: SignalTransform, inverse: SignalTransform, equation: str, how: str
+    channel: str, forward: SignalTransform, inverse: SignalTransform, equation: str, kind: str
 ) -> Effect:
     return _build_sensor_effect(
         channel,
@@ -164,7 +164,7 @@ def _build_lag(
             advice="Compare the edges of one sharp pull in all channels; look at filters and time "
             "stamps.",
             starts=lambda _: [(0.03,)],
-            where=f"{SENSOR_NAMES[channel]}, {how}",
+            where=f"{SENSOR_NAMES[channel]}, {kind}",
         ),
     )
 
@@ -188,7 +188,7 @@ TIP_CLOCK = Effect(
     starts=lambda _: [(-0.03,), (0.03,)],
     where="all sensors at the tip, by their clock",
     measure=_delay_tip_signals,
-    needs=frozenset({DISTAL_TENSION}),
+    required_channels=frozenset({DISTAL_TENSION}),
 )
 
 
@@ -220,8 +220,8 @@ def _build_saturation(channel: str) -> Effect:
 
 def _build_encoder_scale(channel: str) -> Effect:
     def scaled(q: Array, by: float, context: EffectContext) -> Array:
-        known = context.measured.get(channel)
-        zero = 0.0 if known is None else known[0]  # encoders count from anywhere
+        signal = context.measured.get(channel)
+        zero = 0.0 if signal is None else signal[0]  # encoders count from anywhere
         return np.asarray(zero + by * (q - zero))
 
     return _build_sensor_effect(
@@ -238,7 +238,7 @@ def _build_encoder_scale(channel: str) -> Effect:
             advice=f"Measure a known travel with {SENSOR_NAMES[channel]}.",
             starts=lambda _: [(0.03,)],
             where=SENSOR_NAMES[channel],
-            needs=frozenset({PROXIMAL_DISPLACEMENT}),
+            required_channels=frozenset({PROXIMAL_DISPLACEMENT}),
             correction=CorrectionKind.DISPLACEMENT_GAIN,
         ),
     )
@@ -257,11 +257,11 @@ def _find_slip_starts(context: EffectContext, channel: str) -> Iterable[Values]:
     time, q = context.time, context.measured[channel]
     dt, advance = np.diff(time), np.diff(q)
     speed = advance / dt
-    beside = np.median([speed[:-4], speed[1:-3], speed[3:-1], speed[4:]], axis=0)
-    step = advance[2:-2] - beside * dt[2:-2]
+    neighbour_speed = np.median([speed[:-4], speed[1:-3], speed[3:-1], speed[4:]], axis=0)
+    step = advance[2:-2] - neighbour_speed * dt[2:-2]
     largest = np.argsort(-np.abs(step))[:SLIP_STEP_COUNT]
-    seen = [(float(step[k]), float(time[k + 2] + 0.5 * dt[k + 2])) for k in largest]
-    return [*((5e-5, t) for t in context.instants(2 * ONSET_COUNT)), *seen]
+    measured_starts = [(float(step[k]), float(time[k + 2] + 0.5 * dt[k + 2])) for k in largest]
+    return [*((5e-5, t) for t in context.spread_times(2 * ONSET_COUNT)), *measured_starts]
 
 
 def _build_encoder_slip(channel: str) -> Effect:
@@ -282,13 +282,13 @@ def _build_encoder_slip(channel: str) -> Effect:
             f"{SENSOR_NAMES[channel]}.",
             starts=lambda context: _find_slip_starts(context, channel),
             where=SENSOR_NAMES[channel],
-            needs=frozenset({PROXIMAL_DISPLACEMENT}),
+            required_channels=frozenset({PROXIMAL_DISPLACEMENT}),
         ),
     )
 
 
 def find_waves(
-    phase: Array, residual: Array, gain: Array, others: Array, wanted: Array
+    phase: Array, residual: Array, gain: Array, regressors: Array, wave_numbers: Array
 ) -> list[Values]:
     """Return (sine, cosine, wave number) of the waves in a residual that explain most of it.
 
@@ -298,21 +298,23 @@ def find_waves(
         Travel [m], shape (n,).
     residual, gain : ndarray
         What is to be explained, and by how much a wave of travel or force shows in it, (n,).
-    others : ndarray
+    regressors : ndarray
         What else may be in the residual, shape (n, m).
-    wanted : ndarray
+    wave_numbers : ndarray
         Wave numbers to try [rad/m].
     """
-    basis, _ = np.linalg.qr(others)
-    rest = residual - basis @ (basis.T @ residual)
-    found = []
-    for number in wanted.tolist():
+    basis, _ = np.linalg.qr(regressors)
+    remainder = residual - basis @ (basis.T @ residual)
+    candidates = []
+    for number in wave_numbers.tolist():
         pair = np.column_stack([np.sin(number * phase), np.cos(number * phase)]) * gain[:, None]
         pair -= basis @ (basis.T @ pair)
-        amplitude, *_ = np.linalg.lstsq(pair, rest, rcond=None)
-        left = rest - pair @ amplitude
-        found.append((float(left @ left), float(amplitude[0]), float(amplitude[1]), number))
-    best = sorted(found)[:12]
+        amplitude, *_ = np.linalg.lstsq(pair, remainder, rcond=None)
+        residue = remainder - pair @ amplitude
+        candidates.append(
+            (float(residue @ residue), float(amplitude[0]), float(amplitude[1]), number)
+        )
+    best = sorted(candidates)[:12]
     chosen: list[Values] = []
     for _, sine, cosine, number in best:
         if all(abs(number / other[2] - 1.0) > 0.1 for other in chosen):
@@ -330,27 +332,27 @@ def _build_regressors(context: EffectContext) -> tuple[Array, Array, Array]:
     T = context.simulated[PROXIMAL_TENSION]
     taut = 0.02 * context.peak < T
     stiffness = np.where(taut, 1.0 / np.maximum(context.compliance, 1e-6), 0.0)
-    others = np.column_stack([stiffness, stiffness * (context.drive - context.drive[0]), T])
-    return context.drive[rows], residual[rows], others[rows]
+    regressors = np.column_stack([stiffness, stiffness * (context.drive - context.drive[0]), T])
+    return context.drive[rows], residual[rows], regressors[rows]
 
 
 def _rotate_wave(values: Values, zero: float) -> Values:
     """Return a wave's values for an encoder that reads `zero` more: sine, cosine and radius."""
     sine, cosine, radius = values
-    at = zero / radius
-    c, s = float(np.cos(at)), float(np.sin(at))
+    phase = zero / radius
+    c, s = float(np.cos(phase)), float(np.sin(phase))
     return sine * c + cosine * s, cosine * c - sine * s, radius
 
 
 def _find_eccentricity_starts(context: EffectContext) -> Iterable[Values]:
-    q, residual, others = _build_regressors(context)
-    few = 1.0 / np.geomspace(5e-2, 2e-3, 24)
+    q, residual, regressors = _build_regressors(context)
+    low = 1.0 / np.geomspace(5e-2, 2e-3, 24)
     span = max(float(np.ptp(q)), 1e-6)
-    many = np.arange(few[-1], TURNS_MAX * 2.0 * np.pi / span, 0.6 / span)[1:]
+    high = np.arange(low[-1], TURNS_MAX * 2.0 * np.pi / span, 0.6 / span)[1:]
     return [  # each band of its own: a wave that is large is in the residual with its harmonics
         (-sine, -cosine, 1.0 / number)
-        for band in (few, *np.array_split(many, BAND_COUNT))
-        for sine, cosine, number in find_waves(q, residual, others[:, 0], others, band)
+        for band in (low, *np.array_split(high, BAND_COUNT))
+        for sine, cosine, number in find_waves(q, residual, regressors[:, 0], regressors, band)
     ]
 
 
@@ -358,10 +360,11 @@ def _limit_radius(
     parameters: tuple[Parameter, ...], span: float, values: Values
 ) -> tuple[Parameter, ...]:
     *amplitudes, radius = parameters
-    least = min(span / (TURNS_MAX * 2.0 * np.pi), 0.5 * radius.high)
-    at = max(values[2], least)
-    step = min(radius.step, PHASE_STEP * at**2 / max(span, 1e-6))  # a part of a turn, at the end
-    return (*amplitudes, radius._replace(low=max(radius.low, least), step=step))
+    radius_min = min(span / (TURNS_MAX * 2.0 * np.pi), 0.5 * radius.high)
+    radius_now = max(values[2], radius_min)
+    # at the end of the record, a part of a turn
+    step = min(radius.step, PHASE_STEP * radius_now**2 / max(span, 1e-6))
+    return (*amplitudes, radius._replace(low=max(radius.low, radius_min), step=step))
 
 
 def _remove_eccentricity(travel: Array, values: Values, _context: EffectContext) -> Array:
@@ -384,10 +387,10 @@ PULLEY_ECCENTRICITY = Effect(
     advice="Turn the pulley twice or more in a record, then true it or keep the table.",
     starts=_find_eccentricity_starts,
     invert=_remove_eccentricity,
-    needs=frozenset({PROXIMAL_DISPLACEMENT}),
-    within=_limit_radius,
+    required_channels=frozenset({PROXIMAL_DISPLACEMENT}),
+    limit_parameters=_limit_radius,
     correction=CorrectionKind.PULLEY_ECCENTRICITY,
-    from_zero=_rotate_wave,
+    shift_encoder_zero=_rotate_wave,
 )
 
 
@@ -427,10 +430,10 @@ COGGING_RIPPLE = Effect(
     advice="Nothing at the tip; a table over the motor's angle takes it out of the reading.",
     starts=_find_ripple_starts,
     measure=_apply_ripple,
-    needs=frozenset({PROXIMAL_DISPLACEMENT}),
-    within=_limit_wave_number,
+    required_channels=frozenset({PROXIMAL_DISPLACEMENT}),
+    limit_parameters=_limit_wave_number,
     correction=CorrectionKind.TENSION_RIPPLE,
-    from_zero=lambda values, zero: (
+    shift_encoder_zero=lambda values, zero: (
         *_rotate_wave((*values[:2], 1.0 / values[2]), zero)[:2],
         values[2],
     ),
@@ -455,7 +458,7 @@ SHEATH_RUB = Effect(
     advice="Measure the tendon's own tension, or fix the sheath behind the cell.",
     starts=lambda _: [(0.15, width) for width in (1e-5, 1e-4, 6e-4)],
     measure=_apply_sheath_rub,
-    needs=frozenset({PROXIMAL_DISPLACEMENT}),
+    required_channels=frozenset({PROXIMAL_DISPLACEMENT}),
     correction=CorrectionKind.SHEATH_RUB,
 )
 

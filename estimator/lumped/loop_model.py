@@ -63,7 +63,7 @@ def simulate_loop(
     samples[:, _FRICTION], samples[:, _OFFSET] = physics.friction, physics.tip_offset
     samples[:, _COMPLIANCE], samples[:, _DRIVE] = physics.tip_compliance, travel
     samples[:, _SPEED] = np.abs(speed)
-    turns = np.concatenate([[0.0], travel[0] + physics.earlier, [travel[0]]])
+    turns = np.concatenate([[0.0], travel[0] + physics.earlier_turns, [travel[0]]])
     approach = np.repeat(samples[:1], _APPROACH * (len(turns) - 1), axis=0)
     approach[:, _DRIVE] = np.interp(
         np.arange(1, len(approach) + 1) / _APPROACH, range(len(turns)), turns
@@ -102,44 +102,44 @@ def _advance_loop(scalars: Array, stiffness: Array, samples: Array) -> Array:
     """Take a loop from rest through samples; return efforts at both pulleys and the tip, (n, 3)."""
     n = _SPRINGS - 1
     out = np.empty((len(samples), 3))
-    places, trial = np.zeros(n), np.zeros(n)
-    force, sliding, kept = np.zeros(n), np.zeros(n), np.zeros(n)
+    place, trial = np.zeros(n), np.zeros(n)
+    force, sliding, sliding_old = np.zeros(n), np.zeros(n), np.zeros(n)
     tension, work = np.full(n + 1, scalars[_PRETENSION]), np.empty((WORK_ROWS, n))
     friction, drag = np.empty(n), np.empty(n)
     bristle, dashpot = np.empty(n), np.empty(n)
     q = v = a = drive = 0.0
     for i in range(len(samples)):
         row = samples[i]
-        done, share = 0.0, 1.0
-        while done < 1.0:
-            share = min(share, 1.0 - done)
+        progress, share = 0.0, 1.0
+        while progress < 1.0:
+            share = min(share, 1.0 - progress)
             dt = row[_DT] * share
-            goal = drive + (row[_DRIVE] - drive) * (share / (1.0 - done))
+            goal = drive + (row[_DRIVE] - drive) * (share / (1.0 - progress))
             line = _build_line(
                 scalars, stiffness, row, dt, q, v, a, friction, drag, bristle, dashpot
             )
-            trial[:] = places
-            kept[:] = sliding
-            found = solve_balance(line, goal, places, force, sliding, trial, tension, work)
-            if not found:
+            trial[:] = place
+            sliding_old[:] = sliding
+            solved = solve_balance(line, goal, place, force, sliding, trial, tension, work)
+            if not solved:
                 sliding[:] = 0.0
-                trial[:] = places
-                found = solve_balance(line, goal, places, force, sliding, trial, tension, work)
-            if not found and share > _SUBSTEP_MIN:
-                sliding[:] = kept
+                trial[:] = place
+                solved = solve_balance(line, goal, place, force, sliding, trial, tension, work)
+            if not solved and share > _SUBSTEP_MIN:
+                sliding[:] = sliding_old
                 share *= 0.5
                 continue
-            done += share
-            if not line.rigid:
-                _store_friction(line, tension, places, trial, sliding, force)
-            places[:] = trial
+            progress += share
+            if not line.is_rigid:
+                _store_friction(line, tension, place, trial, sliding, force)
+            place[:] = trial
             drive = goal
-            new = places[_TIP]
+            q_new = place[_TIP]
             if dt > 0.0:
-                v_new = 2.0 * (new - q) / dt - v
+                v_new = 2.0 * (q_new - q) / dt - v
                 a = 2.0 * (v_new - v) / dt - a
                 v = v_new
-            q = new
+            q = q_new
             share *= 2.0
         out[i, 0] = max(tension[0], 0.0) - max(tension[n], 0.0)
         out[i, 1] = max(tension[_TIP], 0.0) - max(tension[_TIP + 1], 0.0)
@@ -149,13 +149,13 @@ def _advance_loop(scalars: Array, stiffness: Array, samples: Array) -> Array:
 
 @jit_compile
 def _store_friction(
-    line: Line, tension: Array, before: Array, places: Array, sliding: Array, force: Array
+    line: Line, tension: Array, places_old: Array, places: Array, sliding: Array, force: Array
 ) -> None:
     """Keep what friction has become in each contact, in place."""
     for j in range(len(force)):
         if j != line.tip:
-            slid = places[j] - before[j]
-            force[j] = compute_dahl_friction(line, tension, j, slid, sliding[j], force[j])[0]
+            slip = places[j] - places_old[j]
+            force[j] = compute_dahl_friction(line, tension, j, slip, sliding[j], force[j])[0]
 
 
 @jit_compile
@@ -183,17 +183,17 @@ def _build_line(
         drag[j] = ds * share * scalars[_DRAG]
         bristle[j] = max(ds * scalars[_BRISTLE], 1e-9)
         dashpot[j] = ds * scalars[_VISCOSITY] / dt if dt > 0.0 else 0.0
-    compliance, held = row[_COMPLIANCE], row[_COMPLIANCE] < _COMPLIANCE_MIN
-    hold = known = 0.0
-    if not held:
-        hold = 1.0 / compliance
-        known = hold * row[_OFFSET]
+    compliance, is_blocked = row[_COMPLIANCE], row[_COMPLIANCE] < _COMPLIANCE_MIN
+    load_stiffness = load_force = 0.0
+    if not is_blocked:
+        load_stiffness = 1.0 / compliance
+        load_force = load_stiffness * row[_OFFSET]
         mass, damping = scalars[_MASS], scalars[_DAMPING]
         if dt > 0.0 and (mass > 0.0 or damping > 0.0):
             inertia = 4.0 * mass / dt**2 + 2.0 * damping / dt
-            hold += inertia
-            known += inertia * q + (4.0 * mass / dt + damping) * v + mass * a
+            load_stiffness += inertia
+            load_force += inertia * q + (4.0 * mass / dt + damping) * v + mass * a
     return Line(
         scalars[_PRETENSION], stiffness, friction, drag, bristle, dashpot,
-        scalars[_BRISTLE] == 0.0, _TIP, held, row[_OFFSET], hold, known,
+        scalars[_BRISTLE] == 0.0, _TIP, is_blocked, row[_OFFSET], load_stiffness, load_force,
     )  # fmt: skip

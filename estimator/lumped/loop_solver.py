@@ -36,19 +36,19 @@ class Line(NamedTuple):
     drag: Array  # [N] limit of each contact that no tension changes
     bristle: Array  # [N/m] of each contact at no friction; not used if `rigid`
     dashpot: Array  # [N/m] of each contact: viscous friction over the time of the step
-    rigid: bool  # contacts do not give before they slide
+    is_rigid: bool  # contacts do not give before they slide
     tip: int  # the contact that is the driven pulley
-    held: bool  # whether the driven pulley stays at `place`
-    place: float  # [m]
-    hold: float  # [N/m] of what the driven pulley moves, inertia of the step included
-    known: float  # [N] that is taken from its force
+    is_blocked: bool  # whether the driven pulley stays at `load_position`
+    load_position: float  # [m]
+    load_stiffness: float  # [N/m] of what the driven pulley moves, inertia of the step included
+    load_force: float  # [N] that is taken from its force
 
 
 @jit_compile
 def solve_balance(
     line: Line,
     drive: float,
-    before: Array,
+    old: Array,
     force: Array,
     sliding: Array,
     places: Array,
@@ -57,23 +57,23 @@ def solve_balance(
 ) -> bool:
     """Find the balance of a loop whose drive pulley is at `drive` [m].
 
-    Rigid contacts are guessed to stick or to slide one way (`sliding`, kept from the step before),
+    Rigid contacts are guessed to stick or to slide one way (`sliding`, from the step before),
     the balance of all is solved, and guesses that Coulomb contradicts are corrected until none is
-    left. Those that follow Dahl are solved by Newton's method. `before` [m] and `force` [N], (n,),
+    left. Those that follow Dahl are solved by Newton's method. `old` [m] and `force` [N], (n,),
     are places and friction of the contacts one step ago. Fills `places` [m] and `tension` [N];
     returns whether a balance was found.
     """
     n = len(places)
     _update_tensions(line, drive, places, tension)
-    for i in range(6 * n if line.rigid else _ITERATIONS):
-        share = 1.0 if line.rigid or i < _FULL_STEPS else 0.5
-        moved = _solve_step(line, drive, before, force, sliding, places, tension, work, share)
+    for i in range(6 * n if line.is_rigid else _ITERATIONS):
+        share = 1.0 if line.is_rigid or i < _FULL_STEPS else 0.5
+        move = _solve_step(line, drive, old, force, sliding, places, tension, work, share)
         if _update_tensions(line, drive, places, tension):
             continue  # springs went slack or taut: their tensions tell nothing of contacts yet
-        if not line.rigid:
-            if moved < _TRAVEL_TOLERANCE:
+        if not line.is_rigid:
+            if move < _TRAVEL_TOLERANCE:
                 return True
-        elif not _correct_guesses(line, before, sliding, places, tension):
+        elif not _correct_guesses(line, old, sliding, places, tension):
             return True
     return False
 
@@ -81,28 +81,28 @@ def solve_balance(
 @jit_compile
 def compute_friction_limit(line: Line, tension: Array, j: int) -> float:
     """Return the limit of a contact [N]."""
-    pressed: float = max(tension[j] + tension[j + 1], 0.0)
-    return float(line.friction[j] * 0.5 * pressed + line.drag[j])
+    normal_tension: float = max(tension[j] + tension[j + 1], 0.0)
+    return float(line.friction[j] * 0.5 * normal_tension + line.drag[j])
 
 
 @jit_compile
 def compute_dahl_friction(
-    line: Line, tension: Array, j: int, slid: float, way: float, force: float
+    line: Line, tension: Array, j: int, slip: float, direction: float, force: float
 ) -> tuple[float, float, float]:
     """Return the friction of a contact that slid [N], its slope [N/m], and that by its limit.
 
-    `way` is where it slides if it has not yet, `force` its friction before.
+    `direction` is where it slides if it has not yet, `force` its friction before.
     """
     limit = max(compute_friction_limit(line, tension, j), _LIMIT_MIN)
-    begin = min(max(force, -limit), limit)
-    d = way
-    if slid != 0.0:
-        d = 1.0 if slid > 0.0 else -1.0
-    x = abs(slid) * line.bristle[j] / limit
-    fading = math.exp(-x)
-    rest = (begin - d * limit) * fading
-    slope = line.bristle[j] * (1.0 - d * begin / limit) * fading
-    return d * limit + rest, slope, d * (1.0 - fading) + rest * x / limit
+    initial_force = min(max(force, -limit), limit)
+    d = direction
+    if slip != 0.0:
+        d = 1.0 if slip > 0.0 else -1.0
+    x = abs(slip) * line.bristle[j] / limit
+    decay = math.exp(-x)
+    remainder = (initial_force - d * limit) * decay
+    slope = line.bristle[j] * (1.0 - d * initial_force / limit) * decay
+    return d * limit + remainder, slope, d * (1.0 - decay) + remainder * x / limit
 
 
 @jit_compile
@@ -110,9 +110,9 @@ def _update_tensions(line: Line, drive: float, places: Array, tension: Array) ->
     """Fill in the tensions of all springs; return whether any went slack or taut."""
     n, changed = len(places), False
     for j in range(n + 1):
-        left = drive if j == 0 else places[j - 1]
-        right = drive if j == n else places[j]
-        T = line.pretension + line.stiffness[j] * (left - right)
+        place_before = drive if j == 0 else places[j - 1]
+        place_after = drive if j == n else places[j]
+        T = line.pretension + line.stiffness[j] * (place_before - place_after)
         changed |= (T < 0.0) != (tension[j] < 0.0)
         tension[j] = T if T >= 0.0 else SLACK_STIFFNESS_RATIO * T
     return changed
@@ -122,7 +122,7 @@ def _update_tensions(line: Line, drive: float, places: Array, tension: Array) ->
 def _solve_step(
     line: Line,
     drive: float,
-    before: Array,
+    old: Array,
     force: Array,
     sliding: Array,
     places: Array,
@@ -137,38 +137,38 @@ def _solve_step(
     n = len(places)
     upper, right = work[0], work[1]
     for j in range(n):
-        taut, behind = tension[j] >= 0.0, tension[j + 1] >= 0.0
-        k = line.stiffness[j] * (1.0 if taut else SLACK_STIFFNESS_RATIO)
-        k_next = line.stiffness[j + 1] * (1.0 if behind else SLACK_STIFFNESS_RATIO)
-        T = line.pretension * (1.0 if taut else SLACK_STIFFNESS_RATIO)
-        T_next = line.pretension * (1.0 if behind else SLACK_STIFFNESS_RATIO)
-        d, A, B, own, known = sliding[j], 1.0, 1.0, 0.0, 0.0
-        stays = False
+        is_taut, is_next_taut = tension[j] >= 0.0, tension[j + 1] >= 0.0
+        k = line.stiffness[j] * (1.0 if is_taut else SLACK_STIFFNESS_RATIO)
+        k_next = line.stiffness[j + 1] * (1.0 if is_next_taut else SLACK_STIFFNESS_RATIO)
+        T = line.pretension * (1.0 if is_taut else SLACK_STIFFNESS_RATIO)
+        T_next = line.pretension * (1.0 if is_next_taut else SLACK_STIFFNESS_RATIO)
+        d, A, B, contact_stiffness, known_force = sliding[j], 1.0, 1.0, 0.0, 0.0
+        is_fixed = False
         if j == line.tip:
-            own, known = line.hold, line.known
-            stays = line.held
-        elif not line.rigid:
-            slid = places[j] - before[j]
-            rub, slope, by_limit = compute_dahl_friction(line, tension, j, slid, d, force[j])
-            if slid != 0.0:
-                sliding[j] = 1.0 if slid > 0.0 else -1.0
+            contact_stiffness, known_force = line.load_stiffness, line.load_force
+            is_fixed = line.is_blocked
+        elif not line.is_rigid:
+            slip = places[j] - old[j]
+            friction, slope, by_limit = compute_dahl_friction(line, tension, j, slip, d, force[j])
+            if slip != 0.0:
+                sliding[j] = 1.0 if slip > 0.0 else -1.0
             A -= 0.5 * by_limit * line.friction[j]
             B += 0.5 * by_limit * line.friction[j]
-            own = slope + line.dashpot[j]
-            known = (1.0 - A) * tension[j] - (1.0 - B) * tension[j + 1] - rub
-            known += slope * places[j] + line.dashpot[j] * before[j]
+            contact_stiffness = slope + line.dashpot[j]
+            known_force = (1.0 - A) * tension[j] - (1.0 - B) * tension[j + 1] - friction
+            known_force += slope * places[j] + line.dashpot[j] * old[j]
         elif d != 0.0:
             A -= 0.5 * d * line.friction[j]
             B += 0.5 * d * line.friction[j]
-            own = line.dashpot[j]
-            known = own * before[j] - d * line.drag[j]
+            contact_stiffness = line.dashpot[j]
+            known_force = contact_stiffness * old[j] - d * line.drag[j]
         else:
-            stays = True
-        if stays:
-            upper[j], right[j] = 0.0, line.place if j == line.tip else before[j]
+            is_fixed = True
+        if is_fixed:
+            upper[j], right[j] = 0.0, line.load_position if j == line.tip else old[j]
             continue
-        lower, diagonal, upper[j] = A * k, -A * k - B * k_next - own, B * k_next
-        right[j] = B * T_next - A * T - known
+        lower, diagonal, upper[j] = A * k, -A * k - B * k_next - contact_stiffness, B * k_next
+        right[j] = B * T_next - A * T - known_force
         if j == 0:
             right[j] -= lower * drive
         else:
@@ -179,34 +179,32 @@ def _solve_step(
             upper[j] = 0.0
         upper[j] /= diagonal
         right[j] /= diagonal
-    ahead = most = 0.0
+    next_place = move = 0.0
     for j in range(n - 1, -1, -1):
-        ahead = right[j] - upper[j] * ahead
-        most = max(most, abs(ahead - places[j]))
-        places[j] += share * (ahead - places[j])
-    return most
+        next_place = right[j] - upper[j] * next_place
+        move = max(move, abs(next_place - places[j]))
+        places[j] += share * (next_place - places[j])
+    return move
 
 
 @jit_compile
-def _correct_guesses(
-    line: Line, before: Array, sliding: Array, places: Array, tension: Array
-) -> bool:
+def _correct_guesses(line: Line, old: Array, sliding: Array, places: Array, tension: Array) -> bool:
     """Correct the guesses that Coulomb contradicts; return whether there were any."""
-    found = False
+    corrected = False
     for j in range(len(places)):
         if j == line.tip:
             continue
-        jump = tension[j] - tension[j + 1]
-        moved = places[j] - before[j]
-        carried = jump - line.dashpot[j] * moved
+        tension_drop = tension[j] - tension[j + 1]
+        displacement = places[j] - old[j]
+        friction = tension_drop - line.dashpot[j] * displacement
         limit = compute_friction_limit(line, tension, j)
         d = sliding[j]
         if d == 0.0:
             room = 1e-10 * (1.0 + limit)
-            if carried > limit + room:
-                sliding[j], found = 1.0, True
-            elif carried < -limit - room:
-                sliding[j], found = -1.0, True
-        elif moved * d < -1e-15:
-            sliding[j], found = 0.0, True
-    return found
+            if friction > limit + room:
+                sliding[j], corrected = 1.0, True
+            elif friction < -limit - room:
+                sliding[j], corrected = -1.0, True
+        elif displacement * d < -1e-15:
+            sliding[j], corrected = 0.0, True
+    return corrected

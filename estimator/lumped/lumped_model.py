@@ -73,7 +73,9 @@ class Physics(NamedTuple):
     mass: float = 0.0  # [kg] at the tip
     damping: float = 0.0  # [N s/m] at the tip
     start: float = 0.0  # [N] all along the tendon before the first sample
-    earlier: Array = np.empty(0)  # [m] or [N] from the first sample, where the drive turned before
+    earlier_turns: Array = np.empty(
+        0
+    )  # [m] or [N] from the first sample, where the drive turned before
 
 
 class Motion(NamedTuple):
@@ -89,9 +91,9 @@ class Motion(NamedTuple):
 class _Contacts(NamedTuple):
     """What contacts remember, shape (NODES - 1,) each."""
 
-    sliding: Array  # which way, 0 for those that stick
+    direction: Array  # which way, 0 for those that stick
     speed: Array  # [m/s]
-    rested: Array  # 1 for those that have taken hold, 0 for those that have let go
+    adhesion: Array  # 1 for those that have taken hold, 0 for those that have let go
 
 
 class _TipLoad(NamedTuple):
@@ -111,12 +113,12 @@ CONSTANTS = _SCALARS + 4 * NODES - 1
 LAST_SHARE = CONSTANTS - 1  # of the tip's force, that its own node has
 
 # Where the parts of a state begin: of each node, of the ends, of each contact
-LENGTHS, _CREPT, _ENDS = NODES, 2 * NODES, 3 * NODES
+LENGTHS, _CREEP, _ENDS = NODES, 2 * NODES, 3 * NODES
 TIP = _ENDS  # where the tip's own node is [m]
 _Q, _V, _A, _LOAD, _DRIVEN = range(_ENDS, _ENDS + 5)
-_SLIDING = _ENDS + 5
-_SPEED, _RESTED = _SLIDING + NODES - 1, _SLIDING + 2 * (NODES - 1)
-STATE = _SLIDING + 3 * (NODES - 1)
+_DIRECTION = _ENDS + 5
+_SPEED, _ADHESION = _DIRECTION + NODES - 1, _DIRECTION + 2 * (NODES - 1)
+STATE = _DIRECTION + 3 * (NODES - 1)
 """Length of the flat array that is all a tendon remembers."""
 
 _NO_SPEEDS = np.empty(0)
@@ -130,12 +132,12 @@ class _Line(NamedTuple):
     """A tendon ready for steps."""
 
     law: FrictionLaw
-    holder: _TipLoad
-    softness: float  # [m/N]: what the tension's rate is to the motor's speed
+    tip_load: _TipLoad
+    total_compliance: float  # [m/N]: what the tension's rate is to the motor's speed
     weights: Array  # [m/N] of each node
-    even: Array  # shares of the whole
-    spread: Array  # speed over each contact for that of the motor, while all slides
-    shares: Array  # of the force at the tip, of each node
+    shares: Array  # of the weights, of each node
+    ratios: Array  # speed over each contact for that of the motor, while all slides
+    tip_shares: Array  # of the force at the tip, of each node
 
 
 def simulate_by_travel(physics: Physics, time: Array, travel: Array, speed: Array) -> Motion:
@@ -188,10 +190,10 @@ def build_constants(physics: Physics) -> Array:
         plays.depth,
     )
     stiffness = min(p.load_stiffness, _STIFFNESS_MAX)
-    holder = _TipLoad(p.tip_compliance, p.mass, p.damping, p.load_low, p.load_high, stiffness)
-    scalars = np.array([*law, *holder])
+    tip_load = _TipLoad(p.tip_compliance, p.mass, p.damping, p.load_low, p.load_high, stiffness)
+    scalars = np.array([*law, *tip_load])
     weights, K = plays.weights * p.compliance, plays.depth * float(p.friction[0])
-    return _pack_line(scalars, p.tip_compliance, weights, K, plays.shares)
+    return _pack_line(scalars, p.tip_compliance, weights, K, plays.tip_shares)
 
 
 class DrivenTendon:
@@ -261,28 +263,28 @@ def _simulate_drive(
 ) -> Motion:
     constants, samples = _prepare_samples(physics, time)
     samples[:, TARGET], samples[:, SPEED] = drive, rate
-    memory = build_initial_state(constants, physics.start, samples[0, STRETCH], samples[0, OFFSET])
-    if len(physics.earlier):
-        _approach_first_sample(constants, memory, samples[0], physics.earlier, forced=forced)
+    state = build_initial_state(constants, physics.start, samples[0, STRETCH], samples[0, OFFSET])
+    if len(physics.earlier_turns):
+        _approach_first_sample(constants, state, samples[0], physics.earlier_turns, forced=forced)
     return Motion(
         *np.ascontiguousarray(
-            advance(constants, memory, samples, _NO_SPEEDS, forced, _SUBSTEP_MIN).T
+            advance(constants, state, samples, _NO_SPEEDS, forced, _SUBSTEP_MIN).T
         )
     )
 
 
 def _approach_first_sample(
-    constants: Array, memory: Array, first: Array, earlier: Array, *, forced: bool
+    constants: Array, state: Array, first: Array, earlier_turns: Array, *, forced: bool
 ) -> None:
     """Take a tendon from its start over earlier turns to the first sample, slowly, in place."""
-    turns = np.concatenate([[0.0], np.maximum(first[TARGET] + earlier, 0.0), [first[TARGET]]])
-    way = np.interp(
+    turns = np.concatenate([[0.0], np.maximum(first[TARGET] + earlier_turns, 0.0), [first[TARGET]]])
+    drive = np.interp(
         np.arange(1, _APPROACH * (len(turns) - 1) + 1) / _APPROACH, range(len(turns)), turns
     )
-    samples = np.repeat(first[None], len(way), axis=0)
-    samples[:, DT], samples[:, TARGET], samples[:, SPEED] = 1.0, way, 0.0
-    advance(constants, memory, samples, _NO_SPEEDS, forced, _SUBSTEP_MIN)
-    memory[_V] = memory[_A] = 0.0
+    samples = np.repeat(first[None], len(drive), axis=0)
+    samples[:, DT], samples[:, TARGET], samples[:, SPEED] = 1.0, drive, 0.0
+    advance(constants, state, samples, _NO_SPEEDS, forced, _SUBSTEP_MIN)
+    state[_V] = state[_A] = 0.0
 
 
 @jit_compile
@@ -290,27 +292,27 @@ def _compute_speed_ratios(weights: Array, K: float, compliance: float) -> Array:
     """Return the speed over each contact for that of the motor, while all of the tendon slides."""
     n = len(weights)
     tension = np.exp(-K * PLACES)
-    spread = np.empty(n - 1)
-    total = compliance * tension[n - 1]
+    ratios = np.empty(n - 1)
+    compliance_beyond = compliance * tension[n - 1]
     for j in range(n - 2, -1, -1):
-        total += weights[j + 1] * tension[j + 1]
-        spread[j] = total
-    spread /= total + weights[0]
-    return spread
+        compliance_beyond += weights[j + 1] * tension[j + 1]
+        ratios[j] = compliance_beyond
+    ratios /= compliance_beyond + weights[0]
+    return ratios
 
 
 @jit_compile
 def _pack_line(
-    scalars: Array, compliance: float, weights: Array, friction: float, shares: Array
+    scalars: Array, compliance: float, weights: Array, friction: float, tip_shares: Array
 ) -> Array:
     """Return a `_Line` as one flat array; `scalars` are those of its law and its holder."""
-    total = weights.sum()
+    total_weight = weights.sum()
     row = np.empty(CONSTANTS)
-    row[: _SCALARS - 1], row[_SCALARS - 1] = scalars, total + compliance
-    rest = row[_SCALARS:]
-    rest[:NODES], rest[NODES : 2 * NODES] = weights, weights / total
-    rest[2 * NODES : -NODES] = _compute_speed_ratios(weights, friction, compliance)
-    rest[-NODES:] = shares
+    row[: _SCALARS - 1], row[_SCALARS - 1] = scalars, total_weight + compliance
+    arrays = row[_SCALARS:]
+    arrays[:NODES], arrays[NODES : 2 * NODES] = weights, weights / total_weight
+    arrays[2 * NODES : -NODES] = _compute_speed_ratios(weights, friction, compliance)
+    arrays[-NODES:] = tip_shares
     return row
 
 
@@ -322,18 +324,18 @@ def _unpack_line(constants: Array) -> _Line:
         c[0], c[1], c[2], c[3], c[4], c[5], c[6], c[7], c[8], c[9],
         c[10], c[11], c[12], c[13], c[14], c[15], c[16], c[17], c[18], c[19], c[20],
     )  # fmt: skip
-    holder = _TipLoad(c[21], c[22], c[23], c[24], c[25], c[26])
-    weights, rest = constants[_SCALARS : _SCALARS + NODES], constants[_SCALARS + NODES :]
-    spread, shares = rest[NODES : NODES + last], rest[NODES + last :]
-    return _Line(law, holder, c[27], weights, rest[:NODES], spread, shares)
+    tip_load = _TipLoad(c[21], c[22], c[23], c[24], c[25], c[26])
+    weights, arrays = constants[_SCALARS : _SCALARS + NODES], constants[_SCALARS + NODES :]
+    ratios, tip_shares = arrays[NODES : NODES + last], arrays[NODES + last :]
+    return _Line(law, tip_load, c[27], weights, arrays[:NODES], ratios, tip_shares)
 
 
 @jit_inline
 def _distribute_tip_compliance(line: _Line) -> Array:
     """Return what the tip pulls at by each node but its own [m/N]: its share of the force there."""
-    tied = line.holder.compliance * line.shares
-    tied[NODES - 1] = 0.0
-    return tied
+    compliances = line.tip_load.compliance * line.tip_shares
+    compliances[NODES - 1] = 0.0
+    return compliances
 
 
 @jit_compile
@@ -345,22 +347,22 @@ def build_initial_state(constants: Array, tension: float, stretch: float, offset
     line = _unpack_line(constants)
     state = np.zeros(STATE)
     state[:NODES] = tension
-    kept = line.even * stretch
-    none = np.empty(0)
+    extra = line.shares * stretch
+    empty = np.empty(0)
     tendon = Tendon(
-        line.law, none, none, 0.0, line.weights, 1.0, kept, _distribute_tip_compliance(line)
+        line.law, empty, empty, 0.0, line.weights, 1.0, extra, _distribute_tip_compliance(line)
     )
     for j in range(NODES):
-        state[LENGTHS + j] = compute_elongation(tendon, j, tension)[0] + kept[j]
-    state[_Q] = line.holder.compliance * line.shares[NODES - 1] * tension + offset
+        state[LENGTHS + j] = compute_elongation(tendon, j, tension)[0] + extra[j]
+    state[_Q] = line.tip_load.compliance * line.tip_shares[NODES - 1] * tension + offset
     state[_DRIVEN] = math.nan
-    state[_RESTED:] = 1.0
+    state[_ADHESION:] = 1.0
     return state
 
 
 @jit_compile
 def advance(
-    constants: Array, memory: Array, samples: Array, speeds: Array, forced: bool, smallest: float
+    constants: Array, memory: Array, samples: Array, speeds: Array, forced: bool, share_min: float
 ) -> Array:
     """Take samples one after another, in place; return the rows of `Motion`, shape (n, 5).
 
@@ -376,66 +378,69 @@ def advance(
         else empty.
     forced : bool
         Whether it is driven to a tension [N] and [N/s], or to a travel [m] and [m/s].
-    smallest : float
+    share_min : float
         Share of a sample in which what has no balance yet is tried again; 1 for once only.
     """
     line = _unpack_line(constants)
-    law, holder, softness, weights, even, spread, shares = line
-    tied, own = _distribute_tip_compliance(line), shares[NODES - 1]
+    law, tip_load, total_compliance, weights, shares, ratios, tip_shares = line
+    tip_compliance, last_share = _distribute_tip_compliance(line), tip_shares[NODES - 1]
     out = np.empty((len(samples), 5))
     speeds_known = len(speeds) > 0
-    late = law.stribeck != 0.0 and law.stribeck_memory > 0.0
-    state, lengths = memory[:NODES], memory[LENGTHS:_CREPT]
-    crept, sliding = memory[_CREPT:_ENDS], memory[_SLIDING:_SPEED]
-    speed, rested = memory[_SPEED:_RESTED], memory[_RESTED:]
-    after, work = np.empty(NODES), np.empty((WORK_ROWS, NODES))
-    half, drag = np.empty(NODES - 1), np.empty(NODES - 1)
-    slid, gone = np.zeros(NODES - 1), np.zeros(NODES - 1)
-    q, v, a, load, before = memory[_Q], memory[_V], memory[_A], memory[_LOAD], memory[_DRIVEN]
+    has_memory = law.stribeck != 0.0 and law.stribeck_memory > 0.0
+    tension, lengths = memory[:NODES], memory[LENGTHS:_CREEP]
+    creep, direction = memory[_CREEP:_ENDS], memory[_DIRECTION:_SPEED]
+    speed, adhesion = memory[_SPEED:_ADHESION], memory[_ADHESION:]
+    T_new, work = np.empty(NODES), np.empty((WORK_ROWS, NODES))
+    half_k, drag = np.empty(NODES - 1), np.empty(NODES - 1)
+    slip, total_slip = np.zeros(NODES - 1), np.zeros(NODES - 1)
+    q, v, a, load, drive_old = memory[_Q], memory[_V], memory[_A], memory[_LOAD], memory[_DRIVEN]
     for i in range(len(samples)):
         dt, friction, stretch = samples[i, DT], samples[i, FRICTION], samples[i, STRETCH]
         compliance, target, rate = (
-            own * samples[i, COMPLIANCE],
+            last_share * samples[i, COMPLIANCE],
             samples[i, TARGET],
             samples[i, SPEED],
         )
         gain = -math.expm1(-dt / law.creep_time) if law.creep != 0.0 else 0.0
-        kept = crept * (1.0 - gain) + even * stretch
+        extra = creep * (1.0 - gain) + shares * stretch
         scale = 1.0 + law.creep * gain
-        tendon = Tendon(law, half, drag, dt, weights, scale, kept, tied)
-        tip = _build_tip(holder, compliance, samples[i, OFFSET], dt, q, v, a, load)
-        if law.stribeck != 0.0 and not late:
-            speed[:] = speeds if speeds_known else spread * (rate * softness if forced else rate)
-        fill_contacts(law, friction, state, speed, rested, half, drag)
+        tendon = Tendon(law, half_k, drag, dt, weights, scale, extra, tip_compliance)
+        tip = _build_tip(tip_load, compliance, samples[i, OFFSET], dt, q, v, a, load)
+        if law.stribeck != 0.0 and not has_memory:
+            speed[:] = (
+                speeds if speeds_known else ratios * (rate * total_compliance if forced else rate)
+            )
+        fill_contacts(law, friction, tension, speed, adhesion, half_k, drag)
         if law.give > 0.0:
-            reach = solve_presliding(tendon, tip, state, lengths, target, forced, after)
-            _store_tensions(tendon, after, state, lengths)
+            slope_in = solve_presliding(tendon, tip, tension, lengths, target, forced, T_new)
+            _store_tensions(tendon, T_new, tension, lengths)
         else:
-            heavy = compliance > 0.0 and (holder.mass > 0.0 or holder.damping > 0.0)
-            begin = target if math.isnan(before) else before
-            tip, reach = _solve_substeps(
-                tendon, tip, friction, begin, target, forced, 1.0 if heavy else smallest,
-                _Contacts(sliding, speed, rested), state, lengths, after, slid, gone, work,
+            has_inertia = compliance > 0.0 and (tip_load.mass > 0.0 or tip_load.damping > 0.0)
+            begin = target if math.isnan(drive_old) else drive_old
+            tip, slope_in = _solve_substeps(
+                tendon, tip, friction, begin, target, forced, 1.0 if has_inertia else share_min,
+                _Contacts(direction, speed, adhesion), tension, lengths, T_new, slip, total_slip,
+                work,
             )  # fmt: skip
-        if late and dt > 0.0:
-            now = speeds if speeds_known else np.abs(gone) / dt
-            speed += -math.expm1(-dt / law.stribeck_memory) * (now - speed)
-        new, _slope, load = compute_tip_travel(tip, after[NODES - 1])
+        if has_memory and dt > 0.0:
+            sliding_speeds = speeds if speeds_known else np.abs(total_slip) / dt
+            speed += -math.expm1(-dt / law.stribeck_memory) * (sliding_speeds - speed)
+        q_new, _slope, load = compute_tip_travel(tip, T_new[NODES - 1])
         if dt > 0.0:
-            v_new = 2.0 * (new - q) / dt - v
+            v_new = 2.0 * (q_new - q) / dt - v
             a = 2.0 * (v_new - v) / dt - a
             v = v_new
-        q, before = new, target
+        q, drive_old = q_new, target
         if gain > 0.0:
-            crept *= 1.0 - gain
-            crept += law.creep * gain / scale * (lengths - kept - tied * state)
-        out[i, 0], out[i, 1] = after[0], _compute_dot_product(shares, after)
+            creep *= 1.0 - gain
+            creep += law.creep * gain / scale * (lengths - extra - tip_compliance * tension)
+        out[i, 0], out[i, 1] = T_new[0], _compute_dot_product(tip_shares, T_new)
         out[i, 2], out[i, 3], out[i, 4] = (
             lengths.sum() + q,
-            q + _compute_dot_product(tied, after),
-            reach,
+            q + _compute_dot_product(tip_compliance, T_new),
+            slope_in,
         )
-    memory[_Q], memory[_V], memory[_A], memory[_LOAD], memory[_DRIVEN] = q, v, a, load, before
+    memory[_Q], memory[_V], memory[_A], memory[_LOAD], memory[_DRIVEN] = q, v, a, load, drive_old
     return out
 
 
@@ -449,7 +454,7 @@ def _compute_dot_product(a: Array, b: Array) -> float:
 
 @jit_inline
 def _build_tip(
-    holder: _TipLoad,
+    tip_load: _TipLoad,
     compliance: float,
     offset: float,
     dt: float,
@@ -462,15 +467,15 @@ def _build_tip(
 
     `q` [m], `v` [m/s] and `a` [m/s^2] are those of the tip one sample ago.
     """
-    c, known = compliance, 0.0
-    mass, damping = holder.mass, holder.damping
-    heavy = compliance > 0.0 and (mass > 0.0 or damping > 0.0)
-    if heavy and dt > 0.0:  # what follows from the past, and what is free
-        from_rest = q - offset
+    c, inertia_force = compliance, 0.0
+    mass, damping = tip_load.mass, tip_load.damping
+    has_inertia = compliance > 0.0 and (mass > 0.0 or damping > 0.0)
+    if has_inertia and dt > 0.0:  # what follows from the past, and what is free
+        displacement = q - offset
         c = compliance / (1.0 + compliance * (4.0 * mass / dt + 2.0 * damping) / dt)
-        known = mass * (4.0 * (from_rest / dt + v) / dt + a)
-        known += damping * (2.0 * from_rest / dt + v)
-    return Tip(c, known, offset, holder.low, holder.high, holder.stiffness, q, load)
+        inertia_force = mass * (4.0 * (displacement / dt + v) / dt + a)
+        inertia_force += damping * (2.0 * displacement / dt + v)
+    return Tip(c, inertia_force, offset, tip_load.low, tip_load.high, tip_load.stiffness, q, load)
 
 
 @jit_inline
@@ -481,61 +486,67 @@ def _solve_substeps(
     begin: float,
     target: float,
     forced: bool,
-    smallest: float,
+    share_min: float,
     contacts: _Contacts,
-    state: Array,
+    tension: Array,
     lengths: Array,
-    after: Array,
-    slid: Array,
-    gone: Array,
+    T_new: Array,
+    slip: Array,
+    total_slip: Array,
     work: Array,
 ) -> tuple[Tip, float]:
     """Drive from `begin` to `target` with contacts that stick or slide, in as many parts as needed.
 
-    Returns the tip as it is in the last part, and dq_p/dT_in [m/N]; fills `gone` [m], the sum of
-    what slid.
+    Returns the tip as it is in the last part, and dq_p/dT_in [m/N]; fills `total_slip` [m].
     """
-    law, half, drag = tendon.law, tendon.half, tendon.drag
-    sliding, speed, rested = contacts
-    most = _SUBSTEP_MAX if law.static != 0.0 else 1.0
-    done, share, reach = 0.0, most, 0.0
-    gone[:] = 0.0
-    while done < 1.0:
-        goal = begin + (done + share) * (target - begin)
-        part = Tendon(
-            law, half, drag, share * tendon.dt, tendon.weights, tendon.scale, tendon.kept,
-            tendon.tied,
+    law, half_k, drag = tendon.law, tendon.half_k, tendon.drag
+    direction, speed, adhesion = contacts
+    share_max = _SUBSTEP_MAX if law.static != 0.0 else 1.0
+    progress, share, slope_in = 0.0, share_max, 0.0
+    total_slip[:] = 0.0
+    while progress < 1.0:
+        goal = begin + (progress + share) * (target - begin)
+        substep = Tendon(
+            law, half_k, drag, share * tendon.dt, tendon.weights, tendon.scale, tendon.extra,
+            tendon.tip_compliance,
         )  # fmt: skip
-        ended, reach = solve_stick_slip(
-            part, tip, state, lengths, goal, forced, after, sliding, slid, work
+        converged, slope_in = solve_stick_slip(
+            substep, tip, tension, lengths, goal, forced, T_new, direction, slip, work
         )
-        if not ended:  # in circles: from rest, and if need be by a smaller step
-            sliding[:] = 0.0
-            ended, reach = solve_stick_slip(
-                part, tip, state, lengths, goal, forced, after, sliding, slid, work
+        if not converged:  # in circles: from rest, and if need be by a smaller step
+            direction[:] = 0.0
+            converged, slope_in = solve_stick_slip(
+                substep, tip, tension, lengths, goal, forced, T_new, direction, slip, work
             )
-        if not ended and share > smallest:
-            sliding[:] = 0.0
+        if not converged and share > share_min:
+            direction[:] = 0.0
             share *= 0.5
             continue
-        done += share
-        share = min(2.0 * share, most, 1.0 - done)
-        gone += slid
-        _store_tensions(tendon, after, state, lengths)
+        progress += share
+        share = min(2.0 * share, share_max, 1.0 - progress)
+        total_slip += slip
+        _store_tensions(tendon, T_new, tension, lengths)
         if law.static != 0.0:
-            age_contacts(law, part.dt, slid, rested)
-            fill_contacts(law, friction, state, speed, rested, half, drag)
-        at, _slope, load = compute_tip_travel(tip, after[NODES - 1])
-        if done < 1.0:
+            age_contacts(law, substep.dt, slip, adhesion)
+            fill_contacts(law, friction, tension, speed, adhesion, half_k, drag)
+        q, _slope, load = compute_tip_travel(tip, T_new[NODES - 1])
+        if progress < 1.0:
             tip = Tip(
-                tip.compliance, tip.known, tip.offset, tip.low, tip.high, tip.stiffness, at, load
+                tip.compliance,
+                tip.inertia_force,
+                tip.offset,
+                tip.low,
+                tip.high,
+                tip.stiffness,
+                q,
+                load,
             )
-    return tip, reach
+    return tip, slope_in
 
 
 @jit_inline
-def _store_tensions(tendon: Tendon, tension: Array, state: Array, lengths: Array) -> None:
+def _store_tensions(tendon: Tendon, T_new: Array, tension: Array, lengths: Array) -> None:
     """Take over the tensions that were found, and the lengths of the nodes that follow."""
-    state[:] = tension
+    tension[:] = T_new
     for j in range(NODES):
-        lengths[j] = compute_elongation(tendon, j, tension[j])[0] + tendon.kept[j]
+        lengths[j] = compute_elongation(tendon, j, T_new[j])[0] + tendon.extra[j]

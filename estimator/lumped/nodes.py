@@ -58,12 +58,12 @@ class Tip(NamedTuple):
     """What the tip pulls at in one sample: q_d for a tension, piecewise straight."""
 
     compliance: float  # [m/N] while it moves freely, inertia of this step included
-    known: float  # [N] that inertia adds from the past
+    inertia_force: float  # [N] that inertia adds from the past
     offset: float  # [m]
     low: float
     high: float
     stiffness: float
-    before: float  # q_d [m] one sample ago
+    q_old: float  # q_d [m] one sample ago
     load: float  # [N] besides the spring, one sample ago
 
 
@@ -71,13 +71,13 @@ class Tendon(NamedTuple):
     """A tendon at one sample: what its contacts and its elasticity do."""
 
     law: FrictionLaw
-    half: Array  # half the friction coordinate of each contact
+    half_k: Array  # half the friction coordinate of each contact
     drag: Array  # [N] of each contact
     dt: float  # [s]
     weights: Array  # [m/N] of each node
     scale: float  # of the elongation, by what creeps within the sample
-    kept: Array  # [m] that each node's share is longer, whatever its tension
-    tied: Array  # [m/N] of the tip's load that each node but the last carries
+    extra: Array  # [m] that each node's share is longer, whatever its tension
+    tip_compliance: Array  # [m/N] of the tip's load that each node but the last carries
 
 
 def build_even_weights() -> Array:
@@ -92,28 +92,34 @@ def compute_tip_travel(tip: Tip, tension: float) -> tuple[float, float, float]:
     if c <= 0.0:
         return tip.offset, 0.0, 0.0
     if tip.low == tip.high:
-        return c * (tension + tip.known - tip.low) + tip.offset, c, tip.low
-    # held by its friction: (q - offset)/c = T + known - load - stiffness (q - before)
+        return c * (tension + tip.inertia_force - tip.low) + tip.offset, c, tip.low
+    # held by its friction: (q - offset)/c = T + inertia_force - load - stiffness (q - q_old)
     slope = c / (1.0 + c * tip.stiffness)
-    q = tip.before + slope * (tension + tip.known - tip.load - (tip.before - tip.offset) / c)
-    load = tip.load + tip.stiffness * (q - tip.before)
+    q = tip.q_old + slope * (tension + tip.inertia_force - tip.load - (tip.q_old - tip.offset) / c)
+    load = tip.load + tip.stiffness * (q - tip.q_old)
     if load > tip.high:
-        return c * (tension + tip.known - tip.high) + tip.offset, c, tip.high
+        return c * (tension + tip.inertia_force - tip.high) + tip.offset, c, tip.high
     if load < tip.low:
-        return c * (tension + tip.known - tip.low) + tip.offset, c, tip.low
+        return c * (tension + tip.inertia_force - tip.low) + tip.offset, c, tip.low
     return q, slope, load
 
 
 @jit_compile
 def fill_contacts(
-    law: FrictionLaw, K: float, state: Array, speed: Array, rested: Array, half: Array, drag: Array
+    law: FrictionLaw,
+    K: float,
+    T_old: Array,
+    speed: Array,
+    adhesion: Array,
+    half_k: Array,
+    drag: Array,
 ) -> None:
     """Fill in, for each contact, half its friction coordinate and its drag [N].
 
     From the tensions of the sample before, which are near enough and spare the search much.
     """
-    for j in range(len(half)):
-        tension = 0.5 * (state[j] + state[j + 1])
+    for j in range(len(half_k)):
+        tension = 0.5 * (T_old[j] + T_old[j + 1])
         share = max(1.0 + law.rise * tension, _FRICTION_MIN)
         if law.exponent != 1.0:
             share *= (max(tension, _MIN_TENSION) / law.reference) ** (law.exponent - 1.0)
@@ -121,19 +127,19 @@ def fill_contacts(
             x = speed[j] / law.stribeck_speed
             share *= 1.0 + law.stribeck * math.exp(-x * x)
         if law.static != 0.0:
-            share *= 1.0 + law.static * rested[j]
+            share *= 1.0 + law.static * adhesion[j]
         ds = K * law.depth * (PLACES[j + 1] - PLACES[j])
-        half[j] = min(0.5 * ds * share, _HALF_FRICTION_MAX / max(1.0, law.asymmetry))
-        drag[j] = 2.0 * half[j] * law.drag
+        half_k[j] = min(0.5 * ds * share, _HALF_FRICTION_MAX / max(1.0, law.asymmetry))
+        drag[j] = 2.0 * half_k[j] * law.drag
 
 
 @jit_compile
-def age_contacts(law: FrictionLaw, dt: float, slid: Array, rested: Array) -> None:
+def age_contacts(law: FrictionLaw, dt: float, slip: Array, adhesion: Array) -> None:
     """Let contacts take hold while they rest and let go while they slide, in place."""
-    kept = math.exp(-dt / law.static_time)
-    for j in range(len(rested)):
-        rested[j] = 1.0 - (1.0 - rested[j]) * kept
-        rested[j] *= math.exp(-abs(slid[j]) / law.static_distance)
+    decay = math.exp(-dt / law.static_time)
+    for j in range(len(adhesion)):
+        adhesion[j] = 1.0 - (1.0 - adhesion[j]) * decay
+        adhesion[j] *= math.exp(-abs(slip[j]) / law.static_distance)
 
 
 @jit_compile
@@ -145,11 +151,11 @@ def compute_elongation(tendon: Tendon, j: int, tension: float) -> tuple[float, f
     law, weight = tendon.law, tendon.weights[j]
     e, slope = weight * tension, weight
     if law.toe != 0.0:
-        fading = math.exp(-max(tension, 0.0) / law.toe_tension)
-        e += weight * law.toe * (1.0 - fading)
-        slope += weight * law.toe / law.toe_tension * fading
+        decay = math.exp(-max(tension, 0.0) / law.toe_tension)
+        e += weight * law.toe * (1.0 - decay)
+        slope += weight * law.toe / law.toe_tension * decay
     if j == 0 and law.compression != 0.0 and tension > law.threshold:
         e += law.compression * (tension - law.threshold) ** 2
         slope += 2.0 * law.compression * (tension - law.threshold)
-    tied = tendon.tied[j]
-    return tendon.scale * e + tied * tension, tendon.scale * slope + tied
+    tip_compliance = tendon.tip_compliance[j]
+    return (tendon.scale * e + tip_compliance * tension, tendon.scale * slope + tip_compliance)

@@ -28,7 +28,7 @@ class PlayNodes(NamedTuple):
     """A spectrum of plays on nodes."""
 
     depth: float  # largest threshold over K
-    shares: Array  # of the force at the tip, of each node, (NODES,)
+    tip_shares: Array  # of the force at the tip, of each node, (NODES,)
     weights: Array  # share of the compliance at each node, (NODES,)
 
 
@@ -45,11 +45,13 @@ def distribute_spectrum(spectrum: Array, weights: Array) -> PlayNodes:
     depth = float(thresholds.max())
     places = thresholds / depth
     index = np.minimum(np.searchsorted(PLACES, places, side="right") - 1, NODES - 2)
-    beyond = (places - PLACES[index]) / (PLACES[index + 1] - PLACES[index])
-    shares = np.bincount(index, parts * (1.0 - beyond), NODES)
-    shares += np.bincount(index + 1, parts * beyond, NODES)
-    along = np.concatenate([[0.0], np.cumsum(weights)])
+    fraction = (places - PLACES[index]) / (PLACES[index + 1] - PLACES[index])
+    shares = np.bincount(index, parts * (1.0 - fraction), NODES)
+    shares += np.bincount(index + 1, parts * fraction, NODES)
+    cumulative = np.concatenate([[0.0], np.cumsum(weights)])
     strands = np.minimum(EDGES[1:, None] / np.maximum(places, 1e-12), 1.0)
-    whole = np.concatenate([[0.0], np.interp(strands, EDGES, along) @ parts])
-    each = np.maximum(np.diff(whole), _SHARE_MIN)
-    return PlayNodes(depth, np.asarray(shares, np.float64), np.asarray(each / each.sum()))
+    total = np.concatenate([[0.0], np.interp(strands, EDGES, cumulative) @ parts])
+    node_weights = np.maximum(np.diff(total), _SHARE_MIN)
+    return PlayNodes(
+        depth, np.asarray(shares, np.float64), np.asarray(node_weights / node_weights.sum())
+    )

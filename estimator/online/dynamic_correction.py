@@ -61,8 +61,8 @@ class DynamicState(Struct):
     learns: Flag = False  # the sample before had a travel, and the tendon was taut
     tip_compliance: F64 = 0.0  # [m/N] of what the tip pulls at
     tip_offset: F64 = 0.0  # [m] of where it would be without tension
-    quick_displacement: F64 = 0.0  # [m] of the tip, averaged over QUICK
-    quick_tension: F64 = 0.0  # [N]
+    fast_displacement: F64 = 0.0  # [m] of the tip, averaged over QUICK
+    fast_tension: F64 = 0.0  # [N]
     slow_displacement: F64 = 0.0  # [m] of the tip, averaged over SLOW
     slow_tension: F64 = 0.0  # [N]
     sum_travel_tension: F64 = 0.0  # [m N s] of products of changes at the tip
@@ -95,94 +95,97 @@ def update_correction(
     has_travel = not math.isnan(q)
     dt += state.refused_time
     state.refused_time = 0.0
-    plain, beside = state.without_effects[:], constants.with_effects[:]
+    plain_state, effect_constants = state.without_effects[:], constants.with_effects[:]
     sample = np.empty((1, SAMPLE))
     sample[0, lumped_model.DT], sample[0, lumped_model.FRICTION] = dt, constants.friction
     sample[0, lumped_model.STRETCH], sample[0, lumped_model.OFFSET] = 0.0, 0.0
     sample[0, lumped_model.COMPLIANCE] = constants.bench_compliance
     sample[0, lumped_model.TARGET] = T
-    sample[0, lumped_model.SPEED] = abs(T - plain[0]) / dt if dt > 0.0 else 0.0
-    none = np.empty(0)
-    without = lumped_model.advance(
-        constants.without_effects[:], plain, sample, none, True, NO_SUBSTEPS
+    sample[0, lumped_model.SPEED] = abs(T - plain_state[0]) / dt if dt > 0.0 else 0.0
+    no_speeds = np.empty(0)
+    plain_motion = lumped_model.advance(
+        constants.without_effects[:], plain_state, sample, no_speeds, True, NO_SUBSTEPS
     )[0]
-    speeds = none
-    if has_travel and beside[lumped_model.STRIBECK] != 0.0:
-        speeds = _estimate_sliding_speeds(state, plain, q, dt)
+    speeds = no_speeds
+    if has_travel and effect_constants[lumped_model.STRIBECK] != 0.0:
+        speeds = _estimate_sliding_speeds(state, plain_state, q, dt)
     sample[0, lumped_model.OFFSET], sample[0, lumped_model.COMPLIANCE] = (
         state.tip_offset,
         state.tip_compliance,
     )
-    after = lumped_model.advance(beside, state.with_effects[:], sample, speeds, True, NO_SUBSTEPS)[
-        0
-    ]
-    T_out, q_d = after[1], after[3]
-    elongation = after[2] - q_d
-    change, longer = T_out - without[1], elongation - (without[2] - without[3])
-    if not (math.isfinite(change) and abs(longer) < STRETCH_MAX):
+    effect_motion = lumped_model.advance(
+        effect_constants, state.with_effects[:], sample, speeds, True, NO_SUBSTEPS
+    )[0]
+    T_out, q_d = effect_motion[1], effect_motion[3]
+    elongation = effect_motion[2] - q_d
+    tension_change, elongation_change = (
+        T_out - plain_motion[1],
+        elongation - (plain_motion[2] - plain_motion[3]),
+    )
+    if not (math.isfinite(tension_change) and abs(elongation_change) < STRETCH_MAX):
         reset(constants, state)
         return
-    state.travel += longer - state.elongation
-    if beside[lumped_model.VISCOSITY] != 0.0:
-        state.travel += state.tip_compliance * (change - state.tension)
+    state.travel += elongation_change - state.elongation
+    if effect_constants[lumped_model.VISCOSITY] != 0.0:
+        state.travel += state.tip_compliance * (tension_change - state.tension)
         # the sum of changes with a compliance that is learnt does not close by itself
-        closed = longer + state.tip_compliance * change
-        state.travel += -math.expm1(-dt / LEAK_TIME_CONSTANT) * (closed - state.travel)
-    state.tension, state.elongation = change, longer
+        target_travel = elongation_change + state.tip_compliance * tension_change
+        state.travel += -math.expm1(-dt / LEAK_TIME_CONSTANT) * (target_travel - state.travel)
+    state.tension, state.elongation = tension_change, elongation_change
     _estimate_tip_compliance(constants, state, T > 0.0 and has_travel, q - elongation, T_out, dt)
 
 
 @jit_compile
-def _estimate_sliding_speeds(state: DynamicState, plain: Array, q: float, dt: float) -> Array:
+def _estimate_sliding_speeds(state: DynamicState, plain_state: Array, q: float, dt: float) -> Array:
     """Return how fast the tendon slides over each contact [m/s], by the motor's travel."""
-    places = state.contact_displacements[:]
+    averages = state.contact_displacements[:]
     speeds = np.empty(NODES - 1)
-    fresh = not state.learns
+    is_first = not state.learns
     share = -math.expm1(-dt / SPEED_TIME_CONSTANT)
-    place = q
+    contact_displacement = q
     for j in range(NODES - 1):
-        place -= plain[lumped_model.LENGTHS + j]
-        if fresh:
-            places[j] = place
-        places[j] += share * (place - places[j])
-        speeds[j] = abs(place - places[j]) / SPEED_TIME_CONSTANT
+        contact_displacement -= plain_state[lumped_model.LENGTHS + j]
+        if is_first:
+            averages[j] = contact_displacement
+        averages[j] += share * (contact_displacement - averages[j])
+        speeds[j] = abs(contact_displacement - averages[j]) / SPEED_TIME_CONSTANT
     return speeds
 
 
 @jit_compile
 def _estimate_tip_compliance(
-    constants: DynamicConstants,
-    state: DynamicState,
-    taut: bool,
-    q: float,
-    T: float,
-    dt: float,
+    constants: DynamicConstants, state: DynamicState, taut: bool, q: float, T: float, dt: float
 ) -> None:
     """Note that the tip is measured at `q` [m] under `T` [N], and let its own node stay there."""
-    if taut and state.learns and abs(q - state.quick_displacement) < TRAVEL_JUMP_MAX:
-        quick, slow = -math.expm1(-dt / FAST_TIME_CONSTANT), -math.expm1(-dt / SLOW_TIME_CONSTANT)
-        state.quick_displacement += quick * (q - state.quick_displacement)
-        state.quick_tension += quick * (T - state.quick_tension)
-        state.slow_displacement += slow * (q - state.slow_displacement)
-        state.slow_tension += slow * (T - state.slow_tension)
-        dT = state.quick_tension - state.slow_tension
+    if taut and state.learns and abs(q - state.fast_displacement) < TRAVEL_JUMP_MAX:
+        fast_gain, slow_gain = (
+            -math.expm1(-dt / FAST_TIME_CONSTANT),
+            -math.expm1(-dt / SLOW_TIME_CONSTANT),
+        )
+        state.fast_displacement += fast_gain * (q - state.fast_displacement)
+        state.fast_tension += fast_gain * (T - state.fast_tension)
+        state.slow_displacement += slow_gain * (q - state.slow_displacement)
+        state.slow_tension += slow_gain * (T - state.slow_tension)
+        dT = state.fast_tension - state.slow_tension
         dq = min(
-            max(state.quick_displacement - state.slow_displacement, -TIP_COMPLIANCE_MAX * abs(dT)),
+            max(state.fast_displacement - state.slow_displacement, -TIP_COMPLIANCE_MAX * abs(dT)),
             TIP_COMPLIANCE_MAX * abs(dT),
         )
-        kept = math.exp(-dt / FORGETTING_TIME)
-        state.sum_travel_tension = kept * state.sum_travel_tension + dq * dT * dt
-        state.sum_tension_squared = kept * state.sum_tension_squared + dT * dT * dt
-        learnt = (state.sum_travel_tension + PRIOR_WEIGHT * constants.bench_compliance) / (
+        decay = math.exp(-dt / FORGETTING_TIME)
+        state.sum_travel_tension = decay * state.sum_travel_tension + dq * dT * dt
+        state.sum_tension_squared = decay * state.sum_tension_squared + dT * dT * dt
+        estimate = (state.sum_travel_tension + PRIOR_WEIGHT * constants.bench_compliance) / (
             state.sum_tension_squared + PRIOR_WEIGHT
         )
-        state.tip_compliance = min(max(learnt, 0.0), TIP_COMPLIANCE_MAX)
-        by_own = constants.with_effects[lumped_model.LAST_SHARE] * state.with_effects[NODES - 1]
-        at = state.with_effects[lumped_model.TIP]
-        state.tip_offset = at - state.tip_compliance * by_own
+        state.tip_compliance = min(max(estimate, 0.0), TIP_COMPLIANCE_MAX)
+        last_node_tension = (
+            constants.with_effects[lumped_model.LAST_SHARE] * state.with_effects[NODES - 1]
+        )
+        node_position = state.with_effects[lumped_model.TIP]
+        state.tip_offset = node_position - state.tip_compliance * last_node_tension
     elif taut:
-        state.quick_displacement = state.slow_displacement = q
-        state.quick_tension = state.slow_tension = T
+        state.fast_displacement = state.slow_displacement = q
+        state.fast_tension = state.slow_tension = T
     state.learns = taut
 
 
@@ -192,7 +195,7 @@ def reset(constants: DynamicConstants, state: DynamicState) -> None:
     state.tension = state.elongation = state.travel = state.refused_time = 0.0
     state.learns = False
     state.tip_compliance, state.tip_offset = constants.bench_compliance, 0.0
-    state.quick_displacement = state.quick_tension = 0.0
+    state.fast_displacement = state.fast_tension = 0.0
     state.slow_displacement = state.slow_tension = 0.0
     state.sum_travel_tension = state.sum_tension_squared = 0.0
     state.contact_displacements[:] = 0.0

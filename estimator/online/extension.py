@@ -82,10 +82,10 @@ class EffectUse(Enum):
     """What becomes of an effect, in words that can follow "is"."""
 
     LAW = "in the friction and shape of the sheath"
-    BESIDE = "run beside the law"
-    READING = "taken out of what the housing reads"
-    REFERENCE = "in what the sensor at the tip reads; the force at the tip is free of it"
-    NOTHING = "left out"
+    DYNAMICS = "run beside the law"
+    READING_CORRECTION = "taken out of what the housing reads"
+    TIP_SENSOR = "in what the sensor at the tip reads; the force at the tip is free of it"
+    OMITTED = "left out"
 
 
 class Extension(NamedTuple):
@@ -106,7 +106,7 @@ class ExtendedModel(NamedTuple):
     def tip_effects(self) -> tuple[tuple[Effect, Values], ...]:
         """Effects of the sensors at the tip, which only a bench has."""
         return tuple(
-            (effect, values) for effect, values, use in self.uses if use is EffectUse.REFERENCE
+            (effect, values) for effect, values, use in self.uses if use is EffectUse.TIP_SENSOR
         )
 
 
@@ -135,30 +135,32 @@ def build_extended_model(
     K, compliance, tip = shared if len(shared) > 1 else (shared[0], length / axial_stiffness, 0.0)
     instants = np.linspace(0.0, max(duration, 1.0), INSTANT_COUNT)
     context = _build_context(instants, PROXIMAL_TENSION, compliance)
-    plain = now = Physics(np.array([K]), compliance, build_even_weights(), tip)
+    base = current = Physics(np.array([K]), compliance, build_even_weights(), tip)
     uses, readings = [], []
     for effect, values in effects:
-        then = effect.physics(now, values, context)
-        then = then._replace(friction=np.broadcast_to(then.friction, INSTANT_COUNT)[-1:].copy())
+        extended = effect.physics(current, values, context)
+        extended = extended._replace(
+            friction=np.broadcast_to(extended.friction, INSTANT_COUNT)[-1:].copy()
+        )
         if effect.correction is not None:
-            use = EffectUse.READING
+            use = EffectUse.READING_CORRECTION
             readings.append((effect.correction, values))
-        elif _is_different(now, then, _LAW_FIELDS):
+        elif _is_different(current, extended, _LAW_FIELDS):
             use = EffectUse.LAW
-        elif _is_different(now, then, _DYNAMIC_FIELDS):
-            use = EffectUse.BESIDE
+        elif _is_different(current, extended, _DYNAMIC_FIELDS):
+            use = EffectUse.DYNAMICS
         elif _is_of_tip_sensor(effect):
-            use = EffectUse.REFERENCE
+            use = EffectUse.TIP_SENSOR
         else:
-            use = EffectUse.NOTHING
-        now = plain._replace(
-            **{name: getattr(then, name) for name in (*_LAW_FIELDS, *_DYNAMIC_FIELDS)}
+            use = EffectUse.OMITTED
+        current = base._replace(
+            **{name: getattr(extended, name) for name in (*_LAW_FIELDS, *_DYNAMIC_FIELDS)}
         )
         uses.append((effect, values, use))
-    law = plain._replace(**{name: getattr(now, name) for name in _LAW_FIELDS})
+    law = base._replace(**{name: getattr(current, name) for name in _LAW_FIELDS})
     dynamics = None
-    if _is_different(law, now, _DYNAMIC_FIELDS):
-        dynamics = dynamic_correction.build_constants(law, now)
+    if _is_different(law, current, _DYNAMIC_FIELDS):
+        dynamics = dynamic_correction.build_constants(law, current)
     extension = None
     if dynamics is not None or readings:
         extension = Extension(dynamics, tuple(readings[::-1]))
@@ -185,28 +187,28 @@ def build_sheath(physics: Physics, length: float) -> Sheath:
     pieces = list(zip((K * np.diff(EDGES)).tolist(), physics.weights.tolist(), strict=True))
     while len(pieces) > 1:
         density = np.log([weight / ds for ds, weight in pieces])
-        apart = np.abs(np.diff(density))
-        i = int(np.argmin(apart))
-        if apart[i] > CURVATURE_TOLERANCE and len(pieces) <= SECTIONS_MAX:
+        density_steps = np.abs(np.diff(density))
+        i = int(np.argmin(density_steps))
+        if density_steps[i] > CURVATURE_TOLERANCE and len(pieces) <= SECTIONS_MAX:
             break
-        (ds, weight), (more, further) = pieces[i : i + 2]
-        pieces[i : i + 2] = [(ds + more, weight + further)]
+        (ds, weight), (next_ds, next_weight) = pieces[i : i + 2]
+        pieces[i : i + 2] = [(ds + next_ds, weight + next_weight)]
     mu = FRICTION_COEFFICIENT
     sections = tuple(Section(w * length, mu * w * length / ds) for ds, w in pieces)
     EA = length / physics.compliance
     return Sheath(sections, mu, EA, drag=physics.drag, asymmetry=physics.asymmetry)
 
 
-def _is_different(one: Physics, other: Physics, fields: Sequence[str]) -> bool:
-    return any(not np.array_equal(getattr(one, f), getattr(other, f)) for f in fields)
+def _is_different(a: Physics, b: Physics, fields: Sequence[str]) -> bool:
+    return any(not np.array_equal(getattr(a, f), getattr(b, f)) for f in fields)
 
 
 def _is_of_tip_sensor(effect: Effect) -> bool:
-    at_tip = bool(effect.needs & {DISTAL_TENSION, DISTAL_DISPLACEMENT})
+    at_tip = bool(effect.required_channels & {DISTAL_TENSION, DISTAL_DISPLACEMENT})
     return at_tip and effect.measure is not Effect.measure and effect.name not in OMISSION_REASONS
 
 
 def _build_context(time: Array, driver: str, elongation_per_newton: float) -> EffectContext:
     """Return a context of which nothing is known but its times."""
-    none = np.zeros_like(time)
-    return EffectContext(time, driver, none, none, {}, {}, none, elongation_per_newton)
+    zeros = np.zeros_like(time)
+    return EffectContext(time, driver, zeros, zeros, {}, {}, zeros, elongation_per_newton)

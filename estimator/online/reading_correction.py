@@ -68,7 +68,7 @@ def correct_reading(
     """
     if corrections.count == 0 or not math.isfinite(T) or abs(q) > READING_MAX:
         return T, q
-    least = min(T, 0.0)
+    tension_min = min(T, 0.0)
     for i in range(corrections.count):
         correction = corrections.items[i]
         kind, values = correction.kind, correction.values
@@ -87,7 +87,7 @@ def correct_reading(
             phase = values[2] * q
             T = T - values[0] * math.sin(phase) - values[1] * math.cos(phase)
         elif kind == CorrectionKind.SHEATH_RUB:
-            half, before = 0.5 * values[1], remembered[i]
-            remembered[i] = q if math.isnan(before) else min(max(before, q - half), q + half)
+            half, previous = 0.5 * values[1], remembered[i]
+            remembered[i] = q if math.isnan(previous) else min(max(previous, q - half), q + half)
             T = T - values[0] * (q - remembered[i]) / half
-    return max(T, least), q
+    return max(T, tension_min), q

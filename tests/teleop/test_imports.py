@@ -26,7 +26,7 @@ class Rig(RigExtension): ...
 class Device(DeviceExtension): ...
 
 CURVE = Effect("curve", "c", "e", (Parameter("curve", "1/N", -1.0, 1.0, 0.1),), "s", "a",
-               starts=lambda _: [(0.1,)], needs=frozenset({DISTAL_TENSION}))
+               starts=lambda _: [(0.1,)], required_channels=frozenset({DISTAL_TENSION}))
 """
 RIG = {"slave": {"rig": {"type": "stranger:Rig"}}}
 DEVICE = {"master": {"device": {"type": "stranger:Device"}}}

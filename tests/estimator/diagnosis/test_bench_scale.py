@@ -108,7 +108,9 @@ def test_a_pulley_may_turn_ten_times_and_is_at_its_bound_no_earlier(span):
     for turns, at_bound in ((0.5, False), (3.0, False), (9.0, False), (10.0, True)):
         value = span / (2.0 * np.pi * turns)
         values = (1e-5, 0.0, value)
-        radius = PULLEY_ECCENTRICITY.within(PULLEY_ECCENTRICITY.parameters, span, values)[2]
+        radius = PULLEY_ECCENTRICITY.limit_parameters(PULLEY_ECCENTRICITY.parameters, span, values)[
+            2
+        ]
         assert ParameterInterval("radius", radius, value, value, value).at_bound == at_bound
         other = value + DIFFERENCE_STEP * radius.step
         assert abs(span / other - span / value) < 0.2  # [rad]: a slope, not a jump

@@ -76,7 +76,7 @@ def test_a_record_may_begin_in_the_midst_of_motion(by, turns):
     ]
     rest, time = drive[begin:], TIME[begin:]
     slow = np.zeros_like(rest)
-    done = run(physics(earlier=drive[at] - rest[0]), time, rest, slow)
+    done = run(physics(earlier_turns=drive[at] - rest[0]), time, rest, slow)
     assert np.abs(done.distal_tension - T_out[begin:]).max() < 0.002 * T_in.max()
     assert np.abs(done.proximal_tension - T_in[begin:]).max() < 0.006 * T_in.max()
     without = run(physics(), time, rest, slow)

@@ -247,11 +247,11 @@ def test_each_effect_has_a_use_or_a_reason():
         ((_, _, use),) = build_extended_model((0.4, 1e-4, 1e-4), [(one, values)], 60.0, 1.5).uses
         uses.setdefault(one.name, set()).add(use)
         assert explain_omission(one)
-    left_out = {name for name, found in uses.items() if found == {EffectUse.NOTHING}}
+    left_out = {name for name, found in uses.items() if found == {EffectUse.OMITTED}}
     assert left_out == set(OMISSION_REASONS)
     assert uses["constant_drag"] == uses["nonuniform_curvature"] == {EffectUse.LAW}
-    assert uses["distal_tension_gain"] == {EffectUse.REFERENCE}
-    assert uses["proximal_tension_gain"] == uses["sheath_rub"] == {EffectUse.READING}
+    assert uses["distal_tension_gain"] == {EffectUse.TIP_SENSOR}
+    assert uses["proximal_tension_gain"] == uses["sheath_rub"] == {EffectUse.READING_CORRECTION}
     assert set(uses) == set(NAMES)
 
 

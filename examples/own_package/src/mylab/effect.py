@@ -13,5 +13,5 @@ DISTAL_TENSION_CURVE = Effect(
     measure=lambda signals, values, _: changed(
         signals, DISTAL_TENSION, lambda T: T + values[0] * T**2
     ),
-    needs=frozenset({DISTAL_TENSION}),
+    required_channels=frozenset({DISTAL_TENSION}),
 )
