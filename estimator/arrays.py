@@ -21,11 +21,11 @@ def compute_median(values: Array) -> float:
     """
     n = len(values)
     for i in range(1, n):
-        value, place = values[i], i
-        while place > 0 and values[place - 1] > value:
-            values[place] = values[place - 1]
-            place -= 1
-        values[place] = value
+        value, index = values[i], i
+        while index > 0 and values[index - 1] > value:
+            values[index] = values[index - 1]
+            index -= 1
+        values[index] = value
     middle = n // 2
     if n % 2 == 1:
         return float(values[middle])
@@ -44,16 +44,16 @@ def interpolate(x: float, places: Array, values: Array) -> float:
     if math.isnan(x):
         return x
     n = len(places)
-    after, last = 0, n  # the first point beyond `x`, found by halving
-    while after < last:
-        middle = (after + last) // 2
+    upper, last = 0, n  # the first point beyond `x`, found by halving
+    while upper < last:
+        middle = (upper + last) // 2
         if places[middle] <= x:
-            after = middle + 1
+            upper = middle + 1
         else:
             last = middle
-    if after == 0:
+    if upper == 0:
         return float(values[0])
-    if after == n:
+    if upper == n:
         return float(values[n - 1])
-    base, value = places[after - 1], values[after - 1]
-    return float((values[after] - value) / (places[after] - base) * (x - base) + value)
+    base, value = places[upper - 1], values[upper - 1]
+    return float((values[upper] - value) / (places[upper] - base) * (x - base) + value)

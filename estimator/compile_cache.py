@@ -30,9 +30,9 @@ def choose_folder() -> Path | None:
     `NUMBA_CACHE_DIR` set by the user has precedence. A folder that other users own or can change is
     left out, with a line on standard error. Returns None, with nothing cached, if none is left.
     """
-    if named := os.environ.get(_ENVIRONMENT_VARIABLE):
+    if override := os.environ.get(_ENVIRONMENT_VARIABLE):
         with contextlib.suppress(OSError):
-            return _create_private_folder(Path(named))
+            return _create_private_folder(Path(override))
     state = _hash_sources()
     for caches in _generate_candidate_folders():
         try:
@@ -57,11 +57,11 @@ def _create_private_folder(folder: Path) -> Path:
         It cannot be made or written, or others can change it, which is said on standard error.
     """
     folder = folder.resolve()
-    for place in (*reversed(folder.parents), folder):
-        place.mkdir(mode=0o700, exist_ok=True)
-    if why := _find_write_risk(folder):
-        print(f"WARNING: {folder}: no compiled code is kept there: {why}", file=sys.stderr)
-        raise PermissionError(why)
+    for parent in (*reversed(folder.parents), folder):
+        parent.mkdir(mode=0o700, exist_ok=True)
+    if risk := _find_write_risk(folder):
+        print(f"WARNING: {folder}: no compiled code is kept there: {risk}", file=sys.stderr)
+        raise PermissionError(risk)
     if not os.access(folder, os.W_OK):
         raise PermissionError(folder)
     return folder
@@ -70,14 +70,14 @@ def _create_private_folder(folder: Path) -> Path:
 def _find_write_risk(folder: Path) -> str:
     """Return why others could put code into a folder, and the remedy; empty if nobody can."""
     trusted = {0, os.geteuid(), Path("/").stat().st_uid}  # in a user namespace / is of nobody
-    for place in (folder, *folder.parents):
-        status = place.stat()
+    for parent in (folder, *folder.parents):
+        status = parent.stat()
         if status.st_uid not in trusted:
-            return f"{place} belongs to another user; set XDG_CACHE_HOME to a folder of yours"
-        sticky = status.st_mode & stat.S_ISVTX and place != folder
+            return f"{parent} belongs to another user; set XDG_CACHE_HOME to a folder of yours"
+        sticky = status.st_mode & stat.S_ISVTX and parent != folder
         if _is_writable_by_others(status) and not sticky:
-            remedy = f"delete {place}" if place == folder else f"chmod go-w {place}"
-            return f"other users can write {place}; {remedy}"
+            remedy = f"delete {parent}" if parent == folder else f"chmod go-w {parent}"
+            return f"other users can write {parent}; {remedy}"
     return ""
 
 
@@ -102,9 +102,9 @@ def _hash_sources() -> str:
 
 def _generate_candidate_folders() -> Iterator[Path]:
     """Yield candidate folders: in the user's cache, then a temporary one."""
-    named = Path(os.environ.get("XDG_CACHE_HOME", ""))
-    if named.is_absolute():
-        yield named / _FOLDER_NAME
+    cache_home = Path(os.environ.get("XDG_CACHE_HOME", ""))
+    if cache_home.is_absolute():
+        yield cache_home / _FOLDER_NAME
     with contextlib.suppress(RuntimeError):  # a user id without a home
         yield Path.home() / ".cache" / _FOLDER_NAME
     yield Path(tempfile.gettempdir()) / f"{_FOLDER_NAME}-{os.getuid()}"

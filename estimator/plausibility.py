@@ -94,8 +94,8 @@ def find_channel_faults(data: MeasuredData, units: Units = LINEAR) -> tuple[str,
     if not units.signed:
         out += _find_reversed_travel(data, units)
         if moves and T_out is not None and _compute_span(T_out) > 0.0:
-            known = np.isfinite(T_in) & np.isfinite(T_out)
-            out += [slip] if (slip := find_unit_slip(T_in[known], T_out[known])) else []
+            rows = np.isfinite(T_in) & np.isfinite(T_out)
+            out += [slip] if (slip := find_unit_slip(T_in[rows], T_out[rows])) else []
     return tuple(out)
 
 
@@ -105,18 +105,18 @@ def _find_reversed_travel(data: MeasuredData, units: Units) -> list[str]:
     if q_p is None:
         return []
     pulls = _compute_correlation(q_p, T_in)
-    together = 0.0 if q_d is None else _compute_correlation(q_d, q_p)
-    if together > 0.0 and _is_tip_driven(T_in, q_d):
+    correlation = 0.0 if q_d is None else _compute_correlation(q_d, q_p)
+    if correlation > 0.0 and _is_tip_driven(T_in, q_d):
         return []
-    opposed = together < REVERSED_CORRELATION
+    opposed = correlation < REVERSED_CORRELATION
     if pulls < (0.0 if opposed else REVERSED_CORRELATION):
-        name, other = "proximal", "tension at the housing"
+        name, reference = "proximal", "tension at the housing"
     elif opposed:
-        name, other = "distal", "travel of the motor"
+        name, reference = "distal", "travel of the motor"
     else:
         return []
     return [
-        f"{name}_displacement falls where the {other} rises: it counts the other way; "
+        f"{name}_displacement falls where the {reference} rises: it counts the other way; "
         f"change its sign [{units.travel}]"
     ]
 
@@ -138,13 +138,13 @@ def find_implausible_parameter(K: float, EA: float | None, peak: float) -> str:
             f"EA = {EA:.3g} N is stiffer than any tendon ({STIFFNESS_RANGE[1]:g} N): the "
             "travel is too small; check that it is in metres, and the length"
         )
-    meant = [slip.name for slip in LENGTHS if _is_plausible_stiffness(EA / slip.factor, peak)]
-    meant += [
+    units = [slip.name for slip in LENGTHS if _is_plausible_stiffness(EA / slip.factor, peak)]
+    units += [
         slip.name
         for slip in FORCES[:1]
-        if not meant and _is_plausible_stiffness(EA * slip.factor, peak)
+        if not units and _is_plausible_stiffness(EA * slip.factor, peak)
     ]
-    hint = f" (in {' or '.join(meant)}?)" if meant else ""
+    hint = f" (in {' or '.join(units)}?)" if units else ""
     return (
         f"EA = {EA:.3g} N stretches by {strain:.1%} at {peak:.3g} N, which no tendon does (at most "
         f"{STRAIN_MAX:.0%}): check that the travel is in metres and the tension in newtons{hint}, "
@@ -167,18 +167,18 @@ def find_unit_slip(
     T_in, T_out = proximal_tension[::step], distal_tension[::step]
     if not (T_in.max() > 0.0 and T_out.max() > 0.0):
         return ""
-    plain = _compute_best_residual(T_in, T_out) if may_be_right else math.inf
-    if plain < _RESIDUAL_MAX:
+    plain_residual = _compute_best_residual(T_in, T_out) if may_be_right else math.inf
+    if plain_residual < _RESIDUAL_MAX:
         return ""
     tried = [("distal", slip, T_in, slip.factor * T_out) for slip in FORCES]
     tried += [("proximal", slip, slip.factor * T_in, T_out) for slip in FORCES]
-    found = [(_compute_best_residual(one, other), end, slip) for end, slip, one, other in tried]
-    best = min(residual for residual, _, _ in found)
-    if not (best < _RESIDUAL_MAX and best < _IMPROVEMENT_RATIO * plain):
+    candidates = [(_compute_best_residual(T_a, T_b), end, slip) for end, slip, T_a, T_b in tried]
+    best = min(residual for residual, _, _ in candidates)
+    if not (best < _RESIDUAL_MAX and best < _IMPROVEMENT_RATIO * plain_residual):
         return ""
-    meant = [f"{e}_tension in {s.name}" for residual, e, s in found if residual < 1.5 * best]
+    slips = [f"{e}_tension in {s.name}" for residual, e, s in candidates if residual < 1.5 * best]
     return (
-        f"not in newtons, as it seems: {' or '.join(meant)}, with which the law describes the data "
+        f"not in newtons, as it seems: {' or '.join(slips)}, with which the law describes the data "
         f"within {best:.1%} of the peak; convert it"
     )
 
@@ -193,13 +193,13 @@ def find_contradiction(rmse_share: float, inside: float, *, fitted: bool = False
     fitted : bool
         Whether the model was fitted to these data.
     """
-    least = FIT_COVERAGE_MIN if fitted else COVERAGE_MIN
-    off, out = rmse_share > RMSE_MAX, inside < least
-    if not (off or out):
+    coverage_min = FIT_COVERAGE_MIN if fitted else COVERAGE_MIN
+    is_inaccurate, is_uncovered = rmse_share > RMSE_MAX, inside < coverage_min
+    if not (is_inaccurate or is_uncovered):
         return ""
-    told = [f"the RMSE is {rmse_share:.0%} of full scale"] * off
-    told += [f"{inside:.0%} of the samples are inside the interval"] * out
-    return " and ".join(told)
+    reasons = [f"the RMSE is {rmse_share:.0%} of full scale"] * is_inaccurate
+    reasons += [f"{inside:.0%} of the samples are inside the interval"] * is_uncovered
+    return " and ".join(reasons)
 
 
 def find_stretch_slip(measured: Array, modelled: Array) -> str:
@@ -210,18 +210,18 @@ def find_stretch_slip(measured: Array, modelled: Array) -> str:
     measured, modelled : array, shape (n,)
         q_p - q_d, and the elongation by the model; NaN where unknown.
     """
-    known = np.isfinite(measured) & np.isfinite(modelled)
-    if known.sum() < 2 or not (_compute_span(modelled[known]) > 0.0):
+    rows = np.isfinite(measured) & np.isfinite(modelled)
+    if rows.sum() < 2 or not (_compute_span(modelled[rows]) > 0.0):
         return ""
-    x, y = modelled[known] - modelled[known].mean(), measured[known] - measured[known].mean()
+    x, y = modelled[rows] - modelled[rows].mean(), measured[rows] - measured[rows].mean()
     ratio = float(x @ y) / float(x @ x)
     if 1.0 / STRETCH_RATIO <= ratio <= STRETCH_RATIO:
         return ""
     size = abs(ratio)
-    meant = [f"the travel in {s.name}" for s in LENGTHS if _is_near(size, 1.0 / s.factor)]
-    meant += [f"the tension in {s.name}" for s in FORCES if _is_near(size, s.factor)]
-    meant += ["the sign of a travel"] if ratio < 0.0 and not meant and size > 0.3 else []
-    hint = f"; perhaps {' or '.join(meant)}" if meant else ""
+    slips = [f"the travel in {s.name}" for s in LENGTHS if _is_near(size, 1.0 / s.factor)]
+    slips += [f"the tension in {s.name}" for s in FORCES if _is_near(size, s.factor)]
+    slips += ["the sign of a travel"] if ratio < 0.0 and not slips and size > 0.3 else []
+    hint = f"; perhaps {' or '.join(slips)}" if slips else ""
     return (
         f"the tendon stretches {ratio:.3g} times as much as the model says: check the units of "
         f"travel and tension, and the model's stiffness and length{hint}"
@@ -232,17 +232,17 @@ def _is_tip_driven(tension: Array, q_d: Array | None) -> bool:
     """Return whether the tip stretches a tendon that the motor holds: it gives way as it pulls."""
     if q_d is None or _compute_span(q_d) == 0.0:
         return False
-    known = np.isfinite(tension) & np.isfinite(q_d)
-    x, y = tension[known] - tension[known].mean(), q_d[known] - q_d[known].mean()
+    rows = np.isfinite(tension) & np.isfinite(q_d)
+    x, y = tension[rows] - tension[rows].mean(), q_d[rows] - q_d[rows].mean()
     return float(x @ y) < 0.0
 
 
-def _compute_correlation(one: Array, other: Array) -> float:
+def _compute_correlation(a: Array, b: Array) -> float:
     """Return the correlation of two signals; 0 if one of them is constant."""
-    known = np.isfinite(one) & np.isfinite(other)
-    if known.sum() < 2:
+    rows = np.isfinite(a) & np.isfinite(b)
+    if rows.sum() < 2:
         return 0.0
-    x, y = one[known] - one[known].mean(), other[known] - other[known].mean()
+    x, y = a[rows] - a[rows].mean(), b[rows] - b[rows].mean()
     size = math.sqrt(float(x @ x) * float(y @ y))
     return float(x @ y) / size if size > 0.0 else 0.0
 
@@ -257,8 +257,8 @@ def _is_plausible_stiffness(EA: float, peak: float) -> bool:
 
 def _compute_span(signal: Array) -> float:
     """Return the range of a signal, without what is missing (NaN)."""
-    known = signal[np.isfinite(signal)]
-    return float(np.ptp(known)) if known.size else 0.0
+    finite = signal[np.isfinite(signal)]
+    return float(np.ptp(finite)) if finite.size else 0.0
 
 
 def _compute_best_residual(T_in: Array, T_out: Array) -> float:
@@ -275,5 +275,5 @@ def _compute_best_residual(T_in: Array, T_out: Array) -> float:
     tried = np.geomspace(*K_RANGE, _GRID_SIZE)
     costs = [cost(K) for K in tried]
     k = int(np.argmin(costs))
-    near = np.linspace(tried[max(k - 1, 0)], tried[min(k + 1, _GRID_SIZE - 1)], _GRID_SIZE)
-    return math.sqrt(min(*costs, *map(cost, near))) / float(T_out.max())
+    refined = np.linspace(tried[max(k - 1, 0)], tried[min(k + 1, _GRID_SIZE - 1)], _GRID_SIZE)
+    return math.sqrt(min(*costs, *map(cost, refined))) / float(T_out.max())

@@ -74,8 +74,8 @@ def update_average(previous: float, measured: float, dt: float, time_constant: f
 @jit_compile
 def update_variance(previous: float, sigma: float, dt: float, time_constant: float) -> float:
     """Return the variance of white noise after `update_average`, from the one before."""
-    kept = math.exp(-dt / time_constant) if time_constant > 0.0 else 0.0
-    return (kept * kept) * previous + ((1.0 - kept) * sigma) ** 2
+    decay = math.exp(-dt / time_constant) if time_constant > 0.0 else 0.0
+    return (decay * decay) * previous + ((1.0 - decay) * sigma) ** 2
 
 
 @jit_compile

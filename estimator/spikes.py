@@ -27,18 +27,18 @@ def find_spikes(signal: Array) -> NDArray[np.bool_]:
         return np.zeros(len(signal), dtype=np.bool_)
     from scipy.ndimage import median_filter  # here: the control processes import this module
 
-    off = np.zeros_like(signal)
-    off[1:-1] = signal[1:-1] - 0.5 * (signal[:-2] + signal[2:])
-    across = np.zeros_like(signal)
-    across[1:-1] = np.abs(signal[2:] - signal[:-2])
-    usual = 1.4826 * median_filter(np.abs(off), SCATTER_WINDOW, mode="nearest")
-    least = max(noise_sigma(signal), 1e-3 * float(np.ptp(signal)))
-    spike: NDArray[np.bool_] = np.abs(off) > SCATTER_FACTOR * np.maximum(usual, least)
-    spike &= across < 0.5 * np.abs(off)
+    deviation = np.zeros_like(signal)
+    deviation[1:-1] = signal[1:-1] - 0.5 * (signal[:-2] + signal[2:])
+    gap = np.zeros_like(signal)
+    gap[1:-1] = np.abs(signal[2:] - signal[:-2])
+    usual = 1.4826 * median_filter(np.abs(deviation), SCATTER_WINDOW, mode="nearest")
+    noise_min = max(noise_sigma(signal), 1e-3 * float(np.ptp(signal)))
+    spike: NDArray[np.bool_] = np.abs(deviation) > SCATTER_FACTOR * np.maximum(usual, noise_min)
+    spike &= gap < 0.5 * np.abs(deviation)
     # beside a spike both neighbours are off by half of it, the other way; beside a sharp turn not
-    for beside in (np.roll(off, 1), np.roll(off, -1)):
-        spike &= (off * beside < 0.0) & (np.abs(beside) > 0.25 * np.abs(off))
-        spike &= np.abs(beside) < 0.8 * np.abs(off)
+    for neighbour in (np.roll(deviation, 1), np.roll(deviation, -1)):
+        spike &= (deviation * neighbour < 0.0) & (np.abs(neighbour) > 0.25 * np.abs(deviation))
+        spike &= np.abs(neighbour) < 0.8 * np.abs(deviation)
     return spike
 
 

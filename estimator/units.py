@@ -34,19 +34,20 @@ class Units(NamedTuple):
 
     def word(self, channel: str) -> str:
         """Return what a channel is called: "torque at the housing"."""
-        end, _, what = channel.partition("_")
+        end, _, quantity = channel.partition("_")
         words = _WORDS[(self.rotary, self.signed)]
-        return f"{words[what == 'displacement']} at the {_ENDS[end]}"
+        return f"{words[quantity == 'displacement']} at the {_ENDS[end]}"
 
     def name(self, unit: str) -> str:
         """Return what a unit of newtons and metres is in the record: "m/N" is "rad/(N m)"."""
         if not self.rotary:
             return unit
-        above, _, below = unit.partition("/")
+        numerator, _, denominator = unit.partition("/")
         parts = [
-            " ".join(_ROTARY.get(one, one) for one in side.split(" ")) for side in (above, below)
+            " ".join(_ROTARY.get(factor, factor) for factor in side.split(" "))
+            for side in (numerator, denominator)
         ]
-        if not below:
+        if not denominator:
             return parts[0]
         return f"{parts[0]}/({parts[1]})" if " " in parts[1] else "/".join(parts)
 

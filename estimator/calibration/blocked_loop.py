@@ -140,11 +140,10 @@ def _validate_signals(tension: ArrayLike, displacement: ArrayLike) -> tuple[Arra
         raise CalibrationError(
             f"{len(T)} samples, at least {2 * MIN_SAMPLES} are needed: record more densely"
         )
-    bad = ~(np.isfinite(T) & np.isfinite(q))
-    if bad.any():
+    missing = np.flatnonzero(~(np.isfinite(T) & np.isfinite(q)))
+    if len(missing):
         raise CalibrationError(
-            f"{int(bad.sum())} samples are not finite, the first at index {int(bad.argmax())}: "
-            "remove them"
+            f"{len(missing)} samples are not finite, the first at index {missing[0]}: remove them"
         )
     return T, q
 
@@ -175,20 +174,20 @@ def _find_turning_points(q: Array) -> list[int]:
 
 def _estimate_end_tension(T: Array, q: Array) -> float:
     """Return the tension at the last travel; the extreme sample would be extreme by its noise."""
-    back = np.abs(q - q[-1]) / max(abs(q[0] - q[-1]), 1e-12)
-    near = back < _END_SHARE
-    degree = 2 if int(near.sum()) > 12 else 0
-    return float(np.polynomial.polynomial.polyfit(back[near], T[near], degree)[0])
+    distance = np.abs(q - q[-1]) / max(abs(q[0] - q[-1]), 1e-12)
+    is_near_end = distance < _END_SHARE
+    degree = 2 if int(is_near_end.sum()) > 12 else 0
+    return float(np.polynomial.polynomial.polyfit(distance[is_near_end], T[is_near_end], degree)[0])
 
 
 def _refuse_saturation(T: Array, q: Array, span: tuple[int, int]) -> None:
     T, q = T[span[0] : span[1] + 1], q[span[0] : span[1] + 1]
     travel = float(q[-1] - q[0])
     top = q > q[-1] - _PLATEAU_SHARE * travel
-    below = ~top & (q > q[-1] - 10.0 * _PLATEAU_SHARE * travel)
-    if np.ptp(q[top]) <= 0.0 or below.sum() < 3:
+    is_below = ~top & (q > q[-1] - 10.0 * _PLATEAU_SHARE * travel)
+    if np.ptp(q[top]) <= 0.0 or is_below.sum() < 3:
         return
-    rate_top, rate_below = (float(np.polyfit(q[k], T[k], 1)[0]) for k in (top, below))
+    rate_top, rate_below = (float(np.polyfit(q[k], T[k], 1)[0]) for k in (top, is_below))
     noise = 3.0 * noise_sigma(T) / max(float(np.std(q[top])) * math.sqrt(int(top.sum())), 1e-12)
     if rate_top + noise < _SATURATED_SLOPE_RATIO * rate_below or (
         rate_top < _SATURATED_SLOPE_RATIO * rate_below and rate_below > 2.0 * noise
@@ -205,23 +204,23 @@ def _average_branch(
     share = np.sqrt(np.clip(np.abs(q - q[0]) / abs(q[-1] - q[0]), 0.0, 1.0))
     span = np.minimum((share * _BIN_COUNT).astype(np.int64), _BIN_COUNT - 1)
     count = np.bincount(span, minlength=_BIN_COUNT)
-    kept = count > 0
-    mean_T = np.bincount(span, T, _BIN_COUNT)[kept] / count[kept]
-    mean_q = np.bincount(span, q, _BIN_COUNT)[kept] / count[kept]
-    n = count[kept].astype(np.float64)
+    has_samples = count > 0
+    mean_T = np.bincount(span, T, _BIN_COUNT)[has_samples] / count[has_samples]
+    mean_q = np.bincount(span, q, _BIN_COUNT)[has_samples] / count[has_samples]
+    n = count[has_samples].astype(np.float64)
     readings = n
     if resolution:
         different = np.unique(np.column_stack([span, np.rint(q / resolution)]), axis=0)[:, 0]
         number_of = np.bincount(different.astype(np.int64), minlength=_BIN_COUNT)
-        readings = number_of[kept].astype(np.float64)
+        readings = number_of[has_samples].astype(np.float64)
     usable = mean_T > loop.slack
     pull = number % 2 == 0
-    before = loop.start if number == 0 else float(loop.turns[number - 1])
-    if number == 0 or before < loop.slack:
+    begin = loop.start if number == 0 else float(loop.turns[number - 1])
+    if number == 0 or begin < loop.slack:
         # The profile before is unknown, but nowhere above T e^s: the pull has wiped it out from
         # e^2K on.
-        from_ = min(max(before, loop.slack) * math.exp(_SWING_MAX), _TRUSTED_SHARE * loop.peak)
+        from_ = min(max(begin, loop.slack) * math.exp(_SWING_MAX), _TRUSTED_SHARE * loop.peak)
         usable &= mean_T > (from_ if pull else 0.0)
     else:
-        usable &= np.abs(mean_T - before) > _TURN_SIGMAS * loop.sigma / np.sqrt(n)
+        usable &= np.abs(mean_T - begin) > _TURN_SIGMAS * loop.sigma / np.sqrt(n)
     return Branch(pull, mean_T[usable], mean_q[usable], n[usable], readings[usable])

@@ -130,9 +130,11 @@ def require_straight_pulls(loop: BlockedLoop, K: float) -> None:
         T, q, n = branch.T[part], branch.q[part], branch.count[part]
         middle = 0.5 * (T.min() + T.max())
         low, high = (_fit_slope(T[half], q[half], n[half]) for half in (middle > T, middle <= T))
-        off = high.value - low.value
-        sure = abs(off) > _SIGNIFICANT_SIGMAS * math.hypot(low.uncertainty, high.uncertainty)
-        if sure and abs(off) > _SLOPE_DIFFERENCE_MAX * abs(low.value):
+        difference = high.value - low.value
+        is_significant = abs(difference) > _SIGNIFICANT_SIGMAS * math.hypot(
+            low.uncertainty, high.uncertainty
+        )
+        if is_significant and abs(difference) > _SLOPE_DIFFERENCE_MAX * abs(low.value):
             raise CalibrationError(
                 f"the pull is not straight, {low.value:.3g} m/N below and {high.value:.3g} m/N "
                 f"above {middle:.3g} N: the tip gives way, or touches something soft before its "
@@ -143,9 +145,9 @@ def require_straight_pulls(loop: BlockedLoop, K: float) -> None:
 def _select_sliding_pulls(loop: BlockedLoop, K: float) -> list[tuple[Branch, NDArray[np.bool_]]]:
     """Return the pulls and where in them the whole tendon slides."""
     # A first pull has been cut already to what has forgotten the unknown past.
-    before = [0.0, *loop.turns.tolist()]
+    begins = [0.0, *loop.turns.tolist()]
     return [
-        (branch, before[number] * math.exp(2.0 * K) < branch.T)
+        (branch, begins[number] * math.exp(2.0 * K) < branch.T)
         for number, branch in enumerate(loop.branches)
         if branch.pull
     ]
@@ -313,12 +315,12 @@ def calibrate(
             "the paper's K needs both axial_stiffness and length: give the other"
         )
     loop = segment_loop(proximal_tension, proximal_displacement)
-    found = search_pattern(PatternLeastSquares(loop, zero_uncertainty))
-    K, pattern = found.weighed.K, found.weighed.pattern
+    search = search_pattern(PatternLeastSquares(loop, zero_uncertainty))
+    K, pattern = search.weighed.K, search.weighed.pattern
     largest = K.value + 2.0 * K.uncertainty
-    _require_plausible_sheath(loop, found)
+    _require_plausible_sheath(loop, search)
     require_straight_pulls(loop, largest)
-    _require_identifiable(loop, found, tolerance)
+    _require_identifiable(loop, search, tolerance)
     M_pull = fit_pull_slope(loop, largest)
     M_rel = fit_release_slope(loop, largest) or MeasuredValue(
         pattern.slope(1.0), K.uncertainty * pattern.slope(1.0)
@@ -341,13 +343,13 @@ def calibrate(
         M_pull=M_pull,
         M_rel=M_rel,
         M_e=M_e,
-        stiffness_per_length=_compute_stiffness(found.weighed, found.compliance_noise),
+        stiffness_per_length=_compute_stiffness(search.weighed, search.compliance_noise),
         T_peak=MeasuredValue(loop.peak, loop.sigma),
-        zero=found.zero,
+        zero=search.zero,
         pattern=pattern,
-        rivals=found.rivals,
-        compliance_noise=found.compliance_noise,
-        misfit=found.misfit,
+        rivals=search.rivals,
+        compliance_noise=search.compliance_noise,
+        misfit=search.misfit,
         uniform=uniform,
         agree=uniform and (K_paper is None or _is_consistent(K, K_paper)),
     )
@@ -395,23 +397,24 @@ def combine_calibrations(
     return _update_calibration(a, of_a), _update_calibration(b, of_b)
 
 
-def _update_calibration(found: Calibration, weighed: ModelAverage) -> Calibration:
+def _update_calibration(calibration: Calibration, weighed: ModelAverage) -> Calibration:
     """Return a calibration of which other rivals stand."""
-    uniform = _is_consistent(weighed.K, found.K_loop)
+    uniform = _is_consistent(weighed.K, calibration.K_loop)
     return replace(
-        found,
+        calibration,
         K=weighed.K,
-        stiffness_per_length=_compute_stiffness(weighed, found.compliance_noise),
+        stiffness_per_length=_compute_stiffness(weighed, calibration.compliance_noise),
         pattern=weighed.pattern,
         uniform=uniform,
-        agree=uniform and (found.K_paper is None or _is_consistent(weighed.K, found.K_paper)),
+        agree=uniform
+        and (calibration.K_paper is None or _is_consistent(weighed.K, calibration.K_paper)),
     )
 
 
 def _compute_stiffness(weighed: ModelAverage, noise: float) -> MeasuredValue:
     """Return EA/L [N/m]."""
-    value, between = weighed.compliance
-    return MeasuredValue(1.0 / value, math.hypot(between, noise) / value**2)
+    value, spread = weighed.compliance
+    return MeasuredValue(1.0 / value, math.hypot(spread, noise) / value**2)
 
 
 def _compute_elongation_constant(loop: BlockedLoop) -> MeasuredValue:
@@ -420,8 +423,8 @@ def _compute_elongation_constant(loop: BlockedLoop) -> MeasuredValue:
     return MeasuredValue(value, value * math.hypot(loop.sigma / T_0, loop.step / loop.travel))
 
 
-def _require_identifiable(loop: BlockedLoop, found: PatternSearchResult, tolerance: float) -> None:
-    K = found.weighed.K
+def _require_identifiable(loop: BlockedLoop, search: PatternSearchResult, tolerance: float) -> None:
+    K = search.weighed.K
     lowest = max(float(loop.turns.min()), loop.slack)
     reach = 0.5 * math.log(loop.peak / lowest)
     if K.value + _DEPTH_MARGIN > reach or K.uncertainty > tolerance:
@@ -432,15 +435,15 @@ def _require_identifiable(loop: BlockedLoop, found: PatternSearchResult, toleran
         )
 
 
-def _require_plausible_sheath(loop: BlockedLoop, found: PatternSearchResult) -> None:
-    compliance = found.weighed.compliance.value
+def _require_plausible_sheath(loop: BlockedLoop, search: PatternSearchResult) -> None:
+    compliance = search.weighed.compliance.value
     if compliance > _COMPLIANCE_MAX:
         raise CalibrationError(
             f"EA/L is {1.0 / compliance:.3g} N/m, softer than any sheath: the tip is not blocked"
         )
-    if found.residual > _RESIDUAL_MAX * loop.peak:
+    if search.residual > _RESIDUAL_MAX * loop.peak:
         raise CalibrationError(
-            f"no friction and no stiffness describe this loop to better than {found.residual:.2g} "
+            f"no friction and no stiffness describe this loop to better than {search.residual:.2g} "
             f"N of {loop.peak:.3g} N: the tip moves, or the tension is not that of this tendon"
         )
 

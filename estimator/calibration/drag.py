@@ -47,20 +47,20 @@ def fit_friction_sum(pulled: Array, drawn: Array, travel: Array) -> MeasuredValu
     if len(pulled) < _MIN_SAMPLES:
         raise CalibrationError(f"{len(pulled)} samples of a drag, {_MIN_SAMPLES} are needed")
     high = np.flatnonzero(pulled > _MIN_SHARE * pulled.max())
-    where = slice(int(high[0]), int(high[-1]) + 1)
-    T, q, drawn = pulled[where], travel[where], drawn[where]
+    rows = slice(int(high[0]), int(high[-1]) + 1)
+    T, q, drawn = pulled[rows], travel[rows], drawn[rows]
     noise = noise_sigma(drawn)
     columns = np.column_stack([T, q - q.mean(), np.ones_like(T)])
     fit, *_ = np.linalg.lstsq(columns, drawn, rcond=None)
     slope = float(fit[0])
     if not 0.0 < slope <= 1.0:
         raise CalibrationError(f"the tendon drawn out has {slope:.3g} of the change of tension")
-    rest = float(np.std(drawn - columns @ fit))
-    if rest > _RESIDUAL_SIGMAS * noise + _RESIDUAL_SHARE * float(drawn.max()):
+    residual = float(np.std(drawn - columns @ fit))
+    if residual > _RESIDUAL_SIGMAS * noise + _RESIDUAL_SHARE * float(drawn.max()):
         raise CalibrationError(
-            f"the tensions of a drag are {rest:.2g} N from a straight line: one tendon does not "
-            "slide, or the joint is not free"
+            f"the tensions of a drag are {residual:.2g} N from a straight line: one tendon does "
+            "not slide, or the joint is not free"
         )
     variance = np.linalg.pinv(columns.T @ columns)[0, 0]
-    uncertainty = max(rest, noise) * math.sqrt(float(variance)) / slope
+    uncertainty = max(residual, noise) * math.sqrt(float(variance)) / slope
     return MeasuredValue(-math.log(slope), math.hypot(uncertainty, _LAW_UNCERTAINTY))

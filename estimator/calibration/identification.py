@@ -152,18 +152,17 @@ def fit_blocked_tip(
     )
 
 
-def _validate_signals(tension: ArrayLike, other: ArrayLike) -> tuple[Array, Array]:
+def _validate_signals(tension: ArrayLike, signal_values: ArrayLike) -> tuple[Array, Array]:
     T = np.asarray(tension, dtype=np.float64)
-    signal = np.asarray(other, dtype=np.float64)
+    signal = np.asarray(signal_values, dtype=np.float64)
     if T.ndim != 1 or T.shape != signal.shape:
         raise IdentificationError(f"rows {T.shape} and {signal.shape}: give two of equal length")
     if len(T) < _SAMPLES_MIN:
         raise IdentificationError(f"{len(T)} samples, at least {_SAMPLES_MIN} are needed")
-    bad = ~(np.isfinite(T) & np.isfinite(signal))
-    if bad.any():
+    missing = np.flatnonzero(~(np.isfinite(T) & np.isfinite(signal)))
+    if len(missing):
         raise IdentificationError(
-            f"{int(bad.sum())} samples are not finite, the first at index {int(bad.argmax())}: "
-            "remove them"
+            f"{len(missing)} samples are not finite, the first at index {missing[0]}: remove them"
         )
     if not (np.ptp(T) > 0.0 and np.ptp(signal) > 0.0):
         raise IdentificationError("a signal never changes: record while pulling and releasing")

@@ -46,9 +46,9 @@ def deduplicate_rivals(rivals: Iterable[Rival]) -> tuple[Rival, ...]:
 
 def average_rivals(rivals: tuple[Rival, ...]) -> ModelAverage:
     """Return what a loop by itself says."""
-    K, own, score = _to_arrays(rivals)
+    K, uncertainty, score = _to_arrays(rivals)
     weight = np.exp(-0.5 * (score - score.min()))
-    return _compute_weighted_median(rivals, K, own, weight / weight.sum())
+    return _compute_weighted_median(rivals, K, uncertainty, weight / weight.sum())
 
 
 def average_antagonists(
@@ -81,11 +81,13 @@ def _average_pairs(
     rivals: tuple[Rival, ...], weight: Array, shift: Array, variance: Array
 ) -> ModelAverage:
     """Weigh rivals by pairs: what each asks for and leaves open of K, shape (rivals, of other)."""
-    each = np.maximum(weight.sum(axis=1), _WEIGHT_MIN)
-    mean = (weight * shift).sum(axis=1) / each
-    left = (weight * (variance + (shift - mean[:, None]) ** 2)).sum(axis=1) / each
+    total_weight = np.maximum(weight.sum(axis=1), _WEIGHT_MIN)
+    mean = (weight * shift).sum(axis=1) / total_weight
+    variance_mean = (weight * (variance + (shift - mean[:, None]) ** 2)).sum(axis=1) / total_weight
     K, *_ = _to_arrays(rivals)
-    return _compute_weighted_median(rivals, K + mean, np.sqrt(left), each / each.sum())
+    return _compute_weighted_median(
+        rivals, K + mean, np.sqrt(variance_mean), total_weight / total_weight.sum()
+    )
 
 
 def _to_arrays(rivals: tuple[Rival, ...]) -> tuple[Array, Array, Array]:
@@ -98,16 +100,16 @@ def _to_arrays(rivals: tuple[Rival, ...]) -> tuple[Array, Array, Array]:
 
 
 def _compute_weighted_median(
-    rivals: tuple[Rival, ...], K: Array, own: Array, weight: Array
+    rivals: tuple[Rival, ...], K: Array, uncertainty: Array, weight: Array
 ) -> ModelAverage:
     """Return the weighted median of K, its pattern, and the scatter about them."""
     compliance = np.array([rival.pattern.compliance for rival in rivals])
     order = np.argsort(K)
     middle = int(order[np.searchsorted(np.cumsum(weight[order]), 0.5)])
-    u_K = math.sqrt(float(weight @ (own**2 + (K - K[middle]) ** 2)))
-    between = math.sqrt(float(weight @ (compliance - compliance[middle]) ** 2))
+    u_K = math.sqrt(float(weight @ (uncertainty**2 + (K - K[middle]) ** 2)))
+    spread = math.sqrt(float(weight @ (compliance - compliance[middle]) ** 2))
     return ModelAverage(
         MeasuredValue(float(K[middle]), u_K),
-        MeasuredValue(float(compliance[middle]), between),
+        MeasuredValue(float(compliance[middle]), spread),
         rivals[middle].pattern.ending(float(K[middle])),
     )

@@ -168,9 +168,9 @@ class PlayOperators:
     def columns(self, shape: Shape) -> Array:
         """Return travel per compliance [N] of intervals, then of straight stretches."""
         begin = np.concatenate([[0.0], shape.ends])
-        place = np.clip(begin / _NODE_SPACING, 0.0, len(self._s) - 1.001)
-        k = place.astype(np.int64)
-        f = (place - k)[:, None]
+        position = np.clip(begin / _NODE_SPACING, 0.0, len(self._s) - 1.001)
+        k = position.astype(np.int64)
+        f = (position - k)[:, None]
         T_a, T_b = self._T[k], self._T[k + 1]
         # Cubic in between: the derivative of the integral is T.
         total = (
@@ -248,16 +248,16 @@ class PatternLeastSquares:
     def fit(self, shape: Shape, evaluations: int = 25, *, hold_last: bool = False) -> PatternFit:
         """Return the best fit of a shape, its ends moved; `hold_last` keeps the last width."""
         logs = _to_logs(shape.ends)
-        held = logs[-1:] if hold_last else logs[:0]
-        free = logs[: len(logs) - len(held)]
+        fixed_logs = logs[-1:] if hold_last else logs[:0]
+        free = logs[: len(logs) - len(fixed_logs)]
 
         def ends(x: Array) -> Array:
-            return _from_logs(np.concatenate([x, held]))
+            return _from_logs(np.concatenate([x, fixed_logs]))
 
         def residual(x: Array) -> Array:
             return self._solve(self._play.columns(shape._replace(ends=ends(x))))[0]
 
-        found = minimise_squares(
+        solution = minimise_squares(
             residual,
             free,
             math.log(STEP_MIN) - 1e-6,
@@ -268,7 +268,7 @@ class PatternLeastSquares:
             ftol=1e-5,
             max_nfev=evaluations,
         )
-        return self._fitted(shape._replace(ends=ends(found.values)))
+        return self._fitted(shape._replace(ends=ends(solution.values)))
 
     def refine(self, fit: PatternFit) -> tuple[PatternFit, Uncertainty]:
         """Move the turning tensions and the zero too; return the fit and what noise leaves open."""
@@ -287,7 +287,7 @@ class PatternLeastSquares:
             [_ENDS_RANGE, _TURNS_RANGE, _ZERO_RANGE * self._zero_uncertainty],
             [n, len(self._turns), 1],
         )
-        found = minimise_squares(
+        solution = minimise_squares(
             residual,
             start,
             start - room,
@@ -296,8 +296,8 @@ class PatternLeastSquares:
             x_scale="jac",
             max_nfev=10,
         )
-        best = found.values
-        covariance = np.linalg.pinv(found.jacobian.T @ found.jacobian)
+        best = solution.values
+        covariance = np.linalg.pinv(solution.jacobian.T @ solution.jacobian)
         K_by = np.zeros(len(best))
         K_by[:n] = np.exp(best[:n])  # K is the sum of the intervals
         C_by = compute_central_differences(lambda x: solve(x)[1].sum(keepdims=True), best, steps)[0]
@@ -313,8 +313,8 @@ class PatternLeastSquares:
     def tension_residual(self, fit: PatternFit) -> float:
         """Return the root mean square of the residuals as a tension [N], noise left in."""
         residual, _ = self._solve(self._play.columns(fit.shape))
-        each = residual / np.sqrt(self._count)  # in units of the noise of one sample
-        return self._loop.sigma * float(np.sqrt(np.average(each**2, weights=self._count)))
+        scaled = residual / np.sqrt(self._count)  # in units of the noise of one sample
+        return self._loop.sigma * float(np.sqrt(np.average(scaled**2, weights=self._count)))
 
     def _linear_variance(self, fit: PatternFit) -> float:
         """Return the variance of the sum of compliances while the ends stay [m²/N²]."""

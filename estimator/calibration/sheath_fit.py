@@ -117,20 +117,20 @@ def fit_sheath(data: MeasuredData, length: float = 1.0, *, blocked_tip: bool = F
     if len(data.time) < ROWS_MIN:
         raise FitError(f"{len(data.time)} samples, a fit needs {ROWS_MIN}")
     clean = remove_spikes(data)
-    whole = _drop_missing(clean)
-    if len(whole.time) < ROWS_MIN:
-        raise FitError(f"{len(whole.time)} samples without spikes, a fit needs {ROWS_MIN}")
-    if wrong := find_channel_faults(whole):
-        raise FitError("; ".join(wrong))
-    every = -(-len(whole.time) // SAMPLES_MAX)
-    fewer = Samples(*(None if c is None else c[::every] for c in whole[:5]))  # type: ignore[arg-type]
+    complete = _drop_missing(clean)
+    if len(complete.time) < ROWS_MIN:
+        raise FitError(f"{len(complete.time)} samples without spikes, a fit needs {ROWS_MIN}")
+    if fault := find_channel_faults(complete):
+        raise FitError("; ".join(fault))
+    stride = -(-len(complete.time) // SAMPLES_MAX)
+    fewer = Samples(*(None if c is None else c[::stride] for c in complete[:5]))  # type: ignore[arg-type]
     try:
         fit = _fit_loop(fewer, length) if blocked_tip else _fit_both_ends(fewer, length)
     except (IdentificationError, CalibrationError) as error:
-        slip = "" if blocked_tip or whole.distal_tension is None else _find_unit_slip(fewer)
+        slip = "" if blocked_tip or complete.distal_tension is None else _find_unit_slip(fewer)
         raise FitError(slip or str(error)) from error
-    if every > 1:
-        fit = dataclasses.replace(fit, method=f"{fit.method}, from one sample in {every}")
+    if stride > 1:
+        fit = dataclasses.replace(fit, method=f"{fit.method}, from one sample in {stride}")
     reason = _find_objection(fit, fewer, clean)
     return dataclasses.replace(fit, accept=False, reason=reason) if reason else fit
 
@@ -141,18 +141,20 @@ def _find_objection(fit: SheathFit, fitted: Samples, data: Samples) -> str:
     `fitted` are the samples it was fitted to, `data` all, without spikes.
     """
     EA = None if fit.EA is None else fit.EA.value
-    wrong = find_implausible_parameter(fit.K.value, EA, float(fitted.proximal_tension.max()))
+    fault = find_implausible_parameter(fit.K.value, EA, float(fitted.proximal_tension.max()))
     if data.distal_tension is None:
-        return wrong
+        return fault
     if not fit.accept or find_implausible_parameter(fit.K.value, None, 0.0):
-        return _find_unit_slip(fitted, may_be_right=not wrong) or wrong
-    if wrong:
-        return wrong
+        return _find_unit_slip(fitted, may_be_right=not fault) or fault
+    if fault:
+        return fault
     error = _compute_error(fit.model, data)
     if error is None:
         return ""
-    said = find_contradiction(error["rmse_percent"] / 100.0, error["inside_interval"], fitted=True)
-    return f"{said}, of the estimate in the data it was fitted to" if said else ""
+    contradiction = find_contradiction(
+        error["rmse_percent"] / 100.0, error["inside_interval"], fitted=True
+    )
+    return f"{contradiction}, of the estimate in the data it was fitted to" if contradiction else ""
 
 
 def _find_unit_slip(data: Samples, may_be_right: bool = True) -> str:
@@ -171,8 +173,8 @@ def _compute_error(model: TendonModel, data: Samples) -> dict[str, Any] | None:
 def _drop_missing(data: Samples) -> Samples:
     """Return the samples of which no channel is missing."""
     channels = [channel for channel in data[:5] if channel is not None]
-    known = np.logical_and.reduce([np.isfinite(channel) for channel in channels])
-    return Samples(*(None if c is None else c[known] for c in data[:5]))  # type: ignore[arg-type]
+    is_complete = np.logical_and.reduce([np.isfinite(channel) for channel in channels])
+    return Samples(*(None if c is None else c[is_complete] for c in data[:5]))  # type: ignore[arg-type]
 
 
 def _fit_loop(data: MeasuredData, length: float) -> SheathFit:
@@ -181,13 +183,13 @@ def _fit_loop(data: MeasuredData, length: float) -> SheathFit:
         raise FitError("a fit with the tip blocked needs proximal_displacement_m")
     loop = find_first_loop(data.proximal_tension)
     _require_blocked_tip(data, loop)
-    found = calibrate(data.proximal_tension[loop], data.proximal_displacement[loop])
-    stiffness = found.stiffness_per_length
+    calibration = calibrate(data.proximal_tension[loop], data.proximal_displacement[loop])
+    stiffness = calibration.stiffness_per_length
     EA = MeasuredValue(stiffness.value * length, stiffness.uncertainty * length)
-    values = {"K": found.K, "K by slopes": found.K_loop, "EA": EA}
+    values = {"K": calibration.K, "K by slopes": calibration.K_loop, "EA": EA}
     parameters = {name: _compute_interval(value) for name, value in values.items()}
     model = _build_model(data, parameters["K"], length, EA.value)
-    return SheathFit(model, "pull-release loop, tip blocked", parameters, *judge_loop(found))
+    return SheathFit(model, "pull-release loop, tip blocked", parameters, *judge_loop(calibration))
 
 
 def _require_blocked_tip(data: MeasuredData, loop: slice) -> None:
@@ -218,9 +220,9 @@ def find_first_loop(tension: Array) -> slice:
     return slice(foot, bottom + 1)
 
 
-def judge_loop(found: Calibration) -> tuple[bool, str]:
+def judge_loop(calibration: Calibration) -> tuple[bool, str]:
     """Return whether to accept a loop, and why."""
-    if found.uniform:
+    if calibration.uniform:
         return (
             True,
             "both methods agree: the curvature is even enough for K and EA to be both right",

@@ -497,11 +497,11 @@ def _is_brief(dataset: Dataset, base_fit: Fit) -> bool:
     for record, simulated in zip(dataset.records, base_fit.simulated, strict=True):
         excess = np.zeros(record.block[-1] + 1)
         for channel in record.compared:
-            good = record.good[channel]
-            error = (simulated.signals[channel] - record.signals[channel])[good] / record.sigma[
+            rows = record.good[channel]
+            error = (simulated.signals[channel] - record.signals[channel])[rows] / record.sigma[
                 channel
-            ][good]
-            excess += np.bincount(record.block[good], error**2 - 1.0, len(excess))
+            ][rows]
+            excess += np.bincount(record.block[rows], error**2 - 1.0, len(excess))
         excess = np.maximum(excess, 0.0)
         peak = max(peak, float(np.convolve(excess, np.ones(2)).max()))
         total += float(excess.sum())

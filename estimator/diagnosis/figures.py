@@ -21,11 +21,7 @@ from estimator.diagnosis.measured_data import Record
 from estimator.diagnosis.outcome import Diagnosis, PredictedRecord
 from estimator.diagnosis.report_tables import name_judged_samples, name_records
 from estimator.drawing import BLACK, BLUE, GREY, STYLE, VERMILION
-from estimator.effects.effect import (
-    DISTAL_TENSION,
-    PROXIMAL_DISPLACEMENT,
-    PROXIMAL_TENSION,
-)
+from estimator.effects.effect import DISTAL_TENSION, PROXIMAL_DISPLACEMENT, PROXIMAL_TENSION
 from estimator.units import Units
 
 PALE_BLUE, LIGHT_GREY, SHADE = "#9dc7e6", "#cccccc", "#eaf3f9"
@@ -123,22 +119,22 @@ def draw_record_over_time(
     )[:, 0]
     keep = _subsample_rows(np.flatnonzero(record.measured), LINE_POINTS_MAX)
     time = record.time + record.start
-    for channel, above, below in zip(channels, grid[::2], grid[1::2], strict=True):
+    for channel, upper, lower in zip(channels, grid[::2], grid[1::2], strict=True):
         measured, factor, unit = _scale_for_display(record.units, channel, record.signals[channel])
         base_signal, extended_signal = (
             factor * simulated.signals[channel] for simulated in (before, after)
         )
         drawn_signal = np.where(record.select_drawn_rows(channel), measured, np.nan)
-        above.plot(time[keep], drawn_signal[keep], color=BLACK, label="measured")
+        upper.plot(time[keep], drawn_signal[keep], color=BLACK, label="measured")
         dashes, dots = (0, (4, 2)), (0, (1, 1))
-        above.plot(time[keep], base_signal[keep], color=VERMILION, linestyle=dashes, label="before")
-        above.plot(time[keep], extended_signal[keep], color=BLUE, linestyle=dots, label="after")
-        above.set(ylabel=f"[{unit}]", title=record.units.word(channel))
+        upper.plot(time[keep], base_signal[keep], color=VERMILION, linestyle=dashes, label="before")
+        upper.plot(time[keep], extended_signal[keep], color=BLUE, linestyle=dots, label="after")
+        upper.set(ylabel=f"[{unit}]", title=record.units.word(channel))
         good = keep[record.good[channel][keep]]
-        below.plot(time[good], (measured - base_signal)[good], color=VERMILION, linewidth=0.8)
-        below.plot(time[good], (measured - extended_signal)[good], color=BLUE, linewidth=0.8)
-        below.set(ylabel=f"residual [{unit}]")
-        for axes in (above, below):
+        lower.plot(time[good], (measured - base_signal)[good], color=VERMILION, linewidth=0.8)
+        lower.plot(time[good], (measured - extended_signal)[good], color=BLUE, linewidth=0.8)
+        lower.set(ylabel=f"residual [{unit}]")
+        for axes in (upper, lower):
             _shade_held_out(axes, record)
     figure.legend(*grid[0].get_legend_handles_labels(), loc="outside upper right", ncols=3)
     grid[-1].set(xlabel="time [s]", xlim=(time[keep][0], time[keep][-1]))
@@ -151,30 +147,30 @@ def draw_loop(diagnosis: Diagnosis, k: int) -> Figure:
     axes_of = _select_loop_axes(record)
     if axes_of is None:
         raise ValueError("record: has no loop to draw")
-    across, up = axes_of
-    x, x_factor, x_unit = _scale_for_display(diagnosis.units, across, record.signals[across])
-    y, y_factor, y_unit = _scale_for_display(diagnosis.units, up, record.signals[up])
+    abscissa, ordinate = axes_of
+    x, x_factor, x_unit = _scale_for_display(diagnosis.units, abscissa, record.signals[abscissa])
+    y, y_factor, y_unit = _scale_for_display(diagnosis.units, ordinate, record.signals[ordinate])
     figure = Figure(figsize=(8.2, 3.8))
     pair = figure.subplots(1, 2, sharex=True, sharey=True)
     drawn_signal = np.where(
-        record.select_drawn_rows(across) & record.select_drawn_rows(up), y, np.nan
+        record.select_drawn_rows(abscissa) & record.select_drawn_rows(ordinate), y, np.nan
     )
     titles = (("before", diagnosis.baseline, VERMILION), ("after", diagnosis.extended, BLUE))
     keep = _subsample_rows(np.flatnonzero(record.measured), LINE_POINTS_MAX)
     for axes, (title, fit, colour) in zip(pair, titles, strict=True):
         signals = fit.simulated[k].signals
-        simulated_x = x_factor * signals[across] if across in signals else x
+        simulated_x = x_factor * signals[abscissa] if abscissa in signals else x
         axes.plot(x[keep], drawn_signal[keep], color=GREY, linewidth=0.9, label="measured")
         axes.plot(
             simulated_x[keep],
-            y_factor * signals[up][keep],
+            y_factor * signals[ordinate][keep],
             color=colour,
             linewidth=1.0,
             label="simulated",
         )
-        axes.set(xlabel=f"{diagnosis.units.word(across)} [{x_unit}]", title=title)
+        axes.set(xlabel=f"{diagnosis.units.word(abscissa)} [{x_unit}]", title=title)
         axes.legend(loc="lower right")
-    pair[0].set_ylabel(f"{diagnosis.units.word(up)} [{y_unit}]")
+    pair[0].set_ylabel(f"{diagnosis.units.word(ordinate)} [{y_unit}]")
     return figure
 
 

@@ -45,9 +45,9 @@ class ParameterInterval(NamedTuple):
         p, neutral = self.parameter, self.parameter.neutral
         if neutral is None:
             return True
-        above = self.low > max(neutral, p.low)
-        below = self.high < min(neutral, p.high)
-        return above or below
+        is_above = self.low > max(neutral, p.low)
+        is_below = self.high < min(neutral, p.high)
+        return is_above or is_below
 
     @property
     def at_bound(self) -> bool:
@@ -133,13 +133,13 @@ def _bound_simulation_error(dataset: Dataset, model: Model, inverse: Array) -> A
         if estimate_taut_travel(record, dataset.base, model) is not None:
             parts.append(np.zeros(1))
             bins.append(bin_of[:1])
-    worst = np.abs(inverse) * np.concatenate(parts)
+    error_max = np.abs(inverse) * np.concatenate(parts)
     all_bins = np.concatenate(bins)
     law_count = len(dataset.base.shared)
     return np.array(
         [
             float(np.linalg.norm(np.bincount(all_bins, row), 1 if i < law_count else 2))
-            for i, row in enumerate(worst)
+            for i, row in enumerate(error_max)
         ]
     )
 

@@ -8,17 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.array_types import Array
-from estimator.diagnosis.dataset import (
-    Dataset,
-    Fit,
-    compute_tolerance,
-)
+from estimator.diagnosis.dataset import Dataset, Fit, compute_tolerance
 from estimator.diagnosis.measured_data import Record
 from estimator.diagnosis.sampling import GAP_PERIODS
 from estimator.diagnosis.settings import SETTINGS
-from estimator.effects.effect import (
-    PROXIMAL_TENSION,
-)
+from estimator.effects.effect import PROXIMAL_TENSION
 from estimator.fitting import COVERAGE_FACTOR, compute_independent_share, estimate_correlation
 
 DRAWS = 400
@@ -241,8 +235,8 @@ def compute_explained_variance(residual: Array, signal: Array) -> float:
     bin_of = np.clip(np.searchsorted(edges, signal, side="right") - 1, 0, len(edges) - 2)
     count = np.bincount(bin_of, minlength=len(edges) - 1)
     mean = np.bincount(bin_of, residual, len(edges) - 1) / np.maximum(count, 1)
-    between = float(np.sum(count * (mean - residual.mean()) ** 2)) / len(residual)
-    return max(0.0, between / float(residual.var()) - (len(edges) - 1) / len(residual))
+    explained = float(np.sum(count * (mean - residual.mean()) ** 2)) / len(residual)
+    return max(0.0, explained / float(residual.var()) - (len(edges) - 1) / len(residual))
 
 
 # --- autocorrelation of a residual: of white noise it is zero at every lag but 0

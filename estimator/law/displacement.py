@@ -74,22 +74,22 @@ def _solve_log_tension(tables: Tables, profile: Profile, target: float, series: 
     _, y_in, _ = get_point(profile, 0)
     _, y_out, _ = get_point(profile, count - 1)
     tip = series * math.exp(y_out)
-    now = integrate_tension(tables, profile) + tip
-    if abs(target - now) <= _RELATIVE_TOLERANCE * now:
+    integral = integrate_tension(tables, profile) + tip
+    if abs(target - integral) <= _RELATIVE_TOLERANCE * integral:
         return y_in
     lowest = to_log_tension(tables, 0.0)
-    sign = 1.0 if target > now else -1.0
+    sign = 1.0 if target > integral else -1.0
     slope = -1.0 if sign > 0.0 else tables[_ASYMMETRY]
-    beyond = now - integrate_exponential(tables, 0.0, 0.0) * math.exp(y_in)
+    excess = integral - integrate_exponential(tables, 0.0, 0.0) * math.exp(y_in)
     for index in range(count - 1):
-        beyond -= get_piece_integral(profile, index)
+        excess -= get_piece_integral(profile, index)
         s_a, _, m = get_point(profile, index)
         s_b, y_b, _ = get_point(profile, index + 1)
         if m == slope:
             continue
-        at_b = math.exp(y_b - slope * s_b) * integrate_exponential(tables, s_b, slope) + beyond
+        at_b = math.exp(y_b - slope * s_b) * integrate_exponential(tables, s_b, slope) + excess
         if sign * (target - at_b) < 0.0:
-            s = _solve_front(tables, s_a, s_b, y_b, m, slope, target - beyond)
+            s = _solve_front(tables, s_a, s_b, y_b, m, slope, target - excess)
             u = y_b + m * (s - s_b) - slope * s
             return max(u, lowest)
     per_tension = integrate_exponential(tables, tables[_K], slope) + series * math.exp(

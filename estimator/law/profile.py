@@ -74,8 +74,8 @@ def build_slack_profile(tables: Tables) -> Profile:
 @jit_compile
 def to_log_tension(tables: Tables, tension: float) -> float:
     """Return u = ln(T + tau), a tension [N] below zero counting as slack."""
-    above: float = max(tension, 0.0) + tables[_DRAG]
-    return math.log(max(above, FLOOR))
+    shifted: float = max(tension, 0.0) + tables[_DRAG]
+    return math.log(max(shifted, FLOOR))
 
 
 @jit_compile
@@ -140,8 +140,8 @@ def integrate_tension(tables: Tables, profile: Profile) -> float:
 def drive_end(tables: Tables, profile: Profile, u: float, end: int) -> None:
     """Drive one `end` to the log tension `u`, in place: (T10) from HOUSING, (T18) from TIP."""
     head, count = int(profile[_HEAD]), int(profile[_COUNT])
-    near = head if end > 0 else head + count - 1
-    rise = u - profile[_Y + (near & _MASK)]
+    end_point = head if end > 0 else head + count - 1
+    rise = u - profile[_Y + (end_point & _MASK)]
     if rise == 0.0:
         return
     sign = 1.0 if rise > 0.0 else -1.0
@@ -149,17 +149,17 @@ def drive_end(tables: Tables, profile: Profile, u: float, end: int) -> None:
     s_end = 0.0 if end > 0 else tables[_K]
     s_far = tables[_K] - s_end
     intercept = u - slope * s_end
-    join = near
+    join = end_point
     area_sum = profile[_AREA_SUM]
     mobilised = True
     while count > 1:
-        beyond = join + end
-        a, b = join & _MASK, beyond & _MASK
+        next_point = join + end
+        a, b = join & _MASK, next_point & _MASK
         piece = a if end > 0 else b
         s_b, y_b, m = profile[_S + b], profile[_Y + b], profile[_SLOPE + piece]
         area_sum -= profile[_AREA + piece]
         if m == slope or sign * (intercept + slope * s_b - y_b) >= 0.0:
-            join = beyond
+            join = next_point
             count -= 1
             continue
         s = (intercept - y_b + m * s_b) / (m - slope)
@@ -231,14 +231,14 @@ def _merge_smallest_pieces(tables: Tables, profile: Profile) -> None:
     s_c, _, m_last = get_point(profile, best + 2)
     s_before, y_before, _ = get_point(profile, best - 1)
     s_after, _, _ = get_point(profile, best + 3)
-    before, middle = (head + best - 1) & _MASK, (head + best) & _MASK
+    previous, middle = (head + best - 1) & _MASK, (head + best) & _MASK
     for k in range(best - 1, best + 3):
         profile[_AREA_SUM] -= profile[_AREA + ((head + k) & _MASK)]
     s, y = s_a + (s_c - s_b), y_a + m * (s_c - s_b)
     profile[_S + middle], profile[_Y + middle], profile[_SLOPE + middle] = s, y, m_last
-    profile[_AREA + before] = integrate_line(tables, s_before, y_before, s, m)
+    profile[_AREA + previous] = integrate_line(tables, s_before, y_before, s, m)
     profile[_AREA + middle] = integrate_line(tables, s, y, s_after, m_last)
-    profile[_AREA_SUM] += profile[_AREA + before] + profile[_AREA + middle]
+    profile[_AREA_SUM] += profile[_AREA + previous] + profile[_AREA + middle]
     for k in range(best + 1, count - 2):
         source, target = (head + k + 2) & _MASK, (head + k) & _MASK
         for column in (_S, _Y, _SLOPE, _AREA):

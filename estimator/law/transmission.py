@@ -114,9 +114,9 @@ class Observation(NamedTuple):
 def drive_proximal(tables: Tables, profile: Profile, tension: float) -> Profile:
     """Return the profile after the motor has brought T_in to `tension` [N]."""
     _require_finite_tension(tension)
-    after = profile.copy()
-    push_proximal(tables, after, tension)
-    return after
+    driven = profile.copy()
+    push_proximal(tables, driven, tension)
+    return driven
 
 
 def observe(tables: Tables, profile: Profile) -> Observation:

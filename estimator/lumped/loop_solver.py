@@ -135,7 +135,7 @@ def _solve_step(
     Elimination and substitution; returns the largest move [m].
     """
     n = len(places)
-    upper, right = work[0], work[1]
+    upper, constant = work[0], work[1]
     for j in range(n):
         is_taut, is_next_taut = tension[j] >= 0.0, tension[j + 1] >= 0.0
         k = line.stiffness[j] * (1.0 if is_taut else SLACK_STIFFNESS_RATIO)
@@ -165,23 +165,23 @@ def _solve_step(
         else:
             is_fixed = True
         if is_fixed:
-            upper[j], right[j] = 0.0, line.load_position if j == line.tip else old[j]
+            upper[j], constant[j] = 0.0, line.load_position if j == line.tip else old[j]
             continue
         lower, diagonal, upper[j] = A * k, -A * k - B * k_next - contact_stiffness, B * k_next
-        right[j] = B * T_next - A * T - known_force
+        constant[j] = B * T_next - A * T - known_force
         if j == 0:
-            right[j] -= lower * drive
+            constant[j] -= lower * drive
         else:
             diagonal -= lower * upper[j - 1]
-            right[j] -= lower * right[j - 1]
+            constant[j] -= lower * constant[j - 1]
         if j == n - 1:
-            right[j] -= upper[j] * drive
+            constant[j] -= upper[j] * drive
             upper[j] = 0.0
         upper[j] /= diagonal
-        right[j] /= diagonal
+        constant[j] /= diagonal
     next_place = move = 0.0
     for j in range(n - 1, -1, -1):
-        next_place = right[j] - upper[j] * next_place
+        next_place = constant[j] - upper[j] * next_place
         move = max(move, abs(next_place - places[j]))
         places[j] += share * (next_place - places[j])
     return move

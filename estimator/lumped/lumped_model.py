@@ -216,9 +216,9 @@ class DrivenTendon:
 
     def copy(self) -> Self:
         """Return it where it is; what is done with the one leaves the other."""
-        other = copy(self)
-        other._memory = self._memory.copy()
-        return other
+        duplicate = copy(self)
+        duplicate._memory = self._memory.copy()
+        return duplicate
 
     def by_travel(self, travel: Array, begin: int) -> Array:
         """Return T_in [N] from sample `begin` on under a `travel` [m], shape (n - begin,)."""

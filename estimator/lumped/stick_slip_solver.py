@@ -123,13 +123,13 @@ def _solve_slips(
     housing to the tip, then substitution back.
     """
     last = len(slip)
-    upper, right, pivot = work[0], work[1], work[2]
+    upper, constant, pivot = work[0], work[1], work[2]
     stiffness, zero = springs.stiffness, springs.T_rest
     law, half_k, drag = tendon.law, tendon.half_k, tendon.drag
     rho, dashpot = law.asymmetry, 2.0 * law.viscosity / tendon.dt if tendon.dt > 0.0 else 0.0
     for j in range(last):
         if direction[j] == 0.0:
-            upper[j], right[j], pivot[j] = 0.0, 0.0, 1.0
+            upper[j], constant[j], pivot[j] = 0.0, 0.0, 1.0
             continue
         x = half_k[j]
         A, B, c, g = 1.0 - x, 1.0 + x, drag[j], x * dashpot
@@ -137,20 +137,20 @@ def _solve_slips(
             A, B, c, g = 1.0 + rho * x, 1.0 - rho * x, -rho * c, rho * g
         lower, upper[j] = A * stiffness[j], B * stiffness[j + 1]
         diagonal = -lower - upper[j] - g
-        right[j] = c - A * zero[j] + B * zero[j + 1]
+        constant[j] = c - A * zero[j] + B * zero[j + 1]
         if j > 0:
             factor = lower * pivot[j - 1]
             diagonal -= factor * upper[j - 1]
-            right[j] -= factor * right[j - 1]
+            constant[j] -= factor * constant[j - 1]
         elif drive.free:
             diagonal += lower
-            right[0] += A * (zero[0] - drive.tension)
+            constant[0] += A * (zero[0] - drive.tension)
         else:
-            right[0] -= lower * drive.displacement
+            constant[0] -= lower * drive.displacement
         pivot[j] = 1.0 / diagonal
     next_slip = 0.0
     for j in range(last - 1, -1, -1):
-        next_slip = (right[j] - upper[j] * next_slip) * pivot[j]
+        next_slip = (constant[j] - upper[j] * next_slip) * pivot[j]
         slip[j] = next_slip
 
 

@@ -52,14 +52,14 @@ def drive_profile(
     T_before, q_before = state.held_tension, state.mean_displacement
     sure_q = TRAVEL_SIGMAS * prepared.displacement_noise
     heading = _compute_direction(state.tension_direction, T - T_before)
-    place = signals.update_play(state.held_displacement, q, 0.5 * sure_q)
-    motor_heading = _compute_direction(
-        state.displacement_direction, place - state.held_displacement
+    held = signals.update_play(state.held_displacement, q, 0.5 * sure_q)
+    motor_heading = _compute_direction(state.displacement_direction, held - state.held_displacement)
+    is_reversed = (
+        heading != state.tension_direction or motor_heading != state.displacement_direction
     )
-    turned = heading != state.tension_direction or motor_heading != state.displacement_direction
     state.tension_direction, state.displacement_direction = heading, motor_heading
-    state.held_tension, state.mean_displacement, state.held_displacement = T, q, place
-    if turned:
+    state.held_tension, state.mean_displacement, state.held_displacement = T, q, held
+    if is_reversed:
         state.tip_drives = False
         anchor_window(prepared, state, T_before, q_before)
     state.anchor_age += dt
@@ -70,9 +70,9 @@ def drive_profile(
     expected = abs(e - state.anchor_elongation)
     dT, dq = T - state.anchor_tension, q - state.anchor_displacement
     along = math.copysign(dq, dT * dq)  # of dq, what would change T_in the way it changed
-    still = abs(dT) > sure_T and max(along, 0.0) + sure_q < STILL_RATIO * expected
+    is_still = abs(dT) > sure_T and max(along, 0.0) + sure_q < STILL_RATIO * expected
     driving = along > sure_q and along >= DRIVING_RATIO * expected
-    tip = still or (state.tip_drives and not driving)
+    tip = is_still or (state.tip_drives and not driving)
 
     if tip and dT != 0.0:
         K = table[_K]
@@ -81,11 +81,11 @@ def drive_profile(
     elif state.tip_drives and not tip:
         copy_values(motor_driven, profile)  # since the anchor it was the motor after all
     state.tip_drives = tip
-    if still or driving or state.anchor_age > WINDOW_MAX_S:
+    if is_still or driving or state.anchor_age > WINDOW_MAX_S:
         anchor_window(prepared, state, T, q)
 
 
 @jit_compile
-def _compute_direction(before: float, change: float) -> float:
-    """Return the sign of a change, and the one of `before` where nothing changes."""
-    return before if change == 0.0 else math.copysign(1.0, change)
+def _compute_direction(previous: float, change: float) -> float:
+    """Return the sign of a change, and the one of `previous` where nothing changes."""
+    return previous if change == 0.0 else math.copysign(1.0, change)

@@ -77,30 +77,30 @@ def tighten_interval(
     dT, dq = T - state.window_tension, q - state.window_displacement
     margin_q = BOUND_SIGMAS * math.sqrt(2.0) * prepared.displacement_noise
     margin_T = BOUND_SIGMAS * (math.sqrt(2.0) * sigma_mean + TENSION_FLOOR)
-    least = state.window_min = min(T, state.window_min)
-    most = state.window_max = max(T, state.window_max)
-    turned = most - least - abs(dT)
-    if turned > margin_T:
+    T_min = state.window_min = min(T, state.window_min)
+    T_max = state.window_max = max(T, state.window_max)
+    reversal = T_max - T_min - abs(dT)
+    if reversal > margin_T:
         open_window(state, T, q)
     elif abs(dq) > 2.0 * margin_q:
         side = -1.0 if dq > 0.0 else table[_ASYMMETRY]
         sure_q = (abs(dq) - margin_q) * (1.0 - prepared.elongation_error)
         along = max(math.copysign(dT, dT * dq), 0.0)  # of dT, what slides the way the motor went
-        sure_T = along + turned + 2.0 * margin_T
+        sure_T = along + reversal + 2.0 * margin_T
         compliance = sure_q / sure_T
-        whole = sure_T * integrate_exponential(table, table[_K], side) / table[_EA]
-        full = sure_q >= whole
+        full_travel = sure_T * integrate_exponential(table, table[_K], side) / table[_EA]
+        full = sure_q >= full_travel
         precise = abs(dq) > PRECISE_MARGINS * margin_q and abs(dT) > PRECISE_MARGINS * margin_T
         if not (full or precise or state.window_age > WINDOW_S):
             return
         margin = BOUND_SIGMAS * prepared.tension_noise
-        least, most = max(least - margin, 0.0), most + margin
+        T_min, T_max = max(T_min - margin, 0.0), T_max + margin
         depth = _find_sliding_depth(table, side, compliance)
         slack_K = prepared.friction_error * table[_K]
-        rest = table[_K] - depth + slack_K
-        low = from_log_tension(table, to_log_tension(table, least) + side * depth - rest)
+        K_left = table[_K] - depth + slack_K
+        low = from_log_tension(table, to_log_tension(table, T_min) + side * depth - K_left)
         high = from_log_tension(
-            table, to_log_tension(table, most) + side * depth + table[_ASYMMETRY] * rest
+            table, to_log_tension(table, T_max) + side * depth + table[_ASYMMETRY] * K_left
         )
         tip_change = prepared.tip_tension_rate * state.window_age if state.window_age > 0.0 else 0.0
         state.proved_low = max(state.proved_low, low - tip_change)
@@ -108,9 +108,9 @@ def tighten_interval(
         profile = state.profile[:]
         T_out = read_profile(table, profile)[1]
         if full and not low <= T_out <= high:
-            if sure_q < CORRECTION_RATIO * whole and state.window_age <= WINDOW_S:
+            if sure_q < CORRECTION_RATIO * full_travel and state.window_age <= WINDOW_S:
                 return
-            if sure_q >= CORRECTION_RATIO * whole:
+            if sure_q >= CORRECTION_RATIO * full_travel:
                 u = to_log_tension(table, state.held_tension)
                 drive_end(table, profile, u + side * table[_K], TIP)
                 state.tip_drives = False

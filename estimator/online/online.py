@@ -122,9 +122,11 @@ def step(
     dt : float
         Time since the previous sample [s]; 0 for the first.
     """
-    after, estimates = _copy_as_array(state), _copy_as_array(_EMPTY_ESTIMATE)
-    _step_arrays(_as_array(prepared), after, proximal_tension, proximal_displacement, dt, estimates)
-    return cast(TendonEstimate, estimates[0]), cast(EstimatorState, after[0])
+    new_state, estimates = _copy_as_array(state), _copy_as_array(_EMPTY_ESTIMATE)
+    _step_arrays(
+        _as_array(prepared), new_state, proximal_tension, proximal_displacement, dt, estimates
+    )
+    return cast(TendonEstimate, estimates[0]), cast(EstimatorState, new_state[0])
 
 
 def run(
@@ -206,7 +208,7 @@ class _FilteredTension(NamedTuple):
     """T_in of one sample, filtered [N]."""
 
     mean: float  # over the time constant
-    held: float  # the mean behind its dead band; 0 for a slack tendon
+    held_mean: float  # the mean behind its dead band; 0 for a slack tendon
     sigma: float  # of the mean
     band: float  # the dead band
     slack: bool
@@ -272,14 +274,14 @@ def _filter_tension(
     state.tension_variance = signals.update_variance(state.tension_variance, sigma, dt, tau)
     sigma_mean = math.sqrt(state.tension_variance)
     band = prepared.dead_band * sigma_mean
-    held = signals.update_play(state.held_tension, mean, band)
+    held_mean = signals.update_play(state.held_tension, mean, band)
     state.mean_tension = mean
     slack = mean <= 3.0 * max(sigma_mean, TENSION_FLOOR)
     if slack:
-        held = 0.0
-    state.min_tension = min(state.min_tension, held)
-    state.max_tension = max(state.max_tension, held)
-    return _FilteredTension(mean, held, sigma_mean, band, slack)
+        held_mean = 0.0
+    state.min_tension = min(state.min_tension, held_mean)
+    state.max_tension = max(state.max_tension, held_mean)
+    return _FilteredTension(mean, held_mean, sigma_mean, band, slack)
 
 
 @jit_inline
@@ -288,7 +290,7 @@ def _update_profile(
 ) -> int:
     """Drive the profile by whichever end moved; return the status bits of that."""
     table, profile = prepared.tables[:], state.profile[:]
-    mean, held, sigma_mean = tension.mean, tension.held, tension.sigma
+    mean, held, sigma_mean = tension.mean, tension.held_mean, tension.sigma
     if math.isnan(q):
         state.has_displacement = state.tip_drives = False
         state.proved_low, state.proved_high = 0.0, math.inf
@@ -315,7 +317,7 @@ def _compute_bounds(
     prepared: PreparedTendon, state: EstimatorState, tension: _FilteredTension, T: float
 ) -> tuple[float, float]:
     """Return the interval of T_out [N]: (T2) with the sensor noise, cut by what was proved."""
-    table, mean, held = prepared.tables[:], tension.mean, tension.held
+    table, mean, held = prepared.tables[:], tension.mean, tension.held_mean
     margin = BOUND_SIGMAS * prepared.tension_noise
     K = table[_K] * (1.0 + prepared.friction_error)
     low = from_log_tension(table, to_log_tension(table, min(mean, T, held) - margin) - K)
@@ -370,11 +372,13 @@ def _add_dynamics(
     change, T_out, low, high = (
         dynamics.tension, estimate.distal_tension, estimate.low, estimate.high,
     )  # fmt: skip
-    most = max(state.max_tension, T_out)  # no tip that is only pulled at pulls harder than that
-    corrected = min(max(T_out + change, 0.0), most)
+    tension_max = max(
+        state.max_tension, T_out
+    )  # no tip that is only pulled at pulls harder than that
+    corrected = min(max(T_out + change, 0.0), tension_max)
     estimate.distal_tension = corrected
     estimate.low = min(max(min(low, low + change), 0.0), corrected)
-    estimate.high = max(high, min(high + change, most), corrected)
+    estimate.high = max(high, min(high + change, tension_max), corrected)
     estimate.elongation += dynamics.elongation
 
 
@@ -383,8 +387,8 @@ def _is_initialised(table: Array, state: EstimatorState) -> bool:
     """Return whether T_in has swung so far since the start that the first profile is forgotten."""
     swing = math.exp((1.0 + table[_ASYMMETRY]) * table[_K])
     drag = table[_DRAG]
-    least = max(state.min_tension, TENSION_FLOOR)
-    erased: bool = state.max_tension + drag >= swing * (least + drag)
+    tension_min = max(state.min_tension, TENSION_FLOOR)
+    erased: bool = state.max_tension + drag >= swing * (tension_min + drag)
     return erased
 
 

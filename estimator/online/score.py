@@ -33,8 +33,8 @@ IDENTITY_TABLE: Array = TABLE_STEP * np.arange(TABLE_SIZE, dtype=np.float64)
 
 def build_reading_table(effects: Sequence[tuple[Effect, Values]]) -> Array:
     """Return what a cell with some effects reads at multiples of `TABLE_STEP` [N]."""
-    none = np.zeros(TABLE_SIZE)
-    context = EffectContext(none, "", none, none, {}, {}, none, 0.0)
+    zeros = np.zeros(TABLE_SIZE)
+    context = EffectContext(zeros, "", zeros, zeros, {}, {}, zeros, 0.0)
     signals = {DISTAL_TENSION: IDENTITY_TABLE.copy()}
     for effect, values in effects:
         signals = effect.measure(signals, values, context)
@@ -128,7 +128,7 @@ class Score:
         if not n:
             return None
         rmse, mean = math.sqrt(sums.square / n), float(sums.absolute) / n
-        peak, worst = float(sums.peak), float(sums.worst)
+        peak, error_max = float(sums.peak), float(sums.worst)
         percent = 100.0 / peak if peak > 0.0 else math.nan
         return {
             "samples": n,
@@ -136,9 +136,9 @@ class Score:
             "pulled": peak >= FULL_SCALE_SIGMAS * self._noise,
             "rmse_N": rmse,
             "mean_N": mean,
-            "max_N": worst,
+            "max_N": error_max,
             "rmse_percent": rmse * percent,
             "mean_percent": mean * percent,
-            "max_percent": worst * percent,
+            "max_percent": error_max * percent,
             "inside_interval": int(sums.inside) / n,
         }

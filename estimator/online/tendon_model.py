@@ -74,8 +74,8 @@ class TendonModel:
         if not self.tip_tension_rate >= 0.0:
             raise ModelError(f"tip_tension_rate: {self.tip_tension_rate} N/s, must not be negative")
         if isinstance(self.initial, str):
-            known = self.initial == "slack"
+            is_valid = self.initial == "slack"
         else:
-            known = 0.0 <= self.initial < math.inf
-        if not known:
+            is_valid = 0.0 <= self.initial < math.inf
+        if not is_valid:
             raise ModelError(f'initial: {self.initial!r}, allowed are "slack" or a tension [N]')

@@ -194,12 +194,12 @@ def run_study(
         raise PairError(f"records: at least {BENDS_MIN} bends are needed, to leave one out")
     check_records(records)
     steps = len(PairVariant) * (len(records) + 1) + 1
-    done = 0
+    completed = 0
 
     def next_step(task: str) -> None:
-        nonlocal done
-        report(task, done / steps)
-        done += 1
+        nonlocal completed
+        report(task, completed / steps)
+        completed += 1
 
     left_out = cross_validate_baselines(records)
     full_fits: dict[PairVariant, PairFit] = {}
@@ -286,9 +286,9 @@ def compute_error(angle: Array, record: PairRecord) -> HeldOutError:
 
 
 def _fit_fixed_share(records: Sequence[PairRecord]) -> float:
-    across = np.concatenate([record.command for record in records])
+    commands = np.concatenate([record.command for record in records])
     up = np.concatenate([record.angle for record in records])
-    return float(across @ up) / float(across @ across)
+    return float(commands @ up) / float(commands @ commands)
 
 
 def _compute_interval(value: float, error: float, count: int) -> IntervalEstimate:
