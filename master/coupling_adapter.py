@@ -25,7 +25,7 @@ from teleop.messages.messages import MAX_JOINTS
 class RenderMemory(Struct):
     """What was rendered in the last tick."""
 
-    hand_known: Flag = False  # a hand was seen
+    is_hand_known: Flag = False  # a hand was seen
     hand: Axes  # [m] its position
     force: Axes  # [N] on the hand, from the coupling
     scale: F64 = 0.0  # force on the hand per force at the tip, at that time
@@ -58,23 +58,25 @@ def add_hand_work(
         Whether forces are rendered and finite.
     """
     # a non-finite position would corrupt the ledger's sums
-    seen = hand.present and is_all_finite(hand.position, hand.axes)
-    place, velocity = np.zeros(MAX_JOINTS), np.zeros(MAX_JOINTS)
-    at_tip = np.zeros(MAX_JOINTS)
+    is_seen = hand.present and is_all_finite(hand.position, hand.axes)
+    position, velocity = np.zeros(MAX_JOINTS), np.zeros(MAX_JOINTS)
+    tip_force = np.zeros(MAX_JOINTS)
     for k in range(MAX_JOINTS):
-        place[k] = side.requested[k]
-        if seen and k < hand.axes:
-            before = rendered.hand[k] if rendered.hand_known else hand.position[k]
-            place[k] += position_scale * (hand.position[k] - before)
+        position[k] = side.requested[k]
+        if is_seen and k < hand.axes:
+            previous = rendered.hand[k] if rendered.is_hand_known else hand.position[k]
+            position[k] += position_scale * (hand.position[k] - previous)
             velocity[k] = position_scale * hand.velocity[k]
             rendered.hand[k] = hand.position[k]
         if k < axes:
-            at_tip[k] = _to_tip_force(
+            tip_force[k] = _to_tip_force(
                 rendered.scale, _compute_coupling_part(written[k], rendered.force[k])
             )
-    rendered.hand_known = rendered.hand_known or seen
+    rendered.is_hand_known = rendered.is_hand_known or is_seen
     lever = force_scale * position_scale
-    coupling.count_hand_work(settings, side, place, velocity, at_tip, axes, lever, coupled, dt)
+    coupling.count_hand_work(
+        settings, side, position, velocity, tip_force, axes, lever, coupled, dt
+    )
 
 
 @jit_compile
@@ -83,14 +85,14 @@ def observe_tips(
     side: Side,
     force_scale: float,
     position: Array,
-    wanted: Array,
+    requested: Array,
     axes: int,
 ) -> None:
     """Take over the tips' travels [m] and the forces [N] on the hand that a new state asks for."""
-    at_tip = np.zeros(MAX_JOINTS)
+    tip_force = np.zeros(MAX_JOINTS)
     for k in range(axes):
-        at_tip[k] = _to_tip_force(force_scale, wanted[k])
-    coupling.update_contact_models(settings, side, position, at_tip, axes)
+        tip_force[k] = _to_tip_force(force_scale, requested[k])
+    coupling.update_contact_models(settings, side, position, tip_force, axes)
 
 
 @jit_compile
@@ -98,7 +100,7 @@ def render_force(
     settings: BilateralSettings,
     side: Side,
     force_scale: float,
-    wanted: Array,
+    requested: Array,
     axes: int,
     coupled: bool,
     out: Array,
@@ -107,20 +109,20 @@ def render_force(
 
     Parameters
     ----------
-    wanted : array of shape (8,)
+    requested : array of shape (8,)
         Forces on the hand [N] wanted now.
     coupled : bool
         Whether forces are rendered and `add_hand_work` was called as coupled in this tick; if not,
-        `out` is `wanted`.
+        `out` is `requested`.
     """
     for k in range(axes):
-        out[k] = wanted[k]
+        out[k] = requested[k]
     if not coupled:
         return
-    at_tip, granted_force = np.zeros(MAX_JOINTS), np.zeros(MAX_JOINTS)
+    tip_force, granted_force = np.zeros(MAX_JOINTS), np.zeros(MAX_JOINTS)
     for k in range(axes):
-        at_tip[k] = _to_tip_force(force_scale, wanted[k])
-    coupling.render_force(settings, side, at_tip, axes, granted_force)
+        tip_force[k] = _to_tip_force(force_scale, requested[k])
+    coupling.render_force(settings, side, tip_force, axes, granted_force)
     for k in range(axes):
         if force_scale != 0.0:
             out[k] = -force_scale * granted_force[k]

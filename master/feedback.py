@@ -46,11 +46,7 @@ class FeedbackConfig:
 
 @jit_compile
 def compute_tip_forces(
-    confidence: ConfidenceConfig,
-    state: SlaveState,
-    has_state: bool,
-    axes: int,
-    out: Array,
+    confidence: ConfidenceConfig, state: SlaveState, has_state: bool, axes: int, out: Array
 ) -> None:
     """Write the admissible force at each tip [N] to the first `axes` of `out`, shape (8,).
 
@@ -83,14 +79,14 @@ def compute_saturation(config: FeedbackConfig) -> float:
 
 
 @jit_compile
-def limit_slew(most: float, last: float, force: float, dt: float) -> float:
-    """Return `force` [N] with its growth since `last` [N] limited to `most` [N/s].
+def limit_slew(slew_max: float, last: float, force: float, dt: float) -> float:
+    """Return `force` [N] with its growth since `last` [N] limited to `slew_max` [N/s].
 
     Decreasing towards zero is not limited; non-finite values are kept.
     """
     if not math.isfinite(force):
         return force
-    growth = most * min(dt, STEP_MAX_S) if dt > 0.0 else 0.0
+    growth = slew_max * min(dt, STEP_MAX_S) if dt > 0.0 else 0.0
     return min(max(force, min(last, 0.0) - growth), max(last, 0.0) + growth)
 
 

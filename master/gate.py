@@ -3,9 +3,9 @@
 Every force the master loop writes to a device has passed `step`, at every tick. For any request the
 output is finite, within the limits, grows no faster than the slew limit, and is zero as soon as the
 session is not engaged. A decreasing force is never slowed down. Two exceptions are up to the
-caller. If messages of the peer stop, the force `fades`: each axis goes to zero at `axis_max` per
-`FADE_S`, so it is zero `FADE_S` after the timeout. And `rest`, a small force that carries the
-device's weight, replaces zero.
+caller. When messages of the peer stop, it sets `is_force_fading`: each axis then goes to zero at
+`axis_max` per `FADE_S`, so it is zero `FADE_S` after the timeout. And `rest`, a small force that
+carries the device's weight, replaces zero.
 
 The limits are `master.gate.axis_max` and `total_max`. Rendering saturates earlier, at
 `master.force.limit` (`master.feedback.clamp`): the gate is the last resort, not the usual limit.
@@ -74,33 +74,33 @@ SLEW = int(GateFlags.SLEW)
 def step(
     config: GateConfig,
     last: Array,
-    wanted: Array,
+    requested: Array,
     axes: int,
     fresh: bool,
     may_render: bool,
     dt: float,
-    fades: bool,
+    is_force_fading: bool,
     rest: Array,
     out: Array,
 ) -> int:
-    """Limit `wanted` to a safe force.
+    """Limit `requested` to a safe force.
 
     Parameters
     ----------
-    last, wanted : arrays of shape (8,)
+    last, requested : arrays of shape (8,)
         Forces [N] written last, and requested now; the first `axes` are in use.
     fresh : bool
-        Whether the slave's state behind `wanted` is recent.
+        Whether the slave's state behind `requested` is recent.
     may_render : bool
         Whether the session is engaged on both sides.
     dt : float
         Time since the last tick [s].
-    fades : bool
+    is_force_fading : bool
         Whether a refused force ramps to zero instead of stepping.
     rest : array of shape (8,)
         Forces [N] in place of zero; zero if any is not finite.
     out : array of shape (8,)
-        The forces that leave the gate [N]; may be `last` or `wanted` itself. They are the `last`
+        The forces that leave the gate [N]; may be `last` or `requested` itself. They are the `last`
         of the next tick.
 
     Returns
@@ -113,18 +113,18 @@ def step(
         refusal |= NOT_ENGAGED
     if not fresh:
         refusal |= STALE
-    if not is_all_finite(wanted, axes):
+    if not is_all_finite(requested, axes):
         refusal |= NOT_FINITE
     verdict = refusal
-    resting = is_all_finite(rest, axes)
-    fading = fades and refusal & NOT_FINITE == 0 and 0.0 < dt < FADE_S
+    has_rest = is_all_finite(rest, axes)
+    is_fading = is_force_fading and refusal & NOT_FINITE == 0 and 0.0 < dt < FADE_S
     limit = config.axis_max
     bounded = np.empty(MAX_JOINTS)
     for k in range(axes):
-        force = wanted[k]
+        force = requested[k]
         if refusal != PASSED:
-            force = rest[k] if resting else 0.0
-            if fading:
+            force = rest[k] if has_rest else 0.0
+            if is_fading:
                 force = _fade_force(last[k], force, config.axis_max * dt / FADE_S)
         bounded[k] = min(max(force, -limit), limit)
         if bounded[k] != force:
@@ -136,17 +136,17 @@ def step(
             bounded[k] *= config.total_max / total
     growth = config.slew_max * min(dt, STEP_MAX_S) if dt > 0.0 else 0.0
     for k in range(axes):
-        was, force = last[k], bounded[k]
-        out[k] = min(max(force, min(was, 0.0) - growth), max(was, 0.0) + growth)
+        previous, force = last[k], bounded[k]
+        out[k] = min(max(force, min(previous, 0.0) - growth), max(previous, 0.0) + growth)
         if out[k] != force:
             verdict |= SLEW
     return verdict
 
 
 @jit_compile
-def _fade_force(last: float, target: float, by: float) -> float:
-    """Return `last` moved towards `target` [N] by at most `by` [N]."""
-    return max(target, last - by) if last > target else min(target, last + by)
+def _fade_force(last: float, target: float, step: float) -> float:
+    """Return `last` moved towards `target` [N] by at most `step` [N]."""
+    return max(target, last - step) if last > target else min(target, last + step)
 
 
 @jit_compile

@@ -29,9 +29,9 @@ class Presence(Struct):
     """State between ticks."""
 
     axes: I64 = 0  # how many entries of `around` are in use; 0 = the switch was open
-    around: Axes  # [m] reference position of the still hand
+    reference: Axes  # [m] reference position of the still hand
     still_s: F64 = 0.0  # [s]
-    away: Flag = False  # no hand detected, and the switch has not been open since
+    is_away: Flag = False  # no hand detected, and the switch has not been open since
 
 
 @jit_compile
@@ -42,21 +42,21 @@ def update_presence(
     if not hand.present or not hand.engage:
         memory.axes = 0
         memory.still_s = 0.0
-        memory.away = False
+        memory.is_away = False
         return
-    moved = memory.axes != hand.axes
+    has_moved = memory.axes != hand.axes
     for k in range(min(memory.axes, hand.axes)):
-        if abs(hand.position[k] - memory.around[k]) > settings.presence_motion:
-            moved = True
-    if moved:
+        if abs(hand.position[k] - memory.reference[k]) > settings.presence_motion:
+            has_moved = True
+    if has_moved:
         memory.axes = hand.axes
         for k in range(hand.axes):
-            memory.around[k] = hand.position[k]
+            memory.reference[k] = hand.position[k]
         memory.still_s = 0.0
         return
     memory.still_s += dt
     if memory.still_s > settings.presence:
-        memory.away = True
+        memory.is_away = True
 
 
 class WorkspaceLimits(Struct):

@@ -101,8 +101,8 @@ def compute_command(
     """
     settings, memory, out = settings_records[0], memories[0], commands[0]
     hand, state, inputs, dt = hands[0], states[0], memory.inputs, tick_input.dt
-    wanted = np.zeros(MAX_JOINTS)
-    finite = _compute_wanted_forces(settings, memory, tick_input, state, wanted)
+    wanted_forces = np.zeros(MAX_JOINTS)
+    is_finite = _compute_wanted_forces(settings, memory, tick_input, state, wanted_forces)
     local.update_presence(settings.operator, memory.presence, hand, dt)
 
     inputs.usable = hand.present
@@ -113,9 +113,9 @@ def compute_command(
     if tick_input.stop == Reason.NONE and hand.stop:
         inputs.stop = Reason.EMERGENCY_STOP
     inputs.follow_s = state_machine.FOLLOW_LIMIT_S + settings.delay_max
-    _step_session(settings, memory, hand, state, tick_input, finite, dt)
+    _step_session(settings, memory, hand, state, tick_input, is_finite, dt)
     memory.may_render = state_machine.may_render(memory.session)
-    memory.counted = memory.may_render and finite
+    memory.counted = memory.may_render and is_finite
 
     position: Any = out.position
     velocity: Any = out.velocity
@@ -130,7 +130,7 @@ def compute_command(
         position,
         velocity,
     )
-    _receive_state(settings, memory, tick_input, state, wanted)
+    _receive_state(settings, memory, tick_input, state, wanted_forces)
     written = np.zeros(MAX_JOINTS)
     for k in range(memory.axes):
         written[k] = memory.force[k] - memory.own_force[k]
@@ -184,28 +184,28 @@ def compute_force(
     """
     settings, memory, state = settings_records[0], memories[0], states[0]
     hand, axes, dt = hands[0], memory.axes, tick_input.dt
-    wanted = np.zeros(MAX_JOINTS)
-    finite = _compute_wanted_forces(settings, memory, tick_input, state, wanted)
+    wanted_forces = np.zeros(MAX_JOINTS)
+    is_finite = _compute_wanted_forces(settings, memory, tick_input, state, wanted_forces)
     fresh = is_fresh(settings, tick_input, state)
     if new_state:
-        _receive_state(settings, memory, tick_input, state, wanted)
+        _receive_state(settings, memory, tick_input, state, wanted_forces)
         memory.inputs.link, memory.inputs.link_holds = tick_input.link, tick_input.link_holds
     if new_state or fresh != memory.inputs.peer_fresh:
         memory.inputs.reset = False  # already processed
-        _step_session(settings, memory, hand, state, tick_input, finite, 0.0)
+        _step_session(settings, memory, hand, state, tick_input, is_finite, 0.0)
     # no force outside the ledger: a coupling that could start now starts at the next tick
     renders = memory.may_render and state_machine.may_render(memory.session)
-    renders = renders and (memory.counted or not finite)
+    renders = renders and (memory.counted or not is_finite)
 
     total, own = np.zeros(MAX_JOINTS), np.zeros(MAX_JOINTS)
-    rest = np.zeros(MAX_JOINTS)
+    weight = np.zeros(MAX_JOINTS)
     coupling_adapter.render_force(
         settings.bilateral,
         memory.coupling,
         settings.force.scale,
-        wanted,
+        wanted_forces,
         axes,
-        renders and memory.counted and finite,
+        renders and memory.counted and is_finite,
         total,
     )
     if renders:
@@ -215,13 +215,13 @@ def compute_force(
         local.compute_wall_forces(settings.operator, memory.limits, hand, own)
     for k in range(axes):
         if _has_weight_compensation(memory.session):
-            rest[k] = settings.operator.weight[k]
-            own[k] += rest[k]
+            weight[k] = settings.operator.weight[k]
+            own[k] += weight[k]
         total[k] = feedback.limit_slew(settings.force.slew, memory.force[k], total[k] + own[k], dt)
         total[k] = feedback.clamp(settings.force.limit, total[k])
     is_fading = state_machine.is_force_fading(memory.session)
     verdict = gate.step(
-        settings.gate, memory.force, total, axes, fresh, renders, dt, is_fading, rest, out
+        settings.gate, memory.force, total, axes, fresh, renders, dt, is_fading, weight, out
     )
     for k in range(MAX_JOINTS):
         out[k] = out[k] if k < axes else 0.0
@@ -255,10 +255,10 @@ def _step_session(
     hand: HandInput,
     state: SlaveState,
     tick_input: TickInput,
-    finite: bool,
+    is_finite: bool,
     dt: float,
 ) -> None:
-    """Step the session with hand and peer; `finite` refers to the wanted forces."""
+    """Step the session with hand and peer; `is_finite` refers to the wanted forces."""
     inputs = memory.inputs
     inputs.peer_fresh = is_fresh(settings, tick_input, state)
     inputs.peer_state = State.OFF
@@ -268,7 +268,7 @@ def _step_session(
         inputs.peer = state.sender
     inputs.engage = hand.present and is_switch_closed(memory.session, hand, memory.presence)
     inputs.fault = tick_input.fault
-    if tick_input.fault == Reason.NONE and not is_plausible(memory.session, hand, finite):
+    if tick_input.fault == Reason.NONE and not is_plausible(memory.session, hand, is_finite):
         inputs.fault = Reason.NOT_FINITE
     inputs.not_ready_reason = find_not_ready_reason(settings, memory, hand, state, tick_input)
     state_machine.step(memory.session, inputs, dt)
@@ -280,9 +280,9 @@ def _receive_state(
     memory: MasterMemory,
     tick_input: TickInput,
     state: SlaveState,
-    wanted: Array,
+    wanted_forces: Array,
 ) -> None:
-    """Take over what the newest state says of energy, waves and tips; `wanted` are its forces."""
+    """Process energy, waves and tips of the newest state, which asks for `wanted_forces` [N]."""
     if not tick_input.has_state:
         return
     energy: Any = state.energy
@@ -290,12 +290,12 @@ def _receive_state(
     coupling.receive_totals(memory.coupling, state.sender, energy, wave)
     position: Any = state.position
     axes = min(memory.axes, state.joints)
-    valid = np.full(MAX_JOINTS, np.nan)
+    valid_forces = np.full(MAX_JOINTS, np.nan)
     for k in range(axes):
         if feedback.is_valid(state, k):
-            valid[k] = wanted[k]
+            valid_forces[k] = wanted_forces[k]
     coupling_adapter.observe_tips(
-        settings.bilateral, memory.coupling, settings.force.scale, position, valid, axes
+        settings.bilateral, memory.coupling, settings.force.scale, position, valid_forces, axes
     )
 
 
@@ -377,7 +377,7 @@ def is_switch_closed(side: Session, hand: HandInput, presence: Presence) -> bool
         or side.state == State.STOPPED
     ):
         return hand.engage or hand.clutch or hand.stop
-    return hand.engage and not presence.away
+    return hand.engage and not presence.is_away
 
 
 @jit_compile
@@ -391,7 +391,7 @@ def find_not_ready_reason(
     """Return why this side must not engage, `Reason.NONE` if it may."""
     if tick_input.has_state and coupling.has_settings_mismatch(settings.bilateral, state.coupling):
         return Reason.COUPLING_DIFFERS
-    if memory.presence.away:
+    if memory.presence.is_away:
         return Reason.HAND_AWAY
     return operator.find_not_ready_reason(
         settings.operator, memory.operator, hand, state, tick_input.has_state

@@ -150,7 +150,7 @@ def step(
     config: GateConfig,
     tendons: int,
     last: Array,
-    wanted: Array,
+    requested: Array,
     tension: Array,
     tension_age: float,
     may_move: bool,
@@ -160,7 +160,7 @@ def step(
     may_yield: bool,
     out_passed: Array,
 ) -> int:
-    """Limit `wanted` to safe positions; return the bits of `GateFlags`.
+    """Limit `requested` to safe positions; return the bits of `GateFlags`.
 
     Parameters
     ----------
@@ -168,7 +168,7 @@ def step(
         The limits.
     tendons : int
         How many tendons there are; the arrays may be longer.
-    last, wanted : arrays, shape (tendons,)
+    last, requested : arrays, shape (tendons,)
         Motor positions [m] written last, and requested now.
     tension : array, shape (tendons,)
         Newest tension at the housing [N].
@@ -192,7 +192,7 @@ def step(
     ValueError
         If an array is shorter than `tendons`.
     """
-    shortest = min(len(last), len(wanted), len(tension), len(out_passed))
+    shortest = min(len(last), len(requested), len(tension), len(out_passed))
     if tendons > shortest or (has_reach and tendons > len(reach)):
         raise ValueError("gate: an array is shorter than the number of tendons")
     dt = min(dt, STEP_MAX_S) if dt > 0.0 else 0.0
@@ -200,29 +200,34 @@ def step(
         may_yield = may_yield and tension_age <= config.tension_age_max
         return _hold_motors(config, tendons, last, tension, may_yield, dt, out_passed)
     stride = config.speed_max * dt
-    stale = not tension_age <= config.tension_age_max
+    is_stale = not tension_age <= config.tension_age_max
     verdict = PASSED
     for k in range(tendons):
-        was, target, force = last[k], wanted[k], tension[k]
+        previous, target, force = last[k], requested[k], tension[k]
         if not (math.isfinite(target) and math.isfinite(force)):
             verdict |= NOT_FINITE
-            target = was
-        lowest, highest = min(config.displacement_min, was), max(config.displacement_max, was)
+            target = previous
+        lowest, highest = (
+            min(config.displacement_min, previous),
+            max(config.displacement_max, previous),
+        )
         bounded = min(max(target, lowest), highest)
         if bounded != target:
             verdict |= TRAVEL
-        pulled = bounded > was
-        if pulled and force > config.tension_max:
+        is_pull = bounded > previous
+        if is_pull and force > config.tension_max:
             verdict |= TENSION
-            bounded = was
-        if pulled and stale:
+            bounded = previous
+        if is_pull and is_stale:
             verdict |= STALE
-            bounded = was
-        refusal = _find_refusal(config, reach[k], bounded - was, force) if has_reach else PASSED
+            bounded = previous
+        refusal = (
+            _find_refusal(config, reach[k], bounded - previous, force) if has_reach else PASSED
+        )
         if refusal != PASSED:
             verdict |= refusal
-            bounded = was
-        slewed = min(max(bounded, was - stride), was + stride)
+            bounded = previous
+        slewed = min(max(bounded, previous - stride), previous + stride)
         if slewed != bounded:
             verdict |= SPEED
         out_passed[k] = slewed
@@ -256,13 +261,13 @@ def _hold_motors(
     """Hold; if `may_yield`, pay out tendons in proportion to their excess tension."""
     verdict = HELD
     for k in range(tendons):
-        was = held = last[k]
+        previous = held_position = last[k]
         if may_yield:
-            yielded = was - _compute_yield_speed(config, tension[k]) * dt
-            held = max(yielded, min(config.displacement_min, was))
-        if held != was:
+            yielded = previous - _compute_yield_speed(config, tension[k]) * dt
+            held_position = max(yielded, min(config.displacement_min, previous))
+        if held_position != previous:
             verdict |= YIELDED
-        out_passed[k] = held
+        out_passed[k] = held_position
     return verdict
 
 

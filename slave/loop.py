@@ -12,14 +12,17 @@ import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
+from estimator.array_types import Array
 from estimator.arrays import copy_values
 from estimator.compiled import jit_compile
 from estimator.online import online
+from estimator.online.tendon_estimate import INVALID_INPUT
 from estimator.records import StructArray, to_struct_array, view_struct
-from slave import control, coupling_adapter, fault_detection, gate, initial_position
+from slave import control, fault_detection, gate, initial_position
 from slave.calibration import monitor
 from slave.calibration.monitor import Advice
 from slave.config import SlaveConfig
+from slave.control.joint import JointEstimates
 from slave.loop_records import (
     NO_POSITION,
     NO_SAMPLE,
@@ -37,6 +40,7 @@ from slave.tendons import EstimatedTendon, RigLayout, build_rig_layout
 from teleop import coupling
 from teleop.config.bounds import MOTION_MAX
 from teleop.coupling import Bilateral
+from teleop.coupling.force_attenuation import ConfidenceConfig, attenuate_force
 from teleop.messages.messages import MAX_JOINTS, Command, SlaveState
 from teleop.session import state_machine
 from teleop.session.state_machine import Reason, State
@@ -71,9 +75,7 @@ class SlaveRecords(NamedTuple):
     with_dynamics: bool | None  # None where no model has dynamic effects; see `estimate`
 
     @property
-    def estimated(
-        self,
-    ) -> tuple[StructArray, StructArray, StructArray, StructArray, bool | None]:
+    def estimated(self) -> tuple[StructArray, StructArray, StructArray, StructArray, bool | None]:
         """First arguments of `estimate`."""
         return self.layout, self.prepared, self.estimators, self.memory, self.with_dynamics
 
@@ -84,9 +86,7 @@ class SlaveRecords(NamedTuple):
 
 
 def build_rig_model(
-    joints: Sequence[Sequence[int]],
-    models: Sequence[online.TendonModel],
-    not_ready_text: str = "",
+    joints: Sequence[Sequence[int]], models: Sequence[online.TendonModel], not_ready_text: str = ""
 ) -> RigModel:
     """Return the `RigModel` of a rig with these tendon models."""
     return RigModel(
@@ -218,11 +218,11 @@ def _process_samples(
     initial_position.increase_age(memory.initial_position, dt)
     for i in range(samples):
         row = rows[i]
-        reason, where = fault_detection.step(
+        reason, faulty_tendon = fault_detection.step(
             setting.fault_detection, layout, memory.detector, row.tendons, row.elapsed
         )
         if reason != Reason.NONE:
-            fault, tendon = reason, where
+            fault, tendon = reason, faulty_tendon
         track_initial_position(layout, memory, scratch, row)
         if setting.rig_obeys and memory.has_motor:
             fault_detection.record_motor_readings(memory.motors, layout, row.tendons, memory.motor)
@@ -267,13 +267,15 @@ def _update_faults(
             fault, tendon = motor_fault, motor
     if samples > 0:
         memory.detected_fault, memory.faulty_tendon = fault, tendon
-    usable = False
+    is_usable = False
     for i in range(samples):
-        usable = usable or _is_usable(layout, rows[i].tendons)
-    has_new_sample = usable and not memory.motors.repeated
+        is_usable = is_usable or _is_usable(layout, rows[i].tendons)
+    has_new_sample = is_usable and not memory.motors.repeated
     memory.silence = 0.0 if has_new_sample else memory.silence + dt
-    overloaded = state_machine.may_move(memory.session) and _is_overloaded(setting, layout, memory)
-    memory.overload = memory.overload + dt if overloaded else 0.0
+    is_overloaded = state_machine.may_move(memory.session) and _is_overloaded(
+        setting, layout, memory
+    )
+    memory.overload = memory.overload + dt if is_overloaded else 0.0
 
 
 @jit_compile
@@ -306,18 +308,18 @@ def _update_readiness(
 
     Motors that do not follow yet, as they are being enabled, are where their encoders say.
     """
-    measured = initial_position.is_known(memory.initial_position, setting.sample_timeout)
-    if memory.has_motor and (motors_follow or not measured):
+    is_measured = initial_position.is_known(memory.initial_position, setting.sample_timeout)
+    if memory.has_motor and (motors_follow or not is_measured):
         copy_values(memory.motor[:], scratch.motor_position[:])
-    elif measured:
+    elif is_measured:
         copy_values(memory.initial_position.position[:], scratch.motor_position[:])
-    known = memory.has_motor or measured
+    is_position_known = memory.has_motor or is_measured
     if not memory.has_sample:
         memory.not_ready = NO_SAMPLE
     elif not setting.calibrated:
         memory.not_ready = NOT_CALIBRATED
     else:
-        memory.not_ready = USABLE if known else NO_POSITION
+        memory.not_ready = USABLE if is_position_known else NO_POSITION
 
 
 @jit_compile
@@ -327,12 +329,12 @@ def _copy_command(
     """Copy the commanded joint motion; return whether motion is commanded."""
     scratch.requested[:] = 0.0
     scratch.speed[:] = 0.0
-    commanded = tick_input.has_command and tick_input.fresh and command.state == State.ENGAGED
-    if commanded:
+    is_commanded = tick_input.has_command and tick_input.fresh and command.state == State.ENGAGED
+    if is_commanded:
         for k in range(layout.joints):
             scratch.requested[k] = command.position[k]
             scratch.speed[k] = command.velocity[k]
-    return commanded
+    return is_commanded
 
 
 @jit_compile
@@ -407,7 +409,7 @@ def _apply_coupling(
     wave: Any = command.wave
     coupling.receive_totals(memory.coupling, command.sender, energy, wave)
     if engaged:
-        coupling_adapter.compute_rendered_forces(
+        compute_rendered_forces(
             setting.bilateral.confidence,
             memory.joints,
             layout.joints,
@@ -424,6 +426,37 @@ def _apply_coupling(
         engaged,
         tick_input.dt,
     )
+
+
+@jit_compile
+def compute_rendered_forces(
+    attenuation: ConfidenceConfig,
+    joint_estimates: JointEstimates,
+    joints: int,
+    force_max: float,
+    out_forces: Array,
+) -> None:
+    """Write the forces as rendered to the hand, at the slave's port; the master computes the same.
+
+    Parameters
+    ----------
+    attenuation : ConfidenceConfig
+        Attenuation of uncertain forces.
+    joint_estimates : JointEstimates, shape (joints,) or longer
+        Estimates of the joints.
+    joints : int
+        How many there are.
+    force_max : float
+        Largest rendered force [N]; sent by the master, may be any number.
+    out_forces : array, shape (joints,) or longer
+        [N], at most `force_max`; zero for joints whose estimate is invalid or not finite.
+    """
+    force_max = force_max if force_max > 0.0 else 0.0
+    for k in range(joints):
+        estimate, force = joint_estimates[k], 0.0
+        if math.isfinite(estimate.force) and not estimate.status & INVALID_INPUT:
+            force = attenuate_force(attenuation, estimate.force, estimate.low, estimate.high)
+        out_forces[k] = min(max(force, -force_max), force_max)
 
 
 @jit_compile
@@ -492,13 +525,13 @@ def _fill_state(
     for k in range(MAX_JOINTS):
         port = memory.coupling.ports[k]
         state.energy[k], state.wave[k] = port.passed_on, port.sent_wave
-        used = k < state.joints
+        is_joint = k < state.joints
         joint = memory.joints[k]
-        state.position[k] = joint.position if used else 0.0
-        state.force[k] = joint.force if used else 0.0
-        state.force_low[k] = joint.low if used else 0.0
-        state.force_high[k] = joint.high if used else 0.0
-        state.status[k] = joint.status if used else 0
+        state.position[k] = joint.position if is_joint else 0.0
+        state.force[k] = joint.force if is_joint else 0.0
+        state.force_low[k] = joint.low if is_joint else 0.0
+        state.force_high[k] = joint.high if is_joint else 0.0
+        state.status[k] = joint.status if is_joint else 0
 
 
 @jit_compile
@@ -515,10 +548,5 @@ def monitor_calibration(
     constants: Any = watched
     for s in range(samples):
         memory.advice = monitor.step_rig(
-            setting.monitor,
-            layout,
-            constants,
-            memory.monitors,
-            rows[s].tendons,
-            rows[s].elapsed,
+            setting.monitor, layout, constants, memory.monitors, rows[s].tendons, rows[s].elapsed
         )

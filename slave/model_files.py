@@ -32,8 +32,8 @@ def parse(words: Sequence[str]) -> dict[str, Path]:
     """Return the files of the arguments of `--model`."""
     files: dict[str, Path] = {}
     for word in words:
-        named = _NAMED.fullmatch(word)
-        tendon, file = (named["tendon"], named["file"]) if named else ("", word)
+        match = _NAMED.fullmatch(word)
+        tendon, file = (match["tendon"], match["file"]) if match else ("", word)
         if not file:
             raise UsageError("--model: file name is missing")
         if tendon in files:
@@ -121,8 +121,8 @@ def set_noise_from_data(tendon: TendonConfig, tension: Array, travel: Array | No
     tension, travel : ndarray
         At the housing [N] and [m], shape (n,); None where no travel was measured.
     """
-    known = tendon.tension_noise > 0.0 or tendon.displacement_noise > 0.0
-    if tendon.model_file is None or known or len(tension) < SAMPLES_MIN:
+    has_noise = tendon.tension_noise > 0.0 or tendon.displacement_noise > 0.0
+    if tendon.model_file is None or has_noise or len(tension) < SAMPLES_MIN:
         return tendon
     return replace(
         tendon,
@@ -139,13 +139,13 @@ def find_friction_warnings(
     A model file does not name its rig.
     """
     warnings: dict[str, None] = {}
-    for before, after in zip(calibrated, used, strict=True):
-        K_before, K = before.model().sheath.K, after.model().sheath.K
+    for calibrated_tendon, used_tendon in zip(calibrated, used, strict=True):
+        K_before, K = calibrated_tendon.model().sheath.K, used_tendon.model().sheath.K
         if (
-            after.model_file != before.model_file
+            used_tendon.model_file != calibrated_tendon.model_file
             and not K_before / FRICTION_RATIO_MAX <= K <= K_before * FRICTION_RATIO_MAX
         ):
-            line = f"{after.model_file}: its K is {K:.3g}, the calibrated K is {K_before:.3g}"
+            line = f"{used_tendon.model_file}: its K is {K:.3g}, the calibrated K is {K_before:.3g}"
             warnings[f"WARNING: {line}; check that it is of this sheath, bent as now"] = None
     return list(warnings)
 
@@ -157,8 +157,8 @@ def describe_effects(tendon: TendonConfig) -> list[str]:
         return []
     warnings = []
     for effect, _, use in extended.uses:
-        why = f": it {explain_omission(effect)}" if use is EffectUse.OMITTED else ""
-        warnings.append(f"{effect.label} is {use.value}{why}")
+        reason = f": it {explain_omission(effect)}" if use is EffectUse.OMITTED else ""
+        warnings.append(f"{effect.label} is {use.value}{reason}")
     saved = model_file.load(tendon.model_file)
     if saved.unexplained:
         warnings.append("WARNING: the model explains only a small part of the error in its data")

@@ -138,8 +138,8 @@ def as_enabling_rig(rig: Rig) -> EnablingRig | None:
 
 def has_following_motors(rig: Rig) -> bool:
     """Return whether the motors of a rig follow what is written; always true if it cannot tell."""
-    one = as_enabling_rig(rig)
-    return one is None or one.follows
+    enabling = as_enabling_rig(rig)
+    return enabling is None or enabling.follows
 
 
 class RigFinished(Exception):

@@ -65,12 +65,12 @@ class Telemetry:
     def __call__(self, time_s: float) -> None:
         """Publish the messages due at session time `time_s` [s]."""
         side = self._outline()
-        before = self._published
-        lasting = side.state is State.FAULT and before is not None and before[0] == side
+        published = self._published
+        lasting = side.state is State.FAULT and published is not None and published[0] == side
         if not (lasting and self.detail):  # the origin of a fault, not its later symptoms
             self.detail = self._detail(side.reason)
         now = side, self.detail
-        if now != before:
+        if now != published:
             self._published = now
             text = f"{side.state.name.lower()}: {DetailedReason(side.reason, self.detail).text}"
             publish_event(self._link, Role.SLAVE, side, text)
@@ -115,10 +115,7 @@ class Telemetry:
         """Return which value of the newest sample is refused as not finite; empty if none is."""
         for k in range(len(self._model.models)):
             tendon = self._memory.tendons[k]
-            for name, value in (
-                ("tension", tendon.tension),
-                ("displacement", tendon.displacement),
-            ):
+            for name, value in (("tension", tendon.tension), ("displacement", tendon.displacement)):
                 if not (tendon.valid or math.isfinite(value)):
                     return f"{self._named(k)}: its {name} is {value}"
         return ""
@@ -155,10 +152,10 @@ def build_progress_printer(rig: Rig) -> Callable[[ProcedureProgress], None]:
             return
         due_s = progress.time_s + PROGRESS_S
         count = len(rig.joints[progress.joint - 1])
-        where = format_tendon_name(progress.joint, count, progress.side % count)
+        tendon = format_tendon_name(progress.joint, count, progress.side % count)
         tension = " and ".join(f"{t:z.1f}" for t in progress.tension)
         print(
-            f"calibrating {rig.name}: {progress.done:.0%}, {where}: {progress.phase.text}, "
+            f"calibrating {rig.name}: {progress.done:.0%}, {tendon}: {progress.phase.text}, "
             f"{tension} N",
             flush=True,
         )

@@ -63,9 +63,9 @@ def _compile_outside_tick(config: SlaveConfig) -> None:
 
 def _compile_tick() -> None:
     slave, rows, state = _build_example()
-    given, command = TickInput(1e-3, True, False), Packet(Command)
+    tick_input, command = TickInput(1e-3, True, False), Packet(Command)
     estimate(*slave.estimated, rows, 1)
-    loop.run_tick(*slave.ticked, rows, 1, given, command.records, state.records)
+    loop.run_tick(*slave.ticked, rows, 1, tick_input, command.records, state.records)
 
 
 def _compile_finish_tick() -> None:

@@ -152,8 +152,8 @@ def move_all_motors(
     mover = GatedRig(rig, config.gate, ticks, start_ns, rest)
     mover.enable()
     for tendon in range(rig.tendons):
-        moved = move_motor(mover, rest, tendon, move)
-        is_right, text = evaluate_move(moved, rest)
+        result = move_motor(mover, rest, tendon, move)
+        is_right, text = evaluate_move(result, rest)
         print(text, flush=True)
         if not is_right:
             return 1

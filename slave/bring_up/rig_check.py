@@ -69,22 +69,22 @@ def compute_rest_measurement(samples: Sequence[RigSample]) -> RestMeasurement:
     )
 
 
-def format_rest_measurement(found: RestMeasurement) -> list[str]:
+def format_rest_measurement(rest: RestMeasurement) -> list[str]:
     """Return the measurement as lines, with what is suspicious in it."""
     lines = [
-        f"samples: {found.rate_hz:.0f} Hz, longest gap {found.longest_gap_s * 1e3:.1f} ms",
+        f"samples: {rest.rate_hz:.0f} Hz, longest gap {rest.longest_gap_s * 1e3:.1f} ms",
         f"{'tendon':>6} {'tension N':>18} {'displacement mm':>20}",
     ]
-    for k, tension in enumerate(found.tension):
+    for k, tension in enumerate(rest.tension):
         lines.append(
-            f"{k + 1:>6} {tension:>10.3f}±{found.tension_noise[k]:<7.3f} "
-            f"{found.displacement[k] * 1e3:>11.4f}±{found.displacement_noise[k] * 1e3:<8.4f}"
+            f"{k + 1:>6} {tension:>10.3f}±{rest.tension_noise[k]:<7.3f} "
+            f"{rest.displacement[k] * 1e3:>11.4f}±{rest.displacement_noise[k] * 1e3:<8.4f}"
         )
-        if not np.isfinite(tension) or not np.isfinite(found.displacement[k]):
+        if not np.isfinite(tension) or not np.isfinite(rest.displacement[k]):
             lines.append("       no reading: check the cell's and the motor's number in the config")
-        elif found.tension_noise[k] == 0.0:
+        elif rest.tension_noise[k] == 0.0:
             lines.append("       its tension does not vary at all: is the cell connected?")
-        elif tension < -5.0 * found.tension_noise[k]:
+        elif tension < -5.0 * rest.tension_noise[k]:
             lines.append("       its tension is negative: cell.offset, or the sign of cell.scale")
     return lines
 
@@ -132,8 +132,8 @@ def move_motor(
     mover.run(HOLD_BEFORE_S, mover.last)
     top = mover.pull(tendon, move)
     mover.run(HOLD_S / 2.0, mover.last)
-    held = mover.run(HOLD_S / 2.0, mover.last)
-    travel, tension = _average_samples(held)
+    samples = mover.run(HOLD_S / 2.0, mover.last)
+    travel, tension = _average_samples(samples)
     mover.pull(tendon, MotorMove(-top, np.inf))
     mover.run(HOLD_S / 2.0, mover.last)
     return MoveResult(
@@ -182,11 +182,11 @@ class GatedRig:
             elif self._silence > SILENCE_MAX_S:
                 raise TeleopError(f"rig: {NO_READINGS_TEXT}")
 
-    def run(self, duration_s: float, wanted: Array) -> list[RigSample]:
+    def run(self, duration_s: float, target: Array) -> list[RigSample]:
         """Ask for a position for a while; return the samples."""
         samples: list[RigSample] = []
         while duration_s > 0.0:
-            dt, new = self._tick(wanted)
+            dt, new = self._tick(target)
             duration_s -= dt
             samples += new
         return samples
@@ -194,19 +194,19 @@ class GatedRig:
     def pull(self, tendon: int, move: MotorMove) -> float:
         """Move a motor by a travel, or until its tension has risen; return by how much."""
         begin, limit = self.last[tendon], self._tension[tendon] + move.force
-        wanted, target = self.last.copy(), self.last[tendon] + move.travel
+        setpoint, target = self.last.copy(), self.last[tendon] + move.travel
         sign = 1.0 if move.travel > 0.0 else -1.0
-        while sign * (target - wanted[tendon]) > 0.0:
+        while sign * (target - setpoint[tendon]) > 0.0:
             if sign > 0.0 and not self._tension[tendon] <= limit:  # nor if it is not known
                 break
-            dt, _ = self._tick(wanted)
-            wanted[tendon] += sign * min(SPEED * dt, abs(target - wanted[tendon]))
-        self._tick(wanted)
+            dt, _ = self._tick(setpoint)
+            setpoint[tendon] += sign * min(SPEED * dt, abs(target - setpoint[tendon]))
+        self._tick(setpoint)
         return float(self.last[tendon] - begin)
 
-    def _tick(self, wanted: Array) -> tuple[float, list[RigSample]]:
+    def _tick(self, target: Array) -> tuple[float, list[RigSample]]:
         dt, samples = self._read()
-        self._write(wanted, dt)
+        self._write(target, dt)
         return dt, samples
 
     def _read(self) -> tuple[float, list[RigSample]]:
@@ -218,14 +218,14 @@ class GatedRig:
             self._tension, self._silence = samples[-1].proximal_tension, 0.0
         return tick.dt, samples
 
-    def _write(self, wanted: Array, dt: float) -> None:
+    def _write(self, target: Array, dt: float) -> None:
         """Pass positions [m] through the gate and write them."""
         passed = np.empty(self._rig.tendons)
         gate.step(
             self._gate,
             self._rig.tendons,
             self.last,
-            wanted,
+            target,
             self._tension,
             self._silence,
             True,
@@ -240,22 +240,22 @@ class GatedRig:
         self._rig.advance()
 
 
-def evaluate_move(moved: MoveResult, rest: RestMeasurement) -> tuple[bool, str]:
+def evaluate_move(result: MoveResult, rest: RestMeasurement) -> tuple[bool, str]:
     """Return whether a motor has answered as it should, and what it did."""
-    k, name = moved.tendon, f"tendon {moved.tendon + 1}"
-    did = f"{name}: moved {moved.travel * 1e3:+.2f} of {moved.commanded * 1e3:+.2f} mm, "
-    did += f"tension {moved.tension[k]:+.2f} N"
+    k, name = result.tendon, f"tendon {result.tendon + 1}"
+    did = f"{name}: moved {result.travel * 1e3:+.2f} of {result.commanded * 1e3:+.2f} mm, "
+    did += f"tension {result.tension[k]:+.2f} N"
     noise = np.maximum(rest.tension_noise, 1e-3)
-    answers = moved.tension / noise
-    if abs(moved.travel - moved.commanded) > TRAVEL_ERROR * abs(moved.commanded):
+    answers = result.tension / noise
+    if abs(result.travel - result.commanded) > TRAVEL_ERROR * abs(result.commanded):
         return False, f"{did}: the motor does not follow: power, limits, motor.counts_per_turn?"
     if answers[k] > SIGNIFICANCE:
         return True, f"{did}: right"
     if answers[k] < -SIGNIFICANCE:
         return False, f"{did}: the tension falls: motor.direction, or the sign of cell.scale"
-    other = int(np.argmax(answers))
-    if answers[other] > SIGNIFICANCE:
-        return False, f"{did}: the cell of tendon {other + 1} answers in its place"
+    strongest = int(np.argmax(answers))
+    if answers[strongest] > SIGNIFICANCE:
+        return False, f"{did}: the cell of tendon {strongest + 1} answers in its place"
     return False, f"{did}: no tension: a slack tendon, or a cell that is not on it"
 
 

@@ -38,7 +38,7 @@ from slave.tendon_config import TendonConfig
 
 
 def combine_with_drags(
-    pulled: Sequence[PulledTendon], found: Sequence[Calibration], gain_error: float
+    pulled: Sequence[PulledTendon], calibrations: Sequence[Calibration], gain_error: float
 ) -> tuple[list[Calibration], str]:
     """Return the calibrations of two antagonists from loops and drags, and a remark.
 
@@ -48,14 +48,14 @@ def combine_with_drags(
     ----------
     pulled : sequence of PulledTendon
         Tendon a, tendon b.
-    found : sequence of Calibration
+    calibrations : sequence of Calibration
         From their loops.
     gain_error : float
         Relative standard uncertainty of each load cell's gain.
     """
-    a, b = found
+    a, b = calibrations
     try:
-        total = _estimate_friction_sum(pulled, found, gain_error)
+        total = _estimate_friction_sum(pulled, calibrations, gain_error)
         return list(combine_calibrations(a, b, total)), ""
     except CalibrationError as error:
         return [a, b], (
@@ -65,13 +65,15 @@ def combine_with_drags(
 
 
 def _estimate_friction_sum(
-    pulled: Sequence[PulledTendon], found: Sequence[Calibration], gain_error: float
+    pulled: Sequence[PulledTendon], calibrations: Sequence[Calibration], gain_error: float
 ) -> MeasuredValue:
     """Return K_a + K_b from all drags."""
     sums = [
-        _estimate_sum_from_drag(own, other, calibration.M_pull.value)
-        for own, other, calibration in zip(pulled, reversed(pulled), found, strict=True)
-        if own.dragging.any()
+        _estimate_sum_from_drag(tendon, antagonist, calibration.M_pull.value)
+        for tendon, antagonist, calibration in zip(
+            pulled, reversed(pulled), calibrations, strict=True
+        )
+        if tendon.dragging.any()
     ]
     if not sums:
         raise CalibrationError("no drag was recorded")
@@ -87,12 +89,14 @@ def _estimate_friction_sum(
     return MeasuredValue(0.5 * (first.value + second.value), 0.5 * noise)
 
 
-def _estimate_sum_from_drag(own: PulledTendon, other: PulledTendon, M_pull: float) -> MeasuredValue:
+def _estimate_sum_from_drag(
+    tendon: PulledTendon, antagonist: PulledTendon, M_pull: float
+) -> MeasuredValue:
     """Return K_a + K_b from one drag; `M_pull` [m/N] is of the pulled tendon."""
-    rows = own.dragging
-    tension = own.tension[rows]
-    travel = own.travel[rows] - M_pull * tension
-    return fit_friction_sum(tension, other.tension[rows], travel)
+    rows = tendon.dragging
+    tension = tendon.tension[rows]
+    travel = tendon.travel[rows] - M_pull * tension
+    return fit_friction_sum(tension, antagonist.tension[rows], travel)
 
 
 RANGE_MIN = 0.001  # [m] of a joint that moves
@@ -128,21 +132,21 @@ def analyse_procedure(
     CalibrationRefused
         If the measurement is not that of tendons in sheaths pulled against end stops.
     """
-    before = [*ranges, *[None] * len(record.joints)]
+    earlier_ranges = [*ranges, *[None] * len(record.joints)]
     return tuple(
-        _analyse_joint(record, config, j, before[j])
+        _analyse_joint(record, config, j, earlier_ranges[j])
         for j in range(len(record.joints))
         if record.stops[j]
     )
 
 
 def _analyse_joint(
-    record: ProcedureData, config: InitialiseConfig, j: int, before: float | None
+    record: ProcedureData, config: InitialiseConfig, j: int, earlier_range: float | None
 ) -> JointResult:
     pulled = [PulledTendon(record, j, side) for side in range(len(record.joints[j]))]
     directions, tendons = evaluate_tendons(pulled, config)
     return JointResult(
-        j, directions, tendons, _compute_joint_range(pulled, directions, config, before)
+        j, directions, tendons, _compute_joint_range(pulled, directions, config, earlier_range)
     )
 
 
@@ -156,23 +160,25 @@ def evaluate_tendons(
     CalibrationRefused
         If a measurement is not that of a tendon in a sheath pulled against an end stop.
     """
-    known = [get_known_sheath(config, p.tendon) for p in pulled]
-    found = [calibrate_tendon(p, k, config.low) for p, k in zip(pulled, known, strict=True)]
+    sheaths = [get_known_sheath(config, p.tendon) for p in pulled]
+    calibrations = [
+        calibrate_tendon(p, k, config.low) for p, k in zip(pulled, sheaths, strict=True)
+    ]
     remark = ""
     if len(pulled) > 1:
-        found, remark = combine_with_drags(pulled, found, config.gain_error)
-    both = [
+        calibrations, remark = combine_with_drags(pulled, calibrations, config.gain_error)
+    entries = [
         build_tendon_calibration(p, k, f, remark)
-        for p, k, f in zip(pulled, known, found, strict=True)
+        for p, k, f in zip(pulled, sheaths, calibrations, strict=True)
     ]
-    return tuple(d for d, _ in both), tuple(t for _, t in both)
+    return tuple(d for d, _ in entries), tuple(t for _, t in entries)
 
 
 def _compute_joint_range(
     pulled: Sequence[PulledTendon],
     directions: tuple[TendonCalibration, ...],
     config: InitialiseConfig,
-    before: float | None,
+    earlier_range: float | None,
 ) -> float:
     """Return the travel of a joint between its stops [m], or from its rest with one tendon.
 
@@ -181,37 +187,37 @@ def _compute_joint_range(
     """
     name = f"joint {pulled[0].joint + 1}"
     if len(pulled) == 1:
-        seen = [directions[0].stop - float(pulled[0].travel[pulled[0].rows(Phase.SEEK)][0])]
+        ranges = [directions[0].stop - float(pulled[0].travel[pulled[0].rows(Phase.SEEK)][0])]
     else:
-        seen = [
-            direction.stop - _compute_drawn_out_travel(own, other, direction)
-            for own, other, direction in zip(pulled, pulled[::-1], directions, strict=True)
+        ranges = [
+            direction.stop - _compute_drawn_out_travel(tendon, antagonist, direction)
+            for tendon, antagonist, direction in zip(pulled, pulled[::-1], directions, strict=True)
         ]
-    found = sum(seen) / len(seen)
-    if found < RANGE_MIN:
+    travel = sum(ranges) / len(ranges)
+    if travel < RANGE_MIN:
         raise CalibrationRefused(
-            f"{name}: it moved only {max(found, 0.0) * 1e3:.1f} mm: it is jammed or its friction "
+            f"{name}: it moved only {max(travel, 0.0) * 1e3:.1f} mm: it is jammed or its friction "
             "is too high; free it, or raise slave.initialise.tension"
         )
-    if max(seen) - min(seen) > RANGE_DIFFERENCE_MAX + config.range_error * found:
+    if max(ranges) - min(ranges) > RANGE_DIFFERENCE_MAX + config.range_error * travel:
         raise CalibrationRefused(
-            f"{name}: tendon a measured {seen[0] * 1e3:.1f} mm of travel between the stops, "
-            f"tendon b {seen[1] * 1e3:.1f} mm: a tendon slipped or is caught; check both"
+            f"{name}: tendon a measured {ranges[0] * 1e3:.1f} mm of travel between the stops, "
+            f"tendon b {ranges[1] * 1e3:.1f} mm: a tendon slipped or is caught; check both"
         )
-    expected = before if config.range is None else config.range
-    if expected is not None and abs(found - expected) > config.range_error * expected:
-        why = "by the earlier calibration" if config.range is None else "slave.initialise.range"
+    expected = earlier_range if config.range is None else config.range
+    if expected is not None and abs(travel - expected) > config.range_error * expected:
+        source = "by the earlier calibration" if config.range is None else "slave.initialise.range"
         raise CalibrationRefused(
-            f"{name}: it travels {found * 1e3:.1f} mm between its stops, expected "
-            f"{expected * 1e3:.1f} mm ({why}): the tip touches something or a stop has moved; "
+            f"{name}: it travels {travel * 1e3:.1f} mm between its stops, expected "
+            f"{expected * 1e3:.1f} mm ({source}): the tip touches something or a stop has moved; "
             "free the tip, or set slave.initialise.range"
         )
-    return round_significant(found)
+    return round_significant(travel)
 
 
 def _compute_drawn_out_travel(
-    own: PulledTendon, other: PulledTendon, direction: TendonCalibration
+    tendon: PulledTendon, antagonist: PulledTendon, direction: TendonCalibration
 ) -> float:
     """Return the travel [m] of the unstretched tendon with the joint at the other tendon's stop."""
-    rows = np.flatnonzero(other.rows(Phase.SEEK))[-5:]
-    return float(np.median(own.travel[rows] - direction.M_rel.value * own.tension[rows]))
+    rows = np.flatnonzero(antagonist.rows(Phase.SEEK))[-5:]
+    return float(np.median(tendon.travel[rows] - direction.M_rel.value * tendon.tension[rows]))

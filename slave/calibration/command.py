@@ -112,10 +112,10 @@ def main(args: argparse.Namespace) -> int:
         joints = select_joints(args.joint, len(rig.joints))
         replaced = load_replaced_calibration(out, args.config, args.force)
         require_other_file(args.figure, out)
-        earlier = replaced or load_earlier_calibration(config, needed=bool(joints))
+        earlier = replaced or load_earlier_calibration(config, required=bool(joints))
         start_ns, ticks = start_ticks(shared.rate_hz, is_real)
         try:
-            found = initialise(
+            result = initialise(
                 rig,
                 config,
                 ticks,
@@ -135,10 +135,10 @@ def main(args: argparse.Namespace) -> int:
             raise
         if sys.stderr.isatty():
             print(file=sys.stderr)
-    file.save(out, found.calibration)
+    file.save(out, result.calibration)
     if figure is not None:
-        save_figure(figure(found.record, found.calibration), args.figure, dpi=150)
-    print("\n".join(format_report(found, out, replaced)))
+        save_figure(figure(result.record, result.calibration), args.figure, dpi=150)
+    print("\n".join(format_report(result, out, replaced)))
     return 0
 
 
@@ -176,18 +176,18 @@ def require_other_file(figure: Path | None, out: Path) -> None:
         raise UsageError(f"{figure}: this is the calibration; choose another file with --figure")
 
 
-def load_earlier_calibration(config: SlaveConfig, needed: bool) -> Calibration | None:
+def load_earlier_calibration(config: SlaveConfig, required: bool) -> Calibration | None:
     """Return the calibration that the config names, None if it cannot be read.
 
-    Raises `UsageError` instead if it is `needed`, for the joints that are not calibrated now.
+    Raises `UsageError` instead if it is `required`, for the joints that are not calibrated now.
     """
     path = config.calibration
-    if not isinstance(path, Path) or not (needed or path.is_file()):
+    if not isinstance(path, Path) or not (required or path.is_file()):
         return None
     try:
         return file.load(path)
     except UsageError:
-        if needed:
+        if required:
             raise
         return None
 
@@ -208,11 +208,11 @@ def build_progress_bar(rig: Rig) -> Callable[[ProcedureProgress], None]:
         if progress.time_s < next_s:
             return
         next_s = progress.time_s + BAR_PERIOD_S
-        where = _format_pulled_tendon(rig, progress)
+        tendon = _format_pulled_tendon(rig, progress)
         bar = "#" * round(BAR_WIDTH * progress.done)
         tension = " ".join(f"{t:5.1f}" for t in progress.tension)
         line = (
-            f"[{bar:<{BAR_WIDTH}}] {progress.time_s:5.1f} s  {where}: {progress.phase.text}  "
+            f"[{bar:<{BAR_WIDTH}}] {progress.time_s:5.1f} s  {tendon}: {progress.phase.text}  "
             f"{tension} N"
         )
         print(f"\r{line:<100.100}", end="", file=sys.stderr, flush=True)
@@ -255,11 +255,11 @@ def import_draw_figure() -> Callable[[ProcedureData, Calibration], Any]:
 
 
 def format_report(
-    found: InitialiseResult, out: Path, replaced: Calibration | None = None
+    result: InitialiseResult, out: Path, replaced: Calibration | None = None
 ) -> list[str]:
     """Return the report as lines; `replaced` is the calibration that was in `out`."""
-    calibration = found.calibration
-    took = float(found.record.time[-1] - found.record.time[0])
+    calibration = result.calibration
+    took = float(result.record.time[-1] - result.record.time[0])
     lines = [
         f"{calibration.rig}: {calibration.method}, {took:.1f} s of rig time",
         f"{'':16}{'K':>15}{'by the slopes':>16}{'by the paper':>16}"

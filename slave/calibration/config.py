@@ -50,7 +50,7 @@ class InitialiseConfig:
 
     def __post_init__(self) -> None:
         """Check the values; raises `ValueError`."""
-        for name, least, most, unit in (
+        for name, low, high, unit in (
             ("tension", 2.0, 1000.0, "N"),
             ("low", 0.01, 10.0, "N"),
             ("take_up", 0.05, 10.0, "N"),
@@ -69,8 +69,8 @@ class InitialiseConfig:
             ("relax_max", 0.1, 60.0, "s"),
             ("range_error", 0.001, 1.0, "of the range"),
         ):
-            if not least <= getattr(self, name) <= most:
-                raise ValueError(f"{name}: must be {least:g} to {most:g} {unit}")
+            if not low <= getattr(self, name) <= high:
+                raise ValueError(f"{name}: must be {low:g} to {high:g} {unit}")
         if not 1 <= self.loops <= 10:
             raise ValueError("loops: must be 1 to 10")
         if self.drags not in (1, 2):
@@ -104,7 +104,7 @@ def compute_compliance_limit(config: InitialiseConfig, tendon: int) -> float:
 
     With a margin of 50 % if L and EA are known, so that a wrong EA does not hide a stop.
     """
-    known = get_known_sheath(config, tendon)
-    if known.axial_stiffness is None:
+    sheath = get_known_sheath(config, tendon)
+    if sheath.axial_stiffness is None:
         return config.compliance_max
-    return 1.5 * known.length / known.axial_stiffness
+    return 1.5 * sheath.length / sheath.axial_stiffness

@@ -14,15 +14,15 @@ PULLED_COLOUR, OTHER_COLOUR, LINE_COLOUR = "#b2182b", "#2166ac", "#444444"
 
 def draw_figure(record: ProcedureData, calibration: Calibration) -> Figure:
     """Return a row of panels for each joint done, one panel a tendon."""
-    done = [j for j, stops in enumerate(record.stops) if stops]
-    across = max(len(record.joints[j]) for j in done)
-    page = Figure(figsize=(5.5 * across, 3.8 * len(done)), layout="constrained")
-    panels = page.subplots(len(done), across, squeeze=False)
-    found = {(d.joint - 1, d.tendon): d for d in calibration.directions}
-    for row, j in zip(panels, done, strict=True):
+    joints = [j for j, stops in enumerate(record.stops) if stops]
+    columns = max(len(record.joints[j]) for j in joints)
+    page = Figure(figsize=(5.5 * columns, 3.8 * len(joints)), layout="constrained")
+    panels = page.subplots(len(joints), columns, squeeze=False)
+    directions = {(d.joint - 1, d.tendon): d for d in calibration.directions}
+    for row, j in zip(panels, joints, strict=True):
         for side, panel in enumerate(row):
             if side < len(record.joints[j]):
-                _draw_panel(panel, record, j, side, found[j, TENDON_NAMES[side]])
+                _draw_panel(panel, record, j, side, directions[j, TENDON_NAMES[side]])
             else:
                 panel.set_axis_off()
     return page

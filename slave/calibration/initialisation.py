@@ -90,17 +90,19 @@ def assemble_calibration(
 ) -> Calibration:
     """Return the calibration of a whole rig from new results and an earlier calibration."""
     tendons = dict(enumerate(earlier.tendons)) if earlier else {}
-    done = {result.joint for result in results}
-    directions = [d for d in (earlier.directions if earlier else ()) if d.joint - 1 not in done]
+    calibrated = {result.joint for result in results}
+    directions = [
+        d for d in (earlier.directions if earlier else ()) if d.joint - 1 not in calibrated
+    ]
     ranges = list(earlier.ranges if earlier and earlier.ranges else [None] * len(rig.joints))
     for result in results:
         tendons |= zip(rig.joints[result.joint], result.tendons, strict=True)
         directions += result.directions
         ranges[result.joint] = result.range
     directions.sort(key=lambda d: (d.joint, d.tendon))
-    if earlier is not None and len(done) < len(rig.joints):
-        others = ", ".join(str(j + 1) for j in range(len(rig.joints)) if j not in done)
-        method += f"; joint {others} as of {earlier.time or 'earlier'}"
+    if earlier is not None and len(calibrated) < len(rig.joints):
+        missing = ", ".join(str(j + 1) for j in range(len(rig.joints)) if j not in calibrated)
+        method += f"; joint {missing} as of {earlier.time or 'earlier'}"
     return Calibration(
         tendons=tuple(tendons[k] for k in range(rig.tendons)),
         rig=rig.name,

@@ -127,8 +127,8 @@ class Transition(Struct):
     lasted: F64 = 0.0  # [s] since the second point
     ahead: F64 = 0.0  # [m] largest forward motion of the motor from the first point
     tip: F64 = 0.0  # [N] T_out at the first point
-    against: F64 = 0.0  # [N] T_out of the other tendon then
-    begun: F64 = math.nan  # [m] travel then
+    antagonist_tension: F64 = 0.0  # [N] T_out of the other tendon then
+    travel_begin: F64 = math.nan  # [m] travel then
 
 
 class TendonMonitor(Struct):
@@ -218,12 +218,14 @@ def step_rig(
         joint = layout.joint[k]
         for m in range(joint.count):
             i = joint.tendon[m]
-            against = 0.0
+            antagonist_tension = 0.0
             if joint.count > 1:
-                against = tendons[joint.tendon[1 - m]].estimate.distal_tension
+                antagonist_tension = tendons[joint.tendon[1 - m]].estimate.distal_tension
             tension, travel = tendons[i].corrected_tension, tendons[i].corrected_displacement
             estimate = tendons[i].estimate
-            step(config, constants[i], monitors[i], estimate, tension, travel, against, dt)
+            step(
+                config, constants[i], monitors[i], estimate, tension, travel, antagonist_tension, dt
+            )
     return compute_advice(config, monitors, layout.tendons)
 
 
@@ -235,7 +237,7 @@ def step(
     estimate: TendonEstimate,
     tension: float,
     travel: float,
-    against: float,
+    antagonist_tension: float,
     dt: float,
 ) -> None:
     """Process one sample of one tendon.
@@ -250,7 +252,7 @@ def step(
         Of this sample.
     tension, travel : float
         T_in [N] and q_p [m] of this sample.
-    against : float
+    antagonist_tension : float
         T_out [N] of the antagonist; 0 if it is a spring.
     dt : float
         Time since the last one [s].
@@ -259,10 +261,13 @@ def step(
         _await_pull(monitor)
         return
     share = -math.expm1(-dt / constants.lag) if constants.lag > 0.0 else 1.0
-    before = travel if math.isnan(monitor.travel) else monitor.travel
-    averaged = before + share * (travel - before)
+    travel_before = travel if math.isnan(monitor.travel) else monitor.travel
+    averaged = travel_before + share * (travel - travel_before)
     is_pull, line = estimate.phase == _PULL, monitor.transition
-    gave_way = line.points > 0 and abs(against - line.against) > FORCE_CHANGE_MAX * line.tip
+    gave_way = (
+        line.points > 0
+        and abs(antagonist_tension - line.antagonist_tension) > FORCE_CHANGE_MAX * line.tip
+    )
     if is_pull and estimate.front >= constants.mobilised:
         reached = tension if math.isnan(monitor.reached) else monitor.reached
         _finish_transition(config, constants, monitor)
@@ -272,7 +277,7 @@ def step(
     elif is_pull or estimate.front > constants.depth or gave_way:
         _finish_transition(config, constants, monitor)
     else:
-        _add_point(line, estimate, averaged, against, dt)
+        _add_point(line, estimate, averaged, antagonist_tension, dt)
     monitor.travel = averaged
 
 
@@ -294,33 +299,33 @@ def compute_force_error(monitor: TendonMonitor) -> float:
         return 0.0
     for k in range(monitor.count):
         values[k] = abs(monitor.errors[k] - middle)
-    apart = compute_median(values)
-    return middle if apart < SCATTER_MAX + SCATTER_SHARE_MAX * abs(middle) else 0.0
+    spread = compute_median(values)
+    return middle if spread < SCATTER_MAX + SCATTER_SHARE_MAX * abs(middle) else 0.0
 
 
 @jit_compile
 def compute_advice(config: MonitorConfig, monitors: Sequence[TendonMonitor], count: int) -> Advice:
     """Return the advice for a rig of `count` tendons."""
-    worst = 0.0
+    error_max = 0.0
     for i in range(count):
-        worst = max(worst, abs(monitors[i].force_error))
-    if worst >= config.demand:
+        error_max = max(error_max, abs(monitors[i].force_error))
+    if error_max >= config.demand:
         return Advice.DEMANDED
-    return Advice.ADVISED if worst >= config.advise else Advice.NONE
+    return Advice.ADVISED if error_max >= config.advise else Advice.NONE
 
 
 @jit_compile
 def _add_point(
-    line: Transition, estimate: TendonEstimate, travel: float, against: float, dt: float
+    line: Transition, estimate: TendonEstimate, travel: float, antagonist_tension: float, dt: float
 ) -> None:
     """Add a point unless it is too close to the last one."""
     elongation = estimate.elongation
     if line.points == 0:
         _clear_transition(line)
-        line.first, line.begun = elongation, travel
-        line.tip, line.against = estimate.distal_tension, against
+        line.first, line.travel_begin = elongation, travel
+        line.tip, line.antagonist_tension = estimate.distal_tension, antagonist_tension
     line.lasted = line.lasted + dt if line.points > 1 else 0.0
-    line.ahead = max(line.ahead, travel - line.begun)
+    line.ahead = max(line.ahead, travel - line.travel_begin)
     if line.points > 0 and abs(elongation - line.last) < POINT_SPACING:
         return
     line.points += 1
@@ -338,8 +343,8 @@ def _add_point(
 def _clear_transition(line: Transition) -> None:
     line.points = 0
     line.elongation = line.travel = line.ee = line.eq = line.qq = 0.0
-    line.first = line.last = line.begun = math.nan
-    line.lasted = line.ahead = line.tip = line.against = 0.0
+    line.first = line.last = line.travel_begin = math.nan
+    line.lasted = line.ahead = line.tip = line.antagonist_tension = 0.0
 
 
 @jit_compile
@@ -364,15 +369,15 @@ def _finish_transition(
 
 
 @jit_compile
-def _append_error(monitor: TendonMonitor, error: float, uncertainty: float, most: int) -> None:
-    """Append the result of a transition; drop the oldest beyond `most`."""
-    kept = min(monitor.count, most - 1)
-    dropped = monitor.count - kept
-    for k in range(kept):
+def _append_error(monitor: TendonMonitor, error: float, uncertainty: float, count_max: int) -> None:
+    """Append the result of a transition; drop the oldest beyond `count_max`."""
+    count = min(monitor.count, count_max - 1)
+    dropped = monitor.count - count
+    for k in range(count):
         monitor.errors[k] = monitor.errors[k + dropped]
         monitor.uncertainties[k] = monitor.uncertainties[k + dropped]
-    monitor.errors[kept], monitor.uncertainties[kept] = error, uncertainty
-    monitor.count = kept + 1
+    monitor.errors[count], monitor.uncertainties[count] = error, uncertainty
+    monitor.count = count + 1
 
 
 @jit_compile

@@ -73,8 +73,8 @@ def _take_up_slack(
     tightest = min(range(count), key=wound.__getitem__)
     if wound[tightest] < -allowed:
         name = format_tendon_name(joint.number, count, tightest)
-        why = refusals.format_residual_tension(name, -wound[tightest], memory.tension[tightest])
-        return _abort_and_hold(memory, seen, why)
+        reason = refusals.format_residual_tension(name, -wound[tightest], memory.tension[tightest])
+        return _abort_and_hold(memory, seen, reason)
     return tuple(
         _compute_holding_speed(config, memory.tension[k], config.take_up, TAKE_UP_BAND_HIGH, 0.0)
         for k in range(count)
@@ -100,9 +100,9 @@ def _seek_stop(
     memory = memory._replace(trend=line, contact=contact)
     if tension >= config.tension:
         return _accept_stop(config, joint.compliance[k], name, memory, seen)
-    gone = travel - memory.origin[k]
-    if gone > config.travel_max:
-        unchanged = travel - memory.cells[k].since > 0.5 * gone
+    wound = travel - memory.origin[k]
+    if wound > config.travel_max:
+        unchanged = travel - memory.cells[k].since > 0.5 * wound
         return _abort_and_hold(
             memory, seen, refusals.format_no_stop(name, tension, unchanged, config)
         )
@@ -129,16 +129,16 @@ def _accept_stop(
     assert contact is not None  # noqa: S101 - set by the caller
     rise = memory.tension[k] - contact.tension
     if rise < TENSION_RISE_MIN * config.tension:
-        why = refusals.format_late_stop(name, contact.tension, memory.tension[k])
-        return _abort_and_hold(memory, seen, why)
+        reason = refusals.format_late_stop(name, contact.tension, memory.tension[k])
+        return _abort_and_hold(memory, seen, reason)
     compliance = (seen.travel[k] - contact.travel) / rise
     if compliance > softest:
-        why = refusals.format_soft_stop(name, contact.tension, compliance, softest)
-        return _abort_and_hold(memory, seen, why)
+        reason = refusals.format_soft_stop(name, contact.tension, compliance, softest)
+        return _abort_and_hold(memory, seen, reason)
     stops = (*memory.stops, contact._replace(compliance=compliance))
-    after = Phase.SLACKEN if len(seen.tension) > 1 else Phase.RELEASE
+    next_phase = Phase.SLACKEN if len(seen.tension) > 1 else Phase.RELEASE
     return _build_zero_speeds(seen), begin_phase(
-        memory._replace(stops=stops, releases=0), after, seen
+        memory._replace(stops=stops, releases=0), next_phase, seen
     )
 
 
@@ -155,18 +155,18 @@ def _probe_cell(
         return _abort_and_hold(
             memory, seen, refusals.format_saturated_cell(name, memory.tension[k])
         )
-    back = seen.motor[k] > memory.origin[k] - PROBE_TRAVEL
-    return _build_single_speed(seen, k, -config.stretch_speed if back else 0.0), memory
+    is_back = seen.motor[k] > memory.origin[k] - PROBE_TRAVEL
+    return _build_single_speed(seen, k, -config.stretch_speed if is_back else 0.0), memory
 
 
 def _slacken_antagonist(
     config: InitialiseConfig, _joint: JointConstants, memory: ProcedureState, seen: JointReadings
 ) -> PhaseResult:
     """Pay out the other tendon until it cannot pull the joint off its stop."""
-    other = 1 - memory.side
-    if memory.origin[other] - seen.travel[other] >= config.pay_out:
+    antagonist = 1 - memory.side
+    if memory.origin[antagonist] - seen.travel[antagonist] >= config.pay_out:
         return _build_zero_speeds(seen), begin_phase(memory, Phase.RELEASE, seen)
-    return _build_single_speed(seen, other, -config.seek_speed), memory
+    return _build_single_speed(seen, antagonist, -config.seek_speed), memory
 
 
 def _release_tendon(
@@ -176,15 +176,15 @@ def _release_tendon(
     k = memory.side
     line = _update_line(memory, seen, k, -1.0)
     memory = memory._replace(trend=line)
-    left = (
+    releases_left = (
         procedure_state.compute_stiffness(line, TREND_WINDOW)
         * memory.stops[k].compliance
         * LEFT_STOP_RATIO
         < 1.0
     )
     enough = _compute_travel_max(config, memory)
-    gone = memory.origin[k] - seen.travel[k]
-    if not (memory.tension[k] <= config.low or left or gone > enough):
+    released = memory.origin[k] - seen.travel[k]
+    if not (memory.tension[k] <= config.low or releases_left or released > enough):
         return _build_single_speed(seen, k, -_compute_stretch_speed(config, memory)), memory
     memory = memory._replace(releases=memory.releases + 1)
     if memory.releases <= config.loops:
@@ -200,7 +200,7 @@ def _pull_tendon(
 ) -> PhaseResult:
     """Pull one tendon against the stop again."""
     k = memory.side
-    tension, gone = memory.tension[k], seen.travel[k] - memory.origin[k]
+    tension, wound = memory.tension[k], seen.travel[k] - memory.origin[k]
     if tension >= config.tension:
         return _build_zero_speeds(seen), begin_phase(memory, Phase.RELEASE, seen)
     name = format_tendon_name(joint.number, len(seen.tension), k)
@@ -213,7 +213,7 @@ def _pull_tendon(
         return _abort_and_hold(
             memory, seen, refusals.format_lost_tension(name, memory.highest, tension)
         )
-    if gone > _compute_travel_max(config, memory):
+    if wound > _compute_travel_max(config, memory):
         if tension < TAUT_RATIO * config.take_up:
             return _abort_and_hold(
                 memory, seen, refusals.format_lost_tension(name, config.tension, tension)
@@ -233,20 +233,20 @@ def _drag_tendon(
     direction, and the joint's own resistance is the same with rising and falling tension.
     """
     k = memory.side % 2
-    tension, gone = memory.tension[k], seen.travel[k] - memory.origin[k]
+    tension, wound = memory.tension[k], seen.travel[k] - memory.origin[k]
     if tension >= config.tension:
         return _abort_and_hold(memory, seen, refusals.format_obstacle(joint.number, tension))
-    if gone >= memory.lane:
+    if wound >= memory.lane:
         if memory.side + 1 < 2 + config.drags:
             lane = memory.lane * DRAG_OVERSHOOT / (0.5 + DRAG_OVERSHOOT)
             memory = memory._replace(side=memory.side + 1, lane=lane, easing=False)
             return _build_zero_speeds(seen), begin_phase(memory, Phase.DRAG, seen)
         return _build_zero_speeds(seen), begin_phase(memory, Phase.SETTLE, seen)
     speed = min(config.seek_speed, memory.lane / config.drag_time)
-    if gone < LEAD_SHARE * memory.lane or (memory.easing and memory.tension[1 - k] <= config.keep):
+    if wound < LEAD_SHARE * memory.lane or (memory.easing and memory.tension[1 - k] <= config.keep):
         return _draw_joint(config, joint, memory, seen, k, speed)
     peak = DRAG_PEAK * config.tension
-    if tension >= peak or gone > (0.5 + 0.5 * LEAD_SHARE) * memory.lane:
+    if tension >= peak or wound > (0.5 + 0.5 * LEAD_SHARE) * memory.lane:
         memory = memory._replace(easing=True)
     stretch = STRETCH_RATIO * memory.stops[k].compliance * peak
     share = min(stretch / (0.5 * (1.0 - LEAD_SHARE) * memory.lane), SPEED_SHARE_MAX)
@@ -279,9 +279,10 @@ def _lower_tensions(
         return _build_zero_speeds(seen), begin_phase(memory, Phase.REFUSED, seen)
     speeds = []
     for k, tension in enumerate(memory.tension):
-        most = TRAVEL_MARGIN * joint.compliance[k] * config.tension + TRAVEL_ALLOWANCE
+        travel_max = TRAVEL_MARGIN * joint.compliance[k] * config.tension + TRAVEL_ALLOWANCE
         tight = (
-            tension > compute_relaxed_tension(config) and memory.origin[k] - seen.motor[k] < most
+            tension > compute_relaxed_tension(config)
+            and memory.origin[k] - seen.motor[k] < travel_max
         )
         speeds.append(-0.5 * config.seek_speed if tight else 0.0)
     return tuple(speeds), memory
@@ -293,8 +294,8 @@ def _hold_motors(
     return _build_zero_speeds(seen), memory
 
 
-def _abort_and_hold(memory: ProcedureState, seen: JointReadings, why: str) -> PhaseResult:
-    return _build_zero_speeds(seen), abort_procedure(memory, seen, why)
+def _abort_and_hold(memory: ProcedureState, seen: JointReadings, reason: str) -> PhaseResult:
+    return _build_zero_speeds(seen), abort_procedure(memory, seen, reason)
 
 
 def _abort_for_slack(
@@ -304,10 +305,12 @@ def _abort_for_slack(
     name: str,
     k: int,
     wound: float,
-    wanted: float,
+    tension_target: float,
 ) -> PhaseResult:
-    why = refusals.format_slack(name, wound, memory.tension[k], TAUT_RATIO * wanted, config)
-    return _abort_and_hold(memory, seen, why)
+    reason = refusals.format_slack(
+        name, wound, memory.tension[k], TAUT_RATIO * tension_target, config
+    )
+    return _abort_and_hold(memory, seen, reason)
 
 
 def _build_zero_speeds(seen: JointReadings) -> Tendons:
@@ -337,16 +340,16 @@ def _compute_stretch_speed(config: InitialiseConfig, memory: ProcedureState) -> 
 
 
 def _compute_holding_speed(
-    config: InitialiseConfig, tension: float, wanted: float, tight: float, along: float
+    config: InitialiseConfig, tension: float, target: float, tight: float, along: float
 ) -> float:
-    """Return the speed [m/s] that keeps a tendon near `wanted` [N] while its end moves by `along`.
+    """Return the speed [m/s] that keeps a tendon near `target` [N] while its end moves by `along`.
 
     No control between `DEAD_BAND_LOW` and `tight` times that tension.
     """
-    if tension < TAUT_RATIO * wanted:
+    if tension < TAUT_RATIO * target:
         return along + SLACK_SPEED * config.seek_speed
-    alone = DEAD_BAND_LOW * wanted <= tension <= tight * wanted
-    speed = 0.0 if alone else TENSION_GAIN * (wanted - tension)
+    is_in_band = DEAD_BAND_LOW * target <= tension <= tight * target
+    speed = 0.0 if is_in_band else TENSION_GAIN * (target - tension)
     return min(max(along + speed, -2.0 * config.seek_speed), config.seek_speed)
 
 
@@ -365,15 +368,15 @@ def _draw_joint(
     """
     if len(seen.tension) == 1:
         return (speed,), memory
-    other = 1 - k
-    wound = seen.travel[other] - memory.lowest
-    if wound > config.slack_max and memory.tension[other] < TAUT_RATIO * config.keep:
-        name = format_tendon_name(joint.number, 2, other)
-        return _abort_for_slack(config, memory, seen, name, other, wound, config.keep)
-    kept = _compute_holding_speed(
-        config, memory.tension[other], config.keep, DEAD_BAND_HIGH, -speed
+    antagonist = 1 - k
+    wound = seen.travel[antagonist] - memory.lowest
+    if wound > config.slack_max and memory.tension[antagonist] < TAUT_RATIO * config.keep:
+        name = format_tendon_name(joint.number, 2, antagonist)
+        return _abort_for_slack(config, memory, seen, name, antagonist, wound, config.keep)
+    holding_speed = _compute_holding_speed(
+        config, memory.tension[antagonist], config.keep, DEAD_BAND_HIGH, -speed
     )
-    return ((speed, kept) if k == 0 else (kept, speed)), memory
+    return ((speed, holding_speed) if k == 0 else (holding_speed, speed)), memory
 
 
 def is_settled(config: InitialiseConfig, phase: Phase, tension: Tendons) -> bool:
@@ -382,8 +385,8 @@ def is_settled(config: InitialiseConfig, phase: Phase, tension: Tendons) -> bool
         return max(tension) <= compute_relaxed_tension(config)
     if phase not in (Phase.TAKE_UP, Phase.SETTLE):
         return False
-    least, most = 0.9 * DEAD_BAND_LOW * config.take_up, 1.1 * TAKE_UP_BAND_HIGH * config.take_up
-    return all(least <= t <= most for t in tension)
+    low, high = 0.9 * DEAD_BAND_LOW * config.take_up, 1.1 * TAKE_UP_BAND_HIGH * config.take_up
+    return all(low <= t <= high for t in tension)
 
 
 def compute_relaxed_tension(config: InitialiseConfig) -> float:

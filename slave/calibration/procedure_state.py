@@ -70,10 +70,10 @@ def update_trend(
     Its weight is the travel since the last one, so speed and rate do not matter; samples without
     forward travel are ignored.
     """
-    gone = direction * (travel - trend.newest)
-    if not gone > 0.0:
+    advance = direction * (travel - trend.newest)
+    if not advance > 0.0:
         return trend
-    weight = -math.expm1(-gone / window)
+    weight = -math.expm1(-advance / window)
     dq, dT = travel - trend.travel, tension - trend.tension
     return Trend(
         trend.travel + weight * dq,
@@ -187,9 +187,9 @@ def begin_phase(memory: ProcedureState, phase: Phase, seen: JointReadings) -> Pr
     )
 
 
-def abort_procedure(memory: ProcedureState, seen: JointReadings, why: str) -> ProcedureState:
+def abort_procedure(memory: ProcedureState, seen: JointReadings, reason: str) -> ProcedureState:
     """Return the state of an aborted procedure, which lowers the tensions and then holds."""
-    return begin_phase(memory._replace(refusal=memory.refusal or why), Phase.RELAX, seen)
+    return begin_phase(memory._replace(refusal=memory.refusal or reason), Phase.RELAX, seen)
 
 
 def is_ended(memory: ProcedureState) -> bool:
@@ -202,7 +202,7 @@ def compute_progress(config: InitialiseConfig, memory: ProcedureState) -> float:
     if memory.phase is Phase.DONE:
         return 1.0
     a_side = 2 * config.loops + 4  # taking up, seeking, loosening, and the releases and pulls
-    within = {
+    steps_in_phase = {
         Phase.SEEK: 1,
         Phase.PROBE: 1,
         Phase.SLACKEN: 2,
@@ -212,8 +212,8 @@ def compute_progress(config: InitialiseConfig, memory: ProcedureState) -> float:
         Phase.RETURN: 1,
         Phase.SETTLE: 3,
     }
-    done = within.get(memory.phase, 0)
+    step = steps_in_phase.get(memory.phase, 0)
     if memory.phase in (Phase.RELEASE, Phase.PULL):
-        done += 2 * memory.releases
+        step += 2 * memory.releases
     sides = 2  # at most
-    return (min(memory.side, sides) * a_side + done) / (sides * a_side + 4)
+    return (min(memory.side, sides) * a_side + step) / (sides * a_side + 4)

@@ -11,21 +11,21 @@ def format_tendon_name(joint: int, tendons: int, tendon: int) -> str:
     return f"joint {joint}, tendon {TENDON_NAMES[tendon]}" if tendons > 1 else f"joint {joint}"
 
 
-def format_phase_timeout(joint: int, what: str, config: InitialiseConfig) -> str:
+def format_phase_timeout(joint: int, action: str, config: InitialiseConfig) -> str:
     """Message: a phase did not end."""
     return (
-        f"joint {joint}: {what} took longer than {config.phase_max:g} s; check what blocks it, or "
-        "raise slave.initialise.phase_max"
+        f"joint {joint}: {action} took longer than {config.phase_max:g} s; check what blocks it, "
+        "or raise slave.initialise.phase_max"
     )
 
 
-def format_blocked_motor(name: str, verdict: GateFlags, asked: float, seeking: bool) -> str:
-    """Message: a limit of the gate blocks a motor; the sign of `asked` [m] is the direction."""
+def format_blocked_motor(name: str, verdict: GateFlags, request: float, seeking: bool) -> str:
+    """Message: a limit of the gate blocks a motor; the sign of `request` [m] is the direction."""
     if GateFlags.TENSION in verdict:
         return f"{name}: the tension is at slave.gate.tension_max; lower slave.initialise.tension"
     if GateFlags.STALE in verdict:
         return f"{name}: its tension is older than slave.gate.tension_age_max; check the load cell"
-    limit = "displacement_min" if asked < 0.0 else "displacement_max"
+    limit = "displacement_min" if request < 0.0 else "displacement_max"
     if seeking:
         return (
             f"{name}: no stop found before slave.gate.{limit}: check that it exists, or widen the "
@@ -57,26 +57,26 @@ def format_slack(
     )
 
 
-def format_no_loop(name: str, why: str) -> str:
+def format_no_loop(name: str, cause: str) -> str:
     """Message: the pulls and releases are not those of a tendon against its stop."""
     return (
-        f"{name}: {why}; check that the joint rests against its stop, that the tip does not press "
-        "on something soft, and that the other tendon is not jammed"
+        f"{name}: {cause}; check that the joint rests against its stop, that the tip does not "
+        "press on something soft, and that the other tendon is not jammed"
     )
 
 
 def format_unresolved_friction(
-    name: str, K: float, peak: float, lowest: float, reach: float, again: bool
+    name: str, K: float, peak: float, lowest: float, reach: float, is_full: bool
 ) -> str:
     """Message: K is at the end of the range that a loop between two tensions [N] resolves.
 
-    `again` if more than one loop was pulled.
+    `is_full` if more than one loop was pulled.
     """
-    more = "" if again else ", or run the full procedure"
+    remedy = "" if is_full else ", or run the full procedure"
     return (
         f"{name}: K = {K:.2f} is at the limit of what a loop from {peak:.1f} N to {lowest:.2f} N "
         f"resolves ({reach:.2f}) and may be higher; check that the tendon is not jammed, raise "
-        f"slave.initialise.tension, lower slave.initialise.low{more}"
+        f"slave.initialise.tension, lower slave.initialise.low{remedy}"
     )
 
 
@@ -90,10 +90,10 @@ def format_residual_tension(name: str, paid_out: float, tension: float) -> str:
 
 def format_no_stop(name: str, tension: float, unchanged: bool, config: InitialiseConfig) -> str:
     """Message: no stop found; `unchanged` if the reading never changed."""
-    what = f"{name}: no stop within {config.travel_max * 1e3:g} mm, the tension is {tension:.2f} N"
+    text = f"{name}: no stop within {config.travel_max * 1e3:g} mm, the tension is {tension:.2f} N"
     if unchanged:
-        return f"{what}, and the reading never changes; check the load cell"
-    return f"{what}; check that the tendon is attached, or raise slave.initialise.travel_max"
+        return f"{text}, and the reading never changes; check the load cell"
+    return f"{text}; check that the tendon is attached, or raise slave.initialise.travel_max"
 
 
 def format_late_stop(name: str, contact: float, tension: float) -> str:

@@ -249,14 +249,14 @@ class _ProcedureRun:
 
     def progress(self, time_s: float) -> ProcedureProgress:
         """Return the progress `time_s` [s] after the start."""
-        done = [
+        finished = [
             procedure_state.compute_progress(self._limits.initialise, m) for m in self._memories
         ]
         group = self._groups[0] if self._groups else self._joints[-1:]
-        j = min(group, key=lambda j: done[j])
-        now = self._memories[j]
-        share = sum(done[i] for i in self._joints) / len(self._joints)
-        return ProcedureProgress(time_s, j + 1, now.phase, now.side, share, now.tension)
+        j = min(group, key=lambda j: finished[j])
+        memory = self._memories[j]
+        share = sum(finished[i] for i in self._joints) / len(self._joints)
+        return ProcedureProgress(time_s, j + 1, memory.phase, memory.side, share, memory.tension)
 
     def result(self) -> ProcedureResult:
         """Return the measurements, or raise the reason of the abort."""
@@ -306,22 +306,22 @@ class _ProcedureRun:
         """Step one joint; return its motor targets [m]."""
         assert self.newest is not None and self.newest.proximal_displacement is not None  # noqa: S101, PT018 - `is_complete`
         tendons = list(self._rig.joints[j])
-        seen = JointReadings(
+        readings = JointReadings(
             tuple(self.newest.proximal_tension[tendons].tolist()),
             tuple(self.newest.proximal_displacement[tendons].tolist()),
             tuple(self._motor[k] for k in tendons),
             self._verdicts[j],
             self._silence == 0.0,
         )
-        before = self._memories[j]
-        if order and not before.refusal:
-            before = procedure_state.abort_procedure(before, seen, order)
+        previous = self._memories[j]
+        if order and not previous.refusal:
+            previous = procedure_state.abort_procedure(previous, readings, order)
         targets, self._memories[j] = procedure.step(
-            self._limits.initialise, self._joint_constants[j], before, seen, dt
+            self._limits.initialise, self._joint_constants[j], previous, readings, dt
         )
         return targets
 
-    def _write(self, wanted: Sequence[float], dt: float) -> None:
+    def _write(self, target: Sequence[float], dt: float) -> None:
         """Pass the targets through the gate and write them."""
         assert self.newest is not None  # noqa: S101 - asked by the caller
         tension = self.newest.proximal_tension
@@ -329,7 +329,7 @@ class _ProcedureRun:
         for j, joint in enumerate(self._rig.joints):
             k = list(joint)
             motor[k], self._verdicts[j] = self._gated(
-                motor[k], np.array([wanted[i] for i in k]), tension[k].astype(np.float64), dt
+                motor[k], np.array([target[i] for i in k]), tension[k].astype(np.float64), dt
             )
         self._motor = tuple(motor.tolist())
         try:
@@ -338,12 +338,12 @@ class _ProcedureRun:
             raise TeleopError(f"rig: {error}") from error
 
     def _gated(
-        self, last: Array, wanted: Array, tension: Array, dt: float
+        self, last: Array, target: Array, tension: Array, dt: float
     ) -> tuple[Array, GateFlags]:
         """Return the output of the gate for a joint [m], and its flags."""
         passed = np.empty_like(last)
         verdict = gate.step(
-            self._gate, len(last), last, wanted, tension, self._silence, True, dt,
+            self._gate, len(last), last, target, tension, self._silence, True, dt,
             self._no_reach, False, False, passed,
         )  # fmt: skip
         return passed, GateFlags(verdict)
@@ -400,21 +400,21 @@ def is_complete(sample: RigSample) -> bool:
 
 def validate_limits(rig: Rig, limits: ProcedureLimits) -> None:
     """Raise `UsageError` if the procedure cannot run with this config."""
-    config, most = limits.initialise, limits.gate
+    config, gate_limits = limits.initialise, limits.gate
     if len(config.sheaths) not in (0, 1, rig.tendons):
         raise UsageError(
             f"slave.initialise.sheaths: {len(config.sheaths)} sheaths, but the rig has "
             f"{rig.tendons} tendons"
         )
-    if config.tension > most.tension_max:
+    if config.tension > gate_limits.tension_max:
         raise UsageError(
             f"slave.initialise.tension: {config.tension:g} N is over slave.gate.tension_max "
-            f"({most.tension_max:g} N)"
+            f"({gate_limits.tension_max:g} N)"
         )
-    if config.seek_speed > most.speed_max:
+    if config.seek_speed > gate_limits.speed_max:
         raise UsageError(
             f"slave.initialise.seek_speed: {config.seek_speed:g} m/s is over "
-            f"slave.gate.speed_max ({most.speed_max:g} m/s)"
+            f"slave.gate.speed_max ({gate_limits.speed_max:g} m/s)"
         )
 
 

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from estimator import signals
 from estimator.array_types import Array
 from estimator.calibration import calibration as blocked_tip
-from estimator.calibration.calibration import CalibrationError, MeasuredValue
+from estimator.calibration.calibration import CalibrationError
+from estimator.fitting import COVERAGE_FACTOR, MeasuredValue
 from estimator.law.sheath import Sheath
 from estimator.plausibility import find_implausible_parameter
 from slave.calibration import refusals
@@ -89,8 +90,8 @@ class PulledTendon(NamedTuple):
     def rows(self, *phases: Phase) -> Rows:
         """Return the mask of samples in which this tendon was pulled in one of these phases."""
         codes = [int(phase) for phase in phases]
-        own = np.equal(self.record.side[:, self.joint], self.side)
-        return np.asarray(own & np.isin(self.record.phase[:, self.joint], codes))
+        is_side = np.equal(self.record.side[:, self.joint], self.side)
+        return np.asarray(is_side & np.isin(self.record.phase[:, self.joint], codes))
 
     @property
     def dragging(self) -> Rows:
@@ -105,11 +106,11 @@ class PulledTendon(NamedTuple):
         The stop is detected a little late; contact is where the line of the pull crosses the
         tension of the free joint.
         """
-        late = self.rows(Phase.SEEK) & (self.travel >= self.contact.travel)
-        slope = fit_slope(self.tension[late], self.travel[late]).value
-        over = max(0.0, self.contact.tension - self.free_tension)
-        met = self.contact.travel - slope * over
-        return self.rows(Phase.SEEK) & np.greater_equal(self.travel, met)
+        beyond_contact = self.rows(Phase.SEEK) & (self.travel >= self.contact.travel)
+        slope = fit_slope(self.tension[beyond_contact], self.travel[beyond_contact]).value
+        excess = max(0.0, self.contact.tension - self.free_tension)
+        contact_travel = self.contact.travel - slope * excess
+        return self.rows(Phase.SEEK) & np.greater_equal(self.travel, contact_travel)
 
     @property
     def free_tension(self) -> float:
@@ -136,10 +137,10 @@ def extract_loops(pulled: PulledTendon, low: float) -> list[HysteresisLoop]:
     ends = [float(np.median(pulled.tension[release][-5:])) for release in releases]
     if max(ends) <= RELEASE_RATIO_MAX * low:
         return [_build_loop(pulled, pulls, releases)]
-    there = pulled.tension > STOP_TENSION_RATIO * max(ends)
+    at_stop = pulled.tension > STOP_TENSION_RATIO * max(ends)
     regained = pulled.tension > STOP_TENSION_RATIO * pulled.contact.tension
     return [
-        _build_loop(pulled, [pull & regained], [release & there])
+        _build_loop(pulled, [pull & regained], [release & at_stop])
         for pull, release in zip(pulls, releases, strict=True)
     ]
 
@@ -185,14 +186,13 @@ COMPLIANCE_EXCESS_MAX = 0.15  # of the known L/EA: allowed excess of the measure
 RESOLUTION_MARGIN = 0.2  # relative distance of K to the end of the range that the loop can resolve
 OFFSET_WARNING = 0.1  # [N] allowed zero offset of a load cell
 OFFSET_MAX = 0.15  # [N] zero offset above which a small tension cannot be controlled
-COVERAGE_FACTOR = 1.96  # standard uncertainties on each side of 95 %
 RELATIVE_ERROR_MIN = 0.02  # relative error of K, the least that the estimator's interval allows for
 QUICK_RELEASES = 2  # in the quick procedure, including the one after the first pull
 DIGITS = 6
 
 
 def calibrate_tendon(
-    pulled: PulledTendon, known: KnownSheathConfig, low: float
+    pulled: PulledTendon, sheath: KnownSheathConfig, low: float
 ) -> blocked_tip.Calibration:
     """Identify one tendon from its pulls and releases down to `low` [N].
 
@@ -206,67 +206,73 @@ def calibrate_tendon(
         raise CalibrationRefused(
             f"{pulled.name}: the load cell reads {zero:.2f} N while the tendon is slack; tare it"
         )
-    _require_straight_pull(pulled, known)
-    found = _fit_loops(pulled, known, low)
-    EA = found.stiffness_per_length.value * known.length
-    if wrong := find_implausible_parameter(found.K.value, EA, found.T_peak.value):
-        raise CalibrationRefused(f"{pulled.name}: {wrong}")
-    if known.axial_stiffness is not None:
+    _require_straight_pull(pulled, sheath)
+    calibration = _fit_loops(pulled, sheath, low)
+    EA = calibration.stiffness_per_length.value * sheath.length
+    if fault := find_implausible_parameter(calibration.K.value, EA, calibration.T_peak.value):
+        raise CalibrationRefused(f"{pulled.name}: {fault}")
+    if sheath.axial_stiffness is not None:
         _require_stiff_loop(
-            pulled, found, known.length / known.axial_stiffness, known.stiffness_error
+            pulled, calibration, sheath.length / sheath.axial_stiffness, sheath.stiffness_error
         )
-    return found
+    return calibration
 
 
 def build_tendon_calibration(
-    pulled: PulledTendon, known: KnownSheathConfig, found: blocked_tip.Calibration, remark: str = ""
+    pulled: PulledTendon,
+    sheath: KnownSheathConfig,
+    calibration: blocked_tip.Calibration,
+    remark: str = "",
 ) -> tuple[TendonCalibration, TendonConfig]:
     """Return the file entry and the estimator parameters of a tendon.
 
     `remark` is a note from an earlier step.
     """
     zero = pulled.zero
-    remarks = [remark, _describe_disagreement(found, known)]
+    remarks = [remark, _describe_disagreement(calibration, sheath)]
     if zero is not None and abs(zero) > OFFSET_WARNING:
         remarks.append(f"its load cell reads {zero:.2f} N while it is slack: tare it")
     first = _select_beyond_contact(pulled)
-    unstretched = pulled.travel[first] - found.M_pull.value * pulled.tension[first]
+    unstretched = pulled.travel[first] - calibration.M_pull.value * pulled.tension[first]
     direction = TendonCalibration(
         joint=pulled.joint + 1,
         tendon=TENDON_NAMES[pulled.side],
-        K=_to_value(found.K),
-        K_slopes=_to_value(found.K_loop),
-        K_paper=found.K_paper and _to_value(found.K_paper),
-        K_paper_ratio=found.K_paper_ratio and _to_value(found.K_paper_ratio),
-        M_pull=_to_value(found.M_pull),
-        M_rel=_to_value(found.M_rel),
-        stiffness_per_length=_to_value(found.stiffness_per_length),
-        uniform=found.uniform,
+        K=_to_value(calibration.K),
+        K_slopes=_to_value(calibration.K_loop),
+        K_paper=calibration.K_paper and _to_value(calibration.K_paper),
+        K_paper_ratio=calibration.K_paper_ratio and _to_value(calibration.K_paper_ratio),
+        M_pull=_to_value(calibration.M_pull),
+        M_rel=_to_value(calibration.M_rel),
+        stiffness_per_length=_to_value(calibration.stiffness_per_length),
+        uniform=calibration.uniform,
         stop=round_significant(float(np.mean(unstretched))),
         free_tension=round_significant(pulled.free_tension),
         zero=None if zero is None else round_significant(zero),
         remark="; ".join(filter(None, remarks)),
     )
-    return direction, _build_tendon_config(pulled, found, known)
+    return direction, _build_tendon_config(pulled, calibration, sheath)
 
 
 def _build_tendon_config(
-    pulled: PulledTendon, found: blocked_tip.Calibration, known: KnownSheathConfig
+    pulled: PulledTendon, calibration: blocked_tip.Calibration, sheath: KnownSheathConfig
 ) -> TendonConfig:
     """Return the estimator parameters; several sections if the curvature is uneven."""
-    model = found.sheath(known.length)
-    even = len(model.sections) == 1
+    model = calibration.sheath(sheath.length)
+    is_uniform = len(model.sections) == 1
     moving = pulled.rows(Phase.PULL, Phase.RELEASE)
     return TendonConfig(
-        effective_friction=round_significant(found.K.value) if even else None,
-        length=known.length,
-        friction=None if even else model.friction,
-        sections=() if even else _scale_sections(model, found.K.value),
+        effective_friction=round_significant(calibration.K.value) if is_uniform else None,
+        length=sheath.length,
+        friction=None if is_uniform else model.friction,
+        sections=() if is_uniform else _scale_sections(model, calibration.K.value),
         axial_stiffness=round_significant(model.axial_stiffness),
         tension_noise=round_significant(signals.noise_sigma(pulled.tension[moving])),
         displacement_noise=round_significant(signals.noise_sigma(pulled.travel[moving])),
         friction_error=round_significant(
-            max(RELATIVE_ERROR_MIN, COVERAGE_FACTOR * found.K.uncertainty / found.K.value)
+            max(
+                RELATIVE_ERROR_MIN,
+                COVERAGE_FACTOR * calibration.K.uncertainty / calibration.K.value,
+            )
         ),
     )
 
@@ -281,30 +287,30 @@ def _scale_sections(model: Sheath, K: float) -> tuple[SectionConfig, ...]:
 
 
 def _fit_loops(
-    pulled: PulledTendon, known: KnownSheathConfig, low: float
+    pulled: PulledTendon, sheath: KnownSheathConfig, low: float
 ) -> blocked_tip.Calibration:
-    there = extract_loops(pulled, low)
-    again = int(pulled.record.releases[:, pulled.joint].max()) > QUICK_RELEASES
+    loops = extract_loops(pulled, low)
+    is_full = int(pulled.record.releases[:, pulled.joint].max()) > QUICK_RELEASES
     try:
-        found = [
+        calibrations = [
             blocked_tip.calibrate(
                 loop.tension,
                 loop.travel,
-                axial_stiffness=known.axial_stiffness,
-                length=None if known.axial_stiffness is None else known.length,
-                stiffness_uncertainty=known.stiffness_error,
+                axial_stiffness=sheath.axial_stiffness,
+                length=None if sheath.axial_stiffness is None else sheath.length,
+                stiffness_uncertainty=sheath.stiffness_error,
             )
-            for loop in there
+            for loop in loops
         ]
     except CalibrationError as error:
         raise CalibrationRefused(refusals.format_no_loop(pulled.name, str(error))) from error
-    best, loop = min(zip(found, there, strict=True), key=lambda one: one[0].K.uncertainty)
+    best, loop = min(zip(calibrations, loops, strict=True), key=lambda one: one[0].K.uncertainty)
     lowest = max(float(np.quantile(loop.tension, 0.01)), 1e-3 * best.T_peak.value)
     reach = 0.5 * math.log(best.T_peak.value / lowest)
     if best.K.value > reach - RESOLUTION_MARGIN:
         raise CalibrationRefused(
             refusals.format_unresolved_friction(
-                pulled.name, best.K.value, best.T_peak.value, lowest, reach, again
+                pulled.name, best.K.value, best.T_peak.value, lowest, reach, is_full
             )
         )
     return best
@@ -317,7 +323,7 @@ def _select_beyond_contact(pulled: PulledTendon) -> Rows:
     return pulled.first_pull & (pulled.tension > least)
 
 
-def _require_straight_pull(pulled: PulledTendon, known: KnownSheathConfig) -> None:
+def _require_straight_pull(pulled: PulledTendon, sheath: KnownSheathConfig) -> None:
     """Refuse a pull that is curved, or softer than a tendon without friction.
 
     Tissue grows stiffer as it is pressed, a tendon does not; and m = M_pull EA/L is below 1.
@@ -336,7 +342,7 @@ def _require_straight_pull(pulled: PulledTendon, known: KnownSheathConfig) -> No
             "the tip and fix the sheath"
         )
     slope = fit_slope(T, q)
-    m = slope.value * (known.axial_stiffness or 0.0) / known.length
+    m = slope.value * (sheath.axial_stiffness or 0.0) / sheath.length
     if m >= 1.0:
         raise CalibrationRefused(
             f"{pulled.name}: M_pull EA/L is {m:.2f}, must be below 1: the tip yields, as against "
@@ -345,32 +351,32 @@ def _require_straight_pull(pulled: PulledTendon, known: KnownSheathConfig) -> No
 
 
 def _require_stiff_loop(
-    pulled: PulledTendon, found: blocked_tip.Calibration, known: float, error: float
+    pulled: PulledTendon, calibration: blocked_tip.Calibration, compliance: float, error: float
 ) -> None:
-    """Refuse a loop softer than the frictionless tendon, L/EA `known` in m/N."""
-    stiffness = found.stiffness_per_length
+    """Refuse a loop softer than the frictionless tendon, L/EA `compliance` in m/N."""
+    stiffness = calibration.stiffness_per_length
     doubt = SIGNIFICANCE * math.hypot(stiffness.uncertainty / stiffness.value, error)
-    if 1.0 / stiffness.value > known * (1.0 + COMPLIANCE_EXCESS_MAX + doubt):
+    if 1.0 / stiffness.value > compliance * (1.0 + COMPLIANCE_EXCESS_MAX + doubt):
         raise CalibrationRefused(
             f"{pulled.name}: the measured compliance is {1e3 / stiffness.value:.3f} mm/N "
-            f"without friction, L/EA is {known * 1e3:.3f} mm/N: the tip yields, as against "
+            f"without friction, L/EA is {compliance * 1e3:.3f} mm/N: the tip yields, as against "
             "something soft, or length and axial_stiffness of slave.initialise.sheaths are wrong"
         )
 
 
-def _describe_disagreement(found: blocked_tip.Calibration, known: KnownSheathConfig) -> str:
+def _describe_disagreement(calibration: blocked_tip.Calibration, sheath: KnownSheathConfig) -> str:
     """Return a remark if the methods for K disagree, else an empty text."""
-    if found.agree:
+    if calibration.agree:
         return ""
-    K, paper = found.K.value, found.K_paper
-    if not found.uniform:
+    K, paper = calibration.K.value, calibration.K_paper
+    if not calibration.uniform:
         what = f"the sheath is bent unevenly: K = {K:.3f}, by the whole loop, stands"
     else:
         what = (
-            f"EA/L is {found.stiffness_per_length.value * 1e-3:.3f} N/mm by the loop, "
-            f"{(known.axial_stiffness or 0.0) / known.length * 1e-3:.3f} N/mm as it was known"
+            f"EA/L is {calibration.stiffness_per_length.value * 1e-3:.3f} N/mm by the loop, "
+            f"{(sheath.axial_stiffness or 0.0) / sheath.length * 1e-3:.3f} N/mm as it was known"
         )
-    by, other = ("the paper's", paper) if paper is not None else ("the slopes'", found.K_loop)
+    by, other = ("the paper's", paper) if paper is not None else ("the slopes'", calibration.K_loop)
     share = math.expm1(K - other.value)
     return (
         f"{what}; with {by} K ({other.value:.3f}) T_out would be {abs(share):.0%} too "

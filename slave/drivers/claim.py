@@ -62,10 +62,10 @@ def _find_holder(asking: socket.socket, key: str) -> str:
     try:
         asking.setblocking(False)
         asking.connect(f"\0teleop-bus {key}")
-        told = asking.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size)
+        credentials = asking.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size)
     except OSError:
         return "another program"
-    number = _CREDENTIALS.unpack(told)[0]
+    number = _CREDENTIALS.unpack(credentials)[0]
     words = _read_command(number)
     if _WORKER in words:
         with contextlib.suppress(OSError):

@@ -48,8 +48,8 @@ def open_driver(config: DriverConfig, channels: Channels) -> BusDriver:
     """Return the driver of a config, not started; `DriverFault` if its library is missing."""
     entry = DRIVERS[type(config)]
     module, _, name = (entry.reader if channels.read_only else entry.driver).partition(":")
-    found: BusDriver = getattr(_import_module(config, module), name)(config, channels)
-    return found
+    driver: BusDriver = getattr(_import_module(config, module), name)(config, channels)
+    return driver
 
 
 def scan(config: DriverConfig) -> Iterator[str]:

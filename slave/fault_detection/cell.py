@@ -38,10 +38,10 @@ def update_average(average: TendonAverage, tension: float, displacement: float, 
     if not dt > 0.0:
         return
     share = dt / (dt + TIME_CONSTANT)
-    moved = share * (displacement - average.displacement)
+    displacement_step = share * (displacement - average.displacement)
     average.tension += share * (tension - average.tension)
-    average.displacement += moved
-    average.speed += share * (moved / dt - average.speed)
+    average.displacement += displacement_step
+    average.speed += share * (displacement_step / dt - average.speed)
 
 
 LOG_PROBABILITY_FAULT = log(1e-12)  # of p^n: once in thirty years at 1 kHz
@@ -170,11 +170,11 @@ def is_noisy(cell: LoadCell) -> bool:
 def _process_other_reading(cell: LoadCell, tension: float, displacement: float) -> None:
     """Process a reading that differs from the last: a run has ended."""
     rise = tension - cell.reading
-    alike = cell.run.readings if cell.run.lasting else 1
+    repeats = cell.run.readings if cell.run.lasting else 1
     cell.peak = max(cell.peak, cell.reading)
     cell.step = min(cell.step, abs(rise))
-    cell.longest = max(cell.longest, alike)
-    cell.readings += alike
+    cell.longest = max(cell.longest, repeats)
+    cell.readings += repeats
     cell.changes += 1
     cell.turns += rise * cell.rise < 0.0
     cell.rise = rise

@@ -25,7 +25,7 @@ class FaultDetectionConfig:
 
     def __post_init__(self) -> None:
         """Check the values; raises `ValueError`."""
-        for name, least, most, unit in (
+        for name, low, high, unit in (
             ("slack", 0.0, 10.0, "N"),
             ("take_up", 1e-4, 1.0, "m"),
             ("misfit", 1e-5, 0.1, "m"),
@@ -37,5 +37,5 @@ class FaultDetectionConfig:
             ("motor_lag", 1e-4, 0.1, "m"),
             ("motor_lag_time", 0.01, 10.0, "s"),
         ):
-            if not least <= getattr(self, name) <= most:
-                raise ValueError(f"{name}: must be {least:g} to {most:g} {unit}".rstrip())
+            if not low <= getattr(self, name) <= high:
+                raise ValueError(f"{name}: must be {low:g} to {high:g} {unit}".rstrip())

@@ -62,19 +62,19 @@ def step(
         Time since the sample before [s].
     """
     dt = dt if dt > 0.0 else 0.0
-    found, at = Reason.NONE, -1
+    found, tendon = Reason.NONE, -1
     for i in range(layout.tendons):
         if tendons[i].valid:
             reason = _check_tendon(config, detector.tendon[i], tendons[i], dt)
             if found == Reason.NONE and reason != Reason.NONE:
-                found, at = reason, i
+                found, tendon = reason, i
     for k in range(layout.joints):
         joint = layout.joint[k]
         if _is_testable(joint, detector, tendons):
             reason, i = _check_joint(config, joint, detector, detector.winding[k], tendons, dt)
             if found == Reason.NONE and reason != Reason.NONE:
-                found, at = reason, i
-    return found, at
+                found, tendon = reason, i
+    return found, tendon
 
 
 @jit_compile
@@ -96,8 +96,8 @@ def _is_testable(
     for m in range(joint.count):
         i = joint.tendon[m]
         checked = detector.tendon[i]
-        known = tendons[i].valid and isfinite(tendons[i].displacement)
-        if not known or is_suspect(checked.cell, checked.noise):
+        is_measured = tendons[i].valid and isfinite(tendons[i].displacement)
+        if not is_measured or is_suspect(checked.cell, checked.noise):
             return False
     return True
 
@@ -115,17 +115,17 @@ def _check_joint(
     wound = 0.0
     for m in range(joint.count):
         wound += detector.tendon[joint.tendon[m]].average.displacement
-    found, at = Reason.NONE, -1
+    found, tendon = Reason.NONE, -1
     for m in range(joint.count):
         i = joint.tendon[m]
         checked = detector.tendon[i]
-        before = checked.average.tension
-        broken = check_slack(config, checked.slack, tendons[i].tension, before, wound, dt)
+        tension_before = checked.average.tension
+        broken = check_slack(config, checked.slack, tendons[i].tension, tension_before, wound, dt)
         if broken and found == Reason.NONE:
-            found, at = Reason.TENDON_BROKEN, i
+            found, tendon = Reason.TENDON_BROKEN, i
     if joint.count > 1:
         a, b = detector.tendon[joint.tendon[0]], detector.tendon[joint.tendon[1]]
         reason, m = check_winding(config, winding, a, b, dt)
         if found == Reason.NONE and reason != Reason.NONE:
-            found, at = reason, joint.tendon[m]
-    return found, at
+            found, tendon = reason, joint.tendon[m]
+    return found, tendon

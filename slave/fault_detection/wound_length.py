@@ -80,7 +80,7 @@ def check_slack(
     config: FaultDetectionConfig,
     slack: SlackState,
     tension: float,
-    before: float,
+    tension_before: float,
     wound: float,
     dt: float,
 ) -> bool:
@@ -90,7 +90,7 @@ def check_slack(
     ----------
     slack : Slack
         Changed in place.
-    tension, before : float
+    tension, tension_before : float
         At the housing [N], of this sample and of the last few.
     wound : float
         Length wound in by all motors of its joint [m].
@@ -101,7 +101,7 @@ def check_slack(
         slack.time, slack.lost, slack.wound = -1.0, 0.0, nan
         return False
     if slack.time < 0.0:
-        slack.time, slack.lost, slack.wound = 0.0, before, wound
+        slack.time, slack.lost, slack.wound = 0.0, tension_before, wound
         return False
     slack.time += dt
     return slack.wound + config.take_up < wound

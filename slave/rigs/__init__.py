@@ -56,19 +56,19 @@ def open_rig(config: RigConfig, read_only: bool = False) -> Rig:
         if isinstance(config, RigExtension):
             raise UsageError(format_opening_failure("slave.rig", config, error)) from error
         raise
-    if wrong := layout_error(rig):
+    if error_text := layout_error(rig):
         rig.close()
-        raise UsageError(f"slave.rig: {config.type}: {wrong}")
+        raise UsageError(f"slave.rig: {config.type}: {error_text}")
     return rig
 
 
-def wrap_external_rig(rig: Rig, place: str) -> Rig:
+def wrap_external_rig(rig: Rig, name: str) -> Rig:
     """Return a rig of another package with its samples checked; closed if it is no rig."""
     try:
-        return CheckedRig(rig, place)
+        return CheckedRig(rig, name)
     except RigFault:
         if hasattr(rig, "close"):
-            close_extension(place, rig)
+            close_extension(name, rig)
         raise
 
 

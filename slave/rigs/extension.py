@@ -97,8 +97,8 @@ class CheckedRig:
             samples = tuple(samples)
         for sample in samples:
             self._check(sample)
-        found: tuple[RigSample, ...] = samples
-        return found
+        checked: tuple[RigSample, ...] = samples
+        return checked
 
     def write(self, proximal_displacement: Array) -> None:
         """Write motor positions [m]."""

@@ -59,13 +59,13 @@ class Aligner:
         by_cells = self._cells.period_s >= self._motors.period_s
         slow, fast = (self._cells, self._motors) if by_cells else (self._motors, self._cells)
         for time_s, value in slow.until(fast.newest_s):
-            between = fast.at(time_s) if time_s > self._last_s else None
-            if between is None:
+            interpolated = fast.at(time_s) if time_s > self._last_s else None
+            if interpolated is None:
                 continue
-            other, distance_s = between
+            fast_values, distance_s = interpolated
             self._last_s = time_s
             self.worst_s = max(self.worst_s, distance_s)
-            yield (time_s, other, value) if by_cells else (time_s, value, other)
+            yield (time_s, fast_values, value) if by_cells else (time_s, value, fast_values)
         fast.forget(self._last_s)
 
 
@@ -86,9 +86,9 @@ class _ReadingStream:
             if elapsed <= 0.0:
                 continue
             if math.isfinite(elapsed):
-                known = math.isfinite(self.period_s)
-                change = elapsed - self.period_s if known else 0.0
-                self.period_s = (self.period_s if known else elapsed) + SMOOTHING * change
+                has_period = math.isfinite(self.period_s)
+                change = elapsed - self.period_s if has_period else 0.0
+                self.period_s = (self.period_s if has_period else elapsed) + SMOOTHING * change
             self.newest_s = reading.time_s
             entry = (reading.time_s, self._select(reading))
             self._kept.append(entry)
@@ -197,13 +197,13 @@ class HardwareRigConfig:
             raise ValueError("name: must not be empty")
         if not 1 <= len(self.joints) <= MAX_JOINTS:
             raise ValueError(f"joints: must be 1 to {MAX_JOINTS}")
-        for what, ids in (
+        for kind, ids in (
             ("motor", [t.motor.id for t in self.tendons]),
             ("cell", [t.cell.id for t in self.tendons]),
         ):
             for number in ids:
                 if ids.count(number) > 1:
-                    raise ValueError(f"joints: {what} {number} belongs to two tendons")
+                    raise ValueError(f"joints: {kind} {number} belongs to two tendons")
         if self.reads_currents and any(t.cell.uncertainty is None for t in self.tendons):
             raise ValueError(
                 "joints: tensions from motor currents need cell.uncertainty [N] of each tendon, or "
@@ -348,12 +348,12 @@ class HardwareRig:
 
     def summary(self) -> dict[str, int | float | str]:
         """Return samples, those too old to be used, the alignment error and the drivers' counts."""
-        found: dict[str, int | float | str] = {"samples": self._samples, "late": self._late}
+        figures: dict[str, int | float | str] = {"samples": self._samples, "late": self._late}
         if self._aligner is not None:
-            found["alignment_error_ms"] = round(self._aligner.worst_s * 1e3, 3)
+            figures["alignment_error_ms"] = round(self._aligner.worst_s * 1e3, 3)
         for name, bus in zip(("motors", "cells"), self._buses, strict=False):
-            found |= {f"{name}_{key}": value for key, value in bus.counts.items()}
-        return found
+            figures |= {f"{name}_{key}": value for key, value in bus.counts.items()}
+        return figures
 
     def close(self) -> None:
         """Let the drivers stop their motors and release their buses."""
@@ -398,10 +398,10 @@ class HardwareRig:
                 "most, so no motor is enabled"
             )
         distance = np.abs(target - self._position)
-        worst = int(np.argmax(distance))
-        if distance[worst] > STEP_MAX:
+        motor = int(np.argmax(distance))
+        if distance[motor] > STEP_MAX:
             raise RigFault(
-                f"the first target of tendon {worst + 1} is {distance[worst] * 1e3:.1f} mm from "
+                f"the first target of tendon {motor + 1} is {distance[motor] * 1e3:.1f} mm from "
                 f"where its motor is, {STEP_MAX * 1e3:g} mm at most"
             )
 

@@ -109,8 +109,8 @@ def validate_effects(effects: Sequence[EffectConfig], counts: Sequence[int]) -> 
         if not sides:
             raise ValueError(f"effects[{i}].tendon: must be a, no joint has a tendon b")
         for k, other in enumerate(effects[:i]):
-            alike = other.type == effect.type and not effect.adds_up
-            if alike and sides & find_effect_sides(other, counts):
+            is_duplicate = other.type == effect.type and not effect.adds_up
+            if is_duplicate and sides & find_effect_sides(other, counts):
                 raise ValueError(
                     f"effects[{i}]: must be on another tendon than effects[{k}]; two of type "
                     f"{effect.type} cannot be combined"
@@ -260,8 +260,8 @@ class SimulatedRig:
         self._measure(behind * self._period)
 
     def _advance(self, steps: int, dt: float) -> Array:
-        seen = advance_joints(self._joints, self._states, self._targets, steps, dt)
-        return seen[:, self._paired]
+        channels = advance_joints(self._joints, self._states, self._targets, steps, dt)
+        return channels[:, self._paired]
 
     def _measure(self, dt: float) -> None:
         normal = self._random.standard_normal(self._truth.shape)
@@ -285,9 +285,9 @@ def describe_effect(effect: EffectConfig) -> str:
     name, joint, start = (values.pop(key) for key in ("type", "joint", "start"))
     tendon = values.pop("tendon", "both")
     numbers = ", ".join(f"{key} {value}" for key, value in values.items())
-    place = "every joint" if joint is None else f"joint {joint}"
-    place += "" if tendon == "both" else f", tendon {tendon}"
-    return f"{name} ({numbers}), {place}, from {start:g} s"
+    target = "every joint" if joint is None else f"joint {joint}"
+    target += "" if tendon == "both" else f", tendon {tendon}"
+    return f"{name} ({numbers}), {target}, from {start:g} s"
 
 
 def format_late_effects(effects: Sequence[EffectConfig], span: float) -> list[str]:

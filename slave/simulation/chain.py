@@ -78,22 +78,22 @@ def recover_state(
     arguments.
     """
     n = len(chain.friction)
-    after = np.zeros_like(state)
-    after[POSITION, 0], after[POSITION, n + 1] = proximal, distal
-    after[TENSION, n] = tension
+    recovered = np.zeros_like(state)
+    recovered[POSITION, 0], recovered[POSITION, n + 1] = proximal, distal
+    recovered[TENSION, n] = tension
     if len(response.contacts.bristle) > 0:
-        init_bristle_contact(response, state, after)
+        init_bristle_contact(response, state, recovered)
     else:
-        init_coulomb_contact(response, state, after)
-    stretch = proximal - after[POSITION, 1] - response.springs.rest[0]
-    after[TENSION, 0] = max(0.0, stretch / response.springs.compliance[0])
+        init_coulomb_contact(response, state, recovered)
+    stretch = proximal - recovered[POSITION, 1] - response.springs.rest[0]
+    recovered[TENSION, 0] = max(0.0, stretch / response.springs.compliance[0])
     gain = compute_creep_gain(chain.knobs, dt)
     for i in range(n + 1):
-        after[CREEP, i] = advance_creep(chain, state[CREEP, i], after[TENSION, i], gain)
+        recovered[CREEP, i] = advance_creep(chain, state[CREEP, i], recovered[TENSION, i], gain)
     for i in range(1, n + 1):
-        speed = (after[POSITION, i] - state[POSITION, i]) / dt
-        after[SPEED, i] = filter_speed(chain.knobs, state[SPEED, i], speed, dt)
-        after[CONTACT_GROWTH, i] = advance_contact_growth(
+        speed = (recovered[POSITION, i] - state[POSITION, i]) / dt
+        recovered[SPEED, i] = filter_speed(chain.knobs, state[SPEED, i], speed, dt)
+        recovered[CONTACT_GROWTH, i] = advance_contact_growth(
             chain.knobs, state[CONTACT_GROWTH, i], speed, dt
         )
-    return after
+    return recovered

@@ -76,20 +76,20 @@ class Response(NamedTuple):
 def interpolate_curve(curve: Curve, place: float) -> float:
     """Return the tension [N] of a curve at `place` [m]."""
     places, tensions = curve.place, curve.tension
-    after, last = 0, len(places)  # corners beyond `place`, by bisection
-    while after < last:
-        middle = (after + last) // 2
+    upper, last = 0, len(places)  # corners beyond `place`, by bisection
+    while upper < last:
+        middle = (upper + last) // 2
         if places[middle] > place:
-            after = middle + 1
+            upper = middle + 1
         else:
             last = middle
-    if after == 0:
+    if upper == 0:
         return 0.0
-    base, tension = places[after - 1], tensions[after - 1]
-    if after == len(places):
+    base, tension = places[upper - 1], tensions[upper - 1]
+    if upper == len(places):
         return float(tension + (place - base) / curve.ray)
-    share = (place - base) / (places[after] - base)
-    return float(tension + share * (tensions[after] - tension))
+    share = (place - base) / (places[upper] - base)
+    return float(tension + share * (tensions[upper] - tension))
 
 
 # --- rigid-plastic (Coulomb) friction
@@ -201,38 +201,38 @@ def transfer_coulomb_contact(
     for j in range(1, corners):
         tension[j] -= drag
     tension[0] = 0.0
-    none = np.empty((0, 0))
-    inner = Curves(none, none, np.empty(0, np.int64), np.empty(0))
+    no_curve = np.empty((0, 0))
+    inner = Curves(no_curve, no_curve, np.empty(0, np.int64), np.empty(0))
     return Response(Curve(place, tension, ray), springs, contacts, slack, held, inner)
 
 
 @jit_inline
-def init_coulomb_contact(response: Response, state: Array, after: Array) -> None:
+def init_coulomb_contact(response: Response, state: Array, new_state: Array) -> None:
     """Compute the nodes backwards from the tip: fill their entries in the new state.
 
     The tip position and the tension of the last spring are already filled in.
     """
     springs, contacts = response.springs, response.contacts
     n, drag = len(contacts.pull), contacts.drag
-    tension = after[TENSION, n]
+    tension = new_state[TENSION, n]
     for i in range(n, 0, -1):
         stay, held, free = state[POSITION, i], response.held[i - 1], response.slack[i - 1]
         pull, release = contacts.pull[i - 1], contacts.release[i - 1]
-        loose = after[POSITION, i + 1] + springs.rest[i]
+        loose = new_state[POSITION, i + 1] + springs.rest[i]
         place = loose + springs.compliance[i] * tension
         if loose >= free:  # the tension may be a rounding error off zero, with drag
             place, tension = free, 0.0
-        least, most = (held + drag) * pull - drag, (held + drag) * release - drag
-        if place > stay and tension < least + ROUNDING_TOLERANCE * (held + drag):
+        tension_min, tension_max = (held + drag) * pull - drag, (held + drag) * release - drag
+        if place > stay and tension < tension_min + ROUNDING_TOLERANCE * (held + drag):
             pulled = max(0.0, (tension + drag) / pull - drag)
-        elif place < stay and tension > most - ROUNDING_TOLERANCE * (held + drag):
+        elif place < stay and tension > tension_max - ROUNDING_TOLERANCE * (held + drag):
             pulled = max(0.0, (tension + drag) / release - drag)
         else:
             place, pulled = stay, held
         if pulled == 0.0 and tension == 0.0:  # its position is undetermined
             place = min(max(stay, free), loose)
-        after[POSITION, i], after[TENSION, i] = place, tension
-        after[FRICTION, i] = pulled - tension
+        new_state[POSITION, i], new_state[TENSION, i] = place, tension
+        new_state[FRICTION, i] = pulled - tension
         tension = pulled
 
 
@@ -265,8 +265,8 @@ def transfer_bristle_contact(
             contacts, i, x, T, rays[i], stay, root, place[i + 1], tension[i + 1]
         )
         if count > room:  # a soft bristle sticks, slides and sticks again along one response
-            more = np.empty((n + 1, count))
-            place, tension = np.concatenate((place, more), 1), np.concatenate((tension, more), 1)
+            shift = np.empty((n + 1, count))
+            place, tension = np.concatenate((place, shift), 1), np.concatenate((tension, shift), 1)
             room += count
             x, T = place[i, : corners[i]], tension[i, : corners[i]]
             transfer_through_bristle(
@@ -305,10 +305,10 @@ def transfer_through_bristle(
         if j < corners:
             dx, dT = place[j] - x, tension[j] - T
         # distance of the elastic tension from its lower and its upper limit
-        above = (T + drag) * (1.0 - pull) - bristle * (x - root)
-        below = (T + drag) * (release - 1.0) + bristle * (x - root)
-        at_low = find_line_zero(above, dT * (1.0 - pull) - bristle * dx, j == corners)
-        at_high = find_line_zero(below, dT * (release - 1.0) + bristle * dx, j == corners)
+        upper_excess = (T + drag) * (1.0 - pull) - bristle * (x - root)
+        lower_excess = (T + drag) * (release - 1.0) + bristle * (x - root)
+        at_low = find_line_zero(upper_excess, dT * (1.0 - pull) - bristle * dx, j == corners)
+        at_high = find_line_zero(lower_excess, dT * (release - 1.0) + bristle * dx, j == corners)
         for along in (0.0, min(at_low, at_high), max(at_low, at_high)):
             if along == np.inf:
                 break
@@ -374,23 +374,23 @@ def trim_response(place: Array, tension: Array, corners: int, ray: float) -> int
 
 
 @jit_inline
-def init_bristle_contact(response: Response, state: Array, after: Array) -> None:
+def init_bristle_contact(response: Response, state: Array, new_state: Array) -> None:
     """Compute the nodes backwards from the tip: fill their entries in the new state.
 
     The tip position and the tension of the last spring are already filled in.
     """
     springs, contacts, inner = response.springs, response.contacts, response.inner
     n = len(contacts.pull)
-    tension = after[TENSION, n]
+    tension = new_state[TENSION, n]
     for i in range(n, 0, -1):
         stay, free, corners = state[POSITION, i], response.slack[i - 1], inner.corners[i - 1]
-        loose = after[POSITION, i + 1] + springs.rest[i]
+        loose = new_state[POSITION, i + 1] + springs.rest[i]
         place = loose + springs.compliance[i] * tension if tension > 0.0 else free
         x, T = inner.place[i - 1, :corners], inner.tension[i - 1, :corners]
         pulled = interpolate_curve(Curve(x, T, inner.ray[i - 1]), place)
         if pulled == 0.0 and tension == 0.0 and contacts.drag == 0.0:
             # its position is undetermined
             place = min(max(stay, free), loose)
-        after[POSITION, i], after[TENSION, i] = place, tension
-        after[FRICTION, i] = pulled - tension - contacts.dashpot[i - 1] * (place - stay)
+        new_state[POSITION, i], new_state[TENSION, i] = place, tension
+        new_state[FRICTION, i] = pulled - tension - contacts.dashpot[i - 1] * (place - stay)
         tension = pulled

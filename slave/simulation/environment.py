@@ -160,21 +160,18 @@ def build_environment(config: EnvironmentConfig) -> Environment:
         constants = (config.position, config.stiffness, damping, exponent, side, 0.0, inf)
         points, repeat = np.empty((0, 2)), False
     return Environment(
-        np.array([kind]),
-        np.array([constants]),
-        points,
-        np.array([[0, len(points), repeat]]),
+        np.array([kind]), np.array([constants]), points, np.array([[0, len(points), repeat]])
     )
 
 
 def merge_environments(first: Environment, second: Environment) -> Environment:
     """Return an environment with the parts of both."""
-    moved = second.extent + np.array([len(first.points), len(first.points), 0])
+    extent = second.extent + np.array([len(first.points), len(first.points), 0])
     return Environment(
         np.concatenate([first.kind, second.kind]),
         np.concatenate([first.constants, second.constants]),
         np.concatenate([first.points, second.points]),
-        np.concatenate([first.extent, moved]),
+        np.concatenate([first.extent, extent]),
     )
 
 
@@ -205,9 +202,9 @@ def interpolate_profile(environment: Environment, part: int, time: float) -> flo
 
 @jit_compile
 def compute_environment_force(
-    environment: Environment, travel: float, before: float, time: float, dt: float
+    environment: Environment, travel: float, start: float, time: float, dt: float
 ) -> float:
-    """Return the force [N] at `travel` [m], reached in `dt` [s] from `before` [m] at `time` [s].
+    """Return the force [N] at `travel` [m], reached in `dt` [s] from `start` [m] at `time` [s].
 
     Penetration rates use only the part of the travel inside the contact, so the force is continuous
     at first contact.
@@ -225,7 +222,7 @@ def compute_environment_force(
         else:
             depth = side * (travel - position)
             if depth > 0.0:
-                rate = (depth - max(0.0, side * (before - position))) / dt
+                rate = (depth - max(0.0, side * (start - position))) / dt
                 if kind == WALL:
                     force += side * max(0.0, stiffness * depth + damping * rate)
                 else:

@@ -50,7 +50,7 @@ class BodyConfig:
 
     def __post_init__(self) -> None:
         """Check the values; raises `ValueError`."""
-        for name, most, unit in (
+        for name, limit, unit in (
             ("mass", 1e3, "kg"),
             ("damping", 1e5, "N s/m"),
             ("friction", 1e3, "N"),
@@ -58,8 +58,8 @@ class BodyConfig:
             ("pretension", 100.0, "N"),
             ("backlash", 0.1, "m"),
         ):
-            if not 0.0 <= getattr(self, name) <= most:
-                raise ValueError(f"{name}: must be 0 to {most:g} {unit}")
+            if not 0.0 <= getattr(self, name) <= limit:
+                raise ValueError(f"{name}: must be 0 to {limit:g} {unit}")
         low, high = self.stops
         if not -TRAVEL_MAX <= low < 0.0 < high <= TRAVEL_MAX:
             raise ValueError(
@@ -149,14 +149,14 @@ def compute_force_residual(
     resistance: Resistance,
     environment: Environment,
     travel: float,
-    before: float,
+    start: float,
     time: float,
     dt: float,
 ) -> float:
     """Return resistance less driving force [N] for a move to `travel`."""
-    against = resistance.base + resistance.slope * (travel - before)
-    against += compute_environment_force(environment, travel, before, time, dt)
-    return against - compute_drive_force(answer, travel, resistance.backlash)
+    resisting = resistance.base + resistance.slope * (travel - start)
+    resisting += compute_environment_force(environment, travel, start, time, dt)
+    return resisting - compute_drive_force(answer, travel, resistance.backlash)
 
 
 @jit_compile
@@ -164,7 +164,7 @@ def solve_balance(
     answer: JointResponse,
     resistance: Resistance,
     environment: Environment,
-    before: float,
+    start: float,
     low: float,
     high: float,
     time: float,
@@ -177,20 +177,20 @@ def solve_balance(
 
     Parameters
     ----------
-    before : float
+    start : float
         Where the link was [m].
     time, dt : float
         The end of the step [s] and its length [s].
     """
-    excess = compute_force_residual(answer, resistance, environment, before, before, time, dt)
+    excess = compute_force_residual(answer, resistance, environment, start, start, time, dt)
     if abs(excess) <= resistance.friction:
-        return before
+        return start
     sense = -1.0 if excess > 0.0 else 1.0  # of the move
     friction = sense * resistance.friction
-    near, near_excess = before, excess + friction
+    near, near_excess = start, excess + friction
     far = high if sense > 0.0 else low
     far_excess = (
-        compute_force_residual(answer, resistance, environment, far, before, time, dt) + friction
+        compute_force_residual(answer, resistance, environment, far, start, time, dt) + friction
     )
     if sense * far_excess <= 0.0:
         return far
@@ -200,8 +200,7 @@ def solve_balance(
         if not min(near, far) < new < max(near, far):
             new = 0.5 * (near + far)
         excess = (
-            compute_force_residual(answer, resistance, environment, new, before, time, dt)
-            + friction
+            compute_force_residual(answer, resistance, environment, new, start, time, dt) + friction
         )
         if abs(excess) <= FORCE_TOLERANCE or new in (near, far):
             return new
@@ -262,8 +261,10 @@ class JointState(NamedTuple):
 
 def init_joint(joint: Joint, time: float = 0.0) -> JointState:
     """Return the initial state of a joint at `time` [s]."""
-    still = init_motor()
-    a, b = (TendonState(still, init_chain_state(tendon.chain)) for tendon in (joint.a, joint.b))
+    motor_state = init_motor()
+    a, b = (
+        TendonState(motor_state, init_chain_state(tendon.chain)) for tendon in (joint.a, joint.b)
+    )
     return JointState(a, b, 0.0, 0.0, 0.0, time)
 
 
@@ -313,17 +314,17 @@ def move_body(
     joint: Joint, state: JointState, answer: JointResponse, dt: float
 ) -> tuple[float, float, float]:
     """Return the link's travel [m] and speed [m/s], and the travel of the tendons' pulley [m]."""
-    body, before, time = joint.body, state.travel, state.time + dt
+    body, start, time = joint.body, state.travel, state.time + dt
     resistance = Resistance(
-        body.pull_back + body.spring * before - body.mass * state.speed / dt,
+        body.pull_back + body.spring * start - body.mass * state.speed / dt,
         body.spring + (body.damping + body.mass / dt) / dt,
         body.friction,
         body.backlash,
     )
     travel = solve_balance(
-        answer, resistance, joint.environment, before, body.stop_low, body.stop_high, time, dt
+        answer, resistance, joint.environment, start, body.stop_low, body.stop_high, time, dt
     )
-    speed = (travel - before) / dt
+    speed = (travel - start) / dt
     if body.backlash == 0.0:
         return travel, speed, travel
     low, high = travel - 0.5 * body.backlash, travel + 0.5 * body.backlash
@@ -339,19 +340,19 @@ def move_body(
 @jit_compile
 def compute_truth(joint: Joint, state: JointState) -> Array:
     """Return the true values of the sensors, shape (4, 2): `sensors.CHANNELS` by tendon."""
-    seen = np.zeros((len(CHANNELS), 2))
-    fill_truth(seen[:, 0], joint.a, state.a, state.travel)
+    channels = np.zeros((len(CHANNELS), 2))
+    fill_truth(channels[:, 0], joint.a, state.a, state.travel)
     if joint.pair:
-        fill_truth(seen[:, 1], joint.b, state.b, -state.travel)
-    return seen
+        fill_truth(channels[:, 1], joint.b, state.b, -state.travel)
+    return channels
 
 
 @jit_compile
-def fill_truth(seen: Array, tendon: Tendon, state: TendonState, distal: float) -> None:
-    """Write the true values of a tendon's sensors into `seen`, shape (4,)."""
+def fill_truth(channels: Array, tendon: Tendon, state: TendonState, distal: float) -> None:
+    """Write the true values of a tendon's sensors into `channels`, shape (4,)."""
     tension = get_tensions(tendon.chain, state.chain)
-    seen[0], seen[1] = tension[0], state.motor.position
-    seen[2], seen[3] = tension[-1], distal
+    channels[0], channels[1] = tension[0], state.motor.position
+    channels[2], channels[3] = tension[-1], distal
 
 
 # --- all joints of a rig in numba lists; passing them one by one would cost more than a step
@@ -363,31 +364,31 @@ T = TypeVar("T")
 
 def to_compiled_list(items: list[T]) -> list[T]:
     """Return joints, or states of joints, as a compiled list."""
-    first, *others = items
-    many = build_single_list(first)
-    for item in others:
-        append_item(many, item)
-    return many
+    first, *remaining = items
+    compiled = build_single_list(first)
+    for item in remaining:
+        append_item(compiled, item)
+    return compiled
 
 
 @jit_compile
 def build_single_list(item: T) -> list[T]:
     """Return a compiled list of one item."""
-    many: list[T] = List()
-    many.append(item)
-    return many
+    compiled: list[T] = List()
+    compiled.append(item)
+    return compiled
 
 
 @jit_compile
-def append_item(many: list[T], item: T) -> None:
+def append_item(compiled: list[T], item: T) -> None:
     """Add an item to a compiled list."""
-    many.append(item)
+    compiled.append(item)
 
 
 @jit_compile
-def replace_item(many: list[T], index: int, item: T) -> None:
+def replace_item(compiled: list[T], index: int, item: T) -> None:
     """Replace the item at `index`."""
-    many[index] = item
+    compiled[index] = item
 
 
 @jit_compile
@@ -398,11 +399,11 @@ def advance_joints(
 
     `targets` [m] has shape (joints, 2); for the rest see `joint.advance` and `joint.truth`.
     """
-    seen = np.empty((len(CHANNELS), len(joints), 2))
+    channels = np.empty((len(CHANNELS), len(joints), 2))
     for i in range(len(joints)):
         states[i] = advance_joint(joints[i], states[i], targets[i], steps, dt)
         at_joint = compute_truth(joints[i], states[i])
         for channel in range(len(CHANNELS)):
             for tendon in range(2):
-                seen[channel, i, tendon] = at_joint[channel, tendon]
-    return seen
+                channels[channel, i, tendon] = at_joint[channel, tendon]
+    return channels

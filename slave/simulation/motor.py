@@ -33,7 +33,7 @@ class MotorConfig:
 
     def __post_init__(self) -> None:
         """Check the values; raises `ValueError`."""
-        for name, least, most, unit in (
+        for name, low, high, unit in (
             ("pulley_radius", 1e-4, 1.0, "m"),
             ("gear", 1e-3, 1e5, ""),
             ("efficiency", 1e-2, 1.0, ""),
@@ -46,8 +46,8 @@ class MotorConfig:
             ("rotor_inertia", 1e-10, 1.0, "kg m^2"),
             ("bandwidth", 0.1, 1e4, "rad/s"),
         ):
-            if not least <= getattr(self, name) <= most:
-                raise ValueError(f"{name}: must be {least:g} to {most:g} {unit}".rstrip())
+            if not low <= getattr(self, name) <= high:
+                raise ValueError(f"{name}: must be {low:g} to {high:g} {unit}".rstrip())
 
 
 class Motor(NamedTuple):
@@ -113,12 +113,14 @@ def advance_motor(
     """
     mass, gain = motor.mass, motor.speed_gain
     pushed = state.speed - dt * tension / mass
-    held = pushed + dt * motor.hold / mass
+    base_speed = pushed + dt * motor.hold / mass
     error = motor.position_gain * (target - state.position)
-    speed = (held + dt * gain * error) / (1.0 + dt * gain * (1.0 + dt * motor.position_gain))
-    wanted = error - motor.position_gain * dt * speed
-    if abs(wanted) > motor.speed_max:
-        speed = (held + dt * gain * math.copysign(motor.speed_max, wanted)) / (1.0 + dt * gain)
+    speed = (base_speed + dt * gain * error) / (1.0 + dt * gain * (1.0 + dt * motor.position_gain))
+    setpoint = error - motor.position_gain * dt * speed
+    if abs(setpoint) > motor.speed_max:
+        speed = (base_speed + dt * gain * math.copysign(motor.speed_max, setpoint)) / (
+            1.0 + dt * gain
+        )
     kick = dt * motor.force_stall / mass
     drag = 1.0 + kick / motor.speed_max
     speed = min(max(speed, (pushed - kick) / drag), (pushed + kick) / drag)

@@ -15,12 +15,7 @@ from estimator.compiled import jit_compile
 from slave.simulation.motor import MotorConfig
 from teleop.config.loading import MAY_BE_INFINITE
 
-CHANNELS = (
-    "proximal_tension",
-    "proximal_displacement",
-    "distal_tension",
-    "distal_displacement",
-)
+CHANNELS = ("proximal_tension", "proximal_displacement", "distal_tension", "distal_displacement")
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,9 +92,7 @@ class SensorState(NamedTuple):
     rubbed: Array  # -1 to 1, shape (tendons,)
 
 
-def build_sensors(
-    tendons: Sequence[tuple[LoadCellConfig, EncoderConfig, MotorConfig]],
-) -> Sensors:
+def build_sensors(tendons: Sequence[tuple[LoadCellConfig, EncoderConfig, MotorConfig]]) -> Sensors:
     """Return the sensors of a rig's tendons; those at the tip are ideal."""
     shape = (len(CHANNELS), len(tendons))
     sensors = Sensors(
@@ -148,17 +141,17 @@ def measure(
     reading, lagged = np.empty((channels, tendons)), np.empty((channels, tendons))
     travel, rubbed = truth[1].copy(), np.empty(tendons)
     for tendon in range(tendons):
-        moved = 2.0 * (travel[tendon] - state.travel[tendon]) / sensors.rub_travel[tendon]
-        rubbed[tendon] = min(max(state.rubbed[tendon] + moved, -1.0), 1.0)
+        play_travel = 2.0 * (travel[tendon] - state.travel[tendon]) / sensors.rub_travel[tendon]
+        rubbed[tendon] = min(max(state.rubbed[tendon] + play_travel, -1.0), 1.0)
         angle = travel[tendon] / sensors.pulley_radius[tendon]
         wave = np.sin(sensors.ripple_order[tendon] * angle + sensors.ripple_phase[tendon])
-        felt = sensors.ripple[tendon] * wave + sensors.rub[tendon] * rubbed[tendon]
+        added = sensors.ripple[tendon] * wave + sensors.rub[tendon] * rubbed[tendon]
         for channel in range(channels):
             place = (channel, tendon)
-            value = truth[place] + (felt if channel == 0 else 0.0)
+            value = truth[place] + (added if channel == 0 else 0.0)
             if sensors.lag[place] > 0.0:
-                kept = np.exp(-dt / sensors.lag[place])
-                value += kept * (state.lagged[place] - value)
+                decay = np.exp(-dt / sensors.lag[place])
+                value += decay * (state.lagged[place] - value)
             lagged[place] = value
             value = sensors.gain[place] * value + sensors.bias[place]
             value += sensors.noise[place] * normal[place]

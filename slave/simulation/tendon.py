@@ -83,10 +83,10 @@ class SheathConfig:
                 f"friction: must be at most {TOTAL_MAX / bend.sum():.3g} with these bends, or no "
                 "tension is transmitted"
             )
-        most = self.friction * bend.max()
-        if most >= FRICTION_MAX:
-            needed = math.ceil(self.nodes * most / FRICTION_MAX) + 1
-            raise ValueError(f"nodes: must be at least about {needed} to resolve this friction")
+        friction = self.friction * bend.max()
+        if friction >= FRICTION_MAX:
+            nodes_min = math.ceil(self.nodes * friction / FRICTION_MAX) + 1
+            raise ValueError(f"nodes: must be at least about {nodes_min} to resolve this friction")
 
 
 def divide_sheath(config: SheathConfig) -> tuple[Array, Array]:
@@ -182,18 +182,18 @@ class Springs(NamedTuple):
 def compute_springs(chain: Chain, state: Array, dt: float) -> Springs:
     """Return the springs during a step of `dt` [s] from `state`."""
     knobs, pretension = chain.knobs, chain.pretension
-    whole = chain.compliance.sum()
-    stiffness = chain.cell.sum() / whole
-    toe, compression = knobs.toe_strain * stiffness, knobs.compression / whole
-    too_much = knobs.slack / whole + knobs.expansion * stiffness
+    total = chain.compliance.sum()
+    stiffness = chain.cell.sum() / total
+    toe, compression = knobs.toe_strain * stiffness, knobs.compression / total
+    too_much = knobs.slack / total + knobs.expansion * stiffness
     at_start = compute_bedding(knobs, toe, compression, pretension)[0]
     gain = compute_creep_gain(knobs, dt)
     soft = 1.0 + gain * knobs.creep_share
     compliance, rest = np.empty_like(chain.compliance), np.empty_like(chain.compliance)
     for i in range(len(compliance)):
         tension = state[TENSION, i]
-        more, slope = compute_bedding(knobs, toe, compression, tension)
-        offset = more - slope * tension - at_start - pretension * soft
+        bedding, slope = compute_bedding(knobs, toe, compression, tension)
+        offset = bedding - slope * tension - at_start - pretension * soft
         offset += state[CREEP, i] * (1.0 - gain) + too_much
         compliance[i] = chain.compliance[i] * (soft + slope)
         rest[i] = chain.compliance[i] * offset + chain.parted[i]
@@ -205,16 +205,16 @@ def compute_bedding(
     knobs: Knobs, toe: float, compression: float, tension: float
 ) -> tuple[float, float]:
     """Return E(T) - T [N] and its slope at `tension` [N]."""
-    more, slope = 0.0, 0.0
+    elongation, slope = 0.0, 0.0
     if toe != 0.0:
-        left = math.exp(-tension / knobs.toe_tension)
-        more += toe * (1.0 - left)
-        slope += toe / knobs.toe_tension * left
-    above = tension - knobs.compression_threshold
-    if compression != 0.0 and above > 0.0:
-        more += compression * above * above
-        slope += 2.0 * compression * above
-    return more, slope
+        decay = math.exp(-tension / knobs.toe_tension)
+        elongation += toe * (1.0 - decay)
+        slope += toe / knobs.toe_tension * decay
+    excess = tension - knobs.compression_threshold
+    if compression != 0.0 and excess > 0.0:
+        elongation += compression * excess * excess
+        slope += 2.0 * compression * excess
+    return elongation, slope
 
 
 @jit_compile
@@ -224,10 +224,10 @@ def compute_creep_gain(knobs: Knobs, dt: float) -> float:
 
 
 @jit_compile
-def advance_creep(chain: Chain, before: float, tension: float, gain: float) -> float:
+def advance_creep(chain: Chain, creep: float, tension: float, gain: float) -> float:
     """Return the creep [N] of a spring after a step at `tension` [N], with the step's `gain`."""
     final = chain.knobs.creep_share * (tension - chain.pretension)
-    return before + gain * (final - before)
+    return creep + gain * (final - creep)
 
 
 # --- friction limits of a node in its bend, linearised over a step
@@ -304,20 +304,20 @@ def compute_tension_factor(knobs: Knobs, tension: float) -> float:
     factor = (max(tension, LIGHT_TENSION) / knobs.tension_reference) ** (
         knobs.tension_exponent - 1.0
     )
-    above = max(0.0, tension - knobs.compression_threshold)
-    return float(factor * (1.0 + knobs.compression_friction * above))
+    excess = max(0.0, tension - knobs.compression_threshold)
+    return float(factor * (1.0 + knobs.compression_friction * excess))
 
 
 @jit_compile
-def filter_speed(knobs: Knobs, before: float, speed: float, dt: float) -> float:
+def filter_speed(knobs: Knobs, filtered: float, speed: float, dt: float) -> float:
     """Return the filtered speed [m/s] after `dt` [s] at `speed`."""
     if knobs.stribeck_ratio == 0.0:
         return speed
-    return speed + (before - speed) * math.exp(-dt / knobs.stribeck_memory)
+    return speed + (filtered - speed) * math.exp(-dt / knobs.stribeck_memory)
 
 
 @jit_compile
-def advance_contact_growth(knobs: Knobs, before: float, speed: float, dt: float) -> float:
+def advance_contact_growth(knobs: Knobs, growth: float, speed: float, dt: float) -> float:
     """Return the growth R of a contact after `dt` [s] at `speed` [m/s].
 
     dR/dt = (1 - R) / static_time - R |v| / static_distance
@@ -327,4 +327,4 @@ def advance_contact_growth(knobs: Knobs, before: float, speed: float, dt: float)
     grow = 1.0 / knobs.static_time
     rate = grow + abs(speed) / knobs.static_distance
     final = grow / rate
-    return final + (before - final) * math.exp(-rate * dt)
+    return final + (growth - final) * math.exp(-rate * dt)

@@ -31,9 +31,9 @@ _MAGNITUDE_MAX = 1e6  # [m], [N] beyond any tip; NaN fails the comparison too
 class Contact(Struct):
     """One joint's contact, as the master knows it."""
 
-    known: Flag = False  # whether a tip was heard of
+    is_known: Flag = False  # whether a tip was heard of
     travel: F64 = 0.0  # [m] of the tip, newest
-    taken: F64 = 0.0  # [m] the newest point of the regression
+    regression_travel: F64 = 0.0  # [m] the newest point of the regression
     weight: F64 = 0.0  # [m] sum of weights
     mean_travel: F64 = 0.0  # [m] weighted
     mean_force: F64 = 0.0  # [N] weighted
@@ -42,61 +42,68 @@ class Contact(Struct):
     stiffness: F64 = 0.0  # [N/m] never negative
     ahead: F64 = 0.0  # [m] the hand ahead of the tip, less what has faded
     distance: F64 = 0.0  # [m] the hand ahead of the tip, at the last tick
-    moving: Flag = False  # whether `distance` is known
+    has_distance: Flag = False  # whether `distance` is known
 
 
 @jit_compile
 def reset_contact(contact: Contact) -> None:
     """Forget everything: another tip, or none."""
-    contact.known = False
-    contact.moving = False
+    contact.is_known = False
+    contact.has_distance = False
     contact.weight = contact.mean_travel = contact.mean_force = 0.0
     contact.spread = contact.product = contact.stiffness = contact.ahead = 0.0
 
 
 @jit_compile
-def update_contact_model(contact: Contact, travel: float, force: float, stiffest: float) -> None:
+def update_contact_model(
+    contact: Contact, travel: float, force: float, stiffness_max: float
+) -> None:
     """Learn from a tip's travel [m] and the force [N] there.
 
-    The same values again, and values that are implausible or not finite, change nothing. `stiffest`
-    [N/m] bounds the stiffness.
+    The same values again, and values that are implausible or not finite, change nothing.
+    `stiffness_max` [N/m] bounds the stiffness.
     """
     if not (abs(travel) < _MAGNITUDE_MAX and abs(force) < _MAGNITUDE_MAX):
         return
     contact.travel = travel
-    way = abs(travel - contact.taken)
-    if contact.known and way < REGRESSION_STEP:
+    path = abs(travel - contact.regression_travel)
+    if contact.is_known and path < REGRESSION_STEP:
         return
-    if not contact.known:
-        contact.known = True
-        way = REGRESSION_STEP
-    contact.taken = travel
+    if not contact.is_known:
+        contact.is_known = True
+        path = REGRESSION_STEP
+    contact.regression_travel = travel
     # weighted means and products, as they are updated by one more point (West 1979)
-    kept = math.exp(-way / REGRESSION_MEMORY)
-    total = kept * contact.weight + way
-    off_travel = travel - contact.mean_travel
-    off_force = force - contact.mean_force
-    share = way / total
-    rest = kept * contact.weight * share
-    contact.spread = kept * contact.spread + rest * off_travel * off_travel
-    contact.product = kept * contact.product + rest * off_travel * off_force
-    contact.mean_travel += share * off_travel
-    contact.mean_force += share * off_force
+    decay = math.exp(-path / REGRESSION_MEMORY)
+    total = decay * contact.weight + path
+    travel_deviation = travel - contact.mean_travel
+    force_deviation = force - contact.mean_force
+    share = path / total
+    product_weight = decay * contact.weight * share
+    contact.spread = decay * contact.spread + product_weight * travel_deviation * travel_deviation
+    contact.product = decay * contact.product + product_weight * travel_deviation * force_deviation
+    contact.mean_travel += share * travel_deviation
+    contact.mean_force += share * force_deviation
     contact.weight = total
     slope = contact.product / (contact.spread + total * TRAVEL_SPREAD_MIN * TRAVEL_SPREAD_MIN)
-    contact.stiffness = min(max(slope, 0.0), stiffest)
+    contact.stiffness = min(max(slope, 0.0), stiffness_max)
 
 
 @jit_compile
 def reset_prediction(contact: Contact) -> None:
     """Begin anew at the next tick: no force is rendered."""
-    contact.moving = False
+    contact.has_distance = False
     contact.ahead = 0.0
 
 
 @jit_compile
 def predict_force(
-    contact: Contact, force: float, place: float, velocity: float, stiffest: float, dt: float
+    contact: Contact,
+    force: float,
+    position: float,
+    velocity: float,
+    stiffness_max: float,
+    dt: float,
 ) -> float:
     """Return the received `force` [N] with what the local model adds; call it once a tick.
 
@@ -104,20 +111,20 @@ def predict_force(
     ----------
     force : float
         Received, positive against pulling; returned if it is not finite.
-    place, velocity : float
-        Of the hand, in tip units [m], [m/s]; only differences of `place` matter.
-    stiffest : float
+    position, velocity : float
+        Of the hand, in tip units [m], [m/s]; only differences of `position` matter.
+    stiffness_max : float
         Upper bound of the stiffness [N/m]; 0 = nothing is added.
     dt : float
         Time since the last tick [s].
     """
-    if not contact.known or stiffest <= 0.0:
+    if not contact.is_known or stiffness_max <= 0.0:
         return force
-    distance = place - contact.travel
-    if contact.moving:
+    distance = position - contact.travel
+    if contact.has_distance:
         contact.ahead += distance - contact.distance
         contact.ahead *= math.exp(-dt / WASHOUT)
-    contact.distance, contact.moving = distance, True
+    contact.distance, contact.has_distance = distance, True
     added = contact.stiffness * contact.ahead
     if not added * velocity > 0.0 or not math.isfinite(force):
         return force

@@ -55,13 +55,13 @@ def attenuate_force(config: ConfidenceConfig, force: float, low: float, high: fl
         return force
     if not low <= high:
         return 0.0
-    near = min(max(force, low), high)
-    if not near * math.copysign(1.0, force) > 0.0:
+    clipped = min(max(force, low), high)
+    if not clipped * math.copysign(1.0, force) > 0.0:
         return 0.0
-    size = abs(near)
+    size = abs(clipped)
     # divide before subtracting: the ends may be near overflow
     width = 0.5 * high / size - 0.5 * low / size
     weight = min(max((config.none - width) / (config.none - config.full), 0.0), 1.0)
-    sure = find_smallest_force(low, high)
-    rendered = abs(sure + weight * (near - sure))
+    certain = find_smallest_force(low, high)
+    rendered = abs(certain + weight * (clipped - certain))
     return math.copysign(min(rendered, abs(force)), force)

@@ -68,11 +68,11 @@ def receive_totals(port: Port, energy: float, wave: float) -> None:
         port.received_wave = wave
         port.played_wave = wave
         return
-    more = energy - port.received_energy
-    if more <= 0.0:
+    increase = energy - port.received_energy
+    if increase <= 0.0:
         return
-    port.credit += more
-    port.received += more
+    port.credit += increase
+    port.received += increase
     port.received_energy = energy
     port.received_wave = wave
 
@@ -122,12 +122,12 @@ def pass_on_energy(port: Port, energy: float) -> None:
 
 
 @jit_compile
-def cap_credit(port: Port, most: float) -> None:
-    """Dissipate credit above `most` [J]."""
-    surplus = port.credit - most
+def cap_credit(port: Port, credit_max: float) -> None:
+    """Dissipate credit above `credit_max` [J]."""
+    surplus = port.credit - credit_max
     if surplus <= 0.0:
         return
-    port.credit = most
+    port.credit = credit_max
     port.dissipated += surplus
 
 
@@ -157,20 +157,20 @@ def _repay_lent_energy(port: Port, energy: float) -> float:
 
 @jit_compile
 def count_tip_work_under_load(
-    port: Port, force: float, travel: float, allowance: float, most: float, dt: float
+    port: Port, force: float, travel: float, allowance: float, credit_max: float, dt: float
 ) -> None:
     """Add the work of a passive environment, as `count_tip_work` does, but for a constant load.
 
     A weight or a stretched spring has energy before it is moved, and may return up to `allowance`
-    [J] more than it took, of which up to `most` [J] are remembered. Its part of the tip's `force`
-    [N] is what that has been over `LOAD_TIME_CONSTANT_S`.
+    [J] more than it took, of which up to `credit_max` [J] are remembered. Its part of the tip's
+    `force` [N] is what that has been over `LOAD_TIME_CONSTANT_S`.
     """
     if math.isnan(port.load):
         port.load = force
     port.load += (force - port.load) * min(dt / LOAD_TIME_CONSTANT_S, 1.0)
     count_work(port, -force * travel)
     of_load, of_rest = -port.load * travel, -(force - port.load) * travel
-    port.returned = max(port.returned + of_load, -most)
+    port.returned = max(port.returned + of_load, -credit_max)
     surplus = max(port.returned - allowance, 0.0)
     port.returned -= surplus
     surplus += _repay_lent_energy(port, of_rest)
@@ -186,8 +186,8 @@ def scale_step_tolerance(step_tolerance: float, dt: float) -> float:
     The change of a hand's travel per tick grows with the square of the tick. The setting
     is for ticks of up to `_STEP_TOLERANCE_DT_MAX`.
     """
-    longer = max(dt / _STEP_TOLERANCE_DT_MAX, 1.0)
-    return step_tolerance * longer * longer
+    ratio = max(dt / _STEP_TOLERANCE_DT_MAX, 1.0)
+    return step_tolerance * ratio * ratio
 
 
 @jit_compile

@@ -99,17 +99,17 @@ def render_force(
         return force
     yielding = -math.copysign(1.0, force)
     margin = ledger.scale_step_tolerance(config.step_tolerance, dt)
-    next_way = yielding * hand.travel + margin  # [m] that the hand may yield in the next tick
-    if port.credit <= 0.0 and next_way <= 0.0:
+    next_path = yielding * hand.travel + margin  # [m] that the hand may yield in the next tick
+    if port.credit <= 0.0 and next_path <= 0.0:
         return force  # that hand makes good what was overdrawn
     credit = max(port.credit, 0.0)
-    way = max(yielding * hand.velocity * config.discharge_time, next_way, 1e-9)
-    most = credit / way
+    path = max(yielding * hand.velocity * config.discharge_time, next_path, 1e-9)
+    force_max = credit / path
     if hand.lever > 0.0:
         spring = math.sqrt(2.0 * config.spring_stiffness / hand.lever * credit)
         spring -= config.spring_damping / hand.lever * yielding * hand.velocity
-        most = min(most, max(spring, 0.0))
-    return min(max(force, -most), most)
+        force_max = min(force_max, max(spring, 0.0))
+    return min(max(force, -force_max), force_max)
 
 
 @jit_compile
@@ -117,9 +117,9 @@ def compute_tip_motion(
     config: PassivityConfig, port: Port, tip: SlaveInput, dt: float
 ) -> SlaveOutput:
     """Return the motion limited by the credit; see `teleop.coupling.interface`."""
-    wanted = tip.travel + tip.lag * min(dt / config.catch_up, 1.0)
+    requested = tip.travel + tip.lag * min(dt / config.catch_up, 1.0)
     share = min(dt / config.discharge_time, 1.0)
-    travel = ledger.limit_travel_to_credit(port, tip.force, wanted, share)
+    travel = ledger.limit_travel_to_credit(port, tip.force, requested, share)
     work = -tip.force * travel
     if config.passive_tip:
         ledger.count_tip_work_under_load(
@@ -128,8 +128,8 @@ def compute_tip_motion(
     else:
         ledger.count_work(port, work)
     ledger.pass_on_energy(port, min(work, port.credit - config.reserve))
-    needed = config.reserve + max(tip.force * (wanted - travel + tip.lag), 0.0)
-    ledger.pass_on_energy(port, (port.credit - needed) * min(dt / config.return_time, 1.0))
+    credit_min = config.reserve + max(tip.force * (requested - travel + tip.lag), 0.0)
+    ledger.pass_on_energy(port, (port.credit - credit_min) * min(dt / config.return_time, 1.0))
     ledger.cap_credit(port, config.credit_max)
-    velocity = tip.velocity * (travel / wanted) if wanted != 0.0 else tip.velocity
+    velocity = tip.velocity * (travel / requested) if requested != 0.0 else tip.velocity
     return SlaveOutput(travel, velocity)

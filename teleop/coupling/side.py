@@ -65,9 +65,9 @@ def update_contact_models(
     """
     if settings.kind != PASSIVITY:
         return
-    stiffest = settings.passivity.stiffness_max
+    stiffness_max = settings.passivity.stiffness_max
     for k in range(axes):
-        contact.update_contact_model(side.contacts[k], travel[k], force[k], stiffest)
+        contact.update_contact_model(side.contacts[k], travel[k], force[k], stiffness_max)
 
 
 @jit_compile
@@ -82,7 +82,7 @@ def keep_reserves(settings: BilateralSettings, side: Side) -> None:
 def count_hand_work(
     settings: BilateralSettings,
     side: Side,
-    place: Array,
+    position: Array,
     velocity: Array,
     written: Array,
     axes: int,
@@ -97,7 +97,7 @@ def count_hand_work(
 
     Parameters
     ----------
-    place, velocity : ndarray
+    position, velocity : ndarray
         Position [m] and velocity [m/s] of the hand, shape (MAX_JOINTS,), in tip units; only
         differences of position matter.
     written : ndarray
@@ -113,7 +113,7 @@ def count_hand_work(
     """
     if not coupled:
         for k in range(axes):  # fading force
-            ledger.count_work(side.ports[k], written[k] * (place[k] - side.requested[k]))
+            ledger.count_work(side.ports[k], written[k] * (position[k] - side.requested[k]))
         keep_reserves(settings, side)
     elif not side.coupled:
         keep_reserves(settings, side)
@@ -121,8 +121,8 @@ def count_hand_work(
         hand = side.hand[k]
         hand.written = written[k]
         # the hand's velocity at coupling limits its force
-        before = side.requested[k] if side.coupled else place[k] - velocity[k] * dt
-        hand.travel = place[k] - before
+        previous = side.requested[k] if side.coupled else position[k] - velocity[k] * dt
+        hand.travel = position[k] - previous
         hand.velocity = velocity[k]
         hand.lever = lever
         hand.dragged = 0.0
@@ -138,8 +138,8 @@ def count_hand_work(
             else:
                 direct.count_hand_work(side.ports[k], hand)
     for k in range(MAX_JOINTS):
-        side.requested[k] = place[k]
-        side.tip[k] = place[k]
+        side.requested[k] = position[k]
+        side.tip[k] = position[k]
     side.coupled = coupled
     side.dt = dt
 
@@ -219,12 +219,12 @@ def compute_tip_motion(
         side.coupled = coupled
         return
     for k in range(joints):
-        place = side.tip[k]
-        before = side.requested[k]
-        tip = SlaveInput(force[k], requested[k] - before, before - place, velocity[k])
+        position = side.tip[k]
+        previous = side.requested[k]
+        tip = SlaveInput(force[k], requested[k] - previous, previous - position, velocity[k])
         output = _compute_joint_tip_motion(settings, side.ports[k], tip, dt)
         side.requested[k] = requested[k]
-        side.tip[k] = place + output.travel
+        side.tip[k] = position + output.travel
         requested[k] = side.tip[k]
         velocity[k] = output.velocity
 

@@ -66,8 +66,8 @@ def reconstruct_wave(config: WaveConfig, port: Port, dt: float) -> float:
     rest = port.received_wave - port.played_wave
     if rest == 0.0:
         return 0.0
-    most = 2.0 * max(port.credit, 0.0) / abs(rest)
-    wave = math.copysign(min(abs(rest) / max(config.play, dt), most), rest)
+    wave_max = 2.0 * max(port.credit, 0.0) / abs(rest)
+    wave = math.copysign(min(abs(rest) / max(config.play, dt), wave_max), rest)
     port.played_wave += wave * dt
     return wave
 
@@ -75,8 +75,8 @@ def reconstruct_wave(config: WaveConfig, port: Port, dt: float) -> float:
 @jit_compile
 def send_wave(config: WaveConfig, port: Port, wave: float, dt: float) -> None:
     """Send `wave` [sqrt(W)] limited by the credit."""
-    most = math.sqrt(2.0 * max(port.credit, 0.0) / dt)
-    wave = min(max(wave, -most), most)
+    wave_max = math.sqrt(2.0 * max(port.credit, 0.0) / dt)
+    wave = min(max(wave, -wave_max), wave_max)
     ledger.pass_on_energy(port, min(0.5 * wave * wave * dt, port.credit))
     port.sent_wave += wave * dt
     ledger.cap_credit(port, config.credit_max)
@@ -117,14 +117,13 @@ def compute_tip_motion(config: WaveConfig, port: Port, tip: SlaveInput, dt: floa
         return SlaveOutput(0.0, 0.0)
     b = config.impedance
     returned_wave = reconstruct_wave(config, port, dt)
-    wanted = (math.sqrt(2.0 * b) * returned_wave - tip.force) / b * dt
-    used = abs(
-        returned_wave * (port.received_wave - port.played_wave)
-    )  # by the wave being reconstructed
+    requested = (math.sqrt(2.0 * b) * returned_wave - tip.force) / b * dt
+    # by the wave being reconstructed
+    used = abs(returned_wave * (port.received_wave - port.played_wave))
     spare = min(max((port.credit - used) / config.reserve - 1.0, 0.0), 1.0)
-    wanted += (tip.travel + tip.lag) * min(spare * dt / config.catch_up, 1.0)
-    travel = ledger.limit_travel_to_credit(port, tip.force, wanted, 1.0)
+    requested += (tip.travel + tip.lag) * min(spare * dt / config.catch_up, 1.0)
+    travel = ledger.limit_travel_to_credit(port, tip.force, requested, 1.0)
     ledger.count_tip_work(port, -tip.force * travel, config.passive_tip)
-    back = (b * travel / dt - tip.force) / math.sqrt(2.0 * b)
-    send_wave(config, port, back, dt)
+    returned = (b * travel / dt - tip.force) / math.sqrt(2.0 * b)
+    send_wave(config, port, returned, dt)
     return SlaveOutput(travel, travel / dt)

@@ -143,7 +143,7 @@ def test_a_force_that_fades_only_shrinks_and_is_gone_in_time(start, dt):
     config = GateConfig(total_max=10.0)
     force, passed = tuple(start), 0.0
     while passed < FADE_S - 1e-9:
-        faded, verdict = step(config, force, force, False, False, dt, fades=True)
+        faded, verdict = step(config, force, force, False, False, dt, is_force_fading=True)
         assert verdict == GateFlags.NOT_ENGAGED | GateFlags.STALE
         for was, now in zip(force, faded, strict=True):
             assert now == 0.0 or (abs(now) < abs(was) and now * was > 0.0)
@@ -153,11 +153,13 @@ def test_a_force_that_fades_only_shrinks_and_is_gone_in_time(start, dt):
 
 @pytest.mark.parametrize("dt", [0.0, -1.0, math.nan, math.inf])
 def test_where_time_cannot_be_told_a_force_is_gone_at_once(dt):
-    assert step(GateConfig(), (2.0,), (2.0,), False, False, dt, fades=True).force == (0.0,)
+    assert step(GateConfig(), (2.0,), (2.0,), False, False, dt, is_force_fading=True).force == (
+        0.0,
+    )
 
 
 def test_what_is_not_a_number_does_not_fade_but_is_gone():
-    gated = step(GateConfig(), (2.0,), (math.nan,), True, False, 1e-3, fades=True)
+    gated = step(GateConfig(), (2.0,), (math.nan,), True, False, 1e-3, is_force_fading=True)
     assert gated.force == (0.0,)
 
 

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from estimator.online.tendon_estimate import INVALID_INPUT
 from estimator.records import to_struct, view_struct
 from master import feedback
-from slave import coupling_adapter
+from slave import loop
 from slave.control import JointEstimate
 from teleop import coupling
 from teleop.coupling import Bilateral, PassivityConfig, Side
@@ -33,7 +33,7 @@ def estimates(*rows):
 
 def slave_forces(most, *rows):
     forces = np.full(MAX_JOINTS, 7.0)
-    coupling_adapter.compute_rendered_forces(NUMBERS, estimates(*rows), len(rows), most, forces)
+    loop.compute_rendered_forces(NUMBERS, estimates(*rows), len(rows), most, forces)
     assert (forces[len(rows) :] == 7.0).all()
     return forces[: len(rows)].tolist()
 

@@ -129,9 +129,9 @@ _TEXTS = {  # the more exact first: by code, then by its first two digits, then 
 
 def format_emergency(code: int) -> str:
     """Return an error code in words with its number, as in 'following error (0x8611)'."""
-    for known in (code, code & 0xFF00, code & 0xF000):
-        if known in _TEXTS:
-            return f"{_TEXTS[known]} (0x{code:04X})"
+    for group in (code, code & 0xFF00, code & 0xF000):
+        if group in _TEXTS:
+            return f"{_TEXTS[group]} (0x{code:04X})"
     return f"error 0x{code:04X}"
 
 
@@ -198,9 +198,9 @@ class NodeSetup:
         self._map(0x1400, 0x200, [(0x6040, 0, 16), target])
         cell = self._cell()
         sent = [(0x6041, 0, 16), (0x6064, 0, 32)]
-        beside = with_cell and cell[2] == 16
-        self._map(0x1800, 0x180, [*sent, cell] if beside else sent)
-        self._map(0x1801, 0x280, [cell] if with_cell and not beside else [])
+        cell_in_drive = with_cell and cell[2] == 16
+        self._map(0x1800, 0x180, [*sent, cell] if cell_in_drive else sent)
+        self._map(0x1801, 0x280, [cell] if with_cell and not cell_in_drive else [])
 
     def cell(self) -> None:
         """Set up a node that has a load cell and no motor in use."""
@@ -270,13 +270,13 @@ class NodeSetup:
             ) from error
         try:
             self._sdo.download(index, subindex, data)
-            again = self._sdo.upload(index, subindex) if check else data
+            readback = self._sdo.upload(index, subindex) if check else data
         except SdoAbortedError as error:
             raise self._fault(f"object {index:04X}:{subindex} = {value}: {error}") from error
         except SdoError as error:
             raise NoAnswer(f"drive {self._number} does not answer ({error})") from error
-        if again[:size] != data:
-            read = int.from_bytes(again[:size], "little", signed=signed)
+        if readback[:size] != data:
+            read = int.from_bytes(readback[:size], "little", signed=signed)
             raise self._fault(f"object {index:04X}:{subindex}: set to {value}, reads back {read}")
 
     def require_drive(self) -> None:

@@ -179,8 +179,8 @@ class ServoBus:
     def other_settings(self, number: int, limits_current: bool) -> list[tuple[Register, int, int]]:
         """Return the registers left by other programs that a driver sets: what is there, and to."""
         settings = registers.list_settings(limits_current)
-        found = [(register, self.get(number, register), value) for register, value in settings]
-        return [entry for entry in found if entry[1] != entry[2]]
+        read = [(register, self.get(number, register), value) for register, value in settings]
+        return [entry for entry in read if entry[1] != entry[2]]
 
     def get(self, number: int, register: Register) -> int:
         """Read a register, unsigned."""

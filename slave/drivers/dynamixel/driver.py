@@ -59,8 +59,8 @@ class DynamixelDriver:
     def stop(self) -> None:
         """Torque off; `cycle` repeats it until every servo confirms it."""
         self._enabled = False
-        off = [0] * len(self._channels.motors)
-        self._bus.call(lambda: self._send(registers.TORQUE_ENABLE, off))
+        torque_off = [0] * len(self._channels.motors)
+        self._bus.call(lambda: self._send(registers.TORQUE_ENABLE, torque_off))
 
     def counts(self) -> dict[str, int | float | str]:
         """Return rate, reads without an answer of every servo, and settings that were changed."""
@@ -104,9 +104,9 @@ class DynamixelDriver:
         bus.put(number, registers.INDIRECT_ADDRESSES, registers.pack_indirect_addresses())
         if not moves:
             return
-        for register, found, value in bus.other_settings(number, limit is not None):
+        for register, actual, value in bus.other_settings(number, limit is not None):
             bus.put(number, register, value)
-            self._changed.append(f"servo {number}: {register.name} was {found}, set to {value}")
+            self._changed.append(f"servo {number}: {register.name} was {actual}, set to {value}")
         if limit is not None:  # after the operating mode, whose change resets the goal current
             counts = registers.current_counts(limit, unit)
             bus.put(number, registers.CURRENT_LIMIT, counts)
@@ -144,17 +144,17 @@ class DynamixelDriver:
 
     def _check(self, status: Status) -> None:
         """Raise `DriverFault` for what a servo reports."""
-        for number, one in zip(self._ids, status, strict=True):
-            if text := registers.find_status_fault(one, self._config):
+        for number, row in zip(self._ids, status, strict=True):
+            if text := registers.find_status_fault(row, self._config):
                 raise DriverFault(f"servo {number}: {text}")
             if not self._enabled or number not in self._channels.motors:
                 continue
-            if one["watchdog"] == registers.WATCHDOG_TRIGGERED:
+            if row["watchdog"] == registers.WATCHDOG_TRIGGERED:
                 raise DriverFault(
                     f"servo {number}: its bus watchdog stopped it: no instruction for "
                     f"{self._config.watchdog * 1e3:g} ms"
                 )
-            if not one["torque"] or one["watchdog"] != self._watchdog:
+            if not row["torque"] or row["watchdog"] != self._watchdog:
                 raise DriverFault(f"servo {number}: it was restarted or disabled by itself")
 
     def _enable(self, motors: Status, now: float) -> None:
@@ -166,15 +166,15 @@ class DynamixelDriver:
         self._wanted_s = min(self._wanted_s, now)
         if now - self._wanted_s > ENABLE_S:
             raise DriverFault(f"{self._config.port}: the servos do not enable their torque")
-        off = motors["torque"] == 0
+        is_off = motors["torque"] == 0
         strayed = np.abs(motors["goal"].astype(float) - motors["position"]) > GOAL_ERROR_MAX
         if np.any(motors["watchdog"] == registers.WATCHDOG_TRIGGERED):
             self._send(registers.BUS_WATCHDOG, [0] * len(motors))
-        elif np.any(off & strayed):
+        elif np.any(is_off & strayed):
             self._send(registers.GOAL_POSITION, motors["position"].tolist())
         elif np.any(motors["watchdog"] != self._watchdog):
             self._send(registers.BUS_WATCHDOG, [self._watchdog] * len(motors))
-        elif np.any(off):
+        elif np.any(is_off):
             self._send(registers.TORQUE_ENABLE, [1] * len(motors))
         else:
             self._enabled, self._wanted_s = True, math.inf

@@ -168,9 +168,9 @@ def find_status_fault(status: "np.void", config: DynamixelConfig) -> str:
     """Return what is wrong with one servo, in words; empty if nothing is."""
     if text := format_hardware_error(int(status["error"])):
         return f"hardware error: {text}"
-    volts, (least, most) = int(status["voltage"]) * 0.1, config.voltage
-    if not least <= volts <= most:
-        return f"supply of {volts:.1f} V, must be {least:g} to {most:g} V"
+    volts, (volts_min, volts_max) = int(status["voltage"]) * 0.1, config.voltage
+    if not volts_min <= volts <= volts_max:
+        return f"supply of {volts:.1f} V, must be {volts_min:g} to {volts_max:g} V"
     if int(status["temperature"]) > config.temperature_max:
         return f"{int(status['temperature'])} deg C, {config.temperature_max:g} at most"
     return ""

@@ -89,8 +89,8 @@ class DynamixelReader:
                 if limits_current:
                     self._bus.require_current_unit(number, model)
                 self._settings += [
-                    f"servo {number}: {register.name} is {found}, a session sets {value}"
-                    for register, found, value in self._bus.other_settings(number, limits_current)
+                    f"servo {number}: {register.name} is {actual}, a session sets {value}"
+                    for register, actual, value in self._bus.other_settings(number, limits_current)
                 ]
 
     def _require_readable(self, number: int) -> None:
@@ -147,15 +147,15 @@ def reset(config: DynamixelConfig, motors: tuple[int, ...]) -> Iterator[str]:
 def _scan_baud_rate(bus: ServoBus, config: DynamixelConfig) -> list[str]:
     """Return a line for each servo at the present baud rate, and one for damaged answers."""
     baud = bus.port.baudrate
-    other = "" if baud == config.baud else f"; the config says {config.baud}"
-    if slow := bus.slow_adapter():
-        other += f"; {slow}"
+    hint = "" if baud == config.baud else f"; the config says {config.baud}"
+    if warning := bus.slow_adapter():
+        hint += f"; {warning}"
     models, result = bus.packets.broadcastPing(bus.port)
     lines = []
     for number in sorted(models):
         model, _, error = bus.packets.ping(bus.port, number)
         alert = "; reports a hardware error" * bool(error & 0x80)
-        lines.append(f"servo {number}: model {model} at {baud} baud{other}{alert}")
+        lines.append(f"servo {number}: model {model} at {baud} baud{hint}{alert}")
     if result == COMM_RX_CORRUPT:
         lines += [
             f"servo {number}: damaged answers at {baud} baud: two servos of one id?"

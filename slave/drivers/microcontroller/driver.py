@@ -93,11 +93,11 @@ class MicrocontrollerDriver:
             config.port, config.baud, timeout=WAIT_S, write_timeout=0.1
         )
         self._info = info = self._greet()
-        for name, wanted, count in (
+        for name, expected, count in (
             ("motor", self._channels.motors, info.motors),
             ("cell", self._channels.cells, info.cells),
         ):
-            for number in wanted:
+            for number in expected:
                 if not 1 <= number <= count:
                     raise DriverFault(
                         f"{config.port}: the board has {count} {name}s, there is no {name} {number}"
@@ -270,8 +270,8 @@ class MicrocontrollerDriver:
 
 def _select_channels(values: tuple[int, ...], numbers: tuple[int, ...]) -> Counts:
     """Return the values of the channels in use; NaN if the board could not read one."""
-    known = {k: float(v) for k, v in enumerate(values, 1) if v != frames.MISSING}
-    return np.array([known.get(number, math.nan) for number in numbers])
+    present = {k: float(v) for k, v in enumerate(values, 1) if v != frames.MISSING}
+    return np.array([present.get(number, math.nan) for number in numbers])
 
 
 # --- a microcontroller that is only listened to: it sends its states by itself
@@ -310,8 +310,8 @@ def scan(config: MicrocontrollerConfig) -> Iterator[str]:
     finally:
         driver.close()
     if info is not None:
-        what = f"{info.motors} motors, {info.cells} cells, {info.rate_hz} Hz"
-        yield f"{config.port}: {info.name}, {what}"
+        board = f"{info.motors} motors, {info.cells} cells, {info.rate_hz} Hz"
+        yield f"{config.port}: {info.name}, {board}"
 
 
 def reset(config: MicrocontrollerConfig, motors: tuple[int, ...]) -> Iterator[str]:  # noqa: ARG001

@@ -157,11 +157,11 @@ def parse_state(body: bytes) -> BoardState:
     """Return the body of a STATE; `FrameError` if it is none."""
     if len(body) < _STATE.size:
         raise FrameError("STATE too short")
-    flags, bad, answered, motors, cells = _STATE.unpack_from(body)
+    flags, errors, answered, motors, cells = _STATE.unpack_from(body)
     if len(body) != _STATE.size + 4 * (motors + cells):
         raise FrameError("STATE of the wrong length")
     values = struct.unpack_from(f"<{motors + cells}i", body, _STATE.size)
-    return BoardState(BoardFlags(flags), bad, answered, values[:motors], values[motors:])
+    return BoardState(BoardFlags(flags), errors, answered, values[:motors], values[motors:])
 
 
 class FrameReader:

@@ -88,12 +88,12 @@ class TipMotion(JointEffect):
 
     def apply(self, joint: Joint, travel: float, /) -> Joint:
         """Return the joint with this effect added."""
-        there = self.start + max(abs(self.travel) / self.speed, 1e-6)
+        arrival = self.start + max(abs(self.travel) / self.speed, 1e-6)
         hand = LoadMotorConfig(
             mode="position",
-            profile=((self.start, travel), (there, travel + self.travel)),
+            profile=((self.start, travel), (arrival, travel + self.travel)),
             stiffness=self.stiffness,
-            coupled=(self.start, there + self.hold),
+            coupled=(self.start, arrival + self.hold),
         )
         environment = merge_environments(joint.environment, build_environment(hand))
         return joint._replace(environment=environment)
@@ -147,8 +147,8 @@ class AntagonistTension(JointEffect):
         if not joint.pair:
             return joint
         tendon = joint.b if self.tendon == "b" else joint.a
-        more = self.tension * float(tendon.chain.compliance.sum())
-        winding = tendon.winding._replace(take_up=tendon.winding.take_up + more)
+        stretch = self.tension * float(tendon.chain.compliance.sum())
+        winding = tendon.winding._replace(take_up=tendon.winding.take_up + stretch)
         tendon = tendon._replace(winding=winding)
         return joint._replace(b=tendon) if self.tendon == "b" else joint._replace(a=tendon)
 

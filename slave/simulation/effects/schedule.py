@@ -48,9 +48,9 @@ class JointSchedule:
         """
         if not self._all:
             return None
-        moved = abs(housing - self._before[: len(housing)])
+        travels = abs(housing - self._before[: len(housing)])
         self._before = housing
-        for (side, of), way in zip(self._knobs.items(), moved, strict=True):
+        for (side, of), way in zip(self._knobs.items(), travels, strict=True):
             self._slid[side] += [way if effect in self._began else 0.0 for effect in of]
         begins = [e for e in self._all if e.start <= time and e not in self._began]
         self._began |= dict.fromkeys(begins, travel)

@@ -243,10 +243,10 @@ class SampleEffect(Effect):
     def __post_init__(self) -> None:
         """Check that bursts of this length can reach the share; raises `ValueError`."""
         Effect.__post_init__(self)
-        most = self.burst / (1.0 + self.burst)
-        if self.share > most:
+        share_max = self.burst / (1.0 + self.burst)
+        if self.share > share_max:
             raise ValueError(
-                f"share: must be at most {most:.2g} in bursts of {self.burst:g}; raise burst"
+                f"share: must be at most {share_max:.2g} in bursts of {self.burst:g}; raise burst"
             )
 
     def strikes(self, struck: bool, chance: float) -> bool:
