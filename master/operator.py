@@ -210,8 +210,8 @@ def find_not_ready_reason(
     for k in range(hand.axes):
         x = clip_to_workspace(settings, k, hand.position[k])
         tip = _get_reported_travel(memory.tip[k], state, has_state, k)
-        apart = abs(memory.tip[k] + settings.position_scale * (x - memory.hand[k]) - tip)
-        if not settings.lock[k] and not apart <= settings.align:
+        distance = abs(memory.tip[k] + settings.position_scale * (x - memory.hand[k]) - tip)
+        if not settings.lock[k] and not distance <= settings.align:
             return Reason.ALIGN_FIRST
     return Reason.NONE
 

@@ -164,8 +164,8 @@ class MasterProcess(LoopProcess):
                 self._device.write((0.0,) * self._device.axes)
         finally:
             self._link.publish(COMMAND, Command())
-            off = SessionOutline()
-            publish_event(self._link, Role.MASTER, off, f"off: {self.ended or 'ended'}")
+            outline = SessionOutline()
+            publish_event(self._link, Role.MASTER, outline, f"off: {self.ended or 'ended'}")
 
     def _read(self, time_s: float) -> tuple[Reason, HandState | None, str]:
         """Read the device; return what is wrong with it, the hand, and why the device is away."""
@@ -208,8 +208,8 @@ class MasterProcess(LoopProcess):
 
     def _scaled(self, config: MasterConfig) -> MasterConfig:
         """Return the config with force and motion scaled as the link allows."""
-        wanted, scale = self._scaled_from
-        if config is not wanted or self._link_scale != scale:
+        unscaled, scale = self._scaled_from
+        if config is not unscaled or self._link_scale != scale:
             self._scaled_from = config, self._link_scale
             self._scaled_config = live_settings.scale_config(config, self._link_scale)
         return self._scaled_config
@@ -309,9 +309,9 @@ class MasterProcess(LoopProcess):
             )
             self._link.publish_packet(HAND, self._hand)
         self._publish_ledger(tick.stamp_ns)
-        for now in (self._commanded_outline(), side):  # the answer may have changed it again
-            if now != self._published:
-                self._publish_session(now)
+        for outline in (self._commanded_outline(), side):  # the answer may have changed it again
+            if outline != self._published:
+                self._publish_session(outline)
         self._watch_link(
             tick.stamp_ns,
             self._states,
@@ -332,10 +332,10 @@ class MasterProcess(LoopProcess):
         self._is_layout_compared = True
         if axes == joints:
             return ""
-        what = f"the device has {axes} axes, the rig {joints} joints: "
+        difference = f"the device has {axes} axes, the rig {joints} joints: "
         if axes > joints:
-            return f"{what}axes from {joints + 1} on move nothing"
-        return f"{what}joints from {axes + 1} on are not moved"
+            return f"{difference}axes from {joints + 1} on move nothing"
+        return f"{difference}joints from {axes + 1} on are not moved"
 
     def _device_failed(self, error: DeviceFault) -> Reason:
         self._end(TeleopError(f"haptic device: {error}"))
@@ -379,8 +379,8 @@ class MasterProcess(LoopProcess):
 
     def _publish_device(self, away: str) -> None:
         self._away = away
-        back = "it is back; let go of everything, then engage"
-        text = f"haptic device: {away or back}"
+        recovery = "it is back; let go of everything, then engage"
+        text = f"haptic device: {away or recovery}"
         publish_event(self._link, Role.MASTER, self._outline(), text)
 
 

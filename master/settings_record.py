@@ -53,10 +53,10 @@ class SettingsRecord:
 
         Only a part that is another object than before is written anew.
         """
-        before, self._config = self._config, config
-        if config.operator is not before.operator:
+        previous, self._config = self._config, config
+        if config.operator is not previous.operator:
             self.records["operator"] = build_operator_settings(config.operator)
-        if config.force is not before.force:
+        if config.force is not previous.force:
             self.records["force"] = to_struct_array(config.force)
         return self.records
 

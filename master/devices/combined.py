@@ -139,13 +139,13 @@ class CombinedDevice:
         """Close all in reverse order, also if one fails."""
         self._opened.close()
 
-    def _engage(self, held: list[bool]) -> bool:
+    def _engage(self, engage_inputs: list[bool]) -> bool:
         if all(self._released):
-            return all(held)
+            return all(engage_inputs)
         self._released = [
-            before or not now for before, now in zip(self._released, held, strict=True)
+            before or not now for before, now in zip(self._released, engage_inputs, strict=True)
         ]
-        return any(held)
+        return any(engage_inputs)
 
 
 def _add_index(number: int, fault: DeviceFault) -> DeviceFault:

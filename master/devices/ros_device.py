@@ -46,9 +46,9 @@ class RosDeviceConfig:
         from teleop.ros.config import DOMAIN_MAX, check_router
         from teleop.ros.graph import is_name
 
-        most = MAX_JOINTS if self.command == "servo_jp" else TWIST_AXES
-        if not 1 <= self.axes <= most:
-            raise ValueError(f"axes: must be within 1 ... {most} for {self.command}")
+        axes_max = MAX_JOINTS if self.command == "servo_jp" else TWIST_AXES
+        if not 1 <= self.axes <= axes_max:
+            raise ValueError(f"axes: must be within 1 ... {axes_max} for {self.command}")
         if not 0.005 <= self.timeout <= 1.0:
             raise ValueError("timeout: must be within 0.005 ... 1 [s]")
         for name, unit in (("position_max", "m"), ("speed_max", "m/s")):
@@ -138,16 +138,16 @@ class CommandMotion:
         time_s : float
             [s] never decreasing.
         """
-        before, self._record = self._record, record
+        previous, self._record = self._record, record
         dt, self._time_s = max(0.0, time_s - self._time_s), time_s
-        engaged = 0 < record.engagement == before.engagement
+        engaged = 0 < record.engagement == previous.engagement
         if self._config.command == "servo_cv":
             self._integrate(record.values if engaged and is_fresh else (), dt)
         elif record.values:
             if not engaged:
                 self._span_s = 0.0
-            elif record.number != before.number:
-                passed_s = (record.received_ns - before.received_ns) * 1e-9
+            elif record.number != previous.number:
+                passed_s = (record.received_ns - previous.received_ns) * 1e-9
                 self._from, self._begin_s, self._span_s = self._position, time_s, passed_s
             self._move(record.values, time_s)
         else:
@@ -237,18 +237,18 @@ class RosDevice:
         if not self._began:  # it is starting
             return self._motion.rest()
         age_ns = now_ns - record.received_ns
-        wrong = record.fault
+        fault = record.fault
         if now_ns - record.written_ns > RECORD_TIMEOUT_NS:
-            wrong = "the receiver of ROS commands does not answer"
+            fault = "the receiver of ROS commands does not answer"
         elif (
-            not wrong
+            not fault
             and record.engagement
             and age_ns > self._config.timeout * 1e9 + RECORD_TIMEOUT_NS
         ):
-            wrong = f"ROS {self._config.command}: silent"
-        if wrong:
+            fault = f"ROS {self._config.command}: silent"
+        if fault:
             self._motion.rest()
-            raise DeviceLost(wrong)
+            raise DeviceLost(fault)
         return self._motion.step(record, age_ns <= self._config.timeout * 1e9, time_s)
 
     def write(self, force: Axes) -> None:
@@ -266,8 +266,8 @@ class RosDevice:
         data = self._part
         with suppress(BlockingIOError):
             data += os.read(self._pipe, _READ_BYTES)
-        whole = len(data) // SIZE * SIZE
-        self._part = data[whole:]
-        if whole:
-            self._record = CommandRecord.unpack(data[whole - SIZE : whole], self.axes)
+        complete = len(data) // SIZE * SIZE
+        self._part = data[complete:]
+        if complete:
+            self._record = CommandRecord.unpack(data[complete - SIZE : complete], self.axes)
             self._began = True

@@ -126,9 +126,9 @@ class CommandStream:
         except CdrError as error:
             self._fail(f"invalid message: {error}")
             return
-        wrong = self._wrong_sender(sample) or self._wrong_values(values, sample.received_ns)
-        if wrong:
-            self._fail(wrong)
+        fault = self._wrong_sender(sample) or self._wrong_values(values, sample.received_ns)
+        if fault:
+            self._fail(fault)
             return
         self.values, self.received_ns = values, sample.received_ns
         self.number += 1
@@ -136,8 +136,8 @@ class CommandStream:
     def _is_silent(self, now_ns: int) -> bool:
         return now_ns - self.received_ns > self.config.timeout * 1e9 or not self.received_ns
 
-    def _fail(self, what: str) -> None:
-        self.engage, self.fault = False, f"ROS {self.config.command}: {what}"
+    def _fail(self, fault: str) -> None:
+        self.engage, self.fault = False, f"ROS {self.config.command}: {fault}"
         self.values = ()
 
     def _count_messages(self, count: int, now_ns: int) -> None:

@@ -102,9 +102,9 @@ def main(args: argparse.Namespace) -> int:
     """Estimate and report the error; returns the exit code."""
     check_options(args)
     files = model_files.parse(args.model)
-    known, joints = ((), ()) if args.fit else load_models(args)
+    tendons, joints = ((), ()) if args.fit else load_models(args)
     joints = joints or read_recorded_joints(args.data)
-    k = select_tendon(args.tendon, joints, len(known))
+    k = select_tendon(args.tendon, joints, len(tendons))
     table = read_table(
         args.data,
         parse_column_names(args.column, k),
@@ -112,7 +112,7 @@ def main(args: argparse.Namespace) -> int:
         zero_errors=() if args.fit else ("distal_tension",),
     )
     summary: dict[str, Any] = {"data": str(args.data), "samples": len(table.time)}
-    if args.tendon is not None or len(known) > 1:
+    if args.tendon is not None or len(tendons) > 1:
         summary["tendon"] = format_tendon_name(k, joints)
     if args.fit:
         try:
@@ -131,11 +131,11 @@ def main(args: argparse.Namespace) -> int:
         }
     else:
         tendon = (
-            select_tendon_model(k, known, joints, files)
+            select_tendon_model(k, tendons, joints, files)
             if files
-            else known[k if len(known) > 1 else 0]
+            else tendons[k if len(tendons) > 1 else 0]
         )
-        if not known:
+        if not tendons:
             tendon = complete_tendon_model(tendon, table, args.length)
     clean = remove_spikes(table)
     estimates = Estimator(tendon.model()).run(clean)
@@ -184,25 +184,25 @@ def check_options(args: argparse.Namespace) -> None:
 
 def parse_column_names(words: Sequence[str], tendon: int = 0) -> Columns:
     """Return the column names of a tendon, from 0, with the overrides NAME=COLUMN."""
-    known = [f.name for f in dataclasses.fields(Columns)]
+    field_names = [f.name for f in dataclasses.fields(Columns)]
     renamed = {}
     for word in words:
         name, equals, column = word.partition("=")
-        if name not in known or not equals or not column:
+        if name not in field_names or not equals or not column:
             raise UsageError(
-                f"--column {word}: expected NAME=COLUMN, NAME one of {', '.join(known)}"
+                f"--column {word}: expected NAME=COLUMN, NAME one of {', '.join(field_names)}"
             )
         renamed[name] = column
     return dataclasses.replace(Columns.of_tendon(tendon + 1), **renamed)
 
 
 def select_tendon_model(
-    k: int, known: Sequence[TendonConfig], joints: JointTendons, files: model_files.ModelFiles
+    k: int, tendons: Sequence[TendonConfig], joints: JointTendons, files: model_files.ModelFiles
 ) -> TendonConfig:
     """Return tendon `k`, from 0, with its model file; a single model is for all."""
-    count = max(sum(map(len, joints)), len(known), k + 1)
-    every = list(known) * count if len(known) == 1 else list(known)
-    tendon = model_files.apply_model_files(every or [None] * count, joints, files)[k]
+    count = max(sum(map(len, joints)), len(tendons), k + 1)
+    models = list(tendons) * count if len(tendons) == 1 else list(tendons)
+    tendon = model_files.apply_model_files(models or [None] * count, joints, files)[k]
     if tendon is None:
         raise UsageError(f"--model: has none for tendon {format_tendon_name(k, joints)}")
     return tendon
@@ -213,9 +213,9 @@ def complete_tendon_model(
 ) -> TendonConfig:
     """Return a tendon from a model file alone, with a length [m] and the noise of a record."""
     try:
-        known = model_files.set_sheath_length(tendon, length)
+        completed = model_files.set_sheath_length(tendon, length)
         return model_files.set_noise_from_data(
-            known, table.proximal_tension, table.proximal_displacement
+            completed, table.proximal_tension, table.proximal_displacement
         )
     except ValueError as error:
         raise UsageError(f"{table.path}, --length {length:g}: {error}") from error
@@ -227,8 +227,8 @@ def has_contradictory_travel(
     """Return whether the estimate without travel would be far better."""
     if error is None or table.proximal_displacement is None:
         return False
-    alone = Estimator(tendon.model()).run(table._replace(proximal_displacement=None))
-    without = compare_with_bench(alone, table, tendon)
+    by_tension = Estimator(tendon.model()).run(table._replace(proximal_displacement=None))
+    without = compare_with_bench(by_tension, table, tendon)
     return (
         without is not None
         and error["rmse_N"] > 2.0 * without["rmse_N"] + 0.01 * error["full_scale_N"]
@@ -241,16 +241,16 @@ def list_warnings(clean: Samples, tendon: TendonConfig, summary: dict[str, Any])
     error = summary["force_error"]
     pulled = float(np.nanmax(clean.proximal_tension)) >= FULL_SCALE_SIGMAS * tendon.tension_noise
     if error is not None and pulled and "fit" not in summary:
-        said = find_contradiction(error["rmse_percent"] / 100.0, error["inside_interval"])
+        text = find_contradiction(error["rmse_percent"] / 100.0, error["inside_interval"])
         remedy = (
             "check that the model is of this tendon and that it is calibrated anew since it was "
             "moved, or see what `teleop diagnose` finds"
         )
-        out += [f"data and model contradict: {said}; {remedy}"] if said else []
+        out += [f"data and model contradict: {text}; {remedy}"] if text else []
     if clean.proximal_displacement is not None and clean.distal_displacement is not None:
         stretch = clean.proximal_displacement - clean.distal_displacement
-        alone = Estimator(tendon.model()).run(clean._replace(proximal_displacement=None))
-        out += [said] if (said := find_stretch_slip(stretch, alone.elongation)) else []
+        by_tension = Estimator(tendon.model()).run(clean._replace(proximal_displacement=None))
+        out += [text] if (text := find_stretch_slip(stretch, by_tension.elongation)) else []
     return out
 
 
@@ -291,8 +291,8 @@ def load_models(args: argparse.Namespace) -> tuple[tuple[TendonConfig, ...], Joi
         try:
             calibration = file.load(config.calibration)
         except UsageError as error:
-            where = f"; {args.config} was recorded with it" if is_recording(args.config) else ""
-            raise UsageError(f"{error}{where}; --calibration FILE names another") from error
+            origin = f"; {args.config} was recorded with it" if is_recording(args.config) else ""
+            raise UsageError(f"{error}{origin}; --calibration FILE names another") from error
         return calibration.tendons, calibration.joints
     joints = get_joint_tendons(config)
     count = sum(map(len, joints)) or max(len(config.tendons), 1)
@@ -328,8 +328,8 @@ def select_tendon(word: str | None, joints: JointTendons, count: int) -> int:
 
     `count` is the number of models; a single one is for all tendons.
     """
-    known = sum(map(len, joints)) or (count if count > 1 else MAX_TENDONS)
-    names = model_files.map_tendon_names(joints, known)
+    tendon_count = sum(map(len, joints)) or (count if count > 1 else MAX_TENDONS)
+    names = model_files.map_tendon_names(joints, tendon_count)
     if word is None:
         return 0
     if word not in names:
@@ -358,7 +358,7 @@ def compare_with_bench(
 
 def build_columns(estimates: online.Estimates, number: int = 1) -> dict[str, Any]:
     """Return the estimates of tendon 1, 2, ... as columns of a table."""
-    named = {
+    columns = {
         "distal_tension_estimate_N": estimates.distal_tension,
         "distal_tension_low_N": estimates.low,
         "distal_tension_high_N": estimates.high,
@@ -368,7 +368,7 @@ def build_columns(estimates: online.Estimates, number: int = 1) -> dict[str, Any
     }
     codes = {"phase": estimates.phase, "status": estimates.status}
     suffix = f"_{number}" if number > 1 else ""
-    return {format_numbered_name(name, number): column for name, column in named.items()} | {
+    return {format_numbered_name(name, number): column for name, column in columns.items()} | {
         name + suffix: column for name, column in codes.items()
     }
 
@@ -413,9 +413,9 @@ def format_report(summary: dict[str, Any]) -> list[str]:
                 f"          {name} = {p['value']:.4g} (95 %: {p['low']:.4g} to {p['high']:.4g})"
             )
         length, EA = fit["length"], summary["model"]["axial_stiffness"]
-        known = "" if "EA" in fit["parameters"] else " assumed"
+        assumption = "" if "EA" in fit["parameters"] else " assumed"
         lines.append(
-            f"          EA = {EA:.4g} N{known} for a length of {length:g} m (--length): "
+            f"          EA = {EA:.4g} N{assumption} for a length of {length:g} m (--length): "
             f"EA and L only enter as EA/L = {EA / length:.4g} N/m"
         )
         lines.append(
@@ -431,7 +431,7 @@ def format_report(summary: dict[str, Any]) -> list[str]:
                 f"left out, the largest {spikes['largest']:.6g} {unit} at "
                 f"{spikes['time_s']:.6g} s: check the sensor's cable"
             )
-    lines += [f"WARNING   {said}" for said in summary["doubts"]]
+    lines += [f"WARNING   {doubt}" for doubt in summary["doubts"]]
     if summary["travel_contradicts"]:
         lines.append(
             "WARNING   the displacement contradicts the tension: without it the estimate is far "

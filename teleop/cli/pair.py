@@ -87,20 +87,20 @@ class PairConfig:
         UsageError
             Neither has it.
         """
-        for one in self.bends:
-            if one.file == path.name:
-                return self._checked(path, one.bend)
-        before, after = self.bend.split(BEND)
-        lead = re.escape(before) + r"(-?\d+(?:\.\d+)?)" if before else _NUMBER
-        found = re.search(lead + re.escape(after), path.name)
+        for file_bend in self.bends:
+            if file_bend.file == path.name:
+                return self._checked(path, file_bend.bend)
+        prefix, suffix = self.bend.split(BEND)
+        lead = re.escape(prefix) + r"(-?\d+(?:\.\d+)?)" if prefix else _NUMBER
+        match = re.search(lead + re.escape(suffix), path.name)
         if not path.exists():
             raise UsageError(f"{path}: file not found")
-        if found is None:
+        if match is None:
             raise UsageError(
                 f"{path}: the name does not tell the sheath's bend as {self.bend!r} would; rename "
                 "the file, or give pattern or list in --columns FILE (bend, bends)"
             )
-        return self._checked(path, float(found[1]))
+        return self._checked(path, float(match[1]))
 
     def _checked(self, path: Path, bend: float) -> float:
         if not 0.0 <= bend < math.inf:
@@ -125,7 +125,9 @@ def read_records(paths: Sequence[Path], config: PairConfig) -> tuple[PairRecord,
     UsageError
         A file cannot be read, lacks a column or its bend, or has invalid values.
     """
-    return tuple(sorted((_read_record(path, config) for path in paths), key=lambda one: one.bend))
+    return tuple(
+        sorted((_read_record(path, config) for path in paths), key=lambda record: record.bend)
+    )
 
 
 def _read_record(path: Path, config: PairConfig) -> PairRecord:
@@ -177,42 +179,42 @@ def _parse_column(path: Path, raw: RawTable, config: PairConfig, item: str) -> A
         column = np.asarray(raw.columns[name], dtype=np.float64)
     except (TypeError, ValueError):
         raise UsageError(f"{path}: column {name!r} is not numbers throughout") from None
-    if (bad := np.flatnonzero(~np.isfinite(column))).size:
-        place = raw.place(int(bad[0]))
-        raise UsageError(f"{path}: column {name!r}, {place}: is blank or not finite")
+    if (missing := np.flatnonzero(~np.isfinite(column))).size:
+        location = raw.place(int(missing[0]))
+        raise UsageError(f"{path}: column {name!r}, {location}: is blank or not finite")
     return column
 
 
 # --- report.json, everything in SI units and radians
 
 
-def build_report(found: PairStudy, seconds: float) -> dict[str, Any]:
+def build_report(study: PairStudy, seconds: float) -> dict[str, Any]:
     """Return the report; `seconds` is what the study took."""
     return {
-        "sentence": report_text.format_sentence(found),
-        "bends": [float(record.bend) for record in found.records],
-        "friction": [number._asdict() for number in found.record_frictions],
-        "friction_straight": found.friction._asdict(),
-        "growth": found.growth._asdict(),
-        "model": {name: float(value) for name, value in found.fit.model._asdict().items()},
-        "neutral": list(found.fit.neutrals),
-        "best_simple": found.best_simple,
-        "better_model": report_text.format_model_warning(found),
+        "sentence": report_text.format_sentence(study),
+        "bends": [float(record.bend) for record in study.records],
+        "friction": [number._asdict() for number in study.record_frictions],
+        "friction_straight": study.friction._asdict(),
+        "growth": study.growth._asdict(),
+        "model": {name: float(value) for name, value in study.fit.model._asdict().items()},
+        "neutral": list(study.fit.neutrals),
+        "best_simple": study.best_simple,
+        "better_model": report_text.format_model_warning(study),
         "left_out": {
             method: [error._asdict() for error in errors]
-            for method, errors in found.left_out.items()
+            for method, errors in study.left_out.items()
         },
         "validation": [
             {
-                "bend": one.bend,
-                "ours": one.model_error._asdict(),
-                "baselines": {name: e._asdict() for name, e in one.baselines.items()},
+                "bend": validation.bend,
+                "ours": validation.model_error._asdict(),
+                "baselines": {name: e._asdict() for name, e in validation.baselines.items()},
             }
-            for one in found.validation
+            for validation in study.validation
         ],
-        "structure": [part._asdict() for part in analyse_residuals(found.records, found.predicted)],
-        "offset_share": compute_offset_share(found.records, found.predicted),
-        "wrong": report_text.describe_errors(found),
+        "structure": [part._asdict() for part in analyse_residuals(study.records, study.predicted)],
+        "offset_share": compute_offset_share(study.records, study.predicted),
+        "wrong": report_text.describe_errors(study),
         "seconds": seconds,
         "version": version("tendon-teleop"),
     }
@@ -221,45 +223,45 @@ def build_report(found: PairStudy, seconds: float) -> dict[str, Any]:
 # --- report.html, on one self-contained page
 
 
-def write_figures(found: PairStudy, folder: Path) -> dict[str, str]:
+def write_figures(study: PairStudy, folder: Path) -> dict[str, str]:
     """Write all figures into `folder`; return their captions by file name."""
     from estimator.drawing import use_style  # with matplotlib, which takes long
     from estimator.pair.figures import draw_figures
 
     captions = {}
     with use_style():
-        for drawn in draw_figures(found):
+        for drawn in draw_figures(study):
             file = f"pair-{drawn.name}.png"
             save_figure(drawn.figure, folder / file)
             captions[file] = drawn.caption
     return captions
 
 
-def render(found: PairStudy) -> str:
+def render(study: PairStudy) -> str:
     """Return the page."""
     from teleop.cli.html_page import Page
 
-    page = Page(report_text.format_sentence(found))
-    for what in report_text.format_model_warning(found):
-        page.text(what)
+    page = Page(report_text.format_sentence(study))
+    for sentence in report_text.format_model_warning(study):
+        page.text(sentence)
     page.heading("Friction against bend")
-    page.table(report_text.build_friction_table(found), mark="")
+    page.table(report_text.build_friction_table(study), mark="")
     with TemporaryDirectory() as folder:
-        captions = write_figures(found, Path(folder))
+        captions = write_figures(study, Path(folder))
         paths = {name: Path(folder) / name for name in captions}
         page.figure(paths["pair-friction.png"], captions["pair-friction.png"])
         page.heading("The model for all bends")
-        page.table(report_text.build_parameter_table(found), mark="")
+        page.table(report_text.build_parameter_table(study), mark="")
         page.heading("Bends that were not fitted")
         page.text("Root mean square of the angle's error, and its share of the span.")
-        page.table(report_text.build_held_out_table(found), mark=report_text.OWN_METHOD)
+        page.table(report_text.build_held_out_table(study), mark=report_text.OWN_METHOD)
         page.figure(paths["pair-loops.png"], captions["pair-loops.png"])
-        if found.validation:
+        if study.validation:
             page.heading("Bends kept apart")
-            page.table(report_text.build_validation_table(found.validation), mark="")
+            page.table(report_text.build_validation_table(study.validation), mark="")
         page.heading("What is wrong")
-        page.points(report_text.describe_errors(found))
-        page.table(report_text.build_residual_table(found), mark="")
+        page.points(report_text.describe_errors(study))
+        page.table(report_text.build_residual_table(study), mark="")
         page.figure(paths["pair-left.png"], captions["pair-left.png"])
     return page.render()
 
@@ -287,18 +289,18 @@ def main(args: argparse.Namespace) -> int:
     records, further = read_records(args.data, config), read_records(args.validate, config)
     if args.out is not None:
         make_folder(args.out, "report.html")
-    progress, begun = Progress(), time.monotonic()
+    progress, begin_s = Progress(), time.monotonic()
     try:
-        found = study_pair(records, validate=further, progress=progress)
+        study = study_pair(records, validate=further, progress=progress)
     except PairError as error:
         raise UsageError(f"{', '.join(map(str, args.data + args.validate))}: {error}") from error
     finally:
         progress.end()
-    tree = build_report(found, time.monotonic() - begun)
+    tree = build_report(study, time.monotonic() - begin_s)
     write_summary(args.json, tree)
-    print(report_text.format_report(found), flush=True)
+    print(report_text.format_report(study), flush=True)
     if args.out is not None:
         write_summary(args.out / "report.json", tree)
-        write_text_file(args.out / "report.html", render(found), "the page")
+        write_text_file(args.out / "report.html", render(study), "the page")
         print(f"\nwritten: {args.out / 'report.html'}")
     return 0

@@ -56,7 +56,7 @@ class MotionSample(NamedTuple):
 class Motion(Protocol):
     """Interface of a motion of one motor."""
 
-    def step(self, memory: MotionState, seen: MotionSample) -> tuple[float, MotionState]:
+    def step(self, memory: MotionState, sample: MotionSample) -> tuple[float, MotionState]:
         """Return the motor command [m] for the next sample, and the new state."""
 
 
@@ -71,12 +71,12 @@ class Turns:
     levels: tuple[float, ...]  # [N] no two neighbours alike, last and first included
     speed: float  # [m/s]
 
-    def step(self, memory: MotionState, seen: MotionSample) -> tuple[float, MotionState]:
+    def step(self, memory: MotionState, sample: MotionSample) -> tuple[float, MotionState]:
         """See `Motion`."""
         leg = memory.leg
-        if self._direction(leg) * (seen.tension - self._level(leg)) >= 0.0:
+        if self._direction(leg) * (sample.tension - self._level(leg)) >= 0.0:
             leg += 1
-        target = memory.target + self._direction(leg) * self.speed * seen.dt
+        target = memory.target + self._direction(leg) * self.speed * sample.dt
         return target, MotionState(leg, target)
 
     def _level(self, leg: int) -> float:
@@ -93,9 +93,9 @@ class Sine:
     stroke: float  # [m]
     period: float  # [s]
 
-    def step(self, memory: MotionState, seen: MotionSample) -> tuple[float, MotionState]:
+    def step(self, memory: MotionState, sample: MotionSample) -> tuple[float, MotionState]:
         """See `Motion`."""
-        turn = 2.0 * math.pi * (seen.time_s + seen.dt) / self.period
+        turn = 2.0 * math.pi * (sample.time_s + sample.dt) / self.period
         target = 0.5 * self.stroke * (1.0 - math.cos(turn))
         return target, memory._replace(target=target)
 
@@ -112,12 +112,12 @@ class TensionHold:
     admittance: float = 0.03  # [m/(s N)]
     band: float = 0.1  # [N] to either side, against limit cycles: a short piece of tendon is stiff
 
-    def step(self, memory: MotionState, seen: MotionSample) -> tuple[float, MotionState]:
+    def step(self, memory: MotionState, sample: MotionSample) -> tuple[float, MotionState]:
         """See `Motion`."""
-        error = self.tension - seen.tension
+        error = self.tension - sample.tension
         error -= min(max(error, -self.band), self.band)
         speed = min(max(self.admittance * error, -self.speed), self.speed)
-        target = memory.target + speed * seen.dt
+        target = memory.target + speed * sample.dt
         return target, memory._replace(target=target)
 
 
@@ -257,7 +257,7 @@ def simulate(
     memories = [MotionState()] * rig.tendons
     period, rows = config.period, []
     due = [round(k / rate / period) for k in range(int(duration * rate + 1e-9) + 1)]
-    kept, last = set(due), due[-1]
+    kept_rows, last = set(due), due[-1]
     for step in range(last + 1):
         for sample in rig.read(step * period):
             tensions = sample.proximal_tension.tolist()
@@ -267,7 +267,7 @@ def simulate(
             ]
             memories = [memory for _, memory in moves]
             rig.write(np.array([target for target, _ in moves]))
-            if step in kept:
+            if step in kept_rows:
                 rows.append(sample)
         if progress and (step % 2000 == 0 or step == last):
             _show_progress((step + 1) / (last + 1))
@@ -295,9 +295,9 @@ def to_columns(run: Run) -> dict[str, Array]:
 
 def _load_rig_config(args: argparse.Namespace) -> SimulatedRigConfig:
     config = load(args.config, SlaveConfig, "slave", args.overrides).rig
-    place = args.config or "defaults"
+    origin = args.config or "defaults"
     if not isinstance(config, SimulatedRigConfig):
-        raise UsageError(f"{place}: slave.rig.type: must be simulated, not {config.type}")
+        raise UsageError(f"{origin}: slave.rig.type: must be simulated, not {config.type}")
     if args.seed is None:
         return config
     try:
@@ -327,12 +327,12 @@ def _print_summary(
             f"the motor moved {1e3 * np.ptp(run.proximal_displacement[:, i]):.3g} mm, "
             f"the tip {1e3 * np.ptp(run.distal_displacement[:, i]):.3g} mm"
         )
-        most = tendon.load_cell.range
-        if run.proximal_tension[:, i].max() >= most:
-            beyond = f", --peak {args.peak:g} N is never read" if args.peak >= most else ""
+        range_max = tendon.load_cell.range
+        if run.proximal_tension[:, i].max() >= range_max:
+            hint = f", --peak {args.peak:g} N is never read" if args.peak >= range_max else ""
             print(
-                f"WARNING: tendon {i + 1}: its load cell's readings end at {most:g} N "
-                f"(load_cell.range){beyond}"
+                f"WARNING: tendon {i + 1}: its load cell's readings end at {range_max:g} N "
+                f"(load_cell.range){hint}"
             )
     for effect in config.effects:
         print(f"effect {describe_effect(effect)}")

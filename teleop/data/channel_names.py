@@ -71,33 +71,34 @@ def check_names(path: Path, names: Collection[str]) -> None:
         match = _COLUMN_NAME.fullmatch(name)
         if match is None:
             continue
-        end, what, number, unit = match.groups()
-        meant = _UNIT_QUANTITIES.get(unit, what)
-        right = f"{end}_{meant}{number or ''}_{_QUANTITY_UNITS[meant]}"
-        rotary = what in ("torque", "angle")
-        if right == name or (meant == what and not rotary):
+        end, quantity, number, unit = match.groups()
+        actual = _UNIT_QUANTITIES.get(unit, quantity)
+        suggested = f"{end}_{actual}{number or ''}_{_QUANTITY_UNITS[actual]}"
+        rotary = quantity in ("torque", "angle")
+        if suggested == name or (actual == quantity and not rotary):
             continue  # other units of a tension or travel are what the reader looks for misspelt
-        linear = "displacement_m" if what == "angle" else "tension_N"
+        linear = "displacement_m" if quantity == "angle" else "tension_N"
         if rotary and f"{end}_{linear}" in names:
             continue  # a further column of a linear record
-        kind = f"is {'an angle' if meant == 'angle' else 'a torque'}, not a {what}"
-        wrong = kind if meant != what else f"is not {_UNIT_PHRASES[_QUANTITY_UNITS[meant]]}"
-        how = (
+        kind = f"is {'an angle' if actual == 'angle' else 'a torque'}, not a {quantity}"
+        fault = kind if actual != quantity else f"is not {_UNIT_PHRASES[_QUANTITY_UNITS[actual]]}"
+        hint = (
             ""
-            if unit == _QUANTITY_UNITS[meant]
-            else f", its values {_UNIT_PHRASES[_QUANTITY_UNITS[meant]]}"
+            if unit == _QUANTITY_UNITS[actual]
+            else f", its values {_UNIT_PHRASES[_QUANTITY_UNITS[actual]]}"
         )
-        raise UsageError(f"{path}: column {name!r} {wrong}; name it {right!r}{how}")
+        raise UsageError(f"{path}: column {name!r} {fault}; name it {suggested!r}{hint}")
 
 
 def check_linear_names(path: Path, names: Collection[str]) -> None:
     """Refuse a column as a tension or travel if its name ends in N m, radians or degrees."""
     for name in names:
-        meant = _UNIT_QUANTITIES.get(name.rpartition("_")[2])
-        if meant is not None:
+        quantity = _UNIT_QUANTITIES.get(name.rpartition("_")[2])
+        if quantity is not None:
             raise UsageError(
-                f"{path}: column {name!r} is of {meant}s, and is given as a tension or travel; "
-                f"name the channel by --column proximal_{meant}={name} or distal_{meant}={name}"
+                f"{path}: column {name!r} is of {quantity}s, and is given as a tension or travel; "
+                f"name the channel by --column proximal_{quantity}={name} or "
+                f"distal_{quantity}={name}"
             )
 
 
@@ -109,7 +110,7 @@ def detect_units(path: Path, names: Collection[str], number: int = 1) -> Units:
     UsageError
         It is linear in part and rotary in part.
     """
-    there = {
+    present = {
         units: [
             name
             for channel in STANDARD_NAMES[units]
@@ -117,7 +118,7 @@ def detect_units(path: Path, names: Collection[str], number: int = 1) -> Units:
         ]
         for units in STANDARD_NAMES
     }
-    linear, rotary = [*there[LINEAR], *there[FORCE]], there[ROTARY]
+    linear, rotary = [*present[LINEAR], *present[FORCE]], present[ROTARY]
     if (
         format_standard_name(LINEAR, "proximal_tension", number) in names
     ):  # further columns are ignored
@@ -137,8 +138,8 @@ def detect_units(path: Path, names: Collection[str], number: int = 1) -> Units:
         )
     if rotary:
         return ROTARY
-    forces = [name for name in there[FORCE] if "_force" in name]
-    tensions = [name for name in there[LINEAR] if "_tension" in name]
+    forces = [name for name in present[FORCE] if "_force" in name]
+    tensions = [name for name in present[LINEAR] if "_tension" in name]
     if forces and tensions:
         raise UsageError(
             f"{path}: has {tensions[0]!r} and {forces[0]!r}; name both tensions (of one tendon) or "
@@ -155,16 +156,16 @@ def detect_option_units(words: Sequence[str]) -> Units | None:
     UsageError
         They contradict one another.
     """
-    told = [
+    options = [
         ROTARY if "_torque" in w or "_angle" in w else FORCE for w in words if _has_unit_hint(w)
     ]
     linear = [w for w in words if "_tension" in w or "_displacement" in w]
-    if len(set(told)) > 1 or (ROTARY in told and linear):
+    if len(set(options)) > 1 or (ROTARY in options and linear):
         raise UsageError(
             f"--column: {', '.join(words)}: a record is linear (tension or force, displacement) or "
             "rotary (torque, angle) as a whole"
         )
-    return told[0] if told else None
+    return options[0] if options else None
 
 
 def _has_unit_hint(word: str) -> bool:
@@ -173,7 +174,7 @@ def _has_unit_hint(word: str) -> bool:
 
 def to_channel(word: str) -> str:
     """Return the channel that a name means: `proximal_torque` is that of `proximal_tension`."""
-    end, _, what = word.partition("_")
-    if what in ("torque", "force"):
+    end, _, quantity = word.partition("_")
+    if quantity in ("torque", "force"):
         return f"{end}_tension"
-    return f"{end}_displacement" if what == "angle" else word
+    return f"{end}_displacement" if quantity == "angle" else word

@@ -56,8 +56,8 @@ def split_unit(name: str, names: Collection[str]) -> tuple[str, str]:
 def convert_to_si(
     path: Path,
     numbers: dict[str, Array],
-    found: Sequence[Mapping[str, str]],
-    told: Sequence[Mapping[str, tuple[str, str]]],
+    columns: Sequence[Mapping[str, str]],
+    stated_units: Sequence[Mapping[str, tuple[str, str]]],
     units: Units,
 ) -> list[str]:
     """Convert columns to SI units, in place; return what was converted, one line each.
@@ -68,9 +68,9 @@ def convert_to_si(
         The file.
     numbers : dict
         Column name -> values, shape (samples,).
-    found : sequence of mapping
+    columns : sequence of mapping
         Field of `MeasuredTable` -> column name, one of each tendon.
-    told : sequence of mapping
+    stated_units : sequence of mapping
         Field -> column name and unit by the option (`split_unit`), likewise.
     units : Units
         Of the record.
@@ -81,7 +81,7 @@ def convert_to_si(
         A unit is of another dimension; or it is unknown, and the option or brackets tell it.
     """
     factors: dict[str, tuple[str, float]] = {}
-    for names, told_of in zip(found, told, strict=True):
+    for names, told_of in zip(columns, stated_units, strict=True):
         for item, name in names.items():
             unit = told_of[item][1]
             factors[name] = _find_unit_factor(path, name, item, units, unit)
@@ -94,7 +94,7 @@ def convert_to_si(
 
 
 def _find_unit_factor(
-    path: Path, name: str, channel: str, units: Units, told: str
+    path: Path, name: str, channel: str, units: Units, stated_unit: str
 ) -> tuple[str, float]:
     """Return the unit of a column and its size in the unit of `units`; ("", 1) if none is known.
 
@@ -106,7 +106,7 @@ def _find_unit_factor(
         Of the column, and the field of `MeasuredTable` that it is for.
     units : Units
         Of the record.
-    told : str
+    stated_unit : str
         The unit by the option; "" for that of the name.
 
     Raises
@@ -115,31 +115,31 @@ def _find_unit_factor(
         The unit is of another dimension; or it is unknown, and the option or brackets tell it.
     """
     dimension = _find_dimension(channel, units)
-    known = UNIT_FACTORS[dimension]
-    if told:
-        if (unit := _match_unit(told)) not in known:
+    factors = UNIT_FACTORS[dimension]
+    if stated_unit:
+        if (unit := _match_unit(stated_unit)) not in factors:
             raise UsageError(
-                f"{path}: column {name!r} [{told}]: {dimension} is in {', '.join(known)}"
+                f"{path}: column {name!r} [{stated_unit}]: {dimension} is in {', '.join(factors)}"
             )
-        return unit, known[unit]
+        return unit, factors[unit]
     brackets = _IN_BRACKETS.search(name)
     end = brackets or _UNIT_SUFFIX.search(name)
     if end is None or end[1].isdecimal():  # an index, such as `effort[0]`
         return "", 1.0
     unit = _match_unit(end[1])
-    if unit in known:
-        return unit, known[unit]
+    if unit in factors:
+        return unit, factors[unit]
     option = STANDARD_NAMES[units].get(channel, "time_s").rpartition("_")[0]
-    remedy = f"its unit can be given as in --column '{option}={name}[{next(iter(known))}]'"
+    remedy = f"its unit can be given as in --column '{option}={name}[{next(iter(factors))}]'"
     if unit and (brackets or unit not in _AMBIGUOUS_UNITS):
         raise UsageError(
             f"{path}: column {name!r} is in {unit}, and is given as {channel.replace('_', ' ')}, "
-            f"which is in {', '.join(known)}; {remedy}"
+            f"which is in {', '.join(factors)}; {remedy}"
         )
     if not unit and (brackets or _is_mega(end[1])):
         raise UsageError(
             f"{path}: column {name!r}: unknown unit {end[1]}, {dimension} is in "
-            f"{', '.join(known)}; {remedy}"
+            f"{', '.join(factors)}; {remedy}"
         )
     return "", 1.0
 
@@ -165,7 +165,7 @@ def _match_unit(word: str) -> str:
 
 
 def _in_any_case(word: str) -> str:
-    every = [unit for known in UNIT_FACTORS.values() for unit in known]
+    every = [unit for factors in UNIT_FACTORS.values() for unit in factors]
     units = [unit for unit in every if len(unit) > 1 and unit.lower() == word.lower()]
     return max(units, key=lambda unit: unit[0] == word[0], default="")  # NM is Nm, not nm
 

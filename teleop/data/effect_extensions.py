@@ -16,7 +16,7 @@ def is_extension(name: str) -> bool:
     return ":" in name or any(point.name == name for point in entry_points(group=ENTRY_POINT_GROUP))
 
 
-def load_effects(name: str, place: str = "--effects") -> tuple[Effect, ...]:
+def load_effects(name: str, origin: str = "--effects") -> tuple[Effect, ...]:
     """Return the effect, or its variants, by name.
 
     The effect keeps this name in model files.
@@ -27,14 +27,14 @@ def load_effects(name: str, place: str = "--effects") -> tuple[Effect, ...]:
         The name is not that of an effect.
     """
     try:
-        found = resolve_object(name, ENTRY_POINT_GROUP)
+        loaded = resolve_object(name, ENTRY_POINT_GROUP)
     except ExtensionError as error:
-        raise UsageError(f"{place}: {error}") from error
-    effects = (found,) if isinstance(found, Effect) else found
+        raise UsageError(f"{origin}: {error}") from error
+    effects = (loaded,) if isinstance(loaded, Effect) else loaded
     if not (
         isinstance(effects, Sequence)
         and effects
         and all(isinstance(effect, Effect) for effect in effects)
     ):
-        raise UsageError(f"{place}: {name} must be an estimator.effects.Effect, or several")
+        raise UsageError(f"{origin}: {name} must be an estimator.effects.Effect, or several")
     return tuple(replace(effect, name=name) for effect in effects)

@@ -51,7 +51,7 @@ def read(path: Path, header: HeaderCheck) -> dict[str, NDArray[Any]] | None:
             for name, cell in zip(names, first, strict=True)
         }
         parts: list[list[Any]] = [[] for _ in names]
-        size, begun, progress = path.stat().st_size, time.monotonic(), Progress()
+        size, begin_s, progress = path.stat().st_size, time.monotonic(), Progress()
         try:
             blocks = arrow.open_csv(
                 pa.PythonFile(file, mode="r"),
@@ -69,7 +69,7 @@ def read(path: Path, header: HeaderCheck) -> dict[str, NDArray[Any]] | None:
                     if not _has_readable_cells(column):
                         return None
                     part.append(_to_array(column))
-                if time.monotonic() - begun > PROGRESS_DELAY_S:
+                if time.monotonic() - begin_s > PROGRESS_DELAY_S:
                     progress(f"reading {path}", min(place() / size, 1.0))
         except (pa.ArrowException, OSError, EOFError):
             return None  # the reader of rows says what is wrong, and where
@@ -133,8 +133,8 @@ def _to_array(column: Any) -> NDArray[Any]:
 @contextlib.contextmanager
 def _open_with_position(path: Path) -> Iterator[tuple[Any, Callable[[], int]]]:
     """Open a file for reading; the second value tells how much of it has been read [bytes]."""
-    with path.open("rb") as plain:
-        yield unpack_text(path, plain), plain.tell
+    with path.open("rb") as raw_file:
+        yield unpack_text(path, raw_file), raw_file.tell
 
 
 def unpack_text(path: Path, file: io.BufferedIOBase) -> io.BufferedReader:

@@ -55,27 +55,27 @@ class SavedModel(NamedTuple):
     transmission: Mapping[str, Any] = MappingProxyType({})  # if it is no tendon of the capstan law
 
 
-def from_diagnosis(found: Diagnosis) -> SavedModel:
+def from_diagnosis(diagnosis: Diagnosis) -> SavedModel:
     """Return what a diagnosis has found, to be saved."""
-    base, model = found.dataset.base, found.extended.model
-    record = found.dataset.records[0]
+    base, model = diagnosis.dataset.base, diagnosis.extended.model
+    record = diagnosis.dataset.records[0]
     values = base.values(model.shared, np.mean(model.own, axis=0).tolist())
-    known = [p.name for p in BASE_PARAMETERS.values() if p.name in values]
+    names = [p.name for p in BASE_PARAMETERS.values() if p.name in values]
     if COMPLIANCE.name not in values:
-        known = known[:1]
+        names = names[:1]
     transmission: dict[str, Any] = {}
     if record.loop or record.units.rotary or base.law is not BaseLaw.CAPSTAN:
         transmission = {
             "closed_loop": record.loop,
             "law": str(base.law),
             "units": [record.units.effort, record.units.travel],
-            "parameters": {name: float(one.value) for name, one in found.parameters.items()},
+            "parameters": {name: float(one.value) for name, one in diagnosis.parameters.items()},
         }
     return SavedModel(
-        model._replace(shared=tuple(values[name] for name in known), own=()),
-        max(float(record.time[-1]) for record in found.dataset.records),
-        found.ambiguous_with,
-        found.verdict is Verdict.UNEXPLAINED,
+        model._replace(shared=tuple(values[name] for name in names), own=()),
+        max(float(record.time[-1]) for record in diagnosis.dataset.records),
+        diagnosis.ambiguous_with,
+        diagnosis.verdict is Verdict.UNEXPLAINED,
         transmission,
     )
 
@@ -90,8 +90,8 @@ def to_yaml(saved: SavedModel, remark: str) -> str:
     model = saved.model
     lines = [f"# {line}" for line in remark.splitlines()]
     if saved.transmission:
-        only = {"transmission": dict(saved.transmission)}
-        return "\n".join(lines) + "\n" + yaml.safe_dump(only, sort_keys=False)
+        transmission = {"transmission": dict(saved.transmission)}
+        return "\n".join(lines) + "\n" + yaml.safe_dump(transmission, sort_keys=False)
     tree = {
         "base": {
             key: float(value) for key, value in zip(BASE_PARAMETERS, model.shared, strict=False)
@@ -152,8 +152,10 @@ def load(path: Path, effects: Sequence[Effect] = CATALOGUE) -> SavedModel:
     rows = tree.get("effects") or []
     if not isinstance(rows, list):
         raise UsageError(f"{path}: effects: must be a list of name, where and parameters")
-    found = tuple(_parse_effect(path, f"effects.{i}", row, effects) for i, row in enumerate(rows))
-    labels = [effect.label for effect, _ in found]
+    effect_values = tuple(
+        _parse_effect(path, f"effects.{i}", row, effects) for i, row in enumerate(rows)
+    )
+    labels = [effect.label for effect, _ in effect_values]
     for label in labels:
         if labels.count(label) > 1:
             raise UsageError(f"{path}: effects: {label} occurs twice")
@@ -162,49 +164,51 @@ def load(path: Path, effects: Sequence[Effect] = CATALOGUE) -> SavedModel:
     unexplained = tree.get("unexplained", False)
     if not isinstance(unexplained, bool):
         raise UsageError(f"{path}: unexplained: {unexplained!r}, must be true or false")
-    return SavedModel(Model(shared, (), found), duration, tuple(unsure), unexplained)
+    return SavedModel(Model(shared, (), effect_values), duration, tuple(unsure), unexplained)
 
 
 def _parse_effect(
-    path: Path, place: str, row: Any, effects: Sequence[Effect]
+    path: Path, key: str, row: Any, effects: Sequence[Effect]
 ) -> tuple[Effect, Values]:
-    row = _parse_mapping(path, place, row)
-    _reject_unknown_keys(path, place, row, ("name", "where", "parameters"))
+    row = _parse_mapping(path, key, row)
+    _reject_unknown_keys(path, key, row, ("name", "where", "parameters"))
     name, where = str(row.get("name", "")), str(row.get("where") or "")
     variants = {effect.where: effect for effect in effects if effect.name == name}
     if not variants and is_extension(name):
-        found = load_effects(name, f"{path}: {place}.name")
+        found = load_effects(name, f"{path}: {key}.name")
         variants = {effect.where: effect for effect in found}
     if not variants:
         hint = suggest_spelling(name, {effect.name for effect in effects}, 3, 0.5)
-        raise UsageError(f"{path}: {place}.name: there is no effect {name!r}{hint}")
+        raise UsageError(f"{path}: {key}.name: there is no effect {name!r}{hint}")
     if where not in variants:
         allowed = ", ".join(repr(variant) for variant in variants)
-        raise UsageError(f"{path}: {place}.where: {where!r} is no variant of {name}: {allowed}")
+        raise UsageError(f"{path}: {key}.where: {where!r} is no variant of {name}: {allowed}")
     effect = variants[where]
-    within = f"{place}.parameters"
-    numbers = _parse_mapping(path, within, row.get("parameters"))
-    return effect, _parse_numbers(path, within, numbers, {p.name: p for p in effect.parameters})
-
-
-def _parse_numbers(
-    path: Path, place: str, tree: dict[str, Any], wanted: dict[str, Parameter]
-) -> Values:
-    _reject_unknown_keys(path, place, tree, wanted)
-    return tuple(
-        _parse_number(path, f"{place}.{key}", tree.get(key), p) for key, p in wanted.items()
+    parameters_key = f"{key}.parameters"
+    numbers = _parse_mapping(path, parameters_key, row.get("parameters"))
+    return effect, _parse_numbers(
+        path, parameters_key, numbers, {p.name: p for p in effect.parameters}
     )
 
 
-def _parse_number(path: Path, place: str, value: Any, parameter: Parameter) -> float:
+def _parse_numbers(
+    path: Path, place: str, tree: dict[str, Any], parameters: dict[str, Parameter]
+) -> Values:
+    _reject_unknown_keys(path, place, tree, parameters)
+    return tuple(
+        _parse_number(path, f"{place}.{key}", tree.get(key), p) for key, p in parameters.items()
+    )
+
+
+def _parse_number(path: Path, key: str, value: Any, parameter: Parameter) -> float:
     if value is None:
-        raise UsageError(f"{path}: {place}: is missing")
+        raise UsageError(f"{path}: {key}: is missing")
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise UsageError(f"{path}: {place}: {value!r} is not a finite number")
+        raise UsageError(f"{path}: {key}: {value!r} is not a finite number")
     low, high = _compute_range(parameter)
     if not low - BOUND_TOLERANCE * abs(low) <= value <= high + BOUND_TOLERANCE * abs(high):
         unit = f" {parameter.unit}".rstrip()
-        raise UsageError(f"{path}: {place}: {value:g}{unit}, must be {low:g} to {high:g}{unit}")
+        raise UsageError(f"{path}: {key}: {value:g}{unit}, must be {low:g} to {high:g}{unit}")
     return float(value)
 
 
@@ -215,10 +219,10 @@ def _compute_range(parameter: Parameter) -> tuple[float, float]:
     return low, parameter.high * (wider if parameter.high > 0.0 else 1.0 / wider)
 
 
-def _parse_mapping(path: Path, place: str, value: Any) -> dict[str, Any]:
+def _parse_mapping(path: Path, key: str, value: Any) -> dict[str, Any]:
     if not isinstance(value, dict):
-        what = "is missing" if value is None else "is not a mapping (key: value lines)"
-        raise UsageError(f"{path}: {place}: {what}")
+        fault = "is missing" if value is None else "is not a mapping (key: value lines)"
+        raise UsageError(f"{path}: {key}: {fault}")
     return value
 
 

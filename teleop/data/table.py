@@ -155,8 +155,8 @@ def read_table(
         The file or its content is invalid.
     """
     tendons = (columns or Columns(),)
-    how: dict[str, Any] = {"zero_errors": zero_errors, "diagnosed": diagnosed, "units": units}
-    return read_tables(Path(path), tendons, drop_nonfinite, **how)[0]
+    options: dict[str, Any] = {"zero_errors": zero_errors, "diagnosed": diagnosed, "units": units}
+    return read_tables(Path(path), tendons, drop_nonfinite, **options)[0]
 
 
 def read_tables(
@@ -173,39 +173,41 @@ def read_tables(
     A row omitted for one tendon is omitted for all.
     """
     raw = read_columns(path)
-    told = [
+    notes = [
         {item: split_unit(name, raw.columns) for item, name in columns.names().items()}
         for columns in tendons
     ]
     tendons = [
         replace(c, **{k: name for k, (name, _) in t.items()})
-        for c, t in zip(tendons, told, strict=True)
+        for c, t in zip(tendons, notes, strict=True)
     ]
     units = _detect_file_units(path, raw, tendons, diagnosed) if units is None else units
     tendons = [columns.in_units(units) for columns in tendons]
     claimed = {name for columns in tendons for name in columns.names().values()}
-    found = [_find_columns(path, raw, columns, claimed) for columns in tendons]
-    numbers = {name: _parse_column(path, raw, name) for names in found for name in names.values()}
-    converted = convert_to_si(path, numbers, found, told, units)
+    tables_columns = [_find_columns(path, raw, columns, claimed) for columns in tendons]
+    numbers = {
+        name: _parse_column(path, raw, name) for names in tables_columns for name in names.values()
+    }
+    converted = convert_to_si(path, numbers, tables_columns, notes, units)
     rows = len(numbers[tendons[0].time])
     if rows == 0:
         raise UsageError(f"{path}: has a header but no rows")
-    needed = set(numbers)
+    required = set(numbers)
     if diagnosed or drop_nonfinite:
         items = HOUSING_CHANNELS if drop_nonfinite else ("time",)
-        needed = {names[item] for names in found for item in items if item in names}
-        numbers = {n: c if n in needed else _mark_missing(path, n, c) for n, c in numbers.items()}
-    keep = _find_finite_rows(path, raw, {name: numbers[name] for name in needed}, drop_nonfinite)
+        required = {names[item] for names in tables_columns for item in items if item in names}
+        numbers = {n: c if n in required else _mark_missing(path, n, c) for n, c in numbers.items()}
+    keep = _find_finite_rows(path, raw, {name: numbers[name] for name in required}, drop_nonfinite)
     dropped = rows - int(keep.sum())
     if dropped:
-        kept = np.flatnonzero(keep)
+        kept_rows = np.flatnonzero(keep)
         columns_kept = {name: column[keep] for name, column in raw.columns.items()}
-        raw = replace(raw, columns=columns_kept, place=_renumber_rows(raw, kept))
+        raw = replace(raw, columns=columns_kept, place=_renumber_rows(raw, kept_rows))
         numbers = {name: column[keep] for name, column in numbers.items()}
     extra = {name: column for name, column in raw.columns.items() if name not in numbers}
     tables = []
-    time_unit_known = raw.clocked or bool(told[0]["time"][1])
-    for names in found:
+    time_unit_known = raw.clocked or bool(notes[0]["time"][1])
+    for names in tables_columns:
         _check_samples(path, raw, names, numbers, zero_errors, diagnosed, units, time_unit_known)
         values: dict[str, Any] = dict.fromkeys(Columns().names())
         values |= {item: numbers[name] for item, name in names.items()}
@@ -228,21 +230,21 @@ def _detect_file_units(
 ) -> Units:
     """Return the units of a file, as the names of its columns tell."""
     efforts = [columns.proximal_tension for columns in tendons]
-    named = not all(columns.is_standard("proximal_tension") for columns in tendons)
+    has_own_names = not all(columns.is_standard("proximal_tension") for columns in tendons)
     if not diagnosed and all(effort in raw.columns for effort in efforts):
         return LINEAR
     channel_names.check_names(path, raw.columns)
-    if named:
+    if has_own_names:
         channel_names.check_linear_names(path, [n for c in tendons for n in c.names().values()])
     units = (
         LINEAR
-        if named
+        if has_own_names
         else channel_names.detect_units(path, raw.columns, _parse_tendon_number(efforts[0]))
     )
     if units.signed and not diagnosed:
-        what = "torque and angle" if units.rotary else "a force of either sign"
+        kind = "torque and angle" if units.rotary else "a force of either sign"
         raise UsageError(
-            f"{path}: has {what}; only `teleop diagnose` reads these, here the tension of one "
+            f"{path}: has {kind}; only `teleop diagnose` reads these, here the tension of one "
             "tendon is needed (proximal_tension_N)"
         )
     return units
@@ -250,24 +252,26 @@ def _detect_file_units(
 
 def _find_columns(path: Path, raw: RawTable, columns: Columns, claimed: set[str]) -> dict[str, str]:
     """Return field -> column name of what the file has of `columns`."""
-    found = {}
+    columns_found = {}
     standard = {name for names in channel_names.STANDARD_NAMES.values() for name in names.values()}
-    spare = [n for n in raw.columns if n not in claimed and _strip_tendon_number(n) not in standard]
+    unclaimed = [
+        n for n in raw.columns if n not in claimed and _strip_tendon_number(n) not in standard
+    ]
     for item, name in columns.names().items():
         if name in raw.columns:
-            found[item] = name
+            columns_found[item] = name
             continue
         optional = item not in ("time", "proximal_tension") and columns.is_standard(item)
         if raw.lacks and not optional:
             raise UsageError(f"{path}: {raw.lacks}")
-        hint = suggest_spelling(name, spare, cutoff=0.88 if optional else 0.6)
-        meant = f"{hint} Then --column {item}=... names it, and converts its unit" if hint else ""
+        hint = suggest_spelling(name, unclaimed, cutoff=0.88 if optional else 0.6)
+        advice = f"{hint} Then --column {item}=... names it, and converts its unit" if hint else ""
         if hint or not optional:
             has = ", ".join(list(raw.columns)[:NAMES_SHOWN]) + ", ..." * (
                 len(raw.columns) > NAMES_SHOWN
             )
-            raise UsageError(f"{path}: no column {name!r}{meant} (it has {has})")
-    return found
+            raise UsageError(f"{path}: no column {name!r}{advice} (it has {has})")
+    return columns_found
 
 
 def _strip_tendon_number(name: str) -> str:
@@ -277,8 +281,8 @@ def _strip_tendon_number(name: str) -> str:
 
 def _parse_tendon_number(name: str) -> int:
     """Return which tendon a standard name is of."""
-    found = re.search(r"_(\d+)_(N|m|Nm|rad)$", name)
-    return int(found.group(1)) if found else 1
+    match = re.search(r"_(\d+)_(N|m|Nm|rad)$", name)
+    return int(match.group(1)) if match else 1
 
 
 def _parse_column(path: Path, raw: RawTable, name: str) -> Array:
@@ -293,8 +297,8 @@ def _parse_column(path: Path, raw: RawTable, name: str) -> Array:
         except (TypeError, ValueError):
             comma = isinstance(cell, str) and cell.count(",") == 1
             hint = "; write decimals with a point" if comma else ""
-            place = f"{path}: column {name!r}, {raw.place(row)}"
-            raise UsageError(f"{place}: {str(cell)[:40]!r} is not a number{hint}") from None
+            location = f"{path}: column {name!r}, {raw.place(row)}"
+            raise UsageError(f"{location}: {str(cell)[:40]!r} is not a number{hint}") from None
     return numbers
 
 
@@ -304,17 +308,17 @@ def _find_finite_rows(
     """Return the mask of finite rows; raise if there are others that must not be dropped."""
     keep = np.ones(len(next(iter(numbers.values()))), dtype=np.bool_)
     for name, column in numbers.items():
-        good = np.isfinite(column)
+        is_finite = np.isfinite(column)
         if not drop:
             _mark_missing(path, name, column)
-        if not drop and not good.all():
-            bad = np.flatnonzero(~good)
+        if not drop and not is_finite.all():
+            bad = np.flatnonzero(~is_finite)
             raise UsageError(
                 f"{path}: column {name!r}: {len(bad)} of {len(column)} values are missing or not "
                 f"finite, the first in {raw.place(int(bad[0]))}; use --drop-nonfinite to omit "
                 "these rows"
             )
-        keep &= good
+        keep &= is_finite
     if not keep.any():
         raise UsageError(f"{path}: no row has a time and all readings at the housing")
     return keep
@@ -322,14 +326,14 @@ def _find_finite_rows(
 
 def _mark_missing(path: Path, name: str, column: Array) -> Array:
     """Return a column with NaN for what is not finite; `UsageError` if nothing is left."""
-    good = np.isfinite(column)
-    if not good.any():
+    is_finite = np.isfinite(column)
+    if not is_finite.any():
         raise UsageError(f"{path}: column {name!r} has no finite value: remove the column")
-    return np.where(good, column, np.nan)
+    return np.where(is_finite, column, np.nan)
 
 
-def _renumber_rows(raw: RawTable, kept: NDArray[np.intp]) -> Any:
-    return lambda row: raw.place(int(kept[row]))
+def _renumber_rows(raw: RawTable, kept_rows: NDArray[np.intp]) -> Any:
+    return lambda row: raw.place(int(kept_rows[row]))
 
 
 def _check_samples(
@@ -344,8 +348,8 @@ def _check_samples(
 ) -> None:
     """Check for increasing time, plausible units and non-negative tensions; some may be missing."""
     name = names["time"]
-    told = f"name the unit, --column 'time={name}[ms]', or [s] if it is right"
-    check_time(path, raw, name, numbers[name], "" if time_unit_known else told)
+    remedy = f"name the unit, --column 'time={name}[ms]', or [s] if it is right"
+    check_time(path, raw, name, numbers[name], "" if time_unit_known else remedy)
     for item in ("proximal_tension", "distal_tension"):
         if item in names:
             loop = f"; a closed loop's forces are named {item.replace('tension', 'force')}_N"
@@ -358,17 +362,17 @@ def _check_samples(
                 may_err=item in zero_errors,
                 remedy=loop * diagnosed,
             )
-    most = ANGLE_SPAN if units.rotary else TRAVEL_SPAN
+    span_max = ANGLE_SPAN if units.rotary else TRAVEL_SPAN
     for item in ("proximal_displacement", "distal_displacement"):
         if item not in names:
             continue
         travel = numbers[names[item]]
-        if (span := float(np.nanmax(travel) - np.nanmin(travel))) > most:
+        if (span := float(np.nanmax(travel) - np.nanmin(travel))) > span_max:
             row = int(np.nanargmax(np.abs(travel)))
-            what = f"travel spans {span:.6g} m; check that it is in metres, not mm"
+            fault = f"travel spans {span:.6g} m; check that it is in metres, not mm"
             if units.rotary:
-                what = f"angle spans {span:.6g} rad; check that it is in radians, not degrees"
-            raise UsageError(f"{path}: column {names[item]!r}, {raw.place(row)}: {what}")
+                fault = f"angle spans {span:.6g} rad; check that it is in radians, not degrees"
+            raise UsageError(f"{path}: column {names[item]!r}, {raw.place(row)}: {fault}")
 
 
 def check_time(path: Path, raw: RawTable, name: str, time: Array, remedy: str) -> None:
@@ -377,12 +381,12 @@ def check_time(path: Path, raw: RawTable, name: str, time: Array, remedy: str) -
     Without a `remedy` the unit is known, and any rate is right.
     """
     periods = np.diff(time)
-    if (late := np.flatnonzero(periods <= 0.0)).size:
-        row = int(late[0]) + 1
-        what = f"{float(time[row])!r} does not come after {float(time[row - 1])!r}"
+    if (late_rows := np.flatnonzero(periods <= 0.0)).size:
+        row = int(late_rows[0]) + 1
+        fault = f"{float(time[row])!r} does not come after {float(time[row - 1])!r}"
         hint = " (a recording: was the slave restarted there?)" if path.suffix == ".mcap" else ""
-        what = f"{what}{hint}; time must increase from row to row"
-        raise UsageError(f"{path}: column {name!r}, {raw.place(row)}: {what}")
+        fault = f"{fault}{hint}; time must increase from row to row"
+        raise UsageError(f"{path}: column {name!r}, {raw.place(row)}: {fault}")
     if remedy and periods.size and (median := float(np.median(periods))) > PERIOD_MAX:
         raise UsageError(
             f"{path}: column {name!r}, {raw.place(1)}: samples are {median:.6g} s apart: "
@@ -408,27 +412,27 @@ def check_effort(
     low = int(np.nanargmin(_remove_dips(effort) if may_err else effort))
     peak = float(effort[row])
     if abs(peak) > (TORQUE_PEAK if units.rotary else TENSION_PEAK):
-        what = "torque in newton metres; check the unit (N mm?)"
+        fault = "torque in newton metres; check the unit (N mm?)"
         if not units.rotary:
-            what = "tendon tension in newtons; check the unit (mN or g?), or remove the spike"
-        what = f"{peak:.6g} is too large for a {what}"
-        raise UsageError(f"{path}: column {name!r}, {raw.place(row)}: {what}")
+            fault = "tendon tension in newtons; check the unit (mN or g?), or remove the spike"
+        fault = f"{peak:.6g} is too large for a {fault}"
+        raise UsageError(f"{path}: column {name!r}, {raw.place(row)}: {fault}")
     if units.signed:
         return
     share = ZERO_SHARE if may_err else NOISE_SHARE
     floor = NOISE_FLOOR + share * float(np.nanmax(effort, initial=0.0))
     if effort[low] < -floor:
-        below = "a zero offset" if may_err else "noise"
-        what = (
-            f"{float(effort[low]):.6g} N: a tendon cannot push ({below} is taken to end at "
+        cause = "a zero offset" if may_err else "noise"
+        fault = (
+            f"{float(effort[low]):.6g} N: a tendon cannot push ({cause} is taken to end at "
             f"{-floor:.3g} N); correct its zero or its sign{remedy}"
         )
-        raise UsageError(f"{path}: column {name!r}, {raw.place(low)}: {what}")
+        raise UsageError(f"{path}: column {name!r}, {raw.place(low)}: {fault}")
 
 
 def _remove_dips(signal: Array) -> Array:
     """Return a signal without isolated low samples; beside a missing one (NaN) none is isolated."""
     filled = signal.copy()
-    beside = np.minimum(signal[:-2], signal[2:])
-    filled[1:-1] = np.where(np.isnan(beside), signal[1:-1], np.maximum(signal[1:-1], beside))
+    lower = np.minimum(signal[:-2], signal[2:])
+    filled[1:-1] = np.where(np.isnan(lower), signal[1:-1], np.maximum(signal[1:-1], lower))
     return filled

@@ -160,7 +160,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
             "set KEY=VALUE ..., status"
         ),
     )
-    both = parser.add_argument_group(
+    group = parser.add_argument_group(
         "both ways",
         "initial values of `impair.to_slave` and `impair.to_master`, in place of the config's",
     )
@@ -168,7 +168,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         if item.name in _NUMERIC_OPTIONS:
             option = f"--{item.name.replace('_', '-')}"
             metavar, text = _HELP[item.name]
-            both.add_argument(option, dest=item.name, type=float, metavar=metavar, help=text)
+            group.add_argument(option, dest=item.name, type=float, metavar=metavar, help=text)
     parser.add_argument("--seed", type=int, metavar="N", help="seed of the random numbers")
 
 
@@ -215,5 +215,5 @@ def build_overrides(args: argparse.Namespace) -> list[str]:
     for name in _NUMERIC_OPTIONS:
         value = getattr(args, name)
         if value is not None:
-            out += [f"impair.{way}.{name}={value}" for way in DIRECTIONS]
+            out += [f"impair.{direction}.{name}={value}" for direction in DIRECTIONS]
     return out

@@ -58,8 +58,10 @@ class DirectionConfig:
         if not 0.0 < self.burst_depth <= 1.0:
             raise ValueError("burst_depth: must be above 0 and at most 1")
         if self.burst_loss and not self.burst_enter <= 1.0:
-            most = self.burst_depth * self.burst_length / (self.burst_length + 1.0)
-            raise ValueError(f"burst_loss: bursts of this length and depth lose {most:.3g} at most")
+            loss_max = self.burst_depth * self.burst_length / (self.burst_length + 1.0)
+            raise ValueError(
+                f"burst_loss: bursts of this length and depth lose {loss_max:.3g} at most"
+            )
         if not 0.0 <= self.reorder_by <= 10.0:
             raise ValueError("reorder_by: must be within 0 ... 10 [s]")
         times = [time for cut in self.cuts for time in cut]
@@ -76,13 +78,13 @@ class DirectionConfig:
     @property
     def burst_enter(self) -> float:
         """Probability that a burst begins with a message."""
-        bad = self.burst_loss / self.burst_depth  # share of messages in the bad state
-        return self.burst_leave * bad / (1.0 - bad) if bad < 1.0 else math.inf
+        bad_share = self.burst_loss / self.burst_depth  # share of messages in the bad state
+        return self.burst_leave * bad_share / (1.0 - bad_share) if bad_share < 1.0 else math.inf
 
     def cut_at(self, time_s: float) -> bool:
         """Return whether the direction is cut, by the clock, at `time_s` [s]."""
-        within = time_s % self.cut_period if time_s >= 0.0 else -1.0
-        return any(start <= within < end for start, end in self.cuts)
+        phase_s = time_s % self.cut_period if time_s >= 0.0 else -1.0
+        return any(start <= phase_s < end for start, end in self.cuts)
 
     def of(self, live: bool) -> "DirectionConfig":
         """Return the impairments of a live or a reliable topic."""

@@ -98,23 +98,23 @@ def step(
         return share > 0.0 and draw_uniform(key, first + purpose) < share
 
     turn = config.burst_leave if memory.bad else config.burst_enter
-    bad = memory.bad != chance(_BURST, turn) and config.burst_loss > 0.0
+    is_bad = memory.bad != chance(_BURST, turn) and config.burst_loss > 0.0
     due = max(time_s + compute_delay(config, key, memory.number, time_s), memory.due)
     fate = Fate.PASSED
     if cut or config.cut_at(time_s):
         fate = Fate.CUT
-    elif bad and chance(_BURST_LOSS, config.burst_depth):
+    elif is_bad and chance(_BURST_LOSS, config.burst_depth):
         fate = Fate.LOST_IN_BURST
     elif chance(_LOSS, config.loss):
         fate = Fate.LOST
     if fate:
-        return (), fate, StreamState(memory.number + 1, bad, memory.due)
-    after = StreamState(memory.number + 1, bad, due)
+        return (), fate, StreamState(memory.number + 1, is_bad, memory.due)
+    new_state = StreamState(memory.number + 1, is_bad, due)
     if chance(_CORRUPT, config.corrupt) and data:
         fate |= Fate.CORRUPTED
-        place = int(draw_uniform(key, first + _PLACE) * len(data))
-        other = data[place] ^ (1 + int(draw_uniform(key, first + _VALUE) * 255))
-        data = data[:place] + bytes([other]) + data[place + 1 :]
+        index = int(draw_uniform(key, first + _PLACE) * len(data))
+        corrupted = data[index] ^ (1 + int(draw_uniform(key, first + _VALUE) * 255))
+        data = data[:index] + bytes([corrupted]) + data[index + 1 :]
     if chance(_REORDER, config.reorder):
         fate |= Fate.HELD_BACK
         due += config.reorder_by  # and nobody waits for it
@@ -122,7 +122,7 @@ def step(
     if chance(_DUPLICATE, config.duplicate):
         fate |= Fate.DUPLICATED
         copies = 2
-    return (Delivery(due, data),) * copies, fate, after
+    return (Delivery(due, data),) * copies, fate, new_state
 
 
 def compute_delay(config: DirectionConfig, key: int, number: int, time_s: float) -> float:

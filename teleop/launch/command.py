@@ -140,9 +140,13 @@ def main(args: argparse.Namespace) -> int:
         if ros.start:
             supervisor.start("ros", shared)
         if view != "none":
-            held, environment = hold_port(load(args.config, ViewConfig, "view", overrides).web_port)
-            stack.enter_context(held)
-            supervisor.start("view", [*shared, "--view", str(view)], environment, (held.fileno(),))
+            reserved, environment = hold_port(
+                load(args.config, ViewConfig, "view", overrides).web_port
+            )
+            stack.enter_context(reserved)
+            supervisor.start(
+                "view", [*shared, "--view", str(view)], environment, (reserved.fileno(),)
+            )
         stack.enter_context(compile_in_parallel(_compile_master))
         keys = stack.enter_context(KeyReader())
         keyboard = watch.Keyboard(keys, link)

@@ -86,11 +86,13 @@ class RepeatFilter:
 
     def rest(self) -> list[tuple[str, str]]:
         """Return (source, line) of what is still only counted, and forget it."""
-        rest = [
-            (source, line) for source, held in self._last.items() for line in _format_repeats(*held)
+        lines = [
+            (source, line)
+            for source, repeats in self._last.items()
+            for line in _format_repeats(*repeats)
         ]
         self._last.clear()
-        return rest
+        return lines
 
 
 def _format_repeats(text: str, count: int) -> list[str]:
@@ -122,8 +124,8 @@ class Console:
         """Remove the status line, and print what was only counted."""
         self.status.clear()
         with self._lock:
-            rest = self._repeats.rest()
-        for source, line in rest:
+            remaining = self._repeats.rest()
+        for source, line in remaining:
             self._print(source, line)
 
     def _print(self, source: str, line: str) -> None:
@@ -188,8 +190,8 @@ def format_status(
         text.append(f" │ lost {lost}", "yellow" if lost else "")
     for link in (links or {}).values():
         if link.role == Role.MASTER or link.reason:
-            bad = link.reason != Reason.NONE
-            text.append(f" │ {format_link_health(link)}", "bold yellow" if bad else "")
+            is_bad = link.reason != Reason.NONE
+            text.append(f" │ {format_link_health(link)}", "bold yellow" if is_bad else "")
     if recorder:
         text.append(f" │ {recorder}", "yellow" if "missing" in recorder else "")
     return text

@@ -192,8 +192,10 @@ class Supervisor:
             if child.is_fatal:
                 return child
             self._reported.add(child.name)
-            why = child.complaint or f"ended {child.describe_end()}"
-            self._say(child.name, f"{why}; the session goes on{self._format_restart_hint(child)}")
+            reason = child.complaint or f"ended {child.describe_end()}"
+            self._say(
+                child.name, f"{reason}; the session goes on{self._format_restart_hint(child)}"
+            )
         return None
 
     def _restart(self, child: Child) -> None:

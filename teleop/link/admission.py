@@ -44,9 +44,9 @@ _SUBJECT = struct.Struct("<Q")
 _PERSON = b"teleop present"  # no topic is called that, so no message has such a hash
 
 
-def build_challenge_key(session: str, asker: str, asked: int | Literal["*"]) -> str:
+def build_challenge_key(session: str, asker: str, nonce: int | Literal["*"]) -> str:
     """Return the key of a challenge by a process of the role `asker`; `*` stands for any."""
-    return f"{build_token_root(session)}/prove/{asker}/{asked if asked == '*' else f'{asked:016x}'}"
+    return f"{build_token_root(session)}/prove/{asker}/{nonce if nonce == '*' else f'{nonce:016x}'}"
 
 
 def compute_answer(key: bytes, challenge: bytes, subject: int) -> bytes:
@@ -77,8 +77,8 @@ class Challenger:
         """Show this token of ours, with its proof, in challenges from now on."""
         self._token = token.key(self._session).encode()
 
-    def ask(self, asked: int, subject: int, keys: PairKeys, proven: Callable[[], None]) -> None:
-        """Challenge the process `asked`; `proven` is called, by Zenoh's thread, if it answers."""
+    def ask(self, nonce: int, subject: int, keys: PairKeys, proven: Callable[[], None]) -> None:
+        """Challenge the process `nonce`; `proven` is called, by Zenoh's thread, if it answers."""
         challenge = secrets.token_bytes(CHALLENGE_BYTES)
         expected = [compute_answer(keys.receiving, challenge, subject)]
 
@@ -91,7 +91,7 @@ class Challenger:
 
         # all who claim to know: one that answers wrongly must not stand in for the right one
         self._zenoh.get(
-            build_challenge_key(self._session, self._asker, asked),
+            build_challenge_key(self._session, self._asker, nonce),
             zenoh.handlers.Callback(on_reply, indirect=False),
             target=zenoh.QueryTarget.ALL,
             consolidation=zenoh.ConsolidationMode.NONE,
@@ -153,11 +153,11 @@ class Responder:
         if token is not None and token.group == group:
             self._show(token, partial(self._answer, query, group, payload[:begin]))
 
-    def _answer(self, query: Any, group: str, asked: bytes, keys: PairKeys) -> None:
+    def _answer(self, query: Any, group: str, challenge: bytes, keys: PairKeys) -> None:
         """Answer a challenge, if it is about us or who we know to be here."""
-        (subject,) = _SUBJECT.unpack_from(asked, CHALLENGE_BYTES)
+        (subject,) = _SUBJECT.unpack_from(challenge, CHALLENGE_BYTES)
         if subject == self._nonce or self._vouches(subject):
-            answer = compute_answer(keys.sending, asked[:CHALLENGE_BYTES], subject)
+            answer = compute_answer(keys.sending, challenge[:CHALLENGE_BYTES], subject)
             query.reply(build_challenge_key(self._session, group, self._nonce), answer)
 
 

@@ -21,19 +21,19 @@ class Address(NamedTuple):
         """Parse `text`; raises `ValueError`."""
         protocol, slash, rest = text.partition("/")
         if slash and protocol in ("tcp", "tls", "quic", "udp"):
-            why = "TLS, or plain TCP with link.insecure, is chosen by itself"
-            raise ValueError(f"write {rest} without {protocol}/; {why}")
-        found = _ADDRESS.fullmatch(text)
-        if found is None:
+            reason = "TLS, or plain TCP with link.insecure, is chosen by itself"
+            raise ValueError(f"write {rest} without {protocol}/; {reason}")
+        match = _ADDRESS.fullmatch(text)
+        if match is None:
             raise ValueError("is not an address; allowed: HOST:PORT")
-        host, port = found["v6"] or found["host"], int(found["port"])
+        host, port = match["v6"] or match["host"], int(match["port"])
         if not 1 <= port <= 65535:
             raise ValueError(f"port {port} is out of range; allowed: 1 to 65535")
         if "%" in host:  # it is of one machine, and the config the same on all
             zone = host[host.index("%") :]
             raise ValueError(f"a zone ({zone}) is not possible; use an address that needs none")
         address = _parse_ip_address(host)
-        if address is None and (found["v6"] or not _HOST_NAME.fullmatch(host)):
+        if address is None and (match["v6"] or not _HOST_NAME.fullmatch(host)):
             raise ValueError(f"{host!r} is not a host name or IP address")
         if address is not None and (address.is_unspecified or address.is_multicast):
             raise ValueError(f"{host} cannot be connected to; use the address of the machine")

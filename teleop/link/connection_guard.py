@@ -162,9 +162,9 @@ class ConnectionGuard:
         self._listening: dict[SocketAddress, Connection] = {}
         ports = {int(address.rpartition(":")[2]) for address in listen}
         for number, inode in list_open_sockets():
-            with contextlib.suppress(OSError), open_socket_copy(number) as own:
-                if own.getsockopt(socket.SOL_SOCKET, socket.SO_ACCEPTCONN):
-                    ends = parse_socket_name(own.getsockname())
+            with contextlib.suppress(OSError), open_socket_copy(number) as copy:
+                if copy.getsockopt(socket.SOL_SOCKET, socket.SO_ACCEPTCONN):
+                    ends = parse_socket_name(copy.getsockname())
                     if ends[1] in ports:
                         # no copy is kept, which would keep the port after the session's end
                         self._listening[ends] = Connection(number, inode, ends, ("", 0), 0.0)
@@ -194,15 +194,15 @@ class ConnectionGuard:
         is_barred = self._barred.get(name, 0.0) > monotonic()
         if local in self._listening and (self._blocks or is_barred):
             for number, _ in list_open_sockets():
-                with contextlib.suppress(OSError), open_socket_copy(number) as own:
+                with contextlib.suppress(OSError), open_socket_copy(number) as copy:
                     if (
-                        parse_socket_name(own.getsockname()),
-                        parse_socket_name(own.getpeername()),
+                        parse_socket_name(copy.getsockname()),
+                        parse_socket_name(copy.getpeername()),
                     ) == ends:
                         if is_barred:
-                            shut_down_socket(own)
+                            shut_down_socket(copy)
                         else:
-                            filter_packets(own, [])  # it has that of the listening socket
+                            filter_packets(copy, [])  # it has that of the listening socket
 
     def _work(self) -> None:
         arrivals = select.epoll()
@@ -265,19 +265,19 @@ class ConnectionGuard:
 
     def _connections(self, now_s: float) -> list[Connection]:
         """Return the connections of this process, oldest first."""
-        known, self._sockets = self._sockets, {}
+        known_sockets, self._sockets = self._sockets, {}
         for number, inode in list_open_sockets():
-            connection = known.get(inode)
+            connection = known_sockets.get(inode)
             if connection is not None:
                 connection.number = number
-            elif inode not in known:
+            elif inode not in known_sockets:
                 try:
-                    with open_socket_copy(number) as own:
+                    with open_socket_copy(number) as copy:
                         ends = (
-                            parse_socket_name(own.getsockname()),
-                            parse_socket_name(own.getpeername()),
+                            parse_socket_name(copy.getsockname()),
+                            parse_socket_name(copy.getpeername()),
                         )
-                        if own.family in (socket.AF_INET, socket.AF_INET6):
+                        if copy.family in (socket.AF_INET, socket.AF_INET6):
                             connection = Connection(number, inode, *ends, now_s)
                 except OSError:  # listens, or is not connected yet
                     continue
@@ -294,9 +294,9 @@ class ConnectionGuard:
         if allowance is None or connection.shut:
             return
         received = connection.read_received()
-        left = allowance.burst if connection.left is None else connection.left
-        left = min(allowance.burst, left + allowance.rate * (now_s - connection.charged_s))
-        connection.left = left - (received - connection.received)
+        budget = allowance.burst if connection.left is None else connection.left
+        budget = min(allowance.burst, budget + allowance.rate * (now_s - connection.charged_s))
+        connection.left = budget - (received - connection.received)
         connection.received, connection.charged_s = received, now_s
         if connection.left < 0 or received > allowance.total:
             self._note(f"a connection of the certificate {name}: it sends too much")
@@ -410,13 +410,13 @@ def _choose_blocks(
     half_open: Mapping[Network, tuple[int, int]],
     blocked: Collection[Network],
     burst: int,
-    own: Collection[Network],
+    own_networks: Collection[Network],
 ) -> list[Network]:
     """Return the sources to block.
 
     An address is blocked for its own connections. Its /64 is blocked in its place if
     `MISBEHAVING_ADDRESSES_MAX` addresses there are, or if as many that are not have too many
-    together; never one in `own`.
+    together; never one in `own_networks`.
 
     Parameters
     ----------
@@ -426,21 +426,23 @@ def _choose_blocks(
         Sources that are blocked already.
     burst : int
         Number of half-open connections after which a source is blocked.
-    own : collection of Network
+    own_networks : collection of Network
         The /64s that we are in.
     """
-    bad = {
+    offenders = {
         s
         for s, (number, stuck) in half_open.items()
         if stuck >= BLOCK_HALF_OPEN_COUNT or number >= burst
     }
-    members = Counter(_network_of(source) for source in {*bad, *blocked})
-    others: dict[Network | None, list[tuple[int, int]]] = {}
+    members = Counter(_network_of(source) for source in {*offenders, *blocked})
+    other_networks: dict[Network | None, list[tuple[int, int]]] = {}
     for source, count in half_open.items():
-        others.setdefault(_network_of(source), []).extend([count] * (source not in bad))
+        other_networks.setdefault(_network_of(source), []).extend(
+            [count] * (source not in offenders)
+        )
     wide = set()
-    for network, counts in others.items():
-        if network is None or network in own:
+    for network, counts in other_networks.items():
+        if network is None or network in own_networks:
             continue
         is_burst = (
             len(counts) >= MISBEHAVING_ADDRESSES_MAX
@@ -449,7 +451,7 @@ def _choose_blocks(
         is_stuck = sum(stuck > 0 for _, stuck in counts) >= MISBEHAVING_ADDRESSES_MAX
         if members[network] >= MISBEHAVING_ADDRESSES_MAX or is_burst or is_stuck:
             wide.add(network)
-    chosen = [*wide, *(s for s in bad if not {_network_of(s)} & {*wide, *blocked})]
+    chosen = [*wide, *(s for s in offenders if not {_network_of(s)} & {*wide, *blocked})]
     return [source for source in chosen if source not in blocked]
 
 

@@ -51,7 +51,7 @@ class HealthConfig:
 
     def __post_init__(self) -> None:
         """Check the values; raises `ValueError`."""
-        for name, least, most, unit in (
+        for name, low, high, unit in (
             ("round_trip", 1e-3, 10.0, " s"),
             ("jitter", 1e-4, 10.0, " s"),
             ("loss", 0.001, 1.0, ""),
@@ -61,8 +61,8 @@ class HealthConfig:
             ("recover_after", 0.0, 60.0, " s"),
         ):
             value = getattr(self, name)
-            if not least <= value <= most:
-                raise ValueError(f"{name}: {value:g} is outside {least:g} to {most:g}{unit}")
+            if not low <= value <= high:
+                raise ValueError(f"{name}: {value:g} is outside {low:g} to {high:g}{unit}")
 
 
 DEFAULT_BOUNDS = HealthConfig()
@@ -169,7 +169,7 @@ _HEALTHY_DECISION = Decision()
 
 def step(
     config: HealthConfig,
-    before: Decision,
+    previous: Decision,
     figures: LinkMeasurement,
     dt: float,
     peer: Reason = Reason.NONE,
@@ -191,16 +191,16 @@ def step(
     if peer in REASONS:
         reasons.append(peer)
     if reasons:
-        over_s = min(before.over_s + dt, config.hold_after)
-        return _build_decision(config, reasons[0], before.holds, over_s, 0.0)
+        over_s = min(previous.over_s + dt, config.hold_after)
+        return _build_decision(config, reasons[0], previous.holds, over_s, 0.0)
     if _find_exceeded_bounds(config, figures, config.recover):
-        return before._replace(good_s=0.0)
-    if before.reason is Reason.NONE and not before.over_s:
+        return previous._replace(good_s=0.0)
+    if previous.reason is Reason.NONE and not previous.over_s:
         return _HEALTHY_DECISION
-    good_s = before.good_s + dt
+    good_s = previous.good_s + dt
     if good_s < config.recover_after:
-        return before._replace(good_s=good_s)
-    return _build_decision(config, Reason.NONE, False, max(0.0, before.over_s - dt), good_s)
+        return previous._replace(good_s=good_s)
+    return _build_decision(config, Reason.NONE, False, max(0.0, previous.over_s - dt), good_s)
 
 
 REASONS = (Reason.LINK_SLOW, Reason.LINK_JITTER, Reason.LINK_LOSS)
@@ -278,12 +278,12 @@ class LinkHealth:
         self._due_ns = now_ns + SPAN_NS
         self._counts.append(counts + MessageCounts())  # a copy
         self.figures = take_measurement(view_struct(self.windows), self._counts[0], counts)
-        before, self.decision = (
+        previous, self.decision = (
             self.decision,
             step(self._config, self.decision, self.figures, dt, peer),
         )
         self._note(dt)
-        return self.decision != before
+        return self.decision != previous
 
     def _note(self, dt: float) -> None:
         self.scaled_s += dt * (self.decision.scale < 1.0)
@@ -340,7 +340,7 @@ def _encode_optional(value: int | None) -> int:
 
 
 def take_measurement(
-    window: LinkWindow, before: MessageCounts, now: MessageCounts
+    window: LinkWindow, counts_before: MessageCounts, counts: MessageCounts
 ) -> LinkMeasurement:
     """Return the figures of the span, and begin a new one.
 
@@ -348,33 +348,33 @@ def take_measurement(
     ----------
     window : LinkWindow
         Of the messages; its sums are cleared.
-    before, now : Counts
+    counts_before, counts : Counts
         Of the messages: `LOSS_SPANS` ago and now.
     """
     low_ns = max(int(window.low_ns), int(window.low_before_ns))
     high_ns = min(int(window.high_ns), int(window.high_before_ns))
-    known = low_ns > -_UNBOUNDED_NS and high_ns < _UNBOUNDED_NS
+    has_delay = low_ns > -_UNBOUNDED_NS and high_ns < _UNBOUNDED_NS
     round_trip_ns = int(window.answer_sum_ns // window.answers) if window.answers else None
-    offset_ns = (low_ns + high_ns) // 2 if known else None
+    offset_ns = (low_ns + high_ns) // 2 if has_delay else None
     delay_in_ns = None if offset_ns is None else max(int(window.transit_ns) + offset_ns, 0)
     out_ns = None
     if round_trip_ns is not None and delay_in_ns is not None:
         out_ns = max(round_trip_ns - delay_in_ns, 0)
     # a message that is overtaken counts as lost first
-    late = now.out_of_order - before.out_of_order
-    lost = max(now.lost - before.lost - late, 0)
-    sent = lost + now.received - before.received
+    out_of_order = counts.out_of_order - counts_before.out_of_order
+    lost = max(counts.lost - counts_before.lost - out_of_order, 0)
+    sent = lost + counts.received - counts_before.received
     figures = LinkMeasurement(
         offset_ns=offset_ns,
-        uncertainty_ns=max(high_ns - low_ns, 0) // 2 if known else None,
+        uncertainty_ns=max(high_ns - low_ns, 0) // 2 if has_delay else None,
         round_trip_ns=round_trip_ns,
         round_trip_max_ns=int(window.answer_max_ns) if window.answers else None,
         jitter_ns=int(window.step_sum_ns // window.steps) if window.steps else None,
         delay_in_ns=delay_in_ns,
         delay_out_ns=out_ns,
         loss=lost / sent if sent else None,
-        repeated=now.repeated - before.repeated,
-        out_of_order=late,
+        repeated=counts.repeated - counts_before.repeated,
+        out_of_order=out_of_order,
         clock_set=bool(window.clock_set),
     )
     window.clock_set = False
@@ -393,6 +393,6 @@ def format_link_health(link: LinkReport) -> str:
     if link.loss > 0.0:
         text += f", loss {100 * link.loss:.1f} %"
     if link.reason:
-        what = "held" if link.holds else f"scaled to {100 * link.scale:.0f} %"
-        text += f": {to_reason(link.reason).text}, {what}"
+        effect = "held" if link.holds else f"scaled to {100 * link.scale:.0f} %"
+        text += f": {to_reason(link.reason).text}, {effect}"
     return text

@@ -62,13 +62,7 @@ class Link:
         On entering: no router answers, if the config names some.
     """
 
-    def __init__(
-        self,
-        config: LinkConfig,
-        session: str,
-        role: Role,
-        at_once: bool = False,
-    ) -> None:
+    def __init__(self, config: LinkConfig, session: str, role: Role, at_once: bool = False) -> None:
         if at_once and role in presence.EXCLUSIVE_ROLES:
             raise ValueError(f"a {role!r} must look about before it takes its place")
         self._at_once = at_once
@@ -243,9 +237,9 @@ class Link:
 
     def check_peers(self) -> None:
         """Raise `PeerError` if this process must leave the session; costs microseconds."""
-        why = presence.find_conflict(self._token, self._roster.others)
-        if why is not None:
-            raise PeerError(f"session {self.session!r} {why}")
+        conflict = presence.find_conflict(self._token, self._roster.others)
+        if conflict is not None:
+            raise PeerError(f"session {self.session!r} {conflict}")
 
     def counts(self) -> MessageCounts:
         """Return the message counts of all latest-value topics together."""

@@ -125,15 +125,15 @@ def open_session(
             raise TeleopError(
                 f"no router answers at {routers}; start one there: teleop router --help"
             ) from error
-        place = f"cannot listen on {', '.join(listen)}" if listen else "cannot open the link"
-        raise UsageError(f"{place}: {_explain_zenoh_error(str(error))}") from error
+        problem = f"cannot listen on {', '.join(listen)}" if listen else "cannot open the link"
+        raise UsageError(f"{problem}: {_explain_zenoh_error(str(error))}") from error
     disable_linger(session)
     ConnectionGuard(session, listen, CONNECTIONS if mode == "router" else BURST, note)
     return session
 
 
-def _require_open_files(wanted: int) -> None:
-    """Let this process open `wanted` files, or as many as it may.
+def _require_open_files(required: int) -> None:
+    """Let this process open `required` files, or as many as it may.
 
     `UsageError` if they are fewer than `OPEN_FILES`: Zenoh would hang for ever.
     """
@@ -145,9 +145,9 @@ def _require_open_files(wanted: int) -> None:
             f"ulimit -n {OPEN_FILES}"
         )
     if hard != unlimited:
-        wanted = min(wanted, hard)
-    if soft != unlimited and soft < wanted:
-        resource.setrlimit(resource.RLIMIT_NOFILE, (wanted, hard))
+        required = min(required, hard)
+    if soft != unlimited and soft < required:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (required, hard))
 
 
 def to_zenoh_config(settings: dict[str, Any]) -> zenoh.Config:
@@ -323,10 +323,10 @@ class ConnectionProbe:
             except zenoh.ZError:  # closed
                 return
             for endpoint in self._found.keys() - connected:
-                why = find_connection_fault(endpoint, self._credentials, self._session)
-                if why and why != self._found[endpoint] and not self._end.is_set():
-                    self._note(f"a connection to {endpoint}: {why}")
-                self._found[endpoint] = why
+                fault = find_connection_fault(endpoint, self._credentials, self._session)
+                if fault and fault != self._found[endpoint] and not self._end.is_set():
+                    self._note(f"a connection to {endpoint}: {fault}")
+                self._found[endpoint] = fault
 
 
 def find_connection_fault(endpoint: str, credentials: Credentials | None, session: str) -> str:
@@ -362,9 +362,9 @@ def fetch_certificate(endpoint: str) -> x509.Certificate | None:
     context.check_hostname = False
     context.verify_mode = ssl.CERT_NONE  # it is only looked at; nothing is sent
     address = Address.parse(endpoint)
-    with socket.create_connection(address, PROBE_TIMEOUT_S) as plain:
+    with socket.create_connection(address, PROBE_TIMEOUT_S) as connection:
         try:
-            with context.wrap_socket(plain) as secured:
+            with context.wrap_socket(connection) as secured:
                 der = secured.getpeercert(binary_form=True)
         except (ssl.SSLError, ConnectionError, TimeoutError):
             return None

@@ -25,11 +25,11 @@ def build_filter(version: int, blocked: dict[Network, bool], ports: Collection[i
 
     Of sources on this machine, some ports pass.
     """
-    place = _NETWORK_HEADER + (12 if version == 4 else 8)  # of the source address
+    offset = _NETWORK_HEADER + (12 if version == 4 else 8)  # of the source address
     address = [
         step
         for word in range(1 if version == 4 else 4)
-        for step in (_build_instruction(_LOAD, place + 4 * word), _build_instruction(_STORE, word))
+        for step in (_build_instruction(_LOAD, offset + 4 * word), _build_instruction(_STORE, word))
     ]
     program: list[bytes] = []
     for source, local in reversed(blocked.items()):
@@ -78,8 +78,8 @@ def filter_packets(listening: socket.socket, program: list[bytes]) -> None:
     """Let the kernel drop packets to a listening socket; all pass if `program` is empty."""
     if program:
         steps = ctypes.create_string_buffer(b"".join(program))
-        named = struct.pack("HP", len(program), ctypes.addressof(steps))
-        listening.setsockopt(socket.SOL_SOCKET, _ATTACH_FILTER, named)
+        filter_program = struct.pack("HP", len(program), ctypes.addressof(steps))
+        listening.setsockopt(socket.SOL_SOCKET, _ATTACH_FILTER, filter_program)
     else:
         listening.setsockopt(socket.SOL_SOCKET, _DETACH_FILTER, 0)
 

@@ -194,10 +194,10 @@ class Reception:
             tag = self._addressee + mac.digest()
             # usually there is one tag, which costs no call of Python
             if not compare_digest(tags, tag):
-                found = check_tags(tag, tags)
-                counts.forged += found is TagVerdict.FORGED
-                counts.unknown += found is TagVerdict.UNKNOWN
-                if found is not TagVerdict.GENUINE:
+                verdict = check_tags(tag, tags)
+                counts.forged += verdict is TagVerdict.FORGED
+                counts.unknown += verdict is TagVerdict.UNKNOWN
+                if verdict is not TagVerdict.GENUINE:
                     return None
         if head.sender == self.sender:
             gap = head.sequence - self.sequence

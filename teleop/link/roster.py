@@ -395,8 +395,8 @@ class Roster:
         process.due_ns = now + min(wait_ns, CHALLENGE_PERIOD_NS)
         process.unanswered += 1
         proven = partial(self._events.put, partial(self._answered, process))
-        for asked in self._witnesses(process):
-            self._challenger.ask(asked.token.nonce, process.token.nonce, asked.keys, proven)
+        for witness in self._witnesses(process):
+            self._challenger.ask(witness.token.nonce, process.token.nonce, witness.keys, proven)
 
     def _witnesses(self, process: RemoteProcess) -> list[RemoteProcess]:
         """Return who can prove the presence of a process: it, or the slave that relays it."""
@@ -425,11 +425,11 @@ class Roster:
 
     def _is_taken(self, peer: Peer) -> bool:
         """Return whether another process, which has proven itself, has the number of this one."""
-        known = None if self._keyring is None else self._keyring.known(peer.role, peer.nonce)
-        taken = known is not None and known.public != peer.public
-        if taken:
+        owner = None if self._keyring is None else self._keyring.known(peer.role, peer.nonce)
+        is_taken = owner is not None and owner.public != peer.public
+        if is_taken:
             self._refusals.note(f"a {peer.role.name.lower()} that takes the number of another one")
-        return taken
+        return is_taken
 
     def _decide(self) -> None:
         """Stop waiting for answers if none is open."""
@@ -464,8 +464,8 @@ class Roster:
         self.replace(self.others - {token})
         if token in self._relayed:
             self._relayed.pop(token).undeclare()
-        gone = not any((t.role, t.nonce) == (token.role, token.nonce) for t in self.others)
-        if gone and self._keyring is not None:
+        is_gone = not any((t.role, t.nonce) == (token.role, token.nonce) for t in self.others)
+        if is_gone and self._keyring is not None:
             self._keyring.remove(token.role, token.nonce)
 
     def _look_at_certificates(self) -> None:

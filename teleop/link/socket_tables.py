@@ -50,8 +50,8 @@ class Connection:
         """Return how many bytes it has received; what was known last if it was closed."""
         received = [self.received]
 
-        def read(own: socket.socket) -> None:
-            state = own.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, _BYTES_RECEIVED + 8)
+        def read(copy: socket.socket) -> None:
+            state = copy.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, _BYTES_RECEIVED + 8)
             received[0] = int.from_bytes(state[_BYTES_RECEIVED:], sys.byteorder)
 
         self._apply(read)
@@ -64,9 +64,9 @@ class Connection:
         """
         refused = [""]
 
-        def change(own: socket.socket) -> None:
+        def change(copy: socket.socket) -> None:
             try:
-                filter_packets(own, program)
+                filter_packets(copy, program)
             except OSError as error:
                 refused.append(str(error) if program else "")  # there was none to be removed
 
@@ -75,9 +75,9 @@ class Connection:
 
     def _apply(self, change: Callable[[socket.socket], None]) -> None:
         """Change the socket, unless its file descriptor was closed, or reused."""
-        with contextlib.suppress(OSError), open_socket_copy(self.number) as own:
-            if os.fstat(own.fileno()).st_ino == self.inode:
-                change(own)
+        with contextlib.suppress(OSError), open_socket_copy(self.number) as copy:
+            if os.fstat(copy.fileno()).st_ino == self.inode:
+                change(copy)
 
 
 def list_open_sockets() -> Iterator[tuple[int, int]]:
@@ -109,14 +109,14 @@ def open_socket_copy(number: int) -> Iterator[socket.socket]:
         if error.errno != errno.EMFILE:
             raise
         is_copy = False
-    own = socket.socket(fileno=number)
+    copy = socket.socket(fileno=number)
     try:
-        yield own
+        yield copy
     finally:
         if is_copy:
-            own.close()
+            copy.close()
         else:
-            own.detach()
+            copy.detach()
 
 
 def parse_socket_name(name: tuple[str, int] | str | bytes) -> SocketAddress:
@@ -126,11 +126,11 @@ def parse_socket_name(name: tuple[str, int] | str | bytes) -> SocketAddress:
     return name[0].partition("%")[0], name[1]
 
 
-def shut_down_socket(own: socket.socket) -> None:
+def shut_down_socket(connected: socket.socket) -> None:
     """End a connection, with what was received and not read, of which Zenoh would do all."""
-    own.shutdown(socket.SHUT_RDWR)
+    connected.shutdown(socket.SHUT_RDWR)
     for _ in range(DISCARD_READS_MAX):
-        if not own.recv(65536, socket.MSG_DONTWAIT):
+        if not connected.recv(65536, socket.MSG_DONTWAIT):
             break
 
 

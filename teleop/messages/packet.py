@@ -33,8 +33,8 @@ def _build_crc_tables() -> NDArray[np.uint32]:
             value = (value >> 1) ^ (_CRC_32 if value & 1 else 0)
         tables[0, byte] = value
     for k in range(1, 8):
-        before = tables[k - 1]
-        tables[k] = (before >> 8) ^ tables[0, before & 0xFF]
+        previous = tables[k - 1]
+        tables[k] = (previous >> 8) ^ tables[0, previous & 0xFF]
     return tables
 
 

@@ -201,10 +201,10 @@ def read_recorded_config(path: str | Path) -> tuple[str, tuple[str, ...]]:
 def _decode_config(scan: Scan, head: Mapping[str, str]) -> tuple[str, tuple[str, ...]]:
     """Return the config text and the overrides; `RecordingError` beyond `strict_yaml.SIZE_MAX`."""
     config, overrides = scan.attachments.get(CONFIG_ATTACHMENT, b""), head.get("overrides", "")
-    for what, size in (("config", len(config)), ("overrides", len(overrides.encode()))):
+    for part, size in (("config", len(config)), ("overrides", len(overrides.encode()))):
         if size > SIZE_MAX:
             raise RecordingError(
-                f"{scan.path}: its {what}: {size} bytes, at most {SIZE_MAX} are read; no session "
+                f"{scan.path}: its {part}: {size} bytes, at most {SIZE_MAX} are read; no session "
                 "has so many"
             )
     return config.decode(errors="replace"), _parse_overrides(scan.path, overrides)
@@ -218,7 +218,7 @@ def _parse_overrides(path: Path, text: str) -> tuple[str, ...]:
         overrides = json.loads(text)
     except (ValueError, RecursionError):
         overrides = None
-    if not isinstance(overrides, list) or not all(isinstance(each, str) for each in overrides):
+    if not isinstance(overrides, list) or not all(isinstance(item, str) for item in overrides):
         raise RecordingError(f"{path}: is damaged: its overrides are not a JSON list of texts")
     return tuple(overrides)
 
@@ -273,14 +273,14 @@ def read_columns(
     parts: list[NDArray[np.void]] = []
     size = 0
     for block in scan.blocks():
-        wanted = {n for n, channel in scan.channels.items() if to_topic_name(channel) == topic}
+        ids = {n for n, channel in scan.channels.items() if to_topic_name(channel) == topic}
         pieces = [
             block.content[start + _TIMES_OFFSET : end]
             for channel, start, end in block.messages
-            if channel in wanted
+            if channel in ids
         ]
         if pieces:
-            piece = _parse_rows(pieces, _build_row_dtype(scan, wanted, topic), scan.path, topic)
+            piece = _parse_rows(pieces, _build_row_dtype(scan, ids, topic), scan.path, topic)
             parts.append(
                 piece if names is None else _select_columns(piece, names, scan.path, topic)
             )
@@ -295,15 +295,15 @@ def read_columns(
         damage = f"; it is damaged {scan.damage}" if scan.damage else ""
         raise RecordingError(f"{path}: no messages of topic {topic!r}; it has {present}{damage}")
     rows = np.concatenate(parts)
-    if doubt is not None and (said := scan.shortfall(f"{len(rows)} {topic} messages")):
-        doubt(said)
+    if doubt is not None and (shortfall := scan.shortfall(f"{len(rows)} {topic} messages")):
+        doubt(shortfall)
     return rows
 
 
-def _build_row_dtype(scan: Scan, wanted: set[int], topic: str) -> np.dtype[np.void]:
+def _build_row_dtype(scan: Scan, ids: set[int], topic: str) -> np.dtype[np.void]:
     """Return the dtype of a row: the two times of the message record, and the message."""
     dtypes = []
-    for channel in (scan.channels[n] for n in wanted):
+    for channel in (scan.channels[n] for n in ids):
         schema = scan.schemas.get(channel.schema_id)
         if (
             schema is None
@@ -316,7 +316,7 @@ def _build_row_dtype(scan: Scan, wanted: set[int], topic: str) -> np.dtype[np.vo
         except ValueError as error:
             raise RecordingError(f"{scan.path}: topic {topic!r}: {error}") from error
     message = dtypes[0]
-    if any(other != message for other in dtypes):
+    if any(dtype != message for dtype in dtypes):
         raise RecordingError(
             f"{scan.path}: topic {topic!r} has messages with different definitions"
         )

@@ -81,9 +81,9 @@ class SenderRewriter:
         role = topic.publisher
         if role is None:
             role = Role.MASTER if row["role"][0] == Role.MASTER else Role.SLAVE
-        before = self._seen.get((topic.name, head.sender), head.sequence)
+        last_sequence = self._seen.get((topic.name, head.sender), head.sequence)
         self._seen[topic.name, head.sender] = head.sequence
-        sequence = self._sent.get((role, topic.name), 0) + max(1, head.sequence - before)
+        sequence = self._sent.get((role, topic.name), 0) + max(1, head.sequence - last_sequence)
         self._sent[role, topic.name] = sequence
         row["sender"], row["sequence"] = self._nonces[role], sequence
         row["stamp_ns"] = head.stamp_ns + shift_ns
@@ -133,13 +133,13 @@ def main(args: argparse.Namespace) -> int:
             for role in (Role.SLAVE, Role.MASTER)
         }
         stack.enter_context(register_session(own_endpoints.build_entry(run, None, args.config)))
-        how = ""
+        mode = ""
         if args.view in (None, "none"):
-            how = f"; see it with: teleop view --session {session}"
+            mode = f"; see it with: teleop view --session {session}"
         else:
             view = stack.enter_context(open_view(args))
             wait_for_view(view, links[Role.MASTER])
-        status.say(f"playing {info.seconds:.1f} s as session {session!r}{how}")
+        status.say(f"playing {info.seconds:.1f} s as session {session!r}{mode}")
         print_doubts(info)
         player = Player(info, args.speed, links)
         stack.callback(status.clear)
@@ -228,9 +228,9 @@ class Player:
         for link in self._links.values():
             link.check_peers()
         late_s = (now - due_ns) * 1e-9
-        again = f", pass {number + 1}" if number else ""
-        late = f", {late_s:.1f} s late" if late_s > _POLL_S else ""
-        show(f"{at_s:.1f} of {self._info.seconds:.1f} s{again}{late}")
+        pass_text = f", pass {number + 1}" if number else ""
+        late_text = f", {late_s:.1f} s late" if late_s > _POLL_S else ""
+        show(f"{at_s:.1f} of {self._info.seconds:.1f} s{pass_text}{late_text}")
 
 
 def adopt_config(args: argparse.Namespace, file: Path) -> None:

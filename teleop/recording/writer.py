@@ -411,12 +411,12 @@ class _CommitBuffer:
         """Wait for `commit`."""
 
     def commit(self) -> None:
-        rest = memoryview(b"".join(self._held))
+        remaining = memoryview(b"".join(self._held))
         self._held, self._held_bytes = [], 0
-        end = self.length + len(rest)
+        end = self.length + len(remaining)
         try:
-            while rest:
-                rest = rest[self._file.write(rest) :]
+            while remaining:
+                remaining = remaining[self._file.write(remaining) :]
         except OSError:
             with contextlib.suppress(OSError):  # a truncated last record is readable too
                 self._file.truncate(self.length)

@@ -55,20 +55,20 @@ def update_watches(
     now_ns : int
         Stamp of this tick [ns].
     """
-    known = {one.watch: one for one in armed}
+    armed_by_watch = {watch.watch: watch for watch in armed}
     for beat in beats:
         if beat.leaves:
-            known.pop(beat.watch, None)
+            armed_by_watch.pop(beat.watch, None)
         else:
-            seen = beat.watch in known and known[beat.watch].seen
-            known[beat.watch] = ArmedWatch(beat.watch, beat.heard_ns, seen)
-    kept = []
-    for one in known.values():
-        here = present(one.watch)
-        silent = now_ns - one.heard_ns > SILENCE_S * 1e9
-        if not silent and (here or not one.seen):
-            kept.append(one._replace(seen=here))
-    return tuple(kept), len(kept) < len(known)
+            was_seen = beat.watch in armed_by_watch and armed_by_watch[beat.watch].seen
+            armed_by_watch[beat.watch] = ArmedWatch(beat.watch, beat.heard_ns, was_seen)
+    remaining = []
+    for watch in armed_by_watch.values():
+        is_present = present(watch.watch)
+        silent = now_ns - watch.heard_ns > SILENCE_S * 1e9
+        if not silent and (is_present or not watch.seen):
+            remaining.append(watch._replace(seen=is_present))
+    return tuple(remaining), len(remaining) < len(armed_by_watch)
 
 
 SETTINGS_PER_TICK, SETTINGS_WAITING = 4, 32  # requests: in a tick, and waiting for one

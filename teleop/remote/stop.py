@@ -33,9 +33,9 @@ DEFAULT_REASON = "teleop stop"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `teleop stop`."""
     add_options(parser, "--session", "--config", "--set", "--insecure")
-    way = parser.add_mutually_exclusive_group()
-    way.add_argument("--reset", action="store_true", help="reset an emergency stop")
-    way.add_argument("--watch", action="store_true", help="stop when this process ends")
+    group = parser.add_mutually_exclusive_group()
+    group.add_argument("--reset", action="store_true", help="reset an emergency stop")
+    group.add_argument("--watch", action="store_true", help="stop when this process ends")
     parser.add_argument(
         "--why", default="", metavar="TEXT", help="reason, sent and recorded with it"
     )
@@ -128,8 +128,8 @@ def _report_states(states: dict[str, str], is_reset: bool) -> int:
         doubt = "be stopped" if is_reset else "NOT have stopped: use the switch of its hardware"
         raise TeleopError(f"no answer from the {' and the '.join(silent)}, which may {doubt}")
     if failed:
-        still = "is still stopped; its terminal shows why" if is_reset else "has NOT stopped"
-        raise TeleopError(f"the {' and the '.join(failed)} {still}")
+        failure = "is still stopped; its terminal shows why" if is_reset else "has NOT stopped"
+        raise TeleopError(f"the {' and the '.join(failed)} {failure}")
     if is_reset:
         print("release the engage switch, then press it again")
     return 0

@@ -62,7 +62,7 @@ def request_sides(
         link.subscribe_latest(topic)
     begin, first = time.monotonic(), 0.0
     states: dict[Role, State] = {}
-    named: dict[Role, int] = {}  # number of the stop to be reset, not a later one
+    stop_numbers: dict[Role, int] = {}  # number of the stop to be reset, not a later one
     while not stop():
         now = time.monotonic()
         states = {side: read_state(link, side) for side in SIDES if link.present(side)}
@@ -70,11 +70,11 @@ def request_sides(
             call_stop(link, role, words)
         else:
             for side in (s for s, state in states.items() if state is State.STOPPED):
-                number = named.setdefault(side, read_stop_count(link, side))
+                number = stop_numbers.setdefault(side, read_stop_count(link, side))
                 call_reset(link, role, words, side, number)
         first = first or (now if states else 0.0)
-        done = all((state is State.STOPPED) == (action == CALL) for state in states.values())
-        if (first and done and now - first > DISCOVERY_MIN_S) or now - begin > ANSWERS_TIMEOUT_S:
+        is_done = all((state is State.STOPPED) == (action == CALL) for state in states.values())
+        if (first and is_done and now - first > DISCOVERY_MIN_S) or now - begin > ANSWERS_TIMEOUT_S:
             break
         time.sleep(REPEAT_S)
     return states

@@ -148,8 +148,8 @@ class LocalAnswers:
     @property
     def states(self) -> dict[str, str]:
         """State of each side in lower case, by role; `SILENT` if it was asked without an answer."""
-        both = self._reported | self._own
-        return {side: both[side] for side in SIDES if side in both}
+        merged = self._reported | self._own
+        return {side: merged[side] for side in SIDES if side in merged}
 
     @property
     def has_silent_peer(self) -> bool:
@@ -198,18 +198,18 @@ def request_local(session: str, is_reset: bool, reason: str) -> LocalAnswers:
         mine, has_address = _sender(list(dict.fromkeys(folders + list_own_folders())), stack)
         deadline = time.monotonic() + ANSWER_S
         while sockets and time.monotonic() < deadline:
-            for place, role in list(sockets):
+            for address, role in list(sockets):
                 action = f"reset {answers.stops.get(role, 0)}" if is_reset else "stop"
                 try:
-                    mine.sendto(action.encode() + b"\n" + as_bytes(reason), str(place))
+                    mine.sendto(action.encode() + b"\n" + as_bytes(reason), str(address))
                 except (ConnectionRefusedError, FileNotFoundError):  # its process has ended
                     with suppress(OSError):
-                        place.unlink()
-                    sockets.remove((place, role))
+                        address.unlink()
+                    sockets.remove((address, role))
                 except OSError:  # its queue is full: it gets the next one
                     continue
                 if not has_address:
-                    sockets.remove((place, role))
+                    sockets.remove((address, role))
             ready = time.monotonic() + REPEAT_S
             while select.select([mine], [], [], max(0.0, ready - time.monotonic()))[0]:
                 answers.add(mine.recv(REQUEST_BYTES))
@@ -233,7 +233,7 @@ def _list_sockets() -> list[tuple[Path, str, str]]:
 
     Those of killed processes are removed.
     """
-    found = []
+    sockets = []
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as probe:
         for path in (path for folder in list_own_folders() for path in folder.glob("*.stop")):
             session, network, role, *_ = (*path.name.split("."), "", "")
@@ -247,8 +247,8 @@ def _list_sockets() -> list[tuple[Path, str, str]]:
             except OSError:  # it is gone
                 continue
             else:
-                found.append((path, session, role))
-    return found
+                sockets.append((path, session, role))
+    return sockets
 
 
 def _sender(folders: list[Path], stack: ExitStack) -> tuple[socket.socket, bool]:

@@ -104,9 +104,9 @@ def read_bag(path: Path) -> BagTable:
 
     columns: dict[str, NDArray[Any]] = {"time_s": time_s}
     for number, name in enumerate(tendons, start=1):
-        for end, what in (("tension", "effort"), ("displacement", "position")):
+        for end, quantity in (("tension", "effort"), ("displacement", "position")):
             column = format_standard_name(LINEAR, f"proximal_{end}", number)
-            columns[column] = joints[main].values[f"{name}/{what}"][keep]
+            columns[column] = joints[main].values[f"{name}/{quantity}"][keep]
     if distal is not None:
         columns |= {name: sampled(distal.times, v) for name, v in distal.columns.items()}
     for topic, signals in (joints | wrenches).items():
@@ -148,9 +148,9 @@ def _find_distal_columns(
     if len(bench) == 1:
         signals, columns = joints[bench[0]], dict[str, Array]()
         for number, name in enumerate(signals.joints, start=1):
-            for end, what in (("tension", "effort"), ("displacement", "position")):
+            for end, quantity in (("tension", "effort"), ("displacement", "position")):
                 column = format_standard_name(LINEAR, f"distal_{end}", number)
-                columns[column] = signals.values[f"{name}/{what}"]
+                columns[column] = signals.values[f"{name}/{quantity}"]
         return DistalColumns(bench[0], signals.times, columns)
     if not main.endswith(ACTUATORS) and len(wrenches) == 1:  # else it may be an estimate of ours
         ((topic, signals),) = wrenches.items()
@@ -209,20 +209,20 @@ class _RecordedTopic:
 
 def _extract_joint_values(message: Any) -> dict[str, float]:
     measured = {
-        what: dict(zip(message.name, getattr(message, what).tolist(), strict=False))
-        for what in _MOTION
+        quantity: dict(zip(message.name, getattr(message, quantity).tolist(), strict=False))
+        for quantity in _MOTION
     }
     return {
-        f"{name}/{what}": measured[what].get(name, np.nan)
+        f"{name}/{quantity}": measured[quantity].get(name, np.nan)
         for name in dict.fromkeys(message.name)
-        for what in _MOTION
+        for quantity in _MOTION
     }
 
 
 def _extract_wrench_values(message: Any) -> dict[str, float]:
     return {
-        f"{what}_{axis}": getattr(getattr(message.wrench, what), axis)
-        for what in ("force", "torque")
+        f"{quantity}_{axis}": getattr(getattr(message.wrench, quantity), axis)
+        for quantity in ("force", "torque")
         for axis in _AXES
     }
 
@@ -259,11 +259,11 @@ def _read_topics(path: Path) -> dict[str, _RecordedTopic]:
                         f"{path}: has more than {bounds.CELLS_MAX} values of JointState and "
                         "WrenchStamped; keep fewer topics, or less time: ros2 bag convert"
                     )
-        if said := scan.shortfall(f"{messages} messages"):
+        if shortfall := scan.shortfall(f"{messages} messages"):
             remedy = "`mcap recover` or `ros2 bag reindex` may save the file"
             if not messages:
-                raise UsageError(f"{said}; {remedy}")
-            print_warning(f"{said}; {remedy}")
+                raise UsageError(f"{shortfall}; {remedy}")
+            print_warning(f"{shortfall}; {remedy}")
     return topics
 
 

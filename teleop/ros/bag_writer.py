@@ -81,8 +81,8 @@ class BagWriter:
             text = yaml.safe_dump(information, sort_keys=False)
             self._mcap.add_metadata("rosbag2", {"serialized_metadata": text})
             self._mcap.finish()
-        whole = {"rosbag2_bagfile_information": information}
-        (self._folder / "metadata.yaml").write_text(yaml.safe_dump(whole, sort_keys=False))
+        document = {"rosbag2_bagfile_information": information}
+        (self._folder / "metadata.yaml").write_text(yaml.safe_dump(document, sort_keys=False))
 
     def _register(self, topic: str, type_name: str, qos: Qos) -> int:
         profiles = [_build_qos_profile(qos)]

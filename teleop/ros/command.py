@@ -146,13 +146,13 @@ def main(args: argparse.Namespace) -> int:
 
 def wait_for_router(router: str, stop: StopCondition) -> bool:
     """Wait until the router listens; return False if told to stop before."""
-    said = False
+    was_announced = False
     while not stop():
         if is_router_listening(router):
             return True
-        if not said:
+        if not was_announced:
             print(f"no router at {router} yet: ros2 run rmw_zenoh_cpp rmw_zenohd", flush=True)
-            said = True
+            was_announced = True
         time.sleep(_POLL_S)
     return False
 

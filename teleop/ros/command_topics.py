@@ -27,17 +27,19 @@ class CommandTopics:
         if endpoint.topic not in self._names:
             return
         with self._lock:
-            there, entry = self._there[endpoint.kind], (endpoint.topic, endpoint.node)
+            endpoints, entry = self._there[endpoint.kind], (endpoint.topic, endpoint.node)
             if came:
-                there.append(entry)
-            elif entry in there:
-                there.remove(entry)
+                endpoints.append(entry)
+            elif entry in endpoints:
+                endpoints.remove(entry)
 
     def refused(self) -> str:
         """Return which commands nobody takes, and the remedy; empty if there are none."""
         with self._lock:
-            taken = {topic for topic, _ in self._there[EndpointKind.SUBSCRIBER]}
-            refused = sorted(e for e in self._there[EndpointKind.PUBLISHER] if e[0] not in taken)
+            subscribed = {topic for topic, _ in self._there[EndpointKind.SUBSCRIBER]}
+            refused = sorted(
+                e for e in self._there[EndpointKind.PUBLISHER] if e[0] not in subscribed
+            )
         if not refused:
             return ""
         names = ", ".join(f"{node} publishes {topic}" for topic, node in dict.fromkeys(refused))

@@ -35,23 +35,23 @@ HOUSING_SPACING_M = 0.02  # [m] between the housings of two sheaths
 
 def build_sheath_frames(sheaths: Mapping[int, Sheath], stamp_ns: int, prefix: str) -> Any:
     """Return the transforms of all known sheaths as a TFMessage, by number of the tendon from 0."""
-    found, seen = [], set[int]()
+    frames, added = [], set[int]()
 
-    def add(parent: str, child: str, place: Any) -> None:
+    def add(parent: str, child: str, pose: Any) -> None:
         header = build_header(stamp_ns, build_frame_name(prefix, parent))
         child = build_frame_name(prefix, child)
-        found.append(
-            build_message(TRANSFORM_STAMPED, header=header, child_frame_id=child, transform=place)
+        frames.append(
+            build_message(TRANSFORM_STAMPED, header=header, child_frame_id=child, transform=pose)
         )
 
     for tendon in sorted(sheaths):
         sheath, name = sheaths[tendon], f"sheath_{tendon + 1}"
         add("housing", f"{name}_housing", build_transform(y=HOUSING_SPACING_M * tendon))
         add(f"{name}_housing", f"{name}_tip", compute_tip_transform(sheath))
-        if sheath.joint not in seen:
-            seen.add(sheath.joint)
+        if sheath.joint not in added:
+            added.add(sheath.joint)
             add(f"{name}_tip", f"tip_{sheath.joint + 1}", build_transform())
-    return build_message(TF_MESSAGE, transforms=found)
+    return build_message(TF_MESSAGE, transforms=frames)
 
 
 def build_transform(

@@ -145,7 +145,7 @@ class Publishers:
 
 
 def _group_by_source(outputs: Iterable[OutputTopic]) -> dict[Topic[Any], list[OutputTopic]]:
-    found: dict[Topic[Any], list[OutputTopic]] = {}
+    groups: dict[Topic[Any], list[OutputTopic]] = {}
     for output in outputs:
-        found.setdefault(output.source, []).append(output)
-    return found
+        groups.setdefault(output.source, []).append(output)
+    return groups

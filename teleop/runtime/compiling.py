@@ -12,7 +12,7 @@ from estimator.compile_cache import choose_folder
 
 @contextlib.contextmanager
 def announce_compilation(
-    what: str, about_s: float, beside: Callable[[], object] | None = None
+    what: str, about_s: float, work: Callable[[], object] | None = None
 ) -> Iterator[None]:
     """Print one line if anything has to be compiled in this context; with a warm cache, nothing.
 
@@ -22,7 +22,7 @@ def announce_compilation(
         What is compiled, for the line.
     about_s : float
         Compile time [s] with an empty cache.
-    beside : callable, optional
+    work : callable, optional
         Also to be compiled: called at the end of the context, and in a parallel process if anything
         has to be compiled, so that it is cached by then. A function of a module, or a
         `functools.partial` of one.
@@ -38,8 +38,8 @@ def announce_compilation(
                 return
             self.printed = True
             print(f"compiling {what} (once on this machine; about {about_s:.0f} s) ...", flush=True)
-            if beside is not None:
-                self.helper = _start_helper(beside)
+            if work is not None:
+                self.helper = _start_helper(work)
 
         def on_end(self, _event: object) -> None:
             """Do nothing; required by the listener interface."""
@@ -49,8 +49,8 @@ def announce_compilation(
         yield
         if announcement.helper is not None:
             announcement.helper.join()
-        if beside is not None:
-            beside()
+        if work is not None:
+            work()
 
 
 @contextlib.contextmanager
@@ -82,8 +82,8 @@ def _start_helper(work: Callable[[], object]) -> BaseProcess:
     return helper
 
 
-def _run_helper(beside: Callable[[], object]) -> None:
+def _run_helper(work: Callable[[], object]) -> None:
     """Compile in a child process, which its parent ends on an interrupt."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     gc.disable()
-    beside()
+    work()

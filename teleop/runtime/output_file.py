@@ -40,10 +40,10 @@ class OutputPath:
 
     def require(self, path: Path, force: bool, inputs: list[Path]) -> None:
         """Raise `UsageError` if writing would overwrite anything that must not be."""
-        for one in inputs:
-            if is_same_file(one, path):
-                other = "" if str(one) == str(path) else f", as {one}"
-                raise UsageError(f"is an input of this command too{other}; name another file")
+        for source in inputs:
+            if is_same_file(source, path):
+                alias = "" if str(source) == str(path) else f", as {source}"
+                raise UsageError(f"is an input of this command too{alias}; name another file")
 
 
 class OutputFile(OutputPath):
@@ -66,8 +66,8 @@ class OutputFile(OutputPath):
                 partial.touch()
                 partial.unlink()
         except (OSError, ValueError) as error:
-            why = getattr(error, "strerror", None) or error
-            raise argparse.ArgumentTypeError(f"{text!r} cannot be written: {why}") from error
+            reason = getattr(error, "strerror", None) or error
+            raise argparse.ArgumentTypeError(f"{text!r} cannot be written: {reason}") from error
         return path
 
     def require(self, path: Path, force: bool, inputs: list[Path]) -> None:
@@ -98,13 +98,15 @@ class OutputFolder(OutputPath):
         folder = path / self.inside
         if path.exists() and not path.is_dir():
             raise UsageError("is a file; name a folder")
-        for one in inputs:
-            if folder.resolve() in one.resolve().parents:
-                raise UsageError(f"has {one} in it, an input of this command; name another folder")
+        for source in inputs:
+            if folder.resolve() in source.resolve().parents:
+                raise UsageError(
+                    f"has {source} in it, an input of this command; name another folder"
+                )
         if folder.exists() and (not folder.is_dir() or any(folder.iterdir())) and not force:
-            where = f" ({folder})" if self.inside else ""
+            inside = f" ({folder})" if self.inside else ""
             raise UsageError(
-                f"is not empty{where}; name a new folder, or replace its files with {FORCE_OPTION}"
+                f"is not empty{inside}; name a new folder, or replace its files with {FORCE_OPTION}"
             )
 
 
@@ -131,8 +133,8 @@ def add_force_option(parser: argparse.ArgumentParser) -> None:
     actions = list(parser._actions)
     for action in actions:
         if isinstance(action, argparse._SubParsersAction):
-            for one in action.choices.values():
-                add_force_option(one)
+            for subparser in action.choices.values():
+                add_force_option(subparser)
     if any(isinstance(action.type, OutputPath) for action in actions):
         parser.add_argument(FORCE_OPTION, action="store_true", help="replace files that exist")
 
@@ -160,9 +162,9 @@ def check_outputs(parser: argparse.ArgumentParser, args: argparse.Namespace) -> 
             raise UsageError(f"{option} {path}: {error}") from error
         except OSError as error:
             raise UsageError(f"{option} {path}: {error.strerror}") from error
-        for other, taken in earlier:
-            if not is_special(path) and path.resolve() == taken.resolve():
-                raise UsageError(f"{option} {path}: is that of {other} too; name another")
+        for other_option, taken_path in earlier:
+            if not is_special(path) and path.resolve() == taken_path.resolve():
+                raise UsageError(f"{option} {path}: is that of {other_option} too; name another")
         earlier.append((option, path))
 
 
@@ -170,17 +172,17 @@ def find_outputs(
     parser: argparse.ArgumentParser, args: argparse.Namespace
 ) -> list[tuple[argparse.Action, Path]]:
     """Return the options that name outputs, and the paths that `args` has for them."""
-    found = []
+    outputs = []
     for action in parser._actions:
         if isinstance(action, argparse._SubParsersAction):
             chosen = action.choices.get(str(getattr(args, action.dest, "")))
             if chosen is not None:
-                found += find_outputs(chosen, args)
+                outputs += find_outputs(chosen, args)
         elif isinstance(action.type, OutputPath):
             path = getattr(args, action.dest, None)
             if isinstance(path, Path):
-                found.append((action, path))
-    return found
+                outputs.append((action, path))
+    return outputs
 
 
 def parse_output(kind: OutputPath, option: str, text: str) -> Path:
@@ -223,10 +225,10 @@ def replace_file(path: Path) -> Iterator[Path]:
             partial.unlink(missing_ok=True)
 
 
-def save_figure(figure: Any, path: Path, **how: Any) -> None:
+def save_figure(figure: Any, path: Path, **options: Any) -> None:
     """Write a figure of Matplotlib, whole or not at all; the suffix decides the format."""
     with replace_file(path) as partial:
-        figure.savefig(partial, format=path.suffix[1:].lower(), **how)
+        figure.savefig(partial, format=path.suffix[1:].lower(), **options)
 
 
 def is_special(path: Path) -> bool:
@@ -238,10 +240,10 @@ def _build_partial_path(path: Path) -> Path:
     return path.with_name(f".{path.name[:200]}.{os.getpid()}.partial")
 
 
-def is_same_file(one: Path, other: Path) -> bool:
+def is_same_file(a: Path, b: Path) -> bool:
     """Return whether two paths are one file, links included."""
     try:
-        return os.path.samefile(one, other)
+        return os.path.samefile(a, b)
     except OSError:
         return False
 

@@ -130,19 +130,19 @@ def pin_loop(granted: list[str], config: RealtimeConfig = _DEFAULT) -> None:
     """
     if not hasattr(os, "sched_getaffinity"):
         return
-    loops, others = divide_cores(os.sched_getaffinity(0), config.cores)
+    loops, other_cores = divide_cores(os.sched_getaffinity(0), config.cores)
     own = next((core for core in loops if _claim_core(core)), None)
     if own is None:
         return
     for thread in os.listdir("/proc/self/task"):
         with suppress(ProcessLookupError):  # it has ended
-            os.sched_setaffinity(int(thread), others)
+            os.sched_setaffinity(int(thread), other_cores)
     os.sched_setaffinity(0, {own})
     granted.append(f"core {own} for the loop")
 
 
 def divide_cores(
-    allowed: Collection[int], wanted: Literal["auto"] | Collection[int]
+    allowed: Collection[int], setting: Literal["auto"] | Collection[int]
 ) -> tuple[list[int], set[int]]:
     """Divide the cores that a process may use between loops and other threads.
 
@@ -150,28 +150,28 @@ def divide_cores(
     ----------
     allowed : collection of int
         The cores that the process may use.
-    wanted : "auto" or collection of int
+    setting : "auto" or collection of int
         The cores for loops, of which each takes one; "auto" is the upper half of `allowed`.
 
     Returns
     -------
     loops : list of int
         In order of preference.
-    others : set of int
+    other_cores : set of int
         Both are empty with fewer than `CORES_MIN` cores, or if fewer than `OTHER_CORES_MIN` would
         be left.
     """
     cores = sorted(set(allowed), reverse=True)
     if len(cores) < CORES_MIN:
         return [], set()
-    if wanted == "auto":
+    if setting == "auto":
         loops = cores[: len(cores) // 2]
     else:
-        loops = [core for core in dict.fromkeys(wanted) if core in cores]
-    others = set(cores).difference(loops)
-    if not loops or len(others) < OTHER_CORES_MIN:
+        loops = [core for core in dict.fromkeys(setting) if core in cores]
+    other_cores = set(cores).difference(loops)
+    if not loops or len(other_cores) < OTHER_CORES_MIN:
         return [], set()
-    return loops, others
+    return loops, other_cores
 
 
 def compute_rttime_limits(soft: int, hard: int) -> tuple[int, int]:
@@ -250,7 +250,7 @@ def find_unmodified_code(smaps: str, library: str) -> list[tuple[int, int]]:
     `smaps` is the text of /proc/PID/smaps. Mappings with anonymous pages, such as relocations, are
     omitted: they cannot be read again.
     """
-    found = []
+    mappings = []
     parts = re.split(r"^(?=[0-9a-f]+-[0-9a-f]+ )", smaps, flags=re.MULTILINE)
     for part in parts[1:]:
         head = part.split("\n", 1)[0].split(maxsplit=5)
@@ -258,8 +258,8 @@ def find_unmodified_code(smaps: str, library: str) -> list[tuple[int, int]]:
             continue
         if re.search(r"^Anonymous: +0 kB", part, flags=re.MULTILINE):
             begin, end = (int(address, 16) for address in head[0].split("-"))
-            found.append((begin, end - begin))
-    return found
+            mappings.append((begin, end - begin))
+    return mappings
 
 
 def _claim_core(core: int) -> bool:

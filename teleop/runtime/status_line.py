@@ -87,22 +87,26 @@ class Progress:
         self._bar = self._stream.isatty()
         self._what = ""
 
-    def __call__(self, what: str, share: float) -> None:
-        """Show that `share` (0 to 1) of all is done, and `what` is being done."""
+    def __call__(self, task: str, share: float) -> None:
+        """Show that `share` (0 to 1) of all is done, and `task` is being done."""
         if self._bar:
             filled = "#" * round(WIDTH * share)
-            text = f"\r\x1b[K[{filled:<{WIDTH}}] {what}{self._remaining(share)}"
+            text = f"\r\x1b[K[{filled:<{WIDTH}}] {task}{self._remaining(share)}"
             print(text, end="", file=self._stream, flush=True)
-        elif what != self._what:
-            print(f"{what} ...", file=self._stream, flush=True)
-        self._what = what
+        elif task != self._what:
+            print(f"{task} ...", file=self._stream, flush=True)
+        self._what = task
 
     def _remaining(self, share: float) -> str:
         elapsed = self._clock() - self._begun
         if elapsed < _SETTLED or not share > 0.0:
             return ""
-        left = elapsed * (1.0 - share) / share
-        return f", about {left:.0f} s left" if left < 90.0 else f", about {left / 60:.0f} min left"
+        left_s = elapsed * (1.0 - share) / share
+        return (
+            f", about {left_s:.0f} s left"
+            if left_s < 90.0
+            else f", about {left_s / 60:.0f} min left"
+        )
 
     def end(self) -> None:
         """Clear the line."""

@@ -74,15 +74,15 @@ def build_access_control(sessions: Iterable[str]) -> dict[str, Any]:
         members = [name for name in everybody if name not in listeners]
         allow(f"{session} watch", _LIVELINESS_MESSAGES, [f"{tokens}/**"], everybody)
         allow(f"{session} proof", ["declare_queryable", "reply"], [f"{tokens}/prove/**"], members)
-        heard: list[str] = []
+        subscribers: list[str] = []
         for topic in TOPICS:
             publishers = list_publisher_names(topic, session)
             keys = [f"{top}/{topic.name}"]
             if topic.sampled_hz:
                 keys.append(build_sampled_key(keys[0]))
-            heard += keys
+            subscribers += keys
             allow(f"{session} {topic.name}", ["put"], keys, publishers)
-        allow(f"{session} listen", ["declare_subscriber"], heard, everybody)
+        allow(f"{session} listen", ["declare_subscriber"], subscribers, everybody)
         for name in everybody:
             groups = list_holder_groups(name)
             if groups:

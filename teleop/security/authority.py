@@ -81,11 +81,11 @@ class Authority:
         key = Ed25519PrivateKey.generate()
         subject = _build_name(identity.common_name)
         basic = _build_certificate(subject, self.certificate.subject, key.public_key(), days, start)
-        both = [ExtendedKeyUsageOID.SERVER_AUTH, ExtendedKeyUsageOID.CLIENT_AUTH]
+        usages = [ExtendedKeyUsageOID.SERVER_AUTH, ExtendedKeyUsageOID.CLIENT_AUTH]
         certificate = (
             basic.add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
             .add_extension(_build_key_usage(sign_certificates=False), critical=True)
-            .add_extension(x509.ExtendedKeyUsage(both), critical=False)
+            .add_extension(x509.ExtendedKeyUsage(usages), critical=False)
             .add_extension(
                 x509.SubjectAlternativeName([x509.DNSName(_SERVER_NAME)]), critical=False
             )

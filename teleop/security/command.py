@@ -149,9 +149,9 @@ def _issue_certificates(args: argparse.Namespace) -> int:
     if args.right and CertificateRole.SUPERVISOR not in offices:
         raise UsageError("--right: only for --role supervisor")
     paths = {office: args.out / f"{build_file_stem(office, session)}.pem" for office in offices}
-    taken = [path for path in paths.values() if path.exists()]
-    if taken and not args.force:
-        raise UsageError(f"{taken[0]}: exists; --force replaces it")
+    existing = [path for path in paths.values() if path.exists()]
+    if existing and not args.force:
+        raise UsageError(f"{existing[0]}: exists; --force replaces it")
     _require_same_authority(args.out, authority)
     _require_shorter_validity(args.days, authority)
     authority.publish(args.out)
@@ -211,8 +211,8 @@ def _parse_serial(which: str, authority: Authority) -> int:
 def _show_folder(args: argparse.Namespace) -> int:
     authority = load_certificate(args.folder / AUTHORITY)
     revoked = load_revoked(args.folder, authority)
-    here = "" if not (args.folder / AUTHORITY_KEY).exists() else ", with its private key"
-    print(f"authority {read_common_name(authority)}: {_format_validity(authority)}{here}")
+    with_key = "" if not (args.folder / AUTHORITY_KEY).exists() else ", with its private key"
+    print(f"authority {read_common_name(authority)}: {_format_validity(authority)}{with_key}")
     for path in sorted(args.folder.glob("*.*.pem")):
         certificate = load_certificate(path)
         try:
@@ -236,5 +236,7 @@ def _format_certificate(certificate: x509.Certificate) -> str:
 
 def _format_validity(certificate: x509.Certificate) -> str:
     end = certificate.not_valid_after_utc
-    left = (end - datetime.now(UTC)).days
-    return f"valid until {end:%Y-%m-%d %H:%M} UTC" + (f" ({left} days)" if left >= 0 else "")
+    days_left = (end - datetime.now(UTC)).days
+    return f"valid until {end:%Y-%m-%d %H:%M} UTC" + (
+        f" ({days_left} days)" if days_left >= 0 else ""
+    )

@@ -65,17 +65,17 @@ class Credentials:
     @property
     def warning(self) -> str:
         """Empty, or that the certificate expires soon."""
-        left = self.certificate.not_valid_after_utc - datetime.now(UTC)
-        if not self.lasting or left > EXPIRY_WARNING:
+        time_left = self.certificate.not_valid_after_utc - datetime.now(UTC)
+        if not self.lasting or time_left > EXPIRY_WARNING:
             return ""
-        return f"the certificate {self.identity.common_name} expires in {left.days} days"
+        return f"the certificate {self.identity.common_name} expires in {time_left.days} days"
 
     def for_tls(self) -> dict[str, str]:
         """Return the authority, our certificate and our key as Zenoh's TLS takes them."""
         key = self.key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption())
         authority, ours = (
-            base64.b64encode(one.public_bytes(Encoding.PEM)).decode()
-            for one in (self.authority, self.certificate)
+            base64.b64encode(certificate.public_bytes(Encoding.PEM)).decode()
+            for certificate in (self.authority, self.certificate)
         )
         private = base64.b64encode(key).decode()
         return {
@@ -160,14 +160,14 @@ def load(folder: Path, session: str, office: CertificateRole) -> Credentials:
     names = [build_file_stem(office, session)]
     if office is CertificateRole.ROUTER:
         names.append(build_file_stem(office, ALL_SESSIONS))
-    there = [name for name in names if (folder / f"{name}.pem").is_file()]
-    if not there:
-        others = sorted(path.stem for path in folder.glob("*.*.pem"))
+    present = [name for name in names if (folder / f"{name}.pem").is_file()]
+    if not present:
+        other_names = sorted(path.stem for path in folder.glob("*.*.pem"))
         raise UsageError(
             f"link.keys: {folder}: no certificate of a {office} of session {session!r}"
-            f" (there: {', '.join(others) or 'none'}); issue one with `teleop keys issue`"
+            f" (there: {', '.join(other_names) or 'none'}); issue one with `teleop keys issue`"
         )
-    path = folder / f"{there[0]}.pem"
+    path = folder / f"{present[0]}.pem"
     certificate, key = load_certificate(path), load_key(path.with_suffix(".key"))
     if key.public_key() != certificate.public_key():
         raise UsageError(f"{path.with_suffix('.key')}: is not the key of {path.name}")
@@ -228,8 +228,8 @@ def _load_valid_authority(folder: Path) -> Authority | None:
         return None
     _require_private_folder(folder)
     authority = Authority.load(folder)
-    left = authority.certificate.not_valid_after_utc - datetime.now(UTC)
-    return authority if left > timedelta(days=LOCAL_DAYS) else None
+    time_left = authority.certificate.not_valid_after_utc - datetime.now(UTC)
+    return authority if time_left > timedelta(days=LOCAL_DAYS) else None
 
 
 def _make_authority(folder: Path) -> Authority:

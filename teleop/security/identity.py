@@ -67,14 +67,14 @@ class Identity(NamedTuple):
     @classmethod
     def parse(cls, common_name: str) -> "Identity":
         """Return the holder named by a common name; raises `ValueError`."""
-        found = _NAME.fullmatch(common_name)
-        if found is None:
+        match = _NAME.fullmatch(common_name)
+        if match is None:
             raise ValueError(f"{common_name!r} is not ROLE.SESSION")
-        office = CertificateRole(found["role"])
+        office = CertificateRole(match["role"])
         rights: tuple[str, ...] = ()
         if office is CertificateRole.SUPERVISOR:
-            rights = tuple(found["rights"].split("-")[1:]) or RIGHTS
-        identity = cls(office, found["session"], rights)
+            rights = tuple(match["rights"].split("-")[1:]) or RIGHTS
+        identity = cls(office, match["session"], rights)
         if identity.common_name != common_name or not set(rights) <= set(RIGHTS):
             raise ValueError(f"{common_name!r} is not ROLE.SESSION")
         if identity.session == ALL_SESSIONS and office is not CertificateRole.ROUTER:

@@ -95,9 +95,9 @@ class Keyring:
         for topic in TOPICS:
             name = topic.name
             if peer.role in topic.addressees and self._role in topic.publishers:
-                others = [e for e in self._seals[name].entries if e[0] != addressee]
+                other_entries = [e for e in self._seals[name].entries if e[0] != addressee]
                 entry = (addressee, create_keyed_hash(keys.sending, topic))
-                self._seals[name].entries = (*others[-(ADDRESSEES - 1) :], entry)
+                self._seals[name].entries = (*other_entries[-(ADDRESSEES - 1) :], entry)
             if name in self._senders and peer.role in topic.publishers:
                 self._senders[name][peer.nonce] = create_keyed_hash(keys.receiving, topic)
 
@@ -147,14 +147,14 @@ def create_keyed_hash(key: bytes, topic: Topic[Any]) -> Any:
 
 def check_tags(tag: bytes, tags: bytes) -> TagVerdict:
     """Return what the tags of a message say; `tag` is the right one, behind its addressee."""
-    found = TagVerdict.UNKNOWN
+    verdict = TagVerdict.UNKNOWN
     for begin in range(0, min(len(tags), ADDRESSEES * ENTRY_BYTES), ENTRY_BYTES):
         entry = tags[begin : begin + ENTRY_BYTES]
         if compare_digest(entry, tag):
             return TagVerdict.GENUINE
         if entry[:8] == tag[:8]:
-            found = TagVerdict.FORGED
-    return found
+            verdict = TagVerdict.FORGED
+    return verdict
 
 
 def pack_nonce(nonce: int) -> bytes:

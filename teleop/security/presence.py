@@ -212,13 +212,13 @@ class RevocationList:
             return False
         self._seen = state
         try:
-            found = load_revoked(folder, self._credentials.authority)
+            revoked = load_revoked(folder, self._credentials.authority)
         except UsageError as error:
             if self._credentials.lasting:  # a local authority is replaced when it has expired
                 complain(f"a list of revoked certificates: {error}; the earlier one stays in force")
             return False
-        grown = not found <= self.serials
-        self.serials |= found
+        grown = not revoked <= self.serials
+        self.serials |= revoked
         return grown
 
     def _state(self) -> tuple[int, ...]:
@@ -362,8 +362,8 @@ def _encode_proof(raw: bytes) -> str:
 
 def _build_signed_data(token: Token, session: str, shown: bytes) -> bytes:
     """Return what the signature covers; `shown` is the X25519 key and the certificate."""
-    plain = replace(token, relayed=False, proof="").key(session)
-    return b"teleop hello 1\0" + plain.encode() + b"\0" + shown
+    unsigned = replace(token, relayed=False, proof="").key(session)
+    return b"teleop hello 1\0" + unsigned.encode() + b"\0" + shown
 
 
 def _is_valid_signature(certificate: x509.Certificate, signature: bytes, data: bytes) -> bool:

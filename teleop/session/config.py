@@ -133,9 +133,9 @@ def require_periods(key: str, timeout_s: float, rate_hz: float) -> None:
     UsageError
         With the least value.
     """
-    least = TIMEOUT_PERIODS_MIN / rate_hz
-    if timeout_s < least * (1.0 - 1e-9):
+    timeout_min = TIMEOUT_PERIODS_MIN / rate_hz
+    if timeout_s < timeout_min * (1.0 - 1e-9):
         raise UsageError(
             f"{key}: {timeout_s:g}: must be at least {TIMEOUT_PERIODS_MIN} periods of rate_hz "
-            f"({least:g} s at {rate_hz:g} Hz)"
+            f"({timeout_min:g} s at {rate_hz:g} Hz)"
         )

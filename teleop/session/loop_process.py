@@ -179,12 +179,12 @@ class LoopProcess(ABC):
         forged = self._requests.forged() | {peers: counts.forged}
         refused = self._requests.refused() | {peers: counts.forged + counts.unknown}
         for name, count in refused.items():
-            wrong = forged[name] - self._forged.get(name, 0)
+            forged_count = forged[name] - self._forged.get(name, 0)
             new = count - self._refused.get(name, 0)
-            if wrong:
-                self._link.refusals.note(f"{name} with a wrong tag", wrong)
-            if new - wrong >= UNTAGGED_MIN:
-                self._link.refusals.note(f"{name} of an unknown sender", new - wrong)
+            if forged_count:
+                self._link.refusals.note(f"{name} with a wrong tag", forged_count)
+            if new - forged_count >= UNTAGGED_MIN:
+                self._link.refusals.note(f"{name} of an unknown sender", new - forged_count)
         self._refused, self._forged = refused, forged
         for line in self._link.refusals.take():
             publish_event(self._link, self.role, self._outline(), line)

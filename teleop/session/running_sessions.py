@@ -72,17 +72,17 @@ def register_session(entry: RunningSession) -> Iterator[None]:
 def list_sessions() -> list[RunningSession]:
     """Return the sessions of this user on this machine, the oldest first."""
     paths = [path for folder in list_own_folders() for path in folder.glob("*.json")]
-    found = [entry for entry in map(_read_entry, paths) if entry is not None]
-    return sorted(found, key=lambda entry: (entry.began, entry.session))
+    sessions = [entry for entry in map(_read_entry, paths) if entry is not None]
+    return sorted(sessions, key=lambda entry: (entry.began, entry.session))
 
 
 def create_session_name(base: str) -> str:
     """Return a session name that none of the user's sessions has: `base` and four hex digits."""
     stem = re.sub(r"[^a-z0-9_-]+", "-", base.lower()).strip("-")[:_STEM_MAX] or "session"
-    taken = {entry.session for entry in list_sessions()}
+    used_names = {entry.session for entry in list_sessions()}
     for _ in range(_TRIES_MAX):
         name = f"{stem}-{os.urandom(2).hex()}"
-        if name not in taken:
+        if name not in used_names:
             return name
     raise UsageError(f"no free name for a session like {stem!r}; choose one with --session")
 
@@ -171,8 +171,8 @@ def usable_folders(socket_name: str = "") -> Iterator[Path]:
     """
     state = _state_folder()
     for folder in _list_candidate_folders():
-        fits = len(os.fsencode(folder / socket_name)) < SOCKET_ADDRESS_BYTES
-        if not fits and socket_name:
+        is_short = len(os.fsencode(folder / socket_name)) < SOCKET_ADDRESS_BYTES
+        if not is_short and socket_name:
             continue
         with suppress(OSError):
             folder.mkdir(mode=0o700, exist_ok=True, parents=folder == state)

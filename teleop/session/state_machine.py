@@ -313,12 +313,7 @@ def _is_fault_over(session: Session, inputs: Inputs) -> bool:
         return False
     if session.reason in (Reason.PEER_SILENT, Reason.PEER_LEFT, Reason.PEER_DECLINED):
         return inputs.peer_fresh
-    if session.reason in (
-        Reason.CLOCK_SET,
-        Reason.LINK_SLOW,
-        Reason.LINK_JITTER,
-        Reason.LINK_LOSS,
-    ):
+    if session.reason in (Reason.CLOCK_SET, Reason.LINK_SLOW, Reason.LINK_JITTER, Reason.LINK_LOSS):
         return inputs.peer_fresh and not inputs.link_holds
     return True
 
@@ -334,9 +329,9 @@ def _step_ready(session: Session, inputs: Inputs) -> None:
     not_ready = inputs.not_ready_reason
     if inputs.link_holds and not_ready == Reason.NONE:
         not_ready = inputs.link
-    asked = inputs.engage and not inputs.clutch and not_ready == Reason.NONE
+    may_engage = inputs.engage and not inputs.clutch and not_ready == Reason.NONE
     # engaging takes a tick in READY, so that the peer sees READY too
-    if session.state == State.READY and asked and present and open_seen and peer_seen:
+    if session.state == State.READY and may_engage and present and open_seen and peer_seen:
         _enter_state(session, State.ENGAGED, Reason.NONE)
         session.followed = False  # a peer that is engaged already was before: its next word counts
         session.peer = inputs.peer
@@ -384,8 +379,8 @@ def _step_coupled(session: Session, inputs: Inputs, dt: float) -> None:
     elif session.state == State.ENGAGED and follows:
         session.followed = True
     else:
-        again = session.state == State.CLUTCHED or session.followed
-        waited_s = 0.0 if again else session.waited_s + dt
+        is_reengaging = session.state == State.CLUTCHED or session.followed
+        waited_s = 0.0 if is_reengaging else session.waited_s + dt
         if waited_s > inputs.follow_s:
             _enter_state(session, State.FAULT, Reason.PEER_DECLINED)
         else:

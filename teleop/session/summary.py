@@ -147,8 +147,8 @@ class SessionSummary:
     @property
     def loops(self) -> list[LoopSummary]:
         """Of the slave and the master, of those that ran."""
-        found = [self.children.get(name) for name in LOOPS]
-        return [loop for loop in found if isinstance(loop, LoopSummary) and loop.ticks]
+        summaries = [self.children.get(name) for name in LOOPS]
+        return [loop for loop in summaries if isinstance(loop, LoopSummary) and loop.ticks]
 
     def to_json(self) -> dict[str, Any]:
         """Return plain values for a JSON file."""
@@ -184,8 +184,8 @@ def find_fault(loops: Iterable[LoopSummary]) -> str:
         if loop.role is Role.SLAVE and not usable:
             return f"the slave was never usable: {loop.not_usable.text}"
     ends = [(loop.role, loop.ended_in) for loop in ran if loop.ended_in is not None]
-    own = [(role, end) for role, end in ends if end.reason not in PEER_REASONS]
-    for role, end in (own or ends)[:1]:
+    own_faults = [(role, end) for role, end in ends if end.reason not in PEER_REASONS]
+    for role, end in (own_faults or ends)[:1]:
         return f"a fault of the {role.name.lower()} ended the session: {end.text}"
     return ""
 
@@ -267,15 +267,15 @@ def format_loop(loop: LoopSummary) -> list[str]:
             f"p99.9 {latency.p99_9:.2f} ms ({latency.n} round trips)"
         )
     out += format_link(loop.link)
-    whole = loop.stages_us[STAGE_NAMES[-1]]
-    if whole.n:
+    total = loop.stages_us[STAGE_NAMES[-1]]
+    if total.n:
         medians = {name: (loop.stages_us[name].p50 or 0.0) * 1e-3 for name in STAGE_NAMES}
         quantiles = [
-            (value or 0.0) * 1e-3 for value in (whole.p50, whole.p99, whole.p99_9, whole.max)
+            (value or 0.0) * 1e-3 for value in (total.p50, total.p99, total.p99_9, total.max)
         ]
         out.append(
             f"latency   hand to force {format_latency(quantiles, medians)} "
-            f"({whole.n} commands answered in their own tick)"
+            f"({total.n} commands answered in their own tick)"
         )
     return out
 
@@ -301,8 +301,8 @@ def format_link(link: LinkSummary) -> list[str]:
         f"jitter p50 {link.jitter_ms.p50 or 0:.2f} ms, loss {100 * link.loss:.2f} %{offset}"
     )
     limits = [
-        f"{what} for {seconds:.1f} s"
-        for seconds, what in ((link.scaled_s, "scaled down"), (link.held_s, "held"))
+        f"{effect} for {seconds:.1f} s"
+        for seconds, effect in ((link.scaled_s, "scaled down"), (link.held_s, "held"))
         if seconds
     ]
     return [line, *([f"{'':9} because of the link {', '.join(limits)}"] if limits else [])]
@@ -353,8 +353,8 @@ def format_force_error(error: ForceError | None) -> str:
 def format_impair_counts(counts: Mapping[str, Any]) -> list[str]:
     """Return the message counts of a proxy, one line per topic."""
     out = []
-    for way in ("to_slave", "to_master"):
-        for topic, numbers in counts[way].items():
+    for direction in ("to_slave", "to_master"):
+        for topic, numbers in counts[direction].items():
             text = ", ".join(f"{n} {name.replace('_', ' ')}" for name, n in numbers.items() if n)
-            out.append(f"{way:9} {topic}: {text}")
+            out.append(f"{direction:9} {topic}: {text}")
     return out

@@ -47,11 +47,11 @@ from teleop.runtime.status_line import StatusLine
 _BYTES_A_LINE = 16
 
 
-def format_dump(one: ExaminedNode) -> str:
+def format_dump(node: ExaminedNode) -> str:
     """Return the dump; `DeviceFault` if the descriptor cannot be read."""
-    item, data = one.item, one.descriptor
+    item, data = node.item, node.descriptor
     if not data:
-        raise DeviceFault(f"{item}: {one.not_ready_reason}")
+        raise DeviceFault(f"{item}: {node.not_ready_reason}")
     lines = [
         f"# tendon-teleop {version('tendon-teleop')}, {platform.platform()}",
         f"name: {json.dumps(item.name)}",
@@ -63,7 +63,7 @@ def format_dump(one: ExaminedNode) -> str:
         f"interface: {item.interface}",
         f"usages: {json.dumps([f'{page:04x}:{usage:04x}' for page, usage in item.usages])}",
         "drivers:",
-        *(f"  {name}: {json.dumps(why or 'fits')}" for name, why in one.misfits.items()),
+        *(f"  {name}: {json.dumps(misfit or 'fits')}" for name, misfit in node.misfits.items()),
         f"bytes: {len(data)}",
         "descriptor: |",
     ]
@@ -183,23 +183,27 @@ def select_device(find: str) -> AttachedNode:
     everything = search.list_attached_nodes()
     if not everything:
         raise UsageError("no HID device attached")
-    meant = [item for item in everything if search.is_match(item, find)]
-    if len(meant) > 1:
-        driven = [item for item in meant if search.examine_node(item).fits]
-        meant = driven if len(driven) == 1 else meant
-    if len(meant) == 1:
-        return meant[0]
-    table = "\n".join(format_nodes(meant or everything))
-    wanted = (
-        f"{find!r} is not attached" if not meant else "several devices match; give the path of one"
+    matches = [item for item in everything if search.is_match(item, find)]
+    if len(matches) > 1:
+        driven = [item for item in matches if search.examine_node(item).fits]
+        matches = driven if len(driven) == 1 else matches
+    if len(matches) == 1:
+        return matches[0]
+    table = "\n".join(format_nodes(matches or everything))
+    request = (
+        f"{find!r} is not attached"
+        if not matches
+        else "several devices match; give the path of one"
     )
-    raise UsageError(f"{wanted}\n{table}")
+    raise UsageError(f"{request}\n{table}")
 
 
 def select_devices(find: str) -> list[AttachedNode]:
     """Return the selected device; all nodes of it if `find` matches several."""
-    meant = [item for item in search.list_attached_nodes() if find and search.is_match(item, find)]
-    return meant or [select_device(find)]
+    matches = [
+        item for item in search.list_attached_nodes() if find and search.is_match(item, find)
+    ]
+    return matches or [select_device(find)]
 
 
 def save_dump(items: Sequence[AttachedNode], file: Path | None) -> None:
@@ -214,12 +218,12 @@ def save_dump(items: Sequence[AttachedNode], file: Path | None) -> None:
 
 def probe_device(item: AttachedNode, watched_s: float) -> list[str]:
     """Return a device's descriptor as text, and its report rate."""
-    one = search.examine_node(item)
-    data = one.descriptor
+    node = search.examine_node(item)
+    data = node.descriptor
     if not data:
-        return [str(item), one.not_ready_reason]
+        return [str(item), node.not_ready_reason]
     lines = [str(item)]
-    lines += [f"driver {name}: {why_not or 'fits'}" for name, why_not in one.misfits.items()]
+    lines += [f"driver {name}: {why_not or 'fits'}" for name, why_not in node.misfits.items()]
     try:
         lines += [
             "",
@@ -228,7 +232,7 @@ def probe_device(item: AttachedNode, watched_s: float) -> list[str]:
         ]
     except DescriptorError as error:
         lines.append(f"report descriptor, {len(data)} bytes, cannot be read: {error}")
-    return [*lines, "", one.not_ready_reason or measure_report_rate(item, watched_s)]
+    return [*lines, "", node.not_ready_reason or measure_report_rate(item, watched_s)]
 
 
 def measure_report_rate(item: AttachedNode, watched_s: float) -> str:
@@ -258,26 +262,26 @@ def run_device_test(
     """Guide a person through a test of all inputs and forces; save the signs found."""
     if switched := search.leave_console_mode(find, driver):
         person.write(switched)
-    found = search.find_device(find, driver)
-    known = force_signs.load(file) if file is None or file.exists() else force_signs.ForceSigns()
-    forces = DRIVERS[found.kind].make(found.item, found.descriptor, PidConfig(), None).forces
-    with _open_connection(found, ()) as line:
-        person.write(f"{found.item}, driver {found.kind}")
+    device = search.find_device(find, driver)
+    signs = force_signs.load(file) if file is None or file.exists() else force_signs.ForceSigns()
+    forces = DRIVERS[device.kind].make(device.item, device.descriptor, PidConfig(), None).forces
+    with _open_connection(device, ()) as line:
+        person.write(f"{device.item}, driver {device.kind}")
         person.write(f"Move every axis to both ends and press every button ({watched_s:g} s).")
         for line_text in show_inputs(line, watched_s):
             person.write(line_text)
     if not forces:
         person.write("It has no force output.")
     for axis in forces:
-        with _open_connection(found, (axis,)) as line:  # one by one, for a device with one effect
+        with _open_connection(device, (axis,)) as line:  # one by one, for a device with one effect
             sign = determine_sign(line, axis, person)
         if not sign:
             person.write(f"{axis}: sign not found; it will render no force")
             continue
-        known = known.having(ForceSign(*found.pusher, axis, 1 if sign > 0 else -1))
-        force_signs.save(file, known)
+        signs = signs.having(ForceSign(*device.pusher, axis, 1 if sign > 0 else -1))
+        force_signs.save(file, signs)
         person.write(f"{axis}: sign {sign:+d}, saved in {file or force_signs.get_default_path()}")
-        if not found.item.serial:
+        if not device.item.serial:
             person.write(
                 "It has no serial number: another device of this model, wired the other way, "
                 "would get the same sign. Test again after replacing it."
@@ -285,8 +289,8 @@ def run_device_test(
 
 
 @contextmanager
-def _open_connection(found: FoundDevice, pushed: tuple[str, ...]) -> Iterator[DeviceConnection]:
-    line = DeviceConnection(found, PidConfig(), pushed)
+def _open_connection(device: FoundDevice, pushed: tuple[str, ...]) -> Iterator[DeviceConnection]:
+    line = DeviceConnection(device, PidConfig(), pushed)
     try:
         yield line
     finally:
@@ -332,10 +336,10 @@ def _format_controls(line: DeviceConnection, controls: Controls) -> str:
 
 def determine_sign(line: DeviceConnection, axis: str, person: OperatorDialogue) -> int:
     """Find the sign of one axis by pushing it, or else by asking; 0 = not found."""
-    most = f"{force_signs.TEST_FORCES[-1]:.0%}"
+    force_max = f"{force_signs.TEST_FORCES[-1]:.0%}"
     answer = _ask_operator(
         person,
-        f"Release the device and keep clear: {axis} is pushed with up to {most} of its force. "
+        f"Release the device and keep clear: {axis} is pushed with up to {force_max} of its force. "
         "Enter to go on, s to leave it out: ",
     )
     if answer.startswith("s"):
@@ -353,7 +357,7 @@ def determine_sign(line: DeviceConnection, axis: str, person: OperatorDialogue) 
     )
     if answer.startswith("s"):
         return 0
-    for share, way in ((force_signs.TEST_FORCES[-1], 1), (-force_signs.TEST_FORCES[-1], -1)):
+    for share, direction in ((force_signs.TEST_FORCES[-1], 1), (-force_signs.TEST_FORCES[-1], -1)):
         force_signs.hold_force(line, force, count, share, time.monotonic, time.sleep)
         reply = ""
         while reply[:1] not in _ANSWERS:
@@ -362,7 +366,7 @@ def determine_sign(line: DeviceConnection, axis: str, person: OperatorDialogue) 
                 "Did it push to [l]arger values, to [s]maller ones, or did you feel [n]one? ",
             )
         if _ANSWERS[reply[0]]:
-            return way * _ANSWERS[reply[0]]
+            return direction * _ANSWERS[reply[0]]
     return 0
 
 

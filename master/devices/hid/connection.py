@@ -185,18 +185,18 @@ class DeviceConnection:
     """
 
     def __init__(
-        self, found: FoundDevice, pid: PidConfig, pushed: tuple[str, ...] | None = None
+        self, device: FoundDevice, pid: PidConfig, pushed: tuple[str, ...] | None = None
     ) -> None:
-        self.found = found
-        item, kind = found.item, DRIVERS[found.kind]
+        self.found = device
+        item, kind = device.item, DRIVERS[device.kind]
         self._guard: ForceWatchdog | None = None
         with ExitStack() as undo:
             node = Node(item.path, str(item))
             undo.callback(node.close)
-            if node.descriptor() != found.descriptor:
+            if node.descriptor() != device.descriptor:
                 raise DeviceFault(f"{item}: its report descriptor has changed; restart")
             try:
-                self.driver = kind.make(item, found.descriptor, pid, pushed)
+                self.driver = kind.make(item, device.descriptor, pid, pushed)
                 if self.driver.forces and not kind.forgets and sys.platform == "linux":
                     self._guard = ForceWatchdog(item.path, self.driver.silence())
                     undo.callback(self._guard.end)
@@ -278,8 +278,8 @@ class DeviceConnection:
 
         Otherwise it is done when the device responds. No reads afterwards; may be called again.
         """
-        done = self._writer.end(patience_s)
-        return (self._guard is None or self._guard.end()) and done
+        is_finished = self._writer.end(patience_s)
+        return (self._guard is None or self._guard.end()) and is_finished
 
 
 def _remove_force(node: Node, driver: HidDriver) -> None:

@@ -117,8 +117,8 @@ class ReportDescriptor:
 
     def report(self, kind: ReportType, number: int) -> HidReport | None:
         """Return a report, if the device has it."""
-        found = (r for r in self.reports if r.kind is kind and r.number == number)
-        return next(found, None)
+        matches = (r for r in self.reports if r.kind is kind and r.number == number)
+        return next(matches, None)
 
 
 class _Globals(NamedTuple):
@@ -239,38 +239,38 @@ class _Parser:
         self._delimited = False
 
     def _global(self, item: _Item) -> None:
-        tag, now = item.tag, self._globals
+        tag, current = item.tag, self._globals
         if tag == _PAGE:
-            now = now._replace(page=item.unsigned & 0xFFFF)
+            current = current._replace(page=item.unsigned & 0xFFFF)
         elif tag == _MINIMUM:
-            now = now._replace(minimum=item.signed)
+            current = current._replace(minimum=item.signed)
         elif tag == _MAXIMUM:
-            now = now._replace(maximum=item.data)
+            current = current._replace(maximum=item.data)
         elif tag == _PHYSICAL_MINIMUM:
-            now = now._replace(physical_minimum=item.signed)
+            current = current._replace(physical_minimum=item.signed)
         elif tag == _PHYSICAL_MAXIMUM:
-            now = now._replace(physical_maximum=item.data)
+            current = current._replace(physical_maximum=item.data)
         elif tag == _UNIT:
-            now = now._replace(unit=item.unsigned)
+            current = current._replace(unit=item.unsigned)
         elif tag == _EXPONENT:
-            now = now._replace(exponent=_parse_exponent(item))
+            current = current._replace(exponent=_parse_exponent(item))
         elif tag == _SIZE:
             if item.unsigned > _SIZE_MAX:
                 raise DescriptorError(f"byte {item.at}: fields of more than {_SIZE_MAX} bits")
-            now = now._replace(size=item.unsigned)
+            current = current._replace(size=item.unsigned)
         elif tag == _COUNT:
-            now = now._replace(repeats=item.unsigned)
+            current = current._replace(repeats=item.unsigned)
         elif tag == _NUMBER:
             if not 1 <= item.unsigned <= 255:
                 raise DescriptorError(f"byte {item.at}: a report number that is not 1 ... 255")
-            now = now._replace(number=item.unsigned)
+            current = current._replace(number=item.unsigned)
         elif tag == _PUSH:
-            self._stack.append(now)
+            self._stack.append(current)
         elif tag == _POP:
             if not self._stack:
                 raise DescriptorError(f"byte {item.at}: a pop without a push")
-            now = self._stack.pop()
-        self._globals = now
+            current = self._stack.pop()
+        self._globals = current
 
     def _local(self, item: _Item) -> None:
         if item.tag == _DELIMITER:
@@ -329,23 +329,23 @@ class _Parser:
 
     def _add(self, kind: ReportType, item: _Item) -> None:
         """Append the fields of an input, output or feature item to its report."""
-        now, flags = self._globals, item.unsigned
-        key = kind, now.number
+        current, flags = self._globals, item.unsigned
+        key = kind, current.number
         fields = self._fields.setdefault(key, [])
         start = self._bits.get(key, 0)
-        self._bits[key] = start + now.size * now.repeats
+        self._bits[key] = start + current.size * current.repeats
         if self._bits[key] > _REPORT_MAX:
             raise DescriptorError(f"byte {item.at}: a report of more than {_REPORT_MAX} bits")
         constant = bool(flags & _CONSTANT)
-        if not now.size or not now.repeats or (constant and not self._usages):
+        if not current.size or not current.repeats or (constant and not self._usages):
             return
         array = not flags & _VARIABLE
-        maximum = _parse_maximum(now.maximum, now.minimum)
-        if maximum < now.minimum and not constant:
-            raise DescriptorError(f"byte {item.at}: a range {now.minimum} ... {maximum}")
-        values = min(maximum - now.minimum + 1, 1 << now.size)
-        names = tuple(self._named(values if array else now.repeats, item))
-        runs = [(names, now.repeats)] if array else _assign_usages(names, now.repeats)
+        maximum = _parse_maximum(current.maximum, current.minimum)
+        if maximum < current.minimum and not constant:
+            raise DescriptorError(f"byte {item.at}: a range {current.minimum} ... {maximum}")
+        values = min(maximum - current.minimum + 1, 1 << current.size)
+        names = tuple(self._named(values if array else current.repeats, item))
+        runs = [(names, current.repeats)] if array else _assign_usages(names, current.repeats)
         offset = 8 + start
         for usages, count in runs:
             self._field_count += 1
@@ -359,26 +359,28 @@ class _Parser:
                     relative=bool(flags & _RELATIVE),
                     nullable=bool(flags & _NULL),
                     offset=offset,
-                    size=now.size,
+                    size=current.size,
                     count=count,
-                    minimum=now.minimum,
+                    minimum=current.minimum,
                     maximum=maximum,
-                    physical_minimum=now.physical_minimum,
-                    physical_maximum=_parse_maximum(now.physical_maximum, now.physical_minimum),
-                    unit=now.unit,
-                    exponent=now.exponent,
+                    physical_minimum=current.physical_minimum,
+                    physical_maximum=_parse_maximum(
+                        current.physical_maximum, current.physical_minimum
+                    ),
+                    unit=current.unit,
+                    exponent=current.exponent,
                     path=self._path,
                 )
             )
-            offset += now.size * count
+            offset += current.size * count
 
-    def _named(self, most: int, item: _Item) -> Iterator[int]:
-        """Yield the declared usages one by one, at most `most`."""
+    def _named(self, count_max: int, item: _Item) -> Iterator[int]:
+        """Yield the declared usages one by one, at most `count_max`."""
         for usage in self._usages:
             for number in range(usage.first, usage.last + 1):
-                if not most:
+                if not count_max:
                     return
-                most -= 1
+                count_max -= 1
                 self._usage_count += 1
                 if self._usage_count > _USAGES_MAX:
                     raise DescriptorError(f"byte {item.at}: more than {_USAGES_MAX} usages")
@@ -448,8 +450,8 @@ def write_field(report: bytearray, field: ReportField, value: int, k: int = 0) -
         raise ValueError(f"bits {first} ... {last - 1} are not in {len(report)} bytes")
     part = slice(first // 8, (last + 7) // 8)
     shift, mask = first % 8, (1 << field.size) - 1
-    others = int.from_bytes(report[part], "little") & ~(mask << shift)
-    bits = others | (value & mask) << shift
+    other_bits = int.from_bytes(report[part], "little") & ~(mask << shift)
+    bits = other_bits | (value & mask) << shift
     report[part] = bits.to_bytes(part.stop - part.start, "little")
 
 

@@ -53,8 +53,8 @@ class Claims:
                     "serial number or path"
                 )
             self._open[item.path] = _Claim(item.identity, _identify_file(item.path))
-            alike = sum(claim.identity == item.identity for claim in self._open.values())
-            self._most[item.identity] = max(self._most[item.identity], alike)
+            claims = sum(claim.identity == item.identity for claim in self._open.values())
+            self._most[item.identity] = max(self._most[item.identity], claims)
 
     def release(self, item: AttachedNode) -> None:
         """Release a device."""
@@ -161,12 +161,12 @@ class DeviceReconnection(Generic[T]):
                     self.trouble = str(error) if expected else f"search failed: {error!r}"
             self._over.wait(POLL_PERIOD_S)
 
-    def _keep(self, found: T) -> None:
+    def _keep(self, device: T) -> None:
         with self._lock:
             if not self._over.is_set():
-                self.found = found
+                self.found = device
                 return
-        found.end()
+        device.end()
 
 
 _PATIENCE_S = 2.0  # to remove the force at the end; a write may hang for 5 s
@@ -176,19 +176,19 @@ class OpenedDevice:
     """The open device, the one with its buttons (mostly the same), and the mapping."""
 
     def __init__(
-        self, config: HidConfig, known: ForceSigns, found: tuple[FoundDevice, ...]
+        self, config: HidConfig, force_signs: ForceSigns, devices: tuple[FoundDevice, ...]
     ) -> None:
         self.lines: list[DeviceConnection] = []
-        pid = config.pid if may_use_device_effects(found[0], known) else PidConfig()
+        pid = config.pid if may_use_device_effects(devices[0], force_signs) else PidConfig()
         pushed = tuple(axis.name for axis in config.axes if axis.force > 0.0)
-        CLAIMS.claim(found[0].item)
-        self._claimed: AttachedNode | None = found[0].item
+        CLAIMS.claim(devices[0].item)
+        self._claimed: AttachedNode | None = devices[0].item
         try:
-            for one in found:
-                self.lines.append(DeviceConnection(one, pid, pushed))
+            for device in devices:
+                self.lines.append(DeviceConnection(device, pid, pushed))
             self.device, self.switches = self.lines[0], self.lines[-1]
             buttons = self.switches.driver.buttons
-            found_signs = known.of(found[0].pusher)
+            found_signs = force_signs.of(devices[0].pusher)
             self.plan = mapping.build_mapping(config, self.device.driver, buttons, found_signs)
         except BaseException:
             self.end()
@@ -282,20 +282,22 @@ class HidDevice:
         self._opened = None
         self._memory = mapping.init_mapping(self.axes)._replace(position=self._memory.position)
         self._lost = f"{fault}; waiting for the device"
-        before = search.list_node_paths(self._found[0]) | search.list_node_paths(self._found[-1])
-        self._seeker = DeviceReconnection(opened, lambda: self._open_again(before))
+        paths_before = search.list_node_paths(self._found[0]) | search.list_node_paths(
+            self._found[-1]
+        )
+        self._seeker = DeviceReconnection(opened, lambda: self._open_again(paths_before))
         return DeviceLost(self._lost)
 
-    def _open_again(self, before: frozenset[str]) -> OpenedDevice:
+    def _open_again(self, paths_before: frozenset[str]) -> OpenedDevice:
         device, *switches = self._found
-        back = [search.reattach_device(device, before, CLAIMS.paths())]
+        reattached = [search.reattach_device(device, paths_before, CLAIMS.paths())]
         if CLAIMS.is_ambiguous(device.item):
             raise DeviceFault(
                 f"{device.item}: was unplugged together with a device of the same identity, which "
                 "cannot be distinguished; restart the master"
             )
-        back += [search.find_reattached_device(one, before) for one in switches]
-        return OpenedDevice(self._config, self._signs, tuple(back))
+        reattached += [search.find_reattached_device(one, paths_before) for one in switches]
+        return OpenedDevice(self._config, self._signs, tuple(reattached))
 
     def _returned(self) -> OpenedDevice:
         assert self._seeker is not None  # noqa: S101 - set when the device was lost
@@ -305,31 +307,31 @@ class HidDevice:
         return self._opened
 
 
-def may_use_device_effects(found: FoundDevice, known: ForceSigns) -> bool:
+def may_use_device_effects(device: FoundDevice, force_signs: ForceSigns) -> bool:
     """Return whether a device's own effects may be used: all its signs are +1.
 
     A sign of -1 means either a reversed motor, whose own spring would push away from the centre, or
     another convention; these cannot be distinguished.
     """
-    signs_found = known.of(found.pusher)
-    return found.kind == PID and all(
-        signs_found.get(axis) == 1 for axis in PidDriver(found.descriptor).forces
+    signs_found = force_signs.of(device.pusher)
+    return device.kind == PID and all(
+        signs_found.get(axis) == 1 for axis in PidDriver(device.descriptor).forces
     )
 
 
 def describe_device(
-    config: HidConfig, found: tuple[FoundDevice, ...], known: ForceSigns
+    config: HidConfig, devices: tuple[FoundDevice, ...], force_signs: ForceSigns
 ) -> list[str]:
     """Return the messages to the operator about a newly opened device."""
-    lines = [f"device: {found[0].item}, driver {found[0].kind}"]
-    lines += [f"buttons: {one.item}, driver {one.kind}" for one in found[1:]]
-    names = mapping.find_unsigned_axes(config, known.of(found[0].pusher))
+    lines = [f"device: {devices[0].item}, driver {devices[0].kind}"]
+    lines += [f"buttons: {device.item}, driver {device.kind}" for device in devices[1:]]
+    names = mapping.find_unsigned_axes(config, force_signs.of(devices[0].pusher))
     if names:
         lines.append(
             f"WARNING: no force on {', '.join(names)}: force sign unknown; run `teleop devices "
             "test`"
         )
-    if config.pid != PidConfig() and not may_use_device_effects(found[0], known):
+    if config.pid != PidConfig() and not may_use_device_effects(devices[0], force_signs):
         lines.append(
             "WARNING: pid.spring and pid.damper are off: they could push away from the centre, "
             "as `teleop devices test` has not found a sign of +1 for each axis"

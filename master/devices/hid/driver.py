@@ -110,17 +110,17 @@ class ActuatorReports:
         if not flags or len(report) < length:
             return state
         bits = int.from_bytes(report, "little")
-        known, unmet, interrupted = state
-        for condition, offset, met in flags:
-            if bits >> offset & 1 != met:
+        reported, unmet, interrupted = state
+        for condition, offset, expected in flags:
+            if bits >> offset & 1 != expected:
                 unmet |= condition
-                interrupted |= condition & known
+                interrupted |= condition & reported
                 continue
             if unmet & condition:
                 interrupted |= condition
-            known |= condition
+            reported |= condition
             unmet &= ~condition
-        return ActuatorState(known, unmet, interrupted)
+        return ActuatorState(reported, unmet, interrupted)
 
 
 Share = float  # of full scale, -1 ... 1

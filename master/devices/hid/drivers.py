@@ -86,16 +86,16 @@ def _find_ffbeast_misfit(item: AttachedNode, _descriptor: bytes) -> str:
 
 
 def _find_dualsense_misfit(item: AttachedNode, _descriptor: bytes) -> str:
-    fits = item.vendor == dualsense.VENDOR and item.product in dualsense.PRODUCTS
-    return "" if fits else "not a DualSense"
+    is_match = item.vendor == dualsense.VENDOR and item.product in dualsense.PRODUCTS
+    return "" if is_match else "not a DualSense"
 
 
 def _find_spacemouse_misfit(item: AttachedNode, _descriptor: bytes) -> str:
-    fits = item.vendor == joystick.SPACEMOUSE_VENDOR or (
+    is_match = item.vendor == joystick.SPACEMOUSE_VENDOR or (
         item.vendor == joystick.SPACEMOUSE_OLD_VENDOR
         and item.product in joystick.SPACEMOUSE_OLD_PRODUCTS
     )
-    if not fits:
+    if not is_match:
         return "not a SpaceMouse"
     if item.usages and _MULTI_AXIS not in item.usages:
         return "another interface of a SpaceMouse"
@@ -196,19 +196,19 @@ KNOWN_MODELS: tuple[tuple[int, int | None, str], ...] = (
 )
 
 
-def format_rules(others: Iterable[tuple[int, int | None, str]] = ()) -> str:
-    """Return the rules file for the known models and for `others` (vendor, product, name).
+def format_rules(other_models: Iterable[tuple[int, int | None, str]] = ()) -> str:
+    """Return the rules file for the known models and for `other_models` (vendor, product, name).
 
     Only the user logged in at the machine may open these devices (`uaccess`).
     """
-    known = {one[:2]: one for one in KNOWN_MODELS}
-    for one in others:
-        known.setdefault(one[:2], one)
+    models = {one[:2]: one for one in KNOWN_MODELS}
+    for one in other_models:
+        models.setdefault(one[:2], one)
     lines = [
         "# Haptic devices that the user at this machine may open (tendon-teleop).",
         "# sudo udevadm control --reload , then plug the device in again",
     ]
-    for vendor, product, name in known.values():
+    for vendor, product, name in models.values():
         lines += ["", f"# {' '.join(name.split())}", _format_usb_rule(vendor, product)]
         lines.append(_format_bluetooth_rule(vendor, product))
     return "\n".join(lines) + "\n"

@@ -87,8 +87,8 @@ class DualSenseDriver:
             return controls
         lx, ly, rx, ry, l2, r2, _, first, second, third = report[at : at + 10]
         sticks = (_STICK[lx], _STICK[ly], _STICK[rx], _STICK[ry])
-        held = first >> 4 | second << 4 | third << 12
-        return Controls((*sticks, _TRIGGER[l2], _TRIGGER[r2]), held, (1 << _BUTTONS) - 1)
+        buttons = first >> 4 | second << 4 | third << 12
+        return Controls((*sticks, _TRIGGER[l2], _TRIGGER[r2]), buttons, (1 << _BUTTONS) - 1)
 
     def encode(self, force: tuple[Share, ...], arm: bool) -> tuple[bytes, ...]:
         """Return a report if a resistance changes or with `arm`."""

@@ -55,10 +55,10 @@ class ForceSigns:
         """Return 1 or -1 for each axis with a known sign."""
         return {s.axis: s.sign for s in self.signs if s.pusher == pusher}
 
-    def having(self, found: ForceSign) -> "ForceSigns":
+    def having(self, new_sign: ForceSign) -> "ForceSigns":
         """Return the signs with one added or replaced."""
-        mine = found.pusher, found.axis
-        return ForceSigns((*(s for s in self.signs if (s.pusher, s.axis) != mine), found))
+        mine = new_sign.pusher, new_sign.axis
+        return ForceSigns((*(s for s in self.signs if (s.pusher, s.axis) != mine), new_sign))
 
 
 def get_default_path() -> Path:
@@ -86,13 +86,13 @@ def load(path: Path | None) -> ForceSigns:
 
 def save(path: Path | None, signs: ForceSigns) -> None:
     """Write the file atomically."""
-    place = path or get_default_path()
+    target = path or get_default_path()
     try:
-        place.parent.mkdir(parents=True, exist_ok=True)
+        target.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise UsageError(f"{place.parent}: cannot be created: {error.strerror}") from error
+        raise UsageError(f"{target.parent}: cannot be created: {error.strerror}") from error
     write_text_file(
-        place, yaml.safe_dump(loading.as_tree(signs), sort_keys=False), "the force signs"
+        target, yaml.safe_dump(loading.as_tree(signs), sort_keys=False), "the force signs"
     )
 
 
@@ -165,27 +165,27 @@ def push_axis(
     sleep: Sleep,
 ) -> Share:
     """Push one way until the axis moves; return how far. The force is zero afterwards."""
-    none = (0.0,) * forces
+    no_force = (0.0,) * forces
     pushed = tuple(share if k == force else 0.0 for k in range(forces))
-    _wait_at_rest(device, none, clock, sleep)
+    _wait_at_rest(device, no_force, clock, sleep)
     start = device.read(clock()).axes[axis]
-    moved, end = 0.0, clock() + PUSH_S
+    distance, end = 0.0, clock() + PUSH_S
     try:
-        while clock() < end and not abs(moved) > 2.0 * MOTION_MIN:
+        while clock() < end and not abs(distance) > 2.0 * MOTION_MIN:
             device.post(pushed)
             sleep(STEP_S)
-            moved = device.read(clock()).axes[axis] - start
+            distance = device.read(clock()).axes[axis] - start
     finally:
-        device.post(none)
-    return 0.0 if math.isnan(moved) else moved
+        device.post(no_force)
+    return 0.0 if math.isnan(distance) else distance
 
 
 def _wait_at_rest(
-    device: PushableDevice, none: tuple[Share, ...], clock: Clock, sleep: Sleep
+    device: PushableDevice, no_force: tuple[Share, ...], clock: Clock, sleep: Sleep
 ) -> None:
     end = clock() + REST_S
     while clock() < end:
-        device.post(none)
+        device.post(no_force)
         device.read(clock())
         sleep(STEP_S)
 

@@ -21,16 +21,7 @@ _CENTRED_AXES = (
 )  # sticks and wheels, whatever their range; other unsigned axes are one-sided
 _BUTTONS_MAX = 128
 _UP, _RIGHT, _DOWN, _LEFT = 1, 2, 4, 8
-_EIGHT_WAYS = (
-    _UP,
-    _UP | _RIGHT,
-    _RIGHT,
-    _RIGHT | _DOWN,
-    _DOWN,
-    _DOWN | _LEFT,
-    _LEFT,
-    _LEFT | _UP,
-)
+_EIGHT_WAYS = (_UP, _UP | _RIGHT, _RIGHT, _RIGHT | _DOWN, _DOWN, _DOWN | _LEFT, _LEFT, _LEFT | _UP)
 _FOUR_WAYS = _EIGHT_WAYS[::2]
 
 
@@ -141,9 +132,9 @@ class Inputs:
         for offset, mask, first in plan.buttons:
             buttons |= (bits >> offset & mask) << first
         for offset, mask, low, ways, first in plan.hats:
-            way = (bits >> offset & mask) - low
-            if 0 <= way < len(ways):
-                buttons |= ways[way] << first
+            offset_value = (bits >> offset & mask) - low
+            if 0 <= offset_value < len(ways):
+                buttons |= ways[offset_value] << first
         return Controls(axes, buttons, controls.known | plan.reported, controls.actuators)
 
 
@@ -158,8 +149,8 @@ def _is_button(field: ReportField) -> bool:
 
 
 def _make_name_unique(name: str, names: list[str]) -> str:
-    again = sum(known.rstrip("0123456789") == name for known in names)
-    return f"{name}{again + 1}" if again else name
+    occurrences = sum(other.rstrip("0123456789") == name for other in names)
+    return f"{name}{occurrences + 1}" if occurrences else name
 
 
 def _build_axis(field: ReportField, place: int, name: str) -> _Axis:
@@ -275,8 +266,8 @@ class SpaceMouseDriver:
         if kind == 2 and size >= 7:
             return controls._replace(axes=controls.axes[:3] + _unpack_shares(_THREE, report))
         if kind == 3 and size >= 2:
-            held = int.from_bytes(report[1:5], "little")
-            return Controls(controls.axes, held, (1 << _BUTTONS) - 1)
+            buttons = int.from_bytes(report[1:5], "little")
+            return Controls(controls.axes, buttons, (1 << _BUTTONS) - 1)
         return controls
 
     def encode(self, force: tuple[Share, ...], arm: bool) -> tuple[bytes, ...]:  # noqa: ARG002

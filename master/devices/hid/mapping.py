@@ -194,13 +194,15 @@ def _build_axis_mapping(
     axis: AxisConfig, joint: int, driver: HidDriver, signs: Mapping[str, int]
 ) -> AxisMapping:
     if axis.name not in driver.axes:
-        known = ", ".join(driver.axes)
-        raise DeviceFault(f"axes: the device has no axis {axis.name!r}; it has {known}")
+        axis_names = ", ".join(driver.axes)
+        raise DeviceFault(f"axes: the device has no axis {axis.name!r}; it has {axis_names}")
     place, per_newton = -1, 0.0
     if axis.force > 0.0:
         if axis.name not in driver.forces:
-            known = ", ".join(driver.forces) or "no axis"
-            raise DeviceFault(f"axes: force: the device cannot push {axis.name!r}, but {known}")
+            axis_names = ", ".join(driver.forces) or "no axis"
+            raise DeviceFault(
+                f"axes: force: the device cannot push {axis.name!r}, but {axis_names}"
+            )
         place = driver.forces.index(axis.name)
         per_newton = axis.sign * signs.get(axis.name, 0) / axis.force
     return AxisMapping(
@@ -229,11 +231,11 @@ def step(
     plan: DeviceMapping, memory: MappingState, controls: Controls, switches: Controls, dt: float
 ) -> tuple[HandState, MappingState]:
     """Return the hand after `dt` [s]; `switches` are the controls that have the buttons."""
-    held = {name: bool(mask & switches.buttons) for name, mask in plan.buttons}
-    knows = _has_all_inputs(plan, controls, switches)
-    driven = held["engage"] and not held.get("clutch", False)
+    pressed = {name: bool(mask & switches.buttons) for name, mask in plan.buttons}
+    has_inputs = _has_all_inputs(plan, controls, switches)
+    driven = pressed["engage"] and not pressed.get("clutch", False)
     position, velocity = list(memory.position), [0.0] * plan.joints
-    known = [False] * plan.joints
+    is_reported = [False] * plan.joints
     for lane in plan.lanes:
         share, joint = controls.axes[lane.axis], lane.joint
         if lane.rate:
@@ -242,24 +244,24 @@ def step(
                 position[joint] += velocity[joint] * dt
         elif not math.isnan(share):
             position[joint] = lane.scale * apply_dead_zone(share, lane.dead_zone)
-            known[joint] = True
+            is_reported[joint] = True
             if memory.known[joint]:
-                way = position[joint] - memory.position[joint]
+                change = position[joint] - memory.position[joint]
                 was = memory.velocity[joint]
                 blend = plan.smoothing + dt
-                velocity[joint] = (plan.smoothing * was + way) / blend if blend > 0.0 else was
+                velocity[joint] = (plan.smoothing * was + change) / blend if blend > 0.0 else was
     hand = HandState(
         position=tuple(position),
         velocity=tuple(velocity),
-        **{**held, "engage": held["engage"] or not knows},
+        **{**pressed, "engage": pressed["engage"] or not has_inputs},
     )
-    return hand, MappingState(hand.position, hand.velocity, tuple(known), knows)
+    return hand, MappingState(hand.position, hand.velocity, tuple(is_reported), has_inputs)
 
 
 def apply_dead_zone(share: Share, dead_zone: float) -> Share:
     """Return `share` with a continuous dead zone, rescaled to full scale."""
-    way = (abs(share) - dead_zone) / (1.0 - dead_zone)
-    return math.copysign(way, share) if way > 0.0 else 0.0
+    remaining = (abs(share) - dead_zone) / (1.0 - dead_zone)
+    return math.copysign(remaining, share) if remaining > 0.0 else 0.0
 
 
 def to_force_shares(plan: DeviceMapping, force: Axes) -> tuple[Share, ...]:

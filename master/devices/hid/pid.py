@@ -79,13 +79,13 @@ class PidDriver:
         pushed: tuple[str, ...] | None = None,
     ) -> None:
         try:
-            known = parse_descriptor(descriptor)
+            parsed = parse_descriptor(descriptor)
         except DescriptorError as error:
             raise DriverError(f"its report descriptor cannot be read: {error}") from error
         config = config or PidConfig()
-        self._inputs, self._actuators = Inputs(known), ActuatorReports(known)
+        self._inputs, self._actuators = Inputs(parsed), ActuatorReports(parsed)
         self._actuators_begun = ActuatorState()
-        self._layout = layout = build_layout(known, self._inputs)
+        self._layout = layout = build_layout(parsed, self._inputs)
         self._on = _build_control_reports(
             layout.control,
             U.DEVICE_RESET,
@@ -94,8 +94,8 @@ class PidDriver:
             U.ENABLE_ACTUATORS,
         )
         self._off = _build_control_reports(layout.control, U.STOP_ALL_EFFECTS, U.DISABLE_ACTUATORS)
-        wanted = {U.SPRING: config.spring, U.DAMPER: config.damper}
-        self._conditions = {usage: share for usage, share in wanted.items() if share}
+        conditions = {U.SPRING: config.spring, U.DAMPER: config.damper}
+        self._conditions = {usage: share for usage, share in conditions.items() if share}
         # detect errors now, not while the device is in use
         for usage in (U.CONSTANT_FORCE, *self._conditions):
             layout.creation.choose(usage)
@@ -130,11 +130,11 @@ class PidDriver:
 
     def decode(self, controls: Controls, report: bytes) -> Controls:
         """Return `controls` updated with `report`."""
-        before = controls.actuators
+        actuators_before = controls.actuators
         actuators = self._actuators.decode(
-            self._actuators_begun if before is None else before, report
+            self._actuators_begun if actuators_before is None else actuators_before, report
         )
-        if actuators is not before:
+        if actuators is not actuators_before:
             controls = controls._replace(actuators=actuators)
         return self._inputs.decode(controls, report)
 
@@ -213,5 +213,5 @@ def _select_axes(forces: tuple[str, ...], pushed: tuple[str, ...]) -> tuple[str,
 
 def _build_control_reports(control: ReportPart, *usages: int) -> tuple[bytes, ...]:
     """Return a Device Control report for each of `usages` that the device knows."""
-    known = [usage for usage in usages if control.find(usage) is not None]
-    return tuple(control.packed([control.choose(usage)]) for usage in known)
+    supported = [usage for usage in usages if control.find(usage) is not None]
+    return tuple(control.packed([control.choose(usage)]) for usage in supported)

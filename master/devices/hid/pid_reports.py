@@ -202,9 +202,9 @@ def create_effect(layout: PidLayout, device: ReportAccess, usage: int, ours: Con
     block, full = _read_block_load(layout.block_load, device)
     if full and layout.block_free is not None:
         low, high = compute_limits(layout.block_free.need(U.BLOCK_INDEX))
-        for other in range(max(low, 1), min(high, 255) + 1):
-            if other not in ours:
-                device.write(_build_block_report(layout.block_free, other))
+        for number in range(max(low, 1), min(high, 255) + 1):
+            if number not in ours:
+                device.write(_build_block_report(layout.block_free, number))
         device.send_feature(report)
         block, full = _read_block_load(layout.block_load, device)
     if full:

@@ -32,15 +32,15 @@ def format_driver_advice(item: AttachedNode, descriptor: bytes, misfits: Mapping
         By driver, why it does not fit; empty if it fits.
     """
     other_protocol = item.vendor == wheels.LOGITECH_VENDOR and item.product in wheels.HIDPP_PRODUCTS
-    if any(not why and name != INPUTS_ONLY for name, why in misfits.items()):
+    if any(not reason and name != INPUTS_ONLY for name, reason in misfits.items()):
         return ""
     if not (_has_pid_descriptor(descriptor) or (other_protocol and item.interface <= 0)):
         return ""
-    why = misfits[PID].removeprefix("by its report descriptor: ")
+    reason = misfits[PID].removeprefix("by its report descriptor: ")
     if other_protocol:
-        why = "its protocol, HID++, has none yet"
+        reason = "its protocol, HID++, has none yet"
     return (
-        f"it has force feedback, but no driver can use it ({why}); run `teleop devices dump "
+        f"it has force feedback, but no driver can use it ({reason}); run `teleop devices dump "
         f"{item.model} --out FILE` and attach FILE to a report"
     )
 
@@ -99,9 +99,9 @@ def list_attached_nodes() -> tuple[AttachedNode, ...]:
     for entry in load_hidapi().enumerate():
         path = os.fsdecode(entry["path"])
         usage = (entry.get("usage_page", 0), entry.get("usage", 0))
-        known = nodes.get(path)
-        if known is not None:  # listed once per outermost collection
-            nodes[path] = known._replace(usages=(*known.usages, usage))
+        node = nodes.get(path)
+        if node is not None:  # listed once per outermost collection
+            nodes[path] = node._replace(usages=(*node.usages, usage))
             continue
         nodes[path] = AttachedNode(
             path,
@@ -121,13 +121,13 @@ def list_attached_nodes() -> tuple[AttachedNode, ...]:
     return tuple(nodes[path] for path in sorted(nodes))
 
 
-def list_node_paths(found: FoundDevice) -> frozenset[str]:
+def list_node_paths(device: FoundDevice) -> frozenset[str]:
     """Return the paths of other attached nodes that may be devices.
 
     Called when a device is unplugged, so it only lists names; empty on systems without device
     files.
     """
-    folder = os.path.dirname(found.item.path)
+    folder = os.path.dirname(device.item.path)
     try:
         return frozenset(os.path.join(folder, name) for name in os.listdir(folder))
     except OSError:
@@ -151,8 +151,8 @@ def examine_node(item: AttachedNode) -> ExaminedNode:
     try:
         data = read_descriptor(item)
     except DeviceFault as fault:
-        why = str(fault).removeprefix(f"{item}: ")
-        return ExaminedNode(item, b"", dict.fromkeys(DRIVERS, why), why)
+        reason = str(fault).removeprefix(f"{item}: ")
+        return ExaminedNode(item, b"", dict.fromkeys(DRIVERS, reason), reason)
     misfits = {name: kind.misfit(item, data) for name, kind in DRIVERS.items()}
     return ExaminedNode(item, data, misfits, find_access_error(item))
 
@@ -181,37 +181,37 @@ def find_device(find: str, driver: str) -> FoundDevice:
         There is none, or more than one, or it cannot be opened; with the remedy.
     """
     everything = list_attached_nodes()
-    meant = [examine_node(item) for item in everything if is_match(item, find)]
+    matches = [examine_node(item) for item in everything if is_match(item, find)]
     fitting = _select_interfaces(
-        FoundDevice(one.item, name, one.descriptor)
-        for one in meant
-        for name in one.fits
+        FoundDevice(node.item, name, node.descriptor)
+        for node in matches
+        for name in node.fits
         if driver in ("auto", name)
     )
     if driver == "auto":
-        fitting = [found for found in fitting if found.kind != INPUTS_ONLY] or fitting
+        fitting = [device for device in fitting if device.kind != INPUTS_ONLY] or fitting
     if not fitting:
-        raise DeviceFault(_describe_missing_device(find, driver, meant, everything))
+        raise DeviceFault(_describe_missing_device(find, driver, matches, everything))
     if len(fitting) > 1:
-        names = _format_node_list(found.item for found in fitting)
+        names = _format_node_list(device.item for device in fitting)
         raise DeviceFault(f"several devices fit; set find to a serial number or path: {names}")
-    why = find_access_error(fitting[0].item)
-    if why:
-        raise DeviceFault(f"{fitting[0].item}: {why}")
+    reason = find_access_error(fitting[0].item)
+    if reason:
+        raise DeviceFault(f"{fitting[0].item}: {reason}")
     return fitting[0]
 
 
 def find_reattached_device(
-    found: FoundDevice, before: frozenset[str], taken: frozenset[str] = frozenset()
+    device: FoundDevice, paths_before: frozenset[str], claimed_paths: frozenset[str] = frozenset()
 ) -> FoundDevice:
     """Return the same device at its present path.
 
     Parameters
     ----------
-    before : frozenset of str
+    paths_before : frozenset of str
         Paths attached when it was unplugged; a device of the same identity at another of these is a
         different one.
-    taken : frozenset of str
+    claimed_paths : frozenset of str
         Paths of devices that are in use.
 
     Raises
@@ -221,21 +221,26 @@ def find_reattached_device(
     DeviceFault
         There are several of the same identity, or it cannot be opened.
     """
-    known = found.item
+    old_node = device.item
     like = [
-        item for item in list_attached_nodes() if item.same_as(known) and item.path not in taken
+        item
+        for item in list_attached_nodes()
+        if item.same_as(old_node) and item.path not in claimed_paths
     ]
-    same = [item for item in like if item.path == known.path or item.path not in before]
-    if not same:
-        raise DeviceNotFoundError(f"{known}: not attached")
-    if len(same) > 1:
+    candidates = [
+        item for item in like if item.path == old_node.path or item.path not in paths_before
+    ]
+    if not candidates:
+        raise DeviceNotFoundError(f"{old_node}: not attached")
+    if len(candidates) > 1:
         raise DeviceFault(
-            f"{known}: several devices of this identity are attached: {_format_node_list(same)}"
+            f"{old_node}: several devices of this identity are attached: "
+            f"{_format_node_list(candidates)}"
         )
-    why = find_access_error(same[0])
-    if why:
-        raise DeviceFault(f"{same[0]}: {why}")
-    return found._replace(item=same[0])
+    reason = find_access_error(candidates[0])
+    if reason:
+        raise DeviceFault(f"{candidates[0]}: {reason}")
+    return device._replace(item=candidates[0])
 
 
 def is_match(item: AttachedNode, find: str) -> bool:
@@ -252,41 +257,41 @@ def _select_interfaces(all_found: Iterable[FoundDevice]) -> list[FoundDevice]:
     interface twice means two devices.
     """
     best: dict[str, FoundDevice] = {}
-    for found in all_found:
-        best.setdefault(found.item.path, found)  # the best driver comes first
-    alike: dict[str, list[FoundDevice]] = {}
-    for found in best.values():
-        alike.setdefault(found.item.identity, []).append(found)
-    kept: list[FoundDevice] = []
-    for group in alike.values():
-        one_device = len({found.item.interface for found in group}) == len(group)
-        kept += [min(group, key=_get_driver_rank)] if one_device else group
-    return kept
+    for device in all_found:
+        best.setdefault(device.item.path, device)  # the best driver comes first
+    groups: dict[str, list[FoundDevice]] = {}
+    for device in best.values():
+        groups.setdefault(device.item.identity, []).append(device)
+    selected: list[FoundDevice] = []
+    for group in groups.values():
+        one_device = len({device.item.interface for device in group}) == len(group)
+        selected += [min(group, key=_get_driver_rank)] if one_device else group
+    return selected
 
 
-def _get_driver_rank(found: FoundDevice) -> int:
-    return list(DRIVERS).index(found.kind)
+def _get_driver_rank(device: FoundDevice) -> int:
+    return list(DRIVERS).index(device.kind)
 
 
 def _describe_missing_device(
-    find: str, driver: str, meant: Sequence[ExaminedNode], everything: Sequence[AttachedNode]
+    find: str, driver: str, matches: Sequence[ExaminedNode], everything: Sequence[AttachedNode]
 ) -> str:
     if not everything:
         return "no haptic device attached; plug one in (the system lists no HID device)"
-    if not meant:
+    if not matches:
         listed = _format_node_list(everything)
         return f"no device {find!r} attached; plug it in, or correct find (attached: {listed})"
     whys: dict[str, list[AttachedNode]] = {}
-    for one in meant:
-        reasons = list(one.misfits.values()) if driver == "auto" else [one.misfits[driver]]
-        if len(meant) > 1:
+    for node in matches:
+        reasons = list(node.misfits.values()) if driver == "auto" else [node.misfits[driver]]
+        if len(matches) > 1:
             del reasons[1:]  # only the first reason, to keep the line short
-        whys.setdefault("; ".join(dict.fromkeys(reasons)), []).append(one.item)
-    listed = "; ".join(f"{_format_node_list(items)}: {why}" for why, items in whys.items())
-    advice = [f"; {one.item}: {one.advice}" for one in meant if one.advice]
+        whys.setdefault("; ".join(dict.fromkeys(reasons)), []).append(node.item)
+    listed = "; ".join(f"{_format_node_list(items)}: {reason}" for reason, items in whys.items())
+    advice = [f"; {node.item}: {node.advice}" for node in matches if node.advice]
     listed += "".join(advice[:1])
-    wanted = "no driver fits" if driver == "auto" else f"driver {driver!r} does not fit"
-    return f"{wanted}: {listed}" if find else f"{wanted} any attached device: {listed}"
+    request = "no driver fits" if driver == "auto" else f"driver {driver!r} does not fit"
+    return f"{request}: {listed}" if find else f"{request} any attached device: {listed}"
 
 
 def _format_node_list(items: Iterable[AttachedNode]) -> str:
@@ -313,7 +318,7 @@ def leave_console_mode(find: str, driver: str) -> str:
         It cannot be opened, or does not come back.
     """
     everything = list_attached_nodes() if driver in ("auto", "logitech") else ()
-    in_console = [one for one in everything if is_in_console_mode(one) and is_match(one, find)]
+    in_console = [node for node in everything if is_in_console_mode(node) and is_match(node, find)]
     if len(in_console) != 1 or (not find and any(map(_has_driver, everything))):
         return ""
     switch_to_pc_mode(in_console[0])
@@ -329,17 +334,17 @@ def leave_console_mode(find: str, driver: str) -> str:
 
 
 def reattach_device(
-    found: FoundDevice, before: frozenset[str], taken: frozenset[str]
+    device: FoundDevice, paths_before: frozenset[str], claimed_paths: frozenset[str]
 ) -> FoundDevice:
     """Return `find_reattached_device`; switch the wheel over if it is in console mode."""
     try:
-        return find_reattached_device(found, before, taken)
+        return find_reattached_device(device, paths_before, claimed_paths)
     except DeviceNotFoundError:
-        known = found.item
-        if (known.vendor, known.product) == (wheels.LOGITECH_VENDOR, wheels.G923):
-            others = before - {known.path} | taken
+        old_node = device.item
+        if (old_node.vendor, old_node.product) == (wheels.LOGITECH_VENDOR, wheels.G923):
+            other_paths = paths_before - {old_node.path} | claimed_paths
             for item in list_attached_nodes():
-                if is_in_console_mode(item) and item.path not in others:
+                if is_in_console_mode(item) and item.path not in other_paths:
                     switch_to_pc_mode(item)
         raise
 
@@ -352,8 +357,8 @@ def is_in_console_mode(item: AttachedNode) -> bool:
 
 def switch_to_pc_mode(item: AttachedNode) -> None:
     """Send the report; `DeviceFault` if the wheel cannot be opened."""
-    if why := find_access_error(item):
-        raise DeviceFault(f"{item}: {why}")
+    if reason := find_access_error(item):
+        raise DeviceFault(f"{item}: {reason}")
     node = Node(item.path, str(item))
     try:
         with suppress(DeviceFault):  # it may detach before it acknowledges

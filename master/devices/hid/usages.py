@@ -154,9 +154,9 @@ _NAMES = {
 
 def format_usage(usage: int) -> str:
     """Return the name of `usage`; page and number if it is not listed here."""
-    known = _NAMES.get(usage) or AXES.get(usage)
-    if known:
-        return known
+    name = _NAMES.get(usage) or AXES.get(usage)
+    if name:
+        return name
     page, number = usage >> 16, usage & 0xFFFF
     if page == BUTTON:
         return f"button {number}"
@@ -214,15 +214,15 @@ def _group_fields(report: HidReport) -> list[list[ReportField]]:
     return groups
 
 
-def _is_continuation(before: ReportField, field: ReportField) -> bool:
+def _is_continuation(previous: ReportField, field: ReportField) -> bool:
     return (
-        before.usage >> 16 in (BUTTON, ORDINAL)
-        and not before.array
-        and field.usage == before.usage + 1
-        and field.path == before.path
-        and field.offset == before.offset + before.size
+        previous.usage >> 16 in (BUTTON, ORDINAL)
+        and not previous.array
+        and field.usage == previous.usage + 1
+        and field.path == previous.path
+        and field.offset == previous.offset + previous.size
         and (field.size, field.minimum, field.maximum)
-        == (before.size, before.minimum, before.maximum)
+        == (previous.size, previous.minimum, previous.maximum)
     )
 
 
@@ -259,11 +259,11 @@ def _list_flags(field: ReportField) -> tuple[tuple[str, bool], ...]:
 
 
 def _format_choices(field: ReportField) -> str:
-    named = [
+    names = [
         f"{field.minimum + k} {format_usage(usage)}"
         for k, usage in enumerate(field.usages[:_CHOICES_MAX])
     ]
-    return ", ".join(named) + (", ..." if len(field.usages) > _CHOICES_MAX else "")
+    return ", ".join(names) + (", ..." if len(field.usages) > _CHOICES_MAX else "")
 
 
 def _format_unit(field: ReportField) -> str:

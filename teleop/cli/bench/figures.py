@@ -127,12 +127,12 @@ def format_comparison(new: Sequence[Metric], old: Mapping[str, Metric]) -> list[
     lines = [f"{'':{width}}  {'old':>10} {'new':>10} {'ratio':>7}"]
     counts = {"WORSE": 0, "better": 0, "": 0}
     for figure in common:
-        before = old[figure.name]
-        verdict = classify_change(figure, before)
+        old_value = old[figure.name]
+        verdict = classify_change(figure, old_value)
         counts[verdict] += 1
-        ratio = f"{figure.median / before.median:.2f}" if before.median else "-"
+        ratio = f"{figure.median / old_value.median:.2f}" if old_value.median else "-"
         lines.append(
-            f"{figure.name:{width}}  {before.median:10.5g} {figure.median:10.5g} {ratio:>7}  "
+            f"{figure.name:{width}}  {old_value.median:10.5g} {figure.median:10.5g} {ratio:>7}  "
             f"{verdict}".rstrip()
         )
     lines.append(

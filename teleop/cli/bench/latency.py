@@ -38,12 +38,12 @@ def main(args: argparse.Namespace) -> int:
 def measure(config: Path, seconds: float, shared: RunConfig) -> Row:
     """Return the figures of a session and of a ping-pong after it."""
     summary = run_session(config, seconds).summary
-    bare = measure_baseline_latency(seconds, shared)
+    baseline = measure_baseline_latency(seconds, shared)
     master = summary["master"]
     row: dict[str, tuple[str, float | None, float | None, bool]] = {}
     for key, text in PERCENTILES.items():
         latency = master["latency_ms"][key]
-        row[f"command to force {text}"] = "ms", latency, bare[f"{key}_ms"], False
+        row[f"command to force {text}"] = "ms", latency, baseline[f"{key}_ms"], False
     for stage in STAGE_NAMES:
         for key, text in list(PERCENTILES.items())[:2]:
             row[f"stage {stage} {text}"] = "us", master["stages_us"][stage][key], None, False
@@ -55,7 +55,7 @@ def measure(config: Path, seconds: float, shared: RunConfig) -> Row:
 def measure_baseline_latency(seconds: float, shared: RunConfig) -> dict[str, float]:
     """Return percentiles of bare Zenoh over as long a time; `TeleopError` without an answer."""
     sizes = Command.schema.size, SlaveState.schema.size
-    bare = measure_ping_pong(*sizes, round(seconds / PERIOD_S), shared.realtime)
-    if not bare:
+    baseline = measure_ping_pong(*sizes, round(seconds / PERIOD_S), shared.realtime)
+    if not baseline:
         raise TeleopError("no answer in the bare ping-pong")
-    return bare
+    return baseline

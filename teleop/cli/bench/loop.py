@@ -37,25 +37,25 @@ def main(args: argparse.Namespace) -> int:
 def measure(config: Path, seconds: float, shared: RunConfig) -> Row:
     """Return the figures of a session and of idle loops after it."""
     session = run_session(config, seconds)
-    bare = dict(zip(SIDES, run_idle_loops(shared.rate_hz, seconds, shared.realtime), strict=True))
+    idle = dict(zip(SIDES, run_idle_loops(shared.rate_hz, seconds, shared.realtime), strict=True))
     row: dict[str, tuple[str, float | None, float | None, bool]] = {}
     for side in SIDES:
         loop: dict[str, Any] = session.summary[side]
-        base = bare[side]
+        base = idle[side]
         row[f"{side} rate"] = "Hz", loop["rate_hz"], base["rate_hz"], True
         row[f"{side} overruns"] = "", loop["overruns"], base["overruns"], False
-        late = loop["lateness_max_ms"], base["lateness_max_ms"]
-        row[f"{side} latest tick"] = "ms", *late, False
+        lateness = loop["lateness_max_ms"], base["lateness_max_ms"]
+        row[f"{side} latest tick"] = "ms", *lateness, False
         for key, text in PERCENTILES.items():
             work = loop["work_us"][key], base["work_us"][key]
             row[f"{side} tick {text}"] = "us", *work, False
         row[f"{side} CPU"] = "%", session.cpu.get(side), base["cpu"], False
     for key, text in PERCENTILES.items():
-        answer, own = (
+        answer, own_work = (
             session.summary["slave"]["answer_us"],
             session.summary["slave"]["without_rig_us"],
         )
         row[f"slave answer {text}"] = "us", answer[key], None, False
-        row[f"slave tick without rig {text}"] = "us", own[key], None, False
+        row[f"slave tick without rig {text}"] = "us", own_work[key], None, False
     row["run CPU"] = "%", session.cpu.get("run"), None, False
     return row

@@ -66,11 +66,7 @@ def _build_config(joints: int) -> dict[str, Any]:
     }  # fmt: skip
     return {
         "slave": {"rig": rig, "calibration": "as-built", "gate": gate},
-        "master": {
-            "device": device,
-            "operator": {"position_scale": 0.25},
-            "force": {"scale": 0.2},
-        },
+        "master": {"device": device, "operator": {"position_scale": 0.25}, "force": {"scale": 0.2}},
     }
 
 
@@ -200,21 +196,21 @@ class RepeatedRuns:
         summary = session.run_session(config, WARM_S).summary
         self.granted = list(summary["slave"]["realtime"])
 
-    def conclude(self, found: Sequence[Metric]) -> int:
+    def conclude(self, metrics: Sequence[Metric]) -> int:
         """Print the result, write it, compare it; return the exit code."""
         print("\n".join(format_description(self._machine, self.granted)))
         print(f"medians of {self.runs} runs of {self.seconds:g} s\n")
-        print("\n".join(figures.format_table(found)))
+        print("\n".join(figures.format_table(metrics)))
         result = {
             "bench": self._name,
             "machine": self._machine | {"realtime": self.granted},
             "runs": self.runs,
             "seconds": self.seconds,
-            "figures": figures.to_tree(found),
+            "figures": figures.to_tree(metrics),
         }
         write_summary(self._out, result)
         if self._old is not None:
-            print("\n" + "\n".join(figures.format_comparison(found, self._old)))
+            print("\n" + "\n".join(figures.format_comparison(metrics, self._old)))
         return 0
 
 

@@ -5,7 +5,7 @@
   teleop bench scale --json new.json --compare old.json
 
 Each run has a session of `teleop run` for every number of joints, on a simulated rig with a
-scripted hand of as many axes, and after each of them its baselines: two processes that only tick,
+scripted hand of as many axes, and after each of them its idle: two processes that only tick,
 and a bare ping-pong over Zenoh. The slave's tick is given with and without the computation of the
 simulated rig.
 """
@@ -58,14 +58,14 @@ def main(args: argparse.Namespace) -> int:
 
 
 def measure(config: Path, seconds: float) -> Row:
-    """Return the figures of one session and of its baselines after it."""
+    """Return the figures of one session and of its idle after it."""
     shared = RunConfig()
     session = run_session(config, seconds)
-    bare = dict(zip(SIDES, run_idle_loops(shared.rate_hz, seconds, shared.realtime), strict=True))
+    idle = dict(zip(SIDES, run_idle_loops(shared.rate_hz, seconds, shared.realtime), strict=True))
     trips = measure_baseline_latency(seconds, shared)
     row: dict[str, tuple[str, float | None, float | None, bool]] = {}
     for side in SIDES:
-        loop, base = session.summary[side], bare[side]
+        loop, base = session.summary[side], idle[side]
         row[f"{side} rate"] = "Hz", loop["rate_hz"], base["rate_hz"], True
         row[f"{side} overruns"] = "", loop["overruns"], base["overruns"], False
         row[f"{side} CPU"] = "%", session.cpu.get(side), base["cpu"], False
@@ -73,8 +73,13 @@ def measure(config: Path, seconds: float) -> Row:
             work = loop["work_us"][key], base["work_us"][key]
             row[f"{side} tick {key}"] = "us", *work, False
     for key in PERCENTILES:
-        own = session.summary["slave"]["without_rig_us"][key]
-        row[f"slave tick without rig {key}"] = "us", own, bare["slave"]["work_us"][key], False
+        own_work = session.summary["slave"]["without_rig_us"][key]
+        row[f"slave tick without rig {key}"] = (
+            "us",
+            own_work,
+            idle["slave"]["work_us"][key],
+            False,
+        )
     for key in PERCENTILES:
         latency = session.summary["master"]["latency_ms"][key]
         row[f"command to force {key}"] = "ms", latency, trips[f"{key}_ms"], False

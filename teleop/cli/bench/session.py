@@ -29,7 +29,7 @@ class CpuSample(NamedTuple):
 
 def find_children(parent: int) -> dict[str, int]:
     """Return the ids of `teleop COMMAND` processes that `parent` has started, by the command."""
-    found = {}
+    children = {}
     for folder in Path("/proc").iterdir():
         if not folder.name.isdecimal():
             continue
@@ -40,8 +40,8 @@ def find_children(parent: int) -> dict[str, int]:
         except (FileNotFoundError, ProcessLookupError):  # it has ended
             continue
         if b"teleop" in words:
-            found[words[words.index(b"teleop") + 1].decode()] = int(folder.name)
-    return found
+            children[words[words.index(b"teleop") + 1].decode()] = int(folder.name)
+    return children
 
 
 def sample_cpu_time(processes: dict[str, int]) -> CpuSample:
@@ -99,12 +99,7 @@ def run_session(config: Path, seconds: float) -> SessionMeasurement:
         ]
         process = stack.enter_context(
             start_module(
-                "teleop",
-                "run",
-                *words,
-                stdout=subprocess.PIPE,
-                stderr=subprocess.STDOUT,
-                text=True,
+                "teleop", "run", *words, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
             )
         )
         stack.callback(end_process, process, _END_S)  # if it is killed, its children end too

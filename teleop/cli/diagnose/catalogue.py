@@ -42,8 +42,10 @@ def _merge_variants(variants: Sequence[Effect], say: Callable[[Effect], str]) ->
     variants_by_text: dict[str, list[str]] = {}
     for effect in variants:
         variants_by_text.setdefault(say(effect), []).append(effect.where)
-    own = len(variants_by_text) == len(variants) > 1
-    return [f"{where[0]}: {text}" if own else text for text, where in variants_by_text.items()]
+    is_distinct = len(variants_by_text) == len(variants) > 1
+    return [
+        f"{where[0]}: {text}" if is_distinct else text for text, where in variants_by_text.items()
+    ]
 
 
 def _format_cell(lines: Iterable[str]) -> str:

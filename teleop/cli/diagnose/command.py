@@ -117,26 +117,26 @@ def parse_noise(words: Sequence[str]) -> dict[str, float]:
 MEASURED, BEFORE, AFTER = 0x808080FF, 0xD55E00FF, 0x0072B2FF
 
 
-def write_residuals(path: Path, found: Diagnosis, files: Sequence[str]) -> None:
+def write_residuals(path: Path, diagnosis: Diagnosis, files: Sequence[str]) -> None:
     """Write the file: for each record a column, for each channel its curves and its residuals."""
     columns = []
     for k, file in enumerate(files):
-        record = found.dataset.records[k]
+        record = diagnosis.dataset.records[k]
         panels = []
         for channel in record.compared:
             rows = record.select_drawn_rows(channel)
             measured = record.signals[channel][rows]
             models = {
-                ("before", BEFORE): found.baseline.simulated[k].signals[channel][rows],
-                ("after", AFTER): found.extended.simulated[k].signals[channel][rows],
+                ("before", BEFORE): diagnosis.baseline.simulated[k].signals[channel][rows],
+                ("after", AFTER): diagnosis.extended.simulated[k].signals[channel][rows],
             }
             title = f"{record.units.word(channel)} [{record.units.of(channel)}]"
             lines = {("measured", MEASURED): measured} | models
-            off = {key: measured - values for key, values in models.items()}
+            residuals = {key: measured - values for key, values in models.items()}
             panels.append(_build_panel(f"{title}, {file}", record.time[rows], lines))
-            panels.append(_build_panel(f"residual of {title}", record.time[rows], off))
+            panels.append(_build_panel(f"residual of {title}", record.time[rows], residuals))
         columns.append(panels)
-    save(path, report_text.format_verdict(found), columns)
+    save(path, report_text.format_verdict(diagnosis), columns)
 
 
 def _build_panel(title: str, time: Array, lines: dict[tuple[str, int], Array]) -> PlotPanel:
@@ -241,9 +241,9 @@ def main(args: argparse.Namespace) -> int:
     noise = parse_noise(args.noise)
     loop = None if args.transmission == "auto" else args.transmission == "loop"
     data = read_data(args.data, args.validate, columns, args.drop_nonfinite)
-    progress, begun = Progress(), time.monotonic()
+    progress, begin_s = Progress(), time.monotonic()
     try:
-        found = diagnose(
+        diagnosis = diagnose(
             data.fitted,
             effects,
             validate=data.validation,
@@ -261,14 +261,14 @@ def main(args: argparse.Namespace) -> int:
         raise UsageError(f"--cause {error}") from error
     finally:
         progress.end()
-    seconds = time.monotonic() - begun
+    seconds = time.monotonic() - begin_s
     report = ReportContent(
-        found, data, {} if sheath is None else json_report.compare_parameters(found, sheath)
+        diagnosis, data, {} if sheath is None else json_report.compare_parameters(diagnosis, sheath)
     )
-    tree = json_report.build_report(found, data.files, seconds, report.accepted, data.further)
+    tree = json_report.build_report(diagnosis, data.files, seconds, report.accepted, data.further)
     write_summary(args.json, tree)
-    beside = json_report.build_comparison_table(report.accepted) if report.accepted else None
-    print(report_text.format_summary(found, data.files, beside, data.further), flush=True)
+    comparison = json_report.build_comparison_table(report.accepted) if report.accepted else None
+    print(report_text.format_summary(diagnosis, data.files, comparison, data.further), flush=True)
     if args.out is not None:
         write_summary(args.out / "report.json", tree)
         _write_report(report, args.out)
@@ -277,7 +277,7 @@ def main(args: argparse.Namespace) -> int:
         from teleop.cli.diagnose import supplement
 
         sources = supplement.Sources(args.command_line, data.files, data.further)
-        print(f"\nwritten: {supplement.write_supplement(args.supplement, found, sources)}")
+        print(f"\nwritten: {supplement.write_supplement(args.supplement, diagnosis, sources)}")
     return 0
 
 
@@ -292,10 +292,7 @@ def check_options(args: argparse.Namespace, effects: Sequence[Effect]) -> None:
 
 
 def read_data(
-    paths: Sequence[Path],
-    validate: Sequence[Path],
-    columns: NamedColumns,
-    drop_nonfinite: bool,
+    paths: Sequence[Path], validate: Sequence[Path], columns: NamedColumns, drop_nonfinite: bool
 ) -> DiagnosisData:
     """Return the data of some files, all with the same channels.
 
@@ -335,11 +332,11 @@ def read_data(
 def _write_report(report: ReportContent, folder: Path) -> None:
     from teleop.cli.diagnose import html_report
 
-    found, files = report.found, report.data.files
+    diagnosis, files = report.found, report.data.files
     remark = (
-        f"Fitted by teleop diagnose to {', '.join(files)}.\n{report_text.format_verdict(found)}"
+        f"Fitted by teleop diagnose to {', '.join(files)}.\n{report_text.format_verdict(diagnosis)}"
     )
-    model_file.save(folder / "model.yaml", model_file.from_diagnosis(found), remark)
-    text = html_report.render(found, files, report.accepted, report.data.further)
+    model_file.save(folder / "model.yaml", model_file.from_diagnosis(diagnosis), remark)
+    text = html_report.render(diagnosis, files, report.accepted, report.data.further)
     write_text_file(folder / "report.html", text, "the page")
-    write_residuals(folder / "residuals.rrd", found, files)
+    write_residuals(folder / "residuals.rrd", diagnosis, files)

@@ -19,7 +19,7 @@ from teleop.runtime.output_file import save_figure
 
 
 def write_figures(
-    found: Diagnosis,
+    diagnosis: Diagnosis,
     files: Sequence[str],
     folder: Path,
     further: Sequence[str] = (),
@@ -28,7 +28,7 @@ def write_figures(
     """Write all figures into `folder` as PNG or SVG; return their captions by file name."""
     captions = {}
     with mpl.rc_context(STYLE | {"svg.hashsalt": "tendon-teleop"}):
-        for drawn in draw_figures(found, files, further):
+        for drawn in draw_figures(diagnosis, files, further):
             file = f"diagnosis-{drawn.name}.{kind}"
             metadata = {"Date": None} if kind == "svg" else None
             save_figure(drawn.figure, folder / file, metadata=metadata)
@@ -37,7 +37,7 @@ def write_figures(
 
 
 def render(
-    found: Diagnosis,
+    diagnosis: Diagnosis,
     files: Sequence[str],
     calibrated: Mapping[str, ComparedParameter],
     further: Sequence[str] = (),
@@ -46,74 +46,83 @@ def render(
 
     `files` and `further` are the names of the fitted files and of those for validation.
     """
-    names = report_tables.name_records(found, files, further)
-    page = Page(report_text.format_verdict(found))
+    names = report_tables.name_records(diagnosis, files, further)
+    page = Page(report_text.format_verdict(diagnosis))
     page.text(f"Data: {', '.join(files)}.")
-    for what in report_text.list_better_models(found):
-        page.text(f"WARNING: {what}")
+    for sentence in report_text.list_better_models(diagnosis):
+        page.text(f"WARNING: {sentence}")
     page.heading("Next steps")
-    page.points(report_text.list_next_steps(found))
-    if found.steps:
+    page.points(report_text.list_next_steps(diagnosis))
+    if diagnosis.steps:
         page.heading("Gain")
-        page.table(report_tables.build_gain_table(found), mark="")
+        page.table(report_tables.build_gain_table(diagnosis), mark="")
     page.heading("Beside models that know no sheath")
-    page.table(report_tables.build_model_table(found), mark="")
-    page.table(report_tables.build_simple_gain_table(found), mark="")
+    page.table(report_tables.build_model_table(diagnosis), mark="")
+    page.table(report_tables.build_simple_gain_table(diagnosis), mark="")
     page.heading("Parameters of the model")
-    page.table(report_tables.build_parameter_table(found), mark="")
-    for table in (report_tables.build_law_table(found), report_tables.build_load_table(found)):
+    page.table(report_tables.build_parameter_table(diagnosis), mark="")
+    for table in (
+        report_tables.build_law_table(diagnosis),
+        report_tables.build_load_table(diagnosis),
+    ):
         if table is not None:
             page.table(table, mark="chosen")
     if calibrated:
         page.table(json_report.build_comparison_table(calibrated), mark="NO")
-    _add_file_tables(page, found, names)
+    _add_file_tables(page, diagnosis, names)
     with TemporaryDirectory() as folder:
-        captions = write_figures(found, files, Path(folder), further)
+        captions = write_figures(diagnosis, files, Path(folder), further)
         page.heading("Before and after")
         if len(files) > RECORDS_MAX:
             page.text(f"The first {RECORDS_MAX} of {len(files)} files are drawn.")
         for file, caption in captions.items():
             page.figure(Path(folder) / file, caption)
     page.heading("Residuals")
-    page.points(report_text.describe_residuals(found))
+    page.points(report_text.describe_residuals(diagnosis))
     page.heading("Errors")
     page.text("Largest and mean error in % of the channel's range.")
-    page.table(report_tables.build_error_table(found), mark="")
-    for i, step in enumerate(found.steps, start=1):
+    page.table(report_tables.build_error_table(diagnosis), mark="")
+    for i, step in enumerate(diagnosis.steps, start=1):
         page.heading(f"Candidates for cause {i}")
-        page.table(report_tables.build_ranking_table(found, step.ranking), mark=step.effect.label)
-    if not found.steps and found.ranking:
+        page.table(
+            report_tables.build_ranking_table(diagnosis, step.ranking), mark=step.effect.label
+        )
+    if not diagnosis.steps and diagnosis.ranking:
         page.heading("Candidates")
-        page.table(report_tables.build_candidate_table(found), mark="")
-    if found.detection_limits:
+        page.table(report_tables.build_candidate_table(diagnosis), mark="")
+    if diagnosis.detection_limits:
         page.heading("Detection limits")
-        page.table(report_tables.build_detection_limit_table(found), mark="")
-    if remarks := report_text.list_sample_remarks(found, files):
+        page.table(report_tables.build_detection_limit_table(diagnosis), mark="")
+    if remarks := report_text.list_sample_remarks(diagnosis, files):
         page.heading("Samples")
         page.points(remarks)
     return page.render()
 
 
-def _add_file_tables(page: Page, found: Diagnosis, names: Sequence[str]) -> None:
+def _add_file_tables(page: Page, diagnosis: Diagnosis, names: Sequence[str]) -> None:
     """Add the tables by file: validation, leave-one-file-out, the force, and its rivals."""
-    fitted = len(found.dataset.records)
-    if found.validation:
+    fitted = len(diagnosis.dataset.records)
+    if diagnosis.validation:
         page.heading("Validation")
-        page.table(report_tables.build_prediction_table(found.validation, names[fitted:]), mark="")
-    if found.left_out:
+        page.table(
+            report_tables.build_prediction_table(diagnosis.validation, names[fitted:]), mark=""
+        )
+    if diagnosis.left_out:
         page.heading("Leave-one-file-out")
         page.text("Each file is predicted with parameters fitted to the other files.")
-        page.table(report_tables.build_prediction_table(found.left_out, names[:fitted]), mark="")
-    if found.forces:
+        page.table(
+            report_tables.build_prediction_table(diagnosis.left_out, names[:fitted]), mark=""
+        )
+    if diagnosis.forces:
         page.heading("Force at the tip")
         page.text(
             "Estimated from the housing alone, as by teleop estimate and teleop run --replay with "
             "this model, and compared with what the load cell at the tip reads."
         )
-        page.table(report_tables.build_force_table(found, names), mark="")
-    if found.rivals:
+        page.table(report_tables.build_force_table(diagnosis, names), mark="")
+    if diagnosis.rivals:
         page.heading("Rivals")
         page.text("Causes that fit as well, and what each would do to the estimated force.")
-        page.table(report_tables.build_rival_parameter_table(found), mark="")
-    if found.rival_forces:
-        page.table(report_tables.build_rival_table(found), mark="")
+        page.table(report_tables.build_rival_parameter_table(diagnosis), mark="")
+    if diagnosis.rival_forces:
+        page.table(report_tables.build_rival_table(diagnosis), mark="")

@@ -47,16 +47,13 @@ def load_sheath(path: Path, tendon: int) -> Sheath:
     return tendons[tendon if len(tendons) > 1 else 0].model().sheath
 
 
-def compare_parameters(found: Diagnosis, sheath: Sheath) -> dict[str, ComparedParameter]:
+def compare_parameters(diagnosis: Diagnosis, sheath: Sheath) -> dict[str, ComparedParameter]:
     """Return the parameters in both calibration and data, by name."""
-    accepted = {
-        FRICTION.name: sheath.K,
-        COMPLIANCE.name: sheath.length / sheath.axial_stiffness,
-    }
+    accepted = {FRICTION.name: sheath.K, COMPLIANCE.name: sheath.length / sheath.axial_stiffness}
     return {
-        name: ComparedParameter(value, found.parameters[name])
+        name: ComparedParameter(value, diagnosis.parameters[name])
         for name, value in accepted.items()
-        if name in found.parameters
+        if name in diagnosis.parameters
     }
 
 
@@ -65,12 +62,12 @@ def build_comparison_table(numbers: Mapping[str, ComparedParameter]) -> Table:
     rows = [
         (
             name,
-            format_quantity(one.accepted, one.found.unit),
-            format_quantity(one.found.value, one.found.unit),
-            report_tables.format_interval(one.found),
-            "yes" if one.agrees else "NO",
+            format_quantity(comparison.accepted, comparison.found.unit),
+            format_quantity(comparison.found.value, comparison.found.unit),
+            report_tables.format_interval(comparison.found),
+            "yes" if comparison.agrees else "NO",
         )
-        for name, one in numbers.items()
+        for name, comparison in numbers.items()
     ]
     return Table(("sheath", "calibration", "these data", "95 % interval", "agree"), tuple(rows))
 
@@ -79,7 +76,7 @@ def build_comparison_table(numbers: Mapping[str, ComparedParameter]) -> Table:
 
 
 def build_report(
-    found: Diagnosis,
+    diagnosis: Diagnosis,
     files: Sequence[str],
     seconds: float,
     accepted: Mapping[str, ComparedParameter],
@@ -89,7 +86,7 @@ def build_report(
 
     Parameters
     ----------
-    found : Diagnosis
+    diagnosis : Diagnosis
     files : sequence of str
         Names of the data files.
     seconds : float
@@ -99,17 +96,17 @@ def build_report(
     further : sequence of str
         Names of the files for validation.
     """
-    names = report_tables.name_records(found, files, further)
+    names = report_tables.name_records(diagnosis, files, further)
     report = {
-        "verdict": found.verdict.value,
-        "sentence": report_text.format_verdict(found),
-        "units": {"effort": found.units.effort, "travel": found.units.travel},
-        "closed_loop": found.dataset.records[0].loop,
-        "law": _build_choice(found.laws, found.dataset.base.law),
-        "loads": _build_choice(found.loads, found.dataset.base.loads),
-        "cause": list(found.causes),
-        "candidates": _build_candidates(found.ranking),
-        "ambiguous_with": list(found.ambiguous_with),
+        "verdict": diagnosis.verdict.value,
+        "sentence": report_text.format_verdict(diagnosis),
+        "units": {"effort": diagnosis.units.effort, "travel": diagnosis.units.travel},
+        "closed_loop": diagnosis.dataset.records[0].loop,
+        "law": _build_choice(diagnosis.laws, diagnosis.dataset.base.law),
+        "loads": _build_choice(diagnosis.loads, diagnosis.dataset.base.loads),
+        "cause": list(diagnosis.causes),
+        "candidates": _build_candidates(diagnosis.ranking),
+        "ambiguous_with": list(diagnosis.ambiguous_with),
         "steps": [
             {
                 "name": step.effect.name,
@@ -117,49 +114,50 @@ def build_report(
                 "rivals": step.rivals,
                 "candidates": _build_candidates(step.ranking),
             }
-            for step in found.steps
+            for step in diagnosis.steps
         ],
-        "parameters": {name: number._asdict() for name, number in found.parameters.items()},
-        "baseline": _build_fitness_sets(found.before),
-        "extended": _build_fitness_sets(found.after),
-        "simple_models": {one.name: one.rmse for one in found.simple_models},
-        "fit_all": found.fit_all,
-        "validation": _build_prediction_errors(found.validation, names[len(files) :]),
-        "left_out": _build_prediction_errors(found.left_out, files),
+        "parameters": {name: number._asdict() for name, number in diagnosis.parameters.items()},
+        "baseline": _build_fitness_sets(diagnosis.before),
+        "extended": _build_fitness_sets(diagnosis.after),
+        "simple_models": {item.name: item.rmse for item in diagnosis.simple_models},
+        "fit_all": diagnosis.fit_all,
+        "validation": _build_prediction_errors(diagnosis.validation, names[len(files) :]),
+        "left_out": _build_prediction_errors(diagnosis.left_out, files),
         "forces": [
-            {"file": name, "validation": one.validation}
-            | {"before": one.before._asdict(), "after": one.after._asdict()}
-            for name, one in zip(names, found.forces, strict=False)
+            {"file": name, "validation": item.validation}
+            | {"before": item.before._asdict(), "after": item.after._asdict()}
+            for name, item in zip(names, diagnosis.forces, strict=False)
         ],
-        "rivals": _build_rivals(found),
-        "simple_gain": {channel: gain._asdict() for channel, gain in found.simple_gain.items()},
-        "better_models": report_text.list_better_models(found),
-        "gain": {channel: gain._asdict() for channel, gain in found.gain.items()},
-        "noise": dict(found.noise),
+        "rivals": _build_rivals(diagnosis),
+        "simple_gain": {channel: gain._asdict() for channel, gain in diagnosis.simple_gain.items()},
+        "better_models": report_text.list_better_models(diagnosis),
+        "gain": {channel: gain._asdict() for channel, gain in diagnosis.gain.items()},
+        "noise": dict(diagnosis.noise),
         "driver": {
-            "channel": found.dataset.records[0].driver,
-            "noise": [record.noise[record.driver] for record in found.dataset.records],
+            "channel": diagnosis.dataset.records[0].driver,
+            "noise": [record.noise[record.driver] for record in diagnosis.dataset.records],
         },
-        "left": found.residual_fraction,
-        "wanders": found.has_drifting_friction,
-        "structure": [one._asdict() for one in found.residual_dependences],
+        "left": diagnosis.residual_fraction,
+        "wanders": diagnosis.has_drifting_friction,
+        "structure": [item._asdict() for item in diagnosis.residual_dependences],
         "detection_limits": {
-            name: least._asdict() for name, least in found.detection_limits.items()
+            name: limit._asdict() for name, limit in diagnosis.detection_limits.items()
         },
         "sheath": {
-            name: {"accepted": one.accepted, "agrees": one.agrees} for name, one in accepted.items()
+            name: {"accepted": item.accepted, "agrees": item.agrees}
+            for name, item in accepted.items()
         },
-        "experiments": list(found.experiments),
-        "next": report_text.list_next_steps(found),
-        "troubles": [trouble._asdict() for trouble in found.issues],
+        "experiments": list(diagnosis.experiments),
+        "next": report_text.list_next_steps(diagnosis),
+        "troubles": [trouble._asdict() for trouble in diagnosis.issues],
         "files": list(files),
-        "samples": [int(record.measured.sum()) for record in found.dataset.records],
-        "thinned": [record.decimation_factor for record in found.dataset.records],
+        "samples": [int(record.measured.sum()) for record in diagnosis.dataset.records],
+        "thinned": [record.decimation_factor for record in diagnosis.dataset.records],
         "seconds": seconds,
         "version": version("tendon-teleop"),
     }
-    plain: dict[str, Any] = to_json_values(report)
-    return plain
+    values: dict[str, Any] = to_json_values(report)
+    return values
 
 
 def _build_prediction_errors(
@@ -169,37 +167,37 @@ def _build_prediction_errors(
     return [
         {
             "file": name,
-            "start": one.record.start,
-            "end": one.record.start + float(one.record.time[-1]),
+            "start": prediction.record.start,
+            "end": prediction.record.start + float(prediction.record.time[-1]),
             "channels": {
                 channel: {
-                    "samples": int(one.record.good[channel].sum()),
-                    "spikes": one.spikes[channel],
+                    "samples": int(prediction.record.good[channel].sum()),
+                    "spikes": prediction.spikes[channel],
                     "baseline": _build_fitness(before),
-                    "extended": _build_fitness(one.fitness(one.after)[channel]),
+                    "extended": _build_fitness(prediction.fitness(prediction.after)[channel]),
                 }
-                for channel, before in one.fitness(one.before).items()
+                for channel, before in prediction.fitness(prediction.before).items()
             },
         }
-        for name, one in zip(names, records, strict=False)
+        for name, prediction in zip(names, records, strict=False)
     ]
 
 
-def _build_rivals(found: Diagnosis) -> list[dict[str, Any]]:
+def _build_rivals(diagnosis: Diagnosis) -> list[dict[str, Any]]:
     """Return the models of equally good causes, and what they would do to the force."""
-    forces = {(one.replaces, one.label): one for one in found.rival_forces}
+    forces = {(rival.replaces, rival.label): rival for rival in diagnosis.rival_forces}
     tree = []
-    for one in found.rivals:
-        force = forces.get((one.replaces, one.effect.label))
-        model = one.fit.model
+    for rival in diagnosis.rivals:
+        force = forces.get((rival.replaces, rival.effect.label))
+        model = rival.fit.model
         tree.append(
             {
-                "name": one.effect.name,
-                "label": one.effect.label,
-                "replaces": one.replaces,
+                "name": rival.effect.name,
+                "label": rival.effect.label,
+                "replaces": rival.replaces,
                 "base": {
                     p.name: value
-                    for p, value in zip(found.dataset.base.shared, model.shared, strict=True)
+                    for p, value in zip(diagnosis.dataset.base.shared, model.shared, strict=True)
                 },
                 "effects": {
                     effect.name: {
@@ -237,22 +235,25 @@ def _build_choice(choice: Choice, chosen: str) -> dict[str, Any]:
         "chosen": str(chosen),
         "alike": list(choice.equivalents) if len(choice.equivalents) > 1 else [],
         "scores": [
-            {"name": one.name, "score": one.score, "held_out_rmse": one.rmse}
-            for one in choice.scores
+            {"name": score.name, "score": score.score, "held_out_rmse": score.rmse}
+            for score in choice.scores
         ],
     }
 
 
 def _build_fitness_sets(all_of: ModelErrors) -> dict[str, Any]:
     return {
-        name: {channel: _build_fitness(one) for channel, one in getattr(all_of, name).items()}
+        name: {
+            channel: _build_fitness(statistics)
+            for channel, statistics in getattr(all_of, name).items()
+        }
         for name in report_tables.SAMPLE_SETS
     }
 
 
-def _build_fitness(one: ErrorStatistics) -> dict[str, float]:
+def _build_fitness(statistics: ErrorStatistics) -> dict[str, float]:
     return {
-        "rmse": one.rmse,
-        "max_percent": 100.0 * one.largest,
-        "mean_percent": 100.0 * one.mean,
+        "rmse": statistics.rmse,
+        "max_percent": 100.0 * statistics.largest,
+        "mean_percent": 100.0 * statistics.mean,
     }

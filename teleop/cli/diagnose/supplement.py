@@ -161,7 +161,7 @@ CITATION_PATHS = (
 
 def load_citations() -> tuple[str, ...]:
     """Return the references to be cited: the software, then the papers that it names."""
-    path = next((place for place in CITATION_PATHS if place.is_file()), None)
+    path = next((candidate for candidate in CITATION_PATHS if candidate.is_file()), None)
     if path is None:
         return (
             f"tendon-teleop {version('tendon-teleop')} ({CITATION_FILE} is not in this "
@@ -172,7 +172,7 @@ def load_citations() -> tuple[str, ...]:
         f"{_format_authors(tree)}. {tree['title']} (version {tree['version']}) [software]. "
         f"{tree['license']}."
     )
-    return (software, *(_format_reference(one) for one in tree.get("references", ())))
+    return (software, *(_format_reference(reference) for reference in tree.get("references", ())))
 
 
 def _format_reference(tree: dict[str, Any]) -> str:
@@ -204,9 +204,9 @@ class Sources(NamedTuple):
     further: tuple[str, ...]  # for validation
 
 
-def write_supplement(folder: Path, found: Diagnosis, sources: Sources) -> Path:
+def write_supplement(folder: Path, diagnosis: Diagnosis, sources: Sources) -> Path:
     """Write the page, its figures and its tables into a folder; return the page's path."""
-    page = Page(build_title(found, sources.files))
+    page = Page(build_title(diagnosis, sources.files))
     page.points(
         [
             f"Date: {datetime.now(UTC).date().isoformat()}",
@@ -214,37 +214,41 @@ def write_supplement(folder: Path, found: Diagnosis, sources: Sources) -> Path:
             f"Command: {sources.command}",
         ]
     )
-    page.text(report_text.format_verdict(found))
-    _add_data(page, found, sources)
-    _add_law(page, found, folder)
-    _add_table(page, folder, "parameters", report_tables.build_parameter_table(found))
-    if found.rivals:
+    page.text(report_text.format_verdict(diagnosis))
+    _add_data(page, diagnosis, sources)
+    _add_law(page, diagnosis, folder)
+    _add_table(page, folder, "parameters", report_tables.build_parameter_table(diagnosis))
+    if diagnosis.rivals:
         page.heading("Rivals")
         page.text("Causes that explain the data equally well, each fitted to all samples.")
-        _add_table(page, folder, "rivals", report_tables.build_rival_parameter_table(found))
-    if found.rival_forces:
-        _add_table(page, folder, "rival-forces", report_tables.build_rival_table(found))
-    _add_errors(page, found, folder, sources)
-    _add_residuals(page, found, folder)
+        _add_table(page, folder, "rivals", report_tables.build_rival_parameter_table(diagnosis))
+    if diagnosis.rival_forces:
+        _add_table(page, folder, "rival-forces", report_tables.build_rival_table(diagnosis))
+    _add_errors(page, diagnosis, folder, sources)
+    _add_residuals(page, diagnosis, folder)
     page.heading("How to cite")
     page.points(load_citations())
-    _write_records(folder, found)
+    _write_records(folder, diagnosis)
     path = folder / "supplement.html"
     write_text_file(path, page.render(), "the supplement")
     return path
 
 
-def build_title(found: Diagnosis, files: Sequence[str]) -> str:
+def build_title(diagnosis: Diagnosis, files: Sequence[str]) -> str:
     """Return a short title."""
     names = [Path(file).name for file in files]
-    what = names[0] if len(names) == 1 else f"{names[0]} and {len(names) - 1} more"
-    causes = " and ".join(step.effect.label for step in found.steps)
-    return f"Model of {what}: {causes}" if causes else f"Model of {what}: {found.verdict.value}"
+    subject = names[0] if len(names) == 1 else f"{names[0]} and {len(names) - 1} more"
+    causes = " and ".join(step.effect.label for step in diagnosis.steps)
+    return (
+        f"Model of {subject}: {causes}"
+        if causes
+        else f"Model of {subject}: {diagnosis.verdict.value}"
+    )
 
 
-def _add_data(page: Page, found: Diagnosis, sources: Sources) -> None:
+def _add_data(page: Page, diagnosis: Diagnosis, sources: Sources) -> None:
     rows = []
-    for file, record in zip(sources.files, found.dataset.records, strict=True):
+    for file, record in zip(sources.files, diagnosis.dataset.records, strict=True):
         count, time = int(record.measured.sum()), record.time[record.measured]
         excluded = sum(trouble.samples for trouble in record.issues if trouble.excluded)
         rows.append(
@@ -260,19 +264,19 @@ def _add_data(page: Page, found: Diagnosis, sources: Sources) -> None:
     page.heading("Data")
     head = ("file", "time", "samples", "rate", "samples excluded", "channels")
     page.table(Table(head, tuple(rows)), mark="")
-    driver = found.dataset.records[0].driver
+    driver = diagnosis.dataset.records[0].driver
     judged = (
         "All samples were fitted; errors are in-sample."
-        if found.fit_all
+        if diagnosis.fit_all
         else "Held-out errors are those of two-fold cross-validation on alternating blocks of time."
     )
-    page.text(f"The {found.units.word(driver)} drives the simulation. {judged}")
+    page.text(f"The {diagnosis.units.word(driver)} drives the simulation. {judged}")
 
 
-def _add_law(page: Page, found: Diagnosis, folder: Path) -> None:
+def _add_law(page: Page, diagnosis: Diagnosis, folder: Path) -> None:
     page.heading("Extended law")
-    lines = get_law_formulas(len(found.dataset.base.shared) > 1)
-    lines += get_effect_formulas([effect for effect, _ in found.extended.model.effects])
+    lines = get_law_formulas(len(diagnosis.dataset.base.shared) > 1)
+    lines += get_effect_formulas([effect for effect, _ in diagnosis.extended.model.effects])
     for k, line in enumerate(lines, start=1):
         drawing = to_svg(draw_formula(line), cut=True)
         write_text_file(folder / f"equation-{k}.svg", drawing, "an equation")
@@ -280,64 +284,64 @@ def _add_law(page: Page, found: Diagnosis, folder: Path) -> None:
     page.text(SYMBOLS)
 
 
-def _add_errors(page: Page, found: Diagnosis, folder: Path, sources: Sources) -> None:
-    names = report_tables.name_records(found, sources.files, sources.further)
-    fitted = len(found.dataset.records)
-    page.heading("Cross-validation" if not found.fit_all else "Errors")
-    _add_table(page, folder, "errors", report_tables.build_error_table(found))
-    _add_table(page, folder, "models", report_tables.build_model_table(found))
-    if found.validation:
+def _add_errors(page: Page, diagnosis: Diagnosis, folder: Path, sources: Sources) -> None:
+    names = report_tables.name_records(diagnosis, sources.files, sources.further)
+    fitted = len(diagnosis.dataset.records)
+    page.heading("Cross-validation" if not diagnosis.fit_all else "Errors")
+    _add_table(page, folder, "errors", report_tables.build_error_table(diagnosis))
+    _add_table(page, folder, "models", report_tables.build_model_table(diagnosis))
+    if diagnosis.validation:
         page.heading("Validation")
         _add_table(
             page,
             folder,
             "validation",
-            report_tables.build_prediction_table(found.validation, names[fitted:]),
+            report_tables.build_prediction_table(diagnosis.validation, names[fitted:]),
         )
-    if found.left_out:
+    if diagnosis.left_out:
         page.heading("Leave-one-file-out cross-validation")
         _add_table(
             page,
             folder,
             "left-out",
-            report_tables.build_prediction_table(found.left_out, names[:fitted]),
+            report_tables.build_prediction_table(diagnosis.left_out, names[:fitted]),
         )
-    if found.forces:
+    if diagnosis.forces:
         page.heading("Estimated force")
-        _add_table(page, folder, "forces", report_tables.build_force_table(found, names))
+        _add_table(page, folder, "forces", report_tables.build_force_table(diagnosis, names))
     page.heading("Figures")
     with mpl.rc_context(STYLE):
-        for drawn in draw_figures(found, sources.files, sources.further):
+        for drawn in draw_figures(diagnosis, sources.files, sources.further):
             drawing = to_svg(drawn.figure)
             write_text_file(folder / f"{drawn.name}.svg", drawing, "a figure")
             page.drawing(drawing, drawn.caption)
 
 
-def _add_residuals(page: Page, found: Diagnosis, folder: Path) -> None:
+def _add_residuals(page: Page, diagnosis: Diagnosis, folder: Path) -> None:
     page.heading("Residual")
     page.points(
         [
-            f"{found.units.word(one.channel)}: the residual correlates with {one.what}, which "
-            f"explains {one.share:.0%} of its variance"
-            for one in found.residual_dependences
+            f"{diagnosis.units.word(item.channel)}: the residual correlates with {item.what}, "
+            f"which explains {item.share:.0%} of its variance"
+            for item in diagnosis.residual_dependences
         ]
         or ["The residual correlates with no tension, speed, direction, travel or time."]
     )
-    channels = report_tables.list_compared_channels(found)
+    channels = report_tables.list_compared_channels(diagnosis)
     parts = {
-        channel: autocorrelate_channel(found.dataset, found.extended, channel)
+        channel: autocorrelate_channel(diagnosis.dataset, diagnosis.extended, channel)
         for channel in channels
     }
-    drawing = to_svg(draw_autocorrelations(parts, found.units))
+    drawing = to_svg(draw_autocorrelations(parts, diagnosis.units))
     write_text_file(folder / "autocorrelation.svg", drawing, "a figure")
     page.drawing(
         drawing,
         "Autocorrelation of the residual of the extended law; 95 % of white noise lie in the band.",
     )
-    for channel, one in parts.items():
+    for channel, item in parts.items():
         write_table(
             folder / f"autocorrelation-{channel}.csv",
-            {"lag_s": one.lag, "autocorrelation": one.value},
+            {"lag_s": item.lag, "autocorrelation": item.value},
         )
 
 
@@ -346,9 +350,11 @@ def draw_autocorrelations(parts: dict[str, Autocorrelation], units: Units) -> Fi
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(8.2, 0.4 + 1.8 * len(parts)))
         grid = figure.subplots(len(parts), 1, sharex=True, squeeze=False)[:, 0]
-        for axes, (channel, one) in zip(grid, parts.items(), strict=True):
-            axes.axhspan(-one.band, one.band, color="#e6e6e6", linewidth=0.0)
-            axes.plot(one.lag, one.value, color=BLUE)
+        for axes, (channel, autocorrelation) in zip(grid, parts.items(), strict=True):
+            axes.axhspan(
+                -autocorrelation.band, autocorrelation.band, color="#e6e6e6", linewidth=0.0
+            )
+            axes.plot(autocorrelation.lag, autocorrelation.value, color=BLUE)
             axes.axhline(0.0, color=BLACK, linewidth=0.6)
             axes.set(title=units.word(channel), ylabel="autocorrelation")
         grid[-1].set_xlabel("lag [s]")
@@ -365,37 +371,41 @@ def _add_table(page: Page, folder: Path, name: str, table: Table) -> None:
         csv.writer(file).writerows([table.head, *table.rows])
 
 
-def _write_records(folder: Path, found: Diagnosis) -> None:
+def _write_records(folder: Path, diagnosis: Diagnosis) -> None:
     """Write what was measured and simulated, a file for each record."""
-    fits = (found.baseline.simulated, found.extended.simulated)
-    for k, record in enumerate(found.dataset.records):
-        one = PredictedRecord(record, *(fit[k] for fit in fits))
-        _write_record(folder / f"residuals-{k + 1}.csv", one)
-    for kind, records in (("validation", found.validation), ("left-out", found.left_out)):
-        for k, one in enumerate(records):
-            _write_record(folder / f"residuals-{kind}-{k + 1}.csv", one)
+    fits = (diagnosis.baseline.simulated, diagnosis.extended.simulated)
+    for k, record in enumerate(diagnosis.dataset.records):
+        prediction = PredictedRecord(record, *(fit[k] for fit in fits))
+        _write_record(folder / f"residuals-{k + 1}.csv", prediction)
+    for kind, records in (("validation", diagnosis.validation), ("left-out", diagnosis.left_out)):
+        for k, prediction in enumerate(records):
+            _write_record(folder / f"residuals-{kind}-{k + 1}.csv", prediction)
 
 
-def _write_record(path: Path, one: PredictedRecord) -> None:
-    rows = one.record.measured
-    columns = {"time_s": (one.record.time + one.record.start)[rows]}
-    for channel in one.record.compared:
-        unit = one.record.units.of(channel).replace(" ", "")
-        known = one.record.known[channel]
+def _write_record(path: Path, prediction: PredictedRecord) -> None:
+    rows = prediction.record.measured
+    columns = {"time_s": (prediction.record.time + prediction.record.start)[rows]}
+    for channel in prediction.record.compared:
+        unit = prediction.record.units.of(channel).replace(" ", "")
+        is_measured = prediction.record.known[channel]
         measured, before, after = (
             signals[channel]
-            for signals in (one.record.signals, one.before.signals, one.after.signals)
+            for signals in (
+                prediction.record.signals,
+                prediction.before.signals,
+                prediction.after.signals,
+            )
         )
-        columns[f"{channel}_{unit}"] = _to_cells(measured, known)[rows]
+        columns[f"{channel}_{unit}"] = _to_cells(measured, is_measured)[rows]
         columns[f"{channel}_plain_{unit}"] = before[rows]
         columns[f"{channel}_extended_{unit}"] = after[rows]
-        columns[f"{channel}_residual_{unit}"] = _to_cells(measured - after, known)[rows]
-        columns[f"{channel}_counts"] = one.record.good[channel][rows].astype(np.int64)
+        columns[f"{channel}_residual_{unit}"] = _to_cells(measured - after, is_measured)[rows]
+        columns[f"{channel}_counts"] = prediction.record.good[channel][rows].astype(np.int64)
     write_table(path, columns)
 
 
-def _to_cells(values: Array, known: NDArray[np.bool_]) -> Column:
+def _to_cells(values: Array, is_measured: NDArray[np.bool_]) -> Column:
     """Return values as cells of a table, empty where they are not known."""
     cells = values.astype(object)
-    cells[~known] = None
+    cells[~is_measured] = None
     return cells
