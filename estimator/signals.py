@@ -45,7 +45,7 @@ class Treatment:
             raise ValueError(f"dead_band: {self.dead_band} sigma, allowed are 0 to 10")
 
 
-def noise_sigma(signal: ArrayLike) -> float:
+def estimate_noise_sigma(signal: ArrayLike) -> float:
     """Return the standard deviation of the white noise on a slowly changing signal.
 
     From the median of |second differences|: steps, ramps and bursts of motion in less than half of

@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 
 from estimator.array_types import Array
 from estimator.measured_data import MeasuredData, Samples
-from estimator.signals import noise_sigma
+from estimator.signals import estimate_noise_sigma
 
 SCATTER_FACTOR = 8.0  # the local scatter, by which a sample is off both its neighbours
 SCATTER_WINDOW = 101  # samples of the local scatter
@@ -32,7 +32,7 @@ def find_spikes(signal: Array) -> NDArray[np.bool_]:
     gap = np.zeros_like(signal)
     gap[1:-1] = np.abs(signal[2:] - signal[:-2])
     usual = 1.4826 * median_filter(np.abs(deviation), SCATTER_WINDOW, mode="nearest")
-    noise_min = max(noise_sigma(signal), 1e-3 * float(np.ptp(signal)))
+    noise_min = max(estimate_noise_sigma(signal), 1e-3 * float(np.ptp(signal)))
     spike: NDArray[np.bool_] = np.abs(deviation) > SCATTER_FACTOR * np.maximum(usual, noise_min)
     spike &= gap < 0.5 * np.abs(deviation)
     # beside a spike both neighbours are off by half of it, the other way; beside a sharp turn not

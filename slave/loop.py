@@ -134,7 +134,7 @@ def init_slave(
         build_settings(config, bilateral, calibrated=not model.not_ready_text),
         model.layout,
         model.prepared,
-        online.initial_all(model.prepared),
+        online.build_initial_states(model.prepared),
         memory,
         Scratch.array(),
         model.watched,

@@ -126,8 +126,8 @@ def set_noise_from_data(tendon: TendonConfig, tension: Array, travel: Array | No
         return tendon
     return replace(
         tendon,
-        tension_noise=signals.noise_sigma(tension),
-        displacement_noise=0.0 if travel is None else signals.noise_sigma(travel),
+        tension_noise=signals.estimate_noise_sigma(tension),
+        displacement_noise=0.0 if travel is None else signals.estimate_noise_sigma(travel),
     )
 
 

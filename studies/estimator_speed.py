@@ -97,7 +97,7 @@ def seconds(call: Callable[[], object], repeats: int = 5) -> float:
 def steps(model: online.TendonModel, T: Array, q: Array) -> Array:
     """Return how long each step took [us], in order of that."""
     prepared = online.prepare(model)
-    state = online.initial(prepared)
+    state = online.build_initial_state(prepared)
     rows = list(zip(T.tolist(), q.tolist(), strict=True))
     _, state = online.step(prepared, state, *rows[0], 0.0)
     taken = []

@@ -26,7 +26,7 @@ from estimator.law.transmission import (
 )
 from estimator.online import online
 from estimator.online.tendon_model import TendonModel
-from estimator.signals import Treatment, noise_sigma
+from estimator.signals import Treatment, estimate_noise_sigma
 
 SIGMA = 0.03  # [N]
 TRAVEL_SIGMA = 1e-6  # [m]
@@ -119,7 +119,7 @@ def measured() -> None:
     time, T_in, T_out = np.genfromtxt(file, delimiter=",", skip_header=1).T.copy()
     fit = fit_bench(T_in, T_out)
     sheath = Sheath.uniform(fit.parameters["K"].value, 1.0, 9000.0)
-    own = noise_sigma(T_in[time < 4.0])
+    own = estimate_noise_sigma(T_in[time < 4.0])
     rng = np.random.default_rng(2)
     added = [T_in + rng.normal(0.0, SIGMA, len(time)) for _ in range(SEEDS)]
     clean = law(sheath, T_in)

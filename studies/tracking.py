@@ -119,7 +119,7 @@ def costs() -> None:
     """Print what a tick of four joints costs, beside the estimators that it needs anyway."""
     joints = tuple((k, k + 1) for k in range(0, 8, 2))
     prepared = [online.prepare(online.TendonModel(SHEATH))] * 8
-    state = online.initial(prepared[0])
+    state = online.build_initial_state(prepared[0])
     estimate, state = online.step(prepared[0], state, 5.0, 0.0, 0.0)
     layout, config, limits = (
         build_rig_layout(joints)[0],

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from estimator.array_types import Array
-from estimator.signals import noise_sigma
+from estimator.signals import estimate_noise_sigma
 
 
 class CalibrationError(ValueError):
@@ -93,9 +93,9 @@ def segment_loop(tension: ArrayLike, displacement: ArrayLike) -> BlockedLoop:
         If there is not a pull and a release to be found, or the load cell is saturated.
     """
     T, q = _validate_signals(tension, displacement)
-    sigma = max(noise_sigma(T), _NOISE_FLOOR * float(np.abs(T).max()))
+    sigma = max(estimate_noise_sigma(T), _NOISE_FLOOR * float(np.abs(T).max()))
     resolution = _estimate_resolution(q)
-    step = resolution / math.sqrt(12.0) if resolution else max(noise_sigma(q), 1e-9)
+    step = resolution / math.sqrt(12.0) if resolution else max(estimate_noise_sigma(q), 1e-9)
     if np.ptp(T) < 20.0 * sigma or np.ptp(q) < 20.0 * step:
         raise CalibrationError(
             "nothing moves, or tension never rises: pull the tendon against the blocked tip"
@@ -188,7 +188,11 @@ def _refuse_saturation(T: Array, q: Array, span: tuple[int, int]) -> None:
     if np.ptp(q[top]) <= 0.0 or is_below.sum() < 3:
         return
     rate_top, rate_below = (float(np.polyfit(q[k], T[k], 1)[0]) for k in (top, is_below))
-    noise = 3.0 * noise_sigma(T) / max(float(np.std(q[top])) * math.sqrt(int(top.sum())), 1e-12)
+    noise = (
+        3.0
+        * estimate_noise_sigma(T)
+        / max(float(np.std(q[top])) * math.sqrt(int(top.sum())), 1e-12)
+    )
     if rate_top + noise < _SATURATED_SLOPE_RATIO * rate_below or (
         rate_top < _SATURATED_SLOPE_RATIO * rate_below and rate_below > 2.0 * noise
     ):

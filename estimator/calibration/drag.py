@@ -17,7 +17,7 @@ import numpy as np
 from estimator.array_types import Array
 from estimator.calibration.blocked_loop import CalibrationError
 from estimator.fitting import MeasuredValue
-from estimator.signals import noise_sigma
+from estimator.signals import estimate_noise_sigma
 
 _MIN_SHARE = 0.3  # of the highest tension; above it the pull has wiped out what was before
 _MIN_SAMPLES = 100
@@ -49,7 +49,7 @@ def fit_friction_sum(pulled: Array, drawn: Array, travel: Array) -> MeasuredValu
     high = np.flatnonzero(pulled > _MIN_SHARE * pulled.max())
     rows = slice(int(high[0]), int(high[-1]) + 1)
     T, q, drawn = pulled[rows], travel[rows], drawn[rows]
-    noise = noise_sigma(drawn)
+    noise = estimate_noise_sigma(drawn)
     columns = np.column_stack([T, q - q.mean(), np.ones_like(T)])
     fit, *_ = np.linalg.lstsq(columns, drawn, rcond=None)
     slope = float(fit[0])

@@ -20,7 +20,7 @@ from estimator.diagnosis.noise import (
 )
 from estimator.diagnosis.settings import SETTINGS
 from estimator.effects.effect import Signals
-from estimator.signals import noise_sigma
+from estimator.signals import estimate_noise_sigma
 from estimator.spikes import find_spikes
 
 STEP_SCATTER_MAX = 0.02  # of the period: scatter of the steps below which stamps are even
@@ -319,7 +319,7 @@ def find_sampling_issues(time: Array, signals: Signals) -> list[DataIssue]:
     for signal in signals.values():
         change = np.diff(signal)
         is_repeated &= (change == 0.0) | np.isnan(change)
-    has_noise = any(noise_sigma(drop_missing(signal)) > 0.0 for signal in signals.values())
+    has_noise = any(estimate_noise_sigma(drop_missing(signal)) > 0.0 for signal in signals.values())
     if has_noise and is_repeated.any():
         first_time = float(time[1:][is_repeated][0])
         issues.append(

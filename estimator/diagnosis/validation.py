@@ -421,8 +421,8 @@ def build_tendon_model(model: Model, duration: float, data: MeasuredData) -> Ten
     travel = data.proximal_displacement
     return TendonModel(
         extended.sheath,
-        tension_noise=signals.noise_sigma(data.proximal_tension),
-        displacement_noise=0.0 if travel is None else signals.noise_sigma(travel),
+        tension_noise=signals.estimate_noise_sigma(data.proximal_tension),
+        displacement_noise=0.0 if travel is None else signals.estimate_noise_sigma(travel),
         extension=extended.extension,
         tip_effects=extended.tip_effects,
     )

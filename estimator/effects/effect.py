@@ -170,7 +170,7 @@ def compute_step(time: Array, onset: float, duration: float = 0.0) -> Array:
     return np.clip((time - onset) / duration + 0.5, 0.0, 1.0)
 
 
-def changed(signals: Signals, channel: str, change: Callable[[Array], Array]) -> Signals:
+def transform_channel(signals: Signals, channel: str, change: Callable[[Array], Array]) -> Signals:
     """Return signals with one of them changed, if it is there."""
     if channel not in signals:
         return signals

@@ -13,8 +13,8 @@ from estimator.effects.effect import (
     EffectContext,
     Parameter,
     Values,
-    changed,
     compute_step,
+    transform_channel,
 )
 from estimator.lumped.lumped_model import Physics
 from estimator.signals import apply_play
@@ -75,7 +75,7 @@ JOINT_BACKLASH = Effect(
     source="range assumed: 0.1 to 2 degrees",
     advice="Take the play out, or measure at the pulley and at the link.",
     starts=lambda _: [(3e-5,), (1.5e-4,)],
-    measure=lambda signals, values, _: changed(
+    measure=lambda signals, values, _: transform_channel(
         signals, DISTAL_DISPLACEMENT, lambda q: apply_backlash(q, values[0])
     ),
     required_channels=BOTH_TRAVELS,

@@ -16,8 +16,8 @@ from estimator.effects.effect import (
     Parameter,
     Signals,
     Values,
-    changed,
     compute_step,
+    transform_channel,
 )
 from estimator.effects.ends import apply_backlash
 from estimator.online.reading_correction import CorrectionKind
@@ -47,7 +47,7 @@ def _build_sensor_effect(
     def measure(signals: Signals, values: Values, context: EffectContext) -> Signals:
         if context.driver == channel:
             return signals
-        return changed(signals, channel, lambda signal: forward(signal, values, context))
+        return transform_channel(signals, channel, lambda signal: forward(signal, values, context))
 
     def invert(drive: Array, values: Values, context: EffectContext) -> Array:
         return inverse(drive, values, context) if context.driver == channel else drive
@@ -172,7 +172,7 @@ def _build_lag(
 def _delay_tip_signals(signals: Signals, values: Values, context: EffectContext) -> Signals:
     for channel in (DISTAL_TENSION, DISTAL_DISPLACEMENT):
         if channel in signals:
-            signals = changed(
+            signals = transform_channel(
                 signals, channel, lambda signal: _delay_signal(signal, values, context)
             )
     return signals
@@ -414,7 +414,7 @@ def _apply_ripple(signals: Signals, values: Values, context: EffectContext) -> S
     sine, cosine, number = values
     phase = number * context.drive
     wave = sine * np.sin(phase) + cosine * np.cos(phase)
-    return changed(signals, PROXIMAL_TENSION, lambda T: T + wave)
+    return transform_channel(signals, PROXIMAL_TENSION, lambda T: T + wave)
 
 
 COGGING_RIPPLE = Effect(
@@ -443,7 +443,7 @@ COGGING_RIPPLE = Effect(
 def _apply_sheath_rub(signals: Signals, values: Values, context: EffectContext) -> Signals:
     force, width = values
     lead = (context.drive - apply_backlash(context.drive, width)) / (0.5 * width)
-    return changed(signals, PROXIMAL_TENSION, lambda T: T + force * lead)
+    return transform_channel(signals, PROXIMAL_TENSION, lambda T: T + force * lead)
 
 
 SHEATH_RUB = Effect(

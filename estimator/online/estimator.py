@@ -28,7 +28,7 @@ class Estimator:
         self._known_noise = isinstance(model, TendonModel)
         self.model = model if isinstance(model, TendonModel) else TendonModel(model)
         self._prepared = online.prepare(self.model)
-        self._state = online.initial(self._prepared)
+        self._state = online.build_initial_state(self._prepared)
 
     def run(self, data: MeasuredData) -> Estimates:
         """Return the estimates of a whole record, from a tendon at its initial tension.
@@ -51,8 +51,8 @@ class Estimator:
         prepared = self._prepared
         if not self._known_noise:
             travel = data.proximal_displacement
-            noise = 0.0 if travel is None else signals.noise_sigma(travel)
-            sigma = signals.noise_sigma(data.proximal_tension)
+            noise = 0.0 if travel is None else signals.estimate_noise_sigma(travel)
+            sigma = signals.estimate_noise_sigma(data.proximal_tension)
             noisy = dataclasses.replace(self.model, tension_noise=sigma, displacement_noise=noise)
             prepared = online.prepare(noisy)
         return online.run(prepared, data.time, data.proximal_tension, data.proximal_displacement)
@@ -76,4 +76,4 @@ class Estimator:
 
     def reset(self) -> None:
         """Start again from the initial tension of the model."""
-        self._state = online.initial(self._prepared)
+        self._state = online.build_initial_state(self._prepared)

@@ -116,7 +116,7 @@ class EstimatorState(Struct):
     remembered: Annotated[Array, Field("f8", MAX_CORRECTIONS, fill=NAN)]  # by each correction
 
 
-def initial(prepared: PreparedTendon) -> EstimatorState:
+def build_initial_state(prepared: PreparedTendon) -> EstimatorState:
     """Return the state before the first sample."""
     state = EstimatorState.new()
     state.profile[:] = build_pretensioned_profile(prepared.tables, float(prepared.pretension))
@@ -126,9 +126,9 @@ def initial(prepared: PreparedTendon) -> EstimatorState:
     return state
 
 
-def initial_all(prepared: StructArray) -> StructArray:
+def build_initial_states(prepared: StructArray) -> StructArray:
     """Return the states of the tendons of a rig before the first sample, shape (n,)."""
     states = EstimatorState.array(len(prepared))
     for i in range(len(prepared)):
-        states[i] = initial(view_struct(prepared, i))
+        states[i] = build_initial_state(view_struct(prepared, i))
     return states

@@ -35,8 +35,8 @@ from estimator.online.estimator_state import (
     TENSION_FLOOR,
     EstimatorState,
     PreparedTendon,
-    initial,
-    initial_all,
+    build_initial_state,
+    build_initial_states,
     prepare,
     prepare_all,
 )
@@ -63,11 +63,11 @@ __all__ = [
     "TendonEstimate",
     "TendonModel",
     "advance",
-    "initial",
-    "initial_all",
+    "build_initial_state",
+    "build_initial_states",
+    "compute_profile",
     "prepare",
     "prepare_all",
-    "profile_at",
     "run",
     "step",
 ]
@@ -149,11 +149,13 @@ def run(
         )
     time, T, q = (np.ascontiguousarray(row, dtype=np.float64) for row in (time, tension, q))
     estimates = TendonEstimate.array(len(T))
-    _run_arrays(_as_array(prepared), _copy_as_array(initial(prepared)), time, T, q, estimates)
+    _run_arrays(
+        _as_array(prepared), _copy_as_array(build_initial_state(prepared)), time, T, q, estimates
+    )
     return Estimates(*(estimates[name].copy() for name in Estimates._fields))
 
 
-def profile_at(prepared: PreparedTendon, state: EstimatorState, x: Array) -> Array:
+def compute_profile(prepared: PreparedTendon, state: EstimatorState, x: Array) -> Array:
     """Return the tension T(x) [N] the state remembers at the arc lengths `x` [m], shape (n,)."""
     return evaluate_tension(prepared.tables, state.profile, np.asarray(x, dtype=np.float64))
 
@@ -175,7 +177,7 @@ def advance(
     prepared : PreparedTendon
         From `prepare`, or one of `prepare_all`.
     state : EstimatorState
-        From `initial`, or one of `initial_all`.
+        From `build_initial_state`, or one of `build_initial_states`.
     T, q : float
         T_in [N] and q_p [m] as read; q is NaN where there is none.
     dt : float

@@ -25,8 +25,8 @@ class TendonModel:
     sheath
         Geometry, friction and stiffness, of at most `tables.MAX_SECTIONS` sections.
     tension_noise, displacement_noise
-        Standard deviations of the white noise of T_in [N] and q_p [m]; `signals.noise_sigma`
-        estimates them from a record at rest. Quantisation by d counts as d/sqrt(12).
+        Standard deviations of the white noise of T_in [N] and q_p [m], from a record at rest by
+        `signals.estimate_noise_sigma`. Quantisation by d counts as d/sqrt(12).
     initial
         "slack", or the tension [N] along a tendon that has not slid since it was pretensioned.
     treatment

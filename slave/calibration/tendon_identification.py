@@ -266,8 +266,8 @@ def _build_tendon_config(
         friction=None if is_uniform else model.friction,
         sections=() if is_uniform else _scale_sections(model, calibration.K.value),
         axial_stiffness=round_significant(model.axial_stiffness),
-        tension_noise=round_significant(signals.noise_sigma(pulled.tension[moving])),
-        displacement_noise=round_significant(signals.noise_sigma(pulled.travel[moving])),
+        tension_noise=round_significant(signals.estimate_noise_sigma(pulled.tension[moving])),
+        displacement_noise=round_significant(signals.estimate_noise_sigma(pulled.travel[moving])),
         friction_error=round_significant(
             max(
                 RELATIVE_ERROR_MIN,

@@ -56,7 +56,7 @@ def open_rig(config: RigConfig, read_only: bool = False) -> Rig:
         if isinstance(config, RigExtension):
             raise UsageError(format_opening_failure("slave.rig", config, error)) from error
         raise
-    if error_text := layout_error(rig):
+    if error_text := find_layout_error(rig):
         rig.close()
         raise UsageError(f"slave.rig: {config.type}: {error_text}")
     return rig
@@ -72,7 +72,7 @@ def wrap_external_rig(rig: Rig, name: str) -> Rig:
         raise
 
 
-def layout_error(rig: Rig) -> str:
+def find_layout_error(rig: Rig) -> str:
     """Return what is wrong with the joints of a rig and what they must be; empty if nothing is."""
     joints = rig.joints
     if not 1 <= len(joints) <= MAX_JOINTS or any(len(joint) not in (1, 2) for joint in joints):

@@ -139,7 +139,7 @@ def read_figure(pulled: PulledTendon) -> Figure:
     last = slice(-round(READ_OVER / PERIOD), None)
     peak, end = float(T[last].mean()), float(q[last].mean())
     begins = float(offset + slope * free)
-    return Figure(begins, end - begins, peak, float(slope), signals.noise_sigma(T))
+    return Figure(begins, end - begins, peak, float(slope), signals.estimate_noise_sigma(T))
 
 
 def _ours(calibrated: CalibratedMethod | CalibrationRefused) -> FittedMethod:

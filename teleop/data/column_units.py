@@ -161,10 +161,10 @@ def _match_unit(word: str) -> str:
     unit = _WORDS.get(unit.lower().removesuffix("s"), unit)
     if any(unit in known for known in UNIT_FACTORS.values()):
         return unit
-    return "" if _is_mega(unit) else _in_any_case(unit)
+    return "" if _is_mega(unit) else _match_case(unit)
 
 
-def _in_any_case(word: str) -> str:
+def _match_case(word: str) -> str:
     every = [unit for factors in UNIT_FACTORS.values() for unit in factors]
     units = [unit for unit in every if len(unit) > 1 and unit.lower() == word.lower()]
     return max(units, key=lambda unit: unit[0] == word[0], default="")  # NM is Nm, not nm
@@ -172,6 +172,6 @@ def _in_any_case(word: str) -> str:
 
 def _is_mega(word: str) -> bool:
     """Return whether a word is a unit with the prefix M, as in MN, not one in capitals (MM)."""
-    unit = _in_any_case(word)
+    unit = _match_case(word)
     in_capitals = word.isupper() and word[1:] != unit[1:]
     return word.startswith("M") and unit.startswith("m") and unit != "min" and not in_capitals

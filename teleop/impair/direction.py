@@ -130,7 +130,7 @@ class Direction:
     ) -> None:
         self.cut = False
         self._near, self._far, self._queue = near, far, queue
-        self._keys = {topic.name: model.key_of(seed, name, topic.name) for topic in TOPICS}
+        self._keys = {topic.name: model.compute_key(seed, name, topic.name) for topic in TOPICS}
         self._puts = {topic.name: far.put(topic) for topic in TOPICS}
         self._memories = dict.fromkeys(self._keys, StreamState())
         self._counts: dict[str, Counter[str]] = {topic: Counter() for topic in self._keys}

@@ -46,7 +46,7 @@ class Delivery(NamedTuple):
     data: bytes
 
 
-def key_of(seed: int, *names: str) -> int:
+def compute_key(seed: int, *names: str) -> int:
     """Return the key of a stream."""
     text = "/".join([str(seed), *names]).encode()
     return int.from_bytes(hashlib.blake2b(text, digest_size=8).digest(), "little")
@@ -78,7 +78,7 @@ def step(
     config : DirectionConfig
         Impairments.
     key : int
-        The stream's, see `key_of`.
+        The stream's, see `compute_key`.
     time_s : float
         Arrival time [s]; never decreasing.
     data : bytes

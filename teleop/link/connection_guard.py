@@ -338,10 +338,10 @@ class ConnectionGuard:
         }
         active = {source for source, block in self._blocks.items() if now_s <= block.until_s}
         interfaces = read_tables(self._interfaces).decode()
-        ours_too = _own_networks((host for host, _ in self._listening), interfaces)
+        ours_too = _find_own_networks((host for host, _ in self._listening), interfaces)
         for source in _choose_blocks(counts, active, self._burst, ours_too):
             block = self._blocks.get(source)
-            number = sum(n for s, (n, _) in counts.items() if source in (s, _network_of(s)))
+            number = sum(n for s, (n, _) in counts.items() if source in (s, _to_network(s)))
             seconds = BLOCK_S if block is None else 2 * block.seconds
             seconds = min(max(seconds, number), BLOCK_MAX_S)
             self._blocks[source] = _Block(now_s + seconds, seconds, source in local_sources)
@@ -361,7 +361,7 @@ class ConnectionGuard:
                 if refused := listening.filter_packets(program):
                     self._note(f"a filter for blocked sources, by the kernel: {refused}")
         for source, connections in by_source.items():
-            if source in blocked or _network_of(source) in blocked:
+            if source in blocked or _to_network(source) in blocked:
                 for connection in connections:
                     connection.freeze()
 
@@ -388,7 +388,7 @@ def _find_source_network(host: str) -> Network:
     return ip_network(host)
 
 
-def _network_of(source: Network) -> Network | None:
+def _to_network(source: Network) -> Network | None:
     """Return the /64 of an address of IPv6; None of anything that has none of its own."""
     if source.version == 4 or source.prefixlen != source.max_prefixlen:
         return None
@@ -398,11 +398,11 @@ def _network_of(source: Network) -> Network | None:
     return source.supernet(new_prefix=64)
 
 
-def _own_networks(listening: Iterable[str], interfaces: str) -> set[Network]:
+def _find_own_networks(listening: Iterable[str], interfaces: str) -> set[Network]:
     """Return the /64s of the addresses that we listen at, and of those in /proc/net/if_inet6."""
     addresses = {ip_address(host) for host in listening}
     addresses |= {ip_address(bytes.fromhex(row.split()[0])) for row in interfaces.splitlines()}
-    networks = {_network_of(ip_network(address)) for address in addresses}
+    networks = {_to_network(ip_network(address)) for address in addresses}
     return {network for network in networks if network is not None}
 
 
@@ -434,10 +434,10 @@ def _choose_blocks(
         for s, (number, stuck) in half_open.items()
         if stuck >= BLOCK_HALF_OPEN_COUNT or number >= burst
     }
-    members = Counter(_network_of(source) for source in {*offenders, *blocked})
+    members = Counter(_to_network(source) for source in {*offenders, *blocked})
     other_networks: dict[Network | None, list[tuple[int, int]]] = {}
     for source, count in half_open.items():
-        other_networks.setdefault(_network_of(source), []).extend(
+        other_networks.setdefault(_to_network(source), []).extend(
             [count] * (source not in offenders)
         )
     wide = set()
@@ -451,7 +451,7 @@ def _choose_blocks(
         is_stuck = sum(stuck > 0 for _, stuck in counts) >= MISBEHAVING_ADDRESSES_MAX
         if members[network] >= MISBEHAVING_ADDRESSES_MAX or is_burst or is_stuck:
             wide.add(network)
-    chosen = [*wide, *(s for s in offenders if not {_network_of(s)} & {*wide, *blocked})]
+    chosen = [*wide, *(s for s in offenders if not {_to_network(s)} & {*wide, *blocked})]
     return [source for source in chosen if source not in blocked]
 
 

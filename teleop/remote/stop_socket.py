@@ -21,7 +21,7 @@ from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import NamedTuple, Self
 
-from teleop.session.running_sessions import list_own_folders, usable_folders
+from teleop.session.running_sessions import find_usable_folders, list_own_folders
 
 ANSWER_S = 2.0  # [s] timeout for the answers of all processes; they take milliseconds
 REPEAT_S = 0.02  # [s] between two requests: a peer's state in an answer may still be the old one
@@ -68,7 +68,7 @@ class StopSocket:
 
     def __enter__(self) -> Self:
         reason = "there is no folder of this user alone: set XDG_RUNTIME_DIR"
-        for folder in usable_folders(self._name):
+        for folder in find_usable_folders(self._name):
             try:
                 self._socket = _bind_socket(folder / self._name, self._stack)
             except OSError as error:
@@ -195,7 +195,7 @@ def request_local(session: str, is_reset: bool, reason: str) -> LocalAnswers:
         if not sockets:
             return answers
         folders = [path.parent for path, _ in sockets]
-        mine, has_address = _sender(list(dict.fromkeys(folders + list_own_folders())), stack)
+        mine, has_address = _open_sender(list(dict.fromkeys(folders + list_own_folders())), stack)
         deadline = time.monotonic() + ANSWER_S
         while sockets and time.monotonic() < deadline:
             for address, role in list(sockets):
@@ -251,7 +251,7 @@ def _list_sockets() -> list[tuple[Path, str, str]]:
     return sockets
 
 
-def _sender(folders: list[Path], stack: ExitStack) -> tuple[socket.socket, bool]:
+def _open_sender(folders: list[Path], stack: ExitStack) -> tuple[socket.socket, bool]:
     """Return a socket for requests, and whether it can be answered: it needs a file for that."""
     for folder in folders:
         with suppress(OSError):  # read-only, or no space for a file

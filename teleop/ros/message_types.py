@@ -63,7 +63,7 @@ def require_rosbags() -> None:
 
 
 @cache
-def typestore() -> "Typestore":
+def load_typestore() -> "Typestore":
     """Return all types; `UsageError` if `rosbags` is not installed."""
     require_rosbags()
     from rosbags.typesys import get_types_from_msg
@@ -85,17 +85,17 @@ def to_type_name(cls: type[Message]) -> str:
 @cache
 def compute_type_hash(name: str) -> str:
     """Return the hash of a type, `RIHS01_` and 64 hexadecimal digits."""
-    return typestore().hash_rihs01(name)
+    return load_typestore().hash_rihs01(name)
 
 
 def format_definition(name: str) -> str:
     """Return the `.msg` text of a type with those that it refers to, as MCAP's `ros2msg` wants."""
-    return typestore().generate_msgdef(name, ros_version=2)[0]
+    return load_typestore().generate_msgdef(name, ros_version=2)[0]
 
 
 def encode(message: Any) -> bytes:
     """Return the bytes of a message, little-endian CDR."""
-    data = typestore().serialize_cdr(message, message.__msgtype__, little_endian=True)
+    data = load_typestore().serialize_cdr(message, message.__msgtype__, little_endian=True)
     return data.tobytes()
 
 
@@ -113,7 +113,7 @@ def decode(name: str, data: bytes) -> Any:
         raise CdrError("not little-endian CDR")
     if len(data) > _BYTES_MAX:
         raise CdrError(f"{len(data)} bytes, at most {_BYTES_MAX} are read")
-    store = typestore()
+    store = load_typestore()
     definition = store.get_msgdef(name)
     body = memoryview(data)[len(ENCAPSULATION) :]
     try:
@@ -128,7 +128,7 @@ def decode(name: str, data: bytes) -> Any:
 
 def build_message(type_name: str, /, **fields: Any) -> Any:
     """Return a message; fields that are not given are zero or empty."""
-    return typestore().types[type_name](**(_build_default_fields(type_name) | fields))
+    return load_typestore().types[type_name](**(_build_default_fields(type_name) | fields))
 
 
 @cache
@@ -136,7 +136,7 @@ def _build_default_fields(name: str) -> dict[str, Any]:
     from rosbags.interfaces import Nodetype
 
     values: dict[str, Any] = {}
-    for field, (kind, detail) in typestore().fielddefs[name][1]:
+    for field, (kind, detail) in load_typestore().fielddefs[name][1]:
         if kind == Nodetype.NAME:
             values[field] = build_message(str(detail))
         elif kind == Nodetype.BASE:

@@ -48,7 +48,7 @@ def register_session(entry: RunningSession) -> Iterator[None]:
     first line says how to reach it.
     """
     entry = entry._replace(pid=os.getpid(), began=time.strftime("%Y-%m-%d %H:%M:%S%z"))
-    for folder in usable_folders():
+    for folder in find_usable_folders():
         path = folder / f"{entry.session}.{entry.pid}.json"
         partial = path.with_suffix(".partial")
         with suppress(OSError):
@@ -163,13 +163,13 @@ def _read_entry(path: Path) -> RunningSession | None:
     return None
 
 
-def usable_folders(socket_name: str = "") -> Iterator[Path]:
+def find_usable_folders(socket_name: str = "") -> Iterator[Path]:
     """Yield the folders, made if missing, that nobody else can write to, the preferred one first.
 
     With a `socket_name` those in which a Unix socket can have that name. One that another user has
     made first, or that cannot be written to, is passed over: everybody may do that below /tmp.
     """
-    state = _state_folder()
+    state = _get_state_folder()
     for folder in _list_candidate_folders():
         is_short = len(os.fsencode(folder / socket_name)) < SOCKET_ADDRESS_BYTES
         if not is_short and socket_name:
@@ -197,11 +197,11 @@ def _list_candidate_folders() -> list[Path]:
     folders = [Path(base) / _FOLDER for base in bases if base]
     temporary = (os.environ.get("TMPDIR"), *_TEMPORARY)
     folders += [Path(base).absolute() / f"{_FOLDER}-{os.getuid()}" for base in temporary if base]
-    state = _state_folder()
+    state = _get_state_folder()
     return list(dict.fromkeys(folders if state is None else [*folders, state]))
 
 
-def _state_folder() -> Path | None:
+def _get_state_folder() -> Path | None:
     """Return the folder below the home of this user, which no other one can occupy; None without.
 
     One for each start of a machine: machines may share a home, and a name of a socket in it tells

@@ -4,7 +4,7 @@ import pytest
 from estimator.law.sheath import Sheath
 from estimator.online import online
 from estimator.online.online import TendonModel
-from estimator.signals import Treatment, noise_sigma, update_play, update_variance
+from estimator.signals import Treatment, estimate_noise_sigma, update_play, update_variance
 
 FRICTIONLESS = Sheath.uniform(0.0, 1.5, 9000.0)
 
@@ -22,13 +22,13 @@ def test_noise_is_found_at_rest_and_on_a_ramp(sigma):
     ramp = np.linspace(0.0, 20.0, 5000)
     steps = np.repeat(rng.uniform(0.0, 10.0, 10), 500)
     for signal in (noise, noise + ramp, noise + steps):
-        assert noise_sigma(signal) == pytest.approx(sigma, rel=0.05)
+        assert estimate_noise_sigma(signal) == pytest.approx(sigma, rel=0.05)
 
 
 @pytest.mark.parametrize("signal", [np.zeros(7), np.full(100, np.nan), np.zeros((10, 10))])
 def test_noise_is_not_guessed_from_nothing(signal):
     with pytest.raises(ValueError, match="at least 8 finite samples"):
-        noise_sigma(signal)
+        estimate_noise_sigma(signal)
 
 
 @pytest.mark.parametrize("tau", [0.0, 0.002, 0.01])

@@ -122,7 +122,7 @@ def follow(
     rig = SimulatedRig(SimulatedRigConfig(joints=tuple(joints), effects=tuple(effects), seed=seed))
     models = [model(tendon, j.body.pretension, *errors) for j in joints for tendon in j.tendons]
     prepared = [online.prepare(m) for m in models]
-    states = [online.initial(p) for p in prepared]
+    states = [online.build_initial_state(p) for p in prepared]
     layout, settings, limits = (
         view_struct(build_rig_layout(rig.joints)),
         to_struct(config),

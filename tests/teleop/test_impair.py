@@ -30,7 +30,7 @@ from teleop.runtime.clock import now_ns
 from teleop.runtime.process import SUPERVISED_VARIABLE
 from tests.system.processes import free_ports
 
-KEY = model.key_of(1, "to_slave", "command")
+KEY = model.compute_key(1, "to_slave", "command")
 PERIOD_S = 1e-3
 
 

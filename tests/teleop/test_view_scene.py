@@ -103,7 +103,7 @@ def test_T_of_x_is_the_estimators_profile_at_chosen_instants(tmp_path):  # noqa:
     """The estimator on a tendon pulled and let go, from its own state to the file."""
     model = SheathModel((Section(0.3), Section(0.8, 0.25)), 0.15, 9000.0)
     prepared = online.prepare(online.TendonModel(model))
-    state = online.initial(prepared)
+    state = online.build_initial_state(prepared)
     told = Session(0)
     length, radius = (
         pad_values([getattr(s, name) for s in model.sections], 16) for name in ("length", "radius")
@@ -123,7 +123,7 @@ def test_T_of_x_is_the_estimators_profile_at_chosen_instants(tmp_path):  # noqa:
         estimate, state = online.step(prepared, state, T, T * 5e-5, 1e-3)
         if k % 20 == 0:
             stamp = T0 + k * 1_000_000
-            expected[stamp] = (online.profile_at(prepared, state, x), estimate.front)
+            expected[stamp] = (online.compute_profile(prepared, state, x), estimate.front)
             profile = TensionProfile(
                 length=model.length,
                 front=estimate.front,

@@ -79,21 +79,21 @@ def encode_period(rate_hz: float) -> tuple[int, int]:
             return count, exponent
     raise ValueError(
         f"rate_hz: its period must be 1 to {COUNT_MAX} whole units of 1, 0.1 or 0.01 ms (object "
-        f"60C2); the nearest is {nearest_rate(rate_hz):.6g} Hz"
+        f"60C2); the nearest is {find_nearest_rate(rate_hz):.6g} Hz"
     )
 
 
-def nearest_rate(rate_hz: float) -> float:
+def find_nearest_rate(rate_hz: float) -> float:
     """Return the rate [Hz] nearest to `rate_hz` whose period can be encoded."""
-    return min(_usable_rates(), key=lambda usable: abs(usable - rate_hz))
+    return min(_list_usable_rates(), key=lambda usable: abs(usable - rate_hz))
 
 
-def highest_rate(limit_hz: float) -> float:
+def find_highest_rate(limit_hz: float) -> float:
     """Return the highest rate [Hz] up to `limit_hz` whose period can be encoded, or the lowest."""
-    return max((usable for usable in _usable_rates() if usable <= limit_hz), default=RATE_MIN)
+    return max((usable for usable in _list_usable_rates() if usable <= limit_hz), default=RATE_MIN)
 
 
-def _usable_rates() -> list[float]:
+def _list_usable_rates() -> list[float]:
     rates = (10.0**-e / count for e in EXPONENTS for count in range(1, COUNT_MAX + 1))
     return [rate for rate in rates if RATE_MIN <= rate <= RATE_MAX]
 
@@ -224,7 +224,7 @@ class Cia402Config:
             for rate_hz in (0.0, self.rate_hz)
         )
         if load > LOAD_MAX:
-            lower_hz = highest_rate(self.rate_hz * (LOAD_MAX - idle) / (load - idle))
+            lower_hz = find_highest_rate(self.rate_hz * (LOAD_MAX - idle) / (load - idle))
             raise ValueError(
                 f"the bus would be {load:.0%} full at {self.rate_hz:g} Hz, {LOAD_MAX:.0%} at most: "
                 f"lower rate_hz to {lower_hz:.6g} or less, or use two buses"

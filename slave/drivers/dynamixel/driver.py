@@ -108,7 +108,7 @@ class DynamixelDriver:
             bus.put(number, register, value)
             self._changed.append(f"servo {number}: {register.name} was {actual}, set to {value}")
         if limit is not None:  # after the operating mode, whose change resets the goal current
-            counts = registers.current_counts(limit, unit)
+            counts = registers.to_current_counts(limit, unit)
             bus.put(number, registers.CURRENT_LIMIT, counts)
             bus.put(number, registers.GOAL_CURRENT, counts)
         bus.put(number, registers.GOAL_PWM, bus.get(number, registers.PWM_LIMIT))

@@ -141,7 +141,7 @@ def list_settings(limits_current: bool) -> tuple[tuple[Register, int], ...]:
     )
 
 
-def current_counts(current: float, unit: float) -> int:
+def to_current_counts(current: float, unit: float) -> int:
     """Return the largest count of `unit` [A] that is not above a current [A]; 1 at least."""
     return max(1, math.floor(current / unit + 1e-6))
 

@@ -171,7 +171,7 @@ def test_distributed_play_has_in_the_loop_the_numbers_of_the_diagnosis(values, s
         for physics in (plain, one.physics(plain, values, None))
     ]
     q = nodes[1].proximal_displacement
-    state = online.initial(prepared)
+    state = online.build_initial_state(prepared)
     for i in range(len(time)):
         dt = 0.01 if i else 0.0
         row, state = online.step(prepared, state, T[i], q[i], dt)
@@ -200,7 +200,7 @@ def test_run_gives_the_numbers_of_step_bit_for_bit(name):
     T, q = (data.channels[f"proximal_{one}"][:700].copy() for one in ("tension", "displacement"))
     T[[50, 51, 300]], q[400:450] = (math.nan, math.inf, -5.0), math.nan
     time = data.time[:700]
-    rows, state = [], online.initial(prepared)
+    rows, state = [], online.build_initial_state(prepared)
     for i in range(len(time)):
         before = state.tobytes()
         dt = time[i] - time[i - 1] if i else 0.0
@@ -217,7 +217,7 @@ def test_a_refused_sample_leaves_no_trace_and_the_force_is_always_finite(name):
     data = bench(name, "blocked")
     prepared = online.prepare(models(data.truth, name)[1])
     T, q = (data.channels[f"proximal_{one}"] for one in ("tension", "displacement"))
-    state = online.initial(prepared)
+    state = online.build_initial_state(prepared)
     for i in range(600):
         last, state = online.step(prepared, state, T[i], q[i], 0.01)
     for wrong in ((math.nan, q[600]), (math.inf, q[600]), (-9.0, q[600]), (T[600], math.inf)):
@@ -281,7 +281,9 @@ def test_several_effects_of_readings_are_undone_in_the_opposite_order():
     gain, bias = effect("proximal_tension_gain"), effect("proximal_tension_bias")
     found = build_extended_model((0.5, 1e-4, 0.0), [(gain, (0.5,)), (bias, (2.0,))], 60.0, 1.0)
     prepared = online.prepare(TendonModel(found.sheath, extension=found.extension))
-    row, _ = online.step(prepared, online.initial(prepared), 1.5 * 8.0 + 2.0, math.nan, 0.0)
+    row, _ = online.step(
+        prepared, online.build_initial_state(prepared), 1.5 * 8.0 + 2.0, math.nan, 0.0
+    )
     assert row.distal_tension == pytest.approx(8.0 * math.exp(-0.5))
 
 
@@ -289,7 +291,7 @@ def running(*effects):
     """Return a model and its first state, with effects at their values."""
     found = build_extended_model((0.8, 1e-4, 5e-4), list(effects), 60.0, 1.0)
     prepared = online.prepare(TendonModel(found.sheath, extension=found.extension))
-    return prepared, online.initial(prepared)
+    return prepared, online.build_initial_state(prepared)
 
 
 @pytest.mark.parametrize("rise", [-0.03, -0.01, 0.2])

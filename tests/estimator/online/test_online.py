@@ -159,7 +159,7 @@ def test_step_and_run_give_the_same_numbers():
     T[50], q[90:100], T[200] = math.nan, math.nan, -9.0
     prepared = online.prepare(model(NOISES[1]))
     whole = online.run(prepared, record.time, T, q)
-    state = online.initial(prepared)
+    state = online.build_initial_state(prepared)
     before = 0.0
     for i, t in enumerate(record.time):
         kept = state.tobytes()
@@ -223,7 +223,7 @@ BAD = [
 @pytest.mark.parametrize("sample", BAD)
 def test_a_bad_sample_is_refused_held_and_widens_the_interval(sample):
     prepared = online.prepare(model())
-    state = online.initial(prepared)
+    state = online.build_initial_state(prepared)
     for T in np.linspace(0.0, 8.0, 200):
         good, state = online.step(prepared, state, T, T * 1.0536e-4, 0.002)
     assert good.status == Status.OK
@@ -246,7 +246,9 @@ def test_a_bad_sample_is_refused_held_and_widens_the_interval(sample):
 
 def test_bad_from_the_first_sample_on_is_survived():
     prepared = online.prepare(model())
-    estimate_, state = online.step(prepared, online.initial(prepared), math.nan, math.nan, 0.0)
+    estimate_, state = online.step(
+        prepared, online.build_initial_state(prepared), math.nan, math.nan, 0.0
+    )
     assert estimate_.status & Status.INVALID_INPUT
     assert estimate_.distal_tension == pytest.approx(0.0, abs=1e-6)
     after, _ = online.step(prepared, state, 3.0, 3e-4, 0.001)
@@ -280,12 +282,12 @@ def test_profile_is_that_of_the_chain():
     section = SHEATH.sections[0]
     chain = Chain([(section.length, section.radius)], SHEATH.friction, 9000.0, beads=80)
     prepared = online.prepare(model())
-    state = online.initial(prepared)
+    state = online.build_initial_state(prepared)
     for q in np.concatenate([np.linspace(0, 1.6e-3, 200), np.linspace(1.6e-3, 1.2e-3, 100)]):
         chain.move(Position(q), Position(0.0))
         result, state = online.step(prepared, state, chain.T_in, q, 1.0 / RATE)
     places = np.concatenate([[0.0], (np.cumsum(chain.lengths) - chain.lengths / 2)[1:-1], [1.5]])
-    profile = online.profile_at(prepared, state, places)
+    profile = online.compute_profile(prepared, state, places)
     assert profile == pytest.approx(chain.tensions, rel=0.01)
     assert profile[0] == pytest.approx(result.distal_tension * profile[0] / profile[-1])
     assert result.phase == Phase.PULL_TO_RELEASE
@@ -333,7 +335,7 @@ def test_tendons_of_a_rig_are_estimated_as_each_alone():
     T, q = measure(record, NOISES[1])
     models = [model(NOISES[1], sheath, initial=5.0) for sheath in SHEATHS]
     prepared = online.prepare_all(models)
-    states = online.initial_all(prepared)
+    states = online.build_initial_states(prepared)
     estimates = TendonEstimate.array(len(models))
     alone = [
         online.run(online.prepare(m), record.time, T * (1 + i), q) for i, m in enumerate(models)
@@ -389,7 +391,7 @@ def test_a_loose_tendon_is_known_to_be_dragged_by_the_way_its_motor_pays_out(noi
 def test_a_tip_that_stops_is_not_taken_to_have_turned():
     """A T_in that stays for a while after a fall is no rise: T_out is still T_in e^-K."""
     prepared = online.prepare(model())
-    state = online.initial(prepared)
+    state = online.build_initial_state(prepared)
     falls = np.repeat(np.arange(10.0, 6.0, -0.05), 10)  # [N] in steps, as a coarse cell gives them
     pull = np.linspace(0.0, 10.0, 200)
     T_in = np.concatenate([pull, falls])

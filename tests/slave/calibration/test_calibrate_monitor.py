@@ -49,7 +49,7 @@ class Use:
         self.models = [model.model() for model in models]
         prepared = [online.prepare(model) for model in self.models]
         constants = monitor.build_monitor_constants(self.models)
-        states = [online.initial(p) for p in prepared]
+        states = [online.build_initial_state(p) for p in prepared]
         monitors = TendonMonitor.array(2)
         self.monitors = [view_struct(monitors, i) for i in range(2)]
         self.time, self.advice, self.errors = [], [], []
@@ -162,7 +162,7 @@ def test_an_error_within_its_doubt_says_nothing():
 def test_what_the_estimator_does_not_trust_does_not_count():
     model = online.TendonModel(Sheath.uniform(1.0, 1.5, 9000.0))
     prepared = online.prepare(model)
-    estimate, _ = online.step(prepared, online.initial(prepared), 5.0, 0.0, 0.0)
+    estimate, _ = online.step(prepared, online.build_initial_state(prepared), 5.0, 0.0, 0.0)
     assert estimate.status & online.Status.UNINITIALISED
     tendon = known(0.1)
     tendon.pulled, tendon.reached, tendon.transition.points = True, 4.0, 3

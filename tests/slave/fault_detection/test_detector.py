@@ -39,7 +39,7 @@ class Detector:
 def test_a_sample_that_the_estimator_refused_tells_nothing_and_an_encoder_may_be_missing():
     prepared = [online.prepare(online.TendonModel(SHEATH))] * 2
     detector = Detector(((0, 1),), online.TendonModel(SHEATH))
-    states = [online.initial(p) for p in prepared]
+    states = [online.build_initial_state(p) for p in prepared]
     for k in range(300):
         tension = np.array([math.nan if k % 3 == 0 else 5.0 + 0.01 * k, 0.3])
         travel = None if k % 5 == 0 else np.array([1e-4 * k, -1e-4 * k])
@@ -57,7 +57,7 @@ def test_a_stuck_cell_is_not_taken_for_a_jam_by_what_it_reads():
     """The motor pays out while the reading stays: as if the tendon were tight without stretch."""
     model = online.TendonModel(SHEATH, tension_noise=0.01)
     prepared = online.prepare(model)
-    state, stretch = online.initial(prepared), compute_compliance(SHEATH)
+    state, stretch = online.build_initial_state(prepared), compute_compliance(SHEATH)
     detector, found = Detector(((0, 1),), model), []
     T_a, T_b = 10.0, 0.3
     q_a, q_b = compute_elongation_min(stretch, T_a), compute_elongation_min(stretch, T_b)

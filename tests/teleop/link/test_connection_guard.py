@@ -193,7 +193,7 @@ def test_our_networks_are_those_of_the_interfaces_and_of_what_is_listened_at() -
         "fe800000000000000000000000000005 02 40 20 80     eth0\n"
         "00000000000000000000000000000001 01 80 10 80       lo\n"
     )
-    found = connection_guard._own_networks(["127.0.0.1", "2001:db8:3::7"], table)
+    found = connection_guard._find_own_networks(["127.0.0.1", "2001:db8:3::7"], table)
     assert found == {ip_network(OWN), ip_network("2001:db8:3::/64")}
 
 

@@ -34,7 +34,7 @@ from teleop.ros.message_types import (
     build_joint_state,
     build_message,
     encode,
-    typestore,
+    load_typestore,
 )
 from tests.teleop.recorded import START_NS
 
@@ -89,7 +89,7 @@ def bag(recording, tmp_path_factory):
 
 
 def test_a_reader_of_others_reads_our_bag(bag):
-    with AnyReader([bag], default_typestore=typestore()) as reader:
+    with AnyReader([bag], default_typestore=load_typestore()) as reader:
         assert reader.message_count == 300 * (3 + 4 + 2 + 2) + 3 * 2 + 300 * 1
         types = {c.topic: c.msgtype for c in reader.connections}
         assert types["/slave/measured_cf"] == "geometry_msgs/msg/WrenchStamped"
@@ -168,7 +168,7 @@ class Foreign:
     def write(self, topic, message, at_s):
         if topic not in self._connections:
             self._connections[topic] = self._writer.add_connection(
-                topic, message.__msgtype__, typestore=typestore()
+                topic, message.__msgtype__, typestore=load_typestore()
             )
         stamp_ns = START_NS + round(at_s * 1e9)
         self._writer.write(self._connections[topic], stamp_ns, encode(message))

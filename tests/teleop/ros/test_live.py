@@ -12,7 +12,7 @@ from teleop.messages.messages import Hand, LoopReport, Sheath, SlaveState, Tendo
 from teleop.messages.topics import COMMAND, HAND, REPORT, SHEATH, STATE, TENDONS, Role
 from teleop.ros.config import RosConfig
 from teleop.ros.graph import RELIABLE, Qos
-from teleop.ros.message_types import JOINT_STATE, typestore
+from teleop.ros.message_types import JOINT_STATE, load_typestore
 from teleop.ros.node import RosNode
 from teleop.ros.publishers import Publishers
 from teleop.session.state_machine import State
@@ -97,7 +97,7 @@ def heard():
 
 @pytest.fixture(scope="module")
 def store():
-    return typestore()
+    return load_typestore()
 
 
 def last(heard, store, topic):

@@ -33,9 +33,9 @@ from teleop.ros.message_types import (
     decode,
     encode,
     format_definition,
+    load_typestore,
     to_stamp_ns,
     to_type_name,
-    typestore,
 )
 from tests.teleop.ros.values import TYPES, as_tree, value_of
 
@@ -63,7 +63,7 @@ def test_hashes_that_ros_jazzy_ships():
 
 
 def test_a_definition_contains_all_types_that_it_refers_to():
-    store = typestore()
+    store = load_typestore()
     for name in (TF_MESSAGE, DIAGNOSTIC_ARRAY):
         types = get_types_from_msg(format_definition(name), name)
         assert {k: store.fielddefs[k][1] for k in types} == {k: v[1] for k, v in types.items()}
@@ -131,6 +131,6 @@ def test_without_the_extra_one_line_names_the_remedy(monkeypatch, capsys):
         (line,) = capsys.readouterr().err.splitlines()
         assert "pip install 'tendon-teleop[ros]'" in line
     with pytest.raises(UsageError, match=r"tendon-teleop\[ros\]"):
-        typestore.__wrapped__()
+        load_typestore.__wrapped__()
     with pytest.raises(DeviceFault, match=r"tendon-teleop\[ros\]"):
         ros_device.RosDevice(RosDeviceConfig())

@@ -15,7 +15,7 @@ from teleop.messages.messages import MESSAGES, Sheath, pad_values
 from teleop.ros.command import build_package_files
 from teleop.ros.config import RosConfig, check_ports
 from teleop.ros.frames import compute_tip_transform, to_quaternion
-from teleop.ros.message_types import typestore
+from teleop.ros.message_types import load_typestore
 
 
 @pytest.mark.parametrize(
@@ -47,7 +47,7 @@ def test_the_package_declares_the_messages_that_are_sent(tmp_path, capsys):
     assert commands.main(["ros", "--package", str(tmp_path)]) == 0
     root = tmp_path / "tendon_teleop"
     assert str(root) in capsys.readouterr().out
-    store = typestore()
+    store = load_typestore()
     for cls in MESSAGES:
         text = (root / "msg" / f"{cls.__name__}.msg").read_text()
         name = f"tendon_teleop/msg/{cls.__name__}"

@@ -9,7 +9,7 @@ from rosbags.interfaces import Nodetype
 
 from teleop.messages.messages import MESSAGES
 from teleop.ros import message_types
-from teleop.ros.message_types import build_message, to_type_name, typestore
+from teleop.ros.message_types import build_message, load_typestore, to_type_name
 
 STANDARD = tuple(
     value
@@ -21,7 +21,7 @@ TYPES = (*STANDARD, *map(to_type_name, MESSAGES))
 
 def value_of(name: str, rng: np.random.Generator) -> Any:
     """A message with a value of its own in every field; sequences of 0 to 4 elements."""
-    fields = typestore().fielddefs[name][1]
+    fields = load_typestore().fielddefs[name][1]
     return build_message(
         name, **{field: _value(kind, detail, rng) for field, (kind, detail) in fields}
     )

@@ -1,6 +1,6 @@
 """An effect of your own, for `teleop diagnose DATA --effects mylab-curve,creep`."""
 
-from estimator.effects.effect import DISTAL_TENSION, Effect, Parameter, changed
+from estimator.effects.effect import DISTAL_TENSION, Effect, Parameter, transform_channel
 
 DISTAL_TENSION_CURVE = Effect(
     name="distal_tension_curve",
@@ -10,7 +10,7 @@ DISTAL_TENSION_CURVE = Effect(
     source="assumed range: 0.1 to 2 % of full scale",
     advice="Hang several known weights on the load cell at the tip, and keep the table.",
     starts=lambda _: [(2e-3,)],
-    measure=lambda signals, values, _: changed(
+    measure=lambda signals, values, _: transform_channel(
         signals, DISTAL_TENSION, lambda T: T + values[0] * T**2
     ),
     required_channels=frozenset({DISTAL_TENSION}),
