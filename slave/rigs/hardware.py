@@ -15,6 +15,7 @@ from slave.drivers.configs import DriverConfig
 from slave.drivers.connection import DriverProcess
 from slave.drivers.driver import Channels, Counts, DriverFault, Reading
 from slave.drivers.dynamixel.config import DynamixelConfig
+from slave.ranged_field import build_ranged_field, check_ranges
 from slave.rig import RigFault, RigSample, number_joint_tendons
 from teleop.messages.messages import MAX_JOINTS
 
@@ -122,20 +123,17 @@ class MotorConfig:
     """A motor and the pulley that winds its tendon."""
 
     id: int  # on its bus
-    pulley_radius: float  # [m]
+    pulley_radius: float = build_ranged_field(..., 1e-4, 1.0, "m")
     counts_per_turn: float  # of the motor's shaft
-    gear: float = 1.0  # turns of the motor a turn of the pulley
+    gear: float = build_ranged_field(1.0, 1e-3, 1e5)  # turns of the motor a turn of the pulley
     direction: Literal[1, -1] = 1  # 1: counts grow as the tendon is pulled in
     zero: float = 0.0  # [counts] where the tendon's displacement is 0
 
     def __post_init__(self) -> None:
         """Check the values; raises `ValueError`."""
-        if not 1e-4 <= self.pulley_radius <= 1.0:
-            raise ValueError("pulley_radius: must be 0.0001 to 1 m")
+        check_ranges(self)
         if not 1.0 <= self.counts_per_turn <= 1e9:
             raise ValueError("counts_per_turn: must be 1 to 1e9")
-        if not 1e-3 <= self.gear <= 1e5:
-            raise ValueError("gear: must be 0.001 to 100000")
 
     @property
     def metres_per_count(self) -> float:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from estimator.array_types import Array
 from estimator.compiled import jit_compile
+from slave.ranged_field import build_ranged_field, check_ranges
 from teleop.config.loading import MAY_BE_INFINITE
 
 IntArray = NDArray[np.int64]
@@ -64,17 +65,16 @@ class TissueConfig:
     type: Literal["tissue"] = "tissue"
     position: float = 0.008  # [m] of the joint at first contact
     stiffness: float = 9_400.0  # [N/m^exponent]
-    exponent: float = 1.5
+    exponent: float = build_ranged_field(1.5, 1.0, 4.0)
     dissipation: float = 1.0  # [s/m]
     side: Literal["a", "b"] = "a"
 
     def __post_init__(self) -> None:
         """Check the values; raises `ValueError`."""
+        check_ranges(self)
         _check_position(self.position)
         if not 0.0 <= self.stiffness <= 1e9:
             raise ValueError("stiffness: must be 0 to 1e9 N/m^exponent")
-        if not 1.0 <= self.exponent <= 4.0:
-            raise ValueError("exponent: must be 1 to 4")
         if not 0.0 <= self.dissipation <= 1e4:
             raise ValueError("dissipation: must be 0 to 10 000 s/m")
 

@@ -18,6 +18,7 @@ from numba.typed import List
 
 from estimator.array_types import Array
 from estimator.compiled import jit_compile, jit_inline
+from slave.ranged_field import build_ranged_field, check_ranges
 from slave.simulation.chain import compute_response, recover_state
 from slave.simulation.contacts import Curve, interpolate_curve
 from slave.simulation.environment import (
@@ -40,26 +41,20 @@ from slave.simulation.tendon import Chain, get_tensions, init_chain_state
 class BodyConfig:
     """A light joint with a return spring and end stops."""
 
-    mass: float = 0.02  # [kg] inertia over radius squared; 0 = always in balance
-    damping: float = 2.0  # [N s/m]
-    friction: float = 0.0  # [N] Coulomb, dry
-    spring: float = 200.0  # [N/m] towards the start
-    pretension: float = 1.0  # [N] of all tendons at the start; a return spring holds a single one
+    # inertia over radius squared; 0 = always in balance
+    mass: float = build_ranged_field(0.02, 0.0, 1e3, "kg")
+    damping: float = build_ranged_field(2.0, 0.0, 1e5, "N s/m")
+    friction: float = build_ranged_field(0.0, 0.0, 1e3, "N")  # Coulomb, dry
+    spring: float = build_ranged_field(200.0, 0.0, STIFFNESS_MAX, "N/m")  # towards the start
+    # of all tendons at the start; a return spring holds a single one
+    pretension: float = build_ranged_field(1.0, 0.0, 100.0, "N")
     stops: tuple[float, float] = (-0.030, 0.030)  # [m] of travel; rigid, without rebound
-    backlash: float = 0.0  # [m] whole play between the tendons' pulley and the link
+    # whole play between the tendons' pulley and the link
+    backlash: float = build_ranged_field(0.0, 0.0, 0.1, "m")
 
     def __post_init__(self) -> None:
         """Check the values; raises `ValueError`."""
-        for name, limit, unit in (
-            ("mass", 1e3, "kg"),
-            ("damping", 1e5, "N s/m"),
-            ("friction", 1e3, "N"),
-            ("spring", STIFFNESS_MAX, "N/m"),
-            ("pretension", 100.0, "N"),
-            ("backlash", 0.1, "m"),
-        ):
-            if not 0.0 <= getattr(self, name) <= limit:
-                raise ValueError(f"{name}: must be 0 to {limit:g} {unit}")
+        check_ranges(self)
         low, high = self.stops
         if not -TRAVEL_MAX <= low < 0.0 < high <= TRAVEL_MAX:
             raise ValueError(

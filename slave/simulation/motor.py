@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from estimator.compiled import jit_compile
+from slave.ranged_field import build_ranged_field, check_ranges
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,35 +20,26 @@ class MotorConfig:
     assumptions. Set those of your motor.
     """
 
-    pulley_radius: float = 0.010  # [m] at the gear's output *
-    gear: float = 134.0  # turns of the motor for one of the pulley
-    efficiency: float = 0.60  # of the gear, three stages of planets
-    backlash: float = 0.0  # [rad] of the gear, at its output; such a gear has about 0.02
-    no_load_speed: float = 670.0  # [rad/s] of the motor
-    stall_torque: float = 0.139  # [N m] of the motor, at rated voltage
-    peak_torque: float = 0.075  # [N m] of the motor, as its driver limits the current *
-    rated_torque: float = 0.028  # [N m] of the motor, continuous
-    thermal_time: float = 10.0  # [s] thermal time constant of the winding *
-    rotor_inertia: float = 1.1e-6  # [kg m^2]
-    bandwidth: float = 100.0  # [rad/s] of the position loop *; its speed loop is 4 times faster
+    pulley_radius: float = build_ranged_field(0.010, 1e-4, 1.0, "m")  # at the gear's output *
+    gear: float = build_ranged_field(134.0, 1e-3, 1e5)  # turns of the motor for one of the pulley
+    efficiency: float = build_ranged_field(0.60, 1e-2, 1.0)  # of the gear, three stages of planets
+    # of the gear, at its output; such a gear has about 0.02
+    backlash: float = build_ranged_field(0.0, 0.0, 1.0, "rad")
+    no_load_speed: float = build_ranged_field(670.0, 1e-2, 1e5, "rad/s")  # of the motor
+    # of the motor, at rated voltage
+    stall_torque: float = build_ranged_field(0.139, 1e-6, 1e3, "N m")
+    # of the motor, as its driver limits the current *
+    peak_torque: float = build_ranged_field(0.075, 1e-6, 1e3, "N m")
+    rated_torque: float = build_ranged_field(0.028, 1e-6, 1e3, "N m")  # of the motor, continuous
+    # thermal time constant of the winding *
+    thermal_time: float = build_ranged_field(10.0, 1e-3, 1e5, "s")
+    rotor_inertia: float = build_ranged_field(1.1e-6, 1e-10, 1.0, "kg m^2")
+    # of the position loop *; its speed loop is 4 times faster
+    bandwidth: float = build_ranged_field(100.0, 0.1, 1e4, "rad/s")
 
     def __post_init__(self) -> None:
         """Check the values; raises `ValueError`."""
-        for name, low, high, unit in (
-            ("pulley_radius", 1e-4, 1.0, "m"),
-            ("gear", 1e-3, 1e5, ""),
-            ("efficiency", 1e-2, 1.0, ""),
-            ("backlash", 0.0, 1.0, "rad"),
-            ("no_load_speed", 1e-2, 1e5, "rad/s"),
-            ("stall_torque", 1e-6, 1e3, "N m"),
-            ("peak_torque", 1e-6, 1e3, "N m"),
-            ("rated_torque", 1e-6, 1e3, "N m"),
-            ("thermal_time", 1e-3, 1e5, "s"),
-            ("rotor_inertia", 1e-10, 1.0, "kg m^2"),
-            ("bandwidth", 0.1, 1e4, "rad/s"),
-        ):
-            if not low <= getattr(self, name) <= high:
-                raise ValueError(f"{name}: must be {low:g} to {high:g} {unit}".rstrip())
+        check_ranges(self)
 
 
 class Motor(NamedTuple):

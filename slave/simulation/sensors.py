@@ -12,6 +12,7 @@ import numpy as np
 
 from estimator.array_types import Array
 from estimator.compiled import jit_compile
+from slave.ranged_field import build_ranged_field, check_ranges
 from slave.simulation.motor import MotorConfig
 from teleop.config.loading import MAY_BE_INFINITE
 
@@ -22,24 +23,19 @@ CHANNELS = ("proximal_tension", "proximal_displacement", "distal_tension", "dist
 class LoadCellConfig:
     """A load cell and its converter, for compression by up to `range` as under a sheath's end."""
 
-    noise: float = 0.010  # [N] standard deviation, white
-    resolution: float = 0.002  # [N] of the converter; 0 = no quantisation
+    noise: float = build_ranged_field(0.010, 0.0, 10.0, "N")  # standard deviation, white
+    # of the converter; 0 = no quantisation
+    resolution: float = build_ranged_field(0.002, 0.0, 10.0, "N")
     range: float = 100.0  # [N] saturation, at both ends
-    gain: float = 1.0  # reading over true tension
-    bias: float = 0.0  # [N] reading without tension
+    gain: float = build_ranged_field(1.0, 0.1, 10.0)  # reading over true tension
+    bias: float = build_ranged_field(0.0, -100.0, 100.0, "N")  # reading without tension
     bandwidth: float = field(default=inf, metadata=MAY_BE_INFINITE)  # [Hz] first order
 
     def __post_init__(self) -> None:
         """Check the values; raises `ValueError`."""
-        for name in ("noise", "resolution"):
-            if not 0.0 <= getattr(self, name) <= 10.0:
-                raise ValueError(f"{name}: must be 0 to 10 N")
+        check_ranges(self)
         if not 0.0 < self.range <= 1e5:
             raise ValueError("range: must be above 0 and at most 100 000 N")
-        if not 0.1 <= self.gain <= 10.0:
-            raise ValueError("gain: must be 0.1 to 10")
-        if not abs(self.bias) <= 100.0:
-            raise ValueError("bias: must be -100 to 100 N")
         if not self.bandwidth >= 0.01:
             raise ValueError("bandwidth: must be at least 0.01 Hz")
 

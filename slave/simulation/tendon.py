@@ -12,6 +12,7 @@ import numpy as np
 
 from estimator.array_types import Array
 from estimator.compiled import jit_compile, jit_inline
+from slave.ranged_field import build_ranged_field, check_ranges
 from slave.sheath_section import SectionConfig
 
 # --- run-time parameters of a tendon: one number per effect, neutral by default
@@ -63,20 +64,17 @@ class SheathConfig:
     """A tendon in its sheath; the one of Phee et al. 2009 as far as it is known, K about 1."""
 
     sections: tuple[SectionConfig, ...] = (SectionConfig(1.5, 0.225),)  # housing to tip
-    friction: float = 0.15  # mu, dimensionless, of tendon on sheath
+    friction: float = build_ranged_field(0.15, 0.0, 2.0)  # mu, dimensionless, of tendon on sheath
     axial_stiffness: float = 9000.0  # EA [N] of tendon and sheath in series
-    nodes: int = 60  # number of cells
+    nodes: int = build_ranged_field(60, 1, 1000)  # number of cells
 
     def __post_init__(self) -> None:
         """Check the values; raises `ValueError`."""
+        check_ranges(self)
         if not self.sections:
             raise ValueError("sections: at least one is needed")
-        if not 0.0 <= self.friction <= 2.0:
-            raise ValueError("friction: must be 0 to 2")
         if not 1.0 <= self.axial_stiffness <= 1e7:
             raise ValueError("axial_stiffness: must be 1 to 1e7 N")
-        if not 1 <= self.nodes <= 1000:
-            raise ValueError("nodes: must be 1 to 1000")
         bend = divide_sheath(self)[1]
         if self.friction * bend.sum() > TOTAL_MAX:
             raise ValueError(

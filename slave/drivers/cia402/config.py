@@ -4,6 +4,8 @@ import math
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
+from slave.ranged_field import build_ranged_field, check_ranges
+
 # --- share of a CAN bus that cyclic PDOs take
 
 LOAD_MAX = 0.95
@@ -113,14 +115,14 @@ class BusConfig:
     channel: str = "can0"
     bitrate: int = 1_000_000
     tty_baud: int = 2_000_000  # of an slcan adapter
-    tty_wait: float = 2.0  # [s] in which an slcan adapter restarts after opening
+    # in which an slcan adapter restarts after opening
+    tty_wait: float = build_ranged_field(2.0, 0.0, 10.0, "s")
 
     def __post_init__(self) -> None:
         """Check the values; raises `ValueError`."""
+        check_ranges(self)
         if not 10_000 <= self.bitrate <= 1_000_000:
             raise ValueError("bitrate: must be 10000 to 1000000")
-        if not 0.0 <= self.tty_wait <= 10.0:
-            raise ValueError("tty_wait: must be 0 to 10 s")
 
     def arguments(self) -> dict[str, Any]:
         """Return the arguments of `can.Bus`."""
@@ -156,16 +158,18 @@ class Cia402Config:
 
     type: Literal["cia402"] = "cia402"
     bus: BusConfig = field(default_factory=BusConfig)
-    rate_hz: float = 500.0  # of SYNC
+    rate_hz: float = build_ranged_field(500.0, RATE_MIN, RATE_MAX, "Hz")  # of SYNC
     mode: Literal["position", "interpolation"] = "position"  # cyclic synchronous, or interpolated
-    master: int = 127  # node number of this side's heartbeat
-    watchdog: float = 0.040  # [s] without our heartbeat, or without being guarded, a drive stops
+    master: int = build_ranged_field(127, 1, 127)  # node number of this side's heartbeat
+    # without our heartbeat, or without being guarded, a drive stops
+    watchdog: float = build_ranged_field(0.040, 0.010, 0.050, "s")
     # what the drives watch: our heartbeat, or being guarded, for those that consume no heartbeat
     error_control: Literal["heartbeat", "guarding"] = "heartbeat"
     timeout: float = 0.050  # [s] without a PDO a node counts as silent
     homed_bit: int | None = 15  # of the status word: position referenced; None: absolute encoder
     following_error: int = 2000  # [counts] beyond which the drive stops by itself
-    following_time: float = 0.010  # [s] for which it may be exceeded
+    # for which it may be exceeded
+    following_time: float = build_ranged_field(0.010, 0.0, FOLLOWING_TIME_MAX, "s")
     position_min: int = -1_000_000  # [counts] limits kept by the drive
     position_max: int = 1_000_000
     velocity_max: int = 5000  # in the drive's unit, often rpm
@@ -174,13 +178,8 @@ class Cia402Config:
 
     def __post_init__(self) -> None:
         """Check the values; raises `ValueError`."""
-        if not RATE_MIN <= self.rate_hz <= RATE_MAX:
-            raise ValueError(f"rate_hz: must be {RATE_MIN:g} to {RATE_MAX:g} Hz")
+        check_ranges(self)
         encode_period(self.rate_hz)
-        if not 1 <= self.master <= 127:
-            raise ValueError("master: must be 1 to 127")
-        if not 0.010 <= self.watchdog <= 0.050:
-            raise ValueError("watchdog: must be 0.01 to 0.05 s")
         if not 2.0 / self.rate_hz <= self.timeout <= 0.5:
             raise ValueError("timeout: must be two periods to 0.5 s")
         if self.homed_bit is not None and not 0 <= self.homed_bit <= 15:
@@ -192,8 +191,6 @@ class Cia402Config:
             raise ValueError("position_min: must be below position_max")
         if not 1 <= self.following_error <= FOLLOWING_ERROR_MAX:
             raise ValueError(f"following_error: must be 1 to {FOLLOWING_ERROR_MAX} counts")
-        if not 0.0 <= self.following_time <= FOLLOWING_TIME_MAX:
-            raise ValueError(f"following_time: must be 0 to {FOLLOWING_TIME_MAX:g} s")
         for name in ("velocity_max", "quick_stop_deceleration"):
             if not 1 <= getattr(self, name) <= INT32_MAX:
                 raise ValueError(f"{name}: must be 1 to {INT32_MAX}")

@@ -3,6 +3,8 @@
 from dataclasses import dataclass
 from typing import Literal
 
+from slave.ranged_field import build_ranged_field, check_ranges
+
 WATCHDOG_UNIT = 0.020  # [s]
 
 
@@ -13,36 +15,28 @@ class DynamixelConfig:
     type: Literal["dynamixel"] = "dynamixel"
     port: str  # /dev/serial/by-id/...
     baud: int = 4_000_000  # set in the servos too: `teleop rig scan`
-    rate_hz: float = 250.0  # of sync read and sync write
+    rate_hz: float = build_ranged_field(250.0, 20.0, 1000.0, "Hz")  # of sync read and sync write
     watchdog: float = 0.040  # [s] without an instruction a servo stops; a multiple of 20 ms
-    timeout: float = 0.050  # [s] without an answer of every servo the bus counts as silent
-    wait: float = 0.004  # [s] for the answers to one sync read, beyond their own time on the line
+    # without an answer of every servo the bus counts as silent
+    timeout: float = build_ranged_field(0.050, 0.01, 0.5, "s")
+    # for the answers to one sync read, beyond their own time on the line
+    wait: float = build_ranged_field(0.004, 0.001, 0.020, "s")
     voltage: tuple[float, float] = (10.0, 14.8)  # [V] of the supply; outside is a fault
-    temperature_max: float = 70.0  # [deg C]
+    temperature_max: float = build_ranged_field(70.0, 20.0, 100.0, "deg C")
     current_limit: float | None = None  # [A] of each servo, by operating mode 5; None: no limit
-    velocity_max: float = 4.0  # [rad/s] of the shaft, set in the servos
+    # of the shaft, set in the servos
+    velocity_max: float = build_ranged_field(4.0, 0.1, 100.0, "rad/s")
 
     def __post_init__(self) -> None:
         """Check the values; raises `ValueError`."""
+        check_ranges(self)
         if not self.port:
             raise ValueError("port: must not be empty")
-        if not 9600 <= self.baud <= 20_000_000:
-            raise ValueError("baud: must be 9600 to 20000000")
-        if not 20.0 <= self.rate_hz <= 1000.0:
-            raise ValueError("rate_hz: must be 20 to 1000 Hz")
         if self.watchdog not in (0.020, 0.040):
             raise ValueError("watchdog: must be 0.02 or 0.04 s")
-        if not 0.01 <= self.timeout <= 0.5:
-            raise ValueError("timeout: must be 0.01 to 0.5 s")
-        if not 0.001 <= self.wait <= 0.020:
-            raise ValueError("wait: must be 0.001 to 0.02 s")
         if not 0.0 < self.voltage[0] < self.voltage[1] <= 60.0:
             raise ValueError("voltage: must be two voltages, the lower first")
         if not 9600 <= self.baud <= 20_000_000:
             raise ValueError("baud: must be 9600 to 20000000")
-        if not 20.0 <= self.temperature_max <= 100.0:
-            raise ValueError("temperature_max: must be 20 to 100 deg C")
         if self.current_limit is not None and not 0.01 <= self.current_limit <= 20.0:
             raise ValueError("current_limit: must be 0.01 to 20 A")
-        if not 0.1 <= self.velocity_max <= 100.0:
-            raise ValueError("velocity_max: must be 0.1 to 100 rad/s")

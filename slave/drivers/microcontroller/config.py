@@ -3,6 +3,8 @@
 from dataclasses import dataclass
 from typing import Literal
 
+from slave.ranged_field import build_ranged_field, check_ranges
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MicrocontrollerConfig:
@@ -11,19 +13,18 @@ class MicrocontrollerConfig:
     type: Literal["microcontroller"] = "microcontroller"
     port: str  # /dev/serial/by-id/..., which does not change with the order of plugging in
     baud: int = 2_000_000  # of a real UART; USB takes any
-    watchdog: float = 0.040  # [s] without a target the board stops its motors
-    timeout: float = 0.050  # [s] without a valid frame the board counts as silent
+    # without a target the board stops its motors
+    watchdog: float = build_ranged_field(0.040, 0.005, 0.050, "s")
+    # without a valid frame the board counts as silent
+    timeout: float = build_ranged_field(0.050, 0.005, 0.5, "s")
     errors_max: int = 20  # damaged or lost frames in a second; more are a fault
 
     def __post_init__(self) -> None:
         """Check the values; raises `ValueError`."""
+        check_ranges(self)
         if not self.port:
             raise ValueError("port: must not be empty")
         if not 1200 <= self.baud <= 20_000_000:
             raise ValueError("baud: must be 1200 to 20000000")
-        if not 0.005 <= self.watchdog <= 0.050:
-            raise ValueError("watchdog: must be 0.005 to 0.05 s")
-        if not 0.005 <= self.timeout <= 0.5:
-            raise ValueError("timeout: must be 0.005 to 0.5 s")
         if self.errors_max < 0:
             raise ValueError("errors_max: must not be negative")

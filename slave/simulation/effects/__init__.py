@@ -11,7 +11,6 @@ in docs/rigs.md.
 from slave.simulation.effects.effect import (
     Effect,
     TendonEffect,
-    build_ranged_field,
     compute_knobs,
     select_tendon_effects,
 )
@@ -67,7 +66,6 @@ __all__ = [
     "Effect",
     "EffectConfig",
     "TendonEffect",
-    "build_ranged_field",
     "compute_knobs",
     "select_tendon_effects",
 ]

@@ -1,18 +1,13 @@
 """Base classes of effects: place, start time and parameter ranges."""
 
-import dataclasses
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, Literal
+from typing import ClassVar, Literal
 
+from slave.ranged_field import check_ranges
 from slave.simulation.tendon import Knobs
-
-
-def build_ranged_field(default: float, low: float, high: float, unit: str = "") -> Any:
-    """Return a dataclass field whose value must be `low` to `high`."""
-    return dataclasses.field(default=default, metadata={"range": (low, high, unit)})
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,11 +25,7 @@ class Effect:
             raise ValueError("joint: must be at least 1")
         if not 0.0 <= self.start < math.inf:
             raise ValueError("start: must be at least 0 s")
-        for item in dataclasses.fields(self):
-            if "range" in item.metadata:
-                low, high, unit = item.metadata["range"]
-                if not low <= getattr(self, item.name) <= high:
-                    raise ValueError(f"{item.name}: must be {low:g} to {high:g} {unit}".rstrip())
+        check_ranges(self)
 
 
 @dataclass(frozen=True, slots=True)

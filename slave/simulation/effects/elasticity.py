@@ -6,7 +6,8 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from slave.simulation.effects.effect import TendonEffect, build_ranged_field
+from slave.ranged_field import build_ranged_field
+from slave.simulation.effects.effect import TendonEffect
 from slave.simulation.effects.ends import SideEffect
 from slave.simulation.joint import Tendon
 from slave.simulation.tendon import Knobs

@@ -5,7 +5,8 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 
-from slave.simulation.effects.effect import Effect, build_ranged_field
+from slave.ranged_field import build_ranged_field
+from slave.simulation.effects.effect import Effect
 from slave.simulation.environment import LoadMotorConfig, build_environment, merge_environments
 from slave.simulation.joint import Joint, Tendon
 

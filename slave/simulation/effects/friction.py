@@ -3,7 +3,8 @@
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 
-from slave.simulation.effects.effect import TendonEffect, build_ranged_field
+from slave.ranged_field import build_ranged_field
+from slave.simulation.effects.effect import TendonEffect
 from slave.simulation.tendon import Knobs
 
 

@@ -9,7 +9,8 @@ from typing import ClassVar, Literal
 import numpy as np
 
 from estimator.array_types import Array
-from slave.simulation.effects.effect import Effect, build_ranged_field
+from slave.ranged_field import build_ranged_field
+from slave.simulation.effects.effect import Effect
 from slave.simulation.sensors import CHANNELS, Sensors
 
 
