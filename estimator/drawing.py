@@ -8,7 +8,7 @@ import io
 import re
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
-from typing import Any
+from typing import Any, NamedTuple
 
 import matplotlib as mpl
 from matplotlib.figure import Figure
@@ -35,6 +35,14 @@ STYLE: dict[Any, Any] = {
     "figure.constrained_layout.use": True,
     "savefig.dpi": 130,
 }
+
+
+class DrawnFigure(NamedTuple):
+    """A figure of a report."""
+
+    name: str
+    figure: Figure
+    caption: str
 
 
 def use_style() -> AbstractContextManager[None]:

@@ -46,7 +46,6 @@ from estimator.diagnosis.outcome import (
     CauseStep,
     Diagnosis,
     FittedValue,
-    Gain,
     RankedCandidate,
     Verdict,
 )
@@ -449,7 +448,7 @@ def _build_diagnosis(
         before=compute_model_errors(folds, 0, predicted_records),
         after=compute_model_errors(folds, 1, predicted_records),
         gain={
-            channel: Gain(*bootstrap_gain(errors_after[channel], errors_before[channel]))
+            channel: bootstrap_gain(errors_after[channel], errors_before[channel])
             for channel in errors_before
         },
         noise=compute_mean_noise(dataset),

@@ -5,7 +5,6 @@ with the colours.
 """
 
 from collections.abc import Iterator, Sequence
-from typing import NamedTuple
 
 import matplotlib as mpl
 import numpy as np
@@ -20,7 +19,7 @@ from estimator.diagnosis.dataset import SimulatedRecord
 from estimator.diagnosis.measured_data import Record
 from estimator.diagnosis.outcome import Diagnosis, PredictedRecord
 from estimator.diagnosis.report_tables import name_judged_samples, name_records
-from estimator.drawing import BLACK, BLUE, GREY, STYLE, VERMILION
+from estimator.drawing import BLACK, BLUE, GREY, STYLE, VERMILION, DrawnFigure
 from estimator.effects.effect import DISTAL_TENSION, PROXIMAL_DISPLACEMENT, PROXIMAL_TENSION
 from estimator.units import Units
 
@@ -31,14 +30,6 @@ LINE_POINTS_MAX = 3000  # of a line, at most
 MEDIAN_BINS = 24  # of medians
 MIN_SAMPLES = 15  # samples in one
 SCATTER_POINTS_MAX = 1500  # points
-
-
-class DrawnFigure(NamedTuple):
-    """A figure."""
-
-    name: str
-    figure: Figure
-    caption: str
 
 
 def draw_figures(

@@ -19,6 +19,7 @@ from estimator.effects.effect import (
     Effect,
     Values,
 )
+from estimator.fitting import IntervalEstimate
 from estimator.units import Units
 
 
@@ -158,14 +159,6 @@ class CauseStep(NamedTuple):
     fit: Fit  # all causes so far, fitted to all samples
 
 
-class Gain(NamedTuple):
-    """By which share the held-out RMSE of a channel fell, with its 95 % interval."""
-
-    value: float
-    low: float
-    high: float
-
-
 class Rival(NamedTuple):
     """A model with another effect in the place of a cause, fitted to all samples."""
 
@@ -197,7 +190,7 @@ class Diagnosis(NamedTuple):
     extended: Fit  # the baseline again where nothing was found
     before: ModelErrors
     after: ModelErrors
-    gain: dict[str, Gain]
+    gain: dict[str, IntervalEstimate]
     noise: dict[str, float]
     residual_fraction: float  # of the error beyond noise, what the extended model leaves
     has_drifting_friction: bool  # friction changes with time, and not as the causes say

@@ -13,7 +13,12 @@ from estimator.diagnosis.measured_data import Record
 from estimator.diagnosis.sampling import GAP_PERIODS
 from estimator.diagnosis.settings import SETTINGS
 from estimator.effects.effect import PROXIMAL_TENSION
-from estimator.fitting import COVERAGE_FACTOR, compute_independent_share, estimate_correlation
+from estimator.fitting import (
+    COVERAGE_FACTOR,
+    IntervalEstimate,
+    compute_independent_share,
+    estimate_correlation,
+)
 
 DRAWS = 400
 
@@ -147,14 +152,14 @@ def compute_residual_fraction(a: dict[str, ChannelErrors], b: dict[str, ChannelE
     return remaining / total if total else 0.0
 
 
-def bootstrap_gain(a: ChannelErrors, b: ChannelErrors, seed: int = 0) -> tuple[float, float, float]:
+def bootstrap_gain(a: ChannelErrors, b: ChannelErrors, seed: int = 0) -> IntervalEstimate:
     """Return by which share the RMSE is smaller under `a` than under `b`, and its 95 % interval."""
     value = 1.0 - math.sqrt(a.mean / max(b.mean, 1e-12))
     n = len(a.squares)
     draws = np.random.default_rng(seed).integers(0, n, (DRAWS, n))
     ratio = a.squares[draws].sum(axis=1) / np.maximum(b.squares[draws].sum(axis=1), 1e-12)
     low, high = np.quantile(1.0 - np.sqrt(ratio), [0.025, 0.975])
-    return value, float(low), float(high)
+    return IntervalEstimate(value, float(low), float(high))
 
 
 def is_noise(dataset: Dataset, errors: dict[str, ChannelErrors]) -> bool:

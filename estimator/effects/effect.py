@@ -13,7 +13,7 @@ Several effects act one after another, in the order in which they are given.
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,7 @@ from estimator.array_types import Array
 from estimator.lumped.lumped_model import Physics
 from estimator.online.reading_correction import CorrectionKind
 
+T = TypeVar("T")
 Values = tuple[float, ...]
 
 PROXIMAL_TENSION, PROXIMAL_DISPLACEMENT = "proximal_tension", "proximal_displacement"
@@ -76,26 +77,8 @@ class EffectContext(NamedTuple):
         return [float(t) for t in self.time[0] + shares * (self.time[-1] - self.time[0])]
 
 
-def _keep_physics(physics: Physics, _values: Values, _context: EffectContext) -> Physics:
-    return physics
-
-
-def _keep_signals(signals: Signals, _values: Values, _context: EffectContext) -> Signals:
-    return signals
-
-
-def _keep_drive(drive: Array, _values: Values, _context: EffectContext) -> Array:
-    return drive
-
-
-def _keep_values(values: Values, _zero: float) -> Values:
-    return values
-
-
-def _keep_parameters(
-    parameters: tuple[Parameter, ...], _span: float, _values: Values
-) -> tuple[Parameter, ...]:
-    return parameters
+def _keep(unchanged: T, *_: object) -> T:
+    return unchanged
 
 
 @dataclass(frozen=True)
@@ -143,16 +126,16 @@ class Effect:
     source: str
     advice: str
     starts: Callable[[EffectContext], Iterable[Values]]
-    physics: Callable[[Physics, Values, EffectContext], Physics] = _keep_physics
-    measure: Callable[[Signals, Values, EffectContext], Signals] = _keep_signals
-    invert: Callable[[Array, Values, EffectContext], Array] = _keep_drive
+    physics: Callable[[Physics, Values, EffectContext], Physics] = _keep
+    measure: Callable[[Signals, Values, EffectContext], Signals] = _keep
+    invert: Callable[[Array, Values, EffectContext], Array] = _keep
     where: str = ""
     required_channels: frozenset[str] = frozenset()
     limit_parameters: Callable[[tuple[Parameter, ...], float, Values], tuple[Parameter, ...]] = (
-        _keep_parameters
+        _keep
     )
     correction: CorrectionKind | None = None
-    shift_encoder_zero: Callable[[Values, float], Values] = _keep_values
+    shift_encoder_zero: Callable[[Values, float], Values] = _keep
     is_transient: bool = False
 
     @property

@@ -1,24 +1,15 @@
 """The figures of a study of a pair; measured is black."""
 
 from collections.abc import Iterator
-from typing import NamedTuple
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from estimator.drawing import BLACK, BLUE, VERMILION, use_style
+from estimator.drawing import BLACK, BLUE, VERMILION, DrawnFigure, use_style
 from estimator.pair.pair_study import PairStudy
 from estimator.pair.report_text import format_degrees
 
 COLUMN_COUNT = 3  # loops in a row
-
-
-class DrawnFigure(NamedTuple):
-    """A figure."""
-
-    name: str
-    figure: Figure
-    caption: str
 
 
 def draw_figures(study: PairStudy) -> Iterator[DrawnFigure]:

@@ -47,7 +47,7 @@ def read(path: Path, header: HeaderCheck) -> dict[str, NDArray[Any]] | None:
             return None
         file.seek(0)
         kinds = {
-            name: pa.float64() if _may_be_number(cell) else pa.string()
+            name: pa.float64() if not cell.strip() or is_number(cell) else pa.string()
             for name, cell in zip(names, first, strict=True)
         }
         parts: list[list[Any]] = [[] for _ in names]
@@ -98,9 +98,8 @@ def _read_head(path: Path, file: IO[bytes], header: HeaderCheck) -> tuple[list[s
     return (names, first) if usual else ([], [])
 
 
-def _may_be_number(cell: str) -> bool:
-    if not cell.strip():
-        return True
+def is_number(cell: str) -> bool:
+    """Return whether a cell is a number."""
     try:
         float(cell)
     except ValueError:

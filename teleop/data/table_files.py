@@ -152,7 +152,7 @@ def _check_header(path: Path, names: Sequence[str]) -> list[str]:
             )
     if not all(name.isprintable() for name in names):
         raise UsageError(f"{path}: line 1: is not text, must contain the column names")
-    if all(_is_number(name) for name in names):
+    if all(large_csv.is_number(name) for name in names):
         raise UsageError(f"{path}: line 1: contains numbers, must contain the column names")
     bounds.check_size(path, len(names), 0, "keep those that are needed")
     for name in names:
@@ -182,18 +182,10 @@ def _parse_cells(cells: Sequence[str]) -> Column:
     try:
         return np.fromiter(map(float, cells), np.float64, len(cells))
     except ValueError:
-        if all(_is_number(cell) for cell in cells if cell.strip()):
+        if all(large_csv.is_number(cell) for cell in cells if cell.strip()):
             return np.array([float(cell) if cell.strip() else np.nan for cell in cells])
         shared: dict[str, str] = {}
         return np.array([shared.setdefault(cell, cell) for cell in cells], dtype=object)
-
-
-def _is_number(cell: str) -> bool:
-    try:
-        float(cell)
-    except ValueError:
-        return False
-    return True
 
 
 def _read_parquet(path: Path) -> RawTable:

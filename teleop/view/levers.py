@@ -45,14 +45,7 @@ class Levers:
         thick = self._config.tube_radius * stage.size
         for joint, lever in stage.joints.items():
             path = f"scene/joint_{joint}"
-            pivot = rr.Points3D(
-                [lever.pivot],
-                radii=1.6 * thick,
-                colors=colours.BODY,
-                labels=f"joint {joint + 1}",
-                show_labels=True,
-            )
-            self._sender.static(f"{path}/pivot", pivot)
+            self._pivot(path, lever, colours.BODY, 1.6 * thick, f"joint {joint + 1}")
             self._style(f"{path}/link", colours.BODY, thick)
             self._style(f"{path}/asked", colours.COMMANDED, 0.35 * thick)
             self._arrow_style(f"{path}/force", colours.ESTIMATE, 0.7 * thick)
@@ -61,14 +54,9 @@ class Levers:
             self._arrow_style(f"{path}/truth", colours.TRUTH, 0.45 * thick)
             self._environment(f"{path}/environment", joint, lever)
         for joint, lever in stage.hands.items():
-            pivot = rr.Points3D(
-                [lever.pivot],
-                radii=1.6 * thick,
-                colors=colours.HAND,
-                labels=f"hand {joint + 1}",
-                show_labels=True,
+            self._pivot(
+                f"scene/hand_{joint}", lever, colours.HAND, 1.6 * thick, f"hand {joint + 1}"
             )
-            self._sender.static(f"scene/hand_{joint}/pivot", pivot)
             self._style(f"scene/hand_{joint}/handle", colours.HAND, thick)
             self._arrow_style(f"scene/hand_{joint}/handle", colours.HAND, 0.7 * thick)
             self._number_style(f"scene/hand_{joint}/handle", colours.HAND)
@@ -207,6 +195,12 @@ class Levers:
             albedo_factor=colours.ENVIRONMENT,
         )
         self._sender.static(path, wedge)
+
+    def _pivot(self, path: str, lever: Lever, colour: int, radius: float, label: str) -> None:
+        pivot = rr.Points3D(
+            [lever.pivot], radii=radius, colors=colour, labels=label, show_labels=True
+        )
+        self._sender.static(f"{path}/pivot", pivot)
 
     def _style(self, path: str, colour: int, radius: float) -> None:
         self._sender.static(path, rr.LineStrips3D.from_fields(colors=colour, radii=radius))
