@@ -47,9 +47,7 @@ def show_result(result: Diagnosis | PairStudy) -> HtmlReport:
         pair_drawn = [(item.figure, item.caption) for item in pair_figures.draw_figures(result)]
         return HtmlReport(
             format_html_report(
-                pair_text.format_sentence(result),
-                pair_text.build_report_tables(result),
-                pair_drawn,
+                pair_text.format_sentence(result), pair_text.build_report_tables(result), pair_drawn
             )
         )
     drawn = [(item.figure, item.caption) for item in diagnosis_figures.draw_figures(result)]

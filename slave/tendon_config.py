@@ -12,13 +12,7 @@ from teleop.data import model_file
 from teleop.errors import UsageError
 from teleop.messages.messages import MAX_MESSAGE_SECTIONS
 
-_IN_MODEL_FILE = (
-    "effective_friction",
-    "friction",
-    "sections",
-    "drag",
-    "asymmetry",
-)
+_IN_MODEL_FILE = ("effective_friction", "friction", "sections", "drag", "asymmetry")
 """Fields that a model file replaces."""
 
 

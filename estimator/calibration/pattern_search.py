@@ -20,13 +20,7 @@ from estimator.calibration.model_averaging import (
     average_rivals,
     deduplicate_rivals,
 )
-from estimator.calibration.pattern import (
-    K_MAX,
-    STEP_MIN,
-    PatternFit,
-    PatternLeastSquares,
-    Shape,
-)
+from estimator.calibration.pattern import K_MAX, STEP_MIN, PatternFit, PatternLeastSquares, Shape
 from estimator.fitting import MeasuredValue
 
 Mask = NDArray[np.bool_]

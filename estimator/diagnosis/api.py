@@ -42,13 +42,7 @@ from estimator.diagnosis.measured_data import (
     mark_all_as_train,
     prepare_record,
 )
-from estimator.diagnosis.outcome import (
-    CauseStep,
-    Diagnosis,
-    FittedValue,
-    RankedCandidate,
-    Verdict,
-)
+from estimator.diagnosis.outcome import CauseStep, Diagnosis, FittedValue, RankedCandidate, Verdict
 from estimator.diagnosis.rivals import CauseError
 from estimator.diagnosis.sampling import mark_missing
 from estimator.diagnosis.scoring import (

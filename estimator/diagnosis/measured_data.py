@@ -355,10 +355,7 @@ def prepare_record(
         measured=measured,
         train=select_training_half(block, drive, speed),
         block=block,
-        issues=(
-            *missing_issues,
-            *(issue._replace(first=issue.first + start) for issue in issues),
-        ),
+        issues=(*missing_issues, *(issue._replace(first=issue.first + start) for issue in issues)),
         decimation_factor=decimated.decimation_factor,
         units=units,
         loop=loop,

@@ -6,12 +6,7 @@ from collections.abc import Sequence
 from estimator.diagnosis import report_tables
 from estimator.diagnosis.baseline import LUGRE
 from estimator.diagnosis.dataset import TIP_COMPLIANCE, compute_tolerance
-from estimator.diagnosis.outcome import (
-    CauseStep,
-    DetectionLimit,
-    Diagnosis,
-    Verdict,
-)
+from estimator.diagnosis.outcome import CauseStep, DetectionLimit, Diagnosis, Verdict
 from estimator.diagnosis.report_tables import (
     build_candidate_table,
     build_detection_limit_table,

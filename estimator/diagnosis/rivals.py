@@ -61,11 +61,7 @@ def replace_cause(model: Model, equivalent: EquivalentCause) -> Model:
 
 
 def choose_equivalent_cause(
-    dataset: Dataset,
-    base_fit: Fit,
-    steps: list[CauseStep],
-    fit: Fit,
-    cause: str,
+    dataset: Dataset, base_fit: Fit, steps: list[CauseStep], fit: Fit, cause: str
 ) -> tuple[list[CauseStep], Fit]:
     """Return the causes with one of equally good ones in the place of the first of them."""
     if cause in [step.effect.name for step in steps]:

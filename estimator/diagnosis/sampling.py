@@ -249,11 +249,7 @@ class DecimatedRecord(NamedTuple):
 
 
 def decimate_record(
-    time: Array,
-    signals: Signals,
-    good: dict[str, Mask],
-    present: dict[str, Mask],
-    samples_max: int,
+    time: Array, signals: Signals, good: dict[str, Mask], present: dict[str, Mask], samples_max: int
 ) -> DecimatedRecord:
     """Return every k-th sample, all channels averaged over the k around it.
 

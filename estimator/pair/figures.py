@@ -60,11 +60,7 @@ def draw_loops(study: PairStudy) -> Figure:
         command = np.degrees(record.command)
         axes.plot(command, np.degrees(record.angle), color=BLACK, label="measured")
         axes.plot(
-            command,
-            np.degrees(angle),
-            color=VERMILION,
-            linestyle=(0, (4, 2)),
-            label="predicted",
+            command, np.degrees(angle), color=VERMILION, linestyle=(0, (4, 2)), label="predicted"
         )
         axes.set(title=f"bend {format_degrees(record.bend, 0)}", xlabel="command [deg]")
     grid[0].set_ylabel("angle [deg]")

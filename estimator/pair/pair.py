@@ -111,11 +111,7 @@ def combine_tendons(model: PairModel, a: Motion, b: Motion) -> PairMotion:
 def _build_physics(model: PairModel, K: float) -> Physics:
     compliance = _PULLEY * model.compliance
     return Physics(
-        np.array([K]),
-        compliance,
-        _WEIGHTS,
-        toe=compliance * model.bedding,
-        toe_tension=BEDDING,
+        np.array([K]), compliance, _WEIGHTS, toe=compliance * model.bedding, toe_tension=BEDDING
     )
 
 

@@ -37,10 +37,7 @@ class MotorChecks(Struct):
 
 @jit_compile
 def record_motor_readings(
-    motors: MotorChecks,
-    layout: RigLayout,
-    tendons: Sequence[EstimatedTendon],
-    sent: Array,
+    motors: MotorChecks, layout: RigLayout, tendons: Sequence[EstimatedTendon], sent: Array
 ) -> None:
     """Process one sample: note the motor command at the first occurrence of each reading.
 

@@ -50,16 +50,10 @@ COMMANDS = {
         "teleop.cli.diagnose.command",
         "find what the model of a bench gets wrong, and why",
     ),
-    "pair": (
-        "teleop.cli.pair",
-        "measure a pair's friction against the bend of its sheath",
-    ),
+    "pair": ("teleop.cli.pair", "measure a pair's friction against the bend of its sheath"),
     "simulate": ("teleop.cli.simulate", "write data as a simulated rig would measure it"),
     "keys": ("teleop.security.command", "make and manage the keys of sessions across machines"),
-    "bench": (
-        "teleop.cli.bench.command",
-        "measure the loops and the latency on this machine",
-    ),
+    "bench": ("teleop.cli.bench.command", "measure the loops and the latency on this machine"),
     "doctor": ("teleop.cli.doctor", "check this machine and name what is missing"),
 }
 
@@ -171,9 +165,7 @@ def run_program(prog: str, program: ModuleType, argv: Sequence[str] | None = Non
 def parse_words(prog: str, program: ModuleType, words: Sequence[str]) -> argparse.Namespace:
     """Return the arguments of `run_program`; raises `UsageError`."""
     parser = Parser(
-        prog=prog,
-        description=program.__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+        prog=prog, description=program.__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     program.add_arguments(parser)
     output_file.add_force_option(parser)

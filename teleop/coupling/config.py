@@ -24,11 +24,7 @@ CouplingConfig = PassivityConfig | WaveConfig | DirectConfig
 
 NO_SIGNATURE = 0
 DIRECT, PASSIVITY, WAVE = range(3)
-KINDS: dict[type[Any], int] = {
-    DirectConfig: DIRECT,
-    PassivityConfig: PASSIVITY,
-    WaveConfig: WAVE,
-}
+KINDS: dict[type[Any], int] = {DirectConfig: DIRECT, PassivityConfig: PASSIVITY, WaveConfig: WAVE}
 
 
 class Bilateral(NamedTuple):

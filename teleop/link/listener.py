@@ -157,9 +157,7 @@ class Listener:
     """
 
     def __init__(
-        self,
-        visit: Callable[[Topic[Any], int], int],
-        keyring: Keyring | None = None,
+        self, visit: Callable[[Topic[Any], int], int], keyring: Keyring | None = None
     ) -> None:
         self._queue = MessageQueue()
         self._visit, self._keyring = visit, keyring

@@ -9,9 +9,7 @@ from teleop.errors import UsageError
 
 
 def read_small_file(
-    path: Path,
-    size_max: int,
-    check: Callable[[os.stat_result], None] = lambda _: None,
+    path: Path, size_max: int, check: Callable[[os.stat_result], None] = lambda _: None
 ) -> bytes:
     """Return the content of a regular file.
 

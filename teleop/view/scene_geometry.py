@@ -25,11 +25,7 @@ class CentreLine(NamedTuple):
 
 
 def compute_centreline(
-    length: Array,
-    radius: Array,
-    s: Array,
-    turn_gap: float = 0.0,
-    planes: Sequence[float] = (),
+    length: Array, radius: Array, s: Array, turn_gap: float = 0.0, planes: Sequence[float] = ()
 ) -> CentreLine:
     """Return the points of a sheath at the given arc lengths.
 

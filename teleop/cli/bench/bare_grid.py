@@ -9,11 +9,7 @@ from typing import Any
 
 from teleop.runtime.child_process import start_module
 from teleop.runtime.clock import Durations, Grid, now_ns, pause_garbage_collection
-from teleop.runtime.process import (
-    StopCondition,
-    die_with_launcher,
-    limit_numeric_threads,
-)
+from teleop.runtime.process import StopCondition, die_with_launcher, limit_numeric_threads
 from teleop.runtime.realtime import RealtimeConfig, enter_loop, request_realtime
 
 PHASES = (0.0, 0.5)  # of two alternating loops

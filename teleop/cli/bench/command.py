@@ -22,10 +22,7 @@ BENCHES = {
         "teleop.cli.bench.latency",
         "latency from command to force by stages, with bare Zenoh as baseline",
     ),
-    "scale": (
-        "teleop.cli.bench.scale",
-        "timing and latency for 1, 2, 4 and 8 joints",
-    ),
+    "scale": ("teleop.cli.bench.scale", "timing and latency for 1, 2, 4 and 8 joints"),
 }
 
 
