@@ -37,7 +37,7 @@ class MasterMemory(Struct):
     session: Session
     operator: OperatorMemory
     force: Axes  # [N] last output of the gate
-    own_force: Axes  # [N] its part from local forces
+    local_force: Axes  # [N] its part from local forces
     answered_command_ns: I64  # stamp of the newest command that the slave has answered
     newly_answered_ns: I64 = 0  # the same if its answer came in this tick, 0 = none
     coupling: Side
@@ -46,7 +46,7 @@ class MasterMemory(Struct):
     presence: Presence
     inputs: Inputs  # of the session in this tick
     may_render: Flag = False  # whether the session allowed forces in `compute_command`
-    counted: Flag = False  # whether `add_hand_work` ran as coupled there
+    counted_work: Flag = False  # whether `add_hand_work` ran as coupled there
 
 
 class TickInput(NamedTuple):
@@ -115,7 +115,7 @@ def compute_command(
     inputs.follow_s = state_machine.FOLLOW_LIMIT_S + settings.delay_max
     _step_session(settings, memory, hand, state, tick_input, is_finite, dt)
     memory.may_render = state_machine.may_render(memory.session)
-    memory.counted = memory.may_render and is_finite
+    memory.counted_work = memory.may_render and is_finite
 
     position: Any = out.position
     velocity: Any = out.velocity
@@ -133,7 +133,7 @@ def compute_command(
     _receive_state(settings, memory, tick_input, state, wanted_forces)
     written = np.zeros(MAX_JOINTS)
     for k in range(memory.axes):
-        written[k] = memory.force[k] - memory.own_force[k]
+        written[k] = memory.force[k] - memory.local_force[k]
     coupling_adapter.add_hand_work(
         settings.bilateral,
         memory.coupling,
@@ -143,7 +143,7 @@ def compute_command(
         settings.operator.position_scale,
         written,
         memory.axes,
-        memory.counted,
+        memory.counted_work,
         dt,
     )
     _fill_command(settings, memory, tick_input, state, out)
@@ -194,10 +194,10 @@ def compute_force(
         memory.inputs.reset = False  # already processed
         _step_session(settings, memory, hand, state, tick_input, is_finite, 0.0)
     # no force outside the ledger: a coupling that could start now starts at the next tick
-    renders = memory.may_render and state_machine.may_render(memory.session)
-    renders = renders and (memory.counted or not is_finite)
+    is_rendering = memory.may_render and state_machine.may_render(memory.session)
+    is_rendering = is_rendering and (memory.counted_work or not is_finite)
 
-    total, own = np.zeros(MAX_JOINTS), np.zeros(MAX_JOINTS)
+    total, local_forces = np.zeros(MAX_JOINTS), np.zeros(MAX_JOINTS)
     weight = np.zeros(MAX_JOINTS)
     coupling_adapter.render_force(
         settings.bilateral,
@@ -205,28 +205,30 @@ def compute_force(
         settings.force.scale,
         wanted_forces,
         axes,
-        renders and memory.counted and is_finite,
+        is_rendering and memory.counted_work and is_finite,
         total,
     )
-    if renders:
+    if is_rendering:
         coupling_adapter.store_rendered_force(memory.rendered, settings.force.scale, total, axes)
-    local.update_limits(settings.operator, memory.limits, hand, renders)
-    if renders and hand.present:  # without delay
-        local.compute_wall_forces(settings.operator, memory.limits, hand, own)
+    local.update_limits(settings.operator, memory.limits, hand, is_rendering)
+    if is_rendering and hand.present:  # without delay
+        local.compute_wall_forces(settings.operator, memory.limits, hand, local_forces)
     for k in range(axes):
         if _has_weight_compensation(memory.session):
             weight[k] = settings.operator.weight[k]
-            own[k] += weight[k]
-        total[k] = feedback.limit_slew(settings.force.slew, memory.force[k], total[k] + own[k], dt)
+            local_forces[k] += weight[k]
+        total[k] = feedback.limit_slew(
+            settings.force.slew, memory.force[k], total[k] + local_forces[k], dt
+        )
         total[k] = feedback.clamp(settings.force.limit, total[k])
     is_fading = state_machine.is_force_fading(memory.session)
     verdict = gate.step(
-        settings.gate, memory.force, total, axes, fresh, renders, dt, is_fading, weight, out
+        settings.gate, memory.force, total, axes, fresh, is_rendering, dt, is_fading, weight, out
     )
     for k in range(MAX_JOINTS):
         out[k] = out[k] if k < axes else 0.0
         memory.force[k] = out[k]
-        memory.own_force[k] = own[k]
+        memory.local_force[k] = local_forces[k]
     _record_answer(memory, tick_input, state)
     return verdict
 

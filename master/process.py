@@ -107,7 +107,7 @@ class MasterProcess(LoopProcess):
         self._wait_ns, self._late_answers = round(ANSWER_WAIT_SHARE * grid.period_ns), 0
         self._start_ns = now_ns()
         self._published = self._outline()
-        self._away = ""  # why the device cannot be read, while it is looked for
+        self._absence = ""  # why the device cannot be read, while it is looked for
         self._states = link.subscribe_latest(STATE, round(config.state_timeout * 1e9))
         self._echo_ns = self._states.packet.records["echo_stamp_ns"]
         self._slave_answer_ns = self._states.packet.records["answer_ns"]
@@ -118,15 +118,15 @@ class MasterProcess(LoopProcess):
 
     def tick(self, tick: Tick) -> None:
         """Read, command, wait for the answer, render; then the work that is not time-critical."""
-        fault, hand, away = self._read((tick.stamp_ns - self._start_ns) * 1e-9)
+        fault, hand, absence = self._read((tick.stamp_ns - self._start_ns) * 1e-9)
         self._link.latest(STATE)
         requests = self._requests(tick.stamp_ns, int(self._stops[0]))
         if requests.words or requests.settings:
-            self._execute(requests)
+            self._process_requests(requests)
         self._live, changed = live_settings.update_settings(self._live, hand, tick.dt)
         config = self._live.config
         settings = self._settings.update(
-            config if self._link_scale == 1.0 else self._scaled(config)
+            config if self._link_scale == 1.0 else self._scale_config(config)
         )
         fill_hand_input(self._hands, hand)
         compute = partial(
@@ -148,14 +148,14 @@ class MasterProcess(LoopProcess):
         verdict = self._render(settings, tick, fault, requests, known_ns, hand)
         written_ns = now_ns()
         self._verdicts[verdict] += 1
-        round_trip = self._measure(tick.stamp_ns, sent_ns, written_ns)
+        round_trip = self._measure_round_trip(tick.stamp_ns, sent_ns, written_ns)
         self._finish_tick(tick, hand, requests, round_trip)
         if changed:
             publish_event(self._link, Role.MASTER, self._outline(), f"set: {changed}")
-        if away != self._away:
-            self._publish_device(away)
-        side = self._outline()
-        self._meter.tick(side, now_ns() - tick.stamp_ns, self._detail(side))
+        if absence != self._absence:
+            self._publish_device_state(absence)
+        outline = self._outline()
+        self._meter.tick(outline, now_ns() - tick.stamp_ns, self._describe_reason(outline))
 
     def close(self) -> None:
         """Take the force off the hand and tell the others; whatever happened before."""
@@ -175,7 +175,7 @@ class MasterProcess(LoopProcess):
         except DeviceLost as error:
             return Reason.DEVICE_FAULT, None, str(error)
         except DeviceFault as error:
-            return self._device_failed(error), None, ""
+            return self._end_on_device_fault(error), None, ""
         finally:
             self._reads.add(now_ns() - begin_ns)
 
@@ -206,7 +206,7 @@ class MasterProcess(LoopProcess):
             settings, self._memory, self._hands, states.packet.records, tick_input, *outputs
         )
 
-    def _scaled(self, config: MasterConfig) -> MasterConfig:
+    def _scale_config(self, config: MasterConfig) -> MasterConfig:
         """Return the config with force and motion scaled as the link allows."""
         unscaled, scale = self._scaled_from
         if config is not unscaled or self._link_scale != scale:
@@ -250,7 +250,7 @@ class MasterProcess(LoopProcess):
         except DeviceFault as error:
             self._checkpoint.restore()
             fill_hand_input(self._hands, None)
-            failed = self._device_failed(error)
+            failed = self._end_on_device_fault(error)
             verdict = self._compute_force(settings, tick, failed, requests, is_new=True)
             fill_hand_input(self._hands, hand)
             self._publish_fault()
@@ -273,11 +273,11 @@ class MasterProcess(LoopProcess):
 
     def _publish_fault(self) -> None:
         """Tell the slave of a fault found after the tick's command: there may be no next."""
-        side, fields = self._outline(), self._command.records
-        fields["state"], fields["reason"] = side
+        outline, fields = self._outline(), self._command.records
+        fields["state"], fields["reason"] = outline
         self._link.publish_packet(COMMAND, self._command)
 
-    def _measure(self, read_ns: int, sent_ns: int, written_ns: int) -> int:
+    def _measure_round_trip(self, read_ns: int, sent_ns: int, written_ns: int) -> int:
         """Note how long the stages of an answered command took; return its round trip [ns]."""
         command_ns = int(self._newly_answered_ns[0])
         if not command_ns:
@@ -321,10 +321,12 @@ class MasterProcess(LoopProcess):
         )
         if self._report(tick.stamp_ns, self._states):
             self._link.publish(LATENCY, self._meter.stages.message(Role.MASTER))
-            self._warn([self._reads.take(), self._writes.take(), self._layout_difference()])
+            self._warn(
+                [self._reads.take(), self._writes.take(), self._describe_layout_difference()]
+            )
         self._checkpoint.save()
 
-    def _layout_difference(self) -> str:
+    def _describe_layout_difference(self) -> str:
         """Return, once, which axes of the device or joints of the rig have no counterpart."""
         joints, axes = int(self._joints[0]), self._device.axes
         if self._is_layout_compared or not joints:
@@ -337,22 +339,22 @@ class MasterProcess(LoopProcess):
             return f"{difference}axes from {joints + 1} on move nothing"
         return f"{difference}joints from {axes + 1} on are not moved"
 
-    def _device_failed(self, error: DeviceFault) -> Reason:
+    def _end_on_device_fault(self, error: DeviceFault) -> Reason:
         self._end(TeleopError(f"haptic device: {error}"))
         return Reason.DEVICE_FAULT
 
-    def _publish_session(self, side: SessionOutline) -> None:
-        self._published = side
-        text = DetailedReason(side.reason, self._detail(side)).text
-        publish_event(self._link, Role.MASTER, side, f"{side.state.name.lower()}: {text}")
+    def _publish_session(self, outline: SessionOutline) -> None:
+        self._published = outline
+        text = DetailedReason(outline.reason, self._describe_reason(outline)).text
+        publish_event(self._link, Role.MASTER, outline, f"{outline.state.name.lower()}: {text}")
 
-    def _detail(self, side: SessionOutline) -> str:
+    def _describe_reason(self, outline: SessionOutline) -> str:
         """Return what the reason of a state is about; empty if there is no more to say."""
-        if side.reason is Reason.STOP_CALLED:
+        if outline.reason is Reason.STOP_CALLED:
             return self._stop_text
-        return self._away if side.reason is Reason.DEVICE_FAULT else ""
+        return self._absence if outline.reason is Reason.DEVICE_FAULT else ""
 
-    def _execute(self, requests: Requests) -> None:
+    def _process_requests(self, requests: Requests) -> None:
         """Note who calls for a stop, and change settings as other processes ask."""
         if requests.words and self._published.state is not State.STOPPED:  # the first caller's
             self._stop_text = requests.words
@@ -377,10 +379,10 @@ class MasterProcess(LoopProcess):
         )
         self._link.publish(ANSWER, answer)
 
-    def _publish_device(self, away: str) -> None:
-        self._away = away
+    def _publish_device_state(self, absence: str) -> None:
+        self._absence = absence
         recovery = "it is back; let go of everything, then engage"
-        text = f"haptic device: {away or recovery}"
+        text = f"haptic device: {absence or recovery}"
         publish_event(self._link, Role.MASTER, self._outline(), text)
 
 

@@ -76,7 +76,7 @@ class SlaveConfig:
         require_periods("slave.gate.tension_age_max", self.gate.tension_age_max, rate_hz)
 
     @property
-    def rig_obeys(self) -> bool:
+    def is_actuated(self) -> bool:
         """Whether the motors follow commands; False for replayed data."""
         return not isinstance(self.rig, ReplayedRigConfig)
 
@@ -167,14 +167,14 @@ def find_config_warnings(config: SlaveConfig, coupling: CouplingConfig = DIRECT)
 
 
 def _find_model_warnings(config: SlaveConfig, coupling: CouplingConfig) -> list[str]:
-    if not config.rig_obeys and not isinstance(coupling, DirectConfig):
+    if not config.is_actuated and not isinstance(coupling, DirectConfig):
         return [
             (
                 "WARNING: coupling: replayed forces fade at the master with this coupling; "
                 f"{USE_DIRECT}"
             )
         ]
-    if any(tendon.tension_noise == 0.0 for tendon in config.tendons) and config.rig_obeys:
+    if any(tendon.tension_noise == 0.0 for tendon in config.tendons) and config.is_actuated:
         return ["WARNING: slave.tendons: no tension_noise: a stuck load cell may not be noticed"]
     if not isinstance(config.calibration, Path):
         return []

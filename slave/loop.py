@@ -58,7 +58,7 @@ class RigModel(NamedTuple):
     models: tuple[online.TendonModel, ...]  # of each tendon
     layout: StructArray  # RigLayout, shape (1,)
     prepared: StructArray  # for the estimators, shape (tendons,)
-    watched: StructArray  # for the monitor of their calibration, shape (tendons,)
+    monitor_constants: StructArray  # for the monitor of their calibration, shape (tendons,)
     not_ready_text: str = ""  # why it must not be engaged, e.g. no calibration fits
 
 
@@ -71,16 +71,18 @@ class SlaveRecords(NamedTuple):
     estimators: StructArray
     memory: StructArray
     scratch: StructArray
-    watched: StructArray
+    monitor_constants: StructArray
     with_dynamics: bool | None  # None where no model has dynamic effects; see `estimate`
 
     @property
-    def estimated(self) -> tuple[StructArray, StructArray, StructArray, StructArray, bool | None]:
+    def estimate_arguments(
+        self,
+    ) -> tuple[StructArray, StructArray, StructArray, StructArray, bool | None]:
         """First arguments of `estimate`."""
         return self.layout, self.prepared, self.estimators, self.memory, self.with_dynamics
 
     @property
-    def ticked(self) -> tuple[StructArray, StructArray, StructArray, StructArray]:
+    def tick_arguments(self) -> tuple[StructArray, StructArray, StructArray, StructArray]:
         """First arguments of `run_tick`."""
         return self.settings, self.layout, self.memory, self.scratch
 
@@ -108,7 +110,7 @@ def build_settings(
         records[name] = to_struct_array(getattr(config, name))
     records["bilateral"] = coupling.to_bilateral_settings(bilateral)
     records["sample_timeout"] = config.sample_timeout
-    records["rig_obeys"], records["calibrated"] = config.rig_obeys, calibrated
+    records["is_actuated"], records["calibrated"] = config.is_actuated, calibrated
     return records
 
 
@@ -137,13 +139,13 @@ def init_slave(
         online.build_initial_states(model.prepared),
         memory,
         Scratch.array(),
-        model.watched,
+        model.monitor_constants,
         True if model.prepared["has_dynamics"].any() else None,
     )
     row = EstimatedSample.array()
     for sample in samples:
         fill_sample(row, 0, sample)
-        estimate(*slave.estimated, row, 1)
+        estimate(*slave.estimate_arguments, row, 1)
         track_initial_position(*map(view_struct, (slave.layout, memory, slave.scratch, row)))
     if motor:
         memory["motor"][0, :tendons] = motor
@@ -182,29 +184,31 @@ def run_tick(
     states : Records
         `SlaveState`, shape (1,), filled in except for the head.
     """
-    setting, layout, memory = settings_records[0], layouts[0], memories[0]
+    settings, layout, memory = settings_records[0], layouts[0], memories[0]
     scratch, command = scratches[0], commands[0]
-    fault, tendon = _process_samples(setting, layout, memory, scratch, rows, samples, tick_input.dt)
-    _update_faults(setting, layout, memory, rows, samples, fault, tendon, tick_input.dt)
-    _update_readiness(setting, memory, scratch, tick_input.motors_follow)
+    fault, tendon = _process_samples(
+        settings, layout, memory, scratch, rows, samples, tick_input.dt
+    )
+    _update_faults(settings, layout, memory, rows, samples, fault, tendon, tick_input.dt)
+    _update_readiness(settings, memory, scratch, tick_input.motors_follow)
     commanded = _copy_command(layout, scratch, command, tick_input)
-    _advance_session(setting, layout, memory, scratch, command, tick_input)
+    _advance_session(settings, layout, memory, scratch, command, tick_input)
     engaged = state_machine.may_move(memory.session) and commanded
     if memory.has_sample:
         control.estimate_joints(layout, memory.tendons, memory.offsets, memory.joints)
-    _apply_coupling(setting, layout, memory, scratch, command, tick_input, commanded, engaged)
+    _apply_coupling(settings, layout, memory, scratch, command, tick_input, commanded, engaged)
     verdict = gate.HELD
     if memory.has_sample and (memory.has_motor or engaged):
         moving = engaged and tick_input.motors_follow
-        verdict = _command_motors(setting, layout, memory, scratch, moving, tick_input.dt)
+        verdict = _command_motors(settings, layout, memory, scratch, moving, tick_input.dt)
         memory.has_motor = True
-    _fill_state(setting, layout, memory, command, tick_input, states[0])
+    _fill_state(settings, layout, memory, command, tick_input, states[0])
     return verdict
 
 
 @jit_compile
 def _process_samples(
-    setting: SlaveSettings,
+    settings: SlaveSettings,
     layout: RigLayout,
     memory: SlaveMemory,
     scratch: Scratch,
@@ -219,12 +223,12 @@ def _process_samples(
     for i in range(samples):
         row = rows[i]
         reason, faulty_tendon = fault_detection.step(
-            setting.fault_detection, layout, memory.detector, row.tendons, row.elapsed
+            settings.fault_detection, layout, memory.detector, row.tendons, row.elapsed
         )
         if reason != Reason.NONE:
             fault, tendon = reason, faulty_tendon
         track_initial_position(layout, memory, scratch, row)
-        if setting.rig_obeys and memory.has_motor:
+        if settings.is_actuated and memory.has_motor:
             fault_detection.record_motor_readings(memory.motors, layout, row.tendons, memory.motor)
     return fault, tendon
 
@@ -243,7 +247,7 @@ def track_initial_position(
 
 @jit_compile
 def _update_faults(
-    setting: SlaveSettings,
+    settings: SlaveSettings,
     layout: RigLayout,
     memory: SlaveMemory,
     rows: StructArray,
@@ -253,9 +257,9 @@ def _update_faults(
     dt: float,
 ) -> None:
     """Update the fault conditions: motors, missing samples, tension over its limit."""
-    if setting.rig_obeys:
+    if settings.is_actuated:
         motor_fault, motor = fault_detection.check_motors(
-            setting.fault_detection,
+            settings.fault_detection,
             memory.motors,
             layout,
             memory.motor,
@@ -273,7 +277,7 @@ def _update_faults(
     has_new_sample = is_usable and not memory.motors.repeated
     memory.silence = 0.0 if has_new_sample else memory.silence + dt
     is_overloaded = state_machine.may_move(memory.session) and _is_overloaded(
-        setting, layout, memory
+        settings, layout, memory
     )
     memory.overload = memory.overload + dt if is_overloaded else 0.0
 
@@ -288,11 +292,11 @@ def _is_usable(layout: RigLayout, tendons: Sequence[EstimatedTendon]) -> bool:
 
 
 @jit_compile
-def _is_overloaded(setting: SlaveSettings, layout: RigLayout, memory: SlaveMemory) -> bool:
+def _is_overloaded(settings: SlaveSettings, layout: RigLayout, memory: SlaveMemory) -> bool:
     """Return whether a tension exceeds its limit although the gate stops the pull."""
     if not memory.has_sample:
         return False
-    limit = OVERLOAD_RATIO * setting.gate.tension_max
+    limit = OVERLOAD_RATIO * settings.gate.tension_max
     for i in range(layout.tendons):
         tendon = memory.tendons[i]
         if tendon.tension > limit or tendon.corrected_tension > limit:
@@ -302,13 +306,13 @@ def _is_overloaded(setting: SlaveSettings, layout: RigLayout, memory: SlaveMemor
 
 @jit_compile
 def _update_readiness(
-    setting: SlaveSettings, memory: SlaveMemory, scratch: Scratch, motors_follow: bool
+    settings: SlaveSettings, memory: SlaveMemory, scratch: Scratch, motors_follow: bool
 ) -> None:
     """Update the motor positions and whether the rig is usable.
 
     Motors that do not follow yet, as they are being enabled, are where their encoders say.
     """
-    is_measured = initial_position.is_known(memory.initial_position, setting.sample_timeout)
+    is_measured = initial_position.is_known(memory.initial_position, settings.sample_timeout)
     if memory.has_motor and (motors_follow or not is_measured):
         copy_values(memory.motor[:], scratch.motor_position[:])
     elif is_measured:
@@ -316,7 +320,7 @@ def _update_readiness(
     is_position_known = memory.has_motor or is_measured
     if not memory.has_sample:
         memory.not_ready = NO_SAMPLE
-    elif not setting.calibrated:
+    elif not settings.calibrated:
         memory.not_ready = NOT_CALIBRATED
     else:
         memory.not_ready = USABLE if is_position_known else NO_POSITION
@@ -339,7 +343,7 @@ def _copy_command(
 
 @jit_compile
 def _advance_session(
-    setting: SlaveSettings,
+    settings: SlaveSettings,
     layout: RigLayout,
     memory: SlaveMemory,
     scratch: Scratch,
@@ -351,9 +355,9 @@ def _advance_session(
         master_state = state_machine.to_known_state(command.state)
     fault = tick_input.fault
     if fault == Reason.NONE:
-        fault = _find_own_fault(setting, layout, memory, scratch)
+        fault = _find_own_fault(settings, layout, memory, scratch)
     has_mismatch = tick_input.has_command and coupling.has_settings_mismatch(
-        setting.bilateral, command.coupling
+        settings.bilateral, command.coupling
     )
     inputs = scratch.inputs
     inputs.usable = memory.not_ready == USABLE
@@ -374,10 +378,10 @@ def _advance_session(
 
 @jit_compile
 def _find_own_fault(
-    setting: SlaveSettings, layout: RigLayout, memory: SlaveMemory, scratch: Scratch
+    settings: SlaveSettings, layout: RigLayout, memory: SlaveMemory, scratch: Scratch
 ) -> int:
     """Return the Reason of a fault on this side."""
-    if memory.has_sample and memory.silence > setting.sample_timeout:
+    if memory.has_sample and memory.silence > settings.sample_timeout:
         return Reason.SAMPLES_FROZEN if memory.motors.repeated else Reason.SAMPLES_STALE
     if memory.overload > OVERLOAD_S:
         return Reason.OVER_LIMIT
@@ -393,7 +397,7 @@ def _find_own_fault(
 
 @jit_compile
 def _apply_coupling(
-    setting: SlaveSettings,
+    settings: SlaveSettings,
     layout: RigLayout,
     memory: SlaveMemory,
     scratch: Scratch,
@@ -410,14 +414,14 @@ def _apply_coupling(
     coupling.receive_totals(memory.coupling, command.sender, energy, wave)
     if engaged:
         compute_rendered_forces(
-            setting.bilateral.confidence,
+            settings.bilateral.confidence,
             memory.joints,
             layout.joints,
             command.force_max,
             scratch.force,
         )
     coupling.compute_tip_motion(
-        setting.bilateral,
+        settings.bilateral,
         memory.coupling,
         scratch.requested,
         scratch.speed,
@@ -461,7 +465,7 @@ def compute_rendered_forces(
 
 @jit_compile
 def _command_motors(
-    setting: SlaveSettings,
+    settings: SlaveSettings,
     layout: RigLayout,
     memory: SlaveMemory,
     scratch: Scratch,
@@ -470,7 +474,7 @@ def _command_motors(
 ) -> int:
     """Compute the motor targets and apply the gate; hold unless `moving`."""
     control.step(
-        setting.control,
+        settings.control,
         layout,
         memory.control,
         scratch.requested,
@@ -487,9 +491,9 @@ def _command_motors(
         if tendon.valid:
             scratch.tension[i] = max(tendon.tension, tendon.corrected_tension)
     if moving:
-        gate.compute_reaches(setting.gate, layout, memory.joints, memory.reach)
+        gate.compute_reaches(settings.gate, layout, memory.joints, memory.reach)
     return gate.step(
-        setting.gate,
+        settings.gate,
         layout.tendons,
         scratch.motor_position,
         scratch.motor_target,
@@ -506,7 +510,7 @@ def _command_motors(
 
 @jit_compile
 def _fill_state(
-    setting: SlaveSettings,
+    settings: SlaveSettings,
     layout: RigLayout,
     memory: SlaveMemory,
     command: Command,
@@ -519,7 +523,7 @@ def _fill_state(
     state.state, state.reason = memory.session.state, memory.session.reason
     state.stops = memory.session.stops
     state.echo_stamp_ns = command.stamp_ns if tick_input.has_command else 0
-    state.coupling = setting.bilateral.signature
+    state.coupling = settings.bilateral.signature
     state.joints = layout.joints if memory.has_sample else 0
     state.sample_age_ns = round(memory.silence * 1e9) if memory.has_sample else 0
     for k in range(MAX_JOINTS):
@@ -538,15 +542,15 @@ def _fill_state(
 def monitor_calibration(
     settings_records: StructArray,
     layouts: StructArray,
-    watched: StructArray,
+    monitor_constants: StructArray,
     memories: StructArray,
     rows: StructArray,
     samples: int,
 ) -> None:
     """Update the calibration monitor with the samples of a tick."""
-    setting, layout, memory = settings_records[0], layouts[0], memories[0]
-    constants: Any = watched
+    settings, layout, memory = settings_records[0], layouts[0], memories[0]
+    constants: Any = monitor_constants
     for s in range(samples):
         memory.advice = monitor.step_rig(
-            setting.monitor, layout, constants, memory.monitors, rows[s].tendons, rows[s].elapsed
+            settings.monitor, layout, constants, memory.monitors, rows[s].tendons, rows[s].elapsed
         )

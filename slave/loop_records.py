@@ -39,7 +39,7 @@ class SlaveSettings(Struct):
     monitor: Annotated[monitor.MonitorConfig, Field(build_struct_dtype(monitor.MonitorConfig))]
     bilateral: coupling.BilateralSettings
     sample_timeout: F64 = 0.1  # [s]
-    rig_obeys: Flag = True  # the motors follow commands
+    is_actuated: Flag = True  # the motors follow commands
     calibrated: Flag = True  # a calibration fits the rig
 
 

@@ -108,7 +108,7 @@ class SlaveProcess(LoopProcess):
         super().__init__(link, clock.stats, self._slave.memory, joints, requests, health)
         self._motor = self._slave.memory["motor"][0]  # [m] that the gate let through
         self._has_motor = self._slave.memory["has_motor"]
-        self._estimated, self._ticked = self._slave.estimated, self._slave.ticked
+        self._estimated, self._ticked = self._slave.estimate_arguments, self._slave.tick_arguments
         self._checkpoint = Checkpoint(self._slave.memory, self._slave.estimators)
         self._rows = EstimatedSample.array(ROWS_INITIAL)
         self._samples = 0
@@ -140,7 +140,7 @@ class SlaveProcess(LoopProcess):
                 self._move_rig()
             except RigFault as error:
                 self._checkpoint.restore()
-                verdict = self._step(self._rig_failed(error), requests, now_ns(), tick.dt)
+                verdict = self._step(self._end_on_rig_fault(error), requests, now_ns(), tick.dt)
         if commands.new:
             self._answer_ns[0] = now_ns() - commands.received_ns
         self._link.publish_packet(STATE, self._state)
@@ -224,7 +224,7 @@ class SlaveProcess(LoopProcess):
             self.ended = Reason.RIG_FINISHED.text
             fault = Reason.RIG_FINISHED
         except RigFault as error:
-            fault = self._rig_failed(error)
+            fault = self._end_on_rig_fault(error)
         self._reads.add(now_ns() - begin_ns)
         if expected is not None:
             if len(samples) == 1 and samples[0] is expected:
@@ -238,7 +238,7 @@ class SlaveProcess(LoopProcess):
             self._samples += 1
         return fault
 
-    def _rig_failed(self, error: RigFault) -> Reason:
+    def _end_on_rig_fault(self, error: RigFault) -> Reason:
         self._end(TeleopError(f"rig: {error}"))
         return Reason.RIG_FAULT
 
@@ -249,7 +249,7 @@ class SlaveProcess(LoopProcess):
         next_sample = None if self.error or self.ended else self._advance_rig()
         rig_ns = now_ns() - begin_ns
         loop.monitor_calibration(
-            slave.settings, slave.layout, slave.watched, slave.memory, rows, samples
+            slave.settings, slave.layout, slave.monitor_constants, slave.memory, rows, samples
         )
         self._checkpoint.save()
         side = self._outline()
@@ -280,7 +280,7 @@ class SlaveProcess(LoopProcess):
             return self._rig.advance()
         except RigFault as error:  # told at once: there is no next tick
             self._samples = 0
-            self._step(self._rig_failed(error), Requests(), now_ns(), 0.0)
+            self._step(self._end_on_rig_fault(error), Requests(), now_ns(), 0.0)
             self._link.publish_packet(STATE, self._state)
             return None
 

@@ -48,7 +48,7 @@ def compile_session(config: SlaveConfig, with_dynamics: bool) -> None:
         _compile_tick()
         if with_dynamics:
             slave, rows, _ = _build_example()
-            estimate(*slave._replace(with_dynamics=True).estimated, rows, 1)
+            estimate(*slave._replace(with_dynamics=True).estimate_arguments, rows, 1)
         if config.initialise.at_start:
             calibration_run.warm_up()
     if config.initialise.at_start:
@@ -64,14 +64,16 @@ def _compile_outside_tick(config: SlaveConfig) -> None:
 def _compile_tick() -> None:
     slave, rows, state = _build_example()
     tick_input, command = TickInput(1e-3, True, False), Packet(Command)
-    estimate(*slave.estimated, rows, 1)
-    loop.run_tick(*slave.ticked, rows, 1, tick_input, command.records, state.records)
+    estimate(*slave.estimate_arguments, rows, 1)
+    loop.run_tick(*slave.tick_arguments, rows, 1, tick_input, command.records, state.records)
 
 
 def _compile_finish_tick() -> None:
     """Compile what is called once the state is published."""
     slave, rows, state = _build_example()
-    loop.monitor_calibration(slave.settings, slave.layout, slave.watched, slave.memory, rows, 1)
+    loop.monitor_calibration(
+        slave.settings, slave.layout, slave.monitor_constants, slave.memory, rows, 1
+    )
     fill_tendon_state(slave.layout, slave.memory, rows, 0, Packet(TendonState).records)
     Score().add_rows(slave.layout, rows, 1)
     compile_link_window_update()

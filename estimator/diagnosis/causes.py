@@ -36,41 +36,39 @@ from estimator.diagnosis.screening import Candidate, fit_candidates
 from estimator.diagnosis.settings import SETTINGS, ProgressCallback, scale_progress
 from estimator.effects.effect import Effect, EffectContext
 
-# --- which candidate is the next cause, and which others the data do not distinguish from it
+# --- the next cause, and its rivals
 
 
 def find_next_cause(
     dataset: Dataset, base_fit: Fit, current_fit: Fit, candidates: list[Candidate]
 ) -> CauseStep | None:
-    """Return the cause that explains most with the rivals that fit as well; None without any."""
-    current_errors = compute_errors(dataset, current_fit)
+    """Return the cause that explains most, with its rivals; None if no cause is significant.
+
+    Rivals are other effects that the data do not distinguish from it.
+    """
+    current_errors, base_errors = (compute_errors(dataset, fit) for fit in (current_fit, base_fit))
     ranked = sorted(
         candidates, key=lambda candidate: -score_candidate(dataset, current_errors, candidate)
     )
     if not ranked:
         return None
     best = select_simplest_cause(dataset, base_fit, current_errors, ranked)
+    best_score = score_candidate(dataset, current_errors, best)
     if (
-        score_candidate(dataset, current_errors, best) < SETTINGS.score_min
+        best_score < SETTINGS.score_min
         or compute_gain(best.held_out, current_errors) < SETTINGS.gain_min
         or bootstrap_superiority(best.held_out, current_errors) < SETTINGS.confidence
     ):
         return None
-    best_fraction = compute_residual_fraction(best.held_out, compute_errors(dataset, base_fit))
+    best_fraction = compute_residual_fraction(best.held_out, base_errors)
     rivals: list[str] = []
     for candidate in ranked:
-        if (
-            candidate.effect.name in (best.effect.name, *rivals)
-            or len(rivals) == SETTINGS.rivals_max
-        ):
+        name = candidate.effect.name
+        if name in (best.effect.name, *rivals) or len(rivals) == SETTINGS.rivals_max:
             continue
-        score_deficit = score_candidate(dataset, current_errors, best) - score_candidate(
-            dataset, current_errors, candidate
-        )
-        extra_fraction = (
-            compute_residual_fraction(candidate.held_out, compute_errors(dataset, base_fit))
-            - best_fraction
-        )
+        score_deficit = best_score - score_candidate(dataset, current_errors, candidate)
+        fraction = compute_residual_fraction(candidate.held_out, base_errors)
+        extra_fraction = fraction - best_fraction
         is_uncertain = (
             bootstrap_superiority(best.held_out, candidate.held_out) < SETTINGS.confidence
             and extra_fraction < SETTINGS.uncertain_fraction_max
@@ -80,7 +78,7 @@ def find_next_cause(
             or extra_fraction < SETTINGS.equivalent_fraction_max
             or is_uncertain
         ):
-            rivals.append(candidate.effect.name)
+            rivals.append(name)
     return CauseStep(
         best.effect,
         tuple(rivals),
@@ -97,7 +95,8 @@ def select_simplest_cause(
 ) -> Candidate:
     """Return the candidate with the fewest parameters among those as good as the best.
 
-    One with more can imitate another: an antagonist of hardly any friction is joint friction.
+    An effect with more parameters can imitate another one: an antagonist with hardly any friction
+    is joint friction.
     """
     best, base_errors = ranked[0], compute_errors(dataset, base_fit)
     fraction_max = (
@@ -219,9 +218,9 @@ def score_effect(dataset: Dataset, fit: Fit, fit_without: Fit, effect: Effect) -
 
 # shares of the time between which each search for a cause runs
 SEARCH_PROGRESS = 0.1, 0.4, 0.55, 0.65
-SAME_COST_TOLERANCE = 0.01  # of a cost: an effect that does the same leads nowhere else
-RESIDUAL_FRACTION_MAX = 0.5  # of the error beyond noise, to which hidden motion must lower it
-RESTART_PROGRESS = 0.9  # share at which a search that begins with another cause is done
+SAME_COST_TOLERANCE = 0.01  # relative: effects whose costs differ by less do the same
+RESIDUAL_FRACTION_MAX = 0.5  # share of the error beyond noise that hidden motion may leave
+RESTART_PROGRESS = 0.9  # share of the time at which the search from another cause ends
 
 
 class CauseSearchResult(NamedTuple):
@@ -243,10 +242,10 @@ def find_causes(
     report: ProgressCallback,
     workers: int,
 ) -> tuple[CauseSearchResult, Choice]:
-    """Return the causes of what a base law leaves, and which of the base laws that is.
+    """Return the causes of the residual of a base law, and the base law.
 
-    A law may have been chosen because it imitates a cause. So those after the first are tried while
-    more than noise is left, and the one stays with which most is explained.
+    The best law may have been chosen because it imitates a cause. So the next ones are tried while
+    a residual beyond noise remains, and the law is returned with which most is explained.
     """
     attempts: list[tuple[CauseSearchResult, Choice]] = []
     for law in laws:
@@ -279,9 +278,9 @@ def find_causes(
 
 
 def _recover_motion_beside_cause(result: CauseSearchResult) -> tuple[Dataset, Fit] | None:
-    """Return records with the hidden motion that shows beside a cause, and the base law's fit.
+    """Return the dataset with the hidden motion that a cause had masked, and the base law's fit.
 
-    A cause hides it from the base law. None where with it no more is explained.
+    None if this motion does not explain more.
     """
     dataset = result.dataset
     best = min(result.first_candidates, key=lambda candidate: candidate.cost, default=None)
@@ -383,10 +382,10 @@ def _find_causes_stepwise(
 def _restart_from_other_cause(
     result: CauseSearchResult, effects: Sequence[Effect], report: ProgressCallback, workers: int
 ) -> CauseSearchResult:
-    """Return better causes that begin with another first cause, or `result`.
+    """Return the result of a search from another first cause if it is better, else `result`.
 
-    The effect that explains most alone is not always one of those that together explain all: plays
-    of many thresholds imitate the gain of a load cell, badly.
+    The effect that explains most by itself need not be among those that together explain all:
+    plays of many thresholds imitate the gain of a load cell, badly.
     """
     dataset, base_fit = result.dataset, result.base_fit
     applicable = select_applicable_effects(effects, dataset.records[0], dataset.base)
@@ -450,8 +449,8 @@ def _find_cause_pair(
 ) -> list[CauseStep]:
     """Return two causes, neither significant alone, if together they leave only noise.
 
-    One of two can make a quiet channel worse while it takes most away from a loud one. It must fit
-    far better than any other, since nothing else speaks for it yet.
+    The first of the two may increase the error of a channel of little noise while it removes most
+    of another's. It must fit far better than any other, as this is the only evidence for it yet.
     """
     by_cost = sorted(candidates, key=lambda candidate: candidate.cost)
     other_costs = (
@@ -492,7 +491,7 @@ def _is_exhausted(dataset: Dataset, fit: Fit, base_fit: Fit) -> bool:
 
 
 def _is_brief(dataset: Dataset, base_fit: Fit) -> bool:
-    """Return whether what is wrong is nearly all in one block, or in two side by side."""
+    """Return whether nearly all of the misfit lies in one block, or in two neighbouring ones."""
     peak = total = 0.0
     for record, simulated in zip(dataset.records, base_fit.simulated, strict=True):
         excess = np.zeros(record.block[-1] + 1)

@@ -1,4 +1,4 @@
-"""How good a model is on what it was not fitted to, and how surely one is better than another."""
+"""Errors of models on held-out samples, and how significantly one model beats another."""
 
 import math
 from collections.abc import Sequence
@@ -20,7 +20,7 @@ from estimator.fitting import (
     estimate_correlation,
 )
 
-DRAWS = 400
+BOOTSTRAP_DRAWS = 400
 
 
 class ChannelErrors(NamedTuple):
@@ -29,7 +29,7 @@ class ChannelErrors(NamedTuple):
     squares: Array  # sums over bins, (bins,), in squares of the noise
     power: float  # their sum in squares of the channel's unit
     counts: Array  # samples of each bin
-    independent: float  # share of the samples that tell something of their own
+    independent: float  # share of the samples that are statistically independent
 
     @property
     def rmse(self) -> float:
@@ -47,7 +47,7 @@ def compute_errors(
 ) -> dict[str, ChannelErrors]:
     """Return the errors of a model by channel, all records together.
 
-    Where all samples are fitted and none is held out, the fitted ones are judged.
+    Where no sample is held out, those of the fitted ones.
     """
     parts: dict[str, list[ChannelErrors]] = {}
     for record, simulated in zip(dataset.records, fit.simulated, strict=True):
@@ -96,8 +96,8 @@ def concatenate_errors(parts: Sequence[ChannelErrors]) -> ChannelErrors:
 def compute_log_likelihood_ratio(a: dict[str, ChannelErrors], b: dict[str, ChannelErrors]) -> float:
     """Return the log-likelihood ratio of held-out data under `a` to that under `b`.
 
-    Each channel's own mean square stands for its variance, so that neither the unit nor a
-    noise that was estimated wrongly decides.
+    Each channel's own mean square stands for its variance, so that neither its unit nor an error of
+    its estimated noise matters.
     """
     total = 0.0
     for channel, errors in a.items():
@@ -124,7 +124,7 @@ def bootstrap_superiority(
         if len({len(d) for d in difference}) == 1
         else np.concatenate(difference)
     )
-    draws = np.random.default_rng(seed).integers(0, len(total), (DRAWS, len(total)))
+    draws = np.random.default_rng(seed).integers(0, len(total), (BOOTSTRAP_DRAWS, len(total)))
     return float(np.mean(total[draws].sum(axis=1) > 0.0))
 
 
@@ -137,7 +137,7 @@ def compute_gain(a: dict[str, ChannelErrors], b: dict[str, ChannelErrors]) -> fl
 def compute_residual_fraction(a: dict[str, ChannelErrors], b: dict[str, ChannelErrors]) -> float:
     """Return the residual of `a` over that of `b`, both beyond noise; worse channels weigh more.
 
-    0 where noise is all that is left, 1 where nothing was gained.
+    0 if only noise remains, 1 if `a` is no better.
     """
     remaining = total = 0.0
     for channel, errors in b.items():
@@ -156,14 +156,14 @@ def bootstrap_gain(a: ChannelErrors, b: ChannelErrors, seed: int = 0) -> Interva
     """Return by which share the RMSE is smaller under `a` than under `b`, and its 95 % interval."""
     value = 1.0 - math.sqrt(a.mean / max(b.mean, 1e-12))
     n = len(a.squares)
-    draws = np.random.default_rng(seed).integers(0, n, (DRAWS, n))
+    draws = np.random.default_rng(seed).integers(0, n, (BOOTSTRAP_DRAWS, n))
     ratio = a.squares[draws].sum(axis=1) / np.maximum(b.squares[draws].sum(axis=1), 1e-12)
     low, high = np.quantile(1.0 - np.sqrt(ratio), [0.025, 0.975])
     return IntervalEstimate(value, float(low), float(high))
 
 
 def is_noise(dataset: Dataset, errors: dict[str, ChannelErrors]) -> bool:
-    """Return whether errors are what noise makes, and a simulation's own error."""
+    """Return whether errors are no larger than noise and the simulation's own error."""
     return is_within_tolerance(dataset, errors, SETTINGS.noise_ratio)
 
 
@@ -192,7 +192,7 @@ def _estimate_independent_share(error: Array) -> float:
     return max(compute_independent_share(estimate_correlation(error)), SETTINGS.independent_min)
 
 
-# --- what a residual depends on: hints for a person, no verdict
+# --- what a residual depends on: hints for a person, not part of the verdict
 
 
 class ResidualDependence(NamedTuple):
@@ -204,10 +204,10 @@ class ResidualDependence(NamedTuple):
 
 
 def find_residual_dependence(dataset: Dataset, fit: Fit) -> tuple[ResidualDependence, ...]:
-    """Return how much of each channel's residual is a function of what, strongest first.
+    """Return the dependences of each channel's residual on other variables, strongest first.
 
-    The share of its variance between bins of the tension, its rate, the speed, the direction, the
-    travel and the time, less what bins of noise would have.
+    The share of its variance between bins of tension, speed, direction, travel or time, less the
+    share that bins of noise would have.
     """
     dependences = []
     for channel in dataset.records[0].compared:
@@ -299,7 +299,7 @@ def resample_residual(time: Array, residual: Array, period: float) -> Array:
 
 
 def autocorrelate_channel(dataset: Dataset, fit: Fit, channel: str) -> Autocorrelation:
-    """Return that of a fit's residual in a channel, of all fitted records."""
+    """Return the autocorrelation of a fit's residual in a channel, of all fitted records."""
     records = dataset.records
     period = float(np.median([_compute_period(record.time[record.measured]) for record in records]))
     residuals = []
@@ -323,15 +323,15 @@ def _compute_period(time: Array) -> float:
 
 
 class ChoiceScore(NamedTuple):
-    """A base law or a choice of loads, as it came out."""
+    """The result of a base law or of a choice of loads."""
 
     name: str
-    score: float  # ln of how much more probable held-out data are than with the first, less BIC
+    score: float  # log-likelihood ratio of held-out data to the first choice, less BIC penalty
     rmse: dict[str, float]  # held out, by channel, in the channel's unit
 
 
 class Choice(NamedTuple):
-    """A dataset with what was chosen, its fit, and the evidence."""
+    """A chosen law or model of the loads: its dataset, its fit, and the scores of all."""
 
     dataset: Dataset
     fit: Fit
@@ -339,7 +339,7 @@ class Choice(NamedTuple):
 
     @property
     def equivalents(self) -> tuple[str, ...]:
-        """Names of those that the data do not distinguish from the best."""
+        """Names of the choices that the data do not distinguish from the best."""
         best_score = max((choice.score for choice in self.scores), default=0.0)
         return tuple(
             choice.name
@@ -349,7 +349,7 @@ class Choice(NamedTuple):
 
 
 class SimpleFit(NamedTuple):
-    """A model and how far it is off in each channel."""
+    """A model without a sheath, and its held-out errors."""
 
     name: str
     held_out: dict[str, ChannelErrors]  # of both halves, each fitted to the other

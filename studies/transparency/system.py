@@ -260,11 +260,11 @@ class Teleoperator:
     def _slave_tick(self, samples: Sequence[RigSample], now: int) -> None:
         slave, latest = self._slave, self._commands.newest(now)
         rows = to_sample_rows(samples)
-        estimate(*slave.estimated, rows, len(samples))
+        estimate(*slave.estimate_arguments, rows, len(samples))
         fresh = latest.is_fresh(now, self._timeout_ns)
         tick_input = TickInput(DT, latest.is_there, fresh)
         slave_loop.run_tick(
-            *slave.ticked,
+            *slave.tick_arguments,
             rows,
             len(samples),
             tick_input,
@@ -272,7 +272,7 @@ class Teleoperator:
             self._state.records,
         )
         slave_loop.monitor_calibration(
-            slave.settings, slave.layout, slave.watched, slave.memory, rows, len(samples)
+            slave.settings, slave.layout, slave.monitor_constants, slave.memory, rows, len(samples)
         )
         if self.slave.has_motor:
             self._rig.wanted = tuple(self.slave.motor[: self._tendons].tolist())

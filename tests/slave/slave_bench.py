@@ -83,10 +83,12 @@ class SlaveBench:
     def step(self, samples: Sequence[RigSample], commands: StructArray, given: TickInput) -> Output:
         """Go on by a tick, with the newest command as a record."""
         slave, rows, count = self.slave, to_sample_rows(samples), len(samples)
-        estimate(*slave.estimated, rows, count)
-        verdict = loop.run_tick(*slave.ticked, rows, count, given, commands, self._state.records)
+        estimate(*slave.estimate_arguments, rows, count)
+        verdict = loop.run_tick(
+            *slave.tick_arguments, rows, count, given, commands, self._state.records
+        )
         loop.monitor_calibration(
-            slave.settings, slave.layout, slave.watched, slave.memory, rows, count
+            slave.settings, slave.layout, slave.monitor_constants, slave.memory, rows, count
         )
         state = SlaveState.unpack(self._state.seal(0, 0, 0))
         return Output(self.motor, GateFlags(verdict), state, rows)

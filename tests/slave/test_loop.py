@@ -443,7 +443,7 @@ def test_a_sample_that_lacks_a_tendon_is_silence_and_not_the_one_before():
     rows = EstimatedSample.array()
     for k, tendons in enumerate((3, 3, 2)):
         fill_sample(rows, 0, RigSample(k * DT, np.full(tendons, 5.0), np.zeros(tendons)))
-        estimate(*slave.slave.estimated, rows, 1)
+        estimate(*slave.slave.estimate_arguments, rows, 1)
     assert rows["tendons"]["valid"][0, :3].tolist() == [True, True, False]
 
 

@@ -169,8 +169,8 @@ def test_motors_at_their_limits_stay_well_within_what_they_may_be_behind(name):
 
 def test_played_data_need_not_go_where_the_motors_are_sent(tmp_path):
     config = SlaveConfig(rig=ReplayedRigConfig(file=tmp_path / "data.csv"))
-    assert not config.rig_obeys
-    assert slave(wall()).rig_obeys
+    assert not config.is_actuated
+    assert slave(wall()).is_actuated
 
 
 def pressing(time, reach=0.008, leg=1.0, rest=0.1):

@@ -93,7 +93,7 @@ def played(data, model, *, drop_nonfinite=False):
         rig.starts_at_zero,
     )
     rows = to_sample_rows(rig.read(1e9))
-    estimate(*slave.estimated, rows, len(rows))
+    estimate(*slave.estimate_arguments, rows, len(rows))
     score = Score(models)
     score.add_rows(slave.layout, rows, len(rows))
     return score.summary()
