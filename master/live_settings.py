@@ -120,9 +120,9 @@ def apply_buttons(live: LiveSettings, hand: HandState | None) -> tuple[LiveSetti
     live, changes = live._replace(held=held), []
     for (key, *_), (less, more), was in zip(BUTTONS, down, before, strict=True):
         if less != more and not was:
-            live, words = change_setting(
-                live, key, f"{_step_scale(_get_scale(live, key), less):.6g}"
-            )
+            is_force = key == "force.scale"
+            scale = live.force_scale if is_force else live.config.operator.position_scale
+            live, words = change_setting(live, key, f"{_step_scale(scale, less):.6g}")
             changes.append(words)
     return live, ", ".join(changes)
 
@@ -133,10 +133,6 @@ def scale_config(config: MasterConfig, scale: float) -> MasterConfig:
     position_scale = config.operator.position_scale * scale
     operator = replace(config.operator, position_scale=position_scale)
     return replace(config, force=force, operator=operator)
-
-
-def _get_scale(live: LiveSettings, key: str) -> float:
-    return live.force_scale if key == "force.scale" else live.config.operator.position_scale
 
 
 def _step_scale(now: float, less: bool) -> float:

@@ -184,10 +184,11 @@ def list_next_steps(diagnosis: Diagnosis) -> list[str]:
 def list_sample_remarks(diagnosis: Diagnosis, files: Sequence[str]) -> list[str]:
     """Return which samples were excluded, averaged, or are odd."""
     remarks = []
+    names = {channel: diagnosis.units.word(channel) for channel in CHANNELS}
     for file, record in zip(files, diagnosis.dataset.records, strict=True):
         remarks += [
             f"{file}: {issue.samples} {issue.what} "
-            f"({_name_channel(diagnosis, issue.channel)}), the first at {issue.first:.4g} s"
+            f"({names.get(issue.channel, issue.channel)}), the first at {issue.first:.4g} s"
             for issue in record.issues
         ]
         if record.decimation_factor > 1:
@@ -220,10 +221,6 @@ def describe_residuals(diagnosis: Diagnosis) -> list[str]:
             f"noise is {format_quantity(noise, unit, 2)}; {remark}."
         )
     return lines
-
-
-def _name_channel(diagnosis: Diagnosis, channel: str) -> str:
-    return diagnosis.units.word(channel) if channel in CHANNELS else channel
 
 
 def _describe_cause(diagnosis: Diagnosis, step: CauseStep) -> str:

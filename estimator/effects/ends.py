@@ -82,10 +82,6 @@ JOINT_BACKLASH = Effect(
 )
 
 
-def _apply_joint_friction(physics: Physics, values: Values, _context: EffectContext) -> Physics:
-    return physics._replace(load_low=-values[0], load_high=values[0])
-
-
 JOINT_FRICTION = Effect(
     name="joint_friction",
     cause="the joint itself has dry friction",
@@ -94,7 +90,7 @@ JOINT_FRICTION = Effect(
     source="range assumed: 0.1 to 3 N",
     advice="Look at the joint's bearings; the force on the tool is less than the tendon's by it.",
     starts=lambda _: [(0.15,), (0.6,)],
-    physics=_apply_joint_friction,
+    physics=lambda physics, values, _: physics._replace(load_low=-values[0], load_high=values[0]),
     required_channels=TRAVEL,
 )
 
@@ -124,10 +120,6 @@ ANTAGONIST_TENSION = Effect(
 )
 
 
-def _apply_tip_inertia(physics: Physics, values: Values, _context: EffectContext) -> Physics:
-    return physics._replace(mass=values[0], damping=values[1])
-
-
 TIP_INERTIA = Effect(
     name="tip_inertia",
     cause="what hangs on the tip is heavy, or is damped",
@@ -139,7 +131,7 @@ TIP_INERTIA = Effect(
     source="Newton",
     advice="Move more smoothly, or take the load off the tip.",
     starts=lambda _: [(0.05, 5.0), (0.5, 10.0), (0.05, 100.0)],
-    physics=_apply_tip_inertia,
+    physics=lambda physics, values, _: physics._replace(mass=values[0], damping=values[1]),
     required_channels=TRAVEL,
 )
 
@@ -156,10 +148,6 @@ def _apply_tip_excursion(physics: Physics, values: Values, context: EffectContex
     departure = compute_step(context.time, onset + 0.5 * duration, step_duration)
     return_step = compute_step(context.time, onset + stay + 1.5 * duration, step_duration)
     return physics._replace(tip_offset=physics.tip_offset + size * (departure - return_step))
-
-
-def _build_motion_starts(context: EffectContext) -> Iterable[Values]:
-    return [(2e-4, onset, 0.5) for onset in context.spread_times(2 * ONSET_COUNT)]
 
 
 def _build_excursion_starts(context: EffectContext) -> Iterable[Values]:
@@ -196,7 +184,7 @@ TIP_MOVED = Effect(
     parameters=_TIP_MOTION_PARAMETERS,
     source="docs/theory.md (T18)",
     advice="No fault of the bench; watch what touches the tip at that time.",
-    starts=_build_motion_starts,
+    starts=lambda context: [(2e-4, t, 0.5) for t in context.spread_times(2 * ONSET_COUNT)],
     physics=_apply_tip_motion,
     where="and left it there",
     required_channels=TRAVEL,

@@ -1,7 +1,5 @@
 """Effects in the friction of a tendon on its sheath (docs/diagnosis.md, friction)."""
 
-from collections.abc import Iterable
-
 import numpy as np
 
 from estimator.array_types import Array
@@ -26,10 +24,6 @@ def _apply_friction_step(physics: Physics, values: Values, context: EffectContex
     return physics._replace(friction=physics.friction * share)
 
 
-def _build_step_starts(context: EffectContext) -> Iterable[Values]:
-    return [(a, onset) for onset in context.spread_times(ONSET_COUNT) for a in (-0.2, 0.2)]
-
-
 FRICTION_STEP = Effect(
     name="friction_step",
     cause="the shape of the sheath changed during the record, and its friction with it",
@@ -40,7 +34,7 @@ FRICTION_STEP = Effect(
     ),
     source="shape dependence: Wang, Sun, Phee, Robotica 2014; range assumed",
     advice="Fix the sheath, or calibrate again after it has been moved.",
-    starts=_build_step_starts,
+    starts=lambda context: [(a, t) for t in context.spread_times(ONSET_COUNT) for a in (-0.2, 0.2)],
     physics=_apply_friction_step,
 )
 

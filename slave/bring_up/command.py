@@ -28,7 +28,6 @@ from slave.bring_up.rig_check import (
 )
 from slave.config import SlaveConfig
 from slave.drivers import configs
-from slave.drivers.configs import DriverConfig
 from slave.drivers.driver import DriverFault
 from slave.rig import Rig, RigFault
 from slave.rigs import open_rig
@@ -82,9 +81,8 @@ def main(args: argparse.Namespace) -> int:
     try:
         for bus in buses:
             is_scan, count = args.action == "scan", 0
-            for line in (
-                configs.scan(bus) if is_scan else configs.reset(bus, _list_bus_motors(rig, bus))
-            ):
+            motors = rig.motor_ids if bus is rig.motors else ()
+            for line in configs.scan(bus) if is_scan else configs.reset(bus, motors):
                 print(line, flush=True)
                 count += 1
             if is_scan and not count:
@@ -119,7 +117,11 @@ def check_rig(args: argparse.Namespace, prompt: Callable[[str], str]) -> int:
             rest = measure_at_rest(rig, ticks, start_ns, args.duration)
             print(
                 "\n".join(
-                    [*format_rest_measurement(rest), *format_counts(rig), *_format_summary(rig)]
+                    [
+                        *format_rest_measurement(rest),
+                        *format_counts(rig),
+                        *(f"{key}: {value}" for key, value in rig.summary().items()),
+                    ]
                 )
             )
             if args.read_only:
@@ -197,10 +199,6 @@ def list_interfaces() -> list[str]:
     return lines
 
 
-def _list_bus_motors(rig: HardwareRigConfig, bus: DriverConfig) -> tuple[int, ...]:
-    return rig.motor_ids if bus is rig.motors else ()
-
-
 def format_counts(rig: Rig) -> list[str]:
     """Return what the buses of a hardware rig gave last, for `zero`, `offset` and `scale`."""
     if not isinstance(rig, HardwareRig) or rig.counts is None:
@@ -210,7 +208,3 @@ def format_counts(rig: Rig) -> list[str]:
         f"tendon {k}: motor at {position:.0f}, cell at {cell:.6g} counts"
         for k, (position, cell) in enumerate(zip(positions, cells, strict=True), 1)
     ]
-
-
-def _format_summary(rig: Rig) -> list[str]:
-    return [f"{key}: {value}" for key, value in rig.summary().items()]

@@ -60,9 +60,8 @@ def _take_up_slack(
             memory = memory._replace(home=seen.travel)
         if memory.side == count:
             memory = memory._replace(lane=_compute_drag_length(config, memory, seen))
-        return _build_zero_speeds(seen), begin_phase(
-            memory, _select_phase_after_take_up(memory, count), seen
-        )
+        phase = Phase.SEEK if memory.side < count else Phase.DRAG
+        return _build_zero_speeds(seen), begin_phase(memory, phase, seen)
     wound = [q - q0 for q, q0 in zip(seen.travel, memory.origin, strict=True)]
     allowed = config.slack_max + (config.pay_out + TREND_WINDOW if memory.stops else 0.0)
     if sum(wound) > allowed:
@@ -79,10 +78,6 @@ def _take_up_slack(
         _compute_holding_speed(config, memory.tension[k], config.take_up, TAKE_UP_BAND_HIGH, 0.0)
         for k in range(count)
     ), memory
-
-
-def _select_phase_after_take_up(memory: ProcedureState, count: int) -> Phase:
-    return Phase.SEEK if memory.side < count else Phase.DRAG
 
 
 def _seek_stop(

@@ -194,8 +194,10 @@ class _ProcedureRun:
         self.over = False
         self._rig, self._limits, self._joints = rig, limits, joints
         self._joint_constants = [
-            _build_joint_constants(limits.initialise, j, tendons)
-            for j, tendons in enumerate(rig.joints)
+            JointConstants(
+                j, tuple(compute_compliance_limit(limits.initialise, k) for k in tendons)
+            )
+            for j, tendons in enumerate(rig.joints, 1)
         ]
         self._memories = [ProcedureState() for _ in rig.joints]
         self._verdicts = [GateFlags.PASSED for _ in rig.joints]
@@ -416,9 +418,3 @@ def validate_limits(rig: Rig, limits: ProcedureLimits) -> None:
             f"slave.initialise.seek_speed: {config.seek_speed:g} m/s is over "
             f"slave.gate.speed_max ({gate_limits.speed_max:g} m/s)"
         )
-
-
-def _build_joint_constants(
-    config: InitialiseConfig, j: int, tendons: tuple[int, ...]
-) -> JointConstants:
-    return JointConstants(j + 1, tuple(compute_compliance_limit(config, k) for k in tendons))

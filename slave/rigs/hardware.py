@@ -382,7 +382,7 @@ class HardwareRig:
         if readings[0]:
             self.follows = self._enabled and readings[0][-1].follows
         if self._aligner is None:
-            return [_as_sample(reading) for reading in readings[0]]
+            return [(r.time_s, r.position, r.cell) for r in readings[0]]
         return list(self._aligner.samples(*readings))
 
     def _require_near(self, target: Array) -> None:
@@ -402,7 +402,3 @@ class HardwareRig:
                 f"the first target of tendon {motor + 1} is {distance[motor] * 1e3:.1f} mm from "
                 f"where its motor is, {STEP_MAX * 1e3:g} mm at most"
             )
-
-
-def _as_sample(reading: Reading) -> tuple[float, Counts, Counts]:
-    return reading.time_s, reading.position, reading.cell

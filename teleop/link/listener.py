@@ -3,6 +3,7 @@
 import threading
 from collections import OrderedDict, deque
 from collections.abc import Callable, Iterable
+from operator import attrgetter
 from typing import Any, NamedTuple
 
 import zenoh
@@ -89,7 +90,7 @@ class MessageQueue:
                     while queue and queue[0].number < end:
                         arrivals.append(queue.popleft())
             self.has_arrivals = any(waiting)
-        arrivals.sort(key=_get_number)
+        arrivals.sort(key=attrgetter("number"))
         return arrivals, dropped
 
     def oldest_ns(self) -> int | None:
@@ -114,10 +115,6 @@ def compute_capacity_bytes(topics: Iterable[Topic[Any]]) -> int:
     return sum(
         compute_capacity(topic) * (topic.message.schema.size + 1 + ENTRY_BYTES) for topic in topics
     )
-
-
-def _get_number(arrival: Arrival) -> int:
-    return arrival.number
 
 
 # messages of a topic whose tags are checked: at once, per second

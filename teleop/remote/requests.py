@@ -2,6 +2,7 @@
 
 from collections import deque
 from collections.abc import Callable, Iterable
+from functools import partial
 from typing import NamedTuple
 
 from teleop.link import Link, ReceivedMessage
@@ -140,7 +141,9 @@ class RequestListener:
             for item, call in calls_and_bodies
             if call.action in (WATCH, LEAVE)
         ]
-        self._armed, lost = update_watches(self._armed, beats, self._is_watch, now_ns)
+        self._armed, lost = update_watches(
+            self._armed, beats, partial(self._link.present, Role.WATCH), now_ns
+        )
         requests = Requests(
             stop=Reason.WATCH_LOST if lost else Reason.NONE,
             reset=any(
@@ -222,9 +225,6 @@ class RequestListener:
                 f"{item.topic.name} of a {format_role(role)} without the right to {right}"
             )
         return may
-
-    def _is_watch(self, nonce: int) -> bool:
-        return self._link.present(Role.WATCH, nonce)
 
 
 def call_stop(link: Link, role: Role, words: str, action: int = CALL) -> None:

@@ -59,7 +59,7 @@ class Node:
     ) -> str:
         """Return the key of the liveliness token of its endpoint `number`, from 1."""
         return (
-            f"{self._entity(str(number))}/{kind.value}/%/%/{self.name}/{_mangle_name(topic)}/"
+            f"{self._entity(str(number))}/{kind.value}/%/%/{self.name}/{topic.replace('/', '%')}/"
             f"{to_dds_name(type_name)}/{compute_type_hash(type_name)}/{qos.text}"
         )
 
@@ -122,7 +122,3 @@ def parse_endpoint(token: str) -> GraphEndpoint | None:
     return GraphEndpoint(
         f"{namespace}/{name}", EndpointKind(parts[5]), topic, f"{package}/msg/{short[:-1]}"
     )
-
-
-def _mangle_name(name: str) -> str:
-    return name.replace("/", "%")

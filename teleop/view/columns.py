@@ -103,15 +103,11 @@ def _to_strip_array(strips: Strips) -> pa.Array:
     return pa.ListArray.from_arrays(offsets.astype(np.int32), _to_point_array(points), type=kind)
 
 
-def _to_float32_array(values: Array) -> pa.Array:
-    return pa.array(np.asarray(values, np.float32))
-
-
 _CONVERSIONS = {
     "scalars": lambda values: pa.array(np.ascontiguousarray(values, np.float64)),
     "colors": lambda values: pa.array(np.asarray(values, np.uint32)),
     "labels": lambda values: pa.array(values, pa.string()),
-    "radii": _to_float32_array,
+    "radii": lambda values: pa.array(np.asarray(values, np.float32)),
     "positions": _to_point_array,
     "origins": _to_point_array,
     "vectors": _to_point_array,

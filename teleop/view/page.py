@@ -153,15 +153,13 @@ class BlockBuffer:
         """Return what came after a block, of much the newest; waits `wait_s` [s] for any."""
         with self._changed:
             self._changed.wait_for(lambda: self._newest > than or self._closed, wait_s)
-            return self._answer(than, self._newest, self._kept_after(than))
+            kept = [content for number, content in self._kept if number > than]
+            return self._answer(than, self._newest, kept)
 
     def older(self, than: int, down_to: int) -> PageMessages:
         """Return the newest of the data between two blocks that may be dropped, both excluded."""
         with self._changed:
             return self._answer(down_to, than - 1, [])
-
-    def _kept_after(self, number: int) -> list[bytes]:
-        return [content for n, content in self._kept if n > number]
 
     def _answer(self, low: int, high: int, kept: list[bytes]) -> PageMessages:
         """Return what is kept, and the newest of the blocks in (low, high] that fit."""

@@ -263,14 +263,13 @@ def _select_interfaces(all_found: Iterable[FoundDevice]) -> list[FoundDevice]:
     for device in best.values():
         groups.setdefault(device.item.identity, []).append(device)
     selected: list[FoundDevice] = []
+    ranks = list(DRIVERS)
     for group in groups.values():
         one_device = len({device.item.interface for device in group}) == len(group)
-        selected += [min(group, key=_get_driver_rank)] if one_device else group
+        selected += (
+            [min(group, key=lambda device: ranks.index(device.kind))] if one_device else group
+        )
     return selected
-
-
-def _get_driver_rank(device: FoundDevice) -> int:
-    return list(DRIVERS).index(device.kind)
 
 
 def _describe_missing_device(

@@ -118,7 +118,8 @@ class DynamixelDriver:
     def _exchange(self, target: Counts | None) -> Sequence[Reading]:
         self._cycles += 1
         if target is not None and self._enabled:
-            self._send(registers.GOAL_POSITION, _round_counts(target))
+            goals = [max(-LIMIT, min(LIMIT, round(value))) for value in target.tolist()]
+            self._send(registers.GOAL_POSITION, goals)
         sent_s = time.monotonic()
         result = self._read.txRxPacket()
         now = time.monotonic()
@@ -192,7 +193,3 @@ class DynamixelDriver:
             group.addParam(number, register.pack(value))
         if self._channels.motors:
             group.txPacket()
-
-
-def _round_counts(target: Counts) -> list[int]:
-    return [max(-LIMIT, min(LIMIT, round(value))) for value in target.tolist()]
