@@ -170,8 +170,6 @@ def estimate_correlation(
     centred : bool
         Take off the mean, as of a residual of one channel. False where residuals of several
         channels are in one row: what has a mean in one of them is an error that lasts.
-    correlation_max : float
-        Upper bound.
     """
     centred_residual = residual - residual.mean() if centred else residual
     power = float(centred_residual @ centred_residual)

@@ -94,8 +94,6 @@ def compute_command(
         `HandInput`, shape (1,).
     states : Records
         `SlaveState`, the newest, shape (1,); ignored unless `tick_input.has_state`.
-    tick_input : TickInput
-        Other inputs.
     commands : Records
         `Command`, shape (1,), filled in except for the head.
     """

@@ -164,8 +164,6 @@ def step(
 
     Parameters
     ----------
-    config : GateConfig
-        The limits.
     tendons : int
         How many tendons there are; the arrays may be longer.
     last, requested : arrays, shape (tendons,)

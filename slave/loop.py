@@ -177,8 +177,6 @@ def run_tick(
         Of a `SlaveRecords`; the memory is updated.
     rows : Records
         `EstimatedSample`, the first `samples` of which are new, oldest first, after `estimate`.
-    tick_input : TickInput
-        Other inputs.
     commands : Records
         `Command`, the newest, shape (1,); ignored unless `tick_input.has_command`.
     states : Records
@@ -444,12 +442,8 @@ def compute_rendered_forces(
 
     Parameters
     ----------
-    attenuation : ConfidenceConfig
-        Attenuation of uncertain forces.
     joint_estimates : JointEstimates, shape (joints,) or longer
-        Estimates of the joints.
-    joints : int
-        How many there are.
+        Of the `joints` of the rig.
     force_max : float
         Largest rendered force [N]; sent by the master, may be any number.
     out_forces : array, shape (joints,) or longer

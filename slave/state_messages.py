@@ -26,8 +26,6 @@ def fill_tendon_state(
     ----------
     layouts, memories, rows : Records
         `RigLayout`, `SlaveMemory` and `EstimatedSample` of the tick.
-    index : int
-        Index of the row.
     states : Records
         The message, shape (1,).
     """

@@ -195,8 +195,6 @@ def prepare_records(
     ----------
     data : sequence of MeasuredData or Record
         A `Record` is taken as it is.
-    noise : mapping
-        As for `diagnose`.
     loop : bool, optional
         Whether they are of a closed loop of two cables; by default, whether effort changes its sign
         in one of them.

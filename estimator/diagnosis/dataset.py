@@ -183,12 +183,8 @@ def simulate_record(
 
     Parameters
     ----------
-    record : Record
-        What drives it.
     context : EffectContext
         What effects may know of it.
-    base : Base
-        Parameters of the model.
     shared, own : sequence of float
         Their values.
     effects : sequence of (Effect, values)

@@ -136,8 +136,6 @@ def recover_hidden_motion(
     ----------
     record : Record
         Of which `sigma` tells what the noise of the travel makes of the tension.
-    base : Base
-        The base law.
     shared, own : tuple of float
         Its numbers, fitted to the record.
     """

@@ -68,8 +68,6 @@ def format_summary(
 
     Parameters
     ----------
-    diagnosis : Diagnosis
-        The result.
     files : sequence of str, optional
         What the records are called; "record 1" and so on by default.
     compared : Table, optional

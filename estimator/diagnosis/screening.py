@@ -84,8 +84,6 @@ def fit_candidates(
 
     Parameters
     ----------
-    dataset : Dataset
-        What was measured.
     current_fit : Fit
         The model without the effects.
     effects : sequence of Effect

@@ -413,8 +413,6 @@ def build_tendon_model(model: Model, duration: float, data: MeasuredData) -> Ten
     model : Model
     duration : float
         Of the longest fitted record [s]; friction is taken as at its end.
-    data : MeasuredData
-        The record.
     """
     stiffness = SHEATH_LENGTH / SETTINGS.assumed_compliance
     extended = build_extended_model(model.shared, model.effects, duration, SHEATH_LENGTH, stiffness)

@@ -222,8 +222,6 @@ def simulate(sheath: Sheath, proximal_tension: ArrayLike) -> Simulation:
 
     Parameters
     ----------
-    sheath : Sheath
-        Geometry, friction and stiffness.
     proximal_tension : array_like
         T_in [N], shape (n,), in order of time, not negative and finite.
 

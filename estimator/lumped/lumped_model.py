@@ -145,8 +145,6 @@ def simulate_by_travel(physics: Physics, time: Array, travel: Array, speed: Arra
 
     Parameters
     ----------
-    physics : Physics
-        What is driven.
     time : ndarray
         [s], shape (n,), rising.
     travel : ndarray

@@ -122,8 +122,6 @@ def analyse_procedure(
     ----------
     record : ProcedureData
         From `slave.calibration.run.run_procedure`.
-    config : InitialiseConfig
-        Settings of the procedure.
     ranges : sequence of float or None
         Travel of each joint between its stops [m] in an earlier calibration.
 

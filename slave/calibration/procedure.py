@@ -45,8 +45,6 @@ def step(
 
     Parameters
     ----------
-    config : InitialiseConfig
-        Tensions, speeds and limits.
     joint : Joint
         Its number and the largest compliance of its sheaths.
     memory : ProcedureState

@@ -102,8 +102,6 @@ def estimate_joint(
 
     Parameters
     ----------
-    joint : JointTendons
-        Which tendons it has.
     tendons : EstimatedTendons
         All of the rig in one sample, shape (tendons,) or longer.
     offset : float

@@ -105,8 +105,6 @@ def step(
 
     Parameters
     ----------
-    config : ControlConfig
-        Gains and limits.
     layout : RigLayout
         Which tendons each joint has.
     memory : Control

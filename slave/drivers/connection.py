@@ -21,8 +21,6 @@ class DriverProcess:
 
     Parameters
     ----------
-    config : DriverConfig
-        The bus.
     channels : Channels
         What is used on it.
 

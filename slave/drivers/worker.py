@@ -38,11 +38,6 @@ class ParentProcess:
     file at the other end of a socket comes 45 ms late with 300 MB, 110 ms late if they are locked.
     That the process is ending is told by its flags at once. A system without `/proc` has the end
     of the file only.
-
-    Parameters
-    ----------
-    process : int
-        Process id.
     """
 
     def __init__(self, process: int) -> None:

@@ -153,8 +153,6 @@ def run_program(prog: str, program: ModuleType, argv: Sequence[str] | None = Non
 
     Parameters
     ----------
-    prog : str
-        How it is called.
     program : ModuleType
         Its docstring describes it.
     """

@@ -236,8 +236,6 @@ class LedgerPublisher:
 
     Parameters
     ----------
-    role : Role
-        Whose ledger it is.
     sides : Records
         `Side`, shape (1,), of a loop.
     joints : int

@@ -102,8 +102,6 @@ def count_hand_work(
         differences of position matter.
     written : ndarray
         Forces rendered since the last tick [N], first `axes`.
-    axes : int
-        Axes of the device.
     lever : float
         Damping on the device for a damping at the tip: the product of both scales.
     coupled : bool
@@ -156,8 +154,6 @@ def render_force(
     ----------
     force : ndarray
         Received tip forces [N], first `axes`.
-    axes : int
-        Axes of the device.
     rendered : ndarray
         Overwritten with the forces [N] in tip units, first `axes`; equal to `force` if not coupled.
         May be the same array as `force`.
@@ -204,8 +200,6 @@ def compute_tip_motion(
         not coupled.
     force : ndarray
         Tip forces [N], first `joints`.
-    joints : int
-        Joints of the rig.
     coupled : bool
         Whether the tips follow.
     dt : float

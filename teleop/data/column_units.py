@@ -64,16 +64,12 @@ def convert_to_si(
 
     Parameters
     ----------
-    path : Path
-        The file.
     numbers : dict
         Column name -> values, shape (samples,).
     columns : sequence of mapping
         Field of `MeasuredTable` -> column name, one of each tendon.
     stated_units : sequence of mapping
         Field -> column name and unit by the option (`split_unit`), likewise.
-    units : Units
-        Of the record.
 
     Raises
     ------
@@ -100,12 +96,8 @@ def _find_unit_factor(
 
     Parameters
     ----------
-    path : Path
-        The file.
     name, channel : str
         Of the column, and the field of `MeasuredTable` that it is for.
-    units : Units
-        Of the record.
     stated_unit : str
         The unit by the option; "" for that of the name.
 

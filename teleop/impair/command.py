@@ -62,8 +62,6 @@ class Proxy:
 
     Parameters
     ----------
-    shared : RunConfig
-        Its session.
     read : callable
         Returns the `ImpairConfig` with further overrides; `UsageError` if invalid.
     """

@@ -75,14 +75,10 @@ def step(
 
     Parameters
     ----------
-    config : DirectionConfig
-        Impairments.
     key : int
         The stream's, see `compute_key`.
     time_s : float
         Arrival time [s]; never decreasing.
-    data : bytes
-        The message.
     cut : bool
         Whether the direction is cut by command, in addition to `config.cuts`.
 

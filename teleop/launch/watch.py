@@ -139,8 +139,6 @@ def watch(
         State of the session so far.
     duration_s : float or None
         [s] of running, counted from when both loops have reported; None for ever.
-    keyboard : Keyboard
-        Reads the keys.
     """
     patience = time.monotonic() + START_S
     end = float("inf")

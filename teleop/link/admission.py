@@ -60,8 +60,6 @@ class Challenger:
 
     Parameters
     ----------
-    zenoh_session : zenoh.Session
-        Open session.
     session : str
         Root of the keys.
     token : Token
@@ -107,8 +105,6 @@ class Responder:
 
     Parameters
     ----------
-    zenoh_session : zenoh.Session
-        Open session.
     session : str
         Root of the keys.
     nonce : int
@@ -181,8 +177,6 @@ class Admission:
 
     Parameters
     ----------
-    group : str
-        The group.
     clock : callable
         Returns the time [ns].
     """

@@ -33,8 +33,6 @@ class BridgeEnd:
 
     Parameters
     ----------
-    config : LinkConfig
-        Protection of the wire.
     session : str
         Root of all keys.
     listen, connect : list of str

@@ -132,8 +132,6 @@ class ConnectionGuard:
 
     Parameters
     ----------
-    session : zenoh.Session
-        Open session.
     listen : list of str
         `HOST:PORT`s that it listens on.
     burst : int

@@ -41,8 +41,6 @@ class Link:
 
     Parameters
     ----------
-    config : LinkConfig
-        Endpoints and protection.
     session : str
         Root of all keys.
     role : Role

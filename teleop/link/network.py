@@ -287,8 +287,6 @@ class ConnectionProbe:
         `HOST:PORT` that Zenoh connects to.
     credentials : Credentials, optional
         Ours; None in an insecure session.
-    session : str
-        Our session.
     connected : callable
         Returns the far ends of the connections, `PROTOCOL/HOST:PORT`.
     note : callable

@@ -47,8 +47,6 @@ def measure_ping_pong(
         Sizes of command and answer.
     n : int
         Number of commands, one per millisecond.
-    realtime : RealtimeConfig
-        Scheduling of both processes.
 
     Returns
     -------

@@ -27,10 +27,6 @@ class Publisher:
 
     Parameters
     ----------
-    session : zenoh.Session
-        Open session.
-    key : str
-        Key of the topic.
     seals : Seals
         What its messages are tagged with.
     live : bool

@@ -138,8 +138,6 @@ class Reception:
 
     Parameters
     ----------
-    topic : Topic
-        The expected topic.
     visit : callable
         Returns the visit number of a nonce in the publishing role: 0 while it is not announced, 1
         at first, incremented each time it comes back.

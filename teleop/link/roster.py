@@ -88,8 +88,6 @@ class Roster:
 
     Parameters
     ----------
-    zenoh_session : zenoh.Session
-        Open session.
     session : str
         Root of the keys.
     token : Token

@@ -99,8 +99,6 @@ class Router:
 
     Parameters
     ----------
-    config : LinkConfig
-        Protection of the wire.
     sessions : sequence of str
         Names of the sessions that it serves, by the roles in their certificates; `ALL_SESSIONS` for
         any, whatever their roles.

@@ -249,8 +249,6 @@ def read_columns(
 
     Parameters
     ----------
-    path : str or Path
-        The recording.
     topic : str
         Name of the topic, as in `teleop.messages.topics`.
     names : sequence of str, optional

@@ -44,8 +44,6 @@ class Recorder:
 
     Parameters
     ----------
-    source : Source
-        Of the messages.
     writer : RecordingWriter
         The recording; it is closed by its owner.
     is_present : callable

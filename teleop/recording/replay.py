@@ -184,8 +184,6 @@ class Player:
 
     Parameters
     ----------
-    info : RecordingInfo
-        The recording.
     speed : float
         Speed relative to the recorded one.
     links : mapping

@@ -197,8 +197,6 @@ class RecordingWriter:
 
     Parameters
     ----------
-    config : RecordConfig
-        Directory, chunk length, compression.
     session : str
         Name of the session, the first part of the file's name.
     started_ns : int

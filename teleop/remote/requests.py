@@ -103,8 +103,6 @@ class RequestListener:
 
     Parameters
     ----------
-    link : Link
-        Of the session.
     stop_socket : StopSocket, optional
         For requests from this machine, which do not pass the network.
     """

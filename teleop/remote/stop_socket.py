@@ -46,8 +46,6 @@ class StopSocket:
 
     Parameters
     ----------
-    session : str
-        Name of the session.
     role : str
         Role of this process, in lower case.
 

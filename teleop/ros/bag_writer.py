@@ -21,11 +21,6 @@ _INFINITE_DURATION = {"sec": 9223372036, "nsec": 854775807}
 class BagWriter:
     """A bag being written, as a context manager; the folder must not exist.
 
-    Parameters
-    ----------
-    folder : Path
-        The bag.
-
     Raises
     ------
     UsageError

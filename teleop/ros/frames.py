@@ -124,8 +124,6 @@ def build_diagnostics(
 
     Parameters
     ----------
-    session : str
-        Name of the session.
     reports : mapping
         Newest report of each side, and when it was received [ns].
     events : mapping

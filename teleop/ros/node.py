@@ -17,8 +17,6 @@ class RosNode:
 
     Parameters
     ----------
-    router : str
-        Endpoint of the router.
     domain : int
         ROS_DOMAIN_ID.
     name : str

@@ -27,8 +27,6 @@ class Publishers:
     ----------
     link : Link
         Of the session, as a listener.
-    node : RosNode
-        That publishes.
     config : RosConfig
         Which topics, and how often.
     say : callable

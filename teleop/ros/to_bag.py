@@ -49,8 +49,6 @@ class BagConverter:
 
     Parameters
     ----------
-    bag : BagWriter
-        The bag, open.
     session : str
         Of the recording, for the diagnostics.
     prefix : str

@@ -56,8 +56,6 @@ class Keyring:
 
     Parameters
     ----------
-    role : Role
-        Role of this process.
     nonce : int
         Its nonce, under which it finds its tags.
     """

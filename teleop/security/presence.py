@@ -266,10 +266,6 @@ class Handshake:
     ----------
     credentials : Credentials
         Of this process.
-    session : str
-        Its session.
-    nonce : int
-        Its nonce.
     """
 
     def __init__(self, credentials: Credentials, session: str, nonce: int) -> None:

@@ -43,8 +43,6 @@ class LoopProcess(ABC):
 
     Parameters
     ----------
-    link : Link
-        Of the session.
     stats : TickStats
         Of the clock that it ticks by.
     memory : Records
@@ -53,8 +51,6 @@ class LoopProcess(ABC):
         Ports of the ledger in use.
     requests : RequestListener, optional
         A listener that is there already.
-    health : HealthConfig
-        Bounds of the link.
 
     Attributes
     ----------

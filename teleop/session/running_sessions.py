@@ -124,8 +124,6 @@ def describe_absence(session: str, what: str, endpoints: Iterable[str]) -> str:
         Its name, chosen or by default.
     what : str
         What is missed, e.g. "no master answers".
-    endpoints : iterable of str
-        Where it was sought.
     """
     if entries := list_sessions():
         return (

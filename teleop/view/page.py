@@ -209,8 +209,6 @@ class Page:
         Of the address; "" makes one.
     files : mapping of str to bytes
         The viewer's own files, by the keys of `VIEWER_FILES`.
-    blocks : Blocks
-        What it shows.
     memory_mb : int
         [MB] memory of the viewer in the browser, beyond which it drops the oldest data.
     """

@@ -142,8 +142,6 @@ def find_sign(
     ----------
     axis, force : int
         Its index in the driver's axes and in its `forces`.
-    forces : int
-        Number of `forces`.
     """
     for share in TEST_FORCES:
         sign = infer_sign(

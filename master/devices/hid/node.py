@@ -36,8 +36,6 @@ class Node:
     ----------
     path : str
         As `master.devices.hid.search` gives it.
-    name : str
-        Its name in messages.
     """
 
     def __init__(self, path: str, name: str) -> None:

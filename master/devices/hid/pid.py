@@ -59,8 +59,6 @@ class PidDriver:
 
     Parameters
     ----------
-    descriptor : bytes
-        The device's report descriptor.
     config : PidConfig
         Effects in addition to the force.
     pushed : tuple of str, optional

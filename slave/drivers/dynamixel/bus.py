@@ -33,8 +33,6 @@ class WaitingPort(PortHandler):  # type: ignore[misc] # the SDK has no types
 
     Parameters
     ----------
-    name : str
-        Device file.
     wait_s : float
         Time to wait for an answer, beyond its bytes' own time on the line.
     """

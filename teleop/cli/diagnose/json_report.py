@@ -89,8 +89,6 @@ def build_report(
     diagnosis : Diagnosis
     files : sequence of str
         Names of the data files.
-    seconds : float
-        Duration of the diagnosis.
     accepted : mapping
         Comparison with a calibration, by parameter.
     further : sequence of str
