@@ -212,7 +212,7 @@ def prepare_records(
         return [item for item in data if isinstance(item, Record)]
     units = get_units(raw_data[0])
     if any(get_units(item) != units for item in raw_data):
-        raise RecordError("torque and angle beside tension and travel: give data of one bench")
+        raise RecordError("files mix rotary and linear units: give data of one bench")
     loop = is_loop(units, signals) if loop is None else loop
     records = []
     for item in data:

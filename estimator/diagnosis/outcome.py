@@ -24,7 +24,7 @@ from estimator.units import Units
 
 
 class ErrorStatistics(NamedTuple):
-    """How far a model is off in one channel, on one set of samples."""
+    """Errors of a model in one channel, on one set of samples."""
 
     rmse: float  # in the channel's unit
     largest: float  # share of full scale
@@ -39,7 +39,7 @@ class PredictedRecord(NamedTuple):
     after: SimulatedRecord  # by the extended law
 
     def fitness(self, simulated: SimulatedRecord) -> dict[str, ErrorStatistics]:
-        """Return how far one of the two is off, by channel."""
+        """Return the errors of one of the two predictions, by channel."""
         return {
             channel: compute_error_statistics(
                 [self.residual(simulated, channel)], float(np.ptp(self.record.signals[channel]))
@@ -123,7 +123,7 @@ class FittedValue(NamedTuple):
 
 
 class ModelErrors(NamedTuple):
-    """The same on what was fitted and on what was held out, by channel."""
+    """Errors on fitted, held-out and validation samples, by channel."""
 
     fit: dict[str, ErrorStatistics]
     held_out: dict[str, ErrorStatistics]
@@ -131,12 +131,12 @@ class ModelErrors(NamedTuple):
 
 
 class RankedCandidate(NamedTuple):
-    """A candidate, as it came out."""
+    """A candidate cause and its score."""
 
     effect: Effect  # the best of its variants
-    score: float  # ln of how much more probable held-out data are with it than without
+    score: float  # log-likelihood ratio of held-out data with it to without, less BIC penalty
     rmse: dict[str, float]  # held out, by channel
-    residual_fraction: float  # share of what noise does not explain that it leaves
+    residual_fraction: float  # share of the error beyond noise that it leaves
     values: Values  # of its parameters
 
     @property
@@ -303,6 +303,8 @@ ISOLATED_EFFECTS: dict[str, frozenset[str]] = {
 }
 """Which effects an experiment singles out."""
 
+EXPERIMENTS_MAX = 3  # beside one for a channel that was not measured
+
 SEPARATING_EXPERIMENTS = frozenset({WEIGHTS, TARE})
 """Experiments that tell the effects they single out from one another, too."""
 
@@ -313,9 +315,7 @@ _CHANNELS = {
 }
 
 
-def suggest_experiments(
-    sets: Iterable[Iterable[str]], channels: Iterable[str], count_max: int = 3
-) -> tuple[str, ...]:
+def suggest_experiments(sets: Iterable[Iterable[str]], channels: Iterable[str]) -> tuple[str, ...]:
     """Return experiments that tell effects apart which look alike, for each of some sets of them.
 
     First those that leave least together, then channels that were not measured.
@@ -324,9 +324,9 @@ def suggest_experiments(
     interleaved = [
         experiment for turn in zip_longest(*useful) for experiment in turn if experiment is not None
     ]
-    experiments = list(dict.fromkeys(interleaved))[:count_max]
+    experiments = list(dict.fromkeys(interleaved))[:EXPERIMENTS_MAX]
     missing = [text for channel, text in _CHANNELS.items() if channel not in set(channels)]
-    return tuple([*experiments, *missing][: count_max + 1]) if experiments else ()
+    return tuple([*experiments, *missing][: EXPERIMENTS_MAX + 1]) if experiments else ()
 
 
 def _select_useful_experiments(effects: frozenset[str]) -> list[str]:

@@ -111,9 +111,7 @@ def compute_log_likelihood_ratio(a: dict[str, ChannelErrors], b: dict[str, Chann
     return total
 
 
-def bootstrap_superiority(
-    a: dict[str, ChannelErrors], b: dict[str, ChannelErrors], seed: int = 0
-) -> float:
+def bootstrap_superiority(a: dict[str, ChannelErrors], b: dict[str, ChannelErrors]) -> float:
     """Return the share of bootstrapped records in which `a` is better than `b` (paired bins)."""
     difference = []
     for channel, errors in a.items():
@@ -124,7 +122,7 @@ def bootstrap_superiority(
         if len({len(d) for d in difference}) == 1
         else np.concatenate(difference)
     )
-    draws = np.random.default_rng(seed).integers(0, len(total), (BOOTSTRAP_DRAWS, len(total)))
+    draws = np.random.default_rng(0).integers(0, len(total), (BOOTSTRAP_DRAWS, len(total)))
     return float(np.mean(total[draws].sum(axis=1) > 0.0))
 
 
@@ -152,11 +150,11 @@ def compute_residual_fraction(a: dict[str, ChannelErrors], b: dict[str, ChannelE
     return remaining / total if total else 0.0
 
 
-def bootstrap_gain(a: ChannelErrors, b: ChannelErrors, seed: int = 0) -> IntervalEstimate:
+def bootstrap_gain(a: ChannelErrors, b: ChannelErrors) -> IntervalEstimate:
     """Return by which share the RMSE is smaller under `a` than under `b`, and its 95 % interval."""
     value = 1.0 - math.sqrt(a.mean / max(b.mean, 1e-12))
     n = len(a.squares)
-    draws = np.random.default_rng(seed).integers(0, n, (BOOTSTRAP_DRAWS, n))
+    draws = np.random.default_rng(0).integers(0, n, (BOOTSTRAP_DRAWS, n))
     ratio = a.squares[draws].sum(axis=1) / np.maximum(b.squares[draws].sum(axis=1), 1e-12)
     low, high = np.quantile(1.0 - np.sqrt(ratio), [0.025, 0.975])
     return IntervalEstimate(value, float(low), float(high))

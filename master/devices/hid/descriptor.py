@@ -435,8 +435,8 @@ def read_field(report: bytes, field: ReportField, k: int = 0) -> int:
     return value
 
 
-def write_field(report: bytearray, field: ReportField, value: int, k: int = 0) -> None:
-    """Write the `k`-th element of a field into `report`; other bits are kept.
+def write_field(report: bytearray, field: ReportField, value: int) -> None:
+    """Write a field, of an array the first element, into `report`; other bits are kept.
 
     Raises `ValueError` if the value does not fit the bits or the report is too short. A value
     outside the declared range is written: in many fields that means "none".
@@ -444,8 +444,7 @@ def write_field(report: bytearray, field: ReportField, value: int, k: int = 0) -
     low, high = compute_representable_range(field)
     if not low <= value <= high:
         raise ValueError(f"{value} does not fit into {field.size} bits of {low} ... {high}")
-    first = field.offset + k * field.size
-    last = first + field.size
+    first, last = field.offset, field.offset + field.size
     if last > 8 * len(report):
         raise ValueError(f"bits {first} ... {last - 1} are not in {len(report)} bytes")
     part = slice(first // 8, (last + 7) // 8)

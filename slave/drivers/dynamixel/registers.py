@@ -26,7 +26,6 @@ class Register(NamedTuple):
 
 
 MODEL = Register("Model Number", 0, 2)
-BAUD_RATE = Register("Baud Rate", 8, 1)
 RETURN_DELAY = Register("Return Delay Time", 9, 1)  # [2 us]
 DRIVE_MODE = Register("Drive Mode", 10, 1)
 OPERATING_MODE = Register("Operating Mode", 11, 1)

@@ -4,12 +4,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-import matplotlib as mpl
-
 from estimator.diagnosis import report_tables, report_text
 from estimator.diagnosis.figures import RECORDS_MAX, draw_figures
 from estimator.diagnosis.outcome import Diagnosis
-from estimator.drawing import STYLE
+from estimator.drawing import use_style
 from teleop.cli.diagnose import json_report
 from teleop.cli.diagnose.json_report import ComparedParameter
 from teleop.cli.html_page import Page
@@ -19,19 +17,14 @@ from teleop.runtime.output_file import save_figure
 
 
 def write_figures(
-    diagnosis: Diagnosis,
-    files: Sequence[str],
-    folder: Path,
-    further: Sequence[str] = (),
-    kind: str = "png",
+    diagnosis: Diagnosis, files: Sequence[str], folder: Path, further: Sequence[str] = ()
 ) -> dict[str, str]:
-    """Write all figures into `folder` as PNG or SVG; return their captions by file name."""
+    """Write all figures into `folder` as PNG; return their captions by file name."""
     captions = {}
-    with mpl.rc_context(STYLE | {"svg.hashsalt": "tendon-teleop"}):
+    with use_style():
         for drawn in draw_figures(diagnosis, files, further):
-            file = f"diagnosis-{drawn.name}.{kind}"
-            metadata = {"Date": None} if kind == "svg" else None
-            save_figure(drawn.figure, folder / file, metadata=metadata)
+            file = f"diagnosis-{drawn.name}.png"
+            save_figure(drawn.figure, folder / file)
             captions[file] = drawn.caption
     return captions
 
