@@ -29,13 +29,23 @@ class Gated(NamedTuple):
     verdict: int
 
 
-def step(config, last, wanted, fresh, may_render, dt, fades=False, rest=()):
+def step(config, last, wanted, fresh, may_render, dt, is_force_fading=False, rest=()):
     """The gate with tuples; nothing is written beyond the axes."""
     axes, out = len(last), eight(*(9.0,) * MAX_JOINTS)
     assert len(wanted) == axes
     verdict = gate.step(
         to_struct(config),
-        *(eight(*last), eight(*wanted), axes, fresh, may_render, dt, fades, eight(*rest), out),
+        *(
+            eight(*last),
+            eight(*wanted),
+            axes,
+            fresh,
+            may_render,
+            dt,
+            is_force_fading,
+            eight(*rest),
+            out,
+        ),
     )
     assert (out[axes:] == 9.0).all()
     return Gated(tuple(out[:axes].tolist()), verdict)
@@ -204,9 +214,9 @@ def test_a_long_run_of_anything_stays_within_all_limits():
     force = (0.0, 0.0)
     for _ in range(CASES):
         wanted = (draw.number(-6.0, 6.0), draw.number(-6.0, 6.0))
-        fresh, may_render, fades = draw.flag(0.8), draw.flag(0.8), draw.flag(0.2)
+        fresh, may_render, is_force_fading = draw.flag(0.8), draw.flag(0.8), draw.flag(0.2)
         dt = draw.number(0.0, 0.01)
-        after, _ = step(config, force, wanted, fresh, may_render, dt, fades)
+        after, _ = step(config, force, wanted, fresh, may_render, dt, is_force_fading)
         assert all(map(math.isfinite, after))
         assert all(abs(f) <= 2.0 for f in after)
         assert math.hypot(*after) <= 2.5 * (1 + 1e-12)
@@ -215,7 +225,7 @@ def test_a_long_run_of_anything_stays_within_all_limits():
             assert now <= max(was, 0.0) + growth + 1e-12
             assert now >= min(was, 0.0) - growth - 1e-12
         if not (fresh and may_render and all(map(math.isfinite, wanted))):
-            shrunk = fades and all(map(math.isfinite, wanted))
+            shrunk = is_force_fading and all(map(math.isfinite, wanted))
             for was, now in zip(force, after, strict=True):
                 by = 2.0 * dt / FADE_S if 0.0 < dt < FADE_S else math.inf
                 assert abs(now) <= max(abs(was) - by, 0.0) + 1e-12 if shrunk else now == 0.0
