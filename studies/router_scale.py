@@ -54,18 +54,18 @@ def name_of(number: int) -> str:
     return f"scale-{number}"
 
 
-def protection(office: CertificateRole, insecure: bool, sessions: list[str]) -> tuple[Any, Any]:
+def protection(role: CertificateRole, insecure: bool, sessions: list[str]) -> tuple[Any, Any]:
     """Return the credentials and the access control of a process."""
     if insecure:
         return None, None
-    of = ALL_SESSIONS if office is CertificateRole.ROUTER else sessions[0]
-    return create_local_credentials(of, office), build_access_control(sessions)
+    of = ALL_SESSIONS if role is CertificateRole.ROUTER else sessions[0]
+    return create_local_credentials(of, role), build_access_control(sessions)
 
 
 class Side:
     """All masters, all slaves or all listeners: a Zenoh session for each."""
 
-    def __init__(self, plan: dict[str, Any], office: CertificateRole, listens: bool) -> None:
+    def __init__(self, plan: dict[str, Any], role: CertificateRole, listens: bool) -> None:
         self.plan = plan
         mode: Any = "client" if plan["router"] else "peer"
         self.sessions = []
@@ -75,7 +75,7 @@ class Side:
             else:
                 slave = plan["slaves"][number]
                 ends = ([slave], []) if listens else ([], [slave])
-            keys, access = protection(office, plan["insecure"], [name_of(number)])
+            keys, access = protection(role, plan["insecure"], [name_of(number)])
             self.sessions.append(open_session(keys, *ends, access, mode))
 
     def subscribe(self, topic: str, number: int, store: Callable[[Any], None]) -> None:

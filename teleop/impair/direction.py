@@ -10,7 +10,7 @@ from typing import Any
 
 from teleop.impair import model
 from teleop.impair.config import DirectionConfig
-from teleop.impair.model import Fate, StreamState
+from teleop.impair.model import DeliveryFlags, StreamState
 from teleop.link.bridge import BridgeEnd
 from teleop.messages.topics import TOPICS, Topic
 from teleop.runtime.clock import Durations
@@ -99,12 +99,12 @@ class DelayQueue:
 
 
 _COUNTER_NAMES = {
-    Fate.CUT: "cut",
-    Fate.LOST: "lost",
-    Fate.LOST_IN_BURST: "lost_in_bursts",
-    Fate.CORRUPTED: "corrupted",
-    Fate.DUPLICATED: "duplicated",
-    Fate.HELD_BACK: "held_back",
+    DeliveryFlags.CUT: "cut",
+    DeliveryFlags.LOST: "lost",
+    DeliveryFlags.LOST_IN_BURST: "lost_in_bursts",
+    DeliveryFlags.CORRUPTED: "corrupted",
+    DeliveryFlags.DUPLICATED: "duplicated",
+    DeliveryFlags.HELD_BACK: "held_back",
 }
 
 
@@ -149,7 +149,7 @@ class Direction:
         with self._lock:
             if topic.live and not self._start_ns:
                 self._start_ns = now
-            deliveries, fate, self._memories[name] = model.step(
+            deliveries, flags, self._memories[name] = model.step(
                 self._configs[topic.live],
                 self._keys[name],
                 self._memories[name],
@@ -159,7 +159,7 @@ class Direction:
             )
             counts = self._counts[name]
             counts["came"] += 1
-            for flag in fate:
+            for flag in flags:
                 counts[_COUNTER_NAMES[flag]] += 1
             start, put = self._start_ns or now, self._puts[name]
             for delivery in deliveries:

@@ -19,7 +19,7 @@ _DRAWS_PER_MESSAGE = 16  # random numbers per message
 _DELAY_DRAW_OFFSET = 1 << 60  # offset of the random numbers of the delay
 
 
-class Fate(IntFlag):
+class DeliveryFlags(IntFlag):
     """Impairments of a message; 0 = delivered once, unchanged, in order."""
 
     PASSED = 0
@@ -70,7 +70,7 @@ def step(
     time_s: float,
     data: bytes,
     cut: bool = False,
-) -> tuple[tuple[Delivery, ...], Fate, StreamState]:
+) -> tuple[tuple[Delivery, ...], DeliveryFlags, StreamState]:
     """Process the next message of a stream.
 
     Parameters
@@ -84,7 +84,7 @@ def step(
 
     Returns
     -------
-    deliveries, fate, memory
+    deliveries, flags, memory
         A message is delivered within [delay - jitter, delay + jitter] of its arrival, in order; one
         held back, `reorder_by` later.
     """
@@ -96,29 +96,29 @@ def step(
     turn = config.burst_leave if memory.bad else config.burst_enter
     is_bad = memory.bad != chance(_BURST, turn) and config.burst_loss > 0.0
     due = max(time_s + compute_delay(config, key, memory.number, time_s), memory.due)
-    fate = Fate.PASSED
+    flags = DeliveryFlags.PASSED
     if cut or config.cut_at(time_s):
-        fate = Fate.CUT
+        flags = DeliveryFlags.CUT
     elif is_bad and chance(_BURST_LOSS, config.burst_depth):
-        fate = Fate.LOST_IN_BURST
+        flags = DeliveryFlags.LOST_IN_BURST
     elif chance(_LOSS, config.loss):
-        fate = Fate.LOST
-    if fate:
-        return (), fate, StreamState(memory.number + 1, is_bad, memory.due)
+        flags = DeliveryFlags.LOST
+    if flags:
+        return (), flags, StreamState(memory.number + 1, is_bad, memory.due)
     new_state = StreamState(memory.number + 1, is_bad, due)
     if chance(_CORRUPT, config.corrupt) and data:
-        fate |= Fate.CORRUPTED
+        flags |= DeliveryFlags.CORRUPTED
         index = int(draw_uniform(key, first + _PLACE) * len(data))
         corrupted = data[index] ^ (1 + int(draw_uniform(key, first + _VALUE) * 255))
         data = data[:index] + bytes([corrupted]) + data[index + 1 :]
     if chance(_REORDER, config.reorder):
-        fate |= Fate.HELD_BACK
+        flags |= DeliveryFlags.HELD_BACK
         due += config.reorder_by  # and nobody waits for it
     copies = 1
     if chance(_DUPLICATE, config.duplicate):
-        fate |= Fate.DUPLICATED
+        flags |= DeliveryFlags.DUPLICATED
         copies = 2
-    return (Delivery(due, data),) * copies, fate, new_state
+    return (Delivery(due, data),) * copies, flags, new_state
 
 
 def compute_delay(config: DirectionConfig, key: int, number: int, time_s: float) -> float:

@@ -103,11 +103,11 @@ STOPPER_ALLOWANCE = Allowance(256e3, 16e3)
 
 def find_allowance(identity: Identity) -> Allowance | None:
     """Return what a connection of a holder may bring; None: everything."""
-    if identity.office is CertificateRole.SUPERVISOR:
+    if identity.role is CertificateRole.SUPERVISOR:
         return STOPPER_ALLOWANCE if "stop" in identity.rights else SETTER_ALLOWANCE
     return (
         LISTENER_ALLOWANCE
-        if identity.office in (CertificateRole.RECORDER, CertificateRole.VIEWER)
+        if identity.role in (CertificateRole.RECORDER, CertificateRole.VIEWER)
         else None
     )
 

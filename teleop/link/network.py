@@ -252,9 +252,7 @@ def _explain_zenoh_error(text: str) -> str:
 # --- the credentials that the config of a link asks for
 
 
-def load_credentials(
-    config: LinkConfig, session: str, office: CertificateRole
-) -> Credentials | None:
+def load_credentials(config: LinkConfig, session: str, role: CertificateRole) -> Credentials | None:
     """Return the credentials of a role in a session; None if the config asks for plaintext.
 
     Raises
@@ -265,8 +263,8 @@ def load_credentials(
     if config.insecure:
         return None
     if config.keys is not None:
-        return stored.load(config.keys, session, office)
-    return create_local_credentials(session, office)
+        return stored.load(config.keys, session, role)
+    return create_local_credentials(session, role)
 
 
 # --- why an endpoint that answers does not become a connection

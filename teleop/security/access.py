@@ -65,9 +65,7 @@ def build_access_control(sessions: Iterable[str]) -> dict[str, Any]:
         ]
         allow(f"{session} router", _ALL_MESSAGES, [f"{top}/**", f"{tokens}/**", f"{top}/@impair"],
               routers)  # fmt: skip
-        everybody = [
-            name for office in CertificateRole for name in list_common_names(office, session)
-        ]
+        everybody = [name for role in CertificateRole for name in list_common_names(role, session)]
         listeners = {
             _build_common_name(CERTIFICATE_ROLES[role], session) for role in LISTENER_ROLES
         }
@@ -104,11 +102,11 @@ def build_access_control(sessions: Iterable[str]) -> dict[str, Any]:
     }
 
 
-def list_common_names(office: CertificateRole, session: str) -> list[str]:
+def list_common_names(role: CertificateRole, session: str) -> list[str]:
     """Return the common names of a role's certificates in a session."""
-    if office is CertificateRole.SUPERVISOR:
+    if role is CertificateRole.SUPERVISOR:
         return sorted({name for right in RIGHTS for name in list_supervisor_names(session, right)})
-    return [_build_common_name(office, session)]
+    return [_build_common_name(role, session)]
 
 
 def list_holder_groups(name: str) -> list[str]:
@@ -117,16 +115,16 @@ def list_holder_groups(name: str) -> list[str]:
     return [
         f"{role.name.lower()}{holder.limit}"
         for role in Role
-        if CERTIFICATE_ROLES[role] is holder.office
+        if CERTIFICATE_ROLES[role] is holder.role
     ]
 
 
 def list_publisher_names(topic: Topic[Any], session: str) -> list[str]:
     """Return the common names of certificates that may publish `topic` in a session."""
     names: list[str] = []
-    for office in dict.fromkeys(CERTIFICATE_ROLES[role] for role in topic.publishers):
-        if office is not CertificateRole.SUPERVISOR:
-            names += list_common_names(office, session)
+    for role in dict.fromkeys(CERTIFICATE_ROLES[publisher] for publisher in topic.publishers):
+        if role is not CertificateRole.SUPERVISOR:
+            names += list_common_names(role, session)
         elif topic is SETTING:
             names += list_supervisor_names(session, "set")
         elif topic is STOP:
@@ -136,5 +134,5 @@ def list_publisher_names(topic: Topic[Any], session: str) -> list[str]:
     return names
 
 
-def _build_common_name(office: CertificateRole, session: str) -> str:
-    return Identity(office, session).common_name
+def _build_common_name(role: CertificateRole, session: str) -> str:
+    return Identity(role, session).common_name

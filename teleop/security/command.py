@@ -71,7 +71,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--role",
         action="append",
         required=True,
-        choices=[office.value for office in CertificateRole],
+        choices=[role.value for role in CertificateRole],
         help="may be repeated",
     )
     issue.add_argument(
@@ -148,18 +148,18 @@ def _issue_certificates(args: argparse.Namespace) -> int:
         raise UsageError("--session all: only for --role router; name the session of the others")
     if args.right and CertificateRole.SUPERVISOR not in offices:
         raise UsageError("--right: only for --role supervisor")
-    paths = {office: args.out / f"{build_file_stem(office, session)}.pem" for office in offices}
+    paths = {role: args.out / f"{build_file_stem(role, session)}.pem" for role in offices}
     existing = [path for path in paths.values() if path.exists()]
     if existing and not args.force:
         raise UsageError(f"{existing[0]}: exists; --force replaces it")
     _require_same_authority(args.out, authority)
     _require_shorter_validity(args.days, authority)
     authority.publish(args.out)
-    for office, path in paths.items():
+    for role, path in paths.items():
         rights = (
-            tuple(sorted(set(args.right or RIGHTS))) if office is CertificateRole.SUPERVISOR else ()
+            tuple(sorted(set(args.right or RIGHTS))) if role is CertificateRole.SUPERVISOR else ()
         )
-        certificate, key = authority.issue(Identity(office, session, rights), args.days)
+        certificate, key = authority.issue(Identity(role, session, rights), args.days)
         write_key(path.with_suffix(".key"), key)
         write_file(path, certificate.public_bytes(Encoding.PEM), 0o644)
         print(f"{path}: {_format_certificate(certificate)}")

@@ -138,12 +138,12 @@ def read_common_name(certificate: x509.Certificate) -> str:
     return "".join(c if c.isprintable() else "?" for c in str(names[0].value))[:NAME_MAX]
 
 
-def build_file_stem(office: CertificateRole, session: str) -> str:
+def build_file_stem(role: CertificateRole, session: str) -> str:
     """Return the name, without its ending, of the files of a certificate."""
-    return f"{'all' if session == ALL_SESSIONS else session}.{office}"
+    return f"{'all' if session == ALL_SESSIONS else session}.{role}"
 
 
-def load(folder: Path, session: str, office: CertificateRole) -> Credentials:
+def load(folder: Path, session: str, role: CertificateRole) -> Credentials:
     """Load the credentials of a role in a session.
 
     Raises
@@ -157,14 +157,14 @@ def load(folder: Path, session: str, office: CertificateRole) -> Credentials:
     require_unshared_folder(folder)
     authority = load_certificate(folder / AUTHORITY)
     revoked = load_revoked(folder, authority)
-    names = [build_file_stem(office, session)]
-    if office is CertificateRole.ROUTER:
-        names.append(build_file_stem(office, ALL_SESSIONS))
+    names = [build_file_stem(role, session)]
+    if role is CertificateRole.ROUTER:
+        names.append(build_file_stem(role, ALL_SESSIONS))
     present = [name for name in names if (folder / f"{name}.pem").is_file()]
     if not present:
         other_names = sorted(path.stem for path in folder.glob("*.*.pem"))
         raise UsageError(
-            f"link.keys: {folder}: no certificate of a {office} of session {session!r}"
+            f"link.keys: {folder}: no certificate of a {role} of session {session!r}"
             f" (there: {', '.join(other_names) or 'none'}); issue one with `teleop keys issue`"
         )
     path = folder / f"{present[0]}.pem"
@@ -175,8 +175,8 @@ def load(folder: Path, session: str, office: CertificateRole) -> Credentials:
         identity = identify_holder(certificate, authority, revoked)
     except CertificateError as error:
         raise UsageError(f"{path}: {error}") from error
-    if identity.office is not office:
-        raise UsageError(f"{path}: is of a {identity.office}, this process is a {office}")
+    if identity.role is not role:
+        raise UsageError(f"{path}: is of a {identity.role}, this process is a {role}")
     if not identity.may_join(session):
         raise UsageError(f"{path}: is of session {identity.session!r}, not {session!r}")
     return Credentials(identity, certificate, key, authority, revoked, folder=folder)
@@ -199,10 +199,10 @@ def find_local_folder() -> Path:
     return find_state_folder() / "teleop" / "keys"
 
 
-def create_local_credentials(session: str, office: CertificateRole) -> Credentials:
+def create_local_credentials(session: str, role: CertificateRole) -> Credentials:
     """Return new credentials of a role in a session; `UsageError` if they cannot be kept."""
     authority = _obtain_authority()
-    identity = Identity(office, session, RIGHTS if office is CertificateRole.SUPERVISOR else ())
+    identity = Identity(role, session, RIGHTS if role is CertificateRole.SUPERVISOR else ())
     certificate, key = authority.issue(identity, LOCAL_DAYS, _EPOCH)
     return Credentials(
         identity, certificate, key, authority.certificate, authority.revoked, lasting=False,

@@ -49,20 +49,20 @@ CERTIFICATE_ROLES: dict[Role, CertificateRole] = {
 class Identity(NamedTuple):
     """Holder of a certificate."""
 
-    office: CertificateRole
+    role: CertificateRole
     session: str  # `ALL_SESSIONS` for a router of all
     rights: tuple[str, ...] = ()  # of a supervisor, as in `RIGHTS`
 
     @property
     def limit(self) -> str:
         """What its common name says of its rights, one of `RIGHT_SUFFIXES`."""
-        limited = self.office is CertificateRole.SUPERVISOR and self.rights != RIGHTS
+        limited = self.role is CertificateRole.SUPERVISOR and self.rights != RIGHTS
         return "".join(f"-{right}" for right in self.rights) if limited else ""
 
     @property
     def common_name(self) -> str:
         """The common name of the certificate."""
-        return f"{self.office}{self.limit}.{self.session}"
+        return f"{self.role}{self.limit}.{self.session}"
 
     @classmethod
     def parse(cls, common_name: str) -> "Identity":
@@ -70,14 +70,14 @@ class Identity(NamedTuple):
         match = _NAME.fullmatch(common_name)
         if match is None:
             raise ValueError(f"{common_name!r} is not ROLE.SESSION")
-        office = CertificateRole(match["role"])
+        role = CertificateRole(match["role"])
         rights: tuple[str, ...] = ()
-        if office is CertificateRole.SUPERVISOR:
+        if role is CertificateRole.SUPERVISOR:
             rights = tuple(match["rights"].split("-")[1:]) or RIGHTS
-        identity = cls(office, match["session"], rights)
+        identity = cls(role, match["session"], rights)
         if identity.common_name != common_name or not set(rights) <= set(RIGHTS):
             raise ValueError(f"{common_name!r} is not ROLE.SESSION")
-        if identity.session == ALL_SESSIONS and office is not CertificateRole.ROUTER:
+        if identity.session == ALL_SESSIONS and role is not CertificateRole.ROUTER:
             raise ValueError(f"{common_name!r}: only a router is for all sessions")
         return identity
 

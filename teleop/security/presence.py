@@ -301,7 +301,7 @@ class Handshake:
         except UNREADABLE_ERRORS as error:
             raise CertificateError(f"a {name} with a certificate that cannot be read") from error
         identity = self._identify(certificate)
-        if (identity.office, identity.limit) != (CERTIFICATE_ROLES[token.role], token.limit):
+        if (identity.role, identity.limit) != (CERTIFICATE_ROLES[token.role], token.limit):
             raise CertificateError(f"a {name} with the certificate {identity.common_name}")
         if not identity.may_join(self._session):
             raise CertificateError(

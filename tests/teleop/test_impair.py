@@ -20,7 +20,7 @@ from teleop.errors import TeleopError, UsageError
 from teleop.impair import model
 from teleop.impair.config import DirectionConfig, ImpairConfig, load_impair_config
 from teleop.impair.direction import CAPACITY_BYTES, ENTRY_BYTES, DelayQueue, Direction
-from teleop.impair.model import Fate, StreamState
+from teleop.impair.model import DeliveryFlags, StreamState
 from teleop.launch.supervisor import wait_for_condition
 from teleop.link import Link, LinkConfig
 from teleop.link.bridge import send_request
@@ -74,7 +74,7 @@ def test_a_clean_way_passes_everything_on_at_once():
     out, fates = passed_on(DirectionConfig())
     assert [number for number, _, _ in out] == list(range(1000))
     assert all(due == number * PERIOD_S for number, due, _ in out)
-    assert set(fates) == {Fate.PASSED}
+    assert set(fates) == {DeliveryFlags.PASSED}
 
 
 @given(ways, st.integers(0, 2**64 - 1))
@@ -89,14 +89,16 @@ def test_no_message_leaves_before_its_time_or_after_its_latest(config):
     out, fates = passed_on(config, 200)
     least, most = config.delay - config.jitter, config.delay + config.jitter
     for number, due, _ in out:
-        late = due - number * PERIOD_S - config.reorder_by * (Fate.HELD_BACK in fates[number])
+        late = (
+            due - number * PERIOD_S - config.reorder_by * (DeliveryFlags.HELD_BACK in fates[number])
+        )
         assert least - 1e-9 <= late <= most + 1e-9
 
 
 @given(ways)
 def test_messages_change_places_only_where_they_are_held_back(config):
     out, fates = passed_on(config, 200)
-    in_turn = [due for number, due, _ in out if Fate.HELD_BACK not in fates[number]]
+    in_turn = [due for number, due, _ in out if DeliveryFlags.HELD_BACK not in fates[number]]
     assert in_turn == sorted(in_turn)
 
 
@@ -107,10 +109,10 @@ def test_what_is_told_of_a_message_is_what_was_done_to_it(config):
     for number, _, data in out:
         copies[number] += 1
         changed = sum(a != b for a, b in zip(data, number.to_bytes(4, "little"), strict=True))
-        assert changed == (Fate.CORRUPTED in fates[number])
-    gone = Fate.LOST | Fate.LOST_IN_BURST | Fate.CUT
+        assert changed == (DeliveryFlags.CORRUPTED in fates[number])
+    gone = DeliveryFlags.LOST | DeliveryFlags.LOST_IN_BURST | DeliveryFlags.CUT
     for number, fate in enumerate(fates):
-        assert copies[number] == (0 if fate & gone else 1 + (Fate.DUPLICATED in fate))
+        assert copies[number] == (0 if fate & gone else 1 + (DeliveryFlags.DUPLICATED in fate))
 
 
 @pytest.mark.parametrize("name", ["loss", "reorder", "duplicate", "corrupt"])
@@ -118,10 +120,10 @@ def test_what_is_told_of_a_message_is_what_was_done_to_it(config):
 def test_as_many_are_met_as_was_asked_for(name, share):
     n = 20_000
     kind = {
-        "loss": Fate.LOST,
-        "reorder": Fate.HELD_BACK,
-        "duplicate": Fate.DUPLICATED,
-        "corrupt": Fate.CORRUPTED,
+        "loss": DeliveryFlags.LOST,
+        "reorder": DeliveryFlags.HELD_BACK,
+        "duplicate": DeliveryFlags.DUPLICATED,
+        "corrupt": DeliveryFlags.CORRUPTED,
     }[name]
     met = np.array([kind in fate for fate in passed_on(DirectionConfig(**{name: share}), n)[1]])
     sigma = math.sqrt(share * (1 - share) / n)
@@ -136,7 +138,12 @@ def test_nothing_that_is_drawn_depends_on_anything_else_that_is():
         burst_loss=0.2, burst_length=1.0, reorder=0.5, duplicate=0.5, corrupt=0.5
     )
     fates = passed_on(config, n)[1]
-    kinds = (Fate.LOST_IN_BURST, Fate.HELD_BACK, Fate.DUPLICATED, Fate.CORRUPTED)
+    kinds = (
+        DeliveryFlags.LOST_IN_BURST,
+        DeliveryFlags.HELD_BACK,
+        DeliveryFlags.DUPLICATED,
+        DeliveryFlags.CORRUPTED,
+    )
     met = np.array([[kind in fate for kind in kinds] for fate in fates], float)
     there = (met[:-1, 0] == 0) & (met[1:, 0] == 0)  # of a lost one the rest is not known
     here, next_ = met[:-1][there][:, 1:], met[1:][there][:, 1:]
@@ -149,7 +156,7 @@ def test_nothing_that_is_drawn_depends_on_anything_else_that_is():
 def test_bursts_lose_their_share_and_last_as_long_as_asked_for(length, depth):
     n, share = 200_000, 0.1
     config = DirectionConfig(burst_loss=share, burst_length=length, burst_depth=depth)
-    lost = np.array([Fate.LOST_IN_BURST in fate for fate in passed_on(config, n)[1]])
+    lost = np.array([DeliveryFlags.LOST_IN_BURST in fate for fate in passed_on(config, n)[1]])
     bursts = n * share / depth / length
     assert abs(lost.mean() - share) < 5 * share * math.sqrt(2.0 / bursts)
     if depth == 1.0:
@@ -162,7 +169,7 @@ def test_asking_for_more_does_not_change_what_is_lost():
     busy = DirectionConfig(
         delay=0.1, jitter=0.05, loss=0.1, burst_loss=0.05, corrupt=0.3, reorder=0.2
     )
-    gone = Fate.LOST | Fate.LOST_IN_BURST
+    gone = DeliveryFlags.LOST | DeliveryFlags.LOST_IN_BURST
     assert [fate & gone for fate in passed_on(busy)[1]] == [fate & gone for fate in alone]
 
 
@@ -179,11 +186,11 @@ def test_a_wandering_delay_visits_all_of_its_range_and_keeps_the_order():
 def test_cuts_are_where_the_clock_says_and_go_round():
     config = DirectionConfig(cuts=((0.1, 0.2),), cut_period=0.5)
     _, fates = passed_on(config, 1000)
-    cut = [number for number, fate in enumerate(fates) if fate == Fate.CUT]
+    cut = [number for number, fate in enumerate(fates) if fate == DeliveryFlags.CUT]
     assert {101, 150, 198, 601, 698} <= set(cut)
     assert len(cut) == pytest.approx(200, abs=2)
     _, fates = passed_on(DirectionConfig(), 10, cut=lambda number: number in (3, 4))
-    assert [number for number, fate in enumerate(fates) if fate == Fate.CUT] == [3, 4]
+    assert [number for number, fate in enumerate(fates) if fate == DeliveryFlags.CUT] == [3, 4]
 
 
 def test_a_corrupted_message_is_never_let_in():
@@ -204,8 +211,8 @@ def test_reliable_topics_are_late_but_whole_unless_asked_otherwise():
     )  # fmt: skip
     assert worst.of(live=True) == worst
     _, fates = passed_on(worst.of(live=False), 1500)
-    assert set(fates[1000:]) == {Fate.PASSED}
-    assert set(fates[:1000]) == {Fate.CUT}
+    assert set(fates[1000:]) == {DeliveryFlags.PASSED}
+    assert set(fates[:1000]) == {DeliveryFlags.CUT}
     clean = DirectionConfig(delay=0.1, loss=1.0, reliable="clean").of(live=False)
     assert clean == DirectionConfig()
 

@@ -20,7 +20,7 @@ def put(
 ) -> Path:
     """Issue a certificate into a folder, under the name of its holder or of another."""
     certificate, key = authority.issue(identity, days, start)
-    path = folder / f"{name or build_file_stem(identity.office, identity.session)}.pem"
+    path = folder / f"{name or build_file_stem(identity.role, identity.session)}.pem"
     write_file(path, certificate.public_bytes(Encoding.PEM), 0o644)
     write_key(path.with_suffix(".key"), key)
     return path
@@ -30,7 +30,7 @@ def make_keys(folder: Path, session: str = "test", authority: Authority | None =
     """A folder of keys of all roles, of an authority of its own unless one is given."""
     authority = authority or Authority.create("test authority", 2)
     authority.publish(folder)
-    for office in CertificateRole:
-        rights = RIGHTS if office is CertificateRole.SUPERVISOR else ()
-        put(authority, folder, Identity(office, session, rights))
+    for role in CertificateRole:
+        rights = RIGHTS if role is CertificateRole.SUPERVISOR else ()
+        put(authority, folder, Identity(role, session, rights))
     return folder

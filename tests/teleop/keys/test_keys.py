@@ -22,16 +22,16 @@ def authority() -> Authority:
     return Authority.create("test authority", 2)
 
 
-def load(folder: Path, office: CertificateRole = CertificateRole.MASTER) -> credentials.Credentials:
-    return credentials.load(folder, "test", office)
+def load(folder: Path, role: CertificateRole = CertificateRole.MASTER) -> credentials.Credentials:
+    return credentials.load(folder, "test", role)
 
 
-@pytest.mark.parametrize("office", list(CertificateRole))
-def test_a_name_says_role_session_and_rights(office: CertificateRole) -> None:
-    rights = RIGHTS if office is CertificateRole.SUPERVISOR else ()
-    assert Identity.parse(f"{office}.theatre-2") == (office, "theatre-2", rights)
-    assert len(Identity(office, "s" * 40, rights[:2]).common_name) <= 64
-    for bad in (f"{office}", f"{office}-fly.a", f"{office}.A", f"x{office}.a", f"{office}.a.b"):
+@pytest.mark.parametrize("role", list(CertificateRole))
+def test_a_name_says_role_session_and_rights(role: CertificateRole) -> None:
+    rights = RIGHTS if role is CertificateRole.SUPERVISOR else ()
+    assert Identity.parse(f"{role}.theatre-2") == (role, "theatre-2", rights)
+    assert len(Identity(role, "s" * 40, rights[:2]).common_name) <= 64
+    for bad in (f"{role}", f"{role}-fly.a", f"{role}.A", f"x{role}.a", f"{role}.a.b"):
         with pytest.raises(ValueError, match=r"."):
             Identity.parse(bad)
 
@@ -51,8 +51,8 @@ def test_only_a_router_is_for_all_sessions() -> None:
 
 def test_issued_keys_are_believed(tmp_path: Path) -> None:
     folder = make_keys(tmp_path)
-    for office in CertificateRole:
-        assert load(folder, office).identity.office is office
+    for role in CertificateRole:
+        assert load(folder, role).identity.role is role
 
 
 def test_every_flaw_is_named(tmp_path: Path, authority: Authority) -> None:

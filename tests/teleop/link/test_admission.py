@@ -224,9 +224,9 @@ class Session:
         self.roster = Roster(network, "test", token, False, handshake, self.keyring, self.refusals)
 
     def issue(
-        self, office: CertificateRole, rights: tuple[str, ...] = (), start: datetime | None = None
+        self, role: CertificateRole, rights: tuple[str, ...] = (), start: datetime | None = None
     ) -> Credentials:
-        identity = Identity(office, "test", rights)
+        identity = Identity(role, "test", rights)
         certificate, key = self.authority.issue(identity, 1, start)
         return Credentials(identity, certificate, key, self.authority.certificate)
 

@@ -379,7 +379,7 @@ def test_who_cannot_stop_and_sends_too_much_gets_no_new_connection(
 
 
 @pytest.mark.parametrize(
-    ("rights", "office", "passes"),
+    ("rights", "role", "passes"),
     [
         (("stop",), CertificateRole.SUPERVISOR, True),
         (("reset", "set"), CertificateRole.SUPERVISOR, False),
@@ -387,7 +387,7 @@ def test_who_cannot_stop_and_sends_too_much_gets_no_new_connection(
     ],
 )
 def test_a_watch_may_go_on_for_good_and_who_cannot_stop_may_not(
-    rights: tuple[str, ...], office: CertificateRole, passes: bool
+    rights: tuple[str, ...], role: CertificateRole, passes: bool
 ) -> None:
     """An hour of what `teleop stop --watch` sends: 20 times a second 400 bytes."""
 
@@ -399,7 +399,7 @@ def test_a_watch_may_go_on_for_good_and_who_cannot_stop_may_not(
     guard._note, guard._barred = print, {}
     connection = Connection(-1, 0, ("", 0), ("", 0), 0.0)
     for tick in range(36_000):
-        guard._charge(connection, Identity(office, "test", rights).common_name, 1, 0.1 * tick)
+        guard._charge(connection, Identity(role, "test", rights).common_name, 1, 0.1 * tick)
     assert connection.shut is not passes
     assert bool(guard._barred) is not passes
 

@@ -39,8 +39,8 @@ def pair(config: LinkConfig) -> Iterator[tuple[Link, Link]]:
         yield slave, master
 
 
-def rogue_of(config: LinkConfig, office: CertificateRole, count: int = 2) -> Rogue:
-    tls = create_local_credentials("test", office).for_tls()
+def rogue_of(config: LinkConfig, role: CertificateRole, count: int = 2) -> Rogue:
+    tls = create_local_credentials("test", role).for_tls()
     rogue = Rogue([config.slave, config.master], "test", tls)
     for topic in ("command", "state"):
         rogue.listen(topic)
@@ -199,7 +199,7 @@ def test_a_viewer_is_heard_by_nobody(pair: tuple[Link, Link], config: LinkConfig
 
 
 @pytest.mark.parametrize(
-    ("office", "group", "kept"),
+    ("role", "group", "kept"),
     [
         (CertificateRole.VIEWER, "viewer", 0),
         (CertificateRole.RECORDER, "recorder", 0),
@@ -207,12 +207,12 @@ def test_a_viewer_is_heard_by_nobody(pair: tuple[Link, Link], config: LinkConfig
     ],
 )
 def test_nothing_is_kept_of_a_listener_but_subscribers(
-    office: CertificateRole, group: str, kept: int, config: LinkConfig
+    role: CertificateRole, group: str, kept: int, config: LinkConfig
 ) -> None:
     """Zenoh removes tokens and queryables at once when a connection ends, and sends nothing."""
     with Link(config, "test", Role.SLAVE) as slave:
         states = slave._zenoh.declare_publisher("teleop/test/state")
-        tls = create_local_credentials("test", office).for_tls()
+        tls = create_local_credentials("test", role).for_tls()
         with Rogue([config.slave], "test", tls) as rogue:
             wait_until(rogue.connected)
             for n in range(100):
