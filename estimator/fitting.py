@@ -139,10 +139,8 @@ class BroydenJacobian:
         step = x - self._x
         predicted = self._r + self._J @ step
         cost_before = float(self._r @ self._r)
-        cost_decrease, expected_decrease = (
-            cost_before - float(r @ r),
-            cost_before - float(predicted @ predicted),
-        )
+        cost_decrease = cost_before - float(r @ r)
+        expected_decrease = cost_before - float(predicted @ predicted)
         if not cost_decrease > TRUST_RATIO * expected_decrease or not step.any():
             return self._compute(x, r)
         correction: Array = np.outer(r - predicted, step / float(step @ step))

@@ -94,10 +94,8 @@ class MasterProcess(LoopProcess):
         self._newly_answered_ns = self._memory["newly_answered_ns"]
         self._hands = HandInput.array()
         self._live, self._device = live_settings.init_settings(config), device
-        self._reads, self._writes = (
-            SlowCallMonitor("device: read"),
-            SlowCallMonitor("device: write"),
-        )
+        self._reads = SlowCallMonitor("device: read")
+        self._writes = SlowCallMonitor("device: write")
         self._is_layout_compared = False  # axes of the device with joints of the rig
         self._settings = SettingsRecord(config, bilateral)
         self._command, self._hand = Packet(Command), Packet(Hand)

@@ -205,10 +205,8 @@ def step(
         if not (math.isfinite(target) and math.isfinite(force)):
             verdict |= NOT_FINITE
             target = previous
-        lowest, highest = (
-            min(config.displacement_min, previous),
-            max(config.displacement_max, previous),
-        )
+        lowest = min(config.displacement_min, previous)
+        highest = max(config.displacement_max, previous)
         bounded = min(max(target, lowest), highest)
         if bounded != target:
             verdict |= TRAVEL

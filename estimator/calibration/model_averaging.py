@@ -61,10 +61,8 @@ def average_antagonists(
     """
     K_a, own_a, score_a = _to_arrays(a)
     K_b, own_b, score_b = _to_arrays(b)
-    own_a, own_b = (
-        np.hypot(own_a, UNMODELLED_UNCERTAINTY)[:, None],
-        np.hypot(own_b, UNMODELLED_UNCERTAINTY),
-    )
+    own_a = np.hypot(own_a, UNMODELLED_UNCERTAINTY)[:, None]
+    own_b = np.hypot(own_b, UNMODELLED_UNCERTAINTY)
     missing = total.value - K_a[:, None] - K_b
     variance = total.uncertainty**2 + own_a**2 + own_b**2
     score = score_a[:, None] + score_b + missing**2 / variance + np.log(variance)

@@ -107,10 +107,8 @@ def _find_rivals(
     ends, straight = best.shape
     before = float(ends[-2]) if len(ends) > 1 else 0.0
     if straight[-1]:
-        ends, straight = (
-            np.append(ends, ends[-1]),
-            np.append(_replace_entry(straight, -1, value=False), False),
-        )
+        ends = np.append(ends, ends[-1])
+        straight = np.append(_replace_entry(straight, -1, value=False), False)
     elif float(ends[-1]) - before > _WIDTH_MAX:
         return
     # How wide the last bend is, is hardly seen where it is slight: each width counts for itself.

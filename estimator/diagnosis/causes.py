@@ -125,10 +125,8 @@ def rank_candidates(
     dataset: Dataset, base_fit: Fit, current_fit: Fit, candidates: list[Candidate]
 ) -> tuple[RankedCandidate, ...]:
     """Return the candidates of a search on top of `current_fit`, the most probable first."""
-    current_errors, base_errors = (
-        compute_errors(dataset, current_fit),
-        compute_errors(dataset, base_fit),
-    )
+    current_errors = compute_errors(dataset, current_fit)
+    base_errors = compute_errors(dataset, base_fit)
     ranked = [
         RankedCandidate(
             candidate.effect,

@@ -290,10 +290,8 @@ def _track_motion(
             error = _compute_tension_error(readings, tendon, tracked, i + 1)
             if error < error_min:
                 end_max = end_max if motion else i + SAMPLES_AFTER
-                error_min, motion = (
-                    error,
-                    _HiddenMotion(begin, i + 1, end, tracked[begin:end].copy()),
-                )
+                error_min = error
+                motion = _HiddenMotion(begin, i + 1, end, tracked[begin:end].copy())
     return motion
 
 

@@ -317,15 +317,11 @@ def prepare_record(
         rounding[name] = find_quantisation_step(signal[good[name]]) / math.sqrt(12.0)
         signals[name] = np.interp(time, time[good[name]], signal[good[name]])
         issues += channel_issues
-    decimated = decimate_record(time, signals, good, present, samples_max)
-    time, signals, good, present = (
-        decimated.time,
-        decimated.signals,
-        decimated.good,
-        decimated.present,
+    time, signals, good, present, averaged, decimation_factor = decimate_record(
+        time, signals, good, present, samples_max
     )
     rounding, given_noise = (
-        {name: value / math.sqrt(decimated.averaged[name]) for name, value in values.items()}
+        {name: value / math.sqrt(averaged[name]) for name, value in values.items()}
         for values in (rounding, noise)
     )
     sigma = _estimate_noise(driver, time, signals, good, rounding, given_noise)
@@ -356,7 +352,7 @@ def prepare_record(
         train=select_training_half(block, drive, speed),
         block=block,
         issues=(*missing_issues, *(issue._replace(first=issue.first + start) for issue in issues)),
-        decimation_factor=decimated.decimation_factor,
+        decimation_factor=decimation_factor,
         units=units,
         loop=loop,
         start=start,
@@ -376,10 +372,8 @@ def collect_efforts(signals: Signals) -> list[Array]:
 def is_loop(units: Units, records: Sequence[Signals]) -> bool:
     """Return whether records are of a closed loop: effort pushes in earnest in one of them."""
     efforts = [effort for signals in records for effort in collect_efforts(signals)]
-    lowest, highest = (
-        min(float(values.min()) for values in efforts),
-        max(float(values.max()) for values in efforts),
-    )
+    lowest = min(float(values.min()) for values in efforts)
+    highest = max(float(values.max()) for values in efforts)
     return units.signed and min(-lowest, highest) > SETTINGS.push_share * max(-lowest, highest)
 
 

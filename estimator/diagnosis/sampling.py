@@ -330,10 +330,8 @@ def find_sampling_issues(time: Array, signals: Signals) -> list[DataIssue]:
         first_time = float(time[1:][is_uneven][0])
         issues.append(DataIssue(message, "all channels", int(is_uneven.sum()), first_time, False))
     if is_gap.any():
-        missing, first_time = (
-            int(np.rint(steps[is_gap] / period - 1.0).sum()),
-            float(time[1:][is_gap][0]),
-        )
+        missing = int(np.rint(steps[is_gap] / period - 1.0).sum())
+        first_time = float(time[1:][is_gap][0])
         issues.append(DataIssue("missing samples", "all channels", missing, first_time, False))
     return issues
 

@@ -114,10 +114,8 @@ def fit_candidates(
         sudden_starts = screen_candidates(
             subsampled, robust_fit, subsampled_contexts, sudden, screening_report, workers
         )
-        linearised_starts, raw_starts = (
-            linearised_starts + sudden_starts.linearised_starts,
-            raw_starts + sudden_starts.raw_starts,
-        )
+        linearised_starts = linearised_starts + sudden_starts.linearised_starts
+        raw_starts = raw_starts + sudden_starts.raw_starts
     best_starts = [pair[0] for pair in linearised_starts]
     second_starts = [pair[1] for pair in linearised_starts if len(pair) > 1]
     selected_starts = [
@@ -134,10 +132,8 @@ def fit_candidates(
     for rounds, kept_count, cost_ratio_max, progress_end in zip(
         ROUNDS, SETTINGS.candidates_kept, SETTINGS.cost_ratio_max, FITTING_PROGRESS, strict=True
     ):
-        fitting_report, progress_begin = (
-            scale_progress(report, progress_begin, progress_end),
-            progress_end,
-        )
+        fitting_report = scale_progress(report, progress_begin, progress_end)
+        progress_begin = progress_end
 
         def fit_subsampled(model: Model, rounds: int = rounds) -> Candidate:
             return _fit_candidate(subsampled, subsampled_contexts, model, rounds)

@@ -160,10 +160,8 @@ def _compute_triangle_weights(low: float, high: float) -> Array:
     return np.asarray(weights / weights.sum())
 
 
-_EARLY_WEIGHTS, _LATE_WEIGHTS = (
-    _compute_triangle_weights(0.0, 1.0),
-    _compute_triangle_weights(1.0, float(_SPREAD_THRESHOLDS[-1])),
-)
+_EARLY_WEIGHTS = _compute_triangle_weights(0.0, 1.0)
+_LATE_WEIGHTS = _compute_triangle_weights(1.0, float(_SPREAD_THRESHOLDS[-1]))
 _K_WEIGHTS = np.eye(len(_SPREAD_THRESHOLDS))[_SPREAD_K]
 
 

@@ -394,11 +394,9 @@ def advance(
     q, v, a, load, drive_old = memory[_Q], memory[_V], memory[_A], memory[_LOAD], memory[_DRIVEN]
     for i in range(len(samples)):
         dt, friction, stretch = samples[i, DT], samples[i, FRICTION], samples[i, STRETCH]
-        compliance, target, rate = (
-            last_share * samples[i, COMPLIANCE],
-            samples[i, TARGET],
-            samples[i, SPEED],
-        )
+        compliance = last_share * samples[i, COMPLIANCE]
+        target = samples[i, TARGET]
+        rate = samples[i, SPEED]
         gain = -math.expm1(-dt / law.creep_time) if law.creep != 0.0 else 0.0
         extra = creep * (1.0 - gain) + shares * stretch
         scale = 1.0 + law.creep * gain
@@ -433,11 +431,9 @@ def advance(
             creep *= 1.0 - gain
             creep += law.creep * gain / scale * (lengths - extra - tip_compliance * tension)
         out[i, 0], out[i, 1] = T_new[0], _compute_dot_product(tip_shares, T_new)
-        out[i, 2], out[i, 3], out[i, 4] = (
-            lengths.sum() + q,
-            q + _compute_dot_product(tip_compliance, T_new),
-            slope_in,
-        )
+        out[i, 2] = lengths.sum() + q
+        out[i, 3] = q + _compute_dot_product(tip_compliance, T_new)
+        out[i, 4] = slope_in
     memory[_Q], memory[_V], memory[_A], memory[_LOAD], memory[_DRIVEN] = q, v, a, load, drive_old
     return out
 

@@ -42,10 +42,8 @@ def _propagate_from_tip(
         if friction > pull:
             T, D = (T + pull + dashpot * displacement, D * (1.0 + x) / (1.0 - x) + dashpot * slope)
         elif friction < -release:
-            T, D = (
-                T - release + dashpot * displacement,
-                D * (1.0 - r) / (1.0 + r) + dashpot * slope,
-            )
+            T = T - release + dashpot * displacement
+            D = D * (1.0 - r) / (1.0 + r) + dashpot * slope
         else:
             T, D = (T + friction, D + stiffness * slope + stiffness_slope * D * displacement)
         if T < 0.0:

@@ -109,19 +109,15 @@ def update_correction(
     speeds = no_speeds
     if has_travel and effect_constants[lumped_model.STRIBECK] != 0.0:
         speeds = _estimate_sliding_speeds(state, plain_state, q, dt)
-    sample[0, lumped_model.OFFSET], sample[0, lumped_model.COMPLIANCE] = (
-        state.tip_offset,
-        state.tip_compliance,
-    )
+    sample[0, lumped_model.OFFSET] = state.tip_offset
+    sample[0, lumped_model.COMPLIANCE] = state.tip_compliance
     effect_motion = lumped_model.advance(
         effect_constants, state.with_effects[:], sample, speeds, True, NO_SUBSTEPS
     )[0]
     T_out, q_d = effect_motion[1], effect_motion[3]
     elongation = effect_motion[2] - q_d
-    tension_change, elongation_change = (
-        T_out - plain_motion[1],
-        elongation - (plain_motion[2] - plain_motion[3]),
-    )
+    tension_change = T_out - plain_motion[1]
+    elongation_change = elongation - (plain_motion[2] - plain_motion[3])
     if not (math.isfinite(tension_change) and abs(elongation_change) < STRETCH_MAX):
         reset(constants, state)
         return
@@ -158,10 +154,8 @@ def _estimate_tip_compliance(
 ) -> None:
     """Note that the tip is measured at `q` [m] under `T` [N], and let its own node stay there."""
     if taut and state.learns and abs(q - state.fast_displacement) < TRAVEL_JUMP_MAX:
-        fast_gain, slow_gain = (
-            -math.expm1(-dt / FAST_TIME_CONSTANT),
-            -math.expm1(-dt / SLOW_TIME_CONSTANT),
-        )
+        fast_gain = -math.expm1(-dt / FAST_TIME_CONSTANT)
+        slow_gain = -math.expm1(-dt / SLOW_TIME_CONSTANT)
         state.fast_displacement += fast_gain * (q - state.fast_displacement)
         state.fast_tension += fast_gain * (T - state.fast_tension)
         state.slow_displacement += slow_gain * (q - state.slow_displacement)

@@ -278,10 +278,8 @@ class LinkHealth:
         self._due_ns = now_ns + SPAN_NS
         self._counts.append(counts + MessageCounts())  # a copy
         self.figures = take_measurement(view_struct(self.windows), self._counts[0], counts)
-        previous, self.decision = (
-            self.decision,
-            step(self._config, self.decision, self.figures, dt, peer),
-        )
+        previous = self.decision
+        self.decision = step(self._config, self.decision, self.figures, dt, peer)
         self._note(dt)
         return self.decision != previous
 

@@ -159,10 +159,8 @@ def main(args: argparse.Namespace) -> int:
             print(link.warning, flush=True)
         print(f"recording session {run.session!r} to {writer.path}", flush=True)
         limit_computing_time(granted)
-        recorder, progress = (
-            Recorder(listener, writer, link.present),
-            RecordingProgress(StatusLine()),
-        )
+        recorder = Recorder(listener, writer, link.present)
+        progress = RecordingProgress(StatusLine())
         missing = 0
         try:
             with writer:

@@ -84,11 +84,9 @@ def to_quaternion(rotation: Array) -> Any:
     largest = int(np.argmax(squares))
     if largest == 0:
         w = math.sqrt(max(0.0, 1.0 + trace)) / 2
-        x, y, z = (
-            (rotation[2, 1] - rotation[1, 2]) / (4 * w),
-            (rotation[0, 2] - rotation[2, 0]) / (4 * w),
-            (rotation[1, 0] - rotation[0, 1]) / (4 * w),
-        )
+        x = (rotation[2, 1] - rotation[1, 2]) / (4 * w)
+        y = (rotation[0, 2] - rotation[2, 0]) / (4 * w)
+        z = (rotation[1, 0] - rotation[0, 1]) / (4 * w)
         return build_message(QUATERNION, x=float(x), y=float(y), z=float(z), w=w)
     i = largest - 1
     j, k = (i + 1) % 3, (i + 2) % 3

@@ -51,10 +51,8 @@ def measure(config: Path, seconds: float, shared: RunConfig) -> Row:
             row[f"{side} tick {text}"] = "us", *work, False
         row[f"{side} CPU"] = "%", session.cpu.get(side), base["cpu"], False
     for key, text in PERCENTILES.items():
-        answer, own_work = (
-            session.summary["slave"]["answer_us"],
-            session.summary["slave"]["without_rig_us"],
-        )
+        answer = session.summary["slave"]["answer_us"]
+        own_work = session.summary["slave"]["without_rig_us"]
         row[f"slave answer {text}"] = "us", answer[key], None, False
         row[f"slave tick without rig {text}"] = "us", own_work[key], None, False
     row["run CPU"] = "%", session.cpu.get("run"), None, False
