@@ -235,7 +235,7 @@ def _find_next_motion(
 ) -> _HiddenMotion | None:
     """Return the first hidden motion from a sample on."""
     while position < len(drive):
-        deviation = tendon.by_travel(drive, position) - readings.tension[position:]
+        deviation = tendon.drive_by_travel(drive, position) - readings.tension[position:]
         deviation = np.abs(deviation) / readings.noise[position:]
         deviation[~readings.good[position:]] = 0.0
         is_off = deviation > SETTINGS.hidden_tension
@@ -319,14 +319,15 @@ def _estimate_position(
     """
     tensions = np.maximum(readings.tension[i] + TENSION_OFFSETS * readings.accuracy, 0.0)
     positions = [
-        tendon.by_tension(tracked, i, tensions[k : k + 1])[0][0]
+        tendon.drive_by_tension(tracked, i, tensions[k : k + 1])[0][0]
         for k in range(len(TENSION_OFFSETS))
     ]
     costs = TENSION_OFFSETS**2 + ((np.array(positions) - reference[i]) / readings.sigma) ** 2
     best = int(np.argmin(costs))
     reference_drive = np.append(tracked[:i], reference[i])
     deviation = (
-        float(tendon.by_travel(reference_drive, i)[0] - readings.tension[i]) / readings.accuracy
+        float(tendon.drive_by_travel(reference_drive, i)[0] - readings.tension[i])
+        / readings.accuracy
     )
     if deviation**2 <= costs[best]:
         return float(reference[i]), deviation
@@ -338,7 +339,7 @@ def _compute_tension_error(
 ) -> float:
     """Return the mean square by which a travel misses the tension in the samples from one on."""
     later = slice(begin, begin + SAMPLES_AFTER)
-    simulated = tendon.copy().by_travel(drive[: later.stop], begin)
+    simulated = tendon.copy().drive_by_travel(drive[: later.stop], begin)
     return float(np.mean(((simulated - readings.tension[later]) / readings.accuracy) ** 2))
 
 

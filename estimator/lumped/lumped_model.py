@@ -210,7 +210,7 @@ class DrivenTendon:
         self._memory = build_initial_state(
             self._constants, physics.start, *self._samples[0, [STRETCH, OFFSET]]
         )
-        self._done = 0
+        self._reached_sample = 0
 
     def copy(self) -> Self:
         """Return it where it is; what is done with the one leaves the other."""
@@ -218,28 +218,30 @@ class DrivenTendon:
         duplicate._memory = self._memory.copy()
         return duplicate
 
-    def by_travel(self, travel: Array, begin: int) -> Array:
+    def drive_by_travel(self, travel: Array, begin: int) -> Array:
         """Return T_in [N] from sample `begin` on under a `travel` [m], shape (n - begin,)."""
-        memory = self._reached(travel, begin).copy()
-        return self._advanced(memory, travel[begin:], begin, forced=False)[:, 0]
+        memory = self._advance_to(travel, begin).copy()
+        return self._advance(memory, travel[begin:], begin, forced=False)[:, 0]
 
-    def by_tension(self, travel: Array, begin: int, tension: Array) -> tuple[Array, Array]:
+    def drive_by_tension(self, travel: Array, begin: int, tension: Array) -> tuple[Array, Array]:
         """Return q_p [m] and dq_p/dT_in [m/N] under a tension [N] from `begin` on, shape of it.
 
         Before, it is driven by `travel` [m].
         """
-        memory = self._reached(travel, begin).copy()
+        memory = self._advance_to(travel, begin).copy()
         memory[_DRIVEN] = np.nan
-        motion = self._advanced(memory, tension, begin, forced=True)
+        motion = self._advance(memory, tension, begin, forced=True)
         return motion[:, 2], motion[:, 4]
 
-    def _reached(self, travel: Array, begin: int) -> Array:
+    def _advance_to(self, travel: Array, begin: int) -> Array:
         """Return the state after the samples before `begin`, driven by `travel`."""
-        self._advanced(self._memory, travel[self._done : begin], self._done, forced=False)
-        self._done = begin
+        self._advance(
+            self._memory, travel[self._reached_sample : begin], self._reached_sample, forced=False
+        )
+        self._reached_sample = begin
         return self._memory
 
-    def _advanced(self, memory: Array, drive: Array, begin: int, *, forced: bool) -> Array:
+    def _advance(self, memory: Array, drive: Array, begin: int, *, forced: bool) -> Array:
         samples = self._samples[begin : begin + len(drive)].copy()
         samples[:, TARGET] = drive
         return np.asarray(

@@ -206,7 +206,7 @@ class Plots:
         config: ViewConfig,
         sender: Sender,
         sheaths: Sheaths,
-        thinned: Subsampler,
+        subsample: Subsampler,
         live: bool = False,
     ) -> None:
         self._live = live
@@ -214,7 +214,7 @@ class Plots:
         self._rates = config.rate_hz
         self._sender = sender
         self._sheaths = sheaths
-        self._thinned = thinned
+        self._subsample = subsample
         self._joints = 0
 
     def draw(self, batches: Mapping[AnyTopic, Rows]) -> int:
@@ -226,40 +226,45 @@ class Plots:
         for topic, batch in batches.items():
             if topic not in CURVES:
                 continue
-            kept = self._at_rate(topic, batch)
-            for behind, some in ((False, kept), (True, self._behind(topic, kept))):
+            displayed = self._subsample_rows(topic, batch)
+            for behind, due_rows in (
+                (False, displayed),
+                (True, self._take_hidden_rows(topic, displayed)),
+            ):
                 for group in CURVES[topic]:
-                    for line in self._lines(topic, group, some, behind):
-                        self._line(*line)
+                    for line in self._list_lines(topic, group, due_rows, behind):
+                        self._draw_line(*line)
             for group in CURVES[topic]:
-                self._bands(group, kept)
+                self._draw_bands(group, displayed)
             if topic is TENDONS:
-                self._true_forces(kept)
-            shown += len(kept)
+                self._draw_true_forces(displayed)
+            shown += len(displayed)
         return shown
 
-    def _behind(self, topic: AnyTopic, rows: Rows) -> Rows:
+    def _take_hidden_rows(self, topic: AnyTopic, rows: Rows) -> Rows:
         """Return what is due of the curves that are in tabs behind."""
         if not self._live:
             return rows
-        held = self._held.setdefault(topic, [])
-        held.append(rows)
-        whole = np.concatenate(held)
-        if len(whole) == 0 or np.ptp(whole["stamp_ns"]) < _HIDDEN_CURVE_PERIOD_NS:
+        pending = self._held.setdefault(topic, [])
+        pending.append(rows)
+        due_rows = np.concatenate(pending)
+        if len(due_rows) == 0 or np.ptp(due_rows["stamp_ns"]) < _HIDDEN_CURVE_PERIOD_NS:
             return rows[:0]
-        held.clear()
-        return whole
+        pending.clear()
+        return due_rows
 
-    def _at_rate(self, topic: AnyTopic, rows: Rows) -> Rows:
+    def _subsample_rows(self, topic: AnyTopic, rows: Rows) -> Rows:
         rate = getattr(self._rates, topic.name, None)
         if rate is None:
             return rows
         if topic is LEDGER:
-            sides = [self._thinned(own, rate) for own in split_rows(rows, "role").values()]
+            sides = [
+                self._subsample(role_rows, rate) for role_rows in split_rows(rows, "role").values()
+            ]
             return np.concatenate(sides)
-        return self._thinned(rows, rate)
+        return self._subsample(rows, rate)
 
-    def _lines(
+    def _list_lines(
         self, topic: AnyTopic, group: CurveGroup, rows: Rows, behind: bool
     ) -> Iterator[tuple[Curve, str, str, Rows, NDArray[np.generic]]]:
         """Yield each line of a group: its curve, owner, label, rows and values."""
@@ -267,15 +272,15 @@ class Plots:
         if len(rows) == 0 or not curves:
             return
         if group.over in ("role", "role and joint"):
-            for number, own in split_rows(rows, "role").items():
+            for number, role_rows in split_rows(rows, "role").items():
                 role = format_role(number)
                 for curve in curves:
                     if group.over == "role":
-                        yield curve, role, role, own, own[curve.field]
+                        yield curve, role, role, role_rows, role_rows[curve.field]
                         continue
-                    for joint in range(int(own["joints"][-1])):
-                        values = own[curve.field][:, joint]
-                        yield curve, f"{role}/joint_{joint}", role, own, values
+                    for joint in range(int(role_rows["joints"][-1])):
+                        values = role_rows[curve.field][:, joint]
+                        yield curve, f"{role}/joint_{joint}", role, role_rows, values
         elif group.over == "sender":
             sender = format_role(topic.publisher or Role.LAUNCHER)
             for curve in curves:
@@ -289,12 +294,12 @@ class Plots:
                 for curve in curves:
                     yield curve, f"{group.over}_{index}", label, rows, rows[curve.field][:, index]
 
-    def _line(
+    def _draw_line(
         self, curve: Curve, owner: str, label: str, rows: Rows, values: NDArray[np.generic]
     ) -> None:
         numbers = values.astype(np.float64) * curve.factor
-        known = np.isfinite(numbers) & ((numbers > 0) | (not curve.positive_only))
-        if not known.any():
+        is_shown = np.isfinite(numbers) & ((numbers > 0) | (not curve.positive_only))
+        if not is_shown.any():
             return
         path = curve.path.format(owner)
         if not self._sender.styled(path):
@@ -303,36 +308,36 @@ class Plots:
             style = rr.SeriesLines(colors=[colour], widths=[curve.width], names=[name])
             self._sender.once(path, style)
         self._sender.columns_at(
-            path, rows["stamp_ns"][known], build_columns(rr.Scalars, scalars=numbers[known])
+            path, rows["stamp_ns"][is_shown], build_columns(rr.Scalars, scalars=numbers[is_shown])
         )
 
-    def _bands(self, group: CurveGroup, rows: Rows) -> None:
+    def _draw_bands(self, group: CurveGroup, rows: Rows) -> None:
         """Draw the areas of a group over joints."""
         for band in group.bands if len(rows) else ():
             for joint in range(self._joints):
-                self._band(band, joint, rows)
+                self._draw_band(band, joint, rows)
 
-    def _band(self, band: Band, joint: int, rows: Rows) -> None:
+    def _draw_band(self, band: Band, joint: int, rows: Rows) -> None:
         """Draw one area: each row's low end at its stamp, its high end half a period later."""
         low, high = rows[band.low][:, joint], rows[band.high][:, joint]
-        known = np.isfinite(low) & np.isfinite(high)
-        if not known.any():
+        is_finite = np.isfinite(low) & np.isfinite(high)
+        if not is_finite.any():
             return
         path = band.path.format(f"joint_{joint}")
         style = rr.SeriesLines(
             colors=[BAND], widths=[_BAND_WIDTH], names=[band.name], aggregation_policy="Off"
         )
         self._sender.once(path, style)
-        stamps = rows["stamp_ns"][known]
-        apart = np.minimum(
+        stamps = rows["stamp_ns"][is_finite]
+        spans = np.minimum(
             np.diff(stamps, append=stamps[-1] + 2 * _HIGH_END_OFFSET_NS), _HIGH_END_SPAN_MAX_NS
         )
-        times = np.stack([stamps, stamps + apart // 2], axis=1).ravel()
-        ends = np.stack([low[known], high[known]], axis=1).ravel()
+        times = np.stack([stamps, stamps + spans // 2], axis=1).ravel()
+        ends = np.stack([low[is_finite], high[is_finite]], axis=1).ravel()
         self._sender.columns_at(path, times, build_columns(rr.Scalars, scalars=ends))
 
-    def _true_forces(self, rows: Rows) -> None:
+    def _draw_true_forces(self, rows: Rows) -> None:
         """Draw what bench sensors say of the force at each tip."""
         for joint in self._sheaths.joints:
             force = compute_true_force(rows, self._sheaths.tendons_of(joint))
-            self._line(_TRUE_FORCE, f"joint_{joint}", "", rows, force)
+            self._draw_line(_TRUE_FORCE, f"joint_{joint}", "", rows, force)

@@ -28,12 +28,12 @@ class Levers:
     """Draws the moving ends of the session."""
 
     def __init__(
-        self, config: ViewConfig, sender: Sender, sheaths: Sheaths, thinned: Subsampler
+        self, config: ViewConfig, sender: Sender, sheaths: Sheaths, subsample: Subsampler
     ) -> None:
         self._config = config
         self._sender = sender
         self._sheaths = sheaths
-        self._thinned = thinned
+        self._subsample = subsample
         self._drawn = False  # since forces were forgotten
         self._travel: dict[int, float] = {}  # joint -> [m] as last estimated
 
@@ -45,21 +45,21 @@ class Levers:
         thick = self._config.tube_radius * stage.size
         for joint, lever in stage.joints.items():
             path = f"scene/joint_{joint}"
-            self._pivot(path, lever, colours.BODY, 1.6 * thick, f"joint {joint + 1}")
-            self._style(f"{path}/link", colours.BODY, thick)
-            self._style(f"{path}/asked", colours.COMMANDED, 0.35 * thick)
-            self._arrow_style(f"{path}/force", colours.ESTIMATE, 0.7 * thick)
-            self._number_style(f"{path}/force", colours.ESTIMATE)
-            self._style(f"{path}/force", colours.INTERVAL, 0.35 * thick)
-            self._arrow_style(f"{path}/truth", colours.TRUTH, 0.45 * thick)
-            self._environment(f"{path}/environment", joint, lever)
+            self._draw_pivot(path, lever, colours.BODY, 1.6 * thick, f"joint {joint + 1}")
+            self._set_style(f"{path}/link", colours.BODY, thick)
+            self._set_style(f"{path}/asked", colours.COMMANDED, 0.35 * thick)
+            self._set_arrow_style(f"{path}/force", colours.ESTIMATE, 0.7 * thick)
+            self._set_number_style(f"{path}/force", colours.ESTIMATE)
+            self._set_style(f"{path}/force", colours.INTERVAL, 0.35 * thick)
+            self._set_arrow_style(f"{path}/truth", colours.TRUTH, 0.45 * thick)
+            self._draw_environment(f"{path}/environment", joint, lever)
         for joint, lever in stage.hands.items():
-            self._pivot(
+            self._draw_pivot(
                 f"scene/hand_{joint}", lever, colours.HAND, 1.6 * thick, f"hand {joint + 1}"
             )
-            self._style(f"scene/hand_{joint}/handle", colours.HAND, thick)
-            self._arrow_style(f"scene/hand_{joint}/handle", colours.HAND, 0.7 * thick)
-            self._number_style(f"scene/hand_{joint}/handle", colours.HAND)
+            self._set_style(f"scene/hand_{joint}/handle", colours.HAND, thick)
+            self._set_arrow_style(f"scene/hand_{joint}/handle", colours.HAND, 0.7 * thick)
+            self._set_number_style(f"scene/hand_{joint}/handle", colours.HAND)
 
     def draw(self, batches: Mapping[AnyTopic, Rows]) -> int:
         """Draw some instants; returns the number of messages drawn."""
@@ -67,14 +67,14 @@ class Levers:
             return 0
         drawn = 0
         for topic, paint in (
-            (STATE, self._tips),
-            (COMMAND, self._asked),
-            (TENDONS, self._truth),
-            (HAND, self._hands),
+            (STATE, self._draw_tips),
+            (COMMAND, self._draw_commanded),
+            (TENDONS, self._draw_truth),
+            (HAND, self._draw_hands),
         ):
             if topic in batches:
                 self._drawn = True
-                rows = self._thinned(batches[topic], self._config.rate_hz.levers)
+                rows = self._subsample(batches[topic], self._config.rate_hz.levers)
                 paint(rows)
                 drawn += len(rows)
         return drawn
@@ -96,39 +96,39 @@ class Levers:
             self._sender.columns_at(f"{path}/truth", at, arrow)
             self._sender.columns_at(f"scene/hand_{joint}/handle", at, arrow + number)
 
-    def _tips(self, rows: Rows) -> None:
+    def _draw_tips(self, rows: Rows) -> None:
         for joint, lever, path in self._joints(rows):
             travel, force = rows["position"][:, joint], rows["force"][:, joint]
             self._travel[joint] = float(travel[-1])
             ends, link = _build_link(lever, travel)
             self._sender.columns(f"{path}/link", rows, link)
-            back = -lever.onward(travel) * self._length(self._config.tension_scale_N)
+            back = -lever.onward(travel) * self._compute_length(self._config.tension_scale_N)
             low, high = rows["force_low"][:, joint], rows["force_high"][:, joint]
             parts = _build_arrow(ends, force[:, None] * back)
-            parts += self._number(ends + lever.label, force, joint)
-            parts += self._interval(lever, ends, back, low, high)
+            parts += self._build_number(ends + lever.label, force, joint)
+            parts += self._build_interval(lever, ends, back, low, high)
             self._sender.columns(f"{path}/force", rows, parts)
 
-    def _asked(self, rows: Rows) -> None:
+    def _draw_commanded(self, rows: Rows) -> None:
         stage = self._sheaths.stage
         for joint, lever in () if stage is None else stage.joints.items():
             _, link = _build_link(lever, rows["position"][:, joint])
             self._sender.columns(f"scene/joint_{joint}/asked", rows, link)
 
-    def _truth(self, rows: Rows) -> None:
+    def _draw_truth(self, rows: Rows) -> None:
         """Draw the force of the bench sensors, if any."""
         stage = self._sheaths.stage
         for joint, lever in () if stage is None else stage.joints.items():
             force = compute_true_force(rows, self._sheaths.tendons_of(joint))
             travel = rows["bench_distal_displacement"][:, self._sheaths.tendons_of(joint)[0]]
             travel = np.where(np.isfinite(travel), travel, self._travel.get(joint, 0.0))
-            back = -lever.onward(travel) * self._length(self._config.tension_scale_N)
+            back = -lever.onward(travel) * self._compute_length(self._config.tension_scale_N)
             ends = lever.tip(travel) + 0.12 * lever.length * np.cross(lever.along, lever.aside)
             if np.isfinite(force).any():
                 truth = _build_arrow(ends, force[:, None] * back)
                 self._sender.columns(f"scene/joint_{joint}/truth", rows, truth)
 
-    def _hands(self, rows: Rows) -> None:
+    def _draw_hands(self, rows: Rows) -> None:
         stage = self._sheaths.stage
         count = int(rows["joints"][-1]) if len(rows) else 0
         for joint, lever in () if stage is None else stage.hands.items():
@@ -136,9 +136,9 @@ class Levers:
                 continue
             travel, force = rows["position"][:, joint], rows["force"][:, joint]
             ends, parts = _build_link(lever, travel)
-            onward = lever.onward(travel) * self._length(self._config.hand_scale_N)
+            onward = lever.onward(travel) * self._compute_length(self._config.hand_scale_N)
             parts += _build_arrow(ends, force[:, None] * onward)
-            parts += self._number(ends + lever.label, force, joint)
+            parts += self._build_number(ends + lever.label, force, joint)
             self._sender.columns(f"scene/hand_{joint}/handle", rows, parts)
 
     def _joints(self, rows: Rows) -> list[tuple[int, Lever, str]]:
@@ -147,12 +147,12 @@ class Levers:
         levers = {} if stage is None else stage.joints
         return [(j, lever, f"scene/joint_{j}") for j, lever in levers.items() if j < count]
 
-    def _length(self, scale: float) -> float:
+    def _compute_length(self, scale: float) -> float:
         """Return the drawn length per newton."""
         stage = self._sheaths.stage
         return 0.0 if stage is None else ARROW * stage.size / scale
 
-    def _number(self, at: Array, force: Array, joint: int) -> Columns:
+    def _build_number(self, at: Array, force: Array, joint: int) -> Columns:
         """Return forces [N] at places clear of what is drawn; of several joints with the number."""
         stage = self._sheaths.stage
         of = f"{joint + 1}: " if stage is not None and len(stage.joints) > 1 else ""
@@ -160,7 +160,9 @@ class Levers:
         words = [f"{of}{value:.1f} N" for value in force[known]]
         return build_columns(rr.Points3D, known, positions=at[known], labels=words)
 
-    def _interval(self, lever: Lever, ends: Array, back: Array, low: Array, high: Array) -> Columns:
+    def _build_interval(
+        self, lever: Lever, ends: Array, back: Array, low: Array, high: Array
+    ) -> Columns:
         """Return a line from the low to the high end beside the arrow, with a bar across each end.
 
         The interval can be far wider than the scene; an end beyond the scale of tension is drawn
@@ -178,7 +180,7 @@ class Levers:
         strips = np.stack([begin - a, begin + a, begin, to, to - b, to + b], axis=1)
         return build_columns(rr.LineStrips3D, known, strips=strips)
 
-    def _environment(self, path: str, joint: int, lever: Lever) -> None:
+    def _draw_environment(self, path: str, joint: int, lever: Lever) -> None:
         """Draw a wedge from the travel at contact."""
         known = self._config.environment_m
         if joint >= len(known) or not math.isfinite(known[joint]):
@@ -196,19 +198,19 @@ class Levers:
         )
         self._sender.static(path, wedge)
 
-    def _pivot(self, path: str, lever: Lever, colour: int, radius: float, label: str) -> None:
+    def _draw_pivot(self, path: str, lever: Lever, colour: int, radius: float, label: str) -> None:
         pivot = rr.Points3D(
             [lever.pivot], radii=radius, colors=colour, labels=label, show_labels=True
         )
         self._sender.static(f"{path}/pivot", pivot)
 
-    def _style(self, path: str, colour: int, radius: float) -> None:
+    def _set_style(self, path: str, colour: int, radius: float) -> None:
         self._sender.static(path, rr.LineStrips3D.from_fields(colors=colour, radii=radius))
 
-    def _arrow_style(self, path: str, colour: int, radius: float) -> None:
+    def _set_arrow_style(self, path: str, colour: int, radius: float) -> None:
         self._sender.static(path, rr.Arrows3D.from_fields(colors=colour, radii=radius))
 
-    def _number_style(self, path: str, colour: int) -> None:
+    def _set_number_style(self, path: str, colour: int) -> None:
         """Let only the words of points be seen."""
         style = rr.Points3D.from_fields(colors=colour, radii=1e-6, show_labels=True)
         self._sender.static(path, style)

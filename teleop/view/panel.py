@@ -165,11 +165,11 @@ class Panel:
             limits = batches[COMMAND]["force_max"]
             limits = limits[np.isfinite(limits) & (limits > 0)]  # the last command has none
             self._limit_N = float(limits[-1]) if len(limits) else self._limit_N
-        self._banners(batches)
+        self._update_banners(batches)
         if not self.whole:
             return
         if STATE in batches and len(batches[STATE]):
-            self._forces(batches[STATE])
+            self._draw_forces(batches[STATE])
             self._force_ns = self.newest_ns
         elif self._force_ns is not None and self.newest_ns - self._force_ns > _STALE_NS:
             self._forget_forces(self.newest_ns)
@@ -202,7 +202,7 @@ class Panel:
         if self._force_ns is not None:
             self._forget_forces(stamp_ns)
 
-    def _banners(self, batches: Mapping[AnyTopic, Rows]) -> None:
+    def _update_banners(self, batches: Mapping[AnyTopic, Rows]) -> None:
         """Draw the banner at each change of state or reason of a side, in order of time."""
         changes: list[tuple[int, Role, tuple[int, int]]] = []
         for role, topic in ((Role.MASTER, HAND), (Role.SLAVE, STATE)):
@@ -242,7 +242,7 @@ class Panel:
         self._centred("panel/banner/state", stamp_ns, now.state, state_top, STATE_HEIGHT, ink)
         self._centred("panel/banner/reason", stamp_ns, now.reason, REASON_TOP, REASON_HEIGHT, ink)
 
-    def _forces(self, rows: Rows) -> None:
+    def _draw_forces(self, rows: Rows) -> None:
         joints = int(rows["joints"][-1])
         if joints == 0:
             return
@@ -253,17 +253,19 @@ class Panel:
         self._placed = places, two_way
         if self._framed != (limit, two_way):
             self._framed = limit, two_way
-            self._words(top, height, f"{'limit' if known else 'scale'} {format_force(limit)} N")
+            self._draw_words(
+                top, height, f"{'limit' if known else 'scale'} {format_force(limit)} N"
+            )
             for joint, place in enumerate(places):
-                self._frame(
+                self._draw_frame(
                     joint, "" if joints == 1 else f"joint {joint + 1}", place, two_way[joint]
                 )
         bars, numbers = self._bar_rows(rows), self._number_rows(rows)
         for joint, place in enumerate(places):
             if len(bars):
-                self._bar(joint, place, bars, bars["force"][:, joint] / limit, two_way[joint])
+                self._draw_bar(joint, place, bars, bars["force"][:, joint] / limit, two_way[joint])
             if len(numbers):
-                self._number(joint, place, numbers, numbers["force"][:, joint])
+                self._draw_number(joint, place, numbers, numbers["force"][:, joint])
 
     def _forget_forces(self, stamp_ns: int) -> None:
         """Write that no force is known, from one instant on."""
@@ -271,17 +273,19 @@ class Panel:
         unknown = np.array([(stamp_ns, math.nan)], [("stamp_ns", np.int64), ("force", np.float64)])
         places, two_way = self._placed
         for joint, place in enumerate(places):
-            self._bar(joint, place, unknown, unknown["force"], two_way[joint])
-            self._number(joint, place, unknown, unknown["force"])
+            self._draw_bar(joint, place, unknown, unknown["force"], two_way[joint])
+            self._draw_number(joint, place, unknown, unknown["force"])
 
-    def _bar(self, joint: int, place: ForceRow, rows: Rows, shares: Array, two_way: bool) -> None:
+    def _draw_bar(
+        self, joint: int, place: ForceRow, rows: Rows, shares: Array, two_way: bool
+    ) -> None:
         """Draw a force, as shares of its limit, at the stamps of `rows`."""
         boxes = [fill_box(place.bar(float(share), two_way)) for share in shares]
         strips = [lines for lines, _ in boxes]
         inks = [choose_force_colour(float(share)) for share in shares]
         self._strips(f"panel/joint_{joint}/bar", rows["stamp_ns"], strips, inks, boxes[0][1])
 
-    def _number(self, joint: int, place: ForceRow, rows: Rows, forces: Array) -> None:
+    def _draw_number(self, joint: int, place: ForceRow, rows: Rows, forces: Array) -> None:
         """Write a force [N] at the stamps of `rows`."""
         texts = [format_force(float(force)) for force in forces]
         strips = [
@@ -297,7 +301,7 @@ class Panel:
         inks = [PLAIN] * len(rows)
         self._strips(f"panel/joint_{joint}/number", rows["stamp_ns"], strips, inks, radius)
 
-    def _words(self, top: float, height: float, end: str) -> None:
+    def _draw_words(self, top: float, height: float, end: str) -> None:
         """Write what the forces are, and where their bars end."""
         strips = build_text_strips("force at the tip", _MARGIN, top, height)
         strips += build_text_strips(
@@ -306,7 +310,7 @@ class Panel:
         words = rr.LineStrips2D(strips, colors=PLAIN, radii=STROKE * height, draw_order=2.0)
         self._sender.static("panel/words", words)
 
-    def _frame(self, joint: int, name: str, place: ForceRow, two_way: bool) -> None:
+    def _draw_frame(self, joint: int, name: str, place: ForceRow, two_way: bool) -> None:
         """Draw what of a force stands still: its name, its unit and the frame of the bar."""
         strips = build_text_strips(name, _MARGIN, place.name_top, place.name_height)
         radii = [STROKE * place.name_height] * len(strips)

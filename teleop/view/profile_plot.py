@@ -144,8 +144,8 @@ class ProfileView:
             self._plane.draw_axes(self._sender, "profile")
             self._scale(self._plane)
         x = length[:, None] * np.linspace(0.0, 1.0, PROFILE_POINTS)
-        self._band(tendon, rows, self._plane, x)
-        self._curve(tendon, rows, self._plane, x)
+        self._draw_band(tendon, rows, self._plane, x)
+        self._draw_curve(tendon, rows, self._plane, x)
 
     def send_values(self, tendon: int, rows: Rows) -> None:
         """Send T(x) as numbers, for Rerun's tools."""
@@ -153,7 +153,7 @@ class ProfileView:
         points = [PROFILE_POINTS] * len(rows)
         self._sender.columns(f"profile/tendon_{tendon}/tension", rows, tension.partition(points))
 
-    def _curve(self, tendon: int, rows: Rows, plane: Plane, x: Array) -> None:
+    def _draw_curve(self, tendon: int, rows: Rows, plane: Plane, x: Array) -> None:
         """Draw T(x) in two pieces that meet at X'."""
         path, side = f"profile/tendon_{tendon}", self._side(tendon)
         slides, sticks = _CURVES[side]
@@ -184,7 +184,7 @@ class ProfileView:
         curve += build_columns(rr.Points2D, known, positions=fronts[known])
         self._sender.columns(f"{path}/curve", rows, curve)
 
-    def _band(self, tendon: int, rows: Rows, plane: Plane, x: Array) -> None:
+    def _draw_band(self, tendon: int, rows: Rows, plane: Plane, x: Array) -> None:
         """Draw the certified band of T(x) as one broad zigzag line."""
         ends = self._ends(tendon, rows)
         if tendon not in self._sheaths.friction or ends is None:

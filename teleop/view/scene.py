@@ -195,11 +195,11 @@ class LoopView:
             return
         if self._last is None:
             self._plane.draw_axes(self._sender, "loop")
-            self._legend()
-        whole = rows if self._last is None else np.concatenate([self._last, rows])
+            self._draw_legend()
+        all_rows = rows if self._last is None else np.concatenate([self._last, rows])
         self._last = rows[-1:]
-        before, after = whole[:-1], whole[1:]
-        near = after["stamp_ns"] - before["stamp_ns"] < _GAP_NS
+        before, after = all_rows[:-1], all_rows[1:]
+        is_continuous = after["stamp_ns"] - before["stamp_ns"] < _GAP_NS
         palette = np.array(PHASES, np.uint32)
         for tendon in range(int(rows["tendons"][-1])):
             begin, end = (
@@ -208,19 +208,19 @@ class LoopView:
                 )
                 for part in (before, after)
             )
-            known = near & np.isfinite(begin).all(axis=1) & np.isfinite(end).all(axis=1)
-            if not known.any():
+            is_shown = is_continuous & np.isfinite(begin).all(axis=1) & np.isfinite(end).all(axis=1)
+            if not is_shown.any():
                 continue
-            strips = np.stack([begin, end], axis=1)[known]
-            phase = np.minimum(after["phase"][known, tendon], len(PHASES) - 1)
+            strips = np.stack([begin, end], axis=1)[is_shown]
+            phase = np.minimum(after["phase"][is_shown, tendon], len(PHASES) - 1)
             radii = np.full(len(strips), 0.006)
             pieces = build_columns(
                 rr.LineStrips2D, strips=strips, colors=palette[phase], radii=radii
             )
             path = f"loop/tendon_{tendon}/curve"
-            self._sender.columns_at(path, after["stamp_ns"][known], pieces)
+            self._sender.columns_at(path, after["stamp_ns"][is_shown], pieces)
 
-    def _legend(self) -> None:
+    def _draw_legend(self) -> None:
         """Name the phases, each in its colour."""
         heights = -1.0 + 0.16 * np.arange(len(PHASES))
         at = np.stack([np.full(len(PHASES), 1.4), heights], axis=1)
@@ -273,12 +273,12 @@ class Tubes:
         slides = find_sliding_segments(front, length)
         radius = self._config.tube_radius * stage.size
         radii = np.where(slides, radius, _STICKING_WIDTH * radius).astype(np.float32).ravel()
-        known = np.isfinite(front)
-        at = interpolate_line(stage.lines[tendon], (front / length)[known])
+        is_finite = np.isfinite(front)
+        at = interpolate_line(stage.lines[tendon], (front / length)[is_finite])
         tube = build_columns(
             rr.Capsules3D, np.full(len(rows), SEGMENTS), colors=colours, radii=radii
         )
-        tube += build_columns(rr.Points3D, known, positions=at)
+        tube += build_columns(rr.Points3D, is_finite, positions=at)
         self._sender.columns(f"scene/tendon_{tendon}/tube", rows, tube)
 
 
@@ -293,10 +293,10 @@ def find_sliding_segments(front: Array, length: Array) -> NDArray[np.bool_]:
     return slides
 
 
-def interpolate_line(line: Array, place: Array) -> Array:
-    """Return the points of a line at `place`, 0 at its start and 1 at its end."""
-    whole = np.linspace(0.0, 1.0, len(line))
-    return np.stack([np.interp(place, whole, line[:, k]) for k in range(3)], axis=1)
+def interpolate_line(line: Array, positions: Array) -> Array:
+    """Return the points of a line at `positions`, 0 at its start and 1 at its end."""
+    knots = np.linspace(0.0, 1.0, len(line))
+    return np.stack([np.interp(positions, knots, line[:, k]) for k in range(3)], axis=1)
 
 
 class Scene:
@@ -334,12 +334,12 @@ class Scene:
         self._plotted = everything or config.layout == "experiment"
         self._sender = Sender(stream)
         self._sheaths = Sheaths(config)
-        self._thinned = Subsampler()
+        self._subsample = Subsampler()
         self._tubes = Tubes(config, self._sender, self._sheaths)
-        self._levers = Levers(config, self._sender, self._sheaths, self._thinned)
+        self._levers = Levers(config, self._sender, self._sheaths, self._subsample)
         self._profiles = ProfileView(config, self._sender, self._sheaths, values=everything)
         self._loops = LoopView(config, self._sender)
-        self._plots = Plots(config, self._sender, self._sheaths, self._thinned, live)
+        self._plots = Plots(config, self._sender, self._sheaths, self._subsample, live)
         self._lanes = StateLanes(self._sender)
         self._panel = Panel(config, self._sender, self._sheaths)
 
@@ -375,7 +375,7 @@ class Scene:
         if not self._plotted:
             return 0
         if TENDONS in batches:
-            self._loops.draw(self._thinned(batches[TENDONS], self._config.rate_hz.loop))
+            self._loops.draw(self._subsample(batches[TENDONS], self._config.rate_hz.loop))
         for tendon, rows in self._profile_rows(batches) if self._everything else ():
             self._profiles.send_values(tendon, rows)
         return self._plots.draw(batches)
@@ -401,11 +401,11 @@ class Scene:
         for tendon, rows in (
             split_rows(batches[PROFILE], "tendon").items() if PROFILE in batches else ()
         ):
-            yield tendon, self._thinned(rows, self._config.rate_hz.profile)
+            yield tendon, self._subsample(rows, self._config.rate_hz.profile)
 
     def stretch(self, factor: float) -> None:
         """Draw fewer rows, by this factor, where the periods of drawing are stretched by it."""
-        self._thinned.stretch = factor
+        self._subsample.stretch = factor
 
     def silence(self, silent_ns: int) -> None:
         """Show that nothing has arrived for so long [ns]."""
