@@ -14,7 +14,8 @@ from slave.config import SlaveConfig, TendonConfig, load_tendon_configs
 from slave.gate import GateConfig
 from slave.rigs.replayed import ReplayedRigConfig
 from slave.rigs.simulated import SimulatedRig, SimulatedRigConfig
-from slave.simulation.effects import FrictionStep, StuckCell
+from slave.simulation.effects.friction import FrictionStep
+from slave.simulation.effects.sensors import StuckCell
 from slave.simulation.environment import FreeConfig, TissueConfig, WallConfig
 from teleop.config.loading import load
 from teleop.messages.messages import MAX_JOINTS, Command

@@ -4,8 +4,8 @@ An effect is a frozen dataclass whose `type` names it in a config file. It chang
 tendon (`TendonEffect`), the constants of a joint (`JointEffect`) or of sensors (`SensorEffect`), or
 drops or repeats samples (`SampleEffect`); `schedule` applies it in time.
 
-To add one, define it in the module of its family, add it to `EffectConfig` below, and describe it
-in docs/rigs.md.
+To add one, define it in the module of its family, add it to the union at the end of that module,
+and describe it in docs/rigs.md.
 """
 
 from slave.simulation.effects.effect import (
@@ -14,100 +14,11 @@ from slave.simulation.effects.effect import (
     compute_knobs,
     select_tendon_effects,
 )
-from slave.simulation.effects.elasticity import (
-    BrokenTendon,
-    Creep,
-    JammedTendon,
-    NonlinearStiffness,
-    NonuniformCurvature,
-    SheathCompression,
-    Slack,
-    ThermalExpansion,
-)
-from slave.simulation.effects.ends import (
-    AntagonistTension,
-    JointBacklash,
-    JointFriction,
-    Pretension,
-    PulleyEccentricity,
-    TipInertia,
-    TipMotion,
-)
-from slave.simulation.effects.friction import (
-    ConstantDrag,
-    DirectionAsymmetry,
-    FrictionDrift,
-    FrictionStep,
-    Presliding,
-    StickSlip,
-    StribeckFriction,
-    TensionDependentFriction,
-    ViscousFriction,
-)
-from slave.simulation.effects.sensors import (
-    CoggingRipple,
-    DistalTensionBias,
-    DistalTensionDrift,
-    DistalTensionGain,
-    EncoderScale,
-    EncoderSlip,
-    LostSamples,
-    ProximalTensionBias,
-    ProximalTensionDrift,
-    ProximalTensionGain,
-    RepeatedSamples,
-    Saturation,
-    SensorLag,
-    SheathRub,
-    StuckCell,
-)
+from slave.simulation.effects.elasticity import ElasticityEffect, FailureEffect
+from slave.simulation.effects.ends import EndEffect
+from slave.simulation.effects.friction import FrictionEffect
+from slave.simulation.effects.sensors import MeasurementEffect
 
-__all__ = [
-    "Effect",
-    "EffectConfig",
-    "TendonEffect",
-    "compute_knobs",
-    "select_tendon_effects",
-]
+__all__ = ["Effect", "EffectConfig", "TendonEffect", "compute_knobs", "select_tendon_effects"]
 
-EffectConfig = (
-    FrictionStep
-    | FrictionDrift
-    | ConstantDrag
-    | ViscousFriction
-    | StribeckFriction
-    | Presliding
-    | DirectionAsymmetry
-    | TensionDependentFriction
-    | StickSlip
-    | NonlinearStiffness
-    | Creep
-    | SheathCompression
-    | Slack
-    | ThermalExpansion
-    | NonuniformCurvature
-    | Pretension
-    | JointBacklash
-    | JointFriction
-    | AntagonistTension
-    | TipInertia
-    | TipMotion
-    | PulleyEccentricity
-    | BrokenTendon
-    | JammedTendon
-    | ProximalTensionGain
-    | DistalTensionGain
-    | ProximalTensionBias
-    | DistalTensionBias
-    | ProximalTensionDrift
-    | DistalTensionDrift
-    | Saturation
-    | SensorLag
-    | EncoderScale
-    | EncoderSlip
-    | CoggingRipple
-    | SheathRub
-    | StuckCell
-    | LostSamples
-    | RepeatedSamples
-)
+EffectConfig = FrictionEffect | ElasticityEffect | EndEffect | FailureEffect | MeasurementEffect

@@ -152,3 +152,10 @@ class JammedTendon(SideEffect):
         first = round(self.share * max(0, len(friction) - JAMMED_CELLS))
         friction[first : first + JAMMED_CELLS] = JAM_FRICTION
         return tendon._replace(chain=tendon.chain._replace(friction=friction))
+
+
+ElasticityEffect = (
+    NonlinearStiffness | Creep | SheathCompression | Slack | ThermalExpansion | NonuniformCurvature
+)
+
+FailureEffect = BrokenTendon | JammedTendon

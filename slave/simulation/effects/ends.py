@@ -167,3 +167,14 @@ class PulleyEccentricity(SideEffect):
         """Return the tendon with this effect added."""
         winding = tendon.winding._replace(eccentricity=self.amplitude, phase=self.phase)
         return tendon._replace(winding=winding)
+
+
+EndEffect = (
+    Pretension
+    | JointBacklash
+    | JointFriction
+    | AntagonistTension
+    | TipInertia
+    | TipMotion
+    | PulleyEccentricity
+)

@@ -152,3 +152,16 @@ class StickSlip(TendonEffect):
         return knobs._replace(
             static_ratio=self.ratio, static_time=self.rest_time, static_distance=self.distance
         )
+
+
+FrictionEffect = (
+    FrictionStep
+    | FrictionDrift
+    | ConstantDrag
+    | ViscousFriction
+    | StribeckFriction
+    | Presliding
+    | DirectionAsymmetry
+    | TensionDependentFriction
+    | StickSlip
+)

@@ -269,3 +269,22 @@ class RepeatedSamples(SampleEffect):
     """Samples that repeat the values of the one before, with a new time."""
 
     type: Literal["repeated_samples"] = "repeated_samples"
+
+
+MeasurementEffect = (
+    ProximalTensionGain
+    | DistalTensionGain
+    | ProximalTensionBias
+    | DistalTensionBias
+    | ProximalTensionDrift
+    | DistalTensionDrift
+    | Saturation
+    | SensorLag
+    | EncoderScale
+    | EncoderSlip
+    | CoggingRipple
+    | SheathRub
+    | StuckCell
+    | LostSamples
+    | RepeatedSamples
+)

@@ -5,13 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from slave.simulation.effects import (
-    BrokenTendon,
-    JammedTendon,
-    RepeatedSamples,
-    Saturation,
-    StuckCell,
-)
+from slave.simulation.effects.elasticity import BrokenTendon, JammedTendon
+from slave.simulation.effects.sensors import RepeatedSamples, Saturation, StuckCell
 from slave.simulation.environment import LoadMotorConfig, TissueConfig, WallConfig
 from teleop.session.state_machine import Reason
 from tests.slave.control_bench import follow, joint, sine
