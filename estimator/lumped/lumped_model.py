@@ -164,34 +164,13 @@ def build_constants(physics: Physics) -> Array:
     """Return what `advance` needs to know of a tendon, as one flat array."""
     p = physics
     plays = distribute_spectrum(p.spectrum, p.weights)
-    law = FrictionLaw(
-        p.drag,
-        p.viscosity,
-        p.stribeck,
-        p.stribeck_speed,
-        p.stribeck_memory,
-        p.static,
-        p.static_time,
-        p.static_distance,
-        p.asymmetry,
-        p.exponent,
-        p.reference,
-        p.rise,
-        p.presliding,
-        p.presliding_tension,
-        p.toe / p.compliance,
-        p.toe_tension,
-        p.creep,
-        p.creep_time,
-        p.compression,
-        p.threshold,
-        plays.depth,
-    )
+    scalars = {name: getattr(p, name) for name in FrictionLaw._fields if name in p._fields}
+    law = FrictionLaw(**scalars | {"toe": p.toe / p.compliance, "depth": plays.depth})
     stiffness = min(p.load_stiffness, _STIFFNESS_MAX)
     tip_load = _TipLoad(p.tip_compliance, p.mass, p.damping, p.load_low, p.load_high, stiffness)
-    scalars = np.array([*law, *tip_load])
+    line = np.array([*law, *tip_load])
     weights, K = plays.weights * p.compliance, plays.depth * float(p.friction[0])
-    return _pack_line(scalars, p.tip_compliance, weights, K, plays.tip_shares)
+    return _pack_line(line, p.tip_compliance, weights, K, plays.tip_shares)
 
 
 class DrivenTendon:
@@ -409,7 +388,7 @@ def advance(
                 speeds if speeds_known else ratios * (rate * total_compliance if forced else rate)
             )
         fill_contacts(law, friction, tension, speed, adhesion, half_k, drag)
-        if law.give > 0.0:
+        if law.presliding > 0.0:
             slope_in = solve_presliding(tendon, tip, tension, lengths, target, forced, T_new)
             _store_tensions(tendon, T_new, tension, lengths)
         else:

@@ -29,7 +29,7 @@ _MIN_TENSION = 1e-2  # [N] below which friction is no power of the tension any m
 
 
 class FrictionLaw(NamedTuple):
-    """Scalars of `extended.Physics`, as a step uses them."""
+    """Scalars of `lumped_model.Physics`, as a step uses them."""
 
     drag: float
     viscosity: float
@@ -43,8 +43,8 @@ class FrictionLaw(NamedTuple):
     exponent: float
     reference: float
     rise: float
-    give: float
-    give_tension: float
+    presliding: float
+    presliding_tension: float
     toe: float  # [N] of a node's stretch, over its compliance
     toe_tension: float
     creep: float

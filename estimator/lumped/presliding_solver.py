@@ -34,10 +34,10 @@ def _propagate_from_tip(
         dashpot = 2.0 * x * law.viscosity / tendon.dt if tendon.dt > 0.0 else 0.0
         pull = (2.0 * x * T + y) / (1.0 - x)
         release = (2.0 * r * T + law.asymmetry * y) / (1.0 + r)
-        if law.give_tension > 0.0:
-            stiffness, stiffness_slope = 2.0 * x * law.give_tension / law.give, 0.0
+        if law.presliding_tension > 0.0:
+            stiffness, stiffness_slope = 2.0 * x * law.presliding_tension / law.presliding, 0.0
         else:
-            stiffness, stiffness_slope = pull / law.give, 2.0 * x / (1.0 - x) / law.give
+            stiffness, stiffness_slope = pull / law.presliding, 2.0 * x / (1.0 - x) / law.presliding
         friction = T_old[j] - T_old[j + 1] + stiffness * displacement
         if friction > pull:
             T, D = (T + pull + dashpot * displacement, D * (1.0 + x) / (1.0 - x) + dashpot * slope)
