@@ -46,7 +46,7 @@ class MasterMemory(Struct):
     presence: Presence
     inputs: Inputs  # of the session in this tick
     may_render: Flag = False  # whether the session allowed forces in `compute_command`
-    counted_work: Flag = False  # whether `add_hand_work` ran as coupled there
+    counted_work: Flag = False  # whether `add_hand_work` counted coupled work there
 
 
 class TickInput(NamedTuple):
@@ -191,7 +191,7 @@ def compute_force(
     if new_state or fresh != memory.inputs.peer_fresh:
         memory.inputs.reset = False  # already processed
         _step_session(settings, memory, hand, state, tick_input, is_finite, 0.0)
-    # no force outside the ledger: a coupling that could start now starts at the next tick
+    # every force is in the ledger: a coupling that could start now starts at the next tick
     is_rendering = memory.may_render and state_machine.may_render(memory.session)
     is_rendering = is_rendering and (memory.counted_work or not is_finite)
 

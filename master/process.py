@@ -57,15 +57,15 @@ R = TypeVar("R")
 
 DIRECT = Bilateral()
 COMPILE_S = 12.0  # [s] without a cache, on a machine that does nothing else
-# of a period, from the reading of the device: longer is not waited for an answer
+# share of a period, from reading the device, in which to wait for an answer
 ANSWER_WAIT_SHARE = 0.6
 LATE_ANSWERS_MAX = 20  # in a row, after which the master stops waiting for same-tick answers
 _CLOCK_SET, _ENGAGED = int(Reason.CLOCK_SET), int(State.ENGAGED)
-RETRY_TICKS = 100  # ticks from one wait to the next then, to see whether answers come in time
+RETRY_TICKS = 100  # ticks between two waits after that, to detect answers in time again
 
 
 class MasterProcess(LoopProcess):
-    """The world around the two phases of `master.loop`: one device, one link, and the counts.
+    """Runs the two phases of `master.loop` on one device and one link, and counts what happened.
 
     Parameters
     ----------
@@ -127,14 +127,8 @@ class MasterProcess(LoopProcess):
             config if self._link_scale == 1.0 else self._scale_config(config)
         )
         fill_hand_input(self._hands, hand)
-        compute = partial(
-            self._run_phase,
-            loop.compute_command,
-            (self._command.records,),
-            settings,
-            fault,
-            requests,
-        )
+        outputs = (self._command.records,)
+        compute = partial(self._run_phase, loop.compute_command, outputs, settings, fault, requests)
         self._checkpoint.run_step(compute, now_ns(), tick.dt)
         known_ns = self._states.stamp_ns
         sent_ns = 0
@@ -156,7 +150,7 @@ class MasterProcess(LoopProcess):
         self._meter.tick(outline, now_ns() - tick.stamp_ns, self._describe_reason(outline))
 
     def close(self) -> None:
-        """Take the force off the hand and tell the others; whatever happened before."""
+        """Write zero force and publish the end, however the loop ended."""
         try:
             with suppress(DeviceFault):
                 self._device.write((0.0,) * self._device.axes)
@@ -166,7 +160,7 @@ class MasterProcess(LoopProcess):
             publish_event(self._link, Role.MASTER, outline, f"off: {self.ended or 'ended'}")
 
     def _read(self, time_s: float) -> tuple[Reason, HandState | None, str]:
-        """Read the device; return what is wrong with it, the hand, and why the device is away."""
+        """Read the device; return its fault, the hand, and why the device is absent."""
         begin_ns = now_ns()
         try:
             return Reason.NONE, self._device.read(time_s), ""
@@ -187,7 +181,7 @@ class MasterProcess(LoopProcess):
         now: int,
         dt: float,
     ) -> R:
-        """Run a phase of the tick with what is known at the stamp `now`; return what it returns."""
+        """Run a phase of the tick with the inputs known at the stamp `now`; return its result."""
         states = self._states
         tick_input = loop.TickInput(
             dt,
@@ -270,13 +264,13 @@ class MasterProcess(LoopProcess):
         return self._checkpoint.run_step(compute, now, dt)
 
     def _publish_fault(self) -> None:
-        """Tell the slave of a fault found after the tick's command: there may be no next."""
+        """Send a fault found after the tick's command to the slave: there may be no next tick."""
         outline, fields = self._outline(), self._command.records
         fields["state"], fields["reason"] = outline
         self._link.publish_packet(COMMAND, self._command)
 
     def _measure_round_trip(self, read_ns: int, sent_ns: int, written_ns: int) -> int:
-        """Note how long the stages of an answered command took; return its round trip [ns]."""
+        """Record the durations of the stages of an answered command; return its round trip [ns]."""
         command_ns = int(self._newly_answered_ns[0])
         if not command_ns:
             return 0
@@ -347,20 +341,20 @@ class MasterProcess(LoopProcess):
         publish_event(self._link, Role.MASTER, outline, f"{outline.state.name.lower()}: {text}")
 
     def _describe_reason(self, outline: SessionOutline) -> str:
-        """Return what the reason of a state is about; empty if there is no more to say."""
+        """Return the detail of a state's reason; empty if there is none."""
         if outline.reason is Reason.STOP_CALLED:
             return self._stop_text
         return self._absence if outline.reason is Reason.DEVICE_FAULT else ""
 
     def _process_requests(self, requests: Requests) -> None:
-        """Note who calls for a stop, and change settings as other processes ask."""
+        """Keep who called a stop, and change the settings that other processes request."""
         if requests.words and self._published.state is not State.STOPPED:  # the first caller's
             self._stop_text = requests.words
         for request in requests.settings:
             self._change_setting(request)
 
     def _change_setting(self, request: SettingRequest) -> None:
-        """Change a setting, or say why not."""
+        """Change a setting and answer the request."""
         try:
             self._live, text = live_settings.change_setting(self._live, request.key, request.value)
         except UsageError as error:

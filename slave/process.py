@@ -62,21 +62,21 @@ from teleop.session.state_machine import DetailedReason, Reason, SessionOutline,
 from teleop.session.summary import ForceError, LoopSummary, RigSummary
 
 CALIBRATION_ABORTED = "calibration given up: "
-ROWS_INITIAL = 32  # samples that a tick takes at first; more are made room for
+ROWS_INITIAL = 32  # initial length of the array of a tick's samples; it grows
 
 _CLOCK_SET = int(Reason.CLOCK_SET)
 
 
 class CalibrationHistory(NamedTuple):
-    """What a rig was used for before the loop."""
+    """What a rig did before the loop: the calibration at the start, if any."""
 
     start_ns: int  # from which its session time counts
-    samples: tuple[RigSample, ...]  # all that it has given since, oldest first
+    samples: tuple[RigSample, ...]  # all samples since then, oldest first
     motor: tuple[float, ...] = ()  # [m] positions written last, which the motors hold
 
 
 class SlaveProcess(LoopProcess):
-    """The world around `loop.run_tick`: one rig, one link, and the counts."""
+    """Runs `loop.run_tick` on one rig and one link, and counts what happened."""
 
     role, verdict = Role.SLAVE, GateFlags
 
@@ -112,9 +112,9 @@ class SlaveProcess(LoopProcess):
         self._checkpoint = Checkpoint(self._slave.memory, self._slave.estimators)
         self._rows = EstimatedSample.array(ROWS_INITIAL)
         self._samples = 0
-        # what the rig gives next: the estimate from it is in the memory, but not in the checkpoint
+        # the rig's next sample; its estimate is in the memory, but not in the checkpoint
         self._next_sample: RigSample | None = None
-        self._is_estimated = False  # whether this tick's sample was such a one
+        self._is_estimated = False  # whether this tick's sample was estimated ahead
         self._commands = link.subscribe_latest(COMMAND, round(config.command_timeout * 1e9))
         self._echo_ns = self._commands.packet.records["echo_stamp_ns"]
         self._state, self._tendon_state = Packet(SlaveState), Packet(TendonState)
@@ -153,7 +153,7 @@ class SlaveProcess(LoopProcess):
         self._meter.tick(self._outline(), work_ns, self._telemetry.detail)
 
     def close(self) -> None:
-        """Tell the others that the slave moves nothing any more; whatever happened before."""
+        """Publish that the slave no longer moves the rig, however the loop ended."""
         last = self._outline()
         if last.state not in (State.OFF, State.FAULT, State.STOPPED):
             last = SessionOutline(State.OFF, Reason.NOT_USABLE)
@@ -172,9 +172,9 @@ class SlaveProcess(LoopProcess):
         return replace(super().summary(), rig=rig)
 
     def _move_rig(self) -> None:
-        """Write the gated positions, if there are any; in an emergency stop use the motors' own.
+        """Write the gated positions, if any; an emergency stop uses the motors' own means.
 
-        Motors may have power before anything was engaged: the stop is called in any case.
+        Motors may have power before the first engagement, so the stop is called in any case.
         """
         if self._emergency_stop is None or self._outline().state is not State.STOPPED:
             self._is_rig_stopped = False
@@ -189,7 +189,7 @@ class SlaveProcess(LoopProcess):
             self._is_rig_stopped = True
 
     def _step(self, fault: Reason, requests: Requests, now: int, dt: float) -> int:
-        """Step the slave with what is known at the stamp `now`; return the gate's verdict."""
+        """Step the slave with the inputs known at the stamp `now`; return the gate's verdict."""
         commands = self._commands
         tick_input = TickInput(
             dt,
@@ -211,7 +211,7 @@ class SlaveProcess(LoopProcess):
         )
 
     def _read(self, time_s: float) -> Reason:
-        """Take over the rig's new samples; return what is wrong with it."""
+        """Read the rig's new samples into the rows; return a fault of the rig."""
         expected, self._next_sample, self._samples = self._next_sample, None, 0
         samples: tuple[RigSample, ...] = ()
         fault = Reason.NONE
@@ -230,8 +230,8 @@ class SlaveProcess(LoopProcess):
             if len(samples) == 1 and samples[0] is expected:
                 self._samples, self._is_estimated = 1, True
                 return fault
-            self._checkpoint.restore()  # it was not given: the read came too early or too late
-        if len(samples) > len(self._rows):  # behind a stall; it stays that long
+            self._checkpoint.restore()  # another sample came: the read was too early or too late
+        if len(samples) > len(self._rows):  # after a stall; the array keeps this length
             self._rows = EstimatedSample.array(2 * len(samples))
         for sample in samples:
             fill_sample(self._rows, self._samples, sample)
@@ -270,7 +270,7 @@ class SlaveProcess(LoopProcess):
         return rig_ns
 
     def _estimate_ahead(self, sample: RigSample) -> None:
-        """Estimate from the sample that the rig gives next; last, as the memory then has it."""
+        """Estimate from the sample of the next tick ahead of it; last, as it changes the memory."""
         fill_sample(self._rows, 0, sample)
         estimate(*self._estimated, self._rows, 1)
         self._next_sample = sample
@@ -278,7 +278,7 @@ class SlaveProcess(LoopProcess):
     def _advance_rig(self) -> RigSample | None:
         try:
             return self._rig.advance()
-        except RigFault as error:  # told at once: there is no next tick
+        except RigFault as error:  # published at once, as there is no next tick
             self._samples = 0
             self._step(self._end_on_rig_fault(error), Requests(), now_ns(), 0.0)
             self._link.publish_packet(STATE, self._state)
@@ -333,11 +333,11 @@ def prepare_rig_model(
     rate_hz: float,
     files: model_files.ModelFiles,
 ) -> tuple[RigModel, CalibrationHistory]:
-    """Return what is known of a rig when the loop begins, and what it has measured before.
+    """Return the model of a rig for the loop, and its samples of a calibration before the loop.
 
-    Model `files` stand in for what the config says of the sheaths. If the config asks for it, the
-    rig is calibrated first, in its quick form; `TeleopError` if that has to be given up. An
-    emergency stop, among the `requests` or of the master, stops the motors and ends it.
+    Model `files` replace the sheaths of the config. If the config asks for it, the rig is first
+    calibrated by the quick procedure; `TeleopError` if that is aborted. An emergency stop, among
+    the `requests` or by the master, stops the motors and aborts it.
     """
     history = CalibrationHistory(now_ns(), ())
     if not config.initialise.at_start:
@@ -408,7 +408,7 @@ def stop_motors(rig: Rig, reason: str) -> None:
 
 
 def describe_models(tendons: Sequence[TendonConfig]) -> list[str]:
-    """Return what the models of diagnoses do in the loop, and what is doubtful about them."""
+    """Return what the models of diagnoses do in the loop, with warnings, as lines."""
     notes: dict[str, None] = {}
     for tendon in tendons:
         for sentence in model_files.describe_effects(tendon):
