@@ -401,7 +401,7 @@ def _fit_features(
         own = np.repeat(offsets[k][None], len(columns), axis=0)  # each record its own zero
         rows.append(np.column_stack([columns, own]))
         values.append(record.signals[channel])
-        fitted.append(record.good[channel] & (record.train == fitted_half))
+        fitted.append(record.valid[channel] & (record.train == fitted_half))
     A, y, mask = np.concatenate(rows), np.concatenate(values), np.concatenate(fitted)
     weights = _solve_weights(A[mask], y[mask], A.shape[1] - len(offsets) if positive else 0)
     error = y[mask] - A[mask] @ weights

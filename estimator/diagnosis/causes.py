@@ -494,7 +494,7 @@ def _is_brief(dataset: Dataset, base_fit: Fit) -> bool:
     for record, simulated in zip(dataset.records, base_fit.simulated, strict=True):
         excess = np.zeros(record.block[-1] + 1)
         for channel in record.compared:
-            rows = record.good[channel]
+            rows = record.valid[channel]
             error = (simulated.signals[channel] - record.signals[channel])[rows] / record.sigma[
                 channel
             ][rows]

@@ -259,7 +259,7 @@ def build_context(
         np.zeros_like(record.time) if simulated is None else simulated.motion.compliance,
         compliance,
         1.0 / record.scale.force,
-        record.known,
+        record.present,
     )
 
 
@@ -372,7 +372,7 @@ def compute_tolerance(dataset: Dataset) -> dict[str, float]:
 def _collect_variances(dataset: Dataset) -> dict[str, Array]:
     return {
         channel: np.concatenate(
-            [record.sigma[channel][record.good[channel]] ** 2 for record in dataset.records]
+            [record.sigma[channel][record.valid[channel]] ** 2 for record in dataset.records]
         )
         for channel in dataset.records[0].compared
     }
@@ -384,7 +384,7 @@ def rescale_residuals(dataset: Dataset, fit: Fit) -> Dataset:
     for record, simulated in zip(dataset.records, fit.simulated, strict=True):
         record_scale = {}
         for channel in record.compared:
-            error = (simulated.signals[channel] - record.signals[channel])[record.good[channel]]
+            error = (simulated.signals[channel] - record.signals[channel])[record.valid[channel]]
             residual_part = SETTINGS.residual_share * float(error.std())
             record_scale[channel] = np.hypot(record.sigma[channel], residual_part)
         scale.append(record_scale)
@@ -422,7 +422,7 @@ def compute_residual(dataset: Dataset, fit: Fit) -> Array:
         dataset.records, fit.simulated, dataset.scale, fit.model.own, strict=True
     ):
         for channel in record.compared:
-            is_counted = record.train & record.good[channel]
+            is_counted = record.train & record.valid[channel]
             error = simulated.signals[channel] - record.signals[channel]
             parts.append((error / scale[channel])[is_counted])
         expected = estimate_taut_travel(record, dataset.base, fit.model)

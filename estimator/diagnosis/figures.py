@@ -121,9 +121,9 @@ def draw_record_over_time(
         upper.plot(time[keep], base_signal[keep], color=VERMILION, linestyle=dashes, label="before")
         upper.plot(time[keep], extended_signal[keep], color=BLUE, linestyle=dots, label="after")
         upper.set(ylabel=f"[{unit}]", title=record.units.word(channel))
-        good = keep[record.good[channel][keep]]
-        lower.plot(time[good], (measured - base_signal)[good], color=VERMILION, linewidth=0.8)
-        lower.plot(time[good], (measured - extended_signal)[good], color=BLUE, linewidth=0.8)
+        valid = keep[record.valid[channel][keep]]
+        lower.plot(time[valid], (measured - base_signal)[valid], color=VERMILION, linewidth=0.8)
+        lower.plot(time[valid], (measured - extended_signal)[valid], color=BLUE, linewidth=0.8)
         lower.set(ylabel=f"residual [{unit}]")
         for axes in (upper, lower):
             _shade_held_out(axes, record)
@@ -260,7 +260,7 @@ def _concatenate_residuals(diagnosis: Diagnosis, channel: str, stage: int) -> Ar
     parts = []
     for k, record in enumerate(diagnosis.dataset.records):
         measured, models, _ = _collect_channel(diagnosis, k, channel)
-        parts.append((measured - models[stage])[record.good[channel]])
+        parts.append((measured - models[stage])[record.valid[channel]])
     return np.concatenate(parts)
 
 
@@ -278,7 +278,7 @@ def _collect_variables(diagnosis: Diagnosis, channel: str) -> dict[str, Array]:
         "time [s]": [r.start + r.time for r in records],
     }
     return {
-        label: np.concatenate([v[r.good[channel]] for v, r in zip(parts, records, strict=True)])
+        label: np.concatenate([v[r.valid[channel]] for v, r in zip(parts, records, strict=True)])
         for label, parts in columns.items()
     }
 

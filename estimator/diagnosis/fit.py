@@ -286,7 +286,7 @@ def _compute_scaled_errors(dataset: Dataset, fit: Fit) -> Array:
             channel_errors = (
                 np.abs(simulated.signals[channel] - record.signals[channel]) / scale[channel]
             )
-            errors += np.where(record.good[channel], channel_errors, 0.0)
+            errors += np.where(record.valid[channel], channel_errors, 0.0)
         parts.append(errors)
     return np.concatenate(parts)
 
@@ -358,12 +358,12 @@ def _guess_taut_travel(record: Record, compliance: float) -> float:
 
 def _guess_tip_zero(record: Record) -> float:
     """Return about where the tip is without effort [m]."""
-    travel, rows = record.signals[DISTAL_DISPLACEMENT], record.known[DISTAL_DISPLACEMENT]
+    travel, rows = record.signals[DISTAL_DISPLACEMENT], record.present[DISTAL_DISPLACEMENT]
     if record.loop:
         idle = _find_idle_samples(record)
         return float(np.median(travel[idle & rows if (idle & rows).any() else rows]))
     if DISTAL_TENSION in record.signals:
-        low = rows & record.known[DISTAL_TENSION]
+        low = rows & record.present[DISTAL_TENSION]
         low &= record.signals[DISTAL_TENSION] <= SETTINGS.loose_tension
         rows = low if low.any() else rows
     return float(np.min(travel[rows]))
@@ -371,7 +371,7 @@ def _guess_tip_zero(record: Record) -> float:
 
 def _find_idle_samples(record: Record) -> Mask:
     """Return which samples of an effort of either sign are nearest to none, a tenth of them."""
-    size, rows = np.abs(record.signals[PROXIMAL_TENSION]), record.known[PROXIMAL_TENSION]
+    size, rows = np.abs(record.signals[PROXIMAL_TENSION]), record.present[PROXIMAL_TENSION]
     return np.asarray(rows & (size <= np.quantile(size[rows], 0.1)))
 
 

@@ -102,8 +102,8 @@ class _Readings(NamedTuple):
 
     tension: Array  # [N]
     travel: Array  # [m] since the tendon is taut
-    known: Mask  # which tensions were measured
-    good: Mask  # and count
+    present: Mask  # which tensions were measured
+    valid: Mask  # and count
     noise: Array  # [N] of the tension, and what the noise of the travel makes of a simulation's
     accuracy: float  # [N] of the tension itself, and of a simulation
     sigma: float  # [m] noise of the travel
@@ -154,13 +154,13 @@ def recover_hidden_motion(
             return record
     if not tension_inferred.any():
         return record
-    good = record.good | {PROXIMAL_TENSION: record.good[PROXIMAL_TENSION] & ~tension_inferred}
+    valid = record.valid | {PROXIMAL_TENSION: record.valid[PROXIMAL_TENSION] & ~tension_inferred}
     first_time = record.start + float(record.time[int(np.argmax(tension_inferred))])
     return replace(
         record,
         drive=drive + own[0],
         speed=compute_rate(record.time, drive),
-        good=good,
+        valid=valid,
         issues=(
             *record.issues,
             DataIssue(EXCLUSION_TEXT, PROXIMAL_TENSION, int(tension_inferred.sum()), first_time),
@@ -210,7 +210,7 @@ def recover_motion_beside_effects(
         record,
         drive=drive,
         speed=compute_rate(record.time, drive),
-        good=recovered.good,
+        valid=recovered.valid,
         issues=recovered.issues,
     )
 
@@ -221,8 +221,8 @@ def _build_readings(record: Record, taut_travel: float, noise: Array) -> _Readin
     return _Readings(
         tension,
         travel - taut_travel,
-        record.known[PROXIMAL_TENSION],
-        record.good[PROXIMAL_TENSION],
+        record.present[PROXIMAL_TENSION],
+        record.valid[PROXIMAL_TENSION],
         noise,
         float(np.hypot(record.noise[PROXIMAL_TENSION], simulation_error)),
         record.noise[PROXIMAL_DISPLACEMENT],
@@ -237,7 +237,7 @@ def _find_next_motion(
     while position < len(drive):
         deviation = tendon.drive_by_travel(drive, position) - readings.tension[position:]
         deviation = np.abs(deviation) / readings.noise[position:]
-        deviation[~readings.good[position:]] = 0.0
+        deviation[~readings.valid[position:]] = 0.0
         is_off = deviation > SETTINGS.hidden_tension
         is_off_twice = is_off[:-1] & is_off[1:]
         if not is_off_twice.any():
@@ -277,7 +277,7 @@ def _track_motion(
     squared_error, error_min = 0.0, SETTINGS.hidden_tension_end**2
     end_max = min(begin + MOTION_SAMPLES_MAX, len(drive) - SAMPLES_AFTER)
     for i in range(begin, end_max):
-        if i > end_max or not readings.known[i]:
+        if i > end_max or not readings.present[i]:
             break
         tracked[i], deviation = _estimate_position(readings, tendon, tracked, reference, i)
         squared_error += deviation**2

@@ -126,7 +126,7 @@ def _bound_simulation_error(dataset: Dataset, model: Model, inverse: Array) -> A
         bin_of = ((record.time - record.time[0]) / SETTINGS.bin_width).astype(np.int64) + next_bin
         next_bin = int(bin_of[-1]) + 1
         for channel in record.compared:
-            counts = record.train & record.good[channel]
+            counts = record.train & record.valid[channel]
             error = SETTINGS.accuracy * float(np.ptp(record.signals[channel]))
             parts.append(error / scale[channel][counts])
             bins.append(bin_of[counts])

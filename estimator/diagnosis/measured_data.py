@@ -141,7 +141,7 @@ def _round_to_power_of_ten(ratio: float) -> float:
     return float(10.0 ** round(math.log10(ratio))) if ratio > 0.0 else 1.0
 
 
-def exclude_turns(time: Array, drive: Array, good: Mask) -> tuple[Mask, list[DataIssue]]:
+def exclude_turns(time: Array, drive: Array, valid: Mask) -> tuple[Mask, list[DataIssue]]:
     """Return which samples of the tension are not at a turn of the motor, and what is said of them.
 
     There friction reverses within less than an encoder resolves, or between two samples: the state
@@ -149,14 +149,14 @@ def exclude_turns(time: Array, drive: Array, good: Mask) -> tuple[Mask, list[Dat
     """
     reversal_min = SETTINGS.reversal_share * float(np.ptp(drive))
     turns = np.array(find_turning_points(drive, reversal_min))[1:-1]
-    is_at_turn = np.zeros_like(good)
+    is_at_turn = np.zeros_like(valid)
     for offset in (-1, 0, 1):
         is_at_turn[turns + offset] = True
     if not is_at_turn.any() or np.mean(is_at_turn) > SETTINGS.reversals_max:
-        return good, []
+        return valid, []
     first_time = float(time[int(np.argmax(is_at_turn))])
     message = "samples at motor reversals excluded"
-    return good & ~is_at_turn, [
+    return valid & ~is_at_turn, [
         DataIssue(message, PROXIMAL_TENSION, int(is_at_turn.sum()), first_time)
     ]
 
@@ -181,8 +181,9 @@ class Record:
         Standard deviation of the white noise of each channel, the driver's too.
     sigma
         Standard deviation of what a simulation cannot know, by channel, shape (n,) each: the
-        channel's own noise, and what the driver's noise makes of it; see `with_driver_noise`.
-    good
+        channel's own noise, and what the driver's noise makes of it; see
+        `hidden_motion.propagate_driver_noise`.
+    valid
         Which samples count, by channel, shape (n,) each.
     measured
         Which rows are samples; the others, at turns of the motor between two, count nowhere, (n,).
@@ -202,7 +203,7 @@ class Record:
         Time of the first sample in the data [s].
     scale
         Of what the signals are counted in, to `units`.
-    known
+    present
         Which samples were measured, by channel, shape (n,) each; the others are interpolated.
     """
 
@@ -213,7 +214,7 @@ class Record:
     speed: Array
     noise: dict[str, float]
     sigma: dict[str, Array]
-    good: dict[str, Mask]
+    valid: dict[str, Mask]
     measured: Mask
     train: Mask
     block: NDArray[np.int64]
@@ -223,7 +224,7 @@ class Record:
     loop: bool = False
     start: float = 0.0
     scale: BenchScale = UNIT_SCALE
-    known: dict[str, Mask] = field(default_factory=dict)
+    present: dict[str, Mask] = field(default_factory=dict)
 
     @property
     def compared(self) -> tuple[str, ...]:
@@ -233,7 +234,7 @@ class Record:
     @property
     def starts_slack(self) -> bool:
         """Whether there is no tension at the first sample, as far as it was measured."""
-        T = self.signals[PROXIMAL_TENSION][:5][self.good[PROXIMAL_TENSION][:5]]
+        T = self.signals[PROXIMAL_TENSION][:5][self.valid[PROXIMAL_TENSION][:5]]
         if self.loop or not len(T):
             return False
         return bool(np.median(T) <= 5.0 * self.noise[PROXIMAL_TENSION])
@@ -241,12 +242,12 @@ class Record:
     @property
     def first_tensions(self) -> tuple[float, Array]:
         """Where the drive was when tension was first measured, and five readings from there on."""
-        rows = np.flatnonzero(self.known[PROXIMAL_TENSION])[:5]
+        rows = np.flatnonzero(self.present[PROXIMAL_TENSION])[:5]
         return float(self.drive[rows[0]]), self.signals[PROXIMAL_TENSION][rows]
 
     def select_drawn_rows(self, channel: str) -> Mask:
         """Return which rows of a channel are to be drawn: not those that lack values for long."""
-        return self.measured & ~find_long_gaps(self.time, self.known[channel])
+        return self.measured & ~find_long_gaps(self.time, self.present[channel])
 
 
 def prepare_record(
@@ -305,7 +306,7 @@ def prepare_record(
     start = float(time[0])
     time, stamp_jitter = estimate_sample_times(time - start, signals)
     present = {name: np.isfinite(signal) for name, signal in signals.items()}
-    good, rounding, issues = {}, {}, find_sampling_issues(time, signals)
+    valid, rounding, issues = {}, {}, find_sampling_issues(time, signals)
     if stamp_jitter > 0.0:
         message = (
             f"time stamps jitter by {1e3 * stamp_jitter:.2g} ms where samples are even: "
@@ -313,30 +314,30 @@ def prepare_record(
         )
         issues.append(DataIssue(message, "all channels", len(time), 0.0, excluded=False))
     for name, signal in signals.items():
-        good[name], channel_issues = select_valid_samples(time, name, signal)
-        rounding[name] = find_quantisation_step(signal[good[name]]) / math.sqrt(12.0)
-        signals[name] = np.interp(time, time[good[name]], signal[good[name]])
+        valid[name], channel_issues = select_valid_samples(time, name, signal)
+        rounding[name] = find_quantisation_step(signal[valid[name]]) / math.sqrt(12.0)
+        signals[name] = np.interp(time, time[valid[name]], signal[valid[name]])
         issues += channel_issues
-    time, signals, good, present, averaged, decimation_factor = decimate_record(
-        time, signals, good, present, samples_max
+    time, signals, valid, present, averaged, decimation_factor = decimate_record(
+        time, signals, valid, present, samples_max
     )
     rounding, given_noise = (
         {name: value / math.sqrt(averaged[name]) for name, value in values.items()}
         for values in (rounding, noise)
     )
-    sigma = _estimate_noise(driver, time, signals, good, rounding, given_noise)
+    sigma = _estimate_noise(driver, time, signals, valid, rounding, given_noise)
     measured = np.ones(len(time), dtype=np.bool_)
     drive, jitter = estimate_drive(driver, time, signals[driver], sigma[driver])
     issues += find_unseen_turns(driver, time, drive, jitter, start)
     if driver != PROXIMAL_TENSION:
         turns = find_turns_between_samples(time, drive, jitter)
         signals = {name: turns.insert(time, signal) for name, signal in signals.items()}
-        good = {name: np.insert(mask, turns.rows, False) for name, mask in good.items()}
+        valid = {name: np.insert(mask, turns.rows, False) for name, mask in valid.items()}
         present = {name: turns.between(mask) for name, mask in present.items()}
         measured = np.insert(measured, turns.rows, False)
         time = np.insert(time, turns.rows, turns.time)
         drive = np.insert(drive, turns.rows, turns.drive)
-        good[PROXIMAL_TENSION], turn_issues = exclude_turns(time, drive, good[PROXIMAL_TENSION])
+        valid[PROXIMAL_TENSION], turn_issues = exclude_turns(time, drive, valid[PROXIMAL_TENSION])
         issues += turn_issues
     block, speed = assign_blocks(time), compute_rate(time, drive)
     return Record(
@@ -347,7 +348,7 @@ def prepare_record(
         speed=speed,
         noise=sigma,
         sigma={name: np.full(len(time), sigma[name]) for name in signals if name != driver},
-        good=good,
+        valid=valid,
         measured=measured,
         train=select_training_half(block, drive, speed),
         block=block,
@@ -356,7 +357,7 @@ def prepare_record(
         units=units,
         loop=loop,
         start=start,
-        known=present,
+        present=present,
     )
 
 
@@ -381,7 +382,7 @@ def _estimate_noise(
     driver: str,
     time: Array,
     signals: Signals,
-    good: dict[str, Mask],
+    valid: dict[str, Mask],
     rounding: dict[str, float],
     given_noise: dict[str, float],
 ) -> dict[str, float]:
@@ -391,7 +392,9 @@ def _estimate_noise(
     """
     sigma = {}
     for name, signal in signals.items():
-        estimated = max(estimate_white_noise(signal[good[name]], time[good[name]]), rounding[name])
+        estimated = max(
+            estimate_white_noise(signal[valid[name]], time[valid[name]]), rounding[name]
+        )
         sigma[name] = given_noise.get(name, estimated)
         if name != driver:  # nothing is simulated more precisely
             sigma[name] = max(sigma[name], SETTINGS.noise_min * float(np.ptp(signal)), 1e-9)
@@ -505,8 +508,8 @@ def select_record_rows(record: Record, rows: Mask) -> Record:
         drive=record.drive[rows],
         speed=record.speed[rows],
         sigma={name: sigma[rows] for name, sigma in record.sigma.items()},
-        good={name: good[rows] for name, good in record.good.items()},
-        known={name: known[rows] for name, known in record.known.items()},
+        valid={name: valid[rows] for name, valid in record.valid.items()},
+        present={name: present[rows] for name, present in record.present.items()},
         measured=record.measured[rows],
         train=record.train[rows],
         block=record.block[rows],

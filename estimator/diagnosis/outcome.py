@@ -49,8 +49,8 @@ class PredictedRecord(NamedTuple):
 
     def residual(self, simulated: SimulatedRecord, channel: str) -> Array:
         """Return measured less simulated of the samples that count [N] or [m]."""
-        good = self.record.good[channel]
-        return (self.record.signals[channel] - simulated.signals[channel])[good]
+        valid = self.record.valid[channel]
+        return (self.record.signals[channel] - simulated.signals[channel])[valid]
 
     @property
     def spikes(self) -> dict[str, int]:

@@ -244,7 +244,7 @@ def build_prediction_table(records: Sequence[PredictedRecord], names: Sequence[s
                 name,
                 times,
                 units.word(channel),
-                str(int(prediction.record.good[channel].sum())),
+                str(int(prediction.record.valid[channel].sum())),
                 str(prediction.spikes[channel]),
                 _format_error(units, channel, before[channel].rmse),
                 _format_error(units, channel, after[channel].rmse),

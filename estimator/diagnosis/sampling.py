@@ -242,14 +242,18 @@ class DecimatedRecord(NamedTuple):
 
     time: Array
     signals: Signals
-    good: dict[str, Mask]
+    valid: dict[str, Mask]
     present: dict[str, Mask]
     averaged: dict[str, float]  # values in a sample, by channel
     decimation_factor: int  # samples in one
 
 
 def decimate_record(
-    time: Array, signals: Signals, good: dict[str, Mask], present: dict[str, Mask], samples_max: int
+    time: Array,
+    signals: Signals,
+    valid: dict[str, Mask],
+    present: dict[str, Mask],
+    samples_max: int,
 ) -> DecimatedRecord:
     """Return every k-th sample, all channels averaged over the k around it.
 
@@ -259,12 +263,12 @@ def decimate_record(
     """
     k = math.ceil(len(time) / samples_max)
     if k <= 1:
-        return DecimatedRecord(time, signals, good, present, dict.fromkeys(signals, 1.0), 1)
+        return DecimatedRecord(time, signals, valid, present, dict.fromkeys(signals, 1.0), 1)
     rows = np.arange(k // 2, len(time) - (k - 1) // 2, k)
     window = rows[:, None] + np.arange(k) - k // 2
     spans = time[window[:, -1]] - time[window[:, 0]]
     unbroken = spans < float(np.median(spans)) + LONG_GAP
-    counts = {name: mask[window].sum(axis=1) for name, mask in good.items()}
+    counts = {name: mask[window].sum(axis=1) for name, mask in valid.items()}
     usual_counts = {name: float(np.median(count[count > 0])) for name, count in counts.items()}
     return DecimatedRecord(
         time[window].mean(axis=1),

@@ -64,7 +64,7 @@ def compute_channel_errors(
     """Return the errors of a predicted channel of a record on some of its samples, shape (n,)."""
     # no bin goes beyond its block: both numbers rise with time
     bins = ((record.time - record.time[0]) / SETTINGS.bin_width).astype(np.int64) + record.block
-    rows = record.good[channel] & samples
+    rows = record.valid[channel] & samples
     error = (record.signals[channel] - predicted)[rows]
     scaled_error = error / record.sigma[channel][rows]
     squares = np.bincount(bins[rows], scaled_error**2, bins[-1] + 1).astype(np.float64)
@@ -211,7 +211,7 @@ def find_residual_dependence(dataset: Dataset, fit: Fit) -> tuple[ResidualDepend
     for channel in dataset.records[0].compared:
         residual, signals = [], dict[str, list[Array]]()
         for record, simulated in zip(dataset.records, fit.simulated, strict=True):
-            rows = record.good[channel]
+            rows = record.valid[channel]
             residual.append((record.signals[channel] - simulated.signals[channel])[rows])
             T = record.signals[PROXIMAL_TENSION]
             for variable, signal in (
@@ -303,7 +303,7 @@ def autocorrelate_channel(dataset: Dataset, fit: Fit, channel: str) -> Autocorre
     residuals = []
     for record, simulated in zip(records, fit.simulated, strict=True):
         residual = np.where(
-            record.good[channel], record.signals[channel] - simulated.signals[channel], np.nan
+            record.valid[channel], record.signals[channel] - simulated.signals[channel], np.nan
         )
         residuals.append(
             resample_residual(record.time[record.measured], residual[record.measured], period)

@@ -310,7 +310,7 @@ def _compute_fold_errors(
                 fold.dataset.records, fold.fits[model_index].simulated, strict=True
             ):
                 samples = record.train if record.train.all() else record.train == fitted
-                rows = record.good[channel] & samples
+                rows = record.valid[channel] & samples
                 errors.append((record.signals[channel] - simulated.signals[channel])[rows])
                 full_scale = max(full_scale, float(np.ptp(record.signals[channel])))
         statistics[channel] = compute_error_statistics(errors, full_scale)
@@ -381,7 +381,7 @@ def _compute_detection_ratio(dataset: Dataset, fit: Fit, change: Array) -> float
     squares, counts, offset = dict.fromkeys(tolerance, 0.0), dict.fromkeys(tolerance, 0), 0
     for record, scale in zip(dataset.records, dataset.scale, strict=True):
         for channel in record.compared:
-            rows = record.train & record.good[channel]
+            rows = record.train & record.valid[channel]
             count = int(rows.sum())
             noises = (scale[channel] / record.sigma[channel])[rows]
             squares[channel] += float(np.sum((noises * change[offset : offset + count]) ** 2))

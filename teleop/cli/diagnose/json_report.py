@@ -169,7 +169,7 @@ def _build_prediction_errors(
             "end": prediction.record.start + float(prediction.record.time[-1]),
             "channels": {
                 channel: {
-                    "samples": int(prediction.record.good[channel].sum()),
+                    "samples": int(prediction.record.valid[channel].sum()),
                     "spikes": prediction.spikes[channel],
                     "baseline": _build_fitness(before),
                     "extended": _build_fitness(prediction.fitness(prediction.after)[channel]),

@@ -387,7 +387,7 @@ def _write_record(path: Path, prediction: PredictedRecord) -> None:
     columns = {"time_s": (prediction.record.time + prediction.record.start)[rows]}
     for channel in prediction.record.compared:
         unit = prediction.record.units.of(channel).replace(" ", "")
-        is_measured = prediction.record.known[channel]
+        is_measured = prediction.record.present[channel]
         measured, before, after = (
             signals[channel]
             for signals in (
@@ -400,7 +400,7 @@ def _write_record(path: Path, prediction: PredictedRecord) -> None:
         columns[f"{channel}_plain_{unit}"] = before[rows]
         columns[f"{channel}_extended_{unit}"] = after[rows]
         columns[f"{channel}_residual_{unit}"] = _to_cells(measured - after, is_measured)[rows]
-        columns[f"{channel}_counts"] = prediction.record.good[channel][rows].astype(np.int64)
+        columns[f"{channel}_counts"] = prediction.record.valid[channel][rows].astype(np.int64)
     write_table(path, columns)
 
 

@@ -100,7 +100,7 @@ def test_rounding_is_noise(clean):
 def test_samples_held_by_a_slow_sensor_do_not_count(clean):
     slow = clean.channels["distal_tension"][np.arange(len(clean.time)) // 6 * 6]
     record = prepare_record(clean.time, clean.channels | {"distal_tension": slow})
-    share = np.mean(record.good["distal_tension"])
+    share = np.mean(record.valid["distal_tension"])
     assert share == pytest.approx(1.0 / 6.0, abs=0.02)
     assert any("held" in one.what for one in record.issues)
     true = clean.channels["distal_tension"]

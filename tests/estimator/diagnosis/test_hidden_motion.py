@@ -41,7 +41,7 @@ def excess(record):
 def test_with_the_motion_beneath_the_noise_the_plain_law_leaves_noise_alone(bench, rate):
     made = make_grid(1, bench, duration=60.0, rate=rate, travel_noise=5e-6)
     before, after = before_and_after(made.time, made.channels)
-    driven = before.good[TENSION] & ~after.good[TENSION]
+    driven = before.valid[TENSION] & ~after.valid[TENSION]
     assert 0.01 < driven.mean() < 0.15
     assert max(excess(before)) > 1.6 or bench == "spring"
     assert max(excess(after)) < 1.4
@@ -54,7 +54,7 @@ def test_a_turn_that_smoothing_took_away_is_found_in_a_few_samples(seed):
     """The motor overshoots by 2 um and rests for seconds, a newton below what the travel tells."""
     made = hidden.make(seed, (), bench="spring", duration=40.0, rate=100.0, travel_noise=5e-7)
     before, after = before_and_after(made.time, made.channels)
-    assert 0 < (before.good[TENSION] & ~after.good[TENSION]).sum() < 80
+    assert 0 < (before.valid[TENSION] & ~after.valid[TENSION]).sum() < 80
     assert max(excess(after)) < 1.4
     assert np.abs(after.drive - made.channels[TRAVEL]).max() < 6 * before.noise[TRAVEL]
 
@@ -75,5 +75,5 @@ def test_a_travel_without_noise_hides_nothing():
 def test_what_is_wrong_with_a_bench_is_not_taken_for_motion(effect):
     made = hidden.make(63, effect, bench="spring", duration=40.0, rate=100.0, travel_noise=5e-7)
     before, after = before_and_after(made.time, made.channels)
-    assert (before.good[TENSION] & ~after.good[TENSION]).mean() < 0.1
+    assert (before.valid[TENSION] & ~after.valid[TENSION]).mean() < 0.1
     assert np.abs(after.drive - before.drive).max() < 10 * before.noise[TRAVEL]

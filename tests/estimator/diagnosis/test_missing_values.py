@@ -40,13 +40,13 @@ def test_missing_values_are_not_compared_and_change_nothing_else(whole, channel)
     complete = prepare_record(whole.time, dict(whole.channels))
     record = prepare_record(whole.time, without(whole, channel, LOST))
     lost = is_lost(record, whole)
-    assert not record.good[channel][lost].any()
-    np.testing.assert_array_equal(record.good[channel][~lost], complete.good[channel][~lost])
+    assert not record.valid[channel][lost].any()
+    np.testing.assert_array_equal(record.valid[channel][~lost], complete.valid[channel][~lost])
     np.testing.assert_array_equal(record.drive, complete.drive)
     assert record.noise[channel] == pytest.approx(complete.noise[channel], rel=0.05)
     assert (record.measured & ~record.select_drawn_rows(channel)).sum() == 50
     for other in set(record.compared) - {channel}:
-        np.testing.assert_array_equal(record.good[other], complete.good[other])
+        np.testing.assert_array_equal(record.valid[other], complete.valid[other])
         np.testing.assert_array_equal(record.select_drawn_rows(other), record.measured)
     (said,) = [one for one in record.issues if "missing" in one.what]
     assert (said.channel, said.samples) == (channel, 50)
@@ -71,7 +71,7 @@ def test_cells_that_a_slow_sensor_leaves_empty_do_not_count(whole):
     empty = np.arange(len(whole.time)) % 5 > 0
     record = prepare_record(whole.time, without(whole, T_OUT, empty), samples_max=800)
     assert record.decimation_factor == 2
-    assert record.good[T_OUT].sum() == pytest.approx(len(whole.time) / 5, rel=0.05)
+    assert record.valid[T_OUT].sum() == pytest.approx(len(whole.time) / 5, rel=0.05)
 
 
 def test_channels_that_are_never_measured_together_are_refused(whole):
@@ -124,7 +124,7 @@ def test_a_slow_sensor_of_a_thinned_record_keeps_its_times_and_its_noise(whole):
     record = prepare_record(whole.time, signals, samples_max=800, noise={T_OUT: 0.1, T_IN: 0.1})
     assert record.decimation_factor == 2
     true = np.interp(record.time, whole.time - whole.time[0], whole.channels[T_OUT])
-    rows = record.good[T_OUT]
+    rows = record.valid[T_OUT]
     slope = np.gradient(true, record.time)[rows]
     late = float(slope @ (record.signals[T_OUT] - true)[rows] / (slope @ slope))
     assert abs(late) < 0.1 / 50.0
@@ -140,7 +140,7 @@ def test_no_mean_of_samples_on_both_sides_of_a_gap_counts(whole):
     within = (record.time + record.start > 10.0) & (record.time + record.start < 15.0)
     assert record.decimation_factor == 2
     assert within.any()
-    assert not record.good[T_OUT][within].any()
+    assert not record.valid[T_OUT][within].any()
 
 
 def test_values_missing_at_the_ends_are_not_drawn(whole):
@@ -152,7 +152,7 @@ def test_values_missing_at_the_ends_are_not_drawn(whole):
 def test_a_record_begins_with_the_first_tension_that_was_measured(whole):
     record = prepare_record(whole.time, without(whole, T_IN, slice(0, 200)))
     drive, tensions = record.first_tensions
-    row = int(np.argmax(record.known[T_IN]))
+    row = int(np.argmax(record.present[T_IN]))
     assert drive == record.drive[row]
     np.testing.assert_allclose(tensions, record.signals[T_IN][row : row + 5])
 

@@ -150,7 +150,7 @@ def test_validation_is_stated_by_file_as_it_is_in_the_file(found):
     (one,) = found.validation
     assert one.record.start == START
     assert one.spikes["distal_tension"] == len(SPIKES["distal_tension"])
-    assert (one.record.signals["distal_tension"].size - 4) == one.record.good[
+    assert (one.record.signals["distal_tension"].size - 4) == one.record.valid[
         "distal_tension"
     ].sum()
     assert f"{START:g} to {START + 23.98:g} s" in est.summarise_result(found)
