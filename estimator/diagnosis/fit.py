@@ -302,19 +302,19 @@ def compute_search_reaches(dataset: Dataset) -> list[float]:
 
 
 def refit_subset(
-    part: Dataset, whole: Dataset, contexts: Sequence[EffectContext], fit: Fit, rounds: int
+    subset: Dataset, full: Dataset, contexts: Sequence[EffectContext], fit: Fit, rounds: int
 ) -> Fit:
     """Return a model of the whole dataset, refitted to a part of its samples.
 
     What the part does not determine stays as in the whole: when something happened, and what shows
     in hardly any of its samples, as where a record starts.
     """
-    layout = ParameterLayout(whole, fit.model)
+    layout = ParameterLayout(full, fit.model)
     is_determined = ~layout.is_time & (
-        _compute_uncertainty(part, contexts, fit)
-        < SETTINGS.uncertainty_ratio_max * _compute_uncertainty(whole, contexts, fit)
+        _compute_uncertainty(subset, contexts, fit)
+        < SETTINGS.uncertainty_ratio_max * _compute_uncertainty(full, contexts, fit)
     )
-    return _run_least_squares(part, contexts, layout, fit.model, rounds, is_determined)
+    return _run_least_squares(subset, contexts, layout, fit.model, rounds, is_determined)
 
 
 def fit_record_parameters(dataset: Dataset, fit: Fit) -> Fit:

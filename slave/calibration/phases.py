@@ -49,31 +49,33 @@ PhaseResult = tuple[Tendons, ProcedureState]
 
 
 def _take_up_slack(
-    config: InitialiseConfig, joint: JointConstants, memory: ProcedureState, seen: JointReadings
+    config: InitialiseConfig, joint: JointConstants, memory: ProcedureState, sample: JointReadings
 ) -> PhaseResult:
     """Wind in every tendon until it is just taut."""
-    count = len(seen.tension)
+    count = len(sample.tension)
     if memory.steady >= SETTLING_S:
         if memory.phase is Phase.SETTLE:
-            return _build_zero_speeds(seen), begin_phase(memory, Phase.DONE, seen)
+            return _build_zero_speeds(sample), begin_phase(memory, Phase.DONE, sample)
         if not memory.home:
-            memory = memory._replace(home=seen.travel)
+            memory = memory._replace(home=sample.travel)
         if memory.side == count:
-            memory = memory._replace(lane=_compute_drag_length(config, memory, seen))
+            memory = memory._replace(lane=_compute_drag_length(config, memory, sample))
         phase = Phase.SEEK if memory.side < count else Phase.DRAG
-        return _build_zero_speeds(seen), begin_phase(memory, phase, seen)
-    wound = [q - q0 for q, q0 in zip(seen.travel, memory.origin, strict=True)]
+        return _build_zero_speeds(sample), begin_phase(memory, phase, sample)
+    wound = [q - q0 for q, q0 in zip(sample.travel, memory.origin, strict=True)]
     allowed = config.slack_max + (config.pay_out + TREND_WINDOW if memory.stops else 0.0)
     if sum(wound) > allowed:
         loosest = min(range(count), key=lambda k: memory.tension[k])
         name = format_tendon_name(joint.number, count, loosest)
         if memory.tension[loosest] > TAUT_RATIO * config.take_up or sum(wound) > 2.0 * allowed:
-            return _abort_for_slack(config, memory, seen, name, loosest, sum(wound), config.take_up)
+            return _abort_for_slack(
+                config, memory, sample, name, loosest, sum(wound), config.take_up
+            )
     tightest = min(range(count), key=wound.__getitem__)
     if wound[tightest] < -allowed:
         name = format_tendon_name(joint.number, count, tightest)
         reason = refusals.format_residual_tension(name, -wound[tightest], memory.tension[tightest])
-        return _abort_and_hold(memory, seen, reason)
+        return _abort_and_hold(memory, sample, reason)
     return tuple(
         _compute_holding_speed(config, memory.tension[k], config.take_up, TAKE_UP_BAND_HIGH, 0.0)
         for k in range(count)
@@ -81,43 +83,47 @@ def _take_up_slack(
 
 
 def _seek_stop(
-    config: InitialiseConfig, joint: JointConstants, memory: ProcedureState, seen: JointReadings
+    config: InitialiseConfig, joint: JointConstants, memory: ProcedureState, sample: JointReadings
 ) -> PhaseResult:
     """Pull one tendon until the joint is at its stop and the tension is reached."""
-    k, count = memory.side, len(seen.tension)
+    k, count = memory.side, len(sample.tension)
     name = format_tendon_name(joint.number, count, k)
-    tension, travel = memory.tension[k], seen.travel[k]
-    line = _update_line(memory, seen, k, 1.0)
+    tension, travel = memory.tension[k], sample.travel[k]
+    line = _update_line(memory, sample, k, 1.0)
     stretching = procedure_state.compute_stiffness(line, TREND_WINDOW) * joint.compliance[k] >= 1.0
     contact = memory.contact
     if contact is None or not stretching:
         contact = StopContact(travel, tension)
     memory = memory._replace(trend=line, contact=contact)
     if tension >= config.tension:
-        return _accept_stop(config, joint.compliance[k], name, memory, seen)
+        return _accept_stop(config, joint.compliance[k], name, memory, sample)
     wound = travel - memory.origin[k]
     if wound > config.travel_max:
         unchanged = travel - memory.cells[k].since > 0.5 * wound
         return _abort_and_hold(
-            memory, seen, refusals.format_no_stop(name, tension, unchanged, config)
+            memory, sample, refusals.format_no_stop(name, tension, unchanged, config)
         )
     if (
         tension < TENSION_LOSS_RATIO * memory.highest
         and memory.highest > TENSION_RISE_MIN * config.tension
     ):
         return _abort_and_hold(
-            memory, seen, refusals.format_lost_tension(name, memory.highest, tension)
+            memory, sample, refusals.format_lost_tension(name, memory.highest, tension)
         )
     if travel > memory.tried + PROBE_INTERVAL and procedure_state.is_cell_stuck(
         memory.cells[k], travel
     ):
-        return _build_zero_speeds(seen), begin_phase(memory, Phase.PROBE, seen)
+        return _build_zero_speeds(sample), begin_phase(memory, Phase.PROBE, sample)
     speed = config.stretch_speed if stretching else config.seek_speed
-    return _draw_joint(config, joint, memory, seen, k, speed)
+    return _draw_joint(config, joint, memory, sample, k, speed)
 
 
 def _accept_stop(
-    config: InitialiseConfig, softest: float, name: str, memory: ProcedureState, seen: JointReadings
+    config: InitialiseConfig,
+    softest: float,
+    name: str,
+    memory: ProcedureState,
+    sample: JointReadings,
 ) -> PhaseResult:
     """Accept the end of the search as a stop, unless it is implausible."""
     k, contact = memory.side, memory.contact
@@ -125,51 +131,51 @@ def _accept_stop(
     rise = memory.tension[k] - contact.tension
     if rise < TENSION_RISE_MIN * config.tension:
         reason = refusals.format_late_stop(name, contact.tension, memory.tension[k])
-        return _abort_and_hold(memory, seen, reason)
-    compliance = (seen.travel[k] - contact.travel) / rise
+        return _abort_and_hold(memory, sample, reason)
+    compliance = (sample.travel[k] - contact.travel) / rise
     if compliance > softest:
         reason = refusals.format_soft_stop(name, contact.tension, compliance, softest)
-        return _abort_and_hold(memory, seen, reason)
+        return _abort_and_hold(memory, sample, reason)
     stops = (*memory.stops, contact._replace(compliance=compliance))
-    next_phase = Phase.SLACKEN if len(seen.tension) > 1 else Phase.RELEASE
-    return _build_zero_speeds(seen), begin_phase(
-        memory._replace(stops=stops, releases=0), next_phase, seen
+    next_phase = Phase.SLACKEN if len(sample.tension) > 1 else Phase.RELEASE
+    return _build_zero_speeds(sample), begin_phase(
+        memory._replace(stops=stops, releases=0), next_phase, sample
     )
 
 
 def _probe_cell(
-    config: InitialiseConfig, joint: JointConstants, memory: ProcedureState, seen: JointReadings
+    config: InitialiseConfig, joint: JointConstants, memory: ProcedureState, sample: JointReadings
 ) -> PhaseResult:
     """Go back a little to test whether the load cell responds."""
     k = memory.side
     if memory.cells[k].alike == 0:
-        memory = memory._replace(tried=seen.travel[k])
-        return _build_zero_speeds(seen), begin_phase(memory, Phase.SEEK, seen)
+        memory = memory._replace(tried=sample.travel[k])
+        return _build_zero_speeds(sample), begin_phase(memory, Phase.SEEK, sample)
     if memory.elapsed > PROBE_S:
-        name = format_tendon_name(joint.number, len(seen.tension), k)
+        name = format_tendon_name(joint.number, len(sample.tension), k)
         return _abort_and_hold(
-            memory, seen, refusals.format_saturated_cell(name, memory.tension[k])
+            memory, sample, refusals.format_saturated_cell(name, memory.tension[k])
         )
-    is_back = seen.motor[k] > memory.origin[k] - PROBE_TRAVEL
-    return _build_single_speed(seen, k, -config.stretch_speed if is_back else 0.0), memory
+    is_back = sample.motor[k] > memory.origin[k] - PROBE_TRAVEL
+    return _build_single_speed(sample, k, -config.stretch_speed if is_back else 0.0), memory
 
 
 def _slacken_antagonist(
-    config: InitialiseConfig, _joint: JointConstants, memory: ProcedureState, seen: JointReadings
+    config: InitialiseConfig, _joint: JointConstants, memory: ProcedureState, sample: JointReadings
 ) -> PhaseResult:
     """Pay out the other tendon until it cannot pull the joint off its stop."""
     antagonist = 1 - memory.side
-    if memory.origin[antagonist] - seen.travel[antagonist] >= config.pay_out:
-        return _build_zero_speeds(seen), begin_phase(memory, Phase.RELEASE, seen)
-    return _build_single_speed(seen, antagonist, -config.seek_speed), memory
+    if memory.origin[antagonist] - sample.travel[antagonist] >= config.pay_out:
+        return _build_zero_speeds(sample), begin_phase(memory, Phase.RELEASE, sample)
+    return _build_single_speed(sample, antagonist, -config.seek_speed), memory
 
 
 def _release_tendon(
-    config: InitialiseConfig, _joint: JointConstants, memory: ProcedureState, seen: JointReadings
+    config: InitialiseConfig, _joint: JointConstants, memory: ProcedureState, sample: JointReadings
 ) -> PhaseResult:
     """Release one tendon until its tension is low or the joint leaves the stop."""
     k = memory.side
-    line = _update_line(memory, seen, k, -1.0)
+    line = _update_line(memory, sample, k, -1.0)
     memory = memory._replace(trend=line)
     releases_left = (
         procedure_state.compute_stiffness(line, TREND_WINDOW)
@@ -178,49 +184,49 @@ def _release_tendon(
         < 1.0
     )
     enough = _compute_travel_max(config, memory)
-    released = memory.origin[k] - seen.travel[k]
+    released = memory.origin[k] - sample.travel[k]
     if not (memory.tension[k] <= config.low or releases_left or released > enough):
-        return _build_single_speed(seen, k, -_compute_stretch_speed(config, memory)), memory
+        return _build_single_speed(sample, k, -_compute_stretch_speed(config, memory)), memory
     memory = memory._replace(releases=memory.releases + 1)
     if memory.releases <= config.loops:
-        return _build_zero_speeds(seen), begin_phase(memory, Phase.PULL, seen)
+        return _build_zero_speeds(sample), begin_phase(memory, Phase.PULL, sample)
     memory = memory._replace(side=memory.side + 1, contact=None, tried=-math.inf)
-    if len(seen.tension) == 1:
-        return _build_zero_speeds(seen), begin_phase(memory, Phase.RETURN, seen)
-    return _build_zero_speeds(seen), begin_phase(memory, Phase.TAKE_UP, seen)
+    if len(sample.tension) == 1:
+        return _build_zero_speeds(sample), begin_phase(memory, Phase.RETURN, sample)
+    return _build_zero_speeds(sample), begin_phase(memory, Phase.TAKE_UP, sample)
 
 
 def _pull_tendon(
-    config: InitialiseConfig, joint: JointConstants, memory: ProcedureState, seen: JointReadings
+    config: InitialiseConfig, joint: JointConstants, memory: ProcedureState, sample: JointReadings
 ) -> PhaseResult:
     """Pull one tendon against the stop again."""
     k = memory.side
-    tension, wound = memory.tension[k], seen.travel[k] - memory.origin[k]
+    tension, wound = memory.tension[k], sample.travel[k] - memory.origin[k]
     if tension >= config.tension:
-        return _build_zero_speeds(seen), begin_phase(memory, Phase.RELEASE, seen)
-    name = format_tendon_name(joint.number, len(seen.tension), k)
-    if procedure_state.is_cell_stuck(memory.cells[k], seen.travel[k]):
-        return _abort_and_hold(memory, seen, refusals.format_saturated_cell(name, tension))
+        return _build_zero_speeds(sample), begin_phase(memory, Phase.RELEASE, sample)
+    name = format_tendon_name(joint.number, len(sample.tension), k)
+    if procedure_state.is_cell_stuck(memory.cells[k], sample.travel[k]):
+        return _abort_and_hold(memory, sample, refusals.format_saturated_cell(name, tension))
     if (
         tension < TENSION_LOSS_RATIO * memory.highest
         and memory.highest > TENSION_RISE_MIN * config.tension
     ):
         return _abort_and_hold(
-            memory, seen, refusals.format_lost_tension(name, memory.highest, tension)
+            memory, sample, refusals.format_lost_tension(name, memory.highest, tension)
         )
     if wound > _compute_travel_max(config, memory):
         if tension < TAUT_RATIO * config.take_up:
             return _abort_and_hold(
-                memory, seen, refusals.format_lost_tension(name, config.tension, tension)
+                memory, sample, refusals.format_lost_tension(name, config.tension, tension)
             )
         return _abort_and_hold(
-            memory, seen, refusals.format_pull_not_repeated(name, tension, config)
+            memory, sample, refusals.format_pull_not_repeated(name, tension, config)
         )
-    return _build_single_speed(seen, k, _compute_stretch_speed(config, memory)), memory
+    return _build_single_speed(sample, k, _compute_stretch_speed(config, memory)), memory
 
 
 def _drag_tendon(
-    config: InitialiseConfig, joint: JointConstants, memory: ProcedureState, seen: JointReadings
+    config: InitialiseConfig, joint: JointConstants, memory: ProcedureState, sample: JointReadings
 ) -> PhaseResult:
     """Pull one tendon at one speed while the tension of the other one rises, and falls again.
 
@@ -228,18 +234,18 @@ def _drag_tendon(
     direction, and the joint's own resistance is the same with rising and falling tension.
     """
     k = memory.side % 2
-    tension, wound = memory.tension[k], seen.travel[k] - memory.origin[k]
+    tension, wound = memory.tension[k], sample.travel[k] - memory.origin[k]
     if tension >= config.tension:
-        return _abort_and_hold(memory, seen, refusals.format_obstacle(joint.number, tension))
+        return _abort_and_hold(memory, sample, refusals.format_obstacle(joint.number, tension))
     if wound >= memory.lane:
         if memory.side + 1 < 2 + config.drags:
             lane = memory.lane * DRAG_OVERSHOOT / (0.5 + DRAG_OVERSHOOT)
             memory = memory._replace(side=memory.side + 1, lane=lane, easing=False)
-            return _build_zero_speeds(seen), begin_phase(memory, Phase.DRAG, seen)
-        return _build_zero_speeds(seen), begin_phase(memory, Phase.SETTLE, seen)
+            return _build_zero_speeds(sample), begin_phase(memory, Phase.DRAG, sample)
+        return _build_zero_speeds(sample), begin_phase(memory, Phase.SETTLE, sample)
     speed = min(config.seek_speed, memory.lane / config.drag_time)
     if wound < LEAD_SHARE * memory.lane or (memory.easing and memory.tension[1 - k] <= config.keep):
-        return _draw_joint(config, joint, memory, seen, k, speed)
+        return _draw_joint(config, joint, memory, sample, k, speed)
     peak = DRAG_PEAK * config.tension
     if tension >= peak or wound > (0.5 + 0.5 * LEAD_SHARE) * memory.lane:
         memory = memory._replace(easing=True)
@@ -250,53 +256,53 @@ def _drag_tendon(
 
 
 def _compute_drag_length(
-    config: InitialiseConfig, memory: ProcedureState, seen: JointReadings
+    config: InitialiseConfig, memory: ProcedureState, sample: JointReadings
 ) -> float:
     """Return the length [m] of the first drag: to the middle, or such that the next ends there."""
-    reach = memory.stops[0].travel - seen.travel[0]
+    reach = memory.stops[0].travel - sample.travel[0]
     return reach * (0.5 + (DRAG_OVERSHOOT if config.drags > 1 else 0.0))
 
 
 def _return_joint(
-    config: InitialiseConfig, _joint: JointConstants, memory: ProcedureState, seen: JointReadings
+    config: InitialiseConfig, _joint: JointConstants, memory: ProcedureState, sample: JointReadings
 ) -> PhaseResult:
     """Let a return spring take the joint back to where it came from."""
-    if seen.travel[0] <= memory.home[0]:
-        return _build_zero_speeds(seen), begin_phase(memory, Phase.SETTLE, seen)
-    return _build_single_speed(seen, 0, -config.seek_speed), memory
+    if sample.travel[0] <= memory.home[0]:
+        return _build_zero_speeds(sample), begin_phase(memory, Phase.SETTLE, sample)
+    return _build_single_speed(sample, 0, -config.seek_speed), memory
 
 
 def _lower_tensions(
-    config: InitialiseConfig, joint: JointConstants, memory: ProcedureState, seen: JointReadings
+    config: InitialiseConfig, joint: JointConstants, memory: ProcedureState, sample: JointReadings
 ) -> PhaseResult:
     """Lower all tensions slowly; wind in nothing and pay out no more than needed."""
     if memory.steady >= SETTLING_S or memory.elapsed > config.relax_max:
-        return _build_zero_speeds(seen), begin_phase(memory, Phase.REFUSED, seen)
+        return _build_zero_speeds(sample), begin_phase(memory, Phase.REFUSED, sample)
     speeds = []
     for k, tension in enumerate(memory.tension):
         travel_max = TRAVEL_MARGIN * joint.compliance[k] * config.tension + TRAVEL_ALLOWANCE
         tight = (
             tension > compute_relaxed_tension(config)
-            and memory.origin[k] - seen.motor[k] < travel_max
+            and memory.origin[k] - sample.motor[k] < travel_max
         )
         speeds.append(-0.5 * config.seek_speed if tight else 0.0)
     return tuple(speeds), memory
 
 
 def _hold_motors(
-    _config: InitialiseConfig, _joint: JointConstants, memory: ProcedureState, seen: JointReadings
+    _config: InitialiseConfig, _joint: JointConstants, memory: ProcedureState, sample: JointReadings
 ) -> PhaseResult:
-    return _build_zero_speeds(seen), memory
+    return _build_zero_speeds(sample), memory
 
 
-def _abort_and_hold(memory: ProcedureState, seen: JointReadings, reason: str) -> PhaseResult:
-    return _build_zero_speeds(seen), abort_procedure(memory, seen, reason)
+def _abort_and_hold(memory: ProcedureState, sample: JointReadings, reason: str) -> PhaseResult:
+    return _build_zero_speeds(sample), abort_procedure(memory, sample, reason)
 
 
 def _abort_for_slack(
     config: InitialiseConfig,
     memory: ProcedureState,
-    seen: JointReadings,
+    sample: JointReadings,
     name: str,
     k: int,
     wound: float,
@@ -305,22 +311,22 @@ def _abort_for_slack(
     reason = refusals.format_slack(
         name, wound, memory.tension[k], TAUT_RATIO * tension_target, config
     )
-    return _abort_and_hold(memory, seen, reason)
+    return _abort_and_hold(memory, sample, reason)
 
 
-def _build_zero_speeds(seen: JointReadings) -> Tendons:
-    return (0.0,) * len(seen.motor)
+def _build_zero_speeds(sample: JointReadings) -> Tendons:
+    return (0.0,) * len(sample.motor)
 
 
-def _build_single_speed(seen: JointReadings, tendon: int, speed: float) -> Tendons:
-    return tuple(speed if k == tendon else 0.0 for k in range(len(seen.motor)))
+def _build_single_speed(sample: JointReadings, tendon: int, speed: float) -> Tendons:
+    return tuple(speed if k == tendon else 0.0 for k in range(len(sample.motor)))
 
 
-def _update_line(memory: ProcedureState, seen: JointReadings, k: int, direction: float) -> Trend:
+def _update_line(memory: ProcedureState, sample: JointReadings, k: int, direction: float) -> Trend:
     if memory.trend is None:
-        return procedure_state.init_trend(seen.travel[k], seen.tension[k])
+        return procedure_state.init_trend(sample.travel[k], sample.tension[k])
     return procedure_state.update_trend(
-        memory.trend, seen.travel[k], seen.tension[k], direction, TREND_WINDOW
+        memory.trend, sample.travel[k], sample.tension[k], direction, TREND_WINDOW
     )
 
 
@@ -352,7 +358,7 @@ def _draw_joint(
     config: InitialiseConfig,
     joint: JointConstants,
     memory: ProcedureState,
-    seen: JointReadings,
+    sample: JointReadings,
     k: int,
     speed: float,
 ) -> PhaseResult:
@@ -361,13 +367,13 @@ def _draw_joint(
     As fast even while the joint rests: if it lagged, the joint would have to draw it out with e^K
     times its tension at the housing.
     """
-    if len(seen.tension) == 1:
+    if len(sample.tension) == 1:
         return (speed,), memory
     antagonist = 1 - k
-    wound = seen.travel[antagonist] - memory.lowest
+    wound = sample.travel[antagonist] - memory.lowest
     if wound > config.slack_max and memory.tension[antagonist] < TAUT_RATIO * config.keep:
         name = format_tendon_name(joint.number, 2, antagonist)
-        return _abort_for_slack(config, memory, seen, name, antagonist, wound, config.keep)
+        return _abort_for_slack(config, memory, sample, name, antagonist, wound, config.keep)
     holding_speed = _compute_holding_speed(
         config, memory.tension[antagonist], config.keep, DEAD_BAND_HIGH, -speed
     )

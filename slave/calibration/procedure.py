@@ -38,7 +38,7 @@ def step(
     config: InitialiseConfig,
     joint: JointConstants,
     memory: ProcedureState,
-    seen: JointReadings,
+    sample: JointReadings,
     dt: float,
 ) -> tuple[Tendons, ProcedureState]:
     """Return the motor targets of the joint [m] and the new state.
@@ -49,77 +49,81 @@ def step(
         Its number and the largest compliance of its sheaths.
     memory : ProcedureState
         `ProcedureState()` to begin with.
-    seen : JointReadings
+    sample : JointReadings
         Newest readings, all finite.
     dt : float
         Time since the last tick [s].
     """
-    memory = _update_readings(config, memory, seen, dt)
+    memory = _update_readings(config, memory, sample, dt)
     if memory.phase not in _END_PHASES:
-        refusal = _find_common_refusal(config, joint, memory, seen)
+        refusal = _find_common_refusal(config, joint, memory, sample)
         if refusal:
-            memory = abort_procedure(memory, seen, refusal)
-    speeds, memory = HANDLERS[memory.phase](config, joint, memory, seen)
+            memory = abort_procedure(memory, sample, refusal)
+    speeds, memory = HANDLERS[memory.phase](config, joint, memory, sample)
     moves = tuple(speed * dt for speed in speeds)
-    targets = tuple(m + d for m, d in zip(seen.motor, moves, strict=True))
-    return targets, memory._replace(moved=moves, before=seen.motor)
+    targets = tuple(m + d for m, d in zip(sample.motor, moves, strict=True))
+    return targets, memory._replace(moved=moves, before=sample.motor)
 
 
 def _update_readings(
-    config: InitialiseConfig, memory: ProcedureState, seen: JointReadings, dt: float
+    config: InitialiseConfig, memory: ProcedureState, sample: JointReadings, dt: float
 ) -> ProcedureState:
     """Update the state with the readings of a tick."""
     if not memory.origin:
-        cells = tuple(CellState() for _ in seen.tension)
-        memory = begin_phase(memory._replace(tension=seen.tension, cells=cells), memory.phase, seen)
+        cells = tuple(CellState() for _ in sample.tension)
+        memory = begin_phase(
+            memory._replace(tension=sample.tension, cells=cells), memory.phase, sample
+        )
     share = -math.expm1(-dt / SMOOTH_S)
     tension = tuple(
-        was + share * (now - was) for was, now in zip(memory.tension, seen.tension, strict=True)
+        was + share * (now - was) for was, now in zip(memory.tension, sample.tension, strict=True)
     )
-    k = _get_pulled_index(memory, seen)
+    k = _get_pulled_index(memory, sample)
     return memory._replace(
         tension=tension,
         elapsed=memory.elapsed + dt,
         steady=memory.steady + dt if is_settled(config, memory.phase, tension) else 0.0,
         highest=max(memory.highest, tension[k]),
-        lowest=min(memory.lowest, seen.travel[1 - k]) if len(tension) > 1 else math.inf,
-        cells=tuple(map(procedure_state.update_cell_state, memory.cells, seen.tension, seen.travel))
-        if seen.fresh
+        lowest=min(memory.lowest, sample.travel[1 - k]) if len(tension) > 1 else math.inf,
+        cells=tuple(
+            map(procedure_state.update_cell_state, memory.cells, sample.tension, sample.travel)
+        )
+        if sample.fresh
         else memory.cells,
-        blocked=_update_blocked_times(memory, seen, dt),
+        blocked=_update_blocked_times(memory, sample, dt),
     )
 
 
-def _update_blocked_times(memory: ProcedureState, seen: JointReadings, dt: float) -> Tendons:
+def _update_blocked_times(memory: ProcedureState, sample: JointReadings, dt: float) -> Tendons:
     """Return for how long [s] each motor was commanded to move but did not."""
     if not memory.moved:
         return memory.blocked
     return tuple(
         time + dt if requested != 0.0 and now == was else 0.0
         for time, requested, now, was in zip(
-            memory.blocked, memory.moved, seen.motor, memory.before, strict=True
+            memory.blocked, memory.moved, sample.motor, memory.before, strict=True
         )
     )
 
 
-def _get_pulled_index(memory: ProcedureState, seen: JointReadings) -> int:
+def _get_pulled_index(memory: ProcedureState, sample: JointReadings) -> int:
     """Return the index of the pulled tendon."""
-    return memory.side % len(seen.tension)
+    return memory.side % len(sample.tension)
 
 
 def _find_common_refusal(
-    config: InitialiseConfig, joint: JointConstants, memory: ProcedureState, seen: JointReadings
+    config: InitialiseConfig, joint: JointConstants, memory: ProcedureState, sample: JointReadings
 ) -> str:
     """Return the reason to abort that applies in any phase; empty if none."""
-    count = len(seen.tension)
+    count = len(sample.tension)
     if memory.elapsed > config.phase_max:
         return refusals.format_phase_timeout(joint.number, memory.phase.text, config)
     for k in range(count):
         name = format_tendon_name(joint.number, count, k)
         if memory.blocked[k] > BLOCKED_S:
             seeking = memory.phase is Phase.SEEK
-            return refusals.format_blocked_motor(name, seen.verdict, memory.moved[k], seeking)
-        behind = abs(seen.motor[k] - seen.travel[k])
+            return refusals.format_blocked_motor(name, sample.verdict, memory.moved[k], seeking)
+        behind = abs(sample.motor[k] - sample.travel[k])
         if behind > config.lag_max:
-            return refusals.format_weak_motor(name, behind, seen.tension[k], config)
+            return refusals.format_weak_motor(name, behind, sample.tension[k], config)
     return ""

@@ -171,25 +171,25 @@ class ProcedureState(NamedTuple):
     refusal: str = ""  # reason of the abort
 
 
-def begin_phase(memory: ProcedureState, phase: Phase, seen: JointReadings) -> ProcedureState:
+def begin_phase(memory: ProcedureState, phase: Phase, sample: JointReadings) -> ProcedureState:
     """Return the state at the start of a phase."""
     return memory._replace(
         phase=phase,
         elapsed=0.0,
-        origin=seen.travel,
+        origin=sample.travel,
         trend=None,
         lowest=math.inf,
         highest=0.0,
         steady=0.0,
-        blocked=(0.0,) * len(seen.motor),
+        blocked=(0.0,) * len(sample.motor),
         moved=(),
         before=(),
     )
 
 
-def abort_procedure(memory: ProcedureState, seen: JointReadings, reason: str) -> ProcedureState:
+def abort_procedure(memory: ProcedureState, sample: JointReadings, reason: str) -> ProcedureState:
     """Return the state of an aborted procedure, which lowers the tensions and then holds."""
-    return begin_phase(memory._replace(refusal=memory.refusal or reason), Phase.RELAX, seen)
+    return begin_phase(memory._replace(refusal=memory.refusal or reason), Phase.RELAX, sample)
 
 
 def is_ended(memory: ProcedureState) -> bool:

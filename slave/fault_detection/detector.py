@@ -62,29 +62,29 @@ def step(
         Time since the sample before [s].
     """
     dt = dt if dt > 0.0 else 0.0
-    found, tendon = Reason.NONE, -1
+    fault, tendon = Reason.NONE, -1
     for i in range(layout.tendons):
         if tendons[i].valid:
             reason = _check_tendon(config, detector.tendon[i], tendons[i], dt)
-            if found == Reason.NONE and reason != Reason.NONE:
-                found, tendon = reason, i
+            if fault == Reason.NONE and reason != Reason.NONE:
+                fault, tendon = reason, i
     for k in range(layout.joints):
         joint = layout.joint[k]
         if _is_testable(joint, detector, tendons):
             reason, i = _check_joint(config, joint, detector, detector.winding[k], tendons, dt)
-            if found == Reason.NONE and reason != Reason.NONE:
-                found, tendon = reason, i
-    return found, tendon
+            if fault == Reason.NONE and reason != Reason.NONE:
+                fault, tendon = reason, i
+    return fault, tendon
 
 
 @jit_compile
 def _check_tendon(
-    config: FaultDetectionConfig, checked: CheckedTendon, tendon: EstimatedTendon, dt: float
+    config: FaultDetectionConfig, checks: CheckedTendon, tendon: EstimatedTendon, dt: float
 ) -> Reason:
     """Process the readings of one tendon; return the fault of its load cell."""
     T, q = tendon.tension, tendon.displacement
-    reason = check_cell(config, checked.noise, checked.cell, T, q, dt)
-    update_average(checked.average, T, q, dt)
+    reason = check_cell(config, checks.noise, checks.cell, T, q, dt)
+    update_average(checks.average, T, q, dt)
     return reason
 
 
@@ -95,9 +95,9 @@ def _is_testable(
     """Return whether position and tension of all tendons of a joint are known."""
     for m in range(joint.count):
         i = joint.tendon[m]
-        checked = detector.tendon[i]
+        checks = detector.tendon[i]
         is_measured = tendons[i].valid and isfinite(tendons[i].displacement)
-        if not is_measured or is_suspect(checked.cell, checked.noise):
+        if not is_measured or is_suspect(checks.cell, checks.noise):
             return False
     return True
 
@@ -115,17 +115,17 @@ def _check_joint(
     wound = 0.0
     for m in range(joint.count):
         wound += detector.tendon[joint.tendon[m]].average.displacement
-    found, tendon = Reason.NONE, -1
+    fault, tendon = Reason.NONE, -1
     for m in range(joint.count):
         i = joint.tendon[m]
-        checked = detector.tendon[i]
-        tension_before = checked.average.tension
-        broken = check_slack(config, checked.slack, tendons[i].tension, tension_before, wound, dt)
-        if broken and found == Reason.NONE:
-            found, tendon = Reason.TENDON_BROKEN, i
+        checks = detector.tendon[i]
+        tension_before = checks.average.tension
+        broken = check_slack(config, checks.slack, tendons[i].tension, tension_before, wound, dt)
+        if broken and fault == Reason.NONE:
+            fault, tendon = Reason.TENDON_BROKEN, i
     if joint.count > 1:
         a, b = detector.tendon[joint.tendon[0]], detector.tendon[joint.tendon[1]]
         reason, m = check_winding(config, winding, a, b, dt)
-        if found == Reason.NONE and reason != Reason.NONE:
-            found, tendon = reason, joint.tendon[m]
-    return found, tendon
+        if fault == Reason.NONE and reason != Reason.NONE:
+            fault, tendon = reason, joint.tendon[m]
+    return fault, tendon

@@ -56,18 +56,18 @@ class ReplayedRig:
         self._loop = config.loop
         self._time = tables[0].time
         clean = [remove_spikes(table) for table in tables]
-        for said in dict.fromkeys(said for one in clean for said in find_channel_faults(one)):
-            print_warning(f"{config.file}: {said}")
-        self.housing = tuple((one.proximal_tension, one.proximal_displacement) for one in tables)
-        self._tension = np.column_stack([one.proximal_tension for one in clean])
-        self._displacement = _stack_columns([one.proximal_displacement for one in clean])
-        self._bench_tension = _stack_columns([one.distal_tension for one in clean])
-        self._bench_displacement = _stack_columns([one.distal_displacement for one in clean])
+        for text in dict.fromkeys(text for data in clean for text in find_channel_faults(data)):
+            print_warning(f"{config.file}: {text}")
+        self.housing = tuple((data.proximal_tension, data.proximal_displacement) for data in tables)
+        self._tension = np.column_stack([data.proximal_tension for data in clean])
+        self._displacement = _stack_columns([data.proximal_displacement for data in clean])
+        self._bench_tension = _stack_columns([data.distal_tension for data in clean])
+        self._bench_displacement = _stack_columns([data.distal_displacement for data in clean])
         self._spikes = sum(
             int(np.isnan(signal).sum() - np.isnan(getattr(table, name)).sum())
-            for one, table in zip(clean, tables, strict=True)
+            for data, table in zip(clean, tables, strict=True)
             for name in CHANNELS
-            if (signal := getattr(one, name)) is not None
+            if (signal := getattr(data, name)) is not None
         )
         self._next = self._played = 0
         self._lap = 0.0  # [s] added to the rows' times, in a loop

@@ -206,11 +206,11 @@ def limit_force_to_credit(
     than `step_tolerance` cannot yield in the next tick: the force is not limited.
     """
     yielding = -math.copysign(1.0, force) * travel
-    worst = ticks * max(yielding, 0.0) + step_tolerance + min(yielding, 0.0)
-    if worst <= 0.0:
+    yield_max = ticks * max(yielding, 0.0) + step_tolerance + min(yielding, 0.0)
+    if yield_max <= 0.0:
         return force
-    most = max(port.credit, 0.0) / worst
-    return min(max(force, -most), most)
+    force_max = max(port.credit, 0.0) / yield_max
+    return min(max(force, -force_max), force_max)
 
 
 @jit_compile
@@ -221,8 +221,8 @@ def limit_travel_to_credit(port: Port, force: float, travel: float, share: float
     """
     if force * travel <= 0.0:
         return travel
-    most = share * max(port.credit, 0.0) / abs(force)
-    return math.copysign(min(abs(travel), most), travel)
+    travel_max = share * max(port.credit, 0.0) / abs(force)
+    return math.copysign(min(abs(travel), travel_max), travel)
 
 
 # --- publisher of the energy ledger of one side
