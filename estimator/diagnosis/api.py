@@ -350,11 +350,9 @@ def _recover_dataset_motion(dataset: Dataset, base_fit: Fit) -> tuple[Dataset, F
     noisy_records = dataset.records
     if not any(may_hide_motion(record) for record in noisy_records):
         return dataset, refit_baseline(dataset, base_fit)
-    fit = (
-        base_fit
-        if is_noise(dataset, compute_errors(dataset, base_fit))
-        else fit_robustly(dataset, base_fit)
-    )
+    fit = base_fit
+    if not is_noise(dataset, compute_errors(dataset, base_fit)):
+        fit = fit_robustly(dataset, base_fit)
     for _ in range(HIDDEN_MOTION_PASSES):
         recovered = [
             recover_hidden_motion(record, dataset.base, fit.model.shared, own)
@@ -419,11 +417,9 @@ def _build_diagnosis(
         for item in estimate_intervals(full_dataset, build_contexts(dataset, base_fit), final_fit)
     }
     validation_records = prepare_validation_records(dataset, validate, final_base_fit)
-    transferred_fit = (
-        final_fit._replace(model=transfer_to_validation(dataset, final_fit.model))
-        if steps
-        else final_base_fit
-    )
+    transferred_fit = final_base_fit
+    if steps:
+        transferred_fit = final_fit._replace(model=transfer_to_validation(dataset, final_fit.model))
     predicted_records = predict_records(
         dataset, final_base_fit, transferred_fit, validation_records
     )

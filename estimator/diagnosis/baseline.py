@@ -86,11 +86,8 @@ def fit_baseline(dataset: Dataset) -> Fit:
 
 def _build_starts(dataset: Dataset) -> list[Model]:
     base, first_record = dataset.base, dataset.records[0]
-    laws = (
-        build_loop_starts(first_record, base.law)
-        if first_record.loop
-        else build_tendon_starts(first_record, base.law)
-    )
+    build_starts = build_loop_starts if first_record.loop else build_tendon_starts
+    laws = build_starts(first_record, base.law)
     tips = (
         _estimate_tip_shares(first_record)
         if TIP_COMPLIANCE in (*base.shared, *base.own)

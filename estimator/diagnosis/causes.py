@@ -79,12 +79,8 @@ def find_next_cause(
             or is_uncertain
         ):
             rivals.append(name)
-    return CauseStep(
-        best.effect,
-        tuple(rivals),
-        rank_candidates(dataset, base_fit, current_fit, candidates),
-        best.fit,
-    )
+    ranking = rank_candidates(dataset, base_fit, current_fit, candidates)
+    return CauseStep(best.effect, tuple(rivals), ranking, best.fit)
 
 
 def select_simplest_cause(
@@ -429,11 +425,8 @@ def _restart_from_other_cause(
     is_accepted = result.steps or is_within_tolerance(
         dataset, compute_errors(dataset, fit), SETTINGS.tolerance_ratio_max
     )  # see `_find_cause_pair`
-    return (
-        restarted
-        if len(steps) > 1 and is_accepted and _compute_evidence(restarted, result) > 0.0
-        else result
-    )
+    is_better = len(steps) > 1 and is_accepted and _compute_evidence(restarted, result) > 0.0
+    return restarted if is_better else result
 
 
 def _find_cause_pair(
@@ -451,11 +444,9 @@ def _find_cause_pair(
     of another's. It must fit far better than any other, as this is the only evidence for it yet.
     """
     by_cost = sorted(candidates, key=lambda candidate: candidate.cost)
-    other_costs = (
-        [candidate.cost for candidate in by_cost if candidate.effect.name != by_cost[0].effect.name]
-        if by_cost
-        else []
-    )
+    other_costs = [
+        candidate.cost for candidate in by_cost if candidate.effect.name != by_cost[0].effect.name
+    ]
     if not other_costs or by_cost[0].cost * SETTINGS.lead_cost_ratio > min(other_costs):
         return []
     lead_candidate = by_cost[0]

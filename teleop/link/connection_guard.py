@@ -105,11 +105,8 @@ def find_allowance(identity: Identity) -> Allowance | None:
     """Return what a connection of a holder may bring; None: everything."""
     if identity.role is CertificateRole.SUPERVISOR:
         return STOPPER_ALLOWANCE if "stop" in identity.rights else SETTER_ALLOWANCE
-    return (
-        LISTENER_ALLOWANCE
-        if identity.role in (CertificateRole.RECORDER, CertificateRole.VIEWER)
-        else None
-    )
+    is_listener = identity.role in (CertificateRole.RECORDER, CertificateRole.VIEWER)
+    return LISTENER_ALLOWANCE if is_listener else None
 
 
 _TABLES = Path("/proc/net/tcp"), Path("/proc/net/tcp6")  # TCP sockets of this machine

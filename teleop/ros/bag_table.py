@@ -185,11 +185,8 @@ class _RecordedTopic:
 
     def add(self, log_ns: int, message: Any) -> int:
         """Add a message; return the number of values that it takes."""
-        values = (
-            _extract_joint_values(message)
-            if self.type == JOINT_STATE
-            else _extract_wrench_values(message)
-        )
+        is_joint = self.type == JOINT_STATE
+        values = (_extract_joint_values if is_joint else _extract_wrench_values)(message)
         if not self._log_ns:
             self._values = {name: array("d") for name in values}
         self._log_ns.append(log_ns)

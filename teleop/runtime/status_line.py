@@ -102,11 +102,8 @@ class Progress:
         if elapsed < _SETTLED or not share > 0.0:
             return ""
         left_s = elapsed * (1.0 - share) / share
-        return (
-            f", about {left_s:.0f} s left"
-            if left_s < 90.0
-            else f", about {left_s / 60:.0f} min left"
-        )
+        left = f"{left_s:.0f} s" if left_s < 90.0 else f"{left_s / 60:.0f} min"
+        return f", about {left} left"
 
     def end(self) -> None:
         """Clear the line."""

@@ -239,11 +239,7 @@ def build_title(diagnosis: Diagnosis, files: Sequence[str]) -> str:
     names = [Path(file).name for file in files]
     subject = names[0] if len(names) == 1 else f"{names[0]} and {len(names) - 1} more"
     causes = " and ".join(step.effect.label for step in diagnosis.steps)
-    return (
-        f"Model of {subject}: {causes}"
-        if causes
-        else f"Model of {subject}: {diagnosis.verdict.value}"
-    )
+    return f"Model of {subject}: {causes or diagnosis.verdict.value}"
 
 
 def _add_data(page: Page, diagnosis: Diagnosis, sources: Sources) -> None:
@@ -292,20 +288,12 @@ def _add_errors(page: Page, diagnosis: Diagnosis, folder: Path, sources: Sources
     _add_table(page, folder, "models", report_tables.build_model_table(diagnosis))
     if diagnosis.validation:
         page.heading("Validation")
-        _add_table(
-            page,
-            folder,
-            "validation",
-            report_tables.build_prediction_table(diagnosis.validation, names[fitted:]),
-        )
+        table = report_tables.build_prediction_table(diagnosis.validation, names[fitted:])
+        _add_table(page, folder, "validation", table)
     if diagnosis.left_out:
         page.heading("Leave-one-file-out cross-validation")
-        _add_table(
-            page,
-            folder,
-            "left-out",
-            report_tables.build_prediction_table(diagnosis.left_out, names[:fitted]),
-        )
+        table = report_tables.build_prediction_table(diagnosis.left_out, names[:fitted])
+        _add_table(page, folder, "left-out", table)
     if diagnosis.forces:
         page.heading("Estimated force")
         _add_table(page, folder, "forces", report_tables.build_force_table(diagnosis, names))
