@@ -1,7 +1,8 @@
 """The transmission law of a tendon in its sheath: what the housing does, the tip feels.
 
-State in, state out: `tables` prepares a sheath, `slack_profile` or `pretensioned_profile` gives the
-first profile, `drive_proximal` returns the next one, `observe` reads it. The functions named push_*
+State in, state out: `build_tables` prepares a sheath, `build_slack_profile` or
+`build_pretensioned_profile` gives the first profile, `drive_proximal` returns the next one,
+`observe` reads it. The functions named push_*
 are steps in place from either end, for loops that are compiled themselves or that own their
 profile. The law is the play operator of docs/theory.md (T10), (T11), (T18); Phee et al.
 2009, eqs. (1)-(25) are its special cases of one pull and one release.

@@ -34,7 +34,7 @@ class Line(NamedTuple):
     stiffness: Array  # [N/m] of each spring
     friction: Array  # limit of each contact over the mean tension beside it
     drag: Array  # [N] limit of each contact that no tension changes
-    bristle: Array  # [N/m] of each contact at no friction; not used if `rigid`
+    bristle: Array  # [N/m] of each contact at no friction; not used if `is_rigid`
     dashpot: Array  # [N/m] of each contact: viscous friction over the time of the step
     is_rigid: bool  # contacts do not give before they slide
     tip: int  # the contact that is the driven pulley

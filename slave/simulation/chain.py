@@ -13,9 +13,9 @@ The tension profile along the sheath is not assumed, in contrast to an estimator
 
 The balance is solved exactly and without iteration. For a given motor position, the housing side of
 any point responds with a tension that is piecewise linear in the point's position and falls towards
-the housing. `compute_response` propagates that response from the motor to the tip
-(`coulomb_contact`; `bristle_contact` for bristles and dashpots). The caller finds the tip position
-from that curve, and `recover_state` computes the nodes backwards from there.
+the housing. `compute_response` propagates that response from the motor to the tip, by
+`transfer_coulomb_contact`, or `transfer_bristle_contact` for bristles and dashpots. The caller
+finds the tip position from that curve, and `recover_state` computes the nodes backwards from there.
 """
 
 import numpy as np

@@ -2,7 +2,7 @@
 
 The body has one coordinate q, the travel of its tendons [m]; tendon `a` pulls it towards +, tendon
 `b`, if there is one, towards -. In a step of dt the motors move first, loaded by the previous
-tensions; then `chain.respond` gives each tendon's response at the tip, and the body solves
+tensions; then `chain.compute_response` gives each tendon's response at the tip, and the body solves
 
     mass v' + damping v + friction sgn(v) + spring q + F_environment(q, v, t) = T_a(q) - T_b(-q)
 
@@ -392,7 +392,7 @@ def advance_joints(
 ) -> Array:
     """Advance all joints, changing `states`; return the truth, shape (4, joints, 2).
 
-    `targets` [m] has shape (joints, 2); for the rest see `joint.advance` and `joint.truth`.
+    `targets` [m] has shape (joints, 2); for the rest see `advance_joint` and `compute_truth`.
     """
     channels = np.empty((len(CHANNELS), len(joints), 2))
     for i in range(len(joints)):

@@ -20,7 +20,7 @@ limited does not buzz. A bound by the hand's last step buzzes with every step of
 slave's credit is used up over a time.
 - The force is predicted by a local stiffness (`teleop.coupling.contact`), so that delay and the lag
 of the tip's motor need no dissipation that the controller would have to find.
-- The environment at the slave's port returns no more than it took (`ledger.count_tip`), a
+- The environment at the slave's port returns no more than it took (`ledger.count_tip_work`), a
 constant load no more than `tip_allowance` besides; what the slave does not need goes back to the
 master, which needs it for a load that the hand has moved with before the tip has.
 """

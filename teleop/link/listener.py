@@ -54,7 +54,7 @@ class MessageQueue:
         self._number = 0
 
     def add(self, topic: Topic[Any], capacity: int | None = None) -> None:
-        """Accept messages of `topic` from now on, `capacity_of(topic)` of them at a time."""
+        """Accept messages of `topic` from now on, `compute_capacity(topic)` of them at a time."""
         with self._lock:
             self._queues[topic.name] = deque(maxlen=capacity or compute_capacity(topic))
             self._dropped.setdefault(topic.name, 0)
@@ -138,7 +138,7 @@ class Listener:
     """Collects messages of several topics until they are drained.
 
     Zenoh's thread stamps and queues; `drain` checks. A reader that falls behind by more than
-    `message_queue.capacity_of` a topic loses its oldest messages. They are counted in `dropped`,
+    `compute_capacity` of a topic loses its oldest messages. They are counted in `dropped`,
     and their gap in the sequence as `overwritten`, not `lost`.
 
     Of topics that we act on (`Keyring.senders`), Zenoh's thread queues only messages with the tag

@@ -1,8 +1,8 @@
 """The panel: state, force with its limit and quality of the link, in large letters.
 
-Everything is drawn as line strips on a plane of `WIDE` by `TALL` units, y downwards, under `panel`.
-It must be read from two metres: a screen of 53 cm has 33 mm a unit, so the state is 45 mm tall and
-the smallest words 11 mm.
+Everything is drawn as line strips on a plane of `PANEL_WIDTH` by `PANEL_HEIGHT` units, y downwards,
+under `panel`. It must be read from two metres: a screen of 53 cm has 33 mm a unit, so the state is
+45 mm tall and the smallest words 11 mm.
 """
 
 import math

@@ -133,7 +133,7 @@ class DriverError(ValueError):
 class Controls(NamedTuple):
     """The inputs of a device."""
 
-    axes: tuple[Share, ...]  # in the order of `Driver.axes`; a one-sided axis is 0 ... 1
+    axes: tuple[Share, ...]  # in the order of `HidDriver.axes`; a one-sided axis is 0 ... 1
     buttons: int  # those held; bit k is button k + 1
     known: int  # mask of the buttons reported so far
     actuators: ActuatorState | None = None  # None before the first report, or without any

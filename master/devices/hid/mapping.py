@@ -127,11 +127,11 @@ class AxisMapping(NamedTuple):
     """Mapping between one input of the device and one joint."""
 
     joint: int
-    axis: int  # its place in `Driver.axes`
+    axis: int  # its place in `HidDriver.axes`
     rate: bool  # whether the input is a velocity
     scale: float  # [m] or [m/s] of the joint at full scale, signed
     dead_zone: float
-    force: int  # its place in `Driver.forces`, -1 = none
+    force: int  # its place in `HidDriver.forces`, -1 = none
     per_newton: float  # share of full scale for 1 N on the joint, signed; 0 = unknown sign
 
 

@@ -216,7 +216,7 @@ def find_reattached_device(
 
     Raises
     ------
-    NotThereError
+    DeviceNotFoundError
         It is not attached.
     DeviceFault
         There are several of the same identity, or it cannot be opened.
