@@ -142,7 +142,7 @@ def run_procedure(
     ----------
     rig : Rig
         Open; nothing else may read or write it.
-    limits : Limits
+    limits : ProcedureLimits
         Of the procedure, and of the gate before the motors.
     ticks : iterable of Tick
         Endless: a `teleop.runtime.clock.Grid` that never stops for a real rig, else

@@ -107,7 +107,7 @@ def step(
     ----------
     layout : RigLayout
         Which tendons each joint has.
-    memory : Control
+    memory : ControllerState
         State, changed in place.
     command : array, shape (MAX_JOINTS,)
         Commanded travel of each joint [m]; used relative to its value at engagement.

@@ -66,7 +66,7 @@ class DriverProcess:
         self._send(packets.STOP)
 
     def announce_pause(self) -> None:
-        """Have the newest targets held for up to `worker.PAUSE_TIMEOUT_S`, until the next ones come."""
+        """Have the newest targets held, for up to `worker.PAUSE_TIMEOUT_S`, until the next come."""
         self._send(packets.PAUSE)
 
     def close(self) -> None:

@@ -88,7 +88,7 @@ def check_slack(
 
     Parameters
     ----------
-    slack : Slack
+    slack : SlackState
         Changed in place.
     tension, tension_before : float
         At the housing [N], of this sample and of the last few.
@@ -158,7 +158,7 @@ def check_winding(
 
     Parameters
     ----------
-    winding : Winding
+    winding : WindingCheck
         Changed in place.
     tendon_a, tendon_b : CheckedTendon
         Averaged over the same samples; `slack` includes this one.

@@ -254,7 +254,7 @@ class LinkHealth:
     ----------
     windows : Records
         `LinkWindow`, shape (1,), for `update_link_window`.
-    figures : Figures
+    figures : LinkMeasurement
         Of the last span.
     decision : Decision
         As of it.

@@ -27,7 +27,7 @@ class Publisher:
 
     Parameters
     ----------
-    seals : Seals
+    seals : TagKeys
         What its messages are tagged with.
     live : bool
         Whether old values are dropped, rather than sent late.

@@ -96,7 +96,7 @@ class Roster:
         Whether to repeat the tokens of masters, for other masters.
     handshake, keyring : Handshake and Keyring, optional
         Checks the proofs, and gets the keys that follow; None in an insecure session.
-    refusals : Refusals, optional
+    refusals : RefusalCounter, optional
         Told why tokens are ignored.
     """
 

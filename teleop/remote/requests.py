@@ -49,7 +49,7 @@ def update_watches(
     ----------
     armed : tuple of ArmedWatch
         Those of the tick before.
-    beats : iterable of Beat
+    beats : iterable of Heartbeat
         Heartbeats since, oldest first.
     present : callable
         Returns whether the token of a nonce is present.

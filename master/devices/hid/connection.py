@@ -180,7 +180,7 @@ class DeviceConnection:
     ----------
     found : FoundDevice
         Which device it is.
-    driver : Driver
+    driver : HidDriver
         Its driver.
     """
 

@@ -47,7 +47,7 @@ class LogitechDriver:
 
     Parameters
     ----------
-    descriptor : Descriptor
+    descriptor : ReportDescriptor
         Of the wheel; `DriverError` if it has no steering axis.
     product, release : int
         Of its USB descriptor.
