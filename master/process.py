@@ -41,7 +41,7 @@ from teleop.runtime.clock import STALL_NS, Grid, Tick, monotonic_ns, now_ns
 from teleop.runtime.compiling import announce_compilation
 from teleop.runtime.process import StopCondition
 from teleop.session.checkpoint import Checkpoint
-from teleop.session.config import load_section
+from teleop.session.config import RunConfig, read_config
 from teleop.session.events import publish_event
 from teleop.session.loop_process import LoopProcess, report_outcome, run_session
 from teleop.session.slow_calls import SlowCallMonitor
@@ -388,7 +388,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def main(args: argparse.Namespace) -> int:
     """Run the master; returns the exit code."""
-    shared, config = load_section(args, MasterConfig, "master", join=False)
+    document = read_config(args, join=False)
+    shared, config = document.load(RunConfig), document.load(MasterConfig, "master")
+    config.check_rate(shared.rate_hz)
     with announce_compilation("the master's loop", COMPILE_S):
         warm_up()
     stop = StopCondition(args.duration)

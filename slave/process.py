@@ -54,7 +54,7 @@ from teleop.runtime.clock import EventClock, Grid, Tick, now_ns
 from teleop.runtime.process import StopCondition
 from teleop.runtime.realtime import use_ordinary_scheduling
 from teleop.session.checkpoint import Checkpoint
-from teleop.session.config import load_section
+from teleop.session.config import RunConfig, read_config
 from teleop.session.events import publish_event
 from teleop.session.loop_process import LoopProcess, answer_requests, report_outcome, run_session
 from teleop.session.slow_calls import SlowCallMonitor
@@ -294,7 +294,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def main(args: argparse.Namespace) -> int:
     """Run the slave; returns the exit code."""
-    shared, config = load_section(args, SlaveConfig, "slave", join=False)
+    document = read_config(args, join=False)
+    shared, config = document.load(RunConfig), document.load(SlaveConfig, "slave")
+    config.check_rate(shared.rate_hz)
     files = model_files.parse(args.model)
     if files and config.initialise.at_start:
         raise UsageError("--model: conflicts with slave.initialise.at_start; use one of them")

@@ -33,7 +33,7 @@ from slave.rig import Rig, RigFault
 from slave.rigs import open_rig
 from slave.rigs.hardware import HardwareRig, HardwareRigConfig
 from slave.rigs.replayed import ReplayedRigConfig
-from teleop.config.loading import load
+from teleop.config.loading import ConfigDocument, load
 from teleop.config.options import add_options
 from teleop.errors import TeleopError, UsageError
 from teleop.runtime.clock import Grid, Tick, now_ns, pause_garbage_collection
@@ -99,8 +99,8 @@ def main(args: argparse.Namespace) -> int:
 
 def check_rig(args: argparse.Namespace, prompt: Callable[[str], str]) -> int:
     """Check the rig of a config; 1 if a motor or a cell does not answer as it should."""
-    shared = load(args.config, RunConfig, None, args.overrides)
-    config = load(args.config, SlaveConfig, "slave", args.overrides)
+    document = ConfigDocument.read(args.config, args.overrides)
+    shared, config = document.load(RunConfig), document.load(SlaveConfig, "slave")
     if isinstance(config.rig, ReplayedRigConfig):
         raise UsageError("slave.rig.type: a replayed rig has no motors and sensors to check")
     move = parse_requested_move(args)

@@ -35,7 +35,7 @@ from slave.rig import Rig
 from slave.rigs import open_rig
 from slave.rigs.replayed import ReplayedRigConfig
 from slave.rigs.simulated import SimulatedRigConfig
-from teleop.config.loading import load
+from teleop.config.loading import ConfigDocument
 from teleop.config.options import add_option, add_options
 from teleop.errors import UsageError
 from teleop.runtime.clock import Grid, Tick, now_ns
@@ -91,8 +91,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def main(args: argparse.Namespace) -> int:
     """Calibrate; returns the exit code."""
-    shared = load(args.config, RunConfig, None, args.overrides)
-    config = load(args.config, SlaveConfig, "slave", args.overrides)
+    document = ConfigDocument.read(args.config, args.overrides)
+    shared, config = document.load(RunConfig), document.load(SlaveConfig, "slave")
     if isinstance(config.rig, ReplayedRigConfig):
         raise UsageError(
             "slave.rig.type: a replayed rig cannot be calibrated; fit the data instead: teleop "

@@ -88,16 +88,13 @@ class RigDescription(Protocol):
 
 def load(path: Path) -> Calibration:
     """Read a calibration file; `UsageError` if it is not one."""
-    session_keys = set(strict_yaml.read(path, "calibration")) & {
-        *loading.SHARED_KEYS,
-        *loading.SECTIONS,
-    }
-    if session_keys:
+    document = loading.ConfigDocument(path, strict_yaml.read_text(path, "calibration"))
+    if session_keys := document.tree.keys() & set(loading.SESSION_KEYS):
         raise UsageError(
             f"{path}: is a session config (it has {min(session_keys)!r}), not a calibration; give "
             "the file written by `teleop calibrate` or `teleop estimate --fit --save`"
         )
-    return loading.load(path, Calibration, None)
+    return document.load(Calibration)
 
 
 def save(path: Path, calibration: Calibration) -> None:

@@ -130,11 +130,10 @@ def start_process(
     end: socket.socket, config: DriverConfig, channels: Channels
 ) -> "subprocess.Popen[bytes]":
     """Start the process of a driver, which serves this end of a pair."""
-    words = [as_tree(config), as_tree(channels)]
-    number = end.fileno()
+    number, tree = end.fileno(), {"driver": as_tree(config), "channels": as_tree(channels)}
     return start_module(
         "slave.drivers.worker",
-        *(str(number), *map(json.dumps, words)),
+        *(str(number), json.dumps(tree)),
         gets_interrupts=True,
         pass_fds=[number],
     )

@@ -3,7 +3,7 @@
 It is a process and not a thread: compiled code of the slave holds the interpreter's lock for as
 long as it runs, seconds in the analysis of a calibration, and the motors' watchdogs would end.
 
-  python -m slave.drivers.worker FD DRIVER CHANNELS     started by slave.drivers.connection
+  python -m slave.drivers.worker FD CONFIG     started by slave.drivers.connection
 """
 
 import contextlib
@@ -20,7 +20,7 @@ from dataclasses import dataclass
 from slave.drivers import packets
 from slave.drivers.configs import DriverConfig, open_driver
 from slave.drivers.driver import BusDriver, Channels, Counts, DriverFault, Reading
-from teleop.config.loading import load
+from teleop.config.loading import ConfigDocument
 from teleop.errors import TeleopError
 from teleop.runtime.clock import pause_garbage_collection
 
@@ -72,14 +72,13 @@ class WorkerConfig:
 
 def main(words: Sequence[str]) -> int:
     """Serve the driver described by the words of the command; return the exit code."""
-    number, driver, channels = words
+    number, text = words
     for ending in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):  # the slave ends this process
         signal.signal(ending, signal.SIG_IGN)
     slave = ParentProcess(os.getppid())
     end = socket.socket(fileno=int(number))
     try:
-        texts = [f"driver={driver}", f"channels={channels}"]
-        config = load(None, WorkerConfig, None, texts)
+        config = ConfigDocument(text=text).load(WorkerConfig)
         opened = open_driver(config.driver, config.channels)
         with pause_garbage_collection():  # a collection takes longer than a cycle
             serve_driver(opened, end, slave)

@@ -129,9 +129,9 @@ class Fork:
         if self.pid == 0:
             os.closerange(3, number)
             os.closerange(number + 1, os.sysconf("SC_OPEN_MAX"))
-            words = [as_tree(config), as_tree(channels)]
+            tree = {"driver": as_tree(config), "channels": as_tree(channels)}
             try:
-                os._exit(worker.main([str(number), *map(json.dumps, words)]))
+                os._exit(worker.main([str(number), json.dumps(tree)]))
             finally:
                 traceback.print_exc()
                 os._exit(1)

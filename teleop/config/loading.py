@@ -22,10 +22,12 @@ Anything else is a `UsageError` of one line: file, dotted key, what it is, what 
 """
 
 import dataclasses
+import json
 import math
 import re
 import types
 from collections.abc import Iterable, Mapping, Sequence
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal, TypeVar, Union, cast, get_args, get_origin, get_type_hints
 
@@ -35,10 +37,12 @@ from teleop.config.overrides import LIST_INDEX, Override, apply_override, find_o
 from teleop.config.suggestions import suggest_spelling
 from teleop.errors import UsageError
 
-# of teleop.session.config.RunConfig
-SHARED_KEYS = ("session", "rate_hz", "link", "confidence", "coupling", "health", "realtime")
-SECTIONS = ("record", "view", "master", "slave", "impair", "ros", "router")
+SESSION_KEYS = (  # of teleop.launch.config.SessionConfig, which only `teleop run` may import
+    *("session", "rate_hz", "link", "confidence", "coupling", "health", "realtime"),
+    *("master", "slave", "record", "view", "impair", "ros", "router"),
+)
 RECORDING_SUFFIX = ".mcap"  # a recording is a config file, too: that of its session
+SNAPSHOT_SUFFIX = ".snapshot"  # and so is what a launcher gives the processes that it starts
 _RUN_SPECIFIC_KEYS = ("session", "link")  # where a session ran; another one takes its own place
 MAY_BE_INFINITE: Mapping[str, object] = {"may_be_infinite": True}
 
@@ -51,42 +55,8 @@ _MISSING = object()
 
 
 def load(path: Path | None, cls: type[T], section: str | None, overrides: Sequence[str] = ()) -> T:
-    """Build `cls` from one section of a config file.
-
-    Parameters
-    ----------
-    path : Path or None
-        The file, or a recording, which has the config of its session; None for defaults throughout.
-    cls : type
-        The config dataclass.
-    section : str or None
-        The top-level key of the section; None if `cls` has top-level keys itself: the shared ones
-        of a session's config, or all keys of another kind of file.
-    overrides : sequence of str
-        `dotted.key=YAML value`; override the file, the last one wins.
-
-    Raises
-    ------
-    UsageError
-        The file cannot be read, or is invalid for `cls`.
-    """
-    source = _Source(path, [Override.parse(text) for text in overrides])
-    tree = source.tree()
-    own = tuple(f.name for f in dataclasses.fields(cast(Any, cls)))
-    shared = SHARED_KEYS + SECTIONS
-    known = shared if section is not None or set(own) <= set(shared) else own
-    for key in tree:
-        if key not in known:
-            raise source.error((key,), f"unknown key{_format_suggestion(key, known)}")
-    if section is not None:
-        return cast(T, _Builder(source).dataclass(cls, tree.get(section), (section,), None))
-    mine = {key: value for key, value in tree.items() if key in own}
-    return cast(T, _Builder(source).dataclass(cls, mine, (), None))
-
-
-def read_stated_keys(path: Path | None, overrides: Sequence[str] = ()) -> dict[str, Any]:
-    """Return what a config file and overrides state, as nested mappings, unchecked."""
-    return _Source(path, [Override.parse(text) for text in overrides]).tree()
+    """Read a config file, and build `cls` from it: `ConfigDocument.read` and its `load`."""
+    return ConfigDocument.read(path, overrides).load(cls, section)
 
 
 def as_tree(config: Any) -> Any:
@@ -100,31 +70,70 @@ def as_tree(config: Any) -> Any:
     return str(config) if isinstance(config, Path) else config
 
 
-class _Source:
-    """The merged tree of file and overrides, with the origin of each key."""
+@dataclasses.dataclass(frozen=True)
+class ConfigDocument:
+    """A config file and the overrides of its values: read once, from then on data."""
 
-    def __init__(self, path: Path | None, overrides: list[Override]) -> None:
-        self.path = path
-        self.overrides = overrides
+    path: Path | None = None  # the file, or a recording; None for defaults throughout
+    text: str = ""  # of the file
+    recorded: tuple[Override, ...] = ()  # of the session of a recording
+    overrides: tuple[Override, ...] = ()  # the last one wins
 
+    @classmethod
+    def read(cls, path: Path | None, overrides: Sequence[str] = ()) -> "ConfigDocument":
+        """Read a config file, a recording or a snapshot; `UsageError` if it cannot be read.
+
+        `overrides` are texts `dotted.key=YAML value`, as of `--set`.
+        """
+        parsed = tuple(map(Override.parse, overrides))
+        if path is None:
+            return cls(overrides=parsed)
+        if path.suffix == RECORDING_SUFFIX:
+            from teleop.recording.reader import read_recorded_config
+
+            text, recorded = read_recorded_config(path)
+            return cls(path, text, tuple(map(Override.parse, recorded)), parsed)
+        if path.suffix == SNAPSHOT_SUFFIX:
+            return _read_snapshot(path).override(*parsed)
+        return cls(path, strict_yaml.read_text(path), overrides=parsed)
+
+    def save_snapshot(self, path: Path) -> Path:
+        """Write a file for the `--config` of another process; return its path."""
+        path = path.with_suffix(SNAPSHOT_SUFFIX)
+        path.write_text(json.dumps(dataclasses.asdict(self), default=str))
+        return path
+
+    def override(self, *overrides: Override) -> "ConfigDocument":
+        """Return this document with further overrides."""
+        return dataclasses.replace(self, overrides=(*self.overrides, *overrides))
+
+    @cached_property
     def tree(self) -> dict[str, Any]:
-        """Return the file's mapping with the overrides applied."""
-        tree = {} if self.path is None else self._read(self.path)
+        """What the file and the overrides state, as nested mappings, unchecked; `UsageError`."""
+        tree = strict_yaml.parse_mapping(self.text, str(self.path))
+        for override in self.recorded:
+            tree = apply_override(tree, override, self.error)
+        if self.path is not None and self.path.suffix == RECORDING_SUFFIX:
+            tree = {key: value for key, value in tree.items() if key not in _RUN_SPECIFIC_KEYS}
         for override in self.overrides:
             tree = apply_override(tree, override, self.error)
         return tree
 
-    def _read(self, path: Path) -> dict[str, Any]:
-        """Return the mapping of a config file, or of the session that a recording is of."""
-        if path.suffix != RECORDING_SUFFIX:
-            return strict_yaml.read(path)
-        from teleop.recording.reader import read_recorded_config
+    def load(self, cls: type[T], section: str | None = None) -> T:
+        """Build the config dataclass `cls` from one section; `UsageError` if it is invalid.
 
-        text, overrides = read_recorded_config(path)
-        tree = strict_yaml.parse_mapping(text, str(path))
-        for override in map(Override.parse, overrides):
-            tree = apply_override(tree, override, self.error)
-        return {key: value for key, value in tree.items() if key not in _RUN_SPECIFIC_KEYS}
+        Without a `section` the fields of `cls` are top-level keys: some of those of a session's
+        config, or all keys of another kind of file.
+        """
+        own = tuple(f.name for f in dataclasses.fields(cast(Any, cls)))
+        known = SESSION_KEYS if section is not None or set(own) <= set(SESSION_KEYS) else own
+        for key in self.tree:
+            if key not in known:
+                raise self.error((key,), f"unknown key{_format_suggestion(key, known)}")
+        if section is not None:
+            return cast(T, _Builder(self).dataclass(cls, self.tree.get(section), (section,), None))
+        mine = {key: value for key, value in self.tree.items() if key in own}
+        return cast(T, _Builder(self).dataclass(cls, mine, (), None))
 
     def error(self, keys: tuple[str, ...], what: str) -> UsageError:
         """Return the error to raise about the value at `keys`."""
@@ -137,10 +146,26 @@ class _Source:
         return UsageError(f"{place}: {dotted}: {what}" if dotted else f"{place}: {what}")
 
 
+def _read_snapshot(path: Path) -> ConfigDocument:
+    """Return what `save_snapshot` has written; `UsageError`."""
+    try:
+        data = json.loads(path.read_bytes())
+        recorded, overrides = (
+            tuple(Override(each["text"], tuple(each["keys"]), each["value"]) for each in data[name])
+            for name in ("recorded", "overrides")
+        )
+        file = data["path"] and Path(data["path"])
+        return ConfigDocument(file, str(data["text"]), recorded, overrides)
+    except OSError as error:
+        raise UsageError(f"{path}: cannot read the config file: {error.strerror}") from error
+    except (ValueError, TypeError, KeyError, RecursionError) as error:
+        raise UsageError(f"{path}: is no snapshot of a session's config") from error
+
+
 class _Builder:
     """Builds values from a YAML tree by annotations."""
 
-    def __init__(self, source: _Source) -> None:
+    def __init__(self, source: ConfigDocument) -> None:
         self.source = source
 
     def dataclass(self, cls: type[Any], data: Any, keys: tuple[str, ...], base: Any) -> Any:

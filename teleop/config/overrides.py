@@ -1,5 +1,6 @@
 """`--set dotted.key=value`: what replaces values of a config file; the last one wins."""
 
+import json
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -17,11 +18,16 @@ Keys = tuple[str, ...]
 
 @dataclass(frozen=True, slots=True)
 class Override:
-    """One `--set` argument."""
+    """One `--set` argument, or what a program puts in the place of one."""
 
     text: str
     keys: Keys
     value: Any
+
+    @classmethod
+    def of(cls, key: str, value: Any) -> "Override":
+        """Return the override of a dotted key by a value of plain data."""
+        return cls(f"{key}={json.dumps(value)}", tuple(key.split(".")), value)
 
     @classmethod
     def parse(cls, text: str) -> "Override":

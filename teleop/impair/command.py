@@ -17,19 +17,20 @@ import dataclasses
 import json
 import sys
 import time
-from collections.abc import Callable
 from contextlib import ExitStack
 from typing import Any, get_type_hints
 
+from teleop.config.loading import ConfigDocument
 from teleop.config.options import add_options
+from teleop.config.overrides import Override
 from teleop.errors import UsageError
-from teleop.impair.config import DirectionConfig, ImpairConfig, load_impair_config
+from teleop.impair.config import DirectionConfig, ImpairConfig
 from teleop.impair.direction import WAIT_S, DelayQueue, Direction
 from teleop.link.bridge import BridgeEnd, send_request
 from teleop.runtime.clock import pause_garbage_collection
 from teleop.runtime.process import StopCondition, is_supervised, write_summary
 from teleop.runtime.realtime import limit_computing_time, request_realtime, share_heaps
-from teleop.session.config import RunConfig, load_shared
+from teleop.session.config import RunConfig, read_config
 from teleop.session.summary import format_impair_counts
 
 DIRECTIONS = ("to_slave", "to_master")
@@ -62,14 +63,16 @@ class Proxy:
 
     Parameters
     ----------
-    read : callable
-        Returns the `ImpairConfig` with further overrides; `UsageError` if invalid.
+    shared : RunConfig
+        Its session.
+    document : ConfigDocument
+        The session's config, with the section `impair`.
     """
 
-    def __init__(self, shared: RunConfig, read: Callable[[list[str]], ImpairConfig]) -> None:
-        self._read, self._changes = read, list[str]()
+    def __init__(self, shared: RunConfig, document: ConfigDocument) -> None:
+        self._document = document
         self._queue = DelayQueue()
-        config = read([])
+        config = document.load(ImpairConfig, "impair")
         self._look_ns = 0  # time of the next check of the banks
         self._stack = ExitStack()
         with ExitStack() as opening:
@@ -139,9 +142,9 @@ class Proxy:
         ]
         if fixed:
             raise UsageError(f"{fixed[0]}: allowed are to_slave.KEY=VALUE and to_master.KEY=VALUE")
-        changes = [*self._changes, *(f"impair.{word}" for word in words)]
-        config = self._read(changes)
-        self._changes = changes
+        document = self._document.override(*(Override.parse(f"impair.{word}") for word in words))
+        config = document.load(ImpairConfig, "impair")
+        self._document = document
         for name, direction in self._directions.items():
             direction.configure(getattr(config, name))
 
@@ -172,13 +175,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def main(args: argparse.Namespace) -> int:
     """Run the proxy, or control the running one; returns the exit code."""
-    shared = load_shared(args, join=bool(args.action))
-    overrides = [*build_overrides(args), *args.overrides]
-
-    def read(changes: list[str]) -> ImpairConfig:
-        return load_impair_config(args.config, [*overrides, *changes]) or ImpairConfig()
-
-    config = read([])
+    document = read_config(args, join=bool(args.action))
+    document = dataclasses.replace(
+        document, overrides=(*build_overrides(args), *document.overrides)
+    )
+    shared, config = document.load(RunConfig), document.load(ImpairConfig, "impair")
     config.require_direct(shared.link)
     if args.action:
         link = config.link(shared.link)
@@ -190,7 +191,7 @@ def main(args: argparse.Namespace) -> int:
     # before the link: its threads inherit the priority
     granted = request_realtime(shared.realtime)
     sys.setswitchinterval(_SWITCH_S)
-    proxy = Proxy(shared, read)
+    proxy = Proxy(shared, document)
     limit_computing_time(granted)
     try:
         if not is_supervised():
@@ -207,11 +208,13 @@ def main(args: argparse.Namespace) -> int:
     return 0
 
 
-def build_overrides(args: argparse.Namespace) -> list[str]:
+def build_overrides(args: argparse.Namespace) -> list[Override]:
     """Return the options of the command line as overrides."""
-    out = [f"impair.seed={args.seed}"] if args.seed is not None else []
+    out = [Override.of("impair.seed", args.seed)] if args.seed is not None else []
     for name in _NUMERIC_OPTIONS:
         value = getattr(args, name)
         if value is not None:
-            out += [f"impair.{direction}.{name}={value}" for direction in DIRECTIONS]
+            out += [
+                Override.of(f"impair.{direction}.{name}", value) for direction in DIRECTIONS
+            ]
     return out

@@ -1,12 +1,10 @@
 """The `impair` section: defects of a proxy between master and slave."""
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Literal
 
-from teleop.config.loading import MAY_BE_INFINITE, load
+from teleop.config.loading import MAY_BE_INFINITE
 from teleop.errors import UsageError
 from teleop.link.config import LinkConfig
 
@@ -127,15 +125,3 @@ class ImpairConfig:
             return replace(shared, slave=self.endpoint)
         except ValueError as error:
             raise UsageError(f"impair.endpoint: {error}") from error
-
-
-@dataclass(frozen=True, slots=True)
-class _ImpairSection:
-    """The part of a config file that enables the proxy."""
-
-    impair: ImpairConfig | None = None
-
-
-def load_impair_config(path: Path | None, overrides: Sequence[str]) -> ImpairConfig | None:
-    """Return the config of the proxy from file and overrides; None if there is none."""
-    return load(path, _ImpairSection, None, overrides).impair

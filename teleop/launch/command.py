@@ -15,23 +15,22 @@ own machine: see `teleop slave --help` etc.
 """
 
 import argparse
-import json
 import signal
 from contextlib import ExitStack
 from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 
-from teleop.config.loading import load
+from teleop.config.loading import ConfigDocument
 from teleop.config.options import add_option, add_options
+from teleop.config.overrides import Override
 from teleop.errors import TeleopError, UsageError
-from teleop.impair.config import load_impair_config
 from teleop.launch import watch
 from teleop.launch.console import KEY_HELP, Console, KeyReader
 from teleop.launch.supervisor import Child, Supervisor
 from teleop.link import Link
 from teleop.messages.topics import EVENT, LATENCY, LINK, REPORT, Role
-from teleop.ros.config import RosConfig, check_ports
+from teleop.ros.config import check_ports
 from teleop.ros.message_types import require_rosbags
 from teleop.runtime.compiling import compile_in_parallel
 from teleop.runtime.output_file import SharedFolder
@@ -45,22 +44,10 @@ from teleop.runtime.process import (
 from teleop.runtime.scratch_folder import ScratchFolder
 from teleop.runtime.status_line import StatusLine
 from teleop.session import own_endpoints
-from teleop.session.config import RateCheckedSection, RunConfig
 from teleop.session.running_sessions import register_session
 from teleop.session.summary import SessionSummary, find_fault, read_child_summary
-from teleop.view.config import ViewConfig
 from teleop.view.local_server import hold_port
 
-# the sections of a config file and who checks them; imported by name, as the command line does
-SECTIONS = {
-    "master": ("master.config", "MasterConfig"),
-    "slave": ("slave.config", "SlaveConfig"),
-    "record": ("teleop.recording.writer", "RecordConfig"),
-    "view": ("teleop.view.config", "ViewConfig"),
-    "impair": ("teleop.impair.config", "ImpairConfig"),
-    "ros": ("teleop.ros.config", "RosConfig"),
-    "router": ("teleop.link.router", "RouterConfig"),
-}
 SHUTDOWN_ORDER = (
     "master",
     "slave",
@@ -98,31 +85,29 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def main(args: argparse.Namespace) -> int:
     """Run a session; returns the exit code."""
+    from teleop.launch.config import SessionConfig  # slow to import, and not needed for --help
+
     stop = StopCondition()
-    overrides = [*args.overrides, *_build_rig_overrides(args)]
-    overrides += own_endpoints.choose_overrides(args.config, overrides, args.session)
-    config = load(args.config, RunConfig, None, overrides)
-    for section, (module, name) in SECTIONS.items():
-        part = load(args.config, getattr(import_module(module), name), section, overrides)
-        if isinstance(part, RateCheckedSection):
-            part.check_rate(config.rate_hz)
-    ros = load(args.config, RosConfig, "ros", overrides)
-    if ros.start:
+    document = ConfigDocument.read(args.config, args.overrides).override(
+        *_build_rig_overrides(args)
+    )
+    document = own_endpoints.choose_place(document, args.session)
+    config = document.load(SessionConfig)
+    if config.ros.start:
         require_rosbags()
-        check_ports(ros.router, config.link)
-    shared = [f"--set={text}" for text in overrides]
-    if args.config:
-        shared = ["--config", str(args.config), *shared]
-    sides = [*shared, *["--allow-imports"] * args.allow_imports]
-    impair = load_impair_config(args.config, overrides)
+        check_ports(config.ros.router, config.link)
+    impair, of_master = config.impair, document
     if impair is not None:
         impair.require_direct(config.link)
-    to_slave = [] if impair is None else [f"--set=link.slave={impair.link(config.link).slave}"]
+        endpoint = impair.link(config.link).slave
+        of_master = document.override(Override.of("link.slave", endpoint))
     view = args.view or ("native" if has_display() else "web")
 
     console = Console(StatusLine())
     with ExitStack() as stack:
         scratch = Path(stack.enter_context(ScratchFolder()))
+        shared = ["--config", str(document.save_snapshot(scratch / "session"))]
+        sides = ["--allow-imports"] * args.allow_imports
         supervisor = Supervisor(scratch, console.say)
         stack.callback(supervisor.stop, SHUTDOWN_ORDER)
         link = stack.enter_context(Link(config.link, config.session, Role.LAUNCHER))
@@ -136,17 +121,13 @@ def main(args: argparse.Namespace) -> int:
             supervisor.start("record", [*shared, "--out", str(args.record)])
         if impair is not None:
             supervisor.start("impair", shared)
-        supervisor.start("slave", [*sides, *(f"--model={word}" for word in args.model)])
-        if ros.start:
+        supervisor.start("slave", [*shared, *sides, *(f"--model={word}" for word in args.model)])
+        if config.ros.start:
             supervisor.start("ros", shared)
         if view != "none":
-            reserved, environment = hold_port(
-                load(args.config, ViewConfig, "view", overrides).web_port
-            )
+            reserved, environment = hold_port(config.view.web_port)
             stack.enter_context(reserved)
-            supervisor.start(
-                "view", [*shared, "--view", str(view)], environment, (reserved.fileno(),)
-            )
+            supervisor.start("view", [*shared, "--view", str(view)], environment, (reserved.fileno(),))
         stack.enter_context(compile_in_parallel(_compile_master))
         keys = stack.enter_context(KeyReader())
         keyboard = watch.Keyboard(keys, link)
@@ -157,7 +138,8 @@ def main(args: argparse.Namespace) -> int:
                 link, listener, monitor, supervisor, console, stop, keyboard
             )
             if not ended and not stop():
-                supervisor.start("master", [*sides, *to_slave])
+                snapshot = of_master.save_snapshot(scratch / "master")
+                supervisor.start("master", ["--config", str(snapshot), *sides])
                 ended = watch.watch(
                     link, listener, monitor, supervisor, console, stop, args.duration, keyboard
                 )
@@ -190,17 +172,15 @@ def _report_outcome(summary: SessionSummary, path: Path | None, console: Console
     return 0 if began else to_exit_code(summary.reason)
 
 
-def _build_rig_overrides(args: argparse.Namespace) -> list[str]:
+def _build_rig_overrides(args: argparse.Namespace) -> list[Override]:
     out = []
     if args.replay:
         rig = {"type": "replayed", "file": str(args.replay.absolute())}
         # a tip that the hand does not move would do work on it without energy in the ledger
-        out += [f"slave.rig={json.dumps(rig)}", "coupling={type: direct}"]
+        out += [Override.of("slave.rig", rig), Override.of("coupling", {"type": "direct"})]
     if args.calibration:
-        out += [
-            "slave.tendons=[]",
-            f"slave.calibration={json.dumps(str(args.calibration.absolute()))}",
-        ]
+        calibration = str(args.calibration.absolute())
+        out += [Override.of("slave.tendons", []), Override.of("slave.calibration", calibration)]
     return out
 
 

@@ -41,7 +41,7 @@ from typing import Any, Self
 
 import zenoh
 
-from teleop.config.loading import load
+from teleop.config.loading import ConfigDocument
 from teleop.config.options import add_option, add_options
 from teleop.errors import UsageError
 from teleop.link.config import Address, LinkConfig
@@ -249,8 +249,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def main(args: argparse.Namespace) -> int:
     """Run the router until told to stop; returns the exit code."""
-    shared = load(args.config, RunConfig, None, args.overrides)
-    config = build_router_config(args, shared)
+    document = ConfigDocument.read(args.config, args.overrides)
+    shared = document.load(RunConfig)
+    config = build_router_config(args, shared, document.load(RouterConfig, "router"))
     link = build_router_link(shared.link, config, args.keys)
     sessions = [ALL_SESSIONS if name == ALL else name for name in config.sessions]
     if args.zenohd:
@@ -279,12 +280,13 @@ def main(args: argparse.Namespace) -> int:
     return 0
 
 
-def build_router_config(args: argparse.Namespace, shared: RunConfig) -> RouterConfig:
+def build_router_config(
+    args: argparse.Namespace, shared: RunConfig, config: RouterConfig
+) -> RouterConfig:
     """Return what the router serves and where, by options, config or defaults.
 
     `UsageError` if an option is wrong.
     """
-    config = load(args.config, RouterConfig, "router", args.overrides)
     try:
         return RouterConfig(
             sessions=tuple(args.session) or config.sessions or (shared.session,),

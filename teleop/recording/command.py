@@ -12,18 +12,15 @@ import dataclasses
 import os
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from teleop.config.loading import RECORDING_SUFFIX
 from teleop.config.options import add_options
-from teleop.config.strict_yaml import read_text
 from teleop.errors import TeleopError
 from teleop.link import Link
 from teleop.messages.topics import TOPICS, Role
-from teleop.recording.reader import read_recorded_config
 from teleop.recording.recorder import BATCH, GRACE_NS, Recorder
 from teleop.recording.writer import RecordConfig, RecordingWriter
 from teleop.runtime.clock import now_ns
@@ -31,7 +28,7 @@ from teleop.runtime.output_file import SharedFolder
 from teleop.runtime.process import STATUS, StopCondition, is_supervised, write_summary
 from teleop.runtime.realtime import limit_computing_time, share_heaps
 from teleop.runtime.status_line import StatusLine
-from teleop.session.config import load_section
+from teleop.session.config import RunConfig, read_config
 
 # --- processor time for the recorder: enough on a loaded machine, and after the loops
 
@@ -134,26 +131,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def read_config(path: Path | None) -> tuple[str, Sequence[str]]:
-    """Return the text of a config file, and the overrides that come with it in a recording."""
-    if path is None:
-        return "", ()
-    return read_recorded_config(path) if path.suffix == RECORDING_SUFFIX else (read_text(path), ())
-
-
 def main(args: argparse.Namespace) -> int:
     """Record until told to stop; returns the exit code."""
-    run, config = load_section(args, RecordConfig, "record")
+    document = read_config(args)
+    run, config = document.load(RunConfig), document.load(RecordConfig, "record")
     if args.out:
         config = dataclasses.replace(config, directory=str(args.out))
-    config_text, overrides = read_config(args.config)
+    overrides = [each.text for each in (*document.recorded, *document.overrides)]
     granted = request_priority(config.priority)
     sys.setswitchinterval(_SWITCH_S)
     stop = StopCondition(args.duration)
     with Link(run.link, run.session, Role.RECORDER) as link:
         listener = link.listen(TOPICS)
         writer = RecordingWriter(
-            config, run.session, now_ns(), config_text, [*overrides, *args.overrides], link.insecure
+            config, run.session, now_ns(), document.text, overrides, link.insecure
         )
         if link.warning:
             print(link.warning, flush=True)

@@ -22,8 +22,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from teleop.config.loading import load
-from teleop.config.options import add_options
+from teleop.config.loading import ConfigDocument
+from teleop.config.options import ViewMode, add_options
 from teleop.errors import TeleopError, UsageError
 from teleop.link import Link
 from teleop.messages.messages import LAYOUT
@@ -33,6 +33,7 @@ from teleop.recording.scan import RecordingError
 from teleop.runtime.child_process import start_module
 from teleop.runtime.clock import now_ns
 from teleop.runtime.process import StopCondition, print_warning
+from teleop.runtime.scratch_folder import ScratchFolder
 from teleop.runtime.status_line import StatusLine
 from teleop.session import own_endpoints
 from teleop.session.config import RunConfig
@@ -121,11 +122,10 @@ def main(args: argparse.Namespace) -> int:
     info = open_recording(args.file)
     require_present_layout(info)
     adopt_config(args, args.file)
-    named = [f"session={args.session}"] if args.session else []
-    run = load(args.config, RunConfig, None, [*args.overrides, *named])
-    session = args.session or f"{info.session or run.session}-replay"
-    args.overrides += own_endpoints.choose_overrides(args.config, args.overrides, session)
-    run = load(args.config, RunConfig, None, args.overrides)
+    document = ConfigDocument.read(args.config, args.overrides)
+    session = args.session or f"{info.session or document.load(RunConfig).session}-replay"
+    document = own_endpoints.choose_place(document, session)
+    run = document.load(RunConfig)
     stop, status = StopCondition(), StatusLine()
     with ExitStack() as stack:
         links = {
@@ -137,7 +137,9 @@ def main(args: argparse.Namespace) -> int:
         if args.view in (None, "none"):
             mode = f"; see it with: teleop view --session {session}"
         else:
-            view = stack.enter_context(open_view(args))
+            scratch = Path(stack.enter_context(ScratchFolder()))
+            snapshot = document.save_snapshot(scratch / "session")
+            view = stack.enter_context(open_view(args.view, snapshot))
             wait_for_view(view, links[Role.MASTER])
         status.say(f"playing {info.seconds:.1f} s as session {session!r}{mode}")
         print_doubts(info)
@@ -156,10 +158,9 @@ def main(args: argparse.Namespace) -> int:
 
 
 @contextlib.contextmanager
-def open_view(args: argparse.Namespace) -> Iterator[subprocess.Popen[bytes]]:
+def open_view(view: ViewMode | Path, config: Path) -> Iterator[subprocess.Popen[bytes]]:
     """Show the replay with `teleop view` while this context lasts."""
-    words = ["--view", str(args.view), *(f"--set={text}" for text in args.overrides)]
-    words += ["--config", str(args.config)] if args.config else []
+    words = ("--view", str(view), "--config", str(config))
     process = start_module("teleop", "view", *words, gets_interrupts=True, stdin=None)
     try:
         yield process
@@ -236,8 +237,9 @@ def adopt_config(args: argparse.Namespace, file: Path) -> None:
     if args.config is not None:
         return
     try:
-        load(file, RunConfig, None)
-        load(file, ViewConfig, "view")
+        document = ConfigDocument.read(file)
+        document.load(RunConfig)
+        document.load(ViewConfig, "view")
     except RecordingError:
         return  # who opens it says so
     except UsageError as error:  # of another version

@@ -15,7 +15,7 @@ from teleop.errors import TeleopError, UsageError
 from teleop.link import Link
 from teleop.messages.messages import TEXT_BYTES, Answer, Setting, decode_text, encode_text
 from teleop.messages.topics import ANSWER, SETTING, Role
-from teleop.session.config import load_shared
+from teleop.session.config import RunConfig, read_config
 from teleop.session.running_sessions import describe_absence
 
 ANSWER_TIMEOUT_S = 5.0
@@ -39,7 +39,7 @@ def main(args: argparse.Namespace) -> int:
     for text in (args.key, args.value):
         if len(text.encode()) > TEXT_BYTES:
             raise UsageError(f"{text[:20]}...: longer than {TEXT_BYTES} bytes")
-    config = load_shared(args)
+    config = read_config(args).load(RunConfig)
     with Link(config.link, config.session, Role.REMOTE) as link:
         listener = link.listen((ANSWER,))
         deadline = time.monotonic() + ANSWER_TIMEOUT_S

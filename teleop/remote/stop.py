@@ -55,12 +55,12 @@ def main(args: argparse.Namespace) -> int:
 
     with use_ordinary_scheduling():
         from teleop.remote import stop_over_link
-        from teleop.session.config import load_shared
+        from teleop.session.config import RunConfig, read_config
 
     if args.watch:
-        return stop_over_link.watch_session(load_shared(args), args.why)
+        return stop_over_link.watch_session(read_config(args).load(RunConfig), args.why)
     try:
-        config = load_shared(args)
+        config = read_config(args).load(RunConfig)
         if local and config.session != session:
             raise UsageError(
                 f"the endpoints of session {session!r} are not known here; name its config: "
@@ -87,11 +87,10 @@ def _find_session(args: argparse.Namespace) -> str:
     if args.session:
         return str(args.session)
     if _has_session_name(args):
-        from teleop.config.loading import (
-            read_stated_keys,  # slow to import, and not needed without options
-        )
+        # slow to import, and not needed without options
+        from teleop.config.loading import ConfigDocument
 
-        stated = read_stated_keys(args.config, args.overrides).get("session")
+        stated = ConfigDocument.read(args.config, args.overrides).tree.get("session")
         name = stated if isinstance(stated, str) else ""
         entry = None if name else running_sessions.find_session(config=args.config)
         return entry.session if entry else name or "demo"

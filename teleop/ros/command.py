@@ -36,7 +36,7 @@ from teleop.runtime.process import (
     write_summary,
     write_text_file,
 )
-from teleop.session.config import RunConfig, load_section
+from teleop.session.config import RunConfig, read_config
 
 # --- the ROS package of our messages, for `colcon build`, from their declarations
 
@@ -129,7 +129,8 @@ def main(args: argparse.Namespace) -> int:
         print(f"wrote {write_package(args.package)}; build it with colcon")
         return 0
     require_rosbags()
-    run, config = load_section(args, RosConfig, "ros")
+    document = read_config(args)
+    run, config = document.load(RunConfig), document.load(RosConfig, "ros")
     check_ports(config.router, run.link)
     lower_priority()
     stop = StopCondition(args.duration)

@@ -1,14 +1,11 @@
 """The config file's shared keys, for every process of a session."""
 
 import argparse
-import json
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Protocol, TypeVar, runtime_checkable
+from dataclasses import dataclass, field, replace
 
-from teleop.config.loading import load, read_stated_keys
+from teleop.config.loading import ConfigDocument
+from teleop.config.overrides import Override
 from teleop.coupling.config import Bilateral, CouplingConfig
 from teleop.coupling.force_attenuation import ConfidenceConfig
 from teleop.coupling.passivity import PassivityConfig
@@ -17,8 +14,6 @@ from teleop.link.config import LinkConfig
 from teleop.link.health import HealthConfig
 from teleop.runtime.realtime import RealtimeConfig
 from teleop.session import running_sessions
-
-T = TypeVar("T")
 
 RATE_MIN_HZ, RATE_MAX_HZ = 100.0, 4000.0
 SESSION_NAME_MAX = 40  # characters: with a role, the 64 of a certificate's common name
@@ -29,7 +24,7 @@ TIMEOUT_PERIODS_MIN = 3
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RunConfig:
-    """Name, rate, link and coupling of a session; `load(path, RunConfig, None)`."""
+    """Name, rate, link and coupling of a session."""
 
     session: str = "demo"  # root of every key; separates sessions on one network
     # [Hz] of the link and the slave, and of the master's device; 100 to 4000
@@ -60,47 +55,41 @@ def check_session(name: str) -> None:
         raise ValueError(f"allowed are 1 to {SESSION_NAME_MAX} of a-z 0-9 _ -")
 
 
-@runtime_checkable
-class RateCheckedSection(Protocol):
-    """A config section with values to be checked against the rate."""
-
-    def check_rate(self, rate_hz: float) -> None:
-        """Raise `UsageError` if a value of this section conflicts with `rate_hz` [Hz]."""
-
-
-def has_stated_endpoints(config: Path | None, overrides: Sequence[str]) -> bool:
-    """Return whether a config file or overrides say where the processes of a session meet."""
-    link = read_stated_keys(config, overrides).get("link")
+def has_stated_endpoints(document: ConfigDocument) -> bool:
+    """Return whether a config says where the processes of a session meet."""
+    link = document.tree.get("link")
     return isinstance(link, dict) and not ENDPOINT_KEYS.isdisjoint(link)
 
 
-def load_shared(args: argparse.Namespace, join: bool = True) -> RunConfig:
-    """Return the shared keys of the config that a command line names.
+def read_config(args: argparse.Namespace, join: bool = True) -> ConfigDocument:
+    """Read the config that a command line names.
 
     A command with `--session` joins a running session of this user on this machine, unless `join`
-    is false or the config or options state endpoints: the session's name and endpoints are added to
-    `args.overrides`.
+    is false or the config or options state endpoints: the session's name and endpoints are added.
 
     Raises
     ------
     UsageError
-        The config is invalid, there is no such session, or it is not said which of several.
+        The config cannot be read, there is no such session, or it is not said which of several.
     """
-    join = join and hasattr(args, "session")
-    if join and not has_stated_endpoints(args.config, args.overrides):
-        args.overrides = [*_find_running_overrides(args), *args.overrides]
+    document = ConfigDocument.read(args.config, args.overrides)
+    if join and hasattr(args, "session") and not has_stated_endpoints(document):
+        running = _find_running_overrides(args, document)
+        document = replace(document, overrides=(*running, *document.overrides))
     if getattr(args, "session", None):
-        args.overrides = [*args.overrides, f"session={json.dumps(args.session)}"]
-    return load(args.config, RunConfig, None, args.overrides)
+        document = document.override(Override.of("session", args.session))
+    return document
 
 
-def _find_running_overrides(args: argparse.Namespace) -> tuple[str, ...]:
+def _find_running_overrides(
+    args: argparse.Namespace, document: ConfigDocument
+) -> tuple[Override, ...]:
     """Return the overrides of the running session that a command line means, if there is one."""
-    stated = read_stated_keys(args.config, args.overrides).get("session")
+    stated = document.tree.get("session")
     name = args.session or (stated if isinstance(stated, str) else "")
     entry = running_sessions.find_session(name, args.config)
     if entry is not None:
-        return entry.overrides
+        return tuple(Override.of(key, value) for key, value in entry.place.items())
     if args.session and args.config is None:
         entries = running_sessions.list_sessions()
         names = running_sessions.format_session_names(entries) or "none"
@@ -109,20 +98,6 @@ def _find_running_overrides(args: argparse.Namespace) -> tuple[str, ...]:
             f"{names}. For a session on other machines add --config FILE"
         )
     return ()
-
-
-def load_section(
-    args: argparse.Namespace, cls: type[T], section: str, join: bool = True
-) -> tuple[RunConfig, T]:
-    """Return the shared keys and one section of the config that a command line names.
-
-    `UsageError` if they cannot be, or do not go with each other; see `load_shared`.
-    """
-    shared = load_shared(args, join)
-    config = load(args.config, cls, section, args.overrides)
-    if isinstance(config, RateCheckedSection):
-        config.check_rate(shared.rate_hz)
-    return shared, config
 
 
 def require_periods(key: str, timeout_s: float, rate_hz: float) -> None:

@@ -1,14 +1,13 @@
 """Name and endpoints of a session on one machine, so that no two sessions collide."""
 
 import dataclasses
-import json
 import secrets
 import socket
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from teleop.config.loading import as_tree, read_stated_keys
+from teleop.config.loading import ConfigDocument, as_tree
+from teleop.config.overrides import Override
 from teleop.errors import PeerError, TeleopError
 from teleop.impair.config import ImpairConfig
 from teleop.session.config import RunConfig, has_stated_endpoints
@@ -21,48 +20,47 @@ FIRST_PORT, PORTS = 20000, 12000
 _DEFAULT_NAME = "demo"
 
 
-def choose_overrides(config: Path | None, overrides: Sequence[str], name: str | None) -> list[str]:
-    """Return overrides that give a session a place of its own on this machine.
+def choose_place(document: ConfigDocument, name: str | None) -> ConfigDocument:
+    """Return the config of a session with a place of its own on this machine.
 
-    That is free endpoints on loopback, unless config or overrides state endpoints, and then, unless
-    they or `name` give it one, a session name of its own after the config file.
+    That is free endpoints on loopback, unless the config states endpoints, and then, unless it or
+    `name` gives it one, a session name of its own after the config file.
 
     Raises
     ------
     PeerError
         A session of this user has the name already.
     """
-    chosen = [f"session={json.dumps(name)}"] if name else []
-    if has_stated_endpoints(config, overrides):
-        return chosen
-    stated = read_stated_keys(config, [*overrides, *chosen])
+    if name:
+        document = document.override(Override.of("session", name))
+    if has_stated_endpoints(document):
+        return document
+    chosen, stated = {}, document.tree
     if "session" in stated:
         _require_new_session(stated["session"])
     else:
-        chosen.append(f"session={create_session_name(config.stem if config else _DEFAULT_NAME)}")
-    impair = stated.get("impair")
+        base = document.path.stem if document.path else _DEFAULT_NAME
+        chosen["session"] = create_session_name(base)
     keys = ["link.master", "link.slave"]
-    if isinstance(impair, dict) and "endpoint" not in impair:
+    if isinstance(stated.get("impair"), dict) and "endpoint" not in stated["impair"]:
         keys.append("impair.endpoint")
     ports = find_free_ports(len(keys))
-    chosen += [f"{k}={LOOPBACK}:{p}" for k, p in zip(keys, ports, strict=True)]
-    return chosen
+    chosen |= {key: f"{LOOPBACK}:{port}" for key, port in zip(keys, ports, strict=True)}
+    return document.override(*(Override.of(key, value) for key, value in chosen.items()))
 
 
 def build_entry(
     shared: RunConfig, impair: ImpairConfig | None, config: Path | None
 ) -> RunningSession:
     """Return the entry of a session in the registry."""
-    link = as_tree(make_paths_absolute(shared.link))
-    overrides = [f"session={shared.session}", f"link={json.dumps(link)}"]
+    place = {"session": shared.session, "link": as_tree(make_paths_absolute(shared.link))}
     if impair is not None:
-        overrides.append(f"impair.endpoint={impair.endpoint}")
-    path = "" if config is None else str(config.absolute())
+        place["impair.endpoint"] = impair.endpoint
     return RunningSession(
         session=shared.session,
-        overrides=tuple(overrides),
+        place=place,
         endpoints=shared.link.routers or (shared.link.master, shared.link.slave),
-        config=path,
+        config="" if config is None else str(config.absolute()),
     )
 
 

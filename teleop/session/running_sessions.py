@@ -15,7 +15,7 @@ import time
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from teleop.errors import UsageError
 from teleop.runtime.files import find_state_folder
@@ -33,7 +33,7 @@ class RunningSession(NamedTuple):
     """A session of this user on this machine."""
 
     session: str
-    overrides: tuple[str, ...]  # `key=value` that lead to it: session, link
+    place: dict[str, Any]  # values of the config that lead to it, by dotted key: session, link
     endpoints: tuple[str, ...]  # the same for people
     config: str = ""  # absolute path of its config file, if any
     pid: int = 0  # of its launcher
@@ -152,9 +152,7 @@ def _read_entry(path: Path) -> RunningSession | None:
                 fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
             except BlockingIOError:
                 data = json.load(file)
-                return RunningSession(
-                    **data | {key: tuple(data[key]) for key in ("overrides", "endpoints")}
-                )
+                return RunningSession(**data | {"endpoints": tuple(data["endpoints"])})
         path.unlink()
     except (OSError, ValueError, TypeError, KeyError):
         pass

@@ -44,7 +44,7 @@ from teleop.runtime.process import (
     wait_in_standby,
     write_summary,
 )
-from teleop.session.config import RunConfig, load_section
+from teleop.session.config import RunConfig, read_config
 from teleop.view.config import LAYOUTS, ViewConfig
 from teleop.view.feed import (
     BatchDisplay,
@@ -138,7 +138,8 @@ def main(args: argparse.Namespace) -> int:
     """Run the command; returns its exit code."""
     if args.file is not None and Path(args.file).suffix == RECORDING_SUFFIX:
         adopt_config(args, Path(args.file))
-    run, config = load_section(args, ViewConfig, "view", join=args.file is None)
+    document = read_config(args, join=args.file is None)
+    run, config = document.load(RunConfig), document.load(ViewConfig, "view")
     foxglove = args.foxglove or config.foxglove
     config = replace(config, layout=args.layout or config.layout, foxglove=foxglove)
     mode, out = choose_destination(args.view, args.out)

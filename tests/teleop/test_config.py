@@ -4,7 +4,7 @@ import argparse
 import dataclasses
 import math
 import re
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -13,9 +13,11 @@ import yaml
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from teleop.config.loading import MAY_BE_INFINITE, SECTIONS, SHARED_KEYS, as_tree, load
+from teleop.config.loading import MAY_BE_INFINITE, SESSION_KEYS, ConfigDocument, as_tree, load
 from teleop.config.options import add_options
+from teleop.config.overrides import Override
 from teleop.errors import UsageError
+from teleop.launch.config import SessionConfig
 from teleop.link import LinkConfig
 from teleop.session.config import RunConfig
 
@@ -367,10 +369,30 @@ def test_a_field_with_an_infinite_default_may_be_infinite(tmp_path: Path) -> Non
     assert load(path, Plain, "slave").radius == math.inf
 
 
-def test_shared_keys() -> None:
-    own = {f.name for f in dataclasses.fields(RunConfig)}
-    assert own == set(SHARED_KEYS)
-    assert not own & set(SECTIONS)
+def test_the_keys_of_a_session_are_those_of_its_config() -> None:
+    assert {f.name for f in dataclasses.fields(SessionConfig)} == set(SESSION_KEYS)
+
+
+def test_a_snapshot_is_the_config_as_it_was_when_it_was_read(tmp_path: Path) -> None:
+    path = write(tmp_path, "slave: {tendons: 3, folder: 'Größe\u2028\U0001f600'}\n")
+    document = ConfigDocument.read(path, ["slave.pretension=2e-1", "rate_hz=.inf"])
+    document = document.override(Override.of("slave.rig", {"type": "replayed", "file": "x.csv"}))
+    (tmp_path / "scratch").mkdir()
+    snapshot = document.save_snapshot(tmp_path / "scratch" / "a")
+    path.write_text("slave: {tendons: 4}\n")
+    found = ConfigDocument.read(snapshot, ["slave.name=b"])
+    assert replace(found, overrides=found.overrides[:-1]) == document
+    assert found.load(Everything, "slave") == replace(document.load(Everything, "slave"), name="b")
+    for wrong in (found, document):
+        with pytest.raises(UsageError, match=r"^--set rate_hz=\.inf: rate_hz: inf is not a finite"):
+            wrong.load(RunConfig)
+
+
+@pytest.mark.parametrize("text", ["", "{}", "[1]", "session: a", '{"path": 1}', "[" * 100_000])
+def test_what_is_no_snapshot_is_one_line(tmp_path: Path, text: str) -> None:
+    (tmp_path / "a.snapshot").write_text(text)
+    with pytest.raises(UsageError, match=r"is no snapshot of a session's config$"):
+        ConfigDocument.read(tmp_path / "a.snapshot")
 
 
 @pytest.mark.parametrize(

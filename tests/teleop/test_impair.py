@@ -16,11 +16,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from teleop.config.loading import load
 from teleop.errors import TeleopError, UsageError
 from teleop.impair import model
-from teleop.impair.config import DirectionConfig, ImpairConfig, load_impair_config
+from teleop.impair.config import DirectionConfig, ImpairConfig
 from teleop.impair.direction import CAPACITY_BYTES, ENTRY_BYTES, DelayQueue, Direction
 from teleop.impair.model import DeliveryFlags, StreamState
+from teleop.launch.config import SessionConfig
 from teleop.launch.supervisor import wait_for_condition
 from teleop.link import Link, LinkConfig
 from teleop.link.bridge import send_request
@@ -241,9 +243,10 @@ def test_what_no_network_does_is_refused(field, value):
 
 
 def test_a_session_has_a_proxy_only_where_its_config_says_so():
-    assert load_impair_config(None, []) is None
-    assert load_impair_config(None, ["impair={}"]) == ImpairConfig()
-    assert load_impair_config(None, ["impair.to_slave.loss=0.5"]).to_slave.loss == 0.5
+    assert load(None, SessionConfig, None).impair is None
+    assert load(None, SessionConfig, None, ["impair={}"]).impair == ImpairConfig()
+    impair = load(None, SessionConfig, None, ["impair.to_slave.loss=0.5"]).impair
+    assert impair.to_slave.loss == 0.5
 
 
 def test_the_proxy_leaves_the_machine_no_easier_than_a_side():

@@ -22,7 +22,7 @@ from mcap.writer import MCAP0_MAGIC, Writer
 from mcap_ros2.decoder import DecoderFactory
 from mcap_ros2.writer import Writer as Ros2Writer
 
-from teleop.config.loading import read_stated_keys
+from teleop.config.loading import ConfigDocument
 from teleop.errors import TeleopError, UsageError
 from teleop.link import ReceivedMessage
 from teleop.messages.messages import LAYOUT, MESSAGES
@@ -573,7 +573,7 @@ def test_an_override_of_several_lines_comes_back_as_one(tmp_path) -> None:
     overrides = ("slave.rig={\n  type: simulated,\n  name: Ä\u2028\n}", "rate_hz=500", "a='[1]'")
     path = recorded(tmp_path, "rate_hz: 100\n", overrides)
     assert read_recorded_config(path) == ("rate_hz: 100\n", overrides)
-    stated = read_stated_keys(path)
+    stated = ConfigDocument.read(path).tree
     assert stated["slave"]["rig"]["type"] == "simulated"
     assert stated["rate_hz"] == 500
 
@@ -604,7 +604,7 @@ def test_overrides_that_are_no_list_of_texts_are_refused(tmp_path, written) -> N
         read_recorded_config(of_another_writer(tmp_path, overrides=written))
 
 
-@pytest.mark.parametrize("read", [read_recorded_config, read_stated_keys, open_recording])
+@pytest.mark.parametrize("read", [read_recorded_config, ConfigDocument.read, open_recording])
 @pytest.mark.parametrize("part", ["config", "overrides"])
 def test_a_config_in_a_recording_is_bounded_as_in_a_file(tmp_path, part, read) -> None:
     line = "rate_hz=500\n" if part == "overrides" else "# a comment\n"

@@ -34,15 +34,17 @@ TOPOLOGIES = sorted((ROOT / "configs" / "topologies").glob("*.yaml"))
 PAGE = (ROOT / "docs" / "topologies.md").read_text()
 
 
-def words(*overrides, **options):
+def words(**options):
     lists = {name: options.get(name, []) for name in ("session", "listen", "connect")}
-    return argparse.Namespace(config=None, overrides=list(overrides), **lists)
+    return argparse.Namespace(**lists)
 
 
 def asked(*overrides, routers=(), **options):
     """The router's config by overrides, the session's routers, and options."""
     return build_router_config(
-        words(*overrides, **options), RunConfig(link=LinkConfig(routers=routers))
+        words(**options),
+        RunConfig(link=LinkConfig(routers=routers)),
+        load(None, RouterConfig, "router", overrides),
     )
 
 

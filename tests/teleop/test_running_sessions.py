@@ -13,10 +13,10 @@ from pathlib import Path
 import pytest
 
 from teleop.cli import commands
-from teleop.config.loading import load
+from teleop.config.loading import ConfigDocument
 from teleop.errors import PeerError, UsageError
 from teleop.session import own_endpoints, running_sessions
-from teleop.session.config import RunConfig, load_shared
+from teleop.session.config import RunConfig, read_config
 from teleop.session.running_sessions import (
     RunningSession,
     create_session_name,
@@ -30,7 +30,7 @@ from tests.teleop.link.bench import wait_until
 _HOLDER = """
 import time
 from teleop.session.running_sessions import RunningSession, register_session
-with register_session(RunningSession(session="other", overrides=(), endpoints=())):
+with register_session(RunningSession(session="other", place={}, endpoints=())):
     print("listed", flush=True)
     time.sleep(60)
 """
@@ -51,7 +51,7 @@ def entry(session="a", port=20001, config=""):
     link = {"master": f"127.0.0.1:{port}", "slave": f"127.0.0.1:{port + 1}"}
     return RunningSession(
         session=session,
-        overrides=(f"session={session}", f"link={json.dumps(link)}"),
+        place={"session": session, "link": link},
         endpoints=tuple(link.values()),
         config=config,
     )
@@ -125,19 +125,18 @@ def test_without_a_runtime_folder_the_registry_is_one_of_the_user_below_tmp(monk
 
 
 def test_a_command_joins_the_only_session_and_asks_which_of_several():
-    assert load_shared(words()).session == "demo"
+    assert read_config(words()).load(RunConfig).session == "demo"
     with register_session(entry("a", 20001)):
-        assert load_shared(words()).link.slave == "127.0.0.1:20002"
+        assert read_config(words()).load(RunConfig).link.slave == "127.0.0.1:20002"
         with register_session(entry("b", 20005)):
             with pytest.raises(UsageError, match=r"2 sessions are running: .*name one with"):
-                load_shared(words())
-            joined = words(session="b")
-            assert load_shared(joined).link.master == "127.0.0.1:20005"
-            assert load(None, RunConfig, None, joined.overrides).session == "b"
-            assert load_shared(words("session=b")).link.master == "127.0.0.1:20005"
-            elsewhere = load_shared(words("link.slave=127.0.0.1:9"))
+                read_config(words()).load(RunConfig)
+            joined = read_config(words(session="b")).load(RunConfig)
+            assert (joined.session, joined.link.master) == ("b", "127.0.0.1:20005")
+            assert read_config(words("session=b")).load(RunConfig).link.master == "127.0.0.1:20005"
+            elsewhere = read_config(words("link.slave=127.0.0.1:9")).load(RunConfig)
             assert (elsewhere.session, elsewhere.link.slave) == ("demo", "127.0.0.1:9")
-            assert load_shared(words(), join=False).session == "demo"
+            assert read_config(words(), join=False).load(RunConfig).session == "demo"
 
 
 def test_a_config_file_finds_the_session_that_was_started_with_it(tmp_path):
@@ -148,8 +147,8 @@ def test_a_config_file_finds_the_session_that_was_started_with_it(tmp_path):
         register_session(entry("m", 20001, str(mine))),
         register_session(entry("o", 20005, str(other))),
     ):
-        assert load_shared(words(config=mine)).session == "m"
-        assert load_shared(words(config=other)).session == "o"
+        assert read_config(words(config=mine)).load(RunConfig).session == "m"
+        assert read_config(words(config=other)).load(RunConfig).session == "o"
         assert find_session("m").config == str(mine)
 
 
@@ -158,14 +157,14 @@ def test_a_session_that_does_not_run_here_is_named_with_those_that_do():
         register_session(entry("a")),
         pytest.raises(UsageError, match=r"--session x: .*running: a\."),
     ):
-        load_shared(words(session="x"))
+        read_config(words(session="x")).load(RunConfig)
 
 
 def test_a_session_takes_a_name_and_endpoints_of_its_own(tmp_path):
     path = tmp_path / "Two Arms.yaml"
     path.write_text("rate_hz: 500\n")
     runs = [
-        load(path, RunConfig, None, own_endpoints.choose_overrides(path, [], None))
+        own_endpoints.choose_place(ConfigDocument.read(path), None).load(RunConfig)
         for _ in range(5)
     ]
     ends = [end for run in runs for end in (run.link.master, run.link.slave)]
@@ -178,14 +177,15 @@ def test_a_session_takes_a_name_and_endpoints_of_its_own(tmp_path):
 def test_what_config_or_options_state_is_kept(tmp_path):
     path = tmp_path / "rig.yaml"
     path.write_text("session: bench\nimpair: {seed: 1}\n")
-    chosen = own_endpoints.choose_overrides(path, [], None)
-    assert {text.split("=")[0] for text in chosen} == {
+    document = ConfigDocument.read(path)
+    chosen = own_endpoints.choose_place(document, None)
+    assert {".".join(override.keys) for override in chosen.overrides} == {
         "link.master", "link.slave", "impair.endpoint",
     }  # fmt: skip
-    assert load(path, RunConfig, None, chosen).session == "bench"
-    assert own_endpoints.choose_overrides(None, ["link.master=127.0.0.1:9"], None) == []
-    named = own_endpoints.choose_overrides(path, [], "mine")
-    assert load(path, RunConfig, None, named).session == "mine"
+    assert chosen.load(RunConfig).session == "bench"
+    stated = ConfigDocument.read(None, ["link.master=127.0.0.1:9"])
+    assert own_endpoints.choose_place(stated, None) == stated
+    assert own_endpoints.choose_place(document, "mine").load(RunConfig).session == "mine"
 
 
 def test_a_name_is_given_once(tmp_path):
@@ -193,17 +193,17 @@ def test_a_name_is_given_once(tmp_path):
         register_session(entry("bench")),
         pytest.raises(PeerError, match="'bench' is running already"),
     ):
-        own_endpoints.choose_overrides(None, ["session=bench"], None)
+        own_endpoints.choose_place(ConfigDocument.read(None, ["session=bench"]), None)
 
 
 def test_the_entry_leads_to_the_session_from_any_folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "keys").mkdir()
-    chosen = own_endpoints.choose_overrides(None, ["link.keys=keys"], None)
-    run = load(None, RunConfig, None, ["link.keys=keys", *chosen])
+    document = ConfigDocument.read(None, ["link.keys=keys"])
+    run = own_endpoints.choose_place(document, None).load(RunConfig)
     with register_session(own_endpoints.build_entry(run, None, None)):
         monkeypatch.chdir("/")
-        joined = load_shared(words())
+        joined = read_config(words()).load(RunConfig)
     assert joined.link.keys == tmp_path / "keys"
     assert (joined.session, joined.link.slave) == (run.session, run.link.slave)
 

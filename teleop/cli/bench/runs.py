@@ -15,8 +15,7 @@ from typing import Any
 
 from teleop.cli.bench import figures, session
 from teleop.cli.bench.figures import Metric, Row
-from teleop.config import strict_yaml
-from teleop.config.loading import load
+from teleop.config.loading import ConfigDocument
 from teleop.config.options import add_option
 from teleop.errors import UsageError
 from teleop.runtime.parallel import count_processors
@@ -223,9 +222,9 @@ def repeat_measurement(
         config = args.config or write_config(
             Path(folder) / "session.yaml", validate_joints(args.joints)
         )
-        shared = load(config, RunConfig, None, ())
-        work = Path(folder) / "run.yaml"
-        work.write_text(strict_yaml.read_text(Path(config)))
+        document = ConfigDocument.read(config)
+        shared = document.load(RunConfig)
+        work = document.save_snapshot(Path(folder) / "run")
         repeated.warm_up(work)
         rows = []
         for k in range(repeated.runs):
