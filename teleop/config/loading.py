@@ -2,8 +2,8 @@
 
 Each config dataclass is next to the code it configures, with a default for every field and its
 ranges checked in `__post_init__` by `ValueError("field: what is wrong, what is allowed")`. This
-module builds such dataclasses from a file and from `--set key=value` (`overrides`), using only
-their annotations:
+module reads a file and `--set key=value` (`overrides`) once, as a `ConfigDocument`, and builds such
+dataclasses from it, using only their annotations:
 
 =========================== =====================================================================
 annotation                  what the file may say
