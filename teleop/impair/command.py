@@ -214,7 +214,5 @@ def build_overrides(args: argparse.Namespace) -> list[Override]:
     for name in _NUMERIC_OPTIONS:
         value = getattr(args, name)
         if value is not None:
-            out += [
-                Override.of(f"impair.{direction}.{name}", value) for direction in DIRECTIONS
-            ]
+            out += [Override.of(f"impair.{direction}.{name}", value) for direction in DIRECTIONS]
     return out

@@ -127,7 +127,9 @@ def main(args: argparse.Namespace) -> int:
         if view != "none":
             reserved, environment = hold_port(config.view.web_port)
             stack.enter_context(reserved)
-            supervisor.start("view", [*shared, "--view", str(view)], environment, (reserved.fileno(),))
+            supervisor.start(
+                "view", [*shared, "--view", str(view)], environment, (reserved.fileno(),)
+            )
         stack.enter_context(compile_in_parallel(_compile_master))
         keys = stack.enter_context(KeyReader())
         keyboard = watch.Keyboard(keys, link)
