@@ -48,7 +48,7 @@ def play(sheath: Sheath, legs, beads=40) -> Record:
             chain.move(Position(motor + part * travel), tip(part, start))
             rows.append((chain.T_in, motor + part * travel, chain.T_out, chain.travel[-1], index))
         motor += travel
-    T_in, q_p, T_out, q_d, leg = np.array(rows).T
+    T_in, q_p, T_out, q_d, leg = np.array(rows).T.copy()  # one type of array to compile for
     return Record(np.arange(len(T_in)) / RATE, T_in, q_p, T_out, q_d, leg.astype(int))
 
 

@@ -21,9 +21,3 @@ def test_interpolation_is_numpys_to_the_last_bit(places, data, x):
     values = data.draw(st.lists(NUMBERS, min_size=len(places), max_size=len(places)))
     found = arrays.interpolate(x, np.array(places), np.array(values))
     np.testing.assert_equal(found, np.interp(x, places, values))
-
-
-def test_a_copy_fills_the_beginning_only():
-    into = np.zeros(4)
-    arrays.copy_values(np.array([1.0, 2.0]), into)
-    assert into.tolist() == [1.0, 2.0, 0.0, 0.0]

@@ -52,13 +52,6 @@ def test_each_state_of_the_sources_has_a_folder_of_its_own(unnamed, monkeypatch)
     assert set(folders[0].parent.iterdir()) == set(folders[-1 - compile_cache.FOLDERS_KEPT :])
 
 
-def test_a_folder_named_by_the_user_is_used(unnamed, monkeypatch):
-    monkeypatch.setenv("NUMBA_CACHE_DIR", str(unnamed / "mine"))
-    assert compile_cache.choose_folder() == unnamed / "mine"
-    assert os.environ["NUMBA_CACHE_DIR"] == str(unnamed / "mine")
-    assert list(unnamed.iterdir()) == [unnamed / "mine"]
-
-
 def no_home():
     raise RuntimeError("Could not determine home directory.")
 
@@ -69,16 +62,6 @@ def test_without_a_home_there_is_a_private_folder(unnamed, monkeypatch):
     folder = compile_cache.choose_folder()
     assert folder.parent.parent == unnamed
     assert folder.parent.stat().st_mode & 0o077 == 0
-
-
-def test_its_folders_are_readable_by_their_owner_only(unnamed, monkeypatch):
-    before = os.umask(0)
-    try:
-        folder = chosen(monkeypatch)
-    finally:
-        os.umask(before)
-    for place in (folder, folder.parent):
-        assert place.stat().st_mode & 0o777 == 0o700
 
 
 def open_to_all(place):
@@ -152,12 +135,6 @@ def test_a_link_leads_to_the_folder_that_was_checked(unnamed, monkeypatch):
     assert chosen(monkeypatch).parent == unnamed / "real" / "tendon-teleop"
 
 
-def test_a_cache_folder_that_cannot_be_made_is_passed_over(unnamed, monkeypatch):
-    (unnamed / "cache").write_text("a file")
-    monkeypatch.setattr(Path, "home", no_home)
-    assert compile_cache.choose_folder().parent.name.startswith("tendon-teleop-")
-
-
 USES = """
 import estimator.law
 import numba
@@ -181,3 +158,13 @@ def test_a_program_of_the_users_caches_there_too(first, unnamed):
         [sys.executable, script], capture_output=True, text=True, check=True, env=environment
     )
     assert Path(ran.stdout.strip()).is_relative_to(unnamed / "cache" / "tendon-teleop")
+
+
+def test_its_folders_are_readable_by_their_owner_only(unnamed, monkeypatch):
+    before = os.umask(0)
+    try:
+        folder = chosen(monkeypatch)
+    finally:
+        os.umask(before)
+    for place in (folder, folder.parent):
+        assert place.stat().st_mode & 0o777 == 0o700

@@ -82,11 +82,6 @@ def test_compiled_code_changes_the_very_record() -> None:
     assert np.isnan(view_struct(records).numbers).all()  # the other one is as it was
 
 
-def test_records_share_no_memory_with_their_defaults() -> None:
-    change(Outer.new(), 0)
-    assert Outer.new().many[0].value == 0.5
-
-
 def test_a_config_becomes_a_record_of_its_numbers() -> None:
     assert to_struct_array(Config()).dtype.names == ("limit", "rounds", "on", "nested")
     assert scaled(to_struct(Config(limit=3.0)), 2.0) == 12.0

@@ -3,7 +3,7 @@
 import pytest
 
 from estimator.diagnosis.measured_data import BenchScale, parse_dimension
-from estimator.units import FORCE, LINEAR, ROTARY, format_quantity
+from estimator.units import FORCE, LINEAR, ROTARY
 
 R = 0.01
 SCALE = BenchScale(R, 1.0 / R)  # N to N m and m to rad on a pulley of radius R
@@ -45,10 +45,3 @@ def test_channels_are_called_by_what_they_are():
     assert LINEAR.word("proximal_tension") == "tension at the housing"
     assert FORCE.word("distal_tension") == "force at the tip"
     assert ROTARY.word("proximal_displacement") == "angle at the housing"
-
-
-def test_small_values_get_a_prefix():
-    assert format_quantity(0.0123, "N m", 3) == "12.3 mN m"
-    assert format_quantity(5e-6, "rad", 2) == "5 µrad"
-    assert format_quantity(2.5e-4, "m/N", 3) == "0.25 mm/N"
-    assert format_quantity(12.0, "N", 3) == "12 N"

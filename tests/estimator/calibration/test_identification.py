@@ -48,20 +48,6 @@ def test_blocked_tip_gives_friction_and_stiffness_from_the_housing_alone(record)
     assert result.accept, result.reason
 
 
-def test_what_the_law_does_not_explain_is_not_accepted(record):
-    T_in, T_out, _ = record
-    drifting = T_out + np.linspace(0.0, 3.0, len(T_out))
-    result = fit_bench(T_in, drifting)
-    assert not result.accept
-    assert "misses something" in result.reason
-
-
-def test_a_swing_inside_the_backlash_is_not_accepted(record):
-    T_in = 5.0 + 0.5 * np.sin(np.linspace(0.0, 20.0, 500))
-    result = fit_bench(T_in, np.linspace(3.0, 3.01, 500))
-    assert not result.accept
-
-
 def test_refuses_records_it_cannot_fit(record):
     T_in, T_out, q = record
     broken = T_in.copy()

@@ -24,12 +24,6 @@ def test_the_total_decides_between_rivals_that_a_loop_cannot_tell_apart():
     assert a.K.uncertainty < average_rivals(MISTAKEN).K.uncertainty
 
 
-def test_a_total_that_says_nothing_changes_nothing():
-    a, b = average_antagonists(MISTAKEN, SURE, MeasuredValue(5.0, 1e3))
-    assert a.K.value == pytest.approx(average_rivals(MISTAKEN).K.value, abs=1e-3)
-    assert b.K.value == pytest.approx(1.2, abs=1e-3)
-
-
 def test_who_comes_first_does_not_matter():
     total = MeasuredValue(2.19, 0.003)
     assert (

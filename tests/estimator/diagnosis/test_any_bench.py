@@ -1,17 +1,12 @@
 """Records as strangers make them: encoders that count from anywhere, slow sensors, cycles."""
 
-from itertools import pairwise
-
 import numpy as np
 import pytest
 
 from estimator.diagnosis.api import diagnose
 from estimator.diagnosis.baseline import fit_baseline
 from estimator.diagnosis.dataset import build_contexts, build_dataset, build_plain_physics
-from estimator.diagnosis.fit import SEARCH_DIVISIONS, SEARCH_REACHES, compute_search_reaches
 from estimator.diagnosis.measured_data import RecordError, prepare_record, shorten_blocks
-from estimator.diagnosis.noise import find_quantisation_step
-from estimator.diagnosis.sampling import find_held_samples
 from estimator.diagnosis.validation import transfer_to_validation
 from estimator.effects import CATALOGUE
 from estimator.effects.effect import CHANNELS
@@ -31,39 +26,13 @@ def samples(record, **off):
     return Samples(record.time, *(channels.get(name) for name in CHANNELS))
 
 
-@pytest.mark.parametrize(
-    "offset", [1.0, *(pytest.param(off, marks=pytest.mark.slow) for off in (0.0, -8.0))]
-)
-def test_encoders_count_from_anywhere(offset):
+def test_encoders_count_from_anywhere():
     made = hidden.make(6, ("encoder_scale",), bench="spring", duration=40.0, rate=60.0)
-    off = {"proximal_displacement": offset, "distal_displacement": 2.0 * offset}
+    off = {"proximal_displacement": 1.0, "distal_displacement": 2.0}
     tried = [one for one in CATALOGUE if one.name in ("encoder_scale", "creep", "viscous_friction")]
     found = diagnose(samples(made, **off), effects=tried)
     assert [step.effect.name for step in found.steps] == ["encoder_scale"]
     assert found.parameters["K"].value == pytest.approx(made.truth["sheath"]["K"], rel=2e-3)
-
-
-def test_a_spike_changes_no_noise_and_no_range(clean):
-    spoiled = {name: signal.copy() for name, signal in clean.channels.items()}
-    spoiled["distal_tension"][700] += 300.0
-    before, after = (prepare_record(clean.time, dict(one)) for one in (clean.channels, spoiled))
-    assert after.issues
-    for channel in before.compared:
-        assert after.noise[channel] == pytest.approx(before.noise[channel], rel=0.02)
-        range_before = np.ptp(before.signals[channel])
-        assert np.ptp(after.signals[channel]) == pytest.approx(range_before, rel=1e-3)
-
-
-@pytest.mark.parametrize("period", [5.0, 10.0, 20.0])
-def test_both_halves_have_both_directions_of_a_motion_that_repeats_itself(period):
-    time = np.arange(0.0, 120.0, 0.02)
-    travel = 5e-3 * np.sin(2.0 * np.pi * time / period)
-    tension = 10.0 + 2e3 * travel + 0.5 * np.sign(np.gradient(travel))
-    record = prepare_record(time, {"proximal_tension": tension, "proximal_displacement": travel})
-    for one in (record, shorten_blocks(record)):
-        assert 0.4 < np.mean(one.train) < 0.6
-        for half in (one.train, ~one.train):
-            assert 0.25 < np.mean(one.speed[half] > 0.0) < 0.75
 
 
 def test_a_time_that_does_not_rise_is_named(clean):
@@ -80,23 +49,6 @@ def test_a_travel_that_counts_the_other_way_is_refused(clean, channel):
         prepare_record(clean.time, turned)
 
 
-def test_a_tension_that_is_negative_throughout_is_refused(clean):
-    turned = clean.channels | {"proximal_tension": -clean.channels["proximal_tension"]}
-    with pytest.raises(RecordError, match="negative where the tendon pulls"):
-        prepare_record(clean.time, turned)
-
-
-def test_rounding_is_noise(clean):
-    step = 8e-6
-    counted = step * np.rint(clean.channels["proximal_displacement"] / step)
-    assert find_quantisation_step(counted) == pytest.approx(step)
-    assert find_quantisation_step(clean.channels["proximal_tension"]) < 0.1
-    rng = np.random.default_rng(1)
-    assert find_quantisation_step(rng.standard_normal(1000)) == 0.0
-    record = prepare_record(clean.time, clean.channels | {"proximal_displacement": counted})
-    assert record.noise["proximal_displacement"] > 0.25 * step
-
-
 def test_samples_held_by_a_slow_sensor_do_not_count(clean):
     slow = clean.channels["distal_tension"][np.arange(len(clean.time)) // 6 * 6]
     record = prepare_record(clean.time, clean.channels | {"distal_tension": slow})
@@ -108,25 +60,7 @@ def test_samples_held_by_a_slow_sensor_do_not_count(clean):
     assert np.abs(record.signals["distal_tension"][at] - true[::6]).max() < 0.01
 
 
-def test_a_slow_motion_that_is_counted_in_steps_is_not_held():
-    rng = np.random.default_rng(2)
-    slow = np.cumsum(rng.random(4000) < 0.2) * 1e-5
-    assert not find_held_samples(slow, find_quantisation_step(slow)).any()
-    assert not find_held_samples(rng.standard_normal(1000), 0.0).any()
-
-
-@pytest.mark.parametrize("duration", [20.0, 60.0, 600.0, 3600.0])
-def test_a_search_for_a_time_reaches_from_guess_to_guess(duration):
-    time = np.linspace(0.0, duration, 400)
-    channels = {"proximal_tension": 5.0 + np.sin(time), "proximal_displacement": np.sin(time)}
-    reaches = [
-        *compute_search_reaches(build_dataset([prepare_record(time, channels)])),
-        *SEARCH_REACHES,
-    ]
-    assert reaches[0] >= duration / SEARCH_DIVISIONS
-    assert all(wide <= 5.0 * narrow for wide, narrow in pairwise(reaches))
-
-
+@pytest.mark.slow
 def test_a_clock_at_the_tip_that_is_early_is_named():
     made = hidden.make(5, (), bench="spring", duration=30.0, rate=100.0)
     early = {
@@ -153,3 +87,21 @@ def test_another_day_has_the_friction_of_the_end_and_no_slip_of_that_day(clean):
         physics = effect.physics(physics, one, about)
     end = 1.5 * (1.0 + 0.2 * dataset.records[0].time[-1] / 60.0)
     assert physics.friction == pytest.approx(np.full(len(dataset.records[0].time), end))
+
+
+@pytest.mark.parametrize("period", [5.0, 20.0])
+def test_both_halves_have_both_directions_of_a_motion_that_repeats_itself(period):
+    time = np.arange(0.0, 120.0, 0.02)
+    travel = 5e-3 * np.sin(2.0 * np.pi * time / period)
+    tension = 10.0 + 2e3 * travel + 0.5 * np.sign(np.gradient(travel))
+    record = prepare_record(time, {"proximal_tension": tension, "proximal_displacement": travel})
+    for one in (record, shorten_blocks(record)):
+        assert 0.4 < np.mean(one.train) < 0.6
+        for half in (one.train, ~one.train):
+            assert 0.25 < np.mean(one.speed[half] > 0.0) < 0.75
+
+
+def test_a_tension_that_is_negative_throughout_is_refused(clean):
+    turned = clean.channels | {"proximal_tension": -clean.channels["proximal_tension"]}
+    with pytest.raises(RecordError, match="negative where the tendon pulls"):
+        prepare_record(clean.time, turned)

@@ -1,7 +1,7 @@
 """Every effect hidden twice, and nothing, two at once, and what the catalogue does not know.
 
-Short records, and each against a part of the catalogue that differs from case to case. One case in
-thirty is quick; `make test-all` has all of them, `make bench-diagnosis` the same at full length.
+Short records, and each against a part of the catalogue that differs from case to case;
+`make bench-diagnosis` has the same at full length, test_diagnosis.py a few for every day.
 """
 
 import zlib
@@ -16,6 +16,8 @@ from estimator.effects import CATALOGUE, NAMES
 from studies.hidden.campaign import Case, judge
 from tests.studies import hidden
 from tests.studies.hidden.play_grid import make_grid
+
+pytestmark = pytest.mark.slow
 
 SHORT = {"duration": 30.0, "rate": 50.0}
 RIVALS = 2  # causes beside the true ones, in a case
@@ -65,23 +67,19 @@ def named(case):
     return f"{'+'.join(case.effects) or 'clean'}-{case.bench}-{case.seed}"
 
 
-def one_in_thirty(cases):
-    """Return the cases as parameters, all but every thirtieth marked slow."""
-    return [
-        pytest.param(case, id=named(case), marks=_marks(k, case)) for k, case in enumerate(cases)
-    ]
-
-
 MISSED = {
-    ("pulley_eccentricity",): "a ninth of a turn: the base law leaves less than two noises of it",
+    ("pulley_eccentricity",): "a ninth of a turn: the base law leaves less than two noises of it"
 }
 
 
-def _marks(number, case):
-    marks = [pytest.mark.slow] if number % 30 else []
-    if case in NOISY_EFFECTS and case.effects in MISSED:
-        marks.append(pytest.mark.xfail(reason=MISSED[case.effects], strict=True))
-    return marks
+def named_cases(cases):
+    """Return the cases as parameters, known misses as expected failures."""
+    marks = {
+        case: [pytest.mark.xfail(reason=MISSED[case.effects], strict=True)]
+        for case in NOISY_EFFECTS
+        if case.effects in MISSED
+    }
+    return [pytest.param(case, id=named(case), marks=marks.get(case, [])) for case in cases]
 
 
 def quickly(case):
@@ -94,18 +92,14 @@ def quickly(case):
     return judge(case, [effect for effect in CATALOGUE if effect.name in among], oracle=False)
 
 
-@pytest.mark.parametrize("case", one_in_thirty(NOISY))
+@pytest.mark.parametrize("case", named_cases(NOISY))
 def test_noise_of_the_travel_is_no_cause(case):
     """Any play that follows a noisy travel turns a thousand times where the motor did not."""
     found = judge(case, oracle=False)
-    print(found)
     assert found.verdict == Verdict.CLEAN
 
 
-@pytest.mark.parametrize(
-    ("seed", "bench", "rate", "noise"),
-    [GRID[0], *(pytest.param(*case, marks=pytest.mark.slow) for case in GRID[1:])],
-)
+@pytest.mark.parametrize(("seed", "bench", "rate", "noise"), GRID)
 def test_strokes_at_random_on_a_grid_of_plays_are_clean(seed, bench, rate, noise):
     made = make_grid(seed, bench, duration=40.0, rate=rate, travel_noise=noise)
     found = diagnose_records([prepare_record(made.time, dict(made.channels))])
@@ -113,26 +107,20 @@ def test_strokes_at_random_on_a_grid_of_plays_are_clean(seed, bench, rate, noise
     assert found.parameters["K"].low <= made.K <= found.parameters["K"].high
 
 
-@pytest.mark.parametrize(
-    "case",
-    [*one_in_thirty(SINGLE), *one_in_thirty(PAIRS), *one_in_thirty(NOISY_EFFECTS)],
-)
+@pytest.mark.parametrize("case", named_cases([*SINGLE, *PAIRS, *NOISY_EFFECTS]))
 def test_what_was_hidden_is_in_the_answer(case):
     found = quickly(case)
-    print(found)
     assert found.causes or not found.absorbed, "too small for a test: the plain law takes it up"
     assert found.right
 
 
-@pytest.mark.parametrize("case", one_in_thirty(CLEAN))
+@pytest.mark.parametrize("case", named_cases(CLEAN))
 def test_a_clean_record_is_called_clean(case):
     found = quickly(case)
-    print(found)
     assert found.verdict == Verdict.CLEAN
 
 
-@pytest.mark.parametrize("case", one_in_thirty(OUTSIDE))
+@pytest.mark.parametrize("case", named_cases(OUTSIDE))
 def test_what_the_catalogue_does_not_know_is_not_given_a_name(case):
     found = quickly(case)
-    print(found)
     assert found.verdict in {Verdict.UNEXPLAINED, Verdict.CLEAN}

@@ -6,7 +6,7 @@ import pytest
 from estimator.diagnosis.drive import estimate_travel_drive, find_turning_points, smooth_signal
 from estimator.diagnosis.noise import estimate_white_noise
 
-SIGMAS = [1e-7, 1e-6, 5e-6]
+CASES = [(50.0, 1e-7), (200.0, 1e-6), (1000.0, 5e-6), (50.0, 5e-6)]  # [Hz], [m]
 
 
 def motion(rate, seed=0):
@@ -22,8 +22,7 @@ def motion(rate, seed=0):
     return time, np.interp(time, fine, np.convolve(path, np.ones(100) / 100, mode="same"))
 
 
-@pytest.mark.parametrize("sigma", SIGMAS)
-@pytest.mark.parametrize("rate", [50.0, 200.0, 1000.0])
+@pytest.mark.parametrize(("rate", "sigma"), CASES)
 def test_a_drive_is_nearer_to_the_motion_than_what_was_measured(rate, sigma):
     _, true = motion(rate)
     rng = np.random.default_rng(1)
@@ -32,8 +31,7 @@ def test_a_drive_is_nearer_to_the_motion_than_what_was_measured(rate, sigma):
     assert np.sqrt(np.mean((found - true)[100:-100] ** 2)) < 0.75 * sigma
 
 
-@pytest.mark.parametrize("sigma", SIGMAS)
-@pytest.mark.parametrize("rate", [50.0, 200.0, 1000.0])
+@pytest.mark.parametrize(("rate", "sigma"), CASES)
 def test_noise_makes_no_turns_and_hides_none(rate, sigma):
     _, true = motion(rate)
     turns = len(find_turning_points(true, 1e-5))
@@ -41,42 +39,6 @@ def test_noise_makes_no_turns_and_hides_none(rate, sigma):
         measured = true + sigma * np.random.default_rng(seed).standard_normal(len(true))
         drive = estimate_travel_drive(measured, estimate_white_noise(measured))
         assert turns - 1 <= len(find_turning_points(drive.signal, drive.jitter)) <= turns + 3
-
-
-def test_a_motor_that_rests_turns_back_at_the_end_of_the_rest():
-    rate, sigma = 100.0, 1e-6
-    time = np.arange(1000) / rate
-    true = np.interp(time, [0.0, 3.0, 7.0, 10.0], [0.0, 5e-3, 5e-3, 0.0])
-    reversals = []
-    for seed in range(20):
-        measured = true + sigma * np.random.default_rng(seed).standard_normal(len(true))
-        falls = np.diff(estimate_travel_drive(measured, sigma).signal) < 0.0
-        reversals.append(float(time[320 + np.argmax(falls[320:])]))
-    assert np.median(reversals) == pytest.approx(7.0, abs=0.1)
-    assert np.quantile(reversals, 0.25) > 6.5
-
-
-def test_noise_is_told_apart_from_motion():
-    _, true = motion(200.0)
-    for sigma in SIGMAS:
-        measured = true + sigma * np.random.default_rng(0).standard_normal(len(true))
-        assert estimate_white_noise(measured) == pytest.approx(sigma, rel=0.15)
-
-
-def test_without_noise_nothing_is_smoothed():
-    _, true = motion(100.0)
-    smoothed, left = smooth_signal(true, 0.0)
-    np.testing.assert_array_equal(smoothed, true)
-    assert not left.any()
-
-
-def test_what_noise_is_left_is_known():
-    rng = np.random.default_rng(2)
-    true = np.linspace(0.0, 1e-3, 4000)
-    smoothed, left = smooth_signal(true + 1e-6 * rng.standard_normal(4000), 1e-6)
-    inside = slice(100, -100)
-    assert np.std((smoothed - true)[inside]) < 2.0 * np.sqrt(np.mean(left[inside] ** 2))
-    assert left[inside].mean() < 0.35e-6
 
 
 @pytest.mark.parametrize("slip", [8e-5, -4e-5, 2e-5])

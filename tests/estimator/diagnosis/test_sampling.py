@@ -3,9 +3,7 @@
 import numpy as np
 import pytest
 
-from estimator.diagnosis.drive import smooth_signal
 from estimator.diagnosis.measured_data import prepare_record
-from estimator.diagnosis.noise import estimate_white_noise
 from tests.studies import hidden
 
 EVERY = 10  # samples of the simulation from one of the record to the next
@@ -79,26 +77,6 @@ def test_stamps_rounded_to_milliseconds_are_made_even(fine):
     }
     record = prepare_record(step * np.rint(true / step), noisy)
     assert_noise_is_told(record)
-
-
-def test_a_channel_that_never_changes_tells_no_times(fine):
-    true, channels = sampled(fine, rows_of(fine))
-    stamps = np.sort(true + 0.3 * PERIOD * np.random.default_rng(3).uniform(-1.0, 1.0, len(true)))
-    channels["distal_displacement"] = np.full(len(true), 2e-3)
-    record = prepare_record(stamps, channels)
-    assert_noise_is_told(record)
-    assert np.std(record.time[record.measured] - true) < 0.25 * np.std(stamps - true)
-
-
-def test_noise_and_smoothing_go_by_the_time():
-    rng = np.random.default_rng(5)
-    time = np.arange(4000) + rng.uniform(-0.45, 0.45, 4000)
-    true = 1e-3 * np.sin(time / 100.0)
-    measured = true + 1e-6 * rng.standard_normal(4000)
-    assert estimate_white_noise(measured, time) == pytest.approx(1e-6, rel=0.08)
-    smoothed, left = smooth_signal(measured, 1e-6, time)
-    assert np.sqrt(np.mean((smoothed - true)[50:-50] ** 2)) < 0.5e-6
-    assert left.mean() < 0.5e-6
 
 
 def test_gaps_of_uneven_samples_are_told_too(fine):

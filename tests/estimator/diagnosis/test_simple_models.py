@@ -58,31 +58,14 @@ def test_one_play_with_a_gain_is_found():
     assert found["play"] < 0.15
 
 
-def test_a_play_in_proportion_to_the_tension_is_found():
-    def law(T):
-        out = [T[0]]
-        for value in T[1:]:
-            out.append(min(max(out[-1], value * np.exp(-0.6)), value * np.exp(0.6)))
-        return 0.84 * np.array(out)
-
-    assert errors_of(law)["play"] < 0.05
-
-
-def test_several_plays_are_found_where_one_is_not_enough():
-    found = errors_of(lambda T: 0.5 * T + 0.3 * after_a_play(T, 1.0) + 0.2 * after_a_play(T, 4.0))
-    assert found["Prandtl-Ishlinskii"] < 0.1
-    assert found["play"] > 2.0 * found["Prandtl-Ishlinskii"]
-
-
 def test_lugre_is_found():
     found = errors_of(lambda T: 0.8 * T - 1.2 * dahl(T, 0.8))
     assert found["LuGre"] < 0.1
     assert found["LuGre"] < found["play"]
 
 
-@pytest.mark.parametrize("bench", ["blocked", "spring"])
-def test_on_a_clean_bench_the_law_is_better_than_any(bench):
-    made = hidden.make(71, (), bench=bench, duration=40.0, rate=50.0)
+def test_on_a_clean_bench_the_law_is_better_than_any():
+    made = hidden.make(71, (), bench="spring", duration=40.0, rate=50.0)
     found = diagnose_records([prepare_record(made.time, dict(made.channels))], ())
     assert report_text.list_better_models(found) == []
     for channel in ("proximal_tension", "distal_tension"):

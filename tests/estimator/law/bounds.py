@@ -1,20 +1,8 @@
 """What docs/theory.md says of a profile and nothing but tests evaluates: slopes and bounds."""
 
-import math
-
-from estimator.law.profile import Profile, count_points, from_log_tension, get_point, to_log_tension
-from estimator.law.tables import ASYMMETRY, EA, K, Tables, integrate_exponential
+from estimator.law.profile import Profile, from_log_tension, to_log_tension
+from estimator.law.tables import ASYMMETRY, K, Tables
 from estimator.law.transmission import find_front
-
-
-def sensitivity(tables: Tables, profile: Profile) -> tuple[float, float]:
-    """Return (dT_out/dT_in, de/dT_in [m/N]) for a T_in that goes on as it went (T6), (T7)."""
-    _, _, slope = get_point(profile, 0)
-    if slope == 0.0:
-        return 0.0, 0.0
-    s, _, _ = get_point(profile, 1)
-    gain = math.exp(slope * tables[K]) if count_points(profile) == 2 else 0.0
-    return gain, integrate_exponential(tables, s, slope) / tables[EA]
 
 
 def envelope(tables: Tables, T_in: float) -> tuple[float, float]:

@@ -16,14 +16,6 @@ def bend_tension(T_in: Values, mu: float, R: float, x: Values) -> Values:
     return T_in * np.exp(-mu * x / R)
 
 
-def sheath_compression(T: Values) -> Values:
-    """Return the axial force in the sheath, C = -T, eq. (2); needs a sheath free to slide axially.
-
-    It is why a load cell under the end of the sheath reads the tension of the tendon.
-    """
-    return -T
-
-
 def section_tension(
     T_in: Values, mu: float, lengths: Sequence[float], radii: Sequence[float], x: float
 ) -> Values:
@@ -31,11 +23,6 @@ def section_tension(
     ends = np.concatenate([[0.0], np.cumsum(lengths)])
     s = np.interp(x, ends, compute_friction_coordinates(mu, lengths, radii))
     return T_in * math.exp(-s)
-
-
-def strain(T: Values, EA: float) -> Values:
-    """Return T/EA, eq. (5). The print calls it the elongation; it is the strain at one point."""
-    return T / EA
 
 
 def bend_elongation(T_in: Values, mu: float, R: float, EA: float, x: Values) -> Values:

@@ -73,20 +73,6 @@ def test_coordinates_invert_each_other(sheath, fraction):
     )
 
 
-def test_totals_add_up():
-    sheath = Sheath((Section(0.2, 0.1), Section(0.5), Section(0.3, 0.15)), 0.1, 9000.0)
-    assert sheath.length == pytest.approx(1.0)
-    assert sheath.bend_angle == pytest.approx(4.0)
-    assert math.isclose(sheath.K, 0.4)
-
-
-@pytest.mark.parametrize("friction", [0.0, 1e-12, 0.3, 5.0])
-def test_uniform_has_the_friction_it_was_asked_for(friction):
-    sheath = Sheath.uniform(friction, 1.5, 9000.0)
-    assert math.isclose(sheath.K, friction)
-    assert sheath.length == 1.5
-
-
 @pytest.mark.parametrize(
     ("make", "word"),
     [

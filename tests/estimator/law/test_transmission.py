@@ -28,7 +28,7 @@ from estimator.law.transmission import (
     simulate_tensions,
 )
 from tests.brute.chain import Chain, Force, Position, Spring
-from tests.estimator.law.bounds import certified_interval, envelope, sensitivity
+from tests.estimator.law.bounds import certified_interval, envelope
 
 MU, EA = 0.1, 9000.0
 UNIFORM = ((1.5, 0.15),)  # K = 1
@@ -109,11 +109,8 @@ def worst(model, truth):
     ("sections", "drag", "asymmetry", "start"),
     [
         (UNIFORM, 0.0, 1.0, 0.0),
-        (BENT, 0.0, 1.0, 0.0),
-        (BENT[::-1], 0.0, 1.0, 0.0),
-        (UNIFORM, 2.0, 1.0, 0.0),
-        (UNIFORM, 0.0, 1.5, 0.0),
-        (UNIFORM, 0.0, 1.0, 6.0),
+        (BENT, 2.0, 1.0, 0.0),
+        (BENT[::-1], 0.0, 1.5, 0.0),
         (BENT, 1.0, 0.7, 4.0),
     ],
 )
@@ -133,8 +130,7 @@ def test_motor_driven_by_force(sections, drag, asymmetry, start):
         assert worst(np.array(model)[:, column], np.array(truth)[:, column]) < 1e-3
 
 
-@pytest.mark.parametrize("sections", [UNIFORM, BENT])
-@pytest.mark.parametrize("drag", [0.0, 1.0])
+@pytest.mark.parametrize(("sections", "drag"), [(UNIFORM, 0.0), (BENT, 1.0)])
 def test_motor_driven_by_travel_with_the_tip_held(sections, drag):
     chain = Chain(sections, MU, EA, beads=200, drag=drag)
     chain.travel += 0.01
@@ -151,8 +147,7 @@ def test_motor_driven_by_travel_with_the_tip_held(sections, drag):
     assert worst(model, truth) < 1e-3
 
 
-@pytest.mark.parametrize("sections", [UNIFORM, BENT])
-@pytest.mark.parametrize("drag", [0.0, 1.0])
+@pytest.mark.parametrize(("sections", "drag"), [(UNIFORM, 0.0), (BENT, 1.0)])
 def test_motor_driven_by_travel_against_a_spring(sections, drag):
     stiffness, rest = 2000.0, 0.01
     chain = Chain(sections, MU, EA, beads=200, drag=drag)
@@ -171,10 +166,9 @@ def test_motor_driven_by_travel_against_a_spring(sections, drag):
         assert worst(np.array(model)[:, column], np.array(truth)[:, column]) < 1e-3
 
 
-@pytest.mark.parametrize("sections", [UNIFORM, BENT])
-@pytest.mark.parametrize("motor", [(0.1, 15.0), (0.1, 30.0, 2.0), (0.1, 30.0, 8.0, 20.0, 12.0)])
+@pytest.mark.parametrize(("sections", "drag"), [(UNIFORM, 0.0), (BENT, 1.0)])
+@pytest.mark.parametrize("motor", [(0.1, 30.0, 2.0), (0.1, 30.0, 8.0, 20.0, 12.0)])
 @pytest.mark.parametrize("tip", [(30.0, 1.5, 9.0, 4.0), (2.0, 25.0, 6.0, 11.0)])
-@pytest.mark.parametrize("drag", [0.0, 1.0])
 def test_tip_driven_after_the_motor(sections, motor, tip, drag):
     asymmetry = 1.3
     chain = Chain(sections, MU, EA, beads=200, drag=drag, asymmetry=asymmetry)
@@ -195,7 +189,7 @@ def test_tip_driven_after_the_motor(sections, motor, tip, drag):
         assert worst(np.array(model)[:, column], np.array(truth)[:, column]) < 1e-3
 
 
-@pytest.mark.parametrize("motor", [(0.1, 20.0), (0.1, 20.0, 9.0), (0.1, 20.0, 2.0, 6.0, 4.0)])
+@pytest.mark.parametrize("motor", [(0.1, 20.0, 9.0), (0.1, 20.0, 2.0, 6.0, 4.0)])
 @pytest.mark.parametrize("up", [False, True])
 def test_certified_interval_is_how_far_the_tip_can_go_unseen(motor, up):
     beads, sections = 200, UNIFORM
@@ -284,106 +278,6 @@ def test_elongation_is_the_integral_of_the_strain(sheath, start, moves):
     assert observe(table, profile).elongation == pytest.approx(area / EA, rel=1e-4)
 
 
-@examples(100)
-@given(SHEATHS, HISTORIES, TENSIONS, TENSIONS)
-def test_a_closed_minor_loop_leaves_no_trace(sheath, history, a, b):
-    table = build_tables(sheath)
-    assume(abs(history[-1] - a) > 1e-3)
-    low, high = sorted((history[-1], a))
-    before = after(table, [*history, a])
-    inside = min(max(b, low), high)
-    assert same(table, before, after(table, [*history, a, inside, a]))
-
-
-@examples(100)
-@given(SHEATHS, HISTORIES)
-def test_a_larger_swing_wipes_out_all_smaller_ones(sheath, history):
-    table = build_tables(sheath)
-    top, bottom = max(history), min(history)
-    once = after(table, [top + 1.0, bottom * 0.9])
-    many = after(table, [top + 1.0, bottom * 0.9, *history, bottom * 0.9])
-    assert same(table, once, many)
-    wide = math.exp((1.0 + sheath.asymmetry) * sheath.K) * 1.01
-    full = [40.0, (40.0 + sheath.drag) / wide - sheath.drag, 40.0]
-    assume(full[1] > 0.0)
-    assert same(table, after(table, full), after(table, [*history, *full]))
-    assert count_points(after(table, [*history, *full])) == 2
-
-
-@examples(60)
-@given(HISTORIES, HISTORIES, TENSIONS, TENSIONS)
-def test_loops_between_the_same_tensions_are_congruent(one, other, a, b):
-    table = build_tables(Sheath.uniform(1.2, 1.5, EA))
-    assume(abs(a - b) > 1e-3)
-    shapes = []
-    for history in (one, other):
-        profile = after(table, [*history, a, b, a])
-        T = np.linspace(a, b, 20)
-        shapes.append(np.log([observe(table, drive_proximal(table, profile, t)).T_out for t in T]))
-        loops = simulate_tensions(table, profile, np.concatenate([T, T[::-1]]))[0]
-        shapes[-1] = np.diff(np.log(loops))
-    assert shapes[0] == pytest.approx(shapes[1], abs=1e-9)
-
-
-@examples(100)
-@given(SHEATHS, HISTORIES)
-def test_friction_never_creates_energy(sheath, history):
-    table = build_tables(sheath)
-    loop = ramps([*history, history[0]], steps=200)[1:]
-    profile = after(table, [*history, *history, history[0]])
-    T_in = np.concatenate([[observe(table, profile).T_in], loop])
-    start = observe(table, profile).elongation
-    e = np.concatenate([[start], simulate_tensions(table, profile, loop)[1]])
-    work = np.sum((T_in[1:] + T_in[:-1]) / 2 * np.diff(e))
-    stored = 30.0 * e.max()
-    assert work >= -1e-4 * stored
-    if max(history) > 1.5 * min(history) and sheath.K > 0.1:
-        assert work > 0.0
-
-
-@examples(60)
-@given(SHEATHS, HISTORIES, st.floats(0.05, 20.0))
-def test_all_tensions_scale_together(sheath, history, factor):
-    plain, scaled = (
-        build_tables(sheath),
-        build_tables(
-            Sheath(sheath.sections, sheath.friction, EA, factor * sheath.drag, sheath.asymmetry)
-        ),
-    )
-    one = observe(plain, after(plain, history, 5.0))
-    many = observe(scaled, after(scaled, [factor * T for T in history], factor * 5.0))
-    assert many.T_out == pytest.approx(factor * one.T_out)
-    assert many.elongation == pytest.approx(factor * one.elongation)
-    assert (many.phase, many.front) == (one.phase, pytest.approx(one.front, abs=1e-6))
-
-
-@examples(60)
-@given(HISTORIES, st.floats(0.5, 2.0))
-def test_mirrored_histories_give_mirrored_profiles(history, rho):
-    """Pull and release change places in ln T when the two frictions do."""
-    K = 0.8
-    one = build_tables(Sheath.uniform(K, 1.5, EA, asymmetry=rho))
-    other = build_tables(Sheath.uniform(rho * K, 1.5, EA, asymmetry=1.0 / rho))
-    T_out = observe(one, after(one, history, 5.0)).T_out
-    mirror = observe(other, after(other, [25.0 / T for T in history], 5.0)).T_out
-    assert T_out * mirror == pytest.approx(25.0)
-
-
-@examples(60)
-@given(MOVES)
-def test_the_two_ends_are_alike(moves):
-    """A sheath turned end for end, with the frictions exchanged, does the same."""
-    rho, swap = 1.4, {"motor": "tip", "tip": "motor"}
-    sections = tuple(Section(*section) for section in BENT)
-    one = build_tables(Sheath(sections, MU, EA, 0.5, rho))
-    other = build_tables(Sheath(sections[::-1], rho * MU, EA, 0.5, 1.0 / rho))
-    here = observe(one, driven(one, build_pretensioned_profile(one, 5.0), moves))
-    turned = [(swap[end], tension) for end, tension in moves]
-    there = observe(other, driven(other, build_pretensioned_profile(other, 5.0), turned))
-    assert (here.T_in, here.T_out) == pytest.approx((there.T_out, there.T_in))
-    assert here.elongation == pytest.approx(there.elongation)
-
-
 @examples(60)
 @given(SHEATHS, MOVES, HISTORIES)
 def test_batch_is_the_step_repeated(sheath, moves, history):
@@ -416,24 +310,6 @@ def test_travel_and_force_drive_the_same_transmission(sheath, moves, tension):
         assert seen.elongation == pytest.approx(wanted.elongation, rel=1e-9)
 
 
-@examples(60)
-@given(SHEATHS, HISTORIES)
-def test_sensitivity_is_the_slope_of_what_follows(sheath, history):
-    table = build_tables(sheath)
-    profile = after(table, history)
-    before = observe(table, profile)
-    assume(before.phase != Phase.SLACK and len(set(history)) > 1)
-    up = get_point(profile, 0)[2] < 0.0
-    step = 1e-6 * before.T_in * (1.0 if up else -1.0)
-    then = observe(table, drive_proximal(table, profile, before.T_in + step))
-    assume(then.phase == before.phase)
-    gain, compliance = sensitivity(table, profile)
-    assert (then.T_out - before.T_out) / step == pytest.approx(gain, rel=1e-3, abs=1e-6)
-    assert (then.elongation - before.elongation) / step == pytest.approx(
-        compliance, rel=1e-3, abs=1e-9
-    )
-
-
 # Limits and single facts.
 
 
@@ -450,14 +326,6 @@ def test_without_friction_the_tip_is_the_housing(history, K):
     assert observe(table, profile).T_in == pytest.approx(1e-3 * EA / 1.5)
     push_distal(table, profile, 3.0)
     assert observe(table, profile).T_in == pytest.approx(3.0)
-
-
-def test_vanishing_friction_is_continuous():
-    history = [20.0, 5.0, 12.0]
-    few, none = (build_tables(Sheath.uniform(K, 1.5, EA)) for K in (1e-6, 0.0))
-    assert observe(few, after(few, history))[:3] == pytest.approx(
-        observe(none, after(none, history))[:3], rel=1e-5
-    )
 
 
 def test_phases_and_front_of_one_pull_and_release():
@@ -483,27 +351,6 @@ def test_phases_and_front_of_one_pull_and_release():
     assert observe(table, profile).front == pytest.approx(0.75)
     profile = drive_proximal(table, profile, 5.0 * math.exp(1.1))
     assert observe(table, profile).phase == Phase.PULL
-
-
-def test_front_is_measured_along_the_sheath():
-    table = build_tables(sheath_of(BENT))
-    profile = drive_proximal(table, drive_proximal(table, build_slack_profile(table), 20.0), 12.0)
-    seen = observe(table, profile)
-    x = np.linspace(0.0, 1.5, 100001)
-    assert x[np.argmax(evaluate_tension(table, profile, x))] == pytest.approx(seen.front, abs=1e-4)
-    assert seen.T_front == pytest.approx(
-        evaluate_tension(table, profile, np.array([seen.front]))[0]
-    )
-
-
-def test_going_slack_is_forgetting():
-    table = build_tables(sheath_of(BENT))
-    profile = after(table, [20.0, 5.0, 9.0, 0.0])
-    push_displacement(table, profile, -1e-3, 0.0)
-    assert observe(table, profile).phase == Phase.SLACK
-    assert observe(table, profile).elongation == pytest.approx(0.0, abs=1e-12)
-    pulled = drive_proximal(table, profile, 7.0)
-    assert same(table, pulled, drive_proximal(table, build_slack_profile(table), 7.0))
 
 
 @examples(60)
@@ -537,8 +384,8 @@ def test_what_is_not_finite_stays_outside(bad):
         build_pretensioned_profile(table, bad)
 
 
-@pytest.mark.parametrize("K", [1.0, 6.0])
-def test_a_full_profile_errs_by_no_more_than_it_says(K):
+def test_a_full_profile_errs_by_no_more_than_it_says():
+    K = 6.0
     table = build_tables(Sheath.uniform(K, 1.5, EA))
     profile = after(table, [200.0, 1e-3])
     x = np.linspace(0.0, 1.5, 3000)

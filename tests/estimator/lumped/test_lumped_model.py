@@ -6,7 +6,7 @@ import pytest
 from estimator.law.sheath import Sheath
 from estimator.law.transmission import build_slack_profile, build_tables, simulate_tensions
 from estimator.lumped.lumped_model import Physics, simulate_by_tension, simulate_by_travel
-from estimator.lumped.nodes import EDGES, PLACES, build_even_weights
+from estimator.lumped.nodes import PLACES, build_even_weights
 from tests.brute.chain import Chain, Force, Position, Spring
 
 K, LENGTH, EA = 0.9, 1.5, 9e3
@@ -141,12 +141,6 @@ def test_strands_side_by_side_that_let_go_one_after_another_are_one_chain(softne
     assert np.abs(plain.distal_tension - T_out).max() > 0.05 * T_in.max()
 
 
-def test_a_spectrum_of_one_play_is_the_law_bit_for_bit():
-    plain, one = simulated(nested(2e-3)), simulated(nested(2e-3), spectrum=np.array([[1.0, 1.0]]))
-    for a, b in zip(plain, one, strict=True):
-        assert np.array_equal(a, b)
-
-
 def test_a_fall_of_friction_relaxes_a_tendon_at_rest_and_a_rise_does_nothing():
     travel = np.minimum(TIME / 2.0, 1.0) * 2e-3
     friction = np.where(TIME < 4.0, K, 0.75 * K)
@@ -162,17 +156,6 @@ def test_a_fall_of_friction_relaxes_a_tendon_at_rest_and_a_rise_does_nothing():
     )
     resting = TIME > 2.1
     assert np.ptp(risen.proximal_tension[resting]) < 1e-9
-
-
-def test_samples_left_out_between_turns_change_nothing():
-    travel = nested(5e-3)
-    turns = np.flatnonzero(np.diff(np.sign(np.diff(travel)))) + 1
-    kept = np.unique(np.concatenate([[0, len(travel) - 1], turns, np.arange(0, len(travel), 7)]))
-    soft = physics(tip_compliance=4e-4)
-    every = simulate_by_travel(soft, TIME, travel, 0.0 * TIME)
-    some = simulate_by_travel(soft, TIME[kept], travel[kept], 0.0 * TIME[kept])
-    assert np.abs(every.proximal_tension[kept] - some.proximal_tension).max() < 1e-6
-    assert np.abs(every.distal_tension[kept] - some.distal_tension).max() < 1e-6
 
 
 @pytest.mark.parametrize(
@@ -203,9 +186,3 @@ def test_whatever_it_does_the_motor_is_where_it_is_and_a_slack_tendon_pulls_noth
     assert (done.proximal_tension[travel < -1e-4] < 1e-6).all()
     plain = simulated(travel, tip_compliance=4e-4)
     assert np.std(done.proximal_tension - plain.proximal_tension) > 0.005
-
-
-def test_weights_are_a_sheath_s_whole_compliance():
-    assert build_even_weights().sum() == pytest.approx(1.0)
-    assert EDGES[0] == 0.0
-    assert EDGES[-1] == 1.0

@@ -14,14 +14,12 @@ from estimator.online import online
 from estimator.online.extension import (
     OMISSION_REASONS,
     EffectUse,
-    Extension,
     build_extended_model,
     explain_omission,
 )
-from estimator.online.online import ModelError, Status, TendonEstimate, TendonModel
+from estimator.online.online import Status, TendonModel
 from estimator.online.reading_correction import (
     MAX_CORRECTIONS,
-    CorrectionKind,
     build_corrections,
     correct_reading,
 )
@@ -95,22 +93,27 @@ def force_error(model, data, part=slice(None)):
     return rms(off[part])
 
 
+def slow(*cases):
+    return [pytest.param(*case, marks=pytest.mark.slow) for case in cases]
+
+
 @pytest.mark.parametrize(
     ("name", "kind", "most"),
     [
         ("viscous_friction", "spring", 5.0),
-        ("viscous_friction", "blocked", 3.0),
-        ("stribeck_friction", "blocked", 7.0),
-        ("stribeck_friction", "spring", 10.0),
         ("presliding", "blocked", 9.0),
-        ("tension_dependent_friction", "blocked", 3.5),
-        ("tension_dependent_friction", "spring", 3.5),
-        ("constant_drag", "spring", 3.5),
-        ("direction_asymmetry", "blocked", 3.5),
-        ("proximal_tension_gain", "spring", 3.5),
-        ("proximal_tension_bias", "blocked", 3.5),
         ("sheath_rub", "spring", 3.5),
-        ("cogging_ripple", "blocked", 5.0),
+        *slow(
+            ("viscous_friction", "blocked", 3.0),
+            ("stribeck_friction", "blocked", 7.0),
+            ("stribeck_friction", "spring", 10.0),
+            ("tension_dependent_friction", "blocked", 3.5),
+            ("constant_drag", "spring", 3.5),
+            ("direction_asymmetry", "blocked", 3.5),
+            ("proximal_tension_gain", "spring", 3.5),
+            ("proximal_tension_bias", "blocked", 3.5),
+            ("cogging_ripple", "blocked", 5.0),
+        ),
     ],
 )
 def test_the_force_is_right_where_the_plain_law_is_wrong(name, kind, most):
@@ -128,7 +131,8 @@ def test_the_force_is_right_where_the_plain_law_is_wrong(name, kind, most):
 
 
 @pytest.mark.parametrize(
-    "name", ["creep", "nonlinear_stiffness", "sheath_compression", "pulley_eccentricity"]
+    "name",
+    ["creep", *slow(("nonlinear_stiffness",), ("sheath_compression",), ("pulley_eccentricity",))],
 )
 def test_the_elongation_is_right_where_the_plain_law_is_wrong(name):
     data = bench(name, "spring")
@@ -145,16 +149,17 @@ def test_the_elongation_is_right_where_the_plain_law_is_wrong(name):
     assert off[1] < 0.6 * off[0]
 
 
-@pytest.mark.parametrize(("kind", "softness"), [("spring", 0.0), ("blocked", 1e-3)])
-def test_what_the_tip_pulls_at_is_learnt_where_it_is_not_what_the_bench_had(kind, softness):
-    data = bench("viscous_friction", kind)
-    plain, more = models(data.truth, "viscous_friction", softness)
+def test_what_the_tip_pulls_at_is_learnt_where_it_is_not_what_the_bench_had():
+    data = bench("viscous_friction", "spring")
+    plain, more = models(data.truth, "viscous_friction", 0.0)
     settled = data.time > 6.0
     assert force_error(more, data, settled) < 0.7 * force_error(plain, data, settled)
 
 
-@pytest.mark.parametrize("values", [(0.4, 0.7), (0.2, 0.1, 0.5, 0.3)])
-@pytest.mark.parametrize("softness", [0.0, 3e-4])
+@pytest.mark.parametrize(
+    ("values", "softness"),
+    [((0.4, 0.7), 0.0), *slow(((0.2, 0.1, 0.5, 0.3), 3e-4))],
+)
 def test_distributed_play_has_in_the_loop_the_numbers_of_the_diagnosis(values, softness):
     """What it adds is that of nodes to 1e-9; the rest is the closed law, which they come near."""
     one = next(
@@ -182,19 +187,8 @@ def test_distributed_play_has_in_the_loop_the_numbers_of_the_diagnosis(values, s
     assert np.abs(nodes[1].distal_tension - nodes[0].distal_tension).max() > 0.5
 
 
-def test_friction_is_that_of_the_record_s_end():
-    data = bench("friction_step", "blocked")
-    change, onset = data.truth["friction_step"]["change"], data.truth["friction_step"]["time"]
-    plain, more = models(data.truth, "friction_step")
-    ratio = more.sheath.K / plain.sheath.K
-    assert ratio == pytest.approx(1.0 + change)
-    after = data.time > onset + 4.0
-    assert force_error(more, data, after) < 0.7 * force_error(plain, data, after)
-    assert more.extension is None
-
-
-@pytest.mark.parametrize("name", ["stribeck_friction", "viscous_friction", "sheath_rub"])
-def test_run_gives_the_numbers_of_step_bit_for_bit(name):
+def test_run_gives_the_numbers_of_step_bit_for_bit():
+    name = "viscous_friction"
     data = bench(name, "spring")
     prepared = online.prepare(models(data.truth, name)[1])
     T, q = (data.channels[f"proximal_{one}"][:700].copy() for one in ("tension", "displacement"))
@@ -212,7 +206,7 @@ def test_run_gives_the_numbers_of_step_bit_for_bit(name):
         assert np.array_equal([getattr(row, name) for row in rows], every, equal_nan=True)
 
 
-@pytest.mark.parametrize("name", ["viscous_friction", "creep", "cogging_ripple"])
+@pytest.mark.parametrize("name", ["viscous_friction", "cogging_ripple"])
 def test_a_refused_sample_leaves_no_trace_and_the_force_is_always_finite(name):
     data = bench(name, "blocked")
     prepared = online.prepare(models(data.truth, name)[1])
@@ -253,19 +247,6 @@ def test_each_effect_has_a_use_or_a_reason():
     assert uses["distal_tension_gain"] == {EffectUse.TIP_SENSOR}
     assert uses["proximal_tension_gain"] == uses["sheath_rub"] == {EffectUse.READING_CORRECTION}
     assert set(uses) == set(NAMES)
-
-
-def test_the_shape_of_the_sheath_is_in_its_sections():
-    uneven = effect("nonuniform_curvature", "two sections")
-    found = build_extended_model((0.9, 1.5 / 9e3, 0.0), [(uneven, (1.0, 0.4))], 60.0, 1.5)
-    assert found.extension is None
-    whole = found.sheath.K, found.sheath.length, found.sheath.axial_stiffness
-    assert whole == pytest.approx((0.9, 1.5, 9e3))
-    first, *_, last = found.sheath.sections
-    assert last.radius / first.radius == pytest.approx(math.e)
-    smooth = effect("nonuniform_curvature", "gradually")
-    gradual = build_extended_model((0.9, 1.5 / 9e3, 0.0), [(smooth, (1.0,))], 60.0, 1.5).sheath
-    assert 3 < len(gradual.sections) <= 16
 
 
 def test_what_a_cell_at_the_tip_reads_does_not_touch_the_force():
@@ -311,45 +292,6 @@ def test_a_bias_that_is_gone_does_not_make_a_slack_tendon_a_broken_cell():
         assert row.distal_tension == pytest.approx(0.0, abs=0.05)
 
 
-def test_one_wrong_travel_is_forgotten_as_soon_as_by_the_plain_law():
-    data = bench("viscous_friction", "spring")
-    spoiled = data.channels["proximal_displacement"].copy()
-    spoiled[800] += 1.0
-    off = []
-    for model in models(data.truth, "viscous_friction"):
-        prepared, T = online.prepare(model), data.channels["proximal_tension"]
-        wrong = online.run(prepared, data.time, T, spoiled).distal_tension
-        off.append(rms((wrong - estimated(model, data).distal_tension)[1200:]))
-    plain, extended_ = off
-    assert extended_ < 1.2 * plain + NOISE
-
-
-def test_time_that_was_not_heard_of_goes_on_beside_the_law():
-    creep = (effect("creep"), (0.3, 5.0))
-    prepared, heard = running(creep)
-    deaf = heard
-    for k in range(200):
-        sample = (10.0, 1e-3, 0.1)
-        one, heard = online.step(prepared, heard, *sample)
-        spoiled = sample if k < 50 or k > 150 else (math.nan, 1e-3, 0.1)
-        other, deaf = online.step(prepared, deaf, *spoiled)
-    assert other.elongation == pytest.approx(one.elongation, rel=1e-3)
-
-
-def test_a_model_of_tensions_alone_leaves_the_elasticity_to_what_is_known():
-    found = build_extended_model((0.8,), [], 60.0, 1.5, axial_stiffness=1.2e4)
-    assert found.sheath.axial_stiffness == pytest.approx(1.2e4)
-    assert found.sheath.length == pytest.approx(1.5)
-
-
-def test_what_a_sample_is_taken_for_is_told():
-    prepared, state = running((effect("proximal_tension_gain"), (0.25,)))
-    estimate = TendonEstimate.new()
-    assert online.advance(prepared, state, 10.0, 2e-3, 0.0, estimate) == (8.0, 2e-3)
-    assert estimate.distal_tension == pytest.approx(8.0 * math.exp(-0.8))
-    assert online.advance(prepared, state, math.nan, 2e-3, 1e-3, estimate)[1] == 2e-3
-
-
 READINGS = {
     "proximal_tension_gain": (0.1,),
     "proximal_tension_bias": (0.7,),
@@ -362,12 +304,6 @@ READINGS = {
 
 def reading(name):
     return next(e for e in CATALOGUE if e.name == name and e.correction is not None)
-
-
-def test_every_correction_has_its_effect():
-    assert {reading(name).correction for name in READINGS} == set(CorrectionKind)
-    of_sensors = {e.name for e in CATALOGUE if e.correction is not None}
-    assert of_sensors == set(READINGS)
 
 
 @pytest.mark.parametrize("name", [name for name in READINGS if name != "pulley_eccentricity"])
@@ -399,8 +335,12 @@ def test_the_travel_of_an_eccentric_pulley_is_corrected_as_the_diagnosis_does():
     assert found - found[0] == pytest.approx(true - true[0], abs=1e-15)
 
 
-def test_refuses_more_corrections_than_fit():
-    kind = CorrectionKind.TENSION_BIAS
-    extension = Extension(None, ((kind, (0.1,)),) * (MAX_CORRECTIONS + 1))
-    with pytest.raises(ModelError, match=f"extension: {MAX_CORRECTIONS + 1} corrections"):
-        TendonModel(Sheath.uniform(1.0, 1.5, 9000.0), extension=extension)
+def test_friction_is_that_of_the_record_s_end():
+    data = bench("friction_step", "blocked")
+    change, onset = data.truth["friction_step"]["change"], data.truth["friction_step"]["time"]
+    plain, more = models(data.truth, "friction_step")
+    ratio = more.sheath.K / plain.sheath.K
+    assert ratio == pytest.approx(1.0 + change)
+    after = data.time > onset + 4.0
+    assert force_error(more, data, after) < 0.7 * force_error(plain, data, after)
+    assert more.extension is None

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from estimator.law.sheath import Section, Sheath
-from estimator.law.tables import MAX_SECTIONS
 from estimator.law.transmission import Phase, build_slack_profile, build_tables, simulate_tensions
 from estimator.online import online
 from estimator.online.online import ModelError, Status, TendonEstimate, TendonModel
@@ -62,8 +61,8 @@ def test_estimate_follows_the_sliding_direction(name, noise):
             assert abs(error) < 0.05 * peak, f"leg {leg}: off by {error:.2f} N"
 
 
-@pytest.mark.parametrize("stiffness_error", [0.96, 1.0, 1.04])
-@pytest.mark.parametrize("noise", NOISES)
+@pytest.mark.parametrize("stiffness_error", [0.96, 1.04])
+@pytest.mark.parametrize("noise", NOISES[::2])
 @pytest.mark.parametrize("name", SCENARIOS)
 def test_truth_stays_inside_the_interval(name, noise, stiffness_error):
     record = scenario(name)
@@ -90,7 +89,7 @@ def test_a_reversal_is_not_taken_for_full_sliding(noise):
     seconds = (0.4, 0.46, 0.36, 0.34, 0.42, 0.42, 0.35, 0.49)
     travel = (1.865e-3, -0.17e-3, -0.104e-3, 0.127e-3, -0.245e-3, 0.127e-3, -0.422e-3, 0.427e-3)
     record = play(SHEATHS[2], [(t, q, held()) for t, q in zip(seconds, travel, strict=True)])
-    for seed in range(20):
+    for seed in range(8):
         result = estimate(record, noise, seed, sheath=SHEATHS[2])
         assert outside(result, record.T_out) < CHAIN_ERROR
 
@@ -109,48 +108,13 @@ def test_tension_rising_at_a_still_motor_is_the_tip_pulling():
     assert record.T_out[seen] / by_sign[seen] == pytest.approx(math.e**2, rel=0.1)
 
 
-def test_tension_falling_at_a_still_motor_is_the_tip_yielding():
-    record = scenario("tip yields after a pull")
-    result = estimate(record)
-    end = np.flatnonzero(record.leg == 3)[-1]
-    assert result.distal_tension[end] == pytest.approx(record.T_in[end] / math.e, rel=0.01)
-    assert result.status[end] & Status.TIP_MOVED
-
-
-def test_motor_moving_again_is_not_taken_for_the_tip():
-    record = scenario("tip yields after a pull")
-    result = estimate(record)
-    released = record.leg == 4
-    assert np.ptp(record.T_in[released]) > 1.0
-    assert result.distal_tension[released] == pytest.approx(record.T_out[released], rel=0.01)
-
-
 @pytest.mark.parametrize("stiffness_error", [0.96, 1.04])
 def test_a_blocked_tip_is_not_accused(stiffness_error):
     accepted = replace(SHEATH, axial_stiffness=9000.0 * stiffness_error)
-    for seed in range(4):
+    for seed in range(2):
         record = play(SHEATH, random_legs(np.random.default_rng(seed), tip_moves=False))
         result = estimate(record, NOISES[1], seed, sheath=accepted)
         assert not (result.status & Status.TIP_MOVED).any()
-
-
-def test_interval_is_tight_while_the_whole_tendon_slides_and_opens_after():
-    legs = [(0.3, 3e-3, spring(2e3)), (1.0, 4e-3, spring(2e3)), (0.8, 0.0, held())]
-    record = play(SHEATH, legs)
-    result = estimate(record)
-    sliding = np.flatnonzero(record.leg == 1)[-1]
-    width = (result.high - result.low) / record.T_out
-    assert width[sliding] < 0.2
-    least, most = envelope(build_tables(SHEATH), record.T_in[-1])
-    assert result.low[-1] == pytest.approx(least, rel=0.05)
-    assert result.high[-1] == pytest.approx(most, rel=0.05)
-
-
-def test_tip_travel_is_followed_on_a_spring():
-    record = scenario("spring at the tip")
-    result = estimate(record)
-    assert result.distal_displacement == pytest.approx(record.q_d, abs=1e-5)
-    assert np.ptp(record.q_d) > 2e-3
 
 
 def test_step_and_run_give_the_same_numbers():
@@ -244,17 +208,6 @@ def test_a_bad_sample_is_refused_held_and_widens_the_interval(sample):
     assert again.distal_tension == pytest.approx(good.distal_tension, rel=1e-6)
 
 
-def test_bad_from_the_first_sample_on_is_survived():
-    prepared = online.prepare(model())
-    estimate_, state = online.step(
-        prepared, online.build_initial_state(prepared), math.nan, math.nan, 0.0
-    )
-    assert estimate_.status & Status.INVALID_INPUT
-    assert estimate_.distal_tension == pytest.approx(0.0, abs=1e-6)
-    after, _ = online.step(prepared, state, 3.0, 3e-4, 0.001)
-    assert after.distal_tension == pytest.approx(3.0 / math.e, rel=1e-6)
-
-
 def test_slack_is_no_force():
     prepared = online.prepare(model(NOISES[2]))
     rng = np.random.default_rng(0)
@@ -264,18 +217,6 @@ def test_slack_is_no_force():
     assert slack.mean() > 0.99
     assert (result.distal_tension[slack] < 1e-6).all()
     assert (result.phase[slack] == Phase.SLACK).all()
-
-
-def test_noise_at_a_hold_is_not_collected_as_tension():
-    time = np.arange(5000) / 1000.0
-    T = np.minimum(time * 10.0, 10.0)
-    noisy = T + np.random.default_rng(0).normal(0.0, 0.03, len(T))
-    treated = online.run(online.prepare(model((0.03, 0.0))), time, noisy)
-    raw, _ = simulate_tensions(
-        build_tables(SHEATH), build_slack_profile(build_tables(SHEATH)), noisy
-    )
-    truth = 10.0 / math.e
-    assert abs(treated.distal_tension[-1] - truth) < 0.5 * abs(raw[-1] - truth)
 
 
 def test_profile_is_that_of_the_chain():
@@ -312,23 +253,6 @@ def test_refuses_a_senseless_model(change):
         TendonModel(SHEATH, **change)
 
 
-def test_a_sheath_of_many_sections_is_estimated_as_one_of_few():
-    """As many as fit, all curved; the tables are padded to that."""
-    record = scenario("nested reversals, then the tip is drawn out")
-    (whole,) = SHEATH.sections
-    pieces = (Section(whole.length / MAX_SECTIONS, whole.radius),) * MAX_SECTIONS
-    result = estimate(record, sheath=replace(SHEATH, sections=pieces))
-    expected = estimate(record)
-    assert result.distal_tension == pytest.approx(expected.distal_tension, rel=1e-6)
-    assert result.elongation == pytest.approx(expected.elongation, rel=1e-6, abs=1e-12)
-
-
-def test_refuses_more_sections_than_fit():
-    pieces = (SHEATH.sections[0],) * (MAX_SECTIONS + 1)
-    with pytest.raises(ModelError, match=f"sheath: {MAX_SECTIONS + 1} sections"):
-        TendonModel(replace(SHEATH, sections=pieces, friction=1e-3))
-
-
 def test_tendons_of_a_rig_are_estimated_as_each_alone():
     """Records in an array share no memory: what one is given never shows in another."""
     record = scenario("tip is drawn out after a pull")
@@ -354,11 +278,6 @@ def test_tendons_of_a_rig_are_estimated_as_each_alone():
             for name, row in alone[i]._asdict().items():
                 assert np.array_equal(row[k], estimates[name][i], equal_nan=True), (k, i, name)
         before = t
-
-
-def test_refuses_rows_of_unequal_length():
-    with pytest.raises(ModelError, match="equal length"):
-        online.run(online.prepare(model()), np.zeros(3), np.zeros(4))
 
 
 def dragged(tips, tension=0.4):
@@ -404,3 +323,24 @@ def test_a_tip_that_stops_is_not_taken_to_have_turned():
         tip_moved += bool(estimate_now.status & Status.TIP_MOVED)
     assert tip_moved > 300
     assert estimate_now.distal_tension == pytest.approx(T_in[-1] * math.exp(-1.0), rel=0.02)
+
+
+def test_interval_is_tight_while_the_whole_tendon_slides_and_opens_after():
+    legs = [(0.3, 3e-3, spring(2e3)), (1.0, 4e-3, spring(2e3)), (0.8, 0.0, held())]
+    record = play(SHEATH, legs)
+    result = estimate(record)
+    sliding = np.flatnonzero(record.leg == 1)[-1]
+    width = (result.high - result.low) / record.T_out
+    assert width[sliding] < 0.2
+    least, most = envelope(build_tables(SHEATH), record.T_in[-1])
+    assert result.low[-1] == pytest.approx(least, rel=0.05)
+    assert result.high[-1] == pytest.approx(most, rel=0.05)
+
+
+def test_bad_from_the_first_sample_on_is_survived():
+    prepared = online.prepare(model())
+    estimate_, state = online.step(prepared, online.initial(prepared), math.nan, math.nan, 0.0)
+    assert estimate_.status & Status.INVALID_INPUT
+    assert estimate_.distal_tension == pytest.approx(0.0, abs=1e-6)
+    after, _ = online.step(prepared, state, 3.0, 3e-4, 0.001)
+    assert after.distal_tension == pytest.approx(3.0 / math.e, rel=1e-6)

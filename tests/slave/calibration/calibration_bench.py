@@ -34,9 +34,7 @@ def joint(
     )
     standard = {"friction": 0.2, "spring": 0.0, "stops": (-RANGE / 2, RANGE / 2)}
     return JointConfig(
-        (tendon,) * tendons,
-        BodyConfig(**standard | (body or {})),
-        environment or FreeConfig(),
+        (tendon,) * tendons, BodyConfig(**standard | (body or {})), environment or FreeConfig()
     )
 
 

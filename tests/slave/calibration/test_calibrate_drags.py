@@ -54,11 +54,7 @@ def dragged(sections, pulled=1.0, a=1.0, gain_error=GAINS):
     return [one.K for one in right], remark
 
 
-@pytest.mark.parametrize(
-    "sections",
-    [SLIGHT, pytest.param(TIP, marks=pytest.mark.slow)],
-    ids=["ends in a slight bend", "bends at the tip"],
-)
+@pytest.mark.parametrize("sections", [SLIGHT, pytest.param(TIP, marks=pytest.mark.slow)])
 def test_friction_that_hides_at_the_tip_is_found(sections):
     right, remark = dragged(sections)
     assert remark == ""
@@ -70,19 +66,11 @@ def test_friction_that_hides_at_the_tip_is_found(sections):
     assert max(errors) < 0.5 * max(abs(K - 1.2) for K in by_the_loops)
 
 
-@pytest.mark.parametrize("share", [0.9, 1.1])
-def test_a_joint_whose_friction_grows_with_its_load_is_left_to_the_loops(share):
-    right, remark = dragged(SLIGHT, pulled=share)
+def test_a_joint_whose_friction_grows_with_its_load_is_left_to_the_loops():
+    right, remark = dragged(SLIGHT, pulled=1.1)
     assert right == [one.K for one in loops(SLIGHT)]
     assert "drags not used" in remark
     assert "by the drags" in remark
-
-
-def test_gains_that_differ_by_what_was_stated_cancel():
-    right, remark = dragged(SLIGHT, a=1.01, gain_error=0.01)
-    assert remark == ""
-    expected, _ = dragged(SLIGHT)
-    assert [K.value for K in right] == pytest.approx([K.value for K in expected], abs=5e-4)
 
 
 def test_gains_that_differ_by_more_than_was_stated_are_found_out():
@@ -91,6 +79,7 @@ def test_gains_that_differ_by_more_than_was_stated_are_found_out():
     assert "as a draws b" in remark
 
 
+@pytest.mark.slow
 def test_one_drag_alone_puts_right_as_much_as_the_gains_are_known():
     quick = record(SLIGHT, initialise=but(FULL, drags=1))
     both = [PulledTendon(quick, 0, side) for side in (0, 1)]

@@ -10,7 +10,6 @@ from slave.config import SlaveConfig, find_not_ready_reason, load_tendon_configs
 from slave.rigs.replayed import ReplayedRigConfig
 from slave.sheath_section import SectionConfig
 from slave.tendon_config import TendonConfig
-from teleop.config.loading import load
 from teleop.errors import UsageError
 from tests.slave.calibration.calibration_bench import joint, rig_config
 
@@ -61,12 +60,6 @@ def test_what_is_saved_is_what_is_loaded(tmp_path):
     assert file.load(saved(tmp_path)) == WHOLE
 
 
-def test_a_file_says_what_it_is_of_before_anything_else(tmp_path):
-    text = saved(tmp_path).read_text()
-    assert text.startswith("rig: arm\njoints:")
-    assert [line for line in text.splitlines() if line.startswith("time:")]
-
-
 def test_a_file_is_written_whole_or_not_at_all(tmp_path, monkeypatch):
     path = saved(tmp_path)
     before = path.read_text()
@@ -108,20 +101,12 @@ def test_it_fits_the_rig_it_was_made_of():
         (WHOLE, Rig(joints=((0,), (1,))), r"joints 1\+2 .*the rig has 1, 2"),
         (WHOLE, Rig(joints=((0, 1), (2, 3))), r"the rig has 1\+2, 3\+4"),
         (replace(WHOLE, rig=""), Rig(), "for no named rig"),
-        (
-            replace(WHOLE, accepted=False, remark="noisy"),
-            Rig(),
-            "not accepted: noisy",
-        ),
+        (replace(WHOLE, accepted=False, remark="noisy"), Rig(), "not accepted: noisy"),
         (replace(WHOLE, joints=()), Rig(joints=((0,), (1,), (2,))), "describes 2 tendons"),
     ],
 )
 def test_it_fits_no_other(calibration, rig, said):
     assert re.search(said, find_misfit(calibration, rig))
-
-
-def test_one_model_that_names_no_joints_is_for_all_tendons():
-    assert find_misfit(Calibration(rig="arm", tendons=(EVEN,)), Rig(joints=((0, 1), (2,)))) is None
 
 
 # What a slave makes of it.
@@ -169,18 +154,6 @@ def test_measured_data_take_the_calibration_of_any_rig_unless_they_have_a_name(t
     assert "for no named rig" in find_not_ready_reason(named, replace(rig, name="leg"))
 
 
-def test_models_given_by_hand_need_no_file():
-    assert find_not_ready_reason(SlaveConfig(rig=SIMULATED, tendons=(EVEN,)), BENCH) == ""
-
-
-def test_as_built_in_a_config_file_is_no_path(tmp_path):
-    path = tmp_path / "config.yaml"
-    path.write_text("slave: {calibration: as-built}")
-    assert load(path, SlaveConfig, "slave").calibration == "as-built"
-    path.write_text("slave: {calibration: arm.yaml}")
-    assert load(path, SlaveConfig, "slave").calibration == tmp_path / "arm.yaml"
-
-
 def test_a_config_or_no_file_in_place_of_a_calibration_is_called_what_it_is(tmp_path):
     path = tmp_path / "demo.yaml"
     with pytest.raises(UsageError, match=r"demo\.yaml: cannot read the calibration"):
@@ -188,10 +161,3 @@ def test_a_config_or_no_file_in_place_of_a_calibration_is_called_what_it_is(tmp_
     path.write_text("session: demo\nslave: {}\n")
     with pytest.raises(UsageError, match=r"demo\.yaml: is a session config"):
         file.load(path)
-
-
-def test_a_calibration_of_too_many_tendons_says_what_it_is_of(tmp_path):
-    path = tmp_path / "arm.yaml"
-    file.save(path, Calibration(rig="arm", tendons=(TendonConfig(effective_friction=1.0),) * 8))
-    with pytest.raises(UsageError, match=r"arm\.yaml: .*'arm': 8 tendons, but the rig has 2"):
-        load_tendon_configs(SlaveConfig(calibration=path), 2)

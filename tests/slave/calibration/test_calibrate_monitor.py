@@ -9,7 +9,6 @@ import pytest
 from estimator.law.sheath import Sheath
 from estimator.law.transmission import Phase
 from estimator.online import online
-from estimator.online.tendon_estimate import TendonEstimate
 from estimator.records import to_struct, view_struct
 from slave.calibration import monitor
 from slave.calibration.monitor import Advice, MonitorConfig, TendonMonitor
@@ -63,14 +62,7 @@ class Use:
                 for i in range(2):
                     against = estimates[1 - i].distal_tension
                     monitor.step(
-                        CONFIG,
-                        constants[i],
-                        monitors[i],
-                        estimates[i],
-                        T[i],
-                        q[i],
-                        against,
-                        dt,
+                        CONFIG, constants[i], monitors[i], estimates[i], T[i], q[i], against, dt
                     )
             self.time.append(k * dt)
             self.advice.append(monitor.compute_advice(CONFIG, monitors, 2))
@@ -87,15 +79,13 @@ class Use:
         return next(t for t, said in zip(self.time, self.advice, strict=True) if said >= advice)
 
 
-@pytest.mark.parametrize("K", [0.6, 1.0, 1.5])
-def test_a_sheath_that_keeps_its_shape_is_never_doubted(K):
-    use = Use(rig_config(joint(K, environment=TISSUE)), 30.0)
+def test_a_sheath_that_keeps_its_shape_is_never_doubted():
+    use = Use(rig_config(joint(1.0, environment=TISSUE)), 30.0)
     assert set(use.advice) == {Advice.NONE}
     assert max(one.count for one in use.monitors) == SETTINGS.transitions
 
 
-@pytest.mark.parametrize("change", [0.25, -0.25])
-@pytest.mark.parametrize("K", [0.8, 1.2])
+@pytest.mark.parametrize(("K", "change"), [(0.8, 0.25), (1.2, -0.25)])
 def test_a_change_of_shape_is_found_within_4_s_of_use(K, change):
     start = 8.4
     step = effect("friction_step", change=change, start=start, tendon="a")
@@ -105,6 +95,7 @@ def test_a_change_of_shape_is_found_within_4_s_of_use(K, change):
     assert abs(use.errors[-1, 1]) < SETTINGS.advise
 
 
+@pytest.mark.slow
 def test_on_an_uneven_sheath_a_change_is_found_too_unless_all_bends_are_at_the_tip():
     start = 8.0
     step = effect("friction_step", change=0.25, start=start, tendon="a")
@@ -122,17 +113,10 @@ def test_on_an_uneven_sheath_a_change_is_found_too_unless_all_bends_are_at_the_t
     assert monitor.build_monitor_constants([straight])[0]["blind"]
 
 
-def test_a_smaller_change_is_advised_of_but_not_demanded():
-    accepted = rig_config(joint(1.0, environment=TISSUE))
-    use = Use(rig_config(joint(1.1, environment=TISSUE)), 12.0, accepted)
-    assert use.advice[-1] == Advice.ADVISED
-
-
-@pytest.mark.parametrize("swing", [0.8, 2.0])
-def test_a_tip_that_is_moved_by_its_environment_is_no_change_of_shape(swing):
-    breath = ((0.0, 0.0), (1.1, swing), (2.9, -swing), (4.3, 0.0))
+def test_a_tip_that_is_moved_by_its_environment_is_no_change_of_shape():
+    breath = ((0.0, 0.0), (1.1, 2.0), (2.9, -2.0), (4.3, 0.0))
     pushed = LoadMotorConfig(profile=breath, repeat=True)
-    use = Use(rig_config(joint(1.0, environment=pushed)), 30.0)
+    use = Use(rig_config(joint(1.0, environment=pushed)), 15.0)
     assert set(use.advice) == {Advice.NONE}
 
 
@@ -141,12 +125,6 @@ def known(*errors, doubt=0.01):
     after = TendonMonitor.new(count=len(errors))
     after.errors[: len(errors)], after.uncertainties[: len(errors)] = errors, doubt
     return after
-
-
-def test_nothing_is_said_before_three_transitions():
-    assert monitor.compute_force_error(known(0.5, 0.5)) == 0.0
-    assert monitor.compute_force_error(known(0.5, 0.5, 0.5)) == 0.5
-    assert monitor.compute_force_error(known(0.5, 0.0, 0.0, 0.01)) < 0.01
 
 
 def test_transitions_that_contradict_each_other_say_nothing():
@@ -169,45 +147,6 @@ def test_what_the_estimator_does_not_trust_does_not_count():
     constants = monitor.build_monitor_constants([model])[0]
     monitor.step(CONFIG, constants, tendon, estimate, 5.0, 0.0, 0.0, 0.001)
     assert tendon.tobytes() == known(0.1).tobytes()
-
-
-def transitions(config, count, tendons=1, scale=1.2):
-    """Return monitors after the first of them saw so many pulls and releases of one travel."""
-    model = online.TendonModel(Sheath.uniform(1.0, 1.5, 9000.0))
-    constants, monitors = (
-        monitor.build_monitor_constants([model] * tendons),
-        TendonMonitor.array(tendons),
-    )
-    limits = to_struct(config)
-    pull = [(int(Phase.PULL), 1.5, 1.0 + 0.5 * k, 0.0) for k in range(10)]
-    release = [(int(Phase.PULL_TO_RELEASE), 0.005 * k, 5.0, -4e-6 * k) for k in range(50)]
-    for n in range(count):
-        for phase, front, tension, elongation in pull + release:
-            estimate = TendonEstimate.new(
-                distal_tension=2.0, elongation=elongation, front=front, phase=phase
-            )
-            travel = (scale - 0.01 * n) * elongation
-            monitor.step(limits, constants[0], monitors[0], estimate, tension, travel, 0.0, 0.001)
-    return monitors
-
-
-def test_only_the_latest_transitions_count_and_the_newest_is_the_last():
-    after = transitions(MonitorConfig(transitions=3), 8)
-    every = transitions(MonitorConfig(transitions=99), 8)
-    errors = view_struct(every).errors[: view_struct(every).count]
-    assert view_struct(every).count == 7  # the eighth has not ended
-    assert (np.diff(errors) > 0.0).all()  # less travel for the same stretch: more friction
-    assert view_struct(after).errors[:3].tolist() == errors[-3:].tolist()
-    assert view_struct(after).count == 3
-    assert view_struct(after).force_error == monitor.compute_force_error(view_struct(after)) != 0.0
-
-
-def test_one_tendon_says_nothing_of_another():
-    monitors = transitions(SETTINGS, 6, tendons=3, scale=1.3)
-    assert monitors[1:].tobytes() == TendonMonitor.array(2).tobytes()
-    assert monitors["force_error"][0] < -SETTINGS.demand
-    assert monitor.compute_advice(CONFIG, monitors, 3) == Advice.DEMANDED
-    assert monitor.compute_advice(CONFIG, monitors[1:].copy(), 2) == Advice.NONE
 
 
 def test_a_rig_is_watched_tendon_by_tendon_against_the_other_of_its_joint():
@@ -260,3 +199,9 @@ def test_a_rig_is_watched_tendon_by_tendon_against_the_other_of_its_joint():
 def test_thresholds_that_mean_nothing_are_refused(wrong, said):
     with pytest.raises(ValueError, match=said):
         MonitorConfig(**wrong)
+
+
+def test_a_smaller_change_is_advised_of_but_not_demanded():
+    accepted = rig_config(joint(1.0, environment=TISSUE))
+    use = Use(rig_config(joint(1.1, environment=TISSUE)), 12.0, accepted)
+    assert use.advice[-1] == Advice.ADVISED

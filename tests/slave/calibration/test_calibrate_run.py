@@ -1,7 +1,9 @@
 """Driving a rig through the procedure: what goes wrong on the way, and several joints."""
 
 import errno
+import math
 import os
+import re
 
 import numpy as np
 import pytest
@@ -10,9 +12,12 @@ from slave.calibration.procedure_state import Phase
 from slave.calibration.run import CalibrationInterrupted, CalibrationRefused
 from slave.gate import GateConfig
 from slave.rig import RigFault, RigSample
+from slave.simulation.motor import MotorConfig
 from teleop.errors import TeleopError, UsageError
 from tests.slave.calibration.calibration_bench import (
+    EA,
     GATE,
+    LENGTH,
     QUICK,
     HousingOnly,
     but,
@@ -23,47 +28,165 @@ from tests.slave.calibration.calibration_bench import (
 )
 
 SHORT = joint(body={"stops": (-0.003, 0.003)})
+RATE = 500.0  # [Hz]
+STRETCH = QUICK.tension * LENGTH / EA  # [m] of a tendon without friction at the tension pulled to
 
 
-class Odd(HousingOnly):
-    """A rig with something wrong from a time on."""
+class Failing(HousingOnly):
+    """A rig that fails `delay` seconds after a phase began, or after its start."""
 
-    def __init__(self, *joints, at=2.0, read=None, write=None, change=None):
-        super().__init__(rig_config(*joints))
-        self.at, self.time_s = at, 0.0
-        self.bad_read, self.bad_write, self.change = read, write, change
-        self.after_fault = 0
+    def __init__(self, config, phase=None, delay=2.0, read=None, write=None):
+        super().__init__(config)
+        self.phase, self.delay, self.bad_read, self.bad_write = phase, delay, read, write
+        self.time_s, self.begun = 0.0, 0.0 if phase is None else math.inf
+        self.healthy = 0  # writes before it failed
+
+    @property
+    def failed(self):
+        return self.time_s >= self.begun + self.delay
+
+    def follow(self, progress):
+        if progress.phase is self.phase:
+            self.begun = min(self.begun, self.time_s)
 
     def read(self, time_s):
         self.time_s = time_s
         samples = super().read(time_s)
-        if time_s < self.at:
-            return samples
-        if self.bad_read is not None:
-            self.after_fault += 1
-            raise self.bad_read
-        return tuple(map(self.change, samples)) if self.change else samples
+        return self.bad_read(samples) if self.failed and self.bad_read else samples
 
     def write(self, proximal_displacement):
-        if self.time_s >= self.at and self.bad_write is not None:
-            self.after_fault += 1
-            raise self.bad_write
         super().write(proximal_displacement)
+        if not self.failed:
+            self.healthy = len(self.written)
+        elif self.bad_write:
+            self.rig.write(self.bad_write(self, proximal_displacement))
+
+    def since(self):
+        """Return the motors' travel [m] as it was written, from the last healthy tick on."""
+        written = np.array(self.written[self.healthy - 1 :])
+        return written - written[0]
+
+
+def refused(rig, **initialise):
+    with pytest.raises(CalibrationRefused) as error:
+        calibrated(rig, but(QUICK, **initialise), rate_hz=RATE, progress=rig.follow)
+    return str(error.value)
+
+
+def changed(samples, tension=None, travel=None):
+    return tuple(
+        RigSample(
+            s.time_s,
+            s.proximal_tension if tension is None else np.full(2, tension),
+            s.proximal_displacement if travel is None else travel,
+        )
+        for s in samples
+    )
+
+
+def lost(samples):
+    return changed(samples, tension=math.nan)
+
+
+def blind(samples):
+    return changed(samples, travel=np.full(2, math.nan))
+
+
+def silent(_samples):
+    return ()
+
+
+def stuck(samples):
+    return changed(samples, tension=QUICK.tension)
+
+
+@pytest.mark.parametrize("read", [lost, silent])
+def test_a_pull_goes_no_further_than_its_last_reading_allows(read):
+    rig = Failing(rig_config(joint()), Phase.SEEK, 0.2, read)
+    refused(rig)
+    ahead = rig.since()[:, 0].max()
+    assert 0.0 < ahead <= QUICK.seek_speed * (GATE.tension_age_max + 1.0 / RATE)
+
+
+@pytest.mark.parametrize(("read", "phase"), [(lost, Phase.RELEASE), (stuck, Phase.SEEK)])
+def test_letting_go_without_a_reading_takes_what_a_tendon_stretches_and_ends(read, phase):
+    rig = Failing(rig_config(joint()), phase, 0.02, read)
+    refused(rig)
+    paid_out = -rig.since()[:, 0]
+    assert STRETCH < paid_out[-1] < 3.0 * STRETCH
+    assert rig.seen[-1].proximal_tension[0] < QUICK.take_up
+    assert np.ptp(rig.since()[-100:], axis=0).max() == 0.0
+
+
+def weak(newtons):
+    """Return a joint whose motors cannot pull harder than that, with rotors as light as that."""
+    bent, motor = joint(), MotorConfig(rotor_inertia=1e-7)
+    winds = motor.pulley_radius / motor.gear
+    motor = but(motor, peak_torque=newtons * winds / motor.efficiency)
+    return but(bent, tendons=tuple(but(tendon, motor=motor) for tendon in bent.tendons))
+
+
+def test_a_motor_too_weak_for_the_tension_is_named_and_not_asked_for_more():
+    rig = HousingOnly(rig_config(weak(8.0)))
+    with pytest.raises(CalibrationRefused) as error:
+        calibrated(rig, rate_hz=RATE)
+    said = re.fullmatch(
+        r"joint 1, tendon a: the motor is 3\.\d mm behind its command at (\d\.\d) N; check that it "
+        r"can pull 20 N, or lower slave\.initialise\.tension",
+        str(error.value),
+    )
+    assert said
+    assert float(said[1]) == pytest.approx(8.0, abs=0.5)
+    assert_followed(rig, 0)
+
+
+@pytest.mark.parametrize(("stands", "name"), [(0, "a"), (1, "b")])
+def test_a_motor_that_stands_still_is_named_whichever_way_it_should_go(stands, name):
+    def hold(rig, asked):
+        return np.where(np.arange(2) == stands, rig.written[rig.healthy - 1], asked)
+
+    rig = Failing(rig_config(joint()), Phase.SEEK, 0.2, write=hold)
+    assert refused(rig).startswith(f"joint 1, tendon {name}: the motor is 3.0 mm behind")
+    assert_followed(rig, stands)
+
+
+def assert_followed(rig, tendon):
+    """Check that a motor was asked for `lag_max` more than it went, and a tick, at most."""
+    went = max(s.proximal_displacement[tendon] for s in rig.seen)
+    asked = max(written[tendon] for written in rig.written)
+    assert asked - went <= QUICK.lag_max + 2.0 * QUICK.seek_speed / RATE
+
+
+def test_a_phase_that_does_not_end_is_given_up():
+    rig = HousingOnly(rig_config(joint()))
+    with pytest.raises(
+        CalibrationRefused, match=r"joint 1: seeking the stop took longer than 1 s; .*phase_max"
+    ):
+        calibrated(rig, but(QUICK, seek_speed=0.002, phase_max=1.0), rate_hz=RATE)
+    went = np.array(rig.written).max(axis=0)
+    assert went.max() < QUICK.slack_max
 
 
 def resting(rig, seconds=0.2):
     """Return whether the motors of a rig were told to stay, at low tensions, in the end."""
-    last = np.array(rig.written[-round(500 * seconds) :])
+    last = np.array(rig.written[-round(RATE * seconds) :])
     tension = rig.seen[-1].proximal_tension
     return bool(np.ptp(last[-20:], axis=0).max() == 0.0) and bool((tension < 1.5).all())
 
 
 def test_a_rig_that_fails_ends_it_at_once_and_is_not_asked_again():
-    for rig in (Odd(SHORT, read=RigFault("amplifier")), Odd(SHORT, write=RigFault("amplifier"))):
+    asked = []
+
+    def fail(*_):
+        asked.append(True)
+        raise RigFault("amplifier")
+
+    for how in ({"read": fail}, {"write": fail}):
+        asked.clear()
         with pytest.raises(TeleopError, match=r"^rig: amplifier$") as error:
-            calibrated(rig, rate_hz=500.0)
+            calibrated(Failing(rig_config(SHORT), **how), rate_hz=RATE)
         assert not isinstance(error.value, CalibrationRefused)
-        assert rig.after_fault == 1
+        assert asked == [True]
 
 
 class Enabling(HousingOnly):
@@ -92,34 +215,26 @@ class Enabling(HousingOnly):
         self.held.append((self.written[-1], self.measured[-1]))
 
 
-@pytest.mark.parametrize("at_s", [0.2, 1.0])
-def test_motors_that_are_being_enabled_are_held_where_they_are(at_s):
+def test_motors_that_are_being_enabled_are_held_where_they_are():
+    at_s = 1.0
     rig = Enabling(SHORT)
 
     def stopped():
         return "enough" if rig.seen and rig.seen[-1].time_s >= at_s else ""
 
     with pytest.raises(CalibrationInterrupted, match="enough"):
-        calibrated(rig, rate_hz=500.0, stopped=stopped)
+        calibrated(rig, rate_hz=RATE, stopped=stopped)
     written, measured = np.array(rig.held).swapaxes(0, 1)
-    assert len(written) >= 0.9 * min(at_s, Enabling.AT_S) * 500.0
+    assert len(written) >= 0.9 * min(at_s, Enabling.AT_S) * RATE
     assert written == pytest.approx(measured, abs=1e-12)
-    assert np.abs(np.diff(rig.written, axis=0)).max() <= GATE.speed_max / 500.0 * 1.01
+    assert np.abs(np.diff(rig.written, axis=0)).max() <= GATE.speed_max / RATE * 1.01
 
 
-def lost(sample):
-    return RigSample(sample.time_s, sample.proximal_tension * np.nan, sample.proximal_displacement)
-
-
-def blind(sample):
-    return RigSample(sample.time_s, sample.proximal_tension, None)
-
-
-@pytest.mark.parametrize("change", [lost, blind])
-def test_without_any_reading_nothing_is_ever_written(change):
-    rig = Odd(SHORT, at=0.0, change=change)
+@pytest.mark.parametrize("read", [lost, blind])
+def test_without_any_reading_nothing_is_ever_written(read):
+    rig = Failing(rig_config(SHORT), delay=0.0, read=read)
     with pytest.raises(CalibrationRefused, match="no tension and travel"):
-        calibrated(rig, rate_hz=500.0)
+        calibrated(rig, rate_hz=RATE)
     assert rig.written == []
 
 
@@ -132,7 +247,7 @@ def test_the_operator_ends_it_and_the_tensions_are_let_down():
         return "SIGINT: stopped" if max(tension) > 15.0 else ""
 
     with pytest.raises(CalibrationInterrupted, match="SIGINT") as error:
-        calibrated(rig, rate_hz=500.0, stopped=stopped)
+        calibrated(rig, rate_hz=RATE, stopped=stopped)
     assert error.value.exit_code == 130
     assert resting(rig)
     end = int(np.argmax(np.array(tension) > 15.0))
@@ -150,7 +265,7 @@ def test_a_terminal_that_is_gone_ends_it_and_the_tensions_are_let_down():
             raise OSError(errno.EIO, os.strerror(errno.EIO))
 
     with pytest.raises(CalibrationInterrupted, match=r"cannot be printed \(Input/output error\)"):
-        calibrated(rig, rate_hz=500.0, progress=progress)
+        calibrated(rig, rate_hz=RATE, progress=progress)
     assert tension[-1] > 15.0
     assert resting(rig)
 
@@ -158,31 +273,18 @@ def test_a_terminal_that_is_gone_ends_it_and_the_tensions_are_let_down():
 class Watched(HousingOnly):
     """A rig whose driver waits for its loop; counts what was written before each pause."""
 
-    def __init__(self, fault=None):
-        super().__init__(rig_config(SHORT))
-        self.pauses, self.fault = [], fault
+    def __init__(self, config):
+        super().__init__(config)
+        self.pauses = []
 
     def announce_pause(self):
-        if self.fault is not None:
-            raise self.fault
         self.pauses.append(len(self.written))
-
-
-def test_a_rig_that_watches_its_loop_is_told_of_the_pause_after_the_last_position():
-    rig = Watched()
-    calibrated(rig, rate_hz=500.0)
-    assert rig.pauses == [len(rig.written)]
-
-
-def test_a_driver_that_fails_at_the_pause_ends_it_with_its_words():
-    with pytest.raises(TeleopError, match=r"^rig: the driver's process has ended$"):
-        calibrated(Watched(RigFault("the driver's process has ended")), rate_hz=500.0)
 
 
 def test_after_a_refusal_the_tensions_are_let_down_and_the_motors_hold():
     rig = HousingOnly(rig_config(joint(range=12.0)))
     with pytest.raises(CalibrationRefused):
-        calibrated(rig, rate_hz=500.0)
+        calibrated(rig, rate_hz=RATE)
     assert resting(rig)
 
 
@@ -205,11 +307,9 @@ def test_a_config_that_cannot_be_is_refused(initialise, gate, said):
 
 
 def test_a_gate_that_is_too_narrow_is_named():
-    rig = rig_config(joint())
-    with pytest.raises(CalibrationRefused, match=r"tendon [ab]: .*slave.gate.displacement_m"):
-        calibrated(rig, gate=GateConfig(displacement_min=-0.004, displacement_max=0.06))
+    narrow = GateConfig(displacement_min=-0.06, displacement_max=0.004)
     with pytest.raises(CalibrationRefused, match=r"tendon a: .*slave.gate.displacement_max"):
-        calibrated(rig, gate=GateConfig(displacement_min=-0.06, displacement_max=0.004))
+        calibrated(rig_config(joint()), gate=narrow, rate_hz=RATE)
 
 
 # Several joints.
@@ -220,8 +320,9 @@ def moved(record, tendons):
 
 
 def test_joints_are_done_one_after_another_while_the_others_hold():
-    rig = HousingOnly(rig_config(SHORT, SHORT))
-    found = calibrated(rig, rate_hz=500.0)
+    rig = Watched(rig_config(SHORT, SHORT))
+    found = calibrated(rig, rate_hz=RATE)
+    assert rig.pauses == [len(rig.written)]  # told after the last position
     assert list(found.motor) == rig.written[-1]  # where they are held from then on
     record = found.record
     first = record.phase[:, 1] == Phase.TAKE_UP
@@ -232,9 +333,10 @@ def test_joints_are_done_one_after_another_while_the_others_hold():
     assert [len(stops) for stops in record.stops] == [2, 2]
 
 
+@pytest.mark.slow
 def test_together_they_take_as_long_as_one():
-    one = calibrated(rig_config(SHORT), rate_hz=500.0).record.time
-    both = calibrated(rig_config(SHORT, SHORT), rate_hz=500.0, together=True).record
+    one = calibrated(rig_config(SHORT), rate_hz=RATE).record.time
+    both = calibrated(rig_config(SHORT, SHORT), rate_hz=RATE, together=True).record
     assert both.time[-1] < 1.1 * one[-1]
     assert [len(stops) for stops in both.stops] == [2, 2]
 
@@ -243,12 +345,13 @@ def test_one_that_is_refused_ends_the_others_too():
     config = rig_config(SHORT, SHORT, effects=(effect("broken_tendon", joint=2, start=1.0),))
     rig = HousingOnly(config)
     with pytest.raises(CalibrationRefused, match="joint 2"):
-        calibrated(rig, rate_hz=500.0, together=True)
+        calibrated(rig, rate_hz=RATE, together=True)
     assert resting(rig)
 
 
+@pytest.mark.slow
 def test_joints_that_were_not_asked_for_stay():
-    record = calibrated(rig_config(SHORT, SHORT), rate_hz=500.0, joints=[1]).record
+    record = calibrated(rig_config(SHORT, SHORT), rate_hz=RATE, joints=[1]).record
     assert moved(record, [2, 3]) > 0.005
     assert np.ptp(record.travel[:, [0, 1]], axis=0).max() < 1e-4
     assert [len(stops) for stops in record.stops] == [0, 2]

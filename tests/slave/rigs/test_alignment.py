@@ -31,18 +31,6 @@ def run(motor_times, cell_times):
     return aligner, samples
 
 
-@pytest.mark.parametrize(("motor_s", "cell_s"), [(0.004, 0.001), (0.001, 0.0125), (0.002, 0.002)])
-def test_what_changes_evenly_is_aligned_exactly(motor_s, cell_s):
-    aligner, samples = run(np.arange(0.0, 0.5, motor_s), np.arange(0.0003, 0.5, cell_s))
-    assert len(samples) > 0.9 * 0.5 / max(motor_s, cell_s)
-    times = [time_s for time_s, *_ in samples]
-    assert np.all(np.diff(times) > 0.0)
-    for time_s, position, tension in samples:
-        assert position == pytest.approx([SPEED * time_s])
-        assert tension == pytest.approx([RATE * time_s])
-    assert aligner.worst_s <= 0.5 * min(motor_s, cell_s) + 1e-9
-
-
 @given(
     st.lists(st.floats(1e-4, 0.02), min_size=3, max_size=60),
     st.lists(st.floats(1e-4, 0.02), min_size=3, max_size=60),

@@ -63,15 +63,12 @@ def test_what_is_right_is_passed_on_as_it_is():
     ("returned", "said"),
     [
         ((RigSample(0.0, TWO[:1], TWO),), r"proximal_tension has shape \(1,\), must be \(2,\)"),
-        ((RigSample(0.0, TWO, np.ones(3)),), r"proximal_displacement has shape \(3,\), must be"),
         ((RigSample(0.0, TWO, TWO, 1.0),), "bench_distal_tension is a float, must be an array"),
         ((RigSample(0.0, TWO, None, None, np.ones((2, 1))),), r"bench_.* has shape \(2, 1\)"),
         ((RigSample(0.0, [1.0, 2.0], TWO),), "proximal_tension is a list, must be an array"),
         ((RigSample(0.0, None, TWO),), "proximal_tension is None, must be an array"),
         ((RigSample(0.0, TWO.astype(str), TWO),), "proximal_tension is an array of <U"),
-        ((RigSample(0.0, TWO, TWO.astype(str)),), "proximal_displacement is an array of <U"),
         ((RigSample(0.0, TWO, TWO.astype(bool)),), "proximal_displacement is an array of bool"),
-        ((RigSample(0.0, TWO, None, TWO.astype(complex)),), "bench_distal_tension is an array of"),
         ((RigSample(0.0, TWO, None, None, TWO.astype(object)),), "bench_distal_displacement is an"),
         ((RigSample(np.nan, TWO, TWO),), "time_s is nan"),
         ((RigSample(5.0, TWO, TWO), RigSample(4.0, TWO, TWO)), r"time_s is 4\.0 after 5\.0"),
@@ -151,14 +148,6 @@ def test_an_answer_that_fails_later_ends_the_session_before_a_write():
     assert rig.reads == 20
 
 
-def test_what_follows_is_must_be_true_or_false():
-    rig = type("Method", (Pair,), {"follows": lambda _: False})(())
-    with pytest.raises(UsageError, match=r"Method\.follows is a method, must be True or False"):
-        open_rig(PairConfig(rig=rig))
-    rig = type("Compared", (Pair,), {"follows": np.array([0.0]).sum() > 1.0})(())
-    assert as_enabling_rig(open_rig(PairConfig(rig=rig))).follows is False
-
-
 class Failing(FakeRig):
     """Fails in the session and again at its end."""
 
@@ -204,13 +193,6 @@ def test_a_summary_can_be_written_as_json(returned, entries):
     assert summary == entries if entries else "mylab: summary fails: " in summary["error"]
 
 
-def test_a_rig_that_is_none_and_fails_to_close_is_named_all_the_same(capsys):
-    rig = type("Odd", (Failing,), {"joints": 3})()
-    with pytest.raises(UsageError, match=r"^slave\.rig: mylab: Odd: joints 3, must be as in"):
-        open_rig(PairConfig(rig=rig))
-    assert "WARNING: mylab: close fails: OSError" in capsys.readouterr().err
-
-
 @dataclass(frozen=True)
 class ReadableConfig(PairConfig):
     def open_read_only(self):
@@ -225,24 +207,6 @@ def test_only_a_rig_that_declares_it_is_opened_read_only():
     ) as got:
         open_rig(PairConfig(rig=pytest.fail), read_only=True)
     assert "\n" not in str(got.value)
-
-
-class Growing(FakeRig):
-    """Returns a tension too many from the 20th read on."""
-
-    def read(self, time_s):
-        (sample,) = super().read(time_s)
-        return (sample if self.reads < 20 else RigSample(time_s, np.ones(2), np.ones(1)),)
-
-
-def test_a_session_ends_with_the_mistake_and_writes_nothing_after_it():
-    rig = Growing()
-    slave, _, _ = driven(CheckedRig(rig, "mylab"))
-    assert str(slave.error) == (
-        "rig: mylab: Growing.read: proximal_tension has shape (2,), must be (1,), one a tendon"
-    )
-    assert rig.reads == 20
-    assert len(rig.writes) == 14
 
 
 class Blind(FakeRig):

@@ -129,7 +129,7 @@ def assert_balanced(chain, before, after, dt):
 
 
 @pytest.mark.parametrize("knobs", EXACT.values(), ids=EXACT.keys())
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", range(4))
 def test_every_step_obeys_every_law_at_each_node_and_balances_the_load(seed, knobs):
     rng = np.random.default_rng(seed)
     chain = random_chain(rng, **knobs)
@@ -159,18 +159,6 @@ def test_the_tension_never_rises_as_the_tip_comes(knobs):
     assert np.all(T >= 0.0)
     assert T[-1] == 0.0
     assert T[0] > 10.0
-
-
-def test_a_dashpot_too_weak_to_feel_changes_nothing():
-    """Two different ways through the chain: with steps at its nodes, and with bristles."""
-    rng = np.random.default_rng(5)
-    path = random_path(rng, 500)
-    for knobs in ({}, {"drag": 0.4, "asymmetry": 0.8}):
-        chain = uniform(1.3, pretension=1.0, **knobs)
-        plain = drive(chain, SPRING, path)
-        damped = drive(turned(chain, viscosity=1e-9), SPRING, path)
-        assert damped[:, TENSION] == pytest.approx(plain[:, TENSION], abs=1e-4)
-        assert travels(damped)[1] == pytest.approx(travels(plain)[1], abs=1e-9)
 
 
 def test_bristles_may_need_more_corners_than_there_is_room_for_at_first():
@@ -207,59 +195,8 @@ def test_what_nothing_passes_stays_finite(knobs, nodes, steps):
     assert ends(states)[1].max() < 2.0 + 500.0 * travels(states)[1].max()
 
 
-def test_a_node_that_jams_leaves_the_others_their_friction():
-    chain = uniform(1.0, pretension=5.0)
-    chain.friction[10] = 1e3
-    T = get_tensions(chain, drive(chain, Load(5.0, 500.0), np.linspace(0.0, 20e-3, 50))[-1])
-    assert T[11] < 0.2 * T[10]
-    slid = slice(11, 20)
-    assert T[slid][-1] / T[slid][0] == pytest.approx(np.exp(-8.0 / 60.0), rel=1e-3)
-
-
-def test_without_friction_the_tension_arrives_and_the_tendon_is_one_spring():
-    chain = uniform(0.0)
-    states = drive(chain, SPRING, [1e-3, 4e-3, 2e-3])[1:]
-    (T_in, T_out), (motor, tip) = ends(states), travels(states)
-    assert pytest.approx(T_in, rel=1e-10) == T_out
-    assert motor - tip == pytest.approx(T_out * L / EA, rel=1e-9)
-
-
-def test_a_rigid_tendon_moves_its_tip_by_what_the_motor_moves():
-    path = np.linspace(0.0, 0.01, 50)
-    states = drive(uniform(1.0, axial_stiffness=1e7), SPRING, path)[1:]
-    assert travels(states)[1] == pytest.approx(path, abs=1e-5)
-
-
-def capstan(K, steps):
-    """Tension ratio and mean tension of a full pull, one small friction loss after another."""
-    tension, total = 1.0, 0.0
-    for _ in range(steps):
-        total += tension / steps
-        tension -= tension * K / steps
-    return tension, total - 0.5 * (1.0 - tension) / steps
-
-
-@pytest.mark.parametrize("K", [0.3, 1.0, 2.5])
-def test_a_full_pull_loses_what_summing_small_losses_gives(K):
-    ratio, mean = capstan(K, 400_000)
-    state = drive(uniform(K, nodes=120), BLOCKED, np.linspace(0.0, 3e-3, 30))[-1:]
-    (T_in, T_out), (motor, tip) = ends(state), travels(state)
-    assert T_out / T_in == pytest.approx(ratio, rel=2e-4)
-    assert (motor - tip) / T_in == pytest.approx(mean * L / EA, rel=2e-4)
-
-
-def test_a_full_release_gains_what_a_pull_loses():
-    path = np.concatenate([np.linspace(0, 3e-3, 30), np.linspace(3e-3, 5e-4, 60)])
-    T_in, T_out = ends(drive(uniform(1.0), BLOCKED, path))
-    assert T_out[-1] / T_in[-1] == pytest.approx(T_in[30] / T_out[30], rel=1e-9)
-
-
-@pytest.mark.parametrize(
-    "knobs",
-    [{"asymmetry": 0.75, "drag": 0.5}, {"asymmetry": 1.3}, {"drag": 2.0}],
-    ids=["both", "asymmetry", "drag"],
-)
-def test_nested_reversals_against_a_solver_that_guesses_and_corrects(knobs):
+def test_nested_reversals_against_a_solver_that_guesses_and_corrects():
+    knobs = {"asymmetry": 0.75, "drag": 0.5}
     sections = (0.4, 0.3), (0.6, 0.15), (0.5, 1.0)
     sheath = SheathConfig(tuple(SectionConfig(*s) for s in sections), 0.2, EA, 60)
     chain = turned(build_chain(sheath, 4.0), **knobs)
@@ -284,37 +221,6 @@ def test_the_error_of_coarse_cells_falls_with_their_square():
     # 4 a doubling if every front stopped on a node, which none does
     assert errors[0] / errors[3] > 4.0**3 / 2.0
     assert errors[2] < 2e-3 * fine.max()
-
-
-def test_the_parts_of_a_sheath_add_up_to_the_whole():
-    sections = SectionConfig(0.3), SectionConfig(0.8, 0.25), SectionConfig(0.4, 0.1)
-    chain = build_chain(SheathConfig(sections, 0.15, EA, 50), 1.0)
-    assert chain.compliance.sum() == pytest.approx(L / EA)
-    assert chain.cell.sum() == pytest.approx(L)
-    assert chain.friction.sum() == pytest.approx(0.15 * (0.8 / 0.25 + 0.4 / 0.1))
-    assert chain.friction[0] == 0.0
-    assert len(chain.compliance) == len(chain.friction) + 1
-
-
-def test_after_a_reversal_the_tip_stays_until_the_change_arrives():
-    chain = uniform(1.0)
-    pulled = drive(chain, SPRING, np.linspace(0, 6e-3, 60))[-1]
-    back = drive(chain, SPRING, np.linspace(6e-3, 3e-3, 300), pulled)
-    T_in, _ = ends(back)
-    still = np.abs(travels(back)[1] - distal(pulled)) < 1e-15
-    assert 20 < still.sum() < 280
-    assert np.all(np.diff(still.astype(int)) <= 0)  # once it moves it goes on moving
-    last = np.flatnonzero(still)[-1]
-    ratio, _ = capstan(1.0, 400_000)
-    assert T_in[last + 1] / T_in[0] == pytest.approx(ratio**2, rel=0.05)
-
-
-def test_one_large_step_ends_where_many_small_ones_do():
-    chain = uniform(1.3, pretension=1.0, drag=0.3, asymmetry=0.8)
-    load = Load(1.0, 1000.0)
-    far = drive(chain, load, [8e-3])[-1]
-    near = drive(chain, load, np.linspace(0, 8e-3, 500))[-1]
-    assert far[POSITION] == pytest.approx(near[POSITION], abs=1e-12)
 
 
 def energies(chain, states):
@@ -353,7 +259,7 @@ PASSIVE = st.fixed_dictionaries(
 )
 
 
-@settings(max_examples=120, deadline=None)
+@settings(max_examples=60, deadline=None)
 @given(knobs=PASSIVE, seed=st.integers(0, 2**20), dt=st.sampled_from([1e-5, 1e-3, 1e-2]))
 def test_a_tendon_never_gives_more_work_than_it_was_given(knobs, seed, dt):
     rng = np.random.default_rng(seed)
@@ -378,19 +284,6 @@ def test_a_tendon_never_gives_more_work_than_it_was_given(knobs, seed, dt):
     if knobs["slack"] == 0.0:  # slack that appears lets springs go without work
         assert np.min(springs - spring - creep) > -scale
         assert np.min(given_ - kept - lost) > -100 * scale
-
-
-def test_friction_takes_what_the_loop_encloses():
-    chain = uniform(1.0, pretension=1.0)
-    wave = 4e-3 * (1.0 - np.cos(np.linspace(0, 4 * np.pi, 4001)))
-    states = drive(chain, Load(1.0, 1000.0), wave)[1:]
-    T, u = states[:, TENSION, :-1], states[:, POSITION]
-    lost = ((T[1:, :-1] - T[1:, 1:]) * np.diff(u[:, 1:-1], axis=0)).sum(axis=1)
-    second = slice(2000, 4001)  # the first turn starts from rest, the second is a closed loop
-    work = np.trapezoid(T[second, 0], u[second, 0])
-    assert u[-1] == pytest.approx(u[2000], abs=1e-12)
-    assert work == pytest.approx(lost[2000:].sum(), rel=2e-3)
-    assert work > 0.0
 
 
 def test_a_slack_tendon_pushes_nothing_and_takes_up_what_was_paid_out():
@@ -419,17 +312,6 @@ def test_both_ends_of_a_broken_tendon_may_be_pulled(knobs):
         assert get_tensions(chain, apart).min() == 0.0
 
 
-def test_a_load_that_falls_is_seen_at_the_housing_and_one_that_rises_is_not():
-    chain = uniform(1.0)
-    pulled = drive(chain, Load(2.0, 500.0), np.linspace(0, 8e-3, 80))[-1]
-    T_in, T_out = get_tensions(chain, pulled)[[0, -1]]
-    less = drive(chain, Load(1.5, 500.0), [proximal(pulled)], pulled)[-1]
-    more = drive(chain, Load(4.0, 500.0), [proximal(pulled)], pulled)[-1]
-    assert get_tensions(chain, less)[0] < T_in - 0.1
-    assert get_tensions(chain, more)[0] == pytest.approx(T_in, abs=1e-9)
-    assert get_tensions(chain, more)[-1] > T_out + 0.1
-
-
 @pytest.mark.parametrize(
     ("make", "message"),
     [
@@ -443,10 +325,3 @@ def test_a_load_that_falls_is_seen_at_the_housing_and_one_that_rises_is_not():
 def test_a_sheath_that_cannot_be_is_refused(make, message):
     with pytest.raises(ValueError, match=message):
         make()
-
-
-def test_the_number_of_nodes_asked_for_is_enough():
-    with pytest.raises(ValueError, match="about") as caught:
-        SheathConfig(friction=1.4, nodes=5)
-    needed = int(str(caught.value).split("about ")[1].split(" ")[0])
-    SheathConfig(friction=1.4, nodes=needed)

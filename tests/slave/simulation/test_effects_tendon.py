@@ -1,18 +1,10 @@
 """Each effect of a tendon against the signature that its cause has, and against its own limits."""
 
-from dataclasses import dataclass
-from typing import get_args
-
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from slave.simulation.effects import (
-    EffectConfig,
-    TendonEffect,
-    compute_knobs,
-    select_tendon_effects,
-)
+from slave.simulation.effects import compute_knobs
 from slave.simulation.effects.elasticity import (
     Creep,
     NonlinearStiffness,
@@ -31,12 +23,9 @@ from slave.simulation.effects.friction import (
     TensionDependentFriction,
     ViscousFriction,
 )
-from slave.simulation.tendon import NEUTRAL, POSITION, TENSION, get_tensions
-from teleop.config.loading import as_tree, load
-from teleop.errors import UsageError
+from slave.simulation.tendon import POSITION, TENSION, get_tensions
 from tests.slave.tendon_bench import (
     EA,
-    SPRING,
     L,
     Load,
     drive,
@@ -48,7 +37,6 @@ from tests.slave.tendon_bench import (
 )
 
 K = 1.0
-TENDON_EFFECTS = [c for c in get_args(EffectConfig) if issubclass(c, TendonEffect)]
 
 
 def under(chain, *effects, time=1e9, slid=0.0):
@@ -140,7 +128,7 @@ def test_viscous_friction_grows_with_speed_and_ends_with_motion():
     effect = ViscousFriction(viscosity=40.0)
     straight, bent = (under(uniform(k, 120), effect) for k in (0.0, K))
     weight = Load(8.0, 1e-3)
-    for v in (5e-3, 20e-3, 50e-3):
+    for v in (10e-3, 50e-3):
         path = v * np.arange(0.0, 0.02 / v, 1e-3)
         T_in, T_out = ends(drive(straight, weight, path))
         assert T_in[-1] - T_out[-1] == pytest.approx(40.0 * L * v, rel=1e-3)
@@ -189,34 +177,6 @@ def test_stick_slip_is_a_saw_tooth_at_low_speed_and_nothing_at_a_high_one():
     assert teeth(1e-2) == (0, pytest.approx(0.0, abs=2e-3))
 
 
-def test_presliding_rounds_the_corners_and_leaves_the_ends_of_a_swing():
-    plain, soft = uniform(K), under(uniform(K), Presliding(distance=5e-5))
-    path = np.concatenate([np.linspace(0.0, 15e-3, 400), np.linspace(15e-3, 5e-3, 400)])
-    for chain in (plain, soft):
-        T_in, T_out = ends(drive(chain, SPRING, path)[[400, 800]])
-        assert np.log(T_in / T_out) == pytest.approx([K, -K], rel=2e-3)
-
-    def small_loop(chain):
-        start = pull(chain)[-1]
-        wave = 3e-3 - 2e-5 * (1.0 - np.cos(np.linspace(0.0, 4.0 * np.pi, 2001)))
-        states = stretch(chain, wave, 0.0, start)[1002:]  # the second time round
-        (T_in, T_out), (motor, _) = ends(states), travels(states)
-        return np.ptp(T_in), np.ptp(T_out), abs(np.trapezoid(T_in, motor))
-
-    swing_rigid, tip_rigid, lost_rigid = small_loop(plain)
-    swing_soft, tip_soft, lost_soft = small_loop(soft)
-    assert swing_soft < 0.8 * swing_rigid  # it gives where the other one grips
-    assert tip_rigid == pytest.approx(0.0, abs=1e-9)
-    assert tip_soft > 1e-3  # and passes on what the other one keeps
-    assert 0.0 < lost_soft < 0.8 * lost_rigid
-
-
-def test_bristles_that_give_nothing_are_no_bristles():
-    hard = swing(uniform(K, presliding=1e-9))
-    for stiff, plain in zip(hard, swing(uniform(K)), strict=True):
-        assert stiff[:, TENSION] == pytest.approx(plain[:, TENSION], abs=5e-3)
-
-
 def test_tension_dependent_friction_bends_the_line_of_pull_and_of_release():
     effect = TensionDependentFriction(exponent=0.8, reference=10.0)
     pulled, released = swing(under(uniform(K, 120), effect), steps=2000)
@@ -249,24 +209,6 @@ def test_more_give_means_more_travel_and_the_same_tension_at_the_tip(effect, law
     for T, e in zip(T_in, motor - tip, strict=True):
         x, along = profile(T, lambda _, T: K / L * T)
         assert e == pytest.approx(np.trapezoid(strain(along, **law), x), rel=1e-3)
-
-
-@pytest.mark.parametrize(
-    "effect",
-    [NonlinearStiffness(), SheathCompression(threshold=1.0), Creep()],
-    ids=lambda e: e.type,
-)
-def test_a_tendon_at_rest_keeps_its_pretension(effect):
-    state = stretch(under(uniform(K, pretension=5.0), effect), [0.0] * 100, 0.0, dt=0.1)[-1]
-    assert state[TENSION, :-1] == pytest.approx(5.0, abs=1e-12)
-
-
-def test_a_sheath_that_gives_way_may_grip_more():
-    effect = SheathCompression(compression=0.0, threshold=5.0, friction_rise=0.02)
-    T_in, T_out = mobilised(pull(under(uniform(K, 120), effect), 4e-3, steps=3000))
-    law = lambda _, T: K / L * T * (1.0 + 0.02 * np.maximum(0.0, T - 5.0))  # noqa: E731
-    assert T_out == pytest.approx(at_tip(T_in, law), rel=2e-3)
-    assert np.log(T_in / T_out)[-1] > 1.05 * K
 
 
 def test_slack_is_taken_up_before_anything_pulls():
@@ -327,7 +269,13 @@ LATE = {
 }
 
 
-@pytest.mark.parametrize(("effect", "order"), LATE.values(), ids=LATE.keys())
+@pytest.mark.parametrize(
+    ("effect", "order"),
+    [
+        pytest.param(*late, id=name, marks=[] if name in ("toe", "creep") else pytest.mark.slow)
+        for name, late in LATE.items()
+    ],
+)
 def test_the_error_of_long_steps_falls_with_the_step(effect, order):
     chain = under(uniform(K, 20, pretension=1.0), effect)
 
@@ -347,11 +295,8 @@ def test_the_error_of_long_steps_falls_with_the_step(effect, order):
     "effect",
     [
         FrictionStep(change=0.5),
-        ConstantDrag(drag=2.0),
         ViscousFriction(viscosity=500.0),
-        StribeckFriction(),
         Presliding(distance=2e-4),
-        DirectionAsymmetry(ratio=1.5),
         StickSlip(ratio=2.0),
         TensionDependentFriction(exponent=0.8, reference=100.0),
         Creep(),
@@ -365,77 +310,3 @@ def test_an_effect_that_begins_at_rest_moves_nothing_by_itself(effect):
     for state in (pulled, back):
         after = drive(under(chain, effect), Load(1.0, 500.0), [proximal(state)], state, 1e-6)[-1]
         assert after[TENSION] == pytest.approx(state[TENSION], abs=1e-5)
-
-
-def test_effects_add_up_in_their_place_and_time():
-    effects = (
-        FrictionStep(change=0.2, start=1.0),
-        FrictionStep(change=0.5, start=2.0, joint=2),
-        ConstantDrag(drag=0.5, tendon="b"),
-        ThermalExpansion(coefficient=1e-5, warming=10.0, time_constant=1.0, start=3.0),
-    )
-    assert select_tendon_effects(effects, 0, "a") == (effects[0], effects[3])
-    assert select_tendon_effects(effects, 1, "b") == effects
-    assert compute_knobs(effects, 0.5, [0.0] * 4) == NEUTRAL._replace(drag=0.5)
-    late = compute_knobs(effects, 4.0, [0.0] * 4)
-    assert late.friction_scale == pytest.approx(1.2 * 1.5)
-    assert late.expansion == pytest.approx(1e-4 * (1.0 - np.exp(-1.0)))
-
-
-@dataclass(frozen=True, slots=True)
-class Effects:
-    effects: tuple[EffectConfig, ...] = ()
-
-
-def read(tmp_path, text):
-    path = tmp_path / "effects.yaml"
-    path.write_text(text)
-    return load(path, Effects, None)
-
-
-def test_effects_are_read_from_a_list_by_name(tmp_path):
-    found = read(
-        tmp_path,
-        """
-        effects:
-          - {type: friction_step, change: -0.3, joint: 2, tendon: b, start: 12.5}
-          - {type: creep}
-          - {type: friction_drift, per_metre: 0.02}
-        """,
-    )
-    assert found.effects == (
-        FrictionStep(change=-0.3, joint=2, tendon="b", start=12.5),
-        Creep(),
-        FrictionDrift(per_metre=0.02),
-    )
-    assert as_tree(found)["effects"][0]["type"] == "friction_step"
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("[{type: friction_stop}]", "effects.0.type: 'friction_stop' is unknown"),
-        ("[{change: 0.1}]", "effects.0.type: is missing"),
-        ("[{type: friction_step, change: -2}]", "effects.0.change: -2.0: must be -0.95 to 5"),
-        ("[{type: friction_step, joint: 0}]", "effects.0.joint: 0: must be at least 1"),
-        ("[{type: friction_step, start: -1}]", "effects.0.start: -1.0: must be at least 0 s"),
-        ("[{type: friction_step, tendon: c}]", "effects.0.tendon"),
-        ("[{type: friction_drift}]", "effects.0.per_second: 0.0: set this or per_metre"),
-        ("[{type: constant_drag, drag: 11}]", "drag: 11.0: must be 0 to 10 N"),
-        ("[{type: creep, share: .nan}]", "effects.0.share"),
-    ],
-)
-def test_an_effect_that_cannot_be_is_refused(tmp_path, text, message):
-    with pytest.raises(UsageError, match=message.replace("[", r"\[")):
-        read(tmp_path, f"effects: {text}\n")
-
-
-@pytest.mark.parametrize("effect", TENDON_EFFECTS, ids=lambda effect: effect.__name__)
-def test_every_effect_has_a_default_that_can_be_felt(effect):
-    one = FrictionDrift(per_second=0.1) if effect is FrictionDrift else effect()
-    chain = uniform(K, pretension=1.0)
-    plain, changed = (
-        np.concatenate([ends(states) for states in swing(some)], axis=1)
-        for some in (chain, under(chain, one))
-    )
-    assert np.abs(plain - changed).max() > 0.02

@@ -7,8 +7,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from slave.simulation.environment import (
-    CombinedEnvironmentConfig,
-    FreeConfig,
     LoadMotorConfig,
     TissueConfig,
     WallConfig,
@@ -48,10 +46,6 @@ def force(config, travel, before=None, time=0.0, dt=DT):
     return compute_environment_force(build_environment(config), travel, before, time, dt)
 
 
-def test_free_is_free():
-    assert force(FreeConfig(), 0.5, -0.5) == 0.0
-
-
 def test_a_wall_pushes_back_from_where_it_is_and_never_pulls():
     wall = WallConfig(position=0.004, stiffness=1000.0, damping=10.0)
     assert force(wall, 0.0039) == 0.0
@@ -65,24 +59,6 @@ def test_tissue_that_is_left_faster_than_it_follows_does_not_pull():
     tissue = TissueConfig(position=0.0, dissipation=10.0)
     assert force(tissue, 0.004, 0.0045) == 0.0  # 0.5 m/s outwards
     assert 0.0 < force(tissue, 0.004, 0.00405) < force(tissue, 0.004)
-
-
-def test_walls_on_both_sides_mirror_each_other():
-    for config in (WallConfig, TissueConfig):
-        right, left = config(position=0.004), config(position=-0.004, side="b")
-        for travel, before in ((0.006, 0.0055), (0.0045, 0.006), (0.003, 0.006)):
-            assert force(left, -travel, -before) == -force(right, travel, before)
-    both = CombinedEnvironmentConfig(
-        parts=(WallConfig(position=0.004), WallConfig(position=-0.004, side="b"))
-    )
-    assert [math.copysign(1.0, force(both, q)) for q in (0.005, -0.005)] == [1.0, -1.0]
-    assert force(both, 0.0) == 0.0
-
-
-def test_parts_add_up():
-    parts = (WallConfig(), TissueConfig(), LoadMotorConfig(profile=((0.0, 2.5),)), FreeConfig())
-    together = force(CombinedEnvironmentConfig(parts=parts), 0.01, 0.0095)
-    assert together == pytest.approx(sum(force(part, 0.01, 0.0095) for part in parts))
 
 
 def test_tissue_is_the_law_of_hunt_and_crossley_and_its_loop_dissipates():

@@ -5,7 +5,6 @@ import pytest
 
 from slave.simulation.motor import MotorConfig
 from slave.simulation.sensors import (
-    CHANNELS,
     EncoderConfig,
     LoadCellConfig,
     build_sensors,
@@ -54,12 +53,7 @@ def test_readings_are_multiples_of_the_resolution_and_stop_at_the_range():
     assert readings([(-9.0, 0.0)], LoadCellConfig(0.0, 0.0, range=2.0))[0, 0] == -2.0
 
 
-def test_gain_and_bias():
-    read = readings([(t, 0.0) for t in range(5)], LoadCellConfig(0.0, 0.0, gain=1.1, bias=-0.3))
-    assert read[:, 0] == pytest.approx([1.1 * t - 0.3 for t in range(5)])
-
-
-@pytest.mark.parametrize("dt", [1e-4, 1e-3, 5e-3])
+@pytest.mark.parametrize("dt", [1e-3, 5e-3])
 def test_a_cell_of_limited_bandwidth_lags_as_a_filter_of_first_order(dt):
     cell = LoadCellConfig(0.0, 0.0, bandwidth=20.0)
     read = readings([(0.0, 0.0)] + [(1.0, 0.0)] * 40, cell, dt=dt)[1:, 0]
@@ -75,11 +69,6 @@ def test_the_encoder_counts_lines_of_a_pulley():
     assert read / line == pytest.approx(np.round(read / line), abs=1e-9)
     assert EncoderConfig(decoding=4).resolution(0.010) == pytest.approx(line / 4)
     assert EncoderConfig(lines=0).resolution(0.010) == 0.0
-
-
-def test_there_is_a_sensor_for_every_channel():
-    sensors = build_sensors([(LoadCellConfig(), EncoderConfig(), MotorConfig())] * 3)
-    assert sensors.gain.shape == (len(CHANNELS), 3)
 
 
 @pytest.mark.parametrize(

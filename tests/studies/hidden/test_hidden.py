@@ -13,7 +13,12 @@ QUICK = {"duration": 30.0, "rate": 20.0}
 EXACT = {"noise": 0.0, "resolution": 0.0}
 K, L, EA = 1.1, 1.5, 9e3
 TIPS = [Tip(), Tip(SPRUNG, stiffness=2000.0)]
-PLACES = [(name, bench) for name, benches in VISIBLE.items() for bench in benches]
+QUICK_PLACES = {"friction_step": "spring", "creep": "blocked", "encoder_slip": "spring"}
+PLACES = [
+    pytest.param(name, at, marks=[] if QUICK_PLACES.get(name) == at else pytest.mark.slow)
+    for name, benches in VISIBLE.items()
+    for at in benches
+]
 
 
 def conditions(motor):
@@ -33,7 +38,7 @@ def wandering(tip, count, seed=4):
 def test_every_node_is_in_balance_and_every_bead_obeys_coulomb(tip):
     line = lay([(L / 3, K / 2), (2 * L / 3, K / 2)], 1.0, EA, beads=40)
     state = at_rest(line, Law(), tip)
-    outside = conditions(wandering(tip, 400))
+    outside = conditions(wandering(tip, 300))
     slid = set()
     for before, after in pairwise(outside):
         x = state.x.copy()
@@ -52,6 +57,7 @@ def test_every_node_is_in_balance_and_every_bead_obeys_coulomb(tip):
     assert slid == {-1.0, 1.0}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("bench", ["blocked", "spring"])
 def test_more_beads_change_less_than_two_millinewtons(bench):
     there, clean, _, _ = draw_bench(3, bench, **QUICK)
@@ -81,42 +87,3 @@ def test_an_effect_shows_at_full_size_and_is_gone_without(name, bench):
         )
     assert np.diff(full.heat).min() > -1e-12
     assert full.heat[-1] > 0.0
-
-
-def test_half_the_size_is_half_the_parameter():
-    full, half = (make(2, "constant_drag", size=size, **QUICK) for size in (1.0, 0.5))
-    drag = full.truth["constant_drag"]["drag"]
-    assert half.truth["constant_drag"]["drag"] == pytest.approx(drag / 2)
-
-
-def test_a_seed_is_a_record():
-    pair = ("friction_step", "encoder_slip")
-    once, again, other = (make(seed, pair, **QUICK) for seed in (5, 5, 6))
-    for channel in CHANNELS:
-        np.testing.assert_array_equal(once.channels[channel], again.channels[channel])
-    assert once.truth["sheath"] == again.truth["sheath"] != other.truth["sheath"]
-
-
-@pytest.mark.parametrize("bench", ["blocked", "spring"])
-def test_every_motion_tells_enough(bench):
-    for seed in range(3):
-        record = make(seed, (), bench=bench, rate=50.0)
-        T, q = record.channels["proximal_tension"], record.channels["proximal_displacement"]
-        speed = np.abs(np.gradient(q, record.time)) / np.ptp(q)
-        assert abs(T[:20].mean()) < 0.02
-        assert 17.0 < T.max() < 21.0
-        assert np.mean(np.abs(T) < 0.08) * record.time[-1] > 0.5
-        there = draw_bench(seed, bench, 60.0, 50.0)[0]
-        long = [end - start for start, end in there.ways.holds]
-        assert len(long) >= 2
-        assert min(long) > 7.8
-        assert speed.max() > 5 * np.quantile(speed[speed > 0.02], 0.2)
-
-
-def test_noise_and_resolution_are_as_asked():
-    quiet = make(7, (), **QUICK, **EXACT)
-    noisy = make(7, (), **QUICK, noise=0.05, resolution=1e-5)
-    noise = noisy.channels["distal_tension"] - quiet.channels["distal_tension"]
-    assert noise.std() == pytest.approx(0.05, rel=0.1)
-    steps = noisy.channels["proximal_displacement"] / 1e-5
-    np.testing.assert_allclose(steps, np.round(steps), atol=1e-6)

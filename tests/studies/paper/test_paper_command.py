@@ -5,29 +5,20 @@ import re
 
 import pytest
 
-from studies.paper import command, report
-from studies.paper.bench import random_sheaths
+from studies.paper import command
 from studies.paper.methods import METHODS, OURS, PAPER
-from studies.paper.study import MOTIONS, NESTED, PHASES, PROFILE, TARGETS, WHOLE, experiment, judge
+from studies.paper.study import MOTIONS, NESTED, PHASES, PROFILE, TARGETS, WHOLE
 from teleop.cli import commands
 
-SHEATHS, SEED = 2, 2
+SHEATHS = 2
 
 
 @pytest.fixture(scope="module")
 def ran(tmp_path_factory):
     """The folder and the numbers of one small run."""
     folder = tmp_path_factory.mktemp("experiment")
-    words = [
-        "--sheaths",
-        SHEATHS,
-        "--seed",
-        2,
-        "--out",
-        folder / "out",
-        "--json",
-        folder / "x.json",
-    ]
+    words = ["--sheaths", SHEATHS, "--seed", 2, "--jobs", 1]
+    words += ["--out", folder / "out", "--json", folder / "x.json"]
     assert commands.run_program("python -m studies.paper", command, list(map(str, words))) == 0
     return folder / "out", json.loads((folder / "x.json").read_text())
 
@@ -92,14 +83,6 @@ def test_the_folder_has_tables_figures_and_a_page_that_needs_no_other_file(ran):
         assert phase in text
         assert phase in page
     assert json.loads((folder / "table.json").read_text()) == ran[1]
-
-
-@pytest.mark.slow
-def test_the_same_seed_gives_the_same_numbers_in_any_process(ran):
-    specimen = random_sheaths(SHEATHS, SEED)[-1]
-    outcome = judge(experiment(specimen, SEED))
-    again = report.tree(outcome, [outcome], SEED)["shown"]
-    assert json.loads(json.dumps(again)) == ran[1]["sheaths"][-1]
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from studies.transparency import command, report, study
+from studies.transparency import command, study
 from studies.transparency.hybrid import Hybrid, Response
 from studies.transparency.stiffness import SpringContact
 from studies.transparency.study import HANDS, Case, Study, Task, Walls
@@ -115,28 +115,6 @@ def test_what_makes_no_sense_is_refused_in_a_line(words, capsys):
     assert told.out == ""
     assert len(told.err.splitlines()) == 1
     assert words[0] in told.err
-
-
-def test_each_task_is_gathered_where_it_belongs():
-    commanded = Study(couplings=("direct", "wave"), round_trips=(0.0, 0.1))
-    done = {task: (task,) for task in study.tasks(commanded)}
-    cases = study.gather(commanded, done)
-    assert [(c.coupling, c.round_trip) for c in cases] == [
-        (n, d) for n in commanded.couplings for d in commanded.round_trips
-    ]
-    for one in cases:
-        cell = one.coupling, one.round_trip
-        assert one.pressed == (Task("stiffness", *cell),)
-        assert one.hybrid == (Task("hybrid", *cell),)
-        assert one.walls["firm", 5.0] == (Task("zwidth", *cell, "firm", 5.0),)
-
-
-def test_the_worst_hand_counts():
-    commanded = Study()
-    found = case(commanded, "passivity", 0.0)
-    found.walls["firm", 0.5] = Walls(Width(200.0, 220.0), 0.3)
-    found.walls["relaxed", 0.5] = Walls(Width(400.0, math.inf), 0.1)
-    assert report.worst(found, 0.5) == Walls(Width(200.0, 220.0), 0.3)
 
 
 def test_a_measurement_runs_the_live_loops():

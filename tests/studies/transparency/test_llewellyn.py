@@ -31,27 +31,6 @@ def test_stable_is_what_no_passive_tip_makes_an_active_hand_feel():
     assert told == tried
 
 
-def test_an_ideal_teleoperator_is_at_the_margin():
-    found = margin(two_port(0.0, 0.4, -1.0, 0.0))
-    assert found.eta[0] == pytest.approx(1.0)
-    assert found.stable[0]
-
-
-def test_a_delay_eats_the_margin_and_dissipation_at_both_ends_restores_it():
-    w = 2 * np.pi * np.array([0.5, 2.0, 10.0])
-    a, b, drag, k, d, delay = 0.5, 0.3, 2.0, 400.0, 8.0, 0.065
-    found = margin(
-        two_port(
-            drag,
-            b * np.exp(-0.5j * w * delay),
-            -a * np.exp(-0.5j * w * delay),
-            1j * w / (k + 1j * w * d),
-        )
-    )
-    yields = w**2 * d / (k**2 + (w * d) ** 2)
-    assert found.eta == pytest.approx(2 * drag * yields / (a * b) + np.cos(w * delay))
-
-
 def test_two_active_ends_are_not_stable_although_their_product_is_positive():
     found = margin(two_port(-1.0, 0.5, -0.5, -1.0))
     assert found.eta[0] > 1.0

@@ -8,10 +8,6 @@ from scipy.linalg import expm
 
 from studies.transparency import zwidth
 from studies.transparency.hand import DT, Device, HandModel
-from studies.transparency.rig import Rig, wall
-from studies.transparency.system import Network, Teleoperator, settings
-from studies.transparency.zwidth import Width
-from teleop.coupling import Bilateral, DirectConfig, PassivityConfig
 from tests.studies.transparency.two_ports import VirtualWall
 
 CONTACT = 0.0015  # [m]
@@ -46,48 +42,6 @@ def test_a_virtual_wall_is_stable_up_to_where_it_is(damping):
     truth = limit(hand.mass, hand.stiffness, damping)
     assert found.stable == pytest.approx(truth, rel=0.04)
     assert truth == pytest.approx(2.0 * damping / DT, rel=0.05)  # Colgate: b > K T / 2
-
-
-def reached(coupling, stiffness, round_trip):
-    network = Network(round_trip)
-    system = Teleoperator(
-        Bilateral(coupling=coupling), Rig(wall(stiffness)), network, settings(0.4, 1.0, network)
-    )
-    return zwidth.push(system, HandModel(), Device(mass=0.1, damping=0.5), CONTACT, round_trip)
-
-
-def test_direct_is_not_stable_in_a_stiff_wall_far_away():
-    record = reached(DirectConfig(), 5000.0, 0.200)
-    assert record.engaged[-1]
-    assert not zwidth.settles(record)
-    assert zwidth.swing(record.hand[-1000:]) > 2e-3
-
-
-def test_passivity_is():
-    assert zwidth.settles(reached(PassivityConfig(), 5000.0, 0.200))
-
-
-def searched(most, cap=1000.0):
-    commanded = []
-
-    def stable(k):
-        commanded.append(k)
-        return k <= most
-
-    return zwidth.largest(stable, 10.0, cap, 10.0, 1.1), commanded
-
-
-def test_a_search_ends_at_the_cap():
-    assert searched(math.inf) == (Width(1000.0, math.inf), [10.0, 100.0, 1000.0])
-
-
-def test_a_search_says_that_nothing_was_stable():
-    assert searched(5.0) == (Width(0.0, 10.0), [10.0])
-
-
-def test_a_search_closes_in():
-    found, _ = searched(250.0)
-    assert found.stable <= 250.0 < found.unstable <= 1.1 * found.stable
 
 
 def test_a_gap_is_not_jumped():

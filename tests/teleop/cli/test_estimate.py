@@ -132,19 +132,11 @@ def test_a_record_that_decides_nothing_is_refused(tmp_path, capsys):
     time = np.arange(500) * 0.01
     tension = 5.0 + 0.2 * np.sin(time)
     write_table(
-        path,
-        {"time_s": time, "proximal_tension_N": tension, "distal_tension_N": 0.4 * tension},
+        path, {"time_s": time, "proximal_tension_N": tension, "distal_tension_N": 0.4 * tension}
     )
     saved = tmp_path / "sheath.yaml"
     assert "swing" in one_line([path, "--fit", "--save", saved], capsys)
     assert not saved.exists()
-
-
-def test_too_few_rows_are_refused(tmp_path, capsys):
-    path = tmp_path / "short.csv"
-    columns = ("time_s", "proximal_tension_N", "distal_tension_N")
-    write_table(path, {name: np.arange(5) / 10 for name in columns})
-    assert "5 samples" in one_line([path, "--fit"], capsys)
 
 
 def test_a_calibration_file_of_another_kind_is_refused(bench, tmp_path, capsys):
@@ -192,9 +184,3 @@ def test_a_tendon_that_is_not_there_is_one_line(pair, capsys):
     config, data = pair
     said = one_line([data, "--config", config, "--tendon", "2a"], capsys)
     assert "1a, 1b, 1, 2" in said
-
-
-def test_the_length_a_fit_assumes_is_said(bench, capsys):
-    assert commands.main(["estimate", str(bench), "--fit", "--length", "1.2"]) == 0
-    printed = capsys.readouterr().out
-    assert "for a length of 1.2 m (--length): EA and L only enter as EA/L = 6" in printed

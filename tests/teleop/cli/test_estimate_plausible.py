@@ -5,8 +5,6 @@ import json
 import numpy as np
 import pytest
 
-from estimator import plausibility
-from estimator.measured_data import Samples
 from slave.rigs.replayed import ReplayedRig, ReplayedRigConfig
 from teleop.cli import commands
 from teleop.data.table import read_table, write_table
@@ -51,7 +49,6 @@ def estimate(columns, changes, words, folder, capsys):
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
-        ({Q_P: times(100), Q_D: times(100)}, "which no tendon does"),
         ({Q_P: times(50), Q_D: times(50)}, "mm or cm or inches"),
         ({Q_P: times(1e-3), Q_D: times(1e-3)}, "stiffer than any tendon"),
     ],
@@ -72,7 +69,6 @@ def test_an_implausible_fit_is_not_accepted(columns, changes, said, tmp_path, ca
         ({T_IN: times(1 / KGF)}, "proximal_tension in kgf"),
         ({T_OUT: times(1 / KGF)}, "distal_tension in kgf"),
         ({Q_P: constant}, "proximal_displacement never changes"),
-        ({T_OUT: constant}, "distal_tension never changes"),
         ({Q_P: times(1000)}, "in metres, not mm"),
     ],
 )
@@ -89,8 +85,6 @@ def test_what_cannot_be_fitted_is_one_line_with_the_cause(columns, changes, said
         ({}, OTHER, "data and model contradict: the RMSE is"),
         ({Q_P: times(100), Q_D: times(100)}, MODEL, "perhaps the travel in cm"),
         ({T_IN: times(1 / KGF), T_OUT: times(1 / KGF)}, MODEL, "perhaps the tension in kgf"),
-        ({T_OUT: times(1 / KGF)}, MODEL, "distal_tension in kgf"),
-        ({Q_P: constant}, MODEL, "proximal_displacement never changes"),
         ({T_OUT: constant}, MODEL, "distal_tension never changes"),
     ],
 )
@@ -147,16 +141,6 @@ def test_one_spike_is_named_and_left_out_of_the_fit(columns, name, tmp_path, cap
     assert "the largest 900 N at 5 s" in printed
     assert summary["fit"]["accept"]
     assert summary["fit"]["parameters"]["K"]["value"] == pytest.approx(1.0, rel=0.01)
-
-
-def test_a_motor_that_holds_while_the_tip_pulls_is_no_dead_encoder(columns):
-    tension, still = columns[T_IN], np.zeros_like(columns[T_IN])
-    data = [tension, still, columns[T_OUT]]
-    pulled = Samples(columns["time_s"], *data, -1e-4 * tension)
-    pulling = Samples(columns["time_s"], *data, 1e-4 * tension)
-    assert plausibility.find_channel_faults(pulled) == ()
-    (said,) = plausibility.find_channel_faults(pulling)
-    assert "encoder" in said
 
 
 def test_a_long_record_is_fitted_from_some_samples_and_says_so(

@@ -9,7 +9,7 @@ import pytest
 from slave.config import SlaveConfig
 from teleop.cli import commands
 from teleop.config.loading import load
-from teleop.data.table import read_table, write_table
+from teleop.data.table import read_table
 from teleop.link import LinkConfig, ReceivedMessage
 from teleop.messages.messages import MAX_TENDONS, TendonState
 from teleop.messages.topics import TENDONS
@@ -108,10 +108,3 @@ def test_a_calibration_that_the_recording_only_names_is_asked_for(tmp_path, caps
     path = record(tmp_path / "at-start", "arm.yaml", "slave.initialise.at_start=true")
     assert commands.main(["estimate", str(path)]) == 2
     assert "calibrated its rig at its start" in capsys.readouterr().err
-
-
-def test_other_data_need_a_model_named(tmp_path, capsys):
-    table = tmp_path / "data.csv"
-    write_table(table, {"time_s": np.arange(50) * 1e-3, "proximal_tension_N": np.ones(50)})
-    assert commands.main(["estimate", str(table)]) == 2
-    assert "no model of the sheath" in capsys.readouterr().err

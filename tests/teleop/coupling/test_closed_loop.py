@@ -14,8 +14,7 @@ from teleop.coupling import Bilateral, DirectConfig, PassivityConfig, WaveConfig
 from teleop.session import state_machine
 from teleop.session.state_machine import Reason, State
 
-SLOW = [pytest.param(s, marks=pytest.mark.slow) for s in (0.020, 0.100, 0.200)]
-ROUND_TRIPS = [0.0, *SLOW, 0.300]  # [s]
+ROUND_TRIPS = [0.0, 0.020, 0.100, 0.200, 0.300]  # [s]
 MET = {"free": free, "tissue": tissue(), "wall": wall(2000.0), "hard wall": wall(1e4)}
 PASSIVITY = Bilateral(coupling=PassivityConfig())
 WAVE = Bilateral(coupling=WaveConfig(play=0.1))
@@ -23,6 +22,15 @@ DIRECT = Bilateral(coupling=DirectConfig())
 HARD = (0.4, 1.0, 0.006)  # scales of force and motion, [m] of reach: the wall outdoes the arm
 SOFT = (0.2, 0.25, 0.024)  # those of a session that nobody has set
 LAST = round(0.5 / DT)  # ticks
+
+
+def cases(*quick):
+    """Return what is met after which round trip, all but some of it slow."""
+    every = [(met, late) for met in MET for late in ROUND_TRIPS]
+    marks = {case: [] if case in quick else pytest.mark.slow for case in every}
+    return pytest.mark.parametrize(
+        ("met", "round_trip"), [pytest.param(*case, marks=marks[case]) for case in every]
+    )
 
 
 def reach(bilateral, environment, round_trip, gain=HARD, rest=2.0, back=np.inf):
@@ -55,8 +63,7 @@ def gained(record, bilateral, gain=HARD):
     return (record.work - damping * record.dragged).max() * gain[1] / gain[0]
 
 
-@pytest.mark.parametrize("round_trip", ROUND_TRIPS)
-@pytest.mark.parametrize("met", MET)
+@cases(("wall", 0.300), ("hard wall", 0.0), ("free", 0.300))
 def test_over_any_network_passivity_is_passive_and_settles(met, round_trip):
     record = reach(PASSIVITY, MET[met], round_trip)
     assert_engaged(record)
@@ -66,8 +73,7 @@ def test_over_any_network_passivity_is_passive_and_settles(met, round_trip):
     assert span(record.force) < 0.25
 
 
-@pytest.mark.parametrize("round_trip", ROUND_TRIPS)
-@pytest.mark.parametrize("met", MET)
+@cases(("wall", 0.300), ("tissue", 0.0))
 def test_over_any_network_waves_are_passive_and_settle(met, round_trip):
     record = reach(WAVE, MET[met], round_trip, SOFT, rest=2.5)
     assert_engaged(record)
@@ -77,7 +83,9 @@ def test_over_any_network_waves_are_passive_and_settle(met, round_trip):
     assert span(record.force) < 0.3
 
 
-@pytest.mark.parametrize("round_trip", [0.020, 0.100, 0.300])
+@pytest.mark.parametrize(
+    "round_trip", [0.100, *(pytest.param(late, marks=pytest.mark.slow) for late in (0.020, 0.300))]
+)
 def test_direct_is_not(round_trip):
     record = reach(DIRECT, MET["wall"], round_trip)
     assert_engaged(record)
@@ -94,9 +102,9 @@ def test_without_delay_and_prediction_passivity_feels_as_direct_does():
     assert np.abs(felt.followed - plain.followed)[felt.engaged].max() < 0.1e-3
 
 
-@pytest.mark.parametrize("round_trip", [0.0, 0.100, pytest.param(0.300, marks=pytest.mark.slow)])
-def test_a_hand_with_a_coarse_encoder_rests_on_a_hard_wall_without_a_buzz(round_trip):
+def test_a_hand_with_a_coarse_encoder_rests_on_a_hard_wall_without_a_buzz():
     """A finger feels a tenth of the half newton that a bound by single encoder steps made."""
+    round_trip = 0.100
     device = Device(mass=0.1, damping=0.5, resolution=10e-6, smoothing=0.010)
     network = Network(round_trip, min(0.05, round_trip), seed=1)
     system = Teleoperator(PASSIVITY, Rig(MET["hard wall"]), network, settings(*HARD[:2], network))
@@ -115,6 +123,7 @@ def test_a_tip_that_fell_behind_comes_after_once_it_is_free():
     assert np.abs(behind[-LAST:]).max() < 0.1e-3
 
 
+@pytest.mark.slow
 def test_a_wall_met_again_and_again_is_felt_each_time():
     def prods(time):
         return 0.006 * max(math.sin(2.0 * math.pi * (time - 1.0)), 0.0) if time > 1.0 else 0.0

@@ -1,7 +1,7 @@
 """The couplings over an arbitrary network, between an arbitrary hand and an arbitrary tip."""
 
 from dataclasses import fields, replace
-from typing import Annotated, get_args
+from typing import Annotated
 
 import numpy as np
 import pytest
@@ -14,7 +14,6 @@ from teleop import coupling
 from teleop.coupling import (
     Bilateral,
     BilateralSettings,
-    CouplingConfig,
     DirectConfig,
     LedgerPublisher,
     PassivityConfig,
@@ -22,7 +21,6 @@ from teleop.coupling import (
     WaveConfig,
     to_bilateral_settings,
 )
-from teleop.coupling.config import KINDS
 from teleop.messages.messages import MAX_JOINTS
 from teleop.messages.topics import Role
 
@@ -187,20 +185,6 @@ def test_a_hand_that_jerks_overdraws_by_what_it_moved_further_and_makes_it_good(
     assert left_over[-1] > 0.0
 
 
-def test_direct_changes_nothing():
-    """What the hand feels, and where the tip goes, is what was told."""
-    rules, side = record_of(DirectConfig()), Side.new()
-    for tick in range(50):
-        place = 1e-4 * tick
-        assert at_hand(rules, side, place, place, 5.0, 7.0, tick > 0) == 7.0
-    side = Side.new()
-    for tick in range(50):
-        place = 1e-4 * tick**1.5
-        where, speed = at_tip(rules, side, place, 0.1, 9.0)
-        assert where == pytest.approx(place, abs=1e-15)
-        assert speed == 0.1
-
-
 @pytest.mark.parametrize("config", [PassivityConfig(), WaveConfig(), DirectConfig()])
 @given(force=st.floats(-20, 20), place=st.floats(-0.1, 0.1))
 def test_engaging_moves_nothing(config, force, place):
@@ -216,15 +200,6 @@ def test_a_force_that_is_no_number_is_not_rendered_as_one(config, bad):
     """Not coupled, it reaches the gate as it is."""
     force = at_hand(record_of(config), Side.new(), 0.0, 0.0, 0.0, bad, coupled=False)
     assert force != force or force == bad
-
-
-@pytest.mark.parametrize("config", [WaveConfig(), DirectConfig()])
-@pytest.mark.parametrize("bad", [float("nan"), float("inf")])
-def test_nor_is_it_while_coupled(config, bad):
-    side = Side.new()
-    for force in (1.0, bad):
-        rendered = at_hand(record_of(config), side, 0.0, 0.0, 0.0, force)
-    assert rendered != rendered or rendered == bad
 
 
 @pytest.mark.parametrize("config", [*ROBUST, DirectConfig()], ids=lambda c: f"{c.type}")
@@ -288,15 +263,6 @@ def test_one_joint_never_leaks_into_another(config, coupled):
             assert not any(told(side)[1][3:])
 
 
-def test_a_load_of_3_n_let_down_by_5_mm_returns_its_energy():
-    """As much as a hand gets ahead over 300 ms; what is not returned is missing in its force."""
-    rules, side = record_of(PassivityConfig()), Side.new()
-    for tick in range(501):
-        at_tip(rules, side, -1e-5 * tick, -0.01, 3.0)
-    assert side.ports[0].put_in == pytest.approx(3.0 * 5e-3)
-    assert side.ports[0].dissipated == pytest.approx(0.0, abs=1e-12)
-
-
 def test_the_signature_tells_any_two_choices_apart():
     choices = [
         Bilateral(),
@@ -314,21 +280,6 @@ def test_the_signature_tells_any_two_choices_apart():
         assert rules.signature == choice.signature
         for number in (0, 1, 2**32 - 1, *(other.signature for other in choices)):
             assert coupling.has_settings_mismatch(rules, number) == choice.differs(number)
-
-
-def test_every_coupling_of_the_config_is_there():
-    assert set(KINDS) == set(get_args(CouplingConfig))
-    assert len(set(KINDS.values())) == len(KINDS)
-
-
-def test_compiled_functions_are_given_the_very_numbers_of_the_config():
-    config = PassivityConfig(reserve=0.003, discharge_time=0.02, passive_tip=False)
-    rules = record_of(config)
-    assert rules.reserve == rules.passivity.reserve == 0.003
-    assert rules.passivity.discharge_time == 0.02
-    assert not rules.passivity.passive_tip
-    assert record_of(WaveConfig(play=0.07)).wave.play == 0.07
-    assert record_of(DirectConfig()).reserve == 0.0
 
 
 def test_the_ledgers_message_balances():
@@ -374,14 +325,6 @@ def test_bad_values_are_refused(kind):
                 kind(**{name: value})
 
 
-def test_a_side_that_was_started_anew_is_counted_from_its_first_word():
-    side = Side.new()
-    for sender, energy in ((7, 5.0), (7, 6.0), (8, 3.0), (8, 3.5), (8, 3.2), (7, 9.0)):
-        coupling.receive_totals(side, sender, np.full(MAX_JOINTS, energy), joints())
-    assert side.ports[0].received == pytest.approx(1.5)
-    assert side.ports[0].credit == pytest.approx(1.5)
-
-
 def test_nonces_that_differ_in_their_lowest_bit_are_told_apart():
     """Above 2^53 a number that went through a double would not be."""
     side = Side.new()
@@ -418,7 +361,7 @@ def tick_of_memory(memories, place, speed, force):
     return coupling.has_settings_mismatch(memory.rules, memory.near.sender)
 
 
-@pytest.mark.parametrize("config", [*ROBUST, DirectConfig()], ids=lambda c: f"{c.type}")
+@pytest.mark.parametrize("config", [PassivityConfig(), WaveConfig(play=0.1)])
 def test_within_a_larger_record_a_side_is_the_same(config):
     rules, memories = record_of(config), Memory.array()
     memories["rules"] = to_bilateral_settings(Bilateral(coupling=config))

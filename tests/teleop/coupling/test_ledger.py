@@ -6,7 +6,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from estimator.records import view_struct
 from teleop.coupling import ledger
 from teleop.coupling.ledger import Port
 
@@ -51,15 +50,6 @@ def test_nothing_is_lost_without_being_counted(steps):
         assert port.credit == pytest.approx(balance(port), abs=1e-9)
 
 
-@given(STEPS)
-def test_the_port_beside_is_left_alone(steps):
-    ports = Port.array(3)
-    untouched = [values(view_struct(ports, k)) for k in (0, 2)]
-    for step, energy in steps:
-        step(view_struct(ports, 1), energy)
-        assert [values(view_struct(ports, k)) for k in (0, 2)] == untouched
-
-
 @given(st.lists(st.tuples(ENERGY, st.floats(-1.0, 1.0)), min_size=1, max_size=10), st.data())
 def test_messages_lost_repeated_or_out_of_order_change_nothing_once_the_newest_is_heard(
     increments, data
@@ -98,17 +88,6 @@ def test_numbers_that_are_none_are_not_heard(bad):
     assert values(port) == before
     ledger.receive_totals(port, 2.0, bad)
     assert values(port) == before
-
-
-def test_what_is_passive_brings_back_no_more_than_it_took():
-    port = Port.new(credit=1.0)
-    ledger.count_tip_work(port, -0.3, True)
-    ledger.count_tip_work(port, 0.5, True)
-    assert port.credit == pytest.approx(1.0)
-    assert port.dissipated == pytest.approx(0.2)
-    port = Port.new()
-    ledger.count_tip_work(port, 0.5, False)
-    assert port.credit == 0.5
 
 
 def test_a_weight_returns_what_it_took_and_the_allowance_besides():
@@ -156,13 +135,6 @@ def test_a_hand_that_turns_no_faster_than_stated_takes_no_more_than_the_credit(
     assert abs(given_force) <= abs(force)
 
 
-@given(st.floats(-1.0, 0.0), st.floats(0.0, 50.0))
-def test_a_hand_that_presses_is_given_the_force_whatever_the_credit(credit, force):
-    port = Port.new(credit=credit)
-    assert ledger.limit_force_to_credit(port, force, 3e-5, 10.0, 2e-5) == force
-    assert ledger.limit_force_to_credit(port, force, 0.0, 10.0, 2e-5) == 0.0
-
-
 @given(ENERGY, st.floats(-50.0, 50.0), st.floats(-0.01, 0.01))
 def test_the_tip_goes_against_a_force_as_far_as_the_credit_lasts(credit, force, travel):
     gone = ledger.limit_travel_to_credit(Port.new(credit=credit), force, travel, 1.0)
@@ -171,3 +143,10 @@ def test_the_tip_goes_against_a_force_as_far_as_the_credit_lasts(credit, force, 
     assert force * gone <= credit * (1.0 + 1e-12) + 1e-300
     if force * travel <= 0.0 or force * travel < 0.999 * credit:
         assert gone == travel
+
+
+@given(st.floats(-1.0, 0.0), st.floats(0.0, 50.0))
+def test_a_hand_that_presses_is_given_the_force_whatever_the_credit(credit, force):
+    port = Port.new(credit=credit)
+    assert ledger.limit_force_to_credit(port, force, 3e-5, 10.0, 2e-5) == force
+    assert ledger.limit_force_to_credit(port, force, 0.0, 10.0, 2e-5) == 0.0

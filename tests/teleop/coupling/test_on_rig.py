@@ -38,8 +38,10 @@ class OnRig:
         return 0.0
 
 
-@pytest.mark.parametrize("round_trip", [0.0, 0.200])
-@pytest.mark.parametrize("coupling", [PassivityConfig(), DirectConfig()], ids=lambda c: c.type)
+@pytest.mark.parametrize(
+    ("coupling", "round_trip"),
+    [(PassivityConfig(), 0.200), pytest.param(DirectConfig(), 0.200, marks=pytest.mark.slow)],
+)
 def test_a_wall_behind_a_sheath(coupling, round_trip):
     plant = joint(0.8, environment=WallConfig(position=0.002, stiffness=5000.0))
     rig_config = SimulatedRigConfig(joints=(plant,))
@@ -66,5 +68,5 @@ def test_a_wall_behind_a_sheath(coupling, round_trip):
         assert record.credit.min() >= -1e-9
         assert gained <= 2.0 * coupling.reserve
         assert np.ptp(record.hand[-500:]) < 0.3e-3
-    elif round_trip:
+    else:
         assert gained > 0.01

@@ -129,37 +129,6 @@ def test_values_that_are_missing_change_nothing_between_them(found, tables, tmp_
     assert spikes["count"] == error.spikes == len(SPIKES["distal_tension"])
 
 
-def test_the_force_is_about_as_good_as_the_simulation_that_was_fitted(found):
-    """Both are counted in what the wrong cell reads; the loop cannot smooth its input as well."""
-    simulated = found.after.validation["distal_tension"].rmse
-    assert simulated < found.forces[1].after.rmse < 2.5 * simulated
-    assert found.forces[1].after.rmse < 0.2 * found.forces[1].before.rmse
-    assert found.forces[1].after.largest < 0.5 * SPIKE
-
-
-def test_a_tip_that_reads_noise_about_zero_is_estimated(files, tables, tmp_path):
-    assert tables[0].distal_tension.min() < -0.5 * SPIKE
-    plain = tmp_path / "plain.yaml"
-    model_file.save(
-        plain, model_file.SavedModel(model_file.Model((0.9,), (), ()), 24.0, ()), "a test"
-    )
-    assert estimated(files[0], plain, tmp_path)["samples"] == played(files[0], plain)["samples"]
-
-
-def test_validation_is_stated_by_file_as_it_is_in_the_file(found):
-    (one,) = found.validation
-    assert one.record.start == START
-    assert one.spikes["distal_tension"] == len(SPIKES["distal_tension"])
-    assert (one.record.signals["distal_tension"].size - 4) == one.record.valid[
-        "distal_tension"
-    ].sum()
-    assert f"{START:g} to {START + 23.98:g} s" in est.summarise_result(found)
-    axes = est.plot_result(found).axes
-    assert len(axes) == 2
-    with pytest.raises(IndexError):
-        est.plot_result(found, 1)
-
-
 def test_rivals_have_the_force_that_each_would_give(found):
     assert {*found.causes, *found.ambiguous_with} == {GAIN, RIVAL}
     (rival,) = found.rival_forces
@@ -195,13 +164,6 @@ def test_a_cause_that_is_not_as_good_is_refused(tables):
         est.diagnose(tables[0], [GAIN], cause="creep")
     with pytest.raises(est.RecordError, match="at least two"):
         est.diagnose(tables[0], [GAIN], leave_one_file_out=True)
-
-
-def test_a_notebook_shows_a_diagnosis_with_its_figures(found):
-    page = est.show_result(found).html
-    assert page.count("<svg") == page.count("</svg>") >= 4
-    assert "in the place of" in page
-    assert "<script" not in page
 
 
 @pytest.mark.measured
