@@ -29,7 +29,6 @@ def tendon(motor: int, cell: int, scale: float = NEWTONS, uncertainty=None) -> H
 
 
 def rig_config(motors, cells=None, count: int = 1, scale=NEWTONS, uncertainty=None):
-    """Return the config of a rig of `count` joints of one tendon."""
     joints = tuple(
         HardwareJointConfig((tendon(k, k, scale, uncertainty),)) for k in range(1, count + 1)
     )
@@ -66,7 +65,6 @@ def read_for(rig, duration_s: float, target=None, until=lambda: False):
 
 
 def read_some(rig, count: int = 10):
-    """Return at least `count` samples."""
     samples = []
     end_s = time.monotonic() + LIMIT_S
     while len(samples) < count:

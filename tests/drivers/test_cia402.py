@@ -8,7 +8,9 @@ import signal
 import subprocess
 import sys
 import threading
-from contextlib import contextmanager
+import time
+from contextlib import ExitStack, contextmanager
+from functools import partial
 
 import can
 import canopen
@@ -17,6 +19,8 @@ import pytest
 from durand import Variable
 from durand.datatypes import DatatypeEnum
 
+from slave import loop
+from slave.config import SlaveConfig, TendonConfig
 from slave.drivers import configs
 from slave.drivers.cia402 import bus
 from slave.drivers.cia402.config import (
@@ -36,17 +40,22 @@ from slave.drivers.cia402.drive import (
     select_control_word,
 )
 from slave.drivers.driver import DriverFault
+from slave.process import SlaveProcess
 from slave.rig import RigFault
 from slave.rigs.hardware import HardwareRig
 from slave.warm_up import compile_session
-from teleop.remote.requests import CALL
+from teleop.messages.messages import MAX_JOINTS, Command, EmergencyStop, pad_values
+from teleop.messages.topics import COMMAND, STOP, Role
+from teleop.remote.requests import CALL, RESET
+from teleop.runtime.clock import EventClock
 from teleop.session.state_machine import Reason, State
 from tests.drivers.bench import engage, follow, opened, read_for, read_some, rig_config, wait_until
 from tests.drivers.models.drives import DISABLED, ENABLED, FAULT, QUICK_STOP, Drives, SlcanAdapter
 from tests.drivers.models.line import PseudoPort
 from tests.drivers.models.plant import METRES, ZERO, Springs
-from tests.slave.test_emergency_stop import Bench
-from tests.slave.test_process import CONFIG
+from tests.tick.memory_link import MemoryLink
+
+SLOW = pytest.mark.slow
 
 
 @pytest.fixture
@@ -127,16 +136,12 @@ def test_samples_come_in_order_and_drives_follow_from_where_they_are(drives):
         sample = follow(rig, before + 0.001)
         assert sample.proximal_tension == pytest.approx([3.0, 3.0], abs=0.3)
         assert np.all(np.diff([sample.time_s for sample in read_some(rig)]) > 0.0)
+        # as node 2's boot-up, but with an identifier of 29 bits: not of the drives
+        drives.bus.port.write(b"T00000702100\r")
+        follow(rig, before + 0.002)
 
 
-@pytest.mark.slow
-def test_interpolated_position_moves_too(drives):
-    with opened_on(drives, mode="interpolation") as rig:
-        start = engage(rig, moving(drives))
-        follow(rig, start + 0.001)
-
-
-@pytest.mark.slow
+@SLOW
 def test_limits_and_watchdog_are_in_the_drive(drives):
     with opened_on(drives, following_error=777, position_max=123_456, watchdog=0.03):
         od = drives.drives[1].od
@@ -168,8 +173,9 @@ def test_guarding_takes_its_share_of_the_bus():
         Cia402Config(**rates, error_control="guarding").require_load(7, 7, 7)
 
 
-@pytest.mark.parametrize("state", [ENABLED, QUICK_STOP])
-@pytest.mark.parametrize("disable_s", [0.0, 0.2])
+@pytest.mark.parametrize(
+    ("state", "disable_s"), [(ENABLED, 0.2), pytest.param(QUICK_STOP, 0.0, marks=SLOW)]
+)
 def test_a_drive_that_another_program_left_enabled_does_not_move_in_the_set_up(
     drives, state, disable_s
 ):
@@ -201,7 +207,7 @@ def test_a_drive_that_keeps_its_power_is_refused_before_its_mode_is_changed(driv
     assert drive.od.read(0x6060, 0) == 0
 
 
-@pytest.mark.slow
+@SLOW
 def test_a_value_that_the_drive_changes_is_refused(drives):
     od = drives.drives[1].od
     od.set_read_callback(0x6065, 0, lambda: 5)
@@ -214,7 +220,7 @@ def test_a_value_that_the_drive_changes_is_refused(drives):
 
 @pytest.mark.parametrize(
     ("rate_hz", "written"),
-    [(10.0, (100, -3)), (50.0, (20, -3)), (400.0, (25, -4)), (800.0, (125, -5)), (2000.0, (5, -4))],
+    [pytest.param(50.0, (20, -3), marks=SLOW), (800.0, (125, -5))],
 )
 def test_the_interpolation_period_is_that_of_sync(drives, rate_hz, written):
     od = drives.drives[0].od
@@ -223,9 +229,7 @@ def test_the_interpolation_period_is_that_of_sync(drives, rate_hz, written):
     assert written[0] * 10.0 ** written[1] == pytest.approx(1.0 / rate_hz, rel=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("rate_hz", "nearest"), [(300.0, 303.03), (999.0, 1000.0), (1600.0, 1587.3), (1995.0, 2000.0)]
-)
+@pytest.mark.parametrize(("rate_hz", "nearest"), [(300.0, 303.03), (1600.0, 1587.3)])
 def test_a_rate_whose_period_no_drive_can_be_told_is_refused_with_the_nearest(rate_hz, nearest):
     with pytest.raises(ValueError, match=r"rate_hz: .*60C2") as refused:
         Cia402Config(rate_hz=rate_hz)
@@ -247,37 +251,23 @@ def test_a_rate_that_the_bus_carries_is_named_so_that_it_may_be_used():
     ("settings", "said"),
     [
         ({"velocity_max": 0}, "velocity_max: must be 1 to 2147483647"),
-        ({"velocity_max": 1 << 32 | 5000}, "velocity_max: must be 1 to 2147483647"),
-        ({"quick_stop_deceleration": -1}, "quick_stop_deceleration: must be 1 to 2147483647"),
         ({"quick_stop_deceleration": 1 << 31}, "quick_stop_deceleration: must be 1 to 2147483647"),
         ({"position_min": -(1 << 31) - 1}, "position_min: must be -2147483648 to 2147483647 count"),
         ({"position_max": 1 << 31}, "position_max: must be -2147483648 to 2147483647 counts"),
         ({"following_time": 65.6}, r"following_time: must be 0 to 65\.5 s"),
-        ({"following_time": -0.01}, r"following_time: must be 0 to 65\.5 s"),
         ({"following_time": float("nan")}, r"following_time: must be 0 to 65\.5 s"),
-        ({"following_error": 0}, "following_error: must be 1 to 4294967294 counts"),
         ({"following_error": (1 << 32) - 1}, "following_error: must be 1 to 4294967294 counts"),
     ],
 )
 def test_limits_beyond_their_objects_are_refused_by_the_config(settings, said):
     with pytest.raises(ValueError, match=said):
         Cia402Config(**settings)
-
-
-def test_the_largest_limits_of_the_objects_are_accepted():
-    Cia402Config(
-        velocity_max=(1 << 31) - 1,
-        quick_stop_deceleration=(1 << 31) - 1,
-        position_min=-(1 << 31),
-        position_max=(1 << 31) - 1,
-        following_time=65.5,
-        following_error=(1 << 32) - 2,
-    )
+    Cia402Config(velocity_max=(1 << 31) - 1, position_min=-(1 << 31), following_time=65.5)
 
 
 @pytest.mark.parametrize(
     ("size", "value", "signed"),
-    [(1, 256, False), (4, 1 << 32, False), (4, -1, False), (4, 1 << 31, True), (1, -129, True)],
+    [(1, 256, False), (4, -1, False), (4, 1 << 31, True)],
 )
 def test_a_value_that_does_not_fit_its_object_is_not_sent(size, value, signed):
     network = canopen.Network()  # not connected: whatever is sent raises another error
@@ -286,9 +276,7 @@ def test_a_value_that_does_not_fit_its_object_is_not_sent(size, value, signed):
         set_up.put(0x607F, 0, size, value, signed=signed)
 
 
-@pytest.mark.parametrize(
-    "error_control", ["heartbeat", pytest.param("guarding", marks=pytest.mark.slow)]
-)
+@pytest.mark.parametrize("error_control", ["heartbeat", pytest.param("guarding", marks=SLOW)])
 def test_a_killed_driver_leaves_the_drives_to_their_watchdog(drives, error_control):
     with opened_on(drives, error_control=error_control) as rig:
         engage(rig, moving(drives))
@@ -299,16 +287,7 @@ def test_a_killed_driver_leaves_the_drives_to_their_watchdog(drives, error_contr
         assert not any(drive.state == ENABLED for drive in drives.drives)
 
 
-def test_an_emergency_stop_is_a_quick_stop_until_the_next_target(drives):
-    with opened_on(drives) as rig:
-        start = engage(rig, moving(drives))
-        rig.emergency_stop()
-        assert wait_until(lambda: all(drive.state == QUICK_STOP for drive in drives.drives))
-        read_some(rig)
-        engage(rig, moving(drives), start)
-
-
-@pytest.mark.parametrize("lost", [0, 1])
+@pytest.mark.parametrize("lost", [pytest.param(0, marks=SLOW), 1])
 def test_a_target_right_behind_an_emergency_stop_does_not_undo_it(drives, lost):
     for drive in drives.drives:
         drive.lost = lost * [ControlWord.QUICK_STOP]
@@ -336,29 +315,65 @@ class Watched(Springs):
         super().advance(time_s, target, powered)
 
 
+class Bench:
+    """The slave's process on a rig, with a master whose hand moves on and on, in real time."""
+
+    def __init__(self, rig, config, stack):
+        roles = (Role.SLAVE, Role.MASTER, Role.LAUNCHER)
+        links = [stack.enter_context(MemoryLink(role)) for role in roles]
+        for link in links:
+            link.meet([other for other in links if other is not link])
+        self.link, self.master, self.launcher = links
+        self.link.world, self.state, self._commands = self._command, State.READY, 0
+        clock = EventClock(1000.0, lambda: False, partial(self.link.wait, COMMAND))
+        model = loop.build_rig_model(rig.joints, [tendon.model() for tendon in config.tendons])
+        self.slave, self._ticks = SlaveProcess(config, self.link, rig, model, clock), iter(clock)
+
+    def _command(self):
+        time.sleep(1e-3)
+        self._commands += 1
+        position = pad_values((2e-5 * self._commands,), MAX_JOINTS)
+        self.master.publish(COMMAND, Command(state=self.state, position=position))
+        self.master.carry(self.link)
+
+    def request(self, action):
+        side = {"side": Role.SLAVE, "number": int(self.slave._stops[0])}
+        request = EmergencyStop(role=Role.LAUNCHER, action=action, **side)
+        self.launcher.publish(STOP, request)
+        self.launcher.carry(self.link)
+
+    def run_until(self, condition):
+        def ticked():
+            self.slave.tick(next(self._ticks))
+            return condition()
+
+        assert wait_until(ticked), self.slave.error
+
+    @property
+    def side(self):
+        return self.slave._outline()
+
+
 def test_a_drive_that_is_enabled_late_makes_no_step_however_far_the_hand_has_moved(drives):
-    compile_session(CONFIG, with_dynamics=False)
+    # as patient as the drivers here
+    config = SlaveConfig(tendons=(TendonConfig(effective_friction=0.8),), sample_timeout=0.5)
+    compile_session(config, with_dynamics=False)
     drives.plant = plant = Watched(2)
     drive = drives.drives[0]
     drive.enable_s, rate_hz = 0.5, 100.0
-    config = dataclasses.replace(CONFIG, sample_timeout=0.5)  # as patient as the drivers here
-    with opened(rig_config(config_on(drives, rate_hz=rate_hz))) as rig:
-        bench = Bench(rig, config=config)
-
-        def run_until(condition):
-            assert wait_until(lambda: bench.run_on(1) or condition()), bench.slave.error
-
+    with opened(rig_config(config_on(drives, rate_hz=rate_hz))) as rig, ExitStack() as stack:
+        bench = Bench(rig, config, stack)
         for _ in range(2):  # the second time after an emergency stop
-            bench.line.master_state = State.READY
-            run_until(lambda: bench.side == (State.READY, Reason.NONE))
-            bench.line.master_state = State.ENGAGED
+            bench.state = State.READY
+            bench.run_until(lambda: bench.side == (State.READY, Reason.NONE))
+            bench.state = State.ENGAGED
             goal = plant.position[0] + 0.001 / METRES
-            run_until(lambda goal=goal: plant.position[0] > goal)
+            bench.run_until(lambda goal=goal: plant.position[0] > goal)
             assert bench.side.state is State.ENGAGED
-            bench.call(CALL)
-            run_until(lambda: drive.state == QUICK_STOP)
+            bench.request(CALL)
+            bench.run_until(lambda: drive.state == QUICK_STOP)
             assert not rig.follows
-            bench.reset()
+            bench.request(RESET)
     assert 0.0 < plant.largest_step < config.gate.speed_max * 2.0 / rate_hz
 
 
@@ -411,13 +426,6 @@ def test_a_drive_that_stops_by_itself_is_a_fault_and_is_not_enabled_again(drives
     assert not any(drive.state == ENABLED for drive in drives.drives)
 
 
-def test_frames_with_extended_identifiers_are_not_of_the_drives(drives):
-    with opened_on(drives) as rig:
-        start = engage(rig, moving(drives))
-        drives.bus.port.write(b"T00000702100\r")  # as node 2's boot-up, but with 29 bits
-        follow(rig, start + 0.001)
-
-
 def test_a_motor_that_does_not_follow_is_stopped_by_its_drive(drives):
     with opened_on(drives, following_error=50) as rig:
         start = engage(rig, moving(drives))
@@ -426,7 +434,7 @@ def test_a_motor_that_does_not_follow_is_stopped_by_its_drive(drives):
             read_for(rig, 5.0, start + 0.001)
 
 
-@pytest.mark.slow
+@SLOW
 def test_a_drive_that_is_not_homed_or_no_drive_is_refused(drives):
     drives.drives[0].homed = 0
     drives.drives[0].od.write(0x6041, 0, DISABLED)
@@ -455,14 +463,6 @@ def test_silence_and_unplugging_are_named(drives):
             read_for(rig, 5.0)
 
 
-@pytest.mark.slow
-def test_positions_are_counts_from_the_zero_of_the_config(drives):
-    drives.plant.position[:] = ZERO + 100.0
-    with opened_on(drives) as rig:
-        displacement = read_some(rig)[-1].proximal_displacement
-        assert displacement == pytest.approx(100.0 * 2.0 * np.pi * 0.010 / 4096.0)
-
-
 def test_read_only_asks_by_sdo_uploads_and_nothing_else(drives):
     frames = []
     for drive in drives.drives:
@@ -480,7 +480,11 @@ def test_read_only_asks_by_sdo_uploads_and_nothing_else(drives):
     assert set(frames) == {(0x601, 0x40), (0x602, 0x40)}  # initiate upload
 
 
-CONTROLLERS = [(0x80, b""), (0x77F, b"\x05"), (0x602, bytes.fromhex("4041600000000000"))]
+CONTROLLERS = [
+    (0x80, b"", False),
+    pytest.param(0x77F, b"\x05", True, marks=SLOW),
+    pytest.param(0x602, bytes.fromhex("4041600000000000"), False, marks=SLOW),
+]
 
 
 @contextmanager
@@ -502,8 +506,7 @@ def sent_by_another(drives, identifier, data):
         thread.join()
 
 
-@pytest.mark.parametrize(("identifier", "data"), CONTROLLERS)
-@pytest.mark.parametrize("read_only", [False, True])
+@pytest.mark.parametrize(("identifier", "data", "read_only"), CONTROLLERS)
 def test_a_bus_with_another_controller_is_refused_before_anything_is_sent(
     drives, identifier, data, read_only
 ):
@@ -528,7 +531,9 @@ def test_heartbeats_of_nodes_and_their_values_are_no_controller():
     ("index", "kind", "value", "said"),
     [
         (0x607E, DatatypeEnum.UNSIGNED8, 0x80, "drive 2 has reversed positions"),
-        (0x60B0, DatatypeEnum.INTEGER32, 1024, "drive 2 has an offset of its targets"),
+        pytest.param(
+            0x60B0, DatatypeEnum.INTEGER32, 1024, "drive 2 has an offset of its targets", marks=SLOW
+        ),
     ],
 )
 def test_positions_that_another_program_has_shifted_are_refused(drives, index, kind, value, said):
@@ -537,12 +542,10 @@ def test_positions_that_another_program_has_shifted_are_refused(drives, index, k
         pass
 
 
-@pytest.mark.parametrize(
-    ("index", "kind"), [(0x607E, DatatypeEnum.UNSIGNED8), (0x60B0, DatatypeEnum.INTEGER32)]
-)
-def test_a_drive_that_refuses_to_tell_how_it_counts_is_refused(drives, index, kind):
-    drives.drives[1].od[index] = Variable(kind, "wo", 0x80)
-    said = f"drive 2 object {index:04X}:0: Code 0x06010001"  # attempt to read a write only object
+@SLOW
+def test_a_drive_that_refuses_to_tell_how_it_counts_is_refused(drives):
+    drives.drives[1].od[0x607E] = Variable(DatatypeEnum.UNSIGNED8, "wo", 0x80)
+    said = "drive 2 object 607E:0: Code 0x06010001"  # attempt to read a write only object
     with pytest.raises(RigFault, match=said), opened_on(drives):
         pass
 

@@ -48,7 +48,6 @@ TARGET = packets.pack_target(np.array([5.0]))
     [
         ([TARGET], 0.05),
         ([TARGET, packets.PAUSE], 0.15),
-        ([TARGET, packets.PAUSE, packets.PAUSE], 0.15),
         ([TARGET, packets.PAUSE, TARGET], 0.05),
     ],
 )

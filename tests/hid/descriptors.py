@@ -154,11 +154,11 @@ def condition(number: int, full: int, blocks: int = 40) -> bytes:
     )
 
 
-def envelope(number: int, full: int, blocks: int = 40) -> bytes:
+def envelope(number: int, full: int) -> bytes:
     return pid_report(
         0x5A,
         number,
-        block_index(blocks=blocks),
+        block_index(),
         field(OUTPUT, 16, 0, full, 0x5B, 0x5D),
         unit(*MILLISECONDS),
         field(OUTPUT, 32, 0, 32767, 0x5C, 0x5E),
@@ -166,11 +166,11 @@ def envelope(number: int, full: int, blocks: int = 40) -> bytes:
     )
 
 
-def periodic(number: int, full: int, blocks: int = 40) -> bytes:
+def periodic(number: int, full: int) -> bytes:
     return pid_report(
         0x6E,
         number,
-        block_index(blocks=blocks),
+        block_index(),
         field(OUTPUT, 16, 0, full, 0x70),
         field(OUTPUT, 16, -full, full, 0x6F),
         field(OUTPUT, 16, 0, 35999, 0x71),
@@ -250,70 +250,81 @@ def block_free(number: int, blocks: int = 40) -> bytes:
     return pid_report(0x90, number, block_index(blocks=blocks))
 
 
-def device_gain(number: int, high: int = 255, bits: int = 8) -> bytes:
-    return pid_report(0x7D, number, field(OUTPUT, bits, 0, high, 0x7E))
+def device_gain(number: int) -> bytes:
+    return pid_report(0x7D, number, field(OUTPUT, 8, 0, 255, 0x7E))
 
 
-def openffboard(axes: int = 2) -> bytes:
-    """Return the descriptor of OpenFFBoard with one or two axes: a mask to control the device."""
+def effect_reports(
+    base: int,
+    axes: int,
+    full: int,
+    control: bytes,
+    features: tuple[int, int, int] = (0x11, 0x12, 0x13),
+    types: tuple[int, ...] = EFFECT_TYPES,
+    choose_type: bytes = b"",
+    times: tuple[int, ...] = (0x50, 0x54, 0x51, 0xA7),
+    direction: tuple[int, int] = (16, 36000),
+) -> bytes:
+    """Return the reports of a firmware in the order of the standard, numbered from `base` on."""
     set_effect = pid_report(
         0x21,
-        0x01,
+        base + 0x01,
         block_index(),
-        named_array(OUTPUT, 0x25, EFFECT_TYPES),
+        choose_type or named_array(OUTPUT, 0x25, types),
         unit(*MILLISECONDS),
-        field(OUTPUT, 16, 0, 32767, 0x50, 0x54, 0x51, 0xA7),
+        field(OUTPUT, 16, 0, 32767, *times),
         unit(0, 0),
         field(OUTPUT, 8, 0, 255, 0x52),
         field(OUTPUT, 8, 1, 8, 0x53),
         axes_enable(axes),
-        directions(axes, 16, 36000),
+        directions(axes, *direction),
         block_offsets(OUTPUT, 16, axes, 32765),
     )
+    rest = (
+        envelope(base + 0x02, full),
+        condition(base + 0x03, full),
+        periodic(base + 0x04, full),
+        constant_force(base + 0x05, full),
+        ramp(base + 0x06, full),
+        operation(base + 0x0A),
+        block_free(base + 0x0B),
+        control,
+        device_gain(base + 0x0D),
+        creation(features[0], types),
+        block_load(features[1]),
+        pool(features[2]),
+    )
+    return set_effect + b"".join(rest)
+
+
+def joystick(*inside: bytes) -> bytes:
+    return page(DESKTOP) + usage(JOYSTICK) + collection(APPLICATION, *inside)
+
+
+def openffboard(axes: int = 2) -> bytes:
+    """Return the descriptor of OpenFFBoard with one or two axes: a mask to control the device."""
     vendor = [
         usage(n) + shape(bits) + main(kind)
         for kind in (OUTPUT, INPUT)
         for n, bits in enumerate((8, 16, 8, 32, 64, 64), start=1)
     ]
-    return (
-        page(DESKTOP)
-        + usage(JOYSTICK)
-        + collection(
-            APPLICATION,
-            collection(
-                PHYSICAL,
-                report(0x01),
-                buttons(1, 64),
-                page(DESKTOP),
-                field(INPUT, 16, -32767, 32767, X, Y, Z, RX, RY, RZ, DIAL, SLIDER),
-            ),
-            page(VENDOR),
-            usage(0x00),
-            collection(APPLICATION, report(0xA1), logical(0, 4), *vendor),
-            pid_report(
-                0x92,
-                0x02,
-                field(INPUT, 1, 0, 1, 0x9F, 0xA0, 0xA4, 0xA6, 0x94),
-                pad(INPUT, 3),
-            ),
-            set_effect,
-            envelope(0x02, 32767),
-            condition(0x03, 32767),
-            periodic(0x04, 32767),
-            constant_force(0x05, 32767),
-            ramp(0x06, 32767),
-            operation(0x0A),
-            block_free(0x0B),
-            control_mask(0x0C),
-            device_gain(0x0D),
-            creation(0x11, EFFECT_TYPES),
-            block_load(0x12),
-            pool(0x13),
-        )
+    return joystick(
+        collection(
+            PHYSICAL,
+            report(0x01),
+            buttons(1, 64),
+            page(DESKTOP),
+            field(INPUT, 16, -32767, 32767, X, Y, Z, RX, RY, RZ, DIAL, SLIDER),
+        ),
+        page(VENDOR),
+        usage(0x00),
+        collection(APPLICATION, report(0xA1), logical(0, 4), *vendor),
+        pid_report(0x92, 0x02, field(INPUT, 1, 0, 1, 0x9F, 0xA0, 0xA4, 0xA6, 0x94), pad(INPUT, 3)),
+        effect_reports(0x00, axes, 32767, control_mask(0x0C)),
     )
 
 
-def arduino(n_buttons: int = 32, hat: bool = True) -> bytes:
+def arduino(n_buttons: int = 32) -> bytes:
     """Return a sketch with X and Y on the Arduino library: no start delay, directions of a byte.
 
     The library lists one effect type twice, and its output reports share numbers with its feature
@@ -321,28 +332,6 @@ def arduino(n_buttons: int = 32, hat: bool = True) -> bytes:
     """
     types = (*EFFECT_TYPES, CUSTOM_FORCE)
     twice = field(OUTPUT, 8, 1, 12, *types, CUSTOM_FORCE, flags=DATA_ARRAY, count=1)
-    set_effect = pid_report(
-        0x21,
-        0x01,
-        block_index(),
-        usage(0x25) + collection(LOGICAL, twice),
-        unit(*MILLISECONDS),
-        field(OUTPUT, 16, 0, 32767, 0x50, 0x54, 0x51),
-        unit(0, 0),
-        field(OUTPUT, 8, 0, 255, 0x52),
-        field(OUTPUT, 8, 1, 8, 0x53),
-        axes_enable(2),
-        directions(2, 8, 255),
-        block_offsets(OUTPUT, 16, 2, 32765),
-    )
-    hats = (
-        physical(0, 315)
-        + unit(0x14, 0)
-        + field(INPUT, 4, 0, 7, HAT, flags=NULL)
-        + physical(0, 0)
-        + unit(0, 0)
-        + pad(INPUT, 4)
-    )
     state = pid_report(
         0x92,
         0x02,
@@ -351,33 +340,29 @@ def arduino(n_buttons: int = 32, hat: bool = True) -> bytes:
         field(INPUT, 1, 0, 1, 0x94),
         field(INPUT, 7, 1, 40, 0x22),
     )
-    return (
-        page(DESKTOP)
-        + usage(JOYSTICK)
-        + collection(
-            APPLICATION,
-            report(0x01),
-            buttons(1, n_buttons),
-            *([pad(INPUT, -n_buttons % 8)] if n_buttons % 8 else []),
-            page(DESKTOP),
-            hats if hat else b"",
-            usage(POINTER),
-            collection(PHYSICAL, field(INPUT, 16, -32767, 32767, X, Y)),
-            state,
-            set_effect,
-            envelope(0x02, 10000),
-            condition(0x03, 10000),
-            periodic(0x04, 10000),
-            constant_force(0x05, 10000),
-            ramp(0x06, 10000),
-            operation(0x0A),
-            block_free(0x0B),
+    return joystick(
+        report(0x01),
+        buttons(1, n_buttons),
+        *([pad(INPUT, -n_buttons % 8)] if n_buttons % 8 else []),
+        page(DESKTOP),
+        physical(0, 315) + unit(0x14, 0),
+        field(INPUT, 4, 0, 7, HAT, flags=NULL),
+        physical(0, 0) + unit(0, 0),
+        pad(INPUT, 4),
+        usage(POINTER),
+        collection(PHYSICAL, field(INPUT, 16, -32767, 32767, X, Y)),
+        state,
+        effect_reports(
+            0x00,
+            2,
+            10000,
             control_array(0x0C, ENABLE, DISABLE, STOP_ALL, RESET, PAUSE, CONTINUE),
-            device_gain(0x0D),
-            creation(0x05, types),
-            block_load(0x06),
-            pool(0x07),
-        )
+            (0x05, 0x06, 0x07),
+            types,
+            usage(0x25) + collection(LOGICAL, twice),
+            (0x50, 0x54, 0x51),
+            (8, 255),
+        ),
     )
 
 
@@ -410,7 +395,7 @@ def rhino() -> bytes:
         field(OUTPUT, 16, -4096, 4096, 0x60, 0x61, 0x62),
         field(OUTPUT, 16, 0, 4096, 0x63, 0x64, 0x65),
     )
-    joystick = (
+    inputs = (
         report(0x01)
         + page(DESKTOP)
         + field(INPUT, 16, -4096, 4096, X, Y, Z)
@@ -423,79 +408,40 @@ def rhino() -> bytes:
         + field(INPUT, 16, -4096, 4096, 0x30, 0x31, 0x32, 0x33, 0x34, 0x35)
         + field(INPUT, 8, 0, 255, 0x36)
     )
-    return (
-        page(DESKTOP)
-        + usage(JOYSTICK)
-        + collection(
-            APPLICATION,
-            joystick,
-            pid_report(
-                0x92,
-                2,
-                block_index(INPUT, blocks),
-                field(INPUT, 1, 0, 1, 0x94, 0x9F, 0xA0, 0xA4, 0xA6),
-                pad(INPUT, 3),
-            ),
-            set_effect,
-            set_condition,
-            constant_force(105, 4096, blocks),
-            ramp(106, 4096, blocks),
-            operation(110, blocks),
-            block_free(111, blocks),
-            control_array(112, DISABLE, ENABLE, STOP_ALL, RESET, PAUSE, CONTINUE),
-            device_gain(113),
-            creation(5, types),
-            block_load(6, blocks),
-            pool(7),
-            page(VENDOR),
-            report(0x56) + field(FEATURE, 8, 0, 255, 0x56, count=16),
-            report(0x57) + field(FEATURE, 8, 0, 255, 0x57, count=2),
-        )
+    state = (
+        block_index(INPUT, blocks)
+        + field(INPUT, 1, 0, 1, 0x94, 0x9F, 0xA0, 0xA4, 0xA6)
+        + pad(INPUT, 3)
+    )
+    return joystick(
+        inputs,
+        pid_report(0x92, 2, state),
+        set_effect,
+        set_condition,
+        constant_force(105, 4096, blocks),
+        ramp(106, 4096, blocks),
+        operation(110, blocks),
+        block_free(111, blocks),
+        control_array(112, DISABLE, ENABLE, STOP_ALL, RESET, PAUSE, CONTINUE),
+        device_gain(113),
+        creation(5, types),
+        block_load(6, blocks),
+        pool(7),
+        page(VENDOR),
+        report(0x56) + field(FEATURE, 8, 0, 255, 0x56, count=16),
+        report(0x57) + field(FEATURE, 8, 0, 255, 0x57, count=2),
     )
 
 
 def ffbeast_pid() -> bytes:
     """Return the joystick interface of an FFBeast wheel: one unsigned axis, numbers from 0x10."""
-    set_effect = pid_report(
-        0x21,
-        0x11,
-        block_index(),
-        named_array(OUTPUT, 0x25, EFFECT_TYPES),
-        unit(*MILLISECONDS),
-        field(OUTPUT, 16, 0, 32767, 0x50, 0x54, 0x51, 0xA7),
-        unit(0, 0),
-        field(OUTPUT, 8, 0, 255, 0x52),
-        field(OUTPUT, 8, 1, 8, 0x53),
-        axes_enable(1),
-        directions(1, 16, 36000),
-        block_offsets(OUTPUT, 16, 1, 32765),
-    )
-    return (
-        page(DESKTOP)
-        + usage(JOYSTICK)
-        + collection(
-            APPLICATION,
-            report(0x01),
-            buttons(1, 32),
-            page(DESKTOP),
-            field(INPUT, 16, 0, 65535, X),
-            pid_report(
-                0x92, 0x12, field(INPUT, 1, 0, 1, 0x9F, 0xA0, 0xA4, 0xA6, 0x94), pad(INPUT, 3)
-            ),
-            set_effect,
-            envelope(0x12, 10000),
-            condition(0x13, 10000),
-            periodic(0x14, 10000),
-            constant_force(0x15, 10000),
-            ramp(0x16, 10000),
-            operation(0x1A),
-            block_free(0x1B),
-            control_mask(0x1C),
-            device_gain(0x1D),
-            creation(0x11, EFFECT_TYPES),
-            block_load(0x12),
-            pool(0x13),
-        )
+    return joystick(
+        report(0x01),
+        buttons(1, 32),
+        page(DESKTOP),
+        field(INPUT, 16, 0, 65535, X),
+        pid_report(0x92, 0x12, field(INPUT, 1, 0, 1, 0x9F, 0xA0, 0xA4, 0xA6, 0x94), pad(INPUT, 3)),
+        effect_reports(0x10, 1, 10000, control_mask(0x1C)),
     )
 
 
@@ -594,26 +540,19 @@ def logitech_g29() -> bytes:
 
     That the pedals are Z, Rz and Y is not confirmed; where they stand is.
     """
-    return (
-        page(DESKTOP)
-        + usage(JOYSTICK)
-        + collection(
-            APPLICATION,
-            physical(0, 315),
-            unit(0x14, 0),
-            field(INPUT, 4, 0, 7, HAT, flags=NULL),
-            unit(0, 0),
-            physical(0, 0),
-            buttons(1, 25),
-            page(VENDOR),
-            field(INPUT, 1, 0, 1, 0x01, count=3),
-            page(DESKTOP),
-            field(INPUT, 16, 0, 65535, X),
-            field(INPUT, 8, 0, 255, Z, RZ, Y),
-            page(VENDOR),
-            field(INPUT, 8, 0, 255, 0x02, count=3),
-            field(OUTPUT, 8, 0, 255, 0x03, count=7),
-        )
+    return joystick(
+        physical(0, 315) + unit(0x14, 0),
+        field(INPUT, 4, 0, 7, HAT, flags=NULL),
+        unit(0, 0) + physical(0, 0),
+        buttons(1, 25),
+        page(VENDOR),
+        field(INPUT, 1, 0, 1, 0x01, count=3),
+        page(DESKTOP),
+        field(INPUT, 16, 0, 65535, X),
+        field(INPUT, 8, 0, 255, Z, RZ, Y),
+        page(VENDOR),
+        field(INPUT, 8, 0, 255, 0x02, count=3),
+        field(OUTPUT, 8, 0, 255, 0x03, count=7),
     )
 
 

@@ -40,7 +40,6 @@ class Node:
         self._said_s = bus.clock()
 
     def push(self, *reports: bytes) -> None:
-        """Queue input reports for every reader."""
         with self.lock:
             for report in reports:
                 for handle in self.handles:
@@ -177,7 +176,6 @@ class FakeHidraw:
         self._folder, self._count = folder, 0
 
     def plug(self, device: VirtualDevice, usages=((0x01, 0x04),), interface: int = 0) -> Node:
-        """Plug a device in, under a path of its own."""
         path = self._folder / f"fake-hidraw{self._count}"
         self._count += 1
         path.touch()

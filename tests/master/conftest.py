@@ -2,6 +2,7 @@ import sys
 
 import pytest
 
+from master.devices.hid import device
 from master.devices.hid.device import CLAIMS
 from tests.hid.fake_hidraw import FakeHidraw
 
@@ -15,6 +16,7 @@ def hidraw(monkeypatch, tmp_path):
     monkeypatch.setitem(sys.modules, "hidraw", bus)
     monkeypatch.setattr(sys, "platform", "linux")
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
+    monkeypatch.setattr(device, "POLL_PERIOD_S", 0.02)  # of looks for a device that is away
     CLAIMS.forget()
     yield bus
     assert bus.misuse == []

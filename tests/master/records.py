@@ -17,12 +17,10 @@ def message_records(cls: type[Message]) -> Any:
 
 
 def message_record(message: Message) -> Any:
-    """Return a message as a record."""
     return view_struct(to_message_records(message))
 
 
 def to_message_records(message: Message) -> Any:
-    """Return a message as an array of one record."""
     records = message_records(type(message))
     for name in records.dtype.names:
         records[name] = getattr(message, name)
@@ -30,7 +28,6 @@ def to_message_records(message: Message) -> Any:
 
 
 def hand_record(hand: Any) -> Any:
-    """Return a `HandState`, or None, as a record."""
     records = HandInput.array()
     fill_hand_input(records, hand)
     return view_struct(records)

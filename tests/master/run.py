@@ -113,7 +113,6 @@ class Run:
 
     @property
     def inputs(self):
-        """First arguments of both phases."""
         settings = self._settings.update(self.config)
         return settings, self.memories, self.hands, self._states, self.input
 

@@ -21,12 +21,10 @@ def vars_of(hand):
 
 
 class Pen:
-    """Four axes; returns what it is told to."""
+    """Returns what it is told to."""
 
-    axes = 4
-
-    def __init__(self, returned):
-        self.returned = returned
+    def __init__(self, returned, axes=4):
+        self.returned, self.axes, self.closed = returned, axes, 0
 
     def read(self, _time_s):
         if isinstance(self.returned, Exception):
@@ -36,7 +34,8 @@ class Pen:
     def write(self, _force):
         raise OSError("cable")
 
-    def close(self): ...
+    def close(self):
+        self.closed += 1
 
 
 @dataclass(frozen=True)
@@ -52,10 +51,10 @@ def opened(returned):
     return open_device(PenConfig(device=Pen(returned)))
 
 
-@pytest.mark.parametrize("pressed", [True, False, np.True_, np.False_])
-def test_what_is_right_is_passed_on_as_it_is(pressed):
-    hand = HandState(FOUR, FOUR, engage=pressed, stop=pressed)
-    assert opened(hand).read(0.0) is hand
+def test_what_is_right_is_passed_on_as_it_is():
+    for pressed in (True, False, np.True_, np.False_):
+        hand = HandState(FOUR, FOUR, engage=pressed, stop=pressed)
+        assert opened(hand).read(0.0) is hand
 
 
 @pytest.mark.parametrize(
@@ -66,16 +65,13 @@ def test_what_is_right_is_passed_on_as_it_is(pressed):
         (HandState(np.ones(4), FOUR, True), "position is a ndarray, must be a tuple of floats"),
         (HandState(FOUR, (0, 0, 0, "1"), True), "position .*: must be floats"),
         (None, "returned NoneType, must be HandState"),
-        ((FOUR, FOUR, True), "returned tuple, must be HandState"),
         (SimpleNamespace(**vars_of(HandState(FOUR, FOUR, True))), "returned SimpleNamespace, must"),
         (HandState(FOUR, FOUR, None), "engage is None, must be a bool"),
-        (HandState(FOUR, FOUR, "off"), "engage is 'off', must be a bool"),
         (HandState(FOUR, FOUR, True, clutch=np.nan), "clutch is nan, must be a bool"),
         (
             HandState(FOUR, FOUR, True, stop=np.zeros(1)),
             r"stop is array\(\[0\.\]\), must be a bool",
         ),
-        (HandState(FOUR, FOUR, True, stronger=4), "stronger is 4, must be a bool"),
     ],
 )
 def test_a_hand_that_is_wrong_is_named_by_field_with_what_it_must_be(returned, said):
@@ -133,3 +129,22 @@ def test_one_of_several_is_checked_too():
     device = open_device(CombinedConfig(devices=parts))
     with pytest.raises(DeviceFault, match=r"^devices\.1: mylab: Pen.read: position has 2 numbers"):
         device.read(0.0)
+
+
+@pytest.mark.parametrize("axes", [-1, 0, 9])
+def test_a_device_whose_axes_are_no_joints_is_named_and_closed(axes):
+    pen = Pen(None, axes)
+    said = rf"^master\.device: mylab has {axes} axes, must be 1 to 8$"
+    with pytest.raises(UsageError, match=said):
+        open_device(PenConfig(device=pen))
+    assert pen.closed == 1
+
+
+@pytest.mark.parametrize("axes", [0, 6])
+def test_devices_that_have_more_axes_together_than_joints_are_named_and_closed(axes):
+    pens = [Pen(None, 3), Pen(None, axes)]
+    config = CombinedConfig(devices=tuple(PenConfig(device=pen) for pen in pens))
+    said = rf"^master\.device: devices\.1: mylab has {axes} axes, must be 1 to 5$"
+    with pytest.raises(UsageError, match=said):
+        open_device(config)
+    assert [pen.closed for pen in pens] == [1, 1]

@@ -8,16 +8,16 @@ from master.config import MasterConfig
 from master.device import DeviceFault, DeviceLost, HandState
 from master.devices import open_device
 from master.devices.combined import CombinedConfig, CombinedDevice
-from master.devices.hid import search
 from master.devices.hid.device import HidDevice
 from master.devices.hid.mapping import AxisConfig, HidConfig
-from master.devices.virtual import VirtualConfig, VirtualDevice
+from master.devices.virtual import VirtualConfig
 from teleop.config.loading import load
 from teleop.errors import UsageError
 from teleop.launch.supervisor import wait_for_condition
 from tests.hid import descriptors
 from tests.hid.virtual.arduino import Arduino
 from tests.hid.virtual.openffboard import OpenFFBoard
+from tests.master.reading import comes_back
 
 BUTTONS = ("clutch", "stop", "finer", "coarser", "weaker", "stronger")
 
@@ -49,7 +49,6 @@ class Stylus:
 
 
 def combined(*devices):
-    """Combine devices that are open; their configs only say how many axes there are."""
     config = CombinedConfig(devices=tuple(VirtualConfig(axes=d.axes) for d in devices))
     given_out = iter(devices)
     return CombinedDevice(config, lambda _config: next(given_out))
@@ -85,15 +84,15 @@ def test_all_hands_must_hold_to_engage(held):
     assert device.read(0.0).engage == all(held)
 
 
-@pytest.mark.parametrize("name", BUTTONS)
-@pytest.mark.parametrize("which", [0, 1, 2])
-def test_any_other_button_of_one_device_counts_for_all(name, which):
+def test_any_other_button_of_one_device_counts_for_all():
     styluses = [Stylus(1) for _ in range(3)]
     device = combined(*styluses)
-    assert not getattr(device.read(0.0), name)
-    styluses[which].buttons = {name: True}
-    hand = device.read(0.0)
-    assert [n for n in BUTTONS if getattr(hand, n)] == [name]
+    for name in BUTTONS:
+        for stylus in styluses:
+            stylus.buttons = {name: True}
+            hand = device.read(0.0)
+            assert [n for n in BUTTONS if getattr(hand, n)] == [name]
+            stylus.buttons = {}
 
 
 def test_a_switch_that_was_never_seen_open_counts_as_held():
@@ -127,7 +126,7 @@ def test_after_one_was_lost_each_switch_has_to_be_let_go_of_anew():
     assert device.read(0.0).engage
 
 
-def test_one_that_is_lost_is_a_loss_and_the_others_are_read_on():
+def test_one_that_is_lost_is_a_loss_the_others_are_read_on_and_a_failure_is_a_failure():
     left, right = Stylus(1), Stylus(2)
     reads = []
     device = released(left, right)
@@ -137,12 +136,8 @@ def test_one_that_is_lost_is_a_loss_and_the_others_are_read_on():
         with pytest.raises(DeviceLost):
             device.read(time_s)
     assert reads == [1.0, 2.0]
-
-
-def test_a_loss_beside_a_failure_is_a_failure():
-    left, right = Stylus(1), Stylus(1)
-    device = released(left, right)
-    left.read_fault, right.read_fault = DeviceLost("unplugged"), DeviceFault("broken")
+    del right.read
+    right.read_fault = DeviceFault("broken")
     with pytest.raises(DeviceFault, match=r"^devices\.1: broken$") as caught:
         device.read(0.0)
     assert not isinstance(caught.value, DeviceLost)
@@ -157,11 +152,11 @@ def test_a_failed_write_leaves_no_force_on_the_others():
     assert left.written[-1] == right.written[-1] == (0.0,)
 
 
-@pytest.mark.parametrize("force", [(), (1.0,), (1.0, 2.0, 3.0)])
-def test_a_force_of_another_size_is_refused_and_not_split(force):
+def test_a_force_of_another_size_is_refused_and_not_split():
     left, right = Stylus(1), Stylus(1)
-    with pytest.raises(DeviceFault, match="refuses"):
-        combined(left, right).write(force)
+    for force in ((), (1.0,), (1.0, 2.0, 3.0)):
+        with pytest.raises(DeviceFault, match="refuses"):
+            combined(left, right).write(force)
     assert left.written == right.written == []
 
 
@@ -193,7 +188,6 @@ def test_if_the_second_cannot_be_opened_the_first_is_closed_again():
     [
         ("[{type: virtual, axes: 5}, {type: virtual, axes: 4}]", "5 + 4 axes, must be at most 8"),
         ("[{type: virtual}]", "at least 2"),
-        ("[]", "at least 2"),
         (
             "[{type: virtual}, {type: combined}]",
             "'combined' is unknown (allowed: hid, ros, virtual)",
@@ -211,18 +205,6 @@ def test_what_cannot_be_combined_is_one_line(devices, complaint):
         load(None, MasterConfig, "master", [override])
     assert complaint in str(caught.value)
     assert "\n" not in str(caught.value)
-
-
-def test_it_is_opened_as_the_config_says():
-    device = open_device(CombinedConfig(devices=(VirtualConfig(axes=3), VirtualConfig(axes=2))))
-    assert isinstance(device, CombinedDevice)
-    single = [VirtualDevice(VirtualConfig(axes=n)) for n in (3, 2)]
-    for time_s in (0.0, 0.4, 0.6):
-        apart = [one.read(time_s) for one in single]
-        together = device.read(time_s)
-        assert together.position == apart[0].position + apart[1].position
-        assert together.engage == (time_s >= 0.5)
-    device.close()
 
 
 PUSHED = HidConfig(axes=(AxisConfig("x", travel=0.1, force=2.0),), smoothing=0.0)
@@ -243,14 +225,24 @@ def two_hids(first, second):
     return open_device(CombinedConfig(devices=(hid(first), hid(second))))
 
 
-def test_two_of_a_kind_are_told_apart_by_their_paths(hidraw):
+def test_two_of_a_kind_are_told_apart_by_their_paths_and_one_comes_back_as_itself(hidraw):
     nodes = [hidraw.plug(arduino()) for _ in range(2)]
     with pytest.raises(UsageError, match=r"devices\.0: several devices fit; set find to"):
         two_hids("", "")
     device = two_hids(*(str(node.path) for node in nodes))
-    nodes[0].device.axes, nodes[1].device.axes = [0.5, 0.0], [-1.0, 0.0]
-    expected = pytest.approx((0.05, -0.1), abs=1e-3)
-    assert wait_for_condition(lambda: device.read(0.0).position == expected, 30.0)
+
+    def reads_each():
+        nodes[0].device.axes, nodes[1].device.axes = [0.5, 0.0], [-1.0, 0.0]
+        expected = pytest.approx((0.05, -0.1), abs=1e-3)
+        return wait_for_condition(lambda: device.read(0.0).position == expected, 30.0)
+
+    assert reads_each()
+    hidraw.unplug(nodes[0])
+    nodes[1].path.chmod(0o600)  # as udev does, at any time
+    assert "devices.0" in lost(device)
+    nodes[0] = hidraw.plug(arduino())
+    assert comes_back(device)
+    assert reads_each()
     device.close()
 
 
@@ -263,65 +255,21 @@ def test_one_device_is_not_two_hands(hidraw):
 
 
 def lost(device):
-    """Read until the device says that it is lost; return what it says."""
-    said = []
-
-    def loses():
-        try:
-            device.read(0.0)
-        except DeviceLost as error:
-            said.append(str(error))
-        return bool(said)
-
-    assert wait_for_condition(loses, 30.0), "it was not noticed"
-    return said[0]
+    with pytest.raises(DeviceLost) as caught:
+        wait_for_condition(lambda: device.read(0.0) and False, 30.0)
+    return str(caught.value)
 
 
-def back(device):
-    def reads():
-        try:
-            device.read(0.0)
-        except DeviceLost:
-            return False
-        return True
-
-    return wait_for_condition(reads, 30.0)
-
-
-def test_one_of_two_alike_that_was_unplugged_comes_back_as_itself(hidraw):
-    nodes = [hidraw.plug(arduino()) for _ in range(2)]
-    assert nodes[0].device.serial == nodes[1].device.serial
-    device = two_hids(*(str(node.path) for node in nodes))
-    hidraw.unplug(nodes[0])
-    assert "devices.0" in lost(device)
-    node = hidraw.plug(arduino())
-    node.device.axes, nodes[1].device.axes = [0.5, 0.0], [-1.0, 0.0]
-    assert back(device)
-    expected = pytest.approx((0.05, -0.1), abs=1e-3)
-    assert wait_for_condition(lambda: device.read(0.0).position == expected, 30.0)
-    device.close()
-
-
-def test_two_alike_that_were_lost_together_are_not_mixed_up(hidraw):
+@pytest.mark.parametrize("returning", [1, 2])
+def test_two_alike_that_were_lost_together_are_not_mixed_up(hidraw, returning):
     """Their serial numbers are the same, so either may be in the place of the other."""
     nodes = [hidraw.plug(arduino()) for _ in range(2)]
     device = two_hids(*(str(node.path) for node in nodes))
     for node in nodes:
         hidraw.unplug(node)
     lost(device)
-    for _ in nodes:
+    for _ in range(returning):
         hidraw.plug(arduino())
-    assert wait_for_condition(lambda: "identity" in lost(device), 30.0)
-    device.close()
-
-
-def test_one_that_came_back_alone_is_not_taken_for_both(hidraw):
-    nodes = [hidraw.plug(arduino()) for _ in range(2)]
-    device = two_hids(*(str(node.path) for node in nodes))
-    for node in nodes:
-        hidraw.unplug(node)
-    lost(device)
-    hidraw.plug(arduino())
     assert wait_for_condition(lambda: "identity" in lost(device), 30.0)
     device.close()
 
@@ -337,24 +285,3 @@ def test_a_loss_that_was_not_noticed_yet_is_a_loss(hidraw):
     assert wait_for_condition(lambda: "identity" in lost(first), 30.0)
     first.close()
     second.close()
-
-
-def test_one_that_was_lost_alone_returns_though_permissions_of_its_twin_changed(hidraw):
-    nodes = [hidraw.plug(arduino()) for _ in range(2)]
-    first, second = (HidDevice(hid(str(node.path)), lambda _line: None) for node in nodes)
-    hidraw.unplug(nodes[0])
-    nodes[1].path.chmod(0o600)  # as udev does, at any time
-    lost(first)
-    hidraw.plug(arduino())
-    assert back(first)
-    first.close()
-    second.close()
-
-
-def test_search_does_not_find_what_is_in_use(hidraw):
-    node = hidraw.plug(arduino())
-    found = search.find_device("", "auto")
-    taken = frozenset([str(node.path)])
-    with pytest.raises(search.DeviceNotFoundError):
-        search.find_reattached_device(found, frozenset(), taken)
-    assert search.find_reattached_device(found, frozenset()) == found

@@ -64,13 +64,6 @@ def test_energy_is_counted_in_units_of_the_tip(scale):
     assert axis.joint.put_in == pytest.approx(2.0 * 2e-5)
 
 
-def test_a_hand_that_is_given_no_force_does_no_work():
-    axis = Axis(PASSIVITY)
-    for k in range(10):
-        assert axis.step(1e-4 * k, 0.0, 0.0, 0.0) == 0.0
-    assert axis.joint.put_in == axis.joint.taken_out == 0.0
-
-
 def test_uncoupled_or_not_finite_goes_on_to_the_gate_as_it_is():
     axis = Axis(PASSIVITY)
     force = axis.step(0.0, 0.2, 0.0, float("nan"))

@@ -66,7 +66,7 @@ def ticks(draw):
 
 
 @given(CONFIGS, ticks())
-def test_whatever_is_asked_for_the_output_is_safe(config, run):
+def test_whatever_is_asked_for_the_output_is_safe_and_never_more_or_the_other_way(config, run):
     axes, inputs = run
     last = (0.0,) * axes
     for wanted, fresh, may_render, dt in inputs:
@@ -78,23 +78,12 @@ def test_whatever_is_asked_for_the_output_is_safe(config, run):
             assert not any(force)
             assert verdict & ZERO
         growth = config.slew_max * 0.005
-        for was, now in zip(last, force, strict=True):
-            assert abs(now) <= max(abs(was), 0.0) + growth * (1 + 1e-9) + 1e-12
-            assert now * was >= 0 or abs(now) <= growth * (1 + 1e-9)
-        last = force
-
-
-@given(CONFIGS, ticks())
-def test_the_gate_never_pushes_more_or_the_other_way_than_asked(config, run):
-    axes, inputs = run
-    last = (0.0,) * axes
-    for wanted, fresh, may_render, dt in inputs:
-        force, _ = step(config, last, wanted, fresh, may_render, dt)
         for asked, was, now in zip(wanted, last, force, strict=True):
             if math.isfinite(asked):
                 assert abs(now) <= abs(asked) * (1 + 1e-12)
                 assert now * asked >= 0
-            assert was == was
+            assert abs(now) <= max(abs(was), 0.0) + growth * (1 + 1e-9) + 1e-12
+            assert now * was >= 0 or abs(now) <= growth * (1 + 1e-9)
         last = force
 
 
@@ -141,13 +130,6 @@ def test_total_limit_keeps_the_direction():
     assert verdict == GateFlags.TOTAL_LIMIT
 
 
-@pytest.mark.parametrize("field", ["axis_max", "total_max", "slew_max"])
-@pytest.mark.parametrize("value", [0.0, -1.0, math.inf, math.nan])
-def test_limits_that_limit_nothing_are_refused(field, value):
-    with pytest.raises(ValueError, match=field):
-        GateConfig(**{field: value})
-
-
 @given(st.lists(st.floats(-3.0, 3.0), min_size=1, max_size=3), st.floats(1e-4, 0.01))
 def test_a_force_that_fades_only_shrinks_and_is_gone_in_time(start, dt):
     config = GateConfig(total_max=10.0)
@@ -168,13 +150,10 @@ def test_where_time_cannot_be_told_a_force_is_gone_at_once(dt):
     )
 
 
-def test_what_is_not_a_number_does_not_fade_but_is_gone():
-    gated = step(GateConfig(), (2.0,), (math.nan,), True, False, 1e-3, is_force_fading=True)
-    assert gated.force == (0.0,)
-
-
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
-def test_a_rest_that_is_no_number_is_none(bad):
+def test_what_is_not_a_number_does_not_fade_but_is_gone_and_is_no_rest(bad):
+    gated = step(GateConfig(), (2.0,), (bad,), True, False, 1e-3, fades=True)
+    assert gated.force == (0.0,)
     gated = step(GateConfig(), (0.0,), (1.0,), True, False, 1e-3, rest=(bad,))
     assert gated.force == (0.0,)
 

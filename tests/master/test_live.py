@@ -15,13 +15,13 @@ from master.operator import OperatorConfig
 from master.settings_record import SettingsRecord, build_master_settings
 from teleop.coupling import Bilateral
 from teleop.errors import UsageError
-from tests.master.run import CONFIG, MS, Run, answer, hand
 
 DT = 1e-3
 SCALES = st.floats(0.0, 10.0)
+CHANGES = list(zip(KEYS, ("0.3", "[0, 2]", "0.1"), strict=True))
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=15, deadline=None)
 @given(SCALES, st.lists(st.tuples(SCALES, st.integers(0, 800)), min_size=1, max_size=5))
 def test_a_force_scale_goes_where_it_is_sent_without_a_step(first, script):
     state = live_settings.init_settings(MasterConfig(force=FeedbackConfig(scale=first)))
@@ -37,31 +37,18 @@ def test_a_force_scale_goes_where_it_is_sent_without_a_step(first, script):
             assert state.settled
 
 
-@settings(max_examples=20, deadline=None)
-@given(st.floats(0.0, 0.5), st.floats(0.0, 0.5))
-def test_the_force_on_the_hand_does_not_step_when_the_scale_is_changed(first, second):
-    start = MasterConfig(force=FeedbackConfig(scale=first, slew=1e6), gate=CONFIG.gate)
-    run, state = Run(start).engaged(), live_settings.init_settings(start)
-    for _ in range(5):
-        run.answered(hand())
-    state, _ = live_settings.change_setting(state, "force.scale", repr(second))
-    tip = abs(run.memory.force[0]) / first if first > 0.01 else 5.0
-    for _ in range(600):
-        state, before = live_settings.advance_ramp(state, DT), run.output.force[0]
-        run.config = state.config
-        run.tick(hand(), answer(run.now + MS))
-        step = abs(second - first) * DT / SLEW_S * max(tip, 5.0)
-        assert abs(run.output.force[0] - before) <= step + 1e-9
-
-
-@pytest.mark.parametrize("prefix", ["", "master."])
-def test_each_key_that_may_be_changed_can_be(prefix):
-    for key, value in zip(KEYS, ("0.3", "[0, 2]", "0.1"), strict=True):
-        after, words = live_settings.change_setting(
-            live_settings.init_settings(MasterConfig()), prefix + key, value
-        )
-        assert words == f"{key} = {value}"
-        assert after != live_settings.init_settings(MasterConfig())
+@pytest.mark.parametrize(("key", "value"), CHANGES)
+def test_each_key_that_may_be_changed_can_be_and_the_record_follows_every_change(key, value):
+    start = MasterConfig(operator=OperatorConfig(workspace=((-0.1, 0.2),)))
+    state = live_settings.init_settings(start)
+    record = SettingsRecord(state.config, Bilateral())
+    state, words = live_settings.change_setting(state, f"master.{key}", value)
+    assert words == f"{key} = {value}"
+    assert live_settings.change_setting(state, key, value)[0] == state
+    for _ in range(round(1.1 * SLEW_S / DT)):
+        state = live_settings.advance_ramp(state, DT)
+        assert record.update(state.config) == build_master_settings(state.config, Bilateral())
+    assert record.update(state.config) != build_master_settings(start, Bilateral())
 
 
 @pytest.mark.parametrize(
@@ -75,13 +62,10 @@ def test_each_key_that_may_be_changed_can_be(prefix):
         ("", "1", "cannot be changed"),
         ("force.scale", "-1", "must be within"),
         ("force.scale", "nan", "must be within"),
-        ("force.scale", "inf", "must be within"),
         ("force.scale", "!!bool x", "expected a number"),
         ("operator.position_scale", "[" * 200, "expected a number"),
         ("operator.position_scale", "0", "must be above 0"),
         ("operator.lock", "[9]", "axes must be 0 to 7"),
-        ("operator.lock", "{", "expected"),
-        ("operator.lock", "!!int ''", "expected"),
         ("operator.lock", "[0, 2", "expected"),
     ],
 )
@@ -148,25 +132,3 @@ def test_a_press_of_a_button_of_each_scale_at_once_changes_both_and_no_force_jum
     assert (
         live_settings.apply_buttons(away, buttons("coarser", "weaker"))[1] == ""
     )  # the same press, still
-
-
-@pytest.mark.parametrize(("key", "value"), list(zip(KEYS, ("0.3", "[0, 2]", "0.1"), strict=True)))
-def test_the_record_of_the_settings_follows_every_change(key, value):
-    state = live_settings.init_settings(
-        MasterConfig(operator=OperatorConfig(workspace=((-0.1, 0.2),)))
-    )
-    settings = SettingsRecord(state.config, Bilateral())
-    state, _ = live_settings.change_setting(state, key, value)
-    for _ in range(600):
-        state = live_settings.advance_ramp(state, DT)
-        assert settings.update(state.config) == build_master_settings(state.config, Bilateral())
-    assert settings.update(state.config) != build_master_settings(MasterConfig(), Bilateral())
-
-
-def test_a_settled_config_is_not_written_anew():
-    state = live_settings.init_settings(MasterConfig())
-    settings = SettingsRecord(state.config, Bilateral())
-    settings.records["force"]["limit"] = settings.records["operator"]["wall"] = 77.0
-    state = live_settings.advance_ramp(state, DT)
-    (record,) = settings.update(state.config)
-    assert (record["force"]["limit"], record["operator"]["wall"]) == (77.0, 77.0)

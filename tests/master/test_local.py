@@ -1,21 +1,22 @@
-"""Forces of the master's own: limits that push back and never pull, and the device's weight."""
+"""Forces of the master's own: limits, the weight of the device; and whether a hand is there."""
 
 import math
+import random
 from dataclasses import replace
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from estimator.records import view_struct
 from master import local
 from master.config import MasterConfig
 from master.device import HandState
-from master.local import WorkspaceLimits
+from master.local import Presence, WorkspaceLimits
 from master.operator import OperatorConfig, build_operator_settings
 from teleop.coupling import Bilateral
 from teleop.coupling.config import PassivityConfig
-from teleop.session.state_machine import State
+from teleop.session.state_machine import Reason, State
 from tests.master.records import eight, hand_record
 from tests.master.run import CONFIG, MS, Run, answer, hand
 
@@ -114,3 +115,64 @@ def test_forces_of_its_own_are_no_work_of_the_coupling():
     assert run.output.force[0] == pytest.approx(0.4, abs=0.05)
     assert run.memory.coupling.ports[0].put_in == pytest.approx(0.0, abs=1e-9)
     assert run.memory.coupling.ports[0].taken_out == pytest.approx(0.0, abs=1e-9)
+
+
+PRESENCE = OperatorConfig(presence=0.5)
+DT = 1e-3
+
+
+def held(*position, engage=True):
+    return HandState(position, (0.0,) * len(position), engage)
+
+
+def watched(memory, *hands, config=PRESENCE):
+    memory, rule = memory.copy(), view_struct(build_operator_settings(config))
+    for the_hand in hands:
+        local.update_presence(rule, memory, hand_record(the_hand), DT)
+    return memory
+
+
+def test_a_device_that_lies_still_with_its_switch_closed_has_nobody_at_it():
+    memory = watched(Presence.new(), *[held(0.1)] * 500)
+    assert not memory.away
+    memory = watched(memory, *[held(0.1)] * 5)
+    assert memory.away
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.floats(0.0, 1e-5), st.integers())
+def test_noise_below_a_tremor_is_no_hand(most, seed):
+    chance = random.Random(seed)  # noqa: S311
+    assert watched(
+        Presence.new(), *(held(0.1 + chance.uniform(-most, most)) for _ in range(600))
+    ).away
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.floats(3e-5, 1e-3), st.integers(1, 200))
+def test_a_tremor_is_a_hand(amplitude, period):
+    hands = [held(0.1 + amplitude * ((k // period) % 2)) for k in range(1500)]
+    assert not watched(Presence.new(), *hands).away
+
+
+def test_a_knock_does_not_bring_the_hand_back_but_letting_go_does():
+    memory = watched(Presence.new(), *[held(0.1)] * 600)
+    assert watched(memory, held(0.2), held(0.3), held(0.3)).away
+    assert not watched(memory, held(0.2), held(0.3, engage=False), held(0.3)).away
+
+
+def test_by_default_the_switch_is_trusted():
+    assert not watched(Presence.new(), *[held(0.1)] * 5000, config=OperatorConfig()).away
+
+
+def test_a_session_whose_hand_is_gone_lets_go_and_says_why():
+    session = Run(MasterConfig(operator=PRESENCE)).engaged()
+    while session.state == State.ENGAGED:
+        session.answered(held(0.0))
+    assert session.session == (State.READY, Reason.HAND_AWAY)
+    assert session.output.force == (0.0,)
+    session.answered(held(0.1), State.READY)
+    assert session.session == (State.READY, Reason.HAND_AWAY)
+    session.answered(held(0.1, engage=False), State.READY)
+    session.answered(held(0.1), State.READY)
+    assert session.state == State.ENGAGED

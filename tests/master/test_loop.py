@@ -11,8 +11,7 @@ from master.device import HandState
 from master.gate import FADE_S, GateConfig, GateFlags
 from teleop.coupling import Bilateral, PassivityConfig, WaveConfig
 from teleop.link import NEVER_NS
-from teleop.session import state_machine
-from teleop.session.state_machine import Inputs, Reason, Session, State
+from teleop.session.state_machine import Reason, State
 from tests.master.run import EPOCH, MS, Run, answer, hand
 
 
@@ -22,16 +21,6 @@ def test_engaged_on_both_sides_the_hand_feels_the_tip():
     assert run.output.verdict == GateFlags.PASSED
     assert run.output.command.state == State.ENGAGED
     assert run.output.command.echo_stamp_ns == run.now
-
-
-def test_before_the_slave_has_engaged_too_nothing_is_felt():
-    run = Run()
-    for _ in range(3):
-        assert run.answered(hand(engage=False), State.READY).force == (0.0,)
-    output = run.answered(hand(), State.READY)
-    assert run.state == State.ENGAGED
-    assert output.force == (0.0,)
-    assert output.verdict == GateFlags.NOT_ENGAGED
 
 
 def test_releasing_lets_go_at_once_and_pressing_again_resumes_without_a_jump():
@@ -47,7 +36,7 @@ def test_releasing_lets_go_at_once_and_pressing_again_resumes_without_a_jump():
     assert run.output.command.position == pytest.approx(there)
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=20, deadline=None)
 @given(st.lists(st.floats(-0.2, 0.2), min_size=1, max_size=20), st.floats(-0.2, 0.2))
 def test_the_clutch_frees_the_hand_and_letting_it_go_resumes_without_a_jump(way, before):
     run = Run().engaged()
@@ -88,31 +77,7 @@ def test_the_emergency_stop_lasts_until_it_is_reset_and_then_everything_is_let_g
     assert run.state == State.ENGAGED
 
 
-def test_a_button_that_is_still_pressed_cannot_be_reset():
-    run = Run().engaged()
-    run.answered(hand(stop=True))
-    run.tick(hand(stop=True), answer(run.now + MS, State.READY), reset=True)
-    assert run.state == State.STOPPED
-
-
-def test_a_stop_from_elsewhere_takes_the_force_away_in_the_same_tick():
-    run = Run().engaged()
-    output = run.tick(hand(), answer(run.now + MS), stop=Reason.STOP_CALLED)
-    assert output.force == (0.0,)
-    assert output.command.state == State.STOPPED
-    assert run.session == (State.STOPPED, Reason.STOP_CALLED)
-
-
-@pytest.mark.parametrize("engaged", [True, False])
-def test_the_emergency_stop_counts_whether_engaged_or_not(engaged):
-    run = Run()
-    if engaged:
-        run.engaged()
-    run.answered(hand(engage=False, stop=True), State.READY)
-    assert run.session == (State.STOPPED, Reason.EMERGENCY_STOP)
-
-
-@pytest.mark.parametrize("how", ["silent", "never", "old answer", "unheard", "gone", "rig"])
+@pytest.mark.parametrize("how", ["silent", "old answer", "unheard", "gone", "rig"])
 def test_after_a_stale_state_the_force_fades_and_nothing_couples_until_let_go(how):
     run = Run().engaged()
     for _ in range(5):
@@ -123,8 +88,6 @@ def test_after_a_stale_state_the_force_fades_and_nothing_couples_until_let_go(ho
     state, age = answer(now), 0
     if how == "silent":
         age = 30 * MS + 1
-    elif how == "never":
-        age = NEVER_NS
     elif how == "old answer":
         state = answer(now, echo=now - 100 * MS - 1)
     elif how == "unheard":
@@ -156,25 +119,7 @@ def test_just_young_enough_is_felt():
     assert run.tick(hand(), at_82_hz, 17 * MS).force != (0.0,)
 
 
-@pytest.mark.parametrize(
-    "fault", [r for r in Reason if r >= Reason.DEVICE_FAULT and r != Reason.RIG_FINISHED]
-)
-def test_a_fault_takes_the_force_away_in_the_same_tick_and_tells_the_slave(fault):
-    run = Run().engaged()
-    run.answered(hand())
-    output = run.tick(hand(), answer(run.now + MS), fault=fault)
-    assert output.force == (0.0,)
-    assert (output.command.state, output.command.reason) == (State.FAULT, fault)
-
-
-@pytest.mark.parametrize(
-    "broken",
-    [
-        HandState((math.nan,), (0.0,), True),
-        HandState((0.0,), (math.inf,), True),
-        HandState((1e9,), (0.0,), True),
-    ],
-)
+@pytest.mark.parametrize("broken", [hand(velocity=math.nan), hand(1e9)])
 def test_a_hand_that_cannot_be_is_a_fault_and_does_not_reach_the_slave(broken):
     run = Run().engaged()
     before = run.answered(hand(0.01)).command.position
@@ -185,8 +130,9 @@ def test_a_hand_that_cannot_be_is_a_fault_and_does_not_reach_the_slave(broken):
     assert not any(output.command.velocity)
 
 
-@pytest.mark.parametrize("coupling", [PassivityConfig(), WaveConfig()])
-@pytest.mark.parametrize("bad", [math.nan, math.inf])
+@pytest.mark.parametrize(
+    ("bad", "coupling"), [(math.nan, PassivityConfig()), (math.inf, WaveConfig())]
+)
 def test_a_hand_that_was_no_number_once_leaves_no_trace_in_the_ledger(bad, coupling):
     """Once engaged again the sums are numbers, and the coupling's limits hold as before."""
     bilateral = Bilateral(coupling=coupling)
@@ -218,21 +164,13 @@ def test_a_hand_that_cannot_be_read_is_never_engaged():
     assert run.session == (State.FAULT, Reason.NOT_USABLE)
 
 
-@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
-def test_an_estimate_that_is_no_number_is_a_fault_when_it_would_be_felt(bad):
-    run = Run().engaged()
-    assert run.answered(hand(), force=bad).force == (0.0,)
+def test_an_estimate_that_is_no_number_is_a_fault_when_it_would_be_felt():
+    run, idle = Run().engaged(), Run()
+    assert run.answered(hand(), force=math.nan).force == (0.0,)
     assert run.session == (State.FAULT, Reason.NOT_FINITE)
-    idle = Run()
     for _ in range(3):
-        idle.answered(hand(engage=False), State.READY, force=bad)
+        idle.answered(hand(engage=False), State.READY, force=math.nan)
     assert idle.state == State.READY
-
-
-def test_a_state_number_from_the_future_is_a_fault_of_the_slave():
-    run = Run().engaged()
-    assert run.answered(hand(), 99).force == (0.0,)
-    assert run.session == (State.FAULT, Reason.PEER_FAULT)
 
 
 def test_each_command_is_counted_as_answered_once_and_only_our_own():
@@ -325,42 +263,3 @@ def test_over_any_session_the_force_is_safe_and_a_fault_lasts_until_release(scri
         tip = command.position if step["sender"] == 7 else None
         assert command.state == run.state
         peer = {State.ENGAGED: State.ENGAGED, State.READY: State.READY}.get(run.state, peer)
-
-
-@settings(max_examples=60, deadline=None)
-@given(
-    st.lists(st.tuples(st.integers(5, 120), st.integers(0, 120)), min_size=1, max_size=5),
-    st.integers(0, 8),
-)
-def test_with_a_real_slave_session_and_an_outage_the_force_ends_in_time(outages, delay):
-    """Both state machines over a line that comes and goes, with `delay` ticks each way."""
-    run, slave = Run(), Session.new()
-    line = [True] * (60 + 10 * delay)
-    for up, down in outages:
-        line += [True] * up + [False] * down
-    to_slave, to_master = [], []
-    command, newest, last_heard, last_commanded = None, None, None, None
-    felt = 0
-    for tick, alive in enumerate(line):
-        now = run.now + MS
-        if alive and len(to_master) > delay and to_master[-1 - delay] is not None:
-            newest, last_heard = to_master[-1 - delay], tick
-        age = NEVER_NS if last_heard is None else (tick - last_heard) * MS
-        output = run.tick(hand(engage=tick > 40 + 4 * delay), newest, age)
-        if any(output.force):
-            felt += 1
-            assert age <= 30 * MS + FADE_S * 1e9
-        to_slave.append((now, output.command))
-        if alive and len(to_slave) > delay:
-            command, last_commanded = to_slave[-1 - delay], tick
-        fresh = last_commanded is not None and tick - last_commanded <= 30
-        asked = command[1] if command else None
-        inputs = Inputs.new(
-            usable=True,
-            peer_fresh=fresh,
-            peer_state=asked.state if asked else State.OFF,
-            engage=asked is not None and asked.state == State.ENGAGED,
-        )
-        state_machine.step(slave, inputs, 1e-3)
-        to_master.append(answer(now, slave.state, 3.0, command[0]) if command else None)
-    assert felt > 0

@@ -62,19 +62,6 @@ def test_engaging_moves_nothing_whatever_the_hand_did_before(before, at_engage, 
     assert command.position == pytest.approx(state.position)
 
 
-@given(st.lists(st.tuples(METRES, st.booleans()), min_size=1, max_size=30))
-def test_only_motion_while_engaged_counts(script):
-    state = slave_at(0.0)
-    memory, travelled, last, was_engaged = OperatorMemory.new(), 0.0, 0.0, False
-    for position, engaged in script:
-        command, memory = step(CONFIG, memory, hand(position), state, engaged)
-        if engaged and was_engaged:
-            travelled += position - last
-        last, was_engaged = position, engaged
-        assert command.position[0] == pytest.approx(0.25 * travelled, abs=1e-12)
-        assert command.position[1:] == state.position[1:]
-
-
 def test_velocity_is_that_of_the_position_and_zero_when_apart():
     _, memory = step(CONFIG, OperatorMemory.new(), hand(0.0), slave_at(0.0), engaged=True)
     first, memory = step(CONFIG, memory, hand(0.010, velocity=2.0), None, engaged=True)
@@ -89,23 +76,9 @@ def test_another_slave_starts_where_it_is_and_not_where_the_last_one_was():
     _, memory = step(CONFIG, OperatorMemory.new(), hand(0.0), slave_at(0.0), engaged=True)
     moved, memory = step(CONFIG, memory, hand(0.2), slave_at(0.0), engaged=True)
     assert moved.position[0] == pytest.approx(0.05)
-    restarted = slave_at(0.001, sender=8)
-    command, _ = step(CONFIG, memory, hand(0.2), restarted, engaged=True)
-    assert command.position[0] == pytest.approx(0.001)
-
-
-def test_where_the_slave_cannot_tell_its_travel_it_counts_from_zero():
-    command, _ = step(
-        CONFIG, OperatorMemory.new(), hand(0.2), slave_at(math.nan, 0.1), engaged=True
-    )
-    assert command.position[:2] == pytest.approx((0.0, 0.1))
-
-
-def test_aligned_engagement_with_another_slave_does_not_wait_for_where_the_last_one_was():
-    config = OperatorConfig(position_scale=0.25, align=0.002)
-    _, memory = step(config, OperatorMemory.new(), hand(0.1), slave_at(0.0), True)
-    assert not_ready_reason(config, memory, hand(0.3), slave_at(0.0)) == Reason.ALIGN_FIRST
-    assert not_ready_reason(config, memory, hand(0.3), slave_at(0.0, sender=8)) == Reason.NONE
+    restarted = slave_at(0.001, math.nan, sender=8)  # one that cannot tell counts from zero
+    command, _ = step(CONFIG, memory, hand(0.2, 0.2), restarted, engaged=True)
+    assert command.position[:2] == pytest.approx((0.001, 0.0))
 
 
 def test_a_hand_that_cannot_be_read_moves_nothing_and_is_coupled_anew():
@@ -115,12 +88,6 @@ def test_a_hand_that_cannot_be_read_moves_nothing_and_is_coupled_anew():
     back, memory = step(CONFIG, memory, hand(0.3), slave_at(0.0), True)
     assert back.position == lost.position
     assert not_ready_reason(CONFIG, memory, None, slave_at(0.0)) == Reason.NONE
-
-
-@pytest.mark.parametrize("scale", [0.0, -1.0, 11.0, math.nan])
-def test_scales_that_reverse_freeze_or_explode_are_refused(scale):
-    with pytest.raises(ValueError, match="position_scale"):
-        OperatorConfig(position_scale=scale)
 
 
 SCALES = st.floats(0.01, 10.0)
@@ -178,19 +145,6 @@ def test_aligned_engagement_waits_for_the_hand_to_be_where_the_tip_is():
     finer = OperatorConfig(position_scale=0.1, align=0.002)  # changed while apart: nothing moved
     assert not_ready_reason(finer, memory, hand(0.14), there) == Reason.NONE
     assert not_ready_reason(finer, memory, hand(0.165), there) == Reason.ALIGN_FIRST
+    assert not_ready_reason(config, memory, hand(0.2), slave_at(0.0, sender=8)) == Reason.NONE
     command, _ = step(config, memory, hand(0.129), slave_at(0.007), True)
     assert command.position[0] == pytest.approx(0.007)  # from where the slave is, not was asked to
-
-
-@pytest.mark.parametrize(
-    ("field", "value"),
-    [
-        ("lock", (8,)), ("lock", (-1,)), ("align", 0.0), ("align", math.nan), ("presence", 0.0),
-        ("presence_motion", 0.0), ("workspace", ((0.1, 0.1),)), ("workspace", ((math.nan, 1.0),)),
-        ("wall", -1.0), ("wall_damping", math.nan), ("wall_max", 11.0), ("weight", (math.nan,)),
-        ("weight", (0.0,) * 9),
-    ],
-)  # fmt: skip
-def test_settings_that_make_no_sense_are_refused_by_name(field, value):
-    with pytest.raises(ValueError, match=f"^{field}: "):
-        OperatorConfig(**{field: value})

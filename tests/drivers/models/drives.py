@@ -117,7 +117,6 @@ class Drive:
         return self.od.read(0x60C1, 1) if self.od.read(0x6060, 0) == 7 else self.od.read(0x607A, 0)
 
     def fail(self, code: int) -> None:
-        """Go to fault, and say so."""
         self.od.write(0x603F, 0, code)
         self._enter(FAULT)
         self.node.emcy.set(code, 1)
@@ -138,7 +137,6 @@ class Drive:
         return (self.od.read(0x1016, 1) & 0xFFFF) * 1e-3
 
     def hear(self, identifier: int, data: bytes, now: float) -> None:
-        """Take a message of the bus."""
         consumed = self.od.read(0x1016, 1)
         if identifier == 0x700 + (consumed >> 16 & 0x7F):
             self.beat_s = now
@@ -164,7 +162,6 @@ class Drive:
             self.fail(FOLLOWING)
 
     def _control(self, word: int) -> None:
-        """Take one transition of the profile's state machine."""
         if word in self.lost:
             self.lost.remove(word)
             return

@@ -39,7 +39,6 @@ class Springs:
         self.position = np.where(powered, np.minimum(moved, stalled), moved)
 
     def cells(self):
-        """Return the tensions [counts]."""
         tension = np.maximum((self.position - ZERO) * METRES * self.STIFFNESS, 0.0)
         noise = self._random.normal(0.0, 0.01, len(tension))
         return np.round((1.0 + tension + noise) / NEWTONS)
@@ -84,5 +83,4 @@ class Tendons:
             self._sample = sample
 
     def cells(self):
-        """Return the tensions [counts]."""
         return np.round(self._sample.proximal_tension / NEWTONS)

@@ -42,7 +42,6 @@ TABLE = [_shifted(byte << 8) for byte in range(256)]
 
 
 def crc16(data: bytes) -> int:
-    """Return the CRC of protocol 2.0."""
     crc = 0
     for byte in data:
         crc = (crc << 8 & 0xFFFF) ^ TABLE[crc >> 8 ^ byte]
@@ -50,8 +49,6 @@ def crc16(data: bytes) -> int:
 
 
 class Servo:
-    """The control table of one servo."""
-
     def __init__(self, number: int) -> None:
         self.number = number
         self.table = bytearray(256 + 512)
@@ -74,7 +71,6 @@ class Servo:
         return int.from_bytes(self.table[address : address + size], "little", signed=signed)
 
     def where(self, address: int) -> int:
-        """Return the address behind an indirect one."""
         return self.get(168 + 2 * (address - 224), 2) if 224 <= address < 252 else address
 
     def read(self, address: int, size: int) -> bytes:

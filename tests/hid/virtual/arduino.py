@@ -11,7 +11,7 @@ import math
 import struct
 from typing import ClassVar
 
-from tests.hid.virtual.pid import PidFirmware, seconds
+from tests.hid.virtual.pid import OUTPUTS, PidFirmware, seconds
 
 _DIRECTION_ONLY = 0x04
 _BOTH = 0x03
@@ -27,15 +27,7 @@ class Arduino(PidFirmware):
 
     name = "Arduino LLC Arduino Leonardo"
     vendor, product, serial = 0x2341, 0x8036, "virtual-arduino"
-    outputs: ClassVar = {
-        0x01: ("set_effect", 18),
-        0x03: ("set_condition", 15),
-        0x05: ("set_constant", 4),
-        0x0A: ("effect_operation", 4),
-        0x0B: ("block_free", 2),
-        0x0C: ("device_control", 2),
-        0x0D: ("device_gain", 2),
-    }
+    outputs: ClassVar = OUTPUTS | {0x01: ("set_effect", 18)}
     creation, loading, pooling = 0x05, 0x06, 0x07
     slots = 13
     full_scale = 10000
@@ -45,12 +37,10 @@ class Arduino(PidFirmware):
         self.active = True
 
     def report(self) -> bytes:
-        """Buttons, hat, X, Y."""
         x, y = (round(share * 32767) for share in self.axes)
         return struct.pack("<BIBhh", 0x01, self.buttons, _HAT_AT_REST, x, y)
 
     def set_effect(self, report: bytes) -> None:
-        """Take duration, gain and direction."""
         if (effect := self.effects.get(report[1])) is None:
             return
         effect.kind = report[2]
@@ -72,7 +62,6 @@ class Arduino(PidFirmware):
         super().block_free(report)
 
     def device_control(self, report: bytes) -> None:
-        """Take a number."""
         command = report[1]
         if command == _STOP_ALL:
             self.stop_all()
@@ -92,7 +81,6 @@ class Arduino(PidFirmware):
         return loaded
 
     def pool(self) -> tuple[int, int]:
-        """Forget all effects, and return how many there can be."""
         self.effects.clear()
         return self.slots + 1, 3
 

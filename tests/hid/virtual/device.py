@@ -1,6 +1,7 @@
-"""The protocol of a virtual device, and the record of what it does to the hand."""
+"""The base of virtual devices, and the record of what they do to the hand."""
 
-from typing import NamedTuple, Protocol
+import math
+from typing import NamedTuple
 
 USB, BLUETOOTH = 0x03, 0x05  # bus numbers as the Linux kernel has them
 
@@ -12,7 +13,7 @@ class Push(NamedTuple):
     force: tuple[float, ...]  # share of full scale on each axis, positive along the axis
 
 
-class VirtualDevice(Protocol):
+class VirtualDevice:
     """One HID device as its firmware sees it. All bytes begin with the report id.
 
     Attributes
@@ -30,28 +31,34 @@ class VirtualDevice(Protocol):
     """
 
     name: str
-    bus: int
+    bus = USB
     vendor: int
     product: int
     serial: str
-    descriptor: bytes
-    interval: float
-    axes: list[float]
-    buttons: int
-    pushes: list[Push]
-    refused: list[bytes]
+    interval = 0.001
+
+    def __init__(self, descriptor: bytes, axes: int, forces: int) -> None:
+        self.descriptor = descriptor
+        self.axes = [0.0] * axes
+        self.buttons = 0
+        self.pushes = [Push(-math.inf, (0.0,) * forces)]
+        self.refused: list[bytes] = []
 
     def inputs(self, now: float) -> list[bytes]:
         """Return the input reports of this moment; also moves the device's own clock on."""
+        raise NotImplementedError
 
     def output(self, now: float, report: bytes) -> None:
-        """Take an output report."""
+        raise NotImplementedError
 
-    def set_feature(self, now: float, report: bytes) -> None:
-        """Take a feature report."""
+    def set_feature(self, _now: float, report: bytes) -> None:
+        """Take a feature report; here there is none."""
+        self.refused.append(report)
 
-    def get_feature(self, now: float, number: int) -> bytes | None:
+    def get_feature(self, _now: float, _number: int) -> bytes | None:
         """Return feature report `number`; None if there is none."""
+        return None
 
-    def get_input(self, now: float, number: int) -> bytes | None:
+    def get_input(self, _now: float, _number: int) -> bytes | None:
         """Return input report `number` as it is now; None if that cannot be asked for."""
+        return None

@@ -5,37 +5,32 @@ Facts from the kernel's hid-playstation.c: the driver asks for features 0x05 (ca
 ends in a CRC-32 that begins with 0xA1 (input), 0xA2 (output) or 0xA3 (feature).
 """
 
-import math
 import struct
 import zlib
 
-from tests.hid.virtual.device import USB, Push
+from tests.hid.virtual.device import USB, Push, VirtualDevice
 
 LEFT, RIGHT = 0, 1
 _FEEDBACK = 0x21
 _ADDRESS = bytes((0x01, 0x00, 0x00, 0x5E, 0x00, 0x02))  # lowest byte first
 
 
-class DualSense:
+class DualSense(VirtualDevice):
     """See `VirtualDevice`.
 
     `axes` are left stick x and y, right stick x and y (-1 ... 1), left and right trigger (0 ... 1).
     `pushes` holds what the left and the right trigger resist with: the strongest of its ten zones,
-    -1 ... 0, against the pull.
+    -1 ... 0, against the pull. `buttons` are bits of bytes 8 (high nibble), 9 and 10: square is 0.
     """
 
     name = "Sony Interactive Entertainment Wireless Controller"
     vendor, product, serial = 0x054C, 0x0CE6, "02:00:5e:00:00:01"
 
     def __init__(self, descriptor: bytes, bus: int = USB) -> None:
-        self.descriptor = descriptor
+        super().__init__(descriptor, axes=6, forces=2)
         self.bus = bus
         self.interval = 0.004 if bus == USB else 0.00125
-        self.axes = [0.0] * 6
-        self.buttons = 0  # bits of bytes 8 (high nibble), 9 and 10: square is bit 0
         self.effects = [bytes(11), bytes(11)]
-        self.pushes = [Push(-math.inf, (0.0, 0.0))]
-        self.refused: list[bytes] = []
         self._sequence = 0
 
     def inputs(self, now: float) -> list[bytes]:
@@ -73,16 +68,7 @@ class DualSense:
         whole = report[0] == 0x31 and len(report) == 78 and report[2] == 0x10
         return report[3:74] if whole and report == _signed(0xA2, report[:74]) else None
 
-    def set_feature(self, _now: float, report: bytes) -> None:
-        """Nothing is set this way."""
-        self.refused.append(report)
-
-    def get_input(self, _now: float, _number: int) -> bytes | None:
-        """Nothing is asked for this way."""
-        return None
-
     def get_feature(self, _now: float, number: int) -> bytes | None:
-        """Calibration, pairing and firmware."""
         if number == 0x05:  # gyro: bias 0, +-8192 at 540 deg/s; accelerometer: +-8192 at 1 g
             gyro = (0, 0, 0, 8192, -8192, 8192, -8192, 8192, -8192, 540, 540)
             body = struct.pack("<11h6h6x", *gyro, 8192, -8192, 8192, -8192, 8192, -8192)

@@ -5,28 +5,22 @@ Facts from Linux hid-lg4ff.c: 11 downloads and plays a force in slot 1, type 08 
 Which side a level above 80 pushes to is not said there: here it is the left.
 """
 
-import math
 import struct
 
-from tests.hid.virtual.device import USB, Push
+from tests.hid.virtual.device import Push, VirtualDevice
 
 _HAT_AT_REST = 8
 
 
-class Logitech:
+class Logitech(VirtualDevice):
     """See `VirtualDevice`; one axis, pedals up."""
 
     name, vendor, product, serial = "Logitech G29", 0x046D, 0xC24F, ""
-    bus = USB
     interval = 0.002
 
     def __init__(self, descriptor: bytes) -> None:
-        self.descriptor = descriptor
-        self.axes = [0.0]
-        self.buttons = 0
+        super().__init__(descriptor, axes=1, forces=1)
         self.centred = True
-        self.pushes = [Push(-math.inf, (0.0,))]
-        self.refused: list[bytes] = []
 
     def inputs(self, _now: float) -> list[bytes]:
         """Return hat and buttons, steering, three pedals."""
@@ -34,7 +28,6 @@ class Logitech:
         return [struct.pack("<IHBBB3x", _HAT_AT_REST | self.buttons << 4, steering, 255, 255, 255)]
 
     def output(self, now: float, report: bytes) -> None:
-        """Take a command."""
         known = len(report) == 8 and report[0] == 0
         if known and report[1:3] == b"\x11\x08":
             self.pushes.append(Push(now, ((0x80 - report[3]) / 127,)))
@@ -44,15 +37,3 @@ class Logitech:
             self.centred = False
         else:
             self.refused.append(report)
-
-    def set_feature(self, _now: float, report: bytes) -> None:
-        """Nothing is set this way."""
-        self.refused.append(report)
-
-    def get_input(self, _now: float, _number: int) -> bytes | None:
-        """Nothing is asked for this way."""
-        return None
-
-    def get_feature(self, _now: float, _number: int) -> bytes | None:
-        """There is none."""
-        return None

@@ -10,38 +10,26 @@ import math
 import struct
 from typing import ClassVar
 
-from tests.hid.virtual.pid import INFINITE_MS, PidFirmware, seconds
+from tests.hid.virtual.pid import INFINITE_MS, OUTPUTS, PidFirmware, seconds
 
 _ENABLE, _DISABLE, _STOP, _RESET, _PAUSE, _CONTINUE = (1 << bit for bit in range(6))
 _PAUSED, _ON, _POWER = 0x01, 0x02, 0x08
 
 
 class OpenFFBoard(PidFirmware):
-    """Two axes."""
-
     name = "Open_FFBoard FFBoard"
     vendor, product, serial = 0x1209, 0xFFB0, "virtual-ffb"
-    outputs: ClassVar = {
-        0x01: ("set_effect", 22),
-        0x03: ("set_condition", 15),
-        0x05: ("set_constant", 4),
-        0x0A: ("effect_operation", 4),
-        0x0B: ("block_free", 2),
-        0x0C: ("device_control", 2),
-        0x0D: ("device_gain", 2),
-    }
+    outputs: ClassVar = OUTPUTS | {0x01: ("set_effect", 22)}
     creation, loading, pooling = 0x11, 0x12, 0x13
     slots = 40
     answers_state = False
     full_scale = 32767
 
     def report(self) -> bytes:
-        """64 buttons, 8 axes."""
         counts = [round(share * 32767) for share in self.axes]
         return struct.pack("<BQ8h", 0x01, self.buttons, *counts, *[0] * (8 - len(counts)))
 
     def state(self) -> bytes:
-        """Tell whether the motors are on."""
         return bytes((0x02, (_ON if self.active else _PAUSED) | (_POWER if self.powered else 0)))
 
     def set_effect(self, report: bytes) -> None:
@@ -78,7 +66,6 @@ class OpenFFBoard(PidFirmware):
             self.active = True
 
     def device_gain(self, report: bytes) -> None:
-        """Scale everything."""
         self.gain = (report[1] + 1) / 256
 
 

@@ -9,12 +9,20 @@ import struct
 from dataclasses import dataclass, field
 from typing import ClassVar
 
-from tests.hid.virtual.device import USB, Push
+from tests.hid.virtual.device import Push, VirtualDevice
 
 _CONSTANT = 1  # the first of the effect types in all descriptors known
 _START_SOLO, _STOP = 2, 3
 _LOADED, _FULL = 1, 2
 INFINITE_MS = 0xFFFF
+OUTPUTS = {  # of most firmwares, beside Set Effect: by number, method and length
+    0x03: ("set_condition", 15),
+    0x05: ("set_constant", 4),
+    0x0A: ("effect_operation", 4),
+    0x0B: ("block_free", 2),
+    0x0C: ("device_control", 2),
+    0x0D: ("device_gain", 2),
+}
 
 
 @dataclass
@@ -30,11 +38,10 @@ class Effect:
     started: float | None = None  # [s]
 
     def plays(self, now: float) -> bool:
-        """Return whether it pushes at `now`."""
         return self.started is not None and now - self.started < self.duration
 
 
-class PidFirmware:
+class PidFirmware(VirtualDevice):
     """A force-feedback joystick; see `VirtualDevice`.
 
     Attributes
@@ -47,13 +54,6 @@ class PidFirmware:
         The pool, by block number.
     """
 
-    bus = USB
-    interval = 0.001
-    name: str
-    vendor: int
-    product: int
-    serial: str
-
     outputs: ClassVar[dict[int, tuple[str, int]]]  # id -> method, length of the report
     creation: int  # id of Create New Effect
     loading: int  # id of Block Load
@@ -63,17 +63,13 @@ class PidFirmware:
     answers_state = True  # or only sends it when it changes
 
     def __init__(self, descriptor: bytes, axes: int = 2) -> None:
-        self.descriptor = descriptor
-        self.axes = [0.0] * axes
-        self.buttons = 0
+        super().__init__(descriptor, axes, forces=axes)
         self.now = -math.inf
         self.active = False
         self.safety = self.powered = True
         self.gain = 1.0
         self.effects: dict[int, Effect] = {}
         self.loaded = (0, 0)  # block and status of the last creation
-        self.pushes = [Push(-math.inf, (0.0,) * axes)]
-        self.refused: list[bytes] = []
         self._told = b""
 
     def inputs(self, now: float) -> list[bytes]:
@@ -83,7 +79,6 @@ class PidFirmware:
         return [self.report()] if self._told == state else [self._told, self.report()]
 
     def output(self, now: float, report: bytes) -> None:
-        """Take an output report."""
         name, length = self.outputs.get(report[0], ("", -1)) if report else ("", -1)
         if len(report) != length:
             self.refused.append(report)
@@ -93,7 +88,6 @@ class PidFirmware:
         self._at(now)
 
     def set_feature(self, now: float, report: bytes) -> None:
-        """Create an effect in the first free slot."""
         if len(report) != 4 or report[0] != self.creation:
             self.refused.append(report)
             return
@@ -104,7 +98,6 @@ class PidFirmware:
         self.loaded = (block, _LOADED if block else _FULL)
 
     def get_feature(self, now: float, number: int) -> bytes | None:
-        """Return the last creation, or how large the pool is."""
         self._at(now)
         if number == self.loading:
             return struct.pack("<BBBH", number, *self.load(), self.slots - len(self.effects))
@@ -128,7 +121,6 @@ class PidFirmware:
         return tuple(max(-1.0, min(1.0, self.gain * share)) + 0.0 for share in total)
 
     def report(self) -> bytes:
-        """Return the input report of `axes` and `buttons`."""
         raise NotImplementedError
 
     def state(self) -> bytes:
@@ -144,13 +136,11 @@ class PidFirmware:
         return self.slots, 1
 
     def set_constant(self, report: bytes) -> None:
-        """Set the magnitude of a constant force."""
         block, magnitude = struct.unpack_from("<Bh", report, 1)
         if (effect := self.effects.get(block)) is not None:
             effect.magnitude = magnitude / self.full_scale
 
     def set_condition(self, report: bytes) -> None:
-        """Keep a spring or damper."""
         if (effect := self.effects.get(report[1])) is not None:
             effect.conditions[report[2] & 0x0F] = report
 
@@ -163,11 +153,9 @@ class PidFirmware:
             effect.started = None if operation == _STOP else self.now
 
     def block_free(self, report: bytes) -> None:
-        """Forget an effect."""
         self.effects.pop(report[1], None)
 
     def stop_all(self) -> None:
-        """Stop every effect; they stay in the pool."""
         for effect in self.effects.values():
             effect.started = None
 
@@ -179,5 +167,4 @@ class PidFirmware:
 
 
 def seconds(milliseconds: int) -> float:
-    """Return a duration field in seconds."""
     return math.inf if milliseconds == INFINITE_MS else milliseconds * 1e-3

@@ -36,7 +36,6 @@ class Rhino(PidFirmware):
     full_scale = 4096
 
     def report(self) -> bytes:
-        """X, Y, Z, four bytes of axes, 48 buttons, hats, 16 buttons, 13 bytes of the maker's."""
         x, y = (round(share * 4096) for share in self.axes)
         first, more = self.buttons & (1 << 48) - 1, self.buttons >> 48
         head = struct.pack("<B3h4x", 0x01, x, y, 0)
@@ -52,7 +51,6 @@ class Rhino(PidFirmware):
         return bytes((0x02, 0, flags))
 
     def set_effect(self, report: bytes) -> None:
-        """Take duration, gain and direction."""
         if (effect := self.effects.get(report[1])) is None:
             return
         effect.kind = report[2]
@@ -63,7 +61,6 @@ class Rhino(PidFirmware):
         effect.pull = (-math.sin(angle), math.cos(angle)) if report[12] & 4 else (0.0, 0.0)
 
     def device_control(self, report: bytes) -> None:
-        """Take a number."""
         command = report[1]
         if command in (_ENABLE, _CONTINUE):
             self.active = True
@@ -75,5 +72,4 @@ class Rhino(PidFirmware):
             self.effects.clear()
 
     def device_gain(self, report: bytes) -> None:
-        """Scale everything."""
         self.gain = report[1] / 255

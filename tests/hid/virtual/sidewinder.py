@@ -33,7 +33,6 @@ class SideWinder(Arduino):
         self.paused = False
 
     def state(self) -> bytes:
-        """Tell all that is known of the motors."""
         flags = (
             (_PAUSED if self.paused else 0)
             | (_ENABLED if self.enabled else 0)
@@ -43,7 +42,6 @@ class SideWinder(Arduino):
         return bytes((0x02, flags | _OVERRIDE, 0))
 
     def device_control(self, report: bytes) -> None:
-        """Take a number."""
         command = report[1]
         if command == _ENABLE:
             self.enabled = True
@@ -62,7 +60,6 @@ class SideWinder(Arduino):
         self.active = self.enabled and not self.paused
 
     def force(self, now: float) -> tuple[float, ...]:
-        """Return what the effects do, and the spring."""
         pushed = super().force(now)
         if not (self.centres and self.enabled and self.powered and self.safety):
             return pushed

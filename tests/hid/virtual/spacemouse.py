@@ -1,28 +1,22 @@
 """A 3Dconnexion SpaceMouse: six axes in, a light out; silent while nobody touches it."""
 
-import math
 import struct
 
-from tests.hid.virtual.device import USB, Push
+from tests.hid.virtual.device import VirtualDevice
 
 _AXES = 6
 
 
-class SpaceMouse:
+class SpaceMouse(VirtualDevice):
     """See `VirtualDevice`; the newer kind with all axes in one report, or the older with two."""
 
     name = "3Dconnexion SpaceMouse"
-    bus = USB
     vendor, serial = 0x256F, "virtual-spacemouse"
     interval = 0.008
 
     def __init__(self, descriptor: bytes, older: bool = False) -> None:
-        self.descriptor = descriptor
+        super().__init__(descriptor, axes=_AXES, forces=0)
         self.product = 0xC626 if older else 0xC62E
-        self.axes = [0.0] * _AXES
-        self.buttons = 0
-        self.pushes = [Push(-math.inf, ())]
-        self.refused: list[bytes] = []
         self.light = False
         self._full = 500 if older else 350
         self._older = older
@@ -46,20 +40,7 @@ class SpaceMouse:
         return reports
 
     def output(self, _now: float, report: bytes) -> None:
-        """Take the light."""
         if len(report) == 2 and report[0] == 4:
             self.light = bool(report[1])
         else:
             self.refused.append(report)
-
-    def set_feature(self, _now: float, report: bytes) -> None:
-        """Nothing is set this way."""
-        self.refused.append(report)
-
-    def get_input(self, _now: float, _number: int) -> bytes | None:
-        """Nothing is asked for this way."""
-        return None
-
-    def get_feature(self, _now: float, _number: int) -> bytes | None:
-        """There is none."""
-        return None

@@ -4,26 +4,29 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from master.device import DeviceLost
+from master.device import DeviceFault
 from master.devices.hid.descriptor import parse_descriptor
 from master.devices.hid.device import HidDevice
 from master.devices.hid.driver import ActuatorReports, ActuatorState
 from master.devices.hid.mapping import AxisConfig, HidConfig
+from master.devices.hid.pid import PidDriver
 from teleop.launch.supervisor import wait_for_condition
 from tests.hid import descriptors
 from tests.hid.virtual.catalogue import DEVICES
+from tests.hid.virtual.sidewinder import SideWinder
+from tests.master.hid.test_pid import Cable
+from tests.master.reading import comes_back, reads, said
 
 BOARD = ActuatorReports(parse_descriptor(descriptors.openffboard()))
 ARDUINO = ActuatorReports(parse_descriptor(descriptors.arduino()))
 RHINO = ActuatorReports(parse_descriptor(descriptors.rhino()))
 CONFIG = HidConfig(axes=(AxisConfig("x", travel=0.1, force=2.0),), smoothing=0.0)
 
-PAUSED, ENABLED, SAFETY, OVERRIDE, POWER = (1 << bit for bit in range(5))  # of the Arduino library
+PAUSED, ENABLED, SAFETY, _, POWER = (1 << bit for bit in range(5))  # of the Arduino library
 READY = ENABLED | SAFETY | POWER
 
 
 def state(*flags):
-    """Return what is known after reports with these flags."""
     known = ActuatorState()
     for value in flags:
         known = ARDUINO.decode(known, bytes((2, value, 0)))
@@ -34,7 +37,6 @@ def state(*flags):
     ("flags", "fault"),
     [
         (READY & ~POWER, "no power"),
-        (READY & ~SAFETY, "safety switch is open"),
         (READY & ~ENABLED, "actuators are disabled"),
         (READY | PAUSED, "it is paused"),
     ],
@@ -56,10 +58,6 @@ def test_a_condition_that_was_never_met_says_nothing_but_to_be_met_is_a_surprise
     met = ARDUINO.decode(never, bytes((2, READY, 0)))
     assert "safety switch" in met.faults[0]
     assert met.read().faults == ()
-
-
-def test_several_are_named_together():
-    assert len(state(READY, PAUSED).faults) == 4
 
 
 @pytest.mark.parametrize(
@@ -84,24 +82,8 @@ def test_no_bytes_are_too_strange(reports, given_reports):
     for report in given_reports:
         known = reports.decode(known, report)
         assert known.interrupted & ~known.known == 0
-
-
-def test_other_reports_say_nothing():
-    known = state(READY)
-    assert ARDUINO.decode(known, b"\x01" + bytes(10)) is known
-    assert ARDUINO.decode(known, b"\x02") is known
-    assert (
-        ActuatorReports(parse_descriptor(descriptors.spacemouse())).decode(known, bytes(9)) is known
-    )
-
-
-def said(device, time_s=10.0):
-    """Return what the device says against itself; empty if it is read."""
-    try:
-        device.read(time_s)
-    except DeviceLost as error:
-        return str(error)
-    return ""
+    assert reports.decode(known, b"\x01" + bytes(10)) is known
+    assert reports.decode(known, b"\x02") is known
 
 
 @pytest.fixture(params=["openffboard", "sidewinder", "rhino"])
@@ -112,35 +94,107 @@ def opened(request, hidraw):
     device = HidDevice(CONFIG, lambda _line: None)
     device.read(0.0)
     assert wait_for_condition(
-        lambda: said(device, 0.0) == "" and device.read(0.0).position == (0.0,), 30.0
+        lambda: said(device) == "" and device.read(0.0).position == (0.0,), 30.0
     )
     wait_for_condition(
-        lambda: said(device, 0.0) != "", 0.1
+        lambda: said(device) != "", 0.1
     )  # until all that the beginning caused is read
     yield node, device
     device.close()
 
 
-def test_how_it_was_reset_and_enabled_is_no_fault(opened):
-    _, device = opened
-    assert not wait_for_condition(lambda: said(device) != "", 0.1)
-
-
-def test_power_that_goes_is_a_fault_that_names_the_device_until_it_is_back(opened):
+def test_power_that_goes_and_a_pause_by_another_program_are_faults_that_name_the_device(opened):
     node, device = opened
+    assert not wait_for_condition(lambda: said(device) != "", 0.1)  # how it was reset and enabled
     node.device.powered = False
     assert wait_for_condition(lambda: "no power" in said(device), 30.0)
     assert node.device.name in said(device)
     node.device.powered = True
-    assert wait_for_condition(lambda: said(device) == "", 30.0)
+    assert comes_back(device)
     assert node.handles  # it was not closed meanwhile
-    assert node.force() == (0.0,) * len(node.device.axes)
-
-
-def test_another_program_that_pauses_it_is_a_fault(opened):
-    node, device = opened
+    assert not any(node.force())
     pause = {"openffboard": b"\x0c\x10", "sidewinder": b"\x0c\x05", "rhino": b"\x70\x05"}
-    kind = type(node.device).__name__.lower()
-    node.device.output(node.bus.clock(), pause[kind])
-    assert wait_for_condition(lambda: said(device) != "", 30.0)
-    assert "close other programs" in said(device)
+    node.device.output(node.bus.clock(), pause[type(node.device).__name__.lower()])
+    assert wait_for_condition(lambda: "close other programs" in said(device), 30.0)
+
+
+NONE = (0.0, 0.0)
+
+
+def stick():
+    """A stick that is held to the side, so that its spring pushes back."""
+    device = SideWinder(descriptors.arduino())
+    device.axes = [1.0, -0.5]
+    device.interval = 0.010
+    return device
+
+
+def open_device():
+    return HidDevice(CONFIG, lambda _line: None)
+
+
+def test_opened_replugged_and_after_a_fault_it_does_not_push(hidraw):
+    node = hidraw.plug(stick())
+    assert any(node.force())
+    device = open_device()
+    assert node.force() == NONE
+    hidraw.unplug(node)
+    assert not reads(device)
+    back = hidraw.plug(stick())
+    assert any(back.force())
+    assert comes_back(device)
+    assert back.force() == NONE
+    at_its_end = 0.1  # so its state is known
+    assert wait_for_condition(lambda: device.read(0.0).position == (at_its_end,), 30.0)
+    back.device.powered = False
+    assert wait_for_condition(lambda: not reads(device), 30.0)
+    back.device.powered = True
+    assert comes_back(device)
+    assert back.force() == NONE
+    device.close()
+    assert back.force() == NONE
+
+
+@pytest.mark.parametrize("said", [b"\x06\x00\x02\x00\x00", b"\x06\x00\x03\x00\x00"])
+def test_a_beginning_that_fails_does_not_leave_it_pushing(hidraw, said, monkeypatch):
+    node = hidraw.plug(stick())
+    monkeypatch.setattr(node.device, "get_feature", lambda _now, _number: said)
+    with pytest.raises(DeviceFault):
+        open_device()
+    assert node.force() == NONE
+    assert node.handles == []
+
+
+def test_a_beginning_that_fails_right_after_the_reset_does_not_leave_it_pushing(hidraw):
+    class Flaky(SideWinder):
+        """Refuses the first Stop All Effects."""
+
+        refusals = 1
+
+        def device_control(self, report):
+            if report[1] == 3 and self.refusals:
+                self.refusals -= 1
+                raise OSError("stalled")
+            super().device_control(report)
+
+    device = Flaky(descriptors.arduino())
+    device.axes = [1.0, 0.0]
+    node = hidraw.plug(device)
+    with pytest.raises(DeviceFault):
+        open_device()
+    assert node.force() == NONE
+
+
+def test_left_by_a_process_that_was_killed_it_does_not_push_nor_at_the_next_start():
+    device = stick()
+    cable, driver = Cable(device), PidDriver(device.descriptor)
+    driver.begin(cable)
+    assert any(cable.push(driver, (0.5, 0.0)))
+    cable.now = 0.25  # and not a byte more
+    assert device.force(cable.now) == NONE
+    again = PidDriver(device.descriptor)
+    again.begin(cable)
+    assert device.force(cable.now) == NONE
+    for report in again.silence():
+        cable.write(report)
+    assert device.force(cable.now) == NONE

@@ -12,6 +12,11 @@ from tests.hid.virtual.openffboard import OpenFFBoard
 from tests.hid.virtual.spacemouse import SpaceMouse
 
 
+@pytest.fixture(autouse=True)
+def short_rests(monkeypatch):
+    monkeypatch.setattr(force_signs, "REST_S", 0.05)
+
+
 class Free(OpenFFBoard):
     """A board whose sticks give way to its motors, wired one way or the other."""
 
@@ -45,7 +50,6 @@ class Someone:
 
 
 def found_in(file):
-    """Return the signs that were kept for the only device that is plugged in."""
     return force_signs.load(file).of(search.find_device("", "auto").pusher)
 
 
@@ -67,15 +71,9 @@ def test_a_list_says_what_is_attached_and_which_driver_fits(hidraw, capsys):
     assert mouse.split()[2] == "spacemouse"
 
 
-def test_a_device_that_may_not_be_opened_is_listed_with_the_remedy(hidraw, capsys, monkeypatch):
-    hidraw.plug(OpenFFBoard(descriptors.openffboard()))
-    monkeypatch.setattr(search.os, "access", lambda *_: False)
-    assert "no: teleop devices rules" in teleop(capsys, "list")[1]
-
-
 def test_a_probe_reads_the_descriptor_out_and_counts_reports(hidraw, capsys):
     hidraw.plug(OpenFFBoard(descriptors.openffboard()))
-    code, out, _ = teleop(capsys, "probe", "--seconds", "0.5")
+    code, out, _ = teleop(capsys, "probe", "--seconds", "0.25")
     assert code == 0
     assert "driver pid: fits" in out
     assert "Set Constant Force" in out
@@ -137,26 +135,6 @@ def test_a_dump_that_cannot_be_made_or_written_is_a_line(hidraw, capsys, tmp_pat
     assert "udev rule" in err
 
 
-def test_force_feedback_without_a_driver_names_the_dump(hidraw, capsys):
-    hidraw.plug(no_driver())
-    out = teleop(capsys, "list")[1]
-    assert "no Effect Operation report); run `teleop devices dump 1209:ffb0 --out FILE`" in out
-    hidraw.plug(SpaceMouse(descriptors.spacemouse()), usages=((1, 8),))
-    assert teleop(capsys, "list")[1].count("teleop devices dump") == 1
-
-
-def test_a_probe_of_nothing_is_a_line(hidraw, capsys):
-    assert teleop(capsys, "probe")[::2] == (2, "teleop: no HID device attached\n")
-
-
-def test_a_trial_shows_the_buttons_that_were_pressed(hidraw, tmp_path):
-    node, someone = hidraw.plug(Free()), Someone("s", "s")
-    node.device.buttons = 0b1001
-    command.run_device_test("", "auto", tmp_path / "s.yaml", 0.25, someone.person)
-    assert "buttons seen, of 64: 1 4" in someone.said
-    assert any("(0.25 s)" in line for line in someone.said)
-
-
 def test_a_sign_of_a_device_without_a_serial_number_comes_with_a_warning(hidraw, tmp_path):
     board, someone = Free(), Someone("", "s")
     board.serial = ""
@@ -173,26 +151,9 @@ def test_what_is_not_attached_is_a_line_and_a_list(hidraw, capsys):
     assert "1209:ffb0" in err
 
 
-def test_a_trial_finds_the_sign_of_each_motor_and_keeps_it(hidraw, tmp_path):
-    hidraw.plug(Free())
-    file, someone = tmp_path / "signs.yaml", Someone("", "")
-    command.run_device_test("", "auto", file, 0.1, someone.person)
-    kept = found_in(file)
-    assert kept["x"] == -kept["y"] != 0
-    assert not any("serial" in line for line in someone.said)
-    assert any(line.startswith("x: sign") for line in someone.said)
-
-
-def test_a_device_with_one_effect_can_be_tried(hidraw, tmp_path):
-    hidraw.plug(Free()).device.slots = 1
-    file = tmp_path / "signs.yaml"
-    command.run_device_test("", "auto", file, 0.1, Someone("", "").person)
-    assert set(found_in(file)) == {"x", "y"}
-
-
 def test_the_sign_that_is_kept_makes_a_force_push_that_way(hidraw, tmp_path):
     """A positive force then moves the axis to larger values, however it is wired."""
-    for wired in ((1.0, 1.0), (-1.0, 1.0), (1.0, -1.0)):
+    for wired in ((-1.0, 1.0), (1.0, -1.0)):
         board = Free()
         board.wired = wired
         node = hidraw.plug(board)
@@ -206,7 +167,7 @@ def test_the_sign_that_is_kept_makes_a_force_push_that_way(hidraw, tmp_path):
             before = board.axes[place]
             line.post(tuple(share))
             line.read(0.0)
-            for _ in range(200):
+            for _ in range(100):
                 line.post(tuple(share))
                 command.time.sleep(0.001)
                 line.read(0.0)
@@ -216,9 +177,8 @@ def test_the_sign_that_is_kept_makes_a_force_push_that_way(hidraw, tmp_path):
 
 
 def test_what_does_not_move_is_asked_about(hidraw, tmp_path, monkeypatch):
-    monkeypatch.setattr(command.trial, "HOLD_S", 0.05)
-    monkeypatch.setattr(command.trial, "PUSH_S", 0.05)
-    monkeypatch.setattr(command.trial, "REST_S", 0.02)
+    monkeypatch.setattr(force_signs, "HOLD_S", 0.05)
+    monkeypatch.setattr(force_signs, "PUSH_S", 0.05)
     hidraw.plug(DualSense(descriptors.dualsense_usb()))
     file, someone = tmp_path / "signs.yaml", Someone("", "", "n", "what?", "s", "s")
     command.run_device_test("", "auto", file, 0.1, someone.person)

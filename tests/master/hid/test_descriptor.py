@@ -3,206 +3,92 @@
 The tables are written by hand from the sources that tests/hid/descriptors.py names.
 """
 
-import pytest
+import math
+from dataclasses import replace
 
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from master.devices.hid import descriptor
 from master.devices.hid.descriptor import DescriptorError, ReportType, parse_descriptor
+from master.devices.hid.usages import describe_descriptor
 from tests.hid.descriptors import LAYOUTS
 
 IN, OUT, FEATURE = ReportType.INPUT, ReportType.OUTPUT, ReportType.FEATURE
 
-# number and length of every report that the sources give
-LENGTHS = {
-    "openffboard 2": {
-        (IN, 0x01): 25,
-        (IN, 0x02): 2,
-        (IN, 0xA1): 25,
-        (OUT, 0xA1): 25,
-        (OUT, 0x01): 22,
-        (OUT, 0x03): 15,
-        (OUT, 0x04): 12,
-        (OUT, 0x05): 4,
-        (OUT, 0x0A): 4,
-        (OUT, 0x0B): 2,
-        (OUT, 0x0C): 2,
-        (OUT, 0x0D): 2,
-        (FEATURE, 0x11): 4,
-        (FEATURE, 0x12): 5,
-        (FEATURE, 0x13): 5,
-    },
-    "openffboard 1": {(OUT, 0x01): 18, (OUT, 0x05): 4, (IN, 0x01): 25},
-    "arduino": {
-        (IN, 0x01): 10,
-        (IN, 0x02): 3,
-        (OUT, 0x01): 18,
-        (OUT, 0x03): 15,
-        (OUT, 0x05): 4,
-        (OUT, 0x0A): 4,
-        (OUT, 0x0C): 2,
-        (FEATURE, 0x05): 4,
-        (FEATURE, 0x06): 5,
-        (FEATURE, 0x07): 5,
-    },
-    "rhino": {
-        (IN, 1): 34,
-        (OUT, 101): 17,
-        (OUT, 103): 15,
-        (OUT, 105): 4,
-        (OUT, 110): 4,
-        (OUT, 112): 2,
-        (FEATURE, 5): 4,
-        (FEATURE, 6): 5,
-    },
-    "ffbeast vendor": {(IN, 0xA3): 65, (OUT, 0xA3): 65},
-    "dualsense": {(IN, 0x01): 64, (OUT, 0x02): 48, (FEATURE, 0x05): 41},
-    "spacemouse": {(IN, 1): 13, (OUT, 4): 2, (IN, 0x17): 3},
-    "spacemouse old": {(IN, 1): 7, (IN, 2): 7, (OUT, 4): 2},
-    "logitech g29": {(IN, 0): 12, (OUT, 0): 8},
-}
-
-I16, U16 = (-32767, 32767), (0, 65535)
-# layout, kind, report -> (usage, first byte, first bit in it, bits, least, greatest)
-FIELDS = {
-    ("openffboard 2", IN, 0x01): [
-        (0x090001, 1, 0, 1, 0, 1),
-        (0x090040, 8, 7, 1, 0, 1),
-        (0x010030, 9, 0, 16, *I16),
-        (0x010031, 11, 0, 16, *I16),
-        (0x010035, 19, 0, 16, *I16),
-        (0x010037, 21, 0, 16, *I16),
-        (0x010036, 23, 0, 16, *I16),
-    ],
-    ("openffboard 2", IN, 0x02): [(0x0F009F, 1, 0, 1, 0, 1), (0x0F0094, 1, 4, 1, 0, 1)],
-    ("openffboard 2", OUT, 0x01): [
-        (0x0F0022, 1, 0, 8, 1, 40),
-        (0x0F0026, 2, 0, 8, 1, 11),
-        (0x0F0050, 3, 0, 16, 0, 32767),
-        (0x0F0054, 5, 0, 16, 0, 32767),
-        (0x0F0051, 7, 0, 16, 0, 32767),
-        (0x0F00A7, 9, 0, 16, 0, 32767),
-        (0x0F0052, 11, 0, 8, 0, 255),
-        (0x0F0053, 12, 0, 8, 1, 8),
-        (0x010030, 13, 0, 1, 0, 1),
-        (0x010031, 13, 1, 1, 0, 1),
-        (0x0F0056, 13, 2, 1, 0, 1),
-        (0x0A0001, 14, 0, 16, 0, 36000),
-        (0x0A0002, 16, 0, 16, 0, 36000),
-    ],
-    ("openffboard 2", OUT, 0x03): [
-        (0x0F0023, 2, 0, 4, 0, 3),
-        (0x0F0060, 3, 0, 16, *I16),
-        (0x0F0061, 5, 0, 16, *I16),
-        (0x0F0062, 7, 0, 16, *I16),
-        (0x0F0063, 9, 0, 16, 0, 32767),
-        (0x0F0064, 11, 0, 16, 0, 32767),
-        (0x0F0065, 13, 0, 16, 0, 32767),
-    ],
-    ("openffboard 2", OUT, 0x04): [
-        (0x0F0070, 2, 0, 16, 0, 32767),
-        (0x0F0071, 6, 0, 16, 0, 35999),
-        (0x0F0072, 8, 0, 32, 0, 32767),
-    ],
-    ("openffboard 2", OUT, 0x05): [(0x0F0022, 1, 0, 8, 1, 40), (0x0F0070, 2, 0, 16, *I16)],
-    ("openffboard 2", OUT, 0x0A): [(0x0F0079, 2, 0, 8, 1, 3), (0x0F007C, 3, 0, 8, 0, 255)],
-    ("openffboard 2", OUT, 0x0C): [
-        (0x0F0097, 1, 0, 1, 1, 6),
-        (0x0F0098, 1, 1, 1, 1, 6),
-        (0x0F0099, 1, 2, 1, 1, 6),
-        (0x0F009A, 1, 3, 1, 1, 6),
-        (0x0F009B, 1, 4, 1, 1, 6),
-        (0x0F009C, 1, 5, 1, 1, 6),
-    ],
-    ("openffboard 2", FEATURE, 0x11): [(0x0F0026, 1, 0, 8, 1, 11), (0x01003B, 2, 0, 10, 0, 511)],
-    ("openffboard 2", FEATURE, 0x12): [
-        (0x0F0022, 1, 0, 8, 1, 40),
-        (0x0F008C, 2, 0, 8, 1, 3),
-        (0x0F00AC, 3, 0, 16, *U16),
-    ],
-    ("openffboard 1", OUT, 0x01): [
-        (0x010030, 13, 0, 1, 0, 1),
-        (0x0F0056, 13, 1, 1, 0, 1),
-        (0x0A0001, 14, 0, 16, 0, 36000),
-    ],
-    ("arduino", IN, 0x01): [
-        (0x090020, 4, 7, 1, 0, 1),
-        (0x010039, 5, 0, 4, 0, 7),
-        (0x010030, 6, 0, 16, *I16),
-        (0x010031, 8, 0, 16, *I16),
-    ],
-    ("arduino", IN, 0x02): [(0x0F0094, 2, 0, 1, 0, 1), (0x0F0022, 2, 1, 7, 1, 40)],
-    ("arduino", OUT, 0x01): [
-        (0x0F0050, 3, 0, 16, 0, 32767),
-        (0x0F0052, 9, 0, 8, 0, 255),
-        (0x0F0053, 10, 0, 8, 1, 8),
-        (0x0F0056, 11, 2, 1, 0, 1),
-        (0x0A0001, 12, 0, 8, 0, 255),
-        (0x0A0002, 13, 0, 8, 0, 255),
-    ],
-    ("arduino", OUT, 0x05): [(0x0F0070, 2, 0, 16, -10000, 10000)],
-    ("rhino", OUT, 101): [
-        (0x0F0050, 3, 0, 16, *U16),
-        (0x0F0052, 9, 0, 16, 0, 4096),
-        (0x0F0053, 11, 0, 8, 1, 8),
-        (0x0F0056, 12, 2, 1, 0, 1),
-        (0x0A0001, 13, 0, 8, 0, 255),
-        (0x0F00A7, 15, 0, 16, *U16),
-    ],
-    ("rhino", OUT, 105): [(0x0F0070, 2, 0, 16, -4096, 4096)],
-    ("rhino", IN, 1): [
-        (0x010030, 1, 0, 16, -4096, 4096),
-        (0x010031, 3, 0, 16, -4096, 4096),
-        (0x090001, 11, 0, 1, 0, 1),
-        (0x090031, 19, 0, 1, 0, 1),
-    ],
-    ("dualsense", IN, 0x01): [
-        (0x010030, 1, 0, 8, 0, 255),
-        (0x010033, 5, 0, 8, 0, 255),
-        (0x010034, 6, 0, 8, 0, 255),
-        (0x010039, 8, 0, 4, 0, 7),
-        (0x090001, 8, 4, 1, 0, 1),
-        (0x090005, 9, 0, 1, 0, 1),
-    ],
-    ("spacemouse", IN, 1): [
-        (0x010030, 1, 0, 16, -350, 350),
-        (0x010033, 7, 0, 16, -350, 350),
-        (0x010035, 11, 0, 16, -350, 350),
-    ],
-    ("spacemouse old", IN, 2): [(0x010033, 1, 0, 16, -500, 500), (0x010035, 5, 0, 16, -500, 500)],
-    ("logitech g29", IN, 0): [
-        (0x010030, 4, 0, 16, *U16),
-        (0x010032, 6, 0, 8, 0, 255),
-        (0x010031, 8, 0, 8, 0, 255),
-    ],
+I16 = (-32767, 32767)
+# layout, kind, report -> length, some of its fields: usage, byte, bit in it, bits, least, greatest
+REPORTS = {
+    ("openffboard 2", IN, 0x01): (
+        25,
+        [
+            (0x090001, 1, 0, 1, 0, 1),
+            (0x090040, 8, 7, 1, 0, 1),
+            (0x010030, 9, 0, 16, *I16),
+            (0x010036, 23, 0, 16, *I16),
+        ],
+    ),
+    ("openffboard 2", OUT, 0x01): (
+        22,
+        [
+            (0x0F0022, 1, 0, 8, 1, 40),
+            (0x0F0026, 2, 0, 8, 1, 11),
+            (0x0F0050, 3, 0, 16, 0, 32767),
+            (0x0F00A7, 9, 0, 16, 0, 32767),
+            (0x0F0052, 11, 0, 8, 0, 255),
+            (0x010031, 13, 1, 1, 0, 1),
+            (0x0F0056, 13, 2, 1, 0, 1),
+            (0x0A0002, 16, 0, 16, 0, 36000),
+        ],
+    ),
+    ("openffboard 2", OUT, 0x04): (
+        12,
+        [(0x0F0070, 2, 0, 16, 0, 32767), (0x0F0072, 8, 0, 32, 0, 32767)],
+    ),
+    ("openffboard 2", OUT, 0x0C): (2, [(0x0F0097 + k, 1, k, 1, 1, 6) for k in range(6)]),
+    ("openffboard 2", FEATURE, 0x11): (
+        4,
+        [(0x0F0026, 1, 0, 8, 1, 11), (0x01003B, 2, 0, 10, 0, 511)],
+    ),
+    ("openffboard 1", OUT, 0x01): (18, [(0x0F0056, 13, 1, 1, 0, 1)]),
+    ("arduino", IN, 0x01): (10, [(0x010039, 5, 0, 4, 0, 7), (0x010031, 8, 0, 16, *I16)]),
+    ("arduino", IN, 0x02): (3, [(0x0F0094, 2, 0, 1, 0, 1), (0x0F0022, 2, 1, 7, 1, 40)]),
+    ("arduino", OUT, 0x01): (18, [(0x0F0056, 11, 2, 1, 0, 1), (0x0A0002, 13, 0, 8, 0, 255)]),
+    ("rhino", OUT, 101): (17, [(0x0F0056, 12, 2, 1, 0, 1), (0x0F00A7, 15, 0, 16, 0, 65535)]),
+    ("rhino", IN, 1): (34, [(0x090001, 11, 0, 1, 0, 1), (0x090031, 19, 0, 1, 0, 1)]),
+    ("ffbeast vendor", OUT, 0xA3): (65, []),
+    ("dualsense", IN, 0x01): (64, [(0x010039, 8, 0, 4, 0, 7), (0x090001, 8, 4, 1, 0, 1)]),
+    ("spacemouse", IN, 1): (13, [(0x010035, 11, 0, 16, -350, 350)]),
+    ("spacemouse old", IN, 2): (7, [(0x010033, 1, 0, 16, -500, 500)]),
+    # without a number: an input does not count it, an output does
+    ("logitech g29", IN, 0): (12, [(0x010030, 4, 0, 16, 0, 65535), (0x010031, 8, 0, 8, 0, 255)]),
+    ("logitech g29", OUT, 0): (8, [(0xFF000003, 1, 0, 8, 0, 255)]),
 }
 
 
-@pytest.mark.parametrize("name", LENGTHS)
-def test_reports_have_the_published_numbers_and_lengths(name):
-    found = {(r.kind, r.number): r.length for r in parse_descriptor(LAYOUTS[name]).reports}
-    assert {key: found.get(key) for key in LENGTHS[name]} == LENGTHS[name]
-
-
-@pytest.mark.parametrize(("name", "kind", "number"), FIELDS)
-def test_fields_are_where_the_sources_say_and_range_as_they_say(name, kind, number):
+@pytest.mark.parametrize(("name", "kind", "number"), REPORTS)
+def test_reports_have_the_published_length_and_fields(name, kind, number):
+    length, fields = REPORTS[name, kind, number]
     report = parse_descriptor(LAYOUTS[name]).report(kind, number)
     found = {
         (usage, *divmod(field.offset, 8), field.size, field.minimum, field.maximum)
         for field in report.fields
         for usage in field.usages
     }
-    assert set(FIELDS[name, kind, number]) <= found
+    assert report.length == length
+    assert set(fields) <= found
 
 
 @pytest.mark.parametrize(
-    ("name", "kind", "number", "order"),
+    ("name", "number", "order"),
     [
-        ("openffboard 2", OUT, 0x0A, [0x0F0079, 0x0F007A, 0x0F007B]),
-        ("openffboard 2", FEATURE, 0x12, [0x0F008C, 0x0F008D, 0x0F008E]),
-        ("arduino", OUT, 0x0C, [0x0F0097, 0x0F0098, 0x0F0099, 0x0F009A, 0x0F009B, 0x0F009C]),
-        ("rhino", OUT, 112, [0x0F0098, 0x0F0097, 0x0F0099, 0x0F009A, 0x0F009B, 0x0F009C]),
+        ("openffboard 2", 0x0A, [0x0F0079, 0x0F007A, 0x0F007B]),
+        ("rhino", 112, [0x0F0098, 0x0F0097, 0x0F0099, 0x0F009A, 0x0F009B, 0x0F009C]),
     ],
 )
-def test_arrays_keep_the_order_of_the_device(name, kind, number, order):
-    report = parse_descriptor(LAYOUTS[name]).report(kind, number)
+def test_arrays_keep_the_order_of_the_device(name, number, order):
+    report = parse_descriptor(LAYOUTS[name]).report(OUT, number)
     (array,) = [field for field in report.fields if field.array]
     assert list(array.usages) == order
     assert array.minimum == 1
@@ -211,12 +97,6 @@ def test_arrays_keep_the_order_of_the_device(name, kind, number, order):
 def test_control_bits_without_a_name_of_their_own_go_with_the_last():
     *_, last = parse_descriptor(LAYOUTS["openffboard 2"]).report(OUT, 0x0C).fields
     assert (last.usage, last.offset, last.count) == (0x0F009C, 13, 3)
-
-
-def test_a_numbered_report_counts_its_number_an_input_without_does_not():
-    descriptor = parse_descriptor(LAYOUTS["logitech g29"])
-    assert descriptor.report(IN, 0).fields[0].offset == 0
-    assert descriptor.report(OUT, 0).fields[0].offset == 8
 
 
 # The examples of HID 1.11, appendix E.10 and B.1: every byte is the standard's.
@@ -304,14 +184,6 @@ def test_an_exponent_is_four_bits_or_a_whole_number(item, exponent):
     assert (field.physical_minimum, field.physical_maximum) == (0, 100)
 
 
-def test_flags():
-    (field,) = fields("15012508 75049501 0939 8146")
-    assert field.nullable
-    assert field.relative
-    assert not field.array
-    assert not field.constant
-
-
 def test_reports_of_one_number_go_three_ways():
     data = "8505 15002501 75089501 0930 8102 0931 9102 0932 b102 8507 0930 8102"
     descriptor = parse_descriptor(bytes.fromhex("05010904a101" + data.replace(" ", "") + "c0"))
@@ -340,8 +212,7 @@ def test_collections_of_the_same_name_are_not_the_same():
 
 
 def test_several_devices_in_one():
-    data = MOUSE + KEYBOARD
-    assert parse_descriptor(data).applications == (0x010002, 0x010006)
+    assert parse_descriptor(MOUSE + KEYBOARD).applications == (0x010002, 0x010006)
 
 
 @pytest.mark.parametrize(
@@ -350,17 +221,14 @@ def test_several_devices_in_one():
         (b"", "0 bytes long"),
         (bytes(4097), "4097 bytes long"),
         (bytes.fromhex("050126ff"), "beyond the end"),
-        (bytes.fromhex("fe"), "beyond the end"),
         (bytes.fromhex("a101"), "within a collection"),
         (bytes.fromhex("c0"), "never began"),
         (bytes.fromhex("b4"), "pop without a push"),
         (bytes.fromhex("8500"), "report number"),
-        (bytes.fromhex("860001"), "report number"),
         (bytes.fromhex("760101"), "more than 256 bits"),
         (bytes.fromhex("7508 97ffffffff 8102"), "a report of more than"),
         (bytes.fromhex("150525017508950109308102"), "a range 5 ... 1"),
         (bytes.fromhex("a900"), "do not pair"),
-        (bytes.fromhex("a901a901"), "do not pair"),
         (bytes.fromhex("a9018102"), "still open"),
         (bytes.fromhex("a100") * 65, "64 collections"),
         (bytes.fromhex("75011500250119002affff96ffff8102") * 2, "more than 8192 fields"),
@@ -379,3 +247,117 @@ def test_arrays_of_many_names_do_not_fill_memory():
 
 def test_a_push_for_every_byte_is_survived():
     assert parse_descriptor(b"\xa4" * 4096).reports == ()
+
+
+def field(offset, size, low, high):
+    (blank,) = fields("15002501 75089501 0930 8102")
+    return replace(blank, offset=offset, size=size, minimum=low, maximum=high)
+
+
+@pytest.mark.parametrize(
+    ("report", "where", "value"),
+    [
+        ("05 01 ff 7f", (16, 16, -32767, 32767), 32767),
+        ("05 01 01 80", (16, 16, -32767, 32767), -32767),
+        ("05 01 01 80", (16, 16, 0, 65535), 0x8001),
+        ("00 f0", (12, 4, 0, 15), 15),
+        ("00 f0", (12, 4, -8, 7), -1),
+        ("00 80 01", (15, 2, 0, 3), 3),
+        ("00", (8, 16, 0, 65535), 0),
+    ],
+)
+def test_values_by_hand(report, where, value):
+    assert descriptor.read_field(bytes.fromhex(report), field(*where)) == value
+
+
+def as_text(report):
+    return "".join(f"{byte:08b}"[::-1] for byte in report)
+
+
+@given(
+    st.binary(min_size=20, max_size=20),
+    st.integers(0, 90),
+    st.integers(1, 64),
+    st.booleans(),
+    st.data(),
+)
+def test_what_is_put_is_got_and_nothing_else_changes(report, offset, size, signed, data):
+    low = -(1 << size - 1) if signed else 0
+    where = field(offset, size, low, low + (1 << size) - 1)
+    value = data.draw(st.integers(where.minimum, where.maximum))
+    buffer = bytearray(report)
+    descriptor.write_field(buffer, where, value)
+    assert descriptor.read_field(bytes(buffer), where) == value
+    before, after = as_text(report), as_text(buffer)
+    assert after[:offset] == before[:offset]
+    assert after[offset + size :] == before[offset + size :]
+    assert int(after[offset : offset + size][::-1], 2) == value % (1 << size)
+
+
+def test_a_value_is_written_if_its_bits_hold_it():
+    report = bytearray(2)
+    descriptor.write_field(report, field(8, 8, 1, 8), 0xFF)
+    assert report == b"\x00\xff"
+    for value in (256, -1):
+        with pytest.raises(ValueError, match="does not fit"):
+            descriptor.write_field(report, field(8, 8, 0, 9), value)
+    with pytest.raises(ValueError, match="not in 2 bytes"):
+        descriptor.write_field(report, field(9, 8, 0, 9), 1)
+
+
+def test_limits_are_those_of_range_and_bits():
+    assert descriptor.compute_limits(field(0, 8, 0, 65535)) == (0, 255)
+    assert descriptor.compute_limits(field(0, 16, -40000, 100)) == (-32768, 100)
+    low, high = descriptor.compute_limits(field(0, 1, 2, 6))
+    assert low > high
+
+
+@given(st.floats(), st.integers(-40000, 40000))
+def test_a_share_never_exceeds_the_whole_nor_turns_around(share, full):
+    value = descriptor.scale_share(share, full)
+    assert abs(value) <= abs(full)
+    if math.isnan(share):
+        assert value == 0
+    else:
+        assert not value or (value > 0) == ((share > 0) == (full > 0))
+        if abs(share) >= 1.0:
+            assert abs(value) == abs(full)
+
+
+def block(lines, headline):
+    start = lines.index(headline) + 1
+    end = next((k for k in range(start, len(lines)) if lines[k][0] != " "), len(lines))
+    return lines[start:end]
+
+
+def test_a_force_feedback_device_in_words():
+    lines = describe_descriptor(parse_descriptor(LAYOUTS["rhino"]))
+    assert lines[0] == "joystick"
+    assert block(lines, "output report 105 (0x69), 4 bytes: Set Constant Force") == [
+        "  byte 1: effect block index, 8 bits, 1 ... 64",
+        "  byte 2: magnitude, 16 bits, -4096 ... 4096",
+    ]
+    assert block(lines, "output report 112 (0x70), 2 bytes: Device Control") == [
+        "  byte 1: Device Control, 8 bits, 1 ... 6: 1 disable actuators, 2 enable actuators, "
+        "3 stop all effects, 4 device reset, 5 device pause, 6 device continue",
+    ]
+
+
+def test_bits_units_and_rows():
+    lines = describe_descriptor(parse_descriptor(LAYOUTS["openffboard 2"]))
+    effect = block(lines, "output report 1 (0x01), 22 bytes: Set Effect")
+    assert "  byte 3: duration, 16 bits, 0 ... 32767 (times 1e-3 s)" in effect
+    assert "  byte 13 bit 2: direction enable, 1 bit, 0 ... 1" in effect
+    inputs = block(lines, "input report 1 (0x01), 25 bytes")
+    assert inputs[0] == "  byte 1 bit 0: button 1 ... button 64, 64 times 1 bit, 0 ... 1"
+    assert len(inputs) == 9
+    hat = "  byte 8 bit 0: hat, 4 bits, 0 ... 7 (physical 0 ... 315 deg), may be none"
+    assert hat in describe_descriptor(parse_descriptor(LAYOUTS["dualsense"]))
+
+
+def test_a_row_of_buttons_ends_at_a_gap():
+    some = bytes.fromhex("05010904a1010509150025017501950409010902090409058102c0")
+    assert [line for line in describe_descriptor(parse_descriptor(some)) if line[0] == " "] == [
+        "  byte 0 bit 0: button 1 ... button 2, 2 times 1 bit, 0 ... 1",
+        "  byte 0 bit 2: button 4 ... button 5, 2 times 1 bit, 0 ... 1",
+    ]

@@ -17,7 +17,6 @@ from master.devices.hid.pid import PidConfig
 from teleop.errors import UsageError
 from teleop.launch.supervisor import wait_for_condition
 from tests.hid import descriptors
-from tests.hid.virtual.arduino import Arduino
 from tests.hid.virtual.catalogue import DEVICES
 from tests.hid.virtual.dualsense import DualSense
 from tests.hid.virtual.openffboard import OpenFFBoard
@@ -28,7 +27,6 @@ CONFIG = HidConfig(
     buttons=ButtonsConfig(engage=1, clutch=2, stop=3),
     smoothing=0.0,
 )
-ENGAGE = 1
 
 
 def board():
@@ -36,7 +34,6 @@ def board():
 
 
 def know_signs(**found):
-    """Have the signs of the only device that is plugged in."""
     pusher = search.find_device("", "auto").pusher
     force_signs.save(None, ForceSigns(tuple(ForceSign(*pusher, *item) for item in found.items())))
 
@@ -71,7 +68,6 @@ class Loop:
 
 @pytest.fixture
 def open_(request):
-    """Open a device that is closed in the end."""
 
     def open_(config=CONFIG, said=None):
         device = HidDevice(config, (lambda _: None) if said is None else said.append)
@@ -106,7 +102,7 @@ def test_a_force_lasts_as_long_as_it_is_written_and_no_longer(hidraw, open_):
     loop = open_()
     loop.force = (2.0, 0.0)
     loop.until(lambda: node.force()[0] > 0.9)
-    for _ in range(500):
+    for _ in range(300):  # longer than an effect plays
         loop.tick()
     assert node.force()[0] > 0.9
     assert wait_for_condition(lambda: node.force() == (0.0, 0.0), 5.0)
@@ -137,7 +133,7 @@ def test_an_unplugged_device_is_lost_at_the_next_read_and_found_when_it_is_back(
     hidraw.unplug(node)
     lost = loop.tick()
     assert "was unplugged; waiting for the device" in lost
-    assert all(loop.tick() == lost for _ in range(300))  # and says the same all the time
+    assert all(loop.tick() == lost for _ in range(60))  # and says the same all the time
     back = hidraw.plug(board())
     back.device.axes = [-0.5, 0.0]
     loop.force = (0.0, 0.0)
@@ -146,29 +142,6 @@ def test_an_unplugged_device_is_lost_at_the_next_read_and_found_when_it_is_back(
     assert all(push.force == (0.0, 0.0) for push in back.device.pushes)
     loop.force = (2.0, 0.0)
     loop.until(lambda: back.force()[0] > 0.9)
-
-
-def test_after_a_replug_no_velocity_and_no_open_switch_is_made_up(hidraw, open_):
-    node = hidraw.plug(board())
-    loop = open_()
-    node.device.axes = [1.0, 0.0]
-    loop.until(lambda: loop.hand.position[0] == 0.1)
-    hidraw.unplug(node)
-    loop.tick()
-    back = hidraw.plug(board())
-    back.talking = False
-    back.device.axes, back.device.buttons = [-1.0, 0.0], ENGAGE
-    loop.until(lambda: loop.hand is not None)
-    assert loop.hand.engage  # nothing is known yet
-    assert not loop.hand.stop
-    assert loop.hand.position[0] == 0.1
-    back.talking = True
-    while loop.hand.position[0] == 0.1:
-        assert loop.hand.engage
-        loop.tick()
-    assert loop.hand.position[0] == pytest.approx(-0.1)
-    assert loop.hand.velocity == (0.0, 0.0)
-    assert loop.hand.engage
 
 
 def test_a_device_that_takes_no_forces_is_lost(hidraw, open_):
@@ -221,34 +194,6 @@ def test_reports_that_may_have_been_missed_are_a_loss_and_then_the_switch_counts
     assert loop.hand.velocity[0] == 0.0
 
 
-def test_the_emergency_stop_is_told_with_all_other_buttons_held(hidraw, open_):
-    node = hidraw.plug(board())
-    loop = open_()
-    node.device.buttons = (1 << 64) - 1
-    loop.until(lambda: loop.hand.stop)
-    assert loop.hand.clutch
-    node.device.buttons &= ~0b100
-    loop.until(lambda: not loop.hand.stop)
-
-
-def test_another_one_like_it_is_not_taken_for_it(hidraw, open_):
-    def arduino():
-        device = Arduino(descriptors.arduino())
-        device.serial = ""
-        return device
-
-    node, other = hidraw.plug(arduino()), hidraw.plug(arduino())
-    loop = open_(replace(CONFIG, find=str(node.path)))
-    hidraw.unplug(node)
-    loop.tick()
-    assert not wait_for_condition(lambda: other.handles or not loop.tick(), 0.5)
-    assert other.written == []
-    back = hidraw.plug(arduino())
-    loop.until(lambda: loop.hand is not None)
-    assert back.handles
-    assert not other.handles
-
-
 def test_one_that_comes_back_with_another_layout_is_refused(hidraw, open_):
     node = hidraw.plug(board())
     loop = open_()
@@ -260,13 +205,13 @@ def test_one_that_comes_back_with_another_layout_is_refused(hidraw, open_):
     assert wait_for_condition(lambda: "its report descriptor has changed" in loop.tick(), 10.0)
 
 
-@pytest.mark.parametrize("known", [{}, {"x": 1}, {"x": 1, "y": -1}, {"x": 1, "y": 1}])
+@pytest.mark.parametrize("known", [{"x": 1}, {"x": 1, "y": -1}, {"x": 1, "y": 1}])
 def test_a_device_pushes_by_itself_only_if_it_is_known_to_push_as_it_should(hidraw, open_, known):
     node, said = hidraw.plug(board()), []
     know_signs(**known)
     loop = open_(replace(CONFIG, pid=PidConfig(spring=0.5)), said)
     loop.force = (1.0, 1.0)
-    for _ in range(100):
+    for _ in range(50):
         loop.tick()
     springs = [effect for effect in node.device.effects.values() if effect.kind > 1]
     trusted = known == {"x": 1, "y": 1}
@@ -302,17 +247,6 @@ def test_a_write_that_hangs_is_a_fault_and_stops_neither_the_loop_nor_the_end(hi
     assert wait_for_condition(lambda: not node.handles, 5.0)
 
 
-def test_a_config_of_one_axis_needs_one_effect(hidraw, open_):
-    node = hidraw.plug(board())
-    node.device.slots = 1
-    know_signs(x=1, y=1)
-    with pytest.raises(DeviceFault, match="its memory for effects is full"):
-        HidDevice(CONFIG, lambda _: None)
-    loop = open_(replace(CONFIG, axes=CONFIG.axes[1:]))
-    loop.force = (2.0,)
-    loop.until(lambda: node.force() == pytest.approx((0.0, 0.5), abs=1e-3))
-
-
 def test_force_feedback_that_no_driver_can_use_is_said_with_what_to_do(hidraw, open_):
     unknown, said = board(), []
     unknown.descriptor = unknown.descriptor.replace(descriptors.operation(0x0A), b"")
@@ -324,7 +258,7 @@ def test_force_feedback_that_no_driver_can_use_is_said_with_what_to_do(hidraw, o
     assert any("WARNING: it has force feedback, but no driver" in line for line in said)
 
 
-@pytest.mark.parametrize(("product", "told"), [(0xC262, True), (0xC26E, True), (0xC24D, False)])
+@pytest.mark.parametrize(("product", "told"), [(0xC262, True), (0xC24D, False)])
 def test_a_wheel_of_another_protocol_is_known_to_have_a_force(hidraw, product, told):
     wheel = DEVICES["logitech"]()
     wheel.product = product
@@ -361,11 +295,12 @@ def test_closing_while_it_is_away_ends_the_search(hidraw):
     assert not wait_for_condition(lambda: back.handles, 0.3)
 
 
-@pytest.mark.parametrize("force", [(math.nan, 0.0), (0.0,), (0.0, math.inf)])
-def test_it_refuses_what_the_gate_never_sends(hidraw, open_, force):
+def test_it_refuses_what_the_gate_never_sends(hidraw, open_):
     hidraw.plug(board())
-    with pytest.raises(DeviceFault, match="refuses"):
-        open_().device.write(force)
+    device = open_().device
+    for force in ((math.nan, 0.0), (0.0,), (0.0, math.inf)):
+        with pytest.raises(DeviceFault, match="refuses"):
+            device.write(force)
 
 
 def test_the_buttons_may_be_on_another_device(hidraw, open_):
@@ -456,20 +391,15 @@ def test_a_device_whose_guard_has_died_is_lost(hidraw, open_):
 def test_one_that_always_talks_and_falls_silent_is_lost_and_back_when_it_talks(hidraw, open_):
     node = hidraw.plug(DualSense(descriptors.dualsense_usb()), ((1, 5),))
     loop = open_(HidConfig(axes=(AxisConfig("l2", travel=0.02),)))
-    for _ in range(300):
+    for _ in range(60):
         assert not loop.tick()
     node.talking = False
     loop.until(lambda: loop.hand is None)
     assert "stopped sending" in loop.tick()
-    for _ in range(300):
+    for _ in range(60):
         assert "stopped sending" in loop.tick()
     node.talking = True
     loop.until(lambda: loop.hand is not None)
-
-
-def test_a_device_that_is_not_there_at_the_start_is_one_line(hidraw):
-    with pytest.raises(UsageError, match=r"^master\.device: no haptic device attached"):
-        open_device(HidConfig())
 
 
 def test_what_the_config_asks_for_in_vain_is_one_line_and_lets_go_of_the_device(hidraw):
@@ -479,19 +409,6 @@ def test_what_the_config_asks_for_in_vain_is_one_line_and_lets_go_of_the_device(
     assert wait_for_condition(lambda: not node.handles, 5.0)
 
 
-def test_one_that_is_known_at_once_when_it_is_back_makes_up_no_velocity(hidraw, open_):
-    node = hidraw.plug(DualSense(descriptors.dualsense_usb()), ((1, 5),))
-    loop = open_(HidConfig(axes=(AxisConfig("l2", travel=0.02),)))
-    loop.until(lambda: not loop.hand.engage)
-    hidraw.unplug(node)
-    assert loop.tick()
-    pulled = DualSense(descriptors.dualsense_usb())
-    pulled.axes[4] = 1.0
-    hidraw.plug(pulled, ((1, 5),))
-    loop.until(lambda: loop.hand is not None)
-    assert (loop.hand.position, loop.hand.velocity) == ((0.02,), (0.0,))
-
-
 def test_a_device_that_stays_away_costs_no_memory(hidraw, open_):
     node = hidraw.plug(board())
     device = open_().device
@@ -499,7 +416,7 @@ def test_a_device_that_stays_away_costs_no_memory(hidraw, open_):
     gc.collect()
     gc.disable()  # as in the loop
     try:
-        for tick in range(2000):
+        for tick in range(1500):
             with pytest.raises(DeviceLost):
                 device.read(tick * 1e-3)
         assert gc.collect() < 1000

@@ -3,6 +3,7 @@
 HID_FUZZ=50000 in the environment makes as many examples of each test.
 """
 
+import math
 import os
 
 from hypothesis import HealthCheck, given, settings
@@ -16,10 +17,12 @@ from master.devices.hid.descriptor import (
     parse_descriptor,
 )
 from master.devices.hid.driver import DriverError, build_unknown_controls
-from master.devices.hid.joystick import Inputs
+from master.devices.hid.dualsense import DualSenseDriver
+from master.devices.hid.joystick import Inputs, SpaceMouseDriver
 from master.devices.hid.pid import PidConfig, PidDriver
 from master.devices.hid.pid_reports import build_layout
 from master.devices.hid.usages import MAGNITUDE, describe_descriptor
+from master.devices.hid.wheels import FFBeastDriver, LogitechDriver
 from tests.hid.descriptors import LAYOUTS
 
 fuzz = settings(
@@ -111,7 +114,6 @@ def check(descriptor):
 
 
 def feel(inputs, reports):
-    """Decode anything, as a device could send it."""
     controls = build_unknown_controls(len(inputs.axes))
     for report in reports:
         controls = inputs.decode(controls, report)
@@ -180,3 +182,37 @@ def test_right_descriptors_and_any_reports(name, reports, forces, choose):
     data = LAYOUTS[name]
     feel(Inputs(parse_descriptor(data)), reports)
     push(data, None, Whatever(choose), forces)
+
+
+def effect_modes(report):
+    return {report[11], report[22]} if report[0] == 0x02 else {report[13], report[24]}
+
+
+def check_logitech(report, share):
+    assert report[:3] == b"\0\x11\x08"
+    assert 0x01 <= report[3] <= 0xFF
+    assert math.copysign(1, report[3] - 0x80) == math.copysign(1, share) or report[3] == 0x80
+
+
+OWN_REPORTS = [  # of the drivers without a descriptor's help, and what each may write
+    (DualSenseDriver(), lambda report, _: effect_modes(report) <= {0x05, 0x21}),
+    (DualSenseDriver(bluetooth=True), lambda report, _: effect_modes(report) <= {0x05, 0x21}),
+    (
+        FFBeastDriver(),
+        lambda report, _: abs(int.from_bytes(report[4:6], "little", signed=True)) <= 10_000,
+    ),
+    (
+        LogitechDriver(parse_descriptor(LAYOUTS["logitech g29"])),
+        lambda report, share: check_logitech(report, share) is None,
+    ),
+    (SpaceMouseDriver(), lambda *_: False),
+]
+
+
+@fuzz
+@given(st.sampled_from(OWN_REPORTS), st.binary(max_size=90), st.tuples(FORCE, FORCE))
+def test_drivers_of_one_kind_of_device(driver_and_rule, report, force):
+    driver, may_write = driver_and_rule
+    feel(driver, [start + report for start in (b"", b"\x01", b"\x31", b"\xa3")])
+    for out in driver.encode(force[: len(driver.forces)], arm=True):
+        assert may_write(out, force[0])

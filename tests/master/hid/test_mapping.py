@@ -38,15 +38,10 @@ class Hand:
         return hand
 
 
-def test_travel_is_the_way_from_the_middle_to_the_end():
-    hand = Hand(AxisConfig("x", travel=0.05), AxisConfig("y", travel=0.1, sign=-1))
-    assert hand.read(1.0, 0.5).position == pytest.approx((0.05, -0.05))
-    assert hand.read(-0.5, 0.0).position == pytest.approx((-0.025, 0.0))
-
-
-def test_an_axis_moves_the_joint_that_it_names_and_others_stay():
-    hand = Hand(AxisConfig("z", joint=2, travel=0.1), AxisConfig("x", joint=0, travel=0.1))
-    assert hand.read(0.5, 0.0, 1.0).position == pytest.approx((0.05, 0.0, 0.1))
+def test_travel_is_the_way_from_the_middle_to_the_end_of_the_joint_that_an_axis_names():
+    hand = Hand(AxisConfig("x", travel=0.05), AxisConfig("y", joint=2, travel=0.1, sign=-1))
+    assert hand.read(1.0, 0.5).position == pytest.approx((0.05, 0.0, -0.05))
+    assert hand.read(-0.5, 0.0).position == pytest.approx((-0.025, 0.0, 0.0))
 
 
 @given(st.floats(-1.0, 1.0), st.floats(0.0, 0.9))
@@ -59,22 +54,11 @@ def test_a_dead_zone_makes_no_jump_and_leaves_the_ends(share, zone):
     assert abs(out) <= abs(share) + 1e-12  # rounding
 
 
-@pytest.mark.parametrize("smoothing", [0.0, 0.01])
-def test_the_velocity_of_a_steady_motion_is_found(smoothing):
-    hand = Hand(AxisConfig("x", travel=0.1), smoothing=smoothing)
-    for tick in range(200):
-        state = hand.read(tick * 0.002)
-    assert state.velocity[0] == pytest.approx(0.1 * 0.002 / DT, rel=1e-6)
-
-
 def test_the_velocity_filter_has_its_time_constant():
     hand = Hand(AxisConfig("x", travel=1.0), smoothing=0.05)
-    hand.read(0.0, dt=1e-5)
-    share = 0.0
-    for _ in range(5000):  # 0.05 s
-        share += 1e-5
-        state = hand.read(share, dt=1e-5)
-    assert state.velocity[0] == pytest.approx(1.0 - math.exp(-1.0), rel=2e-3)
+    hand.read(0.0, dt=1e-4)
+    speeds = [hand.read(1e-4 * k, dt=1e-4).velocity[0] for k in range(1, 501)]  # 0.05 s
+    assert speeds[-1] == pytest.approx(1.0 - math.exp(-1.0), rel=5e-3)
 
 
 def test_reports_that_come_more_seldom_than_ticks_are_smoothed():
@@ -113,12 +97,6 @@ def test_the_buttons_of_a_scale_are_told_and_only_those_that_are_given(less, mor
     assert [getattr(state, less) for state in reported] == [False, True, False, False, True]
     assert [getattr(state, more) for state in reported] == [False, False, False, True, True]
     assert not getattr(Hand(stick).read(0.0, buttons=ALL), less)
-
-
-def test_a_button_that_is_not_given_is_never_held():
-    hand = Hand(AxisConfig("x", travel=0.1), buttons=ButtonsConfig(engage=2))
-    assert hand.read(0.0, buttons=ALL & ~ENGAGE).clutch is False
-    assert hand.read(0.0, buttons=0b1101).engage is False
 
 
 def test_until_everything_is_known_the_switch_counts_as_held_and_nothing_moves():
@@ -197,36 +175,3 @@ def test_whatever_is_asked_for_a_share_is_a_share(force, sign):
 def test_what_the_device_does_not_have_is_named(axis, buttons, complaint):
     with pytest.raises(DeviceFault, match=complaint):
         planned(axis, buttons=buttons)
-
-
-@pytest.mark.parametrize(
-    ("settings", "complaint"),
-    [
-        ({"travel": 0.1, "speed": 0.1}, "travel, speed"),
-        ({}, "travel, speed"),
-        ({"travel": 2.0}, "travel"),
-        ({"travel": 0.1, "dead_zone": 1.0}, "dead_zone"),
-        ({"travel": 0.1, "force": -1.0}, "force"),
-        ({"travel": 0.1, "joint": 8}, "joint"),
-        ({"travel": 0.1, "name": ""}, "name"),
-    ],
-)
-def test_an_axis_that_makes_no_sense_is_refused(settings, complaint):
-    with pytest.raises(ValueError, match=complaint):
-        AxisConfig(**({"name": "x"} | settings))
-
-
-@pytest.mark.parametrize(
-    "settings",
-    [
-        {"axes": ()},
-        {"axes": (AxisConfig(travel=0.1), AxisConfig("y", joint=0, travel=0.1))},
-        {"axes": (AxisConfig(travel=0.1), AxisConfig(travel=0.1))},
-        {"smoothing": 1.0},
-    ],
-)
-def test_a_device_that_makes_no_sense_is_refused(settings):
-    with pytest.raises(ValueError, match=r"axes|smoothing"):
-        HidConfig(**settings)
-    with pytest.raises(ValueError, match="must be different"):
-        ButtonsConfig(engage=1, clutch=1)

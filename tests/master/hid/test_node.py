@@ -24,13 +24,6 @@ def node(plugged):
     node.close()
 
 
-def test_reports_come_as_bytes_oldest_first_and_none_is_waited_for(node, plugged):
-    assert node.drain() == []
-    plugged.push(b"\x01ab", b"\x02cd")
-    assert node.drain() == [b"\x01ab", b"\x02cd"]
-    assert node.drain() == []
-
-
 def test_a_full_queue_is_told_by_its_length(node, plugged):
     plugged.push(*(bytes((1, k)) for k in range(80)))
     reports = node.drain()
@@ -67,13 +60,6 @@ def test_an_unplugged_device_is_a_fault_on_the_next_read(hidraw, node, plugged):
         node.get_feature(0x13, 5)
     with pytest.raises(DeviceFault):
         node.descriptor()
-
-
-def test_features_and_the_descriptor_are_read(node):
-    assert node.descriptor() == openffboard()
-    assert node.get_feature(0x13, 5)[0] == 0x13
-    with pytest.raises(DeviceFault, match="119"):
-        node.get_feature(119, 5)
 
 
 def test_a_closed_node_is_a_fault_and_closing_again_is_nothing(node):

@@ -1,24 +1,28 @@
-"""Finding devices, and what is said when there is none that can be used."""
+"""Finding devices, what is said when none can be used, and a wheel in console mode."""
 
 import os
+import re
 
 import pytest
 
 from master.device import DeviceFault
-from master.devices.hid import search
-from master.devices.hid.drivers import DRIVERS, AttachedNode
+from master.devices.hid import drivers, dualsense, joystick, search, wheels
+from master.devices.hid.device import HidDevice
+from master.devices.hid.drivers import DRIVERS
+from master.devices.hid.mapping import AxisConfig, HidConfig
+from teleop.launch.supervisor import wait_for_condition
 from tests.hid import descriptors
 from tests.hid.virtual.arduino import Arduino
 from tests.hid.virtual.device import BLUETOOTH
 from tests.hid.virtual.dualsense import DualSense
+from tests.hid.virtual.logitech import Logitech
 from tests.hid.virtual.openffboard import OpenFFBoard, OpenFFBoardWheel
 from tests.hid.virtual.rhino import Rhino
 from tests.hid.virtual.spacemouse import SpaceMouse
+from tests.master.reading import comes_back, reads
 
 
 class Keyboard:
-    """Something that no driver is for."""
-
     name, bus, vendor, product, serial = "Keyboard", 3, 0x046D, 0xC31C, ""
     descriptor = b"\x05\x01\x09\x06\xa1\x01\xc0"
     interval = 0.01
@@ -40,10 +44,7 @@ def ffbeast(interface):
     ("device", "kind"),
     [
         (OpenFFBoard(descriptors.openffboard()), "pid"),
-        (OpenFFBoardWheel(descriptors.openffboard(1)), "pid"),
-        (Arduino(descriptors.arduino()), "pid"),
         (Rhino(descriptors.rhino()), "pid"),
-        (DualSense(descriptors.dualsense_usb()), "dualsense"),
         (DualSense(descriptors.dualsense_usb(), BLUETOOTH), "dualsense"),
         (SpaceMouse(descriptors.spacemouse()), "spacemouse"),
     ],
@@ -84,23 +85,6 @@ def test_of_two_the_config_must_name_one(hidraw):
     with pytest.raises(DeviceFault, match=r"several devices fit.*1209:ffb0.*2341:8036"):
         search.find_device("", "auto")
     assert search.find_device("2341:8036", "auto").item.name == "Arduino LLC Arduino Leonardo"
-
-
-def test_two_alike_are_told_apart_by_their_serial_numbers(hidraw):
-    for serial in ("A1", "B2"):
-        board = OpenFFBoard(descriptors.openffboard())
-        board.serial = serial
-        hidraw.plug(board)
-    with pytest.raises(DeviceFault, match="several"):
-        search.find_device("1209:ffb0", "auto")
-    assert search.find_device("b2", "auto").item.serial == "B2"
-
-
-def test_two_of_the_same_serial_number_are_two(hidraw):
-    nodes = [hidraw.plug(OpenFFBoard(descriptors.openffboard())) for _ in range(2)]
-    with pytest.raises(DeviceFault, match="several"):
-        search.find_device("1209:ffb0", "auto")
-    assert search.find_device(str(nodes[1].path), "auto").item.path == str(nodes[1].path)
 
 
 @pytest.mark.parametrize("serial", ["W1", ""])
@@ -154,15 +138,6 @@ def test_one_that_may_not_be_opened_names_the_remedy(hidraw, monkeypatch):
     monkeypatch.setattr(os, "access", lambda path, _: str(path) != str(node.path))
     with pytest.raises(DeviceFault, match=r"no permission to open .*udev rule"):
         search.find_device("", "auto")
-
-
-def test_one_that_cannot_even_be_described_is_not_a_crash(hidraw):
-    hidraw.plug(OpenFFBoard(descriptors.openffboard())).permitted = False
-    for find in ("1209:ffb0", ""):
-        with pytest.raises(
-            DeviceFault, match=r"no driver fits.*Open_FFB.*cannot be opened; .*udev"
-        ):
-            search.find_device(find, "auto")
 
 
 def test_the_descriptor_is_read_where_linux_shows_it_to_all(hidraw, tmp_path, monkeypatch):
@@ -223,11 +198,6 @@ def test_no_device_that_may_keep_a_force_counts_as_one_that_forgets():
     }
 
 
-def test_force_signs_are_of_the_very_device_if_it_has_a_serial_number():
-    assert AttachedNode("p", 0x1209, 0xFFB0).identity == "1209:ffb0"
-    assert AttachedNode("p", 0x1209, 0xFFB0, "S").identity == "1209:ffb0:S"
-
-
 def test_force_signs_are_of_one_driver_and_one_descriptor(hidraw):
     hidraw.plug(OpenFFBoard(descriptors.openffboard()))
     pid, joystick = (search.find_device("", name).pusher for name in ("pid", "joystick"))
@@ -240,3 +210,130 @@ def test_force_signs_are_of_one_driver_and_one_descriptor(hidraw):
         other._replace(item=other.item._replace(serial=OpenFFBoard.serial)).pusher.layout
         != pid.layout
     )
+
+
+RULE = re.compile(
+    r'KERNEL=="hidraw\*", (ATTRS\{idVendor\}=="[0-9a-f]{4}"(, ATTRS\{idProduct\}=="[0-9a-f]{4}")?'
+    r'|KERNELS=="0005:[0-9A-F]{4}:([0-9A-F]{4}|\*)\.\*"), TAG\+="uaccess"'
+)
+
+
+def test_every_line_is_a_rule_udev_understands():
+    lines = [
+        line for line in drivers.format_rules().splitlines() if line and not line.startswith("#")
+    ]
+    assert len(lines) == 2 * len(drivers.KNOWN_MODELS)
+    assert len(set(lines)) == len(lines)
+    for line in lines:
+        assert RULE.fullmatch(line), line
+
+
+def test_there_is_a_rule_for_every_model_that_a_driver_is_for():
+    text = drivers.format_rules()
+    models = [(wheels.LOGITECH_VENDOR, product) for product in wheels.LOGITECH_PRODUCTS]
+    models += [
+        (joystick.SPACEMOUSE_OLD_VENDOR, product) for product in joystick.SPACEMOUSE_OLD_PRODUCTS
+    ]
+    models += [(dualsense.VENDOR, product) for product in dualsense.PRODUCTS]
+    for vendor, product in (*models, (wheels.FFBEAST_VENDOR, wheels.FFBEAST_PRODUCT)):
+        assert f'{{idVendor}}=="{vendor:04x}", ATTRS{{idProduct}}=="{product:04x}"' in text
+
+
+def test_one_more_device_is_added_and_a_known_one_is_not_said_twice():
+    text = drivers.format_rules([(0x1234, 0xABCD, "Mine\nRUN+=evil"), (0x1209, 0xFFB0, "again")])
+    assert 'ATTRS{idVendor}=="1234", ATTRS{idProduct}=="abcd"' in text
+    assert "# Mine RUN+=evil\n" in text
+    assert text.count('"ffb0"') == 1
+    assert not any(line.startswith("RUN") for line in text.splitlines())
+
+
+SWITCH = bytes.fromhex("30 f8 09 07 01 01 00 00")  # berarma/new-lg4ff: report 30, then 7 bytes
+CENTRE_OFF = bytes.fromhex("00 f5 00 00 00 00 00 00")
+STOP = bytes.fromhex("00 13 00 00 00 00 00 00")
+
+
+class Wheel(Logitech):
+    """A G923 in PC mode."""
+
+    name, product = "Logitech G923 Racing Wheel", 0xC266
+
+
+class ConsoleWheel(Logitech):
+    """A G923 in console mode, which takes one report and is then another device."""
+
+    name, product = "Logitech G923 Racing Wheel", 0xC267
+
+    def __init__(self, bus, leaves=True):
+        super().__init__(descriptors.logitech_g29())
+        self.bus, self.leaves, self.now = bus, leaves, None
+
+    def output(self, _now, report):
+        if report != SWITCH:
+            self.refused.append(report)
+        elif self.leaves:
+            node = next(node for node in self.bus.nodes.values() if node.device is self)
+            self.bus.unplug(node)
+            self.now = self.bus.plug(wheel())
+
+
+def wheel():
+    device = Wheel(descriptors.logitech_g29())
+    device.interval = 0.010
+    return device
+
+
+def config(find=""):
+    return HidConfig(find=find, axes=(AxisConfig("x", travel=0.1, force=2.0),), smoothing=0.0)
+
+
+@pytest.mark.parametrize("find", ["", "046d:c266"])
+def test_it_is_switched_over_with_the_one_report_and_driven_by_classic_commands(hidraw, find):
+    before = ConsoleWheel(hidraw)
+    node, said = hidraw.plug(before), []
+    device = HidDevice(config(find), said.append)
+    assert node.written == [SWITCH]
+    assert before.now.written[:2] == [CENTRE_OFF, STOP]
+    assert "switched from console to PC mode" in said[0]
+    assert comes_back(device)
+    device.close()
+    assert before.now.device.refused == []
+
+
+def test_back_in_console_mode_after_a_replug_it_is_switched_over_again(hidraw):
+    node = hidraw.plug(wheel())
+    device = HidDevice(config(), lambda _line: None)
+    hidraw.unplug(node)
+    assert not reads(device)
+    back = ConsoleWheel(hidraw)
+    hidraw.plug(back)
+    assert comes_back(device)
+    assert CENTRE_OFF in back.now.written
+    device.close()
+
+
+def test_another_one_in_console_mode_is_left_alone_by_a_replug(hidraw):
+    node, other = hidraw.plug(wheel()), hidraw.plug(ConsoleWheel(hidraw))
+    device = HidDevice(config(str(node.path)), lambda _line: None)
+    hidraw.unplug(node)
+    assert not reads(device)
+    assert not wait_for_condition(lambda: other.written or reads(device), 0.5)
+    device.close()
+
+
+def test_beside_another_device_it_must_be_selected(hidraw):
+    node = hidraw.plug(ConsoleWheel(hidraw))
+    hidraw.plug(OpenFFBoard(descriptors.openffboard()))
+    assert search.leave_console_mode("", "auto") == ""
+    assert search.leave_console_mode("1209:ffb0", "auto") == ""
+    assert search.leave_console_mode("046d:c267", "joystick") == ""
+    assert node.written == []
+    assert search.find_device("", "auto").kind == "pid"
+    assert search.leave_console_mode("046d:c267", "auto")
+    assert node.written == [SWITCH]
+
+
+def test_one_that_stays_in_console_mode_is_said(hidraw, monkeypatch):
+    monkeypatch.setattr(search, "MODE_SWITCH_TIMEOUT_S", 0.1)
+    hidraw.plug(ConsoleWheel(hidraw, leaves=False))
+    with pytest.raises(DeviceFault, match="does not leave its console mode"):
+        HidDevice(config(), lambda _line: None)

@@ -109,11 +109,6 @@ def test_over_any_script_the_device_is_up_to_date_and_reminded_in_time(script):
         assert now - reminded < REARM_PERIOD_S
 
 
-def test_what_is_posted_is_written(thread, sink):
-    thread.post((0.5, 0.0))
-    assert wait_for_condition(lambda: sink.written == [b"x 0.5", b"y 0", b"start"], 5.0)
-
-
 def test_while_a_write_waits_the_newest_force_wins(thread, sink):
     sink.free.clear()
     thread.post((0.1, 0.0))

@@ -143,20 +143,11 @@ def test_a_ros_node_moves_the_tip_and_no_wrong_command_does(tmp_path):
 
         assert wait_for_condition(moved, PATIENCE_S), texts(events)
 
-        def flood():
-            data = encode(operator.wave())
-            for _ in range(400):
-                operator.servo.put(data)
-
         wrong = {
             "joint 1 is not finite": lambda: build_joint_state(
                 build_header(0), position=(math.nan,)
             ),
-            "3 joints, must be 1": lambda: build_joint_state(
-                build_header(0), position=(0.0, 0.0, 0.0)
-            ),
             "silent for 0.5 s": lambda: None,
-            "flood of more than": flood,
         }
         for words, send in wrong.items():
             if master_state(link) is not State.ENGAGED:

