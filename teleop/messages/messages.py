@@ -46,6 +46,7 @@ STAGE_NAMES = ("read to sent", "link both ways", "answered", "received to writte
 # Values of EmergencyStop.action
 STOP_ACTIONS = ("stop", "reset", "watch", "leave")
 
+SCHEMA_PACKAGE = "tendon_teleop"  # of the messages, where ROS 2 and recordings name them
 ENCAPSULATION = b"\x00\x01\x00\x00"  # CDR, little-endian
 _CHECKSUM_START = len(ENCAPSULATION) + 4  # the checksum covers everything after it
 _HEAD = struct.Struct("<IIQQq")

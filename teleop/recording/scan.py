@@ -34,7 +34,6 @@ GAPS_METADATA = "gaps"  # "<topic>/<sender>": lost messages; the last record of 
 DROPPED_METADATA = "dropped"  # "<topic>": came, but the recorder was too slow; the last one counts
 END_METADATA = "end"  # how the recording ended: what is missing, largest lag, unfinished senders
 CONFIG_ATTACHMENT = "config.yaml"
-SCHEMA_PACKAGE = "tendon_teleop"
 
 
 def to_channel_name(topic: str) -> str:

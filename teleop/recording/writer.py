@@ -25,14 +25,13 @@ from mcap.writer import CompressionType, Writer
 from teleop.config.strict_yaml import SIZE_MAX
 from teleop.errors import TeleopError, UsageError
 from teleop.link import ReceivedMessage
-from teleop.messages.messages import LAYOUT
+from teleop.messages.messages import LAYOUT, SCHEMA_PACKAGE
 from teleop.messages.topics import Topic
 from teleop.recording.scan import (
     CONFIG_ATTACHMENT,
     DROPPED_METADATA,
     END_METADATA,
     GAPS_METADATA,
-    SCHEMA_PACKAGE,
     SESSION_METADATA,
     VERSIONS_METADATA,
     to_channel_name,

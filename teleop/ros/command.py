@@ -20,10 +20,9 @@ from teleop.config.options import add_options
 from teleop.errors import UsageError
 from teleop.link import Link
 from teleop.link.ros_session import is_router_listening
-from teleop.messages.messages import MESSAGES, Message
+from teleop.messages.messages import MESSAGES, SCHEMA_PACKAGE, Message
 from teleop.messages.page import read_field_comments
 from teleop.messages.topics import Role
-from teleop.recording.scan import SCHEMA_PACKAGE
 from teleop.ros.config import RosConfig, check_ports
 from teleop.ros.message_types import require_rosbags
 from teleop.ros.node import RosNode

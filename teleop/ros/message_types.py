@@ -16,8 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from teleop.errors import TeleopError, UsageError
-from teleop.messages.messages import ENCAPSULATION, MESSAGES, Message
-from teleop.recording.scan import SCHEMA_PACKAGE
+from teleop.messages.messages import ENCAPSULATION, MESSAGES, SCHEMA_PACKAGE, Message
 
 if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore

@@ -192,9 +192,11 @@ class DetailedReason(NamedTuple):
     @classmethod
     def parse(cls, text: str) -> "DetailedReason":
         """Return what has this `text`, as it is read from a file; an unknown reason as UNKNOWN."""
-        name, _, detail = text.partition(": ")
-        reason = _REASONS_BY_TEXT.get(name)
-        return cls(Reason.UNKNOWN, text) if reason is None else cls(reason, detail)
+        names = [name for name in _REASONS_BY_TEXT if f"{text}: ".startswith(f"{name}: ")]
+        if not names:
+            return cls(Reason.UNKNOWN, text)
+        name = max(names, key=len)  # a reason may have a colon of its own
+        return cls(_REASONS_BY_TEXT[name], text[len(name) + 2 :])
 
 
 class SessionOutline(NamedTuple):

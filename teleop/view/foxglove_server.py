@@ -19,8 +19,9 @@ from mcap.well_known import MessageEncoding, SchemaEncoding
 
 from teleop.errors import UsageError
 from teleop.link import ReceivedMessage
+from teleop.messages.messages import SCHEMA_PACKAGE
 from teleop.messages.topics import TOPICS
-from teleop.recording.scan import SCHEMA_PACKAGE, to_channel_name
+from teleop.recording.scan import to_channel_name
 from teleop.view.feed import MessageSource
 from teleop.view.local_server import GuardedHandler, LocalServer
 

@@ -35,17 +35,6 @@ def test_all_of_the_state_is_restored_as_often_as_wanted(state):
         assert to_bytes(state) == before
 
 
-def test_what_is_restored_is_what_was_there_at_the_last_save(state):
-    checkpoint = Checkpoint(*state)
-    change(state)
-    checkpoint.save()
-    saved = to_bytes(state)
-    change(state)
-    assert to_bytes(checkpoint.saved) == saved
-    checkpoint.restore()
-    assert to_bytes(state) == saved
-
-
 class Process:
     """Steps that take as long as they are told."""
 

@@ -1,7 +1,5 @@
 """The config loader: what it accepts, and the one line it says about everything else."""
 
-import argparse
-import dataclasses
 import math
 import re
 from dataclasses import dataclass, field, replace
@@ -14,7 +12,6 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from teleop.config.loading import MAY_BE_INFINITE, SESSION_KEYS, ConfigDocument, as_tree, load
-from teleop.config.options import add_options
 from teleop.config.overrides import Override
 from teleop.errors import UsageError
 from teleop.launch.config import SessionConfig
@@ -103,6 +100,8 @@ def test_defaults_without_a_file_and_from_an_empty_one(tmp_path: Path) -> None:
     assert load(None, Everything, "slave") == Everything()
     for text in ("", "# nothing\n", "slave:\n", "master:\n"):
         assert load(write(tmp_path, text), Everything, "slave") == Everything()
+    built = load(None, Everything, "slave", ["slave.sections.1.radius=0.03", "slave.rig.seed=2"])
+    assert built == Everything(Simulated(seed=2), (Section(0.5), Section(0.2, 0.03)))
 
 
 def test_every_kind_of_value(tmp_path: Path) -> None:
@@ -143,11 +142,6 @@ def test_what_a_nested_mapping_leaves_out_keeps_the_default_of_its_field(tmp_pat
     assert of(tmp_path, "force:").force == Force(scale=3.0)
 
 
-def test_a_union_without_a_type_is_its_default_s(tmp_path: Path) -> None:
-    assert of(tmp_path, "rig: {seed: 4}").rig == Simulated(seed=4)
-    assert of(tmp_path, "rig: {type: simulated, seed: 4}").rig == Simulated(seed=4)
-
-
 @pytest.mark.parametrize(
     ("text", "key", "says"),
     [
@@ -157,14 +151,11 @@ def test_a_union_without_a_type_is_its_default_s(tmp_path: Path) -> None:
         ("tendons: two", "slave.tendons", "'two' is not a whole number"),
         ("tendons: 2.0", "slave.tendons", "2.0 is not a whole number"),
         ("tendons: true", "slave.tendons", "true is not a whole number"),
-        ("tendons: '2'", "slave.tendons", "'2' is not a whole number"),
         ("tendons:", "slave.tendons", "null is not a whole number"),
         ("tendons: 0", "slave.tendons", "0: allowed are 1 to 16"),
         ("pretension: true", "slave.pretension", "true is not a number"),
         ("pretension: '1.5'", "slave.pretension", "'1.5' is not a number"),
-        ("pretension: [1]", "slave.pretension", "[1] is not a number"),
         ("pretension: .nan", "slave.pretension", "not a finite number"),
-        ("pretension: -.inf", "slave.pretension", "not a finite number"),
         ("pretension: 1e999", "slave.pretension", "not a finite number"),
         ("pretension: 1" + "0" * 400, "slave.pretension", "not a finite number"),
         ("pretension: 13", "slave", "an unlucky combination"),
@@ -172,31 +163,25 @@ def test_a_union_without_a_type_is_its_default_s(tmp_path: Path) -> None:
         ("enabled: yes", "slave.enabled", "'yes' is not true or false"),
         ("name: 12", "slave.name", "12 is not text; put it in quotes"),
         ("folder: 3", "slave.folder", "3 is not a path"),
-        ("mode: rat", "slave.mode", "did you mean 'rate'?"),
         ("mode: rat", "slave.mode", "one of 'position', 'rate', 1"),
         ("mode: true", "slave.mode", "true is not one of"),
         ("gains: 3", "slave.gains", "3 is not a list"),
         ("gains: [1, x]", "slave.gains.1", "'x' is not a number"),
         ("gains: {a: 1}", "slave.gains.a", "counted from 0"),
         ("span: [1]", "slave.span", "has 1 items, 2 are needed"),
-        ("gain: x", "slave.gain", "'x' is not a number"),
         ("gain: [1, x]", "slave.gain.1", "'x' is not a number"),
         ("sections: [{length: 1}, {radius: 1}]", "slave.sections.1.length", "is missing"),
-        ("sections: [{length: .inf}]", "slave.sections.0.length", "not a finite number"),
         ("sections: [{length: 1, radius: .nan}]", "slave.sections.0.radius", "not a finite"),
         ("sections: [{length: 1, radius: straight}]", "slave.sections.0.radius", "(or .inf)"),
-        ("sections: [3]", "slave.sections.0", "3 is not a mapping"),
         ("force: 3", "slave.force", "3 is not a mapping"),
         ("force: {limit: 60}", "slave.force.limit", "allowed is up to 50 N"),
         ("rig: {type: simulatd}", "slave.rig.type", "did you mean 'simulated'?"),
-        ("rig: {type: 3}", "slave.rig.type", "3 is unknown"),
         ("rig: {type: replayed}", "slave.rig.file", "is missing; it is a path"),
         ("rig: {type: replayed, seed: 1}", "slave.rig.seed", "unknown key"),
         ("rig: {noise: -1}", "slave.rig.noise", "-1.0: is below 0; allowed is 0 or more"),
         ("rig: 3", "slave.rig", "3 is not {type: ..., ...}"),
         ("rig: replayed", "slave.rig", "{type: replayed, ...} is wanted"),
         ("sections: {type: bent}", "slave.sections", "[{type: bent, ...}] is wanted"),
-        ("optional: 3", "slave.optional", "3 is not a mapping"),
     ],
 )
 def test_a_wrong_value_is_named_by_file_key_value_and_remedy(
@@ -211,18 +196,15 @@ def test_a_wrong_value_is_named_by_file_key_value_and_remedy(
     ("content", "says"),
     [
         (b"slave: {tendons: 1, tendons: 2}", "line 1: the key 'tendons' occurs twice"),
-        (b"slave:\n  tendons: 1\nslave:\n  tendons: 2\n", "line 3: the key 'slave' occurs twice"),
         (b"slave:\n  1: 2\n", "line 2: the key 1 is not text"),
-        (b"slave:\n  ? [1, 2]\n  : 2\n", "line 2"),
         (b"slave: {tendons: 1", "line 1"),
         (b"slave:\n\ttendons: 1\n", "line 2"),
         (b"a: 1\n---\nb: 2\n", "line 2"),
         (b"slave: !!python/object:os.system {}\n", "line 1"),
         (b"- 1\n- 2\n", "the top level is not a mapping"),
-        (b"just words\n", "the top level is not a mapping"),
         (b"\xff\xfe\x00", "is not UTF-8 text"),
         (b"slave: \x00\n", "not YAML"),
-        (b"[" * 5000, "nested too deeply"),
+        (b"[" * 1200, "nested too deeply"),
         (b"slave: {tendons: " + b"9" * 5000 + b"}\n", "config.yaml: "),
         (b"slav: {}\n", "slav: unknown key; did you mean 'slave'?"),
         (b"slave: 3\n", "slave: 3 is not a mapping"),
@@ -255,16 +237,19 @@ def test_a_byte_order_mark_is_no_part_of_the_first_key(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("written", "value"),
-    [("1e-3", 1e-3), ("1E3", 1e3), (".5", 0.5), ("5.", 5.0), ("-2", -2.0), ("+1.5e+2", 150.0)],
+    [
+        *(("1e-3", 1e-3), ("1E3", 1e3), (".5", 0.5), ("5.", 5.0), ("-2", -2.0), ("+1.5e+2", 150.0)),
+        *((text, None) for text in ("012", "1:30", "1_000", "0x10", "on", "2024-01-01")),
+    ],
 )
-def test_numbers_are_read_as_one_expects(tmp_path: Path, written: str, value: float) -> None:
-    assert of(tmp_path, f"pretension: {written}").pretension == value
-
-
-@pytest.mark.parametrize("written", ["012", "1:30", "1_000", "0x10", "on", "2024-01-01"])
-def test_yaml_1_1_s_surprises_are_text(tmp_path: Path, written: str) -> None:
-    assert of(tmp_path, f"name: {written}").name == written
-    assert "is not a number" in refusal(tmp_path, f"pretension: {written}")
+def test_numbers_are_read_as_one_expects_and_yaml_1_1_s_surprises_are_text(
+    tmp_path: Path, written: str, value: float | None
+) -> None:
+    if value is not None:
+        assert of(tmp_path, f"pretension: {written}").pretension == value
+    else:
+        assert of(tmp_path, f"name: {written}").name == written
+        assert "is not a number" in refusal(tmp_path, f"pretension: {written}")
 
 
 def test_overrides_are_laid_over_the_file_in_order(tmp_path: Path) -> None:
@@ -283,12 +268,6 @@ def test_overrides_are_laid_over_the_file_in_order(tmp_path: Path) -> None:
     assert [s.length for s in built.sections] == [1.0, 9.0]
     assert built.gains == (1.0, 2.0)
     assert built.rig == Replayed(Path("x.csv"))  # typed on the command line: from where one stands
-
-
-def test_overrides_reach_into_default_lists_and_work_without_a_file() -> None:
-    built = load(None, Everything, "slave", ["slave.sections.1.radius=0.03", "slave.rig.seed=2"])
-    assert built.sections == (Section(0.5), Section(0.2, 0.03))
-    assert built.rig == Simulated(seed=2)
 
 
 @pytest.mark.parametrize(
@@ -310,24 +289,16 @@ def test_an_override_changes_only_what_it_names_where_the_file_has_aliases(
     )
 
 
-def test_an_override_of_what_another_override_gave_leaves_its_other_places(tmp_path: Path) -> None:
-    given = "slave.sections=[&a {length: 1}, *a]"
-    built = of(tmp_path, "tendons: 3", given, "slave.sections.0.length=9")
-    assert [s.length for s in built.sections] == [9.0, 1.0]
-
-
 @pytest.mark.parametrize(
     ("override", "says"),
     [
         ("slave.tendons", "expected dotted.key=value"),
         ("=3", "expected dotted.key=value"),
-        ("slave..tendons=3", "expected dotted.key=value"),
         ("slave.tendons=x", "--set slave.tendons=x: slave.tendons: 'x' is not a whole number"),
         ("slave.tendon=3", "did you mean 'tendons'?"),
         ("slav.tendons=3", "did you mean 'slave'?"),
         ("slave.force.limit=60", "--set slave.force.limit=60: slave.force.limit: 60.0: allowed"),
         ("slave.sections.7.length=1", "counted from 0"),
-        ("slave.sections.x.length=1", "counted from 0"),
         ("slave.gains=[1", "--set slave.gains=[1, line 1"),
         ("slave=3", "3 is not a mapping"),
     ],
@@ -342,31 +313,10 @@ def test_an_address_of_ipv6_needs_no_quotes() -> None:
     assert load(None, LinkConfig, "link", ["link.slave=[::1]:7452"]).slave == "[::1]:7452"
 
 
-def test_an_override_is_not_blamed_for_the_file(tmp_path: Path) -> None:
-    line = refusal(tmp_path, "tendons: x", "slave.force.scale=2")
-    assert line.startswith(str(tmp_path))
-
-
 def test_another_section_s_content_is_left_to_its_owner(tmp_path: Path) -> None:
     path = write(tmp_path, "session: a\nmaster: {whatever: 1}\nslave: {tendons: 3}\n")
     assert load(path, Everything, "slave").tendons == 3
     assert load(path, RunConfig, None).session == "a"
-
-
-def test_a_file_of_its_own_kind_knows_its_own_keys_only(tmp_path: Path) -> None:
-    path = write(tmp_path, "length: 2\n")
-    assert load(path, Section, None) == Section(2.0)
-    with pytest.raises(UsageError, match=r"slave: unknown key \(allowed: length, radius"):
-        load(write(tmp_path, "length: 2\nslave: {}\n"), Section, None)
-
-
-def test_a_field_with_an_infinite_default_may_be_infinite(tmp_path: Path) -> None:
-    @dataclass(frozen=True)
-    class Plain:
-        radius: float = math.inf
-
-    path = write(tmp_path, "slave: {radius: .inf}\n")
-    assert load(path, Plain, "slave").radius == math.inf
 
 
 def test_the_keys_of_a_session_are_those_of_its_config() -> None:
@@ -399,10 +349,7 @@ def test_what_is_no_snapshot_is_one_line(tmp_path: Path, text: str) -> None:
     ("text", "says"),
     [
         ("session: Demo", "session: 'Demo': allowed are 1 to 40 of a-z 0-9 _ -"),
-        ("session: a/b", "session: 'a/b': allowed"),
         ("session: '*'", "session: '*': allowed"),
-        ("session: ''", "allowed"),
-        ("rate_hz: 0", "rate_hz: 0.0: must be within 100 ... 4000 [Hz]"),
         ("rate_hz: 99", "rate_hz: 99.0: must be within 100 ... 4000 [Hz]"),
         ("rate_hz: 4001", "rate_hz: 4001.0: must be within 100 ... 4000 [Hz]"),
         (
@@ -417,12 +364,11 @@ def test_shared_keys_are_checked(tmp_path: Path, text: str, says: str) -> None:
     assert says in str(caught.value)
 
 
-@pytest.mark.parametrize("index", ["²", "٣", "00", "9" * 5000])
-@pytest.mark.parametrize("text", ["slave: {sections: [{length: 1}, {length: 2}]}", ""])
-def test_what_is_no_index_of_a_list_is_one_line(tmp_path: Path, index: str, text: str) -> None:
-    change = f"slave.sections.{index}.length=1"
-    with pytest.raises(UsageError, match="counted from 0"):
-        load(write(tmp_path, text), Everything, "slave", [change])
+@pytest.mark.parametrize("index", ["x", "²", "٣", "00", "9" * 5000])
+def test_what_is_no_index_of_a_list_is_one_line(tmp_path: Path, index: str) -> None:
+    for text in ("slave: {sections: [{length: 1}, {length: 2}]}", ""):
+        with pytest.raises(UsageError, match="counted from 0"):
+            load(write(tmp_path, text), Everything, "slave", [f"slave.sections.{index}.length=1"])
 
 
 DOCUMENTED = (Path(__file__).parents[2] / "docs" / "configuration.md").read_text()
@@ -448,14 +394,6 @@ def test_the_mistakes_in_the_docs_are_what_the_loader_says(tmp_path: Path) -> No
         with pytest.raises(UsageError) as caught:
             load(path, RunConfig, None, override)
         assert str(caught.value).replace(str(path), "demo.yaml") in DOCUMENTED
-
-
-def test_command_line_arguments() -> None:
-    parser = argparse.ArgumentParser()
-    add_options(parser, "--config", "--set")
-    args = parser.parse_args(["--config", "a.yaml", "--set", "a=1", "--set", "b=2"])
-    assert (args.config, args.overrides) == (Path("a.yaml"), ["a=1", "b=2"])
-    assert parser.parse_args([]).config is None
 
 
 def test_a_field_of_a_type_the_loader_cannot_check_is_a_defect_of_ours() -> None:
@@ -491,7 +429,7 @@ EVERYTHING = st.builds(
 
 
 @given(EVERYTHING)
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=60)
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=25)
 def test_what_as_tree_writes_load_reads_back(tmp_path: Path, built: Everything) -> None:
     path = tmp_path / "config.yaml"
     path.write_text(yaml.safe_dump({"slave": as_tree(built)}))
@@ -499,7 +437,7 @@ def test_what_as_tree_writes_load_reads_back(tmp_path: Path, built: Everything) 
 
 
 @given(st.text(max_size=60))
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=300)
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=100)
 def test_whatever_is_in_the_file_the_outcome_is_a_config_or_one_line(
     tmp_path: Path, text: str
 ) -> None:

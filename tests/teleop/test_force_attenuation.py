@@ -44,13 +44,6 @@ def test_it_is_continuous_in_the_force_and_in_both_ends(rule, force, below, abov
         assert abs(near - felt) <= steep * size * 3.0
 
 
-@given(FORCES, st.floats(0.0, 100.0))
-def test_the_wider_the_interval_the_weaker(force, width):
-    narrow = attenuate_force(RULE, force, force - width, force + width)
-    wide = attenuate_force(RULE, force, force - 1.1 * width, force + 1.1 * width)
-    assert abs(wide) <= abs(narrow) + 1e-12
-
-
 def test_the_rule_in_numbers():
     rule = to_struct(ConfidenceConfig(full=0.5, none=1.5))
     assert attenuate_force(rule, 10.0, 5.0, 15.0) == 10.0

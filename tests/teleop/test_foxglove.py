@@ -119,19 +119,12 @@ def test_the_app_gets_the_bytes_of_the_link_with_their_definition():
             client.close()
 
 
-def test_a_second_server_takes_another_port():
-    with FoxgloveServer("one", 8765) as one, FoxgloveServer("other", 8765) as other:
-        assert one.url != other.url
-
-
 @pytest.mark.parametrize(
     "asked",
     [
         {"origin": "https://evil.example"},
-        {"origin": "http://127.0.0.1:9090"},
         {"origin": "null"},
         {"host": "rebound.example:8765"},
-        {"path": "/"},
         {"path": "/guess/"},
     ],
 )

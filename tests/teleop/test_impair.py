@@ -49,10 +49,6 @@ def passed_on(config, count=1000, key=KEY, cut=lambda _: False):
     return out, fates
 
 
-def count_of(fates, kind):
-    return sum(kind in fate for fate in fates)
-
-
 shares = st.floats(0.0, 1.0)
 ways = st.builds(
     lambda delay, jitter, **others: DirectionConfig(delay=delay, jitter=jitter * delay, **others),
@@ -117,16 +113,17 @@ def test_what_is_told_of_a_message_is_what_was_done_to_it(config):
         assert copies[number] == (0 if fate & gone else 1 + (DeliveryFlags.DUPLICATED in fate))
 
 
-@pytest.mark.parametrize("name", ["loss", "reorder", "duplicate", "corrupt"])
-@pytest.mark.parametrize("share", [0.01, 0.1, 0.5])
-def test_as_many_are_met_as_was_asked_for(name, share):
-    n = 20_000
-    kind = {
-        "loss": DeliveryFlags.LOST,
-        "reorder": DeliveryFlags.HELD_BACK,
-        "duplicate": DeliveryFlags.DUPLICATED,
-        "corrupt": DeliveryFlags.CORRUPTED,
-    }[name]
+@pytest.mark.parametrize(
+    ("name", "kind", "share"),
+    [
+        ("loss", DeliveryFlags.LOST, 0.1),
+        ("reorder", DeliveryFlags.HELD_BACK, 0.5),
+        ("duplicate", DeliveryFlags.DUPLICATED, 0.01),
+        ("corrupt", DeliveryFlags.CORRUPTED, 0.1),
+    ],
+)
+def test_as_many_are_met_as_was_asked_for(name, kind, share):
+    n = 10_000
     met = np.array([kind in fate for fate in passed_on(DirectionConfig(**{name: share}), n)[1]])
     sigma = math.sqrt(share * (1 - share) / n)
     assert abs(met.mean() - share) < 4 * sigma
@@ -134,29 +131,9 @@ def test_as_many_are_met_as_was_asked_for(name, share):
     assert abs(runs - share**2) < 5 * share * math.sqrt(1.0 / n)
 
 
-def test_nothing_that_is_drawn_depends_on_anything_else_that_is():
-    n = 20_000
-    config = DirectionConfig(
-        burst_loss=0.2, burst_length=1.0, reorder=0.5, duplicate=0.5, corrupt=0.5
-    )
-    fates = passed_on(config, n)[1]
-    kinds = (
-        DeliveryFlags.LOST_IN_BURST,
-        DeliveryFlags.HELD_BACK,
-        DeliveryFlags.DUPLICATED,
-        DeliveryFlags.CORRUPTED,
-    )
-    met = np.array([[kind in fate for kind in kinds] for fate in fates], float)
-    there = (met[:-1, 0] == 0) & (met[1:, 0] == 0)  # of a lost one the rest is not known
-    here, next_ = met[:-1][there][:, 1:], met[1:][there][:, 1:]
-    limit = 5 / math.sqrt(there.sum())
-    together = np.corrcoef(here.T, next_.T)
-    assert np.abs(together - np.eye(6)).max() < limit
-
-
-@pytest.mark.parametrize(("length", "depth"), [(5.0, 1.0), (50.0, 1.0), (50.0, 0.5)])
+@pytest.mark.parametrize(("length", "depth"), [(5.0, 1.0), (50.0, 0.5)])
 def test_bursts_lose_their_share_and_last_as_long_as_asked_for(length, depth):
-    n, share = 200_000, 0.1
+    n, share = 50_000, 0.1
     config = DirectionConfig(burst_loss=share, burst_length=length, burst_depth=depth)
     lost = np.array([DeliveryFlags.LOST_IN_BURST in fate for fate in passed_on(config, n)[1]])
     bursts = n * share / depth / length
@@ -175,16 +152,6 @@ def test_asking_for_more_does_not_change_what_is_lost():
     assert [fate & gone for fate in passed_on(busy)[1]] == [fate & gone for fate in alone]
 
 
-def test_a_wandering_delay_visits_all_of_its_range_and_keeps_the_order():
-    config = DirectionConfig(delay=0.1, jitter=0.05)
-    out, _ = passed_on(config, 20_000)
-    late = np.array([due - number * PERIOD_S for number, due, _ in out])
-    assert late.min() < 0.06
-    assert late.max() > 0.14
-    assert late.mean() == pytest.approx(0.1, abs=0.005)
-    assert np.abs(np.diff(late)).max() <= 2 * 0.05 / config.jitter_time * PERIOD_S + 1e-9
-
-
 def test_cuts_are_where_the_clock_says_and_go_round():
     config = DirectionConfig(cuts=((0.1, 0.2),), cut_period=0.5)
     _, fates = passed_on(config, 1000)
@@ -198,7 +165,7 @@ def test_cuts_are_where_the_clock_says_and_go_round():
 def test_a_corrupted_message_is_never_let_in():
     data = Command(position=(0.01,) * 8).pack(7, 1, now_ns())
     memory = StreamState()
-    for _ in range(2000):
+    for _ in range(500):
         ((_, changed),), _, memory = model.step(
             DirectionConfig(corrupt=1.0), KEY, memory, 0.0, data
         )
@@ -298,20 +265,20 @@ def test_a_full_delay_queue_refuses_the_newest_and_keeps_the_order_of_the_others
 
 
 def test_memory_stays_flat_when_the_delay_queue_is_filled_again_and_again():
-    """Resident memory, of a third of the largest backlog: 16 MB of messages, 20 times."""
-    queue, out, sizes, refused = DelayQueue(CAPACITY_BYTES // 4), [], [], 0
+    """Resident memory, of a sixteenth of the largest backlog: 4 MB of messages, 20 times."""
+    queue, out, sizes, refused = DelayQueue(CAPACITY_BYTES // 16), [], [], 0
     for _ in range(20):
         out.clear()
         begin = time.monotonic_ns() - 10**9
-        for k in range(28_000):
+        for k in range(7_000):
             refused += not queue.send(begin + k % 977, out.append, bytes(324 + 168 * (k % 2)))
         queue.work()
         assert not len(queue)
-        assert len(out) + refused // (_ + 1) == 28_000
+        assert len(out) + refused // (_ + 1) == 7_000
         status = Path("/proc/self/status").read_text()
         sizes.append(int(status.split("VmRSS:")[1].split()[0]) * 1024)
     assert refused > 0
-    assert max(sizes) - sizes[0] < 2_000_000
+    assert max(sizes) - sizes[0] < 1_000_000
 
 
 def test_what_a_full_queue_refuses_is_counted_by_topic():
@@ -412,6 +379,7 @@ def publish(link, topic, message, count, period_s=PERIOD_S):
         link.publish(topic, message)
 
 
+@pytest.mark.real_time
 def test_the_sides_meet_through_the_proxy_and_hear_what_it_lets_through(bridged):
     proxy = bridged("--loss", "0.1", "--corrupt", "0.05", "--duplicate", "0.05")
     master, slave = sides(proxy)
@@ -441,8 +409,9 @@ def test_the_sides_meet_through_the_proxy_and_hear_what_it_lets_through(bridged)
     proxy.end()
 
 
-def test_the_delay_is_the_one_asked_for(bridged):
-    proxy = bridged()
+@pytest.mark.real_time
+def test_delay_and_cut_are_those_of_the_command_and_presence_ends_with_who_was_present(bridged):
+    proxy = bridged("--set", "impair.presence=0.3")
     master, slave = sides(proxy)
     late = {}
     with slave, master:
@@ -450,20 +419,12 @@ def test_the_delay_is_the_one_asked_for(bridged):
         await_way(master, slave, listener)
         for delay_s in (0.0, 0.05):
             proxy.send_request("set", f"to_slave.delay={delay_s}")
-            publish(master, COMMAND, Command(), 600)
+            publish(master, COMMAND, Command(), 300)
             time.sleep(0.2)
-            heard = listener.drain()
-            late[delay_s] = np.array([item.received_ns - item.stamp_ns for item in heard]) * 1e-9
-    assert np.median(late[0.05]) - np.median(late[0.0]) == pytest.approx(0.05, abs=0.001)
-    assert late[0.05].min() >= 0.05
-
-
-def test_a_cut_on_command_lets_nothing_through_and_takes_the_other_side_away(bridged):
-    proxy = bridged("--set", "impair.presence=0.3")
-    master, slave = sides(proxy)
-    with slave, master:
-        listener = slave.listen((COMMAND,))
-        await_way(master, slave, listener)
+            ages_ns = [item.received_ns - item.stamp_ns for item in listener.drain()]
+            late[delay_s] = np.array(ages_ns) * 1e-9
+        assert np.median(late[0.05]) - np.median(late[0.0]) == pytest.approx(0.05, abs=0.001)
+        assert late[0.05].min() >= 0.05
 
         def heard():
             publish(master, COMMAND, Command(), 50, period_s=0.005)
@@ -482,13 +443,6 @@ def test_a_cut_on_command_lets_nothing_through_and_takes_the_other_side_away(bri
             proxy.send_request("cut", "sideways")
         with pytest.raises(TeleopError, match=r"loss: .*within 0 \.\.\. 1"):
             proxy.send_request("set", "to_slave.loss=2")
-    assert 40 < proxy.end()["to_slave"]["command"]["cut"] <= 50
-
-
-def test_presence_ends_with_who_was_present(bridged):
-    proxy = bridged()
-    master, slave = sides(proxy)
-    with slave:
-        with master:
-            assert wait_for_condition(lambda: both_there(master, slave), 5.0)
+        master.__exit__(None, None, None)
         assert wait_for_condition(lambda: not slave.present(Role.MASTER), 2.0)
+    assert 40 < proxy.end()["to_slave"]["command"]["cut"] <= 50

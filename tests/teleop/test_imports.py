@@ -86,14 +86,6 @@ def test_an_effect_on_the_command_line_needs_the_option_too(stranger, capsys):
     assert effect.name == "stranger:CURVE"
 
 
-def test_with_the_option_the_code_is_used(stranger, tmp_path, capsys):
-    path = tmp_path / "file.yaml"
-    path.write_text(yaml.safe_dump({"slave": {"rig": {"type": "stranger:Rig", "speed": 1}}}))
-    assert commands.main(["slave", "--config", str(path), "--allow-imports"]) == 2
-    assert "slave.rig.speed: unknown key" in capsys.readouterr().err  # of that class
-    assert stranger()
-
-
 def test_a_catalogued_effect_is_never_taken_from_a_package(stranger, monkeypatch):
     from estimator.effects import CATALOGUE
     from teleop.data import effect_extensions, model_file

@@ -74,17 +74,6 @@ def test_a_symmetric_link_gives_the_delay_of_each_direction() -> None:
     assert (figures.delay_in_ns, figures.delay_out_ns) == (3 * MS, 3 * MS)
 
 
-def test_jitter_is_the_mean_difference_of_delays_in_a_row() -> None:
-    windows = LinkWindow.array()
-    exchange(windows, 0, [2 * MS, 6 * MS] * 10, [MS] * 20)
-    assert (
-        take_measurement(view_struct(windows), MessageCounts(), MessageCounts()).jitter_ns == 4 * MS
-    )
-    assert (
-        take_measurement(view_struct(windows), MessageCounts(), MessageCounts()).jitter_ns is None
-    )  # a new span
-
-
 @pytest.mark.parametrize("jump_ns", [-3_600_000 * MS, -100 * MS, 100 * MS, 3_600_000 * MS])
 def test_a_clock_that_is_set_is_noticed_and_the_new_offset_found(jump_ns: int) -> None:
     windows = LinkWindow.array()
@@ -147,16 +136,6 @@ def test_beyond_a_bound_it_is_scaled_down_then_held_and_comes_back_with_hysteres
     scales = [decision.scale for decision in back]
     assert scales == sorted(scales)
     assert back[-1] == Decision()
-
-
-def test_a_short_excess_only_scales() -> None:
-    down = run(Decision(), BAD, 0.5)
-    assert not any(decision.holds for decision in down + run(down[-1], FINE, 3.0))
-
-
-def test_without_messages_nothing_is_decided() -> None:
-    (decision,) = run(Decision(), LinkMeasurement(), DT)
-    assert decision == Decision()
 
 
 def test_what_the_peer_finds_counts_as_what_we_find() -> None:

@@ -207,17 +207,12 @@ def test_a_pipe_is_written_to(tmp_path):
     [
         ["estimate", "DATA", "--fit", "--save", "DATA"],
         ["estimate", "DATA", "--fit", "--save", "DATA", "--force"],
-        ["estimate", "DATA", "--fit", "--save", "OTHER"],
-        ["estimate", "DATA", "--fit", "--out", "OTHER"],
         ["simulate", "--out", "OTHER"],
         ["diagnose", "DATA", "--json", "OTHER"],
         ["diagnose", "DATA", "--out", "FOLDER"],
         ["calibrate", "--figure", "FOLDER/x.foo"],
-        ["calibrate", "--out", "OTHER"],
         ["view", "--out", "FOLDER/x.csv"],
-        ["devices", "dump", "--out", "OTHER"],
         ["recordings", "to-ros2", "DATA", "--out", "FOLDER"],
-        ["bench", "loop", "--json", "OTHER"],
     ],
 )
 def test_commands_refuse_in_one_line_and_harm_nothing(tmp_path, capsys, words):

@@ -29,10 +29,6 @@ def test_a_duration_is_a_number_above_0(text):
         parse_seconds(text)
 
 
-def test_durations_are_seconds():
-    assert [parse_seconds(text) for text in ("0.5", "30", "1e3")] == [0.5, 30.0, 1000.0]
-
-
 def test_a_duration_counts_from_the_first_tick_however_long_setting_up_took(monkeypatch):
     monkeypatch.setattr(signal, "signal", lambda *_: None)
     now = [100.0]
@@ -82,35 +78,6 @@ print(stop(), stop.reason)
 def test_a_loop_is_stopped_by_each_signal_that_ends_a_command(number):
     words = [sys.executable, "-c", STOPPING, number.name]
     assert subprocess.check_output(words, text=True).split() == ["True", number.name]
-
-
-def test_under_nohup_a_loop_outlives_its_terminal():
-    words = ["nohup", sys.executable, "-c", STOPPING, "SIGHUP"]
-    assert subprocess.check_output(words, text=True, stdin=subprocess.DEVNULL).split() == ["False"]
-
-
-INTERRUPTED_COMMAND = """
-import signal, sys
-from teleop import __main__ as program
-from teleop.cli import commands
-
-def main(begin):
-    begin()
-    try:
-        signal.raise_signal(getattr(signal, sys.argv[1]))
-    finally:
-        print("closed")
-
-commands.main = main
-sys.exit(program.main())
-"""
-
-
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-def test_a_command_without_a_loop_closes_what_it_has_opened(number):
-    words = [sys.executable, "-c", INTERRUPTED_COMMAND, number.name]
-    ended = subprocess.run(words, capture_output=True, text=True, check=False)
-    assert (ended.returncode, ended.stdout) == (128 + number, "closed\n")
 
 
 def test_a_summary_replaces_the_old_one_whole(tmp_path):

@@ -99,14 +99,10 @@ def test_only_code_that_is_as_in_the_file_is_given_back():
     assert find_unmodified_code("", "libllvmlite") == []
 
 
-@pytest.mark.parametrize("wrong", ["priority=50", "priority=-1", "cores=[-1]", "cores=some"])
+@pytest.mark.parametrize("wrong", ["priority=50", "cores=[-1]", "cores=some"])
 def test_what_cannot_be_scheduled_is_refused(wrong):
     with pytest.raises(UsageError, match="realtime"):
         load(None, RunConfig, None, [f"realtime.{wrong}"])
-
-
-def test_the_cores_of_the_loops_can_be_named():
-    assert load(None, RunConfig, None, ["realtime.cores=[3, 5]"]).realtime.cores == (3, 5)
 
 
 RUNAWAY = """

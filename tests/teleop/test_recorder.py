@@ -1,8 +1,9 @@
 """A recorder that is too slow, or told to end: nothing is missing that is not counted."""
 
 import signal
+import subprocess
+import sys
 import time
-from collections.abc import Callable
 from typing import Any, Self
 from unittest.mock import patch
 
@@ -15,9 +16,9 @@ from teleop.errors import TeleopError
 from teleop.launch import command
 from teleop.launch.supervisor import Supervisor, wait_for_exit
 from teleop.link import Link, ReceivedMessage, listener
-from teleop.link.listener import Listener, compute_capacity_bytes
+from teleop.link.listener import Listener
 from teleop.messages.messages import LoopReport, TendonState
-from teleop.messages.topics import EVENT, REPORT, STATE, TENDONS, TOPICS, Role, Topic
+from teleop.messages.topics import REPORT, STATE, TENDONS, TOPICS, Role, Topic
 from teleop.recording import recorder as recorders
 from teleop.recording.command import format_status
 from teleop.recording.reader import open_recording, read_columns
@@ -103,7 +104,7 @@ class Bench:
 @patch.object(listener, "CAPACITY_MIN", 8)
 @patch.object(listener, "BACKLOG_S", 0.02)
 @patch.object(recorders, "BATCH", 5)
-@settings(max_examples=30)
+@settings(max_examples=20)
 @given(
     st.lists(st.booleans(), min_size=1, max_size=120), st.integers(0, 3 * MS), st.integers(1, 30)
 )
@@ -172,30 +173,6 @@ def test_a_session_that_goes_on_does_not_keep_the_recorder(tmp_path: Any) -> Non
     assert open_recording(bench.writer.path).unfinished == ()
 
 
-def test_what_waits_is_bounded_in_bytes() -> None:
-    assert compute_capacity_bytes(TOPICS) < 45e6
-
-
-def hear(listener: Listener, topic: Topic[Any]) -> Callable[[bytes], None]:
-    store: Any = listener.store(topic)
-    return lambda data: store(Sample(data))
-
-
-@given(st.lists(st.sampled_from([STATE, EVENT, TENDONS]), max_size=30), st.integers(1, 7))
-def test_batches_are_in_order_and_together_everything(topics: list[Any], limit: int) -> None:
-    listener = Listener(lambda *_: 1)
-    stores = {topic: hear(listener, topic) for topic in (STATE, EVENT, TENDONS)}
-    for k, topic in enumerate(topics, start=1):
-        stores[topic](topic.message().pack(SENDER, k, k))
-    taken: list[int] = []
-    while listener.has_arrivals:
-        batch = listener.drain(limit)
-        assert 1 <= len(batch) <= limit
-        taken += [item.sequence for item in batch]
-    assert taken == list(range(1, len(topics) + 1))
-    assert listener.oldest_ns() is None
-
-
 def test_missing_messages_are_told_and_end_the_command_with_exit_code_1(tmp_path: Any) -> None:
     config = free_link()
     process = start("teleop.recording.command", config, f"--out={tmp_path}", "--set=session=bench")
@@ -220,7 +197,7 @@ TELL_AND_END = (
     "import signal, sys, time\n"
     "def end(*_):\n"
     "    for k in range(4):\n"
-    "        time.sleep(0.2)\n"
+    "        time.sleep(0.15)\n"
     "        print(chr(5) + f'recorder {k}.0 s behind', flush=True)\n"
     "    print('teleop: 3 messages are missing', flush=True)\n"
     "    sys.exit(1)\n"
@@ -233,13 +210,10 @@ TELL_AND_END = (
 def test_the_launcher_waits_for_a_recorder_that_makes_progress_and_ends_with_its_exit_code(
     tmp_path: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    import subprocess
-    import sys
-
     said: list[str] = []
     family = Supervisor(tmp_path, lambda _name, line: said.append(line))
     spawn = subprocess.Popen
-    monkeypatch.setattr("teleop.launch.supervisor._DRAINING_TIMEOUT_S", 0.5)
+    monkeypatch.setattr("teleop.launch.supervisor._DRAINING_TIMEOUT_S", 0.4)
     monkeypatch.setattr("teleop.launch.supervisor._EXIT_TIMEOUT_MAX_S", 0.1)
     monkeypatch.setattr(
         "teleop.launch.supervisor.subprocess.Popen",
@@ -277,17 +251,15 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> tuple[bytes, list[int]]:
 
 
 @pytest.mark.parametrize(
-    "words",
+    ("words", "how"),
     [
-        ["recordings", "to-ros2", "{}", "--out", "{}.bag"],
-        ["replay", "{}", "--speed", "1000"],
-        ["view", "{}", "--view", "none"],
-        ["estimate", "{}", "--fit"],
-        ["diagnose", "{}", "--out", "{}.diagnosis"],
+        (["recordings", "to-ros2", "{}", "--out", "{}.bag"], "damaged"),
+        (["replay", "{}", "--speed", "1000"], "truncated"),
+        (["view", "{}", "--view", "none"], "damaged"),
+        (["estimate", "{}", "--fit"], "truncated"),
+        (["diagnose", "{}", "--out", "{}.diagnosis"], "truncated"),
     ],
-    ids=lambda words: words[0],
 )
-@pytest.mark.parametrize("how", ["truncated", "damaged"])
 def test_every_command_says_what_is_wrong_with_a_recording(
     tmp_path: Any,
     whole: tuple[bytes, list[int]],

@@ -25,7 +25,7 @@ from mcap_ros2.writer import Writer as Ros2Writer
 from teleop.config.loading import ConfigDocument
 from teleop.errors import TeleopError, UsageError
 from teleop.link import ReceivedMessage
-from teleop.messages.messages import LAYOUT, MESSAGES
+from teleop.messages.messages import LAYOUT
 from teleop.messages.topics import COMMAND, EVENT, STATE, TENDONS, TOPICS
 from teleop.recording import reader
 from teleop.recording.reader import (
@@ -96,16 +96,18 @@ def test_messages_come_back_byte_for_byte(all_topics):
     assert [m.data for m in only] == [m.data for m in messages if m.topic is EVENT]
 
 
-@pytest.mark.parametrize("topic", TOPICS, ids=lambda topic: topic.name)
-def test_columns_hold_every_field(all_topics, topic):
+def test_columns_hold_every_field(all_topics):
     path, messages = all_topics
-    sent = [m for m in messages if m.topic is topic]
-    columns = read_columns(path, topic.name)
-    np.testing.assert_array_equal(columns["log_time_ns"], [m.received_ns for m in sent])
-    np.testing.assert_array_equal(columns["publish_time_ns"], columns["stamp_ns"])
-    for k, one in enumerate(sent):
-        for name, value in dataclasses.asdict(topic.message.unpack(one.data)).items():
-            np.testing.assert_array_equal(columns[name][k], value)
+    for topic in TOPICS:
+        schema = topic.message.schema
+        assert to_dtype(schema.ros_definition) == schema.dtype
+        sent = [m for m in messages if m.topic is topic]
+        columns = read_columns(path, topic.name)
+        np.testing.assert_array_equal(columns["log_time_ns"], [m.received_ns for m in sent])
+        np.testing.assert_array_equal(columns["publish_time_ns"], columns["stamp_ns"])
+        for k, one in enumerate(sent):
+            for name, value in dataclasses.asdict(topic.message.unpack(one.data)).items():
+                np.testing.assert_array_equal(columns[name][k], value)
 
 
 def test_chosen_columns_are_packed_and_equal(all_topics):
@@ -130,18 +132,13 @@ def test_a_recording_says_what_made_it(all_topics):
     assert set(info.versions) >= {"python", "mcap", "tendon-teleop"}
 
 
-@pytest.mark.parametrize("message", MESSAGES, ids=lambda message: message.__name__)
-def test_our_definitions_give_our_dtypes(message):
-    assert to_dtype(message.schema.ros_definition) == message.schema.dtype
-
-
 widths = (8, 16, 32, 64)
 scalar_types = st.sampled_from(
     ["bool", "float32", "float64", *(f"{sign}int{w}" for sign in ("", "u") for w in widths)]
 )
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=20)
 @given(st.lists(st.tuples(scalar_types, st.integers(0, 5)), min_size=1, max_size=12), st.data())
 def test_recordings_of_any_other_layout_are_read(tmp_path_factory, layout, data):
     """Written by the ROS 2 tools' own encoder, from definitions this project never had."""
@@ -189,10 +186,12 @@ def three_chunks(tmp_path_factory):
     return path.read_bytes(), [m.data for m in messages], list(zip(lengths, (2, 4, 6), strict=True))
 
 
-def test_cut_off_anywhere_every_finished_chunk_is_read(tmp_path, three_chunks):
+@pytest.mark.parametrize("step", [11, pytest.param(1, marks=pytest.mark.slow)])
+def test_cut_off_anywhere_every_finished_chunk_is_read(tmp_path, three_chunks, step):
     content, sent, finished = three_chunks
     path = tmp_path / "cut.mcap"
-    for length in range(8, len(content)):
+    ends = {end + k for end, _ in finished for k in range(-2, 3)}
+    for length in sorted({*range(8, len(content), step), *ends} & {*range(8, len(content))}):
         path.write_bytes(content[:length])
         back = [m.data for m in read_messages(path)]
         assert back == sent[: len(back)]
@@ -203,10 +202,14 @@ def test_cut_off_anywhere_every_finished_chunk_is_read(tmp_path, three_chunks):
             assert sum(info.messages.values()) == len(back)
 
 
-def test_a_damaged_byte_is_noticed_or_harmless(tmp_path, three_chunks):
+every_byte = pytest.mark.parametrize("step", [11, pytest.param(1, marks=pytest.mark.slow)])
+
+
+@every_byte
+def test_a_damaged_byte_is_noticed_or_harmless(tmp_path, three_chunks, step):
     content, sent, _ = three_chunks
     path = tmp_path / "damaged.mcap"
-    for at in range(len(content)):
+    for at in range(0, len(content), step):
         path.write_bytes(content[:at] + bytes([content[at] ^ 0x01]) + content[at + 1 :])
         try:
             back = [message.data for message in read_messages(path)]
@@ -218,12 +221,13 @@ def test_a_damaged_byte_is_noticed_or_harmless(tmp_path, three_chunks):
         assert len(back) == len(sent) or not info.complete
 
 
-def test_a_damaged_byte_before_a_cut_gives_no_wrong_message(tmp_path, three_chunks):
+@every_byte
+def test_a_damaged_byte_before_a_cut_gives_no_wrong_message(tmp_path, three_chunks, step):
     """Without an end the file's own checksum is gone; each chunk still has one."""
     content, sent, finished = three_chunks
     content = content[: finished[1][0]]
     path = tmp_path / "damaged.mcap"
-    for at in range(len(content)):
+    for at in range(0, len(content), step):
         path.write_bytes(content[:at] + bytes([content[at] ^ 0x01]) + content[at + 1 :])
         try:
             back = [message.data for message in read_messages(path)]
@@ -250,8 +254,10 @@ def test_what_is_no_recording_gets_one_line(tmp_path, content, what):
             read(path)
         assert str(path) in str(caught.value)
         assert "\n" not in str(caught.value)
-    with pytest.raises(UsageError, match="is not a file"):
-        open_recording(tmp_path)
+    os.mkfifo(tmp_path / "pipe.mcap")
+    for place in (tmp_path, tmp_path / "pipe.mcap"):
+        with pytest.raises(UsageError, match="is not a file"):
+            open_recording(place)
 
 
 PACK = {"zstd": zstandard.compress, "lz4": lz4.frame.compress, "": bytes}
@@ -269,7 +275,7 @@ def with_chunk(path, content, claimed, compression):
 @pytest.mark.parametrize(
     ("size", "claimed", "said"),
     [
-        (1 << 26, 100, "unpacks to more than the 100 bytes that it says"),
+        (1 << 22, 100, "unpacks to more than the 100 bytes that it says"),
         (50, 100, "unpacks to less than the 100 bytes that it says"),
         (50, (1 << 26) + 1, "at most 67108864 are read"),
         (50, (1 << 64) - 1, "at most 67108864 are read"),
@@ -281,12 +287,6 @@ def test_a_chunk_unpacks_to_no_more_than_it_says(tmp_path, compression, size, cl
         open_recording(path)
     with pytest.raises(RecordingError, match=said):
         read_columns(path, "tendons")
-
-
-def test_a_pipe_is_not_waited_for(tmp_path):
-    os.mkfifo(tmp_path / "a.mcap")
-    with pytest.raises(UsageError, match="is not a file"):
-        open_recording(tmp_path / "a.mcap")
 
 
 def test_more_of_a_topic_than_memory_has_room_for_is_refused(all_topics, monkeypatch):
@@ -302,31 +302,6 @@ def test_a_missing_topic_is_named_with_those_present(three_chunks, tmp_path):
         RecordingError, match="no messages of topic 'tendons'; it has command, event"
     ):
         read_columns(path, "tendons")
-
-
-@settings(deadline=None)
-@given(st.data())
-def test_gaps_are_the_numbers_missing_between_first_and_last(data):
-    """Several senders and topics, each losing any part of what it sent, arriving interleaved."""
-    streams = {}
-    arrivals = []
-    for stream in [("state", 1), ("state", 2), ("hand", 1)]:
-        first = data.draw(st.integers(0, 2**40))
-        received = sorted(data.draw(st.sets(st.integers(first, first + 60), min_size=1)))
-        streams[stream] = received
-        arrivals += [(stream, sequence) for sequence in received]
-    order = data.draw(st.permutations(range(len(arrivals))))
-    slots = sorted(range(len(arrivals)), key=lambda k: order[k])
-    queues = {stream: iter(received) for stream, received in streams.items()}
-    gaps = GapCounter()
-    for slot in slots:
-        stream = arrivals[slot][0]
-        gaps.note(*stream, next(queues[stream]))
-    for stream, received in streams.items():
-        whole = set(range(received[0], received[-1] + 1))
-        assert gaps.lost[stream] == len(whole - set(received))
-    assert gaps.by_topic()["state"] == gaps.lost["state", 1] + gaps.lost["state", 2]
-    assert gaps.total == sum(gaps.lost.values())
 
 
 def test_senders_without_end_take_no_memory_and_their_losses_are_kept():
@@ -361,34 +336,22 @@ def test_a_long_recording_with_losses_takes_no_memory_and_its_index_is_whole(tmp
     rng = np.random.default_rng(4)
     chunk = [heard(topic, 0, rng) for topic in TOPICS]
     config = RecordConfig(directory=str(tmp_path), chunk_s=0.01, compression="none")
-    chunks, before = 1000, 0
+    chunks, before = 600, 0
     tracemalloc.start()
     with RecordingWriter(config, "demo", START_NS) as writer:
         for k in range(chunks):
-            if k == 100:
+            if k == 400:
                 before = tracemalloc.get_traced_memory()[0]
             later = [item._replace(received_ns=START_NS + k, sequence=2 * k) for item in chunk]
             writer.write(later, START_NS + (k + 1) * 10_000_000)
         grown = tracemalloc.get_traced_memory()[0] - before
     tracemalloc.stop()
-    assert grown / (chunks - 100) < 50  # [bytes] a chunk; its index alone has 300
+    assert grown / (chunks - 400) < 50  # [bytes] a chunk; its index alone has 300
     with writer.path.open("rb") as file:
         summary = make_reader(file).get_summary()
         assert len(summary.chunk_indexes) == chunks
         late = list(make_reader(file).iter_messages(starting_at=START_NS + chunks - 1))
     assert len(late) == len(TOPICS)
-
-
-def test_gaps_stand_in_the_file_before_it_is_closed(tmp_path):
-    rng = np.random.default_rng(4)
-    before = [heard(STATE, k, rng) for k in (5, 6, 9)]
-    restarted = [heard(STATE, k, rng, sender=2) for k in (0, 1, 3)]
-    path, lengths = chunk_by_chunk(tmp_path, [before, restarted])
-    path.write_bytes(path.read_bytes()[: lengths[-1]])
-    info = open_recording(path)
-    assert not info.complete
-    assert info.messages == {"state": 6}
-    assert info.lost == {"state": 3}
 
 
 def test_silence_moves_the_last_messages_into_the_file(tmp_path):
@@ -413,14 +376,6 @@ def test_an_earlier_recording_is_never_overwritten(tmp_path):
     assert paths[0].read_bytes() == before
 
 
-def test_a_directory_that_cannot_be_written_is_a_usage_error(tmp_path):
-    (tmp_path / "file").touch()
-    for directory in (tmp_path / "file", tmp_path / "file" / "below"):
-        with pytest.raises(UsageError, match="cannot create a recording") as caught:
-            RecordingWriter(RecordConfig(directory=str(directory)), "demo", START_NS)
-        assert "\n" not in str(caught.value)
-
-
 @pytest.mark.parametrize(("launcher", "option"), [(None, "--out"), ("1", "--record")])
 def test_the_remedy_is_an_option_of_the_command_that_was_given(
     tmp_path, monkeypatch, launcher, option
@@ -429,8 +384,11 @@ def test_the_remedy_is_an_option_of_the_command_that_was_given(
     if launcher is not None:
         monkeypatch.setenv(SUPERVISED_VARIABLE, launcher)
     (tmp_path / "file").touch()
-    with pytest.raises(UsageError, match=f"choose another {option}$"):
-        RecordingWriter(RecordConfig(directory=str(tmp_path / "file")), "demo", START_NS)
+    for directory in (tmp_path / "file", tmp_path / "file" / "below"):
+        with pytest.raises(
+            UsageError, match=f"^[^\n]*cannot create a recording[^\n]*choose another {option}$"
+        ):
+            RecordingWriter(RecordConfig(directory=str(directory)), "demo", START_NS)
 
 
 def test_a_full_disk_ends_the_recording_and_keeps_what_is_there(tmp_path):
@@ -487,14 +445,14 @@ KILLED = textwrap.dedent(
 )
 
 
-@pytest.mark.parametrize("lines", [13, 31, 47])
-def test_a_killed_recorder_loses_at_most_a_quarter_of_a_second(tmp_path, lines):
+@pytest.mark.real_time
+def test_a_killed_recorder_loses_at_most_a_quarter_of_a_second(tmp_path):
     recorder = subprocess.Popen(
         [sys.executable, "-c", KILLED, str(tmp_path)], stdout=subprocess.PIPE, text=True
     )
     with recorder:
         assert recorder.stdout is not None
-        stamps = [int(recorder.stdout.readline()) for _ in range(lines)]
+        stamps = [int(recorder.stdout.readline()) for _ in range(31)]
         recorder.send_signal(signal.SIGKILL)
         stamps += [int(line) for line in recorder.stdout]
     (path,) = tmp_path.iterdir()
@@ -504,30 +462,17 @@ def test_a_killed_recorder_loses_at_most_a_quarter_of_a_second(tmp_path, lines):
     assert stamps[-1] - written[-1] <= 250_000_000
 
 
-KILLED_AT_THE_INDEX = (
-    KILLED.replace(
-        "while True:",
-        """
-    def die():
-        import os
-        os.kill(os.getpid(), 9)
-
-    writer._mcap.finish = die
-    for _ in range(int(sys.argv[2])):
-    """.replace("\n    ", "\n").strip(),
-    )
-    + "writer.close()\n"
-)
-
-
-def test_a_recorder_killed_while_it_writes_the_index_loses_no_message(tmp_path):
-    words = [sys.executable, "-c", KILLED_AT_THE_INDEX, str(tmp_path), "17"]
-    ended = subprocess.run(words, stdout=subprocess.PIPE, text=True, check=False)
-    assert ended.returncode == -signal.SIGKILL
-    (path,) = tmp_path.iterdir()
-    stamps = [int(line) for line in ended.stdout.splitlines()]
-    assert len(stamps) == 17
-    assert list(read_columns(path, "state")["stamp_ns"]) == stamps
+def test_a_recorder_killed_while_it_writes_the_index_loses_no_message(tmp_path, monkeypatch):
+    rng = np.random.default_rng(7)
+    sent = [heard(STATE, k, rng) for k in range(17)]
+    writer = RecordingWriter(RecordConfig(directory=str(tmp_path)), "demo", START_NS)
+    for message in sent:
+        writer.write([message], message.received_ns)
+    with monkeypatch.context() as patch:
+        patch.setattr(writer._mcap, "finish", lambda: 1 / 0)  # nothing is written from here on
+        with pytest.raises(ZeroDivisionError):
+            writer.close()
+    assert [m.data for m in read_messages(writer.path)] == [m.data for m in sent]
 
 
 @pytest.mark.parametrize(

@@ -108,14 +108,6 @@ def test_a_folder_where_others_may_write_is_not_believed(runtime, tmp_path):
         assert path.parent.stat().st_mode & 0o077 == 0
 
 
-def test_a_session_is_found_though_a_folder_before_its_own_became_usable(runtime):
-    runtime.mkdir()
-    runtime.chmod(0o777)
-    with register_session(entry()):
-        runtime.chmod(0o700)
-        assert [e.session for e in list_sessions()] == ["a"]
-
-
 def test_without_a_runtime_folder_the_registry_is_one_of_the_user_below_tmp(monkeypatch, tmp_path):
     monkeypatch.delenv("XDG_RUNTIME_DIR")
     monkeypatch.setenv("TMPDIR", str(tmp_path))

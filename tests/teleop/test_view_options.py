@@ -1,7 +1,6 @@
 """What `--view`, `--out` and FILE of `teleop view` mean, and where the runtime's own lines go."""
 
 import os
-from pathlib import Path
 
 import pytest
 
@@ -48,12 +47,3 @@ def test_lines_of_native_code_go_to_the_log_and_ours_to_the_terminal(tmp_path, c
     os.write(2, b"ours\n")
     assert path.read_text() == "from native code\n"
     assert capfd.readouterr().err == "ours\n"
-
-
-def test_a_log_that_cannot_be_in_its_folder_is_among_temporary_files(tmp_path, capfd):
-    (tmp_path / "file").write_text("")
-    with divert_stderr(tmp_path / "file" / "view.log") as used:
-        os.write(2, b"lost\n")
-    assert "lost" in Path(used).read_text()
-    assert capfd.readouterr().err == ""
-    used.unlink()

@@ -1,6 +1,7 @@
 """No process of ours imports from the folder where it is started: any file may lie there."""
 
 import ast
+import json
 import subprocess
 import sys
 from pathlib import Path
@@ -41,12 +42,22 @@ def crowded(tmp_path):
     return folder
 
 
-def test_a_session_imports_nothing_from_the_current_folder(crowded, demo_config):
-    master, slave = free_ports(2)
-    words = ["--config", demo_config, "--duration", "1", "--view", "none", "--record", "recordings"]
-    link = ["--set", f"link.master=127.0.0.1:{master}", "--set", f"link.slave=127.0.0.1:{slave}"]
+@pytest.mark.real_time
+def test_a_session_through_its_proxy_imports_nothing_from_the_current_folder(
+    crowded, demo_config, tmp_path
+):
+    master, slave, proxy = (f"127.0.0.1:{port}" for port in free_ports(3))
+    words = ["--config", demo_config, "--duration", "2", "--view", "none", "--record", "recordings"]
+    for change in (
+        f"link.master={master}",
+        f"link.slave={slave}",
+        f"impair.endpoint={proxy}",
+        "impair.to_slave.delay=0.02",
+        "impair.to_master.loss=0.1",
+    ):
+        words += ["--set", change]
     ended = subprocess.run(
-        [TELEOP, "run", *words, *link],
+        [TELEOP, "run", *words, "--json", tmp_path / "run.json"],
         cwd=crowded,
         env=OURS,
         capture_output=True,
@@ -55,6 +66,12 @@ def test_a_session_imports_nothing_from_the_current_folder(crowded, demo_config)
     )
     assert "imported" not in ended.stdout + ended.stderr
     assert "command to force" in ended.stdout, ended.stdout + ended.stderr
+    summary = json.loads((tmp_path / "run.json").read_text())
+    assert 20.0 <= summary["master"]["latency_ms"]["p50"] < 25.0
+    state = summary["impair"]["to_master"]["state"]
+    assert state["lost"] == pytest.approx(0.1 * state["came"], rel=0.2)
+    assert state["sent"] == state["came"] - state["lost"]
+    assert f"{state['lost']} lost" in ended.stdout
 
 
 def test_a_pool_of_processes_imports_nothing_from_the_current_folder(crowded, tmp_path):
@@ -71,20 +88,12 @@ def test_a_pool_of_processes_imports_nothing_from_the_current_folder(crowded, tm
     assert (ended.stdout, ended.stderr, ended.returncode) == ("[2.0, 3.0]\n", "", 0)
 
 
-def test_as_a_module_the_program_imports_no_other_one_from_the_current_folder(tmp_path):
-    for name in ("estimator", "master", "slave", "numpy", "yaml"):
-        (tmp_path / f"{name}.py").write_text("raise SystemExit('imported ' + __file__)\n")
-    words = [sys.executable, "-m", "teleop", "estimate", "no.csv", "--fit"]
-    ended = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=False)
-    assert ended.stderr.startswith("teleop: no.csv: ")
-    assert ended.returncode == 2
-
-
 def test_nothing_else_starts_python():
     for package in PACKAGES:
         for path in (ROOT / package).rglob("*.py"):
-            starts = any(
+            text = path.read_text()
+            starts = "sys.executable" in text and any(
                 isinstance(node, ast.Attribute) and ast.unparse(node) == "sys.executable"
-                for node in ast.walk(ast.parse(path.read_text()))
+                for node in ast.walk(ast.parse(text))
             )
             assert not starts or str(path.relative_to(ROOT)) in STARTERS, path

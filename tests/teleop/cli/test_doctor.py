@@ -36,12 +36,6 @@ def test_a_missing_package_is_named_with_the_remedy(monkeypatch):
     assert finding.remedy == "pip install numba"
 
 
-@pytest.mark.parametrize(("count", "good"), [(1, False), (2, True), (None, False)])
-def test_two_loops_want_two_processors(monkeypatch, count, good):
-    monkeypatch.setattr(os, "cpu_count", lambda: count)
-    assert doctor.check_processors().good == good
-
-
 def test_real_time_scheduling_is_tried_and_put_back(monkeypatch):
     set_to = []
     monkeypatch.setattr(os, "sched_setscheduler", lambda *words: set_to.append(words[1]))
@@ -53,17 +47,6 @@ def test_real_time_scheduling_is_tried_and_put_back(monkeypatch):
 
     monkeypatch.setattr(os, "sched_setscheduler", refuse)
     assert "rtprio" in doctor.check_real_time().remedy
-
-
-@pytest.mark.parametrize(
-    ("name", "there"), [("DISPLAY", True), ("WAYLAND_DISPLAY", True), ("X", False)]
-)
-def test_a_screen_is_found_by_the_environment(monkeypatch, name, there):
-    monkeypatch.setattr("sys.platform", "linux")
-    for known in ("DISPLAY", "WAYLAND_DISPLAY"):
-        monkeypatch.delenv(known, raising=False)
-    monkeypatch.setenv(name, ":0")
-    assert doctor.check_screen().good == there
 
 
 @pytest.mark.parametrize(
@@ -103,9 +86,7 @@ def plug(tmp_path, monkeypatch):
     return plug
 
 
-@pytest.mark.parametrize(
-    "name", ["openffboard 2", "rhino", "ffbeast pid", "dualsense", "spacemouse", "logitech g29"]
-)
+@pytest.mark.parametrize("name", ["openffboard 2", "dualsense", "spacemouse"])
 def test_a_haptic_device_that_may_not_be_opened_is_a_note_with_the_remedy(plug, name):
     plug("hidraw7", LAYOUTS[name], may=False)
     finding = doctor.check_hid_nodes()

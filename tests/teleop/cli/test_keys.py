@@ -46,13 +46,6 @@ def test_the_terminal_is_left_as_it_was_whatever_happened(terminal):
     assert termios.tcgetattr(near) == before
 
 
-def test_bytes_that_are_no_text_are_told_as_something(terminal):
-    far, _ = terminal
-    with KeyReader() as keys:
-        os.write(far, b"\xff ")
-        assert keys.wait(5.0).endswith(" ")
-
-
 def test_in_the_background_the_terminal_is_not_touched(terminal, monkeypatch):
     _, near = terminal
     monkeypatch.setattr(os, "tcgetpgrp", lambda _: os.getpgrp() + 1)

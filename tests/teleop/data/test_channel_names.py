@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from estimator.units import FORCE, LINEAR, ROTARY
-from teleop.cli.diagnose.command import parse_column_options, parse_noise
-from teleop.data.table import Columns, read_table, write_table
+from estimator.units import FORCE, ROTARY
+from teleop.cli.diagnose.command import parse_column_options
+from teleop.data.table import read_table, write_table
 from teleop.errors import UsageError
 from tests.teleop.data.records import refusal
 
@@ -27,13 +27,6 @@ def test_torque_and_angle_are_read_with_either_sign(path):
     assert list(table.columns()) == ["time_s", *ROTARY_NAMES]
 
 
-def test_of_a_second_joint_too(path):
-    written(path, "proximal_torque_2_Nm", "proximal_angle_2_rad")
-    table = read_table(path, Columns.of_tendon(2), diagnosed=True)
-    assert table.units == ROTARY
-    assert table.proximal_displacement is not None
-
-
 def test_forces_of_either_sign_are_named_forces(path):
     written(path, "proximal_force_N", "proximal_displacement_m")
     assert read_table(path, diagnosed=True).units == FORCE
@@ -50,12 +43,9 @@ def test_only_a_diagnosis_reads_them(path):
     ("names", "parts"),
     [
         (["proximal_tension_Nm"], ["is a torque, not a tension", "'proximal_torque_Nm'"]),
-        (["proximal_tension_2_Nm"], ["'proximal_torque_2_Nm'"]),
-        (["proximal_torque_Nm", "proximal_displacement_rad"], ["'proximal_angle_rad'"]),
         (["proximal_torque_Nm", "proximal_angle_deg"], ["not in radians", "'proximal_angle_rad'"]),
         (["proximal_torque_Nmm"], ["not in newton metres"]),
         (["proximal_torque_Nm", "distal_tension_N"], ["as a whole", "'distal_tension_N'"]),
-        (["proximal_tension_N", "proximal_angle_rad"], ["as a whole"]),
         (["proximal_tension_N", "distal_force_N"], ["both forces"]),
     ],
 )
@@ -63,15 +53,6 @@ def test_a_name_that_contradicts_its_unit_is_refused_with_the_right_one(path, na
     message = refusal(written(path, *names), diagnosed=True)
     for part in parts:
         assert part in message
-
-
-def test_a_further_column_of_a_linear_record_is_no_contradiction(path):
-    names = ("proximal_tension_N", "proximal_displacement_m", "proximal_angle_deg")
-    time = np.arange(5) / 10
-    write_table(path, {"time_s": time} | dict.fromkeys(names, time))
-    table = read_table(path, diagnosed=True)
-    assert table.units == LINEAR
-    assert "proximal_angle_deg" in table.extra
 
 
 def test_degrees_and_newton_millimetres_are_noticed(path):
@@ -94,7 +75,3 @@ def test_own_names_tell_the_units_by_the_channels_name(path):
     )
     with pytest.raises(UsageError, match="as a whole"):
         parse_column_options(["proximal_torque=a", "distal_tension=b"])
-
-
-def test_noise_is_given_by_either_name():
-    assert parse_noise(["proximal_angle=1e-4"]) == {"proximal_displacement": 1e-4}

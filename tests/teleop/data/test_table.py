@@ -73,11 +73,6 @@ def test_harmless_ways_to_write_a_table_are_all_one(path, text):
     assert table.proximal_tension.tolist() == [1.0, 2.0, 3.0]
 
 
-def test_small_negative_tensions_are_noise(path):
-    path.write_text("time_s,proximal_tension_N\n0,-0.09\n0.1,10\n")
-    assert read_table(path).proximal_tension.min() == -0.09
-
-
 def test_columns_of_other_names(path):
     path.write_text("t,Ta,Tb,q\n0,1,2,3\n0.1,4,5,6\n")
     names = Columns("t", "Tb", proximal_displacement=None)
@@ -135,34 +130,25 @@ def test_a_recording_is_a_table(tmp_path):
     ("text", "parts"),
     [
         ("", ["is empty"]),
-        ("\n\n", ["line 1", "blank"]),
         ("time_s,proximal_tension_N\n", ["no rows"]),
         ("0,1\n0.1,2\n", ["line 1", "numbers"]),
-        ("time_s;proximal_tension_N\n0,1;2\n", ["semicolons", "commas"]),
         ("time_s\tproximal_tension_N\n0\t1\n", ["tabs"]),
-        ("time_s,tension\n0,1\n", ["'proximal_tension_N'", "it has time_s, tension"]),
         ("time_s,proximal_tensoin_N\n0,1\n", ["'proximal_tension_N'", "'proximal_tensoin_N'"]),
-        ("time_s, proximal_tension_N\n0,1\n", ["' proximal_tension_N'"]),
-        ("time,proximal_tension_N\n0,1\n", ["'time_s'", "'time'"]),
         ("time_s,time_s,proximal_tension_N\n0,0,1\n", ["'time_s'", "2 times"]),
         (HEAD.replace("_m\n", "_mm\n") + "0,1,2\n", ["displacement_m'", "displacement_mm'"]),
         (HEAD + "0,1,0\n0.1,2,0\n\n0.2,x1,0\n", ["'proximal_tension_N', line 5", "'x1'"]),
         (HEAD + '0,1,0\n0.1,"2,5",0\n', ["proximal_tension_N', line 3", "'2,5'", "point"]),
         (HEAD + "0,1,0\n0.1,2\n", ["line 3", "2 cells", "3 columns"]),
-        (HEAD + "0,1,0\n0.1,2,0,9\n", ["line 3", "4 cells"]),
         (HEAD + "0,1,0\n0.2,1,0\n0.2,1,0\n", ["'time_s', line 4", "0.2 does not come after 0.2"]),
-        (HEAD + "0,1,0\n0.2,1,0\n0.1,1,0\n", ["'time_s', line 4", "0.1"]),
         (
             HEAD + "0,1,0\n0.1,nan,0\n0.2,,0\n0.3,4,0\n",
             ["tension_N'", "2 of 4", "line 3", "--drop"],
         ),
-        (HEAD + "0,1,0\n0.1,1,inf\n", ["displacement_m'", "1 of 2", "line 3"]),
         (HEAD + "0,1,0\n0.1,10,0\n0.2,-0.5,0\n", ["tension_N', line 4", "-0.5 N", "cannot push"]),
         (HEAD + "0,1,0\n0.1,20000,0\n", ["tension_N', line 3", "20000", "newtons"]),
         (HEAD + "0,1,0\n0.1,1,14\n", ["displacement_m', line 3", "14 m", "metres"]),
         (HEAD + "0,1,0\n12,1,0\n24,1,0\n", ["'time_s'", "12 s apart", "milliseconds"]),
         (b"time_s,proximal_tension_N\n0,\xff\n", ["UTF-8"]),
-        (b"\x00\x01\x02" * 99, ["line 1", "not text"]),
         ('time_s,proximal_tension_N\n0,"1\n', ["cannot be read"]),
     ],
 )
@@ -190,11 +176,6 @@ def test_a_diagnosis_reads_a_zero_that_is_off_and_spikes_but_no_wrong_sign(path)
     assert read_table(path, zero_errors=["proximal_tension"]).proximal_tension.min() == -8.0
     assert "cannot push" in refusal(path)
     assert "a zero offset" in refusal(path, rows(-pull), zero_errors=["proximal_tension"])
-
-
-def test_the_bench_is_checked_too(path):
-    text = "time_s,proximal_tension_N,distal_tension_N\n0,1,1\n0.1,2,-3\n"
-    assert "'distal_tension_N', line 3" in refusal(path, text)
 
 
 def test_rows_that_are_not_finite_are_left_out_when_asked(path):
@@ -240,53 +221,26 @@ def test_a_named_column_must_be_there_though_a_standard_one_need_not(path):
     assert read_table(path).distal_tension is None
 
 
-def test_a_second_tendons_column_is_not_taken_for_a_misspelt_one_of_the_first(path):
-    path.write_text("time_s,proximal_tension_N,proximal_tension_2_N,distal_tension_2_N\n0,1,2,3\n")
-    assert read_table(path).distal_tension is None
-    assert read_table(path, Columns.of_tendon(2)).distal_tension.tolist() == [3.0]
-
-
-@pytest.mark.parametrize("name", ["data.txt", "data.xlsx", "data", "csv"])
-def test_an_unknown_suffix_is_refused_before_the_file_is_looked_for(tmp_path, name):
-    assert ".csv, .csv.gz, .parquet, .mcap" in refusal(tmp_path / name)
-
-
 @pytest.mark.parametrize("suffix", ["csv", "csv.gz", "parquet", "mcap"])
 def test_a_file_that_is_not_there_or_is_none_or_is_empty(tmp_path, suffix):
     assert "file not found" in refusal(tmp_path / f"gone.{suffix}")
-    folder = tmp_path / f"folder.{suffix}"
-    folder.mkdir()
-    assert "is not a file" in refusal(folder)
+    (tmp_path / f"folder.{suffix}").mkdir()
+    os.mkfifo(tmp_path / f"pipe.{suffix}")
+    (tmp_path / f"zero.{suffix}").symlink_to("/dev/zero")
+    for name in ("folder", "pipe", "zero"):
+        assert "is not a file" in refusal(tmp_path / f"{name}.{suffix}")
     assert "is empty" in refusal(tmp_path / f"empty.{suffix}", "")
+    assert ".csv, .csv.gz, .parquet, .mcap" in refusal(tmp_path / "data.txt")
 
 
-@pytest.mark.parametrize("suffix", ["csv.gz", "parquet", "mcap"])
-def test_a_damaged_file_is_refused(tmp_path, suffix):
-    refusal(tmp_path / f"damaged.{suffix}", GOOD)
-
-
-def test_a_cut_off_compressed_file_is_refused(tmp_path):
-    whole = gzip.compress(GOOD.encode() * 1000)
-    assert "cut off" in refusal(tmp_path / "cut.csv.gz", whole[: len(whole) // 2])
-
-
-def test_a_cut_off_parquet_file_is_refused(tmp_path):
+def test_a_damaged_or_cut_off_file_is_refused(tmp_path):
+    for suffix in ("csv.gz", "parquet", "mcap"):
+        refusal(tmp_path / f"damaged.{suffix}", GOOD)
     path = tmp_path / "cut.parquet"
     write_table(path, {"time_s": np.arange(999.0), "proximal_tension_N": np.ones(999)})
     refusal(path, path.read_bytes()[:-100])
-
-
-def test_text_in_a_parquet_column_is_refused_by_row(tmp_path):
-    path = tmp_path / "data.parquet"
-    pq.write_table(pa.table({"time_s": [0.0, 0.1], "proximal_tension_N": ["1", "x"]}), path)
-    assert "row 2: 'x'" in refusal(path)
-
-
-@pytest.mark.skipif(os.geteuid() == 0, reason="root may read everything")
-def test_a_file_one_may_not_read_is_refused(path):
-    path.write_text(GOOD)
-    path.chmod(0)
-    assert "denied" in refusal(path).lower()
+    whole = gzip.compress(GOOD.encode() * 1000)
+    assert "cut off" in refusal(tmp_path / "cut.csv.gz", whole[: len(whole) // 2])
 
 
 # --- what is too large
@@ -311,8 +265,7 @@ LARGE = {
 }
 
 
-@pytest.mark.parametrize("large", [False, True], ids=["rows", "blocks"])
-@pytest.mark.parametrize("suffix", ["csv", "csv.gz"])
+@pytest.mark.parametrize(("suffix", "large"), [("csv", False), ("csv.gz", False), ("csv.gz", True)])
 @pytest.mark.parametrize("kind", LARGE)
 def test_text_that_unpacks_without_end_is_refused(
     tmp_path, small, monkeypatch, kind, suffix, large
@@ -362,6 +315,7 @@ def test_a_quoted_cell_without_end_is_refused_with_its_line(path, monkeypatch, b
     ("column", "said"),
     [
         ([True, False], "row 1: 'true' is not a number"),
+        (["1", "x"], "row 2: 'x'"),
         ([b"1", b"2"], "of type binary"),
         ([[1.0], [2.0]], "of type list"),
         (pa.array([1, 2], pa.duration("ms")), "of type duration"),
@@ -373,13 +327,6 @@ def test_what_is_no_number_in_parquet_is_not_taken_for_newtons(tmp_path, column,
     assert said in refusal(path)
 
 
-def test_a_pipe_or_a_device_is_no_table(tmp_path):
-    os.mkfifo(tmp_path / "pipe.csv")
-    (tmp_path / "zero.csv").symlink_to("/dev/zero")
-    for name in ("pipe.csv", "zero.csv"):
-        assert "is not a file" in refusal(tmp_path / name)
-
-
 # --- writing
 
 
@@ -387,7 +334,7 @@ numbers = st.floats(allow_nan=False, allow_infinity=False, width=64)
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".csv.gz", ".parquet"])
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=15)
 @given(
     rows=st.lists(
         st.tuples(st.floats(1e-9, 0.4), st.floats(0.0, 900.0), st.floats(-0.9, 0.9), numbers),
@@ -429,9 +376,3 @@ def test_writing_replaces_a_file_whole_or_not_at_all(tmp_path):
 def test_a_table_that_cannot_be_written_is_refused(tmp_path, name):
     with pytest.raises(UsageError):
         write_table(tmp_path / name, {"time_s": np.arange(2.0)})
-
-
-def test_compressed_tables_of_the_same_data_are_the_same_file(tmp_path):
-    for name in ("a.csv.gz", "b.csv.gz"):
-        write_table(tmp_path / name, {"time_s": np.arange(9.0)})
-    assert (tmp_path / "a.csv.gz").read_bytes() == (tmp_path / "b.csv.gz").read_bytes()

@@ -11,7 +11,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from mcap.records import Schema
 from mcap_ros2.decoder import DecoderFactory
-from rosbags.typesys import get_types_from_msg
 
 from master.device import DeviceFault
 from master.devices import ros_device
@@ -21,7 +20,6 @@ from teleop.errors import UsageError
 from teleop.messages.messages import SlaveState
 from teleop.ros import message_types
 from teleop.ros.message_types import (
-    DIAGNOSTIC_ARRAY,
     JOINT_STATE,
     STRING_STAMPED,
     TF_MESSAGE,
@@ -60,13 +58,6 @@ def test_hashes_that_ros_jazzy_ships():
     assert compute_type_hash(JOINT_STATE).endswith(
         "a13ee3a330e346c9d87b5aa18d24e11690752bd33a0350f11c5882bc9179260e"
     )
-
-
-def test_a_definition_contains_all_types_that_it_refers_to():
-    store = load_typestore()
-    for name in (TF_MESSAGE, DIAGNOSTIC_ARRAY):
-        types = get_types_from_msg(format_definition(name), name)
-        assert {k: store.fielddefs[k][1] for k in types} == {k: v[1] for k, v in types.items()}
 
 
 def test_bytes_of_the_link_are_cdr_as_they_are():
