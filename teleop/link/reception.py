@@ -50,19 +50,30 @@ class Inbox:
         """End a wait now; every signal handler must call it.
 
         A `SimpleQueue.get` interrupted by a signal continues to wait for the rest of its time, or
-        for ever if the handler took longer (CPython 3.11, _queuemodule.c).
+        for ever if the handler took longer (CPython 3.11 and 3.12, _queuemodule.c).
         """
         self._queue.put(None)
 
     def wait(self, deadline_ns: int) -> bool:
-        """Wait for a message, at most until a time of the monotonic clock [ns]."""
+        """Wait for a message, at most until a time of the monotonic clock [ns].
+
+        In CPython 3.11 and 3.12, `SimpleQueue.get(timeout)` waits for ever if the lock of the queue
+        is free and the deadline passes before the wait begins: the thread was not running. The lock
+        is free after each `get` that waited for its item, and taken after a `get_nowait` that found
+        none.
+        """
         if self._taken:
             return True
-        timeout = (deadline_ns - time.monotonic_ns()) * 1e-9
         try:
-            sample = self._queue.get(timeout > 0.0, max(timeout, 0.0))
+            sample = self._queue.get_nowait()
         except Empty:
-            return False
+            timeout = (deadline_ns - time.monotonic_ns()) * 1e-9
+            if timeout <= 0.0:
+                return False
+            try:
+                sample = self._queue.get(timeout=timeout)
+            except Empty:
+                return False
         if sample is None:
             return False
         data = sample.payload.to_bytes()

@@ -6,7 +6,7 @@ from collections import Counter, OrderedDict, deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
-from queue import Empty, SimpleQueue
+from queue import Empty, Queue
 from time import monotonic_ns
 from typing import Any
 
@@ -133,7 +133,8 @@ class Roster:
         self._visits: dict[tuple[Role, int], int] = {}  # number of visits
         self._relayed: dict[Token, Any] = {}
         self._liveliness: Any = zenoh_session.liveliness()
-        self._events: SimpleQueue[Callable[[], None] | None] = SimpleQueue()
+        # no `SimpleQueue`, whose waits may have no end (`teleop.link.reception.Inbox.wait`)
+        self._events: Queue[Callable[[], None] | None] = Queue()
         self._stack = contextlib.ExitStack()
         if handshake is not None:
             # a side must not say that it holds its role while it claims it

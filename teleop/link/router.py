@@ -261,7 +261,8 @@ def main(args: argparse.Namespace) -> int:
     granted = request_realtime(
         shared.realtime
     )  # before the router: its threads inherit the priority
-    changes: queue.SimpleQueue[tuple[str, Role, bool]] = queue.SimpleQueue()
+    # no `SimpleQueue`, whose waits may have no end (`teleop.link.reception.Inbox.wait`)
+    changes: queue.Queue[tuple[str, Role, bool]] = queue.Queue()
     seen: set[str] = set()
     with Router(link, sessions, config.listen, config.connect, lambda *change: changes.put(change)):
         print(_format_start_message(config, link), flush=True)

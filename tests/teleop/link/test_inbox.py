@@ -70,6 +70,25 @@ def test_what_came_before_the_deadline_that_has_passed_is_there():
     assert inbox.wait(time.monotonic_ns() - 1)
 
 
+def test_a_wait_ends_though_its_deadline_passes_before_it_begins():
+    """Of CPython's `SimpleQueue.get` one in a few hundred of these would wait for ever."""
+    inbox, ended = Inbox(4), 0
+
+    def wait_often():
+        nonlocal ended
+        for _ in range(3000):
+            inbox.store(sample(1))  # which frees the lock of the queue when it is taken
+            inbox.wait(time.monotonic_ns())
+            inbox.take()
+            inbox.wait(time.monotonic_ns() + 2000)
+            ended += 1
+
+    waiting = threading.Thread(target=wait_often, daemon=True)
+    waiting.start()
+    waiting.join(60.0)
+    assert ended == 3000
+
+
 def test_a_signal_ends_a_wait_however_long_its_handler_takes():
     """CPython's own `SimpleQueue.get` would wait for ever here: nothing else comes."""
     inbox = Inbox(4)
