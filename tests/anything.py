@@ -8,7 +8,7 @@ import os
 import random
 import struct
 
-CASES = int(os.environ.get("GATE_CASES", "20000"))
+CASES = int(os.environ.get("GATE_CASES", "10000"))
 ODD = (
     *(0.0, -0.0, math.nan, math.inf, -math.inf, 5e-324, -5e-324, 2.3e-308, 1.8e308, -1.8e308),
     *(1e-9, -1e-9, 1e9, -1e9, 1e300, -1e300),

@@ -18,9 +18,18 @@ atexit.register(shutil.rmtree, KEYS, ignore_errors=True)
 signal.signal(signal.SIGHUP, signal.SIG_DFL)  # under nohup, commands would go on ignoring it
 settings.register_profile("short", deadline=None, max_examples=50)  # a busy machine takes long
 settings.load_profile("short")
-REAL_TIME = (  # loops, sockets, clocks
+REAL_TIME = (  # sessions and loops on the clock, not what only waits for sockets
     "examples/test_session_examples.py",
-    "system",
+    "system/test_certificates.py",
+    "system/test_faults.py",
+    "system/test_kill.py",
+    "system/test_namespaces.py",
+    "system/test_replay_rig.py",
+    "system/test_rogue.py",
+    "system/test_ros_run.py",
+    "system/test_run.py",
+    "system/test_side_by_side.py",
+    "system/test_stop.py",
     "drivers/test_cia402.py",
     "drivers/test_composed.py",
     "drivers/test_dynamixel.py",
@@ -33,18 +42,8 @@ REAL_TIME = (  # loops, sockets, clocks
     "master/hid/test_device.py",
     "master/hid/test_guard.py",
     "master/hid/test_writer.py",
-    "slave/test_emergency_stop.py",
-    "slave/test_process.py",
-    "teleop/link/test_connection_guard.py",
-    "teleop/link/test_connection_probe.py",
+    "slave/test_command.py",
     "teleop/link/test_frozen_and_killed.py",
-    "teleop/link/test_played_back.py",
-    "teleop/link/test_rivals.py",
-    "teleop/link/test_router.py",
-    "teleop/link/test_rogue.py",
-    "teleop/link/test_sessions.py",
-    "teleop/link/test_tls.py",
-    "teleop/link/test_withdrawn.py",
     "teleop/ros/test_live.py",
 )
 NO_CLOCK = (  # of what keeps hands safe: a failure is one, however seldom

@@ -5,8 +5,6 @@ from pathlib import Path
 
 import pytest
 
-from studies import denial
-from studies.denial import DECLARED_MIN, TableFlood
 from studies.hidden.scales import Answer, unlike
 from studies.rigs.jobs import require_stopped
 
@@ -32,36 +30,6 @@ def test_a_number_that_only_one_size_of_a_bench_has_is_a_difference():
     assert unlike(Answer("clean", (), of_one), Answer("clean", (), of_one)) == []
     (said,) = unlike(Answer("clean", (), {"K": (0.9, 0.01)}), Answer("clean", (), of_both))
     assert said.startswith("K 0.9")
-
-
-ALIVE = {"slave": None, "master": None}
-
-
-@pytest.mark.parametrize(
-    ("flood", "failures"),
-    [
-        (TableFlood(130.0, 140.0, 131.0, 3, DECLARED_MIN, ALIVE), []),
-        (TableFlood(130.0, 140.0, 0.0, 3, 50, ALIVE | {"slave": -9}), ["slave has ended with -9"]),
-        (TableFlood(130.0, 140.0, 131.0, 3, 50, ALIVE | {"master": 1}), ["the master has ended"]),
-        (TableFlood(130.0, 130.0, 130.0, 0, 0, ALIVE), ["never connected", "declared 0, at least"]),
-        (TableFlood(130.0, 150.0, 145.0, 3, 50, ALIVE), ["keeps more than 10 MB"]),
-    ],
-)
-def test_a_flood_that_kills_a_side_or_is_none_fails(flood, failures):
-    found = flood.failures()
-    assert len(found) == len(failures)
-    assert all(part in line for part, line in zip(failures, found, strict=True))
-
-
-def test_a_slave_that_dies_in_a_flood_is_noticed(monkeypatch):
-    death = "    if role is Role.SLAVE:\n        time.sleep(1.5)\n        sys.exit(3)\n"
-    monkeypatch.setattr(
-        denial, "SIDE", denial.SIDE.replace("    while True:", f"{death}    while True:")
-    )
-    monkeypatch.setattr(denial, "LEAVING_S", 1.0)
-    flood = denial.flood_tables(denial.declare_token, 1.0)
-    assert flood.ended == {"slave": 3, "master": None}
-    assert "the slave has ended with 3" in flood.failures()
 
 
 @pytest.mark.parametrize("times_s", [(-2.0, -0.3, 0.01), (-3.0, -0.004), (0.049,)])

@@ -59,6 +59,7 @@ def installed(tmp_path_factory):
 
 
 def python(installed, folder, code):
+    """Run code where the package is installed; return what it prints."""
     ended = subprocess.run(
         [sys.executable, "-c", code],
         env={"PATH": "/usr/bin:/bin", "PYTHONPATH": f"{installed}:{ROOT}", "HOME": str(folder)},
@@ -68,52 +69,47 @@ def python(installed, folder, code):
         check=False,
     )
     assert ended.returncode == 0, ended.stderr
-    return ended.stdout.split()
-
-
-@pytest.mark.parametrize("name", ["mylab", "mylab.rig:SpringRigConfig"])
-def test_its_rig_is_opened_with_the_keys_of_the_config(installed, tmp_path, name):
-    assert python(installed, tmp_path, RIG % name) == ["spring", "3.0"]
-
-
-@pytest.mark.parametrize("name", ["mylab", "mylab.device:SineHandConfig"])
-def test_its_device_is_opened(installed, tmp_path, name):
-    axes, position, engage = python(installed, tmp_path, DEVICE % name)
-    assert (axes, engage) == ("1", "True")
-    assert float(position) == pytest.approx(0.01)
-
-
-@pytest.mark.parametrize("name", ["mylab-curve", "mylab.effect:DISTAL_TENSION_CURVE"])
-def test_its_effect_is_chosen_saved_and_loaded(installed, tmp_path, name):
-    assert python(installed, tmp_path, EFFECT % name) == [name, "0.01"]
+    return ended
 
 
 @pytest.mark.parametrize(
-    ("rig", "said"),
+    ("rig", "device", "effect"),
     [
-        ("{type: mylab, stifness: 1}", "slave.rig.stifness: unknown key; did you mean 'stiffness'"),
-        ("{type: mylab, stiffness: -1}", "slave.rig.stiffness: -1.0: must be above 0"),
-        ("{type: 'mylab.rig:Nothing'}", "mylab.rig has no 'Nothing'"),
+        ("mylab", "mylab", "mylab-curve"),
         (
-            "{type: 'mylab.rig:SpringRig'}",
-            "must be a subclass of slave.rigs.extension:",
+            *("mylab.rig:SpringRigConfig", "mylab.device:SineHandConfig"),
+            "mylab.effect:DISTAL_TENSION_CURVE",
         ),
-        ("{type: 'nobody.rig:Rig'}", "no module 'nobody'; install its package"),
-        ("{type: mylb}", "'mylb' is unknown"),
     ],
 )
-def test_a_mistake_is_one_line_that_names_the_place(installed, tmp_path, rig, said):
+def test_its_rig_device_and_effect_are_used_by_either_name(
+    installed, tmp_path, rig, device, effect
+):
+    code = RIG % rig + DEVICE % device + EFFECT % effect
+    of_rig, of_device, of_effect = python(installed, tmp_path, code).stdout.splitlines()
+    assert of_rig == "spring 3.0"
+    axes, position, engage = of_device.split()
+    assert (axes, engage) == ("1", "True")
+    assert float(position) == pytest.approx(0.01)
+    assert of_effect == f"{effect} 0.01"
+
+
+MISTAKES = {
+    "{type: mylab, stifness: 1}": "slave.rig.stifness: unknown key; did you mean 'stiffness'",
+    "{type: mylab, stiffness: -1}": "slave.rig.stiffness: -1.0: must be above 0",
+    "{type: 'mylab.rig:Nothing'}": "mylab.rig has no 'Nothing'",
+    "{type: 'mylab.rig:SpringRig'}": "must be a subclass of slave.rigs.extension:",
+    "{type: 'nobody.rig:Rig'}": "no module 'nobody'; install its package",
+    "{type: mylb}": "'mylb' is unknown",
+}
+
+
+def test_a_mistake_is_one_line_that_names_the_place(installed, tmp_path):
     code = f"""
 from teleop.cli import commands
-assert commands.main(["slave", "--allow-imports", "--set", "slave.rig={rig}"]) == 2
+for rig in {list(MISTAKES)}:
+    assert commands.main(["slave", "--allow-imports", "--set", "slave.rig=" + rig]) == 2
 """
-    ended = subprocess.run(
-        [sys.executable, "-c", code],
-        env={"PATH": "/usr/bin:/bin", "PYTHONPATH": f"{installed}:{ROOT}", "HOME": str(tmp_path)},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert ended.returncode == 0, ended.stderr
-    assert len(ended.stderr.splitlines()) == 1
-    assert said in ended.stderr
+    lines = python(installed, tmp_path, code).stderr.splitlines()
+    for line, said in zip(lines, MISTAKES.values(), strict=True):
+        assert said in line

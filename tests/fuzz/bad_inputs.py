@@ -1,13 +1,14 @@
 # ruff: noqa: E501, ARG005 - tables of bad bytes, and of functions of one signature
 
-"""Inputs that must be refused, drawn by seed: tables, Parquet, recordings, bags and configs.
+"""Inputs that must be refused, drawn by seed: Parquet, recordings, bags, and what is no file.
+
+Tables and configs: tests/teleop/data, tests/teleop/test_config.py, and `Fuzz`, which damages them.
 
 `python -m tests.fuzz.bad_inputs SEED FIRST END FOLDER` runs some of them in bounded memory, and
 prints what was wrong, one line of JSON each.
 """
 
 import contextlib
-import gzip
 import io
 import json
 import os
@@ -43,13 +44,12 @@ from teleop.ros.message_types import (
     build_message,
     encode,
 )
-from tests.fuzz.cases import COLUMNS, CONFIGS, Fuzz, recording_bytes
+from tests.fuzz.cases import COLUMNS, recording_bytes
 from tests.fuzz.running import HANG_CPU_S, HANG_S, check, contents, hang, load_all
 
 MEMORY_MAX = 4_000_000_000  # [bytes] of address space, beyond what Python and its packages take; compiling takes 1
 SECOND_NS = 1_000_000_000
 MODEL = ("--set", "slave.tendons=[{effective_friction: 0.5}]")
-NO_NUMBERS = ("oops", "1,5", "None", "0x10", "12:30", "true", "=1+1", "1 N", "--1", "1e", "N/A")
 
 
 class BadInput(NamedTuple):
@@ -65,151 +65,30 @@ class BadInputs:
 
     def __init__(self, seed: int, folder: Path) -> None:
         self.random, self.folder = random.Random(seed), folder  # noqa: S311
-        self.fuzz = Fuzz(seed, folder)
 
     def draw(self) -> BadInput:
         """Return a bad input; its files are in the folder."""
         kinds: list[Callable[[], BadInput]] = [
-            self.csv, self.csv, self.mutated_table, self.parquet, self.parquet, self.recording,
-            self.recording, self.mutated_recording, self.bag, self.bag, self.mutated_bag,
-            self.config, self.config, self.no_file,
+            self.parquet, self.parquet, self.mutated_parquet, self.recording, self.recording,
+            self.mutated_recording, self.bag, self.bag, self.mutated_bag, self.no_file,
         ]  # fmt: skip
         return self.random.choice(kinds)()
 
     def estimate(self, path: Path, *words: str) -> list[str]:
         return ["estimate", str(path), *MODEL, *words]
 
-    # tables
+    # Parquet
 
-    def table(self) -> dict[str, list[str]]:
-        rows = self.random.randint(20, 90)
-        time = 0.01 * np.arange(rows)
+    def table(self) -> dict[str, pa.Array]:
+        time = 0.01 * np.arange(self.random.randint(20, 90))
         tension = 6.0 - 5.0 * np.cos(8.0 * time)
         values = [time, tension, 1e-4 * tension, 0.4 * tension, 1e-5 * tension]
-        return {name: list(map(repr, v.tolist())) for name, v in zip(COLUMNS, values, strict=True)}
+        return dict(zip(COLUMNS, map(pa.array, values), strict=True))
 
-    def csv(self) -> BadInput:
-        kinds = [
-            self._bad_cell, self._bad_number, self._bad_header, self._bad_rows, self._bad_time,
-            self._bad_unit, self._too_large, self._bad_encoding,
-        ]  # fmt: skip
-        make = self.random.choice(kinds)
-        columns = self.table()
-        made = make(columns)
-        text, words = made if isinstance(made, tuple) else (made, [])
-        data = text if isinstance(text, bytes) else text.encode("utf-8", "surrogatepass")
-        packed = self.random.random() < 0.3
-        path = self.folder / ("data.csv.gz" if packed else "data.csv")
-        path.write_bytes(gzip.compress(data, 1) if packed else data)
-        command = self.estimate(path, *words)
-        if make in (self._bad_cell, self._bad_header, self._too_large) and not words:
-            command = self.random.choice([command, ["diagnose", str(path), "--effects", "slack"]])
-        return BadInput(make.__name__, command)
-
-    def _text(self, columns: dict[str, list[str]]) -> str:
-        lines = [",".join(columns)]
-        lines += [",".join(cells) for cells in zip(*columns.values(), strict=True)]
-        return "\n".join(lines) + "\n"
-
-    def _bad_cell(self, columns: dict[str, list[str]]) -> str:
-        cells = columns[self.random.choice(COLUMNS)]
-        bad = self.random.choice([*NO_NUMBERS, "x" * 3000, "9" * 400 + "z", "\x00", "\u0663a"])
-        cells[self.random.randrange(len(cells))] = f'"{bad}"'
-        return self._text(columns)
-
-    def _bad_number(self, columns: dict[str, list[str]]) -> str:
-        name = self.random.choice(COLUMNS[1:])
-        cells = columns[name]
-        bad = ["nan", "inf", "-inf", "1e309", "", "1e6", "-1e6", "NaN", "Infinity"]
-        cells[self.random.randrange(len(cells))] = self.random.choice(bad)
-        return self._text(columns)
-
-    def _bad_header(self, columns: dict[str, list[str]]) -> str:
-        names, body = ",".join(columns), self._text(columns).partition("\n")[2]
-        head = self.random.choice(
-            [
-                "", " ", "1,2,3,4,5", names.replace(",", ";"), names.replace(",", "\t"),
-                "# " + names, names.replace("time_s", "time"), names + ",time_s",
-                names.replace("proximal_tension_N", "proximal_tension_N\x07"), '"' + names,
-                names.replace("tension_N", "tension_mN"), names.replace("_m", "_mm"),
-                names.replace("proximal_tension_N", "proximal_torque_Nm"), "\ufeff\ufeff" + names,
-                names.replace("_", "\u00a0"), ",".join(f"c{k}" for k in range(1001)), "a" * 2**21,
-            ]
-        )  # fmt: skip
-        return f"{head}\n{body}"
-
-    def _bad_rows(self, columns: dict[str, list[str]]) -> str:
-        lines = self._text(columns).splitlines()
-        k = self.random.randrange(1, len(lines))
-        lines[k] += self.random.choice([",", ",1", ",,,", '"', ',"', "\n,", "\n1"])
-        cut = self.random.choice([None, None, None, 1])
-        return "\n".join(lines[:cut]) + "\n"
-
-    def _bad_time(self, columns: dict[str, list[str]]) -> str:
-        time = columns["time_s"]
-        k = self.random.randrange(1, len(time))
-        kind = self.random.randrange(4)
-        if kind == 0:
-            time[k] = time[k - 1]
-        elif kind == 1:
-            time.reverse()
-        elif kind == 2:
-            time[k] = self.random.choice(["nan", "", "inf", "-1e300", "1e300"])
-        else:
-            step = self.random.choice([1, 0.5, 5, 1000, 1e9])
-            columns["time_s"] = [repr(step * row) for row in range(len(time))]
-        return self._text(columns)
-
-    def _bad_unit(self, columns: dict[str, list[str]]) -> tuple[str, list[str]]:
-        channel, name = self.random.choice(
-            [
-                ("time", "t_mm"), ("time", "t_kgf"), ("time", "t[fortnights]"), ("time", "t[]"),
-                ("proximal_tension", "T_mm"), ("proximal_tension", "T_Nm"),
-                ("proximal_tension", "T[bar]"), ("proximal_displacement", "q_deg"),
-                ("proximal_displacement", "q_kgf"), ("distal_tension", "T_ms"),
-                ("proximal_displacement", "q[N]"), ("distal_displacement", "q[[m]]"),
-            ]
-        )  # fmt: skip
-        standard = {c.rpartition("_")[0]: c for c in COLUMNS}[channel]
-        columns[name.partition("[")[0]] = columns[standard]
-        return self._text(columns), ["--column", f"{channel}={name}"]
-
-    def _too_large(self, columns: dict[str, list[str]]) -> str:
-        text = self._text(columns)
-        return self.random.choice(
-            [
-                lambda: text + "0" * (1 << 22),
-                lambda: text + "\n" * 20_000,
-                lambda: text + '"' + "x" * (1 << 22) + '",1,1,1,1\n',
-                lambda: text + '"' + "x\n" * (1 << 18) + '",1,1,1,1\n',
-                lambda: ",".join(f"c{k}" for k in range(100_000)) + "\n" + text,
-                lambda: text.replace("\n", "," + "y" * 140_000 + "\n"),
-            ]
-        )()
-
-    def _bad_encoding(self, columns: dict[str, list[str]]) -> bytes:
-        text = self._text(columns)
-        return self.random.choice(
-            [
-                text.encode("utf-16"), text.encode("utf-32"), text.encode("cp037"),
-                text.replace("time_s", "zeit_\u00e4,time_s").encode("latin-1"),
-                text.encode() + b"\xff\xfe,1,1,1,1\n", self.random.randbytes(5000),
-                gzip.compress(text.encode()), b"\x00" * 10_000,
-            ]
-        )  # fmt: skip
-
-    def mutated_table(self) -> BadInput:
-        text = self._text(self.table()).encode()
-        suffix = self.random.choice([".csv", ".csv.gz", ".parquet"])
-        if suffix == ".csv.gz":
-            text = gzip.compress(text)
-        elif suffix == ".parquet":
-            text = self._parquet(
-                {name: pa.array(map(float, c)) for name, c in self.table().items()}
-            )
-        path = self.folder / f"data{suffix}"
-        path.write_bytes(self.mutate(text))
-        return BadInput("mutated" + suffix, self.estimate(path), refused=False)
+    def mutated_parquet(self) -> BadInput:
+        path = self.folder / "data.parquet"
+        path.write_bytes(self.mutate(self._parquet(self.table())))
+        return BadInput("mutated parquet", self.estimate(path), refused=False)
 
     def mutate(self, data: bytes) -> bytes:
         """Return bytes in which some are changed, copied, cut out, or numbers made large."""
@@ -232,10 +111,8 @@ class BadInputs:
                 return b"\x00"
         return bytes(out)
 
-    # Parquet
-
     def parquet(self) -> BadInput:
-        columns = {name: pa.array(map(float, cells)) for name, cells in self.table().items()}
+        columns = self.table()
         rows = len(columns["time_s"])
         name = self.random.choice(COLUMNS[:2])
         odd = {
@@ -351,28 +228,6 @@ class BadInputs:
         words = [f"--column={c}" for c in NAMED]
         return BadInput("mutated bag", self.estimate(path, *words), refused=False)
 
-    # configs
-
-    def config(self) -> BadInput:
-        path = self.folder / "config.yaml"
-        tree = yaml.safe_load(self.random.choice(CONFIGS).read_text())
-        kind = self.random.choice(["key", "value", "value", "number", "text"])
-        if kind == "text":
-            path.write_bytes(self.random.choice(TEXTS))
-            return BadInput("config text", ["load", str(path)])
-        node, key = self.random.choice(leaves(tree))
-        refused = True
-        if kind == "key" and isinstance(node, dict):
-            node["no_such_key"] = 1
-            refused = "bus" not in str(key)
-        elif kind == "number" and isinstance(node[key], float | int):
-            node[key] = self.random.choice([float("nan"), "many", [1.0], -(10.0**300), "1 N"])
-            refused = node[key] != -(10.0**300)
-        else:
-            node[key] = {"no_such_key": {"a": 1}}
-        path.write_text(yaml.safe_dump(tree))
-        return BadInput(f"config {kind}", ["load", str(path)], refused)
-
     # what is no file
 
     def no_file(self) -> BadInput:
@@ -467,11 +322,6 @@ METADATA = (
     "a: &a [1,1,1,1,1,1,1,1,1]\nb: &b [*a,*a,*a,*a,*a,*a,*a,*a,*a]\nc: [*b,*b,*b,*b,*b,*b]",
     "{a: " * 2000,
 )  # fmt: skip
-TEXTS = (
-    b"\x00", b"\xff\xfe", b"[]", b"3", b"a: [", b"master: 3", b"no_such_section: {}", b"- x", b"\t: a",
-    b"session: a\nsession: b", b"? [a]: b", b"{a: " * 3000, b"x" * 200_000, b"session: !!python/name:os",
-    b"a: &a [*a]", b"&a a: *a", b"session: " + b"9" * 9000, b"rate_hz: 1e999", b"session: 'a", b"%",
-)  # fmt: skip
 
 
 def joint_state(k: int, changes: dict[str, tuple[float, ...]]) -> bytes:
@@ -491,20 +341,6 @@ def bag_bytes(name: str, kind: str, messages: list[bytes]) -> bytes:
     records.Header(profile="ros2", library="x").write(builder)
     header = builder.end()
     return MCAP0_MAGIC + header + chunk(content)
-
-
-def leaves(tree: object) -> list[tuple[dict | list, object]]:
-    """Return (container, key) of all values in a tree that are no containers."""
-    found = []
-    stack = [tree]
-    while stack:
-        node = stack.pop()
-        for key, value in node.items() if isinstance(node, dict) else enumerate(node):
-            if isinstance(value, dict | list):
-                stack.append(value)
-            else:
-                found.append((node, key))
-    return found
 
 
 def run(case: BadInput) -> tuple[object, str]:

@@ -30,20 +30,8 @@ SCALARS = (
     "0.5", "/", "../../etc/passwd", "x.yaml", "1.0e6", "300",
 )  # fmt: skip
 NUMBERS = (
-    "0",
-    "-1",
-    "nan",
-    "inf",
-    "1e999",
-    "1e-300",
-    "0.01",
-    "1",
-    "x",
-    "",
-    "0.5",
-    "1e5",
-    "9" * 400,
-)
+    "0", "-1", "nan", "inf", "1e999", "1e-300", "0.01", "1", "x", "", "0.5", "1e5", "9" * 400,
+)  # fmt: skip
 COLUMNS = (
     "time_s", "proximal_tension_N", "proximal_displacement_m", "distal_tension_N",
     "distal_displacement_m",

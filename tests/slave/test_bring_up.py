@@ -1,6 +1,7 @@
 """`teleop rig`: what is read, what is moved and how far, and what is said of wrong wiring."""
 
 import argparse
+from functools import partial
 
 import numpy as np
 import pytest
@@ -22,6 +23,8 @@ from slave.gate import GateConfig
 from slave.rig import RigSample
 from teleop.cli import commands
 from teleop.errors import TeleopError, UsageError
+from teleop.runtime.clock import Grid
+from tests.tick.clock import StandingClock
 
 MOVE = MotorMove(0.5e-3, 2.0)
 
@@ -163,12 +166,20 @@ def test_wrong_wiring_is_named(wiring, said):
     assert said in text
 
 
+@pytest.fixture
+def clock(monkeypatch):
+    """Time of `teleop rig check` stands still but for sleeping."""
+    clock = StandingClock(monkeypatch)
+    monkeypatch.setattr(command, "Grid", partial(Grid, now=clock.now, sleep=clock.sleep))
+
+
 def arguments(*words):
     parser = argparse.ArgumentParser()
     command.add_arguments(parser)
     return parser.parse_args(["check", "--duration", "0.3", "--set", "rate_hz=200", *words])
 
 
+@pytest.mark.usefixtures("clock")
 @pytest.mark.parametrize(("typed", "moves"), [("move", True), ("", False), ("yes", False)])
 def test_nothing_moves_without_the_typed_word(monkeypatch, capsys, typed, moves):
     rig = Wired()
@@ -179,6 +190,7 @@ def test_nothing_moves_without_the_typed_word(monkeypatch, capsys, typed, moves)
     assert ("next: teleop calibrate" if moves else "nothing was moved") in capsys.readouterr().out
 
 
+@pytest.mark.usefixtures("clock")
 def test_motors_are_enabled_where_they_are_after_the_question(monkeypatch):
     rig = Wired()
     monkeypatch.setattr(command, "open_rig", lambda *_: rig)

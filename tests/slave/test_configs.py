@@ -43,7 +43,6 @@ def leaves(tree, place=()):
     [
         ("arm", "rig.joints.1.body.stops.0", -0.003),
         ("arm", "rig.joints.0.tendons.1.sheath.friction", 0.2),
-        ("two-arms", "rig.joints.1.tendons.0.sheath.friction", 0.3),
         ("two-arms", "rig.joints.2.tendons.0.sheath.sections.1.radius", 0.5),
         ("paper-joint", "rig.joints.0.tendons.1.sheath.axial_stiffness", 8000.0),
     ],
@@ -63,7 +62,7 @@ def calibrate(name, out, options):
 
 
 def of_each(name):
-    return pytest.param(name, marks=pytest.mark.slow if name in {"arm", "two-arms"} else ())
+    return pytest.param(name, marks=() if name == "demo" else pytest.mark.slow)
 
 
 @pytest.fixture(scope="module", params=map(of_each, NAMES))
@@ -116,7 +115,7 @@ def test_a_config_to_start_from_is_right_but_for_the_port(name):
         open_rig(config.rig)
 
 
-@pytest.mark.parametrize("name", ["bowden", "demo"])
+@pytest.mark.parametrize("name", ["demo", pytest.param("bowden", marks=pytest.mark.slow)])
 def test_a_tip_that_is_not_freed_is_found_out(name, tmp_path, capsys):
     out = tmp_path / "calibration.yaml"
     assert calibrate(name, out, []) == 1

@@ -28,6 +28,7 @@ def test_the_rig_of_the_page_is_simulated_and_its_model_is_right(config, tmp_pat
     assert re.search(r"RMSE 0\.0\d+ N", capsys.readouterr().out)
 
 
+@pytest.mark.slow
 def test_the_rig_of_the_page_is_calibrated_as_the_page_says(config, tmp_path):
     assert FREE in RIGS.read_text()
     words = ["calibrate", "--config", str(config), "--set", FREE, "--quick"]

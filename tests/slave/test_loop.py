@@ -149,15 +149,6 @@ def test_once_engaged_the_motors_are_held_where_they_were_sent_and_resume_from_t
     assert slave.state is State.ENGAGED
 
 
-def test_engaged_the_motor_follows_the_commanded_travel():
-    slave, time_s = engaged()
-    begin = slave.motor[0]
-    for k in range(1, 51):
-        message = command(State.ENGAGED, position=k * 5e-5)
-        slave.tick([sample(time_s + k * DT)], message)
-    assert slave.motor[0] == pytest.approx(begin + 50 * 5e-5)
-
-
 def driven(ticks):
     """Engage and command a steady pull; `ticks` gives the samples of each tick. Return motors."""
     slave, time_s = engaged()
@@ -294,34 +285,6 @@ def test_while_clutched_the_motor_holds_and_resumes_without_a_jump():
         assert slave.state is state
 
 
-def test_a_stop_drops_what_was_commanded_for_good():
-    slave, time_s = engaged()
-    for k in range(300):
-        slave.tick(
-            [sample(time_s + k * DT)],
-            command(State.READY if k > 250 else State.ENGAGED, 0.01),
-            stop=Reason.STOP_CALLED if k == 20 else Reason.NONE,
-            reset=k == 150,
-        )
-        if k == 20:
-            held = slave.motor
-        if 20 <= k < 150:
-            assert slave.session == (State.STOPPED, Reason.STOP_CALLED)
-        if k >= 20:
-            assert slave.motor == held
-    assert slave.state is State.READY
-
-
-def test_a_master_that_was_restarted_is_not_followed():
-    slave, time_s = engaged()
-    held = slave.motor
-    for k in range(50):
-        other = replace(command(State.ENGAGED, 0.01), sender=9)
-        output = slave.tick([sample(time_s + k * DT)], other)
-        assert output.motor == held
-        assert slave.session == (State.FAULT, Reason.PEER_RESTARTED)
-
-
 @pytest.mark.parametrize("why", ["stale", "released", "fault", "silent"])
 def test_the_motor_holds_as_soon_as(why):
     slave, time_s = engaged()
@@ -337,23 +300,6 @@ def test_the_motor_holds_as_soon_as(why):
     assert slave.state is not State.ENGAGED
     if why == "silent":
         assert slave.session.reason is Reason.SAMPLES_STALE
-
-
-def test_a_fault_lasts_until_the_operator_lets_go_which_a_master_at_fault_has_not_seen():
-    slave, time_s = engaged()
-    slave.tick([sample(time_s)], command(State.ENGAGED), fault=Reason.OVER_LIMIT)
-    for state in (State.ENGAGED, State.FAULT, State.FAULT):
-        slave.tick([sample(time_s)], command(state))
-        assert slave.session == (State.FAULT, Reason.OVER_LIMIT)
-    slave.tick([sample(time_s)], command(State.READY))
-    assert slave.state is State.READY
-
-
-def test_samples_that_cannot_be_used_are_silence():
-    slave, time_s = engaged()
-    for k in range(200):
-        slave.tick([sample(time_s + k * DT, math.nan)], command(State.ENGAGED))
-    assert slave.state is State.FAULT
 
 
 def test_each_sample_is_estimated_once_whatever_the_ticks_do():
@@ -391,25 +337,6 @@ def test_the_answer_says_what_the_tick_found():
     silent = slave.tick([], told).state
     assert silent.sample_age_ns == DT * 1e9
     assert silent.force == answer.force
-
-
-def test_a_tick_that_is_taken_back_leaves_nothing_behind():
-    pulls = [[sample(k * DT, 5.0 + 0.1 * k, 0.01)] for k in range(60)]
-
-    def drive(twice):
-        slave, _ = engaged()
-        changing = slave.slave.memory, slave.slave.estimators
-        for k, samples in enumerate(pulls):
-            message = command(State.ENGAGED, k * 5e-5)
-            if twice and k % 3 == 0:
-                before = [part.copy() for part in changing]
-                slave.tick([sample(9.0, 31.0)], command(State.FAULT, 1.0), fault=Reason.RIG_FAULT)
-                for now, then in zip(changing, before, strict=True):
-                    now[:] = then
-            output = slave.tick(samples, message)
-        return output.motor, output.state, slave.session
-
-    assert drive(twice=True) == drive(twice=False)
 
 
 def test_a_sample_without_encoders_keeps_nothing_of_the_row_before():

@@ -102,9 +102,17 @@ def frozen(start, *what):
     return spoiled
 
 
-@pytest.mark.parametrize("speed", [0.005, 0.02, 0.2])
-@pytest.mark.parametrize("start", [0.15, 0.3, 0.5])
-@pytest.mark.parametrize("tendons", [1, 2])
+@pytest.mark.parametrize(
+    ("tendons", "start", "speed"),
+    [
+        *((1, 0.3, 0.02), (2, 0.5, 0.2), (2, 0.15, 0.005)),
+        *(
+            pytest.param(tendons, start, speed, marks=pytest.mark.slow)
+            for tendons in (1, 2)
+            for start, speed in ((0.15, 0.2), (0.3, 0.005), (0.5, 0.02))
+        ),
+    ],
+)
 def test_a_frame_that_is_given_again_and_again_pulls_no_tendon_over_the_gates_limit(
     tendons, start, speed
 ):
@@ -159,7 +167,13 @@ def dashes(reach):
     return lambda time: reach * (1.0 if time % 1.2 < 0.6 else -0.5)
 
 
-@pytest.mark.parametrize("name", ["demo", "paper-joint", "arm", "bowden"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "bowden",
+        *(pytest.param(name, marks=pytest.mark.slow) for name in ("demo", "paper-joint", "arm")),
+    ],
+)
 def test_motors_at_their_limits_stay_well_within_what_they_may_be_behind(name):
     config = configured(name)
     session = run(config, dashes(0.02), 2.5)
@@ -218,8 +232,7 @@ def by_hand(**settings):
     return slave(wall(settings.pop("tendons")), tendons=(model,), calibration=None, **settings)
 
 
-@pytest.mark.parametrize("start", [0.0, 0.15, 0.4])
-@pytest.mark.parametrize("tendons", [1, 2])
+@pytest.mark.parametrize(("tendons", "start"), [(1, 0.4), (2, 0.0), (2, 0.15)])
 def test_a_stuck_cell_is_found_where_the_model_was_written_without_its_noise(tendons, start):
     effects = (StuckCell(start=start, tendon="a"),)
     session = run(by_hand(tendons=tendons, effects=effects), to(0.020, 0.02), 3.0)

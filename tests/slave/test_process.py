@@ -1,8 +1,6 @@
 import itertools
-import json
 import math
 import os
-import time
 from contextlib import nullcontext
 from dataclasses import replace
 from functools import partial
@@ -11,16 +9,15 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from slave import loop, process, rigs, warm_up
+from slave import loop, process, warm_up
 from slave.calibration.config import InitialiseConfig
 from slave.calibration.file import Calibration
 from slave.calibration.initialisation import InitialiseResult
 from slave.config import SlaveConfig, TendonConfig
-from slave.process import SlaveProcess
+from slave.process import CalibrationHistory, SlaveProcess
 from slave.rig import RigFault, RigFinished, RigSample
 from slave.rigs.simulated import SimulatedRigConfig
-from slave.samples import estimate
-from teleop.errors import PeerError, TeleopError, UsageError
+from teleop.errors import PeerError, TeleopError
 from teleop.link import LatestMessage, ReceivedMessage
 from teleop.link.rate_limit import RefusalCounter
 from teleop.messages.messages import (
@@ -51,7 +48,7 @@ from teleop.remote.stop_socket import LocalRequest
 from teleop.runtime.clock import EventClock, now_ns
 from teleop.session.loop_process import run
 from teleop.session.state_machine import Reason, State, to_outline
-from tests.one_side import arguments_of, without_traces
+from tests.tick.clock import StandingClock
 
 TENDON = TendonConfig(effective_friction=0.8)
 CONFIG = SlaveConfig(tendons=(TENDON,))
@@ -59,10 +56,21 @@ START = 0.013  # [m] where the fake rig's encoder says its motor stands
 PULL = 2e-5  # [m] of every command further than the last
 
 
+ON_THE_WAY = 1e-5  # [s]
+
+
+@pytest.fixture(autouse=True)
+def clock(monkeypatch):
+    """Time stands still but for sleeping."""
+    FakeLink.clock = StandingClock(monkeypatch)
+    return FakeLink.clock
+
+
 class FakeLink:
     """Stands in for the link: keeps what is published, and commands as a master would."""
 
     nonce, role = 5, Role.SLAVE
+    clock = None  # in which its messages take `ON_THE_WAY`
 
     def __init__(self, pressed_after=5, rate_hz=1000.0):
         self.sent, self.heard, self.refusals = [], [], RefusalCounter()
@@ -98,8 +106,8 @@ class FakeLink:
     def wait(self, topic, deadline_ns):
         assert topic is COMMAND
         until_ns = min(self.due_ns, deadline_ns) if self.commanding else deadline_ns
-        time.sleep(max(0.0, (until_ns - time.monotonic_ns()) * 1e-9))
-        self.due_ns = time.monotonic_ns() + self.period_ns
+        self.clock.sleep(max(0.0, (until_ns - self.clock.now()) * 1e-9))
+        self.due_ns = self.clock.now() + self.period_ns
         return self.commanding
 
     def latest(self, topic):
@@ -116,6 +124,7 @@ class FakeLink:
             data = command.pack(self.nonce, self.sequence, self.stamps[-1])
             arrived = [(data, now_ns())]
         self.latest_command.take(arrived)
+        self.clock.sleep(ON_THE_WAY)
         return self.latest_command
 
     def listen(self, topics):
@@ -239,7 +248,8 @@ class Until:
 
 
 def started(rig, line, stop, rate_hz=1000.0, history=None, config=CONFIG):
-    clock = EventClock(rate_hz, stop, partial(line.wait, COMMAND))
+    wait = partial(line.wait, COMMAND)
+    clock = EventClock(rate_hz, stop, wait, line.clock.now, line.clock.sleep)
     model = loop.build_rig_model(rig.joints, [TENDON.model()])
     return SlaveProcess(config, line, rig, model, clock, history), clock
 
@@ -250,6 +260,26 @@ def driven(rig, line=None, ticks=40, rate_hz=1000.0):
     slave, clock = started(rig, line, stop, rate_hz)
     run(slave, clock, stop.request)
     return slave, line, stop
+
+
+def ticking(rig, line, history=None):
+    """Return a slave, and what lets it tick on."""
+    slave, clock = started(rig, line, lambda: False, history=history)
+    ticks = iter(clock)
+
+    def run_on(count):
+        for _ in range(count):
+            slave.tick(next(ticks))
+
+    return slave, run_on
+
+
+def stop_message(action, sequence, sender=77, **settings):
+    message = EmergencyStop(
+        role=Role.REMOTE, action=action, text=encode_text("a nurse"), **settings
+    )
+    data = message.pack(sender, sequence, now_ns())
+    return ReceivedMessage(STOP, data, now_ns(), sender, sequence, now_ns())
 
 
 def side_of(slave):
@@ -303,15 +333,6 @@ def test_the_end_is_told_and_is_not_engaged():
     assert line.said()[-1] == "off: ended"
 
 
-def test_a_rig_that_cannot_tell_where_it_stands_is_never_written_to_and_says_why():
-    rig = FakeRig(encoder=None)
-    _, line, _ = driven(rig)
-    assert rig.writes == []
-    assert {state.state for state in line.of(STATE)} == {State.OFF}
-    assert "no encoder reading" in line.said()[0]
-    assert len(line.said()) == 2
-
-
 @pytest.mark.parametrize("fails", ["read_fails_at", "write_fails_at", "advance_fails_at"])
 def test_a_rig_that_fails_ends_the_session_in_fault_and_is_left_alone(fails):
     rig = FakeRig(**{fails: 20})
@@ -354,23 +375,6 @@ def test_a_tick_that_no_command_asked_for_answers_none():
     states = line.of(STATE)
     assert [state.answer_ns > 0 for state in states] == [True] * 20 + [False] * 10
     assert {state.echo_stamp_ns for state in states[19:]} == {line.stamps[-1]}
-
-
-def test_what_arrives_and_is_no_command_is_not_answered():
-    line = FakeLink()
-    stop = Until(30)
-    slave, clock = started(FakeRig(), line, stop)
-    whole = line.latest_command.take
-
-    def damaged(arrived):
-        whole([(data[:-1] + b"?", received_ns) for data, received_ns in arrived])
-
-    for number, tick in enumerate(clock, start=1):
-        slave.tick(tick)
-        if number == 20:
-            line.latest_command.take = damaged
-    assert [state.answer_ns > 0 for state in line.of(STATE)] == [True] * 20 + [False] * 10
-    assert line.latest_command.counts.corrupted == 10
 
 
 class Witness(FakeRig):
@@ -509,7 +513,7 @@ def freezing(monkeypatch, at, decided):
         verdict = whole(*args)
         decided.append(args[2]["motor"][0, 0])
         if len(decided) in at:
-            time.sleep(0.05)
+            FakeLink.clock.sleep(0.05)
         return verdict
 
     monkeypatch.setattr(loop, "run_tick", tick)
@@ -561,19 +565,10 @@ def test_a_second_slave_ends_the_session():
 
 def test_a_call_for_a_stop_holds_the_motors_until_it_is_reset_without_any_master_s_help():
     rig, line = FakeRig(), FakeLink()
-    slave, clock = started(rig, line, lambda: False)
-    ticks = iter(clock)
+    slave, run_on = ticking(rig, line)
 
-    def run_on(count):
-        for _ in range(count):
-            slave.tick(next(ticks))
-
-    def call(action, sequence, sender=77, **settings):
-        message = EmergencyStop(
-            role=Role.REMOTE, action=action, text=encode_text("a nurse"), **settings
-        )
-        data = message.pack(sender, sequence, now_ns())
-        line.heard = [ReceivedMessage(STOP, data, now_ns(), sender, sequence, now_ns())]
+    def call(*words, **settings):
+        line.heard = [stop_message(*words, **settings)]
 
     run_on(30)
     assert rig.writes[-1] != rig.writes[-2]
@@ -613,14 +608,11 @@ def test_a_calibration_at_the_start_leaves_the_motors_held_from_the_first_tick_o
     done = InitialiseResult(calibration, None, rig.read(0.0), (held,))
     monkeypatch.setattr(process, "initialise", lambda *_, **__: done)
     _, history = model_of(rig, line)
-    slave, clock = started(rig, line, lambda: False, history=history)
-    ticks = iter(clock)
-    for _ in range(20):
-        slave.tick(next(ticks))
+    slave, run_on = ticking(rig, line, history)
+    run_on(20)
     assert side_of(slave).state is State.READY
     assert rig.writes == [[held]] * 20
-    for _ in range(20):
-        slave.tick(next(ticks))
+    run_on(20)
     assert side_of(slave).state is State.ENGAGED
     assert np.abs(np.diff(rig.writes, axis=0)).max() == pytest.approx(PULL, abs=1e-12)
 
@@ -630,12 +622,10 @@ def test_a_calibration_at_the_start_leaves_the_motors_held_from_the_first_tick_o
 )
 def test_a_stop_ends_a_calibration_at_the_start_and_stops_the_motors(monkeypatch, error, said):
     rig, line = StoppableRig(stop_error=error), FakeLink()
-    message = EmergencyStop(role=Role.REMOTE, action=CALL, text=encode_text("a nurse"))
-    data = message.pack(77, 1, now_ns())
 
     def never_calibrated(_rig, _config, _grid, _start, stopped, progress, analysing):
         assert stopped() == ""
-        line.heard = [ReceivedMessage(STOP, data, now_ns(), 77, 1, now_ns())]
+        line.heard = [stop_message(CALL, 1)]
         stopped()
 
     monkeypatch.setattr(process, "initialise", never_calibrated)
@@ -695,113 +685,145 @@ def test_what_goes_out_is_what_the_table_says():
         assert topic.publisher in (None, Role.SLAVE)
 
 
-@pytest.fixture
-def quiet_process(monkeypatch):
-    with without_traces(monkeypatch):
-        yield
+# --- an emergency stop of a rig whose motors have a stop of their own -----------------------------
+
+FELL_BACK = -0.0007  # [m] of the motor while it has no power
+HELD = START + 0.0005  # [m] where a calibration left it
 
 
-def arguments(*words):
-    return arguments_of(process, "--set=slave.calibration=as-built", *words)
+class Bench:
+    """A slave on a `StoppableRig`, driven tick by tick."""
+
+    def __init__(self, rig=None, history=None):
+        self.rig, self.line = rig or StoppableRig(falls_by=FELL_BACK), FakeLink()
+        self.slave, self.run_on = ticking(self.rig, self.line, history)
+        self._calls = 0
+
+    def call(self, action, **settings):
+        self._calls += 1
+        self.line.heard = [stop_message(action, self._calls, **settings)]
+
+    def reset(self):
+        self.call(RESET, side=Role.SLAVE, number=self.line.of(STATE)[-1].stops)
+
+    @property
+    def side(self):
+        return side_of(self.slave)
 
 
-@pytest.mark.usefixtures("quiet_process")
-def test_the_command_runs_alone_and_leaves_its_summary(tmp_path):
-    path = tmp_path / "s.json"
-    assert process.main(arguments("--duration", "0.5", "--json", str(path))) == 0
-    summary = json.loads(path.read_text())
-    assert summary["role"] == "slave"
-    assert summary["stopped"] == "duration reached"
-    assert summary["gate"] == {"HELD": summary["ticks"]}
-    assert summary["final_state"] == "ready"
-    assert summary["rig"]["coarse_reads"] >= 0
-    assert summary["force_error"]["samples"] > 0
+def off():
+    bench = Bench(StoppableRig(encoder=None))
+    bench.run_on(10)
+    return bench
 
 
-@pytest.mark.usefixtures("quiet_process")
-def test_alone_too_a_fault_that_lasts_to_the_end_is_exit_code_1(monkeypatch):
-    class Silent(FakeRig):
-        def read(self, time_s):
-            samples = super().read(time_s)
-            return samples if self.reads < 20 else ()
-
-    monkeypatch.setitem(rigs.RIGS, SimulatedRigConfig, lambda _: Silent())
-    with pytest.raises(TeleopError, match="a fault of the slave ended the session: "):
-        process.main(arguments("--duration", "0.3"))
+def ready(history=None):
+    bench = Bench(history=history)
+    bench.line.master_state = State.READY
+    bench.run_on(10)
+    return bench
 
 
-@pytest.mark.usefixtures("quiet_process")
-def test_a_rig_that_is_not_there_is_told_in_a_line(monkeypatch):
-    def missing(config):
-        raise RigFault("/dev/ttyUSB7: no such device")
-
-    monkeypatch.setitem(rigs.RIGS, SimulatedRigConfig, missing)
-    with pytest.raises(UsageError, match=r"^slave\.rig: /dev/ttyUSB7: no such device$"):
-        process.main(arguments("--duration", "1"))
+def calibrated():
+    bench = ready(CalibrationHistory(now_ns(), (), (HELD,)))
+    assert bench.rig.writes == [[HELD]] * 10
+    return bench
 
 
-TOO_MANY = f"must be 1 to {MAX_JOINTS} joints of 1 or 2 tendons"
-NOT_NUMBERED = "must number these from 0, joint after joint"
+def engaged():
+    bench = Bench()
+    bench.run_on(30)
+    assert len(bench.rig.writes) > 10
+    return bench
 
 
-@pytest.mark.usefixtures("quiet_process")
+def clutched():
+    return under_a_master(State.CLUTCHED)
+
+
+def faulty():
+    return under_a_master(State.FAULT)
+
+
+def under_a_master(state):
+    bench = engaged()
+    bench.line.master_state = state
+    bench.run_on(10)
+    return bench
+
+
+def holding():
+    bench = engaged()
+    bench.line.commanding = False
+    bench.run_on(60)
+    return bench
+
+
 @pytest.mark.parametrize(
-    ("joints", "tendons", "said"),
+    ("reached", "state"),
     [
-        (tuple((k,) for k in range(MAX_JOINTS + 1)), MAX_JOINTS + 1, TOO_MANY),
-        ((), 0, TOO_MANY),
-        (((0, 1, 2),), 3, TOO_MANY),
-        (((0,), (99,)), 2, NOT_NUMBERED),
-        (((-1,),), 1, NOT_NUMBERED),
-        (((0,), (0,)), 2, NOT_NUMBERED),
-        (((1, 0),), 2, NOT_NUMBERED),
-        (((0, 1),), 3, NOT_NUMBERED),
-        (((0, 1),), 1, NOT_NUMBERED),
+        (off, State.OFF),
+        (ready, State.READY),
+        (calibrated, State.READY),
+        (engaged, State.ENGAGED),
+        (clutched, State.CLUTCHED),
+        (holding, State.HOLDING),
+        (faulty, State.FAULT),
     ],
 )
-def test_a_rig_that_is_laid_out_wrong_is_told_in_a_line_and_closed(
-    monkeypatch, joints, tendons, said
-):
-    rig = FakeRig()
-    rig.joints, rig.tendons = joints, tendons
-    monkeypatch.setitem(rigs.RIGS, SimulatedRigConfig, lambda _: rig)
-    with pytest.raises(UsageError, match=rf"^slave\.rig: simulated: joints .*{said}$"):
-        process.main(arguments("--duration", "1"))
-    assert rig.closed == 1
-    assert rig.reads == 0
+def test_a_stop_reaches_the_motors_once_from_every_state(reached, state):
+    bench = reached()
+    assert bench.side.state is state
+    written = len(bench.rig.writes)
+    bench.call(CALL)
+    bench.run_on(1)
+    assert bench.side == (State.STOPPED, Reason.STOP_CALLED)
+    assert bench.rig.stops == [written]
+    bench.call(CALL)
+    bench.run_on(20)
+    assert bench.rig.stops == [written]
+    assert len(bench.rig.writes) == written
 
 
-@pytest.mark.usefixtures("quiet_process")
-@pytest.mark.parametrize("error", [RigFault, ZeroDivisionError])
-def test_the_command_closes_its_rig_and_tells_what_failed(monkeypatch, tmp_path, error):
-    rig = FakeRig(read_fails_at=20, error=error)
-    monkeypatch.setitem(rigs.RIGS, SimulatedRigConfig, lambda _: rig)
-    path = tmp_path / "s.json"
-    told = TeleopError if error is RigFault else error
-    with pytest.raises(told, match="the amplifier has tripped"):
-        process.main(arguments("--json", str(path)))
-    assert rig.closed == 1
-    assert rig.after_fault == 0
-    if error is RigFault:
-        summary = json.loads(path.read_text())
-        assert (summary["final_state"], summary["reason"]) == ("fault", Reason.RIG_FAULT.text)
-        assert summary["stopped"] == "rig: the amplifier has tripped"
+@pytest.mark.parametrize("reached", [ready, engaged])
+def test_a_stop_after_a_reset_reaches_the_motors_again(reached):
+    bench = reached()
+    for number in (1, 2):
+        bench.call(CALL)
+        bench.run_on(2)
+        assert len(bench.rig.stops) == number
+        bench.reset()
+        bench.run_on(2)
+        assert bench.side.state is not State.STOPPED
 
 
-@pytest.mark.usefixtures("quiet_process")
-def test_an_effect_that_never_came_on_is_warned_of_at_the_end(capsys):
-    effects = "slave.rig.effects=[{type: friction_step, start: 100}, {type: slack}]"
-    assert process.main(arguments("--duration", "0.5", "--set", effects)) == 0
-    (warning,) = (line for line in capsys.readouterr().out.splitlines() if "WARNING" in line)
-    assert "friction_step starts at 100 s" in warning
+def test_motors_move_on_from_where_they_are_after_the_stop():
+    bench = engaged()
+    written = len(bench.rig.writes)
+    bench.call(CALL)
+    bench.run_on(50)  # the master goes on commanding
+    bench.reset()
+    bench.line.master_state = State.READY
+    bench.run_on(20)
+    assert len(bench.rig.writes) == written  # reset alone moves nothing
+    bench.line.master_state = State.ENGAGED
+    bench.run_on(20)
+    assert bench.rig.writes[written][0] == START + FELL_BACK
+    assert bench.rig.stops == [written]
+
+
+def test_a_rig_without_a_stop_of_its_own_is_held():
+    bench = Bench(FakeRig(), CalibrationHistory(now_ns(), (), (HELD,)))
+    bench.call(CALL)
+    bench.run_on(10)
+    assert bench.side.state is State.STOPPED
+    assert bench.rig.writes == [[HELD]] * 10
 
 
 @pytest.mark.parametrize("with_dynamics", [False, True])
 def test_effects_of_models_are_compiled_before_the_loop_begins(with_dynamics, monkeypatch):
     config = SlaveConfig()
     compiled = []
-    monkeypatch.setattr(
-        warm_up, "estimate", lambda *args: compiled.append(args[4]) or estimate(*args)
-    )
+    monkeypatch.setattr(warm_up, "estimate", lambda *args: compiled.append(args[4]))
     warm_up.compile_session(config, with_dynamics)
     assert compiled == [None, True][: 1 + with_dynamics]

@@ -8,6 +8,7 @@ was last slid.
 import dataclasses
 import math
 from functools import cache
+from itertools import product
 
 import numpy as np
 import pytest
@@ -46,6 +47,14 @@ MOTIONS = {
     "partial": (0.024, 0.0205),
 }  # [m] via, to
 
+QUICK = (
+    ("fall", "pull", "even"),
+    ("rise", "pull", "tight at the tip"),
+    ("small rise", "partial", "even"),
+    ("to and fro", "release", "tight at the tip"),
+    ("sudden", "release", "even"),
+)
+
 
 @cache
 def record(bends, motion, load, noise):
@@ -67,10 +76,14 @@ def record(bends, motion, load, noise):
     return np.array(rows).T, to_tendon_config(tendon, BODY.pretension).model()
 
 
-@pytest.mark.parametrize("noise", [0.0, 0.02])
-@pytest.mark.parametrize("load", LOADS)
-@pytest.mark.parametrize("motion", MOTIONS)
-@pytest.mark.parametrize("bends", BENDS)
+@pytest.mark.parametrize("noise", [0.02, pytest.param(0.0, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    ("load", "motion", "bends"),
+    [
+        case if case in QUICK else pytest.param(*case, marks=pytest.mark.slow)
+        for case in product(LOADS, MOTIONS, BENDS)
+    ],
+)
 def test_the_truth_stays_inside_the_interval(bends, motion, load, noise):
     (time, T_in, q_p, T_out), model = record(bends, motion, load, noise)
     if load == "sudden":  # faster than the default allows for

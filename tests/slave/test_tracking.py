@@ -29,8 +29,18 @@ def times_smaller(joints, commands, seconds, errors):
     return [np.divide(without.error(k), made_up.error(k)).tolist() for k in range(len(joints))]
 
 
-@pytest.mark.parametrize("motion", MOTIONS)
-@pytest.mark.parametrize(("K", "errors"), [(0.4, TOO_MUCH), (0.8, TOO_LITTLE), (1.2, TOO_LITTLE)])
+@pytest.mark.parametrize(
+    ("K", "errors", "motion"),
+    [
+        (0.8, TOO_LITTLE, "staircase"),
+        *(
+            pytest.param(K, errors, motion, marks=pytest.mark.slow)
+            for K, errors, motion in (
+                (0.8, TOO_LITTLE, "sine"), (0.4, TOO_MUCH, "sine"), (1.2, TOO_LITTLE, "staircase")
+            )
+        ),
+    ],
+)  # fmt: skip
 def test_the_tracking_error_of_a_joint_is_at_least_five_times_smaller(K, errors, motion):
     ((rms, most),) = times_smaller([loaded(K)], [MOTIONS[motion]], 3.5, errors)
     assert rms > 10.0
@@ -43,6 +53,7 @@ def test_at_the_highest_friction_the_largest_error_is_not_five_times_smaller_but
     assert most > 3.0
 
 
+@pytest.mark.slow
 def test_the_tracking_error_of_four_joints_is_at_least_five_times_smaller():
     joints = [loaded(K) for K in (0.4, 0.7, 1.0, 1.2)]
     commands = [sine(0.006, 0.25), sine(-0.005, 0.2), MOTIONS["staircase"], sine(0.004, 0.35)]
@@ -59,7 +70,9 @@ def test_a_joint_of_one_tendon_is_made_up_for_too():
     assert most > 5.0
 
 
-@pytest.mark.parametrize("K", [0.02, 0.8, 1.6])
+@pytest.mark.parametrize(
+    "K", [0.8, *(pytest.param(K, marks=pytest.mark.slow) for K in (0.02, 1.6))]
+)
 def test_at_rest_nothing_hunts_whatever_the_friction(K):
     record = follow([joint(K, spring=100.0)], [hold], 2.0)
     assert np.abs(record.travel).max() < 5e-6
@@ -67,7 +80,7 @@ def test_at_rest_nothing_hunts_whatever_the_friction(K):
     assert path.max() < 1e-4  # [m] in a second, of noise and all
 
 
-@pytest.mark.parametrize("K", [0.4, 1.2])
+@pytest.mark.parametrize("K", [1.2, pytest.param(0.4, marks=pytest.mark.slow)])
 def test_the_slack_side_tendon_stays_taut_at_a_low_tension(K):
     record = follow([loaded(K)], [MOTIONS["sine"]], 4.0)
     least = record.tension[200:].min(axis=1)

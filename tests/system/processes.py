@@ -75,17 +75,14 @@ class Processes:
         self.shared += ["--set", f"session={session}"]
 
     def start(
-        self, command: str, *arguments: str, talkative: bool = False, prefix: Sequence[str] = ()
+        self, command: str, *arguments: str, prefix: Sequence[str] = ()
     ) -> subprocess.Popen[bytes]:
-        """Start a command; a talkative one prints its events, as without a launcher.
-
-        `prefix` are words before it that run it.
-        """
+        """Start a command; `prefix` are words before it that run it."""
         process = subprocess.Popen(
             [*prefix, sys.executable, "-m", "teleop", command, *self.shared, *arguments],
             stdout=self._log(command),
             stderr=subprocess.STDOUT,
-            env=os.environ if talkative else OURS,
+            env=OURS,
         )
         self.running[command] = process
         self._all.append(process)

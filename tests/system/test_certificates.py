@@ -8,7 +8,6 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
-from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
@@ -18,12 +17,10 @@ from teleop.launch.supervisor import wait_for_condition
 from teleop.link import Link, Listener
 from teleop.messages.messages import Event, decode_text
 from teleop.messages.topics import EVENT, STATE, Role
-from teleop.security import CertificateRole, Identity
-from teleop.security.authority import REVOKED, Authority
+from teleop.security.authority import REVOKED
 from teleop.session.state_machine import State
 from tests.system.namespaces import Network, require_namespaces
 from tests.system.processes import OURS, START_S, Processes, ended_well, free_ports
-from tests.teleop.keys.folder import make_keys, put
 
 pytestmark = pytest.mark.slow
 
@@ -103,25 +100,6 @@ def test_a_revoked_master_is_parted_from_while_it_is_engaged(
         assert revoked in said
 
 
-def test_a_certificate_that_expires_while_it_is_engaged_ends_the_pair(
-    tmp_path: Path, demo_config: Path
-) -> None:
-    authority = Authority.create("test authority", 2)
-    keys = make_keys(tmp_path / "keys", SESSION, authority)
-    with Processes(tmp_path, demo_config, f"link.keys={keys}", *HELD) as session:
-        session.take_name(SESSION)
-        session.start("slave")
-        with watched(session, keys) as (link, heard):
-            assert wait_for_condition(lambda: link.latest(STATE).message is not None, START_S)
-            put(authority, keys, Identity(CertificateRole.MASTER, SESSION), 45.0 / DAY_S)
-            session.start("master")
-            assert wait_for_condition(lambda: session.engaged(link), 40.0), session.outputs()
-            assert wait_for_condition(lambda: has_let_go(link), 60.0), session.outputs()
-            expired = f"refused: the certificate master.{SESSION} expired on"
-            assert wait_for_condition(lambda: heard.said(Role.SLAVE, expired), 10.0), heard.lines
-            assert not wait_for_condition(lambda: session.engaged(link), 3.0)
-
-
 def run_one(session: Processes, command: str) -> tuple[int, str]:
     """A command that ends by itself; its exit code and error lines."""
     done = subprocess.run(
@@ -129,81 +107,6 @@ def run_one(session: Processes, command: str) -> tuple[int, str]:
         env=OURS, timeout=START_S, check=False, capture_output=True, text=True,
     )  # fmt: skip
     return done.returncode, done.stderr
-
-
-def test_a_certificate_that_is_not_valid_starts_nothing(tmp_path: Path, demo_config: Path) -> None:
-    authority = Authority.create("test authority", 2)
-    keys = make_keys(tmp_path / "keys", SESSION, authority)
-    now = datetime.now(UTC)
-    with Processes(tmp_path, demo_config, f"link.keys={keys}") as session:
-        session.take_name(SESSION)
-        for identity, days, start, complaint in (
-            (
-                Identity(CertificateRole.MASTER, SESSION),
-                -0.5,
-                now - timedelta(days=1),
-                "expired on",
-            ),
-            (Identity(CertificateRole.MASTER, "other"), 1.0, None, "is of session 'other'"),
-            (
-                Identity(CertificateRole.VIEWER, SESSION),
-                1.0,
-                None,
-                "is of a viewer, this process is a mas",
-            ),
-        ):
-            put(authority, keys, identity, days, start, f"{SESSION}.master")
-            code, said = run_one(session, "master")
-            assert code == 2
-            assert complaint in said
-            assert len(said.splitlines()) == 1
-        other = Authority.create("another", 2)
-        put(other, keys, Identity(CertificateRole.MASTER, SESSION), name=f"{SESSION}.master")
-        code, said = run_one(session, "master")
-        assert code == 2
-        assert "is of another authority" in said
-
-
-@pytest.mark.parametrize("foreign", ["session", "authority", "insecure"])
-def test_a_master_of_elsewhere_moves_nothing_and_hears_why(
-    tmp_path: Path, demo_config: Path, foreign: str
-) -> None:
-    keys = issue(tmp_path, "keys", *TOGETHER)
-    theirs = SESSION
-    if foreign == "authority":
-        (tmp_path / "elsewhere").mkdir()
-        stranger = f"link.keys={issue(tmp_path / 'elsewhere', 'keys', 'master', 'supervisor')}"
-    elif foreign == "session":
-        theirs = "other"
-        stranger = f"link.keys={issue(tmp_path, 'other-keys', 'master', session=theirs)}"
-    else:
-        stranger = "link.insecure=true"
-    with Processes(tmp_path, demo_config, *HELD) as session:
-        session.take_name(SESSION)
-        shared = list(session.shared)
-        session.shared = [*shared, "--set", f"link.keys={keys}"]
-        session.start("slave")
-        with watched(session, keys) as (link, heard):
-            assert wait_for_condition(lambda: link.latest(STATE).message is not None, START_S)
-            session.shared = [*shared, "--set", stranger]
-            session.take_name(theirs)
-            log = session.start("master", talkative=True)
-            reasons = {
-                "session": f"a connection with the certificate slave.{SESSION}",
-                "authority": f"the certificate slave.{SESSION} is of another authority",
-                "insecure": "it is secure, and this side is not (link.insecure)",
-            }
-            assert wait_for_condition(lambda: reasons[foreign] in session.outputs(), START_S), (
-                session.outputs()
-            )
-            if foreign == "session":  # it got as far as a connection
-                there = "a connection with the certificate master.other"
-                assert wait_for_condition(lambda: heard.said(Role.SLAVE, there), 10.0), heard.lines
-            state = link.latest(STATE).message
-            assert state is not None
-            assert state.state == State.READY
-            assert not link.present(Role.MASTER)
-            assert log.poll() is None
 
 
 def test_a_run_with_keys_of_the_command(tmp_path: Path, demo_config: Path) -> None:

@@ -1,11 +1,13 @@
 """`teleop run`: the whole session, its summary, its recording, and how it ends."""
 
 import json
+import re
 import signal
 import socket
 import subprocess
 import sys
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,13 +15,12 @@ from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
 from teleop.launch.supervisor import wait_for_condition
-from teleop.messages.messages import MESSAGES
-from teleop.messages.topics import HAND, TENDONS, TOPICS, Role
+from teleop.messages.topics import HAND, TENDONS
 from teleop.recording.reader import read_columns
 from teleop.recording.scan import to_channel_name
 from teleop.session.state_machine import Reason, State
 from tests.root import ROOT
-from tests.system.processes import OURS, START_S, Processes, free_ports, pause
+from tests.system.processes import OURS, START_S, Processes, ended_well, free_ports, pause
 
 _started: list[subprocess.Popen[str]] = []
 
@@ -59,29 +60,40 @@ def run(config, folder, *arguments, wait=True, environment=OURS):
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory):
-    """Return the folder of a session of five seconds, and what it printed."""
+    """A recorded session, what was refused beside it, and how it ended by Ctrl-C."""
     folder = tmp_path_factory.mktemp("recorded")
-    # 500 Hz: a slow machine, with a recorder besides, carries no more without an interruption
-    words = ("--duration", "5", "--record", str(folder), "--view", "none", "--set", "rate_hz=500")
-    code, out, err = run(ROOT / "configs" / "demo.yaml", folder, *words)
-    assert code == 0 or (code == 1 and "messages are missing" in err), out + err  # a busy machine
-    return folder, out
+    json_file = str(folder / "run.json")
+    with Processes(folder, ROOT / "configs" / "demo.yaml", "rate_hz=250") as session:
+        words = ("--view", "none", "--record", str(folder), "--json", json_file)
+        started = session.start("run", *words)
+        with session.look() as link:
+            assert wait_for_condition(lambda: session.engaged(link), START_S), session.outputs()
+        (port,) = free_ports(1)
+        master = session.start("master", "--set", f"link.master=127.0.0.1:{port}")
+        second = session.start("run", "--view", "none", "--record", str(folder / "second"))
+        refused = master.wait(30), second.wait(30)
+        pause(3.0)
+        children = children_of(started.pid)
+        started.send_signal(signal.SIGINT)
+        code = started.wait(30)
+    left = [child for child in children if "teleop" in command_of(child)]
+    return SimpleNamespace(folder=folder, code=code, refused=refused, left=left)
 
 
-def test_a_recorded_run_tells_everything(recorded):
-    folder, out = recorded
+def test_a_recorded_run_tells_everything_and_ctrl_c_ends_it_cleanly(recorded):
+    folder, out = recorded.folder, (recorded.folder / "0-run.log").read_text()
+    assert ended_well(recorded.code, out), out
+    assert recorded.left == []
+    assert "command to force" in out
     summary = json.loads((folder / "run.json").read_text())
-
-    assert summary["reason"] == "duration reached" or "messages are missing" in summary["reason"]
     for role in ("master", "slave"):
-        assert summary[role]["ticks"] > 1000
+        assert summary[role]["ticks"] > 500
         assert summary[role]["final_state"] in {"engaged", "ready"}
-    assert summary["master"]["latency_ms"]["n"] > 500
+    assert summary["master"]["latency_ms"]["n"] > 200
     assert 0 < summary["master"]["latency_ms"]["p50"] <= summary["master"]["latency_ms"]["p99"]
     force = summary["slave"]["force_error"]
     assert force["full_scale_N"] > 3.0  # the tip met something
     assert force["mean_percent"] < 2.0
-    assert "command to force" in out
 
     (recording,) = folder.glob("*.mcap")
     tendons = read_columns(recording, TENDONS.name)
@@ -89,11 +101,19 @@ def test_a_recorded_run_tells_everything(recorded):
     assert np.sqrt(np.mean(error**2)) == pytest.approx(force["rmse_N"], rel=0.1)
     hand = read_columns(recording, HAND.name)
     assert np.abs(hand["force"][:, 0]).max() > 0.3
-    assert (hand["state"] == State.ENGAGED).sum() > 1000
+    assert (hand["state"] == State.ENGAGED).sum() > 300
+
+
+def test_a_second_master_and_a_second_run_of_the_name_are_refused_in_a_line(recorded):
+    assert recorded.refused == (2, 2)
+    for name in ("1-master", "2-run"):
+        (line,) = (recorded.folder / f"{name}.log").read_text().splitlines()
+        assert re.search("has a (master|slave) already", line)
+    assert not (recorded.folder / "second").exists()
 
 
 def test_an_independent_reader_decodes_the_recording(recorded):
-    (recording,) = recorded[0].glob("*.mcap")
+    (recording,) = recorded.folder.glob("*.mcap")
     ours = read_columns(recording, TENDONS.name)
     with recording.open("rb") as stream:
         reader = make_reader(stream, decoder_factories=[DecoderFactory()])
@@ -109,30 +129,20 @@ def test_an_independent_reader_decodes_the_recording(recorded):
             np.testing.assert_array_equal(list(getattr(message, name)), row[name])
 
 
-def test_ctrl_c_ends_everything_cleanly(demo_config, tmp_path):
-    process = run(demo_config, tmp_path, "--view", "none", wait=False)
-    time.sleep(8.0)
-    process.send_signal(signal.SIGINT)
-    out, err = process.communicate(timeout=30)
-    assert process.returncode == 0, out + err
-    assert "command to force" in out
-    assert not descendants_of(process.pid)
-
-
 def test_the_death_of_one_side_ends_the_session_with_exit_code_1(demo_config, tmp_path):
     process = run(demo_config, tmp_path, "--view", "none", wait=False)
     victim = None
     deadline = time.monotonic() + START_S
     while victim is None and time.monotonic() < deadline:
-        time.sleep(0.5)
-        victim = next((p for p in descendants_of(process.pid) if "master" in command_of(p)), None)
+        time.sleep(0.1)
+        victim = next((p for p in children_of(process.pid) if "master" in command_of(p)), None)
     assert victim is not None
-    pause(2.0)
+    pause(1.0)
     subprocess.run(["kill", "-KILL", str(victim)], check=True)
     out, _ = process.communicate(timeout=30)
     assert process.returncode == 1
     assert "slave" in out
-    assert not descendants_of(process.pid)
+    assert not children_of(process.pid)
 
 
 def test_a_port_in_use_is_one_line_and_exit_code_2(demo_config, tmp_path):
@@ -148,28 +158,9 @@ def test_a_port_in_use_is_one_line_and_exit_code_2(demo_config, tmp_path):
     assert str(port) in err
 
 
-def test_a_wrong_value_is_found_before_anything_starts(demo_config, tmp_path):
-    code, out, err = run(demo_config, tmp_path, "--set", "master.force.scale=-1")
-    assert code == 2
-    assert out == ""
-    assert len(err.splitlines()) == 1
-    assert "master.force.scale" in err
-
-
-def test_a_second_session_of_the_name_is_refused_before_it_leaves_a_trace(demo_config, tmp_path):
-    with Processes(tmp_path, demo_config) as first:
-        first.start("slave")
-        with first.look() as link:
-            assert wait_for_condition(lambda: link.present(Role.SLAVE), START_S)
-        second = first.start("run", "--view", "none", "--record", str(tmp_path / "second"))
-        assert second.wait(30) == 2
-        assert not (tmp_path / "second").exists()
-        (line,) = (tmp_path / "1-run.log").read_text().splitlines()
-        assert "has a slave already" in line
-        assert first.running["slave"].poll() is None
-
-
-@pytest.mark.parametrize("delay_s", [0.2, 0.5, 1.0])
+@pytest.mark.parametrize(
+    "delay_s", [0.5, *(pytest.param(delay, marks=pytest.mark.slow) for delay in (0.2, 1.0))]
+)
 def test_an_early_ctrl_c_is_quiet(demo_config, tmp_path, delay_s):
     process = run(demo_config, tmp_path, "--view", "none", wait=False)
     pause(delay_s)
@@ -178,37 +169,23 @@ def test_an_early_ctrl_c_is_quiet(demo_config, tmp_path, delay_s):
     assert process.returncode == 130
     assert "Traceback" not in out + err
     assert "killed" not in out
-    assert not descendants_of(process.pid)
+    assert not children_of(process.pid)
 
 
+@pytest.mark.slow
 def test_a_viewer_that_fails_is_done_without(demo_config, tmp_path):
     broken = tmp_path / "rerun_cli"
     broken.mkdir()
     (broken / "__init__.py").touch()  # without the viewer program in it
     environment = OURS | {"PYTHONPATH": str(tmp_path)}
-    words = ("--duration", "1", "--view", "web", "--set", "rate_hz=500")
+    words = ("--duration", "1", "--view", "web", "--set", "rate_hz=250")
     code, out, err = run(demo_config, tmp_path, *words, environment=environment)
     assert code == 0, out + err
     assert "the session goes on" in out
     assert "command to force" in out
 
 
-def test_a_second_master_is_refused(demo_config, tmp_path):
-    with Processes(tmp_path, demo_config) as session:
-        session.start_all()
-        (port,) = free_ports(1)
-        second = session.start("master", "--set", f"link.master=127.0.0.1:{port}")
-        assert second.wait(30) == 2
-        out = (tmp_path / "3-master.log").read_text()
-        assert len(out.strip().splitlines()) == 1
-        assert "master" in out
-
-
-def test_every_topic_of_the_table_has_a_message_of_its_own():
-    assert {topic.message for topic in TOPICS} == set(MESSAGES)
-
-
-def descendants_of(pid):
+def children_of(pid):
     out = subprocess.run(["ps", "-eo", "pid=,ppid="], capture_output=True, text=True, check=True)
     pairs = [tuple(map(int, line.split())) for line in out.stdout.splitlines()]
     return [child for child, parent in pairs if parent == pid]
@@ -224,16 +201,8 @@ def command_of(pid):
 def test_a_slave_that_is_never_usable_is_told_why_and_exit_code_1(demo_config, tmp_path):
     calibration = tmp_path / "c.yaml"
     calibration.write_text("{rig: another, tendons: [{effective_friction: 0.8}]}\n")
-    code, out, err = run(
-        demo_config,
-        tmp_path,
-        "--duration",
-        "1",
-        "--view",
-        "none",
-        "--calibration",
-        str(calibration),
-    )
+    words = ("--duration", "1", "--view", "none", "--calibration", str(calibration))
+    code, out, err = run(demo_config, tmp_path, *words)
     assert code == 1
     why = "c.yaml does not fit: it is for the rig 'another', this one is 'demo'"
     first, *repeated = [line for line in out.splitlines() if why in line]
@@ -251,9 +220,8 @@ def test_a_fault_that_ends_the_session_is_named_and_exit_code_1(demo_config, tmp
     effects = "slave.rig.effects=[{type: stuck_cell, start: 1.5}]"
     fault = f"{Reason.CELL_STUCK.text}: joint 1, tendon a"
     for _ in range(4):  # a machine that stalls for 30 ms makes a fault of its own before this one
-        code, out, err = run(
-            demo_config, tmp_path, "--duration", "4", "--view", "none", "--set", effects
-        )
+        words = ("--duration", "3", "--view", "none", "--set", "rate_hz=250", "--set", effects)
+        code, out, err = run(demo_config, tmp_path, *words)
         if fault in out:
             break
     assert code == 1
@@ -275,4 +243,4 @@ def test_a_calibration_at_the_start_is_seen_and_interrupted_in_order(demo_config
     assert process.returncode == 130
     assert "killed" not in out + err
     assert "Traceback" not in out + err
-    assert not descendants_of(process.pid)
+    assert not children_of(process.pid)

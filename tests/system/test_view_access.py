@@ -103,9 +103,9 @@ def test_the_printed_address_is_answered(view):
     assert ask(view, host="127.0.0.1:1234") == 200  # a tunnel with another number
 
 
-@pytest.mark.parametrize("path", [*READS, "/blocks", "/AAAAAAAAAAAAAAAAAAAAAA/blocks"])
-def test_without_the_secret_nothing_is_answered(view, path):
-    assert ask(view, path=path) == 403
+def test_without_the_secret_nothing_is_answered(view):
+    for path in (*READS, "/blocks", "/AAAAAAAAAAAAAAAAAAAAAA/blocks"):
+        assert ask(view, path=path) == 403
 
 
 @pytest.mark.parametrize(
@@ -139,10 +139,9 @@ def test_two_names_in_one_question_are_refused(view):
 
 
 @pytest.mark.parametrize("method", ["POST", "PUT", "DELETE", "OPTIONS", "PRI"])
-@pytest.mark.parametrize("path", WRITES)
-def test_nothing_can_be_written(view, method, path):
-    for prefix in ("", view.path[:-1]):
-        assert ask(view, method, prefix + path, body=b"\0\0\0\0\1x") in (403, 405, 501, 505)
+def test_nothing_can_be_written(view, method):
+    for path in (*WRITES, *(view.path[:-1] + path for path in WRITES)):
+        assert ask(view, method, path, body=b"\0\0\0\0\1x") in (403, 405, 501, 505)
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="other systems do not tell whose a socket is")

@@ -1,5 +1,6 @@
 """The config loader: what it accepts, and the one line it says about everything else."""
 
+import dataclasses
 import math
 import re
 from dataclasses import dataclass, field, replace

@@ -81,16 +81,15 @@ def test_every_tick_makes_the_same_calls(counted: Session) -> None:
         assert all(n % COUNTED == 0 for n in calls.python.values()), calls.table()
 
 
-@pytest.mark.parametrize("topic", WIRE, ids=lambda topic: topic.name)
-def test_live_messages_are_as_long_as_they_were(session: Session, topic) -> None:
-    assert session.sizes[topic.name] == topic.message.schema.size
-    assert session.sizes[topic.name] <= WIRE[topic]
+def test_live_messages_are_as_long_as_they_were(session: Session) -> None:
+    for topic, size in WIRE.items():
+        assert session.sizes[topic.name] == topic.message.schema.size <= size, topic.name
 
 
 def test_a_tick_holds_little_memory_and_gives_it_back(session: Session) -> None:
     tracemalloc.start()
     try:
-        windows = [_window(session) for _ in range(6)]
+        windows = [_window(session) for _ in range(4)]
     finally:
         tracemalloc.stop()
     # what was allocated before counts as new when it is replaced, so the first windows show more

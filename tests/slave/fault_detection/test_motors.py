@@ -69,18 +69,6 @@ def test_a_frame_is_repeated_once_its_motor_was_sent_on(alike):
     assert not motors.repeated
 
 
-def test_without_a_new_sample_nothing_new_is_said_of_repeated_ones():
-    motors = MotorChecks.new()
-    tick(motors, frame(0), np.zeros(3))
-    far = np.full(3, 2.0 * SETTINGS.stuck_travel)
-    tick(motors, [], far)
-    assert not motors.repeated
-    tick(motors, frame(0), far)
-    assert motors.repeated
-    tick(motors, [], np.zeros(3))
-    assert motors.repeated
-
-
 def test_a_tendon_without_an_encoder_is_never_repeated_nor_astray():
     motors = MotorChecks.new()
     for k in range(300):

@@ -25,8 +25,7 @@ def first_found(effect, joints=(LOADED,), seconds=4.0, command=SWING):
     return time - effect.start, finding
 
 
-@pytest.mark.parametrize("start_at", [0.5, 1.5])  # as it drives, and as it is loose
-@pytest.mark.parametrize("share", [0.05, 0.95])
+@pytest.mark.parametrize(("start_at", "share"), [(0.5, 0.05), (1.5, 0.95)])  # driving, loose
 def test_a_broken_tendon_is_found_in_a_fifth_of_a_second(share, start_at):
     effect = BrokenTendon(start=start_at, tendon="a", share=share)
     after, finding = first_found(effect)
@@ -48,17 +47,16 @@ def test_a_broken_tendon_of_a_joint_that_has_but_one_is_found_once_it_is_reeled_
     assert after < 5.0
 
 
-@pytest.mark.parametrize(("share", "within"), [(0.0, 0.1), (0.25, 0.2), (0.5, 0.3)])
+@pytest.mark.parametrize(("share", "within"), [(0.0, 0.1), (0.5, 0.3)])
 def test_a_jammed_tendon_is_found_as_soon_as_it_is_pulled(share, within):
     after, finding = first_found(JammedTendon(start=2.15, tendon="a", share=share))
     assert finding == (JAMMED, 0)
     assert after < within
 
 
-@pytest.mark.parametrize("tendon", ["a", "b"])
-def test_a_stuck_cell_is_found_in_an_eighth_of_a_second(tendon):
-    after, finding = first_found(StuckCell(start=1.85, tendon=tendon))
-    assert finding == (STUCK, "ab".index(tendon))
+def test_a_stuck_cell_is_found_in_an_eighth_of_a_second():
+    after, finding = first_found(StuckCell(start=1.85, tendon="b"))
+    assert finding == (STUCK, 1)
     assert after < 0.125
 
 
@@ -99,7 +97,15 @@ def random_command(rng, extent, seconds):
 HEALTHY = ("free", "wall", "tissue", "pushed", "dragged", "stops", "coarse", "noiseless", "repeats")
 
 
-@pytest.mark.parametrize("what", HEALTHY)
+@pytest.mark.parametrize(
+    "what",
+    [
+        what
+        if what in {"pushed", "stops", "repeats"}
+        else pytest.param(what, marks=pytest.mark.slow)
+        for what in HEALTHY
+    ],
+)
 def test_a_healthy_joint_raises_no_alarm(what):
     rng, seconds = np.random.default_rng(HEALTHY.index(what)), 4.0
     K = rng.uniform(0.4, 1.8)

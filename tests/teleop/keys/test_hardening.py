@@ -177,7 +177,7 @@ def test_a_name_out_of_a_foreign_certificate_cannot_write_to_the_terminal() -> N
         assert len(str(caught.value)) < 120
 
 
-@pytest.mark.parametrize("count", [1_500, pytest.param(50_000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", [500, pytest.param(50_000, marks=pytest.mark.slow)])
 def test_damaged_proofs_are_refused_and_nothing_else(authority: Authority, count: int) -> None:
     certificate, key = authority.issue(MASTER)
     ours = credentials.Credentials(MASTER, certificate, key, authority.certificate)

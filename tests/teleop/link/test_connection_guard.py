@@ -24,7 +24,7 @@ from teleop.messages.topics import Role
 from teleop.security import CertificateRole, Identity
 from teleop.security.credentials import create_local_credentials
 from tests.rogue import Rogue
-from tests.teleop.link.bench import session, wait_until
+from tests.teleop.link.bench import wait_until
 from tests.teleop.link.test_played_back import lines_of
 
 STRANGER = """
@@ -74,7 +74,7 @@ def connects(endpoint: str, seconds: float) -> None:
 
 
 @needs_root
-@pytest.mark.parametrize("kind", ["silent", "failing"])
+@pytest.mark.parametrize("kind", ["failing", pytest.param("silent", marks=pytest.mark.slow)])
 def test_a_stranger_keeps_nobody_out(
     kind: str, config: LinkConfig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -331,22 +331,6 @@ def test_half_open_connections_of_all_sources_are_bounded(
     assert noted == [f"more than {limit} connections without a certificate at a time"]
 
 
-def test_a_viewer_that_declares_too_much_is_cut_off(config: LinkConfig) -> None:
-    with session(config, Role.SLAVE, Role.VIEWER) as (slave, viewer):
-        tls = create_local_credentials("test", CertificateRole.VIEWER).for_tls()
-        said = lines_of(slave, "a connection of the certificate viewer.test: it sends too much")
-        with Rogue([config.slave], "test", tls) as rogue:
-            wait_until(rogue.connected)
-            number = iter(range(10**6))
-
-            def is_cut_off() -> bool:
-                rogue.announce_key(f"teleop/test/@/viewer/{next(number):08x}/{'x' * 30_000}")
-                return said()
-
-            wait_until(is_cut_off, 60.0)
-        assert viewer.present(Role.SLAVE)
-
-
 def test_who_cannot_stop_and_sends_too_much_gets_no_new_connection(
     config: LinkConfig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -370,11 +354,8 @@ def test_who_cannot_stop_and_sends_too_much_gets_no_new_connection(
 
                 wait_until(is_cut_off, 30.0)
                 time.sleep(1.0)  # ten times as long as it takes to connect again
-                seen = []
-                for _ in range(50):
-                    seen.append(bool(one.info.peers_zid()))
-                    time.sleep(0.01)
-                assert not all(seen)  # it is let in for a moment, until its name is known
+                # it is let in for a moment, until its name is known
+                wait_until(lambda: not one.info.peers_zid(), 1.0)
             assert other.info.peers_zid()
 
 

@@ -9,10 +9,10 @@ from studies import denial
 from teleop.link.listener import VERIFY_BURST, Listener
 from teleop.link.rate_limit import REFUSAL_KINDS_MAX, RateLimit, RefusalCounter
 from teleop.messages.messages import EmergencyStop
-from teleop.messages.topics import COMMAND, STOP, Role
+from teleop.messages.topics import STOP, Role
 from teleop.runtime.clock import now_ns
 from teleop.security import CertificateRole, Identity
-from teleop.security.keyring import DEPARTED_PEERS_MAX, ENTRY_BYTES, Keyring, TagVerdict
+from teleop.security.keyring import ENTRY_BYTES, Keyring, TagVerdict
 from teleop.security.presence import PairKeys, Peer
 from tests.tick.memory_link import Sample
 
@@ -42,7 +42,7 @@ def growth_of(flood) -> int:
 
 
 @pytest.mark.parametrize("kind", ["mutated", "random senders"])
-@pytest.mark.parametrize("count", [10_000, pytest.param(500_000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", [5_000, pytest.param(500_000, marks=pytest.mark.slow)])
 def test_floods_are_counted_and_dropped_and_cost_no_memory(kind: str, count: int) -> None:
     """Of each of two topics so many frames; as `studies/denial.py`."""
     door = denial.Door()
@@ -79,14 +79,11 @@ def test_a_rate_limit_refills_with_time() -> None:
     assert not limit()
 
 
-def test_peers_and_refusals_are_bounded() -> None:
-    keyring, refusals = ring(), RefusalCounter()
-    for n in range(10, 10 + 3 * DEPARTED_PEERS_MAX):
-        keyring.add(MASTER._replace(nonce=n), KEYS)
-        keyring.remove(Role.MASTER, n)
+def test_kinds_of_refusals_are_bounded() -> None:
+    refusals = RefusalCounter()
+    for n in range(1000):
         refusals.note(f"{n}")
-    assert len(keyring.senders(COMMAND)) == DEPARTED_PEERS_MAX + 1  # and the one that is there
     lines = refusals.take()
     assert len(lines) == REFUSAL_KINDS_MAX + 1
-    assert lines[-1] == f"refused: {3 * DEPARTED_PEERS_MAX - REFUSAL_KINDS_MAX} more"
+    assert lines[-1] == f"refused: {1000 - REFUSAL_KINDS_MAX} more"
     assert refusals.take() == []

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any, Self
 from unittest.mock import patch
 
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -106,9 +105,9 @@ def test_counts_are_exact_with_several_threads_putting_while_one_takes() -> None
         assert taken[topic.name] + queue.dropped(topic) == count * threads // 2
 
 
-@pytest.mark.parametrize("topic", TOPICS, ids=lambda topic: topic.name)
-def test_every_topic_has_room_for_a_slow_reader(topic: Topic) -> None:
-    assert compute_capacity(topic) >= max(BACKLOG_S * topic.rate_hz, CAPACITY_MIN)
+def test_every_topic_has_room_for_a_slow_reader() -> None:
+    for topic in TOPICS:
+        assert compute_capacity(topic) >= max(BACKLOG_S * topic.rate_hz, CAPACITY_MIN), topic
 
 
 def test_a_flood_on_one_topic_displaces_nothing_of_another() -> None:
@@ -139,12 +138,12 @@ def test_memory_is_bounded_by_messages_of_the_size_of_the_topic_whatever_is_sent
 
 
 def test_memory_stays_flat_when_the_queue_of_a_recorder_is_filled_again_and_again() -> None:
-    """Resident memory, of a backlog of 8 MB: 9 000 messages at a time, filled 20 times."""
+    """Resident memory, of a backlog of 8 MB: 9 000 messages at a time, filled 8 times."""
     queue, sizes = MessageQueue(), []
     topics = (COMMAND, STATE, TENDONS)
     for topic in topics:
         queue.add(topic, 3000)
-    for _ in range(20):
+    for _ in range(8):
         for k in range(3100):
             for topic in topics:
                 queue.put(topic, bytes(topic.message.schema.size), k)
@@ -152,7 +151,7 @@ def test_memory_stays_flat_when_the_queue_of_a_recorder_is_filled_again_and_agai
         assert len(arrivals) == len(topics) * 3000
         del arrivals
         sizes.append(resident_bytes())
-    assert all(dropped[topic.name] == 20 * 100 for topic in topics)
+    assert all(dropped[topic.name] == 8 * 100 for topic in topics)
     assert max(sizes) - sizes[0] < 2 * MB
 
 
@@ -201,13 +200,13 @@ def test_every_message_stored_is_heard_rejected_or_dropped(
     assert stored == counts.received + counts.rejected + listener.dropped(topic)
 
 
-def test_a_hundred_thousand_unknown_senders_take_no_memory_and_are_all_counted() -> None:
-    """Half of them whole, half of them damaged; remembered, they would take 40 MB."""
+def test_twenty_thousand_unknown_senders_take_no_memory_and_are_all_counted() -> None:
+    """Half of them whole, half of them damaged; remembered, they would take 8 MB."""
     listener = Listener(lambda *_: True)
     store, message = hear(listener, STOP), EmergencyStop()
     chance = random.Random(1)  # noqa: S311 - a flood, not a secret
     damaged = bytearray(message.pack(1, 1, 0))
-    heard, count, before = 0, 100_000, 0
+    heard, count, before = 0, 20_000, 0
     for k in range(count):
         if k % 2:
             store(message.pack(chance.getrandbits(63), 1, 0))

@@ -138,8 +138,8 @@ def test_the_clocks_of_a_restarted_sender_are_learnt_anew() -> None:
 def test_clocks_that_run_at_different_speeds_do_not_make_messages_old(gain: float) -> None:
     """The most that NTP slews, for ten minutes: 0.3 s between the clocks in the end."""
     latest = LatestMessage(COMMAND, visit=lambda _: 1)
-    for k in range(60_000):
-        now = k * 10 * MS
+    for k in range(6_000):
+        now = k * 100 * MS
         data = packed(k + 1, stamp_ns=round(now * (1.0 - gain)))
         take(latest, [data], now)
         assert latest.is_fresh(now, 1 * MS)

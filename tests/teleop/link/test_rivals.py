@@ -49,35 +49,28 @@ def test_a_second_master_from_another_machine_is_refused_and_the_first_stays(
 
 @pytest.mark.usefixtures("true_settling")
 def test_of_two_masters_started_at_once_one_runs(config: LinkConfig) -> None:
+    opened: list[Link] = []
+    refused: list[PeerError] = []
+    barrier = threading.Barrier(2)
+
+    def start(mine: LinkConfig) -> None:
+        link = Link(mine, "test", Role.MASTER)
+        barrier.wait()
+        try:
+            opened.append(link.__enter__())
+        except PeerError as error:
+            refused.append(error)
+
     with Link(config, "test", Role.SLAVE):
-        for _ in range(3):
-            opened, refused = [], []
-            barrier = threading.Barrier(2)
-
-            def start(
-                mine: LinkConfig,
-                opened: list[Link] = opened,
-                refused: list[PeerError] = refused,
-                barrier: threading.Barrier = barrier,
-            ) -> None:
-                link = Link(mine, "test", Role.MASTER)
-                barrier.wait()
-                try:
-                    opened.append(link.__enter__())
-                except PeerError as error:
-                    refused.append(error)
-
-            threads = [
-                threading.Thread(target=start, args=(c,))
-                for c in (config, free_config(slave=config.slave))
-            ]
-            for thread in threads:
-                thread.start()
-            for thread in threads:
-                thread.join()
-            for link in opened:
-                link.__exit__(None, None, None)
-            assert (len(opened), len(refused)) == (1, 1)
+        configs = config, free_config(slave=config.slave)
+        threads = [threading.Thread(target=start, args=(mine,)) for mine in configs]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+        for link in opened:
+            link.__exit__(None, None, None)
+    assert (len(opened), len(refused)) == (1, 1)
 
 
 def test_two_masters_that_met_only_later_are_told_apart_while_running(config: LinkConfig) -> None:

@@ -9,8 +9,9 @@ from teleop.link.rate_limit import RefusalCounter
 from teleop.messages.messages import EmergencyStop
 from teleop.messages.topics import STOP, Role
 from teleop.remote import stop_over_link
-from teleop.remote.requests import CALL, LEAVE, WATCH, RequestListener, Requests
-from teleop.session.loop_process import PEER_TIMEOUT_NS, LoopProcess
+from teleop.remote.requests import CALL, LEAVE, WATCH, RequestListener
+from teleop.session import loop_process
+from teleop.session.loop_process import PEER_TIMEOUT_NS
 from teleop.session.state_machine import Reason, SessionOutline, State
 
 MS = 1_000_000
@@ -103,14 +104,10 @@ def test_a_side_says_that_its_peer_is_connected_and_silent(line, fresh, connecte
         is_fresh=lambda _now, limit: fresh and limit == PEER_TIMEOUT_NS,
         packet=SimpleNamespace(records={"state": [State.ENGAGED]}),
     )
-    side = SimpleNamespace(
-        role=Role.SLAVE,
-        _link=line,
-        _outline=SimpleNamespace(stops=3),
-        _requests=RequestListener(line, own),
+    requests = RequestListener(line, own)
+    loop_process.answer_requests(
+        line, requests, Role.SLAVE, SessionOutline(State.STOPPED), 3, newest, 0
     )
-    stopped = SessionOutline(State.STOPPED)
-    LoopProcess._finish_requests(side, stopped, Requests(), newest, 0)
     assert told == [lines]
 
 

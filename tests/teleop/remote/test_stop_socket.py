@@ -28,6 +28,7 @@ def runtime_folder(monkeypatch):
         # nor those of sessions that run beside the tests
         monkeypatch.setattr(running_sessions, "_RUN_USER", Path(name))
         monkeypatch.setattr(running_sessions, "_TEMPORARY", ())
+        monkeypatch.setattr(stop_socket, "ANSWER_S", 0.5)
         yield Path(name)
 
 
