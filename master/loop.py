@@ -16,12 +16,12 @@ import numpy as np
 from estimator.array_types import Array
 from estimator.compiled import jit_compile
 from estimator.records import I64, Flag, Struct, StructArray, view_struct
-from master import coupling_adapter, feedback, gate, local, operator
+from master import coupling_adapter, feedback, gate, operator, workspace
 from master.coupling_adapter import RenderMemory
 from master.hand_input import Axes, HandInput, is_all_finite
-from master.local import Presence, WorkspaceLimits
 from master.operator import OperatorMemory
 from master.settings_record import MasterSettings
+from master.workspace import Presence, WorkspaceLimits
 from teleop import coupling
 from teleop.config.bounds import MOTION_MAX
 from teleop.coupling import Side
@@ -101,7 +101,7 @@ def compute_command(
     hand, state, inputs, dt = hands[0], states[0], memory.inputs, tick_input.dt
     wanted_forces = np.zeros(MAX_JOINTS)
     is_finite = _compute_wanted_forces(settings, memory, tick_input, state, wanted_forces)
-    local.update_presence(settings.operator, memory.presence, hand, dt)
+    workspace.update_presence(settings.operator, memory.presence, hand, dt)
 
     inputs.usable = hand.present
     inputs.clutch = hand.clutch
@@ -208,9 +208,9 @@ def compute_force(
     )
     if is_rendering:
         coupling_adapter.store_rendered_force(memory.rendered, settings.force.scale, total, axes)
-    local.update_limits(settings.operator, memory.limits, hand, is_rendering)
+    workspace.update_limits(settings.operator, memory.limits, hand, is_rendering)
     if is_rendering and hand.present:  # without delay
-        local.compute_wall_forces(settings.operator, memory.limits, hand, local_forces)
+        workspace.compute_wall_forces(settings.operator, memory.limits, hand, local_forces)
     for k in range(axes):
         if _has_weight_compensation(memory.session):
             weight[k] = settings.operator.weight[k]

@@ -40,7 +40,6 @@ from teleop.remote.requests import RequestListener, Requests, SettingRequest
 from teleop.runtime.clock import STALL_NS, Grid, Tick, monotonic_ns, now_ns
 from teleop.runtime.compiling import announce_compilation
 from teleop.runtime.process import StopCondition
-from teleop.session.checkpoint import Checkpoint
 from teleop.session.config import RunConfig, read_config
 from teleop.session.events import publish_event
 from teleop.session.loop_process import LoopProcess, report_outcome, run_session
@@ -52,6 +51,7 @@ from teleop.session.state_machine import (
     SessionOutline,
     State,
 )
+from teleop.session.tick_checkpoint import Checkpoint
 
 R = TypeVar("R")
 

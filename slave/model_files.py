@@ -12,7 +12,7 @@ from pathlib import Path
 from estimator import signals
 from estimator.array_types import Array
 from estimator.law.sheath import ASSUMED_COMPLIANCE
-from estimator.online.extension import EffectUse, explain_omission
+from estimator.online.extended_model import EffectUse, explain_omission
 from estimator.spikes import SAMPLES_MIN
 from slave.calibration.file import JointTendons
 from slave.tendon_config import TendonConfig

@@ -28,6 +28,7 @@ from slave.config import (
     has_model_file,
     load_tendon_configs,
 )
+from slave.force_error import Score
 from slave.gate import GateFlags
 from slave.loop import RigModel
 from slave.loop_records import EstimatedSample, SlaveMemory, TickInput
@@ -36,7 +37,6 @@ from slave.rigs import open_rig
 from slave.rigs.replayed import ReplayedRig
 from slave.rigs.simulated import SimulatedRigConfig, format_late_effects
 from slave.samples import estimate, fill_sample
-from slave.score import Score
 from slave.state_messages import fill_tendon_state
 from slave.telemetry import Telemetry, build_progress_printer
 from slave.tendon_config import TendonConfig
@@ -53,13 +53,13 @@ from teleop.remote.requests import RequestListener, Requests, call_stop
 from teleop.runtime.clock import EventClock, Grid, Tick, now_ns
 from teleop.runtime.process import StopCondition
 from teleop.runtime.realtime import use_ordinary_scheduling
-from teleop.session.checkpoint import Checkpoint
 from teleop.session.config import RunConfig, read_config
 from teleop.session.events import publish_event
 from teleop.session.loop_process import LoopProcess, answer_requests, report_outcome, run_session
 from teleop.session.slow_calls import SlowCallMonitor
 from teleop.session.state_machine import DetailedReason, Reason, SessionOutline, State
 from teleop.session.summary import ForceError, LoopSummary, RigSummary
+from teleop.session.tick_checkpoint import Checkpoint
 
 CALIBRATION_ABORTED = "calibration given up: "
 ROWS_INITIAL = 32  # initial length of the array of a tick's samples; it grows

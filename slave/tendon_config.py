@@ -4,8 +4,8 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 
 from estimator.law.sheath import Section, Sheath, SheathError
-from estimator.online import extension
-from estimator.online.extension import ExtendedModel
+from estimator.online import extended_model
+from estimator.online.extended_model import ExtendedModel
 from estimator.online.online import TendonModel
 from slave.sheath_section import SectionConfig
 from teleop.data import model_file
@@ -63,7 +63,7 @@ class TendonConfig:
             return None
         model, duration, *_ = model_file.load(self.model_file)
         try:
-            return extension.build_extended_model(
+            return extended_model.build_extended_model(
                 model.shared, model.effects, duration, self.length, self.axial_stiffness
             )
         except SheathError as error:

@@ -9,11 +9,11 @@ from estimator.records import StructArray
 from slave import loop
 from slave.calibration import run as calibration_run
 from slave.config import SlaveConfig
+from slave.force_error import Score
 from slave.loop_records import EstimatedSample, TickInput
 from slave.rig import RigSample
 from slave.rigs import RIG_COMPILE_S, compile_rig
 from slave.samples import estimate, fill_sample
-from slave.score import Score
 from slave.state_messages import fill_tendon_state, fill_tension_profile
 from slave.tendon_config import TendonConfig
 from teleop.link.health import compile_link_window_update

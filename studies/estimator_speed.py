@@ -17,7 +17,7 @@ from estimator.effects.effect import Effect, Values
 from estimator.law.sheath import Sheath
 from estimator.law.transmission import build_slack_profile, build_tables, simulate_tensions
 from estimator.online import online
-from estimator.online.extension import build_extended_model
+from estimator.online.extended_model import build_extended_model
 
 SHEATH = Sheath.uniform(1.0, 1.5, 9000.0)
 NODES = 64

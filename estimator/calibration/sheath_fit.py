@@ -26,7 +26,7 @@ from estimator.fitting import COVERAGE_FACTOR, IntervalEstimate, build_interval
 from estimator.law.sheath import Sheath
 from estimator.measured_data import MeasuredData, Samples
 from estimator.online.estimator import Estimator
-from estimator.online.score import Score
+from estimator.online.force_error import Score
 from estimator.online.tendon_model import TendonModel
 from estimator.plausibility import (
     find_channel_faults,

@@ -14,7 +14,7 @@ from estimator.diagnosis.dataset import (
     invert_effects,
     simulate_record,
 )
-from estimator.diagnosis.drive import compute_rate, estimate_drive
+from estimator.diagnosis.driving_signal import compute_rate, estimate_drive
 from estimator.diagnosis.measured_data import Record
 from estimator.diagnosis.sampling import DataIssue
 from estimator.diagnosis.settings import SETTINGS

@@ -1,8 +1,8 @@
 """A record of measured data, made ready to be compared with a simulation.
 
 The simulation is driven by the motor's travel where there is one, else by the tension at the
-housing, without its noise (`estimator.diagnosis.drive`). All other channels are compared as they
-are, without filters.
+housing, without its noise (`estimator.diagnosis.driving_signal`). All other channels are compared
+as they are, without filters.
 """
 
 import math
@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.array_types import Array
-from estimator.diagnosis.drive import (
+from estimator.diagnosis.driving_signal import (
     compute_rate,
     estimate_drive,
     find_turning_points,

@@ -45,8 +45,8 @@ from estimator.effects.effect import Effect, EffectContext, Parameter, Values
 from estimator.lumped.lumped_model import Physics
 from estimator.measured_data import MeasuredData, Samples
 from estimator.online.estimator import Estimator
-from estimator.online.extension import build_extended_model, is_record_specific
-from estimator.online.score import Score
+from estimator.online.extended_model import build_extended_model, is_record_specific
+from estimator.online.force_error import Score
 from estimator.online.tendon_model import TendonModel
 from estimator.spikes import remove_spikes
 
@@ -400,7 +400,7 @@ def _compute_detection_ratio(dataset: Dataset, fit: Fit, change: Array) -> float
 # --- the force at the tip that a loop would estimate with a model, and how far off it is
 # The numbers are those of `teleop estimate` and `teleop run --replay` with the model's file: the
 # same estimator (estimator.online), the same noise, the same spikes excluded, and the same
-# comparison with what the load cell at the tip reads (estimator.online.score).
+# comparison with what the load cell at the tip reads (estimator.online.force_error).
 
 SHEATH_LENGTH = 1.0  # [m] of the sheath: elongation and force go by L/EA
 

@@ -11,7 +11,7 @@ has proved.
 The interval does not rest on the decision who drives. It is (T2), widened by the sensor noise and
 cut by what motion has proved; it always holds the estimate.
 
-A model with an extension (estimator.online.extension) has its readings put right before
+A model with an extension (estimator.online.extended_model) has its readings put right before
 (estimator.online.reading_correction), and what its effects add to the law
 (estimator.online.dynamic_correction) put on top.
 """

@@ -8,7 +8,7 @@ from estimator import signals
 from estimator.effects.effect import Effect, Values
 from estimator.law.sheath import Sheath
 from estimator.law.tables import MAX_SECTIONS
-from estimator.online.extension import Extension
+from estimator.online.extended_model import Extension
 from estimator.online.reading_correction import MAX_CORRECTIONS
 
 

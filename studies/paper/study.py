@@ -7,7 +7,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.array_types import Array
-from estimator.law import closed_forms
 from estimator.law.sheath import Sheath
 from estimator.law.transmission import (
     build_slack_profile,
@@ -27,7 +26,7 @@ from slave.simulation.tendon import (
     get_tensions,
     init_chain_state,
 )
-from studies.paper import methods
+from studies.paper import equations, methods
 from studies.paper.bench import (
     NESTED_TURNS,
     PAPER_TURNS,
@@ -248,7 +247,7 @@ def unevenness(specimen: Specimen) -> float:
     lengths = [section.length for section in sheath.sections]
     radii = [min(section.radius, STRAIGHT) for section in sheath.sections]
     constants = (sheath.friction, lengths, radii, sheath.axial_stiffness)
-    ratio = closed_forms.compute_release_constant(*constants) / closed_forms.compute_pull_constant(
+    ratio = equations.compute_release_constant(*constants) / equations.compute_pull_constant(
         *constants
     )
     return math.log(ratio) - specimen.K

@@ -24,7 +24,7 @@ from estimator.diagnosis.api import collect_signals
 from estimator.measured_data import Samples
 from estimator.online import online
 from estimator.online.estimator import Estimator
-from estimator.online.score import FULL_SCALE_SIGMAS, Score
+from estimator.online.force_error import FULL_SCALE_SIGMAS, Score
 from estimator.plausibility import find_channel_faults, find_contradiction, find_stretch_slip
 from estimator.spikes import remove_spikes
 from estimator.units import LINEAR

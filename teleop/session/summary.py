@@ -14,7 +14,7 @@ from teleop.session.state_machine import PEER_REASONS, DetailedReason, State
 
 
 class ForceError(TypedDict):
-    """Error of the estimated force; see `estimator.online.score.Score.summary`."""
+    """Error of the estimated force; see `estimator.online.force_error.Score.summary`."""
 
     samples: int
     full_scale_N: float  # largest true force

@@ -9,7 +9,7 @@ import pytest
 import yaml
 
 from estimator.effects import CATALOGUE, NAMES
-from estimator.online.extension import build_extended_model
+from estimator.online.extended_model import build_extended_model
 from slave import model_files
 from slave.config import SlaveConfig, find_not_ready_reason, load_tendon_configs
 from slave.process import describe_models

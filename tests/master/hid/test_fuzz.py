@@ -26,7 +26,7 @@ from master.devices.hid.wheels import FFBeastDriver, LogitechDriver
 from tests.hid.descriptors import LAYOUTS
 
 fuzz = settings(
-    max_examples=int(os.environ.get("HID_FUZZ", "100")),
+    max_examples=int(os.environ.get("HID_FUZZ", "60")),
     deadline=None,
     suppress_health_check=list(HealthCheck),
 )

@@ -11,10 +11,10 @@ import estimator as est
 from estimator.diagnosis.validation import compute_force_error
 from slave import loop, model_files
 from slave.config import SlaveConfig
+from slave.force_error import Score
 from slave.rigs import open_rig
 from slave.rigs.replayed import ReplayedRigConfig
 from slave.samples import estimate, to_sample_rows
-from slave.score import Score
 from teleop.cli import commands
 from teleop.data import model_file, read_table, write_table
 from tests.studies import hidden

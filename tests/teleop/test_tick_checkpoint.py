@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 
 from teleop.runtime.clock import STALL_NS
-from teleop.session import checkpoint
-from teleop.session.checkpoint import Checkpoint
+from teleop.session import tick_checkpoint
+from teleop.session.tick_checkpoint import Checkpoint
 
 DTYPE = np.dtype([("position", "f8"), ("flag", "?"), ("count", "i8", (3,))], align=True)
 
@@ -41,7 +41,7 @@ class Process:
     def __init__(self, state, monkeypatch, *durations_ns):
         self.state, self.durations_ns, self.stamp_ns = state, list(durations_ns), 1000
         self.steps = []
-        monkeypatch.setattr(checkpoint, "now_ns", lambda: self.stamp_ns)
+        monkeypatch.setattr(tick_checkpoint, "now_ns", lambda: self.stamp_ns)
 
     def step(self, now_ns, dt):
         self.steps.append((now_ns, dt))

@@ -7,7 +7,7 @@ import pytest
 
 from estimator.law.sheath import Sheath
 from estimator.online.tendon_model import TendonModel
-from slave.score import Score
+from slave.force_error import Score
 
 
 def test_figures_are_those_of_numpy():

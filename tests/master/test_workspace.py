@@ -9,11 +9,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from estimator.records import view_struct
-from master import local
+from master import workspace
 from master.config import MasterConfig
 from master.device import HandState
-from master.local import Presence, WorkspaceLimits
 from master.operator import OperatorConfig, build_operator_settings
+from master.workspace import Presence, WorkspaceLimits
 from teleop.coupling import Bilateral
 from teleop.coupling.config import PassivityConfig
 from teleop.session.state_machine import Reason, State
@@ -28,7 +28,7 @@ def walls(config, the_hand):
     """The forces of the limits where the workspace has them."""
     settings, out = view_struct(build_operator_settings(config)), eight()
     limits = WorkspaceLimits.new(low=settings.low, high=settings.high, known=True)
-    local.compute_wall_forces(settings, limits, hand_record(the_hand), out)
+    workspace.compute_wall_forces(settings, limits, hand_record(the_hand), out)
     return tuple(out[: len(the_hand.position)])
 
 
@@ -128,7 +128,7 @@ def held(*position, engage=True):
 def watched(memory, *hands, config=PRESENCE):
     memory, rule = memory.copy(), view_struct(build_operator_settings(config))
     for the_hand in hands:
-        local.update_presence(rule, memory, hand_record(the_hand), DT)
+        workspace.update_presence(rule, memory, hand_record(the_hand), DT)
     return memory
 
 

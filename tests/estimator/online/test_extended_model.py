@@ -11,19 +11,19 @@ from estimator.law.sheath import Sheath
 from estimator.lumped.lumped_model import Physics, simulate_by_tension
 from estimator.lumped.nodes import build_even_weights
 from estimator.online import online
-from estimator.online.extension import (
+from estimator.online.extended_model import (
     OMISSION_REASONS,
     EffectUse,
     build_extended_model,
     explain_omission,
 )
+from estimator.online.force_error import build_reading_table, compute_reading
 from estimator.online.online import Status, TendonModel
 from estimator.online.reading_correction import (
     MAX_CORRECTIONS,
     build_corrections,
     correct_reading,
 )
-from estimator.online.score import build_reading_table, compute_reading
 from tests.studies import hidden
 
 NOISE, STEP = 0.02, 1.2e-7  # [N], [m] of the hidden sensors

@@ -7,9 +7,9 @@ import pytest
 from scipy.integrate import quad
 from scipy.optimize import brentq
 
-from estimator.law import closed_forms as cf
+from studies.paper import equations as cf
 from tests.brute.chain import Chain, Force, Position
-from tests.estimator.law import paper_equations as eq
+from tests.studies.paper import other_equations as eq
 
 MU, R, L, EA = 0.1, 0.15, 1.5, 9000.0
 K = MU * L / R

@@ -1,6 +1,6 @@
 """Error of the estimated force against a bench's load cell at the tip, over a run or a record.
 
-The estimate is put through the model of that cell (estimator.online.score) and compared with
+The estimate is put through the model of that cell (estimator.online.force_error) and compared with
 what it reads.
 """
 

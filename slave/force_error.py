@@ -2,8 +2,8 @@
 
 from estimator.array_types import Array
 from estimator.compiled import jit_compile
-from estimator.online import score
-from estimator.online.score import add_sample
+from estimator.online import force_error
+from estimator.online.force_error import add_sample
 from estimator.records import StructArray
 
 
@@ -20,7 +20,7 @@ def add_rows(
             add_sample(all_sums[0], table, e.distal_tension, e.low, e.high, row.bench_tension[i])
 
 
-class Score(score.Score):
+class Score(force_error.Score):
     """Running error of the distal tension [N] of all tendons against the bench sensors."""
 
     def add_rows(self, layouts: StructArray, rows: StructArray, samples: int) -> None:

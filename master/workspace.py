@@ -1,4 +1,4 @@
-"""Local forces of the master: soft limits of the workspace, and weight compensation.
+"""The workspace of the hand: its soft limits, and whether a hand is there at all.
 
 They depend only on the hand, so they are not part of the coupling. The limits are rendered while
 hand and tip are coupled. Outside them a hand at x, moving outwards at v, is pushed back with
@@ -7,8 +7,7 @@ hand and tip are coupled. Outside them a hand at x, moving outwards at v, is pus
 
 and the tip does not follow it there (`master.operator.clip_to_workspace`). The damping only opposes
 outward motion, so a limit never pulls. If the hand is already outside when it is coupled, its limit
-starts at the hand and moves back with it, so there is no force step. The weight compensation is
-`OperatorSettings.weight`.
+starts at the hand and moves back with it, so there is no force step.
 """
 
 from estimator.array_types import Array

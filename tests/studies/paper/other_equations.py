@@ -1,6 +1,6 @@
 """Equations of Phee et al. 2009 and of docs/theory.md that nothing but tests evaluates.
 
-Symbols as in `estimator.law.closed_forms`.
+Symbols as in `studies.paper.equations`.
 """
 
 import math
@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from estimator.law.closed_forms import Values, compute_friction_coordinates
+from studies.paper.equations import Values, compute_friction_coordinates
 
 
 def bend_tension(T_in: Values, mu: float, R: float, x: Values) -> Values:
