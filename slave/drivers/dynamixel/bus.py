@@ -14,7 +14,6 @@ from dynamixel_sdk import PacketHandler, PortHandler
 from dynamixel_sdk.robotis_def import COMM_RX_CORRUPT, COMM_RX_TIMEOUT, COMM_SUCCESS
 
 from slave.drivers.driver import DriverFault
-from slave.drivers.dynamixel import registers
 from slave.drivers.dynamixel.registers import Register
 from slave.drivers.serial_port import open_serial
 
@@ -134,51 +133,6 @@ class ServoBus:
             f"{self.path}: servo {number}: {text} at {self.port.baudrate} baud; "
             f"{self.slow_adapter() or '`teleop rig scan` lists what is there'}"
         )
-
-    def require_healthy(self, number: int, model: int) -> None:
-        """Raise `DriverFault` if a servo has a hardware error."""
-        error = self.get(number, registers.HARDWARE_ERROR)
-        if error:
-            raise DriverFault(
-                f"servo {number} (model {model}): hardware error: "
-                f"{registers.format_hardware_error(error)}; "
-                "remove the cause, then `teleop rig reset`"
-            )
-
-    def require_counts(self, number: int) -> None:
-        """Raise `DriverFault` if the servo counts positions otherwise than the config means.
-
-        These are not set by a driver: `zero` and `direction` in the config would silently mean
-        another place.
-        """
-        offset = self.get(number, registers.HOMING_OFFSET)
-        if offset:
-            offset -= (offset >> 31) << 32
-            raise DriverFault(
-                f"servo {number}: {registers.HOMING_OFFSET.name} is {offset} counts, must be 0: "
-                "set it by the Dynamixel Wizard, then read `zero` anew"
-            )
-        if self.get(number, registers.DRIVE_MODE) & registers.REVERSE:
-            raise DriverFault(
-                f"servo {number}: {registers.DRIVE_MODE.name} is reverse, must be normal: set it "
-                "by the Dynamixel Wizard, then use `direction: -1` where it is needed"
-            )
-
-    def require_current_unit(self, number: int, model: int) -> float:
-        """Return the unit [A] of a servo's currents; `DriverFault` if it cannot limit them."""
-        unit = registers.CURRENT_UNITS.get(model)
-        if unit is None:
-            raise DriverFault(
-                f"servo {number}: model {model} has no current-based position mode known to this "
-                "driver: set current_limit to null and limit the torque by the servo's PWM Limit"
-            )
-        return unit
-
-    def other_settings(self, number: int, limits_current: bool) -> list[tuple[Register, int, int]]:
-        """Return the registers left by other programs that a driver sets: what is there, and to."""
-        settings = registers.list_settings(limits_current)
-        read = [(register, self.get(number, register), value) for register, value in settings]
-        return [entry for entry in read if entry[1] != entry[2]]
 
     def get(self, number: int, register: Register) -> int:
         """Read a register, unsigned."""

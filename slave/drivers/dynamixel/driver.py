@@ -11,7 +11,7 @@ import serial
 from dynamixel_sdk import GroupSyncRead, GroupSyncWrite
 
 from slave.drivers.driver import Channels, Counts, DriverFault, Reading
-from slave.drivers.dynamixel import registers
+from slave.drivers.dynamixel import registers, servo_check
 from slave.drivers.dynamixel.bus import ServoBus, format_result
 from slave.drivers.dynamixel.config import WATCHDOG_UNIT, DynamixelConfig
 from slave.drivers.dynamixel.registers import STATUS_SIZE, Register, Status
@@ -91,20 +91,22 @@ class DynamixelDriver:
         bus = self._bus
         model = bus.ping(number)
         bus.put_unconfirmed(number, registers.STATUS_RETURN, registers.ANSWERS_ALL)
-        bus.require_healthy(number, model)
+        servo_check.require_healthy(bus, number, model)
         moves = number in self._channels.motors
         limit, unit = self._config.current_limit, registers.CURRENT_UNIT
         if moves:
-            bus.require_counts(number)
+            servo_check.require_counts(bus, number)
             if limit is not None:
-                unit = bus.require_current_unit(number, model)
+                unit = servo_check.require_current_unit(number, model)
         bus.put(number, registers.TORQUE_ENABLE, 0)  # before the watchdog lets an old goal go on
         bus.put(number, registers.BUS_WATCHDOG, 0)  # clears one that has triggered
         bus.put(number, registers.RETURN_DELAY, 0)
         bus.put(number, registers.INDIRECT_ADDRESSES, registers.pack_indirect_addresses())
         if not moves:
             return
-        for register, actual, value in bus.other_settings(number, limit is not None):
+        for register, actual, value in servo_check.find_other_settings(
+            bus, number, limit is not None
+        ):
             bus.put(number, register, value)
             self._changed.append(f"servo {number}: {register.name} was {actual}, set to {value}")
         if limit is not None:  # after the operating mode, whose change resets the goal current

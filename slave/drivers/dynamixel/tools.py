@@ -9,7 +9,7 @@ from dynamixel_sdk import GroupSyncRead
 from dynamixel_sdk.robotis_def import COMM_RX_CORRUPT
 
 from slave.drivers.driver import Channels, Counts, DriverFault, Reading
-from slave.drivers.dynamixel import registers
+from slave.drivers.dynamixel import registers, servo_check
 from slave.drivers.dynamixel.bus import ServoBus, format_result
 from slave.drivers.dynamixel.config import DynamixelConfig
 
@@ -82,15 +82,16 @@ class DynamixelReader:
         for number in self._ids:
             model = self._bus.ping(number)
             self._require_readable(number)
-            self._bus.require_healthy(number, model)
+            servo_check.require_healthy(self._bus, number, model)
             if number in self._channels.motors:
                 limits_current = self._config.current_limit is not None
-                self._bus.require_counts(number)
+                servo_check.require_counts(self._bus, number)
                 if limits_current:
-                    self._bus.require_current_unit(number, model)
+                    servo_check.require_current_unit(number, model)
+                others = servo_check.find_other_settings(self._bus, number, limits_current)
                 self._settings += [
                     f"servo {number}: {register.name} is {actual}, a session sets {value}"
-                    for register, actual, value in self._bus.other_settings(number, limits_current)
+                    for register, actual, value in others
                 ]
 
     def _require_readable(self, number: int) -> None:
