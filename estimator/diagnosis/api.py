@@ -42,7 +42,14 @@ from estimator.diagnosis.measured_data import (
     mark_all_as_train,
     prepare_record,
 )
-from estimator.diagnosis.outcome import CauseStep, Diagnosis, FittedValue, RankedCandidate, Verdict
+from estimator.diagnosis.outcome import (
+    CauseStep,
+    Diagnosis,
+    FittedValue,
+    RankedCandidate,
+    Verdict,
+    decide_verdict,
+)
 from estimator.diagnosis.rivals import CauseError
 from estimator.diagnosis.sampling import mark_missing
 from estimator.diagnosis.scoring import (
@@ -54,7 +61,7 @@ from estimator.diagnosis.scoring import (
     is_noise,
     join_errors,
 )
-from estimator.diagnosis.settings import SETTINGS, ProgressCallback, ignore_progress
+from estimator.diagnosis.settings import ProgressCallback, ignore_progress
 from estimator.diagnosis.validation import (
     compute_detection_limits,
     compute_file_force,
@@ -400,18 +407,15 @@ def _build_diagnosis(
         join_errors([compute_errors(item.dataset, item.fits[k]) for item in folds]) for k in (0, 1)
     )
     residual_fraction = compute_residual_fraction(errors_after, errors_before)
-    is_drifting = not is_noise(dataset, errors_after) and has_drifting_friction(dataset, fit)
-    if not steps:
-        verdict = Verdict.CLEAN if is_noise(dataset, errors_before) else Verdict.UNEXPLAINED
-    elif is_drifting or (
-        residual_fraction > SETTINGS.unexplained_fraction_max
-        and not is_noise(dataset, errors_after)
-    ):
-        verdict = Verdict.UNEXPLAINED
-    elif any(step.rivals for step in steps):
-        verdict = Verdict.AMBIGUOUS
-    else:
-        verdict = Verdict.NAMED
+    is_noise_after = is_noise(dataset, errors_after)
+    is_drifting = not is_noise_after and has_drifting_friction(dataset, fit)
+    verdict = decide_verdict(
+        steps,
+        residual_fraction,
+        is_noise_before=is_noise(dataset, errors_before),
+        is_noise_after=is_noise_after,
+        is_drifting=is_drifting,
+    )
     fitted_values = {
         item.name: FittedValue(item.value, item.low, item.high, item.parameter.unit, item.at_bound)
         for item in estimate_intervals(full_dataset, build_contexts(dataset, base_fit), final_fit)

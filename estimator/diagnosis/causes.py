@@ -60,6 +60,20 @@ def find_next_cause(
         or bootstrap_superiority(best.held_out, current_errors) < SETTINGS.confidence
     ):
         return None
+    rivals = find_rivals(dataset, base_errors, current_errors, best, ranked)
+    ranking = rank_candidates(dataset, base_fit, current_fit, candidates)
+    return CauseStep(best.effect, rivals, ranking, best.fit)
+
+
+def find_rivals(
+    dataset: Dataset,
+    base_errors: dict[str, ChannelErrors],
+    current_errors: dict[str, ChannelErrors],
+    best: Candidate,
+    ranked: list[Candidate],
+) -> tuple[str, ...]:
+    """Return the names of the effects that the data do not distinguish from the best."""
+    best_score = score_candidate(dataset, current_errors, best)
     best_fraction = compute_residual_fraction(best.held_out, base_errors)
     rivals: list[str] = []
     for candidate in ranked:
@@ -79,8 +93,7 @@ def find_next_cause(
             or is_uncertain
         ):
             rivals.append(name)
-    ranking = rank_candidates(dataset, base_fit, current_fit, candidates)
-    return CauseStep(best.effect, tuple(rivals), ranking, best.fit)
+    return tuple(rivals)
 
 
 def select_simplest_cause(

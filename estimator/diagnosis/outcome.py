@@ -12,6 +12,7 @@ from estimator.diagnosis.dataset import Dataset, Fit, SimulatedRecord
 from estimator.diagnosis.measured_data import UNIT_SCALE, BenchScale, Record
 from estimator.diagnosis.sampling import DataIssue
 from estimator.diagnosis.scoring import Choice, ResidualDependence, SimpleFit, SimpleGain
+from estimator.diagnosis.settings import SETTINGS
 from estimator.effects.effect import (
     DISTAL_DISPLACEMENT,
     DISTAL_TENSION,
@@ -157,6 +158,35 @@ class CauseStep(NamedTuple):
     rivals: tuple[str, ...]  # names that these channels do not tell from it
     ranking: tuple[RankedCandidate, ...]
     fit: Fit  # all causes so far, fitted to all samples
+
+
+def decide_verdict(
+    steps: Sequence[CauseStep],
+    residual_fraction: float,
+    *,
+    is_noise_before: bool,
+    is_noise_after: bool,
+    is_drifting: bool,
+) -> Verdict:
+    """Return how a diagnosis ends.
+
+    Parameters
+    ----------
+    steps : sequence of CauseStep
+        The causes that were named, one after another.
+    residual_fraction : float
+        The held-out error with them, over that without.
+    is_noise_before, is_noise_after : bool
+        Whether the base law alone, or the law with the causes, leaves no more than noise.
+    is_drifting : bool
+        Whether the causes leave friction that drifts.
+    """
+    if not steps:
+        return Verdict.CLEAN if is_noise_before else Verdict.UNEXPLAINED
+    is_large = residual_fraction > SETTINGS.unexplained_fraction_max
+    if is_drifting or (is_large and not is_noise_after):
+        return Verdict.UNEXPLAINED
+    return Verdict.AMBIGUOUS if any(step.rivals for step in steps) else Verdict.NAMED
 
 
 class Rival(NamedTuple):
