@@ -1,6 +1,6 @@
 """The web view in a real browser: the page appears, and each view shows what it should.
 
-The browser prefers a light theme, which the page must not follow; the dark one is a slow test.
+The browser prefers a light theme, which the page must not follow.
 """
 
 import urllib.parse
@@ -29,7 +29,10 @@ from tests.system.view_pictures import (
 )
 from tests.teleop.view_session import CONFIG, Session
 
-pytestmark = pytest.mark.skipif(browser.program() is None, reason="no Chromium on this machine")
+pytestmark = [
+    pytest.mark.slow,  # minutes of drawing by software; test_view_access opens a page of it too
+    pytest.mark.skipif(browser.program() is None, reason="no Chromium on this machine"),
+]
 
 MESSAGES = Session(1.0).messages
 
@@ -81,7 +84,6 @@ def test_the_browser_asked_only_this_machine_and_was_refused_the_rest(chromium, 
     assert reached <= {ours, None, ""}
 
 
-@pytest.mark.slow
 def test_a_page_says_how_old_what_it_shows_is(chromium):
     config = replace(CONFIG, layout="surgeon")
     chromium.emulate(1280, 800, "light")
@@ -100,7 +102,6 @@ def test_a_page_says_how_old_what_it_shows_is(chromium):
         assert wait_for_condition(lambda: pixels(chromium.picture(), strip, LOST) == 0, 60)
 
 
-@pytest.mark.slow  # half a minute of a browser
 def test_the_page_comes_back_when_another_view_serves_it(chromium):
     """Two views one after the other at the same address; the second shows another layout."""
     ports = dict(zip(("web_port", "grpc_port"), free_ports(2), strict=True))
