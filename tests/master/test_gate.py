@@ -152,7 +152,7 @@ def test_where_time_cannot_be_told_a_force_is_gone_at_once(dt):
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
 def test_what_is_not_a_number_does_not_fade_but_is_gone_and_is_no_rest(bad):
-    gated = step(GateConfig(), (2.0,), (bad,), True, False, 1e-3, fades=True)
+    gated = step(GateConfig(), (2.0,), (bad,), True, False, 1e-3, is_force_fading=True)
     assert gated.force == (0.0,)
     gated = step(GateConfig(), (0.0,), (1.0,), True, False, 1e-3, rest=(bad,))
     assert gated.force == (0.0,)

@@ -134,9 +134,9 @@ def watched(memory, *hands, config=PRESENCE):
 
 def test_a_device_that_lies_still_with_its_switch_closed_has_nobody_at_it():
     memory = watched(Presence.new(), *[held(0.1)] * 500)
-    assert not memory.away
+    assert not memory.is_away
     memory = watched(memory, *[held(0.1)] * 5)
-    assert memory.away
+    assert memory.is_away
 
 
 @settings(max_examples=15, deadline=None)
@@ -145,24 +145,24 @@ def test_noise_below_a_tremor_is_no_hand(most, seed):
     chance = random.Random(seed)  # noqa: S311
     assert watched(
         Presence.new(), *(held(0.1 + chance.uniform(-most, most)) for _ in range(600))
-    ).away
+    ).is_away
 
 
 @settings(max_examples=15, deadline=None)
 @given(st.floats(3e-5, 1e-3), st.integers(1, 200))
 def test_a_tremor_is_a_hand(amplitude, period):
     hands = [held(0.1 + amplitude * ((k // period) % 2)) for k in range(1500)]
-    assert not watched(Presence.new(), *hands).away
+    assert not watched(Presence.new(), *hands).is_away
 
 
 def test_a_knock_does_not_bring_the_hand_back_but_letting_go_does():
     memory = watched(Presence.new(), *[held(0.1)] * 600)
-    assert watched(memory, held(0.2), held(0.3), held(0.3)).away
-    assert not watched(memory, held(0.2), held(0.3, engage=False), held(0.3)).away
+    assert watched(memory, held(0.2), held(0.3), held(0.3)).is_away
+    assert not watched(memory, held(0.2), held(0.3, engage=False), held(0.3)).is_away
 
 
 def test_by_default_the_switch_is_trusted():
-    assert not watched(Presence.new(), *[held(0.1)] * 5000, config=OperatorConfig()).away
+    assert not watched(Presence.new(), *[held(0.1)] * 5000, config=OperatorConfig()).is_away
 
 
 def test_a_session_whose_hand_is_gone_lets_go_and_says_why():

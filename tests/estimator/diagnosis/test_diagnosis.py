@@ -188,7 +188,7 @@ def test_what_few_samples_have_of_a_fast_motion_is_no_noise_and_its_turns_are_fo
     assert np.abs(np.interp(turns, ready.time, ready.drive) - swings(turns)).max() < 1e-6
     added = ~np.isin(ready.time, time)
     assert added.any()
-    assert not any((mask & added).any() for mask in ready.good.values())
+    assert not any((mask & added).any() for mask in ready.valid.values())
 
 
 @pytest.mark.slow

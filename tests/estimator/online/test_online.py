@@ -339,7 +339,9 @@ def test_interval_is_tight_while_the_whole_tendon_slides_and_opens_after():
 
 def test_bad_from_the_first_sample_on_is_survived():
     prepared = online.prepare(model())
-    estimate_, state = online.step(prepared, online.initial(prepared), math.nan, math.nan, 0.0)
+    estimate_, state = online.step(
+        prepared, online.build_initial_state(prepared), math.nan, math.nan, 0.0
+    )
     assert estimate_.status & Status.INVALID_INPUT
     assert estimate_.distal_tension == pytest.approx(0.0, abs=1e-6)
     after, _ = online.step(prepared, state, 3.0, 3e-4, 0.001)

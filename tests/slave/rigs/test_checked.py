@@ -1,7 +1,6 @@
 """A rig of another package: what it gets wrong is named, and moves nothing."""
 
 import json
-import time
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +10,9 @@ from slave.rig import RigFault, RigSample, as_enabling_rig, get_emergency_stop
 from slave.rigs import open_rig
 from slave.rigs.extension import CheckedRig, RigExtension
 from teleop.errors import UsageError
-from tests.slave.test_process import FakeLink, FakeRig, StoppableRig, driven
+from tests.slave.test_process import FakeLink, FakeRig, StoppableRig, clock, driven
+
+__all__ = ["clock"]  # a fixture: time stands still but for sleeping
 
 TWO = np.array([1.0, 2.0])
 
@@ -228,7 +229,7 @@ class Waiting(FakeRig):
     """Waits for its hardware."""
 
     def read(self, time_s):
-        time.sleep(0.02)
+        FakeLink.clock.sleep(0.02)
         return super().read(time_s)
 
 
