@@ -30,6 +30,7 @@ REAL_TIME = (  # sessions and loops on the clock, not what only waits for socket
     "system/test_run.py",
     "system/test_side_by_side.py",
     "system/test_stop.py",
+    "system/test_view_access.py",  # a browser draws in software
     "system/test_view_page.py",
     "drivers/test_cia402.py",
     "drivers/test_composed.py",
