@@ -70,10 +70,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--insecure",
         "--duration",
         "--view",
-        "--calibration",
         "--model",
         "--json",
     )
+    add_option(parser, "--calibration", "as-built is the true one of a simulated rig")
     add_option(parser, "--session", help="name of the session (default one of its own)")
     parser.add_argument(
         "--record", type=SharedFolder(), metavar="DIR", help="record the session into DIR"
@@ -88,9 +88,7 @@ def main(args: argparse.Namespace) -> int:
     from teleop.launch.config import SessionConfig  # slow to import, and not needed for --help
 
     stop = StopCondition()
-    document = ConfigDocument.read(args.config, args.overrides).override(
-        *_build_rig_overrides(args)
-    )
+    document = ConfigDocument.read(args.config, args.overrides).override(*build_rig_overrides(args))
     document = own_endpoints.choose_place(document, args.session)
     config = document.load(SessionConfig)
     if config.ros.start:
@@ -174,14 +172,18 @@ def _report_outcome(summary: SessionSummary, path: Path | None, console: Console
     return 0 if began else to_exit_code(summary.reason)
 
 
-def _build_rig_overrides(args: argparse.Namespace) -> list[Override]:
+def build_rig_overrides(args: argparse.Namespace) -> list[Override]:
+    """Return what `--replay` and `--calibration` override in the config."""
+    from slave.config import AS_BUILT  # slow to import, and not needed for --help
+
     out = []
     if args.replay:
         rig = {"type": "replayed", "file": str(args.replay.absolute())}
         # a tip that the hand does not move would do work on it without energy in the ledger
         out += [Override.of("slave.rig", rig), Override.of("coupling", {"type": "direct"})]
     if args.calibration:
-        calibration = str(args.calibration.absolute())
+        is_file = str(args.calibration) != AS_BUILT
+        calibration = str(args.calibration.absolute()) if is_file else AS_BUILT
         out += [Override.of("slave.tendons", []), Override.of("slave.calibration", calibration)]
     return out
 

@@ -1,5 +1,6 @@
 """The launcher: its words, whom it can do without, and in which order things happen."""
 
+import argparse
 import io
 import itertools
 import sys
@@ -8,6 +9,8 @@ from types import SimpleNamespace
 
 import pytest
 
+from slave.config import SlaveConfig
+from teleop.config.loading import ConfigDocument
 from teleop.errors import TeleopError
 from teleop.launch import command, watch
 from teleop.launch.console import Console, KeyReader, format_status
@@ -41,6 +44,7 @@ from teleop.session.summary import (
     format_summary,
     read_child_summary,
 )
+from tests.root import ROOT
 
 UNMEASURED = LinkHealth(HealthConfig()).summary(MessageCounts())
 
@@ -512,3 +516,16 @@ def test_a_reset_from_the_keyboard_names_the_stops_that_it_takes_back_and_no_lat
 
 
 # the order of events
+
+
+@pytest.mark.parametrize("given", ["as-built", "c.yaml"])
+def test_the_calibration_is_a_file_wherever_a_child_runs_or_the_true_one(
+    given, tmp_path, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    parser = argparse.ArgumentParser()
+    command.add_arguments(parser)
+    overrides = command.build_rig_overrides(parser.parse_args(["--calibration", given]))
+    document = ConfigDocument.read(ROOT / "configs" / "arm.yaml", []).override(*overrides)
+    expected = given if given == "as-built" else str(tmp_path / given)
+    assert str(document.load(SlaveConfig, "slave").calibration) == expected
