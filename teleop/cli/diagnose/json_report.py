@@ -136,7 +136,7 @@ def build_report(
             "noise": [record.noise[record.driver] for record in diagnosis.dataset.records],
         },
         "left": diagnosis.residual_fraction,
-        "wanders": diagnosis.has_drifting_friction,
+        "has_drifting_friction": diagnosis.has_drifting_friction,
         "structure": [item._asdict() for item in diagnosis.residual_dependences],
         "detection_limits": {
             name: limit._asdict() for name, limit in diagnosis.detection_limits.items()
