@@ -27,6 +27,7 @@ lasts. No setting of Zenoh bounds either, so a thread looks at our own sockets, 
   cannot stop a session are shut down for `NAME_BLOCK_S`.
 """
 
+import atexit
 import contextlib
 import ctypes
 import math
@@ -172,7 +173,10 @@ class ConnectionGuard:
         if _LINUX:
             self._tables = open_tables(_TABLES)
             self._interfaces = open_tables([_INTERFACES])
-            threading.Thread(target=self._work, name="connection guard", daemon=True).start()
+            self._thread = threading.Thread(target=self._work, name="connection guard", daemon=True)
+            self._thread.start()
+            # a thread that Python ends inside of Zenoh aborts the process
+            atexit.register(self._join)
 
     def _on_link(self, event: zenoh.LinkEvent) -> None:
         """Keep whose a connection is."""
@@ -220,6 +224,11 @@ class ConnectionGuard:
         arrivals.close()
         for table in self._tables + self._interfaces:
             table.close()
+        atexit.unregister(self._join)
+
+    def _join(self) -> None:
+        """Wait for the thread to see that the session is closed; not for one that is left open."""
+        self._thread.join(2 * SCAN_PERIOD_S)
 
     def _look(self, now_s: float) -> None:
         """Look at all connections once."""

@@ -214,7 +214,7 @@ class Link:
                 key = build_sampled_key(key)
             store = listener.store(topic, topic in sampled)
             direct = zenoh.handlers.Callback(store, indirect=False)
-            self._subscribers.append(self._zenoh.declare_subscriber(key, direct))
+            listener.subscribers.append(self._zenoh.declare_subscriber(key, direct))
         return listener
 
     def present(self, role: Role, nonce: int | None = None) -> bool:

@@ -161,6 +161,12 @@ class Listener:
         self._refused: dict[str, int] = {}
         self._forged: dict[str, int] = {}
         self._senders: dict[str, _SenderChecks] = {}
+        self.subscribers: list[Any] = []  # of Zenoh; `close` ends them
+
+    def close(self) -> None:
+        """End it before the link: nothing arrives any more."""
+        while self.subscribers:
+            self.subscribers.pop().undeclare()
 
     def store(self, topic: Topic[Any], sampled: bool = False) -> Callable[[zenoh.Sample], None]:
         """Return the callback for Zenoh's samples of `topic`, or of copies of some of them."""

@@ -22,7 +22,15 @@ class ScratchFolder(tempfile.TemporaryDirectory[str]):
                     os.close(_lock_folder(folder))
                     shutil.rmtree(folder)
         super().__init__(prefix=_SCRATCH_PREFIX)
-        self._lock = _lock_folder(Path(self.name))  # until this process ends, however it does
+        # until it is cleaned up, or this process ends, however it does
+        self._lock: int | None = _lock_folder(Path(self.name))
+
+    def cleanup(self) -> None:
+        """Remove the folder."""
+        super().cleanup()
+        if self._lock is not None:
+            os.close(self._lock)
+            self._lock = None
 
 
 def _lock_folder(folder: Path) -> int:
