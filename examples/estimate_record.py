@@ -2,27 +2,22 @@
 
     python examples/estimate_record.py [bench.csv]
 
-Without a file the simulated rig of configs/paper-joint.yaml makes one.
+Without a file a simulated bench makes the record.
 """
 
 import sys
-import tempfile
-from pathlib import Path
 
 import numpy as np
 
 import estimator as est
-from teleop.cli import commands
+from teleop import make_spring_bench, simulate
 from teleop.data import read_table
 
-path = sys.argv[1] if len(sys.argv) > 1 else Path(tempfile.mkdtemp()) / "bench.csv"
-if len(sys.argv) == 1:  # a tip on a spring, as on a calibration bench
-    spring = "slave.rig.joints=[{tendons: [{sheath: {sections: [{length: 1.5, radius: 0.3}]}}], "
-    spring += "body: {spring: 2000, pretension: 0}, environment: {type: free}}]"
-    words = ["--profile", "nested", "--duration", "20", "--rate", "200", "--set", spring]
-    commands.main(["simulate", "--out", str(path), *words])
+if len(sys.argv) > 1:
+    run = read_table(sys.argv[1])
+else:
+    run = simulate(make_spring_bench(), "nested", duration=20.0, rate=200.0).tendon()
 
-run = read_table(path)
 half = len(run.time) // 2
 first = est.Samples(run.time[:half], run.proximal_tension[:half], None, run.distal_tension[:half])
 fit = est.fit_sheath(first, length=1.5)

@@ -6,30 +6,21 @@ In a notebook, `est.show_result(found)` at the end of a cell shows the same.
 """
 
 import sys
-import tempfile
 from pathlib import Path
 
 import estimator as est
-from teleop.cli import commands
-from teleop.data import read_table
+from slave.simulation.effects.sensors import DistalTensionGain
+from teleop import MotionScale, make_spring_bench, simulate
 
-folder = Path(tempfile.mkdtemp())
-spring = "slave.rig.joints=[{tendons: [{sheath: {sections: [{length: 1.5, radius: 0.3}]}}], "
-spring += "body: {spring: 2000, pretension: 0}, environment: {type: free}}]"
-wrong_gain = "slave.rig.effects=[{type: distal_tension_gain, gain: 0.15}]"
-words = ["--profile", "nested", "--duration", "20", "--rate", "50", "--set", spring]
-for name, speed in (("monday.csv", "0.003"), ("tuesday.csv", "0.004")):
-    out = ["--out", str(folder / name), "--speed", speed]
-    commands.main(["simulate", *out, *words, "--set", wrong_gain])
-
-found = est.diagnose(
-    read_table(folder / "monday.csv"),
-    ["distal_tension_gain", "creep"],
-    validate=[read_table(folder / "tuesday.csv")],
+bench = make_spring_bench(effects=[DistalTensionGain(gain=0.15)])
+monday, tuesday = (
+    simulate(bench, "nested", duration=20.0, rate=50.0, scale=MotionScale(speed=speed)).tendon()
+    for speed in (0.003, 0.004)
 )
+found = est.diagnose(monday, ["distal_tension_gain", "creep"], validate=[tuesday])
 for file in found.forces:
     kind = "validation" if file.validation else "fitted"
     print(f"{kind}: force off by {file.before.rmse:.3f} N before, {file.after.rmse:.3f} N after")
-est.plot_result(found).savefig(folder / "monday.svg")
+est.plot_result(found).savefig("monday.svg")
 if len(sys.argv) > 1:
     Path(sys.argv[1]).write_text(est.show_result(found).html)

@@ -3,16 +3,11 @@
 # Open it in an editor with cells (VS Code, Spyder, jupytext), or run it as it is.
 
 # %%
-import tempfile
-from pathlib import Path
-
 import numpy as np
 
 import estimator as est
-from teleop.cli import commands
-from teleop.data import read_table
-
-folder = Path(tempfile.mkdtemp())
+from slave.simulation.effects.friction import FrictionStep
+from teleop import make_spring_bench, simulate
 
 # %% [markdown]
 # ## 1. Data
@@ -20,13 +15,8 @@ folder = Path(tempfile.mkdtemp())
 # friction of this rig rises by 30 % at 12 s, which nobody tells the model.
 
 # %%
-tendon = "{sheath: {sections: [{length: 1.5, radius: 0.3}]}}"
-RIG = f"slave.rig.joints=[{{tendons: [{tendon}], body: {{spring: 2000, pretension: 0}}, "
-RIG += "environment: {type: free}}]"
-STEP = "slave.rig.effects=[{type: friction_step, change: 0.3, start: 12}]"
-words = ["--profile", "nested", "--duration", "24", "--rate", "100", "--set", RIG, "--set", STEP]
-commands.main(["simulate", "--out", str(folder / "bench.csv"), *words])
-run = read_table(folder / "bench.csv")
+bench = make_spring_bench(effects=[FrictionStep(change=0.3, start=12.0)])
+run = simulate(bench, "nested", duration=24.0, rate=100.0).tendon()
 
 # %% [markdown]
 # ## 2. The plain law

@@ -15,13 +15,13 @@ from numpy.typing import NDArray
 
 from estimator.array_types import Array
 from slave.rig import Rig, RigSample
+from slave.rigs.bench import MotionSample, MotionState, Turns
 from slave.rigs.simulated import JointConfig, SimulatedRig, SimulatedRigConfig, TendonPlantConfig
 from slave.sheath_section import SectionConfig
 from slave.simulation.environment import FreeConfig, LoadMotorConfig
 from slave.simulation.joint import BodyConfig
 from slave.simulation.sensors import LoadCellConfig
 from slave.simulation.tendon import SheathConfig
-from teleop.cli.simulate import MotionSample, MotionState, Turns
 
 # --- random sheaths to repeat the experiment on
 

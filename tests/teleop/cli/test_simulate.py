@@ -1,12 +1,13 @@
 import numpy as np
 import pytest
 
+import teleop
 from slave.rigs.simulated import JointConfig, SimulatedRigConfig, TendonPlantConfig
 from slave.simulation.environment import WallConfig
 from slave.simulation.sensors import EncoderConfig, LoadCellConfig
+from teleop import MotionScale
 from teleop.cli import simulate
 from teleop.cli.commands import Parser
-from teleop.cli.simulate import MOTIONS, MotionScale
 from teleop.data.table import read_table
 from teleop.errors import UsageError
 
@@ -55,13 +56,46 @@ def test_the_papers_swing_loses_at_the_tip_what_friction_takes(tmp_path):
     assert np.ptp(T_out[after]) < 0.05
 
 
+def test_arrays_a_file_and_the_command_have_the_same_samples(tmp_path):
+    bench = teleop.make_spring_bench(length=0.8, radius=0.2)
+    result = teleop.simulate(bench, "nested", duration=1.0, rate=100.0, seed=5)
+    result.save(tmp_path / "bench.csv")
+    table, samples = read_table(tmp_path / "bench.csv"), result.tendon()
+    for item in ("time", "proximal_tension", "proximal_displacement", "distal_tension"):
+        np.testing.assert_allclose(getattr(table, item), getattr(samples, item), atol=1e-9)
+    loss = 1.0 - samples.distal_tension[-1] / samples.proximal_tension[-1]
+    assert loss == pytest.approx(1.0 - np.exp(-0.2 * 0.8 / 0.2), abs=0.1)  # by the law's friction
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ({"profile": "zigzag"}, r"profile 'zigzag': allowed are pull-release-pull"),
+        ({"rate": 2000.0}, r"rate 2000: .*period"),
+        ({"duration": 0.0}, r"duration 0: must be above 0"),
+        ({"seed": -1}, r"seed: must not be negative"),
+        ({"config": "none.yaml"}, r"none\.yaml"),
+    ],
+)
+def test_a_call_that_cannot_be_is_one_line(words, message):
+    with pytest.raises(UsageError, match=message):
+        teleop.simulate(**words)
+
+
+def test_a_rig_has_the_tendons_that_it_has():
+    with pytest.raises(UsageError, match="tendon 2: this rig has 1 to 1"):
+        teleop.simulate(duration=0.01).tendon(2)
+
+
 QUIET = TendonPlantConfig(load_cell=LoadCellConfig(0.0, 0.0), encoder=EncoderConfig(0))
 
 
 def test_without_noise_the_sensors_tell_what_the_plant_does():
     joint = JointConfig((QUIET,))
-    motion = MOTIONS["sine"](MotionScale(stroke=0.008, period=2.0))
-    result = simulate.simulate(SimulatedRigConfig(joints=(joint,) * 2), motion, 2.0, 1000.0)
+    config = SimulatedRigConfig(joints=(joint,) * 2)
+    result = teleop.simulate(
+        config, "sine", duration=2.0, scale=MotionScale(stroke=0.008, period=2.0)
+    )
     assert result.proximal_tension.shape == (2001, 2)
     assert np.array_equal(result.proximal_tension[:, 0], result.proximal_tension[:, 1])
     travel = result.proximal_displacement[:, 0]
@@ -76,8 +110,7 @@ def test_in_a_pair_one_tendon_makes_the_motion_and_the_other_follows_without_goi
 ):
     wall = WallConfig(position=0.008 if side == "a" else -0.008, side=side)
     config = SimulatedRigConfig(joints=(JointConfig((TendonPlantConfig(),) * 2, environment=wall),))
-    motion = MOTIONS["pull-release-pull"](MotionScale())
-    run = simulate.simulate(config, motion, 8.0, 1000.0, side=side, keep=0.5)
+    run = teleop.simulate(config, duration=8.0, side=side, keep=0.5)
     pulled = run.proximal_tension[:, 1 - other]
     assert pulled.max() == pytest.approx(20.0, abs=0.3)
     assert pulled[pulled.argmax() :].min() == pytest.approx(5.0, abs=0.3)
