@@ -41,7 +41,7 @@ from teleop.runtime.clock import STALL_NS, Grid, Tick, monotonic_ns, now_ns
 from teleop.runtime.compiling import announce_compilation
 from teleop.runtime.process import StopCondition
 from teleop.session.config import RunConfig, read_config
-from teleop.session.events import publish_event
+from teleop.session.events import MARK, publish_event
 from teleop.session.loop_process import LoopProcess, report_outcome, run_session
 from teleop.session.slow_calls import SlowCallMonitor
 from teleop.session.state_machine import (
@@ -354,14 +354,19 @@ class MasterProcess(LoopProcess):
             self._change_setting(request)
 
     def _change_setting(self, request: SettingRequest) -> None:
-        """Change a setting and answer the request."""
+        """Change a setting, or make a mark, and answer the request."""
+        accepted = True
         try:
-            self._live, text = live_settings.change_setting(self._live, request.key, request.value)
+            if request.key == MARK:
+                text = f"{MARK}: {request.value}"
+                publish_event(self._link, Role.MASTER, self._outline(), text)
+            else:
+                self._live, text = live_settings.change_setting(
+                    self._live, request.key, request.value
+                )
+                publish_event(self._link, Role.MASTER, self._outline(), f"set: {text}")
         except UsageError as error:
             text, accepted = str(error), False
-        else:
-            accepted = True
-            publish_event(self._link, Role.MASTER, self._outline(), f"set: {text}")
         answer = Answer(
             role=Role.MASTER,
             asker=request.asker,

@@ -1,1 +1,10 @@
-"""What both sides share: messages, link, clock, config, session, recording, view, command line."""
+"""A teleoperation session from Python, and what both sides share.
+
+    from teleop import Session
+
+The public names are those of `__init__.pyi`.
+"""
+
+from estimator.lazy_names import attach_names
+
+__getattr__, __dir__, __all__ = attach_names(__name__)

@@ -28,6 +28,7 @@ REAL_TIME = (  # sessions and loops on the clock, not what only waits for socket
     "system/test_rogue.py",
     "system/test_ros_run.py",
     "system/test_run.py",
+    "system/test_session_object.py",
     "system/test_side_by_side.py",
     "system/test_stop.py",
     "system/test_view_access.py",  # a browser draws in software

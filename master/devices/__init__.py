@@ -8,13 +8,14 @@ from master.devices.combined import CombinedConfig, CombinedDevice, SingleConfig
 from master.devices.extension import CheckedDevice, DeviceExtension
 from master.devices.hid.device import HidDevice
 from master.devices.hid.mapping import HidConfig
+from master.devices.program import ProgramConfig, ProgramDevice
 from master.devices.ros_device import RosDevice, RosDeviceConfig
 from master.devices.virtual import VirtualConfig, VirtualDevice
 from teleop.config.extensions import format_opening_failure
 from teleop.errors import UsageError
 from teleop.messages.messages import MAX_JOINTS
 
-DeviceConfig = SingleConfig | CombinedConfig
+DeviceConfig = SingleConfig | CombinedConfig | ProgramConfig
 
 
 def open_combined(config: CombinedConfig) -> Device:
@@ -32,6 +33,7 @@ DEVICES: dict[type, Callable[[Any], Device]] = {
     VirtualConfig: VirtualDevice,
     HidConfig: HidDevice,
     RosDeviceConfig: RosDevice,
+    ProgramConfig: ProgramDevice,
     CombinedConfig: open_combined,
 }
 

@@ -37,10 +37,14 @@ class CombinedConfig:
             raise ValueError(
                 "devices: at least 2 are needed; configure a single device without `combined`"
             )
-        axes = [device.axis_count for device in self.devices]
-        if sum(axes) > MAX_JOINTS:
-            each = " + ".join(map(str, axes))
+        if self.axis_count > MAX_JOINTS:
+            each = " + ".join(str(device.axis_count) for device in self.devices)
             raise ValueError(f"devices: {each} axes, must be at most {MAX_JOINTS} together")
+
+    @property
+    def axis_count(self) -> int:
+        """How many joints they move."""
+        return sum(device.axis_count for device in self.devices)
 
 
 class CombinedDevice:

@@ -7,15 +7,15 @@ name, until the node sends `disable`.
 import json
 import math
 import os
-import struct
 import subprocess
 import time
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from importlib.util import find_spec
-from typing import Literal, NamedTuple
+from typing import Literal
 
 from master.device import Axes, DeviceFault, DeviceLost, HandState
+from master.devices.commands import SIZE, CommandMotion, CommandRecord
 from teleop.messages.messages import MAX_JOINTS
 from teleop.ros.message_types import MISSING_EXTRA
 from teleop.runtime.child_process import end_process, start_module
@@ -68,117 +68,6 @@ class RosDeviceConfig:
         return self.axes
 
 
-# --- the motion of a hand that follows the commands. Pure: time is an argument
-# Between two positions it moves linearly, within the time that lay between them, so that a node of
-# 100 Hz moves the tip without steps. While the switch is open it is where the newest command is.
-#
-# A loop reads the newest record only, so it may miss that the switch was open in between: one read
-# with an open switch lies between two engagements, at the new position.
-
-
-# --- what the receiver of ROS commands tells the master's process: fixed-size records on a pipe
-
-_TEXT_BYTES = 160
-_LAYOUT = struct.Struct(f"<qqqq{_TEXT_BYTES}s{MAX_JOINTS}d")
-SIZE = _LAYOUT.size  # below PIPE_BUF: written whole or not at all
-
-
-class CommandRecord(NamedTuple):
-    """State of the commands."""
-
-    written_ns: int = 0  # monotonic
-    received_ns: int = 0  # monotonic; 0 = no command yet
-    number: int = 0  # count of accepted commands
-    engagement: int = 0  # number of the present engagement; 0 = the switch is open
-    fault: str = ""
-    values: tuple[float, ...] = ()  # [m] or [m/s]
-
-    def pack(self) -> bytes:
-        """Return the bytes of the record."""
-        text = self.fault.encode()[:_TEXT_BYTES].decode(errors="ignore").encode()
-        values = (*self.values, *(0.0,) * (MAX_JOINTS - len(self.values)))
-        head = self.written_ns, self.received_ns, self.number, self.engagement, text
-        return _LAYOUT.pack(*head, *values)
-
-    @classmethod
-    def unpack(cls, data: bytes, axes: int) -> "CommandRecord":
-        """Return the record of `SIZE` bytes."""
-        written, received, number, engagement, text, *values = _LAYOUT.unpack(data)
-        fault = text.rstrip(b"\0").decode()
-        return cls(written, received, number, engagement, fault, tuple(values[:axes]))
-
-
-_STEP_MAX_S = 0.01  # [s] of a velocity integrated over one tick
-
-
-class CommandMotion:
-    """State of the motion; see the module's text.
-
-    Parameters
-    ----------
-    config : RosDeviceConfig
-    """
-
-    def __init__(self, config: RosDeviceConfig) -> None:
-        self._config = config
-        self._record = CommandRecord()
-        self._position: Axes = (0.0,) * config.axes
-        self._velocity: Axes = (0.0,) * config.axes
-        self._from: Axes = self._position
-        self._begin_s, self._span_s, self._time_s = 0.0, 0.0, 0.0
-
-    def step(self, record: CommandRecord, is_fresh: bool, time_s: float) -> HandState:
-        """Return the hand at `time_s` [s], by the newest record of the commands.
-
-        Parameters
-        ----------
-        record : CommandRecord
-        is_fresh : bool
-            Whether its command came within the timeout.
-        time_s : float
-            [s] never decreasing.
-        """
-        previous, self._record = self._record, record
-        dt, self._time_s = max(0.0, time_s - self._time_s), time_s
-        engaged = 0 < record.engagement == previous.engagement
-        if self._config.command == "servo_cv":
-            self._integrate(record.values if engaged and is_fresh else (), dt)
-        elif record.values:
-            if not engaged:
-                self._span_s = 0.0
-            elif record.number != previous.number:
-                passed_s = (record.received_ns - previous.received_ns) * 1e-9
-                self._from, self._begin_s, self._span_s = self._position, time_s, passed_s
-            self._move(record.values, time_s)
-        else:
-            self.rest()
-        return HandState(self._position, self._velocity, engaged)
-
-    def rest(self) -> HandState:
-        """Return the hand where it is, at rest and with an open switch."""
-        self._velocity = (0.0,) * len(self._position)
-        return HandState(self._position, self._velocity, engage=False)
-
-    def _move(self, target: Axes, time_s: float) -> None:
-        """Move to a position, `_span_s` after `_begin_s`."""
-        share = (time_s - self._begin_s) / self._span_s if self._span_s > 0.0 else 1.0
-        if share >= 1.0:
-            self._position = target
-            self.rest()
-            return
-        pairs = tuple(zip(self._from, target, strict=True))
-        self._position = tuple(a + (b - a) * share for a, b in pairs)
-        self._velocity = tuple((b - a) / self._span_s for a, b in pairs)
-
-    def _integrate(self, velocity: Axes, dt: float) -> None:
-        """Move at a commanded velocity; not at all without one."""
-        self._velocity = velocity or (0.0,) * len(self._position)
-        step = min(dt, _STEP_MAX_S)
-        self._position = tuple(
-            x + v * step for x, v in zip(self._position, self._velocity, strict=True)
-        )
-
-
 RECORD_TIMEOUT_NS = 250_000_000  # [ns] without a record of the receiver
 _READ_BYTES = 64 * SIZE
 
@@ -201,7 +90,7 @@ class RosDevice:
             raise DeviceFault(MISSING_EXTRA)
         self.axes = config.axes
         self._config = config
-        self._motion = CommandMotion(config)
+        self._motion = CommandMotion(config.axes, is_velocity=config.command == "servo_cv")
         self._record = CommandRecord()
         self._part = b""
         self._began = False

@@ -18,7 +18,8 @@ from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple
 
-from master.devices.ros_device import CommandRecord, RosDeviceConfig
+from master.devices.commands import CommandRecord
+from master.devices.ros_device import RosDeviceConfig
 from teleop.link.ros_session import is_router_listening
 from teleop.ros.command_topics import SERVO_CV, SERVO_JP, STATE_COMMAND
 from teleop.ros.graph import BEST_EFFORT, RELIABLE, Qos

@@ -6,13 +6,16 @@ An installed package declares them as entry points, in the group `teleop.rigs`, 
 """
 
 import importlib
+import sys
 import traceback
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib.metadata import entry_points
+from pathlib import Path
 from typing import Any, ClassVar
 
 from teleop.config.options import ALLOW_IMPORTS
 from teleop.config.suggestions import suggest_spelling
+from teleop.errors import UsageError
 from teleop.runtime.process import print_warning
 
 
@@ -21,6 +24,8 @@ class ImportPolicy:
     """What this process imports because a config or a model file names it."""
 
     any_module: bool = False  # `package.module:Name`, besides entry points of installed packages
+    # classes of objects that this program has put into a config, by their names there
+    classes: dict[str, type[Any]] = field(default_factory=dict)
 
 
 policy = ImportPolicy()
@@ -64,6 +69,8 @@ def resolve_object(name: str, group: str) -> Any:
         There is no such package, module, attribute or entry point, importing it fails, or it is
         neither an entry point nor allowed (`allow_imports`).
     """
+    if name in policy.classes:
+        return policy.classes[name]
     reference = name
     points = {point.name: point.value for point in entry_points(group=group)}
     if ":" not in name:
@@ -108,6 +115,34 @@ def resolve_class(name: str, base: type[Extension]) -> type[Extension]:
     if not (isinstance(found, type) and issubclass(found, base)):
         raise ExtensionError(f"{name}: must be a subclass of {base.__module__}:{base.__name__}")
     return found
+
+
+def name_class(config: Extension) -> str:
+    """Return the name in a config of an extension's class: its own, or `package.module:Name`.
+
+    That of a script is the module of its file: it is imported where the extension is used, so what
+    it runs belongs below `if __name__ == "__main__"`.
+
+    Raises
+    ------
+    UsageError
+        Another process cannot import the class: it is not defined in a file.
+    """
+    if config.type:
+        return config.type
+    cls = type(config)
+    module, name = cls.__module__, cls.__qualname__
+    if module == "__main__":
+        main = sys.modules[module]
+        file = getattr(main, "__file__", None)
+        spec = main.__spec__
+        module = spec.name if spec is not None else Path(file or "").stem
+    if not module or "<locals>" in name:
+        raise UsageError(
+            f"{name}: another process cannot import it; define the class at the top of a file"
+        )
+    policy.classes[f"{module}:{name}"] = cls
+    return f"{module}:{name}"
 
 
 def format_call_failure(place: str, method: str, error: Exception) -> str:

@@ -32,7 +32,13 @@ from pathlib import Path
 from typing import Any, Literal, TypeVar, Union, cast, get_args, get_origin, get_type_hints
 
 from teleop.config import strict_yaml
-from teleop.config.extensions import Extension, ExtensionError, list_entry_points, resolve_class
+from teleop.config.extensions import (
+    Extension,
+    ExtensionError,
+    list_entry_points,
+    name_class,
+    resolve_class,
+)
 from teleop.config.overrides import LIST_INDEX, Override, apply_override, find_override
 from teleop.config.suggestions import suggest_spelling
 from teleop.errors import UsageError
@@ -62,9 +68,10 @@ def load(path: Path | None, cls: type[T], section: str | None, overrides: Sequen
 def as_tree(config: Any) -> Any:
     """Return a config as plain YAML values; the inverse of `load`."""
     if dataclasses.is_dataclass(config) and not isinstance(config, type):
-        return {
+        tree = {
             f.name: as_tree(getattr(config, f.name)) for f in dataclasses.fields(config) if f.init
         }
+        return tree | {"type": name_class(config)} if isinstance(config, Extension) else tree
     if isinstance(config, tuple):
         return [as_tree(item) for item in config]
     return str(config) if isinstance(config, Path) else config

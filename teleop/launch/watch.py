@@ -1,7 +1,7 @@
 """Supervise a session: collect its reports, decide when it ends."""
 
 import time
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 
 from teleop.errors import PeerError, TeleopError
 from teleop.launch.console import Console, KeyReader, format_status
@@ -58,18 +58,18 @@ class Keyboard:
     starting gets it too. A reset is repeated until it has been executed, or a newer stop requested.
     """
 
-    def __init__(self, keys: KeyReader, link: Link) -> None:
-        self._keys, self._link = keys, link
+    def __init__(self, keys: KeyReader) -> None:
+        self._keys = keys
         self._wanted = False
         self._resets: dict[Role, int] = {}  # by side, number of the stop to be reset
 
-    def look(self, seconds: float) -> None:
+    def look(self, link: Link, seconds: float) -> None:
         """Wait for keys for at most `seconds` [s] and execute them; a stop has precedence."""
         pressed = self._keys.wait(seconds)
         stops = {
-            side: read_stop_count(self._link, side)
+            side: read_stop_count(link, side)
             for side in SIDES
-            if read_state(self._link, side) is State.STOPPED
+            if read_state(link, side) is State.STOPPED
         }
         if " " in pressed:
             self._wanted, self._resets = True, {}
@@ -77,10 +77,10 @@ class Keyboard:
             self._wanted, self._resets = False, stops
         self._wanted = self._wanted and (" " in pressed or len(stops) < len(SIDES))
         if self._wanted:
-            call_stop(self._link, Role.LAUNCHER, "space bar of the terminal")
+            call_stop(link, Role.LAUNCHER, "space bar of the terminal")
         self._resets = {s: n for s, n in self._resets.items() if stops.get(s) == n}
         for side, number in self._resets.items():
-            call_reset(self._link, Role.LAUNCHER, "the terminal", side, number)
+            call_reset(link, Role.LAUNCHER, "the terminal", side, number)
 
 
 def require_free_session(link: Link) -> None:
@@ -100,11 +100,12 @@ def wait_for_slave(
     supervisor: Supervisor,
     console: Console,
     stop: StopCondition,
-    keyboard: Keyboard,
+    poll: Callable[[float], None],
 ) -> Child | None:
     """Wait for the slave to answer; return a child that ended before, if any.
 
-    A slave that calibrates its rig first answers late and prints its progress.
+    A slave that calibrates its rig first answers late and prints its progress. `poll` waits for at
+    most the time [s] that it is given.
     """
     link.subscribe_latest(STATE)
     while not stop() and link.latest(STATE).message is None:
@@ -115,7 +116,7 @@ def wait_for_slave(
             return child
         if time.monotonic() > supervisor.children["slave"].heard_s + START_S:
             raise TeleopError(f"the slave did not start within {START_S:g} s")
-        keyboard.look(_POLL_S)
+        poll(_POLL_S)
     return None
 
 
@@ -126,8 +127,9 @@ def watch(
     supervisor: Supervisor,
     console: Console,
     stop: StopCondition,
+    poll: Callable[[float], None],
     duration_s: float | None,
-    keyboard: Keyboard,
+    begin: Callable[[], None],
 ) -> Child | None:
     """Supervise a session until it ends; return the child that ended it, if any.
 
@@ -137,19 +139,25 @@ def watch(
         Of events and reports, since before the first child was started.
     monitor : SessionMonitor
         State of the session so far.
+    poll : callable
+        Waits for at most the time [s] that it is given.
     duration_s : float or None
         [s] of running, counted from when both loops have reported; None for ever.
+    begin : callable
+        Called once both loops have reported.
     """
     patience = time.monotonic() + START_S
-    end = float("inf")
+    end, began = float("inf"), False
     while not stop():
         for source, text in monitor.take(listener.drain()):
             console.say(source, text)
         child = supervisor.failed_child()
         if child is not None:
             return child
-        if monitor.running and end == float("inf") and duration_s is not None:
-            end = time.monotonic() + duration_s
+        if monitor.running and not began:
+            began = True
+            begin()
+            end = time.monotonic() + (float("inf") if duration_s is None else duration_s)
         if time.monotonic() >= end:
             stop.request("duration reached")
         if not monitor.running and time.monotonic() > patience:
@@ -162,5 +170,5 @@ def watch(
                 monitor.reports, state, monitor.latency, recorder, monitor.links, link.insecure
             )
             console.status.show(line)
-        keyboard.look(_POLL_S)
+        poll(_POLL_S)
     return None

@@ -12,7 +12,7 @@ import time
 
 from teleop.config.options import add_option, add_options
 from teleop.errors import TeleopError, UsageError
-from teleop.link import Link
+from teleop.link import Link, Listener
 from teleop.messages.messages import TEXT_BYTES, Answer, Setting, decode_text, encode_text
 from teleop.messages.topics import ANSWER, SETTING, Role
 from teleop.session.config import RunConfig, read_config
@@ -36,9 +36,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def main(args: argparse.Namespace) -> int:
     """Request the change from the master; returns the exit code."""
-    for text in (args.key, args.value):
-        if len(text.encode()) > TEXT_BYTES:
-            raise UsageError(f"{text[:20]}...: longer than {TEXT_BYTES} bytes")
     config = read_config(args).load(RunConfig)
     with Link(config.link, config.session, Role.REMOTE) as link:
         listener = link.listen((ANSWER,))
@@ -48,23 +45,42 @@ def main(args: argparse.Namespace) -> int:
         if not link.present(Role.MASTER):
             endpoints = config.link.routers or (config.link.master,)
             raise TeleopError(describe_absence(config.session, "no master answers", endpoints))
-        setting = Setting(
-            role=Role.REMOTE, key=encode_text(args.key), value=encode_text(args.value)
-        )
-        link.publish(SETTING, setting)
-        deadline = time.monotonic() + ANSWER_TIMEOUT_S
-        while time.monotonic() < deadline:
-            for item in listener.drain():
-                answer = Answer.unpack(item.data)
-                if answer.asker == link.nonce:
-                    return _print_answer(answer)
-            time.sleep(0.005)
-    raise TeleopError(f"the master did not answer within {ANSWER_TIMEOUT_S:g} s")
-
-
-def _print_answer(answer: Answer) -> int:
-    text = decode_text(answer.text)
-    if not answer.accepted:
-        raise UsageError(text)
-    print(text)
+        print(request_setting(link, listener, args.key, args.value))
     return 0
+
+
+def request_setting(link: Link, listener: Listener, key: str, value: str) -> str:
+    """Request a change from the master; return its answer.
+
+    Parameters
+    ----------
+    link : Link
+        Of a supervisor.
+    listener : Listener
+        Of `ANSWER` on this link.
+    key, value : str
+        As in a config file; a key may begin with "master.".
+
+    Raises
+    ------
+    UsageError
+        The master refuses, or key or value are too long.
+    TeleopError
+        It does not answer.
+    """
+    for text in (key, value):
+        if len(text.encode()) > TEXT_BYTES:
+            raise UsageError(f"{text[:20]}...: longer than {TEXT_BYTES} bytes")
+    key = key.removeprefix("master.")
+    link.publish(SETTING, Setting(role=Role.REMOTE, key=encode_text(key), value=encode_text(value)))
+    deadline = time.monotonic() + ANSWER_TIMEOUT_S
+    while time.monotonic() < deadline:
+        for item in listener.drain():
+            answer = Answer.unpack(item.data)
+            if answer.asker == link.nonce:
+                text = decode_text(answer.text)
+                if not answer.accepted:
+                    raise UsageError(text)
+                return text
+        time.sleep(0.005)
+    raise TeleopError(f"the master did not answer within {ANSWER_TIMEOUT_S:g} s")

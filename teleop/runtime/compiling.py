@@ -2,12 +2,17 @@
 
 import contextlib
 import gc
+import importlib
 import multiprocessing
 import signal
+import subprocess
+import sys
 from collections.abc import Callable, Iterator
 from multiprocessing.process import BaseProcess
 
 from estimator.compile_cache import choose_folder
+from teleop.runtime.child_process import start_module
+from teleop.runtime.process import die_with_launcher
 
 
 @contextlib.contextmanager
@@ -54,24 +59,26 @@ def announce_compilation(
 
 
 @contextlib.contextmanager
-def compile_in_parallel(work: Callable[[], object]) -> Iterator[None]:
+def compile_in_parallel(function: str) -> Iterator[None]:
     """Compile by another process during this context, if the cache is empty; else do nothing.
+
+    Not by `multiprocessing`, whose processes import the script of a program that starts a session.
 
     Parameters
     ----------
-    work : callable
-        Calls what is to be compiled: a function of a module, or a `functools.partial` of one.
+    function : str
+        `package.module:function` that calls what is to be compiled.
     """
     folder = choose_folder()
     if folder is None or any(folder.glob("*/*")):
         yield
         return
-    helper = _start_helper(work)
+    helper = start_module(__name__, function, is_supervised=True, stdout=subprocess.DEVNULL)
     try:
         yield
     finally:
         helper.kill()
-        helper.join()
+        helper.wait()
 
 
 def _start_helper(work: Callable[[], object]) -> BaseProcess:
@@ -87,3 +94,9 @@ def _run_helper(work: Callable[[], object]) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     gc.disable()
     work()
+
+
+if __name__ == "__main__":
+    die_with_launcher()
+    module, _, name = sys.argv[1].partition(":")
+    _run_helper(getattr(importlib.import_module(module), name))

@@ -100,16 +100,18 @@ def to_exit_code(reason: str) -> int:
 class StopCondition:
     """Asked by a loop before each tick; becomes true and stays so.
 
-    The signals of `TERMINATION_SIGNALS` set it, so does the end of `duration_s`, counted from the
-    first asking since setting up can take long, and `request` from inside.
+    The signals of `TERMINATION_SIGNALS` set it, if it `catches_signals`, so does the end of
+    `duration_s`, counted from the first asking since setting up can take long, and `request` from
+    inside.
     """
 
-    def __init__(self, duration_s: float | None = None) -> None:
+    def __init__(self, duration_s: float | None = None, catches_signals: bool = True) -> None:
         self.reason = ""
         self.wake: Callable[[], None] = lambda: None  # called by the handler: ends a wait
         self._duration_s = math.inf if duration_s is None else duration_s
         self._began_s: float | None = None
-        install_termination_handler(self._on_signal)
+        if catches_signals:
+            install_termination_handler(self._on_signal)
 
     def __call__(self) -> bool:
         """Return whether to stop."""

@@ -6,6 +6,8 @@ from teleop.messages.topics import EVENT, Role
 from teleop.runtime.process import is_supervised
 from teleop.session.state_machine import SessionOutline
 
+MARK = "mark"  # key of a request for an event of the user's words: "mark: trial 3 begins"
+
 
 def publish_event(link: Link, role: Role, side: SessionOutline, text: str) -> None:
     """Publish `text` as an event; print it too, unless a launcher does."""

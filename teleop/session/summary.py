@@ -145,6 +145,22 @@ class SessionSummary:
     exit_code: int = 0
 
     @property
+    def slave(self) -> LoopSummary:
+        """Of the slave; `LookupError` if it left none."""
+        return self._get_loop("slave")
+
+    @property
+    def master(self) -> LoopSummary:
+        """Of the master; `LookupError` if it left none."""
+        return self._get_loop("master")
+
+    def _get_loop(self, name: str) -> LoopSummary:
+        loop = self.children.get(name)
+        if isinstance(loop, LoopSummary):
+            return loop
+        raise LookupError(f"the {name} left no summary")
+
+    @property
     def loops(self) -> list[LoopSummary]:
         """Of the slave and the master, of those that ran."""
         summaries = [self.children.get(name) for name in LOOPS]

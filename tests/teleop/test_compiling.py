@@ -1,14 +1,15 @@
 """Compiling is announced, shared between two processes, and done once."""
 
-import multiprocessing
 import os
 import subprocess
 import sys
 import time
-from functools import partial
 from pathlib import Path
 
+import pytest
+
 from teleop.runtime.compiling import compile_in_parallel
+from tests.root import ROOT
 
 COMPILES_BESIDE = """
 from functools import partial
@@ -53,26 +54,49 @@ def test_what_is_compiled_beside_is_in_the_cache_when_it_is_called(tmp_path):
     assert [run.stdout.splitlines() for run in runs] == [[line, there, here], [here]]
 
 
-def test_another_process_compiles_only_where_nothing_is_compiled_yet(tmp_path, monkeypatch):
-    caches = tmp_path / "mine"
-    monkeypatch.setenv("NUMBA_CACHE_DIR", str(caches))
-    mark = partial(Path.touch, tmp_path / "done")
-    with compile_in_parallel(mark):
-        deadline = time.monotonic() + 30.0
-        while not (tmp_path / "done").exists() and time.monotonic() < deadline:
-            time.sleep(0.02)
-    assert (tmp_path / "done").exists()
+WORK = """
+import time
+from pathlib import Path
 
-    (tmp_path / "done").unlink()
-    (caches / "slave_0").mkdir(parents=True)
-    (caches / "slave_0" / "loop.nbi").touch()
-    with compile_in_parallel(mark):
-        time.sleep(0.3)
-    assert not (tmp_path / "done").exists()
+def mark():
+    Path({done!r}).touch()
+    time.sleep(60.0)
+"""
 
 
-def test_the_other_process_ends_with_the_work_beside_it(tmp_path, monkeypatch):
+@pytest.fixture
+def done(tmp_path, monkeypatch):
+    """The file that the work of another process leaves."""
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "mine"))
-    with compile_in_parallel(partial(time.sleep, 60.0)):
-        (helper,) = multiprocessing.active_children()
-    assert not helper.is_alive()
+    monkeypatch.setenv("PYTHONPATH", f"{ROOT}:{tmp_path}")
+    done = tmp_path / "done"
+    (tmp_path / "work.py").write_text(WORK.format(done=str(done)))
+    return done
+
+
+def await_file(path, seconds):
+    deadline = time.monotonic() + seconds
+    while not path.exists() and time.monotonic() < deadline:
+        time.sleep(0.02)
+    return path.exists()
+
+
+def test_another_process_compiles_where_nothing_is_compiled_yet_and_ends_with_it(done):
+    with compile_in_parallel("work:mark"):
+        assert await_file(done, 30.0)
+        (helper,) = find_children("work:mark")
+    assert not Path(f"/proc/{helper}").exists()
+
+
+def test_no_process_compiles_where_something_is_compiled(done, tmp_path):
+    (tmp_path / "mine" / "slave_0").mkdir(parents=True)
+    (tmp_path / "mine" / "slave_0" / "loop.nbi").touch()
+    with compile_in_parallel("work:mark"):
+        assert find_children("work:mark") == []
+        assert not await_file(done, 0.3)
+
+
+def find_children(word):
+    """Return the processes that this one has started with a word of the command line."""
+    mine = Path(f"/proc/{os.getpid()}/task/{os.getpid()}/children").read_text().split()
+    return [pid for pid in mine if word in Path(f"/proc/{pid}/cmdline").read_text().split("\0")]

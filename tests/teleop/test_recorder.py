@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from teleop.cli import commands
 from teleop.errors import TeleopError
-from teleop.launch import command
+from teleop.launch import launcher
 from teleop.launch.supervisor import Supervisor, wait_for_exit
 from teleop.link import Link, ReceivedMessage, listener
 from teleop.link.listener import Listener
@@ -227,7 +227,7 @@ def test_the_launcher_waits_for_a_recorder_that_makes_progress_and_ends_with_its
     assert wait_for_exit(child)
     child.join_readers()
     assert child.status == "recorder 3.0 s behind"
-    out = command._combine_summaries(family, None, "SIGINT")
+    out = launcher._combine_summaries(family, None, "SIGINT")
     assert (out.exit_code, out.reason) == (1, "recorder: 3 messages are missing")
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from master.devices.ros_device import CommandMotion, CommandRecord, RosDeviceConfig
+from master.devices.commands import CommandMotion, CommandRecord
 
 MS = 1_000_000
 BEGIN = 10**12
@@ -15,7 +15,9 @@ def record(at_ms, number, engagement, *values):
 
 def motion(**config):
     """One that was engaged at 5 mm, for the first time."""
-    motion = CommandMotion(RosDeviceConfig(**config))
+    motion = CommandMotion(
+        config.pop("axes", 1), config.pop("command", "servo_jp") == "servo_cv", **config
+    )
     motion.step(record(0, 1, 0, 0.005), True, 0.0)
     motion.step(record(0, 1, 1, 0.005), True, 0.001)
     hand = motion.step(record(0, 1, 1, 0.005), True, 0.002)
@@ -52,7 +54,7 @@ def test_before_it_is_enabled_it_is_at_the_newest_command():
 
 
 def test_a_velocity_moves_while_engaged_and_fresh_only():
-    moving = CommandMotion(RosDeviceConfig(command="servo_cv"))
+    moving = CommandMotion(1, is_velocity=True)
     positions = []
     for k, (engagement, is_fresh) in enumerate(
         [(0, True)] * 5 + [(1, True)] * 6 + [(1, False)] * 5

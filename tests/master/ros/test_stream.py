@@ -6,7 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from master.devices.ros_device import SIZE, CommandRecord, RosDeviceConfig
+from master.devices.commands import SIZE, CommandRecord
+from master.devices.ros_device import RosDeviceConfig
 from master.devices.ros_receiver import CommandStream, ReceivedMessage
 from teleop.ros.message_types import (
     STRING_STAMPED,

@@ -1,10 +1,11 @@
 """The launcher: its words, whom it can do without, and in which order things happen."""
 
-import argparse
 import io
 import itertools
 import sys
 from dataclasses import replace
+from functools import partial
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -12,7 +13,7 @@ import pytest
 from slave.config import SlaveConfig
 from teleop.config.loading import ConfigDocument
 from teleop.errors import TeleopError
-from teleop.launch import command, watch
+from teleop.launch import launcher, watch
 from teleop.launch.console import Console, KeyReader, format_status
 from teleop.launch.supervisor import Supervisor, wait_for_condition
 from teleop.link import MessageCounts, ReceivedMessage
@@ -372,7 +373,7 @@ def test_children_are_ended_in_order_and_know_their_launcher(family):
     for name in ("record", "slave", "master"):
         family.start(name, [code])
     assert wait_for_condition(lambda: len(family.said) == 3, 20.0)
-    family.stop(command.SHUTDOWN_ORDER)
+    family.stop(launcher.SHUTDOWN_ORDER)
     assert family.said[3:] == [("master", "bye"), ("slave", "bye"), ("record", "bye")]
 
 
@@ -440,14 +441,14 @@ def test_what_a_slave_says_while_it_starts_is_passed_on_and_counts_as_life(famil
     child = family.start("slave", ["import signal; signal.pause()"])
     monkeypatch.setattr(watch, "START_S", 600.0)
     waiting = (Mute(), Mute(), watch.SessionMonitor(), family, console_on(stream))
-    keyboard = watch.Keyboard(KeyReader(), Mute())
-    assert watch.wait_for_slave(*waiting, StopAt(2), keyboard) is None
+    keyboard = watch.Keyboard(KeyReader())
+    assert watch.wait_for_slave(*waiting, StopAt(2), partial(keyboard.look, Mute())) is None
     assert stream.getvalue() == "12:34:56.7 [slave] off: calibrating\n"
     child.heard_s -= 300.0
-    assert watch.wait_for_slave(*waiting, StopAt(7), keyboard) is None
+    assert watch.wait_for_slave(*waiting, StopAt(7), partial(keyboard.look, Mute())) is None
     child.heard_s -= 600.0
     with pytest.raises(TeleopError, match="did not start"):
-        watch.wait_for_slave(*waiting, StopAt(7), keyboard)
+        watch.wait_for_slave(*waiting, StopAt(7), partial(keyboard.look, Mute()))
 
 
 class Pressed:
@@ -484,18 +485,18 @@ STOPPING = (CALL, 0, 0)
 
 def test_a_stop_from_the_keyboard_is_called_until_both_sides_have_stopped():
     sides = Sides()
-    keyboard = watch.Keyboard(Pressed(" "), sides)
+    look = partial(watch.Keyboard(Pressed(" ")).look, sides, 0.0)
     for _ in range(3):  # nobody is there yet
-        keyboard.look(0.0)
+        look()
     sides.states[Role.SLAVE] = State.STOPPED
-    keyboard.look(0.0)
+    look()
     sides.states[Role.MASTER] = State.READY
-    keyboard.look(0.0)
+    look()
     assert sides.sent == [STOPPING] * 5
     sides.states[Role.MASTER] = State.STOPPED
-    keyboard.look(0.0)
+    look()
     sides.states[Role.MASTER] = State.READY  # reset by another process
-    keyboard.look(0.0)
+    look()
     assert len(sides.sent) == 5
 
 
@@ -503,15 +504,15 @@ def test_a_reset_from_the_keyboard_names_the_stops_that_it_takes_back_and_no_lat
     sides = Sides()
     sides.states = dict.fromkeys((Role.MASTER, Role.SLAVE), State.STOPPED)
     sides.stops = {Role.MASTER: 4, Role.SLAVE: 6}
-    keyboard = watch.Keyboard(Pressed("r", "", " r"), sides)
-    keyboard.look(0.0)
+    look = partial(watch.Keyboard(Pressed("r", "", " r")).look, sides, 0.0)
+    look()
     assert sorted(sides.sent) == [(RESET, Role.MASTER, 4), (RESET, Role.SLAVE, 6)]
     sides.sent.clear()
     sides.stops[Role.SLAVE] = 7  # somebody has called anew
     sides.states[Role.MASTER] = State.READY
-    keyboard.look(0.0)
+    look()
     assert sides.sent == []
-    keyboard.look(0.0)
+    look()
     assert sides.sent == [STOPPING]
 
 
@@ -523,9 +524,7 @@ def test_the_calibration_is_a_file_wherever_a_child_runs_or_the_true_one(
     given, tmp_path, monkeypatch
 ):
     monkeypatch.chdir(tmp_path)
-    parser = argparse.ArgumentParser()
-    command.add_arguments(parser)
-    overrides = command.build_rig_overrides(parser.parse_args(["--calibration", given]))
+    overrides = launcher.build_rig_overrides(None, Path(given))
     document = ConfigDocument.read(ROOT / "configs" / "arm.yaml", []).override(*overrides)
     expected = given if given == "as-built" else str(tmp_path / given)
     assert str(document.load(SlaveConfig, "slave").calibration) == expected

@@ -1,0 +1,222 @@
+"""A program as operator: `teleop.Session` moves the hand from Python.
+
+Program and master's process share a pair of sockets: the program sends where the hand is, at any
+rate, and gets the rendered force with each answer. Nobody else can reach it. The hand rests where
+the newest command left it; a program that is silent for `timeout` lets go of the switch.
+"""
+
+import math
+import os
+import socket
+import struct
+import time
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import Literal
+
+from master.device import Axes, DeviceFault, DeviceLost, HandState
+from master.devices.commands import SIZE, CommandMotion, CommandRecord
+from teleop.errors import TeleopError, UsageError
+from teleop.messages.messages import MAX_JOINTS
+
+SOCKET_VARIABLE = "TELEOP_OPERATOR_SOCKET"  # file descriptor of the master's end
+POSITION_MAX = 1.0  # [m] a position beyond is refused
+_SPAN_MAX_S = 0.1  # [s] longest motion to the next position; a program of 10 Hz moves without steps
+_LAPSE_SHARE = 0.9  # of the timeout
+_FORCES = struct.Struct(f"<{MAX_JOINTS}d")
+
+
+@dataclass(frozen=True, slots=True)
+class ProgramConfig:
+    """A program that moves the hand: `teleop.Session(..., operator=True)`."""
+
+    type: Literal["program"] = "program"
+    axes: int = 1
+    timeout: float = 1.0  # [s] of silence after which the engage switch opens
+
+    def __post_init__(self) -> None:
+        """Check the values; raises `ValueError`."""
+        if not 1 <= self.axes <= MAX_JOINTS:
+            raise ValueError(f"axes: must be within 1 ... {MAX_JOINTS}")
+        if not 0.01 <= self.timeout <= 60.0:
+            raise ValueError("timeout: must be within 0.01 ... 60 [s]")
+
+    @property
+    def axis_count(self) -> int:
+        """How many joints it moves."""
+        return self.axes
+
+
+class ProgramDevice:
+    """The master's end: a `master.device.Device`; see the module's text.
+
+    Raises
+    ------
+    DeviceFault
+        This process was not started by `teleop.Session`.
+    """
+
+    def __init__(self, config: ProgramConfig) -> None:
+        descriptor = os.environ.get(SOCKET_VARIABLE)
+        if descriptor is None:
+            raise DeviceFault("type program is for teleop.Session, which moves the hand; no other")
+        self.axes = config.axes
+        self._timeout_ns = round(config.timeout * 1e9)
+        self._motion = CommandMotion(config.axes, span_max_s=_SPAN_MAX_S)
+        self._record = CommandRecord()
+        self._lapsed = 0  # the engagement that silence has ended
+        self._wants_force = False
+        self._socket = socket.socket(fileno=int(descriptor))
+        self._socket.setblocking(False)
+
+    def read(self, time_s: float) -> HandState:
+        """Return the hand at `time_s`; `DeviceLost` if the program has ended."""
+        self._receive()
+        record = self._record
+        if not all(map(math.isfinite, record.values)):
+            raise DeviceLost(f"the program sent the position {record.values}")
+        if time.monotonic_ns() - record.received_ns > self._timeout_ns:
+            self._lapsed = record.engagement
+        if record.engagement == self._lapsed:
+            record = record._replace(engagement=0)
+        return self._motion.step(record, True, time_s)
+
+    def write(self, force: Axes) -> None:
+        """Send the force with the answer to the newest command."""
+        if len(force) != self.axes or not all(map(math.isfinite, force)):
+            raise DeviceFault(f"program: refuses force {force}")
+        if self._wants_force:
+            self._wants_force = False
+            with suppress(OSError):  # a program that does not read, or has ended: `read` tells
+                self._socket.send(_FORCES.pack(*force, *(0.0,) * (MAX_JOINTS - len(force))))
+
+    def close(self) -> None:
+        """Close this end."""
+        self._socket.close()
+
+    def _receive(self) -> None:
+        """Take the newest command, if there are any."""
+        with suppress(BlockingIOError):
+            while True:
+                try:
+                    data = self._socket.recv(SIZE)
+                except ConnectionError:
+                    data = b""
+                if not data:
+                    raise DeviceLost("the program that moves the hand has ended")
+                self._record = CommandRecord.unpack(data, self.axes)
+                self._wants_force = True
+
+
+class ProgramOperator:
+    """The program's end: the hand of a session, moved from Python.
+
+    Thread-safe as far as one call after another is.
+
+    Parameters
+    ----------
+    config : ProgramConfig
+        Of the device in the master's process.
+
+    Attributes
+    ----------
+    axes : int
+        Number of axes, one per joint.
+    position : tuple of float
+        Where the hand is [m], by the last `move`.
+    """
+
+    def __init__(self, config: ProgramConfig) -> None:
+        self.axes = config.axes
+        self.position: Axes = (0.0,) * config.axes
+        self._timeout_s = config.timeout
+        self._engagement = self._number = 0
+        self._is_engaged = False
+        self._sent_s = -math.inf
+        self._force: Axes = (0.0,) * config.axes
+        self._socket, self.theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        self._socket.setblocking(False)
+
+    def engage(self) -> None:
+        """Open the engage switch and close it again.
+
+        The session engages if it is ready (`Session.wait_for`), and stays engaged for as long as
+        `move` or this is called again within `timeout`.
+        """
+        self._engagement += 1
+        self._is_engaged = True
+        self._send()
+
+    def release(self) -> None:
+        """Open the engage switch: the tip stays where it is, and no force is rendered."""
+        self._is_engaged = False
+        self._send()
+
+    def move(self, position: float | Sequence[float]) -> None:
+        """Move the hand; takes some microseconds, at any rate.
+
+        The motion of the tip is relative to where hand and tip were when the session engaged. The
+        hand moves linearly, within the time since the last call but at most 0.1 s.
+
+        Parameters
+        ----------
+        position : float or sequence of float, shape (axes,)
+            [m] of the hand; at most 1 m from zero.
+
+        Raises
+        ------
+        UsageError
+            A position is not finite or too far, or there are too few or too many.
+        TeleopError
+            The switch is open because nothing was sent for longer than `timeout`: engage again.
+            Or the session has ended.
+        """
+        values = (position,) if isinstance(position, int | float) else tuple(position)
+        if len(values) != self.axes:
+            raise UsageError(
+                f"operator.move: {len(values)} numbers, must be {self.axes}, one an axis"
+            )
+        if not all(abs(value) <= POSITION_MAX for value in values):
+            raise UsageError(
+                f"operator.move: {values}: must be finite and within +-{POSITION_MAX:g} m"
+            )
+        if self._is_engaged and self._has_lapsed:
+            self._is_engaged = False
+            raise TeleopError(
+                f"operator: nothing was sent for more than {self._timeout_s:g} s, so the hand has "
+                "let go; call operator.engage() again (master.device.timeout)"
+            )
+        self.position = tuple(map(float, values))
+        self._send()
+
+    @property
+    def force(self) -> Axes:
+        """Force on the hand [N], one per axis, when the newest command was taken."""
+        with suppress(BlockingIOError, OSError):
+            while data := self._socket.recv(_FORCES.size):
+                self._force = _FORCES.unpack(data)[: self.axes]
+        return self._force
+
+    def close(self) -> None:
+        """Close both ends here; the master's process has its own."""
+        self._socket.close()
+        self.theirs.close()
+
+    @property
+    def _has_lapsed(self) -> bool:
+        # earlier than the master's process finds it, so that no motion is lost without a word
+        return time.monotonic() - self._sent_s > _LAPSE_SHARE * self._timeout_s
+
+    def _send(self) -> None:
+        self._sent_s = time.monotonic()
+        self._number += 1
+        now_ns = time.monotonic_ns()
+        engagement = self._engagement if self._is_engaged else 0
+        record = CommandRecord(now_ns, now_ns, self._number, engagement, "", self.position)
+        try:
+            self._socket.send(record.pack())
+        except BlockingIOError:
+            pass  # the master is held up; it takes the newest position with the next command
+        except OSError as error:
+            raise TeleopError("operator: the master's process has ended") from error
