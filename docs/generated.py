@@ -1,4 +1,4 @@
-"""What `make docs` generates: the page messages.md and the catalogue of effects in diagnosis.md.
+"""What `make docs` generates: pages of messages and config keys, the catalogue in diagnosis.md.
 
 A hook of mkdocs (`hooks` in mkdocs.yml); nothing is written beside the site.
 """
@@ -6,6 +6,7 @@ A hook of mkdocs (`hooks` in mkdocs.yml); nothing is written beside the site.
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 
+from teleop.cli.config.reference import render_config_reference
 from teleop.cli.diagnose.catalogue import format_catalogue
 from teleop.messages.page import format_page
 
@@ -13,8 +14,10 @@ CATALOGUE_MARK = "<!-- catalogue of effects -->"
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
-    """Add the page of topics and messages."""
+    """Add the pages of topics and messages, and of the keys of a config."""
     files.append(File.generated(config, "messages.md", content=format_page()))
+    keys = render_config_reference()
+    files.append(File.generated(config, "reference/configuration-keys.md", content=keys))
     return files
 
 

@@ -15,6 +15,7 @@ from teleop.session.config import RATE_MAX_HZ, RATE_MIN_HZ, require_periods
 class MasterConfig:
     """Settings of the master process."""
 
+    # haptic device in the operator's hand
     device: DeviceConfig = field(default_factory=VirtualConfig)
     operator: OperatorConfig = field(default_factory=OperatorConfig)
     force: FeedbackConfig = field(default_factory=FeedbackConfig)

@@ -39,7 +39,7 @@ USE_DIRECT = "use coupling: {type: direct}"
 class SlaveConfig:
     """Settings of the slave process."""
 
-    rig: RigConfig = field(default_factory=SimulatedRigConfig)
+    rig: RigConfig = field(default_factory=SimulatedRigConfig)  # motors and sensors at the housing
     tendons: tuple[TendonConfig, ...] = ()  # one for each tendon of the rig, or one for all
     # instead of `tendons`: a file, or as-built, the true parameters of a simulated rig
     calibration: Literal["as-built"] | Path | None = None

@@ -40,10 +40,10 @@ class GateConfig:
     speed_max: float = 0.10  # [m/s] of a motor's tendon
     tension_max: float = 25.0  # [N] at the housing; above it a tendon is only paid out
     tension_age_max: float = 0.030  # [s] without a newer tension a tendon is only paid out
-    joint_min: float = field(  # [m] estimated travel of a joint, from here ...
+    joint_min: float = field(  # [m] lowest estimated travel of a joint
         default=-math.inf, metadata=MAY_BE_INFINITE
     )
-    joint_max: float = field(  # [m] ... to there
+    joint_max: float = field(  # [m] highest estimated travel of a joint
         default=math.inf, metadata=MAY_BE_INFINITE
     )
     force_max: float = field(  # [N] estimated at a tip; above it the joint moves no further

@@ -10,8 +10,10 @@ from teleop.config.loading import MAY_BE_INFINITE
 class SectionConfig:
     """A stretch of sheath of constant bend radius."""
 
-    length: float  # [m]
-    radius: float = field(default=math.inf, metadata=MAY_BE_INFINITE)  # [m] .inf = straight
+    length: float  # [m] of the stretch
+    radius: float = field(
+        default=math.inf, metadata=MAY_BE_INFINITE
+    )  # [m] of the bend; .inf = straight
 
     def __post_init__(self) -> None:
         """Check the values; raises `ValueError`."""

@@ -37,8 +37,8 @@ class RosDeviceConfig:
     speed_max: float = 0.5  # [m/s] a faster command is a fault
     rate_max: float = 2000.0  # [Hz] more messages are a fault
     domain: int = 0  # ROS_DOMAIN_ID, as in the section `ros`
-    router: str = "tcp/127.0.0.1:7447"  # likewise
-    prefix: str = ""  # likewise
+    router: str = "tcp/127.0.0.1:7447"  # of rmw_zenoh, as in the section `ros`
+    prefix: str = ""  # before the names of topics, as in the section `ros`
 
     def __post_init__(self) -> None:
         """Check the values; raises `ValueError`."""

@@ -24,7 +24,7 @@ class Hold:
     """A hand that stays where it is."""
 
     type: Literal["hold"] = "hold"
-    position: float = 0.0  # [m]
+    position: float = 0.0  # [m] where it stays
 
     def __post_init__(self) -> None:
         """Check the values; raises `ValueError`."""
@@ -41,9 +41,9 @@ class Sine:
     """A sine: x = offset + amplitude * sin(2 pi frequency t)."""
 
     type: Literal["sine"] = "sine"
-    amplitude: float = 0.02  # [m]
-    frequency: float = 0.5  # [Hz]; people move freely up to about 5 Hz
-    offset: float = 0.0  # [m]
+    amplitude: float = 0.02  # [m] of the motion
+    frequency: float = 0.5  # [Hz] people move freely up to about 5 Hz
+    offset: float = 0.0  # [m] middle of the motion
 
     def __post_init__(self) -> None:
         """Check the values; raises `ValueError`."""
@@ -73,7 +73,8 @@ class Reaches:
     """
 
     type: Literal["reaches"] = "reaches"
-    targets: tuple[float, ...] = (0.0, 0.05, 0.02, 0.04, 0.01, 0.055)  # [m] nested reversals
+    # [m] one after the other; by default with nested reversals
+    targets: tuple[float, ...] = (0.0, 0.05, 0.02, 0.04, 0.01, 0.055)
     reach: float = 0.8  # [s] duration of each reach
     rest: float = 0.3  # [s] at each target
 
@@ -110,12 +111,12 @@ class VirtualConfig:
     """A scripted hand."""
 
     type: Literal["virtual"] = "virtual"
-    axes: int = 1
+    axes: int = 1  # joints that it moves
     axis_delay: float = 0.25  # [s] by which each further axis follows the script later
     mass: float = 0.3  # [kg] hand and handle
     stiffness: float = 300.0  # [N/m] of the arm about its reference
-    damping: float = 10.0  # [N s/m]
-    reference: Reference = field(default_factory=Reaches)
+    damping: float = 10.0  # [N s/m] of the arm
+    reference: Reference = field(default_factory=Reaches)  # motion of the hand
     engage: tuple[tuple[float, float], ...] = field(  # [s] the switch is held from ... to ...
         default=((0.5, math.inf),), metadata=MAY_BE_INFINITE
     )

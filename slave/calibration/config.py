@@ -9,7 +9,7 @@ from slave.ranged_field import build_ranged_field, check_ranges
 class KnownSheathConfig:
     """Known parameters of a sheath, from its supplier or a stiffness test."""
 
-    length: float = 1.5  # [m]
+    length: float = 1.5  # [m] of the sheath
     axial_stiffness: float | None = None  # EA [N] of tendon and sheath in series
     # relative standard uncertainty of EA/L
     stiffness_error: float = build_ranged_field(0.02, 0.0, 1.0)

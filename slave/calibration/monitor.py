@@ -76,8 +76,8 @@ _PULL = int(Phase.PULL)
 class MonitorConfig:
     """Thresholds of the monitor, relative errors of T_out."""
 
-    advise: float = 0.07
-    demand: float = 0.15
+    advise: float = 0.07  # above it a calibration is advised
+    demand: float = 0.15  # above it a calibration is demanded
     transitions: int = 5  # number of latest transitions whose median decides
 
     def __post_init__(self) -> None:

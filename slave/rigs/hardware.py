@@ -123,6 +123,7 @@ class MotorConfig:
     """A motor and the pulley that winds its tendon."""
 
     id: int  # on its bus
+    # of the pulley that winds the tendon
     pulley_radius: float = build_ranged_field(..., 1e-4, 1.0, "m")
     counts_per_turn: float  # of the motor's shaft
     gear: float = build_ranged_field(1.0, 1e-3, 1e5)  # turns of the motor a turn of the pulley
@@ -185,9 +186,9 @@ class HardwareRigConfig:
 
     type: Literal["hardware"] = "hardware"
     name: str  # of the rig in calibration files
-    motors: DriverConfig
+    motors: DriverConfig  # bus of the motors, and of the load cells without `cells`
     cells: DriverConfig | None = None  # bus of the load cells, if not that of the motors
-    joints: tuple[HardwareJointConfig, ...]
+    joints: tuple[HardwareJointConfig, ...]  # their tendons: a, or a and b
 
     def __post_init__(self) -> None:
         """Check joints and addresses; raises `ValueError`."""

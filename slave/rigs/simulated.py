@@ -55,7 +55,7 @@ class JointConfig:
 
     tendons: tuple[TendonPlantConfig, ...] = (TendonPlantConfig(),)  # a, or a and b
     body: BodyConfig = field(default_factory=BodyConfig)
-    environment: EnvironmentConfig = field(default_factory=TissueConfig)
+    environment: EnvironmentConfig = field(default_factory=TissueConfig)  # what the joint touches
 
     def __post_init__(self) -> None:
         """Check the number of tendons; raises `ValueError`."""

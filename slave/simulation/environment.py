@@ -41,9 +41,9 @@ class WallConfig:
 
     type: Literal["wall"] = "wall"
     position: float = 0.008  # [m] of the joint at first contact
-    stiffness: float = 20_000.0  # [N/m]
-    damping: float = 0.0  # [N s/m]
-    side: Literal["a", "b"] = "a"
+    stiffness: float = 20_000.0  # [N/m] of the wall
+    damping: float = 0.0  # [N s/m] of the wall
+    side: Literal["a", "b"] = "a"  # tendon whose pull moves the joint into it
 
     def __post_init__(self) -> None:
         """Check the values; raises `ValueError`."""
@@ -64,10 +64,10 @@ class TissueConfig:
 
     type: Literal["tissue"] = "tissue"
     position: float = 0.008  # [m] of the joint at first contact
-    stiffness: float = 9_400.0  # [N/m^exponent]
-    exponent: float = build_ranged_field(1.5, 1.0, 4.0)
-    dissipation: float = 1.0  # [s/m]
-    side: Literal["a", "b"] = "a"
+    stiffness: float = 9_400.0  # [N/m^exponent] of the contact
+    exponent: float = build_ranged_field(1.5, 1.0, 4.0)  # of the depth
+    dissipation: float = 1.0  # [s/m] by which the force grows with speed
+    side: Literal["a", "b"] = "a"  # tendon whose pull moves the joint into it
 
     def __post_init__(self) -> None:
         """Check the values; raises `ValueError`."""
@@ -89,10 +89,10 @@ class LoadMotorConfig:
     """
 
     type: Literal["load_motor"] = "load_motor"
-    mode: Literal["torque", "position"] = "torque"
+    mode: Literal["torque", "position"] = "torque"  # what the profile is: force, or position
     profile: tuple[tuple[float, float], ...] = ((0.0, 0.0),)  # [[s, N or m], ...], time increasing
     stiffness: float = 5000.0  # [N/m] of the coupling, under position control
-    repeat: bool = False
+    repeat: bool = False  # start the profile again after its last point
     coupled: tuple[float, float] = field(
         default=(0.0, inf), metadata=MAY_BE_INFINITE
     )  # [s] from, to
@@ -121,7 +121,7 @@ class CombinedEnvironmentConfig:
     """Several environments whose forces add up: tissue before a wall, walls on both sides."""
 
     type: Literal["several"] = "several"
-    parts: tuple[SingleEnvironmentConfig, ...] = ()
+    parts: tuple[SingleEnvironmentConfig, ...] = ()  # the environments
 
 
 EnvironmentConfig = (

@@ -43,7 +43,7 @@ class BodyConfig:
 
     # inertia over radius squared; 0 = always in balance
     mass: float = build_ranged_field(0.02, 0.0, 1e3, "kg")
-    damping: float = build_ranged_field(2.0, 0.0, 1e5, "N s/m")
+    damping: float = build_ranged_field(2.0, 0.0, 1e5, "N s/m")  # viscous
     friction: float = build_ranged_field(0.0, 0.0, 1e3, "N")  # Coulomb, dry
     spring: float = build_ranged_field(200.0, 0.0, STIFFNESS_MAX, "N/m")  # towards the start
     # of all tendons at the start; a return spring holds a single one

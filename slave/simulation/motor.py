@@ -33,7 +33,7 @@ class MotorConfig:
     rated_torque: float = build_ranged_field(0.028, 1e-6, 1e3, "N m")  # of the motor, continuous
     # thermal time constant of the winding *
     thermal_time: float = build_ranged_field(10.0, 1e-3, 1e5, "s")
-    rotor_inertia: float = build_ranged_field(1.1e-6, 1e-10, 1.0, "kg m^2")
+    rotor_inertia: float = build_ranged_field(1.1e-6, 1e-10, 1.0, "kg m^2")  # of the motor
     # of the position loop *; its speed loop is 4 times faster
     bandwidth: float = build_ranged_field(100.0, 0.1, 1e4, "rad/s")
 

@@ -54,6 +54,10 @@ COMMANDS = {
     "simulate": ("teleop.cli.simulate", "write data as a simulated rig would measure it"),
     "keys": ("teleop.security.command", "make and manage the keys of sessions across machines"),
     "bench": ("teleop.cli.bench.command", "measure the loops and the latency on this machine"),
+    "config": (
+        "teleop.cli.config.command",
+        "show a config with the source of each value, and all keys",
+    ),
     "doctor": ("teleop.cli.doctor", "check this machine and name what is missing"),
 }
 

@@ -96,6 +96,27 @@ def parse(text: str, place: str) -> Any:
         raise UsageError(f"{place}: {error}") from error
 
 
+def find_lines(text: str) -> dict[tuple[str, ...], int]:
+    """Return the line, from 1, of each value of a document that `parse` accepts, by its keys.
+
+    An item of a list has its place, from 0, as key. What an alias repeats is where it was written.
+    """
+    lines: dict[tuple[str, ...], int] = {}
+    root = yaml.compose(text, _Loader)
+    todo: list[tuple[tuple[str, ...], yaml.Node]] = [((), root)] if root is not None else []
+    while todo:
+        keys, node = todo.pop()
+        entries: list[tuple[str, yaml.Node, yaml.Node]] = []
+        if isinstance(node, yaml.MappingNode):
+            entries = [(key.value, key, value) for key, value in node.value]
+        elif isinstance(node, yaml.SequenceNode):
+            entries = [(str(i), item, item) for i, item in enumerate(node.value)]
+        for name, place, value in entries:
+            lines[*keys, name] = place.start_mark.line + 1
+            todo.append(((*keys, name), value))
+    return lines
+
+
 def read(path: Path, what: str = "config file") -> dict[str, Any]:
     """Read a config file, or one of another kind, whose top level is a mapping."""
     return parse_mapping(read_text(path, what), str(path))

@@ -27,7 +27,8 @@ class ConfidenceConfig:
     """Range of the interval's relative half-width over which an estimate is attenuated."""
 
     full: float = 0.5  # half-width over |force| up to which the full estimate is rendered
-    none: float = 1.5  # ... from which only the certain force is rendered
+    # half-width over |force| from which on only the certain force is rendered
+    none: float = 1.5
 
     def __post_init__(self) -> None:
         """Check the values; raises `ValueError`."""

@@ -56,7 +56,7 @@ class Columns:
     A column with a non-standard name is required too; null omits it.
     """
 
-    time: str = "time_s"  # [s]
+    time: str = "time_s"  # [s] of the sample
     proximal_tension: str = "proximal_tension_N"  # [N] at the housing
     proximal_displacement: str | None = "proximal_displacement_m"  # [m] pulled in at the housing
     distal_tension: str | None = "distal_tension_N"  # [N] at the tip, on a bench

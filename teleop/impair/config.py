@@ -105,8 +105,8 @@ class ImpairConfig:
     presence: float = field(  # [s] duration of a cut after which presence is withdrawn
         default=2.0, metadata=MAY_BE_INFINITE
     )
-    to_slave: DirectionConfig = field(default_factory=DirectionConfig)
-    to_master: DirectionConfig = field(default_factory=DirectionConfig)
+    to_slave: DirectionConfig = field(default_factory=DirectionConfig)  # from master to slave
+    to_master: DirectionConfig = field(default_factory=DirectionConfig)  # from slave to master
 
     def __post_init__(self) -> None:
         """Check the values; raises `ValueError`."""

@@ -67,7 +67,7 @@ DEFAULT_ENDPOINT = "127.0.0.1:7450"  # where a router listens that is told nothi
 class RouterConfig:
     """What a router serves, where it is met, and which other routers it connects to."""
 
-    sessions: tuple[str, ...] = ()  # that it serves; empty = the config's; all = any, see `ALL`
+    sessions: tuple[str, ...] = ()  # that it serves; empty = the config's; all = any
 
     listen: tuple[str, ...] = ()  # HOST:PORT of this machine; empty = link.routers
     connect: tuple[str, ...] = ()  # HOST:PORT of other routers, tried until they answer

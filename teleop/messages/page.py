@@ -4,11 +4,11 @@
 """
 
 import inspect
-import re
 from collections.abc import Mapping
 from enum import IntEnum
 from typing import Any
 
+from teleop.config import comments
 from teleop.messages.messages import (
     ENCAPSULATION,
     LAYOUT,
@@ -26,7 +26,6 @@ from teleop.messages.topics import TOPICS, Role, Topic
 from teleop.session.state_machine import Reason, State
 
 _HEAD_FIELDS = 5
-_COMMENT = re.compile(r"^\s+(?P<name>\w+): .*?# (?P<comment>.*)$", re.MULTILINE)
 
 _INTRODUCTION = """\
 # Topics and messages
@@ -233,8 +232,7 @@ def format_page() -> str:
 
 def read_field_comments(cls: type[Message]) -> dict[str, str]:
     """Return what the declaration of a message says of its fields: units and meaning."""
-    own = {m["name"]: m["comment"] for m in _COMMENT.finditer(inspect.getsource(cls))}
-    return _HEAD_COMMENTS | own
+    return _HEAD_COMMENTS | comments.read_field_comments(cls)
 
 
 def _format_topic_row(topic: Topic[Any]) -> str:

@@ -49,7 +49,7 @@ class RecordConfig:
     chunk_s: float = 0.1  # [s] messages are written to the file in chunks of this duration
     drain_s: float = 0.02  # [s] between two reads from the link
     priority: int = 1  # SCHED_RR, below the loops (realtime.priority); 0: ordinary, after them
-    compression: Literal["zstd", "lz4", "none"] = "zstd"
+    compression: Literal["zstd", "lz4", "none"] = "zstd"  # of the chunks
 
     def __post_init__(self) -> None:
         if not self.directory:

@@ -23,7 +23,7 @@ class RosConfig:
     node: str = "tendon_teleop"  # name of the node
     prefix: str = ""  # before the names of topics and frames, such as /lab
     rate_hz: float = 100.0  # [Hz] of the topics that follow the loops; 1 to 500
-    topics: tuple[str, ...] = ALL  # what is published
+    topics: tuple[str, ...] = ALL  # names of the topics that are published
 
     def __post_init__(self) -> None:
         """Check the values; raises `ValueError`."""

@@ -20,14 +20,14 @@ class ViewRates:
     be shown more often than by default is received completely, which takes some 5 % of a processor.
     """
 
-    command: float = COMMAND.sampled_hz
-    state: float = STATE.sampled_hz
-    tendons: float = TENDONS.sampled_hz
-    hand: float = HAND.sampled_hz
-    ledger: float = LEDGER.sampled_hz  # of each side
-    profile: float = 8.0  # of each tendon: tube, T(x) and X'
-    levers: float = 8.0  # joint, hand and their forces in the scene
-    loop: float = 30.0  # pieces of each hysteresis loop
+    command: float = COMMAND.sampled_hz  # [Hz] setpoints of the tips
+    state: float = STATE.sampled_hz  # [Hz] joints and their forces
+    tendons: float = TENDONS.sampled_hz  # [Hz] tensions and displacements
+    hand: float = HAND.sampled_hz  # [Hz] force on the hand
+    ledger: float = LEDGER.sampled_hz  # [Hz] energies of each side
+    profile: float = 8.0  # [Hz] of each tendon: tube, T(x) and X'
+    levers: float = 8.0  # [Hz] joint, hand and their forces in the scene
+    loop: float = 30.0  # [Hz] pieces of each hysteresis loop
 
     def __post_init__(self) -> None:
         for item in dataclasses.fields(self):
@@ -40,7 +40,7 @@ class ViewRates:
 class ViewConfig:
     """Content, rates and memory of the view."""
 
-    layout: Layout = "experiment"
+    layout: Layout = "experiment"  # panels of the view, and their sizes
     rate_hz: ViewRates = field(default_factory=ViewRates)
     drain_hz: float = 8.0  # [Hz] rate of reading the link and updating the scene
     curves_hz: float = 4.0  # [Hz] rate of extending curves and loops: 0.2 ms for each curve
@@ -55,7 +55,7 @@ class ViewConfig:
         default=(), metadata=MAY_BE_INFINITE
     )
     joint_radius_m: float = 0.012  # [m] of the pulley a joint is drawn on: angle = travel / radius
-    hand_radius_m: float = 0.05  # [m] likewise of the hand
+    hand_radius_m: float = 0.05  # [m] of the circle the hand is drawn on
     # of the size of the scene; radius of a sheath where its tendon slides
     tube_radius: float = 0.012
     tendon_spacing: float = 0.05  # of the size of the scene, between sheaths

@@ -63,9 +63,9 @@ class ButtonsConfig:
     clutch: int | None = None  # clutch: move the hand without the tips
     stop: int | None = None  # emergency stop
     finer: int | None = None  # decreases the position scale by a step
-    coarser: int | None = None  # ... larger
+    coarser: int | None = None  # increases the position scale by a step
     weaker: int | None = None  # decreases the force scale by a step
-    stronger: int | None = None  # ... larger
+    stronger: int | None = None  # increases the force scale by a step
     find: str = ""  # device with the buttons, as in `find` below; empty = the same one
 
     def __post_init__(self) -> None:
@@ -90,6 +90,7 @@ class HidConfig:
 
     type: Literal["hid"] = "hid"
     find: str = ""  # vendor:product, serial number or path; empty = the only one that fits
+    # protocol of the device; auto = by what it is
     driver: Literal["auto", "pid", "ffbeast", "dualsense", "spacemouse", "logitech", "joystick"] = (
         "auto"
     )

@@ -112,8 +112,8 @@ class BusConfig:
     """A CAN bus as python-can opens it."""
 
     interface: str = "socketcan"  # socketcan, slcan, or any other of python-can
-    channel: str = "can0"
-    bitrate: int = 1_000_000
+    channel: str = "can0"  # network interface, or port of the adapter
+    bitrate: int = 1_000_000  # [bit/s] of the bus
     tty_baud: int = 2_000_000  # of an slcan adapter
     # in which an slcan adapter restarts after opening
     tty_wait: float = build_ranged_field(2.0, 0.0, 10.0, "s")
@@ -142,9 +142,9 @@ class BusConfig:
 class AnalogueConfig:
     """The object that a load cell is read from, in every node with a cell."""
 
-    index: int = 0x3160
-    subindex: int = 1
-    bits: Literal[16, 32] = 16
+    index: int = 0x3160  # of the object in the dictionary
+    subindex: int = 1  # of the object
+    bits: Literal[16, 32] = 16  # size of the object
 
     def __post_init__(self) -> None:
         """Check the values; raises `ValueError`."""
@@ -166,12 +166,12 @@ class Cia402Config:
     # what the drives watch: our heartbeat, or being guarded, for those that consume no heartbeat
     error_control: Literal["heartbeat", "guarding"] = "heartbeat"
     timeout: float = 0.050  # [s] without a PDO a node counts as silent
-    homed_bit: int | None = 15  # of the status word: position referenced; None: absolute encoder
+    homed_bit: int | None = 15  # of the status word: position referenced; null: absolute encoder
     following_error: int = 2000  # [counts] beyond which the drive stops by itself
     # for which it may be exceeded
     following_time: float = build_ranged_field(0.010, 0.0, FOLLOWING_TIME_MAX, "s")
-    position_min: int = -1_000_000  # [counts] limits kept by the drive
-    position_max: int = 1_000_000
+    position_min: int = -1_000_000  # [counts] lower limit, kept by the drive
+    position_max: int = 1_000_000  # [counts] upper limit, kept by the drive
     velocity_max: int = 5000  # in the drive's unit, often rpm
     quick_stop_deceleration: int = 10_000  # in the drive's unit
     analogue: AnalogueConfig = field(default_factory=AnalogueConfig)

@@ -22,8 +22,9 @@ class DynamixelConfig:
     # for the answers to one sync read, beyond their own time on the line
     wait: float = build_ranged_field(0.004, 0.001, 0.020, "s")
     voltage: tuple[float, float] = (10.0, 14.8)  # [V] of the supply; outside is a fault
+    # of a servo; beyond is a fault
     temperature_max: float = build_ranged_field(70.0, 20.0, 100.0, "deg C")
-    current_limit: float | None = None  # [A] of each servo, by operating mode 5; None: no limit
+    current_limit: float | None = None  # [A] of each servo, by operating mode 5; null: no limit
     # of the shaft, set in the servos
     velocity_max: float = build_ranged_field(4.0, 0.1, 100.0, "rad/s")
 

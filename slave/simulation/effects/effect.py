@@ -15,7 +15,7 @@ class Effect:
     """A deviation from the estimator's model, active from `start` on."""
 
     joint: int | None = None  # counted from 1; null = every joint
-    start: float = 0.0  # [s]
+    start: float = 0.0  # [s] of the rig, from which on it is active
 
     adds_up: ClassVar[bool] = True  # whether two of them on one tendon accumulate
 
@@ -32,7 +32,7 @@ class Effect:
 class TendonEffect(Effect, ABC):
     """An effect in the physics of a tendon and its sheath."""
 
-    tendon: Literal["a", "b", "both"] = "both"
+    tendon: Literal["a", "b", "both"] = "both"  # of the joint, on which it acts
 
     varies: ClassVar[bool] = False  # whether it varies after its start
 

@@ -18,8 +18,8 @@ class NonlinearStiffness(TendonEffect):
     """Toe region of the elasticity: strain T/EA + strain (1 - exp(-T / tension))."""
 
     type: Literal["nonlinear_stiffness"] = "nonlinear_stiffness"
-    strain: float = build_ranged_field(1e-3, 0.0, 0.02)
-    tension: float = build_ranged_field(2.0, 0.1, 100.0, "N")
+    strain: float = build_ranged_field(1e-3, 0.0, 0.02)  # of the toe region
+    tension: float = build_ranged_field(2.0, 0.1, 100.0, "N")  # scale of the toe region
     adds_up: ClassVar[bool] = False
 
     def apply(self, knobs: Knobs, _time: float, _slid: float, /) -> Knobs:
@@ -33,7 +33,7 @@ class Creep(TendonEffect):
 
     type: Literal["creep"] = "creep"
     share: float = build_ranged_field(0.1, 0.0, 2.0)  # final creep over elastic elongation
-    time_constant: float = build_ranged_field(8.0, 0.01, 1e4, "s")
+    time_constant: float = build_ranged_field(8.0, 0.01, 1e4, "s")  # of the creep
     adds_up: ClassVar[bool] = False
 
     def apply(self, knobs: Knobs, _time: float, _slid: float, /) -> Knobs:
@@ -50,9 +50,9 @@ class SheathCompression(TendonEffect):
     """
 
     type: Literal["sheath_compression"] = "sheath_compression"
-    compression: float = build_ranged_field(1e-6, 0.0, 1e-4, "m/N^2")
-    threshold: float = build_ranged_field(5.0, 0.0, 100.0, "N")
-    friction_rise: float = build_ranged_field(0.0, 0.0, 0.1, "1/N")
+    compression: float = build_ranged_field(1e-6, 0.0, 1e-4, "m/N^2")  # of the whole sheath
+    threshold: float = build_ranged_field(5.0, 0.0, 100.0, "N")  # tension at which it begins
+    friction_rise: float = build_ranged_field(0.0, 0.0, 0.1, "1/N")  # relative, above the threshold
     adds_up: ClassVar[bool] = False
 
     def apply(self, knobs: Knobs, _time: float, _slid: float, /) -> Knobs:
@@ -69,7 +69,7 @@ class Slack(TendonEffect):
     """Excess tendon length, wound in before any tension builds up."""
 
     type: Literal["slack"] = "slack"
-    length: float = build_ranged_field(1e-3, 0.0, 0.05, "m")
+    length: float = build_ranged_field(1e-3, 0.0, 0.05, "m")  # of tendon in excess
 
     def apply(self, knobs: Knobs, _time: float, _slid: float, /) -> Knobs:
         """Return the knobs with this effect added."""
@@ -85,7 +85,7 @@ class ThermalExpansion(TendonEffect):
         1.2e-5, -1e-4, 1e-3, "1/K"
     )  # of tendon over sheath; steel: 1.2e-5
     warming: float = build_ranged_field(10.0, -100.0, 100.0, "K")  # in the end
-    time_constant: float = build_ranged_field(60.0, 0.01, 1e5, "s")
+    time_constant: float = build_ranged_field(60.0, 0.01, 1e5, "s")  # of the warming
     varies: ClassVar[bool] = True
 
     def apply(self, knobs: Knobs, time: float, _slid: float, /) -> Knobs:
@@ -109,6 +109,7 @@ class NonuniformCurvature(SideEffect):
     """
 
     type: Literal["nonuniform_curvature"] = "nonuniform_curvature"
+    # curvature at the tip over that at the housing
     ratio: float = build_ranged_field(4.5, 0.05, 20.0)
 
     def change(self, tendon: Tendon, /) -> Tendon:
@@ -127,7 +128,7 @@ class BrokenTendon(SideEffect):
     """The tendon breaks at a fraction of its length from the housing."""
 
     type: Literal["broken_tendon"] = "broken_tendon"
-    share: float = build_ranged_field(0.5, 0.0, 1.0)
+    share: float = build_ranged_field(0.5, 0.0, 1.0)  # of the length, from the housing
 
     def change(self, tendon: Tendon, /) -> Tendon:
         """Return the tendon with this effect added."""
@@ -144,7 +145,7 @@ class JammedTendon(SideEffect):
     """
 
     type: Literal["jammed_tendon"] = "jammed_tendon"
-    share: float = build_ranged_field(0.5, 0.0, 1.0)
+    share: float = build_ranged_field(0.5, 0.0, 1.0)  # of the length, from the housing
 
     def change(self, tendon: Tendon, /) -> Tendon:
         """Return the tendon with this effect added."""

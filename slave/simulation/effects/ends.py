@@ -24,7 +24,7 @@ class JointEffect(Effect, ABC):
 class SideEffect(JointEffect, ABC):
     """An effect in the physics of one tendon of a joint, or of both."""
 
-    tendon: Literal["a", "b", "both"] = "both"
+    tendon: Literal["a", "b", "both"] = "both"  # of the joint, on which it acts
 
     def apply(self, joint: Joint, _travel: float, /) -> Joint:
         """Return the joint with this effect added."""
@@ -44,7 +44,7 @@ class JointFriction(JointEffect):
     """Dry friction of the joint itself, load-independent."""
 
     type: Literal["joint_friction"] = "joint_friction"
-    friction: float = build_ranged_field(0.5, 0.0, 100.0, "N")
+    friction: float = build_ranged_field(0.5, 0.0, 100.0, "N")  # Coulomb, dry
 
     def apply(self, joint: Joint, _travel: float, /) -> Joint:
         """Return the joint with this effect added."""
@@ -58,7 +58,7 @@ class JointBacklash(JointEffect):
     """Play between the pulley that the tendons turn and the link, where the bench encoder is."""
 
     type: Literal["joint_backlash"] = "joint_backlash"
-    play: float = build_ranged_field(1e-4, 0.0, 0.01, "m")
+    play: float = build_ranged_field(1e-4, 0.0, 0.01, "m")  # between pulley and link
 
     def apply(self, joint: Joint, _travel: float, /) -> Joint:
         """Return the joint with this effect added."""
@@ -70,7 +70,7 @@ class TipInertia(JointEffect):
     """A mass at the tip."""
 
     type: Literal["tip_inertia"] = "tip_inertia"
-    mass: float = build_ranged_field(0.5, 0.0, 100.0, "kg")
+    mass: float = build_ranged_field(0.5, 0.0, 100.0, "kg")  # added to that of the joint
 
     def apply(self, joint: Joint, _travel: float, /) -> Joint:
         """Return the joint with this effect added."""
@@ -82,10 +82,10 @@ class TipMotion(JointEffect):
     """An external grip takes the tip where it is, moves it, holds it and releases it."""
 
     type: Literal["tip_moved"] = "tip_moved"
-    travel: float = build_ranged_field(2e-3, -0.1, 0.1, "m")
-    speed: float = build_ranged_field(0.01, 1e-5, 1.0, "m/s")
+    travel: float = build_ranged_field(2e-3, -0.1, 0.1, "m")  # by which the grip moves the tip
+    speed: float = build_ranged_field(0.01, 1e-5, 1.0, "m/s")  # of that motion
     stiffness: float = build_ranged_field(20_000.0, 1.0, 1e6, "N/m")  # of the hold
-    hold: float = build_ranged_field(1.0, 0.0, 1e5, "s")
+    hold: float = build_ranged_field(1.0, 0.0, 1e5, "s")  # before the release
 
     def apply(self, joint: Joint, travel: float, /) -> Joint:
         """Return the joint with this effect added."""
@@ -105,7 +105,7 @@ class Pretension(SideEffect):
     """More initial tension than configured; a return spring balances it."""
 
     type: Literal["pretension"] = "pretension"
-    tension: float = build_ranged_field(5.0, 0.0, 50.0, "N")
+    tension: float = build_ranged_field(5.0, 0.0, 50.0, "N")  # added to the configured one
 
     def __post_init__(self) -> None:
         """Check the values; raises `ValueError`."""
@@ -140,8 +140,8 @@ class AntagonistTension(JointEffect):
     """
 
     type: Literal["antagonist_tension"] = "antagonist_tension"
-    tension: float = build_ranged_field(1.0, 0.0, 50.0, "N")
-    tendon: Literal["a", "b"] = "b"
+    tension: float = build_ranged_field(1.0, 0.0, 50.0, "N")  # by which it is tighter
+    tendon: Literal["a", "b"] = "b"  # the tighter one
 
     def apply(self, joint: Joint, _travel: float, /) -> Joint:
         """Return the joint with this effect added."""
@@ -159,7 +159,7 @@ class PulleyEccentricity(SideEffect):
     """Eccentric motor pulley: additional travel amplitude sin(angle + phase)."""
 
     type: Literal["pulley_eccentricity"] = "pulley_eccentricity"
-    amplitude: float = build_ranged_field(1e-4, 0.0, 0.01, "m")
+    amplitude: float = build_ranged_field(1e-4, 0.0, 0.01, "m")  # of the additional travel
     phase: float = build_ranged_field(0.0, -math.tau, math.tau, "rad")  # at the start
     adds_up: ClassVar[bool] = False
 

@@ -76,9 +76,10 @@ class StribeckFriction(TendonEffect):
     """
 
     type: Literal["stribeck_friction"] = "stribeck_friction"
+    # friction at rest over that at speed, less one
     ratio: float = build_ranged_field(0.25, 0.0, 2.0)
-    speed: float = build_ranged_field(1e-3, 1e-5, 1.0, "m/s")
-    memory: float = build_ranged_field(0.2, 1e-3, 10.0, "s")
+    speed: float = build_ranged_field(1e-3, 1e-5, 1.0, "m/s")  # scale of its decay
+    memory: float = build_ranged_field(0.2, 1e-3, 10.0, "s")  # time constant of the speed
     adds_up: ClassVar[bool] = False
 
     def apply(self, knobs: Knobs, _time: float, _slid: float, /) -> Knobs:
@@ -93,7 +94,7 @@ class Presliding(TendonEffect):
     """Presliding: contacts yield elastically before they slide, in proportion to their friction."""
 
     type: Literal["presliding"] = "presliding"
-    distance: float = build_ranged_field(5e-5, 1e-6, 1e-3, "m")
+    distance: float = build_ranged_field(5e-5, 1e-6, 1e-3, "m")  # elastic yield of a contact
     tension: float = build_ranged_field(
         10.0, 0.1, 100.0, "N"
     )  # at which a contact yields by that much
@@ -123,8 +124,8 @@ class TensionDependentFriction(TendonEffect):
     """Friction force ~ T^exponent: the coefficient times (T / reference)^(exponent - 1)."""
 
     type: Literal["tension_dependent_friction"] = "tension_dependent_friction"
-    exponent: float = build_ranged_field(0.85, 0.5, 1.5)
-    reference: float = build_ranged_field(10.0, 0.1, 100.0, "N")
+    exponent: float = build_ranged_field(0.85, 0.5, 1.5)  # of the tension
+    reference: float = build_ranged_field(10.0, 0.1, 100.0, "N")  # tension without change
     adds_up: ClassVar[bool] = False
 
     def apply(self, knobs: Knobs, _time: float, _slid: float, /) -> Knobs:
@@ -143,8 +144,8 @@ class StickSlip(TendonEffect):
     ratio: float = build_ranged_field(
         1.3, 1.0, 3.0
     )  # static over sliding friction, after long rest
-    rest_time: float = build_ranged_field(0.5, 1e-3, 100.0, "s")
-    distance: float = build_ranged_field(2e-5, 1e-7, 1e-3, "m")
+    rest_time: float = build_ranged_field(0.5, 1e-3, 100.0, "s")  # time constant of growth at rest
+    distance: float = build_ranged_field(2e-5, 1e-7, 1e-3, "m")  # slid while it decays
     adds_up: ClassVar[bool] = False
 
     def apply(self, knobs: Knobs, _time: float, _slid: float, /) -> Knobs:

@@ -18,7 +18,7 @@ from slave.simulation.sensors import CHANNELS, Sensors
 class SensorEffect(Effect, ABC):
     """An effect in the sensors of a tendon."""
 
-    tendon: Literal["a", "b", "both"] = "both"
+    tendon: Literal["a", "b", "both"] = "both"  # of the joint, on which it acts
 
     varies: ClassVar[bool] = False  # whether it varies after its start
 
@@ -40,7 +40,7 @@ def replace_sensor_values(
 class GainEffect(SensorEffect, ABC):
     """A load cell whose reading is (1 + gain) times the tension."""
 
-    gain: float = build_ranged_field(0.06, -0.9, 9.0)
+    gain: float = build_ranged_field(0.06, -0.9, 9.0)  # relative error of the reading
     channel: ClassVar[int]
 
     def apply(self, sensors: Sensors, tendons: Sequence[int], _time: float, /) -> Sensors:
@@ -70,7 +70,7 @@ class DistalTensionGain(GainEffect):
 class BiasEffect(SensorEffect, ABC):
     """A load cell with a zero offset `bias`."""
 
-    bias: float = build_ranged_field(0.4, -20.0, 20.0, "N")
+    bias: float = build_ranged_field(0.4, -20.0, 20.0, "N")  # reading without tension
     channel: ClassVar[int]
 
     def apply(self, sensors: Sensors, tendons: Sequence[int], _time: float, /) -> Sensors:
@@ -100,8 +100,8 @@ class DistalTensionBias(BiasEffect):
 class DriftEffect(SensorEffect, ABC):
     """A load cell with a linear zero drift, up to a limit."""
 
-    per_second: float = build_ranged_field(0.01, -10.0, 10.0, "N/s")
-    limit: float = build_ranged_field(20.0, 0.0, 100.0, "N")
+    per_second: float = build_ranged_field(0.01, -10.0, 10.0, "N/s")  # rate of the drift
+    limit: float = build_ranged_field(20.0, 0.0, 100.0, "N")  # largest drift
     varies: ClassVar[bool] = True
     channel: ClassVar[int]
 
@@ -132,7 +132,8 @@ class Saturation(SensorEffect):
     """A load cell that saturates at `limit`."""
 
     type: Literal["saturation"] = "saturation"
-    limit: float = build_ranged_field(10.0, 0.1, 1e4, "N")
+    limit: float = build_ranged_field(10.0, 0.1, 1e4, "N")  # largest reading
+    # load cell on which it acts
     sensor: Literal["proximal_tension", "distal_tension"] = "proximal_tension"
 
     def apply(self, sensors: Sensors, tendons: Sequence[int], _time: float, /) -> Sensors:
@@ -146,7 +147,8 @@ class SensorLag(SensorEffect):
     """A sensor lag: first-order low-pass filter."""
 
     type: Literal["sensor_lag"] = "sensor_lag"
-    time_constant: float = build_ranged_field(0.06, 0.0, 10.0, "s")
+    time_constant: float = build_ranged_field(0.06, 0.0, 10.0, "s")  # of the filter
+    # on which it acts
     sensor: Literal[
         "proximal_tension", "proximal_displacement", "distal_tension", "distal_displacement"
     ] = "proximal_tension"
@@ -162,7 +164,8 @@ class EncoderScale(SensorEffect):
     """An encoder that reads (1 + gain) times the travel, as on a pulley of another radius."""
 
     type: Literal["encoder_scale"] = "encoder_scale"
-    gain: float = build_ranged_field(0.04, -0.9, 9.0)
+    gain: float = build_ranged_field(0.04, -0.9, 9.0)  # relative error of the reading
+    # encoder on which it acts
     sensor: Literal["proximal_displacement", "distal_displacement"] = "proximal_displacement"
 
     def apply(self, sensors: Sensors, tendons: Sequence[int], _time: float, /) -> Sensors:
@@ -176,7 +179,8 @@ class EncoderSlip(SensorEffect):
     """An encoder slip: a step of `slip` in the reading."""
 
     type: Literal["encoder_slip"] = "encoder_slip"
-    slip: float = build_ranged_field(8e-5, -0.01, 0.01, "m")
+    slip: float = build_ranged_field(8e-5, -0.01, 0.01, "m")  # step of the reading
+    # encoder on which it acts
     sensor: Literal["proximal_displacement", "distal_displacement"] = "proximal_displacement"
 
     def apply(self, sensors: Sensors, tendons: Sequence[int], _time: float, /) -> Sensors:
@@ -190,9 +194,9 @@ class CoggingRipple(SensorEffect):
     """The gear's ripple in the housing load cell: amplitude sin(order angle + phase)."""
 
     type: Literal["cogging_ripple"] = "cogging_ripple"
-    amplitude: float = build_ranged_field(0.2, 0.0, 10.0, "N")
+    amplitude: float = build_ranged_field(0.2, 0.0, 10.0, "N")  # of the ripple
     order: float = build_ranged_field(30.0, 1.0, 1e4)  # periods per turn of the pulley
-    phase: float = build_ranged_field(0.0, -math.tau, math.tau, "rad")
+    phase: float = build_ranged_field(0.0, -math.tau, math.tau, "rad")  # at the start
     adds_up: ClassVar[bool] = False
 
     def apply(self, sensors: Sensors, tendons: Sequence[int], _time: float, /) -> Sensors:
@@ -210,8 +214,8 @@ class SheathRub(SensorEffect):
     """
 
     type: Literal["sheath_rub"] = "sheath_rub"
-    friction: float = build_ranged_field(0.3, 0.0, 20.0, "N")
-    travel: float = build_ranged_field(2e-4, 1e-6, 0.1, "m")
+    friction: float = build_ranged_field(0.3, 0.0, 20.0, "N")  # force on the over-tube
+    travel: float = build_ranged_field(2e-4, 1e-6, 0.1, "m")  # over which the force changes sides
     adds_up: ClassVar[bool] = False
 
     def apply(self, sensors: Sensors, tendons: Sequence[int], _time: float, /) -> Sensors:
@@ -225,6 +229,7 @@ class StuckCell(SensorEffect):
     """A stuck load cell: its reading stays constant."""
 
     type: Literal["stuck_cell"] = "stuck_cell"
+    # load cell on which it acts
     sensor: Literal["proximal_tension", "distal_tension"] = "proximal_tension"
 
     def apply(self, sensors: Sensors, tendons: Sequence[int], _time: float, /) -> Sensors:
