@@ -58,6 +58,7 @@ COMMANDS = {
         "teleop.cli.config.command",
         "show a config with the source of each value, and all keys",
     ),
+    "completion": ("teleop.cli.completion", "print a script for completion in bash, zsh or fish"),
     "doctor": ("teleop.cli.doctor", "check this machine and name what is missing"),
 }
 
@@ -116,8 +117,11 @@ class _VersionAction(argparse.Action):
         parser.exit()
 
 
-def build_parser(command: str | None) -> argparse.ArgumentParser:
-    """Return the parser with the sub-parser of `command`; without one the names of all."""
+def build_parser(command: str | None, described: bool = False) -> argparse.ArgumentParser:
+    """Return the parser with the sub-parser of `command`; without one the names of all.
+
+    All are imported if they are to be `described`, with their arguments.
+    """
     parser = Parser(
         prog="teleop",
         description="Haptic teleoperation for robots driven through tendon sheaths.",
@@ -134,7 +138,7 @@ def build_parser(command: str | None) -> argparse.ArgumentParser:
         sub = commands.add_parser(
             name, help=summary, formatter_class=argparse.RawDescriptionHelpFormatter
         )
-        if name == command:
+        if name == command or described:
             implementation = importlib.import_module(module)
             sub.description = implementation.__doc__
             implementation.add_arguments(sub)
