@@ -7,6 +7,9 @@ Without FILE it listens to a running session, in a window, or in a browser where
     teleop view recordings/demo.mcap               a recording
     teleop view recordings/demo.mcap --view demo.rrd    into a Rerun file
     teleop view demo.rrd                           a Rerun file
+    teleop view recordings/demo.mcap --out clip.mp4 --from 3 --to 9     a video, for slides
+    teleop view recordings/demo.mcap --out clip.gif --theme dark        an animation
+    teleop view recordings/demo.mcap --out moment.png --to 4.2          a picture of a moment
     teleop view --foxglove --view none             for the Foxglove app on this machine: docs/ros.md
 
 It only listens: neither loop ever waits for it. See docs/viewing.md.
@@ -45,6 +48,7 @@ from teleop.runtime.process import (
     write_summary,
 )
 from teleop.session.config import RunConfig, read_config
+from teleop.view import clip
 from teleop.view.config import LAYOUTS, ViewConfig
 from teleop.view.feed import (
     BatchDisplay,
@@ -125,13 +129,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--out",
-        type=OutputFile(".rrd"),
-        metavar="FILE.rrd",
-        help="write a Rerun file, beside any other view",
+        type=OutputFile(".rrd", *clip.SUFFIXES),
+        metavar="FILE",
+        help="write a Rerun file (.rrd), beside any other view; or draw a recording, without a "
+        "screen, as a video (.mp4), an animation (.gif) or a picture (.png)",
     )
     parser.add_argument(
         "--foxglove", action="store_true", help="serve the live messages to the Foxglove app too"
     )
+    clip.add_arguments(parser)
 
 
 def main(args: argparse.Namespace) -> int:
@@ -141,6 +147,9 @@ def main(args: argparse.Namespace) -> int:
     document = read_config(args, join=args.file is None)
     run, config = document.load(RunConfig), document.load(ViewConfig, "view")
     foxglove = args.foxglove or config.foxglove
+    if args.out is not None and args.out.suffix.lower() in clip.SUFFIXES:
+        return _write_clip(args, replace(config, layout=args.layout or config.layout))
+    clip.refuse_options(args)
     config = replace(config, layout=args.layout or config.layout, foxglove=foxglove)
     mode, out = choose_destination(args.view, args.out)
     saved = args.file is not None and Path(args.file).suffix == ".rrd"
@@ -175,6 +184,25 @@ def main(args: argparse.Namespace) -> int:
         raise TeleopError(f"{fed.fault} (what its runtime wrote: {log})")
     if not is_supervised():
         print(f"View ended ({stop.reason}): {fed.received} messages, {fed.shown} shown", flush=True)
+    return 0
+
+
+def _write_clip(args: argparse.Namespace, config: ViewConfig) -> int:
+    """Draw a recording into a file; returns the exit code."""
+    if args.file is None or Path(args.file).suffix != RECORDING_SUFFIX:
+        raise UsageError(
+            f"--out {args.out}: is drawn from a recording: teleop view RECORDING.mcap --out ..."
+        )
+    if args.view not in (None, "none") or args.foxglove:
+        raise UsageError(f"--out {args.out}: is drawn without a view; leave out --view, --foxglove")
+    options = clip.get_options(args)
+    info = open_recording(args.file)
+    require_present_layout(info)
+    print_doubts(info)
+    lower_priority()
+    written = clip.write_clip(args.out, info, config, options)
+    write_summary(args.json, {"source": args.file, "view": "clip", "file": str(args.out)})
+    print(f"wrote {written}")
     return 0
 
 

@@ -1,0 +1,240 @@
+"""The scene of a clip: sheaths, joints, hands and the forces on them, as seen from the eye."""
+
+import math
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.colors import LinearSegmentedColormap, Normalize
+from matplotlib.lines import Line2D
+from matplotlib.patches import FancyArrowPatch, Polygon
+
+from estimator.array_types import Array
+from teleop.messages.topics import COMMAND, HAND, PROFILE, STATE, TENDONS
+from teleop.view import colours
+from teleop.view.clip_canvas import Canvas
+from teleop.view.levers import compute_true_force
+from teleop.view.scene_geometry import ARROW, EYE, PIECES, RIGHT, SEGMENTS, UP, Lever, Stage
+
+
+class ClipScene:
+    """Draws the scene into axes.
+
+    Parameters
+    ----------
+    large : bool
+        Whether it has the whole picture.
+    """
+
+    def __init__(self, canvas: Canvas, axes: Axes, large: bool = False) -> None:
+        self._canvas, self._data, self._theme = canvas, canvas.data, canvas.theme
+        self._top = canvas.data.config.tension_scale_N
+        axes.set_axis_off()
+        if canvas.data.sheaths.stage is not None:
+            self._draw(axes, canvas.data.sheaths.stage, large)
+
+    def _draw(self, axes: Axes, stage: Stage, large: bool) -> None:
+        low, high = self._find_extent(stage)
+        axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
+        scale = (1.7 if large else 1.0) / math.sqrt(max(len(stage.joints), 1))
+        tubes = [self._draw_tube(axes, stage, tendon, scale) for tendon in stage.lines]
+        scale_axes = axes.inset_axes((0.93, 0.2, 0.016, 0.55))
+        bar = self._canvas.figure.colorbar(tubes[0], cax=scale_axes)
+        scale_axes.set_title("T [N]", loc="center", fontsize=10.0, weight="normal")
+        scale_axes.tick_params(labelsize=13.0 if large else 10.0)
+        bar.outline.set_visible(False)
+        mark = Line2D([], [], ls="", marker="o", color=self._theme.adapt(colours.FRONT))
+        thick, thin = (Line2D([], [], color="#888888", lw=width) for width in (8.0, 3.0))
+        axes.legend(
+            [thick, thin, mark], ["slides", "friction holds", "X', the front"],
+            loc="upper left", bbox_to_anchor=(0.0, 1.02), ncols=3, columnspacing=1.2,
+            fontsize=12.0 if large else 9.0,
+        )  # fmt: skip
+        for joint, lever in stage.joints.items():
+            self._draw_tip(axes, stage, joint, lever, scale)
+        for joint, lever in stage.hands.items():
+            self._draw_hand(axes, stage, joint, lever, scale)
+
+    def _find_extent(self, stage: Stage) -> tuple[Array, Array]:
+        """Return the corners of what is drawn at any time, with room for words and the scale."""
+        states, hands = self._data.select(STATE)[::20], self._data.select(HAND)[::20]
+        points = [*stage.lines.values()]
+        for ends, rows, sign, scale in (
+            (stage.joints, states, -1.0, self._top),
+            (stage.hands, hands, 1.0, self._data.config.hand_scale_N),
+        ):
+            for joint, lever in ends.items():
+                travel = rows["position"][:, joint]
+                force = np.nan_to_num(rows["force"][:, joint])[:, None]
+                arrow = sign * force * ARROW * stage.size / scale * lever.onward(travel)
+                points += [lever.pivot[None], lever.tip(travel), lever.tip(travel) + arrow]
+                points += [lever.tip(travel) + lever.label]
+        places = project(stage, np.concatenate(points))
+        low, high = np.nanmin(places, axis=0), np.nanmax(places, axis=0)
+        room = 0.05 * (high - low).max()
+        return low - room * np.array([1.0, 1.6]), high + room * np.array([3.2, 1.6])
+
+    def _draw_tube(self, axes: Axes, stage: Stage, tendon: int, scale: float) -> LineCollection:
+        line = project(stage, stage.lines[tendon])
+        pieces = [line[k * PIECES : (k + 1) * PIECES + 1] for k in range(SEGMENTS)]
+        edge, tube = (LineCollection(pieces, capstyle="round", joinstyle="round") for _ in "ab")
+        edge.set(color=self._theme.fade(colours.UNKNOWN, 0.55))
+        tube.set(cmap=build_tension_colours(), norm=Normalize(0, self._top))
+        front = Line2D([], [], marker="o", ms=11 * scale, color=self._theme.adapt(colours.FRONT))
+        for artist in (edge, tube, front):
+            axes.add_artist(artist)
+            self._canvas.add(artist)
+        rows = self._data.select(PROFILE, tendon)
+        middles = (np.arange(SEGMENTS) + 0.5) / SEGMENTS
+        knots = np.linspace(0.0, 1.0, len(line))
+
+        def update(now_s: float) -> None:
+            row = self._data.newest(rows, now_s)
+            share = math.nan if row is None else float(row["front"] / row["length"])
+            width = scale * np.where(middles <= np.nan_to_num(share), 9.0, 4.0)
+            tube.set_linewidth(width.tolist())
+            edge.set_linewidth((width + 1.6).tolist())
+            tension = np.full(SEGMENTS, np.nan) if row is None else row["tension"]
+            tube.set_array(tension if row is None else (tension[1:] + tension[:-1]) / 2)
+            front.set_data(*([np.interp(share, knots, line[:, k])] for k in range(2)))
+
+        self._canvas.updates.append(update)
+        return tube
+
+    def _draw_tip(self, axes: Axes, stage: Stage, joint: int, lever: Lever, scale: float) -> None:
+        data, adapt = self._data, self._theme.adapt
+        per_newton = ARROW * stage.size / self._top
+        bar = 0.12 * lever.length * np.cross(lever.along, lever.aside)
+        known = data.config.environment_m
+        if joint < len(known) and math.isfinite(known[joint]):
+            beyond = math.copysign(0.5 * lever.radius, known[joint])
+            rim = lever.tip(known[joint] + np.linspace(0.0, beyond, 13))
+            wedge = project(stage, np.concatenate([lever.pivot[None], rim]))
+            axes.add_patch(Polygon(wedge, color=adapt(colours.ENVIRONMENT), alpha=0.6, lw=0))
+        self._draw_pivot(axes, stage, lever, f"joint {joint + 1}", colours.BODY, scale)
+        asked = self._canvas.add_line(axes, colours.COMMANDED, 2.0 * scale)
+        link = self._canvas.add_line(axes, colours.BODY, 6.0 * scale)
+        interval = self._canvas.add_line(axes, colours.INTERVAL, 1.6 * scale)
+        truth = self._add_arrow(axes, colours.TRUTH, 0.7 * scale)
+        force = self._add_arrow(axes, colours.ESTIMATE, scale)
+        number = self._add_number(axes, colours.ESTIMATE, scale)
+        states, commands = data.select(STATE), data.select(COMMAND)
+        tendons, own = data.select(TENDONS), data.sheaths.tendons_of(joint)
+
+        def update(now_s: float) -> None:
+            state, command = data.newest(states, now_s), data.newest(commands, now_s)
+            sample = data.newest(tendons, now_s)
+            _set_line(asked, stage, lever, None if command is None else command["position"][joint])
+            travel = math.nan if state is None else float(state["position"][joint])
+            _set_line(link, stage, lever, travel)
+            end, back = lever.tip(np.array(travel)), -per_newton * lever.onward(np.array(travel))
+            value = math.nan if state is None else float(state["force"][joint])
+            _set_arrow(force, stage, end, value * back)
+            _set_number(number, stage, end + lever.label, value)
+            ends = (math.nan,) * 2
+            if state is not None:
+                ends = state["force_low"][joint], state["force_high"][joint]
+            low, high = (end + np.clip(part, -self._top, self._top) * back for part in ends)
+            corners = [low - bar, low + bar, low, high, high - bar, high + bar]
+            interval.set_data(*project(stage, np.array(corners)).T)
+            true = math.nan
+            if sample is not None:
+                true = float(compute_true_force(np.array([sample]), own)[0])
+            _set_arrow(truth, stage, end + bar, true * back)
+
+        self._canvas.updates.append(update)
+
+    def _draw_hand(self, axes: Axes, stage: Stage, joint: int, lever: Lever, scale: float) -> None:
+        data = self._data
+        per_newton = ARROW * stage.size / data.config.hand_scale_N
+        self._draw_pivot(axes, stage, lever, f"hand {joint + 1}", colours.HAND, scale)
+        handle = self._canvas.add_line(axes, colours.HAND, 6.0 * scale)
+        arrow = self._add_arrow(axes, colours.HAND, scale)
+        number = self._add_number(axes, colours.HAND, scale)
+        rows = data.select(HAND)
+
+        def update(now_s: float) -> None:
+            row = data.newest(rows, now_s)
+            travel = math.nan if row is None else float(row["position"][joint])
+            _set_line(handle, stage, lever, travel)
+            end, onward = lever.tip(np.array(travel)), lever.onward(np.array(travel))
+            value = math.nan if row is None else float(row["force"][joint])
+            _set_arrow(arrow, stage, end, value * per_newton * onward)
+            _set_number(number, stage, end + lever.label, value)
+
+        self._canvas.updates.append(update)
+
+    def _draw_pivot(
+        self, axes: Axes, stage: Stage, lever: Lever, name: str, colour: int, scale: float
+    ) -> None:
+        (at,) = project(stage, lever.pivot[None])
+        axes.plot(*at, "o", color=self._theme.adapt(colour), ms=11 * scale, zorder=3)
+        axes.annotate(
+            name,
+            at,
+            (0, -9 * scale),
+            textcoords="offset points",
+            ha="center",
+            va="top",
+            fontsize=9.0 * max(scale, 1.0),
+        )
+
+    def _add_arrow(self, axes: Axes, colour: int, scale: float) -> FancyArrowPatch:
+        style = f"simple,tail_width={4 * scale},head_width={12 * scale},head_length={10 * scale}"
+        arrow = FancyArrowPatch(
+            (0, 0), (0, 0), arrowstyle=style, color=self._theme.adapt(colour), lw=0
+        )
+        axes.add_patch(arrow)
+        self._canvas.add(arrow)
+        return arrow
+
+    def _add_number(self, axes: Axes, colour: int, scale: float) -> Any:
+        text = axes.text(
+            0,
+            0,
+            "",
+            color=self._theme.adapt(colour),
+            ha="center",
+            va="center",
+            weight="bold",
+            fontsize=10.0 * max(scale, 0.8),
+        )
+        return self._canvas.add(text)
+
+
+# --- places and parts
+
+
+def project(stage: Stage, points: Array) -> Array:
+    """Return points of the scene [m] on the picture, as seen from the eye; shape (n, 2)."""
+    far = float(np.linalg.norm(EYE))
+    place = (points - stage.centre) / stage.span
+    depth = far + place @ (-np.array(EYE) / far)
+    place = place * (far / np.maximum(depth, 0.2 * far))[:, None]
+    return np.stack([place @ RIGHT, place @ UP], axis=1)
+
+
+def build_tension_colours() -> LinearSegmentedColormap:
+    """Return the colours of tension of the live view."""
+    return LinearSegmentedColormap.from_list("tension", colours.TENSION_MAP / 255)
+
+
+def _set_line(line: Line2D, stage: Stage, lever: Lever, travel: float | None) -> None:
+    end = lever.tip(np.array(math.nan if travel is None else float(travel)))
+    line.set_data(*project(stage, np.stack([lever.pivot, end])).T)
+
+
+def _set_arrow(arrow: FancyArrowPatch, stage: Stage, begin: Array, vector: Array) -> None:
+    a, b = project(stage, np.stack([begin, begin + vector]))
+    shown = bool(np.isfinite([a, b]).all()) and float(np.linalg.norm(b - a)) > 2e-3
+    arrow.set_visible(shown)
+    if shown:
+        arrow.set_positions(tuple(a), tuple(b))
+
+
+def _set_number(text: Any, stage: Stage, at: Array, value: float) -> None:
+    known = math.isfinite(value) and bool(np.isfinite(at).all())
+    text.set_text(f"{value:.1f} N" if known else "")
+    if known:
+        text.set_position(project(stage, at[None])[0])
