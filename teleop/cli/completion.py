@@ -15,6 +15,7 @@ from pathlib import Path
 from teleop.cli import commands
 from teleop.cli.config.keys import describe_keys
 from teleop.cli.config.reference import list_sections
+from teleop.errors import UsageError
 from teleop.runtime.output_file import NewFolder, OutputFile, OutputFolder, SharedFolder
 
 SHELLS = ("bash", "zsh", "fish")
@@ -49,9 +50,13 @@ def main(args: argparse.Namespace) -> int:
 
 
 def build_script(shell: str) -> str:
-    """Return the script for a shell."""
-    import shtab
-
+    """Return the script for a shell; `UsageError` without the package that makes it."""
+    try:
+        import shtab
+    except ModuleNotFoundError as error:
+        raise UsageError(
+            "needs the Python package shtab, new among the dependencies: pip install shtab"
+        ) from error
     parser = commands.build_parser(None, described=True)
     _set_completers(parser)
     functions = {name: text.format(words=_list_set_words()) for name, text in _SET_KEYS.items()}
