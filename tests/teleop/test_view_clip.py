@@ -80,12 +80,12 @@ def test_a_frame_does_not_depend_on_those_before_it(drawn):
 
 def test_the_sheath_has_the_colours_of_its_tension(session, drawn):
     frame = ClipFigure(drawn, "presentation", "dark", (1280, 720), 0).draw(0.8)
+    sheath = frame[:, : int(0.85 * frame.shape[1])]  # the scale, at the right, has all colours
     newest = [m for m in session.of(PROFILE) if m.tendon == 0 and m.stamp_ns <= T0 + 8e8][-1]
     for place in (5, 32, 60):
         tension = np.array([newest.tension[place]])
-        assert has_colour(frame, int(colours.to_rgba(tension, CONFIG.tension_scale_N)[0]))
+        assert has_colour(sheath, int(colours.to_rgba(tension, CONFIG.tension_scale_N)[0]), 3)
     never = colours.to_rgba(np.array([CONFIG.tension_scale_N * 0.15]), CONFIG.tension_scale_N)
-    sheath = frame[:, : int(0.85 * frame.shape[1])]  # the scale, at the right, has all colours
     assert not has_colour(sheath, int(never[0]), 2)
 
 
