@@ -32,7 +32,7 @@ class ProgramConfig:
     """A program that moves the hand: `teleop.Session(..., operator=True)`."""
 
     type: Literal["program"] = "program"
-    axes: int = 1
+    axes: int = 1  # of the hand; each moves a joint
     timeout: float = 1.0  # [s] of silence after which the engage switch opens
 
     def __post_init__(self) -> None:

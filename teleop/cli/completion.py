@@ -11,6 +11,7 @@ started at a press of Tab: print it again after an update.
 
 import argparse
 from pathlib import Path
+from typing import Any
 
 from teleop.cli import commands
 from teleop.cli.config.keys import describe_keys
@@ -59,7 +60,8 @@ def build_script(shell: str) -> str:
         ) from error
     parser = commands.build_parser(None, described=True)
     _set_completers(parser)
-    functions = {name: text.format(words=_list_set_words()) for name, text in _SET_KEYS.items()}
+    words = _list_set_words()
+    functions: Any = {name: text.format(words=words) for name, text in _SET_KEYS.items()}
     script: str = shtab.complete(parser, shell, preamble=functions)
     return script + _NO_SPACE if shell == "bash" else script
 
