@@ -23,6 +23,7 @@ from teleop.messages.messages import MAX_JOINTS
 SOCKET_VARIABLE = "TELEOP_OPERATOR_SOCKET"  # file descriptor of the master's end
 POSITION_MAX = 1.0  # [m] a position beyond is refused
 _SPAN_MAX_S = 0.1  # [s] longest motion to the next position; a program of 10 Hz moves without steps
+_RECORDS_PER_TICK = 32
 _LAPSE_SHARE = 0.9  # of the timeout
 _FORCES = struct.Struct(f"<{MAX_JOINTS}d")
 
@@ -96,17 +97,18 @@ class ProgramDevice:
         self._socket.close()
 
     def _receive(self) -> None:
-        """Take the newest command, if there are any."""
-        with suppress(BlockingIOError):
-            while True:
-                try:
-                    data = self._socket.recv(SIZE)
-                except ConnectionError:
-                    data = b""
-                if not data:
-                    raise DeviceLost("the program that moves the hand has ended")
-                self._record = CommandRecord.unpack(data, self.axes)
-                self._wants_force = True
+        """Take the newest command; of a flood some, so that a tick takes no longer for it."""
+        for _ in range(_RECORDS_PER_TICK):
+            try:
+                data = self._socket.recv(SIZE)
+            except BlockingIOError:
+                return
+            except ConnectionError:
+                data = b""
+            if not data:
+                raise DeviceLost("the program that moves the hand has ended")
+            self._record = CommandRecord.unpack(data, self.axes)
+            self._wants_force = True
 
 
 class ProgramOperator:
