@@ -1,4 +1,4 @@
-"""The drawings of docs/topologies.md, as SVG: `python -m docs.topology_drawings` writes them.
+"""The drawings of docs/how-to/network.md, as SVG: `python -m docs.topology_drawings` writes them.
 
 They carry their own light background, so they read the same on light and dark pages.
 """

@@ -1,4 +1,4 @@
-"""The picture of docs/transparency.md, Z-width against its bounds: `python -m docs.z_width`.
+"""A picture of docs/explanation/coupling.md, Z-width against its bounds: `python -m docs.z_width`.
 
 Draws the stiffest wall that each coupling renders stably without network delay over the damping of
 hand and device, and two bounds of `direct`: that of the sampled device alone, and that of the loop

@@ -2,7 +2,7 @@
 
 The ranges are wide: they hold any tendon that pulls a joint through a sheath, from a nylon line to
 the cable of a brake. What is outside has a wrong unit, a dead sensor or another cause.
-Sources and reasons: docs/data-format.md, Plausible values.
+Sources and reasons: docs/reference/data-format.md, Plausible values.
 """
 
 import math

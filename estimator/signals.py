@@ -2,11 +2,11 @@
 
 T_out is a peak-holding function of T_in, so zero-mean noise on T_in does not average out: every
 upward excursion drives the profile and stays in it. Of N samples at one and the same tension the
-largest stands some sqrt(2 ln N) sigma above it, 3.2 sigma for a second at 1 kHz (docs/theory.md,
-section 9). The estimator therefore drives its profile with a treated tension: a short average,
-which takes sigma down, then a dead band (a play operator of its own) that what is left of the noise
-seldom crosses (estimator.online.online). studies/noise_treatment.py measures what that costs and
-gains.
+largest stands some sqrt(2 ln N) sigma above it, 3.2 sigma for a second at 1 kHz
+(docs/explanation/theory.md, section 9). The estimator therefore drives its profile with a treated
+tension: a short average, which takes sigma down, then a dead band (a play operator of its own) that
+what is left of the noise seldom crosses (estimator.online.online). studies/noise_treatment.py
+measures what that costs and gains.
 """
 
 import math

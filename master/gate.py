@@ -39,7 +39,7 @@ class GateConfig:
     axis_max: float = 3.0  # [N] on one axis; desktop haptic devices reach about 3 N
     total_max: float = 4.0  # [N] length of the force vector
     slew_max: float = 200.0  # [N/s] at which a force may grow
-    exceed_bounds: bool = False  # accept limits beyond those of docs/safety.md
+    exceed_bounds: bool = False  # accept limits beyond those of docs/explanation/safety.md
 
     def __post_init__(self) -> None:
         """Check the values; raises `ValueError`."""

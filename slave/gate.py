@@ -50,7 +50,7 @@ class GateConfig:
         default=math.inf, metadata=MAY_BE_INFINITE
     )
     yield_gain: float = 0.004  # [m/s/N] paying-out gain of a holding tendon above tension_max
-    exceed_bounds: bool = False  # accept limits beyond those of docs/safety.md
+    exceed_bounds: bool = False  # accept limits beyond those of docs/explanation/safety.md
 
     def __post_init__(self) -> None:
         """Check the values; raises `ValueError`."""

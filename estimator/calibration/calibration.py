@@ -28,7 +28,7 @@ from estimator.law.sheath import Sheath
 
 # --- the calibration of Phee et al. 2009: K from the elongation constant of the pull, eq. (13)
 # It needs EA and L beforehand, holds for a uniformly curved sheath, and enlarges the error of
-# either 2 to 3.5 times (docs/theory.md (T8)).
+# either 2 to 3.5 times (docs/explanation/theory.md (T8)).
 
 
 def compute_friction_from_elongation(M_e: float, axial_stiffness: float, length: float) -> float:
@@ -78,9 +78,9 @@ def compute_paper_friction(
     return MeasuredValue(K, relative / abs(slope))
 
 
-# --- the slopes of a blocked-tip loop while the whole tendon slides (docs/theory.md (T6))
-# M_pull while it slides towards the motor, M_rel while it slides towards the tip. Where the ends of
-# the straight parts are is known once K is.
+# --- the slopes of a blocked-tip loop while the whole tendon slides (theory.md (T6))
+# M_pull while it slides towards the motor, M_rel while it slides towards the tip. Where the
+# ends of the straight parts are is known once K is.
 
 
 _AVERAGES_MIN = 6
@@ -238,7 +238,7 @@ class Calibration:
         Tension of the first branch change [N].
     zero
         Reading of the load cell without tension [N]; friction that does not depend on tension shows
-        as a negative one (docs/theory.md, section 8).
+        as a negative one (docs/explanation/theory.md, section 8).
     pattern
         How compliance is spread over friction.
     rivals

@@ -2,7 +2,7 @@
 
 While the joint moves freely and both tendons slide along their whole length, towards the end that
 is pulled, T_in,1 = e^(K1) T_out,1 and T_out,2 = e^(K2) T_in,2; and T_out,1 is T_out,2 and what the
-joint itself takes, f. So (docs/theory.md (T20))
+joint itself takes, f. So (docs/explanation/theory.md (T20))
 
     T_in,2 = e^-(K1 + K2) T_in,1 - e^-K2 f,
 

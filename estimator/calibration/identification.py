@@ -1,7 +1,8 @@
 """Identification by re-simulation: the parameters with which the law reproduces a record.
 
 The whole record is simulated for every trial, so the memory is right at every sample and nothing is
-regressed on a residual. Two fits of the symmetric, uniform law (docs/theory.md (T11), (T13)):
+regressed on a residual. Two fits of the symmetric, uniform law (docs/explanation/theory.md (T11),
+(T13)):
 
 * `fit_bench`: K from both tensions, as a calibration bench measures them;
 * `fit_blocked_tip`: K and EA from tension and travel at the housing, the tip blocked.

@@ -1,7 +1,7 @@
 """How the compliance of a sheath is spread over friction: the pattern, and its best fit to a loop.
 
-Over the friction depth s the tension T(s, t) is a play operator of T_in (docs/theory.md (T10)),
-whatever the sheath. So, with dC the compliance between s and s + ds,
+Over the friction depth s the tension T(s, t) is a play operator of T_in (docs/explanation/theory.md
+(T10)), whatever the sheath. So, with dC the compliance between s and s + ds,
 
     q_p = q_0 + ∫ T(s, t) dC(s),   s from 0 to K,
 

@@ -94,9 +94,9 @@ def fit_sheath(data: MeasuredData, length: float = 1.0, *, blocked_tip: bool = F
     """Fit the friction, and the stiffness where the channels allow, of a sheath.
 
     With a tension measured at the tip, K is fitted by re-simulation of the law (Phee et al. 2009
-    with reversals, docs/theory.md section 3), and EA to the elongation if both ends have a
-    displacement. With the tip blocked, K and EA come from one pull-release loop at the housing
-    (docs/theory.md (T6), (T7)).
+    with reversals, docs/explanation/theory.md section 3), and EA to the elongation if both ends
+    have a displacement. With the tip blocked, K and EA come from one pull-release loop at the
+    housing (docs/explanation/theory.md (T6), (T7)).
 
     Parameters
     ----------
@@ -178,7 +178,7 @@ def _drop_missing(data: Samples) -> Samples:
 
 
 def _fit_loop(data: MeasuredData, length: float) -> SheathFit:
-    """Calibrate from one pull-release loop with the tip blocked (docs/theory.md (T6), (T7))."""
+    """Calibrate from one pull-release loop with the tip blocked (T6), (T7)."""
     if data.proximal_displacement is None:
         raise FitError("a fit with the tip blocked needs proximal_displacement_m")
     loop = find_first_loop(data.proximal_tension)

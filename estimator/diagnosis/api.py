@@ -96,7 +96,7 @@ def diagnose(
 ) -> Diagnosis:
     """Find what the law gets wrong on measured data, the cause, and what modelling it gains.
 
-    Candidates are compared by held-out log-likelihood with a BIC penalty (docs/diagnosis.md).
+    Candidates are compared by held-out log-likelihood with a BIC penalty (docs/how-to/diagnose.md).
 
     Parameters
     ----------

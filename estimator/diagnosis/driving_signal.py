@@ -2,7 +2,7 @@
 
 What drives a hysteresis must not jitter, or the jitter is remembered: noise of 1 um on a travel is
 0.4 N behind a reversal at 10 N. So noise is smoothed where the motion allows it, and between its
-turning points the drive is monotone, which keeps its peaks (docs/theory.md, section 9).
+turning points the drive is monotone, which keeps its peaks (docs/explanation/theory.md, section 9).
 """
 
 import itertools

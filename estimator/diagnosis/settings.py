@@ -64,7 +64,7 @@ class Settings:
     bound_tolerance: float = 0.03  # of a bound: a number so near to it hardly leaves it again
     lead_cost_ratio: float = 1.5  # of any other's cost to its own: followed, not enough alone
 
-    # when an effect is named (causes.py); docs/diagnosis.md, Verdicts
+    # when an effect is named (causes.py); docs/how-to/diagnose.md, Verdicts
     score_min: float = 15.0  # log-likelihood ratio less the BIC penalty (Schwarz 1978)
     gain_min: float = 0.04  # by which it lowers the error
     confidence: float = 0.98  # share of bootstrap resamples in which it is better

@@ -1,7 +1,7 @@
 """What real transmissions do beyond the paper's model: the catalogue, one file a family.
 
 A new effect is an `Effect` in the file of its family and an entry in that file's EFFECTS;
-docs/diagnosis.md shows one from beginning to end.
+docs/how-to/diagnose.md shows one from beginning to end.
 """
 
 from estimator.effects import elasticity, ends, friction, sensors

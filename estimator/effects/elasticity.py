@@ -36,7 +36,7 @@ def _apply_gradual_curvature(physics: Physics, values: Values, _context: EffectC
 
 
 _CURVATURE = "the sheath is not bent evenly"
-_CURVATURE_SOURCE = "docs/theory.md (T4)"
+_CURVATURE_SOURCE = "docs/explanation/theory.md (T4)"
 _CURVATURE_ADVICE = "Calibrate with the loop: its K is right for any shape; M_e alone is not."
 
 TWO_SECTIONS = Effect(

@@ -1,4 +1,4 @@
-"""Effects in the friction of a tendon on its sheath (docs/diagnosis.md, friction)."""
+"""Effects in the friction of a tendon on its sheath (docs/how-to/diagnose.md, friction)."""
 
 import numpy as np
 
@@ -61,7 +61,7 @@ CONSTANT_DRAG = Effect(
     cause="part of the friction does not depend on tension: seals, or a stiff tendon in bends",
     equation="dT/ds = -/+ (T + drag)",
     parameters=(Parameter("drag", "N", 0.0, 50.0, 0.1),),
-    source="docs/theory.md, section 8; range assumed: 0.1 to 2 N",
+    source="docs/explanation/theory.md, section 8; range assumed: 0.1 to 2 N",
     advice="Look at seals and at sharp bends of a stiff tendon; tare both load cells while slack.",
     starts=lambda _: [(0.4,)],
     physics=lambda physics, values, _: physics._replace(drag=values[0]),
@@ -72,7 +72,7 @@ VISCOUS_FRICTION = Effect(
     cause="friction grows with speed: grease or a fluid in the sheath",
     equation="dT/ds = -/+ (T + viscosity |v|)",
     parameters=(Parameter("viscosity", "N s/m", 0.0, 1e5, 50.0),),
-    source="docs/theory.md, section 8; small on cable drives: Miyasaka et al. 2015",
+    source="docs/explanation/theory.md, section 8; small on cable drives: Miyasaka et al. 2015",
     advice="Change the lubricant, or move more slowly.",
     starts=lambda _: [(100.0,), (500.0,)],
     physics=lambda physics, values, _: physics._replace(viscosity=values[0]),
@@ -219,7 +219,7 @@ DIRECTION_ASYMMETRY = Effect(
     cause="friction towards the tip differs from friction towards the housing",
     equation="slopes of ln T: -1 while pulling, + ratio while releasing",
     parameters=(Parameter("ratio", "", 0.2, 4.0, 0.05, 1.0),),
-    source="docs/theory.md, section 8; range assumed: 0.8 to 1.2",
+    source="docs/explanation/theory.md, section 8; range assumed: 0.8 to 1.2",
     advice="Check the load cells with weights first: a wrong gain looks the same at the tip.",
     starts=lambda _: [(1.1,)],
     physics=lambda physics, values, _: physics._replace(asymmetry=values[0]),

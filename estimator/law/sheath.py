@@ -57,7 +57,7 @@ class Sheath:
         E for it; it is a force, not a modulus.
     drag
         tau [N], friction that does not depend on tension, as the tension that would cause it:
-        dT/dx = ∓(mu/R)(T + tau) (docs/theory.md, section 8). A drag f_0 per length is
+        dT/dx = ∓(mu/R)(T + tau) (docs/explanation/theory.md, section 8). A drag f_0 per length is
         tau = f_0 L/K.
     asymmetry
         rho, friction while sliding towards the tip over friction while sliding towards the motor.

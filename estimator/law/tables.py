@@ -2,7 +2,8 @@
 
 The friction coordinate s = mu theta(x) orders the sheath. A curved section is an interval of s with
 constant w = dx/ds = R/mu; a straight one has length but no friction, so it is a point mass of
-length at one s. The tables hold, at every boundary, the running integrals (docs/theory.md (T4))
+length at one s. The tables hold, at every boundary, the running integrals
+(docs/explanation/theory.md (T4))
 
     G^-(s) = ∫ e^-s dx,   G^+(s) = ∫ e^(rho s) dx,   x(s) = ∫ dx,
 

@@ -4,7 +4,7 @@ State in, state out: `build_tables` prepares a sheath, `build_slack_profile` or
 `build_pretensioned_profile` gives the first profile, `drive_proximal` returns the next one,
 `observe` reads it. The functions named push_*
 are steps in place from either end, for loops that are compiled themselves or that own their
-profile. The law is the play operator of docs/theory.md (T10), (T11), (T18); Phee et al.
+profile. The law is the play operator of docs/explanation/theory.md (T10), (T11), (T18); Phee et al.
 2009, eqs. (1)-(25) are its special cases of one pull and one release.
 """
 
@@ -218,8 +218,8 @@ def simulate(sheath: Sheath, proximal_tension: ArrayLike) -> Simulation:
     """Return tension at the tip and elongation of a tendon pulled at the housing.
 
     The tendon starts slack; the tip is held still, and whatever the order of pulls and releases,
-    reversals at any depth are followed (play operators, docs/theory.md section 3; Phee et al. 2009
-    eq. (1) to (12) are its first pull and release).
+    reversals at any depth are followed (play operators, docs/explanation/theory.md section 3; Phee
+    et al. 2009 eq. (1) to (12) are its first pull and release).
 
     Parameters
     ----------

@@ -4,8 +4,8 @@
 speed, tension, time or direction, elasticity that is not linear or takes time, and a tip tied to
 something. The tendon is a row of springs with contacts between them, evenly spread over the bend
 angle. In a step each contact sticks or slides, and by how far is solved for all of them together,
-implicit in time (docs/theory.md (T1), section 8); contacts that give before they slide are solved
-from the tip to the housing. At its neutral values `Physics` is that law.
+implicit in time (docs/explanation/theory.md (T1), section 8); contacts that give before they slide
+are solved from the tip to the housing. At its neutral values `Physics` is that law.
 """
 
 import math

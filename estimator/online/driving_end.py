@@ -1,4 +1,4 @@
-"""Which end drives: decided from the direction in which the tendon slides (docs/theory.md (T18)).
+"""Which end drives: decided from the direction in which the tendon slides (T18).
 
 The sign of dT_in/dt does not tell. If T_in rises while the motor stands still, the tip draws the
 tendon out and T_out is T_in e^(rho K), not T_in e^-K; the two differ by e^2K. So the motor drives

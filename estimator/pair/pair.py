@@ -1,9 +1,9 @@
 """An antagonistic pair of tendons that bends one joint: the angle, from command or tensions.
 
-Each tendon obeys the law of one tendon (docs/theory.md (T10), section 8), with the joint so stiff
-that it takes up hardly any of the tendons' travel, as for a tip that is blocked. The motor pulls
-one of them in by what it lets the other out; the joint bends by what one tip pulls more than the
-other:
+Each tendon obeys the law of one tendon (docs/explanation/theory.md (T10), section 8), with the
+joint so stiff that it takes up hardly any of the tendons' travel, as for a tip that is blocked. The
+motor pulls one of them in by what it lets the other out; the joint bends by what one tip pulls more
+than the other:
 
     stiffness (angle - neutral) = T_out,a - T_out,b -+ joint friction.
 

@@ -1,4 +1,4 @@
-"""Table of the haptic devices. To add one, see docs/devices.md."""
+"""Table of the haptic devices. To add one, see docs/how-to/haptic-device.md."""
 
 from collections.abc import Callable
 from typing import Any

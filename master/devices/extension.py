@@ -105,7 +105,7 @@ class CheckedDevice:
 
 @dataclass(frozen=True)
 class DeviceExtension(Extension):
-    """Base of the configs of devices of other packages (docs/devices.md).
+    """Base of the configs of devices of other packages (docs/how-to/haptic-device.md).
 
     Attributes
     ----------

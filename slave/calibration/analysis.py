@@ -33,8 +33,8 @@ from slave.tendon_config import TendonConfig
 # --- combine the loops of a joint's two tendons with the drags, which measure K_a + K_b
 # A loop with the tip blocked hardly depends on friction near the tip. In a drag one tendon draws
 # the other out and both slide along their whole length: their K add up, wherever the friction is
-# (docs/theory.md (T20)). A relative gain difference g of the load cells biases the sum by g, with
-# opposite sign in the opposite drag, so the mean is unbiased.
+# (docs/explanation/theory.md (T20)). A relative gain difference g of the load cells biases the sum
+# by g, with opposite sign in the opposite drag, so the mean is unbiased.
 
 
 def combine_with_drags(

@@ -9,7 +9,7 @@ length and stiffness of the sheaths (slave.initialise.sheaths) and the joints' r
 (slave.initialise.range) if they are known; then an obstacle at a tip is detected.
 
 Pass the file to `teleop run --calibration`, or set slave.calibration in the config. Calibrate again
-when the sheaths have been moved. Method and error messages: docs/calibration.md.
+when the sheaths have been moved. Method and error messages: docs/how-to/calibrate.md.
 """
 
 import argparse

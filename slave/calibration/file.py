@@ -25,7 +25,7 @@ class ValueWithUncertainty:
 
 @dataclass(frozen=True, slots=True)
 class TendonCalibration:
-    """Calibration of one tendon against its stop; docs/calibration.md has the methods.
+    """Calibration of one tendon against its stop; docs/how-to/calibrate.md has the methods.
 
     The paper's K needs EA and L.
     """

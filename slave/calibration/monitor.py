@@ -2,10 +2,10 @@
 
 When a motor reverses after a pull, the tip rests until the sliding front has passed the sheath.
 Until then motor travel is elongation, whatever joint and environment do, and must equal the model's
-prediction from the tension (docs/theory.md (T19)). If all friction has changed by a factor f, the
-travel is a fraction of the prediction, 1/f on an evenly bent sheath, and T_out is wrong by a factor
-e^(K(f - 1)). A tendon drawn out by the other may be in a state unknown to the model, so only a
-transition after a pull well beyond tip motion is used.
+prediction from the tension (docs/explanation/theory.md (T19)). If all friction has changed by a
+factor f, the travel is a fraction of the prediction, 1/f on an evenly bent sheath, and T_out is
+wrong by a factor e^(K(f - 1)). A tendon drawn out by the other may be in a state unknown to the
+model, so only a transition after a pull well beyond tip motion is used.
 
 The tip rests only while nothing else moves the joint. If the joint comes to rest by itself, both
 tendons relax while the motor still moves; if the other tendon is released, the joint yields: T_out

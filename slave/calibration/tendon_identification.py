@@ -1,8 +1,8 @@
 """Identify one tendon from its pulls and releases against its stop: pure functions.
 
 While the joint rests against its stop, motor travel is elongation, and `estimator.calibration`
-identifies K, M_pull, M_rel and EA/L from the loop (docs/theory.md (T6), (T7)). Data inconsistent
-with a tendon in a sheath against a stop raise `CalibrationRefused`.
+identifies K, M_pull, M_rel and EA/L from the loop (docs/explanation/theory.md (T6), (T7)). Data
+inconsistent with a tendon in a sheath against a stop raise `CalibrationRefused`.
 """
 
 import math

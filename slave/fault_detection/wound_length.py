@@ -24,7 +24,7 @@ from teleop.session.state_machine import Reason
 
 # --- bounds of the elongation of a tendon at a tension, for any earlier motion
 # With friction the elongation at housing tension T lies between e(T) of a pull and e(T) of a
-# release (docs/theory.md (T2), (T4)),  M_pull (T + tau) - tau L/EA  <=  e  <=  M_rel (T + tau) -
+# release (theory.md (T2), (T4)),  M_pull (T + tau) - tau L/EA  <=  e  <=  M_rel (T + tau) -
 # tau L/EA.
 
 

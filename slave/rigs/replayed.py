@@ -18,7 +18,7 @@ from teleop.runtime.process import print_warning
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReplayedRigConfig:
-    """A file of measured data (docs/data-format.md) to be played in real time."""
+    """A file of measured data (docs/reference/data-format.md) to be played in real time."""
 
     type: Literal["replayed"] = "replayed"
     file: Path  # .csv, .csv.gz, .parquet or .mcap

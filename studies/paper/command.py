@@ -6,8 +6,8 @@
 Initialisation, then pull to 20 N, release to 5 N and pull to 20 N, then nested reversals: with a
 sheath as the paper's, and with random ones. Two readings of the paper's method and ours estimate
 force and elongation at the tip from the housing; the tip's true values judge them. With --out the
-tables, the figures and a page that shows all are written there (docs/experiment.md). The same seed
-gives the same figures.
+tables, the figures and a page that shows all are written there (studies/results/experiment.md). The
+same seed gives the same figures.
 """
 
 import argparse

@@ -12,7 +12,7 @@ T_in0 is its last maximum or minimum:
     release to pull    (24)            (25)    until T_in has risen to T_in0 e^(2K)
 
 Printed wrongly are (11), (13), (22) and (24); they are used as they have to read
-(`studies.paper.equations`, docs/theory.md section 2).
+(`studies.paper.equations`, docs/explanation/theory.md section 2).
 
 The paper's equations hold after a full pull or a full release. For a reversal inside a transition
 it has none, and (24) then makes T_out jump by up to e^(2K). ``continued`` grants it what its text

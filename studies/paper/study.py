@@ -238,7 +238,7 @@ def truth_of(motion: str, record: BenchRun) -> Truth:
 
 
 def unevenness(specimen: Specimen) -> float:
-    """Return ln(M_rel/M_pull) - K (docs/theory.md (T4)).
+    """Return ln(M_rel/M_pull) - K (docs/explanation/theory.md (T4)).
 
     Zero where curvature is spread evenly or alike from both ends, above zero where the bends are at
     the motor, below zero where they are at the tip.

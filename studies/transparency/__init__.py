@@ -3,7 +3,7 @@
 `system` is the master's and the slave's steps with a simulated network (`channel`) between them,
 `hand` and `rig` are what is at its ends, `run` puts them together. `stiffness`, `zwidth`, `hybrid`
 and `llewellyn` are what is measured, `study` for every coupling and delay; `command` is
-`python -m studies.transparency`. docs/transparency.md.
+`python -m studies.transparency`. studies/results/coupling.md.
 
 It imports both master and slave, so nothing else imports it.
 """

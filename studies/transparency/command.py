@@ -7,7 +7,7 @@
 The live code of master and slave, with a simulated hand, network and rig: rendered against true
 stiffness, Z-width, hybrid parameters over frequency, and Llewellyn's margin where it applies. In
 --out, `transparency.html` shows all of it on one page, `transparency.json` has the numbers
-(docs/transparency.md).
+(studies/results/coupling.md).
 """
 
 import argparse

@@ -7,7 +7,7 @@
 
 The data: one table for each bend with time, the command, the measured angle of the joint and both
 tensions at the housing. One model is fitted to all files; then each file is predicted by
-leave-one-out cross-validation (docs/endoscope.md). Needs at least three bends.
+leave-one-out cross-validation (docs/how-to/diagnose.md). Needs at least three bends.
 """
 
 import argparse

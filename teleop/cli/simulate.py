@@ -5,8 +5,8 @@
 
 The rig is slave.rig of the config file, defaults without one. In every joint one motor makes the
 motion; that of the other tendon, if any, keeps it taut. The table has the housing's sensors and, as
-on a calibration bench, those at the tip (docs/data-format.md). The same command writes the same
-file.
+on a calibration bench, those at the tip (docs/reference/data-format.md). The same command writes
+the same file.
 """
 
 import argparse

@@ -1,8 +1,8 @@
 """Upper bounds of the limits in a config: what no rig or hand of this kind should be given.
 
 A limit protects only while it is near what it protects. So a gate's limits have bounds of their own
-(docs/safety.md), which a slip of the decimal point or a wrong unit exceeds; `exceed_bounds: true`
-beside them says that it is no slip.
+(docs/explanation/safety.md), which a slip of the decimal point or a wrong unit exceeds;
+`exceed_bounds: true` beside them says that it is no slip.
 """
 
 import math
@@ -30,7 +30,10 @@ class BoundedConfig(Protocol):
 
 def build_bounds_warnings(section: str, config: BoundedConfig) -> list[str]:
     """Return a warning if the limits of a section may exceed their bounds."""
-    text = f"WARNING: {section}.exceed_bounds: its limits may be beyond those of docs/safety.md"
+    text = (
+        f"WARNING: {section}.exceed_bounds: its limits may be beyond those of "
+        "docs/explanation/safety.md"
+    )
     return [text] * config.exceed_bounds
 
 
@@ -40,6 +43,6 @@ def check_bounds(config: object, bounds: Sequence[Bound], exceed: bool) -> None:
         value = abs(getattr(config, name))
         if most < value < math.inf and not exceed:
             raise ValueError(
-                f"{name}: must be at most {most:g} {unit} (docs/safety.md); check the unit, or set "
-                "exceed_bounds: true beside it"
+                f"{name}: must be at most {most:g} {unit} (docs/explanation/safety.md); check the "
+                "unit, or set exceed_bounds: true beside it"
             )

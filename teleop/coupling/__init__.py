@@ -1,5 +1,6 @@
-"""Bilateral coupling of hand and tip over a network with delay, loss and jitter; docs/coupling.md.
+"""Bilateral coupling of hand and tip over a network with delay, loss and jitter.
 
+See docs/explanation/coupling.md.
 `ledger` is the energy ledger of a port, `interface` the inputs and outputs of a coupling, `direct`,
 `passivity` and `wave` are the couplings, `contact` is the local model of what a tip meets, `side`
 is all joints of one side.

@@ -1,7 +1,7 @@
 """Measured data of one tendon: read, check, write.
 
-The format is described in docs/data-format.md. Nothing is repaired silently: invalid data raise a
-`UsageError` of one line with file, column and row.
+The format is described in docs/reference/data-format.md. Nothing is repaired silently: invalid data
+raise a `UsageError` of one line with file, column and row.
 """
 
 import re

@@ -73,7 +73,7 @@ QUEUE = 16  # messages of one priority waiting to be sent to one peer
 BATCH_BYTES = 2048  # of one write; holds any message, each of which is sent alone
 MESSAGE_BYTES = 65536  # that are received in fragments; a longer message is none of ours
 OPEN_MS = 3000  # of the handshake, and of closing with an unresponsive target
-CONNECTIONS = 10_000  # that a router takes; its processor is the limit before (docs/scale.md)
+CONNECTIONS = 10_000  # of a router; its processor is the limit before (docs/how-to/network.md)
 BURST = 16  # that shake hands at a time with one address of a side
 OPEN_FILES = 64  # a session runs with as many; with 24 the threads of Zenoh panic
 # Of a process that listens: strangers take one for each connection. No more, since all are looked
@@ -81,7 +81,7 @@ OPEN_FILES = 64  # a session runs with as many; with 24 the threads of Zenoh pan
 OPEN_FILES_LISTENING = 65536
 LEASE_MS = 2000  # timeout of a silent peer; a closed connection is detected at once
 # Zenoh's threads of this process. With its default of two receiving threads, each message wakes
-# both: 30 us more of a round trip, 11 % more of a core in the recorder (docs/latency.md)
+# both: 30 us more of a round trip, 11 % more of a core in the recorder.
 THREADS = "(rx: (worker_threads: 1))"
 
 Mode = Literal["peer", "client", "router"]

@@ -17,7 +17,7 @@ from teleop.security.keyring import TagVerdict, check_tags
 # Zenoh's receiving thread stores, the loop's thread waits and takes. Zenoh calls the C method
 # `SimpleQueue.put`, which wakes the reader without running Python code that would still hold the
 # interpreter lock. This wait has the latency of polling at the least processor time
-# (docs/latency.md).
+# (docs/explanation/coupling.md).
 
 
 TimedBytes: TypeAlias = tuple[bytes, int]

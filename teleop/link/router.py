@@ -27,7 +27,7 @@ Off loopback a router needs keys of its own, which prove to every process that i
   teleop keys issue authority --session all --role router --out router-keys
 
 It says which processes come and go. It must be there when they start; when it is started again they
-come back by themselves, into holding, never into motion. See docs/topologies.md.
+come back by themselves, into holding, never into motion. See docs/how-to/network.md.
 """
 
 import argparse

@@ -419,7 +419,7 @@ class Latency(Message):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LinkReport(Message):
-    """Master and slave to all, twice a second: health of the link from the peer (docs/health.md).
+    """Master and slave to all, twice a second: health of the link from the peer.
 
     Of the last tenth of a second; -1 = not measured. What is below a bound of the config does
     nothing, beyond it `scale` falls, then `holds`.

@@ -1,6 +1,6 @@
 """Generate the page of topics and messages from the declarations.
 
-`python -m teleop.messages.page` prints it, and `make docs` puts it into the site as messages.md.
+`python -m teleop.messages.page` prints it, and `make docs` puts it into the site.
 """
 
 import inspect
@@ -38,7 +38,7 @@ Generated from `teleop/messages/messages.py` and `teleop/messages/topics.py` by
 | key on the network (Zenoh) | `teleop/<session>/<topic>` |
 | key of copies for viewers | `teleop/<session>/<topic>/sampled`: the same bytes without tags, the \
 first message of each period of the rate below "sampled" |
-| channel in a [recording](recordings.md) | `/<topic>` |
+| channel in a [recording](../how-to/record-and-view.md) | `/<topic>` |
 | bytes | CDR, little-endian: `00 01 00 00`, then each field at its natural alignment, counted \
 from byte 4; the tables below give each field's first byte |
 | arrays | of fixed length; entries beyond the number in use mean nothing |
@@ -198,7 +198,7 @@ _NUMBERS = """\
 | field | values, from 0 |
 |---|---|
 | `role` | {roles} |
-| `state` | {states} ([safety](safety.md#session-states)) |
+| `state` | {states} ([safety](../explanation/safety.md#session-states)) |
 | `phase` | {phases} |
 | `status`, bits from the lowest | {statuses} |
 | `action` of `stop` | {actions} |

@@ -4,7 +4,8 @@
   teleop record --config configs/demo.yaml --out /data/bench --duration 60
 
 The recorder only listens: it may start at any time, be slow, or be killed, without effect on the
-loops. The file (MCAP) opens in Foxglove, PlotJuggler, Rerun and Python: see docs/recordings.md.
+loops. The file (MCAP) opens in Foxglove, PlotJuggler, Rerun and Python: see
+docs/how-to/record-and-view.md.
 """
 
 import argparse

@@ -1,7 +1,7 @@
 """Write a recording: messages as sent on the link, in an MCAP file that survives a kill.
 
 The file is self-contained: every channel has its ROS 2 message definition, and session, layout,
-versions and config are at its head. See docs/recordings.md.
+versions and config are at its head. See docs/how-to/record-and-view.md.
 """
 
 import contextlib

@@ -7,7 +7,7 @@
 
 The nodes use the middleware `rmw_zenoh`, and its router runs on this machine. It only listens to
 the session: no ROS node changes anything by it. Commands of ROS nodes are taken by the master, if
-its device is `{type: ros}`. See docs/ros.md.
+its device is `{type: ros}`. See docs/how-to/ros.md.
 """
 
 import argparse

@@ -126,8 +126,8 @@ def convert_recording(info: RecordingInfo, bag: BagWriter, prefix: str, period_s
 #   teleop recordings to-ros2 recordings/demo.mcap --out demo_bag       a rosbag2 for ros2 bag
 #   teleop recordings to-ros2 FILE --out BAG --rate 100 --prefix /lab   less of it, under a prefix
 #
-# The bag has the topics of `teleop ros` (docs/ros.md), and what a bench measured at the tip as
-# slave/bench/measured_js.
+# The bag has the topics of `teleop ros` (docs/how-to/ros.md), and what a bench measured at the tip
+# as slave/bench/measured_js.
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -10,9 +10,9 @@ Without FILE it listens to a running session, in a window, or in a browser where
     teleop view recordings/demo.mcap --out clip.mp4 --from 3 --to 9     a video, for slides
     teleop view recordings/demo.mcap --out clip.gif --theme dark        an animation
     teleop view recordings/demo.mcap --out moment.png --to 4.2          a picture of a moment
-    teleop view --foxglove --view none             for the Foxglove app on this machine: docs/ros.md
+    teleop view --foxglove --view none             for the Foxglove app: docs/how-to/ros.md
 
-It only listens: neither loop ever waits for it. See docs/viewing.md.
+It only listens: neither loop ever waits for it. See docs/how-to/record-and-view.md.
 """
 
 import argparse

@@ -15,7 +15,8 @@ from teleop.view.scene_geometry import Shape, Stage, build_stage
 #
 #     max(T_in e^-k, T_low e^-(K-k)) <= T(x) <= min(T_in e^k, T_high e^(K-k)).
 #
-# The law is that of docs/theory.md; an extended model with other friction may leave the band.
+# The law is that of docs/explanation/theory.md; an extended model with other friction may leave the
+# band.
 
 
 def compute_friction_profile(length: Array, radius: Array, K: float, points: int) -> Array:

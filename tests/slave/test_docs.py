@@ -7,13 +7,13 @@ import pytest
 
 from teleop.cli import commands
 
-RIGS = Path(__file__).parents[2] / "docs" / "rigs.md"
+RIGS = Path(__file__).parents[2] / "docs" / "reference" / "rigs.md"
 FREE = "slave.rig.joints.0.environment={type: free}"
 
 
 @pytest.fixture(scope="module")
 def config(tmp_path_factory):
-    """Return the config shown in docs/rigs.md, as a file."""
+    """Return the config shown in docs/reference/rigs.md, as a file."""
     (text,) = re.findall(r"^```yaml\n(.*?)^```", RIGS.read_text(), re.M | re.S)
     path = tmp_path_factory.mktemp("docs") / "rig.yaml"
     path.write_text(text)

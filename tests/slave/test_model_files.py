@@ -21,7 +21,7 @@ from teleop.errors import UsageError
 from tests.studies import hidden
 
 JOINTS = ((0, 1), (2, 3))
-PAGE = Path(__file__).parents[2] / "docs" / "diagnosis.md"
+PAGE = Path(__file__).parents[2] / "docs" / "how-to" / "diagnose.md"
 
 
 def write(path, *effects, K=0.8):

@@ -1,8 +1,8 @@
 """The tip moves by itself while the motor holds: what the estimator says, on the simulated rig.
 
-A load motor at the tip does the moving (docs/theory.md, section 7). The interval holds the truth
-throughout; the estimate follows whatever the housing can tell, which depends on the way the tendon
-was last slid.
+A load motor at the tip does the moving (docs/explanation/theory.md, section 7). The interval holds
+the truth throughout; the estimate follows whatever the housing can tell, which depends on the way
+the tendon was last slid.
 """
 
 import dataclasses

@@ -42,7 +42,7 @@ def test_the_slave_warns_of_lifted_bounds():
 
 
 def test_every_bound_is_in_the_docs():
-    text = (Path(__file__).parents[2] / "docs" / "safety.md").read_text()
+    text = (Path(__file__).parents[2] / "docs" / "explanation" / "safety.md").read_text()
     for section, bound in LIMITS:
         value = f"{bound.most * 1e3:g} mm" if bound.unit == "m" else f"{bound.most:g} {bound.unit}"
         assert f"| `{section}.gate.{bound.name}` | {value} |" in text

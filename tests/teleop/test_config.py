@@ -372,7 +372,7 @@ def test_what_is_no_index_of_a_list_is_one_line(tmp_path: Path, index: str) -> N
             load(write(tmp_path, text), Everything, "slave", [f"slave.sections.{index}.length=1"])
 
 
-DOCUMENTED = (Path(__file__).parents[2] / "docs" / "configuration.md").read_text()
+DOCUMENTED = (Path(__file__).parents[2] / "docs" / "reference" / "configuration.md").read_text()
 
 
 @pytest.mark.parametrize("text", re.findall(r"```yaml\n(.*?)```", DOCUMENTED, re.DOTALL))

@@ -485,7 +485,7 @@ def test_config_ranges(change, what):
 
 
 def test_the_documented_snippets_run(all_topics, capsys):
-    page = Path(__file__).parents[2] / "docs" / "recordings.md"
+    page = Path(__file__).parents[2] / "docs" / "how-to" / "record-and-view.md"
     snippets = re.findall(r"```python\n(.*?)```", page.read_text(), re.DOTALL)
     assert len(snippets) == 2
     for snippet in snippets:

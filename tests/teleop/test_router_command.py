@@ -1,8 +1,9 @@
-"""`teleop router`: where it listens, what it demands, and the configs of docs/topologies.md."""
+"""`teleop router`: where it listens, what it demands, and the configs of docs/how-to/network.md."""
 
 import argparse
 import json
 import re
+import shlex
 import signal
 import subprocess
 import sys
@@ -30,7 +31,7 @@ from tests.system.processes import OURS, free_ports
 from tests.teleop.link.bench import wait_until
 
 TOPOLOGIES = sorted((ROOT / "configs" / "topologies").glob("*.yaml"))
-PAGE = (ROOT / "docs" / "topologies.md").read_text()
+PAGE = (ROOT / "docs" / "how-to" / "network.md").read_text()
 
 
 def words(**options):
@@ -118,7 +119,7 @@ def test_commands_of_the_page_are_understood():
     found = re.findall(r"^ *(?:[\w-]+)?\$ +(teleop [^>\n]*)", PAGE, re.MULTILINE)
     assert len(found) > 20
     for line in found:
-        command = line.split()[1:]
+        command = shlex.split(line, comments=True)[1:]
         commands.build_parser(command[0]).parse_args(command)
 
 

@@ -1,7 +1,7 @@
 """What a tick costs in numbers that do not depend on the machine: calls, bytes, memory.
 
 `teleop bench loop` measures what it costs in time. A limit that is reached here is a step back in
-latency on every machine (docs/latency.md); one that can be lowered should be.
+latency on every machine (docs/explanation/coupling.md); one that can be lowered should be.
 """
 
 import gc

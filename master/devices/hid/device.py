@@ -204,7 +204,7 @@ class OpenedDevice:
 
 
 class HidDevice:
-    """A `master.device.Device`; see docs/devices.md.
+    """A `master.device.Device`; see docs/how-to/haptic-device.md.
 
     An unplugged device is searched for until it is back; meanwhile `read` raises `DeviceLost`. Its
     force is then zero until the next `write` after a successful read.

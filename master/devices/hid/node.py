@@ -9,7 +9,7 @@ from master.device import DeviceFault
 
 QUEUE_LENGTH = 64  # length of Linux's report queue; further reports are dropped
 _REPORT_SIZE_MAX = 4096  # bytes, of any report
-REMEDY = "add a udev rule (docs/devices.md) and plug it in again"
+REMEDY = "add a udev rule (docs/how-to/haptic-device.md) and plug it in again"
 
 
 def load_hidapi() -> Any:

@@ -326,7 +326,7 @@ def leave_console_mode(find: str, driver: str) -> str:
         if time.monotonic() > end:
             raise DeviceFault(
                 f"{in_console[0]}: does not leave its console mode; plug it in again, and check "
-                "that its switch and its udev rule (docs/devices.md) are right"
+                "that its switch and its udev rule (docs/how-to/haptic-device.md) are right"
             )
         time.sleep(_POLL_PERIOD_S)
     return f"{in_console[0]}: switched from console to PC mode"

@@ -5,7 +5,7 @@ tendon (`TendonEffect`), the constants of a joint (`JointEffect`) or of sensors 
 drops or repeats samples (`SampleEffect`); `schedule` applies it in time.
 
 To add one, define it in the module of its family, add it to the union at the end of that module,
-and describe it in docs/rigs.md.
+and describe it in docs/reference/rigs.md.
 """
 
 from slave.simulation.effects.effect import (

@@ -7,7 +7,7 @@
 Each run is a session of `teleop run` on a simulated rig, without a view, and then two processes
 that send messages of the same sizes to and fro, with the same way of waiting and the same priority.
 Latency is from the sending of a command to the write of the force that answers it. The stages are
-those of an answer within the tick, from reading the device (docs/latency.md).
+those of an answer within the tick, from reading the device (docs/explanation/coupling.md).
 """
 
 import argparse

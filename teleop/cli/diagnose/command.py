@@ -12,9 +12,9 @@
 
 The data: tables with time_s and proximal_tension_N, and also a travel or the tip tension; with
 proximal_torque_Nm and proximal_angle_rad, also of a closed loop of two cables with pretension;
-or recordings (docs/data-format.md). Several files must be of one bench and are fitted
+or recordings (docs/reference/data-format.md). Several files must be of one bench and are fitted
 together. With --out a folder gets report.html, report.json, model.yaml and residuals.rrd
-(docs/diagnosis.md). The exit code is 0 for any diagnosis.
+(docs/how-to/diagnose.md). The exit code is 0 for any diagnosis.
 """
 
 import argparse
@@ -181,7 +181,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--effects",
         default="all",
         metavar="NAME,NAME",
-        help="causes to consider (default all; names in docs/diagnosis.md)",
+        help="causes to consider (default all; names in docs/how-to/diagnose.md)",
     )
     add_option(parser, "--calibration", "compared with the result")
     add_options(parser, "--column", "--drop-nonfinite", "--validate", "--out", "--json")

@@ -30,9 +30,9 @@ from teleop.runtime.output_file import replace_file
 from teleop.runtime.process import write_text_file
 
 # --- the extended law as mathematics, in the notation of matplotlib's mathtext
-# Symbols are those of docs/theory.md: T tension, s friction coordinate from 0 at the housing to K
-# at the tip, q_p and q_d travel at the housing and at the tip, e elongation, L/EA compliance, c
-# compliance of the load at the tip; r what a sensor reads.
+# Symbols are those of docs/explanation/theory.md: T tension, s friction coordinate from 0 at the
+# housing to K at the tip, q_p and q_d travel at the housing and at the tip, e elongation, L/EA
+# compliance, c compliance of the load at the tip; r what a sensor reads.
 
 
 LAW = (

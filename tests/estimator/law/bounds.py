@@ -1,4 +1,4 @@
-"""What docs/theory.md says of a profile and nothing but tests evaluates: slopes and bounds."""
+"""What theory.md says of a profile and nothing but tests evaluates: slopes and bounds."""
 
 from estimator.law.profile import Profile, from_log_tension, to_log_tension
 from estimator.law.tables import ASYMMETRY, K, Tables

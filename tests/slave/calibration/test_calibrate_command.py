@@ -112,7 +112,7 @@ def test_nothing_but_a_calibration_is_written_over(done, tmp_path, capsys, monke
 
 
 def test_every_setting_of_the_procedure_is_in_the_document_with_its_default():
-    text = (Path(__file__).parents[3] / "docs" / "calibration.md").read_text()
+    text = (Path(__file__).parents[3] / "docs" / "how-to" / "calibrate.md").read_text()
     rows = dict(re.findall(r"^\| `(\w+)` \| ([^|]+?) \|", text, re.MULTILINE))
     defaults = {
         field.name: as_tree(getattr(InitialiseConfig(), field.name))

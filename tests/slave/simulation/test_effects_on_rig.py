@@ -306,7 +306,7 @@ def test_two_that_would_act_as_one_are_refused_on_the_same_tendon(name):
     assert SimulatedRigConfig(joints=(PAIR,), effects=apart).effects == apart
 
 
-RIGS_PAGE = Path(__file__).parents[3] / "docs" / "rigs.md"
+RIGS_PAGE = Path(__file__).parents[3] / "docs" / "reference" / "rigs.md"
 
 
 def test_the_documentation_has_every_effect_with_its_parameters_and_defaults():

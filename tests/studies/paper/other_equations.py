@@ -1,4 +1,4 @@
-"""Equations of Phee et al. 2009 and of docs/theory.md that nothing but tests evaluates.
+"""Equations of Phee et al. 2009 and of docs/explanation/theory.md that nothing but tests evaluates.
 
 Symbols as in `studies.paper.equations`.
 """

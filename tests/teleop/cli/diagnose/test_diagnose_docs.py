@@ -1,4 +1,4 @@
-"""What docs/diagnosis.md shows is so."""
+"""What docs/how-to/diagnose.md shows is so."""
 
 import re
 from pathlib import Path
@@ -14,23 +14,24 @@ from teleop.cli.diagnose.command import parse_effects
 from tests.studies import hidden
 
 DOCS = Path(__file__).parents[4] / "docs"
-PAGE = DOCS / "diagnosis.md"
+PAGE = DOCS / "how-to" / "diagnose.md"
+METHOD = DOCS / "explanation" / "diagnosis.md"
 
 
-def block(language):
-    (text,) = re.findall(rf"^```{language}\n(.*?)^```", PAGE.read_text(), re.M | re.S)
+def block(page, language):
+    (text,) = re.findall(rf"^```{language}\n(.*?)^```", page.read_text(), re.M | re.S)
     return text
 
 
 def test_pictures_of_the_page_are_there():
-    pictures = re.findall(r"\]\((images/.*?)\)", PAGE.read_text())
+    pictures = re.findall(r"\]\(\.\./(images/.*?)\)", PAGE.read_text())
     assert pictures
     assert all((DOCS / picture).is_file() for picture in pictures)
 
 
 def test_the_bench_of_the_page_is_simulated_with_its_fault(tmp_path, capsys):
     config = tmp_path / "bench.yaml"
-    config.write_text(block("yaml"))
+    config.write_text(block(PAGE, "yaml"))
     words = ["--profile", "nested", "--duration", "2", "--rate", "100", "--speed", "0.0015"]
     assert commands.main(["simulate", str(config), "--out", str(tmp_path / "x.csv"), *words]) == 0
     assert "friction_step (change 0.25)" in capsys.readouterr().out
@@ -38,7 +39,7 @@ def test_the_bench_of_the_page_is_simulated_with_its_fault(tmp_path, capsys):
 
 def test_the_effect_of_the_page_is_found_among_others():
     names = {}
-    exec(block("python"), names)  # noqa: S102 - our own page
+    exec(block(METHOD, "python"), names)  # noqa: S102 - our own page
     (effect,) = (one for one in names.values() if isinstance(one, Effect))
     data = hidden.make(5, (), bench="spring", duration=16.0, rate=50.0)
     T = data.channels["distal_tension"]

@@ -1,0 +1,105 @@
+"""The site: what `make docs` generates is in it, and what refers to a page finds it."""
+
+import ast
+import re
+import subprocess
+from functools import cache
+
+import pytest
+
+from estimator.effects import NAMES
+from teleop.cli.commands import COMMANDS
+from teleop.messages.topics import TOPICS
+from tests.root import ROOT
+
+DOCS = ROOT / "docs"
+PAGES = sorted(DOCS.rglob("*.md"))
+GENERATED = {"reference/messages.md", "reference/cli.md"}
+FOREIGN = {"docs/design.md", "docs/en/wheel_programming.md"}  # of rmw_zenoh and FFBeast
+
+
+def test_the_site_has_what_is_generated_and_fetches_nothing(tmp_path):
+    build = pytest.importorskip("mkdocs.commands.build", reason="make docs installs it")
+    pytest.importorskip("material", reason="make docs installs it")
+    from mkdocs.config import load_config
+
+    build.build(load_config(str(ROOT / "mkdocs.yml"), site_dir=str(tmp_path)))
+    messages = (tmp_path / "reference" / "messages.html").read_text()
+    assert all(f"<td><code>{topic.name}</code></td>" in messages for topic in TOPICS)
+    catalogue = (tmp_path / "explanation" / "diagnosis.html").read_text()
+    named = re.findall(r"<tr>\s*<td><code>(\w+)</code></td>", catalogue)
+    assert named[-len(NAMES) :] == list(NAMES)
+    commands = (tmp_path / "reference" / "cli.html").read_text()
+    assert all(f'<h2 id="teleop-{name}">' in commands for name in COMMANDS)
+    loads = r'<(?:script|link|img|iframe)\b[^>]*?(?:src|href)="(?:https?:)?//[^"]*"'
+    for page in tmp_path.rglob("*.html"):
+        assert not [x for x in re.findall(loads, page.read_text()) if "canonical" not in x], page
+
+
+def tracked(*patterns):
+    listed = subprocess.run(
+        ["git", "ls-files", "--cached", "--others", "--exclude-standard", *patterns],
+        cwd=ROOT, capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    return [ROOT / name for name in listed.stdout.splitlines() if (ROOT / name).is_file()]
+
+
+def test_every_page_that_the_repository_names_is_there():
+    wrong = []
+    for file in tracked("*.py", "*.md", "*.yaml", "*.yml", "*.h", "*.ino", "*.toml", "Makefile"):
+        for name in re.findall(r"docs/[\w/.-]+\.(?:md|svg|png|gif)\b", file.read_text("utf-8")):
+            generated = name.removeprefix("docs/") in GENERATED
+            if not ((ROOT / name).exists() or generated or name in FOREIGN):
+                wrong.append(f"{file.relative_to(ROOT)}: {name}")
+    assert not wrong
+
+
+@pytest.mark.parametrize(
+    "page",
+    [p for p in tracked("*.md") if DOCS not in p.parents],
+    ids=lambda p: p.relative_to(ROOT).as_posix(),
+)
+def test_links_outside_the_site_lead_somewhere(page):
+    for target in re.findall(r"\]\(([^)\s#]+)[^)]*\)", page.read_text("utf-8")):
+        if not re.match(r"\w+:", target):
+            assert (page.parent / target).exists(), target
+
+
+def test_the_pages_are_no_longer_than_they_should_be():
+    words = sum(len(page.read_text("utf-8").replace("|", " ").split()) for page in PAGES)
+    assert words <= 25_000
+
+
+@cache
+def texts():
+    """Return every string of the program, the parts of a formatted one joined by a mark."""
+    found = []
+    for file in tracked("teleop/*.py", "master/*.py", "slave/*.py", "estimator/*.py"):
+        for node in ast.walk(ast.parse(file.read_text("utf-8"))):
+            if isinstance(node, ast.Constant) and isinstance(node.value, str):
+                found.append(node.value)
+            elif isinstance(node, ast.JoinedStr):
+                parts = (p.value if isinstance(p, ast.Constant) else "\0" for p in node.values)
+                found.append("".join(parts))
+    return "\n".join(found)
+
+
+def messages():
+    """Return the messages in the first columns of troubleshooting, and their fixed words."""
+    page = (DOCS / "how-to" / "troubleshooting.md").read_text("utf-8")
+    for row in re.findall(r"^\| (.*?) \|", page, re.M):
+        for message in re.findall(r"`([^`]+)`", row):
+            pieces = re.split(r"\.\.\.|'[^']*'|/dev/\S+|\b[A-Z]\b|[\d.]+|[:;,()]", message)
+            yield pytest.param([piece.split() for piece in pieces], id=message[:40])
+
+
+@pytest.mark.parametrize("pieces", list(messages()))
+def test_the_messages_of_troubleshooting_are_the_programs(pieces):
+    """Three words of each, or as many as there are between what varies, are in its texts."""
+    longest = min(3, max(map(len, pieces)))
+    runs = (
+        " ".join(words[k : k + longest])
+        for words in pieces
+        for k in range(len(words) - longest + 1)
+    )
+    assert any(run in texts() for run in runs), pieces

@@ -1,0 +1,38 @@
+"""Each tutorial runs from its first block to its last, in an empty folder."""
+
+import pytest
+
+from tests.docs.tutorial import read_blocks, run_page
+from tests.root import ROOT
+
+PAGES = sorted((ROOT / "docs" / "tutorials").glob("*.md"))
+SESSIONS = ("teleop run", "teleop slave", "teleop master")
+
+
+def marks(page):
+    text = "".join(block.text for block in read_blocks(page) if block.language == "sh")
+    return [pytest.mark.real_time] if any(word in text for word in SESSIONS) else []
+
+
+@pytest.mark.parametrize("page", [pytest.param(p, id=p.stem, marks=marks(p)) for p in PAGES])
+def test_a_tutorial_runs_in_order(page, tmp_path):
+    folder, tools = tmp_path / "work", tmp_path / "tools"
+    folder.mkdir()
+    tools.mkdir()
+    assert run_page(page, folder, tools) >= 3
+
+
+def test_a_block_that_fails_is_noticed(tmp_path):
+    folder, tools = tmp_path / "work", tmp_path / "tools"
+    folder.mkdir()
+    tools.mkdir()
+    page = tmp_path / "page.md"
+    page.write_text('```yaml title="a/b.txt"\nhere\n```\n```sh\ngrep here a/b.txt\n```\n')
+    assert run_page(page, folder, tools) == 1
+    page.write_text("```sh\nfalse\n```\n```sh\ntouch after\n```\n")
+    for file in (tools / "bin").iterdir():
+        file.unlink()
+    (tools / "bin").rmdir()
+    with pytest.raises(Exception, match="exit status"):
+        run_page(page, folder, tools)
+    assert not (folder / "after").exists()
