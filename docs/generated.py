@@ -1,21 +1,26 @@
-"""What `make docs` generates: the pages of commands, config keys and messages, and the catalogue of effects.
+"""What `make docs` generates: pages of commands, config keys and messages, tables of effects.
 
 A hook of mkdocs (`hooks` in mkdocs.yml); nothing is written beside the site.
 """
 
 import argparse
+import dataclasses
+import inspect
 import os
 from collections.abc import Iterator
+from typing import get_args, get_type_hints
 
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 
+from slave.simulation.effects import EffectConfig
 from teleop.cli.commands import COMMANDS, build_parser
 from teleop.cli.config.reference import render_config_reference
 from teleop.cli.diagnose.catalogue import format_catalogue
 from teleop.messages.page import format_page
 
 CATALOGUE_MARK = "<!-- catalogue of effects -->"
+SIMULATED_MARK = "<!-- effects of the simulated rig -->"
 _WIDTH = "92"  # columns of a help text
 
 _COMMANDS_PAGE = """\
@@ -42,8 +47,29 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 
 def on_page_markdown(markdown: str, **_: object) -> str:
-    """Put the catalogue of effects in the place of its mark."""
-    return markdown.replace(CATALOGUE_MARK, format_catalogue())
+    """Put the tables of effects in the places of their marks."""
+    for mark, table in ((CATALOGUE_MARK, format_catalogue), (SIMULATED_MARK, format_effects)):
+        if mark in markdown:
+            markdown = markdown.replace(mark, table())
+    return markdown
+
+
+def format_effects() -> str:
+    """Return the effects of the simulated rig as a table, by the declarations of their configs."""
+    rows = ["| `type` | parameters and defaults | what happens |", "|---|---|---|"]
+    for effect in get_args(EffectConfig):
+        parameters = (
+            f"`{item.name}` {item.default:g} {item.metadata['range'][2]}".rstrip()
+            if "range" in item.metadata
+            else f"`{item.name}`"
+            for item in dataclasses.fields(effect)
+            if item.name not in ("type", "joint", "start", "tendon")
+        )
+        alone = "" if getattr(effect, "adds_up", True) else " ¹"
+        (what,) = (inspect.getdoc(effect) or "").splitlines()[:1]
+        (name,) = get_args(get_type_hints(effect)["type"])
+        rows.append(f"| `{name}`{alone} | {', '.join(parameters)} | {what.rstrip('.')} |")
+    return "\n".join(rows)
 
 
 def format_commands() -> str:

@@ -4,10 +4,12 @@ import ast
 import re
 import subprocess
 from functools import cache
+from typing import get_args, get_type_hints
 
 import pytest
 
 from estimator.effects import NAMES
+from slave.simulation.effects import EffectConfig
 from teleop.cli.commands import COMMANDS
 from teleop.messages.topics import TOPICS
 from tests.root import ROOT
@@ -29,6 +31,9 @@ def test_the_site_has_what_is_generated_and_fetches_nothing(tmp_path):
     catalogue = (tmp_path / "explanation" / "diagnosis.html").read_text()
     named = re.findall(r"<tr>\s*<td><code>(\w+)</code></td>", catalogue)
     assert named[-len(NAMES) :] == list(NAMES)
+    rigs = (tmp_path / "reference" / "rigs.html").read_text()
+    effects = [get_args(get_type_hints(c)["type"])[0] for c in get_args(EffectConfig)]
+    assert all(f"<td><code>{name}</code>" in rigs for name in effects)
     commands = (tmp_path / "reference" / "cli.html").read_text()
     assert all(f'<h2 id="teleop-{name}">' in commands for name in COMMANDS)
     loads = r'<(?:script|link|img|iframe)\b[^>]*?(?:src|href)="(?:https?:)?//[^"]*"'

@@ -4,8 +4,7 @@ An effect is a frozen dataclass whose `type` names it in a config file. It chang
 tendon (`TendonEffect`), the constants of a joint (`JointEffect`) or of sensors (`SensorEffect`), or
 drops or repeats samples (`SampleEffect`); `schedule` applies it in time.
 
-To add one, define it in the module of its family, add it to the union at the end of that module,
-and describe it in docs/reference/rigs.md.
+To add one, define it in the module of its family, and add it to the union at the module's end.
 """
 
 from slave.simulation.effects.effect import (

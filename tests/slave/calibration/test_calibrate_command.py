@@ -1,9 +1,7 @@
 """`teleop calibrate`, from the command line to the file."""
 
-import dataclasses
 import re
 import signal
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -12,7 +10,6 @@ import yaml
 
 from slave.calibration import command, file, initialisation, run
 from slave.calibration.analysis import analyse_procedure
-from slave.calibration.config import InitialiseConfig
 from slave.calibration.initialisation import initialise
 from slave.config import SlaveConfig, find_not_ready_reason, load_tendon_configs
 from slave.rigs import open_rig
@@ -109,16 +106,6 @@ def test_nothing_but_a_calibration_is_written_over(done, tmp_path, capsys, monke
     assert (config.read_bytes(), other.read_text()) == (before, "of: mine")
     assert not new.exists()
     assert not drawn.exists()
-
-
-def test_every_setting_of_the_procedure_is_in_the_document_with_its_default():
-    text = (Path(__file__).parents[3] / "docs" / "how-to" / "calibrate.md").read_text()
-    rows = dict(re.findall(r"^\| `(\w+)` \| ([^|]+?) \|", text, re.MULTILINE))
-    defaults = {
-        field.name: as_tree(getattr(InitialiseConfig(), field.name))
-        for field in dataclasses.fields(InitialiseConfig)
-    }
-    assert {name: yaml.safe_load(value) for name, value in rows.items()} == defaults
 
 
 def test_a_joint_that_is_not_there_is_refused(done, tmp_path, capsys):

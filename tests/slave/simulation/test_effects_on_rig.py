@@ -1,7 +1,4 @@
-import dataclasses
-import re
 from dataclasses import replace
-from pathlib import Path
 from typing import get_args, get_type_hints
 
 import numpy as np
@@ -9,11 +6,9 @@ import pytest
 
 from slave.rigs.simulated import JointConfig, SimulatedRig, SimulatedRigConfig, TendonPlantConfig
 from slave.simulation.effects import EffectConfig
-from slave.simulation.environment import FreeConfig, LoadMotorConfig, TissueConfig, WallConfig
+from slave.simulation.environment import FreeConfig, TissueConfig
 from slave.simulation.joint import BodyConfig
-from slave.simulation.motor import MotorConfig
 from slave.simulation.sensors import CHANNELS, EncoderConfig, LoadCellConfig
-from slave.simulation.tendon import SheathConfig
 from teleop.config.loading import load
 from teleop.errors import UsageError
 
@@ -304,28 +299,3 @@ def test_two_that_would_act_as_one_are_refused_on_the_same_tendon(name):
         SimulatedRigConfig(joints=(PAIR,), effects=(made(name, tendon="a"), made(name)))
     apart = made(name, tendon="a"), made(name, tendon="b"), made("slack")
     assert SimulatedRigConfig(joints=(PAIR,), effects=apart).effects == apart
-
-
-RIGS_PAGE = Path(__file__).parents[3] / "docs" / "reference" / "rigs.md"
-
-
-def test_the_documentation_has_every_effect_with_its_parameters_and_defaults():
-    table = RIGS_PAGE.read_text("utf-8").partition("### Effects")[2].partition("###")[0]
-    rows = [line for line in table.splitlines() if line.startswith("| `")]
-    for name, effect in BY_NAME.items():
-        (row,) = [line for line in rows if f"`{name}`" in line.split("|")[1]]
-        for field in dataclasses.fields(effect):
-            if field.name in ("type", "joint", "start", "tendon"):
-                continue
-            said = re.search(rf"`{field.name}`(?: ([^ ,|]+(?: \d{{3}})?))?", row)
-            assert said, (name, field.name)
-            if field.name != "sensor":
-                assert float(said[1].replace(" ", "")) == field.default, (name, field.name)
-
-
-def test_the_documentation_has_every_setting():
-    page = RIGS_PAGE.read_text("utf-8")
-    sensors, scenes = (EncoderConfig, LoadCellConfig), (LoadMotorConfig, TissueConfig, WallConfig)
-    for config in (BodyConfig, MotorConfig, SheathConfig, *sensors, *scenes):
-        for field in dataclasses.fields(config):
-            assert f"`{field.name}`" in page or field.name == "type", field.name
