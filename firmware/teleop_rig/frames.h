@@ -1,4 +1,4 @@
-// The line protocol: frames as bytes, and nothing else. Described in docs/how-to/real-rig.md.
+// The line protocol: frames as bytes, and nothing else. Described in firmware/README.md.
 #pragma once
 #include <stddef.h>
 #include <stdint.h>
