@@ -3,6 +3,7 @@
 import ast
 import re
 import subprocess
+import time
 from functools import cache
 from typing import get_args, get_type_hints
 
@@ -12,6 +13,7 @@ from estimator.effects import NAMES
 from slave.simulation.effects import EffectConfig
 from teleop.cli.commands import COMMANDS
 from teleop.messages.topics import TOPICS
+from tests.browser import Browser, program
 from tests.root import ROOT
 
 DOCS = ROOT / "docs"
@@ -20,25 +22,60 @@ GENERATED = {"reference/messages.md", "reference/cli.md"}
 FOREIGN = {"docs/design.md", "docs/en/wheel_programming.md"}  # of rmw_zenoh and FFBeast
 
 
-def test_the_site_has_what_is_generated_and_fetches_nothing(tmp_path):
+@pytest.fixture(scope="module")
+def site(tmp_path_factory):
+    """Return the folder of the built site."""
     build = pytest.importorskip("mkdocs.commands.build", reason="make docs installs it")
     pytest.importorskip("material", reason="make docs installs it")
     from mkdocs.config import load_config
 
-    build.build(load_config(str(ROOT / "mkdocs.yml"), site_dir=str(tmp_path)))
-    messages = (tmp_path / "reference" / "messages.html").read_text()
+    folder = tmp_path_factory.mktemp("site")
+    build.build(load_config(str(ROOT / "mkdocs.yml"), site_dir=str(folder)))
+    return folder
+
+
+def test_the_site_has_what_is_generated(site):
+    messages = (site / "reference" / "messages.html").read_text()
     assert all(f"<td><code>{topic.name}</code></td>" in messages for topic in TOPICS)
-    catalogue = (tmp_path / "explanation" / "diagnosis.html").read_text()
+    catalogue = (site / "explanation" / "diagnosis.html").read_text()
     named = re.findall(r"<tr>\s*<td><code>(\w+)</code></td>", catalogue)
     assert named[-len(NAMES) :] == list(NAMES)
-    rigs = (tmp_path / "reference" / "rigs.html").read_text()
+    rigs = (site / "reference" / "rigs.html").read_text()
     effects = [get_args(get_type_hints(c)["type"])[0] for c in get_args(EffectConfig)]
     assert all(f"<td><code>{name}</code>" in rigs for name in effects)
-    commands = (tmp_path / "reference" / "cli.html").read_text()
+    commands = (site / "reference" / "cli.html").read_text()
     assert all(f'<h2 id="teleop-{name}">' in commands for name in COMMANDS)
-    loads = r'<(?:script|link|img|iframe)\b[^>]*?(?:src|href)="(?:https?:)?//[^"]*"'
-    for page in tmp_path.rglob("*.html"):
-        assert not [x for x in re.findall(loads, page.read_text()) if "canonical" not in x], page
+
+
+def test_no_page_names_a_script_style_or_picture_elsewhere(site):
+    loads = r'<(?:script|img|iframe|link rel="(?:stylesheet|icon)")[^>]*?(?:src|href)="(?:\w+:)?//'
+    assert not [page for page in site.rglob("*.html") if re.search(loads, page.read_text())]
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(program() is None, reason="no Chromium here")
+def test_pages_opened_as_files_fit_and_are_searched(site):
+    with Browser(1280, 900, "dark") as browser:
+
+        def evaluate(expression):
+            answer = browser.ask("Runtime.evaluate", expression=expression, returnByValue=True)
+            return answer["result"].get("value")
+
+        for page in sorted(site.rglob("*.html")):
+            browser.open(page.as_uri())
+            assert evaluate("document.documentElement.scrollWidth") <= 1280, page
+            wide = "e => e.scrollWidth > e.clientWidth"
+            tables = "[...document.querySelectorAll('.md-typeset__scrollwrap')]"
+            assert page.stem == "api" or not evaluate(f"{tables}.some({wide})"), page
+        browser.open((site / "index.html").as_uri())
+        evaluate("document.querySelector('input[name=query]').focus()")
+        browser.ask("Input.insertText", text="latency timer")
+        end = time.monotonic() + 60.0
+        while not evaluate("document.querySelectorAll('.md-search-result__item').length"):
+            assert time.monotonic() < end, "nothing is found"
+            time.sleep(0.2)
+        assert all(a.startswith(("file:", "data:")) for a in browser.answered)
+        assert not browser.complaints
 
 
 def tracked(*patterns):

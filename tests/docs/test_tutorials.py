@@ -11,7 +11,9 @@ SESSIONS = ("teleop run", "teleop slave", "teleop master")
 
 def marks(page):
     text = "".join(block.text for block in read_blocks(page) if block.language == "sh")
-    return [pytest.mark.real_time] if any(word in text for word in SESSIONS) else []
+    if any(word in text for word in SESSIONS):
+        return [pytest.mark.real_time]
+    return [pytest.mark.slow]  # .ci/run runs it from the wheel
 
 
 @pytest.mark.parametrize("page", [pytest.param(p, id=p.stem, marks=marks(p)) for p in PAGES])
