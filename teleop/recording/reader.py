@@ -9,7 +9,7 @@ import re
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from mcap.well_known import MessageEncoding, SchemaEncoding
@@ -126,14 +126,7 @@ class RecordingInfo:
     def doubts(self) -> list[str]:
         """What the file lacks, in lines of text; none if it is whole."""
         out = [self.shortfall] if self.shortfall else []
-        if lost := {topic: count for topic, count in self.lost.items() if count}:
-            counts = ", ".join(f"{count} {topic}" for topic, count in lost.items())
-            out.append(f"{self.path}: {sum(lost.values())} messages are missing ({counts})")
-        if self.unfinished:
-            out.append(
-                f"{self.path}: the end of the {' and '.join(self.unfinished)} may be missing"
-            )
-        return out
+        return out + _describe_losses(self.path, self.lost, self.unfinished)
 
 
 def open_recording(path: str | Path) -> RecordingInfo:
@@ -155,10 +148,7 @@ def open_recording(path: str | Path) -> RecordingInfo:
         raise RecordingError(f"{path}: is damaged {scan.damage}; nothing could be read")
     head = scan.metadata.get(SESSION_METADATA, {})
     try:
-        lost = dict.fromkeys(messages, 0)
-        for stream, count_text in scan.metadata.get(GAPS_METADATA, {}).items():
-            topic = stream.partition("/")[0]
-            lost[topic] = lost.get(topic, 0) + int(count_text)
+        lost = dict.fromkeys(messages, 0) | _count_losses(scan)
         drops = scan.metadata.get(DROPPED_METADATA, {})
         dropped = dict.fromkeys(messages, 0) | {topic: int(text) for topic, text in drops.items()}
         layout = int(head["layout"], 16) if "layout" in head else None
@@ -179,10 +169,53 @@ def open_recording(path: str | Path) -> RecordingInfo:
         messages=messages,
         lost=lost,
         dropped=dropped,
-        unfinished=tuple(scan.metadata.get(END_METADATA, {}).get("unfinished", "").split()),
+        unfinished=_list_unfinished(scan),
         first_ns=first,
         last_ns=last,
     )
+
+
+def list_doubts(scan: Scan, read: str | None) -> list[str]:
+    """Return what a file lacks, in lines of text; as in `RecordingInfo`.
+
+    Parameters
+    ----------
+    scan : Scan
+        The pass, which has ended.
+    read : str or None
+        What was read of the file; None if no more was wanted before its end.
+    """
+    shortfall = "" if read is None else scan.shortfall(read)
+    try:
+        lost = _count_losses(scan)
+    except ValueError as error:
+        raise RecordingError(
+            f"{scan.path}: is damaged: invalid number of losses: {error}"
+        ) from error
+    losses = _describe_losses(scan.path, lost, _list_unfinished(scan))
+    return [shortfall, *losses] if shortfall else losses
+
+
+def _count_losses(scan: Scan) -> dict[str, int]:
+    lost: dict[str, int] = {}
+    for stream, count_text in scan.metadata.get(GAPS_METADATA, {}).items():
+        topic = stream.partition("/")[0]
+        lost[topic] = lost.get(topic, 0) + int(count_text)
+    return lost
+
+
+def _list_unfinished(scan: Scan) -> tuple[str, ...]:
+    return tuple(scan.metadata.get(END_METADATA, {}).get("unfinished", "").split())
+
+
+def _describe_losses(path: Path, lost: Mapping[str, int], unfinished: Sequence[str]) -> list[str]:
+    out = []
+    if lost := {topic: count for topic, count in lost.items() if count}:
+        counts = ", ".join(f"{count} {topic}" for topic, count in lost.items())
+        out.append(f"{path}: {sum(lost.values())} messages are missing ({counts})")
+    if unfinished:
+        out.append(f"{path}: the end of the {' and '.join(unfinished)} may be missing")
+    return out
 
 
 def read_recorded_config(path: str | Path) -> tuple[str, tuple[str, ...]]:
@@ -270,32 +303,88 @@ def read_columns(
     scan = Scan(Path(path))
     parts: list[NDArray[np.void]] = []
     size = 0
-    for block in scan.blocks():
-        ids = {n for n, channel in scan.channels.items() if to_topic_name(channel) == topic}
-        pieces = [
-            block.content[start + _TIMES_OFFSET : end]
-            for channel, start, end in block.messages
-            if channel in ids
-        ]
-        if pieces:
-            piece = _parse_rows(pieces, _build_row_dtype(scan, ids, topic), scan.path, topic)
-            parts.append(
-                piece if names is None else _select_columns(piece, names, scan.path, topic)
+    for part in read_row_parts(scan, {topic: names}):
+        parts.append(part[topic].rows)
+        size += parts[-1].nbytes
+        if size > ROWS_MAX:
+            raise RecordingError(
+                f"{path}: has more than {ROWS_MAX >> 30} GB of {topic} messages in "
+                "memory; take a part of the recording by `mcap filter`"
             )
-            size += parts[-1].nbytes
-            if size > ROWS_MAX:
-                raise RecordingError(
-                    f"{path}: has more than {ROWS_MAX >> 30} GB of {topic} messages in "
-                    "memory; take a part of the recording by `mcap filter`"
-                )
     if not parts:
-        present = ", ".join(sorted(map(to_topic_name, scan.channels.values()))) or "none at all"
-        damage = f"; it is damaged {scan.damage}" if scan.damage else ""
-        raise RecordingError(f"{path}: no messages of topic {topic!r}; it has {present}{damage}")
+        raise missing_topic(scan, topic)
     rows = np.concatenate(parts)
     if doubt is not None and (shortfall := scan.shortfall(f"{len(rows)} {topic} messages")):
         doubt(shortfall)
     return rows
+
+
+def missing_topic(scan: Scan, topic: str) -> RecordingError:
+    """Return the error of a recording without messages of a topic, after the whole pass."""
+    present = ", ".join(sorted(map(to_topic_name, scan.channels.values()))) or "none at all"
+    damage = f"; it is damaged {scan.damage}" if scan.damage else ""
+    return RecordingError(f"{scan.path}: no messages of topic {topic!r}; it has {present}{damage}")
+
+
+class TopicRows(NamedTuple):
+    """Messages of one topic in a part of a recording."""
+
+    places: NDArray[np.int64]  # in the order of the file, over all topics; shape (messages,)
+    rows: NDArray[np.void]  # as of `read_columns`
+
+
+def read_row_parts(
+    scan: Scan, topics: Mapping[str, Sequence[str] | None], size: int = 1
+) -> Iterator[dict[str, TopicRows]]:
+    """Yield the messages of some topics in parts of `size` or somewhat more, in bounded memory.
+
+    Parameters
+    ----------
+    scan : Scan
+        The pass; it can be asked what the file lacks when it has ended.
+    topics : mapping
+        Topic -> the fields to read, None = all.
+
+    Yields
+    ------
+    dict
+        Topic -> its messages, of the topics that have some in this part.
+
+    Raises
+    ------
+    RecordingError
+        If the file is not a recording, or a topic lacks a field.
+    """
+    taken: dict[str, tuple[list[int], list[bytes]]] = {}
+    ids: dict[str, set[int]] = {}
+    first = count = 0
+
+    def parse_taken() -> dict[str, TopicRows]:
+        parts = {}
+        for topic, (places, pieces) in taken.items():
+            rows = _parse_rows(pieces, _build_row_dtype(scan, ids[topic], topic), scan.path, topic)
+            names = topics[topic]
+            if names is not None:
+                rows = _select_columns(rows, names, scan.path, topic)
+            parts[topic] = TopicRows(np.array(places, dtype=np.int64), rows)
+        return parts
+
+    for block in scan.blocks():
+        topic_of = {n: to_topic_name(channel) for n, channel in scan.channels.items()}
+        for place, (channel, start, end) in enumerate(block.messages, first):
+            topic = topic_of.get(channel)
+            if topic is not None and topic in topics:
+                places, pieces = taken.setdefault(topic, ([], []))
+                places.append(place)
+                pieces.append(block.content[start + _TIMES_OFFSET : end])
+                ids.setdefault(topic, set()).add(channel)
+                count += 1
+        first += len(block.messages)
+        if count >= size:
+            yield parse_taken()
+            taken, count = {}, 0
+    if taken:
+        yield parse_taken()
 
 
 def _build_row_dtype(scan: Scan, ids: set[int], topic: str) -> np.dtype[np.void]:

@@ -81,6 +81,7 @@ class Scan:
     loose: bool = False  # messages may be outside chunks, as bags may have them
     complete: bool = False  # the end of the file was read; False = truncated or damaged
     damage: str = ""  # where and what; nothing behind it was read
+    share: float = 0.0  # of the file that was read
     schemas: dict[int, records.Schema] = field(default_factory=dict)
     channels: dict[int, records.Channel] = field(default_factory=dict)
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)  # the last of each name
@@ -131,6 +132,7 @@ class Scan:
                 )
                 return
             body = file.read(length)
+            self.share = at / size
             if opcode == Opcode.DATA_END:
                 stated = int.from_bytes(body[:4], "little")
                 if stated not in (0, checksum):
