@@ -38,7 +38,10 @@ COMMANDS = {
     ),
     "router": ("teleop.link.router", "connect the two sides of many sessions at one place"),
     "replay": ("teleop.recording.replay", "play a recording back onto the link"),
-    "recordings": ("teleop.ros.to_bag", "convert a recording to a rosbag2"),
+    "recordings": (
+        "teleop.cli.recordings",
+        "convert recordings to tables, datasets for learning, or bags of ROS 2",
+    ),
     "devices": (
         "master.devices.hid.command",
         "list, probe, dump and test haptic devices; print udev rules",

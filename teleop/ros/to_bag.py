@@ -1,6 +1,5 @@
 """Convert a recording to a rosbag2, under the names that `teleop ros` publishes."""
 
-import argparse
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -26,7 +25,6 @@ from teleop.ros.outputs import (
     build_tendon_names,
     build_topic_name,
 )
-from teleop.runtime.output_file import NewFolder
 
 BENCH = "slave/bench/measured_js"
 _TOPICS = {topic.name: topic for topic in TOPICS}
@@ -122,40 +120,36 @@ def convert_recording(info: RecordingInfo, bag: BagWriter, prefix: str, period_s
         converter(recorded)
 
 
-# --- work with recordings
-#   teleop recordings to-ros2 recordings/demo.mcap --out demo_bag       a rosbag2 for ros2 bag
-#   teleop recordings to-ros2 FILE --out BAG --rate 100 --prefix /lab   less of it, under a prefix
-#
-# The bag has the topics of `teleop ros` (docs/how-to/ros.md), and what a bench measured at the tip
-# as slave/bench/measured_js.
+def write_bag(path: Path, folder: Path, prefix: str, rate_hz: float | None) -> int:
+    """Convert a recording to a bag in a new folder, say what it lacks and what was written.
 
+    Parameters
+    ----------
+    prefix : str
+        Before topics and frames, such as "/lab"; "" = none.
+    rate_hz : float or None
+        [Hz] at most so many messages of a live topic; None = all.
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the sub-commands and their options."""
-    works = parser.add_subparsers(dest="work", metavar="WORK", required=True)
-    to_ros2 = works.add_parser("to-ros2", help="convert a recording to a rosbag2")
-    to_ros2.add_argument("file", type=Path, metavar="FILE", help="the recording (.mcap)")
-    to_ros2.add_argument(
-        "--out", type=NewFolder(), metavar="BAG", required=True, help="folder of the bag, a new one"
-    )
-    to_ros2.add_argument(
-        "--rate", type=float, metavar="HZ", help="at most HZ messages a second of a live topic"
-    )
-    to_ros2.add_argument("--prefix", default="", help="before topics and frames, such as /lab")
+    Returns
+    -------
+    int
+        The exit code.
 
-
-def main(args: argparse.Namespace) -> int:
-    """Convert a recording; returns the exit code."""
-    if args.rate is not None and not 0.01 <= args.rate <= 10_000:
-        raise UsageError(f"--rate {args.rate:g}: allowed are 0.01 to 10000 [Hz]")
-    if args.prefix and not is_name(args.prefix):
-        raise UsageError(f"--prefix {args.prefix}: must be a name such as /lab")
+    Raises
+    ------
+    UsageError
+        An argument is wrong, the recording cannot be read, or the extra `ros` is missing.
+    """
+    if rate_hz is not None and not 0.01 <= rate_hz <= 10_000:
+        raise UsageError(f"--rate {rate_hz:g}: allowed are 0.01 to 10000 [Hz]")
+    if prefix and not is_name(prefix):
+        raise UsageError(f"--prefix {prefix}: must be a name such as /lab")
     require_rosbags()
-    info = open_recording(args.file)
+    info = open_recording(path)
     require_present_layout(info)
     print_doubts(info)
-    with BagWriter(args.out) as bag:
-        convert_recording(info, bag, args.prefix, 0.0 if args.rate is None else 1.0 / args.rate)
+    with BagWriter(folder) as bag:
+        convert_recording(info, bag, prefix, 0.0 if rate_hz is None else 1.0 / rate_hz)
     total = sum(bag.counts.values())
-    print(f"wrote {args.out}: {total} messages on {len(bag.counts)} topics, {info.seconds:.1f} s")
+    print(f"wrote {folder}: {total} messages on {len(bag.counts)} topics, {info.seconds:.1f} s")
     return 0

@@ -11,6 +11,7 @@ are written beside their name and renamed, so that an interrupted command leaves
 import argparse
 import contextlib
 import os
+import shutil
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -223,6 +224,25 @@ def replace_file(path: Path) -> Iterator[Path]:
     finally:
         with contextlib.suppress(OSError):
             partial.unlink(missing_ok=True)
+
+
+@contextlib.contextmanager
+def make_new_folder(path: Path) -> Iterator[Path]:
+    """Yield a folder to write to, which becomes the new folder `path` when all is written.
+
+    After an error, or an interruption, there is none.
+    """
+    partial = _build_partial_path(path.absolute())
+    try:
+        partial.mkdir(parents=True)
+        try:
+            yield partial
+            NewFolder().require(path, False, [])
+            partial.rename(path)
+        finally:
+            shutil.rmtree(partial, ignore_errors=True)
+    except OSError as error:
+        raise UsageError(f"{path}: cannot be written: {error.strerror}") from error
 
 
 def save_figure(figure: Any, path: Path, **options: Any) -> None:
