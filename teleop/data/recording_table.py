@@ -96,8 +96,14 @@ class DataTable(Mapping[str, NDArray[Any]]):
         """Return a column: numbers, or an object array of text, None where there is none."""
         if name not in self.arrow.column_names:
             raise KeyError(name)
-        values: NDArray[Any] = self.arrow[name].to_numpy()
-        return values
+        import pyarrow as pa
+
+        column = self.arrow[name]
+        if not pa.types.is_dictionary(column.type):
+            return np.asarray(column.to_numpy())
+        column = column.combine_chunks()  # Arrow's own conversion takes null for a name
+        texts = np.array([*column.dictionary.to_pylist(), None], dtype=object)
+        return np.asarray(texts[column.indices.fill_null(-1).to_numpy()])
 
     def __iter__(self) -> Iterator[str]:
         return iter(self.arrow.column_names)
