@@ -3,7 +3,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 ARGS ?=
 
-.PHONY: help demo test test-all test-kernel test-ros check docs bench bench-diagnosis bench-scales pictures clean
+.PHONY: help demo test test-all test-kernel test-ros test-lerobot check docs bench bench-diagnosis bench-scales pictures clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-15s %s\n", $$1, $$2}'
@@ -26,6 +26,9 @@ test-kernel: .venv/dev.done  ## HID and CAN drivers on virtual devices, through 
 
 test-ros: .cache/ros/done  ## messages, hashes and graph against rclpy and other implementations of ROS 2
 	@.cache/ros/bin/python -m pytest tests/teleop/ros/test_peers.py $(ARGS)
+
+test-lerobot: .venv/dev.done .cache/lerobot/done  ## datasets for learning, against the reader of LeRobot (installs 8 GB)
+	@$(BIN)/python -m pytest tests/teleop/data/test_lerobot.py $(ARGS)
 
 check: .venv/dev.done  ## format, lint, types, import rules
 	$(BIN)/ruff format --check .
@@ -71,6 +74,12 @@ clean:  ## remove the environment and everything made by running
 	@echo "Setting up .cache/ros with ROS 2 for Python (once) ..."
 	@$(PYTHON) -m venv .cache/ros
 	@.cache/ros/bin/python -m pip install --quiet --disable-pip-version-check --editable '.[dev,ros-peers]'
+	@touch $@
+
+.cache/lerobot/done: .venv/bin/python  # apart: LeRobot needs another version of Rerun
+	@echo "Setting up .cache/lerobot with LeRobot (once) ..."
+	@$(PYTHON) -m venv .cache/lerobot
+	@.cache/lerobot/bin/python -m pip install --quiet --disable-pip-version-check 'lerobot[dataset]>=0.4'
 	@touch $@
 
 .venv/docs.done: .venv/dev.done

@@ -83,7 +83,7 @@ class Episode:
         frame, element = np.unravel_index(np.argmin(np.isfinite(self.values)), self.values.shape)
         if not np.isfinite(self.values[frame, element]):
             name = list_names(self.joints)[element]
-            return f"{place} has no value of {name} in frame {frame}"
+            return f"{place} has no finite value of {name} in frame {frame}"
         return ""
 
 
@@ -173,7 +173,8 @@ def read_episodes(batches: RecordingBatches, fps: int, mark: str = "") -> Iterat
         begins |= np.diff(is_inside, prepend=was_inside)
         last_ns, was_inside = int(stamp_ns[-1]), bool(is_inside[-1])
         columns = [batch[name].to_numpy() for name in list_names(batches.joints)]
-        values = np.stack(columns, axis=1, dtype=np.float32, casting="same_kind")
+        with np.errstate(over="ignore"):  # what becomes infinite leaves its episode out
+            values = np.stack(columns, axis=1, dtype=np.float32, casting="same_kind")
         edges = np.flatnonzero(begins[1:]) + 1
         for first, end in itertools.pairwise([0, *edges.tolist(), len(stamp_ns)]):
             if begins[first]:

@@ -177,11 +177,19 @@ class BadInputs:
             [
                 self.estimate(path),
                 ["diagnose", str(path), "--effects", "slack"],
-                ["recordings", "to-ros2", str(path), "--out", str(self.folder / "bag")],
+                *self._conversions(path),
                 ["view", str(path), "--view", "none", "--duration", "0.1"],
                 ["replay", str(path)],
             ]
         )
+
+    def _conversions(self, path: Path) -> list[list[str]]:
+        out = self.folder / "out"
+        return [
+            ["recordings", "to-ros2", str(path), "--out", str(out)],
+            ["recordings", "to-table", str(path), "--out", f"{out}.csv", "--to", "1"],
+            ["recordings", "to-lerobot", str(path), "--out", str(out), "--task", "x"],
+        ]
 
     def mutated_recording(self) -> BadInput:
         path = self.folder / "run.mcap"
@@ -189,7 +197,7 @@ class BadInputs:
         words = self.random.choice(
             [
                 self.estimate(path),
-                ["recordings", "to-ros2", str(path), "--out", str(self.folder / "bag")],
+                *self._conversions(path),
             ]
         )
         return BadInput("mutated recording", words, refused=False)

@@ -213,6 +213,9 @@ def test_a_pipe_is_written_to(tmp_path):
         ["calibrate", "--figure", "FOLDER/x.foo"],
         ["view", "--out", "FOLDER/x.csv"],
         ["recordings", "to-ros2", "DATA", "--out", "FOLDER"],
+        ["recordings", "to-table", "DATA", "--out", "OTHER"],
+        ["recordings", "to-table", "DATA", "--out", "DATA", "--force"],
+        ["recordings", "to-lerobot", "DATA", "--out", "FOLDER", "--task", "x", "--force"],
     ],
 )
 def test_commands_refuse_in_one_line_and_harm_nothing(tmp_path, capsys, words):

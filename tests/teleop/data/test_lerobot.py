@@ -179,24 +179,25 @@ def test_an_episode_may_begin_at_marks_and_ends_at_a_gap(tmp_path, monkeypatch, 
     assert_dataset(out, [expect_frames(rows, 100) for rows in episodes], 2, 100)
 
 
-def lose_force(messages, first, last):
-    """Messages whose force is not a number in the states `first` to `last`."""
+def lose_force(messages, force, first, last):
+    """Messages with another force in the states `first` to `last`."""
     numbers = iter(range(len(messages)))
     return [
-        (topic, dataclasses.replace(message, force=(np.nan,) * 8), *times)
+        (topic, dataclasses.replace(message, force=(force,) * 8), *times)
         if topic is STATE and first <= next(numbers) < last
         else (topic, message, *times)
         for topic, message, *times in messages
     ]
 
 
-def test_an_episode_without_a_force_is_left_out_and_said(tmp_path, capsys):
-    path = record(tmp_path, lose_force(session_messages(1, STATES), 100, 200))
+@pytest.mark.parametrize("force", [np.nan, 1e300])
+def test_an_episode_without_a_force_is_left_out_and_said(tmp_path, capsys, force):
+    path = record(tmp_path, lose_force(session_messages(1, STATES), force, 100, 200))
     assert convert(tmp_path / "pegs", path, "--task", TASK) == 0
     captured = capsys.readouterr()
     assert "1 episodes" in captured.out
     assert f"left out: {path}: the episode at 0.06" in captured.err
-    assert "no value of force_0_N in frame" in captured.err
+    assert "no finite value of force_0_N in frame" in captured.err
 
 
 def test_frames_without_a_state_of_their_own_repeat_the_one_before_and_are_counted(

@@ -95,6 +95,17 @@ def test_of_a_truncated_recording_the_rows_before_the_end_are_read(recording, tm
     assert_rows(table, expected)
 
 
+@pytest.mark.parametrize(
+    "words", [["to-table", "--out", "{}.csv"], ["to-lerobot", "--task", "x", "--out", "{}.set"]]
+)
+def test_every_conversion_says_what_a_recording_lacks(recording, tmp_path, capsys, words):
+    path = tmp_path / "cut.mcap"
+    path.write_bytes(recording.read_bytes()[:-2000])
+    assert commands.main(["recordings", *[word.format(path) for word in words], str(path)]) == 0
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"WARNING: {path}: is truncated")
+
+
 def test_columns_are_chosen_by_name(recording):
     whole, table = read_table(recording), read_table(recording, ["force_0_N", "time_s"])
     assert list(table) == ["force_0_N", "time_s"]
