@@ -1,4 +1,5 @@
 from slave.rigs.bench import BenchRun, MotionScale, make_spring_bench, simulate
+from teleop.data.recording_table import DataTable, RecordedEvent, read_table
 from teleop.errors import PeerError, TeleopError, UsageError
 from teleop.launch.config import SessionConfig
 from teleop.launch.session import Session, load_config
@@ -6,8 +7,10 @@ from teleop.remote.client import SessionClient, SessionEvent, TipState, join_ses
 
 __all__ = [
     "BenchRun",
+    "DataTable",
     "MotionScale",
     "PeerError",
+    "RecordedEvent",
     "Session",
     "SessionClient",
     "SessionConfig",
@@ -18,5 +21,6 @@ __all__ = [
     "join_session",
     "load_config",
     "make_spring_bench",
+    "read_table",
     "simulate",
 ]

@@ -6,9 +6,9 @@ import sys
 import numpy as np
 import pytest
 
+from teleop import read_table
 from teleop.cli import commands
 from teleop.data import recording_table
-from teleop.data.recording_table import read_table
 from teleop.errors import UsageError
 from teleop.messages.messages import SlaveState
 from teleop.messages.topics import HAND, STATE
