@@ -21,6 +21,8 @@ from matplotlib.patches import Polygon
 from numpy.typing import NDArray
 from PIL import Image
 
+from studies.testbed import browser
+from studies.testbed.processes import free_ports
 from teleop.cli import commands
 from teleop.config import loading
 from teleop.messages.messages import PROFILE_POINTS
@@ -35,8 +37,6 @@ from teleop.view.scene import Scene
 from teleop.view.scene_geometry import RIGHT, UP
 from teleop.view.sheaths import Sheaths, compute_tension_band
 from teleop.view.sinks import Sink
-from tests import browser
-from tests.system.processes import free_ports
 
 ROOT = Path(__file__).parents[1]
 IMAGES = ROOT / "docs" / "images"

@@ -3,7 +3,7 @@
 python studies/calibration.py [sheaths] [seed] [peak] [loops]
 
 Each sheath, uniform or of 2 to 5 bends and straight stretches, K from 0.4 to 1.8, is a chain of
-springs and friction beads that knows no law (tests/brute). Its loop, pull to the peak (20 N),
+springs and friction beads that knows no law (studies/brute). Its loop, pull to the peak (20 N),
 release to 0.2 N and pull again, as often as `loops` says, in 1, 3, 3, ... s with rests of 0.2 s, is
 read with 0.01 to 0.03 N of noise and encoder counts
 and calibrated; the paper's method is given the true EA and L. Then the same chain goes through
@@ -22,7 +22,7 @@ from estimator.array_types import Array
 from estimator.calibration.calibration import Calibration, CalibrationError, calibrate
 from estimator.law.sheath import Section, Sheath
 from estimator.law.transmission import build_slack_profile, build_tables, simulate_tensions
-from tests.brute.chain import Chain, Force, Position
+from studies.brute.chain import Chain, Force, Position
 
 LOW = 0.2  # [N]
 FIRST, OTHERS = 1.0, 3.0  # [s] of the first pull, and of each branch after it

@@ -12,7 +12,7 @@ from collections.abc import Callable
 
 from master.devices.hid.driver import build_unknown_controls
 from master.devices.hid.pid import PidDriver
-from tests.hid.descriptors import arduino, ffbeast_pid, openffboard, rhino
+from studies.hid.descriptors import arduino, ffbeast_pid, openffboard, rhino
 
 TICKS, RUNS = 20_000, 5
 LIMIT_US = 20.0

@@ -19,9 +19,9 @@ from pathlib import Path
 
 import numpy as np
 
+from studies.testbed.processes import Processes
+from studies.testbed.strangers import FAILING_HZ, SILENT, flooded
 from teleop.remote.stop_socket import request_local
-from tests.strangers import FAILING_HZ, SILENT, flooded
-from tests.system.processes import Processes
 
 CONFIG = Path(__file__).parent.parent / "configs" / "demo.yaml"
 

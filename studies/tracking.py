@@ -27,8 +27,8 @@ from slave.gate import GateConfig
 from slave.rigs.simulated import JointConfig
 from slave.sheath_section import SectionConfig
 from slave.tendons import EstimatedTendon, RigLayout, build_rig_layout
+from studies.testbed.control_bench import DT, Command, follow, joint, sine, staircase
 from teleop.messages.messages import MAX_JOINTS, MAX_TENDONS
-from tests.slave.control_bench import DT, Command, follow, joint, sine, staircase
 
 SHEATH = Sheath.uniform(1.0, 1.5, 9000.0)
 STEPS = (0.004, 0.002, 0.006, 0.0, -0.006, 0.0)  # [m]

@@ -30,6 +30,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from studies.testbed import browser
 from teleop.config import loading
 from teleop.link import Link
 from teleop.messages.topics import STATE, TOPICS, Role
@@ -43,7 +44,6 @@ from teleop.view.config import ViewConfig
 from teleop.view.local_server import WEB_VIEW, find_free_port
 from teleop.view.scene import Scene
 from teleop.view.sinks import Sink
-from tests import browser
 
 CONFIG = Path(__file__).parents[1] / "configs" / "demo.yaml"
 ENGAGED_S = 180.0  # [s] in which both sides must have compiled and engaged

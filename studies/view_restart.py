@@ -26,11 +26,11 @@ from pathlib import Path
 
 import numpy as np
 
+from studies.testbed import browser
 from teleop.recording.reader import read_columns
 from teleop.runtime.clock import now_ns
 from teleop.runtime.process import STANDBY_VARIABLE
 from teleop.view.local_server import WEB_VIEW, find_free_port
-from tests import browser
 
 ROOT = Path(__file__).parents[1]
 EVERY_S = 5.0  # [s] between reloads, and kills

@@ -25,9 +25,15 @@ from pathlib import Path
 import numpy as np
 
 from studies.faults.judge import CampaignResult, judge
-from studies.faults.session import PLAN, Fault, FaultSession, inject, may_end_engagement
-from tests.root import ROOT
-from tests.system.processes import pause
+from studies.faults.session import (
+    DEMO_CONFIG,
+    PLAN,
+    Fault,
+    FaultSession,
+    inject,
+    may_end_engagement,
+)
+from studies.testbed.processes import pause
 
 FAULTS = "faults.json"
 SLAVE_S, MASTER_S = 0.030, 0.050  # [s] after the last fresh message
@@ -116,7 +122,7 @@ def run_session(
     """Do the harm of a plan to a session that records into `folder`; return the figures."""
     folder.mkdir(parents=True, exist_ok=True)
     extra = ["view"] * any(target == "view" for _, target in plan)
-    with FaultSession(folder, ROOT / "configs" / "demo.yaml", *overrides, extra=extra) as bench:
+    with FaultSession(folder, DEMO_CONFIG, *overrides, extra=extra) as bench:
         faults = harm(bench, plan, rng, partial(print, f"{folder.name}:"))
         bench.end()
     (folder / FAULTS).write_text(json.dumps(faults))

@@ -12,13 +12,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from studies.testbed.processes import OURS, START_S, Processes, free_ports, pause
 from teleop.errors import TeleopError
 from teleop.launch.supervisor import wait_for_condition
 from teleop.link import Link
 from teleop.link.bridge import send_request
 from teleop.messages.topics import HAND, STATE
 from teleop.runtime.clock import now_ns
-from tests.system.processes import OURS, START_S, Processes, free_ports, pause
 
 HELD = (0.3, 2.6)  # [s] the scripted hand holds the engage switch, of every
 PERIOD = 3.0  # [s]
@@ -28,6 +28,7 @@ MOTION = (
     "master.device.reference={type: sine, amplitude: 0.02, frequency: 0.5, offset: 0.03}",
 )
 NAMES = ("record", "impair", "slave", "master")
+DEMO_CONFIG = Path(__file__).parents[2] / "configs" / "demo.yaml"
 WALL_CLOCK = Path(__file__).with_name("wall_clock.c")
 
 

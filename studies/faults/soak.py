@@ -20,9 +20,8 @@ import numpy as np
 
 from studies.faults.campaign import failures, summarise
 from studies.faults.judge import FRESH_NS, judge
-from studies.faults.session import NAMES, PLAN, Fault, FaultSession, inject
-from tests.root import ROOT
-from tests.system.processes import pause
+from studies.faults.session import DEMO_CONFIG, NAMES, PLAN, Fault, FaultSession, inject
+from studies.testbed.processes import pause
 
 NETWORK = {
     "delay": 0.003, "jitter": 0.002, "loss": 0.02, "burst_loss": 0.005, "burst_length": 3.0,
@@ -120,7 +119,7 @@ def main():
     with tempfile.TemporaryDirectory() as scratch:
         folder = args.out or Path(scratch)
         folder.mkdir(parents=True, exist_ok=True)
-        with FaultSession(folder, ROOT / "configs" / "demo.yaml", *words, *args.overrides) as bench:
+        with FaultSession(folder, DEMO_CONFIG, *words, *args.overrides) as bench:
             faults, sizes = live(bench, args.seconds, np.random.default_rng(args.seed), args.kinds)
             bench.end()
         ends = {name: json.loads((folder / f"{name}-0.json").read_text()) for name in NAMES[1:]}

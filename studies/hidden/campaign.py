@@ -19,8 +19,8 @@ from estimator.diagnosis.api import diagnose_records
 from estimator.diagnosis.measured_data import prepare_record
 from estimator.diagnosis.outcome import Verdict
 from estimator.effects import CATALOGUE
-from tests.studies import hidden
-from tests.studies.hidden.numbers import Checked, checked
+from studies import hidden
+from studies.hidden.numbers import Checked, checked
 
 BENCHES = ("blocked", "spring")
 SIZES = (1.0, 0.5)

@@ -14,8 +14,8 @@ from typing import NamedTuple
 from estimator.diagnosis.api import diagnose_records
 from estimator.diagnosis.measured_data import prepare_record
 from estimator.diagnosis.outcome import Verdict
-from tests.studies import hidden
-from tests.studies.hidden.play_grid import make_grid
+from studies import hidden
+from studies.hidden.play_grid import make_grid
 
 RATES = (50.0, 100.0, 500.0, 1000.0)
 NOISES = (0.0, 1e-7, 5e-7, 1e-6, 5e-6)  # [m]

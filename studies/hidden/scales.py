@@ -16,7 +16,7 @@ from estimator.diagnosis.api import diagnose
 from estimator.effects import CATALOGUE, CHANNELS
 from estimator.measured_data import Samples
 from estimator.units import LINEAR, ROTARY
-from tests.studies import hidden
+from studies import hidden
 
 REFERENCE = "reference"
 SIZES = {

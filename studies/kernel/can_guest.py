@@ -1,6 +1,6 @@
 """The CAN checks, run as the first process of a virtual machine: our driver on SocketCAN.
 
-The driver is the project's own, in its own process; the drives are `tests/drivers/models/drives.py`
+The driver is the project's own, in its own process; the drives are `studies/rigs/models/drives.py`
 in another, on the CANopen stack durand. Between them is the kernel's own CAN, on a virtual
 interface.
 

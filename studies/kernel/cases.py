@@ -4,8 +4,8 @@ from collections.abc import Callable
 from functools import cache
 from typing import NamedTuple
 
-from tests.hid.virtual.catalogue import DEVICES
-from tests.hid.virtual.device import VirtualDevice
+from studies.hid.virtual.catalogue import DEVICES
+from studies.hid.virtual.device import VirtualDevice
 
 Shares = tuple[float, ...]
 

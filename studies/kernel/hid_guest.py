@@ -29,12 +29,12 @@ from master.devices.hid.mapping import AxisConfig, HidConfig
 from master.devices.hid.node import Node
 from master.devices.hid.pid import PidConfig
 from master.devices.hid.search import FoundDevice
+from studies.hid.virtual.device import VirtualDevice
 from studies.kernel.cases import CASES, Case, Shares
 from studies.kernel.init import run, words
 from studies.kernel.judge import Sent, WrongError, echoes, quantiles, reports_lost
 from studies.kernel.plugged import Plugged
 from teleop.runtime.clock import Grid, pause_garbage_collection
-from tests.hid.virtual.device import VirtualDevice
 
 _CONSTANT = 1
 

@@ -4,8 +4,8 @@ import statistics
 from collections.abc import Sequence
 from typing import NamedTuple
 
+from studies.hid.virtual.device import Push
 from studies.kernel.cases import Case, Shares
-from tests.hid.virtual.device import Push
 
 _FORCE_TOLERANCE = 0.015  # of full scale: a direction in a byte turns a force by up to 0.7 degrees
 _AHEAD = 6  # forces that may be overtaken by a newer one, in a row

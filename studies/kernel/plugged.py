@@ -14,7 +14,7 @@ from collections.abc import Callable
 from multiprocessing.connection import Connection
 from typing import Any
 
-from tests.hid.virtual.device import Push, VirtualDevice
+from studies.hid.virtual.device import Push, VirtualDevice
 
 # --- a virtual device in the kernel: what `linux/uhid.h` needs, and no more
 # Events are a number and a packed struct each, host byte order. The kernel always hands out whole

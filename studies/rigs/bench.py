@@ -7,7 +7,7 @@ from pathlib import Path
 
 import yaml
 
-from tests.drivers.models.plant import COUNTS, NEWTONS, RADIUS, ZERO
+from studies.rigs.models.plant import COUNTS, NEWTONS, RADIUS, ZERO
 
 BUS = "TELEOP_CAN_BUS"  # of the environment: interface,channel of python-can in place of slcan
 TIMEOUT_S = 0.09  # of the buses: the model beside the session is held up at times

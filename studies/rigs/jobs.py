@@ -22,8 +22,8 @@ from slave.tendon_config import TendonConfig
 from studies.rigs import session
 from studies.rigs.bench import TRUE_K, Model, write_config
 from studies.rigs.session import Session
+from studies.testbed.processes import START_S
 from teleop.launch.supervisor import wait_for_condition
-from tests.system.processes import START_S
 
 DRIVERS = ("microcontroller", "dynamixel", "cia402")
 RUN_S = 5.0

@@ -22,14 +22,14 @@ import can
 import numpy as np
 
 from studies.rigs.bench import BUS
+from studies.rigs.models import drives
+from studies.rigs.models.board import ENABLED, Board, compile_firmware
+from studies.rigs.models.drives import ENABLED as OPERATION
+from studies.rigs.models.drives import Drives, SlcanAdapter
+from studies.rigs.models.line import PseudoPort
+from studies.rigs.models.plant import Springs, Tendons
+from studies.rigs.models.servos import ERROR, TORQUE, Servos
 from teleop.runtime.realtime import RealtimeConfig, request_realtime
-from tests.drivers.models import drives
-from tests.drivers.models.board import ENABLED, Board, compile_firmware
-from tests.drivers.models.drives import ENABLED as OPERATION
-from tests.drivers.models.drives import Drives, SlcanAdapter
-from tests.drivers.models.line import PseudoPort
-from tests.drivers.models.plant import Springs, Tendons
-from tests.drivers.models.servos import ERROR, TORQUE, Servos
 
 LOOK_S = 0.001  # [s] between two looks at whether motors move
 STEP = 1.0  # [counts] that are a motion

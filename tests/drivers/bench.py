@@ -15,7 +15,7 @@ from slave.rigs.hardware import (
     HardwareTendonConfig,
     MotorConfig,
 )
-from tests.drivers.models.plant import COUNTS, NEWTONS, RADIUS, ZERO
+from studies.rigs.models.plant import COUNTS, NEWTONS, RADIUS, ZERO
 
 LIMIT_S = 10.0  # [s] of any wait
 PATIENT = {"timeout": 0.5}  # a busy machine holds up the models, too

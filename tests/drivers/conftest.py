@@ -1,6 +1,6 @@
 import pytest
 
-from tests.drivers.models.board import COMPILER, compile_firmware
+from studies.rigs.models.board import COMPILER, compile_firmware
 
 
 @pytest.fixture(scope="session")

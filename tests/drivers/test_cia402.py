@@ -44,15 +44,15 @@ from slave.process import SlaveProcess
 from slave.rig import RigFault
 from slave.rigs.hardware import HardwareRig
 from slave.warm_up import compile_session
+from studies.rigs.models.drives import DISABLED, ENABLED, FAULT, QUICK_STOP, Drives, SlcanAdapter
+from studies.rigs.models.line import PseudoPort
+from studies.rigs.models.plant import METRES, ZERO, Springs
 from teleop.messages.messages import MAX_JOINTS, Command, EmergencyStop, pad_values
 from teleop.messages.topics import COMMAND, STOP, Role
 from teleop.remote.requests import CALL, RESET
 from teleop.runtime.clock import EventClock
 from teleop.session.state_machine import Reason, State
 from tests.drivers.bench import engage, follow, opened, read_for, read_some, rig_config, wait_until
-from tests.drivers.models.drives import DISABLED, ENABLED, FAULT, QUICK_STOP, Drives, SlcanAdapter
-from tests.drivers.models.line import PseudoPort
-from tests.drivers.models.plant import METRES, ZERO, Springs
 from tests.tick.memory_link import MemoryLink
 
 SLOW = pytest.mark.slow

@@ -8,6 +8,9 @@ import pytest
 from slave.config import SlaveConfig
 from slave.rig import RigFault
 from slave.rigs.hardware import Transmission
+from studies.rigs.models.board import Board
+from studies.rigs.models.plant import ZERO
+from studies.rigs.models.servos import Servos
 from teleop.config.loading import load
 from teleop.errors import UsageError
 from tests.drivers.bench import (
@@ -21,9 +24,6 @@ from tests.drivers.bench import (
     rig_config,
     tendon,
 )
-from tests.drivers.models.board import Board
-from tests.drivers.models.plant import ZERO
-from tests.drivers.models.servos import Servos
 
 TENDON = "{motor: {id: 1, pulley_radius: 0.01, counts_per_turn: 4096}, cell: {id: 1, scale: 0.001}}"
 RIG = (

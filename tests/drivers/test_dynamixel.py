@@ -16,19 +16,8 @@ from slave.drivers.dynamixel import bus, registers
 from slave.drivers.dynamixel.registers import CURRENT_UNIT
 from slave.rig import RigFault
 from slave.rigs.hardware import HardwareRig
-from tests.drivers.bench import (
-    LIMIT_S,
-    dynamixel,
-    engage,
-    follow,
-    opened,
-    read_for,
-    read_some,
-    rig_config,
-    wait_until,
-)
-from tests.drivers.models.plant import NEWTONS, ZERO
-from tests.drivers.models.servos import (
+from studies.rigs.models.plant import NEWTONS, ZERO
+from studies.rigs.models.servos import (
     ACCELERATION,
     CURRENT_LIMIT,
     DRIVE_MODE,
@@ -49,6 +38,17 @@ from tests.drivers.models.servos import (
     WATCHDOG,
     Servos,
     positions,
+)
+from tests.drivers.bench import (
+    LIMIT_S,
+    dynamixel,
+    engage,
+    follow,
+    opened,
+    read_for,
+    read_some,
+    rig_config,
+    wait_until,
 )
 
 TCGETS2 = 0x802C542A  # of the kernel, for any baud rate

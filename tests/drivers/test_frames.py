@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from slave.drivers.microcontroller import frames
 from slave.drivers.microcontroller.frames import BoardFlags, FrameError, FrameReader, FrameType
-from tests.drivers.models.board import Firmware
+from studies.rigs.models.board import Firmware
 
 STATE = struct.pack("<BHHBB3i2i", 1, 0, 7, 3, 2, 0, -1, 2**31 - 1, 256, frames.MISSING)
 

@@ -3,7 +3,7 @@
 import pytest
 
 from studies.rigs import jobs
-from tests.drivers.models.board import COMPILER
+from studies.rigs.models.board import COMPILER
 
 pytestmark = [
     pytest.mark.slow,

@@ -17,6 +17,14 @@ from slave.drivers.microcontroller import frames
 from slave.drivers.microcontroller.driver import MicrocontrollerDriver
 from slave.rig import RigFault
 from slave.rigs.hardware import HardwareRig
+from studies.rigs.models.board import (
+    ENABLED,
+    STOPPED,
+    WATCHDOG,
+    Board,
+    Firmware,
+)
+from studies.rigs.models.plant import METRES, NEWTONS, ZERO
 from tests.drivers.bench import (
     engage,
     follow,
@@ -27,14 +35,6 @@ from tests.drivers.bench import (
     rig_config,
     wait_until,
 )
-from tests.drivers.models.board import (
-    ENABLED,
-    STOPPED,
-    WATCHDOG,
-    Board,
-    Firmware,
-)
-from tests.drivers.models.plant import METRES, NEWTONS, ZERO
 
 
 @pytest.fixture

@@ -7,8 +7,8 @@ import pytest
 
 from slave.drivers.microcontroller import frames
 from slave.drivers.microcontroller.frames import BoardFlags, FrameReader, FrameType
-from tests.drivers.models.board import COMPILER
-from tests.drivers.models.sketch import Sketch, compile_sketch
+from studies.rigs.models.board import COMPILER
+from studies.rigs.models.sketch import Sketch, compile_sketch
 
 MOTOR = (22, 14, 15)  # pins of motor 1: power, forward, backward
 ENCODER = 2  # its first pin

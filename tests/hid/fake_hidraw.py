@@ -13,7 +13,7 @@ from collections import deque
 from collections.abc import Callable
 from pathlib import Path
 
-from tests.hid.virtual.device import BLUETOOTH, VirtualDevice
+from studies.hid.virtual.device import BLUETOOTH, VirtualDevice
 
 QUEUE = 64
 _HANG_S = 5.0  # what Linux gives a device to take a report

@@ -2,9 +2,9 @@
 
 import pytest
 
+from studies.hid.virtual.device import Push
 from studies.kernel.cases import CASES
 from studies.kernel.judge import Sent, WrongError, echoes, reports_lost
-from tests.hid.virtual.device import Push
 
 BOARD, PAD = CASES[0], next(case for case in CASES if case.name == "dualsense")
 SENT = [Sent(n * 1e-3, BOARD.force(n)) for n in range(400)]

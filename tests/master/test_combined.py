@@ -11,12 +11,12 @@ from master.devices.combined import CombinedConfig, CombinedDevice
 from master.devices.hid.device import HidDevice
 from master.devices.hid.mapping import AxisConfig, HidConfig
 from master.devices.virtual import VirtualConfig
+from studies.hid import descriptors
+from studies.hid.virtual.arduino import Arduino
+from studies.hid.virtual.openffboard import OpenFFBoard
 from teleop.config.loading import load
 from teleop.errors import UsageError
 from teleop.launch.supervisor import wait_for_condition
-from tests.hid import descriptors
-from tests.hid.virtual.arduino import Arduino
-from tests.hid.virtual.openffboard import OpenFFBoard
 from tests.master.reading import comes_back
 
 BUTTONS = ("clutch", "stop", "finer", "coarser", "weaker", "stronger")

@@ -13,6 +13,9 @@ from master.devices.hid.force_signs import ForceSign, ForceSigns
 from master.devices.hid.mapping import AxisConfig, ButtonsConfig, HidConfig
 from master.feedback import FeedbackConfig
 from master.process import MasterProcess
+from studies.hid import descriptors
+from studies.hid.virtual.openffboard import OpenFFBoardWheel
+from studies.testbed.processes import START_S, Processes
 from teleop.config.loading import load
 from teleop.link import Link
 from teleop.link.health import HealthConfig
@@ -20,10 +23,7 @@ from teleop.messages.topics import STATE, Role
 from teleop.runtime.clock import Grid
 from teleop.session.config import RunConfig
 from teleop.session.state_machine import Reason, State
-from tests.hid import descriptors
-from tests.hid.virtual.openffboard import OpenFFBoardWheel
 from tests.root import ROOT
-from tests.system.processes import START_S, Processes
 
 FULL = 2.5  # [N]
 RUN = load(ROOT / "configs" / "demo.yaml", RunConfig, None)

@@ -17,10 +17,10 @@ from slave.rigs.simulated import SimulatedRig, SimulatedRigConfig
 from slave.simulation.effects.friction import FrictionStep
 from slave.simulation.effects.sensors import StuckCell
 from slave.simulation.environment import FreeConfig, TissueConfig, WallConfig
+from studies.testbed.control_bench import joint
 from teleop.config.loading import load
 from teleop.messages.messages import MAX_JOINTS, Command
 from teleop.session.state_machine import Reason, State
-from tests.slave.control_bench import joint
 from tests.slave.slave_bench import DT, SlaveBench
 
 GATE = GateConfig(displacement_min=-0.05, displacement_max=0.05)

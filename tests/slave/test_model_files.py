@@ -14,11 +14,11 @@ from slave import model_files
 from slave.config import SlaveConfig, find_not_ready_reason, load_tendon_configs
 from slave.process import describe_models
 from slave.tendon_config import TendonConfig
+from studies import hidden
 from teleop.cli import commands
 from teleop.config.loading import load
 from teleop.data.table import read_table, write_table
 from teleop.errors import UsageError
-from tests.studies import hidden
 
 JOINTS = ((0, 1), (2, 3))
 PAGE = Path(__file__).parents[2] / "docs" / "how-to" / "diagnose.md"

@@ -7,7 +7,7 @@ import pytest
 
 from slave.control import ControlConfig
 from slave.simulation.environment import WallConfig
-from tests.slave.control_bench import CONFIG, follow, hold, joint, sine, staircase
+from studies.testbed.control_bench import CONFIG, follow, hold, joint, sine, staircase
 
 OFF = ControlConfig(compensation=0.0)
 TOO_MUCH, TOO_LITTLE = (1.02, 1.03), (0.98, 0.97)  # of K and EA in the model, over the truth

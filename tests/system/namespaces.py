@@ -9,8 +9,8 @@ from typing import BinaryIO
 
 import pytest
 
+from studies.testbed.processes import OURS
 from tests.root import ROOT
-from tests.system.processes import OURS
 
 PREFIX = "10.71"  # of all addresses here; cable N is PREFIX.N.0/24, its ends .1 and .2
 

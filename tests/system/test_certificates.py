@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 
+from studies.testbed.processes import OURS, START_S, Processes, ended_well, free_ports
 from teleop.cli import commands
 from teleop.launch.supervisor import wait_for_condition
 from teleop.link import Link, Listener
@@ -20,7 +21,6 @@ from teleop.messages.topics import EVENT, STATE, Role
 from teleop.security.authority import REVOKED
 from teleop.session.state_machine import State
 from tests.system.namespaces import Network, require_namespaces
-from tests.system.processes import OURS, START_S, Processes, ended_well, free_ports
 
 pytestmark = pytest.mark.slow
 

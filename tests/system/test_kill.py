@@ -4,11 +4,11 @@ import os
 
 import numpy as np
 
+from studies.testbed.processes import START_S, Processes, pause
 from teleop.launch.supervisor import wait_for_condition
 from teleop.messages.topics import COMMAND, HAND, STATE, TENDONS
 from teleop.recording.reader import read_columns
 from teleop.session.state_machine import State
-from tests.system.processes import START_S, Processes, pause
 
 LIMIT_NS = 50_000_000  # what the other side has to be safe, counted from the last message sent
 RATE = "rate_hz=250"

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from studies.testbed.processes import START_S, pause
 from teleop.cli import commands
 from teleop.launch.supervisor import wait_for_condition
 from teleop.messages.topics import COMMAND, HAND, STATE, TENDONS
@@ -16,7 +17,6 @@ from teleop.recording.reader import open_recording, read_columns
 from teleop.runtime.clock import now_ns
 from teleop.session.state_machine import State
 from tests.system.namespaces import Network, require_namespaces
-from tests.system.processes import START_S, pause
 
 pytestmark = pytest.mark.slow
 

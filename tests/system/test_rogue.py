@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from studies.testbed.processes import OURS, START_S, Processes
 from teleop.launch.supervisor import wait_for_condition
 from teleop.link import Link
 from teleop.messages.messages import LAYOUT, Event, SlaveState, decode_text
@@ -16,7 +17,6 @@ from teleop.security import CertificateRole
 from teleop.security.credentials import create_local_credentials
 from teleop.session.state_machine import State
 from tests.rogue import ENGAGED, POSITION_AT, RESET, STATE_AT, Rogue, forged, head
-from tests.system.processes import OURS, START_S, Processes
 
 STILL = 1e-4  # [m] a tip at rest stays within
 STANDING = 8000  # tokens that a rogue declares and keeps

@@ -6,9 +6,9 @@ import sys
 
 import pytest
 
+from studies.testbed.processes import OURS, START_S, free_ports
 from teleop.cli import commands
 from tests.root import ROOT
-from tests.system.processes import OURS, START_S, free_ports
 from tests.teleop.ros.peers import Heard, peer, router
 
 

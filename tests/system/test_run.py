@@ -14,13 +14,13 @@ import pytest
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
+from studies.testbed.processes import OURS, START_S, Processes, ended_well, free_ports, pause
 from teleop.launch.supervisor import wait_for_condition
 from teleop.messages.topics import HAND, TENDONS
 from teleop.recording.reader import read_columns
 from teleop.recording.scan import to_channel_name
 from teleop.session.state_machine import Reason, State
 from tests.root import ROOT
-from tests.system.processes import OURS, START_S, Processes, ended_well, free_ports, pause
 
 _started: list[subprocess.Popen[str]] = []
 

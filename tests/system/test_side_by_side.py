@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from tests.system.processes import OURS, START_S, ended_well
+from studies.testbed.processes import OURS, START_S, ended_well
 
 
 @pytest.mark.slow

@@ -17,12 +17,12 @@ from http.server import BaseHTTPRequestHandler, HTTPServer
 
 import pytest
 
+from studies.testbed import browser
 from teleop.launch.supervisor import wait_for_condition
 from teleop.view.columns import decode
 from teleop.view.foxglove_server import FoxgloveServer
 from teleop.view.scene import Scene
 from teleop.view.sinks import Sink
-from tests import browser
 from tests.teleop.view_session import CONFIG, Session
 
 NOBODY = 65534

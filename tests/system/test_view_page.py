@@ -10,13 +10,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from studies.testbed import browser
+from studies.testbed.processes import free_ports
 from teleop.launch.supervisor import wait_for_condition
 from teleop.view.colours import to_rgba
 from teleop.view.columns import decode
 from teleop.view.scene import Scene
 from teleop.view.sinks import Sink
-from tests import browser
-from tests.system.processes import free_ports
 from tests.system.view_pictures import (
     APPEARS_S,
     EACH_VIEW,

@@ -16,6 +16,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from studies.testbed.processes import free_ports
 from teleop.config.loading import load
 from teleop.errors import TeleopError, UsageError
 from teleop.impair import model
@@ -30,7 +31,6 @@ from teleop.messages.messages import Command, Event, MessageError, SlaveState, e
 from teleop.messages.topics import COMMAND, EVENT, STATE, Role
 from teleop.runtime.clock import now_ns
 from teleop.runtime.process import SUPERVISED_VARIABLE
-from tests.system.processes import free_ports
 
 KEY = model.compute_key(1, "to_slave", "command")
 PERIOD_S = 1e-3

@@ -14,6 +14,7 @@ import zenoh
 
 from master.config import MasterConfig
 from slave.config import SlaveConfig
+from studies.testbed.processes import OURS, free_ports
 from teleop.cli import commands
 from teleop.config.loading import load
 from teleop.errors import UsageError
@@ -27,7 +28,6 @@ from teleop.link.router import (
 from teleop.messages.topics import COMMAND, Role
 from teleop.session.config import RunConfig
 from tests.root import ROOT
-from tests.system.processes import OURS, free_ports
 from tests.teleop.link.bench import wait_until
 
 TOPOLOGIES = sorted((ROOT / "configs" / "topologies").glob("*.yaml"))

@@ -11,7 +11,7 @@ from estimator.diagnosis.validation import transfer_to_validation
 from estimator.effects import CATALOGUE
 from estimator.effects.effect import CHANNELS
 from estimator.measured_data import Samples
-from tests.studies import hidden
+from studies import hidden
 
 
 @pytest.fixture(scope="module")

@@ -1,6 +1,6 @@
 """Benches of any size: forces and travels multiplied, the answer is the same.
 
-Records are those of the hidden benches (tests.studies.hidden), which know nothing of a scale.
+Records are those of the hidden benches (studies.hidden), which know nothing of a scale.
 """
 
 import numpy as np
@@ -19,7 +19,7 @@ from estimator.effects.effect import CHANNELS
 from estimator.effects.sensors import PULLEY_ECCENTRICITY
 from estimator.measured_data import Samples
 from estimator.units import LINEAR, ROTARY
-from tests.studies import hidden
+from studies import hidden
 
 
 def multiplied(made, force, travel, units=LINEAR):

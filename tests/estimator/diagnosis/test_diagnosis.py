@@ -9,7 +9,7 @@ from estimator.diagnosis.measured_data import RecordError, prepare_record
 from estimator.diagnosis.outcome import Verdict
 from estimator.diagnosis.settings import SETTINGS
 from estimator.effects import CATALOGUE, NAMES
-from tests.studies import hidden
+from studies import hidden
 
 TWO = ("proximal_tension", "distal_tension")
 

@@ -13,9 +13,9 @@ from estimator.diagnosis.api import diagnose_records
 from estimator.diagnosis.measured_data import prepare_record
 from estimator.diagnosis.outcome import Verdict
 from estimator.effects import CATALOGUE, NAMES
+from studies import hidden
 from studies.hidden.campaign import Case, judge
-from tests.studies import hidden
-from tests.studies.hidden.play_grid import make_grid
+from studies.hidden.play_grid import make_grid
 
 pytestmark = pytest.mark.slow
 

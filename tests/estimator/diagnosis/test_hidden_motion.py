@@ -10,8 +10,8 @@ from estimator.diagnosis.fit import refit_baseline
 from estimator.diagnosis.hidden_motion import propagate_driver_noise, recover_hidden_motion
 from estimator.diagnosis.measured_data import prepare_record
 from estimator.diagnosis.scoring import compute_errors
-from tests.studies import hidden
-from tests.studies.hidden.play_grid import make_grid
+from studies import hidden
+from studies.hidden.play_grid import make_grid
 
 TENSION, TRAVEL = "proximal_tension", "proximal_displacement"
 

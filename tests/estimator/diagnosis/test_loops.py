@@ -1,7 +1,7 @@
 """Transmissions besides a tendon whose motor travel is known: loops, torque and angle.
 
 Data of loops are made by masses, springs and bristles in time
-(`tests.studies.hidden.loop`), which share nothing with the estimator.
+(`studies.hidden.loop`), which share nothing with the estimator.
 """
 
 import numpy as np
@@ -14,8 +14,8 @@ from estimator.diagnosis.measured_data import RecordError
 from estimator.diagnosis.outcome import Verdict
 from estimator.measured_data import Samples
 from estimator.units import ROTARY
-from tests.studies import hidden
-from tests.studies.hidden.loop import Loop, motion, run
+from studies import hidden
+from studies.hidden.loop import Loop, motion, run
 
 ANGLE_NOISE = 5e-5  # [rad]
 TORQUE_NOISE = 0.002  # of the range

@@ -6,7 +6,7 @@ import pytest
 import estimator as est
 from estimator.diagnosis.measured_data import RecordError, prepare_record
 from estimator.measured_data import Samples
-from tests.studies import hidden
+from studies import hidden
 
 LOST = slice(600, 650)  # 1 s
 Q, T_IN, T_OUT = "proximal_displacement", "proximal_tension", "distal_tension"

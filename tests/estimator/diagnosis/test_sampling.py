@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from estimator.diagnosis.measured_data import prepare_record
-from tests.studies import hidden
+from studies import hidden
 
 EVERY = 10  # samples of the simulation from one of the record to the next
 PERIOD = 0.02  # [s]

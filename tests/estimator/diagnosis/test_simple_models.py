@@ -8,7 +8,7 @@ from estimator.diagnosis.api import diagnose_records
 from estimator.diagnosis.baseline import fit_simple_models
 from estimator.diagnosis.dataset import build_dataset
 from estimator.diagnosis.measured_data import prepare_record
-from tests.studies import hidden
+from studies import hidden
 
 NOISE = 0.01  # [N]
 

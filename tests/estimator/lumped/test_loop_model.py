@@ -6,7 +6,7 @@ import pytest
 from estimator.lumped.loop_model import simulate_loop
 from estimator.lumped.lumped_model import Physics
 from estimator.lumped.nodes import build_even_weights
-from tests.studies.hidden.loop import Loop, motion, run
+from studies.hidden.loop import Loop, motion, run
 
 TIME = np.arange(800) / 50.0
 TRAVEL = 3e-3 * np.sin(TIME) * np.cos(0.23 * TIME)

@@ -24,7 +24,7 @@ from estimator.online.reading_correction import (
     build_corrections,
     correct_reading,
 )
-from tests.studies import hidden
+from studies import hidden
 
 NOISE, STEP = 0.02, 1.2e-7  # [N], [m] of the hidden sensors
 SEED, SECONDS = 1, 20.0

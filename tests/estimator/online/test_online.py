@@ -10,7 +10,7 @@ from estimator.law.transmission import Phase, build_slack_profile, build_tables,
 from estimator.online import online
 from estimator.online.online import ModelError, Status, TendonEstimate, TendonModel
 from estimator.records import view_struct
-from tests.brute.chain import Chain, Force, Position
+from studies.brute.chain import Chain, Force, Position
 from tests.estimator.law.bounds import envelope
 from tests.estimator.scenarios import HIDDEN, RATE, SCENARIOS, held, play, random_legs, spring
 

@@ -9,7 +9,7 @@ import math
 import numpy as np
 
 from estimator.pair.pair import PairRecord
-from tests.brute.chain import Chain, Force, Position
+from studies.brute.chain import Chain, Force, Position
 
 PULLEY = 0.008  # [m], not the one that the estimator takes
 LENGTH = 1.0  # [m]

@@ -10,10 +10,10 @@ from master.devices.hid.device import HidDevice
 from master.devices.hid.driver import ActuatorReports, ActuatorState
 from master.devices.hid.mapping import AxisConfig, HidConfig
 from master.devices.hid.pid import PidDriver
+from studies.hid import descriptors
+from studies.hid.virtual.catalogue import DEVICES
+from studies.hid.virtual.sidewinder import SideWinder
 from teleop.launch.supervisor import wait_for_condition
-from tests.hid import descriptors
-from tests.hid.virtual.catalogue import DEVICES
-from tests.hid.virtual.sidewinder import SideWinder
 from tests.master.hid.test_pid import Cable
 from tests.master.reading import comes_back, reads, said
 

@@ -5,11 +5,11 @@ import yaml
 
 from master.devices.hid import command, force_signs, search
 from master.devices.hid.command import OperatorDialogue
+from studies.hid import descriptors
+from studies.hid.virtual.dualsense import DualSense
+from studies.hid.virtual.openffboard import OpenFFBoard
+from studies.hid.virtual.spacemouse import SpaceMouse
 from teleop.cli import commands
-from tests.hid import descriptors
-from tests.hid.virtual.dualsense import DualSense
-from tests.hid.virtual.openffboard import OpenFFBoard
-from tests.hid.virtual.spacemouse import SpaceMouse
 
 
 @pytest.fixture(autouse=True)

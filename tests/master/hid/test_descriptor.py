@@ -1,6 +1,6 @@
 """The parser against the published layouts, and against descriptors written byte by byte.
 
-The tables are written by hand from the sources that tests/hid/descriptors.py names.
+The tables are written by hand from the sources that studies/hid/descriptors.py names.
 """
 
 import math
@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from master.devices.hid import descriptor
 from master.devices.hid.descriptor import DescriptorError, ReportType, parse_descriptor
 from master.devices.hid.usages import describe_descriptor
-from tests.hid.descriptors import LAYOUTS
+from studies.hid.descriptors import LAYOUTS
 
 IN, OUT, FEATURE = ReportType.INPUT, ReportType.OUTPUT, ReportType.FEATURE
 

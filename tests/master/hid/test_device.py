@@ -14,13 +14,13 @@ from master.devices.hid.device import HidDevice
 from master.devices.hid.force_signs import ForceSign, ForceSigns
 from master.devices.hid.mapping import AxisConfig, ButtonsConfig, HidConfig
 from master.devices.hid.pid import PidConfig
+from studies.hid import descriptors
+from studies.hid.virtual.catalogue import DEVICES
+from studies.hid.virtual.dualsense import DualSense
+from studies.hid.virtual.openffboard import OpenFFBoard
+from studies.hid.virtual.spacemouse import SpaceMouse
 from teleop.errors import UsageError
 from teleop.launch.supervisor import wait_for_condition
-from tests.hid import descriptors
-from tests.hid.virtual.catalogue import DEVICES
-from tests.hid.virtual.dualsense import DualSense
-from tests.hid.virtual.openffboard import OpenFFBoard
-from tests.hid.virtual.spacemouse import SpaceMouse
 
 CONFIG = HidConfig(
     axes=(AxisConfig("x", travel=0.1, force=2.0), AxisConfig("y", travel=0.1, force=4.0)),

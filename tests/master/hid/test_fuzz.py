@@ -23,7 +23,7 @@ from master.devices.hid.pid import PidConfig, PidDriver
 from master.devices.hid.pid_reports import build_layout
 from master.devices.hid.usages import MAGNITUDE, describe_descriptor
 from master.devices.hid.wheels import FFBeastDriver, LogitechDriver
-from tests.hid.descriptors import LAYOUTS
+from studies.hid.descriptors import LAYOUTS
 
 fuzz = settings(
     max_examples=int(os.environ.get("HID_FUZZ", "60")),

@@ -7,8 +7,8 @@ import pytest
 from master.devices.hid.descriptor import DescriptorError, parse_descriptor
 from master.devices.hid.driver import Controls, DriverError, build_unknown_controls
 from master.devices.hid.joystick import Inputs, JoystickDriver, SpaceMouseDriver
-from tests.hid import descriptors as d
-from tests.hid.descriptors import LAYOUTS, arduino, ffbeast_pid, logitech_g29, openffboard, rhino
+from studies.hid import descriptors as d
+from studies.hid.descriptors import LAYOUTS, arduino, ffbeast_pid, logitech_g29, openffboard, rhino
 
 
 def inputs(data):

@@ -6,8 +6,8 @@ import pytest
 
 from master.device import DeviceFault
 from master.devices.hid.node import QUEUE_LENGTH, Node, load_hidapi
-from tests.hid.descriptors import openffboard
-from tests.hid.virtual.openffboard import OpenFFBoard
+from studies.hid.descriptors import openffboard
+from studies.hid.virtual.openffboard import OpenFFBoard
 
 
 @pytest.fixture

@@ -10,9 +10,9 @@ from master.devices.hid.driver import DriverError
 from master.devices.hid.joystick import Inputs
 from master.devices.hid.pid import PidConfig, PidDriver
 from master.devices.hid.pid_reports import build_layout, has_pid_collection
-from tests.hid import descriptors as d
-from tests.hid.descriptors import LAYOUTS, arduino, openffboard
-from tests.hid.virtual.catalogue import DEVICES
+from studies.hid import descriptors as d
+from studies.hid.descriptors import LAYOUTS, arduino, openffboard
+from studies.hid.virtual.catalogue import DEVICES
 
 
 class Memory:

@@ -10,15 +10,15 @@ from master.devices.hid import drivers, dualsense, joystick, search, wheels
 from master.devices.hid.device import HidDevice
 from master.devices.hid.drivers import DRIVERS
 from master.devices.hid.mapping import AxisConfig, HidConfig
+from studies.hid import descriptors
+from studies.hid.virtual.arduino import Arduino
+from studies.hid.virtual.device import BLUETOOTH
+from studies.hid.virtual.dualsense import DualSense
+from studies.hid.virtual.logitech import Logitech
+from studies.hid.virtual.openffboard import OpenFFBoard, OpenFFBoardWheel
+from studies.hid.virtual.rhino import Rhino
+from studies.hid.virtual.spacemouse import SpaceMouse
 from teleop.launch.supervisor import wait_for_condition
-from tests.hid import descriptors
-from tests.hid.virtual.arduino import Arduino
-from tests.hid.virtual.device import BLUETOOTH
-from tests.hid.virtual.dualsense import DualSense
-from tests.hid.virtual.logitech import Logitech
-from tests.hid.virtual.openffboard import OpenFFBoard, OpenFFBoardWheel
-from tests.hid.virtual.rhino import Rhino
-from tests.hid.virtual.spacemouse import SpaceMouse
 from tests.master.reading import comes_back, reads
 
 

@@ -10,7 +10,7 @@ from master.devices.hid.driver import DriverError, build_unknown_controls
 from master.devices.hid.drivers import DRIVERS, AttachedNode
 from master.devices.hid.pid import PidConfig
 from master.devices.hid.wheels import LOGITECH_PRODUCTS, FFBeastDriver, LogitechDriver
-from tests.hid.descriptors import logitech_g29
+from studies.hid.descriptors import logitech_g29
 
 DRIVER = LogitechDriver(parse_descriptor(logitech_g29()))
 UNKNOWN = build_unknown_controls(len(DRIVER.axes))

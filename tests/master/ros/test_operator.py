@@ -12,6 +12,7 @@ import pytest
 
 from master.device import DeviceFault, DeviceLost
 from master.devices.ros_device import RosDevice, RosDeviceConfig
+from studies.testbed.processes import START_S, Processes
 from teleop.launch.supervisor import wait_for_condition
 from teleop.messages.messages import Event, decode_text
 from teleop.messages.topics import COMMAND, EVENT, STATE
@@ -27,7 +28,6 @@ from teleop.ros.message_types import (
 from teleop.ros.node import RosNode
 from teleop.session.state_machine import State
 from tests.root import ROOT
-from tests.system.processes import START_S, Processes
 from tests.teleop.ros.peers import free_port, router
 
 PATIENCE_S = 20.0

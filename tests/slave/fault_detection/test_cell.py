@@ -8,8 +8,8 @@ import pytest
 from estimator.records import to_struct
 from slave.fault_detection import FaultDetectionConfig
 from slave.fault_detection.cell import LoadCell, check_cell
+from studies.testbed.control_bench import DT
 from teleop.session.state_machine import Reason
-from tests.slave.control_bench import DT
 from tests.slave.fault_detection.readings import readings
 
 CONFIG = FaultDetectionConfig()

@@ -14,8 +14,8 @@ from slave.fault_detection import FaultDetectionConfig
 from slave.fault_detection.wound_length import compute_compliance, compute_elongation_min
 from slave.rig import RigSample
 from slave.tendons import EstimatedTendon, build_rig_layout
+from studies.testbed.control_bench import DT, estimated
 from teleop.session.state_machine import Reason
-from tests.slave.control_bench import DT, estimated
 from tests.slave.fault_detection.readings import readings
 
 CONFIG = FaultDetectionConfig()

@@ -13,8 +13,8 @@ from slave.fault_detection import (
     record_motor_readings,
 )
 from slave.tendons import EstimatedTendon, build_rig_layout
+from studies.testbed.control_bench import DT
 from teleop.session.state_machine import Reason
-from tests.slave.control_bench import DT
 
 SETTINGS = FaultDetectionConfig()
 CONFIG = to_struct(SETTINGS)

@@ -8,8 +8,8 @@ import pytest
 from slave.simulation.effects.elasticity import BrokenTendon, JammedTendon
 from slave.simulation.effects.sensors import RepeatedSamples, Saturation, StuckCell
 from slave.simulation.environment import LoadMotorConfig, TissueConfig, WallConfig
+from studies.testbed.control_bench import follow, joint, sine
 from teleop.session.state_machine import Reason
-from tests.slave.control_bench import follow, joint, sine
 
 BROKEN, JAMMED = Reason.TENDON_BROKEN, Reason.TENDON_JAMMED
 SATURATED, STUCK = Reason.CELL_SATURATED, Reason.CELL_STUCK

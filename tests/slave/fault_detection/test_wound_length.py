@@ -20,8 +20,8 @@ from slave.fault_detection.wound_length import (
     compute_elongation_max,
     compute_elongation_min,
 )
+from studies.testbed.control_bench import DT
 from teleop.session.state_machine import Reason
-from tests.slave.control_bench import DT
 
 CONFIG = to_struct(FaultDetectionConfig())
 BROKEN, JAMMED = Reason.TENDON_BROKEN, Reason.TENDON_JAMMED

@@ -7,8 +7,8 @@ import pytest
 from scipy.integrate import quad
 from scipy.optimize import brentq
 
+from studies.brute.chain import Chain, Force, Position
 from studies.paper import equations as cf
-from tests.brute.chain import Chain, Force, Position
 from tests.studies.paper import other_equations as eq
 
 MU, R, L, EA = 0.1, 0.15, 1.5, 9000.0

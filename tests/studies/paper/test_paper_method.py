@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 
+from studies.brute.chain import Chain, Force, Position
 from studies.paper import paper_method
 from studies.paper.paper_method import Phase
-from tests.brute.chain import Chain, Force, Position
 
 K, L, EA, MU = 0.6, 1.5, 9000.0, 0.15
 UNEVEN = ((0.2, 0.05), (1.3, 0.5))  # (length, radius) [m]: a tight bend at the motor

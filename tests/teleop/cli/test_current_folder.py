@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from studies.testbed.processes import OURS, free_ports
 from tests.root import ROOT
-from tests.system.processes import OURS, free_ports
 
 TELEOP = Path(sys.executable).with_name("teleop")
 PACKAGES = ("estimator", "teleop", "master", "slave")

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
+from studies.hid.descriptors import LAYOUTS
 from teleop.cli import doctor
 from teleop.cli.doctor import Finding
-from tests.hid.descriptors import LAYOUTS
 
 ROOT = Path(__file__).parents[3]
 

@@ -5,8 +5,8 @@ import json
 import pytest
 
 from estimator.text_table import Table
+from studies.testbed import browser
 from teleop.cli.html_page import Page
-from tests import browser
 
 pytestmark = pytest.mark.skipif(browser.program() is None, reason="no Chromium on this machine")
 

@@ -8,10 +8,10 @@ from slave.config import SlaveConfig, load_tendon_configs
 from slave.gate import GateConfig
 from slave.rigs.simulated import SimulatedRig, SimulatedRigConfig
 from slave.simulation.environment import WallConfig
+from studies.testbed.control_bench import joint
 from studies.transparency.hand import DT, Arm, reach
 from studies.transparency.system import SETTLED, Network, Settings, Teleoperator, run, settings
 from teleop.coupling import Bilateral, DirectConfig, PassivityConfig
-from tests.slave.control_bench import joint
 
 
 class OnRig:

@@ -7,6 +7,7 @@ from contextlib import ExitStack, contextmanager
 
 import pytest
 
+from studies.testbed.processes import free_ports
 from teleop.errors import PeerError, TeleopError
 from teleop.link import Link, LinkConfig, Listener
 from teleop.link.network import open_session
@@ -17,7 +18,6 @@ from teleop.security import CertificateRole
 from teleop.security.access import build_access_control
 from teleop.security.credentials import create_local_credentials
 from teleop.security.identity import ALL_SESSIONS
-from tests.system.processes import free_ports
 from tests.teleop.link.bench import oldest, pump, wait_until
 
 SERVED = ("a", "b", "room-1", "room-1-left", "room-2")  # one is the beginning of another

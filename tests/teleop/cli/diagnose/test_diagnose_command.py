@@ -7,11 +7,11 @@ import re
 import numpy as np
 import pytest
 
+from studies import hidden
 from teleop.cli import commands
 from teleop.data import model_file
 from teleop.data.table import write_table
 from teleop.data.table_files import read_columns
-from tests.studies import hidden
 
 FAULT = "distal_tension_gain"
 KEYS = {

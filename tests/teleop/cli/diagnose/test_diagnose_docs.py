@@ -9,8 +9,8 @@ from estimator.diagnosis.api import diagnose_records
 from estimator.diagnosis.measured_data import prepare_record
 from estimator.diagnosis.outcome import Verdict
 from estimator.effects import Effect
+from studies import hidden
 from teleop.cli.diagnose.command import parse_effects
-from tests.studies import hidden
 
 DOCS = Path(__file__).parents[4] / "docs"
 PAGE = DOCS / "how-to" / "diagnose.md"

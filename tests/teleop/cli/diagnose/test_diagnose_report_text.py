@@ -12,9 +12,9 @@ from estimator.diagnosis.outcome import DetectionLimit, FittedValue, Verdict
 from estimator.diagnosis.sampling import DataIssue
 from estimator.diagnosis.scoring import ResidualDependence
 from estimator.units import format_quantity
+from studies import hidden
 from teleop.cli.diagnose import html_report, json_report
 from teleop.cli.diagnose.command import parse_effects
-from tests.studies import hidden
 
 FAULT, RIVAL = "distal_tension_gain", "constant_drag"
 

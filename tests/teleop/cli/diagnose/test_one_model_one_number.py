@@ -15,9 +15,9 @@ from slave.force_error import Score
 from slave.rigs import open_rig
 from slave.rigs.replayed import ReplayedRigConfig
 from slave.samples import estimate, to_sample_rows
+from studies import hidden
 from teleop.cli import commands
 from teleop.data import model_file, read_table, write_table
-from tests.studies import hidden
 
 GAIN, RIVAL = "distal_tension_gain", "proximal_tension_gain"
 SPIKE = 4.0  # [N]

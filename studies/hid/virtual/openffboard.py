@@ -10,7 +10,7 @@ import math
 import struct
 from typing import ClassVar
 
-from tests.hid.virtual.pid import INFINITE_MS, OUTPUTS, PidFirmware, seconds
+from studies.hid.virtual.pid import INFINITE_MS, OUTPUTS, PidFirmware, seconds
 
 _ENABLE, _DISABLE, _STOP, _RESET, _PAUSE, _CONTINUE = (1 << bit for bit in range(6))
 _PAUSED, _ON, _POWER = 0x01, 0x02, 0x08

@@ -17,7 +17,7 @@ from durand.node import NodeCapabilities
 from durand.object_dictionary import Array
 from durand.scheduler import VirtualScheduler, set_scheduler
 
-from tests.drivers.models.plant import ZERO, Springs
+from studies.rigs.models.plant import ZERO, Springs
 
 NOT_READY, DISABLED, READY, ON, ENABLED, QUICK_STOP, REACTION, FAULT = (
     0x00, 0x40, 0x21, 0x23, 0x27, 0x07, 0x0F, 0x08,

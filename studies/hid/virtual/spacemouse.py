@@ -2,7 +2,7 @@
 
 import struct
 
-from tests.hid.virtual.device import VirtualDevice
+from studies.hid.virtual.device import VirtualDevice
 
 _AXES = 6
 

@@ -4,7 +4,7 @@ import ctypes
 import subprocess
 from pathlib import Path
 
-from tests.drivers.models.board import COMPILER, FIRMWARE, FLAGS
+from studies.rigs.models.board import COMPILER, FIRMWARE, FLAGS
 
 
 def compile_sketch(folder: Path) -> Path:

@@ -8,7 +8,7 @@ ends in a CRC-32 that begins with 0xA1 (input), 0xA2 (output) or 0xA3 (feature).
 import struct
 import zlib
 
-from tests.hid.virtual.device import USB, Push, VirtualDevice
+from studies.hid.virtual.device import USB, Push, VirtualDevice
 
 LEFT, RIGHT = 0, 1
 _FEEDBACK = 0x21

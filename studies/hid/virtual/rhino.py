@@ -10,7 +10,7 @@ import math
 import struct
 from typing import ClassVar
 
-from tests.hid.virtual.pid import PidFirmware, seconds
+from studies.hid.virtual.pid import PidFirmware, seconds
 
 _DISABLE, _ENABLE, _STOP_ALL, _RESET, _PAUSE, _CONTINUE = 1, 2, 3, 4, 5, 6
 _ENABLED, _SAFETY, _POWER = 0x04, 0x08, 0x10

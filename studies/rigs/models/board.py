@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from tests.drivers.models.line import PseudoPort
-from tests.drivers.models.plant import Springs
+from studies.rigs.models.line import PseudoPort
+from studies.rigs.models.plant import Springs
 
 FIRMWARE = Path(__file__).parents[3] / "firmware"
 COMPILER = shutil.which("c++") or shutil.which("g++") or shutil.which("clang++")

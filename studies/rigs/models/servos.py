@@ -10,8 +10,8 @@ import time
 
 import numpy as np
 
-from tests.drivers.models.line import PseudoPort
-from tests.drivers.models.plant import ZERO, Springs
+from studies.rigs.models.line import PseudoPort
+from studies.rigs.models.plant import ZERO, Springs
 
 PING, READ, WRITE, REBOOT, SYNC_READ, SYNC_WRITE, STATUS = 1, 2, 3, 8, 0x82, 0x83, 0x55
 BROADCAST = 254

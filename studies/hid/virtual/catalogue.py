@@ -2,16 +2,16 @@
 
 from collections.abc import Callable
 
-from tests.hid import descriptors
-from tests.hid.virtual.arduino import Arduino
-from tests.hid.virtual.device import VirtualDevice
-from tests.hid.virtual.dualsense import DualSense
-from tests.hid.virtual.ffbeast import FFBeast
-from tests.hid.virtual.logitech import Logitech
-from tests.hid.virtual.openffboard import OpenFFBoard, OpenFFBoardWheel
-from tests.hid.virtual.rhino import Rhino
-from tests.hid.virtual.sidewinder import SideWinder
-from tests.hid.virtual.spacemouse import SpaceMouse
+from studies.hid import descriptors
+from studies.hid.virtual.arduino import Arduino
+from studies.hid.virtual.device import VirtualDevice
+from studies.hid.virtual.dualsense import DualSense
+from studies.hid.virtual.ffbeast import FFBeast
+from studies.hid.virtual.logitech import Logitech
+from studies.hid.virtual.openffboard import OpenFFBoard, OpenFFBoardWheel
+from studies.hid.virtual.rhino import Rhino
+from studies.hid.virtual.sidewinder import SideWinder
+from studies.hid.virtual.spacemouse import SpaceMouse
 
 DEVICES: dict[str, Callable[[], VirtualDevice]] = {
     "openffboard": lambda: OpenFFBoard(descriptors.openffboard(2)),

@@ -7,7 +7,7 @@ wheel takes itself back is not said there: this one never does.
 
 import struct
 
-from tests.hid.virtual.device import Push, VirtualDevice
+from studies.hid.virtual.device import Push, VirtualDevice
 
 _REPORT, _DIRECT = 0xA3, 0x10
 _SIZE = 65

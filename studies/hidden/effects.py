@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tests.studies.hidden import sensors
-from tests.studies.hidden.chain import Law, Tip
+from studies.hidden import sensors
+from studies.hidden.chain import Law, Tip
 
 BENCHES = ("blocked", "spring")
 

@@ -9,7 +9,7 @@ import struct
 from dataclasses import dataclass, field
 from typing import ClassVar
 
-from tests.hid.virtual.device import Push, VirtualDevice
+from studies.hid.virtual.device import Push, VirtualDevice
 
 _CONSTANT = 1  # the first of the effect types in all descriptors known
 _START_SOLO, _STOP = 2, 3

@@ -11,7 +11,7 @@ import math
 import struct
 from typing import ClassVar
 
-from tests.hid.virtual.pid import OUTPUTS, PidFirmware, seconds
+from studies.hid.virtual.pid import OUTPUTS, PidFirmware, seconds
 
 _DIRECTION_ONLY = 0x04
 _BOTH = 0x03

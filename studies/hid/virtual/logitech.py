@@ -7,7 +7,7 @@ Which side a level above 80 pushes to is not said there: here it is the left.
 
 import struct
 
-from tests.hid.virtual.device import Push, VirtualDevice
+from studies.hid.virtual.device import Push, VirtualDevice
 
 _HAT_AT_REST = 8
 

@@ -8,7 +8,7 @@ its reports is taken from the Arduino library, whose code began as the adapter's
 the spring is a guess.
 """
 
-from tests.hid.virtual.arduino import Arduino
+from studies.hid.virtual.arduino import Arduino
 
 _ENABLE, _DISABLE, _STOP_ALL, _RESET, _PAUSE, _CONTINUE = 1, 2, 3, 4, 5, 6
 _PAUSED, _ENABLED, _SAFETY, _OVERRIDE, _POWER = (1 << bit for bit in range(5))

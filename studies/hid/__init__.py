@@ -1,0 +1,1 @@
+"""HID devices as programs: their report descriptors, and what their firmware does."""
