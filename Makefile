@@ -17,7 +17,8 @@ demo: .venv/run.done  ## a whole session on a simulated rig: make demo ARGS="--d
 test: QUICK := and not slow
 test test-all: .venv/dev.done
 	@$(BIN)/python -m pytest -n auto --dist loadfile --reruns 1 -m "not real_time $(QUICK)" $(ARGS) || [ $$? = 5 ]
-	@$(BIN)/python -m pytest --reruns 2 -m "real_time $(QUICK)" $(ARGS) || [ $$? = 5 ]
+	@$(BIN)/python -m pytest -n 2 --dist loadfile --reruns 2 -m "real_time and not alone $(QUICK)" $(ARGS) || [ $$? = 5 ]
+	@$(BIN)/python -m pytest --reruns 2 -m "alone $(QUICK)" $(ARGS) || [ $$? = 5 ]
 test:  ## the tests, slow matrices apart; ARGS goes to pytest
 test-all:  ## all tests
 

@@ -49,6 +49,19 @@ REAL_TIME = (  # sessions and loops on the clock, not what only waits for socket
     "teleop/link/test_frozen_and_killed.py",
     "teleop/ros/test_live.py",
 )
+ALONE = (  # of these: whole sessions, and what is measured in milliseconds
+    "examples/test_session_examples.py",
+    "master/ros/test_operator.py",
+    "system/test_certificates.py",
+    "system/test_faults.py",
+    "system/test_kill.py",
+    "system/test_namespaces.py",
+    "system/test_rogue.py",
+    "system/test_run.py",
+    "system/test_side_by_side.py",
+    "system/test_stop.py",
+    "system/test_view_page.py",
+)
 NO_CLOCK = (  # of what keeps hands safe: a failure is one, however seldom
     "teleop/coupling",
     "master/test_gate.py",
@@ -61,11 +74,13 @@ NO_CLOCK = (  # of what keeps hands safe: a failure is one, however seldom
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark what must not share the processors with other tests, and what is never run again."""
+    """Mark what has a clock, what has the processors to itself, and what is never run again."""
     here = Path(__file__).parent
     for item in items:
         if any(item.path.is_relative_to(here / place) for place in REAL_TIME):
             item.add_marker("real_time")
+        if any(item.path.is_relative_to(here / place) for place in ALONE):
+            item.add_marker("alone")
         if any(item.path.is_relative_to(here / place) for place in NO_CLOCK):
             item.add_marker(pytest.mark.flaky(reruns=0))
 

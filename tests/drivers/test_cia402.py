@@ -152,6 +152,7 @@ def test_limits_and_watchdog_are_in_the_drive(drives):
         assert od.read(0x60C2, 1) == 20
 
 
+@SLOW
 def test_a_drive_may_be_guarded_in_place_of_hearing_our_heartbeat(drives):
     with opened_on(drives, error_control="guarding") as rig:
         engage(rig, moving(drives))
@@ -197,6 +198,7 @@ def test_a_drive_that_another_program_left_enabled_does_not_move_in_the_set_up(
         assert drives.plant.position[1] == pytest.approx(ZERO, abs=2.0)
 
 
+@SLOW
 def test_a_drive_that_keeps_its_power_is_refused_before_its_mode_is_changed(drives):
     drive = drives.drives[1]
     drive.disable_s = 100.0
@@ -218,10 +220,8 @@ def test_a_value_that_the_drive_changes_is_refused(drives):
         pass
 
 
-@pytest.mark.parametrize(
-    ("rate_hz", "written"),
-    [pytest.param(50.0, (20, -3), marks=SLOW), (800.0, (125, -5))],
-)
+@SLOW
+@pytest.mark.parametrize(("rate_hz", "written"), [(50.0, (20, -3)), (800.0, (125, -5))])
 def test_the_interpolation_period_is_that_of_sync(drives, rate_hz, written):
     od = drives.drives[0].od
     with opened_on(drives, count=1, rate_hz=rate_hz):
@@ -414,7 +414,9 @@ def test_a_fault_is_named_and_stays_until_the_operator_resets_it(drives):
     ("happens", "said"),
     [
         (lambda drive: drive.network.send(0x702, b"\0"), "drive 2 has restarted"),  # boot-up
-        (lambda drive: drive._enter(DISABLED), "drive 2 has left operation by itself"),
+        pytest.param(
+            lambda drive: drive._enter(DISABLED), "drive 2 has left operation by itself", marks=SLOW
+        ),
     ],
 )
 def test_a_drive_that_stops_by_itself_is_a_fault_and_is_not_enabled_again(drives, happens, said):
@@ -426,6 +428,7 @@ def test_a_drive_that_stops_by_itself_is_a_fault_and_is_not_enabled_again(drives
     assert not any(drive.state == ENABLED for drive in drives.drives)
 
 
+@SLOW
 def test_a_motor_that_does_not_follow_is_stopped_by_its_drive(drives):
     with opened_on(drives, following_error=50) as rig:
         start = engage(rig, moving(drives))
@@ -527,13 +530,12 @@ def test_heartbeats_of_nodes_and_their_values_are_no_controller():
         assert bus.identify_controller_frame(frame, master=127) == ""
 
 
+@SLOW
 @pytest.mark.parametrize(
     ("index", "kind", "value", "said"),
     [
         (0x607E, DatatypeEnum.UNSIGNED8, 0x80, "drive 2 has reversed positions"),
-        pytest.param(
-            0x60B0, DatatypeEnum.INTEGER32, 1024, "drive 2 has an offset of its targets", marks=SLOW
-        ),
+        (0x60B0, DatatypeEnum.INTEGER32, 1024, "drive 2 has an offset of its targets"),
     ],
 )
 def test_positions_that_another_program_has_shifted_are_refused(drives, index, kind, value, said):
@@ -575,6 +577,7 @@ def test_a_frame_waits_for_room_in_the_queue(monkeypatch):
         )
 
 
+@SLOW
 def test_a_queue_that_stays_full_is_one_line_of_every_command(drives, monkeypatch):
     send, _ = full_queue(refusals=10**9)
     monkeypatch.setattr(bus.can, "Bus", lambda **_: FullBus(send))
@@ -599,6 +602,7 @@ class FullBus(can.BusABC):
         return None, False
 
 
+@SLOW
 def test_a_scan_is_one_line_a_node_and_nothing_of_the_library(drives, tmp_path):
     config = tmp_path / "rig.yaml"
     config.write_text(

@@ -3,6 +3,7 @@
 import os
 
 import numpy as np
+import pytest
 
 from studies.testbed.processes import START_S, Processes, pause
 from teleop.launch.supervisor import wait_for_condition
@@ -55,6 +56,7 @@ def test_a_killed_slave_frees_the_hand_and_the_next_one_waits_for_the_operator(
         assert session.summary("master")["final_state"] == "fault"
 
 
+@pytest.mark.slow
 def test_the_slave_holds_when_the_master_is_killed(tmp_path, demo_config):
     with Processes(tmp_path, demo_config, RATE) as session:
         session.start_all()

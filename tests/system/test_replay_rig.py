@@ -65,6 +65,7 @@ def test_live_equals_offline_whatever_the_rate_of_the_data(rate, demo_config, tm
     assert live["slave"]["force_error"] == pytest.approx(estimate["force_error"])
 
 
+@pytest.mark.slow
 @pytest.mark.measured
 def test_measured_tensions_reach_the_hand(measured_data, demo_config, tmp_path):
     whole = (measured_data / "sheath-bench" / "session1.csv").read_text().splitlines()

@@ -153,6 +153,7 @@ def test_a_stop_goes_through_a_watch_of_its_machine_when_the_ports_are_busy(tmp_
         assert set(told) == {Role.MASTER, Role.SLAVE}
 
 
+@pytest.mark.slow
 def test_a_side_elsewhere_that_hangs_is_named_and_no_success(tmp_path, demo_config):
     """The sides are as if on two machines; the slave is suspended and answers nobody."""
     with (
@@ -175,6 +176,7 @@ def test_a_side_elsewhere_that_hangs_is_named_and_no_success(tmp_path, demo_conf
         assert "the slave" in text.splitlines()[-1]
 
 
+@pytest.mark.slow
 def test_nobody_there_is_told_and_a_slave_without_a_master_is_stopped_and_reset(
     tmp_path, demo_config
 ):

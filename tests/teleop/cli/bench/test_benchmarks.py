@@ -40,6 +40,7 @@ def test_configs_that_are_made_are_valid_and_have_so_many_joints(tmp_path, joint
     assert master.device.axes == joints
 
 
+@pytest.mark.slow
 @pytest.mark.real_time
 def test_a_session_is_measured_while_it_is_engaged(tmp_path):
     measured = session.run_session(runs.write_config(tmp_path / "session.yaml", 1), 1.5)
