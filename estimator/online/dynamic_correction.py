@@ -102,9 +102,9 @@ def update_correction(
     sample[0, lumped_model.COMPLIANCE] = constants.bench_compliance
     sample[0, lumped_model.TARGET] = T
     sample[0, lumped_model.SPEED] = abs(T - plain_state[0]) / dt if dt > 0.0 else 0.0
-    no_speeds = np.empty(0)
+    no_speeds, forced = np.empty(0), bool(1)  # a literal compiles `advance` once more
     plain_motion = lumped_model.advance(
-        constants.without_effects[:], plain_state, sample, no_speeds, True, NO_SUBSTEPS
+        constants.without_effects[:], plain_state, sample, no_speeds, forced, NO_SUBSTEPS
     )[0]
     speeds = no_speeds
     if has_travel and effect_constants[lumped_model.STRIBECK] != 0.0:
@@ -112,7 +112,7 @@ def update_correction(
     sample[0, lumped_model.OFFSET] = state.tip_offset
     sample[0, lumped_model.COMPLIANCE] = state.tip_compliance
     effect_motion = lumped_model.advance(
-        effect_constants, state.with_effects[:], sample, speeds, True, NO_SUBSTEPS
+        effect_constants, state.with_effects[:], sample, speeds, forced, NO_SUBSTEPS
     )[0]
     T_out, q_d = effect_motion[1], effect_motion[3]
     elongation = effect_motion[2] - q_d

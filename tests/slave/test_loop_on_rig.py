@@ -211,6 +211,7 @@ def test_a_sheath_that_changes_its_shape_is_advised_of_and_then_a_fault():
     assert session.bench.session.reason is Reason.CALIBRATION_DUE
 
 
+@pytest.mark.slow
 def test_a_joint_that_swings_in_from_a_stop_by_itself_is_no_change_of_shape():
     """Both tendons relax then, while the motor still goes on: for a while T_out is 20 % lower."""
     places = (0.006, 0.011, 0.0035, 0.01225, 0.001)  # [m] reached for, the stop is at 8 mm

@@ -17,8 +17,9 @@ TWO = ("proximal_tension", "distal_tension")
 FEW = {"creep", "joint_friction", "constant_drag", "encoder_scale", "viscous_friction"}
 HIDDEN = [
     (3, "creep", "blocked", FEW),
-    (3, "friction_drift", "spring", NAMES),  # no linear step leads to it
-    (4, "joint_friction", "spring", FEW),
+    # no linear step leads to it
+    pytest.param(3, "friction_drift", "spring", NAMES, marks=pytest.mark.slow),
+    pytest.param(4, "joint_friction", "spring", FEW, marks=pytest.mark.slow),
 ]
 
 
@@ -68,6 +69,7 @@ def test_a_record_that_begins_in_the_midst_of_motion_says_so(bench, begin, chann
     assert K.high - K.low < 0.1
 
 
+@pytest.mark.slow
 def test_two_causes_are_found_of_which_neither_is_worth_it_alone():
     gains = {"proximal_tension_gain", "distal_tension_gain", "creep"}
     hide = ("saturation", "proximal_tension_gain")
@@ -111,6 +113,7 @@ def test_what_two_channels_cannot_tell_apart_is_said_to_be_so():
     assert any("weight" in what for what in found.experiments)
 
 
+@pytest.mark.slow
 def test_another_record_of_the_bench_is_predicted_with_what_was_found():
     first, second = (
         prepare_record(made.time, dict(made.channels))
@@ -204,6 +207,7 @@ def test_a_slip_while_the_tendon_slides_is_not_taken_for_a_tip_that_moved():
     assert found.parameters["encoder_slip.onset"].value == pytest.approx(truth["time"], abs=0.03)
 
 
+@pytest.mark.slow
 def test_a_pulley_that_turns_by_a_part_of_a_turn_is_named_although_its_radius_is_not_known():
     among = {"pulley_eccentricity", "creep", "encoder_scale"}
     _, found = diagnosed(11, "pulley_eccentricity", "spring", among=among)

@@ -25,7 +25,7 @@ RANGE = 0.030  # [m] between the stops
 
 
 def joint(
-    K=1.0, sections=EVEN, tendons=2, noise=0.01, body=None, environment=None, nodes=60, **cell
+    K=1.0, sections=EVEN, tendons=2, noise=0.01, body=None, environment=None, nodes=30, **cell
 ):
     bend = sum(section.length / section.radius for section in sections)
     tendon = TendonPlantConfig(

@@ -67,6 +67,7 @@ def test_it_writes_a_file_of_its_rigs_name_that_fits_the_rig(done):
     assert [model.K for model in models] == pytest.approx([1, 1, 0.6, 0.6], abs=0.02)
 
 
+@pytest.mark.slow
 def test_one_joint_alone_renews_its_part_of_the_file(done, capsys):
     before = file.load(done / "bench-calibration.yaml")
     out = done / "copy.yaml"
@@ -181,6 +182,7 @@ def test_measured_data_cannot_be_moved(capsys):
     assert "teleop estimate DATA --fit" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_at_the_start_of_a_slave_the_same_is_done_and_the_samples_are_handed_over():
     rig = HousingOnly(rig_config(SHORT))
     config = SlaveConfig(rig=rig_config(SHORT), gate=GATE, initialise=but(KNOWN, at_start=True))
@@ -193,6 +195,7 @@ def test_at_the_start_of_a_slave_the_same_is_done_and_the_samples_are_handed_ove
     assert (swing.max(axis=0) / swing[-1]).min() > np.exp(2.0)  # the estimators' past is erased
 
 
+@pytest.mark.slow
 def test_a_range_that_was_found_once_is_expected_again(done, capsys):
     wall = "{type: wall, position: 0.001, stiffness: 1.0e+6}"
     words = ["--set", f"slave.rig.joints.0.environment={wall}", "--quick", "--joint", 1]

@@ -28,7 +28,8 @@ GAINS = 0.002
 
 @cache
 def record(sections, K=1.2, initialise=FULL):
-    return calibrated(rig_config(joint(K, sections=sections, nodes=120)), initialise).record
+    rig = rig_config(joint(K, sections=sections, nodes=120))
+    return calibrated(rig, initialise, rate_hz=500.0).record
 
 
 @cache

@@ -114,6 +114,7 @@ def test_all_that_is_written_is_within_the_gates_limits(run):
     assert np.abs(np.diff(written, axis=0)).max() <= GATE.speed_max / RATE + 1e-12
 
 
+@pytest.mark.slow
 def test_the_quick_form_takes_less_than_20_s_of_rig_time():
     long = joint(body={"stops": (-RANGE, RANGE)})
     record = calibrated(rig_config(long), rate_hz=RATE).record
@@ -177,7 +178,11 @@ REFUSALS = {
 }
 
 
-@pytest.mark.parametrize("case", REFUSALS)
+ALIKE = {"no stop in reach", "a saturated cell", "a stuck cell", "too little range"}
+CASES = [pytest.param(case, marks=[pytest.mark.slow] * (case in ALIKE)) for case in REFUSALS]
+
+
+@pytest.mark.parametrize("case", CASES)
 def test_it_refuses(case):
     what, said = REFUSALS[case]
     what = dict(what)

@@ -100,7 +100,7 @@ def stuck(samples):
     return changed(samples, tension=QUICK.tension)
 
 
-@pytest.mark.parametrize("read", [lost, silent])
+@pytest.mark.parametrize("read", [lost, pytest.param(silent, marks=pytest.mark.slow)])
 def test_a_pull_goes_no_further_than_its_last_reading_allows(read):
     rig = Failing(rig_config(joint()), Phase.SEEK, 0.2, read)
     refused(rig)
@@ -140,7 +140,9 @@ def test_a_motor_too_weak_for_the_tension_is_named_and_not_asked_for_more():
     assert_followed(rig, 0)
 
 
-@pytest.mark.parametrize(("stands", "name"), [(0, "a"), (1, "b")])
+@pytest.mark.parametrize(
+    ("stands", "name"), [(0, "a"), pytest.param(1, "b", marks=pytest.mark.slow)]
+)
 def test_a_motor_that_stands_still_is_named_whichever_way_it_should_go(stands, name):
     def hold(rig, asked):
         return np.where(np.arange(2) == stands, rig.written[rig.healthy - 1], asked)
@@ -281,6 +283,7 @@ class Watched(HousingOnly):
         self.pauses.append(len(self.written))
 
 
+@pytest.mark.slow
 def test_after_a_refusal_the_tensions_are_let_down_and_the_motors_hold():
     rig = HousingOnly(rig_config(joint(range=12.0)))
     with pytest.raises(CalibrationRefused):
@@ -306,6 +309,7 @@ def test_a_config_that_cannot_be_is_refused(initialise, gate, said):
     assert rig.written == []
 
 
+@pytest.mark.slow
 def test_a_gate_that_is_too_narrow_is_named():
     narrow = GateConfig(displacement_min=-0.06, displacement_max=0.004)
     with pytest.raises(CalibrationRefused, match=r"tendon a: .*slave.gate.displacement_max"):

@@ -27,6 +27,7 @@ def of(sheath, method, motion=PROFILE, phase=WHOLE):
     return sheath["methods"][method]["errors"][motion][phase]
 
 
+@pytest.mark.slow
 def test_ours_is_within_what_is_asked_on_every_sheath(ran):
     _, numbers = ran
     assert len(numbers["sheaths"]) == SHEATHS
@@ -39,11 +40,13 @@ def test_ours_is_within_what_is_asked_on_every_sheath(ran):
     assert numbers["within_all_targets"] == SHEATHS
 
 
+@pytest.mark.slow
 def test_ours_knows_the_friction_of_every_sheath(ran):
     for sheath in ran[1]["sheaths"]:
         assert sheath["methods"][OURS]["K"] == pytest.approx(sheath["K"], rel=0.02)
 
 
+@pytest.mark.slow
 def test_the_papers_method_comes_out_as_in_the_paper_on_a_sheath_as_the_papers(ran):
     whole = of(ran[1]["shown"], PAPER)
     assert 0.04 < whole["force"]["largest"] < 0.12
@@ -53,6 +56,7 @@ def test_the_papers_method_comes_out_as_in_the_paper_on_a_sheath_as_the_papers(r
         assert of(ran[1]["shown"], PAPER, phase=phase)["force"]["average"] > 0.0
 
 
+@pytest.mark.slow
 def test_the_papers_method_fails_where_curvature_is_uneven(ran):
     uneven = [sheath for sheath in ran[1]["sheaths"] if abs(sheath["unevenness"]) > 0.2]
     assert uneven
@@ -62,6 +66,7 @@ def test_the_papers_method_fails_where_curvature_is_uneven(ran):
             assert of(sheath, method, NESTED)["force"]["largest"] > 0.07
 
 
+@pytest.mark.slow
 def test_the_folder_has_tables_figures_and_a_page_that_needs_no_other_file(ran):
     folder, _ = ran
     figures = sorted(path.name for path in folder.glob("*.png"))

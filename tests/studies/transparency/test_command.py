@@ -81,6 +81,7 @@ def test_it_writes_a_page_and_numbers(tmp_path, capsys):
     assert told["direct", 0.1]["llewellyn"]["stable"] == [False] * 9  # Re h22 < 0
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("measured")
 def test_over_a_bad_network_llewellyn_does_not_apply(tmp_path, capsys):
     words = ["--couplings", "direct", "--jitter", 20, "--loss", 0.1, "--round-trips", 100]

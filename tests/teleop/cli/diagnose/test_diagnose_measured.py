@@ -18,6 +18,7 @@ PLAIN = 0.467  # [N] that the symmetric law leaves, fitted to all of it
 
 pytestmark = [
     pytest.mark.measured,
+    pytest.mark.slow,
     pytest.mark.skipif(not SESSION.exists(), reason=f"no measured data at {DATA}"),
 ]
 

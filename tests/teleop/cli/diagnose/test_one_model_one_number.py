@@ -166,6 +166,7 @@ def test_a_cause_that_is_not_as_good_is_refused(tables):
         est.diagnose(tables[0], [GAIN], leave_one_file_out=True)
 
 
+@pytest.mark.slow
 @pytest.mark.measured
 @pytest.mark.skipif(not SESSION.exists(), reason=f"no measured data at {DATA}")
 def test_measured_data_have_one_error(tmp_path):
