@@ -47,6 +47,7 @@ def test_the_tracking_error_of_a_joint_is_at_least_five_times_smaller(K, errors,
     assert most > 5.0
 
 
+@pytest.mark.slow
 def test_at_the_highest_friction_the_largest_error_is_not_five_times_smaller_but_the_rms_is():
     ((rms, most),) = times_smaller([loaded(1.8)], [MOTIONS["staircase"]], 3.5, TOO_LITTLE)
     assert rms > 5.0
@@ -62,6 +63,7 @@ def test_the_tracking_error_of_four_joints_is_at_least_five_times_smaller():
         assert most > 5.0
 
 
+@pytest.mark.slow
 def test_a_joint_of_one_tendon_is_made_up_for_too():
     alone = joint(0.4, spring=600.0, tendons=1, pretension=2.0)
     steps = staircase((0.004, 0.002, 0.006, 0.0), 0.005, 0.2)

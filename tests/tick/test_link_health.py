@@ -64,7 +64,10 @@ def shifted(message: type[Message], field: str, by_ns: int) -> Callable[[bytes],
     return alter
 
 
-@pytest.mark.parametrize(("side", "by_ns"), [("master", -HOUR_NS), ("slave", -50_000_000)])
+@pytest.mark.parametrize(
+    ("side", "by_ns"),
+    [("slave", -50_000_000), pytest.param("master", -HOUR_NS, marks=pytest.mark.slow)],
+)
 def test_a_clock_that_is_set_leads_through_holding_to_a_fresh_engagement(
     side: str, by_ns: int
 ) -> None:

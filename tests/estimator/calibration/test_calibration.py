@@ -115,7 +115,7 @@ UNEVEN = {
 }
 
 
-QUICK = ("tight at the motor", "three bends")
+QUICK = ("tight at the motor",)
 NAMES = [pytest.param(name, marks=[] if name in QUICK else pytest.mark.slow) for name in UNEVEN]
 
 
@@ -192,6 +192,7 @@ def test_a_load_cell_that_is_not_zeroed_is_found_out(clean):
     assert result.zero.value == pytest.approx(zero, abs=0.01)
 
 
+@pytest.mark.slow
 def test_wrong_stiffness_shows_as_disagreement_of_the_paper_alone(clean):
     result = calibrate(*measured(clean, 0), axial_stiffness=8000.0, length=1.5)
     assert result.uniform
@@ -240,6 +241,7 @@ def test_refuses_what_cannot_carry_a_calibration(clean):
     assert "needs both" in refusal(T, q, axial_stiffness=9000.0)
 
 
+@pytest.mark.slow
 def test_refuses_a_release_that_stays_inside_the_backlash():
     # the whole tendon slides below 20 e^-2 = 2.7 N
     message = refusal(*measured(record(UNIFORM, 0.2, 20.0, 3.0, 20.0), 0))
@@ -256,6 +258,7 @@ def test_refuses_a_tip_that_gives_way():
     assert "not blocked" in refusal(*measured(soft, 0))
 
 
+@pytest.mark.slow
 def test_refuses_a_tip_that_touches_something_soft_before_its_stop(clean):
     """A tip that yields ever less as it is pulled harder, by F = k x^1.5."""
     T, q = clean
@@ -272,6 +275,7 @@ def test_refuses_travel_that_has_nothing_to_do_with_tension(clean):
     assert "describe this loop" in message or "decides K" in message
 
 
+@pytest.mark.slow
 def test_friction_that_depends_on_direction_is_noticed():
     result = calibrate(*measured(record(UNIFORM, 0.2, 20.0, 0.2, 20.0, asymmetry=1.3), 0))
     assert not result.uniform or result.misfit > 1.5

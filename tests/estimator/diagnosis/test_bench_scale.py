@@ -29,7 +29,13 @@ def multiplied(made, force, travel, units=LINEAR):
     return Samples(made.time, *(signals[name] for name in CHANNELS), units)
 
 
-@pytest.mark.parametrize("size", [(1.0 / 40.0, 8.0), (25.0, 1.0 / 8.0), (0.01, 100.0, ROTARY)])
+@pytest.mark.parametrize(
+    "size",
+    [
+        (0.01, 100.0, ROTARY),
+        *(pytest.param(size, marks=pytest.mark.slow) for size in ((1 / 40, 8.0), (25.0, 1 / 8))),
+    ],
+)
 def test_a_bench_of_another_size_has_its_cause_and_its_numbers(size):
     made = hidden.make(3, ("presliding",), bench="spring", duration=12.0, rate=40.0)
     tried = [one for one in CATALOGUE if one.name == "presliding"]

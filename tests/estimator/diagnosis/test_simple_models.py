@@ -76,7 +76,7 @@ def test_on_a_clean_bench_the_law_is_better_than_any():
 
 
 def test_a_model_that_beats_the_law_is_named():
-    T_in = walk(2)
+    T_in = walk(2, 2000)
     signals = {"proximal_tension": T_in, "distal_tension": 0.7 * after_a_play(T_in, 1.9)}
     found = diagnose_records([prepare_record(np.arange(len(T_in)) * 0.01, signals)], ())
     (said,) = report_text.list_better_models(found)

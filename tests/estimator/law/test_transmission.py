@@ -109,7 +109,7 @@ def worst(model, truth):
     ("sections", "drag", "asymmetry", "start"),
     [
         (UNIFORM, 0.0, 1.0, 0.0),
-        (BENT, 2.0, 1.0, 0.0),
+        pytest.param(BENT, 2.0, 1.0, 0.0, marks=pytest.mark.slow),
         (BENT[::-1], 0.0, 1.5, 0.0),
         (BENT, 1.0, 0.7, 4.0),
     ],
@@ -130,7 +130,9 @@ def test_motor_driven_by_force(sections, drag, asymmetry, start):
         assert worst(np.array(model)[:, column], np.array(truth)[:, column]) < 1e-3
 
 
-@pytest.mark.parametrize(("sections", "drag"), [(UNIFORM, 0.0), (BENT, 1.0)])
+@pytest.mark.parametrize(
+    ("sections", "drag"), [pytest.param(UNIFORM, 0.0, marks=pytest.mark.slow), (BENT, 1.0)]
+)
 def test_motor_driven_by_travel_with_the_tip_held(sections, drag):
     chain = Chain(sections, MU, EA, beads=200, drag=drag)
     chain.travel += 0.01
@@ -147,7 +149,9 @@ def test_motor_driven_by_travel_with_the_tip_held(sections, drag):
     assert worst(model, truth) < 1e-3
 
 
-@pytest.mark.parametrize(("sections", "drag"), [(UNIFORM, 0.0), (BENT, 1.0)])
+@pytest.mark.parametrize(
+    ("sections", "drag"), [pytest.param(UNIFORM, 0.0, marks=pytest.mark.slow), (BENT, 1.0)]
+)
 def test_motor_driven_by_travel_against_a_spring(sections, drag):
     stiffness, rest = 2000.0, 0.01
     chain = Chain(sections, MU, EA, beads=200, drag=drag)
@@ -167,7 +171,9 @@ def test_motor_driven_by_travel_against_a_spring(sections, drag):
 
 
 @pytest.mark.parametrize(("sections", "drag"), [(UNIFORM, 0.0), (BENT, 1.0)])
-@pytest.mark.parametrize("motor", [(0.1, 30.0, 2.0), (0.1, 30.0, 8.0, 20.0, 12.0)])
+@pytest.mark.parametrize(
+    "motor", [pytest.param((0.1, 30.0, 2.0), marks=pytest.mark.slow), (0.1, 30.0, 8.0, 20.0, 12.0)]
+)
 @pytest.mark.parametrize("tip", [(30.0, 1.5, 9.0, 4.0), (2.0, 25.0, 6.0, 11.0)])
 def test_tip_driven_after_the_motor(sections, motor, tip, drag):
     asymmetry = 1.3

@@ -28,8 +28,7 @@ GAINS = 0.002
 
 @cache
 def record(sections, K=1.2, initialise=FULL):
-    rig = rig_config(joint(K, sections=sections, nodes=120))
-    return calibrated(rig, initialise, rate_hz=500.0).record
+    return calibrated(rig_config(joint(K, sections=sections, nodes=120)), initialise).record
 
 
 @cache

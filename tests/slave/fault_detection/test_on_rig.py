@@ -39,6 +39,7 @@ def test_the_tendon_that_broke_is_named_among_those_of_all_joints():
     assert finding == (BROKEN, 3)
 
 
+@pytest.mark.slow
 def test_a_broken_tendon_of_a_joint_that_has_but_one_is_found_once_it_is_reeled_in():
     alone = joint(0.4, spring=300.0, tendons=1, pretension=2.0)
     effect = BrokenTendon(start=0.5, tendon="a")
@@ -47,7 +48,9 @@ def test_a_broken_tendon_of_a_joint_that_has_but_one_is_found_once_it_is_reeled_
     assert after < 5.0
 
 
-@pytest.mark.parametrize(("share", "within"), [(0.0, 0.1), (0.5, 0.3)])
+@pytest.mark.parametrize(
+    ("share", "within"), [pytest.param(0.0, 0.1, marks=pytest.mark.slow), (0.5, 0.3)]
+)
 def test_a_jammed_tendon_is_found_as_soon_as_it_is_pulled(share, within):
     after, finding = first_found(JammedTendon(start=2.15, tendon="a", share=share))
     assert finding == (JAMMED, 0)
@@ -99,12 +102,7 @@ HEALTHY = ("free", "wall", "tissue", "pushed", "dragged", "stops", "coarse", "no
 
 @pytest.mark.parametrize(
     "what",
-    [
-        what
-        if what in {"pushed", "stops", "repeats"}
-        else pytest.param(what, marks=pytest.mark.slow)
-        for what in HEALTHY
-    ],
+    [what if what == "pushed" else pytest.param(what, marks=pytest.mark.slow) for what in HEALTHY],
 )
 def test_a_healthy_joint_raises_no_alarm(what):
     rng, seconds = np.random.default_rng(HEALTHY.index(what)), 4.0

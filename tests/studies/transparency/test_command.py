@@ -56,6 +56,7 @@ def bench(*words):
     return commands.run_program("python -m studies.transparency", command, list(map(str, words)))
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("measured")
 def test_it_writes_a_page_and_numbers(tmp_path, capsys):
     words = ["--couplings", "direct", "wave", "--round-trips", 0, 100]

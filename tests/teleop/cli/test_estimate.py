@@ -74,6 +74,7 @@ def test_a_blocked_loop_calibrates_without_a_distal_sensor(tmp_path):
     assert "agree" in summary["fit"]["reason"]
 
 
+@pytest.mark.slow
 def test_uneven_bends_are_told_from_the_loop(tmp_path):
     summary = summary_of(tmp_path, blocked(tmp_path, UNEVEN), "--fit", "--blocked-tip")
     parameters = summary["fit"]["parameters"]

@@ -90,6 +90,7 @@ def test_the_unexplained_is_said_with_what_it_looks_like(nothing, found):
     )
 
 
+@pytest.mark.slow
 def test_a_bench_without_a_cause_has_a_page_and_json_too(nothing):
     one, verdict = nothing, Verdict.UNEXPLAINED
     one = one._replace(verdict=verdict)
