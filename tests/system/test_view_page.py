@@ -1,7 +1,4 @@
-"""The web view in a real browser: the page appears, and each view shows what it should.
-
-The browser prefers a light theme, which the page must not follow.
-"""
+"""The web view in a real browser: the page appears, stays local, and says when it is late."""
 
 import urllib.parse
 from contextlib import contextmanager
@@ -13,20 +10,10 @@ import pytest
 from studies.testbed import browser
 from studies.testbed.processes import free_ports
 from teleop.launch.supervisor import wait_for_condition
-from teleop.view.colours import to_rgba
+from teleop.view.colours import STATES
 from teleop.view.columns import decode
 from teleop.view.scene import Scene
 from teleop.view.sinks import Sink
-from tests.system.view_pictures import (
-    APPEARS_S,
-    EACH_VIEW,
-    LOST,
-    SCENE,
-    engaged,
-    green,
-    is_dark,
-    pixels,
-)
 from tests.teleop.view_session import CONFIG, Session
 
 pytestmark = [
@@ -34,7 +21,27 @@ pytestmark = [
     pytest.mark.skipif(browser.program() is None, reason="no Chromium on this machine"),
 ]
 
+APPEARS_S = 240.0  # on a busy machine; a quiet one takes a tenth
+LOST = 0xD55E00FF  # of the strip that says that the view is interrupted
 MESSAGES = Session(1.0).messages
+
+
+def pixels(picture, box, colour, tolerance=24):
+    """Return how many pixels of a box have a colour, near enough."""
+    left, top, right, bottom = box
+    part = picture[top:bottom, left:right].astype(int)
+    wanted = np.array([(colour >> shift) & 0xFF for shift in (24, 16, 8)])
+    return int((np.abs(part - wanted).max(axis=-1) <= tolerance).sum())
+
+
+def green(picture):
+    """Return how many pixels have the colour of the banner of an engaged session."""
+    return pixels(picture, (0, 0, picture.shape[1], picture.shape[0]), STATES["engaged"], 30)
+
+
+def engaged(picture):
+    """Return whether the banner says so: the newest data have arrived."""
+    return green(picture) > 0.02 * picture.shape[0] * picture.shape[1]
 
 
 @pytest.fixture(scope="module")
@@ -61,18 +68,6 @@ def shown(chromium, config):
 def page(chromium):
     with shown(chromium, CONFIG) as page:
         yield page
-
-
-def test_each_view_shows_what_it_is_for_on_a_dark_page(page):
-    picture, _ = page
-    assert is_dark(picture)  # though the browser prefers light
-    for box, colour in EACH_VIEW:
-        assert pixels(picture, box, colour, 40) > 20, (box, f"{colour:08x}")
-    levels = to_rgba(np.linspace(0.05, 0.95, 10) * CONFIG.tension_scale_N, CONFIG.tension_scale_N)
-    for colour in levels:  # of the scale, from end to end
-        assert pixels(picture, SCENE, int(colour), 12) > 5, f"{int(colour):08x} is missing"
-    tubes = picture[65:475, 60:520].astype(int)
-    assert (tubes.max(axis=-1) - tubes.min(axis=-1) > 60).sum() > 2000
 
 
 def test_the_browser_asked_only_this_machine_and_was_refused_the_rest(chromium, page):
