@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 SEED = int(os.environ.get("BAD_INPUTS_SEED", "1"))
-FEW, ALL = 30, 1000
+FEW, ALL = 20, 1000
 ROOT = Path(__file__).parents[2]
 
 

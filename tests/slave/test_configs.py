@@ -62,7 +62,7 @@ def calibrate(name, out, options):
 
 
 def of_each(name):
-    return pytest.param(name, marks=() if name == "demo" else pytest.mark.slow)
+    return pytest.param(name, marks=pytest.mark.slow)
 
 
 @pytest.fixture(scope="module", params=map(of_each, NAMES))

@@ -107,6 +107,7 @@ def test_engaging_moves_no_joint_whatever_its_tendons_are_pretensioned_with():
         assert np.abs(record.travel).max() < 3e-5
 
 
+@pytest.mark.slow
 def test_the_joint_is_estimated_better_than_any_motor_tells():
     record = follow([loaded(0.8)], [MOTIONS["staircase"]], 3.5, errors=TOO_LITTLE)
     by_tendons = np.abs(record.position - record.travel).max()

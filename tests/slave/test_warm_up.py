@@ -6,7 +6,10 @@ import sys
 import pytest
 
 
-@pytest.mark.parametrize("program", ["check", "calibrate", "session"])
+@pytest.mark.parametrize(
+    "program",
+    [*(pytest.param(n, marks=pytest.mark.slow) for n in ("check", "calibrate")), "session"],
+)
 def test_nothing_is_called_compiled_for_the_first_time_after_the_warm_up(program):
     command = [sys.executable, "-m", "tests.slave.first_calls", program]
     done = subprocess.run(command, capture_output=True, text=True, check=True)

@@ -48,6 +48,7 @@ def test_a_hidden_effect_is_named(seed, effect, bench, among):
         assert found.after.held_out[channel].rmse < 1.3 * noise
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("bench", "begin", "channels"),
     [

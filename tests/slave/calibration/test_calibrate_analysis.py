@@ -69,6 +69,7 @@ def test_an_even_sheath_is_found_by_all_methods():
     assert model.displacement_noise < 2e-6
 
 
+@pytest.mark.slow
 def test_on_an_uneven_sheath_the_loop_stands_and_what_the_papers_would_do_is_said():
     sections = TIGHT_FIRST
     found, model = direction_a(joint(1.0, sections=sections))

@@ -28,7 +28,7 @@ GAINS = 0.002
 
 @cache
 def record(sections, K=1.2, initialise=FULL):
-    return calibrated(rig_config(joint(K, sections=sections, nodes=120)), initialise).record
+    return calibrated(rig_config(joint(K, sections=sections, nodes=60)), initialise).record
 
 
 @cache

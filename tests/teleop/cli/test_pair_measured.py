@@ -7,7 +7,7 @@ from estimator.pair.pair_fit import PairVariant
 from estimator.pair.pair_study import COMMAND, SHARE, run_study
 from teleop.cli.pair import PairConfig, read_records
 
-pytestmark = pytest.mark.measured
+pytestmark = [pytest.mark.measured, pytest.mark.slow]
 
 
 @pytest.fixture(scope="module")

@@ -87,6 +87,7 @@ except UsageError as error:
 """
 
 
+@pytest.mark.slow
 def test_a_process_that_listens_may_open_as_many_files_as_its_user() -> None:
     """Strangers take one for each connection."""
     code = FEW_FILES.replace("[], []", "['127.0.0.1:0'], []")
@@ -99,7 +100,7 @@ def test_a_process_that_listens_may_open_as_many_files_as_its_user() -> None:
 @pytest.mark.parametrize(
     ("limits", "said"),
     [(("20", "24"), "this process may open 24 files only; allow it 64: ulimit -n 64\n"),
-     (("20", "1000"), "")],
+     pytest.param(("20", "1000"), "", marks=pytest.mark.slow)],
 )  # fmt: skip
 def test_where_few_files_may_be_open_a_link_is_refused_or_allowed_more(
     limits: tuple[str, str], said: str

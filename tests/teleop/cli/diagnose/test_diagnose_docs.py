@@ -28,6 +28,7 @@ def test_pictures_of_the_page_are_there():
     assert all((DOCS / picture).is_file() for picture in pictures)
 
 
+@pytest.mark.slow
 def test_the_effect_of_the_page_is_found_among_others():
     names = {}
     exec(block(), names)  # noqa: S102 - our own page

@@ -159,6 +159,7 @@ def test_each_file_is_predicted_by_the_fit_of_the_other(chosen):
         assert after["distal_tension"].rmse < 0.2 * before["distal_tension"].rmse
 
 
+@pytest.mark.slow
 def test_a_cause_that_is_not_as_good_is_refused(tables):
     with pytest.raises(est.CauseError, match=r"^creep: (does not explain|no cause)"):
         est.diagnose(tables[0], [GAIN], cause="creep")
