@@ -11,6 +11,7 @@ help:  ## this list
 demo: .venv/run.done  ## a whole session on a simulated rig: make demo ARGS="--duration 30 --view none"
 	@$(BIN)/teleop run --config configs/demo.yaml $(ARGS)
 
+# without a clock; waiting on one, two at a time; whole sessions, alone (tests/conftest.py).
 # a busy machine can hold anything up: a test that waits fails if it does so twice in a row, one
 # with a clock if it does so three times, but gates and sessions at once (tests/conftest.py); what was
 # run again is counted in the last line

@@ -73,15 +73,24 @@ NO_CLOCK = (  # of what keeps hands safe: a failure is one, however seldom
 )
 
 
+def is_in(path: Path, places: tuple[str, ...]) -> bool:
+    return any(path.is_relative_to(Path(__file__).parent / place) for place in places)
+
+
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """Import no other file where only those of `ALONE` are asked for."""
+    is_other = collection_path.name.startswith("test_") and not is_in(collection_path, ALONE)
+    return True if is_other and config.option.markexpr.startswith("alone") else None
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Mark what has a clock, what has the processors to itself, and what is never run again."""
-    here = Path(__file__).parent
     for item in items:
-        if any(item.path.is_relative_to(here / place) for place in REAL_TIME):
+        if is_in(item.path, REAL_TIME):
             item.add_marker("real_time")
-        if any(item.path.is_relative_to(here / place) for place in ALONE):
+        if is_in(item.path, ALONE):
             item.add_marker("alone")
-        if any(item.path.is_relative_to(here / place) for place in NO_CLOCK):
+        if is_in(item.path, NO_CLOCK):
             item.add_marker(pytest.mark.flaky(reruns=0))
 
 
