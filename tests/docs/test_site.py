@@ -11,9 +11,9 @@ import pytest
 
 from estimator.effects import NAMES
 from slave.simulation.effects import EffectConfig
+from studies.testbed.browser import Browser, program
 from teleop.cli.commands import COMMANDS
 from teleop.messages.topics import TOPICS
-from tests.browser import Browser, program
 from tests.root import ROOT
 
 DOCS = ROOT / "docs"
