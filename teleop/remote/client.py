@@ -135,7 +135,7 @@ class SessionClient:
         duration : float, optional
             [s] after which the iteration ends; without it, with the session.
         topic : str
-            "state", "command", "hand", "tendons", ...: a topic of docs/messages.md.
+            "state", "command", "hand", "tendons", ...: a topic of docs/reference/messages.md.
         period : float
             [s] of messages in a block.
 
