@@ -50,6 +50,7 @@ REAL_TIME = (  # sessions and loops on the clock, not what only waits for socket
     "teleop/ros/test_live.py",
 )
 ALONE = (  # of these: whole sessions, and what is measured in milliseconds
+    "docs/test_tutorials.py",
     "examples/test_session_examples.py",
     "master/ros/test_operator.py",
     "master/test_unplug.py",

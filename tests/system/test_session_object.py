@@ -222,7 +222,7 @@ def test_a_device_of_ones_own_needs_no_entry_point(tmp_path):
     assert (out, err) == ("0.012\n", "")
 
 
-@pytest.mark.parametrize("seconds", [0.0, 0.13])
+@pytest.mark.parametrize("seconds", [pytest.param(0.0, marks=pytest.mark.slow), 0.13])
 def test_ctrl_c_ends_everything(tmp_path, seconds):
     body = ENGAGED + '        print("engaged", flush=True)\n        time.sleep(60.0)\n'
     program = start_program(tmp_path, body)
