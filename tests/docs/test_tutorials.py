@@ -1,7 +1,12 @@
-"""Each tutorial runs from its first block to its last, in an empty folder."""
+"""Each tutorial runs in an empty folder, and what README and a page show of sessions in Python."""
+
+import re
+import subprocess
+import sys
 
 import pytest
 
+from teleop import Session
 from tests.docs.tutorial import read_blocks, run_page
 from tests.root import ROOT
 
@@ -22,6 +27,28 @@ def test_a_tutorial_runs_in_order(page, tmp_path):
     folder.mkdir()
     tools.mkdir()
     assert run_page(page, folder, tools) >= 3
+
+
+@pytest.mark.real_time
+@pytest.mark.parametrize("page", ["README.md", "docs/how-to/python.md"])
+def test_the_sessions_of_a_page_run_as_they_are(page, tmp_path):
+    (tmp_path / "configs").symlink_to(ROOT / "configs")
+
+    def run(block):
+        ended = subprocess.run(
+            [sys.executable, "-c", block], cwd=tmp_path, capture_output=True, text=True, check=False
+        )
+        assert ended.returncode == 0, block + ended.stderr
+        assert ended.stdout or "print" not in block
+
+    blocks = re.findall(r"^```python\n(.*?)^```", (ROOT / page).read_text(), re.M | re.S)
+    assert len(blocks) > 1
+    for block in blocks:
+        if "join_session" in block:
+            with Session(ROOT / "configs" / "demo.yaml") as session:  # others may run beside it
+                run(block.replace("join_session()", f'join_session("{session.name}")'))
+        elif "from teleop import" in block:
+            run(block)
 
 
 def test_a_block_that_fails_is_noticed(tmp_path):

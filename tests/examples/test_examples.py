@@ -76,8 +76,8 @@ def test_a_pair_s_friction_grows_as_it_was_put_in(tmp_path):
 
 
 @pytest.mark.slow  # .ci/run runs it from the wheel
-def test_the_snippet_of_the_readme_runs_as_it_is(tmp_path):
-    (snippet,) = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
+def test_the_analysis_of_the_readme_runs_as_it_is(tmp_path):
+    snippet = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)[0]
     words = "simulate --out bench.csv --duration 12 --rate 100 --profile nested"
     subprocess.run([sys.executable, "-m", "teleop", *words.split()], cwd=tmp_path, check=True)
     ended = subprocess.run(
