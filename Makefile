@@ -39,7 +39,7 @@ check: .venv/dev.done  ## format, lint, types, import rules
 	$(BIN)/lint-imports
 
 docs: .venv/docs.done  ## the documentation as a site, links checked: .cache/site/index.html
-	@NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --quiet
+	@NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build
 	@echo "written: .cache/site/index.html"
 
 bench: .venv/dev.done  ## speed and noise figures, each beside a baseline of the same run
