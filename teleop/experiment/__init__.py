@@ -1,0 +1,1 @@
+"""Experiments with people: designs, psychometric functions, tables of trials, sessions."""
