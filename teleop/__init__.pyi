@@ -1,13 +1,22 @@
 from slave.rigs.bench import BenchRun, MotionScale, make_spring_bench, simulate
 from teleop.data.recording_table import DataTable, RecordedEvent, read_table
 from teleop.errors import PeerError, TeleopError, UsageError
+from teleop.experiment.design import BayesianAdaptive, ConstantStimuli, Design, Staircase, Trial
+from teleop.experiment.psychometric import draw_psychometric, fit_psychometric
+from teleop.experiment.results import read_trials
+from teleop.experiment.run import Experiment, KeyObserver, run_experiment
 from teleop.launch.config import SessionConfig
 from teleop.launch.session import Session, load_config
 from teleop.remote.client import SessionClient, SessionEvent, TipState, join_session
 
 __all__ = [
+    "BayesianAdaptive",
     "BenchRun",
+    "ConstantStimuli",
     "DataTable",
+    "Design",
+    "Experiment",
+    "KeyObserver",
     "MotionScale",
     "PeerError",
     "RecordedEvent",
@@ -15,12 +24,18 @@ __all__ = [
     "SessionClient",
     "SessionConfig",
     "SessionEvent",
+    "Staircase",
     "TeleopError",
     "TipState",
+    "Trial",
     "UsageError",
+    "draw_psychometric",
+    "fit_psychometric",
     "join_session",
     "load_config",
     "make_spring_bench",
     "read_table",
+    "read_trials",
+    "run_experiment",
     "simulate",
 ]

@@ -198,8 +198,8 @@ def fit_psychometric(
     levels, index = np.unique(x, return_inverse=True)
     if len(levels) < 2:
         raise UsageError("stimulus: a fit needs trials at two stimuli or more")
-    counts: Array = np.bincount(index, np.ones(len(index)))
-    successes: Array = np.bincount(index, answers)
+    counts: Array = np.bincount(index).astype(np.float64)
+    successes: Array = np.bincount(index, answers).astype(np.float64)
     origin, unit = levels[0], levels[-1] - levels[0]
     likelihood = _Likelihood(
         (levels - origin) / unit, counts, successes, guess_rate, lapse_max, shape

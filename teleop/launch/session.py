@@ -194,6 +194,13 @@ class Session(SessionClient):
             )
         return self._operator
 
+    @property
+    def recording(self) -> Path | None:
+        """The file of the recording; None without one, or before it is begun."""
+        folder = self._plan.record
+        files = [] if folder is None else folder.glob(f"{self.name}-*.mcap")
+        return max(files, key=lambda path: path.stat().st_mtime_ns, default=None)
+
     def _require_running(self) -> None:
         if self._thread is None or self._has_ended.is_set() or self._wake.is_set():
             self._raise_failure()

@@ -9,6 +9,7 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 EXAMPLES = ROOT / "examples"
+LONGEST = {"walk_through.py": 120, "stiffness_discrimination.py": 60}  # [lines]
 
 
 def run(folder, name, *words):
@@ -33,7 +34,7 @@ def test_every_example_is_short_and_tested():
     assert files == sorted(set(tested))
     for name in files:
         lines = (EXAMPLES / name).read_text().splitlines()
-        assert len(lines) <= (120 if name == "walk_through.py" else 40), name
+        assert len(lines) <= LONGEST.get(name, 40), name
 
 
 def test_the_law_gives_the_tip_less_by_friction(tmp_path):
@@ -92,3 +93,11 @@ def test_the_walk_through_ends_with_the_cause_of_its_data(tmp_path):
     said = run(tmp_path, "walk_through.py")
     verdict = next(line for line in said.splitlines() if line.startswith("verdict:"))
     assert verdict == "verdict: named, causes: friction_step"
+
+
+def test_an_experiment_finds_the_threshold_that_is_hidden_in_the_observer(tmp_path):
+    said = run(tmp_path, "stiffness_discrimination.py", tmp_path / "study")
+    low, high = re.search(r"interval ([\d.]+) to ([\d.]+)", said).groups()
+    assert float(low) < 0.15 < float(high) < float(low) + 0.15
+    again = run(tmp_path, "stiffness_discrimination.py", tmp_path / "study")
+    assert again == said  # all trials are answered

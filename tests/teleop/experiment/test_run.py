@@ -1,0 +1,125 @@
+"""Experiments in sessions: what is set, marked and kept; what cannot be set is refused at once."""
+
+import os
+import pty
+import sys
+import threading
+
+import numpy as np
+import pytest
+
+from teleop import (
+    ConstantStimuli,
+    Design,
+    Experiment,
+    KeyObserver,
+    UsageError,
+    load_config,
+    read_trials,
+    run_experiment,
+)
+from teleop.messages.messages import Event, decode_text
+from teleop.recording.reader import read_messages
+from tests.root import ROOT
+
+DEMO = ROOT / "configs" / "demo.yaml"
+SLOW = {"rate_hz": 250.0, "slave.command_timeout": 0.2, "master.state_timeout": 0.2,
+        "master.delay_max": 0.4, "realtime.priority": 0}  # fmt: skip
+LEVELS = ConstantStimuli((0.0, 1.0), 2)
+
+
+def set_force(trial, interval):
+    return {"force.scale": 0.1 * (1.0 + trial.stimulus * (interval == trial.target))}
+
+
+def run(config, folder, **words):
+    experiment = Experiment(name="test", **{"duration": 0.3} | words)
+    lines = []
+    observer = lambda trial: str(trial.target)  # noqa: E731
+    run_experiment(config, experiment, 1, folder, observer, say=lines.append)
+    return lines
+
+
+@pytest.mark.real_time
+def test_trials_take_place_in_a_session_and_are_marked_in_its_recording(tmp_path):
+    """The scripted hand lets go now and then, so some trials are repeated."""
+    engage = {"master.device.engage": [[0.5, 4.0]], "master.device.engage_period": 5.0}
+    design = Design(
+        factors={"impair.to_slave.delay": (0.01,)}, procedure=LEVELS, intervals=2, seed=2
+    )
+    config = load_config(DEMO, SLOW | engage)
+    lines = run(config, tmp_path, design=design, set_stimulus=set_force)
+    rows = read_trials(tmp_path)
+    assert [row["correct"] for row in rows] == ["1"] * 4
+    abandoned = sum("abandoned and repeated" in line for line in lines)
+    assert sum(int(row["attempts"]) for row in rows) == 4 + abandoned
+    (recording,) = (tmp_path / "recordings").glob("*.mcap")
+    assert {row["recording"] for row in rows} == {recording.name}
+    events = [
+        (message.log_time_ns, decode_text(Event.unpack(message.data).text))
+        for message in read_messages(recording, topics=("event",))
+    ]
+    marks = [(stamp, text) for stamp, text in events if text.startswith("mark: trial ")]
+    for row in rows:
+        number = row["trial"]
+        begins = [stamp for stamp, text in marks if text.startswith(f"mark: trial {number} begins")]
+        assert min(abs(stamp - int(row["begin_stamp_ns"])) for stamp in begins) < 0.5e9
+        wanted = f"stimulus={row['stimulus']}, target={row['target']}"
+        assert all(wanted in text for _, text in marks if f"trial {number} begins" in text)
+        end = f"mark: trial {number} ends: response={row['response']}"
+        assert [text for _, text in marks].count(end) == 1
+    assert sum(" abandoned: " in text for _, text in marks) == abandoned
+    scales = [text for _, text in events if "force.scale" in text]
+    assert any("0.2" in text for text in scales)
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        ({"set_stimulus": lambda *_: {"coupling.type": "direct"}},
+         "coupling.type cannot change while a session runs; make it a factor"),
+        ({"set_stimulus": lambda _, i: {"force.scale": 0.1} if i == 1 else {}},
+         "master.force.scale: must be set in every condition and interval"),
+        ({"set_stimulus": lambda *_: {"force.scale": -1.0}}, "master.force.scale: -1.0: must be within"),
+        ({"design": Design(factors={"slave.rig.mass": (1,)}, procedure=LEVELS)}, "mass"),
+    ],
+)  # fmt: skip
+def test_settings_that_cannot_be_are_refused_before_a_session_starts(tmp_path, words, line):
+    with pytest.raises(UsageError, match=line) as caught:
+        run(DEMO, tmp_path, **{"design": Design(procedure=LEVELS, intervals=2)} | words)
+    assert "\n" not in str(caught.value)
+    assert not (tmp_path / "recordings").exists()
+
+
+def test_a_key_of_the_terminal_is_an_answer(monkeypatch, capsys):
+    keys, terminal = pty.openpty()
+    with os.fdopen(terminal, "r") as stdin:
+        monkeypatch.setattr(sys, "stdin", stdin)
+        monkeypatch.setattr(os, "tcgetpgrp", lambda _: os.getpgrp())  # it is not ours
+        design = Design(procedure=LEVELS, intervals=2)
+        observer = KeyObserver(design, "Which was stiffer?")
+        os.write(keys, b"1")  # before the question
+        typist = threading.Timer(0.3, os.write, (keys, b"x2"))
+        typist.start()
+        assert observer(design.begin(1).next()) == "2"
+        typist.join()
+    os.close(keys)
+    assert "1: Which was stiffer? [1/2]" in capsys.readouterr().err
+
+
+def test_without_a_terminal_there_are_no_keys(monkeypatch):
+    with open(os.devnull) as stdin:
+        monkeypatch.setattr(sys, "stdin", stdin)
+        design = Design(procedure=LEVELS)
+        with pytest.raises(UsageError, match="no terminal"):
+            KeyObserver(design)(design.begin(1).next())
+
+
+def test_a_design_without_a_session_asks_for_each_condition(tmp_path):
+    design = Design(factors={"a": (1, 2, 3)}, repetitions=2)
+    experiment = Experiment(name="test", design=design)
+    observer = lambda trial: f"rated {trial.condition['a']}"  # noqa: E731
+    rows = read_trials(run_experiment(None, experiment, 1, tmp_path, observer, say=lambda _: None))
+    assert len(rows) == 6
+    assert all(row["response"] == f"rated {row['a']}" and not row["correct"] for row in rows)
+    assert np.all(np.bincount([int(row["a"]) for row in rows])[1:] == 2)
