@@ -12,7 +12,7 @@ the likelihood integrated over spread (uniform in its logarithm) and lapse rate,
 al., "Painfree and accurate Bayesian estimation of psychometric functions for (potentially)
 overdispersed data", Vision Research 122 (2016) 105-123. The likelihood is the same whether stimuli
 were fixed or adapted to the answers. With 30 to 80 trials the interval of the profile likelihood
-holds the true threshold in 79 to 92 of 100 experiments instead of 95: the best spread of few
+holds the true threshold in 79 to 93 of 100 experiments instead of 95: the best spread of few
 answers is too small, above all that of a staircase.
 """
 

@@ -80,7 +80,7 @@ def test_trials_take_place_in_a_session_and_are_marked_in_its_recording(tmp_path
          "coupling.type cannot change while a session runs; make it a factor"),
         ({"set_stimulus": lambda _, i: {"force.scale": 0.1} if i == 1 else {}},
          "master.force.scale: must be set in every condition and interval"),
-        ({"set_stimulus": lambda *_: {"force.scale": -1.0}}, "master.force.scale: -1.0: must be within"),
+        ({"set_stimulus": lambda *_: {"force.scale": -1.0}}, "scale: -1.0: must be within"),
         ({"design": Design(factors={"slave.rig.mass": (1,)}, procedure=LEVELS)}, "mass"),
     ],
 )  # fmt: skip
