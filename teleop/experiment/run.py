@@ -232,8 +232,8 @@ class _Stage(AbstractContextManager["_Stage"]):
         if self._session is None:
             return now_ns()
         begin_ns = 0
+        self._session.wait_for("engaged", self._engage_timeout)
         for interval in range(1, self._experiment.design.intervals + 1):
-            self._session.wait_for("engaged", self._engage_timeout)
             self._apply({**live, **self._experiment.set_stimulus(trial, interval)})
             if interval == 1:
                 begin_ns = now_ns()
@@ -241,7 +241,7 @@ class _Stage(AbstractContextManager["_Stage"]):
                 self._mark(f"trial {trial.number} begins: {_format_values(values)}")
             else:
                 self._mark(f"trial {trial.number} interval {interval}")
-            self._require_engagement(self._session)
+            self._require_engagement(self._session, self._experiment.duration)
         return begin_ns
 
     def end_trial(self, trial: Trial, response: str) -> None:
@@ -339,12 +339,12 @@ class _Stage(AbstractContextManager["_Stage"]):
             link = config.link(self._session.config.link)
             send_request(link, self._session.name, config.endpoint, "\n".join(["set", *words]))
         self._applied |= changed
-        time.sleep(_SETTLE_S)
+        self._require_engagement(self._session, _SETTLE_S)
 
-    def _require_engagement(self, session: SessionClient) -> None:
-        """Let an interval pass; `TeleopError` unless the slave was engaged all the time."""
+    def _require_engagement(self, session: SessionClient, seconds: float) -> None:
+        """Let a time [s] pass; `TeleopError` unless the slave was engaged all the time."""
         count = 0
-        for block in session.blocks(self._experiment.duration):
+        for block in session.blocks(seconds):
             count += len(block)
             others = block["state"][block["state"] != State.ENGAGED]
             if len(others):
