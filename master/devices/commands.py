@@ -91,8 +91,9 @@ class CommandMotion:
                 self._span_s = 0.0
             elif record.number != previous.number:
                 passed_s = (record.received_ns - previous.received_ns) * 1e-9
+                left_s = self._begin_s + self._span_s - time_s  # commands may come in bursts
                 self._from, self._begin_s = self._position, time_s
-                self._span_s = min(passed_s, self._span_max_s)
+                self._span_s = min(max(passed_s, left_s), self._span_max_s)
             self._move(record.values, time_s)
         else:
             self.rest()

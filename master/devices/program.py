@@ -7,6 +7,7 @@ the newest command left it; a program that is silent for `timeout` lets go of th
 
 import math
 import os
+import select
 import socket
 import struct
 import time
@@ -14,6 +15,8 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import Literal
+
+import numpy as np
 
 from master.device import Axes, DeviceFault, DeviceLost, HandState
 from master.devices.commands import SIZE, CommandMotion, CommandRecord
@@ -24,6 +27,7 @@ SOCKET_VARIABLE = "TELEOP_OPERATOR_SOCKET"  # file descriptor of the master's en
 POSITION_MAX = 1.0  # [m] a position beyond is refused
 _SPAN_MAX_S = 0.1  # [s] longest motion to the next position; a program of 10 Hz moves without steps
 _RECORDS_PER_TICK = 32
+_MASTER_ENDED = "operator: the master's process has ended"
 _LAPSE_SHARE = 0.9  # of the timeout
 _FORCES = struct.Struct(f"<{MAX_JOINTS}d")
 
@@ -174,7 +178,7 @@ class ProgramOperator:
             The switch is open because nothing was sent for longer than `timeout`: engage again.
             Or the session has ended.
         """
-        values = (position,) if isinstance(position, int | float) else tuple(position)
+        values = np.atleast_1d(np.asarray(position, float)).tolist()
         if len(values) != self.axes:
             raise UsageError(
                 f"operator.move: {len(values)} numbers, must be {self.axes}, one an axis"
@@ -189,16 +193,21 @@ class ProgramOperator:
                 f"operator: nothing was sent for more than {self._timeout_s:g} s, so the hand has "
                 "let go; call operator.engage() again (master.device.timeout)"
             )
-        self.position = tuple(map(float, values))
+        self.position = tuple(values)
         self._send()
 
     @property
     def force(self) -> Axes:
-        """Force on the hand [N], one per axis, when the newest command was taken."""
-        with suppress(BlockingIOError, OSError):
-            while data := self._socket.recv(_FORCES.size):
-                self._force = _FORCES.unpack(data)[: self.axes]
+        """Force on the hand [N], one per axis, when the newest command was taken.
+
+        `TeleopError` once the master's process has ended.
+        """
+        self._receive()
         return self._force
+
+    def leave_master_end(self) -> None:
+        """Close the master's end here, once its process has it: its end is noticed then."""
+        self.theirs.close()
 
     def close(self) -> None:
         """Close both ends here; the master's process has its own."""
@@ -215,10 +224,24 @@ class ProgramOperator:
         self._number += 1
         now_ns = time.monotonic_ns()
         engagement = self._engagement if self._is_engaged else 0
-        record = CommandRecord(now_ns, now_ns, self._number, engagement, "", self.position)
+        data = CommandRecord(now_ns, now_ns, self._number, engagement, "", self.position).pack()
+        self._receive()  # so that the newest force has room
         try:
-            self._socket.send(record.pack())
-        except BlockingIOError:
-            pass  # the master is held up; it takes the newest position with the next command
+            self._socket.send(data)
+        except BlockingIOError:  # the master takes some commands a tick
+            if not select.select([], [self._socket], [], self._timeout_s)[1]:
+                raise TeleopError("operator: the master's process takes no commands") from None
+            self._socket.send(data)
         except OSError as error:
-            raise TeleopError("operator: the master's process has ended") from error
+            raise TeleopError(_MASTER_ENDED) from error
+
+    def _receive(self) -> None:
+        """Take the forces that have come."""
+        try:
+            while data := self._socket.recv(_FORCES.size):
+                self._force = _FORCES.unpack(data)[: self.axes]
+        except BlockingIOError:
+            return
+        except OSError as error:
+            raise TeleopError(_MASTER_ENDED) from error
+        raise TeleopError(_MASTER_ENDED)

@@ -262,6 +262,8 @@ def simulate(
         raise UsageError(str(error)) from error
     if isinstance(profile, str) and profile not in MOTIONS:
         raise UsageError(f"profile {profile!r}: allowed are {', '.join(MOTIONS)}")
+    if side not in ("a", "b"):
+        raise UsageError(f"side {side!r}: must be a or b")
     motion = MOTIONS[profile](scale) if isinstance(profile, str) else profile
     rig = SimulatedRig(rig_config)
     loose = TensionHold(keep, FOLLOW_SPEED)

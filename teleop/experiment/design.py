@@ -51,6 +51,11 @@ class Procedure(ABC):
     def is_done(self) -> bool:
         """Whether there is no further trial."""
 
+    @property
+    @abstractmethod
+    def bounds(self) -> tuple[float, float]:
+        """The smallest and the largest stimulus that it may choose."""
+
     @abstractmethod
     def next(self) -> float:
         """Return the stimulus of the next trial; the same until `record` is called."""
@@ -84,6 +89,11 @@ class ConstantStimuli(Procedure):
     def is_done(self) -> bool:
         """Whether each level was repeated as often as asked for."""
         return self._count == len(self._order)
+
+    @property
+    def bounds(self) -> tuple[float, float]:
+        """The smallest and the largest level."""
+        return float(min(self.levels)), float(max(self.levels))
 
     def next(self) -> float:
         """Return the next level."""
@@ -126,6 +136,11 @@ class Staircase(Procedure):
         """Whether it has reversed as often as asked for."""
         return self._reversals >= self.reversals or self._count >= self.trials_max
 
+    @property
+    def bounds(self) -> tuple[float, float]:
+        """The bounds that it is given."""
+        return float(self.low), float(self.high)
+
     def next(self) -> float:
         """Return the stimulus where it stands."""
         return self._stimulus
@@ -141,7 +156,8 @@ class Staircase(Procedure):
             self._reversals += 1
         self._direction = direction
         step = self.steps[min(self._reversals, len(self.steps) - 1)]
-        self._stimulus = float(min(max(self._stimulus + direction * step, self.low), self.high))
+        stimulus = round(self._stimulus + direction * step, 12)  # a level has one number
+        self._stimulus = float(min(max(stimulus, self.low), self.high))
 
 
 @dataclass
@@ -163,13 +179,15 @@ class BayesianAdaptive(Procedure):
 
     def __post_init__(self) -> None:
         """Check the values, and tabulate the probabilities."""
-        _require(min(len(self.stimuli), len(self.thresholds), len(self.spreads)) >= 1
+        grids = (self.stimuli, self.thresholds, self.spreads, self.lapse_rates)
+        _require(min(map(len, grids)) >= 1
                  and min(self.spreads) > 0.0 and self.trials >= 1,
-                 "stimuli, thresholds, trials: 1 or more; spreads: above 0")  # fmt: skip
-        grids = np.meshgrid(self.thresholds, self.spreads, self.lapse_rates, indexing="ij")
-        threshold, spread, lapse_rate = (np.ravel(grid) for grid in grids)
+                 "stimuli, thresholds, lapse_rates, trials: 1 or more; spreads > 0")  # fmt: skip
+        parameters = np.meshgrid(*grids[1:], indexing="ij")
+        threshold, spread, lapse_rate = (np.ravel(grid) for grid in parameters)
         p = compute_probability(np.asarray(self.stimuli, float)[:, None], threshold, spread,
                                 self.guess_rate, lapse_rate, self.shape)  # fmt: skip
+        p = np.clip(p, 1e-9, 1.0 - 1e-9)  # no answer is impossible
         self._likelihood = np.stack((1.0 - p, p))  # (answers, stimuli, parameters)
         self._x_log_x = special.xlogy(self._likelihood, self._likelihood)
         self._posterior: Array = np.full(len(threshold), 1.0 / len(threshold))
@@ -179,6 +197,11 @@ class BayesianAdaptive(Procedure):
     def is_done(self) -> bool:
         """Whether all trials were recorded."""
         return self._count == self.trials
+
+    @property
+    def bounds(self) -> tuple[float, float]:
+        """The smallest and the largest stimulus."""
+        return float(min(self.stimuli)), float(max(self.stimuli))
 
     def next(self) -> float:
         """Return the most informative stimulus."""
@@ -232,7 +255,12 @@ class Design:
 
     def __post_init__(self) -> None:
         """Check the values; raises `UsageError`."""
-        _require(all(len(set(v)) == len(v) > 0 for v in self.factors.values()),
+        _require(all(hasattr(v, "__len__") and not isinstance(v, str) for v in
+                     self.factors.values()), "factors: each needs a list of levels")  # fmt: skip
+        factors = {name: [v.item() if isinstance(v, np.generic) else v for v in levels]
+                   for name, levels in self.factors.items()}  # fmt: skip
+        object.__setattr__(self, "factors", factors)
+        _require(all(len(set(v)) == len(v) > 0 for v in factors.values()),
                  "factors: each needs levels, all different")  # fmt: skip
         _require(self.repetitions >= 1, "repetitions: 1 or more")
         _require(1 <= self.intervals <= 9, "intervals: must be 1 to 9")

@@ -36,7 +36,8 @@ LAPSE_MAX = 0.06  # upper bound of the lapse rate in a fit, as in Wichmann and H
 _LOG_SPREADS = (math.log(0.02), math.log(2.0))  # bounds of the spread, in ranges of the stimulus
 _THRESHOLDS = (-1.0, 2.0)  # bounds of the threshold, in ranges above the smallest stimulus
 _THRESHOLD_COUNT, _SPREAD_COUNT = 101, 16  # of the grid
-_DRAWS = 2000  # simulated data sets for the p-value of the deviance
+_GRID_PART = 1000  # points of the grid at a time
+_DRAWS = 1000  # simulated data sets for the p-value of the deviance
 _TINY = 1e-12
 
 
@@ -69,7 +70,7 @@ class PsychometricFit:
     lapse_rate: float
     shape: Shape
     deviance: float  # 2 log of the likelihood ratio to a model with a free rate at each stimulus
-    deviance_p: float  # share of data sets drawn from the fit with a deviance at least as large
+    deviance_p: float  # share of data sets drawn from it whose own fit deviates as much or more
     levels: Array  # (levels,) distinct stimuli
     counts: Array  # (levels,) trials
     successes: Array  # (levels,) correct answers
@@ -135,6 +136,21 @@ class _Likelihood:
         )
         return np.asarray(best.x)
 
+    def find_least_deviances(self, successes: Array) -> Array:
+        """Return the deviance of the best fit on the grid to each row of answers by level."""
+        p = compute_probability(
+            self.x, self.thresholds[:, None, None, None], np.exp(self.log_spreads)[:, None, None],
+            self.guess, self.lapses[:, None], self.shape,
+        ).reshape(-1, len(self.x))  # fmt: skip
+        p = np.clip(p, _TINY, 1.0 - _TINY)
+        best: Array = np.full(len(successes), -np.inf)
+        for part in np.array_split(p, 1 + len(p) // _GRID_PART):
+            logs = successes @ np.log(part).T + (self.n - successes) @ np.log1p(-part).T
+            best = np.maximum(best, logs.max(1))
+        share = successes / self.n
+        free = special.xlogy(successes, share) + special.xlogy(self.n - successes, 1.0 - share)
+        return np.asarray(2.0 * (free.sum(1) - best))
+
     def find_interval(self, confidence: float) -> tuple[float, float]:
         """Return the central interval of the integrated likelihood of the threshold.
 
@@ -193,6 +209,8 @@ def fit_psychometric(
         raise UsageError("stimulus, correct: must be finite, one of each for a trial")
     if not np.isin(answers, (0.0, 1.0)).all():
         raise UsageError("correct: must be true or false for each trial")
+    if not 0.0 < confidence < 1.0:
+        raise UsageError(f"confidence {confidence:g}: must be above 0 and below 1, such as 0.95")
     if not (0.0 <= guess_rate < 0.9 and 0.0 <= lapse_max <= 0.5 * (1.0 - guess_rate)):
         raise UsageError("guess_rate: must be 0 to 0.9; lapse_max: at most half of the rest")
     levels, index = np.unique(x, return_inverse=True)
@@ -210,6 +228,7 @@ def fit_psychometric(
                             best[2], shape)  # fmt: skip
     deviance = float(_compute_deviance(successes, counts, p))
     draws = np.random.default_rng(0).binomial(counts.astype(int), p, (_DRAWS, len(levels)))
+    least = likelihood.find_least_deviances(np.vstack((successes, draws)))
     return PsychometricFit(
         threshold=float(origin + unit * best[0]),
         low=float(origin + unit * low),
@@ -220,9 +239,7 @@ def fit_psychometric(
         lapse_rate=float(best[2]),
         shape=shape,
         deviance=deviance,
-        deviance_p=float(
-            np.mean(_compute_deviance(draws.astype(float), counts, p) >= deviance - 1e-9)
-        ),
+        deviance_p=float(np.mean(least[1:] >= least[0] - 1e-9)),
         levels=levels,
         counts=counts,
         successes=successes,

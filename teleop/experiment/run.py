@@ -5,6 +5,7 @@ others, such as the environment of a simulated rig, change between blocks, with 
 operator engages again, so nothing jumps in the hand.
 """
 
+import itertools
 import json
 import time
 from collections.abc import Callable, Mapping
@@ -23,7 +24,7 @@ from teleop.launch.config import SessionConfig
 from teleop.launch.console import KeyReader
 from teleop.launch.session import Session, print_line
 from teleop.link.bridge import send_request
-from teleop.remote.client import MARK_BYTES, SessionClient
+from teleop.remote.client import BLOCK_S, MARK_BYTES, SessionClient
 from teleop.runtime.clock import now_ns
 from teleop.session.state_machine import State
 
@@ -33,6 +34,7 @@ Settings = Mapping[str, Any]  # by dotted key of a config
 ATTEMPTS_MAX = 10  # of a trial
 RECORDINGS = "recordings"  # folder of the sessions' recordings, in that of the experiment
 _IMPAIR = ("impair.to_slave.", "impair.to_master.")
+GAP_S = 0.3  # [s] without a state of the slave: the trial is disturbed
 _SETTLE_S = live_settings.SLEW_S + 0.1
 
 
@@ -277,11 +279,15 @@ class _Stage(AbstractContextManager["_Stage"]):
     def _check_settings(self) -> None:
         """Raise `UsageError` for settings that a session cannot have, before any trial."""
         experiment, first = self._experiment, self._experiment.design.begin(1).next()
+        procedure = experiment.design.procedure
         key_sets = []
         for condition in experiment.design.conditions:
             live, fixed = _split(experiment.set_condition(condition))
-            for interval in range(1, experiment.design.intervals + 1):
-                trial = first._replace(condition=condition)
+            bounds = (None,) if procedure is None else procedure.bounds
+            for interval, stimulus in itertools.product(
+                range(1, experiment.design.intervals + 1), bounds
+            ):
+                trial = first._replace(condition=condition, stimulus=stimulus, target=interval)
                 changed, refused = _split(experiment.set_stimulus(trial, interval))
                 if refused:
                     raise UsageError(
@@ -343,14 +349,16 @@ class _Stage(AbstractContextManager["_Stage"]):
 
     def _require_engagement(self, session: SessionClient, seconds: float) -> None:
         """Let a time [s] pass; `TeleopError` unless the slave was engaged all the time."""
-        count = 0
+        heard_s = time.monotonic()
         for block in session.blocks(seconds):
-            count += len(block)
+            before_s, heard_s = heard_s, time.monotonic()
+            if heard_s - before_s > BLOCK_S + GAP_S:
+                raise TeleopError(f"no states of the slave for {heard_s - before_s:.2f} s")
             others = block["state"][block["state"] != State.ENGAGED]
             if len(others):
                 raise TeleopError(f"the slave was {State(int(others[0])).name.lower()}")
-        if not count:
-            raise TeleopError("no states of the slave arrived")
+        if time.monotonic() - heard_s > GAP_S:
+            raise TeleopError("no states of the slave at the end of an interval")
 
     def _mark(self, text: str) -> None:
         if self._session is not None:

@@ -10,6 +10,7 @@ import atexit
 import dataclasses
 import io
 import os
+import re
 import sys
 import threading
 from collections.abc import Callable, Mapping
@@ -150,12 +151,12 @@ class Session(SessionClient):
             descriptor = self._operator.theirs.fileno()
             environment = {**plan.environment, SOCKET_VARIABLE: str(descriptor)}
             plan = dataclasses.replace(plan, environment=environment, master_files=(descriptor,))
-        self._thread = threading.Thread(
-            target=self._run, args=(plan,), name="teleop session", daemon=True
-        )
-        self._thread.start()
-        atexit.register(self.end)
         try:
+            self._thread = threading.Thread(
+                target=self._run, args=(plan,), name="teleop session", daemon=True
+            )
+            self._thread.start()
+            atexit.register(self.end)
             self._has_begun.wait()
             self._require_running()
             self._connect()
@@ -171,7 +172,8 @@ class Session(SessionClient):
         self._stop.request("the program has ended it")
         self._wake.set()
         interruption: BaseException | None = None
-        while self._thread is not None and not self._has_ended.is_set():
+        # a thread without an identity was never started
+        while self._thread is not None and self._thread.ident and not self._has_ended.is_set():
             try:
                 self._has_ended.wait()  # not `join`: interrupted, it takes the thread for ended
             except KeyboardInterrupt as error:  # a second Ctrl-C: the motors come first
@@ -198,7 +200,10 @@ class Session(SessionClient):
     def recording(self) -> Path | None:
         """The file of the recording; None without one, or before it is begun."""
         folder = self._plan.record
-        files = [] if folder is None else folder.glob(f"{self.name}-*.mcap")
+        pattern = re.compile(re.escape(self.name) + r"-\d{8}T\d{6}Z(-\d+)?\.mcap")
+        files = (
+            [] if folder is None else filter(lambda p: pattern.fullmatch(p.name), folder.glob("*"))
+        )
         return max(files, key=lambda path: path.stat().st_mtime_ns, default=None)
 
     def _require_running(self) -> None:
@@ -214,13 +219,19 @@ class Session(SessionClient):
                 self._console,
                 self._stop,
                 lambda _, seconds: _wait(self._wake, seconds),
-                self._has_begun.set,
+                self._begin,
             )
         except BaseException as error:  # raised where the program is
             self._error = error
         finally:
             self._has_ended.set()
-            self._has_begun.set()
+            self._begin()
+
+    def _begin(self) -> None:
+        """Let the program go on: both loops run, or the session has ended."""
+        if self._operator is not None:
+            self._operator.leave_master_end()
+        self._has_begun.set()
 
     def _raise_failure(self) -> None:
         """Raise what has ended the session, if that was a fault."""
@@ -235,11 +246,16 @@ class _LineStatus(StatusLine):
 
     def __init__(self, say: Callable[[str], None]) -> None:
         super().__init__(io.StringIO())
-        self._say = say
+        self._say, self._has_failed = say, False
 
     def say(self, text: str | RenderableType) -> None:
-        """Pass an ordinary line on."""
-        self._say(str(text))
+        """Pass an ordinary line on; what the callable raises must not end the reading of lines."""
+        try:
+            self._say(str(text))
+        except Exception as error:
+            if not self._has_failed:
+                print_line(f"{text}\nWARNING: say fails: {type(error).__name__}: {error}")
+            self._has_failed = True
 
 
 def _to_path(text: str | Path | None) -> Path | None:

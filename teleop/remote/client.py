@@ -81,14 +81,11 @@ class SessionClient:
 
     def __enter__(self) -> Self:
         self._connect()
-        deadline_s = time.monotonic() + SILENCE_S
-        while not self._open.link.present(Role.SLAVE):
-            if time.monotonic() > deadline_s:
-                self._disconnect()
-                link = self._config.link
-                endpoints = link.routers or (link.slave,)
-                raise TeleopError(describe_absence(self.name, "no slave answers", endpoints))
-            time.sleep(_POLL_S)
+        try:
+            self._await_slave()
+        except BaseException:
+            self._disconnect()
+            raise
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -271,6 +268,15 @@ class SessionClient:
             raise UsageError(f"mark {text[:20]!r}: must be one line of at most {MARK_BYTES} bytes")
         self._request_setting(MARK, text)
 
+    def _await_slave(self) -> None:
+        deadline_s = time.monotonic() + SILENCE_S
+        while not self._open.link.present(Role.SLAVE):
+            if time.monotonic() > deadline_s:
+                link = self._config.link
+                endpoints = link.routers or (link.slave,)
+                raise TeleopError(describe_absence(self.name, "no slave answers", endpoints))
+            time.sleep(_POLL_S)
+
     def _connect(self) -> None:
         link = Link(self._config.link, self._config.session, Role.REMOTE).__enter__()
         self._connection, self._heard_s = _Connection(link, link.listen((EVENT,))), time.monotonic()
@@ -357,7 +363,7 @@ def join_session(name: str = "", config: str | Path | None = None) -> SessionCli
 
 def _parse_state(state: str | State) -> State:
     try:
-        return state if isinstance(state, State) else State[state.upper()]
+        return state if isinstance(state, State) else State[str(state).upper()]
     except KeyError:
         allowed = ", ".join(each.name.lower() for each in State)
         raise UsageError(f"state {state!r}: allowed are {allowed}") from None

@@ -124,6 +124,8 @@ def write_clip(out: Path, info: RecordingInfo, config: ViewConfig, options: Clip
                 _to_image(figure.draw(moment_s)).save(partial, format="png")
             return f"{out}: {moment_s:.2f} s"
         fps = options.fps or DEFAULT_FPS[suffix]
+        if suffix == ".gif":  # its times are whole hundredths of a second
+            fps = 100.0 / max(2, round(100.0 / fps))
         count = max(1, math.floor((seconds[1] - seconds[0]) * fps))
         moments = seconds[0] + np.arange(count) / fps
         frames = _draw_frames(figure, moments, progress)

@@ -2,7 +2,9 @@
 
 import itertools
 import math
+import os
 import socket
+import threading
 import time
 
 import pytest
@@ -23,8 +25,9 @@ def ends(monkeypatch):
     """The program's end, and the master's."""
     config = ProgramConfig(axes=2, timeout=0.2)
     operator = ProgramOperator(config)
-    monkeypatch.setenv(SOCKET_VARIABLE, str(operator.theirs.detach()))
+    monkeypatch.setenv(SOCKET_VARIABLE, str(os.dup(operator.theirs.fileno())))
     device = ProgramDevice(config)
+    operator.leave_master_end()  # as a session does once the master runs
     yield operator, device
     device.close()
     operator.close()
@@ -127,15 +130,68 @@ def test_a_position_that_is_not_finite_never_reaches_the_hand(ends):
         device.read(0.0)
 
 
-def test_a_flood_of_commands_does_not_hold_a_tick_up(ends):
+def test_a_flood_of_commands_does_not_hold_a_tick_up_and_none_is_lost(ends):
+    """The program waits for room; its last words arrive, too."""
     operator, device = ends
-    for k in range(400):
-        operator.move([0.0001 * k, 0.0])
-    before = device.read(0.0).position[0]
-    assert before < 0.0399  # some of them, not all at once
-    for k in range(1, 100):
+
+    def flood():
+        operator.engage()
+        for k in range(2000):
+            operator.move([0.0001 * k, 0.0])
+        operator.release()
+
+    program = threading.Thread(target=flood)
+    program.start()
+    time.sleep(0.05)  # until there is no room
+    begin, hand = device.read(0.0).position[0], None
+    assert begin < 0.02  # some of them, not all at once
+    for k in range(1, 400):
         hand = device.read(0.001 * k)
-    assert hand.position[0] > before
+        if k % 10 == 0:
+            device.write((float(k), 0.0))
+        time.sleep(0.0002)
+    program.join()
+    for k in range(400, 600):
+        hand = device.read(0.001 * k)
+    assert (hand.engage, hand.position[0]) == (False, pytest.approx(0.1999))
+
+
+def test_commands_that_come_in_bursts_move_the_hand_steadily(ends):
+    """A program that reads states in blocks of 0.1 s moves once for each of them."""
+    operator, device = ends
+    operator.engage()
+    device.read(0.0)
+    device.read(0.001)
+    now_ns, places = time.monotonic_ns(), []
+    for burst in range(6):
+        for k in range(100):
+            sent_ns = now_ns + burst * 100_000_000 + k * 10_000
+            place = 0.03 * (burst * 100 + k + 1) * 1e-3
+            record = CommandRecord(sent_ns, sent_ns, 100 * burst + k + 2, 1, "", (place, 0.0))
+            operator._socket.send(record.pack())
+        for tick in range(100):
+            hand = device.read(0.1 * burst + 0.001 * tick + 0.002)
+            places.append(hand.position[0])
+    speeds = [(b - a) / 0.001 for a, b in itertools.pairwise(places[100:])]
+    assert max(speeds) < 0.04  # 0.03 m/s was asked for
+    assert sum(speed < 0.001 for speed in speeds) < 0.1 * len(speeds)
+
+
+def test_a_master_that_has_ended_is_noticed(ends):
+    operator, device = ends
+    device.close()
+    for call in (lambda: operator.move([0.0, 0.0]), operator.engage, lambda: operator.force):
+        with pytest.raises(TeleopError, match="the master's process has ended"):
+            call()
+
+
+def test_the_newest_force_is_read_however_long_nobody_asked(ends):
+    operator, device = ends
+    for k in range(3000):
+        operator.move([0.0, 0.0])
+        device.read(0.001 * k)
+        device.write((float(k), 0.0))
+    assert operator.force[0] == 2999.0
 
 
 @pytest.mark.parametrize(

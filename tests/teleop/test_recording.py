@@ -1,6 +1,5 @@
 import dataclasses
 import os
-import re
 import resource
 import signal
 import subprocess
@@ -482,17 +481,6 @@ def test_a_recorder_killed_while_it_writes_the_index_loses_no_message(tmp_path, 
 def test_config_ranges(change, what):
     with pytest.raises(ValueError, match=what):
         RecordConfig(**change)
-
-
-def test_the_documented_snippets_run(all_topics, capsys):
-    page = Path(__file__).parents[2] / "docs" / "how-to" / "record-and-view.md"
-    snippets = re.findall(r"```python\n(.*?)```", page.read_text(), re.DOTALL)
-    assert len(snippets) == 1
-    for snippet in snippets:
-        exec(compile(snippet, str(page), "exec"), {"FILE": str(all_topics[0])})  # noqa: S102
-    said = capsys.readouterr().out
-    assert "demo 0.004" in said
-    assert "(5, 8)" in said
 
 
 @pytest.mark.parametrize("insecure", [False, True])

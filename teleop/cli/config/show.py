@@ -72,7 +72,11 @@ def select_section(values: Sequence[ConfigValue], section: str) -> list[ConfigVa
         return selected
     depth = max(n for v in values for n in range(len(wanted)) if v.keys[:n] == wanted[:n])
     near = wanted[:depth]
-    names = dict.fromkeys(v.keys[depth] for v in values if v.keys[:depth] == near)
+    names = dict.fromkeys(
+        v.keys[depth] for v in values if v.keys[:depth] == near and len(v.keys) > depth
+    )
+    if not names:
+        raise UsageError(f"--section {section}: {'.'.join(near)} is a value, it has no keys")
     hint = suggest_spelling(wanted[depth], names)
     raise UsageError(
         f"--section {section}: there is no {wanted[depth]!r}{hint} (allowed: {', '.join(names)})"

@@ -92,6 +92,16 @@ def test_answers_unlike_any_such_function_are_told_by_the_deviance():
     assert fit_psychometric(x, correct, guess_rate=0.5).deviance_p < 0.01
 
 
+def test_the_p_value_of_the_deviance_is_even_for_answers_of_such_a_function():
+    x, values = np.repeat(np.linspace(0, 100, 7), 20), []
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        correct = rng.random(len(x)) < compute_probability(x, 50.0, 15.0, 0.5, 0.02, "normal")
+        values.append(fit_psychometric(x, correct, guess_rate=0.5).deviance_p)
+    assert 0.38 < np.mean(values) < 0.65  # 0.5 +- 0.05, and what the bound of the lapse rate adds
+    assert np.mean(np.array(values) < 0.2) < 0.45
+
+
 @pytest.mark.parametrize(
     ("stimulus", "correct", "line"),
     [([1.0, 1.0], [1, 0], "two stimuli"), ([1.0, np.nan], [1, 0], "finite"),
