@@ -7,4 +7,4 @@ The public names are those of `__init__.pyi`.
 
 from estimator.lazy_names import attach_names
 
-__getattr__, __dir__, __all__ = attach_names(__name__)
+__getattr__, __dir__ = attach_names(__name__)

@@ -9,23 +9,36 @@ import ast
 import importlib
 import pkgutil
 from collections.abc import Callable
+from functools import cache
 from typing import Any
 
 
-def attach_names(package: str) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
-    """Return `__getattr__`, `__dir__` (PEP 562) and `__all__` of a package with a stub."""
+def attach_names(package: str) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
+    """Return `__getattr__` and `__dir__` (PEP 562) of a package with a stub.
+
+    The stub is read at the first name that is asked for, `__all__` among them.
+    """
+
+    def get_name(name: str) -> Any:
+        if name == "__all__":
+            return list_names()
+        if name.startswith("__") or name not in _read_stub(package):
+            raise AttributeError(f"module {package!r} has no attribute {name!r}")
+        return getattr(importlib.import_module(_read_stub(package)[name]), name)
+
+    def list_names() -> list[str]:
+        return sorted(_read_stub(package))
+
+    return get_name, list_names
+
+
+@cache
+def _read_stub(package: str) -> dict[str, str]:
+    """Return the module of each public name of a package."""
     stub = ast.parse(pkgutil.get_data(package, "__init__.pyi") or b"")
-    module_of = {
+    return {
         alias.name: statement.module
         for statement in stub.body
         if isinstance(statement, ast.ImportFrom) and statement.module
         for alias in statement.names
     }
-    names = sorted(module_of)
-
-    def get_name(name: str) -> Any:
-        if name not in module_of:
-            raise AttributeError(f"module {package!r} has no attribute {name!r}")
-        return getattr(importlib.import_module(module_of[name]), name)
-
-    return get_name, lambda: names, names

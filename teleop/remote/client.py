@@ -102,7 +102,7 @@ class SessionClient:
         Parameters
         ----------
         duration : float, optional
-            [s] after which the iteration ends; without it, with the session.
+            [s] of states, after which the iteration ends; without it, with the session.
 
         Raises
         ------
@@ -118,6 +118,8 @@ class SessionClient:
             for stamp, state, reason, *values in zip(*heads, *tips, strict=True):
                 position, force, low, high = values
                 seconds = (stamp - begin_ns) * 1e-9
+                if duration is not None and seconds >= duration:  # a reader may be behind
+                    return
                 yield TipState(
                     seconds, State(state), to_reason(reason), position, force, low, high, stamp
                 )
