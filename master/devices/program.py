@@ -143,6 +143,8 @@ class ProgramOperator:
         self._force: Axes = (0.0,) * config.axes
         self._socket, self.theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self._socket.setblocking(False)
+        self._room = select.poll()
+        self._room.register(self._socket, select.POLLOUT)
 
     def engage(self) -> None:
         """Open the engage switch and close it again.
@@ -226,11 +228,10 @@ class ProgramOperator:
         engagement = self._engagement if self._is_engaged else 0
         data = CommandRecord(now_ns, now_ns, self._number, engagement, "", self.position).pack()
         self._receive()  # so that the newest force has room
+        # the master takes some commands a tick; nothing is lost in a full queue
+        if not self._room.poll(1e3 * self._timeout_s):
+            raise TeleopError("operator: the master's process takes no commands")
         try:
-            self._socket.send(data)
-        except BlockingIOError:  # the master takes some commands a tick
-            if not select.select([], [self._socket], [], self._timeout_s)[1]:
-                raise TeleopError("operator: the master's process takes no commands") from None
             self._socket.send(data)
         except OSError as error:
             raise TeleopError(_MASTER_ENDED) from error

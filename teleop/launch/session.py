@@ -27,6 +27,7 @@ from teleop.errors import TeleopError, UsageError
 from teleop.launch.config import SessionConfig
 from teleop.launch.console import Console
 from teleop.launch.launcher import LaunchPlan, build_rig_overrides, plan_session, run_session
+from teleop.link import Link
 from teleop.remote.client import SessionClient
 from teleop.runtime.process import StopCondition
 from teleop.runtime.status_line import StatusLine
@@ -218,7 +219,7 @@ class Session(SessionClient):
                 plan,
                 self._console,
                 self._stop,
-                lambda _, seconds: _wait(self._wake, seconds),
+                self._wait,
                 self._begin,
             )
         except BaseException as error:  # raised where the program is
@@ -226,6 +227,9 @@ class Session(SessionClient):
         finally:
             self._has_ended.set()
             self._begin()
+
+    def _wait(self, _link: Link, seconds: float) -> None:
+        self._wake.wait(seconds)
 
     def _begin(self) -> None:
         """Let the program go on: both loops run, or the session has ended."""
@@ -265,10 +269,6 @@ def _to_path(text: str | Path | None) -> Path | None:
 def _join_module_paths() -> str:
     """Return where this program finds its modules, for the processes of its rigs and devices."""
     return os.pathsep.join(str(Path(folder).absolute()) for folder in sys.path)
-
-
-def _wait(wake: threading.Event, seconds: float) -> None:
-    wake.wait(seconds)
 
 
 def _read_document(

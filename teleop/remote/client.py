@@ -3,7 +3,7 @@
 import argparse
 import json
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple, Self
@@ -244,12 +244,12 @@ class SessionClient:
 
     def emergency_stop(self, reason: str = "a Python program") -> None:
         """Stop both sides; `TeleopError` unless both say that they have stopped."""
-        self._request(CALL, reason, State.STOPPED)
+        self._request(CALL, reason)
         self._await_steady_stops()
 
     def reset_stop(self, reason: str = "a Python program") -> None:
         """Take the emergency stop back; `TeleopError` if a side does not say so."""
-        self._request(RESET, reason, None)
+        self._request(RESET, reason)
 
     def mark(self, text: str) -> None:
         """Mark this moment: the master makes an event of it, for the recording and all who listen.
@@ -325,22 +325,16 @@ class SessionClient:
                 return
             time.sleep(_POLL_S)
 
-    def _request(self, action: int, reason: str, wanted: State | None) -> None:
+    def _request(self, action: int, reason: str) -> None:
         self._require_running()
-        states = request_sides(self._open.link, Role.REMOTE, action, reason, _never)
-        done = {
-            side for side, now in states.items()
-            if (now is State.STOPPED) == (wanted is State.STOPPED)
-        }  # fmt: skip
+        states = request_sides(self._open.link, Role.REMOTE, action, reason, lambda: False)
+        done = {s for s, now in states.items() if (now is State.STOPPED) == (action == CALL)}
         missing = [side.name.lower() for side in SIDES if side not in done]
         if missing:
-            word = "stopped" if wanted is State.STOPPED else "reset"
+            word = "stopped" if action == CALL else "reset"
             raise TeleopError(
                 f"session {self.name!r}: {' and '.join(missing)} did not say that it has {word}"
             )
-
-
-_never: Callable[[], bool] = lambda: False  # noqa: E731
 
 
 def join_session(name: str = "", config: str | Path | None = None) -> SessionClient:
