@@ -1,5 +1,5 @@
 // A rig on a Teensy 4: two DC motors with encoders, four load cells on an ADS1256.
-// Libraries: Encoder (Paul Stoffregen). Wiring and settings: docs/how-to/real-rig.md.
+// Libraries: Encoder (Paul Stoffregen). Wiring and settings: docs/how-to/rigs.md.
 #include <Encoder.h>
 #include <SPI.h>
 

@@ -1,4 +1,4 @@
-"""Bring up a rig of real hardware, step by step (docs/how-to/real-rig.md).
+"""Bring up a rig of real hardware, step by step (docs/how-to/rigs.md).
 
   teleop rig scan                          list serial ports and CAN interfaces
   teleop rig scan --config my-rig.yaml     list what answers on the buses of a config
@@ -92,7 +92,7 @@ def main(args: argparse.Namespace) -> int:
     if silent:
         raise TeleopError(
             f"rig: {' and '.join(silent)}: nothing answers: power, cable, numbers and baud or bit "
-            "rate? (docs/how-to/real-rig.md)"
+            "rate? (docs/how-to/rigs.md)"
         )
     return 0
 
@@ -183,7 +183,7 @@ def require_hardware_config(config: SlaveConfig) -> HardwareRigConfig:
     if not isinstance(config.rig, HardwareRigConfig):
         raise UsageError(
             f"slave.rig.type: {config.rig.type} has no buses; {{type: hardware, ...}} is needed "
-            "(docs/how-to/real-rig.md, and configs/ to start from)"
+            "(docs/how-to/rigs.md, and configs/ to start from)"
         )
     return config.rig
 

@@ -1,7 +1,7 @@
 """Tendon control: from the commanded travel of a joint to motor positions.
 
 `step` is the controller, `joint_estimate` estimates a joint from its tendons.
-docs/explanation/control.md explains both.
+docs/explanation/estimator.md explains both.
 """
 
 from slave.control.joint import (

@@ -1,8 +1,8 @@
 """Fault detection of tendons, load cells and motors.
 
 Broken and jammed tendons, stuck and saturated load cells, motors off their set position: `step`
-checks every sample, whether engaged or not, `check_motors` every tick. docs/explanation/control.md
-has thresholds and detection times.
+checks every sample, whether engaged or not, `check_motors` every tick. Thresholds
+and detection times: docs/explanation/estimator.md.
 """
 
 from slave.fault_detection.config import FaultDetectionConfig

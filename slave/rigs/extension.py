@@ -194,7 +194,7 @@ def _format_type(value: object) -> str:
 
 @dataclass(frozen=True)
 class RigExtension(Extension):
-    """Base of the configs of rigs of other packages (docs/reference/rigs.md)."""
+    """Base of the configs of rigs of other packages (docs/how-to/rigs.md)."""
 
     GROUP: ClassVar[str] = "teleop.rigs"
 

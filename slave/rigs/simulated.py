@@ -72,7 +72,7 @@ class SimulatedRigConfig:
     joints: tuple[JointConfig, ...] = (JointConfig(),)
     period: float = 0.001  # [s] step of the plant
     seed: int = 1  # of the sensors' noise
-    effects: tuple[EffectConfig, ...] = ()  # faults and deviations, docs/reference/rigs.md
+    effects: tuple[EffectConfig, ...] = ()  # faults and deviations, docs/how-to/rigs.md
 
     def __post_init__(self) -> None:
         """Check joints, period and effects; raises `ValueError`."""

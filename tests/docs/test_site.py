@@ -36,10 +36,10 @@ def site(tmp_path_factory):
 def test_the_site_has_what_is_generated(site):
     messages = (site / "reference" / "messages.html").read_text()
     assert all(f"<td><code>{topic.name}</code></td>" in messages for topic in TOPICS)
-    catalogue = (site / "explanation" / "diagnosis.html").read_text()
+    catalogue = (site / "how-to" / "diagnose.html").read_text()
     named = re.findall(r"<tr>\s*<td><code>(\w+)</code></td>", catalogue)
     assert named[-len(NAMES) :] == list(NAMES)
-    rigs = (site / "reference" / "rigs.html").read_text()
+    rigs = (site / "how-to" / "rigs.html").read_text()
     effects = [get_args(get_type_hints(c)["type"])[0] for c in get_args(EffectConfig)]
     assert all(f"<td><code>{name}</code>" in rigs for name in effects)
     commands = (site / "reference" / "cli.html").read_text()

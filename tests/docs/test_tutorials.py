@@ -30,7 +30,7 @@ def test_a_tutorial_runs_in_order(page, tmp_path):
 
 
 @pytest.mark.real_time
-@pytest.mark.parametrize("page", ["README.md", "docs/how-to/python.md"])
+@pytest.mark.parametrize("page", ["README.md", "docs/reference/api.md"])
 def test_the_sessions_of_a_page_run_as_they_are(page, tmp_path):
     (tmp_path / "configs").symlink_to(ROOT / "configs")
 

@@ -7,14 +7,15 @@ import pytest
 
 from teleop.cli import commands
 
-RIGS = Path(__file__).parents[2] / "docs" / "reference" / "rigs.md"
+RIGS = Path(__file__).parents[2] / "docs" / "how-to" / "rigs.md"
 FREE = "slave.rig.joints.0.environment={type: free}"
 
 
 @pytest.fixture(scope="module")
 def config(tmp_path_factory):
-    """Return the config shown in docs/reference/rigs.md, as a file."""
-    (text,) = re.findall(r"^```yaml\n(.*?)^```", RIGS.read_text(), re.M | re.S)
+    """Return the config shown in docs/how-to/rigs.md, as a file."""
+    blocks = re.findall(r"^```yaml\n(.*?)^```", RIGS.read_text(), re.M | re.S)
+    (text,) = (block for block in blocks if "type: simulated" in block)
     path = tmp_path_factory.mktemp("docs") / "rig.yaml"
     path.write_text(text)
     return path

@@ -182,6 +182,4 @@ class ServoBus:
             return ""
         if latency_ms <= LATENCY_MAX_MS:
             return ""
-        return (
-            f"the adapter's latency timer is {latency_ms} ms, set it to 1 (docs/how-to/real-rig.md)"
-        )
+        return f"the adapter's latency timer is {latency_ms} ms, set it to 1 (docs/how-to/rigs.md)"

@@ -1,6 +1,6 @@
 """Generate the catalogue of effects as a table.
 
-`python -m teleop.cli.diagnose.catalogue` prints it, and `make docs` puts it into diagnosis.md.
+`python -m teleop.cli.diagnose.catalogue` prints it, and `make docs` puts it into diagnose.md.
 """
 
 from collections.abc import Callable, Iterable, Sequence

@@ -14,11 +14,10 @@ from teleop.cli.diagnose.command import parse_effects
 
 DOCS = Path(__file__).parents[4] / "docs"
 PAGE = DOCS / "how-to" / "diagnose.md"
-METHOD = DOCS / "explanation" / "diagnosis.md"
 
 
 def block():
-    (text,) = re.findall(r"^```python\n(.*?)^```", METHOD.read_text(), re.M | re.S)
+    (text,) = re.findall(r"^```python\n(.*?)^```", PAGE.read_text(), re.M | re.S)
     return text
 
 
