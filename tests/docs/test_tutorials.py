@@ -7,26 +7,31 @@ import sys
 import pytest
 
 from teleop import Session
-from tests.docs.tutorial import read_blocks, run_page
+from tests.docs.tutorial import run_page, write_shims
 from tests.root import ROOT
 
 PAGES = sorted((ROOT / "docs" / "tutorials").glob("*.md"))
-SESSIONS = ("teleop run", "teleop slave", "teleop master")
+(SESSION,) = re.findall(r"^SESSION='(.*?)'", (ROOT / ".ci" / "run").read_text(), re.M)
 
 
 def marks(page):
-    text = "".join(block.text for block in read_blocks(page) if block.language == "sh")
-    if any(word in text for word in SESSIONS):
-        return [pytest.mark.real_time]
-    return [pytest.mark.slow]  # .ci/run runs it from the wheel
+    """All are slow: .ci/run runs each from the wheel, those with sessions after the tests."""
+    has_sessions = re.search(SESSION, page.read_text(), re.M)
+    return [pytest.mark.slow, pytest.mark.real_time] if has_sessions else [pytest.mark.slow]
+
+
+@pytest.fixture
+def folders(tmp_path):
+    """Return an empty folder for a page, and one for what runs it."""
+    places = tmp_path / "work", tmp_path / "tools"
+    for place in places:
+        place.mkdir()
+    return places
 
 
 @pytest.mark.parametrize("page", [pytest.param(p, id=p.stem, marks=marks(p)) for p in PAGES])
-def test_a_tutorial_runs_in_order(page, tmp_path):
-    folder, tools = tmp_path / "work", tmp_path / "tools"
-    folder.mkdir()
-    tools.mkdir()
-    assert run_page(page, folder, tools) >= 3
+def test_a_tutorial_runs_in_order(page, folders):
+    assert run_page(page, *folders, write_shims(folders[1])) >= 3
 
 
 @pytest.mark.real_time
@@ -51,17 +56,13 @@ def test_the_sessions_of_a_page_run_as_they_are(page, tmp_path):
             run(block)
 
 
-def test_a_block_that_fails_is_noticed(tmp_path):
-    folder, tools = tmp_path / "work", tmp_path / "tools"
-    folder.mkdir()
-    tools.mkdir()
+def test_a_block_that_fails_is_noticed(folders, tmp_path):
+    folder, tools = folders
+    environment = write_shims(tools)
     page = tmp_path / "page.md"
     page.write_text('```yaml title="a/b.txt"\nhere\n```\n```sh\ngrep here a/b.txt\n```\n')
-    assert run_page(page, folder, tools) == 1
+    assert run_page(page, folder, tools, environment) == 1
     page.write_text("```sh\nfalse\n```\n```sh\ntouch after\n```\n")
-    for file in (tools / "bin").iterdir():
-        file.unlink()
-    (tools / "bin").rmdir()
-    with pytest.raises(Exception, match="exit status"):
-        run_page(page, folder, tools)
+    with pytest.raises(subprocess.CalledProcessError, match="exit status"):
+        run_page(page, folder, tools, environment)
     assert not (folder / "after").exists()

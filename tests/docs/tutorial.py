@@ -1,7 +1,7 @@
 """Run the blocks of a tutorial in order, as a reader would: `python tests/docs/tutorial.py PAGE`.
 
 A block with a title is saved under that name. Blocks of `sh` and `python` are run, one after the
-other, in the current folder and by the `teleop`, `python` and `pip` of this interpreter; all others
+other, in the current folder and by the `teleop`, `python` and `pip` of this environment; all others
 (`console`: other machines, screens, what never ends) are only read. A block behind the comment
 `<!-- test: also exit code 1 -->` may end with that code, as of a recording on a busy machine.
 """
@@ -31,7 +31,10 @@ def read_blocks(page: Path) -> list[Block]:
 
 
 def write_shims(folder: Path) -> dict[str, str]:
-    """Return an environment in which the three programs are those of this interpreter."""
+    """Return an environment in which the three programs are those of this interpreter.
+
+    They need no installed `teleop`, and `pip` installs into `folder`, without the network.
+    """
     programs, site = folder / "bin", folder / "site"
     programs.mkdir()
     for name, words in (
@@ -46,12 +49,12 @@ def write_shims(folder: Path) -> dict[str, str]:
     return os.environ | {"PATH": f"{programs}:{os.environ['PATH']}", "PYTHONPATH": paths}
 
 
-def run_page(page: Path, folder: Path, tools: Path) -> int:
+def run_page(page: Path, folder: Path, tools: Path, environment: dict[str, str]) -> int:
     """Run a page in an empty folder; return how many blocks ran. Raises at the first failure.
 
     Consecutive blocks of `sh` are one script, so that a job in the background goes on.
     """
-    environment, ran = write_shims(tools), 0
+    ran = 0
     script = ["set -eo pipefail", "trap 'kill $(jobs -p) 2>/dev/null || true' EXIT"]
     for number, block in enumerate(read_blocks(page)):
         if block.title:
@@ -74,5 +77,6 @@ def run_page(page: Path, folder: Path, tools: Path) -> int:
 if __name__ == "__main__":
     import tempfile
 
+    path = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
     with tempfile.TemporaryDirectory() as scratch:
-        run_page(Path(sys.argv[1]).resolve(), Path.cwd(), Path(scratch))
+        run_page(Path(sys.argv[1]), Path.cwd(), Path(scratch), os.environ | {"PATH": path})
