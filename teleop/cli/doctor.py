@@ -88,8 +88,8 @@ def check_real_time() -> Finding:
     except PermissionError:
         return Finding(
             "real time", False, "SCHED_FIFO not permitted",
-            "add '@USER - rtprio 50' and '@USER - memlock unlimited' to "
-            "/etc/security/limits.conf and log in again",
+            "add 'NAME - rtprio 50' and 'NAME - memlock unlimited' to /etc/security/limits.conf "
+            "(your user name for NAME) and log in again",
         )  # fmt: skip
     os.sched_setscheduler(0, before, parameters)
     return Finding("real time", True, "SCHED_FIFO permitted")
