@@ -1,6 +1,7 @@
 """A clip or a picture of a recording, for slides: drawn by Matplotlib, without a screen."""
 
 import argparse
+import itertools
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -12,7 +13,8 @@ from numpy.typing import NDArray
 
 from teleop.errors import UsageError
 from teleop.messages.topics import COMMAND, HAND, PROFILE, SHEATH, STATE, TENDONS
-from teleop.recording.reader import RecordingInfo
+from teleop.recording.reader import RecordingInfo, read_row_parts
+from teleop.recording.scan import Scan
 from teleop.runtime.output_file import replace_file
 from teleop.runtime.process import parse_seconds
 from teleop.runtime.status_line import Progress
@@ -20,7 +22,7 @@ from teleop.session.state_machine import State
 from teleop.view.colours import TENSION_MAP
 from teleop.view.columns import AnyTopic, RowDecimator, Rows
 from teleop.view.config import ViewConfig
-from teleop.view.feed import show_recording
+from teleop.view.feed import NullDisplay, show_recording
 from teleop.view.sheaths import Sheaths
 
 if TYPE_CHECKING:
@@ -114,24 +116,33 @@ def write_clip(out: Path, info: RecordingInfo, config: ViewConfig, options: Clip
         _import_video_writer()  # before the work
     progress = Progress()
     try:
-        data, seconds = _read_data(info, config, options, progress)
+        length_s = (info.last_ns - info.first_ns) * 1e-9
+        begin_s, end_s = options.begin_s, min(options.end_s or math.inf, length_s)
+        if begin_s >= end_s:
+            raise UsageError(f"--from {begin_s:g}: {info.path} is {length_s:.2f} s long")
+        if suffix == PICTURE_SUFFIX:  # of one moment: what came before is not kept
+            if options.end_s is None:
+                end_s = _find_peak(info, begin_s, end_s, progress)
+            begin_s = end_s
+        data = _read_data(info, config, options.joint, begin_s, end_s, progress)
         from teleop.view.clip_figure import ClipFigure
 
         figure = ClipFigure(data, config.layout, options.theme, options.size, options.joint - 1)
         if suffix == PICTURE_SUFFIX:
-            moment_s = seconds[1] if options.end_s is not None else _find_peak(data, *seconds)
             with replace_file(out) as partial:
-                _to_image(figure.draw(moment_s)).save(partial, format="png")
-            return f"{out}: {moment_s:.2f} s"
+                _to_image(figure.draw(end_s)).save(partial, format="png")
+            return f"{out}: {end_s:.2f} s"
         fps = options.fps or DEFAULT_FPS[suffix]
         if suffix == ".gif":  # its times are whole hundredths of a second
             fps = 100.0 / max(2, round(100.0 / fps))
-        count = max(1, math.floor((seconds[1] - seconds[0]) * fps))
-        moments = seconds[0] + np.arange(count) / fps
+        count = max(1, math.floor((end_s - begin_s) * fps))
+        moments = begin_s + np.arange(count) / fps
         frames = _draw_frames(figure, moments, progress)
-        write = _write_video if suffix == VIDEO_SUFFIX else _write_gif
         with replace_file(out) as partial:
-            write(partial, figure, moments, frames, fps)
+            if suffix == VIDEO_SUFFIX:
+                _write_video(partial, frames, fps)
+            else:
+                _write_gif(partial, frames, fps, _build_palette(figure, moments))
     finally:
         progress.end()
     return f"{out}: {count} frames, {count / fps:.1f} s"
@@ -140,43 +151,34 @@ def write_clip(out: Path, info: RecordingInfo, config: ViewConfig, options: Clip
 # --- what is drawn
 
 
-class _Collector:
-    """Keeps what a clip needs of a recording: a `BatchDisplay`."""
+class _Collector(NullDisplay):
+    """Keeps what a clip needs of a recording, and says when no more of it comes."""
 
-    def __init__(self, sheaths: Sheaths, begin_ns: int, end_ns: int, length_ns: int) -> None:
+    def __init__(self, sheaths: Sheaths, begin_ns: int, end_ns: int) -> None:
         self._sheaths, self._begin_ns, self._end_ns = sheaths, begin_ns, end_ns
         self._decimators = {t: RowDecimator(CURVES_HZ) for t in TOPICS if t is not PROFILE}
         self._parts: dict[AnyTopic, list[Rows]] = {topic: [] for topic in TOPICS}
-        self._first_ns, self._length_ns = end_ns, max(length_ns, 1)
-        self.done = 0.0  # share of the recording that was read
+        self.newest_ns = 0  # stamp of what was read
+        self._oldest_ns = 0  # of the last block
 
     def pictures(self, batches: Mapping[AnyTopic, Rows]) -> int:
         """Keep the rows in time."""
         if SHEATH in batches:
             self._sheaths.learn(batches[SHEATH])
-        for topic in TOPICS:
-            rows = batches.get(topic)
-            if rows is None or not len(rows):
-                continue
-            self._first_ns = min(self._first_ns, int(rows["stamp_ns"][0]))
-            self.done = min(1.0, (int(rows["stamp_ns"][-1]) - self._first_ns) / self._length_ns)
-            rows = rows[(rows["stamp_ns"] >= self._begin_ns) & (rows["stamp_ns"] <= self._end_ns)]
+        present = {topic: batches[topic] for topic in TOPICS if topic in batches}
+        if present:
+            stamps = np.concatenate([rows["stamp_ns"] for rows in present.values()])
+            self._oldest_ns, self.newest_ns = int(stamps.min()), int(stamps.max())
+        for topic, batch in present.items():
+            stamps = batch["stamp_ns"]
+            rows = batch[(stamps >= self._begin_ns) & (stamps <= self._end_ns)]
             decimate = self._decimators.get(topic)
             self._parts[topic].append(rows.copy() if decimate is None else decimate(rows))
         return 0
 
-    def curves(self, batches: Mapping[AnyTopic, Rows]) -> int:  # noqa: ARG002 - a `BatchDisplay`
-        """Keep nothing more."""
-        return 0
-
-    def stretch(self, factor: float) -> None:
-        """Keep all: nobody waits."""
-
-    def silence(self, silent_ns: int) -> None:
-        """Keep nothing."""
-
-    def end(self, what: str, silent_ns: int = 0) -> None:
-        """Keep nothing: the last frame is of the session."""
+    def is_complete(self) -> bool:
+        """Return whether the last block was all after the end, and the sheaths are known."""
+        return self._oldest_ns >= self._end_ns and bool(self._sheaths.joints)
 
     def rows(self) -> dict[AnyTopic, Rows]:
         """Return what was kept, by stamp."""
@@ -185,43 +187,62 @@ class _Collector:
 
 
 def _read_data(
-    info: RecordingInfo, config: ViewConfig, options: ClipOptions, progress: Progress
-) -> tuple["ClipData", tuple[float, float]]:
-    """Return what is drawn, and its first and last moment [s of the recording]."""
+    info: RecordingInfo,
+    config: ViewConfig,
+    joint: int,
+    begin_s: float,
+    end_s: float,
+    progress: Progress,
+) -> "ClipData":
+    """Return what is drawn of the moments from `begin_s` to `end_s` [s of the recording]."""
     from teleop.view.clip_canvas import ClipData
 
-    length_s = (info.last_ns - info.first_ns) * 1e-9
-    end_s = min(options.end_s or math.inf, length_s)
-    if options.begin_s >= end_s:
-        raise UsageError(f"--from {options.begin_s:g}: {info.path} is {length_s:.2f} s long")
-    before_s = options.begin_s - config.window_s
-    begin_ns, end_ns = (info.first_ns + round(s * 1e9) for s in (before_s, end_s))
+    begin_ns, end_ns = (info.first_ns + round(s * 1e9) for s in (begin_s - config.window_s, end_s))
     sheaths = Sheaths(config)
-    kept = _Collector(sheaths, begin_ns, end_ns, info.last_ns - info.first_ns)
+    kept = _Collector(sheaths, begin_ns, end_ns)
+    length_ns = max(end_ns - info.first_ns, 1)
 
     def show_progress() -> None:
-        progress("reading the recording", kept.done)
+        progress("reading the recording", min(1.0, (kept.newest_ns - info.first_ns) / length_ns))
 
-    show_recording(str(info.path), kept, lambda: False, BLOCK_S, show_progress)
+    show_recording(str(info.path), kept, kept.is_complete, BLOCK_S, show_progress)
     data = ClipData(config, sheaths, kept.rows(), info.first_ns)
     if not sheaths.joints or STATE not in data.rows or not len(data.rows[STATE]):
         raise UsageError(f"{info.path}: has no sheaths or states to draw between these moments")
-    if options.joint - 1 not in sheaths.joints:
+    if joint - 1 not in sheaths.joints:
         allowed = ", ".join(str(joint + 1) for joint in sheaths.joints)
-        raise UsageError(f"--joint {options.joint}: there is none; it has {allowed}")
-    return data, (options.begin_s, end_s)
+        raise UsageError(f"--joint {joint}: there is none; it has {allowed}")
+    return data
 
 
-def _find_peak(data: "ClipData", begin_s: float, end_s: float) -> float:
+def _find_peak(info: RecordingInfo, begin_s: float, end_s: float, progress: Progress) -> float:
     """Return the moment of the highest tension along the sheaths, while engaged if ever."""
-    rows, states = data.select(PROFILE), data.select(STATE)
-    times = data.seconds(rows)
-    rank = np.where((times >= begin_s) & (times <= end_s), rows["tension"].max(axis=1), -math.inf)
-    at = np.searchsorted(states["stamp_ns"], rows["stamp_ns"], side="right") - 1
-    engaged = (states["state"][np.maximum(at, 0)] == State.ENGAGED) & np.isfinite(rank)
-    if engaged.any():
-        rank[~engaged] = -math.inf
-    return float(times[rank.argmax()]) if np.isfinite(rank).any() else end_s
+    fields = {PROFILE.name: ("stamp_ns", "tension"), STATE.name: ("stamp_ns", "state")}
+    times: list[NDArray[np.int64]] = []
+    tensions: list[NDArray[np.float64]] = []  # highest along the sheath
+    changes: list[Rows] = []  # of the state
+    for part in read_row_parts(Scan(info.path), fields):
+        if PROFILE.name in part:
+            rows = part[PROFILE.name].rows
+            times.append(rows["stamp_ns"].copy())
+            tensions.append(rows["tension"].max(axis=1))
+            share = (int(rows["stamp_ns"][-1]) - info.first_ns) * 1e-9 / end_s
+            progress("finding the highest tension", min(max(share, 0.0), 1.0))
+        if STATE.name in part:
+            rows = part[STATE.name].rows
+            changes.append(rows[np.diff(rows["state"], prepend=-1) != 0])
+    if not times:
+        return end_s
+    stamps_ns, rank = np.concatenate(times), np.concatenate(tensions)
+    seconds = (stamps_ns - info.first_ns) * 1e-9
+    rank[(seconds < begin_s) | (seconds > end_s)] = -math.inf
+    if changes:
+        states = np.concatenate(changes)
+        at = np.searchsorted(states["stamp_ns"], stamps_ns, side="right") - 1
+        engaged = (states["state"][np.maximum(at, 0)] == State.ENGAGED) & np.isfinite(rank)
+        if engaged.any():
+            rank[~engaged] = -math.inf
+    return float(seconds[rank.argmax()]) if np.isfinite(rank).any() else end_s
 
 
 # --- files
@@ -246,13 +267,7 @@ def _import_video_writer() -> Any:
     return imageio_ffmpeg
 
 
-def _write_video(
-    path: Path,
-    _figure: "ClipFigure",
-    _moments: NDArray[np.float64],
-    frames: Iterator[NDArray[np.uint8]],
-    fps: float,
-) -> None:
+def _write_video(path: Path, frames: Iterator[NDArray[np.uint8]], fps: float) -> None:
     first = next(frames)
     tall, wide, _ = first.shape
     writer = _import_video_writer().write_frames(
@@ -261,21 +276,14 @@ def _write_video(
     )  # fmt: skip
     writer.send(None)
     try:
-        writer.send(first.tobytes())
-        for frame in frames:
+        for frame in itertools.chain([first], frames):
             writer.send(frame.tobytes())
     finally:
         writer.close()
 
 
-def _write_gif(
-    path: Path,
-    figure: "ClipFigure",
-    moments: NDArray[np.float64],
-    frames: Iterator[NDArray[np.uint8]],
-    fps: float,
-) -> None:
-    """Write an animation with one palette, so that no colour flickers."""
+def _build_palette(figure: "ClipFigure", moments: NDArray[np.float64]) -> Any:
+    """Return an image with the colours of a clip: of some frames, and the scale of tension."""
     from PIL import Image
 
     chosen = moments[np.linspace(0, len(moments) - 1, PALETTE_FRAMES).astype(int)]
@@ -284,7 +292,13 @@ def _write_gif(
     places = np.linspace(0.0, len(TENSION_MAP) - 1.0, width)
     scale = [np.interp(places, np.arange(len(TENSION_MAP)), TENSION_MAP[:, k]) for k in range(3)]
     sample.append(np.tile(np.stack(scale, axis=1).astype(np.uint8), (PALETTE_ROWS, 1, 1)))
-    palette = Image.fromarray(np.concatenate(sample)).quantize(method=Image.Quantize.MAXCOVERAGE)
+    return _to_image(np.concatenate(sample)).quantize(method=Image.Quantize.MAXCOVERAGE)
+
+
+def _write_gif(path: Path, frames: Iterator[NDArray[np.uint8]], fps: float, palette: Any) -> None:
+    """Write an animation with one palette, so that no colour flickers."""
+    from PIL import Image
+
     plain = (
         _to_image(frame).quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames
     )

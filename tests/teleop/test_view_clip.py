@@ -1,5 +1,6 @@
 """Clips and pictures of a recording: what is drawn is what was recorded, in files that open."""
 
+import dataclasses
 import sys
 from pathlib import Path
 
@@ -13,7 +14,7 @@ from teleop.messages.topics import PROFILE, STATE
 from teleop.recording.reader import open_recording
 from teleop.recording.writer import RecordConfig, RecordingWriter
 from teleop.runtime.status_line import Progress
-from teleop.view import clip, colours
+from teleop.view import clip, colours, feed
 from teleop.view.clip_canvas import THEMES, to_rgb
 from teleop.view.clip_figure import ClipFigure
 from tests.teleop.view_session import CONFIG, T0, Session
@@ -26,13 +27,10 @@ def session():
     return Session()
 
 
-@pytest.fixture(scope="module")
-def recording(session, tmp_path_factory):
-    """A recording of one second, with the scale of tension of `CONFIG`."""
-    folder, text = tmp_path_factory.mktemp("clip"), "view: {tension_scale_N: 10}\n"
-    settings = RecordConfig(directory=str(folder))
+def record(messages, folder):
+    settings, text = RecordConfig(directory=str(folder)), "view: {tension_scale_N: 10}\n"
     with RecordingWriter(settings, "demo", T0, config_text=text) as writer:
-        for topic, data in session.messages:
+        for topic, data in messages:
             head = topic.message.unpack(data)
             stamp = head.stamp_ns
             writer.write(
@@ -42,10 +40,22 @@ def recording(session, tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
+def recording(session, tmp_path_factory):
+    """A recording of one second, with the scale of tension of `CONFIG`."""
+    return record(session.messages, tmp_path_factory.mktemp("clip"))
+
+
+@pytest.fixture(scope="module")
+def long_recording(tmp_path_factory):
+    """A recording of five seconds."""
+    return record(Session(seconds=5.0).messages, tmp_path_factory.mktemp("long"))
+
+
+@pytest.fixture(scope="module")
 def drawn(recording):
     """The data of a clip of the whole recording."""
-    options = clip.ClipOptions(0.0, None, SIZE, None, "light", 1)
-    return clip._read_data(open_recording(recording), CONFIG, options, Progress())[0]
+    info = open_recording(recording)
+    return clip._read_data(info, CONFIG, 1, 0.0, info.seconds, Progress())
 
 
 def view(*words):
@@ -120,6 +130,35 @@ def test_a_picture_is_of_the_moment_that_is_asked_for(recording, tmp_path, capsy
     assert view(recording, "--out", tmp_path / "peak.png", "--size", "640x360") == 0
     with Image.open(tmp_path / "peak.png") as picture:  # of the highest tension while engaged
         assert has_colour(np.asarray(picture.convert("RGB")), colours.STATES["engaged"])
+
+
+def test_a_long_recording_is_read_to_the_end_of_the_clip_only(
+    long_recording, tmp_path, monkeypatch
+):
+    read_s, read_messages = [], feed.read_messages
+
+    def count(*words):
+        for message in read_messages(*words):
+            read_s.append((message.log_time_ns - T0) * 1e-9)
+            yield message
+
+    monkeypatch.setattr(feed, "read_messages", count)
+    for name in ("early.png", "early.gif"):
+        read_s.clear()
+        words = ("--from", 0.8, "--to", 1.0, "--fps", 10, "--size", "480x270")
+        assert view(long_recording, "--out", tmp_path / name, *words) == 0
+        assert 1.0 < max(read_s) < 1.0 + 2 * clip.BLOCK_S + 0.1
+
+
+def test_only_the_recent_past_is_kept_for_a_picture(long_recording):
+    config = dataclasses.replace(CONFIG, window_s=0.5)
+    info, progress = open_recording(long_recording), Progress()
+    peak_s = clip._find_peak(info, 0.0, info.seconds, progress)
+    data = clip._read_data(info, config, 1, peak_s, peak_s, progress)
+    assert data.select(PROFILE)["tension"].max() >= 8.0 - 1e-3  # 7 + sin k, of the second tendon
+    for topic in clip.TOPICS:
+        seconds = data.seconds(data.select(topic))
+        assert peak_s - 0.501 < seconds.min() <= seconds.max() < peak_s + 0.001
 
 
 def test_an_animation_has_its_frames_and_its_time(recording, tmp_path):
