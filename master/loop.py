@@ -324,9 +324,8 @@ def _fill_command(
 def _record_answer(memory: MasterMemory, tick_input: TickInput, state: SlaveState) -> None:
     """Record the command that is answered for the first time."""
     memory.newly_answered_ns = 0
-    memory.answered_command_ns = min(
-        memory.answered_command_ns, tick_input.now_ns
-    )  # our clock may have been set back
+    # our clock may have been set back
+    memory.answered_command_ns = min(memory.answered_command_ns, tick_input.now_ns)
     if (
         tick_input.has_state
         and memory.answered_command_ns < state.echo_stamp_ns <= tick_input.now_ns

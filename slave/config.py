@@ -23,9 +23,8 @@ from teleop.errors import UsageError
 from teleop.messages.messages import MAX_TENDONS
 from teleop.session.config import require_periods
 
-QUANTISATION_FACTOR = math.sqrt(
-    12.0
-)  # quantisation step over the standard deviation of its rounding error
+# quantisation step over the standard deviation of its rounding error
+QUANTISATION_FACTOR = math.sqrt(12.0)
 
 AS_BUILT = "as-built"
 

@@ -11,9 +11,8 @@ class SectionConfig:
     """A stretch of sheath of constant bend radius."""
 
     length: float  # [m] of the stretch
-    radius: float = field(
-        default=math.inf, metadata=MAY_BE_INFINITE
-    )  # [m] of the bend; .inf = straight
+    # [m] of the bend; .inf = straight
+    radius: float = field(default=math.inf, metadata=MAY_BE_INFINITE)
 
     def __post_init__(self) -> None:
         """Check the values; raises `ValueError`."""

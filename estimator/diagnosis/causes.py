@@ -263,9 +263,8 @@ def find_causes(
                 dataset, [shorten_blocks(record) for record in dataset.records]
             )
             base_fit = refit_baseline(dataset, base_fit)
-        base_fit = refit_baseline(
-            rescale_residuals(dataset, base_fit), base_fit
-        )  # with the weights that the candidates will have
+        # with the weights that the candidates will have
+        base_fit = refit_baseline(rescale_residuals(dataset, base_fit), base_fit)
         attempts.append(
             (_find_causes_stepwise(loads, dataset, base_fit, effects, report, workers), law)
         )
@@ -435,9 +434,10 @@ def _restart_from_other_cause(
         fit = step.fit
     steps, fit = prune_causes(dataset, base_fit, steps, fit)
     restarted = result._replace(steps=steps, fit=fit)
+    # see `_find_cause_pair`
     is_accepted = result.steps or is_within_tolerance(
         dataset, compute_errors(dataset, fit), SETTINGS.tolerance_ratio_max
-    )  # see `_find_cause_pair`
+    )
     is_better = len(steps) > 1 and is_accepted and _compute_evidence(restarted, result) > 0.0
     return restarted if is_better else result
 

@@ -188,9 +188,8 @@ def fit_model(
     """
     layout = ParameterLayout(dataset, start)
     jump_indices = [i for i, p in enumerate(layout.parameters) if p.jumps]
-    if (
-        jump_indices and rounds > ROUNDS
-    ):  # a sample beside its time a descent takes an effect to nothing
+    # a sample beside its time a descent takes an effect to nothing
+    if jump_indices and rounds > ROUNDS:
         timed_fit = simulate_dataset(dataset, contexts, start)
         for i in jump_indices:
             times = _estimate_change_times(dataset, contexts, layout, timed_fit, i)

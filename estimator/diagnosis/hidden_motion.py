@@ -91,9 +91,8 @@ AGREEING_SAMPLES = 3  # neighbouring samples in which the tension agrees: nothin
 SAMPLES_AFTER = 6  # samples in which the travel must tell the tension behind a hidden motion
 SAMPLES_BEFORE = 4  # samples before the tension is seen off, in which the motion may have begun
 MOTION_SAMPLES_MAX = 400  # samples that the tension may tell together
-TENSION_OFFSETS = np.linspace(
-    -3.0, 3.0, 13
-)  # sigma: tensions about the measured one that are tried
+# sigma: tensions about the measured one that are tried
+TENSION_OFFSETS = np.linspace(-3.0, 3.0, 13)
 EXCLUSION_TEXT = "samples excluded, in which the motor moved within the noise of its travel"
 
 

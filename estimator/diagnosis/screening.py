@@ -67,9 +67,8 @@ class Start(NamedTuple):
 class Starts(NamedTuple):
     """Two ways to begin with an effect."""
 
-    linearised_starts: list[
-        list[Start]
-    ]  # of each: it and the model's own parameters where a linear step leads
+    # of each: it and the model's own parameters where a linear step leads
+    linearised_starts: list[list[Start]]
     raw_starts: list[Start]  # on top of the model as it is
 
 

@@ -20,9 +20,8 @@ class InitialiseResult(NamedTuple):
 
     calibration: Calibration
     record: ProcedureData
-    samples: tuple[
-        RigSample, ...
-    ]  # all, oldest first, to initialise the estimators' tension profiles
+    # all, oldest first, to initialise the estimators' tension profiles
+    samples: tuple[RigSample, ...]
     motor: tuple[float, ...]  # [m] written last, where the motors hold
 
 

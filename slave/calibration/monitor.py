@@ -103,12 +103,10 @@ class MonitorConstants(Struct):
     mobilised: F64 = math.inf  # [m] where the front is when the tip moves
     depth: F64 = 0.0  # [m] front position at which a transition ends
     lag: F64 = 0.0  # [s] by which the estimator averages the tension
-    shares: Annotated[
-        Array, Field("f8", len(FRICTION_FACTORS))
-    ]  # measured over predicted travel, ascending
-    factors: Annotated[
-        Array, Field("f8", len(FRICTION_FACTORS))
-    ]  # of all friction, corresponding to `shares`
+    # measured over predicted travel, ascending
+    shares: Annotated[Array, Field("f8", len(FRICTION_FACTORS))]
+    # of all friction, corresponding to `shares`
+    factors: Annotated[Array, Field("f8", len(FRICTION_FACTORS))]
     amplified: F64 = math.inf  # ratio of the relative errors of T_out and of travel
     blind: Flag = True  # whether such changes are not observable, as if all bends are at the tip
 

@@ -17,12 +17,7 @@ import numpy as np
 from estimator.array_types import Array
 from estimator.measured_data import Samples
 from slave.config import SlaveConfig
-from slave.rigs.simulated import (
-    JointConfig,
-    SimulatedRig,
-    SimulatedRigConfig,
-    TendonPlantConfig,
-)
+from slave.rigs.simulated import JointConfig, SimulatedRig, SimulatedRigConfig, TendonPlantConfig
 from slave.sheath_section import SectionConfig
 from slave.simulation.effects import EffectConfig
 from slave.simulation.environment import FreeConfig

@@ -93,9 +93,8 @@ class LoadMotorConfig:
     profile: tuple[tuple[float, float], ...] = ((0.0, 0.0),)  # [[s, N or m], ...], time increasing
     stiffness: float = 5000.0  # [N/m] of the coupling, under position control
     repeat: bool = False  # start the profile again after its last point
-    coupled: tuple[float, float] = field(
-        default=(0.0, inf), metadata=MAY_BE_INFINITE
-    )  # [s] from, to
+    # [s] from, to
+    coupled: tuple[float, float] = field(default=(0.0, inf), metadata=MAY_BE_INFINITE)
 
     def __post_init__(self) -> None:
         """Check the values; raises `ValueError`."""

@@ -86,11 +86,5 @@ CASES = (
         _resistances,
         counts=127,
     ),
-    Case(
-        "spacemouse",
-        "spacemouse",
-        "hid-generic",
-        ("x", "y", "z", "rx", "ry", "rz"),
-        counts=350,
-    ),
+    Case("spacemouse", "spacemouse", "hid-generic", ("x", "y", "z", "rx", "ry", "rz"), counts=350),
 )

@@ -153,13 +153,7 @@ class Machine:
     """
 
     def __init__(
-        self,
-        qemu: str,
-        kernel: Path,
-        initrd: Path,
-        words: str,
-        folder: Path,
-        by_the_wall: bool,
+        self, qemu: str, kernel: Path, initrd: Path, words: str, folder: Path, by_the_wall: bool
     ) -> None:
         folder.mkdir()
         self._results, self._console = folder / "results", folder / "console"

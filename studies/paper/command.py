@@ -54,11 +54,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def main(args: argparse.Namespace) -> int:
     """Run the command."""
-    for name, least, most in (
-        ("sheaths", 1, MOST_SHEATHS),
-        ("seed", 0, 2**31),
-        ("jobs", 1, 256),
-    ):
+    for name, least, most in (("sheaths", 1, MOST_SHEATHS), ("seed", 0, 2**31), ("jobs", 1, 256)):
         if not least <= getattr(args, name) <= most:
             raise UsageError(f"--{name} {getattr(args, name)}: must be {least} to {most}")
     if args.out is not None:
@@ -101,11 +97,7 @@ def text(shown: Demonstration, outcomes: list[Outcome], seed: int) -> str:
 
 
 def page_of(
-    shown: Demonstration,
-    outcomes: list[Outcome],
-    seed: int,
-    folder: Path,
-    captions: dict[str, str],
+    shown: Demonstration, outcomes: list[Outcome], seed: int, folder: Path, captions: dict[str, str]
 ) -> str:
     """Return the page; the figures, by file name in `folder`, have captions."""
     page = Page(TITLE)

@@ -38,10 +38,7 @@ def by_phase(outcome: Outcome) -> Table:
         for largest, average in (PUBLISHED[signal] for signal in SIGNALS)
     )
     rows.append(
-        (
-            "published",
-            *(next(published) if method == PAPER else "" for _, method in columns),
-        )
+        ("published", *(next(published) if method == PAPER else "" for _, method in columns))
     )
     return Table(("phase", *(f"{signal}, {method}" for signal, method in columns)), tuple(rows))
 

@@ -56,12 +56,7 @@ def rig_tree(buses: dict, motors: int, paired: bool) -> dict:
     """Return the section `slave.rig` of a config."""
     tendons = [
         {
-            "motor": {
-                "id": k,
-                "pulley_radius": RADIUS,
-                "counts_per_turn": COUNTS,
-                "zero": ZERO,
-            },
+            "motor": {"id": k, "pulley_radius": RADIUS, "counts_per_turn": COUNTS, "zero": ZERO},
             "cell": {"id": k, "scale": NEWTONS},
         }
         for k in range(1, motors + 1)

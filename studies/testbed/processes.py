@@ -21,9 +21,8 @@ from teleop.runtime.process import SUPERVISED_VARIABLE
 from teleop.session.state_machine import State
 
 START_S = 120.0  # the first start of all compiles
-OURS = os.environ | {
-    SUPERVISED_VARIABLE: str(os.getpid())
-}  # environment of processes that end with us
+# environment of processes that end with us
+OURS = os.environ | {SUPERVISED_VARIABLE: str(os.getpid())}
 
 
 def ended_well(code: int, said: str) -> bool:

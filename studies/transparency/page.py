@@ -134,10 +134,7 @@ def two_ports(study: Study, name: str, cases: list[Case]) -> tuple[Figure, str]:
     """Draw magnitude and phase of the hybrid parameters of a coupling."""
     figure = Figure(figsize=(11.6, 5.0))
     grid = figure.subplots(2, len(PARAMETERS), sharex=True)
-    ideal = {
-        "h12": (study.force_scale, (0.0,)),
-        "h21": (study.position_scale, (-180.0, 180.0)),
-    }
+    ideal = {"h12": (study.force_scale, (0.0,)), "h21": (study.position_scale, (-180.0, 180.0))}
     for parameter, (above, below) in zip(PARAMETERS, grid.T, strict=True):
         for case, colour in _shaded(study, cases, name):
             frequency, response = case.hybrid.frequency, getattr(case.hybrid, parameter)

@@ -132,12 +132,7 @@ def tree(study: Study, cases: list[Case]) -> dict[str, Any]:
                 "fades": zwidth.FADES,
                 "energy": zwidth.ENERGY,
             },
-            "rig": {
-                "contact": CONTACT,
-                "pretension": PRETENSION,
-                "spring": SPRING,
-                "load": LOAD,
-            },
+            "rig": {"contact": CONTACT, "pretension": PRETENSION, "spring": SPRING, "load": LOAD},
             "trusted_coherence": TRUSTED,
         },
         "cases": [_case_tree(study, case) for case in cases],

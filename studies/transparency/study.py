@@ -12,13 +12,7 @@ from studies.transparency.rig import Environment, Rig, free, wall
 from studies.transparency.stiffness import SpringContact
 from studies.transparency.system import Network, Teleoperator, rig_model, settings
 from studies.transparency.zwidth import Width
-from teleop.coupling import (
-    Bilateral,
-    CouplingConfig,
-    DirectConfig,
-    PassivityConfig,
-    WaveConfig,
-)
+from teleop.coupling import Bilateral, CouplingConfig, DirectConfig, PassivityConfig, WaveConfig
 
 COUPLINGS = ("direct", "passivity", "wave")
 LINEAR = ("direct",)  # those whose law is: force and motion pass as they are

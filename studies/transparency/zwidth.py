@@ -52,11 +52,7 @@ def buzz(record: RunData) -> float:
 
 
 def push(
-    system: System,
-    hand: HandModel,
-    device: Device,
-    contact: float,
-    round_trip: float = 0.0,
+    system: System, hand: HandModel, device: Device, contact: float, round_trip: float = 0.0
 ) -> RunData:
     """Return how `hand` reaches into a wall that begins at `contact` [m] of it, and rests."""
     begin = SETTLED + round_trip + 0.2

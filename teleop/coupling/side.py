@@ -25,9 +25,8 @@ class Side(Struct):
     coupled: Flag = False  # whether forces are rendered (master), tips follow (slave)
     requested: Annotated[Array, Field("f8", MAX_JOINTS)]  # [m] tip positions commanded by the hand
     tip: Annotated[Array, Field("f8", MAX_JOINTS)]  # [m] tip positions after the coupling
-    hand: Annotated[
-        Sequence[MasterInput], Field(MasterInput, MAX_JOINTS)
-    ]  # at the last tick (master)
+    # at the last tick (master)
+    hand: Annotated[Sequence[MasterInput], Field(MasterInput, MAX_JOINTS)]
     dt: F64 = 0.0  # [s] of that tick
     contacts: Annotated[Sequence[Contact], Field(Contact, MAX_JOINTS)]  # of the tips (master)
 

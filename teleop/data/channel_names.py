@@ -119,9 +119,8 @@ def detect_units(path: Path, names: Collection[str], number: int = 1) -> Units:
         for units in STANDARD_NAMES
     }
     linear, rotary = [*present[LINEAR], *present[FORCE]], present[ROTARY]
-    if (
-        format_standard_name(LINEAR, "proximal_tension", number) in names
-    ):  # further columns are ignored
+    # further columns are ignored
+    if format_standard_name(LINEAR, "proximal_tension", number) in names:
         rotary = [
             name
             for channel in STANDARD_NAMES[ROTARY]

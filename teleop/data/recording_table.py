@@ -24,13 +24,7 @@ from teleop.data.table_files import read_columns
 from teleop.errors import UsageError
 from teleop.messages.messages import MAX_JOINTS, decode_text
 from teleop.messages.topics import COMMAND, EVENT, HAND, STATE, format_role
-from teleop.recording.reader import (
-    ROWS_MAX,
-    TopicRows,
-    list_doubts,
-    missing_topic,
-    read_row_parts,
-)
+from teleop.recording.reader import ROWS_MAX, TopicRows, list_doubts, missing_topic, read_row_parts
 from teleop.recording.scan import RecordingError, Scan
 from teleop.runtime.process import print_warning
 from teleop.runtime.status_line import Progress

@@ -36,11 +36,8 @@ TENSION_PEAK = 1000.0  # [N] above this the unit is wrong: grams or millinewtons
 TRAVEL_SPAN = 2.0  # [m] above this the unit is wrong: millimetres
 TORQUE_PEAK = 1000.0  # [N m] above this the unit is wrong: N mm
 ANGLE_SPAN = 30.0  # [rad] above this, five turns, the unit is wrong: degrees
-HOUSING_CHANNELS = (
-    "time",
-    "proximal_tension",
-    "proximal_displacement",
-)  # what a force is estimated from
+# what a force is estimated from
+HOUSING_CHANNELS = ("time", "proximal_tension", "proximal_displacement")
 NAMES_SHOWN = 12  # of a file's columns in an error message
 # [s] above this the unit is wrong, unless it is told: milliseconds of 2 kHz are 0.5
 PERIOD_MAX = 0.4

@@ -142,9 +142,8 @@ class ConnectionGuard:
         self, session: zenoh.Session, listen: list[str], burst: int, note: Callable[[str], None]
     ) -> None:
         self._session, self._burst, self._note = session, burst, note
-        self._names: dict[
-            tuple[SocketAddress, SocketAddress | None], str
-        ] = {}  # of certificates, by the ends
+        # of certificates, by the ends
+        self._names: dict[tuple[SocketAddress, SocketAddress | None], str] = {}
         self._sockets: dict[int, Connection | None] = {}  # by inode; None: not a connection
         self._blocks: dict[Network, _Block] = {}
         self._ports: dict[int, float] = {}  # of ours that connect past a block, and until when

@@ -95,9 +95,8 @@ class Link:
             self._token = replace(self._token, stage=RoleStage.HELD)
             if claim is not None:
                 self._held = self._announce()
-                self._roster.show_token(
-                    self._token
-                )  # the end of a claim shown later is told to nobody
+                # the end of a claim shown later is told to nobody
+                self._roster.show_token(self._token)
                 claim.undeclare()
             opening.enter_context(self._probe())
             self._closing = opening.pop_all()

@@ -258,9 +258,8 @@ def main(args: argparse.Namespace) -> int:
         print(format_zenohd_config(link, sessions, list(config.listen), list(config.connect)))
         return 0
     stop = StopCondition(args.duration)
-    granted = request_realtime(
-        shared.realtime
-    )  # before the router: its threads inherit the priority
+    # before the router: its threads inherit the priority
+    granted = request_realtime(shared.realtime)
     # no `SimpleQueue`, whose waits may have no end (`teleop.link.reception.Inbox.wait`)
     changes: queue.Queue[tuple[str, Role, bool]] = queue.Queue()
     seen: set[str] = set()

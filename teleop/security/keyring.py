@@ -68,9 +68,8 @@ class Keyring:
         self._senders: dict[str, dict[int, Any]] = {
             topic.name: {} for topic in TOPICS if role in topic.addressees
         }
-        self._peers: dict[
-            tuple[Role, int], Peer
-        ] = {}  # as many as the roster admits, and `DEPARTED_PEERS_MAX`
+        # as many as the roster admits, and `DEPARTED_PEERS_MAX`
+        self._peers: dict[tuple[Role, int], Peer] = {}
         self._gone: OrderedDict[tuple[Role, int], None] = OrderedDict()
 
     def shares_with(self, role: Role) -> bool:

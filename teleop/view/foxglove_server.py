@@ -26,10 +26,8 @@ from teleop.view.feed import MessageSource
 from teleop.view.local_server import GuardedHandler, LocalServer
 
 _PROTOCOLS = ("foxglove.sdk.v1", "foxglove.websocket.v1")  # the same for what is used here
-_APP_ORIGINS = (
-    "https://app.foxglove.dev",
-    "file://",
-)  # origins of the app in a browser, and installed
+# origins of the app in a browser, and installed
+_APP_ORIGINS = ("https://app.foxglove.dev", "file://")
 _GUID = "258EAFA5-E914-47DA-95CA-C5AB0DC85B11"  # RFC 6455
 _TEXT, _BINARY, _CLOSE, _PING, _PONG = 1, 2, 8, 9, 10  # opcodes
 _QUEUE = 2048  # messages that wait for a slow app; then the oldest go

@@ -228,9 +228,8 @@ class Page:
         self._blocks = blocks
         self._instance = secrets.token_hex(8)
         self._ended = ""
-        self._waiting: dict[
-            str, float
-        ] = {}  # page -> [s] when it asked last; told of the end: gone
+        # page -> [s] when it asked last; told of the end: gone
+        self._waiting: dict[str, float] = {}
         limit = f' memory_limit: "{memory_mb}MB",'.encode()
         self._files = dict(files)
         self._files["viewer.html"] = files["viewer.html"].replace(_MARK, _MARK + limit)

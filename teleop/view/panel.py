@@ -48,11 +48,8 @@ _SEVERITY_ORDER = (
     State.STOPPED, State.FAULT, State.HOLDING, State.OFF, State.READY, State.CLUTCHED,
     State.ENGAGED,
 )  # fmt: skip
-_SERIOUS_STATES = {
-    State.STOPPED,
-    State.FAULT,
-    State.HOLDING,
-}  # shown even if the peer sends nothing
+# shown even if the peer sends nothing
+_SERIOUS_STATES = {State.STOPPED, State.FAULT, State.HOLDING}
 _REASONS = {int(reason): reason for reason in Reason}
 NO_DATA = "no data"
 NO_LINK = "none"

@@ -100,10 +100,8 @@ def compute_force_rows(joints: int) -> tuple[float, float, list[ForceRow]]:
 # height of a capital, and from one glyph to the next [grid units]
 _CAPITAL_HEIGHT, _GLYPH_ADVANCE = 6.0, 5.8
 _SPACE = 3.6
-_NARROW_MARKS, _NARROW_REDUCTION = (
-    ".,:;'",
-    3.0,
-)  # marks that need less room, and how much [grid units]
+# marks that need less room, and how much [grid units]
+_NARROW_MARKS, _NARROW_REDUCTION = (".,:;'", 3.0)
 STROKE = 0.085  # radius of a stroke, of the height of a capital
 _GLYPHS = {
     "A": "06 01 10 30 41 46, 03 43", "B": "06 00 30 41 42 33 03, 33 44 45 36 06",

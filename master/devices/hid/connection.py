@@ -200,9 +200,8 @@ class DeviceConnection:
                 if self.driver.forces and not kind.forgets and sys.platform == "linux":
                     self._guard = ForceWatchdog(item.path, self.driver.silence())
                     undo.callback(self._guard.end)
-                undo.callback(
-                    _remove_force, node, self.driver
-                )  # begun in part, it may push by itself
+                # begun in part, it may push by itself
+                undo.callback(_remove_force, node, self.driver)
                 self.driver.begin(node)
             except (ValueError, OSError) as error:  # DescriptorError, DriverError; of the guard
                 raise DeviceFault(f"{item}: {error}") from error

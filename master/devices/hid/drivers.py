@@ -59,9 +59,8 @@ class AttachedNode(NamedTuple):
 class DriverSpec(NamedTuple):
     """A driver and properties of its devices."""
 
-    misfit: Callable[
-        [AttachedNode, bytes], str
-    ]  # (device, its descriptor) -> why not; empty = fits
+    # (device, its descriptor) -> why not; empty = fits
+    misfit: Callable[[AttachedNode, bytes], str]
     # of the device, its descriptor, effects of its own, and the axes to be pushed (None = all);
     # raises DriverError, DescriptorError
     make: Callable[[AttachedNode, bytes, PidConfig, tuple[str, ...] | None], HidDriver]

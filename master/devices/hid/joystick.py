@@ -15,10 +15,8 @@ from master.devices.hid.driver import Controls, DriverError, ReportAccess, Share
 
 # --- axes, buttons and hats of any joystick, from its report descriptor
 
-_CENTRED_AXES = (
-    "x",
-    "y",
-)  # sticks and wheels, whatever their range; other unsigned axes are one-sided
+# sticks and wheels, whatever their range; other unsigned axes are one-sided
+_CENTRED_AXES = ("x", "y")
 _BUTTONS_MAX = 128
 _UP, _RIGHT, _DOWN, _LEFT = 1, 2, 4, 8
 _EIGHT_WAYS = (_UP, _UP | _RIGHT, _RIGHT, _RIGHT | _DOWN, _DOWN, _DOWN | _LEFT, _LEFT, _LEFT | _UP)

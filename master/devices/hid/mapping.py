@@ -96,9 +96,8 @@ class HidConfig:
     )
     axes: tuple[AxisConfig, ...] = (AxisConfig(travel=0.05),)
     buttons: ButtonsConfig = ButtonsConfig()
-    pid: PidConfig = field(
-        default_factory=PidConfig
-    )  # effects rendered by a device of the PID class itself
+    # effects rendered by a device of the PID class itself
+    pid: PidConfig = field(default_factory=PidConfig)
     smoothing: float = 0.010  # [s] time constant of the velocity's filter
     signs: Path | None = None  # file of force signs; null = ~/.config/tendon-teleop/
 

@@ -81,9 +81,8 @@ class ThermalExpansion(TendonEffect):
     """Thermal expansion of the tendon relative to its sheath."""
 
     type: Literal["thermal_expansion"] = "thermal_expansion"
-    coefficient: float = build_ranged_field(
-        1.2e-5, -1e-4, 1e-3, "1/K"
-    )  # of tendon over sheath; steel: 1.2e-5
+    # of tendon over sheath; steel: 1.2e-5
+    coefficient: float = build_ranged_field(1.2e-5, -1e-4, 1e-3, "1/K")
     warming: float = build_ranged_field(10.0, -100.0, 100.0, "K")  # in the end
     time_constant: float = build_ranged_field(60.0, 0.01, 1e5, "s")  # of the warming
     varies: ClassVar[bool] = True

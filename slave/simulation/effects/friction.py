@@ -95,9 +95,8 @@ class Presliding(TendonEffect):
 
     type: Literal["presliding"] = "presliding"
     distance: float = build_ranged_field(5e-5, 1e-6, 1e-3, "m")  # elastic yield of a contact
-    tension: float = build_ranged_field(
-        10.0, 0.1, 100.0, "N"
-    )  # at which a contact yields by that much
+    # at which a contact yields by that much
+    tension: float = build_ranged_field(10.0, 0.1, 100.0, "N")
     adds_up: ClassVar[bool] = False
 
     def apply(self, knobs: Knobs, _time: float, _slid: float, /) -> Knobs:
@@ -110,9 +109,8 @@ class DirectionAsymmetry(TendonEffect):
     """Direction-dependent friction, from laid strands or coils."""
 
     type: Literal["direction_asymmetry"] = "direction_asymmetry"
-    ratio: float = build_ranged_field(
-        0.8, 0.3, 3.0
-    )  # rho, towards the tip over towards the housing
+    # rho, towards the tip over towards the housing
+    ratio: float = build_ranged_field(0.8, 0.3, 3.0)
 
     def apply(self, knobs: Knobs, _time: float, _slid: float, /) -> Knobs:
         """Return the knobs with this effect added."""
@@ -141,9 +139,8 @@ class StickSlip(TendonEffect):
     """
 
     type: Literal["stick_slip"] = "stick_slip"
-    ratio: float = build_ranged_field(
-        1.3, 1.0, 3.0
-    )  # static over sliding friction, after long rest
+    # static over sliding friction, after long rest
+    ratio: float = build_ranged_field(1.3, 1.0, 3.0)
     rest_time: float = build_ranged_field(0.5, 1e-3, 100.0, "s")  # time constant of growth at rest
     distance: float = build_ranged_field(2e-5, 1e-7, 1e-3, "m")  # slid while it decays
     adds_up: ClassVar[bool] = False

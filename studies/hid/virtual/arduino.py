@@ -90,7 +90,4 @@ def _pull(enable: int, x: int, y: int) -> tuple[float, float]:
     if enable == _DIRECTION_ONLY:
         enable, y = _BOTH, x
     angles = 2 * math.pi * x / 255, 2 * math.pi * y / 255
-    return (
-        math.sin(angles[0]) if enable & 1 else 0.0,
-        -math.cos(angles[1]) if enable & 2 else 0.0,
-    )
+    return (math.sin(angles[0]) if enable & 1 else 0.0, -math.cos(angles[1]) if enable & 2 else 0.0)
