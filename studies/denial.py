@@ -15,21 +15,19 @@ must be alive, and the resident memory of the slave within 10 MB of what it was 
 import argparse
 import gc
 import itertools
-import os
 import random
 import select
-import socket
 import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, suppress
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import zenoh
 
+from studies.testbed.processes import free_ports, resident_mb
 from teleop.link.listener import Listener
 from teleop.link.network import open_session
 from teleop.link.reception import LatestMessage
@@ -62,7 +60,6 @@ with Link(LinkConfig(master=sys.argv[1], slave=sys.argv[2]), "denial", role) as 
         for line in link.refusals.take():
             print(line, file=sys.stderr, flush=True)
 """
-PAGE_MB = os.sysconf("SC_PAGE_SIZE") / 1e6
 MASTER = Peer(Role.MASTER, 1, Identity(CertificateRole.MASTER, "test"), bytes(32))
 KEYS = PairKeys(bytes(32), b"\1" * 32)
 
@@ -171,10 +168,6 @@ def still_opens(door: Door) -> bool:
     return door.accepted == before + 1
 
 
-def resident_mb(process: int | str = "self") -> float:
-    return PAGE_MB * int(Path(f"/proc/{process}/statm").read_text().split()[1])
-
-
 def declare_token(session: zenoh.Session, number: int) -> Any:
     key = f"teleop/denial/@/viewer/{number:08x}/{number:016x}/held/{LONG}"
     return session.liveliness().declare_token(key)
@@ -212,10 +205,7 @@ class TableFlood(NamedTuple):
 
 def flood_tables(declare: Callable[[zenoh.Session, int], Any], seconds: float) -> TableFlood:
     """Flood the tables of a slave, which is connected with a master, as a viewer."""
-    with socket.socket() as one, socket.socket() as two:
-        for probe in (one, two):
-            probe.bind(("127.0.0.1", 0))
-        ends = [f"127.0.0.1:{probe.getsockname()[1]}" for probe in (one, two)]
+    ends = [f"127.0.0.1:{port}" for port in free_ports(2)]
     viewer = create_local_credentials("denial", CertificateRole.VIEWER)
     connections = declared = 0
     with ExitStack() as stack:

@@ -4,14 +4,13 @@ python studies/impair.py
 """
 
 import os
-import socket
 import subprocess
 import sys
 import time
-from contextlib import ExitStack
 
 import numpy as np
 
+from studies.testbed.processes import free_ports
 from teleop.link import Link, LinkConfig
 from teleop.link.bridge import send_request
 from teleop.messages.messages import Command
@@ -21,14 +20,6 @@ from teleop.runtime.process import SUPERVISED_VARIABLE
 DELAYS = (0.0, 0.01, 0.05, 0.1)  # [s]
 COUNT = 3000  # messages for each, one a millisecond
 SESSION = "benchmark-impair"
-
-
-def free_ports(count: int) -> list[int]:
-    with ExitStack() as stack:
-        probes = [stack.enter_context(socket.socket()) for _ in range(count)]
-        for probe in probes:
-            probe.bind(("127.0.0.1", 0))
-        return [probe.getsockname()[1] for probe in probes]
 
 
 def latencies(config: LinkConfig, shared: LinkConfig, delay: float, proxied: bool) -> np.ndarray:

@@ -18,19 +18,13 @@ import time
 from collections import Counter
 from pathlib import Path
 
-from impair import free_ports
-
+from studies.testbed.processes import free_ports, resident_mb
 from teleop.link import Link, LinkConfig
 from teleop.messages.topics import COMMAND, HAND, STATE, TENDONS, Role
 from teleop.runtime.process import SUPERVISED_VARIABLE
 
 SESSION = "benchmark-memory"
 PERIOD_S = 1e-3
-PAGE_MB = os.sysconf("SC_PAGE_SIZE") / 1e6
-
-
-def resident_mb(pid: int) -> float:
-    return PAGE_MB * int(Path(f"/proc/{pid}/statm").read_text().split()[1])
 
 
 def publish(slave: Link, master: Link, published: Counter, stopping: threading.Event) -> None:

@@ -8,7 +8,6 @@ period of both loops and the way from command to force in each state; all meet t
 """
 
 import json
-import os
 import subprocess
 import sys
 import tempfile
@@ -19,6 +18,7 @@ from pathlib import Path
 import zenoh
 from view import CONFIG, Spans, end, report, wait_until_engaged
 
+from studies.testbed.processes import processor_s
 from teleop.runtime.clock import now_ns
 from teleop.runtime.process import write_text_file
 from teleop.view.local_server import find_free_port
@@ -89,12 +89,6 @@ def session(folder: Path, seconds: float, rounds: int) -> tuple[Path, Spans]:
                 )
     (path,) = folder.glob("*.mcap")
     return path, spans
-
-
-def processor_s(pid: int) -> float:
-    """Return the processor time [s] of a process so far."""
-    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 def node(endpoint: str, counts: Path) -> None:

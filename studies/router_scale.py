@@ -30,6 +30,7 @@ from typing import Any
 import numpy as np
 import zenoh
 
+from studies.testbed.processes import processor_s
 from teleop.link.network import declare_publisher, open_session
 from teleop.messages.messages import Command, SlaveState
 from teleop.runtime.process import SUPERVISED_VARIABLE, die_with_launcher
@@ -46,7 +47,6 @@ PERIOD_NS = 1_000_000
 CONNECT_S = 30.0
 FAN_OUT = (0, 2, 4, 8)  # listeners of one session
 _STAMP = 8  # bytes, of the clock at the master
-_TICKS = os.sysconf("SC_CLK_TCK")
 
 
 def name_of(number: int) -> str:
@@ -211,8 +211,7 @@ class Part:
 
     def cpu_s(self) -> float:
         """Return the processor time so far [s]."""
-        stat = Path(f"/proc/{self.process.pid}/stat").read_text().rpartition(")")[2].split()
-        return (int(stat[11]) + int(stat[12])) / _TICKS
+        return processor_s(self.process.pid)
 
 
 def measure(plan: dict[str, Any], router: Part | None) -> dict[str, Any]:

@@ -31,6 +31,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from studies.testbed import browser
+from studies.testbed.processes import processor_s, resident_mb
 from teleop.config import loading
 from teleop.link import Link
 from teleop.messages.topics import STATE, TOPICS, Role
@@ -202,7 +203,7 @@ def hour(recording: Path, minutes: float = HOUR_S / 60) -> None:
                     minute, size = moments.pop(0), file.stat().st_size / 1e6
                     speed = passed_s / (time.monotonic() - begin)
                     print(
-                        f"{minute:3} min: view {memory_mb(os.getpid()):4.0f} MB, "
+                        f"{minute:3} min: view {resident_mb(os.getpid()):4.0f} MB, "
                         f"page {page_memory_mb(page):4.0f} MB; "
                         f"file {size:6.1f} MB, "
                         f"{size / max(minute, 1):.1f} MB a minute; {speed:.1f} times real time",
@@ -274,7 +275,7 @@ def processes(file: Path, seconds: float) -> None:
             spare = STANDBY_VARIABLE.encode() in Path(f"/proc/{pid}/environ").read_bytes()
             name = "its spare" if spare else "view"
             share = (processor_s(pid) - earlier) / passed
-            print(f"{name:14} {share:5.2f} {memory_mb(pid):6.0f} {own_memory_mb(pid):6.0f}")
+            print(f"{name:14} {share:5.2f} {resident_mb(pid):6.0f} {own_memory_mb(pid):6.0f}")
 
 
 def children(parent: int) -> list[int]:
@@ -285,12 +286,6 @@ def children(parent: int) -> list[int]:
 
 def command_of(pid: int) -> bytes:
     return Path(f"/proc/{pid}/cmdline").read_bytes()
-
-
-def processor_s(pid: int) -> float:
-    """Return the processor time that a process has used [s]."""
-    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 def own_memory_mb(pid: int) -> float:
@@ -304,18 +299,12 @@ def page_memory_mb(page: browser.Browser | None) -> float:
     if page is None:
         return math.nan
     drawing = [pid for pid in descendants(page.pid) if b"--type=renderer" in command_of(pid)]
-    return max(map(memory_mb, drawing), default=math.nan)
+    return max(map(resident_mb, drawing), default=math.nan)
 
 
 def descendants(parent: int) -> list[int]:
     """Return the process ids of a process's children, of theirs, and so on."""
     return [pid for child in children(parent) for pid in (child, *descendants(child))]
-
-
-def memory_mb(pid: int) -> float:
-    """Return the resident memory of a process [MB]."""
-    pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
-    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
 if __name__ == "__main__":

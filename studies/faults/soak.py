@@ -9,7 +9,6 @@ messages, or if anything moved or engaged that was not asked to.
 
 import argparse
 import json
-import os
 import sys
 import tempfile
 import time
@@ -21,7 +20,7 @@ import numpy as np
 from studies.faults.campaign import failures, summarise
 from studies.faults.judge import FRESH_NS, judge
 from studies.faults.session import DEMO_CONFIG, NAMES, PLAN, Fault, FaultSession, inject
-from studies.testbed.processes import pause
+from studies.testbed.processes import pause, resident_mb
 
 NETWORK = {
     "delay": 0.003, "jitter": 0.002, "loss": 0.02, "burst_loss": 0.005, "burst_length": 3.0,
@@ -30,15 +29,11 @@ NETWORK = {
 LATE_NS = round((NETWORK["delay"] + NETWORK["jitter"] + 0.003) * 1e9)  # what the network adds
 GROWTH = 4.0  # [MB] a process may grow by between the second quarter and the last
 STOPPED = 50  # messages that may be dropped unseen around each stop of a process
-PAGE_MB = os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
 def memory_mb(bench: FaultSession) -> dict[str, float]:
     """Return the resident memory of each process."""
-    return {
-        name: PAGE_MB * int(Path(f"/proc/{bench.running[name].pid}/statm").read_text().split()[1])
-        for name in NAMES
-    }
+    return {name: resident_mb(bench.running[name].pid) for name in NAMES}
 
 
 def live(bench: FaultSession, seconds: float, rng: np.random.Generator, kinds: list[str]):

@@ -1,11 +1,14 @@
 """A virtual machine: the kernel that it boots, kept in .cache/, and its process."""
 
+import contextlib
 import json
 import os
 import shutil
 import subprocess
 from pathlib import Path
 from typing import Any, NamedTuple
+
+from studies.testbed.processes import processor_s
 
 # --- kernels to boot: Debian's, downloaded once and kept in .cache/
 
@@ -187,12 +190,8 @@ class Machine:
     @property
     def worked_s(self) -> float:
         """Processor time that it has used [s]; of Linux."""
-        try:
-            status = Path(f"/proc/{self._process.pid}/stat").read_text()
-        except OSError:  # it is gone
-            return self._worked_s
-        user, system = status.rpartition(")")[2].split()[11:13]
-        self._worked_s = (int(user) + int(system)) / os.sysconf("SC_CLK_TCK")
+        with contextlib.suppress(OSError):  # it is gone
+            self._worked_s = processor_s(self._process.pid)
         return self._worked_s
 
     @property

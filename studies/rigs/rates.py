@@ -8,7 +8,6 @@ processor time is that of the driver's process alone.
 """
 
 import argparse
-import os
 import time
 
 import numpy as np
@@ -18,13 +17,13 @@ from slave.drivers.cia402.config import compute_bus_load
 from slave.rig import RigFault
 from slave.rigs.hardware import HardwareRig
 from studies.rigs.bench import Model, rig_tree
+from studies.testbed.processes import processor_s
 from teleop.config.loading import load
 from teleop.runtime.realtime import request_realtime
 
 DRIVERS = ("microcontroller", "dynamixel", "cia402")
 ASKED_HZ = {"microcontroller": 1000.0, "dynamixel": 500.0, "cia402": 500.0}
 BAUD = 4e6  # of the servos
-TICK = os.sysconf("SC_CLK_TCK")
 
 
 def main() -> None:
@@ -56,9 +55,9 @@ def measure(driver: str, motors: int, seconds: float) -> str:
         rig = HardwareRig(config.rig)
         try:
             run(rig, 1.0)
-            before = cpu_s(rig.buses[0].pid)
+            before = processor_s(rig.buses[0].pid)
             times = run(rig, seconds)
-            used = (cpu_s(rig.buses[0].pid) - before) / seconds
+            used = (processor_s(rig.buses[0].pid) - before) / seconds
         finally:
             rig.close()
     gaps = np.diff(times)
@@ -82,13 +81,6 @@ def run(rig: HardwareRig, seconds: float) -> np.ndarray:
         due_s += 0.001
         time.sleep(max(0.0, due_s - time.monotonic()))
     return np.array(times)
-
-
-def cpu_s(process: int) -> float:
-    """Return the processor time [s] that a process has used."""
-    with open(f"/proc/{process}/stat") as stat:
-        words = stat.read().rpartition(")")[2].split()
-    return (int(words[11]) + int(words[12])) / TICK
 
 
 def line_bound(driver: str, motors: int) -> float:

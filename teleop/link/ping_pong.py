@@ -30,7 +30,7 @@ from teleop.security.credentials import create_local_credentials
 PERIOD_S = 1e-3  # between two commands, as in a 1 kHz session
 ANSWER_TIMEOUT_S = 0.05  # timeout of an answer
 START_S = 5.0  # timeout for the start of the other process
-_NUMBER_BYTES = 8  # bytes: a command begins with its number, an answer with that and its own stamp
+_NUMBER_BYTES = 8  # bytes: a command begins with its number, an answer with that of its command
 _INBOX_SIZE = 16
 _SESSION = "ping-pong"
 _DEFAULT = RealtimeConfig()
@@ -51,8 +51,7 @@ def measure_ping_pong(
     Returns
     -------
     dict
-        `n` answered; `p50_ms`, `p99_ms`, `p99_9_ms` of the round trip; the same with the prefix
-        `one_way_` for the way back; `realtime`, the scheduling granted. Empty without an answer.
+        `n` answered; `p50_ms`, `p99_ms`, `p99_9_ms` of the round trip. Empty without an answer.
     """
     endpoint = f"127.0.0.1:{_find_free_port()}"
     scheduling = [str(realtime.priority), json.dumps(realtime.cores)]
@@ -68,12 +67,6 @@ def measure_ping_pong(
         pong.communicate()
     result: dict[str, Any] = json.loads(out or b"{}")
     return result
-
-
-def compute_percentiles_ms(durations_ns: list[int], prefix: str = "") -> dict[str, float]:
-    """Return p50, p99 and p99.9 in milliseconds."""
-    p50, p99, p99_9 = np.percentile(np.array(durations_ns) * 1e-6, [50.0, 99.0, 99.9]).tolist()
-    return {f"{prefix}p50_ms": p50, f"{prefix}p99_ms": p99, f"{prefix}p99_9_ms": p99_9}
 
 
 def _start_process(words: list[str]) -> subprocess.Popen[bytes]:
@@ -103,25 +96,22 @@ def _run_ping(endpoint: str, size: int, realtime: RealtimeConfig, n: int) -> dic
         while _measure_round_trip(publisher, inbox, size, n) is None:
             if time.monotonic() > deadline:
                 return {}
-        round_trips, ways_back = [], []
+        round_trips = []
         with pause_garbage_collection():
             begin = time.monotonic()
             for k in range(n):
                 time.sleep(max(0.0, begin + k * PERIOD_S - time.monotonic()))
                 answer = _measure_round_trip(publisher, inbox, size, k)
                 if answer is not None:
-                    round_trips.append(answer[0])
-                    ways_back.append(answer[1])
+                    round_trips.append(answer)
     if not round_trips:
         return {}
-    times = compute_percentiles_ms(round_trips) | compute_percentiles_ms(ways_back, "one_way_")
-    return {"n": len(round_trips), **times, "realtime": granted}
+    p50, p99, p99_9 = np.percentile(np.array(round_trips) * 1e-6, [50.0, 99.0, 99.9]).tolist()
+    return {"n": len(round_trips), "p50_ms": p50, "p99_ms": p99, "p99_9_ms": p99_9}
 
 
-def _measure_round_trip(
-    publisher: zenoh.Publisher, inbox: Inbox, size: int, k: int
-) -> tuple[int, int] | None:
-    """Send command `k`; return (round trip, way back) [ns], or None if no answer comes."""
+def _measure_round_trip(publisher: zenoh.Publisher, inbox: Inbox, size: int, k: int) -> int | None:
+    """Send command `k`; return the round trip [ns], or None if no answer comes."""
     number = k.to_bytes(_NUMBER_BYTES, "little")
     command = number.ljust(size, b"\0")
     sent = time.monotonic_ns()
@@ -130,8 +120,7 @@ def _measure_round_trip(
         now = time.monotonic_ns()
         for data, _ in inbox.take()[0]:
             if data.startswith(number):
-                stamp = int.from_bytes(data[_NUMBER_BYTES : 2 * _NUMBER_BYTES], "little")
-                return now - sent, now - stamp
+                return now - sent
     return None
 
 
@@ -151,8 +140,7 @@ def _run_pong(endpoint: str, size: int, realtime: RealtimeConfig) -> None:
                 if not inbox.wait(time.monotonic_ns() + round(ANSWER_TIMEOUT_S * 1e9)):
                     continue
                 for command, _ in inbox.take()[0]:
-                    stamp = time.monotonic_ns().to_bytes(_NUMBER_BYTES, "little")
-                    publisher.put((command[:_NUMBER_BYTES] + stamp).ljust(size, b"\0"))
+                    publisher.put(command[:_NUMBER_BYTES].ljust(size, b"\0"))
 
 
 def _wait_for_end_of_input(closed: threading.Event) -> None:

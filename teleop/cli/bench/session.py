@@ -2,7 +2,6 @@
 
 import json
 import os
-import socket
 import subprocess
 import threading
 import time
@@ -13,6 +12,7 @@ from typing import Any, NamedTuple
 from teleop.errors import TeleopError
 from teleop.launch.supervisor import ERROR_PREFIX
 from teleop.runtime.child_process import end_process, start_module
+from teleop.session.own_endpoints import find_free_ports
 
 # --- processor time of a running process and of its children, from /proc
 
@@ -90,7 +90,7 @@ def run_session(config: Path, seconds: float) -> SessionMeasurement:
     """Run an engaged session of `seconds` [s]; `TeleopError` if it does not engage."""
     with ExitStack() as stack:
         out = config.with_suffix(".summary.json")
-        master, slave = _find_free_ports(2)
+        master, slave = find_free_ports(2)
         words = [
             *("--config", str(config), "--view", "none", "--duration", str(seconds)),
             *("--json", str(out), "--force", "--set", f"session=bench-{os.getpid()}"),
@@ -156,11 +156,3 @@ class _SessionOutput:
     def last(self) -> str:
         complaints = [line for line in self._lines if line.startswith(ERROR_PREFIX)] or self._lines
         return complaints[-1].removeprefix(ERROR_PREFIX) if complaints else "no output"
-
-
-def _find_free_ports(count: int) -> list[int]:
-    with ExitStack() as stack:
-        probes = [stack.enter_context(socket.socket()) for _ in range(count)]
-        for probe in probes:
-            probe.bind(("127.0.0.1", 0))
-        return [int(probe.getsockname()[1]) for probe in probes]

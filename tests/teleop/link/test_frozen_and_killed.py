@@ -126,5 +126,4 @@ def test_a_viewer_that_stops_reading_does_not_delay_commands(config: LinkConfig)
 def test_the_yardstick_measures_and_cleans_up() -> None:
     result = measure_ping_pong(Command.schema.size, SlaveState.schema.size, 50)
     assert result["n"] > 0
-    assert 0.0 < result["one_way_p50_ms"] < result["p50_ms"]
-    assert result["p50_ms"] <= result["p99_ms"] <= result["p99_9_ms"]
+    assert 0.0 < result["p50_ms"] <= result["p99_ms"] <= result["p99_9_ms"]
