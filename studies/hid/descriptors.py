@@ -8,7 +8,7 @@ walmis/VPforce-TelemFFB, ffbeast.github.io) and of the Linux drivers (hid-playst
 
 from collections.abc import Iterable
 
-DATA_ARRAY, CONSTANT_ARRAY, VARIABLE, CONSTANT, RELATIVE, NULL = 0x00, 0x01, 0x02, 0x03, 0x06, 0x42
+DATA_ARRAY, VARIABLE, CONSTANT, NULL = 0x00, 0x02, 0x03, 0x42
 
 INPUT, OUTPUT, FEATURE = 0x80, 0x90, 0xB0
 PHYSICAL, APPLICATION, LOGICAL = 0x00, 0x01, 0x02
@@ -91,11 +91,20 @@ def field(
     return usage(*usages) + logical(low, high) + shape(bits, count) + main(kind, flags)
 
 
-def named_array(kind: int, name: int, values: Iterable[int], bits: int = 8) -> bytes:
+def named_array(kind: int, name: int, values: Iterable[int]) -> bytes:
     """Return an array that selects one of `values` by its place, the first of them by 1."""
     values = tuple(values)
-    choose = field(kind, bits, 1, len(values), *values, flags=DATA_ARRAY, count=1)
+    choose = field(kind, 8, 1, len(values), *values, flags=DATA_ARRAY, count=1)
     return usage(name) + collection(LOGICAL, choose)
+
+
+def milliseconds(bits: int, high: int, *usages: int) -> bytes:
+    return unit(*MILLISECONDS) + field(OUTPUT, bits, 0, high, *usages) + unit(0, 0)
+
+
+def hat() -> bytes:
+    angle = physical(0, 315) + unit(0x14, 0)
+    return angle + field(INPUT, 4, 0, 7, HAT, flags=NULL) + physical(0, 0) + unit(0, 0)
 
 
 def ordinals(n: int) -> tuple[int, ...]:
@@ -141,11 +150,11 @@ def block_offsets(kind: int, bits: int, n: int, high: int) -> bytes:
     return page(PID) + usage(0x58) + collection(LOGICAL, field(kind, bits, 0, high, *ordinals(n)))
 
 
-def condition(number: int, full: int, blocks: int = 40) -> bytes:
+def condition(number: int, full: int) -> bytes:
     return pid_report(
         0x5F,
         number,
-        block_index(blocks=blocks),
+        block_index(),
         field(OUTPUT, 4, 0, 3, 0x23),
         block_offsets(OUTPUT, 2, 2, 3),
         field(OUTPUT, 16, -full, full, 0x60),
@@ -160,9 +169,7 @@ def envelope(number: int, full: int) -> bytes:
         number,
         block_index(),
         field(OUTPUT, 16, 0, full, 0x5B, 0x5D),
-        unit(*MILLISECONDS),
-        field(OUTPUT, 32, 0, 32767, 0x5C, 0x5E),
-        unit(0, 0),
+        milliseconds(32, 32767, 0x5C, 0x5E),
     )
 
 
@@ -174,9 +181,7 @@ def periodic(number: int, full: int) -> bytes:
         field(OUTPUT, 16, 0, full, 0x70),
         field(OUTPUT, 16, -full, full, 0x6F),
         field(OUTPUT, 16, 0, 35999, 0x71),
-        unit(*MILLISECONDS),
-        field(OUTPUT, 32, 0, 32767, 0x72),
-        unit(0, 0),
+        milliseconds(32, 32767, 0x72),
     )
 
 
@@ -271,9 +276,7 @@ def effect_reports(
         base + 0x01,
         block_index(),
         choose_type or named_array(OUTPUT, 0x25, types),
-        unit(*MILLISECONDS),
-        field(OUTPUT, 16, 0, 32767, *times),
-        unit(0, 0),
+        milliseconds(16, 32767, *times),
         field(OUTPUT, 8, 0, 255, 0x52),
         field(OUTPUT, 8, 1, 8, 0x53),
         axes_enable(axes),
@@ -297,8 +300,8 @@ def effect_reports(
     return set_effect + b"".join(rest)
 
 
-def joystick(*inside: bytes) -> bytes:
-    return page(DESKTOP) + usage(JOYSTICK) + collection(APPLICATION, *inside)
+def device(kind: int, *inside: bytes) -> bytes:
+    return page(DESKTOP) + usage(kind) + collection(APPLICATION, *inside)
 
 
 def openffboard(axes: int = 2) -> bytes:
@@ -308,7 +311,8 @@ def openffboard(axes: int = 2) -> bytes:
         for kind in (OUTPUT, INPUT)
         for n, bits in enumerate((8, 16, 8, 32, 64, 64), start=1)
     ]
-    return joystick(
+    return device(
+        JOYSTICK,
         collection(
             PHYSICAL,
             report(0x01),
@@ -340,14 +344,13 @@ def arduino(n_buttons: int = 32) -> bytes:
         field(INPUT, 1, 0, 1, 0x94),
         field(INPUT, 7, 1, 40, 0x22),
     )
-    return joystick(
+    return device(
+        JOYSTICK,
         report(0x01),
         buttons(1, n_buttons),
         *([pad(INPUT, -n_buttons % 8)] if n_buttons % 8 else []),
         page(DESKTOP),
-        physical(0, 315) + unit(0x14, 0),
-        field(INPUT, 4, 0, 7, HAT, flags=NULL),
-        physical(0, 0) + unit(0, 0),
+        hat(),
         pad(INPUT, 4),
         usage(POINTER),
         collection(PHYSICAL, field(INPUT, 16, -32767, 32767, X, Y)),
@@ -377,9 +380,7 @@ def rhino() -> bytes:
         101,
         block_index(blocks=blocks),
         named_array(OUTPUT, 0x25, types),
-        unit(*MILLISECONDS),
-        field(OUTPUT, 16, 0, 65535, 0x50, 0x54, 0x51),
-        unit(0, 0),
+        milliseconds(16, 65535, 0x50, 0x54, 0x51),
         field(OUTPUT, 16, 0, 4096, 0x52),
         field(OUTPUT, 8, 1, 8, 0x53),
         axes_enable(2, spare=source),
@@ -413,7 +414,8 @@ def rhino() -> bytes:
         + field(INPUT, 1, 0, 1, 0x94, 0x9F, 0xA0, 0xA4, 0xA6)
         + pad(INPUT, 3)
     )
-    return joystick(
+    return device(
+        JOYSTICK,
         inputs,
         pid_report(0x92, 2, state),
         set_effect,
@@ -435,7 +437,8 @@ def rhino() -> bytes:
 
 def ffbeast_pid() -> bytes:
     """Return the joystick interface of an FFBeast wheel: one unsigned axis, numbers from 0x10."""
-    return joystick(
+    return device(
+        JOYSTICK,
         report(0x01),
         buttons(1, 32),
         page(DESKTOP),
@@ -466,32 +469,21 @@ def ffbeast_vendor() -> bytes:
 def dualsense_usb() -> bytes:
     """Return a DualSense on USB: sticks, triggers, hat, 15 buttons, and much that is not named."""
     features = ((0x05, 40), (0x08, 47), (0x09, 19), (0x0A, 26), (0x20, 63), (0x22, 63))
-    return (
-        page(DESKTOP)
-        + usage(GAMEPAD)
-        + collection(
-            APPLICATION,
-            report(0x01),
-            field(INPUT, 8, 0, 255, X, Y, Z, RZ, RX, RY),
-            page(VENDOR),
-            field(INPUT, 8, 0, 255, 0x20),
-            page(DESKTOP),
-            physical(0, 315),
-            unit(0x14, 0),
-            field(INPUT, 4, 0, 7, HAT, flags=NULL),
-            unit(0, 0),
-            physical(0, 0),
-            buttons(1, 15),
-            page(VENDOR),
-            field(INPUT, 1, 0, 1, 0x21, count=13),
-            field(INPUT, 8, 0, 255, 0x22, count=52),
-            report(0x02),
-            field(OUTPUT, 8, 0, 255, 0x23, count=47),
-            *(
-                report(number) + field(FEATURE, 8, 0, 255, number, count=count)
-                for number, count in features
-            ),
-        )
+    return device(
+        GAMEPAD,
+        report(0x01),
+        field(INPUT, 8, 0, 255, X, Y, Z, RZ, RX, RY),
+        page(VENDOR),
+        field(INPUT, 8, 0, 255, 0x20),
+        page(DESKTOP),
+        hat(),
+        buttons(1, 15),
+        page(VENDOR),
+        field(INPUT, 1, 0, 1, 0x21, count=13),
+        field(INPUT, 8, 0, 255, 0x22, count=52),
+        report(0x02),
+        field(OUTPUT, 8, 0, 255, 0x23, count=47),
+        *(report(n) + field(FEATURE, 8, 0, 255, n, count=count) for n, count in features),
     )
 
 
@@ -500,38 +492,24 @@ def spacemouse(old: bool = False) -> bytes:
     axes = (X, Y, Z, RX, RY, RZ)
     if old:
         motion = [
-            usage(POINTER)
-            + collection(PHYSICAL, report(number), field(INPUT, 16, -500, 500, *axes[part]))
+            report(number) + field(INPUT, 16, -500, 500, *axes[part])
             for number, part in ((1, slice(0, 3)), (2, slice(3, 6)))
         ]
     else:
-        motion = [
-            usage(POINTER)
-            + collection(
-                PHYSICAL,
-                report(1),
-                physical(-1400, 1400),
-                unit(0x11, 0x0C),
-                field(INPUT, 16, -350, 350, *axes),
-                physical(0, 0),
-                unit(0, 0),
-            )
-        ]
-    return (
-        page(DESKTOP)
-        + usage(MULTI_AXIS)
-        + collection(
-            APPLICATION,
-            *motion,
-            usage(0x3A),
-            collection(LOGICAL, report(3), buttons(1, 2), pad(INPUT, 14)),
-            page(0x08),
-            usage(0x4B),
-            collection(LOGICAL, report(4), field(OUTPUT, 1, 0, 1, 0x4B), pad(OUTPUT, 7)),
-            page(VENDOR),
-            usage(0x17),
-            collection(LOGICAL, report(0x17), field(INPUT, 8, 0, 255, 0x17, count=2)),
-        )
+        scale = physical(-1400, 1400) + unit(0x11, 0x0C)
+        ranged = field(INPUT, 16, -350, 350, *axes)
+        motion = [report(1) + scale + ranged + physical(0, 0) + unit(0, 0)]
+    return device(
+        MULTI_AXIS,
+        *(usage(POINTER) + collection(PHYSICAL, inside) for inside in motion),
+        usage(0x3A),
+        collection(LOGICAL, report(3), buttons(1, 2), pad(INPUT, 14)),
+        page(0x08),
+        usage(0x4B),
+        collection(LOGICAL, report(4), field(OUTPUT, 1, 0, 1, 0x4B), pad(OUTPUT, 7)),
+        page(VENDOR),
+        usage(0x17),
+        collection(LOGICAL, report(0x17), field(INPUT, 8, 0, 255, 0x17, count=2)),
     )
 
 
@@ -540,10 +518,9 @@ def logitech_g29() -> bytes:
 
     That the pedals are Z, Rz and Y is not confirmed; where they stand is.
     """
-    return joystick(
-        physical(0, 315) + unit(0x14, 0),
-        field(INPUT, 4, 0, 7, HAT, flags=NULL),
-        unit(0, 0) + physical(0, 0),
+    return device(
+        JOYSTICK,
+        hat(),
         buttons(1, 25),
         page(VENDOR),
         field(INPUT, 1, 0, 1, 0x01, count=3),
