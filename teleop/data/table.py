@@ -18,7 +18,7 @@ from estimator.units import LINEAR, Units
 from teleop.config.suggestions import suggest_spelling
 from teleop.data import channel_names
 from teleop.data.column_units import convert_to_si, split_unit
-from teleop.data.table_files import Column, RawTable, check_destination, read_columns, write_columns
+from teleop.data.table_files import Column, RawTable, check_destination, read_columns, write_table
 from teleop.errors import UsageError
 from teleop.runtime.process import print_warning
 
@@ -212,14 +212,6 @@ def read_tables(
     for line in converted:
         print_warning(line)
     return tuple(tables)
-
-
-def write_table(path: Path, columns: Mapping[str, Column]) -> None:
-    """Write columns, e.g. `MeasuredTable.columns()`, as .csv, .csv.gz or .parquet.
-
-    Floats are preserved exactly. The file is written atomically.
-    """
-    write_columns(path, columns)
 
 
 def _detect_file_units(

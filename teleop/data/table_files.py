@@ -63,8 +63,11 @@ def read_columns(path: Path) -> RawTable:
         raise UsageError(f"{path}: cannot be read: {_format_reason(error)}") from error
 
 
-def write_columns(path: Path, columns: Mapping[str, Column]) -> None:
-    """Write columns of equal length atomically; the suffix decides the format."""
+def write_table(path: Path, columns: Mapping[str, Column]) -> None:
+    """Write columns of equal length, e.g. `MeasuredTable.columns()`, atomically.
+
+    The suffix decides the format: .csv, .csv.gz or .parquet. Floats are preserved exactly.
+    """
     check_destination(path)
     try:
         with replace_file(path) as partial:
@@ -129,7 +132,7 @@ def _open_batch_writer(
 
 
 def check_destination(path: Path) -> None:
-    """Raise `UsageError` if `write_columns` could not write the file, before any work."""
+    """Raise `UsageError` if `write_table` could not write the file, before any work."""
     suffix = _find_suffix(path)
     if suffix not in _WRITERS:
         raise UsageError(f"{path}: tables are written as {', '.join(_WRITERS)}, not as {suffix}")

@@ -2,7 +2,7 @@
 
 import threading
 from collections import OrderedDict, deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from operator import attrgetter
 from typing import Any, NamedTuple
 
@@ -19,7 +19,6 @@ from teleop.security.keyring import Keyring, TagVerdict
 
 BACKLOG_S = 10.0  # [s] capacity for a topic at its expected rate
 CAPACITY_MIN = 256  # messages, for event topics
-ENTRY_BYTES = 300  # that a waiting message takes beside its own
 
 
 class Arrival(NamedTuple):
@@ -108,13 +107,6 @@ def compute_capacity(topic: Topic[Any]) -> int:
     """Return the capacity for a topic; twice as many if both sides publish it."""
     publishers = 2 if topic.publisher is None else 1
     return max(CAPACITY_MIN, round(BACKLOG_S * topic.rate_hz * publishers))
-
-
-def compute_capacity_bytes(topics: Iterable[Topic[Any]]) -> int:
-    """Return the memory [bytes] that messages of `topics` take at most while they wait."""
-    return sum(
-        compute_capacity(topic) * (topic.message.schema.size + 1 + ENTRY_BYTES) for topic in topics
-    )
 
 
 # messages of a topic whose tags are checked: at once, per second

@@ -5,7 +5,7 @@ functions access its fields in place, `seal_message` fills in the head, and `Pac
 bytes on the wire, without packing.
 """
 
-from typing import Any, Generic, TypeVar
+from typing import Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -128,10 +128,3 @@ class Packet(Generic[M]):
         """Copy every field of a message object."""
         for name in message.schema.wires:
             setattr(self.record, name, getattr(message, name))
-
-
-def build_packet(message: Message) -> "Packet[Any]":
-    """Return a packet with the fields of a message object."""
-    filled: Packet[Any] = Packet(type(message))
-    filled.fill(message)
-    return filled

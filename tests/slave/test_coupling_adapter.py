@@ -14,7 +14,7 @@ from teleop import coupling
 from teleop.coupling import Bilateral, PassivityConfig, Side
 from teleop.coupling.force_attenuation import ConfidenceConfig
 from teleop.messages.messages import MAX_JOINTS, SlaveState, pad_values
-from teleop.messages.packet import build_packet
+from teleop.messages.packet import Packet
 
 FORCES = st.floats(-60.0, 60.0)
 RULE = ConfidenceConfig()
@@ -58,7 +58,9 @@ def test_both_sides_know_the_same_port_force(force, below, above, status, scale)
         status=(status, *(0,) * (MAX_JOINTS - 1)),
     )
     at_master = np.zeros(MAX_JOINTS)
-    feedback.compute_tip_forces(NUMBERS, build_packet(state).record, True, 1, at_master)
+    packet = Packet(SlaveState)
+    packet.fill(state)
+    feedback.compute_tip_forces(NUMBERS, packet.record, True, 1, at_master)
     rendered = feedback.clamp(config.limit, feedback.reflect_force(scale, at_master[0]))
     assert rendered == pytest.approx(-scale * at_slave, abs=1e-9)
 

@@ -23,7 +23,7 @@ from teleop.messages.messages import (
     encode_text,
     pad_values,
 )
-from teleop.messages.packet import Packet, build_packet, crc32
+from teleop.messages.packet import Packet, crc32
 from teleop.messages.page import format_page
 
 HEAD = ("checksum", "layout", "sender", "sequence", "stamp_ns")
@@ -93,7 +93,8 @@ def test_a_packet_is_sealed_to_the_bytes_of_its_message_and_read_from_them(
     message: Message, head: tuple[int, int, int]
 ) -> None:
     head = head[0], head[1] >> 2, head[2]  # our numbers are counted from 0
-    packet = build_packet(message)
+    packet: Packet[Any] = Packet(type(message))
+    packet.fill(message)
     assert packet.seal(*head) == message.pack(*head)
     received: Packet[Any] = Packet(type(message))
     received.data[:] = message.pack(*head)
