@@ -18,13 +18,10 @@ from estimator.diagnosis.dataset import (
     BaseLaw,
     Dataset,
     Fit,
-    SimulatedRecord,
     build_contexts,
     build_dataset,
-    build_unsimulated_contexts,
     compute_mean_noise,
     rescale_residuals,
-    simulate_record,
     use_all_samples,
 )
 from estimator.diagnosis.fit import fit_model, fit_robustly, refit_baseline
@@ -320,10 +317,7 @@ def diagnose_records(
     report("fitting the base law", 0.0)
     base_fit = fit_baseline(dataset)
     original_records = dataset.records
-    noisy_records = [
-        propagate_driver_noise(record, build_drive_simulator(base_fit, dataset, record))
-        for record in original_records
-    ]
+    noisy_records = propagate_driver_noise(original_records, dataset, base_fit)
     if any(new is not old for new, old in zip(noisy_records, original_records, strict=True)):
         dataset = build_dataset(noisy_records)
         dataset, base_fit = _recover_dataset_motion(dataset, refit_baseline(dataset, base_fit))
@@ -368,21 +362,6 @@ def _recover_dataset_motion(dataset: Dataset, base_fit: Fit) -> tuple[Dataset, F
         dataset = build_dataset(recovered)
         base_fit = fit = refit_baseline(dataset, fit)
     return dataset, base_fit
-
-
-def build_drive_simulator(
-    fit: Fit, dataset: Dataset, record: Record
-) -> Callable[[Record], SimulatedRecord]:
-    """Return a function that simulates a record of the dataset with another drive."""
-    k = next(i for i, candidate in enumerate(dataset.records) if candidate is record)
-    context = build_unsimulated_contexts(dataset, fit)[k]
-
-    def simulate_with_drive(driven: Record) -> SimulatedRecord:
-        return simulate_record(
-            driven, context, dataset.base, fit.model.shared, fit.model.own[k], ()
-        )
-
-    return simulate_with_drive
 
 
 def _build_diagnosis(

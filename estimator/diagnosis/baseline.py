@@ -22,9 +22,9 @@ from estimator.diagnosis.dataset import (
     Fit,
     LoadModel,
     Model,
+    build_dataset,
     build_unsimulated_contexts,
     compute_cost,
-    replace_base,
     simulate_dataset,
     subsample,
 )
@@ -221,7 +221,7 @@ def choose_law(dataset: Dataset, base_fit: Fit) -> Choice:
     stays with the capstan law and its effects, unless friction that no load changes is better alone
     and tension adds nothing to it.
     """
-    independent_dataset = replace_base(dataset, BaseLaw.INDEPENDENT)
+    independent_dataset = build_dataset(dataset.records, BaseLaw.INDEPENDENT)
     trials = [(dataset, base_fit), (independent_dataset, fit_baseline(independent_dataset))]
     trials.append(_fit_combined_law(*trials))
     scores = _score_choices(trials, [entry.base.law for entry, _ in trials])
@@ -248,7 +248,7 @@ def choose_loads(dataset: Dataset, fit: Fit) -> Choice:
         return Choice(dataset, fit, ())
     trials = [(dataset, fit)]
     for loads in (LoadModel.SPRINGS, LoadModel.MASSES):
-        variant = replace_base(dataset, base.law, loads)
+        variant = build_dataset(dataset.records, base.law, loads)
         contexts = build_unsimulated_contexts(*trials[-1])
         start = _convert_load_model(trials[-1][0], trials[-1][1].model, variant)
         trials.append((variant, fit_model(variant, contexts, start, LAW_ROUNDS)))
@@ -298,7 +298,7 @@ def _fit_combined_law(
     capstan: tuple[Dataset, Fit], independent: tuple[Dataset, Fit]
 ) -> tuple[Dataset, Fit]:
     """Return the combined law, started from the fit of each with a little of the other."""
-    combined = replace_base(capstan[0], BaseLaw.BOTH)
+    combined = build_dataset(capstan[0].records, BaseLaw.BOTH)
     fits = []
     for dataset, fit in (capstan, independent):
         model = fit.model

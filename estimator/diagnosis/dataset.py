@@ -324,11 +324,6 @@ def replace_records(dataset: Dataset, records: Sequence[Record]) -> Dataset:
     return build_dataset(records, dataset.base.law, dataset.base.loads)
 
 
-def replace_base(dataset: Dataset, law: BaseLaw, loads: LoadModel = LoadModel.SHARED) -> Dataset:
-    """Return the same records with another base law or other loads."""
-    return build_dataset(dataset.records, law, loads)
-
-
 def use_all_samples(dataset: Dataset) -> Dataset:
     """Return a dataset of which all samples are fitted."""
     return dataset._replace(records=tuple(map(mark_all_as_train, dataset.records)))

@@ -170,6 +170,110 @@ BOUND_MARGIN = 1e-9  # of a parameter's step, from a bound where a fit begins
 REGULARISATION = 1e-8  # information on a number about which there is none
 
 
+class _Search:
+    """Searches the numbers of a model, from a model with the same effects."""
+
+    def __init__(self, dataset: Dataset, contexts: Sequence[EffectContext], model: Model) -> None:
+        self.layout = ParameterLayout(dataset, model)
+        self._dataset, self._full, self._contexts = dataset, use_all_samples(dataset), contexts
+
+    def simulate(self, x: Array) -> Fit:
+        """Return the model of a row, and what it makes of the records."""
+        return simulate_dataset(self._dataset, self._contexts, self.layout.unpack(x))
+
+    def compute_residual(self, x: Array) -> Array:
+        """Return the residual of a row in the samples that are fitted."""
+        return compute_residual(self._dataset, self.simulate(x))
+
+    def descend(
+        self, start: Model, rounds: int, is_free: Mask, *, robust: bool = False, full: bool = False
+    ) -> Fit:
+        """Return the fit of least squares of the free numbers; `full` to all samples."""
+        if not is_free.any():
+            return simulate_dataset(self._dataset, self._contexts, start)
+        low, high = self.layout.bounds()
+        x_start = move_inside_bounds(self.layout.pack(start), low, high, BOUND_MARGIN)
+        dataset = self._full if full else self._dataset
+
+        def simulate_free(x: Array) -> Fit:
+            row = x_start.copy()
+            row[is_free] = x
+            return self.simulate(row)
+
+        jacobian = BroydenJacobian(
+            lambda x: compute_residual(dataset, simulate_free(x)), DIFFERENCE_STEP, high[is_free]
+        )
+        solution = minimise_squares(
+            jacobian.residual,
+            x_start[is_free],
+            low[is_free],
+            high[is_free],
+            jac=jacobian,
+            x_scale="jac",
+            loss="cauchy" if robust else "linear",
+            ftol=1e-4,
+            xtol=1e-4,
+            gtol=1e-9,
+            max_nfev=rounds,
+        )
+        return simulate_free(solution.values)
+
+    def search_shape_multiples(self, fit: Fit) -> Model | None:
+        """Return a model with its shapes at better multiples of their values; None if none is."""
+        best, cost_min = fit, compute_cost(self._dataset, fit)
+        low, high = self.layout.bounds()
+        for i in np.flatnonzero(self.layout.is_shape):
+            x = self.layout.pack(best.model)
+            for multiple in SHAPE_MULTIPLES:
+                shifted = x.copy()
+                shifted[i] = np.clip(multiple * x[i], low[i], high[i])
+                trial = self.simulate(shifted)
+                cost = compute_cost(self._dataset, trial)
+                if cost < cost_min:
+                    best, cost_min = trial, cost
+        return None if best is fit else best.model
+
+    def search_times(self, fit: Fit, i: int, times: Array) -> Fit:
+        """Return the best of a fit and those with one number at each of `times` [s].
+
+        Of equal ones the latest: what happened at rest shows with the first motion after it.
+        """
+        x = self.layout.pack(fit.model)
+        best, cost_min = fit, compute_cost(self._full, fit)
+        current_time = float(self.layout.values(fit.model)[i])
+        for time in times.tolist():
+            shifted = x.copy()
+            shifted[i] = time / self.layout.step(i)
+            trial = self.simulate(shifted)
+            cost = compute_cost(self._full, trial)
+            is_later = time > current_time and cost < (1.0 + COST_TOLERANCE) * cost_min
+            if cost < cost_min or is_later:
+                best, cost_min = trial, min(cost, cost_min)
+        return best
+
+    def search_change_time(self, fit: Fit, i: int) -> Fit:
+        """Return the best fit with a time about the one at which the effect begins to fit better.
+
+        A search in steps passes by it: until a sample or two about the right time, the model of a
+        sensor that slipped goes to the slip and back, and friction remembers it. The times are
+        between samples, each of which is then before it or after.
+        """
+        records = self._dataset.records
+        x_without, x_with = self.layout.pack(fit.model), self.layout.pack(fit.model)
+        x_without[i] = 2.0 * max(r.time[-1] for r in records) / self.layout.step(i)
+        x_with[i] = min(r.time[0] for r in records) / self.layout.step(i)
+        errors = [
+            _compute_scaled_errors(self._dataset, self.simulate(x)) for x in (x_without, x_with)
+        ]
+        time = np.concatenate([record.time for record in records])
+        order = np.argsort(time, kind="stable")
+        gain = np.concatenate([[0.0], np.cumsum((errors[0] - errors[1])[order])])
+        change_time = float(time[order][min(int(np.argmin(gain)), len(order) - 1)])
+        step = min(float(np.median(np.diff(record.time))) for record in records)
+        around = step * (np.arange(-SAMPLES_AROUND, SAMPLES_AROUND) + 0.5)
+        return self.search_times(fit, i, np.asarray(change_time + around))
+
+
 def fit_model(
     dataset: Dataset,
     contexts: Sequence[EffectContext],
@@ -186,94 +290,32 @@ def fit_model(
     samples: those that count may have none of that time. A `robust` fit goes by most of a record,
     however far it is off the rest.
     """
-    layout = ParameterLayout(dataset, start)
+    search = _Search(dataset, contexts, start)
+    layout = search.layout
     jump_indices = [i for i, p in enumerate(layout.parameters) if p.jumps]
+    is_last = rounds > ROUNDS
     # a sample beside its time a descent takes an effect to nothing
-    if jump_indices and rounds > ROUNDS:
+    if jump_indices and is_last:
         timed_fit = simulate_dataset(dataset, contexts, start)
         for i in jump_indices:
-            times = _estimate_change_times(dataset, contexts, layout, timed_fit, i)
-            timed_fit = _search_times(dataset, contexts, layout, timed_fit, i, times)
+            timed_fit = search.search_change_time(timed_fit, i)
         start = timed_fit.model
-    fit = _run_least_squares(
-        dataset, contexts, layout, start, rounds, layout.is_smooth, robust=robust
-    )
-    for _ in range(SHAPE_RESTARTS_MAX if rounds > ROUNDS else 0):
-        model = _search_shape_multiples(dataset, contexts, layout, fit)
+    fit = search.descend(start, rounds, layout.is_smooth, robust=robust)
+    for _ in range(SHAPE_RESTARTS_MAX if is_last else 0):
+        model = search.search_shape_multiples(fit)
         if model is None:
             break
-        fit = _run_least_squares(dataset, contexts, layout, model, ROUNDS, layout.is_smooth)
-    for i in jump_indices if rounds > ROUNDS else ():
-        fit = _search_times(
-            dataset,
-            contexts,
-            layout,
-            fit,
-            i,
-            _estimate_change_times(dataset, contexts, layout, fit, i),
-        )
-    reaches = (
-        SEARCH_REACHES if rounds > ROUNDS else SEARCH_REACHES[:1] if rounds > QUICK_ROUNDS else ()
-    )
+        fit = search.descend(model, ROUNDS, layout.is_smooth)
+    for i in jump_indices if is_last else ():
+        fit = search.search_change_time(fit, i)
+    reaches = SEARCH_REACHES if is_last else SEARCH_REACHES[:1] if rounds > QUICK_ROUNDS else ()
     for reach in (*compute_search_reaches(dataset), *reaches) if jump_indices and reaches else ():
         for i in jump_indices:
             times = layout.values(fit.model)[i] + np.linspace(-reach, reach, SEARCH_POINTS)
-            fit = _search_times(dataset, contexts, layout, fit, i, times)
-        fit = _run_least_squares(
-            use_all_samples(dataset),
-            contexts,
-            layout,
-            fit.model,
-            max(2, rounds // 3),
-            layout.is_time,
-        )
-        fit = _run_least_squares(
-            dataset, contexts, layout, fit.model, max(2, rounds // 3), ~layout.is_time
-        )
+            fit = search.search_times(fit, i, times)
+        fit = search.descend(fit.model, max(2, rounds // 3), layout.is_time, full=True)
+        fit = search.descend(fit.model, max(2, rounds // 3), ~layout.is_time)
     return fit
-
-
-def _search_shape_multiples(
-    dataset: Dataset, contexts: Sequence[EffectContext], layout: ParameterLayout, fit: Fit
-) -> Model | None:
-    """Return a fit's model with its shapes at better multiples of their values; None if none is."""
-    best, cost_min = fit, compute_cost(dataset, fit)
-    for i in np.flatnonzero(layout.is_shape):
-        x = layout.pack(best.model)
-        low, high = layout.bounds()
-        for multiple in SHAPE_MULTIPLES:
-            shifted = x.copy()
-            shifted[i] = np.clip(multiple * x[i], low[i], high[i])
-            trial = simulate_dataset(dataset, contexts, layout.unpack(shifted))
-            cost = compute_cost(dataset, trial)
-            if cost < cost_min:
-                best, cost_min = trial, cost
-    return None if best is fit else best.model
-
-
-def _estimate_change_times(
-    dataset: Dataset, contexts: Sequence[EffectContext], layout: ParameterLayout, fit: Fit, i: int
-) -> Array:
-    """Return times about the one before which nothing fits better, and after which the effect [s].
-
-    A search in steps passes by it: until a sample or two about the right time, the model of a
-    sensor that slipped goes to the slip and back, and friction remembers it. They are between
-    samples, each of which is then before it or after.
-    """
-    x = layout.pack(fit.model)
-    ends = min(r.time[0] for r in dataset.records), max(r.time[-1] for r in dataset.records)
-    x_without, x_with = x.copy(), x.copy()
-    x_without[i], x_with[i] = (2.0 * ends[1] / layout.step(i), ends[0] / layout.step(i))
-    errors = [
-        _compute_scaled_errors(dataset, simulate_dataset(dataset, contexts, layout.unpack(row)))
-        for row in (x_without, x_with)
-    ]
-    time = np.concatenate([record.time for record in dataset.records])
-    order = np.argsort(time, kind="stable")
-    gain = np.concatenate([[0.0], np.cumsum((errors[0] - errors[1])[order])])
-    change_time = float(time[order][min(int(np.argmin(gain)), len(order) - 1)])
-    step = min(float(np.median(np.diff(record.time))) for record in dataset.records)
-    return np.asarray(change_time + step * (np.arange(-SAMPLES_AROUND, SAMPLES_AROUND) + 0.5))
 
 
 def _compute_scaled_errors(dataset: Dataset, fit: Fit) -> Array:
@@ -308,12 +350,12 @@ def refit_subset(
     What the part does not determine stays as in the whole: when something happened, and what shows
     in hardly any of its samples, as where a record starts.
     """
-    layout = ParameterLayout(full, fit.model)
-    is_determined = ~layout.is_time & (
+    search = _Search(subset, contexts, fit.model)
+    is_determined = ~search.layout.is_time & (
         _compute_uncertainty(subset, contexts, fit)
         < SETTINGS.uncertainty_ratio_max * _compute_uncertainty(full, contexts, fit)
     )
-    return _run_least_squares(subset, contexts, layout, fit.model, rounds, is_determined)
+    return search.descend(fit.model, rounds, is_determined)
 
 
 def fit_record_parameters(dataset: Dataset, fit: Fit) -> Fit:
@@ -328,8 +370,8 @@ def fit_record_parameters(dataset: Dataset, fit: Fit) -> Fit:
         guess_record_parameters(record, dataset.base, compliance) for record in dataset.records
     )
     model = fit.model._replace(own=own)
-    layout = ParameterLayout(dataset, model)
-    return _run_least_squares(dataset, contexts, layout, model, ROUNDS, layout.is_own)
+    search = _Search(dataset, contexts, model)
+    return search.descend(model, ROUNDS, search.layout.is_own)
 
 
 def guess_record_parameters(
@@ -383,19 +425,10 @@ def shift_parameters(dataset: Dataset, model: Model, shift: Array) -> Model:
 
 def compute_jacobian(dataset: Dataset, contexts: Sequence[EffectContext], fit: Fit) -> Array:
     """Return the derivatives of the residual by all parameters, each in its own step."""
-    layout = ParameterLayout(dataset, fit.model)
-    _, high = layout.bounds()
-
-    def evaluate_residual(x: Array) -> Array:
-        return compute_residual(dataset, simulate_dataset(dataset, contexts, layout.unpack(x)))
-
-    return compute_forward_differences(
-        evaluate_residual,
-        layout.pack(fit.model),
-        compute_residual(dataset, fit),
-        DIFFERENCE_STEP,
-        high,
-    )
+    search = _Search(dataset, contexts, fit.model)
+    x, (_, high) = search.layout.pack(fit.model), search.layout.bounds()
+    residual = compute_residual(dataset, fit)
+    return compute_forward_differences(search.compute_residual, x, residual, DIFFERENCE_STEP, high)
 
 
 def _compute_uncertainty(dataset: Dataset, contexts: Sequence[EffectContext], fit: Fit) -> Array:
@@ -403,74 +436,6 @@ def _compute_uncertainty(dataset: Dataset, contexts: Sequence[EffectContext], fi
     J = compute_jacobian(dataset, contexts, fit)
     information = J.T @ J + REGULARISATION * np.eye(J.shape[1])
     return np.asarray(np.sqrt(np.diag(np.linalg.inv(information))))
-
-
-def _search_times(
-    dataset: Dataset,
-    contexts: Sequence[EffectContext],
-    layout: ParameterLayout,
-    fit: Fit,
-    i: int,
-    times: Array,
-) -> Fit:
-    """Return the best of a fit and those with one number at each of `times` [s].
-
-    Of equal ones the latest: what happened at rest shows with the first motion after it.
-    """
-    dataset = use_all_samples(dataset)
-    x = layout.pack(fit.model)
-    best, cost_min = fit, compute_cost(dataset, fit)
-    current_time = float(layout.values(fit.model)[i])
-    for time in times.tolist():
-        shifted = x.copy()
-        shifted[i] = time / layout.step(i)
-        trial = simulate_dataset(dataset, contexts, layout.unpack(shifted))
-        cost = compute_cost(dataset, trial)
-        if cost < cost_min or (time > current_time and cost < (1.0 + COST_TOLERANCE) * cost_min):
-            best, cost_min = trial, min(cost, cost_min)
-    return best
-
-
-def _run_least_squares(
-    dataset: Dataset,
-    contexts: Sequence[EffectContext],
-    layout: ParameterLayout,
-    start: Model,
-    rounds: int,
-    is_free: Mask,
-    *,
-    robust: bool = False,
-) -> Fit:
-    if not is_free.any():
-        return simulate_dataset(dataset, contexts, start)
-    low, high = layout.bounds()
-    x_start = move_inside_bounds(layout.pack(start), low, high, BOUND_MARGIN)
-
-    def to_full_row(x: Array) -> Array:
-        row = x_start.copy()
-        row[is_free] = x
-        return row
-
-    def evaluate_residual(x: Array) -> Array:
-        return compute_residual(
-            dataset, simulate_dataset(dataset, contexts, layout.unpack(to_full_row(x)))
-        )
-
-    jacobian = BroydenJacobian(evaluate_residual, DIFFERENCE_STEP, high[is_free])
-    solution = minimise_squares(
-        jacobian.residual,
-        x_start[is_free],
-        low[is_free],
-        high[is_free],
-        jac=jacobian,
-        x_scale="jac",
-        loss="cauchy" if robust else "linear",
-        ftol=1e-4,
-        xtol=1e-4,
-        gtol=1e-9,
-        max_nfev=rounds,
-    )
-    return simulate_dataset(dataset, contexts, layout.unpack(to_full_row(solution.values)))
 
 
 BASELINE_ROUNDS = 15

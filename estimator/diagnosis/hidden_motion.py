@@ -1,8 +1,8 @@
 """What the noise of the driving channel does to a simulation, and motion that it hides."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +10,10 @@ from numpy.typing import NDArray
 from estimator.array_types import Array
 from estimator.diagnosis.dataset import (
     BaseParameters,
+    Dataset,
+    Fit,
     build_plain_physics,
+    build_unsimulated_contexts,
     invert_effects,
     simulate_record,
 )
@@ -23,7 +26,6 @@ from estimator.effects.effect import (
     PROXIMAL_TENSION,
     Effect,
     EffectContext,
-    Signals,
     Values,
 )
 from estimator.lumped.lumped_model import DrivenTendon
@@ -35,34 +37,35 @@ NOISE_DRAWS = 8  # of the driver's noise
 AVERAGING_SAMPLES = 5  # samples over which the variance that it makes is averaged
 
 
-class SimulatedSignals(Protocol):
-    """What a simulation gives."""
-
-    @property
-    def signals(self) -> Signals:
-        """By channel, shape (n,)."""
-
-
-def propagate_driver_noise(
-    record: Record, simulate: Callable[[Record], SimulatedSignals]
-) -> Record:
-    """Return a record whose `sigma` has in it what the driver's noise does to a simulation.
+def propagate_driver_noise(records: Sequence[Record], dataset: Dataset, fit: Fit) -> list[Record]:
+    """Return records whose `sigma` has in it what the driver's noise does to a simulation.
 
     Friction remembers where the driver turned, so an error of the driver shows most just behind a
-    turn, where the tension changes with the root of the travel. `simulate` takes the record with
-    noise put on its drive once more (parametric bootstrap); the variance that this makes of each
-    channel is taken sample by sample.
+    turn, where the tension changes with the root of the travel. The base law, `fit` to a `dataset`
+    of these records, simulates them with noise put on the drive once more (parametric bootstrap);
+    the variance that this makes of each channel is taken sample by sample.
     """
+    contexts = build_unsimulated_contexts(dataset, fit)
+    return [
+        _propagate_noise(record, context, dataset.base, fit.model.shared, own)
+        for record, context, own in zip(records, contexts, fit.model.own, strict=True)
+    ]
+
+
+def _propagate_noise(
+    record: Record, context: EffectContext, base: BaseParameters, shared: Values, own: Values
+) -> Record:
     sigma = record.noise[record.driver]
     if not sigma > 0.0:
         return record
     rng = np.random.default_rng(0)
-    reference = simulate(record).signals
+    reference = simulate_record(record, context, base, shared, own, ()).signals
     variance = {channel: np.zeros_like(record.time) for channel in record.compared}
     for _ in range(NOISE_DRAWS):
         noisy = record.drive + sigma * rng.standard_normal(len(record.time))
         drive = estimate_drive(record.driver, record.time, noisy, sigma).signal
-        perturbed = simulate(replace(record, drive=drive)).signals
+        driven = replace(record, drive=drive)
+        perturbed = simulate_record(driven, context, base, shared, own, ()).signals
         for channel in variance:
             variance[channel] += (perturbed[channel] - reference[channel]) ** 2 / NOISE_DRAWS
     kernel = np.full(AVERAGING_SAMPLES, 1.0 / AVERAGING_SAMPLES)

@@ -1,7 +1,7 @@
 """How an extended model holds on what it was not fitted to, and how it estimates the force."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -13,7 +13,6 @@ from estimator.diagnosis.dataset import (
     Dataset,
     Fit,
     Model,
-    SimulatedRecord,
     build_contexts,
     build_unsimulated_contexts,
     compute_residual,
@@ -22,7 +21,6 @@ from estimator.diagnosis.dataset import (
     replace_records,
     rescale_residuals,
     simulate_dataset,
-    simulate_record,
     subsample,
     use_all_samples,
 )
@@ -81,17 +79,7 @@ def prepare_validation_records(
         return ()
     dataset = use_all_samples(replace_records(fitted, records))
     fit = fit_record_parameters(dataset, base_fit)
-    contexts = build_unsimulated_contexts(dataset, fit)
-
-    def build_simulator(k: int) -> Callable[[Record], SimulatedRecord]:
-        own = fit.model.own[k]
-        return lambda driven: simulate_record(
-            driven, contexts[k], dataset.base, fit.model.shared, own, ()
-        )
-
-    noisy_records = [
-        propagate_driver_noise(record, build_simulator(k)) for k, record in enumerate(records)
-    ]
+    noisy_records = propagate_driver_noise(records, dataset, fit)
     if all(new is old for new, old in zip(noisy_records, records, strict=True)):
         return tuple(records)
     own = fit_record_parameters(

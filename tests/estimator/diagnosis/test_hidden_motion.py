@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from estimator.diagnosis.api import build_drive_simulator
 from estimator.diagnosis.baseline import fit_baseline
 from estimator.diagnosis.dataset import build_dataset
 from estimator.diagnosis.fit import refit_baseline
@@ -21,7 +20,7 @@ def before_and_after(time, channels):
     record = prepare_record(time, dict(channels))
     dataset = build_dataset([record])
     plain = fit_baseline(dataset)
-    record = propagate_driver_noise(record, build_drive_simulator(plain, dataset, record))
+    (record,) = propagate_driver_noise([record], dataset, plain)
     dataset = build_dataset([record])
     model = refit_baseline(dataset, plain).model
     return record, recover_hidden_motion(record, dataset.base, model.shared, model.own[0])
