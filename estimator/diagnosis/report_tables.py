@@ -1,6 +1,6 @@
 """Tables of a diagnosis."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 from estimator.diagnosis.outcome import (
     Diagnosis,
@@ -19,11 +19,6 @@ DIGITS_MAX = 8
 SAMPLE_SETS = {"fit": "fitted", "held_out": "held out", "validation": "validation"}
 
 
-def build_candidate_table(diagnosis: Diagnosis) -> Table:
-    """Return how the candidates of the first search came out, the best first."""
-    return build_ranking_table(diagnosis, diagnosis.ranking)
-
-
 def build_ranking_table(diagnosis: Diagnosis, ranking: Sequence[RankedCandidate]) -> Table:
     """Return how the candidates of one search came out, the best first."""
     channels = list_compared_channels(diagnosis)
@@ -31,10 +26,7 @@ def build_ranking_table(diagnosis: Diagnosis, ranking: Sequence[RankedCandidate]
         (
             candidate.label,
             f"{candidate.score:.0f}",
-            *(
-                format_quantity(candidate.rmse.get(channel), diagnosis.units.of(channel), 3)
-                for channel in channels
-            ),
+            *_format_rmse(diagnosis.units, channels, candidate.rmse),
             f"{candidate.residual_fraction:.0%}",
         )
         for candidate in select_best_candidates(ranking, CANDIDATES_SHOWN)
@@ -85,10 +77,7 @@ def _build_choice_table(
         (
             score.name,
             f"{score.score:.0f}",
-            *(
-                format_quantity(score.rmse[channel], diagnosis.units.of(channel), 3)
-                for channel in channels
-            ),
+            *_format_rmse(diagnosis.units, channels, score.rmse),
             "chosen" if score.name == chosen else "as good" if score.name in equivalents else "",
         )
         for score in choice.scores
@@ -117,16 +106,7 @@ def build_model_table(diagnosis: Diagnosis) -> Table:
         }
     errors |= {result.name: result.rmse for result in diagnosis.simple_models}
     channels = list(diagnosis.before.held_out)
-    rows = [
-        (
-            name,
-            *(
-                format_quantity(rmse[channel], diagnosis.units.of(channel), 3)
-                for channel in channels
-            ),
-        )
-        for name, rmse in errors.items()
-    ]
+    rows = [(name, *_format_rmse(diagnosis.units, channels, e)) for name, e in errors.items()]
     channel_names = (diagnosis.units.word(channel) for channel in channels)
     return Table((f"{name_judged_samples(diagnosis)} RMSE of", *channel_names), tuple(rows))
 
@@ -246,8 +226,8 @@ def build_prediction_table(records: Sequence[PredictedRecord], names: Sequence[s
                 units.word(channel),
                 str(int(prediction.record.valid[channel].sum())),
                 str(prediction.spikes[channel]),
-                _format_error(units, channel, before[channel].rmse),
-                _format_error(units, channel, after[channel].rmse),
+                format_quantity(before[channel].rmse, units.of(channel), 3),
+                format_quantity(after[channel].rmse, units.of(channel), 3),
                 f"{after[channel].mean:.2%}",
                 f"{after[channel].largest:.2%}",
             )
@@ -257,8 +237,9 @@ def build_prediction_table(records: Sequence[PredictedRecord], names: Sequence[s
     return Table((*head, "mean after", "largest after"), tuple(rows))
 
 
-def _format_error(units: Units, channel: str, error: float) -> str:
-    return format_quantity(error, units.of(channel), 3)
+def _format_rmse(units: Units, channels: Iterable[str], errors: Mapping[str, float]) -> list[str]:
+    """Return the error of each channel, empty where there is none."""
+    return [format_quantity(errors.get(channel), units.of(channel), 3) for channel in channels]
 
 
 def build_force_table(diagnosis: Diagnosis, names: Sequence[str]) -> Table:

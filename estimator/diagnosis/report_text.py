@@ -8,13 +8,13 @@ from estimator.diagnosis.baseline import LUGRE
 from estimator.diagnosis.dataset import TIP_COMPLIANCE, compute_tolerance
 from estimator.diagnosis.outcome import CauseStep, DetectionLimit, Diagnosis, Verdict
 from estimator.diagnosis.report_tables import (
-    build_candidate_table,
     build_detection_limit_table,
     build_gain_table,
     build_law_table,
     build_load_table,
     build_model_table,
     build_parameter_table,
+    build_ranking_table,
     build_simple_gain_table,
     name_judged_samples,
 )
@@ -95,7 +95,7 @@ def build_tables(
     """Return the tables of a diagnosis; for the parameters see `format_summary`."""
     names = report_tables.name_records(diagnosis, files, further)
     fitted_names = names[: len(diagnosis.dataset.records)]
-    tables = [build_candidate_table(diagnosis)] if diagnosis.ranking else []
+    tables = [build_ranking_table(diagnosis, diagnosis.ranking)] if diagnosis.ranking else []
     tables.append(build_parameter_table(diagnosis))
     tables += [
         table

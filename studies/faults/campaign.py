@@ -149,20 +149,34 @@ def busy(processes: int) -> Iterator[None]:
             process.wait()
 
 
-def main():
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--rounds", type=int, default=8, help="of one fault of each kind")
-    parser.add_argument("--kinds", nargs="+", default=sorted({kind for kind, _ in PLAN}))
+def build_parser(description: str, kinds: list[str]) -> argparse.ArgumentParser:
+    """Return a parser of what all runs with faults have in common."""
+    parser = argparse.ArgumentParser(description=description)
+    parser.add_argument("--kinds", nargs="+", default=kinds)
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--sessions", type=int, default=1, help="at the same time")
-    parser.add_argument("--load", type=int, default=0, help="busy processes beside them")
     parser.add_argument(
         "--set", dest="overrides", action="append", default=[], metavar="KEY=VALUE",
         help="of the config, e.g. rate_hz=500 on a busy machine",
     )  # fmt: skip
     parser.add_argument("--out", type=Path, help="folder for recordings and logs")
-    parser.add_argument("--judge", type=Path, help="folder of an earlier campaign")
     parser.add_argument("--json", type=Path, help="write the figures to this file")
+    return parser
+
+
+def publish(figures: dict, path: Path | None) -> None:
+    """Print the figures, and write them to a file."""
+    text = json.dumps(figures, indent=2)
+    print(text)
+    if path is not None:
+        path.write_text(text + "\n")
+
+
+def main():
+    parser = build_parser(__doc__, sorted({kind for kind, _ in PLAN}))
+    parser.add_argument("--rounds", type=int, default=8, help="of one fault of each kind")
+    parser.add_argument("--sessions", type=int, default=1, help="at the same time")
+    parser.add_argument("--load", type=int, default=0, help="busy processes beside them")
+    parser.add_argument("--judge", type=Path, help="folder of an earlier campaign")
     args = parser.parse_args()
     chosen = [one for one in PLAN if one[0] in args.kinds]
     with tempfile.TemporaryDirectory() as scratch:
@@ -178,10 +192,7 @@ def main():
             ]
             with busy(args.load), ThreadPoolExecutor(args.sessions) as pool:
                 results = list(pool.map(run_session, folders, plans, rngs, repeat(args.overrides)))
-    figures = {"seed": args.seed, "load": args.load, "sessions": results}
-    print(json.dumps(figures, indent=2))
-    if args.json:
-        args.json.write_text(json.dumps(figures, indent=2) + "\n")
+    publish({"seed": args.seed, "load": args.load, "sessions": results}, args.json)
     return any(one["failures"] for one in results)
 
 

@@ -7,7 +7,6 @@ a process ended or grew, if the counters of a side do not agree with what the pr
 messages, or if anything moved or engaged that was not asked to.
 """
 
-import argparse
 import json
 import sys
 import tempfile
@@ -17,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from studies.faults.campaign import failures, summarise
+from studies.faults.campaign import build_parser, failures, publish, summarise
 from studies.faults.judge import FRESH_NS, judge
 from studies.faults.session import DEMO_CONFIG, NAMES, PLAN, Fault, FaultSession, inject
 from studies.testbed.processes import pause, resident_mb
@@ -97,16 +96,8 @@ def books(side: dict, way: dict, stops: int) -> list[tuple[str, int, int, int]]:
 
 
 def main():
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = build_parser(__doc__, ["stop", "cut", "unplug"])
     parser.add_argument("--seconds", type=float, default=600.0)
-    parser.add_argument("--kinds", nargs="+", default=["stop", "cut", "unplug"])
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument(
-        "--set", dest="overrides", action="append", default=[], metavar="KEY=VALUE",
-        help="of the config, e.g. rate_hz=500 on a busy machine",
-    )  # fmt: skip
-    parser.add_argument("--out", type=Path, help="folder for recordings and logs")
-    parser.add_argument("--json", type=Path, help="write the figures to this file")
     args = parser.parse_args()
     words = [
         f"impair.{way}.{k}={v}" for way in ("to_slave", "to_master") for k, v in NETWORK.items()
@@ -146,9 +137,7 @@ def main():
         "proxy": ends["impair"],
         "failures": wrong,
     } | summarise(verdict)
-    print(json.dumps(figures, indent=2))
-    if args.json:
-        args.json.write_text(json.dumps(figures, indent=2) + "\n")
+    publish(figures, args.json)
     return bool(wrong)
 
 

@@ -14,7 +14,6 @@ from studies.paper.study import (
     WHOLE,
     Errors,
     Outcome,
-    Score,
     Spread,
     spread,
     values,
@@ -111,27 +110,28 @@ def meets(outcome: Outcome) -> bool:
 
 def tree(shown: Outcome, outcomes: list[Outcome], seed: int) -> dict[str, Any]:
     """Return all of it for a JSON file; errors in shares of full scale."""
-    return {
-        "seed": seed,
-        "published": PUBLISHED,
-        "targets": TARGETS,
-        "shown": _outcome_tree(shown),
-        "sheaths": [_outcome_tree(outcome) for outcome in outcomes],
-        "spread": {
-            motion: {
-                method: {
-                    f"{item} {signal}": to_json_values(
-                        _spread(outcomes, method, motion, signal, item)._asdict()
-                    )
-                    for signal in SIGNALS
-                    for item in ITEMS
+    values: dict[str, Any] = to_json_values(
+        {
+            "seed": seed,
+            "published": PUBLISHED,
+            "targets": TARGETS,
+            "shown": _outcome_tree(shown),
+            "sheaths": [_outcome_tree(outcome) for outcome in outcomes],
+            "spread": {
+                motion: {
+                    method: {
+                        f"{item} {signal}": _spread(outcomes, method, motion, signal, item)
+                        for signal in SIGNALS
+                        for item in ITEMS
+                    }
+                    for method in METHODS
                 }
-                for method in METHODS
-            }
-            for motion in MOTIONS
-        },
-        "within_all_targets": sum(meets(outcome) for outcome in outcomes),
-    }
+                for motion in MOTIONS
+            },
+            "within_all_targets": sum(meets(outcome) for outcome in outcomes),
+        }
+    )
+    return values
 
 
 def _outcome_tree(outcome: Outcome) -> dict[str, Any]:
@@ -145,25 +145,13 @@ def _outcome_tree(outcome: Outcome) -> dict[str, Any]:
         "axial_stiffness_N": specimen.sheath.axial_stiffness,
         "tension_noise_N": specimen.tension_noise,
         "sections": [
-            {"length_m": s.length, "radius_m": None if math.isinf(s.radius) else s.radius}
-            for s in specimen.sheath.sections
+            {"length_m": s.length, "radius_m": s.radius} for s in specimen.sheath.sections
         ],
         "methods": {
-            method: {
-                "K": result.K if result.scores else None,
-                "refusal": result.refusal or None,
-                "errors": {
-                    motion: {phase: _score_tree(score) for phase, score in scores.items()}
-                    for motion, scores in result.scores.items()
-                },
-            }
+            method: {"K": result.K, "refusal": result.refusal or None, "errors": result.scores}
             for method, result in outcome.results.items()
         },
     }
-
-
-def _score_tree(score: Score) -> dict[str, Any]:
-    return {signal: to_json_values(getattr(score, signal)._asdict()) for signal in SIGNALS}
 
 
 def _spread(outcomes: list[Outcome], method: str, motion: str, signal: str, item: str) -> Spread:

@@ -12,7 +12,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from numpy.typing import NDArray
 
+from estimator.array_types import Array
 from estimator.drawing import STYLE
 from studies.transparency import hybrid, report, stiffness, zwidth
 from studies.transparency.report import PARAMETERS, RIPPLE, TRUSTED, milliseconds, worst
@@ -78,8 +80,8 @@ def pressed(study: Study, cases: list[Case]) -> tuple[Figure, str]:
             share = np.array([100.0 * p.rendered for p in case.pressed])
             rests = np.array([p.ripple <= RIPPLE for p in case.pressed])
             for axes, y in ((above, np.where(felt > 0.0, felt, np.nan)), (below, share)):
-                axes.plot(true, np.where(rests, y, np.nan), "o-", color=colour, markersize=3)
-                axes.plot(true[~rests], y[~rests], "o", color=colour, mfc="white", markersize=4)
+                axes.plot(true, np.where(rests, y, np.nan), color=colour)
+                _mark(axes, true, y, rests, colour)
             labels.append(
                 Label(min(max(share[-1], 0.0), 130.0), milliseconds(case.round_trip), colour)
             )
@@ -142,15 +144,7 @@ def two_ports(study: Study, name: str, cases: list[Case]) -> tuple[Figure, str]:
             trusted = response.coherence >= TRUSTED
             above.plot(frequency, size, color=colour, linewidth=0.9)
             for axes, y in ((above, size), (below, turn)):
-                axes.plot(frequency[trusted], y[trusted], "o", color=colour, markersize=3.5)
-                axes.plot(
-                    frequency[~trusted],
-                    y[~trusted],
-                    "o",
-                    markerfacecolor="white",
-                    color=colour,
-                    markersize=3.5,
-                )
+                _mark(axes, frequency, y, trusted, colour)
         if parameter in ideal:
             size, turns = ideal[parameter]
             above.set_ylim(0.003 * size, 5.0 * size)
@@ -190,10 +184,7 @@ def margins(study: Study, cases: list[Case]) -> tuple[Figure, str]:
     for case, colour in _shaded(study, cases, cases[0].coupling):
         found, frequency = hybrid.margin(case.hybrid), case.hybrid.frequency
         axes.plot(frequency, found.eta, color=colour, linewidth=1.0)
-        for where, face in ((found.stable, colour), (~found.stable, "white")):
-            axes.plot(
-                frequency[where], found.eta[where], "o", color=colour, markerfacecolor=face, ms=5
-            )
+        _mark(axes, frequency, found.eta, found.stable, colour)
         labels.append(Label(found.eta[-1], milliseconds(case.round_trip), colour))
     axes.axhspan(-1.0, 1.0, color="#f2f2f2", zorder=0)
     axes.axhline(1.0, color=IDEAL, linewidth=1.0)
@@ -213,6 +204,12 @@ def _shaded(study: Study, cases: list[Case], name: str) -> list[tuple[Case, Any]
     """Return the cases of a coupling with the shade of their delay."""
     shades = mpl.colormaps["cividis_r"](np.linspace(0.12, 1.0, max(len(study.round_trips), 2)))
     return [(c, shades[study.round_trips.index(c.round_trip)]) for c in cases if c.coupling == name]
+
+
+def _mark(axes: Axes, x: Array, y: Array, holds: NDArray[np.bool_], colour: Any) -> None:
+    """Draw points, open where something does not hold."""
+    for where, face in ((holds, colour), (~holds, "white")):
+        axes.plot(x[where], y[where], "o", color=colour, markerfacecolor=face, markersize=3.5)
 
 
 def _label(figure: Figure, ends: Sequence[tuple[Axes, list[Label], float]]) -> None:

@@ -1,7 +1,6 @@
 """The study in words and numbers: tables for people, a tree for programs."""
 
 import math
-from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -119,57 +118,50 @@ def quality(cases: list[Case]) -> Table:
 
 def tree(study: Study, cases: list[Case]) -> dict[str, Any]:
     """Return all of it for a JSON file; SI units, null where there is no number."""
-    return {
-        "settings": {
-            **asdict(study),
-            "excitation": study.excitation._asdict(),
-            "hands": {name: hand._asdict() for name, hand in HANDS.items()},
-            "couplings_set": {name: asdict(study.coupling(name)) for name in study.couplings},
-            "press": {"force": stiffness.FORCE, "steps": stiffness.STEPS},
-            "stable": {
-                "swing": zwidth.SWING,
-                "span": zwidth.SPAN,
-                "fades": zwidth.FADES,
-                "energy": zwidth.ENERGY,
-            },
-            "rig": {"contact": CONTACT, "pretension": PRETENSION, "spring": SPRING, "load": LOAD},
-            "trusted_coherence": TRUSTED,
+    settings = {
+        **to_json_values(study),
+        "hands": HANDS,
+        "couplings_set": {name: study.coupling(name) for name in study.couplings},
+        "press": {"force": stiffness.FORCE, "steps": stiffness.STEPS},
+        "stable": {
+            "swing": zwidth.SWING,
+            "span": zwidth.SPAN,
+            "fades": zwidth.FADES,
+            "energy": zwidth.ENERGY,
         },
-        "cases": [_case_tree(study, case) for case in cases],
+        "rig": {"contact": CONTACT, "pretension": PRETENSION, "spring": SPRING, "load": LOAD},
+        "trusted_coherence": TRUSTED,
     }
+    values: dict[str, Any] = to_json_values(
+        {"settings": settings, "cases": [_case_tree(study, case) for case in cases]}
+    )
+    return values
 
 
 def _case_tree(study: Study, case: Case) -> dict[str, Any]:
-    two_port = case.hybrid
-    found: dict[str, Any] = {
+    responses: dict[str, Response] = {name: getattr(case.hybrid, name) for name in PARAMETERS}
+    return {
         "coupling": case.coupling,
         "round_trip": case.round_trip,
-        "stiffness": [p._asdict() for p in case.pressed],
+        "stiffness": case.pressed,
         "z_width": [
-            {
-                "hand": hand,
-                "damping": damping,
-                "stable": walls.width.stable,
-                "unstable": to_json_values(walls.width.unstable),
-                "buzz": to_json_values(walls.buzz),
-            }
+            {"hand": hand, "damping": damping, **walls.width._asdict(), "buzz": walls.buzz}
             for (hand, damping), walls in case.walls.items()
         ],
-        "frequency": two_port.frequency.tolist(),
-        "llewellyn": None,
+        "frequency": case.hybrid.frequency,
+        "llewellyn": (
+            hybrid.margin(case.hybrid) if study.linear(case.coupling, case.round_trip) else None
+        ),
+        **{
+            name: {
+                "real": response.value.real,
+                "imag": response.value.imag,
+                "coherence": response.coherence,
+                "distortion": response.distortion,
+            }
+            for name, response in responses.items()
+        },
     }
-    for name in PARAMETERS:
-        response: Response = getattr(two_port, name)
-        found[name] = {
-            "real": response.value.real.tolist(),
-            "imag": response.value.imag.tolist(),
-            "coherence": response.coherence.tolist(),
-            "distortion": response.distortion,
-        }
-    if study.linear(case.coupling, case.round_trip):
-        margin = hybrid.margin(two_port)
-        found["llewellyn"] = {"eta": margin.eta.tolist(), "stable": margin.stable.tolist()}
-    return found
 
 
 def _criterion(study: Study, case: Case) -> str:

@@ -4,17 +4,29 @@ import base64
 import html
 import math
 from collections.abc import Sequence
+from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from estimator.drawing import format_html_table
 from estimator.text_table import Table
 
-# --- values as JSON has them: no numpy types, nothing that is not finite
+# --- values as JSON has them: no records, no numpy types, nothing that is not finite
 
 
 def to_json_values(value: Any) -> Any:
-    """Return a value for JSON: numpy numbers become Python's, NaN and infinity None."""
+    """Return a value for JSON: a record becomes a dict of its fields, NaN and infinity None.
+
+    Records are named tuples and dataclasses; numpy's arrays become lists, its numbers Python's.
+    """
+    if isinstance(value, tuple) and hasattr(value, "_asdict"):
+        value = value._asdict()
+    elif is_dataclass(value):
+        value = {field.name: getattr(value, field.name) for field in fields(value)}
+    elif isinstance(value, np.ndarray):
+        value = value.tolist()
     if isinstance(value, dict):
         return {str(key): to_json_values(item) for key, item in value.items()}
     if isinstance(value, list | tuple):

@@ -190,34 +190,31 @@ def _parse_column(path: Path, raw: RawTable, config: PairConfig, item: str) -> A
 
 def build_report(study: PairStudy, seconds: float) -> dict[str, Any]:
     """Return the report; `seconds` is what the study took."""
-    return {
+    from teleop.cli.html_page import to_json_values  # with matplotlib, which takes long
+
+    report = {
         "sentence": report_text.format_sentence(study),
-        "bends": [float(record.bend) for record in study.records],
-        "friction": [number._asdict() for number in study.record_frictions],
-        "friction_straight": study.friction._asdict(),
-        "growth": study.growth._asdict(),
-        "model": {name: float(value) for name, value in study.fit.model._asdict().items()},
-        "neutral": list(study.fit.neutrals),
+        "bends": [record.bend for record in study.records],
+        "friction": study.record_frictions,
+        "friction_straight": study.friction,
+        "growth": study.growth,
+        "model": study.fit.model,
+        "neutral": study.fit.neutrals,
         "best_simple": study.best_simple,
         "better_model": report_text.format_model_warning(study),
-        "left_out": {
-            method: [error._asdict() for error in errors]
-            for method, errors in study.left_out.items()
-        },
+        "left_out": study.left_out,
         "validation": [
-            {
-                "bend": validation.bend,
-                "ours": validation.model_error._asdict(),
-                "baselines": {name: e._asdict() for name, e in validation.baselines.items()},
-            }
-            for validation in study.validation
+            {"bend": kept.bend, "ours": kept.model_error, "baselines": kept.baselines}
+            for kept in study.validation
         ],
-        "structure": [part._asdict() for part in analyse_residuals(study.records, study.predicted)],
+        "structure": analyse_residuals(study.records, study.predicted),
         "offset_share": compute_offset_share(study.records, study.predicted),
         "wrong": report_text.describe_errors(study),
         "seconds": seconds,
         "version": version("tendon-teleop"),
     }
+    values: dict[str, Any] = to_json_values(report)
+    return values
 
 
 # --- report.html, on one self-contained page

@@ -43,14 +43,12 @@ class Metric(NamedTuple):
         return median(v / b for v, b in pairs) if pairs and all(b for _, b in pairs) else None
 
 
-Row = Mapping[str, tuple[str, float | None, float | None, bool]]
+Row = dict[str, tuple[str, float | None, float | None, bool]]
+"""Name of a figure -> unit, value, baseline, and whether higher is better."""
 
 
 def collect_metrics(rows: Iterable[Row]) -> list[Metric]:
-    """Return the figures of runs, each name -> (unit, value, baseline, higher is better).
-
-    A missing figure (None) is omitted in its run.
-    """
+    """Return the figures of runs; a missing one (None) is omitted in its run."""
     values: dict[str, list[float]] = {}
     baselines: dict[str, list[float]] = {}
     kinds: dict[str, tuple[str, bool]] = {}

@@ -21,8 +21,6 @@ from teleop.link.ping_pong import PERIOD_S, measure_ping_pong
 from teleop.messages.messages import STAGE_NAMES, Command, SlaveState
 from teleop.session.config import RunConfig
 
-PERCENTILES = {"p50": "p50", "p99": "p99", "p99_9": "p99.9"}
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's arguments."""
@@ -40,12 +38,12 @@ def measure(config: Path, seconds: float, shared: RunConfig) -> Row:
     summary = run_session(config, seconds).summary
     baseline = measure_baseline_latency(seconds, shared)
     master = summary["master"]
-    row: dict[str, tuple[str, float | None, float | None, bool]] = {}
-    for key, text in PERCENTILES.items():
+    row: Row = {}
+    for key, text in runs.PERCENTILES.items():
         latency = master["latency_ms"][key]
         row[f"command to force {text}"] = "ms", latency, baseline[f"{key}_ms"], False
     for stage in STAGE_NAMES:
-        for key, text in list(PERCENTILES.items())[:2]:
+        for key, text in list(runs.PERCENTILES.items())[:2]:
             row[f"stage {stage} {text}"] = "us", master["stages_us"][stage][key], None, False
     answered = master["stages_us"]["all"]["n"]
     row["answered within the tick"] = "%", 100.0 * answered / master["ticks"], None, True

@@ -20,8 +20,6 @@ from teleop.cli.bench.figures import Row
 from teleop.cli.bench.session import SIDES, run_session
 from teleop.session.config import RunConfig
 
-PERCENTILES = {"p50": "p50", "p99": "p99", "p99_9": "p99.9"}
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's arguments."""
@@ -38,7 +36,7 @@ def measure(config: Path, seconds: float, shared: RunConfig) -> Row:
     """Return the figures of a session and of idle loops after it."""
     session = run_session(config, seconds)
     idle = dict(zip(SIDES, run_idle_loops(shared.rate_hz, seconds, shared.realtime), strict=True))
-    row: dict[str, tuple[str, float | None, float | None, bool]] = {}
+    row: Row = {}
     for side in SIDES:
         loop: dict[str, Any] = session.summary[side]
         base = idle[side]
@@ -46,11 +44,11 @@ def measure(config: Path, seconds: float, shared: RunConfig) -> Row:
         row[f"{side} overruns"] = "", loop["overruns"], base["overruns"], False
         lateness = loop["lateness_max_ms"], base["lateness_max_ms"]
         row[f"{side} latest tick"] = "ms", *lateness, False
-        for key, text in PERCENTILES.items():
+        for key, text in runs.PERCENTILES.items():
             work = loop["work_us"][key], base["work_us"][key]
             row[f"{side} tick {text}"] = "us", *work, False
         row[f"{side} CPU"] = "%", session.cpu.get(side), base["cpu"], False
-    for key, text in PERCENTILES.items():
+    for key, text in runs.PERCENTILES.items():
         answer = session.summary["slave"]["answer_us"]
         own_work = session.summary["slave"]["without_rig_us"]
         row[f"slave answer {text}"] = "us", answer[key], None, False

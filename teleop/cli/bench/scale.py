@@ -47,7 +47,7 @@ def main(args: argparse.Namespace) -> int:
         repeated.warm_up(configs[numbers[0]])
         rows = []
         for k in range(repeated.runs):
-            row: dict[str, tuple[str, float | None, float | None, bool]] = {}
+            row: Row = {}
             for n, config in configs.items():
                 repeated.say(f"run {k + 1} of {repeated.runs}: {n} joint{'s' * (n > 1)}")
                 row |= {
@@ -63,7 +63,7 @@ def measure(config: Path, seconds: float) -> Row:
     session = run_session(config, seconds)
     idle = dict(zip(SIDES, run_idle_loops(shared.rate_hz, seconds, shared.realtime), strict=True))
     trips = measure_baseline_latency(seconds, shared)
-    row: dict[str, tuple[str, float | None, float | None, bool]] = {}
+    row: Row = {}
     for side in SIDES:
         loop, base = session.summary[side], idle[side]
         row[f"{side} rate"] = "Hz", loop["rate_hz"], base["rate_hz"], True
@@ -73,13 +73,8 @@ def measure(config: Path, seconds: float) -> Row:
             work = loop["work_us"][key], base["work_us"][key]
             row[f"{side} tick {key}"] = "us", *work, False
     for key in PERCENTILES:
-        own_work = session.summary["slave"]["without_rig_us"][key]
-        row[f"slave tick without rig {key}"] = (
-            "us",
-            own_work,
-            idle["slave"]["work_us"][key],
-            False,
-        )
+        work = session.summary["slave"]["without_rig_us"][key], idle["slave"]["work_us"][key]
+        row[f"slave tick without rig {key}"] = "us", *work, False
     for key in PERCENTILES:
         latency = session.summary["master"]["latency_ms"][key]
         row[f"command to force {key}"] = "ms", latency, trips[f"{key}_ms"], False

@@ -82,7 +82,7 @@ def render(
         )
     if not diagnosis.steps and diagnosis.ranking:
         page.heading("Candidates")
-        page.table(report_tables.build_candidate_table(diagnosis), mark="")
+        page.table(report_tables.build_ranking_table(diagnosis, diagnosis.ranking), mark="")
     if diagnosis.detection_limits:
         page.heading("Detection limits")
         page.table(report_tables.build_detection_limit_table(diagnosis), mark="")

@@ -19,6 +19,7 @@ from estimator.diagnosis.outcome import (
     RankedCandidate,
 )
 from estimator.diagnosis.scoring import Choice
+from estimator.effects.effect import Parameter, Values
 from estimator.law.sheath import Sheath
 from estimator.text_table import Table
 from estimator.units import format_quantity
@@ -114,7 +115,7 @@ def build_report(
             }
             for step in diagnosis.steps
         ],
-        "parameters": {name: number._asdict() for name, number in diagnosis.parameters.items()},
+        "parameters": diagnosis.parameters,
         "baseline": _build_fitness_sets(diagnosis.before),
         "extended": _build_fitness_sets(diagnosis.after),
         "simple_models": {item.name: item.rmse for item in diagnosis.simple_models},
@@ -122,32 +123,34 @@ def build_report(
         "validation": _build_prediction_errors(diagnosis.validation, names[len(files) :]),
         "left_out": _build_prediction_errors(diagnosis.left_out, files),
         "forces": [
-            {"file": name, "validation": item.validation}
-            | {"before": item.before._asdict(), "after": item.after._asdict()}
+            {
+                "file": name,
+                "validation": item.validation,
+                "before": item.before,
+                "after": item.after,
+            }
             for name, item in zip(names, diagnosis.forces, strict=False)
         ],
         "rivals": _build_rivals(diagnosis),
-        "simple_gain": {channel: gain._asdict() for channel, gain in diagnosis.simple_gain.items()},
+        "simple_gain": diagnosis.simple_gain,
         "better_models": report_text.list_better_models(diagnosis),
-        "gain": {channel: gain._asdict() for channel, gain in diagnosis.gain.items()},
-        "noise": dict(diagnosis.noise),
+        "gain": diagnosis.gain,
+        "noise": diagnosis.noise,
         "driver": {
             "channel": diagnosis.dataset.records[0].driver,
             "noise": [record.noise[record.driver] for record in diagnosis.dataset.records],
         },
         "left": diagnosis.residual_fraction,
         "has_drifting_friction": diagnosis.has_drifting_friction,
-        "structure": [item._asdict() for item in diagnosis.residual_dependences],
-        "detection_limits": {
-            name: limit._asdict() for name, limit in diagnosis.detection_limits.items()
-        },
+        "structure": diagnosis.residual_dependences,
+        "detection_limits": diagnosis.detection_limits,
         "sheath": {
             name: {"accepted": item.accepted, "agrees": item.agrees}
             for name, item in accepted.items()
         },
         "experiments": list(diagnosis.experiments),
         "next": report_text.list_next_steps(diagnosis),
-        "troubles": [trouble._asdict() for trouble in diagnosis.issues],
+        "troubles": diagnosis.issues,
         "files": list(files),
         "samples": [int(record.measured.sum()) for record in diagnosis.dataset.records],
         "thinned": [record.decimation_factor for record in diagnosis.dataset.records],
@@ -193,20 +196,19 @@ def _build_rivals(diagnosis: Diagnosis) -> list[dict[str, Any]]:
                 "name": rival.effect.name,
                 "label": rival.effect.label,
                 "replaces": rival.replaces,
-                "base": {
-                    p.name: value
-                    for p, value in zip(diagnosis.dataset.base.shared, model.shared, strict=True)
-                },
+                "base": _name_values(diagnosis.dataset.base.shared, model.shared),
                 "effects": {
-                    effect.name: {
-                        p.name: value for p, value in zip(effect.parameters, values, strict=True)
-                    }
+                    effect.name: _name_values(effect.parameters, values)
                     for effect, values in model.effects
                 },
-                "force_change": None if force is None else force._asdict(),
+                "force_change": force,
             }
         )
     return tree
+
+
+def _name_values(parameters: Sequence[Parameter], values: Values) -> dict[str, float]:
+    return {p.name: value for p, value in zip(parameters, values, strict=True)}
 
 
 def _build_candidates(ranking: Sequence[RankedCandidate]) -> list[dict[str, Any]]:
@@ -218,10 +220,7 @@ def _build_candidates(ranking: Sequence[RankedCandidate]) -> list[dict[str, Any]
             "score": ranked.score,
             "held_out_rmse": ranked.rmse,
             "left": ranked.residual_fraction,
-            "parameters": {
-                p.name: value
-                for p, value in zip(ranked.effect.parameters, ranked.values, strict=True)
-            },
+            "parameters": _name_values(ranked.effect.parameters, ranked.values),
         }
         for ranked in report_tables.select_best_candidates(ranking, len(ranking))
     ]
