@@ -5,11 +5,11 @@ end of the sheath as the config describes it, its x axis along the sheath and aw
 `tip_J` is that of the first tendon of joint J, in which the force of the joint is given.
 """
 
-import math
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from estimator.array_types import Array
 from teleop.messages.messages import MAX_MESSAGE_SECTIONS, Event, LoopReport, Sheath, decode_text
@@ -78,25 +78,9 @@ def compute_tip_transform(sheath: Sheath) -> Any:
 
 
 def to_quaternion(rotation: Array) -> Any:
-    """Return the unit Quaternion of a rotation matrix, by the largest component (Shepperd 1978)."""
-    trace = float(np.trace(rotation))
-    squares = [trace, *np.diag(rotation).tolist()]
-    largest = int(np.argmax(squares))
-    if largest == 0:
-        w = math.sqrt(max(0.0, 1.0 + trace)) / 2
-        x = (rotation[2, 1] - rotation[1, 2]) / (4 * w)
-        y = (rotation[0, 2] - rotation[2, 0]) / (4 * w)
-        z = (rotation[1, 0] - rotation[0, 1]) / (4 * w)
-        return build_message(QUATERNION, x=float(x), y=float(y), z=float(z), w=w)
-    i = largest - 1
-    j, k = (i + 1) % 3, (i + 2) % 3
-    size = math.sqrt(max(0.0, 1.0 + rotation[i, i] - rotation[j, j] - rotation[k, k])) / 2
-    parts = [0.0, 0.0, 0.0]
-    parts[i] = size
-    parts[j] = float(rotation[j, i] + rotation[i, j]) / (4 * size)
-    parts[k] = float(rotation[k, i] + rotation[i, k]) / (4 * size)
-    w = float(rotation[k, j] - rotation[j, k]) / (4 * size)
-    return build_message(QUATERNION, x=parts[0], y=parts[1], z=parts[2], w=w)
+    """Return the unit Quaternion of a rotation matrix."""
+    x, y, z, w = Rotation.from_matrix(rotation).as_quat().tolist()
+    return build_message(QUATERNION, x=x, y=y, z=z, w=w)
 
 
 # --- diagnostics for ROS: the state of both sides, from their reports and events. Pure

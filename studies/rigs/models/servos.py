@@ -133,7 +133,6 @@ class Servos:
         self.lose = 0
         self.damage = 0
         self.stopped_s = 0.0
-        self.instructions = 0
         self.kinds = set()
         self.ended = False
         self._received = b""
@@ -196,7 +195,6 @@ class Servos:
 
     def _obey(self, packet: bytes, now: float) -> None:
         number, instruction, body = packet[0], packet[1], packet[2:]
-        self.instructions += 1
         self.kinds.add(instruction)
         self._answers_from = {PING: 0, READ: 1, SYNC_READ: 1}.get(instruction, 2)
         if instruction == SYNC_READ:
