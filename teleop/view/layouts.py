@@ -1,6 +1,7 @@
 """Layouts of the views, for screens of 1280 by 800 and up: one blueprint per use."""
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Literal
 
 import rerun as rr
@@ -36,29 +37,21 @@ def build_blueprint(config: ViewConfig, joints: Mapping[int, Sequence[int]]) -> 
         The tendons of each joint; none while they are not known.
     """
     views = _Views(config, dict(joints) or {0: [0, 1]})
-    arrange = {
-        "surgeon": _arrange_surgeon,
-        "experiment": _arrange_experiment,
-        "presentation": _arrange_presentation,
-    }[config.layout]  # fmt: skip
+    arrange: dict[str, Callable[[], Part]] = {
+        "surgeon": views.panel,
+        "experiment": partial(_arrange_experiment, views),
+        "presentation": partial(views.scene, distance=0.88),
+    }
     bars: Literal["collapsed", "hidden"]
     bars = "collapsed" if config.layout == "experiment" else "hidden"  # the clock in it moves
     return rrb.Blueprint(
-        arrange(views),
+        arrange[config.layout](),
         rrb.TopPanel(state="hidden"),
         rrb.BlueprintPanel(state=bars),
         rrb.SelectionPanel(state=bars),
         rrb.TimePanel(state=bars, timeline=TIMELINE, play_state="following"),
         auto_views=False,
     )
-
-
-def _arrange_surgeon(views: "_Views") -> Part:
-    return views.panel()
-
-
-def _arrange_presentation(views: "_Views") -> Part:
-    return views.scene(distance=0.88)
 
 
 def _arrange_experiment(views: "_Views") -> Part:
