@@ -8,6 +8,16 @@ from estimator.diagnosis.api import RecordError as RecordError
 from estimator.diagnosis.api import diagnose as diagnose
 from estimator.diagnosis.outcome import Diagnosis as Diagnosis
 from estimator.effects import CATALOGUE as CATALOGUE
+from estimator.kinematics.arm import Arm as Arm
+from estimator.kinematics.arm import ArmError as ArmError
+from estimator.kinematics.arm import CurvedSection as CurvedSection
+from estimator.kinematics.arm import Joint as Joint
+from estimator.kinematics.arm import Offset as Offset
+from estimator.kinematics.arm import prepare_arm as prepare_arm
+from estimator.kinematics.forward import compute_jacobian as compute_jacobian
+from estimator.kinematics.forward import compute_part_frames as compute_part_frames
+from estimator.kinematics.forward import compute_tip_pose as compute_tip_pose
+from estimator.kinematics.urdf import read_arm as read_arm
 from estimator.law.sheath import Section as Section
 from estimator.law.sheath import Sheath as Sheath
 from estimator.law.transmission import Simulation as Simulation

@@ -41,10 +41,13 @@ StructArray: TypeAlias = NDArray[np.void]
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Field:
-    """How a field is stored: the dtype of an element, or the record class, how many, and filled."""
+    """How a field is stored: the dtype of an element, or the record class, how many, and filled.
+
+    Several dimensions are a tuple, `Field("f8", (6, 8))`.
+    """
 
     element: Any
-    count: int = 1
+    count: int | tuple[int, ...] = 1
     fill: float = 0.0
 
     @property
@@ -53,7 +56,9 @@ class Field:
         element = self.element
         if isinstance(element, type) and issubclass(element, Struct):
             element = element.dtype
-        return element if self.count == 1 else (element, (self.count,))
+        if self.count == 1:
+            return element
+        return element, self.count if isinstance(self.count, tuple) else (self.count,)
 
 
 F64: TypeAlias = Annotated[float, Field("f8")]

@@ -1,4 +1,5 @@
 from slave.rigs.bench import BenchRun, MotionScale, make_spring_bench, simulate
+from teleop.config.arm_file import load_arm
 from teleop.data.recording_table import DataTable, RecordedEvent, read_table
 from teleop.errors import PeerError, TeleopError, UsageError
 from teleop.experiment.design import BayesianAdaptive, ConstantStimuli, Design, Staircase, Trial
@@ -32,6 +33,7 @@ __all__ = [
     "draw_psychometric",
     "fit_psychometric",
     "join_session",
+    "load_arm",
     "load_config",
     "make_spring_bench",
     "read_table",

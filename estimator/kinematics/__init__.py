@@ -1,0 +1,1 @@
+"""Arms in space: joints and curved sections, inverse kinematics, and the hand that moves them."""
