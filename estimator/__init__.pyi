@@ -17,6 +17,10 @@ from estimator.kinematics.arm import prepare_arm as prepare_arm
 from estimator.kinematics.forward import compute_jacobian as compute_jacobian
 from estimator.kinematics.forward import compute_part_frames as compute_part_frames
 from estimator.kinematics.forward import compute_tip_pose as compute_tip_pose
+from estimator.kinematics.inverse import InverseConfig as InverseConfig
+from estimator.kinematics.inverse import InverseStep as InverseStep
+from estimator.kinematics.inverse import build_inverse_settings as build_inverse_settings
+from estimator.kinematics.inverse import step_inverse as step_inverse
 from estimator.kinematics.urdf import read_arm as read_arm
 from estimator.law.sheath import Section as Section
 from estimator.law.sheath import Sheath as Sheath
