@@ -17,6 +17,14 @@ from estimator.kinematics.arm import prepare_arm as prepare_arm
 from estimator.kinematics.forward import compute_jacobian as compute_jacobian
 from estimator.kinematics.forward import compute_part_frames as compute_part_frames
 from estimator.kinematics.forward import compute_tip_pose as compute_tip_pose
+from estimator.kinematics.forward import write_kinematics as write_kinematics
+from estimator.kinematics.hand_map import HandMap as HandMap
+from estimator.kinematics.hand_map import HandMapConfig as HandMapConfig
+from estimator.kinematics.hand_map import HandPose as HandPose
+from estimator.kinematics.hand_map import build_hand_map_settings as build_hand_map_settings
+from estimator.kinematics.hand_map import reflect_to_hand as reflect_to_hand
+from estimator.kinematics.hand_map import step_hand_map as step_hand_map
+from estimator.kinematics.hand_map import write_joint_map as write_joint_map
 from estimator.kinematics.inverse import InverseConfig as InverseConfig
 from estimator.kinematics.inverse import InverseStep as InverseStep
 from estimator.kinematics.inverse import build_inverse_settings as build_inverse_settings
