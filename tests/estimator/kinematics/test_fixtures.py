@@ -1,0 +1,132 @@
+"""Virtual fixtures: the force is the gradient of the energy, and closed paths give nothing."""
+
+import math
+
+import numpy as np
+import pytest
+
+from estimator.kinematics.arm import ArmError, prepare_arm
+from estimator.kinematics.fixtures import (
+    FixturesConfig,
+    Guide,
+    Plane,
+    build_fixtures,
+    compute_tip_force,
+    write_fixture_torque,
+)
+from estimator.kinematics.forward import write_kinematics
+from estimator.kinematics.inverse import InverseConfig, build_inverse_settings
+from tests.estimator.kinematics.random_arms import (
+    random_chain,
+    random_coordinates,
+    random_mixed_arm,
+)
+
+FIXTURES = {
+    "box": FixturesConfig(box=((-0.05, 0.05),) * 3),
+    "planes": FixturesConfig(
+        planes=(Plane((0.0, 0.0, 0.1), (0.0, 1.0, 2.0)), Plane((0.0, 0.1, 0.0), (3.0, 0.0, -1.0)))
+    ),
+    "guide": FixturesConfig(guide=Guide((0.0, 0.1, 0.0), (1.0, 1.0, 0.0), width=0.02)),
+    "limits": FixturesConfig(limit_margin=1.5),
+    "singularity": FixturesConfig(singular_value=0.06),
+}
+POSITION = InverseConfig(weights=(1.0, 1.0, 1.0, 0.0, 0.0, 0.0))
+POSE = InverseConfig()
+
+
+def make_torque(config, arm, weights):
+    """Return a function from coordinates to torques and energy."""
+    fixtures, prepared = build_fixtures(config)[0], prepare_arm(arm)[0]
+    settings = build_inverse_settings(weights)[0]
+    n = len(arm.coordinates)
+
+    def evaluate(q):
+        pose, jacobian, torque = np.empty((4, 4)), np.empty((6, n)), np.empty(n)
+        write_kinematics(prepared, q, pose, jacobian)
+        energy = write_fixture_torque(fixtures, prepared, settings, q, pose, jacobian, torque)
+        return torque, energy
+
+    return evaluate
+
+
+def make_arms(rng):
+    yield random_mixed_arm(rng), POSE
+    for count in (2, 4, 6, 8):
+        yield random_chain(rng, count, ("revolute", "prismatic")), POSITION
+
+
+@pytest.mark.parametrize("name", FIXTURES)
+def test_the_torque_is_the_gradient_of_the_energy(name):
+    rng = np.random.default_rng(1)
+    active = 0
+    for arm, weights in make_arms(rng):
+        evaluate = make_torque(FIXTURES[name], arm, weights)
+        for _ in range(10):
+            q = random_coordinates(rng, arm)
+            torque, energy = evaluate(q)
+            slope = [
+                (evaluate(q + h)[1] - evaluate(q - h)[1]) / 2e-6 for h in 1e-6 * np.eye(len(q))
+            ]
+            assert -torque == pytest.approx(np.array(slope), rel=1e-4, abs=1e-6)
+            active += energy > 1e-6
+    assert active > 10
+
+
+@pytest.mark.parametrize("name", FIXTURES)
+def test_a_closed_path_yields_no_energy(name):
+    rng = np.random.default_rng(2)
+    arm = random_chain(rng, 4, ("revolute",))
+    evaluate = make_torque(FIXTURES[name], arm, POSITION)
+    middle, size, phase = rng.normal(size=4), rng.normal(0.0, 0.8, 4), rng.uniform(0.0, 6.0, 4)
+    work = turnover = 0.0
+    count = 4000
+    for angle in 2.0 * math.pi * np.arange(count) / count:
+        torque, _ = evaluate(middle + size * np.sin(angle + phase))
+        step = torque @ (size * np.cos(angle + phase)) * 2.0 * math.pi / count
+        work, turnover = work + step, turnover + abs(step)
+    assert turnover > 1e-4
+    assert abs(work) < 1e-4 * turnover
+
+
+def test_walls_push_back_with_their_stiffness_up_to_the_largest_force():
+    fixtures = build_fixtures(
+        FixturesConfig(
+            box=((-math.inf, 0.1), (-0.2, math.inf), (-math.inf, math.inf)),
+            stiffness=300.0,
+            force_max=3.0,
+        )
+    )[0]
+    assert compute_tip_force(fixtures, 0.0, 0.0, 9.0) == (0.0, 0.0, 0.0, 0.0)
+    assert compute_tip_force(fixtures, 0.102, -0.205, 0.0)[:3] == pytest.approx((-0.6, 1.5, 0.0))
+    assert compute_tip_force(fixtures, 0.2, 0.0, 0.0)[:3] == pytest.approx((-3.0, 0.0, 0.0))
+
+
+def test_the_cushion_pushes_away_from_the_singularity():
+    rng = np.random.default_rng(5)
+    arm = random_chain(rng, 6, ("revolute",))
+    evaluate = make_torque(FIXTURES["singularity"], arm, POSE)
+    pushed = 0
+    for _ in range(30):
+        q = random_coordinates(rng, arm)
+        torque, energy = evaluate(q)
+        if energy > 1e-4:
+            after = evaluate(q + 1e-3 * torque / np.linalg.norm(torque))[1]
+            assert after < energy
+            pushed += 1
+    assert pushed > 5
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"box": ((0.0, 1.0),)}, "box: three pairs"),
+        ({"planes": (Plane((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)),)}, "planes: normal"),
+        ({"guide": Guide((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))}, "guide: direction"),
+        ({"stiffness": 0.0}, "stiffness: 0.0, must be positive"),
+        ({"limit_margin": -1.0}, "limit_margin: -1.0, must be finite"),
+    ],
+)
+def test_impossible_fixtures_are_refused(options, said):
+    with pytest.raises(ArmError, match=said):
+        FixturesConfig(**options)
