@@ -44,6 +44,13 @@ def test_the_law_gives_the_tip_less_by_friction(tmp_path):
     assert (tmp_path / "loop.png").stat().st_size > 10_000
 
 
+def test_hand_and_joints_have_the_same_power_also_at_a_limit(tmp_path):
+    said = run(tmp_path, "arm_kinematics.py")
+    hand, joints = map(float, re.findall(r"(?:hand|joints) ([\d.]+) mJ", said))
+    assert hand == joints > 30.0
+    assert " 50.0 mm: bend 0.60, wrist 0.50 rad" in said
+
+
 @pytest.mark.slow  # .ci/run runs it from the wheel
 def test_a_fit_on_one_half_holds_on_the_other(tmp_path):
     said = run(tmp_path, "estimate_record.py")
