@@ -15,7 +15,8 @@ returned satisfies every condition, however it was found.
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import solve_banded
+
+from estimator.compiled import jit_compile
 
 
 @dataclass(frozen=True)
@@ -68,7 +69,7 @@ class Chain:
         self.limit_motor = friction * np.array(angles)
         self.limit_tip = asymmetry * self.limit_motor
         self.drag = drag
-        self.pretension = tension
+        self.offset = np.full(len(springs), tension)  # tension of each spring at no travel [N]
         self.stretch_before = tension * total / axial_stiffness
         self.travel = np.zeros(len(lengths) + 2)  # end, beads, end; towards the motor
         self.sliding = np.zeros(len(lengths), dtype=int)  # +1 towards the motor, -1 tip, 0 sticks
@@ -76,7 +77,7 @@ class Chain:
     @property
     def tensions(self):
         """Tension of each spring [N], motor first."""
-        return self.pretension + self.stiffness * (self.travel[:-1] - self.travel[1:])
+        return self.offset + self.stiffness * (self.travel[:-1] - self.travel[1:])
 
     @property
     def T_in(self):  # noqa: N802
@@ -93,58 +94,105 @@ class Chain:
 
     def move(self, motor, tip):
         """Take the chain to equilibrium: Force or Position at each end, or a Spring at the tip."""
-        before = self.travel
-        # What slid before is a good guess; where correcting it goes in circles, start from rest.
-        for guess in (self.sliding, np.zeros_like(self.sliding)):
-            self.sliding = guess
-            for _ in range(2 * len(guess)):
-                self.travel = self._equilibrium(before, motor, tip)
-                corrected = self._corrected(before)
-                if np.array_equal(corrected, self.sliding):
-                    return self
-                self.sliding = corrected
-        raise AssertionError("the chain found no equilibrium")
+        is_loaded = isinstance(motor, Force)
+        value = motor.tension if is_loaded else motor.travel
+        spring, rest = 0.0, 0.0
+        if isinstance(tip, Spring):
+            spring, rest = tip.stiffness, tip.rest
+        load = np.nan if isinstance(tip, Position) else getattr(tip, "tension", 0.0)
+        travel, sliding, found = _find_equilibrium(
+            self.travel, self.sliding, self.stiffness, self.offset, self.limit_motor,
+            self.limit_tip, self.drag, is_loaded, value, load, spring, rest,
+            tip.travel if isinstance(tip, Position) else 0.0,
+        )  # fmt: skip
+        if not found:
+            raise AssertionError("the chain found no equilibrium")
+        self.travel, self.sliding = travel, sliding
+        return self
 
-    def _limits(self):
-        tensions = self.tensions
-        load = (tensions[:-1] + tensions[1:]) / 2 + self.drag
-        return self.limit_motor * load, self.limit_tip * load
 
-    def _corrected(self, before):
-        tensions = self.tensions
-        jump = tensions[:-1] - tensions[1:]
-        towards_motor, towards_tip = self._limits()
-        moved = (self.travel - before)[1:-1]
-        slack = 1e-12 * (1.0 + np.abs(tensions).max())
-        corrected = self.sliding.copy()
-        stuck = self.sliding == 0
-        corrected[stuck & (jump > towards_motor + slack)] = 1
-        corrected[stuck & (jump < -towards_tip - slack)] = -1
-        corrected[~stuck & (moved * self.sliding < -1e-15)] = 0
-        return corrected
+@jit_compile
+def _find_equilibrium(
+    before, sliding, k, offset, limit_motor, limit_tip, drag,
+    motor_loaded, motor_value, load, spring, rest, tip_travel,
+):  # fmt: skip
+    """Return travels, what slides which way, and whether all of it satisfies Coulomb.
 
-    def _equilibrium(self, before, motor, tip):
-        """Solve for the travels: stuck beads stay, sliding beads carry their limit."""
-        n = len(before)
-        lower, diagonal, upper, right = np.zeros(n), np.ones(n), np.zeros(n), before.copy()
-        k = self.stiffness
-        c = np.where(self.sliding > 0, self.limit_motor, -self.limit_tip) / 2
-        # T_before (1 - c) - T_after (1 + c) = 2 c drag, each T linear in the travels
-        slides = np.flatnonzero(self.sliding)
-        node = slides + 1
-        first, second = (1 - c[slides]) * k[slides], (1 + c[slides]) * k[slides + 1]
-        lower[node], diagonal[node], upper[node] = first, -first - second, second
-        right[node] = 2 * c[slides] * (self.drag + self.pretension)
-        if isinstance(motor, Force):
-            diagonal[0], upper[0], right[0] = k[0], -k[0], motor.tension - self.pretension
-        else:
-            right[0] = motor.travel
-        if isinstance(tip, Force):
-            lower[-1], diagonal[-1], right[-1] = k[-1], -k[-1], tip.tension - self.pretension
-        elif isinstance(tip, Spring):
-            lower[-1], diagonal[-1] = k[-1], -k[-1] - tip.stiffness
-            right[-1] = -tip.stiffness * tip.rest - self.pretension
-        else:
-            right[-1] = tip.travel
-        banded = np.array([np.roll(upper, 1), diagonal, np.roll(lower, -1)])
-        return solve_banded((1, 1), banded, right)
+    What slid before is a good guess; where correcting all beads goes in circles, half of them are.
+    """
+    n = len(before)
+    beads = n - 2
+    sliding = sliding.copy()
+    wrong = np.zeros(beads, dtype=np.int64)
+    random = 1
+    for attempt in range(20 * n):
+        travel = _solve_forces(
+            before, sliding, k, offset, limit_motor, limit_tip, drag,
+            motor_loaded, motor_value, load, spring, rest, tip_travel,
+        )  # fmt: skip
+        peak = 0.0
+        for i in range(n - 1):
+            peak = max(peak, abs(offset[i] + k[i] * (travel[i] - travel[i + 1])))
+        slack = 1e-9 * (1.0 + peak)
+        count = 0
+        for i in range(beads):
+            near = offset[i] + k[i] * (travel[i] - travel[i + 1])
+            far = offset[i + 1] + k[i + 1] * (travel[i + 1] - travel[i + 2])
+            mean = 0.5 * (near + far) + drag
+            moved = travel[i + 1] - before[i + 1]
+            corrected = sliding[i]
+            if limit_motor[i] == 0.0 and limit_tip[i] == 0.0:
+                corrected = 1  # no friction holds it
+            elif corrected == 0:
+                if near - far > limit_motor[i] * mean + slack:
+                    corrected = 1
+                elif near - far < -limit_tip[i] * mean - slack:
+                    corrected = -1
+            elif moved * corrected < -1e-14:
+                corrected = 0
+            wrong[i] = corrected - sliding[i]
+            count += wrong[i] != 0
+        if count == 0:
+            return travel, sliding, True
+        for i in range(beads):
+            random = (1103515245 * random + 12345) % 2147483648
+            if attempt < 15 or random > 1073741824:
+                sliding[i] += wrong[i]
+    return travel, sliding, False
+
+
+@jit_compile
+def _solve_forces(
+    before, sliding, k, offset, limit_motor, limit_tip, drag,
+    motor_loaded, motor_value, load, spring, rest, tip_travel,
+):  # fmt: skip
+    """Return the travels: stuck beads stay, sliding beads carry their limit."""
+    n = len(before)
+    # row i: lower x[i-1] + diagonal x[i] + upper x[i+1] = right, eliminated from the motor on
+    upper, right = np.zeros(n), np.zeros(n)
+    for i in range(n):
+        low, diagonal, up, value = 0.0, 1.0, 0.0, before[i]
+        if i == 0:
+            if motor_loaded:
+                diagonal, up, value = k[0], -k[0], motor_value - offset[0]
+            else:
+                value = motor_value
+        elif i == n - 1:
+            if np.isnan(load):
+                value = tip_travel
+            else:
+                low, diagonal = k[-1], -k[-1] - spring
+                value = load - spring * rest - offset[-1]
+        elif sliding[i - 1] != 0:
+            # T_before (1 - c) - T_after (1 + c) = 2 c drag, each T linear in the travels
+            c = (limit_motor[i - 1] if sliding[i - 1] > 0 else -limit_tip[i - 1]) / 2
+            low, up = (1 - c) * k[i - 1], (1 + c) * k[i]
+            diagonal = -low - up
+            value = 2 * c * drag - (1 - c) * offset[i - 1] + (1 + c) * offset[i]
+        if i > 0:
+            diagonal -= low * upper[i - 1]
+            value -= low * right[i - 1]
+        upper[i], right[i] = up / diagonal, value / diagonal
+    for i in range(n - 2, -1, -1):
+        right[i] -= upper[i] * right[i + 1]
+    return right

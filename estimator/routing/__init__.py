@@ -1,0 +1,1 @@
+"""Arms whose tendons pass joints: travel, friction, torque and force through all of them."""

@@ -1,0 +1,367 @@
+"""How tendons run through the joints of an arm, and what that makes of travels and torques.
+
+A distal tendon passes proximal joints: each of them pulls it in or pays it out, bends it, and is
+loaded by it. `Routing` describes this; `prepare` turns it into what a tick needs.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import linprog
+
+from estimator.array_types import Array
+
+MAX_JOINTS, MAX_TENDONS = 8, 16
+MAX_K = 20.0
+"""Largest friction of all passed joints of a tendon together, at its given wraps."""
+
+BEND_ELEMENTS, PIN_ELEMENTS = 4, 1
+"""Friction elements of a bend that spreads over a section, and of a pin."""
+
+Guide = Literal["proximal", "distal", "spread"]
+
+RANK_TOLERANCE = 1e-9  # of singular values, relative to the largest
+
+
+class RoutingError(ValueError):
+    """An impossible routing; the message names the field, the tendon or joint, and the remedy."""
+
+
+@dataclass(frozen=True, eq=False)
+class Routing:
+    """Tendons over the joints of an arm; tables have the shape (tendons, joints).
+
+    A single number stands for all entries of a table. Tendons and joints count from 0 in tables
+    and in messages.
+
+    Attributes
+    ----------
+    radii
+        R [m]: travel of the tendon towards the motor per rad of the joint; with its sign, so a
+        tension T turns the joint with R T. For a curved section, the distance of the tendon from
+        the neutral line, by the section's bend angle.
+    friction
+        Coulomb coefficient at the guide of each passed joint. 0 where the tendon is anchored.
+    wrap
+        phi_0 [rad]: bend of the tendon over the guide at joint angle 0.
+    side
+        The bend is |phi_0 + side angle|; by default against the sign of R, as over a pin.
+    guide
+        "proximal": a pin or pulley fixed to the link before the joint, so the tension behind it
+        loads the joint. "distal": fixed to the link after it, so the tension before it does.
+        "spread": a curved section, in which friction and load spread over `length`.
+    span
+        [m] of tendon from this guide to the next or to the anchor.
+    length
+        [m] of tendon in a curved section; a pin has |R| times the wrap.
+    axial_stiffness
+        EA [N] of the tendon.
+    order
+        For each tendon, the joints in the order in which it passes them; by default all joints with
+        a radius or a wrap, in their order.
+    spring_stiffness, spring_angle
+        Springs at the joints, shape (joints,), or a number: stiffness [N m/rad] and angle of zero
+        torque [rad]. A joint with a spring needs no antagonist.
+    friction_error, compliance_error
+        Relative errors that intervals allow for, of friction and of the tendon's compliance.
+    angle_error
+        [rad] largest error of joint angles that intervals allow for, not accumulated. Motion
+        within it is not taken for motion.
+    """
+
+    radii: ArrayLike
+    friction: ArrayLike = 0.0
+    wrap: ArrayLike = 0.0
+    side: ArrayLike | None = None
+    guide: Guide | Sequence[Sequence[Guide]] = "proximal"
+    span: ArrayLike = 0.03
+    length: ArrayLike = 0.03
+    axial_stiffness: float = 9000.0
+    order: Sequence[Sequence[int]] | None = None
+    spring_stiffness: ArrayLike = 0.0
+    spring_angle: ArrayLike = 0.0
+    friction_error: float = 0.1
+    compliance_error: float = 0.5
+    angle_error: float = 0.0
+
+    def __post_init__(self) -> None:
+        R = _read_array("radii", self.radii, 2)
+        tendons, joints = R.shape
+        if not (1 <= joints <= MAX_JOINTS and 1 <= tendons <= MAX_TENDONS):
+            raise RoutingError(
+                f"radii: {tendons} tendons, {joints} joints; allowed are 1 to {MAX_TENDONS} "
+                f"tendons and 1 to {MAX_JOINTS} joints"
+            )
+        set_field = object.__setattr__
+        set_field(self, "radii", R)
+        for name in ("friction", "wrap", "span", "length"):
+            set_field(self, name, _read_table(name, getattr(self, name), R.shape))
+        side = -np.sign(R) if self.side is None else _read_table("side", self.side, R.shape)
+        set_field(self, "side", side)
+        if self.side is not None and not np.isin(side, (-1.0, 0.0, 1.0)).all():
+            raise RoutingError("side: allowed are -1, 0 and 1")
+        if (self.span <= 0.0).any():  # type: ignore[operator]
+            raise RoutingError("span: must be positive, a stretch without length cannot stretch")
+        for name in ("friction", "length"):
+            if (getattr(self, name) < 0.0).any():
+                raise RoutingError(f"{name}: must not be negative")
+        for name in ("spring_stiffness", "spring_angle"):
+            set_field(self, name, _read_table(name, getattr(self, name), (joints,)))
+        if (self.spring_stiffness < 0.0).any():  # type: ignore[operator]
+            raise RoutingError("spring_stiffness: must not be negative")
+        guide = np.broadcast_to(np.array(self.guide), R.shape)
+        if not np.isin(guide, ("proximal", "distal", "spread")).all():
+            raise RoutingError('guide: allowed are "proximal", "distal" and "spread"')
+        set_field(self, "guide", guide)
+        if not 0.0 < self.axial_stiffness < math.inf:
+            raise RoutingError(f"axial_stiffness: {self.axial_stiffness} N, must be positive")
+        if not 0.0 <= self.friction_error < 1.0:
+            raise RoutingError(f"friction_error: {self.friction_error}, allowed are 0 to 1")
+        for name in ("compliance_error", "angle_error"):
+            if not 0.0 <= getattr(self, name) < math.inf:
+                raise RoutingError(f"{name}: {getattr(self, name)}, must not be negative")
+        set_field(self, "order", self._read_order())
+        for tendon in range(tendons):
+            K = float(np.sum(self.get_friction(np.zeros(joints))[tendon]))
+            if K > MAX_K:
+                raise RoutingError(f"friction: tendon {tendon} has K {K:.4g}, at most {MAX_K:g}")
+        self._check_motion()
+
+    @property
+    def tendons(self) -> int:
+        """Number of tendons."""
+        return int(np.shape(self.radii)[0])
+
+    @property
+    def joints(self) -> int:
+        """Number of joints."""
+        return int(np.shape(self.radii)[1])
+
+    def get_friction(self, angles: ArrayLike) -> Array:
+        """Return K of each passed joint at joint `angles` [rad], shape (tendons, joints).
+
+        K_sheath plus the sum over a row is the friction coordinate of the tendon's end.
+        """
+        theta = _read_table("angles", angles, (self.joints,))
+        bend = np.abs(np.asarray(self.wrap) + np.asarray(self.side) * theta)
+        K: Array = np.asarray(self.friction) * bend
+        return K
+
+    def get_travel(self, angles: ArrayLike) -> Array:
+        """Return the tip travels q_d [m] of joint `angles` [rad], shape (tendons,), from angle 0.
+
+        Positive is towards the motor, as of a tendon that does not stretch (T17).
+        """
+        travel: Array = self.radii @ _read_table("angles", angles, (self.joints,))
+        return travel
+
+    def find_angles(
+        self, travel: ArrayLike, start: ArrayLike, slack: ArrayLike = False
+    ) -> tuple[Array, NDArray[np.bool_]]:
+        """Return joint angles [rad] that fit the tip travels best, and which of them are told.
+
+        Parameters
+        ----------
+        travel : array_like
+            q_d [m], shape (tendons,), zero at joint angles 0.
+        start : array_like
+            Angles [rad], shape (joints,), to stay at where the travels leave a choice.
+        slack : array_like
+            Which tendons are slack, shape (tendons,): their travels tell nothing.
+        """
+        taut = ~np.broadcast_to(np.asarray(slack, dtype=bool), (self.tendons,))
+        q = _read_table("travel", travel, (self.tendons,))
+        before = _read_table("start", start, (self.joints,))
+        R = np.asarray(self.radii)[taut]
+        if not len(R):
+            return before.copy(), np.zeros(self.joints, dtype=bool)
+        _, values, directions = np.linalg.svd(R)
+        rank = int(np.sum(values > RANK_TOLERANCE * np.abs(np.asarray(self.radii)).max()))
+        change = np.linalg.pinv(R) @ (q[taut] - R @ before)
+        untold = np.abs(directions[rank:]).max(axis=0, initial=0.0)
+        return before + change, untold < 1e-6
+
+    def find_pretension_pattern(self) -> Array:
+        """Return tensions over the largest that balance at all joints without a spring.
+
+        Shape (tendons,), all positive; the pattern whose smallest entry is largest.
+
+        Raises
+        ------
+        RoutingError
+            If there is none.
+        """
+        free = np.asarray(self.spring_stiffness) == 0.0
+        balance = np.asarray(self.radii)[:, free].T / np.abs(np.asarray(self.radii)).max()
+        # largest m with m <= t_i <= 1 and balance t = 0
+        n = self.tendons
+        found = linprog(
+            np.append(np.zeros(n), -1.0),
+            A_ub=np.hstack([-np.eye(n), np.ones((n, 1))]),
+            b_ub=np.zeros(n),
+            A_eq=np.hstack([balance, np.zeros((len(balance), 1))]) if len(balance) else None,
+            b_eq=np.zeros(len(balance)) if len(balance) else None,
+            bounds=[(0.0, 1.0)] * (n + 1),
+        )
+        if not found.success or found.x[-1] < 1e-6:
+            raise RoutingError(
+                "radii: no positive tensions of all tendons balance each other: a joint lacks an "
+                "antagonist; add a tendon or give the joint a spring_stiffness"
+            )
+        pattern: Array = found.x[:n]
+        return pattern
+
+    def _check_motion(self) -> None:
+        R = np.asarray(self.radii)
+        for joint in range(self.joints):
+            if not R[:, joint].any():
+                raise RoutingError(f"radii: no tendon moves joint {joint}, its column is zero")
+        for tendon in range(self.tendons):
+            if not R[tendon].any():
+                raise RoutingError(f"radii: no joint moves tendon {tendon}, its row is zero")
+        rank = int(np.linalg.matrix_rank(R, tol=RANK_TOLERANCE * np.abs(R).max()))
+        if rank < self.joints:
+            raise RoutingError(
+                f"radii: {self.joints} joints, but the tendons can move only {rank} of them "
+                "independently"
+            )
+        self.find_pretension_pattern()
+
+    def _read_order(self) -> tuple[tuple[int, ...], ...]:
+        touched = (np.asarray(self.radii) != 0.0) | (np.asarray(self.wrap) != 0.0)
+        if self.order is None:
+            return tuple(tuple(int(j) for j in np.flatnonzero(row)) for row in touched)
+        if len(self.order) != self.tendons:
+            raise RoutingError(f"order: {len(self.order)} rows, but there are {self.tendons}")
+        for tendon, joints in enumerate(self.order):
+            if len(set(joints)) < len(joints) or not set(joints) <= set(range(self.joints)):
+                raise RoutingError(
+                    f"order: tendon {tendon} passes {list(joints)}; allowed are the joints 0 to "
+                    f"{self.joints - 1}, each once"
+                )
+            missing = set(np.flatnonzero(self.radii[tendon])) - set(joints)  # type: ignore[index]
+            if missing:
+                raise RoutingError(
+                    f"order: tendon {tendon} has a radius at joint {min(missing)}, but does not "
+                    "pass it"
+                )
+        return tuple(tuple(int(j) for j in joints) for joints in self.order)
+
+
+class PreparedRouting(NamedTuple):
+    """A routing as rows: of each tendon the sheath's end, then its friction elements in order.
+
+    A row's tension is that behind its element, up to the next one.
+    """
+
+    first: NDArray[np.int64]  # row of the sheath's end of each tendon, and the number of rows
+    joint: NDArray[np.int64]  # joint that turns the element
+    friction: Array
+    wrap: Array  # [rad]
+    side: Array
+    compliance: Array  # [m/N] of the stretch behind the element
+    shortening: Array  # [m/rad] shape (rows, joints): by what turning a joint shortens the stretch
+    behind: NDArray[np.int64]  # row behind each passed joint, -1 elsewhere, (tendons, joints)
+    friction_error: float
+    compliance_error: float
+    angle_error: float  # [rad]
+
+
+def prepare(routing: Routing) -> PreparedRouting:
+    """Return what the steps of `routing` need."""
+    first, rows = [0], []
+    behind = np.full((routing.tendons, routing.joints), -1, dtype=np.int64)
+    for tendon in range(routing.tendons):
+        begin = len(rows)
+        rows += _lay_out_tendon(routing, tendon)
+        for index in range(begin, len(rows)):
+            if index > begin:
+                behind[tendon, rows[index].joint] = index
+        first.append(len(rows))
+    return PreparedRouting(
+        np.array(first),
+        np.array([row.joint for row in rows]),
+        np.array([row.friction for row in rows]),
+        np.array([row.wrap for row in rows]),
+        np.array([row.side for row in rows]),
+        np.array([row.length for row in rows]) / routing.axial_stiffness,
+        np.array([row.shortening for row in rows]),
+        behind,
+        routing.friction_error,
+        routing.compliance_error,
+        routing.angle_error,
+    )
+
+
+class _Row(NamedTuple):
+    joint: int
+    friction: float
+    wrap: float
+    side: float
+    length: float
+    shortening: Array
+
+
+def _lay_out_tendon(routing: Routing, tendon: int) -> list[_Row]:
+    joints = routing.order[tendon]  # type: ignore[index]
+    R, wrap = np.asarray(routing.radii)[tendon], np.asarray(routing.wrap)[tendon]
+    elements: list[tuple[int, int, float, float, float]] = []  # joint, of n, place, before, behind
+    for joint in joints:
+        kind = np.asarray(routing.guide)[tendon, joint]
+        span = float(np.asarray(routing.span)[tendon, joint])
+        if kind == "spread":
+            n, length = BEND_ELEMENTS, float(np.asarray(routing.length)[tendon, joint])
+        else:
+            n, length = PIN_ELEMENTS, float(abs(R[joint] * wrap[joint]))
+        if length == 0.0 or np.asarray(routing.friction)[tendon, joint] == 0.0:
+            n = 1
+        part = 0.5 * length / n
+        for i in range(n):
+            place = {"proximal": 0.0, "distal": 1.0, "spread": (i + 0.5) / n}[str(kind)]
+            elements.append((joint, n, place, part, part + (span if i == n - 1 else 0.0)))
+    # travel past each element per rad: what turns behind it, and its own joint's part behind it
+    arms = [R.copy()]
+    for index, (joint, _, place, _, _) in enumerate(elements):
+        later = [j for j in joints if j not in {e[0] for e in elements[: index + 1]}]
+        arm = np.zeros(routing.joints)
+        arm[later] = R[later]
+        arm[joint] = (1.0 - place) * R[joint]
+        arms.append(arm)
+    arms.append(np.zeros(routing.joints))
+    rows = [_Row(0, 0.0, 0.0, 0.0, 0.0, arms[0] - arms[1])]
+    for index, (joint, n, _, _, length) in enumerate(elements):
+        next_half = elements[index + 1][3] if index + 1 < len(elements) else 0.0
+        rows.append(
+            _Row(
+                joint,
+                float(np.asarray(routing.friction)[tendon, joint]) / n,
+                float(wrap[joint]),
+                float(np.asarray(routing.side)[tendon, joint]),
+                length + next_half,
+                arms[index + 1] - arms[index + 2],
+            )
+        )
+    return rows
+
+
+def _read_array(name: str, values: ArrayLike, dimensions: int) -> Array:
+    try:
+        array = np.array(values, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise RoutingError(f"{name}: not a table of numbers: {values}") from error
+    if array.ndim != dimensions:
+        raise RoutingError(f"{name}: {array.ndim} dimensions, must be {dimensions}")
+    if not np.isfinite(array).all():
+        raise RoutingError(f"{name}: must be finite")
+    return array
+
+
+def _read_table(name: str, values: ArrayLike, shape: tuple[int, ...]) -> Array:
+    array = _read_array(name, values, np.ndim(values))
+    if array.shape not in ((), shape):
+        raise RoutingError(f"{name}: shape {array.shape}, must be {shape} or one number")
+    return np.broadcast_to(array, shape).copy()
