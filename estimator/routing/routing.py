@@ -19,7 +19,7 @@ MAX_JOINTS, MAX_TENDONS = 8, 16
 MAX_K = 20.0
 """Largest friction of all passed joints of a tendon together, at its given wraps."""
 
-BEND_ELEMENTS, PIN_ELEMENTS = 4, 1
+BEND_ELEMENTS, PIN_ELEMENTS = 8, 2
 """Friction elements of a bend that spreads over a section, and of a pin."""
 
 Guide = Literal["proximal", "distal", "spread"]
@@ -263,7 +263,9 @@ class PreparedRouting(NamedTuple):
     friction: Array
     wrap: Array  # [rad]
     side: Array
-    compliance: Array  # [m/N] of the stretch behind the element
+    compliance: Array  # [m/N] of the stretch behind the element, contact with pins apart
+    contact: Array  # [m/(N rad)] shape (rows, 2): by the bend of this element and of the next
+    spread: Array  # [m/rad] half of what slips more at the near end of an element than at its far
     shortening: Array  # [m/rad] shape (rows, joints): by what turning a joint shortens the stretch
     behind: NDArray[np.int64]  # row behind each passed joint, -1 elsewhere, (tendons, joints)
     friction_error: float
@@ -289,6 +291,8 @@ def prepare(routing: Routing) -> PreparedRouting:
         np.array([row.wrap for row in rows]),
         np.array([row.side for row in rows]),
         np.array([row.length for row in rows]) / routing.axial_stiffness,
+        np.array([row.contact for row in rows]) / routing.axial_stiffness,
+        np.array([row.spread for row in rows]),
         np.array([row.shortening for row in rows]),
         behind,
         routing.friction_error,
@@ -302,46 +306,67 @@ class _Row(NamedTuple):
     friction: float
     wrap: float
     side: float
-    length: float
+    length: float  # [m] of the stretch behind, contact with pins apart
+    contact: tuple[float, float]  # [m/rad] of it, by the bend of this element and of the next
+    spread: float  # [m/rad]
     shortening: Array
 
 
-def _lay_out_tendon(routing: Routing, tendon: int) -> list[_Row]:
-    joints = routing.order[tendon]  # type: ignore[index]
-    R, wrap = np.asarray(routing.radii)[tendon], np.asarray(routing.wrap)[tendon]
-    elements: list[tuple[int, int, float, float, float]] = []  # joint, of n, place, before, behind
-    for joint in joints:
-        kind = np.asarray(routing.guide)[tendon, joint]
-        span = float(np.asarray(routing.span)[tendon, joint])
-        if kind == "spread":
-            n, length = BEND_ELEMENTS, float(np.asarray(routing.length)[tendon, joint])
-        else:
-            n, length = PIN_ELEMENTS, float(abs(R[joint] * wrap[joint]))
-        if length == 0.0 or np.asarray(routing.friction)[tendon, joint] == 0.0:
-            n = 1
-        part = 0.5 * length / n
+class _Element(NamedTuple):
+    joint: int
+    count: int  # of elements at this joint
+    place: float  # part of the joint's turning that happens before it
+    length: float  # [m] before and behind it, each
+    contact: float  # [m/rad] before and behind it, each
+    spread: float  # [m/rad]
+    span: float  # [m] behind
+
+
+def _list_elements(routing: Routing, tendon: int) -> list[_Element]:
+    elements = []
+    for joint in routing.order[tendon]:  # type: ignore[index]
+        kind, span, length, friction, R = (
+            np.asarray(table)[tendon, joint]
+            for table in (
+                routing.guide, routing.span, routing.length, routing.friction, routing.radii
+            )
+        )  # fmt: skip
+        is_spread = kind == "spread"
+        n = 1 if friction == 0.0 else (BEND_ELEMENTS if is_spread else PIN_ELEMENTS)
+        half, contact = (length / n / 2, 0.0) if is_spread else (0.0, abs(R) / n / 2)
         for i in range(n):
-            place = {"proximal": 0.0, "distal": 1.0, "spread": (i + 0.5) / n}[str(kind)]
-            elements.append((joint, n, place, part, part + (span if i == n - 1 else 0.0)))
+            place = (i + 0.5) / n if is_spread else float(kind == "distal")
+            last = span if i == n - 1 else 0.0
+            spread = abs(R) / n / 2 if is_spread else 0.0
+            elements.append(_Element(joint, n, place, half, contact, spread, last))
+    return elements
+
+
+def _lay_out_tendon(routing: Routing, tendon: int) -> list[_Row]:
+    R, wrap = np.asarray(routing.radii)[tendon], np.asarray(routing.wrap)[tendon]
+    friction, side = np.asarray(routing.friction)[tendon], np.asarray(routing.side)[tendon]
+    elements = _list_elements(routing, tendon)
     # travel past each element per rad: what turns behind it, and its own joint's part behind it
-    arms = [R.copy()]
-    for index, (joint, _, place, _, _) in enumerate(elements):
-        later = [j for j in joints if j not in {e[0] for e in elements[: index + 1]}]
-        arm = np.zeros(routing.joints)
-        arm[later] = R[later]
-        arm[joint] = (1.0 - place) * R[joint]
+    arms, turned = [R.copy()], set()
+    for element in elements:
+        turned.add(element.joint)
+        arm = np.array([0.0 if j in turned else R[j] for j in range(len(R))])
+        arm[element.joint] = (1.0 - element.place) * R[element.joint]
         arms.append(arm)
-    arms.append(np.zeros(routing.joints))
-    rows = [_Row(0, 0.0, 0.0, 0.0, 0.0, arms[0] - arms[1])]
-    for index, (joint, n, _, _, length) in enumerate(elements):
-        next_half = elements[index + 1][3] if index + 1 < len(elements) else 0.0
+    arms.append(np.zeros_like(R))
+    rows = [_Row(0, 0.0, 0.0, 0.0, 0.0, (0.0, 0.0), 0.0, arms[0] - arms[1])]
+    for index, element in enumerate(elements):
+        follower = elements[index + 1] if index + 1 < len(elements) else None
+        joint = element.joint
         rows.append(
             _Row(
                 joint,
-                float(np.asarray(routing.friction)[tendon, joint]) / n,
+                float(friction[joint]) / element.count,
                 float(wrap[joint]),
-                float(np.asarray(routing.side)[tendon, joint]),
-                length + next_half,
+                float(side[joint]),
+                element.length + element.span + (follower.length if follower else 0.0),
+                (element.contact, follower.contact if follower else 0.0),
+                element.spread,
                 arms[index + 1] - arms[index + 2],
             )
         )

@@ -16,7 +16,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from estimator.array_types import Array
 from estimator.compiled import jit_compile
@@ -115,6 +115,23 @@ def _read_angles(prepared: PreparedRouting, angles: ArrayLike) -> Array:
     return theta
 
 
+class _Elements(NamedTuple):
+    """What one step needs of all rows, for one of the three copies at a time."""
+
+    shortening: Array  # [m] of the stretch behind the element in this step
+    compliance: Array  # [m/N] of that stretch
+    bend: Array  # [rad]
+    between: Array  # [m] half of what slips more at one end of the element than at the other
+    one_way: Array  # part of the friction that acts where slip turns round within the element
+    turns_round: NDArray[np.bool_]  # whether slip may turn round within the element
+    low_factor: Array  # bounds of T_e over T_(e-1)
+    high_factor: Array
+    rise: Array  # [m/N] compliance for a rise and for a fall of tension
+    fall: Array
+    shift: Array  # [N] what the error of the angles may take from the tension
+    stuck: Array  # [N] T*_e
+
+
 @jit_compile
 def advance(
     prepared: PreparedRouting,
@@ -137,94 +154,158 @@ def advance(
     reported : array, shape (3, rows)
         [N] likeliest, least and largest.
     """
-    rows, joints = prepared.shortening.shape
-    change = np.zeros(joints)
-    for j in range(joints):
-        band = prepared.angle_error
-        nearest = min(max(angles[j], new_angles[j] - band), new_angles[j] + band)
-        change[j] = nearest - angles[j]
-        angles[j] = nearest
-    shortening, margin = np.zeros(rows), np.zeros(rows)
-    for e in range(rows):
-        for j in range(joints):
-            shortening[e] += prepared.shortening[e, j] * change[j]
-            margin[e] += abs(prepared.shortening[e, j]) * 2.0 * prepared.angle_error
-    more, less = 1.0 + prepared.compliance_error, 1.0 / (1.0 + prepared.compliance_error)
-    low_factor, high_factor = np.ones(rows), np.ones(rows)
-    rise, fall, shift, stuck = np.zeros(rows), np.zeros(rows), np.zeros(rows), np.zeros(rows)
-    for copy in range(3):
-        sign = 0.0 if copy == 0 else (1.0 if copy == 1 else -1.0)  # of what lowers the tension
-        for e in range(rows):
-            bend = abs(prepared.wrap[e] + prepared.side[e] * angles[prepared.joint[e]])
-            slack = prepared.angle_error if copy > 0 else 0.0
-            K = prepared.friction[e] * bend
-            K_more = (K + prepared.friction[e] * slack) * (1.0 + prepared.friction_error)
-            K_less = max(K - prepared.friction[e] * slack, 0.0) * (1.0 - prepared.friction_error)
-            c = prepared.compliance[e]
-            if copy == 0:
-                low_factor[e], high_factor[e] = math.exp(-K), math.exp(K)
-                rise[e] = fall[e] = c
-                shift[e] = 0.0
-            else:
-                low_factor[e] = math.exp(-K_more if copy == 1 else -K_less)
-                high_factor[e] = math.exp(K_less if copy == 1 else K_more)
-                rise[e], fall[e] = (c * more, c * less) if copy == 1 else (c * less, c * more)
-                shift[e] = sign * margin[e] / (c * less) if c > 0.0 else 0.0
-        row = tensions[copy]
-        for tendon in range(len(prepared.first) - 1):
-            begin, end = prepared.first[tendon], prepared.first[tendon + 1]
-            T = sheath_end[copy, tendon]
-            if not math.isfinite(T):
-                row[begin:end] = math.inf
-                reported[copy, begin:end] = math.inf
-                continue
-            shift[begin] = 0.0
-            if not math.isfinite(row[begin]):
-                row[begin] = T
-                _open_cone(prepared, angles, begin, end, 1.0, row)
-            _find_stuck_tensions(
-                begin, end, row, shortening, low_factor, high_factor, rise, fall, shift, stuck
-            )
-            row[begin] = reported[copy, begin] = max(T, 0.0)
-            for e in range(begin + 1, end):
-                row[e] = _limit(e, row[e - 1], stuck[e], low_factor, high_factor, shift)[0]
-                seen = row[e] - shift[e]
-                before = reported[copy, e - 1]
-                if copy == 1:
-                    seen = max(seen, low_factor[e] * before)
-                elif copy == 2:
-                    seen = min(seen, high_factor[e] * before)
-                reported[copy, e] = seen
+    rows = len(prepared.joint)
+    elements = _Elements(
+        np.zeros(rows), prepared.compliance.copy(), np.zeros(rows), np.zeros(rows),
+        np.ones(rows), np.zeros(rows, dtype=np.bool_), np.ones(rows), np.ones(rows),
+        np.zeros(rows), np.zeros(rows), np.zeros(rows), np.zeros(rows),
+    )  # fmt: skip
+    _turn_joints(prepared, angles, new_angles, elements)
+    before = tensions[0].copy()
+    _set_limits(prepared, elements, 0)
+    _drive_sheath_ends(prepared, angles, elements, 0, sheath_end, tensions, reported)
+    if _find_turning_slip(prepared, before, tensions[0], elements):
+        tensions[0] = before
+        _set_limits(prepared, elements, 0)
+        _drive_sheath_ends(prepared, angles, elements, 0, sheath_end, tensions, reported)
+    for copy in range(1, 3):
+        _set_limits(prepared, elements, copy)
+        _drive_sheath_ends(prepared, angles, elements, copy, sheath_end, tensions, reported)
     for e in range(rows):
         reported[0, e] = min(max(reported[0, e], reported[1, e]), reported[2, e])
 
 
 @jit_compile
-def _find_stuck_tensions(
-    begin: int,
-    end: int,
-    before: Array,
-    shortening: Array,
-    low_factor: Array,
-    high_factor: Array,
-    rise: Array,
-    fall: Array,
-    shift: Array,
-    stuck: Array,
+def _turn_joints(
+    prepared: PreparedRouting, angles: Array, new_angles: Array, elements: _Elements
 ) -> None:
-    """Write T*_e [N] of one tendon's elements to `stuck`, from the last to the first."""
+    """Turn the joints, but for what may be an error of their angles."""
+    rows, joints = prepared.shortening.shape
+    for j in range(joints):
+        band = prepared.angle_error
+        nearest = min(max(angles[j], new_angles[j] - band), new_angles[j] + band)
+        change = nearest - angles[j]
+        angles[j] = nearest
+        for e in range(rows):
+            elements.shortening[e] += prepared.shortening[e, j] * change
+            if prepared.joint[e] == j:
+                elements.between[e] = prepared.spread[e] * abs(change)
+    for e in range(rows):
+        turned = prepared.side[e] * angles[prepared.joint[e]]
+        elements.bend[e] = abs(prepared.wrap[e] + turned)
+    for e in range(rows):
+        own, follower = prepared.contact[e]
+        elements.compliance[e] += own * elements.bend[e]
+        if e + 1 < rows:
+            elements.compliance[e] += follower * elements.bend[e + 1]
+
+
+@jit_compile
+def _find_turning_slip(
+    prepared: PreparedRouting, before: Array, after: Array, elements: _Elements
+) -> bool:
+    """Find elements of curved sections within which slip turns round; return whether there are.
+
+    Turning a curved section slips the tendon more at its near end, by 2 `between` an element. Where
+    the mean slip S is less than that, both ways occur and the part |S|/between of friction is left.
+    """
+    is_any = False
+    for tendon in range(len(prepared.first) - 1):
+        slip, rigid_slip = 0.0, 0.0
+        begin = prepared.first[tendon]
+        for e in range(prepared.first[tendon + 1] - 1, begin, -1):
+            rigid_slip += elements.shortening[e]
+            slip += elements.shortening[e] + elements.compliance[e] * (after[e] - before[e])
+            between = elements.between[e]
+            if between == 0.0 or not math.isfinite(slip):
+                continue
+            mean = slip if abs(slip) > 1e-9 * between else rigid_slip  # it seems to stick
+            if abs(mean) < between:
+                elements.one_way[e] = abs(mean) / between
+                is_any = True
+            elements.turns_round[e] = (
+                abs(slip) < between or abs(rigid_slip) < between or slip * rigid_slip < 0.0
+            )
+    return is_any
+
+
+@jit_compile
+def _set_limits(prepared: PreparedRouting, elements: _Elements, copy: int) -> None:
+    """Set what friction and compliance allow in the likeliest, least or largest copy."""
+    more, less = 1.0 + prepared.compliance_error, 1.0 / (1.0 + prepared.compliance_error)
+    joints = prepared.shortening.shape[1]
+    for e in range(len(prepared.joint)):
+        c, K = elements.compliance[e], prepared.friction[e] * elements.bend[e]
+        if copy == 0:
+            elements.low_factor[e] = math.exp(-K * elements.one_way[e])
+            elements.high_factor[e] = math.exp(K * elements.one_way[e])
+            elements.rise[e] = elements.fall[e] = c
+            continue
+        K_angle = 2.0 * prepared.friction[e] * prepared.angle_error
+        K_more = (K + K_angle) * (1.0 + prepared.friction_error)
+        K_less = max(K - K_angle, 0.0) * (1.0 - prepared.friction_error)
+        if elements.turns_round[e]:
+            K_less = -K_more
+        margin = 0.0
+        for j in range(joints):
+            margin += abs(prepared.shortening[e, j]) * 2.0 * prepared.angle_error
+        if c > 0.0:
+            elements.shift[e] = margin / (c * less) if copy == 1 else -margin / (c * less)
+        elements.low_factor[e] = math.exp(-K_more if copy == 1 else -K_less)
+        elements.high_factor[e] = math.exp(K_less if copy == 1 else K_more)
+        elements.rise[e] = c * more if copy == 1 else c * less
+        elements.fall[e] = c * less if copy == 1 else c * more
+
+
+@jit_compile
+def _drive_sheath_ends(
+    prepared: PreparedRouting,
+    angles: Array,
+    elements: _Elements,
+    copy: int,
+    sheath_end: Array,
+    tensions: Array,
+    reported: Array,
+) -> None:
+    """Bring all sheath ends of one copy to their new tensions, and report what follows."""
+    row, shift = tensions[copy], elements.shift
+    for tendon in range(len(prepared.first) - 1):
+        begin, end = prepared.first[tendon], prepared.first[tendon + 1]
+        T = sheath_end[copy, tendon]
+        if not math.isfinite(T):
+            row[begin:end] = math.inf
+            reported[copy, begin:end] = math.inf
+            continue
+        if not math.isfinite(row[begin]):
+            row[begin] = T
+            _open_cone(prepared, angles, begin, end, 1.0, row)
+        _find_stuck_tensions(begin, end, row, elements)
+        row[begin] = reported[copy, begin] = max(T, 0.0)
+        for e in range(begin + 1, end):
+            row[e] = _limit(e, row[e - 1], e == begin + 1, elements)[0]
+            seen, nearer = row[e] - shift[e], reported[copy, e - 1]
+            if copy == 1:
+                seen = max(seen, elements.low_factor[e] * nearer)
+            elif copy == 2:
+                seen = min(seen, elements.high_factor[e] * nearer)
+            reported[copy, e] = seen
+
+
+@jit_compile
+def _find_stuck_tensions(begin: int, end: int, before: Array, elements: _Elements) -> None:
+    """Write T*_e [N] of one tendon's elements to `elements`, from the last to the first."""
     for e in range(end - 1, begin, -1):
         T, below, above = before[e], -math.inf, math.inf
         for _ in range(_ROOT_ITERATIONS):
             slip, slope, tension, gain = 0.0, 0.0, T, 1.0
             for k in range(e, end):
                 if k > e:
-                    tension, factor = _limit(k, tension, stuck[k], low_factor, high_factor, shift)
+                    tension, factor = _limit(k, tension, False, elements)
                     if factor == 0.0:
                         break  # it sticks: nothing slips here, whatever is behind
                     gain *= factor
-                c = rise[k] if tension > before[k] else fall[k]
-                slip += shortening[k] + c * (tension - before[k])
+                c = elements.rise[k] if tension > before[k] else elements.fall[k]
+                slip += elements.shortening[k] + c * (tension - before[k])
                 slope += c * gain
             if slip > 0.0:
                 above = T
@@ -236,21 +317,20 @@ def _find_stuck_tensions(
             T += change
             if not below < T < above:
                 T = 0.5 * (below + above)
-        stuck[e] = T
+        elements.stuck[e] = T
 
 
 @jit_compile
-def _limit(
-    e: int, before: float, stuck: float, low_factor: Array, high_factor: Array, shift: Array
-) -> tuple[float, float]:
-    """Return the tension [N] behind an element, and how it changes with that before it."""
-    driving = max(before - shift[e - 1], 0.0)
-    low, high = low_factor[e] * driving - shift[e], high_factor[e] * driving - shift[e]
-    if stuck < low:
-        return low, low_factor[e]
-    if stuck > high:
-        return high, high_factor[e]
-    return stuck, 0.0
+def _limit(e: int, nearer: float, is_first: bool, elements: _Elements) -> tuple[float, float]:
+    """Return the tension [N] behind an element, and how it changes with the `nearer` before it."""
+    driving = nearer if is_first else max(nearer - elements.shift[e - 1], 0.0)
+    low = elements.low_factor[e] * driving - elements.shift[e]
+    high = elements.high_factor[e] * driving - elements.shift[e]
+    if elements.stuck[e] < low:
+        return low, elements.low_factor[e]
+    if elements.stuck[e] > high:
+        return high, elements.high_factor[e]
+    return elements.stuck[e], 0.0
 
 
 @jit_compile

@@ -1,0 +1,275 @@
+"""Forces of a tendon-driven arm: wrench at its tip from joint torques, tensions for torques."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from estimator.array_types import Array
+from estimator.compiled import jit_compile
+from estimator.routing.routing import Routing, RoutingError
+
+NO_MOMENT_JOINTS = 3
+"""Up to so many joints, contact at the tip point without a moment is assumed unless told else."""
+
+_AXIS_TOLERANCE = 1e-6  # of a unit vector that lies outside of what is told
+
+
+class TipWrench(NamedTuple):
+    """Wrench that the arm exerts on its environment, as far as joint torques tell it.
+
+    Components are force [N] and moment [N m] at the tip point, on the Jacobian's axes.
+    """
+
+    wrench: Array
+    """Shape (6,); nothing of it lies in a direction that is not told."""
+    low: Array
+    """Least value of each component, shape (6,); -inf where the component cannot be told."""
+    high: Array
+    """Largest value, shape (6,); inf where the component cannot be told."""
+    directions: Array
+    """Unit vectors, shape (m, 6): m is 3 without a moment, else 6. Moments are divided by
+    `length_scale`, so that all are in newtons."""
+    singular_values: Array
+    """[m] of each direction, shape (m,)."""
+    is_told: NDArray[np.bool_]
+    """Which directions are told, shape (m,). The others must not be rendered."""
+
+
+def compute_tip_wrench(
+    jacobian: ArrayLike,
+    torque: ArrayLike,
+    low: ArrayLike,
+    high: ArrayLike,
+    *,
+    with_moment: bool | None = None,
+    length_scale: float = 0.05,
+    smallest_ratio: float = 0.05,
+) -> TipWrench:
+    """Return the wrench W with J^T W = torque, at rest, and its interval.
+
+    Fewer than six joints tell only what lies in the span of the Jacobian. Of the rest nothing is
+    known, so it is zero in `wrench` and marked.
+
+    Parameters
+    ----------
+    jacobian : array_like, shape (6, joints)
+        Velocity [m/s] and angular velocity [rad/s] of the tip point by joint velocities [rad/s].
+    torque, low, high : array_like, shape (joints,)
+        [N m] the tendons' less that of springs and weight, with its interval.
+    with_moment : bool, optional
+        False: contact at the tip point without a moment, so the force is what is looked for. By
+        default so for arms of up to three joints.
+    length_scale : float
+        [m] lever at which a moment counts as much as a force.
+    smallest_ratio : float
+        Directions whose singular value is less than this part of the largest are not told: along
+        them a small error of torque is a large one of force.
+
+    Raises
+    ------
+    RoutingError
+        If a shape is wrong, or a number is not finite.
+    """
+    J = np.array(jacobian, dtype=np.float64)
+    tau = np.array([torque, low, high], dtype=np.float64)
+    if J.ndim != 2 or J.shape[0] != 6 or tau.shape != (3, J.shape[1]):
+        raise RoutingError(
+            f"jacobian: shape {J.shape} for torques of shape {tau.shape[1:]}, must be (6, joints) "
+            "and (joints,)"
+        )
+    if not (np.isfinite(J).all() and np.isfinite(tau[0]).all()):
+        raise RoutingError("jacobian, torque: must be finite")
+    if with_moment is None:
+        with_moment = J.shape[1] > NO_MOMENT_JOINTS
+    scale = np.array([1.0, 1.0, 1.0, *[length_scale] * 3])
+    scaled = (scale[:, None] * J)[: 6 if with_moment else 3]
+    left, values, right = np.linalg.svd(scaled)
+    m = len(scaled)
+    singular = np.zeros(m)
+    singular[: len(values)] = values
+    is_told = singular > smallest_ratio * max(float(singular[0]), np.finfo(float).tiny)
+    rank = int(is_told.sum())
+    inverse = np.zeros((6, J.shape[1]))
+    inverse[:m] = (left[:, :rank] / singular[:rank]) @ right[:rank]
+    inverse *= scale[:, None]
+    with np.errstate(invalid="ignore"):  # an infinite torque times no influence
+        ends = np.array([inverse * tau[1], inverse * tau[2]])
+    ends = np.where(inverse == 0.0, 0.0, ends)
+    bounds = np.array([ends.min(axis=0).sum(axis=1), ends.max(axis=0).sum(axis=1)])
+    untold = np.linalg.norm(left[:, rank:], axis=1) > _AXIS_TOLERANCE
+    bounds[0, :m][untold], bounds[1, :m][untold] = -math.inf, math.inf
+    directions = np.zeros((m, 6))
+    directions[:, :m] = left.T
+    return TipWrench(inverse @ tau[0], bounds[0], bounds[1], directions, singular, is_told)
+
+
+def find_pretension(routing: Routing, minimum: ArrayLike, maximum: ArrayLike) -> Array:
+    """Return tensions [N], shape (tendons,), that hold the arm at rest within the limits.
+
+    They balance at all joints without a spring, and none is larger than the pattern of the routing
+    needs for the `minimum`.
+
+    Raises
+    ------
+    RoutingError
+        If the balance for the `minimum` [N] needs more than the `maximum` [N] somewhere.
+    """
+    least = np.broadcast_to(np.asarray(minimum, dtype=np.float64), routing.tendons)
+    most = np.broadcast_to(np.asarray(maximum, dtype=np.float64), routing.tendons)
+    pattern = routing.find_pretension_pattern()
+    tensions: Array = pattern * float(np.max(least / pattern))
+    for tendon in np.flatnonzero(tensions > most):
+        raise RoutingError(
+            f"maximum: {most[tendon]:g} N of tendon {tendon}, but balance with the minimum needs "
+            f"{tensions[tendon]:.4g} N; lower the minimum or raise the maximum"
+        )
+    return tensions
+
+
+@jit_compile
+def distribute_torque(
+    arms: Array, torque: Array, pretension: Array, minimum: Array, maximum: Array
+) -> tuple[Array, float]:
+    """Return tensions [N] that make joint torques, as low as possible, and what part they make.
+
+    The least sum of (T - minimum)^2 with arms^T T = torque and minimum <= T <= maximum. Where
+    limits exclude the torque, its difference to that of the pretension is scaled down as a whole,
+    so no joint is driven for the sake of another.
+
+    Parameters
+    ----------
+    arms : array, shape (tendons, joints)
+        [m] Radii, or torque per tension at the housing.
+    torque : array, shape (joints,)
+        [N m]
+    pretension : array, shape (tendons,)
+        [N] within the limits, as of `find_pretension`: what is left when nothing is asked for.
+    minimum, maximum : array, shape (tendons,)
+        [N]
+
+    Returns
+    -------
+    tensions : array, shape (tendons,)
+    part : float
+        1 where the whole torque is made, less where limits exclude it.
+    """
+    tendons, joints = arms.shape
+    base = np.zeros(joints)
+    for j in range(joints):
+        for t in range(tendons):
+            base[j] += arms[t, j] * pretension[t]
+    tensions = np.empty(tendons)
+    if _balance(arms, torque, minimum, maximum, tensions):
+        return tensions, 1.0
+    feasible, excluded = 0.0, 1.0
+    best = pretension.copy()
+    for _ in range(20):
+        part = 0.5 * (feasible + excluded)
+        if _balance(arms, base + part * (torque - base), minimum, maximum, tensions):
+            feasible = part
+            best[:] = tensions
+        else:
+            excluded = part
+    return best, feasible
+
+
+@jit_compile
+def _balance(arms: Array, torque: Array, minimum: Array, maximum: Array, tensions: Array) -> bool:
+    """Write the lowest tensions within limits that make a torque; return whether they do.
+
+    T = clip(minimum + arms lambda), with lambda by Newton's method on a convex function whose
+    gradient is the torque's error.
+    """
+    tendons, joints = arms.shape
+    lagrange, error, step = np.zeros(joints), np.zeros(joints), np.zeros(joints)
+    matrix = np.zeros((joints, joints))
+    largest = 0.0  # of torque, which errors are measured by
+    size = 0.0
+    for j in range(joints):
+        reach = 0.0
+        for t in range(tendons):
+            reach += abs(arms[t, j]) * maximum[t]
+            size += arms[t, j] ** 2
+        largest = max(largest, reach)
+    value = _evaluate(arms, lagrange, torque, minimum, maximum, tensions, error)
+    for _ in range(100):
+        worst = 0.0
+        for j in range(joints):
+            worst = max(worst, abs(error[j]))
+        if worst <= 1e-9 * largest:
+            return True
+        matrix[:] = 0.0
+        for t in range(tendons):
+            wanted = minimum[t]
+            for j in range(joints):
+                wanted += arms[t, j] * lagrange[j]
+            if minimum[t] <= wanted <= maximum[t]:
+                for j in range(joints):
+                    for k in range(joints):
+                        matrix[j, k] += arms[t, j] * arms[t, k]
+        for j in range(joints):
+            matrix[j, j] += 1e-9 * size
+        _solve_symmetric(matrix, error, step)
+        slope, length = 0.0, 1.0
+        for j in range(joints):
+            slope -= error[j] * step[j]
+        for _ in range(40):
+            trial = lagrange - length * step
+            new = _evaluate(arms, trial, torque, minimum, maximum, tensions, error)
+            if new <= value + 1e-4 * length * slope:
+                break
+            length *= 0.5
+        lagrange, value = trial, new
+    return False
+
+
+@jit_compile
+def _evaluate(
+    arms: Array,
+    lagrange: Array,
+    torque: Array,
+    minimum: Array,
+    maximum: Array,
+    tensions: Array,
+    error: Array,
+) -> float:
+    """Write tensions and the torque's error; return the function whose gradient it is."""
+    value = 0.0
+    for j in range(len(torque)):
+        error[j] = -torque[j]
+        value -= torque[j] * lagrange[j]
+    for t in range(len(tensions)):
+        rise = 0.0
+        for j in range(len(torque)):
+            rise += arms[t, j] * lagrange[j]
+        T = min(max(minimum[t] + rise, minimum[t]), maximum[t])
+        tensions[t] = T
+        value += T * rise - 0.5 * (T - minimum[t]) ** 2
+        for j in range(len(torque)):
+            error[j] += arms[t, j] * T
+    return value
+
+
+@jit_compile
+def _solve_symmetric(matrix: Array, right: Array, solution: Array) -> None:
+    """Write the solution for a positive definite matrix, which is overwritten (Cholesky)."""
+    n = len(right)
+    for j in range(n):
+        for k in range(j):
+            matrix[j, j] -= matrix[j, k] ** 2
+        matrix[j, j] = math.sqrt(max(matrix[j, j], 1e-300))
+        for i in range(j + 1, n):
+            for k in range(j):
+                matrix[i, j] -= matrix[i, k] * matrix[j, k]
+            matrix[i, j] /= matrix[j, j]
+    for i in range(n):
+        solution[i] = right[i]
+        for k in range(i):
+            solution[i] -= matrix[i, k] * solution[k]
+        solution[i] /= matrix[i, i]
+    for i in range(n - 1, -1, -1):
+        for k in range(i + 1, n):
+            solution[i] -= matrix[k, i] * solution[k]
+        solution[i] /= matrix[i, i]
