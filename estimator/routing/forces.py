@@ -13,6 +13,8 @@ from estimator.routing.routing import Routing, RoutingError
 NO_MOMENT_JOINTS = 3
 """Up to so many joints, contact at the tip point without a moment is assumed unless told else."""
 
+_NEWTON_ITERATIONS = 60
+_TOLERANCE = 1e-9  # of torque, relative to the largest that one tendon makes
 _AXIS_TOLERANCE = 1e-6  # of a unit vector that lies outside of what is told
 
 
@@ -184,21 +186,16 @@ def _balance(arms: Array, torque: Array, minimum: Array, maximum: Array, tension
     """
     tendons, joints = arms.shape
     lagrange, error, step = np.zeros(joints), np.zeros(joints), np.zeros(joints)
-    matrix = np.zeros((joints, joints))
-    largest = 0.0  # of torque, which errors are measured by
-    size = 0.0
-    for j in range(joints):
-        reach = 0.0
-        for t in range(tendons):
-            reach += abs(arms[t, j]) * maximum[t]
-            size += arms[t, j] ** 2
-        largest = max(largest, reach)
-    value = _evaluate(arms, lagrange, torque, minimum, maximum, tensions, error)
-    for _ in range(100):
-        worst = 0.0
+    new_error, matrix = np.zeros(joints), np.zeros((joints, joints))
+    tolerance, size = 0.0, 0.0
+    for t in range(tendons):
         for j in range(joints):
-            worst = max(worst, abs(error[j]))
-        if worst <= 1e-9 * largest:
+            tolerance = max(tolerance, _TOLERANCE * abs(arms[t, j]) * maximum[t])
+            size += arms[t, j] ** 2
+    value = _evaluate(arms, lagrange, torque, minimum, maximum, tensions, error)
+    damping = 1e-6
+    for _ in range(_NEWTON_ITERATIONS):
+        if _get_norm(error) <= tolerance:
             return True
         matrix[:] = 0.0
         for t in range(tendons):
@@ -210,19 +207,23 @@ def _balance(arms: Array, torque: Array, minimum: Array, maximum: Array, tension
                     for k in range(joints):
                         matrix[j, k] += arms[t, j] * arms[t, k]
         for j in range(joints):
-            matrix[j, j] += 1e-9 * size
+            matrix[j, j] += damping * size
         _solve_symmetric(matrix, error, step)
-        slope, length = 0.0, 1.0
-        for j in range(joints):
-            slope -= error[j] * step[j]
-        for _ in range(40):
-            trial = lagrange - length * step
-            new = _evaluate(arms, trial, torque, minimum, maximum, tensions, error)
-            if new <= value + 1e-4 * length * slope:
-                break
-            length *= 0.5
-        lagrange, value = trial, new
+        new = _evaluate(arms, lagrange - step, torque, minimum, maximum, tensions, new_error)
+        if new < value or _get_norm(new_error) < _get_norm(error):
+            lagrange, value, damping = lagrange - step, new, max(0.1 * damping, 1e-12)
+            error[:] = new_error
+        else:
+            damping *= 10.0
     return False
+
+
+@jit_compile
+def _get_norm(error: Array) -> float:
+    worst = 0.0
+    for j in range(len(error)):
+        worst = max(worst, abs(error[j]))
+    return worst
 
 
 @jit_compile

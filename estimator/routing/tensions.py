@@ -210,21 +210,28 @@ def _find_turning_slip(
     the mean slip S is less than that, both ways occur and the part |S|/between of friction is left.
     """
     is_any = False
+    slip, rigid_slip = np.zeros(len(before) + 1), np.zeros(len(before) + 1)
     for tendon in range(len(prepared.first) - 1):
-        slip, rigid_slip = 0.0, 0.0
-        begin = prepared.first[tendon]
-        for e in range(prepared.first[tendon + 1] - 1, begin, -1):
-            rigid_slip += elements.shortening[e]
-            slip += elements.shortening[e] + elements.compliance[e] * (after[e] - before[e])
-            between = elements.between[e]
-            if between == 0.0 or not math.isfinite(slip):
+        begin, end = prepared.first[tendon], prepared.first[tendon + 1]
+        slip[end] = rigid_slip[end] = 0.0
+        for e in range(end - 1, begin - 1, -1):
+            stretch = elements.compliance[e] * (after[e] - before[e])
+            rigid_slip[e] = rigid_slip[e + 1] + elements.shortening[e]
+            slip[e] = slip[e + 1] + elements.shortening[e] + stretch
+        for e in range(begin + 1, end):
+            between, mean = elements.between[e], slip[e]
+            if between == 0.0 or not math.isfinite(mean):
                 continue
-            mean = slip if abs(slip) > 1e-9 * between else rigid_slip  # it seems to stick
-            if abs(mean) < between:
+            least = 1e-9 * between
+            if abs(mean) < least and abs(slip[e - 1]) > least and abs(slip[e + 1]) > least:
+                mean = rigid_slip[e]  # between two that slide it only seems to stick
+            if least < abs(mean) < between:
                 elements.one_way[e] = abs(mean) / between
                 is_any = True
             elements.turns_round[e] = (
-                abs(slip) < between or abs(rigid_slip) < between or slip * rigid_slip < 0.0
+                abs(slip[e]) < between
+                or abs(rigid_slip[e]) < between
+                or slip[e] * rigid_slip[e] < 0.0
             )
     return is_any
 

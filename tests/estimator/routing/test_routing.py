@@ -1,0 +1,153 @@
+"""Routings that cannot be, travels and angles, and tensions that hold an arm."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from estimator.routing.forces import compute_tip_wrench, distribute_torque, find_pretension
+from estimator.routing.routing import Routing, RoutingError
+
+# a finger: pairs for either joint, that of the far one passing the near one
+PAIRS = np.array([[5.0, 0.0], [-5.0, 0.0], [4.0, 6.0], [-4.0, -6.0]]) * 1e-3
+ONE_MORE = np.array([[5.0, 3.0], [-5.0, 3.0], [0.5, -6.0]]) * 1e-3
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"radii": [[0.005, 0.0], [-0.005, 0.0]]}, "no tendon moves joint 1"),
+        ({"radii": [*PAIRS.tolist(), [0.0, 0.0]]}, "no joint moves tendon 4"),
+        ({"radii": [[0.005, 0.005], [-0.005, -0.005]]}, "only 1 of them"),
+        ({"radii": [[0.005, 0.0], [0.0, 0.005]]}, "lacks an antagonist"),
+        ({"radii": np.ones((2, 9)).tolist()}, "9 joints"),
+        ({"radii": [[np.nan]]}, "finite"),
+        ({"friction": -0.1}, "friction"),
+        ({"friction": [0.1, 0.1]}, "friction: shape"),
+        ({"friction": 9.0, "wrap": 3.0}, "has K"),
+        ({"span": 0.0}, "span"),
+        ({"guide": "ring"}, "guide"),
+        ({"order": [[0], [0], [0, 0], [0, 1]]}, "tendon 2"),
+        ({"order": [[0], [0], [1], [0, 1]]}, "radius at joint 0"),
+        ({"axial_stiffness": 0.0}, "axial_stiffness"),
+        ({"friction_error": 1.0}, "friction_error"),
+    ],
+)
+def test_an_impossible_routing_is_refused_in_one_line_that_names_it(change, words):
+    with pytest.raises(RoutingError, match=words) as caught:
+        Routing(**({"radii": PAIRS} | change))
+    assert "\n" not in str(caught.value)
+
+
+def test_a_joint_with_a_spring_needs_no_antagonist():
+    routing = Routing([[0.005, 0.0], [0.0, 0.005]], spring_stiffness=0.1)
+    assert (routing.find_pretension_pattern() > 0.0).all()
+
+
+@settings(deadline=None, max_examples=50)
+@given(
+    st.tuples(*[st.floats(-1.0, 1.0)] * 2),
+    st.sampled_from([PAIRS, ONE_MORE]),
+)
+def test_angles_follow_from_the_travels_of_taut_tendons(angles, radii):
+    routing = Routing(radii)
+    travel = routing.get_travel(angles)
+    slack = np.zeros(len(radii), dtype=bool)
+    slack[0] = True
+    travel[0] = 0.1  # says nothing
+    found, is_told = routing.find_angles(travel, [0.3, 0.3], slack)
+    assert is_told.all()
+    np.testing.assert_allclose(found, angles, atol=1e-9)
+
+
+def test_a_joint_that_only_slack_tendons_move_keeps_its_angle():
+    routing = Routing(PAIRS)
+    travel = routing.get_travel([0.2, -0.4])
+    found, is_told = routing.find_angles(travel, [0.0, 0.7], [False, False, True, True])
+    np.testing.assert_allclose(found, [0.2, 0.7], atol=1e-12)
+    assert is_told.tolist() == [True, False]
+    assert not routing.find_angles(travel, [0.0, 0.7], True)[1].any()
+
+
+@pytest.mark.parametrize("radii", [PAIRS, ONE_MORE])
+def test_pretension_balances_above_the_minimum_or_is_refused(radii):
+    routing = Routing(radii)
+    pretension = find_pretension(routing, 2.0, 40.0)
+    np.testing.assert_allclose(radii.T @ pretension, 0.0, atol=1e-9)
+    assert pretension.min() == pytest.approx(2.0)
+    with pytest.raises(RoutingError, match="tendon"):
+        find_pretension(routing, 2.0, 1.9)
+
+
+@settings(deadline=None, max_examples=60)
+@given(st.sampled_from([PAIRS, ONE_MORE]), st.tuples(*[st.floats(-0.4, 0.4)] * 2))
+def test_distributed_tensions_make_the_torque_within_limits_and_no_more_than_needed(radii, torque):
+    n = len(radii)
+    least, most = np.full(n, 2.0), np.full(n, 30.0)
+    pretension = find_pretension(Routing(radii), least, most)
+    T, part = distribute_torque(radii, np.array(torque), pretension, least, most)
+    assert (T >= 2.0 - 1e-9).all()
+    assert (T <= 30.0 + 1e-9).all()
+    # either all of it, or less of it in the same ratio, and then some tendon is at its limit
+    np.testing.assert_allclose(radii.T @ T, part * np.array(torque), atol=1e-6)
+    assert 0.0 < part <= 1.0
+    assert part == 1.0 or T.max() > 29.9
+    # no other tensions with this torque are lower: what changes none of it costs more
+    _, _, rows = np.linalg.svd(radii.T)
+    for direction in rows[np.linalg.matrix_rank(radii) :]:
+        for step in (1e-3, -1e-3):
+            other = T + step * direction
+            if (other >= 2.0).all() and (other <= 30.0).all():
+                assert np.sum((other - 2.0) ** 2) >= np.sum((T - 2.0) ** 2) - 1e-7
+
+
+def planar_jacobian(lengths, angles):
+    """Return J of a planar arm in the xy plane from its geometry, shape (6, joints)."""
+    headings = np.cumsum(angles)
+    J = np.zeros((6, len(angles)))
+    for j in range(len(angles)):
+        x = np.sum(lengths[j:] * np.cos(headings[j:]))
+        y = np.sum(lengths[j:] * np.sin(headings[j:]))
+        J[:, j] = [-y, x, 0.0, 0.0, 0.0, 1.0]
+    return J
+
+
+def test_a_force_in_the_plane_of_the_arm_is_found_and_that_across_is_not_told():
+    J = planar_jacobian(np.array([0.1, 0.08]), np.array([0.3, 0.9]))
+    force = np.array([1.5, -2.0, 0.0, 0.0, 0.0, 0.0])
+    tau = J.T @ force
+    found = compute_tip_wrench(J, tau, tau - 0.01, tau + 0.01)
+    np.testing.assert_allclose(found.wrench, force, atol=1e-12)
+    assert found.is_told.tolist() == [True, True, False]
+    assert np.abs(found.directions[2] @ [0, 0, 1, 0, 0, 0]) == pytest.approx(1.0)
+    assert np.isinf([found.low[2], found.high[2]]).all()
+    rng = np.random.default_rng(0)
+    for _ in range(50):  # whatever torque of the box is the true one
+        true = np.linalg.solve(J[:2].T, tau + rng.uniform(-0.01, 0.01, 2))
+        assert (found.low[:2] <= true).all()
+        assert (true <= found.high[:2]).all()
+
+
+def test_along_a_stretched_arm_no_force_is_told():
+    J = planar_jacobian(np.array([0.1, 0.08]), np.array([0.0, 1e-4]))
+    tau = np.array([0.1, 0.05])
+    found = compute_tip_wrench(J, tau, tau, tau)
+    assert found.is_told.tolist() == [True, False, False]
+    assert abs(found.wrench[0]) < 0.01  # not 0.05 N m over a lever of 10 um
+    assert np.isinf(found.low[0])
+
+
+def test_six_joints_tell_the_moment_whatever_the_length_scale():
+    rng = np.random.default_rng(1)
+    J = rng.normal(size=(6, 6)) * np.array([0.1, 0.1, 0.1, 1.0, 1.0, 1.0])[:, None]
+    wrench = np.array([1.0, -2.0, 0.5, 0.02, -0.03, 0.01])
+    tau = J.T @ wrench
+    for scale in (0.02, 0.2):
+        found = compute_tip_wrench(J, tau, tau, tau, length_scale=scale, smallest_ratio=1e-6)
+        np.testing.assert_allclose(found.wrench, wrench, atol=1e-9)
+        assert found.is_told.all()
+
+
+def test_a_jacobian_of_another_arm_is_refused():
+    with pytest.raises(RoutingError, match="jacobian"):
+        compute_tip_wrench(np.ones((6, 2)), [1.0], [1.0], [1.0])
