@@ -7,8 +7,8 @@ joints that it passes (studies.brute.routed). Tension at the housing and joint a
 apart and together, fast and slow, back and forth, and by so little that the tendon sticks.
 
 Two figures of each arm. Tensions: the model of the passed joints alone, given the tension at the
-sheath's end. Torques: all of it, from housing tension with noise and travel through the online
-estimator. Beside them what leaving out the friction of the passed joints costs.
+sheath's end. Torques: sheaths and passed joints together, from the tension at the housing with
+noise, and joint angles with an error. Beside them what leaving out the friction of the passed joints costs.
 """
 
 import argparse
@@ -17,8 +17,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from estimator.law.sheath import Section, Sheath
-from estimator.online.estimator import Estimator
-from estimator.online.tendon_model import TendonModel
 from estimator.routing import tensions
 from estimator.routing.routing import Routing, RoutingError, prepare
 from studies.brute.routed import Bend, Pin, RoutedChain
@@ -26,9 +24,8 @@ from studies.brute.routed import Bend, Pin, RoutedChain
 PRETENSION = 5.0  # [N] uniform, at the start
 TENSION_RANGE = (2.0, 15.0)  # [N] at the housing
 ANGLE_RANGE = 0.6  # [rad]
-SAMPLE_TIME = 0.004  # [s]
 TENSION_NOISE = 0.02  # [N]
-TRAVEL_NOISE = 1e-6  # [m]
+DEAD_BAND = 2 * TENSION_NOISE
 ANGLE_ERROR = 1e-4  # [rad] largest
 
 
@@ -175,28 +172,23 @@ def compare_tensions(arm: Arm, motion: Motion) -> Comparison:
 
 
 def compare_torques(arm: Arm, motion: Motion, rng: np.random.Generator) -> Comparison:
-    """Compare joint torques, from housing tension and travel with noise."""
+    """Compare joint torques, from housing tension with noise and joint angles with an error."""
     shape = motion.T_in.shape
-    T_in = motion.T_in + rng.normal(0.0, TENSION_NOISE, shape)
-    q_p = motion.q_p + rng.normal(0.0, TRAVEL_NOISE, shape)
+    T_in = motion.T_in + rng.normal(0.0, TENSION_NOISE, motion.T_in.shape)
     angles = motion.angles + rng.uniform(-ANGLE_ERROR, ANGLE_ERROR, motion.angles.shape)
-    ends = np.empty((3, *shape))
-    for t, sheath in enumerate(arm.sheaths):
-        model = TendonModel(sheath, TENSION_NOISE, TRAVEL_NOISE, initial=PRETENSION)
-        estimator = Estimator(model)
-        for i in range(shape[0]):
-            estimate = estimator.step(T_in[i, t], q_p[i, t], SAMPLE_TIME if i else 0.0)
-            ends[:, i, t] = estimate.distal_tension, estimate.low, estimate.high
+    for i in range(1, len(T_in)):  # dead band: a peak of noise would be kept (theory, section 9)
+        T_in[i] = np.clip(T_in[i - 1], T_in[i] - DEAD_BAND, T_in[i] + DEAD_BAND)
+    ends = (T_in, T_in - DEAD_BAND - 4 * TENSION_NOISE, T_in + DEAD_BAND + 4 * TENSION_NOISE)
     routing = replace(arm.routing, angle_error=ANGLE_ERROR)
-    with_friction = run_model(routing, tuple(ends), angles)
-    without = run_model(replace(routing, friction=0.0), tuple(ends), angles)
+    with_friction = run_model(routing, ends, angles, arm.sheaths)
+    without = run_model(replace(routing, friction=0.0), ends, angles, arm.sheaths)
     full_scale = np.abs(motion.torque).max(axis=0)
     return _compare(with_friction[3:], without[3], motion.torque, full_scale)
 
 
-def run_model(routing, ends, angles):
+def run_model(routing, ends, angles, sheaths=None):
     """Return the fields of `JointTensions` over the samples."""
-    prepared = prepare(routing)
+    prepared = prepare(routing, sheaths)
     state = tensions.build_initial_state(prepared, PRETENSION, np.zeros(angles.shape[1]))
     rows = []
     for T, low, high, theta in zip(*ends, angles, strict=True):

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import linprog
 
 from estimator.array_types import Array
+from estimator.law.sheath import Sheath
 
 MAX_JOINTS, MAX_TENDONS = 8, 16
 MAX_K = 20.0
@@ -21,6 +22,9 @@ MAX_K = 20.0
 
 BEND_ELEMENTS, PIN_ELEMENTS = 8, 2
 """Friction elements of a bend that spreads over a section, and of a pin."""
+
+SHEATH_ELEMENTS = 12
+"""Friction elements of a sheath, at least."""
 
 Guide = Literal["proximal", "distal", "spread"]
 
@@ -268,20 +272,43 @@ class PreparedRouting(NamedTuple):
     spread: Array  # [m/rad] half of what slips more at the near end of an element than at its far
     shortening: Array  # [m/rad] shape (rows, joints): by what turning a joint shortens the stretch
     behind: NDArray[np.int64]  # row behind each passed joint, -1 elsewhere, (tendons, joints)
-    friction_error: float
+    friction_error: Array  # relative
     compliance_error: float
     angle_error: float  # [rad]
 
 
-def prepare(routing: Routing) -> PreparedRouting:
-    """Return what the steps of `routing` need."""
-    first, rows = [0], []
+def prepare(
+    routing: Routing, sheaths: Sequence[Sheath] | None = None, *, sheath_error: float = 0.02
+) -> PreparedRouting:
+    """Return what the steps of `routing` need.
+
+    Parameters
+    ----------
+    sheaths : sequence of Sheath, optional
+        Of each tendon. With them the steps take the tension at the housing: joint angles then also
+        tell which way the tendon slides in its sheath. Without, they take that at the sheath's end.
+    sheath_error : float
+        Relative error of the sheaths' friction that intervals allow for.
+
+    Raises
+    ------
+    RoutingError
+        If there is not one sheath a tendon, or one has drag or asymmetry, which are not modelled.
+    """
+    if sheaths is not None and len(sheaths) != routing.tendons:
+        raise RoutingError(f"sheaths: {len(sheaths)}, but there are {routing.tendons} tendons")
+    if any(sheath.drag != 0.0 or sheath.asymmetry != 1.0 for sheath in sheaths or ()):
+        raise RoutingError("sheaths: drag and asymmetry are not modelled with passed joints")
+    first, rows, errors = [0], [], []
     behind = np.full((routing.tendons, routing.joints), -1, dtype=np.int64)
     for tendon in range(routing.tendons):
         begin = len(rows)
-        rows += _lay_out_tendon(routing, tendon)
-        for index in range(begin, len(rows)):
-            if index > begin:
+        sheath = _lay_out_sheath(sheaths[tendon], routing.joints) if sheaths else []
+        errors += [sheath_error] * len(sheath)
+        rows += _lay_out_tendon(routing, tendon, sheath)
+        errors += [routing.friction_error] * (len(rows) - len(errors))
+        for index in range(begin + len(sheath), len(rows)):
+            if index > begin + len(sheath):
                 behind[tendon, rows[index].joint] = index
         first.append(len(rows))
     return PreparedRouting(
@@ -290,12 +317,12 @@ def prepare(routing: Routing) -> PreparedRouting:
         np.array([row.friction for row in rows]),
         np.array([row.wrap for row in rows]),
         np.array([row.side for row in rows]),
-        np.array([row.length for row in rows]) / routing.axial_stiffness,
+        np.array([row.length / (row.stiffness or routing.axial_stiffness) for row in rows]),
         np.array([row.contact for row in rows]) / routing.axial_stiffness,
         np.array([row.spread for row in rows]),
         np.array([row.shortening for row in rows]),
         behind,
-        routing.friction_error,
+        np.array(errors),
         routing.compliance_error,
         routing.angle_error,
     )
@@ -310,6 +337,7 @@ class _Row(NamedTuple):
     contact: tuple[float, float]  # [m/rad] of it, by the bend of this element and of the next
     spread: float  # [m/rad]
     shortening: Array
+    stiffness: float = 0.0  # EA [N], 0: that of the routing
 
 
 class _Element(NamedTuple):
@@ -342,7 +370,24 @@ def _list_elements(routing: Routing, tendon: int) -> list[_Element]:
     return elements
 
 
-def _lay_out_tendon(routing: Routing, tendon: int) -> list[_Row]:
+def _lay_out_sheath(sheath: Sheath, joints: int) -> list[_Row]:
+    """Return the rows of a sheath from its housing, straight stretches without friction."""
+    nothing = np.zeros(joints)
+    rows = [_Row(0, 0.0, 0.0, 0.0, 0.0, (0.0, 0.0), 0.0, nothing, sheath.axial_stiffness)]
+    for section in sheath.sections:
+        K = sheath.friction * section.bend_angle
+        n = math.ceil(SHEATH_ELEMENTS * K / sheath.K) if K > 0.0 else 0
+        half = section.length / max(n, 1) / 2
+        for _ in range(n):
+            rows[-1] = rows[-1]._replace(length=rows[-1].length + half)
+            rows.append(_Row(0, K / n, 1.0, 0.0, half, (0.0, 0.0), 0.0, nothing,
+                             sheath.axial_stiffness))  # fmt: skip
+        if n == 0:
+            rows[-1] = rows[-1]._replace(length=rows[-1].length + section.length)
+    return rows
+
+
+def _lay_out_tendon(routing: Routing, tendon: int, sheath: list[_Row]) -> list[_Row]:
     R, wrap = np.asarray(routing.radii)[tendon], np.asarray(routing.wrap)[tendon]
     friction, side = np.asarray(routing.friction)[tendon], np.asarray(routing.side)[tendon]
     elements = _list_elements(routing, tendon)
@@ -354,7 +399,10 @@ def _lay_out_tendon(routing: Routing, tendon: int) -> list[_Row]:
         arm[element.joint] = (1.0 - element.place) * R[element.joint]
         arms.append(arm)
     arms.append(np.zeros_like(R))
-    rows = [_Row(0, 0.0, 0.0, 0.0, 0.0, (0.0, 0.0), 0.0, arms[0] - arms[1])]
+    end = _Row(0, 0.0, 0.0, 0.0, 0.0, (0.0, 0.0), 0.0, arms[0] - arms[1])
+    if sheath:
+        end = sheath[-1]._replace(shortening=end.shortening)
+    rows = [*sheath[:-1], end]
     for index, element in enumerate(elements):
         follower = elements[index + 1] if index + 1 < len(elements) else None
         joint = element.joint

@@ -249,8 +249,8 @@ def _set_limits(prepared: PreparedRouting, elements: _Elements, copy: int) -> No
             elements.rise[e] = elements.fall[e] = c
             continue
         K_angle = 2.0 * prepared.friction[e] * prepared.angle_error
-        K_more = (K + K_angle) * (1.0 + prepared.friction_error)
-        K_less = max(K - K_angle, 0.0) * (1.0 - prepared.friction_error)
+        K_more = (K + K_angle) * (1.0 + prepared.friction_error[e])
+        K_less = max(K - K_angle, 0.0) * (1.0 - prepared.friction_error[e])
         if elements.turns_round[e]:
             K_less = -K_more
         margin = 0.0
@@ -348,7 +348,7 @@ def _open_cone(
     for e in range(begin + 1, end):
         bend = abs(prepared.wrap[e] + prepared.side[e] * angles[prepared.joint[e]])
         K = prepared.friction[e] * (bend + 2.0 * prepared.angle_error)
-        tensions[e] = tensions[e - 1] * math.exp(sign * K * (1.0 + prepared.friction_error))
+        tensions[e] = tensions[e - 1] * math.exp(sign * K * (1.0 + prepared.friction_error[e]))
 
 
 @jit_compile
