@@ -26,7 +26,7 @@ TENSION_RANGE = (2.0, 15.0)  # [N] at the housing
 ANGLE_RANGE = 0.6  # [rad]
 TENSION_NOISE = 0.02  # [N]
 DEAD_BAND = 2 * TENSION_NOISE
-ANGLE_ERROR = 1e-4  # [rad] largest
+ANGLE_ERROR = 5e-5  # [rad] largest: encoders of 16 bits
 
 
 @dataclass(frozen=True)

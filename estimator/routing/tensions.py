@@ -124,11 +124,11 @@ class _Elements(NamedTuple):
     between: Array  # [m] half of what slips more at one end of the element than at the other
     one_way: Array  # part of the friction that acts where slip turns round within the element
     turns_round: NDArray[np.bool_]  # whether slip may turn round within the element
-    low_factor: Array  # bounds of T_e over T_(e-1)
-    high_factor: Array
+    low_factor: Array  # bounds of T_e over T_(e-1), shape (2, rows): as it is taken to be, and
+    high_factor: Array  # as it is taken to be for what sticks nearer to the housing
     rise: Array  # [m/N] compliance for a rise and for a fall of tension
     fall: Array
-    shift: Array  # [N] what the error of the angles may take from the tension
+    shift: Array  # [N] what the error of angles may take from the tension, shape (2, rows) too
     stuck: Array  # [N] T*_e
 
 
@@ -157,8 +157,8 @@ def advance(
     rows = len(prepared.joint)
     elements = _Elements(
         np.zeros(rows), prepared.compliance.copy(), np.zeros(rows), np.zeros(rows),
-        np.ones(rows), np.zeros(rows, dtype=np.bool_), np.ones(rows), np.ones(rows),
-        np.zeros(rows), np.zeros(rows), np.zeros(rows), np.zeros(rows),
+        np.ones(rows), np.zeros(rows, dtype=np.bool_), np.ones((2, rows)), np.ones((2, rows)),
+        np.zeros(rows), np.zeros(rows), np.zeros((2, rows)), np.zeros(rows),
     )  # fmt: skip
     _turn_joints(prepared, angles, new_angles, elements)
     before = tensions[0].copy()
@@ -238,14 +238,18 @@ def _find_turning_slip(
 
 @jit_compile
 def _set_limits(prepared: PreparedRouting, elements: _Elements, copy: int) -> None:
-    """Set what friction and compliance allow in the likeliest, least or largest copy."""
+    """Set what friction and compliance allow in the likeliest, least or largest copy.
+
+    Less tension behind an element is more material for what sticks before it, and so raises it: for
+    that, the least copy takes what the largest takes.
+    """
     more, less = 1.0 + prepared.compliance_error, 1.0 / (1.0 + prepared.compliance_error)
     joints = prepared.shortening.shape[1]
     for e in range(len(prepared.joint)):
         c, K = elements.compliance[e], prepared.friction[e] * elements.bend[e]
         if copy == 0:
-            elements.low_factor[e] = math.exp(-K * elements.one_way[e])
-            elements.high_factor[e] = math.exp(K * elements.one_way[e])
+            elements.low_factor[:, e] = math.exp(-K * elements.one_way[e])
+            elements.high_factor[:, e] = math.exp(K * elements.one_way[e])
             elements.rise[e] = elements.fall[e] = c
             continue
         K_angle = 2.0 * prepared.friction[e] * prepared.angle_error
@@ -256,10 +260,14 @@ def _set_limits(prepared: PreparedRouting, elements: _Elements, copy: int) -> No
         margin = 0.0
         for j in range(joints):
             margin += abs(prepared.shortening[e, j]) * 2.0 * prepared.angle_error
+        least, largest = copy - 1, 2 - copy
         if c > 0.0:
-            elements.shift[e] = margin / (c * less) if copy == 1 else -margin / (c * less)
-        elements.low_factor[e] = math.exp(-K_more if copy == 1 else -K_less)
-        elements.high_factor[e] = math.exp(K_less if copy == 1 else K_more)
+            elements.shift[least, e] = margin / (c * less)
+            elements.shift[largest, e] = -margin / (c * less)
+        elements.low_factor[least, e] = math.exp(-K_more)
+        elements.low_factor[largest, e] = math.exp(-K_less)
+        elements.high_factor[least, e] = math.exp(K_less)
+        elements.high_factor[largest, e] = math.exp(K_more)
         elements.rise[e] = c * more if copy == 1 else c * less
         elements.fall[e] = c * less if copy == 1 else c * more
 
@@ -275,7 +283,7 @@ def _drive_sheath_ends(
     reported: Array,
 ) -> None:
     """Bring all sheath ends of one copy to their new tensions, and report what follows."""
-    row, shift = tensions[copy], elements.shift
+    row, shift = tensions[copy], elements.shift[0]
     for tendon in range(len(prepared.first) - 1):
         begin, end = prepared.first[tendon], prepared.first[tendon + 1]
         T = sheath_end[copy, tendon]
@@ -289,12 +297,12 @@ def _drive_sheath_ends(
         _find_stuck_tensions(begin, end, row, elements)
         row[begin] = reported[copy, begin] = max(T, 0.0)
         for e in range(begin + 1, end):
-            row[e] = _limit(e, row[e - 1], e == begin + 1, elements)[0]
+            row[e] = _limit(e, row[e - 1], e == begin + 1, elements, 0)[0]
             seen, nearer = row[e] - shift[e], reported[copy, e - 1]
             if copy == 1:
-                seen = max(seen, elements.low_factor[e] * nearer)
+                seen = max(seen, elements.low_factor[0, e] * nearer)
             elif copy == 2:
-                seen = min(seen, elements.high_factor[e] * nearer)
+                seen = min(seen, elements.high_factor[0, e] * nearer)
             reported[copy, e] = seen
 
 
@@ -307,7 +315,7 @@ def _find_stuck_tensions(begin: int, end: int, before: Array, elements: _Element
             slip, slope, tension, gain = 0.0, 0.0, T, 1.0
             for k in range(e, end):
                 if k > e:
-                    tension, factor = _limit(k, tension, False, elements)
+                    tension, factor = _limit(k, tension, False, elements, 1)
                     if factor == 0.0:
                         break  # it sticks: nothing slips here, whatever is behind
                     gain *= factor
@@ -328,15 +336,17 @@ def _find_stuck_tensions(begin: int, end: int, before: Array, elements: _Element
 
 
 @jit_compile
-def _limit(e: int, nearer: float, is_first: bool, elements: _Elements) -> tuple[float, float]:
+def _limit(
+    e: int, nearer: float, is_first: bool, elements: _Elements, use: int
+) -> tuple[float, float]:
     """Return the tension [N] behind an element, and how it changes with the `nearer` before it."""
-    driving = nearer if is_first else max(nearer - elements.shift[e - 1], 0.0)
-    low = elements.low_factor[e] * driving - elements.shift[e]
-    high = elements.high_factor[e] * driving - elements.shift[e]
+    driving = nearer if is_first else max(nearer - elements.shift[use, e - 1], 0.0)
+    low = elements.low_factor[use, e] * driving - elements.shift[use, e]
+    high = elements.high_factor[use, e] * driving - elements.shift[use, e]
     if elements.stuck[e] < low:
-        return low, elements.low_factor[e]
+        return low, elements.low_factor[use, e]
     if elements.stuck[e] > high:
-        return high, elements.high_factor[e]
+        return high, elements.high_factor[use, e]
     return elements.stuck[e], 0.0
 
 
