@@ -307,9 +307,8 @@ def prepare(
         errors += [sheath_error] * len(sheath)
         rows += _lay_out_tendon(routing, tendon, sheath)
         errors += [routing.friction_error] * (len(rows) - len(errors))
-        for index in range(begin + len(sheath), len(rows)):
-            if index > begin + len(sheath):
-                behind[tendon, rows[index].joint] = index
+        for index in range(begin + max(len(sheath), 1), len(rows)):
+            behind[tendon, rows[index].joint] = index
         first.append(len(rows))
     return PreparedRouting(
         np.array(first),

@@ -22,6 +22,7 @@ from estimator.array_types import Array
 from estimator.compiled import jit_compile
 from estimator.routing.routing import PreparedRouting, RoutingError
 
+_LEAST_COMPLIANCE = 1e-11  # [m/N] of stretches on a pin that is hardly touched
 _ROOT_ITERATIONS = 60
 _ROOT_TOLERANCE = 1e-12  # relative to the tension, or to 1 N
 
@@ -198,6 +199,7 @@ def _turn_joints(
         elements.compliance[e] += own * elements.bend[e]
         if e + 1 < rows:
             elements.compliance[e] += follower * elements.bend[e + 1]
+        elements.compliance[e] = max(elements.compliance[e], _LEAST_COMPLIANCE)
 
 
 @jit_compile
@@ -261,9 +263,8 @@ def _set_limits(prepared: PreparedRouting, elements: _Elements, copy: int) -> No
         for j in range(joints):
             margin += abs(prepared.shortening[e, j]) * 2.0 * prepared.angle_error
         least, largest = copy - 1, 2 - copy
-        if c > 0.0:
-            elements.shift[least, e] = margin / (c * less)
-            elements.shift[largest, e] = -margin / (c * less)
+        elements.shift[least, e] = margin / (c * less)
+        elements.shift[largest, e] = -margin / (c * less)
         elements.low_factor[least, e] = math.exp(-K_more)
         elements.low_factor[largest, e] = math.exp(-K_less)
         elements.high_factor[least, e] = math.exp(K_less)

@@ -73,7 +73,7 @@ class RoutedChain(Chain):
         self.start = np.sum(self.lengths)
         self.angles = np.array(angles, float)
         self.names, limits, places, end = self._layout(self.angles)
-        self.end_reference = end
+        self.end_reference = end  # places at first, which travel is counted from
         self.references = dict(zip(self.names, places, strict=True))
         self.sliding = np.zeros(len(self.names), dtype=int)
         self.limit_motor = self.limit_tip = limits
@@ -154,7 +154,7 @@ class RoutedChain(Chain):
         at = np.concatenate([[0.0], places[kept], [end]])
         old = [self.references[names[i]] + before[names[i]] for i in kept]
         old = np.concatenate([[self.travel[0]], old, [self.end_reference + self.travel[-1]]])
-        # where a guide's fixed end is, in labels at no travel, for beads never in contact so far
+        # what comes into contact has the strain of the stretch it lay in
         for i, name in enumerate(names):
             if name not in before:
                 label = float(np.interp(places[i], at, old))
@@ -185,22 +185,23 @@ class RoutedChain(Chain):
         return self.travel[0]
 
     def torque(self, joints):
-        """Return the torque on each joint [N m], from the virtual work of the path's lengths."""
-        step, tensions = 1e-6, self.tensions
+        """Return the torque on each joint [N m], by virtual work: what it shortens of each stretch.
+
+        The stretches are compared over a turn to whichever side leaves the beads in contact.
+        """
+        turn, tensions = 1e-6, self.tensions
         torque = np.zeros(joints)
         for joint in range(joints):
-            angles = self.angles.copy()
-            lengths = []
+            ends = []
             for sign in (1, -1):
-                angles[joint] = self.angles[joint] + sign * step
+                angles = self.angles.copy()
+                angles[joint] += sign * turn
                 names, _, places, end = self._layout(angles)
-                assert names == self.names or True
-                lengths.append((names, np.diff(np.concatenate([[0.0], places, [end]]))))
-            (more_names, more), (less_names, less) = lengths
-            if more_names == less_names == self.names:
-                torque[joint] = -tensions @ (more - less) / (2 * step)
-            elif more_names == self.names:
-                torque[joint] = -tensions @ (more - self.lengths) / step
-            else:
-                torque[joint] = -tensions @ (self.lengths - less) / step
+                if names == self.names:
+                    ends.append((sign, np.diff([0.0, *places, end])))
+            sides = [sign for sign, _ in ends]
+            longer = sum(sign * lengths for sign, lengths in ends)
+            if len(ends) == 1:
+                longer -= sides[0] * self.lengths
+            torque[joint] = -tensions @ longer / (turn * len(ends))
         return torque
