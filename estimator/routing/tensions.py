@@ -225,9 +225,10 @@ def _find_turning_slip(
             if between == 0.0 or not math.isfinite(mean):
                 continue
             least = 1e-9 * between
-            if abs(mean) < least and abs(slip[e - 1]) > least and abs(slip[e + 1]) > least:
+            is_between = min(slip[e - 1], slip[e + 1]) < -least < least < max(slip[e - 1], slip[e + 1])
+            if abs(mean) < least:
                 mean = rigid_slip[e]  # between two that slide it only seems to stick
-            if least < abs(mean) < between:
+            if is_between and abs(mean) < between:
                 elements.one_way[e] = abs(mean) / between
                 is_any = True
             elements.turns_round[e] = (
