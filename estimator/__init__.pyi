@@ -51,6 +51,14 @@ from estimator.pair.pair_study import study_pair as study_pair
 from estimator.results import plot_result as plot_result
 from estimator.results import show_result as show_result
 from estimator.results import summarise_result as summarise_result
+from estimator.routing.forces import TipWrench as TipWrench
+from estimator.routing.forces import compute_tip_wrench as compute_tip_wrench
+from estimator.routing.forces import distribute_torque as distribute_torque
+from estimator.routing.forces import find_pretension as find_pretension
+from estimator.routing.routing import Routing as Routing
+from estimator.routing.routing import RoutingError as RoutingError
+from estimator.routing.tensions import JointEstimator as JointEstimator
+from estimator.routing.tensions import JointTensions as JointTensions
 from estimator.units import FORCE as FORCE
 from estimator.units import LINEAR as LINEAR
 from estimator.units import ROTARY as ROTARY

@@ -3,12 +3,12 @@
     python -m studies.routing [--arms 20] [--seed 0]
 
 Each tendon of an arm is a chain of Coulomb beads through its sheath and over the guides of all
-joints that it passes (studies.brute.routed). Tension at the housing and joint angles move at random:
-apart and together, fast and slow, back and forth, and by so little that the tendon sticks.
+joints that it passes (studies.brute.routed). Housing tension and joint angles move at random: apart
+and together, fast and slow, back and forth, and by so little that the tendon sticks.
 
 Two figures of each arm. Tensions: the model of the passed joints alone, given the tension at the
 sheath's end. Torques: sheaths and passed joints together, from the tension at the housing with
-noise, and joint angles with an error. Beside them what leaving out the friction of the passed joints costs.
+noise, and joint angles with an error. Beside them what leaving out passed friction costs.
 """
 
 import argparse
@@ -90,7 +90,7 @@ def make_arm(rng: np.random.Generator, pitch: float = 1.0 / 20, beads: int = 24)
     raise AssertionError("no arm could be balanced")
 
 
-def _make_guide(routing, tendon, joint, pitch, beads):
+def _make_guide(routing: Routing, tendon: int, joint: int, pitch: float, beads: int) -> Pin | Bend:
     arm, friction, wrap, side, span, length = (
         float(table[tendon, joint])
         for table in (routing.radii, routing.friction, routing.wrap, routing.side, routing.span,
@@ -173,7 +173,6 @@ def compare_tensions(arm: Arm, motion: Motion) -> Comparison:
 
 def compare_torques(arm: Arm, motion: Motion, rng: np.random.Generator) -> Comparison:
     """Compare joint torques, from housing tension with noise and joint angles with an error."""
-    shape = motion.T_in.shape
     T_in = motion.T_in + rng.normal(0.0, TENSION_NOISE, motion.T_in.shape)
     angles = motion.angles + rng.uniform(-ANGLE_ERROR, ANGLE_ERROR, motion.angles.shape)
     for i in range(1, len(T_in)):  # dead band: a peak of noise would be kept (theory, section 9)
@@ -186,7 +185,12 @@ def compare_torques(arm: Arm, motion: Motion, rng: np.random.Generator) -> Compa
     return _compare(with_friction[3:], without[3], motion.torque, full_scale)
 
 
-def run_model(routing, ends, angles, sheaths=None):
+def run_model(
+    routing: Routing,
+    ends: tuple[np.ndarray, ...],
+    angles: np.ndarray,
+    sheaths: list[Sheath] | None = None,
+) -> list[np.ndarray]:
     """Return the fields of `JointTensions` over the samples."""
     prepared = prepare(routing, sheaths)
     state = tensions.build_initial_state(prepared, PRETENSION, np.zeros(angles.shape[1]))
@@ -197,9 +201,12 @@ def run_model(routing, ends, angles, sheaths=None):
     return [np.array(column) for column in zip(*rows, strict=True)]
 
 
-def _compare(model, without, truth, full_scale):
+def _compare(
+    model: list[np.ndarray], without: np.ndarray, truth: np.ndarray, full_scale: np.ndarray
+) -> Comparison:
     value, low, high = model
-    error, error_without = np.abs(value - truth) / full_scale, np.abs(without - truth) / full_scale
+    error = np.abs(value - truth) / full_scale
+    error_without = np.abs(without - truth) / full_scale
     rounding = 1e-6 * full_scale
     inside = (low - rounding <= truth) & (truth <= high + rounding) | np.isnan(truth)
     return Comparison(

@@ -7,7 +7,7 @@ loaded by it. `Routing` describes this; `prepare` turns it into what a tick need
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -26,8 +26,6 @@ BEND_ELEMENTS, PIN_ELEMENTS = 8, 2
 SHEATH_ELEMENTS = 12
 """Friction elements of a sheath, at least."""
 
-Guide = Literal["proximal", "distal", "spread"]
-
 RANK_TOLERANCE = 1e-9  # of singular values, relative to the largest
 
 
@@ -39,8 +37,8 @@ class RoutingError(ValueError):
 class Routing:
     """Tendons over the joints of an arm; tables have the shape (tendons, joints).
 
-    A single number stands for all entries of a table. Tendons and joints count from 0 in tables
-    and in messages.
+    Tables are given as arrays or lists and kept as arrays. A single number stands for all entries.
+    Tendons and joints count from 0 in tables and in messages.
 
     Attributes
     ----------
@@ -77,17 +75,17 @@ class Routing:
         within it is not taken for motion.
     """
 
-    radii: ArrayLike
-    friction: ArrayLike = 0.0
-    wrap: ArrayLike = 0.0
-    side: ArrayLike | None = None
-    guide: Guide | Sequence[Sequence[Guide]] = "proximal"
-    span: ArrayLike = 0.03
-    length: ArrayLike = 0.03
+    radii: Any
+    friction: Any = 0.0
+    wrap: Any = 0.0
+    side: Any = None
+    guide: Any = "proximal"
+    span: Any = 0.03
+    length: Any = 0.03
     axial_stiffness: float = 9000.0
-    order: Sequence[Sequence[int]] | None = None
-    spring_stiffness: ArrayLike = 0.0
-    spring_angle: ArrayLike = 0.0
+    order: Any = None
+    spring_stiffness: Any = 0.0
+    spring_angle: Any = 0.0
     friction_error: float = 0.1
     compliance_error: float = 0.5
     angle_error: float = 0.0
@@ -108,14 +106,14 @@ class Routing:
         set_field(self, "side", side)
         if self.side is not None and not np.isin(side, (-1.0, 0.0, 1.0)).all():
             raise RoutingError("side: allowed are -1, 0 and 1")
-        if (self.span <= 0.0).any():  # type: ignore[operator]
+        if (self.span <= 0.0).any():
             raise RoutingError("span: must be positive, a stretch without length cannot stretch")
         for name in ("friction", "length"):
             if (getattr(self, name) < 0.0).any():
                 raise RoutingError(f"{name}: must not be negative")
         for name in ("spring_stiffness", "spring_angle"):
             set_field(self, name, _read_table(name, getattr(self, name), (joints,)))
-        if (self.spring_stiffness < 0.0).any():  # type: ignore[operator]
+        if (self.spring_stiffness < 0.0).any():
             raise RoutingError("spring_stiffness: must not be negative")
         guide = np.broadcast_to(np.array(self.guide), R.shape)
         if not np.isin(guide, ("proximal", "distal", "spread")).all():
@@ -247,7 +245,7 @@ class Routing:
                     f"order: tendon {tendon} passes {list(joints)}; allowed are the joints 0 to "
                     f"{self.joints - 1}, each once"
                 )
-            missing = set(np.flatnonzero(self.radii[tendon])) - set(joints)  # type: ignore[index]
+            missing = set(np.flatnonzero(self.radii[tendon])) - set(joints)
             if missing:
                 raise RoutingError(
                     f"order: tendon {tendon} has a radius at joint {min(missing)}, but does not "
@@ -299,7 +297,9 @@ def prepare(
         raise RoutingError(f"sheaths: {len(sheaths)}, but there are {routing.tendons} tendons")
     if any(sheath.drag != 0.0 or sheath.asymmetry != 1.0 for sheath in sheaths or ()):
         raise RoutingError("sheaths: drag and asymmetry are not modelled with passed joints")
-    first, rows, errors = [0], [], []
+    first: list[int] = [0]
+    rows: list[_Row] = []
+    errors: list[float] = []
     behind = np.full((routing.tendons, routing.joints), -1, dtype=np.int64)
     for tendon in range(routing.tendons):
         begin = len(rows)
@@ -341,7 +341,7 @@ class _Row(NamedTuple):
 
 class _Element(NamedTuple):
     joint: int
-    count: int  # of elements at this joint
+    divisor: int  # number of elements at this joint
     place: float  # part of the joint's turning that happens before it
     length: float  # [m] before and behind it, each
     contact: float  # [m/rad] before and behind it, each
@@ -351,7 +351,7 @@ class _Element(NamedTuple):
 
 def _list_elements(routing: Routing, tendon: int) -> list[_Element]:
     elements = []
-    for joint in routing.order[tendon]:  # type: ignore[index]
+    for joint in routing.order[tendon]:
         kind, span, length, friction, R = (
             np.asarray(table)[tendon, joint]
             for table in (
@@ -408,7 +408,7 @@ def _lay_out_tendon(routing: Routing, tendon: int, sheath: list[_Row]) -> list[_
         rows.append(
             _Row(
                 joint,
-                float(friction[joint]) / element.count,
+                float(friction[joint]) / element.divisor,
                 float(wrap[joint]),
                 float(side[joint]),
                 element.length + element.span + (follower.length if follower else 0.0),
@@ -424,7 +424,7 @@ def _read_array(name: str, values: ArrayLike, dimensions: int) -> Array:
     try:
         array = np.array(values, dtype=np.float64)
     except (TypeError, ValueError) as error:
-        raise RoutingError(f"{name}: not a table of numbers: {values}") from error
+        raise RoutingError(f"{name}: not a table of numbers") from error
     if array.ndim != dimensions:
         raise RoutingError(f"{name}: {array.ndim} dimensions, must be {dimensions}")
     if not np.isfinite(array).all():

@@ -13,6 +13,7 @@ worst of all errors, enclose it.
 """
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -20,7 +21,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from estimator.array_types import Array
 from estimator.compiled import jit_compile
-from estimator.routing.routing import PreparedRouting, RoutingError
+from estimator.law.sheath import Sheath
+from estimator.routing.routing import PreparedRouting, Routing, RoutingError, prepare
 
 _LEAST_COMPLIANCE = 1e-11  # [m/N] of stretches on a pin that is hardly touched
 _ROOT_ITERATIONS = 60
@@ -107,6 +109,44 @@ def step(
     return JointTensions(*tables, *torques), driven
 
 
+class JointEstimator:
+    """Estimates tensions and torques of an arm's joints, for notebooks and recorded data.
+
+    Parameters
+    ----------
+    routing : Routing
+    sheaths : sequence of Sheath, optional
+        Of each tendon: then `step` takes the tensions at the housing.
+    tension, angles : array_like
+        [N] and [rad] at the start.
+    """
+
+    def __init__(
+        self,
+        routing: Routing,
+        sheaths: Sequence[Sheath] | None = None,
+        *,
+        tension: ArrayLike = 0.0,
+        angles: ArrayLike | None = None,
+    ) -> None:
+        self._prepared = prepare(routing, sheaths)
+        start = np.zeros(routing.joints) if angles is None else angles
+        self._state = build_initial_state(self._prepared, tension, start)
+
+    def step(
+        self,
+        tension: ArrayLike,
+        angles: ArrayLike,
+        *,
+        low: ArrayLike | None = None,
+        high: ArrayLike | None = None,
+    ) -> JointTensions:
+        """Take the next sample: tensions [N] and their interval, and angles [rad]; see `step`."""
+        least, largest = tension if low is None else low, tension if high is None else high
+        estimate, self._state = step(self._prepared, self._state, tension, least, largest, angles)
+        return estimate
+
+
 def _read_angles(prepared: PreparedRouting, angles: ArrayLike) -> Array:
     theta = np.array(angles, dtype=np.float64)
     if theta.shape != prepared.shortening.shape[1:] or not np.isfinite(theta).all():
@@ -149,7 +189,7 @@ def advance(
     tensions, angles : array
         The state: shapes (3, rows) and (joints,).
     sheath_end : array, shape (3, tendons)
-        T_out [N] of the sheaths, its least and its largest.
+        [N] at the sheath's ends, or at the housing, its least and its largest.
     new_angles : array, shape (joints,)
         [rad]
     reported : array, shape (3, rows)
@@ -225,7 +265,9 @@ def _find_turning_slip(
             if between == 0.0 or not math.isfinite(mean):
                 continue
             least = 1e-9 * between
-            is_between = min(slip[e - 1], slip[e + 1]) < -least < least < max(slip[e - 1], slip[e + 1])
+            is_between = (
+                min(slip[e - 1], slip[e + 1]) < -least < least < max(slip[e - 1], slip[e + 1])
+            )
             if abs(mean) < least:
                 mean = rigid_slip[e]  # between two that slide it only seems to stick
             if is_between and abs(mean) < between:
