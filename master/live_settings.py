@@ -1,7 +1,7 @@
 """Settings that may change while the master runs, with bumpless transfer.
 
 A position scale and a lock act at once: the operator re-anchors hand and tip. A force scale ramps
-to its new value in `SLEW_S`. Nothing else may change.
+to its new value in `SLEW_S`. Nothing else may change on this side (`slave.live_settings`).
 """
 
 import re

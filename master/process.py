@@ -30,18 +30,18 @@ from master.settings_record import SettingsRecord
 from teleop.config.bounds import build_bounds_warnings
 from teleop.config.options import add_option, add_options
 from teleop.coupling import Bilateral
-from teleop.errors import TeleopError, UsageError
+from teleop.errors import TeleopError
 from teleop.link import NEVER_NS, Link
 from teleop.link.health import DEFAULT_BOUNDS, HealthConfig, compile_link_window_update
-from teleop.messages.messages import MAX_JOINTS, Answer, Command, Hand, SlaveState, encode_text
+from teleop.messages.messages import MAX_JOINTS, Command, Hand, SlaveState
 from teleop.messages.packet import Packet
-from teleop.messages.topics import ANSWER, COMMAND, HAND, LATENCY, STATE, Role
-from teleop.remote.requests import RequestListener, Requests, SettingRequest
+from teleop.messages.topics import COMMAND, HAND, LATENCY, STATE, Role
+from teleop.remote.requests import RequestListener, Requests
 from teleop.runtime.clock import STALL_NS, Grid, Tick, monotonic_ns, now_ns
 from teleop.runtime.compiling import announce_compilation
 from teleop.runtime.process import StopCondition
 from teleop.session.config import RunConfig, read_config
-from teleop.session.events import MARK, publish_event
+from teleop.session.events import publish_event
 from teleop.session.loop_process import LoopProcess, report_outcome, run_session
 from teleop.session.slow_calls import SlowCallMonitor
 from teleop.session.state_machine import (
@@ -350,31 +350,11 @@ class MasterProcess(LoopProcess):
         """Keep who called a stop, and change the settings that other processes request."""
         if requests.words and self._published.state is not State.STOPPED:  # the first caller's
             self._stop_text = requests.words
-        for request in requests.settings:
-            self._change_setting(request)
+        self._process_settings(requests.settings)
 
-    def _change_setting(self, request: SettingRequest) -> None:
-        """Change a setting, or make a mark, and answer the request."""
-        accepted = True
-        try:
-            if request.key == MARK:
-                text = f"{MARK}: {request.value}"
-                publish_event(self._link, Role.MASTER, self._outline(), text)
-            else:
-                self._live, text = live_settings.change_setting(
-                    self._live, request.key, request.value
-                )
-                publish_event(self._link, Role.MASTER, self._outline(), f"set: {text}")
-        except UsageError as error:
-            text, accepted = str(error), False
-        answer = Answer(
-            role=Role.MASTER,
-            asker=request.asker,
-            setting_sequence=request.sequence,
-            accepted=accepted,
-            text=encode_text(text),
-        )
-        self._link.publish(ANSWER, answer)
+    def _change_setting(self, key: str, value: str) -> str:
+        self._live, text = live_settings.change_setting(self._live, key, value)
+        return text
 
     def _publish_device_state(self, absence: str) -> None:
         self._absence = absence

@@ -19,7 +19,7 @@ from functools import partial
 from typing import NamedTuple, cast
 
 from estimator.records import view_struct
-from slave import loop, model_files
+from slave import live_settings, loop, model_files
 from slave.calibration.initialisation import initialise
 from slave.config import (
     SlaveConfig,
@@ -238,6 +238,9 @@ class SlaveProcess(LoopProcess):
             self._samples += 1
         return fault
 
+    def _change_setting(self, key: str, value: str) -> str:
+        return live_settings.change_setting(self._rig, key, value)
+
     def _end_on_rig_fault(self, error: RigFault) -> Reason:
         self._end(TeleopError(f"rig: {error}"))
         return Reason.RIG_FAULT
@@ -252,6 +255,8 @@ class SlaveProcess(LoopProcess):
             slave.settings, slave.layout, slave.monitor_constants, slave.memory, rows, samples
         )
         self._checkpoint.save()
+        if requests.settings:
+            self._process_settings(requests.settings)
         side = self._outline()
         for k in range(samples):
             if self._link.skip_unsubscribed(TENDONS):

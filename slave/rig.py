@@ -126,6 +126,37 @@ class WatchedRig(Rig, Protocol):
         """
 
 
+class AdjustableRig(Rig, Protocol):
+    """A rig whose environment has numbers that may change while it runs."""
+
+    def set_environment(self, joint: int, part: int | None, name: str, value: float) -> None:
+        """Let a number of an environment go to `value`, without a step in a force.
+
+        Parameters
+        ----------
+        joint : int
+            From 0.
+        part : int or None
+            Of an environment of several parts, from 0.
+        name : str
+            As in the config.
+        value : float
+            In the unit of the config.
+
+        Raises
+        ------
+        ValueError
+            There is no such number, or it cannot have this value.
+        """
+
+
+def get_environment_setter(
+    rig: Rig,
+) -> Callable[[int, int | None, str, float], None] | None:
+    """Return `set_environment` of an `AdjustableRig`, None of any other rig."""
+    return getattr(rig, "set_environment", None)
+
+
 def get_emergency_stop(rig: Rig) -> Callable[[], None] | None:
     """Return the emergency stop of a `StoppableRig`, None of any other rig."""
     return getattr(rig, "emergency_stop", None)

@@ -2,7 +2,7 @@
 
 import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -13,7 +13,13 @@ from slave.rig import RigFault, RigSample, number_joint_tendons
 from slave.simulation.effects import EffectConfig
 from slave.simulation.effects.ends import AntagonistTension
 from slave.simulation.effects.schedule import JointSchedule, SampleSchedule, SensorSchedule
-from slave.simulation.environment import EnvironmentConfig, TissueConfig, build_environment
+from slave.simulation.environment import (
+    EnvironmentConfig,
+    EnvironmentRamp,
+    TissueConfig,
+    build_environment,
+    replace_number,
+)
 from slave.simulation.joint import (
     BodyConfig,
     Joint,
@@ -181,6 +187,9 @@ class SimulatedRig:
         self._paired = np.array([[True, len(tendons) == 2] for tendons in self.joints])
 
         joints = [build_joint(joint) for joint in config.joints]
+        self._configured = [joint.environment for joint in config.joints]  # at the ramps' ends
+        self._environments = [joint.environment for joint in joints]  # of the plant
+        self._ramps: dict[int, EnvironmentRamp] = {}  # by joint
         self._schedules = [
             JointSchedule(config.effects, i, joint) for i, joint in enumerate(joints)
         ]
@@ -241,6 +250,14 @@ class SimulatedRig:
             raise RigFault(f"invalid motor targets {targets}: {self.tendons} finite values needed")
         self._targets[self._paired] = proximal_displacement
 
+    def set_environment(self, joint: int, part: int | None, name: str, value: float) -> None:
+        """Let a number of an environment go to `value`; see `slave.rig.AdjustableRig`."""
+        if joint >= len(self._configured):
+            raise ValueError(f"there is no joint {joint}; the rig has {len(self._configured)}")
+        goal = replace_number(self._configured[joint], part, name, value)
+        self._configured[joint] = goal
+        self._ramps[joint] = EnvironmentRamp(self._environments[joint], build_environment(goal))
+
     def summary(self) -> dict[str, int | float | str]:
         """Return the number of coarse reads."""
         return {"coarse_reads": self.coarse_reads}
@@ -254,8 +271,12 @@ class SimulatedRig:
         if behind > CATCH_UP_STEPS_MAX:
             steps, dt = CATCH_UP_STEPS_MAX, behind * dt / CATCH_UP_STEPS_MAX
             self.coarse_reads += 1
+        ramps = self._ramps
+        if ramps:  # after a stall they go on from where they were
+            dt_ramp = min(behind, CATCH_UP_STEPS_MAX) * self._period
+            self._ramps = {i: ramp for i, ramp in ramps.items() if not ramp.advance(dt_ramp)}
         if self._effects:
-            self._turn_effects((self._step + behind) * self._period)
+            self._turn_effects((self._step + behind) * self._period, ramps)
         self._truth = self._advance(steps, dt)
         self._measure(behind * self._period)
 
@@ -267,10 +288,10 @@ class SimulatedRig:
         normal = self._random.standard_normal(self._truth.shape)
         self._sensed = measure(self._sensors, self._sensed, self._truth, normal, dt)
 
-    def _turn_effects(self, time: float) -> None:
+    def _turn_effects(self, time: float, changing: Container[int]) -> None:
         for i, (schedule, tendons) in enumerate(zip(self._schedules, self.joints, strict=True)):
             _, housing, _, tip = self._truth[:, tendons]
-            joint = schedule.at(time, tip[0], housing)
+            joint = schedule.at(time, tip[0], housing, i in changing)
             if joint is not None:
                 replace_item(self._joints, i, joint)
         self._sensors = self._sensor_schedule.at(time) or self._sensors

@@ -5,9 +5,9 @@ direction of tendon `a`; a positive force opposes that. The force of every envir
 non-decreasing in q within a step, so a joint's balance has one solution.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import inf
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,7 @@ IntArray = NDArray[np.int64]
 
 STIFFNESS_MAX = 1e7  # [N/m] a thousand times a tendon's own; above it rounding shows in the force
 TRAVEL_MAX = 1.0  # [m]
+SLEW_S = 0.5  # [s] in which a changed number of a running rig reaches its new value
 
 WALL, TISSUE, FORCE, POSITION = range(4)
 
@@ -172,6 +173,56 @@ def merge_environments(first: Environment, second: Environment) -> Environment:
         np.concatenate([first.points, second.points]),
         np.concatenate([first.extent, extent]),
     )
+
+
+# columns of `Environment.constants` that a running rig may change, by their names in a config
+_COLUMNS = {"position": 0, "stiffness": 1, "damping": 2, "dissipation": 2}
+
+
+def replace_number(
+    config: EnvironmentConfig, part: int | None, name: str, value: float
+) -> EnvironmentConfig:
+    """Return an environment with another `name` of its config, or of one of its parts.
+
+    Raises `ValueError`.
+    """
+    if part is None:
+        if name not in _COLUMNS or not hasattr(config, name):
+            raise ValueError(f"an environment of type {config.type} has no such number")
+        values: dict[str, Any] = {name: value}
+        return replace(config, **values)
+    if not isinstance(config, CombinedEnvironmentConfig) or part >= len(config.parts):
+        raise ValueError(f"an environment of type {config.type} has no part {part}")
+    parts: list[Any] = list(config.parts)
+    parts[part] = replace_number(parts[part], None, name, value)
+    return replace(config, parts=tuple(parts))
+
+
+class EnvironmentRamp:
+    """The constants of an environment on their way to those of another one of the same parts.
+
+    Parameters
+    ----------
+    environment : Environment
+        Its constants are changed in place.
+    goal : Environment
+        With as many parts, of the same kinds.
+    """
+
+    def __init__(self, environment: Environment, goal: Environment) -> None:
+        self._constants, self._goal = environment.constants, goal.constants
+        self._start, self._passed = environment.constants.copy(), 0.0
+
+    def advance(self, dt: float) -> bool:
+        """Go on by `dt` [s]; return whether the goal, `SLEW_S` after the start, is reached."""
+        self._passed += dt
+        if self._passed >= SLEW_S:
+            self._constants[:] = self._goal
+            return True
+        changed = self._start != self._goal  # infinite times stay as they are
+        gap = self._goal[changed] - self._start[changed]
+        self._constants[changed] = self._start[changed] + gap * (self._passed / SLEW_S)
+        return False
 
 
 @jit_compile

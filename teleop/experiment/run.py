@@ -1,8 +1,12 @@
 """Run an experiment: present each trial in a session, ask the observer, and keep the answer.
 
-Settings that a running session ramps, and impairments of its network, change within a session. All
-others, such as the environment of a simulated rig, change between blocks, with a new session: the
-operator engages again, so nothing jumps in the hand.
+Settings that a running session ramps (`master.live_settings`, and the environment of a simulated
+rig, `slave.live_settings`) and impairments of its network change within a session. All others
+change between blocks, with a new session: the operator engages again, so nothing jumps in the hand.
+
+The coupling is among these. Its two sides must change it between the same two messages: energy and
+waves that are under way in another coupling are worth other forces. A difference of the sides is a
+reason not to be engaged, so the operator would have to engage again in any case.
 """
 
 import itertools
@@ -16,6 +20,8 @@ from pathlib import Path
 from typing import Any
 
 from master import live_settings
+from slave.live_settings import is_live_key
+from slave.simulation import environment
 from teleop.errors import TeleopError, UsageError
 from teleop.experiment.design import Design, Trial, Value
 from teleop.experiment.results import TrialTable, format_value
@@ -35,7 +41,7 @@ ATTEMPTS_MAX = 10  # of a trial
 RECORDINGS = "recordings"  # folder of the sessions' recordings, in that of the experiment
 _IMPAIR = ("impair.to_slave.", "impair.to_master.")
 GAP_S = 0.3  # [s] without a state of the slave: the trial is disturbed
-_SETTLE_S = live_settings.SLEW_S + 0.1
+_SETTLE_S = max(live_settings.SLEW_S, environment.SLEW_S) + 0.1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,7 +59,8 @@ class Experiment:
     set_stimulus : callable
         Returns the settings in an interval of a trial, from 1. `trial.target` is the interval that
         has `trial.stimulus`. Only settings that can change while a session runs: `force.scale`,
-        `operator.position_scale`, `operator.lock`, and `impair.to_slave`, `impair.to_master`.
+        `operator.position_scale`, `operator.lock`, `impair.to_slave`, `impair.to_master`, and, as
+        `slave.rig.joints.0.environment.stiffness`, numbers of a simulated environment.
     duration : float
         [s] of an interval.
     """
@@ -380,6 +387,8 @@ def _split(settings: Settings) -> tuple[dict[str, Any], dict[str, Any]]:
     live = {
         key: value
         for key, value in full.items()
-        if key.removeprefix("master.") in live_settings.KEYS or key.startswith(_IMPAIR)
+        if key.removeprefix("master.") in live_settings.KEYS
+        or key.startswith(_IMPAIR)
+        or is_live_key(key)
     }
     return live, {key: value for key, value in full.items() if key not in live}

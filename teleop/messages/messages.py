@@ -456,7 +456,7 @@ class EmergencyStop(Message):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Setting(Message):
-    """Any process to the master, reliable: change one value of its config while it runs."""
+    """Any process to both sides, reliable: change one value of the config of one of them."""
 
     role: U32 = 0  # teleop.messages.topics.Role of the sender
     key: TextBytes = NO_TEXT  # UTF-8, zero-padded, e.g. operator.position_scale
@@ -465,7 +465,7 @@ class Setting(Message):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Answer(Message):
-    """Master to the sender of a Setting, reliable: whether it was accepted."""
+    """The side of a Setting to its sender, reliable: whether it was accepted."""
 
     role: U32 = 0  # teleop.messages.topics.Role of the sender
     asker: U64 = 0  # `sender` of the Setting

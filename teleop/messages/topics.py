@@ -92,9 +92,11 @@ STOP = Topic(
 )  # fmt: skip
 SETTING = Topic(  # of the sides only in a replay, without tags
     "setting", Setting, None, 0, live=False,
-    senders=_SIDES + _SUPERVISORS, addressees=(Role.MASTER,),
+    senders=_SIDES + _SUPERVISORS, addressees=_SIDES,
 )  # fmt: skip
-ANSWER = Topic("answer", Answer, Role.MASTER, 0, live=False, addressees=_SUPERVISORS)
+ANSWER = Topic(
+    "answer", Answer, None, 0, live=False, senders=_SIDES, addressees=_SUPERVISORS,
+)  # fmt: skip
 LINK = Topic("link", LinkReport, None, 2, live=False, senders=_SIDES)
 
 TOPICS: tuple[Topic[Any], ...] = (

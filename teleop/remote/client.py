@@ -17,11 +17,10 @@ from teleop.link import Link, Listener
 from teleop.messages.messages import Event, decode_text
 from teleop.messages.topics import ANSWER, COMMAND, EVENT, STATE, TOPICS, Role, Topic, format_role
 from teleop.remote.requests import CALL, RESET
-from teleop.remote.set import request_setting
+from teleop.remote.set import await_side, request_setting
 from teleop.remote.stop_over_link import SIDES, read_stop_count, request_sides
 from teleop.session.config import RunConfig, read_config
 from teleop.session.events import MARK
-from teleop.session.running_sessions import describe_absence
 from teleop.session.state_machine import Reason, State, to_reason
 
 MARK_BYTES = 240  # longest text of a mark
@@ -82,7 +81,7 @@ class SessionClient:
     def __enter__(self) -> Self:
         self._connect()
         try:
-            self._await_slave()
+            await_side(self._open.link, self._config, Role.SLAVE)
         except BaseException:
             self._disconnect()
             raise
@@ -224,19 +223,21 @@ class SessionClient:
         Parameters
         ----------
         key : str
-            For example "force.scale", or "master.force.scale" as in a config.
+            As in a config, the "master." may be left out: "force.scale", "operator.lock",
+            "operator.position_scale"; of a simulated rig also
+            "slave.rig.joints.0.environment.stiffness", and position, damping and dissipation.
         value : object
-            Plain data as in a config; a new value is reached by a ramp.
+            Plain data as in a config; scales of force and environments get there in 0.5 s.
 
         Returns
         -------
         str
-            The master's answer.
+            The answer of the side that has the setting.
 
         Raises
         ------
         UsageError
-            It refuses the key or the value.
+            That side refuses the key or the value.
         TeleopError
             It does not answer.
         """
@@ -269,15 +270,6 @@ class SessionClient:
         if len(text.encode()) > MARK_BYTES or not text.isprintable():
             raise UsageError(f"mark {text[:20]!r}: must be one line of at most {MARK_BYTES} bytes")
         self._request_setting(MARK, text)
-
-    def _await_slave(self) -> None:
-        deadline_s = time.monotonic() + SILENCE_S
-        while not self._open.link.present(Role.SLAVE):
-            if time.monotonic() > deadline_s:
-                link = self._config.link
-                endpoints = link.routers or (link.slave,)
-                raise TeleopError(describe_absence(self.name, "no slave answers", endpoints))
-            time.sleep(_POLL_S)
 
     def _connect(self) -> None:
         link = Link(self._config.link, self._config.session, Role.REMOTE).__enter__()

@@ -86,6 +86,11 @@ class SettingRequest(NamedTuple):
     value: str
 
 
+def find_side(key: str) -> Role:
+    """Return the side that has a setting: the slave those below `slave.`, the master all others."""
+    return Role.SLAVE if key.startswith("slave.") else Role.MASTER
+
+
 class Requests(NamedTuple):
     """Requests since the last tick."""
 

@@ -3,8 +3,13 @@
   teleop set force.scale 0.3                 ramps to it in half a second
   teleop set operator.position_scale 0.1     finer motion; hand and tip do not jump
   teleop set operator.lock '[1]'             lock axis 1; '[]' unlocks it
+  teleop set slave.rig.joints.0.environment.stiffness 800     of a simulated rig, in half a second
 
-The master answers with the new value or the reason of a refusal. The config file is not changed.
+Of the environment of a simulated rig change stiffness, position, damping and dissipation, of one of
+several parts as in slave.rig.joints.0.environment.parts.1.stiffness.
+
+The side that has the setting answers with the new value or the reason of a refusal. The config file
+is not changed.
 """
 
 import argparse
@@ -15,15 +20,17 @@ from teleop.errors import TeleopError, UsageError
 from teleop.link import Link, Listener
 from teleop.messages.messages import TEXT_BYTES, Answer, Setting, decode_text, encode_text
 from teleop.messages.topics import ANSWER, SETTING, Role
+from teleop.remote.requests import find_side
 from teleop.session.config import RunConfig, read_config
 from teleop.session.running_sessions import describe_absence
 
 ANSWER_TIMEOUT_S = 5.0
+_POLL_S = 0.005
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `teleop set`."""
-    parser.add_argument("key", metavar="KEY", help="e.g. force.scale")
+    parser.add_argument("key", metavar="KEY", help="e.g. force.scale; see above")
     parser.add_argument("value", metavar="VALUE", help="as in a config file")
     add_options(parser, "--session", "--config", "--insecure")
     add_option(
@@ -35,22 +42,28 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def main(args: argparse.Namespace) -> int:
-    """Request the change from the master; returns the exit code."""
+    """Request the change from the side that has the setting; returns the exit code."""
     config = read_config(args).load(RunConfig)
     with Link(config.link, config.session, Role.REMOTE) as link:
         listener = link.listen((ANSWER,))
-        deadline = time.monotonic() + ANSWER_TIMEOUT_S
-        while not link.present(Role.MASTER) and time.monotonic() < deadline:
-            time.sleep(0.01)
-        if not link.present(Role.MASTER):
-            endpoints = config.link.routers or (config.link.master,)
-            raise TeleopError(describe_absence(config.session, "no master answers", endpoints))
+        await_side(link, config, find_side(args.key))
         print(request_setting(link, listener, args.key, args.value))
     return 0
 
 
+def await_side(link: Link, config: RunConfig, side: Role) -> None:
+    """Wait until the master or the slave of a session is connected; `TeleopError` if it is not."""
+    deadline = time.monotonic() + ANSWER_TIMEOUT_S
+    while not link.present(side):
+        if time.monotonic() > deadline:
+            name = side.name.lower()
+            endpoints = config.link.routers or (getattr(config.link, name),)
+            raise TeleopError(describe_absence(config.session, f"no {name} answers", endpoints))
+        time.sleep(_POLL_S)
+
+
 def request_setting(link: Link, listener: Listener, key: str, value: str) -> str:
-    """Request a change from the master; return its answer.
+    """Request a change from the side that has the setting; return its answer.
 
     Parameters
     ----------
@@ -59,12 +72,12 @@ def request_setting(link: Link, listener: Listener, key: str, value: str) -> str
     listener : Listener
         Of `ANSWER` on this link.
     key, value : str
-        As in a config file; a key may begin with "master.".
+        As in a config file; the "master." of a key may be left out.
 
     Raises
     ------
     UsageError
-        The master refuses, or key or value are too long.
+        The side refuses, or key or value are too long.
     TeleopError
         It does not answer.
     """
@@ -82,5 +95,6 @@ def request_setting(link: Link, listener: Listener, key: str, value: str) -> str
                 if not answer.accepted:
                     raise UsageError(text)
                 return text
-        time.sleep(0.005)
-    raise TeleopError(f"the master did not answer within {ANSWER_TIMEOUT_S:g} s")
+        time.sleep(_POLL_S)
+    side = find_side(key).name.lower()
+    raise TeleopError(f"the {side} did not answer within {ANSWER_TIMEOUT_S:g} s")

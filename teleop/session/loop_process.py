@@ -11,17 +11,18 @@ from typing import Any, ClassVar, TypeVar
 
 from estimator.records import StructArray
 from teleop.coupling import LedgerPublisher
-from teleop.errors import PeerError, TeleopError
+from teleop.errors import PeerError, TeleopError, UsageError
 from teleop.link import LatestMessage, Link, MessageCounts
 from teleop.link.health import DEFAULT_BOUNDS, HealthConfig, LinkHealth, update_link_window
-from teleop.messages.topics import LEDGER, LINK, REPORT, Role
-from teleop.remote.requests import RequestListener, Requests
+from teleop.messages.messages import Answer, encode_text
+from teleop.messages.topics import ANSWER, LEDGER, LINK, REPORT, Role
+from teleop.remote.requests import RequestListener, Requests, SettingRequest, find_side
 from teleop.remote.stop_socket import SILENT, StopSocket
 from teleop.runtime.clock import Tick, TickStats, now_ns, pause_garbage_collection
 from teleop.runtime.process import StopCondition, is_supervised, write_summary
 from teleop.runtime.realtime import enter_loop, request_realtime
 from teleop.session.config import RunConfig
-from teleop.session.events import publish_event
+from teleop.session.events import MARK, publish_event
 from teleop.session.meter import LoopMeter
 from teleop.session.state_machine import (
     OutlineReader,
@@ -95,6 +96,34 @@ class LoopProcess(ABC):
     @abstractmethod
     def close(self) -> None:
         """Leave the actuators safe and tell the peers; called however the loop ends."""
+
+    @abstractmethod
+    def _change_setting(self, key: str, value: str) -> str:
+        """Change a setting of this side; return it as text, or raise `UsageError`."""
+
+    def _process_settings(self, settings: Iterable[SettingRequest]) -> None:
+        """Change this side's settings, or make marks, and answer the requests for them."""
+        for request in settings:
+            if find_side(request.key) is not self.role:
+                continue
+            accepted = True
+            try:
+                if request.key == MARK:
+                    event = text = f"{MARK}: {request.value}"
+                else:
+                    text = self._change_setting(request.key, request.value)
+                    event = f"set: {text}"
+                publish_event(self._link, self.role, self._outline(), event)
+            except UsageError as error:
+                text, accepted = str(error), False
+            answer = Answer(
+                role=self.role,
+                asker=request.asker,
+                setting_sequence=request.sequence,
+                accepted=accepted,
+                text=encode_text(text),
+            )
+            self._link.publish(ANSWER, answer)
 
     def summary(self) -> LoopSummary:
         """Return the figures of the run."""

@@ -16,7 +16,7 @@ from slave.calibration.initialisation import InitialiseResult
 from slave.config import SlaveConfig, TendonConfig
 from slave.process import CalibrationHistory, SlaveProcess
 from slave.rig import RigFault, RigFinished, RigSample
-from slave.rigs.simulated import SimulatedRigConfig
+from slave.rigs.simulated import SimulatedRig, SimulatedRigConfig
 from teleop.errors import PeerError, TeleopError
 from teleop.link import LatestMessage, ReceivedMessage
 from teleop.link.rate_limit import RefusalCounter
@@ -25,11 +25,13 @@ from teleop.messages.messages import (
     NO_TOPICS,
     Command,
     EmergencyStop,
+    Setting,
     decode_text,
     encode_text,
     pad_values,
 )
 from teleop.messages.topics import (
+    ANSWER,
     COMMAND,
     EVENT,
     LEDGER,
@@ -827,3 +829,22 @@ def test_effects_of_models_are_compiled_before_the_loop_begins(with_dynamics, mo
     monkeypatch.setattr(warm_up, "estimate", lambda *args: compiled.append(args[4]))
     warm_up.compile_session(config, with_dynamics)
     assert compiled == [None, True][: 1 + with_dynamics]
+
+
+def test_a_request_is_answered_by_the_side_that_has_the_setting():
+    rig, line = SimulatedRig(SimulatedRigConfig()), FakeLink()
+    _, run_on = ticking(rig, line)
+    run_on(10)
+    key = "slave.rig.joints.0.environment."
+    wishes = (key + "stiffness", key + "exponent", "force.scale")
+    for sequence, wish in enumerate(wishes, 1):
+        data = Setting(key=encode_text(wish), value=encode_text("800")).pack(77, sequence, now_ns())
+        line.heard.append(ReceivedMessage(SETTING, data, now_ns(), 77, sequence, now_ns()))
+    run_on(1)
+    answers = line.of(ANSWER)
+    assert [(a.role, a.asker, a.setting_sequence, a.accepted) for a in answers] == [
+        (Role.SLAVE, 77, 1, 1),
+        (Role.SLAVE, 77, 2, 0),
+    ]
+    assert decode_text(answers[0].text) == f"{key}stiffness = 800"
+    assert line.said().count(f"set: {key}stiffness = 800") == 1

@@ -41,10 +41,13 @@ class JointSchedule:
         self._slid = {side: np.zeros(len(of)) for side, of in self._knobs.items()}
         self._before = np.zeros(2)
 
-    def at(self, time: float, travel: float, housing: Array) -> Joint | None:
+    def at(
+        self, time: float, travel: float, housing: Array, is_changing: bool = False
+    ) -> Joint | None:
         """Return the joint from `time` [s] on, or None if unchanged.
 
-        `travel` [m] is the joint's position, `housing` [m], shape (tendons,), its housing ends.
+        `travel` [m] is the joint's position, `housing` [m], shape (tendons,), its housing ends. The
+        healthy joint `is_changing` too where its environment is ramped.
         """
         if not self._all:
             return None
@@ -54,7 +57,7 @@ class JointSchedule:
             self._slid[side] += [way if effect in self._began else 0.0 for effect in of]
         begins = [e for e in self._all if e.start <= time and e not in self._began]
         self._began |= dict.fromkeys(begins, travel)
-        if not begins and not any(is_varying(effect) for effect in self._began):
+        if not (begins or is_changing or any(is_varying(effect) for effect in self._began)):
             return None
         return self._joint(time)
 

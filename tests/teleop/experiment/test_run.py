@@ -73,6 +73,30 @@ def test_trials_take_place_in_a_session_and_are_marked_in_its_recording(tmp_path
     assert any("0.2" in text for text in scales)
 
 
+STIFFNESS = "slave.rig.joints.0.environment.stiffness"
+
+
+@pytest.mark.real_time
+def test_conditions_that_differ_in_stiffness_share_one_session(tmp_path):
+    """The scripted hand stays engaged: a trial in which the change made it let go is repeated."""
+    design = Design(factors={STIFFNESS: (2000.0, 12_000.0)}, repetitions=2, seed=2)
+    config = load_config(DEMO, SLOW | {"master.device.engage": [[0.5, 1000.0]],
+                                       "master.device.engage_period": 1000.0})  # fmt: skip
+    lines = run(config, tmp_path, design=design)
+    rows = read_trials(tmp_path)
+    assert {float(row[STIFFNESS]) for row in rows} == {2000.0, 12_000.0}
+    assert [row["attempts"] for row in rows] == ["1"] * 4
+    assert sum("a session starts" in line for line in lines) == 1
+    (recording,) = (tmp_path / "recordings").glob("*.mcap")
+    texts = [
+        decode_text(Event.unpack(message.data).text)
+        for message in read_messages(recording, topics=("event",))
+    ]
+    wanted = [f"set: {STIFFNESS} = {float(row[STIFFNESS]):g}" for row in rows]
+    changes = [text for k, text in enumerate(wanted) if k == 0 or wanted[k - 1] != text]
+    assert [text for text in texts if text.startswith("set: slave")] == changes
+
+
 @pytest.mark.parametrize(
     ("words", "line"),
     [
