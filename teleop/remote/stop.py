@@ -9,9 +9,9 @@ On a machine where a side or a `teleop stop --watch` of the session runs, the st
 directly and does not depend on the network being free for new connections. So on a machine that has
 neither, leave `teleop stop --watch` running. Otherwise the stop connects to both sides.
 
-Exit code 0 when every connected side reports that it has stopped; 1, with its name, when one does
-not or hangs. With --watch, Enter stops at
-once; `q`, then Enter, ends the watch without a stop.
+Exit code 0 when every connected side reports that it has stopped, or has just ended in order; 1,
+with its name, when one does not or hangs. With --watch, Enter stops at once; `q`, then Enter, ends
+the watch without a stop.
 """
 
 import argparse
@@ -19,6 +19,7 @@ import argparse
 from teleop.config.options import add_options
 from teleop.errors import TeleopError, UsageError
 from teleop.remote.stop_socket import (
+    ENDED,
     SILENT,
     STOPPED,
     LocalAnswers,
@@ -122,13 +123,16 @@ def _report_states(states: dict[str, str], is_reset: bool) -> int:
     for side, state in states.items():
         print(f"{side:9} {state}")
     silent = [side for side, state in states.items() if state == SILENT]
-    failed = [side for side, state in states.items() if (state == STOPPED) == is_reset]
+    remaining = {side: state for side, state in states.items() if state != ENDED}
+    failed = [side for side, state in remaining.items() if (state == STOPPED) == is_reset]
     if silent:
         doubt = "be stopped" if is_reset else "NOT have stopped: use the switch of its hardware"
         raise TeleopError(f"no answer from the {' and the '.join(silent)}, which may {doubt}")
     if failed:
         failure = "is still stopped; its terminal shows why" if is_reset else "has NOT stopped"
         raise TeleopError(f"the {' and the '.join(failed)} {failure}")
-    if is_reset:
+    if not remaining:
+        print("the session has ended")
+    elif is_reset:
         print("release the engage switch, then press it again")
     return 0

@@ -28,7 +28,7 @@ REPEAT_S = 0.02  # [s] between two requests: a peer's state in an answer may sti
 REQUEST_BYTES = 1024
 REQUESTS = 4  # taken at a time; the others wait for the next tick
 SIDES = ("master", "slave")
-STOPPED, SILENT = "stopped", "silent"
+STOPPED, SILENT, ENDED = "stopped", "silent", "ended"
 _REQUEST = re.compile(rb"(?P<action>stop|reset) ?(?P<number>\d{1,9})?(?:\n(?P<reason>.*))?", re.S)
 _ANSWER = re.compile(r"(?P<role>[a-z]{1,9}) (?P<state>[a-z]{1,9})(?: (?P<stops>\d{1,9}))?")
 
@@ -145,7 +145,10 @@ class LocalAnswers:
 
     @property
     def states(self) -> dict[str, str]:
-        """State of each side in lower case, by role; `SILENT` if it was asked without an answer."""
+        """State of each side in lower case, by role.
+
+        `SILENT` if it was asked and did not answer, `ENDED` if it ended in order instead.
+        """
         merged = self._reported | self._own
         return {side: merged[side] for side in SIDES if side in merged}
 
@@ -163,7 +166,14 @@ class LocalAnswers:
         """Return whether all have obeyed but those that nothing will come from."""
         awaited = self._own if self.has_silent_peer else self.states
         states = awaited.values()
-        return bool(states) and all(s != SILENT and (s == STOPPED) != is_reset for s in states)
+        return bool(states) and all(
+            s == ENDED or (s != SILENT and (s == STOPPED) != is_reset) for s in states
+        )
+
+    def note_end(self, role: str) -> None:
+        """Note that a process that was asked has ended, and left its actuators safe."""
+        if role in self._own:
+            self._own[role] = ENDED
 
     def add(self, data: bytes) -> None:
         """Take an answer."""
@@ -200,7 +210,10 @@ def request_local(session: str, is_reset: bool, reason: str) -> LocalAnswers:
                 action = f"reset {answers.stops.get(role, 0)}" if is_reset else "stop"
                 try:
                     mine.sendto(action.encode() + b"\n" + as_bytes(reason), str(address))
-                except (ConnectionRefusedError, FileNotFoundError):  # its process has ended
+                except FileNotFoundError:  # its process has ended in order, and removed it
+                    sockets.remove((address, role))
+                    answers.note_end(role)
+                except ConnectionRefusedError:  # its process was killed
                     with suppress(OSError):
                         address.unlink()
                     sockets.remove((address, role))

@@ -227,7 +227,9 @@ def answer_requests(
     """Answer the executed requests from this machine for a side whose peer's newest is `latest`."""
     other, peer = Role.SLAVE if role is Role.MASTER else Role.MASTER, ""
     if latest.is_fresh(now_ns, PEER_TIMEOUT_NS):
-        peer = State(to_known_state(latest.packet.records["state"][0])).name.lower()
+        state = State(to_known_state(latest.packet.records["state"][0]))
+        if state is not State.OFF or link.present(other):  # else it has said so and ended
+            peer = state.name.lower()
     elif link.present(other):  # it hangs, or starts, and may move its motors
         peer = SILENT
     requests.answer(role, side, stops, other, peer)

@@ -88,21 +88,24 @@ def test_nothing_else_counts_of_a_process_that_is_not_here(line, action):
 
 
 @pytest.mark.parametrize(
-    ("fresh", "connected", "lines"),
+    ("fresh", "connected", "state", "lines"),
     [
-        (True, True, ["slave stopped 3", "master engaged"]),
-        (False, True, ["slave stopped 3", "master silent"]),
-        (False, False, ["slave stopped 3"]),
+        (True, True, State.ENGAGED, ["slave stopped 3", "master engaged"]),
+        (True, False, State.ENGAGED, ["slave stopped 3", "master engaged"]),
+        (False, True, State.ENGAGED, ["slave stopped 3", "master silent"]),
+        (False, False, State.ENGAGED, ["slave stopped 3"]),
+        (True, True, State.OFF, ["slave stopped 3", "master off"]),
+        (True, False, State.OFF, ["slave stopped 3"]),
     ],
 )
-def test_a_side_says_that_its_peer_is_connected_and_silent(line, fresh, connected, lines):
-    """A peer whose loop hangs is connected; only the network leads to it."""
+def test_a_side_says_what_its_peer_does(line, fresh, connected, state, lines):
+    """One whose loop hangs is connected, and only the network leads to it; one that ends is OFF."""
     told = []
     line.present = lambda role: connected and role is Role.MASTER
     own = SimpleNamespace(is_asked=True, answer=told.append)
     newest = SimpleNamespace(
         is_fresh=lambda _now, limit: fresh and limit == PEER_TIMEOUT_NS,
-        packet=SimpleNamespace(records={"state": [State.ENGAGED]}),
+        packet=SimpleNamespace(records={"state": [state]}),
     )
     requests = RequestListener(line, own)
     loop_process.answer_requests(

@@ -9,7 +9,7 @@ import subprocess
 import sys
 import tempfile
 import threading
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 import pytest
@@ -249,6 +249,28 @@ def test_a_process_that_is_killed_during_a_request_is_not_waited_for(monkeypatch
     monkeypatch.setattr(stop_socket, "_list_sockets", lambda: paths)
     assert request_local("s", is_reset=False, reason="").states == {"slave": "silent"}
     assert not paths[0][0].exists()
+
+
+def test_a_side_that_ends_in_order_during_a_stop_is_no_failure(monkeypatch, capsys):
+    """Its socket is still there, but its loop has ended; so does the process soon after."""
+    monkeypatch.setattr(stop_socket, "ANSWER_S", 60.0)
+    monkeypatch.setattr(stop_over_link, "request_over_link", lambda *_: pytest.fail("asked"))
+    with StopSocket("s", "slave") as own, ExitStack() as ending:
+        ending.enter_context(StopSocket("s", "master"))
+        threading.Timer(0.3, ending.close).start()
+        with running(Side(own, "slave", ["master off"])):
+            assert commands.main(["stop", "--session", "s"]) == 0
+    assert capsys.readouterr().out.splitlines() == ["master    ended", "slave     stopped"]
+
+
+def test_a_stop_of_a_session_that_ends_meanwhile_says_so(monkeypatch, capsys):
+    monkeypatch.setattr(stop_socket, "ANSWER_S", 60.0)
+    with ExitStack() as ending:
+        for role in ("master", "slave"):
+            ending.enter_context(StopSocket("s", role))
+        threading.Timer(0.3, ending.close).start()
+        assert commands.main(["stop", "--session", "s"]) == 0
+    assert capsys.readouterr().out.splitlines()[-1] == "the session has ended"
 
 
 def test_a_folder_that_others_may_enter_is_not_used(runtime_folder):
