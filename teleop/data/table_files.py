@@ -60,7 +60,7 @@ def read_columns(path: Path) -> RawTable:
             raise UsageError(f"{path}: is empty")
         return reader(path)
     except _READ_ERRORS as error:
-        raise UsageError(f"{path}: cannot be read: {_format_reason(error)}") from error
+        raise UsageError(f"{path}: cannot be read: {_format_reason(error)}") from None
 
 
 def write_table(path: Path, columns: Mapping[str, Column]) -> None:
@@ -264,8 +264,8 @@ def _read_parquet(path: Path) -> RawTable:
                 bounds.check_size(path, len(schema), rows, "split the file")
                 for name, part, column in zip(schema.names, parts, batch.columns, strict=True):
                     part.append(_decode_parquet_values(path, name, column))
-    except (pa.ArrowException, UnicodeError) as error:
-        raise UsageError(f"{path}: not a valid Parquet file") from error
+    except (pa.ArrowException, UnicodeError):
+        raise UsageError(f"{path}: not a valid Parquet file") from None
     columns = {
         name: np.concatenate(part) if part else np.empty(0)
         for name, part in zip(schema.names, parts, strict=True)

@@ -95,7 +95,7 @@ class Scan:
             with self.path.open("rb") as file:
                 yield from self._blocks(file, self.path.stat().st_size)
         except OSError as error:
-            raise RecordingError(f"{self.path}: cannot be read: {error.strerror}") from error
+            raise RecordingError(f"{self.path}: cannot be read: {error.strerror}") from None
 
     def shortfall(self, read: str) -> str:
         """Return what is wrong with a file of which `read` was read, in one line; empty if nothing.

@@ -1,6 +1,7 @@
 """Tables of recordings, against what their messages say one by one."""
 
 import dataclasses
+import re
 import sys
 
 import numpy as np
@@ -209,3 +210,17 @@ def test_what_cannot_be_a_table_is_one_line_and_no_file(
     (line,) = capsys.readouterr().err.splitlines()
     assert complaint in line
     assert not list(out.parent.iterdir())
+
+
+@pytest.mark.parametrize("suffix", ["csv", "csv.gz", "parquet", "mcap"])
+def test_a_file_that_cannot_be_read_is_one_line_without_another_error_before_it(tmp_path, suffix):
+    path = tmp_path / f"run.{suffix}"
+    for content in (None, b"\xff\x00\xfe" * 20):
+        if content is not None:
+            path.write_bytes(content)
+        with pytest.raises(UsageError, match=re.escape(str(path))) as caught:
+            read_table(path)
+        error = caught.value
+        assert "\n" not in str(error)
+        assert error.__cause__ is None
+        assert error.__context__ is None or error.__suppress_context__
