@@ -4,7 +4,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable
-from typing import TextIO
+from typing import Self, TextIO
 
 from rich.console import Console, RenderableType
 from rich.live import Live
@@ -77,7 +77,13 @@ _SETTLED = 2.0  # [s] before which the remaining time is not told
 
 
 class Progress:
-    """Shows the present step, the fraction done and, on a terminal, the remaining time."""
+    """Shows the present step, the fraction done and, on a terminal, the remaining time.
+
+    A callback for what takes long, on standard error; a context manager that clears it:
+
+        with Progress() as progress:
+            est.diagnose(run, progress=progress)
+    """
 
     def __init__(
         self, stream: TextIO | None = None, clock: Callable[[], float] = time.monotonic
@@ -86,6 +92,12 @@ class Progress:
         self._stream = sys.stderr if stream is None else stream
         self._bar = self._stream.isatty()
         self._what = ""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.end()
 
     def __call__(self, task: str, share: float) -> None:
         """Show that `share` (0 to 1) of all is done, and `task` is being done."""

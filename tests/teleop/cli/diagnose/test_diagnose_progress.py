@@ -11,11 +11,10 @@ class Terminal(io.StringIO):
 
 
 def shown(stream):
-    progress = Progress(stream)
-    for what in ("fitting", "trying"):
-        for share in (0.0, 0.5, 1.0):
-            progress(what, share)
-    progress.end()
+    with Progress(stream) as progress:
+        for what in ("fitting", "trying"):
+            for share in (0.0, 0.5, 1.0):
+                progress(what, share)
     return stream.getvalue()
 
 
