@@ -20,6 +20,7 @@ class HandState:
     coarser: bool = False  # ... for a larger one
     weaker: bool = False  # ... for a smaller force scale
     stronger: bool = False  # ... for a larger one
+    buttons: tuple[int, ...] = ()  # numbers of the held buttons without a function, from 1
 
 
 class DeviceFault(Exception):

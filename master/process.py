@@ -33,6 +33,7 @@ from teleop.coupling import Bilateral
 from teleop.errors import TeleopError
 from teleop.link import NEVER_NS, Link
 from teleop.link.health import DEFAULT_BOUNDS, HealthConfig, compile_link_window_update
+from teleop.link.rate_limit import RateLimit
 from teleop.messages.messages import MAX_JOINTS, Command, Hand, SlaveState
 from teleop.messages.packet import Packet
 from teleop.messages.topics import COMMAND, HAND, LATENCY, STATE, Role
@@ -41,7 +42,7 @@ from teleop.runtime.clock import STALL_NS, Grid, Tick, monotonic_ns, now_ns
 from teleop.runtime.compiling import announce_compilation
 from teleop.runtime.process import StopCondition
 from teleop.session.config import RunConfig, read_config
-from teleop.session.events import publish_event
+from teleop.session.events import format_press, publish_event
 from teleop.session.loop_process import LoopProcess, report_outcome, run_session
 from teleop.session.slow_calls import SlowCallMonitor
 from teleop.session.state_machine import (
@@ -61,6 +62,7 @@ COMPILE_S = 12.0  # [s] without a cache, on a machine that does nothing else
 ANSWER_WAIT_SHARE = 0.6
 LATE_ANSWERS_MAX = 20  # in a row, after which the master stops waiting for same-tick answers
 _CLOCK_SET, _ENGAGED = int(Reason.CLOCK_SET), int(State.ENGAGED)
+PRESSES_PER_S = 10  # events of buttons, and as many at once; a worn switch bounces
 RETRY_TICKS = 100  # ticks between two waits after that, to detect answers in time again
 
 
@@ -105,6 +107,8 @@ class MasterProcess(LoopProcess):
         self._wait_ns, self._late_answers = round(ANSWER_WAIT_SHARE * grid.period_ns), 0
         self._start_ns = now_ns()
         self._published = self._outline()
+        self._held_buttons: tuple[int, ...] = ()  # without a function
+        self._may_publish_press = RateLimit(PRESSES_PER_S, PRESSES_PER_S)
         self._absence = ""  # why the device cannot be read, while it is looked for
         self._states = link.subscribe_latest(STATE, round(config.state_timeout * 1e9))
         self._echo_ns = self._states.packet.records["echo_stamp_ns"]
@@ -144,6 +148,8 @@ class MasterProcess(LoopProcess):
         self._finish_tick(tick, hand, requests, round_trip)
         if changed:
             publish_event(self._link, Role.MASTER, self._outline(), f"set: {changed}")
+        if hand is not None and hand.buttons != self._held_buttons:
+            self._publish_presses(hand.buttons)
         if absence != self._absence:
             self._publish_device_state(absence)
         outline = self._outline()
@@ -355,6 +361,15 @@ class MasterProcess(LoopProcess):
     def _change_setting(self, key: str, value: str) -> str:
         self._live, text = live_settings.change_setting(self._live, key, value)
         return text
+
+    def _publish_presses(self, held: tuple[int, ...]) -> None:
+        """Publish each button without a function that was not held before."""
+        before, self._held_buttons = self._held_buttons, held
+        for button in sorted({*held} - {*before}):
+            if self._may_publish_press():
+                publish_event(self._link, Role.MASTER, self._outline(), format_press(button))
+            else:
+                self._link.refusals.note("presses of buttons came too fast")
 
     def _publish_device_state(self, absence: str) -> None:
         self._absence = absence

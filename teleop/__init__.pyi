@@ -5,14 +5,16 @@ from teleop.errors import PeerError, TeleopError, UsageError
 from teleop.experiment.design import BayesianAdaptive, ConstantStimuli, Design, Staircase, Trial
 from teleop.experiment.psychometric import draw_psychometric, fit_psychometric
 from teleop.experiment.results import read_trials
-from teleop.experiment.run import Experiment, KeyObserver, run_experiment
+from teleop.experiment.run import ButtonObserver, Experiment, KeyObserver, run_experiment
 from teleop.launch.config import SessionConfig
 from teleop.launch.session import Session, load_config
 from teleop.remote.client import SessionClient, SessionEvent, TipState, join_session
+from teleop.runtime.status_line import Progress
 
 __all__ = [
     "BayesianAdaptive",
     "BenchRun",
+    "ButtonObserver",
     "ConstantStimuli",
     "DataTable",
     "Design",
@@ -20,6 +22,7 @@ __all__ = [
     "KeyObserver",
     "MotionScale",
     "PeerError",
+    "Progress",
     "RecordedEvent",
     "Session",
     "SessionClient",

@@ -121,6 +121,7 @@ class CombinedDevice:
             any(hand.coarser for hand in hands),
             any(hand.weaker for hand in hands),
             any(hand.stronger for hand in hands),
+            tuple(number for hand in hands for number in hand.buttons),
         )
 
     def write(self, force: Axes) -> None:

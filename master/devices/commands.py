@@ -17,7 +17,7 @@ from teleop.messages.messages import MAX_JOINTS
 # --- what the other process tells the master's: fixed-size records
 
 _TEXT_BYTES = 160
-_LAYOUT = struct.Struct(f"<qqqq{_TEXT_BYTES}s{MAX_JOINTS}d")
+_LAYOUT = struct.Struct(f"<qqqq{_TEXT_BYTES}s{MAX_JOINTS}dq")
 SIZE = _LAYOUT.size  # below PIPE_BUF: written whole or not at all
 
 
@@ -30,20 +30,21 @@ class CommandRecord(NamedTuple):
     engagement: int = 0  # number of the present engagement; 0 = the switch is open
     fault: str = ""
     values: tuple[float, ...] = ()  # [m] or [m/s]
+    button: int = 0  # number of a button that was pressed with this command; 0 = none
 
     def pack(self) -> bytes:
         """Return the bytes of the record."""
         text = self.fault.encode()[:_TEXT_BYTES].decode(errors="ignore").encode()
         values = (*self.values, *(0.0,) * (MAX_JOINTS - len(self.values)))
         head = self.written_ns, self.received_ns, self.number, self.engagement, text
-        return _LAYOUT.pack(*head, *values)
+        return _LAYOUT.pack(*head, *values, self.button)
 
     @classmethod
     def unpack(cls, data: bytes, axes: int) -> "CommandRecord":
         """Return the record of `SIZE` bytes."""
-        written, received, number, engagement, text, *values = _LAYOUT.unpack(data)
+        written, received, number, engagement, text, *values, button = _LAYOUT.unpack(data)
         fault = text.rstrip(b"\0").decode()
-        return cls(written, received, number, engagement, fault, tuple(values[:axes]))
+        return cls(written, received, number, engagement, fault, tuple(values[:axes]), button)
 
 
 _STEP_MAX_S = 0.01  # [s] of a velocity integrated over one tick

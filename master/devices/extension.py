@@ -56,6 +56,7 @@ class CheckedDevice:
                 and len(position) == self.axes
                 and len(velocity) == self.axes
                 and _BOOLS.issuperset(map(type, _get_switches(hand)))
+                and (hand.buttons == () or _is_button_tuple(hand.buttons))
             ):
                 if math.isfinite(sum(position) + sum(velocity)):
                     return hand
@@ -100,7 +101,13 @@ class CheckedDevice:
         for name, value in zip(_SWITCHES, _get_switches(hand), strict=True):
             if type(value) not in _BOOLS:
                 return f"{name} is {value!r}, must be a bool"
+        if not _is_button_tuple(hand.buttons):
+            return f"buttons is {hand.buttons!r}, must be a tuple of numbers from 1"
         return f"position {hand.position} and velocity {hand.velocity}: must be floats"
+
+
+def _is_button_tuple(buttons: Any) -> bool:
+    return isinstance(buttons, tuple) and all(type(n) is int and n >= 1 for n in buttons)
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ import struct
 import time
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -25,6 +25,7 @@ from teleop.messages.messages import MAX_JOINTS
 
 SOCKET_VARIABLE = "TELEOP_OPERATOR_SOCKET"  # file descriptor of the master's end
 POSITION_MAX = 1.0  # [m] a position beyond is refused
+BUTTON_MAX = 128
 _SPAN_MAX_S = 0.1  # [s] longest motion to the next position; a program of 10 Hz moves without steps
 _RECORDS_PER_TICK = 32
 _MASTER_ENDED = "operator: the master's process has ended"
@@ -70,6 +71,7 @@ class ProgramDevice:
         self._timeout_ns = round(config.timeout * 1e9)
         self._motion = CommandMotion(config.axes, span_max_s=_SPAN_MAX_S)
         self._record = CommandRecord()
+        self._pressed: tuple[int, ...] = ()  # buttons, since the last read
         self._lapsed = 0  # the engagement that silence has ended
         self._wants_force = False
         self._socket = socket.socket(fileno=int(descriptor))
@@ -85,7 +87,10 @@ class ProgramDevice:
             self._lapsed = record.engagement
         if record.engagement == self._lapsed:
             record = record._replace(engagement=0)
-        return self._motion.step(record, True, time_s)
+        hand = self._motion.step(record, True, time_s)
+        if self._pressed:
+            hand, self._pressed = replace(hand, buttons=self._pressed), ()
+        return hand
 
     def write(self, force: Axes) -> None:
         """Send the force with the answer to the newest command."""
@@ -112,6 +117,8 @@ class ProgramDevice:
             if not data:
                 raise DeviceLost("the program that moves the hand has ended")
             self._record = CommandRecord.unpack(data, self.axes)
+            if self._record.button:
+                self._pressed += (self._record.button,)
             self._wants_force = True
 
 
@@ -198,6 +205,23 @@ class ProgramOperator:
         self.position = tuple(values)
         self._send()
 
+    def press(self, button: int) -> None:
+        """Press a button of the hand that has no function, for a moment.
+
+        Parameters
+        ----------
+        button : int
+            Its number, 1 to `BUTTON_MAX`. The master makes the event "button 2 pressed" of it.
+
+        Raises
+        ------
+        UsageError
+            There is no such button.
+        """
+        if button not in range(1, BUTTON_MAX + 1):
+            raise UsageError(f"operator.press: button {button}: must be 1 to {BUTTON_MAX}")
+        self._send(button)
+
     @property
     def force(self) -> Axes:
         """Force on the hand [N], one per axis, when the newest command was taken.
@@ -221,12 +245,13 @@ class ProgramOperator:
         # earlier than the master's process finds it, so that no motion is lost without a word
         return time.monotonic() - self._sent_s > _LAPSE_SHARE * self._timeout_s
 
-    def _send(self) -> None:
+    def _send(self, button: int = 0) -> None:
         self._sent_s = time.monotonic()
         self._number += 1
         now_ns = time.monotonic_ns()
         engagement = self._engagement if self._is_engaged else 0
-        data = CommandRecord(now_ns, now_ns, self._number, engagement, "", self.position).pack()
+        record = CommandRecord(now_ns, now_ns, self._number, engagement, "", self.position, button)
+        data = record.pack()
         self._receive()  # so that the newest force has room
         # the master takes some commands a tick; nothing is lost in a full queue
         if not self._room.poll(1e3 * self._timeout_s):

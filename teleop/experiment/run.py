@@ -105,6 +105,46 @@ class KeyObserver:
         raise UsageError("KeyObserver: no terminal to read keys from")
 
 
+class ButtonObserver:
+    """Waits for a button of the haptic device: the operator need not take a hand off it.
+
+    Parameters
+    ----------
+    design : Design
+        Whose answers are allowed.
+    answers : mapping of int to str
+        The answer that each button gives, as `{2: "1", 3: "2"}`; buttons are counted from 1, and
+        must have no function in `master.device.buttons`.
+    question : str
+        Printed after each trial.
+
+    Raises
+    ------
+    UsageError
+        An answer is not allowed; when asked, that there is no session.
+    """
+
+    def __init__(
+        self, design: Design, answers: Mapping[int, str], question: str = "Which one?"
+    ) -> None:
+        for answer in answers.values():
+            if design.answers and answer not in design.answers:
+                allowed = ", ".join(design.answers)
+                raise UsageError(f"ButtonObserver: answer {answer!r}: allowed are {allowed}")
+        if not answers:
+            raise UsageError("ButtonObserver: no button has an answer")
+        self._answers, self._question = dict(answers), question
+        self.session: SessionClient | None = None  # set by `run_experiment`, of each trial
+
+    def __call__(self, trial: Trial) -> str:
+        """Return the answer to a trial; buttons pressed before the question do not count."""
+        if self.session is None:
+            raise UsageError("ButtonObserver: needs a session, whose device has the buttons")
+        keys = ", ".join(f"button {n}: {answer}" for n, answer in self._answers.items())
+        print_line(f"{trial.number}: {self._question} [{keys}]")
+        return self._answers[self.session.wait_for_button(self._answers)]
+
+
 def run_experiment(
     session: SessionClient | SessionConfig | str | Path | None,
     experiment: Experiment,
@@ -154,6 +194,8 @@ def run_experiment(
         while not sequence.is_done:
             trial = sequence.next()
             attempts, begin_ns = _present(stage, trial, say)
+            if isinstance(observer, ButtonObserver):
+                observer.session = stage.session
             asked_s = time.monotonic()
             response = observer(trial)
             seconds = time.monotonic() - asked_s
@@ -203,7 +245,7 @@ class _Stage(AbstractContextManager["_Stage"]):
     ) -> None:
         self._experiment, self._folder, self._say = experiment, folder, say
         self._engage_timeout = engage_timeout
-        self._session = source if isinstance(source, SessionClient) else None
+        self.session = source if isinstance(source, SessionClient) else None  # of the next trial
         self._config = None if isinstance(source, SessionClient) else source
         self._own: Session | None = None
         self._fixed: dict[str, Any] = {}  # settings that our session was started with
@@ -219,12 +261,12 @@ class _Stage(AbstractContextManager["_Stage"]):
     @property
     def session_name(self) -> str:
         """Name of the session, or empty."""
-        return self._session.name if self._session else ""
+        return self.session.name if self.session else ""
 
     @property
     def recording_name(self) -> str:
         """Name of the file of the recording, or empty."""
-        path = self._session.recording if isinstance(self._session, Session) else None
+        path = self.session.recording if isinstance(self.session, Session) else None
         return path.name if path else ""
 
     def present(self, trial: Trial) -> int:
@@ -238,10 +280,10 @@ class _Stage(AbstractContextManager["_Stage"]):
         live, fixed = _split(self._experiment.set_condition(trial.condition))
         if self._config is not None and (self._own is None or fixed != self._fixed):
             self._start(fixed)
-        if self._session is None:
+        if self.session is None:
             return now_ns()
         begin_ns = 0
-        self._session.wait_for("engaged", self._engage_timeout)
+        self.session.wait_for("engaged", self._engage_timeout)
         for interval in range(1, self._experiment.design.intervals + 1):
             self._apply({**live, **self._experiment.set_stimulus(trial, interval)})
             if interval == 1:
@@ -250,7 +292,7 @@ class _Stage(AbstractContextManager["_Stage"]):
                 self._mark(f"trial {trial.number} begins: {_format_values(values)}")
             else:
                 self._mark(f"trial {trial.number} interval {interval}")
-            self._require_engagement(self._session, self._experiment.duration)
+            self._require_engagement(self.session, self._experiment.duration)
         return begin_ns
 
     def end_trial(self, trial: Trial, response: str) -> None:
@@ -271,7 +313,7 @@ class _Stage(AbstractContextManager["_Stage"]):
             It has failed, and is not ours to start again.
         """
         self._applied = {}
-        if self._session is None:  # it could not start, and may the next time
+        if self.session is None:  # it could not start, and may the next time
             return
         try:
             self._mark(f"trial {trial.number} abandoned: {reason}")
@@ -281,7 +323,7 @@ class _Stage(AbstractContextManager["_Stage"]):
             if self._own is None:
                 raise
             self._own.end()
-            self._own = self._session = None
+            self._own = self.session = None
 
     def _check_settings(self) -> None:
         """Raise `UsageError` for settings that a session cannot have, before any trial."""
@@ -316,7 +358,7 @@ class _Stage(AbstractContextManager["_Stage"]):
                 f"{next(iter(fixed))}: cannot change while a session runs; give run_experiment the "
                 "config, not the session"
             )
-        elif self._uses_impair and _get_impair(self._session) is None:
+        elif self._uses_impair and _get_impair(self.session) is None:
             raise UsageError("impair: needs a Session of this program, with a section impair")
 
     def _add_impair(self, settings: dict[str, Any]) -> dict[str, Any]:
@@ -328,12 +370,12 @@ class _Stage(AbstractContextManager["_Stage"]):
     def _start(self, fixed: dict[str, Any]) -> None:
         if self._own is not None:
             self._own.end()
-        self._own = self._session = None
+        self._own = self.session = None
         self._applied = {}
         self._say("a session starts; engage when it is ready")
         own = Session(self._config, self._add_impair(fixed), record=self._folder, say=self._say)
         own.start()
-        self._own = self._session = own
+        self._own = self.session = own
         self._fixed = fixed
 
     def _apply(self, settings: Settings) -> None:
@@ -341,18 +383,18 @@ class _Stage(AbstractContextManager["_Stage"]):
         changed = {
             k: settings[k] for k in settings if (k, settings[k]) not in self._applied.items()
         }
-        if not changed or self._session is None:
+        if not changed or self.session is None:
             return
         impaired = {k: v for k, v in changed.items() if k.startswith(_IMPAIR)}
         for key in changed.keys() - impaired.keys():
-            self._session.set(key, changed[key])
-        config = _get_impair(self._session)
-        if impaired and isinstance(self._session, Session) and config is not None:
+            self.session.set(key, changed[key])
+        config = _get_impair(self.session)
+        if impaired and isinstance(self.session, Session) and config is not None:
             words = [f"{k.removeprefix('impair.')}={json.dumps(v)}" for k, v in impaired.items()]
-            link = config.link(self._session.config.link)
-            send_request(link, self._session.name, config.endpoint, "\n".join(["set", *words]))
+            link = config.link(self.session.config.link)
+            send_request(link, self.session.name, config.endpoint, "\n".join(["set", *words]))
         self._applied |= changed
-        self._require_engagement(self._session, _SETTLE_S)
+        self._require_engagement(self.session, _SETTLE_S)
 
     def _require_engagement(self, session: SessionClient, seconds: float) -> None:
         """Let a time [s] pass; `TeleopError` unless the slave was engaged all the time."""
@@ -368,9 +410,9 @@ class _Stage(AbstractContextManager["_Stage"]):
             raise TeleopError("no states of the slave at the end of an interval")
 
     def _mark(self, text: str) -> None:
-        if self._session is not None:
+        if self.session is not None:
             line = "".join(letter for letter in text if letter.isprintable())
-            self._session.mark(line.encode()[:MARK_BYTES].decode(errors="ignore"))
+            self.session.mark(line.encode()[:MARK_BYTES].decode(errors="ignore"))
 
 
 def _get_impair(session: SessionClient | None) -> ImpairConfig | None:

@@ -3,7 +3,7 @@
 import argparse
 import json
 import time
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple, Self
@@ -20,7 +20,7 @@ from teleop.remote.requests import CALL, RESET
 from teleop.remote.set import await_side, request_setting
 from teleop.remote.stop_over_link import SIDES, read_stop_count, request_sides
 from teleop.session.config import RunConfig, read_config
-from teleop.session.events import MARK
+from teleop.session.events import MARK, parse_press
 from teleop.session.state_machine import Reason, State, to_reason
 
 MARK_BYTES = 240  # longest text of a mark
@@ -216,6 +216,32 @@ class SessionClient:
             f"session {self.name!r} is not {wanted.name.lower()} within {timeout:g} s: "
             f"{', '.join(sides)}"
         )
+
+    def wait_for_button(self, buttons: Collection[int], timeout: float | None = None) -> int:
+        """Wait until a button of the haptic device is pressed, and return its number.
+
+        Parameters
+        ----------
+        buttons : collection of int
+            Numbers that count, from 1; of buttons without a function (`master.device.buttons`).
+        timeout : float, optional
+            [s]; without it, as long as the session runs.
+
+        Raises
+        ------
+        TeleopError
+            None was pressed within `timeout`, or the session has ended.
+        """
+        end_s = time.monotonic() + (np.inf if timeout is None else timeout)
+        with self._listening(EVENT) as listener:
+            while time.monotonic() < end_s:
+                for item in listener.drain():
+                    button = parse_press(decode_text(Event.unpack(item.data).text))
+                    if button is not None and button in buttons:
+                        return button
+                self._require_running()
+                time.sleep(_POLL_S)
+        raise TeleopError(f"session {self.name!r}: no button was pressed within {timeout:g} s")
 
     def set(self, key: str, value: object) -> str:
         """Change a setting of the running session, as `teleop set` does.

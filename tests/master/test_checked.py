@@ -66,6 +66,8 @@ def test_what_is_right_is_passed_on_as_it_is():
         (HandState(FOUR, (0, 0, 0, "1"), True), "position .*: must be floats"),
         (None, "returned NoneType, must be HandState"),
         (SimpleNamespace(**vars_of(HandState(FOUR, FOUR, True))), "returned SimpleNamespace, must"),
+        (HandState(FOUR, FOUR, True, buttons=2), "buttons is 2, must be a tuple of numbers from 1"),
+        (HandState(FOUR, FOUR, True, buttons=("2",)), "buttons is .*, must be a tuple of numbers"),
         (HandState(FOUR, FOUR, None), "engage is None, must be a bool"),
         (HandState(FOUR, FOUR, True, clutch=np.nan), "clutch is nan, must be a bool"),
         (

@@ -551,6 +551,28 @@ def test_the_button_of_the_device_is_called_out_once_to_everybody():
     assert decode_text(call.text) == Reason.EMERGENCY_STOP.text
 
 
+class Pad(Stylus):
+    """Button 2 is held for some reads, button 3 bounces at every one."""
+
+    def read(self, time_s):
+        hand = super().read(time_s)
+        held = (2,) * (self.reads in range(20, 60)) + (3,) * (self.reads > 100 and self.reads % 2)
+        return replace(hand, buttons=held)
+
+
+def test_each_press_of_a_button_without_a_function_is_an_event_bounded_in_rate():
+    line = DeviceConnection()
+    _, run_on = ticking(line, Pad())
+    run_on(90)
+    presses = [decode_text(e.text) for e in line.of(EVENT) if b"button" in bytes(e.text)]
+    assert presses == ["button 2 pressed"]
+    run_on(1000)
+    presses = [decode_text(e.text) for e in line.of(EVENT) if b"button 3" in bytes(e.text)]
+    assert 10 <= len(presses) <= 20
+    refusals = [decode_text(e.text) for e in line.of(EVENT) if b"came too fast" in bytes(e.text)]
+    assert 1 <= len(refusals) <= 3
+
+
 def test_a_setting_is_changed_told_and_answered_and_a_refused_one_says_why():
     line = DeviceConnection()
     _, run_on = ticking(line, Stylus())

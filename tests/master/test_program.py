@@ -54,6 +54,21 @@ def test_the_hand_moves_linearly_to_each_position_and_rests(ends):
     assert all(hand.engage for hand in hands)
 
 
+def test_each_press_of_a_button_is_held_for_one_read_and_moves_nothing(ends):
+    operator, device = ends
+    operator.engage()
+    device.read(0.0)
+    operator.press(2)
+    operator.press(5)
+    operator.move([0.0, 0.0])
+    hands = [device.read(0.001 * k) for k in range(1, 4)]
+    assert [hand.buttons for hand in hands] == [(2, 5), (), ()]
+    assert all(hand.engage and hand.position == (0.0, 0.0) for hand in hands)
+    for button in (0, 129, "2"):
+        with pytest.raises(UsageError, match="must be 1 to 128"):
+            operator.press(button)
+
+
 def test_a_late_position_is_reached_within_a_tenth_of_a_second(ends):
     operator, device = ends
     operator.engage()

@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from contextlib import suppress
 from pathlib import Path
@@ -13,7 +14,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from teleop import Session, TeleopError, UsageError, join_session, load_config
+from teleop import (
+    ButtonObserver,
+    ConstantStimuli,
+    Design,
+    Session,
+    TeleopError,
+    UsageError,
+    join_session,
+    load_config,
+)
 from teleop.session.state_machine import State
 from tests.root import ROOT
 
@@ -115,6 +125,24 @@ def test_settings_and_marks_reach_the_master_and_all_who_listen(session, lines):
     for text in ("x" * 300, "two\nlines"):
         with pytest.raises(UsageError, match="one line"):
             session.mark(text)
+
+
+def test_a_button_of_the_hand_is_an_answer(session):
+    design = Design(procedure=ConstantStimuli((1.0,), 1), intervals=2)
+    observer = ButtonObserver(design, {2: "1", 3: "2"}, "Which was stiffer?")
+    session.operator.press(3)  # before the question
+    time.sleep(0.5)
+    observer.session = session
+    presses = [threading.Timer(0.5 * k, session.operator.press, (n,)) for k, n in ((1, 7), (2, 2))]
+    for press in presses:
+        press.start()
+    assert observer(design.begin(1).next()) == "1"
+    for press in presses:
+        press.join()
+    with pytest.raises(TeleopError, match=r"no button was pressed within 0\.2 s"):
+        session.wait_for_button((2, 3), timeout=0.2)
+    presses = [text for source, text in session.events() if text.startswith("button")]
+    assert presses == ["button 3 pressed", "button 7 pressed", "button 2 pressed"]
 
 
 def test_it_is_stopped_and_the_stop_is_reset(engaged):

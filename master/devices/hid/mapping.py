@@ -142,6 +142,7 @@ class DeviceMapping(NamedTuple):
     lanes: tuple[AxisMapping, ...]
     forces: int
     buttons: tuple[tuple[str, int], ...]  # name in `HandState`, and mask
+    assigned: int  # mask of all of these
     smoothing: float  # [s]
 
 
@@ -186,6 +187,7 @@ def build_mapping(
         lanes=lanes,
         forces=len(driver.forces),
         buttons=tuple((name, 1 << (n - 1)) for name, n in config.buttons.assigned.items()),
+        assigned=sum(1 << (n - 1) for n in config.buttons.assigned.values()),
         smoothing=config.smoothing,
     )
 
@@ -254,8 +256,14 @@ def step(
         position=tuple(position),
         velocity=tuple(velocity),
         **{**pressed, "engage": pressed["engage"] or not has_inputs},
+        buttons=list_buttons(switches.buttons & ~plan.assigned),
     )
     return hand, MappingState(hand.position, hand.velocity, tuple(is_reported), has_inputs)
+
+
+def list_buttons(mask: int) -> tuple[int, ...]:
+    """Return the numbers, from 1, of the bits of a mask."""
+    return tuple(n for n in range(1, mask.bit_length() + 1) if mask >> (n - 1) & 1) if mask else ()
 
 
 def apply_dead_zone(share: Share, dead_zone: float) -> Share:

@@ -99,6 +99,12 @@ def test_the_buttons_of_a_scale_are_told_and_only_those_that_are_given(less, mor
     assert not getattr(Hand(stick).read(0.0, buttons=ALL), less)
 
 
+def test_the_buttons_without_a_function_are_told_by_their_numbers():
+    hand = Hand(AxisConfig("x", travel=0.1), buttons=ButtonsConfig(engage=1, clutch=3))
+    held = [hand.read(0.0, buttons=mask).buttons for mask in (0b0000, 0b0101, 0b1111, 0b1000)]
+    assert held == [(), (), (2, 4), (4,)]
+
+
 def test_until_everything_is_known_the_switch_counts_as_held_and_nothing_moves():
     hand = Hand(AxisConfig("x", travel=0.1), AxisConfig("y", speed=0.1))
     start = build_unknown_controls(3)

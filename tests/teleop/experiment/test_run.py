@@ -3,12 +3,13 @@
 import os
 import pty
 import sys
-import threading
+from contextlib import suppress
 
 import numpy as np
 import pytest
 
 from teleop import (
+    ButtonObserver,
     ConstantStimuli,
     Design,
     Experiment,
@@ -115,20 +116,49 @@ def test_settings_that_cannot_be_are_refused_before_a_session_starts(tmp_path, w
     assert not (tmp_path / "recordings").exists()
 
 
-def test_a_key_of_the_terminal_is_an_answer(monkeypatch, capsys):
-    keys, terminal = pty.openpty()
-    with os.fdopen(terminal, "r") as stdin:
-        monkeypatch.setattr(sys, "stdin", stdin)
-        monkeypatch.setattr(os, "tcgetpgrp", lambda _: os.getpgrp())  # it is not ours
-        design = Design(procedure=LEVELS, intervals=2)
-        observer = KeyObserver(design, "Which was stiffer?")
-        os.write(keys, b"1")  # before the question
-        typist = threading.Timer(0.3, os.write, (keys, b"x2"))
-        typist.start()
-        assert observer(design.begin(1).next()) == "2"
-        typist.join()
-    os.close(keys)
-    assert "1: Which was stiffer? [1/2]" in capsys.readouterr().err
+ASKING = """
+import termios
+from teleop import ConstantStimuli, Design, KeyObserver
+
+design = Design(procedure=ConstantStimuli((0.0, 1.0), 2), intervals=2)
+input("name? ")
+print("answer", KeyObserver(design, "Which was stiffer?")(design.begin(1).next()))
+print("echo", bool(termios.tcgetattr(0)[3] & termios.ECHO))
+"""
+
+
+def test_a_key_of_the_terminal_is_an_answer():
+    """In a terminal of its own; keys before the question do not count, and none is shown."""
+    pid, keys = pty.fork()
+    if pid == 0:
+        os.chdir(ROOT)
+        os.execv(sys.executable, [sys.executable, "-c", ASKING])  # noqa: S606
+    shown = b""
+    try:
+        with suppress(OSError):  # the terminal is closed at the end
+            while text := os.read(keys, 1024):
+                shown += text
+                if text.endswith(b"name? "):
+                    os.write(keys, b"me\n1")
+                if text.endswith(b"[1/2]\r\n"):
+                    os.write(keys, b"x2")
+    finally:
+        os.close(keys)
+        _, status = os.waitpid(pid, 0)
+    assert status == 0, shown
+    answers = shown.partition(b"1: Which was stiffer? [1/2]\r\n")[2]
+    assert answers.split()[:4] == [b"answer", b"2", b"echo", b"True"]
+
+
+def test_buttons_give_only_answers_of_the_design_and_need_a_session(tmp_path):
+    design = Design(procedure=LEVELS, intervals=2)
+    with pytest.raises(UsageError, match="answer '3': allowed are 1, 2"):
+        ButtonObserver(design, {2: "1", 3: "3"})
+    with pytest.raises(UsageError, match="no button has an answer"):
+        ButtonObserver(design, {})
+    experiment = Experiment(name="test", design=design)
+    with pytest.raises(UsageError, match="needs a session"):
+        run_experiment(None, experiment, 1, tmp_path, ButtonObserver(design, {2: "1", 3: "2"}))
 
 
 def test_without_a_terminal_there_are_no_keys(monkeypatch):
