@@ -41,6 +41,157 @@ def list_children(pid):
     return pids
 
 
+OWN = """
+import dataclasses
+import os
+import signal
+import sys
+import threading
+import time
+from dataclasses import dataclass
+
+from master.device import HandState
+from master.devices.extension import DeviceExtension
+from teleop import Session, TeleopError, load_config
+
+
+class StillHand:
+    axes = 1
+
+    def __init__(self, place):
+        self.place = place
+
+    def read(self, time_s):
+        return HandState((self.place,), (0.0,), time_s > 0.5)
+
+    def write(self, force):
+        pass
+
+    def close(self):
+        pass
+
+
+@dataclass(frozen=True)
+class StillHandConfig(DeviceExtension):
+    place: float = 0.0
+
+    def open(self):
+        return StillHand(self.place)
+
+
+def configure():
+    config = load_config({demo!r}, {slow!r})
+    return dataclasses.replace(
+        config, master=dataclasses.replace(config.master, device=StillHandConfig(place=0.012))
+    )
+"""
+MAIN = """
+
+if __name__ == "__main__":
+    with Session(configure(), say=lambda line: None) as session:
+"""
+
+
+def start_program(folder, body):
+    """Start a script of a user that has a session with a device of its own."""
+    script = folder / "own_program.py"
+    script.write_text(OWN.format(demo=str(DEMO), slow=SLOW) + MAIN + body)
+    return subprocess.Popen(
+        [sys.executable, script],
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+        cwd=folder,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def runs(pid):
+    """Return whether a process runs; one that nobody has waited for does not."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except FileNotFoundError:
+        return False
+
+
+ENGAGED = '        session.wait_for("engaged")\n'
+
+
+@pytest.mark.parametrize("seconds", [pytest.param(0.0, marks=pytest.mark.slow), 0.13])
+def test_ctrl_c_ends_everything(tmp_path, seconds):
+    body = ENGAGED + '        print("engaged", flush=True)\n        time.sleep(60.0)\n'
+    program = start_program(tmp_path, body)
+    assert program.stdout.readline() == "engaged\n"
+    pids = list_children(program.pid)
+    assert len(pids) == 2
+    program.send_signal(signal.SIGINT)
+    time.sleep(seconds)
+    program.send_signal(signal.SIGINT)  # impatience changes nothing
+    _, err = program.communicate(timeout=60)
+    assert err.splitlines()[-1] == "KeyboardInterrupt"
+    assert program.returncode == -signal.SIGINT
+    assert not any(map(runs, pids))
+
+
+def test_a_device_of_ones_own_needs_no_entry_point_and_a_killed_child_is_one_line(tmp_path):
+    body = ENGAGED + (
+        '        print(next(session.blocks(1.0, "hand"))["position"][-1, 0], flush=True)\n'
+        "        try:\n"
+        "            for _ in session.states():\n"
+        "                pass\n"
+        "        except TeleopError as error:\n"
+        "            print(error, flush=True)\n"
+        "        raise ValueError(7)\n"
+    )
+    program = start_program(tmp_path, body)
+    assert program.stdout.readline() == "0.012\n"
+    pids = list_children(program.pid)
+    os.kill(max(pids), signal.SIGKILL)
+    out, err = program.communicate(timeout=60)
+    assert "ended by SIGKILL" in out
+    assert len(out.splitlines()) == 1
+    assert err.splitlines()[-1] == "ValueError: 7"  # the program's own comes first
+    assert not any(map(runs, pids))
+
+
+def test_what_is_wrong_is_one_line_before_anything_starts(tmp_path):
+    before = list_children(os.getpid())
+    with pytest.raises(UsageError, match=r"--set rate_hz=5: rate_hz: 5.0: must be within 100"):
+        Session(DEMO, {"rate_hz": 5})
+    with pytest.raises(UsageError, match=r"no_such.yaml"):
+        Session(tmp_path / "no_such.yaml")
+    with pytest.raises(UsageError, match=r"master\.device 'virtual'"):
+        _ = Session(DEMO).operator
+    with pytest.raises(UsageError, match="not open"):
+        next(Session(DEMO).states())
+    assert list_children(os.getpid()) == before
+
+
+def test_a_process_that_does_not_start_ends_the_others(tmp_path):
+    before = list_children(os.getpid())
+    config = load_config(DEMO, {"slave.calibration": "no_such.yaml"})
+    session = Session(config, SLOW, say=lambda _: None)
+    with pytest.raises(UsageError, match=r"no_such.yaml"), session:
+        pass
+    assert list_children(os.getpid()) == before
+
+
+def test_a_config_as_an_object_is_the_same_config(tmp_path):
+    """Of every example, through the text that the processes get."""
+    for path in sorted((ROOT / "configs").glob("*.yaml")):
+        if "slave:" not in path.read_text():
+            continue  # of another command
+        config = load_config(path)
+        other = dataclasses.replace(config, rate_hz=500.0)
+        session = Session(other, name="same")
+        assert dataclasses.replace(session.config, session=config.session, link=config.link,
+                                   impair=config.impair) == other  # fmt: skip
+        json.dumps(session._plan.document.tree, default=str)
+
+
+# from here on with one session, which would take the processors from those above
+
+
 @pytest.fixture(scope="module")
 def lines():
     return []
@@ -164,159 +315,3 @@ def test_another_program_joins_it(session):
             other.wait_for("engagd")
         with pytest.raises(UsageError, match="allowed are command, state"):
             next(other.blocks(topic="forces"))
-
-
-OWN = """
-import dataclasses
-import os
-import signal
-import sys
-import threading
-import time
-from dataclasses import dataclass
-
-from master.device import HandState
-from master.devices.extension import DeviceExtension
-from teleop import Session, TeleopError, load_config
-
-
-class StillHand:
-    axes = 1
-
-    def __init__(self, place):
-        self.place = place
-
-    def read(self, time_s):
-        return HandState((self.place,), (0.0,), time_s > 0.5)
-
-    def write(self, force):
-        pass
-
-    def close(self):
-        pass
-
-
-@dataclass(frozen=True)
-class StillHandConfig(DeviceExtension):
-    place: float = 0.0
-
-    def open(self):
-        return StillHand(self.place)
-
-
-def configure():
-    config = load_config({demo!r}, {slow!r})
-    return dataclasses.replace(
-        config, master=dataclasses.replace(config.master, device=StillHandConfig(place=0.012))
-    )
-"""
-MAIN = """
-
-if __name__ == "__main__":
-    with Session(configure(), say=lambda line: None) as session:
-"""
-
-
-def start_program(folder, body):
-    """Start a script of a user that has a session with a device of its own."""
-    script = folder / "own_program.py"
-    script.write_text(OWN.format(demo=str(DEMO), slow=SLOW) + MAIN + body)
-    return subprocess.Popen(
-        [sys.executable, script],
-        env=os.environ | {"PYTHONPATH": str(ROOT)},
-        cwd=folder,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-
-
-def runs(pid):
-    """Return whether a process runs; one that nobody has waited for does not."""
-    try:
-        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
-    except FileNotFoundError:
-        return False
-
-
-ENGAGED = '        session.wait_for("engaged")\n'
-
-
-def test_a_device_of_ones_own_needs_no_entry_point(tmp_path):
-    body = ENGAGED + (
-        '        print(next(session.blocks(1.0, "hand"))["position"][-1, 0], flush=True)\n'
-    )
-    out, err = start_program(tmp_path, body).communicate(timeout=300)
-    assert (out, err) == ("0.012\n", "")
-
-
-@pytest.mark.parametrize("seconds", [pytest.param(0.0, marks=pytest.mark.slow), 0.13])
-def test_ctrl_c_ends_everything(tmp_path, seconds):
-    body = ENGAGED + '        print("engaged", flush=True)\n        time.sleep(60.0)\n'
-    program = start_program(tmp_path, body)
-    assert program.stdout.readline() == "engaged\n"
-    pids = list_children(program.pid)
-    assert len(pids) == 2
-    program.send_signal(signal.SIGINT)
-    time.sleep(seconds)
-    program.send_signal(signal.SIGINT)  # impatience changes nothing
-    _, err = program.communicate(timeout=60)
-    assert err.splitlines()[-1] == "KeyboardInterrupt"
-    assert program.returncode == -signal.SIGINT
-    assert not any(map(runs, pids))
-
-
-def test_a_killed_child_ends_the_session_with_one_line(tmp_path):
-    body = ENGAGED + (
-        '        print("engaged", flush=True)\n'
-        "        try:\n"
-        "            for _ in session.states():\n"
-        "                pass\n"
-        "        except TeleopError as error:\n"
-        "            print(error, flush=True)\n"
-        "        raise ValueError(7)\n"
-    )
-    program = start_program(tmp_path, body)
-    assert program.stdout.readline() == "engaged\n"
-    pids = list_children(program.pid)
-    os.kill(max(pids), signal.SIGKILL)
-    out, err = program.communicate(timeout=60)
-    assert "ended by SIGKILL" in out
-    assert len(out.splitlines()) == 1
-    assert err.splitlines()[-1] == "ValueError: 7"  # the program's own comes first
-    assert not any(map(runs, pids))
-
-
-def test_what_is_wrong_is_one_line_before_anything_starts(tmp_path):
-    before = list_children(os.getpid())
-    with pytest.raises(UsageError, match=r"--set rate_hz=5: rate_hz: 5.0: must be within 100"):
-        Session(DEMO, {"rate_hz": 5})
-    with pytest.raises(UsageError, match=r"no_such.yaml"):
-        Session(tmp_path / "no_such.yaml")
-    with pytest.raises(UsageError, match=r"master\.device 'virtual'"):
-        _ = Session(DEMO).operator
-    with pytest.raises(UsageError, match="not open"):
-        next(Session(DEMO).states())
-    assert list_children(os.getpid()) == before
-
-
-def test_a_process_that_does_not_start_ends_the_others(tmp_path):
-    before = list_children(os.getpid())
-    config = load_config(DEMO, {"slave.calibration": "no_such.yaml"})
-    session = Session(config, SLOW, say=lambda _: None)
-    with pytest.raises(UsageError, match=r"no_such.yaml"), session:
-        pass
-    assert list_children(os.getpid()) == before
-
-
-def test_a_config_as_an_object_is_the_same_config(tmp_path):
-    """Of every example, through the text that the processes get."""
-    for path in sorted((ROOT / "configs").glob("*.yaml")):
-        if "slave:" not in path.read_text():
-            continue  # of another command
-        config = load_config(path)
-        other = dataclasses.replace(config, rate_hz=500.0)
-        session = Session(other, name="same")
-        assert dataclasses.replace(session.config, session=config.session, link=config.link,
-                                   impair=config.impair) == other  # fmt: skip
-        json.dumps(session._plan.document.tree, default=str)
