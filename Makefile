@@ -16,6 +16,7 @@ demo: .venv/run.done  ## a whole session on a simulated rig: make demo ARGS="--d
 # with a clock if it does so three times, but gates and sessions at once (tests/conftest.py); what was
 # run again is counted in the last line
 test: QUICK := and not slow
+test test-all: export PYTHONDONTWRITEBYTECODE :=  # hundreds of processes import the same modules
 test test-all: .venv/dev.done
 	@$(BIN)/python -m pytest -n auto --dist loadfile --reruns 1 -m "not real_time $(QUICK)" $(ARGS) || [ $$? = 5 ]
 	@$(BIN)/python -m pytest -n 2 --dist loadfile --reruns 2 -m "real_time and not alone $(QUICK)" $(ARGS) || [ $$? = 5 ]

@@ -81,9 +81,19 @@ def is_in(path: Path, places: tuple[str, ...]) -> bool:
 
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
-    """Import no other file where only those of `ALONE` are asked for."""
-    is_other = collection_path.name.startswith("test_") and not is_in(collection_path, ALONE)
-    return True if is_other and config.option.markexpr.startswith("alone") else None
+    """Import no file of which nothing is asked for: that takes longer than many a test."""
+    if not (collection_path.name.startswith("test_") and collection_path.suffix == ".py"):
+        return None
+    asked_for = config.option.markexpr
+    if asked_for.startswith("alone"):
+        is_other = not is_in(collection_path, ALONE)
+    elif asked_for.startswith("real_time"):  # a file may mark some of its tests
+        is_other = not (
+            is_in(collection_path, REAL_TIME) or "real_time" in collection_path.read_text("utf-8")
+        )
+    else:
+        is_other = asked_for.startswith("not real_time") and is_in(collection_path, REAL_TIME)
+    return is_other or None
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
