@@ -180,16 +180,18 @@ class EventClock:
 
 
 class pause_garbage_collection:  # noqa: N801 - used as a statement: `with quiet_garbage():`
-    """Disable garbage collection in a loop and freeze existing objects."""
+    """Disable garbage collection in a loop and freeze existing objects; those frozen remain so."""
 
     def __enter__(self) -> None:
+        self._was_frozen = gc.get_freeze_count() > 0
         gc.collect()
         gc.freeze()
         gc.disable()
 
     def __exit__(self, *_: object) -> None:
         gc.enable()
-        gc.unfreeze()
+        if not self._was_frozen:
+            gc.unfreeze()
 
 
 # --- duration statistics of a whole run and since the last report, in constant memory

@@ -72,26 +72,24 @@ def python(installed, folder, code):
     return ended
 
 
-@pytest.mark.parametrize(
-    ("rig", "device", "effect"),
-    [
+def test_its_rig_device_and_effect_are_used_by_either_name(installed, tmp_path):
+    names = (
         ("mylab", "mylab", "mylab-curve"),
         (
             *("mylab.rig:SpringRigConfig", "mylab.device:SineHandConfig"),
             "mylab.effect:DISTAL_TENSION_CURVE",
         ),
-    ],
-)
-def test_its_rig_device_and_effect_are_used_by_either_name(
-    installed, tmp_path, rig, device, effect
-):
-    code = RIG % rig + DEVICE % device + EFFECT % effect
-    of_rig, of_device, of_effect = python(installed, tmp_path, code).stdout.splitlines()
-    assert of_rig == "spring 3.0"
-    axes, position, engage = of_device.split()
-    assert (axes, engage) == ("1", "True")
-    assert float(position) == pytest.approx(0.01)
-    assert of_effect == f"{effect} 0.01"
+    )
+    code = "".join(RIG % rig + DEVICE % device + EFFECT % effect for rig, device, effect in names)
+    lines = python(installed, tmp_path, code).stdout.splitlines()
+    for (_, _, effect), of_rig, of_device, of_effect in zip(
+        names, lines[::3], lines[1::3], lines[2::3], strict=True
+    ):
+        assert of_rig == "spring 3.0"
+        axes, position, engage = of_device.split()
+        assert (axes, engage) == ("1", "True")
+        assert float(position) == pytest.approx(0.01)
+        assert of_effect == f"{effect} 0.01"
 
 
 MISTAKES = {

@@ -23,10 +23,8 @@ HIDDEN = [
 ]
 
 
-def diagnosed(seed, hide, bench, channels=hidden.CHANNELS, among=NAMES, size=1.0):
-    made = hidden.make(
-        seed, hide, bench=bench, channels=channels, duration=30.0, rate=50.0, size=size
-    )
+def diagnosed(seed, hide, bench, channels=hidden.CHANNELS, among=NAMES):
+    made = hidden.make(seed, hide, bench=bench, channels=channels, duration=30.0, rate=50.0)
     effects = [effect for effect in CATALOGUE if effect.name in among]
     return made, diagnose_records(
         [prepare_record(made.time, dict(made.channels))], effects, workers=2

@@ -32,7 +32,7 @@ SPRING = joint(tendons=1, body={"spring": 150.0, "pretension": 1.0})
 
 @cache
 def record(bent, initialise=QUICK):
-    return calibrated(rig_config(bent), initialise, rate_hz=500.0).record
+    return calibrated(rig_config(bent), initialise, rate_hz=250.0).record
 
 
 def direction_a(bent, known=KNOWN):

@@ -31,7 +31,7 @@ SHORT = joint(body={"stops": (-0.003, 0.003)})
 
 
 def config_file(folder, rig, **slave):
-    tree = {"slave": {"rig": as_tree(rig), "gate": as_tree(GATE), **slave}, "rate_hz": 500}
+    tree = {"slave": {"rig": as_tree(rig), "gate": as_tree(GATE), **slave}, "rate_hz": 250}
     path = folder / "rig.yaml"
     path.write_text(yaml.safe_dump(tree))
     return path

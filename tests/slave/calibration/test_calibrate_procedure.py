@@ -178,7 +178,10 @@ REFUSALS = {
 }
 
 
-ALIKE = {"no stop in reach", "a saturated cell", "a stuck cell", "too little range"}
+ALIKE = {
+    *("no stop in reach", "a saturated cell", "a stuck cell", "too little range"),
+    "a cell stuck at a tension",
+}
 CASES = [pytest.param(case, marks=[pytest.mark.slow] * (case in ALIKE)) for case in REFUSALS]
 
 

@@ -39,9 +39,12 @@ def simulate(procedure, seed, spreads=(8.0, 25.0)):
 
 
 @pytest.mark.parametrize(
-    "observers", [12, pytest.param(200, marks=pytest.mark.slow)], ids=["quick", "all"]
+    ("name", "observers"),
+    [
+        *(("staircase", 8), ("bayesian 30", 8)),
+        *(pytest.param(name, 200, marks=pytest.mark.slow) for name in PROCEDURES),
+    ],
 )
-@pytest.mark.parametrize("name", PROCEDURES)
 def test_the_interval_holds_the_true_threshold_as_often_as_it_says(name, observers, capsys):
     hits, widths, trials = 0, [], 0
     for seed in range(observers):
@@ -92,6 +95,7 @@ def test_answers_unlike_any_such_function_are_told_by_the_deviance():
     assert fit_psychometric(x, correct, guess_rate=0.5).deviance_p < 0.01
 
 
+@pytest.mark.slow
 def test_the_p_value_of_the_deviance_is_even_for_answers_of_such_a_function():
     x, values = np.repeat(np.linspace(0, 100, 7), 20), []
     for seed in range(40):
