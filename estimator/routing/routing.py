@@ -68,6 +68,9 @@ class Routing:
     spring_stiffness, spring_angle
         Springs at the joints, shape (joints,), or a number: stiffness [N m/rad] and angle of zero
         torque [rad]. A joint with a spring needs no antagonist.
+    partner
+        For each joint the other bend of the same curved section, -1 without one: the bend over its
+        guides is the root of the sum of both squares.
     friction_error, compliance_error
         Relative errors that intervals allow for, of friction and of the tendon's compliance.
     angle_error
@@ -86,6 +89,7 @@ class Routing:
     order: Any = None
     spring_stiffness: Any = 0.0
     spring_angle: Any = 0.0
+    partner: Sequence[int] | None = None
     friction_error: float = 0.1
     compliance_error: float = 0.5
     angle_error: float = 0.0
@@ -126,6 +130,10 @@ class Routing:
         for name in ("compliance_error", "angle_error"):
             if not 0.0 <= getattr(self, name) < math.inf:
                 raise RoutingError(f"{name}: {getattr(self, name)}, must not be negative")
+        partner = [-1] * joints if self.partner is None else list(self.partner)
+        if len(partner) != joints or not all(-1 <= k < joints for k in partner):
+            raise RoutingError(f"partner: give {joints} numbers from -1 to {joints - 1}")
+        set_field(self, "partner", tuple(partner))
         set_field(self, "order", self._read_order())
         for tendon in range(tendons):
             K = float(np.sum(self.get_friction(np.zeros(joints))[tendon]))
@@ -149,7 +157,9 @@ class Routing:
         K_sheath plus the sum over a row is the friction coordinate of the tendon's end.
         """
         theta = _read_table("angles", angles, (self.joints,))
-        bend = np.abs(np.asarray(self.wrap) + np.asarray(self.side) * theta)
+        partner = np.array(self.partner)
+        other = np.where(partner < 0, 0.0, theta[partner])
+        bend = np.hypot(np.asarray(self.wrap) + np.asarray(self.side) * theta, other)
         K: Array = np.asarray(self.friction) * bend
         return K
 
@@ -262,6 +272,7 @@ class PreparedRouting(NamedTuple):
 
     first: NDArray[np.int64]  # row of the sheath's end of each tendon, and the number of rows
     joint: NDArray[np.int64]  # joint that turns the element
+    partner: NDArray[np.int64]  # the other bend of its curved section, or -1
     friction: Array
     wrap: Array  # [rad]
     side: Array
@@ -297,6 +308,7 @@ def prepare(
         raise RoutingError(f"sheaths: {len(sheaths)}, but there are {routing.tendons} tendons")
     if any(sheath.drag != 0.0 or sheath.asymmetry != 1.0 for sheath in sheaths or ()):
         raise RoutingError("sheaths: drag and asymmetry are not modelled with passed joints")
+    partner: Sequence[int] = routing.partner or ()
     first: list[int] = [0]
     rows: list[_Row] = []
     errors: list[float] = []
@@ -313,6 +325,7 @@ def prepare(
     return PreparedRouting(
         np.array(first),
         np.array([row.joint for row in rows]),
+        np.array([partner[row.joint] if row.side else -1 for row in rows]),
         np.array([row.friction for row in rows]),
         np.array([row.wrap for row in rows]),
         np.array([row.side for row in rows]),

@@ -217,6 +217,30 @@ def advance(
 
 
 @jit_compile
+def _compute_bend(prepared: PreparedRouting, angles: Array, e: int) -> float:
+    """Return the bend of the tendon over an element [rad]."""
+    bend = abs(prepared.wrap[e] + prepared.side[e] * angles[prepared.joint[e]])
+    other = prepared.partner[e]
+    return math.hypot(bend, angles[other]) if other >= 0 else bend
+
+
+@jit_compile
+def open_tensions(
+    prepared: PreparedRouting, sheath_end: Array, angles: Array, tensions: Array
+) -> None:
+    """Write the tensions of all rows of which only those at the sheaths' ends are known.
+
+    Likeliest is one tension along a tendon, as after pretensioning; for the shapes see `advance`.
+    """
+    for tendon in range(len(prepared.first) - 1):
+        begin, end = prepared.first[tendon], prepared.first[tendon + 1]
+        for copy in range(3):
+            tensions[copy, begin:end] = sheath_end[copy, tendon]
+        _open_cone(prepared, angles, begin, end, -1.0, tensions[1])
+        _open_cone(prepared, angles, begin, end, 1.0, tensions[2])
+
+
+@jit_compile
 def _turn_joints(
     prepared: PreparedRouting, angles: Array, new_angles: Array, elements: _Elements
 ) -> None:
@@ -232,8 +256,7 @@ def _turn_joints(
             if prepared.joint[e] == j:
                 elements.between[e] = prepared.spread[e] * abs(change)
     for e in range(rows):
-        turned = prepared.side[e] * angles[prepared.joint[e]]
-        elements.bend[e] = abs(prepared.wrap[e] + turned)
+        elements.bend[e] = _compute_bend(prepared, angles, e)
     for e in range(rows):
         own, follower = prepared.contact[e]
         elements.compliance[e] += own * elements.bend[e]
@@ -400,7 +423,7 @@ def _open_cone(
 ) -> None:
     """Write the largest (sign 1) or least (-1) tensions that friction allows, from row `begin`."""
     for e in range(begin + 1, end):
-        bend = abs(prepared.wrap[e] + prepared.side[e] * angles[prepared.joint[e]])
+        bend = _compute_bend(prepared, angles, e)
         K = prepared.friction[e] * (bend + 2.0 * prepared.angle_error)
         tensions[e] = tensions[e - 1] * math.exp(sign * K * (1.0 + prepared.friction_error[e]))
 
