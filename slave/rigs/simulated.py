@@ -10,6 +10,7 @@ import numpy as np
 
 from estimator.array_types import Array
 from slave.rig import RigFault, RigSample, number_joint_tendons
+from slave.simulation.arm import ArmPlantConfig, advance_arm, balance_springs, build_arm, init_arm
 from slave.simulation.effects import EffectConfig
 from slave.simulation.effects.ends import AntagonistTension
 from slave.simulation.effects.schedule import JointSchedule, SampleSchedule, SensorSchedule
@@ -40,6 +41,7 @@ from slave.simulation.sensors import (
     measure,
 )
 from slave.simulation.tendon import SheathConfig, build_chain
+from teleop.config.arm import assemble_travel_ratios
 from teleop.messages.messages import MAX_JOINTS
 
 CATCH_UP_STEPS_MAX = 10  # at a late read; if it is later still, longer steps are taken
@@ -76,6 +78,7 @@ class SimulatedRigConfig:
     type: Literal["simulated"] = "simulated"
     name: str = "simulated"  # name of the rig in calibration files
     joints: tuple[JointConfig, ...] = (JointConfig(),)
+    arms: tuple[ArmPlantConfig, ...] = ()  # whose joints share tendons: the first of `joints`
     period: float = 0.001  # [s] step of the plant
     seed: int = 1  # of the sensors' noise
     effects: tuple[EffectConfig, ...] = ()  # faults and deviations, docs/how-to/rigs.md
@@ -98,6 +101,15 @@ class SimulatedRigConfig:
                     f"{number} (motor.rotor_inertia, motor.gear)"
                 )
         validate_effects(self.effects, [len(joint.tendons) for joint in self.joints])
+        if not self.arms:
+            return
+        try:
+            assemble_travel_ratios(self.arms, len(self.joints))
+        except ValueError as error:
+            raise ValueError(f"arms: {error}") from error
+        for i, joint in enumerate(self.joints):
+            if joint.body.backlash > 0.0:
+                raise ValueError(f"joints.{i}.body.backlash: must be 0 on a rig with arms")
 
 
 def validate_effects(effects: Sequence[EffectConfig], counts: Sequence[int]) -> None:
@@ -198,6 +210,11 @@ class SimulatedRig:
             schedule.at(0.0, 0.0, start[: len(tendons)]) or joint
             for schedule, joint, tendons in zip(self._schedules, joints, self.joints, strict=True)
         ]
+        self._config_arms = config.arms
+        self._arm = build_arm(config.arms, len(joints)) if config.arms else None
+        if self._arm is not None:
+            self._arm_state = init_arm(self._arm)
+            joints = balance_springs(self._arm, joints)
         self._joints = to_compiled_list(joints)
         replace_item(self._joints, 0, joints[0])  # compiles the functions for effects
         self._states = to_compiled_list([init_joint(joint, -config.period) for joint in joints])
@@ -265,6 +282,16 @@ class SimulatedRig:
     def close(self) -> None:
         """Do nothing."""
 
+    @property
+    def arm_tensions(self) -> Array:
+        """True tension of each tendon at each joint of arms [N], shape (joints, 2, joints)."""
+        return self._arm_state.tension.copy()
+
+    @property
+    def travel_ratios(self) -> Array:
+        """Travel of the tendons of joint k over that of joint j, shape (joints, joints)."""
+        return assemble_travel_ratios(self._config_arms, len(self.joints))[0]
+
     def _simulate(self, behind: int) -> None:
         """Advance the plant and its sensors by `steps` periods."""
         steps, dt = behind, self._period
@@ -281,7 +308,11 @@ class SimulatedRig:
         self._measure(behind * self._period)
 
     def _advance(self, steps: int, dt: float) -> Array:
-        channels = advance_joints(self._joints, self._states, self._targets, steps, dt)
+        joints, states, targets = self._joints, self._states, self._targets
+        if self._arm is None:
+            channels = advance_joints(joints, states, targets, steps, dt)
+        else:
+            channels = advance_arm(self._arm, joints, states, self._arm_state, targets, steps, dt)
         return channels[:, self._paired]
 
     def _measure(self, dt: float) -> None:

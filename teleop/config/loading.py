@@ -44,7 +44,7 @@ from teleop.config.suggestions import suggest_spelling
 from teleop.errors import UsageError
 
 SESSION_KEYS = (  # of teleop.launch.config.SessionConfig, which only `teleop run` may import
-    *("session", "rate_hz", "link", "confidence", "coupling", "health", "realtime"),
+    *("session", "rate_hz", "link", "confidence", "coupling", "health", "realtime", "arms"),
     *("master", "slave", "record", "view", "impair", "ros", "router"),
 )
 RECORDING_SUFFIX = ".mcap"  # a recording is a config file, too: that of its session

@@ -4,6 +4,7 @@ import argparse
 import re
 from dataclasses import dataclass, field, replace
 
+from teleop.config.arm import ArmConfig
 from teleop.config.loading import ConfigDocument
 from teleop.config.overrides import Override
 from teleop.coupling.config import Bilateral, CouplingConfig
@@ -33,6 +34,7 @@ class RunConfig:
     confidence: ConfidenceConfig = field(default_factory=ConfidenceConfig)  # in the force felt
     coupling: CouplingConfig = field(default_factory=PassivityConfig)  # of hand and tip
     health: HealthConfig = field(default_factory=HealthConfig)  # bounds of the link
+    arms: tuple[ArmConfig, ...] = ()  # of several joints each: the first of the rig
     realtime: RealtimeConfig = field(default_factory=RealtimeConfig)  # of both loops
 
     @property

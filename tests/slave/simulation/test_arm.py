@@ -1,0 +1,159 @@
+"""Joints that share tendons: the plant of an arm against what it must agree with."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from slave.rigs.simulated import JointConfig, SimulatedRig, SimulatedRigConfig, TendonPlantConfig
+from slave.simulation.arm import ArmPlantConfig
+from slave.simulation.environment import FreeConfig, WallConfig
+from slave.simulation.joint import BodyConfig
+from slave.simulation.sensors import EncoderConfig, LoadCellConfig
+from slave.simulation.space_contacts import (
+    BallConfig,
+    PlaneConfig,
+    build_space_contacts,
+    locate_surfaces,
+    press_surface,
+)
+from teleop.errors import UsageError
+from tests.root import ROOT
+
+R = 0.005  # [m]
+PASSING = ((R, 0.0, 0.0), (0.8 * R, R, 0.0), (0.8 * R, 0.8 * R, R))
+URDF = ROOT / "configs" / "notes-arm.urdf"
+TENDON = TendonPlantConfig(
+    load_cell=LoadCellConfig(noise=0.0, resolution=0.0), encoder=EncoderConfig(lines=0)
+)
+BODY = BodyConfig(spring=0.0, friction=0.1, stops=(-0.008, 0.008))
+
+
+def build_rig(radii=PASSING, tendons=2, body=BODY, environment=None, **arm):
+    joint = JointConfig((TENDON,) * tendons, body, environment or FreeConfig())
+    config = SimulatedRigConfig(joints=(joint,) * len(radii))
+    if radii is not None:
+        config = dataclasses.replace(config, arms=(ArmPlantConfig(radii=radii, **arm),))
+    return SimulatedRig(config)
+
+
+def run(rig, seconds, targets):
+    """Return the truth of all samples, shape (n, 4, tendons), driven by `targets(time)` [m]."""
+    truth = []
+    for i in range(round(seconds * 1e3)):
+        rig.write(np.asarray(targets(i * 1e-3)))
+        rig.read(i * 1e-3)
+        truth.append(rig._truth.copy())
+    return np.array(truth)
+
+
+def wind(travel, offset=0.001):
+    """Return motor targets of pairs that pull their sheaths' ends by `travel` [m]."""
+    return np.stack([travel + offset, -travel + offset], axis=1).ravel()
+
+
+def test_joints_that_share_no_tendon_move_as_joints_of_no_arm():
+    own = SimulatedRig(
+        SimulatedRigConfig(joints=(JointConfig((TENDON,) * 2, BODY, FreeConfig()),) * 3)
+    )
+    shared = build_rig(np.diag([R] * 3).tolist(), friction=0.0)
+
+    def targets(time):
+        return wind(0.006 * np.sin([3.0 * time, 2.0 * time, 4.0 * time]))
+
+    first, second = run(own, 1.5, targets), run(shared, 1.5, targets)
+    assert np.abs(first[:, 3] - second[:, 3]).max() < 2e-6  # [m], stuck joints give way a little
+    assert np.abs(first[:, 2] - second[:, 2]).max() < 0.2  # [N]
+
+
+def test_tendons_that_pass_a_joint_travel_with_it_and_load_it():
+    """What drives each joint, summed over all tendons, balances the walls that they press."""
+    rig = build_rig(friction=0.0, environment=WallConfig(position=0.001, stiffness=5000.0))
+    ratio = rig._arm.ratio
+    wanted = np.array([0.002, -0.003, 0.005])
+    truth = run(rig, 1.5, lambda time: wind(ratio @ wanted * min(time, 1.0)))
+    q = np.array([state.travel for state in rig._states])
+    assert truth[-1, 3, ::2] == pytest.approx(ratio @ q, abs=1e-12)
+    assert np.sign(q).tolist() == [1.0, -1.0, 1.0]
+    tension = rig._arm_state.tension  # of each tendon at each joint
+    driving = np.einsum("kj,kj->j", ratio, tension[:, 0] - tension[:, 1])
+    pressed = np.maximum(q - 0.001, 0.0) * 5000.0
+    assert pressed.max() > 1.0
+    assert driving == pytest.approx(pressed, abs=0.11)  # the joints' own friction
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.2])
+def test_passed_joints_take_tension_only_by_friction(friction):
+    """Sliding in, the tension falls from joint to joint, at most by the capstan's ratio."""
+    rig = build_rig(friction=friction, wrap=1.0)
+    run(rig, 1.0, lambda time: wind(0.004 * np.array([0.0, 0.0, min(time, 0.9)])))
+    a = rig._arm_state.tension[2, 0]
+    end = float(rig._truth[2, 4])
+    if friction == 0.0:
+        assert a == pytest.approx(np.full(3, end))
+        return
+    steps = a[:2] / np.array([end, a[0]])
+    assert (steps < 1.0).all()
+    assert (steps > np.exp(-1.02 * friction * 1.8)).all()  # at most 1.8 rad of wrap
+
+
+def test_single_tendons_balance_their_springs_at_the_start():
+    rig = build_rig(tendons=1, body=dataclasses.replace(BODY, spring=300.0, friction=0.0))
+    truth = run(rig, 0.3, lambda _: np.zeros(3))
+    assert np.abs(truth[:, 3]).max() < 1e-6
+
+
+def test_joints_end_at_their_stops():
+    rig = build_rig()
+    ratio = rig._arm.ratio
+    run(rig, 1.0, lambda time: wind(0.009 * min(time, 1.0) * ratio @ np.ones(3)))
+    q = np.array([state.travel for state in rig._states])
+    assert (q < 0.008 + 1e-4).all()
+    assert q.max() > 0.0075
+
+
+@pytest.mark.parametrize(
+    "surface",
+    [
+        PlaneConfig(point=(0.0, 0.0, 0.055), normal=(0.3, -0.2, -1.0), damping=0.0),
+        BallConfig(centre=(0.004, 0.006, 0.07), radius=0.02),
+    ],
+)
+def test_a_surface_turns_the_joints_by_the_slope_of_its_energy(surface):
+    """Against differences of its energy over the joints: stiffness times depth, integrated."""
+    arm = ArmPlantConfig(radii=PASSING, urdf=URDF, tip="tip", contacts=(surface,))
+    contacts = build_space_contacts([(arm, arm.contacts)], np.full(3, R))
+
+    def energy(q):
+        depth = max(float(locate_surfaces(contacts, q)[0][0]), 0.0)
+        exponent = 1.0 if isinstance(surface, PlaneConfig) else 1.5
+        return surface.stiffness * depth ** (exponent + 1.0) / (exponent + 1.0)
+
+    q = np.array([0.0004, -0.0005, 0.0003])
+    depth, slope = locate_surfaces(contacts, q)
+    assert depth[0] > 1e-3
+    force = press_surface(contacts.surfaces[0], depth[0], depth[0], 1e-3)[0] * slope[0]
+    step = 1e-7
+    by_energy = [
+        (energy(q + step * axis) - energy(q - step * axis)) / (2.0 * step) for axis in np.eye(3)
+    ]
+    assert force == pytest.approx(by_energy, rel=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("radii", "text"),
+    [
+        (((R, 0.0),), "radii: must be square"),
+        (((0.0, R), (R, 0.0)), "joint 1: its own tendons must turn it"),
+        (((R, R), (R, R)), "radii: these tendons do not determine all joints"),
+        (((R, 2.0), (0.0, R)), "radii: must be -1 to 1 m"),
+    ],
+)
+def test_impossible_radii_are_refused(radii, text):
+    with pytest.raises(ValueError, match=text):
+        ArmPlantConfig(radii=radii)
+
+
+def test_kinematics_of_another_arm_are_refused():
+    with pytest.raises(UsageError, match="3 coordinates, but radii have 5 rows"):
+        ArmPlantConfig(radii=np.diag([R] * 5).tolist(), urdf=URDF, tip="tip").load_kinematics()
