@@ -133,9 +133,18 @@ def compute_reaches(
         One for each tendon, overwritten.
     """
     for k in range(layout.joints):
-        q, f = joint_estimates[k].position, joint_estimates[k].force
-        up = config.joint_max - q if math.isfinite(config.joint_max) else math.inf
-        down = q - config.joint_min if math.isfinite(config.joint_min) else math.inf
+        up, down, f = math.inf, math.inf, 0.0
+        for j in range(layout.joints):  # that the tendons of k move, if the others stay
+            share = layout.inverse[j, k]
+            if share != 0.0:
+                q, to_max, to_min = joint_estimates[j].position, math.inf, math.inf
+                if math.isfinite(config.joint_max):
+                    to_max = (config.joint_max - q) / abs(share)
+                if math.isfinite(config.joint_min):
+                    to_min = (q - config.joint_min) / abs(share)
+                up = _choose_nearer(up, to_max if share > 0.0 else to_min)
+                down = _choose_nearer(down, to_min if share > 0.0 else to_max)
+                f += share * joint_estimates[j].force
         joint = layout.joint[k]
         a = out_reach[joint.tendon[0]]
         a.ahead, a.behind, a.force = up, down, f
@@ -143,6 +152,12 @@ def compute_reaches(
             a.behind = math.inf
             b = out_reach[joint.tendon[1]]
             b.ahead, b.behind, b.force = down, math.inf, -f
+
+
+@jit_compile
+def _choose_nearer(first: float, second: float) -> float:
+    """Return the shorter of two distances [m], NaN if one is unknown."""
+    return first if first < second or math.isnan(first) else second
 
 
 @jit_compile

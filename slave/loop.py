@@ -19,6 +19,7 @@ from estimator.online import online
 from estimator.online.tendon_estimate import INVALID_INPUT
 from estimator.records import StructArray, to_struct_array, view_struct
 from slave import control, fault_detection, gate, initial_position
+from slave.arm_estimate import ArmEstimator, build_arm_estimator
 from slave.calibration import monitor
 from slave.calibration.monitor import Advice
 from slave.config import SlaveConfig
@@ -38,6 +39,7 @@ from slave.rig import RigSample
 from slave.samples import estimate, fill_sample
 from slave.tendons import EstimatedTendon, RigLayout, build_rig_layout
 from teleop import coupling
+from teleop.config.arm import ArmConfig
 from teleop.config.bounds import MOTION_MAX
 from teleop.coupling import Bilateral
 from teleop.coupling.force_attenuation import ConfidenceConfig, attenuate_force
@@ -59,6 +61,7 @@ class RigModel(NamedTuple):
     layout: StructArray  # RigLayout, shape (1,)
     prepared: StructArray  # for the estimators, shape (tendons,)
     monitor_constants: StructArray  # for the monitor of their calibration, shape (tendons,)
+    arms: tuple[ArmConfig, ...] = ()  # whose joints share tendons
     not_ready_text: str = ""  # why it must not be engaged, e.g. no calibration fits
 
 
@@ -73,13 +76,23 @@ class SlaveRecords(NamedTuple):
     scratch: StructArray
     monitor_constants: StructArray
     with_dynamics: bool | None  # None where no model has dynamic effects; see `estimate`
+    arm: ArmEstimator | None  # None where no joints share tendons
 
     @property
     def estimate_arguments(
         self,
-    ) -> tuple[StructArray, StructArray, StructArray, StructArray, bool | None]:
+    ) -> tuple[
+        StructArray, StructArray, StructArray, StructArray, bool | None, ArmEstimator | None
+    ]:
         """First arguments of `estimate`."""
-        return self.layout, self.prepared, self.estimators, self.memory, self.with_dynamics
+        estimators = self.prepared, self.estimators, self.memory
+        return self.layout, *estimators, self.with_dynamics, self.arm
+
+    @property
+    def changing(self) -> tuple[Any, ...]:
+        """The arrays that ticks and samples change."""
+        own = self.memory, self.estimators
+        return own if self.arm is None else (*own, self.arm.memory)
 
     @property
     def tick_arguments(self) -> tuple[StructArray, StructArray, StructArray, StructArray]:
@@ -88,15 +101,19 @@ class SlaveRecords(NamedTuple):
 
 
 def build_rig_model(
-    joints: Sequence[Sequence[int]], models: Sequence[online.TendonModel], not_ready_text: str = ""
+    joints: Sequence[Sequence[int]],
+    models: Sequence[online.TendonModel],
+    not_ready_text: str = "",
+    arms: Sequence[ArmConfig] = (),
 ) -> RigModel:
-    """Return the `RigModel` of a rig with these tendon models."""
+    """Return the `RigModel` of a rig with these tendon models, shared by the joints of `arms`."""
     return RigModel(
         tuple(tuple(joint) for joint in joints),
         tuple(models),
-        build_rig_layout(joints),
+        build_rig_layout(joints, arms),
         online.prepare_all(models),
         monitor.build_monitor_constants(models),
+        tuple(arms),
         not_ready_text,
     )
 
@@ -141,6 +158,7 @@ def init_slave(
         Scratch.array(),
         model.monitor_constants,
         True if model.prepared["has_dynamics"].any() else None,
+        build_arm_estimator(model.joints, model.arms),
     )
     row = EstimatedSample.array()
     for sample in samples:
@@ -193,7 +211,9 @@ def run_tick(
     _advance_session(settings, layout, memory, scratch, command, tick_input)
     engaged = state_machine.may_move(memory.session) and commanded
     if memory.has_sample:
-        control.estimate_joints(layout, memory.tendons, memory.offsets, memory.joints)
+        control.estimate_joints(
+            layout, memory.tendons, memory.offsets, memory.arm_force, memory.joints
+        )
     _apply_coupling(settings, layout, memory, scratch, command, tick_input, commanded, engaged)
     verdict = gate.HELD
     if memory.has_sample and (memory.has_motor or engaged):

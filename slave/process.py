@@ -20,7 +20,7 @@ from typing import NamedTuple, cast
 
 from estimator.records import view_struct
 from slave import live_settings, loop, model_files
-from slave.calibration.initialisation import initialise
+from slave.calibration.initialisation import initialise, refuse_arms
 from slave.config import (
     SlaveConfig,
     find_config_warnings,
@@ -41,6 +41,7 @@ from slave.state_messages import fill_tendon_state
 from slave.telemetry import Telemetry, build_progress_printer
 from slave.tendon_config import TendonConfig
 from slave.warm_up import compile_session
+from teleop.config.arm import assemble_travel_ratios
 from teleop.config.options import add_option, add_options
 from teleop.coupling import Bilateral
 from teleop.errors import TeleopError, UsageError
@@ -109,7 +110,7 @@ class SlaveProcess(LoopProcess):
         self._motor = self._slave.memory["motor"][0]  # [m] that the gate let through
         self._has_motor = self._slave.memory["has_motor"]
         self._estimated, self._ticked = self._slave.estimate_arguments, self._slave.tick_arguments
-        self._checkpoint = Checkpoint(self._slave.memory, self._slave.estimators)
+        self._checkpoint = Checkpoint(*self._slave.changing)
         self._rows = EstimatedSample.array(ROWS_INITIAL)
         self._samples = 0
         # the rig's next sample; its estimate is in the memory, but not in the checkpoint
@@ -305,7 +306,7 @@ def main(args: argparse.Namespace) -> int:
     files = model_files.parse(args.model)
     if files and config.initialise.at_start:
         raise UsageError("--model: conflicts with slave.initialise.at_start; use one of them")
-    compile_session(config, with_dynamics=bool(files) or has_model_file(config))
+    compile_session(config, bool(files) or has_model_file(config), shared.arms)
 
     def start(
         link: Link, requests: RequestListener, stack: ExitStack
@@ -317,7 +318,7 @@ def main(args: argparse.Namespace) -> int:
         stop = StopCondition(args.duration)
         stop.wake = link.wake
         link.subscribe_latest(COMMAND, round(config.command_timeout * 1e9))
-        model, history = prepare_rig_model(config, rig, link, requests, stop, shared.rate_hz, files)
+        model, history = prepare_rig_model(config, rig, link, requests, stop, shared, files)
         clock = EventClock(shared.rate_hz, stop, partial(link.wait, COMMAND))
         slave = SlaveProcess(
             config, link, rig, model, clock, history, shared.bilateral, requests, shared.health
@@ -337,7 +338,7 @@ def prepare_rig_model(
     link: Link,
     requests: RequestListener,
     stop: StopCondition,
-    rate_hz: float,
+    shared: RunConfig,
     files: model_files.ModelFiles,
 ) -> tuple[RigModel, CalibrationHistory]:
     """Return the model of a rig for the loop, and its samples of a calibration before the loop.
@@ -347,6 +348,10 @@ def prepare_rig_model(
     the `requests` or by the master, stops the motors and aborts it.
     """
     history = CalibrationHistory(now_ns(), ())
+    try:
+        assemble_travel_ratios(shared.arms, len(rig.joints))
+    except ValueError as error:
+        raise UsageError(f"arms: {error}; give a row and a column for each joint") from error
     if not config.initialise.at_start:
         tendons = load_tendon_configs(config, rig.tendons, rig.joints, files)
         if isinstance(rig, ReplayedRig):
@@ -363,7 +368,7 @@ def prepare_rig_model(
             print(line, flush=True)
         not_ready_text = find_not_ready_reason(config, rig, modelled=bool(files))
         return loop.build_rig_model(
-            rig.joints, [tendon.model() for tendon in tendons], not_ready_text
+            rig.joints, [tendon.model() for tendon in tendons], not_ready_text, shared.arms
         ), history
 
     def stopped() -> str:
@@ -385,13 +390,14 @@ def prepare_rig_model(
             raise TeleopError(reason)
         return stop.reason if stop() else ""
 
+    refuse_arms(shared.arms)
     publish_event(
         link, Role.SLAVE, SessionOutline(), f"off: calibrating {rig.name}; keep its joints free"
     )
     result = initialise(
         rig,
         config,
-        Grid(rate_hz, lambda: False, phase=0.5),
+        Grid(shared.rate_hz, lambda: False, phase=0.5),
         history.start_ns,
         stopped=stopped,
         progress=build_progress_printer(rig),
@@ -399,7 +405,7 @@ def prepare_rig_model(
     )
     publish_event(link, Role.SLAVE, SessionOutline(), f"off: {rig.name} is calibrated")
     models = [tendon.model() for tendon in result.calibration.tendons]
-    return loop.build_rig_model(rig.joints, models), history._replace(
+    return loop.build_rig_model(rig.joints, models, arms=shared.arms), history._replace(
         samples=result.samples, motor=result.motor
     )
 

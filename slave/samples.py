@@ -12,6 +12,7 @@ from estimator.online import online
 from estimator.online.tendon_estimate import INVALID_INPUT
 from estimator.records import StructArray
 from slave import control
+from slave.arm_estimate import ArmEstimator, estimate_arm_forces
 from slave.loop_records import EstimatedSample, SlaveMemory
 from slave.rig import RigSample
 from slave.tendons import RigLayout
@@ -83,12 +84,14 @@ def estimate(
     estimators: StructArray,
     memories: StructArray,
     with_dynamics: bool | None,
+    arm: ArmEstimator | None,
     rows: StructArray,
     samples: int,
 ) -> None:
     """Step each tendon's estimator with the first `samples` of `rows`; fill in their estimates.
 
-    `with_dynamics` is None where no model has dynamic effects; see `online.advance`.
+    `with_dynamics` is None where no model has dynamic effects; see `online.advance`. `arm` is None
+    where no joints share tendons.
     """
     layout, memory = layouts[0], memories[0]
     for s in range(samples):
@@ -108,6 +111,11 @@ def estimate(
                 with_dynamics,
             )
         _end_sample(layout, memory, row)
+        if arm is not None and memory.has_offsets:
+            control.estimate_joints(
+                layout, row.tendons, memory.offsets, memory.arm_force, memory.joints
+            )
+            estimate_arm_forces(arm, layout, row.tendons, memory.joints, memory.arm_force)
 
 
 @jit_compile

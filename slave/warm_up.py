@@ -1,5 +1,6 @@
 """Compile and import what a slave calls, before it has to be on time."""
 
+from collections.abc import Sequence
 from functools import partial
 from importlib import import_module
 
@@ -16,6 +17,7 @@ from slave.rigs import RIG_COMPILE_S, compile_rig
 from slave.samples import estimate, fill_sample
 from slave.state_messages import fill_tendon_state, fill_tension_profile
 from slave.tendon_config import TendonConfig
+from teleop.config.arm import ArmConfig
 from teleop.link.health import compile_link_window_update
 from teleop.messages.messages import (
     PROFILE_POINTS,
@@ -30,24 +32,26 @@ from teleop.runtime.compiling import announce_compilation
 
 COMPILE_S = 24.0  # [s] of a processor for the tick, without a cache
 DYNAMICS_COMPILE_S = 14.0  # [s] more
+ARM_COMPILE_S = 8.0  # [s] more
 
 
-def compile_session(config: SlaveConfig, with_dynamics: bool) -> None:
+def compile_session(
+    config: SlaveConfig, with_dynamics: bool, arms: Sequence[ArmConfig] = ()
+) -> None:
     """Compile and import what the session calls, before it runs at real-time priority.
 
-    Models of a diagnosis may have effects `with_dynamics`, which take longer.
+    Models of a diagnosis may have effects `with_dynamics`, which take longer; so do `arms`.
     """
-    about_s = (
-        COMPILE_S + RIG_COMPILE_S.get(type(config.rig), 0.0) + DYNAMICS_COMPILE_S * with_dynamics
-    )
+    about_s = COMPILE_S + RIG_COMPILE_S.get(type(config.rig), 0.0)
+    about_s += DYNAMICS_COMPILE_S * with_dynamics + ARM_COMPILE_S * bool(arms)
     # the collector would look in vain through a million objects of the compiler: 10 % of its time
     with (
         pause_garbage_collection(),
         announce_compilation("the slave's loop", about_s, partial(_compile_outside_tick, config)),
     ):
-        _compile_tick()
+        _compile_tick(arms)
         if with_dynamics:
-            slave, rows, _ = _build_example()
+            slave, rows, _ = _build_example(arms)
             estimate(*slave._replace(with_dynamics=True).estimate_arguments, rows, 1)
         if config.initialise.at_start:
             calibration_run.warm_up()
@@ -61,8 +65,8 @@ def _compile_outside_tick(config: SlaveConfig) -> None:
     _compile_finish_tick()
 
 
-def _compile_tick() -> None:
-    slave, rows, state = _build_example()
+def _compile_tick(arms: Sequence[ArmConfig]) -> None:
+    slave, rows, state = _build_example(arms)
     tick_input, command = TickInput(1e-3, True, False), Packet(Command)
     estimate(*slave.estimate_arguments, rows, 1)
     loop.run_tick(*slave.tick_arguments, rows, 1, tick_input, command.records, state.records)
@@ -82,9 +86,12 @@ def _compile_finish_tick() -> None:
     state.seal(0, 0, 0)
 
 
-def _build_example() -> tuple[loop.SlaveRecords, StructArray, Packet[SlaveState]]:
+def _build_example(
+    arms: Sequence[ArmConfig] = (),
+) -> tuple[loop.SlaveRecords, StructArray, Packet[SlaveState]]:
     """Return a slave of one tendon, a sample of it, and room for its state."""
-    model = loop.build_rig_model(((0,),), [TendonConfig(effective_friction=1.0).model()])
+    tendon = TendonConfig(effective_friction=1.0).model()
+    model = loop.build_rig_model(((0,),), [tendon], arms=[ArmConfig()] if arms else [])
     slave = loop.init_slave(model, SlaveConfig(), loop.DIRECT, starts_at_zero=True)
     rows, state = EstimatedSample.array(), Packet(SlaveState)
     fill_sample(rows, 0, RigSample(0.0, np.ones(1), np.zeros(1)))

@@ -129,6 +129,7 @@ def costs() -> None:
     memory, seen = ControllerState.array()[0], EstimatedTendon.array(MAX_TENDONS)
     seen["tension"][:8], seen["displacement"], seen["valid"] = 5.0 + np.arange(8), 0.0, True
     seen["estimate"]["elongation"] = estimate.elongation
+    no_arm = np.full((3, MAX_JOINTS), np.nan)
     still, zeros, wanted = np.zeros(MAX_TENDONS), np.zeros(MAX_JOINTS), np.zeros(MAX_TENDONS)
     known, reach = JointEstimate.array(MAX_JOINTS), gate.Reach.array(MAX_TENDONS)
     drive = partial(
@@ -141,7 +142,9 @@ def costs() -> None:
             online.step(prepared[0], state, 5.0, 0.0, DT) for _ in range(8)
         ],
         "control.step": drive,
-        "control.joint_estimates": lambda: control.estimate_joints(layout, seen, zeros, known),
+        "control.joint_estimates": lambda: control.estimate_joints(
+            layout, seen, zeros, no_arm, known
+        ),
         "gate.reaches": lambda: gate.compute_reaches(limits, layout, known, reach),
         "gate.step": lambda: gate.step(
             limits,

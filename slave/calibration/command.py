@@ -21,7 +21,7 @@ from typing import Any
 
 from slave.calibration import file
 from slave.calibration.file import Calibration, TendonCalibration, ValueWithUncertainty
-from slave.calibration.initialisation import InitialiseResult, initialise
+from slave.calibration.initialisation import InitialiseResult, initialise, refuse_arms
 from slave.calibration.refusals import format_tendon_name
 from slave.calibration.run import (
     CalibrationInterrupted,
@@ -98,6 +98,7 @@ def main(args: argparse.Namespace) -> int:
             "slave.rig.type: a replayed rig cannot be calibrated; fit the data instead: teleop "
             "estimate DATA --fit --save FILE"
         )
+    refuse_arms(shared.arms)
     figure = None if args.figure is None else import_draw_figure()
     is_real = not isinstance(config.rig, SimulatedRigConfig)
     if is_real:

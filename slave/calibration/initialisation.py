@@ -10,6 +10,7 @@ from slave.calibration.file import Calibration, find_misfit
 from slave.calibration.run import ProcedureData, ProcedureLimits, ProcedureProgress, run_procedure
 from slave.config import SlaveConfig
 from slave.rig import Rig, RigSample
+from teleop.config.arm import ArmConfig
 from teleop.errors import UsageError
 from teleop.runtime.clock import Tick
 from teleop.runtime.realtime import use_ordinary_scheduling
@@ -23,6 +24,16 @@ class InitialiseResult(NamedTuple):
     # all, oldest first, to initialise the estimators' tension profiles
     samples: tuple[RigSample, ...]
     motor: tuple[float, ...]  # [m] written last, where the motors hold
+
+
+def refuse_arms(arms: Sequence[ArmConfig]) -> None:
+    """Raise `UsageError` if joints share tendons: pulling one to its stop would move others."""
+    if arms:
+        raise UsageError(
+            "arms: joints that share tendons cannot be calibrated on the rig yet; calibrate each "
+            "sheath with its tip blocked (teleop estimate DATA --fit --save FILE) and give the "
+            "files as slave.tendons"
+        )
 
 
 def initialise(

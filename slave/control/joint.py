@@ -10,6 +10,8 @@ from collections.abc import Sequence
 from math import isfinite, nan
 from typing import TypeAlias
 
+import numpy as np
+
 from estimator.array_types import Array
 from estimator.compiled import jit_compile
 from estimator.records import F64, I64, Struct, StructArray
@@ -123,8 +125,41 @@ def estimate_joint(
 
 @jit_compile
 def estimate_joints(
-    layout: RigLayout, tendons: EstimatedTendons, offsets: Array, out_estimates: JointEstimates
+    layout: RigLayout,
+    tendons: EstimatedTendons,
+    offsets: Array,
+    arm_force: Array,
+    out_estimates: JointEstimates,
 ) -> None:
-    """Write the `estimate_joint` of every joint of a rig; `offsets` [m] have shape (joints,)."""
+    """Write the estimate of every joint of a rig.
+
+    Parameters
+    ----------
+    offsets : array, shape (joints,)
+        Of the joints' tendons [m].
+    arm_force : array, shape (3, MAX_JOINTS)
+        Of `estimate_arm_forces` [N]; not read unless joints share tendons.
+    """
     for k in range(layout.joints):
         estimate_joint(layout.joint[k], tendons, offsets[k], out_estimates[k])
+    if layout.is_coupled:
+        _decouple_joints(layout, arm_force, out_estimates)
+
+
+@jit_compile
+def _decouple_joints(layout: RigLayout, force: Array, estimates: JointEstimates) -> None:
+    """Turn the estimates of the joints' own tendons into those of the joints, in place."""
+    n = layout.joints
+    travel, status = np.empty(n), np.empty(n, np.int64)
+    for k in range(n):
+        travel[k], status[k] = estimates[k].position, estimates[k].status
+    for j in range(n):
+        joint = estimates[j]
+        joint.position = 0.0
+        joint.force, joint.low, joint.high = force[0, j], force[1, j], force[2, j]
+        for k in range(n):
+            if layout.inverse[j, k] != 0.0:
+                joint.position += layout.inverse[j, k] * travel[k]
+                joint.status |= status[k]
+            if layout.ratio[k, j] != 0.0:
+                joint.status |= status[k]

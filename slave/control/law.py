@@ -137,8 +137,12 @@ def step(
         return
     dt = min(dt, STEP_MAX_S) if dt > 0.0 else 0.0
     for k in range(layout.joints):
-        requested = command[k] - memory.joint[k].command
-        requested += config.lead * min(max(velocity[k], -config.speed_max), config.speed_max)
+        requested = 0.0  # [m] of the joint's tendons, which also pass other joints
+        for j in range(layout.joints):
+            if layout.ratio[k, j] == 0.0:
+                continue
+            lead = config.lead * min(max(velocity[j], -config.speed_max), config.speed_max)
+            requested += layout.ratio[k, j] * (command[j] - memory.joint[j].command + lead)
         _compute_joint_targets(
             config, layout.joint[k], memory.joint[k], requested, motor, tendons, dt, out_wanted
         )

@@ -30,6 +30,7 @@ Command = Callable[[float], tuple[float, float]]  # [s] to travel [m] and its ve
 Fault = tuple[Reason, int]  # and which tendon it is
 
 DT = 0.001  # [s]
+NO_ARM = np.full((3, MAX_JOINTS), np.nan)
 BEGIN = 0.02  # [s] at which the session engages
 L, EA, MU = 1.5, 9000.0, 0.15
 CONFIG = ControlConfig()
@@ -169,7 +170,7 @@ def follow(
         )  # fmt: skip
         sent = motor[: rig.tendons].copy()
         rig.write(sent)
-        control.estimate_joints(layout, tendons, offsets, told)
+        control.estimate_joints(layout, tendons, offsets, NO_ARM, told)
         firsts = [j[0] for j in rig.joints]
         position = told["position"][: len(rig.joints)].copy()
         rows.append((asked, sample.bench_distal_displacement[firsts], tension, sent, position))

@@ -345,8 +345,8 @@ def test_every_joint_of_a_rig_is_estimated_from_its_own_tendons_with_its_own_off
     joints = (2,), (3, 0), (1, 4)
     layout, offsets = layout_of(joints), np.array([0.0, 1e-4, -2e-4])
     tendons = [tendon(5.0 + k, 1e-3 * k, 1e-4 * (k + 1), force=(k, -k, 9.0)) for k in range(5)]
-    estimates = JointEstimate.array(MAX_JOINTS)
-    control.estimate_joints(layout, tendons_of(tendons), offsets, estimates)
+    estimates, no_arm = JointEstimate.array(MAX_JOINTS), np.full((3, MAX_JOINTS), np.nan)
+    control.estimate_joints(layout, tendons_of(tendons), offsets, no_arm, estimates)
     for k, joint in enumerate(joints):
         alone = joint_estimate([tendons[i] for i in joint], offsets[k])
         assert estimates[k].tolist() == alone.tolist()

@@ -14,6 +14,7 @@ from slave import gate
 from slave.control import JointEstimate
 from slave.gate import GateConfig, GateFlags, Reach
 from slave.tendons import build_rig_layout
+from teleop.config.arm import ArmConfig
 from teleop.messages.messages import MAX_JOINTS, MAX_TENDONS
 from tests.anything import CASES, Anything
 
@@ -288,3 +289,28 @@ def test_a_long_run_of_anything_stays_within_all_limits():
         if not position[1] > -0.004 and not tension[2] > RANGE.tension_max:
             assert after[2] >= motor[2]
         motor = after
+
+
+@given(
+    st.integers(0, 10_000),
+    st.lists(st.floats(-0.004, 0.004), min_size=3, max_size=3),
+)
+def test_in_an_arm_the_reach_of_a_tendon_ends_where_the_first_joint_does(seed, travel):
+    """Pulled by its reach while the others stay, it brings a joint to its limit, none beyond."""
+    random = np.random.default_rng(seed)
+    radii = np.diag(random.uniform(0.003, 0.006, 3))
+    radii += np.tril(random.uniform(-4e-3, 4e-3, (3, 3)), -1)
+    arm = ArmConfig(tuple(map(tuple, radii.tolist())))
+    layout = view_struct(build_rig_layout(((0, 1), (2, 3), (4, 5)), [arm]))
+    config = GateConfig(joint_min=-0.005, joint_max=0.006)
+    joints, reaches = JointEstimate.array(MAX_JOINTS), Reach.array(MAX_TENDONS)
+    joints["position"][:3] = travel
+    joints["force"][:3] = 0.0
+    gate.compute_reaches(record_of(config), layout, joints, reaches)
+    ratio = np.array(layout.ratio[:3, :3])
+    for tendon in range(6):
+        pulled = np.zeros(3)
+        pulled[tendon // 2] = reaches["ahead"][tendon] * (1.0 - 2.0 * (tendon % 2))
+        there = travel + np.linalg.solve(ratio, pulled)
+        left = np.minimum(config.joint_max - there, there - config.joint_min)
+        assert left.min() == pytest.approx(0.0, abs=1e-9)

@@ -48,6 +48,7 @@ from teleop.messages.topics import (
 from teleop.remote.requests import CALL, RESET, RequestListener
 from teleop.remote.stop_socket import LocalRequest
 from teleop.runtime.clock import EventClock, now_ns
+from teleop.session.config import RunConfig
 from teleop.session.loop_process import run
 from teleop.session.state_machine import Reason, State, to_outline
 from tests.tick.clock import StandingClock
@@ -600,7 +601,7 @@ CALIBRATING = SlaveConfig(rig=SimulatedRigConfig(), initialise=InitialiseConfig(
 
 def model_of(rig, line, stop_socket=None):
     requests = RequestListener(line, stop_socket)
-    return process.prepare_rig_model(CALIBRATING, rig, line, requests, Until(9), 1000.0, {})
+    return process.prepare_rig_model(CALIBRATING, rig, line, requests, Until(9), RunConfig(), {})
 
 
 def test_a_calibration_at_the_start_leaves_the_motors_held_from_the_first_tick_on(monkeypatch):

@@ -1,0 +1,128 @@
+"""Forces on the joints of arms, from the tensions at the ends of the sheaths.
+
+A tendon that passes a joint loads it, and loses or gains tension on the guide there. The joints'
+angles are known from the motors, the friction from the config; `estimator.routing` does the rest.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from estimator.array_types import Array
+from estimator.compiled import jit_compile
+from estimator.routing.routing import PreparedRouting, Routing, prepare
+from estimator.routing.tensions import add_torques, advance, open_tensions
+from slave.control.joint import JointEstimates
+from slave.tendons import EstimatedTendons, RigLayout
+from teleop.config.arm import ArmConfig, assemble_bend_partners, assemble_travel_ratios
+
+ANGLE_ERROR = 2e-3  # [rad] of estimated joints: noise and the error of elongation
+GUIDE_LENGTH = 0.03  # [m] of tendon from joint to joint
+
+
+class ArmEstimator(NamedTuple):
+    """Routing of all tendons of a rig, with the state of their tensions and work arrays."""
+
+    routing: PreparedRouting
+    memory: Array  # flat: what follows are views of it, for a checkpoint
+    started: Array  # shape (1,), 1 once tensions are known
+    tensions: Array  # [N] shape (3, rows): likeliest, least, largest
+    angles: Array  # [rad] shape (joints,)
+    reported: Array  # [N] shape (3, rows)
+    sheath_end: Array  # [N] shape (3, tendons)
+    torque: Array  # [N m] shape (3, joints)
+    new_angles: Array  # [rad] shape (joints,)
+
+
+def build_arm_estimator(
+    joints: Sequence[Sequence[int]], arms: Sequence[ArmConfig]
+) -> ArmEstimator | None:
+    """Return the estimator of a rig's `joints`, the first of which are those of `arms`."""
+    if not arms:
+        return None
+    routing = prepare(build_routing(joints, arms))
+    rows, n, tendons = len(routing.joint), len(joints), len(routing.first) - 1
+    shapes = ((1,), (3, rows), (n,), (3, rows), (3, tendons), (3, n), (n,))
+    ends = np.cumsum([np.prod(shape, dtype=np.int64) for shape in shapes])
+    memory = np.zeros(ends[-1])
+    views = [
+        part.reshape(shape) for part, shape in zip(np.split(memory, ends[:-1]), shapes, strict=True)
+    ]
+    return ArmEstimator(routing, memory, *views)
+
+
+def build_routing(joints: Sequence[Sequence[int]], arms: Sequence[ArmConfig]) -> Routing:
+    """Return how the tendons of a rig's `joints` pass them."""
+    ratio, radius = assemble_travel_ratios(arms, len(joints))
+    friction, wrap = np.zeros(len(joints)), np.zeros(len(joints))
+    first = 0
+    for arm in arms:
+        part = slice(first, first + len(arm.radii))
+        friction[part], wrap[part] = arm.friction, arm.wrap
+        first = part.stop
+    partner = assemble_bend_partners(arms, len(joints))
+    guides = ["proximal" if other < 0 else "spread" for other in partner]
+    radii, frictions = [], []
+    for k, tendons in enumerate(joints):
+        row = ratio[k] * radius
+        last = np.flatnonzero(row)[-1]  # where the tendons end, on no guide
+        passed = (row != 0.0) & (np.arange(len(row)) != last)
+        for sign in (1.0, -1.0)[: len(tendons)]:
+            radii.append(sign * row)
+            frictions.append(np.where(passed, friction, 0.0))
+    table = np.array(radii)
+    return Routing(
+        table,
+        friction=np.array(frictions),
+        wrap=np.where(np.array(frictions) > 0.0, wrap, 0.0),
+        span=GUIDE_LENGTH,
+        spring_stiffness=[0.0 if len(tendons) > 1 else 1.0 for tendons in joints],
+        guide=[guides] * len(radii),
+        partner=partner,
+        friction_error=max(arm.friction_error for arm in arms),
+        angle_error=ANGLE_ERROR,
+    )
+
+
+@jit_compile
+def estimate_arm_forces(
+    arm: ArmEstimator,
+    layout: RigLayout,
+    tendons: EstimatedTendons,
+    joint_estimates: JointEstimates,
+    out_force: Array,
+) -> None:
+    """Take the next sample, and write the forces of the tendons on the joints.
+
+    Parameters
+    ----------
+    arm : ArmEstimator
+        Changed in place.
+    tendons : EstimatedTendons
+        The sample.
+    joint_estimates : JointEstimates
+        Of the sample; only positions are read.
+    out_force : array, shape (3, MAX_JOINTS)
+        Likeliest, least and largest force [N] at each joint's own pulley.
+    """
+    for k in range(layout.joints):
+        arm.new_angles[k] = joint_estimates[k].position / layout.radius[k]
+        if not np.isfinite(arm.new_angles[k]):
+            return
+    for i in range(layout.tendons):
+        estimate = tendons[i].estimate
+        if not tendons[i].valid:
+            return
+        arm.sheath_end[0, i] = estimate.distal_tension
+        arm.sheath_end[1, i] = estimate.low
+        arm.sheath_end[2, i] = estimate.high
+    if arm.started[0] == 0.0:
+        arm.started[0] = 1.0
+        arm.angles[:] = arm.new_angles
+        open_tensions(arm.routing, arm.sheath_end, arm.angles, arm.tensions)
+    advance(arm.routing, arm.tensions, arm.angles, arm.sheath_end, arm.new_angles, arm.reported)
+    add_torques(arm.routing, arm.reported, arm.torque)
+    for k in range(layout.joints):
+        for copy in range(3):
+            out_force[copy, k] = arm.torque[copy, k] / layout.radius[k]
