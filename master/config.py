@@ -6,6 +6,7 @@ from master.devices import DeviceConfig
 from master.devices.virtual import VirtualConfig
 from master.feedback import FeedbackConfig
 from master.gate import GateConfig
+from master.mapping_config import MappingConfig
 from master.operator import OperatorConfig
 from teleop.errors import UsageError
 from teleop.session.config import RATE_MAX_HZ, RATE_MIN_HZ, require_periods
@@ -17,6 +18,8 @@ class MasterConfig:
 
     # haptic device in the operator's hand
     device: DeviceConfig = field(default_factory=VirtualConfig)
+    # from the device's axes to the joints; null = axis k moves joint k
+    mapping: MappingConfig | None = None
     operator: OperatorConfig = field(default_factory=OperatorConfig)
     force: FeedbackConfig = field(default_factory=FeedbackConfig)
     gate: GateConfig = field(default_factory=GateConfig)

@@ -16,7 +16,7 @@ import numpy as np
 from estimator.array_types import Array
 from estimator.compiled import jit_compile
 from estimator.records import I64, Flag, Struct, StructArray, view_struct
-from master import coupling_adapter, feedback, gate, operator, workspace
+from master import coupling_adapter, feedback, gate, hand_map, operator, workspace
 from master.coupling_adapter import RenderMemory
 from master.hand_input import Axes, HandInput, is_all_finite
 from master.operator import OperatorMemory
@@ -34,10 +34,12 @@ class MasterMemory(Struct):
     """State of the master between ticks, and between `compute_command` and `compute_force`."""
 
     axes: I64  # of the device
+    joints: I64  # that it moves: as many, unless its motion is mapped
     session: Session
     operator: OperatorMemory
     force: Axes  # [N] last output of the gate
     local_force: Axes  # [N] its part from local forces
+    joint_force: Axes  # [N] the other part, from the coupling, along the hand's motion for joints
     answered_command_ns: I64  # stamp of the newest command that the slave has answered
     newly_answered_ns: I64 = 0  # the same if its answer came in this tick, 0 = none
     coupling: Side
@@ -63,14 +65,15 @@ class TickInput(NamedTuple):
     link_holds: bool = False  # whether the session must hold because of it
 
 
-def init_master(axes: int, now_ns: int) -> StructArray:
+def init_master(axes: int, now_ns: int, joints: int | None = None) -> StructArray:
     """Return the initial state as an array of one `MasterMemory`.
 
-    Off, no force, no command since `now_ns`.
+    Off, no force, no command since `now_ns`. A device of so many `axes` moves as many joints,
+    unless `joints` says otherwise.
     """
     records = MasterMemory.array()
     state: MasterMemory = view_struct(records)
-    state.axes = axes
+    state.axes, state.joints = axes, axes if joints is None else joints
     state.answered_command_ns = now_ns
     return records
 
@@ -80,6 +83,7 @@ def compute_command(
     settings_records: StructArray,
     memories: StructArray,
     hands: StructArray,
+    drives: StructArray,
     states: StructArray,
     tick_input: TickInput,
     commands: StructArray,
@@ -92,6 +96,9 @@ def compute_command(
         `MasterSettings` and `MasterMemory`, shape (1,); the state is updated.
     hands : Records
         `HandInput`, shape (1,).
+    drives : Records
+        `HandInput`, shape (1,): the hand as one with an axis for each joint (`master.hand_map`);
+        `hands` itself, unless its motion is mapped.
     states : Records
         `SlaveState`, the newest, shape (1,); ignored unless `tick_input.has_state`.
     commands : Records
@@ -99,6 +106,7 @@ def compute_command(
     """
     settings, memory, out = settings_records[0], memories[0], commands[0]
     hand, state, inputs, dt = hands[0], states[0], memory.inputs, tick_input.dt
+    drive = drives[0]
     wanted_forces = np.zeros(MAX_JOINTS)
     is_finite = _compute_wanted_forces(settings, memory, tick_input, state, wanted_forces)
     workspace.update_presence(settings.operator, memory.presence, hand, dt)
@@ -111,7 +119,7 @@ def compute_command(
     if tick_input.stop == Reason.NONE and hand.stop:
         inputs.stop = Reason.EMERGENCY_STOP
     inputs.follow_s = state_machine.FOLLOW_LIMIT_S + settings.delay_max
-    _step_session(settings, memory, hand, state, tick_input, is_finite, dt)
+    _step_session(settings, memory, hand, drive, state, tick_input, is_finite, dt)
     memory.may_render = state_machine.may_render(memory.session)
     memory.counted_work = memory.may_render and is_finite
 
@@ -121,7 +129,7 @@ def compute_command(
     operator.step(
         settings.operator,
         memory.operator,
-        hand,
+        drive,
         state,
         tick_input.has_state,
         engaged,
@@ -129,18 +137,15 @@ def compute_command(
         velocity,
     )
     _receive_state(settings, memory, tick_input, state, wanted_forces)
-    written = np.zeros(MAX_JOINTS)
-    for k in range(memory.axes):
-        written[k] = memory.force[k] - memory.local_force[k]
     coupling_adapter.add_hand_work(
         settings.bilateral,
         memory.coupling,
         memory.rendered,
-        hand,
+        drive,
         settings.force.scale,
         settings.operator.position_scale,
-        written,
-        memory.axes,
+        memory.joint_force,
+        memory.joints,
         memory.counted_work,
         dt,
     )
@@ -152,8 +157,10 @@ def compute_force(
     settings_records: StructArray,
     memories: StructArray,
     hands: StructArray,
+    drives: StructArray,
     states: StructArray,
     tick_input: TickInput,
+    maps: StructArray,
     new_state: bool,
     out: Array,
 ) -> int:
@@ -165,10 +172,12 @@ def compute_force(
 
     Parameters
     ----------
-    settings_records, memories, hands, states
+    settings_records, memories, hands, drives, states
         As in `compute_command`.
     tick_input : TickInput
         As in `compute_command`; `now_ns` and what there is of a state are those of this phase.
+    maps : Records
+        `VelocityMap`, shape (1,): how `drives` follow from `hands`.
     new_state : bool
         Whether `states` has arrived since `compute_command`. Its faults, stops and non-finite
         values then act at once.
@@ -182,6 +191,7 @@ def compute_force(
     """
     settings, memory, state = settings_records[0], memories[0], states[0]
     hand, axes, dt = hands[0], memory.axes, tick_input.dt
+    velocity_map, joints = maps[0], memory.joints
     wanted_forces = np.zeros(MAX_JOINTS)
     is_finite = _compute_wanted_forces(settings, memory, tick_input, state, wanted_forces)
     fresh = is_fresh(settings, tick_input, state)
@@ -190,28 +200,44 @@ def compute_force(
         memory.inputs.link, memory.inputs.link_holds = tick_input.link, tick_input.link_holds
     if new_state or fresh != memory.inputs.peer_fresh:
         memory.inputs.reset = False  # already processed
-        _step_session(settings, memory, hand, state, tick_input, is_finite, 0.0)
+        _step_session(settings, memory, hand, drives[0], state, tick_input, is_finite, 0.0)
     # every force is in the ledger: a coupling that could start now starts at the next tick
     is_rendering = memory.may_render and state_machine.may_render(memory.session)
     is_rendering = is_rendering and (memory.counted_work or not is_finite)
 
     total, local_forces = np.zeros(MAX_JOINTS), np.zeros(MAX_JOINTS)
-    weight = np.zeros(MAX_JOINTS)
+    joint_force, weight = np.zeros(MAX_JOINTS), np.zeros(MAX_JOINTS)
     coupling_adapter.render_force(
         settings.bilateral,
         memory.coupling,
         settings.force.scale,
         wanted_forces,
-        axes,
+        joints,
         is_rendering and memory.counted_work and is_finite,
-        total,
+        joint_force,
     )
+    if velocity_map.is_active:
+        hand_map.limit_joint_force(
+            settings.force,
+            settings.gate.total_max,
+            velocity_map,
+            memory.joint_force,
+            joint_force,
+            axes,
+            joints,
+            dt,
+        )
+    hand_map.compute_hand_force(velocity_map, joint_force, axes, joints, total)
     if is_rendering:
-        coupling_adapter.store_rendered_force(memory.rendered, settings.force.scale, total, axes)
+        coupling_adapter.store_rendered_force(
+            memory.rendered, settings.force.scale, joint_force, joints
+        )
     workspace.update_limits(settings.operator, memory.limits, hand, is_rendering)
     if is_rendering and hand.present:  # without delay
         workspace.compute_wall_forces(settings.operator, memory.limits, hand, local_forces)
     for k in range(axes):
+        if is_rendering:
+            local_forces[k] += velocity_map.fixture_force[k]
         if _has_weight_compensation(memory.session):
             weight[k] = settings.operator.weight[k]
             local_forces[k] += weight[k]
@@ -227,6 +253,9 @@ def compute_force(
         out[k] = out[k] if k < axes else 0.0
         memory.force[k] = out[k]
         memory.local_force[k] = local_forces[k]
+    hand_map.store_joint_force(
+        velocity_map, out, total, local_forces, joint_force, axes, joints, memory.joint_force
+    )
     _record_answer(memory, tick_input, state)
     return verdict
 
@@ -241,11 +270,11 @@ def _compute_wanted_forces(
 ) -> bool:
     """Write the wanted forces on the hand [N] to `out`; return whether all are finite."""
     feedback.compute_tip_forces(
-        settings.bilateral.confidence, state, tick_input.has_state, memory.axes, out
+        settings.bilateral.confidence, state, tick_input.has_state, memory.joints, out
     )
-    for k in range(memory.axes):
+    for k in range(memory.joints):
         out[k] = feedback.reflect_force(settings.force.scale, out[k])
-    return is_all_finite(out, memory.axes)
+    return is_all_finite(out, memory.joints)
 
 
 @jit_compile
@@ -253,6 +282,7 @@ def _step_session(
     settings: MasterSettings,
     memory: MasterMemory,
     hand: HandInput,
+    drive: HandInput,
     state: SlaveState,
     tick_input: TickInput,
     is_finite: bool,
@@ -270,7 +300,7 @@ def _step_session(
     inputs.fault = tick_input.fault
     if tick_input.fault == Reason.NONE and not is_plausible(memory.session, hand, is_finite):
         inputs.fault = Reason.NOT_FINITE
-    inputs.not_ready_reason = find_not_ready_reason(settings, memory, hand, state, tick_input)
+    inputs.not_ready_reason = find_not_ready_reason(settings, memory, drive, state, tick_input)
     state_machine.step(memory.session, inputs, dt)
 
 
@@ -289,7 +319,7 @@ def _receive_state(
     wave: Any = state.wave
     coupling.receive_totals(memory.coupling, state.sender, energy, wave)
     position: Any = state.position
-    axes = min(memory.axes, state.joints)
+    axes = min(memory.joints, state.joints)
     valid_forces = np.full(MAX_JOINTS, np.nan)
     for k in range(axes):
         if feedback.is_valid(state, k):

@@ -12,7 +12,7 @@ has been reset too (`teleop stop --reset`). A HID device that is unplugged may b
 """
 
 import argparse
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack, suppress
 from functools import partial
 from typing import Any, TypeVar
@@ -26,11 +26,14 @@ from master.device import Device, DeviceFault, DeviceLost, HandState
 from master.devices import open_device
 from master.gate import GateFlags
 from master.hand_input import HandInput, fill_hand_input
+from master.hand_map import AxisMapper, HandMapper, VelocityMap
+from master.mapping_config import AxisMapConfig
 from master.settings_record import SettingsRecord
+from teleop.config.arm import ArmConfig
 from teleop.config.bounds import build_bounds_warnings
 from teleop.config.options import add_option, add_options
 from teleop.coupling import Bilateral
-from teleop.errors import TeleopError
+from teleop.errors import TeleopError, UsageError
 from teleop.link import NEVER_NS, Link
 from teleop.link.health import DEFAULT_BOUNDS, HealthConfig, compile_link_window_update
 from teleop.link.rate_limit import RateLimit
@@ -87,14 +90,19 @@ class MasterProcess(LoopProcess):
         commands_every: int = 1,
         health: HealthConfig = DEFAULT_BOUNDS,
         requests: RequestListener | None = None,
+        mapper: HandMapper | None = None,
     ) -> None:
-        self._memory = loop.init_master(device.axes, now_ns())
+        self._mapper = mapper
+        joints = device.axes if mapper is None else mapper.joints
+        self._memory = loop.init_master(device.axes, now_ns(), joints)
         self.memory: loop.MasterMemory = view_struct(self._memory)
         self._checkpoint = Checkpoint(self._memory)  # of the tick, then of its second phase
         self._commanded_outline = OutlineReader(self._checkpoint.saved[0]["session"])
         super().__init__(link, grid.stats, self._memory, device.axes, requests, health)
         self._newly_answered_ns = self._memory["newly_answered_ns"]
         self._hands = HandInput.array()
+        self._drives = self._hands if mapper is None else mapper.drives
+        self._maps = VelocityMap.array() if mapper is None else mapper.maps
         self._live, self._device = live_settings.init_settings(config), device
         self._reads = SlowCallMonitor("device: read")
         self._writes = SlowCallMonitor("device: write")
@@ -131,6 +139,8 @@ class MasterProcess(LoopProcess):
             config if self._link_scale == 1.0 else self._scale_config(config)
         )
         fill_hand_input(self._hands, hand)
+        if self._mapper is not None:
+            self._mapper.step(self._hands, self._memory, config.operator.position_scale, tick.dt)
         outputs = (self._command.records,)
         compute = partial(self._run_phase, loop.compute_command, outputs, settings, fault, requests)
         self._checkpoint.run_step(compute, now_ns(), tick.dt)
@@ -201,7 +211,13 @@ class MasterProcess(LoopProcess):
             states.settles or self._link_holds,
         )
         return phase(
-            settings, self._memory, self._hands, states.packet.records, tick_input, *outputs
+            settings,
+            self._memory,
+            self._hands,
+            self._drives,
+            states.packet.records,
+            tick_input,
+            *outputs,
         )
 
     def _scale_config(self, config: MasterConfig) -> MasterConfig:
@@ -261,7 +277,7 @@ class MasterProcess(LoopProcess):
 
         The time of a stall before it, while the answer was waited for, counts as passed.
         """
-        outputs = is_new, self._force
+        outputs = self._maps, is_new, self._force
         compute = partial(self._run_phase, loop.compute_force, outputs, settings, fault, requests)
         now, dt = now_ns(), tick.dt
         waited_ns = now - tick.stamp_ns
@@ -326,13 +342,14 @@ class MasterProcess(LoopProcess):
 
     def _describe_layout_difference(self) -> str:
         """Return, once, which axes of the device or joints of the rig have no counterpart."""
-        joints, axes = int(self._joints[0]), self._device.axes
+        joints, axes = int(self._joints[0]), int(self._memory["joints"][0])
         if self._is_layout_compared or not joints:
             return ""
         self._is_layout_compared = True
         if axes == joints:
             return ""
-        difference = f"the device has {axes} axes, the rig {joints} joints: "
+        moved = "device has" if self._mapper is None else "mapped hand has"
+        difference = f"the {moved} {axes} axes, the rig {joints} joints: "
         if axes > joints:
             return f"{difference}axes from {joints + 1} on move nothing"
         return f"{difference}joints from {axes + 1} on are not moved"
@@ -406,11 +423,53 @@ def main(args: argparse.Namespace) -> int:
         commands_every = config.commands_every(shared.rate_hz)
         grid = Grid(shared.rate_hz * commands_every, stop)
         master = MasterProcess(
-            config, link, device, grid, shared.bilateral, commands_every, shared.health, requests
+            config,
+            link,
+            device,
+            grid,
+            shared.bilateral,
+            commands_every,
+            shared.health,
+            requests,
+            build_mapper(config, shared.arms, device.axes),
         )
         return master, grid, stop
 
     return report_outcome(args, *run_session(Role.MASTER, shared, start))
+
+
+def build_mapper(config: MasterConfig, arms: Sequence[ArmConfig], axes: int) -> HandMapper | None:
+    """Return what maps a device of so many axes to the joints, None if axis k moves joint k.
+
+    Raises
+    ------
+    UsageError
+        The device, the mapping and the arms do not fit.
+    """
+    mapping = config.mapping
+    if mapping is None:
+        return None
+    if isinstance(mapping, AxisMapConfig):
+        for j, joint in enumerate(mapping.joints):
+            if joint.axis is not None and joint.axis >= axes:
+                raise UsageError(
+                    f"master.mapping.joints.{j}.axis: {joint.axis}, but the device has {axes} axes"
+                )
+        return AxisMapper(mapping)
+    from master.space_map import SpaceMapper
+
+    count = sum(len(hand.axes) for hand in mapping.hands)
+    if count != axes:
+        raise UsageError(
+            f"master.mapping.hands: their axes are {count}, but the device has {axes}; name each"
+        )
+    if len(mapping.hands) != len(arms) or not all(arm.has_kinematics for arm in arms):
+        raise UsageError(
+            f"master.mapping.hands: {len(mapping.hands)} hands in space need as many arms with "
+            "kinematics (arms.0.urdf or arms.0.sections)"
+        )
+    radii = [np.abs(np.diag(np.array(arm.radii, np.float64))) for arm in arms]
+    return SpaceMapper(mapping, [arm.load_kinematics() for arm in arms], radii)
 
 
 def warm_up() -> None:
@@ -420,9 +479,9 @@ def warm_up() -> None:
     state, command, message = Packet(SlaveState), Packet(Command), Packet(Hand)
     fill_hand_input(hands, HandState((0.0,), (0.0,), engage=False))
     tick_input = loop.TickInput(1e-3, 0, False, NEVER_NS)
-    inputs = settings, memory, hands, state.records, tick_input
+    inputs = settings, memory, hands, hands, state.records, tick_input
     loop.compute_command(*inputs, command.records)
-    loop.compute_force(*inputs, False, np.zeros(MAX_JOINTS))
+    loop.compute_force(*inputs, VelocityMap.array(), False, np.zeros(MAX_JOINTS))
     loop.fill_hand_message(memory, hands, -1, 0, message.records)
     command.seal(0, 0, 0)
     compile_link_window_update()

@@ -10,7 +10,7 @@ The defaults are of the order of a relaxed to moderate grip, not measured.
 """
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from master.device import Axes, DeviceFault, HandState
@@ -99,7 +99,35 @@ class Reaches:
         return start + (goal - start) * way, (goal - start) * speed
 
 
-Reference = Hold | Sine | Reaches
+@dataclass(frozen=True, slots=True)
+class Waypoints:
+    """Cyclic reaches from point to point, as `Reaches` but of all axes together."""
+
+    type: Literal["waypoints"] = "waypoints"
+    # [m], or [rad] of an axis that turns; a number for each axis, the first reach is from zero
+    points: tuple[tuple[float, ...], ...] = ((0.0,), (0.02,))
+    reach: float = 0.8  # [s] duration of each reach
+    rest: float = 0.3  # [s] at each point
+
+    def __post_init__(self) -> None:
+        """Check the values; raises `ValueError`."""
+        if not self.points or len({len(point) for point in self.points}) != 1:
+            raise ValueError("points: at least one, all with a number for each axis")
+        for axis in range(len(self.points[0])):
+            self.of_axis(axis)
+
+    def at(self, time_s: float) -> tuple[float, float]:
+        """Return position [m] and velocity [m/s] of the first axis."""
+        return self.of_axis(0).at(time_s)
+
+    def of_axis(self, axis: int) -> Reaches:
+        """Return the motion of one axis."""
+        return Reaches(
+            "reaches", tuple(point[axis] for point in self.points), self.reach, self.rest
+        )
+
+
+Reference = Hold | Sine | Reaches | Waypoints
 
 _SUBSTEP = 0.001  # [s] step of the integration; up to half as long again, to fit the gap
 _SUBSTEPS_MAX = 1000  # a longer gap is crossed in this many steps, however long
@@ -128,6 +156,8 @@ class VirtualConfig:
         """Check the values; raises `ValueError`."""
         if not 1 <= self.axes <= 8:
             raise ValueError("axes: must be within 1 ... 8")
+        if isinstance(self.reference, Waypoints) and len(self.reference.points[0]) != self.axes:
+            raise ValueError(f"reference.points: must have {self.axes} numbers each, as axes says")
         if not 0.0 <= self.axis_delay < math.inf:
             raise ValueError("axis_delay: must be at least 0 and finite [s]")
         if not 0.001 <= self.mass <= 100.0:
@@ -146,6 +176,13 @@ class VirtualConfig:
     def axis_count(self) -> int:
         """How many joints it moves."""
         return self.axes
+
+    def of_axis(self, axis: int) -> tuple["VirtualConfig", Hold | Sine | Reaches, float]:
+        """Return the config of one axis, its script, and its delay [s]."""
+        if not isinstance(self.reference, Waypoints):
+            return self, self.reference, axis * self.axis_delay
+        script = self.reference.of_axis(axis)
+        return replace(self, axes=1, reference=script), script, 0.0
 
     def pressed(self, time_s: float) -> bool:
         """Return whether the hand holds the engage switch at `time_s` [s]."""
@@ -182,14 +219,11 @@ class VirtualDevice:
         self.axes = config.axes
         self.applied: Axes = (0.0,) * config.axes
         self._config = config
+        self._axes = [config.of_axis(axis) for axis in range(config.axes)]
         self._time = 0.0
         self._written = -math.inf
         self._force = self.applied
-        self._delays = tuple(axis * config.axis_delay for axis in range(config.axes))
-        self._hands = [self._rest(delay) for delay in self._delays]
-
-    def _rest(self, delay: float) -> tuple[float, float]:
-        return self._config.reference.at(-delay)
+        self._hands = [script.at(-delay) for _, script, delay in self._axes]
 
     def read(self, time_s: float) -> HandState:
         """Move the hand on to `time_s` and return its state."""
@@ -208,8 +242,10 @@ class VirtualDevice:
             self._force = (0.0,) * self.axes
         self.applied = self._force
         self._hands = [
-            advance_hand(self._config, x, v, time_s - delay, force, h)
-            for (x, v), force, delay in zip(self._hands, self._force, self._delays, strict=True)
+            advance_hand(axis, x, v, time_s - delay, force, h)
+            for (x, v), force, (axis, _, delay) in zip(
+                self._hands, self._force, self._axes, strict=True
+            )
         ]
 
     def write(self, force: Axes) -> None:

@@ -15,6 +15,7 @@ from master import loop as master_loop
 from master.config import MasterConfig
 from master.device import HandState
 from master.feedback import FeedbackConfig
+from master.hand_map import VelocityMap
 from master.operator import OperatorConfig
 from master.settings_record import build_master_settings
 from slave import loop as slave_loop
@@ -210,6 +211,7 @@ class Teleoperator:
         self._master = master_loop.init_master(1, EPOCH)
         self.master: master_loop.MasterMemory = view_struct(self._master)
         self._hands = hand_input.HandInput.array()
+        self._maps = VelocityMap.array()
         self._force = np.zeros(MAX_JOINTS)  # [N]
         self._slave = slave_loop.init_slave(
             model, configs.slave, slave_bilateral or bilateral, False
@@ -250,11 +252,12 @@ class Teleoperator:
             self._master_settings,
             self._master,
             self._hands,
+            self._hands,
             latest.packet.records,
             tick_input,
         )
         master_loop.compute_command(*known, self._command.records)
-        master_loop.compute_force(*known, False, self._force)
+        master_loop.compute_force(*known, self._maps, False, self._force)
         self._commands.send(self._command, now)
 
     def _slave_tick(self, samples: Sequence[RigSample], now: int) -> None:

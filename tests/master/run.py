@@ -11,6 +11,7 @@ from master.device import HandState
 from master.feedback import FeedbackConfig
 from master.gate import GateConfig
 from master.hand_input import HandInput, fill_hand_input
+from master.hand_map import VelocityMap
 from master.settings_record import SettingsRecord
 from teleop.coupling import Bilateral
 from teleop.messages.messages import MAX_JOINTS, Command, SlaveState, pad_values
@@ -61,7 +62,7 @@ class Run:
         self._settings = SettingsRecord(config, bilateral)
         self.memories = loop.init_master(axes, self.now)
         self.memory = view_struct(self.memories)
-        self.hands = HandInput.array()
+        self.hands, self._maps = HandInput.array(), VelocityMap.array()
         self.input = loop.TickInput(1e-3, self.now, False, 0)
         self._states = message_records(SlaveState)
         self.output: Any = None
@@ -90,7 +91,7 @@ class Run:
             self._receive(state, age + wait, self.now + wait)
         else:
             self._receive(later, later_age, self.now + wait)
-        verdict = loop.compute_force(*self.inputs, later is not None, force)
+        verdict = loop.compute_force(*self.inputs, self._maps, later is not None, force)
         assert not force[self.axes :].any()
         self.output = Output(
             Command(**{n: self._value(out[n][0]) for n in out.dtype.names}),
@@ -114,7 +115,7 @@ class Run:
     @property
     def inputs(self):
         settings = self._settings.update(self.config)
-        return settings, self.memories, self.hands, self._states, self.input
+        return settings, self.memories, self.hands, self.hands, self._states, self.input
 
     @property
     def session(self):

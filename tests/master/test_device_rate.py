@@ -13,6 +13,7 @@ from master.device import HandState
 from master.devices.virtual import Reaches, VirtualConfig, advance_hand
 from master.feedback import FeedbackConfig
 from master.gate import GateConfig
+from master.hand_map import VelocityMap
 from master.operator import OperatorConfig
 from master.settings_record import SettingsRecord
 from teleop import coupling
@@ -128,6 +129,7 @@ def pressed(config, rate, late_s=0.0):
     memories, hands = loop.init_master(1, EPOCH), hand_input.HandInput.array()
     memory, slave = view_struct(memories), Wall(bilateral)
     states, commands = message_records(SlaveState), message_records(Command)
+    maps = VelocityMap.array()
     dt = 1.0 / (rate_hz * every)
     force, x, v = np.zeros(MAX_JOINTS), 0.0, 0.0
     there, back, rows, gained = [], [], [], 0.0
@@ -143,7 +145,7 @@ def pressed(config, rate, late_s=0.0):
         engage = time_s >= ENGAGED_S
         hand_input.fill_hand_input(hands, HandState((x,), (v,), engage))
         given = loop.TickInput(dt, now, has_state, now - received)
-        loop.compute_command(settings, memories, hands, states, given, commands)
+        loop.compute_command(settings, memories, hands, hands, states, given, commands)
         if k % every == 0:
             commands["stamp_ns"] = now
             there.append((k + late, commands[0].copy()))
@@ -156,7 +158,7 @@ def pressed(config, rate, late_s=0.0):
             is_new = has_state = True
             received = now
         given = loop.TickInput(dt, now, has_state, now - received)
-        loop.compute_force(settings, memories, hands, states, given, is_new, force)
+        loop.compute_force(settings, memories, hands, hands, states, given, maps, is_new, force)
         near, far = memory.coupling.ports[0], slave.side.ports[0]
         put_in = near.put_in + far.put_in + near.granted + far.granted
         rows.append(

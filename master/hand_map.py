@@ -1,0 +1,232 @@
+"""From the axes of a device to the joints of a robot, and the forces back.
+
+A map turns the hand h, one number for each axis of the device, into a hand y with an axis for each
+joint, which operator, coupling and session then use as if it were the device's own:
+
+    dy = M dh,   F_hand = M^T F_joint
+
+with the velocity map M of the tick, so whatever M is, the power at the hand equals that at the
+joints, and a map creates no energy. Without a map y is h, axis k moves joint k.
+"""
+
+import math
+from typing import Annotated, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.array_types import Array
+from estimator.compiled import jit_compile
+from estimator.records import I64, Field, Flag, Struct, StructArray, view_struct
+from master import feedback
+from master.feedback import FeedbackConfig
+from master.hand_input import Axes, HandInput
+from master.mapping_config import AxisMapConfig, MappedJointConfig
+from teleop.messages.messages import MAX_JOINTS
+
+
+class VelocityMap(Struct):
+    """How the hand's motion moves the joints in a tick, and what else the map does to the hand."""
+
+    is_active: Flag = False  # False: y is h
+    # row: joint, column: axis of the device
+    matrix: Annotated[Array, Field("f8", (MAX_JOINTS, MAX_JOINTS))]
+    fixture_force: Axes  # [N] of virtual fixtures, on each axis
+
+
+class HandMapper(Protocol):
+    """What maps the hand of a tick, from a config.
+
+    Attributes
+    ----------
+    joints : int
+        How many axes y has.
+    drives, maps : Records
+        The mapped hand, a `HandInput`, and the `VelocityMap` of the tick; shape (1,).
+    """
+
+    joints: int
+    drives: StructArray
+    maps: StructArray
+
+    def step(
+        self, hands: StructArray, memories: StructArray, position_scale: float, dt: float
+    ) -> None:
+        """Map the hand of this tick.
+
+        Parameters
+        ----------
+        hands, memories : Records
+            `HandInput` and, after the last tick, `MasterMemory`; shape (1,).
+        position_scale : float
+            Tip travel per hand travel.
+        dt : float
+            Since the last tick [s].
+        """
+
+
+@jit_compile
+def compute_hand_force(
+    velocity_map: VelocityMap, joint_force: Array, axes: int, joints: int, out: Array
+) -> None:
+    """Write the forces on the hand [N] of forces along y [N] to the first `axes` of `out`."""
+    for k in range(axes):
+        if not velocity_map.is_active:
+            out[k] = joint_force[k]
+            continue
+        out[k] = 0.0
+        for j in range(joints):
+            out[k] += velocity_map.matrix[j, k] * joint_force[j]
+
+
+@jit_compile
+def limit_joint_force(
+    config: FeedbackConfig,
+    total_max: float,
+    velocity_map: VelocityMap,
+    last: Array,
+    force: Array,
+    axes: int,
+    joints: int,
+    dt: float,
+) -> None:
+    """Limit growth and size of a force along y [N], in place, so that the hand's stays in bounds.
+
+    `total_max` [N] bounds the length of the force on the hand. The whole vector goes a part of the
+    way from `last` and is then shortened, so that the force on the hand stays one that the joints
+    feel too: limits of single axes would not be passive.
+    """
+    begin, end = np.zeros(MAX_JOINTS), np.zeros(MAX_JOINTS)
+    compute_hand_force(velocity_map, last, axes, joints, begin)
+    compute_hand_force(velocity_map, force, axes, joints, end)
+    share, largest, total = 1.0, 0.0, 0.0
+    for k in range(axes):
+        if not math.isfinite(end[k]):
+            return  # for the gate to refuse
+        allowed = feedback.limit_slew(config.slew, begin[k], end[k], dt)
+        if allowed != end[k]:
+            share = min(share, (allowed - begin[k]) / (end[k] - begin[k]))
+    for k in range(axes):
+        reached = begin[k] + share * (end[k] - begin[k])
+        largest = max(largest, abs(reached))
+        total += reached * reached
+    shorter = min(1.0, config.limit / largest) if largest > 0.0 else 1.0
+    if total > 0.0:
+        shorter = min(shorter, total_max / math.sqrt(total))
+    for j in range(joints):
+        force[j] = shorter * (last[j] + share * (force[j] - last[j]))
+
+
+@jit_compile
+def store_joint_force(
+    velocity_map: VelocityMap,
+    written: Array,
+    requested: Array,
+    local: Array,
+    force: Array,
+    axes: int,
+    joints: int,
+    out: Array,
+) -> None:
+    """Write the part of the `written` force on the hand that is the coupling's, along y [N].
+
+    `requested` is what the gate was given, `local` the part that no joint feels, `force` the rest
+    along y. What the gate took away is taken away from all of `force`.
+    """
+    if not velocity_map.is_active:
+        for k in range(MAX_JOINTS):
+            out[k] = written[k] - local[k]
+        return
+    share = 1.0
+    for k in range(axes):
+        if written[k] != requested[k]:
+            share = min(share, max(0.0, written[k] / requested[k])) if requested[k] != 0.0 else 0.0
+    for j in range(joints):
+        out[j] = share * force[j] if share > 0.0 else 0.0
+
+
+# --- axes of the device assigned to joints
+
+
+class AxisMap(Struct):
+    """A `MappedJointConfig` for each joint, as a record."""
+
+    joints: I64
+    axis: Annotated[NDArray[np.int64], Field("i8", MAX_JOINTS, fill=-1)]
+    scale: Axes
+    dead_band: Axes  # [m]
+    low: Axes  # [m]
+    high: Axes  # [m]
+
+
+def build_axis_map(joints: tuple[MappedJointConfig, ...]) -> StructArray:
+    """Return the record of the joints' axes, as an array of one."""
+    records = AxisMap.array()
+    axis_map = view_struct(records)
+    axis_map.joints = len(joints)
+    for j, joint in enumerate(joints):
+        axis_map.axis[j] = -1 if joint.axis is None else joint.axis
+        axis_map.scale[j], axis_map.dead_band[j] = joint.scale, joint.dead_band
+        axis_map.low[j], axis_map.high[j] = joint.range
+    return records
+
+
+@jit_compile
+def map_axes(
+    axis_maps: StructArray, hands: StructArray, drives: StructArray, maps: StructArray
+) -> None:
+    """Fill `drives` and `maps` from the hand; all of shape (1,)."""
+    axis_map, hand, drive, velocity_map = axis_maps[0], hands[0], drives[0], maps[0]
+    drive.present, drive.engage = hand.present, hand.engage
+    drive.clutch, drive.stop = hand.clutch, hand.stop
+    drive.axes = axis_map.joints if hand.present else 0
+    velocity_map.is_active = True
+    velocity_map.matrix[:] = 0.0
+    for j in range(axis_map.joints):
+        axis = axis_map.axis[j]
+        drive.position[j] = drive.velocity[j] = 0.0
+        if not 0 <= axis < hand.axes:
+            continue
+        x = min(max(hand.position[axis], axis_map.low[j]), axis_map.high[j])
+        moved, slope = pass_dead_band(x, axis_map.dead_band[j])
+        if x != hand.position[axis]:
+            slope = 0.0
+        velocity_map.matrix[j, axis] = axis_map.scale[j] * slope
+        drive.position[j] = axis_map.scale[j] * moved
+        drive.velocity[j] = axis_map.scale[j] * slope * hand.velocity[axis]
+
+
+@jit_compile
+def pass_dead_band(x: float, width: float) -> tuple[float, float]:
+    """Return what is left of `x` beyond `width` on either side of 0, and its slope.
+
+    The slope rises from 0 to 1 within another `width`, so that the force begins without a step.
+    """
+    if width == 0.0:
+        return x, 1.0
+    beyond = abs(x) - width
+    if beyond <= 0.0:
+        return 0.0, 0.0
+    moved, slope = beyond - 0.5 * width, 1.0
+    if beyond < width:
+        moved, slope = 0.5 * beyond * beyond / width, beyond / width
+    return math.copysign(moved, x), slope
+
+
+class AxisMapper:
+    """A `HandMapper` by axes."""
+
+    def __init__(self, config: AxisMapConfig) -> None:
+        self.joints = len(config.joints)
+        self.drives, self.maps = HandInput.array(), VelocityMap.array()
+        self._axis_map = build_axis_map(config.joints)
+
+    def step(
+        self,
+        hands: StructArray,
+        memories: StructArray,  # noqa: ARG002 - of every map
+        position_scale: float,  # noqa: ARG002
+        dt: float,  # noqa: ARG002
+    ) -> None:
+        """Map the hand of this tick."""
+        map_axes(self._axis_map, hands, self.drives, self.maps)

@@ -1,0 +1,99 @@
+"""Configs of how a hand's axes move the joints; null in a master's config: axis k moves joint k."""
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+from estimator.kinematics.fixtures import FixturesConfig
+from estimator.kinematics.inverse import InverseConfig
+from teleop.messages.messages import MAX_JOINTS
+
+# --- axes of the device assigned to joints
+
+
+@dataclass(frozen=True, slots=True)
+class MappedJointConfig:
+    """Which axis of the device moves a joint, and how."""
+
+    axis: int | None = None  # counted from 0; null = the joint is not moved
+    scale: float = 1.0  # times operator.position_scale; negative = the other way
+    dead_band: float = 0.0  # [m] of the hand around 0 that moves nothing
+    range: tuple[float, float] = (-1.0, 1.0)  # [m] of the hand; beyond it the joint stays
+
+    def __post_init__(self) -> None:
+        """Check the values; raises `ValueError`."""
+        if self.axis is not None and not 0 <= self.axis < MAX_JOINTS:
+            raise ValueError(f"axis: must be 0 to {MAX_JOINTS - 1}, or null")
+        if not 0.0 < abs(self.scale) <= 100.0:
+            raise ValueError("scale: must not be 0, and at most 100 either way")
+        if not 0.0 <= self.dead_band <= 0.1:
+            raise ValueError("dead_band: must be 0 to 0.1 [m]")
+        if not self.range[0] < 0.0 < self.range[1]:
+            raise ValueError("range: must be [from, to] in metres, with 0 between them")
+
+
+@dataclass(frozen=True, slots=True)
+class AxisMapConfig:
+    """Axes of the device assigned to joints."""
+
+    type: Literal["axes"] = "axes"
+    joints: tuple[MappedJointConfig, ...] = (MappedJointConfig(axis=0),)  # one for each joint
+
+    def __post_init__(self) -> None:
+        """Check the number of joints; raises `ValueError`."""
+        if not 1 <= len(self.joints) <= MAX_JOINTS:
+            raise ValueError(f"joints: must be 1 to {MAX_JOINTS}")
+
+
+# --- a hand in space that moves the tip of an arm
+
+HandAxis = Literal["x", "y", "z", "roll", "pitch", "yaw", "grip"]
+HAND_AXES: tuple[HandAxis, ...] = ("x", "y", "z", "roll", "pitch", "yaw", "grip")
+
+
+@dataclass(frozen=True, slots=True)
+class SpaceHandConfig:
+    """How a hand moves the tip of one arm."""
+
+    # what the device's axes are, in its order; the next hand has those that follow
+    axes: tuple[HandAxis, ...] = ("x", "y", "z")
+    rotation_scale: float = 1.0  # rotation of the tip over that of the hand
+    grip_scale: float = 1.0  # travel of the gripper's joint over that of the grip axis
+    # [rad] roll, pitch, yaw of the device in the frame of the arm's base, or of the camera
+    registration: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    lock: tuple[HandAxis, ...] = ()  # that move nothing
+    align_orientation: bool = False  # the tip turns until it has the hand's orientation
+    inverse: InverseConfig = field(default_factory=InverseConfig)
+    fixtures: FixturesConfig = field(default_factory=FixturesConfig)
+
+    def __post_init__(self) -> None:
+        """Check the values; raises `ValueError`."""
+        if not self.axes or len(set(self.axes)) != len(self.axes):
+            raise ValueError(f"axes: each at most once, of {', '.join(HAND_AXES)}")
+        if not 0.0 < self.rotation_scale <= 10.0:
+            raise ValueError("rotation_scale: must be above 0 and at most 10")
+        if not 0.0 < abs(self.grip_scale) <= 100.0:
+            raise ValueError("grip_scale: must not be 0, and at most 100 either way")
+        rotations = {"roll", "pitch", "yaw"} - set(self.lock)
+        if self.align_orientation and (
+            self.rotation_scale != 1.0 or len(rotations & set(self.axes)) < 3
+        ):
+            raise ValueError(
+                "align_orientation: needs rotation_scale 1 and roll, pitch, yaw, none of them "
+                "locked"
+            )
+
+
+@dataclass(frozen=True, slots=True)
+class SpaceMapConfig:
+    """Hands in space: one for each arm, in their order."""
+
+    type: Literal["space"] = "space"
+    hands: tuple[SpaceHandConfig, ...] = (SpaceHandConfig(),)
+
+    def __post_init__(self) -> None:
+        """Check the number of hands; raises `ValueError`."""
+        if not self.hands:
+            raise ValueError("hands: at least one is needed")
+
+
+MappingConfig = AxisMapConfig | SpaceMapConfig

@@ -1,0 +1,266 @@
+"""From a hand in space to the joints of an arm, by the arm's kinematics.
+
+The axes of the device are translations and rotations of the hand, and its grip. The tip moves as
+the hand does, scaled and turned (`estimator.kinematics.hand_map`), the joints by the differential
+inverse kinematics (`estimator.kinematics.inverse`) at the commanded angles, and the matrix T of
+that step is the map: the force in the hand is T^T times the torques of the joints. Virtual fixtures
+are torques on the joints, which the same matrix brings to the hand.
+
+Joint j of an arm has the travel q_j = r_j theta_j, and the mapped hand y moves the tips by
+`position_scale` y: so M = diag(r) T / position_scale, with the device's angles roll, pitch, yaw
+(about x, then y, then z) turned into an angular velocity.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Annotated
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.array_types import Array
+from estimator.compiled import jit_compile
+from estimator.kinematics.arm import Arm, PreparedArm, prepare_arm
+from estimator.kinematics.fixtures import Fixtures, build_fixtures, write_fixture_torque
+from estimator.kinematics.forward import write_kinematics
+from estimator.kinematics.hand_map import (
+    AXES,
+    GRIP,
+    HandMap,
+    HandMapConfig,
+    HandMapSettings,
+    HandPose,
+    build_hand_map_settings,
+    step_hand_map,
+    write_joint_map,
+)
+from estimator.kinematics.inverse import (
+    InverseConfig,
+    InverseSettings,
+    InverseStep,
+    build_inverse_settings,
+    step_inverse,
+)
+from estimator.kinematics.rotations import multiply, to_quaternion
+from estimator.records import I64, Field, Struct, StructArray, view_struct
+from master.hand_input import Axes, HandInput
+from master.hand_map import VelocityMap
+from master.loop import MasterMemory, init_master
+from master.mapping_config import HAND_AXES, SpaceHandConfig, SpaceMapConfig
+from teleop.messages.messages import MAX_JOINTS
+from teleop.session.state_machine import State
+
+
+def weigh_axes(hand: SpaceHandConfig) -> InverseConfig:
+    """Return a hand's inverse kinematics; rotations of the tip are free if the hand has none."""
+    if {"roll", "pitch", "yaw"} & set(hand.axes):
+        return hand.inverse
+    return replace(hand.inverse, weights=(*hand.inverse.weights[:3], 0.0, 0.0, 0.0))
+
+
+def to_hand_map_config(hand: SpaceHandConfig, jaw_radius: float) -> HandMapConfig:
+    """Return the hand's map of the estimator; its translation scale is set in every tick."""
+    roll, pitch, yaw = hand.registration
+    tilt = multiply(to_quaternion(0.0, pitch, 0.0), to_quaternion(roll, 0.0, 0.0))
+    return HandMapConfig(
+        rotation_scale=hand.rotation_scale,
+        registration=multiply(to_quaternion(0.0, 0.0, yaw), tilt),
+        lock=tuple(HAND_AXES.index(axis) for axis in hand.lock),
+        align_orientation=hand.align_orientation,
+        grip_scale=hand.grip_scale / jaw_radius,
+    )
+
+
+DT_MIN = 1e-6  # [s] what follows divides by it
+
+
+class SpaceHand(Struct):
+    """One hand and its arm: which axes and joints, and all that is needed in a tick."""
+
+    first_axis: I64
+    axes: I64
+    axis: Annotated[NDArray[np.int64], Field("i8", MAX_JOINTS)]  # of `HAND_AXES`
+    first_joint: I64
+    joints: I64  # with the gripper's behind those of the arm, if there is one
+    radius: Axes  # [m] of each joint's pulley
+    arm: PreparedArm
+    inverse: InverseSettings
+    settings: HandMapSettings
+    fixtures: Fixtures
+    pose: HandPose
+    map: HandMap
+    step: InverseStep
+    tip: Annotated[Array, Field("f8", (4, 4))]
+    jacobian: Annotated[Array, Field("f8", (6, MAX_JOINTS))]
+    angle: Axes  # [rad] or [m], commanded
+    torque: Axes  # [N m] or [N] of the fixtures
+    travel: Axes  # [m] y of the joints
+    rates: Annotated[Array, Field("f8", (3, 3))]  # angular velocity over the rates of the angles
+
+
+@jit_compile
+def map_space(
+    all_hands: StructArray,
+    memories: StructArray,
+    hands: StructArray,
+    position_scale: float,
+    dt: float,
+    drives: StructArray,
+    maps: StructArray,
+) -> None:
+    """Fill `drives` and `maps`, shape (1,), from the hand and the commanded travels.
+
+    Parameters
+    ----------
+    all_hands : Records
+        `SpaceHand`, one for each arm, changed in place.
+    memories, hands : Records
+        `MasterMemory` after the last tick and `HandInput`, shape (1,).
+    position_scale : float
+        Tip travel per hand travel.
+    dt : float
+        Since the last tick [s].
+    """
+    memory, hand, drive, velocity_map = memories[0], hands[0], drives[0], maps[0]
+    dt = max(dt, DT_MIN)
+    drive.present, drive.engage = hand.present, hand.engage
+    drive.clutch, drive.stop = hand.clutch, hand.stop
+    velocity_map.is_active = True
+    velocity_map.matrix[:] = 0.0
+    velocity_map.fixture_force[:] = 0.0
+    joints = 0
+    for i in range(len(all_hands)):
+        space = all_hands[i]
+        _step_hand(space, memory, hand, position_scale, dt)
+        _fill_map(space, hand, position_scale, dt, drive, velocity_map)
+        joints += space.joints
+    drive.axes = joints if hand.present else 0
+
+
+@jit_compile
+def _step_hand(
+    space: SpaceHand, memory: MasterMemory, hand: HandInput, position_scale: float, dt: float
+) -> None:
+    """Step one hand and its arm."""
+    arm, n = space.arm, space.arm.coordinates
+    for j in range(space.joints):
+        space.angle[j] = memory.operator.tip[space.first_joint + j] / space.radius[j]
+    write_kinematics(arm, space.angle, space.tip, space.jacobian)
+    _read_pose(space, hand)
+    for axis in range(3):
+        if space.settings.scale[axis] != 0.0:
+            space.settings.scale[axis] = position_scale
+    engaged = hand.present and memory.session.state == State.ENGAGED
+    jaw = space.angle[n] if space.joints > n else 0.0
+    step_hand_map(space.settings, space.pose, engaged, space.tip, jaw, dt, space.map)
+    step_inverse(
+        arm,
+        space.inverse,
+        space.jacobian,
+        space.angle,
+        space.map.twist,
+        space.map.error,
+        dt,
+        space.step,
+    )
+    write_joint_map(arm, space.step, space.map)
+    write_fixture_torque(
+        space.fixtures,
+        arm,
+        space.inverse,
+        space.angle,
+        space.tip,
+        space.jacobian,
+        space.torque,
+    )
+
+
+@jit_compile
+def _read_pose(space: SpaceHand, hand: HandInput) -> None:
+    """Read the hand's pose from its axes; those that it has not stay at 0."""
+    numbers = np.zeros(AXES)
+    for k in range(space.axes):
+        numbers[space.axis[k]] = hand.position[space.first_axis + k]
+    for k in range(3):
+        space.pose.position[k] = numbers[k]
+    roll, pitch, yaw = numbers[3], numbers[4], numbers[5]
+    about_y_and_x = multiply(to_quaternion(0.0, pitch, 0.0), to_quaternion(roll, 0.0, 0.0))
+    turned = multiply(to_quaternion(0.0, 0.0, yaw), about_y_and_x)
+    for k in range(4):
+        space.pose.orientation[k] = turned[k]
+    space.pose.grip = numbers[GRIP]
+    cp, sp, cy, sy = math.cos(pitch), math.sin(pitch), math.cos(yaw), math.sin(yaw)
+    rates = space.rates
+    rates[0, 0], rates[1, 0], rates[2, 0] = cy * cp, sy * cp, -sp  # roll
+    rates[0, 1], rates[1, 1], rates[2, 1] = -sy, cy, 0.0  # pitch
+    rates[0, 2], rates[1, 2], rates[2, 2] = 0.0, 0.0, 1.0  # yaw
+
+
+@jit_compile
+def _fill_map(
+    space: SpaceHand,
+    hand: HandInput,
+    position_scale: float,
+    dt: float,
+    drive: HandInput,
+    velocity_map: VelocityMap,
+) -> None:
+    """Write the rows and columns of one hand, and its mapped motion."""
+    for j in range(space.joints):
+        row = space.first_joint + j
+        lever = space.radius[j] / position_scale
+        drive.velocity[row] = 0.0
+        for k in range(space.axes):
+            axis, column = space.axis[k], space.first_axis + k
+            gain = space.map.joint_map[j, axis]
+            if 3 <= axis < GRIP:  # an angle of the device
+                gain = 0.0
+                for m in range(3):
+                    gain += space.map.joint_map[j, 3 + m] * space.rates[m, axis - 3]
+            velocity_map.matrix[row, column] = lever * gain
+            velocity_map.fixture_force[column] += gain * space.torque[j]
+            drive.velocity[row] += lever * gain * hand.velocity[column]
+        space.travel[j] += lever * space.map.joint_velocity[j] * dt
+        drive.position[row] = space.travel[j]
+
+
+class SpaceMapper:
+    """A `HandMapper` by kinematics.
+
+    Parameters
+    ----------
+    config : SpaceMapConfig
+    arms : sequence of Arm
+        One for each hand of the config.
+    radii : sequence of arrays
+        Pulley radii [m] of the joints of each arm, with a gripper behind them if there is one.
+    """
+
+    def __init__(self, config: SpaceMapConfig, arms: Sequence[Arm], radii: Sequence[Array]) -> None:
+        self.drives, self.maps = HandInput.array(), VelocityMap.array()
+        self._hands = SpaceHand.array(len(arms))
+        first_axis = first_joint = 0
+        for i, (hand, arm, radius) in enumerate(zip(config.hands, arms, radii, strict=True)):
+            space = view_struct(self._hands, i)
+            axes = [HAND_AXES.index(axis) for axis in hand.axes]
+            space.first_axis, space.axes = first_axis, len(axes)
+            space.axis[: len(axes)] = axes
+            space.first_joint, space.joints = first_joint, len(radius)
+            space.radius[: len(radius)] = radius
+            for name, records in (
+                ("arm", prepare_arm(arm)),
+                ("inverse", build_inverse_settings(weigh_axes(hand))),
+                ("settings", build_hand_map_settings(to_hand_map_config(hand, radius[-1]))),
+                ("fixtures", build_fixtures(hand.fixtures)),
+            ):
+                self._hands[name][i] = records[0]
+            first_axis, first_joint = first_axis + len(axes), first_joint + len(radius)
+        self.axes, self.joints = first_axis, first_joint
+        self.step(HandInput.array(), init_master(self.axes, 0, self.joints), 1.0, 1e-3)  # compiles
+
+    def step(
+        self, hands: StructArray, memories: StructArray, position_scale: float, dt: float
+    ) -> None:
+        """Map the hand of this tick, `dt` [s] after the last."""
+        map_space(self._hands, memories, hands, position_scale, dt, self.drives, self.maps)

@@ -1,0 +1,180 @@
+"""Hands mapped to joints: power, limits of the force, and what each map does."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from estimator.kinematics.arm import prepare_arm
+from estimator.kinematics.forward import compute_tip_pose
+from estimator.records import to_struct, view_struct
+from master import hand_map, loop
+from master.device import HandState
+from master.feedback import FeedbackConfig
+from master.hand_input import HandInput, fill_hand_input
+from master.hand_map import AxisMapper, VelocityMap
+from master.mapping_config import (
+    AxisMapConfig,
+    MappedJointConfig,
+    SpaceHandConfig,
+    SpaceMapConfig,
+)
+from master.space_map import SpaceMapper
+from teleop.config.arm import ArmConfig
+from teleop.session.state_machine import State
+from tests.root import ROOT
+
+DT = 1e-3
+SCALE = 0.25
+RADII = np.array([0.005, 0.004, 0.006, 0.005])
+ARM = ArmConfig(radii=np.diag(RADII).tolist(), urdf=ROOT / "configs" / "notes-arm.urdf", tip="tip")
+HAND = SpaceHandConfig(axes=("x", "y", "z", "grip"))
+
+
+class SpaceRun:
+    """A hand that moves an arm as the master does, but without the rest of the master."""
+
+    def __init__(self, hand=HAND, start=(0.0,) * 4):
+        self.arm = ARM.load_kinematics()
+        self.mapper = SpaceMapper(SpaceMapConfig(hands=(hand,)), [self.arm], [RADII])
+        self.axes = len(hand.axes)
+        self.memories = loop.init_master(self.axes, 0, self.mapper.joints)
+        self.memory = view_struct(self.memories)
+        self.memory.operator.tip[:4] = RADII * start
+        self.hands = HandInput.array()
+        self.travel = np.zeros(4)
+
+    def tick(self, position, engaged=True):
+        """Return the matrix of the tick and how far it moved the mapped hand."""
+        self.memory.session.state = int(State.ENGAGED if engaged else State.READY)
+        fill_hand_input(self.hands, HandState(tuple(position), (0.0,) * self.axes, engaged))
+        self.mapper.step(self.hands, self.memories, SCALE, DT)
+        travel = self.mapper.drives["position"][0, :4].copy()
+        moved, self.travel = travel - self.travel, travel
+        self.memory.operator.tip[:4] += SCALE * moved
+        return self.mapper.maps["matrix"][0, :4, : self.axes].copy(), moved
+
+    @property
+    def tip(self):
+        angles = np.array(self.memory.operator.tip[:3]) / RADII[:3]
+        return compute_tip_pose(prepare_arm(self.arm)[0], angles)[:3, 3]
+
+
+def test_the_tip_moves_as_the_hand_scaled_and_turned():
+    turned = SpaceHandConfig(axes=("x", "y", "z", "grip"), registration=(0.0, 0.0, np.pi / 2))
+    for config, turn in ((SpaceHandConfig(axes=turned.axes), np.eye(3)), (turned, TURNED)):
+        run = SpaceRun(config)
+        run.tick(np.zeros(4))
+        start = run.tip
+        for share in np.linspace(0.0, 1.0, 500):
+            hand = np.array([0.03, -0.02, 0.016, 0.004]) * share
+            run.tick(hand)
+        assert run.tip - start == pytest.approx(SCALE * turn @ hand[:3], abs=2e-5)
+        assert run.memory.operator.tip[3] == pytest.approx(0.004)  # the gripper: grip_scale 1
+
+
+TURNED = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+
+
+@pytest.mark.parametrize(
+    "axes", [("x", "y", "z", "grip"), ("x", "y", "z", "roll", "pitch", "yaw", "grip")]
+)
+def test_a_map_creates_no_energy_through_limits_and_singular_postures(axes):
+    """Hand and joints have the same power in every tick, for any force: to rounding."""
+    rng = np.random.default_rng(3)
+    run = SpaceRun(SpaceHandConfig(axes=axes))
+    hand, before = np.zeros(len(axes)), None
+    largest = 0.0
+    for i in range(3000):
+        hand = hand + rng.normal(0.0, 2e-4, len(axes)) + 3e-4 * np.sin(i / 500.0)
+        matrix, moved = run.tick(hand)
+        force = rng.normal(0.0, 5.0, 4)
+        if before is not None:
+            work = (matrix.T @ force) * (hand - before)
+            # the device's angles are turned by their rates, right to second order
+            tolerance = 1e-15 if len(axes) == 4 else 1e-3 * np.abs(work).sum()
+            assert work.sum() == pytest.approx(force @ moved, abs=tolerance)
+        before = hand.copy()
+        largest = max(largest, np.abs(np.array(run.memory.operator.tip[:3]) / RADII[:3]).max())
+    assert largest > 1.19  # a joint was at its limit
+    assert largest < 1.2 + 1e-9
+
+
+def test_nothing_moves_while_not_engaged_and_nothing_jumps_after():
+    run = SpaceRun()
+    for share in np.linspace(0.0, 1.0, 50):
+        run.tick(np.full(4, 0.01 * share))
+    tip = run.tip
+    for share in np.linspace(1.0, -3.0, 50):  # clutched out: the hand is elsewhere afterwards
+        matrix, moved = run.tick(np.full(4, 0.01 * share), engaged=False)
+        assert not matrix.any()
+        assert not moved.any()
+    run.tick(np.full(4, -0.03))
+    assert run.tip == pytest.approx(tip, abs=1e-9)
+
+
+def test_locked_axes_and_missing_rotations_move_nothing():
+    run = SpaceRun(SpaceHandConfig(axes=("x", "y", "z"), lock=("y",)))
+    start = run.tip
+    for share in np.linspace(0.0, 1.0, 200):
+        run.tick(np.array([0.0, 0.05, 0.0]) * share)
+    assert run.tip == pytest.approx(start, abs=1e-12)
+
+
+@given(
+    joint=st.builds(
+        MappedJointConfig,
+        axis=st.integers(0, 1),
+        scale=st.sampled_from([-2.0, 0.5, 1.0]),
+        dead_band=st.sampled_from([0.0, 0.002]),
+        range=st.just((-0.02, 0.03)),
+    ),
+    way=st.lists(st.floats(-0.04, 0.04), min_size=2, max_size=20),
+)
+def test_axes_are_mapped_with_their_slopes(joint, way):
+    """The matrix is the slope of the motion, so the power is the same at both ends."""
+    mapper = AxisMapper(AxisMapConfig(joints=(joint,)))
+    hands = HandInput.array()
+
+    def move(x):
+        position = [0.0, 0.0]
+        position[joint.axis] = x
+        fill_hand_input(hands, HandState(tuple(position), (0.0, 0.0), True))
+        mapper.step(hands, hands, 1.0, DT)
+        return mapper.drives["position"][0, 0], mapper.maps["matrix"][0, 0, joint.axis]
+
+    for x in way:
+        step = 1e-8
+        slope = (move(x + step)[0] - move(x - step)[0]) / (2.0 * step)
+        assert (
+            move(x)[1] == pytest.approx(slope, abs=1e-4)
+            or min(abs(x - end) for end in joint.range) < 1e-7
+        )
+    assert move(0.0)[0] == 0.0
+
+
+matrices = st.lists(st.floats(-2.0, 2.0), min_size=12, max_size=12)
+forces = st.lists(st.floats(-50.0, 50.0), min_size=4, max_size=4)
+
+
+@given(matrices, forces, forces, st.floats(1e-4, 0.05))
+def test_forces_on_the_hand_stay_in_bounds_and_are_felt_by_the_joints(matrix, last, force, dt):
+    """Whatever the map: size, length and growth; and the force stays M^T of one along y."""
+    config, total_max = FeedbackConfig(), 4.0
+    velocity_map = view_struct(VelocityMap.array())
+    velocity_map.is_active = True
+    velocity_map.matrix[:4, :3] = np.reshape(matrix, (4, 3))
+    M = np.array(velocity_map.matrix)
+    last, joint_force = np.append(last, np.zeros(4)), np.append(force, np.zeros(4))
+    size = max(np.abs(M.T @ last).max() / 2.5, np.linalg.norm(M.T @ last) / total_max, 1.0)
+    last /= size  # as it left the last tick
+    hand_map.limit_joint_force(
+        to_struct(config), total_max, velocity_map, last, joint_force, 3, 4, dt
+    )
+    out = np.zeros(8)
+    hand_map.compute_hand_force(velocity_map, joint_force, 3, 4, out)
+    assert out == pytest.approx(M.T @ joint_force)
+    assert np.abs(out).max() <= config.limit + 1e-9
+    assert np.linalg.norm(out) <= total_max + 1e-9
+    grown = np.abs(out) - np.abs(M.T @ last)
+    assert (grown <= config.slew * min(dt, 0.005) + 1e-9).all()
