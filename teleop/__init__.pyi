@@ -1,5 +1,5 @@
 from slave.rigs.bench import BenchRun, MotionScale, make_spring_bench, simulate
-from teleop.config.arm_file import load_arm
+from teleop.config.arm import load_arm
 from teleop.data.recording_table import DataTable, RecordedEvent, read_table
 from teleop.errors import PeerError, TeleopError, UsageError
 from teleop.experiment.design import BayesianAdaptive, ConstantStimuli, Design, Staircase, Trial

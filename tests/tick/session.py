@@ -10,7 +10,7 @@ import pytest
 from master.config import MasterConfig
 from master.devices import open_device
 from master.devices.virtual import VirtualDevice
-from master.process import MasterProcess
+from master.process import MasterProcess, build_mapper
 from slave import loop
 from slave.config import SlaveConfig, load_tendon_configs
 from slave.process import SlaveProcess
@@ -50,7 +50,11 @@ class Session:
     """
 
     def __init__(
-        self, stack: ExitStack, hand: tuple[str, ...] = HAND_ENGAGED, health: HealthConfig = BOUNDS
+        self,
+        stack: ExitStack,
+        hand: tuple[str, ...] = HAND_ENGAGED,
+        health: HealthConfig = BOUNDS,
+        file: Path = ARM,
     ) -> None:
         self.master_calls, self.slave_calls = Calls(), Calls()
         self.counting = False
@@ -61,13 +65,14 @@ class Session:
         launcher = stack.enter_context(MemoryLink(Role.LAUNCHER))
         self._at_master.meet([self._at_slave, launcher])
         self._at_slave.meet([self._at_master, launcher])
-        shared = load(ARM, RunConfig, None, ())
+        shared = load(file, RunConfig, None, ())
 
-        config = load(ARM, SlaveConfig, "slave", ())
+        config = load(file, SlaveConfig, "slave", ())
         rig = open_rig(config.rig)
         stack.callback(rig.close)
         tendons = load_tendon_configs(config, rig.tendons, rig.joints)
-        model = loop.build_rig_model(rig.joints, [tendon.model() for tendon in tendons])
+        models = [tendon.model() for tendon in tendons]
+        model = loop.build_rig_model(rig.joints, models, arms=shared.arms)
         wait = partial(self._at_slave.wait, COMMAND)
         events = EventClock(shared.rate_hz, never, wait, clock.now, clock.sleep)
         link, bilateral = self._at_slave, shared.bilateral
@@ -75,11 +80,14 @@ class Session:
             config, link, rig, model, events, bilateral=bilateral, health=health
         )
 
-        config = load(ARM, MasterConfig, "master", hand)
+        config = load(file, MasterConfig, "master", hand)
         device = open_device(config.device)
         stack.callback(device.close)
         grid = Grid(shared.rate_hz, never, now=clock.now, sleep=clock.sleep)
-        self.master = MasterProcess(config, self._at_master, device, grid, bilateral, health=health)
+        mapper = build_mapper(config, shared.arms, device.axes)
+        self.master = MasterProcess(
+            config, self._at_master, device, grid, bilateral, health=health, mapper=mapper
+        )
 
         self._at_master.world, self._at_master.calls = self._slave_ticks, self.master_calls
         self._events, self._grid = iter(events), iter(grid)

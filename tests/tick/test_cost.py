@@ -27,7 +27,7 @@ MASTER_PYTHON, MASTER_C = 61, 48
 SLAVE_PYTHON, SLAVE_C = 33, 28
 WIRE = {COMMAND: 324, STATE: 500, TENDONS: 1460, HAND: 260}  # [B]
 HELD = 50_000  # [B] at once, within a tick of both sides; most of it in one with a report
-KEPT = 5_000, 75  # [B], blocks: from one report to the next; a leak of 10 B a tick would be more
+KEPT = 10_000, 150  # [B], blocks: from one report to the next; a leak of 20 B a tick would be more
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,7 @@ import pytest
 
 from estimator.kinematics.arm import ArmError
 from estimator.kinematics.urdf import read_arm
-from teleop.config.arm_file import load_arm
+from teleop.config.arm import load_arm
 from teleop.errors import UsageError
 from tests.estimator.kinematics.random_arms import random_chain, write_urdf
 
