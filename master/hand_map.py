@@ -121,8 +121,8 @@ def limit_joint_force(
 def store_joint_force(
     velocity_map: VelocityMap,
     written: Array,
-    requested: Array,
     local: Array,
+    felt: Array,
     force: Array,
     axes: int,
     joints: int,
@@ -130,8 +130,8 @@ def store_joint_force(
 ) -> None:
     """Write the part of the `written` force on the hand that is the coupling's, along y [N].
 
-    `requested` is what the gate was given, `local` the part that no joint feels, `force` the rest
-    along y. What the gate took away is taken away from all of `force`.
+    `local` is the part that no joint feels, `felt` what all of `force` along y would have been on
+    the hand. What is missing of it on one axis is taken to be missing of all of `force`.
     """
     if not velocity_map.is_active:
         for k in range(MAX_JOINTS):
@@ -139,8 +139,10 @@ def store_joint_force(
         return
     share = 1.0
     for k in range(axes):
-        if written[k] != requested[k]:
-            share = min(share, max(0.0, written[k] / requested[k])) if requested[k] != 0.0 else 0.0
+        if not math.isfinite(felt[k]):
+            share = 0.0
+        elif felt[k] != 0.0:
+            share = min(share, max(0.0, (written[k] - local[k]) / felt[k]))
     for j in range(joints):
         out[j] = share * force[j] if share > 0.0 else 0.0
 

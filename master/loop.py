@@ -206,7 +206,8 @@ def compute_force(
     is_rendering = is_rendering and (memory.counted_work or not is_finite)
 
     total, local_forces = np.zeros(MAX_JOINTS), np.zeros(MAX_JOINTS)
-    joint_force, weight = np.zeros(MAX_JOINTS), np.zeros(MAX_JOINTS)
+    joint_force, felt = np.zeros(MAX_JOINTS), np.zeros(MAX_JOINTS)
+    weight = np.zeros(MAX_JOINTS)
     coupling_adapter.render_force(
         settings.bilateral,
         memory.coupling,
@@ -227,7 +228,7 @@ def compute_force(
             joints,
             dt,
         )
-    hand_map.compute_hand_force(velocity_map, joint_force, axes, joints, total)
+    hand_map.compute_hand_force(velocity_map, joint_force, axes, joints, felt)
     if is_rendering:
         coupling_adapter.store_rendered_force(
             memory.rendered, settings.force.scale, joint_force, joints
@@ -242,7 +243,7 @@ def compute_force(
             weight[k] = settings.operator.weight[k]
             local_forces[k] += weight[k]
         total[k] = feedback.limit_slew(
-            settings.force.slew, memory.force[k], total[k] + local_forces[k], dt
+            settings.force.slew, memory.force[k], felt[k] + local_forces[k], dt
         )
         total[k] = feedback.clamp(settings.force.limit, total[k])
     is_fading = state_machine.is_force_fading(memory.session)
@@ -254,7 +255,7 @@ def compute_force(
         memory.force[k] = out[k]
         memory.local_force[k] = local_forces[k]
     hand_map.store_joint_force(
-        velocity_map, out, total, local_forces, joint_force, axes, joints, memory.joint_force
+        velocity_map, out, local_forces, felt, joint_force, axes, joints, memory.joint_force
     )
     _record_answer(memory, tick_input, state)
     return verdict

@@ -9,6 +9,7 @@ from estimator.kinematics.arm import prepare_arm
 from estimator.kinematics.forward import compute_tip_pose
 from estimator.records import to_struct, view_struct
 from master import hand_map, loop
+from master.config import MasterConfig
 from master.device import HandState
 from master.feedback import FeedbackConfig
 from master.hand_input import HandInput, fill_hand_input
@@ -19,9 +20,13 @@ from master.mapping_config import (
     SpaceHandConfig,
     SpaceMapConfig,
 )
+from master.settings_record import SettingsRecord
 from master.space_map import SpaceMapper
 from teleop.config.arm import ArmConfig
+from teleop.coupling import Bilateral
+from teleop.messages.messages import Command, SlaveState
 from teleop.session.state_machine import State
+from tests.master.records import message_records
 from tests.root import ROOT
 
 DT = 1e-3
@@ -178,3 +183,34 @@ def test_forces_on_the_hand_stay_in_bounds_and_are_felt_by_the_joints(matrix, la
     assert np.linalg.norm(out) <= total_max + 1e-9
     grown = np.abs(out) - np.abs(M.T @ last)
     assert (grown <= config.slew * min(dt, 0.005) + 1e-9).all()
+
+
+def test_what_the_joints_are_said_to_feel_is_what_the_hand_gets():
+    """From the first tick on, whatever slew, limits and gate take away: the ledger counts it."""
+    run = SpaceRun()
+    settings = SettingsRecord(MasterConfig(), Bilateral()).records
+    states, commands = message_records(SlaveState), message_records(Command)
+    now, force, most = 10**18, np.zeros(8), 0.0
+    rng = np.random.default_rng(5)
+    for i in range(400):
+        now += 10**6
+        hand = 0.01 * np.sin(0.01 * i * np.array([1.0, 1.3, 0.7, 0.5]))
+        fill_hand_input(run.hands, HandState(tuple(hand), (0.0,) * 4, engage=i > 20))
+        states["state"] = int(State.READY if i < 22 else State.ENGAGED)
+        states["sender"], states["joints"] = 7, 4
+        states["echo_stamp_ns"] = states["stamp_ns"] = now - 10**6
+        torque = 8.0 * rng.uniform(-1.0, 1.0, 4)
+        for name, width in (("force", 0.0), ("force_low", -0.5), ("force_high", 0.5)):
+            states[name][0, :4] = torque + width
+        run.mapper.step(run.hands, run.memories, SCALE, DT)
+        given = loop.TickInput(DT, now, True, 10**6)
+        inputs = settings, run.memories, run.hands, run.mapper.drives, states, given
+        loop.compute_command(*inputs, commands)
+        loop.compute_force(*inputs, run.mapper.maps, False, force)
+        matrix = run.mapper.maps["matrix"][0, :4, :4]
+        told = matrix.T @ np.array(run.memory.joint_force[:4])
+        assert (np.abs(told) <= np.abs(force[:4]) + 1e-12).all()
+        if not np.array(run.memory.local_force).any():
+            assert told == pytest.approx(force[:4], abs=0.16)  # of one tick's growth
+        most = max(most, np.abs(force).max())
+    assert most > 0.5
