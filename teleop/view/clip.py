@@ -3,7 +3,7 @@
 import argparse
 import itertools
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -24,6 +24,7 @@ from teleop.view.columns import AnyTopic, RowDecimator, Rows
 from teleop.view.config import ViewConfig
 from teleop.view.feed import NullDisplay, show_recording
 from teleop.view.sheaths import Sheaths
+from teleop.view.space_arm import SpaceArm
 
 if TYPE_CHECKING:
     from teleop.view.clip_canvas import ClipData, ThemeName
@@ -103,7 +104,13 @@ def refuse_options(args: argparse.Namespace) -> None:
             )
 
 
-def write_clip(out: Path, info: RecordingInfo, config: ViewConfig, options: ClipOptions) -> str:
+def write_clip(
+    out: Path,
+    info: RecordingInfo,
+    config: ViewConfig,
+    options: ClipOptions,
+    arms: Sequence[SpaceArm] = (),
+) -> str:
     """Draw a recording into a file by its suffix; returns what was written, as text.
 
     Raises
@@ -124,7 +131,7 @@ def write_clip(out: Path, info: RecordingInfo, config: ViewConfig, options: Clip
             if options.end_s is None:
                 end_s = _find_peak(info, begin_s, end_s, progress)
             begin_s = end_s
-        data = _read_data(info, config, options.joint, begin_s, end_s, progress)
+        data = _read_data(info, config, options.joint, begin_s, end_s, progress, arms)
         from teleop.view.clip_figure import ClipFigure
 
         figure = ClipFigure(data, config.layout, options.theme, options.size, options.joint - 1)
@@ -193,12 +200,13 @@ def _read_data(
     begin_s: float,
     end_s: float,
     progress: Progress,
+    arms: Sequence[SpaceArm] = (),
 ) -> "ClipData":
     """Return what is drawn of the moments from `begin_s` to `end_s` [s of the recording]."""
     from teleop.view.clip_canvas import ClipData
 
     begin_ns, end_ns = (info.first_ns + round(s * 1e9) for s in (begin_s - config.window_s, end_s))
-    sheaths = Sheaths(config)
+    sheaths = Sheaths(config, arms)
     kept = _Collector(sheaths, begin_ns, end_ns)
     length_ns = max(end_ns - info.first_ns, 1)
 

@@ -33,10 +33,11 @@ from teleop.view.clip_canvas import (
 from teleop.view.clip_scene import ClipScene
 from teleop.view.columns import AnyTopic, Rows
 from teleop.view.config import Layout
-from teleop.view.curves import CURVES, Curve
+from teleop.view.curves import CURVES, TIP_FORCE, Curve
 from teleop.view.levers import compute_true_force
 from teleop.view.panel import build_banner
 from teleop.view.sheaths import compute_tension_band
+from teleop.view.space_arm import find_arm
 
 _HEIGHT = 7.2  # [inches] of every figure: text has the same share of it at any size
 
@@ -48,6 +49,15 @@ class _Line(NamedTuple):
     times: Array  # [s]
     values: Array
     dashed: bool = False
+
+
+class _Interval(NamedTuple):
+    """An area between two curves over time."""
+
+    times: Array  # [s]
+    low: Array
+    high: Array
+    colour: int = colours.ESTIMATE
 
 
 class ClipFigure:
@@ -68,6 +78,7 @@ class ClipFigure:
         self._data, self._theme = data, THEMES[theme]
         self._top = data.config.tension_scale_N
         self._joint, self._tendons = joint, data.sheaths.tendons_of(joint)
+        self._arm = find_arm(data.sheaths.arms, joint)
         arrange = {
             "experiment": self._arrange_experiment,
             "presentation": self._arrange_presentation,
@@ -120,10 +131,12 @@ class ClipFigure:
         self._draw_header(0.965, 15.0)
         ClipScene(self._canvas, self.figure.add_axes((0.005, 0.37, 0.50, 0.54)))
         self._draw_profile(self.figure.add_axes((0.045, 0.085, 0.44, 0.22)))
+        panels = [self._draw_tension, self._draw_force, self._draw_position]
+        if self._arm is not None:
+            panels.insert(0, self._draw_tip_force)
         grid = self.figure.add_gridspec(
-            3, 1, left=0.555, right=0.985, bottom=0.085, top=0.88, hspace=0.34
+            len(panels), 1, left=0.555, right=0.985, bottom=0.085, top=0.88, hspace=0.34
         )
-        panels = (self._draw_tension, self._draw_force, self._draw_position)
         for place, draw in enumerate(panels):
             axes = self.figure.add_subplot(grid[place])
             draw(axes)
@@ -261,14 +274,28 @@ class ClipFigure:
     def _draw_force(self, axes: Axes) -> None:
         states, tendons = self._data.select(STATE), self._data.select(TENDONS)
         (curve,) = find_curves(STATE, ["force/{}/tip"])
-        truth = Curve("", "", "true", colours.TRUTH)
-        lines = [
-            _Line(curve, self._data.seconds(states), states["force"][:, self._joint]),
-            _Line(truth, self._data.seconds(tendons), compute_true_force(tendons, self._tendons)),
-        ]
+        lines = [_Line(curve, self._data.seconds(states), states["force"][:, self._joint])]
+        if self._arm is None:  # tendons of other joints load those of an arm, too
+            truth = Curve("", "", "true", colours.TRUTH)
+            true = compute_true_force(tendons, self._tendons)
+            lines.append(_Line(truth, self._data.seconds(tendons), true))
         low, high = (states[name][:, self._joint] for name in ("force_low", "force_high"))
-        interval = self._data.seconds(states), low, high
-        self._draw_lines(axes, "Force at the tip [N]", lines, interval)
+        interval = _Interval(self._data.seconds(states), low, high)
+        title = "Force at the tip [N]" if self._arm is None else "Force at the joint [N]"
+        self._draw_lines(axes, title, lines, [interval])
+
+    def _draw_tip_force(self, axes: Axes) -> None:
+        """Draw the components of the force at the tip of the arm that can be told."""
+        arm = self._arm
+        if arm is None:
+            return
+        states = self._data.select(STATE)
+        times, forces = self._data.seconds(states), arm.estimate_tip_forces(states)
+        lines, intervals = [], []
+        for curve, (force, low, high) in zip(TIP_FORCE, forces.list_components(), strict=True):
+            lines.append(_Line(curve, times, force))
+            intervals.append(_Interval(times, low, high, curve.colour))
+        self._draw_lines(axes, "Force at the tip of the arm [N]", lines, intervals)
 
     def _draw_position(self, axes: Axes) -> None:
         first = self._tendons[0]
@@ -295,9 +322,9 @@ class ClipFigure:
         axes: Axes,
         title: str,
         lines: Sequence[_Line],
-        interval: tuple[Array, Array, Array] | None = None,
+        intervals: Sequence[_Interval] = (),
     ) -> None:
-        """Draw curves over the recent past, and an interval (times, low, high) behind them."""
+        """Draw curves over the recent past, and intervals behind them."""
         window = self._data.config.window_s
         lines = [line for line in lines if np.isfinite(line.values).any()]
         low = min((float(np.nanmin(line.values)) for line in lines), default=0.0)
@@ -307,13 +334,18 @@ class ClipFigure:
         axes.set_title(title)
         handles: list[tuple[Any, str]] = []
         moved: list[tuple[Line2D, _Line]] = []
-        if interval is not None:
-            colour = self._theme.fade(colours.ESTIMATE, self._theme.band_share)
-            area = PolyCollection([], facecolor=colour, linewidth=0)
+        for number, (times, low_end, high_end, colour) in enumerate(intervals):
+            if len(intervals) > 1:  # one is seen through the others
+                area = PolyCollection([], facecolor=self._theme.adapt(colour), linewidth=0)
+                area.set_alpha(self._theme.band_share)
+            else:
+                faded = self._theme.fade(colour, self._theme.band_share)
+                area = PolyCollection([], facecolor=faded, linewidth=0)
             axes.add_collection(area, autolim=False)
             self._canvas.add(area)
-            handles.append((area, "interval"))
-            self._canvas.updates.append(_build_area_update(area, *interval, window))
+            if number == 0:
+                handles.append((area, "interval"))
+            self._canvas.updates.append(_build_area_update(area, times, low_end, high_end, window))
         for line in lines:
             artist = self._canvas.add_line(axes, line.curve.colour, 1.1 * line.curve.width)
             moved.append((artist, line))

@@ -1,21 +1,32 @@
 """The scene of a clip: sheaths, joints, hands and the forces on them, as seen from the eye."""
 
 import math
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
-from matplotlib.colors import LinearSegmentedColormap, Normalize
+from matplotlib.colors import Normalize
 from matplotlib.lines import Line2D
-from matplotlib.patches import FancyArrowPatch, Polygon
+from matplotlib.patches import Polygon
 
 from estimator.array_types import Array
 from teleop.messages.topics import COMMAND, HAND, PROFILE, STATE, TENDONS
 from teleop.view import colours
+from teleop.view.clip_arms import ClipArm
 from teleop.view.clip_canvas import Canvas
+from teleop.view.clip_marks import (
+    add_arrow,
+    add_number,
+    build_tension_colours,
+    draw_place,
+    project,
+    set_arrow,
+    set_number,
+)
 from teleop.view.levers import compute_true_force
-from teleop.view.scene_geometry import ARROW, EYE, PIECES, RIGHT, SEGMENTS, UP, Lever, Stage
+from teleop.view.scene_geometry import ARROW, PIECES, SEGMENTS, Lever, Stage
+
+_ARM_WIDTH = 1.4  # of what is drawn of an arm, relative to its sheaths
 
 
 class ClipScene:
@@ -37,7 +48,8 @@ class ClipScene:
     def _draw(self, axes: Axes, stage: Stage, large: bool) -> None:
         low, high = self._find_extent(stage)
         axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
-        scale = (1.7 if large else 1.0) / math.sqrt(max(len(stage.joints), 1))
+        tubes_beside = len(stage.joints) + sum(len(place.ends) / 2 for place in stage.arms)
+        scale = (1.7 if large else 1.0) / math.sqrt(max(tubes_beside, 1))
         tubes = [self._draw_tube(axes, stage, tendon, scale) for tendon in stage.lines]
         scale_axes = axes.inset_axes((0.93, 0.2, 0.016, 0.55))
         bar = self._canvas.figure.colorbar(tubes[0], cax=scale_axes)
@@ -55,11 +67,14 @@ class ClipScene:
             self._draw_tip(axes, stage, joint, lever, scale)
         for joint, lever in stage.hands.items():
             self._draw_hand(axes, stage, joint, lever, scale)
+        for number in range(len(stage.arms)):
+            ClipArm(self._canvas, axes, stage, number, _ARM_WIDTH * scale)
 
     def _find_extent(self, stage: Stage) -> tuple[Array, Array]:
         """Return the corners of what is drawn at any time, with room for words and the scale."""
         states, hands = self._data.select(STATE)[::20], self._data.select(HAND)[::20]
         points = [*stage.lines.values()]
+        points += [place.sample_points(0.5 * ARROW * stage.size) for place in stage.arms]
         for ends, rows, sign, scale in (
             (stage.joints, states, -1.0, self._top),
             (stage.hands, hands, 1.0, self._data.config.hand_scale_N),
@@ -112,13 +127,15 @@ class ClipScene:
             rim = lever.tip(known[joint] + np.linspace(0.0, beyond, 13))
             wedge = project(stage, np.concatenate([lever.pivot[None], rim]))
             axes.add_patch(Polygon(wedge, color=adapt(colours.ENVIRONMENT), alpha=0.6, lw=0))
-        self._draw_pivot(axes, stage, lever, f"joint {joint + 1}", colours.BODY, scale)
+        draw_place(
+            self._canvas, axes, stage, lever.pivot, f"joint {joint + 1}", colours.BODY, scale
+        )
         asked = self._canvas.add_line(axes, colours.COMMANDED, 2.0 * scale)
         link = self._canvas.add_line(axes, colours.BODY, 6.0 * scale)
         interval = self._canvas.add_line(axes, colours.INTERVAL, 1.6 * scale)
-        truth = self._add_arrow(axes, colours.TRUTH, 0.7 * scale)
-        force = self._add_arrow(axes, colours.ESTIMATE, scale)
-        number = self._add_number(axes, colours.ESTIMATE, scale)
+        truth = add_arrow(self._canvas, axes, colours.TRUTH, 0.7 * scale)
+        force = add_arrow(self._canvas, axes, colours.ESTIMATE, scale)
+        number = add_number(self._canvas, axes, colours.ESTIMATE, scale)
         states, commands = data.select(STATE), data.select(COMMAND)
         tendons, own = data.select(TENDONS), data.sheaths.tendons_of(joint)
 
@@ -130,8 +147,8 @@ class ClipScene:
             _set_line(link, stage, lever, travel)
             end, back = lever.tip(np.array(travel)), -per_newton * lever.onward(np.array(travel))
             value = math.nan if state is None else float(state["force"][joint])
-            _set_arrow(force, stage, end, value * back)
-            _set_number(number, stage, end + lever.label, value)
+            set_arrow(force, stage, end, value * back)
+            set_number(number, stage, end + lever.label, value)
             ends = (math.nan,) * 2
             if state is not None:
                 ends = state["force_low"][joint], state["force_high"][joint]
@@ -141,17 +158,17 @@ class ClipScene:
             true = math.nan
             if sample is not None:
                 true = float(compute_true_force(np.array([sample]), own)[0])
-            _set_arrow(truth, stage, end + bar, true * back)
+            set_arrow(truth, stage, end + bar, true * back)
 
         self._canvas.updates.append(update)
 
     def _draw_hand(self, axes: Axes, stage: Stage, joint: int, lever: Lever, scale: float) -> None:
         data = self._data
         per_newton = ARROW * stage.size / data.config.hand_scale_N
-        self._draw_pivot(axes, stage, lever, f"hand {joint + 1}", colours.HAND, scale)
+        draw_place(self._canvas, axes, stage, lever.pivot, f"hand {joint + 1}", colours.HAND, scale)
         handle = self._canvas.add_line(axes, colours.HAND, 6.0 * scale)
-        arrow = self._add_arrow(axes, colours.HAND, scale)
-        number = self._add_number(axes, colours.HAND, scale)
+        arrow = add_arrow(self._canvas, axes, colours.HAND, scale)
+        number = add_number(self._canvas, axes, colours.HAND, scale)
         rows = data.select(HAND)
 
         def update(now_s: float) -> None:
@@ -160,81 +177,12 @@ class ClipScene:
             _set_line(handle, stage, lever, travel)
             end, onward = lever.tip(np.array(travel)), lever.onward(np.array(travel))
             value = math.nan if row is None else float(row["force"][joint])
-            _set_arrow(arrow, stage, end, value * per_newton * onward)
-            _set_number(number, stage, end + lever.label, value)
+            set_arrow(arrow, stage, end, value * per_newton * onward)
+            set_number(number, stage, end + lever.label, value)
 
         self._canvas.updates.append(update)
-
-    def _draw_pivot(
-        self, axes: Axes, stage: Stage, lever: Lever, name: str, colour: int, scale: float
-    ) -> None:
-        (at,) = project(stage, lever.pivot[None])
-        axes.plot(*at, "o", color=self._theme.adapt(colour), ms=11 * scale, zorder=3)
-        axes.annotate(
-            name,
-            at,
-            (0, -9 * scale),
-            textcoords="offset points",
-            ha="center",
-            va="top",
-            fontsize=9.0 * max(scale, 1.0),
-        )
-
-    def _add_arrow(self, axes: Axes, colour: int, scale: float) -> FancyArrowPatch:
-        style = f"simple,tail_width={4 * scale},head_width={12 * scale},head_length={10 * scale}"
-        arrow = FancyArrowPatch(
-            (0, 0), (0, 0), arrowstyle=style, color=self._theme.adapt(colour), lw=0
-        )
-        axes.add_patch(arrow)
-        self._canvas.add(arrow)
-        return arrow
-
-    def _add_number(self, axes: Axes, colour: int, scale: float) -> Any:
-        text = axes.text(
-            0,
-            0,
-            "",
-            color=self._theme.adapt(colour),
-            ha="center",
-            va="center",
-            weight="bold",
-            fontsize=10.0 * max(scale, 0.8),
-        )
-        return self._canvas.add(text)
-
-
-# --- places and parts
-
-
-def project(stage: Stage, points: Array) -> Array:
-    """Return points of the scene [m] on the picture, as seen from the eye; shape (n, 2)."""
-    far = float(np.linalg.norm(EYE))
-    place = (points - stage.centre) / stage.span
-    depth = far + place @ (-np.array(EYE) / far)
-    place = place * (far / np.maximum(depth, 0.2 * far))[:, None]
-    return np.stack([place @ RIGHT, place @ UP], axis=1)
-
-
-def build_tension_colours() -> LinearSegmentedColormap:
-    """Return the colours of tension of the live view."""
-    return LinearSegmentedColormap.from_list("tension", colours.TENSION_MAP / 255)
 
 
 def _set_line(line: Line2D, stage: Stage, lever: Lever, travel: float | None) -> None:
     end = lever.tip(np.array(math.nan if travel is None else float(travel)))
     line.set_data(*project(stage, np.stack([lever.pivot, end])).T)
-
-
-def _set_arrow(arrow: FancyArrowPatch, stage: Stage, begin: Array, vector: Array) -> None:
-    a, b = project(stage, np.stack([begin, begin + vector]))
-    shown = bool(np.isfinite([a, b]).all()) and float(np.linalg.norm(b - a)) > 2e-3
-    arrow.set_visible(shown)
-    if shown:
-        arrow.set_positions(tuple(a), tuple(b))
-
-
-def _set_number(text: Any, stage: Stage, at: Array, value: float) -> None:
-    known = math.isfinite(value) and bool(np.isfinite(at).all())
-    text.set_text(f"{value:.1f} N" if known else "")
-    if known:
-        text.set_position(project(stage, at[None])[0])

@@ -24,6 +24,7 @@ BAND = 0x1F4A63FF  # the certified interval as an area behind the estimate
 HAND, COMMANDED, HOUSING, FRONT = 0xCC79A7FF, 0xA8A8A8FF, 0x00B583FF, 0xFF4B4BFF
 SECOND = 0xE5D86BFF  # the estimate of a joint's other tendon, in T(x)
 BODY, ENVIRONMENT = 0xD8D8D8FF, 0xB4654ACC
+AXES = (0xF2705FFF, 0xB2DF6EFF, 0x6F9BFFFF)  # x, y, z of an arm, of different lightness too
 
 # index into PHASE_NAMES: slack, virgin, pull, pull to release, release, ...
 PHASES = (0x9A9A9AFF, 0xF0F0F0FF, 0xD55E00FF, 0xF0E442FF, 0x4A90FFFF, 0x4FD1C5FF)
@@ -60,6 +61,13 @@ def to_rgba(tension: Array, scale_N: float) -> NDArray[np.uint32]:
         level = np.rint(np.interp(place, knots, TENSION_MAP[:, channel])).astype(np.uint32)
         packed |= level << np.uint32(shift)
     return np.where(np.isfinite(tension), packed, np.uint32(UNKNOWN)).astype(np.uint32)
+
+
+def darken_colour(colour: int, share: float) -> int:
+    """Return a share of a colour 0xRRGGBBAA, the rest being `BACKGROUND`."""
+    channels = zip(((colour >> shift) & 0xFF for shift in (24, 16, 8)), BACKGROUND, strict=True)
+    red, green, blue = (round(share * own + (1.0 - share) * ground) for own, ground in channels)
+    return red << 24 | green << 16 | blue << 8 | colour & 0xFF
 
 
 def lighten_colour(colour: int) -> int:

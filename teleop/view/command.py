@@ -61,6 +61,7 @@ from teleop.view.feed import (
 from teleop.view.foxglove_server import FoxgloveServer
 from teleop.view.scene import Scene
 from teleop.view.sinks import Sink
+from teleop.view.space_arm import SpaceArm, load_arms
 
 # --- what Rerun's runtime writes to the standard error stream goes to a file, not to the terminal
 # Its lines (a dropped connection, a slow flush) come from native code, straight to file descriptor
@@ -148,7 +149,8 @@ def main(args: argparse.Namespace) -> int:
     run, config = document.load(RunConfig), document.load(ViewConfig, "view")
     foxglove = args.foxglove or config.foxglove
     if args.out is not None and args.out.suffix.lower() in clip.SUFFIXES:
-        return _write_clip(args, replace(config, layout=args.layout or config.layout))
+        arms = load_arms(document, run.arms)
+        return _write_clip(args, replace(config, layout=args.layout or config.layout), arms)
     clip.refuse_options(args)
     config = replace(config, layout=args.layout or config.layout, foxglove=foxglove)
     mode, out = choose_destination(args.view, args.out)
@@ -161,6 +163,7 @@ def main(args: argparse.Namespace) -> int:
         info = open_recording(args.file)
         require_present_layout(info)
         print_doubts(info)
+    arms = () if saved else load_arms(document, run.arms)
     if not wait_in_standby():
         return 0
     stop = StopCondition(args.duration)
@@ -173,8 +176,8 @@ def main(args: argparse.Namespace) -> int:
             "view": mode,
             "source": args.file or "link",
         }
-        with Sink(mode, config, name, out, live=args.file is None) as sink:
-            fed = _feed_sink(args.file, run, config, sink, stop, summary)
+        with Sink(mode, config, name, out, live=args.file is None, arms=len(arms)) as sink:
+            fed = _feed_sink(args.file, run, config, arms, sink, stop, summary)
             if fed.fault and is_supervised():
                 _exit_with_error(f"{fed.fault} (what its runtime wrote: {log})")
     summary |= {"received": fed.received, "shown": fed.shown, "reason": stop.reason}
@@ -187,7 +190,7 @@ def main(args: argparse.Namespace) -> int:
     return 0
 
 
-def _write_clip(args: argparse.Namespace, config: ViewConfig) -> int:
+def _write_clip(args: argparse.Namespace, config: ViewConfig, arms: tuple[SpaceArm, ...]) -> int:
     """Draw a recording into a file; returns the exit code."""
     if args.file is None or Path(args.file).suffix != RECORDING_SUFFIX:
         raise UsageError(
@@ -200,7 +203,7 @@ def _write_clip(args: argparse.Namespace, config: ViewConfig) -> int:
     require_present_layout(info)
     print_doubts(info)
     lower_priority()
-    written = clip.write_clip(args.out, info, config, options)
+    written = clip.write_clip(args.out, info, config, options, arms)
     write_summary(args.json, {"source": args.file, "view": "clip", "file": str(args.out)})
     print(f"wrote {written}")
     return 0
@@ -277,6 +280,7 @@ def _feed_sink(
     file: str | None,
     run: RunConfig,
     config: ViewConfig,
+    arms: tuple[SpaceArm, ...],
     sink: Sink,
     stop: StopCondition,
     summary: dict[str, Any],
@@ -286,7 +290,7 @@ def _feed_sink(
     if sink.stream is not None:
         whole = sink.file is not None
         live = file is None and not whole
-        scene = Scene(config, sink.stream, sink.lay_out, everything=whole, live=live)
+        scene = Scene(config, sink.stream, sink.lay_out, everything=whole, live=live, arms=arms)
         show = scene
         if file is None:
             sink.follow(lambda: scene.newest_ns, scene.show_panel)

@@ -23,11 +23,12 @@ from teleop.messages.topics import (
     format_role,
 )
 from teleop.view import colours
-from teleop.view.colours import BAND, TRUTH, lighten_colour
+from teleop.view.colours import AXES, BAND, TRUTH, darken_colour, lighten_colour
 from teleop.view.columns import AnyTopic, Rows, Sender, Subsampler, build_columns, split_rows
 from teleop.view.config import ViewConfig
 from teleop.view.levers import compute_true_force
 from teleop.view.sheaths import Sheaths
+from teleop.view.space_arm import find_arm
 
 STAGE_COLOURS = (colours.HAND, colours.HOUSING, colours.ESTIMATE, colours.COMMANDED, colours.TRUTH)
 # [points] of a curve below another that is nearly equal: seen on both sides of it
@@ -192,6 +193,19 @@ CURVES: dict[Topic[Any], tuple[CurveGroup, ...]] = {
 # --- sending to Rerun
 
 _TRUE_FORCE = Curve("force/{}/true", "", "true", TRUTH)
+TIP_FORCE = tuple(
+    Curve(f"tip_force/{{}}/{axis}", "", axis, colour, 2.0)
+    for axis, colour in zip("xyz", AXES, strict=True)
+)
+_TIP_END_SHARE = 0.55  # of a component's colour in the lines of its ends
+_TIP_ENDS = tuple(  # lines: areas of three components would hide each other
+    tuple(
+        Curve(f"tip_force/{{}}/{curve.name}_{end}", "", "interval",
+              darken_colour(curve.colour, _TIP_END_SHARE), 1.0)
+        for end in ("low", "high")
+    )
+    for curve in TIP_FORCE
+)  # fmt: skip
 _HIGH_END_OFFSET_NS = 1000  # [ns] from the newest row to its high end
 _HIGH_END_SPAN_MAX_NS = 20_000_000  # [ns] from a row, at most, within which its high end is drawn
 _HIDDEN_CURVE_PERIOD_NS = 1_000_000_000  # [ns] after which a live page's curves in tabs behind grow
@@ -238,6 +252,8 @@ class Plots:
                 self._draw_bands(group, displayed)
             if topic is TENDONS:
                 self._draw_true_forces(displayed)
+            if topic is STATE:
+                self._draw_tip_forces(displayed)
             shown += len(displayed)
         return shown
 
@@ -336,8 +352,21 @@ class Plots:
         ends = np.stack([low[is_finite], high[is_finite]], axis=1).ravel()
         self._sender.columns_at(path, times, build_columns(rr.Scalars, scalars=ends))
 
+    def _draw_tip_forces(self, rows: Rows) -> None:
+        """Draw the components of the force at the tip of each arm in space that can be told."""
+        for number, arm in enumerate(self._sheaths.arms if len(rows) else ()):
+            if self._joints < arm.joints.stop:
+                continue
+            forces = arm.estimate_tip_forces(rows)
+            components = zip(TIP_FORCE, _TIP_ENDS, forces.list_components(), strict=True)
+            for curve, ends, values in components:
+                for line, shown in zip((curve, *ends), values, strict=True):
+                    self._draw_line(line, f"arm_{number}", "", rows, shown)
+
     def _draw_true_forces(self, rows: Rows) -> None:
-        """Draw what bench sensors say of the force at each tip."""
+        """Draw what bench sensors say of the force at each tip that has tendons of its own."""
         for joint in self._sheaths.joints:
+            if find_arm(self._sheaths.arms, joint) is not None:
+                continue
             force = compute_true_force(rows, self._sheaths.tendons_of(joint))
             self._draw_line(_TRUE_FORCE, f"joint_{joint}", "", rows, force)

@@ -23,7 +23,9 @@ Part = rrb.Container | rrb.View
 _Make = Callable[[str, int], Part]  # name of a view, and the joint it is of
 
 
-def build_blueprint(config: ViewConfig, joints: Mapping[int, Sequence[int]]) -> rrb.Blueprint:
+def build_blueprint(
+    config: ViewConfig, joints: Mapping[int, Sequence[int]], arms: int = 0
+) -> rrb.Blueprint:
     """Return the layout that the config names.
 
     `surgeon` shows state, force and link in large letters and nothing else, `experiment`
@@ -35,8 +37,10 @@ def build_blueprint(config: ViewConfig, joints: Mapping[int, Sequence[int]]) -> 
     config : ViewConfig
     joints : mapping of int to sequence of int
         The tendons of each joint; none while they are not known.
+    arms : int
+        How many arms in space there are.
     """
-    views = _Views(config, dict(joints) or {0: [0, 1]})
+    views = _Views(config, dict(joints) or {0: [0, 1]}, arms)
     arrange: dict[str, Callable[[], Part]] = {
         "surgeon": views.panel,
         "experiment": partial(_arrange_experiment, views),
@@ -69,7 +73,7 @@ def _arrange_experiment(views: "_Views") -> Part:
             views.joint_tabs(
                 "Tension [N]", views.tension, " at the housing (measured) and at the tip"
             ),
-            views.joint_tabs("Force at the tip [N]", views.tip_force, ", positive against pulling"),
+            views.forces(),
             rrb.Tabs(
                 views.joint_tabs("Tip [mm]", views.position, ", positive pulled in"),
                 views.joint_tabs("Hand [N]", views.hand_force),
@@ -100,9 +104,10 @@ def _arrange_experiment(views: "_Views") -> Part:
 class _Views:
     """The views to choose from."""
 
-    def __init__(self, config: ViewConfig, joints: dict[int, Sequence[int]]) -> None:
+    def __init__(self, config: ViewConfig, joints: dict[int, Sequence[int]], arms: int) -> None:
         self._config = config
         self._joints = joints
+        self._arms = arms
         self._recent = _build_past_range(config.window_s)
 
     def scene(self, distance: float = 1.0) -> Part:
@@ -196,6 +201,23 @@ class _Views:
         """Return the estimate of the force at the tip with its interval, and the truth."""
         pulls_one_way = len(self._joints[joint]) == 1
         return self.curves(name, [f"force/joint_{joint}"], (-0.05 if pulls_one_way else -1.1, 1.1))
+
+    def forces(self) -> Part:
+        """Return the force at each joint, behind those at the tips of arms in space."""
+        if self._arms == 0:
+            return self.joint_tabs(
+                "Force at the tip [N]", self.tip_force, ", positive against pulling"
+            )
+        tips = (
+            self.curves(
+                f"Force at the tip of arm {arm + 1} [N], in its base" if arm == 0 else f"{arm + 1}",
+                [f"tip_force/arm_{arm}"],
+            )
+            for arm in range(self._arms)
+        )
+        return rrb.Tabs(
+            *tips, self.joint_tabs("Joints [N]", self.tip_force), name="Force at the tip [N]"
+        )
 
     def hand_force(self, name: str, joint: int) -> Part:
         """Return the force on the hand."""

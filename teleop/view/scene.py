@@ -5,19 +5,20 @@ Entities, all on the timeline `time` (the stamp its sender gave a message):
 ======================================= ========================================================
 scene/tendon_<i>/tube                   a sheath coloured by tension, and X' on it
 scene/joint_<j>, scene/hand_<j>         tip and hand with the forces on them
+scene/arm_<i>                           an arm in space, its tendons, the force at its tip, its hand
 scene/legend                            the colour scale
 profile/tendon_<i>/curve, band          T(x) with X', and what is certain of it, as a plot
 profile/tendon_<i>/tension              T(x) [N] itself: component `tension`, 65 numbers of 64 bits
 loop/tendon_<i>/curve                   T_out over T_in
 tension, displacement, elongation,      curves over time, see `teleop.view.curves`
-force, position, hand, energy, rate,
-latency, age, loss
+force, tip_force, position, hand,
+energy, rate, latency, age, loss
 state/<role>, log                       lanes of states, the text log
 panel/banner, words, joint_<j>, link    state, force and link in large letters
 ======================================= ========================================================
 """
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 
 import numpy as np
 import rerun as rr
@@ -39,6 +40,7 @@ from teleop.messages.topics import (
     format_role,
 )
 from teleop.session.state_machine import State
+from teleop.view.arms import Arms
 from teleop.view.colours import FRONT, PHASES, STATES, to_rgba
 from teleop.view.columns import AnyTopic, Rows, Sender, Subsampler, build_columns, split_rows
 from teleop.view.config import ViewConfig
@@ -48,6 +50,7 @@ from teleop.view.panel import Panel
 from teleop.view.profile_plot import Plane, ProfileView, compute_axis_end, compute_ticks_to_end
 from teleop.view.scene_geometry import PIECES, SEGMENTS, Stage, compute_rotations_from_z
 from teleop.view.sheaths import Sheaths
+from teleop.view.space_arm import SpaceArm
 
 # --- fit the scene into its view, with the colour scale beside it
 
@@ -317,6 +320,8 @@ class Scene:
     live : bool
         Grow the curves in tabs that are behind at first once a second; at the end less than a
         second of them is missing.
+    arms : sequence of SpaceArm
+        Those of the session that are drawn in space.
     """
 
     def __init__(
@@ -326,6 +331,7 @@ class Scene:
         lay_out: Callable[[Mapping[int, list[int]]], None] = lambda _: None,
         everything: bool = True,
         live: bool = False,
+        arms: Sequence[SpaceArm] = (),
     ) -> None:
         self._config = config
         self._lay_out = lay_out
@@ -333,10 +339,11 @@ class Scene:
         self._spatial = everything or config.layout != "surgeon"
         self._plotted = everything or config.layout == "experiment"
         self._sender = Sender(stream)
-        self._sheaths = Sheaths(config)
+        self._sheaths = Sheaths(config, arms)
         self._subsample = Subsampler()
         self._tubes = Tubes(config, self._sender, self._sheaths)
         self._levers = Levers(config, self._sender, self._sheaths, self._subsample)
+        self._arms = Arms(config, self._sender, self._sheaths, self._subsample)
         self._profiles = ProfileView(config, self._sender, self._sheaths, values=everything)
         self._loops = LoopView(config, self._sender)
         self._plots = Plots(config, self._sender, self._sheaths, self._subsample, live)
@@ -364,6 +371,7 @@ class Scene:
                 self._tubes.draw(tendon, rows)
                 shown += len(rows)
             self._levers.draw(batches)
+            self._arms.draw(batches)
         self._panel.draw(batches)
         return shown
 
@@ -410,12 +418,17 @@ class Scene:
     def silence(self, silent_ns: int) -> None:
         """Show that nothing has arrived for so long [ns]."""
         self._panel.silence(silent_ns)
-        self._levers.forget_forces(self._panel.present_ns(silent_ns))
+        self._forget_forces(silent_ns)
 
     def end(self, what: str, silent_ns: int = 0) -> None:
         """Show that a session or recording ended so long [ns] after its last data, no forces."""
         self._panel.end(what, silent_ns)
-        self._levers.forget_forces(self._panel.present_ns(silent_ns))
+        self._forget_forces(silent_ns)
+
+    def _forget_forces(self, silent_ns: int) -> None:
+        present_ns = self._panel.present_ns(silent_ns)
+        self._levers.forget_forces(present_ns)
+        self._arms.forget_forces(present_ns)
 
     def show_panel(self) -> None:
         """Send all of the panel from now on, which `surgeon` shows; from any thread."""
@@ -436,5 +449,6 @@ class Scene:
         """Draw what stands still in the scene."""
         self._tubes.place()
         self._levers.place()
+        self._arms.place()
         if self._sheaths.stage is not None:
             draw_stage(self._sender, self._config, self._sheaths.stage)

@@ -13,7 +13,9 @@ import numpy as np
 
 from estimator.array_types import Array
 from teleop.messages.messages import PROFILE_POINTS
+from teleop.view.arm_place import ArmPlace, build_arm_place
 from teleop.view.config import ViewConfig
+from teleop.view.space_arm import SpaceArm, find_arm
 
 
 class CentreLine(NamedTuple):
@@ -104,6 +106,8 @@ RIGHT, UP = np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.78, 0.8]) / math.hypot(0
 _VIEW_ASPECT = 1.5  # the view's width over its height, a margin taken off
 _FIT_ITERATIONS = 12  # of fitting the scene into the view
 _SCALE_HEIGHT, _SCALE_OFFSET = 0.5, 0.16  # the colour scale's height, and its place from the rest
+_ARM_ARROW = 0.5  # of the scale of forces, for which there is room at an arm in any pose
+_ARM_SPACING = 0.6  # of the spacing of tendons, as an arm has many
 _LEVER_ANGLES = np.linspace(-1.0, 1.3, 4)  # [rad] within which a lever must be seen
 _LEVER_LENGTH = 0.16  # a joint's link and the hand's handle
 ARROW = 0.25  # of the force at the end of its scale
@@ -153,50 +157,64 @@ class Stage:
     lines: Mapping[int, Array]  # tendon -> points at evenly spread arc lengths
     joints: Mapping[int, Lever]
     hands: Mapping[int, Lever]
+    arms: tuple[ArmPlace, ...]  # in space; their joints have no levers
     legend: Array  # the foot of the colour scale
     legend_up: Array  # from its foot to its top
 
 
-def build_stage(shapes: Mapping[int, Shape], config: ViewConfig) -> Stage:
-    """Return the positions of sheaths, joints and hand."""
-    total = {t: float(sum(shape.length)) for t, shape in shapes.items()}
-    gap = 0.05 * max(total.values())
-    bare = {
-        tendon: compute_centreline(
-            np.array(shape.length),
-            np.array(shape.radius),
-            np.linspace(0.0, total[tendon], SEGMENTS * PIECES + 1),
-            gap,
-            config.bend_planes,
-        )
-        for tendon, shape in shapes.items()
-    }
+def build_stage(
+    shapes: Mapping[int, Shape], config: ViewConfig, arms: Sequence[SpaceArm] = ()
+) -> Stage:
+    """Return the positions of sheaths, joints, arms in space and hands."""
+    bare = _build_centrelines(shapes, config)
     cloud = np.concatenate([line.points for line in bare.values()])
     size = float(np.ptp(cloud, axis=0).max())
     across = _find_least_extent_axis(cloud)
     lines: dict[int, Array] = {}
     levers: dict[int, Lever] = {}
     hands: dict[int, Lever] = {}
-    drawn: dict[int, Array] = {}
+    places: dict[int, ArmPlace] = {}  # by the first joint
+    drawn: dict[int, Array] = {}  # of each cell, by its first joint
+    cells: dict[int, list[int]] = {}  # first joint -> tendons
     for joint in sorted({shape.joint for shape in shapes.values()}):
+        arm = find_arm(arms, joint)
+        first = joint if arm is None else arm.first
         own = sorted(tendon for tendon, shape in shapes.items() if shape.joint == joint)
-        for place, tendon in enumerate(own):
-            lines[tendon] = bare[tendon].points + place * config.tendon_spacing * size * across
-        ends = [(lines[tendon][-1], bare[tendon].along, bare[tendon].aside) for tendon in own]
-        levers[joint] = _build_joint_lever(ends, size, config)
-        hands[joint] = _build_hand_lever([lines[tendon][0] for tendon in own], size, config)
-        drawn[joint] = np.concatenate(
-            [
-                *(lines[tendon] for tendon in own),
-                _compute_reach(levers[joint], -1),
-                _compute_reach(hands[joint], 1),
-            ]
-        )
-    for joint, offset in _compute_cell_offsets(drawn, size).items():
-        drawn[joint] = drawn[joint] + offset
-        levers[joint] = replace(levers[joint], pivot=levers[joint].pivot + offset)
-        hands[joint] = replace(hands[joint], pivot=hands[joint].pivot + offset)
-        for tendon in (t for t, shape in shapes.items() if shape.joint == joint):
+        spacing = config.tendon_spacing * (1.0 if arm is None else _ARM_SPACING)
+        cell = cells.setdefault(first, [])
+        for tendon in own:
+            lines[tendon] = bare[tendon].points + len(cell) * spacing * size * across
+            cell.append(tendon)
+        if arm is None:
+            ends = [(lines[tendon][-1], bare[tendon].along, bare[tendon].aside) for tendon in own]
+            levers[joint] = _build_joint_lever(ends, size, config)
+        if arm is None or arm.hand is None:
+            hands[joint] = _build_hand_lever([lines[tendon][0] for tendon in own], size, config)
+    for first, cell in cells.items():
+        arm = find_arm(arms, first)
+        parts = [lines[tendon] for tendon in cell]
+        if arm is not None:
+            places[first] = build_arm_place(
+                arm,
+                {tendon: shapes[tendon].joint - first for tendon in cell},
+                {t: (lines[t][-1], bare[t].along, bare[t].aside) for t in cell},
+                np.mean([lines[tendon][0] for tendon in cell], axis=0),
+                size,
+                config.hand_radius_m,
+            )
+            parts.append(places[first].sample_points(_ARM_ARROW * ARROW * size))
+        joints = [first] if arm is None else list(arm.joints)
+        parts += [_compute_reach(levers[joint], -1) for joint in joints if joint in levers]
+        parts += [_compute_reach(hands[joint], 1) for joint in joints if joint in hands]
+        drawn[first] = np.concatenate(parts)
+    for first, offset in _compute_cell_offsets(drawn, size).items():
+        drawn[first] = drawn[first] + offset
+        if first in places:
+            places[first] = places[first].move(offset)
+        for each in (levers, hands):
+            for joint in {shapes[tendon].joint for tendon in cells[first]} & set(each):
+                each[joint] = replace(each[joint], pivot=each[joint].pivot + offset)
+        for tendon in cells[first]:
             lines[tendon] = lines[tendon] + offset
     still = np.concatenate([*lines.values(), *(h.pivot[None] for h in hands.values())])
     for each, sign in ((levers, -1.0), (hands, 1.0)):
@@ -210,9 +228,26 @@ def build_stage(shapes: Mapping[int, Shape], config: ViewConfig) -> Stage:
         lines,
         levers,
         hands,
+        tuple(places.values()),
         legend=centre + span * (right * RIGHT - _SCALE_HEIGHT * tall / 2 * UP),
         legend_up=span * _SCALE_HEIGHT * tall * UP,
     )
+
+
+def _build_centrelines(shapes: Mapping[int, Shape], config: ViewConfig) -> dict[int, CentreLine]:
+    """Return the sheaths, all from the origin."""
+    total = {t: float(sum(shape.length)) for t, shape in shapes.items()}
+    gap = 0.05 * max(total.values())
+    return {
+        tendon: compute_centreline(
+            np.array(shape.length),
+            np.array(shape.radius),
+            np.linspace(0.0, total[tendon], SEGMENTS * PIECES + 1),
+            gap,
+            config.bend_planes,
+        )
+        for tendon, shape in shapes.items()
+    }
 
 
 def _compute_cell_offsets(drawn: Mapping[int, Array], size: float) -> dict[int, Array]:

@@ -1,5 +1,7 @@
 """The known sheaths: shapes, joints and places in the scene."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from estimator.array_types import Array
@@ -7,6 +9,7 @@ from teleop.messages.messages import PROFILE_POINTS
 from teleop.view.columns import Rows
 from teleop.view.config import ViewConfig
 from teleop.view.scene_geometry import Shape, Stage, build_stage
+from teleop.view.space_arm import SpaceArm
 
 # --- certified band of T(x) from the tensions at both ends
 # Friction changes the tension by a factor of at most e^k from the housing to x, for any history: |d
@@ -56,10 +59,11 @@ def compute_tension_band(k: Array, T_in: Array, T_low: Array, T_high: Array) -> 
 
 
 class Sheaths:
-    """From Sheath messages, once a second."""
+    """From Sheath messages, once a second, and the arms that the config describes."""
 
-    def __init__(self, config: ViewConfig) -> None:
+    def __init__(self, config: ViewConfig, arms: Sequence[SpaceArm] = ()) -> None:
         self._config = config
+        self.arms = tuple(arms)
         self.shapes: dict[int, Shape] = {}
         self.friction: dict[int, Array] = {}  # tendon -> k(x) at the profile's points
         self.stage: Stage | None = None
@@ -78,7 +82,7 @@ class Sheaths:
             self.friction[tendon] = compute_friction_profile(length, radius, K, PROFILE_POINTS)
         if self.shapes == before:
             return False
-        self.stage = build_stage(self.shapes, self._config)
+        self.stage = build_stage(self.shapes, self._config, self.arms)
         return True
 
     @property

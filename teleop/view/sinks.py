@@ -311,6 +311,8 @@ class Sink:
         Whether the data come as they happen.
     saved : Path, optional
         A Rerun file that the viewer shows instead of a stream.
+    arms : int
+        How many arms in space are shown.
     """
 
     def __init__(
@@ -321,7 +323,9 @@ class Sink:
         out: Path | None,
         live: bool,
         saved: Path | None = None,
+        arms: int = 0,
     ) -> None:
+        self._arms = arms
         self.lines: list[str] = []
         self._config = config
         self.file = _build_file_path(config, session) if mode == "rrd" and out is None else out
@@ -364,7 +368,7 @@ class Sink:
         if self.stream is not None and joints != self._joints:
             self._joints = joints
             self._layouts += 1
-            self.stream.send_blueprint(build_blueprint(self._config, joints))
+            self.stream.send_blueprint(build_blueprint(self._config, joints, self._arms))
 
     def follow(self, newest_ns: Callable[[], int], show_panel: Callable[[], None]) -> None:
         """Let pages compare what they show with the newest stamp [ns] that was sent.
@@ -413,7 +417,7 @@ class Sink:
             sinks.append(self._encoded)
         if self.file is not None:
             sinks.append(self._open_file(self.file))
-        stream.set_sinks(*sinks, default_blueprint=build_blueprint(self._config, {}))
+        stream.set_sinks(*sinks, default_blueprint=build_blueprint(self._config, {}, self._arms))
         stream.send_recording_name(session)
         self.stream = stream
 
