@@ -62,8 +62,8 @@ class SpaceHandConfig:
     registration: tuple[float, float, float] = (0.0, 0.0, 0.0)
     lock: tuple[HandAxis, ...] = ()  # that move nothing
     align_orientation: bool = False  # the tip turns until it has the hand's orientation
-    inverse: InverseConfig = field(default_factory=InverseConfig)
-    fixtures: FixturesConfig = field(default_factory=FixturesConfig)
+    inverse: InverseConfig = field(default_factory=InverseConfig)  # of the kinematics
+    fixtures: FixturesConfig = field(default_factory=FixturesConfig)  # springs in the hand
 
     def __post_init__(self) -> None:
         """Check the values; raises `ValueError`."""
@@ -88,7 +88,7 @@ class SpaceMapConfig:
     """Hands in space: one for each arm, in their order."""
 
     type: Literal["space"] = "space"
-    hands: tuple[SpaceHandConfig, ...] = (SpaceHandConfig(),)
+    hands: tuple[SpaceHandConfig, ...] = (SpaceHandConfig(),)  # as many as arms
 
     def __post_init__(self) -> None:
         """Check the number of hands; raises `ValueError`."""

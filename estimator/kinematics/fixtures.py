@@ -37,16 +37,16 @@ _DIFFERENCE = 1e-5  # [rad] of the Jacobian's derivative: error 1e-10, of second
 class Plane:
     """A plane that the tip is kept on one side of."""
 
-    point: tuple[float, float, float]  # [m] on the plane
-    normal: tuple[float, float, float]  # towards where the tip may be, of any length
+    point: tuple[float, float, float] = (0.0, 0.0, 0.0)  # [m] on the plane
+    normal: tuple[float, float, float] = (0.0, 0.0, 1.0)  # to where the tip may be, of any length
 
 
 @dataclass(frozen=True, slots=True)
 class Guide:
     """A line that the tip is drawn to."""
 
-    point: tuple[float, float, float]  # [m] on the line
-    direction: tuple[float, float, float]  # of any length
+    point: tuple[float, float, float] = (0.0, 0.0, 0.0)  # [m] on the line
+    direction: tuple[float, float, float] = (1.0, 0.0, 0.0)  # along it, of any length
     width: float = 0.0  # [m] distance that is free
 
 
@@ -55,14 +55,14 @@ class FixturesConfig:
     """The fixtures of an arm, all in the frame of its base."""
 
     box: tuple[tuple[float, float], ...] = ()  # [m] from, to of x, y, z; inf = open
-    planes: tuple[Plane, ...] = ()
-    guide: Guide | None = None
+    planes: tuple[Plane, ...] = ()  # that the tip is kept on one side of
+    guide: Guide | None = None  # line that the tip is drawn to
     stiffness: float = 300.0  # [N/m] of box, planes and guide
     force_max: float = 3.0  # [N] of each box side, plane, and the guide
     limit_margin: float = 0.0  # [rad] before joint limits, [m] times rotation_length; 0 = none
-    limit_stiffness: float = 0.5  # [N m/rad]
-    singular_value: float = 0.0  # [m] s_1; 0 = none
-    singular_energy: float = 0.01  # [J] U_0
+    limit_stiffness: float = 0.5  # [N m/rad] of the cushions before joint limits
+    singular_value: float = 0.0  # [m] s_1 below which a singular posture is cushioned; 0 = none
+    singular_energy: float = 0.01  # [J] U_0 of that cushion, at the singular posture
 
     def __post_init__(self) -> None:
         """Check the values; raises `ArmError`."""

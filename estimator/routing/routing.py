@@ -11,7 +11,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import linprog
 
 from estimator.array_types import Array
 from estimator.law.sheath import Sheath
@@ -207,6 +206,8 @@ class Routing:
         RoutingError
             If there is none.
         """
+        from scipy.optimize import linprog  # later: other processes need no optimiser
+
         free = np.asarray(self.spring_stiffness) == 0.0
         balance = np.asarray(self.radii)[:, free].T / np.abs(np.asarray(self.radii)).max()
         # largest m with m <= t_i <= 1 and balance t = 0

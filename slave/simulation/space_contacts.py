@@ -30,7 +30,7 @@ class PlaneConfig:
     type: Literal["plane"] = "plane"
     point: Vector = (0.0, 0.0, 0.05)  # [m] on the surface
     normal: Vector = (0.0, 0.0, -1.0)  # out of it, towards the tip, of any length
-    stiffness: float = build_ranged_field(1000.0, 0.0, STIFFNESS_MAX, "N/m")
+    stiffness: float = build_ranged_field(1000.0, 0.0, STIFFNESS_MAX, "N/m")  # of the surface
     damping: float = build_ranged_field(0.0, 0.0, 1e4, "N s/m")  # on the way in
 
     def __post_init__(self) -> None:
@@ -45,9 +45,9 @@ class BallConfig:
     """A ball of tissue: F = stiffness d^1.5 + damping d' at depth d, Hertz's contact."""
 
     type: Literal["ball"] = "ball"
-    centre: Vector = (0.0, 0.0, 0.09)  # [m]
-    radius: float = build_ranged_field(0.02, 1e-4, 1.0, "m")
-    stiffness: float = build_ranged_field(9_400.0, 0.0, 1e9, "N/m^1.5")
+    centre: Vector = (0.0, 0.0, 0.09)  # [m] of the ball
+    radius: float = build_ranged_field(0.02, 1e-4, 1.0, "m")  # of the ball
+    stiffness: float = build_ranged_field(9_400.0, 0.0, 1e9, "N/m^1.5")  # of the contact
     damping: float = build_ranged_field(0.0, 0.0, 1e4, "N s/m")  # on the way in
 
     def __post_init__(self) -> None:

@@ -120,3 +120,8 @@ def free(_q: float) -> float:
 def wall(stiffness: float, position: float = 0.0015) -> Environment:
     """Return a wall of `stiffness` [N/m] that begins at `position` [m]."""
     return lambda q: stiffness * max(q - position, 0.0)
+
+
+def tissue(stiffness: float = 9400.0, position: float = 0.0015) -> Environment:
+    """Return tissue: a force that grows with the depth by `stiffness` [N/m^1.5]."""
+    return lambda q: float(stiffness * max(q - position, 0.0) ** 1.5)

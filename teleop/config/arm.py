@@ -76,6 +76,24 @@ class RoutingConfig:
 
 
 @dataclass(frozen=True, slots=True)
+class BendingSectionConfig:
+    """A section of constant curvature, along z where it is straight; its joints are two bends."""
+
+    name: str = "section"  # its bends are NAME.x and NAME.y
+    length: float = 0.05  # [m] along its middle line
+    bend_max: float = 1.6  # [rad] largest bend towards x and towards y
+    bend_speed: float = 6.0  # [rad/s] largest speed of each bend
+
+    def __post_init__(self) -> None:
+        """Check the values; raises `ValueError`."""
+        self.to_section()
+
+    def to_section(self) -> CurvedSection:
+        """Return the part of an arm."""
+        return CurvedSection(self.name, self.length, self.bend_max, bend_speed=self.bend_speed)
+
+
+@dataclass(frozen=True, slots=True)
 class LinkedArmConfig(RoutingConfig):
     """An arm: its tendons and, to be moved in space, its kinematics.
 
@@ -84,7 +102,7 @@ class LinkedArmConfig(RoutingConfig):
     """
 
     urdf: Path | None = None  # file that describes the links; or
-    sections: tuple[CurvedSection, ...] = ()  # curved sections, from the base to the tip
+    sections: tuple[BendingSectionConfig, ...] = ()  # of curved ones, from base to tip
     base: str | None = None  # link of the URDF that does not move; null = its root
     tip: str = ""  # link of the URDF that the hand moves
     tool: tuple[float, float, float] = (0.0, 0.0, 0.0)  # [m] of the tip point beyond the sections
@@ -106,10 +124,8 @@ class LinkedArmConfig(RoutingConfig):
     def bend_partners(self) -> list[int]:
         """For each joint the other bend of the same curved section, -1 if there is none."""
         partners = [-1] * len(self.radii)
-        names = [coordinate.name for part in self.sections for coordinate in part.coordinates]
-        for j, name in enumerate(names[: len(partners)]):
-            if name.endswith(".x") and j + 1 < len(partners):
-                partners[j], partners[j + 1] = j + 1, j
+        for first in range(0, min(2 * len(self.sections), len(partners) - 1), 2):
+            partners[first], partners[first + 1] = first + 1, first
         return partners
 
     def load_kinematics(self) -> Arm:
@@ -118,7 +134,7 @@ class LinkedArmConfig(RoutingConfig):
             arm = (
                 load_arm(self.urdf, tip=self.tip, base=self.base)
                 if self.urdf
-                else Arm(self.sections, Offset(self.tool))
+                else Arm(tuple(part.to_section() for part in self.sections), Offset(self.tool))
             )
         except ArmError as error:
             raise UsageError(f"arms: sections: {error}") from None

@@ -64,7 +64,7 @@ def test_it_is_used_and_says_how_far_it_is(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(large_csv, "BLOCK_BYTES", 1 << 12)
     numbers = np.arange(20_000.0)
     path = tmp_path / "x.csv"
-    table_files.write_columns(path, {"a": numbers, "b": numbers / 7.0})
+    table_files.write_table(path, {"a": numbers, "b": numbers / 7.0})
     raw = table_files.read_columns(path)
     assert np.array_equal(raw.columns["b"], numbers / 7.0)
     assert f"reading {path}" in capsys.readouterr().err
