@@ -80,6 +80,8 @@ def build_routing(joints: Sequence[Sequence[int]], arms: Sequence[ArmConfig]) ->
         spring_stiffness=[0.0 if len(tendons) > 1 else 1.0 for tendons in joints],
         guide=[guides] * len(radii),
         partner=partner,
+        pin_elements=1,  # in a tick of a session
+        bend_elements=2,
         friction_error=max(arm.friction_error for arm in arms),
         angle_error=ANGLE_ERROR,
     )

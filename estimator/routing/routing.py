@@ -19,9 +19,6 @@ MAX_JOINTS, MAX_TENDONS = 8, 16
 MAX_K = 20.0
 """Largest friction of all passed joints of a tendon together, at its given wraps."""
 
-BEND_ELEMENTS, PIN_ELEMENTS = 8, 2
-"""Friction elements of a bend that spreads over a section, and of a pin."""
-
 SHEATH_ELEMENTS = 12
 """Friction elements of a sheath, at least."""
 
@@ -70,6 +67,8 @@ class Routing:
     partner
         For each joint the other bend of the same curved section, -1 without one: the bend over its
         guides is the root of the sum of both squares.
+    pin_elements, bend_elements
+        Friction elements of a pin, and of a curved section. A step takes less time with fewer.
     friction_error, compliance_error
         Relative errors that intervals allow for, of friction and of the tendon's compliance.
     angle_error
@@ -89,6 +88,8 @@ class Routing:
     spring_stiffness: Any = 0.0
     spring_angle: Any = 0.0
     partner: Sequence[int] | None = None
+    pin_elements: int = 2
+    bend_elements: int = 8
     friction_error: float = 0.1
     compliance_error: float = 0.5
     angle_error: float = 0.0
@@ -129,6 +130,8 @@ class Routing:
         for name in ("compliance_error", "angle_error"):
             if not 0.0 <= getattr(self, name) < math.inf:
                 raise RoutingError(f"{name}: {getattr(self, name)}, must not be negative")
+        if not (1 <= self.pin_elements <= 20 and 1 <= self.bend_elements <= 20):
+            raise RoutingError("pin_elements, bend_elements: must be 1 to 20")
         partner = [-1] * joints if self.partner is None else list(self.partner)
         if len(partner) != joints or not all(-1 <= k < joints for k in partner):
             raise RoutingError(f"partner: give {joints} numbers from -1 to {joints - 1}")
@@ -373,7 +376,7 @@ def _list_elements(routing: Routing, tendon: int) -> list[_Element]:
             )
         )  # fmt: skip
         is_spread = kind == "spread"
-        n = 1 if friction == 0.0 else (BEND_ELEMENTS if is_spread else PIN_ELEMENTS)
+        n = 1 if friction == 0.0 else (routing.bend_elements if is_spread else routing.pin_elements)
         half, contact = (length / n / 2, 0.0) if is_spread else (0.0, abs(R) / n / 2)
         for i in range(n):
             place = (i + 0.5) / n if is_spread else float(kind == "distal")
