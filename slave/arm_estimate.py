@@ -106,11 +106,13 @@ def estimate_arm_forces(
     joint_estimates : JointEstimates
         Of the sample; only positions are read.
     out_force : array, shape (3, MAX_JOINTS)
-        Likeliest, least and largest force [N] at each joint's own pulley.
+        Likeliest, least and largest force [N] at each joint's own pulley; NaN if an angle is not
+        known, as before if a tendon's sample is invalid.
     """
     for k in range(layout.joints):
         arm.new_angles[k] = joint_estimates[k].position / layout.radius[k]
         if not np.isfinite(arm.new_angles[k]):
+            out_force[:] = np.nan  # the last ones would be of other angles
             return
     for i in range(layout.tendons):
         estimate = tendons[i].estimate

@@ -14,6 +14,7 @@ import numpy as np
 
 from estimator.array_types import Array
 from estimator.compiled import jit_compile
+from estimator.online.tendon_estimate import INVALID_INPUT
 from estimator.records import F64, I64, Struct, StructArray
 from slave.tendons import SIGNS, EstimatedTendon, EstimatedTendons, JointTendons, RigLayout
 
@@ -163,3 +164,5 @@ def _decouple_joints(layout: RigLayout, force: Array, estimates: JointEstimates)
                 joint.status |= status[k]
             if layout.ratio[k, j] != 0.0:
                 joint.status |= status[k]
+        if not isfinite(joint.force):
+            joint.status |= INVALID_INPUT
