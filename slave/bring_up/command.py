@@ -12,7 +12,6 @@ Then calibrate: teleop calibrate --config my-rig.yaml
 import argparse
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
-from pathlib import Path
 
 import numpy as np
 
@@ -21,6 +20,7 @@ from slave.bring_up.rig_check import (
     MotorMove,
     RestMeasurement,
     evaluate_move,
+    find_outside,
     format_rest_measurement,
     measure_at_rest,
     move_motor,
@@ -29,6 +29,8 @@ from slave.bring_up.rig_check import (
 from slave.config import SlaveConfig
 from slave.drivers import configs
 from slave.drivers.driver import DriverFault
+from slave.drivers.ports import describe_interfaces, explain_missing
+from slave.gate import GateConfig
 from slave.rig import Rig, RigFault
 from slave.rigs import open_rig
 from slave.rigs.hardware import HardwareRig, HardwareRigConfig
@@ -47,7 +49,6 @@ COMPILE_S = 3.0  # [s] of a processor, without a cache
 TRAVEL_MM, FORCE_N = 0.5, 2.0
 TRAVEL_MAX_MM, FORCE_MAX_N = 5.0, 20.0
 CONFIRMATION = "move"
-_CAN_INTERFACE = "280"  # ARPHRD_CAN
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -73,7 +74,8 @@ def main(args: argparse.Namespace) -> int:
     if args.action == "check":
         return check_rig(args, input)
     if args.action == "scan" and args.config is None and not args.overrides:
-        print("\n".join(list_interfaces() or ["no serial port and no CAN interface"]))
+        none = f"no serial port and no CAN interface{explain_missing()}"
+        print("\n".join(list(describe_interfaces()) or [none]))
         return 0
     rig = require_hardware_config(load(args.config, SlaveConfig, "slave", args.overrides))
     buses = [rig.motors] if rig.cells is None else [rig.motors, rig.cells]
@@ -118,7 +120,7 @@ def check_rig(args: argparse.Namespace, prompt: Callable[[str], str]) -> int:
             print(
                 "\n".join(
                     [
-                        *format_rest_measurement(rest),
+                        *format_rest_measurement(rest, config.gate),
                         *format_counts(rig),
                         *(f"{key}: {value}" for key, value in rig.summary().items()),
                     ]
@@ -126,7 +128,7 @@ def check_rig(args: argparse.Namespace, prompt: Callable[[str], str]) -> int:
             )
             if args.read_only:
                 return 0
-            require_readings(rest)
+            require_readings(rest, config.gate)
             print(
                 f"Next, each motor pulls by {args.travel:g} mm and returns, at most "
                 f"{args.force:g} N above its tension now. Keep clear of the rig."
@@ -136,7 +138,7 @@ def check_rig(args: argparse.Namespace, prompt: Callable[[str], str]) -> int:
                 return 0
             with pause_garbage_collection():  # a collection takes 0.1 to 0.6 s; drivers wait 0.2 s
                 rest = measure_at_rest(rig, ticks, start_ns, args.duration)  # nobody read meanwhile
-                require_readings(rest)
+                require_readings(rest, config.gate)
                 return move_all_motors(rig, config, ticks, start_ns, rest, move)
         except RigFault as fault:
             raise TeleopError(f"rig: {fault}") from fault
@@ -163,10 +165,12 @@ def move_all_motors(
     return 0
 
 
-def require_readings(rest: RestMeasurement) -> None:
-    """Raise `TeleopError` unless every tendon gives tension and displacement."""
+def require_readings(rest: RestMeasurement, limits: GateConfig) -> None:
+    """Raise `TeleopError` unless every tendon gives its tension, and its place within the gate."""
     if not np.all(np.isfinite([rest.displacement, rest.tension])):
         raise TeleopError("rig: a tendon gives no reading, so nothing is moved")
+    if find_outside(rest, limits):
+        raise TeleopError("rig: a tendon is outside slave.gate (see above), so nothing is moved")
 
 
 def parse_requested_move(args: argparse.Namespace) -> MotorMove:
@@ -186,17 +190,6 @@ def require_hardware_config(config: SlaveConfig) -> HardwareRigConfig:
             "(docs/how-to/rigs.md, and configs/ to start from)"
         )
     return config.rig
-
-
-def list_interfaces() -> list[str]:
-    """Return serial ports by their lasting names, and CAN interfaces."""
-    ports = sorted(Path("/dev/serial/by-id").glob("*"))
-    lines = [f"{port} -> /dev/{port.resolve().name}" for port in ports]
-    for kind in sorted(Path("/sys/class/net").glob("*/type")):
-        if kind.read_text().strip() == _CAN_INTERFACE:
-            state = (kind.parent / "operstate").read_text().strip()
-            lines.append(f"CAN {kind.parent.name}: {state}")
-    return lines
 
 
 def format_counts(rig: Rig) -> list[str]:

@@ -69,8 +69,15 @@ def compute_rest_measurement(samples: Sequence[RigSample]) -> RestMeasurement:
     )
 
 
-def format_rest_measurement(rest: RestMeasurement) -> list[str]:
+def find_outside(rest: RestMeasurement, limits: GateConfig) -> list[int]:
+    """Return the tendons, from 0, at a displacement that the gate passes to no motor."""
+    low, high = limits.displacement_min, limits.displacement_max
+    return [k for k, travel in enumerate(rest.displacement) if travel < low or travel > high]
+
+
+def format_rest_measurement(rest: RestMeasurement, limits: GateConfig) -> list[str]:
     """Return the measurement as lines, with what is suspicious in it."""
+    outside = find_outside(rest, limits)
     lines = [
         f"samples: {rest.rate_hz:.0f} Hz, longest gap {rest.longest_gap_s * 1e3:.1f} ms",
         f"{'tendon':>6} {'tension N':>18} {'displacement mm':>20}",
@@ -86,6 +93,12 @@ def format_rest_measurement(rest: RestMeasurement) -> list[str]:
             lines.append("       its tension does not vary at all: is the cell connected?")
         elif tension < -5.0 * rest.tension_noise[k]:
             lines.append("       its tension is negative: cell.offset, or the sign of cell.scale")
+        if k in outside:
+            low, high = limits.displacement_min * 1e3, limits.displacement_max * 1e3
+            lines.append(
+                f"       it is outside slave.gate ({low:g} to {high:g} mm): has its motor lost "
+                "turns since `zero` was read? Unwind it, or read motor.zero anew"
+            )
     return lines
 
 
@@ -250,7 +263,15 @@ def evaluate_move(result: MoveResult, rest: RestMeasurement) -> tuple[bool, str]
     if abs(result.travel - result.commanded) > TRAVEL_ERROR * abs(result.commanded):
         return False, f"{did}: the motor does not follow: power, limits, motor.counts_per_turn?"
     if answers[k] > SIGNIFICANCE:
-        return True, f"{did}: right"
+        others = np.where(np.arange(len(answers)) == k, 0.0, np.abs(answers))
+        other = int(np.argmax(others))
+        if others[other] <= SIGNIFICANCE:
+            return True, f"{did}: right"
+        share = result.tension[other] / result.tension[k]
+        return True, (
+            f"{did}: right; the cell of tendon {other + 1} follows by {share:+.0%}: through their "
+            "joint, or, if they have none in common, by cross-talk (converter switched too early?)"
+        )
     if answers[k] < -SIGNIFICANCE:
         return False, f"{did}: the tension falls: motor.direction, or the sign of cell.scale"
     strongest = int(np.argmax(answers))

@@ -12,7 +12,9 @@ import struct
 import sys
 from pathlib import Path
 
+from slave.drivers import ports
 from slave.drivers.driver import DriverFault
+from teleop.runtime.process import format_process, read_command
 
 _WORKER = "slave.drivers.worker"
 _CREDENTIALS = struct.Struct("3i")  # process, user and group of SO_PEERCRED
@@ -49,12 +51,20 @@ def claim_bus(place: str, key: str) -> socket.socket:
 
 
 def claim_port(path: str) -> socket.socket:
-    """Return the claim of a serial port; `DriverFault` if it is in use or does not exist."""
+    """Return the claim of a serial port; `DriverFault` if it is in use or does not exist.
+
+    Also by a program that has not locked it: both would read each other's answers.
+    """
     try:
         device = os.stat(path).st_rdev
     except OSError as error:
-        raise DriverFault(f"{path}: cannot be opened: {error.strerror}") from error
-    return claim_bus(path, f"serial {os.major(device)}:{os.minor(device)}")
+        reason = f"{error.strerror}{ports.explain_missing()}"
+        raise DriverFault(f"{path}: cannot be opened: {reason}") from error
+    claim = claim_bus(path, f"serial {os.major(device)}:{os.minor(device)}")
+    if users := ports.find_users(path):
+        claim.close()
+        raise DriverFault(f"{path}: {users}")
+    return claim
 
 
 def _find_holder(asking: socket.socket, key: str) -> str:
@@ -66,19 +76,8 @@ def _find_holder(asking: socket.socket, key: str) -> str:
     except OSError:
         return "another program"
     number = _CREDENTIALS.unpack(credentials)[0]
-    words = _read_command(number)
-    if _WORKER in words:
+    if _WORKER in read_command(number):
         with contextlib.suppress(OSError):
             status = Path(f"/proc/{number}/stat").read_text()
             number = int(status.rpartition(")")[2].split()[1])  # of the program that started it
-            words = _read_command(number)
-    command = " ".join(words[words.index("-m") + 1 :] if "-m" in words else words)
-    return f"process {number} ({command[:60]})"
-
-
-def _read_command(number: int) -> list[str]:
-    """Return the words of a process's command; empty if it is hidden or has ended."""
-    with contextlib.suppress(OSError):
-        data = Path(f"/proc/{number}/cmdline").read_bytes()
-        return data.decode(errors="replace").rstrip("\0").split("\0")
-    return []
+    return format_process(number)

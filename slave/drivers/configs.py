@@ -9,6 +9,7 @@ from slave.drivers.cia402.config import Cia402Config
 from slave.drivers.driver import BusDriver, Channels, DriverFault
 from slave.drivers.dynamixel.config import DynamixelConfig
 from slave.drivers.microcontroller.config import MicrocontrollerConfig
+from slave.drivers.ports import require_lasting_name
 
 DriverConfig = MicrocontrollerConfig | DynamixelConfig | Cia402Config
 
@@ -45,7 +46,15 @@ DRIVERS: dict[type[Any], DriverEntry] = {
 
 
 def open_driver(config: DriverConfig, channels: Channels) -> BusDriver:
-    """Return the driver of a config, not started; `DriverFault` if its library is missing."""
+    """Return the driver of a config, not started.
+
+    `DriverFault` if its library is missing, or if its port, with motors to be moved, may be another
+    adapter's after a replug.
+    """
+    if channels.motors and not channels.read_only:
+        require_lasting_name(
+            config.bus.channel if isinstance(config, Cia402Config) else config.port
+        )
     entry = DRIVERS[type(config)]
     module, _, name = (entry.reader if channels.read_only else entry.driver).partition(":")
     driver: BusDriver = getattr(_import_module(config, module), name)(config, channels)

@@ -11,6 +11,7 @@ import serial
 
 from slave.drivers.claim import claim_port
 from slave.drivers.driver import DriverFault
+from slave.drivers.ports import explain_busy
 
 
 def open_serial(path: str, baud: int, **settings: Any) -> tuple[serial.Serial, socket.socket]:
@@ -27,13 +28,13 @@ def open_serial(path: str, baud: int, **settings: Any) -> tuple[serial.Serial, s
         fcntl.ioctl(port.fileno(), termios.TIOCEXCL)
     except (serial.SerialException, OSError, ValueError) as error:
         claim.close()
-        raise DriverFault(f"{path}: cannot be opened: {format_port_error(error)}") from error
+        raise DriverFault(f"{path}: cannot be opened: {format_port_error(error, path)}") from error
     return port, claim
 
 
-def format_port_error(error: Exception) -> str:
+def format_port_error(error: Exception, path: str) -> str:
     """Return what the system says of an error, without the path that pyserial repeats."""
     number = getattr(error, "errno", None)
     if number in (errno.EAGAIN, errno.EBUSY):
-        return "in use by another program: end it first"
+        return explain_busy(path)
     return os.strerror(number) if number else str(error)

@@ -7,7 +7,7 @@ import signal
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -186,6 +186,50 @@ def lower_priority() -> None:
 def print_warning(text: str) -> None:
     """Print a warning in one line on standard error, which is not the output."""
     print(f"WARNING: {text}", file=sys.stderr, flush=True)
+
+
+# --- other processes of this machine, as /proc tells of them: those of other users in part
+
+
+def read_command(number: int) -> list[str]:
+    """Return the words of a process's command; empty if it is hidden or has ended."""
+    with suppress(OSError):
+        data = Path(f"/proc/{number}/cmdline").read_bytes()
+        return data.decode(errors="replace").rstrip("\0").split("\0")
+    return []
+
+
+def format_process(number: int) -> str:
+    """Return a process by number and command, as in 'process 812 (steam)'."""
+    words = read_command(number)
+    command = " ".join(words[words.index("-m") + 1 :] if "-m" in words else words)
+    return f"process {number} ({command[:60]})"
+
+
+def find_openers(path: str) -> list[str]:
+    """Return the other processes that are seen to have a file open, by number and command."""
+    wanted, found = os.path.realpath(path), []
+    for folder in Path("/proc").glob("[0-9]*/fd"):
+        number = int(folder.parent.name)
+        with suppress(OSError):
+            if number != os.getpid() and any(_is_open(name, wanted) for name in folder.iterdir()):
+                found.append(format_process(number))
+    return found
+
+
+def _is_open(descriptor: Path, wanted: str) -> bool:
+    with suppress(OSError):  # closed meanwhile
+        return os.readlink(descriptor) == wanted
+    return False
+
+
+def is_running(name: str) -> bool:
+    """Return whether a process of this name runs, of whatever user."""
+    for file in Path("/proc").glob("[0-9]*/comm"):
+        with suppress(OSError):
+            if file.read_text().strip() == name:
+                return True
+    return False
 
 
 def has_display() -> bool:

@@ -6,14 +6,16 @@ import signal
 import struct
 import time
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from slave.drivers import configs
-from slave.drivers.driver import DriverFault
-from slave.drivers.dynamixel import bus, registers
+from slave.drivers import configs, ports
+from slave.drivers.driver import Channels, DriverFault
+from slave.drivers.dynamixel import registers
 from slave.drivers.dynamixel.registers import CURRENT_UNIT
+from slave.drivers.dynamixel.tools import DynamixelReader
 from slave.rig import RigFault
 from slave.rigs.hardware import HardwareRig
 from studies.rigs.models.plant import NEWTONS, ZERO
@@ -30,6 +32,8 @@ from studies.rigs.models.servos import (
     READ,
     REVERSE,
     SECONDARY_ID,
+    SHUTDOWN,
+    STARTUP,
     STATUS_RETURN,
     SYNC_READ,
     TIME_BASED,
@@ -184,7 +188,12 @@ def test_a_status_is_told_in_words(values, said):
 @pytest.mark.parametrize(
     ("register", "size", "value", "said"),
     [
-        (ERROR, 1, 32, "servo 2: hardware error: overload"),
+        (
+            ERROR,
+            1,
+            32,
+            "servo 2: hardware error: overload; remove the cause, then `teleop rig reset`",
+        ),
         (WATCHDOG, 1, 255, "servo 2: its bus watchdog stopped it"),
     ],
 )
@@ -242,7 +251,8 @@ def test_positions_that_count_otherwise_are_refused_with_the_torque_as_it_is(
 
 def test_settings_of_other_programs_are_set_before_the_torque_and_told(servos):
     servo = servos.servos[2]
-    left = {DRIVE_MODE: TIME_BASED | TORQUE_BY_GOAL, SECONDARY_ID: 1, STATUS_RETURN: 0}
+    left = {DRIVE_MODE: TIME_BASED | TORQUE_BY_GOAL, SECONDARY_ID: 1, STATUS_RETURN: 0, STARTUP: 3}
+    left[SHUTDOWN] = 1  # at a wrong voltage only
     for register, value in left.items():
         servo.put(register, 1, value)
     servo.put(ACCELERATION, 4, 900)
@@ -250,11 +260,13 @@ def test_settings_of_other_programs_are_set_before_the_torque_and_told(servos):
     with opened_on(servos) as rig:
         assert torque(servos) == [False, False]
         found = [servo.get(a, 1) for a in left]
-        assert (found, servo.get(ACCELERATION, 4)) == ([0, 255, 2], 0)
+        assert (found, servo.get(ACCELERATION, 4)) == ([0, 255, 2, 0, 0x35], 0)
         engage(rig, moving(servos))
     said = rig.summary()["motors_settings"]
     assert "servo 2: Drive Mode was 12, set to 0" in said
     assert "servo 2: Secondary ID was 1, set to 255" in said
+    assert "servo 2: Startup Configuration was 3, set to 0" in said
+    assert "servo 2: Shutdown was 1, set to 53" in said
     assert all(has_watchdog for moves, has_watchdog in moved if moves)
 
 
@@ -376,17 +388,55 @@ class OneRate(Servos):
 def test_a_scan_finds_servos_of_any_rate_behind_a_slow_adapter(monkeypatch, tmp_path):
     servos = OneRate()
     thread = servos.start()
-    (tmp_path / "latency").write_text("16\n")
-    monkeypatch.setattr(bus, "_LATENCY", f"{tmp_path}/latency")
+    timer = tmp_path / Path(servos.port.name).name / "device/latency_timer"
+    timer.parent.mkdir(parents=True)
+    timer.write_text("16\n")
+    monkeypatch.setattr(ports, "TTYS", tmp_path)
     try:
-        first, second = configs.scan(dynamixel(servos.port.name))
+        lines = configs.scan(dynamixel(servos.port.name))
+        first, second = next(lines), next(lines)  # lower rates, which take longest, come last
+        lines.close()
         assert list(configs.reset(dynamixel(servos.port.name), ())) == []
     finally:
         servos.ended = True
         thread.join()
     assert first.startswith("servo 3: model 1020 at 4500000 baud; the config says 1000000")
     assert second.startswith("servo 7: ")
-    assert "the adapter's latency timer is 16 ms, set it to 1" in first
+    assert "the adapter's latency timer is 16 ms: echo 1 | sudo tee /sys/class/tty/" in first
+
+
+class Twins(Servos):
+    """Two servos of one number: both answer at once, and their bits are mixed on the line."""
+
+    def _obey(self, packet, now):
+        sent, write = [], self.port.write
+        self.port.write = sent.append
+        super()._obey(packet, now)
+        self.port.write = write
+        answer = b"".join(sent)
+        write(answer[:9] + bytes(byte & 0xA5 for byte in answer[9:]))
+
+
+@pytest.fixture
+def twins():
+    servos = Twins(numbers=(2,))
+    thread = servos.start()
+    yield dynamixel(servos.port.name)
+    servos.ended = True
+    thread.join()
+
+
+def test_two_servos_of_one_number_are_named(twins):
+    reader = DynamixelReader(twins, Channels((2,), (), True))
+    with pytest.raises(DriverFault, match=r"servo 2: damaged .*; two servos of this number\?"):
+        reader.start()
+    reader.close()
+
+
+@pytest.mark.slow
+def test_a_scan_names_two_servos_of_one_number(twins):
+    said = "servo 2: damaged answers at 1000000 baud: two servos of this number?"
+    assert next(configs.scan(twins)).startswith(said)
 
 
 def test_a_servo_that_is_not_there_is_named_once_the_others_are_reset(servos):

@@ -34,16 +34,18 @@ class Wired:
 
     name, tendons, joints, starts_at_zero = "wired", 2, ((0, 1),), False
 
-    def __init__(self, cells=(0, 1), sign=1.0, gain=1.0, stiffness=2000.0):
+    def __init__(self, cells=(0, 1), sign=1.0, gain=1.0, stiffness=2000.0, cross_talk=0.0):
         self.cells, self.sign, self.gain, self.stiffness = cells, sign, gain, stiffness
+        self.cross_talk = np.array([[1.0, 0.0], [cross_talk, 1.0]])  # of cell 1 in cell 2
         self.start = np.array([0.004, -0.001])
         self.position, self.writes, self.closed = self.start.copy(), [], False
         self.random = np.random.default_rng(2)
 
     def read(self, time_s):
         pulled = self.sign * self.stiffness * (self.position - self.start)
+        tension = self.cross_talk @ pulled[list(self.cells)]
         noise = self.random.normal(0.0, 0.01, 2)
-        return (RigSample(time_s, 3.0 + pulled[list(self.cells)] + noise, self.position.copy()),)
+        return (RigSample(time_s, 3.0 + tension + noise, self.position.copy()),)
 
     def write(self, proximal_displacement):
         self.writes.append(proximal_displacement)
@@ -126,7 +128,7 @@ def test_at_rest_rate_and_noise_are_told_and_nothing_is_written():
     rest = measure_at_rest(rig, generate_fast_ticks(500.0), 0, 2.0)
     assert rest.rate_hz == pytest.approx(500.0)
     assert rest.tension_noise == pytest.approx(0.01, rel=0.2)
-    assert len(format_rest_measurement(rest)) == 4
+    assert len(format_rest_measurement(rest, GateConfig())) == 4
     assert rig.writes == []
 
 
@@ -166,6 +168,13 @@ def test_wrong_wiring_is_named(wiring, said):
     assert said in text
 
 
+def test_a_cell_that_follows_another_motor_is_named_with_its_share():
+    assert moved(Wired(cross_talk=0.1))[1].endswith(": right; the cell of tendon 2 follows by +10%"
+        ": through their joint, or, if they have none in common, by cross-talk (converter switched "
+        "too early?)")  # fmt: skip
+    assert moved(Wired(cross_talk=0.1), tendon=1)[1].endswith(": right")
+
+
 @pytest.fixture
 def clock(monkeypatch):
     """Time of `teleop rig check` stands still but for sleeping."""
@@ -201,6 +210,23 @@ def test_motors_are_enabled_where_they_are_after_the_question(monkeypatch):
 
     assert command.check_rig(arguments(), turned_meanwhile) == 0
     assert rig.writes[0] == pytest.approx(rig.start, abs=1e-9)
+
+
+@pytest.mark.usefixtures("clock")
+@pytest.mark.parametrize(("displacement", "place"), [(-0.0175, "-17.5000"), (0.0613, "61.3000")])
+def test_a_motor_that_has_lost_turns_is_named_and_nothing_is_moved(
+    monkeypatch, capsys, displacement, place
+):
+    rig = Wired()
+    rig.position = rig.start = np.array([0.004, displacement])
+    monkeypatch.setattr(command, "open_rig", lambda *_: rig)
+    with pytest.raises(TeleopError, match=r"outside slave\.gate .* nothing is moved"):
+        command.check_rig(arguments(), lambda _: pytest.fail("asked"))
+    first, second, named = capsys.readouterr().out.splitlines()[2:5]
+    assert "4.0000" in first
+    assert place in second
+    assert "outside slave.gate (-5 to 60 mm): has its motor lost turns" in named
+    assert rig.writes == []
 
 
 def test_a_replayed_rig_is_refused_before_it_is_opened(monkeypatch):

@@ -5,8 +5,7 @@ import select
 import socket
 import termios
 import time
-from collections.abc import Callable
-from pathlib import Path
+from collections.abc import Callable, Sequence
 from typing import TypeVar
 
 import serial
@@ -15,6 +14,7 @@ from dynamixel_sdk.robotis_def import COMM_RX_CORRUPT, COMM_RX_TIMEOUT, COMM_SUC
 
 from slave.drivers.driver import DriverFault
 from slave.drivers.dynamixel.registers import Register
+from slave.drivers.ports import find_slow_timer
 from slave.drivers.serial_port import open_serial
 
 # --- the vendor's port with waits that are short enough for a loop, and its errors in words
@@ -22,6 +22,8 @@ from slave.drivers.serial_port import open_serial
 POLL_PERIOD_S = 0.001  # [s] between two looks at the time while nothing arrives
 
 RESULT_TEXT = {COMM_RX_TIMEOUT: "no answer", COMM_RX_CORRUPT: "damaged answer"}
+
+TWINS_TEXT = "two servos of this number? Connect one at a time and change its ID"
 
 
 class WaitingPort(PortHandler):  # type: ignore[misc] # the SDK has no types
@@ -73,8 +75,6 @@ Result = TypeVar("Result")
 
 TRIES_MAX = 5  # of a single register
 LATE_S = 0.03  # [s] after a failure: a late answer would be taken for that of the next register
-LATENCY_MAX_MS = 2
-_LATENCY = "/sys/class/tty/{}/device/latency_timer"  # [ms] of FTDI adapters
 
 
 class ServoBus:
@@ -122,16 +122,17 @@ class ServoBus:
 
     def ping(self, number: int) -> int:
         """Return the model of a servo; `DriverFault` if it does not answer."""
-        text = ""
+        text, result = "", COMM_SUCCESS
         for _ in range(TRIES_MAX):
             model, result, _ = self.packets.ping(self.port, number)
             text = format_result(result)
             if not text:
                 return int(model)
             time.sleep(LATE_S)
+        hint = find_slow_timer(self.path) or "`teleop rig scan` lists what is there"
         raise DriverFault(
             f"{self.path}: servo {number}: {text} at {self.port.baudrate} baud; "
-            f"{self.slow_adapter() or '`teleop rig scan` lists what is there'}"
+            f"{TWINS_TEXT if result == COMM_RX_CORRUPT else hint}"
         )
 
     def get(self, number: int, register: Register) -> int:
@@ -173,13 +174,7 @@ class ServoBus:
         if format_result(result):
             time.sleep(LATE_S)
 
-    def slow_adapter(self) -> str:
-        """Return what to do about the adapter's latency timer; empty if it is short or unknown."""
-        file = Path(_LATENCY.format(Path(self.path).resolve().name))
-        try:
-            latency_ms = int(file.read_text())
-        except (OSError, ValueError):
-            return ""
-        if latency_ms <= LATENCY_MAX_MS:
-            return ""
-        return f"the adapter's latency timer is {latency_ms} ms, set it to 1 (docs/how-to/rigs.md)"
+    def describe(self, settings: Sequence[str]) -> dict[str, str]:
+        """Return what the summary says of a slow adapter and of settings of other programs."""
+        texts = {"adapter": find_slow_timer(self.path), "settings": "; ".join(settings)}
+        return {key: text for key, text in texts.items() if text}

@@ -66,11 +66,11 @@ class DynamixelDriver:
         """Return rate, reads without an answer of every servo, and settings that were changed."""
         span = self._heard_s - self._began_s
         answered = self._cycles - self._lost
-        counts: dict[str, int | float | str] = {
+        return {
             "rate_hz": round(answered / span, 1) if span > 0.0 else 0.0,
             "lost_reads": self._lost,
+            **self._bus.describe(self._changed),
         }
-        return counts | ({"settings": "; ".join(self._changed)} if self._changed else {})
 
     def close(self) -> None:
         """Stop the servos where they are, by their goals and then their watchdogs; torque holds."""

@@ -33,6 +33,8 @@ SECONDARY_ID = Register("Secondary ID", 12, 1)
 HOMING_OFFSET = Register("Homing Offset", 20, 4)
 PWM_LIMIT = Register("PWM Limit", 36, 2)
 CURRENT_LIMIT = Register("Current Limit", 38, 2)  # [2.69 mA], of current control and mode 5
+STARTUP = Register("Startup Configuration", 60, 1)  # torque on, goals restored, at power on
+SHUTDOWN = Register("Shutdown", 63, 1)  # errors at which torque goes off
 TORQUE_ENABLE = Register("Torque Enable", 64, 1)
 STATUS_RETURN = Register("Status Return Level", 68, 1)
 HARDWARE_ERROR = Register("Hardware Error Status", 70, 1)
@@ -55,7 +57,7 @@ CURRENT_UNIT = 2.69e-3  # [A]
 VELOCITY_UNIT = 0.229 * 2.0 * math.pi / 60.0  # [rad/s]
 REVERSE = 1  # bit of the drive mode; the others are time-based profile, torque on by goal update
 ANSWERS_ALL = 2  # status return level
-BAUD_RATES = (57600, 115200, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 4_500_000)
+BAUD_RATES = (1_000_000, 57600, 2_000_000, 3_000_000, 4_000_000, 4_500_000, 115200, 9600)
 
 CURRENT_UNITS = {
     **dict.fromkeys((1000, 1010), CURRENT_UNIT),  # XH430-W
@@ -114,6 +116,11 @@ class HardwareError(IntFlag):
     OVERLOAD = 32
 
 
+SHUTDOWN_ERRORS = (
+    HardwareError.OVERHEATING | HardwareError.ELECTRICAL_SHOCK | HardwareError.OVERLOAD
+)
+"""At which a servo must switch its torque off by itself, as the maker sets it."""
+
 ERROR_TEXT = {
     HardwareError.INPUT_VOLTAGE: "input voltage out of range",
     HardwareError.OVERHEATING: "too hot",
@@ -135,6 +142,7 @@ def list_settings(limits_current: bool) -> tuple[tuple[Register, int], ...]:
         (STATUS_RETURN, ANSWERS_ALL),
         (SECONDARY_ID, 255),  # none: else it follows the goals of another servo
         (DRIVE_MODE, 0),
+        (STARTUP, 0),
         (OPERATING_MODE, CURRENT_BASED_POSITION if limits_current else EXTENDED_POSITION),
         (PROFILE_ACCELERATION, 0),  # none
     )
@@ -166,7 +174,7 @@ def format_hardware_error(bits: int) -> str:
 def find_status_fault(status: "np.void", config: DynamixelConfig) -> str:
     """Return what is wrong with one servo, in words; empty if nothing is."""
     if text := format_hardware_error(int(status["error"])):
-        return f"hardware error: {text}"
+        return f"hardware error: {text}; remove the cause, then `teleop rig reset`"
     volts, (volts_min, volts_max) = int(status["voltage"]) * 0.1, config.voltage
     if not volts_min <= volts <= volts_max:
         return f"supply of {volts:.1f} V, must be {volts_min:g} to {volts_max:g} V"

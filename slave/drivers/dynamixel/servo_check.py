@@ -56,6 +56,7 @@ def find_other_settings(
     bus: ServoBus, number: int, limits_current: bool
 ) -> list[tuple[Register, int, int]]:
     """Return the registers left by other programs that a driver sets: what is there, and to."""
-    settings = registers.list_settings(limits_current)
+    shutdown = bus.get(number, registers.SHUTDOWN) | registers.SHUTDOWN_ERRORS
+    settings = (*registers.list_settings(limits_current), (registers.SHUTDOWN, shutdown))
     read = [(register, bus.get(number, register), value) for register, value in settings]
     return [entry for entry in read if entry[1] != entry[2]]

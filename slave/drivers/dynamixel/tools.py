@@ -10,8 +10,9 @@ from dynamixel_sdk.robotis_def import COMM_RX_CORRUPT
 
 from slave.drivers.driver import Channels, Counts, DriverFault, Reading
 from slave.drivers.dynamixel import registers, servo_check
-from slave.drivers.dynamixel.bus import ServoBus, format_result
+from slave.drivers.dynamixel.bus import TWINS_TEXT, ServoBus, format_result
 from slave.drivers.dynamixel.config import DynamixelConfig
+from slave.drivers.ports import find_slow_timer
 
 # --- servos that are only read: every instruction is a ping or a read
 
@@ -71,8 +72,7 @@ class DynamixelReader:
 
     def counts(self) -> dict[str, int | float | str]:
         """Return the reads without an answer, and the settings that a session would change."""
-        counts: dict[str, int | float | str] = {"lost_reads": self._lost}
-        return counts | ({"settings": "; ".join(self._settings)} if self._settings else {})
+        return {"lost_reads": self._lost, **self._bus.describe(self._settings)}
 
     def close(self) -> None:
         """Release the port."""
@@ -149,7 +149,7 @@ def _scan_baud_rate(bus: ServoBus, config: DynamixelConfig) -> list[str]:
     """Return a line for each servo at the present baud rate, and one for damaged answers."""
     baud = bus.port.baudrate
     hint = "" if baud == config.baud else f"; the config says {config.baud}"
-    if warning := bus.slow_adapter():
+    if warning := find_slow_timer(bus.path):
         hint += f"; {warning}"
     models, result = bus.packets.broadcastPing(bus.port)
     lines = []
@@ -159,7 +159,7 @@ def _scan_baud_rate(bus: ServoBus, config: DynamixelConfig) -> list[str]:
         lines.append(f"servo {number}: model {model} at {baud} baud{hint}{alert}")
     if result == COMM_RX_CORRUPT:
         lines += [
-            f"servo {number}: damaged answers at {baud} baud: two servos of one id?"
+            f"servo {number}: damaged answers at {baud} baud: {TWINS_TEXT}"
             for number in range(SERVO_ID_MAX + 1)
             if bus.packets.ping(bus.port, number)[1] == COMM_RX_CORRUPT
         ]

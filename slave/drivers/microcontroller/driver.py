@@ -185,7 +185,7 @@ class MicrocontrollerDriver:
             data = self._port.read(self._port.in_waiting or 1)
         except (serial.SerialException, OSError) as error:
             raise DriverFault(
-                f"{self._config.port}: unplugged ({format_port_error(error)})"
+                f"{self._config.port}: unplugged ({format_port_error(error, self._config.port)})"
             ) from error
         return self._reader.feed(data)
 
@@ -260,7 +260,7 @@ class MicrocontrollerDriver:
             self._port.write(self._frame(kind, body))
         except (serial.SerialException, OSError) as error:
             raise DriverFault(
-                f"{self._config.port}: unplugged ({format_port_error(error)})"
+                f"{self._config.port}: unplugged ({format_port_error(error, self._config.port)})"
             ) from error
 
     def _frame(self, kind: FrameType, body: bytes = b"") -> bytes:

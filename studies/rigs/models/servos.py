@@ -25,6 +25,7 @@ OPERATING_MODE, CURRENT_LIMIT, GOAL_CURRENT = 11, 38, 102
 LIMITING_MODES = (0, 5)  # in which the goal current and its limit act
 WITHOUT_CURRENT = (1060, 1070, 1080, 1090, 1160)  # models: XL430, XC430, 2XL430, 2XC430
 DRIVE_MODE, SECONDARY_ID, HOMING_OFFSET, STATUS_RETURN = 10, 12, 20, 68
+STARTUP, SHUTDOWN = 60, 63
 ACCELERATION, PROFILE_VELOCITY = 108, 112
 REVERSE, TIME_BASED, TORQUE_BY_GOAL = 1, 4, 8  # of the drive mode
 WATCHDOG_UNIT_S = 0.020
@@ -59,6 +60,7 @@ class Servo:
         self.put(TEMPERATURE, 1, 35)
         self.put(SECONDARY_ID, 1, 255)
         self.put(STATUS_RETURN, 1, 2)
+        self.put(SHUTDOWN, 1, 0x34)  # overload, electrical shock, too hot
         self.put(OPERATING_MODE, 1, 3)
         self.put(CURRENT_LIMIT, 2, 1193)
         self.put(GOAL_CURRENT, 2, 1193)

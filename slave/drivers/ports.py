@@ -1,0 +1,121 @@
+"""Serial ports of this machine: lasting names, slow adapters, and who has them open."""
+
+import os
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+
+from slave.drivers.driver import DriverFault
+from teleop.runtime.process import find_openers, is_running
+
+DEVICES = Path("/dev")
+TTYS = Path("/sys/class/tty")
+NETWORK = Path("/sys/class/net")
+LATENCY_MAX_MS = 2
+_CAN_INTERFACE = "280"  # ARPHRD_CAN
+_RULES = "/etc/udev/rules.d"
+_DAEMONS = {  # programs that take adapters by themselves, and what keeps them off
+    "ModemManager": "asks each new port whether it is a modem: put "
+    'ATTRS{{idVendor}}=="{vendor}", ENV{{ID_MM_DEVICE_IGNORE}}="1" into '
+    f"{_RULES}/70-serial.rules and plug in again",
+    "brltty": "takes CH340, CP210x and FTDI adapters for braille displays: "
+    f"sudo ln -s /dev/null {_RULES}/85-brltty.rules, and plug in again",
+}
+
+
+def list_ports() -> dict[str, str]:
+    """Return the device files of serial adapters, and the lasting name of each; empty if none.
+
+    Adapters of one model without serial numbers share a name in by-id, that of the one plugged in
+    last; then the names in by-path count, which are of the sockets.
+    """
+    kinds = ("ttyUSB*", "ttyACM*")
+    devices = sorted(str(path.resolve()) for kind in kinds for path in DEVICES.glob(kind))
+    by_id, by_path = (
+        {str(link.resolve()): str(link) for link in sorted((DEVICES / "serial" / kind).glob("*"))}
+        for kind in ("by-id", "by-path")
+    )
+    shares_name = any(device in by_path and device not in by_id for device in devices)
+    names = by_path if shares_name else by_id
+    return {device: names.get(device, "") for device in devices}
+
+
+def require_lasting_name(port: str) -> None:
+    """Raise `DriverFault` if another adapter may have this name after the next replug."""
+    lasting = list_ports().get(os.path.realpath(port), "")
+    kinds = Path(port).parent.name, Path(lasting).parent.name
+    if not lasting or port == lasting or (os.path.islink(port) and kinds != ("by-id", "by-path")):
+        return  # by-path, another name of by-id, or one of a rule of the user's
+    raise DriverFault(
+        f"{port}: may be another adapter after the next replug, so nothing is moved: set it to "
+        f"{lasting}"
+    )
+
+
+def find_slow_timer(port: str) -> str:
+    """Return what to do about an adapter's latency timer; empty if it is short or unknown."""
+    name = Path(port).resolve().name
+    try:
+        latency_ms = int((TTYS / name / "device/latency_timer").read_text())  # of FTDI adapters
+    except (OSError, ValueError):
+        return ""
+    if latency_ms <= LATENCY_MAX_MS:
+        return ""
+    return (
+        f"the adapter's latency timer is {latency_ms} ms: echo 1 | sudo tee "
+        f"/sys/class/tty/{name}/device/latency_timer (for good: docs/how-to/rigs.md)"
+    )
+
+
+def find_users(port: str) -> str:
+    """Return the programs that have a port open, with what ends that; empty if none is known."""
+    if os.path.realpath(port).startswith("/dev/pts/"):  # of a program, which has it open itself
+        return ""
+    users = ", ".join(find_openers(port))
+    return users and f"in use by {users}: {_find_remedy(port, users) or 'end it first'}"
+
+
+def explain_busy(port: str) -> str:
+    """Return who may have a port that cannot be opened: programs of others are hidden."""
+    suspect = "" if os.geteuid() == 0 else _find_remedy(port, "")
+    return find_users(port) or f"in use by another program: {suspect or 'end it first'}"
+
+
+def explain_missing() -> str:
+    """Return why an adapter may have no device file; empty if nothing is known."""
+    return f": brltty {_DAEMONS['brltty']}" if is_running("brltty") else ""
+
+
+def find_problems(port: str) -> list[str]:
+    """Return what keeps a port from being used, each with its remedy."""
+    problems = [find_users(port), find_slow_timer(port)]
+    if not os.access(port, os.R_OK | os.W_OK):
+        problems.append("no permission: sudo usermod -aG dialout $USER, then log in again")
+    return [problem for problem in problems if problem]
+
+
+def describe_interfaces() -> Iterator[str]:
+    """Yield serial ports by their lasting names, and CAN interfaces, with what is wrong."""
+    for device, name in list_ports().items():
+        line = f"{name} -> {device}" if name else device
+        yield "; ".join([line, *find_problems(device)])
+    for kind in sorted(NETWORK.glob("*/type")):
+        if kind.read_text().strip() == _CAN_INTERFACE:
+            yield f"CAN {kind.parent.name}: {(kind.parent / 'operstate').read_text().strip()}"
+
+
+def _find_remedy(port: str, users: str) -> str:
+    """Return what keeps a daemon off, one of `users`; without users, one that is running."""
+    for name, remedy in _DAEMONS.items():
+        if name in users or (not users and is_running(name)):
+            return f"{name} {remedy.format(vendor=_read_vendor(port))}"
+    return ""
+
+
+def _read_vendor(port: str) -> str:
+    """Return the vendor number of an adapter on USB, as a udev rule has it."""
+    device = (TTYS / Path(port).resolve().name / "device").resolve()
+    for folder in (device, *device.parents):
+        with suppress(OSError):
+            return (folder / "idVendor").read_text().strip()
+    return "VENDOR"
