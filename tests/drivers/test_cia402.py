@@ -23,6 +23,7 @@ from slave import loop
 from slave.config import SlaveConfig, TendonConfig
 from slave.drivers import configs
 from slave.drivers.cia402 import bus
+from slave.drivers.cia402.codes import format_emergency
 from slave.drivers.cia402.config import (
     LOAD_MAX,
     BusConfig,
@@ -36,9 +37,9 @@ from slave.drivers.cia402.drive import (
     NodeSetup,
     RequestedState,
     decode_drive_state,
-    format_emergency,
     select_control_word,
 )
+from slave.drivers.cia402.monitor import BusMonitor
 from slave.drivers.driver import DriverFault
 from slave.process import SlaveProcess
 from slave.rig import RigFault
@@ -271,7 +272,7 @@ def test_limits_beyond_their_objects_are_refused_by_the_config(settings, said):
 )
 def test_a_value_that_does_not_fit_its_object_is_not_sent(size, value, signed):
     network = canopen.Network()  # not connected: whatever is sent raises another error
-    set_up = NodeSetup(network, 3, Cia402Config())
+    set_up = NodeSetup(network, 3, Cia402Config(), BusMonitor(BusConfig()))
     with pytest.raises(DriverFault, match=f"drive 3 object 607F:0: {value} does not fit"):
         set_up.put(0x607F, 0, size, value, signed=signed)
 

@@ -1,8 +1,10 @@
 """The CAN bus of CiA 402 drives: opened by one process of this machine, and one controller."""
 
 import errno
+import fcntl
 import logging
 import socket
+import termios
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -11,11 +13,22 @@ from typing import Any, NamedTuple
 import can
 import canopen
 
-from slave.drivers.cia402.config import Cia402Config
+from slave.drivers.cia402.config import BusConfig, Cia402Config
+from slave.drivers.cia402.monitor import (
+    BUS_OFF_TEXT,
+    HEARTBEAT,
+    BusMonitor,
+    find_interface_fault,
+    read_interface,
+)
 from slave.drivers.claim import claim_bus, claim_port
 from slave.drivers.driver import DriverFault
+from slave.drivers.ports import explain_busy
 
 # --- the serial port of an slcan adapter, read in whole chunks
+
+_ASCII = bytes(range(128)) + b"?" * 128  # python-can keeps a line for ever that it cannot decode
+_REFUSAL = b"\a"  # an slcan adapter's answer to what it could not do
 
 
 class BufferedPort:
@@ -33,6 +46,7 @@ class BufferedPort:
     def __init__(self, port: Any) -> None:
         self._port = port
         self._data, self._at = b"", 0
+        self.refusals = 0  # frames that the adapter could not send
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._port, name)
@@ -56,9 +70,16 @@ class BufferedPort:
         """Return up to `size` bytes; waits for the port's `timeout` if there are none."""
         if self._at >= len(self._data):
             self._data, self._at = self._port.read(max(size, self._port.in_waiting)), 0
+            self.refusals += self._data.count(_REFUSAL)
+            self._data = self._data.translate(_ASCII)
         found = self._data[self._at : self._at + size]
         self._at += len(found)
         return found
+
+    def lock(self) -> None:
+        """Keep other programs from opening or locking the port; `OSError` if one has it."""
+        self._port.exclusive = True
+        fcntl.ioctl(self._port.fileno(), termios.TIOCEXCL)
 
     def reset_input_buffer(self) -> None:
         """Forget what has arrived."""
@@ -66,20 +87,28 @@ class BufferedPort:
         self._port.reset_input_buffer()
 
 
-SYNC, HEARTBEAT = 0x80, 0x700
+SYNC = 0x80
 NMT, SDO = 0x000, 0x600  # commands to nodes, requests to them
 LISTEN_S = 0.15  # [s] for another controller, which sends SYNC at 10 Hz at least
 QUEUE_S = 0.010  # [s] in which a queue of frames must have room; our watchdog is 40 ms
 RETRY_S = 0.0002
 
 Send = Callable[..., None]
+Receive = Callable[..., can.Message | None]
 
 
 class ClaimedBus(NamedTuple):
-    """An open bus, and the claim that is held with it."""
+    """An open bus, the claim that is held with it, and what it tells beside answers."""
 
     bus: can.BusABC
     claim: socket.socket
+    monitor: BusMonitor
+
+    def connect(self) -> canopen.Network:
+        """Return a network for SDO requests; the monitor takes its frames, too."""
+        network = canopen.Network(self.bus)
+        network.listeners.append(self.monitor)  # type: ignore[arg-type]
+        return network.connect()
 
     def shutdown(self) -> None:
         """Close the bus and release its claim."""
@@ -101,20 +130,29 @@ def open_bus(config: Cia402Config) -> ClaimedBus:
     interface, channel = config.bus.interface, config.bus.channel
     logging.getLogger("canopen").addHandler(logging.NullHandler())  # its errors are raised, too
     is_serial = interface == "slcan"
+    state = read_interface(channel) if interface == "socketcan" else {}
+    if fault := find_interface_fault(state, config.bus):
+        raise DriverFault(f"{place}: {fault}")
     claim = claim_port(channel) if is_serial else claim_bus(place, f"{interface} {channel}")
     try:
         bus = can.Bus(**config.bus.arguments())
-        if is_serial:
-            port = bus.serialPortOrig  # type: ignore[attr-defined]
-            port.exclusive = True
-            bus.serialPortOrig = BufferedPort(port)  # type: ignore[attr-defined]
     except (can.CanError, OSError, ValueError) as error:
         claim.close()
-        raise DriverFault(f"{place}: cannot be opened as {interface}: {error}") from error
+        reason = _explain_error(config.bus, error) or str(error)
+        raise DriverFault(f"{place}: cannot be opened as {interface}: {reason}") from error
+    monitor = BusMonitor(config.bus)
     bus.send = retry_full_queue(bus.send)  # type: ignore[method-assign]
-    opened = ClaimedBus(bus, claim)
+    bus.recv = skip_damaged_lines(bus.recv, monitor)  # type: ignore[method-assign]
+    opened = ClaimedBus(bus, claim, monitor)
     try:
-        require_sole_controller(bus, config)
+        if is_serial:
+            port = BufferedPort(bus.serialPortOrig)  # type: ignore[attr-defined]
+            port.lock()
+            bus.serialPortOrig = port  # type: ignore[attr-defined]
+        require_sole_controller(opened, config)
+        if is_serial:
+            port.refusals = 0  # those before are of its set-up
+            monitor.count_refusals = lambda: port.refusals
     except (can.CanError, OSError) as error:
         opened.shutdown()
         raise to_driver_fault(config, error) from error
@@ -125,13 +163,12 @@ def open_bus(config: Cia402Config) -> ClaimedBus:
 
 
 @contextmanager
-def open_network(config: Cia402Config) -> Iterator[canopen.Network]:
+def open_network(config: Cia402Config) -> Iterator[tuple[canopen.Network, BusMonitor]]:
     """Open the bus for SDO requests; errors of the bus in the context are a `DriverFault`."""
     opened = open_bus(config)
-    network = canopen.Network(opened.bus)
-    network.connect()
+    network = opened.connect()
     try:
-        yield network
+        yield network, opened.monitor
     except (can.CanError, OSError) as error:
         raise to_driver_fault(config, error) from error
     finally:
@@ -147,19 +184,52 @@ def format_bus_name(config: Cia402Config) -> str:
 
 def to_driver_fault(config: Cia402Config, error: Exception) -> DriverFault:
     """Return an error of the bus in words."""
-    place = format_bus_name(config)
-    if is_queue_full(error):
-        return DriverFault(
-            f"{place}: no node acknowledges frames, the send queue is full: are the drives powered,"
-            f" bit rate and termination right? (`ip -details link show {config.bus.channel}`)"
-        )
-    return DriverFault(f"{place}: {error}: adapter unplugged, bus off, or no drive on the bus")
+    reason = _explain_error(config.bus, error)
+    return DriverFault(
+        f"{format_bus_name(config)}: "
+        + (reason or f"{error}: adapter unplugged, bus off, or no drive on the bus")
+    )
+
+
+def _explain_error(bus: BusConfig, error: Exception) -> str:
+    """Return what an error number of the system means on a CAN bus; empty if it tells nothing."""
+    show = f"`ip -details link show {bus.channel}`"
+    number = _read_error_number(error)
+    if number in (errno.EAGAIN, errno.EBUSY):
+        return explain_busy(bus.channel)
+    return {
+        errno.ENOBUFS: "no node acknowledges frames, the send queue is full: are the drives "
+        f"powered, bit rate and termination right? ({show})",
+        errno.ENETDOWN: f"the interface is down, or {BUS_OFF_TEXT}: sudo ip link set {bus.channel} "
+        f"down; sudo ip link set {bus.channel} up type can bitrate {bus.bitrate} ({show})",
+        errno.ENODEV: "no such interface, or its adapter is unplugged (`teleop rig scan`)",
+    }.get(number or 0, "")
+
+
+def _read_error_number(error: Exception) -> int | None:
+    """Return the number of a system's error, of whatever library."""
+    numbers = (getattr(error, name, None) for name in ("error_code", "errno"))
+    cause = error.__cause__
+    of_cause = _read_error_number(cause) if isinstance(cause, Exception) else None
+    return next((number for number in numbers if number), of_cause)
 
 
 def is_queue_full(error: Exception) -> bool:
     """Return whether a frame was refused only because others still wait to be sent."""
-    code = getattr(error, "error_code", None) or getattr(error, "errno", None)
-    return code == errno.ENOBUFS
+    return _read_error_number(error) == errno.ENOBUFS
+
+
+def skip_damaged_lines(receive: Receive, monitor: BusMonitor) -> Receive:
+    """Return a `recv` of python-can that counts what an slcan adapter did not send in full."""
+
+    def receive_frame(timeout: float | None = None) -> can.Message | None:
+        try:
+            return receive(timeout)
+        except (ValueError, IndexError):
+            monitor.damaged += 1
+            return None
+
+    return receive_frame
 
 
 def retry_full_queue(send: Send) -> Send:
@@ -178,11 +248,13 @@ def retry_full_queue(send: Send) -> Send:
     return send_in_time
 
 
-def require_sole_controller(bus: can.BusABC, config: Cia402Config) -> None:
+def require_sole_controller(opened: ClaimedBus, config: Cia402Config) -> None:
     """Listen for a moment; `DriverFault` if another controller speaks to the nodes."""
     until_s = time.monotonic() + LISTEN_S
     while (left_s := until_s - time.monotonic()) > 0.0:
-        message = bus.recv(left_s)
+        message = opened.bus.recv(left_s)
+        if message is not None:
+            opened.monitor.on_message_received(message)
         if message is not None and (text := identify_controller_frame(message, config.master)):
             raise DriverFault(
                 f"{format_bus_name(config)}: another controller is on the bus ({text} was "

@@ -1,14 +1,17 @@
-"""One CiA 402 drive: its state machine, its emergency messages, and its set-up by SDO."""
+"""One CiA 402 drive: its state machine, and its set-up by SDO."""
 
 import contextlib
 import struct
 import time
+from collections.abc import Iterator
 from enum import Enum, IntEnum
 
 import canopen
 from canopen.sdo.exceptions import SdoAbortedError, SdoError
 
+from slave.drivers.cia402.codes import format_abort, format_emergency
 from slave.drivers.cia402.config import HEARTBEATS_PER_TIMEOUT, Cia402Config
+from slave.drivers.cia402.monitor import BusMonitor
 from slave.drivers.driver import DriverFault
 
 
@@ -85,59 +88,10 @@ def select_control_word(state: DriveState, requested: RequestedState) -> int:
     return int(ControlWord.DISABLE_VOLTAGE)
 
 
-# --- emergency messages (CiA 301, CiA 402) in words
-
-_TEXTS = {  # the more exact first: by code, then by its first two digits, then by the first
-    0x2310: "continuous over current",
-    0x2320: "short circuit",
-    0x2340: "short circuit on the motor side",
-    0x3110: "mains over voltage",
-    0x3120: "mains under voltage",
-    0x3210: "over voltage of the power stage",
-    0x3220: "under voltage of the power stage",
-    0x4210: "drive too hot",
-    0x4310: "drive or motor too hot",
-    0x5441: "enable input missing (safe torque off)",
-    0x6320: "wrong parameter",
-    0x7120: "motor",
-    0x7121: "motor blocked",
-    0x7305: "incremental encoder",
-    0x7310: "over speed",
-    0x7320: "position sensor",
-    0x8110: "CAN overrun, messages lost",
-    0x8120: "CAN in error passive mode",
-    0x8130: "heartbeat missing",
-    0x8140: "CAN recovered from bus off",
-    0x8141: "CAN recovered from bus off",
-    0x8150: "CAN identifier collision",
-    0x8210: "PDO not processed, wrong length",
-    0x8611: "following error",
-    0x8612: "position limit exceeded",
-    0x8613: "homing",
-    0x2000: "over current",
-    0x3000: "voltage",
-    0x4000: "too hot",
-    0x5000: "drive hardware",
-    0x6000: "drive software",
-    0x7000: "additional module or sensor",
-    0x8000: "monitoring",
-    0x9000: "external error",
-    0xF000: "of the manufacturer",
-    0x1000: "generic error",
-}
-
-
-def format_emergency(code: int) -> str:
-    """Return an error code in words with its number, as in 'following error (0x8611)'."""
-    for group in (code, code & 0xFF00, code & 0xF000):
-        if group in _TEXTS:
-            return f"{_TEXTS[group]} (0x{code:04X})"
-    return f"error 0x{code:04X}"
-
-
 # --- set up a CANopen node by SDO: PDOs, modes, limits, watchdog; each value is read back
 
 SDO_TIMEOUT_S = 0.3
+LATE_S = 0.5  # [s] after which an answer that is late has come
 HEARTBEAT_MS = 100  # of the nodes
 DISABLE_S = 1.0  # [s] in which a drive must be without power, its brake closed
 POLL_S = 0.02  # [s] between two requests of the status word
@@ -166,9 +120,10 @@ class NodeSetup:
         network: canopen.Network,
         number: int,
         config: Cia402Config,
+        monitor: BusMonitor,
         timeout_s: float = SDO_TIMEOUT_S,
     ) -> None:
-        self._config, self._number = config, number
+        self._config, self._number, self._monitor = config, number, monitor
         node = network.add_node(number, canopen.ObjectDictionary())
         self._sdo = node.sdo
         self._sdo.RESPONSE_TIMEOUT = timeout_s
@@ -226,23 +181,18 @@ class NodeSetup:
 
     def get(self, index: int, subindex: int, signed: bool = False) -> int:
         """Read a value; `DriverFault` if the node has none."""
-        try:
+        with self._translate_errors(f"object {index:04X}:{subindex}"):
             return int.from_bytes(self._sdo.upload(index, subindex), "little", signed=signed)
-        except SdoAbortedError as error:
-            raise self._fault(f"object {index:04X}:{subindex}: {error}") from error
-        except SdoError as error:
-            raise NoAnswer(f"drive {self._number} does not answer ({error})") from error
 
     def _get_if_there(self, index: int) -> int:
         """Read an unsigned value; 0 if the node has no such object, `DriverFault` if it refuses."""
-        try:
-            return int.from_bytes(self._sdo.upload(index, 0), "little")
-        except SdoAbortedError as error:
-            if error.code in _NO_OBJECT:
+        with self._translate_errors(f"object {index:04X}:0"):
+            try:
+                return int.from_bytes(self._sdo.upload(index, 0), "little")
+            except SdoAbortedError as error:
+                if error.code not in _NO_OBJECT:
+                    raise
                 return 0
-            raise self._fault(f"object {index:04X}:0: {error}") from error
-        except SdoError as error:
-            raise NoAnswer(f"drive {self._number} does not answer ({error})") from error
 
     def put(
         self,
@@ -252,8 +202,9 @@ class NodeSetup:
         value: int,
         check: bool = True,
         signed: bool = False,
+        meaning: str = "",
     ) -> None:
-        """Write a value of `size` bytes and read it back.
+        """Write a value of `size` bytes, or its `meaning` in messages, and read it back.
 
         Raises
         ------
@@ -268,16 +219,14 @@ class NodeSetup:
             raise self._fault(
                 f"object {index:04X}:{subindex}: {value} does not fit {kind}"
             ) from error
-        try:
+        with self._translate_errors(f"object {index:04X}:{subindex} = {meaning or value}"):
             self._sdo.download(index, subindex, data)
             readback = self._sdo.upload(index, subindex) if check else data
-        except SdoAbortedError as error:
-            raise self._fault(f"object {index:04X}:{subindex} = {value}: {error}") from error
-        except SdoError as error:
-            raise NoAnswer(f"drive {self._number} does not answer ({error})") from error
         if readback[:size] != data:
             read = int.from_bytes(readback[:size], "little", signed=signed)
-            raise self._fault(f"object {index:04X}:{subindex}: set to {value}, reads back {read}")
+            raise self._fault(
+                f"object {index:04X}:{subindex}: set to {meaning or value}, reads back {read}"
+            )
 
     def require_drive(self) -> None:
         """Raise `DriverFault` if the node is no drive, has a fault or is not homed; read only."""
@@ -333,22 +282,40 @@ class NodeSetup:
         The order is that of CiA 301: PDO off, mapping off, objects, their number, PDO on.
         """
         identifier = base + self._number
-        try:
-            self._sdo.download(index, 1, struct.pack("<I", identifier | _OFF))
-        except SdoAbortedError as error:
-            if not objects and error.code in _NO_OBJECT:
+        with self._translate_errors(f"object {index:04X}:1"):
+            try:
+                self._sdo.download(index, 1, struct.pack("<I", identifier | _OFF))
+            except SdoAbortedError as error:
+                if objects or error.code not in _NO_OBJECT:
+                    raise
                 return
-            raise self._fault(f"object {index:04X}:1: {error}") from error
-        except SdoError as error:
-            raise NoAnswer(f"drive {self._number} does not answer ({error})") from error
         self.put(index + 0x200, 0, 1, 0)
         if not objects:
             return
         self.put(index, 2, 1, SYNCHRONOUS)
         for k, (mapped, subindex, bits) in enumerate(objects, 1):
-            self.put(index + 0x200, k, 4, mapped << 16 | subindex << 8 | bits)
+            entry = f"{mapped:04X}:{subindex}, {bits} bits"
+            self.put(index + 0x200, k, 4, mapped << 16 | subindex << 8 | bits, meaning=entry)
         self.put(index + 0x200, 0, 1, len(objects))
         self.put(index, 1, 4, identifier)
+
+    @contextlib.contextmanager
+    def _translate_errors(self, place: str) -> Iterator[None]:
+        """Have a refusal, or a missing answer, of the node as a `DriverFault` with the reason."""
+        try:
+            yield
+        except SdoAbortedError as error:
+            raise self._fault(f"{place}: {format_abort(error)}") from error
+        except SdoError as error:
+            if "No SDO response" not in str(error):
+                raise self._fault(f"{place}: {error}") from error
+            self._monitor.forget_answers(self._number)
+            timeout_s = self._sdo.RESPONSE_TIMEOUT
+            until_s = time.monotonic() + (LATE_S if timeout_s == SDO_TIMEOUT_S else 0.0)
+            while time.monotonic() < until_s and not self._monitor.has_answered(self._number):
+                time.sleep(POLL_S)
+            reason = self._monitor.explain_silence(self._number, timeout_s)
+            raise NoAnswer(f"drive {self._number} {reason}") from error
 
     def _fault(self, text: str) -> DriverFault:
         return DriverFault(f"drive {self._number} {text}")

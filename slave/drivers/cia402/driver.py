@@ -7,17 +7,10 @@ import time
 from collections.abc import Sequence
 
 import can
-import canopen
 import numpy as np
 
-from slave.drivers.cia402.bus import (
-    HEARTBEAT,
-    SYNC,
-    ClaimedBus,
-    format_bus_name,
-    open_bus,
-    to_driver_fault,
-)
+from slave.drivers.cia402.bus import SYNC, ClaimedBus, format_bus_name, open_bus, to_driver_fault
+from slave.drivers.cia402.codes import format_emergency
 from slave.drivers.cia402.config import Cia402Config
 from slave.drivers.cia402.drive import (
     FOLLOWING_ERROR,
@@ -26,18 +19,17 @@ from slave.drivers.cia402.drive import (
     NodeSetup,
     RequestedState,
     decode_drive_state,
-    format_emergency,
     select_control_word,
 )
+from slave.drivers.cia402.monitor import BUS_OFF, BUS_OFF_TEXT, EMERGENCY, HEARTBEAT
 from slave.drivers.driver import Channels, Counts, DriverFault, Reading
 
-EMERGENCY, TPDO1, TPDO2, RPDO1 = 0x80, 0x180, 0x280, 0x200
+TPDO1, TPDO2, RPDO1 = 0x180, 0x280, 0x200
 OPERATIONAL, BOOT_UP = 5, 0  # NMT states in a heartbeat
 ENABLE_S = 2.0  # [s] in which a drive must be enabled, its brake released
 EMERGENCY_S = 0.02  # [s] to wait for the reason of a fault
 QUICK_STOPS = 3  # quick stops sent at the end
 TOGGLE_BIT = 0x80  # bit of a guarded node's answer, which changes from one to the next
-BUS_OFF = 0x40  # class of an error frame
 LIMIT = (1 << 31) - 1  # [counts]
 _COMMAND, _STATUS = struct.Struct("<Hi"), struct.Struct("<Hi")
 
@@ -76,6 +68,7 @@ class Cia402Driver:
         self._cycles = self._lost = 0
         self._load = 0.0
         self._began_s = self._sync_s = 0.0
+        self._emergencies: dict[str, bool] = {}  # in words, those that stopped nothing, too
         self._guards = config.error_control == "guarding"
         self._cell = struct.Struct("<h" if config.analogue.bits == 16 else "<i")
 
@@ -88,12 +81,11 @@ class Cia402Driver:
             raise DriverFault(f"{self._place}: {error}") from error
         self._opened = open_bus(self._config)
         self._bus = self._opened.bus
-        network = canopen.Network(self._bus)
-        network.connect()
+        monitor, network = self._opened.monitor, self._opened.connect()
         try:
             for node in self._nodes.values():
                 network.send_message(0, bytes([0x80, node.number]))  # pre-operational
-                set_up = NodeSetup(network, node.number, self._config)
+                set_up = NodeSetup(network, node.number, self._config, monitor)
                 if node.moves:
                     set_up.drive(with_cell=node.has_cell)
                 else:
@@ -103,6 +95,7 @@ class Cia402Driver:
         finally:
             if network.notifier is not None:
                 network.notifier.stop()
+        monitor.forget_errors()
         now = time.monotonic()
         self._beat(now)
         for node in self._nodes.values():
@@ -146,10 +139,12 @@ class Cia402Driver:
         """Return the achieved rate, cycles without every answer, and the load of the bus."""
         span = self._sync_s - self._began_s
         rate = (self._cycles - self._lost) / span if span > 0.0 else 0.0
+        reported = {"emergencies": "; ".join(self._emergencies)} if self._emergencies else {}
         return {
             "rate_hz": round(rate, 1),
             "lost_cycles": self._lost,
             "bus_load": round(self._load, 3),
+            **reported,
         }
 
     def close(self) -> None:
@@ -206,7 +201,9 @@ class Cia402Driver:
     def _take(self, message: can.Message) -> None:
         if message.is_error_frame:
             if message.arbitration_id & BUS_OFF:
-                raise DriverFault(f"{self._place}: bus off: check termination, cable and bit rate")
+                raise DriverFault(f"{self._place}: {BUS_OFF_TEXT}")
+            if self._opened is not None:
+                self._opened.monitor.on_message_received(message)
             return
         if message.is_extended_id:  # no identifier of CANopen
             return
@@ -225,6 +222,8 @@ class Cia402Driver:
         elif kind == EMERGENCY and len(data) >= 2:
             code = int.from_bytes(data[:2], "little")
             node.emergency = format_emergency(code) if code else ""
+            if code:
+                self._emergencies[f"drive {node.number}: {node.emergency}"] = True
             return
         elif kind == HEARTBEAT and data[:1] == bytes([BOOT_UP]):
             node.restarted = True
@@ -246,8 +245,10 @@ class Cia402Driver:
                 raise DriverFault(f"drive {node.number} has restarted: its supply failed?")
             silent = now - node.heard_s
             if silent > self._config.timeout:
+                reason = self._opened.monitor.explain_errors() if self._opened else ""
                 raise DriverFault(
                     f"{self._place}: node {node.number} silent for {silent * 1e3:.0f} ms"
+                    f"{': ' * bool(reason)}{reason}"
                 )
             if not node.moves:
                 continue
