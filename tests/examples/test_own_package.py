@@ -111,3 +111,67 @@ for rig in {list(MISTAKES)}:
     lines = python(installed, tmp_path, code).stderr.splitlines()
     for line, said in zip(lines, MISTAKES.values(), strict=True):
         assert said in line
+
+
+# its calls are those of forcedimension-core 1.0; what it is told is printed
+LIBRARY = """
+from types import SimpleNamespace
+lost = False
+def told(name, result=0):
+    return lambda *values: print(name, *values) or result
+open, close = told("open"), told("close")
+enableForce, setForce = told("enableForce"), told("setForce")
+expert = SimpleNamespace(setWatchdog=told("setWatchdog"))
+def getButton(index):
+    return int(index == 1)
+def getPosition(out):
+    out[:] = 0.01, -0.02, 0.03
+    return -1 if lost else 0
+def getLinearVelocity(out):
+    out[:] = 0.1, 0.0, -0.2
+    return 0
+def errorGetLastStr():
+    return "communication error"
+"""
+OMEGA = """
+from forcedimension_core import dhd
+from master.config import MasterConfig
+from master.device import DeviceLost
+from master.devices import open_device
+from teleop.config.loading import load
+from teleop.errors import UsageError
+
+config = load(None, MasterConfig, "master", ["master.device={type: omega, engage_button: 1}"])
+device = open_device(config.device)
+print(device.read(0.0))
+device.write((1.0, 2.0, -3.0))
+dhd.lost = True
+try:
+    device.read(0.1)
+except DeviceLost as lost:
+    print(lost)
+device.close()
+dhd.expert.setWatchdog = lambda _: -1
+try:
+    open_device(config.device)
+except UsageError as refused:
+    print(refused)
+"""
+
+
+def test_an_arm_with_a_library_of_its_maker_is_read_and_pushed(installed, tmp_path):
+    library = installed / "forcedimension_core"
+    library.mkdir()
+    (library / "__init__.py").touch()
+    (library / "dhd.py").write_text(LIBRARY)
+    *begun, hand, force, lost, zero, off, closed, again, left, refused = python(
+        installed, tmp_path, OMEGA
+    ).stdout.splitlines()
+    assert begun == ["open", "setWatchdog 240", "enableForce True"]
+    assert hand.startswith(
+        "HandState(position=(0.01, -0.02, 0.03), velocity=(0.1, 0.0, -0.2), engage=True, clutch=F"
+    )
+    assert (force, lost) == ("setForce (1.0, 2.0, -3.0)", "omega: communication error")
+    assert (zero, off, closed) == ("setForce (0.0, 0.0, 0.0)", "enableForce False", "close")
+    assert (again, left) == ("open", "close")
+    assert refused.startswith("master.device: omega: it has no watchdog, so a force stays if")

@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from master.device import DeviceFault
-from master.devices.hid import drivers, force_signs, search
+from master.devices.hid import drivers, force_signs, search, unsupported
 from master.devices.hid.connection import DeviceConnection
 from master.devices.hid.descriptor import DescriptorError, parse_descriptor
 from master.devices.hid.driver import Controls
@@ -151,9 +151,10 @@ def main(args: argparse.Namespace) -> int:
 
 
 def format_nodes(items: Sequence[AttachedNode]) -> list[str]:
-    """Return a table of the attached devices."""
+    """Return a table of the attached devices, and what to do about some."""
+    arms = [f"{arm.model}: {arm.advice}" for arm in unsupported.list_usb_arms()]
     if not items:
-        return ["no HID device attached"]
+        return ["no HID device attached", *arms]
     rows = [("path", "model", "driver", "may be opened", "serial", "name")]
     examined = [search.examine_node(item) for item in items]
     for one in examined:
@@ -165,8 +166,9 @@ def format_nodes(items: Sequence[AttachedNode]) -> list[str]:
         "  ".join(word.ljust(width) for word, width in zip(row, widths, strict=True)).rstrip()
         for row in rows
     ]
-    advice = [(one.item.path, one.advice) for one in examined]
-    return table + [f"{path}: {text}" for path, text in advice if text]
+    advice = [f"{one.item.path}: {one.advice}" for one in examined if one.advice]
+    users = [search.find_other_users(one.item) for one in examined if one.fits]
+    return [*table, *advice, *filter(None, users), *arms]
 
 
 def list_fitting_devices(items: Sequence[AttachedNode]) -> list[tuple[int, int, str]]:
@@ -263,6 +265,8 @@ def run_device_test(
     if switched := search.leave_console_mode(find, driver):
         person.write(switched)
     device = search.find_device(find, driver)
+    if users := search.find_other_users(device.item):
+        person.write(users)
     signs = force_signs.load(file) if file is None or file.exists() else force_signs.ForceSigns()
     forces = DRIVERS[device.kind].make(device.item, device.descriptor, PidConfig(), None).forces
     with _open_connection(device, ()) as line:
@@ -271,7 +275,8 @@ def run_device_test(
         for line_text in show_inputs(line, watched_s):
             person.write(line_text)
     if not forces:
-        person.write("It has no force output.")
+        advice = search.examine_node(device.item).advice
+        person.write(f"It has no force output{': ' * bool(advice)}{advice or '.'}")
     for axis in forces:
         with _open_connection(device, (axis,)) as line:  # one by one, for a device with one effect
             sign = determine_sign(line, axis, person)

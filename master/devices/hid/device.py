@@ -226,6 +226,9 @@ class HidDevice:
         advice = search.examine_node(self._found[0].item).advice
         if advice and any(axis.force > 0.0 for axis in config.axes):
             raise DeviceFault(f"{self._found[0].item}: {advice}")
+        warnings = [
+            text for device in self._found if (text := search.find_other_users(device.item))
+        ]
         opened = OpenedDevice(config, self._signs, self._found)
         self.axes = opened.plan.joints
         self._opened: OpenedDevice | None = opened
@@ -235,8 +238,8 @@ class HidDevice:
         self._time_s = 0.0
         for line in describe_device(config, self._found, self._signs):
             say(line)
-        if advice:
-            say(f"WARNING: {advice}")
+        for text in (*warnings, *([advice] if advice else [])):
+            say(f"WARNING: {text}")
 
     def read(self, time_s: float) -> HandState:
         """Return the newest hand state.

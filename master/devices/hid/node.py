@@ -20,9 +20,15 @@ def load_hidapi() -> Any:
     """
     name = "hidraw" if sys.platform == "linux" else "hid"
     try:
-        return importlib.import_module(name)
+        module = importlib.import_module(name)
     except ImportError as error:
         raise DeviceFault(f"the Python module {name!r} is missing: pip install hidapi") from error
+    if not hasattr(module, "device"):
+        raise DeviceFault(
+            f"the Python module {name!r} is that of another package: pip uninstall hid; pip "
+            "install --force-reinstall hidapi"
+        )
+    return module
 
 
 class Node:

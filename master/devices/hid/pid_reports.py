@@ -199,39 +199,44 @@ def create_effect(layout: PidLayout, device: ReportAccess, usage: int, ours: Con
     """
     report = layout.creation.packed([layout.creation.choose(usage)])
     device.send_feature(report)
-    block, full = _read_block_load(layout.block_load, device)
+    block, full, answer = _read_block_load(layout.block_load, device)
     if full and layout.block_free is not None:
         low, high = compute_limits(layout.block_free.need(U.BLOCK_INDEX))
         for number in range(max(low, 1), min(high, 255) + 1):
             if number not in ours:
                 device.write(_build_block_report(layout.block_free, number))
         device.send_feature(report)
-        block, full = _read_block_load(layout.block_load, device)
+        block, full, answer = _read_block_load(layout.block_load, device)
     if full:
         raise DriverError("its memory for effects is full")
     if not block:
-        raise DriverError(f"it did not create the effect ({U.format_usage(usage)})")
+        raise DriverError(
+            f"it did not create the effect ({U.format_usage(usage)}); it answers "
+            f"{answer.hex(' ') or 'nothing'} to Block Load (report {layout.block_load.number}): "
+            "switch it off and on; if that does not help, run `teleop devices dump` for a report"
+        )
     return block
 
 
-def _read_block_load(part: ReportPart, device: ReportAccess) -> tuple[int, bool]:
-    """Return the number of the effect just made, 0 = none, and whether memory is full.
+def _read_block_load(part: ReportPart, device: ReportAccess) -> tuple[int, bool, bytes]:
+    """Return the number of the effect just made, 0 = none, whether memory is full, and the answer.
 
     The first valid answer is used: some firmware clears it on reading.
     """
     status, index = part.need(U.LOAD_SUCCESS), part.need(U.BLOCK_INDEX)
     success = part.choose(U.LOAD_SUCCESS).value
     full = part.choose(U.LOAD_FULL).value if part.find(U.LOAD_FULL) else None
+    reply = b""
     for _ in range(_LOAD_READS):
         reply = device.get_feature(part.number, part.length)
         if len(reply) < part.length or reply[0] != part.number:
             continue
         load_status, block = read_field(reply, status), read_field(reply, index)
         if load_status == success and block > 0:
-            return block, False
+            return block, False, reply
         if load_status == full:
-            return 0, True
-    return 0, False
+            return 0, True, reply
+    return 0, False, reply
 
 
 def build_effect_report(layout: PidLayout, usage: int, block: int, axis: str) -> bytes:

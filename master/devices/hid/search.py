@@ -9,12 +9,13 @@ from pathlib import Path
 from typing import NamedTuple
 
 from master.device import DeviceFault
-from master.devices.hid import wheels
+from master.devices.hid import unsupported, wheels
 from master.devices.hid.descriptor import DescriptorError, parse_descriptor
 from master.devices.hid.drivers import DRIVERS, INPUTS_ONLY, PID, AttachedNode
 from master.devices.hid.force_signs import ForceSignKey
 from master.devices.hid.node import REMEDY, Node, load_hidapi
 from master.devices.hid.pid_reports import has_pid_collection
+from teleop.runtime.process import find_openers
 
 # --- what to do about a force-feedback device that no driver can use
 
@@ -24,21 +25,26 @@ _PID_PAGE = b"\x05\x0f"  # the item that selects it, in most descriptors
 def format_driver_advice(item: AttachedNode, descriptor: bytes, misfits: Mapping[str, str]) -> str:
     """Return a message with the command that helps; empty if it has no force, or a driver for it.
 
-    Devices with force are those with a PID collection, and wheels known to have another protocol.
+    Devices with force are those with a PID collection, and wheels known to have another protocol or
+    to be in another mode.
 
     Parameters
     ----------
     misfits : mapping of str to str
         By driver, why it does not fit; empty if it fits.
     """
-    other_protocol = item.vendor == wheels.LOGITECH_VENDOR and item.product in wheels.HIDPP_PRODUCTS
     if any(not reason and name != INPUTS_ONLY for name, reason in misfits.items()):
         return ""
-    if not (_has_pid_descriptor(descriptor) or (other_protocol and item.interface <= 0)):
+    is_first = item.interface <= 0
+    mode = unsupported.MODES.get((item.vendor, item.product), "") if is_first else ""
+    protocol = unsupported.find_protocol(item.vendor, item.product) if is_first else ""
+    if mode:
+        return f"no force in this mode: it is {mode}"
+    if not (protocol or _has_pid_descriptor(descriptor)):
         return ""
     reason = misfits[PID].removeprefix("by its report descriptor: ")
-    if other_protocol:
-        reason = "its protocol, HID++, has none yet"
+    if protocol:
+        reason = f"its protocol, {protocol}, has none yet"
     return (
         f"it has force feedback, but no driver can use it ({reason}); run `teleop devices dump "
         f"{item.model} --out FILE` and attach FILE to a report"
@@ -165,6 +171,12 @@ def find_access_error(item: AttachedNode) -> str:
     return ""
 
 
+def find_other_users(item: AttachedNode) -> str:
+    """Return the programs that have a device open, too; empty if none is seen."""
+    users = ", ".join(find_openers(item.path))
+    return users and f"{item}: also open in {users}: end it if it sends forces or settings (Steam)"
+
+
 def find_device(find: str, driver: str) -> FoundDevice:
     """Return the device that a config selects.
 
@@ -192,8 +204,15 @@ def find_device(find: str, driver: str) -> FoundDevice:
         fitting = [device for device in fitting if device.kind != INPUTS_ONLY] or fitting
     if not fitting:
         raise DeviceFault(_describe_missing_device(find, driver, matches, everything))
+    names = _format_node_list(device.item for device in fitting)
+    if len(fitting) > 1 and len({device.item.identity for device in fitting}) == 1:
+        places = {(device.item.interface, device.kind) for device in fitting}
+        if len(places) == len(fitting):
+            raise DeviceFault(
+                f"{len(fitting)} interfaces of one device fit: look which one reports while you "
+                f"move it (`teleop devices probe PATH`), then set find to its path: {names}"
+            )
     if len(fitting) > 1:
-        names = _format_node_list(device.item for device in fitting)
         raise DeviceFault(f"several devices fit; set find to a serial number or path: {names}")
     reason = find_access_error(fitting[0].item)
     if reason:
@@ -251,7 +270,7 @@ def is_match(item: AttachedNode, find: str) -> bool:
 
 
 def _select_interfaces(all_found: Iterable[FoundDevice]) -> list[FoundDevice]:
-    """Keep one interface per device: several interfaces may fit several drivers.
+    """Keep the interfaces of each device that its best driver fits; mostly that is one.
 
     Nodes of one model and serial number are one device as long as their interfaces differ; the same
     interface twice means two devices.
@@ -266,9 +285,8 @@ def _select_interfaces(all_found: Iterable[FoundDevice]) -> list[FoundDevice]:
     ranks = list(DRIVERS)
     for group in groups.values():
         one_device = len({device.item.interface for device in group}) == len(group)
-        selected += (
-            [min(group, key=lambda device: ranks.index(device.kind))] if one_device else group
-        )
+        best_kind = min((device.kind for device in group), key=ranks.index)
+        selected += [device for device in group if device.kind == best_kind or not one_device]
     return selected
 
 

@@ -26,7 +26,6 @@ LOGITECH_PRODUCTS = {
     0xC29C: "Speed Force Wireless",
     0xC293: "WingMan Formula Force GP",
 }
-HIDPP_PRODUCTS = (0xC262, 0xC26E)  # G920, G923 for Xbox: force feedback by another protocol
 G923, G923_CONSOLE = 0xC266, 0xC267
 LEAVE_CONSOLE = bytes((0x30, 0xF8, 0x09, 0x07, 0x01, 0x01, 0, 0))  # report 0x30; detaches
 
