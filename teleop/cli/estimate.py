@@ -36,9 +36,10 @@ from slave.rig import number_joint_tendons
 from slave.rigs.hardware import HardwareRigConfig
 from slave.rigs.simulated import SimulatedRigConfig
 from slave.tendon_config import TendonConfig
-from teleop.config.loading import RECORDING_SUFFIX, as_tree, load
-from teleop.config.options import add_option, add_options
+from teleop.config.loading import RECORDING_SUFFIX, ConfigDocument, as_tree, load
+from teleop.config.options import TABLE_OPTIONS, add_option, add_options
 from teleop.data.channel_names import format_numbered_name
+from teleop.data.mapping import TableMapping
 from teleop.data.table import Columns, MeasuredTable, read_table, write_table
 from teleop.errors import UsageError
 from teleop.messages.messages import MAX_TENDONS, PHASE_NAMES
@@ -83,7 +84,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
             "with it (default 1)"
         ),
     )
-    add_options(parser, "--set", "--allow-imports", "--column", "--drop-nonfinite", "--json")
+    add_options(parser, "--set", "--allow-imports", *TABLE_OPTIONS, "--json")
     parser.add_argument(
         "--tendon",
         metavar="TENDON",
@@ -105,10 +106,12 @@ def main(args: argparse.Namespace) -> int:
     tendons, joints = ((), ()) if args.fit else load_models(args)
     joints = joints or read_recorded_joints(args.data)
     k = select_tendon(args.tendon, joints, len(tendons))
+    mapping = load_mapping(args)
     table = read_table(
         args.data,
-        parse_column_names(args.column, k),
+        parse_column_names([*mapping.options(), *args.column], k),
         args.drop_nonfinite,
+        mapping=mapping,
         zero_errors=() if args.fit else ("distal_tension",),
     )
     summary: dict[str, Any] = {"data": str(args.data), "samples": len(table.time)}
@@ -180,6 +183,18 @@ def check_options(args: argparse.Namespace) -> None:
         raise UsageError(f"--length {args.length:g}: must be above 0 and at most {LENGTH_MAX:g} m")
     if args.rig and args.save is None:
         raise UsageError("--rig: requires --save")
+
+
+def load_mapping(args: argparse.Namespace) -> TableMapping:
+    """Return how tables are to be read, by `--mapping`, `--rate` and `--decimal`; `UsageError`."""
+    mapping = TableMapping()
+    if args.mapping is not None:
+        mapping = ConfigDocument.read(args.mapping).load(TableMapping)
+    changes = {"rate_hz": args.rate, "decimal": args.decimal}
+    try:
+        return dataclasses.replace(mapping, **{k: v for k, v in changes.items() if v is not None})
+    except ValueError as error:
+        raise UsageError(f"--rate {args.rate:g}: {error}") from error
 
 
 def parse_column_names(words: Sequence[str], tendon: int = 0) -> Columns:

@@ -30,8 +30,9 @@ from estimator.pair.pair_fit import PairError
 from estimator.pair.pair_study import PairStudy, analyse_residuals, compute_offset_share, study_pair
 from teleop.config.loading import load
 from teleop.config.options import add_options
+from teleop.data.raw_table import RawTable
 from teleop.data.table import check_effort, check_time
-from teleop.data.table_files import RawTable, read_columns
+from teleop.data.table_files import read_columns
 from teleop.errors import UsageError
 from teleop.runtime.output_file import make_folder, save_figure
 from teleop.runtime.process import write_summary, write_text_file

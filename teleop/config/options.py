@@ -8,6 +8,7 @@ from teleop.runtime.output_file import OutputFile, OutputFolder
 from teleop.runtime.process import parse_seconds
 
 ALLOW_IMPORTS = "--allow-imports"
+TABLE_OPTIONS = ("--column", "--mapping", "--rate", "--decimal", "--drop-nonfinite")
 ViewMode = Literal["native", "web", "rrd", "none"]
 
 
@@ -40,14 +41,19 @@ _OPTIONS: dict[str, dict[str, Any]] = {
     "--column": {
         "action": "append",
         "default": [],
-        "metavar": "NAME=COLUMN",
+        "metavar": "NAME=COLUMN[UNIT]",
         "help": "what the data call proximal_tension, proximal_displacement, distal_tension, "
-        "distal_displacement or time, e.g. --column proximal_tension=T_in",
+        "distal_displacement or time, e.g. --column proximal_tension=T_in; with its unit, 'q[mm]', "
+        "its sign, 'q[-1 mm]', or its scale, 'cell[12.5 N]' of volts",
     },
     "--config": {
         "type": Path,
         "metavar": "FILE",
         "help": "config file (YAML; default built-in values)",
+    },
+    "--decimal": {
+        "choices": ("point", "comma"),
+        "help": "sign of decimals in a text table, where its numbers do not tell",
     },
     "--drop-nonfinite": {
         "action": "store_true",
@@ -72,6 +78,12 @@ _OPTIONS: dict[str, dict[str, Any]] = {
         "metavar": "FILE",
         "help": "write the results to FILE as JSON",
     },
+    "--mapping": {
+        "type": Path,
+        "metavar": "FILE",
+        "help": "how tables are to be read: columns, units, scales, time format, as YAML "
+        "(docs/reference/data-format.md)",
+    },
     "--model": {
         "action": "append",
         "default": [],
@@ -81,6 +93,11 @@ _OPTIONS: dict[str, dict[str, Any]] = {
     },
     "--out": {"type": OutputFolder(), "metavar": "DIR", "help": "folder for the report"},
     "--quick": {"action": "store_true", "help": "less accurate, in less time"},
+    "--rate": {
+        "type": float,
+        "metavar": "HZ",
+        "help": "samples per second, of data without times, or with numbers of samples",
+    },
     "--session": {
         "metavar": "NAME",
         "help": "a session of `teleop sessions` (default the only one that is running)",

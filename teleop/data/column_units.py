@@ -13,6 +13,7 @@ from types import MappingProxyType
 from estimator.array_types import Array
 from estimator.units import Units
 from teleop.data.channel_names import STANDARD_NAMES
+from teleop.data.raw_table import RawTable
 from teleop.errors import UsageError
 
 UNIT_FACTORS: Mapping[str, Mapping[str, float]] = MappingProxyType(
@@ -34,15 +35,64 @@ _AMBIGUOUS_UNITS = ("min", "sec", "g", "h", "s", "m", "N")
 
 _WORDS: Mapping[str, str] = MappingProxyType(
     {"°": "deg", "degree": "deg", "radian": "rad", "second": "s", "newton": "N"}
-    | {"metre": "m", "meter": "m"}
+    | {"metre": "m", "meter": "m", "msec": "ms", "usec": "µs", "sek": "s", "lb": "lb"}
+    | {"millisecond": "ms", "millimetre": "mm", "millimeter": "mm", "minute": "min"}
 )
 """Words for units, singular, in small letters."""
+
+_TIME_NAMES = ("time", "timestamp", "datetime", "date_time", "zeit")
+_STANDARD_STEM = re.compile(r"(proximal|distal)_(tension|force|torque|displacement|angle)(_\d+)?")
+_QUANTITIES = {"tension": ("force", "N"), "force": ("force", "N"), "torque": ("torque", "Nm")} | {
+    "displacement": ("length", "m"),
+    "angle": ("angle", "rad"),
+}
 
 _TIMES = r"[\s·⋅∙.*-]+"  # between the two units of a torque
 _PRODUCT = re.compile(rf"(m?N){_TIMES}(?=[cm]?m$)")
 _IN_BRACKETS = re.compile(r"[\[(]\s*([^\[\]()]*[^\[\]()\s])\s*[\])]?\s*$")
 _UNIT_SUFFIX = re.compile(rf"(?:_|\s+)((?:m?N{_TIMES})?[A-Za-zµμ°]+)$")
 _BRACKETED_UNIT = re.compile(r"(.+?)\s*\[([^\[\]]+)\]")
+
+
+def is_unit(text: str) -> bool:
+    """Return whether a text is a unit of a channel."""
+    return _match_unit(text) != ""
+
+
+def find_aliases(path: Path, raw: RawTable) -> dict[str, str]:
+    """Return standard name -> column that has it in another unit, such as `Time [ms]`.
+
+    Raises
+    ------
+    UsageError
+        Two columns could be one.
+    """
+    aliases: dict[str, str] = {}
+    for name, column in raw.columns.items():
+        end = _IN_BRACKETS.search(name) or _UNIT_SUFFIX.search(name)
+        row_unit = raw.units.get(name, "").strip("-")
+        has_unit = end is not None and _match_unit(end[1]) != ""
+        stem = name[: end.start()] if end is not None and has_unit else name
+        unit = _match_unit(row_unit or (end[1] if end is not None else ""), stated=True)
+        key = re.sub(r"[\s-]+", "_", stem.strip(" ,:/"))
+        if key == "t" or key.lower() in _TIME_NAMES:
+            told = unit in UNIT_FACTORS["time"] or (column.dtype == object and not row_unit)
+            standard = "time_s" if told else ""
+        elif match := _STANDARD_STEM.fullmatch(key.lower()):
+            dimension, si = _QUANTITIES[match[2]]
+            standard = f"{key.lower()}_{si}" if unit in UNIT_FACTORS[dimension] else ""
+        else:
+            continue
+        if not standard or standard in raw.columns:
+            continue
+        if standard in aliases:
+            what = "time" if standard == "time_s" else standard.rpartition("_")[0]
+            raise UsageError(
+                f"{path}: which is it, {aliases[standard]!r} or {name!r}? Say --column "
+                f"'{what}={name}'"
+            )
+        aliases[standard] = name
+    return aliases
 
 
 def split_unit(name: str, names: Collection[str]) -> tuple[str, str]:
@@ -58,9 +108,10 @@ def convert_to_si(
     numbers: dict[str, Array],
     columns: Sequence[Mapping[str, str]],
     stated_units: Sequence[Mapping[str, tuple[str, str]]],
+    row_units: Mapping[str, str],
     units: Units,
 ) -> list[str]:
-    """Convert columns to SI units, in place; return what was converted, one line each.
+    """Convert columns to SI units, in place; return what was converted, a phrase each.
 
     Parameters
     ----------
@@ -70,6 +121,8 @@ def convert_to_si(
         Field of `MeasuredTable` -> column name, one of each tendon.
     stated_units : sequence of mapping
         Field -> column name and unit by the option (`split_unit`), likewise.
+    row_units : mapping
+        Column name -> unit by a row of units below the names.
 
     Raises
     ------
@@ -80,17 +133,19 @@ def convert_to_si(
     for names, told_of in zip(columns, stated_units, strict=True):
         for item, name in names.items():
             unit = told_of[item][1]
-            factors[name] = _find_unit_factor(path, name, item, units, unit)
+            factors[name] = _find_unit_factor(
+                path, name, item, units, unit, row_units.get(name, "")
+            )
     lines = []
     for name, (unit, factor) in factors.items():
         if factor != 1.0:
             numbers[name] = factor * numbers[name]
-            lines.append(f"{path}: column {name!r} is in {unit}: converted to SI units")
+            lines.append(f"column {name!r} is in {unit}, converted to SI units")
     return lines
 
 
 def _find_unit_factor(
-    path: Path, name: str, channel: str, units: Units, stated_unit: str
+    path: Path, name: str, channel: str, units: Units, stated_unit: str, row_unit: str
 ) -> tuple[str, float]:
     """Return the unit of a column and its size in the unit of `units`; ("", 1) if none is known.
 
@@ -98,8 +153,8 @@ def _find_unit_factor(
     ----------
     name, channel : str
         Of the column, and the field of `MeasuredTable` that it is for.
-    stated_unit : str
-        The unit by the option; "" for that of the name.
+    stated_unit, row_unit : str
+        The unit by the option, with a scale or without, and that below the names; "" for none.
 
     Raises
     ------
@@ -108,21 +163,32 @@ def _find_unit_factor(
     """
     dimension = _find_dimension(channel, units)
     factors = UNIT_FACTORS[dimension]
-    if stated_unit:
-        if (unit := _match_unit(stated_unit)) not in factors:
+    scale, word = _split_scale(stated_unit)
+    if word:
+        if (unit := _match_unit(word, stated=True)) not in factors:
             raise UsageError(
                 f"{path}: column {name!r} [{stated_unit}]: {dimension} is in {', '.join(factors)}"
             )
-        return unit, factors[unit]
+        return stated_unit, scale * factors[unit]
     brackets = _IN_BRACKETS.search(name)
     end = brackets or _UNIT_SUFFIX.search(name)
+    if row_unit.strip("-"):
+        named = _match_unit(end[1]) if end else ""
+        unit = _match_unit(row_unit, stated=True)
+        if named in factors and unit in factors and factors[named] != factors[unit]:
+            raise UsageError(
+                f"{path}: column {name!r}: its name says {named}, the row below it {row_unit}; say "
+                f"which by --column '{_name_option(channel, units)}={name}[{named}]'"
+            )
+        end = brackets = _IN_BRACKETS.search(f"{name} [{row_unit}]")
     if end is None or end[1].isdecimal():  # an index, such as `effort[0]`
-        return "", 1.0
-    unit = _match_unit(end[1])
+        return stated_unit, scale
+    unit = _match_unit(end[1], stated=bool(brackets))
     if unit in factors:
-        return unit, factors[unit]
-    option = STANDARD_NAMES[units].get(channel, "time_s").rpartition("_")[0]
-    remedy = f"its unit can be given as in --column '{option}={name}[{next(iter(factors))}]'"
+        return unit, scale * factors[unit]
+    option = _name_option(channel, units)
+    first = next(iter(factors))
+    remedy = f"its unit can be given as in --column '{option}={name}[{first}]'"
     if unit and (brackets or unit not in _AMBIGUOUS_UNITS):
         raise UsageError(
             f"{path}: column {name!r} is in {unit}, and is given as {channel.replace('_', ' ')}, "
@@ -131,9 +197,19 @@ def _find_unit_factor(
     if not unit and (brackets or _is_mega(end[1])):
         raise UsageError(
             f"{path}: column {name!r}: unknown unit {end[1]}, {dimension} is in "
-            f"{', '.join(factors)}; {remedy}"
+            f"{', '.join(factors)}; with its scale, as [12.5 {first}], {remedy}"
         )
-    return "", 1.0
+    return stated_unit, scale
+
+
+def _split_scale(stated: str) -> tuple[float, str]:
+    """Split a unit with a scale before it, such as `12.5 N`, or `-1 mm` of a reversed sign."""
+    match = re.match(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*\*?\s*", stated)
+    return (float(match[1]), stated[match.end() :]) if match else (1.0, stated)
+
+
+def _name_option(channel: str, units: Units) -> str:
+    return STANDARD_NAMES[units].get(channel, "time_s").rpartition("_")[0]
 
 
 def _find_dimension(channel: str, units: Units) -> str:
@@ -144,11 +220,14 @@ def _find_dimension(channel: str, units: Units) -> str:
     return "torque" if units.rotary else "force"
 
 
-def _match_unit(word: str) -> str:
+def _match_unit(word: str, *, stated: bool = False) -> str:
     """Return the unit of `UNIT_FACTORS` that a word means, in small or capital letters; "" if none.
 
-    A prefix stays what it is: neither MN nor Mm is a unit here.
+    A prefix stays what it is: neither MN nor Mm is a unit here. In inches only where it is
+    `stated`, not by the end of a name: T_in is the tension at the inlet.
     """
+    if stated and word.strip() in ("in", '"'):
+        return "inch"
     unit = _PRODUCT.sub(r"\1", word.strip().replace("\N{GREEK SMALL LETTER MU}", "µ"))
     unit = _WORDS.get(unit.lower().removesuffix("s"), unit)
     if any(unit in known for known in UNIT_FACTORS.values()):

@@ -6,48 +6,43 @@ not understand is left to the reader of rows, which names the line.
 """
 
 import contextlib
-import csv
 import gzip
 import io
 import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from teleop.data import bounds
+from teleop.data.raw_table import Layout
 from teleop.runtime.status_line import Progress
 
 BLOCK_BYTES = 1 << 24  # [bytes] of text at once
 PROGRESS_DELAY_S = 0.5
 
-HeaderCheck = Callable[[Path, Sequence[str]], list[str]]
 
-
-def read(path: Path, header: HeaderCheck) -> dict[str, NDArray[Any]] | None:
-    """Return the columns of a CSV file, or None if the reader of rows has to read it.
+def read(path: Path, layout: Layout, first: Sequence[str]) -> dict[str, NDArray[Any]] | None:
+    """Return the columns of a CSV file in UTF-8, or None if the reader of rows has to read it.
 
     Numbers become float64, blank cells NaN; a column that begins with text is of text.
 
     Parameters
     ----------
-    path : Path
-        .csv or .csv.gz.
-    header : callable
-        Checks the names of the columns, and returns them.
+    first : sequence of str
+        The cells of the first row.
     """
+    names = layout.names
+    if len(first) != len(names) or not all(names):
+        return None
     import pyarrow as pa
     from pyarrow import csv as arrow
 
     with _open_with_position(path) as (file, place):
-        names, first = _read_head(path, file, header)
-        if not names:
-            return None
-        file.seek(0)
         kinds = {
-            name: pa.float64() if not cell.strip() or is_number(cell) else pa.string()
+            name: pa.float64() if _is_number(cell, layout.decimal) else pa.string()
             for name, cell in zip(names, first, strict=True)
         }
         parts: list[list[Any]] = [[] for _ in names]
@@ -56,10 +51,15 @@ def read(path: Path, header: HeaderCheck) -> dict[str, NDArray[Any]] | None:
             blocks = arrow.open_csv(
                 pa.PythonFile(file, mode="r"),
                 arrow.ReadOptions(
-                    use_threads=False, block_size=BLOCK_BYTES, column_names=names, skip_rows=1
+                    use_threads=False,
+                    block_size=BLOCK_BYTES,
+                    column_names=names,
+                    skip_rows=layout.data_line,
                 ),
-                arrow.ParseOptions(newlines_in_values=False),
-                arrow.ConvertOptions(column_types=kinds, null_values=[""]),
+                arrow.ParseOptions(delimiter=layout.separator, newlines_in_values=False),
+                arrow.ConvertOptions(
+                    column_types=kinds, null_values=[""], decimal_point=layout.decimal or "."
+                ),
             )
             rows = 0
             for block in blocks:
@@ -82,28 +82,12 @@ def read(path: Path, header: HeaderCheck) -> dict[str, NDArray[Any]] | None:
     return columns
 
 
-def _read_head(path: Path, file: IO[bytes], header: HeaderCheck) -> tuple[list[str], list[str]]:
-    """Return names and the first row of cells; none if they are not as one expects."""
-    text = io.TextIOWrapper(file, encoding="utf-8-sig", newline="")
+def _is_number(cell: str, decimal: str) -> bool:
+    """Return whether a cell is a number, or blank."""
     try:
-        rows = csv.reader(bounds.read_bounded_lines(path, text), strict=True)
-        names = header(path, next(rows, []))
-        one_line = rows.line_num == 1
-        first = next((cells for cells in rows if cells), [])
-    except (UnicodeError, csv.Error):
-        return [], []
-    finally:
-        text.detach()
-    usual = one_line and len(first) == len(names) == len(set(names))
-    return (names, first) if usual else ([], [])
-
-
-def is_number(cell: str) -> bool:
-    """Return whether a cell is a number."""
-    try:
-        float(cell)
+        float(cell.replace(",", ".") if decimal == "," else cell or "0")
     except ValueError:
-        return False
+        return not cell.strip()
     return True
 
 

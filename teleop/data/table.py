@@ -4,6 +4,7 @@ The format is described in docs/reference/data-format.md. Nothing is repaired si
 raise a `UsageError` of one line with file, column and row.
 """
 
+import math
 import re
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
@@ -16,9 +17,18 @@ from numpy.typing import NDArray
 from estimator.array_types import Array
 from estimator.units import LINEAR, Units
 from teleop.config.suggestions import suggest_spelling
-from teleop.data import channel_names
-from teleop.data.column_units import convert_to_si, split_unit
-from teleop.data.table_files import Column, RawTable, check_destination, read_columns, write_table
+from teleop.data import channel_names, time_text
+from teleop.data.column_units import convert_to_si, find_aliases, split_unit
+from teleop.data.mapping import TableMapping
+from teleop.data.raw_table import Column, RawTable
+from teleop.data.table_files import check_destination, read_columns, write_table
+from teleop.data.text_table import (
+    THOUSANDS,
+    classify_word,
+    clean_name,
+    describe_second_record,
+    to_number,
+)
 from teleop.errors import UsageError
 from teleop.runtime.process import print_warning
 
@@ -41,6 +51,10 @@ HOUSING_CHANNELS = ("time", "proximal_tension", "proximal_displacement")
 NAMES_SHOWN = 12  # of a file's columns in an error message
 # [s] above this the unit is wrong, unless it is told: milliseconds of 2 kHz are 0.5
 PERIOD_MAX = 0.4
+PERIOD_MIN = 2e-5  # [s] below this likewise
+LONG_PERIOD, LONG_DURATION = 0.02, 3600.0  # [s] a record of so long may be one of milliseconds
+SPEED_ROWS = 20  # samples from which on a speed tells
+SPEED_RANGE = (1e-5, 2.0)  # [m/s] of tendons as they are moved; slower ones at 50 Hz or less
 NOISE_FLOOR = 0.1  # [N] tolerated reading below zero ...
 NOISE_SHARE = 0.02  # ... plus this fraction of the peak (zero error)
 ZERO_SHARE = 0.25  # of its peak, where a wrong zero is identified or only scored
@@ -106,6 +120,7 @@ class MeasuredTable:
     extra: Mapping[str, Column] = field(default_factory=dict)  # further columns, as they are
     dropped: int = 0  # number of rows omitted because of non-finite values
     units: Units = LINEAR
+    remarks: tuple[str, ...] = ()  # how the file was understood, where it is not as usual
 
     def columns(self, number: int = 1) -> dict[str, Column]:
         """Return all columns by standard names of tendon 1, 2, ..., then the further ones."""
@@ -125,13 +140,14 @@ def read_table(
     zero_errors: Collection[str] = (),
     diagnosed: bool = False,
     units: Units | None = None,
+    mapping: TableMapping | None = None,
 ) -> MeasuredTable:
     """Read and check the samples of one tendon.
 
     Parameters
     ----------
     path : Path or str
-        .csv, .csv.gz, .parquet, or a recording (.mcap) of the project.
+        Text (.csv, .tsv, .txt, packed or not), .parquet, or a recording (.mcap) of the project.
     columns : Columns, optional
         The columns' names; the standard ones by default.
     drop_nonfinite : bool
@@ -145,6 +161,8 @@ def read_table(
         unless `drop_nonfinite`, values other than times may be missing (NaN).
     units : Units, optional
         Of the columns that are named; by default as the file's column names tell.
+    mapping : TableMapping, optional
+        How the file is written, where it does not tell; its columns are for `--column`.
 
     Raises
     ------
@@ -153,6 +171,7 @@ def read_table(
     """
     tendons = (columns or Columns(),)
     options: dict[str, Any] = {"zero_errors": zero_errors, "diagnosed": diagnosed, "units": units}
+    options["mapping"] = mapping
     return read_tables(Path(path), tendons, drop_nonfinite, **options)[0]
 
 
@@ -164,29 +183,53 @@ def read_tables(
     zero_errors: Collection[str] = (),
     diagnosed: bool = False,
     units: Units | None = None,
+    mapping: TableMapping | None = None,
 ) -> tuple[MeasuredTable, ...]:
     """Read and check the samples of several tendons of one file; see `read_table`.
 
     A row omitted for one tendon is omitted for all.
     """
-    raw = read_columns(path)
+    mapping = mapping or TableMapping()
+    raw = read_columns(path, mapping)
+    aliases = find_aliases(path, raw)
+    clocks = ("time_s", tendons[0].time)
+    if mapping.rate_hz and "time_s" not in aliases and not any(n in raw.columns for n in clocks):
+        rows = len(next(iter(raw.columns.values())))
+        raw = replace(raw, columns={"time_s": np.arange(float(rows)), **raw.columns})
     notes = [
         {item: split_unit(name, raw.columns) for item, name in columns.names().items()}
         for columns in tendons
     ]
     tendons = [
-        replace(c, **{k: name for k, (name, _) in t.items()})
+        replace(c, **{k: _match_name(raw, name) for k, (name, _) in t.items()})
         for c, t in zip(tendons, notes, strict=True)
     ]
-    units = _detect_file_units(path, raw, tendons, diagnosed) if units is None else units
-    tendons = [columns.in_units(units) for columns in tendons]
+    if units is None:
+        units = _detect_file_units(path, raw, aliases, tendons, diagnosed)
+    tendons = [_replace_aliases(columns.in_units(units), aliases) for columns in tendons]
     claimed = {name for columns in tendons for name in columns.names().values()}
     tables_columns = [_find_columns(path, raw, columns, claimed) for columns in tendons]
+    clock = tables_columns[0]["time"]
     numbers = {
-        name: _parse_column(path, raw, name) for names in tables_columns for name in names.values()
+        name: _parse_column(path, raw, name, mapping, is_time=name == clock)
+        for names in tables_columns
+        for name in names.values()
     }
-    converted = convert_to_si(path, numbers, tables_columns, notes, units)
-    rows = len(numbers[tendons[0].time])
+    is_clocked = raw.clocked or _has_moments(raw.columns[clock])
+    if mapping.rate_hz:
+        _check_sample_numbers(path, raw, clock, numbers[clock])
+        for told in notes:
+            told["time"] = (clock, f"{1.0 / mapping.rate_hz!r} s")
+    remarks = [*raw.remarks]
+    if not is_clocked or mapping.rate_hz:
+        stated = notes
+    else:
+        stated = [told | {"time": (clock, "s")} for told in notes]
+    remarks += convert_to_si(path, numbers, tables_columns, stated, raw.units, units)
+    remarks += [_describe_words(name, raw.words[name]) for name in numbers if name in raw.words]
+    if remarks:
+        print_warning(f"{path}: {'; '.join(remarks)}")
+    rows = len(numbers[clock])
     if rows == 0:
         raise UsageError(f"{path}: has a header but no rows")
     required = set(numbers)
@@ -203,32 +246,70 @@ def read_tables(
         numbers = {name: column[keep] for name, column in numbers.items()}
     extra = {name: column for name, column in raw.columns.items() if name not in numbers}
     tables = []
-    time_unit_known = raw.clocked or bool(notes[0]["time"][1])
-    for names in tables_columns:
-        _check_samples(path, raw, names, numbers, zero_errors, diagnosed, units, time_unit_known)
+    for names, told in zip(tables_columns, notes, strict=True):
+        stated_items = {item for item, (_, unit) in told.items() if unit}
+        stated_items |= {"time"} if is_clocked else set()
+        _check_samples(path, raw, names, numbers, zero_errors, diagnosed, units, stated_items)
         values: dict[str, Any] = dict.fromkeys(Columns().names())
         values |= {item: numbers[name] for item, name in names.items()}
-        tables.append(MeasuredTable(**values, path=path, extra=extra, dropped=dropped, units=units))
-    for line in converted:
-        print_warning(line)
+        values |= {"extra": extra, "dropped": dropped, "remarks": tuple(remarks)}
+        tables.append(MeasuredTable(**values, path=path, units=units))
     return tuple(tables)
 
 
+def _match_name(raw: RawTable, name: str) -> str:
+    return name if name in raw.columns or clean_name(name) not in raw.columns else clean_name(name)
+
+
+def _replace_aliases(columns: Columns, aliases: Mapping[str, str]) -> Columns:
+    """Return names of which standard ones are those in the file, such as `time_ms`."""
+    return replace(columns, **{k: aliases.get(name, name) for k, name in columns.names().items()})
+
+
+def _has_moments(column: Column) -> bool:
+    return bool(
+        column.dtype == object and any(time_text.is_moment(str(c or "")) for c in column[:9])
+    )
+
+
+def _check_sample_numbers(path: Path, raw: RawTable, name: str, numbers: Array) -> None:
+    """Raise `UsageError` for `--rate` and a time that is no number of a sample."""
+    if len(numbers) > 1 and (step := float(np.nanmedian(np.diff(numbers)))) != 1.0:
+        raise UsageError(
+            f"{path}: column {name!r}, {raw.place(1)}: its steps are {step:.6g}, so it does not "
+            f"number samples; without --rate, name its unit: --column 'time={name}[ms]'"
+        )
+
+
+def _describe_words(name: str, words: Mapping[str, int]) -> str:
+    """Return which cells of a column are no numbers."""
+    kinds = {"missing": "missing", "overload": "an overload: out of the range", "error": "an error"}
+    told = [f"{n} {w} ({kinds[classify_word(w)]})" for w, n in words.items() if w != THOUSANDS]
+    if n := words.get(THOUSANDS, 0):
+        told.append(f"{THOUSANDS} in {n} cells")
+    return f"column {name!r} has {', '.join(told)}"
+
+
 def _detect_file_units(
-    path: Path, raw: RawTable, tendons: Sequence[Columns], diagnosed: bool
+    path: Path,
+    raw: RawTable,
+    aliases: Mapping[str, str],
+    tendons: Sequence[Columns],
+    diagnosed: bool,
 ) -> Units:
     """Return the units of a file, as the names of its columns tell."""
     efforts = [columns.proximal_tension for columns in tendons]
     has_own_names = not all(columns.is_standard("proximal_tension") for columns in tendons)
-    if not diagnosed and all(effort in raw.columns for effort in efforts):
+    present = [*aliases, *(name for name in raw.columns if name not in aliases.values())]
+    if not diagnosed and all(effort in present for effort in efforts):
         return LINEAR
-    channel_names.check_names(path, raw.columns)
+    channel_names.check_names(path, present)
     if has_own_names:
         channel_names.check_linear_names(path, [n for c in tendons for n in c.names().values()])
     units = (
         LINEAR
         if has_own_names
-        else channel_names.detect_units(path, raw.columns, _parse_tendon_number(efforts[0]))
+        else channel_names.detect_units(path, present, _parse_tendon_number(efforts[0]))
     )
     if units.signed and not diagnosed:
         kind = "torque and angle" if units.rotary else "a force of either sign"
@@ -254,13 +335,25 @@ def _find_columns(path: Path, raw: RawTable, columns: Columns, claimed: set[str]
         if raw.lacks and not optional:
             raise UsageError(f"{path}: {raw.lacks}")
         hint = suggest_spelling(name, unclaimed, cutoff=0.88 if optional else 0.6)
-        advice = f"{hint} Then --column {item}=... names it, and converts its unit" if hint else ""
+        advice = f"{hint} Then --column '{item}=COLUMN[UNIT]' says so" if hint else ""
         if hint or not optional:
             has = ", ".join(list(raw.columns)[:NAMES_SHOWN]) + ", ..." * (
                 len(raw.columns) > NAMES_SHOWN
             )
-            raise UsageError(f"{path}: no column {name!r}{advice} (it has {has})")
+            raise UsageError(
+                f"{path}: no column {name!r}{advice or _explain_missing(item)} (it has {has})"
+            )
     return columns_found
+
+
+def _explain_missing(item: str) -> str:
+    """Return what to do about a column that must be there."""
+    if item == "time":
+        return "; name it by --column 'time=COLUMN[UNIT]', or give --rate HZ"
+    return (
+        "; friction and force are only known from the tension at the housing: add a load cell "
+        "there, or name its column by --column 'proximal_tension=COLUMN[UNIT]'"
+    ) * (item == "proximal_tension")
 
 
 def _strip_tendon_number(name: str) -> str:
@@ -274,21 +367,40 @@ def _parse_tendon_number(name: str) -> int:
     return int(match.group(1)) if match else 1
 
 
-def _parse_column(path: Path, raw: RawTable, name: str) -> Array:
+def _parse_column(
+    path: Path, raw: RawTable, name: str, mapping: TableMapping, *, is_time: bool
+) -> Array:
     """Return a column as numbers; `UsageError` names the first cell that is not one."""
     column = raw.columns[name]
     if column.dtype != object:
         return np.asarray(column, dtype=np.float64)
+    if is_time and (mapping.time_format or _has_moments(column)):
+        dates = [k for k in raw.columns if k.lower() in ("date", "datum") and k != name]
+        try:
+            return time_text.to_seconds(
+                column, raw.place, mapping.time_format, raw.columns[dates[0]] if dates else None
+            )
+        except ValueError as error:
+            raise UsageError(f"{path}: column {name!r}, {error}") from None
     numbers = np.empty(len(column))
     for row, cell in enumerate(column):
-        try:
-            numbers[row] = np.nan if cell is None or cell == "" else float(cell)
-        except (TypeError, ValueError):
-            comma = isinstance(cell, str) and cell.count(",") == 1
-            hint = "; write decimals with a point" if comma else ""
+        number = to_number(cell, raw.decimal) if isinstance(cell, str) else cell
+        if number is None and cell is not None:
             location = f"{path}: column {name!r}, {raw.place(row)}"
-            raise UsageError(f"{location}: {str(cell)[:40]!r} is not a number{hint}") from None
+            raise UsageError(f"{location}: {cell[:40]!r} is not a number{_explain_text(cell)}")
+        numbers[row] = np.nan if number is None else number
     return numbers
+
+
+def _explain_text(cell: str) -> str:
+    """Return how a cell that is no number can become one."""
+    if "," in cell and any(map(str.isdigit, cell)):
+        return "; write decimals with a point, or say --decimal comma"
+    if time_text.is_moment(cell):
+        return ", but a time"
+    if re.fullmatch(r"[+-]?[\d.]+\s*[^\W\d]{1,4}", cell.strip()):
+        return "; write its unit into the column's name, as in 'q [mm]', not into the cells"
+    return "; leave a missing value blank"
 
 
 def _find_finite_rows(
@@ -333,14 +445,18 @@ def _check_samples(
     zero_errors: Collection[str],
     diagnosed: bool,
     units: Units,
-    time_unit_known: bool,
+    stated: Collection[str],
 ) -> None:
-    """Check for increasing time, plausible units and non-negative tensions; some may be missing."""
+    """Check for increasing time, plausible units and non-negative tensions; some may be missing.
+
+    The units of `stated` items are by the option, so their sizes are right.
+    """
     name = names["time"]
     remedy = f"name the unit, --column 'time={name}[ms]', or [s] if it is right"
-    check_time(path, raw, name, numbers[name], "" if time_unit_known else remedy)
+    check_time(path, raw, name, numbers[name], "" if "time" in stated else remedy)
     for item in ("proximal_tension", "distal_tension"):
         if item in names:
+            option = channel_names.STANDARD_NAMES[units][item].rpartition("_")[0]
             loop = f"; a closed loop's forces are named {item.replace('tension', 'force')}_N"
             check_effort(
                 path,
@@ -349,19 +465,47 @@ def _check_samples(
                 numbers[names[item]],
                 units,
                 may_err=item in zero_errors,
+                option=option,
                 remedy=loop * diagnosed,
             )
     span_max = ANGLE_SPAN if units.rotary else TRAVEL_SPAN
     for item in ("proximal_displacement", "distal_displacement"):
         if item not in names:
             continue
-        travel = numbers[names[item]]
-        if (span := float(np.nanmax(travel) - np.nanmin(travel))) > span_max:
+        travel, name = numbers[names[item]], names[item]
+        if (span := float(np.nanmax(travel) - np.nanmin(travel))) > span_max and item not in stated:
             row = int(np.nanargmax(np.abs(travel)))
-            fault = f"travel spans {span:.6g} m; check that it is in metres, not mm"
+            fault = f"travel spans {span:.6g} m: is it in metres, not mm?"
+            option, other, unit = item, "mm", "m"
             if units.rotary:
-                fault = f"angle spans {span:.6g} rad; check that it is in radians, not degrees"
-            raise UsageError(f"{path}: column {names[item]!r}, {raw.place(row)}: {fault}")
+                fault = f"angle spans {span:.6g} rad: degrees, or {span / math.tau:.1f} turns?"
+                option, other, unit = item.replace("displacement", "angle"), "deg", "rad"
+            raise UsageError(
+                f"{path}: column {name!r}, {raw.place(row)}: {fault} Name the unit, "
+                f"--column '{option}={name}[{other}]', or [{unit}] if it is right"
+            )
+    if "time" not in stated and "proximal_displacement" in names:
+        clock, travel = names["time"], numbers[names["proximal_displacement"]]
+        _check_speed(path, raw, clock, numbers[clock], travel, units, remedy)
+
+
+def _check_speed(
+    path: Path, raw: RawTable, name: str, time: Array, travel: Array, units: Units, remedy: str
+) -> None:
+    """Raise `UsageError` for a motion that no tendon makes in such times [s]."""
+    if len(time) < SPEED_ROWS or units.rotary:  # a motor's shaft has any speed
+        return
+    step = max(len(time) // 100, 1)
+    steps = np.abs(np.diff(travel[::step])) / np.diff(time[::step])
+    if not (known := steps[np.isfinite(steps)]).size:
+        return
+    fastest, period = float(known.max()), float(np.median(np.diff(time)))
+    too_slow = 0.0 < fastest < SPEED_RANGE[0] and period > LONG_PERIOD
+    if fastest > SPEED_RANGE[1] or too_slow:
+        raise UsageError(
+            f"{path}: column {name!r}, {raw.place(0)}: the tendon moves at {fastest:.3g} m/s at "
+            f"most, which says that the unit of time is wrong; {remedy}"
+        )
 
 
 def check_time(path: Path, raw: RawTable, name: str, time: Array, remedy: str) -> None:
@@ -372,14 +516,28 @@ def check_time(path: Path, raw: RawTable, name: str, time: Array, remedy: str) -
     periods = np.diff(time)
     if (late_rows := np.flatnonzero(periods <= 0.0)).size:
         row = int(late_rows[0]) + 1
+        location = f"{path}: column {name!r}, {raw.place(row)}"
+        back = f"time goes back from {float(time[row - 1]):.6g} to {float(time[row]):.6g}"
+        restarts = time[row] < time[0] + 0.1 * (time[row - 1] - time[0])
+        if restarts and row > 1 and raw.place(row).startswith("line "):
+            line = int(raw.place(row).removeprefix("line "))
+            raise UsageError(f"{path}: {describe_second_record(path, line, back)}")
         fault = f"{float(time[row])!r} does not come after {float(time[row - 1])!r}"
         hint = " (a recording: was the slave restarted there?)" if path.suffix == ".mcap" else ""
-        fault = f"{fault}{hint}; time must increase from row to row"
-        raise UsageError(f"{path}: column {name!r}, {raw.place(row)}: {fault}")
-    if remedy and periods.size and (median := float(np.median(periods))) > PERIOD_MAX:
+        raise UsageError(f"{location}: {fault}{hint}; time must increase from row to row")
+    if not remedy or not periods.size:
+        return
+    median, duration = float(np.median(periods)), float(time[-1] - time[0])
+    if median > PERIOD_MAX or (median > LONG_PERIOD and duration > LONG_DURATION):
         raise UsageError(
-            f"{path}: column {name!r}, {raw.place(1)}: samples are {median:.6g} s apart: "
-            f"milliseconds, or sample numbers? Then {remedy}; divide sample numbers by the rate"
+            f"{path}: column {name!r}, {raw.place(1)}: samples are {median:.6g} s apart, "
+            f"{duration:.6g} s in all: milliseconds, or sample numbers? Then {remedy}; of sample "
+            "numbers give the rate, --rate HZ"
+        )
+    if median < PERIOD_MIN and len(periods) >= SPEED_ROWS:
+        raise UsageError(
+            f"{path}: column {name!r}, {raw.place(1)}: samples are {median:.3g} s apart, which is "
+            f"faster than tendons are measured: minutes or hours? Then {remedy}"
         )
 
 
@@ -391,21 +549,26 @@ def check_effort(
     units: Units = LINEAR,
     *,
     may_err: bool = False,
+    option: str = "",
     remedy: str = "",
 ) -> None:
     """Raise `UsageError` for a tension or torque that is too large, or a tension that pushes.
 
     With `may_err` the cell's zero may be off, and single samples low. NaN where one is missing.
+    The unit can be given by `--column` as that of `option`, if it is one.
     """
     row = int(np.nanargmax(np.abs(effort)))
     low = int(np.nanargmin(_remove_dips(effort) if may_err else effort))
     peak = float(effort[row])
     if abs(peak) > (TORQUE_PEAK if units.rotary else TENSION_PEAK):
-        fault = "torque in newton metres; check the unit (N mm?)"
-        if not units.rotary:
-            fault = "tendon tension in newtons; check the unit (mN or g?), or remove the spike"
-        fault = f"{peak:.6g} is too large for a {fault}"
-        raise UsageError(f"{path}: column {name!r}, {raw.place(row)}: {fault}")
+        what, other = "tendon tension in newtons", "mN"
+        if units.rotary:
+            what, other = "torque in newton metres", "Nmm"
+        how = f", name the unit, --column '{option}={name}[{other}]'" if option else ", check it"
+        raise UsageError(
+            f"{path}: column {name!r}, {raw.place(row)}: {peak:.6g} is too large for a {what}"
+            f"{how}; or remove the spike"
+        )
     if units.signed:
         return
     share = ZERO_SHARE if may_err else NOISE_SHARE

@@ -4,49 +4,34 @@ import contextlib
 import csv
 import gzip
 import io
-import itertools
 import zlib
-from array import array
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import IO, Any, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
-from teleop.data import bounds, large_csv
+from teleop.data import bounds
+from teleop.data.mapping import TableMapping
+from teleop.data.raw_table import Column, RawTable
+from teleop.data.text_table import ROWS_PER_CHUNK, read_text
 from teleop.errors import UsageError
 from teleop.messages.messages import MAX_TENDONS
 from teleop.messages.topics import TENDONS
 from teleop.runtime.output_file import replace_file
 from teleop.runtime.process import print_warning
 
-Column = NDArray[Any]  # float64, or object if some cell is text
+TEXT_SUFFIXES = tuple(f".{kind}{gz}" for kind in ("csv", "tsv", "txt", "dat") for gz in ("", ".gz"))
 
-SUFFIXES = (".csv", ".csv.gz", ".parquet", ".mcap")
-
-LARGE_FILE_BYTES = 4_000_000  # [bytes] from which on a CSV file is read in blocks
 FOOTER_MAX = 1 << 24  # [bytes] of a Parquet file: 1000 columns in 100 row groups
 GZIP_LEVEL = 6  # of long tables; 9 takes three times as long for 1 % less
-COMPRESSION_RATIO = 20  # bytes of text of a byte of .csv.gz, at most as a rule
 
-_ROWS_PER_CHUNK = 20_000
 _READ_ERRORS = (OSError, EOFError, zlib.error, UnicodeError, csv.Error)
 
 
-@dataclass(frozen=True, slots=True)
-class RawTable:
-    """The raw columns of a file; `place(row)` is the place of row 0, 1, ... in messages."""
-
-    columns: Mapping[str, Column]
-    place: Callable[[int], str]
-    lacks: str = ""  # why columns of a tendon are not there, one line
-    clocked: bool = False  # the times are of a clock, so their unit is known
-
-
-def read_columns(path: Path) -> RawTable:
+def read_columns(path: Path, mapping: TableMapping | None = None) -> RawTable:
     """Read all columns of a table, a recording or a bag; raises `UsageError` on failure."""
+    mapping = mapping or TableMapping()
     if path.is_dir():
         from teleop.ros.bag_table import is_bag
 
@@ -58,7 +43,7 @@ def read_columns(path: Path) -> RawTable:
     try:
         if path.stat().st_size == 0:
             raise UsageError(f"{path}: is empty")
-        return reader(path)
+        return reader(path, mapping)
     except _READ_ERRORS as error:
         raise UsageError(f"{path}: cannot be read: {_format_reason(error)}") from None
 
@@ -141,10 +126,10 @@ def check_destination(path: Path) -> None:
 
 
 def _find_suffix(path: Path) -> str:
-    for suffix in SUFFIXES:
+    for suffix in _READERS:
         if path.name.lower().endswith(suffix):
             return suffix
-    raise UsageError(f"{path}: unknown kind of file, allowed are {', '.join(SUFFIXES)}")
+    raise UsageError(f"{path}: unknown kind of file, allowed are {', '.join(_READERS)}")
 
 
 def _format_reason(error: Exception) -> str:
@@ -155,99 +140,7 @@ def _format_reason(error: Exception) -> str:
     return getattr(error, "strerror", None) or " ".join(str(error).split())
 
 
-@contextlib.contextmanager
-def _open_csv_rows(path: Path) -> Iterator[Any]:
-    """Open the rows of a CSV file."""
-    with path.open("rb") as file:
-        packed = large_csv.unpack_text(path, file)
-        text = io.TextIOWrapper(packed, encoding="utf-8-sig", newline="")
-        yield csv.reader(bounds.read_bounded_lines(path, text), strict=True)
-
-
-def _read_csv(path: Path) -> RawTable:
-    packed = path.name.lower().endswith(".gz")
-    if path.stat().st_size >= (
-        LARGE_FILE_BYTES // COMPRESSION_RATIO if packed else LARGE_FILE_BYTES
-    ):
-        columns = large_csv.read(path, _check_header)
-        if columns is not None:
-            return RawTable(columns, lambda row: f"line {_find_line(path, row)}")
-    return _read_csv_by_rows(path)
-
-
-def _find_line(path: Path, row: int) -> int:
-    """Return the line of a row of a CSV file, both as people count: the header is line 1."""
-    with _open_csv_rows(path) as rows:
-        next(rows)
-        full = (rows.line_num for cells in rows if cells)
-        return int(next(itertools.islice(full, row, None)))
-
-
-def _read_csv_by_rows(path: Path) -> RawTable:
-    """Read a CSV file row by row, so that whatever is wrong in it is found with its line."""
-    with _open_csv_rows(path) as rows:
-        names = _check_header(path, next(rows, []))
-        lines = array("q")
-        parts: list[list[Column]] = []
-        full_rows = _check_rows(path, rows, names, lines)
-        while chunk := list(itertools.islice(full_rows, _ROWS_PER_CHUNK)):
-            parts.append([_parse_cells(cells) for cells in zip(*chunk, strict=True)])
-            bounds.check_size(path, len(names), len(lines), "split the file")
-    columns = {
-        name: np.concatenate([part[i] for part in parts]) if parts else np.empty(0)
-        for i, name in enumerate(names)
-    }
-    return RawTable(columns, lambda row: f"line {lines[row]}")
-
-
-def _check_header(path: Path, names: Sequence[str]) -> list[str]:
-    if not "".join(names).strip():
-        raise UsageError(f"{path}: line 1: is blank, must contain the column names")
-    for separator, word in ((";", "semicolons"), ("\t", "tabs")):
-        if len(names) == 1 and separator in names[0]:
-            raise UsageError(
-                f"{path}: line 1: columns are separated by {word}; "
-                "save it with commas between columns and points in numbers"
-            )
-    if not all(name.isprintable() for name in names):
-        raise UsageError(f"{path}: line 1: is not text, must contain the column names")
-    if all(large_csv.is_number(name) for name in names):
-        raise UsageError(f"{path}: line 1: contains numbers, must contain the column names")
-    bounds.check_size(path, len(names), 0, "keep those that are needed")
-    for name in names:
-        if name and names.count(name) > 1:
-            raise UsageError(f"{path}: line 1: column {name!r} occurs {names.count(name)} times")
-    return list(names)
-
-
-def _check_rows(
-    path: Path, rows: Any, names: Sequence[str], lines: "array[int]"
-) -> Iterator[Sequence[str]]:
-    """Yield the rows and record their line numbers; blank lines are skipped."""
-    for row in rows:
-        if not row:
-            continue
-        if len(row) != len(names):
-            raise UsageError(
-                f"{path}: line {rows.line_num}: has {len(row)} cells, "
-                f"the first line names {len(names)} columns"
-            )
-        lines.append(rows.line_num)
-        yield row
-
-
-def _parse_cells(cells: Sequence[str]) -> Column:
-    """Return cells as numbers, blank ones as NaN; if any is text, as shared objects."""
-    try:
-        return np.fromiter(map(float, cells), np.float64, len(cells))
-    except ValueError:
-        if all(large_csv.is_number(cell) for cell in cells if cell.strip()):
-            return np.array([float(cell) if cell.strip() else np.nan for cell in cells])
-        shared: dict[str, str] = {}
-        return np.array([shared.setdefault(cell, cell) for cell in cells], dtype=object)
-
-
-def _read_parquet(path: Path) -> RawTable:
+def _read_parquet(path: Path, _: TableMapping) -> RawTable:
     import pyarrow as pa
     from pyarrow import parquet
 
@@ -259,7 +152,7 @@ def _read_parquet(path: Path) -> RawTable:
             _check_parquet(path, schema, file.metadata)
             parts: list[list[Column]] = [[] for _ in schema]
             rows = 0
-            for batch in file.iter_batches(_ROWS_PER_CHUNK, use_threads=False):
+            for batch in file.iter_batches(ROWS_PER_CHUNK, use_threads=False):
                 rows += len(batch)
                 bounds.check_size(path, len(schema), rows, "split the file")
                 for name, part, column in zip(schema.names, parts, batch.columns, strict=True):
@@ -357,7 +250,7 @@ def _decode_parquet_values(path: Path, name: str, column: Any) -> Column:
     return cells
 
 
-def _read_recording(path: Path) -> RawTable:
+def _read_recording(path: Path, _: TableMapping) -> RawTable:
     """Read the tendons topic of a recording into table columns; or a bag of ROS."""
     from teleop.recording import reader
     from teleop.ros.bag_table import is_bag
@@ -428,9 +321,8 @@ def _write_parquet(path: Path, columns: Mapping[str, Column]) -> None:
     parquet.write_table(pa.table(arrays), path)
 
 
-_READERS: dict[str, Callable[[Path], RawTable]] = {
-    ".csv": _read_csv,
-    ".csv.gz": _read_csv,
+_READERS: dict[str, Callable[[Path, TableMapping], RawTable]] = {
+    **dict.fromkeys(TEXT_SUFFIXES, read_text),
     ".parquet": _read_parquet,
     ".mcap": _read_recording,
 }

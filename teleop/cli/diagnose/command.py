@@ -33,11 +33,12 @@ from estimator.units import Units
 from teleop.cli import estimate
 from teleop.cli.diagnose import json_report
 from teleop.cli.diagnose.json_report import ComparedParameter
-from teleop.config.options import add_option, add_options
+from teleop.config.options import TABLE_OPTIONS, add_option, add_options
 from teleop.config.suggestions import suggest_spelling
 from teleop.data import channel_names, model_file
 from teleop.data.channel_names import to_channel
 from teleop.data.effect_extensions import is_extension, load_effects
+from teleop.data.mapping import TableMapping
 from teleop.data.table import Columns, MeasuredTable, read_table
 from teleop.errors import UsageError
 from teleop.runtime.output_file import OutputFolder, make_folder
@@ -184,7 +185,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="causes to consider (default all; names in docs/how-to/diagnose.md)",
     )
     add_option(parser, "--calibration", "compared with the result")
-    add_options(parser, "--column", "--drop-nonfinite", "--validate", "--out", "--json")
+    add_options(parser, *TABLE_OPTIONS, "--validate", "--out", "--json")
     add_options(parser, "--allow-imports")
     parser.add_argument(
         "--cause",
@@ -237,10 +238,11 @@ def main(args: argparse.Namespace) -> int:
         make_folder(args.supplement, "supplement.html")
     tendon = estimate.select_tendon(args.tendon, estimate.read_recorded_joints(args.data[0]), 1)
     sheath = None if args.calibration is None else json_report.load_sheath(args.calibration, tendon)
-    columns = parse_column_options(args.column, tendon)
+    mapping = estimate.load_mapping(args)
+    columns = parse_column_options([*mapping.options(), *args.column], tendon)
     noise = parse_noise(args.noise)
     loop = None if args.transmission == "auto" else args.transmission == "loop"
-    data = read_data(args.data, args.validate, columns, args.drop_nonfinite)
+    data = read_data(args.data, args.validate, columns, args.drop_nonfinite, mapping)
     progress, begin_s = Progress(), time.monotonic()
     try:
         diagnosis = diagnose(
@@ -292,7 +294,11 @@ def check_options(args: argparse.Namespace, effects: Sequence[Effect]) -> None:
 
 
 def read_data(
-    paths: Sequence[Path], validate: Sequence[Path], columns: NamedColumns, drop_nonfinite: bool
+    paths: Sequence[Path],
+    validate: Sequence[Path],
+    columns: NamedColumns,
+    drop_nonfinite: bool,
+    mapping: TableMapping,
 ) -> DiagnosisData:
     """Return the data of some files, all with the same channels.
 
@@ -309,6 +315,7 @@ def read_data(
             zero_errors=TENSIONS,
             diagnosed=True,
             units=columns.units,
+            mapping=mapping,
         )
         for path in (*paths, *validate)
     ]

@@ -43,8 +43,7 @@ def test_only_a_diagnosis_reads_them(path):
     ("names", "parts"),
     [
         (["proximal_tension_Nm"], ["is a torque, not a tension", "'proximal_torque_Nm'"]),
-        (["proximal_torque_Nm", "proximal_angle_deg"], ["not in radians", "'proximal_angle_rad'"]),
-        (["proximal_torque_Nmm"], ["not in newton metres"]),
+        (["proximal_torque_Nm", "proximal_angle_m"], ["not in radians", "'proximal_angle_rad'"]),
         (["proximal_torque_Nm", "distal_tension_N"], ["as a whole", "'distal_tension_N'"]),
         (["proximal_tension_N", "distal_force_N"], ["both forces"]),
     ],
@@ -58,10 +57,10 @@ def test_a_name_that_contradicts_its_unit_is_refused_with_the_right_one(path, na
 def test_degrees_and_newton_millimetres_are_noticed(path):
     time = np.arange(5) / 10
     write_table(path, {"time_s": time, "proximal_torque_Nm": 5e3 * time})
-    assert "N mm" in refusal(path, diagnosed=True)
+    assert "[Nmm]" in refusal(path, diagnosed=True)
     columns = {"time_s": time, "proximal_torque_Nm": time, "proximal_angle_rad": 400.0 * time}
     write_table(path, columns)
-    assert "in radians" in refusal(path, diagnosed=True)
+    assert "proximal_angle_rad[deg]" in refusal(path, diagnosed=True)
 
 
 def test_own_names_tell_the_units_by_the_channels_name(path):

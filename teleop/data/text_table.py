@@ -1,0 +1,466 @@
+"""Text tables as programs write them: bytes, text, rows, names and units, columns of numbers.
+
+Each step is a pure function of what the file holds: the encoding, the separator, the lines of names
+and of units, the decimal sign. Where two readings are possible, the file is refused with the
+option that decides. Sheets of spreadsheets enter as rows of text.
+"""
+
+import contextlib
+import csv
+import io
+import itertools
+import re
+from array import array
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from teleop.data import bounds, large_csv, time_text
+from teleop.data.column_units import is_unit
+from teleop.data.mapping import TableMapping
+from teleop.data.raw_table import SEPARATORS, Column, Layout, RawTable
+from teleop.errors import UsageError
+
+Row = tuple[int, list[str]]  # its line, and its cells
+
+LARGE_FILE_BYTES = 4_000_000  # [bytes] from which on a text file is read in blocks
+COMPRESSION_RATIO = 20  # bytes of text of a byte of .csv.gz, at most as a rule
+SAMPLE_LINES = 1000  # of a file, which tell its layout
+ROWS_PER_CHUNK = 20_000
+
+THOUSANDS = "thousands separators"
+
+_MISSING = {"na", "n/a", "#n/a", "#na", "nan", "null", "none", "nil", "-", "--", "---", "?"}
+_MISSING |= {"missing", "1.#qnan", "1.#ind"}
+_OVERLOADS = {"ovld", "ovl", "ol", "o.l", "overload", "overflow", "overrange", "1.#inf"}
+_ERRORS = {"#div/0!", "#value!", "#ref!", "#num!", "#name?", "#null!", "error", "err"}
+_EXPONENT = r"(?:[eEdD][+-]?\d+)?"
+_GROUPED = r"[1-9]\d{{0,2}}(?:([{0}'’ \u00a0\u202f])\d{{3}})(?:\1\d{{3}})*"
+_NUMBERS = {  # decimal sign -> numbers with thousands separators, or without
+    sign: re.compile(rf"[+-]?(?:{_GROUPED.format(other)}|\d*)(?:[{sign}]\d*)?{_EXPONENT}")
+    for sign, other in ((".", ","), (",", "."))
+}
+_LOOSE_NUMBER = re.compile(rf"[+-]?[\d.,'’]*\d\.?{_EXPONENT}")  # with either decimal sign
+_ONE_SIGN = re.compile(rf"[+-]?(\d*)([.,])(\d+){_EXPONENT}")
+_SIGN_NAMES = {".": "point", ",": "comma"}
+_BLANKS = " \t\r\n\u00a0\u2007\u202f\ufeff\u200b\"'"
+
+
+# --- bytes to text
+
+
+def detect_encoding(head: bytes) -> str:
+    """Return the encoding that the first bytes of a file tell; UTF-8 where they tell none."""
+    for mark, name in ((b"\xff\xfe\0\0", "utf-32"), (b"\0\0\xfe\xff", "utf-32")):
+        if head.startswith(mark):
+            return name
+    if head.startswith((b"\xff\xfe", b"\xfe\xff")):
+        return "utf-16"
+    if b"\0" in head and len(head) > 3:  # text of ASCII has its zeros at even or at odd places
+        even, odd = head[0:400:2].count(0), head[1:400:2].count(0)
+        if min(even, odd) == 0 and max(even, odd) > len(head[:400]) // 4:
+            return "utf-16-be" if even else "utf-16-le"
+    return "utf-8-sig"
+
+
+# --- text to rows
+
+
+def split_rows(lines: Iterable[str], separator: str, *, strict: bool = True) -> Any:
+    """Return a reader of the rows of lines of text."""
+    if separator == " ":
+        lines = (" ".join(line.split()) + "\n" for line in lines)
+    return csv.reader(lines, delimiter=separator, skipinitialspace=True, strict=strict)
+
+
+def _sample_rows(lines: Sequence[str], separator: str, first_line: int) -> list[Row]:
+    rows: list[Row] = []
+    reader = split_rows(lines, separator, strict=False)
+    try:
+        for cells in reader:
+            if any(map(str.strip, cells)):
+                rows += [(first_line + reader.line_num - 1, cells)]
+    except csv.Error:  # a cell that is too long: what is read tells the layout
+        return rows
+    return rows
+
+
+def find_layout(path: Path, lines: Sequence[str], encoding: str, mapping: TableMapping) -> Layout:
+    """Return the layout that the first lines of a file tell; `UsageError` if none is."""
+    first_line, separator = 1, mapping.separator.replace("\\t", "\t")
+    if stated := re.fullmatch(r"\W?sep=(.)\"?\s*", lines[0] if lines else ""):
+        first_line, lines, separator = 2, lines[1:], separator or stated[1]
+    if not any(line.strip() for line in lines):
+        raise UsageError(f"{path}: line 1: is blank, must contain the column names")
+    if separator:
+        rows = _sample_rows(lines, separator, first_line)
+    else:
+        scored = [(each, _sample_rows(lines, each, first_line)) for each in SEPARATORS]
+        best = max(_score_rows(rows) for _, rows in scored)
+        if best == 0.0:  # names alone, or no numbers
+            head = next(line for line in lines if line.strip())
+            separator = max(SEPARATORS, key=lambda s: head.count(s) if s != " " else 0)
+            rows = dict(scored)[separator]
+        else:
+            separator, rows = next(each for each in scored if _score_rows(each[1]) == best)
+    layout = locate_table(path, rows, separator, mapping)
+    return replace(layout, encoding=encoding, separator=separator)
+
+
+def _is_loose_value(cell: str) -> bool:
+    text = cell.strip().replace("−", "-")
+    return bool(_LOOSE_NUMBER.fullmatch(text)) or time_text.is_moment(text)
+
+
+def _score_rows(rows: Sequence[Row]) -> float:
+    """Return the share of values in rows of equal length; 0 of a single column."""
+    tail = rows[len(rows) // 2 :]
+    width = _find_width(tail)
+    if width < 2:
+        return 0.0
+    whole = [cells for _, cells in tail if len(cells) == width]
+    values = sum(_is_loose_value(cell) for cells in whole for cell in cells)
+    blank = sum(classify_word(cell) != "" for cells in whole for cell in cells)
+    return len(whole) / len(tail) * (values + (blank if values else 0)) / (width * len(whole))
+
+
+def _find_width(rows: Sequence[Row]) -> int:
+    counts = Counter(len(cells) for _, cells in rows)
+    return max(counts, key=lambda width: (counts[width], width), default=0)
+
+
+# --- rows to names and units
+
+
+def clean_name(cell: str) -> str:
+    """Return a column's name without what programs put around it."""
+    name = " ".join(cell.replace("\u00a0", " ").split()).strip(_BLANKS)
+    return name.lstrip("#%").strip(_BLANKS) if name.startswith(("#", "%")) else name
+
+
+def locate_table(path: Path, rows: Sequence[Row], separator: str, mapping: TableMapping) -> Layout:
+    """Return names, units and place of the table among rows; `UsageError` if there is none."""
+    tail = rows[len(rows) // 2 :] if len(rows) > 1 else rows
+    width = _find_width(tail)
+    whole = [cells for _, cells in tail if len(cells) == width]
+    numeric = [
+        k
+        for k in range(width)
+        if 2 * sum(_is_loose_value(cells[k]) for cells in whole) >= max(len(whole), 1)
+    ]
+    begin = next((i for i, row in enumerate(rows) if _is_data(row[1], width, numeric)), len(rows))
+    if begin == len(rows):  # names alone
+        begin = 1 if rows else 0
+    header = _find_header(rows[:begin], width)
+    if header is None:
+        line, cells = rows[0]
+        what = "numbers" if any(map(_is_loose_value, cells)) else "no text"
+        raise UsageError(f"{path}: line {line}: contains {what}, must contain the column names")
+    line, cells = rows[header]
+    names = [clean_name(cell) for cell in cells]
+    while names and not names[-1]:
+        names.pop()
+    if names and (mismatch := len(cells) - width) and begin < len(rows) and mismatch:
+        names = _resplit_names(rows[header][1], separator, width) or names
+    check_names(path, line, names)
+    following = rows[header + 1] if header + 1 < len(rows) else (line, [])
+    units: dict[str, str] = {}
+    if header + 1 < max(begin, header + 2) and _is_units_row(following[1], len(names)):
+        units = {
+            n: c.strip(" []()") for n, c in zip(names, following[1], strict=False) if c.strip()
+        }
+        line_above = following[0]
+    else:
+        line_above = line
+    body = [row for row in rows if row[0] > line_above]
+    decimal = _find_decimal(path, body, separator, mapping)
+    return Layout(tuple(names), line, line_above, units, decimal=decimal)
+
+
+def _is_data(cells: Sequence[str], width: int, numeric: Sequence[int]) -> bool:
+    return (
+        len(cells) == width
+        and any(_is_loose_value(cells[k]) for k in numeric)
+        and all(_is_loose_value(cells[k]) or classify_word(cells[k]) for k in numeric)
+    )
+
+
+def _find_header(above: Sequence[Row], width: int) -> int | None:
+    """Return which row above the data has the names."""
+
+    def has_names(cells: Sequence[str]) -> bool:
+        return not any(map(_is_loose_value, cells))
+
+    texts = [i for i, (_, cells) in enumerate(above) if has_names(cells)]
+    fitting = [i for i in texts if len(above[i][1]) == width] or texts[-1:]
+    if not fitting:
+        mixed = above and not all(map(_is_loose_value, filter(str.strip, above[0][1])))
+        return 0 if mixed else None
+    last = fitting[-1]
+    if len(fitting) > 1 and _is_units_row(above[last][1], width) and fitting[-2] == last - 1:
+        return last - 1
+    return last
+
+
+def _is_units_row(cells: Sequence[str], width: int) -> bool:
+    filled = [cell.strip(" []()") for cell in cells if cell.strip()]
+    known = sum(map(is_unit, filled))
+    short = all(len(each) <= 8 and not _is_loose_value(each) for each in filled)
+    return len(cells) <= width and known > 0 and 2 * known >= len(filled) and short
+
+
+def _resplit_names(cells: Sequence[str], separator: str, width: int) -> list[str]:
+    """Return names that are separated otherwise than the numbers, if that gives one a column."""
+    text = separator.join(cells)
+    for other in SEPARATORS:
+        bare = text.strip().lstrip("#%").strip() if other == " " else text
+        names = [clean_name(name) for name in next(split_rows([bare], other, strict=False), [])]
+        if len(names) == width and all(names):
+            return names
+    return []
+
+
+def check_names(path: Path, line: int, names: Sequence[str]) -> None:
+    """Raise `UsageError` for names of columns that cannot be."""
+    if not "".join(names).strip():
+        raise UsageError(f"{path}: line {line}: is blank, must contain the column names")
+    if not all(name.isprintable() for name in names):
+        raise UsageError(f"{path}: line {line}: is not text, must contain the column names")
+    bounds.check_size(path, len(names), 0, "keep those that are needed")
+    for name in names:
+        if name and names.count(name) > 1:
+            raise UsageError(
+                f"{path}: line {line}: column {name!r} occurs {names.count(name)} times"
+            )
+
+
+# --- cells to numbers
+
+
+def classify_word(cell: str) -> str:
+    """Return what a cell without a number says: missing, overload, error; "" if nothing known."""
+    word = cell.strip(_BLANKS).lower()
+    bare = word.lstrip("+-") or word
+    if not word or word in _MISSING or bare in _MISSING:
+        return "missing"
+    if bare in _OVERLOADS:
+        return "overload"
+    return "error" if word in _ERRORS else ""
+
+
+def to_number(cell: str, decimal: str) -> float | None:
+    """Return the number of a cell, NaN for a missing value, None for anything else."""
+    text = cell.strip(_BLANKS).replace("−", "-")
+    if decimal != ",":
+        try:
+            return float(text)
+        except ValueError:
+            pass
+    if classify_word(text):
+        return np.nan
+    match = _NUMBERS[decimal or "."].fullmatch(text)
+    if match is None or not any(map(str.isdigit, text)) or (match[1] and not decimal):
+        return None
+    text = text.replace(match[1], "") if match[1] else text
+    return float(text.replace(",", ".").replace("d", "e").replace("D", "e"))
+
+
+def _find_decimal(path: Path, rows: Sequence[Row], separator: str, mapping: TableMapping) -> str:
+    """Return the decimal sign of a table: "." or ",", or "" if no number tells."""
+    if mapping.decimal:
+        return "," if mapping.decimal == "comma" else "."
+    evidence: dict[str, Row] = {}
+    plain: set[int] = set()
+    open_cells: dict[int, tuple[int, str]] = {}  # by column: thousands, or three decimals
+    for line, cells in rows:
+        for k, cell in enumerate(cells):
+            text = cell.strip(_BLANKS)
+            if text.isdigit():
+                plain.add(k)
+            one = _ONE_SIGN.fullmatch(text)
+            if (
+                one
+                and re.fullmatch(r"[1-9]\d{0,2}", one[1])
+                and len(one[3]) == 3
+                and "e" not in text
+            ):
+                if one[2] == "," or separator != ",":
+                    open_cells.setdefault(k, (line, text))
+                else:
+                    evidence.setdefault(".", (line, [text]))
+            elif one:
+                evidence.setdefault(one[2], (line, [text]))
+            else:  # with thousands separators, which one of both signs explains
+                signs = [sign for sign, form in _NUMBERS.items() if form.fullmatch(text)]
+                if len(signs) == 1 and {",", "."} & set(text):
+                    evidence.setdefault(signs[0], (line, [text]))
+    if len(evidence) == 2:
+        (comma, (text,)), (point, (other,)) = evidence[","], evidence["."]
+        raise UsageError(
+            f"{path}: line {comma}: {text!r} has a decimal comma, {other!r} in line {point} "
+            "a point; write decimals with a point"
+        )
+    for k, (line, text) in open_cells.items():
+        sign = text.strip("+-0123456789")[0]
+        if sign not in evidence and (not evidence or k not in plain):
+            raise UsageError(
+                f"{path}: line {line}: is {text!r} a number of thousands, or one with three "
+                "decimals? Say --decimal point or --decimal comma"
+            )
+    return next(iter(evidence), "")
+
+
+def parse_cells(cells: Sequence[str], decimal: str, words: Counter[str]) -> Column:
+    """Return cells as numbers, NaN where missing; if any is text, as shared objects."""
+    if decimal != ",":
+        try:
+            return np.fromiter(map(float, cells), np.float64, len(cells))
+        except ValueError:
+            pass
+    numbers = [to_number(cell, decimal) for cell in cells]
+    if None in numbers:
+        shared: dict[str, str] = {}
+        return np.array([shared.setdefault(cell, cell) for cell in cells], dtype=object)
+    named = (cell.strip(_BLANKS) for cell in cells)
+    words.update(word for word in named if word and classify_word(word))
+    matches = map(_NUMBERS[decimal or "."].fullmatch, map(str.strip, cells))
+    if grouped := sum(bool(match and match[1]) for match in matches):
+        words[THOUSANDS] += grouped
+    return np.array(numbers, dtype=np.float64)
+
+
+def read_rows(path: Path, layout: Layout, rows: Iterable[Row], unit: str = "line") -> RawTable:
+    """Return the columns of the rows below the names; `UsageError` names the place of a fault.
+
+    A place is a `unit` with its number.
+    """
+    names, lines = layout.names, array("q")
+    words = {name: Counter[str]() for name in names}
+    parts: list[list[Column]] = []
+    fitted = _fit_rows(path, layout, rows, lines, unit)
+    while chunk := list(itertools.islice(fitted, ROWS_PER_CHUNK)):
+        parts.append(
+            [
+                parse_cells(cells, layout.decimal, words[name])
+                for name, cells in zip(names, zip(*chunk, strict=True), strict=True)
+            ]
+        )
+        bounds.check_size(path, len(names), len(lines), "split the file")
+    columns = {
+        name: np.concatenate([part[i] for part in parts]) if parts else np.empty(0)
+        for i, name in enumerate(names)
+        if name or any(not _is_blank(part[i]) for part in parts)
+    }
+    return RawTable(
+        columns,
+        lambda row: f"{unit} {lines[row]}",
+        units=layout.units,
+        decimal=layout.decimal,
+        words={name: found for name, found in words.items() if found},
+        remarks=layout.describe(),
+    )
+
+
+def _is_blank(column: Column) -> bool:
+    return bool(column.dtype != object and np.isnan(column).all())
+
+
+def _fit_rows(
+    path: Path,
+    layout: Layout,
+    rows: Iterable[Row],
+    lines: "array[int]",
+    unit: str,
+) -> Iterator[Sequence[str]]:
+    """Yield the rows as long as the names, and record their lines; blank rows are skipped."""
+    width = len(layout.names)
+    for line, cells in rows:
+        if not cells or (len(cells) > 1 and not any(map(str.strip, cells))):
+            continue
+        if len(cells) > width and not any(map(str.strip, cells[width:])):
+            del cells[width:]
+        if len(cells) != width:
+            hint = ""
+            if layout.separator == "," and len(cells) == 2 * width:
+                hint = "; commas in numbers, and between them: save it with semicolons"
+            raise UsageError(
+                f"{path}: {unit} {line}: has {len(cells)} cells, "
+                f"{unit} {layout.names_line} names {width} columns{hint}"
+            )
+        if width > 1 and tuple(map(clean_name, cells)) == layout.names:
+            raise UsageError(
+                f"{path}: {describe_second_record(path, line, 'the names come again')}"
+            )
+        lines.append(line)
+        yield cells
+
+
+def describe_second_record(path: Path, line: int, why: str) -> str:
+    """Return why a file has to be split at a line, and how."""
+    return (
+        f"line {line}: a second record begins here ({why}); split the file: `head -n {line - 1} "
+        f"{path.name} > first{path.suffix}`, and the rest likewise below its names (`teleop "
+        "diagnose` takes several files)"
+    )
+
+
+# --- a file
+
+
+@contextlib.contextmanager
+def open_lines(path: Path, encoding: str) -> Iterator[Iterator[str]]:
+    """Open the lines of a text file, packed or not."""
+    with path.open("rb") as file:
+        packed = large_csv.unpack_text(path, file)
+        yield bounds.read_bounded_lines(path, io.TextIOWrapper(packed, encoding, newline=""))
+
+
+def read_text(path: Path, mapping: TableMapping) -> RawTable:
+    """Read a text table; in Latin-1 if it is not UTF-8. Raises `UsageError`."""
+    with path.open("rb") as file:
+        encoding = detect_encoding(large_csv.unpack_text(path, file).peek(400)[:400])
+    for name in (encoding, "latin-1") if encoding == "utf-8-sig" else (encoding,):
+        with contextlib.suppress(UnicodeDecodeError):
+            return _read_encoded(path, name, mapping)
+    raise UsageError(f"{path}: cannot be read: it is not {encoding} text")
+
+
+def _read_encoded(path: Path, encoding: str, mapping: TableMapping) -> RawTable:
+    with open_lines(path, encoding) as lines:
+        sample = list(itertools.islice(lines, SAMPLE_LINES))
+    layout = find_layout(path, sample, encoding, mapping)
+    packed = path.name.lower().endswith(".gz")
+    large = LARGE_FILE_BYTES // COMPRESSION_RATIO if packed else LARGE_FILE_BYTES
+    if path.stat().st_size >= large and encoding == "utf-8-sig" and layout.separator != " ":
+        first: list[str] = next(
+            split_rows(sample[layout.data_line :], layout.separator, strict=False), []
+        )
+        columns = large_csv.read(path, layout, first)
+        if columns is not None:
+            return RawTable(
+                columns,
+                lambda row: f"line {_find_line(path, layout, row)}",
+                units=layout.units,
+                decimal=layout.decimal,
+                remarks=layout.describe(),
+            )
+    with open_lines(path, encoding) as lines:
+        return read_rows(path, layout, _number_rows(lines, layout))
+
+
+def _number_rows(lines: Iterator[str], layout: Layout) -> Iterator[Row]:
+    """Yield the rows below the names with their lines, of which the first is line 1."""
+    reader = split_rows(itertools.islice(lines, layout.data_line, None), layout.separator)
+    for cells in reader:
+        yield layout.data_line + reader.line_num, cells
+
+
+def _find_line(path: Path, layout: Layout, row: int) -> int:
+    """Return the line of a row of a file that was read in blocks."""
+    with open_lines(path, layout.encoding) as lines:
+        full = (line for line, cells in _number_rows(lines, layout) if cells)
+        return next(itertools.islice(full, row, None))

@@ -1,0 +1,282 @@
+"""Tables as other programs write them are read as what they are, or refused with the remedy."""
+
+import numpy as np
+import pytest
+
+from teleop.cli.diagnose.command import parse_column_options
+from teleop.data import read_table
+from teleop.data.mapping import TableMapping
+from teleop.errors import UsageError
+
+NAMES = ("time_s", "proximal_tension_N", "proximal_displacement_m")
+TIME = np.arange(60) / 20
+TENSION = 6.0 - 5.0 * np.cos(3.0 * TIME)
+TRAVEL = 0.01 * TENSION / 11.0
+
+
+def table(
+    names=NAMES,
+    sep=",",
+    forms=("{:.3f}", "{:.4f}", "{:.7f}"),
+    values=(TIME, TENSION, TRAVEL),
+    above=(),
+    decimal=".",
+):
+    """Return a table as text."""
+    rows = [
+        sep.join(
+            f.format(v) if isinstance(v, str) else f.format(v).replace(".", decimal)
+            for f, v in zip(forms, row, strict=True)
+        )
+        for row in zip(*values, strict=True)
+    ]
+    return "\n".join([*above, sep.join(names), *rows]) + "\n"
+
+
+def read(path, text, columns=(), encoding="utf-8", **mapping):
+    path.write_bytes(text.encode(encoding))
+    named = parse_column_options(columns)
+    return read_table(
+        path, named.names, diagnosed=True, units=named.units, mapping=TableMapping(**mapping)
+    )
+
+
+def refusal(path, text, columns=(), **mapping):
+    with pytest.raises(UsageError) as caught:
+        read(path, text, columns, **mapping)
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+def check(found, time=TIME):
+    np.testing.assert_allclose(found.time - found.time[0], time - time[0], atol=1e-6)
+    np.testing.assert_allclose(found.proximal_tension, TENSION, atol=1e-4)
+    np.testing.assert_allclose(found.proximal_displacement, TRAVEL, atol=1e-7)
+
+
+PLAIN = table()
+FIRST = PLAIN.splitlines()[0]
+DECORATED = {
+    "no-break space": PLAIN.replace("time_s,", "time_s\u00a0,"),
+    "quotes and spaces": PLAIN.replace(FIRST, '" time_s", "proximal_tension_N" ,' + NAMES[2]),
+    "savetxt": "# " + PLAIN,
+    "savetxt, spaces in rows": "# " + FIRST + "\n" + table(sep=" ").partition("\n")[2],
+    "comment above": "# bench 3, tendon a\n" + PLAIN,
+    "metadata above": "Bench,3\nRate,20 Hz\nDate,2026-04-10\n\n" + PLAIN,
+    "metadata as wide as the table": "Bench,3,\nLab,B,\n,,\n" + PLAIN + ",,\n,,\n",
+    "sep=": "sep=;\n" + table(sep=";"),
+    "tabs": table(sep="\t"),
+    "columns of fixed width": table(sep="   ").replace("\n", "\n  "),
+    "German Excel": table(sep=";", decimal=","),
+    "quoted decimal commas": '"' + table(sep='","', decimal=",").replace("\n", '"\n"')[:-1],
+    "Latin-1": (table(above=("Prüfstand;3",), sep=";"), "latin-1"),
+    "UTF-16": (PLAIN, "utf-16"),
+    "UTF-16 without its mark": (PLAIN, "utf-16-le"),
+    "units below": PLAIN.replace(FIRST, FIRST + "\ns,N,m"),
+    "units below, in brackets": PLAIN.replace(FIRST, FIRST + "\n(s),(N),(m)"),
+    "units below, one missing": PLAIN.replace(FIRST, FIRST + "\n,N,m"),
+    "column without a name": PLAIN.replace("\n", ",\n"),
+    "minus of typesetting": table(values=(TIME - 1.0, TENSION, TRAVEL)).replace("-", "−"),
+    "exponents of Fortran": table(forms=("{:.3f}", "{:.8E}", "{:.8E}")).replace("E", "D"),
+}
+
+
+@pytest.mark.parametrize("kind", DECORATED)
+def test_a_table_is_read_however_it_is_written(tmp_path, kind):
+    text, encoding = DECORATED[kind], "utf-8"
+    text, encoding = text if isinstance(text, tuple) else (text, encoding)
+    check(read(tmp_path / "x.csv", text, encoding=encoding))
+
+
+@pytest.mark.parametrize(
+    ("names", "units", "sizes"),
+    [
+        (("Time [ms]", "Proximal Tension [kgf]", "proximal-displacement (mm)"), "", (1e3, 1, 1e3)),
+        (("t_min", "proximal_tension_lbf", "proximal_displacement_um"), "", (1 / 60, 1, 1e6)),
+        (("time", "proximal_tension", "proximal_displacement"), "ms,N,mm", (1e3, 1, 1e3)),
+        (("TIME", "PROXIMAL_TENSION", "PROXIMAL_DISPLACEMENT"), "sec,gf,in", (1, 1, 1 / 0.0254)),
+        (NAMES, "s,N,m", (1, 1, 1)),
+    ],
+)
+def test_units_that_a_table_states_are_converted_and_said(tmp_path, capsys, names, units, sizes):
+    force = {"kgf": 9.80665, "lbf": 4.4482216, "gf": 9.80665e-3}
+    stated = next((size for unit, size in force.items() if unit in names[1] + units), 1.0)
+    values = (TIME * sizes[0], TENSION / stated, TRAVEL * sizes[2])
+    text = table(names, forms=["{:.9f}"] * 3, values=values)
+    found = read(tmp_path / "x.csv", text.replace("\n", f"\n{units}\n", 1) if units else text)
+    check(found)
+    assert ("converted" in capsys.readouterr().err) == (names != NAMES)
+
+
+def clock(time):
+    return f"{int(time) // 3600:02d}:{int(time) // 60 % 60:02d}:{time % 60:06.3f}"
+
+
+MOMENTS = {
+    "ISO": [f"2026-04-10T{clock(70_000 + t)}" for t in TIME],
+    "ISO with a zone": [f"2026-04-10 {clock(7000 + t)}+02:00" for t in TIME],
+    "time of day": [clock(70_000 + t) for t in TIME],
+    "past midnight": [clock((86_399 + t) % 86_400) for t in TIME],
+    "ISO past midnight": [
+        f"2026-{'02-28' if t < 1 else '03-01'}T{clock((86_399 + t) % 86_400)}" for t in TIME
+    ],
+    "German date": [f"{12 + (t >= 1)}.05.2026 {clock((86_399 + t) % 86_400)}" for t in TIME],
+    "afternoon": [f"04/10/2026 {clock(36_000 + t)} PM" for t in TIME],
+}
+
+
+@pytest.mark.parametrize("kind", MOMENTS)
+def test_dates_and_times_of_day_are_seconds_from_the_first(tmp_path, kind):
+    text = table(
+        ("Time", *NAMES[1:]),
+        forms=("{}", "{:.4f}", "{:.7f}"),
+        values=(MOMENTS[kind], TENSION, TRAVEL),
+    )
+    check(read(tmp_path / "x.csv", text))
+
+
+def test_a_date_beside_a_time_of_day_tells_the_day(tmp_path):
+    days = ["12.05.2026" if t < 1 else "13.05.2026" for t in TIME]
+    values = (days, MOMENTS["past midnight"], TENSION, TRAVEL)
+    text = table(
+        ("Date", "Time", *NAMES[1:]), forms=("{}", "{}", "{:.4f}", "{:.7f}"), values=values
+    )
+    check(read(tmp_path / "x.csv", text, ["time=Time"]))
+    later = text.replace("13.05.2026,00:00:00.000", "14.05.2026,23:59:59.999")
+    assert "'14.05.2026' comes after '12.05.2026'" in refusal(tmp_path / "x.csv", later)
+
+
+def test_minutes_and_seconds_need_a_format(tmp_path):
+    moments = [f"05:{t:06.3f}" for t in TIME]
+    values = (moments, TENSION, TRAVEL)
+    text = table(("Time", *NAMES[1:]), forms=("{}", "{:.4f}", "{:.7f}"), values=values)
+    assert "line 2: '05:00.000' is not" in refusal(tmp_path / "x.csv", text, ["time=Time"])
+    check(read(tmp_path / "x.csv", text, ["time=Time"], time_format="%M:%S.%f"))
+
+
+def test_a_sign_and_a_scale_are_given_with_the_unit(tmp_path):
+    values = (TIME, TENSION / 12.5, -1e3 * TRAVEL)
+    text = table(("t_s", "load [V]", "q"), forms=["{:.7f}"] * 3, values=values)
+    columns = ["proximal_tension=load [V]", "proximal_displacement=q[-1 mm]"]
+    said = refusal(tmp_path / "x.csv", text, columns)
+    assert "unknown unit V" in said
+    assert "12.5 N" in said
+    check(read(tmp_path / "x.csv", text, ["proximal_tension=load [V][12.5 N]", columns[1]]))
+
+
+@pytest.mark.parametrize("word", ["N/A", "nan", "null", "--", "#N/A", "1.#QNAN", ""])
+def test_words_for_missing_values_are_missing_and_counted(tmp_path, capsys, word):
+    cells = [word if k in (7, 8) else f"{v:.4f}" for k, v in enumerate(TENSION)]
+    text = table(forms=("{:.3f}", "{}", "{:.7f}"), values=(TIME, cells, TRAVEL))
+    found = read(tmp_path / "x.csv", text)
+    assert np.flatnonzero(np.isnan(found.proximal_tension)).tolist() == [7, 8]
+    assert (f"2 {word} (missing)" in capsys.readouterr().err) == (word not in ("", "nan"))
+
+
+@pytest.mark.parametrize(
+    ("word", "said"), [("+OVLD", "out of the range"), ("-O.L", "range"), ("#DIV/0!", "an error")]
+)
+def test_an_overload_is_named(tmp_path, capsys, word, said):
+    cells = [word if k == 7 else f"{v:.4f}" for k, v in enumerate(TENSION)]
+    read(tmp_path / "x.csv", table(forms=("{:.3f}", "{}", "{:.7f}"), values=(TIME, cells, TRAVEL)))
+    err = capsys.readouterr().err
+    assert f"1 {word} (" in err
+    assert said in err
+
+
+@pytest.mark.parametrize(
+    ("sep", "decimal", "group"),
+    [(",", ".", ","), (";", ",", "."), (";", ".", "'"), ("\t", ",", " ")],
+)
+def test_thousands_separators_are_told_from_decimal_signs(tmp_path, capsys, sep, decimal, group):
+    cells = [f"{v:,.1f}".translate({44: group, 46: decimal}) for v in 150.0 * TENSION]
+    cells = [f'"{cell}"' for cell in cells]
+    text = table(
+        sep=sep, decimal=decimal, forms=("{:.3f}", "{}", "{:.7f}"), values=(TIME, cells, TRAVEL)
+    )
+    found = read(tmp_path / "x.csv", text, ["proximal_tension=proximal_tension_N[mN]"])
+    np.testing.assert_allclose(found.proximal_tension, 0.15 * TENSION, atol=1e-4)
+    assert "thousands separators in" in capsys.readouterr().err
+
+
+def test_a_number_that_may_be_of_thousands_is_asked_about(tmp_path):
+    time, tension = np.arange(60), 2.0 + 0.001 * np.arange(60)
+    text = table(NAMES[:2], ";", ("{}", "{:.3f}"), (time, tension))
+    assert "--decimal point or --decimal comma" in refusal(tmp_path / "x.csv", text, rate_hz=20)
+    found = read(tmp_path / "x.csv", text, rate_hz=20, decimal="point")
+    np.testing.assert_allclose(found.proximal_tension, tension)
+    found = read(
+        tmp_path / "x.csv",
+        text,
+        ["proximal_tension=proximal_tension_N[mN]"],
+        rate_hz=20,
+        decimal="comma",
+    )
+    np.testing.assert_allclose(found.proximal_tension, tension)
+
+
+WHOLE = table(values=(1000 * TIME / 50, TENSION, TRAVEL), forms=("{:.0f}", "{:.4f}", "{:.7f}"))
+SLOW = table(values=(1000 * TIME / 200, TENSION, TRAVEL))
+REFUSED = {
+    "milliseconds or sample numbers": (WHOLE, ["samples are 1 s apart", "[ms]'", "--rate"]),
+    "milliseconds of 4 kHz": (
+        table(values=(TIME * 5, TENSION, TRAVEL / 1e3)),
+        ["wrong", "'time=time_s[ms]'"],
+    ),
+    "milliseconds of hours": (
+        table(values=(TIME * 1e4 / 5, TENSION, TRAVEL)),
+        ["milliseconds", "[ms]'"],
+    ),
+    "hours": (table(values=(TIME / 3600, TENSION, TRAVEL), forms=["{:.9f}"] * 3), ["hours"]),
+    "a thousand times too fast": (
+        table(values=(TIME / 1000, TENSION, TRAVEL), forms=["{:.9f}"] * 3),
+        ["m/s", "unit of time"],
+    ),
+    "commas between and in numbers": (table(decimal=","), ["commas in numbers"]),
+    "both decimal signs": (table(sep=";").replace("0.050;", "0,050;"), ["line 3", "'0,050'"]),
+    "units twice": (PLAIN.replace(FIRST, FIRST + "\nms,N,m"), ["name says s", "[s]'"]),
+    "units in cells": (PLAIN.replace("1.0000,", "1.0000 N,"), ["line 2: '1.0000 N'", "its unit"]),
+    "two columns of time": (
+        PLAIN.replace("time_s,proximal_tension_N", "time_ms,Time [us]"),
+        ["which is it, 'time_ms'"],
+    ),
+    "a second record": (
+        PLAIN + PLAIN.partition("\n")[2],
+        ["line 62: a second record", "head -n 61"],
+    ),
+    "a second record with names": (PLAIN + PLAIN, ["line 62: a second record", "head -n 61"]),
+    "no tension at the housing": (PLAIN.replace(NAMES[1], "distal_tension_N"), ["load cell"]),
+    "names that are numbers": (PLAIN.replace(FIRST, "1,2,3"), ["must contain the column names"]),
+    "unknown words": (PLAIN.replace("1.0000,", "broken,"), ["line 2: 'broken'", "blank"]),
+}
+
+
+@pytest.mark.parametrize("kind", REFUSED)
+def test_what_may_be_wrong_is_refused_with_the_remedy(tmp_path, kind):
+    text, parts = REFUSED[kind]
+    said = refusal(tmp_path / "x.csv", text)
+    for part in parts:
+        assert part in said
+
+
+def test_sample_numbers_have_a_rate(tmp_path):
+    check(read(tmp_path / "x.csv", WHOLE, rate_hz=20))
+    check(
+        read(
+            tmp_path / "x.csv",
+            table(NAMES[1:], ",", ("{:.4f}", "{:.7f}"), (TENSION, TRAVEL)),
+            rate_hz=20,
+        )
+    )
+    assert "does not number samples" in refusal(tmp_path / "x.csv", PLAIN, rate_hz=20)
+
+
+def test_a_winch_of_many_turns_is_asked_about_once(tmp_path):
+    names = ("time_s", "proximal_torque_Nm", "proximal_angle_rad")
+    text = table(names, values=(TIME, TENSION / 1e3, 5e3 * TRAVEL), forms=["{:.6f}"] * 3)
+    said = refusal(tmp_path / "x.csv", text)
+    assert "degrees, or 7.2 turns?" in said
+    option = said.split("--column '")[1].split("'")[0]
+    assert read(tmp_path / "x.csv", text, [option]).proximal_displacement.max() < 1.0
+    found = read(tmp_path / "x.csv", text, [option.replace("[deg]", "[rad]")])
+    assert np.ptp(found.proximal_displacement) > 40.0
