@@ -14,7 +14,7 @@ import numpy as np
 from teleop.data import bounds
 from teleop.data.mapping import TableMapping
 from teleop.data.raw_table import Column, RawTable
-from teleop.data.text_table import ROWS_PER_CHUNK, read_text
+from teleop.data.text_table import ROWS_PER_CHUNK, clean_name, read_text
 from teleop.errors import UsageError
 from teleop.messages.messages import MAX_TENDONS
 from teleop.messages.topics import TENDONS
@@ -140,6 +140,18 @@ def _format_reason(error: Exception) -> str:
     return getattr(error, "strerror", None) or " ".join(str(error).split())
 
 
+def _read_lazily(name: str) -> Callable[[Path, TableMapping], RawTable]:
+    """Return a reader of another format, whose module is imported when it reads."""
+
+    def read(path: Path, mapping: TableMapping) -> RawTable:
+        from teleop.data import array_files
+
+        reader: Callable[[Path, TableMapping], RawTable] = getattr(array_files, name)
+        return reader(path, mapping)
+
+    return read
+
+
 def _read_parquet(path: Path, _: TableMapping) -> RawTable:
     import pyarrow as pa
     from pyarrow import parquet
@@ -149,18 +161,36 @@ def _read_parquet(path: Path, _: TableMapping) -> RawTable:
         schema = parquet.read_schema(path)
         texts = [f.name for f in schema if _is_text(f.type)]
         with parquet.ParquetFile(path, read_dictionary=texts) as file:
-            _check_parquet(path, schema, file.metadata)
-            parts: list[list[Column]] = [[] for _ in schema]
-            rows = 0
-            for batch in file.iter_batches(ROWS_PER_CHUNK, use_threads=False):
-                rows += len(batch)
-                bounds.check_size(path, len(schema), rows, "split the file")
-                for name, part, column in zip(schema.names, parts, batch.columns, strict=True):
-                    part.append(_decode_parquet_values(path, name, column))
+            _check_fields(path, schema)
+            _check_parquet_size(path, len(schema), file.metadata)
+            return _join_batches(path, schema, file.iter_batches(ROWS_PER_CHUNK, use_threads=False))
     except (pa.ArrowException, UnicodeError):
         raise UsageError(f"{path}: not a valid Parquet file") from None
+
+
+def _read_feather(path: Path, _: TableMapping) -> RawTable:
+    import pyarrow as pa
+
+    try:
+        with pa.memory_map(str(path)) as source, pa.ipc.open_file(source) as file:
+            _check_fields(path, file.schema)
+            batches = (file.get_batch(k) for k in range(file.num_record_batches))
+            return _join_batches(path, file.schema, batches)
+    except (pa.ArrowException, UnicodeError):
+        raise UsageError(f"{path}: not a valid Feather file (version 2)") from None
+
+
+def _join_batches(path: Path, schema: Any, batches: Iterable[Any]) -> RawTable:
+    """Return the columns of batches of Arrow."""
+    parts: list[list[Column]] = [[] for _ in schema]
+    rows = 0
+    for batch in batches:
+        rows += len(batch)
+        bounds.check_size(path, len(schema), rows, "split the file")
+        for name, part, column in zip(schema.names, parts, batch.columns, strict=True):
+            part.append(_decode_parquet_values(path, name, column))
     columns = {
-        name: np.concatenate(part) if part else np.empty(0)
+        clean_name(name): np.concatenate(part) if part else np.empty(0)
         for name, part in zip(schema.names, parts, strict=True)
     }
     return RawTable(columns, lambda row: f"row {row + 1}")
@@ -178,17 +208,21 @@ def _check_footer(path: Path) -> None:
         )
 
 
-def _check_parquet(path: Path, schema: Any, about: Any) -> None:
-    """Raise `UsageError` for columns that are no numbers or text, and for what is too large."""
-    import pyarrow as pa
-
-    bounds.check_size(path, len(schema), about.num_rows, "keep what is needed, or split it")
+def _check_parquet_size(path: Path, columns: int, about: Any) -> None:
+    """Raise `UsageError` for what is too large."""
+    bounds.check_size(path, columns, about.num_rows, "keep what is needed, or split it")
     size = sum(about.row_group(k).total_byte_size for k in range(about.num_row_groups))
     if size > bounds.TEXT_MAX:
         raise UsageError(
             f"{path}: unpacks to {size >> 20} MB, at most {bounds.TEXT_MAX >> 20} MB are read; "
             "keep the columns that are needed, or split it"
         )
+
+
+def _check_fields(path: Path, schema: Any) -> None:
+    """Raise `UsageError` for columns that are no numbers or text."""
+    import pyarrow as pa
+
     for field in schema:
         name, kind = field.name, field.type
         if not name.isprintable():
@@ -324,7 +358,12 @@ def _write_parquet(path: Path, columns: Mapping[str, Column]) -> None:
 _READERS: dict[str, Callable[[Path, TableMapping], RawTable]] = {
     **dict.fromkeys(TEXT_SUFFIXES, read_text),
     ".parquet": _read_parquet,
+    **dict.fromkeys((".feather", ".arrow"), _read_feather),
     ".mcap": _read_recording,
+    **dict.fromkeys((".xlsx", ".xls", ".ods"), _read_lazily("read_spreadsheet")),
+    ".mat": _read_lazily("read_mat"),
+    ".npz": _read_lazily("read_npz"),
+    **dict.fromkeys((".h5", ".hdf5"), _read_lazily("read_hdf5")),
 }
 _WRITERS: dict[str, Callable[[Path, Mapping[str, Column]], None]] = {
     ".csv": _write_csv,

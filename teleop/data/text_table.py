@@ -142,7 +142,14 @@ def clean_name(cell: str) -> str:
     return name.lstrip("#%").strip(_BLANKS) if name.startswith(("#", "%")) else name
 
 
-def locate_table(path: Path, rows: Sequence[Row], separator: str, mapping: TableMapping) -> Layout:
+def locate_table(
+    path: Path,
+    rows: Sequence[Row],
+    separator: str,
+    mapping: TableMapping,
+    *,
+    decimal: str | None = None,
+) -> Layout:
     """Return names, units and place of the table among rows; `UsageError` if there is none."""
     tail = rows[len(rows) // 2 :] if len(rows) > 1 else rows
     width = _find_width(tail)
@@ -177,7 +184,8 @@ def locate_table(path: Path, rows: Sequence[Row], separator: str, mapping: Table
     else:
         line_above = line
     body = [row for row in rows if row[0] > line_above]
-    decimal = _find_decimal(path, body, separator, mapping)
+    if decimal is None:
+        decimal = _find_decimal(path, body, separator, mapping)
     return Layout(tuple(names), line, line_above, units, decimal=decimal)
 
 
