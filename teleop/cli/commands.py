@@ -49,6 +49,7 @@ COMMANDS = {
     "rig": ("slave.bring_up.command", "bring up real motors and load cells: scan, check, reset"),
     "calibrate": ("slave.calibration.command", "measure a rig's sheaths: friction and stiffness"),
     "estimate": ("teleop.cli.estimate", "estimate the distal tension in measured data"),
+    "data": ("teleop.cli.data", "show how a file of measured data is understood"),
     "diagnose": (
         "teleop.cli.diagnose.command",
         "find what the model of a bench gets wrong, and why",

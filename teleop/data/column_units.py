@@ -110,8 +110,8 @@ def convert_to_si(
     stated_units: Sequence[Mapping[str, tuple[str, str]]],
     row_units: Mapping[str, str],
     units: Units,
-) -> list[str]:
-    """Convert columns to SI units, in place; return what was converted, a phrase each.
+) -> dict[str, tuple[str, float]]:
+    """Convert columns to SI units, in place; return the unit of each, "" if none, and its factor.
 
     Parameters
     ----------
@@ -136,12 +136,10 @@ def convert_to_si(
             factors[name] = _find_unit_factor(
                 path, name, item, units, unit, row_units.get(name, "")
             )
-    lines = []
-    for name, (unit, factor) in factors.items():
+    for name, (_, factor) in factors.items():
         if factor != 1.0:
             numbers[name] = factor * numbers[name]
-            lines.append(f"column {name!r} is in {unit}, converted to SI units")
-    return lines
+    return factors
 
 
 def _find_unit_factor(
@@ -163,7 +161,7 @@ def _find_unit_factor(
     """
     dimension = _find_dimension(channel, units)
     factors = UNIT_FACTORS[dimension]
-    scale, word = _split_scale(stated_unit)
+    scale, word = split_scale(stated_unit)
     if word:
         if (unit := _match_unit(word, stated=True)) not in factors:
             raise UsageError(
@@ -202,7 +200,7 @@ def _find_unit_factor(
     return stated_unit, scale
 
 
-def _split_scale(stated: str) -> tuple[float, str]:
+def split_scale(stated: str) -> tuple[float, str]:
     """Split a unit with a scale before it, such as `12.5 N`, or `-1 mm` of a reversed sign."""
     match = re.match(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*\*?\s*", stated)
     return (float(match[1]), stated[match.end() :]) if match else (1.0, stated)

@@ -21,7 +21,7 @@ class MappedColumn:
 
     def format_option(self) -> str:
         """Return it as in `--column NAME=COLUMN[SCALE UNIT]`."""
-        scale = "" if self.scale == 1.0 else f"{self.scale!r}"
+        scale = "" if self.scale == 1.0 else repr(self.scale).removesuffix(".0")
         stated = " ".join(part for part in (scale, self.unit) if part)
         return f"{self.column}[{stated}]" if stated else self.column
 

@@ -9,7 +9,7 @@ import re
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -103,6 +103,14 @@ class Columns:
         )
 
 
+class Source(NamedTuple):
+    """The column of a channel in the file."""
+
+    column: str
+    unit: str  # as stated; "" if nothing states it
+    factor: float  # by which it was multiplied
+
+
 @dataclass(frozen=True, slots=True)
 class MeasuredTable:
     """The samples of one tendon; arrays of shape (samples,), None without a sensor.
@@ -121,6 +129,7 @@ class MeasuredTable:
     dropped: int = 0  # number of rows omitted because of non-finite values
     units: Units = LINEAR
     remarks: tuple[str, ...] = ()  # how the file was understood, where it is not as usual
+    sources: Mapping[str, Source] = field(default_factory=dict)  # of the fields above
 
     def columns(self, number: int = 1) -> dict[str, Column]:
         """Return all columns by standard names of tendon 1, 2, ..., then the further ones."""
@@ -220,12 +229,16 @@ def read_tables(
         _check_sample_numbers(path, raw, clock, numbers[clock])
         for told in notes:
             told["time"] = (clock, f"{1.0 / mapping.rate_hz!r} s")
+    elif is_clocked:
+        for told in notes:
+            told["time"] = (clock, told["time"][1] or "s")
+    factors = convert_to_si(path, numbers, tables_columns, notes, raw.units, units)
     remarks = [*raw.remarks]
-    if not is_clocked or mapping.rate_hz:
-        stated = notes
-    else:
-        stated = [told | {"time": (clock, "s")} for told in notes]
-    remarks += convert_to_si(path, numbers, tables_columns, stated, raw.units, units)
+    remarks += [
+        f"column {name!r} is in {unit}, converted to SI units"
+        for name, (unit, factor) in factors.items()
+        if factor != 1.0
+    ]
     remarks += [_describe_words(name, raw.words[name]) for name in numbers if name in raw.words]
     if remarks:
         print_warning(f"{path}: {'; '.join(remarks)}")
@@ -247,12 +260,12 @@ def read_tables(
     extra = {name: column for name, column in raw.columns.items() if name not in numbers}
     tables = []
     for names, told in zip(tables_columns, notes, strict=True):
-        stated_items = {item for item, (_, unit) in told.items() if unit}
-        stated_items |= {"time"} if is_clocked else set()
-        _check_samples(path, raw, names, numbers, zero_errors, diagnosed, units, stated_items)
+        stated = {item for item, (_, unit) in told.items() if unit}
+        _check_samples(path, raw, names, numbers, zero_errors, diagnosed, units, stated)
         values: dict[str, Any] = dict.fromkeys(Columns().names())
         values |= {item: numbers[name] for item, name in names.items()}
         values |= {"extra": extra, "dropped": dropped, "remarks": tuple(remarks)}
+        values["sources"] = {item: Source(name, *factors[name]) for item, name in names.items()}
         tables.append(MeasuredTable(**values, path=path, units=units))
     return tuple(tables)
 
@@ -466,6 +479,7 @@ def _check_samples(
                 units,
                 may_err=item in zero_errors,
                 option=option,
+                any_size=item in stated,
                 remedy=loop * diagnosed,
             )
     span_max = ANGLE_SPAN if units.rotary else TRAVEL_SPAN
@@ -550,21 +564,26 @@ def check_effort(
     *,
     may_err: bool = False,
     option: str = "",
+    any_size: bool = False,
     remedy: str = "",
 ) -> None:
     """Raise `UsageError` for a tension or torque that is too large, or a tension that pushes.
 
     With `may_err` the cell's zero may be off, and single samples low. NaN where one is missing.
-    The unit can be given by `--column` as that of `option`, if it is one.
+    The unit can be given by `--column` as that of `option`, if it is one; then `any_size` is right.
     """
     row = int(np.nanargmax(np.abs(effort)))
     low = int(np.nanargmin(_remove_dips(effort) if may_err else effort))
     peak = float(effort[row])
-    if abs(peak) > (TORQUE_PEAK if units.rotary else TENSION_PEAK):
-        what, other = "tendon tension in newtons", "mN"
+    if abs(peak) > (TORQUE_PEAK if units.rotary else TENSION_PEAK) and not any_size:
+        what, other, si = "tendon tension in newtons", "mN", "N"
         if units.rotary:
-            what, other = "torque in newton metres", "Nmm"
-        how = f", name the unit, --column '{option}={name}[{other}]'" if option else ", check it"
+            what, other, si = "torque in newton metres", "Nmm", "Nm"
+        how = "; check the unit"
+        if option:
+            how = f"; name the unit, --column '{option}={name}[{other}]', or [{si}] if it is right"
+        grouped = " (its thousands separators are read as such)"
+        how = grouped * (THOUSANDS in raw.words.get(name, ())) + how
         raise UsageError(
             f"{path}: column {name!r}, {raw.place(row)}: {peak:.6g} is too large for a {what}"
             f"{how}; or remove the spike"

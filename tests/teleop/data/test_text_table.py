@@ -280,3 +280,10 @@ def test_a_winch_of_many_turns_is_asked_about_once(tmp_path):
     assert read(tmp_path / "x.csv", text, [option]).proximal_displacement.max() < 1.0
     found = read(tmp_path / "x.csv", text, [option.replace("[deg]", "[rad]")])
     assert np.ptp(found.proximal_displacement) > 40.0
+
+
+def test_a_large_force_passes_once_its_unit_is_stated(tmp_path):
+    text = table(values=(TIME, 400.0 * TENSION, TRAVEL))
+    said = refusal(tmp_path / "x.csv", text)
+    option = said.split("--column '")[1].split("'")[0].replace("[mN]", "[N]")
+    assert read(tmp_path / "x.csv", text, [option]).proximal_tension.max() > 4000.0

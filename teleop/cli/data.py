@@ -1,0 +1,214 @@
+"""Show how a file of measured data is understood, before anything is fitted to it.
+
+  teleop data show bench.csv                          columns, roles, units, rate, gaps, ranges
+  teleop data show bench.csv --column 'time=t[ms]'    ... with the options of estimate and diagnose
+  teleop data show bench.csv --figure bench.png       ... and a figure of the channels
+  teleop data show bench.csv --column proximal_tension=T_in --write-mapping lab.yaml
+  teleop diagnose monday.csv tuesday.csv --mapping lab.yaml    read all files of a lab that way
+
+What a file leaves open is asked in one line, with the option that answers it, and its columns are
+listed. Formats and units: docs/reference/data-format.md.
+"""
+
+import argparse
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from estimator.array_types import Array
+from estimator.plausibility import find_channel_faults
+from estimator.text_table import Table
+from teleop.cli.diagnose.command import TENSIONS, parse_column_options
+from teleop.cli.estimate import load_mapping
+from teleop.config.loading import as_tree
+from teleop.config.options import TABLE_OPTIONS, add_options
+from teleop.data.channel_names import STANDARD_NAMES
+from teleop.data.column_units import split_scale
+from teleop.data.mapping import MappedColumn, MappedColumns, TableMapping
+from teleop.data.table import MeasuredTable, read_table
+from teleop.data.table_files import read_columns
+from teleop.errors import UsageError
+from teleop.runtime.output_file import FIGURE_SUFFIXES, OutputFile, save_figure
+from teleop.runtime.process import write_summary, write_text_file
+
+GAP_PERIODS = 1.5  # median periods from which on samples are missing
+PLOT_WIDTH = 60  # characters
+_BARS = "▁▂▃▄▅▆▇█"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the sub-command and its options."""
+    works = parser.add_subparsers(dest="work", metavar="WORK", required=True)
+    show = works.add_parser("show", help="show how a file is understood")
+    show.add_argument("data", type=Path, metavar="DATA", help="measured data, or a recording")
+    add_options(show, *TABLE_OPTIONS, "--json")
+    show.add_argument(
+        "--figure",
+        type=OutputFile(*FIGURE_SUFFIXES),
+        metavar="FILE",
+        help="write a figure of the channels: .png, .pdf or .svg",
+    )
+    show.add_argument(
+        "--write-mapping",
+        type=OutputFile(),
+        metavar="FILE",
+        help="write what was understood, for the --mapping of other commands",
+    )
+
+
+def main(args: argparse.Namespace) -> int:
+    """Show the file; returns the exit code."""
+    mapping = load_mapping(args)
+    columns = parse_column_options([*mapping.options(), *args.column])
+    options: dict[str, Any] = {"zero_errors": TENSIONS, "diagnosed": True, "mapping": mapping}
+    try:
+        table = read_table(
+            args.data, columns.names, args.drop_nonfinite, units=columns.units, **options
+        )
+    except UsageError:
+        raw = read_columns(args.data, mapping)  # if this fails, the same error comes again
+        rows = [
+            (name, raw.units.get(name, ""), *_describe_values(values))
+            for name, values in raw.columns.items()
+        ]
+        print(Table(("column", "unit", "range", "missing"), tuple(rows)).markdown())
+        raise
+    summary = summarise(table)
+    write_summary(args.json, summary)
+    print(format_summary(table, summary))
+    if args.figure is not None:
+        draw(table, args.figure)
+    if args.write_mapping is not None:
+        write_text_file(args.write_mapping, format_mapping(table, mapping), "the mapping")
+    return 0
+
+
+def get_channels(table: MeasuredTable) -> dict[str, Array]:
+    """Return the samples by channel, as it is named in the units of the record."""
+    named = {k: v.rpartition("_")[0] for k, v in STANDARD_NAMES[table.units].items()}
+    values = {named.get(item, item): getattr(table, item) for item in table.sources}
+    return {name: array for name, array in values.items() if array is not None}
+
+
+def summarise(table: MeasuredTable) -> dict[str, Any]:
+    """Return what is known of a table, as JSON."""
+    periods = np.diff(table.time)
+    period = float(np.median(periods)) if periods.size else float("nan")
+    gaps = np.flatnonzero(periods > GAP_PERIODS * period)
+    return {
+        "data": str(table.path),
+        "read_as": list(table.remarks),
+        "samples": len(table.time),
+        "dropped": table.dropped,
+        "duration_s": float(np.ptp(table.time)),
+        "rate_hz": 1.0 / period if periods.size else None,
+        "gaps": len(gaps),
+        "longest_gap_s": float(periods.max()) if gaps.size else 0.0,
+        "channels": {
+            name: source._asdict()
+            | {"min": float(np.nanmin(values)), "max": float(np.nanmax(values))}
+            | {"missing": int(np.isnan(values).sum())}
+            for (name, values), source in zip(
+                get_channels(table).items(), table.sources.values(), strict=True
+            )
+        },
+        "further": list(table.extra),
+        "doubts": list(find_channel_faults(table, table.units)),
+    }
+
+
+def format_summary(table: MeasuredTable, summary: dict[str, Any]) -> str:
+    """Return the summary as text, with a plot of each channel."""
+    si = {"time": "s"} | {k: table.units.of(k) for k in table.sources if k != "time"}
+    rows = [
+        (name, source.column, source.unit or "?", si[item], *_describe_values(values))
+        for (item, source), (name, values) in zip(
+            table.sources.items(), get_channels(table).items(), strict=True
+        )
+    ]
+    head = ("channel", "column", "its unit", "read in", "range", "missing")
+    rate = summary["rate_hz"]
+    lines = [
+        f"{table.path}: {summary['samples']} samples, {summary['duration_s']:.6g} s"
+        + (f", {rate:.6g} Hz" if rate else ""),
+        *(f"read as: {remark}" for remark in table.remarks),
+        "",
+        Table(head, tuple(rows)).markdown(),
+        "",
+        *(
+            f"{name:>22}  {plot_text(values)}"
+            for name, values in get_channels(table).items()
+            if name != "time"
+        ),
+        "",
+    ]
+    if table.extra:
+        lines.append(f"not used: {', '.join(table.extra)}")
+    if summary["gaps"]:
+        longest = f"the longest {summary['longest_gap_s']:.4g} s"
+        lines.append(f"gaps: {summary['gaps']} of more than {GAP_PERIODS} periods, {longest}")
+    if table.dropped:
+        lines.append(f"left out: {table.dropped} rows that are not finite")
+    return "\n".join([*lines, *(f"DOUBT: {text}" for text in summary["doubts"])]).rstrip()
+
+
+def _describe_values(values: Any) -> tuple[str, str]:
+    """Return range and number of missing values of a column."""
+    if values.dtype == object:
+        return f"text, such as {str(values[0])[:20]!r}", ""
+    finite = values[np.isfinite(values)]
+    span = f"{finite.min():.6g} to {finite.max():.6g}" if finite.size else "nothing"
+    return span, str(len(values) - len(finite))
+
+
+def plot_text(values: Array) -> str:
+    """Return a line of bars: the mean of each part of a signal, blank where all is missing."""
+    finite = values[np.isfinite(values)]
+    low, span = float(finite.min()), float(np.ptp(finite)) or 1.0
+    bars = []
+    for part in np.array_split(values, min(PLOT_WIDTH, len(values))):
+        known = part[np.isfinite(part)]
+        level = (float(known.mean()) - low) / span if known.size else None
+        bars.append(" " if level is None else _BARS[min(int(8.0 * level), 7)])
+    return "".join(bars)
+
+
+def format_mapping(table: MeasuredTable, mapping: TableMapping) -> str:
+    """Return a mapping file with the columns and units that were found."""
+    import yaml
+
+    columns = {}
+    for name, (item, source) in zip(get_channels(table), table.sources.items(), strict=True):
+        by_rate = item == "time" and mapping.rate_hz is not None
+        scale, unit = split_scale("" if by_rate else source.unit)
+        columns[name] = MappedColumn(column=source.column, unit=unit, scale=scale)
+    given = dataclasses.replace(mapping, columns=MappedColumns(**columns))
+    tree = as_tree(given)
+    text: str = yaml.safe_dump(_drop_defaults(tree), sort_keys=False)
+    return f"# how {table.path.name} was read by `teleop data show`; for --mapping\n{text}"
+
+
+def _drop_defaults(tree: dict[str, Any]) -> dict[str, Any]:
+    """Return a tree without what is empty, null, or a scale of 1."""
+    nested = {k: _drop_defaults(v) if isinstance(v, dict) else v for k, v in tree.items()}
+    return {k: v for k, v in nested.items() if v not in ("", None) and (k, v) != ("scale", 1.0)}
+
+
+def draw(table: MeasuredTable, path: Path) -> None:
+    """Write a figure with an axis for each channel."""
+    from matplotlib.figure import Figure
+
+    from estimator.drawing import use_style
+
+    channels = {k: v for k, v in get_channels(table).items() if k != "time"}
+    with use_style():
+        figure = Figure(figsize=(8.0, 1.0 + 1.6 * len(channels)), layout="constrained")
+        panels = figure.subplots(len(channels), 1, sharex=True, squeeze=False)[:, 0]
+        for panel, (name, values) in zip(panels, channels.items(), strict=True):
+            panel.plot(table.time, values, linewidth=0.8)
+            unit = table.units.travel if "displ" in name or "angle" in name else table.units.effort
+            panel.set_ylabel(f"{name.replace('_', ' ')}\n[{unit}]")
+        panels[-1].set_xlabel("time [s]")
+        save_figure(figure, path)
