@@ -62,6 +62,8 @@ class SpaceHandConfig:
     registration: tuple[float, float, float] = (0.0, 0.0, 0.0)
     lock: tuple[HandAxis, ...] = ()  # that move nothing
     align_orientation: bool = False  # the tip turns until it has the hand's orientation
+    # [rad] before its limit within which a joint comes to rest; [m] times rotation_length
+    stop_distance: float = 0.05
     inverse: InverseConfig = field(default_factory=InverseConfig)  # of the kinematics
     fixtures: FixturesConfig = field(default_factory=FixturesConfig)  # springs in the hand
 
@@ -73,6 +75,8 @@ class SpaceHandConfig:
             raise ValueError("rotation_scale: must be above 0 and at most 10")
         if not 0.0 < abs(self.grip_scale) <= 100.0:
             raise ValueError("grip_scale: must not be 0, and at most 100 either way")
+        if not 1e-4 <= self.stop_distance <= 0.5:
+            raise ValueError("stop_distance: must be 0.0001 to 0.5 [rad]")
         rotations = {"roll", "pitch", "yaw"} - set(self.lock)
         if self.align_orientation and (
             self.rotation_scale != 1.0 or len(rotations & set(self.axes)) < 3

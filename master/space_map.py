@@ -9,6 +9,11 @@ are torques on the joints, which the same matrix brings to the hand.
 Joint j of an arm has the travel q_j = r_j theta_j, and the mapped hand y moves the tips by
 `position_scale` y: so M = diag(r) T / position_scale, with the device's angles roll, pitch, yaw
 (about x, then y, then z) turned into an angular velocity.
+
+A joint that comes to its limit is eased out: with a share g that falls from 1 to 0 as the distance
+to the limit does over `stop_distance`, and rises again over as much motion inwards, the map is that
+of all joints times g and that of the other joints times 1 - g. So neither motion nor force change
+in a step, and a hand that trembles at the limit feels no blows.
 """
 
 import math
@@ -21,7 +26,7 @@ from numpy.typing import NDArray
 
 from estimator.array_types import Array
 from estimator.compiled import jit_compile
-from estimator.kinematics.arm import Arm, PreparedArm, prepare_arm
+from estimator.kinematics.arm import MAX_COORDINATES, Arm, PreparedArm, prepare_arm
 from estimator.kinematics.fixtures import Fixtures, build_fixtures, write_fixture_torque
 from estimator.kinematics.forward import write_kinematics
 from estimator.kinematics.hand_map import (
@@ -43,7 +48,7 @@ from estimator.kinematics.inverse import (
     step_inverse,
 )
 from estimator.kinematics.rotations import multiply, to_quaternion
-from estimator.records import I64, Field, Struct, StructArray, view_struct
+from estimator.records import F64, I64, Field, Struct, StructArray, view_struct
 from master.hand_input import Axes, HandInput
 from master.hand_map import VelocityMap
 from master.loop import MasterMemory, init_master
@@ -91,6 +96,10 @@ class SpaceHand(Struct):
     pose: HandPose
     map: HandMap
     step: InverseStep
+    stop_distance: F64  # [rad]
+    ease: Annotated[Array, Field("f8", MAX_JOINTS, fill=1.0)]  # g of each joint
+    eased_map: Annotated[Array, Field("f8", (MAX_COORDINATES, 6))]
+    reduced: Annotated[Array, Field("f8", (6, MAX_JOINTS))]  # Jacobian of the joints that move
     tip: Annotated[Array, Field("f8", (4, 4))]
     jacobian: Annotated[Array, Field("f8", (6, MAX_JOINTS))]
     angle: Axes  # [rad] or [m], commanded
@@ -154,16 +163,8 @@ def _step_hand(
     engaged = hand.present and memory.session.state == State.ENGAGED
     jaw = space.angle[n] if space.joints > n else 0.0
     step_hand_map(space.settings, space.pose, engaged, space.tip, jaw, dt, space.map)
-    step_inverse(
-        arm,
-        space.inverse,
-        space.jacobian,
-        space.angle,
-        space.map.twist,
-        space.map.error,
-        dt,
-        space.step,
-    )
+    _solve(space, space.jacobian, dt)
+    _ease_joints(space, dt)
     write_joint_map(arm, space.step, space.map)
     write_fixture_torque(
         space.fixtures,
@@ -174,6 +175,51 @@ def _step_hand(
         space.jacobian,
         space.torque,
     )
+
+
+@jit_compile
+def _solve(space: SpaceHand, jacobian: Array, dt: float) -> None:
+    """Write the inverse kinematics of this tick to `space.step`."""
+    twist, error = space.map.twist, space.map.error
+    step_inverse(space.arm, space.inverse, jacobian, space.angle, twist, error, dt, space.step)
+
+
+@jit_compile
+def _ease_joints(space: SpaceHand, dt: float) -> None:
+    """Blend the map of all joints with those without the joints that are at their limits."""
+    arm, step, ease, eased = space.arm, space.step, space.ease, space.eased_map
+    is_easing = False
+    for j in range(arm.coordinates):
+        margin = space.stop_distance
+        if arm.is_linear[j]:
+            margin *= space.inverse.rotation_length
+        velocity = step.joint_velocity[j]
+        outwards = step.held[j] if step.held[j] != 0 else np.sign(velocity)
+        if outwards != 0.0:
+            end = arm.upper[j] if outwards > 0.0 else arm.lower[j]
+            target = min(max(outwards * (end - space.angle[j]), 0.0) / margin, 1.0)
+            most = abs(velocity) * dt / margin
+            ease[j] += min(max(target - ease[j], -most), most)
+            if step.held[j] != 0:
+                ease[j] = min(ease[j], target)
+        is_easing = is_easing or ease[j] < 1.0
+    if not is_easing:
+        return
+    space.reduced[:] = space.jacobian
+    eased[:] = 0.0
+    level = -1.0
+    while level < 1.0:  # once for each joint that is eased, from the lowest share up, and at last
+        last, level = level, 1.0
+        for j in range(arm.coordinates):
+            if last < ease[j] < level:
+                level = ease[j]
+        eased += (level - max(last, 0.0)) * step.velocity_map
+        for j in range(arm.coordinates):
+            if ease[j] <= level < 1.0:
+                space.reduced[:, j] = 0.0
+        if level < 1.0:
+            _solve(space, space.reduced, dt)
+    step.velocity_map[:] = eased
 
 
 @jit_compile
@@ -248,6 +294,7 @@ class SpaceMapper:
             space.axis[: len(axes)] = axes
             space.first_joint, space.joints = first_joint, len(radius)
             space.radius[: len(radius)] = radius
+            space.stop_distance = hand.stop_distance
             for name, records in (
                 ("arm", prepare_arm(arm)),
                 ("inverse", build_inverse_settings(weigh_axes(hand))),

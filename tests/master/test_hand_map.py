@@ -20,6 +20,7 @@ from master.mapping_config import (
     SpaceHandConfig,
     SpaceMapConfig,
 )
+from master.operator import OperatorConfig
 from master.settings_record import SettingsRecord
 from master.space_map import SpaceMapper
 from teleop.config.arm import ArmConfig
@@ -42,7 +43,7 @@ class SpaceRun:
     def __init__(self, hand=HAND, start=(0.0,) * 4):
         self.arm = ARM.load_kinematics()
         self.mapper = SpaceMapper(SpaceMapConfig(hands=(hand,)), [self.arm], [RADII])
-        self.axes = len(hand.axes)
+        self.axes, self.scale = len(hand.axes), SCALE
         self.memories = loop.init_master(self.axes, 0, self.mapper.joints)
         self.memory = view_struct(self.memories)
         self.memory.operator.tip[:4] = RADII * start
@@ -53,10 +54,10 @@ class SpaceRun:
         """Return the matrix of the tick and how far it moved the mapped hand."""
         self.memory.session.state = int(State.ENGAGED if engaged else State.READY)
         fill_hand_input(self.hands, HandState(tuple(position), (0.0,) * self.axes, engaged))
-        self.mapper.step(self.hands, self.memories, SCALE, DT)
+        self.mapper.step(self.hands, self.memories, self.scale, DT)
         travel = self.mapper.drives["position"][0, :4].copy()
         moved, self.travel = travel - self.travel, travel
-        self.memory.operator.tip[:4] += SCALE * moved
+        self.memory.operator.tip[:4] += self.scale * moved
         return self.mapper.maps["matrix"][0, :4, : self.axes].copy(), moved
 
     @property
@@ -85,24 +86,50 @@ TURNED = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     "axes", [("x", "y", "z", "grip"), ("x", "y", "z", "roll", "pitch", "yaw", "grip")]
 )
 def test_a_map_creates_no_energy_through_limits_and_singular_postures(axes):
-    """Hand and joints have the same power in every tick, for any force: to rounding."""
+    """Hand and joints have the same power in every tick, for any force: to rounding.
+
+    Nor do a clutch, other scales and another registration give any.
+    """
     rng = np.random.default_rng(3)
-    run = SpaceRun(SpaceHandConfig(axes=axes))
+    run = SpaceRun(SpaceHandConfig(axes=axes, registration=(0.4, -0.7, 1.1)))
     hand, before = np.zeros(len(axes)), None
-    largest = 0.0
+    largest = slowed = 0.0
     for i in range(3000):
         hand = hand + rng.normal(0.0, 2e-4, len(axes)) + 3e-4 * np.sin(i / 500.0)
-        matrix, moved = run.tick(hand)
+        if i % 250 == 0:
+            run.scale = rng.uniform(0.1, 0.5)
+        matrix, moved = run.tick(hand, engaged=i % 700 > 40)
         force = rng.normal(0.0, 5.0, 4)
         if before is not None:
             work = (matrix.T @ force) * (hand - before)
             # the device's angles are turned by their rates, right to second order
-            tolerance = 1e-15 if len(axes) == 4 else 1e-3 * np.abs(work).sum()
+            tolerance = 1e-14 if len(axes) == 4 else 1e-3 * np.abs(work).sum()
             assert work.sum() == pytest.approx(force @ moved, abs=tolerance)
         before = hand.copy()
         largest = max(largest, np.abs(np.array(run.memory.operator.tip[:3]) / RADII[:3]).max())
+        slowed += run.mapper._hands["ease"][0, :3].min() < 0.9
     assert largest > 1.19  # a joint was at its limit
     assert largest < 1.2 + 1e-9
+    assert slowed > 100
+
+
+def test_a_joint_comes_to_its_limit_without_a_step_of_the_force():
+    """Out to the limit of the elbow and beyond, trembling there, and back."""
+    run = SpaceRun()
+    time = np.arange(0.0, 6.0, 2.0 * DT)
+    way = np.interp(time, [0.0, 2.0, 4.0, 6.0], [0.0, 0.22, 0.22, 0.0])
+    way += np.where((time > 2.0) & (time < 4.0), 0.3e-3 * np.sin(2.0 * np.pi * 9.0 * time), 0.0)
+    felt, angles = [], []
+    for x in way:
+        matrix, _ = run.tick(np.array([x, 0.3 * x, -0.2 * x, 0.0]))
+        felt.append(matrix.T @ np.array([1.0, -0.7, 0.5, 0.0]))
+        angles.append(run.memory.operator.tip[1] / RADII[1])
+    felt = np.array(felt)
+    assert 1.195 < max(angles) <= 1.2
+    assert angles[-1] < 0.0  # it came back with the hand
+    assert np.abs(np.diff(felt[2:], axis=0)).max() < 0.12 * np.abs(felt).max()
+    trembling = felt[(time > 2.1) & (time < 4.0)]
+    assert np.abs(np.diff(trembling, axis=0)).max() < 0.02 * np.abs(felt).max()
 
 
 def test_nothing_moves_while_not_engaged_and_nothing_jumps_after():
@@ -186,27 +213,42 @@ def test_forces_on_the_hand_stay_in_bounds_and_are_felt_by_the_joints(matrix, la
 
 
 def test_what_the_joints_are_said_to_feel_is_what_the_hand_gets():
-    """From the first tick on, whatever slew, limits and gate take away: the ledger counts it."""
+    """From the first tick on, whatever slew, limits and gate take away: the ledger counts it.
+
+    Each force is held while the map changes in a tick, which the ledger need not see.
+    """
     run = SpaceRun()
-    settings = SettingsRecord(MasterConfig(), Bilateral()).records
+    config = MasterConfig()
+    settings = SettingsRecord(config, Bilateral()).records
     states, commands = message_records(SlaveState), message_records(Command)
     now, force, most = 10**18, np.zeros(8), 0.0
+    ports, counted, given_out, turnover = run.memories["coupling"]["ports"], 0.0, 0.0, 0.0
     rng = np.random.default_rng(5)
+    hand = np.zeros(4)
     for i in range(400):
         now += 10**6
-        hand = 0.01 * np.sin(0.01 * i * np.array([1.0, 1.3, 0.7, 0.5]))
+        before, hand = hand, 0.01 * np.sin(0.01 * i * np.array([1.0, 1.3, 0.7, 0.5]))
         fill_hand_input(run.hands, HandState(tuple(hand), (0.0,) * 4, engage=i > 20))
         states["state"] = int(State.READY if i < 22 else State.ENGAGED)
         states["sender"], states["joints"] = 7, 4
         states["echo_stamp_ns"] = states["stamp_ns"] = now - 10**6
+        if i == 200:
+            config = MasterConfig(operator=OperatorConfig(position_scale=0.4))
+            settings = SettingsRecord(config, Bilateral()).records
+        run.scale = settings["operator"]["position_scale"][0]
         if i % 50 == 0:
             torque = 8.0 * rng.uniform(-1.0, 1.0, 4)
         for name, width in (("force", 0.0), ("force_low", -0.5), ("force_high", 0.5)):
             states[name][0, :4] = torque + width
-        run.mapper.step(run.hands, run.memories, SCALE, DT)
+        run.mapper.step(run.hands, run.memories, run.scale, DT)
         given = loop.TickInput(DT, now, True, 10**6)
         inputs = settings, run.memories, run.hands, run.mapper.drives, states, given
+        work = force[:4] @ (hand - before)
+        total = (ports["taken_out"] - ports["put_in"]).sum()
         loop.compute_command(*inputs, commands)
+        total = (ports["taken_out"] - ports["put_in"]).sum() - total
+        counted, given_out = counted + total * config.force.scale / run.scale, given_out + work
+        turnover += abs(work)
         loop.compute_force(*inputs, run.mapper.maps, False, force)
         matrix = run.mapper.maps["matrix"][0, :4, :4]
         told = matrix.T @ np.array(run.memory.joint_force[:4])
@@ -215,3 +257,4 @@ def test_what_the_joints_are_said_to_feel_is_what_the_hand_gets():
             assert told == pytest.approx(force[:4], abs=0.16)  # of one tick's growth
         most = max(most, np.abs(force).max())
     assert most > 0.5
+    assert counted == pytest.approx(given_out, abs=0.02 * turnover)

@@ -1,6 +1,6 @@
 """A session's two links in one thread: the real `Link`, on lists in place of a network."""
 
-from collections import defaultdict
+from collections import defaultdict, deque
 from collections.abc import Callable
 from types import SimpleNamespace
 
@@ -74,6 +74,8 @@ class MemoryLink(Link):
         What is counted of this side, but not the wait.
     way : callable or None
         What becomes of a message on the way to the peer: other bytes, or None if it is lost.
+    delay_ns : int
+        For which a message is on the way, of the clock `now`.
     """
 
     def __init__(self, role: Role) -> None:
@@ -81,6 +83,9 @@ class MemoryLink(Link):
         self.world: Callable[[], None] = lambda: None
         self.calls: Calls | None = None
         self.way: Callable[[bytes], bytes | None] | None = None
+        self.delay_ns = 0
+        self.now: Callable[[], int] = lambda: 0
+        self._on_the_way: deque[tuple[int, Callable[[Sample], None], Sample]] = deque()
 
     def _open(self):
         return Session()
@@ -123,11 +128,17 @@ class MemoryLink(Link):
             tags = self._zenoh.tags[key]
             for data, tag in zip(messages, tags, strict=True) if store else ():
                 if self.way is None:
-                    store(Sample(data, tag))
+                    self._send(store, Sample(data, tag))
                 elif (carried := self.way(data)) is not None:
-                    store(Sample(carried, self._tags(key, carried)))
+                    self._send(store, Sample(carried, self._tags(key, carried)))
             messages.clear()
             tags.clear()
+        while self._on_the_way and self._on_the_way[0][0] <= self.now():
+            _, store, sample = self._on_the_way.popleft()
+            store(sample)
+
+    def _send(self, store: Callable[[Sample], None], sample: Sample) -> None:
+        self._on_the_way.append((self.now() + self.delay_ns, store, sample))
 
     def _tags(self, key: str, data: bytes) -> bytes:
         """The tags of a message that was altered: as if its sender had sent it so."""

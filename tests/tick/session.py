@@ -37,6 +37,8 @@ def never() -> bool:
 class Session:
     """A master and a slave; `tick` lets both have one, the slave's while the master waits.
 
+    Messages are on the way for `delay_s` [s] in either direction, besides `ON_THE_WAY`.
+
     Attributes
     ----------
     master, slave : Master, SlaveProcess
@@ -52,9 +54,10 @@ class Session:
     def __init__(
         self,
         stack: ExitStack,
-        hand: tuple[str, ...] = HAND_ENGAGED,
+        overrides: tuple[str, ...] = HAND_ENGAGED,
         health: HealthConfig = BOUNDS,
         file: Path = ARM,
+        delay_s: float = 0.0,
     ) -> None:
         self.master_calls, self.slave_calls = Calls(), Calls()
         self.counting = False
@@ -63,11 +66,13 @@ class Session:
         self._at_master = stack.enter_context(MemoryLink(Role.MASTER))
         self._at_slave = stack.enter_context(MemoryLink(Role.SLAVE))
         launcher = stack.enter_context(MemoryLink(Role.LAUNCHER))
+        for side in (self._at_master, self._at_slave):
+            side.delay_ns, side.now = round(delay_s * 1e9), clock.now
         self._at_master.meet([self._at_slave, launcher])
         self._at_slave.meet([self._at_master, launcher])
-        shared = load(file, RunConfig, None, ())
+        shared = load(file, RunConfig, None, overrides)
 
-        config = load(file, SlaveConfig, "slave", ())
+        config = load(file, SlaveConfig, "slave", overrides)
         rig = open_rig(config.rig)
         stack.callback(rig.close)
         tendons = load_tendon_configs(config, rig.tendons, rig.joints)
@@ -80,7 +85,7 @@ class Session:
             config, link, rig, model, events, bilateral=bilateral, health=health
         )
 
-        config = load(file, MasterConfig, "master", hand)
+        config = load(file, MasterConfig, "master", overrides)
         device = open_device(config.device)
         stack.callback(device.close)
         grid = Grid(shared.rate_hz, never, now=clock.now, sleep=clock.sleep)
@@ -106,11 +111,17 @@ class Session:
         tick = next(self._grid)
         if self.counting:
             self.master_calls.begin(VirtualDevice.write.__code__)
+        self._slave_had_tick = False
         self.master.tick(tick)
+        if not self._slave_had_tick:  # a master that has given up on answers in time does not wait
+            self._slave_ticks()
         self._weigh(self._at_master, HAND)
         self._at_master.carry(self._at_slave)
 
     def _slave_ticks(self) -> None:
+        if self._slave_had_tick:  # the master waits on, past an answer that is late
+            return
+        self._slave_had_tick = True
         self._weigh(self._at_master, COMMAND)
         self._at_master.carry(self._at_slave)
         self._clock.sleep(ON_THE_WAY)

@@ -9,6 +9,7 @@ from estimator.kinematics.arm import prepare_arm
 from estimator.kinematics.forward import compute_tip_pose
 from slave.simulation.space_contacts import locate_surfaces, press_surface
 from teleop.config.loading import load
+from teleop.coupling import PassivityConfig
 from teleop.session.config import RunConfig
 from teleop.session.state_machine import State
 from tests.root import ROOT
@@ -81,3 +82,46 @@ def test_the_force_stays_within_the_limits_of_the_hand(record):
     assert np.abs(record["felt"]).max() <= 2.5 + 1e-9
     grown = np.diff(np.abs(record["felt"]), axis=0)
     assert grown.max() <= 150.0 * 1e-3 * 1.5  # [N] a tick may last a little longer
+
+
+TENDONS = [f"slave.rig.joints.{k}.tendons.{side}" for k in range(4) for side in (0, 1)]
+PRESS = (  # aside, then on a wall; by tendons that leave little in doubt
+    "slave.rig.arms.0.contacts=[{type: plane, point: [0, 0, 0.063], stiffness: 2000}]",
+    *(f"{tendon}.sheath.friction=0.02" for tendon in TENDONS),
+    *("arms.0.friction=0", "slave.rig.arms.0.friction=0"),
+    *("master.device.reference.reach=0.5", "master.device.reference.rest=0.05"),
+    "master.device.reference.points=[[0, 0, 0, 0], [0.05, 0.05, -0.01, 0]"
+    + 9 * ", [0.05, 0.05, 0.03, 0]"
+    + "]",
+    *("master.state_timeout=0.15", "slave.command_timeout=0.15"),
+)
+SOME_MS = 500  # ticks
+
+
+@pytest.mark.parametrize(
+    "round_trip",
+    [0.2, *(pytest.param(late, marks=pytest.mark.slow) for late in (0.0, 0.05, 0.1, 0.3))],
+)
+def test_a_hand_comes_to_rest_on_a_wall_in_space_whatever_the_delay(round_trip):
+    """With the default coupling: it presses, is pushed back, and takes no energy from it."""
+    late = (f"master.delay_max={2.0 * round_trip + 0.2}", "master.device.engage_period=1e6")
+    late = (*late, f"master.device.engage=[[{0.1 + round_trip}, 1e6]]")
+    hands, felt, worked = [], [], []
+    with ExitStack() as stack:
+        session = Session(stack, (*PRESS, *late), file=FILE, delay_s=round_trip / 2.0)
+        master, coupled = session.master, np.zeros(4)
+        for _ in range(round(1000 * (2.7 + 2.0 * round_trip))):
+            before = np.array([x for x, _ in master._device._hands])
+            session.tick()
+            hands.append([x for x, _ in master._device._hands])
+            worked.append(coupled @ (hands[-1] - before))
+            coupled = master._force[:4] - master.memory.local_force[:4]
+            felt.append(master._force[:4].copy())
+            for side in (master.memory.coupling, session.slave.memory.coupling):
+                assert min(side.ports[k].credit for k in range(4)) >= -1e-9
+        assert session.master.memory.session.state == State.ENGAGED
+    hands, felt = np.array(hands)[-SOME_MS:], np.array(felt)[-SOME_MS:]
+    assert felt[:, 2].max() < -0.2  # [N] of the wall
+    assert np.ptp(felt[:, :3], axis=0).max() < 0.3
+    assert np.ptp(hands[:, :3], axis=0).max() < 0.5e-3
+    assert np.cumsum(worked).max() < 4 * 2.0 * PassivityConfig().reserve / SCALE
