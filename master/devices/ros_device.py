@@ -22,7 +22,7 @@ from teleop.runtime.child_process import end_process, start_module
 
 # --- config of a ROS node as operator
 
-TWIST_AXES = 3
+TWIST_AXES, POSE_AXES = 3, 6
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,11 +30,14 @@ class RosDeviceConfig:
     """A ROS node that sends motion in the place of a hand, without feeling a force."""
 
     type: Literal["ros"] = "ros"
-    axes: int = 1  # joints of servo_jp; axes x, y, z of servo_cv
-    command: Literal["servo_jp", "servo_cv"] = "servo_jp"  # positions, or velocities
+    # joints of servo_jp; x, y, z of servo_cv; of servo_cp also roll, pitch, yaw [rad]: 3 or 6
+    axes: int = 1
+    # positions, velocities, or the pose of a hand (master.mapping of type space)
+    command: Literal["servo_jp", "servo_cv", "servo_cp"] = "servo_jp"
     timeout: float = 0.1  # [s] of silence, or of delay, after which it is a fault
     position_max: float = 1.0  # [m] a position beyond is a fault
     speed_max: float = 0.5  # [m/s] a faster command is a fault
+    turn_speed_max: float = 5.0  # [rad/s] a faster turn of a pose is a fault
     rate_max: float = 2000.0  # [Hz] more messages are a fault
     domain: int = 0  # ROS_DOMAIN_ID, as in the section `ros`
     router: str = "tcp/127.0.0.1:7447"  # of rmw_zenoh, as in the section `ros`
@@ -46,12 +49,20 @@ class RosDeviceConfig:
         from teleop.ros.config import DOMAIN_MAX, check_router
         from teleop.ros.graph import is_name
 
-        axes_max = MAX_JOINTS if self.command == "servo_jp" else TWIST_AXES
-        if not 1 <= self.axes <= axes_max:
-            raise ValueError(f"axes: must be within 1 ... {axes_max} for {self.command}")
+        if self.command == "servo_cp":
+            if self.axes not in (TWIST_AXES, POSE_AXES):
+                raise ValueError(f"axes: must be {TWIST_AXES} or {POSE_AXES} for servo_cp")
+        else:
+            axes_max = MAX_JOINTS if self.command == "servo_jp" else TWIST_AXES
+            if not 1 <= self.axes <= axes_max:
+                raise ValueError(f"axes: must be within 1 ... {axes_max} for {self.command}")
         if not 0.005 <= self.timeout <= 1.0:
             raise ValueError("timeout: must be within 0.005 ... 1 [s]")
-        for name, unit in (("position_max", "m"), ("speed_max", "m/s")):
+        for name, unit in (
+            ("position_max", "m"),
+            ("speed_max", "m/s"),
+            ("turn_speed_max", "rad/s"),
+        ):
             if not 0.0 < getattr(self, name) <= 10.0 or math.isnan(getattr(self, name)):
                 raise ValueError(f"{name}: must be above 0 and at most 10 [{unit}]")
         if not 10.0 <= self.rate_max <= 10_000.0:

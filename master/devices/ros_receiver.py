@@ -16,27 +16,38 @@ import time
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from master.devices.commands import CommandRecord
-from master.devices.ros_device import RosDeviceConfig
+from master.devices.ros_device import TWIST_AXES, RosDeviceConfig
 from teleop.link.ros_session import is_router_listening
-from teleop.ros.command_topics import SERVO_CV, SERVO_JP, STATE_COMMAND
+from teleop.ros.command_topics import SERVO_TOPICS, STATE_COMMAND
 from teleop.ros.graph import BEST_EFFORT, RELIABLE, Qos
-from teleop.ros.message_types import JOINT_STATE, STRING_STAMPED, TWIST_STAMPED, CdrError, decode
+from teleop.ros.message_types import (
+    JOINT_STATE,
+    POSE_STAMPED,
+    STRING_STAMPED,
+    TWIST_STAMPED,
+    CdrError,
+    decode,
+)
 from teleop.ros.node import RosNode
 from teleop.ros.outputs import build_topic_name
 from teleop.runtime.process import StopCondition, die_with_parent, lower_priority
 
+_TYPES = {"servo_jp": JOINT_STATE, "servo_cv": TWIST_STAMPED, "servo_cp": POSE_STAMPED}
+
 # --- checks of the commands of a ROS node. Pure: time is an argument
-# A node streams `servo_jp` (or `servo_cv`) and engages by `state_command`: `enable` (or `resume`),
-# `disable` (or `pause`). Whatever is wrong with the stream is a fault with a name: no more motion,
-# and the switch is open. It stays until the node sends `disable`; then `enable` engages again.
+# A node streams `servo_jp` (or `servo_cv`, `servo_cp`) and engages by `state_command`: `enable` (or
+# `resume`), `disable` (or `pause`). Whatever is wrong with the stream is a fault with a name: no
+# more motion, and the switch is open. It stays until the node sends `disable`; then `enable`
+# engages again.
 
 
 _WINDOW_NS = 100_000_000  # [ns] over which messages are counted
 _BURST_S = 0.02  # [s] of motion that may arrive at once: one period at 50 Hz, the slowest stream
 _DRIFT_DIVISOR = 1000  # inverse of the largest drift between the clocks of sender and receiver
+_UNIT_TOLERANCE = 1e-3  # of the length of a quaternion
 _ENABLE, _DISABLE = ("enable", "resume"), ("disable", "pause")
 
 
@@ -151,8 +162,28 @@ class CommandStream:
     def _decode(self, data: bytes) -> tuple[float, ...]:
         if self.config.command == "servo_jp":
             return tuple(decode(JOINT_STATE, data).position.tolist())
+        if self.config.command == "servo_cp":
+            return self._decode_pose(decode(POSE_STAMPED, data).pose)
         linear = decode(TWIST_STAMPED, data).twist.linear
         return (linear.x, linear.y, linear.z)[: self.config.axes]
+
+    def _decode_pose(self, pose: Any) -> tuple[float, ...]:
+        """Return x, y, z [m] and, nearest to the last ones, roll, pitch, yaw [rad] of a pose."""
+        place, q = pose.position, pose.orientation
+        values = (place.x, place.y, place.z)
+        if self.config.axes == len(values):
+            return values
+        x, y, z, w = q.x, q.y, q.z, q.w
+        if not abs(math.hypot(x, y, z, w) - 1.0) < _UNIT_TOLERANCE:
+            raise CdrError("its orientation is no unit quaternion")
+        angles = (
+            math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y)),
+            math.asin(min(max(2.0 * (w * y - z * x), -1.0), 1.0)),
+            math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)),
+        )
+        before = self.values[len(values) :] or angles
+        turns = (round((old - new) / math.tau) for old, new in zip(before, angles, strict=True))
+        return (*values, *(new + math.tau * n for new, n in zip(angles, turns, strict=True)))
 
     def _wrong_sender(self, sample: ReceivedMessage) -> str:
         """Return what is wrong with origin and delay of a sample; empty if nothing is."""
@@ -184,7 +215,8 @@ class CommandStream:
             if max(map(abs, values)) > config.speed_max:
                 return f"faster than {config.speed_max:g} m/s"
             return ""
-        if max(map(abs, values)) > config.position_max:
+        placed = values[:TWIST_AXES] if config.command == "servo_cp" else values
+        if max(map(abs, placed)) > config.position_max:
             return f"beyond {config.position_max:g} m"
         return self._wrong_motion(values, now_ns)
 
@@ -201,9 +233,15 @@ class CommandStream:
         passed_s = (now_ns - self.received_ns) * 1e-9
         most_m = speed_max * max(passed_s, _BURST_S)
         self._allowed_m = min(self._allowed_m + speed_max * passed_s, most_m)
-        moved_m = max(abs(a - b) for a, b in zip(values, self.values, strict=True))
+        steps = [abs(a - b) for a, b in zip(values, self.values, strict=True)]
+        first_angle = TWIST_AXES if self.config.command == "servo_cp" else len(values)
+        ratio = speed_max / self.config.turn_speed_max  # [m/rad]
+        moves = [step * ratio if k >= first_angle else step for k, step in enumerate(steps)]
+        moved_m = max(moves)
         if moved_m > self._allowed_m:
-            return f"jump of {moved_m:.3g} m in {passed_s:.3g} s, faster than speed_max"
+            k = moves.index(moved_m)
+            unit, limit = ("rad", "turn_speed_max") if k >= first_angle else ("m", "speed_max")
+            return f"jump of {steps[k]:.3g} {unit} in {passed_s:.3g} s, faster than {limit}"
         self._allowed_m -= moved_m
         return ""
 
@@ -234,8 +272,7 @@ def run(config: RosDeviceConfig, pipe: int) -> None:
             now = time.monotonic_ns()
             arrivals.put_nowait((motion, ReceivedMessage(data, publisher, sent_ns, now)))
 
-    servo = SERVO_JP if config.command == "servo_jp" else SERVO_CV
-    message = JOINT_STATE if config.command == "servo_jp" else TWIST_STAMPED
+    servo, message = SERVO_TOPICS[config.command], _TYPES[config.command]
     topic, state_topic = (build_topic_name(name, config.prefix) for name in (servo, STATE_COMMAND))
     with RosNode(config.router, config.domain, NODE) as node:
         node.subscribe(topic, message, Qos(BEST_EFFORT, 1), partial(receive, True))

@@ -23,6 +23,7 @@ from teleop.link.ros_session import is_router_listening
 from teleop.messages.messages import MESSAGES, SCHEMA_PACKAGE, Message
 from teleop.messages.page import read_field_comments
 from teleop.messages.topics import Role
+from teleop.ros.arms import RosArm, load_ros_arms
 from teleop.ros.config import RosConfig, check_ports
 from teleop.ros.message_types import require_rosbags
 from teleop.ros.node import RosNode
@@ -135,7 +136,7 @@ def main(args: argparse.Namespace) -> int:
     stop = StopCondition(args.duration)
     sent: dict[str, int] = {}
     if wait_for_router(config.router, stop):
-        sent = publish(run, config, stop)
+        sent = publish(run, config, stop, load_ros_arms(document, run.arms))
     summary = {"session": run.session, "sent": sent, "reason": stop.reason}
     write_summary(args.json, summary)
     if not is_supervised():
@@ -157,13 +158,15 @@ def wait_for_router(router: str, stop: StopCondition) -> bool:
     return False
 
 
-def publish(run: RunConfig, config: RosConfig, stop: StopCondition) -> dict[str, int]:
+def publish(
+    run: RunConfig, config: RosConfig, stop: StopCondition, arms: tuple[RosArm, ...]
+) -> dict[str, int]:
     """Publish until told to stop; return the number of messages by topic."""
     with (
         Link(run.link, run.session, Role.VIEWER) as link,
         RosNode(config.router, config.domain, config.node) as node,
     ):
-        publishers = Publishers(link, node, config, lambda text: print(text, flush=True))
+        publishers = Publishers(link, node, config, lambda text: print(text, flush=True), arms)
         names = f"{config.prefix}/slave/... and {config.prefix}/master/..."
         print(f"session {run.session!r} in ROS domain {config.domain}, as {names}", flush=True)
         publishers.run(stop)

@@ -9,7 +9,8 @@ import threading
 from teleop.ros.graph import EndpointKind, GraphEndpoint
 from teleop.ros.outputs import build_topic_name
 
-SERVO_JP, SERVO_CV, STATE_COMMAND = "master/servo_jp", "master/servo_cv", "master/state_command"
+SERVO_TOPICS = {command: f"master/{command}" for command in ("servo_jp", "servo_cv", "servo_cp")}
+STATE_COMMAND = "master/state_command"
 
 
 class CommandTopics:
@@ -17,7 +18,7 @@ class CommandTopics:
 
     def __init__(self, prefix: str) -> None:
         self._names = {
-            build_topic_name(name, prefix) for name in (SERVO_JP, SERVO_CV, STATE_COMMAND)
+            build_topic_name(name, prefix) for name in (*SERVO_TOPICS.values(), STATE_COMMAND)
         }
         self._lock = threading.Lock()
         self._there: dict[EndpointKind, list[tuple[str, str]]] = {kind: [] for kind in EndpointKind}

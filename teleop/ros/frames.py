@@ -37,44 +37,46 @@ def build_sheath_frames(sheaths: Mapping[int, Sheath], stamp_ns: int, prefix: st
     """Return the transforms of all known sheaths as a TFMessage, by number of the tendon from 0."""
     frames, added = [], set[int]()
 
-    def add(parent: str, child: str, pose: Any) -> None:
-        header = build_header(stamp_ns, build_frame_name(prefix, parent))
-        child = build_frame_name(prefix, child)
-        frames.append(
-            build_message(TRANSFORM_STAMPED, header=header, child_frame_id=child, transform=pose)
-        )
+    def add(parent: str, child: str, pose: Array) -> None:
+        frames.append(build_frame_transform(prefix, parent, child, stamp_ns, pose))
 
     for tendon in sorted(sheaths):
         sheath, name = sheaths[tendon], f"sheath_{tendon + 1}"
-        add("housing", f"{name}_housing", build_transform(y=HOUSING_SPACING_M * tendon))
-        add(f"{name}_housing", f"{name}_tip", compute_tip_transform(sheath))
+        beside = np.eye(4)
+        beside[1, 3] = HOUSING_SPACING_M * tendon
+        add("housing", f"{name}_housing", beside)
+        add(f"{name}_housing", f"{name}_tip", compute_tip_pose(sheath))
         if sheath.joint not in added:
             added.add(sheath.joint)
-            add(f"{name}_tip", f"tip_{sheath.joint + 1}", build_transform())
+            add(f"{name}_tip", f"tip_{sheath.joint + 1}", np.eye(4))
     return build_message(TF_MESSAGE, transforms=frames)
 
 
-def build_transform(
-    x: float = 0.0, y: float = 0.0, z: float = 0.0, rotation: Any | None = None
-) -> Any:
-    """Return a Transform: a translation [m] and a Quaternion, None = no rotation."""
+def build_frame_transform(prefix: str, parent: str, child: str, stamp_ns: int, pose: Array) -> Any:
+    """Return the `pose` of a frame in its parent, shape (4, 4), as a TransformStamped."""
+    x, y, z = pose[:3, 3].tolist()
     return build_message(
-        TRANSFORM,
-        translation=build_message(VECTOR3, x=x, y=y, z=z),
-        rotation=build_message(QUATERNION, w=1.0) if rotation is None else rotation,
+        TRANSFORM_STAMPED,
+        header=build_header(stamp_ns, build_frame_name(prefix, parent)),
+        child_frame_id=build_frame_name(prefix, child),
+        transform=build_message(
+            TRANSFORM,
+            translation=build_message(VECTOR3, x=x, y=y, z=z),
+            rotation=to_quaternion(pose[:3, :3]),
+        ),
     )
 
 
-def compute_tip_transform(sheath: Sheath) -> Any:
-    """Return the place of a sheath's tip in the frame of its housing, a Transform."""
+def compute_tip_pose(sheath: Sheath) -> Array:
+    """Return the pose of a sheath's tip in the frame of its housing, shape (4, 4)."""
     n = min(sheath.sections, MAX_MESSAGE_SECTIONS)
     length, radius = np.array(sheath.section_length[:n]), np.array(sheath.section_radius[:n])
-    if not (length.sum() > 0.0 and np.isfinite(length).all()):
-        return build_transform()
-    line = compute_centreline(length, radius, np.array([length.sum()]))
-    x, y, z = line.points[-1].tolist()
-    axes = np.stack([line.along, line.aside, np.cross(line.along, line.aside)], axis=1)
-    return build_transform(x, y, z, to_quaternion(axes))
+    pose = np.eye(4)
+    if length.sum() > 0.0 and np.isfinite(length).all():
+        line = compute_centreline(length, radius, np.array([length.sum()]))
+        axes = (line.along, line.aside, np.cross(line.along, line.aside))
+        pose[:3, :3], pose[:3, 3] = np.stack(axes, axis=1), line.points[-1]
+    return pose
 
 
 def to_quaternion(rotation: Array) -> Any:

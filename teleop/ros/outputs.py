@@ -7,7 +7,9 @@ are the messages of the link, byte for byte, with the certified intervals.
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from teleop.messages.messages import MAX_JOINTS, Command, Hand, Message, SlaveState, TendonState
 from teleop.messages.topics import COMMAND, HAND, REPORT, SHEATH, STATE, TENDONS, Topic
@@ -16,6 +18,7 @@ from teleop.ros.message_types import (
     DIAGNOSTIC_ARRAY,
     JOINT_STATE,
     OPERATING_STATE,
+    POSE_STAMPED,
     TF_MESSAGE,
     VECTOR3,
     WRENCH,
@@ -26,6 +29,10 @@ from teleop.ros.message_types import (
     to_type_name,
 )
 from teleop.session.state_machine import State
+
+if TYPE_CHECKING:
+    from estimator.array_types import Array
+    from teleop.ros.arms import RosArm
 
 LIVE, EVENTS = Qos(BEST_EFFORT, 1), Qos(RELIABLE, 10)
 
@@ -55,6 +62,19 @@ class NamingContext:
 
     prefix: str = ""  # of frames
     joints: int = MAX_JOINTS  # of the slave, as far as known
+    arms: "tuple[RosArm, ...]" = ()
+
+    def describe_joints(self, count: int) -> "tuple[list[str], Array]":
+        """Return the names of the slave's joints, and their travel over what ROS has of them.
+
+        That is the angle [rad] of a joint of an arm, the travel [m] of others.
+        """
+        names, levers = list(build_joint_names(count)), np.ones(count)
+        for arm in self.arms:
+            for k, name, radius in zip(arm.space.joints, arm.joints, arm.space.radius, strict=True):
+                if k < count:
+                    names[k], levers[k] = name, radius
+        return names, levers
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,6 +90,7 @@ class OutputTopic:
     source: Topic[Any]
     qos: Qos = LIVE
     convert: Callable[[Any, NamingContext], Iterator[Sample]] | None = None
+    is_of_arms: bool = False  # only where there are arms with kinematics
 
     def topic(self, prefix: str) -> str:
         """Return the full name of the topic."""
@@ -100,10 +121,11 @@ def _count_joints(message: SlaveState | Hand) -> int:
     return min(message.joints, len(message.position))
 
 
-def to_slave_measured(state: SlaveState, _: NamingContext) -> Iterator[Sample]:
-    """Estimated tip travel [m] and distal force [N], positive against pulling."""
+def to_slave_measured(state: SlaveState, naming: NamingContext) -> Iterator[Sample]:
+    """Estimated tip travel [m] and distal force [N], positive against pulling; of arms joints."""
     n = _count_joints(state)
-    names, position, effort = build_joint_names(n), state.position[:n], state.force[:n]
+    names, lever = naming.describe_joints(n)
+    position, effort = np.array(state.position[:n]) / lever, np.array(state.force[:n]) * lever
     message = build_joint_state(build_header(state.stamp_ns), names, position, effort=effort)
     yield Sample("slave/measured_js", message)
 
@@ -111,10 +133,43 @@ def to_slave_measured(state: SlaveState, _: NamingContext) -> Iterator[Sample]:
 def to_slave_setpoint(command: Command, naming: NamingContext) -> Iterator[Sample]:
     """Commanded tip travel [m] and velocity [m/s]; a command does not say of how many joints."""
     n = naming.joints
-    position, velocity = command.position[:n], command.velocity[:n]
-    header = build_header(command.stamp_ns)
-    message = build_joint_state(header, build_joint_names(n), position, velocity)
+    names, lever = naming.describe_joints(n)
+    position, velocity = (np.array(of[:n]) / lever for of in (command.position, command.velocity))
+    message = build_joint_state(build_header(command.stamp_ns), names, position, velocity)
     yield Sample("slave/setpoint_js", message)
+
+
+def to_slave_pose(state: SlaveState, naming: NamingContext) -> Iterator[Sample]:
+    """Estimated pose of each arm's tip in the frame of its base."""
+    yield from _build_tip_poses("measured_cp", state, naming)
+
+
+def to_slave_pose_setpoint(command: Command, naming: NamingContext) -> Iterator[Sample]:
+    """Commanded pose of each arm's tip in the frame of its base."""
+    yield from _build_tip_poses("setpoint_cp", command, naming)
+
+
+def _build_tip_poses(
+    name: str, message: SlaveState | Command, naming: NamingContext
+) -> Iterator[Sample]:
+    for number, arm in enumerate(naming.arms, 1):
+        pose = arm.build_tip_pose(message.position, message.stamp_ns, naming.prefix)
+        if pose is not None:
+            yield Sample(_name_of_arm(number, name), pose)
+
+
+def _name_of_arm(number: int, name: str) -> str:
+    return f"slave/{name}" if number == 1 else f"slave/arm_{number}/{name}"
+
+
+def build_arm_frames(state: SlaveState, naming: NamingContext) -> Any | None:
+    """Return the frames of all arms as a TFMessage; None if there are none."""
+    transforms = [
+        transform
+        for arm in naming.arms
+        for transform in arm.build_transforms(state.position, state.stamp_ns, naming.prefix)
+    ]
+    return build_message(TF_MESSAGE, transforms=transforms) if transforms else None
 
 
 def to_actuators_measured(state: TendonState, _: NamingContext) -> Iterator[Sample]:
@@ -135,8 +190,19 @@ def to_actuators_setpoint(state: TendonState, _: NamingContext) -> Iterator[Samp
 
 
 def to_slave_force(state: SlaveState, naming: NamingContext) -> Iterator[Sample]:
-    """Estimated force at each tip [N] along x of its frame, which points away from the housing."""
+    """Estimated force at each tip [N]: on that of an arm, in its frame.
+
+    Of a joint of its own along x of its frame, which points away from the housing.
+    """
+    moved: set[int] = set()
+    for number, arm in enumerate(naming.arms, 1):
+        moved |= {*arm.space.joints[: arm.space.coordinates]}
+        wrench = arm.build_tip_force(state, naming.prefix)
+        if wrench is not None:
+            yield Sample(_name_of_arm(number, "measured_cf"), wrench)
     for k in range(_count_joints(state)):
+        if k in moved:
+            continue
         name = "slave/measured_cf" if k == 0 else f"slave/joint_{k + 1}/measured_cf"
         header = build_header(state.stamp_ns, build_frame_name(naming.prefix, f"tip_{k + 1}"))
         wrench = build_message(WRENCH, force=build_message(VECTOR3, x=state.force[k]))
@@ -187,6 +253,10 @@ OUTPUTS: tuple[OutputTopic, ...] = (
     OutputTopic("slave/actuators/measured_js", JOINT_STATE, TENDONS, LIVE, to_actuators_measured),
     OutputTopic("slave/actuators/setpoint_js", JOINT_STATE, TENDONS, LIVE, to_actuators_setpoint),
     OutputTopic("slave/measured_cf", WRENCH_STAMPED, STATE, LIVE, to_slave_force),
+    OutputTopic("slave/measured_cp", POSE_STAMPED, STATE, LIVE, to_slave_pose, is_of_arms=True),
+    OutputTopic(
+        "slave/setpoint_cp", POSE_STAMPED, COMMAND, LIVE, to_slave_pose_setpoint, is_of_arms=True
+    ),
     OutputTopic("slave/operating_state", OPERATING_STATE, STATE, EVENTS, to_slave_operating_state),
     OutputTopic("slave/state", to_type_name(SlaveState), STATE),
     OutputTopic("slave/tendons", to_type_name(TendonState), TENDONS),

@@ -1,22 +1,32 @@
 """Publishes a session to ROS: the newest messages of the link, at the rate of the config."""
 
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 from typing import Any
 
 from teleop.link import LatestMessage, Link, ReceivedMessage
 from teleop.messages.messages import MAX_JOINTS, Event, LoopReport, Sheath, SlaveState
 from teleop.messages.topics import EVENT, REPORT, SHEATH, STATE, Role, Topic
+from teleop.ros.arms import RosArm
 from teleop.ros.command_topics import CommandTopics
 from teleop.ros.config import RosConfig
 from teleop.ros.frames import SIDES, build_diagnostics, build_sheath_frames
 from teleop.ros.message_types import encode
 from teleop.ros.node import RosNode, RosPublisher
-from teleop.ros.outputs import EVENTS, OUTPUTS, NamingContext, OutputTopic, build_topic_name
+from teleop.ros.outputs import (
+    EVENTS,
+    OUTPUTS,
+    NamingContext,
+    OutputTopic,
+    build_arm_frames,
+    build_topic_name,
+)
 from teleop.runtime.clock import Grid
 
 SLOW_HZ = 10.0  # [Hz] of states and frames
 REPORTS_HZ = 2.0  # [Hz] of diagnostics
 _BY_NAME = {output.name: output for output in OUTPUTS}
+OF_ARMS = {output.name for output in OUTPUTS if output.is_of_arms}
 _DIAGNOSTICS, _FRAMES = _BY_NAME["/diagnostics"], _BY_NAME["/tf"]
 
 
@@ -31,13 +41,20 @@ class Publishers:
         Which topics, and how often.
     say : callable
         Prints a line.
+    arms : tuple of RosArm
+        Those of the session.
     """
 
     def __init__(
-        self, link: Link, node: RosNode, config: RosConfig, say: Callable[[str], None] = print
+        self,
+        link: Link,
+        node: RosNode,
+        config: RosConfig,
+        say: Callable[[str], None] = print,
+        arms: tuple[RosArm, ...] = (),
     ) -> None:
         self._link, self._node, self._config, self._say = link, node, config, say
-        outputs = [_BY_NAME[name] for name in config.topics]
+        outputs = [_BY_NAME[name] for name in config.topics if arms or name not in OF_ARMS]
         self._topics: dict[str, RosPublisher] = {}
         for output in outputs:
             self._topic(output.name, output)
@@ -53,7 +70,7 @@ class Publishers:
         self._sheaths: dict[int, Sheath] = {}
         self._commands, self._refused = CommandTopics(config.prefix), ""
         self._slow_ns = self._reports_ns = 0
-        self._naming = NamingContext(config.prefix)
+        self._naming = NamingContext(config.prefix, arms=arms)
         node.watch(self._commands.note)
 
     @property
@@ -79,6 +96,10 @@ class Publishers:
                 self._know_joints(latest.packet.record)
             if latest.new:
                 self._publish(self._live.get(source, ()), latest)
+                if source is STATE and _FRAMES.name in self._topics:
+                    frames = build_arm_frames(latest.packet.record, self._naming)
+                    if frames is not None:
+                        self._put(_FRAMES.name, _FRAMES, frames)
             role = source.publisher
             if slow and latest.is_there and role is not None and self._link.present(role):
                 self._publish(self._slow.get(source, ()), latest)
@@ -98,7 +119,7 @@ class Publishers:
     def _know_joints(self, state: SlaveState) -> None:
         joints = min(int(state.joints), MAX_JOINTS)
         if joints != self._naming.joints:
-            self._naming = NamingContext(self._config.prefix, joints)
+            self._naming = replace(self._naming, joints=joints)
 
     def _publish(self, outputs: Iterable[OutputTopic], latest: "LatestMessage[Any]") -> None:
         for output in outputs:

@@ -1,16 +1,19 @@
 """Convert a recording to a rosbag2, under the names that `teleop ros` publishes."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from teleop.config.loading import ConfigDocument
 from teleop.errors import UsageError
 from teleop.messages.messages import MAX_JOINTS, Event, LoopReport, Sheath, TendonState
 from teleop.messages.topics import EVENT, REPORT, SHEATH, STATE, TENDONS, TOPICS, Role
 from teleop.recording.reader import RecordedMessage, RecordingInfo, open_recording, read_messages
 from teleop.recording.replay import print_doubts, require_present_layout
+from teleop.ros.arms import RosArm, load_ros_arms
 from teleop.ros.bag_writer import BagWriter
 from teleop.ros.frames import SIDES, build_diagnostics, build_sheath_frames
 from teleop.ros.graph import is_name
@@ -22,9 +25,11 @@ from teleop.ros.outputs import (
     NamingContext,
     OutputTopic,
     Sample,
+    build_arm_frames,
     build_tendon_names,
     build_topic_name,
 )
+from teleop.session.config import RunConfig
 
 BENCH = "slave/bench/measured_js"
 _TOPICS = {topic.name: topic for topic in TOPICS}
@@ -53,11 +58,20 @@ class BagConverter:
         Before topics and frames.
     period_s : float
         [s] least time between two messages of a live topic; 0 = all.
+    arms : tuple of RosArm
+        Those of the session.
     """
 
-    def __init__(self, bag: BagWriter, session: str, prefix: str, period_s: float) -> None:
+    def __init__(
+        self,
+        bag: BagWriter,
+        session: str,
+        prefix: str,
+        period_s: float,
+        arms: tuple[RosArm, ...] = (),
+    ) -> None:
         self._bag, self._session, self._prefix = bag, session, prefix
-        self._naming = NamingContext(prefix)
+        self._naming = NamingContext(prefix, arms=arms)
         self._period_ns = round(period_s * 1e9)
         self._due_ns: dict[str, int] = {}
         self._reports: dict[Role, tuple[LoopReport, int]] = {}
@@ -84,7 +98,10 @@ class BagConverter:
             self._add(Sample("/tf", frames), EVENTS, recorded)
         else:
             if topic is STATE:
-                self._naming = NamingContext(self._prefix, min(message.joints, MAX_JOINTS))
+                self._naming = replace(self._naming, joints=min(message.joints, MAX_JOINTS))
+                links = build_arm_frames(message, self._naming)
+                if links is not None:
+                    self._add(Sample("/tf", links), EVENTS, recorded)
             self._add_live(topic.name, message, recorded)
             if topic is TENDONS:
                 for sample in to_bench_measured(message):
@@ -115,7 +132,9 @@ class BagConverter:
 
 def convert_recording(info: RecordingInfo, bag: BagWriter, prefix: str, period_s: float) -> None:
     """Add all messages of a recording of the present layout to a bag."""
-    converter = BagConverter(bag, info.session, prefix, period_s)
+    document = ConfigDocument.read(info.path)
+    arms = load_ros_arms(document, document.load(RunConfig).arms)
+    converter = BagConverter(bag, info.session, prefix, period_s, arms)
     for recorded in read_messages(info.path):
         converter(recorded)
 

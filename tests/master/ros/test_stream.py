@@ -5,11 +5,16 @@ import math
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from master.devices.commands import SIZE, CommandRecord
 from master.devices.ros_device import RosDeviceConfig
 from master.devices.ros_receiver import CommandStream, ReceivedMessage
 from teleop.ros.message_types import (
+    POINT,
+    POSE,
+    POSE_STAMPED,
+    QUATERNION,
     STRING_STAMPED,
     TWIST,
     TWIST_STAMPED,
@@ -33,6 +38,25 @@ def joints(*positions):
 def twist(x, y=0.0):
     twist = build_message(TWIST, linear=build_message(VECTOR3, x=x, y=y))
     return encode(build_message(TWIST_STAMPED, twist=twist))
+
+
+def pose(x=0.01, turn=(0.0, 0.0, 0.0), stretch=1.0):
+    """A pose with the rotations about x, then y, then z [rad] of the fixed frame."""
+    q = stretch * Rotation.from_euler("xyz", turn).as_quat()
+    orientation = build_message(QUATERNION, **dict(zip("xyzw", q.tolist(), strict=True)))
+    place = build_message(POINT, x=x, y=0.01, z=0.01)
+    built = build_message(POSE, position=place, orientation=orientation)
+    return encode(build_message(POSE_STAMPED, pose=built))
+
+
+def posed(axes=6):
+    """A stream of poses that was enabled."""
+    stream = CommandStream(RosDeviceConfig(command="servo_cp", axes=axes))
+    for k in range(10):
+        stream.servo([sample(pose(), 10 * k)])
+    command(stream, "enable", 91)
+    assert (stream.engage, stream.fault) == (True, "")
+    return stream
 
 
 def sample(data, at_ms, publisher=ONE, late_ms=0):
@@ -177,6 +201,36 @@ def test_a_velocity_is_finite_and_limited(x):
     stream.servo([sample(twist(x), 100)])
     assert not stream.engage
     assert stream.fault.startswith("ROS servo_cv: ")
+
+
+@pytest.mark.parametrize(
+    ("data", "words"),
+    [
+        (pose(math.nan), "joint 1 is not finite"),
+        (pose(1.5), "beyond 1 m"),
+        (pose(0.3), "jump of 0.29 m in 0.01 s, faster than speed_max"),
+        (pose(turn=(0.0, 0.0, 0.4)), "jump of 0.4 rad in 0.01 s, faster than turn_speed_max"),
+        (pose(stretch=0.9), "no unit quaternion"),
+        (pose(stretch=math.nan), "no unit quaternion"),
+        (joints(0.01), "invalid message"),
+    ],
+)
+def test_a_wrong_pose_is_a_fault(data, words):
+    stream = posed()
+    stream.servo([sample(data, 100)])
+    assert words in stream.fault
+    assert stream.fault.startswith("ROS servo_cp: ")
+    assert (stream.engage, stream.values) == (False, ())
+
+
+def test_a_pose_is_a_place_and_angles_that_go_on_beyond_half_a_turn():
+    stream = posed()
+    for k in range(1, 201):
+        turn = (0.01 * k, -0.005 * k, 0.02 * k)
+        stream.servo([sample(pose(0.01 + 1e-4 * k, turn), 90 + 10 * k)])
+        assert stream.values == pytest.approx((0.01 + 1e-4 * k, 0.01, 0.01, *turn), abs=1e-9)
+    assert stream.values[5] > math.pi
+    assert posed(axes=3).values == (0.01, 0.01, 0.01)
 
 
 @given(st.lists(st.binary(max_size=120), max_size=20), st.booleans())

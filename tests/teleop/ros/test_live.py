@@ -6,10 +6,13 @@ import time
 import numpy as np
 import pytest
 
+from teleop.config.arm import ArmConfig, BendingSectionConfig
+from teleop.config.loading import ConfigDocument
 from teleop.launch.supervisor import wait_for_condition
 from teleop.link import Link
 from teleop.messages.messages import Hand, LoopReport, Sheath, SlaveState, TendonState, pad_values
 from teleop.messages.topics import COMMAND, HAND, REPORT, SHEATH, STATE, TENDONS, Role
+from teleop.ros.arms import load_ros_arms
 from teleop.ros.config import RosConfig
 from teleop.ros.graph import RELIABLE, Qos
 from teleop.ros.message_types import JOINT_STATE, load_typestore
@@ -42,11 +45,11 @@ class Session:
         slave, master = self._links
         state = SlaveState(
             state=State.ENGAGED,
-            joints=2,
-            position=pad_values((0.01, 0.02), 8),
-            force=pad_values((1.5, -2.5), 8),
-            force_low=pad_values((1.0, -3.0), 8),
-            force_high=pad_values((2.0, -2.0), 8),
+            joints=3,
+            position=pad_values((0.002, 0.0, 0.02), 8),
+            force=pad_values((1.5, 0.0, -2.5), 8),
+            force_low=pad_values((1.0, 0.0, -3.0), 8),
+            force_high=pad_values((2.0, 0.0, -2.0), 8),
         )
         tendons = TendonState(tendons=4, proximal_tension=pad_values((5, 6, 7, 8), 16))
         straight = Sheath(tendon=1, joint=0, sections=1, section_length=pad_values((0.5,), 16),
@@ -58,6 +61,13 @@ class Session:
             slave.publish(REPORT, LoopReport(role=Role.SLAVE, state=State.FAULT, reason=46))
             master.publish(HAND, Hand(joints=1, velocity=pad_values((0.5,), 8), force=(3.0,) * 8))
             master.publish(COMMAND, COMMAND.message(state=State.READY, velocity=(0.25,) * 8))
+
+
+def load_arm():
+    """A curved section of two bends, that the first two joints move."""
+    section = BendingSectionConfig(name="bend", length=0.1)
+    arm = ArmConfig(radii=((0.004, 0.0), (0.0, 0.004)), sections=(section,))
+    return load_ros_arms(ConfigDocument(), (arm,))
 
 
 @pytest.fixture(scope="module")
@@ -77,7 +87,7 @@ def heard():
         RosNode(endpoint, 0, "intruder") as intruder,
     ):
         heard = Heard(other)
-        publishers = Publishers(link, node, config, said.append)
+        publishers = Publishers(link, node, config, said.append, load_arm())
         intruder.advertise("/lab/master/servo_jp", JOINT_STATE, Qos(RELIABLE, 10))
         begin = time.monotonic()
 
@@ -109,7 +119,8 @@ def test_every_topic_is_heard_with_hash_and_numbers(heard, store):
     names = {
         "/lab/slave/measured_js", "/lab/slave/setpoint_js", "/lab/slave/actuators/measured_js",
         "/lab/slave/actuators/setpoint_js", "/lab/slave/measured_cf",
-        "/lab/slave/joint_2/measured_cf", "/lab/slave/operating_state", "/lab/slave/state",
+        "/lab/slave/joint_3/measured_cf", "/lab/slave/measured_cp", "/lab/slave/setpoint_cp",
+        "/lab/slave/operating_state", "/lab/slave/state",
         "/lab/slave/tendons", "/lab/master/measured_js", "/lab/master/setpoint_js",
         "/lab/master/operating_state", "/diagnostics", "/tf",
     }  # fmt: skip
@@ -123,18 +134,19 @@ def test_every_topic_is_heard_with_hash_and_numbers(heard, store):
 
 def test_values_and_units_are_those_of_the_session(heard, store):
     measured = last(heard, store, "/lab/slave/measured_js")
-    assert measured.name == ["joint_1", "joint_2"]
-    assert measured.position.tolist() == [0.01, 0.02]
-    assert measured.effort.tolist() == [1.5, -2.5]
+    assert measured.name == ["bend.x", "bend.y", "joint_3"]
+    assert measured.position.tolist() == [0.5, 0.0, 0.02]  # [rad] of the arm, [m]
+    assert measured.effort.tolist() == pytest.approx([0.006, 0.0, -2.5])  # [N m], [N]
     assert measured.velocity.size == 0
-    assert last(heard, store, "/lab/slave/joint_2/measured_cf").wrench.force.x == -2.5
-    assert last(heard, store, "/lab/slave/measured_cf").header.frame_id == "lab/tip_1"
+    of_joint = last(heard, store, "/lab/slave/joint_3/measured_cf")
+    assert (of_joint.wrench.force.x, of_joint.header.frame_id) == (-2.5, "lab/tip_3")
     setpoint = last(heard, store, "/lab/slave/setpoint_js")
-    assert (setpoint.name, setpoint.velocity.tolist()) == (["joint_1", "joint_2"], [0.25, 0.25])
+    assert setpoint.name == measured.name
+    assert setpoint.velocity.tolist() == [62.5, 62.5, 0.25]
     assert last(heard, store, "/lab/slave/actuators/measured_js").effort.tolist() == [5, 6, 7, 8]
     assert last(heard, store, "/lab/master/measured_js").velocity.tolist() == [0.5]
     assert last(heard, store, "/lab/master/setpoint_js").effort.tolist() == [3.0]
-    np.testing.assert_array_equal(last(heard, store, "/lab/slave/state").force_low[:2], [1, -3])
+    np.testing.assert_array_equal(last(heard, store, "/lab/slave/state").force_low[:3], [1, 0, -3])
     slave, master = (last(heard, store, f"/lab/{s}/operating_state") for s in ("slave", "master"))
     assert (slave.state, slave.is_busy, master.state, master.is_busy) == (
         "ENABLED", True, "ENABLED", False,
@@ -151,9 +163,34 @@ def test_a_fault_and_a_refused_command_are_in_the_diagnostics(heard, store):
     assert heard.said == [refused.message]
 
 
+def collect_transforms(heard, store):
+    """The newest of each frame, of all messages."""
+    return {
+        transform.child_frame_id: transform
+        for _, data, _ in heard.samples["/tf"]
+        for transform in store.deserialize_cdr(data, "tf2_msgs/msg/TFMessage").transforms
+    }
+
+
+def test_the_tip_of_an_arm_is_told_where_its_links_have_it(heard, store):
+    """A section bent by 0.5 rad towards x, of a tenth of a metre."""
+    pose = last(heard, store, "/lab/slave/measured_cp")
+    assert pose.header.frame_id == "lab/base"
+    place = pose.pose.position
+    arc = 0.1 / 0.5 * np.array([1.0 - np.cos(0.5), 0.0, np.sin(0.5)])
+    np.testing.assert_allclose((place.x, place.y, place.z), arc, atol=1e-12)
+    bend = collect_transforms(heard, store)["lab/bend"]
+    assert bend.header.frame_id == "lab/base"
+    assert bend.transform.translation.x == place.x
+    force = last(heard, store, "/lab/slave/measured_cf")
+    assert force.header.frame_id == "lab/tip"
+
+
 def test_the_ends_of_a_sheath_are_frames(heard, store):
-    transforms = {t.child_frame_id: t for t in last(heard, store, "/tf").transforms}
-    assert set(transforms) == {"lab/sheath_2_housing", "lab/sheath_2_tip", "lab/tip_1"}
+    transforms = collect_transforms(heard, store)
+    assert set(transforms) == {
+        "lab/sheath_2_housing", "lab/sheath_2_tip", "lab/tip_1", "lab/bend", "lab/tip",
+    }  # fmt: skip
     tip = transforms["lab/sheath_2_tip"].transform
     assert (tip.translation.x, tip.translation.y, tip.rotation.w) == (0.5, 0.0, 1.0)
 

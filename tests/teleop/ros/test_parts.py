@@ -14,7 +14,7 @@ from teleop.link import LinkConfig
 from teleop.messages.messages import MESSAGES, Sheath, pad_values
 from teleop.ros.command import build_package_files
 from teleop.ros.config import RosConfig, check_ports
-from teleop.ros.frames import compute_tip_transform, to_quaternion
+from teleop.ros.frames import compute_tip_pose, to_quaternion
 from teleop.ros.message_types import load_typestore
 
 
@@ -82,8 +82,7 @@ def test_a_tip_lies_where_its_sheath_ends():
         section_length=pad_values((0.5 * math.pi * 0.2,), 16),
         section_radius=pad_values((0.2,), 16),
     )
-    tip = compute_tip_transform(quarter)
-    place = (tip.translation.x, tip.translation.y, tip.translation.z)
-    np.testing.assert_allclose(place, (0.2, 0.2, 0.0), atol=1e-12)
-    np.testing.assert_allclose(matrix(tip.rotation)[:, 0], (0, 1, 0), atol=1e-7)
-    assert compute_tip_transform(Sheath()).translation.x == 0.0
+    tip = compute_tip_pose(quarter)
+    np.testing.assert_allclose(tip[:3, 3], (0.2, 0.2, 0.0), atol=1e-12)
+    np.testing.assert_allclose(tip[:3, 0], (0, 1, 0), atol=1e-7)
+    assert (compute_tip_pose(Sheath()) == np.eye(4)).all()
