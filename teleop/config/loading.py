@@ -98,8 +98,9 @@ class ConfigDocument:
         if path.suffix == RECORDING_SUFFIX:
             from teleop.recording.reader import read_recorded_config
 
-            text, recorded = read_recorded_config(path)
-            return cls(path, text, tuple(map(Override.parse, recorded)), parsed)
+            text, recorded, files = read_recorded_config(path)
+            extracted = _extract_files(files)
+            return cls(path, text, (*map(Override.parse, recorded), *extracted), parsed)
         if path.suffix == SNAPSHOT_SUFFIX:
             return _read_snapshot(path).override(*parsed)
         return cls(path, strict_yaml.read_text(path), overrides=parsed)
@@ -142,6 +143,16 @@ class ConfigDocument:
         mine = {key: value for key, value in self.tree.items() if key in own}
         return cast(T, _Builder(self).dataclass(cls, mine, (), None))
 
+    def resolve_path(self, text: str, keys: tuple[str, ...]) -> Path:
+        """Return the path at `keys`: relative to the folder of the file, or of an override."""
+        try:
+            path = Path(text).expanduser()
+        except RuntimeError as error:
+            raise self.error(keys, f"{_format_value(text)}: no such home folder") from error
+        if self.path is None or find_override(self.overrides, keys) is not None:
+            return path
+        return self.path.parent / path
+
     def error(self, keys: tuple[str, ...], what: str) -> UsageError:
         """Return the error to raise about the value at `keys`."""
         override = find_override(self.overrides, keys) if keys else None
@@ -151,6 +162,24 @@ class ConfigDocument:
             place = "defaults" if self.path is None else str(self.path)
         dotted = ".".join(keys)
         return UsageError(f"{place}: {dotted}: {what}" if dotted else f"{place}: {what}")
+
+
+_extracted: list[Any] = []  # folders that last as long as this process
+
+
+def _extract_files(files: Mapping[str, bytes]) -> list[Override]:
+    """Write the files of a recording to a temporary folder; return what names them there."""
+    if not files:
+        return []
+    from teleop.runtime.scratch_folder import ScratchFolder
+
+    _extracted.append(ScratchFolder())
+    overrides = []
+    for number, (key, data) in enumerate(files.items()):
+        path = Path(_extracted[-1].name) / f"{number}.urdf"
+        path.write_bytes(data)
+        overrides.append(Override.of(key, str(path)))
+    return overrides
 
 
 def _read_snapshot(path: Path) -> ConfigDocument:
@@ -246,15 +275,7 @@ class _Builder:
         if hint is float:
             return self._float(data, keys, infinite)
         if hint is Path and isinstance(data, str) and data:
-            override = find_override(self.source.overrides, keys)
-            try:
-                path = Path(data).expanduser()
-            except RuntimeError as error:
-                raise self.source.error(
-                    keys, f"{_format_value(data)}: no such home folder"
-                ) from error
-            in_file = self.source.path is not None and override is None
-            return cast(Path, self.source.path).parent / path if in_file else path
+            return self.source.resolve_path(data, keys)
         if hint in (bool, int, str) and type(data) is hint:
             return data
         if hint in (bool, int, str, Path):

@@ -18,13 +18,16 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+from estimator.kinematics.urdf import URDF_BYTES_MAX
+from teleop.config.loading import ConfigDocument
 from teleop.config.options import add_options
-from teleop.errors import TeleopError
+from teleop.errors import TeleopError, UsageError
 from teleop.link import Link
 from teleop.messages.topics import TOPICS, Role
 from teleop.recording.recorder import BATCH, GRACE_NS, Recorder
 from teleop.recording.writer import RecordConfig, RecordingWriter
 from teleop.runtime.clock import now_ns
+from teleop.runtime.files import read_small_file
 from teleop.runtime.output_file import SharedFolder
 from teleop.runtime.process import STATUS, StopCondition, is_supervised, write_summary
 from teleop.runtime.realtime import limit_computing_time, share_heaps
@@ -132,6 +135,24 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def collect_files(document: ConfigDocument) -> dict[str, bytes]:
+    """Return the descriptions of arms that a config names, by key, as far as they can be read."""
+    files: dict[str, bytes] = {}
+
+    def visit(node: Any, keys: tuple[str, ...]) -> None:
+        if keys[-1:] == ("urdf",) and isinstance(node, str) and node:
+            with suppress(OSError, UsageError):  # which the processes that need it say
+                path = document.resolve_path(node, keys)
+                files[".".join(keys)] = read_small_file(path, URDF_BYTES_MAX)
+        pairs = enumerate(node) if isinstance(node, list) else node
+        pairs = node.items() if isinstance(node, dict) else pairs
+        for key, item in pairs if isinstance(node, dict | list) else ():
+            visit(item, (*keys, str(key)))
+
+    visit(document.tree, ())
+    return files
+
+
 def main(args: argparse.Namespace) -> int:
     """Record until told to stop; returns the exit code."""
     document = read_config(args)
@@ -145,7 +166,8 @@ def main(args: argparse.Namespace) -> int:
     with Link(run.link, run.session, Role.RECORDER) as link:
         listener = link.listen(TOPICS)
         writer = RecordingWriter(
-            config, run.session, now_ns(), document.text, overrides, link.insecure
+            *(config, run.session, now_ns(), document.text, overrides, link.insecure),
+            files=collect_files(document),
         )
         if link.warning:
             print(link.warning, flush=True)

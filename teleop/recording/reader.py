@@ -22,6 +22,7 @@ from teleop.recording.scan import (
     CONFIG_ATTACHMENT,
     DROPPED_METADATA,
     END_METADATA,
+    FILE_PREFIX,
     GAPS_METADATA,
     MESSAGE_HEAD,
     SESSION_METADATA,
@@ -81,6 +82,9 @@ def to_dtype(definition: str) -> np.dtype[np.void]:
         }
     )
 
+
+FILES_SIZE_MAX = 20_000_000
+"""[bytes] of the files that a config names."""
 
 ROWS_MAX = 1 << 32
 """Bytes of the columns of a topic, in memory."""
@@ -154,7 +158,7 @@ def open_recording(path: str | Path) -> RecordingInfo:
         layout = int(head["layout"], 16) if "layout" in head else None
     except ValueError as error:
         raise RecordingError(f"{path}: is damaged: invalid number in metadata: {error}") from error
-    config_text, overrides = _decode_config(scan, head)
+    config_text, overrides, _ = _decode_config(scan, head)
     return RecordingInfo(
         path=scan.path,
         complete=scan.complete,
@@ -218,29 +222,47 @@ def _describe_losses(path: Path, lost: Mapping[str, int], unfinished: Sequence[s
     return out
 
 
-def read_recorded_config(path: str | Path) -> tuple[str, tuple[str, ...]]:
-    """Return the config file of a recorded session as text, and its overrides.
+class RecordedConfig(NamedTuple):
+    """The config of a recorded session."""
+
+    text: str  # of its file
+    overrides: tuple[str, ...]
+    files: dict[str, bytes]  # by the keys that name them: the descriptions of arms
+
+
+def read_recorded_config(path: str | Path) -> RecordedConfig:
+    """Return the config of a recorded session.
 
     Only the head of the recording is read. `RecordingError` if it is no recording of a session.
     """
     scan = Scan(Path(path))
-    next(scan.blocks(), None)  # both come before the first messages
+    next(scan.blocks(), None)  # all of it comes before the first messages
     head = scan.metadata.get(SESSION_METADATA)
     if head is None:
         raise RecordingError(f"{path}: is no recording of a session, which would have its config")
     return _decode_config(scan, head)
 
 
-def _decode_config(scan: Scan, head: Mapping[str, str]) -> tuple[str, tuple[str, ...]]:
-    """Return the config text and the overrides; `RecordingError` beyond `strict_yaml.SIZE_MAX`."""
+def _decode_config(scan: Scan, head: Mapping[str, str]) -> RecordedConfig:
+    """Return the config; `RecordingError` if a part is longer than any session's."""
     config, overrides = scan.attachments.get(CONFIG_ATTACHMENT, b""), head.get("overrides", "")
-    for part, size in (("config", len(config)), ("overrides", len(overrides.encode()))):
-        if size > SIZE_MAX:
+    files = {
+        name.removeprefix(FILE_PREFIX): data
+        for name, data in scan.attachments.items()
+        if name.startswith(FILE_PREFIX)
+    }
+    for part, size, most in (
+        ("config", len(config), SIZE_MAX),
+        ("overrides", len(overrides.encode()), SIZE_MAX),
+        ("files", sum(map(len, files.values())), FILES_SIZE_MAX),
+    ):
+        if size > most:
             raise RecordingError(
-                f"{scan.path}: its {part}: {size} bytes, at most {SIZE_MAX} are read; no session "
+                f"{scan.path}: its {part}: {size} bytes, at most {most} are read; no session "
                 "has so many"
             )
-    return config.decode(errors="replace"), _parse_overrides(scan.path, overrides)
+    text = config.decode(errors="replace")
+    return RecordedConfig(text, _parse_overrides(scan.path, overrides), files)
 
 
 def _parse_overrides(path: Path, text: str) -> tuple[str, ...]:

@@ -34,6 +34,7 @@ GAPS_METADATA = "gaps"  # "<topic>/<sender>": lost messages; the last record of 
 DROPPED_METADATA = "dropped"  # "<topic>": came, but the recorder was too slow; the last one counts
 END_METADATA = "end"  # how the recording ended: what is missing, largest lag, unfinished senders
 CONFIG_ATTACHMENT = "config.yaml"
+FILE_PREFIX = "file/"  # "file/<key>": what the file has that a key of the config names
 
 
 def to_channel_name(topic: str) -> str:
@@ -165,7 +166,7 @@ class Scan:
             self.metadata[metadata.name] = metadata.metadata
         elif opcode == Opcode.ATTACHMENT:
             attachment = records.Attachment.read(stream)
-            if attachment.name == CONFIG_ATTACHMENT:
+            if attachment.name == CONFIG_ATTACHMENT or attachment.name.startswith(FILE_PREFIX):
                 self.attachments[attachment.name] = attachment.data
         elif opcode in (Opcode.MESSAGE, Opcode.SCHEMA, Opcode.CHANNEL) and self.loose:
             return self._opened(_FRAME.pack(opcode, len(body)) + body)

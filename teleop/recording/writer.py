@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Literal, NoReturn, Self, cast
 
 from mcap.data_stream import RecordBuilder
@@ -31,6 +32,7 @@ from teleop.recording.scan import (
     CONFIG_ATTACHMENT,
     DROPPED_METADATA,
     END_METADATA,
+    FILE_PREFIX,
     GAPS_METADATA,
     SESSION_METADATA,
     VERSIONS_METADATA,
@@ -206,6 +208,8 @@ class RecordingWriter:
         Overrides of the command line, kept as metadata.
     insecure : bool
         Whether the session was not protected, kept as metadata.
+    files : mapping
+        What the files have that keys of the config name, kept as attachments.
 
     Raises
     ------
@@ -221,6 +225,7 @@ class RecordingWriter:
         config_text: str = "",
         overrides: Sequence[str] = (),
         insecure: bool = False,
+        files: Mapping[str, bytes] = MappingProxyType({}),
     ) -> None:
         overrides_text = json.dumps(list(overrides))  # ASCII
         if len(overrides_text) > SIZE_MAX:
@@ -274,6 +279,10 @@ class RecordingWriter:
         if config_text:
             self._mcap.add_attachment(
                 started_ns, started_ns, CONFIG_ATTACHMENT, "application/yaml", config_text.encode()
+            )
+        for key, data in files.items():
+            self._mcap.add_attachment(
+                started_ns, started_ns, FILE_PREFIX + key, "application/xml", data
             )
         self._commit()
 

@@ -21,12 +21,15 @@ from mcap.writer import MCAP0_MAGIC, Writer
 from mcap_ros2.decoder import DecoderFactory
 from mcap_ros2.writer import Writer as Ros2Writer
 
+from slave.config import SlaveConfig
+from teleop.cli import commands
 from teleop.config.loading import ConfigDocument
 from teleop.errors import TeleopError, UsageError
 from teleop.link import ReceivedMessage
 from teleop.messages.messages import LAYOUT
 from teleop.messages.topics import COMMAND, EVENT, STATE, TENDONS, TOPICS
 from teleop.recording import reader
+from teleop.recording.command import collect_files
 from teleop.recording.reader import (
     open_recording,
     read_columns,
@@ -37,6 +40,8 @@ from teleop.recording.reader import (
 from teleop.recording.scan import CONFIG_ATTACHMENT, SESSION_METADATA, RecordingError
 from teleop.recording.writer import SENDERS, GapCounter, RecordConfig, RecordingWriter
 from teleop.runtime.process import SUPERVISED_VARIABLE
+from teleop.session.config import RunConfig
+from tests.root import ROOT
 from tests.teleop.recorded import START_NS, heard
 
 
@@ -504,10 +509,32 @@ def recorded(folder, config_text="", overrides=()):
 def test_an_override_of_several_lines_comes_back_as_one(tmp_path) -> None:
     overrides = ("slave.rig={\n  type: simulated,\n  name: Ä\u2028\n}", "rate_hz=500", "a='[1]'")
     path = recorded(tmp_path, "rate_hz: 100\n", overrides)
-    assert read_recorded_config(path) == ("rate_hz: 100\n", overrides)
+    assert read_recorded_config(path) == ("rate_hz: 100\n", overrides, {})
     stated = ConfigDocument.read(path).tree
     assert stated["slave"]["rig"]["type"] == "simulated"
     assert stated["rate_hz"] == 500
+
+
+def test_an_arm_of_a_recording_needs_no_file_beside_it(tmp_path, capsys) -> None:
+    """Neither the config nor the URDF that it names, relative to its folder."""
+    for name in ("notes-arm.yaml", "notes-arm.urdf"):
+        (tmp_path / name).write_bytes((ROOT / "configs" / name).read_bytes())
+    document = ConfigDocument.read(tmp_path / "notes-arm.yaml")
+    files = collect_files(document)
+    assert sorted(files) == ["arms.0.urdf", "slave.rig.arms.0.urdf"]
+    config = RecordConfig(directory=str(tmp_path / "elsewhere"))
+    with RecordingWriter(config, "demo", START_NS, document.text, files=files) as writer:
+        pass
+    wanted = document.load(RunConfig).arms[0].load_kinematics()
+    (tmp_path / "notes-arm.urdf").unlink()
+    with pytest.raises(UsageError, match=r"notes-arm\.urdf: cannot be read"):
+        document.load(RunConfig).arms[0].load_kinematics()
+    again = ConfigDocument.read(writer.path)
+    assert again.load(RunConfig).arms[0].load_kinematics() == wanted
+    assert again.load(SlaveConfig, "slave").rig.arms[0].load_kinematics() == wanted
+    assert collect_files(again) == files  # recorded anew
+    commands.main(["config", "show", "--config", str(writer.path)])
+    assert "Traceback" not in capsys.readouterr().err
 
 
 def of_another_writer(folder, config: bytes = b"", overrides: str = "") -> Path:
@@ -527,7 +554,9 @@ def of_another_writer(folder, config: bytes = b"", overrides: str = "") -> Path:
     [("", ()), ("a=1", ("a=1",)), ("a=1\nb=[2]", ("a=1", "b=[2]")), ("[]", ()), ('["a"]', ("a",))],
 )
 def test_overrides_of_older_recordings_are_lines(tmp_path, written, overrides) -> None:
-    assert read_recorded_config(of_another_writer(tmp_path, overrides=written))[1] == overrides
+    assert (
+        read_recorded_config(of_another_writer(tmp_path, overrides=written)).overrides == overrides
+    )
 
 
 @pytest.mark.parametrize("written", ["[", "[1]", '["a", null]', "[" * 50_000])

@@ -9,6 +9,7 @@ from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import StoragePlugin, Writer
 
 from teleop.cli import commands
+from teleop.config.loading import ConfigDocument
 from teleop.data import bounds
 from teleop.data.table import Columns, read_table, read_tables
 from teleop.data.table_files import read_columns
@@ -25,6 +26,7 @@ from teleop.messages.messages import (
     pad_values,
 )
 from teleop.messages.topics import COMMAND, EVENT, HAND, REPORT, SHEATH, STATE, TENDONS, Role
+from teleop.recording.command import collect_files
 from teleop.recording.writer import RecordConfig, RecordingWriter
 from teleop.ros.message_types import (
     VECTOR3,
@@ -36,6 +38,7 @@ from teleop.ros.message_types import (
     encode,
     load_typestore,
 )
+from tests.root import ROOT
 from tests.teleop.recorded import START_NS
 
 MS = 1_000_000
@@ -86,6 +89,22 @@ def bag(recording, tmp_path_factory):
     path = tmp_path_factory.mktemp("bag") / "demo"
     assert commands.main(["recordings", "to-ros2", str(recording), "--out", str(path)]) == 0
     return path
+
+
+def test_a_bag_of_an_arm_has_its_links_and_the_pose_of_its_tip(tmp_path):
+    """Of a recording alone, which brings the description of the arm."""
+    document = ConfigDocument.read(ROOT / "configs" / "notes-arm.yaml")
+    config, files = RecordConfig(directory=str(tmp_path)), collect_files(document)
+    with RecordingWriter(config, "arm", START_NS, document.text, files=files) as writer:
+        data = SlaveState(joints=4).pack(7, 1, START_NS)
+        writer.write([ReceivedMessage(STATE, data, START_NS, 7, 1, START_NS)], START_NS)
+    bag = tmp_path / "bag"
+    assert commands.main(["recordings", "to-ros2", str(writer.path), "--out", str(bag)]) == 0
+    with AnyReader([bag], default_typestore=load_typestore()) as reader:
+        heard = {c.topic: reader.deserialize(data, c.msgtype) for c, _, data in reader.messages()}
+    assert heard["/slave/measured_js"].name == ["shoulder", "elbow", "wrist", "gripper"]
+    assert heard["/slave/measured_cp"].header.frame_id == "base"
+    assert len(heard["/tf"].transforms) == 4
 
 
 def test_a_reader_of_others_reads_our_bag(bag):
