@@ -262,6 +262,15 @@ def compute_force(
 
 
 @jit_compile
+def compute_tip_forces(
+    settings_records: StructArray, states: StructArray, has_state: bool, joints: int, out: Array
+) -> None:
+    """Write the admissible forces at the tips [N]; see `feedback.compute_tip_forces`."""
+    confidence = settings_records[0].bilateral.confidence
+    feedback.compute_tip_forces(confidence, states[0], has_state, joints, out)
+
+
+@jit_compile
 def _compute_wanted_forces(
     settings: MasterSettings,
     memory: MasterMemory,

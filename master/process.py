@@ -22,6 +22,7 @@ import numpy as np
 from estimator.records import StructArray, view_struct
 from master import live_settings, loop
 from master.config import MasterConfig
+from master.coupling_extension import HandEnd
 from master.device import Device, DeviceFault, DeviceLost, HandState
 from master.devices import open_device
 from master.gate import GateFlags
@@ -31,8 +32,9 @@ from master.mapping_config import AxisMapConfig
 from master.settings_record import SettingsRecord
 from teleop.config.arm import ArmConfig
 from teleop.config.bounds import build_bounds_warnings
+from teleop.config.extension_calls import ExtensionFault
 from teleop.config.options import add_option, add_options
-from teleop.coupling import Bilateral
+from teleop.coupling import Bilateral, CouplingExtension
 from teleop.errors import TeleopError, UsageError
 from teleop.link import NEVER_NS, Link
 from teleop.link.health import DEFAULT_BOUNDS, HealthConfig, compile_link_window_update
@@ -125,6 +127,14 @@ class MasterProcess(LoopProcess):
         self._peer_reason = self._states.packet.records["reason"]
         self._joints = self._states.packet.records["joints"]
         self._scaled_from, self._scaled_config = (config, 1.0), config
+        self._own: HandEnd | None = None
+        if isinstance(bilateral.coupling, CouplingExtension):
+            self._own = HandEnd(
+                bilateral.coupling,
+                self._memory,
+                self._settings.records,
+                self._states.packet.records,
+            )
 
     def tick(self, tick: Tick) -> None:
         """Read, command, wait for the answer, render; then the work that is not time-critical."""
@@ -144,6 +154,15 @@ class MasterProcess(LoopProcess):
         outputs = (self._command.records,)
         compute = partial(self._run_phase, loop.compute_command, outputs, settings, fault, requests)
         self._checkpoint.run_step(compute, now_ns(), tick.dt)
+        if self._own is not None:
+            try:
+                self._own.send(self._command.records, tick.dt)
+            except ExtensionFault as error:
+                self._checkpoint.restore()
+                fault = self._end_on_extension_fault(error)
+                self._run_phase(
+                    loop.compute_command, outputs, settings, fault, requests, now_ns(), tick.dt
+                )
         known_ns = self._states.stamp_ns
         sent_ns = 0
         if self._index % self._commands_every == 0:
@@ -254,8 +273,14 @@ class MasterProcess(LoopProcess):
         hand: HandState | None,
     ) -> int:
         """Compute the force and write it to the device; return the gate's verdict."""
-        self._checkpoint.save()
         is_new = self._states.stamp_ns != known_ns
+        has_failed = False
+        if self._own is not None:
+            try:
+                self._own.render(settings, self._states.is_there)
+            except ExtensionFault as error:
+                fault, is_new, has_failed = self._end_on_extension_fault(error), True, True
+        self._checkpoint.save()
         verdict = self._compute_force(settings, tick, fault, requests, is_new)
         begin_ns = now_ns()
         try:
@@ -267,6 +292,8 @@ class MasterProcess(LoopProcess):
             failed = self._end_on_device_fault(error)
             verdict = self._compute_force(settings, tick, failed, requests, is_new=True)
             fill_hand_input(self._hands, hand)
+            has_failed = True
+        if has_failed:
             self._publish_fault()
         return verdict
 
@@ -337,6 +364,7 @@ class MasterProcess(LoopProcess):
             self._link.publish(LATENCY, self._meter.stages.message(Role.MASTER))
             self._warn(
                 [self._reads.take(), self._writes.take(), self._describe_layout_difference()]
+                + ([] if self._own is None else [self._own.calls.take()])
             )
         self._checkpoint.save()
 
@@ -357,6 +385,10 @@ class MasterProcess(LoopProcess):
     def _end_on_device_fault(self, error: DeviceFault) -> Reason:
         self._end(TeleopError(f"haptic device: {error}"))
         return Reason.DEVICE_FAULT
+
+    def _end_on_extension_fault(self, error: ExtensionFault) -> Reason:
+        self._end(error)
+        return Reason.EXTENSION_FAULT
 
     def _publish_session(self, outline: SessionOutline) -> None:
         self._published = outline

@@ -11,6 +11,7 @@ from slave.calibration.config import InitialiseConfig
 from slave.calibration.file import JointTendons
 from slave.calibration.monitor import MonitorConfig
 from slave.control import ControlConfig
+from slave.extensions import ControllerExtension, EstimatorExtension
 from slave.fault_detection import FaultDetectionConfig
 from slave.gate import GateConfig
 from slave.rigs import RigConfig
@@ -45,6 +46,8 @@ class SlaveConfig:
     initialise: InitialiseConfig = field(default_factory=InitialiseConfig)
     monitor: MonitorConfig = field(default_factory=MonitorConfig)
     control: ControlConfig = field(default_factory=ControlConfig)
+    estimator: EstimatorExtension | None = None  # of another package; null = the built-in one
+    controller: ControllerExtension | None = None  # of another package; null = the built-in one
     fault_detection: FaultDetectionConfig = field(default_factory=FaultDetectionConfig)
     gate: GateConfig = field(default_factory=GateConfig)
     # [s] a command older than this makes the slave hold: < 30 ms in all

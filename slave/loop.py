@@ -200,6 +200,26 @@ def run_tick(
     states : Records
         `SlaveState`, shape (1,), filled in except for the head.
     """
+    engaged = begin_tick(
+        settings_records, layouts, memories, scratches, rows, samples, tick_input, commands
+    )
+    return end_tick(
+        settings_records, layouts, memories, scratches, tick_input, commands, states, engaged
+    )
+
+
+@jit_compile
+def begin_tick(
+    settings_records: StructArray,
+    layouts: StructArray,
+    memories: StructArray,
+    scratches: StructArray,
+    rows: StructArray,
+    samples: int,
+    tick_input: TickInput,
+    commands: StructArray,
+) -> bool:
+    """Run `run_tick` up to the motion of the tips; return whether they shall move."""
     settings, layout, memory = settings_records[0], layouts[0], memories[0]
     scratch, command = scratches[0], commands[0]
     fault, tendon = _process_samples(
@@ -215,6 +235,23 @@ def run_tick(
             layout, memory.tendons, memory.offsets, memory.arm_force, memory.joints
         )
     _apply_coupling(settings, layout, memory, scratch, command, tick_input, commanded, engaged)
+    return engaged
+
+
+@jit_compile
+def end_tick(
+    settings_records: StructArray,
+    layouts: StructArray,
+    memories: StructArray,
+    scratches: StructArray,
+    tick_input: TickInput,
+    commands: StructArray,
+    states: StructArray,
+    engaged: bool,
+) -> int:
+    """Run the rest of `run_tick`: motors, gate, state."""
+    settings, layout, memory = settings_records[0], layouts[0], memories[0]
+    scratch, command = scratches[0], commands[0]
     verdict = gate.HELD
     if memory.has_sample and (memory.has_motor or engaged):
         moving = engaged and tick_input.motors_follow
@@ -451,6 +488,26 @@ def _apply_coupling(
 
 
 @jit_compile
+def compute_port_forces(
+    settings_records: StructArray,
+    layouts: StructArray,
+    memories: StructArray,
+    scratches: StructArray,
+    commands: StructArray,
+) -> None:
+    """Write the forces of the newest sample at the slave's port to `scratch.force`."""
+    layout, memory, scratch = layouts[0], memories[0], scratches[0]
+    control.estimate_joints(layout, memory.tendons, memory.offsets, memory.arm_force, memory.joints)
+    compute_rendered_forces(
+        settings_records[0].bilateral.confidence,
+        memory.joints,
+        layout.joints,
+        commands[0].force_max,
+        scratch.force,
+    )
+
+
+@jit_compile
 def compute_rendered_forces(
     attenuation: ConfidenceConfig,
     joint_estimates: JointEstimates,
@@ -487,18 +544,21 @@ def _command_motors(
     dt: float,
 ) -> int:
     """Compute the motor targets and apply the gate; hold unless `moving`."""
-    control.step(
-        settings.control,
-        layout,
-        memory.control,
-        scratch.requested,
-        scratch.speed,
-        scratch.motor_position,
-        memory.tendons,
-        moving,
-        dt,
-        scratch.motor_target,
-    )
+    if scratch.has_own_target:
+        copy_values(scratch.own_target[:], scratch.motor_target[:])
+    else:
+        control.step(
+            settings.control,
+            layout,
+            memory.control,
+            scratch.requested,
+            scratch.speed,
+            scratch.motor_position,
+            memory.tendons,
+            moving,
+            dt,
+            scratch.motor_target,
+        )
     for i in range(layout.tendons):
         tendon = memory.tendons[i]
         scratch.tension[i] = math.nan

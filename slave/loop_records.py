@@ -94,6 +94,8 @@ class Scratch(Struct):
     tension: Annotated[Array, Field("f8", MAX_TENDONS)]  # [N] used for the limits
     motor_position: Annotated[Array, Field("f8", MAX_TENDONS)]  # [m] present motor positions
     motor_target: Annotated[Array, Field("f8", MAX_TENDONS)]  # [m] motor targets
+    has_own_target: Flag = False  # whether a controller of another package gives the targets
+    own_target: Annotated[Array, Field("f8", MAX_TENDONS)]  # [m]
 
 
 class TickInput(NamedTuple):

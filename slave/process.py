@@ -28,6 +28,7 @@ from slave.config import (
     has_model_file,
     load_tendon_configs,
 )
+from slave.extension_calls import SlaveExtensions
 from slave.force_error import Score
 from slave.gate import GateFlags
 from slave.loop import RigModel
@@ -42,6 +43,7 @@ from slave.telemetry import Telemetry, build_progress_printer
 from slave.tendon_config import TendonConfig
 from slave.warm_up import compile_session
 from teleop.config.arm import assemble_travel_ratios
+from teleop.config.extension_calls import ExtensionFault
 from teleop.config.options import add_option, add_options
 from teleop.coupling import Bilateral
 from teleop.errors import TeleopError, UsageError
@@ -105,6 +107,8 @@ class SlaveProcess(LoopProcess):
                 model, config, bilateral, rig.starts_at_zero, history.samples, history.motor
             )
         self.memory: SlaveMemory = view_struct(self._slave.memory)
+        own = SlaveExtensions(config, bilateral.coupling, model, self._slave)
+        self._own = own if own.opened else None  # else each call of it would cost time
         joints = len(model.joints)
         super().__init__(link, clock.stats, self._slave.memory, joints, requests, health)
         self._motor = self._slave.memory["motor"][0]  # [m] that the gate let through
@@ -134,14 +138,16 @@ class SlaveProcess(LoopProcess):
         requests = self._requests(now, int(self._stops[0]))
         if requests.words and self._outline().state is not State.STOPPED:  # the first caller's
             self._telemetry.stop_text = requests.words
+        if self._own is not None:
+            self._own.start_tick()
         step = partial(self._step, fault, requests)
-        verdict = self._checkpoint.run_step(step, now, tick.dt)
-        if fault is Reason.NONE:
-            try:
+        try:
+            verdict = self._checkpoint.run_step(step, now, tick.dt)
+            if fault is Reason.NONE:
                 self._move_rig()
-            except RigFault as error:
-                self._checkpoint.restore()
-                verdict = self._step(self._end_on_rig_fault(error), requests, now_ns(), tick.dt)
+        except (RigFault, ExtensionFault) as error:
+            self._checkpoint.restore()
+            verdict = self._step(self._end_on_fault(error), requests, now_ns(), tick.dt)
         if commands.new:
             self._answer_ns[0] = now_ns() - commands.received_ns
         self._link.publish_packet(STATE, self._state)
@@ -204,10 +210,14 @@ class SlaveProcess(LoopProcess):
             self._motors_follow,
         )
         rows, samples = self._rows, self._samples
-        if not self._is_estimated:
+        own = self._own
+        if own is not None and own.estimates is not None:
+            estimate(*self._estimated, rows, samples, own.estimates)
+        elif not self._is_estimated:
             estimate(*self._estimated, rows, samples)
         self._is_estimated = False
-        return loop.run_tick(
+        run_tick = loop.run_tick if own is None else own.run_tick
+        return run_tick(
             *self._ticked, rows, samples, tick_input, commands.packet.records, self._state.records
         )
 
@@ -221,11 +231,13 @@ class SlaveProcess(LoopProcess):
             samples = self._rig.read(time_s)
             if self._enabling is not None:
                 self._motors_follow = self._enabling.follows
+            if self._own is not None:
+                self._own.estimate(samples)
         except RigFinished:
             self.ended = Reason.RIG_FINISHED.text
             fault = Reason.RIG_FINISHED
-        except RigFault as error:
-            fault = self._end_on_rig_fault(error)
+        except (RigFault, ExtensionFault) as error:
+            samples, fault = (), self._end_on_fault(error)
         self._reads.add(now_ns() - begin_ns)
         if expected is not None:
             if len(samples) == 1 and samples[0] is expected:
@@ -242,7 +254,10 @@ class SlaveProcess(LoopProcess):
     def _change_setting(self, key: str, value: str) -> str:
         return live_settings.change_setting(self._rig, key, value)
 
-    def _end_on_rig_fault(self, error: RigFault) -> Reason:
+    def _end_on_fault(self, error: RigFault | ExtensionFault) -> Reason:
+        if isinstance(error, ExtensionFault):
+            self._end(error)
+            return Reason.EXTENSION_FAULT
         self._end(TeleopError(f"rig: {error}"))
         return Reason.RIG_FAULT
 
@@ -270,8 +285,10 @@ class SlaveProcess(LoopProcess):
         self._telemetry(time_s)
         self._watch_link(tick.stamp_ns, self._commands, int(self._echo_ns[0]), 0)
         if self._report(tick.stamp_ns, self._commands):
-            self._warn([self._reads.take(), self._writes.take()])
-        if next_sample is not None:
+            own = [] if self._own is None else [each.calls for each in self._own.opened]
+            self._warn([monitor.take() for monitor in (self._reads, self._writes, *own)])
+        is_own = self._own is not None and self._own.estimates is not None
+        if next_sample is not None and not is_own:
             self._estimate_ahead(next_sample)
         return rig_ns
 
@@ -286,7 +303,7 @@ class SlaveProcess(LoopProcess):
             return self._rig.advance()
         except RigFault as error:  # published at once, as there is no next tick
             self._samples = 0
-            self._step(self._end_on_rig_fault(error), Requests(), now_ns(), 0.0)
+            self._step(self._end_on_fault(error), Requests(), now_ns(), 0.0)
             self._link.publish_packet(STATE, self._state)
             return None
 

@@ -87,11 +87,13 @@ def estimate(
     arm: ArmEstimator | None,
     rows: StructArray,
     samples: int,
+    own: Array | None = None,
 ) -> None:
     """Step each tendon's estimator with the first `samples` of `rows`; fill in their estimates.
 
     `with_dynamics` is None where no model has dynamic effects; see `online.advance`. `arm` is None
-    where no joints share tendons.
+    where no joints share tendons. `own`, shape (samples, 4, tendons), has tension at the tip, its
+    interval [N] and elongation [m] by an estimator of another package; NaN where it has none.
     """
     layout, memory = layouts[0], memories[0]
     for s in range(samples):
@@ -110,6 +112,15 @@ def estimate(
                 tendon.estimate,
                 with_dynamics,
             )
+            if own is not None and math.isfinite(own[s, 0, i]):
+                taken = tendon.estimate
+                taken.distal_tension, taken.low, taken.high = (
+                    own[s, 0, i],
+                    own[s, 1, i],
+                    own[s, 2, i],
+                )
+                taken.elongation = own[s, 3, i]
+                taken.distal_displacement = tendon.corrected_displacement - taken.elongation
         _end_sample(layout, memory, row)
         if arm is not None and memory.has_offsets:
             control.estimate_joints(

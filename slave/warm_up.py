@@ -6,6 +6,7 @@ from importlib import import_module
 
 import numpy as np
 
+from estimator.array_types import Array
 from estimator.records import StructArray
 from slave import loop
 from slave.calibration import run as calibration_run
@@ -20,6 +21,7 @@ from slave.tendon_config import TendonConfig
 from teleop.config.arm import ArmConfig
 from teleop.link.health import compile_link_window_update
 from teleop.messages.messages import (
+    MAX_TENDONS,
     PROFILE_POINTS,
     Command,
     SlaveState,
@@ -49,10 +51,12 @@ def compile_session(
         pause_garbage_collection(),
         announce_compilation("the slave's loop", about_s, partial(_compile_outside_tick, config)),
     ):
-        _compile_tick(arms)
+        _compile_tick(config, arms)
         if with_dynamics:
             slave, rows, _ = _build_example(arms)
-            estimate(*slave._replace(with_dynamics=True).estimate_arguments, rows, 1)
+            estimate(
+                *slave._replace(with_dynamics=True).estimate_arguments, rows, 1, *_list_own(config)
+            )
         if config.initialise.at_start:
             calibration_run.warm_up()
     if config.initialise.at_start:
@@ -65,11 +69,16 @@ def _compile_outside_tick(config: SlaveConfig) -> None:
     _compile_finish_tick()
 
 
-def _compile_tick(arms: Sequence[ArmConfig]) -> None:
+def _compile_tick(config: SlaveConfig, arms: Sequence[ArmConfig]) -> None:
     slave, rows, state = _build_example(arms)
     tick_input, command = TickInput(1e-3, True, False), Packet(Command)
-    estimate(*slave.estimate_arguments, rows, 1)
+    estimate(*slave.estimate_arguments, rows, 1, *_list_own(config))
     loop.run_tick(*slave.tick_arguments, rows, 1, tick_input, command.records, state.records)
+
+
+def _list_own(config: SlaveConfig) -> list[Array]:
+    """Return the last argument of `estimate` where there is an estimator of another package."""
+    return [] if config.estimator is None else [np.zeros((1, 4, MAX_TENDONS))]
 
 
 def _compile_finish_tick() -> None:

@@ -1,8 +1,8 @@
-"""Rigs, devices and effects of other packages, named in a config or a model file.
+"""What other packages have, named in a config or a model file: rigs, devices, effects and methods.
 
-An installed package declares them as entry points, in the group `teleop.rigs`, `teleop.devices` or
-`teleop.effects`; a file may name these, and only what is named is imported. Any other code, as
-`package.module:Name`, only if the user allows it: the file may be somebody else's.
+An installed package declares them as entry points, in a group such as `teleop.rigs` (`GROUP` of an
+`Extension`) or `teleop.effects`; a file may name these, and only what is named is imported. Any
+other code, as `package.module:Name`, only if the user allows it: the file may be somebody else's.
 """
 
 import importlib

@@ -369,7 +369,7 @@ class _Builder:
         self, classes: list[Any], data: Any, keys: tuple[str, ...], preset: Any
     ) -> type[Any]:
         """Pick the dataclass that `data` names by its key `type`, or else the preset's."""
-        if len(classes) == 1:
+        if len(classes) == 1 and not issubclass(classes[0], Extension):
             return cast(type[Any], classes[0])
         by_tag = _index_by_tag(classes)
         if "type" not in data and type(preset) in classes:

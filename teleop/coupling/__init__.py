@@ -2,8 +2,8 @@
 
 See docs/explanation/coupling.md.
 `ledger` is the energy ledger of a port, `interface` the inputs and outputs of a coupling, `direct`,
-`passivity` and `wave` are the couplings, `contact` is the local model of what a tip meets, `side`
-is all joints of one side.
+`passivity` and `wave` are the couplings, `extension` those of other packages, `contact` is the
+local model of what a tip meets, `side` is all joints of one side.
 """
 
 from teleop.coupling.config import (
@@ -14,6 +14,7 @@ from teleop.coupling.config import (
     to_bilateral_settings,
 )
 from teleop.coupling.direct import DirectConfig
+from teleop.coupling.extension import CouplingExtension
 from teleop.coupling.ledger import LEDGER_PERIOD_NS, LedgerPublisher
 from teleop.coupling.passivity import PassivityConfig
 from teleop.coupling.side import (
@@ -31,6 +32,7 @@ __all__ = [
     "Bilateral",
     "BilateralSettings",
     "CouplingConfig",
+    "CouplingExtension",
     "DirectConfig",
     "LedgerPublisher",
     "PassivityConfig",

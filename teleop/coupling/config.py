@@ -16,14 +16,15 @@ from estimator.records import (
     to_struct_array,
 )
 from teleop.coupling.direct import DirectConfig
+from teleop.coupling.extension import CouplingExtension
 from teleop.coupling.force_attenuation import ConfidenceConfig
 from teleop.coupling.passivity import PassivityConfig
 from teleop.coupling.wave import WaveConfig
 
-CouplingConfig = PassivityConfig | WaveConfig | DirectConfig
+CouplingConfig = PassivityConfig | WaveConfig | DirectConfig | CouplingExtension
 
 NO_SIGNATURE = 0
-DIRECT, PASSIVITY, WAVE = range(3)
+DIRECT, PASSIVITY, WAVE, EXTENSION = range(4)
 KINDS: dict[type[Any], int] = {DirectConfig: DIRECT, PassivityConfig: PASSIVITY, WaveConfig: WAVE}
 
 
@@ -47,7 +48,7 @@ class BilateralSettings(Struct):
     """A `Bilateral` for compiled functions; only the coupling of its `kind` is used."""
 
     signature: U32 = NO_SIGNATURE  # `Bilateral.signature`
-    kind: I64 = DIRECT  # DIRECT, PASSIVITY or WAVE
+    kind: I64 = DIRECT  # DIRECT, PASSIVITY, WAVE or EXTENSION
     reserve: F64 = 0.0  # [J] of the coupling
     confidence: Annotated[ConfidenceConfig, Field(build_struct_dtype(ConfidenceConfig))]
     passivity: Annotated[PassivityConfig, Field(build_struct_dtype(PassivityConfig))]
@@ -59,7 +60,7 @@ def to_bilateral_settings(bilateral: Bilateral) -> StructArray:
     coupling = bilateral.coupling
     settings = BilateralSettings.array()
     settings["signature"] = bilateral.signature
-    settings["kind"] = KINDS[type(coupling)]
+    settings["kind"] = KINDS.get(type(coupling), EXTENSION)
     settings["reserve"] = coupling.reserve
     settings["confidence"] = to_struct_array(bilateral.confidence)
     settings["passivity"] = to_struct_array(

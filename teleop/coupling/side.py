@@ -7,7 +7,7 @@ from estimator.array_types import Array
 from estimator.compiled import jit_compile
 from estimator.records import F64, U64, Field, Flag, Struct
 from teleop.coupling import contact, direct, ledger, passivity, wave
-from teleop.coupling.config import PASSIVITY, WAVE, BilateralSettings
+from teleop.coupling.config import EXTENSION, PASSIVITY, WAVE, BilateralSettings
 from teleop.coupling.contact import Contact
 from teleop.coupling.interface import MasterInput, SlaveInput, SlaveOutput
 from teleop.coupling.ledger import Port
@@ -28,6 +28,10 @@ class Side(Struct):
     # at the last tick (master)
     hand: Annotated[Sequence[MasterInput], Field(MasterInput, MAX_JOINTS)]
     dt: F64 = 0.0  # [s] of that tick
+    # of a coupling of another package, at this tick: [m], [m/s] of the tips, [N] for the hand
+    own_position: Annotated[Array, Field("f8", MAX_JOINTS)]
+    own_velocity: Annotated[Array, Field("f8", MAX_JOINTS)]
+    own_force: Annotated[Array, Field("f8", MAX_JOINTS)]
     contacts: Annotated[Sequence[Contact], Field(Contact, MAX_JOINTS)]  # of the tips (master)
 
 
@@ -173,6 +177,8 @@ def render_force(
             rendered[k] = wave.render_force(
                 settings.wave, side.ports[k], side.hand[k], force[k], side.dt
             )
+        elif side.coupled and settings.kind == EXTENSION:
+            rendered[k] = side.own_force[k]
         else:
             rendered[k] = force[k]
 
@@ -214,7 +220,10 @@ def compute_tip_motion(
     for k in range(joints):
         position = side.tip[k]
         previous = side.requested[k]
-        tip = SlaveInput(force[k], requested[k] - previous, previous - position, velocity[k])
+        wanted, speed = requested[k], velocity[k]
+        if settings.kind == EXTENSION:
+            wanted, speed = side.own_position[k], side.own_velocity[k]
+        tip = SlaveInput(force[k], wanted - previous, previous - position, speed)
         output = _compute_joint_tip_motion(settings, side.ports[k], tip, dt)
         side.requested[k] = requested[k]
         side.tip[k] = position + output.travel

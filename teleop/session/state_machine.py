@@ -127,6 +127,7 @@ class Reason(IntEnum):
     EMERGENCY_STOP = 53, "operator pressed the emergency stop"
     STOP_CALLED = 54, "emergency stop requested"
     WATCH_LOST = 55, "watching process was lost"
+    EXTENSION_FAULT = 56, "estimator, controller or coupling of another package failed"
 
     UNKNOWN = 255, "reason unknown to this version"
 

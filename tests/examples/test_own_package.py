@@ -1,4 +1,4 @@
-"""A package of a laboratory's own, installed: its rig, its device and its effect are used."""
+"""A package of a laboratory's own, installed: what it has is used."""
 
 import subprocess
 import sys

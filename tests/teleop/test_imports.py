@@ -29,6 +29,7 @@ CURVE = Effect("curve", "c", "e", (Parameter("curve", "1/N", -1.0, 1.0, 0.1),), 
                starts=lambda _: [(0.1,)], required_channels=frozenset({DISTAL_TENSION}))
 """
 RIG = {"slave": {"rig": {"type": "stranger:Rig"}}}
+OWN = {"type": "stranger:Own"}
 DEVICE = {"master": {"device": {"type": "stranger:Device"}}}
 MODEL = {
     "base": {"K": 0.8},
@@ -40,6 +41,17 @@ FILE_USES = {  # command, its file, and the key to be named
     "run with a device": ("run --view none --config {}", DEVICE, "master.device.type"),
     "slave": ("slave --config {}", RIG, "slave.rig.type"),
     "master": ("master --config {}", DEVICE, "master.device.type"),
+    "slave with an estimator": (
+        "slave --config {}",
+        {"slave": {"estimator": OWN}},
+        "slave.estimator.type",
+    ),
+    "slave with a controller": (
+        "slave --config {}",
+        {"slave": {"controller": OWN}},
+        "slave.controller.type",
+    ),
+    "master with a coupling": ("master --config {}", {"coupling": OWN}, "coupling.type"),
     "calibrate": ("calibrate --config {}", RIG, "slave.rig.type"),
     "rig": ("rig check --config {}", RIG, "slave.rig.type"),
     "simulate": ("simulate {} --out out.csv", RIG, "slave.rig.type"),

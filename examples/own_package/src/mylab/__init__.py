@@ -1,1 +1,1 @@
-"""A laboratory's own rig, device and effect."""
+"""What a laboratory has of its own."""

@@ -1,0 +1,72 @@
+"""The master's end of a coupling of another package, in the master's tick."""
+
+import numpy as np
+
+from estimator.array_types import Array
+from estimator.records import StructArray
+from master import loop
+from teleop.config.extension_calls import CheckedExtension
+from teleop.coupling.extension import FORCE_MAX, SIGNAL_MAX, CouplingExtension, HandPort
+from teleop.messages.messages import MAX_JOINTS
+
+
+class HandEnd:
+    """Calls a `MasterCoupling`, and checks what it returns.
+
+    Parameters
+    ----------
+    config : CouplingExtension
+        Of both sides.
+    memories, settings, states : Records
+        `MasterMemory`, `MasterSettings` and the newest `SlaveState`, shape (1,).
+
+    Raises
+    ------
+    UsageError
+        It cannot be opened.
+    """
+
+    def __init__(
+        self,
+        config: CouplingExtension,
+        memories: StructArray,
+        settings: StructArray,
+        states: StructArray,
+    ) -> None:
+        n = self._joints = int(memories["joints"][0])
+        self._memories, self._states = memories, states
+        self._checked = CheckedExtension(
+            "coupling", config, lambda: config.open_master(n), "send", "render"
+        )
+        self.calls = self._checked.calls
+        self._was_coupled = False
+        loop.compute_tip_forces(settings, states, False, n, np.zeros(MAX_JOINTS))  # compile it
+
+    @property
+    def _is_coupled(self) -> bool:
+        return bool(self._memories["counted_work"][0])
+
+    def send(self, commands: StructArray, dt: float) -> None:
+        """Write the numbers for the slave into the command; `ExtensionFault`."""
+        n, was_coupled, self._was_coupled = self._joints, self._was_coupled, self._is_coupled
+        commands["wave"][0, :n] = 0.0
+        if not self._is_coupled:
+            return
+        side = self._memories["coupling"][0]
+        hand = side["hand"][:n]
+        copies = (side["requested"][:n], hand["velocity"], hand["written"])
+        port = HandPort(dt, not was_coupled, *(values.copy() for values in copies))
+        sent = self._checked.call("send", port)
+        commands["wave"][0, :n] = self._checked.check("send", "sent", sent, n, SIGNAL_MAX, "")
+
+    def render(self, settings: StructArray, has_state: bool) -> None:
+        """Write the forces for the hand into the memory; `ExtensionFault`."""
+        n, force = self._joints, np.zeros(MAX_JOINTS)
+        loop.compute_tip_forces(settings, self._states, has_state, n, force)
+        received: Array = self._states["wave"][0, :n].copy()
+        if self._is_coupled and np.isfinite(force).all() and np.isfinite(received).all():
+            rendered = self._checked.call("render", force[:n].copy(), received)
+            checked = self._checked.check("render", "force", rendered, n, FORCE_MAX, "N")
+            self._memories["coupling"]["own_force"][0, :n] = checked
+        else:  # refused, or not rendered
+            self._memories["coupling"]["own_force"][0, :n] = 0.0
