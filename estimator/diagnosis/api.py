@@ -14,6 +14,7 @@ from estimator.diagnosis.baseline import (
 )
 from estimator.diagnosis.bench_units import compute_bench_scale, to_bench_units, to_record_units
 from estimator.diagnosis.causes import FINAL_ROUNDS, RESTART_PROGRESS, find_causes, rank_candidates
+from estimator.diagnosis.curve import estimate_curve
 from estimator.diagnosis.dataset import (
     BaseLaw,
     Dataset,
@@ -226,7 +227,12 @@ def prepare_records(
         try:
             records.append(
                 prepare_record(
-                    item.time, collect_signals(item), noise=noise, units=units, loop=loop
+                    item.time,
+                    collect_signals(item),
+                    noise=noise,
+                    units=units,
+                    loop=loop,
+                    variables=getattr(item, "variables", {}),
                 )
             )
         except RecordError as error:
@@ -387,7 +393,8 @@ def _build_diagnosis(
     )
     residual_fraction = compute_residual_fraction(errors_after, errors_before)
     is_noise_after = is_noise(dataset, errors_after)
-    is_drifting = not is_noise_after and has_drifting_friction(dataset, fit)
+    has_function = bool(steps) and steps[-1].effect.function is not None
+    is_drifting = not (is_noise_after or has_function) and has_drifting_friction(dataset, fit)
     verdict = decide_verdict(
         steps,
         residual_fraction,
@@ -395,9 +402,11 @@ def _build_diagnosis(
         is_noise_after=is_noise_after,
         is_drifting=is_drifting,
     )
+    free_names = {effect.name for effect, _ in final_fit.model.effects if effect.function}
     fitted_values = {
         item.name: FittedValue(item.value, item.low, item.high, item.parameter.unit, item.at_bound)
         for item in estimate_intervals(full_dataset, build_contexts(dataset, base_fit), final_fit)
+        if item.name.partition(".")[0] not in free_names
     }
     validation_records = prepare_validation_records(dataset, validate, final_base_fit)
     transferred_fit = final_base_fit
@@ -440,4 +449,5 @@ def _build_diagnosis(
             dataset, base_fit, final_fit, rivals.find_equivalent_causes(steps)
         ),
         validation=predicted_records,
+        curve=estimate_curve(full_dataset, build_contexts(dataset, base_fit), final_fit),
     )

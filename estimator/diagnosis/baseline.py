@@ -262,12 +262,13 @@ def choose_loads(dataset: Dataset, fit: Fit) -> Choice:
 def select_applicable_effects(
     effects: Sequence[Effect], record: Record, base: BaseParameters
 ) -> list[Effect]:
-    """Return the effects that are defined for a record's channels and its base law."""
+    """Return the effects with a law that are defined for a record's channels and its base law."""
     excluded = EXCLUDED_EFFECTS[base.law] | ({"tip_inertia"} if TIP_MASS in base.own else set())
     return [
         effect
         for effect in effects
-        if effect.required_channels <= set(record.signals)
+        if effect.function is None
+        and effect.required_channels <= set(record.signals)
         and effect.name not in excluded
         and (not record.loop or effect.name in LOOP_EFFECTS or effect.label in LOOP_EFFECTS)
     ]

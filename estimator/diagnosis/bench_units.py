@@ -20,6 +20,7 @@ from estimator.diagnosis.measured_data import (
     collect_efforts,
 )
 from estimator.diagnosis.outcome import (
+    Curve,
     Diagnosis,
     ErrorStatistics,
     FittedValue,
@@ -35,6 +36,7 @@ from estimator.effects.effect import (
     Parameter,
     Values,
 )
+from estimator.effects.functions import MOTOR_POSITION
 
 RmseByChannel = dict[str, float]
 
@@ -93,6 +95,19 @@ def to_record_units(diagnosis: Diagnosis, scale: BenchScale) -> Diagnosis:
         rivals=tuple(original._replace(fit=fit(original.fit)) for original in diagnosis.rivals),
         validation=tuple(_unscale_prediction(original, scale) for original in diagnosis.validation),
         left_out=tuple(_unscale_prediction(original, scale) for original in diagnosis.left_out),
+        curve=_unscale_curve(diagnosis.curve, scale),
+    )
+
+
+def _unscale_curve(curve: Curve | None, scale: BenchScale) -> Curve | None:
+    if curve is None or curve.effect.function is None:
+        return curve
+    size, term = scale.size(curve.unit), curve.effect.function
+    zero = scale.zero if term.variable == MOTOR_POSITION else 0.0
+    return curve._replace(
+        x=scale.size(term.unit) * curve.x + zero,
+        value=size * curve.value,
+        half_width=size * curve.half_width,
     )
 
 
@@ -185,7 +200,8 @@ def _unscale_numbers(diagnosis: Diagnosis, scale: BenchScale) -> dict[str, Fitte
             high=size * number.high,
             unit=diagnosis.units.name(number.unit),
         )
-    for effect, values in diagnosis.extended.model.effects if scale.zero else ():
+    effects = [pair for pair in diagnosis.extended.model.effects if pair[0].function is None]
+    for effect, values in effects if scale.zero else ():
         numbers |= shift_encoder_zero(
             effect, _unscale_values(effect.parameters, values, scale), numbers, scale.zero
         )

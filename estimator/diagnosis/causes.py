@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from estimator.diagnosis.baseline import choose_loads, select_applicable_effects
+from estimator.diagnosis.characterisation import fit_functions
 from estimator.diagnosis.dataset import (
     Dataset,
     Fit,
@@ -34,7 +35,9 @@ from estimator.diagnosis.scoring import (
 )
 from estimator.diagnosis.screening import Candidate, fit_candidates
 from estimator.diagnosis.settings import SETTINGS, ProgressCallback, scale_progress
+from estimator.effects import NAMES
 from estimator.effects.effect import Effect, EffectContext
+from estimator.effects.functions import build_functions
 
 # --- the next cause, and its rivals
 
@@ -277,10 +280,48 @@ def find_causes(
     ):
         result = _find_causes_stepwise(result.loads, *recovered, effects, report, workers)
     if not _is_explained(result):
-        result = _restart_from_other_cause(
-            result, effects, scale_progress(report, SEARCH_PROGRESS[-1], RESTART_PROGRESS), workers
+        middle = 0.5 * (SEARCH_PROGRESS[-1] + RESTART_PROGRESS)
+        free = _find_function(
+            result, effects, scale_progress(report, SEARCH_PROGRESS[-1], middle), workers
         )
+        if free is None or _compute_fraction(free) > SETTINGS.uncertain_fraction_max:
+            result = _restart_from_other_cause(
+                result, effects, scale_progress(report, middle, RESTART_PROGRESS), workers
+            )
+        if free is not None and _is_function_better(free, result):
+            result = free
     return result, law
+
+
+def _find_function(
+    result: CauseSearchResult, effects: Sequence[Effect], report: ProgressCallback, workers: int
+) -> CauseSearchResult | None:
+    """Return the free function that explains most, on the base law or beside the named causes."""
+    columns = result.dataset.records[0].variables
+    is_complete = set(NAMES) <= {effect.name for effect in effects}
+    functions = [effect for effect in effects if effect.function is not None]
+    functions = list(build_functions(columns)) if is_complete else functions
+    best: CauseSearchResult | None = None
+    starts = [([], result.base_fit), *([(result.steps, result.fit)] if result.steps else [])]
+    for steps, fit in starts:
+        candidates = fit_functions(result.dataset, fit, functions, report, workers)
+        step = find_next_cause(result.dataset, result.base_fit, fit, candidates)
+        if step is not None:
+            found = result._replace(steps=[*steps, step], fit=step.fit)
+            if best is None or _compute_evidence(found, best) > SETTINGS.score_min:
+                best = found
+    return best
+
+
+def _is_function_better(free: CauseSearchResult, named: CauseSearchResult) -> bool:
+    """Return whether a free function explains what named causes do not; as good, they are named."""
+    if _is_explained(named):
+        return False
+    errors = (compute_errors(named.dataset, fit) for fit in (free.fit, named.fit))
+    if compute_residual_fraction(*errors) < SETTINGS.free_function_fraction:
+        return True
+    is_open = not named.steps or _compute_fraction(named) > SETTINGS.unexplained_fraction_max
+    return is_open and _compute_evidence(free, named) > 0.0
 
 
 def _recover_motion_beside_cause(result: CauseSearchResult) -> tuple[Dataset, Fit] | None:
@@ -321,6 +362,12 @@ def _recover_motion_beside_cause(result: CauseSearchResult) -> tuple[Dataset, Fi
 
 def _is_explained(result: CauseSearchResult) -> bool:
     return is_noise(result.dataset, compute_errors(result.dataset, result.fit))
+
+
+def _compute_fraction(result: CauseSearchResult) -> float:
+    """Return the share of the base law's error beyond noise that is left."""
+    errors = (compute_errors(result.dataset, fit) for fit in (result.fit, result.base_fit))
+    return compute_residual_fraction(*errors)
 
 
 def _compute_evidence(a: CauseSearchResult, b: CauseSearchResult) -> float:

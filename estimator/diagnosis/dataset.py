@@ -260,6 +260,7 @@ def build_context(
         compliance,
         1.0 / record.scale.force,
         record.present,
+        record.variables,
     )
 
 
@@ -423,6 +424,7 @@ def compute_residual(dataset: Dataset, fit: Fit) -> Array:
         expected = estimate_taut_travel(record, dataset.base, fit.model)
         if expected is not None:
             parts.append(np.array([(own[0] - expected.travel) / expected.uncertainty]))
+    parts += [effect.penalty(values) for effect, values in fit.model.effects]
     return np.concatenate(parts)
 
 

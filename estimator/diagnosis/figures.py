@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 
 from estimator.array_types import Array
 from estimator.diagnosis import report_tables
+from estimator.diagnosis.curve import describe_curve
 from estimator.diagnosis.dataset import SimulatedRecord
 from estimator.diagnosis.measured_data import Record
-from estimator.diagnosis.outcome import Diagnosis, PredictedRecord
+from estimator.diagnosis.outcome import Curve, Diagnosis, PredictedRecord
 from estimator.diagnosis.report_tables import name_judged_samples, name_records
 from estimator.drawing import BLACK, BLUE, GREY, STYLE, VERMILION, DrawnFigure
 from estimator.effects.effect import DISTAL_TENSION, PROXIMAL_DISPLACEMENT, PROXIMAL_TENSION
@@ -39,6 +40,13 @@ def draw_figures(
     names = name_records(diagnosis, files, further)
     count = len(diagnosis.dataset.records)
     with mpl.rc_context(STYLE):
+        if (curve := diagnosis.curve) is not None:
+            yield DrawnFigure(
+                "curve",
+                draw_curve(curve, diagnosis.units),
+                f"{describe_curve(curve, diagnosis.units)}. The band is the 95 % interval; outside "
+                "this range the model stays as at the end.",
+            )
         yield from _draw_files(diagnosis, names[:count])
         yield from _draw_predictions(
             diagnosis.validation, names[count:], "validation", "validation"
@@ -61,6 +69,34 @@ def draw_figures(
                 "penalty for its parameters. Blue are the causes found, pale blue those that the "
                 "data do not distinguish from them.",
             )
+
+
+def draw_curve(curve: Curve, units: Units) -> Figure:
+    """Draw the free function of a model over its variable, with its band."""
+    figure = Figure(figsize=(8.2, 3.4))
+    axes, term = figure.subplots(), curve.effect.function
+    if term is None:
+        raise ValueError(f"{curve.effect.name}: has no free function")
+
+    def scale(unit: str, *, share: bool = False) -> tuple[float, str]:
+        if share:
+            return 100.0, "%"
+        name = units.name(unit)
+        return (1e3, f"m{name}") if name.startswith("m") else (1.0, name)
+
+    (x_scale, x_unit), (y_scale, y_unit) = scale(term.unit), scale(curve.unit, share=term.is_share)
+    x, y, band = x_scale * curve.x, y_scale * curve.value, y_scale * curve.half_width
+    axes.fill_between(x, y - band, y + band, color=PALE_BLUE, alpha=0.6, linewidth=0.0)
+    axes.plot(x, y, color=BLUE)
+    axes.axhline(0.0, color=BLACK, linewidth=0.6)
+    core = y[np.abs(band) < 4.0 * np.median(band)]
+    margin = 0.6 * float(np.ptp(core)) + float(np.median(band))
+    axes.set(
+        xlabel=f"{term.variable} [{x_unit}]".removesuffix(" []"),
+        ylim=(core.min() - margin, core.max() + margin),
+    )
+    axes.set_ylabel(f"{term.target},\nbeside its median [{y_unit}]")
+    return figure
 
 
 def _draw_files(diagnosis: Diagnosis, files: Sequence[str]) -> Iterator[DrawnFigure]:

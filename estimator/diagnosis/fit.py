@@ -85,12 +85,18 @@ class ParameterLayout:
     @property
     def is_smooth(self) -> Mask:
         """Which numbers a slope leads to."""
-        return np.array([not p.jumps for p in self.parameters])
+        return np.array([not (p.jumps or p.is_fixed) for p in self.parameters])
+
+    @property
+    def is_fixed(self) -> Mask:
+        """Which numbers a fit leaves as they are."""
+        return np.array([p.is_fixed for p in self.parameters])
 
     @property
     def is_shape(self) -> Mask:
         """Which numbers only shape an effect, and have a slope."""
-        return np.array([p.neutral is None and not p.jumps for p in self.parameters])
+        is_shape = np.array([p.neutral is None for p in self.parameters])
+        return np.asarray(is_shape & self.is_smooth)
 
     @property
     def is_time(self) -> Mask:
@@ -189,6 +195,7 @@ class _Search:
         self, start: Model, rounds: int, is_free: Mask, *, robust: bool = False, full: bool = False
     ) -> Fit:
         """Return the fit of least squares of the free numbers; `full` to all samples."""
+        is_free = is_free & ~self.layout.is_fixed
         if not is_free.any():
             return simulate_dataset(self._dataset, self._contexts, start)
         low, high = self.layout.bounds()
@@ -428,7 +435,9 @@ def compute_jacobian(dataset: Dataset, contexts: Sequence[EffectContext], fit: F
     search = _Search(dataset, contexts, fit.model)
     x, (_, high) = search.layout.pack(fit.model), search.layout.bounds()
     residual = compute_residual(dataset, fit)
-    return compute_forward_differences(search.compute_residual, x, residual, DIFFERENCE_STEP, high)
+    J = compute_forward_differences(search.compute_residual, x, residual, DIFFERENCE_STEP, high)
+    J[:, search.layout.is_fixed] = 0.0
+    return J
 
 
 def _compute_uncertainty(dataset: Dataset, contexts: Sequence[EffectContext], fit: Fit) -> Array:

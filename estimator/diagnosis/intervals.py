@@ -70,7 +70,7 @@ def estimate_intervals(
     """
     layout = ParameterLayout(dataset, fit.model)
     J, residual = compute_jacobian(dataset, contexts, fit), compute_residual(dataset, fit)
-    inverse, variance = np.linalg.pinv(J), _estimate_residual_variance(residual, J.shape[1])
+    inverse, variance = np.linalg.pinv(J), estimate_residual_variance(residual, J.shape[1])
     sigma = np.sqrt((inverse**2).sum(axis=1) * variance)
     simulation_error = _bound_simulation_error(dataset, fit.model, np.asarray(inverse))
     intervals, values = [], layout.values(fit.model)
@@ -104,11 +104,11 @@ def is_significant(dataset: Dataset, fit: Fit, fit_without: Fit) -> bool:
     )
     increase_min = chdtri(
         numbers - numbers_without, SIGNIFICANCE_LEVEL
-    ) * _estimate_residual_variance(compute_residual(dataset, fit), numbers)
+    ) * estimate_residual_variance(compute_residual(dataset, fit), numbers)
     return bool(compute_cost(dataset, fit_without) - compute_cost(dataset, fit) > increase_min)
 
 
-def _estimate_residual_variance(residual: Array, numbers: int) -> float:
+def estimate_residual_variance(residual: Array, numbers: int) -> float:
     """Return the variance of a fit's residuals, larger as they correlate with the next sample."""
     correlation = estimate_correlation(residual, centred=False, correlation_max=CORRELATION_MAX)
     return compute_residual_variance(residual, len(residual) - numbers, correlation)
@@ -133,6 +133,8 @@ def _bound_simulation_error(dataset: Dataset, model: Model, inverse: Array) -> A
         if estimate_taut_travel(record, dataset.base, model) is not None:
             parts.append(np.zeros(1))
             bins.append(bin_of[:1])
+    parts += [np.zeros(len(effect.penalty(values))) for effect, values in model.effects]
+    bins += [np.zeros(len(rows), dtype=np.int64) for rows in parts[len(bins) :]]
     error_max = np.abs(inverse) * np.concatenate(parts)
     all_bins = np.concatenate(bins)
     law_count = len(dataset.base.shared)

@@ -205,6 +205,8 @@ class Record:
         Of what the signals are counted in, to `units`.
     present
         Which samples were measured, by channel, shape (n,) each; the others are interpolated.
+    variables
+        Further columns of the data, by name, shape (n,) each, which friction may depend on.
     """
 
     time: Array
@@ -225,6 +227,7 @@ class Record:
     start: float = 0.0
     scale: BenchScale = UNIT_SCALE
     present: dict[str, Mask] = field(default_factory=dict)
+    variables: dict[str, Array] = field(default_factory=dict)
 
     @property
     def compared(self) -> tuple[str, ...]:
@@ -258,6 +261,7 @@ def prepare_record(
     noise: Mapping[str, float] = MappingProxyType({}),
     units: Units = LINEAR,
     loop: bool | None = None,
+    variables: Mapping[str, Array] = MappingProxyType({}),
 ) -> Record:
     """Return a record made ready.
 
@@ -278,6 +282,8 @@ def prepare_record(
         [N] and [m] by default.
     loop : bool, optional
         Whether it is a closed loop of two cables; by default, whether effort changes its sign.
+    variables : mapping
+        Further columns that something may depend on, such as a temperature, shape (n,) each.
 
     Raises
     ------
@@ -300,7 +306,7 @@ def prepare_record(
             raise RecordError(
                 f"{units.word(name)}: negative where the tendon pulls; change its sign"
             )
-    noise = dict(noise)
+    noise, stamps = dict(noise), time
     driver = PROXIMAL_DISPLACEMENT if PROXIMAL_DISPLACEMENT in signals else PROXIMAL_TENSION
     time, signals, missing_issues = _select_driver_rows(driver, time, signals, units)
     start = float(time[0])
@@ -358,6 +364,11 @@ def prepare_record(
         loop=loop,
         start=start,
         present=present,
+        variables={
+            name: np.interp(time + start, stamps[rows], np.asarray(values)[rows])
+            for name, values in variables.items()
+            if (rows := np.isfinite(values)).any()
+        },
     )
 
 
@@ -510,6 +521,7 @@ def select_record_rows(record: Record, rows: Mask) -> Record:
         sigma={name: sigma[rows] for name, sigma in record.sigma.items()},
         valid={name: valid[rows] for name, valid in record.valid.items()},
         present={name: present[rows] for name, present in record.present.items()},
+        variables={name: values[rows] for name, values in record.variables.items()},
         measured=record.measured[rows],
         train=record.train[rows],
         block=record.block[rows],

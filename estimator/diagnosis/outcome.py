@@ -110,6 +110,7 @@ class Verdict(StrEnum):
     CLEAN = "clean"  # nothing wrong beyond noise
     NAMED = "named"  # one cause, or one after another
     AMBIGUOUS = "ambiguous"  # one of several that these channels cannot tell apart
+    CHARACTERISED = "characterised"  # no cause, but a function of one variable explains it
     UNEXPLAINED = "unexplained"  # the model is wrong, and nothing in the catalogue explains it
 
 
@@ -186,6 +187,8 @@ def decide_verdict(
     is_large = residual_fraction > SETTINGS.unexplained_fraction_max
     if is_drifting or (is_large and not is_noise_after):
         return Verdict.UNEXPLAINED
+    if steps[-1].effect.function is not None:
+        return Verdict.CHARACTERISED
     return Verdict.AMBIGUOUS if any(step.rivals for step in steps) else Verdict.NAMED
 
 
@@ -195,6 +198,17 @@ class Rival(NamedTuple):
     replaces: str  # name of that cause
     effect: Effect
     fit: Fit
+
+
+class Curve(NamedTuple):
+    """The free function of an extended model over the range of its variable."""
+
+    effect: Effect
+    x: Array  # of the variable, shape (m,)
+    value: Array  # beside its median, shape (m,): a share, or in the unit of what it changes
+    half_width: Array  # of the 95 % interval, shape (m,)
+    unit: str  # of the values
+    period: float  # [s] of a cycle that the variable is the phase of, else 0
 
 
 class DetectionLimit(NamedTuple):
@@ -239,6 +253,7 @@ class Diagnosis(NamedTuple):
     forces: tuple[FileForce, ...] = ()  # error of the force that the loop would estimate
     rival_forces: tuple[RivalForce, ...] = ()  # what each rival would do to that force
     scale: BenchScale = UNIT_SCALE  # of the bench, at which it was made
+    curve: Curve | None = None  # of a model with a free function
 
     @property
     def units(self) -> Units:

@@ -5,8 +5,9 @@ from collections.abc import Sequence
 
 from estimator.diagnosis import report_tables
 from estimator.diagnosis.baseline import LUGRE
+from estimator.diagnosis.curve import describe_curve
 from estimator.diagnosis.dataset import TIP_COMPLIANCE, compute_tolerance
-from estimator.diagnosis.outcome import CauseStep, DetectionLimit, Diagnosis, Verdict
+from estimator.diagnosis.outcome import CauseStep, Curve, DetectionLimit, Diagnosis, Verdict
 from estimator.diagnosis.report_tables import (
     build_detection_limit_table,
     build_gain_table,
@@ -21,6 +22,7 @@ from estimator.diagnosis.report_tables import (
 from estimator.diagnosis.settings import SETTINGS
 from estimator.effects import CATALOGUE, Effect
 from estimator.effects.effect import CHANNELS, DISTAL_DISPLACEMENT, DISTAL_TENSION, PROXIMAL_TENSION
+from estimator.effects.functions import find_function
 from estimator.text_table import Table
 from estimator.units import format_quantity
 
@@ -53,6 +55,8 @@ def format_verdict(diagnosis: Diagnosis) -> str:
             f"The model is wrong, and nothing in the catalogue explains it: {remainder}"
             f"{_describe_dependence(diagnosis)}."
         )
+    if diagnosis.verdict is Verdict.CHARACTERISED and diagnosis.curve is not None:
+        return _describe_function(diagnosis, diagnosis.curve)
     causes = " and ".join(f"because {_describe_cause(diagnosis, step)}" for step in diagnosis.steps)
     ambiguity = "; these channels cannot tell which" * (diagnosis.verdict is Verdict.AMBIGUOUS)
     return f"The model is wrong {causes}{ambiguity}; {_describe_gain(diagnosis)}."
@@ -237,6 +241,18 @@ def _describe_cause(diagnosis: Diagnosis, step: CauseStep) -> str:
     return " or ".join([cause_text, *rivals])
 
 
+def _describe_function(diagnosis: Diagnosis, curve: Curve) -> str:
+    *named, step = diagnosis.steps
+    beside = "".join(f" beside {item.effect.label}" for item in named)
+    rivals = [effect.cause for name in step.rivals for effect in _find_effects(name)[:1]]
+    alternatives = f"; or {' or '.join(rivals)}" if rivals else ""
+    return (
+        f"No named cause explains the error{beside}; {describe_curve(curve, diagnosis.units)}, "
+        f"which explains {1.0 - diagnosis.residual_fraction:.0%} of the error beyond "
+        f"noise{alternatives}."
+    )
+
+
 def _list_length_parameters(diagnosis: Diagnosis) -> list[str]:
     """Return the parameters with a length in their unit."""
     known_parameter = (
@@ -263,7 +279,9 @@ def _list_unsure_causes(diagnosis: Diagnosis) -> list[str]:
 
 
 def _find_effects(name: str) -> list[Effect]:
-    return [effect for effect in CATALOGUE if effect.name == name]
+    function = find_function(name)
+    named = [effect for effect in CATALOGUE if effect.name == name]
+    return named if function is None else [function]
 
 
 def _describe_gain(diagnosis: Diagnosis) -> str:

@@ -176,7 +176,7 @@ def is_within_tolerance(
     )
 
 
-def compute_bic_penalty(dataset: Dataset, parameters: int) -> float:
+def compute_bic_penalty(dataset: Dataset, parameters: float) -> float:
     """Return the log-likelihood penalty of a count of parameters (BIC, Schwarz 1978)."""
     samples = sum(len(record.time) for record in dataset.records)
     return 0.5 * parameters * math.log(samples)

@@ -42,6 +42,7 @@ SCREENING_PROGRESS, FITTING_PROGRESS = 0.3, (0.6, 0.75)
 HALVINGS = 3  # of a linear step that leads uphill
 ROUNDS = (4, 6)  # of the first fits, on subsampled records
 FINAL_ROUNDS = 25  # rounds of the last fit, on whole records
+RESTART_COST_RATIO_MAX = 1.1  # of a quick fit on all samples to the best: it is followed
 AMPLITUDE_RATIO_MAX = 6.0  # times a start's amplitude that a linear step may go
 
 Task = TypeVar("Task")
@@ -138,7 +139,7 @@ def fit_candidates(
             return _fit_candidate(subsampled, subsampled_contexts, model, rounds)
 
         best = _select_best_by_label(
-            _map_parallel(fit_subsampled, models, fitting_report, "fitting candidates", workers)
+            map_parallel(fit_subsampled, models, fitting_report, "fitting candidates", workers)
         )[:kept_count]
         models = [
             candidate.fit.model
@@ -160,18 +161,22 @@ def fit_candidates(
         )
         best = fit_cheapest(models)
         if best.effect.is_transient and not is_noise(dataset, best.held_out):
-            restarted = fit_cheapest(
-                _refine_starts(dataset, contexts, current_fit.model, best.effect)
-            )
-            best = min(best, restarted, key=lambda candidate: candidate.cost)
+            quick_fits = _refine_starts(dataset, contexts, current_fit.model, best.effect)
+            promising = [
+                fit.model
+                for fit in quick_fits
+                if compute_cost(dataset, fit) < RESTART_COST_RATIO_MAX * best.cost
+            ]
+            if promising:
+                best = min(best, fit_cheapest(promising), key=lambda candidate: candidate.cost)
         return best
 
     finishing_report = scale_progress(report, FITTING_PROGRESS[-1], 1.0)
     refined = list(
-        _map_parallel(refine_candidate, models, finishing_report, "finishing the best", workers)
+        map_parallel(refine_candidate, models, finishing_report, "finishing the best", workers)
     )
     unrefined = [
-        _build_candidate(dataset, simulate_dataset(dataset, contexts, candidate.fit.model))
+        build_candidate(dataset, simulate_dataset(dataset, contexts, candidate.fit.model))
         for candidate in best[len(models) :]
     ]
     return sorted(refined + unrefined, key=lambda candidate: candidate.cost)
@@ -179,13 +184,11 @@ def fit_candidates(
 
 def _refine_starts(
     dataset: Dataset, contexts: Sequence[EffectContext], model: Model, effect: Effect
-) -> list[Model]:
-    """Return the best two models of a few rounds on all samples, from each start of an effect."""
+) -> list[Fit]:
+    """Return the best two fits of a few rounds on all samples, from each start of an effect."""
     starts = [_add_effect(model, effect, values) for values in effect.starts(contexts[0])]
     fits = [fit_model(dataset, contexts, trial, QUICK_ROUNDS) for trial in starts]
-    return [
-        trial.model for trial in sorted(fits, key=lambda trial: compute_cost(dataset, trial))[:2]
-    ]
+    return sorted(fits, key=lambda trial: compute_cost(dataset, trial))[:2]
 
 
 def screen_candidates(
@@ -252,7 +255,7 @@ def screen_candidates(
         return start, Start(raw_fit.model, float(np.sum((residual + change) ** 2)))
 
     pairs_by_effect: dict[str, list[tuple[Start, Start]]] = {}
-    for pair in _map_parallel(screen_start, effect_starts, report, "trying effects", workers):
+    for pair in map_parallel(screen_start, effect_starts, report, "trying effects", workers):
         if pair is not None:
             pairs_by_effect.setdefault(pair[0].model.effects[-1][0].label, []).append(pair)
     linearised_starts = [
@@ -324,10 +327,11 @@ def _is_at_bound(value: float, parameter: Parameter) -> bool:
 def _fit_candidate(
     dataset: Dataset, contexts: Sequence[EffectContext], start: Model, rounds: int
 ) -> Candidate:
-    return _build_candidate(dataset, fit_model(dataset, contexts, start, rounds))
+    return build_candidate(dataset, fit_model(dataset, contexts, start, rounds))
 
 
-def _build_candidate(dataset: Dataset, fit: Fit) -> Candidate:
+def build_candidate(dataset: Dataset, fit: Fit) -> Candidate:
+    """Return the candidate of a fit, whose last effect it is."""
     return Candidate(
         fit.model.effects[-1][0], fit, compute_errors(dataset, fit), compute_cost(dataset, fit)
     )
@@ -340,7 +344,7 @@ def _select_best_by_label(candidates: Iterable[Candidate]) -> list[Candidate]:
     return list(best.values())
 
 
-def _map_parallel(
+def map_parallel(
     work: Callable[[Task], Done],
     tasks: Sequence[Task],
     report: ProgressCallback,

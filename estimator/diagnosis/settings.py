@@ -69,8 +69,8 @@ class Settings:
     gain_min: float = 0.04  # by which it lowers the error
     confidence: float = 0.98  # share of bootstrap resamples in which it is better
     unexplained_fraction_max: float = 0.25  # of the error beyond noise, with the named effects
-    # of what a step or drift leaves, with friction free over time: less, and friction drifts
-    free_friction_fraction: float = 0.3
+    # of what named causes leave, with a free function instead: less, and they are not the cause
+    free_function_fraction: float = 0.3
 
     # when two effects are not told apart (causes.py)
     equivalent_score_max: float = 6.0  # log-likelihood ratio, penalties included

@@ -39,7 +39,13 @@ from estimator.diagnosis.outcome import (
 )
 from estimator.diagnosis.scoring import compute_errors, compute_residual_fraction
 from estimator.diagnosis.settings import SETTINGS
-from estimator.effects.effect import Effect, EffectContext, Parameter, Values
+from estimator.effects.effect import Effect, EffectContext, Values
+from estimator.effects.functions import (
+    COEFFICIENTS,
+    FRICTION_BY_TIME,
+    compute_basis,
+    penalise,
+)
 from estimator.lumped.lumped_model import Physics
 from estimator.measured_data import MeasuredData, Samples
 from estimator.online.estimator import Estimator
@@ -124,34 +130,13 @@ def _drop_record_fit(fit: Fit, k: int) -> Fit:
     return Fit(fit.model._replace(own=own), fit.simulated[:k] + fit.simulated[k + 1 :])
 
 
-# --- piecewise-linear friction over time, the reference for causes in time
+# --- free friction over time, the reference for causes in time
 # A step or a drift is the nearest of the catalogue to friction that wanders, and takes most of it
 # up. It is not the cause if a course that is free to be anything does far better.
 
-KNOTS = 20
 FRICTION_TIME_EFFECTS = frozenset({"friction_step", "friction_drift"})
 FRICTION_ROUNDS = 25
-
-
-def _place_knots(context: EffectContext) -> Array:
-    return np.linspace(context.time[0], context.time[-1], KNOTS)
-
-
-def _apply_friction_course(physics: Physics, values: Values, context: EffectContext) -> Physics:
-    share = 1.0 + np.interp(context.time, _place_knots(context), values)
-    return physics._replace(friction=physics.friction * share)
-
-
-FRICTION_COURSE = Effect(
-    name="friction_course",
-    cause="friction changes with time, neither at once nor steadily",
-    equation="K(t) = K (1 + c(t)), c linear between its knots",
-    parameters=tuple(Parameter(f"change_{k}", "", -0.9, 5.0, 0.05) for k in range(1, KNOTS + 1)),
-    source="no law: what is free to follow the data",
-    advice="Look for what comes and goes: a sheath that is moved, temperature, lubricant.",
-    starts=lambda _: [(0.0,) * KNOTS],
-    physics=_apply_friction_course,
-)
+COURSE_ROUGHNESS = 0.1  # residuals per step of a second difference
 
 
 def has_drifting_friction(dataset: Dataset, fit: Fit) -> bool:
@@ -183,22 +168,22 @@ def _is_far_better(dataset: Dataset, free_fit: Fit, cause_fit: Fit) -> bool:
     free_errors, cause_errors = (
         compute_errors(dataset, fit, held_out=False) for fit in (free_fit, cause_fit)
     )
-    return compute_residual_fraction(free_errors, cause_errors) < SETTINGS.free_friction_fraction
+    return compute_residual_fraction(free_errors, cause_errors) < SETTINGS.free_function_fraction
 
 
 def fit_time_varying_friction(dataset: Dataset, fit: Fit, effect: Effect) -> Fit:
     """Return a model in which friction takes any course instead of what `effect` says of it."""
     contexts = build_contexts(dataset, fit)
-    other_effects: list[tuple[Effect, Values]] = []
-    course: Values = (0.0,) * KNOTS
-    for other_effect, values in fit.model.effects:
-        if other_effect.name != effect.name:
-            other_effects.append((other_effect, values))
-            continue
-        unit_physics = Physics(np.ones_like(contexts[0].time), 1.0, np.ones(1))
-        change = other_effect.physics(unit_physics, values, contexts[0]).friction - 1.0
-        course = tuple(np.interp(_place_knots(contexts[0]), contexts[0].time, change).tolist())
-    model = fit.model._replace(effects=(*other_effects, (FRICTION_COURSE, course)))
+    others = tuple(pair for pair in fit.model.effects if pair[0].name != effect.name)
+    course = penalise(FRICTION_BY_TIME, COURSE_ROUGHNESS, COURSE_ROUGHNESS)
+    # begun at what the cause says, which the law has not taken up
+    unit = Physics(np.ones_like(contexts[0].time), 1.0, np.ones(1))
+    values = dict(fit.model.effects)[effect]
+    change = effect.physics(unit, values, contexts[0]).friction - 1.0
+    ends = (0.0, max(float(np.ptp(context.time)) for context in contexts))
+    basis = compute_basis(course, (*ends, *(COEFFICIENTS * [0.0])), contexts[0].time)
+    c = np.linalg.lstsq(basis, change, rcond=None)[0].clip(-0.9, 5.0).tolist()
+    model = fit.model._replace(effects=(*others, (course, (*ends, *c))))
     return fit_model(rescale_residuals(dataset, fit), contexts, model, FRICTION_ROUNDS)
 
 

@@ -46,6 +46,8 @@ class Parameter(NamedTuple):
     """Its value without the effect; None where it only shapes the effect."""
     jumps: bool = False
     """Whether it must be searched step by step, since it has no gradient."""
+    is_fixed: bool = False
+    """Whether a fit leaves it as it is."""
 
 
 class EffectContext(NamedTuple):
@@ -61,6 +63,7 @@ class EffectContext(NamedTuple):
     elongation_per_newton: float  # L/EA [m/N] of that model
     newton: float = 1.0  # of the records, in the unit of force here (diagnosis.measured_data)
     present: Mapping[str, NDArray[np.bool_]] = MappingProxyType({})  # the others are interpolated
+    variables: Mapping[str, Array] = MappingProxyType({})  # further columns, shape (n,) each
 
     @property
     def peak(self) -> float:
@@ -77,8 +80,25 @@ class EffectContext(NamedTuple):
         return [float(t) for t in self.time[0] + shares * (self.time[-1] - self.time[0])]
 
 
+class FunctionTerm(NamedTuple):
+    """A free function of one variable in an effect (effects.functions)."""
+
+    target: str  # what it changes, in words
+    variable: str  # what it depends on, in words
+    unit: str  # of the variable
+    evaluate: Callable[[EffectContext], Array]  # the variable in a record, (n,)
+    is_share: bool  # its values are shares of what it changes
+    is_warped: bool  # knots are even in the signed square root of the variable
+    is_periodic: bool
+    has_zero: bool  # the law takes up a constant
+
+
 def _keep(unchanged: T, *_: object) -> T:
     return unchanged
+
+
+def _keep_free(_values: Values) -> Array:
+    return np.empty(0)
 
 
 @dataclass(frozen=True)
@@ -117,6 +137,10 @@ class Effect:
     is_transient
         Whether it shows only in short intervals, such as the first samples of a motion, which a
         subsampled record does not contain.
+    function
+        What it changes by a free function, and of what; None for an effect with a law.
+    penalty
+        Rows of least squares that keep its values plausible, in residuals.
     """
 
     name: str
@@ -137,6 +161,8 @@ class Effect:
     correction: CorrectionKind | None = None
     shift_encoder_zero: Callable[[Values, float], Values] = _keep
     is_transient: bool = False
+    function: FunctionTerm | None = None
+    penalty: Callable[[Values], Array] = _keep_free
 
     @property
     def label(self) -> str:

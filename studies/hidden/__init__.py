@@ -1,12 +1,17 @@
 """Records of a bench with effects that a diagnosis has to find: make(seed, effects, size, bench).
 
 `Hidden.channels` is what a diagnosis may see, `Hidden.truth` what it must say. EFFECTS and OUTSIDE
-name what can be hidden, inside and outside the catalogue; VISIBLE[name] the benches that have it.
+name what can be hidden, inside and outside the catalogue; VISIBLE[name] the benches that have it,
+BY[name] the function that is to be found of it.
 Travels are positive towards the housing, and 0 where the slack tendon is just taut and the tip's
 spring relaxed. Nothing is shared with `estimator` or `slave`: springs, beads, and a seed.
 """
 
-from studies.hidden.effects import EFFECTS, OUTSIDE, VISIBLE
+from studies.hidden import courses
+from studies.hidden.courses import BY
+from studies.hidden.effects import EFFECTS, OUTSIDE
 from studies.hidden.session import CHANNELS, Hidden, make
 
-__all__ = ["CHANNELS", "EFFECTS", "OUTSIDE", "VISIBLE", "Hidden", "make"]
+VISIBLE = {name: e.benches for name, e in (EFFECTS | OUTSIDE).items()}
+
+__all__ = ["BY", "CHANNELS", "EFFECTS", "OUTSIDE", "VISIBLE", "Hidden", "courses", "make"]

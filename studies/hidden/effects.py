@@ -43,6 +43,7 @@ class Plant:
     parts: int = 1  # steps of a sample
     readings: dict = field(default_factory=dict)  # channel -> functions of sensors.py
     ceilings: dict = field(default_factory=dict)  # channel -> most that it reads, noise and all
+    variables: dict = field(default_factory=dict)  # further column -> function of time
 
     def bend(self, parts=1, **changes):
         self.law = self.law._replace(**changes)
@@ -475,11 +476,9 @@ def periodic_disturbance(plant, amplitude, period, shape, channel):
     plant.read(channel, disturbed)
 
 
-VISIBLE = {name: e.benches for name, e in (EFFECTS | OUTSIDE).items()}
-
-
 def fresh(plant):
     """Return a copy that effects may change."""
     lists = {n: list(getattr(plant, n)) for n in ("scales", "growth", "wall")}
     readings = {channel: list(functions) for channel, functions in plant.readings.items()}
-    return replace(plant, readings=readings, ceilings=dict(plant.ceilings), **lists)
+    dicts = {"ceilings": dict(plant.ceilings), "variables": dict(plant.variables)}
+    return replace(plant, readings=readings, **dicts, **lists)

@@ -27,6 +27,7 @@ class Hidden:
     units: dict  # effect -> parameter -> unit, where it has one
     profile: str
     heat: np.ndarray  # [J] of friction in the sheath since the start
+    variables: dict  # name -> readings of further columns
 
 
 @dataclass(frozen=True)
@@ -135,7 +136,11 @@ def make(
         y = measured(rng, readings[channel], ceiling=ceiling, **kind)
         if channel in channels:
             seen[channel] = y
-    return Hidden(there.time, seen, truth, units, described(there), heat)
+    further = {
+        name: y(there.time) + 0.05 * rng.standard_normal(len(there.time))
+        for name, y in plant.variables.items()
+    }
+    return Hidden(there.time, seen, truth, units, described(there), heat, further)
 
 
 def sized(one, parameters, size):

@@ -29,6 +29,7 @@ from estimator.diagnosis.dataset import COMPLIANCE, FRICTION, TIP_COMPLIANCE, Ba
 from estimator.diagnosis.measured_data import parse_dimension
 from estimator.diagnosis.outcome import Diagnosis, Verdict
 from estimator.effects import CATALOGUE, Effect, Parameter, Values
+from estimator.effects.functions import find_function
 from teleop.config import strict_yaml
 from teleop.config.suggestions import suggest_spelling
 from teleop.data.effect_extensions import is_extension, load_effects
@@ -174,6 +175,8 @@ def _parse_effect(
     _reject_unknown_keys(path, key, row, ("name", "where", "parameters"))
     name, where = str(row.get("name", "")), str(row.get("where") or "")
     variants = {effect.where: effect for effect in effects if effect.name == name}
+    if not variants and (function := find_function(name)) is not None:
+        variants = {"": function}
     if not variants and is_extension(name):
         found = load_effects(name, f"{path}: {key}.name")
         variants = {effect.where: effect for effect in found}

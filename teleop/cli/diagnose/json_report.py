@@ -9,8 +9,10 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from estimator.diagnosis import report_tables, report_text
+from estimator.diagnosis.curve import describe_curve
 from estimator.diagnosis.dataset import COMPLIANCE, FRICTION
 from estimator.diagnosis.outcome import (
+    Curve,
     Diagnosis,
     ErrorStatistics,
     FittedValue,
@@ -22,7 +24,7 @@ from estimator.diagnosis.scoring import Choice
 from estimator.effects.effect import Parameter, Values
 from estimator.law.sheath import Sheath
 from estimator.text_table import Table
-from estimator.units import format_quantity
+from estimator.units import Units, format_quantity
 from slave.calibration import file
 from teleop.cli.html_page import to_json_values
 from teleop.errors import UsageError
@@ -143,6 +145,7 @@ def build_report(
         "left": diagnosis.residual_fraction,
         "has_drifting_friction": diagnosis.has_drifting_friction,
         "structure": diagnosis.residual_dependences,
+        "function": _build_curve(diagnosis.curve, diagnosis.units),
         "detection_limits": diagnosis.detection_limits,
         "sheath": {
             name: {"accepted": item.accepted, "agrees": item.agrees}
@@ -159,6 +162,26 @@ def build_report(
     }
     values: dict[str, Any] = to_json_values(report)
     return values
+
+
+def _build_curve(curve: Curve | None, units: Units) -> dict[str, Any] | None:
+    """Return the free function of the model, with its 95 % interval."""
+    if curve is None or curve.effect.function is None:
+        return None
+    term = curve.effect.function
+    return {
+        "name": curve.effect.name,
+        "changes": term.target,
+        "variable": term.variable,
+        "sentence": describe_curve(curve, units),
+        "unit": units.name(term.unit),
+        "value_unit": units.name(curve.unit),
+        "period": curve.period,
+        "x": curve.x,
+        "value": curve.value,
+        "low": curve.value - curve.half_width,
+        "high": curve.value + curve.half_width,
+    }
 
 
 def _build_prediction_errors(

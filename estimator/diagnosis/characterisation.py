@@ -1,0 +1,268 @@
+"""On what the missing part depends where no named cause explains it: a free function, fitted.
+
+Each quantity of the model that can change is tried with each variable (`effects.functions`). A
+linear step of the function's coefficients and all parameters together, for several smoothnesses,
+ranks them by held-out likelihood; the best are fitted by re-simulation, as named causes are, and
+judged by the same scores.
+"""
+
+import itertools
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from estimator.array_types import Array
+from estimator.diagnosis.dataset import (
+    TIP_COMPLIANCE,
+    Dataset,
+    Fit,
+    Model,
+    build_contexts,
+    build_unsimulated_contexts,
+    compute_residual,
+    rescale_residuals,
+    simulate_dataset,
+    subsample,
+)
+from estimator.diagnosis.fit import (
+    ParameterLayout,
+    compute_jacobian,
+    fit_model,
+    shift_parameters,
+)
+from estimator.diagnosis.scoring import (
+    ChannelErrors,
+    compute_bic_penalty,
+    compute_errors,
+    compute_log_likelihood_ratio,
+)
+from estimator.diagnosis.screening import Candidate, build_candidate, map_parallel
+from estimator.diagnosis.settings import ProgressCallback
+from estimator.effects.effect import Effect, EffectContext
+from estimator.effects.functions import COEFFICIENTS, compute_penalty, penalise
+
+SUBSAMPLE_SIZE = 1200  # samples of a record in a first look
+ROUGHNESSES = (1e-4, 1e-3, 1e-2, 0.1, 1.0)  # weights of second differences, over that of the data
+MEAN_WEIGHTS = (1e-2, 1.0)  # the same of the mean, where the law does not take it up and where
+SHARES = (1.0, 0.5)  # of a linear step
+KEPT = 10, 4  # functions that are fitted to few samples, and to all
+ROUNDS = 8, 15  # of these fits
+PERIODS_MIN = 4  # of a cycle, in a record
+PERIOD_SAMPLES = 6  # at least, of a subsampled record
+FINE_FREQUENCIES = 33  # about the best of a coarse grid
+
+
+class _Screened(NamedTuple):
+    """An effect with the smoothness and the model that a linear step gives."""
+
+    effect: Effect
+    model: Model
+    score: float
+    roughness: float  # weights of its penalty
+    mean: float
+
+
+def fit_functions(
+    dataset: Dataset,
+    current_fit: Fit,
+    effects: Sequence[Effect],
+    report: ProgressCallback,
+    workers: int = 1,
+) -> list[Candidate]:
+    """Return the models with one function more that held-out samples favour most, fitted.
+
+    Parameters
+    ----------
+    current_fit : Fit
+        The model without.
+    effects : sequence of Effect
+        With a `function` each.
+    """
+    dataset = rescale_residuals(dataset, current_fit)
+    contexts = build_contexts(dataset, current_fit)
+    few = subsample(dataset, SUBSAMPLE_SIZE)
+    few_fit = simulate_dataset(few, build_unsimulated_contexts(few, current_fit), current_fit.model)
+    few_contexts = build_contexts(few, few_fit)
+    screening = _Screening(few, few_fit, few_contexts)
+    applicable = [effect for effect in effects if _is_applicable(effect, dataset)]
+    screened = sorted(
+        itertools.chain.from_iterable(
+            map_parallel(screening.screen, applicable, report, "trying functions", workers)
+        ),
+        key=lambda start: -start.score,
+    )
+
+    def fit_few(start: _Screened) -> tuple[float, _Screened]:
+        effect = _penalise(start, 1.0)
+        fit = fit_model(few, few_contexts, _set_last_effect(start.model, effect), ROUNDS[0])
+        score = screening.compute_ratio(compute_errors(few, fit))
+        return score, start._replace(model=fit.model)
+
+    # no linear step leads to friction that rises at rest: it acts with the next motion only
+    others = [
+        start._replace(model=_set_coefficients(start.model, few_fit.model))
+        for start in screened[KEPT[0] :]
+        if start.effect.name.startswith("friction")
+    ]
+    best = sorted(
+        map_parallel(
+            fit_few, [*screened[: KEPT[0]], *others], report, "fitting functions", workers
+        ),
+        key=lambda pair: -pair[0],
+    )
+    density = math.sqrt(
+        sum(len(record.time) for record in dataset.records)
+        / sum(len(record.time) for record in few.records)
+    )
+
+    def fit_all(pair: tuple[float, _Screened]) -> Candidate:
+        effect = _penalise(pair[1], density)
+        start = _set_last_effect(pair[1].model, effect)
+        return build_candidate(dataset, fit_model(dataset, contexts, start, ROUNDS[1]))
+
+    chosen = best[: KEPT[1]]
+    return list(map_parallel(fit_all, chosen, report, "finishing functions", workers))
+
+
+def _is_applicable(effect: Effect, dataset: Dataset) -> bool:
+    record, base = dataset.records[0], dataset.base
+    has_load = TIP_COMPLIANCE in (*base.shared, *base.own)
+    return (
+        effect.required_channels <= set(record.signals)
+        and not (record.loop and effect.name.startswith("elongation"))
+        and (has_load or not effect.name.startswith("tip_load"))
+        and not (effect.function and effect.function.is_periodic and len(dataset.records) > 1)
+    )
+
+
+def _set_last_effect(model: Model, effect: Effect) -> Model:
+    return model._replace(effects=(*model.effects[:-1], (effect, model.effects[-1][1])))
+
+
+def _set_coefficients(model: Model, base: Model) -> Model:
+    """Return a base model with the last effect of another one, its function at zero."""
+    effect, values = model.effects[-1]
+    zero = (*values[:-COEFFICIENTS], *(COEFFICIENTS * [0.0]))
+    return base._replace(effects=(*base.effects, (effect, zero)))
+
+
+def _penalise(start: _Screened, density: float) -> Effect:
+    """Return the effect with its penalty, for so many times as many samples (square root)."""
+    return penalise(start.effect, density * start.roughness, density * start.mean)
+
+
+class _Screening:
+    """Linear steps of functions on top of a model, on few samples."""
+
+    def __init__(self, dataset: Dataset, fit: Fit, contexts: Sequence[EffectContext]) -> None:
+        self._dataset, self._fit, self._contexts = dataset, fit, contexts
+        self._errors = compute_errors(dataset, fit)
+        self._residual = compute_residual(dataset, fit)
+        J = compute_jacobian(dataset, contexts, fit)
+        J[:, ~ParameterLayout(dataset, fit.model).is_smooth] = 0.0
+        self._solve = np.linalg.pinv(J)
+        self._basis = np.linalg.qr(J)[0] if J.any() else np.zeros((len(J), 1))
+
+    def compute_ratio(self, errors: dict[str, ChannelErrors]) -> float:
+        """Return the log-likelihood ratio of held-out samples to the model without."""
+        return compute_log_likelihood_ratio(errors, self._errors)
+
+    def screen(self, effect: Effect) -> list[_Screened]:
+        """Return the best smoothness of a function and where a linear step leads; or nothing."""
+        shapes = self._choose_shapes(effect)
+        if shapes is None:
+            return []
+        term, step = effect.function, effect.parameters[-1].step
+        changes = [
+            self._simulate(effect, (*shapes, *row)) - self._residual
+            for row in (step * np.eye(COEFFICIENTS)).tolist()
+        ]
+        F = np.column_stack(changes)
+        if not np.isfinite(F).all():
+            return []
+        own = F - self._basis @ (self._basis.T @ F)
+        A, b = own.T @ own, own.T @ self._residual
+        power = float(np.trace(A)) / COEFFICIENTS
+        if power < 1e-9:
+            return []
+        mean = math.sqrt(MEAN_WEIGHTS[bool(term and term.has_zero)] * power)
+        best: _Screened | None = None
+        for roughness in (math.sqrt(share * power) for share in ROUGHNESSES):
+            rows = np.column_stack(
+                [
+                    compute_penalty((*shapes, *row), effect, roughness, mean)
+                    for row in (step * np.eye(COEFFICIENTS)).tolist()
+                ]
+            )
+            solved = np.linalg.solve(A + rows.T @ rows, np.column_stack([A, b]))
+            degrees, c = float(np.trace(solved[:, :-1])), np.asarray(-solved[:, -1])
+            for share in SHARES:
+                model = self._build_model(effect, shapes, np.asarray(share * c), F)
+                errors = compute_errors(
+                    self._dataset, simulate_dataset(self._dataset, self._contexts, model)
+                )
+                score = self.compute_ratio(errors) - compute_bic_penalty(self._dataset, degrees)
+                if best is None or score > best.score:
+                    best = _Screened(effect, model, score, roughness, mean)
+        return [] if best is None else [best]
+
+    def _simulate(self, effect: Effect, values: tuple[float, ...]) -> Array:
+        model = self._fit.model
+        model = model._replace(effects=(*model.effects, (effect, values)))
+        return compute_residual(
+            self._dataset, simulate_dataset(self._dataset, self._contexts, model)
+        )
+
+    def _build_model(self, effect: Effect, shapes: tuple[float, ...], c: Array, F: Array) -> Model:
+        shift = -(self._solve @ (self._residual + F @ c))
+        model = shift_parameters(self._dataset, self._fit.model, shift)
+        bounds = [(p.low, p.high) for p in effect.parameters[-COEFFICIENTS:]]
+        limited = np.clip(c * effect.parameters[-1].step, *np.transpose(bounds)).tolist()
+        return model._replace(effects=(*model.effects, (effect, (*shapes, *limited))))
+
+    def _choose_shapes(self, effect: Effect) -> tuple[float, ...] | None:
+        """Return the range of the variable, or the period; None where there is none."""
+        if effect.function is None:
+            return None
+        if effect.function.is_periodic:
+            return self._find_period(effect)
+        parts = [
+            effect.function.evaluate(context)[record.measured]
+            for record, context in zip(self._dataset.records, self._contexts, strict=True)
+        ]
+        x = np.concatenate(parts)
+        low, high = float(x.min()), float(x.max())
+        return (low, high) if high > low else None
+
+    def _find_period(self, effect: Effect) -> tuple[float, ...] | None:
+        """Return the period of the wave of a quantity that removes most of the residual.
+
+        The response to a wave is taken as that to a constant times the wave.
+        """
+        record = self._dataset.records[0]
+        duration = float(np.ptp(record.time))
+        constant = (duration, *(COEFFICIENTS * [effect.parameters[-1].step]))
+        response = self._simulate(effect, constant) - self._residual
+        time = np.concatenate(
+            [record.time[record.train & record.valid[c]] for c in record.compared]
+        )
+        time = np.pad(time, (0, len(response) - len(time)))
+        target = self._residual - self._basis @ (self._basis.T @ self._residual)
+        highest = len(record.time) / (PERIOD_SAMPLES * duration)
+        coarse = np.arange(PERIODS_MIN / duration, highest, 0.25 / duration)
+        if not len(coarse):
+            return None
+        waves = np.exp(2j * np.pi * np.outer(coarse, time))
+        frequency = float(coarse[int(np.argmax(np.abs(waves @ (response * target))))])
+
+        def compute_removed(trial: float) -> float:
+            angle = 2.0 * np.pi * trial * time
+            pair = response[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
+            pair -= self._basis @ (self._basis.T @ pair)
+            b = pair.T @ target
+            return float(b @ np.linalg.pinv(pair.T @ pair) @ b)
+
+        fine = frequency + np.linspace(-0.4, 0.4, FINE_FREQUENCIES) / duration
+        return (1.0 / max(fine.tolist(), key=compute_removed),)

@@ -1,0 +1,82 @@
+"""What no cause explains is characterised: what follows which variable, and by which curve."""
+
+import numpy as np
+import pytest
+
+from estimator.diagnosis import report_text
+from estimator.diagnosis.api import diagnose_records
+from estimator.diagnosis.measured_data import prepare_record
+from estimator.diagnosis.outcome import Verdict
+from estimator.effects import CATALOGUE
+from estimator.effects.functions import (
+    compute_basis,
+    compute_rest_time,
+    evaluate_function,
+    find_function,
+)
+from studies import hidden
+
+FUNCTIONS = ("friction_by_position", "friction_by_rest_time", "elongation_by_tension")
+CAUSES = ("constant_drag", "viscous_friction")
+
+
+def diagnosed(name, seed, bench="blocked", functions=FUNCTIONS):
+    made = hidden.make(seed, name, bench=bench, duration=30.0, rate=50.0)
+    record = prepare_record(made.time, dict(made.channels), variables=made.variables)
+    effects = [effect for effect in CATALOGUE if effect.name in CAUSES]
+    return made, diagnose_records([record], [*effects, *map(find_function, functions)])
+
+
+def test_the_variable_and_its_curve_are_found():
+    made, found = diagnosed("outside:friction_over_position", 21)
+    assert found.verdict is Verdict.CHARACTERISED
+    assert found.causes == ("friction_by_position",)
+    assert found.residual_fraction < 0.1
+    curve, truth = found.curve, made.truth["outside:friction_over_position"]
+    true = hidden.courses.on_curve(**truth, share=np.linspace(0.0, 1.0, len(curve.x)))
+    true = (1.0 + true) / (1.0 + np.median(true)) - 1.0
+    inner = slice(10, -10)
+    assert np.corrcoef(curve.value[inner], true[inner])[0, 1] > 0.95
+    said = report_text.format_verdict(found)
+    assert said.startswith("No named cause explains the error; friction depends on motor position")
+    assert "% of the error beyond noise" in said
+    assert not any(name.startswith("friction_by") for name in found.parameters)
+
+
+def test_a_named_cause_is_preferred_to_a_curve():
+    _, found = diagnosed("viscous_friction", 22, functions=("friction_by_position",))
+    assert found.causes == ("viscous_friction",)
+    assert found.curve is None
+
+
+def test_a_curve_stays_as_it_is_beyond_its_range_and_closes_over_a_period():
+    rng = np.random.default_rng(0)
+    for name, shapes in (("friction_by_position", (1e-3, 4e-3)), ("friction_by_phase", (2.5,))):
+        effect = find_function(name)
+        values = (*shapes, *rng.uniform(-0.3, 0.3, 12).tolist())
+        x = np.linspace(shapes[0], 2.0 * shapes[0] if len(shapes) == 1 else shapes[1], 7)
+        y = evaluate_function(effect, values, x)
+        np.testing.assert_allclose(compute_basis(effect, values, x) @ values[-12:], y, atol=1e-12)
+        if len(shapes) == 1:
+            assert y[0] == pytest.approx(y[-1])
+        else:
+            far = evaluate_function(effect, values, np.array([-1.0, 1.0]))
+            np.testing.assert_allclose(far, y[[0, -1]])
+
+
+def test_a_rest_counts_until_the_next_one():
+    time = np.arange(800) * 0.01
+    speed = np.where((time > 2.0) & (time < 3.0), 0.0, np.where(time < 6.0, 1.0, -1.0))
+    context = diagnosed_context(time, speed)
+    rest = compute_rest_time(context)
+    assert rest[250] == pytest.approx(0.49, abs=0.02)
+    assert rest[400] == pytest.approx(1.0, abs=0.02)
+    assert rest[650] == 0.0
+
+
+def diagnosed_context(time, speed):
+    from estimator.effects.effect import PROXIMAL_DISPLACEMENT, EffectContext
+
+    zero = np.zeros_like(time)
+    travel = np.cumsum(speed) * 0.01
+    return EffectContext(time, PROXIMAL_DISPLACEMENT, travel, speed, {}, {}, zero, 1e-4)
