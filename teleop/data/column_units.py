@@ -9,6 +9,7 @@ import re
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
+from typing import NamedTuple
 
 from estimator.array_types import Array
 from estimator.units import Units
@@ -40,8 +41,8 @@ _WORDS: Mapping[str, str] = MappingProxyType(
 )
 """Words for units, singular, in small letters."""
 
-_TIME_NAMES = ("time", "timestamp", "datetime", "date_time", "zeit")
-_STANDARD_STEM = re.compile(r"(proximal|distal)_(tension|force|torque|displacement|angle)(_\d+)?")
+_TIME_NAMES = ("time", "timestamp", "datetime", "zeit")
+_STANDARD_STEM = re.compile(r"(proximal|distal)(tension|force|torque|displacement|angle)(\d*)")
 _QUANTITIES = {"tension": ("force", "N"), "force": ("force", "N"), "torque": ("torque", "Nm")} | {
     "displacement": ("length", "m"),
     "angle": ("angle", "rad"),
@@ -59,39 +60,49 @@ def is_unit(text: str) -> bool:
     return _match_unit(text) != ""
 
 
-def find_aliases(path: Path, raw: RawTable) -> dict[str, str]:
-    """Return standard name -> column that has it in another unit, such as `Time [ms]`.
+class Aliases(NamedTuple):
+    """Columns that have a standard name but for its spelling or unit, by standard name."""
+
+    stated: dict[str, str]  # with a unit of its dimension, such as `Time [ms]`
+    unstated: dict[str, str]  # without one
+
+
+def find_aliases(path: Path, raw: RawTable) -> Aliases:
+    """Return which columns are standard ones in another unit or spelling.
 
     Raises
     ------
     UsageError
         Two columns could be one.
     """
-    aliases: dict[str, str] = {}
+    aliases = Aliases({}, {})
     for name, column in raw.columns.items():
         end = _IN_BRACKETS.search(name) or _UNIT_SUFFIX.search(name)
         row_unit = raw.units.get(name, "").strip("-")
         has_unit = end is not None and _match_unit(end[1]) != ""
         stem = name[: end.start()] if end is not None and has_unit else name
         unit = _match_unit(row_unit or (end[1] if end is not None else ""), stated=True)
-        key = re.sub(r"[\s-]+", "_", stem.strip(" ,:/"))
+        key = re.sub(r"[\W_]+", "", stem)
         if key == "t" or key.lower() in _TIME_NAMES:
-            told = unit in UNIT_FACTORS["time"] or (column.dtype == object and not row_unit)
-            standard = "time_s" if told else ""
+            standard = "time_s"
+            is_text = column.dtype == object and not row_unit
+            stated = unit in UNIT_FACTORS["time"] or is_text
         elif match := _STANDARD_STEM.fullmatch(key.lower()):
             dimension, si = _QUANTITIES[match[2]]
-            standard = f"{key.lower()}_{si}" if unit in UNIT_FACTORS[dimension] else ""
+            number = f"_{match[3]}" if match[3] else ""
+            standard = f"{match[1]}_{match[2]}{number}_{si}"
+            stated = unit in UNIT_FACTORS[dimension]
         else:
             continue
-        if not standard or standard in raw.columns:
+        if standard in raw.columns:
             continue
-        if standard in aliases:
+        if stated and standard in aliases.stated:
             what = "time" if standard == "time_s" else standard.rpartition("_")[0]
             raise UsageError(
-                f"{path}: which is it, {aliases[standard]!r} or {name!r}? Say --column "
+                f"{path}: which is it, {aliases.stated[standard]!r} or {name!r}? Say --column "
                 f"'{what}={name}'"
             )
-        aliases[standard] = name
+        aliases[not stated][standard] = name
     return aliases
 
 

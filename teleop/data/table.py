@@ -54,7 +54,8 @@ PERIOD_MAX = 0.4
 PERIOD_MIN = 2e-5  # [s] below this likewise
 LONG_PERIOD, LONG_DURATION = 0.02, 3600.0  # [s] a record of so long may be one of milliseconds
 SPEED_ROWS = 20  # samples from which on a speed tells
-SPEED_RANGE = (1e-5, 2.0)  # [m/s] of tendons as they are moved; slower ones at 50 Hz or less
+# [m/s], [rad/s] as tendons and motors are moved; slower ones are asked about at 50 Hz or less
+SPEED_RANGES = {"m": (2.5e-4, 2.0), "rad": (0.025, 2000.0)}
 NOISE_FLOOR = 0.1  # [N] tolerated reading below zero ...
 NOISE_SHARE = 0.02  # ... plus this fraction of the peak (zero error)
 ZERO_SHARE = 0.25  # of its peak, where a wrong zero is identified or only scored
@@ -202,7 +203,8 @@ def read_tables(
     raw = read_columns(path, mapping)
     aliases = find_aliases(path, raw)
     clocks = ("time_s", tendons[0].time)
-    if mapping.rate_hz and "time_s" not in aliases and not any(n in raw.columns for n in clocks):
+    has_clock = "time_s" in aliases.stated or any(name in raw.columns for name in clocks)
+    if mapping.rate_hz and not has_clock:
         rows = len(next(iter(raw.columns.values())))
         raw = replace(raw, columns={"time_s": np.arange(float(rows)), **raw.columns})
     notes = [
@@ -214,10 +216,12 @@ def read_tables(
         for c, t in zip(tendons, notes, strict=True)
     ]
     if units is None:
-        units = _detect_file_units(path, raw, aliases, tendons, diagnosed)
-    tendons = [_replace_aliases(columns.in_units(units), aliases) for columns in tendons]
+        units = _detect_file_units(path, raw, aliases.stated, tendons, diagnosed)
+    tendons = [_replace_aliases(columns.in_units(units), aliases.stated) for columns in tendons]
     claimed = {name for columns in tendons for name in columns.names().values()}
-    tables_columns = [_find_columns(path, raw, columns, claimed) for columns in tendons]
+    tables_columns = [
+        _find_columns(path, raw, columns, claimed, aliases.unstated) for columns in tendons
+    ]
     clock = tables_columns[0]["time"]
     numbers = {
         name: _parse_column(path, raw, name, mapping, is_time=name == clock)
@@ -333,7 +337,13 @@ def _detect_file_units(
     return units
 
 
-def _find_columns(path: Path, raw: RawTable, columns: Columns, claimed: set[str]) -> dict[str, str]:
+def _find_columns(
+    path: Path,
+    raw: RawTable,
+    columns: Columns,
+    claimed: set[str],
+    unstated: Mapping[str, str],
+) -> dict[str, str]:
     """Return field -> column name of what the file has of `columns`."""
     columns_found = {}
     standard = {name for names in channel_names.STANDARD_NAMES.values() for name in names.values()}
@@ -347,6 +357,12 @@ def _find_columns(path: Path, raw: RawTable, columns: Columns, claimed: set[str]
         optional = item not in ("time", "proximal_tension") and columns.is_standard(item)
         if raw.lacks and not optional:
             raise UsageError(f"{path}: {raw.lacks}")
+        if (unclear := unstated.get(name)) in unclaimed:
+            what, unit = name.rpartition("_")[::2]
+            raise UsageError(
+                f"{path}: column {unclear!r} states no unit that fits; say it: --column "
+                f"'{what}={unclear}[{unit}]'"
+            )
         hint = suggest_spelling(name, unclaimed, cutoff=0.88 if optional else 0.6)
         advice = f"{hint} Then --column '{item}=COLUMN[UNIT]' says so" if hint else ""
         if hint or not optional:
@@ -507,18 +523,18 @@ def _check_speed(
     path: Path, raw: RawTable, name: str, time: Array, travel: Array, units: Units, remedy: str
 ) -> None:
     """Raise `UsageError` for a motion that no tendon makes in such times [s]."""
-    if len(time) < SPEED_ROWS or units.rotary:  # a motor's shaft has any speed
+    if len(time) < SPEED_ROWS:
         return
     step = max(len(time) // 100, 1)
     steps = np.abs(np.diff(travel[::step])) / np.diff(time[::step])
     if not (known := steps[np.isfinite(steps)]).size:
         return
     fastest, period = float(known.max()), float(np.median(np.diff(time)))
-    too_slow = 0.0 < fastest < SPEED_RANGE[0] and period > LONG_PERIOD
-    if fastest > SPEED_RANGE[1] or too_slow:
+    slowest, limit = SPEED_RANGES[units.travel]
+    if fastest > limit or (0.0 < fastest < slowest and period > LONG_PERIOD):
         raise UsageError(
-            f"{path}: column {name!r}, {raw.place(0)}: the tendon moves at {fastest:.3g} m/s at "
-            f"most, which says that the unit of time is wrong; {remedy}"
+            f"{path}: column {name!r}, {raw.place(0)}: the drive moves at {fastest:.3g} "
+            f"{units.travel}/s at most: is the unit of time right? Then {remedy}"
         )
 
 

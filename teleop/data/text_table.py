@@ -99,14 +99,13 @@ def find_layout(path: Path, lines: Sequence[str], encoding: str, mapping: TableM
     if separator:
         rows = _sample_rows(lines, separator, first_line)
     else:
-        scored = [(each, _sample_rows(lines, each, first_line)) for each in SEPARATORS]
-        best = max(_score_rows(rows) for _, rows in scored)
-        if best == 0.0:  # names alone, or no numbers
+        split = {each: _sample_rows(lines, each, first_line) for each in SEPARATORS}
+        scores = {each: _score_rows(rows) for each, rows in split.items()}
+        separator = max(scores, key=lambda each: scores[each])
+        if scores[separator] == 0.0:  # names alone, or no numbers
             head = next(line for line in lines if line.strip())
-            separator = max(SEPARATORS, key=lambda s: head.count(s) if s != " " else 0)
-            rows = dict(scored)[separator]
-        else:
-            separator, rows = next(each for each in scored if _score_rows(each[1]) == best)
+            separator = max(SEPARATORS, key=lambda each: head.count(each) if each != " " else 0)
+        rows = split[separator]
     layout = locate_table(path, rows, separator, mapping)
     return replace(layout, encoding=encoding, separator=separator)
 
@@ -399,7 +398,9 @@ def _fit_rows(
                 f"{path}: {unit} {line}: has {len(cells)} cells, "
                 f"{unit} {layout.names_line} names {width} columns{hint}"
             )
-        if width > 1 and tuple(map(clean_name, cells)) == layout.names:
+        if clean_name(cells[-1]) == layout.names[-1] and [*map(clean_name, cells)] == [
+            *layout.names
+        ]:
             raise UsageError(
                 f"{path}: {describe_second_record(path, line, 'the names come again')}"
             )

@@ -134,7 +134,10 @@ def test_a_recording_is_a_table(tmp_path):
         ("0,1\n0.1,2\n", ["line 1", "numbers"]),
         ("time_s,proximal_tensoin_N\n0,1\n", ["'proximal_tension_N'", "'proximal_tensoin_N'"]),
         ("time_s,time_s,proximal_tension_N\n0,0,1\n", ["'time_s'", "2 times"]),
-        (HEAD.replace("_m\n", "_mn\n") + "0,1,2\n", ["displacement_m'", "displacement_mn'"]),
+        (
+            HEAD.replace("_m\n", "_mn\n") + "0,1,2\n",
+            ["displacement_mn' states no unit that fits", "_mn[m]'"],
+        ),
         (HEAD + "0,1,0\n0.1,2,0\n\n0.2,x1,0\n", ["'proximal_tension_N', line 5", "'x1'"]),
         (HEAD + '0,1,0\n0.1,"2,5",0\n', ["line 3: '2,5'", "decimal comma", "'0.1'"]),
         (HEAD + "0,1,0\n0.1,2\n", ["line 3", "2 cells", "3 columns"]),

@@ -221,7 +221,7 @@ REFUSED = {
     "milliseconds or sample numbers": (WHOLE, ["samples are 1 s apart", "[ms]'", "--rate"]),
     "milliseconds of 4 kHz": (
         table(values=(TIME * 5, TENSION, TRAVEL / 1e3)),
-        ["wrong", "'time=time_s[ms]'"],
+        ["unit of time", "'time=time_s[ms]'"],
     ),
     "milliseconds of hours": (
         table(values=(TIME * 1e4 / 5, TENSION, TRAVEL)),
