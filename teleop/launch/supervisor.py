@@ -20,8 +20,11 @@ from teleop.view.local_server import WEB_VIEW
 REQUIRED_CHILDREN = ("master", "slave", "impair")  # the session continues without the others
 RESTARTED_CHILDREN = ("view",)  # started again after a failure, if it ever worked
 ERROR_PREFIX = "teleop: "  # prefix of an error line of the command line
-# a child that has beaten and then waits for so long, without a beat, is killed
+# a child that has beaten and then only waits for so long, without a beat, is killed
 _HEARTBEAT_TIMEOUT_S = 3.0
+_HEARTBEAT_LATE_S = (
+    0.75  # from then on it is watched whether it computes: beats come twice a second
+)
 # and so is one that computes all the time, or is not given a processor
 _STARVATION_TIMEOUT_S = 20.0
 _SHORT_LIFE_S = 10.0  # a restarted child that fails sooner is started again later each time
@@ -49,6 +52,7 @@ class Child:
     threads: list[threading.Thread] = field(default_factory=list)
     heard_s: float = field(default_factory=time.monotonic)  # when it started or last printed
     beat_s: float | None = None  # when it last beat, None = never
+    computed_s: float = 0.0  # when it was last seen to compute, without a beat
     was_healthy: bool = False  # it has beaten, or one before it in its place has
     began_s: float = field(default_factory=time.monotonic)
     pause_s: float = 0.0  # before it is started again
@@ -66,15 +70,20 @@ class Child:
         code = self.exit_code
         return code is not None and (self.name in REQUIRED_CHILDREN or code == UsageError.exit_code)
 
-    @property
     def is_hung(self) -> bool:
-        """Whether it runs, but its heartbeats have ceased."""
+        """Return whether it runs, but its heartbeats have ceased; to be asked all the time.
+
+        On a loaded machine one that compiles is late for seconds, and at rest between two pieces of
+        work now and then: only one that rests all the time hangs.
+        """
         if self.beat_s is None or self.exit_code is not None:
             return False
-        late_s = time.monotonic() - self.beat_s
-        return late_s > _STARVATION_TIMEOUT_S or (
-            late_s > _HEARTBEAT_TIMEOUT_S and not is_computing(self.process.pid)
-        )
+        now = time.monotonic()
+        late_s = now - self.beat_s
+        if late_s > _HEARTBEAT_LATE_S and is_computing(self.process.pid):
+            self.computed_s = now
+        idle_s = now - max(self.beat_s, self.computed_s)
+        return late_s > _STARVATION_TIMEOUT_S or idle_s > _HEARTBEAT_TIMEOUT_S
 
     @property
     def may_restart(self) -> bool:
@@ -177,7 +186,7 @@ class Supervisor:
         hang; for the rest one line is printed.
         """
         for child in list(self.children.values()):
-            if child.is_hung and child.name in RESTARTED_CHILDREN:
+            if child.name in RESTARTED_CHILDREN and child.is_hung():
                 child.complaint = "it hung"
                 child.process.kill()
                 child.process.wait()

@@ -50,7 +50,8 @@ async function follow() {
 }
 
 async function step() {
-  const { said, bytes } = await ask(document.hidden ? `newer=${NOTHING_NEW}` : `newer=${newest}`);
+  const wait = gaps.length > 0 ? "&wait=0" : ""; // the past of a recording, to which nothing is added
+  const { said, bytes } = await ask(document.hidden ? `newer=${NOTHING_NEW}` : `newer=${newest}${wait}`);
   if (said.instance !== instance) {
     await start(said.instance);
     return;

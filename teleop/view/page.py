@@ -2,10 +2,11 @@
 
 `/` is a page of ours that shows Rerun's viewer in a frame and feeds it: it asks for `blocks` all
 the time, gets Rerun's messages that came since, the newest first where there are many, and asks for
-older ones once it is current. So the data reach a browser by the same address, secret and checks as
-the page, nothing can be written to them, and a slow page has the present before the past. A page
-that was left open comes back by itself when another view process answers at its address. With each
-question it says how far what it shows is behind.
+older ones once it is current. While some are missing, its questions for newer ones do not wait, so
+that the past of a recording comes as fast as the page takes it. So the data reach a browser by the
+same address, secret and checks as the page, nothing can be written to them, and a slow page has the
+present before the past. A page that was left open comes back by itself when another view process
+answers at its address. With each question it says how far what it shows is behind.
 
 Rerun's viewer loads a font from Google and posts usage statistics to tel.rerun.io from the browser,
 whatever the settings here. This server adds a content security policy that restricts both pages to
@@ -278,13 +279,17 @@ class Page:
             The question has no such form.
         """
         newer, older = int(query.get("newer", -1)), int(query.get("older", 0))
-        behind_s = float(query.get("behind", "nan"))
+        behind_s, wait_s = float(query.get("behind", "nan")), float(query.get("wait", _WAIT_S))
         if math.isfinite(behind_s):
             self._reports.append((time.monotonic(), behind_s))
         page = query.get("page", "")[:32]
         if page:
             self._waiting[page] = time.monotonic()
-        answer = self._blocks.older(older, newer) if older else self._blocks.newer(newer, _WAIT_S)
+        answer = (
+            self._blocks.older(older, newer)
+            if older
+            else self._blocks.newer(newer, min(wait_s, _WAIT_S))
+        )
         said = {
             "instance": self._instance,
             "oldest": answer.oldest,

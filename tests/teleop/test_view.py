@@ -264,6 +264,18 @@ def test_what_is_kept_for_late_pages_is_bounded_but_never_lacks_static_data(tmp_
     assert "/still" in entities([first.content], tmp_path)
 
 
+def test_a_page_that_lacks_older_data_of_a_recording_need_not_wait_for_newer(monkeypatch):
+    """Nothing newer ever comes: a question that waited would not be answered."""
+    monkeypatch.setattr("teleop.view.page._WAIT_S", 1e6)
+    with Sink("web", CONFIG, "test", None, live=False) as sink:
+        scene = Scene(CONFIG, sink.stream, sink.lay_out)
+        scene.send(decode(Session(0.1).messages))
+        sink.publish()
+        said, _ = blocks(sink)
+        again, rest = blocks(sink, newer=said["newest"], wait=0)
+        assert (again["newest"], rest) == (said["newest"], b"")
+
+
 def test_an_open_page_is_told_that_the_session_has_ended():
     with ThreadPoolExecutor() as pool, Sink("web", CONFIG, "test", None, live=True) as sink:
         blocks(sink, page="a")

@@ -354,6 +354,23 @@ def test_a_view_that_worked_is_started_again_in_one_line(family, monkeypatch, th
     assert line.endswith("xdg-open http://127.0.0.1:1/")
 
 
+@pytest.mark.real_time
+def test_a_view_that_computes_with_short_rests_is_not_taken_for_hung(family, monkeypatch):
+    """As one does that compiles on a loaded machine, for longer than the time between beats."""
+    monkeypatch.setattr("teleop.launch.supervisor._HEARTBEAT_TIMEOUT_S", 1.0)
+    monkeypatch.setattr("teleop.launch.supervisor._HEARTBEAT_LATE_S", 0.3)
+    work = "import time\nend = time.monotonic() + 3\nwhile time.monotonic() < end:\n"
+    work += " sum(range(3000000))\n time.sleep(0.05)\nprint('done', flush=True)\n"
+    child = family.start("view", [ANNOUNCE + work + "__import__('signal').pause()"])
+
+    def is_done():
+        assert family.failed_child() is None
+        assert child.exit_code is None
+        return ("view", "done") in family.said
+
+    assert wait_for_condition(is_done, 30.0)
+
+
 @pytest.mark.parametrize(("name", "code"), [("view", 2), ("slave", 1), ("master", 0)])
 def test_a_vital_child_or_a_wrong_option_ends_the_session(family, name, code):
     ended(family, name, COMPLAIN.format(code))
