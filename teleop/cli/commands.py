@@ -239,11 +239,20 @@ def _discard_output(stream: TextIO) -> None:
     os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
+_REMEDIES = {
+    errno.EMFILE: "; raise the limit (ulimit -n)",
+    errno.EROFS: "; write elsewhere, or give a volume there (docker run --tmpfs, --volume)",
+    errno.ENOSPC: "; free some space, or write elsewhere",
+}
+
+
 def _describe_environment_error(error: Exception) -> str:
     """Return what a system refuses to any program, in a line; empty for a defect of ours."""
     if isinstance(error, OSError):
         place = f"{error.filename}: " if error.filename is not None else ""
-        remedy = "; raise the limit (ulimit -n)" if error.errno == errno.EMFILE else ""
+        remedy = _REMEDIES.get(error.errno or 0, "")
+        if "temporary directory" in str(error):
+            remedy = ": set TMPDIR to a folder that can be written (docker run --tmpfs /tmp)"
         return f"{place}{error.strerror or error}{remedy}"
     if isinstance(error, MemoryError):
         detail = f" ({error})" if str(error) else ""

@@ -9,14 +9,24 @@ import platform
 import re
 import shutil
 import sys
+import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, requires, version
 from pathlib import Path
 
+from estimator.compile_cache import choose_folder
+from slave.drivers import ports
+from teleop.errors import UsageError
 from teleop.runtime.clock import Grid
-from teleop.runtime.process import has_display
+from teleop.runtime.files import find_config_folder, find_state_folder
+from teleop.runtime.machine import (
+    describe_machine,
+    find_container,
+    find_display_problem,
+    find_realtime_remedy,
+)
 
 DISTRIBUTION = "tendon-teleop"
 
@@ -34,6 +44,11 @@ class Finding:
     detail: str
     remedy: str = ""
     essential: bool = False
+
+
+def check_machine() -> Finding:
+    """Tell where this is."""
+    return Finding("machine", True, describe_machine())
 
 
 def check_python_version() -> Finding:
@@ -86,11 +101,7 @@ def check_real_time() -> Finding:
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(20))
     except PermissionError:
-        return Finding(
-            "real time", False, "SCHED_FIFO not permitted",
-            "add 'NAME - rtprio 50' and 'NAME - memlock unlimited' to /etc/security/limits.conf "
-            "(your user name for NAME) and log in again",
-        )  # fmt: skip
+        return Finding("real time", False, "SCHED_FIFO not permitted", find_realtime_remedy())
     os.sched_setscheduler(0, before, parameters)
     return Finding("real time", True, "SCHED_FIFO permitted")
 
@@ -112,8 +123,42 @@ def check_timing(seconds: float = 1.0) -> Finding:
 
 def check_screen() -> Finding:
     """Check for a display; without one the view is a web page."""
-    there = has_display()
-    return Finding("screen", there, "found" if there else "none", "use --view web or --view rrd")
+    problem = find_display_problem()
+    return Finding("screen", not problem, problem or "found", "use --view web or --view rrd")
+
+
+def check_serial_ports() -> Finding:
+    """Check that serial adapters can be used."""
+    devices = ports.list_ports()
+    problems = [f"{device}: {text}" for device in devices for text in ports.find_problems(device)]
+    if not devices:
+        hint = ports.explain_missing()
+        return Finding("serial ports", not hint, f"none attached{hint}")
+    return Finding("serial ports", not problems, "; ".join([f"{len(devices)} attached", *problems]))
+
+
+def check_folders() -> Finding:
+    """Check the folders of this user that a session writes to."""
+    problems = []
+    for find, variable in (
+        (find_state_folder, "XDG_STATE_HOME"),
+        (find_config_folder, "XDG_CONFIG_HOME"),
+        (lambda: Path(tempfile.gettempdir()), "TMPDIR"),
+    ):
+        try:
+            folder = find()
+        except (UsageError, OSError):
+            problems.append(f"{variable} names no folder of this user, who has no home or no /tmp")
+            continue
+        existing = next(place for place in (folder, *folder.parents) if place.exists())
+        if not os.access(existing, os.W_OK):
+            problems.append(f"{existing} cannot be written ({variable})")
+    if not choose_folder():
+        problems.append("compiled code is not kept (NUMBA_CACHE_DIR)")
+    remedy = "set these variables to folders that this user can write"
+    if find_container():
+        remedy += ", such as a volume or docker run --tmpfs /tmp"
+    return Finding("folders", not problems, "; ".join(problems) or "writable", remedy)
 
 
 def check_hid_nodes() -> Finding:
@@ -123,15 +168,24 @@ def check_hid_nodes() -> Finding:
     mice are ignored.
     """
     nodes = sorted(filter(_is_stick, HID_NODES.glob("hidraw*")))
+    in_container = bool(find_container())
+    hidden = [place.name for place in HID_DESCRIPTORS.glob("*") if _is_stick(place)]
+    if hidden and not nodes and in_container:
+        return Finding(
+            "haptic devices", False, f"not in this container: {' '.join(sorted(hidden))}",
+            f"docker run --device /dev/{min(hidden)} ...",
+        )  # fmt: skip
     denied = [node.name for node in nodes if not os.access(node, os.R_OK | os.W_OK)]
     if not nodes:
         return Finding("haptic devices", True, "none attached; the virtual device needs none")
     detail = f"{len(nodes)} attached" + (f", no permission: {' '.join(denied)}" if denied else "")
-    return Finding(
-        "haptic devices", not denied, detail,
+    remedy = (
         "teleop devices rules | sudo tee /etc/udev/rules.d/70-tendon-teleop.rules, then sudo "
-        "udevadm control --reload, and plug them in again",
-    )  # fmt: skip
+        "udevadm control --reload, and plug them in again"
+    )
+    if in_container:
+        remedy = "on the machine outside, where udev runs: " + remedy
+    return Finding("haptic devices", not denied, detail, remedy)
 
 
 def _is_stick(node: Path) -> bool:
@@ -151,6 +205,7 @@ def check_disk() -> Finding:
 
 
 CHECKS: tuple[Callable[[], Finding], ...] = (
+    check_machine,
     check_python_version,
     check_packages,
     check_processors,
@@ -158,6 +213,8 @@ CHECKS: tuple[Callable[[], Finding], ...] = (
     check_timing,
     check_screen,
     check_hid_nodes,
+    check_serial_ports,
+    check_folders,
     check_disk,
 )  # fmt: skip
 

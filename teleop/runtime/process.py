@@ -13,6 +13,7 @@ from types import FrameType
 from typing import Any
 
 from teleop.errors import TeleopError, UsageError
+from teleop.runtime.machine import find_display_problem
 from teleop.runtime.output_file import replace_file
 
 _PR_SET_PDEATHSIG = 1
@@ -234,9 +235,7 @@ def is_running(name: str) -> bool:
 
 def has_display() -> bool:
     """Return whether a window can be opened here."""
-    if sys.platform != "linux":
-        return True
-    return any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY"))
+    return not find_display_problem()
 
 
 def parse_seconds(text: str) -> float:

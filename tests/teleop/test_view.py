@@ -320,7 +320,7 @@ def viewer(tmp_path, monkeypatch):
         program.write_text(f"#!/bin/sh\n{words}\n")
         program.chmod(0o700)
         monkeypatch.setattr(sinks, "find_program", lambda: program)
-        monkeypatch.setenv("DISPLAY", ":0")
+        monkeypatch.setattr(sinks, "has_display", lambda: True)
 
     return write
 

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from slave.drivers import ports
 from studies.hid.descriptors import LAYOUTS
 from teleop.cli import doctor
 from teleop.cli.doctor import Finding
@@ -47,6 +48,8 @@ def test_real_time_scheduling_is_tried_and_put_back(monkeypatch):
 
     monkeypatch.setattr(os, "sched_setscheduler", refuse)
     assert "rtprio" in doctor.check_real_time().remedy
+    monkeypatch.setattr(doctor, "find_realtime_remedy", lambda: "as here")
+    assert doctor.check_real_time().remedy == "as here"
 
 
 @pytest.mark.parametrize(
@@ -93,6 +96,48 @@ def test_a_haptic_device_that_may_not_be_opened_is_a_note_with_the_remedy(plug, 
     assert (finding.good, finding.essential) == (False, False)
     assert finding.detail == "1 attached, no permission: hidraw7"
     assert "teleop devices rules" in finding.remedy
+
+
+def test_a_node_that_was_not_given_to_the_container_is_named_with_the_option(plug, monkeypatch):
+    plug("hidraw3", LAYOUTS["openffboard 1"])
+    (doctor.HID_NODES / "hidraw3").unlink()
+    monkeypatch.setattr(doctor, "find_container", lambda: "")
+    assert doctor.check_hid_nodes().good
+    monkeypatch.setattr(doctor, "find_container", lambda: "Podman")
+    finding = doctor.check_hid_nodes()
+    assert (finding.good, finding.detail) == (False, "not in this container: hidraw3")
+    assert finding.remedy == "docker run --device /dev/hidraw3 ..."
+    (doctor.HID_NODES / "hidraw3").touch()
+    monkeypatch.setattr(os, "access", lambda *_: False)
+    assert doctor.check_hid_nodes().remedy.startswith("on the machine outside, where udev runs: ")
+
+
+def test_serial_adapters_are_told_with_what_keeps_them_from_being_used(tmp_path, monkeypatch):
+    monkeypatch.setattr(ports, "DEVICES", tmp_path)
+    monkeypatch.setattr(ports, "TTYS", tmp_path / "tty")
+    assert doctor.check_serial_ports().detail == "none attached"
+    (tmp_path / "ttyUSB0").touch()
+    assert doctor.check_serial_ports() == Finding("serial ports", True, "1 attached")
+    timer = tmp_path / "tty/ttyUSB0/device/latency_timer"
+    timer.parent.mkdir(parents=True)
+    timer.write_text("16\n")
+    finding = doctor.check_serial_ports()
+    assert not finding.good
+    assert f"{tmp_path}/ttyUSB0: the adapter's latency timer is 16 ms: echo 1" in finding.detail
+
+
+def test_folders_that_cannot_be_written_are_named_with_their_variables(monkeypatch):
+    assert doctor.check_folders().good
+    monkeypatch.setattr(doctor, "choose_folder", lambda: None)
+    monkeypatch.setenv("XDG_STATE_HOME", "/proc/none")
+    monkeypatch.setenv("XDG_CONFIG_HOME", "relative")
+    monkeypatch.setattr(os, "access", lambda path, _mode: path != Path("/proc"))
+    finding = doctor.check_folders()
+    assert not finding.good
+    assert "/proc cannot be written (XDG_STATE_HOME); XDG_CONFIG_HOME names no" in finding.detail
+    assert finding.detail.endswith("compiled code is not kept (NUMBA_CACHE_DIR)")
+    monkeypatch.setattr(doctor, "find_container", lambda: "Docker")
+    assert "docker run --tmpfs /tmp" in doctor.check_folders().remedy
 
 
 def test_keyboards_and_mice_do_not_matter(plug):
