@@ -22,7 +22,7 @@ from slave.drivers.configs import DriverConfig, open_driver
 from slave.drivers.driver import BusDriver, Channels, Counts, DriverFault, Reading
 from teleop.config.loading import ConfigDocument
 from teleop.errors import TeleopError
-from teleop.runtime.clock import pause_garbage_collection
+from teleop.runtime.clock import SuspensionWatch, pause_garbage_collection
 
 # --- the end of the slave's process, seen before the kernel has released its memory
 
@@ -117,7 +117,10 @@ def _run_cycles(driver: BusDriver, end: socket.socket, slave: ParentProcess) -> 
     ordered_s, silent_s = 0.0, TARGET_TIMEOUT_S  # when the target came, and how long it counts
     waiting: deque[Reading] = deque(maxlen=QUEUE_LENGTH)
     due_s = counts_s = time.monotonic()
+    suspension = SuspensionWatch()
     while True:
+        if explanation := suspension.explain():  # before an old target is sent again
+            raise DriverFault(explanation)
         orders = packets.receive_orders(end)
         if orders.stop:  # before the end of the slave, and before a target that came with it
             target = None

@@ -11,6 +11,8 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from teleop.errors import TeleopError
+
 STALL_NS = 5_000_000  # [ns] a loop must decide again after this time
 STEP_MAX_S = 0.005  # [s] upper bound of a time step of gates and control, also after skipped ticks
 
@@ -25,6 +27,39 @@ def now_ns() -> int:
 def monotonic_ns(stamp_ns: int) -> int:
     """Return the time of the machine's monotonic clock [ns] at which `now_ns` gives this stamp."""
     return stamp_ns - _ANCHOR_NS
+
+
+# --- suspension of the machine, in which the monotonic clock of Linux stands still
+
+SUSPENSION_MIN_NS = 100_000_000  # [ns]
+
+
+def read_suspended_ns() -> int:
+    """Return for how long the machine was suspended since it was switched on [ns].
+
+    Too little by as long as the process is held up between the two clocks.
+    """
+    if not hasattr(time, "CLOCK_BOOTTIME"):
+        return 0
+    return time.clock_gettime_ns(time.CLOCK_BOOTTIME) - time.monotonic_ns()
+
+
+class SuspensionWatch:
+    """Tells of suspensions: hands, motors and devices are elsewhere afterwards."""
+
+    def __init__(self) -> None:
+        self._known_ns = max(read_suspended_ns() for _ in range(3))
+
+    def explain(self) -> str:
+        """Return what happened since the last call, with the remedy; empty if nothing did."""
+        suspended_ns = read_suspended_ns() - self._known_ns
+        if suspended_ns < SUSPENSION_MIN_NS:
+            return ""
+        self._known_ns += suspended_ns
+        return (
+            f"the machine was suspended for {suspended_ns * 1e-9:.1f} s: start or engage again; "
+            "`systemd-inhibit teleop run ...` prevents it"
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,6 +169,11 @@ class EventClock:
         there was one.
     now, sleep : callable
         Injected by tests; the machine's monotonic clock [ns] otherwise.
+
+    Raises
+    ------
+    TeleopError
+        At a tick after the machine was suspended.
     """
 
     LATE = 1.5
@@ -150,6 +190,7 @@ class EventClock:
         self.period_ns = round(1e9 / rate_hz)
         self.stats = TickStats()
         self._stop, self._wait, self._now, self._sleep = stop, wait, now, sleep
+        self._suspension = SuspensionWatch()
 
     def __iter__(self) -> Iterator[Tick]:
         """Yield ticks until `stop` returns true."""
@@ -162,6 +203,8 @@ class EventClock:
             early = last + nearest_ns - self._now()
             if early > 0:
                 self._sleep(early * 1e-9)
+            if explanation := self._suspension.explain():
+                raise TeleopError(explanation)
             begin = self._now()
             stats.ticks += 1
             stats.first_ns = stats.first_ns or begin

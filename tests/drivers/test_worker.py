@@ -71,6 +71,34 @@ def test_motors_of_a_slave_that_hangs_are_stopped_with_a_reason(monkeypatch, sen
     assert told[-1].decode().endswith(f"the slave has given no target for {silent_s:g} s")
 
 
+class Suspended(Motors):
+    """The machine is suspended in its tenth cycle."""
+
+    def __init__(self, suspend):
+        super().__init__()
+        self.suspend = suspend
+
+    def cycle(self, target):
+        if len(self.targets) == 9:
+            self.suspend()
+        return super().cycle(target)
+
+
+def test_motors_get_no_old_target_after_a_suspension(monkeypatch):
+    read = time.clock_gettime_ns
+    motors = Suspended(
+        lambda: monkeypatch.setattr(time, "clock_gettime_ns", lambda one: read(one) + 10**9)
+    )
+    ours, theirs = packets.create_socket_pair()
+    with ours, theirs:
+        ours.send(TARGET)
+        worker.serve_driver(motors, theirs, ParentProcess(os.getpid()))
+        *_, told = iter(lambda: packets.receive_packet(ours), None)
+    assert len(motors.targets) == 10
+    assert motors.closed_s is not None
+    assert b"the machine was suspended for 1.0 s" in told
+
+
 def test_a_slave_that_stops_its_motors_and_ends_at_once_has_stopped_them():
     motors = Motors()
     ours, theirs = packets.create_socket_pair()

@@ -8,8 +8,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from teleop.errors import TeleopError
 from teleop.runtime import clock
-from teleop.runtime.clock import EventClock, Grid, Tick, now_ns, pause_garbage_collection
+from teleop.runtime.clock import (
+    EventClock,
+    Grid,
+    SuspensionWatch,
+    Tick,
+    now_ns,
+    pause_garbage_collection,
+)
 
 MS = 1_000_000
 
@@ -179,6 +187,47 @@ def test_a_missing_arrival_is_made_up_for_by_the_deadline() -> None:
     _, ticks = answered(arrivals, 99 * MS)
     (missed,) = [at for at, tick in ticks if not tick.answers and at > MS]
     assert missed == pytest.approx(50.5 * MS, abs=1)
+
+
+@pytest.fixture
+def suspend(monkeypatch):
+    """Suspend the machine for a time [ns]: only the clock since it was switched on goes on."""
+    read, suspended = time.clock_gettime_ns, [0]
+    monkeypatch.setattr(time, "clock_gettime_ns", lambda clock: read(clock) + suspended[0])
+
+    def suspend(for_ns):
+        suspended[0] += for_ns
+
+    return suspend
+
+
+def test_a_suspension_is_told_once_and_being_held_up_is_none(suspend, monkeypatch) -> None:
+    watch = SuspensionWatch()
+    suspend(50 * MS)
+    assert watch.explain() == ""
+    suspend(37_200 * MS)
+    assert watch.explain().startswith("the machine was suspended for 37.2 s: start or engage again")
+    assert watch.explain() == ""
+    monotonic = time.monotonic_ns
+    monkeypatch.setattr(time, "monotonic_ns", lambda: monotonic() + 5_000 * MS)
+    assert watch.explain() == ""
+    monkeypatch.setattr(time, "monotonic_ns", monotonic)
+    monkeypatch.delattr(time, "CLOCK_BOOTTIME")  # another system
+    assert SuspensionWatch().explain() == ""
+
+
+def test_no_tick_follows_a_suspension(suspend) -> None:
+    world, ticks = World(), []
+
+    def wait(deadline: int) -> bool:
+        world.now_ns = deadline
+        if len(ticks) == 5:
+            suspend(200 * MS)
+        return False
+
+    with pytest.raises(TeleopError, match=r"suspended for 0\.2 s"):
+        ticks.extend(EventClock(1000.0, lambda: len(ticks) > 9, wait, world.now, world.sleep))
+    assert len(ticks) == 5
 
 
 @given(
