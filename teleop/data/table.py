@@ -200,7 +200,8 @@ def read_tables(
     A row omitted for one tendon is omitted for all.
     """
     mapping = mapping or TableMapping()
-    raw = read_columns(path, mapping)
+    named = [name for columns in tendons for name in columns.names().values()]
+    raw = read_columns(path, mapping, named)
     aliases = find_aliases(path, raw)
     clocks = ("time_s", tendons[0].time)
     has_clock = "time_s" in aliases.stated or any(name in raw.columns for name in clocks)

@@ -5,7 +5,7 @@ import csv
 import gzip
 import io
 import zlib
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import IO, Any, cast
 
@@ -29,20 +29,27 @@ GZIP_LEVEL = 6  # of long tables; 9 takes three times as long for 1 % less
 _READ_ERRORS = (OSError, EOFError, zlib.error, UnicodeError, csv.Error)
 
 
-def read_columns(path: Path, mapping: TableMapping | None = None) -> RawTable:
-    """Read all columns of a table, a recording or a bag; raises `UsageError` on failure."""
+def read_columns(
+    path: Path, mapping: TableMapping | None = None, names: Sequence[str] = ()
+) -> RawTable:
+    """Read all columns of a table, a recording or a bag; raises `UsageError` on failure.
+
+    The `names` of columns tell which topic of a bag is meant.
+    """
     mapping = mapping or TableMapping()
     if path.is_dir():
         from teleop.ros.bag_table import is_bag
 
         if is_bag(path):
-            return _read_bag(path)
+            return _read_bag(path, names)
     reader = _READERS[_find_suffix(path)]
     if not path.is_file():
         raise UsageError(f"{path}: {'is not a file' if path.exists() else 'file not found'}")
     try:
         if path.stat().st_size == 0:
             raise UsageError(f"{path}: is empty")
+        if reader is _read_recording:
+            return _read_recording(path, mapping, names)
         return reader(path, mapping)
     except _READ_ERRORS as error:
         raise UsageError(f"{path}: cannot be read: {_format_reason(error)}") from None
@@ -284,13 +291,13 @@ def _decode_parquet_values(path: Path, name: str, column: Any) -> Column:
     return cells
 
 
-def _read_recording(path: Path, _: TableMapping) -> RawTable:
+def _read_recording(path: Path, _: TableMapping, names: Sequence[str] = ()) -> RawTable:
     """Read the tendons topic of a recording into table columns; or a bag of ROS."""
     from teleop.recording import reader
     from teleop.ros.bag_table import is_bag
 
     if is_bag(path):
-        return _read_bag(path)
+        return _read_bag(path, names)
 
     fields = {
         "proximal_tension": "proximal_tension{}_N",
@@ -316,11 +323,11 @@ def _read_recording(path: Path, _: TableMapping) -> RawTable:
     return RawTable(columns, lambda row: f"message {row + 1}", clocked=True)
 
 
-def _read_bag(path: Path) -> RawTable:
+def _read_bag(path: Path, names: Sequence[str]) -> RawTable:
     """Read JointState and WrenchStamped messages of a rosbag2 into table columns."""
     from teleop.ros.bag_table import read_bag
 
-    columns, lacks = read_bag(path)
+    columns, lacks = read_bag(path, names)
     return RawTable(columns, lambda row: f"message {row + 1}", lacks, clocked=True)
 
 

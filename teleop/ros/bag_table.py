@@ -1,20 +1,20 @@
 """Read a rosbag2 as measured data: JointState and WrenchStamped as the columns of a table.
 
-Rows are the messages of one JointState topic: the one that ends in `actuators/measured_js`, or else
-the only one. Each signal is a column, such as `/arm/measured_js/elbow/effort` and
-`/sensor/measured_cf/force_z`, for `--column`. The joints of `actuators/measured_js`, in the order
-of their names in the first message, are tendons 1, 2, ... too: positions [m] become displacements
-and efforts [N] tensions at the housing. Of other topics nothing tells whether they are metres and
-newtons, or radians and newton metres, so the user names the columns. What is measured at the tip
-comes from the topic that ends in `bench/measured_js`; in bags without `actuators/measured_js`, from
-the x component of the only WrenchStamped topic. It is interpolated linearly to the rows, and rows
-before its first or after its last message are left out.
+Rows are the messages of one JointState topic: the one of which `--column` names a signal, the one
+that ends in `actuators/measured_js`, or the only one. Each signal is a column, such as
+`/arm/measured_js/elbow/effort` and `/sensor/measured_cf/force_z`, for `--column`. The joints of
+`actuators/measured_js`, in the order of their names in the first message, are tendons 1, 2, ...
+too: positions [m] become displacements and efforts [N] tensions at the housing. Of other topics
+nothing tells whether they are metres and newtons, or radians and newton metres, so the user names
+the columns. What is measured at the tip comes from the topic that ends in `bench/measured_js`; in
+bags without `actuators/measured_js`, from the x component of the only WrenchStamped topic. It is
+interpolated linearly to the rows, and rows before its first or after its last message are left out.
 
 Times are those of the headers, or of the bag where headers have none.
 """
 
 from array import array
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -73,25 +73,30 @@ def is_bag(path: Path) -> bool:
     return SESSION_METADATA not in scan.metadata
 
 
-def read_bag(path: Path) -> BagTable:
-    """Return the columns of a bag, a folder or one MCAP file; `UsageError` if it has no data."""
+def read_bag(path: Path, names: Sequence[str] = ()) -> BagTable:
+    """Return the columns of a bag, a folder or one MCAP file; `UsageError` if it has no data.
+
+    The first of `names` that is a signal of a JointState topic tells whose messages the rows are;
+    then none of its joints is taken for a tendon that it does not name.
+    """
     joints: dict[str, Signals] = {}
     wrenches: dict[str, Signals] = {}
     for topic, recorded in _read_topics(path).items():
         (joints if recorded.type == JOINT_STATE else wrenches)[topic] = recorded.signals()
-    main = _find_main_topic(path, joints)
+    named = [topic for name in names for topic in joints if name.startswith(f"{topic}/")]
+    main = named[0] if named else _find_main_topic(path, joints)
     for topic, signals in (joints | wrenches).items():
         if topic != main and (np.diff(signals.times) <= 0).any():
             raise UsageError(f"{path}: times of {topic} do not increase")
     rows = joints[main].times
-    distal = _find_distal_columns(main, joints, wrenches)
+    distal = _find_distal_columns(main, {} if named else joints, wrenches)
     keep = np.ones(len(rows), dtype=bool)
     if distal is not None:
         keep = (rows >= distal.times[0]) & (rows <= distal.times[-1])
         if not keep.any():
             raise UsageError(f"{path}: {main} and {distal.topic} have no time in common")
     rows = rows[keep]
-    tendons = joints[main].joints if main.endswith(ACTUATORS) else []
+    tendons = joints[main].joints if main.endswith(ACTUATORS) and not named else []
     width = 1 + 2 * len(tendons) + (0 if distal is None else len(distal.columns))
     width += sum(len(signals.values) for signals in (joints | wrenches).values())
     # before any column: a topic with few messages has as many rows as the others here
@@ -166,9 +171,11 @@ def _find_main_topic(path: Path, joints: Mapping[str, Signals]) -> str:
         return topics[0]
     if not topics:
         raise UsageError(f"{path}: has no sensor_msgs/msg/JointState messages")
+    joint = next(iter(joints[topics[0]].joints), "JOINT")
     raise UsageError(
         f"{path}: has several JointState topics ({', '.join(sorted(topics))}), none of which is "
-        f"the only .../{ACTUATORS}; keep one of them: ros2 bag convert"
+        f"the only .../{ACTUATORS}; name the signals, as in --column "
+        f"proximal_tension={topics[0]}/{joint}/effort"
     )
 
 

@@ -222,6 +222,22 @@ def test_a_foreign_bag_is_measured_data_with_the_force_at_its_times(tmp_path):
     assert (other.proximal_tension == 1.0).all()
 
 
+def test_the_namespace_whose_signals_are_named_is_read_and_no_other(tmp_path):
+    with Foreign(tmp_path / "lab") as bag:
+        for k in range(50):
+            for name, tension in (("left", 10.0 + k), ("right", 5.0)):
+                topic = f"/{name}/actuators/measured_js"
+                bag.write(topic, joint_state(k * 0.01, tension, 2.0), k * 0.01)
+    with pytest.raises(UsageError, match="several JointState topics") as error:
+        read_table(tmp_path / "lab")
+    option, _, column = str(error.value).partition("--column ")[2].partition("=")
+    table = read_table(tmp_path / "lab", Columns(**{option: column}))
+    assert table.proximal_tension[-1] in (59.0, 5.0)
+    assert table.proximal_displacement is None  # that of a joint which nobody named
+    right = read_table(tmp_path / "lab", named("other", "/right/actuators/measured_js"))
+    assert (right.proximal_tension == 2.0).all()
+
+
 def test_an_estimate_is_never_taken_for_a_measurement(tmp_path):
     with Foreign(tmp_path / "ours") as bag:
         for k in range(5):
