@@ -18,7 +18,7 @@ import numpy as np
 from teleop.data import bounds
 from teleop.data.mapping import TableMapping
 from teleop.data.raw_table import Column, RawTable
-from teleop.data.text_table import SAMPLE_LINES, Row, clean_name, locate_table, read_rows
+from teleop.data.text_table import SAMPLE_LINES, Row, clean_name, locate_table, read_rows, read_text
 from teleop.errors import UsageError
 
 ARRAYS_MAX = 10_000
@@ -37,6 +37,9 @@ def _import(path: Path, module: str) -> Any:
 
 def read_spreadsheet(path: Path, mapping: TableMapping) -> RawTable:
     """Read the table of a spreadsheet: its only sheet that is not empty, or the one mapped."""
+    with path.open("rb") as file:
+        if file.read(4) not in (b"PK\x03\x04", b"\xd0\xcf\x11\xe0"):
+            return read_text(path, mapping)  # text that is named .xls so that Excel opens it
     calamine = _import(path, "python_calamine")
     if zipfile.is_zipfile(path):
         with zipfile.ZipFile(path) as packed:

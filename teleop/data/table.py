@@ -512,7 +512,8 @@ def _check_samples(
                 fault = f"angle spans {span:.6g} rad: degrees, or {span / math.tau:.1f} turns?"
                 option, other, unit = item.replace("displacement", "angle"), "deg", "rad"
             raise UsageError(
-                f"{path}: column {name!r}, {raw.place(row)}: {fault} Name the unit, "
+                f"{path}: column {name!r}, {raw.place(row)}: {fault}"
+                f"{_explain_sentinel(float(travel[row]))} Name the unit, "
                 f"--column '{option}={name}[{other}]', or [{unit}] if it is right"
             )
     if "time" not in stated and "proximal_displacement" in names:
@@ -603,7 +604,7 @@ def check_effort(
         how = grouped * (THOUSANDS in raw.words.get(name, ())) + how
         raise UsageError(
             f"{path}: column {name!r}, {raw.place(row)}: {peak:.6g} is too large for a {what}"
-            f"{how}; or remove the spike"
+            f"{_explain_sentinel(peak)}{how}; or remove the spike"
         )
     if units.signed:
         return
@@ -615,7 +616,15 @@ def check_effort(
             f"{float(effort[low]):.6g} N: a tendon cannot push ({cause} is taken to end at "
             f"{-floor:.3g} N); correct its zero or its sign{remedy}"
         )
+        fault += _explain_sentinel(float(effort[low]))
         raise UsageError(f"{path}: column {name!r}, {raw.place(low)}: {fault}")
+
+
+def _explain_sentinel(value: float) -> str:
+    """Return a hint at a number that loggers write for a missing value."""
+    digits = f"{abs(value):.0f}"
+    is_sentinel = abs(value) > 1e30 or (digits.strip("9") == "" and len(digits) > 2)
+    return f" (is {value:.6g} a missing value? leave it blank)" if is_sentinel else ""
 
 
 def _remove_dips(signal: Array) -> Array:

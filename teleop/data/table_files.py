@@ -21,7 +21,8 @@ from teleop.messages.topics import TENDONS
 from teleop.runtime.output_file import replace_file
 from teleop.runtime.process import print_warning
 
-TEXT_SUFFIXES = tuple(f".{kind}{gz}" for kind in ("csv", "tsv", "txt", "dat") for gz in ("", ".gz"))
+TEXT_KINDS = ("csv", "tsv", "txt", "dat", "asc", "lvm", "prn")
+TEXT_SUFFIXES = tuple(f".{kind}{packed}" for kind in TEXT_KINDS for packed in ("", ".gz"))
 
 FOOTER_MAX = 1 << 24  # [bytes] of a Parquet file: 1000 columns in 100 row groups
 GZIP_LEVEL = 6  # of long tables; 9 takes three times as long for 1 % less
@@ -136,7 +137,8 @@ def _find_suffix(path: Path) -> str:
     for suffix in _READERS:
         if path.name.lower().endswith(suffix):
             return suffix
-    raise UsageError(f"{path}: unknown kind of file, allowed are {', '.join(_READERS)}")
+    allowed = ", ".join(suffix for suffix in _READERS if not suffix.endswith(".gz"))
+    raise UsageError(f"{path}: unknown kind of file, allowed are {allowed}, and text as .gz")
 
 
 def _format_reason(error: Exception) -> str:

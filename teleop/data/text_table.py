@@ -34,6 +34,12 @@ ROWS_PER_CHUNK = 20_000
 
 THOUSANDS = "thousands separators"
 
+_MARKS = {
+    b"PK\x03\x04": "a spreadsheet (.xlsx) or .npz",
+    b"\xd0\xcf\x11\xe0": "a spreadsheet (.xls)",
+}
+_MARKS |= {b"\x1f\x8b": "packed (.csv.gz)", b"PAR1": ".parquet", b"ARROW1": ".feather"}
+_MARKS |= {b"\x89HDF": "HDF5 (.h5)", b"MATLAB 5.0": ".mat", b"\x89MCAP": "a recording (.mcap)"}
 _MISSING = {"na", "n/a", "#n/a", "#na", "nan", "null", "none", "nil", "-", "--", "---", "?"}
 _MISSING |= {"missing", "1.#qnan", "1.#ind"}
 _OVERLOADS = {"ovld", "ovl", "ol", "o.l", "overload", "overflow", "overrange", "1.#inf"}
@@ -254,9 +260,9 @@ def classify_word(cell: str) -> str:
     bare = word.lstrip("+-") or word
     if not word or word in _MISSING or bare in _MISSING:
         return "missing"
-    if bare in _OVERLOADS:
+    if bare in _OVERLOADS or not word.strip("*"):  # Fortran fills a field that is too narrow
         return "overload"
-    return "error" if word in _ERRORS else ""
+    return "error" if word in _ERRORS or not word.strip("#") else ""
 
 
 def to_number(cell: str, decimal: str) -> float | None:
@@ -384,7 +390,7 @@ def _fit_rows(
     unit: str,
 ) -> Iterator[Sequence[str]]:
     """Yield the rows as long as the names, and record their lines; blank rows are skipped."""
-    width = len(layout.names)
+    width, rows = len(layout.names), iter(rows)
     for line, cells in rows:
         if not cells or (len(cells) > 1 and not any(map(str.strip, cells))):
             continue
@@ -394,6 +400,8 @@ def _fit_rows(
             hint = ""
             if layout.separator == "," and len(cells) == 2 * width:
                 hint = "; commas in numbers, and between them: save it with semicolons"
+            elif next(iter(rows), None) is None:
+                hint = "; the file ends with it: remove this line if it was cut, or is a footer"
             raise UsageError(
                 f"{path}: {unit} {line}: has {len(cells)} cells, "
                 f"{unit} {layout.names_line} names {width} columns{hint}"
@@ -431,7 +439,10 @@ def open_lines(path: Path, encoding: str) -> Iterator[Iterator[str]]:
 def read_text(path: Path, mapping: TableMapping) -> RawTable:
     """Read a text table; in Latin-1 if it is not UTF-8. Raises `UsageError`."""
     with path.open("rb") as file:
-        encoding = detect_encoding(large_csv.unpack_text(path, file).peek(400)[:400])
+        head = large_csv.unpack_text(path, file).peek(400)[:400]
+    if kind := next((kind for mark, kind in _MARKS.items() if head.startswith(mark)), ""):
+        raise UsageError(f"{path}: is no text, but {kind}: rename it")
+    encoding = detect_encoding(head)
     for name in (encoding, "latin-1") if encoding == "utf-8-sig" else (encoding,):
         with contextlib.suppress(UnicodeDecodeError):
             return _read_encoded(path, name, mapping)

@@ -14,7 +14,7 @@ NS = 1_000_000_000
 DAY_NS = 86_400 * NS
 
 _MOMENT = re.compile(
-    r"(?:(?P<date>\d{1,4}([-/.])\d{1,2}\2\d{1,4})[T ,]\s*)?"
+    r"(?:(?P<days>\d+) days?\s+|(?P<date>\d{1,4}([-/. ])\w{1,9}\3\d{1,4})[T ,:]\s*)?"
     r"(?P<hour>\d{1,2}):(?P<minute>\d\d):(?P<second>\d\d)(?:[.,](?P<fraction>\d{1,9})\d*)?"
     r"\s*(?P<half>[AaPp]\.?[Mm]\.?)?\s*(?P<zone>Z|UTC|[+-]\d\d:?\d\d)?"
 )
@@ -103,6 +103,7 @@ def _parse(text: str, form: str) -> tuple[str, int]:
     if (zone := match["zone"]) and zone[0] in "+-":
         offset = int(zone[0] + "1") * (int(zone[1:3]) * 60 + int(zone[-2:]))
     nanoseconds = int((match["fraction"] or "0").ljust(9, "0"))
+    hour += 24 * int(match["days"] or 0)  # a time difference of pandas
     date = match["date"] or ""
     return date, ((hour * 60 + minute - offset) * 60 + second) * NS + nanoseconds
 

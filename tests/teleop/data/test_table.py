@@ -232,7 +232,7 @@ def test_a_file_that_is_not_there_or_is_none_or_is_empty(tmp_path, suffix):
     for name in ("folder", "pipe", "zero"):
         assert "is not a file" in refusal(tmp_path / f"{name}.{suffix}")
     assert "is empty" in refusal(tmp_path / f"empty.{suffix}", "")
-    assert "allowed are .csv, .csv.gz, .tsv" in refusal(tmp_path / "data.docx")
+    assert "allowed are .csv, .tsv, .txt" in refusal(tmp_path / "data.docx")
 
 
 def test_a_damaged_or_cut_off_file_is_refused(tmp_path):

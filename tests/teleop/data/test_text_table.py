@@ -77,6 +77,10 @@ DECORATED = {
     "units below, one missing": PLAIN.replace(FIRST, FIRST + "\n,N,m"),
     "column without a name": PLAIN.replace("\n", ",\n"),
     "minus of typesetting": table(values=(TIME - 1.0, TENSION, TRAVEL)).replace("-", "−"),
+    "ends of lines of an old Mac": PLAIN.replace("\n", "\r"),
+    "index without a name": "\n".join(
+        f"{k - 1 if k else ''},{line}" for k, line in enumerate(PLAIN.splitlines())
+    ),
     "exponents of Fortran": table(forms=("{:.3f}", "{:.8E}", "{:.8E}")).replace("E", "D"),
 }
 
@@ -121,6 +125,8 @@ MOMENTS = {
         f"2026-{'02-28' if t < 1 else '03-01'}T{clock((86_399 + t) % 86_400)}" for t in TIME
     ],
     "German date": [f"{12 + (t >= 1)}.05.2026 {clock((86_399 + t) % 86_400)}" for t in TIME],
+    "MATLAB": [f"10-Apr-2026 {clock(36_000 + t)}" for t in TIME],
+    "pandas": [f"{1 + (t >= 1)} days {clock((86_399 + t) % 86_400)}" for t in TIME],
     "afternoon": [f"04/10/2026 {clock(36_000 + t)} PM" for t in TIME],
 }
 
@@ -174,7 +180,8 @@ def test_words_for_missing_values_are_missing_and_counted(tmp_path, capsys, word
 
 
 @pytest.mark.parametrize(
-    ("word", "said"), [("+OVLD", "out of the range"), ("-O.L", "range"), ("#DIV/0!", "an error")]
+    ("word", "said"),
+    [("****", "range"), ("+OVLD", "out of the range"), ("-O.L", "range"), ("#DIV/0!", "an error")],
 )
 def test_an_overload_is_named(tmp_path, capsys, word, said):
     cells = [word if k == 7 else f"{v:.4f}" for k, v in enumerate(TENSION)]
@@ -247,6 +254,8 @@ REFUSED = {
     "a second record with names": (PLAIN + PLAIN, ["line 62: a second record", "head -n 61"]),
     "no tension at the housing": (PLAIN.replace(NAMES[1], "distal_tension_N"), ["load cell"]),
     "names that are numbers": (PLAIN.replace(FIRST, "1,2,3"), ["must contain the column names"]),
+    "a cut last line": (PLAIN + "3.000,1.2", ["line 62: has 2 cells", "remove this line"]),
+    "a number for missing ones": (PLAIN.replace("1.0000,", "-9999,"), ["-9999 a missing value?"]),
     "unknown words": (PLAIN.replace("1.0000,", "broken,"), ["line 2: 'broken'", "blank"]),
 }
 
@@ -287,3 +296,14 @@ def test_a_large_force_passes_once_its_unit_is_stated(tmp_path):
     said = refusal(tmp_path / "x.csv", text)
     option = said.split("--column '")[1].split("'")[0].replace("[mN]", "[N]")
     assert read(tmp_path / "x.csv", text, [option]).proximal_tension.max() > 4000.0
+
+
+def test_a_file_of_another_kind_is_named(tmp_path):
+    np.savez(tmp_path / "x.npz", time=TIME)
+    (tmp_path / "x.npz").rename(tmp_path / "x.csv")
+    with pytest.raises(UsageError, match="is no text, but a spreadsheet"):
+        read_table(tmp_path / "x.csv")
+
+
+def test_text_named_as_a_spreadsheet_is_text(tmp_path):
+    check(read(tmp_path / "x.xls", table(sep="\t")))
