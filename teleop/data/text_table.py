@@ -50,7 +50,10 @@ _NUMBERS = {  # decimal sign -> numbers with thousands separators, or without
     sign: re.compile(rf"[+-]?(?:{_GROUPED.format(other)}|\d*)(?:[{sign}]\d*)?{_EXPONENT}")
     for sign, other in ((".", ","), (",", "."))
 }
-_LOOSE_NUMBER = re.compile(rf"[+-]?[\d.,'’]*\d\.?{_EXPONENT}")  # with either decimal sign
+_LOOSE_NUMBER = re.compile(  # with either decimal sign
+    rf"[+-]?(?:[\d.,'’\u00a0\u202f]*\d\.?|\d{{1,3}}(?: \d{{3}})+(?:[.,]\d*)?){_EXPONENT}"
+)
+_OTHER_GROUP = re.compile(r"\d['’\u00a0\u202f ]\d{3}(?!\d)")
 _ONE_SIGN = re.compile(rf"[+-]?(\d*)([.,])(\d+){_EXPONENT}")
 _SIGN_NAMES = {".": "point", ",": "comma"}
 _BLANKS = " \t\r\n\u00a0\u2007\u202f\ufeff\u200b\"'"
@@ -79,7 +82,7 @@ def detect_encoding(head: bytes) -> str:
 def split_rows(lines: Iterable[str], separator: str, *, strict: bool = True) -> Any:
     """Return a reader of the rows of lines of text."""
     if separator == " ":
-        lines = (" ".join(line.split()) + "\n" for line in lines)
+        lines = (" ".join(re.split(r"[ \t\r\n]+", line.strip(" \t\r\n"))) + "\n" for line in lines)
     return csv.reader(lines, delimiter=separator, skipinitialspace=True, strict=strict)
 
 
@@ -128,7 +131,8 @@ def _score_rows(rows: Sequence[Row]) -> float:
     if width < 2:
         return 0.0
     whole = [cells for _, cells in tail if len(cells) == width]
-    values = sum(_is_loose_value(cell) for cells in whole for cell in cells)
+    # a space may separate columns or thousands: the first, unless there is no other way
+    values = sum(_is_loose_value(cell) and " " not in cell.strip() for c in whole for cell in c)
     blank = sum(classify_word(cell) != "" for cells in whole for cell in cells)
     return len(whole) / len(tail) * (values + (blank if values else 0)) / (width * len(whole))
 
@@ -181,7 +185,7 @@ def locate_table(
     check_names(path, line, names)
     following = rows[header + 1] if header + 1 < len(rows) else (line, [])
     units: dict[str, str] = {}
-    if header + 1 < max(begin, header + 2) and _is_units_row(following[1], len(names)):
+    if header + 1 < max(begin, header + 2) and _is_units_row(following[1], width):
         units = {
             n: c.strip(" []()") for n, c in zip(names, following[1], strict=False) if c.strip()
         }
@@ -287,6 +291,7 @@ def _find_decimal(path: Path, rows: Sequence[Row], separator: str, mapping: Tabl
     if mapping.decimal:
         return "," if mapping.decimal == "comma" else "."
     evidence: dict[str, Row] = {}
+    other_groups = False  # thousands are separated by neither sign
     plain: set[int] = set()
     open_cells: dict[int, tuple[int, str]] = {}  # by column: thousands, or three decimals
     for line, cells in rows:
@@ -294,6 +299,7 @@ def _find_decimal(path: Path, rows: Sequence[Row], separator: str, mapping: Tabl
             text = cell.strip(_BLANKS)
             if text.isdigit():
                 plain.add(k)
+            other_groups |= _OTHER_GROUP.search(text) is not None
             one = _ONE_SIGN.fullmatch(text)
             if (
                 one
@@ -317,6 +323,9 @@ def _find_decimal(path: Path, rows: Sequence[Row], separator: str, mapping: Tabl
             f"{path}: line {comma}: {text!r} has a decimal comma, {other!r} in line {point} "
             "a point; write decimals with a point"
         )
+    signs = {text.strip("+-0123456789")[0] for _, text in open_cells.values()}
+    if other_groups and not evidence and len(signs) == 1:
+        return signs.pop()
     for k, (line, text) in open_cells.items():
         sign = text.strip("+-0123456789")[0]
         if sign not in evidence and (not evidence or k not in plain):

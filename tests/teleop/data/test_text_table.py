@@ -206,6 +206,17 @@ def test_thousands_separators_are_told_from_decimal_signs(tmp_path, capsys, sep,
     assert "thousands separators in" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(("sep", "group"), [(";", "'"), ("|", "\u00a0"), (" ", "\u00a0")])
+def test_other_separators_of_thousands_leave_one_sign_for_decimals(tmp_path, sep, group):
+    names = ("time_us", "proximal_tension_N")
+    times = [f"{50_000 * k:,}".replace(",", group) for k in range(1, 61)]
+    tension = 2.0 + 0.001 * np.arange(60)
+    text = table(names, sep, ("{}", "{:.3f}"), (times, tension), decimal=",")
+    found = read(tmp_path / "x.csv", text)
+    np.testing.assert_allclose(found.proximal_tension, tension)
+    np.testing.assert_allclose(found.time, 0.05 * np.arange(1, 61))
+
+
 def test_a_number_that_may_be_of_thousands_is_asked_about(tmp_path):
     time, tension = np.arange(60), 2.0 + 0.001 * np.arange(60)
     text = table(NAMES[:2], ";", ("{}", "{:.3f}"), (time, tension))
