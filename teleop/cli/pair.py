@@ -31,7 +31,7 @@ from estimator.pair.pair_study import PairStudy, analyse_residuals, compute_offs
 from teleop.config.loading import load
 from teleop.config.options import add_options
 from teleop.data.raw_table import RawTable
-from teleop.data.table import check_effort, check_time
+from teleop.data.sample_checks import check_effort, check_time
 from teleop.data.table_files import read_columns
 from teleop.errors import UsageError
 from teleop.runtime.output_file import make_folder, save_figure

@@ -323,9 +323,9 @@ def _find_decimal(path: Path, rows: Sequence[Row], separator: str, mapping: Tabl
             f"{path}: line {comma}: {text!r} has a decimal comma, {other!r} in line {point} "
             "a point; write decimals with a point"
         )
-    signs = {text.strip("+-0123456789")[0] for _, text in open_cells.values()}
-    if other_groups and not evidence and len(signs) == 1:
-        return signs.pop()
+    open_signs = {text.strip("+-0123456789")[0] for _, text in open_cells.values()}
+    if other_groups and not evidence and len(open_signs) == 1:
+        return open_signs.pop()
     for k, (line, text) in open_cells.items():
         sign = text.strip("+-0123456789")[0]
         if sign not in evidence and (not evidence or k not in plain):

@@ -1,0 +1,197 @@
+"""Whether samples can be those of a tendon, in the units in which they were read."""
+
+import math
+from collections.abc import Collection, Mapping
+from pathlib import Path
+
+import numpy as np
+
+from estimator.array_types import Array
+from estimator.units import LINEAR, Units
+from teleop.data import channel_names
+from teleop.data.raw_table import RawTable
+from teleop.data.text_table import THOUSANDS, describe_second_record
+from teleop.errors import UsageError
+
+TENSION_PEAK = 1000.0  # [N] above this the unit is wrong: grams or millinewtons
+TRAVEL_SPAN = 2.0  # [m] above this the unit is wrong: millimetres
+TORQUE_PEAK = 1000.0  # [N m] above this the unit is wrong: N mm
+ANGLE_SPAN = 30.0  # [rad] above this, five turns, the unit is wrong: degrees
+# [s] above this the unit is wrong, unless it is told: milliseconds of 2 kHz are 0.5
+PERIOD_MAX = 0.4
+PERIOD_MIN = 2e-5  # [s] below this likewise
+LONG_PERIOD, LONG_DURATION = 0.02, 3600.0  # [s] a record of so long may be one of milliseconds
+SPEED_ROWS = 20  # samples from which on a speed tells
+# [m/s], [rad/s] as tendons and motors are moved; slower ones are asked about at 50 Hz or less
+SPEED_RANGES = {"m": (2.5e-4, 2.0), "rad": (0.025, 2000.0)}
+NOISE_FLOOR = 0.1  # [N] tolerated reading below zero ...
+NOISE_SHARE = 0.02  # ... plus this fraction of the peak (zero error)
+ZERO_SHARE = 0.25  # of its peak, where a wrong zero is identified or only scored
+
+
+def check_samples(
+    path: Path,
+    raw: RawTable,
+    names: Mapping[str, str],
+    numbers: Mapping[str, Array],
+    zero_errors: Collection[str],
+    diagnosed: bool,
+    units: Units,
+    stated: Collection[str],
+) -> None:
+    """Check for increasing time, plausible units and non-negative tensions; some may be missing.
+
+    The units of `stated` items are by the option, so their sizes are right.
+    """
+    name = names["time"]
+    remedy = f"name the unit, --column 'time={name}[ms]', or [s] if it is right"
+    check_time(path, raw, name, numbers[name], "" if "time" in stated else remedy)
+    for item in ("proximal_tension", "distal_tension"):
+        if item in names:
+            option = channel_names.STANDARD_NAMES[units][item].rpartition("_")[0]
+            loop = f"; a closed loop's forces are named {item.replace('tension', 'force')}_N"
+            check_effort(
+                path,
+                raw,
+                names[item],
+                numbers[names[item]],
+                units,
+                may_err=item in zero_errors,
+                option=option,
+                any_size=item in stated,
+                remedy=loop * diagnosed,
+            )
+    span_max = ANGLE_SPAN if units.rotary else TRAVEL_SPAN
+    for item in ("proximal_displacement", "distal_displacement"):
+        if item not in names:
+            continue
+        travel, name = numbers[names[item]], names[item]
+        if (span := float(np.nanmax(travel) - np.nanmin(travel))) > span_max and item not in stated:
+            row = int(np.nanargmax(np.abs(travel)))
+            fault = f"travel spans {span:.6g} m: is it in metres, not mm?"
+            option, other, unit = item, "mm", "m"
+            if units.rotary:
+                fault = f"angle spans {span:.6g} rad: degrees, or {span / math.tau:.1f} turns?"
+                option, other, unit = item.replace("displacement", "angle"), "deg", "rad"
+            raise UsageError(
+                f"{path}: column {name!r}, {raw.place(row)}: {fault}"
+                f"{_explain_sentinel(float(travel[row]))} Name the unit, "
+                f"--column '{option}={name}[{other}]', or [{unit}] if it is right"
+            )
+    if "time" not in stated and "proximal_displacement" in names:
+        clock, travel = names["time"], numbers[names["proximal_displacement"]]
+        _check_speed(path, raw, clock, numbers[clock], travel, units, remedy)
+
+
+def _check_speed(
+    path: Path, raw: RawTable, name: str, time: Array, travel: Array, units: Units, remedy: str
+) -> None:
+    """Raise `UsageError` for a motion that no tendon makes in such times [s]."""
+    if len(time) < SPEED_ROWS:
+        return
+    step = max(len(time) // 100, 1)
+    steps = np.abs(np.diff(travel[::step])) / np.diff(time[::step])
+    if not (known := steps[np.isfinite(steps)]).size:
+        return
+    fastest, period = float(known.max()), float(np.median(np.diff(time)))
+    slowest, limit = SPEED_RANGES[units.travel]
+    if fastest > limit or (0.0 < fastest < slowest and period > LONG_PERIOD):
+        raise UsageError(
+            f"{path}: column {name!r}, {raw.place(0)}: the drive moves at {fastest:.3g} "
+            f"{units.travel}/s at most: is the unit of time right? Then {remedy}"
+        )
+
+
+def check_time(path: Path, raw: RawTable, name: str, time: Array, remedy: str) -> None:
+    """Raise `UsageError` unless times [s] increase, at a rate at which tendons are measured.
+
+    Without a `remedy` the unit is known, and any rate is right.
+    """
+    periods = np.diff(time)
+    if (late_rows := np.flatnonzero(periods <= 0.0)).size:
+        row = int(late_rows[0]) + 1
+        location = f"{path}: column {name!r}, {raw.place(row)}"
+        back = f"time goes back from {float(time[row - 1]):.6g} to {float(time[row]):.6g}"
+        restarts = time[row] < time[0] + 0.1 * (time[row - 1] - time[0])
+        if restarts and row > 1 and raw.place(row).startswith("line "):
+            line = int(raw.place(row).removeprefix("line "))
+            raise UsageError(f"{path}: {describe_second_record(path, line, back)}")
+        fault = f"{float(time[row])!r} does not come after {float(time[row - 1])!r}"
+        hint = " (a recording: was the slave restarted there?)" if path.suffix == ".mcap" else ""
+        raise UsageError(f"{location}: {fault}{hint}; time must increase from row to row")
+    if not remedy or not periods.size:
+        return
+    median, duration = float(np.median(periods)), float(time[-1] - time[0])
+    if median > PERIOD_MAX or (median > LONG_PERIOD and duration > LONG_DURATION):
+        raise UsageError(
+            f"{path}: column {name!r}, {raw.place(1)}: samples are {median:.6g} s apart, "
+            f"{duration:.6g} s in all: milliseconds, or sample numbers? Then {remedy}; of sample "
+            "numbers give the rate, --rate HZ"
+        )
+    if median < PERIOD_MIN and len(periods) >= SPEED_ROWS:
+        raise UsageError(
+            f"{path}: column {name!r}, {raw.place(1)}: samples are {median:.3g} s apart, which is "
+            f"faster than tendons are measured: minutes or hours? Then {remedy}"
+        )
+
+
+def check_effort(
+    path: Path,
+    raw: RawTable,
+    name: str,
+    effort: Array,
+    units: Units = LINEAR,
+    *,
+    may_err: bool = False,
+    option: str = "",
+    any_size: bool = False,
+    remedy: str = "",
+) -> None:
+    """Raise `UsageError` for a tension or torque that is too large, or a tension that pushes.
+
+    With `may_err` the cell's zero may be off, and single samples low. NaN where one is missing.
+    The unit can be given by `--column` as that of `option`, if it is one; then `any_size` is right.
+    """
+    row = int(np.nanargmax(np.abs(effort)))
+    low = int(np.nanargmin(_remove_dips(effort) if may_err else effort))
+    peak = float(effort[row])
+    if abs(peak) > (TORQUE_PEAK if units.rotary else TENSION_PEAK) and not any_size:
+        what, other, si = "tendon tension in newtons", "mN", "N"
+        if units.rotary:
+            what, other, si = "torque in newton metres", "Nmm", "Nm"
+        how = "; check the unit"
+        if option:
+            how = f"; name the unit, --column '{option}={name}[{other}]', or [{si}] if it is right"
+        grouped = " (its thousands separators are read as such)"
+        how = grouped * (THOUSANDS in raw.words.get(name, ())) + how
+        raise UsageError(
+            f"{path}: column {name!r}, {raw.place(row)}: {peak:.6g} is too large for a {what}"
+            f"{_explain_sentinel(peak)}{how}; or remove the spike"
+        )
+    if units.signed:
+        return
+    share = ZERO_SHARE if may_err else NOISE_SHARE
+    floor = NOISE_FLOOR + share * float(np.nanmax(effort, initial=0.0))
+    if effort[low] < -floor:
+        cause = "a zero offset" if may_err else "noise"
+        fault = (
+            f"{float(effort[low]):.6g} N: a tendon cannot push ({cause} is taken to end at "
+            f"{-floor:.3g} N); correct its zero or its sign{remedy}"
+        )
+        fault += _explain_sentinel(float(effort[low]))
+        raise UsageError(f"{path}: column {name!r}, {raw.place(low)}: {fault}")
+
+
+def _explain_sentinel(value: float) -> str:
+    """Return a hint at a number that loggers write for a missing value."""
+    digits = f"{abs(value):.0f}"
+    is_sentinel = abs(value) > 1e30 or (digits.strip("9") == "" and len(digits) > 2)
+    return f" (is {value:.6g} a missing value? leave it blank)" if is_sentinel else ""
+
+
+def _remove_dips(signal: Array) -> Array:
+    """Return a signal without isolated low samples; beside a missing one (NaN) none is isolated."""
+    filled = signal.copy()
+    lower = np.minimum(signal[:-2], signal[2:])
+    filled[1:-1] = np.where(np.isnan(lower), signal[1:-1], np.maximum(signal[1:-1], lower))
+    return filled
