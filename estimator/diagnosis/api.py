@@ -3,6 +3,8 @@
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from types import MappingProxyType
 
+import numpy as np
+
 from estimator.array_types import Array
 from estimator.diagnosis import outcome, rivals
 from estimator.diagnosis.baseline import (
@@ -54,12 +56,13 @@ from estimator.diagnosis.scoring import (
     Choice,
     bootstrap_gain,
     compute_errors,
+    compute_missed_share,
     compute_residual_fraction,
     find_residual_dependence,
     is_noise,
     join_errors,
 )
-from estimator.diagnosis.settings import ProgressCallback, ignore_progress
+from estimator.diagnosis.settings import SETTINGS, ProgressCallback, ignore_progress
 from estimator.diagnosis.validation import (
     compute_detection_limits,
     compute_file_force,
@@ -73,6 +76,7 @@ from estimator.diagnosis.validation import (
     transfer_to_validation,
 )
 from estimator.effects import CATALOGUE, CHANNELS, Effect
+from estimator.effects.functions import find_function
 from estimator.measured_data import MeasuredData
 from estimator.units import LINEAR, Units
 
@@ -89,6 +93,7 @@ def diagnose(
     fit_all: bool = False,
     leave_one_file_out: bool = False,
     loop: bool | None = None,
+    variables: Sequence[str] = (),
     progress: Callable[[str, float], None] = ignore_progress,
     workers: int = 1,
 ) -> Diagnosis:
@@ -117,6 +122,8 @@ def diagnose(
     loop : bool, optional
         Whether the data are of a closed loop of two cables; by default, whether effort changes its
         sign in one of them.
+    variables : sequence of str
+        Further columns of the data (`extra`), such as a temperature, that something may depend on.
     progress : callable
         Called with what is being done and which share of it (0 to 1) is.
     workers : int
@@ -139,7 +146,7 @@ def diagnose(
     """
     is_single = isinstance(data, Record) or hasattr(data, "proximal_tension")
     data_sets: list[MeasuredData | Record] = [data] if is_single else list(data)  # type: ignore[list-item, arg-type]
-    records = prepare_records([*data_sets, *validate], noise, loop=loop)
+    records = prepare_records([*data_sets, *validate], noise, loop=loop, variables=variables)
     diagnosis = diagnose_records(
         records[: len(data_sets)],
         tuple(map(_resolve_effect, effects)) if effects is not CATALOGUE else CATALOGUE,
@@ -193,6 +200,7 @@ def prepare_records(
     noise: Mapping[str, float] = MappingProxyType({}),
     *,
     loop: bool | None = None,
+    variables: Sequence[str] = (),
 ) -> list[Record]:
     """Return records of one bench made ready: in common units, all of a loop or none.
 
@@ -203,6 +211,8 @@ def prepare_records(
     loop : bool, optional
         Whether they are of a closed loop of two cables; by default, whether effort changes its sign
         in one of them.
+    variables : sequence of str
+        Further columns of the data that something may depend on.
 
     Raises
     ------
@@ -232,7 +242,7 @@ def prepare_records(
                     noise=noise,
                     units=units,
                     loop=loop,
-                    variables=getattr(item, "variables", {}),
+                    variables={name: _get_column(item, name) for name in variables},
                 )
             )
         except RecordError as error:
@@ -247,6 +257,19 @@ def get_units(data: MeasuredData) -> Units:
     return units
 
 
+def _get_column(data: MeasuredData, name: str) -> Array:
+    """Return a further column of data."""
+    columns = getattr(data, "extra", {})
+    if name not in columns:
+        raise RecordError(
+            f"{name}: no such further column; there are {', '.join(columns) or 'none'}"
+        )
+    try:
+        return np.asarray(columns[name], dtype=np.float64)
+    except ValueError as error:
+        raise RecordError(f"{name}: is a column of text; give one of numbers") from error
+
+
 def collect_signals(data: MeasuredData) -> dict[str, Array]:
     """Return the channels that were measured, by name."""
     return {name: signal for name in CHANNELS if (signal := getattr(data, name)) is not None}
@@ -256,6 +279,8 @@ def _resolve_effect(effect: str | Effect) -> Effect:
     if isinstance(effect, Effect):
         return effect
     matches = [candidate for candidate in CATALOGUE if candidate.name == effect]
+    if (function := find_function(effect)) is not None:
+        return function
     if not matches:
         names = ", ".join(dict.fromkeys(candidate.name for candidate in CATALOGUE))
         raise ValueError(f"effect {effect!r}: not in the catalogue, which has {names}")
@@ -395,12 +420,14 @@ def _build_diagnosis(
     is_noise_after = is_noise(dataset, errors_after)
     has_function = bool(steps) and steps[-1].effect.function is not None
     is_drifting = not (is_noise_after or has_function) and has_drifting_friction(dataset, fit)
+    missed_share = compute_missed_share(dataset, errors_after)
     verdict = decide_verdict(
         steps,
         residual_fraction,
         is_noise_before=is_noise(dataset, errors_before),
         is_noise_after=is_noise_after,
         is_drifting=is_drifting,
+        is_foreign=missed_share > SETTINGS.foreign_share_max,
     )
     free_names = {effect.name for effect, _ in final_fit.model.effects if effect.function}
     fitted_values = {
@@ -434,6 +461,7 @@ def _build_diagnosis(
         noise=compute_mean_noise(dataset),
         residual_fraction=residual_fraction,
         has_drifting_friction=is_drifting,
+        foreign_share=missed_share if missed_share > SETTINGS.foreign_share_max else 0.0,
         simple_models=simple_models,
         simple_gain=compute_simple_gains(errors_after, simple_models),
         residual_dependences=find_residual_dependence(dataset, fit),

@@ -49,7 +49,8 @@ MEAN_WEIGHTS = (1e-2, 1.0)  # the same of the mean, where the law does not take 
 SHARES = (1.0, 0.5)  # of a linear step
 KEPT = 10, 4  # functions that are fitted to few samples, and to all
 ROUNDS = 8, 15  # of these fits
-PERIODS_MIN = 4  # of a cycle, in a record
+PERIODS_MIN = 5  # of a cycle, in a record
+PERIODS_TRIED = 4  # of those that may be in a residual
 PERIOD_SAMPLES = 6  # at least, of a subsampled record
 FINE_FREQUENCIES = 33  # about the best of a coarse grid
 
@@ -122,7 +123,8 @@ def fit_functions(
         start = _set_last_effect(pair[1].model, effect)
         return build_candidate(dataset, fit_model(dataset, contexts, start, ROUNDS[1]))
 
-    chosen = best[: KEPT[1]]
+    chosen = list({start.effect.name: (score, start) for score, start in reversed(best)}.values())
+    chosen = sorted(chosen, key=lambda pair: -pair[0])[: KEPT[1]]
     return list(map_parallel(fit_all, chosen, report, "finishing functions", workers))
 
 
@@ -170,10 +172,12 @@ class _Screening:
         return compute_log_likelihood_ratio(errors, self._errors)
 
     def screen(self, effect: Effect) -> list[_Screened]:
-        """Return the best smoothness of a function and where a linear step leads; or nothing."""
-        shapes = self._choose_shapes(effect)
-        if shapes is None:
-            return []
+        """Return where a linear step leads, for the range or for each likely period."""
+        found = (self._screen_shapes(effect, shapes) for shapes in self._choose_shapes(effect))
+        return [start for start in found if start is not None]
+
+    def _screen_shapes(self, effect: Effect, shapes: tuple[float, ...]) -> _Screened | None:
+        """Return the smoothness that held-out samples favour; None where nothing changes."""
         term, step = effect.function, effect.parameters[-1].step
         changes = [
             self._simulate(effect, (*shapes, *row)) - self._residual
@@ -181,12 +185,12 @@ class _Screening:
         ]
         F = np.column_stack(changes)
         if not np.isfinite(F).all():
-            return []
+            return None
         own = F - self._basis @ (self._basis.T @ F)
         A, b = own.T @ own, own.T @ self._residual
         power = float(np.trace(A)) / COEFFICIENTS
         if power < 1e-9:
-            return []
+            return None
         mean = math.sqrt(MEAN_WEIGHTS[bool(term and term.has_zero)] * power)
         best: _Screened | None = None
         for roughness in (math.sqrt(share * power) for share in ROUGHNESSES):
@@ -206,7 +210,7 @@ class _Screening:
                 score = self.compute_ratio(errors) - compute_bic_penalty(self._dataset, degrees)
                 if best is None or score > best.score:
                     best = _Screened(effect, model, score, roughness, mean)
-        return [] if best is None else [best]
+        return best
 
     def _simulate(self, effect: Effect, values: tuple[float, ...]) -> Array:
         model = self._fit.model
@@ -222,22 +226,22 @@ class _Screening:
         limited = np.clip(c * effect.parameters[-1].step, *np.transpose(bounds)).tolist()
         return model._replace(effects=(*model.effects, (effect, (*shapes, *limited))))
 
-    def _choose_shapes(self, effect: Effect) -> tuple[float, ...] | None:
-        """Return the range of the variable, or the period; None where there is none."""
+    def _choose_shapes(self, effect: Effect) -> list[tuple[float, ...]]:
+        """Return the range of the variable, or the likely periods; nothing where there is none."""
         if effect.function is None:
-            return None
+            return []
         if effect.function.is_periodic:
-            return self._find_period(effect)
+            return self._find_periods(effect)
         parts = [
             effect.function.evaluate(context)[record.measured]
             for record, context in zip(self._dataset.records, self._contexts, strict=True)
         ]
         x = np.concatenate(parts)
         low, high = float(x.min()), float(x.max())
-        return (low, high) if high > low else None
+        return [(low, high)] if high > low else []
 
-    def _find_period(self, effect: Effect) -> tuple[float, ...] | None:
-        """Return the period of the wave of a quantity that removes most of the residual.
+    def _find_periods(self, effect: Effect) -> list[tuple[float, ...]]:
+        """Return the periods of waves of a quantity that remove most of the residual.
 
         The response to a wave is taken as that to a constant times the wave.
         """
@@ -252,17 +256,20 @@ class _Screening:
         target = self._residual - self._basis @ (self._basis.T @ self._residual)
         highest = len(record.time) / (PERIOD_SAMPLES * duration)
         coarse = np.arange(PERIODS_MIN / duration, highest, 0.25 / duration)
-        if not len(coarse):
-            return None
         waves = np.exp(2j * np.pi * np.outer(coarse, time))
-        frequency = float(coarse[int(np.argmax(np.abs(waves @ (response * target))))])
+        power = np.abs(waves @ (response * target))
+        peaks = 1 + np.flatnonzero((power[1:-1] >= power[:-2]) & (power[1:-1] > power[2:]))
 
-        def compute_removed(trial: float) -> float:
-            angle = 2.0 * np.pi * trial * time
+        def compute_removed(frequency: float) -> float:
+            angle = 2.0 * np.pi * frequency * time
             pair = response[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
             pair -= self._basis @ (self._basis.T @ pair)
             b = pair.T @ target
             return float(b @ np.linalg.pinv(pair.T @ pair) @ b)
 
-        fine = frequency + np.linspace(-0.4, 0.4, FINE_FREQUENCIES) / duration
-        return (1.0 / max(fine.tolist(), key=compute_removed),)
+        offsets = np.linspace(-0.4, 0.4, FINE_FREQUENCIES) / duration
+        likely = peaks[np.argsort(-power[peaks])[:PERIODS_TRIED]]
+        return [
+            (1.0 / max((frequency + offsets).tolist(), key=compute_removed),)
+            for frequency in coarse[likely].tolist()
+        ]

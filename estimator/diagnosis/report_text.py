@@ -30,11 +30,63 @@ DEPENDENCES_SHOWN = 2  # named in a sentence
 UNSURE_CAUSES_SHOWN = 3  # causes in a sentence, none of them sure
 
 
+def format_headline(diagnosis: Diagnosis) -> str:
+    """Return the verdict in a few words, without names of the catalogue."""
+    if diagnosis.foreign_share:
+        return "This is not a tendon-sheath transmission."
+    if diagnosis.verdict is Verdict.CLEAN:
+        return "Nothing is wrong beyond noise."
+    if diagnosis.verdict is Verdict.CHARACTERISED and diagnosis.curve is not None:
+        return f"No named cause: {describe_curve(diagnosis.curve, diagnosis.units)}."
+    if diagnosis.verdict is Verdict.UNEXPLAINED:
+        return "Something is wrong, and no cause explains it."
+    causes = [f"{step.effect.cause}{_format_size(diagnosis, step)}" for step in diagnosis.steps]
+    count = ("One thing is", "Two things are", "Three things are")[min(len(causes), 3) - 1]
+    ambiguity = ", or what looks the same" * (diagnosis.verdict is Verdict.AMBIGUOUS)
+    return f"{count} wrong: {', and '.join(causes)}{ambiguity}."
+
+
+def _format_size(diagnosis: Diagnosis, step: CauseStep) -> str:
+    """Return the first size of a cause in brackets, if it has one."""
+    for p in step.effect.parameters:
+        number = diagnosis.parameters.get(f"{step.effect.name}.{p.name}")
+        if p.neutral is not None and number is not None:
+            return f" ({_format_short(number.value, number.unit)})"
+    return ""
+
+
+def _format_short(value: float, unit: str) -> str:
+    return format_quantity(value, unit, 2) if unit else f"{100.0 * value:.2g} %"
+
+
+def describe_size(diagnosis: Diagnosis, step: CauseStep) -> str:
+    """Return the numbers of a cause with their intervals, or where its curve goes."""
+    if step.effect.function is not None and diagnosis.curve is not None:
+        return describe_curve(diagnosis.curve, diagnosis.units)
+    return "; ".join(
+        f"{p.name} {format_quantity(number.value, number.unit, 3)} "
+        f"({report_tables.format_interval(number)})"
+        for p in step.effect.parameters
+        if (number := diagnosis.parameters.get(f"{step.effect.name}.{p.name}")) is not None
+    )
+
+
+def list_rivals(step: CauseStep) -> list[str]:
+    """Return what else explains as much as a cause, in words."""
+    return [f"{e.cause} ({e.label})" for name in step.rivals for e in _find_effects(name)[:1]]
+
+
 def format_verdict(diagnosis: Diagnosis) -> str:
     """Return the verdict in one sentence."""
     if diagnosis.verdict is Verdict.CLEAN:
         smallest = _describe_detection_limits(diagnosis.detection_limits)
         return f"Nothing is wrong with the model beyond noise{smallest}."
+    if diagnosis.foreign_share:
+        return (
+            f"This is not a tendon-sheath transmission, or the columns are not what they are taken "
+            f"for: the best model of one misses {diagnosis.foreign_share:.0%} of a tension's "
+            f"changes; {_describe_dependence(diagnosis)}."
+        )
     if diagnosis.verdict is Verdict.UNEXPLAINED:
         if diagnosis.has_drifting_friction:
             labels = " and ".join(step.effect.label for step in diagnosis.steps)
@@ -68,7 +120,7 @@ def format_summary(
     compared: Table | None = None,
     further: Sequence[str] = (),
 ) -> str:
-    """Return all that is said of a diagnosis: the verdict, tables, residuals, next steps.
+    """Return all that is said of a diagnosis: headline, verdict, tables, residuals, next steps.
 
     Parameters
     ----------
@@ -81,7 +133,7 @@ def format_summary(
     """
     names = report_tables.name_records(diagnosis, files, further)
     warnings = [f"WARNING: {line}" for line in list_better_models(diagnosis)]
-    parts = ["\n".join([format_verdict(diagnosis), *warnings])]
+    parts = [format_headline(diagnosis), "\n".join([format_verdict(diagnosis), *warnings])]
     parts += [table.markdown() for table in build_tables(diagnosis, files, compared, further)]
     parts.append("Residuals:\n" + "\n".join(f"- {line}" for line in describe_residuals(diagnosis)))
     parts.append("Next:\n" + "\n".join(f"- {step}" for step in list_next_steps(diagnosis)))

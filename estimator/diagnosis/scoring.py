@@ -12,7 +12,7 @@ from estimator.diagnosis.dataset import Dataset, Fit, compute_tolerance
 from estimator.diagnosis.measured_data import Record
 from estimator.diagnosis.sampling import GAP_PERIODS
 from estimator.diagnosis.settings import SETTINGS
-from estimator.effects.effect import PROXIMAL_TENSION
+from estimator.effects.effect import DISTAL_TENSION, PROXIMAL_TENSION
 from estimator.fitting import (
     COVERAGE_FACTOR,
     IntervalEstimate,
@@ -21,6 +21,7 @@ from estimator.fitting import (
 )
 
 BOOTSTRAP_DRAWS = 400
+BLOCKS_MIN = 6  # of a bootstrapped record
 
 
 class ChannelErrors(NamedTuple):
@@ -112,7 +113,10 @@ def compute_log_likelihood_ratio(a: dict[str, ChannelErrors], b: dict[str, Chann
 
 
 def bootstrap_superiority(a: dict[str, ChannelErrors], b: dict[str, ChannelErrors]) -> float:
-    """Return the share of bootstrapped records in which `a` is better than `b` (paired bins)."""
+    """Return the share of bootstrapped records in which `a` is better than `b`.
+
+    Bins are paired, and drawn in blocks as long as the difference remembers.
+    """
     difference = []
     for channel, errors in a.items():
         scale = _floor_variance(errors)
@@ -122,7 +126,7 @@ def bootstrap_superiority(a: dict[str, ChannelErrors], b: dict[str, ChannelError
         if len({len(d) for d in difference}) == 1
         else np.concatenate(difference)
     )
-    draws = np.random.default_rng(0).integers(0, len(total), (BOOTSTRAP_DRAWS, len(total)))
+    draws = _draw_blocks(total)
     return float(np.mean(total[draws].sum(axis=1) > 0.0))
 
 
@@ -150,14 +154,42 @@ def compute_residual_fraction(a: dict[str, ChannelErrors], b: dict[str, ChannelE
     return remaining / total if total else 0.0
 
 
+def _draw_blocks(series: Array) -> NDArray[np.intp]:
+    """Return rows of bootstrapped records, (BOOTSTRAP_DRAWS, n): moving blocks of the series.
+
+    A block is as long as two independent bins are apart, by the correlation of neighbours; a fixed
+    length of one bin takes an error that lasts for several (Kuensch, Ann. Stat. 17, 1989).
+    """
+    n = len(series)
+    share = compute_independent_share(estimate_correlation(series))
+    length = min(max(round(1.0 / share), 1), max(n // BLOCKS_MIN, 1))
+    starts = np.random.default_rng(0).integers(0, n, (BOOTSTRAP_DRAWS, -(-n // length)))
+    rows = (starts[:, :, None] + np.arange(length)).reshape(BOOTSTRAP_DRAWS, -1)
+    return np.asarray(rows[:, :n] % n)
+
+
 def bootstrap_gain(a: ChannelErrors, b: ChannelErrors) -> IntervalEstimate:
     """Return by which share the RMSE is smaller under `a` than under `b`, and its 95 % interval."""
     value = 1.0 - math.sqrt(a.mean / max(b.mean, 1e-12))
-    n = len(a.squares)
-    draws = np.random.default_rng(0).integers(0, n, (BOOTSTRAP_DRAWS, n))
+    draws = _draw_blocks(b.squares - a.squares)
     ratio = a.squares[draws].sum(axis=1) / np.maximum(b.squares[draws].sum(axis=1), 1e-12)
     low, high = np.quantile(1.0 - np.sqrt(ratio), [0.025, 0.975])
     return IntervalEstimate(value, float(low), float(high))
+
+
+def compute_missed_share(dataset: Dataset, errors: dict[str, ChannelErrors]) -> float:
+    """Return the rms error beyond noise over the channel's rms about its mean, at worst.
+
+    Of the tensions, which any transmission must pass on; a tip that is held hardly moves.
+    """
+    shares = [0.0]
+    for channel, channel_errors in errors.items():
+        if channel not in (PROXIMAL_TENSION, DISTAL_TENSION):
+            continue
+        excess = max(1.0 - 1.0 / max(channel_errors.mean, 1e-12), 0.0)
+        spread = max(float(r.signals[channel].std()) for r in dataset.records)
+        shares.append(channel_errors.rmse * math.sqrt(excess) / max(spread, 1e-12))
+    return max(shares)
 
 
 def is_noise(dataset: Dataset, errors: dict[str, ChannelErrors]) -> bool:

@@ -72,6 +72,9 @@ class Settings:
     # of what named causes leave, with a free function instead: less, and they are not the cause
     free_function_fraction: float = 0.3
 
+    # of a channel's rms about its mean, beyond noise, that a model of a tendon may leave
+    foreign_share_max: float = 0.3
+
     # when two effects are not told apart (causes.py)
     equivalent_score_max: float = 6.0  # log-likelihood ratio, penalties included
     equivalent_fraction_max: float = 0.015  # of the error beyond noise

@@ -27,6 +27,7 @@ from estimator.effects.effect import (
 )
 from estimator.effects.sensors import SENSOR_NAMES
 from estimator.lumped.lumped_model import Physics
+from estimator.online.reading_correction import CorrectionKind
 from estimator.spline import evaluate_spline
 
 COEFFICIENTS = 12
@@ -236,6 +237,11 @@ _SHARE = Parameter("c", "", -0.95, 5.0, 0.05)
 _LENGTH = Parameter("c", "m", -0.02, 0.02, 1e-5)
 _FORCE = Parameter("c", "N", -20.0, 20.0, 0.05)
 
+_CORRECTIONS = {
+    PROXIMAL_TENSION: CorrectionKind.TENSION_CURVE,
+    PROXIMAL_DISPLACEMENT: CorrectionKind.DISPLACEMENT_CURVE,
+}
+
 _TARGETS = (
     _Target("friction", "friction", _SHARE, "K (1 + f)", True),
     _Target("elongation", "elongation", _LENGTH, "e + f", False, has_loop=False),
@@ -313,7 +319,7 @@ def _build_function(target: _Target, x: Variable) -> Effect:
         has_zero=target.has_zero,
     )
     shapes = (
-        (Parameter("period", "s", 1e-3, _EVERYWHERE, 1.0, None, is_fixed=True),)
+        (Parameter("period", "s", 0.05, _EVERYWHERE, 0.01, None),)
         if is_periodic
         else tuple(
             Parameter(end, unit, -_EVERYWHERE, _EVERYWHERE, 1.0, None, is_fixed=True)
@@ -335,6 +341,7 @@ def _build_function(target: _Target, x: Variable) -> Effect:
         starts=lambda _: [],
         required_channels=frozenset(required | ({target.channel} - {""})),
         function=term,
+        correction=_CORRECTIONS.get(target.key) if x is _OWN else None,
         shift_encoder_zero=partial(_shift_range, is_position=x.words == MOTOR_POSITION),
     )
     if not target.channel:
@@ -364,13 +371,16 @@ def build_functions(columns: Iterable[str] = ()) -> tuple[Effect, ...]:
         _build_function(target, x)
         for target in _TARGETS
         for x in (*variables, *([_OWN] if target.channel and not target.is_share else []))
+        if (target.key, x.key) != (PROXIMAL_TENSION, "tension")  # is by its own reading
     )
 
 
 def find_function(name: str) -> Effect | None:
     """Return the effect of a name such as `friction_by_position`; None if there is none."""
     column = name.partition("_by_")[2]
-    return next((e for e in build_functions([column] if column else []) if e.name == name), None)
+    known = {"", *(x.key for x in (*VARIABLES, _PHASE, _OWN))}
+    functions = build_functions([] if column in known else [column])
+    return next((effect for effect in functions if effect.name == name), None)
 
 
 FUNCTIONS = build_functions()

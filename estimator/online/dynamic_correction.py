@@ -13,9 +13,13 @@ tell:
   to each contact, averaged.
 
 A sample without travel goes by what was learnt before, and by the speeds of the steps.
+
+A free function of a diagnosis (effects.functions) changes friction or stretch by what it depends
+on. Beyond the range that was seen it stays as at the end, and the interval is widened.
 """
 
 import math
+from enum import IntEnum
 from typing import Annotated
 
 import numpy as np
@@ -25,7 +29,8 @@ from estimator.compiled import jit_compile
 from estimator.lumped import lumped_model
 from estimator.lumped.lumped_model import SAMPLE
 from estimator.lumped.nodes import NODES
-from estimator.records import F64, Field, Flag, Struct
+from estimator.records import F64, I64, Field, Flag, Struct
+from estimator.spline import evaluate_spline_at
 
 SPEED_TIME_CONSTANT = 0.02  # [s] over which speeds are averaged
 FAST_TIME_CONSTANT, SLOW_TIME_CONSTANT = 0.02, 2.0  # [s] between which changes at the tip count
@@ -36,6 +41,42 @@ NO_SUBSTEPS = 1.0  # a step is not divided: it must end in time
 TIP_COMPLIANCE_MAX = 5e-3  # [m/N] of what the tip pulls at
 TRAVEL_JUMP_MAX = 0.01  # [m] in a sample: no motion
 STRETCH_MAX = 1.0  # [m] that effects stretch a tendon
+REST_SPEED = 2e-5  # [m/s] of the motor, below which it rests
+COEFFICIENTS = 12  # of a free function
+FRICTION_SHARE_MIN = 0.05  # that a free function leaves of K at least
+
+
+class FunctionVariable(IntEnum):
+    """What a free function depends on."""
+
+    NONE = 0
+    POSITION = 1  # [m] of the motor
+    TENSION = 2  # [N] at the housing
+    SPEED = 3  # [m/s] of the motor
+    REST_TIME = 4  # [s] of the motor, now or before it moved
+
+
+class FunctionConstants(Struct):
+    """A free function of a model."""
+
+    variable: I64 = 0  # FunctionVariable
+    stretches: Flag = False  # it changes the stretch [m], not the share of friction
+    is_warped: Flag = False  # its knots are even in the signed square root
+    low: F64 = 0.0  # of the variable that was seen
+    high: F64 = 0.0
+    spread: F64 = 0.0  # of its values, by which friction may be off beyond that range
+    coefficients: Annotated[Array, Field("f8", COEFFICIENTS)]
+
+
+class FunctionState(Struct):
+    """What is remembered for a free function."""
+
+    started: Flag = False
+    is_outside: Flag = False  # of the range that was seen
+    position: F64 = 0.0  # [m] of the motor, averaged
+    direction: F64 = 0.0  # of its last motion; 0 at rest
+    rest_time: F64 = 0.0  # [s]
+    value: F64 = 0.0
 
 
 class DynamicConstants(Struct):
@@ -43,6 +84,7 @@ class DynamicConstants(Struct):
 
     friction: F64 = 0.0  # K
     bench_compliance: F64 = 0.0  # [m/N] of what the tip pulled at on the bench
+    function: FunctionConstants
     without_effects: Annotated[
         Array, Field("f8", lumped_model.CONSTANTS)
     ]  # the tendon of the closed law
@@ -67,16 +109,20 @@ class DynamicState(Struct):
     slow_tension: F64 = 0.0  # [N]
     sum_travel_tension: F64 = 0.0  # [m N s] of products of changes at the tip
     sum_tension_squared: F64 = 0.0  # [N^2 s]
+    function: FunctionState
     contact_displacements: Annotated[Array, Field("f8", NODES - 1)]  # [m] averaged
     without_effects: Annotated[Array, Field("f8", lumped_model.STATE)]
     with_effects: Annotated[Array, Field("f8", lumped_model.STATE)]
 
 
 def build_constants(
-    without_effects: lumped_model.Physics, with_effects: lumped_model.Physics
+    without_effects: lumped_model.Physics,
+    with_effects: lumped_model.Physics,
+    function: FunctionConstants | None = None,
 ) -> DynamicConstants:
     """Return what `update_correction` needs to know."""
     return DynamicConstants.new(
+        function=FunctionConstants.new() if function is None else function,
         friction=float(without_effects.friction[0]),
         bench_compliance=without_effects.tip_compliance,
         without_effects=lumped_model.build_constants(without_effects),
@@ -109,6 +155,12 @@ def update_correction(
     speeds = no_speeds
     if has_travel and effect_constants[lumped_model.STRIBECK] != 0.0:
         speeds = _estimate_sliding_speeds(state, plain_state, q, dt)
+    if constants.function.variable != FunctionVariable.NONE:
+        f = _update_function(constants.function, state.function, T, q, dt)
+        if constants.function.stretches:
+            sample[0, lumped_model.STRETCH] = f
+        else:
+            sample[0, lumped_model.FRICTION] *= max(1.0 + f, FRICTION_SHARE_MIN)
     sample[0, lumped_model.OFFSET] = state.tip_offset
     sample[0, lumped_model.COMPLIANCE] = state.tip_compliance
     effect_motion = lumped_model.advance(
@@ -129,6 +181,56 @@ def update_correction(
         state.travel += -math.expm1(-dt / LEAK_TIME_CONSTANT) * (target_travel - state.travel)
     state.tension, state.elongation = tension_change, elongation_change
     _estimate_tip_compliance(constants, state, T > 0.0 and has_travel, q - elongation, T_out, dt)
+
+
+@jit_compile
+def _update_function(
+    function: FunctionConstants, state: FunctionState, T: float, q: float, dt: float
+) -> float:
+    """Return a free function at one sample; without a travel it stays as it was."""
+    if math.isnan(q) and function.variable != FunctionVariable.TENSION:
+        return state.value
+    speed = 0.0
+    if not math.isnan(q):
+        if not state.started or abs(q - state.position) > TRAVEL_JUMP_MAX:
+            state.position = q
+        state.position += -math.expm1(-dt / SPEED_TIME_CONSTANT) * (q - state.position)
+        speed = (q - state.position) / SPEED_TIME_CONSTANT
+        state.started = True
+    direction = 0.0
+    if abs(speed) > REST_SPEED:
+        direction = 1.0 if speed > 0.0 else -1.0
+    if direction == 0.0:
+        state.rest_time = state.rest_time + dt if state.direction == 0.0 else 0.0
+    elif direction == -state.direction:
+        state.rest_time = 0.0
+    state.direction = direction
+    x = T
+    if function.variable == FunctionVariable.POSITION:
+        x = q
+    elif function.variable == FunctionVariable.SPEED:
+        x = speed
+    elif function.variable == FunctionVariable.REST_TIME:
+        x = state.rest_time
+    low, high = function.low, function.high
+    state.is_outside = not low <= x <= high
+    if function.is_warped:
+        x, low, high = _warp(x), _warp(low), _warp(high)
+    state.value = evaluate_spline_at(function.coefficients[:], (x - low) / (high - low))
+    return state.value
+
+
+@jit_compile
+def _warp(x: float) -> float:
+    return math.copysign(math.sqrt(abs(x)), x)
+
+
+@jit_compile
+def bound_function_error(constants: DynamicConstants, state: DynamicState, tension: float) -> float:
+    """Return by how much a tension at the tip [N] may be off beyond a function's range."""
+    if not state.function.is_outside or constants.function.stretches:
+        return 0.0
+    return tension * math.expm1(constants.friction * constants.function.spread)
 
 
 @jit_compile
@@ -193,6 +295,8 @@ def reset(constants: DynamicConstants, state: DynamicState) -> None:
     state.slow_displacement = state.slow_tension = 0.0
     state.sum_travel_tension = state.sum_tension_squared = 0.0
     state.contact_displacements[:] = 0.0
+    state.function.started = state.function.is_outside = False
+    state.function.direction = state.function.rest_time = state.function.value = 0.0
     state.without_effects[:] = lumped_model.build_initial_state(
         constants.without_effects[:], 0.0, 0.0, 0.0
     )

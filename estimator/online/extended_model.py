@@ -23,11 +23,16 @@ from estimator.effects.effect import (
     EffectContext,
     Values,
 )
+from estimator.effects.functions import COEFFICIENTS, evaluate_function
 from estimator.law.sheath import Section, Sheath
 from estimator.lumped.lumped_model import Physics
 from estimator.lumped.nodes import EDGES, build_even_weights
 from estimator.online import dynamic_correction
-from estimator.online.dynamic_correction import DynamicConstants
+from estimator.online.dynamic_correction import (
+    DynamicConstants,
+    FunctionConstants,
+    FunctionVariable,
+)
 from estimator.online.reading_correction import CorrectionKind
 
 FRICTION_COEFFICIENT = 0.1  # nominal; bend radii follow, force and elongation do not
@@ -76,6 +81,16 @@ OMISSION_REASONS = {
     "stick_slip": "does not show in the tension at the housing before it is over",
 }
 """Why an effect does nothing in the loop, in words that can follow its name."""
+
+
+_FUNCTION_VARIABLES = {
+    "position": FunctionVariable.POSITION,
+    "tension": FunctionVariable.TENSION,
+    "speed": FunctionVariable.SPEED,
+    "rest_time": FunctionVariable.REST_TIME,
+}
+_FUNCTIONS_AT_END = frozenset({"friction_by_time", "friction_by_path"})  # as a record has ended
+_TIP_FUNCTIONS = frozenset({"distal_tension_by_reading", "distal_displacement_by_reading"})
 
 
 class EffectUse(Enum):
@@ -137,7 +152,23 @@ def build_extended_model(
     context = _build_context(instants, PROXIMAL_TENSION, compliance)
     base = current = Physics(np.array([K]), compliance, build_even_weights(), tip)
     uses, readings = [], []
+    function: FunctionConstants | None = None
     for effect, values in effects:
+        if effect.function is not None and effect.correction is None:
+            by = effect.name.partition("_by_")[2]
+            is_tendon = effect.name.startswith(("friction", "elongation"))
+            if is_tendon and by in _FUNCTION_VARIABLES:
+                function = _build_function(effect, values, _FUNCTION_VARIABLES[by])
+                use = EffectUse.DYNAMICS
+            elif effect.name in _FUNCTIONS_AT_END:
+                share = 1.0 + evaluate_function(effect, values, np.array([values[1]]))
+                current = current._replace(friction=current.friction * share)
+                use = EffectUse.LAW
+            else:
+                is_at_tip = effect.name in _TIP_FUNCTIONS
+                use = EffectUse.TIP_SENSOR if is_at_tip else EffectUse.OMITTED
+            uses.append((effect, values, use))
+            continue
         extended = effect.physics(current, values, context)
         extended = extended._replace(
             friction=np.broadcast_to(extended.friction, INSTANT_COUNT)[-1:].copy()
@@ -159,21 +190,42 @@ def build_extended_model(
         uses.append((effect, values, use))
     law = base._replace(**{name: getattr(current, name) for name in _LAW_FIELDS})
     dynamics = None
-    if _is_different(law, current, _DYNAMIC_FIELDS):
-        dynamics = dynamic_correction.build_constants(law, current)
+    if function is not None or _is_different(law, current, _DYNAMIC_FIELDS):
+        dynamics = dynamic_correction.build_constants(law, current, function)
     extension = None
     if dynamics is not None or readings:
         extension = Extension(dynamics, tuple(readings[::-1]))
     return ExtendedModel(build_sheath(law, length), extension, tuple(uses))
 
 
+def _build_function(
+    effect: Effect, values: Values, variable: FunctionVariable
+) -> FunctionConstants:
+    """Return a free function for the loop."""
+    grid = evaluate_function(effect, values, np.linspace(values[0], values[1], INSTANT_COUNT))
+    constants = FunctionConstants.new(
+        variable=int(variable),
+        stretches=effect.name.startswith("elongation"),
+        is_warped=effect.function is not None and effect.function.is_warped,
+        low=values[0],
+        high=values[1],
+        spread=float(np.ptp(grid)),
+    )
+    constants.coefficients[:] = values[-COEFFICIENTS:]
+    return constants
+
+
 def is_record_specific(effect: Effect) -> bool:
     """Return whether an effect is of something that happened in its record only."""
+    if effect.function is not None:
+        return effect.name.endswith(("_by_time", "_by_path", "_by_phase"))
     return OMISSION_REASONS.get(effect.name) == _REASON_RECORD
 
 
 def explain_omission(effect: Effect) -> str:
     """Return why an effect does nothing in the loop, in words that can follow its name."""
+    if effect.function is not None:
+        return f"follows {effect.function.variable}, for which the loop has no correction"
     return OMISSION_REASONS.get(effect.name, _REASON_NEUTRAL)
 
 

@@ -381,6 +381,9 @@ def _add_dynamics(
     estimate.distal_tension = corrected
     estimate.low = min(max(min(low, low + change), 0.0), corrected)
     estimate.high = max(high, min(high + change, tension_max), corrected)
+    margin = dynamic_correction.bound_function_error(prepared.dynamics, dynamics, corrected)
+    estimate.low = max(estimate.low - margin, 0.0)
+    estimate.high = max(estimate.high, min(estimate.high + margin, tension_max))
     estimate.elongation += dynamics.elongation
 
 

@@ -13,13 +13,15 @@ from typing import Annotated
 from estimator.array_types import Array
 from estimator.compiled import jit_compile
 from estimator.records import I64, Field, Struct
+from estimator.spline import evaluate_spline_at
 
 MAX_CORRECTIONS = 8
 """Corrections that a tendon can have."""
 
-MAX_VALUES = 3
+MAX_VALUES = 14
 """Values that the effect of a correction can have."""
 
+CURVE_ITERATIONS = 3  # by which a curve, of small slope, is inverted
 READING_MAX = 1e6  # [m] that an encoder can read
 
 
@@ -32,6 +34,8 @@ class CorrectionKind(IntEnum):
     PULLEY_ECCENTRICITY = 3  # q = reading - a sin(reading/c) - b cos(reading/c)
     TENSION_RIPPLE = 4  # T = reading - a sin(c q) - b cos(c q)
     SHEATH_RUB = 5  # T = reading - a (q - p)/(b/2), p the play of q of width b
+    TENSION_CURVE = 6  # T = reading - f(T), f a spline from a to b
+    DISPLACEMENT_CURVE = 7  # q = reading - f(q), the same
 
 
 class Correction(Struct):
@@ -58,6 +62,16 @@ def build_corrections(readings: Sequence[tuple[CorrectionKind, Sequence[float]]]
 
 
 @jit_compile
+def _invert_curve(values: Array, reading: float) -> float:
+    """Return the signal whose sum with a spline of it is a reading."""
+    signal = reading
+    for _ in range(CURVE_ITERATIONS):
+        share = (signal - values[0]) / (values[1] - values[0])
+        signal = reading - evaluate_spline_at(values[2:], share)
+    return signal
+
+
+@jit_compile
 def correct_reading(
     corrections: Corrections, remembered: Array, T: float, q: float
 ) -> tuple[float, float]:
@@ -78,8 +92,12 @@ def correct_reading(
             T = T - values[0]
         elif kind == CorrectionKind.DISPLACEMENT_GAIN:
             q = q / (1.0 + values[0])
+        elif kind == CorrectionKind.TENSION_CURVE:
+            T = _invert_curve(values[:], T)
         elif math.isnan(q):
             continue  # the others follow the travel
+        elif kind == CorrectionKind.DISPLACEMENT_CURVE:
+            q = _invert_curve(values[:], q)
         elif kind == CorrectionKind.PULLEY_ECCENTRICITY:
             phase = q / values[2]
             q = q - values[0] * math.sin(phase) - values[1] * math.cos(phase)

@@ -53,20 +53,29 @@ class Result(NamedTuple):
     numbers: tuple[Checked, ...]
     oracle: float  # held-out RMSE over that of the true model, fitted; of the worst channel
     seconds: float
+    by: str = ""  # the function that is to be found
 
     @property
     def right(self):
         """Whether the verdict is what was asked for."""
         effects = self.case.effects
+        if self.by:
+            said = (*self.causes, *self.rivals)
+            return self.by in said and len(said) <= 2
         if effects and effects[0] in hidden.OUTSIDE:
-            return self.verdict in (Verdict.CLEAN, Verdict.UNEXPLAINED)
+            return not self.confident
         if not effects or (self.absorbed and self.verdict == Verdict.CLEAN):
             return self.verdict == Verdict.CLEAN
-        named = self.verdict in (Verdict.NAMED, Verdict.AMBIGUOUS)
+        named = self.confident
         named_causes = {*self.causes, *self.rivals}
         return (
             named and set(effects) <= named_causes and len(named_causes) <= ALIKE + len(effects) - 1
         )
+
+    @property
+    def confident(self):
+        """Whether it names a cause of the catalogue."""
+        return self.verdict in (Verdict.NAMED, Verdict.AMBIGUOUS)
 
     @property
     def needless(self):
@@ -84,7 +93,7 @@ class Result(NamedTuple):
         """Whether it named something else, and surely."""
         return (
             not self.right
-            and self.verdict == Verdict.NAMED
+            and (self.verdict == Verdict.NAMED or (self.by and bool(self.causes)))
             and not set(self.case.effects) & set(self.causes)
         )
 
@@ -100,7 +109,7 @@ def judge(case, among=CATALOGUE, oracle=True):
         rate=case.rate,
         travel_noise=case.travel_noise,
     )
-    record = prepare_record(made.time, dict(made.channels))
+    record = prepare_record(made.time, dict(made.channels), variables=made.variables)
     began = time.perf_counter()
     found = diagnose_records([record], among)
     seconds = time.perf_counter() - began
@@ -114,7 +123,14 @@ def judge(case, among=CATALOGUE, oracle=True):
         checked(made, found) if set(found.causes) == set(case.effects) else (),
         _over_oracle(record, found, case.effects) if oracle else math.nan,
         seconds,
+        _to_be_found(case, made.truth),
     )
+
+
+def _to_be_found(case, truth):
+    """Return the name of the function that a case is to end in; empty where it is none."""
+    name = next(iter(case.effects), "")
+    return hidden.BY.get(name, "").format(**truth.get(name, {}))
 
 
 def _over_oracle(record, found, effects):

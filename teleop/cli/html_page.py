@@ -49,6 +49,10 @@ th, td { padding: 0.25rem 0.6rem; text-align: left; border-bottom: 1px solid #dd
   vertical-align: top; }
 th { background: #f4f7fa; }
 tr.ours td { background: #eaf3f9; }
+.card { border: 1px solid #b7d3e6; border-radius: 0.4rem; padding: 0.2rem 1rem; margin: 1rem 0;
+  max-width: 58rem; }
+dt { font-weight: 600; } dd { margin: 0 0 0.4rem; }
+summary { font-size: 1.1rem; margin: 2rem 0 1rem; cursor: pointer; }
 figure { margin: 1.5rem 0; } img, svg { max-width: 100%; height: auto; }
 figcaption { font-size: 0.9rem; color: #444; max-width: 48rem; }
 @page { margin: 14mm; }
@@ -68,7 +72,7 @@ class Page:
     """An HTML page; each method appends to it."""
 
     def __init__(self, title: str) -> None:
-        self._title = title
+        self._title, self._is_folded = title, False
         self._parts = [f"<h1>{html.escape(title)}</h1>"]
 
     def heading(self, text: str) -> None:
@@ -102,12 +106,26 @@ class Page:
         words = html.escape(caption)
         self._parts.append(f"<figure>{svg}<figcaption>{words}</figcaption></figure>")
 
+    def card(self, title: str, rows: Sequence[tuple[str, str]]) -> None:
+        """Add a box with a title and named texts."""
+        inner = "".join(
+            f"<dt>{html.escape(name)}</dt><dd>{html.escape(text)}</dd>" for name, text in rows
+        )
+        self._parts.append(f'<div class="card"><h3>{html.escape(title)}</h3><dl>{inner}</dl></div>')
+
+    def fold(self, title: str) -> None:
+        """Begin what is hidden until it is opened; it ends with the next one, or the page."""
+        end = "</details>" if self._is_folded else ""
+        self._parts.append(f"{end}<details><summary>{html.escape(title)}</summary>")
+        self._is_folded = True
+
     def render(self) -> str:
         """Return the page."""
+        closing = "</details>" if self._is_folded else ""
         return (
             '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
             '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
             f"<title>{html.escape(self._title)}</title>\n<style>{STYLE}</style>\n</head>\n<body>\n"
             + "\n".join(self._parts)
-            + "\n</body>\n</html>\n"
+            + f"{closing}\n</body>\n</html>\n"
         )

@@ -29,6 +29,7 @@ from estimator.diagnosis import report_text
 from estimator.diagnosis.api import CauseError, RecordError, collect_signals, diagnose
 from estimator.diagnosis.outcome import Diagnosis
 from estimator.effects import CATALOGUE, CHANNELS, NAMES, Effect
+from estimator.effects.functions import find_function
 from estimator.units import Units
 from teleop.cli import estimate
 from teleop.cli.diagnose import json_report
@@ -84,11 +85,13 @@ def parse_effects(text: str) -> Sequence[Effect]:
     if not names:
         raise UsageError("--effects: names of effects with commas between them, or all")
     others = tuple(effect for name in names if is_extension(name) for effect in load_effects(name))
+    functions = [effect for name in names if (effect := find_function(name)) is not None]
     for name in names:
-        if name not in NAMES and not is_extension(name):
+        is_known = name in (*NAMES, *(effect.name for effect in functions))
+        if not is_known and not is_extension(name):
             listed = suggest_spelling(name, NAMES, 3, 0.5) or f"; there are {', '.join(NAMES)}"
             raise UsageError(f"--effects {name}: no such effect{listed}")
-    return (*(effect for effect in CATALOGUE if effect.name in names), *others)
+    return (*(effect for effect in CATALOGUE if effect.name in names), *functions, *others)
 
 
 # --- `--noise NAME=SIGMA`: noise of a channel that is known better than the data tell it
@@ -217,6 +220,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "proximal_displacement=1e-6 (default estimated from the data)",
     )
     parser.add_argument(
+        "--variable",
+        action="append",
+        default=[],
+        metavar="COLUMN",
+        help="further column that friction or a sensor may depend on, such as a temperature",
+    )
+    parser.add_argument(
         "--transmission",
         choices=("auto", "tendon", "loop"),
         default="auto",
@@ -252,6 +262,7 @@ def main(args: argparse.Namespace) -> int:
             noise=noise,
             loop=loop,
             cause=args.cause,
+            variables=args.variable,
             fit_all=args.fit_all,
             leave_one_file_out=args.leave_one_file_out,
             progress=progress,

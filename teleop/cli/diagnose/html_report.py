@@ -1,6 +1,8 @@
 """report.html: a diagnosis on one self-contained page."""
 
 from collections.abc import Mapping, Sequence
+from datetime import date
+from importlib.metadata import version
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -8,10 +10,25 @@ from estimator.diagnosis import report_tables, report_text
 from estimator.diagnosis.figures import RECORDS_MAX, draw_figures
 from estimator.diagnosis.outcome import Diagnosis
 from estimator.drawing import use_style
+from estimator.text_table import Table
 from teleop.cli.diagnose import json_report
 from teleop.cli.diagnose.json_report import ComparedParameter
 from teleop.cli.html_page import Page
 from teleop.runtime.output_file import save_figure
+
+GLOSSARY = Table(
+    ("word", "meaning"),
+    (
+        ("K", "friction coordinate: over the sheath tension falls to e^-K of itself"),
+        ("L/EA", "by how much the tendon is longer per newton"),
+        ("tip compliance", "by how much what the tip pulls at gives per newton"),
+        ("held-out", "of samples that the model was not fitted to"),
+        ("RMSE", "root mean square error"),
+        ("95 % interval", "where the value is, as surely as 19 in 20"),
+        ("before, after", "the plain law, and the law with what was found"),
+        ("score", "log-likelihood of held-out samples, less a penalty for each parameter"),
+    ),
+)
 
 # --- write the figures of a diagnosis
 
@@ -40,20 +57,40 @@ def render(
     `files` and `further` are the names of the fitted files and of those for validation.
     """
     names = report_tables.name_records(diagnosis, files, further)
-    page = Page(report_text.format_verdict(diagnosis))
-    page.text(f"Data: {', '.join(files)}.")
+    page = Page(report_text.format_headline(diagnosis))
+    page.text(report_text.format_verdict(diagnosis))
+    page.text(
+        f"{date.today():%Y-%m-%d}, tendon-teleop {version('tendon-teleop')}. "
+        f"Data: {', '.join(files)}."
+    )
     for sentence in report_text.list_better_models(diagnosis):
         page.text(f"WARNING: {sentence}")
-    page.heading("Next steps")
-    page.points(report_text.list_next_steps(diagnosis))
+    for step in diagnosis.steps:
+        rivals = "; ".join(report_text.list_rivals(step)) or "none in these data"
+        size = report_text.describe_size(diagnosis, step)
+        rows = [("Size (95 % interval)", size), ("As good", rivals), ("Do", step.effect.advice)]
+        page.card(step.effect.cause, rows)
+    with TemporaryDirectory() as folder:
+        captions = write_figures(diagnosis, files, Path(folder), further)
+        first, *others = captions.items()
+        page.figure(Path(folder) / first[0], first[1])
+        page.table(report_tables.build_parameter_table(diagnosis), mark="")
+        page.heading("Next steps")
+        page.points(report_text.list_next_steps(diagnosis))
+        page.fold("What the words mean")
+        page.table(GLOSSARY, mark="")
+        page.fold("All tables and figures")
+        page.heading("Before and after")
+        if len(files) > RECORDS_MAX:
+            page.text(f"The first {RECORDS_MAX} of {len(files)} files are drawn.")
+        for file, caption in others:
+            page.figure(Path(folder) / file, caption)
     if diagnosis.steps:
         page.heading("Gain")
         page.table(report_tables.build_gain_table(diagnosis), mark="")
     page.heading("Beside models that know no sheath")
     page.table(report_tables.build_model_table(diagnosis), mark="")
     page.table(report_tables.build_simple_gain_table(diagnosis), mark="")
-    page.heading("Parameters of the model")
-    page.table(report_tables.build_parameter_table(diagnosis), mark="")
     for table in (
         report_tables.build_law_table(diagnosis),
         report_tables.build_load_table(diagnosis),
@@ -63,13 +100,6 @@ def render(
     if calibrated:
         page.table(json_report.build_comparison_table(calibrated), mark="NO")
     _add_file_tables(page, diagnosis, names)
-    with TemporaryDirectory() as folder:
-        captions = write_figures(diagnosis, files, Path(folder), further)
-        page.heading("Before and after")
-        if len(files) > RECORDS_MAX:
-            page.text(f"The first {RECORDS_MAX} of {len(files)} files are drawn.")
-        for file, caption in captions.items():
-            page.figure(Path(folder) / file, caption)
     page.heading("Residuals")
     page.points(report_text.describe_residuals(diagnosis))
     page.heading("Errors")

@@ -100,6 +100,7 @@ def build_report(
     names = report_tables.name_records(diagnosis, files, further)
     report = {
         "verdict": diagnosis.verdict.value,
+        "headline": report_text.format_headline(diagnosis),
         "sentence": report_text.format_verdict(diagnosis),
         "units": {"effort": diagnosis.units.effort, "travel": diagnosis.units.travel},
         "closed_loop": diagnosis.dataset.records[0].loop,

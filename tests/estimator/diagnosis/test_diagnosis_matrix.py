@@ -13,6 +13,7 @@ from estimator.diagnosis.api import diagnose_records
 from estimator.diagnosis.measured_data import prepare_record
 from estimator.diagnosis.outcome import Verdict
 from estimator.effects import CATALOGUE, NAMES
+from estimator.effects.functions import build_functions
 from studies import hidden
 from studies.hidden.campaign import Case, judge
 from studies.hidden.play_grid import make_grid
@@ -38,7 +39,17 @@ def _twice(name):
 SINGLE = [case for name in hidden.EFFECTS for case in _twice(name)]
 CLEAN = [_case(seed, (), bench) for seed in (21,) for bench in ("blocked", "spring")]
 OUTSIDE = [  # of friction that wanders tells test_diagnosis
-    _case(31, (name,), "spring") for name in hidden.OUTSIDE if "wandering_friction" not in name
+    _case(31, (f"outside:{name}",), "spring")
+    for name in ("wandering_gain", "rough_spot", "periodic_disturbance")
+]
+CURVES = [
+    Case(seed, (f"outside:friction_over_{name}",), 1.0, bench, 60.0, 100.0)
+    for seed, name, bench in (
+        (112, "path", "blocked"),
+        (103, "rest", "spring"),
+        (114, "speed", "blocked"),
+        (106, "temperature", "spring"),
+    )
 ]
 PAIRS = [
     _case(41, ("friction_step", "distal_tension_bias"), "spring"),
@@ -124,3 +135,11 @@ def test_a_clean_record_is_called_clean(case):
 def test_what_the_catalogue_does_not_know_is_not_given_a_name(case):
     found = quickly(case)
     assert found.verdict in {Verdict.UNEXPLAINED, Verdict.CLEAN}
+
+
+@pytest.mark.parametrize("case", named_cases(CURVES))
+def test_what_friction_follows_is_found_or_among_two(case):
+    effects = [effect for effect in CATALOGUE if effect.name in {"constant_drag", "presliding"}]
+    found = judge(case, [*effects, *build_functions(["temperature"])], oracle=False)
+    assert found.verdict == Verdict.CHARACTERISED
+    assert found.right

@@ -1,13 +1,16 @@
 """What no cause explains is characterised: what follows which variable, and by which curve."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from estimator.diagnosis import report_text
-from estimator.diagnosis.api import diagnose_records
-from estimator.diagnosis.measured_data import prepare_record
+from estimator.diagnosis.api import diagnose, diagnose_records, prepare_records
+from estimator.diagnosis.measured_data import RecordError, prepare_record
 from estimator.diagnosis.outcome import Verdict
 from estimator.effects import CATALOGUE
+from estimator.effects.effect import PROXIMAL_DISPLACEMENT, EffectContext
 from estimator.effects.functions import (
     compute_basis,
     compute_rest_time,
@@ -15,6 +18,8 @@ from estimator.effects.functions import (
     find_function,
 )
 from studies import hidden
+from teleop.cli.diagnose.command import parse_effects
+from teleop.errors import UsageError
 
 FUNCTIONS = ("friction_by_position", "friction_by_rest_time", "elongation_by_tension")
 CAUSES = ("constant_drag", "viscous_friction")
@@ -75,8 +80,22 @@ def test_a_rest_counts_until_the_next_one():
 
 
 def diagnosed_context(time, speed):
-    from estimator.effects.effect import PROXIMAL_DISPLACEMENT, EffectContext
-
     zero = np.zeros_like(time)
     travel = np.cumsum(speed) * 0.01
     return EffectContext(time, PROXIMAL_DISPLACEMENT, travel, speed, {}, {}, zero, 1e-4)
+
+
+def test_a_function_can_be_asked_for_by_name():
+    names = [effect.name for effect in parse_effects("creep,friction_by_humidity")]
+    assert names == ["creep", "friction_by_humidity"]
+    with pytest.raises(UsageError, match="no such effect"):
+        parse_effects("fiction_by_position")
+
+
+def test_a_further_column_that_is_not_there_is_refused():
+    made = hidden.make(22, (), duration=10.0, rate=50.0)
+    data = SimpleNamespace(time=made.time, **made.channels, extra={"humidity_percent": made.time})
+    with pytest.raises(RecordError, match="temperature: no such further column; there are hum"):
+        diagnose(data, variables=["temperature"])
+    (record,) = prepare_records([data], variables=["humidity_percent"])
+    np.testing.assert_allclose(record.variables["humidity_percent"], record.time)

@@ -134,7 +134,13 @@ def test_noise_that_is_none_is_refused(capsys, csv, word):
 
 def test_the_page_needs_nothing_but_itself(report, folder):
     page = (folder / "out" / "report.html").read_text()
-    assert f"<h1>{report['sentence']}</h1>" in page
+    assert f"<h1>{report['headline']}</h1>" in page
+    assert "_" not in report["headline"]
+    shown, _, folded = page.partition("<details>")
+    assert report["sentence"] in shown
+    assert (shown.count("<img"), shown.count("<table>"), shown.count('class="card"')) == (1, 1, 1)
+    assert f"tendon-teleop {report['version']}" in shown
+    assert "friction coordinate" in folded
     assert not re.search(r"http|<script|<link|@import|url\(", page)
     assert all(source.startswith("data:image/") for source in re.findall(r'src="([^"]+)"', page))
     assert page.count("<img") == 9  # time, loop, left out of either; validation, structure, ranking
@@ -195,7 +201,9 @@ def test_the_verdict_comes_first_and_a_cause_is_compared_with_a_calibration(csv,
     words = ["diagnose", csv, "--effects", FAULT, "--calibration", calibration]
     assert commands.main([*map(str, words)]) == 0
     said = capsys.readouterr()
-    assert said.out.startswith("The model is wrong because the load cell at the tip")
+    headline = "One thing is wrong: the load cell at the tip has a wrong gain ("
+    assert said.out.startswith(headline)
+    assert "\nThe model is wrong because the load cell at the tip" in said.out
     assert re.search(r"\| K +\| 2 +\| 0\.9\d+ .* NO +\|", said.out)
     assert "Hang known weights" in said.out
     assert "fitting candidates ..." in said.err.splitlines()

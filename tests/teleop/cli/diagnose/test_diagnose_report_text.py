@@ -50,6 +50,18 @@ def test_a_named_cause_is_said_with_size_and_gain(found):
     assert report_text.list_next_steps(found) == [f"{FAULT}: {found.steps[0].effect.advice}"]
 
 
+def test_the_headline_has_words_and_no_names_of_the_catalogue(found, nothing):
+    cause = found.steps[0].effect.cause
+    assert report_text.format_headline(found).startswith(f"One thing is wrong: {cause} (4")
+    twice = found._replace(steps=2 * found.steps, verdict=Verdict.AMBIGUOUS)
+    assert report_text.format_headline(twice).startswith("Two things are wrong: ")
+    for verdict in (Verdict.CLEAN, Verdict.UNEXPLAINED):
+        assert "_" not in report_text.format_headline(nothing._replace(verdict=verdict))
+    foreign = found._replace(verdict=Verdict.UNEXPLAINED, foreign_share=0.4)
+    assert report_text.format_headline(foreign) == "This is not a tendon-sheath transmission."
+    assert "misses 40%" in report_text.format_verdict(foreign)
+
+
 def test_rivals_are_said_with_what_would_tell_them_apart(found):
     step = found.steps[0]._replace(rivals=(RIVAL,))
     unsure = found._replace(verdict=Verdict.AMBIGUOUS, steps=(step,), experiments=("weigh it",))

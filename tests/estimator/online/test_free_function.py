@@ -1,0 +1,84 @@
+"""A model with a free function in the loop, on data by a chain of beads."""
+
+import math
+
+import numpy as np
+import pytest
+
+from estimator.effects.functions import compute_basis, find_function
+from estimator.online import online
+from estimator.online.extended_model import EffectUse, build_extended_model, explain_omission
+from estimator.online.tendon_model import TendonModel
+from studies import hidden
+
+NOISE, STEP, SECONDS = 0.02, 1.2e-7, 20.0
+HIDDEN = {
+    "friction_by_position": "outside:friction_over_position",
+    "proximal_tension_by_reading": "outside:curved_reading",
+}
+
+
+def fitted(name, x, f):
+    """Return an effect with the function that is nearest to `f` at `x`."""
+    effect = find_function(name)
+    shapes = (float(x.min()), float(x.max()))
+    basis = compute_basis(effect, (*shapes, *(12 * [0.0])), x)
+    return effect, (*shapes, *np.linalg.lstsq(basis, f, rcond=None)[0].tolist())
+
+
+def built(data, pair):
+    sheath = data.truth["sheath"]
+    K, L, EA = (sheath[key] for key in ("K", "L", "EA"))
+    found = build_extended_model((K, L / EA, 0.0), [pair] if pair else [], SECONDS, L)
+    noise = {"tension_noise": NOISE, "displacement_noise": STEP / math.sqrt(12.0)}
+    return TendonModel(found.sheath, extension=found.extension, **noise), found
+
+
+def estimated(model, data):
+    tension, travel = (data.channels[f"proximal_{one}"] for one in ("tension", "displacement"))
+    return online.run(online.prepare(model), data.time, tension, travel)
+
+
+def rms_error(model, data):
+    off = estimated(model, data).distal_tension - data.channels["distal_tension"]
+    return float(np.sqrt(np.mean(off**2)))
+
+
+@pytest.mark.parametrize(("name", "seed"), list(zip(HIDDEN, (2, 4), strict=True)))
+def test_the_force_is_right_with_the_function_and_inside_its_interval(name, seed):
+    data = hidden.make(seed, HIDDEN[name], duration=SECONDS, rate=100.0)
+    truth = {key: value for key, value in data.truth[HIDDEN[name]].items() if key != "channel"}
+    channel = "proximal_displacement" if "position" in name else "proximal_tension"
+    x = data.channels[channel]
+    share = (x - x.min()) / np.ptp(x) if "position" in name else x / x.max()
+    pair = fitted(name, x, hidden.courses.on_curve(**truth, share=share))
+    more, _ = built(data, pair)
+    assert rms_error(more, data) < 0.5 * rms_error(built(data, None)[0], data)
+    found, tip = estimated(more, data), data.channels["distal_tension"]
+    assert np.mean((found.low - 4 * NOISE <= tip) & (tip <= found.high + 4 * NOISE)) > 0.97
+
+
+def test_beyond_the_range_that_was_seen_the_interval_is_wider():
+    data = hidden.make(2, HIDDEN["friction_by_position"], duration=SECONDS, rate=100.0)
+    x = data.channels["proximal_displacement"]
+    f = 0.3 * np.sin(6.0 * (x - x.min()) / np.ptp(x))
+    effect, values = fitted("friction_by_position", x, f)
+    wide, narrow = (
+        estimated(built(data, (effect, (values[0], end, *values[2:])))[0], data)
+        for end in (values[1], 0.5 * (values[0] + values[1]))
+    )
+    beyond = (x > 0.6 * (values[0] + values[1])) & (wide.distal_tension > 1.0)
+    assert beyond.any()
+    width = [np.mean((one.high - one.low)[beyond]) for one in (wide, narrow)]
+    assert width[1] > 1.2 * width[0]
+
+
+def test_what_the_loop_cannot_follow_is_left_out_with_the_reason():
+    x = np.linspace(0.0, 10.0, 50)
+    data = hidden.make(2, (), duration=SECONDS, rate=100.0)
+    uses = {
+        name: built(data, fitted(name, x, 0.1 + 0.0 * x))[1].uses[0][2]
+        for name in ("friction_by_time", "friction_by_rest_time", "tip_load_by_time")
+    }
+    assert list(uses.values()) == [EffectUse.LAW, EffectUse.DYNAMICS, EffectUse.OMITTED]
+    assert "follows time" in explain_omission(find_function("tip_load_by_time"))
