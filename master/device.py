@@ -11,8 +11,8 @@ Axes = tuple[float, ...]
 class HandState:
     """State of the hand from one read of a device."""
 
-    position: Axes  # [m]
-    velocity: Axes  # [m/s]
+    position: Axes  # [m], [rad] of an axis that turns
+    velocity: Axes  # [m/s], [rad/s]
     engage: bool  # the engage switch is held
     clutch: bool = False  # the clutch is held: the hand moves without the tips
     stop: bool = False  # the emergency stop is held
@@ -51,7 +51,9 @@ class Device(Protocol):
         """
 
     def write(self, force: Axes) -> None:
-        """Apply forces [N], one per axis, positive along +position. Only the gate calls this.
+        """Apply forces [N], or torques [N m], one per axis, positive along +position.
+
+        Only what the gate let through comes here.
 
         The device holds the force until the next write. Its force must be zero 250 ms after this
         process was killed or stopped, by a timeout of the device or a watchdog process.

@@ -7,8 +7,10 @@ caller. When messages of the peer stop, it sets `is_force_fading`: each axis the
 `axis_max` per `FADE_S`, so it is zero `FADE_S` after the timeout. And `rest`, a small force that
 carries the device's weight, replaces zero.
 
-The limits are `master.gate.axis_max` and `total_max`. Rendering saturates earlier, at
-`master.force.limit` (`master.feedback.clamp`): the gate is the last resort, not the usual limit.
+The limits are `master.gate.axis_max` and `total_max`. A torque on an axis that turns counts as the
+force at the lever `torque_max` / `axis_max`, here and in all limits of forces. Rendering saturates
+earlier, at `master.force.limit` (`master.feedback.clamp`): the gate is the last resort, not the
+usual limit.
 """
 
 import math
@@ -28,6 +30,7 @@ BOUNDS = (
     Bound("axis_max", 12.0, "N"),
     Bound("total_max", 20.0, "N"),
     Bound("slew_max", 5e3, "N/s"),
+    Bound("torque_max", 0.6, "N m"),
 )
 FADE_S = 0.015  # [s] within which the largest force on one axis is gone; 30 ms + this < 50 ms
 
@@ -39,14 +42,20 @@ class GateConfig:
     axis_max: float = 3.0  # [N] on one axis; desktop haptic devices reach about 3 N
     total_max: float = 4.0  # [N] length of the force vector
     slew_max: float = 200.0  # [N/s] at which a force may grow
+    torque_max: float = 0.15  # [N m] on one axis that turns; counts in all limits as axis_max
     exceed_bounds: bool = False  # accept limits beyond those of docs/explanation/safety.md
 
     def __post_init__(self) -> None:
         """Check the values; raises `ValueError`."""
-        for name in ("axis_max", "total_max", "slew_max"):
+        for name in ("axis_max", "total_max", "slew_max", "torque_max"):
             if not 0.0 < getattr(self, name) < math.inf:
                 raise ValueError(f"{name}: must be above 0 and finite")
         check_bounds(self, BOUNDS, self.exceed_bounds)
+
+    @property
+    def torque_lever(self) -> float:
+        """[m] at which a torque counts as a force."""
+        return self.torque_max / self.axis_max
 
 
 class GateFlags(IntFlag):

@@ -29,9 +29,11 @@ class VelocityMap(Struct):
     """How the hand's motion moves the joints in a tick, and what else the map does to the hand."""
 
     is_active: Flag = False  # False: y is h
-    # row: joint, column: axis of the device
+    # row: joint, column: axis of the device; of one that turns, its travel at the lever
     matrix: Annotated[Array, Field("f8", (MAX_JOINTS, MAX_JOINTS))]
     fixture_force: Axes  # [N] of virtual fixtures, on each axis
+    # [m] at which the torque on an axis that turns counts as a force; 1 of others
+    lever: Annotated[Array, Field("f8", MAX_JOINTS, fill=1.0)]
 
 
 class HandMapper(Protocol):
@@ -137,12 +139,15 @@ def store_joint_force(
         for k in range(MAX_JOINTS):
             out[k] = written[k] - local[k]
         return
-    share = 1.0
+    share, is_felt = 1.0, False
     for k in range(axes):
         if not math.isfinite(felt[k]):
             share = 0.0
         elif felt[k] != 0.0:
+            is_felt = True
             share = min(share, max(0.0, (written[k] - local[k]) / felt[k]))
+    if not is_felt:  # as before the map moves: its next motion is without a force
+        share = 0.0
     for j in range(joints):
         out[j] = share * force[j] if share > 0.0 else 0.0
 

@@ -37,7 +37,8 @@ class MasterMemory(Struct):
     joints: I64  # that it moves: as many, unless its motion is mapped
     session: Session
     operator: OperatorMemory
-    force: Axes  # [N] last output of the gate
+    force: Axes  # [N] last output of the gate; of a torque, at the lever of its axis
+    written: Axes  # [N], [N m] the same as the device has it
     local_force: Axes  # [N] its part from local forces
     joint_force: Axes  # [N] the other part, from the coupling, along the hand's motion for joints
     answered_command_ns: I64  # stamp of the newest command that the slave has answered
@@ -182,7 +183,7 @@ def compute_force(
         Whether `states` has arrived since `compute_command`. Its faults, stops and non-finite
         values then act at once.
     out : array of shape (8,)
-        Forces [N] for the device, zero beyond its axes.
+        Forces [N], or torques [N m], for the device; zero beyond its axes.
 
     Returns
     -------
@@ -235,12 +236,14 @@ def compute_force(
         )
     workspace.update_limits(settings.operator, memory.limits, hand, is_rendering)
     if is_rendering and hand.present:  # without delay
-        workspace.compute_wall_forces(settings.operator, memory.limits, hand, local_forces)
+        workspace.compute_wall_forces(
+            settings.operator, memory.limits, hand, velocity_map.lever, local_forces
+        )
     for k in range(axes):
         if is_rendering:
             local_forces[k] += velocity_map.fixture_force[k]
         if _has_weight_compensation(memory.session):
-            weight[k] = settings.operator.weight[k]
+            weight[k] = settings.operator.weight[k] / velocity_map.lever[k]
             local_forces[k] += weight[k]
         total[k] = feedback.limit_slew(
             settings.force.slew, memory.force[k], felt[k] + local_forces[k], dt
@@ -257,6 +260,10 @@ def compute_force(
     hand_map.store_joint_force(
         velocity_map, out, local_forces, felt, joint_force, axes, joints, memory.joint_force
     )
+    for k in range(axes):  # torques, where axes turn
+        out[k] *= velocity_map.lever[k]
+    for k in range(MAX_JOINTS):
+        memory.written[k] = out[k]
     _record_answer(memory, tick_input, state)
     return verdict
 
@@ -464,4 +471,4 @@ def fill_hand_message(
     for k in range(MAX_JOINTS):
         fields.position[k] = hand.position[k]
         fields.velocity[k] = hand.velocity[k]
-        fields.force[k] = memory.force[k]
+        fields.force[k] = memory.written[k]

@@ -45,11 +45,11 @@ class OperatorConfig:
         default=math.inf, metadata=MAY_BE_INFINITE
     )
     presence_motion: float = 20e-6  # [m] motion threshold of that check
-    workspace: tuple[tuple[float, float], ...] = ()  # [m] of the hand, [from, to] per axis
+    workspace: tuple[tuple[float, float], ...] = ()  # [m], [rad] of the hand, [from, to] per axis
     wall: float = 300.0  # [N/m] stiffness of the workspace limits, at the hand
     wall_damping: float = 2.0  # [N s/m] damping of outward motion
     wall_max: float = 2.0  # [N] largest force of a limit on one axis
-    weight: tuple[float, ...] = ()  # [N] weight compensation of the device, per axis
+    weight: tuple[float, ...] = ()  # [N], [N m] weight compensation of the device, per axis
 
     def __post_init__(self) -> None:
         """Check the values; raises `ValueError`."""

@@ -501,7 +501,8 @@ def build_mapper(config: MasterConfig, arms: Sequence[ArmConfig], axes: int) -> 
             "kinematics (arms.0.urdf or arms.0.sections)"
         )
     radii = [np.abs(np.diag(np.array(arm.radii, np.float64))) for arm in arms]
-    return SpaceMapper(mapping, [arm.load_kinematics() for arm in arms], radii)
+    kinematics = [arm.load_kinematics() for arm in arms]
+    return SpaceMapper(mapping, kinematics, radii, config.gate.torque_lever)
 
 
 def warm_up() -> None:

@@ -264,8 +264,9 @@ def _fill_map(
                 gain = 0.0
                 for m in range(3):
                     gain += space.map.joint_map[j, 3 + m] * space.rates[m, axis - 3]
-            velocity_map.matrix[row, column] = lever * gain
-            velocity_map.fixture_force[column] += gain * space.torque[j]
+            force_gain = gain / velocity_map.lever[column]
+            velocity_map.matrix[row, column] = lever * force_gain
+            velocity_map.fixture_force[column] += force_gain * space.torque[j]
             drive.velocity[row] += lever * gain * hand.velocity[column]
         space.travel[j] += lever * space.map.joint_velocity[j] * dt
         drive.position[row] = space.travel[j]
@@ -281,9 +282,17 @@ class SpaceMapper:
         One for each hand of the config.
     radii : sequence of arrays
         Pulley radii [m] of the joints of each arm, with a gripper behind them if there is one.
+    torque_lever : float
+        [m] at which a torque in a hand counts as a force.
     """
 
-    def __init__(self, config: SpaceMapConfig, arms: Sequence[Arm], radii: Sequence[Array]) -> None:
+    def __init__(
+        self,
+        config: SpaceMapConfig,
+        arms: Sequence[Arm],
+        radii: Sequence[Array],
+        torque_lever: float = 0.05,
+    ) -> None:
         self.drives, self.maps = HandInput.array(), VelocityMap.array()
         self._hands = SpaceHand.array(len(arms))
         first_axis = first_joint = 0
@@ -291,6 +300,8 @@ class SpaceMapper:
             space = view_struct(self._hands, i)
             axes = [HAND_AXES.index(axis) for axis in hand.axes]
             space.first_axis, space.axes = first_axis, len(axes)
+            for k, axis in enumerate(axes, first_axis):
+                self.maps["lever"][0, k] = torque_lever if 3 <= axis < GRIP else 1.0
             space.axis[: len(axes)] = axes
             space.first_joint, space.joints = first_joint, len(radius)
             space.radius[: len(radius)] = radius

@@ -86,13 +86,17 @@ def update_limits(
 
 @jit_compile
 def compute_wall_forces(
-    settings: OperatorSettings, limits: WorkspaceLimits, hand: HandInput, out: Array
+    settings: OperatorSettings, limits: WorkspaceLimits, hand: HandInput, lever: Array, out: Array
 ) -> None:
-    """Write the force of the limits on the hand [N] to `out`, shape (8,)."""
+    """Write the force of the limits on the hand [N] to `out`, shape (8,).
+
+    `lever`, shape (8,), is that of each axis: 1, or [m] at which one that turns is as one that
+    does not.
+    """
     for k in range(hand.axes):
-        out[k] = _compute_wall_force(
-            settings, hand.position[k], hand.velocity[k], limits.low[k], limits.high[k]
-        )
+        x, v = lever[k] * hand.position[k], lever[k] * hand.velocity[k]
+        low, high = lever[k] * limits.low[k], lever[k] * limits.high[k]
+        out[k] = _compute_wall_force(settings, x, v, low, high)
 
 
 @jit_compile

@@ -1,9 +1,10 @@
 """Several devices as one: two hands, or an arm and a gripper.
 
-Their axes are concatenated: those of the first device are the first joints. The devices are read in
-the same call, microseconds apart. All engage switches must be held; releasing any one disengages. A
-clutch, an emergency stop or any other button of one device applies to all. A fault of one device is
-a fault of all.
+Their axes are concatenated: those of the first device are the first joints. Each device may have
+scales of its own, of motion and of force, besides those of the operator: a gripper beside an arm.
+The devices are read in the same call, microseconds apart. All engage switches must be held;
+releasing any one disengages. A clutch, an emergency stop or any other button of one device applies
+to all. A fault of one device is a fault of all.
 """
 
 from collections.abc import Callable
@@ -30,6 +31,10 @@ class CombinedConfig:
 
     type: Literal["combined"] = "combined"
     devices: tuple[SingleConfig, ...] = (VirtualConfig(), VirtualConfig())  # in order of joints
+    # of each device: motion of the hand over its own; empty = 1
+    position_scales: tuple[float, ...] = ()
+    # ... and its force over that of the hand, at most 1, so that the gate's limits hold
+    force_scales: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         """Check the values; raises `ValueError`."""
@@ -40,6 +45,12 @@ class CombinedConfig:
         if self.axis_count > MAX_JOINTS:
             each = " + ".join(str(device.axis_count) for device in self.devices)
             raise ValueError(f"devices: {each} axes, must be at most {MAX_JOINTS} together")
+        for name, most in (("position_scales", 10.0), ("force_scales", 1.0)):
+            scales = getattr(self, name)
+            if len(scales) not in (0, len(self.devices)):
+                raise ValueError(f"{name}: must have {len(self.devices)} numbers, one a device")
+            if not all(0.0 < scale <= most for scale in scales):
+                raise ValueError(f"{name}: must be above 0 and at most {most:g} each")
 
     @property
     def axis_count(self) -> int:
@@ -85,6 +96,8 @@ class CombinedDevice:
                 self.axes += device.axes
             self._opened = opened.pop_all()
         self._released = [False] * len(self._devices)
+        self._position_scales = config.position_scales or (1.0,) * len(self._devices)
+        self._force_scales = config.force_scales or (1.0,) * len(self._devices)
 
     def read(self, time_s: float) -> HandState:
         """Return all hands as one.
@@ -111,9 +124,10 @@ class CombinedDevice:
             self._released = [False] * len(self._devices)
             raise _combine_faults(faults)
         engage = self._engage([hand.engage for hand in hands])
+        scaled = tuple(zip(hands, self._position_scales, strict=True))
         return HandState(
-            tuple(x for hand in hands for x in hand.position),
-            tuple(v for hand in hands for v in hand.velocity),
+            tuple(scale * x for hand, scale in scaled for x in hand.position),
+            tuple(scale * v for hand, scale in scaled for v in hand.velocity),
             engage,
             any(hand.clutch for hand in hands),
             any(hand.stop for hand in hands),
@@ -129,9 +143,10 @@ class CombinedDevice:
         if len(force) != self.axes:
             raise DeviceFault(f"refuses force {force}")
         faults: list[DeviceFault] = []
-        for number, (device, part) in enumerate(zip(self._devices, self._parts, strict=True)):
+        parts = zip(self._devices, self._parts, self._force_scales, strict=True)
+        for number, (device, part, scale) in enumerate(parts):
             try:
-                device.write(force[part])
+                device.write(tuple(scale * axis for axis in force[part]))
             except DeviceFault as fault:
                 faults.append(_add_index(number, fault))
         if faults:

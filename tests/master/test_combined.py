@@ -48,8 +48,8 @@ class Stylus:
             raise self.close_fault
 
 
-def combined(*devices):
-    config = CombinedConfig(devices=tuple(VirtualConfig(axes=d.axes) for d in devices))
+def combined(*devices, **scales):
+    config = CombinedConfig(devices=tuple(VirtualConfig(axes=d.axes) for d in devices), **scales)
     given_out = iter(devices)
     return CombinedDevice(config, lambda _config: next(given_out))
 
@@ -73,6 +73,30 @@ def test_axes_follow_one_another_and_each_device_gets_its_own_part_of_the_force(
     device.write(tuple(10.0 + k for k in range(sum(axes))))
     for stylus, first in zip(styluses, firsts, strict=True):
         assert stylus.written == [tuple(10.0 + first + k for k in range(stylus.axes))]
+
+
+def test_each_device_has_scales_of_its_own():
+    arm, gripper = Stylus(2, first=1.0), Stylus(1, first=3.0)
+    device = combined(arm, gripper, position_scales=(1.0, 0.5), force_scales=(0.25, 1.0))
+    hand = device.read(0.0)
+    assert hand.position == (1.0, 2.0, 1.5)
+    assert hand.velocity == (-1.0, -2.0, -1.5)
+    device.write((2.0, -4.0, 3.0))
+    assert (arm.written, gripper.written) == ([(0.5, -1.0)], [(3.0,)])
+
+
+@pytest.mark.parametrize(
+    ("scales", "words"),
+    [
+        ({"position_scales": (1.0,)}, "position_scales: must have 2 numbers"),
+        ({"position_scales": (0.0, 1.0)}, "position_scales: must be above 0 and at most 10"),
+        ({"force_scales": (1.0, 1.5)}, "force_scales: must be above 0 and at most 1"),
+        ({"force_scales": (1.0, float("nan"))}, "force_scales: must be above 0"),
+    ],
+)
+def test_impossible_scales_of_devices_are_refused(scales, words):
+    with pytest.raises(ValueError, match=words):
+        CombinedConfig(**scales)
 
 
 @given(st.lists(st.booleans(), min_size=2, max_size=4))

@@ -25,7 +25,7 @@ from master.settings_record import SettingsRecord
 from master.space_map import SpaceMapper
 from teleop.config.arm import ArmConfig
 from teleop.coupling import Bilateral
-from teleop.messages.messages import Command, SlaveState
+from teleop.messages.messages import Command, Hand, SlaveState
 from teleop.session.state_machine import State
 from tests.master.records import message_records
 from tests.root import ROOT
@@ -58,7 +58,8 @@ class SpaceRun:
         travel = self.mapper.drives["position"][0, :4].copy()
         moved, self.travel = travel - self.travel, travel
         self.memory.operator.tip[:4] += self.scale * moved
-        return self.mapper.maps["matrix"][0, :4, : self.axes].copy(), moved
+        maps = self.mapper.maps[0]  # to the device's own forces and torques
+        return maps["matrix"][:4, : self.axes] * maps["lever"][: self.axes], moved
 
     @property
     def tip(self):
@@ -210,6 +211,44 @@ def test_forces_on_the_hand_stay_in_bounds_and_are_felt_by_the_joints(matrix, la
     assert np.linalg.norm(out) <= total_max + 1e-9
     grown = np.abs(out) - np.abs(M.T @ last)
     assert (grown <= config.slew * min(dt, 0.005) + 1e-9).all()
+
+
+def test_torques_in_the_hand_have_limits_of_their_own_and_do_their_work():
+    """On the axes that turn, in newton metres: size, growth, and power with the joints'."""
+    axes = ("x", "y", "z", "roll", "pitch", "yaw", "grip")
+    run, config = SpaceRun(SpaceHandConfig(axes=axes)), MasterConfig()
+    settings = SettingsRecord(config, Bilateral()).records
+    states, commands = message_records(SlaveState), message_records(Command)
+    now, force, hand, largest, turnover = 10**18, np.zeros(8), np.zeros(7), np.zeros(7), 0.0
+    for i in range(400):
+        now, before, last = now + 10**6, hand, force.copy()
+        hand = 0.05 * np.sin(0.01 * i * np.array([0.2, 0.3, 0.2, 1.0, 1.3, 0.7, 0.1]))
+        fill_hand_input(run.hands, HandState(tuple(hand), (0.0,) * 7, engage=i > 20))
+        states["state"] = int(State.READY if i < 22 else State.ENGAGED)
+        states["sender"], states["joints"] = 7, 4
+        states["echo_stamp_ns"] = states["stamp_ns"] = now - 10**6
+        for name, width in (("force", 0.0), ("force_low", -0.5), ("force_high", 0.5)):
+            states[name][0, :4] = np.array([30.0, -20.0, 40.0, 0.0]) + width
+        travel = run.mapper.drives["position"][0, :4].copy()
+        run.mapper.step(run.hands, run.memories, SCALE, DT)
+        moved = run.mapper.drives["position"][0, :4] - travel
+        given = loop.TickInput(DT, now, True, 10**6)
+        inputs = settings, run.memories, run.hands, run.mapper.drives, states, given
+        work = last[:7] @ (hand - before)
+        told = np.array(run.memory.joint_force[:4]) @ moved
+        assert work == pytest.approx(told, abs=0.02 * np.abs(last[:7]) @ np.abs(hand - before))
+        loop.compute_command(*inputs, commands)
+        loop.compute_force(*inputs, run.mapper.maps, False, force)
+        largest, turnover = np.maximum(largest, np.abs(force[:7])), turnover + abs(work)
+        grown = np.abs(force) - np.abs(last)
+        assert grown[3:6].max() <= config.force.slew * config.gate.torque_lever * DT + 1e-12
+    rotations = largest[3:6].max()
+    limit = config.force.limit * config.gate.torque_lever
+    assert 0.5 * limit < rotations <= limit + 1e-12
+    assert turnover > 1e-4
+    hand_message = message_records(Hand)
+    loop.fill_hand_message(run.memories, run.hands, 0, 0, hand_message)
+    assert (hand_message["force"][0] == force).all()  # as the device has them
 
 
 def test_what_the_joints_are_said_to_feel_is_what_the_hand_gets():

@@ -4,6 +4,7 @@ import math
 import random
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -28,7 +29,7 @@ def walls(config, the_hand):
     """The forces of the limits where the workspace has them."""
     settings, out = view_struct(build_operator_settings(config)), eight()
     limits = WorkspaceLimits.new(low=settings.low, high=settings.high, known=True)
-    workspace.compute_wall_forces(settings, limits, hand_record(the_hand), out)
+    workspace.compute_wall_forces(settings, limits, hand_record(the_hand), np.ones(8), out)
     return tuple(out[: len(the_hand.position)])
 
 
