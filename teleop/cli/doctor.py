@@ -12,6 +12,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, requires, version
 from pathlib import Path
@@ -139,26 +140,31 @@ def check_serial_ports() -> Finding:
 
 def check_folders() -> Finding:
     """Check the folders of this user that a session writes to."""
-    problems = []
-    for find, variable in (
-        (find_state_folder, "XDG_STATE_HOME"),
-        (find_config_folder, "XDG_CONFIG_HOME"),
-        (lambda: Path(tempfile.gettempdir()), "TMPDIR"),
+    problems, is_essential = [], False
+    for find, variable, needed in (
+        (find_state_folder, "XDG_STATE_HOME", True),
+        (lambda: Path(tempfile.gettempdir()), "TMPDIR", True),
+        (find_config_folder, "XDG_CONFIG_HOME", False),
     ):
         try:
             folder = find()
+            existing = next(place for place in (folder, *folder.parents) if place.exists())
+            problem = "" if os.access(existing, os.W_OK) else f"{existing} cannot be written"
         except (UsageError, OSError):
-            problems.append(f"{variable} names no folder of this user, who has no home or no /tmp")
-            continue
-        existing = next(place for place in (folder, *folder.parents) if place.exists())
-        if not os.access(existing, os.W_OK):
-            problems.append(f"{existing} cannot be written ({variable})")
-    if not choose_folder():
+            problem = "no folder of this user"
+        if problem:
+            problems.append(f"{problem} ({variable})")
+            is_essential |= needed
+    kept = None
+    with suppress(OSError):  # no temporary folder
+        kept = choose_folder()
+    if kept is None:
         problems.append("compiled code is not kept (NUMBA_CACHE_DIR)")
     remedy = "set these variables to folders that this user can write"
     if find_container():
         remedy += ", such as a volume or docker run --tmpfs /tmp"
-    return Finding("folders", not problems, "; ".join(problems) or "writable", remedy)
+    detail = "; ".join(problems) or "writable"
+    return Finding("folders", not problems, detail, remedy, is_essential)
 
 
 def check_hid_nodes() -> Finding:

@@ -7,6 +7,11 @@ from pathlib import Path
 from typing import NamedTuple
 
 _ADDRESS = re.compile(r"(?:\[(?P<v6>[^\]]+)\]|(?P<host>[^:/\[\]]+)):(?P<port>\d+)")
+_NUMBERS = re.compile(r"[\d.]+")  # an IPv4 address with a mistake, no name
+_NO_ZONE = (
+    "use an IPv4 address or another IPv6 address of the machine (`ip addr`), or its name in the "
+    "local network (HOST.local)"
+)
 _HOST_NAME = re.compile(r"(?!-)[A-Za-z0-9-]{1,63}(?:\.[A-Za-z0-9-]{1,63})*")
 
 
@@ -25,16 +30,22 @@ class Address(NamedTuple):
             raise ValueError(f"write {rest} without {protocol}/; {reason}")
         match = _ADDRESS.fullmatch(text)
         if match is None:
+            parts = (part.strip("[]") for part in (text, text.rpartition(":")[0]))
+            if any(":" in part and _parse_ip_address(part) for part in parts):
+                raise ValueError("write an IPv6 address in brackets, and a port: [fd00::1]:7447")
             raise ValueError("is not an address; allowed: HOST:PORT")
         host, port = match["v6"] or match["host"], int(match["port"])
         if not 1 <= port <= 65535:
             raise ValueError(f"port {port} is out of range; allowed: 1 to 65535")
         if "%" in host:  # it is of one machine, and the config the same on all
             zone = host[host.index("%") :]
-            raise ValueError(f"a zone ({zone}) is not possible; use an address that needs none")
+            raise ValueError(f"a zone ({zone}) is not possible; {_NO_ZONE}")
         address = _parse_ip_address(host)
-        if address is None and (match["v6"] or not _HOST_NAME.fullmatch(host)):
+        is_name = _HOST_NAME.fullmatch(host) and not _NUMBERS.fullmatch(host)
+        if address is None and (match["v6"] or not is_name):
             raise ValueError(f"{host!r} is not a host name or IP address")
+        if address is not None and address.version == 6 and address.is_link_local:
+            raise ValueError(f"{host} is link-local, it would need a zone; {_NO_ZONE}")
         if address is not None and (address.is_unspecified or address.is_multicast):
             raise ValueError(f"{host} cannot be connected to; use the address of the machine")
         return cls(host, port)

@@ -134,8 +134,19 @@ def test_folders_that_cannot_be_written_are_named_with_their_variables(monkeypat
     monkeypatch.setattr(os, "access", lambda path, _mode: path != Path("/proc"))
     finding = doctor.check_folders()
     assert not finding.good
-    assert "/proc cannot be written (XDG_STATE_HOME); XDG_CONFIG_HOME names no" in finding.detail
+    assert finding.essential
+    assert finding.detail.startswith(
+        "/proc cannot be written (XDG_STATE_HOME); no folder of this user (XDG_CONFIG_HOME); "
+    )
     assert finding.detail.endswith("compiled code is not kept (NUMBA_CACHE_DIR)")
+
+    def refuse():
+        raise FileNotFoundError("No usable temporary directory found")
+
+    monkeypatch.setattr(doctor, "choose_folder", refuse)
+    assert "compiled code is not kept" in doctor.check_folders().detail
+    monkeypatch.delenv("XDG_STATE_HOME")
+    assert not doctor.check_folders().essential
     monkeypatch.setattr(doctor, "find_container", lambda: "Docker")
     assert "docker run --tmpfs /tmp" in doctor.check_folders().remedy
 

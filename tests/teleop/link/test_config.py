@@ -1,5 +1,6 @@
 """Where a link may listen, and what it must not send in the clear."""
 
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -46,6 +47,21 @@ def test_bad_addresses_are_refused(text: str) -> None:
 def test_an_old_address_is_refused_with_the_new_form(protocol: str) -> None:
     with pytest.raises(ValueError, match=rf"^slave: write 127.0.0.1:7448 without {protocol}/"):
         LinkConfig(slave=f"{protocol}/127.0.0.1:7448")
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("[fe80::1]:7447", "fe80::1 is link-local, it would need a zone; use an IPv4 address"),
+        ("fe80::1:7447", "write an IPv6 address in brackets, and a port"),
+        ("2001:db8::1", "write an IPv6 address in brackets, and a port"),
+        ("[2001:db8::1]", "write an IPv6 address in brackets, and a port"),
+        ("192.168.1.999:7447", "'192.168.1.999' is not a host name or IP address"),
+    ],
+)
+def test_an_address_that_cannot_be_connected_to_is_refused_with_what_to_write(text, said) -> None:
+    with pytest.raises(ValueError, match=f"^{re.escape(said)}"):
+        Address.parse(text)
 
 
 def test_a_zone_is_refused_with_the_reason() -> None:
