@@ -384,8 +384,16 @@ class _Builder:
         if not isinstance(tag, str) or tag not in by_tag:
             problem = "is missing" if tag is None else f"{_format_value(tag)} is unknown"
             suggestion = _format_suggestion(tag, by_tag)
-            raise self.source.error((*keys, "type"), f"{problem}{suggestion}")
+            guide = _GUIDES.get(others[0].GROUP, "") if others else ""
+            raise self.source.error((*keys, "type"), f"{problem}{suggestion}{guide}")
         return cast(type[Any], by_tag[tag])
+
+
+_GUIDES = {  # by group of entry points, for what is driven by a package of its own
+    "teleop.devices": "; an arm such as a Touch, omega, Falcon or Inverse3: as a ROS node (type "
+    "ros) or a device of your own (docs/how-to/haptic-device.md)",
+    "teleop.rigs": "; other hardware: a rig of your own (docs/how-to/rigs.md)",
+}
 
 
 def _index_by_tag(classes: Iterable[Any]) -> dict[str, Any]:

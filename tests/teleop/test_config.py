@@ -12,6 +12,8 @@ import yaml
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from master.config import MasterConfig
+from slave.config import SlaveConfig
 from teleop.config.loading import MAY_BE_INFINITE, SESSION_KEYS, ConfigDocument, as_tree, load
 from teleop.config.overrides import Override
 from teleop.errors import UsageError
@@ -444,3 +446,26 @@ def test_whatever_is_in_the_file_the_outcome_is_a_config_or_one_line(
     except UsageError as error:
         said = str(error)
     assert "\n" not in said
+
+
+@pytest.mark.parametrize(
+    ("config", "section", "override", "said"),
+    [
+        (
+            MasterConfig,
+            "master",
+            "master.device={type: geomagic}",
+            "'geomagic' is unknown (allowed: combined, hid, program, ros, virtual); an arm such as "
+            "a Touch, omega, Falcon or Inverse3: as a ROS node (type ros) or a device of your own",
+        ),
+        (
+            SlaveConfig,
+            "slave",
+            "slave.rig={type: odrive}",
+            "(allowed: hardware, replayed, simulated); other hardware: a rig of your own (docs/how",
+        ),
+    ],
+)
+def test_hardware_without_a_driver_is_told_how_it_gets_one(config, section, override, said):
+    with pytest.raises(UsageError, match=re.escape(said)):
+        load(None, config, section, [override])
