@@ -34,6 +34,8 @@ from estimator.kinematics.inverse import InverseConfig as InverseConfig
 from estimator.kinematics.inverse import InverseStep as InverseStep
 from estimator.kinematics.inverse import build_inverse_settings as build_inverse_settings
 from estimator.kinematics.inverse import step_inverse as step_inverse
+from estimator.kinematics.tip_wrench import TipWrench as TipWrench
+from estimator.kinematics.tip_wrench import compute_tip_wrench as compute_tip_wrench
 from estimator.kinematics.urdf import read_arm as read_arm
 from estimator.law.sheath import Section as Section
 from estimator.law.sheath import Sheath as Sheath
@@ -51,8 +53,6 @@ from estimator.pair.pair_study import study_pair as study_pair
 from estimator.results import plot_result as plot_result
 from estimator.results import show_result as show_result
 from estimator.results import summarise_result as summarise_result
-from estimator.routing.forces import TipWrench as TipWrench
-from estimator.routing.forces import compute_tip_wrench as compute_tip_wrench
 from estimator.routing.forces import distribute_torque as distribute_torque
 from estimator.routing.forces import find_pretension as find_pretension
 from estimator.routing.routing import Routing as Routing

@@ -1,110 +1,16 @@
-"""Forces of a tendon-driven arm: wrench at its tip from joint torques, tensions for torques."""
+"""Tensions of a tendon-driven arm: those that hold it, and those that make joint torques."""
 
 import math
-from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from estimator.array_types import Array
 from estimator.compiled import jit_compile
 from estimator.routing.routing import Routing, RoutingError
 
-NO_MOMENT_JOINTS = 3
-"""Up to so many joints, contact at the tip point without a moment is assumed unless told else."""
-
 _NEWTON_ITERATIONS = 60
 _TOLERANCE = 1e-9  # of torque, relative to the largest that one tendon makes
-_AXIS_TOLERANCE = 1e-6  # of a unit vector that lies outside of what is told
-
-
-class TipWrench(NamedTuple):
-    """Wrench that the arm exerts on its environment, as far as joint torques tell it.
-
-    Components are force [N] and moment [N m] at the tip point, on the Jacobian's axes.
-    """
-
-    wrench: Array
-    """Shape (6,); nothing of it lies in a direction that is not told."""
-    low: Array
-    """Least value of each component, shape (6,); -inf where the component cannot be told."""
-    high: Array
-    """Largest value, shape (6,); inf where the component cannot be told."""
-    directions: Array
-    """Unit vectors, shape (m, 6): m is 3 without a moment, else 6. Moments are divided by
-    `length_scale`, so that all are in newtons."""
-    singular_values: Array
-    """[m] of each direction, shape (m,)."""
-    is_told: NDArray[np.bool_]
-    """Which directions are told, shape (m,). The others must not be rendered."""
-
-
-def compute_tip_wrench(
-    jacobian: ArrayLike,
-    torque: ArrayLike,
-    low: ArrayLike,
-    high: ArrayLike,
-    *,
-    with_moment: bool | None = None,
-    length_scale: float = 0.05,
-    smallest_ratio: float = 0.05,
-) -> TipWrench:
-    """Return the wrench W with J^T W = torque, at rest, and its interval.
-
-    Fewer than six joints tell only what lies in the span of the Jacobian. Of the rest nothing is
-    known, so it is zero in `wrench` and marked.
-
-    Parameters
-    ----------
-    jacobian : array_like, shape (6, joints)
-        Velocity [m/s] and angular velocity [rad/s] of the tip point by joint velocities [rad/s].
-    torque, low, high : array_like, shape (joints,)
-        [N m] the tendons' less that of springs and weight, with its interval.
-    with_moment : bool, optional
-        False: contact at the tip point without a moment, so the force is what is looked for. By
-        default so for arms of up to three joints.
-    length_scale : float
-        [m] lever at which a moment counts as much as a force.
-    smallest_ratio : float
-        Directions whose singular value is less than this part of the largest are not told: along
-        them a small error of torque is a large one of force.
-
-    Raises
-    ------
-    RoutingError
-        If a shape is wrong, or a number is not finite.
-    """
-    J = np.array(jacobian, dtype=np.float64)
-    tau = np.array([torque, low, high], dtype=np.float64)
-    if J.ndim != 2 or J.shape[0] != 6 or tau.shape != (3, J.shape[1]):
-        raise RoutingError(
-            f"jacobian: shape {J.shape} for torques of shape {tau.shape[1:]}, must be (6, joints) "
-            "and (joints,)"
-        )
-    if not (np.isfinite(J).all() and np.isfinite(tau[0]).all()):
-        raise RoutingError("jacobian, torque: must be finite")
-    if with_moment is None:
-        with_moment = J.shape[1] > NO_MOMENT_JOINTS
-    scale = np.array([1.0, 1.0, 1.0, *[length_scale] * 3])
-    scaled = (scale[:, None] * J)[: 6 if with_moment else 3]
-    left, values, right = np.linalg.svd(scaled)
-    m = len(scaled)
-    singular = np.zeros(m)
-    singular[: len(values)] = values
-    is_told = singular > smallest_ratio * max(float(singular[0]), np.finfo(float).tiny)
-    rank = int(is_told.sum())
-    inverse = np.zeros((6, J.shape[1]))
-    inverse[:m] = (left[:, :rank] / singular[:rank]) @ right[:rank]
-    inverse *= scale[:, None]
-    with np.errstate(invalid="ignore"):  # an infinite torque times no influence
-        ends = np.array([inverse * tau[1], inverse * tau[2]])
-    ends = np.where(inverse == 0.0, 0.0, ends)
-    bounds = np.array([ends.min(axis=0).sum(axis=1), ends.max(axis=0).sum(axis=1)])
-    untold = np.linalg.norm(left[:, rank:], axis=1) > _AXIS_TOLERANCE
-    bounds[0, :m][untold], bounds[1, :m][untold] = -math.inf, math.inf
-    directions = np.zeros((m, 6))
-    directions[:, :m] = left.T
-    return TipWrench(inverse @ tau[0], bounds[0], bounds[1], directions, singular, is_told)
 
 
 def find_pretension(routing: Routing, minimum: ArrayLike, maximum: ArrayLike) -> Array:

@@ -14,22 +14,18 @@ from numpy.typing import NDArray
 
 from estimator.array_types import Array
 from estimator.kinematics.arm import Arm, CurvedSection, Offset, PreparedArm, prepare_arm
+from estimator.kinematics.tip_wrench import bound_product, compute_tip_wrench
 from estimator.records import StructArray, view_struct
 from teleop.config.arm import ArmConfig
 from teleop.config.loading import ConfigDocument
 from teleop.errors import UsageError
 from teleop.runtime.process import print_warning
 
-SINGULAR_MIN_M = 0.005
-"""[m] Lever below which a force at the tip turns the joints too little to be told."""
-
 AXIS_SHARE_MIN = 0.9
 """Share of a base axis, squared cosine, that must lie in the directions that can be told."""
 
 _POINTS = 8  # along a curved section
-_MOMENT_LENGTH_M = 0.05  # by which a moment is divided, to weigh it against a force
 _TOLD_SHARE_MIN = 1.0 - 1e-6  # of a direction, squared cosine
-_ZERO_SHARE = 1e-9  # of the largest element of an inverse: rounding, which an infinite end meets
 _SAMPLE_RAD = 0.8  # of each joint, for the room that an arm needs
 _TRANSLATIONS = ("x", "y", "z")
 _DEFAULT_HAND: dict[str, Any] = {"axes": _TRANSLATIONS}
@@ -185,13 +181,9 @@ def find_arm(arms: Sequence[SpaceArm], joint: int) -> SpaceArm | None:
 def solve_tip_forces(
     jacobians: Array, torque: Array, torque_low: Array, torque_high: Array
 ) -> TipForces:
-    """Return forces at a tip that explain the torques on the joints, in the least-squares sense.
+    """Return forces at a tip that explain the torques on the joints, of `compute_tip_wrench`.
 
-    F = argmin |J_v^T F - tau| for up to three coordinates, else the force of the wrench
-    argmin |J^T w - tau| (moments over `_MOMENT_LENGTH_M`), by the singular value decomposition
-    without singular values below `SINGULAR_MIN_M`. Of the force only directions are kept that the
-    torques determine. A component is a sum of torques with the factors of a row of the inverse, so
-    its ends are those of interval arithmetic.
+    Of the force only directions are kept that the torques determine, whatever the moment.
 
     Parameters
     ----------
@@ -200,38 +192,21 @@ def solve_tip_forces(
     torque, torque_low, torque_high : array, shape (n, coordinates)
         [N m] or [N] of the environment on the joints, with their ends.
     """
-    count = jacobians.shape[2]
-    matrix = np.swapaxes(jacobians, 1, 2).copy()
-    matrix[:, :, 3:] *= _MOMENT_LENGTH_M
-    left, lever, right = np.linalg.svd(
-        matrix[:, :, :3] if count <= 3 else matrix, full_matrices=False
-    )
-    told = lever >= SINGULAR_MIN_M
-    scaled = np.where(told, 1.0 / np.where(told, lever, 1.0), 0.0)
-    inverse = (np.swapaxes(right, 1, 2) * scaled[:, None]) @ np.swapaxes(left, 1, 2)
-    projector = (np.swapaxes(right, 1, 2) * told[:, None]) @ right
-    shares, directions = np.linalg.eigh(projector[:, :3, :3])
+    found = compute_tip_wrench(jacobians, torque, torque_low, torque_high)
+    told = found.directions[:, :, :3] * found.is_told[:, :, None]
+    shares, directions = np.linalg.eigh(np.swapaxes(told, 1, 2) @ told)
     kept = directions * (shares >= _TOLD_SHARE_MIN)[:, None]
     projector = kept @ np.swapaxes(kept, 1, 2)
-    inverse = projector @ inverse[:, :3]
+    inverse = projector @ found.inverse[:, :3]
     force = np.einsum("nij,nj->ni", inverse, torque)
-    low, high = _add_intervals(inverse, torque_low, torque_high)
+    low, high = bound_product(inverse, torque_low, torque_high)
     size = np.linalg.norm(force, axis=1, keepdims=True)
     along = np.einsum("ni,nij->nj", force / np.where(size > 0.0, size, 1.0), inverse)
     (along_low,), (along_high,) = (
-        np.swapaxes(end, 0, 1) for end in _add_intervals(along[:, None], torque_low, torque_high)
+        end.T for end in bound_product(along[:, None], torque_low, torque_high)
     )
     axis_shares = np.diagonal(projector, axis1=1, axis2=2)
     return TipForces(force, low, high, along_low, along_high, axis_shares)
-
-
-def _add_intervals(factors: Array, low: Array, high: Array) -> tuple[Array, Array]:
-    """Return the ends of factors, shape (n, m, k), times numbers between ends, shape (n, k)."""
-    largest = np.abs(factors).max(axis=(1, 2), keepdims=True)
-    factors = np.where(np.abs(factors) > _ZERO_SHARE * largest, factors, 0.0)
-    with np.errstate(invalid="ignore"):  # no factor times an infinite end
-        a, b = (np.where(factors == 0.0, 0.0, factors * end[:, None]) for end in (low, high))
-    return np.minimum(a, b).sum(axis=2), np.maximum(a, b).sum(axis=2)
 
 
 # --- from the config of a session

@@ -9,6 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from estimator.kinematics.arm import Arm, CurvedSection, Joint, Offset
+from estimator.kinematics.tip_wrench import SMALLEST_LEVER_M
 from teleop.config.loading import ConfigDocument
 from teleop.errors import UsageError
 from teleop.messages.messages import (
@@ -29,7 +30,6 @@ from teleop.view.scene import Scene
 from teleop.view.scene_geometry import ARROW, Shape, build_stage
 from teleop.view.sinks import Sink
 from teleop.view.space_arm import (
-    SINGULAR_MIN_M,
     HandAxes,
     build_space_arm,
     load_arms,
@@ -233,7 +233,7 @@ def test_an_unbounded_joint_leaves_only_what_it_moves_unbounded():
 
 def test_a_direction_with_hardly_a_lever_is_left_out_of_force_and_interval():
     jacobian = np.zeros((1, 6, 3))
-    jacobian[0, :3] = np.diag([0.05, 0.03, 0.9 * SINGULAR_MIN_M])
+    jacobian[0, :3] = np.diag([0.05, 0.03, 0.9 * SMALLEST_LEVER_M])
     torque = np.array([[0.05, 0.03, 0.1]])
     found = solve_tip_forces(jacobian, torque, torque - 0.01, torque + 0.01)
     np.testing.assert_allclose(found.force, [[1.0, 1.0, 0.0]], atol=1e-12)
