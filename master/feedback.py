@@ -17,10 +17,13 @@ own above `limit`, on each axis and in total (`master.gate.axis_max`, `total_max
 import math
 from dataclasses import dataclass
 
+import numpy as np
+
 from estimator.array_types import Array
 from estimator.compiled import jit_compile
-from teleop.coupling.force_attenuation import ConfidenceConfig, attenuate_force
-from teleop.messages.messages import STATUS_NAMES, SlaveState
+from teleop.coupling.config import BilateralSettings
+from teleop.coupling.force_attenuation import attenuate_forces
+from teleop.messages.messages import MAX_JOINTS, STATUS_NAMES, SlaveState
 from teleop.runtime.clock import STEP_MAX_S
 
 INVALID = 1 << STATUS_NAMES.index("invalid input")
@@ -46,18 +49,20 @@ class FeedbackConfig:
 
 @jit_compile
 def compute_tip_forces(
-    confidence: ConfidenceConfig, state: SlaveState, has_state: bool, axes: int, out: Array
+    bilateral: BilateralSettings, state: SlaveState, has_state: bool, axes: int, out: Array
 ) -> None:
     """Write the admissible force at each tip [N] to the first `axes` of `out`, shape (8,).
 
     Zero before the first state, for axes without a joint, and for joints with an invalid estimate.
     """
+    estimates = np.zeros((3, MAX_JOINTS))
     for k in range(axes):
-        out[k] = 0.0
         if has_state and k < state.joints and is_valid(state, k):
-            out[k] = attenuate_force(
-                confidence, state.force[k], state.force_low[k], state.force_high[k]
-            )
+            estimates[0, k] = state.force[k]
+            estimates[1, k], estimates[2, k] = state.force_low[k], state.force_high[k]
+        else:
+            estimates[1:, k] = math.nan  # of an arm, no joint is then rendered
+    attenuate_forces(bilateral.confidence, bilateral.arm, estimates, axes, out)
 
 
 @jit_compile

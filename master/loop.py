@@ -273,8 +273,8 @@ def compute_tip_forces(
     settings_records: StructArray, states: StructArray, has_state: bool, joints: int, out: Array
 ) -> None:
     """Write the admissible forces at the tips [N]; see `feedback.compute_tip_forces`."""
-    confidence = settings_records[0].bilateral.confidence
-    feedback.compute_tip_forces(confidence, states[0], has_state, joints, out)
+    bilateral = settings_records[0].bilateral
+    feedback.compute_tip_forces(bilateral, states[0], has_state, joints, out)
 
 
 @jit_compile
@@ -286,9 +286,7 @@ def _compute_wanted_forces(
     out: Array,
 ) -> bool:
     """Write the wanted forces on the hand [N] to `out`; return whether all are finite."""
-    feedback.compute_tip_forces(
-        settings.bilateral.confidence, state, tick_input.has_state, memory.joints, out
-    )
+    feedback.compute_tip_forces(settings.bilateral, state, tick_input.has_state, memory.joints, out)
     for k in range(memory.joints):
         out[k] = feedback.reflect_force(settings.force.scale, out[k])
     return is_all_finite(out, memory.joints)

@@ -12,6 +12,8 @@ import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from estimator.array_types import Array
 from estimator.arrays import copy_values
 from estimator.compiled import jit_compile
@@ -42,7 +44,8 @@ from teleop import coupling
 from teleop.config.arm import ArmConfig
 from teleop.config.bounds import MOTION_MAX
 from teleop.coupling import Bilateral
-from teleop.coupling.force_attenuation import ConfidenceConfig, attenuate_force
+from teleop.coupling.config import BilateralSettings
+from teleop.coupling.force_attenuation import attenuate_forces
 from teleop.messages.messages import MAX_JOINTS, Command, SlaveState
 from teleop.session import state_machine
 from teleop.session.state_machine import Reason, State
@@ -92,7 +95,7 @@ class SlaveRecords(NamedTuple):
     def changing(self) -> tuple[Any, ...]:
         """The arrays that ticks and samples change."""
         own = self.memory, self.estimators
-        return own if self.arm is None else (*own, self.arm.memory)
+        return own if self.arm is None else (*own, self.arm.memory, self.arm.pairs)
 
     @property
     def tick_arguments(self) -> tuple[StructArray, StructArray, StructArray, StructArray]:
@@ -469,7 +472,7 @@ def _apply_coupling(
     coupling.receive_totals(memory.coupling, command.sender, energy, wave)
     if engaged:
         compute_rendered_forces(
-            settings.bilateral.confidence,
+            settings.bilateral,
             memory.joints,
             layout.joints,
             command.force_max,
@@ -499,7 +502,7 @@ def compute_port_forces(
     layout, memory, scratch = layouts[0], memories[0], scratches[0]
     control.estimate_joints(layout, memory.tendons, memory.offsets, memory.arm_force, memory.joints)
     compute_rendered_forces(
-        settings_records[0].bilateral.confidence,
+        settings_records[0].bilateral,
         memory.joints,
         layout.joints,
         commands[0].force_max,
@@ -509,7 +512,7 @@ def compute_port_forces(
 
 @jit_compile
 def compute_rendered_forces(
-    attenuation: ConfidenceConfig,
+    bilateral: BilateralSettings,
     joint_estimates: JointEstimates,
     joints: int,
     force_max: float,
@@ -527,11 +530,17 @@ def compute_rendered_forces(
         [N], at most `force_max`; zero for joints whose estimate is invalid or not finite.
     """
     force_max = force_max if force_max > 0.0 else 0.0
+    estimates = np.zeros((3, MAX_JOINTS))
     for k in range(joints):
-        estimate, force = joint_estimates[k], 0.0
+        estimate = joint_estimates[k]
         if math.isfinite(estimate.force) and not estimate.status & INVALID_INPUT:
-            force = attenuate_force(attenuation, estimate.force, estimate.low, estimate.high)
-        out_forces[k] = min(max(force, -force_max), force_max)
+            estimates[0, k] = estimate.force
+            estimates[1, k], estimates[2, k] = estimate.low, estimate.high
+        else:
+            estimates[1:, k] = math.nan  # of an arm, no joint is then rendered
+    attenuate_forces(bilateral.confidence, bilateral.arm, estimates, joints, out_forces)
+    for k in range(joints):
+        out_forces[k] = min(max(out_forces[k], -force_max), force_max)
 
 
 @jit_compile

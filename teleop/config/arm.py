@@ -161,6 +161,19 @@ class ArmConfig(LinkedArmConfig):
             raise ValueError("friction_error: must be 0 to 1")
 
 
+def find_space_joints(arms: Sequence[LinkedArmConfig]) -> tuple[tuple[int, int], ...]:
+    """Return first joint and number of joints of arms in space, without grippers.
+
+    `UsageError` if an arm's kinematics cannot be read.
+    """
+    found, first = [], 0
+    for arm in arms:
+        if arm.has_kinematics:
+            found.append((first, len(arm.load_kinematics().coordinates)))
+        first += len(arm.radii)
+    return tuple(found)
+
+
 def assemble_bend_partners(arms: Sequence[LinkedArmConfig], joints: int) -> list[int]:
     """Return for each of a rig's `joints` the other bend of its curved section, or -1."""
     partners: list[int] = []

@@ -1,8 +1,12 @@
 """Settings of the bilateral coupling that both sides must share."""
 
 import zlib
+from collections.abc import Sequence
 from functools import lru_cache
 from typing import Annotated, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
 
 from estimator.compiled import jit_compile
 from estimator.records import (
@@ -20,6 +24,7 @@ from teleop.coupling.extension import CouplingExtension
 from teleop.coupling.force_attenuation import ConfidenceConfig
 from teleop.coupling.passivity import PassivityConfig
 from teleop.coupling.wave import WaveConfig
+from teleop.messages.messages import MAX_JOINTS
 
 CouplingConfig = PassivityConfig | WaveConfig | DirectConfig | CouplingExtension
 
@@ -33,6 +38,7 @@ class Bilateral(NamedTuple):
 
     confidence: ConfidenceConfig = ConfidenceConfig()
     coupling: CouplingConfig = DirectConfig()
+    arms: Sequence[tuple[int, int]] = ()  # first joint and number of joints of arms in space
 
     @property
     def signature(self) -> int:
@@ -51,6 +57,8 @@ class BilateralSettings(Struct):
     kind: I64 = DIRECT  # DIRECT, PASSIVITY, WAVE or EXTENSION
     reserve: F64 = 0.0  # [J] of the coupling
     confidence: Annotated[ConfidenceConfig, Field(build_struct_dtype(ConfidenceConfig))]
+    # of each joint, the arm in space that it belongs to, or -1
+    arm: Annotated[NDArray[np.int64], Field("i8", MAX_JOINTS, fill=-1)]
     passivity: Annotated[PassivityConfig, Field(build_struct_dtype(PassivityConfig))]
     wave: Annotated[WaveConfig, Field(build_struct_dtype(WaveConfig))]
 
@@ -63,6 +71,8 @@ def to_bilateral_settings(bilateral: Bilateral) -> StructArray:
     settings["kind"] = KINDS.get(type(coupling), EXTENSION)
     settings["reserve"] = coupling.reserve
     settings["confidence"] = to_struct_array(bilateral.confidence)
+    for number, (first, joints) in enumerate(bilateral.arms):
+        settings["arm"][0, first : first + joints] = number
     settings["passivity"] = to_struct_array(
         coupling if isinstance(coupling, PassivityConfig) else PassivityConfig()
     )

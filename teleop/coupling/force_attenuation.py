@@ -12,6 +12,9 @@ which is zero if the interval contains zero. The rendered force lies between the
 with h = (high - low) / 2. It never exceeds f, never has the opposite sign, is never below the
 certain force, and is continuous in all three numbers: for |f| -> 0, c equals f.
 
+The joints of an arm in space have one common factor, f_port/f of their forces' vector along its own
+direction, so the force in the hand keeps its direction.
+
 Both sides of a session use the same constants, so both know the port force
 (`teleop.coupling`) from the same message.
 """
@@ -19,6 +22,10 @@ Both sides of a session use the same constants, so both know the port force
 import math
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.array_types import Array
 from estimator.compiled import jit_compile
 
 
@@ -66,3 +73,48 @@ def attenuate_force(config: ConfidenceConfig, force: float, low: float, high: fl
     certain = find_smallest_force(low, high)
     rendered = abs(certain + weight * (clipped - certain))
     return math.copysign(min(rendered, abs(force)), force)
+
+
+@jit_compile
+def attenuate_forces(
+    config: ConfidenceConfig, arm: NDArray[np.int64], estimates: Array, joints: int, out: Array
+) -> None:
+    """Write the rendered forces [N] of so many joints to `out`.
+
+    Parameters
+    ----------
+    arm : array of int, shape (joints,) or longer
+        Number of the arm in space that a joint belongs to, -1 for one by itself. The joints of an
+        arm are neighbours.
+    estimates : array, shape (3, joints) or wider
+        Force [N], low and high end of its interval. NaN as an end: an arm renders nothing.
+    """
+    factor = 1.0
+    for k in range(joints):
+        force, low, high = estimates[0, k], estimates[1, k], estimates[2, k]
+        if arm[k] < 0:
+            out[k] = attenuate_force(config, force, low, high)
+            continue
+        if k == 0 or arm[k] != arm[k - 1]:
+            factor = _compute_common_factor(config, arm, estimates, k, joints)
+        out[k] = factor * force
+
+
+@jit_compile
+def _compute_common_factor(
+    config: ConfidenceConfig, arm: NDArray[np.int64], estimates: Array, first: int, joints: int
+) -> float:
+    """Return the part that is rendered of the forces of the arm that begins with joint `first`."""
+    size, low, high = 0.0, 0.0, 0.0
+    for k in range(first, joints):
+        if arm[k] == arm[first]:
+            size = math.hypot(size, estimates[0, k])
+    if size == 0.0 or not math.isfinite(size):
+        return 1.0
+    for k in range(first, joints):
+        share = estimates[0, k] / size
+        if arm[k] != arm[first] or (share == 0.0 and estimates[1, k] <= estimates[2, k]):
+            continue  # no part of an infinite end
+        low += share * estimates[1 if share > 0.0 else 2, k]
+        high += share * estimates[2 if share > 0.0 else 1, k]
+    return attenuate_force(config, size, low, high) / size

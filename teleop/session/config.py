@@ -4,7 +4,7 @@ import argparse
 import re
 from dataclasses import dataclass, field, replace
 
-from teleop.config.arm import ArmConfig
+from teleop.config.arm import ArmConfig, find_space_joints
 from teleop.config.loading import ConfigDocument
 from teleop.config.overrides import Override
 from teleop.coupling.config import Bilateral, CouplingConfig
@@ -39,8 +39,8 @@ class RunConfig:
 
     @property
     def bilateral(self) -> Bilateral:
-        """The settings of the coupling that both sides share."""
-        return Bilateral(self.confidence, self.coupling)
+        """The settings that both sides share; `UsageError` if an arm cannot be read."""
+        return Bilateral(self.confidence, self.coupling, find_space_joints(self.arms))
 
     def __post_init__(self) -> None:
         try:

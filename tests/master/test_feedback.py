@@ -4,9 +4,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from estimator.records import to_struct
+from estimator.records import to_struct, view_struct
 from master import feedback
 from master.feedback import FeedbackConfig
+from teleop.coupling import Bilateral, to_bilateral_settings
 from teleop.coupling.force_attenuation import ConfidenceConfig, attenuate_force
 from teleop.messages.messages import MAX_JOINTS, SlaveState, pad_values
 from tests.master.records import eight, message_record
@@ -14,6 +15,7 @@ from tests.master.records import eight, message_record
 FORCES = st.floats(-100.0, 100.0)
 BAD = st.sampled_from([math.nan, math.inf, -math.inf])
 CONFIDENCE = to_struct(ConfidenceConfig())
+BILATERAL = view_struct(to_bilateral_settings(Bilateral()))
 
 
 def slave_state(*force, width=0.0, joints=None, status=0):
@@ -29,7 +31,7 @@ def slave_state(*force, width=0.0, joints=None, status=0):
 def tip_forces(state, axes):
     out = eight(*(9.0,) * MAX_JOINTS)
     record = message_record(SlaveState() if state is None else state)
-    feedback.compute_tip_forces(CONFIDENCE, record, state is not None, axes, out)
+    feedback.compute_tip_forces(BILATERAL, record, state is not None, axes, out)
     assert (out[axes:] == 9.0).all()
     return tuple(out[:axes])
 

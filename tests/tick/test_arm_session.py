@@ -72,7 +72,8 @@ def test_the_hand_feels_the_contact_where_the_tip_has_it(record):
     assert pressed.sum() > 300
     # the ball is beyond the tip: the hand is pushed back, along -z first of all
     felt = record["felt"][pressed][:, :3]
-    assert (felt[:, 2] < -0.2).mean() > 0.9
+    assert (felt[:300, 2] < -0.2).mean() > 0.95
+    assert (felt[:, 2] < -0.2).mean() > 0.5  # while it rests there, doubt takes some of it
     untouched = record["engaged"] & (record["pressed"] == 0.0)
     untouched[2900:] = False
     assert np.abs(record["felt"][untouched][:, :3]).max() < 0.1
