@@ -4,6 +4,7 @@ A tendon that passes a joint loads it, and loses or gains tension on the guide t
 angles are known from the motors, the friction from the config; `estimator.routing` does the rest.
 """
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -11,9 +12,11 @@ import numpy as np
 
 from estimator.array_types import Array
 from estimator.compiled import jit_compile
+from estimator.records import StructArray
 from estimator.routing.routing import PreparedRouting, Routing, prepare
+from estimator.routing.sheath_end import SheathPair, estimate_sheath_ends, start_sheath_end
 from estimator.routing.tensions import add_torques, advance, open_tensions
-from slave.control.joint import JointEstimates
+from slave.control.joint import JointEstimates, compute_weight
 from slave.tendons import EstimatedTendons, RigLayout
 from teleop.config.arm import ArmConfig, assemble_bend_partners, assemble_travel_ratios
 
@@ -25,14 +28,15 @@ class ArmEstimator(NamedTuple):
     """Routing of all tendons of a rig, with the state of their tensions and work arrays."""
 
     routing: PreparedRouting
+    pairs: StructArray  # SheathPair of each joint
     memory: Array  # flat: what follows are views of it, for a checkpoint
     started: Array  # shape (1,), 1 once tensions are known
     tensions: Array  # [N] shape (3, rows): likeliest, least, largest
-    angles: Array  # [rad] shape (joints,)
+    angles: Array  # [rad] shape (2, joints)
     reported: Array  # [N] shape (3, rows)
     sheath_end: Array  # [N] shape (3, tendons)
     torque: Array  # [N m] shape (3, joints)
-    new_angles: Array  # [rad] shape (joints,)
+    new_angles: Array  # [rad] shape (2, joints): the likeliest, and of the interval
 
 
 def build_arm_estimator(
@@ -43,13 +47,13 @@ def build_arm_estimator(
         return None
     routing = prepare(build_routing(joints, arms))
     rows, n, tendons = len(routing.joint), len(joints), len(routing.first) - 1
-    shapes = ((1,), (3, rows), (n,), (3, rows), (3, tendons), (3, n), (n,))
+    shapes = ((1,), (3, rows), (2, n), (3, rows), (3, tendons), (3, n), (2, n))
     ends = np.cumsum([np.prod(shape, dtype=np.int64) for shape in shapes])
     memory = np.zeros(ends[-1])
     views = [
         part.reshape(shape) for part, shape in zip(np.split(memory, ends[:-1]), shapes, strict=True)
     ]
-    return ArmEstimator(routing, memory, *views)
+    return ArmEstimator(routing, SheathPair.array(n), memory, *views)
 
 
 def build_routing(joints: Sequence[Sequence[int]], arms: Sequence[ArmConfig]) -> Routing:
@@ -91,7 +95,10 @@ def build_routing(joints: Sequence[Sequence[int]], arms: Sequence[ArmConfig]) ->
 def estimate_arm_forces(
     arm: ArmEstimator,
     layout: RigLayout,
+    prepared: StructArray,
+    estimators: StructArray,
     tendons: EstimatedTendons,
+    elapsed: float,
     joint_estimates: JointEstimates,
     out_force: Array,
 ) -> None:
@@ -101,8 +108,12 @@ def estimate_arm_forces(
     ----------
     arm : ArmEstimator
         Changed in place.
+    prepared, estimators : Records
+        Of the tendons, `PreparedTendon` and `EstimatorState` after this sample.
     tendons : EstimatedTendons
         The sample.
+    elapsed : float
+        [s] since the one before.
     joint_estimates : JointEstimates
         Of the sample; only positions are read.
     out_force : array, shape (3, MAX_JOINTS)
@@ -110,8 +121,8 @@ def estimate_arm_forces(
         known, as before if a tendon's sample is invalid.
     """
     for k in range(layout.joints):
-        arm.new_angles[k] = joint_estimates[k].position / layout.radius[k]
-        if not np.isfinite(arm.new_angles[k]):
+        arm.new_angles[:, k] = joint_estimates[k].position / layout.radius[k]
+        if not np.isfinite(arm.new_angles[1, k]):
             out_force[:] = np.nan  # the last ones would be of other angles
             return
     for i in range(layout.tendons):
@@ -121,12 +132,67 @@ def estimate_arm_forces(
         arm.sheath_end[0, i] = estimate.distal_tension
         arm.sheath_end[1, i] = estimate.low
         arm.sheath_end[2, i] = estimate.high
+    is_paired = True
+    for k in range(layout.joints):
+        known = 0.0
+        for j in range(layout.joints):
+            known += layout.ratio[k, j] * joint_estimates[j].position
+        _estimate_pair(arm, layout, k, prepared, estimators, tendons, known, elapsed)
+        is_paired = is_paired and arm.pairs[k].started
+    for k in range(layout.joints if is_paired else 0):
+        arm.new_angles[0, k] = 0.0
+        for j in range(layout.joints):
+            arm.new_angles[0, k] += layout.inverse[k, j] * arm.pairs[j].travel / layout.radius[k]
     if arm.started[0] == 0.0:
         arm.started[0] = 1.0
         arm.angles[:] = arm.new_angles
-        open_tensions(arm.routing, arm.sheath_end, arm.angles, arm.tensions)
+        open_tensions(arm.routing, arm.sheath_end, arm.angles[1], arm.tensions)
     advance(arm.routing, arm.tensions, arm.angles, arm.sheath_end, arm.new_angles, arm.reported)
     add_torques(arm.routing, arm.reported, arm.torque)
     for k in range(layout.joints):
         for copy in range(3):
             out_force[copy, k] = arm.torque[copy, k] / layout.radius[k]
+
+
+@jit_compile
+def _estimate_pair(
+    arm: ArmEstimator,
+    layout: RigLayout,
+    k: int,
+    prepared: StructArray,
+    estimators: StructArray,
+    tendons: EstimatedTendons,
+    known_travel: float,
+    elapsed: float,
+) -> None:
+    """Take the likeliest tensions at the sheaths' ends of a pair from both of its tendons.
+
+    `known_travel` [m] is that of its tips by the joints' positions.
+    A joint of one tendon, without encoders or with dynamic effects keeps those of each by itself.
+    """
+    pair, i, j = arm.pairs[k], layout.joint[k].tendon[0], layout.joint[k].tendon[1]
+    a, b = tendons[i], tendons[j]
+    if (
+        layout.joint[k].count < 2
+        or prepared[i].has_dynamics
+        or prepared[j].has_dynamics
+        or not math.isfinite(a.corrected_displacement + b.corrected_displacement)
+    ):
+        pair.started = False
+        return
+    if not pair.started:
+        start_sheath_end(pair.end[0], estimators[i].profile[:], a.corrected_tension)
+        start_sheath_end(pair.end[1], estimators[j].profile[:], b.corrected_tension)
+    of_a, of_b = compute_weight(a), compute_weight(b)
+    ends = estimate_sheath_ends(
+        pair,
+        prepared[i],
+        prepared[j],
+        (a.corrected_tension, a.corrected_displacement),
+        (b.corrected_tension, b.corrected_displacement),
+        of_a / (of_a + of_b) if of_a + of_b > 0.0 else 0.5,
+        known_travel,
+        elapsed,
+    )
+    arm.sheath_end[0, i] = min(max(ends[0], arm.sheath_end[1, i]), arm.sheath_end[2, i])
+    arm.sheath_end[0, j] = min(max(ends[1], arm.sheath_end[1, j]), arm.sheath_end[2, j])

@@ -126,7 +126,16 @@ def estimate(
             control.estimate_joints(
                 layout, row.tendons, memory.offsets, memory.arm_force, memory.joints
             )
-            estimate_arm_forces(arm, layout, row.tendons, memory.joints, memory.arm_force)
+            estimate_arm_forces(
+                arm,
+                layout,
+                prepared,
+                estimators,
+                row.tendons,
+                row.elapsed,
+                memory.joints,
+                memory.arm_force,
+            )
 
 
 @jit_compile

@@ -2,6 +2,7 @@
 
   python studies/arm.py                       20 arms of 2 to 8 joints, 20 s each
   python studies/arm.py --arms 4 --seed 7
+  python studies/arm.py --contact             tip of an arm pressed on planes of five orientations
 
 Radii, sheaths, friction of passed joints, motion and walls are drawn at random. The slave's loop
 runs as in a session, without link and clock. Errors are parts of the full scale, the largest
@@ -10,12 +11,16 @@ without.
 """
 
 import argparse
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from estimator.array_types import Array
+from estimator.kinematics.arm import prepare_arm
+from estimator.kinematics.forward import compute_jacobian, compute_tip_pose
+from estimator.kinematics.tip_wrench import compute_tip_wrench
 from estimator.records import view_struct
 from slave import loop
 from slave.config import AS_BUILT, SlaveConfig, load_tendon_configs
@@ -25,17 +30,32 @@ from slave.rigs.simulated import JointConfig, SimulatedRig, SimulatedRigConfig, 
 from slave.samples import estimate, to_sample_rows
 from slave.sheath_section import SectionConfig
 from slave.simulation.arm import ArmPlantConfig
-from slave.simulation.environment import WallConfig
+from slave.simulation.environment import FreeConfig, WallConfig
 from slave.simulation.joint import BodyConfig
+from slave.simulation.sensors import LoadCellConfig
+from slave.simulation.space_contacts import PlaneConfig
 from slave.simulation.tendon import SheathConfig
 from teleop.config.arm import ArmConfig
-from teleop.messages.messages import Command, SlaveState
+from teleop.messages.messages import MAX_JOINTS, Command, SlaveState, pad_values
 from teleop.messages.packet import Packet
 from teleop.session.state_machine import State
 
 DT = 1e-3  # [s]
 TENSION_MAX = 40.0  # [N] full scale
+TENSION_NOISE = 0.02  # [N] of the load cells; an encoder's count is 1 um
 BEGIN_S = 3.0  # [s] from which on errors count: the arm has moved once
+RADII = ((0.005, 0.0, 0.0), (0.004, 0.005, 0.0), (0.004, 0.004, 0.005))  # [m]
+ARM: dict[str, Any] = {
+    "radii": RADII,
+    "friction": 0.1,
+    "wrap": 0.3,
+    "urdf": Path(__file__).parents[1] / "configs" / "notes-arm.urdf",
+    "tip": "tip",
+}
+ARM_ANGLES = (0.0, 0.05, -0.1)  # [rad] its smallest lever is 13 mm
+NORMALS = ((0, 0, -1), (1, 0, -1), (-1, 0, -1), (0, 1, -1), (0, -1, -1))
+PRESS_M, PLANE_STIFFNESS = 0.006, 3000.0  # [m] commanded depth, [N/m]
+CONTACT_MIN = 1.0  # [N] from which on a force at the tip has a direction
 
 
 class Errors(NamedTuple):
@@ -63,7 +83,13 @@ def draw_arm(random: np.random.Generator) -> SimulatedRigConfig:
             position=random.uniform(0.0005, 0.003), stiffness=random.uniform(1e3, 6e3)
         )
         body = BodyConfig(mass=0.02, friction=0.1, spring=0.0, stops=(-0.0065, 0.0065))
-        joints.append(JointConfig((TendonPlantConfig(sheath),) * 2, body, wall))
+        joints.append(
+            JointConfig(
+                (TendonPlantConfig(sheath, load_cell=LoadCellConfig(noise=TENSION_NOISE)),) * 2,
+                body,
+                wall,
+            )
+        )
     arm = ArmPlantConfig(
         tuple(map(tuple, radii.tolist())),
         friction=random.uniform(0.05, 0.15),
@@ -74,6 +100,29 @@ def draw_arm(random: np.random.Generator) -> SimulatedRigConfig:
 
 def run_arm(config: SimulatedRigConfig, friction: float, seconds: float, seed: int) -> Errors:
     """Run an arm with `friction` at passed joints in the model; the motion is that of the seed."""
+    plant = config.arms[0]
+    n, random = len(config.joints), np.random.default_rng(seed)
+    rate, phase = 2.0 * np.pi * random.uniform(0.1, 0.6, n), random.uniform(0.0, 6.3, n)
+    rows = [
+        collect_forces(rig, memory)
+        for time, rig, memory in run_slave(
+            config,
+            ArmConfig(plant.radii, friction=friction, wrap=plant.wrap),
+            lambda time: 0.004 * min(time / 2.0, 1.0) * np.sin(rate * time + phase),
+            seconds,
+        )
+        if time > BEGIN_S
+    ]
+    true, force, low, high = np.array(rows).transpose(1, 0, 2)
+    error = np.abs(force - true) / TENSION_MAX
+    inside = ((low <= true) & (true <= high)).mean()
+    return Errors(error.mean(), error.max(), inside, (high - low).mean() / 2.0 / TENSION_MAX)
+
+
+def run_slave(
+    config: SimulatedRigConfig, arm: ArmConfig, travel: Callable[[float], Array], seconds: float
+) -> Iterator[tuple[float, SimulatedRig, SlaveMemory]]:
+    """Command the `travel` [m] of all joints, and yield time [s], rig and memory of each tick."""
     slave_config = SlaveConfig(
         rig=config,
         calibration=AS_BUILT,
@@ -85,28 +134,22 @@ def run_arm(config: SimulatedRigConfig, friction: float, seconds: float, seed: i
         ),
     )
     rig = SimulatedRig(config)
-    plant = config.arms[0]
-    arm = ArmConfig(plant.radii, friction=friction, wrap=plant.wrap)
     tendons = load_tendon_configs(slave_config, rig.tendons)
     model = loop.build_rig_model(rig.joints, [t.model() for t in tendons], arms=[arm])
     slave = loop.init_slave(model, slave_config, loop.DIRECT, starts_at_zero=True)
     memory: SlaveMemory = view_struct(slave.memory)
     command, state = Packet(Command), Packet(SlaveState)
-    n, random = len(rig.joints), np.random.default_rng(seed)
-    rate, phase = 2.0 * np.pi * random.uniform(0.1, 0.6, n), random.uniform(0.0, 6.3, n)
-    rows = []
     for i in range(round(seconds / DT)):
         time = i * DT
         samples = rig.read(time)
         records = to_sample_rows(samples)
         estimate(*slave.estimate_arguments, records, len(samples))
-        travel = 0.004 * min(time / 2.0, 1.0) * np.sin(rate * time + phase)
         message = Command(
             sender=1,
             stamp_ns=i + 1,
             sequence=i,
             state=int(State.READY if time < 0.1 else State.ENGAGED),
-            position=(*travel.tolist(), *[0.0] * (8 - n)),
+            position=pad_values(tuple(travel(time).tolist()), MAX_JOINTS),
             coupling=loop.DIRECT.signature,
             force_max=1e3,
         )
@@ -117,12 +160,60 @@ def run_arm(config: SimulatedRigConfig, friction: float, seconds: float, seed: i
         )  # fmt: skip
         if memory.has_motor:
             rig.write(np.array(memory.motor[: rig.tendons]))
-        if time > BEGIN_S:
-            rows.append(collect_forces(rig, memory))
-    true, force, low, high = np.array(rows).transpose(1, 0, 2)
-    error = np.abs(force - true) / TENSION_MAX
-    inside = ((low <= true) & (true <= high)).mean()
-    return Errors(error.mean(), error.max(), inside, (high - low).mean() / 2.0 / TENSION_MAX)
+        yield time, rig, memory
+
+
+class TipErrors(NamedTuple):
+    """Errors of the force at the tip while it presses on a plane."""
+
+    angle: Array  # [rad] between the estimated and the true force: median, 95 %, largest
+    size: Array  # error of its size, relative: the same
+    inside: float  # part of the time within the interval of each component
+    told: float  # part of the time for which all of the force is told
+    force: float  # [N] largest
+
+
+def press_plane(normal: Sequence[float], angles: Sequence[float] = ARM_ANGLES) -> TipErrors:
+    """Press the tip of an arm of three joints, at `angles` [rad], on a plane and let go of it."""
+    unit, q, radius = np.array(normal) / np.linalg.norm(normal), np.array(angles), np.diag(RADII)
+    known = ArmConfig(**ARM)
+    prepared = prepare_arm(known.load_kinematics())[0]
+    point, jacobian = compute_tip_pose(prepared, q)[:3, 3], compute_jacobian(prepared, q)[:3]
+    pressed = np.linalg.lstsq(jacobian, -PRESS_M * unit, rcond=0.1)[0]
+    plane = PlaneConfig(point=tuple(point), normal=tuple(unit), stiffness=PLANE_STIFFNESS)
+    sections = (SectionConfig(0.4), SectionConfig(0.5, 0.15), SectionConfig(0.4, 0.4))
+    tendon = TendonPlantConfig(
+        SheathConfig(sections, friction=0.16), load_cell=LoadCellConfig(noise=TENSION_NOISE)
+    )
+    body = BodyConfig(mass=0.02, friction=0.1, spring=0.0, stops=(-0.0065, 0.0065))
+    config = SimulatedRigConfig(
+        joints=(JointConfig((tendon,) * 2, body, FreeConfig()),) * len(q),
+        arms=(ArmPlantConfig(**ARM, contacts=(plane,)),),
+    )
+
+    def travel(time: float) -> Array:
+        press = 0.5 - 0.5 * np.cos(np.pi * min(max(time - 1.5, 0.0), 2.0))
+        wanted: Array = radius * (min(time, 1.0) * q + press * pressed)
+        return wanted
+
+    rows = []
+    for _, rig, memory in run_slave(config, known, travel, 3.5):
+        tip = compute_tip_pose(prepared, rig.joint_travel / radius)[:3, 3]
+        true = -unit * PLANE_STIFFNESS * max(float(unit @ (point - tip)), 0.0)
+        if not np.linalg.norm(true) > CONTACT_MIN:
+            continue
+        estimates = [memory.joints[k] for k in range(len(q))]
+        position = np.array([joint.position for joint in estimates])
+        torque = radius * np.array([(joint.force, joint.low, joint.high) for joint in estimates]).T
+        found = compute_tip_wrench(compute_jacobian(prepared, position / radius), *torque)
+        rows.append((true, found.wrench[:3], found.low[:3], found.high[:3], found.is_told))
+    true, force, low, high, told = np.array(rows, np.float64).transpose(1, 0, 2)
+    size, estimated = np.linalg.norm(true, axis=1), np.linalg.norm(force, axis=1)
+    angle = np.arccos(np.clip((true * force).sum(axis=1) / (size * estimated), -1.0, 1.0))
+    inside = ((low <= true) & (true <= high)).all(axis=1).mean()
+    error = np.abs(estimated - size) / size
+    of_all = [np.percentile(values, (50.0, 95.0, 100.0)) for values in (angle, error)]
+    return TipErrors(*of_all, inside, told.min(axis=1).mean(), size.max())
 
 
 def collect_forces(rig: SimulatedRig, memory: SlaveMemory) -> list[Array]:
@@ -144,7 +235,21 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--arms", type=int, default=20, help="number of arms (default 20)")
     parser.add_argument("--seconds", type=float, default=20.0, help="of each (default 20)")
     parser.add_argument("--seed", type=int, default=1, help="of the first arm (default 1)")
+    parser.add_argument("--contact", action="store_true", help="force at a tip on planes")
     args = parser.parse_args(arguments)
+    if args.contact:
+        print(
+            "normal           largest  angle: median  95 %   size: median   95 %   inside    told"
+        )
+        for normal in NORMALS:
+            found = press_plane(normal)
+            print(
+                f"{normal!s:15}  {found.force:5.1f} N  {np.degrees(found.angle[0]):9.1f} deg  "
+                f"{np.degrees(found.angle[1]):4.1f}  {found.size[0]:13.1%}  {found.size[1]:5.1%}  "
+                f"{found.inside:7.2%}  {found.told:6.1%}",
+                flush=True,
+            )
+        return
     print(
         "joints  friction   mean   largest   inside   half-width   without friction: mean  inside"
     )

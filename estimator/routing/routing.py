@@ -283,7 +283,8 @@ class PreparedRouting(NamedTuple):
     compliance: Array  # [m/N] of the stretch behind the element, contact with pins apart
     contact: Array  # [m/(N rad)] shape (rows, 2): by the bend of this element and of the next
     spread: Array  # [m/rad] half of what slips more at the near end of an element than at its far
-    shortening: Array  # [m/rad] shape (rows, joints): by what turning a joint shortens the stretch
+    turned_by: NDArray[np.int64]  # the joints that shorten the stretch, at most two, (rows, 2)
+    shortening: Array  # [m/rad] shape (rows, 2): by what turning these shortens it
     behind: NDArray[np.int64]  # row behind each passed joint, -1 elsewhere, (tendons, joints)
     friction_error: Array  # relative
     compliance_error: float
@@ -326,6 +327,10 @@ def prepare(
         for index in range(begin + max(len(sheath), 1), len(rows)):
             behind[tendon, rows[index].joint] = index
         first.append(len(rows))
+    shortening = np.array([row.shortening for row in rows])
+    if routing.joints == 1:
+        shortening = np.hstack([shortening, np.zeros_like(shortening)])
+    turned_by = np.argsort(-np.abs(shortening), axis=1, kind="stable")[:, :2]
     return PreparedRouting(
         np.array(first),
         np.array([row.joint for row in rows]),
@@ -336,7 +341,8 @@ def prepare(
         np.array([row.length / (row.stiffness or routing.axial_stiffness) for row in rows]),
         np.array([row.contact for row in rows]) / routing.axial_stiffness,
         np.array([row.spread for row in rows]),
-        np.array([row.shortening for row in rows]),
+        np.minimum(turned_by, routing.joints - 1),
+        np.take_along_axis(shortening, turned_by, axis=1),
         behind,
         np.array(errors),
         routing.compliance_error,

@@ -33,7 +33,7 @@ class RoutingState(NamedTuple):
     """What the past leaves: tensions of all rows, and the angles taken for the present ones."""
 
     tensions: Array  # [N] shape (3, rows): likeliest, least, largest
-    angles: Array  # [rad] shape (joints,)
+    angles: Array  # [rad] shape (2, joints): of the likeliest, and of the interval
 
 
 class JointTensions(NamedTuple):
@@ -67,7 +67,7 @@ def build_initial_state(
         begin, end = prepared.first[tendon], prepared.first[tendon + 1]
         for copy, sign in ((1, -1.0), (2, 1.0)):
             _open_cone(prepared, theta, begin, end, sign, state[copy])
-    return RoutingState(state, theta)
+    return RoutingState(state, np.array([theta, theta]))
 
 
 def step(
@@ -101,7 +101,9 @@ def step(
         raise RoutingError(f"tension, low: give {len(prepared.first) - 1} finite numbers each")
     driven = RoutingState(state.tensions.copy(), state.angles.copy())
     reported = np.empty_like(state.tensions)
-    advance(prepared, driven.tensions, driven.angles, T, theta, reported)
+    band = prepared.angle_error
+    held = np.clip(driven.angles[0], theta - band, theta + band)
+    advance(prepared, driven.tensions, driven.angles, T, np.array([held, theta]), reported)
     torques = np.empty((3, len(theta)))
     add_torques(prepared, reported, torques)
     rows = np.where(prepared.behind < 0, 0, prepared.behind)
@@ -149,10 +151,9 @@ class JointEstimator:
 
 def _read_angles(prepared: PreparedRouting, angles: ArrayLike) -> Array:
     theta = np.array(angles, dtype=np.float64)
-    if theta.shape != prepared.shortening.shape[1:] or not np.isfinite(theta).all():
-        raise RoutingError(
-            f"angles: give {prepared.shortening.shape[1]} finite numbers, one for each joint"
-        )
+    joints = prepared.behind.shape[1]
+    if theta.shape != (joints,) or not np.isfinite(theta).all():
+        raise RoutingError(f"angles: give {joints} finite numbers, one for each joint")
     return theta
 
 
@@ -187,31 +188,35 @@ def advance(
     Parameters
     ----------
     tensions, angles : array
-        The state: shapes (3, rows) and (joints,).
+        The state: shapes (3, rows) and (2, joints).
     sheath_end : array, shape (3, tendons)
         [N] at the sheath's ends, or at the housing, its least and its largest.
-    new_angles : array, shape (joints,)
-        [rad]
+    new_angles : array, shape (2, joints)
+        [rad] of the likeliest, without noise, and of the interval, within `angle_error`. A routing
+        with curved sections takes the latter for both.
     reported : array, shape (3, rows)
         [N] likeliest, least and largest.
     """
-    rows = len(prepared.joint)
+    rows, held = len(prepared.joint), np.empty(angles.shape[1])
     elements = _Elements(
         np.zeros(rows), prepared.compliance.copy(), np.zeros(rows), np.zeros(rows),
         np.ones(rows), np.zeros(rows, dtype=np.bool_), np.ones((2, rows)), np.ones((2, rows)),
         np.zeros(rows), np.zeros(rows), np.zeros((2, rows)), np.zeros(rows),
     )  # fmt: skip
-    _turn_joints(prepared, angles, new_angles, elements)
+    _hold_angles(angles[1], new_angles[1], prepared.angle_error, held)
+    is_curved = prepared.spread.any()
+    _turn_joints(prepared, angles[0], held if is_curved else new_angles[0], elements)
     before = tensions[0].copy()
     _set_limits(prepared, elements, 0)
-    _drive_sheath_ends(prepared, angles, elements, 0, sheath_end, tensions, reported)
+    _drive_sheath_ends(prepared, angles[0], elements, 0, sheath_end, tensions, reported)
     if _find_turning_slip(prepared, before, tensions[0], elements):
         tensions[0] = before
         _set_limits(prepared, elements, 0)
-        _drive_sheath_ends(prepared, angles, elements, 0, sheath_end, tensions, reported)
+        _drive_sheath_ends(prepared, angles[0], elements, 0, sheath_end, tensions, reported)
+    _turn_joints(prepared, angles[1], held, elements)
     for copy in range(1, 3):
         _set_limits(prepared, elements, copy)
-        _drive_sheath_ends(prepared, angles, elements, copy, sheath_end, tensions, reported)
+        _drive_sheath_ends(prepared, angles[1], elements, copy, sheath_end, tensions, reported)
     for e in range(rows):
         reported[0, e] = min(max(reported[0, e], reported[1, e]), reported[2, e])
 
@@ -244,25 +249,29 @@ def open_tensions(
 def _turn_joints(
     prepared: PreparedRouting, angles: Array, new_angles: Array, elements: _Elements
 ) -> None:
-    """Turn the joints, but for what may be an error of their angles."""
-    rows, joints = prepared.shortening.shape
-    for j in range(joints):
-        band = prepared.angle_error
-        nearest = min(max(angles[j], new_angles[j] - band), new_angles[j] + band)
-        change = nearest - angles[j]
-        angles[j] = nearest
-        for e in range(rows):
-            elements.shortening[e] += prepared.shortening[e, j] * change
-            if prepared.joint[e] == j:
-                elements.between[e] = prepared.spread[e] * abs(change)
+    """Turn the joints, and write what follows for the rows."""
+    rows = len(prepared.joint)
     for e in range(rows):
-        elements.bend[e] = _compute_bend(prepared, angles, e)
+        first, second = prepared.turned_by[e]
+        elements.shortening[e] = prepared.shortening[e, 0] * (new_angles[first] - angles[first])
+        elements.shortening[e] += prepared.shortening[e, 1] * (new_angles[second] - angles[second])
+        j = prepared.joint[e]
+        elements.between[e] = prepared.spread[e] * abs(new_angles[j] - angles[j])
+        elements.bend[e] = _compute_bend(prepared, new_angles, e)
+    angles[:] = new_angles
     for e in range(rows):
         own, follower = prepared.contact[e]
-        elements.compliance[e] += own * elements.bend[e]
+        compliance = prepared.compliance[e] + own * elements.bend[e]
         if e + 1 < rows:
-            elements.compliance[e] += follower * elements.bend[e + 1]
-        elements.compliance[e] = max(elements.compliance[e], _LEAST_COMPLIANCE)
+            compliance += follower * elements.bend[e + 1]
+        elements.compliance[e] = max(compliance, _LEAST_COMPLIANCE)
+
+
+@jit_compile
+def _hold_angles(angles: Array, new_angles: Array, band: float, out: Array) -> None:
+    """Write what is left of new angles without what may be an error."""
+    for j in range(len(angles)):
+        out[j] = min(max(angles[j], new_angles[j] - band), new_angles[j] + band)
 
 
 @jit_compile
@@ -312,12 +321,11 @@ def _set_limits(prepared: PreparedRouting, elements: _Elements, copy: int) -> No
     that, the least copy takes what the largest takes.
     """
     more, less = 1.0 + prepared.compliance_error, 1.0 / (1.0 + prepared.compliance_error)
-    joints = prepared.shortening.shape[1]
     for e in range(len(prepared.joint)):
         c, K = elements.compliance[e], prepared.friction[e] * elements.bend[e]
         if copy == 0:
-            elements.low_factor[:, e] = math.exp(-K * elements.one_way[e])
             elements.high_factor[:, e] = math.exp(K * elements.one_way[e])
+            elements.low_factor[:, e] = 1.0 / elements.high_factor[:, e]
             elements.rise[e] = elements.fall[e] = c
             continue
         K_angle = 2.0 * prepared.friction[e] * prepared.angle_error
@@ -325,16 +333,16 @@ def _set_limits(prepared: PreparedRouting, elements: _Elements, copy: int) -> No
         K_less = max(K - K_angle, 0.0) * (1.0 - prepared.friction_error[e])
         if elements.turns_round[e]:
             K_less = -K_more
-        margin = 0.0
-        for j in range(joints):
-            margin += abs(prepared.shortening[e, j]) * 2.0 * prepared.angle_error
+        arm = abs(prepared.shortening[e, 0]) + abs(prepared.shortening[e, 1])
+        margin = 2.0 * prepared.angle_error * arm
         least, largest = copy - 1, 2 - copy
         elements.shift[least, e] = margin / (c * less)
         elements.shift[largest, e] = -margin / (c * less)
-        elements.low_factor[least, e] = math.exp(-K_more)
-        elements.low_factor[largest, e] = math.exp(-K_less)
-        elements.high_factor[least, e] = math.exp(K_less)
-        elements.high_factor[largest, e] = math.exp(K_more)
+        more_factor, less_factor = math.exp(K_more), math.exp(K_less)
+        elements.low_factor[least, e] = 1.0 / more_factor
+        elements.low_factor[largest, e] = 1.0 / less_factor
+        elements.high_factor[least, e] = less_factor
+        elements.high_factor[largest, e] = more_factor
         elements.rise[e] = c * more if copy == 1 else c * less
         elements.fall[e] = c * less if copy == 1 else c * more
 
@@ -437,12 +445,11 @@ def add_torques(prepared: PreparedRouting, reported: Array, torques: Array) -> N
     reported : array, shape (3, rows)
     torques : array, shape (3, joints)
     """
-    rows, joints = prepared.shortening.shape
-    for j in range(joints):
-        torques[:, j] = 0.0
-        for e in range(rows):
-            arm = prepared.shortening[e, j]
-            torques[0, j] += arm * reported[0, e]
+    torques[:] = 0.0
+    for e in range(len(prepared.joint)):
+        for k in range(2):
+            arm, j = prepared.shortening[e, k], prepared.turned_by[e, k]
             if arm != 0.0:
+                torques[0, j] += arm * reported[0, e]
                 torques[1, j] += arm * reported[1 if arm > 0.0 else 2, e]
                 torques[2, j] += arm * reported[2 if arm > 0.0 else 1, e]

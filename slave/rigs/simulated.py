@@ -283,6 +283,11 @@ class SimulatedRig:
         """Do nothing."""
 
     @property
+    def joint_travel(self) -> Array:
+        """True travel of each joint [m], shape (joints,)."""
+        return np.array([state.travel for state in self._states])
+
+    @property
     def arm_tensions(self) -> Array:
         """True tension of each tendon at each joint of arms [N], shape (joints, 2, joints)."""
         return self._arm_state.tension.copy()

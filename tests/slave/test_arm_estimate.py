@@ -4,10 +4,12 @@ import math
 
 import numpy as np
 
+from estimator.online import online
 from estimator.online.tendon_estimate import INVALID_INPUT
 from estimator.records import view_struct
 from slave import control
 from slave.arm_estimate import build_arm_estimator, estimate_arm_forces
+from slave.config import TendonConfig
 from slave.control import JointEstimate
 from slave.tendons import EstimatedTendon, build_rig_layout
 from teleop.config.arm import ArmConfig
@@ -20,6 +22,8 @@ ARM = ArmConfig(radii=((0.005, 0.0), (0.004, 0.005)), friction=0.1, wrap=0.3)
 def test_a_force_is_not_used_once_an_angle_is_lost():
     layout = view_struct(build_rig_layout(JOINTS, [ARM]))
     estimator = build_arm_estimator(JOINTS, [ARM])
+    prepared = online.prepare_all([TendonConfig(effective_friction=0.5).model()] * 4)
+    states = online.build_initial_states(prepared)
     tendons = EstimatedTendon.array(MAX_TENDONS)
     tendons["valid"], tendons["tension"] = True, 5.0
     fields = tendons["estimate"]
@@ -31,7 +35,7 @@ def test_a_force_is_not_used_once_an_angle_is_lost():
     for displacement in (0.0, math.nan):  # the encoder of the first joint
         fields["distal_displacement"][:2] = displacement
         control.estimate_joints(layout, tendons, offsets, force, joints)
-        estimate_arm_forces(estimator, layout, tendons, joints, force)
+        estimate_arm_forces(estimator, layout, prepared, states, tendons, 1e-3, joints, force)
         control.estimate_joints(layout, tendons, offsets, force, joints)
         is_known = displacement == 0.0
         assert np.isfinite(joints["force"][:2]).all() == is_known

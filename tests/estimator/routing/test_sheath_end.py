@@ -1,0 +1,85 @@
+"""Both ends of the sheaths of a pair, against the brute-force chain, and limits of the tip."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from estimator.law.profile import build_pretensioned_profile, push_proximal
+from estimator.law.sheath import Section, Sheath
+from estimator.law.tables import build_tables
+from estimator.law.transmission import read_profile
+from estimator.online.estimator_state import prepare
+from estimator.online.tendon_model import TendonModel
+from estimator.records import view_struct
+from estimator.routing.sheath_end import (
+    SheathPair,
+    drive_tip,
+    estimate_sheath_ends,
+    start_sheath_end,
+)
+from studies.brute.chain import Chain, Force, Position
+
+SHEATH = Sheath((Section(0.3), Section(0.5, 0.25), Section(0.1)), 0.12, 9000.0)
+TABLES, PRETENSION, DT = build_tables(SHEATH), 2.0, 1e-3
+
+
+def play_pair(stiffness_error):
+    """Return tensions at the tip, true and estimated by pair and by T_in alone, shape (n, 2)."""
+    sections = [(section.length, section.radius) for section in SHEATH.sections]
+    chains = [Chain(sections, SHEATH.friction, 9000.0, beads=30, tension=PRETENSION) for _ in "ab"]
+    model = prepare(
+        TendonModel(
+            Sheath(SHEATH.sections, SHEATH.friction, 9000.0 * stiffness_error), initial=PRETENSION
+        )
+    )
+    pair = view_struct(SheathPair.array())
+    start = build_pretensioned_profile(TABLES, PRETENSION)
+    alone = [start.copy(), start.copy()]
+    for end in pair.end:
+        start_sheath_end(end, start, PRETENSION)
+    rows = []
+    for i in range(700):  # the first pulls, its tip goes to and fro; the second is slack
+        share = min(i / 100.0, 1.0)
+        tensions = PRETENSION + share * np.array([6.0 + 4.0 * math.sin(0.013 * i), -1.6])
+        x = share * 6e-4 * math.sin(0.03 * i)
+        for chain, T, tip in zip(chains, tensions, (x, -x), strict=True):
+            chain.move(Force(T), Position(tip))
+        readings = [(T, chain.travel[0]) for T, chain in zip(tensions, chains, strict=True)]
+        ends = estimate_sheath_ends(pair, model, model, *readings, 0.02, x, DT)
+        for profile, T in zip(alone, tensions, strict=True):
+            push_proximal(TABLES, profile, T)
+        rows.append([[c.T_out for c in chains], ends, [read_profile(TABLES, p)[1] for p in alone]])
+    return np.array(rows[100:]).transpose(1, 0, 2)
+
+
+@pytest.mark.parametrize("stiffness_error", [1.0, 0.9])
+def test_a_pair_shows_that_its_tips_move_before_either_tendon_slides_through(
+    stiffness_error,
+):
+    true, pair, alone = play_pair(stiffness_error)
+    error = np.abs(pair - true)
+    assert error.max() < 0.8  # [N] of up to 14 N
+    assert error.mean() < 0.05
+    assert np.abs(alone - true).max() > 4.0  # the tip has moved, and T_in does not tell
+
+
+@given(st.floats(0.5, 20.0), st.lists(st.floats(-2e-4, 2e-4), min_size=1, max_size=20))
+def test_the_tip_stretches_the_tendon_within_what_friction_holds(tension, stretches):
+    profile = build_pretensioned_profile(TABLES, 3.0)
+    push_proximal(TABLES, profile, tension)
+    left = 0.0
+    for stretch in stretches:
+        before = read_profile(TABLES, profile)
+        wanted = stretch if left * stretch < 0.0 else left + stretch
+        left = drive_tip(TABLES, profile, tension, wanted)
+        T_in, T_out, elongation = read_profile(TABLES, profile)[:3]
+        assert T_in == pytest.approx(tension)
+        assert abs(math.log(T_out / T_in)) <= SHEATH.K + 1e-9
+        assert (T_out - before[1]) * wanted >= 0.0
+        is_limited = abs(math.log(T_out / T_in)) > SHEATH.K - 1e-9
+        if not is_limited:
+            assert elongation - before[2] == pytest.approx(wanted - left, abs=1e-12)
+            assert abs(left) <= 0.25 * abs(wanted) + 1e-12
