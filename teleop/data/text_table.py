@@ -47,7 +47,9 @@ _ERRORS = {"#div/0!", "#value!", "#ref!", "#num!", "#name?", "#null!", "error", 
 _EXPONENT = r"(?:[eEdD][+-]?\d+)?"
 _GROUPED = r"[1-9]\d{{0,2}}(?:([{0}'’ \u00a0\u202f])\d{{3}})(?:\1\d{{3}})*"
 _NUMBERS = {  # decimal sign -> numbers with thousands separators, or without
-    sign: re.compile(rf"[+-]?(?:{_GROUPED.format(other)}|\d*)(?:[{sign}]\d*)?{_EXPONENT}")
+    sign: re.compile(
+        rf"(?=[+-]?[{sign}]?\d)[+-]?(?:{_GROUPED.format(other)}|\d*)(?:[{sign}]\d*)?{_EXPONENT}"
+    )
     for sign, other in ((".", ","), (",", "."))
 }
 _LOOSE_NUMBER = re.compile(  # with either decimal sign
@@ -280,7 +282,7 @@ def to_number(cell: str, decimal: str) -> float | None:
     if classify_word(text):
         return np.nan
     match = _NUMBERS[decimal or "."].fullmatch(text)
-    if match is None or not any(map(str.isdigit, text)) or (match[1] and not decimal):
+    if match is None or (match[1] and not decimal):
         return None
     text = text.replace(match[1], "") if match[1] else text
     return float(text.replace(",", ".").replace("d", "e").replace("D", "e"))
@@ -481,9 +483,10 @@ def _read_encoded(path: Path, encoding: str, mapping: TableMapping) -> RawTable:
         return read_rows(path, layout, _number_rows(lines, layout))
 
 
-def _number_rows(lines: Iterator[str], layout: Layout) -> Iterator[Row]:
+def _number_rows(lines: Iterator[str], layout: Layout, *, strict: bool = True) -> Iterator[Row]:
     """Yield the rows below the names with their lines, of which the first is line 1."""
-    reader = split_rows(itertools.islice(lines, layout.data_line, None), layout.separator)
+    below = itertools.islice(lines, layout.data_line, None)
+    reader = split_rows(below, layout.separator, strict=strict)
     for cells in reader:
         yield layout.data_line + reader.line_num, cells
 
@@ -491,5 +494,5 @@ def _number_rows(lines: Iterator[str], layout: Layout) -> Iterator[Row]:
 def _find_line(path: Path, layout: Layout, row: int) -> int:
     """Return the line of a row of a file that was read in blocks."""
     with open_lines(path, layout.encoding) as lines:
-        full = (line for line, cells in _number_rows(lines, layout) if cells)
+        full = (line for line, cells in _number_rows(lines, layout, strict=False) if cells)
         return next(itertools.islice(full, row, None))

@@ -267,6 +267,8 @@ REFUSED = {
     "names that are numbers": (PLAIN.replace(FIRST, "1,2,3"), ["must contain the column names"]),
     "a cut last line": (PLAIN + "3.000,1.2", ["line 62: has 2 cells", "remove this line"]),
     "a number for missing ones": (PLAIN.replace("1.0000,", "-9999,"), ["-9999 a missing value?"]),
+    "an exponent alone": (table(sep=";", decimal=",").replace("1,0000;", "e2;"), ["'e2' is not"]),
+    "an open quote far down": (PLAIN.replace("2.950,", '2.950,"'), ["cannot be read"]),
     "unknown words": (PLAIN.replace("1.0000,", "broken,"), ["line 2: 'broken'", "blank"]),
 }
 
