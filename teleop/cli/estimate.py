@@ -115,6 +115,7 @@ def main(args: argparse.Namespace) -> int:
         zero_errors=() if args.fit else ("distal_tension",),
     )
     summary: dict[str, Any] = {"data": str(args.data), "samples": len(table.time)}
+    summary["read_as"] = list(table.remarks)
     if args.tendon is not None or len(tendons) > 1:
         summary["tendon"] = format_tendon_name(k, joints)
     if args.fit:
@@ -418,6 +419,7 @@ def save(path: Path, fit: SheathFit, tendon: TendonConfig, table: MeasuredTable,
 def format_report(summary: dict[str, Any]) -> list[str]:
     """Return the summary as lines of text."""
     lines = [f"{summary['data']}: {summary['samples']} samples"]
+    lines += [f"read as   {remark}" for remark in summary.get("read_as", ())]
     if "tendon" in summary:
         lines.append(f"tendon    {summary['tendon']} (select with --tendon)")
     if "fit" in summary:

@@ -35,7 +35,7 @@ from teleop.data.sample_checks import check_effort, check_time
 from teleop.data.table_files import read_columns
 from teleop.errors import UsageError
 from teleop.runtime.output_file import make_folder, save_figure
-from teleop.runtime.process import write_summary, write_text_file
+from teleop.runtime.process import print_warning, write_summary, write_text_file
 from teleop.runtime.status_line import Progress
 
 BEND = "{bend}"
@@ -135,6 +135,8 @@ def _read_record(path: Path, config: PairConfig) -> PairRecord:
     bend = config.bend_of(path)
     raw = read_columns(path)
     columns = {f.name: _parse_column(path, raw, config, f.name) for f in fields(PairColumns)}
+    if raw.remarks:
+        print_warning(f"{path}: {'; '.join(raw.remarks)}")
     time = columns["time"]
     if not len(time):
         raise UsageError(f"{path}: has a header but no rows")
@@ -175,6 +177,12 @@ def _parse_column(path: Path, raw: RawTable, config: PairConfig, item: str) -> A
         raise UsageError(
             f"{path}: there is no column {name!r} (it has {', '.join(raw.columns)}); "
             f"--columns FILE says what {item} is called"
+        )
+    expected = {"time": "s", "command": config.unit, "angle": config.unit}.get(item, "N")
+    if (unit := raw.units.get(name, expected)) != expected:
+        raise UsageError(
+            f"{path}: column {name!r}: the row below its name says {unit}, and {expected} is read: "
+            "convert it"
         )
     try:
         column = np.asarray(raw.columns[name], dtype=np.float64)
