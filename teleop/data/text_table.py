@@ -52,9 +52,6 @@ _NUMBERS = {  # decimal sign -> numbers with thousands separators, or without
     )
     for sign, other in ((".", ","), (",", "."))
 }
-_LOOSE_NUMBER = re.compile(  # with either decimal sign
-    rf"[+-]?(?:[\d.,'’\u00a0\u202f]*\d\.?|\d{{1,3}}(?: \d{{3}})+(?:[.,]\d*)?){_EXPONENT}"
-)
 _OTHER_GROUP = re.compile(r"\d['’\u00a0\u202f ]\d{3}(?!\d)")
 _ONE_SIGN = re.compile(rf"[+-]?(\d*)([.,])(\d+){_EXPONENT}")
 _SIGN_NAMES = {".": "point", ",": "comma"}
@@ -123,7 +120,8 @@ def find_layout(path: Path, lines: Sequence[str], encoding: str, mapping: TableM
 
 def _is_loose_value(cell: str) -> bool:
     text = cell.strip().replace("−", "-")
-    return bool(_LOOSE_NUMBER.fullmatch(text)) or time_text.is_moment(text)
+    is_number = any(form.fullmatch(text) for form in _NUMBERS.values())  # with either sign
+    return is_number or time_text.is_moment(text)
 
 
 def _score_rows(rows: Sequence[Row]) -> float:
@@ -133,9 +131,10 @@ def _score_rows(rows: Sequence[Row]) -> float:
     if width < 2:
         return 0.0
     whole = [cells for _, cells in tail if len(cells) == width]
-    # a space may separate columns or thousands: the first, unless there is no other way
-    values = sum(_is_loose_value(cell) and " " not in cell.strip() for c in whole for cell in c)
-    blank = sum(classify_word(cell) != "" for cells in whole for cell in cells)
+    # a space separates columns rather than thousands, if there is a choice
+    cells = [cell.strip() for cells in whole for cell in cells]
+    values = sum(_is_loose_value(c) and (" " not in c or time_text.is_moment(c)) for c in cells)
+    blank = sum(classify_word(cell) != "" for cell in cells)
     return len(whole) / len(tail) * (values + (blank if values else 0)) / (width * len(whole))
 
 
@@ -282,7 +281,7 @@ def to_number(cell: str, decimal: str) -> float | None:
     if classify_word(text):
         return np.nan
     match = _NUMBERS[decimal or "."].fullmatch(text)
-    if match is None or (match[1] and not decimal):
+    if match is None or (match[1] == "," and not decimal):
         return None
     text = text.replace(match[1], "") if match[1] else text
     return float(text.replace(",", ".").replace("d", "e").replace("D", "e"))

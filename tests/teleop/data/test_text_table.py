@@ -126,6 +126,7 @@ MOMENTS = {
     ],
     "German date": [f"{12 + (t >= 1)}.05.2026 {clock((86_399 + t) % 86_400)}" for t in TIME],
     "MATLAB": [f"10-Apr-2026 {clock(36_000 + t)}" for t in TIME],
+    "German date, comma before it": [f"9.3.2026 {clock(36_000 + t)}" for t in TIME],
     "pandas": [f"{1 + (t >= 1)} days {clock((86_399 + t) % 86_400)}" for t in TIME],
     "afternoon": [f"04/10/2026 {clock(36_000 + t)} PM" for t in TIME],
 }
@@ -215,6 +216,15 @@ def test_other_separators_of_thousands_leave_one_sign_for_decimals(tmp_path, sep
     found = read(tmp_path / "x.csv", text)
     np.testing.assert_allclose(found.proximal_tension, tension)
     np.testing.assert_allclose(found.time, 0.05 * np.arange(1, 61))
+
+
+def test_whole_numbers_alone_have_thousands_too(tmp_path):
+    values = [[f"{round(v):,}".replace(",", "'") for v in 1e6 * each] for each in (TIME, TRAVEL)]
+    values.insert(1, [f"{round(v)}" for v in 1e3 * TENSION])
+    names = ("time_us", "proximal_tension_mN", "proximal_displacement_um")
+    found = read(tmp_path / "x.csv", table(names, ",", ["{}"] * 3, values))
+    np.testing.assert_allclose(found.time, TIME, atol=1e-6)
+    np.testing.assert_allclose(found.proximal_displacement, TRAVEL, atol=1e-6)
 
 
 def test_a_number_that_may_be_of_thousands_is_asked_about(tmp_path):
