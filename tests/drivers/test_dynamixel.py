@@ -439,6 +439,34 @@ def test_a_scan_names_two_servos_of_one_number(twins):
     assert next(configs.scan(twins)).startswith(said)
 
 
+class OldProtocol(Servos):
+    """A servo that speaks protocol 1.0 only: FF FF, id, length, instruction, ..., checksum."""
+
+    def _next(self):
+        at = self._received.find(b"\xff\xff")
+        packet = self._received[at : at + 4 + self._received[at + 3]] if at >= 0 else b""
+        self._received = b""
+        if len(packet) > 5 and sum(packet[2:]) & 0xFF == 0xFF and packet[2] in self.servos:
+            model = b"\x1d\x00" if packet[4] == READ else b""
+            body = bytes([packet[2], 2 + len(model), 0]) + model
+            self.port.write(b"\xff\xff" + body + bytes([~sum(body) & 0xFF]))
+
+
+def test_a_servo_of_the_old_protocol_is_named_where_nobody_else_answers(monkeypatch):
+    monkeypatch.setattr(registers, "BAUD_RATES", (1_000_000,))
+    servos = OldProtocol(numbers=(7,))
+    thread = servos.start()
+    try:
+        lines = list(configs.scan(dynamixel(servos.port.name)))
+    finally:
+        servos.ended = True
+        thread.join()
+    assert lines == [
+        "servo 7: speaks protocol 1.0 at 1000000 baud: set its Protocol Type to 2 by the Dynamixel "
+        "Wizard (an MX: its firmware 2.0)"
+    ]
+
+
 def test_a_servo_that_is_not_there_is_named_once_the_others_are_reset(servos):
     lines = configs.reset(dynamixel(servos.port.name), (1, 7))
     assert next(lines) == "servo 1: restarted"

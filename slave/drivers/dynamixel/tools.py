@@ -5,8 +5,8 @@ from collections.abc import Iterator, Sequence
 from functools import partial
 
 import numpy as np
-from dynamixel_sdk import GroupSyncRead
-from dynamixel_sdk.robotis_def import COMM_RX_CORRUPT
+from dynamixel_sdk import GroupSyncRead, PacketHandler
+from dynamixel_sdk.robotis_def import COMM_RX_CORRUPT, COMM_SUCCESS
 
 from slave.drivers.driver import Channels, Counts, DriverFault, Reading
 from slave.drivers.dynamixel import registers, servo_check
@@ -107,13 +107,21 @@ class DynamixelReader:
 SERVO_ID_MAX = 252  # id of a servo
 ANSWER_S = 0.03  # [s] to wait for an answer; FTDI adapters hand bytes over every 16 ms by default
 REBOOT_S = 0.5  # [s]
+OLD_RATES, OLD_ID_MAX = (57600, 1_000_000), 20  # asked in protocol 1.0, which has no broadcast ping
 
 
 def scan(config: DynamixelConfig) -> Iterator[str]:
-    """Ask all servos to answer, at each baud rate; yield a line for each that does."""
-    bus = ServoBus(config.port, ANSWER_S)
-    others = [baud for baud in registers.BAUD_RATES if baud != config.baud]
-    for baud in (config.baud, *others):
+    """Ask all servos to answer, at each baud rate; yield a line for each that does.
+
+    If none does, those of protocol 1.0 are looked for.
+    """
+    bus, found = ServoBus(config.port, ANSWER_S), False
+    rates = dict.fromkeys((config.baud, *registers.BAUD_RATES))
+    looks = [(baud, _scan_baud_rate) for baud in rates]
+    looks += [(baud, _scan_old_protocol) for baud in rates if baud in (config.baud, *OLD_RATES)]
+    for baud, look in looks:
+        if found and look is _scan_old_protocol:
+            return
         try:
             bus.open(baud)
         except DriverFault:
@@ -121,7 +129,9 @@ def scan(config: DynamixelConfig) -> Iterator[str]:
                 raise
             continue  # adapters do not have every rate
         try:
-            yield from bus.call(partial(_scan_baud_rate, bus, config))
+            for line in bus.call(partial(look, bus, config)):
+                found = True
+                yield line
         finally:
             bus.close()
 
@@ -164,3 +174,14 @@ def _scan_baud_rate(bus: ServoBus, config: DynamixelConfig) -> list[str]:
             if bus.packets.ping(bus.port, number)[1] == COMM_RX_CORRUPT
         ]
     return lines
+
+
+def _scan_old_protocol(bus: ServoBus, config: DynamixelConfig) -> list[str]:  # noqa: ARG001
+    """Return a line for each servo that speaks protocol 1.0 at the present baud rate."""
+    packets = PacketHandler(1.0)
+    return [
+        f"servo {number}: speaks protocol 1.0 at {bus.port.baudrate} baud: set its Protocol Type "
+        "to 2 by the Dynamixel Wizard (an MX: its firmware 2.0)"
+        for number in range(OLD_ID_MAX + 1)
+        if packets.ping(bus.port, number)[1] == COMM_SUCCESS
+    ]
