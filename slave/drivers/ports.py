@@ -27,7 +27,7 @@ def list_ports() -> dict[str, str]:
     """Return the device files of serial adapters, and the lasting name of each; empty if none.
 
     Adapters of one model without serial numbers share a name in by-id, that of the one plugged in
-    last; then the names in by-path count, which are of the sockets.
+    last; then their names in by-path count, which are of the sockets.
     """
     kinds = ("ttyUSB*", "ttyACM*")
     devices = sorted(str(path.resolve()) for kind in kinds for path in DEVICES.glob(kind))
@@ -35,9 +35,13 @@ def list_ports() -> dict[str, str]:
         {str(link.resolve()): str(link) for link in sorted((DEVICES / "serial" / kind).glob("*"))}
         for kind in ("by-id", "by-path")
     )
-    shares_name = any(device in by_path and device not in by_id for device in devices)
-    names = by_path if shares_name else by_id
-    return {device: names.get(device, "") for device in devices}
+    nameless = {
+        _read_model(device) for device in devices if device in by_path.keys() - by_id.keys()
+    }
+    return {
+        device: (by_path if _read_model(device) in nameless else by_id).get(device, "")
+        for device in devices
+    }
 
 
 def require_lasting_name(port: str) -> None:
@@ -108,14 +112,15 @@ def _find_remedy(port: str, users: str) -> str:
     """Return what keeps a daemon off, one of `users`; without users, one that is running."""
     for name, remedy in _DAEMONS.items():
         if name in users or (not users and is_running(name)):
-            return f"{name} {remedy.format(vendor=_read_vendor(port))}"
+            return f"{name} {remedy.format(vendor=_read_model(os.path.realpath(port))[0])}"
     return ""
 
 
-def _read_vendor(port: str) -> str:
-    """Return the vendor number of an adapter on USB, as a udev rule has it."""
-    device = (TTYS / Path(port).resolve().name / "device").resolve()
+def _read_model(port: str) -> tuple[str, str]:
+    """Return vendor and product of an adapter on USB, as a udev rule has them."""
+    device = (TTYS / Path(port).name / "device").resolve()
     for folder in (device, *device.parents):
         with suppress(OSError):
-            return (folder / "idVendor").read_text().strip()
-    return "VENDOR"
+            vendor, product = ((folder / name).read_text() for name in ("idVendor", "idProduct"))
+            return vendor.strip(), product.strip()
+    return "VENDOR", ""

@@ -24,7 +24,7 @@ def plug(tmp_path, monkeypatch):
     monkeypatch.setattr(ports, "TTYS", tmp_path / "tty")
     monkeypatch.setattr(ports, "NETWORK", tmp_path / "net")
 
-    def plug(device, by_id="", by_path="", latency_ms=1):
+    def plug(device, by_id="", by_path="", latency_ms=1, product="6014"):
         file = tmp_path / "dev" / device
         for kind, name in (("by-id", by_id), ("by-path", by_path)):
             folder = tmp_path / "dev/serial" / kind
@@ -35,6 +35,7 @@ def plug(tmp_path, monkeypatch):
         usb = tmp_path / "usb" / device
         (usb / "tty").mkdir(parents=True)
         (usb / "idVendor").write_text("0403\n")
+        (usb / "idProduct").write_text(f"{product}\n")
         (usb / "tty/latency_timer").write_text(f"{latency_ms}\n")
         (tmp_path / "tty" / device).mkdir(parents=True)
         (tmp_path / "tty" / device / "device").symlink_to(usb / "tty")
@@ -76,6 +77,8 @@ def test_adapters_without_serial_numbers_are_told_apart_by_their_sockets(plug, t
     with pytest.raises(DriverFault, match=f"set it to {serial}/by-path/pci-1$"):
         ports.require_lasting_name(str(tmp_path / "dev/ttyUSB0"))
     ports.require_lasting_name(str(serial / "by-path/pci-1"))
+    plug("ttyUSB2", "usb-FTDI-A1", "pci-3", product="6015")  # of another model, with its number
+    ports.require_lasting_name(str(serial / "by-id/usb-FTDI-A1"))
 
 
 def test_without_udev_the_device_file_is_listed_and_used(plug):
