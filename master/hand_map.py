@@ -154,6 +154,8 @@ def store_joint_force(
 
 # --- axes of the device assigned to joints
 
+RANGE_EASE = 0.1  # of the range at either end, in which a joint comes to rest
+
 
 class AxisMap(Struct):
     """A `MappedJointConfig` for each joint, as a record."""
@@ -194,13 +196,29 @@ def map_axes(
         drive.position[j] = drive.velocity[j] = 0.0
         if not 0 <= axis < hand.axes:
             continue
-        x = min(max(hand.position[axis], axis_map.low[j]), axis_map.high[j])
+        x, end_slope = ease_range(hand.position[axis], axis_map.low[j], axis_map.high[j])
         moved, slope = pass_dead_band(x, axis_map.dead_band[j])
-        if x != hand.position[axis]:
-            slope = 0.0
+        slope *= end_slope
         velocity_map.matrix[j, axis] = axis_map.scale[j] * slope
         drive.position[j] = axis_map.scale[j] * moved
         drive.velocity[j] = axis_map.scale[j] * slope * hand.velocity[axis]
+
+
+@jit_compile
+def ease_range(x: float, low: float, high: float) -> tuple[float, float]:
+    """Return `x` [m] within a range about 0, and the slope of that.
+
+    The slope falls from 1 to 0 over the last `RANGE_EASE` of the range at either end, so that the
+    force ends without a step.
+    """
+    end = high if x > 0.0 else -low
+    width = RANGE_EASE * end
+    beyond = abs(x) - (end - width)
+    if beyond <= 0.0:
+        return x, 1.0
+    beyond = min(beyond, width)
+    moved = end - width + beyond - 0.5 * beyond * beyond / width
+    return math.copysign(moved, x), 1.0 - beyond / width
 
 
 @jit_compile

@@ -17,7 +17,8 @@ class MappedJointConfig:
     axis: int | None = None  # counted from 0; null = the joint is not moved
     scale: float = 1.0  # times operator.position_scale; negative = the other way
     dead_band: float = 0.0  # [m] of the hand around 0 that moves nothing
-    range: tuple[float, float] = (-1.0, 1.0)  # [m] of the hand; beyond it the joint stays
+    # [m] of the hand; beyond it the joint stays, to which it comes to rest within the last tenth
+    range: tuple[float, float] = (-1.0, 1.0)
 
     def __post_init__(self) -> None:
         """Check the values; raises `ValueError`."""
