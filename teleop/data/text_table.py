@@ -29,7 +29,8 @@ Row = tuple[int, list[str]]  # its line, and its cells
 
 LARGE_FILE_BYTES = 4_000_000  # [bytes] from which on a text file is read in blocks
 COMPRESSION_RATIO = 20  # bytes of text of a byte of .csv.gz, at most as a rule
-SAMPLE_LINES = 1000  # of a file, which tell its layout
+SAMPLE_LINES = 1000  # of a file, which tell its layout ...
+SAMPLE_CHARACTERS = 300_000  # ... or less of a wide one
 ROWS_PER_CHUNK = 20_000
 
 THOUSANDS = "thousands separators"
@@ -461,7 +462,10 @@ def read_text(path: Path, mapping: TableMapping) -> RawTable:
 
 def _read_encoded(path: Path, encoding: str, mapping: TableMapping) -> RawTable:
     with open_lines(path, encoding) as lines:
-        sample = list(itertools.islice(lines, SAMPLE_LINES))
+        size, sample = 0, list[str]()
+        while size < SAMPLE_CHARACTERS and len(sample) < SAMPLE_LINES and (line := next(lines, "")):
+            size += len(line)
+            sample.append(line)
     layout = find_layout(path, sample, encoding, mapping)
     packed = path.name.lower().endswith(".gz")
     large = LARGE_FILE_BYTES // COMPRESSION_RATIO if packed else LARGE_FILE_BYTES
