@@ -12,8 +12,8 @@ which is zero if the interval contains zero. The rendered force lies between the
 with h = (high - low) / 2. It never exceeds f, never has the opposite sign, is never below the
 certain force, and is continuous in all three numbers: for |f| -> 0, c equals f.
 
-The joints of an arm in space have one common factor, f_port/f of their forces' vector along its own
-direction, so the force in the hand keeps its direction.
+The joints of an arm in space have one common factor, |f_port|/|f| of their vectors, so the force in
+the hand keeps its direction.
 
 Both sides of a session use the same constants, so both know the port force
 (`teleop.coupling`) from the same message.
@@ -105,16 +105,13 @@ def _compute_common_factor(
     config: ConfidenceConfig, arm: NDArray[np.int64], estimates: Array, first: int, joints: int
 ) -> float:
     """Return the part that is rendered of the forces of the arm that begins with joint `first`."""
-    size, low, high = 0.0, 0.0, 0.0
+    size, rendered = 0.0, 0.0
     for k in range(first, joints):
-        if arm[k] == arm[first]:
-            size = math.hypot(size, estimates[0, k])
-    if size == 0.0 or not math.isfinite(size):
-        return 1.0
-    for k in range(first, joints):
-        share = estimates[0, k] / size
-        if arm[k] != arm[first] or (share == 0.0 and estimates[1, k] <= estimates[2, k]):
-            continue  # no part of an infinite end
-        low += share * estimates[1 if share > 0.0 else 2, k]
-        high += share * estimates[2 if share > 0.0 else 1, k]
-    return attenuate_force(config, size, low, high) / size
+        if arm[k] != arm[first]:
+            continue
+        force, low, high = estimates[0, k], estimates[1, k], estimates[2, k]
+        if not low <= high:
+            return 0.0
+        size = math.hypot(size, force)
+        rendered = math.hypot(rendered, attenuate_force(config, force, low, high))
+    return rendered / size if size > 0.0 and math.isfinite(size) else 1.0
