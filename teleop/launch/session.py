@@ -53,9 +53,9 @@ class Session(SessionClient):
     Parameters
     ----------
     config : path or SessionConfig, optional
-        Config file, recording, or config; without it the built-in values. Rigs and devices of a
-        `SessionConfig` may be objects of classes of your own that derive from
-        `slave.rigs.RigExtension` and `master.devices.DeviceExtension`, defined in a file.
+        Config file, recording, or config; without it the built-in values. What a `SessionConfig`
+        has of your own (`slave.rigs.RigExtension`, `master.devices.DeviceExtension` and others)
+        may be objects of classes that are defined in a file.
     overrides : mapping, optional
         Values of the config by dotted key, as of `--set`: `{"master.force.scale": 0.3}`.
     name : str, optional

@@ -31,6 +31,15 @@ config = load(None, MasterConfig, "master", ["master.device={type: %s, frequency
 device = open_device(config.device)
 print(device.axes, device.read(1.0).position[0], device.read(1.0).engage)
 """
+METHODS = """
+from slave.config import SlaveConfig
+from teleop.config.loading import load
+from teleop.session.config import RunConfig
+
+slave = load(None, SlaveConfig, "slave", ["slave.estimator.type=%s", "slave.controller.type=%s"])
+shared = load(None, RunConfig, None, ["coupling={type: %s, time_constant: 0.1}"])
+print(slave.estimator.dead_band, slave.controller.gain, shared.coupling.time_constant)
+"""
 EFFECT = """
 from pathlib import Path
 import numpy as np
@@ -72,23 +81,31 @@ def python(installed, folder, code):
     return ended
 
 
-def test_its_rig_device_and_effect_are_used_by_either_name(installed, tmp_path):
+def test_what_it_has_is_used_by_either_name(installed, tmp_path):
     names = (
-        ("mylab", "mylab", "mylab-curve"),
+        ("mylab", "mylab", ("mylab-capstan", "mylab-floor", "mylab-lag"), "mylab-curve"),
         (
             *("mylab.rig:SpringRigConfig", "mylab.device:SineHandConfig"),
+            (
+                *("mylab.estimator:CapstanConfig", "mylab.controller:FloorConfig"),
+                "mylab.coupling:LagConfig",
+            ),
             "mylab.effect:DISTAL_TENSION_CURVE",
         ),
     )
-    code = "".join(RIG % rig + DEVICE % device + EFFECT % effect for rig, device, effect in names)
+    code = "".join(
+        RIG % rig + DEVICE % device + METHODS % methods + EFFECT % effect
+        for rig, device, methods, effect in names
+    )
     lines = python(installed, tmp_path, code).stdout.splitlines()
-    for (_, _, effect), of_rig, of_device, of_effect in zip(
-        names, lines[::3], lines[1::3], lines[2::3], strict=True
+    for (*_, effect), of_rig, of_device, of_methods, of_effect in zip(
+        names, lines[::4], lines[1::4], lines[2::4], lines[3::4], strict=True
     ):
         assert of_rig == "spring 3.0"
         axes, position, engage = of_device.split()
         assert (axes, engage) == ("1", "True")
         assert float(position) == pytest.approx(0.01)
+        assert of_methods == "2e-05 0.02 0.1"
         assert of_effect == f"{effect} 0.01"
 
 
