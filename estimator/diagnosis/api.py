@@ -1,6 +1,7 @@
 """A diagnosis of measured data, in one call."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
 from types import MappingProxyType
 
 import numpy as np
@@ -340,7 +341,9 @@ def diagnose_records(
     if len({(record.units, record.loop) for record in [*records, *validate]}) > 1:
         raise RecordError("the records have different units: give those of one dataset")
     scale = compute_bench_scale(records)
-    records = [to_bench_units(record, scale) for record in records]
+    records = [
+        replace(to_bench_units(record, scale), file=k) for k, record in enumerate(records, start=1)
+    ]
     validate = [to_bench_units(record, scale) for record in validate]
     dataset = build_dataset(
         [mark_all_as_train(record) for record in records] if fit_all else records

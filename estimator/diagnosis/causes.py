@@ -16,6 +16,7 @@ from estimator.diagnosis.dataset import (
     rescale_residuals,
     use_all_samples,
 )
+from estimator.diagnosis.file_causes import confine_effects, find_odd_file
 from estimator.diagnosis.fit import ParameterLayout, fit_model, refit_baseline
 from estimator.diagnosis.hidden_motion import recover_motion_beside_effects
 from estimator.diagnosis.intervals import estimate_intervals, is_significant
@@ -279,6 +280,11 @@ def find_causes(
         and (recovered := _recover_motion_beside_cause(result)) is not None
     ):
         result = _find_causes_stepwise(result.loads, *recovered, effects, report, workers)
+    bench = result.dataset, result.base_fit
+    if not _is_explained(result) and (file := find_odd_file(*bench, result.fit)):
+        candidates = [*confine_effects(effects, file), *(effects if result.steps else ())]
+        of_file = _find_causes_stepwise(result.loads, *bench, candidates, report, workers)
+        result = max(of_file, result, key=lambda one: _compute_evidence(one, result))
     if not _is_explained(result):
         middle = 0.5 * (SEARCH_PROGRESS[-1] + RESTART_PROGRESS)
         free = _find_function(

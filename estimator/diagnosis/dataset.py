@@ -191,6 +191,7 @@ def simulate_record(
         On top, in this order.
     """
     values = base.values(shared, own)
+    effects = [pair for pair in effects if pair[0].acts_in(context)]
     physics = build_plain_physics(record, base, values)
     for effect, numbers in effects:
         physics = effect.physics(physics, numbers, context)
@@ -261,6 +262,7 @@ def build_context(
         1.0 / record.scale.force,
         record.present,
         record.variables,
+        record.file,
     )
 
 

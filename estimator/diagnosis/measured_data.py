@@ -207,6 +207,8 @@ class Record:
         Which samples were measured, by channel, shape (n,) each; the others are interpolated.
     variables
         Further columns of the data, by name, shape (n,) each, which friction may depend on.
+    file
+        Its number among the fitted records, from 1; 0 if it is none of them.
     """
 
     time: Array
@@ -228,6 +230,7 @@ class Record:
     scale: BenchScale = UNIT_SCALE
     present: dict[str, Mask] = field(default_factory=dict)
     variables: dict[str, Array] = field(default_factory=dict)
+    file: int = 0
 
     @property
     def compared(self) -> tuple[str, ...]:

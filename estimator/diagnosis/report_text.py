@@ -132,8 +132,11 @@ def format_summary(
         What the records for validation are called.
     """
     names = report_tables.name_records(diagnosis, files, further)
-    warnings = [f"WARNING: {line}" for line in list_better_models(diagnosis)]
-    parts = [format_headline(diagnosis), "\n".join([format_verdict(diagnosis), *warnings])]
+    lines = [format_verdict(diagnosis)]
+    if file := max((step.effect.file for step in diagnosis.steps), default=0):
+        lines.append(f"File {file} is {names[file - 1]}; the others do without it.")
+    lines += [f"WARNING: {line}" for line in list_better_models(diagnosis)]
+    parts = [format_headline(diagnosis), "\n".join(lines)]
     parts += [table.markdown() for table in build_tables(diagnosis, files, compared, further)]
     parts.append("Residuals:\n" + "\n".join(f"- {line}" for line in describe_residuals(diagnosis)))
     parts.append("Next:\n" + "\n".join(f"- {step}" for step in list_next_steps(diagnosis)))

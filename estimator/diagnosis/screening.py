@@ -156,7 +156,7 @@ def fit_candidates(
     def refine_candidate(model: Model) -> Candidate:
         models = (
             [model]
-            if (reset_model := _reset_shapes_at_bound(model, contexts[0])) is None
+            if (reset_model := _reset_shapes_at_bound(model, contexts)) is None
             else [model, reset_model]
         )
         best = fit_cheapest(models)
@@ -186,7 +186,10 @@ def _refine_starts(
     dataset: Dataset, contexts: Sequence[EffectContext], model: Model, effect: Effect
 ) -> list[Fit]:
     """Return the best two fits of a few rounds on all samples, from each start of an effect."""
-    starts = [_add_effect(model, effect, values) for values in effect.starts(contexts[0])]
+    starts = [
+        _add_effect(model, effect, values)
+        for values in effect.starts(_select_context(contexts, effect))
+    ]
     fits = [fit_model(dataset, contexts, trial, QUICK_ROUNDS) for trial in starts]
     return sorted(fits, key=lambda trial: compute_cost(dataset, trial))[:2]
 
@@ -211,7 +214,9 @@ def screen_candidates(
     solve = np.linalg.pinv(J)
     current_cost = compute_cost(dataset, current_fit)
     effect_starts = [
-        (effect, values) for effect in effects for values in effect.starts(contexts[0])
+        (effect, values)
+        for effect in effects
+        for values in effect.starts(_select_context(contexts, effect))
     ]
 
     def evaluate_start(model: Model) -> Start:
@@ -294,13 +299,14 @@ def _add_effect(model: Model, effect: Effect, values: Values) -> Model:
     return model._replace(effects=(*model.effects, (effect, values)))
 
 
-def _reset_shapes_at_bound(model: Model, context: EffectContext) -> Model | None:
+def _reset_shapes_at_bound(model: Model, contexts: Sequence[EffectContext]) -> Model | None:
     """Return a model with its last effect reset to its default shape parameters where at a bound.
 
     A subsampled record lacks what is short, such as a memory: a fit may end there at a bound that
     whole records would not have led it to, and would not lead it away from. None if there is none.
     """
     *other_effects, (effect, values) = model.effects
+    context = _select_context(contexts, effect)
     allowed = effect.limit_parameters(effect.parameters, float(np.ptp(context.drive)), values)
     are_at_bound = [
         p.neutral is None and not p.jumps and _is_at_bound(value, p)
@@ -315,6 +321,11 @@ def _reset_shapes_at_bound(model: Model, context: EffectContext) -> Model | None
         for value, start, at_bound in zip(values, median_start, are_at_bound, strict=True)
     )
     return model._replace(effects=(*other_effects, (effect, shape)))
+
+
+def _select_context(contexts: Sequence[EffectContext], effect: Effect) -> EffectContext:
+    """Return what is known of the first record that an effect acts in."""
+    return next(context for context in contexts if effect.acts_in(context))
 
 
 def _is_at_bound(value: float, parameter: Parameter) -> bool:

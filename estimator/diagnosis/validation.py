@@ -114,7 +114,7 @@ def predict_left_out(dataset: Dataset, base_fit: Fit, fit: Fit) -> tuple[Predict
             )
             for model_fit in fits
         )
-        predicted += predict_records(dataset, before, after, [record])
+        predicted += predict_records(dataset, before, after, [replace(record, file=0)])
     return tuple(predicted)
 
 

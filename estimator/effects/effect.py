@@ -64,6 +64,7 @@ class EffectContext(NamedTuple):
     newton: float = 1.0  # of the records, in the unit of force here (diagnosis.measured_data)
     present: Mapping[str, NDArray[np.bool_]] = MappingProxyType({})  # the others are interpolated
     variables: Mapping[str, Array] = MappingProxyType({})  # further columns, shape (n,) each
+    file: int = 0  # number of the record among those fitted, from 1; 0 = none of them
 
     @property
     def peak(self) -> float:
@@ -141,6 +142,8 @@ class Effect:
         What it changes by a free function, and of what; None for an effect with a law.
     penalty
         Rows of least squares that keep its values plausible, in residuals.
+    file
+        The only fitted record that it acts in, from 1; 0 where it acts in all.
     """
 
     name: str
@@ -163,11 +166,17 @@ class Effect:
     is_transient: bool = False
     function: FunctionTerm | None = None
     penalty: Callable[[Values], Array] = _keep_free
+    file: int = 0
 
     @property
     def label(self) -> str:
-        """Name and variant."""
-        return f"{self.name} ({self.where})" if self.where else self.name
+        """Name, variant and file."""
+        where = ", ".join(filter(None, (self.where, f"in file {self.file}" * (self.file > 0))))
+        return f"{self.name} ({where})" if where else self.name
+
+    def acts_in(self, context: EffectContext) -> bool:
+        """Return whether it acts in a record."""
+        return self.file in (0, context.file)
 
 
 def compute_step(time: Array, onset: float, duration: float = 0.0) -> Array:

@@ -154,6 +154,9 @@ def build_extended_model(
     uses, readings = [], []
     function: FunctionConstants | None = None
     for effect, values in effects:
+        if effect.file:
+            uses.append((effect, values, EffectUse.OMITTED))
+            continue
         if effect.function is not None and effect.correction is None:
             by = effect.name.partition("_by_")[2]
             is_tendon = effect.name.startswith(("friction", "elongation"))
@@ -217,6 +220,8 @@ def _build_function(
 
 def is_record_specific(effect: Effect) -> bool:
     """Return whether an effect is of something that happened in its record only."""
+    if effect.file:
+        return True
     if effect.function is not None:
         return effect.name.endswith(("_by_time", "_by_path", "_by_phase"))
     return OMISSION_REASONS.get(effect.name) == _REASON_RECORD

@@ -73,7 +73,11 @@ def from_diagnosis(diagnosis: Diagnosis) -> SavedModel:
             "parameters": {name: float(one.value) for name, one in diagnosis.parameters.items()},
         }
     return SavedModel(
-        model._replace(shared=tuple(values[name] for name in names), own=()),
+        model._replace(
+            shared=tuple(values[name] for name in names),
+            own=(),
+            effects=tuple(pair for pair in model.effects if not pair[0].file),
+        ),
         max(float(record.time[-1]) for record in diagnosis.dataset.records),
         diagnosis.ambiguous_with,
         diagnosis.verdict is Verdict.UNEXPLAINED,

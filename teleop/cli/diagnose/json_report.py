@@ -113,6 +113,7 @@ def build_report(
             {
                 "name": step.effect.name,
                 "label": step.effect.label,
+                "file": names[step.effect.file - 1] if step.effect.file else None,
                 "rivals": step.rivals,
                 "candidates": _build_candidates(step.ranking),
             }
