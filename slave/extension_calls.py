@@ -15,18 +15,31 @@ from slave import loop
 from slave.config import SlaveConfig
 from slave.extensions import ControlInput, HousingSample, TipEstimate
 from slave.loop import RigModel, SlaveRecords
-from slave.loop_records import TickInput
+from slave.loop_records import EstimatedSample, TickInput
 from slave.rig import RigSample
 from teleop.config.bounds import MOTION_MAX
 from teleop.config.extension_calls import CheckedExtension
 from teleop.coupling import CouplingConfig
 from teleop.coupling.extension import SIGNAL_MAX, CouplingExtension, TipMotion, TipPort
-from teleop.messages.messages import MAX_TENDONS, Command
+from teleop.messages.messages import MAX_TENDONS, Command, SlaveState
 from teleop.messages.packet import Packet
+from teleop.runtime.compiling import announce_compilation
 from teleop.session.state_machine import State
 
 TIP_TENSION_RATIO = 10.0  # largest tension at a tip over the limit at the housing: e^K and more
 _ENGAGED = int(State.ENGAGED)
+
+COMPILE_S = 10.0  # [s] of a processor, without a cache
+
+
+def _compile_parts(slave: SlaveRecords) -> None:
+    """Compile the parts of a tick, which are else called in one."""
+    settings, layout, memory, scratch = slave.tick_arguments
+    records = settings, layout, memory.copy(), scratch.copy()
+    tick_input, command = TickInput(1e-3, True, False), Packet(Command).records
+    loop.compute_port_forces(*records, command)
+    engaged = loop.begin_tick(*records, EstimatedSample.array(), 0, tick_input, command)
+    loop.end_tick(*records, tick_input, command, Packet(SlaveState).records, engaged)
 
 
 class SlaveExtensions:
@@ -67,9 +80,11 @@ class SlaveExtensions:
             self._coupling = CheckedExtension(
                 "coupling", coupling, lambda: coupling.open_slave(self._joints), "move"
             )
-            loop.compute_port_forces(*slave.tick_arguments, Packet(Command).records)  # compile it
         found = self._estimator, self._controller, self._coupling
         self.opened = [extension for extension in found if extension]
+        if self.opened:
+            with announce_compilation("the slave's extensions", COMPILE_S):
+                _compile_parts(slave)
         self._time_s: float | None = None  # of the newest sample that was estimated
         self._was_moving = self._was_following = False  # motors, tips at the last tick
         self._results: dict[str, Any] = {}  # of this tick

@@ -90,8 +90,45 @@ def versions():
     }
 
 
+def extensions():
+    """A session with extensions, which have their parts of the tick compiled as they are opened."""
+    from master import process as master_process
+    from slave.config import SlaveConfig
+    from slave.warm_up import compile_session
+    from teleop.config.extensions import allow_imports
+    from teleop.config.loading import load
+    from tests.root import ROOT
+    from tests.tick.session import Session
+
+    sys.path.insert(0, str(ROOT / "examples" / "own_package" / "src"))
+    allow_imports()
+    file, settings = (
+        ROOT / "configs" / "bowden.yaml",
+        (
+            "slave.estimator.type=mylab.estimator:CapstanConfig",
+            "slave.controller.type=mylab.controller:FloorConfig",
+            "coupling={type: 'mylab.coupling:LagConfig'}",
+        ),
+    )
+    compile_session(load(file, SlaveConfig, "slave", settings), with_dynamics=False)
+    master_process.warm_up()
+    with ExitStack() as stack:
+        both = Session(stack, file=file, settings=settings)
+        yield
+        for _ in range(TICKS):
+            both.tick()
+        assert any(both.slave.memory.motor), "never engaged"
+
+
+PROGRAMS = {
+    "check": check,
+    "calibrate": calibrate,
+    "session": session,
+    "extensions": extensions,
+}
+
 if __name__ == "__main__":
-    program = {"check": check, "calibrate": calibrate, "session": session}[sys.argv[1]]()
+    program = PROGRAMS[sys.argv[1]]()
     next(program)
     before = versions()
     for _ in program:

@@ -8,7 +8,10 @@ import pytest
 
 @pytest.mark.parametrize(
     "program",
-    [*(pytest.param(n, marks=pytest.mark.slow) for n in ("check", "calibrate")), "session"],
+    [
+        *(pytest.param(n, marks=pytest.mark.slow) for n in ("check", "calibrate")),
+        *("session", "extensions"),
+    ],
 )
 def test_nothing_is_called_compiled_for_the_first_time_after_the_warm_up(program):
     command = [sys.executable, "-m", "tests.slave.first_calls", program]
