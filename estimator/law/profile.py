@@ -213,6 +213,38 @@ def push_distal(tables: Tables, profile: Profile, tension: float) -> None:
 
 
 @jit_compile
+def resize_profile(tables: Tables, profile: Profile, y_tip: float) -> None:
+    """Fit a profile to `tables` of another friction, in place; the tension at each depth stays.
+
+    A profile that was shorter is continued by that of the slopes -1, 0, rho which leads closest to
+    the log tension `y_tip` at the tip.
+    """
+    K, head = tables[_K], int(profile[_HEAD])
+    count = int(profile[_COUNT])
+    while count > 2 and get_point(profile, count - 2)[0] >= K:
+        count -= 1
+    s_a, y_a, slope = get_point(profile, count - 2)
+    end = (head + count - 1) & _MASK
+    s_b, y_b = profile[_S + end], profile[_Y + end]
+    if s_b < K:
+        rho = tables[_ASYMMETRY]
+        m = (y_tip - y_b) / (K - s_b)
+        m = -1.0 if m < -0.5 else rho if m > 0.5 * rho else 0.0
+        if m != slope and count < CAPACITY - 1:
+            profile[_SLOPE + end] = m
+            s_a, y_a, slope = s_b, y_b, m
+            count, end = count + 1, (end + 1) & _MASK
+    profile[_S + end], profile[_Y + end] = K, y_a + slope * (K - s_a)
+    profile[_COUNT] = float(count)
+    profile[_AREA_SUM] = 0.0
+    for k in range(count - 1):
+        s, y, m = get_point(profile, k)
+        area = integrate_line(tables, s, y, get_point(profile, k + 1)[0], m)
+        profile[_AREA + ((head + k) & _MASK)] = area
+        profile[_AREA_SUM] += area
+
+
+@jit_compile
 def _merge_smallest_pieces(tables: Tables, profile: Profile) -> None:
     """Make room for two points at the least cost in |ln T|; see `get_merge_error_bound`."""
     head, count = int(profile[_HEAD]), int(profile[_COUNT])

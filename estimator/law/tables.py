@@ -41,39 +41,48 @@ STRAIGHT_FRICTION_MAX = 1e-9
 
 def build_tables(sheath: Sheath) -> Tables:
     """Return the tables of `sheath`: flat, float64, ready for the compiled functions."""
-    rho = sheath.asymmetry
-    node = [0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 1.0]
-    nodes = [node]
-    for section in sheath.sections:
-        ds = sheath.friction * section.bend_angle
+    length = np.array([section.length for section in sheath.sections])
+    friction = np.array([sheath.friction * section.bend_angle for section in sheath.sections])
+    tables = np.zeros(_NODES + _STRIDE * (len(length) + 1))
+    tables[EA], tables[DRAG], tables[ASYMMETRY] = (
+        sheath.axial_stiffness, sheath.drag, sheath.asymmetry,
+    )  # fmt: skip
+    fill_tables(tables, length, friction)
+    return tables[: _NODES + _STRIDE * (int(tables[LAST_NODE]) + 1)]
+
+
+@jit_compile
+def fill_tables(tables: Tables, length: Array, friction: Array) -> None:
+    """Fill in the tables of sections with this length [m] and friction mu theta, shape (n,).
+
+    EA, drag and asymmetry stay as they are in `tables`.
+    """
+    rho = tables[ASYMMETRY]
+    node = _NODES
+    tables[node : node + _STRIDE] = 0.0
+    tables[node + _EXP_MINUS] = tables[node + _EXP_PLUS] = 1.0
+    for k in range(len(length)):
+        ds = friction[k]
         if ds < STRAIGHT_FRICTION_MAX:
-            node[_X] += section.length
-            node[_G_MINUS] += section.length * node[_EXP_MINUS]
-            node[_G_PLUS] += section.length * node[_EXP_PLUS]
+            tables[node + _X] += length[k]
+            tables[node + _G_MINUS] += length[k] * tables[node + _EXP_MINUS]
+            tables[node + _G_PLUS] += length[k] * tables[node + _EXP_PLUS]
             continue
-        w = section.length / ds
-        node[_W] = w
-        s = node[_S] + ds
-        node = [
-            s,
-            node[_X] + section.length,
-            node[_G_MINUS] - w * node[_EXP_MINUS] * math.expm1(-ds),
-            node[_G_PLUS] + w * node[_EXP_PLUS] * math.expm1(rho * ds) / rho,
-            0.0,
-            math.exp(-s),
-            math.exp(rho * s),
-        ]
-        nodes.append(node)
-    scalars = [
-        nodes[-1][_S],
-        sheath.length,
-        sheath.axial_stiffness,
-        sheath.drag,
-        rho,
-        nodes[0][_X],
-        float(len(nodes) - 1),
-    ]
-    return np.concatenate([np.array(scalars), np.array(nodes).ravel()])
+        tables[node + _W] = w = length[k] / ds
+        node, last = node + _STRIDE, node
+        tables[node + _S] = s = tables[last + _S] + ds
+        tables[node + _X] = tables[last + _X] + length[k]
+        tables[node + _G_MINUS] = tables[last + _G_MINUS] - w * tables[
+            last + _EXP_MINUS
+        ] * math.expm1(-ds)
+        tables[node + _G_PLUS] = (
+            tables[last + _G_PLUS] + w * tables[last + _EXP_PLUS] * math.expm1(rho * ds) / rho
+        )
+        tables[node + _W] = 0.0
+        tables[node + _EXP_MINUS], tables[node + _EXP_PLUS] = math.exp(-s), math.exp(rho * s)
+    tables[K], tables[LENGTH] = tables[node + _S], length.sum()
+    tables[FIRST_LENGTH] = tables[_NODES + _X]
+    tables[LAST_NODE] = float((node - _NODES) // _STRIDE)
 
 
 @jit_compile

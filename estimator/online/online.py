@@ -321,7 +321,7 @@ def _compute_bounds(
     """Return the interval of T_out [N]: (T2) with the sensor noise, cut by what was proved."""
     table, mean, held = prepared.tables[:], tension.mean, tension.held_mean
     margin = BOUND_SIGMAS * prepared.tension_noise
-    K = table[_K] * (1.0 + prepared.friction_error)
+    K = table[_K] * (1.0 + prepared.friction_error) + prepared.adaptation_error
     low = from_log_tension(table, to_log_tension(table, min(mean, T, held) - margin) - K)
     high = from_log_tension(
         table, to_log_tension(table, max(mean, T, held) + margin) + table[_ASYMMETRY] * K

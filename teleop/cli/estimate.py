@@ -5,6 +5,7 @@
   teleop estimate run.csv --calibration sheath.yaml --out estimates.csv
   teleop estimate run.csv --config configs/demo.yaml   with the models of a config (slave.tendons)
   teleop estimate run.csv --model diagnosis/model.yaml     with a model of `teleop diagnose`
+  teleop estimate run.csv --calibration sheath.yaml --adapt    ... of a sheath that moves
 
 The data: a CSV, CSV.gz or Parquet table with time_s and proximal_tension_N, optionally
 proximal_displacement_m, distal_tension_N and distal_displacement_m; or a recording (.mcap).
@@ -19,6 +20,7 @@ from typing import Any
 
 import numpy as np
 
+from estimator.adaptation import run_adapting
 from estimator.calibration.sheath_fit import LENGTH_MAX, FitError, SheathFit, fit_sheath
 from estimator.diagnosis.api import collect_signals
 from estimator.measured_data import Samples
@@ -56,6 +58,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     model.add_argument("--fit", action="store_true", help="fit it to the data")
     for name in ("--calibration", "--model", "--config"):
         add_option(model, name)
+    parser.add_argument(
+        "--adapt",
+        action="store_true",
+        help=(
+            "adapt K to a sheath that moves, from the travel while the tip rests; for one tendon "
+            "against a spring, not for a pair"
+        ),
+    )
     fit = parser.add_argument_group("with --fit")
     fit.add_argument(
         "--save", type=OutputFile(), metavar="FILE", help="write the fit as a calibration"
@@ -144,6 +154,15 @@ def main(args: argparse.Namespace) -> int:
     clean = remove_spikes(table)
     estimates = Estimator(tendon.model()).run(clean)
     summary["model"] = as_tree(tendon)
+    if args.adapt:
+        if any(k in tendons and len(tendons) > 1 for tendons in joints):
+            raise UsageError(
+                f"--adapt: tendon {format_tendon_name(k, joints)} is of a pair, and the other one "
+                "moves its tip; adaptation is for a tendon against a spring"
+            )
+        fixed = compare_with_bench(estimates, clean, tendon)
+        estimates, summary["adaptation"] = adapt(tendon, clean, table)
+        summary["adaptation"]["fixed_K_error"] = fixed
     if tendon.model_file is not None:
         summary["effects"] = model_files.describe_effects(tendon)
     summary["spikes"] = list_spikes(clean, table)
@@ -165,6 +184,28 @@ def main(args: argparse.Namespace) -> int:
     return 0
 
 
+def adapt(
+    tendon: TendonConfig, clean: Samples, table: MeasuredTable
+) -> tuple[online.Estimates, dict[str, Any]]:
+    """Return the estimates with adaptation, and what became of K."""
+    if clean.proximal_displacement is None:
+        raise UsageError(
+            f"{table.path}, --adapt: needs proximal_displacement_m; tensions alone do not tell K"
+        )
+    run = run_adapting(
+        tendon.model(), clean.time, clean.proximal_tension, clean.proximal_displacement
+    )
+    return run.estimates, {
+        "K_calibrated": float(run.K[0]),
+        "K": float(run.K[-1]),
+        "K_low": float(run.K_low[-1]),
+        "K_high": float(run.K_high[-1]),
+        "changed_at_s": float(clean.time[run.adapted_from]) if run.adapted_from >= 0 else None,
+        "pieces": run.pieces,
+        "contradictions": run.contradictions,
+    }
+
+
 def check_options(args: argparse.Namespace) -> None:
     """Raise `UsageError` for conflicting options; a recording has its own config, if no other."""
     if not (args.config or args.fit or args.calibration or args.model) and is_recording(args.data):
@@ -180,6 +221,8 @@ def check_options(args: argparse.Namespace) -> None:
         )
     if not args.fit and (args.save is not None or args.blocked_tip):
         raise UsageError("--save, --blocked-tip: require --fit")
+    if args.fit and args.adapt:
+        raise UsageError("--adapt: conflicts with --fit; it begins with a model from before")
     if not 0.0 < args.length <= LENGTH_MAX:
         raise UsageError(f"--length {args.length:g}: must be above 0 and at most {LENGTH_MAX:g} m")
     if args.rig and args.save is None:
@@ -439,6 +482,8 @@ def format_report(summary: dict[str, Any]) -> list[str]:
             f"          {'accepted' if fit['accept'] else 'NOT accepted'}: {fit['reason']}"
         )
     lines += [f"model     {sentence}" for sentence in summary.get("effects", ())]
+    if "adaptation" in summary:
+        lines += format_adaptation(summary["adaptation"])
     lines.append(f"force     {format_force_error(summary['force_error'])}")
     for name, spikes in summary["spikes"].items():
         if spikes["count"]:
@@ -460,4 +505,27 @@ def format_report(summary: dict[str, Any]) -> list[str]:
         if share
     ]
     lines.append("status    " + (", ".join(flags) or "no warnings"))
+    return lines
+
+
+def format_adaptation(adaptation: dict[str, Any]) -> list[str]:
+    """Return what became of K as lines of text."""
+    before, K = adaptation["K_calibrated"], adaptation["K"]
+    interval = f"{adaptation['K_low']:.3g} to {adaptation['K_high']:.3g}"
+    pieces, contradictions = adaptation["pieces"], adaptation["contradictions"]
+    if adaptation["changed_at_s"] is not None:
+        lines = [
+            f"adapted   the shape changed before {adaptation['changed_at_s']:.6g} s: K from "
+            f"{before:.3g} to {K:.3g} ({interval}) at the end"
+        ]
+    else:
+        lines = [f"adapted   K stays {K:.3g} ({interval}): no evidence excludes it"]
+    lines.append(f"          {pieces} pieces of evidence, {contradictions} that fit no sheath")
+    if 2 * contradictions > pieces or not pieces:
+        lines.append(
+            "WARNING   adaptation cannot decide: the tip moves by itself, or too little is pulled; "
+            "calibrate if in doubt"
+        )
+    if adaptation["fixed_K_error"] is not None:
+        lines.append(f"          fixed K: {format_force_error(adaptation['fixed_K_error'])}")
     return lines

@@ -1,0 +1,402 @@
+"""Adaptation of K to a sheath that moves: a posterior over friction and where it sits.
+
+The play operators of (T10) do not depend on K: the motor brings the log tension at the friction
+depth s to max(y, u - s) or min(y, u + rho s), u = ln(T_in + tau). So one bank of them, at
+`AdaptationConstants.depth`, serves every hypothesis h: its elongation is a weighted sum,
+
+    e_h = (1/EA) ∫ exp(y(s_h(x))) dx,   T_out,h = exp(y(K_h)) - tau,
+
+with the length that h has at each depth as weights. EA and L do not change with the shape. A
+hypothesis scales all friction, or that of a third, by one of `FACTORS`, which bound K.
+
+Evidence comes in pieces in which the elongation changes by that of `PIECE_TENSION`. While y(K_h)
+stays, h says that the tip rests: the travel changes by e_h. Afterwards the tip follows the motor,
+not the other way, most often by little. A piece that fits no hypothesis is ignored, and taken as
+a sign of a change. All weights decay towards the prior, by `HAZARD` and `DRIFT`.
+
+This holds for one tendon against a spring or an environment that yields to it. Where something else
+moves the tip, as the other tendon of a joint does, pieces contradict each other.
+"""
+
+import math
+from itertools import pairwise
+from typing import Annotated, Any, NamedTuple
+
+import numpy as np
+
+from estimator.array_types import Array
+from estimator.compiled import jit_compile
+from estimator.law import tables as _tables
+from estimator.law.profile import (
+    FLOOR,
+    Profile,
+    count_points,
+    get_point,
+    resize_profile,
+)
+from estimator.law.sheath import Sheath
+from estimator.law.tables import MAX_SECTIONS, Tables, fill_tables
+from estimator.online import online
+from estimator.online.driving_end import anchor_window
+from estimator.online.estimator_state import EstimatorState, PreparedTendon
+from estimator.online.online import Estimates, TendonModel
+from estimator.online.tendon_estimate import INVALID_INPUT, UNINITIALISED, TendonEstimate
+from estimator.records import F64, I64, Field, Flag, Struct, StructArray, view_struct
+
+FACTOR_COUNT, FACTOR_MIN, FACTOR_MAX = 27, 0.5, 1.8
+FACTORS = np.geomspace(FACTOR_MIN, FACTOR_MAX, FACTOR_COUNT)  # of friction
+FAMILIES = 4  # all friction, or the first, second or last third of it
+HYPOTHESES = FAMILIES * FACTOR_COUNT
+DEPTHS = 48  # play operators
+SECTION_PIECES = 100  # of each section, for its integrals
+K_MIN = 0.1  # with less friction there is nothing to adapt
+PIECE_TENSION = 0.8  # [N]
+PIECE_MAX_S = 1.0  # [s] after which a piece is dropped: creep and temperature are slow
+TAUT_TENSION = 0.15  # [N] below, a tendon may be slack at the tip
+ACCURACY = 0.08  # of the right hypothesis' elongation
+TRAVEL_FLOOR = 2e-6  # [m]
+TENSION_SIGMAS = 3.0  # of the tension's noise, as elongation
+TEMPER = 0.5  # of the evidence of a piece: neighbouring ones share their errors
+MISFIT_MAX = 9.0  # squared sigma of the best hypothesis: more, and the piece fits none
+EVIDENCE_MAX = 8.0  # squared sigma by which a piece counts at most against a hypothesis
+# -2 ln of the density of the tip's travel, Cauchy's for its tails, less that of noise
+FOLLOW_COST, FOLLOW_TAILS = 0.5, 2.0
+STILL_SHARE = 1e-3  # of T_out: change up to which the tip rests
+HAZARD = 1.0 / 1200.0  # [1/s] of a sudden change
+HAZARD_CONTRADICTED = 0.02  # of a sudden change, by a piece that fits no hypothesis
+DRIFT = 0.01  # [1/sqrt(s)] relative change of friction that grows slowly
+UPDATE_S = 0.1  # [s] between updates for the time passed
+STEP_MAX = 0.02  # of a factor in use, per update: the estimate must not jump
+TAIL = 0.005  # of the posterior, on either side of its interval
+
+_SPREAD = 0.5 * (DRIFT / math.log(FACTORS[1] / FACTORS[0])) ** 2  # [1/s] to each neighbour
+_PRIOR = 1.0 / HYPOTHESES
+_K, _ASYMMETRY = _tables.K, _tables.ASYMMETRY
+
+
+class AdaptationConstants(Struct):
+    """Hypotheses about one tendon."""
+
+    active: Flag = False  # whether there is friction to adapt
+    sections: I64 = 0
+    length: Annotated[Array, Field("f8", MAX_SECTIONS)]  # [m] of sections divided at the thirds
+    friction: Annotated[Array, Field("f8", MAX_SECTIONS)]  # mu theta of each, as calibrated
+    third: Annotated[Array, Field("i8", MAX_SECTIONS)]
+    depth: Annotated[Array, Field("f8", DEPTHS)]  # friction coordinate of each play operator
+    weight: Annotated[Array, Field("f8", (HYPOTHESES, DEPTHS))]  # [m/N] length over EA
+    K: Annotated[Array, Field("f8", HYPOTHESES)]
+    variance: F64 = 0.0  # [m^2] of noise in the travel of a piece
+    compliance: F64 = 0.0  # L/EA [m/N]
+
+
+class Adaptation(Struct):
+    """What is known of the friction of one tendon, between two samples."""
+
+    started: Flag = False  # a piece of evidence has begun
+    adapted: Flag = False  # K has left its calibrated value
+    K: F64 = math.nan  # posterior mean
+    low: F64 = math.nan  # ends of its interval
+    high: F64 = math.nan
+    log_posterior: Annotated[Array, Field("f8", HYPOTHESES, fill=math.log(_PRIOR))]
+    mean_factor: Annotated[Array, Field("f8", 3, fill=1.0)]  # of friction, of each third
+    factor: Annotated[Array, Field("f8", 3, fill=1.0)]  # of those, in use
+    mean_weight: Annotated[Array, Field("f8", DEPTHS)]  # [m/N]
+    y: Annotated[Array, Field("f8", DEPTHS)]  # ln(T + tau)
+    tension: Annotated[Array, Field("f8", DEPTHS)]  # exp(y) [N]
+    begin_tension: Annotated[Array, Field("f8", DEPTHS)]  # [N] where the piece began
+    begin_travel: F64 = 0.0  # [m]
+    age: F64 = 0.0  # [s] of the piece
+    update_age: F64 = 0.0  # [s] since the last update for the time passed
+    pieces: I64 = 0  # of evidence so far
+    contradictions: I64 = 0  # of them, those that fit no hypothesis
+
+
+class AdaptedRun(NamedTuple):
+    """A record estimated with adaptation."""
+
+    estimates: Estimates
+    K: Array  # in use, shape (n,)
+    K_low: Array  # ends of its interval
+    K_high: Array
+    adapted_from: int  # sample from which K is not as calibrated, -1 for none
+    pieces: int  # of evidence
+    contradictions: int
+
+
+def run_adapting(
+    model: TendonModel, time: Array, tension: Array, displacement: Array
+) -> AdaptedRun:
+    """Return the estimates of a record of a tendon whose sheath may move.
+
+    Parameters
+    ----------
+    model : TendonModel
+        As calibrated, at the begin of the record.
+    time, tension, displacement : ndarray
+        Sample times [s], T_in [N] and q_p [m], shape (n,).
+    """
+    constants, states = build_adaptation(model), Adaptation.array()
+    prepared = online.prepare_all([model])
+    estimators, estimates = online.build_initial_states(prepared), TendonEstimate.array(len(time))
+    K = np.empty((3, len(time)))
+    with_dynamics = True if prepared["has_dynamics"].any() else None
+    t, T, q = (np.ascontiguousarray(row, np.float64) for row in (time, tension, displacement))
+    adapted_from = _run_arrays(
+        constants, states, prepared, estimators, t, T, q, estimates, K, with_dynamics
+    )
+    fields = Estimates(*(estimates[name].copy() for name in Estimates._fields))
+    pieces, contradictions = int(states["pieces"][0]), int(states["contradictions"][0])
+    return AdaptedRun(fields, K[0], K[1], K[2], adapted_from, pieces, contradictions)
+
+
+def build_adaptation(model: TendonModel) -> StructArray:
+    """Return the `AdaptationConstants` of a tendon, shape (1,)."""
+    records, sheath = AdaptationConstants.array(), model.sheath
+    constants = view_struct(records)
+    pieces = _divide_sections(sheath)
+    constants.active = sheath.K >= K_MIN and len(pieces) <= MAX_SECTIONS
+    if not constants.active:
+        return records
+    constants.sections = n = len(pieces)
+    length, friction, third = (np.array(column) for column in zip(*pieces, strict=True))
+    constants.length[:n], constants.friction[:n], constants.third[:n] = length, friction, third
+    constants.compliance = sheath.length / sheath.axial_stiffness
+    tension_noise = TENSION_SIGMAS * model.tension_noise * constants.compliance
+    constants.variance = tension_noise**2 + TRAVEL_FLOOR**2 + 2.0 * model.displacement_noise**2
+    constants.depth[:] = np.linspace(0.0, sheath.K * FACTOR_MAX, DEPTHS)
+    third = np.repeat(third, SECTION_PIECES)
+    dx, ds = (np.repeat(row / SECTION_PIECES, SECTION_PIECES) for row in (length, friction))
+    for h in range(HYPOTHESES):
+        family, k = divmod(h, FACTOR_COUNT)
+        scaled = np.where((family == 0) | (third == family - 1), FACTORS[k], 1.0) * ds
+        s = (np.cumsum(scaled) - 0.5 * scaled) / constants.depth[1]
+        node = np.minimum(s.astype(int), DEPTHS - 2)
+        constants.K[h] = scaled.sum()
+        for offset, share in ((0, 1.0 - (s - node)), (1, s - node)):
+            np.add.at(constants.weight[h], node + offset, share * dx / sheath.axial_stiffness)
+    return records
+
+
+def _divide_sections(sheath: Sheath) -> list[tuple[float, float, int]]:
+    """Return length [m], friction and third of the sections, divided where a third of K ends."""
+    pieces, s = [], 0.0
+    for section in sheath.sections:
+        ds = sheath.friction * section.bend_angle
+        cuts = [k * sheath.K / 3.0 for k in (1, 2) if s < k * sheath.K / 3.0 < s + ds]
+        for low, high in pairwise([s, *cuts, s + ds]):
+            share = (high - low) / ds if ds > 0.0 else 1.0
+            third = min(int(1.5 * (low + high) / max(sheath.K, K_MIN)), 2)
+            pieces.append((share * section.length, high - low, third))
+        s += ds
+    return pieces
+
+
+@jit_compile
+def observe(
+    constants: AdaptationConstants,
+    state: Adaptation,
+    prepared: PreparedTendon,
+    estimator: EstimatorState,
+    estimate: TendonEstimate,
+    dt: float,
+) -> None:
+    """Take a sample after `online.advance`; change `state` and the model `prepared` in place.
+
+    Parameters
+    ----------
+    constants : AdaptationConstants
+        From `build_adaptation`, of the model as calibrated.
+    prepared, estimator : PreparedTendon, EstimatorState
+        Those of the estimator. Its model follows the posterior once that excludes the K in use; its
+        interval holds the posterior's.
+    estimate : TendonEstimate
+        Of this sample.
+    dt : float
+        Time since the previous sample [s].
+    """
+    usable = (
+        estimate.status & (INVALID_INPUT | UNINITIALISED) == 0
+        and math.isfinite(estimate.distal_displacement)
+        and estimator.mean_tension > TAUT_TENSION
+    )
+    if not constants.active:
+        return
+    _read_bank(constants, state, prepared.tables[:], estimator.profile[:], estimator.tip_drives)
+    state.age += dt
+    state.update_age += dt
+    if state.update_age >= UPDATE_S:
+        _decay(state, HAZARD * state.update_age, _SPREAD * state.update_age)
+        _summarise(constants, state)
+        state.update_age = 0.0
+        if usable:
+            _apply(constants, state, prepared, estimator)
+    change = 0.0
+    for n in range(DEPTHS):
+        change += state.mean_weight[n] * (state.tension[n] - state.begin_tension[n])
+    is_whole = state.started and usable and abs(change) >= PIECE_TENSION * constants.compliance
+    if is_whole:
+        travel = estimator.mean_displacement - state.begin_travel
+        _add_evidence(constants, state, travel, change)
+    if is_whole or not (state.started and usable) or state.age > PIECE_MAX_S:
+        state.begin_tension[:] = state.tension[:]
+        state.begin_travel, state.age = estimator.mean_displacement, 0.0
+        state.started = usable
+
+
+@jit_compile
+def _read_bank(
+    constants: AdaptationConstants,
+    state: Adaptation,
+    table: Tables,
+    profile: Profile,
+    tip_drives: bool,
+) -> None:
+    """Take the bank from the estimator's profile; beyond its tip, drive it from there."""
+    last = count_points(profile) - 1
+    k, rho = 0, table[_ASYMMETRY]
+    s_a, y_a, slope = get_point(profile, 0)
+    K, y_tip, _ = get_point(profile, last)
+    tip_slope = get_point(profile, last - 1)[2]
+    for n in range(DEPTHS):
+        s = constants.depth[n]
+        if s <= K:
+            while k < last - 1 and get_point(profile, k + 1)[0] <= s:
+                k += 1
+                s_a, y_a, slope = get_point(profile, k)
+            y = y_a + slope * (s - s_a)
+        elif tip_drives or state.tension[n] == 0.0:
+            y = y_tip + tip_slope * (s - K)
+        else:
+            y = min(max(state.y[n], y_tip - (s - K)), y_tip + rho * (s - K))
+        if y != state.y[n] or state.tension[n] == 0.0:
+            state.y[n], state.tension[n] = y, math.exp(y)
+
+
+@jit_compile
+def _interpolate(constants: AdaptationConstants, tension: Array, K: float) -> float:
+    """Return the tension of the bank at the depth `K` [N]."""
+    s = K / constants.depth[1]
+    n = min(int(s), DEPTHS - 2)
+    return float(tension[n] + (s - n) * (tension[n + 1] - tension[n]))
+
+
+@jit_compile
+def _add_evidence(
+    constants: AdaptationConstants, state: Adaptation, travel: float, change: float
+) -> None:
+    """Weigh the hypotheses by a piece: the motor's `travel`, the mean elongation's `change` [m]."""
+    variance = constants.variance + (ACCURACY * change) ** 2
+    costs, least = np.empty(HYPOTHESES), math.inf
+    for h in range(HYPOTHESES):
+        z = travel
+        for n in range(DEPTHS):
+            z -= constants.weight[h, n] * (state.tension[n] - state.begin_tension[n])
+        costs[h] = z * z / variance
+        before = _interpolate(constants, state.begin_tension[:], constants.K[h])
+        after = _interpolate(constants, state.tension[:], constants.K[h])
+        if abs(after - before) > STILL_SHARE * before:
+            cost = FOLLOW_COST + FOLLOW_TAILS * math.log1p(costs[h])
+            costs[h] = cost if z * travel > 0.0 else max(cost, costs[h])
+        least = min(least, costs[h])
+    state.pieces += 1
+    if least > MISFIT_MAX:
+        state.contradictions += 1
+        _decay(state, HAZARD_CONTRADICTED, 0.0)
+    else:
+        for h in range(HYPOTHESES):
+            state.log_posterior[h] -= 0.5 * TEMPER * min(costs[h] - least, EVIDENCE_MAX)
+    _summarise(constants, state)
+
+
+@jit_compile
+def _decay(state: Adaptation, share: float, spread: float) -> None:
+    """Let the prior take a `share` of the posterior, and each neighbour the share `spread`."""
+    before = np.exp(state.log_posterior[:])
+    for h in range(HYPOTHESES):
+        k, p = h % FACTOR_COUNT, before[h]
+        left = before[h - 1] if k > 0 else p
+        right = before[h + 1] if k < FACTOR_COUNT - 1 else p
+        p += spread * (left + right - 2.0 * p)
+        state.log_posterior[h] = math.log(max((1.0 - share) * p + share * _PRIOR, 1e-30))
+
+
+@jit_compile
+def _summarise(constants: AdaptationConstants, state: Adaptation) -> None:
+    """Normalise the posterior; update its means and the interval of K."""
+    posterior = np.exp(state.log_posterior[:] - state.log_posterior[:].max())
+    posterior /= posterior.sum()
+    state.mean_weight[:] = state.mean_factor[:] = 0.0
+    for h in range(HYPOTHESES):
+        p = posterior[h]
+        state.log_posterior[h] = math.log(max(p, 1e-30))
+        for third in range(3):
+            is_scaled = h < FACTOR_COUNT or h // FACTOR_COUNT == third + 1
+            state.mean_factor[third] += p * (FACTORS[h % FACTOR_COUNT] if is_scaled else 1.0)
+        for n in range(DEPTHS):
+            state.mean_weight[n] += p * constants.weight[h, n]
+    order: Any = np.argsort(constants.K[:])
+    mass = np.cumsum(posterior[order])
+    state.K = float((posterior * constants.K[:]).sum())
+    first: Any = np.searchsorted(mass, TAIL)
+    last: Any = np.searchsorted(mass, 1.0 - TAIL)
+    state.low = constants.K[order[first]]
+    state.high = constants.K[order[min(last, HYPOTHESES - 1)]]
+
+
+@jit_compile
+def _apply(
+    constants: AdaptationConstants,
+    state: Adaptation,
+    prepared: PreparedTendon,
+    estimator: EstimatorState,
+) -> None:
+    """Bring the model in use towards a posterior that excludes it; hold its interval."""
+    table, n = prepared.tables[:], constants.sections
+    K = table[_K]
+    state.adapted = state.adapted or not state.low <= K <= state.high
+    if state.adapted:
+        friction = constants.friction[:n].copy()
+        for third in range(3):
+            change = state.mean_factor[third] - state.factor[third]
+            state.factor[third] += min(max(change, -STEP_MAX), STEP_MAX)
+        for k in range(n):
+            friction[k] *= state.factor[constants.third[k]]
+        fill_tables(table, constants.length[:n], friction)
+        y_tip = math.log(max(_interpolate(constants, state.tension[:], table[_K]), FLOOR))
+        resize_profile(table, estimator.profile[:], y_tip)
+        anchor_window(prepared, estimator, estimator.held_tension, estimator.mean_displacement)
+        widening = math.exp(abs(table[_K] - K))  # of what was proved with the K before
+        estimator.proved_low /= widening
+        estimator.proved_high *= widening
+        K = table[_K]
+    known = prepared.friction_error * K
+    prepared.adaptation_error = max(state.high - K - known, K - state.low - known, 0.0)
+
+
+@jit_compile
+def _run_arrays(
+    constants: StructArray,
+    states: StructArray,
+    prepared: StructArray,
+    estimators: StructArray,
+    time: Array,
+    tension: Array,
+    displacement: Array,
+    estimates: StructArray,
+    K: Array,
+    with_dynamics: bool | None,
+) -> int:
+    """Take all samples of a record of one tendon, in place; return where adaptation began."""
+    adapted_from = -1
+    for i in range(len(time)):
+        dt = time[i] - time[i - 1] if i > 0 else 0.0
+        online.advance(
+            prepared[0], estimators[0], tension[i], displacement[i], dt, estimates[i], with_dynamics
+        )
+        observe(constants[0], states[0], prepared[0], estimators[0], estimates[i], dt)
+        if states[0].adapted and adapted_from < 0:
+            adapted_from = i
+        K[0, i] = prepared[0].tables[_K]
+        error = prepared[0].friction_error * K[0, i] + prepared[0].adaptation_error
+        K[1, i], K[2, i] = K[0, i] - error, K[0, i] + error
+    return adapted_from

@@ -1,0 +1,273 @@
+"""Adaptation of K to a sheath that moves: random sheaths, hands and changes of friction.
+
+python -m studies.adaptation                     40 single tendons against a spring, seeds from 100
+python -m studies.adaptation --unchanged         the same without a change, with other disturbances
+python -m studies.adaptation --pair              one tendon of a pair, which adaptation is not for
+
+The plant is the simulated rig's chain of springs and Coulomb nodes, which knows nothing of the
+adaptation. A sheath keeps its shape for `CHANGE_S` of use, then the friction of all or of one bend
+changes by -40 to +60 %, within 0.1 to 20 s. T_out is scored over `AFTER_S` from `SETTLE_S` after
+the change on, with the fixed K and with adaptation. Seeds 0 to 99 were used for tuning.
+"""
+
+import argparse
+from typing import NamedTuple
+
+import numpy as np
+
+from estimator.adaptation import run_adapting
+from estimator.array_types import Array
+from estimator.compiled import jit_compile
+from estimator.law.sheath import Section, Sheath
+from estimator.online import online
+from estimator.online.online import TendonModel
+from slave.rigs.simulated import JointConfig, TendonPlantConfig, build_joint
+from slave.sheath_section import SectionConfig
+from slave.simulation.environment import TissueConfig
+from slave.simulation.joint import (
+    BodyConfig,
+    Joint,
+    JointState,
+    advance_joint,
+    compute_truth,
+    init_joint,
+)
+from slave.simulation.tendon import Knobs, SheathConfig, divide_sheath
+
+RATE = 500.0  # [Hz]
+CHANGE_S, SETTLE_S, AFTER_S = 25.0, 30.0, 15.0  # [s]
+NOISE_N, NOISE_M = 0.02, 1e-6
+TENSION_MAX, KEPT = 16.0, 0.6  # [N] at which a pull stops; of the tendon that is drawn out
+
+
+class Use(NamedTuple):
+    """A joint in use."""
+
+    models: tuple[TendonModel, ...]  # as calibrated before the change
+    time: Array  # [s] shape (n,)
+    tension: Array  # T_in [N] with noise, shape (n, tendons)
+    travel: Array  # q_p [m] with noise
+    tip: Array  # T_out [N]
+    tip_travel: Array  # [m]
+    change_end: float  # [s] when the friction has changed
+    K_after: tuple[float, ...]  # of each tendon
+
+
+def generate_hand(rng: np.random.Generator, duration: float) -> Array:
+    """Return the speed [m/s] of a hand: reaches, palpation, grasps, rests, tremor throughout."""
+    speed = np.zeros(round(duration * RATE))
+    t = np.arange(len(speed)) / RATE
+    i, position = round(1.0 * RATE), 0.0
+    while i < len(speed):
+        kind = rng.choice(["reach", "reach", "palpate", "grasp", "rest"])
+        last = round(rng.uniform(0.5, 2.5) * RATE)
+        span = t[:last]
+        if kind in ("reach", "grasp"):
+            goal = rng.uniform(-0.009, 0.009) if kind == "reach" else 0.011 * rng.choice([-1, 1])
+            share = span / max(span[-1], 1e-9)
+            piece = (goal - position) * 30.0 * (share * (1.0 - share)) ** 2 / max(span[-1], 1e-9)
+            position = goal
+        elif kind == "palpate":
+            amplitude, rate = rng.uniform(5e-4, 2.5e-3), rng.uniform(0.6, 2.5)
+            periods = max(1, round(span[-1] * rate))
+            rate = periods / span[-1]
+            piece = amplitude * 2.0 * np.pi * rate * np.sin(2.0 * np.pi * rate * span)
+            piece -= piece.mean()
+        else:
+            piece = np.zeros(last)
+        end = min(i + last, len(speed))
+        speed[i:end] = piece[: end - i]
+        i = end
+    rate = rng.uniform(7.0, 11.0)
+    tremor = rng.uniform(0.0, 4e-5) * 2.0 * np.pi * rate * np.sin(2.0 * np.pi * rate * t)
+    return np.where(t > 1.0, speed + tremor, 0.0)
+
+
+@jit_compile
+def run_plant(
+    joint: Joint,
+    state: JointState,
+    before: tuple[Array, Array],
+    change: tuple[Array, Array],
+    begin: float,
+    grow: float,
+    hand: Array,
+    dt: float,
+) -> Array:
+    """Return the truth (time, channel, tendon) of a joint that a hand moves.
+
+    From `begin` on and within `grow` [s] the friction of each node goes from `before` by the
+    relative `change`. The pulled motor follows the hand, up to a tension; the other one pays out.
+    """
+    n = len(hand)
+    out = np.empty((n, 4, 2))
+    targets = np.zeros(2)
+    truth = compute_truth(joint, state)
+    for k in range(n):
+        for i in range(2):
+            if i == 1 and not joint.pair:
+                continue
+            step = (1.0 - 2.0 * i) * hand[k]
+            T = truth[0, i]
+            if joint.pair:
+                if step <= 0.0:
+                    step = step + min(max(0.015 * (KEPT - T), -0.05), 0.05)
+                elif T > TENSION_MAX:
+                    step = 0.0
+            elif (T > TENSION_MAX and step > 0.0) or (T < KEPT and step < 0.0):
+                step = 0.0
+            targets[i] += step * dt
+        share = min(max((k * dt - begin) / grow, 0.0), 1.0)
+        joint.a.chain.friction[:] = before[0] * (1.0 + share * change[0])
+        if joint.pair:
+            joint.b.chain.friction[:] = before[1] * (1.0 + share * change[1])
+        state = advance_joint(joint, state, targets, 1, dt)
+        truth = compute_truth(joint, state)
+        out[k] = truth
+    return out
+
+
+def generate_sheath(rng: np.random.Generator) -> tuple[tuple[SectionConfig, ...], float, float]:
+    """Return random sections, K and EA [N]: uneven bends, a straight stretch now and then."""
+    count = int(rng.integers(1, 5))
+    length = rng.uniform(0.2, 0.5, count) * rng.uniform(0.8, 1.2)
+    radius = np.exp(rng.uniform(np.log(0.05), np.log(0.4), count))
+    sections = [SectionConfig(float(x), float(r)) for x, r in zip(length, radius, strict=True)]
+    if rng.random() < 0.3:
+        sections.insert(int(rng.integers(0, count + 1)), SectionConfig(0.2))
+    return tuple(sections), float(rng.uniform(0.4, 1.8)), float(rng.uniform(6e3, 15e3))
+
+
+def simulate_use(
+    seed: int, pair: bool, changes: bool = True, knobs: Knobs | None = None, backlash: float = 0.0
+) -> Use:
+    """Return a random joint in use, the friction of which changes if it `changes`."""
+    rng = np.random.default_rng(seed)
+    tendons, models, K_after = [], [], []
+    before: list[Array] = []
+    change: list[Array] = []
+    whole = rng.random() < 0.5
+    factor = rng.uniform(-0.4, 0.6)
+    for _ in range(2 if pair else 1):
+        sections, K, EA = generate_sheath(rng)
+        bend = sum(s.length / s.radius for s in sections)
+        config = SheathConfig(sections, K / bend, EA, 40)
+        tendons.append(TendonPlantConfig(config))
+        sheath = Sheath(tuple(Section(s.length, s.radius) for s in sections), K / bend, EA)
+        models.append(TendonModel(sheath, NOISE_N, NOISE_M))
+        cell, phi = divide_sheath(config)
+        before.append(config.friction * phi)
+        edges = np.cumsum([s.length for s in sections])
+        where = np.searchsorted(edges, np.cumsum(cell) - 0.5 * cell)
+        bends = [n for n, s in enumerate(sections) if np.isfinite(s.radius)]
+        hit = np.full(len(cell), True) if whole else where == rng.choice(bends)
+        moved = changes and (len(change) == 0 or rng.random() < 0.5)
+        change.append(np.where(hit, factor, 0.0) * float(moved))
+        K_after.append(float((before[-1] * (1.0 + change[-1])).sum()))
+    spring = 0.0 if pair else float(rng.uniform(200.0, 1000.0))
+    body = BodyConfig(
+        friction=float(rng.uniform(0.0, 0.3)),
+        spring=spring,
+        pretension=1.0 if pair else 4.0,
+        backlash=backlash,
+    )
+    stiffness = float(np.exp(rng.uniform(np.log(300), np.log(3e4))))
+    depth = float(rng.uniform(0.001, 0.006))
+    tissue = TissueConfig(position=depth, stiffness=stiffness, exponent=1.0)
+    joint = build_joint(JointConfig(tuple(tendons), body, tissue))
+    if knobs is not None:
+        joint = joint._replace(
+            a=joint.a._replace(chain=joint.a.chain._replace(knobs=knobs)),
+            b=joint.b._replace(chain=joint.b.chain._replace(knobs=knobs)),
+        )
+    grow = float(np.exp(rng.uniform(np.log(0.1), np.log(20.0))))
+    hand = generate_hand(rng, CHANGE_S + grow + SETTLE_S + AFTER_S)
+    both = (before[0], before[-1]), (change[0], change[-1])
+    truth = run_plant(joint, init_joint(joint), *both, CHANGE_S, grow, hand, 1.0 / RATE)[
+        :, :, : len(tendons)
+    ]
+    shape = truth[:, 0].shape
+    return Use(
+        tuple(models),
+        np.arange(len(hand)) / RATE,
+        truth[:, 0] + rng.normal(0.0, NOISE_N, shape),
+        truth[:, 1] + rng.normal(0.0, NOISE_M, shape),
+        truth[:, 2],
+        truth[:, 3],
+        CHANGE_S + grow,
+        tuple(K_after),
+    )
+
+
+class Scores(NamedTuple):
+    """Figures of one tendon, with the fixed K and with adaptation."""
+
+    is_changed: bool
+    error: Array  # relative to full scale, percentiles 50, 90, 99, shape (2, 3)
+    within: Array  # share of time within 5 % of full scale, shape (2,)
+    inside: Array  # share of all time inside the interval, shape (2,)
+    K_error: float  # relative, at the end
+    is_adapted: bool
+    is_false: bool  # adapted before the change
+
+
+def score_use(use: Use, tendon: int = 0) -> Scores:
+    """Return the figures of one tendon of a joint in use."""
+    model, tip = use.models[tendon], use.tip[:, tendon]
+    T, q = (np.ascontiguousarray(row[:, tendon]) for row in (use.tension, use.travel))
+    fixed = online.run(online.prepare(model), use.time, T, q)
+    run = run_adapting(model, use.time, T, q)
+    late, K = use.time > use.change_end + SETTLE_S, use.K_after[tendon]
+    both, full = (fixed, run.estimates), tip.max()
+    errors = [abs(r.distal_tension - tip)[late] / full for r in both]
+    return Scores(
+        abs(K / model.sheath.K - 1.0) > 0.01,
+        np.array([np.percentile(e, [50, 90, 99]) for e in errors]),
+        np.array([np.mean(e < 0.05) for e in errors]),
+        np.array([np.mean((r.low <= tip + 1e-6) & (tip <= r.high)) for r in both]),
+        float(run.K[-1] / K - 1.0),
+        run.adapted_from >= 0,
+        run.adapted_from >= 0 and bool(use.time[run.adapted_from] < CHANGE_S),
+    )
+
+
+DISTURBANCES = (
+    (Knobs(), 0.0),
+    (Knobs(creep_share=0.05, creep_time=8.0), 0.0),
+    (Knobs(), 5e-4),  # [m] backlash
+    (Knobs(presliding=2e-5), 0.0),
+)
+
+
+def main() -> None:
+    """Print the figures."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--sheaths", type=int, default=40)
+    parser.add_argument("--first", type=int, default=100, help="first seed")
+    parser.add_argument("--unchanged", action="store_true")
+    parser.add_argument("--pair", action="store_true")
+    options = parser.parse_args()
+    scores = []
+    for k in range(options.sheaths):
+        knobs, backlash = DISTURBANCES[k % len(DISTURBANCES) if options.unchanged else 0]
+        use = simulate_use(options.first + k, options.pair, not options.unchanged, knobs, backlash)
+        scores.append(score_use(use))
+    chosen = [s for s in scores if s.is_changed is not options.unchanged]
+    print(f"{len(chosen)} tendons; adapted: {sum(s.is_adapted for s in chosen)}, of them before "
+          f"the change: {sum(s.is_false for s in chosen)}")  # fmt: skip
+    K_errors = np.abs([s.K_error for s in chosen])
+    print("|error of K| at the end, percentiles 50, 90, 100:",
+          (100.0 * np.percentile(K_errors, [50, 90, 100])).round(1), "%")  # fmt: skip
+    for i, name in enumerate(("fixed K", "adapted")):
+        error = 100.0 * np.mean([s.error[i] for s in chosen], axis=0)
+        within = np.array([s.within[i] for s in chosen])
+        inside = [s.inside[i] for s in chosen]
+        print(
+            f"{name}: error of T_out, mean of percentiles 50, 90, 99: {error.round(1)} %; within "
+            f"5 %: {within.mean():.1%} of time, 90 % of time in {np.mean(within >= 0.9):.0%} of "
+            f"tendons; inside the interval {np.mean(inside):.2%}, least {np.min(inside):.2%}"
+        )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,120 @@
+"""Adaptation to a sheath that moves, on a quasi-static chain that knows nothing of it."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from estimator.adaptation import FACTOR_MAX, run_adapting
+from estimator.law import profile as law_profile
+from estimator.law.sheath import Sheath
+from estimator.law.tables import build_tables
+from estimator.law.transmission import build_slack_profile, evaluate_tension, push_proximal
+from estimator.online import online
+from estimator.online.tendon_model import TendonModel
+
+RATE, CHANGE_S, DURATION_S = 200.0, 15.0, 50.0
+LENGTH, EA, NODES, SPRING = 1.5, 9000.0, 45, 1500.0
+MODEL = TendonModel(Sheath.uniform(1.0, LENGTH, EA), 0.02, 1e-6)
+
+
+def simulate(K_after, third=None, drift=0.0, creep=0.0, moving_tip=0.0, seed=1):
+    """Return time, T_in, q_p as measured, and T_out, of a tendon against a spring.
+
+    Coulomb friction at `NODES` nodes, swept from the housing; K = 1 before the change.
+    """
+    rng = np.random.default_rng(seed)
+    time = np.arange(round(DURATION_S * RATE)) / RATE
+    goals, T_in = rng.uniform(1.0, 14.0, 200), []
+    goals[::2] = rng.uniform(0.5, 4.0, 100)
+    for low, high in zip([0.0, *goals], goals, strict=False):
+        n = round(rng.uniform(0.4, 1.0) * RATE)
+        T_in += [*(low + (high - low) * (1 - np.cos(np.linspace(0, np.pi, n))) / 2)]
+        T_in += [high] * round(rng.uniform(0.0, 0.3) * RATE)
+    T_in = np.array(T_in[: len(time)])
+    scale = np.ones(NODES)
+    part = slice(None) if third is None else slice(third * NODES // 3, (third + 1) * NODES // 3)
+    scale[part] += (K_after - 1.0) * (1.0 if third is None else 3.0)
+    nodes, T_out, e = np.zeros(NODES + 1), np.zeros(len(time)), np.zeros(len(time))
+    for k, T in enumerate(T_in):
+        nodes[0] = T
+        ratios = np.exp((scale if time[k] > CHANGE_S else np.ones(NODES)) / NODES)
+        for i, ratio in enumerate(ratios.tolist()):
+            nodes[i + 1] = min(max(nodes[i + 1], nodes[i] / ratio), nodes[i] * ratio)
+        T_out[k] = nodes[-1]
+        e[k] = (nodes[:-1] + nodes[1:]).sum() * 0.5 * LENGTH / NODES / EA
+    lag = np.zeros(len(time))
+    for k in range(1, len(time)):
+        lag[k] = lag[k - 1] + (creep * e[k] - lag[k - 1]) / (8.0 * RATE)
+    pushed = moving_tip * np.cumsum(rng.normal(0.0, 1.0, len(time))) / np.sqrt(RATE)
+    q = e + lag + T_out / SPRING + pushed
+    noise = rng.normal(0.0, 1.0, (2, len(time)))
+    return time, T_in + 0.02 * noise[0] + drift * time, q + 1e-6 * noise[1], T_out
+
+
+@pytest.fixture(scope="module")
+def changed():
+    return simulate(1.4)
+
+
+@pytest.mark.parametrize(("K", "third"), [(1.4, None), (1.2, 0)])
+def test_a_change_of_all_friction_or_of_a_bend_is_found_within_30_s(K, third):
+    time, T, q, T_out = simulate(K, third)
+    run, late = run_adapting(MODEL, time, T, q), time > CHANGE_S + 30.0
+    fixed = online.run(online.prepare(MODEL), time, T, q)
+    assert CHANGE_S < time[run.adapted_from] < CHANGE_S + 30.0
+    assert run.K[-1] == pytest.approx(K, rel=0.06)
+    error, error_fixed = (
+        np.percentile(abs(r.distal_tension - T_out)[late], 90) for r in (run.estimates, fixed)
+    )
+    assert error < 0.05 * T_out.max()
+    assert error < 0.5 * error_fixed
+    inside = (run.estimates.low <= T_out + 1e-6) & (T_out <= run.estimates.high)
+    assert inside.mean() > 0.99
+
+
+@pytest.mark.parametrize("disturbance", [{}, {"drift": 0.004}, {"creep": 0.05}])
+def test_an_unchanged_sheath_keeps_its_estimates(disturbance):
+    time, T, q, _ = simulate(1.0, **disturbance, seed=2)
+    run = run_adapting(MODEL, time, T, q)
+    fixed = online.run(online.prepare(MODEL), time, T, q)
+    assert run.adapted_from == -1
+    np.testing.assert_array_equal(run.estimates.distal_tension, fixed.distal_tension)
+    assert (run.estimates.low <= fixed.low + 1e-9).all()
+
+
+def test_a_tip_that_moves_by_itself_is_no_change_of_shape():
+    time, T, q, _ = simulate(1.0, moving_tip=1e-3)
+    run = run_adapting(MODEL, time, T, q)
+    assert run.adapted_from == -1
+    assert run.contradictions > 0.2 * run.pieces
+
+
+def test_k_stays_within_its_bounds():
+    time, T, q, _ = simulate(2.6)
+    run = run_adapting(MODEL, time, T, q)
+    assert 1.5 < run.K[-1] <= FACTOR_MAX + 1e-9
+
+
+def test_without_friction_or_travel_nothing_is_adapted(changed):
+    time, T, q, _ = changed
+    straight = dataclasses.replace(MODEL, sheath=Sheath.uniform(0.0, LENGTH, EA))
+    assert run_adapting(straight, time, T, q).pieces == 0
+    assert run_adapting(MODEL, time, T, np.full_like(q, np.nan)).pieces == 0
+
+
+@pytest.mark.parametrize("K", [0.6, 1.0, 1.5])
+def test_a_resized_profile_keeps_the_tension_at_each_depth(K):
+    before, after = (build_tables(Sheath.uniform(k, LENGTH, EA)) for k in (1.0, K))
+    profile = build_slack_profile(before)
+    for T in (12.0, 4.0, 6.0, 5.0):
+        push_proximal(before, profile, T)
+    depth = np.linspace(0.0, min(K, 1.0), 50)
+    expected = evaluate_tension(before, profile, depth * LENGTH)
+    law_profile.resize_profile(after, profile, np.log(3.5))
+    np.testing.assert_allclose(
+        evaluate_tension(after, profile, depth * LENGTH / K), expected, rtol=1e-9
+    )
+    x = np.linspace(0.0, LENGTH, 20001)
+    area = np.trapezoid(evaluate_tension(after, profile, x), x)
+    assert law_profile.integrate_tension(after, profile) == pytest.approx(area, rel=1e-5)

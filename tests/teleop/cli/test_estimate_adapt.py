@@ -1,0 +1,35 @@
+"""`teleop estimate --adapt` on the chain of the estimator's test."""
+
+import json
+
+import pytest
+
+from teleop.cli import commands
+from teleop.data.table import write_table
+from tests.estimator.test_adaptation import simulate
+
+MODEL = "slave.tendons=[{effective_friction: 1.0, tension_noise: 0.02, displacement_noise: 1.0e-6}]"
+
+
+def test_what_became_of_k_is_reported_with_the_gain(tmp_path, capsys):
+    time, T, q, T_out = simulate(1.4)
+    names = "time_s", "proximal_tension_N", "proximal_displacement_m", "distal_tension_N"
+    path, out = tmp_path / "use.csv", tmp_path / "summary.json"
+    write_table(path, dict(zip(names, (time, T, q, T_out), strict=True)))
+    words = ["estimate", str(path), "--set", MODEL, "--adapt", "--json", str(out)]
+    assert commands.main(words) == 0
+    summary = json.loads(out.read_text())
+    assert summary["adaptation"]["K"] == pytest.approx(1.4, rel=0.06)
+    fixed = summary["adaptation"]["fixed_K_error"]["rmse_N"]
+    assert summary["force_error"]["rmse_N"] < 0.8 * fixed
+    assert "the shape changed before" in capsys.readouterr().out
+
+
+def test_adaptation_needs_a_travel_and_a_model_from_before(tmp_path, capsys):
+    time, T, *_ = simulate(1.0)
+    path = tmp_path / "tension.csv"
+    write_table(path, {"time_s": time, "proximal_tension_N": T})
+    assert commands.main(["estimate", str(path), "--set", MODEL, "--adapt"]) == 2
+    assert "--adapt: needs proximal_displacement_m" in capsys.readouterr().err
+    assert commands.main(["estimate", str(path), "--fit", "--adapt"]) == 2
+    assert "--adapt: conflicts with --fit" in capsys.readouterr().err
