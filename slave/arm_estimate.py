@@ -9,9 +9,12 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from estimator.array_types import Array
 from estimator.compiled import jit_compile
+from estimator.kinematics.arm import PreparedArm, prepare_arm
+from estimator.kinematics.forward import write_weight_torque
 from estimator.records import StructArray
 from estimator.routing.routing import PreparedRouting, Routing, prepare
 from estimator.routing.sheath_end import SheathPair, estimate_sheath_ends, start_sheath_end
@@ -19,6 +22,7 @@ from estimator.routing.tensions import add_torques, advance, open_tensions
 from slave.control.joint import JointEstimates, compute_weight
 from slave.tendons import EstimatedTendons, RigLayout
 from teleop.config.arm import ArmConfig, assemble_bend_partners, assemble_travel_ratios
+from teleop.messages.messages import MAX_JOINTS
 
 ANGLE_ERROR = 2e-3  # [rad] of estimated joints: noise and the error of elongation
 GUIDE_LENGTH = 0.03  # [m] of tendon from joint to joint
@@ -28,6 +32,10 @@ class ArmEstimator(NamedTuple):
     """Routing of all tendons of a rig, with the state of their tensions and work arrays."""
 
     routing: PreparedRouting
+    arms: StructArray  # PreparedArm of those with weight
+    first: NDArray[np.int64]  # first joint of each of these
+    gravity: Array  # [m/s^2] in their bases, shape (arms, 3)
+    mass_error: Array  # relative, shape (arms,)
     pairs: StructArray  # SheathPair of each joint
     memory: Array  # flat: what follows are views of it, for a checkpoint
     started: Array  # shape (1,), 1 once tensions are known
@@ -53,7 +61,20 @@ def build_arm_estimator(
     views = [
         part.reshape(shape) for part, shape in zip(np.split(memory, ends[:-1]), shapes, strict=True)
     ]
-    return ArmEstimator(routing, SheathPair.array(n), memory, *views)
+    firsts = np.cumsum([0, *(len(arm.radii) for arm in arms)])
+    heavy = [k for k, arm in enumerate(arms) if any(arm.gravity)]
+    return ArmEstimator(
+        routing,
+        np.concatenate(
+            [PreparedArm.array(0), *(prepare_arm(arms[k].load_kinematics()) for k in heavy)]
+        ),
+        firsts[heavy],
+        np.array([arms[k].gravity for k in heavy]).reshape(-1, 3),
+        np.array([arms[k].mass_error for k in heavy]),
+        SheathPair.array(n),
+        memory,
+        *views,
+    )
 
 
 def build_routing(joints: Sequence[Sequence[int]], arms: Sequence[ArmConfig]) -> Routing:
@@ -152,6 +173,22 @@ def estimate_arm_forces(
     for k in range(layout.joints):
         for copy in range(3):
             out_force[copy, k] = arm.torque[copy, k] / layout.radius[k]
+    _add_weight(arm, layout, out_force)
+
+
+@jit_compile
+def _add_weight(arm: ArmEstimator, layout: RigLayout, force: Array) -> None:
+    """Add the weight of links to the forces on the joints, so that those of contact are left."""
+    pose, jacobian, torque = np.empty((4, 4)), np.empty((6, MAX_JOINTS)), np.empty((2, MAX_JOINTS))
+    for i in range(len(arm.arms)):
+        first, prepared = arm.first[i], arm.arms[i]
+        angles = arm.new_angles[1, first:]
+        write_weight_torque(prepared, angles, arm.gravity[i], pose, jacobian, torque)
+        for j in range(prepared.coordinates):
+            radius, error = layout.radius[first + j], arm.mass_error[i] * torque[1, j]
+            force[0, first + j] += torque[0, j] / radius
+            force[1, first + j] += (torque[0, j] - error) / radius
+            force[2, first + j] += (torque[0, j] + error) / radius
 
 
 @jit_compile

@@ -100,6 +100,8 @@ class Joint:
         Limits of position [rad] or [m].
     speed, effort
         Limits of speed [rad/s] or [m/s], of torque [N m] or force [N].
+    mass, centre
+        Of the link that it moves [kg], and its centre of mass [m] in the frame of the joint.
     """
 
     name: str
@@ -110,8 +112,12 @@ class Joint:
     upper: float = math.inf
     speed: float = math.inf
     effort: float = math.inf
+    mass: float = 0.0
+    centre: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     def __post_init__(self) -> None:
+        if not (0.0 <= self.mass < math.inf and all(map(math.isfinite, self.centre))):
+            raise ArmError(f"joint {self.name}: mass {self.mass:g} kg at {self.centre}, not finite")
         if self.kind not in _KINDS:
             raise ArmError(
                 f"joint {self.name}: kind {self.kind!r}, allowed are {', '.join(_KINDS)}"
@@ -266,6 +272,8 @@ class PreparedArm(Struct):
     offset: Annotated[Array, Field("f8", (MAX_PARTS, 4, 4))]
     axis: Annotated[Array, Field("f8", (MAX_PARTS, 3))]  # unit length
     length: Annotated[Array, Field("f8", MAX_PARTS)]  # [m] of a curved section
+    mass: Annotated[Array, Field("f8", MAX_PARTS)]  # [kg] of the link behind the part
+    centre: Annotated[Array, Field("f8", (MAX_PARTS, 3))]  # [m] of that mass
     tip: Annotated[Array, Field("f8", (4, 4))]
     is_linear: Annotated[NDArray[np.int64], Field("i8", MAX_COORDINATES)]
     lower: Coordinates
@@ -290,6 +298,7 @@ def prepare_arm(arm: Arm) -> StructArray:
             prepared.extends[i] = part.elongation is not None
         else:
             prepared.kind[i] = _KINDS[part.kind]
+            prepared.mass[i], prepared.centre[i] = part.mass, part.centre
             prepared.axis[i] = np.array(part.axis) / (math.hypot(*part.axis) or 1.0)
     for name in ("is_linear", "lower", "upper", "speed", "effort"):
         getattr(prepared, name)[: len(coordinates)] = [getattr(c, name) for c in coordinates]

@@ -56,26 +56,67 @@ def write_kinematics(arm: PreparedArm, q: Array, pose: Array, jacobian: Array) -
     """Write pose, shape (4, 4), and Jacobian, shape (6, n) or wider, of the tip; no allocation."""
     _reset_pose(pose)
     for part in range(arm.parts):
-        kind, first = arm.kind[part], arm.first[part]
-        if kind == _CURVED:
-            _multiply_pose(pose, arm.offset[part])
-            _write_curve_columns(arm, part, q, pose, jacobian)
-            _move_along_curve(arm, part, q, 1.0, pose)
-            continue
-        _move_along_part(arm, part, q, 1.0, pose)
-        if kind in (_REVOLUTE, _PRISMATIC):
-            axis = arm.axis[part]
-            x, y, z = _rotate_to_base(pose, axis[0], axis[1], axis[2])
-            if kind == _REVOLUTE:
-                _write_column(jacobian, first, 0.0, 0.0, 0.0, x, y, z, pose)
-            else:
-                _write_column(jacobian, first, x, y, z, 0.0, 0.0, 0.0, pose)
+        _write_part_columns(arm, part, q, pose, jacobian)
     _multiply_pose(pose, arm.tip)
     for column in range(arm.coordinates):  # from the origin of the base to the tip point
         wx, wy, wz = jacobian[3, column], jacobian[4, column], jacobian[5, column]
         jacobian[0, column] += wy * pose[2, 3] - wz * pose[1, 3]
         jacobian[1, column] += wz * pose[0, 3] - wx * pose[2, 3]
         jacobian[2, column] += wx * pose[1, 3] - wy * pose[0, 3]
+
+
+@jit_compile
+def write_weight_torque(
+    arm: PreparedArm, q: Array, gravity: Array, pose: Array, jacobian: Array, torque: Array
+) -> None:
+    """Write what the weight of the links does to each coordinate; no allocation.
+
+    Parameters
+    ----------
+    gravity : array, shape (3,)
+        [m/s^2] in the base.
+    pose, jacobian : array, shape (4, 4), (6, n) or wider
+        To work with; overwritten.
+    torque : array, shape (2, n) or wider
+        [N m] or [N] with the coordinate, and the sum of what the links do, each without its sign.
+    """
+    _reset_pose(pose)
+    jacobian[:, : arm.coordinates] = 0.0
+    torque[:, : arm.coordinates] = 0.0
+    for part in range(arm.parts):
+        _write_part_columns(arm, part, q, pose, jacobian)
+        if arm.mass[part] == 0.0:
+            continue
+        x, y, z = arm.centre[part]
+        x, y, z = _rotate_to_base(pose, x, y, z)
+        x, y, z = x + pose[0, 3], y + pose[1, 3], z + pose[2, 3]
+        for column in range(arm.coordinates):
+            vx, vy, vz, wx, wy, wz = jacobian[:, column]
+            power = gravity[0] * (vx + wy * z - wz * y) + gravity[1] * (vy + wz * x - wx * z)
+            power = arm.mass[part] * (power + gravity[2] * (vz + wx * y - wy * x))
+            torque[0, column] += power
+            torque[1, column] += abs(power)
+
+
+@jit_compile
+def _write_part_columns(
+    arm: PreparedArm, part: int, q: Array, pose: Array, jacobian: Array
+) -> None:
+    """Move a pose along a part, and write the part's columns, at the origin of the base."""
+    kind, first = arm.kind[part], arm.first[part]
+    if kind == _CURVED:
+        _multiply_pose(pose, arm.offset[part])
+        _write_curve_columns(arm, part, q, pose, jacobian)
+        _move_along_curve(arm, part, q, 1.0, pose)
+        return
+    _move_along_part(arm, part, q, 1.0, pose)
+    if kind in (_REVOLUTE, _PRISMATIC):
+        axis = arm.axis[part]
+        x, y, z = _rotate_to_base(pose, axis[0], axis[1], axis[2])
+        if kind == _REVOLUTE:
+            _write_column(jacobian, first, 0.0, 0.0, 0.0, x, y, z, pose)
+        else:
+            _write_column(jacobian, first, x, y, z, 0.0, 0.0, 0.0, pose)
 
 
 @jit_compile

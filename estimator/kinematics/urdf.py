@@ -44,7 +44,7 @@ def read_arm(urdf: bytes, *, tip: str, base: str | None = None, source: str = "U
         if link not in links:
             raise ArmError(f"{source}: no link is named {link!r}{_suggest(link, links)}")
     chain = _find_chain(robot, tip, base, source)
-    parts = [_convert_joint(joint, source) for joint in chain]
+    parts = [_convert_joint(joint, robot.link_map[joint.child], source) for joint in chain]
     try:
         return Arm(tuple(parts))
     except ArmError as error:
@@ -103,8 +103,8 @@ def _find_chain(robot: Any, tip: str, base: str | None, source: str) -> list[Any
     return chain
 
 
-def _convert_joint(joint: Any, source: str) -> Joint:
-    """Return a joint of the library as a part of an arm."""
+def _convert_joint(joint: Any, link: Any, source: str) -> Joint:
+    """Return a joint of the library and the link that it moves as a part of an arm."""
     place = f"{source}: joint {joint.name!r}"
     if joint.mimic is not None:
         raise ArmError(
@@ -132,8 +132,14 @@ def _convert_joint(joint: Any, source: str) -> Joint:
         else (joint.origin.xyz or (0.0, 0.0, 0.0), joint.origin.rpy or (0.0, 0.0, 0.0))
     )
     axis = (1.0, 0.0, 0.0) if joint.axis is None else joint.axis  # x is the default of URDF
+    inertia = link.inertial
+    mass = 0.0 if inertia is None else float(inertia.mass or 0.0)
+    centre = (0.0, 0.0, 0.0) if inertia is None or inertia.origin is None else inertia.origin.xyz
     try:
-        return Joint(joint.name, joint.type, _to_triple(axis), _to_offset(position, rpy), **limits)
+        return Joint(
+            joint.name, joint.type, _to_triple(axis), _to_offset(position, rpy), **limits,
+            mass=mass, centre=_to_triple(centre or (0.0, 0.0, 0.0)),
+        )  # fmt: skip
     except ArmError as error:
         raise ArmError(f"{source}: {error}") from None
 

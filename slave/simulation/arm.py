@@ -45,6 +45,7 @@ from slave.simulation.space_contacts import (
     build_space_contacts,
     locate_surfaces,
     press_surface,
+    weigh_links,
 )
 from slave.simulation.tendon import Chain
 from teleop.config.arm import LinkedArmConfig, assemble_bend_partners, assemble_travel_ratios
@@ -224,6 +225,7 @@ def compute_residual(
     curves: list[Curve],
     before: ArmState,
     after: ArmState,
+    weight: Array,
     depth: Array,
     depth_slope: Array,
     travel: Array,
@@ -233,7 +235,8 @@ def compute_residual(
 ) -> None:
     """Compute what resists less what drives each joint at `travel` [m], shape (n,).
 
-    `depth` and `depth_slope` are of `locate_surfaces` before the step; `after` is filled in.
+    `weight`, `depth` and `depth_slope` are of `weigh_links` and `locate_surfaces` before the step;
+    `after` is filled in.
     `out_residual` [N] has shape (n,), `out_slope` [N/m] shape (n, n).
     """
     n = len(travel)
@@ -259,7 +262,7 @@ def compute_residual(
         further = compute_environment_force(
             joints[j].environment, travel[j] + step, start[j], time, dt
         )
-        out_residual[j] = force + contact
+        out_residual[j] = force + contact - weight[j]
         out_slope[j, j] = slope + (further - contact) / step
     for m in range(len(depth)):
         reached = depth[m]
@@ -308,11 +311,13 @@ def solve_arm(
     for j in range(n):
         travel[j] = states[j].travel
     depth, depth_slope = locate_surfaces(arm.contacts, travel)
+    weight = weigh_links(arm.contacts, travel)
     for j in range(n):
         travel[j] += states[j].speed * dt
     compute_residual(
-        arm, joints, states, curves, before, after, depth, depth_slope, travel, dt, residual, slope
-    )
+        arm, joints, states, curves, before, after, weight, depth, depth_slope, travel, dt,
+        residual, slope,
+    )  # fmt: skip
     trial_residual, trial_slope = np.empty(n), np.empty((n, n))
     for iteration in range(MAX_ITERATIONS):
         excess = np.abs(residual).max()
@@ -329,6 +334,7 @@ def solve_arm(
                 curves,
                 before,
                 after,
+                weight,
                 depth,
                 depth_slope,
                 trial,

@@ -106,6 +106,8 @@ class LinkedArmConfig(RoutingConfig):
     base: str | None = None  # link of the URDF that does not move; null = its root
     tip: str = ""  # link of the URDF that the hand moves
     tool: tuple[float, float, float] = (0.0, 0.0, 0.0)  # [m] of the tip point beyond the sections
+    # [m/s^2] in the base, for the masses of the URDF; zeros = without weight
+    gravity: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     def __post_init__(self) -> None:
         """Check the values; raises `ValueError`."""
@@ -114,6 +116,10 @@ class LinkedArmConfig(RoutingConfig):
             raise ValueError("sections: conflicts with urdf; use one of them")
         if self.urdf is not None and not self.tip:
             raise ValueError("tip: must name the link of the URDF that the hand moves")
+        if not all(abs(part) <= 100.0 for part in self.gravity):
+            raise ValueError("gravity: must be -100 to 100 m/s^2")
+        if any(self.gravity) and self.urdf is None:
+            raise ValueError("gravity: needs urdf, with the masses of the links")
 
     @property
     def has_kinematics(self) -> bool:
@@ -153,12 +159,15 @@ class ArmConfig(LinkedArmConfig):
 
     # relative error of the friction at passed joints, for the interval of the force
     friction_error: float = 0.25
+    mass_error: float = 0.1  # relative error of the masses of links, for that interval
 
     def __post_init__(self) -> None:
         """Check the values; raises `ValueError`."""
         LinkedArmConfig.__post_init__(self)
         if not 0.0 <= self.friction_error <= 1.0:
             raise ValueError("friction_error: must be 0 to 1")
+        if not 0.0 <= self.mass_error <= 1.0:
+            raise ValueError("mass_error: must be 0 to 1")
 
 
 def find_space_joints(arms: Sequence[LinkedArmConfig]) -> tuple[tuple[int, int], ...]:

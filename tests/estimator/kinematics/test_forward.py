@@ -1,5 +1,6 @@
 """Pose and Jacobian against scipy's rotations, differences, and the integrated curve."""
 
+import dataclasses
 import math
 
 import numpy as np
@@ -9,7 +10,12 @@ from scipy.spatial.transform import Rotation
 
 from estimator.kinematics import rotations
 from estimator.kinematics.arm import Arm, ArmError, CurvedSection, Joint, Offset, prepare_arm
-from estimator.kinematics.forward import compute_jacobian, compute_part_frames, compute_tip_pose
+from estimator.kinematics.forward import (
+    compute_jacobian,
+    compute_part_frames,
+    compute_tip_pose,
+    write_weight_torque,
+)
 from tests.estimator.kinematics.random_arms import (
     random_chain,
     random_coordinates,
@@ -169,3 +175,37 @@ def test_limits_are_kept():
     arm = Arm((random_joint(np.random.default_rng(0), "a", "prismatic", speed=0.3),))
     (limits,) = arm.coordinates
     assert limits == ("a", True, -0.1, 0.1, 0.3, 2.0)
+
+
+def with_masses(rng, arm):
+    """Return an arm whose joints move links of random masses."""
+    parts = [
+        dataclasses.replace(part, mass=rng.uniform(0.01, 0.5), centre=tuple(rng.normal(0, 0.05, 3)))
+        if isinstance(part, Joint)
+        else part
+        for part in arm.parts
+    ]
+    return Arm(tuple(parts), arm.tip)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_weight_does_the_work_that_it_loses_of_its_height(seed):
+    rng = np.random.default_rng(seed)
+    arm = with_masses(rng, random_mixed_arm(rng) if seed % 2 else random_chain(rng, 5))
+    prepared, gravity = prepare_arm(arm)[0], np.array([0.3, -2.0, -9.5])
+    q = random_coordinates(rng, arm)
+
+    def work(q):
+        frames, _ = compute_part_frames(prepared, q, 1)
+        return sum(
+            part.mass * gravity @ (frame[:3, :3] @ part.centre + frame[:3, 3])
+            for part, frame in zip(arm.parts, frames[1:-1], strict=True)
+            if isinstance(part, Joint)
+        )
+
+    torque = np.empty((2, len(q)))
+    write_weight_torque(prepared, q, gravity, np.empty((4, 4)), np.empty((6, 8)), torque)
+    step = 1e-6 * np.eye(len(q))
+    slopes = [(work(q + change) - work(q - change)) / 2e-6 for change in step]
+    np.testing.assert_allclose(torque[0], slopes, atol=1e-7)
+    assert (torque[1] >= np.abs(torque[0]) - 1e-12).all()

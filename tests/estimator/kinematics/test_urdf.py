@@ -41,6 +41,14 @@ class TestWithLibrary:
     def _library(self):
         pytest.importorskip("urdf_parser_py")
 
+    def test_links_have_the_mass_of_their_inertials(self):
+        inertial = '<inertial><origin xyz="0 0.1 0.2"/><mass value="0.3"/><inertia ixx="1" ixy="0" '
+        inertial += 'ixz="0" iyy="1" iyz="0" izz="1"/></inertial>'
+        text = GOOD.replace('<link name="arm"/>', f'<link name="arm">{inertial}</link>')
+        first, last = read_arm(text.encode(), tip="tip").parts
+        assert (first.mass, first.centre) == (0.3, (0.0, 0.1, 0.2))
+        assert last.mass == 0.0
+
     def test_what_is_written_is_read(self, tmp_path):
         rng = np.random.default_rng(2)
         for count in range(1, 9):

@@ -16,9 +16,11 @@ from slave.simulation.space_contacts import (
     build_space_contacts,
     locate_surfaces,
     press_surface,
+    weigh_links,
 )
 from teleop.errors import UsageError
 from tests.root import ROOT
+from tests.slave.heavy_arm import write_heavy_urdf
 
 R = 0.005  # [m]
 PASSING = ((R, 0.0, 0.0), (0.8 * R, R, 0.0), (0.8 * R, 0.8 * R, R))
@@ -138,6 +140,22 @@ def test_a_surface_turns_the_joints_by_the_slope_of_its_energy(surface):
         (energy(q + step * axis) - energy(q - step * axis)) / (2.0 * step) for axis in np.eye(3)
     ]
     assert force == pytest.approx(by_energy, rel=1e-5)
+
+
+def test_tendons_hold_the_weight_of_the_links(tmp_path):
+    """Without friction they balance it; the second joint's link hangs out sideways."""
+    pytest.importorskip("urdf_parser_py")
+    body = dataclasses.replace(BODY, friction=0.0, damping=20.0, pretension=3.0)
+    kinematics = {"urdf": write_heavy_urdf(tmp_path), "tip": "tip", "gravity": (0.0, -9.81, 2.0)}
+    rig = build_rig(body=body, friction=0.0, **kinematics)
+    run(rig, 1.0, lambda _: np.zeros(6))
+    tension, ratio = rig._arm_state.tension, rig._arm.ratio
+    driving = np.einsum("kj,kj->j", ratio, tension[:, 0] - tension[:, 1])
+    weight = weigh_links(rig._arm.contacts, rig.joint_travel)
+    assert np.abs(weight).max() > 5.0  # [N] at the pulley
+    assert driving == pytest.approx(-weight, abs=0.02)
+    with pytest.raises(ValueError, match="gravity: needs urdf"):
+        ArmPlantConfig(radii=PASSING, gravity=(0.0, 0.0, -9.81))
 
 
 @pytest.mark.parametrize(
