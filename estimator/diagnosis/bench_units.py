@@ -36,7 +36,6 @@ from estimator.effects.effect import (
     Parameter,
     Values,
 )
-from estimator.effects.functions import MOTOR_POSITION
 
 RmseByChannel = dict[str, float]
 
@@ -103,7 +102,7 @@ def _unscale_curve(curve: Curve | None, scale: BenchScale) -> Curve | None:
     if curve is None or curve.effect.function is None:
         return curve
     size, term = scale.size(curve.unit), curve.effect.function
-    zero = scale.zero if term.variable == MOTOR_POSITION else 0.0
+    zero = curve.effect.shift_encoder_zero((0.0, 0.0), scale.zero)[0]
     return curve._replace(
         x=scale.size(term.unit) * curve.x + zero,
         value=size * curve.value,

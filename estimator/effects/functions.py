@@ -27,11 +27,10 @@ from estimator.effects.effect import (
 )
 from estimator.effects.sensors import SENSOR_NAMES
 from estimator.lumped.lumped_model import Physics
-from estimator.online.reading_correction import CorrectionKind
+from estimator.online.reading_correction import CURVE_ITERATIONS, CorrectionKind
 from estimator.spline import evaluate_spline
 
 COEFFICIENTS = 12
-MOTOR_POSITION = "motor position"
 FRICTION_MIN = 0.05  # share of K that a function leaves at least
 _REST_SPEED_RATIO = 0.02  # of a high speed, below which the drive rests
 _EVERYWHERE = 1e6  # bound of where a variable's range ends
@@ -70,7 +69,7 @@ def compute_rest_time(context: EffectContext) -> Array:
 VARIABLES = (
     Variable(
         "position",
-        MOTOR_POSITION,
+        "motor position",
         "m",
         lambda context: context.drive,
         "a kink, a tight bend, a joint or a worn place that part of the tendon passes",
@@ -291,12 +290,12 @@ def _change_reading(
     effect: Effect,
     direction: int,
 ) -> Array:
-    is_own = effect.name.endswith("_by_reading")
-    f = (
-        evaluate_function(effect, values, signal)
-        if is_own
-        else _evaluate_in(effect, values, context)
-    )
+    if effect.name.endswith("_by_reading"):
+        f = evaluate_function(effect, values, signal)
+        for _ in range(CURVE_ITERATIONS - 1 if direction < 0 else 0):  # f is of the true signal
+            f = evaluate_function(effect, values, signal - f)
+    else:
+        f = _evaluate_in(effect, values, context)
     if effect.function is not None and effect.function.is_share:
         return np.asarray(signal * (1.0 + f).clip(FRICTION_MIN) ** direction)
     return np.asarray(signal + direction * f)
@@ -342,8 +341,9 @@ def _build_function(target: _Target, x: Variable) -> Effect:
         required_channels=frozenset(required | ({target.channel} - {""})),
         function=term,
         correction=_CORRECTIONS.get(target.key) if x is _OWN else None,
-        shift_encoder_zero=partial(_shift_range, is_position=x.words == MOTOR_POSITION),
     )
+    if x.key == "position" or (x is _OWN and target.channel == PROXIMAL_DISPLACEMENT):
+        effect = replace(effect, shift_encoder_zero=_shift_range)
     if not target.channel:
         return replace(effect, physics=partial(_change_physics, effect=effect))
     forward = partial(_change_reading, effect=effect, direction=1)
@@ -360,8 +360,8 @@ def _build_function(target: _Target, x: Variable) -> Effect:
     return replace(effect, measure=measure, invert=invert)
 
 
-def _shift_range(values: Values, zero: float, *, is_position: bool) -> Values:
-    return (values[0] + zero, values[1] + zero, *values[2:]) if is_position else values
+def _shift_range(values: Values, zero: float) -> Values:
+    return (values[0] + zero, values[1] + zero, *values[2:])
 
 
 def build_functions(columns: Iterable[str] = ()) -> tuple[Effect, ...]:

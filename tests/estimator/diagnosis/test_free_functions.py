@@ -70,6 +70,33 @@ def test_a_curve_stays_as_it_is_beyond_its_range_and_closes_over_a_period():
             np.testing.assert_allclose(far, y[[0, -1]])
 
 
+@pytest.mark.parametrize("channel", ["proximal_displacement", "proximal_tension"])
+def test_a_driving_sensor_is_put_right_as_it_reads(channel):
+    effect = find_function(f"{channel}_by_reading")
+    signal = np.linspace(0.0, 1.0, 50)
+    values = (0.0, 1.0, *(0.03 * np.cos(np.arange(12.0))).tolist())
+    driven = diagnosed_context(signal, signal)._replace(driver=channel)
+    reading = effect.measure({channel: signal}, values, driven._replace(driver=""))[channel]
+    assert np.abs(reading - signal).max() > 0.02
+    np.testing.assert_allclose(effect.invert(reading, values, driven), signal, atol=2e-4)
+
+
+def test_a_curve_over_the_encoder_moves_with_its_zero():
+    x, shapes = np.linspace(0.0, 1.0, 20), (0.0, 1.0)
+    values = (*shapes, *np.random.default_rng(0).uniform(-0.3, 0.3, 12).tolist())
+    for name, zero in (
+        ("friction_by_position", 5.0),
+        ("proximal_displacement_by_reading", 5.0),
+        ("proximal_tension_by_reading", 0.0),
+        ("friction_by_time", 0.0),
+    ):
+        effect = find_function(name)
+        shifted = effect.shift_encoder_zero(values, 5.0)
+        np.testing.assert_allclose(
+            evaluate_function(effect, shifted, x + zero), evaluate_function(effect, values, x)
+        )
+
+
 def test_a_rest_counts_until_the_next_one():
     time = np.arange(800) * 0.01
     speed = np.where((time > 2.0) & (time < 3.0), 0.0, np.where(time < 6.0, 1.0, -1.0))
