@@ -164,6 +164,9 @@ def load(path: Path, effects: Sequence[Effect] = CATALOGUE) -> SavedModel:
     for label in labels:
         if labels.count(label) > 1:
             raise UsageError(f"{path}: effects: {label} occurs twice")
+    functions = [effect.label for effect, _ in effect_values if effect.function is not None]
+    if len(functions) > 1:
+        raise UsageError(f"{path}: effects: {' and '.join(functions)}, one function at most is run")
     if not all(isinstance(name, str) for name in unsure):
         raise UsageError(f"{path}: unsure: must be a list of names of effects")
     unexplained = tree.get("unexplained", False)
@@ -193,9 +196,10 @@ def _parse_effect(
     effect = variants[where]
     parameters_key = f"{key}.parameters"
     numbers = _parse_mapping(path, parameters_key, row.get("parameters"))
-    return effect, _parse_numbers(
-        path, parameters_key, numbers, {p.name: p for p in effect.parameters}
-    )
+    values = _parse_numbers(path, parameters_key, numbers, {p.name: p for p in effect.parameters})
+    if effect.function and not effect.function.is_periodic and values[0] >= values[1]:
+        raise UsageError(f"{path}: {parameters_key}: from {values[0]:g}, must be below to")
+    return effect, values
 
 
 def _parse_numbers(

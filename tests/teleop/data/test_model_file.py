@@ -94,3 +94,16 @@ def test_unknown_words_are_refused_with_what_may_be_meant(tmp_path, tree):
     del tree["sheath"]
     tree["effects"] = "none"
     assert "effects: must be a list" in refusal(tmp_path, tree)
+
+
+def test_a_function_without_a_range_and_a_second_one_are_refused(tmp_path, tree):
+    names = [f"c{k}" for k in range(1, 13)]
+    numbers = {"from": 0.01, "to": 0.01, **dict.fromkeys(names, 0.1)}
+    function = {"name": "friction_by_position", "where": "", "parameters": numbers}
+    tree["effects"] = [function]
+    place = "effects.0.parameters: from 0.01, must be below to"
+    assert refusal(tmp_path, tree) == place
+    numbers["to"] = 0.02
+    tree["effects"] = [function, {**function, "name": "elongation_by_speed"}]
+    tree["effects"][1]["parameters"] = numbers | dict.fromkeys(names, 1e-3)
+    assert refusal(tmp_path, tree).endswith("one function at most is run")
