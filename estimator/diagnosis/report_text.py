@@ -56,7 +56,7 @@ def _format_size(diagnosis: Diagnosis, step: CauseStep) -> str:
 
 
 def _format_short(value: float, unit: str) -> str:
-    return format_quantity(value, unit, 2) if unit else f"{100.0 * value:.2g} %"
+    return format_quantity(value, unit, 2) if unit else f"{100.0 * value:.3g} %"
 
 
 def describe_size(diagnosis: Diagnosis, step: CauseStep) -> str:

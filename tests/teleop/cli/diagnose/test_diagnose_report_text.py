@@ -53,6 +53,9 @@ def test_a_named_cause_is_said_with_size_and_gain(found):
 def test_the_headline_has_words_and_no_names_of_the_catalogue(found, nothing):
     cause = found.steps[0].effect.cause
     assert report_text.format_headline(found).startswith(f"One thing is wrong: {cause} (4")
+    size = found.parameters[f"{FAULT}.gain"]._replace(value=1.25)
+    large = found._replace(parameters={f"{FAULT}.gain": size})
+    assert "(125 %)" in report_text.format_headline(large)
     twice = found._replace(steps=2 * found.steps, verdict=Verdict.AMBIGUOUS)
     assert report_text.format_headline(twice).startswith("Two things are wrong: ")
     for verdict in (Verdict.CLEAN, Verdict.UNEXPLAINED):
