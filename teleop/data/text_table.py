@@ -55,7 +55,6 @@ _NUMBERS = {  # decimal sign -> numbers with thousands separators, or without
 }
 _OTHER_GROUP = re.compile(r"\d['’\u00a0\u202f ]\d{3}(?!\d)")
 _ONE_SIGN = re.compile(rf"[+-]?(\d*)([.,])(\d+){_EXPONENT}")
-_SIGN_NAMES = {".": "point", ",": "comma"}
 _BLANKS = " \t\r\n\u00a0\u2007\u202f\ufeff\u200b\"'"
 
 
