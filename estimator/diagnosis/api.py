@@ -77,7 +77,7 @@ from estimator.diagnosis.validation import (
     transfer_to_validation,
 )
 from estimator.effects import CATALOGUE, CHANNELS, Effect
-from estimator.effects.functions import find_function
+from estimator.effects.functions import find_column, find_function
 from estimator.measured_data import MeasuredData
 from estimator.units import LINEAR, Units
 
@@ -124,7 +124,8 @@ def diagnose(
         Whether the data are of a closed loop of two cables; by default, whether effort changes its
         sign in one of them.
     variables : sequence of str
-        Further columns of the data (`extra`), such as a temperature, that something may depend on.
+        Further columns of the data (`extra`), such as a temperature, that something may depend on;
+        those that functions among `effects` name are added.
     progress : callable
         Called with what is being done and which share of it (0 to 1) is.
     workers : int
@@ -147,10 +148,13 @@ def diagnose(
     """
     is_single = isinstance(data, Record) or hasattr(data, "proximal_tension")
     data_sets: list[MeasuredData | Record] = [data] if is_single else list(data)  # type: ignore[list-item, arg-type]
-    records = prepare_records([*data_sets, *validate], noise, loop=loop, variables=variables)
+    resolved = tuple(map(_resolve_effect, effects)) if effects is not CATALOGUE else CATALOGUE
+    named = (find_column(effect.name) for effect in resolved if effect.function is not None)
+    columns = tuple(dict.fromkeys([*variables, *filter(None, named)]))
+    records = prepare_records([*data_sets, *validate], noise, loop=loop, variables=columns)
     diagnosis = diagnose_records(
         records[: len(data_sets)],
-        tuple(map(_resolve_effect, effects)) if effects is not CATALOGUE else CATALOGUE,
+        resolved,
         validate=records[len(data_sets) :],
         cause=cause,
         fit_all=fit_all,

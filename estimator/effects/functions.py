@@ -375,11 +375,15 @@ def build_functions(columns: Iterable[str] = ()) -> tuple[Effect, ...]:
     )
 
 
+def find_column(name: str) -> str:
+    """Return the further column on which the effect of a name depends; "" for none."""
+    column = name.partition("_by_")[2]
+    return "" if column in (x.key for x in (*VARIABLES, _PHASE, _OWN)) else column
+
+
 def find_function(name: str) -> Effect | None:
     """Return the effect of a name such as `friction_by_position`; None if there is none."""
-    column = name.partition("_by_")[2]
-    known = {"", *(x.key for x in (*VARIABLES, _PHASE, _OWN))}
-    functions = build_functions([] if column in known else [column])
+    functions = build_functions(filter(None, [find_column(name)]))
     return next((effect for effect in functions if effect.name == name), None)
 
 

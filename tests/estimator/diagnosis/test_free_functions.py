@@ -125,5 +125,7 @@ def test_a_further_column_that_is_not_there_is_refused():
     data = SimpleNamespace(time=made.time, **made.channels, extra={"humidity_percent": made.time})
     with pytest.raises(RecordError, match="temperature: no such further column; there are hum"):
         diagnose(data, variables=["temperature"])
+    with pytest.raises(RecordError, match="positon: no such further column; there are hum"):
+        diagnose(data, ["friction_by_positon"])
     (record,) = prepare_records([data], variables=["humidity_percent"])
     np.testing.assert_allclose(record.variables["humidity_percent"], record.time)
