@@ -49,7 +49,12 @@ from estimator.effects.functions import (
 from estimator.lumped.lumped_model import Physics
 from estimator.measured_data import MeasuredData, Samples
 from estimator.online.estimator import Estimator
-from estimator.online.extended_model import build_extended_model, is_record_specific
+from estimator.online.extended_model import (
+    FUNCTIONS_AT_END,
+    apply_friction_at_end,
+    build_extended_model,
+    is_record_specific,
+)
 from estimator.online.force_error import Score
 from estimator.online.tendon_model import TendonModel
 from estimator.spikes import remove_spikes
@@ -200,7 +205,9 @@ def transfer_to_validation(dataset: Dataset, model: Model) -> Model:
     return model._replace(
         effects=tuple(
             (
-                _freeze_friction(end, effect) if effect.name in FRICTION_TIME_EFFECTS else effect,
+                _freeze_friction(end, effect)
+                if effect.name in FRICTION_TIME_EFFECTS | FUNCTIONS_AT_END
+                else effect,
                 values,
             )
             for effect, values in model.effects
@@ -213,6 +220,8 @@ def _freeze_friction(end: float, effect: Effect) -> Effect:
     """Return an effect on friction that stays as it is at a time [s]."""
 
     def physics(base_physics: Physics, values: Values, context: EffectContext) -> Physics:
+        if effect.function is not None:
+            return apply_friction_at_end(base_physics, values, effect)
         unit_physics = base_physics._replace(friction=np.ones(2))
         end_physics = effect.physics(
             unit_physics, values, context._replace(time=np.array([0.0, end]))

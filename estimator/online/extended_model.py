@@ -89,7 +89,7 @@ _FUNCTION_VARIABLES = {
     "speed": FunctionVariable.SPEED,
     "rest_time": FunctionVariable.REST_TIME,
 }
-_FUNCTIONS_AT_END = frozenset({"friction_by_time", "friction_by_path"})  # as a record has ended
+FUNCTIONS_AT_END = frozenset({"friction_by_time", "friction_by_path"})  # as a record has ended
 _TIP_FUNCTIONS = frozenset({"distal_tension_by_reading", "distal_displacement_by_reading"})
 
 
@@ -163,9 +163,8 @@ def build_extended_model(
             if is_tendon and by in _FUNCTION_VARIABLES:
                 function = _build_function(effect, values, _FUNCTION_VARIABLES[by])
                 use = EffectUse.DYNAMICS
-            elif effect.name in _FUNCTIONS_AT_END:
-                share = 1.0 + evaluate_function(effect, values, np.array([values[1]]))
-                current = current._replace(friction=current.friction * share)
+            elif effect.name in FUNCTIONS_AT_END:
+                current = apply_friction_at_end(current, values, effect)
                 use = EffectUse.LAW
             else:
                 is_at_tip = effect.name in _TIP_FUNCTIONS
@@ -218,12 +217,19 @@ def _build_function(
     return constants
 
 
+def apply_friction_at_end(physics: Physics, values: Values, effect: Effect) -> Physics:
+    """Return a tendon whose friction is as a function of `FUNCTIONS_AT_END` leaves it."""
+    share = 1.0 + evaluate_function(effect, values, np.array(values[1:2]))
+    return physics._replace(friction=physics.friction * share)
+
+
 def is_record_specific(effect: Effect) -> bool:
     """Return whether an effect is of something that happened in its record only."""
     if effect.file:
         return True
     if effect.function is not None:
-        return effect.name.endswith(("_by_time", "_by_path", "_by_phase"))
+        is_of_time = effect.name.endswith(("_by_time", "_by_path", "_by_phase"))
+        return is_of_time and effect.name not in FUNCTIONS_AT_END
     return OMISSION_REASONS.get(effect.name) == _REASON_RECORD
 
 

@@ -1,11 +1,15 @@
 """A model with a free function in the loop, on data by a chain of beads."""
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from estimator.diagnosis.dataset import Model
+from estimator.diagnosis.validation import transfer_to_validation
 from estimator.effects.functions import compute_basis, find_function
+from estimator.lumped.lumped_model import Physics
 from estimator.online import online
 from estimator.online.extended_model import EffectUse, build_extended_model, explain_omission
 from estimator.online.tendon_model import TendonModel
@@ -82,3 +86,16 @@ def test_what_the_loop_cannot_follow_is_left_out_with_the_reason():
     }
     assert list(uses.values()) == [EffectUse.LAW, EffectUse.DYNAMICS, EffectUse.OMITTED]
     assert "follows time" in explain_omission(find_function("tip_load_by_time"))
+
+
+@pytest.mark.parametrize("name", ["friction_by_time", "friction_by_path"])
+def test_validation_and_loop_take_friction_as_a_record_ended(name):
+    x = np.linspace(0.0, 10.0, 50)
+    effect, values = fitted(name, x, 0.03 * x)
+    dataset = SimpleNamespace(records=[SimpleNamespace(time=x)])
+    model = transfer_to_validation(dataset, Model((0.8,), (), ((effect, values),)))
+    ((frozen, _),) = model.effects
+    other_day = frozen.physics(Physics(np.full(7, 0.8), 1e-4, np.ones(1)), values, None)
+    np.testing.assert_allclose(other_day.friction, 0.8 * 1.3, rtol=1e-3)
+    loop_friction = build_extended_model((0.8, 1e-4, 0.0), [(effect, values)], 10.0, 1.0).sheath.K
+    assert loop_friction == pytest.approx(other_day.friction[0])
