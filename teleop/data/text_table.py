@@ -273,7 +273,7 @@ def classify_word(cell: str) -> str:
 def to_number(cell: str, decimal: str) -> float | None:
     """Return the number of a cell, NaN for a missing value, None for anything else."""
     text = cell.strip(_BLANKS).replace("−", "-")
-    if decimal != ",":
+    if decimal != "," and "_" not in text:  # which Python leaves out of numbers
         try:
             return float(text)
         except ValueError:
@@ -339,7 +339,7 @@ def _find_decimal(path: Path, rows: Sequence[Row], separator: str, mapping: Tabl
 
 def parse_cells(cells: Sequence[str], decimal: str, words: Counter[str]) -> Column:
     """Return cells as numbers, NaN where missing; if any is text, as shared objects."""
-    if decimal != ",":
+    if decimal != "," and not any("_" in cell for cell in cells):
         try:
             return np.fromiter(map(float, cells), np.float64, len(cells))
         except ValueError:

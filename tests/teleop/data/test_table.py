@@ -151,6 +151,7 @@ def test_a_recording_is_a_table(tmp_path):
         (HEAD + "0,1,0\n0.1,1,14\n", ["displacement_m', line 3", "14 m", "metres"]),
         (HEAD + "0,1,0\n12,1,0\n24,1,0\n", ["'time_s'", "12 s apart", "milliseconds"]),
         (b"time_s,proximal_tension_N\n0,\xff\n", ["line 2: 'ÿ' is not a number"]),
+        (b"time_s,proximal_tension_N\n0,5\n1,1_5\n", ["line 3: '1_5' is not a number"]),
         ('time_s,proximal_tension_N\n0,"1\n', ["cannot be read"]),
     ],
 )
