@@ -336,7 +336,7 @@ def _build_function(target: _Target, x: Variable) -> Effect:
         "coefficients",
         parameters=(*shapes, *coefficients),
         source="no law: a penalised spline, Eilers and Marx 1996",
-        advice=f"Such a curve is made by {x.origin}. It would decide: {x.experiment}.",
+        advice=f"Possible origin: {x.origin}. Experiment that decides: {x.experiment}.",
         starts=lambda _: [],
         required_channels=frozenset(required | ({target.channel} - {""})),
         function=term,
