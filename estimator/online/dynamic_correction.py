@@ -41,7 +41,9 @@ NO_SUBSTEPS = 1.0  # a step is not divided: it must end in time
 TIP_COMPLIANCE_MAX = 5e-3  # [m/N] of what the tip pulls at
 TRAVEL_JUMP_MAX = 0.01  # [m] in a sample: no motion
 STRETCH_MAX = 1.0  # [m] that effects stretch a tendon
-REST_SPEED = 2e-5  # [m/s] of the motor, below which it rests
+REST_SPEED = 2e-5  # [m/s] of the motor, below which it rests, and below ...
+REST_SPEED_RATIO = 0.02  # ... this share of the highest of late, as in effects.functions
+HIGH_SPEED_TIME_CONSTANT = 300.0  # [s] over which that is forgotten
 COEFFICIENTS = 12  # of a free function
 FRICTION_SHARE_MIN = 0.05  # that a free function leaves of K at least
 
@@ -74,6 +76,8 @@ class FunctionState(Struct):
     started: Flag = False
     is_outside: Flag = False  # of the range that was seen
     position: F64 = 0.0  # [m] of the motor, averaged
+    speed: F64 = 0.0  # [m/s] averaged once more: an encoder's noise is no motion
+    high_speed: F64 = 0.0  # [m/s] of late
     direction: F64 = 0.0  # of its last motion; 0 at rest
     rest_time: F64 = 0.0  # [s]
     value: F64 = 0.0
@@ -156,7 +160,7 @@ def update_correction(
     if has_travel and effect_constants[lumped_model.STRIBECK] != 0.0:
         speeds = _estimate_sliding_speeds(state, plain_state, q, dt)
     if constants.function.variable != FunctionVariable.NONE:
-        f = _update_function(constants.function, state.function, T, q, dt)
+        f = update_function(constants.function, state.function, T, q, dt)
         if constants.function.stretches:
             sample[0, lumped_model.STRETCH] = f
         else:
@@ -184,7 +188,7 @@ def update_correction(
 
 
 @jit_compile
-def _update_function(
+def update_function(
     function: FunctionConstants, state: FunctionState, T: float, q: float, dt: float
 ) -> float:
     """Return a free function at one sample; without a travel it stays as it was."""
@@ -197,9 +201,12 @@ def _update_function(
         state.position += -math.expm1(-dt / SPEED_TIME_CONSTANT) * (q - state.position)
         speed = (q - state.position) / SPEED_TIME_CONSTANT
         state.started = True
+    state.speed += -math.expm1(-dt / SPEED_TIME_CONSTANT) * (speed - state.speed)
+    state.high_speed *= math.exp(-dt / HIGH_SPEED_TIME_CONSTANT)
+    state.high_speed = max(abs(state.speed), state.high_speed)
     direction = 0.0
-    if abs(speed) > REST_SPEED:
-        direction = 1.0 if speed > 0.0 else -1.0
+    if abs(state.speed) > max(REST_SPEED, REST_SPEED_RATIO * state.high_speed):
+        direction = 1.0 if state.speed > 0.0 else -1.0
     if direction == 0.0:
         state.rest_time = state.rest_time + dt if state.direction == 0.0 else 0.0
     elif direction == -state.direction:
@@ -297,6 +304,7 @@ def reset(constants: DynamicConstants, state: DynamicState) -> None:
     state.contact_displacements[:] = 0.0
     state.function.started = state.function.is_outside = False
     state.function.direction = state.function.rest_time = state.function.value = 0.0
+    state.function.speed = state.function.high_speed = 0.0
     state.without_effects[:] = lumped_model.build_initial_state(
         constants.without_effects[:], 0.0, 0.0, 0.0
     )

@@ -10,7 +10,8 @@ from estimator.diagnosis.dataset import Model
 from estimator.diagnosis.validation import transfer_to_validation
 from estimator.effects.functions import compute_basis, find_function
 from estimator.lumped.lumped_model import Physics
-from estimator.online import online
+from estimator.online import dynamic_correction, online
+from estimator.online.dynamic_correction import FunctionConstants, FunctionState, FunctionVariable
 from estimator.online.extended_model import EffectUse, build_extended_model, explain_omission
 from estimator.online.tendon_model import TendonModel
 from studies import hidden
@@ -99,3 +100,13 @@ def test_validation_and_loop_take_friction_as_a_record_ended(name):
     np.testing.assert_allclose(other_day.friction, 0.8 * 1.3, rtol=1e-3)
     loop_friction = build_extended_model((0.8, 1e-4, 0.0), [(effect, values)], 10.0, 1.0).sheath.K
     assert loop_friction == pytest.approx(other_day.friction[0])
+
+
+def test_a_rest_is_one_while_the_encoder_is_noisy():
+    time = np.arange(0.0, 6.0, 0.001)
+    noise = 1e-6 * np.random.default_rng(0).standard_normal(len(time))
+    constants = FunctionConstants.new(variable=int(FunctionVariable.REST_TIME), high=10.0)
+    state = FunctionState.new()
+    for q in 0.01 * np.minimum(time, 1.0) + noise:
+        dynamic_correction.update_function(constants, state, 5.0, q, 0.001)
+    assert state.rest_time == pytest.approx(5.0, abs=0.2)
