@@ -43,7 +43,7 @@ from teleop.messages.messages import MAX_JOINTS, Command, Hand, SlaveState
 from teleop.messages.packet import Packet
 from teleop.messages.topics import COMMAND, HAND, LATENCY, STATE, Role
 from teleop.remote.requests import RequestListener, Requests
-from teleop.runtime.clock import STALL_NS, Grid, Tick, monotonic_ns, now_ns
+from teleop.runtime.clock import STALL_NS, Grid, SuspensionWatch, Tick, monotonic_ns, now_ns
 from teleop.runtime.compiling import announce_compilation
 from teleop.runtime.process import StopCondition
 from teleop.session.config import RunConfig, read_config
@@ -120,6 +120,7 @@ class MasterProcess(LoopProcess):
         self._held_buttons: tuple[int, ...] = ()  # without a function
         self._may_publish_press = RateLimit(PRESSES_PER_S, PRESSES_PER_S)
         self._absence = ""  # why the device cannot be read, while it is looked for
+        self._suspension = SuspensionWatch()
         self._states = link.subscribe_latest(STATE, round(config.state_timeout * 1e9))
         self._echo_ns = self._states.packet.records["echo_stamp_ns"]
         self._slave_answer_ns = self._states.packet.records["answer_ns"]
@@ -195,9 +196,15 @@ class MasterProcess(LoopProcess):
             publish_event(self._link, Role.MASTER, outline, f"off: {self.ended or 'ended'}")
 
     def _read(self, time_s: float) -> tuple[Reason, HandState | None, str]:
-        """Read the device; return its fault, the hand, and why the device is absent."""
+        """Read the device; return its fault, the hand, and why the device is absent.
+
+        After the machine was suspended any device counts as lost for one tick: the hand is
+        elsewhere.
+        """
         begin_ns = now_ns()
         try:
+            if explanation := self._suspension.explain():
+                return Reason.DEVICE_FAULT, None, explanation
             return Reason.NONE, self._device.read(time_s), ""
         except DeviceLost as error:
             return Reason.DEVICE_FAULT, None, str(error)

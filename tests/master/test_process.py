@@ -1,4 +1,5 @@
 from dataclasses import replace
+from functools import partial
 
 import pytest
 
@@ -33,6 +34,7 @@ from teleop.messages.topics import (
     Role,
 )
 from teleop.remote.requests import CALL, RESET
+from teleop.runtime import clock as runtime_clock
 from teleop.runtime.clock import Grid, now_ns
 from teleop.session.loop_process import run
 from teleop.session.state_machine import Reason, State, to_outline
@@ -493,6 +495,27 @@ def test_a_device_that_is_looked_for_is_a_fault_told_once_and_the_master_goes_on
         "off: ended",
     ]
     assert master.summary().faults == ((Reason.DEVICE_FAULT, "pulled out"),)
+
+
+def test_after_a_suspension_the_hand_is_lost_with_any_device(clock, monkeypatch):
+    suspended_ns = [0]
+    patch = partial(monkeypatch.setattr, runtime_clock.time, raising=False)
+    patch("CLOCK_BOOTTIME", 7)
+    patch("clock_gettime_ns", lambda _: clock.now() + suspended_ns[0])
+    device, line = Stylus(), DeviceConnection()
+    master, run_on = ticking(line, device)
+    run_on(40)
+    assert device.forces[-1][0] < -0.1
+    suspended_ns[0] = 5 * 10**9
+    run_on(20)
+    assert set(device.forces[40:]) == {(0.0,)}  # the switch is still held
+    states = {(State(c.state), Reason(c.reason)) for c in line.of(COMMAND)[40:]}
+    assert states == {(State.FAULT, Reason.DEVICE_FAULT)}
+    texts = [decode_text(event.text) for event in line.of(EVENT)]
+    told = "haptic device: the machine was suspended for 5.0 s: start or engage again"
+    assert sum(text.startswith(told) for text in texts) == 1
+    assert master.error is None
+    assert device.reads == 59
 
 
 def test_a_second_master_ends_the_session():

@@ -15,7 +15,6 @@ from master.devices.hid.force_signs import ForceSigns
 from master.devices.hid.mapping import HidConfig
 from master.devices.hid.pid import PidConfig, PidDriver
 from master.devices.hid.search import DeviceNotFoundError, FoundDevice
-from teleop.runtime.clock import SuspensionWatch
 
 # --- registry of the nodes open in this process, so that no device is opened twice
 
@@ -237,7 +236,6 @@ class HidDevice:
         self._lost = ""
         self._memory = mapping.init_mapping(self.axes)
         self._time_s = 0.0
-        self._suspension = SuspensionWatch()
         for line in describe_device(config, self._found, self._signs):
             say(line)
         for text in (*warnings, *([advice] if advice else [])):
@@ -246,13 +244,10 @@ class HidDevice:
     def read(self, time_s: float) -> HandState:
         """Return the newest hand state.
 
-        `DeviceLost` while the device is unplugged or reports that it cannot render a force, once
-        after the machine was suspended, and once after lost reports, which may have contained a
-        button change.
+        `DeviceLost` while the device is unplugged or reports that it cannot render a force, and
+        once after lost reports, which may have contained a button change.
         """
         dt, self._time_s = time_s - self._time_s, time_s
-        if explanation := self._suspension.explain():
-            raise DeviceLost(explanation)
         opened = self._opened or self._returned()
         try:
             controls = opened.device.read(time_s)

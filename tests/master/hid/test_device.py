@@ -247,21 +247,6 @@ def test_a_write_that_hangs_is_a_fault_and_stops_neither_the_loop_nor_the_end(hi
     assert wait_for_condition(lambda: not node.handles, 5.0)
 
 
-def test_after_a_suspension_the_hand_is_lost_once_and_no_force_is_kept(hidraw, open_, monkeypatch):
-    node = hidraw.plug(board())
-    know_signs(x=1, y=1)
-    loop = open_()
-    loop.until(lambda: loop.hand)
-    loop.force = (1.0, 0.0)
-    loop.until(lambda: node.device.pushes[-1].force[0] > 0.1)
-    read = time.clock_gettime_ns
-    monkeypatch.setattr(time, "clock_gettime_ns", lambda clock: read(clock) + 5 * 10**9)
-    assert loop.tick().startswith("the machine was suspended for 5.0 s: start or engage again")
-    loop.force = (0.0, 0.0)
-    assert loop.tick() == ""
-    loop.until(lambda: node.device.pushes[-1].force[0] == 0.0)
-
-
 def test_force_feedback_that_no_driver_can_use_is_said_with_what_to_do(hidraw, open_):
     unknown, said = board(), []
     unknown.descriptor = unknown.descriptor.replace(descriptors.operation(0x0A), b"")
