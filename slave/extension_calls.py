@@ -122,7 +122,8 @@ class SlaveExtensions:
             for name, values, limit in named
         )
         if not ((low <= tension) & (tension <= high)).all():
-            text = f"tension {tension} is not between low {low} and high {high} [N]"
+            ends = f"low {low.tolist()} and high {high.tolist()} [N]"
+            text = f"tension {tension.tolist()} is not between {ends}"
             raise estimator.fault("step", text)
         return tension, low, high, elongation
 

@@ -85,12 +85,15 @@ class CheckedExtension:
             )
         if values.shape != (count,):
             raise self.fault(name, f"{what} has shape {values.shape}, must be ({count},) [{unit}]")
-        peak = float(np.abs(values).max())
+        # a copy, as the extension may change its own; plain, with what a mask hides; and floats, as
+        # the smallest integer has no absolute value
+        numbers = np.array(values, np.float64)
+        peak = float(np.abs(numbers).max())
         if not math.isfinite(peak):
-            raise self.fault(name, f"{what} is {values}, not finite")
+            raise self.fault(name, f"{what} is {numbers.tolist()}, not finite")
         if peak > limit:
             raise self.fault(name, f"{what} is {peak:g} {unit}, at most {limit:g} {unit}")
-        return values.astype(np.float64)  # a copy: the extension may change its own
+        return numbers
 
     def fault(self, name: str, text: str) -> ExtensionFault:
         """Return the fault of a method."""

@@ -1,5 +1,6 @@
 """An estimator, a controller and a coupling of another package, in a session of both loops."""
 
+import math
 import re
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -10,6 +11,7 @@ import pytest
 from slave.extensions import ControllerExtension, EstimatorExtension, TipEstimate
 from slave.rigs.simulated import SimulatedRig
 from teleop.config import extensions
+from teleop.config.extension_calls import CheckedExtension, ExtensionFault
 from teleop.coupling.extension import CouplingExtension, TipMotion
 from teleop.errors import UsageError
 from teleop.session.state_machine import Reason, State
@@ -160,6 +162,23 @@ def test_its_motion_and_its_force_go_through_to_tip_and_hand():
         assert act["received"] == pytest.approx(2.0 * requested, abs=1e-9)
     assert requested > 3e-3
     assert felt[-1] == pytest.approx(-0.1 * 3.0)  # force.scale of the config
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        np.array([-(2**63)]),
+        np.ma.array([1e300, 0.0], mask=[True, False]),
+        np.ma.array([math.nan], mask=[True]),
+        np.array([np.longdouble("1e400")]),
+        np.array([-1.5], np.float16),
+    ],
+    ids=str,
+)
+def test_no_number_beyond_the_limit_hides_in_an_array(values):
+    checked = CheckedExtension("coupling", Coupling("x"), object)
+    with pytest.raises(ExtensionFault, match=r"not finite|at most 1 N"), np.errstate(all="ignore"):
+        checked.check("move", "force", values, len(values), 1.0, "N")
 
 
 MISTAKES = {
