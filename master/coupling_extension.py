@@ -1,5 +1,8 @@
 """The master's end of a coupling of another package, in the master's tick."""
 
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
 
 from estimator.array_types import Array
@@ -39,25 +42,37 @@ class HandEnd:
             "coupling", config, lambda: config.open_master(n), "send", "render"
         )
         self.calls = self._checked.calls
-        self._was_coupled = False
+        self._was_coupled, self._sent = False, np.zeros(0)
         loop.compute_tip_forces(settings, states, False, n, np.zeros(MAX_JOINTS))  # compile it
 
     @property
     def _is_coupled(self) -> bool:
         return bool(self._memories["counted_work"][0])
 
-    def send(self, commands: StructArray, dt: float) -> None:
-        """Write the numbers for the slave into the command; `ExtensionFault`."""
-        n, was_coupled, self._was_coupled = self._joints, self._was_coupled, self._is_coupled
+    def start_tick(self) -> None:
+        """Let `send` be called once more."""
+        self._was_coupled, self._sent = self._is_coupled, np.zeros(0)
+
+    def compute_command(
+        self, compute: Callable[..., None], commands: StructArray, *inputs: Any
+    ) -> None:
+        """Run the first phase of a tick, and write the numbers for the slave; `ExtensionFault`.
+
+        Computed again after a stall, a tick takes what was sent before.
+        """
+        compute(*inputs)
+        n, dt = self._joints, inputs[-1]
         commands["wave"][0, :n] = 0.0
         if not self._is_coupled:
             return
-        side = self._memories["coupling"][0]
-        hand = side["hand"][:n]
-        copies = (side["requested"][:n], hand["velocity"], hand["written"])
-        port = HandPort(dt, not was_coupled, *(values.copy() for values in copies))
-        sent = self._checked.call("send", port)
-        commands["wave"][0, :n] = self._checked.check("send", "sent", sent, n, SIGNAL_MAX, "")
+        if not len(self._sent):
+            side = self._memories["coupling"][0]
+            hand = side["hand"][:n]
+            copies = (side["requested"][:n], hand["velocity"], hand["written"])
+            port = HandPort(dt, not self._was_coupled, *(values.copy() for values in copies))
+            sent = self._checked.call("send", port)
+            self._sent = self._checked.check("send", "sent", sent, n, SIGNAL_MAX, "")
+        commands["wave"][0, :n] = self._sent
 
     def render(self, settings: StructArray, has_state: bool) -> None:
         """Write the forces for the hand into the memory; `ExtensionFault`."""

@@ -153,17 +153,17 @@ class MasterProcess(LoopProcess):
         if self._mapper is not None:
             self._mapper.step(self._hands, self._memory, config.operator.position_scale, tick.dt)
         outputs = (self._command.records,)
-        compute = partial(self._run_phase, loop.compute_command, outputs, settings, fault, requests)
-        self._checkpoint.run_step(compute, now_ns(), tick.dt)
+        compute: Callable[..., None]
+        compute = partial(self._run_phase, loop.compute_command, outputs, settings)
         if self._own is not None:
-            try:
-                self._own.send(self._command.records, tick.dt)
-            except ExtensionFault as error:
-                self._checkpoint.restore()
-                fault = self._end_on_extension_fault(error)
-                self._run_phase(
-                    loop.compute_command, outputs, settings, fault, requests, now_ns(), tick.dt
-                )
+            self._own.start_tick()
+            compute = partial(self._own.compute_command, compute, self._command.records)
+        try:
+            self._checkpoint.run_step(partial(compute, fault, requests), now_ns(), tick.dt)
+        except ExtensionFault as error:
+            self._checkpoint.restore()
+            fault = self._end_on_extension_fault(error)
+            compute(fault, requests, now_ns(), tick.dt)
         known_ns = self._states.stamp_ns
         sent_ns = 0
         if self._index % self._commands_every == 0:

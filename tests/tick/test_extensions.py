@@ -27,6 +27,7 @@ KEYS = {
     "master's coupling": ("coupling", "Coupling"),
     "master's render": ("coupling", "Coupling"),
 }
+DELAYS = {"late": 0.025, "slow": 0.012}  # [s]
 act: dict[str, object] = {}  # what an extension does from now on, by kind
 
 
@@ -35,8 +36,8 @@ def spoil(kind, values):
     mistake = act.get(kind)
     if mistake == "raise":
         raise ZeroDivisionError("by its own code")
-    if mistake == "late":
-        act["sleep"](0.025)
+    if mistake in DELAYS:
+        act["sleep"](DELAYS[mistake])
     wrong = {
         "nan": np.full(1, np.nan),
         "shape": np.zeros((1, 2)),
@@ -84,6 +85,7 @@ class Coupling(CouplingExtension):
     open_slave = open_master
 
     def send(self, hand):
+        act["calls"] = act.get("calls", 0) + 1
         return spoil("master's coupling", hand.position)
 
     def render(self, tip_force, received):
@@ -162,6 +164,21 @@ def test_its_motion_and_its_force_go_through_to_tip_and_hand():
         assert act["received"] == pytest.approx(2.0 * requested, abs=1e-9)
     assert requested > 3e-3
     assert felt[-1] == pytest.approx(-0.1 * 3.0)  # force.scale of the config
+
+
+def test_a_command_is_decided_again_after_a_stall_of_the_coupling():
+    with ExitStack() as stack:
+        session = start(stack, f"coupling={{type: '{HERE}Coupling'}}")
+        drive(session, 150)
+        session.alter(None, lambda _: None)  # the slave falls silent
+        drive(session, 22)
+        assert session.master._command.records["state"] == State.ENGAGED
+        act["master's coupling"], calls = "slow", act["calls"]
+        session.tick()
+        command = session.master._command.records
+    assert act["calls"] == calls + 1
+    assert command["state"] == State.HOLDING
+    assert command["wave"][0, 0] == 0.0
 
 
 @pytest.mark.parametrize(
