@@ -87,7 +87,8 @@ def attenuate_forces(
         Number of the arm in space that a joint belongs to, -1 for one by itself. The joints of an
         arm are neighbours.
     estimates : array, shape (3, joints) or wider
-        Force [N], low and high end of its interval. NaN as an end: an arm renders nothing.
+        Force [N], low and high end of its interval. If one of an
+        arm is invalid (NaN or swapped ends), the arm renders nothing.
     """
     factor = 1.0
     for k in range(joints):
@@ -110,8 +111,10 @@ def _compute_common_factor(
         if arm[k] != arm[first]:
             continue
         force, low, high = estimates[0, k], estimates[1, k], estimates[2, k]
+        if not math.isfinite(force):
+            return 1.0  # for the gate to reject
         if not low <= high:
             return 0.0
         size = math.hypot(size, force)
         rendered = math.hypot(rendered, attenuate_force(config, force, low, high))
-    return rendered / size if size > 0.0 and math.isfinite(size) else 1.0
+    return rendered / size if 0.0 < size < math.inf else 0.0

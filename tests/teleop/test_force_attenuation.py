@@ -2,12 +2,18 @@
 
 import math
 
+import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from estimator.records import to_struct
-from teleop.coupling.force_attenuation import ConfidenceConfig, attenuate_force, find_smallest_force
+from teleop.coupling.force_attenuation import (
+    ConfidenceConfig,
+    attenuate_force,
+    attenuate_forces,
+    find_smallest_force,
+)
 
 FORCES = st.floats(-100.0, 100.0)
 RULES = st.builds(
@@ -62,6 +68,27 @@ def test_an_interval_that_is_none_certifies_nothing(ends):
 def test_an_interval_without_end_leaves_what_is_certain(force, end):
     assert attenuate_force(RULE, force, -end, end) == 0.0
     assert attenuate_force(RULE, abs(force) + 1.0, 1.0, end) == 1.0
+
+
+@given(st.lists(st.tuples(*[st.one_of(FORCES, st.floats(width=32))] * 3), min_size=5, max_size=5))
+@example([(0.0, 1.0, 1.0), (3.0, 2.0, 4.0), (0.0, 5.0, -5.0), (1.0, 0.9, 1.1), (2.0, 2.0, 2.0)])
+@example([(0.0, 1.0, 1.0), (3.0, 9.0, -9.0), (9.0, 8.0, 10.0), (1.0, 0.9, 1.1), (0.0, 2.0, 2.0)])
+@example([(0.0, 1.0, 1.0), (3.0, 2.0, 4.0), (1.0, 1.0, 1.0), (0.0, 0.9, math.nan), (2.0, 2.0, 2.0)])
+def test_whatever_the_estimates_an_arm_is_attenuated_as_one_or_not_at_all(rows):
+    """Joints 1 and 2 are an arm, 3 and 4 another."""
+    estimates, felt = np.array(rows).T.copy(), np.full(5, 99.0)
+    attenuate_forces(RULE, np.array([-1, 0, 0, 1, 1]), estimates, 5, felt)
+    assert felt[0] == attenuate_force(RULE, *rows[0]) or math.isnan(rows[0][0])
+    for first in (1, 3):
+        force, low, high = estimates[:, first : first + 2]
+        out = felt[first : first + 2]
+        if not np.isfinite(force).all():
+            assert not np.isfinite(out).all()
+        elif not (low <= high).all():
+            assert not out.any()
+        else:
+            assert (np.abs(out) <= np.abs(force)).all()
+            assert (out * force >= 0.0).all()
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
