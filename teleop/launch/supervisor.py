@@ -22,9 +22,8 @@ RESTARTED_CHILDREN = ("view",)  # started again after a failure, if it ever work
 ERROR_PREFIX = "teleop: "  # prefix of an error line of the command line
 # a child that has beaten and then only waits for so long, without a beat, is killed
 _HEARTBEAT_TIMEOUT_S = 3.0
-_HEARTBEAT_LATE_S = (
-    0.75  # from then on it is watched whether it computes: beats come twice a second
-)
+# from then on it is watched whether it computes: beats come twice a second
+_HEARTBEAT_LATE_S = 0.75
 # and so is one that computes all the time, or is not given a processor
 _STARVATION_TIMEOUT_S = 20.0
 _SHORT_LIFE_S = 10.0  # a restarted child that fails sooner is started again later each time
