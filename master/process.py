@@ -46,7 +46,7 @@ from teleop.remote.requests import RequestListener, Requests
 from teleop.runtime.clock import STALL_NS, Grid, SuspensionWatch, Tick, monotonic_ns, now_ns
 from teleop.runtime.compiling import announce_compilation
 from teleop.runtime.process import StopCondition
-from teleop.session.config import RunConfig, read_config
+from teleop.session.config import SideConfig, read_config
 from teleop.session.events import format_press, publish_event
 from teleop.session.loop_process import LoopProcess, report_outcome, run_session
 from teleop.session.slow_calls import SlowCallMonitor
@@ -445,7 +445,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def main(args: argparse.Namespace) -> int:
     """Run the master; returns the exit code."""
     document = read_config(args, join=False)
-    shared, config = document.load(RunConfig), document.load(MasterConfig, "master")
+    shared, config = document.load(SideConfig), document.load(MasterConfig, "master")
     config.check_rate(shared.rate_hz)
     with announce_compilation("the master's loop", COMPILE_S):
         warm_up()

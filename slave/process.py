@@ -56,7 +56,7 @@ from teleop.remote.requests import RequestListener, Requests, call_stop
 from teleop.runtime.clock import EventClock, Grid, Tick, now_ns
 from teleop.runtime.process import StopCondition
 from teleop.runtime.realtime import use_ordinary_scheduling
-from teleop.session.config import RunConfig, read_config
+from teleop.session.config import RunConfig, SideConfig, read_config
 from teleop.session.events import publish_event
 from teleop.session.loop_process import LoopProcess, answer_requests, report_outcome, run_session
 from teleop.session.slow_calls import SlowCallMonitor
@@ -318,7 +318,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def main(args: argparse.Namespace) -> int:
     """Run the slave; returns the exit code."""
     document = read_config(args, join=False)
-    shared, config = document.load(RunConfig), document.load(SlaveConfig, "slave")
+    shared, config = document.load(SideConfig), document.load(SlaveConfig, "slave")
     config.check_rate(shared.rate_hz)
     files = model_files.parse(args.model)
     if files and config.initialise.at_start:

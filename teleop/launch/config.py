@@ -8,12 +8,12 @@ from teleop.impair.config import ImpairConfig
 from teleop.link.router import RouterConfig
 from teleop.recording.writer import RecordConfig
 from teleop.ros.config import RosConfig
-from teleop.session.config import RunConfig
+from teleop.session.config import SideConfig
 from teleop.view.config import ViewConfig
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SessionConfig(RunConfig):
+class SessionConfig(SideConfig):
     """All keys of a config file; `teleop run` checks them before it starts a process."""
 
     master: MasterConfig = field(default_factory=MasterConfig)
@@ -26,6 +26,6 @@ class SessionConfig(RunConfig):
 
     def __post_init__(self) -> None:
         """Check the values, and the timeouts against the rate; `ValueError` or `UsageError`."""
-        RunConfig.__post_init__(self)
+        SideConfig.__post_init__(self)
         self.master.check_rate(self.rate_hz)
         self.slave.check_rate(self.rate_hz)

@@ -25,22 +25,15 @@ TIMEOUT_PERIODS_MIN = 3
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RunConfig:
-    """Name, rate, link and coupling of a session."""
+    """Name, rate, link and arms of a session."""
 
     session: str = "demo"  # root of every key; separates sessions on one network
     # [Hz] of the link and the slave, and of the master's device; 100 to 4000
     rate_hz: float = 1000.0
     link: LinkConfig = field(default_factory=LinkConfig)
-    confidence: ConfidenceConfig = field(default_factory=ConfidenceConfig)  # in the force felt
-    coupling: CouplingConfig = field(default_factory=PassivityConfig)  # of hand and tip
     health: HealthConfig = field(default_factory=HealthConfig)  # bounds of the link
     arms: tuple[ArmConfig, ...] = ()  # of several joints each: the first of the rig
     realtime: RealtimeConfig = field(default_factory=RealtimeConfig)  # of both loops
-
-    @property
-    def bilateral(self) -> Bilateral:
-        """The settings that both sides share; `UsageError` if an arm cannot be read."""
-        return Bilateral(self.confidence, self.coupling, find_space_joints(self.arms))
 
     def __post_init__(self) -> None:
         try:
@@ -49,6 +42,22 @@ class RunConfig:
             raise ValueError(f"session: {error}") from error
         if not RATE_MIN_HZ <= self.rate_hz <= RATE_MAX_HZ:
             raise ValueError(f"rate_hz: must be within {RATE_MIN_HZ:g} ... {RATE_MAX_HZ:g} [Hz]")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SideConfig(RunConfig):
+    """What master and slave share besides.
+
+    Not for any other process: a stop, a view or a recorder needs no code of another package.
+    """
+
+    confidence: ConfidenceConfig = field(default_factory=ConfidenceConfig)  # in the force felt
+    coupling: CouplingConfig = field(default_factory=PassivityConfig)  # of hand and tip
+
+    @property
+    def bilateral(self) -> Bilateral:
+        """The settings that both sides share; `UsageError` if an arm cannot be read."""
+        return Bilateral(self.confidence, self.coupling, find_space_joints(self.arms))
 
 
 def check_session(name: str) -> None:

@@ -21,12 +21,12 @@ from teleop.link import Link
 from teleop.link.health import HealthConfig
 from teleop.messages.topics import STATE, Role
 from teleop.runtime.clock import Grid
-from teleop.session.config import RunConfig
+from teleop.session.config import SideConfig
 from teleop.session.state_machine import Reason, State
 from tests.root import ROOT
 
 FULL = 2.5  # [N]
-RUN = load(ROOT / "configs" / "demo.yaml", RunConfig, None)
+RUN = load(ROOT / "configs" / "demo.yaml", SideConfig, None)
 TRAVEL = 0.06  # [m]
 SCALE = 0.25  # tip per hand, as in the demo
 ENGAGE = 1

@@ -19,7 +19,7 @@ from teleop.config.loading import load
 from teleop.link.health import HealthConfig
 from teleop.messages.topics import COMMAND, HAND, STATE, TENDONS, Role
 from teleop.runtime.clock import EventClock, Grid
-from teleop.session.config import RunConfig
+from teleop.session.config import SideConfig
 from tests.tick.clock import StandingClock
 from tests.tick.memory_link import MemoryLink
 from tests.tick.profile import Calls
@@ -70,7 +70,7 @@ class Session:
             side.delay_ns, side.now = round(delay_s * 1e9), clock.now
         self._at_master.meet([self._at_slave, launcher])
         self._at_slave.meet([self._at_master, launcher])
-        shared = load(file, RunConfig, None, overrides)
+        shared = load(file, SideConfig, None, overrides)
 
         config = load(file, SlaveConfig, "slave", overrides)
         rig = open_rig(config.rig)
