@@ -287,9 +287,10 @@ def find_causes(
         result = max(of_file, result, key=lambda one: _compute_evidence(one, result))
     if not _is_explained(result):
         middle = 0.5 * (SEARCH_PROGRESS[-1] + RESTART_PROGRESS)
-        free = _find_function(
-            result, effects, scale_progress(report, SEARCH_PROGRESS[-1], middle), workers
-        )
+        # what named causes leave of model error, a curve would follow
+        is_open = not (result.steps and _is_exhausted(result.dataset, result.fit, result.base_fit))
+        function_report = scale_progress(report, SEARCH_PROGRESS[-1], middle)
+        free = _find_function(result, effects, function_report, workers) if is_open else None
         if free is None or _compute_fraction(free) > SETTINGS.uncertain_fraction_max:
             result = _restart_from_other_cause(
                 result, effects, scale_progress(report, middle, RESTART_PROGRESS), workers

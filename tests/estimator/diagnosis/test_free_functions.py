@@ -28,7 +28,7 @@ CAUSES = ("constant_drag", "viscous_friction")
 def diagnosed(name, seed, bench="blocked", functions=FUNCTIONS):
     made = hidden.make(seed, name, bench=bench, duration=30.0, rate=50.0)
     record = prepare_record(made.time, dict(made.channels), variables=made.variables)
-    effects = [effect for effect in CATALOGUE if effect.name in CAUSES]
+    effects = [effect for effect in CATALOGUE if effect.name in {*CAUSES, name}]
     return made, diagnose_records([record], [*effects, *map(find_function, functions)])
 
 
@@ -48,9 +48,16 @@ def test_the_variable_and_its_curve_are_found():
     assert not any(name.startswith("friction_by") for name in found.parameters)
 
 
-def test_a_named_cause_is_preferred_to_a_curve():
-    _, found = diagnosed("viscous_friction", 22, functions=("friction_by_position",))
-    assert found.causes == ("viscous_friction",)
+@pytest.mark.parametrize(
+    ("name", "seed", "function"),
+    [
+        ("viscous_friction", 22, "friction_by_position"),
+        ("presliding", 9112, "distal_tension_gain_by_tension"),  # follows what model error is left
+    ],
+)
+def test_a_named_cause_is_preferred_to_a_curve(name, seed, function):
+    _, found = diagnosed(name, seed, functions=(function,))
+    assert found.causes == (name,)
     assert found.curve is None
 
 
