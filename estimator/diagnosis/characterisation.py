@@ -37,9 +37,10 @@ from estimator.diagnosis.scoring import (
     compute_bic_penalty,
     compute_errors,
     compute_log_likelihood_ratio,
+    compute_missed_share,
 )
 from estimator.diagnosis.screening import Candidate, build_candidate, map_parallel
-from estimator.diagnosis.settings import ProgressCallback
+from estimator.diagnosis.settings import SETTINGS, ProgressCallback
 from estimator.effects.effect import Effect, EffectContext
 from estimator.effects.functions import COEFFICIENTS, compute_penalty, penalise
 
@@ -49,6 +50,7 @@ MEAN_WEIGHTS = (1e-2, 1.0)  # the same of the mean, where the law does not take 
 SHARES = (1.0, 0.5)  # of a linear step
 KEPT = 10, 4  # functions that are fitted to few samples, and to all
 ROUNDS = 8, 15  # of these fits
+FOREIGN_RATIO = 1.5  # times what a model of a tendon may miss: such a first fit ends there
 PERIODS_MIN = 5  # of a cycle, in a record
 PERIODS_TRIED = 4  # of those that may be in a residual
 PERIOD_SAMPLES = 6  # at least, of a subsampled record
@@ -98,7 +100,9 @@ def fit_functions(
     def fit_few(start: _Screened) -> tuple[float, _Screened]:
         effect = _penalise(start, 1.0)
         fit = fit_model(few, few_contexts, _set_last_effect(start.model, effect), ROUNDS[0])
-        score = screening.compute_ratio(compute_errors(few, fit))
+        errors = compute_errors(few, fit)
+        is_foreign = compute_missed_share(few, errors) > FOREIGN_RATIO * SETTINGS.foreign_share_max
+        score = -math.inf if is_foreign else screening.compute_ratio(errors)
         return score, start._replace(model=fit.model)
 
     # no linear step leads to friction that rises at rest: it acts with the next motion only
@@ -125,6 +129,7 @@ def fit_functions(
 
     chosen = list({start.effect.name: (score, start) for score, start in reversed(best)}.values())
     chosen = sorted(chosen, key=lambda pair: -pair[0])[: KEPT[1]]
+    chosen = [pair for pair in chosen if pair[0] > -math.inf]  # no fit makes a tendon of the rest
     return list(map_parallel(fit_all, chosen, report, "finishing functions", workers))
 
 

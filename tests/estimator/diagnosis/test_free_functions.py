@@ -7,8 +7,12 @@ import pytest
 
 from estimator.diagnosis import report_text
 from estimator.diagnosis.api import diagnose, diagnose_records, prepare_records
+from estimator.diagnosis.baseline import fit_baseline
+from estimator.diagnosis.characterisation import fit_functions
+from estimator.diagnosis.dataset import build_dataset
 from estimator.diagnosis.measured_data import RecordError, prepare_record
 from estimator.diagnosis.outcome import Verdict
+from estimator.diagnosis.settings import ignore_progress
 from estimator.effects import CATALOGUE
 from estimator.effects.effect import PROXIMAL_DISPLACEMENT, EffectContext
 from estimator.effects.functions import (
@@ -136,3 +140,14 @@ def test_a_further_column_that_is_not_there_is_refused():
         diagnose(data, ["friction_by_positon"])
     (record,) = prepare_records([data], variables=["humidity_percent"])
     np.testing.assert_allclose(record.variables["humidity_percent"], record.time)
+
+
+def test_functions_of_data_of_no_tendon_are_given_up_after_the_first_fits():
+    made = hidden.make(23, (), duration=20.0, rate=50.0)
+    drawn = np.random.default_rng(1).uniform(2.0, 20.0, 40)
+    tension = np.interp(made.time, np.linspace(0.0, 20.0, 40), drawn)
+    signals = {"proximal_displacement": made.channels["proximal_displacement"]}
+    record = prepare_record(made.time, {**signals, "proximal_tension": tension})
+    dataset = build_dataset([record])
+    functions = [find_function("friction_by_path")]
+    assert fit_functions(dataset, fit_baseline(dataset), functions, ignore_progress) == []
