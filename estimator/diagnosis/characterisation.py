@@ -48,7 +48,8 @@ SUBSAMPLE_SIZE = 1200  # samples of a record in a first look
 ROUGHNESSES = (1e-4, 1e-3, 1e-2, 0.1, 1.0)  # weights of second differences, over that of the data
 MEAN_WEIGHTS = (1e-2, 1.0)  # the same of the mean, where the law does not take it up and where
 SHARES = (1.0, 0.5)  # of a linear step
-KEPT = 10, 4  # functions that are fitted to few samples, and to all
+FITTED_SIZE = 8000  # samples of all records that a function is fitted to
+KEPT = 10, 4  # functions that are fitted to few samples, and to so many
 ROUNDS = 8, 15  # of these fits
 FOREIGN_RATIO = 1.5  # times what a model of a tendon may miss: such a first fit ends there
 PERIODS_MIN = 5  # of a cycle, in a record
@@ -85,9 +86,7 @@ def fit_functions(
     """
     dataset = rescale_residuals(dataset, current_fit)
     contexts = build_contexts(dataset, current_fit)
-    few = subsample(dataset, SUBSAMPLE_SIZE)
-    few_fit = simulate_dataset(few, build_unsimulated_contexts(few, current_fit), current_fit.model)
-    few_contexts = build_contexts(few, few_fit)
+    few, few_fit, few_contexts = _thin(dataset, current_fit, SUBSAMPLE_SIZE)
     screening = _Screening(few, few_fit, few_contexts)
     applicable = [effect for effect in effects if _is_applicable(effect, dataset)]
     screened = sorted(
@@ -117,20 +116,29 @@ def fit_functions(
         ),
         key=lambda pair: -pair[0],
     )
-    density = math.sqrt(
-        sum(len(record.time) for record in dataset.records)
-        / sum(len(record.time) for record in few.records)
-    )
+    fitted_size = max(FITTED_SIZE // len(dataset.records), SUBSAMPLE_SIZE)
+    some, _, some_contexts = _thin(dataset, current_fit, fitted_size)
 
-    def fit_all(pair: tuple[float, _Screened]) -> Candidate:
-        effect = _penalise(pair[1], density)
-        start = _set_last_effect(pair[1].model, effect)
-        return build_candidate(dataset, fit_model(dataset, contexts, start, ROUNDS[1]))
+    def weigh(start: _Screened, of: Dataset) -> Model:
+        samples, first = (sum(len(record.time) for record in data.records) for data in (of, few))
+        return _set_last_effect(start.model, _penalise(start, math.sqrt(samples / first)))
+
+    def fit_some(pair: tuple[float, _Screened]) -> Candidate:
+        fit = fit_model(some, some_contexts, weigh(pair[1], some), ROUNDS[1])
+        model = weigh(pair[1]._replace(model=fit.model), dataset)
+        return build_candidate(dataset, simulate_dataset(dataset, contexts, model))
 
     chosen = list({start.effect.name: (score, start) for score, start in reversed(best)}.values())
     chosen = sorted(chosen, key=lambda pair: -pair[0])[: KEPT[1]]
     chosen = [pair for pair in chosen if pair[0] > -math.inf]  # no fit makes a tendon of the rest
-    return list(map_parallel(fit_all, chosen, report, "finishing functions", workers))
+    return list(map_parallel(fit_some, chosen, report, "finishing functions", workers))
+
+
+def _thin(dataset: Dataset, fit: Fit, size: int) -> tuple[Dataset, Fit, tuple[EffectContext, ...]]:
+    """Return a dataset of about `size` samples a record, with a fit's model and its contexts."""
+    thin = subsample(dataset, size)
+    thin_fit = simulate_dataset(thin, build_unsimulated_contexts(thin, fit), fit.model)
+    return thin, thin_fit, build_contexts(thin, thin_fit)
 
 
 def _is_applicable(effect: Effect, dataset: Dataset) -> bool:

@@ -5,11 +5,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from estimator.diagnosis import report_text
+from estimator.diagnosis import characterisation, report_text
 from estimator.diagnosis.api import diagnose, diagnose_records, prepare_records
 from estimator.diagnosis.baseline import fit_baseline
 from estimator.diagnosis.characterisation import fit_functions
 from estimator.diagnosis.dataset import build_dataset
+from estimator.diagnosis.fit import fit_model
 from estimator.diagnosis.measured_data import RecordError, prepare_record
 from estimator.diagnosis.outcome import Verdict
 from estimator.diagnosis.settings import ignore_progress
@@ -151,3 +152,19 @@ def test_functions_of_data_of_no_tendon_are_given_up_after_the_first_fits():
     dataset = build_dataset([record])
     functions = [find_function("friction_by_path")]
     assert fit_functions(dataset, fit_baseline(dataset), functions, ignore_progress) == []
+
+
+def test_a_function_is_fitted_to_no_more_samples_of_a_long_record(monkeypatch):
+    made = hidden.make(21, "outside:friction_over_position", duration=10.0, rate=1200.0)
+    sizes = []
+
+    def fit(dataset, *others):
+        sizes.append(sum(len(record.time) for record in dataset.records))
+        return fit_model(dataset, *others)
+
+    monkeypatch.setattr(characterisation, "fit_model", fit)
+    dataset = build_dataset([prepare_record(made.time, dict(made.channels))])
+    functions = [find_function("friction_by_position")]
+    (found,) = fit_functions(dataset, fit_baseline(dataset), functions, ignore_progress)
+    assert len(found.fit.simulated[0].signals["proximal_tension"]) == len(made.time)
+    assert 0.5 * characterisation.FITTED_SIZE < max(sizes) < characterisation.FITTED_SIZE
