@@ -12,7 +12,8 @@ hypothesis scales all friction, or that of a third, by one of `FACTORS`, which b
 Evidence comes in pieces in which the elongation changes by that of `PIECE_TENSION`. While y(K_h)
 stays, h says that the tip rests: the travel changes by e_h. Afterwards the tip follows the motor,
 not the other way, most often by little. A piece that fits no hypothesis is ignored, and taken as
-a sign of a change. All weights decay towards the prior, by `HAZARD` and `DRIFT`.
+a sign of a change. All weights decay towards the prior, by `HAZARD` and `DRIFT`; beyond that, the
+interval of K grows by `GROWTH` with the time since pieces last told K from others.
 
 This holds for one tendon against a spring or an environment that yields to it. Where something else
 moves the tip, as the other tendon of a joint does, pieces contradict each other.
@@ -36,8 +37,8 @@ from estimator.law.profile import (
 )
 from estimator.law.sheath import Sheath
 from estimator.law.tables import MAX_SECTIONS, Tables, fill_tables
+from estimator.law.transmission import read_profile
 from estimator.online import online
-from estimator.online.driving_end import anchor_window
 from estimator.online.estimator_state import EstimatorState, PreparedTendon
 from estimator.online.online import Estimates, TendonModel
 from estimator.online.tendon_estimate import INVALID_INPUT, UNINITIALISED, TendonEstimate
@@ -65,6 +66,8 @@ STILL_SHARE = 1e-3  # of T_out: change up to which the tip rests
 HAZARD = 1.0 / 1200.0  # [1/s] of a sudden change
 HAZARD_CONTRADICTED = 0.02  # of a sudden change, by a piece that fits no hypothesis
 DRIFT = 0.01  # [1/sqrt(s)] relative change of friction that grows slowly
+GROWTH = 0.02  # [1/s] of the interval of K, relative, since the last evidence: 40 % in 20 s
+APART = 0.12  # relative difference of K from those that evidence tells it from
 UPDATE_S = 0.1  # [s] between updates for the time passed
 STEP_MAX = 0.02  # of a factor in use, per update: the estimate must not jump
 TAIL = 0.005  # of the posterior, on either side of its interval
@@ -94,7 +97,7 @@ class Adaptation(Struct):
 
     started: Flag = False  # a piece of evidence has begun
     adapted: Flag = False  # K has left its calibrated value
-    K: F64 = math.nan  # posterior mean
+    K: F64 = math.nan  # mean, by squared weights as all means: see `_summarise`
     low: F64 = math.nan  # ends of its interval
     high: F64 = math.nan
     log_posterior: Annotated[Array, Field("f8", HYPOTHESES, fill=math.log(_PRIOR))]
@@ -106,6 +109,7 @@ class Adaptation(Struct):
     begin_tension: Annotated[Array, Field("f8", DEPTHS)]  # [N] where the piece began
     begin_travel: F64 = 0.0  # [m]
     age: F64 = 0.0  # [s] of the piece
+    evidence_age: F64 = 0.0  # [s] since the last evidence, less as pieces tell more
     update_age: F64 = 0.0  # [s] since the last update for the time passed
     pieces: I64 = 0  # of evidence so far
     contradictions: I64 = 0  # of them, those that fit no hypothesis
@@ -224,12 +228,15 @@ def observe(
     _read_bank(constants, state, prepared.tables[:], estimator.profile[:], estimator.tip_drives)
     state.age += dt
     state.update_age += dt
+    state.evidence_age += dt
     if state.update_age >= UPDATE_S:
         _decay(state, HAZARD * state.update_age, _SPREAD * state.update_age)
         _summarise(constants, state)
         state.update_age = 0.0
+        K = prepared.tables[_K]
         if usable:
             _apply(constants, state, prepared, estimator)
+        _hold_interval(constants, state, prepared, estimator, K)
     change = 0.0
     for n in range(DEPTHS):
         change += state.mean_weight[n] * (state.tension[n] - state.begin_tension[n])
@@ -305,6 +312,11 @@ def _add_evidence(
     else:
         for h in range(HYPOTHESES):
             state.log_posterior[h] -= 0.5 * TEMPER * min(costs[h] - least, EVIDENCE_MAX)
+        told = EVIDENCE_MAX
+        for h in range(FACTOR_COUNT):
+            if abs(constants.K[h] - state.K) > APART * state.K:
+                told = min(told, costs[h] - least)
+        state.evidence_age *= math.exp(-0.5 * TEMPER * told)
     _summarise(constants, state)
 
 
@@ -325,10 +337,12 @@ def _summarise(constants: AdaptationConstants, state: Adaptation) -> None:
     """Normalise the posterior; update its means and the interval of K."""
     posterior = np.exp(state.log_posterior[:] - state.log_posterior[:].max())
     posterior /= posterior.sum()
+    # what the prior took is spread over all hypotheses, and would draw a plain mean to its own
+    share = posterior**2 / (posterior**2).sum()
     state.mean_weight[:] = state.mean_factor[:] = 0.0
     for h in range(HYPOTHESES):
-        p = posterior[h]
-        state.log_posterior[h] = math.log(max(p, 1e-30))
+        p = share[h]
+        state.log_posterior[h] = math.log(max(posterior[h], 1e-30))
         for third in range(3):
             is_scaled = h < FACTOR_COUNT or h // FACTOR_COUNT == third + 1
             state.mean_factor[third] += p * (FACTORS[h % FACTOR_COUNT] if is_scaled else 1.0)
@@ -336,7 +350,7 @@ def _summarise(constants: AdaptationConstants, state: Adaptation) -> None:
             state.mean_weight[n] += p * constants.weight[h, n]
     order: Any = np.argsort(constants.K[:])
     mass = np.cumsum(posterior[order])
-    state.K = float((posterior * constants.K[:]).sum())
+    state.K = float((share * constants.K[:]).sum())
     first: Any = np.searchsorted(mass, TAIL)
     last: Any = np.searchsorted(mass, 1.0 - TAIL)
     state.low = constants.K[order[first]]
@@ -350,27 +364,44 @@ def _apply(
     prepared: PreparedTendon,
     estimator: EstimatorState,
 ) -> None:
-    """Bring the model in use towards a posterior that excludes it; hold its interval."""
+    """Bring the model in use towards a posterior that excludes it."""
     table, n = prepared.tables[:], constants.sections
-    K = table[_K]
-    state.adapted = state.adapted or not state.low <= K <= state.high
-    if state.adapted:
-        friction = constants.friction[:n].copy()
-        for third in range(3):
-            change = state.mean_factor[third] - state.factor[third]
-            state.factor[third] += min(max(change, -STEP_MAX), STEP_MAX)
-        for k in range(n):
-            friction[k] *= state.factor[constants.third[k]]
-        fill_tables(table, constants.length[:n], friction)
-        y_tip = math.log(max(_interpolate(constants, state.tension[:], table[_K]), FLOOR))
-        resize_profile(table, estimator.profile[:], y_tip)
-        anchor_window(prepared, estimator, estimator.held_tension, estimator.mean_displacement)
-        widening = math.exp(abs(table[_K] - K))  # of what was proved with the K before
-        estimator.proved_low /= widening
-        estimator.proved_high *= widening
-        K = table[_K]
-    known = prepared.friction_error * K
-    prepared.adaptation_error = max(state.high - K - known, K - state.low - known, 0.0)
+    state.adapted = state.adapted or not state.low <= table[_K] <= state.high
+    if not state.adapted:
+        return
+    friction = constants.friction[:n].copy()
+    for third in range(3):
+        change = state.mean_factor[third] - state.factor[third]
+        state.factor[third] += min(max(change, -STEP_MAX), STEP_MAX)
+    for k in range(n):
+        friction[k] *= state.factor[constants.third[k]]
+    fill_tables(table, constants.length[:n], friction)
+    y_tip = math.log(max(_interpolate(constants, state.tension[:], table[_K]), FLOOR))
+    resize_profile(table, estimator.profile[:], y_tip)
+    # the window stays open, or slow travel would never tell who drives
+    resize_profile(table, estimator.anchor_profile[:], y_tip)
+    estimator.anchor_elongation = read_profile(table, estimator.anchor_profile[:])[2]
+
+
+@jit_compile
+def _hold_interval(
+    constants: AdaptationConstants,
+    state: Adaptation,
+    prepared: PreparedTendon,
+    estimator: EstimatorState,
+    K_before: float,
+) -> None:
+    """Let the estimator's interval hold that of K, which grows with the time without evidence."""
+    K, growth = prepared.tables[_K], GROWTH * state.evidence_age * state.K
+    low = max(state.low - growth, constants.K[0])
+    high = min(state.high + growth, constants.K[FACTOR_COUNT - 1])
+    error = max(high - K, K - low) - prepared.friction_error * K
+    error, before = max(error, 0.0), prepared.adaptation_error
+    prepared.adaptation_error = error
+    # what was proved holds for the K of then
+    widening = math.exp(abs(K - K_before) + max(error - before, 0.0))
+    estimator.proved_low /= widening
+    estimator.proved_high *= widening
 
 
 @jit_compile

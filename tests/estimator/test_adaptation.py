@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from estimator.adaptation import FACTOR_MAX, run_adapting
+from estimator.adaptation import FACTOR_MAX, GROWTH, run_adapting
 from estimator.law import profile as law_profile
 from estimator.law.sheath import Sheath
 from estimator.law.tables import build_tables
@@ -18,8 +18,8 @@ LENGTH, EA, NODES, SPRING = 1.5, 9000.0, 45, 1500.0
 MODEL = TendonModel(Sheath.uniform(1.0, LENGTH, EA), 0.02, 1e-6)
 
 
-def simulate(K_after, third=None, drift=0.0, creep=0.0, moving_tip=0.0, seed=1):
-    """Return time, T_in, q_p as measured, and T_out, of a tendon against a spring.
+def simulate(K_after, third=None, drift=0.0, creep=0.0, moving_tip=0.0, seed=1, rest=DURATION_S):
+    """Return time, T_in, q_p as measured, T_out of a tendon against a spring; at rest from `rest`.
 
     Coulomb friction at `NODES` nodes, swept from the housing; K = 1 before the change.
     """
@@ -32,6 +32,7 @@ def simulate(K_after, third=None, drift=0.0, creep=0.0, moving_tip=0.0, seed=1):
         T_in += [*(low + (high - low) * (1 - np.cos(np.linspace(0, np.pi, n))) / 2)]
         T_in += [high] * round(rng.uniform(0.0, 0.3) * RATE)
     T_in = np.array(T_in[: len(time)])
+    T_in[time > rest] = T_in[time <= rest][-1]
     scale = np.ones(NODES)
     part = slice(None) if third is None else slice(third * NODES // 3, (third + 1) * NODES // 3)
     scale[part] += (K_after - 1.0) * (1.0 if third is None else 3.0)
@@ -57,7 +58,7 @@ def changed():
     return simulate(1.4)
 
 
-@pytest.mark.parametrize(("K", "third"), [(1.4, None), (1.2, 0)])
+@pytest.mark.parametrize(("K", "third"), [(1.4, None), (0.65, None), (1.2, 0)])
 def test_a_change_of_all_friction_or_of_a_bend_is_found_within_30_s(K, third):
     time, T, q, T_out = simulate(K, third)
     run, late = run_adapting(MODEL, time, T, q), time > CHANGE_S + 30.0
@@ -88,6 +89,16 @@ def test_a_tip_that_moves_by_itself_is_no_change_of_shape():
     run = run_adapting(MODEL, time, T, q)
     assert run.adapted_from == -1
     assert run.contradictions > 0.2 * run.pieces
+
+
+def test_the_interval_grows_with_rest_and_holds_a_change_meanwhile():
+    time, T, q, T_out = simulate(0.85, rest=5.0)
+    run = run_adapting(MODEL, time, T, q)
+    width = np.interp([8.0, 14.0, 20.0, 49.0], time, run.K_high - run.K)
+    assert (np.diff(width)[:2] >= 0.99 * GROWTH * 6.0).all()
+    assert run.K[-1] + width[-1] == pytest.approx(FACTOR_MAX)
+    inside = (run.estimates.low <= T_out + 1e-6) & (T_out <= run.estimates.high)
+    assert inside.all()
 
 
 def test_k_stays_within_its_bounds():
