@@ -148,6 +148,8 @@ def run_adapting(
     adapted_from = _run_arrays(
         constants, states, prepared, estimators, t, T, q, estimates, K, with_dynamics
     )
+    if constants["active"][0]:  # K + error is the interval's wider side, which may leave the bounds
+        K[1:] = np.clip(K[1:], constants["K"].min(), constants["K"].max())
     fields = Estimates(*(estimates[name].copy() for name in Estimates._fields))
     pieces, contradictions = int(states["pieces"][0]), int(states["contradictions"][0])
     return AdaptedRun(fields, K[0], K[1], K[2], adapted_from, pieces, contradictions)

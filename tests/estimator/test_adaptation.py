@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from estimator.adaptation import FACTOR_MAX, GROWTH, run_adapting
+from estimator.adaptation import FACTOR_MAX, FACTOR_MIN, GROWTH, run_adapting
 from estimator.law import profile as law_profile
 from estimator.law.sheath import Sheath
 from estimator.law.tables import build_tables
@@ -96,7 +96,8 @@ def test_the_interval_grows_with_rest_and_holds_a_change_meanwhile():
     run = run_adapting(MODEL, time, T, q)
     width = np.interp([8.0, 14.0, 20.0, 49.0], time, run.K_high - run.K)
     assert (np.diff(width)[:2] >= 0.99 * GROWTH * 6.0).all()
-    assert run.K[-1] + width[-1] == pytest.approx(FACTOR_MAX)
+    assert run.K_low[-1] == pytest.approx(FACTOR_MIN)
+    assert run.K_high[-1] == pytest.approx(FACTOR_MAX)
     inside = (run.estimates.low <= T_out + 1e-6) & (T_out <= run.estimates.high)
     assert inside.all()
 
