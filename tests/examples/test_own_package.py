@@ -34,10 +34,10 @@ print(device.axes, device.read(1.0).position[0], device.read(1.0).engage)
 METHODS = """
 from slave.config import SlaveConfig
 from teleop.config.loading import load
-from teleop.session.config import RunConfig
+from teleop.session.config import SideConfig
 
 slave = load(None, SlaveConfig, "slave", ["slave.estimator.type=%s", "slave.controller.type=%s"])
-shared = load(None, RunConfig, None, ["coupling={type: %s, time_constant: 0.1}"])
+shared = load(None, SideConfig, None, ["coupling={type: %s, time_constant: 0.1}"])
 print(slave.estimator.dead_band, slave.controller.gain, shared.coupling.time_constant)
 """
 EFFECT = """

@@ -98,7 +98,7 @@ def extensions():
     from teleop.config.extensions import allow_imports
     from teleop.config.loading import load
     from tests.root import ROOT
-    from tests.tick.session import Session
+    from tests.tick.session import HAND_ENGAGED, Session
 
     sys.path.insert(0, str(ROOT / "examples" / "own_package" / "src"))
     allow_imports()
@@ -113,7 +113,7 @@ def extensions():
     compile_session(load(file, SlaveConfig, "slave", settings), with_dynamics=False)
     master_process.warm_up()
     with ExitStack() as stack:
-        both = Session(stack, file=file, settings=settings)
+        both = Session(stack, (*HAND_ENGAGED, *settings), file=file)
         yield
         for _ in range(TICKS):
             both.tick()

@@ -25,7 +25,8 @@ from teleop.runtime.output_file import (
 
 # options that name files to be read: every other option with a path must be an Output
 INPUTS = {
-    "--calibration", "--columns", "--compare", "--config", "--keys", "--replay", "--validate",
+    "--calibration", "--columns", "--compare", "--config", "--keys", "--mapping",
+    "--replay", "--validate",
 }  # fmt: skip
 # parts of the name of an option that writes
 WRITES = {"out", "save", "json", "figure", "supplement", "package", "record", "report", "dump"}

@@ -184,7 +184,7 @@ def measured(tmp_path):
     columns = {
         "time_s": time,
         "proximal_tension_N": rng.uniform(0, 20, ROWS),
-        "proximal_displacement_m": rng.uniform(0, 0.01, ROWS),
+        "proximal_displacement_m": rng.uniform(0, 0.0005, ROWS),
         "distal_tension_N": rng.uniform(0, 10, ROWS),
         "proximal_tension_2_N": rng.uniform(0, 20, ROWS),
     }
