@@ -347,7 +347,7 @@ def interface_down(bench: Bench) -> Figures:
         target = bench.engage(connection)
         began_s = time.monotonic()
         switch_interface(CHANNEL, up=False)
-        said = bench.fails(connection, target, "unplugged", "silent")
+        said = bench.fails(connection, target, "interface is down", "silent")
         took = bench.stopped_after(began_s)
     finally:
         connection.close()
