@@ -20,11 +20,9 @@ from estimator.diagnosis.dataset import (
     Fit,
     Model,
     build_contexts,
-    build_unsimulated_contexts,
     compute_residual,
     rescale_residuals,
     simulate_dataset,
-    subsample,
 )
 from estimator.diagnosis.fit import (
     ParameterLayout,
@@ -39,7 +37,12 @@ from estimator.diagnosis.scoring import (
     compute_log_likelihood_ratio,
     compute_missed_share,
 )
-from estimator.diagnosis.screening import Candidate, build_candidate, map_parallel
+from estimator.diagnosis.screening import (
+    Candidate,
+    build_candidate,
+    map_parallel,
+    thin_dataset,
+)
 from estimator.diagnosis.settings import SETTINGS, ProgressCallback
 from estimator.effects.effect import Effect, EffectContext
 from estimator.effects.functions import COEFFICIENTS, compute_penalty, penalise
@@ -86,7 +89,7 @@ def fit_functions(
     """
     dataset = rescale_residuals(dataset, current_fit)
     contexts = build_contexts(dataset, current_fit)
-    few, few_fit, few_contexts = _thin(dataset, current_fit, SUBSAMPLE_SIZE)
+    few, few_fit, few_contexts = thin_dataset(dataset, current_fit, SUBSAMPLE_SIZE)
     screening = _Screening(few, few_fit, few_contexts)
     applicable = [effect for effect in effects if _is_applicable(effect, dataset)]
     screened = sorted(
@@ -117,7 +120,7 @@ def fit_functions(
         key=lambda pair: -pair[0],
     )
     fitted_size = max(FITTED_SIZE // len(dataset.records), SUBSAMPLE_SIZE)
-    some, _, some_contexts = _thin(dataset, current_fit, fitted_size)
+    some, _, some_contexts = thin_dataset(dataset, current_fit, fitted_size)
 
     def weigh(start: _Screened, of: Dataset) -> Model:
         samples, first = (sum(len(record.time) for record in data.records) for data in (of, few))
@@ -132,13 +135,6 @@ def fit_functions(
     chosen = sorted(chosen, key=lambda pair: -pair[0])[: KEPT[1]]
     chosen = [pair for pair in chosen if pair[0] > -math.inf]  # no fit makes a tendon of the rest
     return list(map_parallel(fit_some, chosen, report, "finishing functions", workers))
-
-
-def _thin(dataset: Dataset, fit: Fit, size: int) -> tuple[Dataset, Fit, tuple[EffectContext, ...]]:
-    """Return a dataset of about `size` samples a record, with a fit's model and its contexts."""
-    thin = subsample(dataset, size)
-    thin_fit = simulate_dataset(thin, build_unsimulated_contexts(thin, fit), fit.model)
-    return thin, thin_fit, build_contexts(thin, thin_fit)
 
 
 def _is_applicable(effect: Effect, dataset: Dataset) -> bool:

@@ -73,6 +73,15 @@ class Starts(NamedTuple):
     raw_starts: list[Start]  # on top of the model as it is
 
 
+def thin_dataset(
+    dataset: Dataset, fit: Fit, size: int
+) -> tuple[Dataset, Fit, tuple[EffectContext, ...]]:
+    """Return a dataset of about `size` samples a record, with a fit's model and its contexts."""
+    thin = subsample(dataset, size)
+    thin_fit = simulate_dataset(thin, build_unsimulated_contexts(thin, fit), fit.model)
+    return thin, thin_fit, build_contexts(thin, thin_fit)
+
+
 def fit_candidates(
     dataset: Dataset,
     current_fit: Fit,
@@ -95,11 +104,9 @@ def fit_candidates(
     """
     dataset = rescale_residuals(dataset, current_fit)
     contexts = build_contexts(dataset, current_fit)
-    subsampled = subsample(dataset, SUBSAMPLE_SIZE)
-    subsampled_fit = simulate_dataset(
-        subsampled, build_unsimulated_contexts(subsampled, current_fit), current_fit.model
+    subsampled, subsampled_fit, subsampled_contexts = thin_dataset(
+        dataset, current_fit, SUBSAMPLE_SIZE
     )
-    subsampled_contexts = build_contexts(subsampled, subsampled_fit)
     sudden = [effect for effect in effects if any(p.jumps for p in effect.parameters)]
     gradual = [effect for effect in effects if effect not in sudden]
     screening_report = scale_progress(

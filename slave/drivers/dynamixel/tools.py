@@ -1,7 +1,7 @@
 """What `teleop rig` does with Dynamixel servos: read, scan, reset."""
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 
 import numpy as np
@@ -117,7 +117,9 @@ def scan(config: DynamixelConfig) -> Iterator[str]:
     """
     bus, found = ServoBus(config.port, ANSWER_S), False
     rates = dict.fromkeys((config.baud, *registers.BAUD_RATES))
-    looks = [(baud, _scan_baud_rate) for baud in rates]
+    scan_baud_rate = partial(_scan_baud_rate, config=config)
+    looks: list[tuple[int, Callable[[ServoBus], list[str]]]]
+    looks = [(baud, scan_baud_rate) for baud in rates]
     looks += [(baud, _scan_old_protocol) for baud in rates if baud in (config.baud, *OLD_RATES)]
     for baud, look in looks:
         if found and look is _scan_old_protocol:
@@ -129,7 +131,7 @@ def scan(config: DynamixelConfig) -> Iterator[str]:
                 raise
             continue  # adapters do not have every rate
         try:
-            for line in bus.call(partial(look, bus, config)):
+            for line in bus.call(partial(look, bus)):
                 found = True
                 yield line
         finally:
@@ -176,7 +178,7 @@ def _scan_baud_rate(bus: ServoBus, config: DynamixelConfig) -> list[str]:
     return lines
 
 
-def _scan_old_protocol(bus: ServoBus, config: DynamixelConfig) -> list[str]:  # noqa: ARG001
+def _scan_old_protocol(bus: ServoBus) -> list[str]:
     """Return a line for each servo that speaks protocol 1.0 at the present baud rate."""
     packets = PacketHandler(1.0)
     return [
