@@ -163,9 +163,9 @@ class AxisMap(Struct):
     joints: I64
     axis: Annotated[NDArray[np.int64], Field("i8", MAX_JOINTS, fill=-1)]
     scale: Axes
-    dead_band: Axes  # [m]
-    low: Axes  # [m]
-    high: Axes  # [m]
+    dead_band: Axes  # [m], [rad]
+    low: Axes  # [m], [rad]
+    high: Axes  # [m], [rad]
 
 
 def build_axis_map(joints: tuple[MappedJointConfig, ...]) -> StructArray:
@@ -199,7 +199,7 @@ def map_axes(
         x, end_slope = ease_range(hand.position[axis], axis_map.low[j], axis_map.high[j])
         moved, slope = pass_dead_band(x, axis_map.dead_band[j])
         slope *= end_slope
-        velocity_map.matrix[j, axis] = axis_map.scale[j] * slope
+        velocity_map.matrix[j, axis] = axis_map.scale[j] * slope / velocity_map.lever[axis]
         drive.position[j] = axis_map.scale[j] * moved
         drive.velocity[j] = axis_map.scale[j] * slope * hand.velocity[axis]
 
@@ -239,11 +239,21 @@ def pass_dead_band(x: float, width: float) -> tuple[float, float]:
 
 
 class AxisMapper:
-    """A `HandMapper` by axes."""
+    """A `HandMapper` by axes.
 
-    def __init__(self, config: AxisMapConfig) -> None:
+    Parameters
+    ----------
+    config : AxisMapConfig
+    torque_lever : float
+        [m] at which a torque in a hand counts as a force.
+    """
+
+    def __init__(self, config: AxisMapConfig, torque_lever: float) -> None:
         self.joints = len(config.joints)
         self.drives, self.maps = HandInput.array(), VelocityMap.array()
+        for joint in config.joints:
+            if joint.axis is not None and joint.turns:
+                self.maps["lever"][0, joint.axis] = torque_lever
         self._axis_map = build_axis_map(config.joints)
 
     def step(

@@ -15,7 +15,9 @@ class MappedJointConfig:
     """Which axis of the device moves a joint, and how."""
 
     axis: int | None = None  # counted from 0; null = the joint is not moved
-    scale: float = 1.0  # times operator.position_scale; negative = the other way
+    # the axis turns: it is read in rad below, and gets a torque [N m], bounded by gate.torque_max
+    turns: bool = False
+    scale: float = 1.0  # times operator.position_scale; negative = the other way; m/rad if it turns
     dead_band: float = 0.0  # [m] of the hand around 0 that moves nothing
     # [m] of the hand; beyond it the joint stays, to which it comes to rest within the last tenth
     range: tuple[float, float] = (-1.0, 1.0)
@@ -29,7 +31,7 @@ class MappedJointConfig:
         if not 0.0 <= self.dead_band <= 0.1:
             raise ValueError("dead_band: must be 0 to 0.1 [m]")
         if not self.range[0] < 0.0 < self.range[1]:
-            raise ValueError("range: must be [from, to] in metres, with 0 between them")
+            raise ValueError("range: must be [from, to] of the hand, with 0 between them")
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,6 +45,11 @@ class AxisMapConfig:
         """Check the number of joints; raises `ValueError`."""
         if not 1 <= len(self.joints) <= MAX_JOINTS:
             raise ValueError(f"joints: must be 1 to {MAX_JOINTS}")
+        for j, joint in enumerate(self.joints):
+            if any(
+                joint.axis == other.axis and joint.turns != other.turns for other in self.joints
+            ):
+                raise ValueError(f"joints.{j}.turns: must be the same for all joints of an axis")
 
 
 # --- a hand in space that moves the tip of an arm
@@ -57,6 +64,8 @@ class SpaceHandConfig:
 
     # what the device's axes are, in its order; the next hand has those that follow
     axes: tuple[HandAxis, ...] = ("x", "y", "z")
+    scales: tuple[float, ...] = ()  # of each of `axes` beside the others; negative = the other way
+    dead_bands: tuple[float, ...] = ()  # [m], [rad] of each around 0 that move nothing
     rotation_scale: float = 1.0  # rotation of the tip over that of the hand
     grip_scale: float = 1.0  # travel of the gripper's joint over that of the grip axis
     # [rad] roll, pitch, yaw of the device in the frame of the arm's base, or of the camera
@@ -72,6 +81,14 @@ class SpaceHandConfig:
         """Check the values; raises `ValueError`."""
         if not self.axes or len(set(self.axes)) != len(self.axes):
             raise ValueError(f"axes: each at most once, of {', '.join(HAND_AXES)}")
+        for name, low in (("scales", -100.0), ("dead_bands", 0.0)):
+            values = getattr(self, name)
+            if values and len(values) != len(self.axes):
+                raise ValueError(f"{name}: must be one number for each of axes ({len(self.axes)})")
+            if not all(low <= value <= 100.0 for value in values):
+                raise ValueError(f"{name}: must be {low:g} to 100")
+        if 0.0 in self.scales:
+            raise ValueError("scales: must not be 0; name axes that move nothing under lock")
         if not 0.0 < self.rotation_scale <= 10.0:
             raise ValueError("rotation_scale: must be above 0 and at most 10")
         if not 0.0 < abs(self.grip_scale) <= 100.0:

@@ -494,7 +494,7 @@ def build_mapper(config: MasterConfig, arms: Sequence[ArmConfig], axes: int) -> 
                 raise UsageError(
                     f"master.mapping.joints.{j}.axis: {joint.axis}, but the device has {axes} axes"
                 )
-        return AxisMapper(mapping)
+        return AxisMapper(mapping, config.gate.torque_lever)
     from master.space_map import SpaceMapper
 
     count = sum(len(hand.axes) for hand in mapping.hands)

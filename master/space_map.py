@@ -50,7 +50,7 @@ from estimator.kinematics.inverse import (
 from estimator.kinematics.rotations import multiply, to_quaternion
 from estimator.records import F64, I64, Field, Struct, StructArray, view_struct
 from master.hand_input import Axes, HandInput
-from master.hand_map import VelocityMap
+from master.hand_map import VelocityMap, pass_dead_band
 from master.loop import MasterMemory, init_master
 from master.mapping_config import HAND_AXES, SpaceHandConfig, SpaceMapConfig
 from teleop.messages.messages import MAX_JOINTS
@@ -86,6 +86,9 @@ class SpaceHand(Struct):
     first_axis: I64
     axes: I64
     axis: Annotated[NDArray[np.int64], Field("i8", MAX_JOINTS)]  # of `HAND_AXES`
+    scale: Annotated[Array, Field("f8", MAX_JOINTS, fill=1.0)]  # of each axis
+    dead_band: Axes  # [m], [rad]
+    slope: Axes  # of each number of the pose over the device's, in this tick
     first_joint: I64
     joints: I64  # with the gripper's behind those of the arm, if there is one
     radius: Axes  # [m] of each joint's pulley
@@ -224,10 +227,12 @@ def _ease_joints(space: SpaceHand, dt: float) -> None:
 
 @jit_compile
 def _read_pose(space: SpaceHand, hand: HandInput) -> None:
-    """Read the hand's pose from its axes; those that it has not stay at 0."""
+    """Read the hand's pose from its axes, and their slopes; those that it has not stay at 0."""
     numbers = np.zeros(AXES)
     for k in range(space.axes):
-        numbers[space.axis[k]] = hand.position[space.first_axis + k]
+        moved, slope = pass_dead_band(hand.position[space.first_axis + k], space.dead_band[k])
+        numbers[space.axis[k]] = space.scale[k] * moved
+        space.slope[k] = space.scale[k] * slope
     for k in range(3):
         space.pose.position[k] = numbers[k]
     roll, pitch, yaw = numbers[3], numbers[4], numbers[5]
@@ -264,6 +269,7 @@ def _fill_map(
                 gain = 0.0
                 for m in range(3):
                     gain += space.map.joint_map[j, 3 + m] * space.rates[m, axis - 3]
+            gain *= space.slope[k]
             force_gain = gain / velocity_map.lever[column]
             velocity_map.matrix[row, column] = lever * force_gain
             velocity_map.fixture_force[column] += force_gain * space.torque[j]
@@ -303,6 +309,10 @@ class SpaceMapper:
             for k, axis in enumerate(axes, first_axis):
                 self.maps["lever"][0, k] = torque_lever if 3 <= axis < GRIP else 1.0
             space.axis[: len(axes)] = axes
+            if hand.scales:
+                space.scale[: len(axes)] = hand.scales
+            if hand.dead_bands:
+                space.dead_band[: len(axes)] = hand.dead_bands
             space.first_joint, space.joints = first_joint, len(radius)
             space.radius[: len(radius)] = radius
             space.stop_distance = hand.stop_distance

@@ -32,6 +32,7 @@ from tests.root import ROOT
 
 DT = 1e-3
 SCALE = 0.25
+LEVER = 0.05
 RADII = np.array([0.005, 0.004, 0.006, 0.005])
 ARM = ArmConfig(radii=np.diag(RADII).tolist(), urdf=ROOT / "configs" / "notes-arm.urdf", tip="tip")
 HAND = SpaceHandConfig(axes=("x", "y", "z", "grip"))
@@ -84,15 +85,25 @@ TURNED = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 
 
 @pytest.mark.parametrize(
-    "axes", [("x", "y", "z", "grip"), ("x", "y", "z", "roll", "pitch", "yaw", "grip")]
+    ("axes", "scales", "dead_bands"),
+    [
+        (("x", "y", "z", "grip"), (), ()),
+        (("x", "y", "z", "roll", "pitch", "yaw", "grip"), (), ()),
+        (("grip", "z", "x", "y"), (0.5, -1.0, 2.0, 1.0), (0.0, 0.01, 0.0, 0.0)),
+        (("x", "y", "z", "yaw", "grip"), (1.0, 1.0, 1.0, -0.5, 1.0), (0.0, 0.0, 0.0, 0.1, 0.0)),
+    ],
 )
-def test_a_map_creates_no_energy_through_limits_and_singular_postures(axes):
+def test_a_map_creates_no_energy_through_limits_and_singular_postures(axes, scales, dead_bands):
     """Hand and joints have the same power in every tick, for any force: to rounding.
 
     Nor do a clutch, other scales and another registration give any.
     """
     rng = np.random.default_rng(3)
-    run = SpaceRun(SpaceHandConfig(axes=axes, registration=(0.4, -0.7, 1.1)))
+    run = SpaceRun(
+        SpaceHandConfig(
+            axes=axes, scales=scales, dead_bands=dead_bands, registration=(0.4, -0.7, 1.1)
+        )
+    )
     hand, before = np.zeros(len(axes)), None
     largest = slowed = 0.0
     for i in range(3000):
@@ -103,8 +114,10 @@ def test_a_map_creates_no_energy_through_limits_and_singular_postures(axes):
         force = rng.normal(0.0, 5.0, 4)
         if before is not None:
             work = (matrix.T @ force) * (hand - before)
-            # the device's angles are turned by their rates, right to second order
-            tolerance = 1e-14 if len(axes) == 4 else 1e-3 * np.abs(work).sum()
+            # the device's angles are turned by their rates, and a dead band ends by its slope, both
+            # right to second order
+            second_order = 0.05 if any(dead_bands) else 1e-3 if "yaw" in axes else 0.0
+            tolerance = 1e-14 + second_order * np.abs(work).sum()
             assert work.sum() == pytest.approx(force @ moved, abs=tolerance)
         before = hand.copy()
         largest = max(largest, np.abs(np.array(run.memory.operator.tip[:3]) / RADII[:3]).max())
@@ -133,6 +146,17 @@ def test_a_joint_comes_to_its_limit_without_a_step_of_the_force():
     assert np.abs(np.diff(trembling, axis=0)).max() < 0.02 * np.abs(felt).max()
 
 
+def test_each_axis_of_a_hand_has_a_scale_and_a_dead_band():
+    hand = SpaceHandConfig(axes=("x", "y", "z"), scales=(-0.5, 1.0, 2.0), dead_bands=(0, 0.01, 0))
+    run = SpaceRun(hand)
+    run.tick(np.zeros(3))
+    start = run.tip
+    for share in np.linspace(0.0, 1.0, 500):
+        matrix, _ = run.tick(np.array([0.02, 0.009, 0.01]) * share)
+    assert run.tip - start == pytest.approx(SCALE * np.array([-0.01, 0.0, 0.02]), abs=2e-5)
+    assert not matrix[:, 1].any()  # no force where nothing moves
+
+
 def test_nothing_moves_while_not_engaged_and_nothing_jumps_after():
     run = SpaceRun()
     for share in np.linspace(0.0, 1.0, 50):
@@ -158,6 +182,7 @@ def test_locked_axes_and_missing_rotations_move_nothing():
     joint=st.builds(
         MappedJointConfig,
         axis=st.integers(0, 1),
+        turns=st.booleans(),
         scale=st.sampled_from([-2.0, 0.5, 1.0]),
         dead_band=st.sampled_from([0.0, 0.002]),
         range=st.just((-0.02, 0.03)),
@@ -166,7 +191,7 @@ def test_locked_axes_and_missing_rotations_move_nothing():
 )
 def test_axes_are_mapped_with_their_slopes(joint, way):
     """The matrix is the slope of the motion, so the power is the same at both ends."""
-    mapper = AxisMapper(AxisMapConfig(joints=(joint,)))
+    mapper = AxisMapper(AxisMapConfig(joints=(joint,)), LEVER)
     hands = HandInput.array()
 
     def move(x):
@@ -179,13 +204,14 @@ def test_axes_are_mapped_with_their_slopes(joint, way):
     for x in way:
         step = 1e-8
         slope = (move(x + step)[0] - move(x - step)[0]) / (2.0 * step)
-        assert move(x)[1] == pytest.approx(slope, abs=1e-4)
+        lever = LEVER if joint.turns else 1.0  # a torque counts as a force at it
+        assert move(x)[1] * lever == pytest.approx(slope, abs=1e-4)
     assert move(0.0)[0] == 0.0
 
 
 def test_the_force_of_a_mapped_axis_ends_with_its_range_without_a_step():
     joint = MappedJointConfig(axis=0, range=(-0.02, 0.03))
-    mapper = AxisMapper(AxisMapConfig(joints=(joint,)))
+    mapper = AxisMapper(AxisMapConfig(joints=(joint,)), LEVER)
     hands, gains, travels = HandInput.array(), [], []
     for x in np.linspace(-0.04, 0.04, 801):
         fill_hand_input(hands, HandState((x,), (0.0,), True))
