@@ -43,6 +43,7 @@ DRIFT_TIME_S = 5.0  # within which both follow the travel that others know
 _K, _LENGTH, _EA, _ASYMMETRY = _tables.K, _tables.LENGTH, _tables.EA, _tables.ASYMMETRY
 _STEPS, _STEP_SHARE = 8, 0.5  # halves: it may stretch twice as far as is computed
 _STRETCH_TOLERANCE = 0.02  # of a stretch
+_MEETING_MARGIN = 1e-9  # of ln T, against rounding
 _NEAR_TIP = 1.0 - 1e-9  # of K: before a straight stretch at the tip
 
 
@@ -166,7 +167,8 @@ def drive_tip(tables: Tables, profile: Profile, tension: float, stretch: float) 
     """Stretch a tendon at its tip by `stretch` [m], in place; return what is left to be stretched.
 
     T_in is `tension` [N]. What slides grows with the change, e = g (l u + w u^2 / (2 (1 + rho)))
-    until it meets what slid before; hence steps short of it.
+    until it meets what slid before; hence steps short of it, and one up to where it meets what slid
+    the same way before the last reversal.
     """
     K, rho, u_in = tables[_K], tables[_ASYMMETRY], to_log_tension(tables, tension)
     near = K * _NEAR_TIP
@@ -185,6 +187,12 @@ def drive_tip(tables: Tables, profile: Profile, tension: float, stretch: float) 
         if change >= abs(limit - u):
             drive_end(tables, profile, limit, TIP)
             return 0.0
+        reversal = last - 2 if slides else last - 1
+        if reversal > 0:
+            s, corner, _ = get_point(profile, reversal)
+            met = corner + get_point(profile, reversal - 1)[2] * (K - s)
+            if (met - u) * stretch > 0.0:
+                change = min(change, abs(met - u) + _MEETING_MARGIN)
         before = integrate_tension(tables, profile)
         drive_end(tables, profile, u + math.copysign(change, stretch), TIP)
         left -= (integrate_tension(tables, profile) - before) / tables[_EA]

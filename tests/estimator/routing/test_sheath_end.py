@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from estimator.law.profile import build_pretensioned_profile, push_proximal
@@ -67,6 +67,8 @@ def test_a_pair_shows_that_its_tips_move_before_either_tendon_slides_through(
 
 
 @given(st.floats(0.5, 20.0), st.lists(st.floats(-2e-4, 2e-4), min_size=1, max_size=20))
+@example(12.0, [1.4e-4, -1e-15, 5.3e-5])  # a reversal too small to be seen
+@example(9.0, [1.4e-4, -1.2e-7, 1e-7, 9.7e-6])  # ... and back in two steps
 def test_the_tip_stretches_the_tendon_within_what_friction_holds(tension, stretches):
     profile = build_pretensioned_profile(TABLES, 3.0)
     push_proximal(TABLES, profile, tension)
