@@ -109,9 +109,10 @@ async function taken(newest_s) {
 
 // Get some of the newest of the data that are missing.
 async function fill() {
-  const [low, high] = gaps.pop();
+  const [low, high] = gaps.at(-1);
   const { said, bytes } = await ask(`newer=${low}&older=${high}`);
   if (said.instance !== instance) return;
+  gaps.pop();
   give(bytes);
   if (bytes.length > 0 && said.oldest > low + 1) gaps.push([low, said.oldest]);
 }
