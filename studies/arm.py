@@ -2,7 +2,8 @@
 
   python studies/arm.py                       20 arms of 2 to 8 joints, 20 s each
   python studies/arm.py --arms 4 --seed 7
-  python studies/arm.py --contact             tip of an arm pressed on planes of five orientations
+  python studies/arm.py --contact             tip of an arm pressed on planes of five orientations,
+                                              and in postures that are nearly singular
 
 Radii, sheaths, friction of passed joints, motion and walls are drawn at random. The slave's loop
 runs as in a session, without link and clock. Errors are parts of the full scale, the largest
@@ -11,6 +12,7 @@ without.
 """
 
 import argparse
+import itertools
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -52,7 +54,8 @@ ARM: dict[str, Any] = {
     "urdf": Path(__file__).parents[1] / "configs" / "notes-arm.urdf",
     "tip": "tip",
 }
-ARM_ANGLES = (0.0, 0.05, -0.1)  # [rad] its smallest lever is 13 mm
+ARM_ANGLES = (0.0, 0.05, -0.1)  # [rad] its smallest lever is 14 mm
+NEAR_SINGULAR = ((0.0, 0.3, -0.6), (0.0, 0.3, -0.8), (0.0, 0.6, -0.95))  # 8.6, 5.3 and 2.9 mm
 NORMALS = ((0, 0, -1), (1, 0, -1), (-1, 0, -1), (0, 1, -1), (0, -1, -1))
 PRESS_M, PLANE_STIFFNESS = 0.006, 3000.0  # [m] commanded depth, [N/m]
 CONTACT_MIN = 1.0  # [N] from which on a force at the tip has a direction
@@ -164,7 +167,7 @@ def run_slave(
 
 
 class TipErrors(NamedTuple):
-    """Errors of the force at the tip while it presses on a plane."""
+    """Errors of the force at the tip while it presses on a plane; of what is told of it."""
 
     angle: Array  # [rad] between the estimated and the true force: median, 95 %, largest
     size: Array  # error of its size, relative: the same
@@ -200,20 +203,27 @@ def press_plane(normal: Sequence[float], angles: Sequence[float] = ARM_ANGLES) -
     for _, rig, memory in run_slave(config, known, travel, 3.5):
         tip = compute_tip_pose(prepared, rig.joint_travel / radius)[:3, 3]
         true = -unit * PLANE_STIFFNESS * max(float(unit @ (point - tip)), 0.0)
-        if not np.linalg.norm(true) > CONTACT_MIN:
-            continue
         estimates = [memory.joints[k] for k in range(len(q))]
         position = np.array([joint.position for joint in estimates])
         torque = radius * np.array([(joint.force, joint.low, joint.high) for joint in estimates]).T
         found = compute_tip_wrench(compute_jacobian(prepared, position / radius), *torque)
-        rows.append((true, found.wrench[:3], found.low[:3], found.high[:3], found.is_told))
-    true, force, low, high, told = np.array(rows, np.float64).transpose(1, 0, 2)
-    size, estimated = np.linalg.norm(true, axis=1), np.linalg.norm(force, axis=1)
-    angle = np.arccos(np.clip((true * force).sum(axis=1) / (size * estimated), -1.0, 1.0))
+        told = found.directions[found.is_told][:, :3]
+        seen = told.T @ (told @ true)
+        if np.linalg.norm(true) > CONTACT_MIN:
+            rows.append(
+                (true, seen, found.wrench[:3], found.low[:3], found.high[:3], found.is_told)
+            )
+    true, seen, force, low, high, is_told = np.array(rows, np.float64).transpose(1, 0, 2)
+    size, estimated = np.linalg.norm(seen, axis=1), np.linalg.norm(force, axis=1)
+    angle = np.arccos(np.clip((seen * force).sum(axis=1) / (size * estimated), -1.0, 1.0))
     inside = ((low <= true) & (true <= high)).all(axis=1).mean()
     error = np.abs(estimated - size) / size
-    of_all = [np.percentile(values, (50.0, 95.0, 100.0)) for values in (angle, error)]
-    return TipErrors(*of_all, inside, told.min(axis=1).mean(), size.max())
+    if not (is_seen := size > CONTACT_MIN).any():
+        is_seen[:], angle[:], error[:] = True, np.nan, np.nan
+    of_all = [np.percentile(values[is_seen], (50.0, 95.0, 100.0)) for values in (angle, error)]
+    return TipErrors(
+        *of_all, inside, is_told.min(axis=1).mean(), np.linalg.norm(true, axis=1).max()
+    )
 
 
 def collect_forces(rig: SimulatedRig, memory: SlaveMemory) -> list[Array]:
@@ -239,13 +249,16 @@ def main(arguments: Sequence[str] | None = None) -> None:
     args = parser.parse_args(arguments)
     if args.contact:
         print(
-            "normal           largest  angle: median  95 %   size: median   95 %   inside    told"
+            "angles [rad]       normal           largest  angle: median  95 %   size: median   "
+            "95 %   inside    told"
         )
-        for normal in NORMALS:
-            found = press_plane(normal)
+        near = itertools.product(NEAR_SINGULAR, NORMALS[:2])
+        for angles, normal in [*((ARM_ANGLES, normal) for normal in NORMALS), *near]:
+            found = press_plane(normal, angles)
             print(
-                f"{normal!s:15}  {found.force:5.1f} N  {np.degrees(found.angle[0]):9.1f} deg  "
-                f"{np.degrees(found.angle[1]):4.1f}  {found.size[0]:13.1%}  {found.size[1]:5.1%}  "
+                f"{angles!s:18} {normal!s:15}  {found.force:5.1f} N  "
+                f"{np.degrees(found.angle[0]):9.1f} deg  {np.degrees(found.angle[1]):4.1f}  "
+                f"{found.size[0]:13.1%}  {found.size[1]:5.1%}  "
                 f"{found.inside:7.2%}  {found.told:6.1%}",
                 flush=True,
             )
