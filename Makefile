@@ -3,7 +3,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 ARGS ?=
 
-.PHONY: help demo test test-all test-kernel test-ros test-lerobot check docs bench bench-diagnosis bench-scales pictures clean
+.PHONY: help demo test test-all test-kernel test-ros test-lerobot check docs bench bench-diagnosis pictures clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-15s %s\n", $$1, $$2}'
@@ -48,9 +48,6 @@ bench: .venv/dev.done  ## speed and noise figures, each beside a baseline of the
 
 bench-diagnosis: .venv/dev.done  ## hide effects, diagnose, count what is found (hours); ARGS as in --help
 	@$(BIN)/python -m studies.hidden.campaign $(ARGS)
-
-bench-scales: .venv/dev.done  ## one hidden bench in five sizes, from 0.5 N to 500 N, torque and angle: what the diagnosis says of each
-	@$(BIN)/python -m studies.hidden.scales $(ARGS)
 
 pictures: .venv/dev.done  ## the pictures of the live view in docs/images, from real runs (needs Chromium)
 	@$(BIN)/python -m docs.pictures

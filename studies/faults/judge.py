@@ -93,7 +93,7 @@ def set_back_at(own_messages: np.ndarray, fault: Fault, sender: int) -> int:
 
 
 def silences(
-    rows: np.ndarray, stamps: np.ndarray, peer_messages: np.ndarray, sent: np.ndarray, fresh_ns: int
+    rows: np.ndarray, stamps: np.ndarray, peer_messages: np.ndarray, sent: np.ndarray
 ) -> np.ndarray:
     """Return the silence at each tick [ns].
 
@@ -106,7 +106,7 @@ def silences(
     known = peer_messages["stamp_ns"][order]
     place = np.minimum(np.searchsorted(known, echo), len(known) - 1)
     late = np.where(known[place] == echo, stamps - sent[order][place], 0)
-    fresh = np.where(new & (late <= fresh_ns), stamps, np.iinfo(np.int64).min // 2)
+    fresh = np.where(new & (late <= FRESH_NS), stamps, np.iinfo(np.int64).min // 2)
     return stamps - np.maximum.accumulate(fresh)
 
 
@@ -138,7 +138,7 @@ class CampaignResult(NamedTuple):
     tick: float  # [s] of the slave
 
 
-def judge(paths: list[Path], faults: list[Fault], fresh_ns: int = FRESH_NS) -> CampaignResult:
+def judge(paths: list[Path], faults: list[Fault]) -> CampaignResult:
     """Look at all recordings of a session and at what was done to it."""
     command = columns(paths, COMMAND.name, ["state", "echo_stamp_ns"])
     state = columns(paths, STATE.name, ["state", "echo_stamp_ns"])
@@ -149,8 +149,8 @@ def judge(paths: list[Path], faults: list[Fault], fresh_ns: int = FRESH_NS) -> C
     pushed[joined(hand, true_times(hand, command, faults, "master"), command, command_ns)] = hand[
         "force"
     ].any(axis=1)
-    master = ticks(command, command_ns, state, state_ns, pushed, fresh_ns)
-    slave = ticks(state, state_ns, command, command_ns, state["state"] == ENGAGED, fresh_ns)
+    master = ticks(command, command_ns, state, state_ns, pushed)
+    slave = ticks(state, state_ns, command, command_ns, state["state"] == ENGAGED)
     sides = {"master": master, "slave": slave}
     late = {name: finished_late(side) for name, side in sides.items()}
     engaged = {name: onsets(side) for name, side in sides.items()}
@@ -187,10 +187,9 @@ def ticks(
     peer_messages: np.ndarray,
     sent: np.ndarray,
     acts: np.ndarray,
-    fresh_ns: int,
 ) -> Ticks:
     """Return a side as its messages tell of it; `peer_messages` and `sent` as in `silences`."""
-    silence = silences(rows, stamps, peer_messages, sent, fresh_ns)
+    silence = silences(rows, stamps, peer_messages, sent)
     # the first may be missing; skipped ticks make the start seem later, so the least counts
     sequence = rows["sequence"].astype("i8")
     tick_ns = round(float(np.median(np.diff(rows["stamp_ns"]))))

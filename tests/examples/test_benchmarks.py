@@ -5,7 +5,6 @@ from pathlib import Path
 
 import pytest
 
-from studies.hidden.scales import Answer, unlike
 from studies.rigs.jobs import require_stopped
 
 BENCHMARKS = Path(__file__).parents[2] / "studies"
@@ -20,16 +19,6 @@ MODULES = [
 def test_a_benchmark_can_be_imported(name, monkeypatch):
     monkeypatch.syspath_prepend(str(BENCHMARKS))  # as for a script of that folder
     importlib.import_module(f"studies.{name}")
-
-
-def test_a_number_that_only_one_size_of_a_bench_has_is_a_difference():
-    of_both, of_one = {"K": (0.8, 0.01)}, {"K": (0.8, 0.01), "L/EA": (1e-4, 1e-6)}
-    for one, other in ((of_one, of_both), (of_both, of_one)):
-        (said,) = unlike(Answer("clean", (), one), Answer("clean", (), other))
-        assert said.startswith("L/EA ")
-    assert unlike(Answer("clean", (), of_one), Answer("clean", (), of_one)) == []
-    (said,) = unlike(Answer("clean", (), {"K": (0.9, 0.01)}), Answer("clean", (), of_both))
-    assert said.startswith("K 0.9")
 
 
 @pytest.mark.parametrize("times_s", [(-2.0, -0.3, 0.01), (-3.0, -0.004), (0.049,)])
