@@ -18,7 +18,6 @@ from estimator.array_types import Array
 from estimator.drawing import STYLE
 from studies.transparency import zwidth
 from studies.transparency.hand import DT
-from studies.transparency.page import COLOURS
 from studies.transparency.rig import TENDON, Rig, wall
 from studies.transparency.study import CONTACT, FRICTION, HANDS, PRETENSION, SPRING, Study
 from studies.transparency.system import Network, Teleoperator, rig_model, settings
@@ -32,6 +31,7 @@ HAND = HANDS["relaxed"]
 DAMPINGS = (0.5, 2.0, 8.0)  # [N s/m] of the device
 DELAY = 2.0 * DT  # [s] of the simulated loops: command to motor, tension to force
 FAST = 0.001  # [s] lag of a motor without the usual one
+COLOURS = {"direct": "#D55E00", "passivity": "#0072B2", "wave": "#009E73"}  # Okabe and Ito
 OFFSET: dict[str, Any] = {"textcoords": "offset points", "color": "#888888"}
 CURVES = (
     ("direct", Rig.lag),

@@ -1,4 +1,4 @@
-"""The study in words and numbers: tables for people, a tree for programs."""
+"""The study in numbers: Markdown tables for people, a tree for programs."""
 
 import math
 from typing import Any
@@ -34,6 +34,17 @@ def width(study: Study, walls: Walls) -> str:
     if walls.width.stable == 0.0:
         return f"< {study.lowest:.0f}"
     return f"{'≥ ' if math.isinf(walls.width.unstable) else ''}{_round(walls.width.stable)}"
+
+
+def text(study: Study, cases: list[Case]) -> str:
+    """Return all tables as Markdown; studies/results/coupling.md says how each is measured."""
+    tables = {
+        "In short": summary(study, cases),
+        "Rendered against true stiffness": stiffnesses(study, cases),
+        "Z-width with each hand": widths(study, cases),
+        "Linearity of the hybrid parameters": quality(cases),
+    }
+    return "\n\n".join(f"## {title}\n\n{table.markdown()}" for title, table in tables.items())
 
 
 def summary(study: Study, cases: list[Case]) -> Table:
