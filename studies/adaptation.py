@@ -7,10 +7,10 @@ python -m studies.adaptation --pair              one tendon of a pair, which ada
 The plant is the simulated rig's chain of springs and Coulomb nodes, which knows nothing of the
 adaptation. A sheath keeps its shape for `CHANGE_S` of use, then the friction of all or of one bend
 changes by -40 to +60 %, within 0.1 to 20 s. T_out is scored over `AFTER_S` from `SETTLE_S` after
-the change on, with the fixed K and with adaptation. Seeds 0 to 99 were used for tuning.
+the change on, with the fixed K and with adaptation. Seeds 0 to 99 were used for tuning. Takes 10
+minutes.
 """
 
-import argparse
 from typing import NamedTuple
 
 import numpy as np
@@ -33,6 +33,7 @@ from slave.simulation.joint import (
     init_joint,
 )
 from slave.simulation.tendon import Knobs, SheathConfig, divide_sheath
+from studies.testbed.command import parse_options
 
 RATE = 500.0  # [Hz]
 CHANGE_S, SETTLE_S, AFTER_S = 25.0, 30.0, 15.0  # [s]
@@ -241,12 +242,13 @@ DISTURBANCES = (
 
 def main() -> None:
     """Print the figures."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--sheaths", type=int, default=40)
-    parser.add_argument("--first", type=int, default=100, help="first seed")
-    parser.add_argument("--unchanged", action="store_true")
-    parser.add_argument("--pair", action="store_true")
-    options = parser.parse_args()
+    options = parse_options(
+        __doc__,
+        sheaths=(40, "number of them"),
+        first=(100, "first seed"),
+        unchanged=(False, "no change of friction, but creep, backlash or presliding"),
+        pair=(False, "one tendon of a pair"),
+    )
     scores = []
     for k in range(options.sheaths):
         knobs, backlash = DISTURBANCES[k % len(DISTURBANCES) if options.unchanged else 0]

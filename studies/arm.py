@@ -1,17 +1,16 @@
 """Joint torques of random arms, estimated from the housing, against the simulated arm.
 
-  python studies/arm.py                       20 arms of 2 to 8 joints, 20 s each
-  python studies/arm.py --arms 4 --seed 7
-  python studies/arm.py --contact             tip of an arm pressed on planes of five orientations,
+  python -m studies.arm                       20 arms of 2 to 8 joints, 20 s each
+  python -m studies.arm --arms 4 --seed 7
+  python -m studies.arm --contact             tip of an arm pressed on planes of five orientations,
                                               and in postures that are nearly singular
 
 Radii, sheaths, friction of passed joints, motion and walls are drawn at random. The slave's loop
 runs as in a session, without link and clock. Errors are parts of the full scale, the largest
 tension of the gate at a joint's pulley; once with the friction of passed joints in the model, once
-without.
+without. Takes 6 minutes.
 """
 
-import argparse
 import itertools
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -37,6 +36,7 @@ from slave.simulation.joint import BodyConfig
 from slave.simulation.sensors import LoadCellConfig
 from slave.simulation.space_contacts import PlaneConfig
 from slave.simulation.tendon import SheathConfig
+from studies.testbed.command import parse_options
 from teleop.config.arm import ArmConfig
 from teleop.messages.messages import MAX_JOINTS, Command, SlaveState, pad_values
 from teleop.messages.packet import Packet
@@ -237,16 +237,15 @@ def collect_forces(rig: SimulatedRig, memory: SlaveMemory) -> list[Array]:
     return [(rig.travel_ratios * (a - b)).sum(axis=0), *ends]
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
+def main() -> None:
     """Print a table, a row for each arm."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    args = parse_options(
+        __doc__,
+        arms=(20, "number of arms"),
+        seconds=(20.0, "of each"),
+        seed=(1, "of the first arm"),
+        contact=(False, "force at a tip on planes"),
     )
-    parser.add_argument("--arms", type=int, default=20, help="number of arms (default 20)")
-    parser.add_argument("--seconds", type=float, default=20.0, help="of each (default 20)")
-    parser.add_argument("--seed", type=int, default=1, help="of the first arm (default 1)")
-    parser.add_argument("--contact", action="store_true", help="force at a tip on planes")
-    args = parser.parse_args(arguments)
     if args.contact:
         print(
             "angles [rad]       normal           largest  angle: median  95 %   size: median   "

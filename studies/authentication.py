@@ -1,12 +1,12 @@
 """What authentication costs: the tags of a tick, and a session plain against authenticated.
 
-    python studies/authentication.py             the tags, and sessions of 15 s
-    python studies/authentication.py --tags      the tags only
+    python -m studies.authentication             the tags, and sessions of 15 s
+    python -m studies.authentication --tags      the tags only
 
-Sessions of both kinds run in turns, twice each (`--rounds`); figures are medians of them.
+Sessions of both kinds run in turns, twice each (`--rounds`); figures are medians of them. Takes
+2 minutes.
 """
 
-import argparse
 import itertools
 import json
 import resource
@@ -14,10 +14,11 @@ import statistics
 import subprocess
 import sys
 import tempfile
-import time
 from pathlib import Path
 from typing import Any
 
+from studies.testbed.command import measure_us, parse_options
+from studies.testbed.processes import DEMO_CONFIG, free_ports
 from teleop.link.reception import Reception
 from teleop.messages.messages import LAYOUT
 from teleop.messages.topics import COMMAND, STATE, Role
@@ -25,17 +26,17 @@ from teleop.security import CertificateRole
 from teleop.security.credentials import create_local_credentials
 from teleop.security.keyring import Keyring
 from teleop.security.presence import Handshake, RoleStage, Token
-from teleop.view.local_server import find_free_port
 
-ROUNDS, CALLS = 300, 200  # the quickest round counts: whatever else runs is left out
+CALLS, ROUNDS = 200, 300
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--tags", action="store_true", help="the tags only")
-    parser.add_argument("--seconds", type=float, default=15.0, help="of each session")
-    parser.add_argument("--rounds", type=int, default=2, help="sessions of each kind, in turns")
-    args = parser.parse_args()
+    args = parse_options(
+        __doc__,
+        tags=(False, "the tags only"),
+        seconds=(15.0, "of each session"),
+        rounds=(2, "sessions of each kind, in turns"),
+    )
     for topic, sender, receiver in (
         (COMMAND, Role.MASTER, Role.SLAVE),
         (STATE, Role.SLAVE, Role.MASTER),
@@ -71,19 +72,11 @@ def tag_us(topic: Any, sender: Role, receiver: Role) -> tuple[float, float]:
     tagged = Reception(topic, lambda _: 1, senders, rings[receiver].addressee)
     plain = Reception(topic, lambda _: 1)
     arrived = data + seal()
-    checked = least_us(lambda: tagged.admit(arrived)) - least_us(lambda: plain.admit(data))
-    return least_us(seal), checked
-
-
-def least_us(call: Any) -> float:
-    """Return the duration of a call [us]: that of the quickest round."""
-    durations = []
-    for _ in range(ROUNDS):
-        begin = time.perf_counter_ns()
-        for _ in range(CALLS):
-            call()
-        durations.append((time.perf_counter_ns() - begin) / CALLS * 1e-3)
-    return min(durations)
+    with_tag, without, made = (
+        measure_us(call, CALLS, ROUNDS)
+        for call in (lambda: tagged.admit(arrived), lambda: plain.admit(data), seal)
+    )
+    return made, with_tag - without
 
 
 def sessions(seconds: float, rounds: int) -> None:
@@ -105,11 +98,12 @@ def measure(seconds: float, words: list[str]) -> dict[str, float]:
     """Run a session and return its figures."""
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "run.json"
-        ends = [f"--set=link.{side}=127.0.0.1:{find_free_port(0)}" for side in ("master", "slave")]
+        sides = zip(("master", "slave"), free_ports(2), strict=True)
+        ends = [f"--set=link.{side}=127.0.0.1:{port}" for side, port in sides]
         before = processor_s()
         subprocess.run(
-            [sys.executable, "-m", "teleop", "run", "--config", "configs/demo.yaml", "--view",
-             "none", "--duration", str(seconds), "--json", str(out), *ends, *words,
+            [sys.executable, "-m", "teleop", "run", "--config", str(DEMO_CONFIG), "--view", "none",
+             "--duration", str(seconds), "--json", str(out), *ends, *words,
              "--set=session=authentication", "--set=master.device.engage=[[0.5, 1e6]]",
              "--set=master.device.engage_period=1e7"],
             check=True, stdout=subprocess.DEVNULL,

@@ -1,19 +1,18 @@
 """How well a blocked-tip loop calibrates random sheaths, beside the paper's method.
 
-python studies/calibration.py [sheaths] [seed] [peak] [loops]
+python -m studies.calibration [--sheaths 60] [--seed 1] [--peak 20] [--loops 1]
 
 Each sheath, uniform or of 2 to 5 bends and straight stretches, K from 0.4 to 1.8, is a chain of
 springs and friction beads that knows no law (studies/brute). Its loop, pull to the peak (20 N),
 release to 0.2 N and pull again, as often as `loops` says, in 1, 3, 3, ... s with rests of 0.2 s, is
-read with 0.01 to 0.03 N of noise and encoder counts
-and calibrated; the paper's method is given the true EA and L. Then the same chain goes through
-pull 20 N, release 5 N, pull 20 N and nested partial reversals, and the law predicts T_out and
-elongation from the noise-free T_in: errors in percent of full scale, the largest of the motion.
+read with 0.01 to 0.03 N of noise and encoder counts and calibrated; the paper's method is given the
+true EA and L. Then the same chain goes through pull 20 N, release 5 N, pull 20 N and nested partial
+reversals, and the law predicts T_out and elongation from the noise-free T_in: errors in percent of
+full scale, the largest of the motion. Takes a minute.
 """
 
 import itertools
 import math
-import sys
 from typing import NamedTuple
 
 import numpy as np
@@ -23,6 +22,7 @@ from estimator.calibration.calibration import Calibration, CalibrationError, cal
 from estimator.law.sheath import Section, Sheath
 from estimator.law.transmission import build_slack_profile, build_tables, simulate_tensions
 from studies.brute.chain import Chain, Force, Position
+from studies.testbed.command import parse_options
 
 LOW = 0.2  # [N]
 FIRST, OTHERS = 1.0, 3.0  # [s] of the first pull, and of each branch after it
@@ -39,10 +39,10 @@ class Row(NamedTuple):
 
     name: str
     K: float
-    expected: float  # standard uncertainty of K
+    uncertainty: float  # standard, of K
     T_out: float
     elongation: float
-    paper_force: float
+    paper_tension: float
     paper_elongation: float
 
 
@@ -134,12 +134,19 @@ def describe(number: int, sheath: Sheath) -> str:
     return f"{number}: K {sheath.K:.2f}, mu {sheath.friction:.2f}, {parts}"
 
 
-def main(count: int = 60, seed: int = 1, peak: float = 20.0, loops: int = 1) -> None:
+def main() -> None:
+    options = parse_options(
+        __doc__,
+        sheaths=(60, "number of them"),
+        seed=(1, "of all"),
+        peak=(20.0, "largest tension of the loop [N]"),
+        loops=(1, "number of loops"),
+    )
     rows = []
-    for number in range(count):
-        rng = np.random.default_rng((seed, number))
+    for number in range(options.sheaths):
+        rng = np.random.default_rng((options.seed, number))
         sheath = random_sheath(rng)
-        T_in, q_p = loop(sheath, rng.uniform(0.01, 0.03), rng, peak, loops)
+        T_in, q_p = loop(sheath, rng.uniform(0.01, 0.03), rng, options.peak, options.loops)
         name = describe(number, sheath)
         try:
             result = calibrate(
@@ -153,7 +160,7 @@ def main(count: int = 60, seed: int = 1, peak: float = 20.0, loops: int = 1) -> 
         paper = errors(by_paper(result, sheath), truth)
         rows.append(Row(name, result.K.value - sheath.K, result.K.uncertainty, *ours, *paper))
     table = np.abs(np.array([row[1:] for row in rows]))
-    print(f"{len(rows)} of {count} sheaths, share of them with an error up to")
+    print(f"{len(rows)} of {options.sheaths} sheaths, share of them with an error up to")
     names = ("K", "T_out %", "elong. %", "paper T_out %", "paper elong. %")
     print(f"{'':8}" + "".join(f"{name:>16}" for name in names))
     for share in SHARES:
@@ -163,11 +170,11 @@ def main(count: int = 60, seed: int = 1, peak: float = 20.0, loops: int = 1) -> 
     print(f"K within two stated standard uncertainties on {sure:.0%}")
     print("worst, by T_out:")
     for row in sorted(rows, key=lambda row: -row.T_out)[:4]:
-        print(f"  {row.T_out:5.2f} %, K {row.K:+.3f} (u {row.expected:.3f}), sheath {row.name}")
+        print(f"  {row.T_out:5.2f} %, K {row.K:+.3f} (u {row.uncertainty:.3f}), sheath {row.name}")
     print("worst of the paper's method, by T_out:")
-    for row in sorted(rows, key=lambda row: -row.paper_force)[:3]:
-        print(f"  {row.paper_force:5.1f} %, sheath {row.name}")
+    for row in sorted(rows, key=lambda row: -row.paper_tension)[:3]:
+        print(f"  {row.paper_tension:5.1f} %, sheath {row.name}")
 
 
 if __name__ == "__main__":
-    main(*(int(word) for word in sys.argv[1:]))
+    main()

@@ -1,13 +1,16 @@
 """How fast the estimator is, against two plain ways of writing the same law, in the same run.
 
-python studies/estimator_speed.py
+python -m studies.estimator_speed
+
+A step from Python, with the law alone and with an effect beside it; a compiled run over a record;
+and the law alone against a numpy clip for each node and a stack in pure Python. Takes half a
+minute.
 """
 
 import functools
 import math
 import time
 from collections import deque
-from collections.abc import Callable
 
 import numpy as np
 
@@ -18,6 +21,7 @@ from estimator.law.sheath import Sheath
 from estimator.law.transmission import build_slack_profile, build_tables, simulate_tensions
 from estimator.online import online
 from estimator.online.extended_model import build_extended_model
+from studies.testbed.command import measure_us, parse_options
 
 SHEATH = Sheath.uniform(1.0, 1.5, 9000.0)
 NODES = 64
@@ -84,16 +88,6 @@ def plain_deque(T_in: Array) -> Array:
     return T_out
 
 
-def seconds(call: Callable[[], object], repeats: int = 5) -> float:
-    """Return the least of a few timings [s]."""
-    best = math.inf
-    for _ in range(repeats):
-        start = time.perf_counter()
-        call()
-        best = min(best, time.perf_counter() - start)
-    return best
-
-
 def steps(model: online.TendonModel, T: Array, q: Array) -> Array:
     """Return how long each step took [us], in order of that."""
     prepared = online.prepare(model)
@@ -126,18 +120,18 @@ def print_steps(T: Array, q: Array) -> None:
 
 
 def main() -> None:
+    parse_options(__doc__)
     time_s, T, q = record(20_000)
     print_steps(T, q)
     prepared = online.prepare(
         online.TendonModel(SHEATH, tension_noise=0.02, displacement_noise=1e-6)
     )
-    online.run(prepared, time_s[:10], T[:10], q[:10])
-    full = seconds(lambda: online.run(prepared, time_s, T, q))
+    full = 1e-6 * measure_us(lambda: online.run(prepared, time_s, T, q))
     table = build_tables(SHEATH)
-    law = seconds(lambda: simulate_tensions(table, build_slack_profile(table), T))
+    law = 1e-6 * measure_us(lambda: simulate_tensions(table, build_slack_profile(table), T))
     short = 4000
-    sweep = seconds(lambda: clip_sweep(T[:short]), 3) * len(T) / short
-    stack = seconds(lambda: plain_deque(T), 3)
+    sweep = 1e-6 * measure_us(lambda: clip_sweep(T[:short]), repeat=3) * len(T) / short
+    stack = 1e-6 * measure_us(lambda: plain_deque(T), repeat=3)
     exact, _ = simulate_tensions(table, build_slack_profile(table), T)
     print(f"{'':34}Msamples/s   faster than numpy clip sweep   than Python deque")
     for name, taken_s in (

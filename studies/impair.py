@@ -1,21 +1,21 @@
 """How exact the delay of `teleop impair` is: what it adds, beside the same messages sent directly.
 
-python studies/impair.py
+python -m studies.impair
+
+3000 messages for each delay, one a millisecond. Takes half a minute.
 """
 
-import os
-import subprocess
-import sys
 import time
 
 import numpy as np
 
+from studies.testbed.command import parse_options
 from studies.testbed.processes import free_ports
 from teleop.link import Link, LinkConfig
 from teleop.link.bridge import send_request
 from teleop.messages.messages import Command
 from teleop.messages.topics import COMMAND, Role
-from teleop.runtime.process import SUPERVISED_VARIABLE
+from teleop.runtime.child_process import end_process, start_module
 
 DELAYS = (0.0, 0.01, 0.05, 0.1)  # [s]
 COUNT = 3000  # messages for each, one a millisecond
@@ -27,13 +27,8 @@ def latencies(config: LinkConfig, shared: LinkConfig, delay: float, proxied: boo
     with Link(shared, SESSION, Role.SLAVE) as slave, Link(config, SESSION, Role.MASTER) as master:
         listener = slave.listen((COMMAND,))
         if proxied:
-            both = "to_slave", "to_master"
-            send_request(
-                config,
-                SESSION,
-                config.slave,
-                "\n".join(["set", *(f"{w}.delay={delay}" for w in both)]),
-            )
+            words = ["set", *(f"{way}.delay={delay}" for way in ("to_slave", "to_master"))]
+            send_request(config, SESSION, config.slave, "\n".join(words))
         time.sleep(0.5)
         begin = time.monotonic()
         for k in range(COUNT):
@@ -45,16 +40,15 @@ def latencies(config: LinkConfig, shared: LinkConfig, delay: float, proxied: boo
 
 
 def main() -> None:
+    parse_options(__doc__)
     a, b, c = (f"127.0.0.1:{port}" for port in free_ports(3))
     shared, config = LinkConfig(master=a, slave=b), LinkConfig(master=a, slave=c)
     print("Added by the proxy, over what was asked for [ms]; one message a millisecond")
     direct = latencies(shared, shared, 0.0, proxied=False) * 1e3
     print(f"{'direct':>10}   p50 {np.median(direct):6.3f}   p99 {np.percentile(direct, 99):6.3f}")
     words = [f"session={SESSION}", f"link.master={a}", f"link.slave={b}", f"impair.endpoint={c}"]
-    proxy = subprocess.Popen(
-        [sys.executable, "-m", "teleop", "impair", *(f"--set={word}" for word in words)],
-        env=os.environ | {SUPERVISED_VARIABLE: str(os.getpid())},
-    )
+    settings = [f"--set={word}" for word in words]
+    proxy = start_module("teleop", "impair", *settings, is_supervised=True)
     try:
         for delay in DELAYS:
             over = (latencies(config, shared, delay, proxied=True) - delay) * 1e3
@@ -63,8 +57,7 @@ def main() -> None:
                 f"p99 {np.percentile(over, 99):6.3f}   max {over.max():6.3f}   n {len(over)}"
             )
     finally:
-        proxy.terminate()
-        proxy.wait()
+        end_process(proxy, 10.0)
 
 
 if __name__ == "__main__":

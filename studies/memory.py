@@ -1,27 +1,25 @@
 """How much the recorder or the proxy grows when it is stopped and its queues fill up.
 
-python studies/memory.py [--program impair] [--stops 12] [--seconds 1.0]
+python -m studies.memory [--proxy] [--stops 12] [--seconds 1.0]
 
 Two sides publish four topics at 1 kHz each. The program is stopped (SIGSTOP) and continued again
-and again; its resident memory is printed after each time, and what it counted at the end.
+and again; its resident memory is printed after each time, and what it counted at the end. Takes
+half a minute.
 """
 
-import argparse
 import json
-import os
 import signal
-import subprocess
-import sys
 import tempfile
 import threading
 import time
 from collections import Counter
 from pathlib import Path
 
+from studies.testbed.command import parse_options
 from studies.testbed.processes import free_ports, resident_mb
 from teleop.link import Link, LinkConfig
 from teleop.messages.topics import COMMAND, HAND, STATE, TENDONS, Role
-from teleop.runtime.process import SUPERVISED_VARIABLE
+from teleop.runtime.child_process import end_process, start_module
 
 SESSION = "benchmark-memory"
 PERIOD_S = 1e-3
@@ -39,28 +37,26 @@ def publish(slave: Link, master: Link, published: Counter, stopping: threading.E
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--program", choices=["record", "impair"], default="record")
-    parser.add_argument("--stops", type=int, default=12)
-    parser.add_argument("--seconds", type=float, default=1.0, help="that each stop lasts")
-    args = parser.parse_args()
+    args = parse_options(
+        __doc__,
+        proxy=(False, "the proxy of `teleop impair` in place of the recorder"),
+        stops=(12, "number of stops"),
+        seconds=(1.0, "that each stop lasts"),
+    )
+    program = "impair" if args.proxy else "record"
     a, b, c = (f"127.0.0.1:{port}" for port in free_ports(3))
     shared = LinkConfig(master=a, slave=b)
     words = [f"session={SESSION}", f"link.master={a}", f"link.slave={b}"]
     published: Counter[str] = Counter()
     with tempfile.TemporaryDirectory() as folder:
         summary = Path(folder) / "summary.json"
-        command = [sys.executable, "-m", "teleop", args.program, "--json", str(summary)]
-        if args.program == "impair":
+        if args.proxy:
             words += [f"impair.endpoint={c}"]
             words += [f"impair.{way}.delay=0.003" for way in ("to_slave", "to_master")]
-        else:
-            command += ["--out", folder]
-        process = subprocess.Popen(
-            [*command, *(f"--set={word}" for word in words)],
-            env=os.environ | {SUPERVISED_VARIABLE: str(os.getpid())},
-        )
-        config = LinkConfig(master=a, slave=c) if args.program == "impair" else shared
+        command = [program, "--json", str(summary), *(() if args.proxy else ("--out", folder))]
+        settings = [f"--set={word}" for word in words]
+        process = start_module("teleop", *command, *settings, is_supervised=True)
+        config = LinkConfig(master=a, slave=c) if args.proxy else shared
         try:
             time.sleep(2.0)
             with (
@@ -84,10 +80,9 @@ def main() -> None:
                 thread.join()
                 time.sleep(0.5)
         finally:
-            process.terminate()
-            process.wait()
+            end_process(process, 10.0)
         counted = json.loads(summary.read_text())
-    print(f"{args.program}: resident memory [MB] at first and after each stop:")
+    print(f"{program}: resident memory [MB] at first and after each stop:")
     print("  " + " ".join(f"{size:.1f}" for size in sizes))
     print(f"published {dict(published)}")
     wanted = ("messages", "gaps", "dropped", "to_slave", "to_master")

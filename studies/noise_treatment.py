@@ -1,11 +1,11 @@
 """What noise on T_in does to the estimated T_out, and what each treatment of it costs and gains.
 
-python studies/noise_treatment.py
+python -m studies.noise_treatment
 
 Simulated: a clean T_in gives the true T_out by the law, the same T_in with noise of 0.03 N goes
 through the estimator with each treatment; bias and RMSE by what T_in does. Measured: the bench
 record beside the project (or in TELEOP_SHARED_DATA), as it is and with noise added, against the tip
-load cell.
+load cell. Takes half a minute.
 """
 
 import math
@@ -27,6 +27,7 @@ from estimator.law.transmission import (
 from estimator.online import online
 from estimator.online.tendon_model import TendonModel
 from estimator.signals import Treatment, estimate_noise_sigma
+from studies.testbed.command import parse_options
 
 SIGMA = 0.03  # [N]
 TRAVEL_SIGMA = 1e-6  # [m]
@@ -134,6 +135,7 @@ def measured() -> None:
 
 
 if __name__ == "__main__":
+    parse_options(__doc__)
     simulated(1000.0)
     simulated(82.0)
     measured()

@@ -1,15 +1,15 @@
 """What the simulated plant costs: a step of a joint by nodes and effects, rigs against real time.
 
-python studies/plant.py
+python -m studies.plant
 
 Beside a step stand, from the same run, a call of a compiled function that does nothing with the
 same arguments, which a step made from Python contains, and one solution of a tridiagonal system of
 the chain's size by LAPACK, of which an iterating solver would need several. Beside a rig, read and
-written at 1 kHz as a session does it, stand the same steps in one compiled call.
+written at 1 kHz as a session does it, stand the same steps in one compiled call. Takes a
+minute.
 """
 
 import time
-from collections.abc import Callable
 
 import numpy as np
 from scipy.linalg import lapack
@@ -36,6 +36,7 @@ from slave.simulation.effects.friction import (
 )
 from slave.simulation.joint import Joint, JointState, advance_joint, init_joint
 from slave.simulation.tendon import SheathConfig
+from studies.testbed.command import measure_us, parse_options
 
 NODES = (10, 30, 60, 120, 300)
 STEPS = 2000
@@ -73,17 +74,6 @@ def path(steps: int) -> Array:
     return np.column_stack([wave, 5e-4 - wave])
 
 
-def best_of(run: Callable[[], object], rounds: int = 3) -> float:
-    """Return the fastest of some rounds, in seconds."""
-    run()
-    times = []
-    for _ in range(rounds):
-        begin = time.perf_counter()
-        run()
-        times.append(time.perf_counter() - begin)
-    return min(times)
-
-
 def joint_of(tendons: int, nodes: int) -> JointConfig:
     return JointConfig((TendonPlantConfig(sheath=SheathConfig(nodes=nodes)),) * tendons)
 
@@ -98,14 +88,11 @@ def print_steps() -> None:
         for tendons in (1, 2):
             joint = build_joint(joint_of(tendons, nodes))
             start, way = init_joint(joint), path(STEPS)
-            took.append(best_of(lambda: drive(joint, start, way)))  # noqa: B023
-        calls = best_of(lambda: [nothing(joint, start, way[0]) for _ in range(STEPS)])  # noqa: B023
+            took.append(measure_us(lambda: drive(joint, start, way), 1, 3) / STEPS)  # noqa: B023
+        call = measure_us(lambda: nothing(joint, start, way[0]), STEPS, 3)  # noqa: B023
         side, middle, right = np.full(nodes, -1.0), np.full(nodes + 1, 2.1), np.ones(nodes + 1)
-        solves = best_of(
-            lambda: [lapack.dgtsv(side, middle, side, right) for _ in range(STEPS)]  # noqa: B023
-        )
-        one, pair, call, solve = (1e6 * t / STEPS for t in (*took, calls, solves))
-        print(f"{nodes:>6} {one:>11.1f} {pair:>7.1f} {call:>10.1f} {solve:>18.1f}")
+        solve = measure_us(lambda: lapack.dgtsv(side, middle, side, right), STEPS, 3)  # noqa: B023
+        print(f"{nodes:>6} {took[0]:>11.1f} {took[1]:>7.1f} {call:>10.1f} {solve:>18.1f}")
 
 
 def print_effects() -> None:
@@ -115,10 +102,10 @@ def print_effects() -> None:
     for effect in (FrictionStep(change=0.0), *EFFECTS):
         chain = joint.a.chain._replace(knobs=compute_knobs([effect], 10.0, [0.0]))
         changed = joint._replace(a=joint.a._replace(chain=chain))
-        took = best_of(lambda: drive(changed, start, way))  # noqa: B023
+        took = measure_us(lambda: drive(changed, start, way), 1, 3) / STEPS  # noqa: B023
         plain = plain or took
         name = effect.type if effect in EFFECTS else "none"
-        print(f"{name:>28} {1e6 * took / STEPS:>6.1f} us, {took / plain:.2f} times none")
+        print(f"{name:>28} {took:>6.1f} us, {took / plain:.2f} times none")
 
 
 def print_rigs() -> None:
@@ -135,13 +122,14 @@ def print_rigs() -> None:
         whole = time.perf_counter() - begin
         joint = build_joint(config)
         start, steps = init_joint(joint), path(round(1000 * SECONDS))
-        alone = joints * best_of(lambda: drive(joint, start, steps))  # noqa: B023
+        alone = joints * 1e-6 * measure_us(lambda: drive(joint, start, steps), 1, 3)  # noqa: B023
         print(
             f"{joints:>6} {joints * tendons:>8} {SECONDS / whole:>26.1f} {SECONDS / alone:>12.1f}"
         )
 
 
 if __name__ == "__main__":
+    parse_options(__doc__)
     print_steps()
     print_effects()
     print_rigs()

@@ -1,6 +1,8 @@
 """What recording costs: processor time a message, disk a minute, and time to read it back.
 
-python studies/recording.py
+python -m studies.recording
+
+Ten seconds of messages at 1 kHz, of one joint and of eight, for each compression. Takes 40 s.
 """
 
 import tempfile
@@ -9,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from studies.testbed.command import parse_options
 from teleop.link import ReceivedMessage
 from teleop.messages.messages import Command, Hand, SlaveState, TendonState, pad_values
 from teleop.messages.topics import COMMAND, HAND, STATE, TENDONS, Role
@@ -65,6 +68,7 @@ def session(joints: int) -> list[ReceivedMessage]:
 
 def main() -> None:
     """Print one line for each compression and number of joints."""
+    parse_options(__doc__)
     print(
         "joints  compression  MB/min  us/message  % of a core  open, columns [s per recorded min]"
     )

@@ -1,6 +1,6 @@
 """What a router carries: sessions at 1 kHz, beside the same sessions connected directly.
 
-  python studies/router_scale.py [--sessions 1 2 4 8 16] [--seconds 3] [--out FILE] [--insecure]
+  python -m studies.router_scale [--sessions 1 2 4 8 16] [--seconds 3] [--out FILE] [--insecure]
 
 Each session is a command and an answer a millisecond, of the sizes of Command and SlaveState, with
 the publishers, queues, priorities, TLS and access control of a link, but no tags and no loops. One
@@ -13,9 +13,10 @@ number of sessions:
   router      processor of the router, in cores; and for each message that it sends on [us]
   load        processor of the processes that make the load, in cores: with the router's, it is the
               machine's limit that is seen when all cores are taken
+
+Takes a minute and a half.
 """
 
-import argparse
 import gc
 import json
 import os
@@ -30,16 +31,17 @@ from typing import Any
 import numpy as np
 import zenoh
 
-from studies.testbed.processes import processor_s
+from studies.testbed.command import parse_options
+from studies.testbed.processes import free_ports, processor_s
 from teleop.link.network import declare_publisher, open_session
 from teleop.messages.messages import Command, SlaveState
-from teleop.runtime.process import SUPERVISED_VARIABLE, die_with_launcher
+from teleop.runtime.child_process import start_module
+from teleop.runtime.process import die_with_launcher
 from teleop.runtime.realtime import request_realtime
 from teleop.security import CertificateRole
 from teleop.security.access import build_access_control
 from teleop.security.credentials import create_local_credentials
 from teleop.security.identity import ALL_SESSIONS
-from teleop.session.own_endpoints import find_free_ports
 
 SIZES = {"command": Command.schema.size, "state": SlaveState.schema.size}
 PHASES = 4  # sendings in a millisecond, each of a part of the sessions
@@ -176,6 +178,7 @@ def run_router(plan: dict[str, Any]) -> None:
         sys.stdin.read()
 
 
+PART = "part"  # the word that makes this program one of its processes
 PARTS = {
     "router": run_router, "slaves": run_slaves, "masters": run_masters,
     "listeners": run_listeners,
@@ -186,13 +189,11 @@ class Part:
     """A process of the benchmark, ended with the context."""
 
     def __init__(self, name: str, plan: dict[str, Any]) -> None:
-        self.process = subprocess.Popen(
-            [sys.executable, __file__, "--part", name, json.dumps(plan)],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            text=True,
-            env=os.environ | {SUPERVISED_VARIABLE: str(os.getpid())},
-        )
+        pipe = subprocess.PIPE
+        self.process = start_module(
+            "studies.router_scale", PART, name, json.dumps(plan),
+            is_supervised=True, stdin=pipe, stdout=pipe, text=True,
+        )  # fmt: skip
 
     def __enter__(self) -> "Part":
         return self
@@ -260,7 +261,7 @@ def show(row: dict[str, Any]) -> None:
 
 def campaign(sessions: list[int], seconds: float, insecure: bool) -> list[dict[str, Any]]:
     """Measure all numbers of sessions both ways, then the fan-out of one session."""
-    (port,) = find_free_ports(1)
+    (port,) = free_ports(1)
     routed = {
         "router": f"127.0.0.1:{port}",
         "most": max(sessions),
@@ -273,7 +274,7 @@ def campaign(sessions: list[int], seconds: float, insecure: bool) -> list[dict[s
         router.line()
         for count in sessions:
             plan = routed | {"sessions": count, "listeners": 0}
-            slaves = [f"127.0.0.1:{port}" for port in find_free_ports(count)]
+            slaves = [f"127.0.0.1:{port}" for port in free_ports(count)]
             for config, via in ((plan | {"router": "", "slaves": slaves}, None), (plan, router)):
                 rows.append(measure(config, via))
                 show(rows[-1])
@@ -298,19 +299,19 @@ def machine() -> dict[str, Any]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--sessions", type=int, nargs="+", default=[1, 2, 4, 8, 16], metavar="N")
-    parser.add_argument("--seconds", type=float, default=3.0, metavar="S", help="of each row")
-    parser.add_argument("--out", type=Path, metavar="FILE", help="write the rows as JSON")
-    parser.add_argument("--insecure", action="store_true", help="plaintext, without TLS")
-    parser.add_argument("--part", nargs=2, metavar=("NAME", "PLAN"), help=argparse.SUPPRESS)
-    args = parser.parse_args()
-    if args.part:
+    if sys.argv[1:2] == [PART]:
         die_with_launcher()
         request_realtime()  # before the sessions: their threads inherit the priority
         sys.setswitchinterval(0.0005)
-        PARTS[args.part[0]](json.loads(args.part[1]))
+        PARTS[sys.argv[2]](json.loads(sys.argv[3]))
         return
+    args = parse_options(
+        __doc__,
+        sessions=((1, 2, 4, 8, 16), "numbers of sessions"),
+        seconds=(3.0, "of each row"),
+        out=(Path, "write the rows as JSON to this file"),
+        insecure=(False, "plaintext, without TLS"),
+    )
     facts = {"machine": machine(), "bytes": SIZES, "tls": not args.insecure}
     print(json.dumps(facts))
     rows = campaign(args.sessions, args.seconds, args.insecure)

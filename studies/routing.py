@@ -8,10 +8,10 @@ and together, fast and slow, back and forth, and by so little that the tendon st
 
 Two figures of each arm. Tensions: the model of the passed joints alone, given the tension at the
 sheath's end. Torques: sheaths and passed joints together, from the tension at the housing with
-noise, and joint angles with an error. Beside them what leaving out passed friction costs.
+noise, and joint angles with an error. Beside them what leaving out passed friction costs. Takes 10
+minutes.
 """
 
-import argparse
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,6 +20,7 @@ from estimator.law.sheath import Section, Sheath
 from estimator.routing import tensions
 from estimator.routing.routing import Routing, RoutingError, prepare
 from studies.brute.routed import Bend, Pin, RoutedChain
+from studies.testbed.command import parse_options
 
 PRETENSION = 5.0  # [N] uniform, at the start
 TENSION_RANGE = (2.0, 15.0)  # [N] at the housing
@@ -216,11 +217,12 @@ def _compare(
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--arms", type=int, default=20, help="how many (default: 20)")
-    parser.add_argument("--seed", type=int, default=0, help="of the first arm (default: 0)")
-    parser.add_argument("--legs", type=int, default=12, help="motions of each (default: 12)")
-    options = parser.parse_args()
+    options = parse_options(
+        __doc__,
+        arms=(20, "number of arms"),
+        seed=(0, "of the first arm"),
+        legs=(12, "motions of each"),
+    )
     for seed in range(options.seed, options.seed + options.arms):
         rng = np.random.default_rng(seed)
         arm = make_arm(rng)

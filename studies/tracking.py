@@ -1,14 +1,14 @@
 """How well joints follow their commands, with and without making up for elongation.
 
-python studies/tracking.py
+python -m studies.tracking
 
 On the simulated rig: two tendons a joint, the motors' own lag and speed limit, 0.02 N of noise on
 the load cells. The estimator believes K to be 2 % and EA to be 3 % higher or lower than they are,
 whichever is worse. A spring loads the joint so that some 5 N at the housing hold it at 6 mm.
+Takes 4 minutes.
 """
 
 import math
-import timeit
 from collections.abc import Sequence
 from functools import partial
 from typing import NamedTuple
@@ -27,6 +27,7 @@ from slave.gate import GateConfig
 from slave.rigs.simulated import JointConfig
 from slave.sheath_section import SectionConfig
 from slave.tendons import EstimatedTendon, RigLayout, build_rig_layout
+from studies.testbed.command import measure_us, parse_options
 from studies.testbed.control_bench import DT, Command, follow, joint, sine, staircase
 from teleop.messages.messages import MAX_JOINTS, MAX_TENDONS
 
@@ -164,10 +165,11 @@ def costs() -> None:
     }
     print("\na tick of four joints [us]")
     for name, call in calls.items():
-        print(f"{name:<24}{min(timeit.repeat(call, number=200, repeat=20)) / 200 * 1e6:8.1f}")
+        print(f"{name:<24}{measure_us(call, 200, 20):8.1f}")
 
 
 def main() -> None:
+    parse_options(__doc__)
     costs()
     print(f"{'tracking error [um]':<44}{'without':>15}{'with':>15}{'times smaller':>15}")
     print(f"{'':<44}" + f"{'RMS':>8}{'max':>7}" * 3)

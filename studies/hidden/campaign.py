@@ -1,16 +1,17 @@
 """Hide effects, diagnose, count: the confusion matrix of the diagnosis (make bench-diagnosis).
 
+  python -m studies.hidden.campaign --first 4 --seeds 2 --clean 0 --outside 0 --pairs 0
+
 Every effect of the catalogue at two sizes on each bench that has it, clean records, records with
-an effect outside the catalogue, and pairs. The diagnosis sees the channels only.
+an effect outside the catalogue, and pairs. The diagnosis sees the channels only. A record takes
+10 s to some minutes of a processor, the oracle beside it as long again: hours in all.
 """
 
-import argparse
 import itertools
 import math
 import time
 from collections import Counter
 from functools import partial
-from multiprocessing import get_context
 from typing import NamedTuple
 
 import numpy as np
@@ -21,6 +22,8 @@ from estimator.diagnosis.outcome import Verdict
 from estimator.effects import CATALOGUE
 from studies import hidden
 from studies.hidden.numbers import Checked, checked
+from studies.testbed.command import parse_options
+from teleop.runtime.parallel import count_processors, parallel_map
 
 BENCHES = ("blocked", "spring")
 SIZES = (1.0, 0.5)
@@ -147,13 +150,12 @@ def _over_oracle(record, found, effects):
     )
 
 
-def cases(seeds, clean, outside, pairs, how, only=()):
+def cases(seeds, clean, outside, pairs, how, only):
     """Return the whole campaign; `how` is duration [s], rate [Hz] and travel noise [m]."""
-    asked = [name for name in hidden.EFFECTS if not only or name in only]
     made = [
         Case(seed, (name,), size, bench, *how)
         for seed in seeds
-        for name in asked
+        for name in only
         for size in SIZES
         for bench in hidden.VISIBLE[name]
     ]
@@ -172,19 +174,20 @@ def cases(seeds, clean, outside, pairs, how, only=()):
 
 def main():
     """Run the campaign and print what came of it."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seeds", type=int, default=5)
-    parser.add_argument("--first", type=int, default=1, help="of the seeds")
-    parser.add_argument("--clean", type=int, default=100)
-    parser.add_argument("--outside", type=int, default=5)
-    parser.add_argument("--pairs", type=int, default=20)
-    parser.add_argument("--duration", type=float, default=60.0)
-    parser.add_argument("--rate", type=float, default=100.0)
-    parser.add_argument("--travel-noise", type=float, default=0.0, help="on both travels [m]")
-    parser.add_argument("--jobs", type=int, default=2)
-    parser.add_argument("--only", nargs="*", default=())
-    parser.add_argument("--no-oracle", action="store_true", help="in half the time")
-    args = parser.parse_args()
+    args = parse_options(
+        __doc__,
+        seeds=(5, "number of seeds for each effect of the catalogue"),
+        first=(1, "of the seeds"),
+        clean=(100, "number of records without an effect"),
+        outside=(5, "number of records with each effect outside the catalogue"),
+        pairs=(20, "number of records with two effects"),
+        duration=(60.0, "of a record [s]"),
+        rate=(100.0, "of a record [Hz]"),
+        travel_noise=(0.0, "white, on both travels [m]"),
+        jobs=(count_processors(), "processes"),
+        only=(tuple(hidden.EFFECTS), "effects of the catalogue"),
+        no_oracle=(False, "not the true model, fitted, beside it: in half the time"),
+    )
     todo = cases(
         range(args.first, args.first + args.seeds),
         args.clean,
@@ -193,11 +196,10 @@ def main():
         (args.duration, args.rate, args.travel_noise),
         args.only,
     )
-    with get_context("spawn").Pool(args.jobs) as pool:
-        results = []
-        for result in pool.imap_unordered(partial(judge, oracle=not args.no_oracle), todo):
-            results.append(result)
-            show(result)
+    results = []
+    for result in parallel_map(partial(judge, oracle=not args.no_oracle), todo, args.jobs):
+        results.append(result)
+        show(result)
     summary(results)
 
 
