@@ -1,186 +1,105 @@
 """What a viewer does to the loops, and what an hour of viewing needs.
 
-  python studies/view.py [SECONDS [ROUNDS]]     both parts; 8 s of each state, 3 rounds
-  python studies/view.py FILE.mcap [MINUTES]    the second part, with a recording; 60 minutes
-  python studies/view.py CONFIG.yaml [SECONDS]  processor time and memory of a live view
+  python -m studies.view [--seconds 8] [--rounds 3]         both parts
+  python -m studies.view --recording FILE [--minutes 60]    the second part, with a recording
+  python -m studies.view --live CONFIG [--seconds 20]       processor time, memory of a live view
 
 First one session runs while a viewer is, in turn, absent, there, opened and reloaded in a headless
 Chromium (drawn by software, on the same processors, at the lowest priority), stopped (SIGSTOP) and
 just killed, several times over; a recorder beside it tells the period of both loops and the way
-from command to force in each state. The states take turns in one run, so all meet the same machine.
+from command to force in each state.
 
 Then an hour of messages, ten seconds of that run again and again with stamps of their own, goes
 through the view as fast as it can: memory of its process and of a page in a headless
 Chromium, open from the start, and the size of its file. It is shown on the page and written to a
-file at once, at the rates of the config.
+file at once, at the rates of the config. The first part takes 4 minutes, the second up to an hour.
 """
 
 import math
 import os
 import signal
-import subprocess
-import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from studies.testbed import browser
-from studies.testbed.processes import processor_s, resident_mb
+from studies.testbed.command import parse_options
+from studies.testbed.observed import ObservedSession
+from studies.testbed.processes import DEMO_CONFIG, START_S, Processes, processor_s, resident_mb
 from teleop.config import loading
-from teleop.link import Link
-from teleop.messages.topics import STATE, TOPICS, Role
-from teleop.recording.reader import open_recording, read_columns, read_messages
-from teleop.runtime.clock import now_ns
+from teleop.launch.supervisor import wait_for_condition
+from teleop.messages.topics import TOPICS
+from teleop.recording.reader import open_recording, read_messages
 from teleop.runtime.process import STANDBY_VARIABLE
-from teleop.session.config import RunConfig
-from teleop.session.state_machine import State
 from teleop.view.columns import AnyTopic, Rows, decode
 from teleop.view.config import ViewConfig
-from teleop.view.local_server import WEB_VIEW, find_free_port
+from teleop.view.local_server import WEB_VIEW
 from teleop.view.scene import Scene
 from teleop.view.sinks import Sink
 
-CONFIG = Path(__file__).parents[1] / "configs" / "demo.yaml"
-ENGAGED_S = 180.0  # [s] in which both sides must have compiled and engaged
 SETTLE_S = 3.0  # [s] after a change of state that are not counted
 LOOPED_S = 10.0
 HOUR_S = 3600.0
 SAID_MIN = (0, 1, 5, 10, 15, 20, 30, 40, 50, 60)  # [min] of the hour
-Spans = dict[str, list[tuple[int, int]]]
 
 
-def main(*words: str) -> None:
-    if words and words[0].endswith(".mcap"):
-        hour(Path(words[0]), float(words[1]) if len(words) > 1 else HOUR_S / 60)
+def main() -> None:
+    options = parse_options(
+        __doc__,
+        seconds=(8.0, "of each state, or of the live view"),
+        rounds=(3, "of all states"),
+        recording=(Path, "measure the second part alone, with this recording"),
+        minutes=(HOUR_S / 60, "of the second part"),
+        live=(Path, "measure the view that `teleop run` starts with this config"),
+    )
+    if options.recording:
+        hour(options.recording, options.minutes)
         return
-    if words and words[0].endswith(".yaml"):
-        processes(Path(words[0]), float(words[1]) if len(words) > 1 else 20.0)
-        return
-    seconds, rounds = (*map(float, words), *(8.0, 3.0)[len(words) :])
     with tempfile.TemporaryDirectory(prefix="view-benchmark-") as folder:
-        recording, spans = session(Path(folder), seconds, int(rounds))
-        report(recording, spans)
-        hour(recording)
+        if options.live:
+            measure_live(Path(folder), options.live, options.seconds)
+            return
+        session = measure_states(Path(folder), options.seconds, options.rounds)
+        session.report("viewer")
+        hour(session.recording(), options.minutes)
 
 
-def session(folder: Path, seconds: float, rounds: int) -> tuple[Path, Spans]:
-    """Run a session, with and without a viewer; return its recording and when was what."""
-    shared = ["--config", str(CONFIG), "--set", "session=view-benchmark"]
-    for side in ("master", "slave"):
-        shared += ["--set", f"link.{side}=127.0.0.1:{find_free_port(0)}"]
-    looked = [] if browser.program() is None else ["opened", "reloaded"]
-    spans: Spans = {state: [] for state in ("off", "on", *looked, "stopped", "killed")}
-
-    with ExitStack() as stack:
-
-        def start(command: str, *arguments: str) -> subprocess.Popen[bytes]:
-            process = subprocess.Popen(
-                [sys.executable, "-m", "teleop", command, *shared, *arguments],
-                stdout=subprocess.PIPE if command == "view" else subprocess.DEVNULL,
-                stderr=subprocess.STDOUT,
-            )
-            stack.callback(end, process)
-            return process
-
-        def address_of(viewer: subprocess.Popen[bytes]) -> str:
-            assert viewer.stdout is not None  # noqa: S101 - a pipe, above
-            words = next(line for line in viewer.stdout if line.startswith(WEB_VIEW.encode()))
-            return words.decode().removeprefix(WEB_VIEW).strip()
-
-        def measured(state: str, settle_s: float = SETTLE_S) -> None:
-            time.sleep(settle_s)
-            begin = now_ns()
-            time.sleep(seconds)
-            spans[state].append((begin, now_ns()))
-
-        start("record", "--out", str(folder))
-        start("slave")
-        start("master")
-        wait_until_engaged(shared[3::2])
+def measure_states(folder: Path, seconds: float, rounds: int) -> ObservedSession:
+    """Run a session, with and without a viewer, and return it."""
+    with ObservedSession(folder, seconds) as session:
+        session.start_all()
         for _ in range(rounds):
-            measured("off")
-            viewer = start("view", "--view", "web")
-            address = address_of(viewer)
-            time.sleep(SETTLE_S)
-            measured("on")
-            if looked:
-                look(f"{address}?renderer=webgl", measured)
+            session.measure("off", SETTLE_S)
+            viewer = session.start("view", "--view", "web")
+            address = session.wait_for_line("view", WEB_VIEW).removeprefix(WEB_VIEW)
+            session.measure("on", 2 * SETTLE_S)
+            if browser.program() is not None:
+                look(f"{address}?renderer=webgl", session)
             viewer.send_signal(signal.SIGSTOP)
-            measured("stopped")
+            session.measure("stopped", SETTLE_S)
             viewer.kill()
-            measured("killed")
-    (path,) = folder.glob("*.mcap")
-    return path, spans
+            session.measure("killed", SETTLE_S)
+        session.stop("record", 60.0)
+    return session
 
 
-def look(address: str, measured: Callable[[str, float], None]) -> None:
+def look(address: str, session: ObservedSession) -> None:
     """Open the page and load it again; each is measured from its first moment on."""
     with browser.Browser() as page:
         os.setpriority(os.PRIO_PGRP, page.pid, 19)
         for state in ("opened", "reloaded"):
             page.open(address)
-            measured(state, 0.0)
+            session.measure(state, 0.0)
 
 
-def wait_until_engaged(overrides: list[str], file: Path = CONFIG) -> None:
-    run = loading.load(file, RunConfig, None, overrides)
-    patience = time.monotonic() + ENGAGED_S
-    with Link(run.link, run.session, Role.VIEWER) as link:
-        listener = link.listen([STATE])
-        while time.monotonic() < patience:
-            time.sleep(0.1)
-            states = [STATE.message.unpack(heard.data).state for heard in listener.drain()]
-            if State.ENGAGED in states:
-                return
-    raise SystemExit("the session did not engage")
-
-
-def end(process: "subprocess.Popen[bytes]") -> None:
-    if process.poll() is None:
-        process.send_signal(signal.SIGINT)
-    try:
-        process.wait(15)
-    except subprocess.TimeoutExpired:
-        process.kill()
-        process.wait()
-
-
-def report(recording: Path, spans: Spans, listener: str = "viewer") -> None:
-    """Print period and latency in each state of a listener; NaN where there were none."""
-    hand = read_columns(recording, "hand", ["stamp_ns", "round_trip_ns"])
-    slave = read_columns(recording, "state", ["stamp_ns"])
-    table: list[tuple[str, NDArray[np.int64], Callable[[NDArray[np.bool_]], NDArray[np.int64]]]]
-    table = [
-        ("master, period", hand["stamp_ns"], lambda inside: np.diff(hand["stamp_ns"][inside])),
-        ("slave, period", slave["stamp_ns"], lambda inside: np.diff(slave["stamp_ns"][inside])),
-        ("command to force", hand["stamp_ns"], lambda inside: hand["round_trip_ns"][inside]),
-    ]
-    print(f"{'[ms]':18}{listener:>9}{'p50':>8}{'p99':>8}{'p99.9':>8}   each round's p99")
-    for name, stamps, values in table:
-        for state, times in spans.items():
-            rounds = [values((stamps >= begin) & (stamps < end)) for begin, end in times]
-            rounds = [some[some > 0] for some in rounds]
-            p50, p99, p999 = percentiles_ms(np.concatenate(rounds))
-            each = "  ".join(f"{percentiles_ms(some)[1]:.2f}" for some in rounds)
-            print(f"{name:18}{state:>9}{p50:8.3f}{p99:8.3f}{p999:8.3f}   {each}")
-
-
-def percentiles_ms(values_ns: NDArray[np.int64]) -> tuple[float, float, float]:
-    if not len(values_ns):  # as no command comes back in a session that is held up
-        return math.nan, math.nan, math.nan
-    p50, p99, p999 = np.percentile(values_ns, [50, 99, 99.9]) * 1e-6
-    return float(p50), float(p99), float(p999)
-
-
-def hour(recording: Path, minutes: float = HOUR_S / 60) -> None:
+def hour(recording: Path, minutes: float) -> None:
     """Print memory and file size over an hour of messages."""
-    view = loading.load(CONFIG, ViewConfig, "view")
+    view = loading.load(DEMO_CONFIG, ViewConfig, "view")
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "hour.rrd"
         with Sink("web", view, "hour", file, live=True) as sink, ExitStack() as stack:
@@ -254,16 +173,13 @@ def looped(recording: Path, period_s: float) -> Iterator[tuple[float, dict[AnyTo
             yield turn * LOOPED_S + (k + 1) * period_s, batch
 
 
-def processes(file: Path, seconds: float) -> None:
+def measure_live(folder: Path, file: Path, seconds: float) -> None:
     """Print processor time and memory of the view that `teleop run` starts, and of its spare."""
-    shared = ["--config", str(file), "--set", "session=view-benchmark"]
-    for side in ("master", "slave"):
-        shared += ["--set", f"link.{side}=127.0.0.1:{find_free_port(0)}"]
-    command = [sys.executable, "-m", "teleop", "run", *shared, "--view", "web"]
-    with ExitStack() as stack:
-        launcher = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
-        stack.callback(end, launcher)
-        wait_until_engaged(shared[3::2], file)
+    with Processes(folder, file) as session:
+        launcher = session.start("run", "--view", "web")
+        with session.look() as link:
+            if not wait_for_condition(lambda: session.engaged(link), START_S):
+                raise SystemExit("the session did not engage")
         time.sleep(5 * SETTLE_S)  # the periods settle
         views = [pid for pid in children(launcher.pid) if b"\0view\0" in command_of(pid)]
         before, begin = [processor_s(pid) for pid in views], time.monotonic()
@@ -276,6 +192,7 @@ def processes(file: Path, seconds: float) -> None:
             name = "its spare" if spare else "view"
             share = (processor_s(pid) - earlier) / passed
             print(f"{name:14} {share:5.2f} {resident_mb(pid):6.0f} {own_memory_mb(pid):6.0f}")
+        session.stop("run")
 
 
 def children(parent: int) -> list[int]:
@@ -308,4 +225,4 @@ def descendants(parent: int) -> list[int]:
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:])
+    main()

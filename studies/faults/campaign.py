@@ -19,15 +19,8 @@ from pathlib import Path
 import numpy as np
 
 from studies.faults.judge import CampaignResult, judge
-from studies.faults.session import (
-    DEMO_CONFIG,
-    PLAN,
-    Fault,
-    FaultSession,
-    inject,
-    may_end_engagement,
-)
-from studies.testbed.processes import pause
+from studies.faults.session import PLAN, Fault, FaultSession, inject, may_end_engagement
+from studies.testbed.processes import DEMO_CONFIG, pause
 
 FAULTS = "faults.json"
 SLAVE_S, MASTER_S = 0.030, 0.050  # [s] after the last fresh message

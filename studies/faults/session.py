@@ -28,7 +28,6 @@ MOTION = (
     "master.device.reference={type: sine, amplitude: 0.02, frequency: 0.5, offset: 0.03}",
 )
 NAMES = ("record", "impair", "slave", "master")
-DEMO_CONFIG = Path(__file__).parents[2] / "configs" / "demo.yaml"
 WALL_CLOCK = Path(__file__).with_name("wall_clock.c")
 
 

@@ -20,6 +20,7 @@ from teleop.messages.topics import HAND, STATE, Role
 from teleop.runtime.process import SUPERVISED_VARIABLE
 from teleop.session.state_machine import State
 
+DEMO_CONFIG = Path(__file__).parents[2] / "configs" / "demo.yaml"
 START_S = 120.0  # the first start of all compiles
 # environment of processes that end with us
 OURS = os.environ | {SUPERVISED_VARIABLE: str(os.getpid())}
@@ -133,6 +134,16 @@ class Processes:
     def kill(self, command: str) -> None:
         self.running[command].kill()
         self.running[command].wait()
+
+    def wait_for_line(self, command: str, begin: str) -> str:
+        """Return the line that begins so, of the newest process of a command."""
+        log = max(self.folder.glob(f"*-{command}.log"), key=lambda p: int(p.name.partition("-")[0]))
+
+        def found() -> list[str]:
+            return [line for line in log.read_text().splitlines() if line.startswith(begin)]
+
+        assert wait_for_condition(lambda: bool(found()), START_S), self.outputs()
+        return found()[0]
 
     def outputs(self) -> str:
         """Return what all processes printed."""
