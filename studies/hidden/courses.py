@@ -39,7 +39,7 @@ def spread(x):
     return (x - x.min()) / np.ptp(x)
 
 
-def friction_over(name, variable, **extra):
+def friction_over(name, variable):
     """Register friction that follows a variable, which is a function of time and motor travel."""
 
     def act(plant, **curve):
@@ -70,10 +70,7 @@ def rested(t, q):
 
 
 @effect(
-    "height",
-    lambda r, _: {"height": about(r, 0.5), "lasts": r.uniform(1.0, 3.0)},
-    outside=True,
-    lasts="s",
+    "height", lambda r, _: {"height": about(r, 0.5), "lasts": r.uniform(1.0, 3.0)}, outside=True
 )
 def friction_over_rest(plant, height, lasts):
     plant.scales.append(lambda t, q: 1.0 + height * (1.0 - np.exp(-rested(t, q) / lasts)))
@@ -98,12 +95,7 @@ def friction_over_speed(plant, height, at, width):
     plant.scales.append(scale)
 
 
-@effect(
-    "height",
-    lambda r, _: some_curve(r, 0.3) | {"period": r.uniform(3.0, 9.0)},
-    outside=True,
-    period="s",
-)
+@effect("height", lambda r, _: some_curve(r, 0.3) | {"period": r.uniform(3.0, 9.0)}, outside=True)
 def friction_over_cycle(plant, period, **curve):
     plant.scales.append(lambda t, _q: 1.0 + on_curve(**curve, share=t / period, turns=1.0))
 
@@ -129,7 +121,6 @@ def friction_over_temperature(plant, swings, **curve):
     ),
     outside=True,
     read=True,
-    height="N",
 )
 def curved_reading(plant, channel, **curve):
     plant.read(channel, lambda _t, y, _q: y + on_curve(**curve, share=y / y.max()))

@@ -1,7 +1,7 @@
 """What can be wrong with a bench: each effect changes the `Plant`, or how a channel is read.
 
-An effect has parameters drawn at random around its full size; those named in `sized` grow with the
-size asked for and are 0 where there is no effect.
+An effect has parameters drawn at random around its full size, in SI units; those named in `sized`
+grow with the size asked for and are 0 where there is no effect.
 """
 
 from collections.abc import Callable
@@ -61,7 +61,6 @@ class Effect:
     sized: tuple
     act: Callable  # (plant, **parameters) -> the same in other words, if any
     benches: tuple
-    units: dict
     read: bool  # whether it acts on readings alone
 
 
@@ -69,11 +68,11 @@ EFFECTS: dict[str, Effect] = {}
 OUTSIDE: dict[str, Effect] = {}
 
 
-def effect(sized, draw, *, benches=BENCHES, read=False, outside=False, **units):
+def effect(sized, draw, *, benches=BENCHES, read=False, outside=False):
     """Register a function as an effect by its own name."""
 
     def register(act):
-        new = Effect(draw, tuple(sized.split()), act, benches, units, read)
+        new = Effect(draw, tuple(sized.split()), act, benches, read)
         if outside:
             OUTSIDE["outside:" + act.__name__] = new
         else:
@@ -98,7 +97,7 @@ def some_time(rng, scene):
 # Friction
 
 
-@effect("change", lambda r, s: {"change": either(r, 0.25), "time": some_time(r, s)}, time="s")
+@effect("change", lambda r, s: {"change": either(r, 0.25), "time": some_time(r, s)})
 def friction_step(plant, change, time):
     plant.scales.append(lambda t, _q: 1.0 + change * (t >= time))
 
@@ -109,28 +108,25 @@ def friction_drift(plant, change):
     plant.scales.append(lambda t, _q: 1.0 + change * t / t[-1])
 
 
-@effect("drag", lambda r, _: {"drag": about(r, 0.6)}, drag="N")
+@effect("drag", lambda r, _: {"drag": about(r, 0.6)})
 def constant_drag(plant, drag):
     plant.bend(drag=drag)
 
 
-@effect("viscosity", lambda r, _: {"viscosity": about(r, 500.0)}, viscosity="N s/m")
+@effect("viscosity", lambda r, _: {"viscosity": about(r, 500.0)})
 def viscous_friction(plant, viscosity):
     plant.bend(parts=2, viscosity=viscosity)
 
 
 @effect(
-    "ratio",
-    lambda r, s: {"ratio": about(r, 0.25), "speed": about(r, 0.2) * s.full, "memory": 0.2},
-    speed="m/s",
-    memory="s",
+    "ratio", lambda r, s: {"ratio": about(r, 0.25), "speed": about(r, 0.2) * s.full, "memory": 0.2}
 )
 def stribeck_friction(plant, ratio, speed, memory):
     """Friction follows the speed a little late: without it a tendon would stick and slip."""
     plant.bend(parts=2, stribeck_ratio=ratio, stribeck_speed=speed, stribeck_memory=memory)
 
 
-@effect("bristle", lambda r, _: {"bristle": about(r, 5e-5)}, bristle="m")
+@effect("bristle", lambda r, _: {"bristle": about(r, 5e-5)})
 def presliding(plant, bristle):
     """`bristle` is what a contact gives at 10 N before it slides; its stiffness is constant."""
     plant.bend(bristle=bristle)
@@ -152,8 +148,6 @@ def tension_dependent_friction(plant, change):
 @effect(
     "excess",
     lambda r, _: {"excess": about(r, 0.3), "time": about(r, 0.3), "distance": about(r, 2e-5)},
-    time="s",
-    distance="m",
 )
 def stick_slip(plant, excess, time, distance):
     """A contact at rest grows by `excess` with `time`; sliding `distance` undoes it."""
@@ -179,30 +173,25 @@ def nonuniform_curvature(plant, spread, cuts, order):
 
 
 @effect(
-    "strain",
-    lambda r, s: {"strain": about(r, 1.5e-4) / s.length, "tension": r.uniform(1.0, 5.0)},
-    tension="N",
+    "strain", lambda r, s: {"strain": about(r, 1.5e-4) / s.length, "tension": r.uniform(1.0, 5.0)}
 )
 def nonlinear_stiffness(plant, strain, tension):
     plant.bend(toe_strain=strain, toe_tension=tension)
 
 
-@effect("share", lambda r, _: {"share": about(r, 0.1), "time": about(r, 8.0)}, time="s")
+@effect("share", lambda r, _: {"share": about(r, 0.1), "time": about(r, 8.0)})
 def creep(plant, share, time):
     plant.bend(creep_share=share, creep_time=time)
 
 
 @effect(
-    "compression",
-    lambda r, _: {"compression": about(r, 5e-7), "threshold": r.uniform(0.0, 5.0)},
-    compression="m/N^2",
-    threshold="N",
+    "compression", lambda r, _: {"compression": about(r, 5e-7), "threshold": r.uniform(0.0, 5.0)}
 )
 def sheath_compression(plant, compression, threshold):
     plant.bend(compression=compression, compression_threshold=threshold)
 
 
-@effect("length", lambda r, _: {"length": about(r, 5e-4)}, length="m")
+@effect("length", lambda r, _: {"length": about(r, 5e-4)})
 def slack(plant, length):
     plant.bend(slack=length)
 
@@ -211,7 +200,7 @@ def some_growth(rng, scene):
     return {"growth": about(rng, 1e-4), "time": rng.choice([np.inf, scene.duration / 3])}
 
 
-@effect("growth", some_growth, growth="m", time="s")
+@effect("growth", some_growth)
 def thermal_expansion(plant, growth, time):
     """The tendon is `growth` longer at the end: evenly, or exponentially with `time`."""
     length = sum(length for length, _ in plant.sections)
@@ -231,17 +220,17 @@ def some_pretension(rng, scene):
     return {"tension": about(rng, min(6.0, 0.6 * scene.clean["distal_tension"].max()))}
 
 
-@effect("tension", some_pretension, tension="N")
+@effect("tension", some_pretension)
 def pretension(plant, tension):
     plant.pretension = tension
 
 
-@effect("width", lambda r, _: {"width": about(r, 1e-4)}, benches=("spring",), read=True, width="m")
+@effect("width", lambda r, _: {"width": about(r, 1e-4)}, benches=("spring",), read=True)
 def joint_backlash(plant, width):
     plant.read("distal_displacement", lambda _t, y, _q: sensors.play(y, width))
 
 
-@effect("friction", lambda r, _: {"friction": about(r, 0.5)}, benches=("spring",), friction="N")
+@effect("friction", lambda r, _: {"friction": about(r, 0.5)}, benches=("spring",))
 def joint_friction(plant, friction):
     plant.tip = plant.tip._replace(friction=friction)
 
@@ -250,7 +239,6 @@ def joint_friction(plant, friction):
     "tension",
     lambda r, _: {"tension": about(r, 0.2), "K": r.uniform(0.5, 1.5)},
     benches=("spring",),
-    tension="N",
 )
 def antagonist_tension(plant, tension, K):
     """A second tendon through a sheath of its own, held with `tension` at its housing."""
@@ -265,8 +253,6 @@ def antagonist_tension(plant, tension, K):
         "mass": s.stiffness / about(r, 25.0) ** 2,
     },
     benches=("spring",),
-    damping="N s/m",
-    mass="kg",
 )
 def tip_inertia(plant, damping, mass):
     plant.tip = plant.tip._replace(damping=damping, mass=mass)
@@ -282,7 +268,7 @@ def some_visit(rng, scene):
     return {"travel": either(rng, 6e-4), "time": begin, "ramp": ramp, "back": back}
 
 
-@effect("travel", some_visit, travel="m", time="s", ramp="s", back="s")
+@effect("travel", some_visit)
 def tip_moved(plant, travel, time, ramp, back):
     """Blocked: the wall moves; spring: its far end."""
 
@@ -299,17 +285,16 @@ def cell_effects(side, gain, bias, drift):
     """Register gain, bias and drift of the load cell at one end."""
     channel = side + "_tension"
 
-    def register(what, name, value, unit, make):
+    def register(what, name, value, make):
         def act(plant, **parameters):
             plant.read(channel, make(*parameters.values()))
 
         act.__name__ = f"{channel}_{what}"
-        units = {name: unit} if unit else {}
-        effect(name, lambda r, _: {name: either(r, value)}, read=True, **units)(act)
+        effect(name, lambda r, _: {name: either(r, value)}, read=True)(act)
 
-    register("gain", "gain", gain, "", sensors.gained)
-    register("bias", "bias", bias, "N", sensors.biased)
-    register("drift", "drift", drift, "N", sensors.drifting)
+    register("gain", "gain", gain, sensors.gained)
+    register("bias", "bias", bias, sensors.biased)
+    register("drift", "drift", drift, sensors.drifting)
 
 
 cell_effects("proximal", 0.06, 0.4, 0.6)
@@ -328,7 +313,7 @@ def some_lag(rng, scene):
     return {"lag": about(rng, 0.06), "channel": str(channel), "kind": str(kind)}
 
 
-@effect("lag", some_lag, read=True, lag="s")
+@effect("lag", some_lag, read=True)
 def sensor_lag(plant, lag, channel, kind):
     plant.read(channel, sensors.delayed(lag) if kind == "delay" else sensors.filtered(lag))
 
@@ -338,7 +323,7 @@ def some_ceiling(rng, scene):
     return {"depth": about(rng, 0.2), "peak": scene.clean[channel].max(), "channel": channel}
 
 
-@effect("depth", some_ceiling, read=True, peak="N", limit="N")
+@effect("depth", some_ceiling, read=True)
 def saturation(plant, depth, peak, channel):
     limit = (1.0 - depth) * peak
     plant.ceilings[channel] = limit
@@ -363,8 +348,6 @@ def encoder_scale(plant, gain, channel):
         "channel": str(r.choice(encoders(s))),
     },
     read=True,
-    slip="m",
-    time="s",
 )
 def encoder_slip(plant, slip, time, channel):
     plant.read(channel, sensors.slipped(slip, time))
@@ -386,31 +369,17 @@ def on_pulley(rng, amplitude, order):
     lambda r, _: on_pulley(r, 2e-4, 1),
     benches=("spring",),  # over the short travel of a blocked tip it is a stiffer tendon
     read=True,
-    amplitude="m",
-    radius="m",
 )
 def pulley_eccentricity(plant, **ripple):
     plant.read("proximal_displacement", sensors.wave(**ripple))
 
 
-@effect(
-    "amplitude",
-    lambda r, _: on_pulley(r, 0.2, int(r.integers(10, 61))),
-    read=True,
-    amplitude="N",
-    radius="m",
-)
+@effect("amplitude", lambda r, _: on_pulley(r, 0.2, int(r.integers(10, 61))), read=True)
 def cogging_ripple(plant, **ripple):
     plant.read("proximal_tension", sensors.wave(**ripple))
 
 
-@effect(
-    "force",
-    lambda r, _: {"force": about(r, 0.3), "give": about(r, 2e-5)},
-    read=True,
-    force="N",
-    give="m",
-)
+@effect("force", lambda r, _: {"force": about(r, 0.3), "give": about(r, 2e-5)}, read=True)
 def sheath_rub(plant, force, give):
     plant.read("proximal_tension", sensors.rubbing(force, give))
 
@@ -447,8 +416,6 @@ def wandering_gain(plant, spread, walk):
         "width": s.full * about(r, 0.08),
     },
     outside=True,
-    place="m",
-    width="m",
 )
 def rough_spot(plant, height, place, width):
     plant.scales.append(lambda _t, q: 1.0 + height * np.exp(-(((q - place) / width) ** 2)))
@@ -464,8 +431,6 @@ def rough_spot(plant, height, place, width):
     },
     outside=True,
     read=True,
-    amplitude="N",
-    period="s",
 )
 def periodic_disturbance(plant, amplitude, period, shape, channel):
     def disturbed(t, y, _q):

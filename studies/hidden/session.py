@@ -24,8 +24,6 @@ class Hidden:
     time: np.ndarray  # [s]
     channels: dict  # name -> readings [N], [m]
     truth: dict  # "sheath" and each effect -> its parameters
-    units: dict  # effect -> parameter -> unit, where it has one
-    profile: str
     heat: np.ndarray  # [J] of friction in the sheath since the start
     variables: dict  # name -> readings of further columns
 
@@ -41,7 +39,6 @@ class Bench:
     tip: Tip
     ways: motion.Schedule
     full: float
-    legs: list
     time: np.ndarray
 
     def run(self, plant):
@@ -86,7 +83,7 @@ def draw_bench(seed, kind, duration, rate):
     ends, full = motion.rehearse(line, tip, legs)
     ways = motion.schedule(legs, ends, full, duration)
     time = np.arange(round(duration * rate)) / rate
-    there = Bench(kind, K, L, EA, tip, ways, full, legs, time)
+    there = Bench(kind, K, L, EA, tip, ways, full, time)
     clean = Plant([(L, K)], Law(), tip)
     return there, clean, *there.run(clean)
 
@@ -112,14 +109,13 @@ def make(
     there, clean, true, heat = draw_bench(seed, bench, duration, rate)
     plant, physical = fresh(clean), False
     sheath = {"K": there.K, "EA": there.EA, "L": there.L, "k": there.tip.stiffness}
-    truth, units = {"sheath": sheath}, {"sheath": {"EA": "N", "L": "m", "k": "N/m"}}
+    truth = {"sheath": sheath}
     for name in effects:
         one = (EFFECTS | OUTSIDE)[name]
         if bench not in one.benches:
             raise ValueError(f"{name}: there is none on a bench with a {bench} tip")
         parameters = sized(one, draw_effect(name, seed, bench, duration, rate), size)
         truth[name] = parameters | (one.act(plant, **parameters) or {})
-        units[name] = one.units
         physical |= not one.read
     if physical:
         true, heat = there.run(plant)
@@ -140,7 +136,7 @@ def make(
         name: y(there.time) + 0.05 * rng.standard_normal(len(there.time))
         for name, y in plant.variables.items()
     }
-    return Hidden(there.time, seen, truth, units, described(there), heat, further)
+    return Hidden(there.time, seen, truth, heat, further)
 
 
 def sized(one, parameters, size):
@@ -180,12 +176,3 @@ def visible(changed, true):
             unit = JUST_SEEN[channel.split("_")[1]]
             most = max(most, float(np.sqrt(np.mean(acting**2)) / unit))
     return most
-
-
-def described(there):
-    """Return the motion in words: tension [N] reached, speed [full travels/s], rest [s]."""
-    words = []
-    for leg in there.legs:
-        where = "slack" if leg.tension is None else f"{leg.tension:.1f} N"
-        words.append(f"{where} at {leg.speed:.2f}/s" + (f", {leg.rest:.1f} s" if leg.rest else ""))
-    return "; ".join(words)
