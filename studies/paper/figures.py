@@ -4,7 +4,7 @@ Colours are of Okabe and Ito's set, which readers with any colour vision can tel
 black, and what differs in colour differs in line or mark as well.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import matplotlib as mpl
@@ -49,20 +49,12 @@ def draw(shown: Demonstration, outcomes: list[Outcome], folder: Path) -> dict[st
 def _figures(
     shown: Demonstration, outcomes: list[Outcome]
 ) -> Iterator[tuple[str, tuple[Figure, str]]]:
-    one: dict[str, Callable[[Demonstration], tuple[Figure, str]]] = {
-        "distribution-along": along_the_sheath,
-        "initialisation": initialisation,
-        "tensions": tensions,
-        "phases": phases,
-    }
-    many: dict[str, Callable[[list[Outcome]], tuple[Figure, str]]] = {
-        "sheaths": over_sheaths,
-        "unevenness": against_unevenness,
-    }
-    for name, make in one.items():
-        yield name, make(shown)
-    for name, make_many in many.items():
-        yield name, make_many(outcomes)
+    yield "distribution-along", along_the_sheath(shown)
+    yield "initialisation", initialisation(shown)
+    yield "tensions", tensions(shown)
+    yield "phases", phases(shown)
+    yield "sheaths", over_sheaths(outcomes)
+    yield "unevenness", against_unevenness(outcomes)
 
 
 def along_the_sheath(shown: Demonstration) -> tuple[Figure, str]:

@@ -47,35 +47,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="MS",
         help="round-trip delays [ms] (default 0 20 100 200 300; with --quick 0 200)",
     )
-    parser.add_argument(
-        "--jitter",
-        type=float,
-        default=0.0,
-        metavar="MS",
-        help="the round trip varies by +- MS [ms] (default 0)",
-    )
-    parser.add_argument(
-        "--loss",
-        type=float,
-        default=0.0,
-        metavar="SHARE",
-        help="share of messages lost each way, 0 to 1 (default 0)",
-    )
-    parser.add_argument(
-        "--encoder",
-        type=float,
-        default=1e6 * default.device.resolution,
-        metavar="UM",
-        help=f"resolution of the device [um] (default {1e6 * default.device.resolution:g})",
-    )
-    for name, value, text in (
-        ("force", default.force_scale, "force on the hand per force at the tip"),
-        ("position", default.position_scale, "tip travel per hand travel"),
+    for name, value, unit, text in (
+        ("jitter", 0.0, "MS", "the round trip varies by +- MS [ms]"),
+        ("loss", 0.0, "SHARE", "share of messages lost each way, 0 to 1"),
+        ("encoder", 1e6 * default.device.resolution, "UM", "resolution of the device [um]"),
+        ("force-scale", default.force_scale, "X", "force on the hand per force at the tip"),
+        ("position-scale", default.position_scale, "X", "tip travel per hand travel"),
     ):
-        parser.add_argument(
-            f"--{name}-scale", type=float, default=value, metavar="X",
-            help=f"{text} (default {value:g})",
-        )  # fmt: skip
+        parser.add_argument(f"--{name}", type=float, default=value, metavar=unit,
+                            help=f"{text} (default {value:g})")  # fmt: skip
     add_option(parser, "--quick", "two round trips, in a minute")
     add_option(
         parser,
