@@ -43,8 +43,9 @@ docs: .venv/docs.done  ## the documentation as a site, links checked: .cache/sit
 	@NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build
 	@echo "written: .cache/site/index.html"
 
-bench: .venv/dev.done  ## speed and noise figures, each beside a baseline of the same run
-	@for file in studies/*.py; do echo "== $$file"; $(BIN)/python $$file || exit 1; done
+bench: .venv/dev.done  ## speed and noise figures, each beside a baseline of the same run; more: studies/README.md
+	@for name in estimator_speed noise_treatment plant recording tracking impair memory authentication router_scale; do \
+		echo "== $$name"; $(BIN)/python -m studies.$$name || exit 1; done
 
 bench-diagnosis: .venv/dev.done  ## hide effects, diagnose, count what is found (hours); ARGS as in --help
 	@$(BIN)/python -m studies.hidden.campaign $(ARGS)

@@ -16,8 +16,7 @@ MODULES = [
 
 
 @pytest.mark.parametrize("name", MODULES)
-def test_a_benchmark_can_be_imported(name, monkeypatch):
-    monkeypatch.syspath_prepend(str(BENCHMARKS))  # as for a script of that folder
+def test_a_benchmark_can_be_imported(name):
     importlib.import_module(f"studies.{name}")
 
 

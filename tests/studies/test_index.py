@@ -1,0 +1,52 @@
+"""studies/README.md lists every study, and each says how to run it and how long it takes."""
+
+import ast
+import re
+
+import pytest
+
+from studies.testbed.command import parse_options
+from tests.root import ROOT
+
+STUDIES = ROOT / "studies"
+PARTS = {"faults.puppet", "rigs.model"}  # processes of a study
+BY_OTHERS = {"tables", "rigs.jobs", "rigs.rates"}  # have no time in their help yet
+
+
+def find_studies():
+    """Return the modules that are run, by name."""
+    found = {}
+    for path in STUDIES.rglob("*.py"):
+        if 'if __name__ == "__main__":' in path.read_text():
+            parts = path.relative_to(STUDIES).with_suffix("").parts
+            found[".".join(part for part in parts if part != "__main__")] = path
+    return {name: path for name, path in found.items() if name not in PARTS}
+
+
+def test_the_index_lists_every_study_once():
+    listed = re.findall(r"^\| `([\w.]+)` \|", (STUDIES / "README.md").read_text(), re.MULTILINE)
+    assert sorted(set(listed) - {"brute", "testbed"}) == sorted(find_studies())
+    assert len(listed) == len(set(listed))
+
+
+@pytest.mark.parametrize("name", sorted(find_studies().keys() - BY_OTHERS))
+def test_a_study_says_how_it_is_run_and_how_long_it_takes(name):
+    path = find_studies()[name]
+    command = path.with_name("command.py")
+    path = command if path.stem == "__main__" and command.exists() else path
+    text = ast.get_docstring(ast.parse(path.read_text())) or ""
+    assert f"python -m studies.{name}" in text
+    assert re.search(r"\b(seconds|minutes?|hours?|hour|\d+ s)\b", text)
+
+
+def test_options_take_type_and_choices_from_their_defaults(capsys):
+    options = {"count": (3, "number"), "kinds": (("a", "b"), "of all"), "plain": (False, "50 %")}
+    args = parse_options("A study.", ["--kinds", "b", "--count", "7"], **options)
+    assert vars(args) == {"count": 7, "kinds": ["b"], "plain": False}
+    for words in (["--count", "many"], ["--kinds", "c"]):
+        with pytest.raises(SystemExit) as ended:
+            parse_options("A study.", words, **options)
+        assert ended.value.code == 2
+    with pytest.raises(SystemExit):
+        parse_options("A study.", ["--help"], **options)
+    assert "number (default 3)" in capsys.readouterr().out
