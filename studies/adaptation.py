@@ -49,7 +49,6 @@ class Use(NamedTuple):
     tension: Array  # T_in [N] with noise, shape (n, tendons)
     travel: Array  # q_p [m] with noise
     tip: Array  # T_out [N]
-    tip_travel: Array  # [m]
     change_end: float  # [s] when the friction has changed
     K_after: tuple[float, ...]  # of each tendon
 
@@ -194,7 +193,6 @@ def simulate_use(
         truth[:, 0] + rng.normal(0.0, NOISE_N, shape),
         truth[:, 1] + rng.normal(0.0, NOISE_M, shape),
         truth[:, 2],
-        truth[:, 3],
         CHANGE_S + grow,
         tuple(K_after),
     )
@@ -212,13 +210,13 @@ class Scores(NamedTuple):
     is_false: bool  # adapted before the change
 
 
-def score_use(use: Use, tendon: int = 0) -> Scores:
-    """Return the figures of one tendon of a joint in use."""
-    model, tip = use.models[tendon], use.tip[:, tendon]
-    T, q = (np.ascontiguousarray(row[:, tendon]) for row in (use.tension, use.travel))
+def score_use(use: Use) -> Scores:
+    """Return the figures of the first tendon of a joint in use."""
+    model, tip = use.models[0], use.tip[:, 0]
+    T, q = (np.ascontiguousarray(row[:, 0]) for row in (use.tension, use.travel))
     fixed = online.run(online.prepare(model), use.time, T, q)
     run = run_adapting(model, use.time, T, q)
-    late, K = use.time > use.change_end + SETTLE_S, use.K_after[tendon]
+    late, K = use.time > use.change_end + SETTLE_S, use.K_after[0]
     both, full = (fixed, run.estimates), tip.max()
     errors = [abs(r.distal_tension - tip)[late] / full for r in both]
     return Scores(

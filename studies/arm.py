@@ -176,9 +176,10 @@ class TipErrors(NamedTuple):
     force: float  # [N] largest
 
 
-def press_plane(normal: Sequence[float], angles: Sequence[float] = ARM_ANGLES) -> TipErrors:
-    """Press the tip of an arm of three joints, at `angles` [rad], on a plane and let go of it."""
-    unit, q, radius = np.array(normal) / np.linalg.norm(normal), np.array(angles), np.diag(RADII)
+def press_plane(normal: Sequence[float]) -> TipErrors:
+    """Press the tip of an arm of three joints on a plane and let go of it."""
+    unit, q = np.array(normal) / np.linalg.norm(normal), np.array(ARM_ANGLES)
+    radius = np.diag(RADII)
     known = ArmConfig(**ARM)
     prepared = prepare_arm(known.load_kinematics())[0]
     point, jacobian = compute_tip_pose(prepared, q)[:3, 3], compute_jacobian(prepared, q)[:3]

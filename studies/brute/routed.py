@@ -122,13 +122,9 @@ class RoutedChain(Chain):
             self.lengths - np.diff(np.concatenate([[0.0], labels, [self.end_reference]]))
         )
 
-    def move_to(self, tension, angles, steps=1):
-        """Bring the motor to `tension` [N] and the joints to `angles` [rad], in `steps` or more."""
-        first = (self.T_in, *self.angles)
-        change = np.array([tension, *angles]) - first
-        for part in np.arange(1, steps + 1) / steps:
-            self._step(first + part * change)
-        return self
+    def move_to(self, tension, angles):
+        """Bring the motor to `tension` [N] and the joints to `angles` [rad]."""
+        self._step(np.array([tension, *angles]))
 
     def _step(self, target, halvings=10):
         """Take one step, or where no equilibrium is found the same way in two."""

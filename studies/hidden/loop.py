@@ -16,6 +16,7 @@ import numpy as np
 from numba import njit
 
 STEP = 5e-5  # [s]
+FULL = 0.6  # [rad] that the drive turns at most
 
 
 @dataclass(frozen=True)
@@ -99,11 +100,11 @@ def _run(time, travel, mu, force, give, k, pretension, spring, n, mass):
     return out
 
 
-def motion(seed, duration=40.0, rate=100.0, full=0.6):
+def motion(seed, duration=40.0, rate=100.0):
     """Return time [s] and the drive pulley's angle [rad]: swings of several depths, both ways."""
     rng = np.random.default_rng(seed)
     ends = [0.0, 1.0, -1.0, 0.7, -0.4, 0.5, -0.8, 0.2, -0.1, 0.6, 0.0, -0.9, 0.9, -0.5, 0.3]
-    corners = full * np.array(ends) * rng.uniform(0.85, 1.0, len(ends))
+    corners = FULL * np.array(ends) * rng.uniform(0.85, 1.0, len(ends))
     ways = np.abs(np.diff(corners)) * rng.uniform(0.7, 1.4, len(ends) - 1)
     rests = np.where(rng.random(len(ends) - 1) < 0.4, 0.5, 0.05)
     moves = ways / ways.sum() * (duration - rests.sum() - 0.6)

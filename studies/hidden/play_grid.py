@@ -17,6 +17,8 @@ CELLS = 500
 INNER = 1000  # [Hz] of the truth
 CORNER = 0.2  # [s] over which the motor changes its speed
 TOP = 20.0  # [N] of the longest strokes
+NOISE = 0.02  # [N] white, of the load cells
+RESOLUTION = 1e-7  # [m] of the encoders
 
 
 class GridRecord(NamedTuple):
@@ -91,13 +93,10 @@ def strokes(rng, full, duration):
     return np.convolve(padded, window / window.sum(), mode="valid")[: len(time)]
 
 
-def make_grid(
-    seed, bench="blocked", duration=60.0, rate=100.0, noise=0.02, travel_noise=0.0, resolution=1e-7
-):
+def make_grid(seed, bench="blocked", duration=60.0, rate=100.0, travel_noise=0.0):
     """Return the clean record of a seed on a blocked or sprung tip.
 
-    `noise` [N] is white, on the load cells, `travel_noise` [m] on both travels, which are read in
-    steps of `resolution` [m]. The rate divides 1 kHz.
+    `travel_noise` [m] is white, on both travels. The rate divides 1 kHz.
     """
     rng = np.random.default_rng([seed, bench == "spring", 77])
     K, compliance = rng.uniform(0.4, 1.5), np.exp(rng.uniform(np.log(8e-5), np.log(3e-4)))
@@ -109,10 +108,10 @@ def make_grid(
     rows = slice(None, None, every)
 
     def cell(tension):
-        return tension + noise * rng.standard_normal(len(tension))
+        return tension + NOISE * rng.standard_normal(len(tension))
 
     def encoder(q):
-        return resolution * np.round((q + travel_noise * rng.standard_normal(len(q))) / resolution)
+        return RESOLUTION * np.round((q + travel_noise * rng.standard_normal(len(q))) / RESOLUTION)
 
     channels = {
         "proximal_tension": cell(true[rows, 0]),

@@ -15,6 +15,7 @@ Environment = Callable[[float], float]  # [N] against the tip's travel [m], neve
 
 TENDON = 9000.0 / 1.5  # [N/m]
 STEPS = 10  # of the motor in a tick
+NOISE = 0.01  # [N] of the measured tension
 
 
 class TestRig(Protocol):
@@ -42,29 +43,18 @@ class Rig:
         Force of the environment.
     spring, pretension : float
         The load besides: `pretension` [N] at rest, more by `spring` [N/m].
-    damping : float
-        Of the tip [N s/m].
-    noise : float
-        Standard deviation of the measured tension [N].
     """
 
     lag, speed = 0.0125, 0.1  # [s], [m/s] of the motor
 
     def __init__(
-        self,
-        environment: Environment,
-        spring: float = 200.0,
-        pretension: float = 1.0,
-        damping: float = 0.0,
-        noise: float = 0.01,
-        seed: int = 0,
+        self, environment: Environment, spring: float = 200.0, pretension: float = 1.0
     ) -> None:
         self._environment, self._spring, self._pretension = environment, spring, pretension
-        self._damping, self._noise = damping, noise
-        self._rng = np.random.default_rng(seed)
+        self._rng = np.random.default_rng(0)
         self._motor = pretension / TENDON
         self.wanted: tuple[float, ...] | None = None
-        self._time = self.tip = self._push = self._before = 0.0
+        self._time = self.tip = self._push = 0.0
 
     def load(self) -> float:
         """See `TestRig`."""
@@ -77,20 +67,19 @@ class Rig:
             speed = (wanted - self._motor) / self.lag
             self._motor += DT / STEPS * min(max(speed, -self.speed), self.speed)
         self._time += DT
-        self._push, self._before = push, self.tip
+        self._push = push
         self.tip = self._balance()
 
     def read(self) -> list[RigSample]:
         """See `TestRig`."""
-        tension = self._tension(self.tip) + self._rng.normal(0.0, self._noise)
+        tension = self._tension(self.tip) + self._rng.normal(0.0, NOISE)
         return [RigSample(self._time, np.array([tension]), np.array([self._motor]))]
 
     def _tension(self, q: float) -> float:
         return max(TENDON * (self._motor - q), 0.0)
 
     def _load(self, q: float) -> float:
-        drag = self._damping * (q - self._before) / DT
-        return self._pretension + self._spring * q + drag + self._environment(q) + self._push
+        return self._pretension + self._spring * q + self._environment(q) + self._push
 
     def _balance(self) -> float:
         """Return where tension and load meet [m]: the one falls with q, the other rises.
@@ -122,6 +111,6 @@ def wall(stiffness: float, position: float = 0.0015) -> Environment:
     return lambda q: stiffness * max(q - position, 0.0)
 
 
-def tissue(stiffness: float = 9400.0, position: float = 0.0015) -> Environment:
-    """Return tissue: a force that grows with the depth by `stiffness` [N/m^1.5]."""
-    return lambda q: float(stiffness * max(q - position, 0.0) ** 1.5)
+def tissue(q: float) -> float:
+    """Return the force of tissue that begins at 1.5 mm: 9400 N/m^1.5 by its depth."""
+    return float(9400.0 * max(q - 0.0015, 0.0) ** 1.5)

@@ -15,7 +15,7 @@ from teleop.session import state_machine
 from teleop.session.state_machine import Reason, State
 
 ROUND_TRIPS = [0.0, 0.020, 0.100, 0.200, 0.300]  # [s]
-MET = {"free": free, "tissue": tissue(), "wall": wall(2000.0), "hard wall": wall(1e4)}
+MET = {"free": free, "tissue": tissue, "wall": wall(2000.0), "hard wall": wall(1e4)}
 PASSIVITY = Bilateral(coupling=PassivityConfig())
 WAVE = Bilateral(coupling=WaveConfig(play=0.1))
 DIRECT = Bilateral(coupling=DirectConfig())
