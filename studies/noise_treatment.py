@@ -5,7 +5,7 @@ python -m studies.noise_treatment
 Simulated: a clean T_in gives the true T_out by the law, the same T_in with noise of 0.03 N goes
 through the estimator with each treatment; bias and RMSE by what T_in does. Measured: the bench
 record beside the project (or in TELEOP_SHARED_DATA), as it is and with noise added, against the tip
-load cell. Takes half a minute.
+load cell. Takes 10 s.
 """
 
 import math

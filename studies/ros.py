@@ -17,14 +17,13 @@ import zenoh
 
 from studies.testbed.command import parse_options
 from studies.testbed.observed import ObservedSession
-from studies.testbed.processes import free_ports, processor_s
+from studies.testbed.processes import START_S, free_ports, processor_s
 from teleop.launch.supervisor import wait_for_condition
 from teleop.runtime.child_process import end_process, start_module
 from teleop.runtime.clock import now_ns
 from teleop.runtime.process import write_text_file
 
 SETTLE_S = 4.0  # [s] after a change of state that are not counted
-PATIENCE_S = 60.0
 MESSAGES_MIN = 100  # that have arrived when a measurement begins
 RATES_HZ = (100, 250)
 NODE = "node"  # the word that makes this program the ROS node
@@ -54,14 +53,14 @@ def measure_rate(session: ObservedSession, rate_hz: int) -> None:
     settings = (f"ros.router={router}", f"ros.rate_hz={rate_hz}")
     shown = session.start("ros", *(word for text in settings for word in ("--set", text)))
     try:
-        if not wait_for_condition(lambda: arrived(counts) > MESSAGES_MIN, PATIENCE_S):
+        if not wait_for_condition(lambda: arrived(counts) > MESSAGES_MIN, START_S):
             raise SystemExit(f"nothing arrived at the ROS node\n{session.outputs()}")
         before, at_s = processor_s(shown.pid), time.monotonic()
         session.measure(f"{rate_hz} Hz", SETTLE_S)
         used = (processor_s(shown.pid) - before) / (time.monotonic() - at_s)
         session.stop("ros")
     finally:
-        end_process(node, PATIENCE_S)
+        end_process(node, 10.0)
     heard = json.loads(counts.read_text())
     print(
         f"{rate_hz} Hz: {heard['messages'] / heard['seconds']:.0f} messages a second on "

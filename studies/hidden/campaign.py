@@ -21,7 +21,6 @@ from estimator.diagnosis.measured_data import prepare_record
 from estimator.diagnosis.outcome import Verdict
 from estimator.effects import CATALOGUE
 from studies import hidden
-from studies.hidden.numbers import Checked, checked
 from studies.testbed.command import parse_options
 from teleop.runtime.parallel import count_processors, parallel_map
 
@@ -30,6 +29,25 @@ SIZES = (1.0, 0.5)
 ALIKE = 3  # causes in a set that is not told apart
 ORACLE = 1.15
 ABSORBED = 1.8  # noises: no more than the diagnosis allows noise and a simulation's own error
+WITHIN = 0.1  # of itself, a number is right
+ANGLES = ("sine", "cosine")
+_AT_THE_END = {
+    "friction_drift": "change",
+    "proximal_tension_drift": "drift",
+    "distal_tension_drift": "drift",
+}
+"""Effects whose size is told at the record's end, and found as a rate a minute."""
+
+_RENAMED = {
+    ("friction_step", "time"): "onset",
+    ("encoder_slip", "time"): "onset",
+    ("tip_moved", "time"): "onset",
+    ("tip_moved", "travel"): "size",
+    ("tip_moved", "ramp"): "duration",
+    ("sensor_lag", "lag"): "time",
+    ("presliding", "bristle"): "distance",
+    ("stick_slip", "excess"): "ratio",
+}
 
 
 class Case(NamedTuple):
@@ -42,6 +60,23 @@ class Case(NamedTuple):
     duration: float
     rate: float
     travel_noise: float = 0.0  # [m]
+
+
+class Checked(NamedTuple):
+    """A number that was hidden, and as it was found, with its 95 % interval."""
+
+    name: str
+    true: float
+    found: float
+    low: float
+    high: float
+
+    @property
+    def right(self):
+        """Whether it is within 10 %, or inside its interval."""
+        return abs(self.found - self.true) <= WITHIN * abs(self.true) or (
+            self.low <= self.true <= self.high
+        )
 
 
 class Result(NamedTuple):
@@ -128,6 +163,39 @@ def judge(case, among=CATALOGUE, oracle=True):
         seconds,
         _to_be_found(case, made.truth),
     )
+
+
+def checked(made, found):
+    """Return the numbers of a hidden bench that a diagnosis also has, under its names."""
+    sheath = made.truth["sheath"]
+    true = {"K": sheath["K"], "L/EA": sheath["L"] / sheath["EA"]}
+    if sheath["k"]:
+        true["tip compliance"] = 1.0 / sheath["k"]
+    minutes = made.time[-1] / 60.0
+    for name, secret in made.truth.items():
+        if name != "sheath":
+            words = {_RENAMED.get((name, key), key): value for key, value in secret.items()}
+            if name in _AT_THE_END:
+                words["rate"] = words.pop(_AT_THE_END[name]) / minutes
+            true |= {f"{name}.{key}": value for key, value in words.items()}
+    numbers = found.parameters
+    rows = [
+        Checked(name, float(true[name]), number.value, number.low, number.high)
+        for name, number in numbers.items()
+        if isinstance(true.get(name), float | int)
+    ]
+    return tuple(rows) + tuple(_amplitudes(true, numbers))
+
+
+def _amplitudes(true, numbers):
+    """Yield the amplitudes of waves, which are found as a sine and a cosine."""
+    for name in (key.removesuffix(".sine") for key in numbers if key.endswith(".sine")):
+        if f"{name}.amplitude" in true:
+            sine, cosine = (numbers[f"{name}.{key}"] for key in ANGLES)
+            size = math.hypot(sine.value, cosine.value)
+            spread = math.hypot(sine.high - sine.low, cosine.high - cosine.low) / 2.0
+            wanted = float(true[f"{name}.amplitude"])
+            yield Checked(f"{name}.amplitude", wanted, size, size - spread, size + spread)
 
 
 def _to_be_found(case, truth):

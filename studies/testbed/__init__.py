@@ -1,1 +1,1 @@
-"""What studies and tests start and drive: processes, strangers, a browser, a tendon to control."""
+"""What studies and tests start and drive: processes, a browser, a tendon to control."""

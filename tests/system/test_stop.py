@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from studies.testbed.processes import START_S, Processes, pause
-from studies.testbed.strangers import flooded
 from teleop.launch.supervisor import wait_for_condition
 from teleop.messages.topics import COMMAND, EVENT, HAND, STATE, STOP, TENDONS, Role
 from teleop.recording.reader import read_columns
 from teleop.session.state_machine import Reason, State
+from tests.system.flood import flooded
 
 HELD = (
     "rate_hz=250",
