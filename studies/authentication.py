@@ -41,13 +41,13 @@ def main() -> None:
         (COMMAND, Role.MASTER, Role.SLAVE),
         (STATE, Role.SLAVE, Role.MASTER),
     ):
-        made, checked = tag_us(topic, sender, receiver)
+        made, checked = measure_tag_us(topic, sender, receiver)
         print(f"{topic.name:8} tag made {made:5.2f} us, checked {checked:5.2f} us")
     if not args.tags:
-        sessions(args.seconds, args.rounds)
+        print_sessions(args.seconds, args.rounds)
 
 
-def tag_us(topic: Any, sender: Role, receiver: Role) -> tuple[float, float]:
+def measure_tag_us(topic: Any, sender: Role, receiver: Role) -> tuple[float, float]:
     """Return what a tag costs its sender and its receiver [us], on top of everything else."""
     nonces = {sender: 1, receiver: 2}
     offices = {Role.MASTER: CertificateRole.MASTER, Role.SLAVE: CertificateRole.SLAVE}
@@ -79,11 +79,11 @@ def tag_us(topic: Any, sender: Role, receiver: Role) -> tuple[float, float]:
     return made, with_tag - without
 
 
-def sessions(seconds: float, rounds: int) -> None:
+def print_sessions(seconds: float, rounds: int) -> None:
     """Print latency and processor time of sessions, plain and authenticated."""
     found: dict[str, list[dict[str, float]]] = {"plain": [], "authenticated": []}
     for _, kind in itertools.product(range(rounds), found):
-        found[kind].append(measure(seconds, ["--insecure"] if kind == "plain" else []))
+        found[kind].append(run_session(seconds, ["--insecure"] if kind == "plain" else []))
     medians = {
         kind: {name: statistics.median(run[name] for run in runs) for name in runs[0]}
         for kind, runs in found.items()
@@ -94,7 +94,7 @@ def sessions(seconds: float, rounds: int) -> None:
         print(f"{name:28} plain {plain:8.3f}  authenticated {authenticated:8.3f}  x {ratio:.3f}")
 
 
-def measure(seconds: float, words: list[str]) -> dict[str, float]:
+def run_session(seconds: float, words: list[str]) -> dict[str, float]:
     """Run a session and return its figures."""
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "run.json"

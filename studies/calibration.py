@@ -46,7 +46,7 @@ class Row(NamedTuple):
     paper_elongation: float
 
 
-def random_sheath(rng: np.random.Generator) -> Sheath:
+def draw_sheath(rng: np.random.Generator) -> Sheath:
     while True:
         K, length, EA = rng.uniform(0.4, 1.8), rng.uniform(1.0, 2.0), rng.uniform(5e3, 15e3)
         count = 1 if rng.uniform() < 0.25 else int(rng.integers(2, 6))
@@ -61,7 +61,7 @@ def random_sheath(rng: np.random.Generator) -> Sheath:
             return Sheath(sections, K / bend, EA)
 
 
-def chain_of(sheath: Sheath) -> Chain:
+def build_chain(sheath: Sheath) -> Chain:
     sections = []
     for section in sheath.sections:
         parts = max(1, math.ceil(sheath.friction * section.bend_angle / BEAD))
@@ -71,7 +71,7 @@ def chain_of(sheath: Sheath) -> Chain:
     return chain
 
 
-def leg(start: float, end: float) -> Array:
+def divide_leg(start: float, end: float) -> Array:
     near = start + (end - start) * 0.3 * np.linspace(0.0, 1.0, 50) ** 2
     T = np.unique(
         np.concatenate([np.geomspace(start, end, 150), np.linspace(start, end, 120), near])
@@ -79,15 +79,15 @@ def leg(start: float, end: float) -> Array:
     return T if end > start else T[::-1]
 
 
-def loop(
+def simulate_loop(
     sheath: Sheath, sigma: float, rng: np.random.Generator, peak: float, loops: int
 ) -> tuple[Array, Array]:
-    chain = chain_of(sheath)
+    chain = build_chain(sheath)
     T_in, q_p = [], []
     turns = [LOW, peak, *(LOW, peak) * loops]
     for number, (start, end) in enumerate(itertools.pairwise(turns)):
         seconds = OTHERS if number else FIRST
-        T = leg(start, end)
+        T = divide_leg(start, end)
         q = np.array([chain.move(Force(t), HELD).travel[0] for t in T])
         order = np.argsort(q, kind="stable")
         at = np.linspace(q[0], q[-1], round(seconds * 1000))
@@ -99,9 +99,9 @@ def loop(
     return T_all, np.round((np.concatenate(q_p) + rng.uniform(0.0, 0.01)) / COUNT) * COUNT
 
 
-def motion(sheath: Sheath) -> tuple[Array, Array, Array]:
-    chain = chain_of(sheath)
-    T_in = np.concatenate([leg(a, b)[::3] for a, b in itertools.pairwise(MOTION)])
+def simulate_motion(sheath: Sheath) -> tuple[Array, Array, Array]:
+    chain = build_chain(sheath)
+    T_in = np.concatenate([divide_leg(a, b)[::3] for a, b in itertools.pairwise(MOTION)])
     rows = []
     for T in T_in:
         chain.move(Force(T), HELD)
@@ -110,7 +110,7 @@ def motion(sheath: Sheath) -> tuple[Array, Array, Array]:
     return T_in, T_out, elongation
 
 
-def errors(model: Sheath, truth: tuple[Array, Array, Array]) -> tuple[float, float]:
+def compute_errors(model: Sheath, truth: tuple[Array, Array, Array]) -> tuple[float, float]:
     T_in, T_out, elongation = truth
     table = build_tables(model)
     by_model = simulate_tensions(table, build_slack_profile(table), T_in)
@@ -120,7 +120,7 @@ def errors(model: Sheath, truth: tuple[Array, Array, Array]) -> tuple[float, flo
     )
 
 
-def by_paper(result: Calibration, sheath: Sheath) -> Sheath:
+def fit_by_paper(result: Calibration, sheath: Sheath) -> Sheath:
     K = result.K_paper_ratio or result.K_paper
     return Sheath.uniform(K.value if K else 0.0, sheath.length, sheath.axial_stiffness)
 
@@ -145,8 +145,8 @@ def main() -> None:
     rows = []
     for number in range(options.sheaths):
         rng = np.random.default_rng((options.seed, number))
-        sheath = random_sheath(rng)
-        T_in, q_p = loop(sheath, rng.uniform(0.01, 0.03), rng, options.peak, options.loops)
+        sheath = draw_sheath(rng)
+        T_in, q_p = simulate_loop(sheath, rng.uniform(0.01, 0.03), rng, options.peak, options.loops)
         name = describe(number, sheath)
         try:
             result = calibrate(
@@ -155,9 +155,9 @@ def main() -> None:
         except CalibrationError as error:
             print(f"refused {name}: {error}")
             continue
-        truth = motion(sheath)
-        ours = errors(result.sheath(sheath.length), truth)
-        paper = errors(by_paper(result, sheath), truth)
+        truth = simulate_motion(sheath)
+        ours = compute_errors(result.sheath(sheath.length), truth)
+        paper = compute_errors(fit_by_paper(result, sheath), truth)
         rows.append(Row(name, result.K.value - sheath.K, result.K.uncertainty, *ours, *paper))
     table = np.abs(np.array([row[1:] for row in rows]))
     print(f"{len(rows)} of {options.sheaths} sheaths, share of them with an error up to")

@@ -38,7 +38,7 @@ BESIDE: tuple[tuple[Effect, Values], ...] = (
 """Effects that are run beside the law, each in a model of its own."""
 
 
-def record(n: int) -> tuple[Array, Array, Array]:
+def simulate_hand(n: int) -> tuple[Array, Array, Array]:
     """Return time, T_in and q_p of a restless hand."""
     rng = np.random.default_rng(0)
     time_s = np.arange(n) / RATE
@@ -52,7 +52,7 @@ def record(n: int) -> tuple[Array, Array, Array]:
     return time_s, T + rng.normal(0.0, 0.02, n), e + rng.normal(0.0, 1e-6, n)
 
 
-def clip_sweep(T_in: Array) -> Array:
+def sweep_nodes(T_in: Array) -> Array:
     """Baseline: the law on 64 nodes, one numpy clip for each node and sample."""
     ds = SHEATH.K / (NODES - 1)
     s = np.arange(NODES) * ds
@@ -64,7 +64,7 @@ def clip_sweep(T_in: Array) -> Array:
     return T_out
 
 
-def plain_deque(T_in: Array) -> Array:
+def run_stack(T_in: Array) -> Array:
     """Baseline: the stack of break points in pure Python, tension only, no elongation."""
     K = SHEATH.K
     points: deque[tuple[float, float]] = deque([(0.0, math.log(1e-9)), (K, math.log(1e-9))])
@@ -88,7 +88,7 @@ def plain_deque(T_in: Array) -> Array:
     return T_out
 
 
-def steps(model: online.TendonModel, T: Array, q: Array) -> Array:
+def time_steps(model: online.TendonModel, T: Array, q: Array) -> Array:
     """Return how long each step took [us], in order of that."""
     prepared = online.prepare(model)
     state = online.build_initial_state(prepared)
@@ -105,13 +105,13 @@ def steps(model: online.TendonModel, T: Array, q: Array) -> Array:
 def print_steps(T: Array, q: Array) -> None:
     """Print what a step costs with the law alone, and with an effect beside it."""
     noisy = functools.partial(online.TendonModel, tension_noise=0.02, displacement_noise=1e-6)
-    law = steps(noisy(SHEATH), T, q)
+    law = time_steps(noisy(SHEATH), T, q)
     print(f"{'online.step from Python':34}    min [us]   median   99.9 %   largest   times the law")
     models = {"the law": law}
     shared = (SHEATH.K, SHEATH.length / SHEATH.axial_stiffness, 5e-4)
     for effect, values in BESIDE:
         found = build_extended_model(shared, [(effect, values)], 60.0, SHEATH.length)
-        models[effect.name] = steps(noisy(found.sheath, extension=found.extension), T, q)
+        models[effect.name] = time_steps(noisy(found.sheath, extension=found.extension), T, q)
     for name, taken in models.items():
         p999 = taken[int(0.999 * len(taken))]
         print(f"{name:34}{taken[0]:12.2f}{np.median(taken):9.2f}{p999:9.1f}{taken[-1]:10.0f}"
@@ -121,7 +121,7 @@ def print_steps(T: Array, q: Array) -> None:
 
 def main() -> None:
     parse_options(__doc__)
-    time_s, T, q = record(20_000)
+    time_s, T, q = simulate_hand(20_000)
     print_steps(T, q)
     prepared = online.prepare(
         online.TendonModel(SHEATH, tension_noise=0.02, displacement_noise=1e-6)
@@ -130,8 +130,8 @@ def main() -> None:
     table = build_tables(SHEATH)
     law = 1e-6 * measure_us(lambda: simulate_tensions(table, build_slack_profile(table), T))
     short = 4000
-    sweep = 1e-6 * measure_us(lambda: clip_sweep(T[:short]), repeat=3) * len(T) / short
-    stack = 1e-6 * measure_us(lambda: plain_deque(T), repeat=3)
+    sweep = 1e-6 * measure_us(lambda: sweep_nodes(T[:short]), repeat=3) * len(T) / short
+    stack = 1e-6 * measure_us(lambda: run_stack(T), repeat=3)
     exact, _ = simulate_tensions(table, build_slack_profile(table), T)
     print(f"{'':34}Msamples/s   faster than numpy clip sweep   than Python deque")
     for name, taken_s in (
@@ -142,8 +142,8 @@ def main() -> None:
     ):
         print(f"{name:34}{len(T) / taken_s / 1e6:10.3f}   {sweep / taken_s:28.1f}"
               f"   {stack / taken_s:17.1f}")  # fmt: skip
-    print(f"same T_out: sweep to {np.abs(clip_sweep(T[:short]) - exact[:short]).max():.1e} N, "
-          f"deque to {np.abs(plain_deque(T) - exact).max():.1e} N")  # fmt: skip
+    print(f"same T_out: sweep to {np.abs(sweep_nodes(T[:short]) - exact[:short]).max():.1e} N, "
+          f"deque to {np.abs(run_stack(T) - exact).max():.1e} N")  # fmt: skip
 
 
 if __name__ == "__main__":

@@ -22,7 +22,9 @@ COUNT = 3000  # messages for each, one a millisecond
 SESSION = "benchmark-impair"
 
 
-def latencies(config: LinkConfig, shared: LinkConfig, delay: float, proxied: bool) -> np.ndarray:
+def measure_latencies(
+    config: LinkConfig, shared: LinkConfig, delay: float, proxied: bool
+) -> np.ndarray:
     """Return how long each message took [s]."""
     with Link(shared, SESSION, Role.SLAVE) as slave, Link(config, SESSION, Role.MASTER) as master:
         listener = slave.listen((COMMAND,))
@@ -44,14 +46,14 @@ def main() -> None:
     a, b, c = (f"127.0.0.1:{port}" for port in free_ports(3))
     shared, config = LinkConfig(master=a, slave=b), LinkConfig(master=a, slave=c)
     print("Added by the proxy, over what was asked for [ms]; one message a millisecond")
-    direct = latencies(shared, shared, 0.0, proxied=False) * 1e3
+    direct = measure_latencies(shared, shared, 0.0, proxied=False) * 1e3
     print(f"{'direct':>10}   p50 {np.median(direct):6.3f}   p99 {np.percentile(direct, 99):6.3f}")
     words = [f"session={SESSION}", f"link.master={a}", f"link.slave={b}", f"impair.endpoint={c}"]
     settings = [f"--set={word}" for word in words]
     proxy = start_module("teleop", "impair", *settings, is_supervised=True)
     try:
         for delay in DELAYS:
-            over = (latencies(config, shared, delay, proxied=True) - delay) * 1e3
+            over = (measure_latencies(config, shared, delay, proxied=True) - delay) * 1e3
             print(
                 f"{1e3 * delay:7.0f} ms   p50 {np.median(over):6.3f}   "
                 f"p99 {np.percentile(over, 99):6.3f}   max {over.max():6.3f}   n {len(over)}"

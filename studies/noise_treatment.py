@@ -53,18 +53,18 @@ TREATMENTS = {
 }
 
 
-def law(sheath: Sheath, T_in: Array) -> Array:
+def apply_law(sheath: Sheath, T_in: Array) -> Array:
     table = build_tables(sheath)
     return simulate_tensions(table, build_slack_profile(table), np.ascontiguousarray(T_in))[0]
 
 
-def estimated(sheath: Sheath, time: Array, T_in: Array, sigma: float, how: Treatment) -> Array:
+def estimate_tip(sheath: Sheath, time: Array, T_in: Array, sigma: float, how: Treatment) -> Array:
     """Return T_out by the estimator, from the tension alone."""
     model = TendonModel(sheath, tension_noise=sigma, treatment=how)
     return online.run(online.prepare(model), time, T_in).distal_tension
 
 
-def by_travel(sheath: Sheath, q: Array) -> Array:
+def estimate_from_travel(sheath: Sheath, q: Array) -> Array:
     """Return T_out with T_in taken from the travel, right only while the tip is blocked."""
     table = build_tables(sheath)
     profile = build_slack_profile(table)
@@ -75,10 +75,10 @@ def by_travel(sheath: Sheath, q: Array) -> Array:
     return T_out
 
 
-def simulated(rate: float) -> None:
+def print_simulated(rate: float) -> None:
     time = np.arange(0.0, KNOTS[-1, 0], 1.0 / rate)
     clean = np.interp(time, *KNOTS.T)
-    truth = law(SHEATH, clean)
+    truth = apply_law(SHEATH, clean)
     table = build_tables(SHEATH)
     travel = simulate_tensions(table, build_slack_profile(table), clean)[1]
     slope = np.gradient(clean, time)
@@ -95,11 +95,12 @@ def simulated(rate: float) -> None:
     rng = np.random.default_rng(1)
     noisy = [clean + rng.normal(0.0, SIGMA, len(time)) for _ in range(SEEDS)]
     rows = {
-        name: [estimated(SHEATH, time, T, SIGMA, how) for T in noisy]
+        name: [estimate_tip(SHEATH, time, T, SIGMA, how) for T in noisy]
         for name, how in TREATMENTS.items()
     }
     rows["driven by travel (tip blocked)"] = [
-        by_travel(SHEATH, travel + rng.normal(0.0, TRAVEL_SIGMA, len(time))) for _ in noisy
+        estimate_from_travel(SHEATH, travel + rng.normal(0.0, TRAVEL_SIGMA, len(time)))
+        for _ in noisy
     ]
     for name, results in rows.items():
         error = np.array(results) - truth
@@ -110,7 +111,7 @@ def simulated(rate: float) -> None:
         print(line + f"{1e3 * math.sqrt(np.mean(error**2)):8.0f}")
 
 
-def measured() -> None:
+def print_measured() -> None:
     root = os.environ.get("TELEOP_SHARED_DATA")
     folder = Path(root) if root else Path(__file__).resolve().parents[2] / "shared" / "data"
     file = folder / "sheath-bench" / "session1.csv"
@@ -123,19 +124,19 @@ def measured() -> None:
     own = estimate_noise_sigma(T_in[time < 4.0])
     rng = np.random.default_rng(2)
     added = [T_in + rng.normal(0.0, SIGMA, len(time)) for _ in range(SEEDS)]
-    clean = law(sheath, T_in)
+    clean = apply_law(sheath, T_in)
     print(f"\nmeasured, 82 Hz, K {sheath.K:.3f} fitted untreated, own noise {own:.4f} N: RMSE [mN]")
     print(f"{'':34}{'as measured':>14}{'0.03 N added':>14}{'change by the noise':>22}")
     for name, how in TREATMENTS.items():
-        plain = estimated(sheath, time, T_in, own, how)
+        plain = estimate_tip(sheath, time, T_in, own, how)
         sigma = math.hypot(own, SIGMA)
-        noisy = np.array([estimated(sheath, time, T, sigma, how) for T in added])
+        noisy = np.array([estimate_tip(sheath, time, T, sigma, how) for T in added])
         rmse = [math.sqrt(np.mean(e**2)) for e in (plain - T_out, noisy - T_out, noisy - clean)]
         print(f"{name:34}{1e3 * rmse[0]:14.0f}{1e3 * rmse[1]:14.0f}{1e3 * rmse[2]:22.0f}")
 
 
 if __name__ == "__main__":
     parse_options(__doc__)
-    simulated(1000.0)
-    simulated(82.0)
-    measured()
+    print_simulated(1000.0)
+    print_simulated(82.0)
+    print_measured()

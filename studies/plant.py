@@ -55,26 +55,26 @@ EFFECTS = (
 
 
 @jit_compile
-def nothing(joint: Joint, state: JointState, targets: Array) -> float:
+def do_nothing(joint: Joint, state: JointState, targets: Array) -> float:
     """Only be called."""
     return joint.body.mass + state.travel + targets[0]
 
 
 @jit_compile
-def drive(joint: Joint, state: JointState, path: Array) -> JointState:
+def drive_joint(joint: Joint, state: JointState, path: Array) -> JointState:
     """Advance a joint along `path` [m], shape (steps, 2)."""
     for i in range(len(path)):
         state = advance_joint(joint, state, path[i], 1, 1e-3)
     return state
 
 
-def path(steps: int) -> Array:
+def generate_path(steps: int) -> Array:
     """Return where the motors of a pair go [m], shape (steps, 2): a sine, and its opposite."""
     wave = 4e-3 * (1.0 - np.cos(np.linspace(0.0, 3.0 * np.pi * steps / 1000.0, steps)))
     return np.column_stack([wave, 5e-4 - wave])
 
 
-def joint_of(tendons: int, nodes: int) -> JointConfig:
+def build_config(tendons: int, nodes: int) -> JointConfig:
     return JointConfig((TendonPlantConfig(sheath=SheathConfig(nodes=nodes)),) * tendons)
 
 
@@ -86,10 +86,10 @@ def print_steps() -> None:
     for nodes in NODES:
         took = []
         for tendons in (1, 2):
-            joint = build_joint(joint_of(tendons, nodes))
-            start, way = init_joint(joint), path(STEPS)
-            took.append(measure_us(lambda: drive(joint, start, way), 1, 3) / STEPS)  # noqa: B023
-        call = measure_us(lambda: nothing(joint, start, way[0]), STEPS, 3)  # noqa: B023
+            joint = build_joint(build_config(tendons, nodes))
+            start, way = init_joint(joint), generate_path(STEPS)
+            took.append(measure_us(lambda: drive_joint(joint, start, way), 1, 3) / STEPS)  # noqa: B023
+        call = measure_us(lambda: do_nothing(joint, start, way[0]), STEPS, 3)  # noqa: B023
         side, middle, right = np.full(nodes, -1.0), np.full(nodes + 1, 2.1), np.ones(nodes + 1)
         solve = measure_us(lambda: lapack.dgtsv(side, middle, side, right), STEPS, 3)  # noqa: B023
         print(f"{nodes:>6} {took[0]:>11.1f} {took[1]:>7.1f} {call:>10.1f} {solve:>18.1f}")
@@ -97,12 +97,12 @@ def print_steps() -> None:
 
 def print_effects() -> None:
     print("\none step of a joint with one tendon of 60 nodes, under one effect")
-    joint, way = build_joint(joint_of(1, 60)), path(STEPS)
+    joint, way = build_joint(build_config(1, 60)), generate_path(STEPS)
     start, plain = init_joint(joint), 0.0
     for effect in (FrictionStep(change=0.0), *EFFECTS):
         chain = joint.a.chain._replace(knobs=compute_knobs([effect], 10.0, [0.0]))
         changed = joint._replace(a=joint.a._replace(chain=chain))
-        took = measure_us(lambda: drive(changed, start, way), 1, 3) / STEPS  # noqa: B023
+        took = measure_us(lambda: drive_joint(changed, start, way), 1, 3) / STEPS  # noqa: B023
         plain = plain or took
         name = effect.type if effect in EFFECTS else "none"
         print(f"{name:>28} {took:>6.1f} us, {took / plain:.2f} times none")
@@ -112,17 +112,17 @@ def print_rigs() -> None:
     print("\nrigs of 60 nodes a tendon, times faster than real time")
     print(f"{'joints':>6} {'tendons':>8} {'read and written at 1 kHz':>26} {'steps alone':>12}")
     for joints, tendons in RIGS:
-        config = joint_of(tendons, 60)
+        config = build_config(tendons, 60)
         rig = SimulatedRig(SimulatedRigConfig(joints=(config,) * joints))
-        way = np.tile(path(round(1000 * SECONDS))[:, :tendons], joints)
+        way = np.tile(generate_path(round(1000 * SECONDS))[:, :tendons], joints)
         begin = time.perf_counter()
         for k, targets in enumerate(way):
             rig.read(k * 1e-3)
             rig.write(targets)
         whole = time.perf_counter() - begin
         joint = build_joint(config)
-        start, steps = init_joint(joint), path(round(1000 * SECONDS))
-        alone = joints * 1e-6 * measure_us(lambda: drive(joint, start, steps), 1, 3)  # noqa: B023
+        start, steps = init_joint(joint), generate_path(round(1000 * SECONDS))
+        alone = joints * 1e-6 * measure_us(lambda: drive_joint(joint, start, steps), 1, 3)  # noqa: B023
         print(
             f"{joints:>6} {joints * tendons:>8} {SECONDS / whole:>26.1f} {SECONDS / alone:>12.1f}"
         )

@@ -24,7 +24,7 @@ DRAIN = 20  # ticks between two looks at the link
 START_NS = 1_700_000_000_000_000_000
 
 
-def session(joints: int) -> list[ReceivedMessage]:
+def generate_messages(joints: int) -> list[ReceivedMessage]:
     """Return what a recorder hears of a session at 1 kHz: slow motions with sensor noise."""
     rng = np.random.default_rng(1)
     messages = []
@@ -73,7 +73,7 @@ def main() -> None:
         "joints  compression  MB/min  us/message  % of a core  open, columns [s per recorded min]"
     )
     for joints in (1, 8):
-        messages = session(joints)
+        messages = generate_messages(joints)
         for compression in ("zstd", "lz4", "none"):
             with tempfile.TemporaryDirectory() as directory:
                 config = RecordConfig(directory=directory, compression=compression)

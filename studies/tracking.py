@@ -56,11 +56,11 @@ BENDS = {
 }
 
 
-def loaded(K: float, **settings: float) -> JointConfig:
+def build_loaded(K: float, **settings: float) -> JointConfig:
     return joint(K, spring=900.0 * math.exp(-K), nodes=40, **settings)
 
 
-def worst(
+def find_worst(
     joints: list[JointConfig], motions: list[Motion], config: ControlConfig
 ) -> list[tuple[float, float]]:
     """Return the RMS and largest error of each joint [m], with the worse of the two models."""
@@ -70,9 +70,11 @@ def worst(
     return [(max(rms for rms, _ in e), max(most for _, most in e)) for e in errors]
 
 
-def compare(name: str, joints: list[JointConfig], motions: list[Motion], **config: float) -> None:
-    off = worst(joints, motions, ControlConfig(compensation=0.0, **config))
-    on = worst(joints, motions, ControlConfig(**config))
+def print_comparison(
+    name: str, joints: list[JointConfig], motions: list[Motion], **config: float
+) -> None:
+    off = find_worst(joints, motions, ControlConfig(compensation=0.0, **config))
+    on = find_worst(joints, motions, ControlConfig(**config))
     for k, (without, made_up) in enumerate(zip(off, on, strict=True)):
         label = name if len(joints) == 1 else f"{name}, joint {k + 1}"
         errors = "".join(f"{rms * 1e6:8.0f}{most * 1e6:7.0f}" for rms, most in (without, made_up))
@@ -80,15 +82,15 @@ def compare(name: str, joints: list[JointConfig], motions: list[Motion], **confi
         print(f"{label:<44}{errors}{ratios}", flush=True)
 
 
-def vary(title: str, name: str, values: tuple[float, ...], motion: Motion) -> None:
+def print_variation(title: str, name: str, values: tuple[float, ...], motion: Motion) -> None:
     print(f"\n{title}, K = 1")
     for value in values:
-        ((rms, most),) = worst([loaded(1.0)], [motion], ControlConfig(**{name: value}))
+        ((rms, most),) = find_worst([build_loaded(1.0)], [motion], ControlConfig(**{name: value}))
         print(f"{value:>10}{rms * 1e6:8.0f}{most * 1e6:7.0f}", flush=True)
 
 
 @jit_compile
-def detect(
+def run_detection(
     config: Sequence[FaultDetectionConfig],
     layout: Sequence[RigLayout],
     detector: Sequence[FaultDetector],
@@ -106,7 +108,7 @@ def detect(
         fault_detection.check_motors(config[0], motors[0], layout[0], sent, True, True, DT)
 
 
-def detection_inputs(
+def prepare_detection(
     joints: tuple[tuple[int, int], ...], models: list[online.TendonModel]
 ) -> tuple[StructArray, StructArray, StructArray, StructArray, StructArray, NDArray[np.float64]]:
     tendons = EstimatedTendon.array(MAX_TENDONS)
@@ -116,7 +118,7 @@ def detection_inputs(
     return settings, build_rig_layout(joints), detector, motors, tendons, np.zeros(MAX_TENDONS)
 
 
-def costs() -> None:
+def print_costs() -> None:
     """Print what a tick of four joints costs, beside the estimators that it needs anyway."""
     joints = tuple((k, k + 1) for k in range(0, 8, 2))
     prepared = [online.prepare(online.TendonModel(SHEATH))] * 8
@@ -137,7 +139,7 @@ def costs() -> None:
         control.step, config, layout, memory, zeros, zeros, still, seen, True, DT, wanted
     )
     drive()
-    detection = detection_inputs(joints, [online.TendonModel(SHEATH)] * 8)
+    detection = prepare_detection(joints, [online.TendonModel(SHEATH)] * 8)
     calls = {
         "online.step, 8 tendons": lambda: [
             online.step(prepared[0], state, 5.0, 0.0, DT) for _ in range(8)
@@ -161,7 +163,7 @@ def costs() -> None:
             False,
             wanted,
         ),
-        "fault detection, 1000 times": partial(detect, *detection, 1000),
+        "fault detection, 1000 times": partial(run_detection, *detection, 1000),
     }
     print("\na tick of four joints [us]")
     for name, call in calls.items():
@@ -170,29 +172,34 @@ def costs() -> None:
 
 def main() -> None:
     parse_options(__doc__)
-    costs()
+    print_costs()
     print(f"{'tracking error [um]':<44}{'without':>15}{'with':>15}{'times smaller':>15}")
     print(f"{'':<44}" + f"{'RMS':>8}{'max':>7}" * 3)
     for name, motion in MOTIONS.items():
         for K in (0.4, 0.8, 1.2, 1.8):
-            compare(f"{name}, K = {K}", [loaded(K)], [motion])
-    compare(
-        "staircase, K = 1.8, slack side at 0.15 N", [loaded(1.8)], [STAIRS], slack_side_tension=0.15
+            print_comparison(f"{name}, K = {K}", [build_loaded(K)], [motion])
+    print_comparison(
+        "staircase, K = 1.8, slack side at 0.15 N",
+        [build_loaded(1.8)],
+        [STAIRS],
+        slack_side_tension=0.15,
     )
     for name, sections in BENDS.items():
         bent = joint(1.0, 330.0, sections=sections, nodes=40)
-        compare(f"staircase, {name}", [bent], [STAIRS])
+        print_comparison(f"staircase, {name}", [bent], [STAIRS])
     alone = joint(0.4, 600.0, tendons=1, pretension=2.0, nodes=40)
-    compare(
+    print_comparison(
         "staircase, one tendon, K = 0.4", [alone], [Motion(staircase(STEPS[:4], 0.005, 0.4), 5.0)]
     )
-    arm = [loaded(K) for K in (0.4, 0.8, 1.2, 1.6)]
+    arm = [build_loaded(K) for K in (0.4, 0.8, 1.2, 1.6)]
     shares = (1.0, 0.8, -0.9, 0.7)
     stairs = [tuple(share * level for level in STEPS) for share in shares]
-    compare("four, stairs", arm, [Motion(staircase(s, 0.005, 0.4), 8.0) for s in stairs])
-    compare("four, sines", arm, [Motion(sine(0.006, f), 5.0) for f in (0.25, 0.3, 0.2, 0.35)])
-    vary("g, staircase", "compensation", (0.0, 0.5, 0.8, 0.9, 0.95, 0.98), STAIRS)
-    vary(
+    print_comparison("four, stairs", arm, [Motion(staircase(s, 0.005, 0.4), 8.0) for s in stairs])
+    print_comparison(
+        "four, sines", arm, [Motion(sine(0.006, f), 5.0) for f in (0.25, 0.3, 0.2, 0.35)]
+    )
+    print_variation("g, staircase", "compensation", (0.0, 0.5, 0.8, 0.9, 0.95, 0.98), STAIRS)
+    print_variation(
         "lead [s], sine of 0.25 Hz",
         "lead",
         (0.0, 0.005, 0.010, 0.0125, 0.015),

@@ -38,7 +38,7 @@ class Ticks(NamedTuple):
     tick_ns: int  # period of the loop
 
 
-def columns(paths: list[Path], topic: str, names: list[str]) -> np.ndarray:
+def read_rows(paths: list[Path], topic: str, names: list[str]) -> np.ndarray:
     """Return the rows of all recordings, in the order in which they were sent."""
     parts = []
     for path in paths:
@@ -54,7 +54,7 @@ def columns(paths: list[Path], topic: str, names: list[str]) -> np.ndarray:
     return rows[order]
 
 
-def true_times(
+def correct_stamps(
     rows: np.ndarray, own_messages: np.ndarray, faults: list[Fault], target: str
 ) -> np.ndarray:
     """Return the stamps as if the sender's clock had never been made to jump.
@@ -75,13 +75,13 @@ def true_times(
                 after = stamps > fault.begin_ns + half
             else:  # the loop ends its tick, and waits for its clock
                 newest = np.maximum.accumulate(np.where(mine, stamps, 0))
-                after = stamps > set_back_at(own_messages, fault, sender)
+                after = stamps > find_set_back(own_messages, fault, sender)
                 after |= (stamps < newest - half) & (newest > fault.begin_ns - half)
             stamps[mine & after] -= jump
     return stamps
 
 
-def set_back_at(own_messages: np.ndarray, fault: Fault, sender: int) -> int:
+def find_set_back(own_messages: np.ndarray, fault: Fault, sender: int) -> int:
     """Return what a clock that was set back told then: from there on the peer is far ahead."""
     near = abs(own_messages["stamp_ns"] - fault.begin_ns) < 200_000_000
     near &= (own_messages["sender"] == sender) & (own_messages["echo_stamp_ns"] != 0)
@@ -92,7 +92,7 @@ def set_back_at(own_messages: np.ndarray, fault: Fault, sender: int) -> int:
     return int(stamps[first : first + 2].mean())
 
 
-def silences(
+def compute_silences(
     rows: np.ndarray, stamps: np.ndarray, peer_messages: np.ndarray, sent: np.ndarray
 ) -> np.ndarray:
     """Return the silence at each tick [ns].
@@ -110,7 +110,7 @@ def silences(
     return stamps - np.maximum.accumulate(fresh)
 
 
-def joined(
+def find_ticks(
     rows: np.ndarray, stamps: np.ndarray, ticks: np.ndarray, ticks_ns: np.ndarray
 ) -> np.ndarray:
     """Return which of `ticks` each row was sent in: the same sender's last one before it."""
@@ -140,28 +140,28 @@ class CampaignResult(NamedTuple):
 
 def judge(paths: list[Path], faults: list[Fault]) -> CampaignResult:
     """Look at all recordings of a session and at what was done to it."""
-    command = columns(paths, COMMAND.name, ["state", "echo_stamp_ns"])
-    state = columns(paths, STATE.name, ["state", "echo_stamp_ns"])
-    hand = columns(paths, HAND.name, ["force"])
-    command_ns = true_times(command, command, faults, "master")
-    state_ns = true_times(state, state, faults, "slave")
+    command = read_rows(paths, COMMAND.name, ["state", "echo_stamp_ns"])
+    state = read_rows(paths, STATE.name, ["state", "echo_stamp_ns"])
+    hand = read_rows(paths, HAND.name, ["force"])
+    command_ns = correct_stamps(command, command, faults, "master")
+    state_ns = correct_stamps(state, state, faults, "slave")
     pushed = np.zeros(len(command), bool)
-    pushed[joined(hand, true_times(hand, command, faults, "master"), command, command_ns)] = hand[
-        "force"
-    ].any(axis=1)
-    master = ticks(command, command_ns, state, state_ns, pushed)
-    slave = ticks(state, state_ns, command, command_ns, state["state"] == ENGAGED)
+    pushed[
+        find_ticks(hand, correct_stamps(hand, command, faults, "master"), command, command_ns)
+    ] = hand["force"].any(axis=1)
+    master = build_ticks(command, command_ns, state, state_ns, pushed)
+    slave = build_ticks(state, state_ns, command, command_ns, state["state"] == ENGAGED)
     sides = {"master": master, "slave": slave}
-    late = {name: finished_late(side) for name, side in sides.items()}
-    engaged = {name: onsets(side) for name, side in sides.items()}
-    pulled_in, let_out = motions(paths, faults, state, state_ns)
+    late = {name: find_late_ticks(side) for name, side in sides.items()}
+    engaged = {name: find_onsets(side) for name, side in sides.items()}
+    pulled_in, let_out = measure_motions(paths, faults, state, state_ns)
     starts = np.sort(master.stamp_ns[engaged["master"]])
     follows = slave.stamp_ns[engaged["slave"]]
-    follows = follows[recorded(master, follows)]
+    follows = follows[find_recorded(master, follows)]
     since = follows - starts[np.maximum(np.searchsorted(starts, follows) - 1, 0)]
     return CampaignResult(
         [
-            (fault, name, reaction(side, fault))
+            (fault, name, measure_reaction(side, fault))
             for fault in faults
             for name, side in sides.items()
             if fault.concerns(name) and was_acting(side, fault)
@@ -171,25 +171,25 @@ def judge(paths: list[Path], faults: list[Fault]) -> CampaignResult:
             for name, side in sides.items()
         },
         {name: int(late[name].sum()) for name in sides},
-        unasked(master, engaged["master"]),
+        count_unasked(master, engaged["master"]),
         int(np.sum((since < 0) | (since > FOLLOWS_NS))),
         pulled_in,
         let_out,
         len(starts),
-        broken_off(master, faults),
+        find_broken_off(master, faults),
         slave.tick_ns * 1e-9,
     )
 
 
-def ticks(
+def build_ticks(
     rows: np.ndarray,
     stamps: np.ndarray,
     peer_messages: np.ndarray,
     sent: np.ndarray,
     acts: np.ndarray,
 ) -> Ticks:
-    """Return a side as its messages tell of it; `peer_messages` and `sent` as in `silences`."""
-    silence = silences(rows, stamps, peer_messages, sent)
+    """Return a side as its messages tell of it; arguments as of `compute_silences`."""
+    silence = compute_silences(rows, stamps, peer_messages, sent)
     # the first may be missing; skipped ticks make the start seem later, so the least counts
     sequence = rows["sequence"].astype("i8")
     tick_ns = round(float(np.median(np.diff(rows["stamp_ns"]))))
@@ -200,7 +200,7 @@ def ticks(
     )  # fmt: skip
 
 
-def finished_late(side: Ticks) -> np.ndarray:
+def find_late_ticks(side: Ticks) -> np.ndarray:
     """Return the ticks in the middle of which the process stood still: acts decided on before.
 
     Such a tick ends long after the one before it, acts, and is the only one to do so.
@@ -216,24 +216,24 @@ def was_acting(side: Ticks, fault: Fault) -> bool:
     return bool(side.acts[before].any())
 
 
-def reaction(side: Ticks, fault: Fault) -> float:
+def measure_reaction(side: Ticks, fault: Fault) -> float:
     """Return how long [s] a side went on acting after the last fresh message it had heard."""
     span = 0 if np.isnan(fault.seconds) else fault.end_ns - fault.begin_ns
     within = (side.stamp_ns > fault.begin_ns - 5_000_000) & (
         side.stamp_ns < fault.begin_ns + max(span, 200_000_000)
     )
-    silence = side.silence_ns[within & side.acts & ~finished_late(side)]
+    silence = side.silence_ns[within & side.acts & ~find_late_ticks(side)]
     return float((silence.max(initial=0) + side.tick_ns) * 1e-9)
 
 
-def onsets(side: Ticks) -> np.ndarray:
+def find_onsets(side: Ticks) -> np.ndarray:
     """Return the ticks in which a side engaged."""
     engaged = side.state == ENGAGED
     same = (side.sender[1:] == side.sender[:-1]) & (np.diff(side.sequence) == 1)
     return 1 + np.flatnonzero(engaged[1:] & ~engaged[:-1] & same)
 
 
-def broken_off(master: Ticks, faults: list[Fault]) -> list[str]:
+def find_broken_off(master: Ticks, faults: list[Fault]) -> list[str]:
     """Return the faults of bystanders in which an engagement ended though the switch was held."""
     engaged = master.state == ENGAGED
     same = (master.sender[1:] == master.sender[:-1]) & (np.diff(master.sequence) == 1)
@@ -250,7 +250,7 @@ def broken_off(master: Ticks, faults: list[Fault]) -> list[str]:
     ]
 
 
-def recorded(side: Ticks, times_ns: np.ndarray) -> np.ndarray:
+def find_recorded(side: Ticks, times_ns: np.ndarray) -> np.ndarray:
     """Return before which of `times_ns` all that `side` told for `FOLLOWS_NS` was recorded."""
     order = np.argsort(side.stamp_ns, kind="stable")
     stamps = side.stamp_ns[order]
@@ -260,7 +260,7 @@ def recorded(side: Ticks, times_ns: np.ndarray) -> np.ndarray:
     return known & (times_ns - stamps[np.maximum(last - 1, 0)] < GAP_NS)
 
 
-def unasked(master: Ticks, engaged: np.ndarray) -> int:
+def count_unasked(master: Ticks, engaged: np.ndarray) -> int:
     """Return how many engagements had no press of the switch of their own."""
     count = 0
     for sender in np.unique(master.sender):
@@ -272,15 +272,15 @@ def unasked(master: Ticks, engaged: np.ndarray) -> int:
     return count
 
 
-def motions(
+def measure_motions(
     paths: list[Path], faults: list[Fault], state: np.ndarray, state_ns: np.ndarray
 ) -> tuple[float, float]:
     """Return how far [m] motors pulled in while not engaged, and let out unasked."""
-    rows = columns(paths, TENDONS.name, ["tendons", "commanded_displacement"])
+    rows = read_rows(paths, TENDONS.name, ["tendons", "commanded_displacement"])
     count = int(rows["tendons"].max())
     asked = rows["commanded_displacement"][:, :count]
     followed = np.append(state["sequence"][1:] - state["sequence"][:-1] == 1, True)
-    tick = joined(rows, true_times(rows, state, faults, "slave"), state, state_ns)
+    tick = find_ticks(rows, correct_stamps(rows, state, faults, "slave"), state, state_ns)
     here = state["state"][tick]
     steps = np.diff(asked, axis=0)
     next_to = (rows["sender"][1:] == rows["sender"][:-1]) & (np.diff(rows["sequence"]) == 1)

@@ -76,38 +76,38 @@ def rehearse(line, tip, legs):
     law = Law()
     state = at_rest(line, law, tip)
     begin = state.x[0]
-    full = _sought(line, law, tip, state, 20.0, 2e-5) - begin
+    full = _pull_to(line, law, tip, state, 20.0, 2e-5) - begin
     state = at_rest(line, law, tip)
     ends = [begin]
     for leg in legs:
         if leg.tension is None:
             there = begin + SLACK * full
             while state.x[0] > there:
-                _move(line, law, tip, state, max(there, state.x[0] - full / PACE))
+                _move_motor(line, law, tip, state, max(there, state.x[0] - full / PACE))
             ends.append(there)
         else:
-            ends.append(_sought(line, law, tip, state, leg.tension, full / PACE))
+            ends.append(_pull_to(line, law, tip, state, leg.tension, full / PACE))
     return np.array(ends), full
 
 
 def arriving(line, tip):
     """Return the tension at the tip when the first pull reaches 20 N at the housing."""
     state = at_rest(line, Law(), tip)
-    _sought(line, Law(), tip, state, 20.0, 2e-5)
+    _pull_to(line, Law(), tip, state, 20.0, 2e-5)
     return state.tension[line.tip - 1]
 
 
-def _move(line, law, tip, state, motor):
+def _move_motor(line, law, tip, state, motor):
     before, after = np.array([[state.x[0], 0.0, 1.0, 0.0], [motor, 0.0, 1.0, 0.0]])
     step(line, law, tip, state, before, after, 1.0)
 
 
-def _sought(line, law, tip, state, tension, pace):
+def _pull_to(line, law, tip, state, tension, pace):
     """Move the motor until the line has a tension at the housing; return its travel [m]."""
     direction = 1.0 if tension > state.tension[0] else -1.0
     while True:
         x, T = state.x[0], state.tension[0]
-        _move(line, law, tip, state, x + direction * pace)
+        _move_motor(line, law, tip, state, x + direction * pace)
         if (state.tension[0] - tension) * direction >= 0.0:
             share = (tension - T) / (state.tension[0] - T)
             return x + direction * pace * share
