@@ -3,8 +3,7 @@
 python -m studies.estimator_speed
 
 A step from Python, with the law alone and with an effect beside it; a compiled run over a record;
-and the law alone against a numpy clip for each node and a stack in pure Python. Takes half a
-minute.
+and the law alone against a numpy clip for each node and a stack in pure Python. Takes 15 s.
 """
 
 import functools

@@ -5,8 +5,8 @@ python -m studies.plant
 Beside a step stand, from the same run, a call of a compiled function that does nothing with the
 same arguments, which a step made from Python contains, and one solution of a tridiagonal system of
 the chain's size by LAPACK, of which an iterating solver would need several. Beside a rig, read and
-written at 1 kHz as a session does it, stand the same steps in one compiled call. Takes a
-minute.
+written at 1 kHz as a session does it, stand the same steps in one compiled call. Takes
+20 s.
 """
 
 import time

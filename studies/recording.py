@@ -2,7 +2,7 @@
 
 python -m studies.recording
 
-Ten seconds of messages at 1 kHz, of one joint and of eight, for each compression. Takes 40 s.
+Ten seconds of messages at 1 kHz, of one joint and of eight, for each compression. Takes 10 s.
 """
 
 import tempfile

@@ -5,18 +5,15 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from studies.testbed.processes import OURS, START_S, Processes, free_ports, pause
-from teleop.errors import TeleopError
+from studies.testbed.processes import OURS, START_S, Processes, free_ports, pause, tell_proxy
 from teleop.launch.supervisor import wait_for_condition
 from teleop.link import Link
-from teleop.link.bridge import send_request
 from teleop.messages.topics import HAND, STATE
 from teleop.runtime.clock import now_ns
 
@@ -107,13 +104,7 @@ class FaultSession(Processes):
 
     def tell(self, *words: str) -> dict:
         """Tell the proxy something; it may be coming up."""
-        end = time.monotonic() + START_S
-        while True:
-            try:
-                return send_request(self.link_config, self.session, self.proxy, "\n".join(words))
-            except TeleopError:
-                if time.monotonic() > end:
-                    raise
+        return tell_proxy(self.link_config, self.session, self.proxy, *words)
 
     def end(self) -> None:
         """End everything in order."""

@@ -13,8 +13,10 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import BinaryIO
 
+from teleop.errors import TeleopError
 from teleop.launch.supervisor import wait_for_condition
 from teleop.link import Link, LinkConfig
+from teleop.link.bridge import send_request
 from teleop.messages.messages import Hand, SlaveState
 from teleop.messages.topics import HAND, STATE, Role
 from teleop.runtime.process import SUPERVISED_VARIABLE
@@ -49,6 +51,17 @@ def resident_mb(pid: int | str = "self") -> float:
     """Return the resident memory of a process [MB]."""
     pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
     return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
+
+
+def tell_proxy(link: LinkConfig, session: str, endpoint: str, *words: str) -> dict:
+    """Send a request to the proxy of `teleop impair`, which may be coming up; return its answer."""
+    end = time.monotonic() + START_S
+    while True:
+        try:
+            return send_request(link, session, endpoint, "\n".join(words))
+        except TeleopError:
+            if time.monotonic() > end:
+                raise
 
 
 class Processes:
