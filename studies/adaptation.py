@@ -7,7 +7,7 @@ python -m studies.adaptation --pair              one tendon of a pair, which ada
 The plant is the simulated rig's chain of springs and Coulomb nodes, which knows nothing of the
 adaptation. A sheath keeps its shape for `CHANGE_S` of use, then the friction of all or of one bend
 changes by -40 to +60 %, within 0.1 to 20 s. T_out is scored over `AFTER_S` from `SETTLE_S` after
-the change on, with the fixed K and with adaptation. Seeds 0 to 99 were used for tuning. Takes 15
+the change on, with the fixed K and with adaptation. Seeds 0 to 99 were used for tuning. Takes 7
 minutes.
 """
 

@@ -8,7 +8,7 @@
 Radii, sheaths, friction of passed joints, motion and walls are drawn at random. The slave's loop
 runs as in a session, without link and clock. Errors are parts of the full scale, the largest
 tension of the gate at a joint's pulley; once with the friction of passed joints in the model, once
-without. Takes 6 minutes.
+without. Takes 15 minutes.
 """
 
 import itertools

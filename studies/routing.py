@@ -8,8 +8,8 @@ and together, fast and slow, back and forth, and by so little that the tendon st
 
 Two figures of each arm. Tensions: the model of the passed joints alone, given the tension at the
 sheath's end. Torques: sheaths and passed joints together, from the tension at the housing with
-noise, and joint angles with an error. Beside them what leaving out passed friction costs. Takes 10
-minutes.
+noise, and joint angles with an error. Beside them what leaving out passed friction costs. Takes
+2 minutes.
 """
 
 from dataclasses import dataclass, replace
