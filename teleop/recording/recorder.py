@@ -5,38 +5,16 @@ Its work is one step, repeated; the clock is an argument.
 
 from collections import OrderedDict
 from collections.abc import Callable
-from typing import Any, Protocol
 
-from teleop.link import ReceivedMessage
+from teleop.link import Listener
 from teleop.messages.messages import LoopReport
-from teleop.messages.topics import REPORT, TOPICS, Role, Topic, format_role
+from teleop.messages.topics import REPORT, TOPICS, Role, format_role
 from teleop.recording.writer import RecordingWriter
 
 BATCH = 500  # messages of one step; none arrives meanwhile, and they are in memory twice
 SILENCE_NS = 1_000_000_000  # without a message at the end: what has not come by then does not come
 GRACE_NS = 500_000_000  # at the end, for what is under way from a session that goes on
 SENDERS = 64  # whose reports are remembered
-
-
-class MessageSource(Protocol):
-    """What a recorder reads from: `teleop.link.Listener`."""
-
-    @property
-    def has_arrivals(self) -> bool:
-        """Whether messages wait."""
-        ...
-
-    def drain(self, limit: int | None = None) -> list[ReceivedMessage]:
-        """Take the oldest messages."""
-        ...
-
-    def oldest_ns(self) -> int | None:
-        """Return when the oldest waiting message was received."""
-        ...
-
-    def dropped(self, topic: Topic[Any]) -> int:
-        """Return how many messages of a topic were dropped because they waited too long."""
-        ...
 
 
 class Recorder:
@@ -57,7 +35,7 @@ class Recorder:
 
     def __init__(
         self,
-        source: MessageSource,
+        source: Listener,
         writer: RecordingWriter,
         is_present: Callable[[Role, int], bool],
     ) -> None:

@@ -22,7 +22,7 @@ from teleop.session.state_machine import State
 from teleop.view.colours import TENSION_MAP
 from teleop.view.columns import AnyTopic, RowDecimator, Rows
 from teleop.view.config import ViewConfig
-from teleop.view.feed import NullDisplay, show_recording
+from teleop.view.feed import BatchDisplay, show_recording
 from teleop.view.sheaths import Sheaths
 from teleop.view.space_arm import SpaceArm
 
@@ -158,7 +158,7 @@ def write_clip(
 # --- what is drawn
 
 
-class _Collector(NullDisplay):
+class _Collector(BatchDisplay):
     """Keeps what a clip needs of a recording, and says when no more of it comes."""
 
     def __init__(self, sheaths: Sheaths, begin_ns: int, end_ns: int) -> None:

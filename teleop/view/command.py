@@ -23,16 +23,17 @@ import sys
 import tempfile
 import time
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from teleop.config.loading import RECORDING_SUFFIX
 from teleop.config.options import ViewMode, add_options
 from teleop.errors import TeleopError, UsageError
-from teleop.link import Link
+from teleop.link import Link, ReceivedMessage
 from teleop.messages.topics import TOPICS, Role
 from teleop.recording.reader import open_recording
 from teleop.recording.replay import adopt_config, print_doubts, require_present_layout
@@ -50,14 +51,7 @@ from teleop.runtime.process import (
 from teleop.session.config import RunConfig, read_config
 from teleop.view import clip
 from teleop.view.config import LAYOUTS, ViewConfig
-from teleop.view.feed import (
-    BatchDisplay,
-    FeedCounts,
-    MessageSource,
-    NullDisplay,
-    show_recording,
-    show_session,
-)
+from teleop.view.feed import BatchDisplay, FeedCounts, show_recording, show_session
 from teleop.view.foxglove_server import FoxgloveServer
 from teleop.view.scene import Scene
 from teleop.view.sinks import Sink
@@ -286,7 +280,7 @@ def _feed_sink(
     summary: dict[str, Any],
 ) -> FeedCounts:
     """Feed an open sink from a recording or the link; adds the link's losses to `summary`."""
-    show: BatchDisplay = NullDisplay()
+    show = BatchDisplay()
     if sink.stream is not None:
         whole = sink.file is not None
         live = file is None and not whole
@@ -308,22 +302,16 @@ def _feed_sink(
         listener = link.listen(TOPICS, sampled)
         if not is_supervised() and has_ended():
             print(f"Waiting for session {run.session!r} (`teleop sessions` lists those that run)")
-        messages: MessageSource = listener
+        drain: Callable[[], list[ReceivedMessage]] = listener.drain
         if config.foxglove:
             server = stack.enter_context(FoxgloveServer(run.session, config.foxglove_port))
             print(f"Foxglove view: {server.url}", flush=True)
-            messages = server.forwarding(listener)
+            drain = partial(server.forward, listener.drain)
         share = config.processor_share if sink.watched else math.inf
-        fed = show_session(
-            messages,
-            show,
-            sink,
-            stop,
-            config.drain_hz,
-            choose_periods(sink, config),
-            share,
-            has_ended,
-        )
+        periods_s = (config.file_period_s,) * 2
+        if sink.watched:
+            periods_s = 1.0 / config.drain_hz, 1.0 / config.curves_hz
+        fed = show_session(drain, show, sink, stop, config.drain_hz, periods_s, share, has_ended)
         counts = {topic: listener.counts(topic) for topic in TOPICS}
         summary["lost"] = {
             topic.name: c.lost + (0 if topic in sampled else c.overwritten)
@@ -342,10 +330,3 @@ def _show_recording(
         _wait_for_viewer(sink, stop)
     stop.request("the recording is shown")
     return fed
-
-
-def choose_periods(sink: Sink, config: ViewConfig) -> tuple[float, float]:
-    """Return the periods [s] of scene updates and of curves."""
-    if sink.watched:
-        return 1.0 / config.drain_hz, 1.0 / config.curves_hz
-    return config.file_period_s, config.file_period_s

@@ -4,7 +4,6 @@ import math
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Protocol
 
 from teleop.link import ReceivedMessage
 from teleop.messages.messages import MessageError
@@ -74,14 +73,19 @@ class Pacing:
         return self.stretch
 
 
-class BatchDisplay(Protocol):
-    """Receiver of batches: pictures often, curves less often, as each update is costly."""
+class BatchDisplay:
+    """Receiver of batches: pictures often, curves less often, as each update is costly.
 
-    def pictures(self, batches: Mapping[AnyTopic, Rows]) -> int:
-        """Update the scene."""
+    This one shows nothing.
+    """
 
-    def curves(self, batches: Mapping[AnyTopic, Rows]) -> int:
-        """Extend the curves."""
+    def pictures(self, batches: Mapping[AnyTopic, Rows]) -> int:  # noqa: ARG002 - shows nothing
+        """Update the scene; returns the number of rows shown."""
+        return 0
+
+    def curves(self, batches: Mapping[AnyTopic, Rows]) -> int:  # noqa: ARG002 - shows nothing
+        """Extend the curves; returns the number of rows shown."""
+        return 0
 
     def stretch(self, factor: float) -> None:
         """Draw fewer rows of a batch, by this factor."""
@@ -90,14 +94,7 @@ class BatchDisplay(Protocol):
         """Show that nothing has arrived for so long [ns]."""
 
     def end(self, what: str, silent_ns: int = 0) -> None:
-        """Show that a session or recording (`what`) has ended, and no forces."""
-
-
-class MessageSource(Protocol):
-    """A source of received messages, such as a `Listener`."""
-
-    def drain(self) -> list[ReceivedMessage]:
-        """Return the messages since the last call."""
+        """Show that a session or recording ended so long [ns] after its last data, no forces."""
 
 
 _SILENT_NS = 1_000_000_000  # [ns] without a message after which what is shown is called old
@@ -149,7 +146,7 @@ class MessageBuffer:
 
 
 def show_session(
-    listener: MessageSource,
+    drain: Callable[[], list[ReceivedMessage]],
     show: BatchDisplay,
     sink: Sink,
     stop: StopCondition,
@@ -162,8 +159,8 @@ def show_session(
 
     Parameters
     ----------
-    drain_hz : float
-        [Hz] rate of reading the listener.
+    drain : callable
+        Returns the messages since the last call, as `Listener.drain`; called at `drain_hz` [Hz].
     periods_s : tuple of two floats
         [s] between updates of the scene, and of the curves; stretched, and rows thinned by the
         same factor, where they would take more than `processor_share`, of one processor, or where
@@ -183,7 +180,7 @@ def show_session(
 
     probe_ns = heard_ns = 0
     for tick in Grid(drain_hz, stop):
-        messages = [(h.topic, h.data) for h in listener.drain()]
+        messages = [(h.topic, h.data) for h in drain()]
         fed.received += len(messages)
         heard_ns = tick.stamp_ns if messages or not heard_ns else heard_ns
         silent_ns = tick.stamp_ns - heard_ns
@@ -240,25 +237,6 @@ def show_recording(
         show.end("recording")
         publish()
     return fed
-
-
-class NullDisplay:
-    """Shows nothing."""
-
-    def pictures(self, batches: Mapping[AnyTopic, Rows]) -> int:  # noqa: ARG002 - a `BatchDisplay`
-        """Show nothing."""
-        return 0
-
-    curves = pictures
-
-    def stretch(self, factor: float) -> None:
-        """Show nothing."""
-
-    def silence(self, silent_ns: int) -> None:
-        """Show nothing."""
-
-    def end(self, what: str, silent_ns: int = 0) -> None:
-        """Show nothing."""
 
 
 def _read_blocks(path: str, period_ns: int) -> Iterator[list[tuple[AnyTopic, bytes]]]:

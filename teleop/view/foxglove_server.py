@@ -12,6 +12,7 @@ import json
 import struct
 import threading
 from collections import deque
+from collections.abc import Callable
 from contextlib import ExitStack
 from typing import Any, ClassVar, Self
 
@@ -22,7 +23,6 @@ from teleop.link import ReceivedMessage
 from teleop.messages.messages import SCHEMA_PACKAGE
 from teleop.messages.topics import TOPICS
 from teleop.recording.scan import to_channel_name
-from teleop.view.feed import MessageSource
 from teleop.view.local_server import GuardedHandler, LocalServer
 
 _PROTOCOLS = ("foxglove.sdk.v1", "foxglove.websocket.v1")  # the same for what is used here
@@ -77,25 +77,12 @@ class FoxgloveServer:
             client.close()
         self._server.close()
 
-    def publish(self, message: ReceivedMessage) -> None:
-        """Pass a message on, under the time at which it was sent."""
+    def forward(self, drain: Callable[[], list[ReceivedMessage]]) -> list[ReceivedMessage]:
+        """Return the messages of `drain`, passed on under the times at which they were sent."""
+        messages = drain()
         for client in list(self._clients):
-            client.publish(message)
-
-    def forwarding(self, source: MessageSource) -> MessageSource:
-        """Return a source that passes on what is taken from it."""
-        return _ForwardingSource(self, source)
-
-
-class _ForwardingSource:
-    def __init__(self, server: FoxgloveServer, source: MessageSource) -> None:
-        self._server, self._source = server, source
-
-    def drain(self) -> list[ReceivedMessage]:
-        """Return the messages since the last call, after passing them on."""
-        messages = self._source.drain()
-        for message in messages:
-            self._server.publish(message)
+            for message in messages:
+                client.publish(message)
         return messages
 
 

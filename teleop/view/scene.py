@@ -45,6 +45,7 @@ from teleop.view.colours import FRONT, PHASES, STATES, to_rgba
 from teleop.view.columns import AnyTopic, Rows, Sender, Subsampler, build_columns, split_rows
 from teleop.view.config import ViewConfig
 from teleop.view.curves import Plots
+from teleop.view.feed import BatchDisplay
 from teleop.view.levers import Levers
 from teleop.view.panel import Panel
 from teleop.view.profile_plot import Plane, ProfileView, compute_axis_end, compute_ticks_to_end
@@ -302,7 +303,7 @@ def interpolate_line(line: Array, positions: Array) -> Array:
     return np.stack([np.interp(positions, knots, line[:, k]) for k in range(3)], axis=1)
 
 
-class Scene:
+class Scene(BatchDisplay):
     """Draws decoded batches.
 
     Keeps only what later messages need: the sheaths, the newest interval at each tip, and static

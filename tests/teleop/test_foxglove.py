@@ -83,14 +83,6 @@ def accepted(key):
     return base64.b64encode(hashlib.sha1(key.encode() + guid).digest()).decode()  # noqa: S324
 
 
-class Source:
-    def __init__(self, messages):
-        self._messages = messages
-
-    def drain(self):
-        return self._messages
-
-
 def test_the_app_gets_the_bytes_of_the_link_with_their_definition():
     message = heard(STATE, 3, np.random.default_rng(1))
     with FoxgloveServer("demo", 8765) as server:
@@ -104,10 +96,9 @@ def test_the_app_gets_the_bytes_of_the_link_with_their_definition():
             assert state["schemaName"] == "tendon_teleop/msg/SlaveState"
             assert state["schema"] == STATE.message.schema.ros_definition
             client.send({"op": "subscribe", "subscriptions": [{"id": 7, "channelId": state["id"]}]})
-            forwarding = server.forwarding(Source([message]))
             client._socket.settimeout(0.05)
             for _ in range(400):  # until the subscription is known to the server
-                assert forwarding.drain() == [message]
+                assert server.forward(lambda: [message]) == [message]
                 try:
                     content = client.receive(None)
                 except TimeoutError:
