@@ -57,6 +57,7 @@ from teleop.link.socket_tables import (
     list_open_sockets,
     open_socket_copy,
     open_tables,
+    parse_endpoint,
     parse_socket_name,
     read_tables,
     shut_down_socket,
@@ -113,7 +114,6 @@ def find_allowance(identity: Identity) -> Allowance | None:
 _TABLES = Path("/proc/net/tcp"), Path("/proc/net/tcp6")  # TCP sockets of this machine
 _INTERFACES = Path("/proc/net/if_inet6")  # its addresses of IPv6
 _LINUX = sys.platform == "linux"
-_ENDPOINT = re.compile(r"\w+/\[?(?P<host>[^\]%]+?)(?:%\w+)?\]?:(?P<port>\d+)")
 _LOOPBACK = ip_network("127.0.0.0/8"), ip_network("::1/128")
 _SYN_SENT = b"02"
 
@@ -179,11 +179,11 @@ class ConnectionGuard:
 
     def _on_link(self, event: zenoh.LinkEvent) -> None:
         """Keep whose a connection is."""
-        local = _parse_endpoint(event.link.src)
+        local = parse_endpoint(event.link.src)
         if local is None:
             return
         # the other end of a connection that we opened may be named by its host
-        ends = local, _parse_endpoint(event.link.dst) if local in self._listening else None
+        ends = local, parse_endpoint(event.link.dst) if local in self._listening else None
         if event.kind == zenoh.SampleKind.DELETE:
             self._names.pop(ends, None)
             return
@@ -374,12 +374,6 @@ def _is_closed(session: zenoh.Session) -> bool:
         return session.is_closed()
     except RuntimeError:  # it is being closed: the object is borrowed until it is
         return True
-
-
-def _parse_endpoint(endpoint: str) -> SocketAddress | None:
-    """Return host and port of Zenoh's `tls/HOST:PORT`; None if it has none."""
-    match = _ENDPOINT.fullmatch(endpoint)
-    return None if match is None else (match["host"], int(match["port"]))
 
 
 def _find_source_network(host: str) -> Network:

@@ -1,12 +1,12 @@
 """Zenoh sessions with explicit endpoints, credentials, no discovery and short timeouts."""
 
+import contextlib
 import json
 import os
 import re
 import resource
 import socket
 import ssl
-import stat
 import struct
 import sys
 import threading
@@ -19,7 +19,13 @@ from cryptography import x509
 from teleop.errors import TeleopError, UsageError
 from teleop.link.config import Address, LinkConfig
 from teleop.link.connection_guard import HANDSHAKE_TIMEOUT_MS, ConnectionGuard
-from teleop.link.socket_tables import OPEN_FILES_FOLDER, list_open_files
+from teleop.link.socket_tables import (
+    OPEN_FILES_FOLDER,
+    list_open_sockets,
+    open_socket_copy,
+    parse_endpoint,
+    parse_socket_name,
+)
 from teleop.security import CertificateError, CertificateRole, Credentials
 from teleop.security import credentials as stored
 from teleop.security.credentials import create_local_credentials
@@ -33,7 +39,6 @@ from teleop.security.credentials import create_local_credentials
 
 
 _LINGER_OFF = struct.pack("ii", 0, 0)
-_ENDPOINT = re.compile(r"\w+/\[?(?P<host>[^\]]+?)\]?:(?P<port>\d+)")
 
 
 def disable_linger(session: zenoh.Session) -> None:
@@ -43,29 +48,13 @@ def disable_linger(session: zenoh.Session) -> None:
 
 
 def _handle_link_event(event: zenoh.LinkEvent) -> None:
-    ours = _parse_endpoint(event.link.src)  # the other end may be named by its host
+    ours = parse_endpoint(event.link.src)  # the other end may be named by its host
     if event.kind != zenoh.SampleKind.PUT or ours is None or not OPEN_FILES_FOLDER.exists():
         return
-    for number in list_open_files():
-        try:
-            if not stat.S_ISSOCK(os.fstat(number).st_mode):
-                continue
-            connection = socket.socket(socket.AF_INET, socket.SOCK_STREAM, fileno=number)
-        except OSError:  # closed since it was listed
-            continue
-        try:
-            if connection.getsockname()[:2] == ours:
+    for number, _ in list_open_sockets():
+        with contextlib.suppress(OSError), open_socket_copy(number) as connection:
+            if parse_socket_name(connection.getsockname()) == ours:
                 connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _LINGER_OFF)
-        except OSError:
-            continue
-        finally:
-            connection.detach()  # it is Zenoh's
-
-
-def _parse_endpoint(endpoint: str) -> tuple[str, int] | None:
-    """Return host and port of Zenoh's `tls/HOST:PORT`; None if it has none."""
-    match = _ENDPOINT.fullmatch(endpoint)
-    return None if match is None else (match["host"], int(match["port"]))
 
 
 RETRY_MS = 100  # between attempts to connect to a peer

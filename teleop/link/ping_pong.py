@@ -6,13 +6,11 @@ so the additional latency of a session is due to the loops.
 """
 
 import json
-import os
-import socket
 import subprocess
 import sys
 import threading
 import time
-from pathlib import Path
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -26,6 +24,7 @@ from teleop.runtime.process import die_with_launcher
 from teleop.runtime.realtime import RealtimeConfig, enter_loop, request_realtime
 from teleop.security import CertificateRole
 from teleop.security.credentials import create_local_credentials
+from teleop.view.local_server import LOOPBACK, find_free_port
 
 PERIOD_S = 1e-3  # between two commands, as in a 1 kHz session
 ANSWER_TIMEOUT_S = 0.05  # timeout of an answer
@@ -53,11 +52,10 @@ def measure_ping_pong(
     dict
         `n` answered; `p50_ms`, `p99_ms`, `p99_9_ms` of the round trip. Empty without an answer.
     """
-    endpoint = f"127.0.0.1:{_find_free_port()}"
-    scheduling = [str(realtime.priority), json.dumps(realtime.cores)]
-    pong = _start_process(["pong", endpoint, str(state_bytes), *scheduling])
+    endpoint, scheduling = f"{LOOPBACK}:{find_free_port(0)}", json.dumps(asdict(realtime))
+    pong = _start_process("pong", endpoint, str(state_bytes), scheduling)
     try:
-        ping = _start_process(["ping", endpoint, str(command_bytes), *scheduling, str(n)])
+        ping = _start_process("ping", endpoint, str(command_bytes), scheduling, str(n))
         try:
             out, _ = ping.communicate()
         finally:
@@ -69,13 +67,10 @@ def measure_ping_pong(
     return result
 
 
-def _start_process(words: list[str]) -> subprocess.Popen[bytes]:
-    root = str(Path(__file__).parents[2])
-    path = os.pathsep.join([root, *filter(None, [os.environ.get("PYTHONPATH")])])
+def _start_process(*words: str) -> subprocess.Popen[bytes]:
     return start_module(
         "teleop.link.ping_pong",
         *words,
-        environment={"PYTHONPATH": path},
         is_supervised=True,
         stdin=subprocess.PIPE,  # pong ends when this closes
         stdout=subprocess.PIPE,
@@ -156,26 +151,15 @@ def _subscribe_inbox(session: zenoh.Session, name: str) -> Inbox:
     return inbox
 
 
-def _find_free_port() -> int:
-    """Return a free port."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
-
-
 def main(words: list[str]) -> None:
-    """Run one of the two processes: `ping|pong ENDPOINT BYTES PRIORITY CORES [N]`."""
+    """Run one of the two processes: `ping|pong ENDPOINT BYTES SCHEDULING [N]`."""
     die_with_launcher()
-    side, endpoint, size, priority, cores = words[:5]
-    realtime = RealtimeConfig(int(priority), _parse_cores(json.loads(cores)))
+    side, endpoint, size, scheduling = words[:4]
+    realtime = RealtimeConfig(**json.loads(scheduling))
     if side == "pong":
         _run_pong(endpoint, int(size), realtime)
     else:
-        print(json.dumps(_run_ping(endpoint, int(size), realtime, int(words[5]))), flush=True)
-
-
-def _parse_cores(named: Any) -> Any:
-    return named if named == "auto" else tuple(named)
+        print(json.dumps(_run_ping(endpoint, int(size), realtime, int(words[4]))), flush=True)
 
 
 if __name__ == "__main__":

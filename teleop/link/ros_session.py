@@ -4,7 +4,6 @@ A client listens nowhere and is reached by nobody but its router. Through the ro
 everything arrives at a client; a peer without gossip, as on our link, gets nothing.
 """
 
-import json
 import socket
 from collections.abc import Callable
 from typing import Any
@@ -13,7 +12,7 @@ import zenoh
 
 from teleop.errors import TeleopError
 from teleop.link.config import Endpoint
-from teleop.link.network import LEASE_MS, OPEN_MS, RETRY_MS
+from teleop.link.network import LEASE_MS, OPEN_MS, RETRY_MS, to_zenoh_config
 
 _CONNECT_TIMEOUT_S = 0.5  # [s] for a connection on this machine
 
@@ -67,11 +66,8 @@ class RosSession:
             "transport/link/protocols": ["tcp"],
             "transport/link/tx/lease": LEASE_MS,
         }
-        config = zenoh.Config()
-        for key, value in settings.items():
-            config.insert_json5(key, json.dumps(value))
         try:
-            self._zenoh: Any = zenoh.open(config)
+            self._zenoh: Any = zenoh.open(to_zenoh_config(settings))
         except zenoh.ZError as error:
             raise TeleopError(f"ros.router: what listens at {router} is no Zenoh router") from error
         self.zid = str(self._zenoh.info.zid())

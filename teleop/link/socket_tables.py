@@ -3,6 +3,7 @@
 import contextlib
 import errno
 import os
+import re
 import socket
 import stat
 import struct
@@ -18,6 +19,7 @@ from teleop.link.packet_filter import DROP_ALL, filter_packets
 SocketAddress = tuple[str, int]  # host and port
 OPEN_FILES_FOLDER = Path("/dev/fd")  # of this process; absent on Windows
 DISCARD_READS_MAX = 100  # reads of what a connection that is shut down has sent
+_ENDPOINT = re.compile(r"\w+/\[?(?P<host>[^\]%]+?)(?:%\w+)?\]?:(?P<port>\d+)")
 _BYTES_RECEIVED = 128  # place of tcpi_bytes_received in TCP_INFO
 
 
@@ -117,6 +119,12 @@ def open_socket_copy(number: int) -> Iterator[socket.socket]:
             copy.close()
         else:
             copy.detach()
+
+
+def parse_endpoint(endpoint: str) -> SocketAddress | None:
+    """Return host and port of Zenoh's `tls/HOST:PORT`; None if it has none."""
+    match = _ENDPOINT.fullmatch(endpoint)
+    return None if match is None else (match["host"], int(match["port"]))
 
 
 def parse_socket_name(name: tuple[str, int] | str | bytes) -> SocketAddress:

@@ -22,8 +22,7 @@ def run_idle_loops(
     processes = [
         start_module(
             "teleop.cli.bench.bare_grid",
-            *(str(rate_hz), str(seconds)),
-            *(str(phase), str(realtime.priority), json.dumps(realtime.cores)),
+            *(str(rate_hz), str(seconds), str(phase), json.dumps(asdict(realtime))),
             is_supervised=True,
             stdout=subprocess.PIPE,
         )
@@ -59,12 +58,11 @@ def _run_idle_loop(
 
 
 def main(words: list[str]) -> None:
-    """Run one process: `RATE SECONDS PHASE PRIORITY CORES`."""
+    """Run one process: `RATE SECONDS PHASE SCHEDULING`."""
     limit_numeric_threads()
     die_with_launcher()
     rate_hz, seconds, phase = map(float, words[:3])
-    cores = json.loads(words[4])
-    realtime = RealtimeConfig(int(words[3]), cores if cores == "auto" else tuple(cores))
+    realtime = RealtimeConfig(**json.loads(words[3]))
     print(json.dumps(_run_idle_loop(rate_hz, seconds, phase, realtime)), flush=True)
 
 
