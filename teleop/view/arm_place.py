@@ -120,13 +120,10 @@ class ArmPlace:
 
     def place_hand(self, positions: Array) -> Array:
         """Return the points of the hand from the device's axes [m], shapes (n, axes), (n, 3)."""
-        return self.hand + self.hand_scale * self._turn_hand(positions)
+        return self.hand + self.hand_scale * self.turn_hand(positions)
 
-    def turn_hand_force(self, force: Array) -> Array:
-        """Return the force on the hand [N] along the scene's axes, shape (n, 3)."""
-        return self._turn_hand(force)
-
-    def _turn_hand(self, values: Array) -> Array:
+    def turn_hand(self, values: Array) -> Array:
+        """Return the device's travels [m] or forces [N] along the scene's axes, shape (n, 3)."""
         hand = self.arm.hand
         if hand is None:
             return np.zeros((len(values), 3))

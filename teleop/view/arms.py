@@ -166,7 +166,7 @@ class Arms:
             if place.arm.hand is None:
                 continue
             at = place.place_hand(rows["position"])
-            vectors = place.turn_hand_force(rows["force"])
+            vectors = place.turn_hand(rows["force"])
             vectors = ARROW * place.size / self._config.hand_scale_N * vectors
             known = np.isfinite(at).all(axis=1) & np.isfinite(vectors).all(axis=1)
             parts = build_columns(rr.Points3D, known, positions=at[known])

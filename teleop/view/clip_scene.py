@@ -5,7 +5,6 @@ import math
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
-from matplotlib.colors import Normalize
 from matplotlib.lines import Line2D
 from matplotlib.patches import Polygon
 
@@ -14,15 +13,7 @@ from teleop.messages.topics import COMMAND, HAND, PROFILE, STATE, TENDONS
 from teleop.view import colours
 from teleop.view.clip_arms import ClipArm
 from teleop.view.clip_canvas import Canvas
-from teleop.view.clip_marks import (
-    add_arrow,
-    add_number,
-    build_tension_colours,
-    draw_place,
-    project,
-    set_arrow,
-    set_number,
-)
+from teleop.view.clip_marks import Marks
 from teleop.view.levers import compute_true_force
 from teleop.view.scene_geometry import ARROW, PIECES, SEGMENTS, Lever, Stage
 
@@ -30,13 +21,7 @@ _ARM_WIDTH = 1.4  # of what is drawn of an arm, relative to its sheaths
 
 
 class ClipScene:
-    """Draws the scene into axes.
-
-    Parameters
-    ----------
-    large : bool
-        Whether it has the whole picture.
-    """
+    """Draws the scene into axes; with `large` it has the whole picture."""
 
     def __init__(self, canvas: Canvas, axes: Axes, large: bool = False) -> None:
         self._canvas, self._data, self._theme = canvas, canvas.data, canvas.theme
@@ -46,11 +31,12 @@ class ClipScene:
             self._draw(axes, canvas.data.sheaths.stage, large)
 
     def _draw(self, axes: Axes, stage: Stage, large: bool) -> None:
-        low, high = self._find_extent(stage)
-        axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
         tubes_beside = len(stage.joints) + sum(len(place.ends) / 2 for place in stage.arms)
         scale = (1.7 if large else 1.0) / math.sqrt(max(tubes_beside, 1))
-        tubes = [self._draw_tube(axes, stage, tendon, scale) for tendon in stage.lines]
+        marks = Marks(self._canvas, axes, stage, scale)
+        low, high = self._find_extent(marks)
+        axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
+        tubes = [self._draw_tube(marks, tendon) for tendon in stage.lines]
         scale_axes = axes.inset_axes((0.93, 0.2, 0.016, 0.55))
         bar = self._canvas.figure.colorbar(tubes[0], cax=scale_axes)
         scale_axes.set_title("T [N]", loc="center", fontsize=10.0, weight="normal")
@@ -64,14 +50,15 @@ class ClipScene:
             fontsize=12.0 if large else 9.0,
         )  # fmt: skip
         for joint, lever in stage.joints.items():
-            self._draw_tip(axes, stage, joint, lever, scale)
+            self._draw_tip(marks, joint, lever)
         for joint, lever in stage.hands.items():
-            self._draw_hand(axes, stage, joint, lever, scale)
+            self._draw_hand(marks, joint, lever)
         for number in range(len(stage.arms)):
-            ClipArm(self._canvas, axes, stage, number, _ARM_WIDTH * scale)
+            ClipArm(Marks(self._canvas, axes, stage, _ARM_WIDTH * scale), number)
 
-    def _find_extent(self, stage: Stage) -> tuple[Array, Array]:
+    def _find_extent(self, marks: Marks) -> tuple[Array, Array]:
         """Return the corners of what is drawn at any time, with room for words and the scale."""
+        stage = marks.stage
         states, hands = self._data.select(STATE)[::20], self._data.select(HAND)[::20]
         points = [*stage.lines.values()]
         points += [place.sample_points(0.5 * ARROW * stage.size) for place in stage.arms]
@@ -85,20 +72,23 @@ class ClipScene:
                 arrow = sign * force * ARROW * stage.size / scale * lever.onward(travel)
                 points += [lever.pivot[None], lever.tip(travel), lever.tip(travel) + arrow]
                 points += [lever.tip(travel) + lever.label]
-        places = project(stage, np.concatenate(points))
+        places = marks.project(np.concatenate(points))
         low, high = np.nanmin(places, axis=0), np.nanmax(places, axis=0)
         room = 0.05 * (high - low).max()
         return low - room * np.array([1.0, 1.6]), high + room * np.array([3.2, 1.6])
 
-    def _draw_tube(self, axes: Axes, stage: Stage, tendon: int, scale: float) -> LineCollection:
-        line = project(stage, stage.lines[tendon])
+    def _draw_tube(self, marks: Marks, tendon: int) -> LineCollection:
+        line = marks.project(marks.stage.lines[tendon])
         pieces = [line[k * PIECES : (k + 1) * PIECES + 1] for k in range(SEGMENTS)]
-        edge, tube = (LineCollection(pieces, capstyle="round", joinstyle="round") for _ in "ab")
+        edge = LineCollection(pieces, capstyle="round", joinstyle="round")
         edge.set(color=self._theme.fade(colours.UNKNOWN, 0.55))
-        tube.set(cmap=build_tension_colours(), norm=Normalize(0, self._top))
-        front = Line2D([], [], marker="o", ms=11 * scale, color=self._theme.adapt(colours.FRONT))
+        marks.axes.add_artist(edge)
+        tube = marks.add_tendons(1.0)
+        tube.set(segments=pieces, joinstyle="round")
+        ink = self._theme.adapt(colours.FRONT)
+        front = Line2D([], [], marker="o", ms=11 * marks.scale, color=ink)
+        marks.axes.add_artist(front)
         for artist in (edge, tube, front):
-            axes.add_artist(artist)
             self._canvas.add(artist)
         rows = self._data.select(PROFILE, tendon)
         middles = (np.arange(SEGMENTS) + 0.5) / SEGMENTS
@@ -107,7 +97,7 @@ class ClipScene:
         def update(now_s: float) -> None:
             row = self._data.newest(rows, now_s)
             share = math.nan if row is None else float(row["front"] / row["length"])
-            width = scale * np.where(middles <= np.nan_to_num(share), 9.0, 4.0)
+            width = marks.scale * np.where(middles <= np.nan_to_num(share), 9.0, 4.0)
             tube.set_linewidth(width.tolist())
             edge.set_linewidth((width + 1.6).tolist())
             tension = np.full(SEGMENTS, np.nan) if row is None else row["tension"]
@@ -117,72 +107,62 @@ class ClipScene:
         self._canvas.updates.append(update)
         return tube
 
-    def _draw_tip(self, axes: Axes, stage: Stage, joint: int, lever: Lever, scale: float) -> None:
-        data, adapt = self._data, self._theme.adapt
-        per_newton = ARROW * stage.size / self._top
-        bar = 0.12 * lever.length * np.cross(lever.along, lever.aside)
+    def _draw_tip(self, marks: Marks, joint: int, lever: Lever) -> None:
+        data = self._data
+        per_newton, bar = ARROW * marks.stage.size / self._top, lever.aslant
         known = data.config.environment_m
         if joint < len(known) and math.isfinite(known[joint]):
-            beyond = math.copysign(0.5 * lever.radius, known[joint])
-            rim = lever.tip(known[joint] + np.linspace(0.0, beyond, 13))
-            wedge = project(stage, np.concatenate([lever.pivot[None], rim]))
-            axes.add_patch(Polygon(wedge, color=adapt(colours.ENVIRONMENT), alpha=0.6, lw=0))
-        draw_place(
-            self._canvas, axes, stage, lever.pivot, f"joint {joint + 1}", colours.BODY, scale
-        )
-        asked = self._canvas.add_line(axes, colours.COMMANDED, 2.0 * scale)
-        link = self._canvas.add_line(axes, colours.BODY, 6.0 * scale)
-        interval = self._canvas.add_line(axes, colours.INTERVAL, 1.6 * scale)
-        truth = add_arrow(self._canvas, axes, colours.TRUTH, 0.7 * scale)
-        force = add_arrow(self._canvas, axes, colours.ESTIMATE, scale)
-        number = add_number(self._canvas, axes, colours.ESTIMATE, scale)
+            wedge = marks.project(np.concatenate([lever.pivot[None], lever.sweep(known[joint])]))
+            ink = self._theme.adapt(colours.ENVIRONMENT)
+            marks.axes.add_patch(Polygon(wedge, color=ink, alpha=0.6, lw=0))
+        marks.draw_place(lever.pivot, f"joint {joint + 1}", colours.BODY)
+        asked = marks.add_line(colours.COMMANDED, 2.0)
+        link = marks.add_line(colours.BODY, 6.0)
+        interval = marks.add_line(colours.INTERVAL, 1.6)
+        truth = marks.add_arrow(colours.TRUTH, 0.7)
+        force, number = marks.add_arrow(colours.ESTIMATE), marks.add_number(colours.ESTIMATE)
         states, commands = data.select(STATE), data.select(COMMAND)
         tendons, own = data.select(TENDONS), data.sheaths.tendons_of(joint)
 
         def update(now_s: float) -> None:
             state, command = data.newest(states, now_s), data.newest(commands, now_s)
             sample = data.newest(tendons, now_s)
-            _set_line(asked, stage, lever, None if command is None else command["position"][joint])
+            wanted = math.nan if command is None else float(command["position"][joint])
+            marks.move_line(asked, [lever.pivot, lever.tip(np.array(wanted))])
             travel = math.nan if state is None else float(state["position"][joint])
-            _set_line(link, stage, lever, travel)
             end, back = lever.tip(np.array(travel)), -per_newton * lever.onward(np.array(travel))
+            marks.move_line(link, [lever.pivot, end])
             value = math.nan if state is None else float(state["force"][joint])
-            set_arrow(force, stage, end, value * back)
-            set_number(number, stage, end + lever.label, value)
+            marks.move_arrow(force, end, value * back)
+            marks.move_number(number, end + lever.label, value)
             ends = (math.nan,) * 2
             if state is not None:
                 ends = state["force_low"][joint], state["force_high"][joint]
             low, high = (end + np.clip(part, -self._top, self._top) * back for part in ends)
             corners = [low - bar, low + bar, low, high, high - bar, high + bar]
-            interval.set_data(*project(stage, np.array(corners)).T)
+            marks.move_line(interval, corners)
             true = math.nan
             if sample is not None:
                 true = float(compute_true_force(np.array([sample]), own)[0])
-            set_arrow(truth, stage, end + bar, true * back)
+            marks.move_arrow(truth, end + bar, true * back)
 
         self._canvas.updates.append(update)
 
-    def _draw_hand(self, axes: Axes, stage: Stage, joint: int, lever: Lever, scale: float) -> None:
+    def _draw_hand(self, marks: Marks, joint: int, lever: Lever) -> None:
         data = self._data
-        per_newton = ARROW * stage.size / data.config.hand_scale_N
-        draw_place(self._canvas, axes, stage, lever.pivot, f"hand {joint + 1}", colours.HAND, scale)
-        handle = self._canvas.add_line(axes, colours.HAND, 6.0 * scale)
-        arrow = add_arrow(self._canvas, axes, colours.HAND, scale)
-        number = add_number(self._canvas, axes, colours.HAND, scale)
+        per_newton = ARROW * marks.stage.size / data.config.hand_scale_N
+        marks.draw_place(lever.pivot, f"hand {joint + 1}", colours.HAND)
+        handle = marks.add_line(colours.HAND, 6.0)
+        arrow, number = marks.add_arrow(colours.HAND), marks.add_number(colours.HAND)
         rows = data.select(HAND)
 
         def update(now_s: float) -> None:
             row = data.newest(rows, now_s)
-            travel = math.nan if row is None else float(row["position"][joint])
-            _set_line(handle, stage, lever, travel)
-            end, onward = lever.tip(np.array(travel)), lever.onward(np.array(travel))
+            travel = np.array(math.nan if row is None else float(row["position"][joint]))
+            end, onward = lever.tip(travel), lever.onward(travel)
+            marks.move_line(handle, [lever.pivot, end])
             value = math.nan if row is None else float(row["force"][joint])
-            set_arrow(arrow, stage, end, value * per_newton * onward)
-            set_number(number, stage, end + lever.label, value)
+            marks.move_arrow(arrow, end, value * per_newton * onward)
+            marks.move_number(number, end + lever.label, value)
 
         self._canvas.updates.append(update)
-
-
-def _set_line(line: Line2D, stage: Stage, lever: Lever, travel: float | None) -> None:
-    end = lever.tip(np.array(math.nan if travel is None else float(travel)))
-    line.set_data(*project(stage, np.stack([lever.pivot, end])).T)

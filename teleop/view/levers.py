@@ -19,8 +19,6 @@ from teleop.view.config import ViewConfig
 from teleop.view.scene_geometry import ARROW, Lever
 from teleop.view.sheaths import Sheaths
 
-_WEDGE = 0.5  # [rad] of the environment, as drawn
-_WEDGE_STEPS = 12
 Columns = list[rr.ComponentColumn]  # of one block of rows
 
 
@@ -123,7 +121,7 @@ class Levers:
             travel = rows["bench_distal_displacement"][:, self._sheaths.tendons_of(joint)[0]]
             travel = np.where(np.isfinite(travel), travel, self._travel.get(joint, 0.0))
             back = -lever.onward(travel) * self._compute_length(self._config.tension_scale_N)
-            ends = lever.tip(travel) + 0.12 * lever.length * np.cross(lever.along, lever.aside)
+            ends = lever.tip(travel) + lever.aslant
             if np.isfinite(force).any():
                 truth = _build_arrow(ends, force[:, None] * back)
                 self._sender.columns(f"scene/joint_{joint}/truth", rows, truth)
@@ -170,11 +168,10 @@ class Levers:
         """
         known = np.isfinite(low) & np.isfinite(high)
         limit = self._config.tension_scale_N
-        bar = 0.12 * lever.length * np.cross(lever.along, lever.aside)
 
         def end(force: Array) -> tuple[Array, Array]:
             place = ends[known] + np.clip(force, -limit, limit)[known, None] * back[known]
-            return place, (np.abs(force) <= limit)[known, None] * bar
+            return place, (np.abs(force) <= limit)[known, None] * lever.aslant
 
         (begin, a), (to, b) = end(low), end(high)
         strips = np.stack([begin - a, begin + a, begin, to, to - b, to + b], axis=1)
@@ -185,10 +182,8 @@ class Levers:
         known = self._config.environment_m
         if joint >= len(known) or not math.isfinite(known[joint]):
             return
-        begin = known[joint]
-        beyond = math.copysign(_WEDGE * lever.radius, begin)
-        rim = lever.tip(np.linspace(begin, begin + beyond, _WEDGE_STEPS + 1))
-        centre = np.repeat(lever.pivot[None], _WEDGE_STEPS, axis=0)
+        rim = lever.sweep(known[joint])
+        centre = np.repeat(lever.pivot[None], len(rim) - 1, axis=0)
         triangles = np.stack([centre, rim[:-1], rim[1:]], axis=1).reshape(-1, 3)
         normal = np.cross(lever.along, lever.aside)
         wedge = rr.Mesh3D(

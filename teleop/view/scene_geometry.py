@@ -108,6 +108,7 @@ _FIT_ITERATIONS = 12  # of fitting the scene into the view
 _SCALE_HEIGHT, _SCALE_OFFSET = 0.5, 0.16  # the colour scale's height, and its place from the rest
 _ARM_ARROW = 0.5  # of the scale of forces, for which there is room at an arm in any pose
 _ARM_SPACING = 0.6  # of the spacing of tendons, as an arm has many
+_WEDGE, _WEDGE_STEPS = 0.5, 12  # [rad] of the environment, as drawn, and its corners
 _LEVER_ANGLES = np.linspace(-1.0, 1.3, 4)  # [rad] within which a lever must be seen
 _LEVER_LENGTH = 0.16  # a joint's link and the hand's handle
 ARROW = 0.25  # of the force at the end of its scale
@@ -145,6 +146,17 @@ class Lever:
         angle = np.asarray(travel)[..., None] / self.radius
         turned: Array = -np.sin(angle) * self.along + np.cos(angle) * self.aside
         return turned
+
+    def sweep(self, begin: float) -> Array:
+        """Return where the far end goes from a travel [m] by `_WEDGE` on, shape (n, 3)."""
+        beyond = math.copysign(_WEDGE * self.radius, begin)
+        return self.tip(np.linspace(begin, begin + beyond, _WEDGE_STEPS + 1))
+
+    @property
+    def aslant(self) -> Array:
+        """From the far end to what stands beside it, across the plane [m]."""
+        beside: Array = 0.12 * self.length * np.cross(self.along, self.aside)
+        return beside
 
 
 @dataclass(frozen=True, slots=True)
