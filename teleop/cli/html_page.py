@@ -88,9 +88,16 @@ class Page:
         inner = "".join(f"<li>{html.escape(item)}</li>" for item in items)
         self._parts.append(f"<ul>{inner}</ul>")
 
-    def table(self, table: Table, mark: str) -> None:
+    def table(self, table: Table, mark: str = "") -> None:
         """Add a table; rows with a cell `mark` stand out."""
         self._parts.append(f'<div class="scroll">{format_html_table(table, mark)}</div>')
+
+    def section(self, title: str, table: Table, text: str = "", mark: str = "") -> None:
+        """Add a table with a heading and, if there is one, a paragraph before it."""
+        self.heading(title)
+        if text:
+            self.text(text)
+        self.table(table, mark)
 
     def figure(self, path: Path, caption: str) -> None:
         """Add a PNG file, its bytes in the page."""

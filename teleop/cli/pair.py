@@ -250,24 +250,22 @@ def render(study: PairStudy) -> str:
     page = Page(report_text.format_sentence(study))
     for sentence in report_text.format_model_warning(study):
         page.text(sentence)
-    page.heading("Friction against bend")
-    page.table(report_text.build_friction_table(study), mark="")
+    page.section("Friction against bend", report_text.build_friction_table(study))
     with TemporaryDirectory() as folder:
         captions = write_figures(study, Path(folder))
         paths = {name: Path(folder) / name for name in captions}
         page.figure(paths["pair-friction.png"], captions["pair-friction.png"])
-        page.heading("The model for all bends")
-        page.table(report_text.build_parameter_table(study), mark="")
-        page.heading("Bends that were not fitted")
-        page.text("Root mean square of the angle's error, and its share of the span.")
-        page.table(report_text.build_held_out_table(study), mark=report_text.OWN_METHOD)
+        page.section("The model for all bends", report_text.build_parameter_table(study))
+        text = "Root mean square of the angle's error, and its share of the span."
+        table = report_text.build_held_out_table(study)
+        page.section("Bends that were not fitted", table, text, mark=report_text.OWN_METHOD)
         page.figure(paths["pair-loops.png"], captions["pair-loops.png"])
         if study.validation:
-            page.heading("Bends kept apart")
-            page.table(report_text.build_validation_table(study.validation), mark="")
+            table = report_text.build_validation_table(study.validation)
+            page.section("Bends kept apart", table)
         page.heading("What is wrong")
         page.points(report_text.describe_errors(study))
-        page.table(report_text.build_residual_table(study), mark="")
+        page.table(report_text.build_residual_table(study))
         page.figure(paths["pair-left.png"], captions["pair-left.png"])
     return page.render()
 

@@ -25,6 +25,7 @@ from teleop.errors import TeleopError, UsageError
 from teleop.link import Link
 from teleop.messages.topics import TOPICS, Role
 from teleop.recording.recorder import BATCH, GRACE_NS, Recorder
+from teleop.recording.scan import describe_losses
 from teleop.recording.writer import RecordConfig, RecordingWriter
 from teleop.runtime.clock import now_ns
 from teleop.runtime.files import read_small_file
@@ -187,7 +188,7 @@ def main(args: argparse.Namespace) -> int:
             if not is_supervised():
                 print("\n".join(format_summary(summary)))
     if missing or writer.unfinished:
-        raise TeleopError(f"{writer.path}: {describe_losses(summary)}")
+        raise TeleopError(f"{writer.path}: {_join_losses(summary)}")
     return 0
 
 
@@ -224,16 +225,8 @@ def build_summary(writer: RecordingWriter) -> dict[str, Any]:
     }
 
 
-def describe_losses(summary: Mapping[str, Any]) -> str:
-    """Return what a recording lacks, in words; empty if nothing."""
-    parts = []
-    if summary["missing"]:
-        by_topic = {topic: count for topic, count in summary["gaps"].items() if count}
-        counts = ", ".join(f"{count} {topic}" for topic, count in by_topic.items())
-        parts.append(f"{summary['missing']} messages are missing ({counts})")
-    if summary["unfinished"]:
-        parts.append(f"the end of the {' and '.join(summary['unfinished'])} may be missing")
-    return "; ".join(parts)
+def _join_losses(summary: Mapping[str, Any]) -> str:
+    return "; ".join(describe_losses(summary["gaps"], summary["unfinished"]))
 
 
 def format_summary(summary: dict[str, Any]) -> list[str]:
@@ -247,7 +240,7 @@ def format_summary(summary: dict[str, Any]) -> list[str]:
     if summary["dropped"]:
         dropped = ", ".join(f"{count} {topic}" for topic, count in summary["dropped"].items())
         out.append(f"  dropped because the recorder was too slow: {dropped}; use a faster disk")
-    if lack := describe_losses(summary):
+    if lack := _join_losses(summary):
         out.append(f"  {lack}")
     if not summary["messages"]:
         out.append("  no messages in this session")

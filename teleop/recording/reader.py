@@ -29,6 +29,7 @@ from teleop.recording.scan import (
     VERSIONS_METADATA,
     RecordingError,
     Scan,
+    describe_losses,
     to_topic_name,
 )
 
@@ -130,7 +131,8 @@ class RecordingInfo:
     def doubts(self) -> list[str]:
         """What the file lacks, in lines of text; none if it is whole."""
         out = [self.shortfall] if self.shortfall else []
-        return out + _describe_losses(self.path, self.lost, self.unfinished)
+        losses = describe_losses(self.lost, self.unfinished)
+        return out + [f"{self.path}: {line}" for line in losses]
 
 
 def open_recording(path: str | Path) -> RecordingInfo:
@@ -196,7 +198,7 @@ def list_doubts(scan: Scan, read: str | None) -> list[str]:
         raise RecordingError(
             f"{scan.path}: is damaged: invalid number of losses: {error}"
         ) from error
-    losses = _describe_losses(scan.path, lost, _list_unfinished(scan))
+    losses = [f"{scan.path}: {line}" for line in describe_losses(lost, _list_unfinished(scan))]
     return [shortfall, *losses] if shortfall else losses
 
 
@@ -210,16 +212,6 @@ def _count_losses(scan: Scan) -> dict[str, int]:
 
 def _list_unfinished(scan: Scan) -> tuple[str, ...]:
     return tuple(scan.metadata.get(END_METADATA, {}).get("unfinished", "").split())
-
-
-def _describe_losses(path: Path, lost: Mapping[str, int], unfinished: Sequence[str]) -> list[str]:
-    out = []
-    if lost := {topic: count for topic, count in lost.items() if count}:
-        counts = ", ".join(f"{count} {topic}" for topic, count in lost.items())
-        out.append(f"{path}: {sum(lost.values())} messages are missing ({counts})")
-    if unfinished:
-        out.append(f"{path}: the end of the {' and '.join(unfinished)} may be missing")
-    return out
 
 
 class RecordedConfig(NamedTuple):

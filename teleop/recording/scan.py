@@ -7,7 +7,7 @@ whole chunks, and unpacks no more than a chunk says and `CHUNK_MAX` allows.
 
 import struct
 import zlib
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
@@ -45,6 +45,17 @@ def to_channel_name(topic: str) -> str:
 def to_topic_name(channel: "Channel") -> str:
     """Return the topic's name in `teleop.messages.topics`."""
     return channel.topic.removeprefix("/")
+
+
+def describe_losses(lost: Mapping[str, int], unfinished: Collection[str]) -> list[str]:
+    """Return what a recording lacks, in words: lost messages by topic, sides without an end."""
+    out = []
+    if lost := {topic: count for topic, count in lost.items() if count}:
+        counts = ", ".join(f"{count} {topic}" for topic, count in lost.items())
+        out.append(f"{sum(lost.values())} messages are missing ({counts})")
+    if unfinished:
+        out.append(f"the end of the {' and '.join(unfinished)} may be missing")
+    return out
 
 
 CHUNK_MAX = 1 << 26

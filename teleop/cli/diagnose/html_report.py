@@ -74,11 +74,11 @@ def render(
         captions = write_figures(diagnosis, files, Path(folder), further)
         first, *others = captions.items()
         page.figure(Path(folder) / first[0], first[1])
-        page.table(report_tables.build_parameter_table(diagnosis), mark="")
+        page.table(report_tables.build_parameter_table(diagnosis))
         page.heading("Next steps")
         page.points(report_text.list_next_steps(diagnosis))
         page.fold("What the words mean")
-        page.table(GLOSSARY, mark="")
+        page.table(GLOSSARY)
         page.fold("All tables and figures")
         page.heading("Before and after")
         if len(files) > RECORDS_MAX:
@@ -86,11 +86,9 @@ def render(
         for file, caption in others:
             page.figure(Path(folder) / file, caption)
     if diagnosis.steps:
-        page.heading("Gain")
-        page.table(report_tables.build_gain_table(diagnosis), mark="")
-    page.heading("Beside models that know no sheath")
-    page.table(report_tables.build_model_table(diagnosis), mark="")
-    page.table(report_tables.build_simple_gain_table(diagnosis), mark="")
+        page.section("Gain", report_tables.build_gain_table(diagnosis))
+    page.section("Beside models that know no sheath", report_tables.build_model_table(diagnosis))
+    page.table(report_tables.build_simple_gain_table(diagnosis))
     for table in (
         report_tables.build_law_table(diagnosis),
         report_tables.build_load_table(diagnosis),
@@ -102,20 +100,16 @@ def render(
     _add_file_tables(page, diagnosis, names)
     page.heading("Residuals")
     page.points(report_text.describe_residuals(diagnosis))
-    page.heading("Errors")
-    page.text("Largest and mean error in % of the channel's range.")
-    page.table(report_tables.build_error_table(diagnosis), mark="")
+    text = "Largest and mean error in % of the channel's range."
+    page.section("Errors", report_tables.build_error_table(diagnosis), text)
     for i, step in enumerate(diagnosis.steps, start=1):
-        page.heading(f"Candidates for cause {i}")
-        page.table(
-            report_tables.build_ranking_table(diagnosis, step.ranking), mark=step.effect.label
-        )
+        table = report_tables.build_ranking_table(diagnosis, step.ranking)
+        page.section(f"Candidates for cause {i}", table, mark=step.effect.label)
     if not diagnosis.steps and diagnosis.ranking:
-        page.heading("Candidates")
-        page.table(report_tables.build_ranking_table(diagnosis, diagnosis.ranking), mark="")
+        table = report_tables.build_ranking_table(diagnosis, diagnosis.ranking)
+        page.section("Candidates", table)
     if diagnosis.detection_limits:
-        page.heading("Detection limits")
-        page.table(report_tables.build_detection_limit_table(diagnosis), mark="")
+        page.section("Detection limits", report_tables.build_detection_limit_table(diagnosis))
     if remarks := report_text.list_sample_remarks(diagnosis, files):
         page.heading("Samples")
         page.points(remarks)
@@ -126,26 +120,21 @@ def _add_file_tables(page: Page, diagnosis: Diagnosis, names: Sequence[str]) -> 
     """Add the tables by file: validation, leave-one-file-out, the force, and its rivals."""
     fitted = len(diagnosis.dataset.records)
     if diagnosis.validation:
-        page.heading("Validation")
-        page.table(
-            report_tables.build_prediction_table(diagnosis.validation, names[fitted:]), mark=""
-        )
+        table = report_tables.build_prediction_table(diagnosis.validation, names[fitted:])
+        page.section("Validation", table)
     if diagnosis.left_out:
-        page.heading("Leave-one-file-out")
-        page.text("Each file is predicted with parameters fitted to the other files.")
-        page.table(
-            report_tables.build_prediction_table(diagnosis.left_out, names[:fitted]), mark=""
-        )
+        table = report_tables.build_prediction_table(diagnosis.left_out, names[:fitted])
+        text = "Each file is predicted with parameters fitted to the other files."
+        page.section("Leave-one-file-out", table, text)
     if diagnosis.forces:
-        page.heading("Force at the tip")
-        page.text(
+        text = (
             "Estimated from the housing alone, as by teleop estimate and teleop run --replay with "
             "this model, and compared with what the load cell at the tip reads."
         )
-        page.table(report_tables.build_force_table(diagnosis, names), mark="")
+        table = report_tables.build_force_table(diagnosis, names)
+        page.section("Force at the tip", table, text)
     if diagnosis.rivals:
-        page.heading("Rivals")
-        page.text("Causes that fit as well, and what each would do to the estimated force.")
-        page.table(report_tables.build_rival_parameter_table(diagnosis), mark="")
+        text = "Causes that fit as well, and what each would do to the estimated force."
+        page.section("Rivals", report_tables.build_rival_parameter_table(diagnosis), text)
     if diagnosis.rival_forces:
-        page.table(report_tables.build_rival_table(diagnosis), mark="")
+        page.table(report_tables.build_rival_table(diagnosis))

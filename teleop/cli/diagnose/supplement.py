@@ -257,9 +257,8 @@ def _add_data(page: Page, diagnosis: Diagnosis, sources: Sources) -> None:
                 ", ".join(map(record.units.word, record.signals)),
             )
         )
-    page.heading("Data")
     head = ("file", "time", "samples", "rate", "samples excluded", "channels")
-    page.table(Table(head, tuple(rows)), mark="")
+    page.section("Data", Table(head, tuple(rows)))
     driver = diagnosis.dataset.records[0].driver
     judged = (
         "All samples were fitted; errors are in-sample."
@@ -351,7 +350,7 @@ def draw_autocorrelations(parts: dict[str, Autocorrelation], units: Units) -> Fi
 
 def _add_table(page: Page, folder: Path, name: str, table: Table) -> None:
     """Add a table to the page, and write it beside it."""
-    page.table(table, mark="")
+    page.table(table)
     with (
         replace_file(folder / f"{name}.csv") as path,
         path.open("w", newline="", encoding="utf-8") as file,
