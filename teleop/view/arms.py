@@ -12,30 +12,20 @@ from estimator.array_types import Array
 from teleop.messages.topics import COMMAND, HAND, STATE, TENDONS
 from teleop.view import colours
 from teleop.view.arm_place import NUMBER_DISTANCE, ArmPlace
-from teleop.view.columns import AnyTopic, Rows, Sender, Subsampler, build_columns
-from teleop.view.config import ViewConfig
+from teleop.view.columns import AnyTopic, Rows, build_columns
 from teleop.view.scene_geometry import ARROW, UP
-from teleop.view.sheaths import Sheaths
+from teleop.view.sheaths import Painter
 
 _UNCERTAIN = 0.4  # width of an arrow whose force may be 0, of that of others
 
 
-class Arms:
+class Arms(Painter):
     """Draws the arms in space of the session."""
-
-    def __init__(
-        self, config: ViewConfig, sender: Sender, sheaths: Sheaths, subsample: Subsampler
-    ) -> None:
-        self._config = config
-        self._sender = sender
-        self._sheaths = sheaths
-        self._subsample = subsample
-        self._drawn = False  # since forces were forgotten
 
     def place(self) -> None:
         """Draw the static parts and set the styles."""
         for path, place in self._places():
-            thick = self._config.tube_radius * place.size
+            thick, style = self._config.tube_radius * place.size, self._set_style
             number = int(path.rpartition("_")[2]) + 1
             name = rr.Points3D(
                 [place.base], radii=1.8 * thick, colors=colours.BODY, show_labels=True,
@@ -43,56 +33,36 @@ class Arms:
             )  # fmt: skip
             self._sender.static(f"{path}/base", name)
             self._draw_axes(f"{path}/axes", place, place.base, np.eye(3))
-            lines = rr.LineStrips3D.from_fields
-            self._sender.static(f"{path}/links", lines(colors=colours.BODY, radii=0.5 * thick))
-            joints = rr.Points3D.from_fields(colors=colours.BODY, radii=1.3 * thick)
-            self._sender.static(f"{path}/links", joints)
-            self._sender.static(f"{path}/tendons", lines(colors=colours.UNKNOWN, radii=0.4 * thick))
-            asked = rr.Points3D.from_fields(colors=colours.COMMANDED, radii=0.9 * thick)
-            self._sender.static(f"{path}/asked", asked)
-            arrow, words = rr.Arrows3D.from_fields, rr.Points3D.from_fields
-            interval = lines(colors=colours.INTERVAL, radii=0.2 * thick)
-            self._sender.static(f"{path}/interval", interval)
-            self._sender.static(f"{path}/force", arrow(colors=colours.ESTIMATE))
-            self._sender.static(
-                f"{path}/force", words(colors=colours.ESTIMATE, radii=1e-6, show_labels=True)
-            )
+            style(f"{path}/links", rr.LineStrips3D, colors=colours.BODY, radii=0.5 * thick)
+            style(f"{path}/links", rr.Points3D, colors=colours.BODY, radii=1.3 * thick)
+            style(f"{path}/tendons", rr.LineStrips3D, colors=colours.UNKNOWN, radii=0.4 * thick)
+            style(f"{path}/asked", rr.Points3D, colors=colours.COMMANDED, radii=0.9 * thick)
+            style(f"{path}/interval", rr.LineStrips3D, colors=colours.INTERVAL, radii=0.2 * thick)
+            style(f"{path}/force", rr.Arrows3D, colors=colours.ESTIMATE)
+            words = {"colors": colours.ESTIMATE, "radii": 1e-6, "show_labels": True}
+            style(f"{path}/force", rr.Points3D, **words)
             if place.arm.hand is not None:
                 self._draw_axes(f"{path}/hand/axes", place, place.hand, place.arm.hand.rotation)
-                self._sender.static(
-                    f"{path}/hand/handle", words(colors=colours.HAND, radii=1.6 * thick)
-                )
-                self._sender.static(
-                    f"{path}/hand/handle", arrow(colors=colours.HAND, radii=0.7 * thick)
-                )
+                handle = f"{path}/hand/handle"
+                style(handle, rr.Points3D, colors=colours.HAND, radii=1.6 * thick)
+                style(handle, rr.Arrows3D, colors=colours.HAND, radii=0.7 * thick)
 
     def draw(self, batches: Mapping[AnyTopic, Rows]) -> None:
         """Draw some instants."""
-        for topic, paint in (
-            (STATE, self._draw_arms),
-            (COMMAND, self._draw_commanded),
-            (TENDONS, self._draw_tensions),
-            (HAND, self._draw_hands),
-        ):
-            rows = batches.get(topic)
-            if rows is not None and len(rows) and self._places():
-                self._drawn = True
-                paint(self._subsample(rows, self._config.rate_hz.levers))
+        if self._places():
+            self._paint(batches, {
+                STATE: self._draw_arms, COMMAND: self._draw_commanded,
+                TENDONS: self._draw_tensions, HAND: self._draw_hands,
+            })  # fmt: skip
 
     def forget_forces(self, stamp_ns: int) -> None:
         """Draw no force from one instant [ns] on."""
-        if not self._drawn:
-            return
-        self._drawn = False
-        none, at, nothing = np.array([0]), np.array([stamp_ns]), np.empty((0, 3))
-        arrow = build_columns(rr.Arrows3D, none, origins=nothing, vectors=nothing)
-        words = build_columns(rr.Points3D, none, positions=nothing, labels=[])
-        interval = build_columns(rr.LineStrips3D, none, strips=np.empty((0, 2, 3)))
-        for path, place in self._places():
-            self._sender.columns_at(f"{path}/force", at, arrow + words)
-            self._sender.columns_at(f"{path}/interval", at, interval)
+        for path, place in self._places() if self._has_forces else ():
+            self._clear(f"{path}/force", stamp_ns, rr.Arrows3D, rr.Points3D)
+            self._clear(f"{path}/interval", stamp_ns, rr.LineStrips3D)
             if place.arm.hand is not None:
-                self._sender.columns_at(f"{path}/hand/handle", at, arrow)
+                self._clear(f"{path}/hand/handle", stamp_ns, rr.Arrows3D)
+        self._has_forces = False
 
     def _places(self) -> list[tuple[str, ArmPlace]]:
         """Return the arms that are placed, each with its entity."""

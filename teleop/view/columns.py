@@ -18,24 +18,9 @@ from estimator.array_types import Array
 from teleop.messages.messages import LAYOUT, MessageError
 from teleop.messages.topics import Topic
 
+APPLICATION = "teleop"
 TIMELINE = "time"  # the stamp its sender gave a message
 Strips = Sequence[Array] | Array  # lines of shape (points, 2 or 3), or as many points each stacked
-
-
-class Stamps:
-    """The times of the rows of a block: a `rerun.TimeColumnLike`."""
-
-    def __init__(self, stamps_ns: NDArray[np.int64]) -> None:
-        # the stamps of a message are every so many bytes; a copy lies in one piece
-        self._times = pa.array(np.array(stamps_ns, "datetime64[ns]"))
-
-    def timeline_name(self) -> str:
-        """Return the name of the timeline."""
-        return TIMELINE
-
-    def as_arrow_array(self) -> pa.Array:
-        """Return the times."""
-        return self._times
 
 
 class _Values:
@@ -47,6 +32,18 @@ class _Values:
     def as_arrow_array(self) -> pa.Array:
         """Return the values."""
         return self._values
+
+
+class Stamps(_Values):
+    """The times of the rows of a block: a `rerun.TimeColumnLike`."""
+
+    def __init__(self, stamps_ns: NDArray[np.int64]) -> None:
+        # the stamps of a message are every so many bytes; a copy lies in one piece
+        super().__init__(pa.array(np.array(stamps_ns, "datetime64[ns]")))
+
+    def timeline_name(self) -> str:
+        """Return the name of the timeline."""
+        return TIMELINE
 
 
 def build_columns(

@@ -24,10 +24,9 @@ from teleop.messages.topics import (
 )
 from teleop.view import colours
 from teleop.view.colours import AXES, BAND, TRUTH, darken_colour, lighten_colour
-from teleop.view.columns import AnyTopic, Rows, Sender, Subsampler, build_columns, split_rows
-from teleop.view.config import ViewConfig
+from teleop.view.columns import AnyTopic, Rows, build_columns, split_rows
 from teleop.view.levers import compute_true_force
-from teleop.view.sheaths import Sheaths
+from teleop.view.sheaths import Painter
 from teleop.view.space_arm import find_arm
 
 STAGE_COLOURS = (colours.HAND, colours.HOUSING, colours.ESTIMATE, colours.COMMANDED, colours.TRUTH)
@@ -212,23 +211,13 @@ _HIDDEN_CURVE_PERIOD_NS = 1_000_000_000  # [ns] after which a live page's curves
 _BAND_WIDTH = 2.5  # [points], about a row of 100 Hz in a plot of 10 s on 600 points
 
 
-class Plots:
+class Plots(Painter):
     """Draws the numbers against time; with `live` curves in tabs behind grow less often."""
 
-    def __init__(
-        self,
-        config: ViewConfig,
-        sender: Sender,
-        sheaths: Sheaths,
-        subsample: Subsampler,
-        live: bool = False,
-    ) -> None:
+    def __init__(self, *parts: Any, live: bool = False) -> None:
+        super().__init__(*parts)
         self._live = live
         self._held: dict[AnyTopic, list[Rows]] = {}  # not yet drawn behind
-        self._rates = config.rate_hz
-        self._sender = sender
-        self._sheaths = sheaths
-        self._subsample = subsample
         self._joints = 0
 
     def draw(self, batches: Mapping[AnyTopic, Rows]) -> int:
@@ -270,7 +259,7 @@ class Plots:
         return due_rows
 
     def _subsample_rows(self, topic: AnyTopic, rows: Rows) -> Rows:
-        rate = getattr(self._rates, topic.name, None)
+        rate = getattr(self._config.rate_hz, topic.name, None)
         if rate is None:
             return rows
         if topic is LEDGER:

@@ -7,6 +7,8 @@ of one message is one entity where it can be: a page takes in blocks, whatever i
 
 import math
 from collections.abc import Mapping
+from functools import partial
+from typing import Any
 
 import numpy as np
 import rerun as rr
@@ -14,149 +16,108 @@ import rerun as rr
 from estimator.array_types import Array
 from teleop.messages.topics import COMMAND, HAND, STATE, TENDONS
 from teleop.view import colours
-from teleop.view.columns import AnyTopic, Rows, Sender, Subsampler, build_columns
-from teleop.view.config import ViewConfig
-from teleop.view.scene_geometry import ARROW, Lever
-from teleop.view.sheaths import Sheaths
+from teleop.view.columns import AnyTopic, Rows, build_columns
+from teleop.view.scene_geometry import ARROW, Lever, Stage
+from teleop.view.sheaths import Painter
 
 Columns = list[rr.ComponentColumn]  # of one block of rows
 
 
-class Levers:
+class Levers(Painter):
     """Draws the moving ends of the session."""
 
-    def __init__(
-        self, config: ViewConfig, sender: Sender, sheaths: Sheaths, subsample: Subsampler
-    ) -> None:
-        self._config = config
-        self._sender = sender
-        self._sheaths = sheaths
-        self._subsample = subsample
-        self._drawn = False  # since forces were forgotten
+    def __init__(self, *parts: Any) -> None:
+        super().__init__(*parts)
         self._travel: dict[int, float] = {}  # joint -> [m] as last estimated
 
     def place(self) -> None:
         """Draw the static parts and set the styles."""
-        stage = self._sheaths.stage
+        stage, style = self._sheaths.stage, self._set_style
         if stage is None:
             return
         thick = self._config.tube_radius * stage.size
+        words = {"radii": 1e-6, "show_labels": True}  # of points only the words are seen
         for joint, lever in stage.joints.items():
             path = f"scene/joint_{joint}"
             self._draw_pivot(path, lever, colours.BODY, 1.6 * thick, f"joint {joint + 1}")
-            self._set_style(f"{path}/link", colours.BODY, thick)
-            self._set_style(f"{path}/asked", colours.COMMANDED, 0.35 * thick)
-            self._set_arrow_style(f"{path}/force", colours.ESTIMATE, 0.7 * thick)
-            self._set_number_style(f"{path}/force", colours.ESTIMATE)
-            self._set_style(f"{path}/force", colours.INTERVAL, 0.35 * thick)
-            self._set_arrow_style(f"{path}/truth", colours.TRUTH, 0.45 * thick)
+            style(f"{path}/link", rr.LineStrips3D, colors=colours.BODY, radii=thick)
+            style(f"{path}/asked", rr.LineStrips3D, colors=colours.COMMANDED, radii=0.35 * thick)
+            style(f"{path}/force", rr.Arrows3D, colors=colours.ESTIMATE, radii=0.7 * thick)
+            style(f"{path}/force", rr.Points3D, colors=colours.ESTIMATE, **words)
+            style(f"{path}/force", rr.LineStrips3D, colors=colours.INTERVAL, radii=0.35 * thick)
+            style(f"{path}/truth", rr.Arrows3D, colors=colours.TRUTH, radii=0.45 * thick)
             self._draw_environment(f"{path}/environment", joint, lever)
         for joint, lever in stage.hands.items():
-            self._draw_pivot(
-                f"scene/hand_{joint}", lever, colours.HAND, 1.6 * thick, f"hand {joint + 1}"
-            )
-            self._set_style(f"scene/hand_{joint}/handle", colours.HAND, thick)
-            self._set_arrow_style(f"scene/hand_{joint}/handle", colours.HAND, 0.7 * thick)
-            self._set_number_style(f"scene/hand_{joint}/handle", colours.HAND)
+            path = f"scene/hand_{joint}"
+            self._draw_pivot(path, lever, colours.HAND, 1.6 * thick, f"hand {joint + 1}")
+            style(f"{path}/handle", rr.LineStrips3D, colors=colours.HAND, radii=thick)
+            style(f"{path}/handle", rr.Arrows3D, colors=colours.HAND, radii=0.7 * thick)
+            style(f"{path}/handle", rr.Points3D, colors=colours.HAND, **words)
 
-    def draw(self, batches: Mapping[AnyTopic, Rows]) -> int:
-        """Draw some instants; returns the number of messages drawn."""
-        if self._sheaths.stage is None:
-            return 0
-        drawn = 0
-        for topic, paint in (
-            (STATE, self._draw_tips),
-            (COMMAND, self._draw_commanded),
-            (TENDONS, self._draw_truth),
-            (HAND, self._draw_hands),
-        ):
-            if topic in batches:
-                self._drawn = True
-                rows = self._subsample(batches[topic], self._config.rate_hz.levers)
-                paint(rows)
-                drawn += len(rows)
-        return drawn
+    def draw(self, batches: Mapping[AnyTopic, Rows]) -> None:
+        """Draw some instants."""
+        if (stage := self._sheaths.stage) is not None:
+            self._paint(batches, {
+                STATE: partial(self._draw_tips, stage),
+                COMMAND: partial(self._draw_commanded, stage),
+                TENDONS: partial(self._draw_truth, stage),
+                HAND: partial(self._draw_hands, stage),
+            })  # fmt: skip
 
     def forget_forces(self, stamp_ns: int) -> None:
         """Draw no force from one instant [ns] on."""
         stage = self._sheaths.stage
-        if stage is None or not self._drawn:
-            return
-        self._drawn = False
-        none, at = np.array([False]), np.array([stamp_ns])
-        nothing = np.empty((0, 3))
-        arrow = build_columns(rr.Arrows3D, none, origins=nothing, vectors=nothing)
-        number = build_columns(rr.Points3D, none, positions=nothing, labels=[])
-        interval = build_columns(rr.LineStrips3D, none, strips=np.empty((0, 2, 3)))
-        for joint in stage.joints:
-            path = f"scene/joint_{joint}"
-            self._sender.columns_at(f"{path}/force", at, arrow + number + interval)
-            self._sender.columns_at(f"{path}/truth", at, arrow)
-            self._sender.columns_at(f"scene/hand_{joint}/handle", at, arrow + number)
+        for joint in stage.joints if stage is not None and self._has_forces else ():
+            path, handle = f"scene/joint_{joint}", f"scene/hand_{joint}/handle"
+            self._clear(f"{path}/force", stamp_ns, rr.Arrows3D, rr.Points3D, rr.LineStrips3D)
+            self._clear(f"{path}/truth", stamp_ns, rr.Arrows3D)
+            self._clear(handle, stamp_ns, rr.Arrows3D, rr.Points3D)
+        self._has_forces = False
 
-    def _draw_tips(self, rows: Rows) -> None:
-        for joint, lever, path in self._joints(rows):
+    def _draw_tips(self, stage: Stage, rows: Rows) -> None:
+        per_newton = ARROW * stage.size / self._config.tension_scale_N
+        for joint, lever in stage.joints.items():
+            if joint >= rows["joints"][-1]:
+                continue
+            path = f"scene/joint_{joint}"
             travel, force = rows["position"][:, joint], rows["force"][:, joint]
             self._travel[joint] = float(travel[-1])
             ends, link = _build_link(lever, travel)
             self._sender.columns(f"{path}/link", rows, link)
-            back = -lever.onward(travel) * self._compute_length(self._config.tension_scale_N)
+            back = -lever.onward(travel) * per_newton
             low, high = rows["force_low"][:, joint], rows["force_high"][:, joint]
             parts = _build_arrow(ends, force[:, None] * back)
-            parts += self._build_number(ends + lever.label, force, joint)
+            parts += _build_number(stage, ends + lever.label, force, joint)
             parts += self._build_interval(lever, ends, back, low, high)
             self._sender.columns(f"{path}/force", rows, parts)
 
-    def _draw_commanded(self, rows: Rows) -> None:
-        stage = self._sheaths.stage
-        for joint, lever in () if stage is None else stage.joints.items():
+    def _draw_commanded(self, stage: Stage, rows: Rows) -> None:
+        for joint, lever in stage.joints.items():
             _, link = _build_link(lever, rows["position"][:, joint])
             self._sender.columns(f"scene/joint_{joint}/asked", rows, link)
 
-    def _draw_truth(self, rows: Rows) -> None:
+    def _draw_truth(self, stage: Stage, rows: Rows) -> None:
         """Draw the force of the bench sensors, if any."""
-        stage = self._sheaths.stage
-        for joint, lever in () if stage is None else stage.joints.items():
+        per_newton = ARROW * stage.size / self._config.tension_scale_N
+        for joint, lever in stage.joints.items():
             force = compute_true_force(rows, self._sheaths.tendons_of(joint))
             travel = rows["bench_distal_displacement"][:, self._sheaths.tendons_of(joint)[0]]
             travel = np.where(np.isfinite(travel), travel, self._travel.get(joint, 0.0))
-            back = -lever.onward(travel) * self._compute_length(self._config.tension_scale_N)
-            ends = lever.tip(travel) + lever.aslant
             if np.isfinite(force).any():
-                truth = _build_arrow(ends, force[:, None] * back)
+                vectors = -force[:, None] * lever.onward(travel) * per_newton
+                truth = _build_arrow(lever.tip(travel) + lever.aslant, vectors)
                 self._sender.columns(f"scene/joint_{joint}/truth", rows, truth)
 
-    def _draw_hands(self, rows: Rows) -> None:
-        stage = self._sheaths.stage
-        count = int(rows["joints"][-1]) if len(rows) else 0
-        for joint, lever in () if stage is None else stage.hands.items():
-            if joint >= count:
+    def _draw_hands(self, stage: Stage, rows: Rows) -> None:
+        per_newton = ARROW * stage.size / self._config.hand_scale_N
+        for joint, lever in stage.hands.items():
+            if joint >= rows["joints"][-1]:
                 continue
             travel, force = rows["position"][:, joint], rows["force"][:, joint]
             ends, parts = _build_link(lever, travel)
-            onward = lever.onward(travel) * self._compute_length(self._config.hand_scale_N)
-            parts += _build_arrow(ends, force[:, None] * onward)
-            parts += self._build_number(ends + lever.label, force, joint)
+            parts += _build_arrow(ends, force[:, None] * lever.onward(travel) * per_newton)
+            parts += _build_number(stage, ends + lever.label, force, joint)
             self._sender.columns(f"scene/hand_{joint}/handle", rows, parts)
-
-    def _joints(self, rows: Rows) -> list[tuple[int, Lever, str]]:
-        stage = self._sheaths.stage
-        count = int(rows["joints"][-1]) if len(rows) else 0
-        levers = {} if stage is None else stage.joints
-        return [(j, lever, f"scene/joint_{j}") for j, lever in levers.items() if j < count]
-
-    def _compute_length(self, scale: float) -> float:
-        """Return the drawn length per newton."""
-        stage = self._sheaths.stage
-        return 0.0 if stage is None else ARROW * stage.size / scale
-
-    def _build_number(self, at: Array, force: Array, joint: int) -> Columns:
-        """Return forces [N] at places clear of what is drawn; of several joints with the number."""
-        stage = self._sheaths.stage
-        of = f"{joint + 1}: " if stage is not None and len(stage.joints) > 1 else ""
-        known = np.isfinite(at).all(axis=1) & np.isfinite(force)
-        words = [f"{of}{value:.1f} N" for value in force[known]]
-        return build_columns(rr.Points3D, known, positions=at[known], labels=words)
 
     def _build_interval(
         self, lever: Lever, ends: Array, back: Array, low: Array, high: Array
@@ -199,17 +160,6 @@ class Levers:
         )
         self._sender.static(f"{path}/pivot", pivot)
 
-    def _set_style(self, path: str, colour: int, radius: float) -> None:
-        self._sender.static(path, rr.LineStrips3D.from_fields(colors=colour, radii=radius))
-
-    def _set_arrow_style(self, path: str, colour: int, radius: float) -> None:
-        self._sender.static(path, rr.Arrows3D.from_fields(colors=colour, radii=radius))
-
-    def _set_number_style(self, path: str, colour: int) -> None:
-        """Let only the words of points be seen."""
-        style = rr.Points3D.from_fields(colors=colour, radii=1e-6, show_labels=True)
-        self._sender.static(path, style)
-
 
 def _build_link(lever: Lever, travel: Array) -> tuple[Array, Columns]:
     """Return the far ends of a lever, and the columns that draw it."""
@@ -218,6 +168,14 @@ def _build_link(lever: Lever, travel: Array) -> tuple[Array, Columns]:
     to = ends[known]
     strips = np.stack([np.broadcast_to(lever.pivot, to.shape), to], axis=1)
     return ends, build_columns(rr.LineStrips3D, known, strips=strips)
+
+
+def _build_number(stage: Stage, at: Array, force: Array, joint: int) -> Columns:
+    """Return forces [N] at places clear of what is drawn; of several joints with the number."""
+    of = f"{joint + 1}: " if len(stage.joints) > 1 else ""
+    known = np.isfinite(at).all(axis=1) & np.isfinite(force)
+    words = [f"{of}{value:.1f} N" for value in force[known]]
+    return build_columns(rr.Points3D, known, positions=at[known], labels=words)
 
 
 def _build_arrow(origins: Array, vectors: Array) -> Columns:

@@ -44,12 +44,12 @@ class Plane:
         ]
         for x in compute_ticks(self.right):
             at = self.points(np.array(x), np.array(0.0))
-            lines.append(np.array([at, _shift_point(at, 0, _TICK)]))
-            labels.append((_shift_point(at, 0, 0.08), f"{x:g}"))
+            lines.append(np.array([at, at + np.array([0, _TICK])]))
+            labels.append((at + np.array([0, 0.08]), f"{x:g}"))
         for y in compute_ticks(self.top):
             at = self.points(np.array(0.0), np.array(y))
-            lines.append(np.array([_shift_point(at, -_TICK, 0), at]))
-            labels.append((_shift_point(at, -0.09, 0), f"{y:g}"))
+            lines.append(np.array([at - np.array([_TICK, 0]), at]))
+            labels.append((at - np.array([0.09, 0]), f"{y:g}"))
         return lines, labels
 
     def draw_axes(self, sender: Sender, root: str) -> None:
@@ -69,11 +69,6 @@ def draw_words(sender: Sender, path: str, labels: list[tuple[Array, str]]) -> No
         show_labels=True,
     )
     sender.static(path, words)
-
-
-def _shift_point(point: Array, right: float, down: float) -> Array:
-    moved: Array = point + np.array([right, down])
-    return moved
 
 
 def _choose_tick_step(top: float) -> float:

@@ -50,7 +50,7 @@ from teleop.view.levers import Levers
 from teleop.view.panel import Panel
 from teleop.view.profile_plot import Plane, ProfileView, compute_axis_end, compute_ticks_to_end
 from teleop.view.scene_geometry import PIECES, SEGMENTS, Stage, compute_rotations_from_z
-from teleop.view.sheaths import Sheaths
+from teleop.view.sheaths import Painter, Sheaths
 from teleop.view.space_arm import SpaceArm
 
 # --- fit the scene into its view, with the colour scale beside it
@@ -239,13 +239,8 @@ class LoopView:
 _STICKING_WIDTH = 0.5  # radius where the tendon sticks, of that where it slides
 
 
-class Tubes:
+class Tubes(Painter):
     """Draws the shapes, and the tension in them."""
-
-    def __init__(self, config: ViewConfig, sender: Sender, sheaths: Sheaths) -> None:
-        self._config = config
-        self._sender = sender
-        self._sheaths = sheaths
 
     def place(self) -> None:
         """Draw the shapes where they now stand."""
@@ -263,8 +258,8 @@ class Tubes:
                 fill_mode="solid",
             )
             self._sender.static(f"scene/tendon_{tendon}/tube", tube)
-            front = rr.Points3D.from_fields(radii=1.8 * radius, colors=FRONT)
-            self._sender.static(f"scene/tendon_{tendon}/tube", front)
+            style = {"radii": 1.8 * radius, "colors": FRONT}
+            self._set_style(f"scene/tendon_{tendon}/tube", rr.Points3D, **style)
 
     def draw(self, tendon: int, rows: Rows) -> None:
         """Draw T(x) and X' of some instants."""
@@ -342,12 +337,11 @@ class Scene(BatchDisplay):
         self._sender = Sender(stream)
         self._sheaths = Sheaths(config, arms)
         self._subsample = Subsampler()
-        self._tubes = Tubes(config, self._sender, self._sheaths)
-        self._levers = Levers(config, self._sender, self._sheaths, self._subsample)
-        self._arms = Arms(config, self._sender, self._sheaths, self._subsample)
+        parts = config, self._sender, self._sheaths, self._subsample
+        self._tubes, self._levers, self._arms = Tubes(*parts), Levers(*parts), Arms(*parts)
         self._profiles = ProfileView(config, self._sender, self._sheaths, values=everything)
         self._loops = LoopView(config, self._sender)
-        self._plots = Plots(config, self._sender, self._sheaths, self._subsample, live)
+        self._plots = Plots(*parts, live=live)
         self._lanes = StateLanes(self._sender)
         self._panel = Panel(config, self._sender, self._sheaths)
 

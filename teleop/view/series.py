@@ -10,9 +10,8 @@ import rerun.blueprint as rrb
 from estimator.array_types import Array
 from teleop.errors import UsageError
 from teleop.runtime.output_file import replace_file
+from teleop.view.columns import APPLICATION, TIMELINE
 
-APPLICATION = "teleop"
-TIMELINE = "time"
 WIDTH = 1.5  # [points]
 
 

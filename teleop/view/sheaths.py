@@ -1,12 +1,14 @@
 """The known sheaths: shapes, joints and places in the scene."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
+import rerun as rr
 
 from estimator.array_types import Array
 from teleop.messages.messages import PROFILE_POINTS
-from teleop.view.columns import Rows
+from teleop.view.columns import AnyTopic, Rows, Sender, Subsampler, build_columns
 from teleop.view.config import ViewConfig
 from teleop.view.scene_geometry import Shape, Stage, build_stage
 from teleop.view.space_arm import SpaceArm
@@ -100,3 +102,41 @@ class Sheaths:
         if shape is None:
             return f"{tendon + 1}"
         return f"{shape.joint + 1}{'ab'[self.tendons_of(shape.joint).index(tendon) % 2]}"
+
+
+_NOTHING = np.empty((0, 3))
+_EMPTY: dict[Any, dict[str, Any]] = {
+    rr.Arrows3D: {"origins": _NOTHING, "vectors": _NOTHING},
+    rr.Points3D: {"positions": _NOTHING, "labels": []},
+    rr.LineStrips3D: {"strips": np.empty((0, 2, 3))},
+}
+
+
+class Painter:
+    """Draws a part of the session with Rerun, from blocks of rows."""
+
+    _has_forces = False  # drawn since they were cleared
+
+    def __init__(
+        self, config: ViewConfig, sender: Sender, sheaths: Sheaths, subsample: Subsampler
+    ) -> None:
+        self._config, self._sender = config, sender
+        self._sheaths, self._subsample = sheaths, subsample
+
+    def _set_style(self, path: str, archetype: Any, **fields: Any) -> None:
+        self._sender.static(path, archetype.from_fields(**fields))
+
+    def _paint(
+        self, batches: Mapping[AnyTopic, Rows], paint: Mapping[AnyTopic, Callable[[Rows], None]]
+    ) -> None:
+        """Draw what there is of each topic, at the rate of the scene."""
+        for topic, draw in paint.items():
+            if topic in batches and len(batches[topic]):
+                self._has_forces = True
+                draw(self._subsample(batches[topic], self._config.rate_hz.levers))
+
+    def _clear(self, path: str, stamp_ns: int, *archetypes: Any) -> None:
+        """Draw nothing of these archetypes from one instant [ns] on."""
+        none = np.array([0])
+        parts = [c for each in archetypes for c in build_columns(each, none, **_EMPTY[each])]
+        self._sender.columns_at(path, np.array([stamp_ns]), parts)

@@ -30,6 +30,7 @@ from teleop.errors import TeleopError, UsageError
 from teleop.runtime.child_process import end_process
 from teleop.runtime.process import die_with_parent, has_display
 from teleop.runtime.scratch_folder import ScratchFolder
+from teleop.view.columns import APPLICATION
 from teleop.view.config import ViewConfig
 from teleop.view.layouts import build_blueprint
 from teleop.view.local_server import (
@@ -110,12 +111,6 @@ class ViewerProcess:
         except BaseException:
             self._folder.cleanup()
             raise
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def running(self) -> bool:
         """Return whether it still runs; a window ends when it is closed."""
@@ -240,7 +235,7 @@ def read_viewer_files() -> dict[str, bytes]:
     """
     port = find_free_port(0)
     arguments = ["--port", "auto", "--serve-web", "--web-viewer-port", str(port)]
-    with ViewerProcess(arguments) as viewer:
+    with contextlib.closing(ViewerProcess(arguments)) as viewer:
         end = time.monotonic() + _START_S
         while viewer.running() and time.monotonic() < end:
             try:
@@ -291,7 +286,6 @@ def disable_usage_statistics(config_home: Path) -> None:
     path.write_text(json.dumps(settings))
 
 
-APPLICATION = "teleop"
 _FLUSH_S = 3.0
 _BLOCK = 1 << 20  # [bytes] of a file that a page is given at once, more or less
 
