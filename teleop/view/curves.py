@@ -51,7 +51,7 @@ class Curve:
     factor: float = 1.0  # shown = factor * field
     positive_only: bool = False  # 0 and below mean "none"
     entry: int | None = None  # of an array field, where the group is not over its entries
-    behind: bool = False  # in a tab that is not in front at first: a live page grows it less often
+    ahead: bool = False  # in a tab that is in front at first: a live page grows others less often
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,108 +84,80 @@ CURVES: dict[Topic[Any], tuple[CurveGroup, ...]] = {
     TENDONS: (CurveGroup(
         "tendon",
         (
-            Curve("tension/{}/in", "proximal_tension", "measured", colours.HOUSING),
+            Curve("tension/{}/in", "proximal_tension", "measured", colours.HOUSING, ahead=True),
             Curve("tension/{}/out", "distal_tension", "estimated",
-                  colours.ESTIMATE, UNDERLAY_WIDTH),
-            Curve("tension/{}/out_true", "bench_distal_tension", "true", colours.TRUTH),
+                  colours.ESTIMATE, UNDERLAY_WIDTH, ahead=True),
+            Curve("tension/{}/out_true", "bench_distal_tension", "true", colours.TRUTH, ahead=True),
             Curve("displacement/{}/in", "proximal_displacement", "measured",
-                  colours.HOUSING, factor=MILLI, behind=True),
+                  colours.HOUSING, factor=MILLI),
             Curve("displacement/{}/asked", "commanded_displacement", "commanded",
-                  colours.COMMANDED, factor=MILLI, behind=True),
+                  colours.COMMANDED, factor=MILLI),
             Curve("displacement/{}/out_true", "bench_distal_displacement", "true",
-                  colours.TRUTH, UNDERLAY_WIDTH, factor=MILLI),
-            Curve("elongation/{}", "elongation", "estimated", colours.ESTIMATE, factor=MILLI,
-                  behind=True),
+                  colours.TRUTH, UNDERLAY_WIDTH, factor=MILLI, ahead=True),
+            Curve("elongation/{}", "elongation", "estimated", colours.ESTIMATE, factor=MILLI),
         ),
     ),),
     STATE: (
         CurveGroup(
             "joint",
             (
-                Curve("force/{}/tip", "force", "estimated", colours.ESTIMATE, UNDERLAY_WIDTH),
+                Curve("force/{}/tip", "force", "estimated", colours.ESTIMATE, UNDERLAY_WIDTH,
+                      ahead=True),
                 Curve("position/{}/tip", "position", "estimated", colours.ESTIMATE,
-                      2.0, factor=MILLI),
+                      2.0, factor=MILLI, ahead=True),
             ),
             (Band("force/{}/interval", "force_low", "force_high", "interval"),),
         ),
-        CurveGroup(
-            "sender",
-            (
-                Curve("age/slave/sample", "sample_age_ns", "newest sample", LATENESS, factor=_MS,
-                      behind=True),
-            ),
-        ),
+        CurveGroup("sender", (
+            Curve("age/slave/sample", "sample_age_ns", "newest sample", LATENESS, factor=_MS),
+        )),
     ),
     HAND: (
-        CurveGroup(
-            "joint",
-            (
-                Curve("hand/{}/force", "force", "commanded", colours.HAND, 2.0, behind=True),
-            ),
-        ),
-        CurveGroup(
-            "sender",
-            (
-                Curve("age/master/state", "state_age_ns", "newest state", colours.HAND,
-                      factor=_MS, positive_only=True, behind=True),
-                Curve("age/master/round_trip", "round_trip_ns", "round trip", colours.COMMANDED,
-                      factor=_MS, positive_only=True, behind=True),
-            ),
-        ),
+        CurveGroup("joint", (
+            Curve("hand/{}/force", "force", "commanded", colours.HAND, 2.0),
+        )),
+        CurveGroup("sender", (
+            Curve("age/master/state", "state_age_ns", "newest state", colours.HAND,
+                  factor=_MS, positive_only=True),
+            Curve("age/master/round_trip", "round_trip_ns", "round trip", colours.COMMANDED,
+                  factor=_MS, positive_only=True),
+        )),
     ),
-    COMMAND: (
-        CurveGroup(
-            "joint",
-            (Curve("position/{}/asked", "position", "commanded", colours.COMMANDED, factor=MILLI),),
-        ),
-    ),
-    LEDGER: (CurveGroup(
-        "role and joint",
-        (
-            Curve("energy/{}/put_in", "put_in", "put in", colours.HOUSING,
-                  factor=MILLI, behind=True),
-            Curve("energy/{}/taken_out", "taken_out", "taken out", colours.TRUTH,
-                  factor=MILLI, behind=True),
-            Curve("energy/{}/heard", "received", "received", colours.ESTIMATE,
-                  factor=MILLI, behind=True),
-            Curve("energy/{}/dissipated", "dissipated", "dissipated", LOSS,
-                  factor=MILLI, behind=True),
-            Curve("energy/{}/credit", "credit", "credit", colours.HAND, 2.0,
-                  factor=MILLI, behind=True),
-        ),
-    ),),
-    REPORT: (CurveGroup(
-        "role",
-        (
-            Curve("rate/{}", "rate_hz", "rate", colours.HOUSING, behind=True),
-            Curve("latency/{}/p50", "latency_p50_ns", "median", colours.ESTIMATE, 2.0, factor=_MS,
-                  positive_only=True, behind=True),
-            Curve("latency/{}/p99", "latency_p99_ns", "99 %", colours.INTERVAL, factor=_MS,
-                  positive_only=True, behind=True),
-            Curve("latency/{}/late", "lateness_max_ns", "latest tick", LATENESS, factor=_MS,
-                  behind=True),
-            Curve("loss/{}/lost", "lost", "lost", LOSS, behind=True),
-            Curve("loss/{}/rejected", "rejected", "rejected", colours.COMMANDED, behind=True),
-            Curve("loss/{}/overruns", "overruns", "overruns", colours.TRUTH, behind=True),
-        ),
-    ),),
-    LINK: (CurveGroup(
-        "role",
-        (
-            Curve("latency/{}/round_trip", "round_trip_ns", "round trip", colours.HAND, factor=_MS,
-                  positive_only=True, behind=True),
-            Curve("latency/{}/jitter", "jitter_ns", "jitter", colours.COMMANDED, factor=_MS,
-                  positive_only=True, behind=True),
-        ),
-    ),),
-    LATENCY: (CurveGroup(
-        "sender",
-        tuple(
-            Curve(f"budget/{{}}/{k}", "p50_ns", name, colour, factor=_MS, entry=k,
-                  positive_only=True, behind=True)
-            for k, (name, colour) in enumerate(zip(STAGE_NAMES, STAGE_COLOURS, strict=True))
-        ),
-    ),),
+    COMMAND: (CurveGroup("joint", (
+        Curve("position/{}/asked", "position", "commanded", colours.COMMANDED, factor=MILLI,
+              ahead=True),
+    )),),
+    LEDGER: (CurveGroup("role and joint", tuple(
+        Curve(f"energy/{{}}/{path}", field, name, colour, width, factor=MILLI)
+        for path, field, name, colour, width in (
+            ("put_in", "put_in", "put in", colours.HOUSING, 1.5),
+            ("taken_out", "taken_out", "taken out", colours.TRUTH, 1.5),
+            ("heard", "received", "received", colours.ESTIMATE, 1.5),
+            ("dissipated", "dissipated", "dissipated", LOSS, 1.5),
+            ("credit", "credit", "credit", colours.HAND, 2.0),
+        )
+    )),),
+    REPORT: (CurveGroup("role", (
+        Curve("rate/{}", "rate_hz", "rate", colours.HOUSING),
+        Curve("latency/{}/p50", "latency_p50_ns", "median", colours.ESTIMATE, 2.0, factor=_MS,
+              positive_only=True),
+        Curve("latency/{}/p99", "latency_p99_ns", "99 %", colours.INTERVAL, factor=_MS,
+              positive_only=True),
+        Curve("latency/{}/late", "lateness_max_ns", "latest tick", LATENESS, factor=_MS),
+        Curve("loss/{}/lost", "lost", "lost", LOSS),
+        Curve("loss/{}/rejected", "rejected", "rejected", colours.COMMANDED),
+        Curve("loss/{}/overruns", "overruns", "overruns", colours.TRUTH),
+    )),),
+    LINK: (CurveGroup("role", (
+        Curve("latency/{}/round_trip", "round_trip_ns", "round trip", colours.HAND, factor=_MS,
+              positive_only=True),
+        Curve("latency/{}/jitter", "jitter_ns", "jitter", colours.COMMANDED, factor=_MS,
+              positive_only=True),
+    )),),
+    LATENCY: (CurveGroup("sender", tuple(
+        Curve(f"budget/{{}}/{k}", "p50_ns", name, colour, factor=_MS, entry=k, positive_only=True)
+        for k, (name, colour) in enumerate(zip(STAGE_NAMES, STAGE_COLOURS, strict=True))
+    )),),
 }  # fmt: skip
 
 
@@ -230,14 +202,11 @@ class Plots(Painter):
             if topic not in CURVES:
                 continue
             displayed = self._subsample_rows(topic, batch)
-            for behind, due_rows in (
-                (False, displayed),
-                (True, self._take_hidden_rows(topic, displayed)),
-            ):
-                for group in CURVES[topic]:
-                    for line in self._list_lines(topic, group, due_rows, behind):
-                        self._draw_line(*line)
+            hidden = self._take_hidden_rows(topic, displayed)
             for group in CURVES[topic]:
+                for ahead, due_rows in ((True, displayed), (False, hidden)):
+                    for line in self._list_lines(topic, group, due_rows, ahead):
+                        self._draw_line(*line)
                 self._draw_bands(group, displayed)
             if topic is TENDONS:
                 self._draw_true_forces(displayed)
@@ -270,10 +239,10 @@ class Plots(Painter):
         return self._subsample(rows, rate)
 
     def _list_lines(
-        self, topic: AnyTopic, group: CurveGroup, rows: Rows, behind: bool
+        self, topic: AnyTopic, group: CurveGroup, rows: Rows, ahead: bool
     ) -> Iterator[tuple[Curve, str, str, Rows, NDArray[np.generic]]]:
         """Yield each line of a group: its curve, owner, label, rows and values."""
-        curves = [curve for curve in group.curves if curve.behind == behind]
+        curves = [curve for curve in group.curves if curve.ahead == ahead]
         if len(rows) == 0 or not curves:
             return
         if group.over in ("role", "role and joint"):

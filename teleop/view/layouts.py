@@ -18,6 +18,7 @@ from teleop.view.scene_geometry import EYE
 _DARK = list(BACKGROUND)
 _LEGEND_SHARE = 0.32  # of the window, right of the newest data, for the legend
 _FEW_JOINTS = 4  # joints
+_MOTOR = ("displacement/tendon_{tendon}/in", "displacement/tendon_{tendon}/asked")
 _UNKNOWN_M = 0.001  # [m] radius of a tube before its tension is known
 Part = rrb.Container | rrb.View
 _Make = Callable[[str, int], Part]  # name of a view, and the joint it is of
@@ -59,6 +60,7 @@ def build_blueprint(
 
 
 def _arrange_experiment(views: "_Views") -> Part:
+    tension = views.trace("tension/tendon_{tendon}", values=(-0.05, 1.1))
     return rrb.Horizontal(
         rrb.Vertical(
             views.banner(),
@@ -70,21 +72,19 @@ def _arrange_experiment(views: "_Views") -> Part:
             row_shares=[0.7, 3, 2.3],
         ),
         rrb.Vertical(
-            views.joint_tabs(
-                "Tension [N]", views.tension, " at the housing (measured) and at the tip"
-            ),
+            views.joint_tabs("Tension [N]", tension, " at the housing (measured) and at the tip"),
             views.forces(),
             rrb.Tabs(
                 views.joint_tabs("Tip [mm]", views.position, ", positive pulled in"),
-                views.joint_tabs("Hand [N]", views.hand_force),
-                views.joint_tabs("Elongation [mm]", views.elongation),
-                views.joint_tabs("Motor [mm]", views.motor),
+                views.joint_tabs("Hand [N]", views.trace("hand/joint_{joint}")),
+                views.joint_tabs("Elongation [mm]", views.trace("elongation/tendon_{tendon}")),
+                views.joint_tabs("Motor [mm]", views.trace(*_MOTOR)),
                 name="Motion",
             ),
             rrb.Tabs(
                 views.log(),
                 views.states(),
-                views.energy(),
+                views.curves("Energy [mJ]", ["energy"]),
                 views.curves("Rate [Hz]", ["rate"]),
                 rrb.Tabs(  # one in the other: all tabs have room in 640 pixels
                     views.curves("Latency [ms]", ["latency"]),
@@ -192,10 +192,15 @@ class _Views:
             time_ranges=None if past is None else [past],
         )
 
-    def tension(self, name: str, joint: int) -> Part:
-        """Return T_in and T_out of a joint's tendons over time."""
-        roots = [f"tension/tendon_{t}" for t in self._joints[joint]]
-        return self.curves(name, roots, (-0.05, 1.1))
+    def trace(self, *paths: str, values: tuple[float, float] | None = None) -> _Make:
+        """Return what makes a view of some entities of a joint, or of each of its tendons."""
+
+        def make(name: str, joint: int) -> Part:
+            tendons = self._joints[joint]
+            roots = [path.format(joint=joint, tendon=t) for t in tendons for path in paths]
+            return self.curves(name, list(dict.fromkeys(roots)), values)
+
+        return make
 
     def tip_force(self, name: str, joint: int) -> Part:
         """Return the estimate of the force at the tip with its interval, and the truth."""
@@ -219,29 +224,10 @@ class _Views:
             *tips, self.joint_tabs("Joints [N]", self.tip_force), name="Force at the tip [N]"
         )
 
-    def hand_force(self, name: str, joint: int) -> Part:
-        """Return the force on the hand."""
-        return self.curves(name, [f"hand/joint_{joint}"])
-
     def position(self, name: str, joint: int) -> Part:
         """Return the commanded, estimated and true position of the tip."""
         truth = f"displacement/tendon_{self._joints[joint][0]}/out_true"
         return self.curves(name, [f"position/joint_{joint}", truth])
-
-    def elongation(self, name: str, joint: int) -> Part:
-        """Return the elongation of a joint's tendons."""
-        return self.curves(name, [f"elongation/tendon_{t}" for t in self._joints[joint]])
-
-    def motor(self, name: str, joint: int) -> Part:
-        """Return motor positions and commands of a joint's tendons."""
-        tendons = self._joints[joint]
-        return self.curves(
-            name, [f"displacement/tendon_{t}/{part}" for t in tendons for part in ("in", "asked")]
-        )
-
-    def energy(self) -> Part:
-        """Return the energy ledgers of both sides."""
-        return self.curves("Energy [mJ]", ["energy"])
 
     def curves(
         self, name: str, roots: Sequence[str], values: tuple[float, float] | None = None
