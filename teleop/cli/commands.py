@@ -163,10 +163,7 @@ def main(argv: Sequence[str] | None = None, begin: Callable[[], object] = lambda
 def run_program(prog: str, program: ModuleType, argv: Sequence[str] | None = None) -> int:
     """Run a module with `add_arguments` and `main` as a program; returns its exit code.
 
-    Parameters
-    ----------
-    program : ModuleType
-        Its docstring describes it.
+    The docstring of the module describes it.
     """
     words = list(sys.argv[1:] if argv is None else argv)
     return _run_guarded(lambda: int(program.main(parse_words(prog, program, words))))

@@ -83,10 +83,7 @@ class PairConfig:
     def bend_of(self, path: Path) -> float:
         """Return the bend [rad] of a file's sheath, from the list or the file's name.
 
-        Raises
-        ------
-        UsageError
-            Neither has it.
+        Raises `UsageError` if neither has it.
         """
         for file_bend in self.bends:
             if file_bend.file == path.name:
@@ -121,10 +118,7 @@ SAMPLES_MIN = 20  # in which a sensor that works changes
 def read_records(paths: Sequence[Path], config: PairConfig) -> tuple[PairRecord, ...]:
     """Return the records of some files, in the order of their bends.
 
-    Raises
-    ------
-    UsageError
-        A file cannot be read, lacks a column or its bend, or has invalid values.
+    Raises `UsageError` if a file cannot be read, lacks a column or its bend, or has invalid values.
     """
     return tuple(
         sorted((_read_record(path, config) for path in paths), key=lambda record: record.bend)

@@ -61,12 +61,7 @@ _HELP = {  # metavar and help of each number
 class Proxy:
     """The two banks, the two directions between them, and the delay queue.
 
-    Parameters
-    ----------
-    shared : RunConfig
-        Its session.
-    document : ConfigDocument
-        The session's config, with the section `impair`.
+    `document` is the session's config, with the section `impair`.
     """
 
     def __init__(self, shared: RunConfig, document: ConfigDocument) -> None:

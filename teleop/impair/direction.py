@@ -30,15 +30,8 @@ class DelayQueue:
     It holds `capacity_bytes` at most. If it is full, new messages are dropped, as in a network
     queue; accepted ones keep their order and time.
 
-    Parameters
-    ----------
-    capacity_bytes : int
-        Bound on the messages that wait, each counted as its length plus `ENTRY_BYTES` [bytes].
-
-    Attributes
-    ----------
-    lateness : Durations
-        Lateness of deliveries.
+    A message that waits counts as its length plus `ENTRY_BYTES` [bytes]; `lateness` is that of
+    deliveries.
     """
 
     def __init__(self, capacity_bytes: int = CAPACITY_BYTES) -> None:
@@ -59,10 +52,7 @@ class DelayQueue:
     def send(self, due_ns: int, put: Callable[[bytes], None], data: bytes) -> bool:
         """Schedule `put(data)` at `due_ns` of the machine's monotonic clock.
 
-        Returns
-        -------
-        bool
-            Whether it was accepted; False = the queue is full and the message is dropped.
+        Returns whether it was accepted; False = the queue is full and the message is dropped.
         """
         size = len(data) + ENTRY_BYTES
         with self._changed:
@@ -113,10 +103,7 @@ class Direction:
 
     Zenoh's thread calls `take`; everything else is called by whoever runs the delay queue.
 
-    Attributes
-    ----------
-    cut : bool
-        Whether transmission is cut by command.
+    `cut` is whether transmission is cut by command.
     """
 
     def __init__(

@@ -73,20 +73,9 @@ def step(
 ) -> tuple[tuple[Delivery, ...], DeliveryFlags, StreamState]:
     """Process the next message of a stream.
 
-    Parameters
-    ----------
-    key : int
-        The stream's, see `compute_key`.
-    time_s : float
-        Arrival time [s]; never decreasing.
-    cut : bool
-        Whether the direction is cut by command, in addition to `config.cuts`.
-
-    Returns
-    -------
-    deliveries, flags, memory
-        A message is delivered within [delay - jitter, delay + jitter] of its arrival, in order; one
-        held back, `reorder_by` later.
+    `key` is that of the stream (`compute_key`); `time_s` [s], of arrival, never decreases; `cut` is
+    by command, in addition to `config.cuts`. A message is delivered within [delay - jitter, delay +
+    jitter] of its arrival, in order; one held back, `reorder_by` later.
     """
     first = memory.number * _DRAWS_PER_MESSAGE
 

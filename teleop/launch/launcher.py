@@ -67,10 +67,7 @@ def plan_session(
 ) -> tuple[ConfigDocument, SessionConfig]:
     """Choose the place of a session and check its config; nothing is started.
 
-    Raises
-    ------
-    UsageError
-        The config is invalid, or the session's name is taken (`PeerError`).
+    Raises `UsageError` if the config is invalid, or the session's name is taken (`PeerError`).
     """
     document = own_endpoints.choose_place(document, name)
     config = document.load(SessionConfig)
@@ -107,17 +104,8 @@ def run_session(
 
     In any thread; all processes have ended when it returns or raises.
 
-    Parameters
-    ----------
-    poll : callable
-        Called with the launcher's link and a time [s] that it may wait at most.
-    begin : callable
-        Called once both loops have reported.
-
-    Raises
-    ------
-    UsageError, TeleopError
-        The session could not start.
+    `poll` is called with the launcher's link and a time [s] that it may wait at most, `begin` once
+    both loops have reported. Raises `UsageError` or `TeleopError` if the session could not start.
     """
     config, document = plan.config, plan.document
     with ExitStack() as stack:

@@ -111,12 +111,8 @@ class Supervisor:
     Children run in their own process sessions, so that Ctrl-C reaches only the launcher, which
     stops them in order. Each child ends by itself if the launcher dies (`die_with_launcher`).
 
-    Parameters
-    ----------
-    scratch : Path
-        Folder for the children's summaries.
-    say : callable
-        Called with (child name, line) for each line a child prints, from a reader thread.
+    `scratch` is a folder for the children's summaries; `say` is called with (child name, line) for
+    each line a child prints, from a reader thread.
     """
 
     def __init__(self, scratch: Path, say: Callable[[str, str], None]) -> None:

@@ -133,18 +133,9 @@ def watch(
 ) -> Child | None:
     """Supervise a session until it ends; return the child that ended it, if any.
 
-    Parameters
-    ----------
-    listener : Listener
-        Of events and reports, since before the first child was started.
-    monitor : SessionMonitor
-        State of the session so far.
-    poll : callable
-        Waits for at most the time [s] that it is given.
-    duration_s : float or None
-        [s] of running, counted from when both loops have reported; None for ever.
-    begin : callable
-        Called once both loops have reported.
+    `listener` is of events and reports, since before the first child was started; `poll` waits for
+    at most the time [s] that it is given; `duration_s` [s], None for ever, is counted from when
+    both loops have reported, when `begin` is called.
     """
     patience = time.monotonic() + START_S
     end, began = float("inf"), False

@@ -58,12 +58,7 @@ def compute_answer(key: bytes, challenge: bytes, subject: int) -> bytes:
 class Challenger:
     """Asks other processes for proof of their presence.
 
-    Parameters
-    ----------
-    session : str
-        Root of the keys.
-    token : Token
-        Our own, with its proof.
+    `session` is the root of the keys, `token` our own, with its proof.
     """
 
     def __init__(self, zenoh_session: zenoh.Session, session: str, token: Token) -> None:
@@ -103,17 +98,9 @@ class Responder:
 
     Zenoh's thread calls it.
 
-    Parameters
-    ----------
-    session : str
-        Root of the keys.
-    nonce : int
-        Our own.
-    vouches : callable
-        Returns whether the process of a nonce has proven to us that it is here.
-    show : callable
-        Takes the token of who asks, and what answers it under the keys of the pair if the token is
-        genuine.
+    `session` is the root of the keys, `nonce` our own. `vouches` returns whether the process of a
+    nonce has proven to us that it is here; `show` takes the token of who asks, and what answers it
+    under the keys of the pair if the token is genuine.
     """
 
     def __init__(
@@ -174,11 +161,6 @@ class Admission:
     waiting. In a queue chance decides which token is checked, and which one makes place for a new
     one, so that copies of a certificate do not keep out its holder for good. Tokens shown by who
     sends a challenge wait apart from those that Zenoh announces.
-
-    Parameters
-    ----------
-    clock : callable
-        Returns the time [ns].
     """
 
     def __init__(self, group: str, clock: Callable[[], int] = now_ns) -> None:

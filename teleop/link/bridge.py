@@ -31,14 +31,8 @@ Handler = Callable[[Topic[Any], bytes], None]
 class BridgeEnd:
     """One end of a bridge: receives from one side, and sends to it for the other.
 
-    Parameters
-    ----------
-    session : str
-        Root of all keys.
-    listen, connect : list of str
-        Endpoints, as of the peer that it replaces.
-    tokens_changed : callable
-        Called from Zenoh's thread when a presence token appears or vanishes.
+    `listen` and `connect` are endpoints, as of the peer that it replaces; `tokens_changed` is
+    called from Zenoh's thread when a presence token appears or vanishes.
     """
 
     def __init__(
@@ -178,10 +172,7 @@ def _append_tags(sample: Any) -> bytes:
 def send_request(config: LinkConfig, session: str, endpoint: str, request: str) -> dict[str, Any]:
     """Send a request to the bridge at `endpoint` and return its answer.
 
-    Raises
-    ------
-    TeleopError
-        No answer, or a refusal.
+    Raises `TeleopError` if there is no answer, or a refusal.
     """
     end = now_ns() + ANSWER_S * 1e9
     credentials = load_credentials(config, session, CertificateRole.SUPERVISOR)

@@ -128,14 +128,8 @@ class _Block:
 class ConnectionGuard:
     """Watches the connections of a Zenoh session in a thread, for as long as it is open.
 
-    Parameters
-    ----------
-    listen : list of str
-        `HOST:PORT`s that it listens on.
-    burst : int
-        Half-open connections after which a source is blocked, however new they are.
-    note : callable
-        Told what was refused.
+    It listens on the `HOST:PORT`s `listen`; a source with `burst` half-open connections is blocked,
+    however new they are; `note` is told what was refused.
     """
 
     def __init__(
@@ -415,16 +409,9 @@ def _choose_blocks(
     `MISBEHAVING_ADDRESSES_MAX` addresses there are, or if as many that are not have too many
     together; never one in `own_networks`.
 
-    Parameters
-    ----------
-    half_open : mapping of Network to (int, int)
-        Number of half-open connections of each source, and how many of them are stuck.
-    blocked : collection of Network
-        Sources that are blocked already.
-    burst : int
-        Number of half-open connections after which a source is blocked.
-    own_networks : collection of Network
-        The /64s that we are in.
+    `half_open` has the number of half-open connections of each source, and how many of them are
+    stuck; `burst` is the number after which a source is blocked; `own_networks` are the /64s that
+    we are in.
     """
     offenders = {
         s

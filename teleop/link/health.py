@@ -93,16 +93,9 @@ def update_link_window(
 ) -> None:
     """Take one message of the peer.
 
-    Parameters
-    ----------
-    windows : Records
-        `LinkWindow`, shape (1,), changed in place.
-    sent_ns, received_ns : int
-        Stamps of the message: on the peer's clock, and on ours.
-    echo_ns : int
-        Our newest stamp that the peer had; 0 = none.
-    hold_ns : int
-        How long the peer had it; 0 = unknown.
+    `windows` is a `LinkWindow`, shape (1,), changed in place; `sent_ns` is on the peer's clock,
+    `received_ns` on ours; `echo_ns` is our newest stamp that the peer had, 0 = none, `hold_ns` how
+    long it had it, 0 = unknown.
     """
     window = windows[0]
     if received_ns - window.since_ns > WINDOW_NS or received_ns < window.since_ns:
@@ -180,12 +173,8 @@ def step(
     Both end after `recover_after` below all bounds times `recover`, the scale as slowly as it fell;
     in between nothing changes.
 
-    Parameters
-    ----------
-    dt : float
-        Length of the span [s].
-    peer : Reason
-        Bound that the peer finds exceeded, of what it receives.
+    `dt` [s] is the length of the span, `peer` the bound that the peer finds exceeded, of what it
+    receives.
     """
     reasons = _find_exceeded_bounds(config, figures, 1.0)
     if peer in REASONS:
@@ -250,14 +239,8 @@ class LinkSummary:
 class LinkHealth:
     """Health of one side's link: the window, the counts of the last second, the decision.
 
-    Attributes
-    ----------
-    windows : Records
-        `LinkWindow`, shape (1,), for `update_link_window`.
-    figures : LinkMeasurement
-        Of the last span.
-    decision : Decision
-        As of it.
+    `windows` is a `LinkWindow`, shape (1,), for `update_link_window`; `figures` and `decision` are
+    those of the last span.
     """
 
     def __init__(self, config: HealthConfig) -> None:
@@ -342,12 +325,7 @@ def take_measurement(
 ) -> LinkMeasurement:
     """Return the figures of the span, and begin a new one.
 
-    Parameters
-    ----------
-    window : LinkWindow
-        Of the messages; its sums are cleared.
-    counts_before, counts : Counts
-        Of the messages: `LOSS_SPANS` ago and now.
+    The sums of the window are cleared; the counts are those of `LOSS_SPANS` ago and now.
     """
     low_ns = max(int(window.low_ns), int(window.low_before_ns))
     high_ns = min(int(window.high_ns), int(window.high_before_ns))

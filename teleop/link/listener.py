@@ -39,10 +39,7 @@ class MessageQueue:
 
     Any thread may put, any may take.
 
-    Attributes
-    ----------
-    has_arrivals : bool
-        Whether anything was put since the last `take`.
+    `has_arrivals` says whether anything was put since the last `take`.
     """
 
     def __init__(self) -> None:
@@ -137,12 +134,7 @@ class Listener:
     of their sender, and looks at `VERIFY_HZ` a second at most: others cost neither the loop's time
     nor memory.
 
-    Parameters
-    ----------
-    visit : callable
-        As of `Reception`, with the topic.
-    keyring : Keyring, optional
-        Our keys; None in an insecure session.
+    `visit` is as of `Reception`, with the topic; without a `keyring` the session is insecure.
     """
 
     def __init__(

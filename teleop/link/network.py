@@ -92,10 +92,7 @@ def open_session(
     An unreachable target is not an error: it is retried every `RETRY_MS`. A client needs one of its
     targets at the start; later it connects to the next one when it loses one.
 
-    Raises
-    ------
-    TeleopError
-        No target of a client answers.
+    Raises `TeleopError` if no target of a client answers.
     """
     _require_open_files(OPEN_FILES_LISTENING if listen else OPEN_FILES)
     if mode != "router":  # that one serves many connections at once
@@ -244,10 +241,7 @@ def _explain_zenoh_error(text: str) -> str:
 def load_credentials(config: LinkConfig, session: str, role: CertificateRole) -> Credentials | None:
     """Return the credentials of a role in a session; None if the config asks for plaintext.
 
-    Raises
-    ------
-    UsageError
-        There are none, or they are not valid.
+    Raises `UsageError` if there are none, or they are not valid.
     """
     if config.insecure:
         return None
@@ -268,16 +262,9 @@ PROBE_TIMEOUT_S = 1.0  # for a connection, and for an answer
 class ConnectionProbe:
     """Looks, in a thread of its own, at endpoints that are not connected; as a context manager.
 
-    Parameters
-    ----------
-    endpoints : iterable of str
-        `HOST:PORT` that Zenoh connects to.
-    credentials : Credentials, optional
-        Ours; None in an insecure session.
-    connected : callable
-        Returns the far ends of the connections, `PROTOCOL/HOST:PORT`.
-    note : callable
-        Told what is wrong with an endpoint, when that changes.
+    `endpoints` are the `HOST:PORT`s that Zenoh connects to; without `credentials` the session is
+    insecure; `connected` returns the far ends of the connections, `PROTOCOL/HOST:PORT`; `note` is
+    told what is wrong with an endpoint, when that changes.
     """
 
     def __init__(
@@ -336,12 +323,7 @@ def find_connection_fault(endpoint: str, credentials: Credentials | None, sessio
 def fetch_certificate(endpoint: str) -> x509.Certificate | None:
     """Return the certificate of whoever listens at `HOST:PORT`; None if it speaks no TLS.
 
-    Raises
-    ------
-    OSError
-        Nobody listens, or answers.
-    ValueError
-        The certificate cannot be read.
+    Raises `OSError` if nobody listens, or answers; `ValueError` if the certificate cannot be read.
     """
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
     context.check_hostname = False

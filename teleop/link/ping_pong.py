@@ -40,17 +40,8 @@ def measure_ping_pong(
 ) -> dict[str, Any]:
     """Measure `n` round trips between two new processes.
 
-    Parameters
-    ----------
-    command_bytes, state_bytes : int
-        Sizes of command and answer.
-    n : int
-        Number of commands, one per millisecond.
-
-    Returns
-    -------
-    dict
-        `n` answered; `p50_ms`, `p99_ms`, `p99_9_ms` of the round trip. Empty without an answer.
+    One command is sent per millisecond. Returns `n` answered; `p50_ms`, `p99_ms`, `p99_9_ms` of the
+    round trip; nothing without an answer.
     """
     endpoint, scheduling = f"{LOOPBACK}:{find_free_port(0)}", json.dumps(asdict(realtime))
     pong = _start_process("pong", endpoint, str(state_bytes), scheduling)

@@ -25,21 +25,9 @@ class Publisher:
 
     Zenoh's thread updates whether there are subscribers, and the addressees of the tags.
 
-    Parameters
-    ----------
-    seals : TagKeys
-        What its messages are tagged with.
-    live : bool
-        Whether old values are dropped, rather than sent late.
-    sampled_hz : float
-        [Hz] of the copies for viewers; 0 for none.
-    patient : bool
-        Whether to wait for space in a full queue.
-
-    Attributes
-    ----------
-    sequence : int
-        Number of the last message.
+    Its messages are tagged with `seals`; of a `live` one old values are dropped, rather than sent
+    late, unless it is `patient` and waits for space in a full queue. There are `sampled_hz` [Hz]
+    copies for viewers. `sequence` is the number of the last message.
     """
 
     __slots__ = ("_copied", "_copies", "_period_ns", "_put", "_seals", "_subscribed", "sequence")
@@ -93,12 +81,7 @@ class Publisher:
 class SubscriberAwarePublisher:
     """A Zenoh publisher that knows whether it has subscribers.
 
-    Attributes
-    ----------
-    put : callable
-        Sends bytes.
-    now : bool
-        Whether there is a subscriber.
+    `put` sends bytes; `now` is whether there is a subscriber.
     """
 
     __slots__ = ("_listener", "now", "put")

@@ -10,14 +10,7 @@ from teleop.runtime.clock import now_ns
 class RateLimit:
     """Allows `burst` events at once, refilled at `rate_hz` [1/s]; used from one thread.
 
-    Parameters
-    ----------
-    burst : int
-        Events allowed at once.
-    rate_hz : float
-        Events allowed per second on average.
-    clock : callable
-        Returns the time [ns].
+    `clock` returns the time [ns].
     """
 
     def __init__(self, burst: int, rate_hz: float, clock: Callable[[], int] = now_ns) -> None:

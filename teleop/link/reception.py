@@ -27,17 +27,8 @@ TimedBytes: TypeAlias = tuple[bytes, int]
 class Inbox:
     """The newest messages of a topic.
 
-    Attributes
-    ----------
-    store : callable
-        Takes a Zenoh sample; called from Zenoh's thread.
-
-    Parameters
-    ----------
-    size : int
-        Capacity; the oldest messages are dropped.
-    tagged : bool
-        Whether to give each message with its tags behind it.
+    Of more than `size` messages the oldest are dropped; if it is `tagged` each has its tags behind
+    it. Zenoh's thread calls `store` with each sample.
     """
 
     def __init__(self, size: int, tagged: bool = False) -> None:
@@ -147,16 +138,10 @@ class MessageCounts:
 class Reception:
     """Decides which messages of a topic are accepted, and counts them.
 
-    Parameters
-    ----------
-    visit : callable
-        Returns the visit number of a nonce in the publishing role: 0 while it is not announced, 1
-        at first, incremented each time it comes back.
-    senders : mapping, optional
-        Keyed hashes by sender (`Keyring.senders`): messages come with their tags behind them, and
-        nothing in one without the right tag is believed. None: messages have no tags.
-    addressee : bytes
-        Under which our tags are found.
+    `visit` returns the visit number of a nonce in the publishing role: 0 while it is not announced,
+    1 at first, incremented each time it comes back. With `senders`, keyed hashes by sender
+    (`Keyring.senders`), messages come with their tags behind them, ours under `addressee`, and
+    nothing in one without the right tag is believed.
     """
 
     def __init__(
@@ -261,12 +246,8 @@ class LatestMessage(Generic[M]):
     For `SETTLE_NS` after that `settles` is true: all messages count as old, and the session must
     hold. A clock set forward lowers `least` by itself. Jumps are counted.
 
-    Parameters
-    ----------
-    topic, visit, senders, addressee
-        See `Reception`.
-    limit_ns : int
-        Age [ns] on arrival above which a message is counted as delayed.
+    A message older than `limit_ns` [ns] on arrival is counted as delayed; for the others see
+    `Reception`.
     """
 
     def __init__(

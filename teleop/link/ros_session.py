@@ -33,20 +33,8 @@ def is_router_listening(router: str) -> bool:
 class RosSession:
     """A client of one router, which must be there; after a loss it connects again by itself.
 
-    Parameters
-    ----------
-    router : str
-        Endpoint, such as `tcp/127.0.0.1:7447`.
-
-    Raises
-    ------
-    TeleopError
-        There is no router (`is_router_listening` tells without waiting).
-
-    Attributes
-    ----------
-    zid : str
-        Id of the Zenoh session.
+    `router` is an endpoint, such as `tcp/127.0.0.1:7447`; `zid` the id of the Zenoh session. Raises
+    `TeleopError` if there is no router (`is_router_listening` tells without waiting).
     """
 
     def __init__(self, router: str) -> None:

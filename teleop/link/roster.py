@@ -86,18 +86,10 @@ class Roster:
 
     A thread of its own writes; anyone reads.
 
-    Parameters
-    ----------
-    session : str
-        Root of the keys.
-    token : Token
-        Our own; tokens of its nonce are ignored.
-    relay : bool
-        Whether to repeat the tokens of masters, for other masters.
-    handshake, keyring : Handshake and Keyring, optional
-        Checks the proofs, and gets the keys that follow; None in an insecure session.
-    refusals : RefusalCounter, optional
-        Told why tokens are ignored.
+    `session` is the root of the keys; tokens of the nonce of `token`, our own, are ignored; with
+    `relay` those of masters are repeated, for other masters. `handshake` checks the proofs, and
+    `keyring` gets the keys that follow; None in an insecure session. `refusals` is told why tokens
+    are ignored.
     """
 
     def __init__(

@@ -97,20 +97,10 @@ class Router:
     It forwards bytes unread, only to who subscribes to their key. Keys begin with the session, so
     nothing crosses from one session to another.
 
-    Parameters
-    ----------
-    sessions : sequence of str
-        Names of the sessions that it serves, by the roles in their certificates; `ALL_SESSIONS` for
-        any, whatever their roles.
-    listen, connect : tuple of str
-        `HOST:PORT` of this router, and of others, which are tried until they answer.
-    on_presence : callable
-        Called from Zenoh's thread.
-
-    Raises
-    ------
-    UsageError
-        On entering: there are no valid keys of a router; an endpoint cannot be listened on.
+    It serves `sessions` by the roles in their certificates; with `ALL_SESSIONS` any, whatever their
+    roles. `listen` and `connect` are `HOST:PORT`s of this router, and of others, which are tried
+    until they answer; Zenoh's thread calls `on_presence`. Raises `UsageError` on entering, as
+    `open_router`.
     """
 
     def __init__(
@@ -156,10 +146,8 @@ def open_router(
     It forwards only what the certificate of its sender permits in these sessions; for
     `ALL_SESSIONS`, whatever a certificate of the authority sends.
 
-    Raises
-    ------
-    UsageError
-        There are no valid keys of a router; an endpoint cannot be listened on.
+    Raises `UsageError` if there are no valid keys of a router, or an endpoint cannot be listened
+    on.
     """
     credentials = load_credentials(config, ALL_SESSIONS, CertificateRole.ROUTER)
     access = _build_access_control(credentials, sessions)
@@ -171,10 +159,7 @@ def format_zenohd_config(
 ) -> str:
     """Return the settings of `open_router` as a config file of `zenohd`, Zenoh's own router.
 
-    Raises
-    ------
-    UsageError
-        There is no folder of valid keys, which such a file must name.
+    Raises `UsageError` if there is no folder of valid keys, which such a file must name.
     """
     if config.keys is None and not config.insecure:
         raise UsageError("link.keys: zenohd needs a folder of keys; see `teleop keys --help`")

@@ -48,10 +48,7 @@ def request_priority(priority: int) -> list[str]:
     on two cores otherwise leave it a seventh of one, and messages are lost that it had no time to
     receive. Where nothing is allowed, the loops run at ordinary priority too, and go first.
 
-    Parameters
-    ----------
-    priority : int
-        Of SCHED_RR, from 1; 0 = ordinary scheduling, after the loops.
+    `priority` is of SCHED_RR, from 1; 0 = ordinary scheduling, after the loops.
     """
     share_heaps()
     if priority:

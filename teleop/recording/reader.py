@@ -51,10 +51,7 @@ def to_dtype(definition: str) -> np.dtype[np.void]:
     `numpy.frombuffer(data, dtype)` reads one as recorded. It knows fields of fixed size, which are
     all that this project's messages have.
 
-    Raises
-    ------
-    ValueError
-        If the definition has a field of variable size or of another message type.
+    Raises `ValueError` if the definition has a field of variable size or of another message type.
     """
     names, formats, offsets = [], [], []
     end = 0
@@ -184,12 +181,8 @@ def open_recording(path: str | Path) -> RecordingInfo:
 def list_doubts(scan: Scan, read: str | None) -> list[str]:
     """Return what a file lacks, in lines of text; as in `RecordingInfo`.
 
-    Parameters
-    ----------
-    scan : Scan
-        The pass, which has ended.
-    read : str or None
-        What was read of the file; None if no more was wanted before its end.
+    The pass `scan` has ended; `read` is what was read of the file, None if no more was wanted
+    before its end.
     """
     shortfall = "" if read is None else scan.shortfall(read)
     try:
@@ -352,22 +345,9 @@ def read_row_parts(
 ) -> Iterator[dict[str, TopicRows]]:
     """Yield the messages of some topics in parts of `size` or somewhat more, in bounded memory.
 
-    Parameters
-    ----------
-    scan : Scan
-        The pass; it can be asked what the file lacks when it has ended.
-    topics : mapping
-        Topic -> the fields to read, None = all.
-
-    Yields
-    ------
-    dict
-        Topic -> its messages, of the topics that have some in this part.
-
-    Raises
-    ------
-    RecordingError
-        If the file is not a recording, or a topic lacks a field.
+    `scan` can be asked what the file lacks when it has ended; `topics` has the fields to read, None
+    = all. Yields the messages of the topics that have some in a part. Raises `RecordingError` if
+    the file is not a recording, or a topic lacks a field.
     """
     taken: dict[str, tuple[list[int], list[bytes]]] = {}
     ids: dict[str, set[int]] = {}

@@ -20,17 +20,9 @@ SENDERS = 64  # whose reports are remembered
 class Recorder:
     """Writes what a source has, batch by batch.
 
-    Parameters
-    ----------
-    writer : RecordingWriter
-        The recording; it is closed by its owner.
-    is_present : callable
-        Returns whether the process with a nonce is present in a role.
-
-    Attributes
-    ----------
-    lag_ns : int
-        [ns] that the oldest message not yet written has waited, as of the last `step`.
+    The writer is closed by its owner; `is_present` returns whether the process with a nonce is
+    present in a role. `lag_ns` [ns] is how long the oldest message not yet written has waited, as
+    of the last `step`.
     """
 
     def __init__(

@@ -60,11 +60,8 @@ class SenderRewriter:
     rewritten; gaps in the recording are kept. The stamp is shifted if requested; everything else is
     unchanged.
 
-    Parameters
-    ----------
-    nonces : mapping
-        The new senders of the master's and the slave's messages. Messages of other processes get
-        the slave's.
+    `nonces` are the new senders of the master's and the slave's messages; those of other processes
+    get the slave's.
     """
 
     def __init__(self, nonces: Mapping[Role, int]) -> None:
@@ -183,12 +180,7 @@ def wait_for_view(process: "subprocess.Popen[bytes]", link: Link) -> None:
 class Player:
     """Sends the messages of a recording at the times they were received, on an absolute grid.
 
-    Parameters
-    ----------
-    speed : float
-        Speed relative to the recorded one.
-    links : mapping
-        The links in the roles of master and slave.
+    `speed` is relative to the recorded one; `links` are in the roles of master and slave.
     """
 
     def __init__(self, info: RecordingInfo, speed: float, links: Mapping[Role, Link]) -> None:

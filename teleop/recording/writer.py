@@ -196,25 +196,11 @@ class RecordingWriter:
     process loses at most the last `chunk_s`. A power cut may also lose what the kernel has not
     written yet.
 
-    Parameters
-    ----------
-    session : str
-        Name of the session, the first part of the file's name.
-    started_ns : int
-        Present stamp [ns since the Unix epoch], the second part of the file's name.
-    config_text : str
-        The session's config file, kept as an attachment.
-    overrides : sequence of str
-        Overrides of the command line, kept as metadata.
-    insecure : bool
-        Whether the session was not protected, kept as metadata.
-    files : mapping
-        What the files have that keys of the config name, kept as attachments.
-
-    Raises
-    ------
-    UsageError
-        If the file cannot be created, or the overrides are longer than a reader reads.
+    The name of the file begins with that of the `session`, and has `started_ns`, the present stamp
+    [ns since the Unix epoch]. Attachments are the session's config file and, in `files`, what those
+    have that keys of the config name; metadata are the `overrides` of the command line, and whether
+    the session was `insecure`. Raises `UsageError` if the file cannot be created, or the overrides
+    are longer than a reader reads.
     """
 
     def __init__(

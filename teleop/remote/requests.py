@@ -45,16 +45,8 @@ def update_watches(
 ) -> tuple[tuple[ArmedWatch, ...], bool]:
     """Return the watches that are armed after a tick, and whether one was lost in it.
 
-    Parameters
-    ----------
-    armed : tuple of ArmedWatch
-        Those of the tick before.
-    beats : iterable of Heartbeat
-        Heartbeats since, oldest first.
-    present : callable
-        Returns whether the token of a nonce is present.
-    now_ns : int
-        Stamp of this tick [ns].
+    `armed` are those of the tick before, `beats` the heartbeats since, oldest first; `present`
+    returns whether the token of a nonce is present; `now_ns` [ns] is the stamp of this tick.
     """
     armed_by_watch = {watch.watch: watch for watch in armed}
     for beat in beats:
@@ -106,10 +98,7 @@ _NO_REQUESTS = Requests()
 class RequestListener:
     """Listens for stops, resets, watches and settings; used from the loop's thread.
 
-    Parameters
-    ----------
-    stop_socket : StopSocket, optional
-        For requests from this machine, which do not pass the network.
+    `stop_socket` is for requests from this machine, which do not pass the network.
     """
 
     def __init__(self, link: Link, stop_socket: StopSocket | None = None) -> None:
@@ -192,13 +181,8 @@ class RequestListener:
     def answer(self, role: Role, side: SessionOutline, stops: int, other: Role, peer: str) -> None:
         """Answer the requests from this machine that have been executed.
 
-        Parameters
-        ----------
-        role, side, stops : Role, SessionOutline and int
-            Of this process.
-        other, peer : Role and str
-            The other side and its state; `SILENT` if it is connected and sends nothing, empty if it
-            is not connected.
+        `role`, `side` and `stops` are of this process, `other` and `peer` the other side and its
+        state: `SILENT` if it is connected and sends nothing, empty if it is not connected.
         """
         if self._stop_socket is not None:
             lines = [f"{role.name.lower()} {side.state.name.lower()} {stops}"]

@@ -65,21 +65,9 @@ def await_side(link: Link, config: RunConfig, side: Role) -> None:
 def request_setting(link: Link, listener: Listener, key: str, value: str) -> str:
     """Request a change from the side that has the setting; return its answer.
 
-    Parameters
-    ----------
-    link : Link
-        Of a supervisor.
-    listener : Listener
-        Of `ANSWER` on this link.
-    key, value : str
-        As in a config file; the "master." of a key may be left out.
-
-    Raises
-    ------
-    UsageError
-        The side refuses, or key or value are too long.
-    TeleopError
-        It does not answer.
+    `listener` is of `ANSWER` on this link, that of a supervisor; the "master." of a key may be left
+    out. Raises `UsageError` if the side refuses, or key or value are too long; `TeleopError` if it
+    does not answer.
     """
     for text in (key, value):
         if len(text.encode()) > TEXT_BYTES:

@@ -44,15 +44,8 @@ class LocalRequest(NamedTuple):
 class StopSocket:
     """Receives requests of this user; a context manager, used from one thread.
 
-    Parameters
-    ----------
-    role : str
-        Role of this process, in lower case.
-
-    Attributes
-    ----------
-    warning : str
-        Why there is no socket, once entered; empty if there is one.
+    `role` is that of this process, in lower case; `warning` says, once entered, why there is no
+    socket, empty if there is one.
     """
 
     def __init__(self, session: str, role: str) -> None:
@@ -127,15 +120,8 @@ class StopSocket:
 class LocalAnswers:
     """What the processes of a session on this machine have answered.
 
-    Parameters
-    ----------
-    roles : set of str
-        Roles of the processes that were asked.
-
-    Attributes
-    ----------
-    stops : dict
-        Number of the newest stop of each side that answered for itself.
+    `roles` are those of the processes that were asked; `stops` has the number of the newest stop of
+    each side that answered for itself.
     """
 
     def __init__(self, roles: set[str]) -> None:

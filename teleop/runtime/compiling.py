@@ -21,16 +21,10 @@ def announce_compilation(
 ) -> Iterator[None]:
     """Print one line if anything has to be compiled in this context; with a warm cache, nothing.
 
-    Parameters
-    ----------
-    what : str
-        What is compiled, for the line.
-    about_s : float
-        Compile time [s] with an empty cache.
-    work : callable, optional
-        Also to be compiled: called at the end of the context, and in a parallel process if anything
-        has to be compiled, so that it is cached by then. A function of a module, or a
-        `functools.partial` of one.
+    `what` is named in the line, with the compile time `about_s` [s] with an empty cache. `work` is
+    to be compiled too: called at the end of the context, and in a parallel process if anything has
+    to be compiled, so that it is cached by then. A function of a module, or a `functools.partial`
+    of one.
     """
     from numba.core import event
 
@@ -64,10 +58,7 @@ def compile_in_parallel(function: str) -> Iterator[None]:
 
     Not by `multiprocessing`, whose processes import the script of a program that starts a session.
 
-    Parameters
-    ----------
-    function : str
-        `package.module:function` that calls what is to be compiled.
+    `function` is a `package.module:function` that calls what is to be compiled.
     """
     folder = choose_folder()
     if folder is None or any(folder.glob("*/*")):

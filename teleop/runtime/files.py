@@ -13,21 +13,9 @@ def read_small_file(
 ) -> bytes:
     """Return the content of a regular file.
 
-    Parameters
-    ----------
-    path : Path
-        A pipe or a device is refused, and never waited for.
-    size_max : int
-        Of the file [B].
-    check : callable
-        Called with the status of the very file that is read.
-
-    Raises
-    ------
-    OSError
-        It cannot be opened or read, or is a folder.
-    UsageError
-        It is not a regular file, or too large; one line.
+    At most `size_max` [B]; a pipe or a device is refused, and never waited for. `check` is called
+    with the status of the very file that is read. Raises `OSError` if it cannot be opened or read,
+    or is a folder; `UsageError`, one line, if it is not a regular file, or too large.
     """
     with os.fdopen(os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC), "rb") as file:
         status = os.fstat(file.fileno())
@@ -56,10 +44,7 @@ def find_config_folder() -> Path:
 def _find_folder(variable: str, below_home: str) -> Path:
     """Return the folder that `variable` names, or else the one below the home folder.
 
-    Raises
-    ------
-    UsageError
-        It would depend on the current folder, or this user has no home.
+    Raises `UsageError` if it would depend on the current folder, or this user has no home.
     """
     if named := os.environ.get(variable):
         if not os.path.isabs(named):

@@ -30,10 +30,7 @@ class OutputPath:
     def __call__(self, text: str) -> Any:
         """Return the path, if something can be written there.
 
-        Raises
-        ------
-        argparse.ArgumentTypeError
-            Nothing can, or the name does not end as it must.
+        Raises `argparse.ArgumentTypeError` if nothing can, or the name does not end as it must.
         """
         if not text:
             raise argparse.ArgumentTypeError("the name is empty")
@@ -143,10 +140,7 @@ def add_force_option(parser: argparse.ArgumentParser) -> None:
 def check_outputs(parser: argparse.ArgumentParser, args: argparse.Namespace) -> None:
     """Check every output that is named in `args` against what exists and what is read.
 
-    Raises
-    ------
-    UsageError
-        It must not be overwritten; one line, with the option.
+    Raises `UsageError`, one line with the option, if it must not be overwritten.
     """
     outputs = find_outputs(parser, args)
     if not outputs:

@@ -150,10 +150,7 @@ class StopCondition:
 def die_with_parent(parent: int, by: signal.Signals = signal.SIGTERM) -> None:
     """Ask Linux to end this process when its parent dies; elsewhere nothing can be asked.
 
-    Raises
-    ------
-    TeleopError
-        The process `parent` had died before this was asked.
+    Raises `TeleopError` if the process `parent` had died before this was asked.
     """
     if sys.platform == "linux":
         import ctypes  # slow to import, and not needed by a command that a user starts

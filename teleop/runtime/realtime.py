@@ -146,20 +146,9 @@ def divide_cores(
 ) -> tuple[list[int], set[int]]:
     """Divide the cores that a process may use between loops and other threads.
 
-    Parameters
-    ----------
-    allowed : collection of int
-        The cores that the process may use.
-    setting : "auto" or collection of int
-        The cores for loops, of which each takes one; "auto" is the upper half of `allowed`.
-
-    Returns
-    -------
-    loops : list of int
-        In order of preference.
-    other_cores : set of int
-        Both are empty with fewer than `CORES_MIN` cores, or if fewer than `OTHER_CORES_MIN` would
-        be left.
+    `allowed` are those that the process may use, `setting` those for loops, of which each takes
+    one; "auto" is the upper half. Returns those for loops, in order of preference, and the others;
+    none with fewer than `CORES_MIN` cores, or if fewer than `OTHER_CORES_MIN` would be left.
     """
     cores = sorted(set(allowed), reverse=True)
     if len(cores) < CORES_MIN:

@@ -92,12 +92,8 @@ def identify_holder(
 ) -> Identity:
     """Return whom a certificate stands for.
 
-    Raises
-    ------
-    CertificateError
-        It is of another authority, expired, revoked, or names no role.
-    NotYetValidError
-        It is not yet valid.
+    Raises `CertificateError` if it is of another authority, expired, revoked, or names no role;
+    `NotYetValidError` if it is not yet valid.
     """
     try:
         name = read_common_name(certificate)
@@ -146,11 +142,8 @@ def build_file_stem(role: CertificateRole, session: str) -> str:
 def load(folder: Path, session: str, role: CertificateRole) -> Credentials:
     """Load the credentials of a role in a session.
 
-    Raises
-    ------
-    UsageError
-        A file is missing or damaged; the private key can be read by others; the certificate is not
-        valid now, revoked, or of another authority, session or role.
+    Raises `UsageError` if a file is missing or damaged; the private key can be read by others; the
+    certificate is not valid now, revoked, or of another authority, session or role.
     """
     if not folder.is_dir():
         raise UsageError(f"link.keys: {folder}: no such folder; see `teleop keys --help`")

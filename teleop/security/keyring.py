@@ -39,10 +39,7 @@ class TagVerdict(Enum):
 class TagKeys:
     """What a publisher tags its messages with.
 
-    Attributes
-    ----------
-    entries : tuple
-        For each addressee its nonce (8 bytes) and the keyed hash, before the message.
+    `entries` has for each addressee its nonce (8 bytes) and the keyed hash, before the message.
     """
 
     __slots__ = ("entries",)
@@ -54,10 +51,7 @@ class TagKeys:
 class Keyring:
     """The keys that one process shares with each of the others.
 
-    Parameters
-    ----------
-    nonce : int
-        Its nonce, under which it finds its tags.
+    It finds its tags under its `nonce`.
     """
 
     def __init__(self, role: Role, nonce: int) -> None:

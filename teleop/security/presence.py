@@ -194,10 +194,7 @@ class RevocationList:
     A certificate that was revoked once stays so in this process. A file that is missing, damaged or
     not signed by the authority changes nothing and is complained about, once.
 
-    Parameters
-    ----------
-    credentials : Credentials
-        Of this process, with the list as it was at the start.
+    `credentials` are of this process, with the list as it was at the start.
     """
 
     def __init__(self, credentials: Credentials) -> None:
@@ -260,13 +257,7 @@ class PairKeys(NamedTuple):
 
 
 class Handshake:
-    """Makes the proofs of a process, and checks those of others.
-
-    Parameters
-    ----------
-    credentials : Credentials
-        Of this process.
-    """
+    """Makes the proofs of a process, and checks those of others."""
 
     def __init__(self, credentials: Credentials, session: str, nonce: int) -> None:
         self._credentials, self._session, self._nonce = credentials, session, nonce

@@ -78,10 +78,8 @@ def read_config(args: argparse.Namespace, join: bool = True) -> ConfigDocument:
     A command with `--session` joins a running session of this user on this machine, unless `join`
     is false or the config or options state endpoints: the session's name and endpoints are added.
 
-    Raises
-    ------
-    UsageError
-        The config cannot be read, there is no such session, or it is not said which of several.
+    Raises `UsageError` if the config cannot be read, there is no such session, or it is not said
+    which of several.
     """
     document = ConfigDocument.read(args.config, args.overrides)
     if join and hasattr(args, "session") and not has_stated_endpoints(document):
@@ -114,10 +112,7 @@ def _find_running_overrides(
 def require_periods(key: str, timeout_s: float, rate_hz: float) -> None:
     """Check that a timeout [s] is at least `TIMEOUT_PERIODS_MIN` periods; `key` is its dotted key.
 
-    Raises
-    ------
-    UsageError
-        With the least value.
+    Raises `UsageError` with the least value.
     """
     timeout_min = TIMEOUT_PERIODS_MIN / rate_hz
     if timeout_s < timeout_min * (1.0 - 1e-9):

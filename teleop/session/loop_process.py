@@ -42,23 +42,10 @@ UNTAGGED_MIN = 50
 class LoopProcess(ABC):
     """One side of a session: its link, its counts, and why it ended.
 
-    Parameters
-    ----------
-    stats : TickStats
-        Of the clock that it ticks by.
-    memory : Records
-        State of the loop, shape (1,): `session`, and `coupling` with the energy ledger.
-    joints : int
-        Ports of the ledger in use.
-    requests : RequestListener, optional
-        A listener that is there already.
-
-    Attributes
-    ----------
-    error : TeleopError or None
-        What ended the session, if it was not asked to end.
-    ended : str
-        Why it is over, from this side; empty while it is not.
+    `stats` are of the clock that it ticks by; `memory`, shape (1,), is the state of the loop:
+    `session`, and `coupling` with the energy ledger, of which `joints` ports are in use. `error` is
+    what ended the session, if it was not asked to end; `ended` why it is over, from this side,
+    empty while it is not.
     """
 
     role: ClassVar[Role]

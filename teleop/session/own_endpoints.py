@@ -26,10 +26,7 @@ def choose_place(document: ConfigDocument, name: str | None) -> ConfigDocument:
     That is free endpoints on loopback, unless the config states endpoints, and then, unless it or
     `name` gives it one, a session name of its own after the config file.
 
-    Raises
-    ------
-    PeerError
-        A session of this user has the name already.
+    Raises `PeerError` if a session of this user has the name already.
     """
     if name:
         document = document.override(Override.of("session", name))

@@ -90,17 +90,8 @@ def create_session_name(base: str) -> str:
 def find_session(name: str = "", config: Path | None = None) -> RunningSession | None:
     """Return the running session that a command means; None if there is none.
 
-    Parameters
-    ----------
-    name : str
-        Its name; empty for the only one.
-    config : Path or None
-        Its config file; None for any. Ignored if there is a name.
-
-    Raises
-    ------
-    UsageError
-        There are several.
+    `name` is empty for the only one; `config` is its file, None for any, and ignored if there is a
+    name. Raises `UsageError` if there are several.
     """
     entries = list_sessions()
     if name:
@@ -118,12 +109,7 @@ def find_session(name: str = "", config: Path | None = None) -> RunningSession |
 def describe_absence(session: str, what: str, endpoints: Iterable[str]) -> str:
     """Return the line of a command whose session does not answer.
 
-    Parameters
-    ----------
-    session : str
-        Its name, chosen or by default.
-    what : str
-        What is missed, e.g. "no master answers".
+    `session` is its name, chosen or by default; `what` is missed, e.g. "no master answers".
     """
     if entries := list_sessions():
         return (

@@ -7,10 +7,7 @@ CALLS_MIN = 5  # calls between two reports
 class SlowCallMonitor:
     """Notices a method that mostly takes too long; one call that the machine held up is none.
 
-    Parameters
-    ----------
-    name : str
-        Of the method, for the message.
+    The message has the `name` of the method.
     """
 
     def __init__(self, name: str) -> None:

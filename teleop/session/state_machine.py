@@ -224,10 +224,7 @@ _FAULT = int(State.FAULT)
 class OutlineReader:
     """Reads the outline of a loop's session; cheap while it does not change.
 
-    Parameters
-    ----------
-    sessions : Records
-        `Session`, shape (1,).
+    `sessions` are of `Session`, shape (1,).
     """
 
     def __init__(self, sessions: StructArray) -> None:
@@ -448,14 +445,8 @@ def _change_state(session: Session, inputs: Inputs, dt: float) -> None:
 def step(session: Session, inputs: Inputs, dt: float) -> None:
     """Advance a session by one tick, in place.
 
-    Parameters
-    ----------
-    session : Session
-        Updated.
-    inputs : Inputs
-        Inputs of this side; `peer_state` must be a known state (`to_known_state`).
-    dt : float
-        Time since the last tick [s].
+    `inputs` are those of this side, `peer_state` among them a known state (`to_known_state`); `dt`
+    [s] is the time since the last tick.
     """
     _change_state(session, inputs, dt)
     calling = inputs.stop != Reason.NONE

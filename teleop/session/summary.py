@@ -189,10 +189,7 @@ def find_fault(loops: Iterable[LoopSummary]) -> str:
 
     Either its slave was never usable, or a fault without later engagement ended it.
 
-    Parameters
-    ----------
-    loops : iterable of LoopSummary
-        Of one or both sides, the slave first; one that never ran has no fault.
+    `loops` are of one or both sides, the slave first; one that never ran has no fault.
     """
     ran = [loop for loop in loops if loop.ticks]
     for loop in ran:
@@ -331,12 +328,8 @@ _STAGE_LABELS = ("read", "link", "slave", "render")
 def format_latency(quantiles_ms: Sequence[float], medians_ms: Mapping[str, float]) -> str:
     """Return the latency from hand to force, and the medians of its stages, as text.
 
-    Parameters
-    ----------
-    quantiles_ms : sequence of 4 floats
-        [ms] p50, p99, p99.9 and the largest of all stages together.
-    medians_ms : mapping
-        [ms] of each of `teleop.messages.messages.STAGE_NAMES`.
+    `quantiles_ms` are p50, p99, p99.9 and the largest of all stages together, `medians_ms` those of
+    each of `teleop.messages.messages.STAGE_NAMES`.
     """
     p50, p99, p99_9, largest = quantiles_ms
     stages = zip(_STAGE_LABELS, STAGE_NAMES[:-1], strict=True)

@@ -19,15 +19,8 @@ R = TypeVar("R")
 class Checkpoint:
     """A copy of the state that ticks change, from which it is restored.
 
-    Parameters
-    ----------
-    *state : Records
-        Changed in place by the ticks, and by `restore`.
-
-    Attributes
-    ----------
-    saved : tuple of Records
-        The copies; of what was there at the last `save`, or at first.
+    The ticks change `state` in place, and so does `restore`; `saved` are the copies of what was
+    there at the last `save`, or at first.
     """
 
     def __init__(self, *state: StructArray) -> None:
@@ -52,14 +45,7 @@ class Checkpoint:
         The second step is given the present time, and counts the stall as passed. It is not checked
         again: what the next tick sees of a second stall is the age of its inputs.
 
-        Parameters
-        ----------
-        step : callable
-            Changes the state, given the present stamp [ns] and the time since the last tick [s].
-        begin_ns : int
-            Present stamp [ns].
-        dt : float
-            [s] since the last tick.
+        `step` changes the state, given the present stamp [ns] and the time since the last tick [s].
         """
         result = step(begin_ns, dt)
         late_ns = now_ns() - begin_ns

@@ -35,18 +35,9 @@ class ArmLines(NamedTuple):
 class ArmPlace:
     """Where an arm and its hand are drawn, and how large.
 
-    Attributes
-    ----------
-    ends
-        [m] of the sheath of each tendon; its joint within the arm is in `tendons`.
-    rotation
-        The axes of the base, as columns.
-    scale
-        Drawn over real lengths.
-    hand
-        [m] where the hand is at 0; `hand_scale` is drawn over real travels.
-    size
-        [m] of a sheath.
+    `ends` [m] are those of the sheath of each tendon, whose joint within the arm is in `tendons`;
+    the columns of `rotation` are the axes of the base; `scale` and `hand_scale` are drawn over real
+    lengths; `hand` [m] is where the hand is at 0; `size` [m] is that of a sheath.
     """
 
     arm: SpaceArm
@@ -183,18 +174,10 @@ def build_arm_place(
 ) -> ArmPlace:
     """Return the place of an arm behind its sheaths, its z axis along them.
 
-    Parameters
-    ----------
-    tendons : mapping of int to int
-        Its tendons, each with its joint within the arm.
-    ends : mapping
-        End of each sheath: point [m], along, aside.
-    housing : array, shape (3,)
-        [m] the middle of the sheaths' other ends.
-    size : float
-        [m] of a sheath.
-    hand_radius : float
-        [m] travel of the hand that is drawn as that of a joint's handle on a circle.
+    `tendons` are its own, each with its joint within the arm; `ends` of each sheath point [m],
+    along and aside; `housing` [m] is the middle of their other ends; `size` [m] is that of a
+    sheath, `hand_radius` [m] the travel of the hand that is drawn as that of a joint's handle on a
+    circle.
     """
     point, along, aside = (np.mean([end[k] for end in ends.values()], axis=0) for k in range(3))
     rotation = np.stack([aside, np.cross(along, aside), along], axis=1)

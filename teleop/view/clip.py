@@ -113,10 +113,7 @@ def write_clip(
 ) -> str:
     """Draw a recording into a file by its suffix; returns what was written, as text.
 
-    Raises
-    ------
-    UsageError
-        There is nothing to draw, or a package is missing.
+    Raises `UsageError` if there is nothing to draw, or a package is missing.
     """
     suffix = out.suffix.lower()
     if suffix == VIDEO_SUFFIX:

@@ -63,13 +63,7 @@ class _Interval(NamedTuple):
 class ClipFigure:
     """Draws the frames of a clip.
 
-    Parameters
-    ----------
-    data : ClipData
-    size : tuple of two ints
-        Width and height [pixels].
-    joint : int
-        Whose curves are drawn, from 0; the scene has all.
+    `size` is width and height [pixels]; curves are those of `joint`, from 0, the scene has all.
     """
 
     def __init__(

@@ -47,12 +47,7 @@ def to_rgba(tension: Array, scale_N: float) -> NDArray[np.uint32]:
     Violet is 0 N, yellow `scale_N`; lightness rises steadily between them, so the scale reads the
     same in grey and to most colour-blind eyes. Tensions outside are clipped.
 
-    Parameters
-    ----------
-    tension : ndarray
-        [N]
-    scale_N : float
-        [N] tension at the bright end.
+    `tension` and `scale_N`, the bright end, are in N.
     """
     place = np.nan_to_num(np.clip(tension / scale_N, 0.0, 1.0)) * (len(TENSION_MAP) - 1)
     knots = np.arange(len(TENSION_MAP))

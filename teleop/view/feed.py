@@ -37,10 +37,7 @@ class Pacing:
 
     Time is an argument, so live use and a test call the same code.
 
-    Parameters
-    ----------
-    limit : float
-        Share of one processor.
+    `limit` is a share of one processor.
     """
 
     def __init__(self, limit: float) -> None:
@@ -51,12 +48,8 @@ class Pacing:
     def update(self, processor_s: float, now_s: float, behind_s: float = 0.0) -> float:
         """Return the factor.
 
-        Parameters
-        ----------
-        processor_s, now_s : float
-            [s] processor time of this process, and the clock.
-        behind_s : float
-            [s] by which the slowest page is behind what was sent.
+        `processor_s` and `now_s` [s] are the processor time of this process, and the clock;
+        `behind_s` [s] is by how much the slowest page is behind what was sent.
         """
         if self._since is None:
             self._since = processor_s, now_s
@@ -115,12 +108,8 @@ class FeedCounts:
 class MessageBuffer:
     """Messages buffered for a period, as every block has a fixed cost.
 
-    Parameters
-    ----------
-    period_s : float
-        [s] between two blocks.
-    tick_s : float
-        [s] between two calls of `take`: a block may come half of it early, as the calls jitter.
+    Between two blocks there are `period_s` [s], between two calls of `take` `tick_s` [s]: a block
+    may come half of it early, as the calls jitter.
     """
 
     def __init__(self, period_s: float, tick_s: float = 0.0) -> None:

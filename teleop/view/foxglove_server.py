@@ -38,22 +38,8 @@ _CHANNELS = {topic.name: number for number, topic in enumerate(TOPICS, start=1)}
 class FoxgloveServer:
     """A running server, as a context manager.
 
-    Parameters
-    ----------
-    session : str
-        Name of the session, which the app shows.
-    port : int
-        Preferred port; a free one if it is in use.
-
-    Raises
-    ------
-    UsageError
-        The server cannot listen.
-
-    Attributes
-    ----------
-    url : str
-        What to open in the app.
+    The app shows the name of the `session`, and opens `url`; another port than `port` is taken if
+    that is in use. Raises `UsageError` if it cannot listen.
     """
 
     def __init__(self, session: str, port: int) -> None:

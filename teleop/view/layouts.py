@@ -33,13 +33,7 @@ def build_blueprint(
     everything, `presentation` the scene alone. The time follows the newest data until the user
     moves it.
 
-    Parameters
-    ----------
-    config : ViewConfig
-    joints : mapping of int to sequence of int
-        The tendons of each joint; none while they are not known.
-    arms : int
-        How many arms in space there are.
+    `joints` has the tendons of each, and is empty while they are not known.
     """
     views = _Views(config, dict(joints) or {0: [0, 1]}, arms)
     arrange: dict[str, Callable[[], Part]] = {

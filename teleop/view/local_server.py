@@ -81,19 +81,9 @@ _TCP = Path("/proc/net/tcp")
 class LocalServer:
     """Serves from its start until `close`.
 
-    Parameters
-    ----------
-    handler : type
-        A `GuardedHandler`.
-    port : int or socket
-        Preferred port, a free one if it is in use; or a socket that listens.
-    secret : str
-        That the path of each request begins with; "" makes one.
-
-    Attributes
-    ----------
-    address : str
-        `127.0.0.1:port/secret/`, after a scheme.
+    `port` is the preferred one, another if it is in use, or a socket that listens; "" makes a
+    `secret`, with which the path of each request begins. `address` is `127.0.0.1:port/secret/`,
+    after a scheme.
     """
 
     def __init__(

@@ -64,10 +64,7 @@ def read_stream_header(block: bytes) -> bytes:
 def split_messages(block: bytes) -> Iterator[EncodedMessage]:
     """Yield the messages of an encoded block, without the index at its end.
 
-    Raises
-    ------
-    RrdError
-        It is none.
+    Raises `RrdError` if it is none.
     """
     if block[:3] != b"RRF" or len(block) < _STREAM:
         raise RrdError("no header of a Rerun stream")
@@ -111,10 +108,7 @@ class PageMessages(NamedTuple):
 class BlockBuffer:
     """Numbered blocks of messages for pages: what must be kept, and the newest of the rest.
 
-    Parameters
-    ----------
-    limit : int
-        [bytes] of data that are kept for pages opened later.
+    Of the rest `limit` [bytes] are kept, for pages opened later.
     """
 
     def __init__(self, limit: int) -> None:
@@ -202,16 +196,8 @@ _POLICY = (
 class Page:
     """Serves the viewer's page from its start until `close`.
 
-    Parameters
-    ----------
-    port : int or socket
-        Preferred port, or a socket that listens.
-    secret : str
-        Of the address; "" makes one.
-    files : mapping of str to bytes
-        The viewer's own files, by the keys of `VIEWER_FILES`.
-    memory_mb : int
-        [MB] memory of the viewer in the browser, beyond which it drops the oldest data.
+    `port` and `secret` are as of `LocalServer`, `files` the viewer's own by the keys of
+    `VIEWER_FILES`; beyond `memory_mb` [MB] the viewer in the browser drops the oldest data.
     """
 
     def __init__(
@@ -273,10 +259,7 @@ class Page:
     def take_blocks(self, query: Mapping[str, str]) -> tuple[PageMessages, dict[str, object]]:
         """Return what a page asks for, and what it must know.
 
-        Raises
-        ------
-        ValueError
-            The question has no such form.
+        Raises `ValueError` if the question has no such form.
         """
         newer, older = int(query.get("newer", -1)), int(query.get("older", 0))
         behind_s, wait_s = float(query.get("behind", "nan")), float(query.get("wait", _WAIT_S))

@@ -146,14 +146,8 @@ def compute_text_width(text: str, height: float) -> float:
 def build_text_strips(text: str, left: float, top: float, height: float) -> list[Array]:
     """Return `text`, in capitals, as line strips of shape (points, 2).
 
-    Parameters
-    ----------
-    text : str
-        Letters, digits and punctuation; an unknown character is a box.
-    left, top : float
-        Upper left corner of the text, y downwards.
-    height : float
-        Of a capital.
+    An unknown character is a box. The upper left corner is at `left`, `top`, y downwards; `height`
+    is that of a capital.
     """
     scale, strips, x = height / _CAPITAL_HEIGHT, [], 0.0
     for letter in text.upper():

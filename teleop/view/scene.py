@@ -304,20 +304,10 @@ class Scene(BatchDisplay):
     Keeps only what later messages need: the sheaths, the newest interval at each tip, and static
     data.
 
-    Parameters
-    ----------
-    config : ViewConfig
-    stream : RecordingStream
-    lay_out : callable
-        Called with the tendons of each joint when they become known or change.
-    everything : bool
-        Also send what the layout does not show, for a file: it may be opened in another layout, or
-        read by Rerun's tools.
-    live : bool
-        Grow the curves in tabs that are behind at first once a second; at the end less than a
-        second of them is missing.
-    arms : sequence of SpaceArm
-        Those of the session that are drawn in space.
+    `lay_out` is called with the tendons of each joint when they become known or change. With
+    `everything` what the layout does not show is sent too, for a file: it may be opened in another
+    layout, or read by Rerun's tools. With `live` curves in tabs that are behind at first grow once
+    a second; at the end less than a second of them is missing.
     """
 
     def __init__(

@@ -37,19 +37,10 @@ def compute_centreline(
     section of more than a full turn would run into itself, so it climbs across its plane by
     `turn_gap` a turn, as a helix of the same length and the same bend angle.
 
-    Parameters
-    ----------
-    length : ndarray, shape (sections,)
-        [m]
-    radius : ndarray, shape (sections,)
-        [m] infinite (or 0) for a straight section.
-    s : ndarray, shape (n,)
-        [m] arc lengths, 0 at the housing.
-    turn_gap : float
-        [m]
-    planes : sequence of float
-        [rad] by which the plane of bending turns about the sheath where each section begins, to the
-        right seen from the housing. Sections that are not named have 0.
+    `length` and `radius` [m], infinite (or 0) for a straight section, have the shape (sections,),
+    `s` [m], arc lengths from the housing, (n,); `turn_gap` is in m. `planes` [rad] turn the plane
+    of bending about the sheath where each section begins, to the right seen from the housing;
+    sections that are not named have 0.
     """
     points = np.zeros((len(s), 3))
     position, begin = np.zeros(3), 0.0
@@ -295,15 +286,9 @@ def _find_clear_offset(lever: Lever, sign: float, still: Array, size: float) -> 
     Of places around the end, the one whose nearest drawn point, as seen from the eye and at any
     travel, is farthest. A number is wider than it is tall, so distances across count half.
 
-    Parameters
-    ----------
-    lever : Lever
-    sign : float
-        Of the arrow at its end, along its motion.
-    still : ndarray, shape (n, 3)
-        [m] points of what does not move; the link and its arrow move with the number.
-    size : float
-        [m] of a sheath.
+    `sign` is that of the arrow at its end, along its motion; `still` [m], shape (n, 3), are points
+    of what does not move: the link and its arrow move with the number; `size` [m] is that of a
+    sheath.
     """
     flat = np.array([0.5 * RIGHT, UP])
     angles = np.linspace(0.0, 2 * np.pi, _LABEL_PLACES, endpoint=False)

@@ -34,19 +34,8 @@ class PlotPanel(NamedTuple):
 def save(path: Path, name: str, columns: Sequence[Sequence[PlotPanel]]) -> None:
     """Write panels, side by side in columns, as a Rerun file.
 
-    Parameters
-    ----------
-    path : Path
-        The file, .rrd.
-    name : str
-        Of the recording, in the viewer.
-    columns : sequence of sequences of Panel
-        From left to right, and in each from top to bottom.
-
-    Raises
-    ------
-    UsageError
-        If the file cannot be written.
+    `columns` are from left to right, and in each from top to bottom. Raises `UsageError` if the
+    file cannot be written.
     """
     try:
         with replace_file(path) as partial:

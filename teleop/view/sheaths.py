@@ -27,13 +27,8 @@ from teleop.view.space_arm import SpaceArm
 def compute_friction_profile(length: Array, radius: Array, K: float, points: int) -> Array:
     """Return k(x) at evenly spread points, from the sections: the share of the bends up to x.
 
-    Parameters
-    ----------
-    length, radius : ndarray, shape (sections,)
-        [m], a straight section's radius being infinite.
-    K : float
-        Friction of the whole sheath.
-    points : int
+    `length` and `radius` [m], infinite for a straight section, have the shape (sections,); `K` is
+    the friction of the whole sheath.
     """
     bends = np.concatenate([[0.0], np.cumsum(length / np.abs(radius))])
     places = np.concatenate([[0.0], np.cumsum(length)])
@@ -46,13 +41,9 @@ def compute_friction_profile(length: Array, radius: Array, K: float, points: int
 def compute_tension_band(k: Array, T_in: Array, T_low: Array, T_high: Array) -> tuple[Array, Array]:
     """Return the ends of the band [N], shapes (rows, points).
 
-    Parameters
-    ----------
-    k : ndarray, shape (points,)
-        Friction from the housing to each point; the last is K.
-    T_in, T_low, T_high : ndarray, shape (rows,)
-        [N] at the housing, and the certified ends at the tip; non-finite inputs give a non-finite
-        band.
+    `k`, shape (points,), is the friction from the housing to each point, the last one K; `T_in` at
+    the housing and the certified ends at the tip [N] have the shape (rows,). Non-finite inputs give
+    a non-finite band.
     """
     from_tip = k[-1] - k
     low = np.maximum(T_in[:, None] * np.exp(-k), T_low[:, None] * np.exp(-from_tip))

@@ -70,14 +70,7 @@ _OPEN_PORT = "; other users of this machine can reach it: --view web keeps them 
 class ViewerProcess:
     """A running viewer program; `arguments` are added to those that bind and silence it.
 
-    Parameters
-    ----------
-    arguments : sequence of str
-        Further arguments of the `rerun` program.
-    prepare : callable
-        Called in the child before the program.
-    stdin : int
-        As of `subprocess.Popen`.
+    `prepare` is called in the child before the program; `stdin` is as of `subprocess.Popen`.
     """
 
     def __init__(
@@ -134,15 +127,8 @@ class ViewerProcess:
 class Window:
     """Rerun's window, fed through its standard input.
 
-    Parameters
-    ----------
-    memory_mb : int
-        [MB] beyond which it drops the oldest data.
-
-    Attributes
-    ----------
-    note : str
-        What the user must know of it; empty if nothing.
+    Beyond `memory_mb` [MB] it drops the oldest data; `note` is what the user must know of it, empty
+    if nothing.
     """
 
     def __init__(self, memory_mb: int) -> None:
@@ -228,10 +214,7 @@ def leave_network() -> None:
 def read_viewer_files() -> dict[str, bytes]:
     """Return the files of Rerun's web page, by the keys of `VIEWER_FILES`.
 
-    Raises
-    ------
-    TeleopError
-        The program does not start, or does not send them.
+    Raises `TeleopError` if the program does not start, or does not send them.
     """
     port = find_free_port(0)
     arguments = ["--port", "auto", "--serve-web", "--web-viewer-port", str(port)]
@@ -293,20 +276,9 @@ _BLOCK = 1 << 20  # [bytes] of a file that a page is given at once, more or less
 class Sink:
     """An open destination; `stream` takes the data (None = nowhere), `lines` are for the user.
 
-    Parameters
-    ----------
-    mode : {"native", "web", "rrd", "none"}
-    config : ViewConfig
-    session : str
-        Names the recording in the viewer.
-    out : Path or None
-        Also write this file; with mode `rrd` None makes a name in the configured folder.
-    live : bool
-        Whether the data come as they happen.
-    saved : Path, optional
-        A Rerun file that the viewer shows instead of a stream.
-    arms : int
-        How many arms in space are shown.
+    `session` names the recording in the viewer; `out` is a file to write too, with mode `rrd` None
+    makes a name in the configured folder; `live` data come as they happen; `saved` is a Rerun file
+    that the viewer shows instead of a stream, `arms` the number of arms in space.
     """
 
     def __init__(

@@ -71,18 +71,10 @@ class TipForces(NamedTuple):
 class SpaceArm:
     """An arm whose kinematics are known.
 
-    Attributes
-    ----------
-    first
-        The first of its joints.
-    radius
-        [m] of the joints' own pulleys, the gripper's last if there is one.
-    parts
-        The part of each frame, as of `compute_part_frames`.
-    across
-        The two axes of each frame across the arm, of its three.
-    reach
-        [m] from the base to the tip, stretched out.
+    `first` is the first of its joints, `radius` [m] that of their own pulleys, the gripper's last
+    if there is one; `parts` are those of each frame, as of `compute_part_frames`, `across` the two
+    axes of each frame across the arm, of its three; `reach` [m] is from the base to the tip,
+    stretched out.
     """
 
     first: int
@@ -185,12 +177,8 @@ def solve_tip_forces(
 
     Of the force only directions are kept that the torques determine, whatever the moment.
 
-    Parameters
-    ----------
-    jacobians : array, shape (n, 6, coordinates)
-        Geometric Jacobians of the tip.
-    torque, torque_low, torque_high : array, shape (n, coordinates)
-        [N m] or [N] of the environment on the joints, with their ends.
+    `jacobians`, shape (n, 6, coordinates), are geometric ones of the tip; `torque` with its ends [N
+    m] or [N], shape (n, coordinates), is that of the environment on the joints.
     """
     found = compute_tip_wrench(jacobians, torque, torque_low, torque_high)
     told = found.directions[:, :, :3] * found.is_told[:, :, None]

@@ -8,16 +8,8 @@ from typing import Any, NamedTuple
 class Metric(NamedTuple):
     """One figure with its value in each run.
 
-    Attributes
-    ----------
-    name, unit : str
-        Name and unit.
-    values : tuple of float
-        One of each run.
-    baseline : tuple of float
-        Values of the baseline; empty if there is none.
-    higher_is_better : bool
-        True for rates, False for durations.
+    `values` and those of the `baseline`, if there is one, have one number of each run;
+    `higher_is_better` of rates, not of durations.
     """
 
     name: str

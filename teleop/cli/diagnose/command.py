@@ -63,10 +63,7 @@ def parse_column_options(words: Sequence[str], tendon: int = 0) -> NamedColumns:
 
     NAME may be that of a torque, an angle or a force, such as `proximal_torque`.
 
-    Raises
-    ------
-    UsageError
-        An override is none, or they are linear in part and rotary in part.
+    Raises `UsageError` if an override is none, or they are linear in part and rotary in part.
     """
     pairs = [word.partition("=") for word in words]
     units = channel_names.detect_option_units([name for name, _, _ in pairs])
@@ -313,10 +310,7 @@ def read_data(
 ) -> DiagnosisData:
     """Return the data of some files, all with the same channels.
 
-    Raises
-    ------
-    UsageError
-        If a file is invalid, or lacks a channel of another.
+    Raises `UsageError` if a file is invalid, or lacks a channel of another.
     """
     tables = [
         read_table(

@@ -87,15 +87,8 @@ def build_report(
 ) -> dict[str, Any]:
     """Return the report; non-finite numbers are None.
 
-    Parameters
-    ----------
-    diagnosis : Diagnosis
-    files : sequence of str
-        Names of the data files.
-    accepted : mapping
-        Comparison with a calibration, by parameter.
-    further : sequence of str
-        Names of the files for validation.
+    `files` and `further` are the names of the fitted files and of those for validation, `accepted`
+    is the comparison with a calibration, by parameter.
     """
     names = report_tables.name_records(diagnosis, files, further)
     report = {
