@@ -30,24 +30,19 @@ class DelayQueue:
     It holds `capacity_bytes` at most. If it is full, new messages are dropped, as in a network
     queue; accepted ones keep their order and time.
 
-    A message that waits counts as its length plus `ENTRY_BYTES` [bytes]; `lateness` is that of
-    deliveries.
+    A message that waits counts as its length plus `ENTRY_BYTES` [bytes], together `held_bytes`;
+    `lateness` is that of deliveries.
     """
 
     def __init__(self, capacity_bytes: int = CAPACITY_BYTES) -> None:
         self.lateness = Durations()
-        self._capacity_bytes, self._held_bytes = capacity_bytes, 0
+        self._capacity_bytes, self.held_bytes = capacity_bytes, 0
         self._queue: list[tuple[int, int, Callable[[bytes], None], bytes]] = []
         self._numbers = itertools.count()  # tie-breaker: first in, first out
         self._changed = threading.Condition()
 
     def __len__(self) -> int:
         return len(self._queue)
-
-    @property
-    def held_bytes(self) -> int:
-        """What the waiting messages take, at most `capacity_bytes`."""
-        return self._held_bytes
 
     def send(self, due_ns: int, put: Callable[[bytes], None], data: bytes) -> bool:
         """Schedule `put(data)` at `due_ns` of the machine's monotonic clock.
@@ -56,9 +51,9 @@ class DelayQueue:
         """
         size = len(data) + ENTRY_BYTES
         with self._changed:
-            if self._held_bytes + size > self._capacity_bytes:
+            if self.held_bytes + size > self._capacity_bytes:
                 return False
-            self._held_bytes += size
+            self.held_bytes += size
             heapq.heappush(self._queue, (due_ns, next(self._numbers), put, data))
             if self._queue[0][0] == due_ns:
                 self._changed.notify()
@@ -82,7 +77,7 @@ class DelayQueue:
                 if not self._queue or self._queue[0][0] > now:
                     return
                 due_ns, _, put, data = heapq.heappop(self._queue)
-                self._held_bytes -= len(data) + ENTRY_BYTES
+                self.held_bytes -= len(data) + ENTRY_BYTES
             put(data)
             self.lateness.add(now - due_ns)
             self.lateness.take_span()  # unused here, and would grow

@@ -224,10 +224,6 @@ class Link:
         """
         return self._roster.present(role, nonce)
 
-    def announced(self, nonce: int) -> bool:
-        """Return whether the process of this nonce is in the session."""
-        return self._roster.announced(nonce)
-
     def may(self, nonce: int, right: str) -> bool:
         """Return whether the process of this nonce is here and has a right (`teleop.security`)."""
         return self._roster.may(nonce, right)

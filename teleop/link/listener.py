@@ -209,11 +209,6 @@ class Listener:
                 messages.append(ReceivedMessage(topic, data, received_ns, *head))
         return messages
 
-    @property
-    def has_arrivals(self) -> bool:
-        """Whether messages wait."""
-        return self._queue.has_arrivals
-
     def oldest_ns(self) -> int | None:
         """Return when the oldest waiting message was received [ns]; None if none waits."""
         return self._queue.oldest_ns()

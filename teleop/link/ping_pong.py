@@ -24,7 +24,7 @@ from teleop.runtime.process import die_with_launcher
 from teleop.runtime.realtime import RealtimeConfig, enter_loop, request_realtime
 from teleop.security import CertificateRole
 from teleop.security.credentials import create_local_credentials
-from teleop.view.local_server import LOOPBACK, find_free_port
+from teleop.session.own_endpoints import find_free_ports
 
 PERIOD_S = 1e-3  # between two commands, as in a 1 kHz session
 ANSWER_TIMEOUT_S = 0.05  # timeout of an answer
@@ -43,7 +43,7 @@ def measure_ping_pong(
     One command is sent per millisecond. Returns `n` answered; `p50_ms`, `p99_ms`, `p99_9_ms` of the
     round trip; nothing without an answer.
     """
-    endpoint, scheduling = f"{LOOPBACK}:{find_free_port(0)}", json.dumps(asdict(realtime))
+    endpoint, scheduling = f"127.0.0.1:{find_free_ports(1)[0]}", json.dumps(asdict(realtime))
     pong = _start_process("pong", endpoint, str(state_bytes), scheduling)
     try:
         ping = _start_process("ping", endpoint, str(command_bytes), scheduling, str(n))

@@ -11,20 +11,14 @@ from matplotlib.lines import Line2D
 
 from estimator.array_types import Array
 from teleop.view import colours
+from teleop.view.colours import Rgb, compute_luminance, to_rgb
 from teleop.view.columns import AnyTopic, Rows
 from teleop.view.config import ViewConfig
 from teleop.view.sheaths import Sheaths
 
 ThemeName = Literal["light", "dark"]
-Rgb = tuple[float, float, float]
 STALE_S = 1.0  # [s] after which the newest message no longer counts
 _CONTRAST_MIN = 3.0  # of a line on its background (WCAG 2.2, 1.4.11)
-
-
-def to_rgb(colour: int) -> Rgb:
-    """Return 0xRRGGBBAA as three shares."""
-    red, green, blue = ((colour >> shift & 0xFF) / 255 for shift in (24, 16, 8))
-    return red, green, blue
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,12 +48,6 @@ def _compute_contrast(a: Sequence[float], b: Sequence[float]) -> float:
     """Return the contrast ratio of two sRGB colours, as WCAG defines it."""
     bright, dark = sorted(map(compute_luminance, (a, b)), reverse=True)
     return (bright + 0.05) / (dark + 0.05)
-
-
-def compute_luminance(rgb: Sequence[float]) -> float:
-    """Return the relative luminance of an sRGB colour, as WCAG defines it."""
-    linear = [p / 12.92 if p <= 0.04045 else ((p + 0.055) / 1.055) ** 2.4 for p in rgb]
-    return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
 
 
 _R, _G, _B = (part / 255 for part in colours.BACKGROUND)

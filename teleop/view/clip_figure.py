@@ -27,10 +27,9 @@ from teleop.view.clip_canvas import (
     ClipData,
     ThemeName,
     Update,
-    compute_luminance,
-    to_rgb,
 )
 from teleop.view.clip_scene import ClipScene
+from teleop.view.colours import compute_luminance, to_rgb
 from teleop.view.columns import AnyTopic, Rows
 from teleop.view.config import Layout
 from teleop.view.curves import CURVES, TIP_FORCE, Curve

@@ -1,5 +1,7 @@
 """Colours: a perceptually uniform scale of tension, and fixed colours of signals."""
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -72,17 +74,28 @@ def lighten_colour(colour: int) -> int:
     return red << 24 | green << 16 | blue << 8 | colour & 0xFF
 
 
+Rgb = tuple[float, float, float]
+
+
+def to_rgb(colour: int) -> Rgb:
+    """Return 0xRRGGBBAA as three shares."""
+    red, green, blue = ((colour >> shift & 0xFF) / 255 for shift in (24, 16, 8))
+    return red, green, blue
+
+
+def compute_luminance(rgb: Sequence[float]) -> float:
+    """Return the relative luminance of an sRGB colour, as WCAG defines it."""
+    linear = [p / 12.92 if p <= 0.04045 else ((p + 0.055) / 1.055) ** 2.4 for p in rgb]
+    return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
+
+
 PLAIN = 0xF0F0F0FF  # of words and numbers
-_QUALITIES = {"good": 0x4FD1A5FF, "poor": 0xF0E442FF, "bad": 0xFF6A4BFF, "none": 0xFF6A4BFF}
+# of a link by a word for it
+QUALITIES = {"good": 0x4FD1A5FF, "poor": 0xF0E442FF, "bad": 0xFF6A4BFF, "none": 0xFF6A4BFF}
 _NEAR_LIMIT_SHARE = 0.8  # share of the limit from which a force is shown as near to it
-
-
-def choose_quality_colour(word: str) -> int:
-    """Return the colour of a link that is good, poor, bad or none."""
-    return _QUALITIES[word]
 
 
 def choose_force_colour(share: float) -> int:
     """Return the colour of a force that is `share` of its limit: calm, near to it, beyond."""
     size = abs(share)
-    return ESTIMATE if size < _NEAR_LIMIT_SHARE else _QUALITIES["poor" if size < 1.0 else "bad"]
+    return ESTIMATE if size < _NEAR_LIMIT_SHARE else QUALITIES["poor" if size < 1.0 else "bad"]

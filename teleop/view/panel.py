@@ -8,7 +8,7 @@ under `panel`. It must be read from two metres: a screen of 53 cm has 33 mm a un
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import chain
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import rerun as rr
@@ -18,9 +18,15 @@ from estimator.array_types import Array
 from teleop.messages.topics import COMMAND, HAND, LINK, REPORT, STATE, Role, format_role
 from teleop.runtime.clock import now_ns
 from teleop.session.state_machine import PEER_REASONS, Reason, State
-from teleop.view.colours import PLAIN, STATES, choose_force_colour, choose_quality_colour
-from teleop.view.columns import AnyTopic, RowDecimator, Rows, Sender, build_columns, split_rows
-from teleop.view.config import ViewConfig
+from teleop.view.colours import (
+    PLAIN,
+    QUALITIES,
+    STATES,
+    choose_force_colour,
+    compute_luminance,
+    to_rgb,
+)
+from teleop.view.columns import AnyTopic, RowDecimator, Rows, build_columns, split_rows
 from teleop.view.panel_layout import (
     BANNER,
     LINK_HEIGHT,
@@ -39,7 +45,7 @@ from teleop.view.panel_layout import (
     fill_box,
     fit_height,
 )
-from teleop.view.sheaths import Sheaths
+from teleop.view.sheaths import Painter
 
 # --- state of a session as the panel shows it: both sides' states as one, and the link's quality
 
@@ -131,14 +137,12 @@ _STALE_NS = 1_000_000_000  # [ns] after which state and force of a side that sen
 _MARGIN = 0.4
 
 
-class Panel:
+class Panel(Painter):
     """Draws the panel."""
 
-    def __init__(self, config: ViewConfig, sender: Sender, sheaths: Sheaths) -> None:
-        self._scale_N = config.tension_scale_N  # [N] length of a bar without a known limit
-        self.whole = config.layout == "surgeon"  # others show the banner only
-        self._sender = sender
-        self._sheaths = sheaths
+    def __init__(self, *parts: Any) -> None:
+        super().__init__(*parts)
+        self.whole = self._config.layout == "surgeon"  # others show the banner only
         self._sides: dict[Role, tuple[int, int]] = {}
         self._heard_ns: dict[Role, int] = {}  # [ns] `newest_ns` when a side sent its state
         self._shown: tuple[Banner | None, int] = (None, 0)  # and its stamp [ns]
@@ -230,7 +234,7 @@ class Panel:
         self._shown = now, stamp_ns
         _, top, _, bottom = BANNER
         background = STATES.get(now.state, STATES["off"])
-        ink = 0x000000FF if _is_bright(background) else 0xFFFFFFFF
+        ink = 0x000000FF if compute_luminance(to_rgb(background)) > 0.18 else 0xFFFFFFFF
         middle = (top + bottom) / 2
         # one broad line, whose round ends and upper half lie beyond the view's edges
         line = np.array([[-PANEL_WIDTH, top], [2 * PANEL_WIDTH, top]])
@@ -244,7 +248,7 @@ class Panel:
         if joints == 0:
             return
         known = math.isfinite(self._limit_N)
-        limit = self._limit_N if known else self._scale_N
+        limit = self._limit_N if known else self._config.tension_scale_N
         top, height, places = compute_force_rows(joints)
         two_way = [len(self._sheaths.tendons_of(joint)) > 1 for joint in range(joints)]
         self._placed = places, two_way
@@ -353,7 +357,7 @@ class Panel:
             for left, text in zip(LINK_LEFT, parts, strict=True)
             for strip in build_text_strips(text, left, LINK_TOP, LINK_HEIGHT)
         ]
-        ink, radius = choose_quality_colour(quality.word), STROKE * LINK_HEIGHT
+        ink, radius = QUALITIES[quality.word], STROKE * LINK_HEIGHT
         self._drawing("panel/link", stamp_ns, strips, ink, radius)
 
     def _centred(
@@ -419,9 +423,3 @@ def format_link_parts(
 
 def _format_milliseconds(value: float) -> str:
     return f"{value:.1f} ms" if value < 9.95 else f"{min(value, 9999.0):.0f} ms"
-
-
-def _is_bright(colour: int) -> bool:
-    """Return whether black letters are easier to read on a colour than white ones."""
-    red, green, blue = ((colour >> shift & 0xFF) / 255 for shift in (24, 16, 8))
-    return bool(0.2126 * red**2.2 + 0.7152 * green**2.2 + 0.0722 * blue**2.2 > 0.18)

@@ -6,6 +6,7 @@ plot is `width` wide and 1 high.
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import rerun as rr
@@ -14,8 +15,7 @@ from estimator.array_types import Array
 from teleop.messages.messages import PROFILE_POINTS
 from teleop.view.colours import BAND, ESTIMATE, FRONT, SECOND, to_rgba
 from teleop.view.columns import Rows, Sender, build_columns
-from teleop.view.config import ViewConfig
-from teleop.view.sheaths import Sheaths, compute_tension_band
+from teleop.view.sheaths import Painter, compute_tension_band
 
 _TICK = 0.02
 
@@ -109,16 +109,12 @@ _CURVES = ((ESTIMATE, 0x3C7DA2FF), (SECOND, 0x97904CFF))  # slides, sticks: tend
 _SCALE_STEPS = 64
 
 
-class ProfileView:
+class ProfileView(Painter):
     """Draws T(x) of each tendon, under `profile/tendon_<i>`; with `values` sends its band too."""
 
-    def __init__(
-        self, config: ViewConfig, sender: Sender, sheaths: Sheaths, values: bool = True
-    ) -> None:
+    def __init__(self, *parts: Any, values: bool = True) -> None:
+        super().__init__(*parts)
         self._values = values
-        self._config = config
-        self._sender = sender
-        self._sheaths = sheaths
         self._plane: Plane | None = None
         self._tail: Rows | None = None  # the newest TendonState rows
 

@@ -329,11 +329,11 @@ class Scene(BatchDisplay):
         self._subsample = Subsampler()
         parts = config, self._sender, self._sheaths, self._subsample
         self._tubes, self._levers, self._arms = Tubes(*parts), Levers(*parts), Arms(*parts)
-        self._profiles = ProfileView(config, self._sender, self._sheaths, values=everything)
+        self._profiles = ProfileView(*parts, values=everything)
         self._loops = LoopView(config, self._sender)
         self._plots = Plots(*parts, live=live)
         self._lanes = StateLanes(self._sender)
-        self._panel = Panel(config, self._sender, self._sheaths)
+        self._panel = Panel(*parts)
 
     @property
     def newest_ns(self) -> int:

@@ -15,8 +15,9 @@ from teleop.recording.reader import open_recording
 from teleop.recording.writer import RecordConfig, RecordingWriter
 from teleop.runtime.status_line import Progress
 from teleop.view import clip, colours, feed
-from teleop.view.clip_canvas import THEMES, to_rgb
+from teleop.view.clip_canvas import THEMES
 from teleop.view.clip_figure import ClipFigure
+from teleop.view.colours import to_rgb
 from tests.teleop.view_session import CONFIG, T0, Session
 
 SIZE = (640, 360)
