@@ -120,7 +120,7 @@ def run_session(
             register_session(own_endpoints.build_entry(config, config.impair, document.path))
         )
         console.status.say(_format_join_hint(config.session))
-        listener, monitor = link.listen((EVENT, REPORT, LATENCY, LINK)), watch.SessionMonitor()
+        listener = link.listen((EVENT, REPORT, LATENCY, LINK))
         if plan.record:
             supervisor.start("record", [*shared, "--out", str(plan.record)])
         if config.impair is not None:
@@ -136,9 +136,9 @@ def run_session(
                 "view", [*shared, "--view", plan.view], environment, (reserved.fileno(),)
             )
         stack.enter_context(compile_in_parallel("master.process:warm_up"))
-        watched = (link, listener, monitor, supervisor, console, stop, partial(poll, link))
+        watched = watch.SessionWatch(link, listener, supervisor, console, stop, partial(poll, link))
         try:
-            ended = watch.wait_for_slave(*watched)
+            ended = watched.wait_for_slave()
             if not ended and not stop():
                 snapshot = plan.impaired_document.save_snapshot(scratch / "master")
                 supervisor.start(
@@ -147,7 +147,7 @@ def run_session(
                     plan.environment,
                     plan.master_files,
                 )
-                ended = watch.watch(*watched, plan.duration_s, begin)
+                ended = watched.run(plan.duration_s, begin)
         finally:
             console.status.clear()
             supervisor.stop(SHUTDOWN_ORDER)

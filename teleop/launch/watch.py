@@ -1,7 +1,9 @@
 """Supervise a session: collect its reports, decide when it ends."""
 
+import math
 import time
 from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
 
 from teleop.errors import PeerError, TeleopError
 from teleop.launch.console import Console, KeyReader, format_status
@@ -93,73 +95,72 @@ def require_free_session(link: Link) -> None:
             )
 
 
-def wait_for_slave(
-    link: Link,
-    listener: Listener,
-    monitor: SessionMonitor,
-    supervisor: Supervisor,
-    console: Console,
-    stop: StopCondition,
-    poll: Callable[[float], None],
-) -> Child | None:
-    """Wait for the slave to answer; return a child that ended before, if any.
-
-    A slave that calibrates its rig first answers late and prints its progress. `poll` waits for at
-    most the time [s] that it is given.
-    """
-    link.subscribe_latest(STATE)
-    while not stop() and link.latest(STATE).message is None:
-        for source, text in monitor.take(listener.drain()):
-            console.say(source, text)
-        child = supervisor.failed_child()
-        if child is not None:
-            return child
-        if time.monotonic() > supervisor.children["slave"].heard_s + START_S:
-            raise TeleopError(f"the slave did not start within {START_S:g} s")
-        poll(_POLL_S)
-    return None
-
-
-def watch(
-    link: Link,
-    listener: Listener,
-    monitor: SessionMonitor,
-    supervisor: Supervisor,
-    console: Console,
-    stop: StopCondition,
-    poll: Callable[[float], None],
-    duration_s: float | None,
-    begin: Callable[[], None],
-) -> Child | None:
-    """Supervise a session until it ends; return the child that ended it, if any.
+@dataclass
+class SessionWatch:
+    """Supervises a session: passes on what it says, and tells when it ends.
 
     `listener` is of events and reports, since before the first child was started; `poll` waits for
-    at most the time [s] that it is given; `duration_s` [s], None for ever, is counted from when
-    both loops have reported, when `begin` is called.
+    at most the time [s] that it is given.
     """
-    patience = time.monotonic() + START_S
-    end, began = float("inf"), False
-    while not stop():
-        for source, text in monitor.take(listener.drain()):
-            console.say(source, text)
-        child = supervisor.failed_child()
-        if child is not None:
-            return child
-        if monitor.running and not began:
-            began = True
-            begin()
-            end = time.monotonic() + (float("inf") if duration_s is None else duration_s)
-        if time.monotonic() >= end:
-            stop.request("duration reached")
-        if not monitor.running and time.monotonic() > patience:
-            raise TeleopError(f"the loops did not start within {START_S:g} s")
-        if console.status.live:
-            state = link.latest(STATE).message
-            record = supervisor.children.get("record")
-            recorder = "" if record is None else record.status
-            line = format_status(
-                monitor.reports, state, monitor.latency, recorder, monitor.links, link.insecure
+
+    link: Link
+    listener: Listener
+    supervisor: Supervisor
+    console: Console
+    stop: StopCondition
+    poll: Callable[[float], None]
+    monitor: SessionMonitor = field(default_factory=SessionMonitor)
+
+    def wait_for_slave(self) -> Child | None:
+        """Wait for the slave to answer; return a child that ended before, if any.
+
+        A slave that calibrates its rig first answers late and prints its progress.
+        """
+        self.link.subscribe_latest(STATE)
+        while not self.stop() and self.link.latest(STATE).message is None:
+            if (child := self._look()) is not None:
+                return child
+            if time.monotonic() > self.supervisor.children["slave"].heard_s + START_S:
+                raise TeleopError(f"the slave did not start within {START_S:g} s")
+            self.poll(_POLL_S)
+        return None
+
+    def run(self, duration_s: float | None, begin: Callable[[], None]) -> Child | None:
+        """Supervise a session until it ends; return the child that ended it, if any.
+
+        `duration_s` [s], None for ever, is counted from when both loops have reported, when `begin`
+        is called.
+        """
+        patience = time.monotonic() + START_S
+        end, began = math.inf, False
+        while not self.stop():
+            if (child := self._look()) is not None:
+                return child
+            if self.monitor.running and not began:
+                began = True
+                begin()
+                end = time.monotonic() + (math.inf if duration_s is None else duration_s)
+            if time.monotonic() >= end:
+                self.stop.request("duration reached")
+            if not self.monitor.running and time.monotonic() > patience:
+                raise TeleopError(f"the loops did not start within {START_S:g} s")
+            if self.console.status.live:
+                self._show_status()
+            self.poll(_POLL_S)
+        return None
+
+    def _look(self) -> Child | None:
+        """Print what has come; return a child whose end ends the session."""
+        for source, text in self.monitor.take(self.listener.drain()):
+            self.console.say(source, text)
+        return self.supervisor.failed_child()
+
+    def _show_status(self) -> None:
+        seen, record = self.monitor, self.supervisor.children.get("record")
+        recorder = "" if record is None else record.status
+        state = self.link.latest(STATE).message
+        self.console.status.show(
+            format_status(
+                seen.reports, state, seen.latency, recorder, seen.links, self.link.insecure
             )
-            console.status.show(line)
-        poll(_POLL_S)
-    return None
+        )

@@ -457,15 +457,17 @@ def test_what_a_slave_says_while_it_starts_is_passed_on_and_counts_as_life(famil
     stream = io.StringIO()
     child = family.start("slave", ["import signal; signal.pause()"])
     monkeypatch.setattr(watch, "START_S", 600.0)
-    waiting = (Mute(), Mute(), watch.SessionMonitor(), family, console_on(stream))
-    keyboard = watch.Keyboard(KeyReader())
-    assert watch.wait_for_slave(*waiting, StopAt(2), partial(keyboard.look, Mute())) is None
+    poll = partial(watch.Keyboard(KeyReader()).look, Mute())
+    waiting = watch.SessionWatch(Mute(), Mute(), family, console_on(stream), StopAt(2), poll)
+    assert waiting.wait_for_slave() is None
     assert stream.getvalue() == "12:34:56.7 [slave] off: calibrating\n"
     child.heard_s -= 300.0
-    assert watch.wait_for_slave(*waiting, StopAt(7), partial(keyboard.look, Mute())) is None
+    waiting.stop = StopAt(7)
+    assert waiting.wait_for_slave() is None
     child.heard_s -= 600.0
+    waiting.stop = StopAt(7)
     with pytest.raises(TeleopError, match="did not start"):
-        watch.wait_for_slave(*waiting, StopAt(7), partial(keyboard.look, Mute()))
+        waiting.wait_for_slave()
 
 
 class Pressed:
