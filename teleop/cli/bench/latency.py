@@ -15,9 +15,9 @@ from pathlib import Path
 
 from teleop.cli.bench import runs
 from teleop.cli.bench.figures import Row
+from teleop.cli.bench.ping_pong import PERIOD_S, measure_ping_pong
 from teleop.cli.bench.session import run_session
 from teleop.errors import TeleopError
-from teleop.link.ping_pong import PERIOD_S, measure_ping_pong
 from teleop.messages.messages import STAGE_NAMES, Command, SlaveState
 from teleop.session.config import RunConfig
 

@@ -8,9 +8,9 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+from teleop.cli.bench.ping_pong import measure_ping_pong
 from teleop.link import Link, LinkConfig
 from teleop.link.network import LEASE_MS
-from teleop.link.ping_pong import measure_ping_pong
 from teleop.messages.messages import Command, Event, SlaveState, TendonState
 from teleop.messages.topics import COMMAND, EVENT, STATE, TENDONS, Role
 from teleop.runtime.clock import now_ns

@@ -60,7 +60,7 @@ def measure_ping_pong(
 
 def _start_process(*words: str) -> subprocess.Popen[bytes]:
     return start_module(
-        "teleop.link.ping_pong",
+        "teleop.cli.bench.ping_pong",
         *words,
         is_supervised=True,
         stdin=subprocess.PIPE,  # pong ends when this closes
