@@ -24,6 +24,7 @@ from teleop.recording.command import format_status
 from teleop.recording.reader import open_recording, read_columns
 from teleop.recording.recorder import GRACE_NS, SILENCE_NS, Recorder
 from teleop.recording.writer import RecordConfig, RecordingWriter
+from tests.teleop.link.bench import wait_until
 from tests.teleop.recorded import START_NS, free_link, start
 
 MS = 1_000_000
@@ -178,9 +179,7 @@ def test_missing_messages_are_told_and_end_the_command_with_exit_code_1(tmp_path
     process = start("teleop.recording.command", config, f"--out={tmp_path}", "--set=session=bench")
     assert process.stdout.readline().startswith("recording session")
     with Link(config, "bench", Role.SLAVE) as slave:
-        end = time.monotonic() + 10.0
-        while not slave.has_listener(STATE) and time.monotonic() < end:
-            time.sleep(0.01)
+        wait_until(lambda: slave.has_listener(STATE))
         time.sleep(0.2)
         for k in (1, 2, 5):
             slave.publish_raw(STATE, STATE.message().pack(slave.nonce, k, k))
@@ -220,9 +219,7 @@ def test_the_launcher_waits_for_a_recorder_that_makes_progress_and_ends_with_its
         lambda _words, **options: spawn([sys.executable, "-c", TELL_AND_END], **options),
     )
     child = family.start("record", [])
-    end = time.monotonic() + 20.0
-    while "here" not in said and time.monotonic() < end:
-        time.sleep(0.01)
+    wait_until(lambda: "here" in said)
     child.process.terminate()
     assert wait_for_exit(child)
     child.join_readers()

@@ -1,7 +1,6 @@
 import json
 import signal
 import time
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -21,6 +20,7 @@ from teleop.recording.replay import Player, SenderRewriter, require_present_layo
 from teleop.recording.scan import RecordingError
 from teleop.recording.writer import GapCounter, RecordConfig, RecordingWriter
 from teleop.runtime.clock import now_ns
+from tests.teleop.link.bench import wait_until
 from tests.teleop.recorded import START_NS, free_link, heard, start
 
 NONCES = {Role.MASTER: 0xAAAA, Role.SLAVE: 0xBBBB}
@@ -32,16 +32,9 @@ def recorded(item: ReceivedMessage) -> RecordedMessage:
     return RecordedMessage(item.topic.name, item.data, item.received_ns, item.stamp_ns)
 
 
-def wait_for(condition: Callable[[], bool]) -> None:
-    end = time.monotonic() + PATIENCE_S
-    while not condition():
-        assert time.monotonic() < end, "waited in vain"
-        time.sleep(0.01)
-
-
 def meet(*links: Link) -> None:
     """Wait until all see the sides; subscriptions may follow presence by a moment."""
-    wait_for(lambda: all(a.present(b.role) for a in links for b in links[:2] if a is not b))
+    wait_until(lambda: all(a.present(b.role) for a in links for b in links[:2] if a is not b))
     time.sleep(0.2)
 
 
@@ -130,7 +123,7 @@ def test_listeners_hear_the_session_again_never_early(recording):
             arrived.extend(listener.drain())
             return len(arrived) >= len(messages)
 
-        wait_for(all_there)
+        wait_until(all_there)
     assert player.messages == len(messages)
     first_ns = messages[0].received_ns
     for topic in TOPICS:
@@ -198,7 +191,7 @@ def test_the_recorder_hears_a_whole_session_and_says_so(tmp_path):
     )  # fmt: skip
     assert "'bench'" in recorder.stdout.readline()
     with Link(config, "bench", Role.SLAVE) as slave, Link(config, "bench", Role.MASTER) as master:
-        wait_for(lambda: slave.has_listener(STATE) and master.has_listener(COMMAND))
+        wait_until(lambda: slave.has_listener(STATE) and master.has_listener(COMMAND))
         meet(slave, master)
         stamps = []
         for _ in range(50):

@@ -1,13 +1,14 @@
 """What tests of the link share: links on free ports, and messages across them."""
 
 import itertools
-import socket
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from typing import Any
 
+from studies.testbed.processes import free_ports
 from teleop.link import LatestMessage, Link, LinkConfig
+from teleop.link.rate_limit import RefusalCounter
 from teleop.messages.messages import LAYOUT, Command
 from teleop.messages.topics import COMMAND, Role
 from teleop.security.keyring import Keyring
@@ -18,12 +19,8 @@ MS = 1_000_000
 
 def free_config(**changes: Any) -> LinkConfig:
     """A link on two loopback ports that nobody has."""
-    with socket.socket() as one, socket.socket() as two:
-        for probe in (one, two):
-            probe.bind(("127.0.0.1", 0))
-        ports = [probe.getsockname()[1] for probe in (one, two)]
-    endpoints = dict(zip(("master", "slave"), (f"127.0.0.1:{p}" for p in ports), strict=True))
-    return LinkConfig(**(endpoints | changes))
+    master, slave = (f"127.0.0.1:{port}" for port in free_ports(2))
+    return LinkConfig(**{"master": master, "slave": slave} | changes)
 
 
 def wait_until(condition: Callable[[], bool], seconds: float = 30.0) -> None:
@@ -32,6 +29,17 @@ def wait_until(condition: Callable[[], bool], seconds: float = 30.0) -> None:
     while not condition():
         assert time.monotonic() < deadline, "waited in vain"
         time.sleep(0.002)
+
+
+def await_refusals(refusals: RefusalCounter, *texts: str) -> None:
+    """Wait until lines with all of these texts were said."""
+    lines: list[str] = []
+
+    def said() -> bool:
+        lines.extend(refusals.take())
+        return all(any(text in line for line in lines) for text in texts)
+
+    wait_until(said)
 
 
 @contextmanager

@@ -39,7 +39,7 @@ from teleop.security.presence import (
     build_token_root,
     list_groups,
 )
-from tests.teleop.link.bench import wait_until
+from tests.teleop.link.bench import await_refusals, wait_until
 from tests.teleop.link.test_denial import KEYS, MASTER
 
 SECOND = 1_000_000_000
@@ -269,13 +269,7 @@ def test_a_group_that_the_certificate_does_not_give_is_refused(session: Session)
     limited = handshake.prove(Token(Role.REMOTE, LAYOUT, 7, RoleStage.HELD))
     assert limited.group == "remote-set"
     session.network.announce(replace(limited, limit="-stop"))
-    lines: list[str] = []
-
-    def is_refused() -> bool:
-        lines.extend(session.refusals.take())
-        return any("a remote with the certificate supervisor-set.test" in line for line in lines)
-
-    wait_until(is_refused)
+    await_refusals(session.refusals, "a remote with the certificate supervisor-set.test")
     assert not session.is_asked(7)
 
 
@@ -323,13 +317,7 @@ def test_an_error_of_one_token_is_noted_and_the_next_ones_are_looked_at(
 
     monkeypatch.setattr(session.roster, "examine", fail)
     session.network.announce(session.genuine(credentials, Role.REMOTE, 5))
-    lines: list[str] = []
-
-    def is_noted() -> bool:
-        lines.extend(session.refusals.take())
-        return any("ArithmeticError: unforeseen" in line for line in lines)
-
-    wait_until(is_noted)
+    await_refusals(session.refusals, "ArithmeticError: unforeseen")
     session.network.announce(session.genuine(credentials, Role.REMOTE, 6))
     wait_until(lambda: session.is_asked(6))
 
@@ -370,13 +358,7 @@ def test_a_certificate_that_becomes_valid_is_believed_then(
     credentials = session.issue(CertificateRole.SUPERVISOR, RIGHTS, now + timedelta(hours=1))
     token = session.genuine(credentials, Role.WATCH, 9)
     session.network.announce(token)
-    lines: list[str] = []
-
-    def is_refused() -> bool:
-        lines.extend(session.refusals.take())
-        return any("UTC on; check the clock" in line for line in lines)
-
-    wait_until(is_refused)
+    await_refusals(session.refusals, "UTC on; check the clock")
     later = SimpleNamespace(now=lambda _: now + timedelta(hours=2))
     monkeypatch.setattr(credentials_module, "datetime", later)
     session.roster._show(token, lambda _: None)

@@ -12,8 +12,8 @@ from teleop.security import CertificateRole
 from teleop.security import credentials as stored
 from tests.rogue import Rogue
 from tests.teleop.keys.folder import make_keys
-from tests.teleop.link.bench import free_config, wait_until
-from tests.teleop.link.test_played_back import lines_of, recorded
+from tests.teleop.link.bench import await_refusals, free_config
+from tests.teleop.link.test_played_back import recorded
 
 
 def insecure(config: LinkConfig) -> LinkConfig:
@@ -51,7 +51,7 @@ def test_neither_a_secure_nor_an_insecure_side_accepts_the_other_and_both_say_so
             Link(slaves, "test", Role.SLAVE) as slave,
             Link(masters, "test", Role.MASTER) as master,
         ):
-            wait_until(lines_of(master, f"a connection to {config.slave}: {text}"))
+            await_refusals(master.refusals, f"a connection to {config.slave}: {text}")
             assert not slave.present(Role.MASTER)
             assert not master.present(Role.SLAVE)
 
@@ -61,5 +61,5 @@ def test_a_token_of_a_secure_process_is_refused_by_an_insecure_one() -> None:
     config = insecure(free_config())
     with Link(config, "test", Role.SLAVE) as slave, Rogue([config.slave], "test", None) as rogue:
         rogue.announce_key(recorded(Role.MASTER, 5))
-        wait_until(lines_of(slave, "a master with a certificate: this session is insecure"))
+        await_refusals(slave.refusals, "a master with a certificate: this session is insecure")
         assert not slave.present(Role.MASTER)

@@ -4,7 +4,6 @@ Whoever plays them back has the certificate of a router, which Zenoh lets announ
 """
 
 import time
-from collections.abc import Callable
 from contextlib import ExitStack
 
 import pytest
@@ -21,7 +20,7 @@ from teleop.security.credentials import create_local_credentials
 from teleop.security.keyring import ADDRESSEES
 from teleop.security.presence import Handshake, RoleStage, Token
 from tests.rogue import Rogue
-from tests.teleop.link.bench import pump, session, wait_until
+from tests.teleop.link.bench import await_refusals, pump, session, wait_until
 
 SILENT = "that does not answer: it hangs, or somebody plays its token back"
 
@@ -49,17 +48,6 @@ def rogue_of(config: LinkConfig, count: int) -> Rogue:
     return rogue
 
 
-def lines_of(link: Link, *texts: str) -> Callable[[], bool]:
-    """Whether lines with all of these texts were said."""
-    lines: list[str] = []
-
-    def said() -> bool:
-        lines.extend(link.refusals.take())
-        return all(any(text in line for line in lines) for text in texts)
-
-    return said
-
-
 @pytest.mark.usefixtures("short_patience")
 def test_recorded_tokens_evict_and_displace_nobody(config: LinkConfig) -> None:
     with (
@@ -72,7 +60,7 @@ def test_recorded_tokens_evict_and_displace_nobody(config: LinkConfig) -> None:
                 rogue.announce_key(recorded(role, n))  # as old as can be
         rogue.announce_key(recorded(Role.MASTER, 99, relayed=True))
         for link in (slave, master):
-            wait_until(lines_of(link, *(f"a {name} {SILENT}" for name in ("master", "slave"))))
+            await_refusals(link.refusals, *(f"a {name} {SILENT}" for name in ("master", "slave")))
             link.check_peers()
             assert not link.present(Role.REMOTE)
         assert {token.nonce for token in slave._roster.others} == {master.nonce}

@@ -24,7 +24,7 @@ from teleop.security.presence import Handshake, RoleStage, Token
 from teleop.session.state_machine import Reason
 from tests.rogue import ENGAGED, POSITION_AT, STATE_AT, Rogue, forged
 from tests.teleop.keys.folder import make_keys, put
-from tests.teleop.link.bench import pump, session, wait_until
+from tests.teleop.link.bench import await_refusals, pump, session, wait_until
 from tests.teleop.link.test_withdrawn import with_keys
 
 FAR = struct.pack("<8d", *(0.014,) * 8)  # [m] a position to pull the tip to
@@ -295,11 +295,5 @@ def test_a_lost_number_is_not_taken_by_somebody_else(
     )
     with rogue_of(config, CertificateRole.ROUTER) as rogue:
         rogue.announce_key(twin._token.key("test"))
-        lines: list[str] = []
-
-        def told() -> bool:
-            lines.extend(slave.refusals.take())
-            return any("takes the number" in line for line in lines)
-
-        wait_until(told)
+        await_refusals(slave.refusals, "takes the number")
         goes_on(slave, master)

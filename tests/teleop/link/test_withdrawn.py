@@ -13,8 +13,7 @@ from teleop.messages.topics import COMMAND, Role
 from teleop.security import CertificateRole, Identity
 from teleop.security.authority import REVOKED, Authority
 from tests.teleop.keys.folder import make_keys, put
-from tests.teleop.link.bench import pump, session, wait_until
-from tests.teleop.link.test_played_back import lines_of
+from tests.teleop.link.bench import await_refusals, pump, session, wait_until
 
 DAY_S = 86_400.0
 
@@ -55,8 +54,8 @@ def test_a_master_that_is_revoked_is_parted_from_within_seconds(
         pump(master, slave, 3)
         assert master.credentials is not None
         authority.revoke(master.credentials.certificate.serial_number).publish(keys)
-        wait_until(lines_of(slave, "refused: the certificate master.test was revoked"))
-        wait_until(lines_of(master, "the certificate master.test was revoked; it is ours"))
+        await_refusals(slave.refusals, "refused: the certificate master.test was revoked")
+        await_refusals(master.refusals, "the certificate master.test was revoked; it is ours")
         is_parted(slave, master)
 
 
@@ -70,17 +69,19 @@ def test_a_list_that_is_not_genuine_takes_nobody_back(
     with Link(config, "test", Role.SLAVE) as slave:
         master = Link(config, "test", Role.MASTER).__enter__()
         (keys / REVOKED).write_bytes((tmp_path / "other" / REVOKED).read_bytes())
-        wait_until(lines_of(slave, "not signed by the authority beside it; the earlier one stays"))
+        await_refusals(
+            slave.refusals, "not signed by the authority beside it; the earlier one stays"
+        )
         pump(master, slave, 3)
         assert master.credentials is not None
         authority.revoke(master.credentials.certificate.serial_number).publish(keys)
-        wait_until(lines_of(slave, "was revoked"))
+        await_refusals(slave.refusals, "was revoked")
         (keys / REVOKED).write_bytes(empty)  # an older list, genuine
         time.sleep(0.3)  # until it was read
         master.__exit__()
         slave.refusals.take()
         with Link(config, "test", Role.MASTER) as again:  # a process that knows no better
-            wait_until(lines_of(slave, "was revoked"))
+            await_refusals(slave.refusals, "was revoked")
             assert not slave.present(Role.MASTER)
             assert not again.present(Role.SLAVE)  # which does not answer it either
 
@@ -95,7 +96,7 @@ def test_a_certificate_that_expires_ends_the_pair(
         assert master.credentials is not None
         end = master.credentials.certificate.not_valid_after_utc
         assert slave.present(Role.MASTER)
-        wait_until(lines_of(slave, "refused: the certificate master.test expired on"))
+        await_refusals(slave.refusals, "refused: the certificate master.test expired on")
         assert datetime.now(UTC) >= end
         wait_until(lambda: not slave.present(Role.MASTER) and not master.present(Role.SLAVE))
         pumped = slave.latest(COMMAND).counts.received
