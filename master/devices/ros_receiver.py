@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 
 from master.devices.commands import CommandRecord
 from master.devices.ros_device import TWIST_AXES, RosDeviceConfig
-from teleop.link.ros_session import is_router_listening
+from teleop.link.ros_session import find_router_problem
 from teleop.ros.command_topics import SERVO_TOPICS, STATE_COMMAND
 from teleop.ros.graph import BEST_EFFORT, RELIABLE, Qos
 from teleop.ros.message_types import (
@@ -260,9 +260,9 @@ def run(config: RosDeviceConfig, pipe: int) -> None:
     """Receive until told to end."""
     stop, arrivals = StopCondition(), queue.Queue[Arrival](_QUEUE_LENGTH)
     stream = CommandStream(config)
-    while not stop() and not is_router_listening(config.router):
+    while not stop() and (problem := find_router_problem(config.router)):
         for _ in range(_ROUTER_POLL_RECORDS):
-            write_record(pipe, stream)
+            write_record(pipe, CommandStream(config, fault=problem))
             time.sleep(RECORD_INTERVAL_MAX_S)
     if stop():
         return

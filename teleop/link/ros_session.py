@@ -20,21 +20,21 @@ RawSampleCallback = Callable[[bytes, bytes], None]
 """Called from Zenoh's thread with the payload of a sample and its attachment."""
 
 
-def is_router_listening(router: str) -> bool:
-    """Return whether something listens at the router's endpoint."""
+def find_router_problem(router: str) -> str:
+    """Return that nothing listens at a router's endpoint, and what starts one; empty if it does."""
     endpoint = Endpoint.parse(router)
     try:
         with socket.create_connection((endpoint.host, endpoint.port), _CONNECT_TIMEOUT_S):
-            return True
+            return ""
     except OSError:
-        return False
+        return f"no router at {router} yet: ros2 run rmw_zenoh_cpp rmw_zenohd"
 
 
 class RosSession:
     """A client of one router, which must be there; after a loss it connects again by itself.
 
     `router` is an endpoint, such as `tcp/127.0.0.1:7447`; `zid` the id of the Zenoh session. Raises
-    `TeleopError` if there is no router (`is_router_listening` tells without waiting).
+    `TeleopError` if there is no router (`find_router_problem` tells without waiting).
     """
 
     def __init__(self, router: str) -> None:

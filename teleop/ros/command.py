@@ -19,7 +19,7 @@ from pathlib import Path
 from teleop.config.options import add_options
 from teleop.errors import UsageError
 from teleop.link import Link
-from teleop.link.ros_session import is_router_listening
+from teleop.link.ros_session import find_router_problem
 from teleop.messages.messages import MESSAGES, SCHEMA_PACKAGE, Message
 from teleop.messages.page import read_field_comments
 from teleop.messages.topics import Role
@@ -149,10 +149,11 @@ def wait_for_router(router: str, stop: StopCondition) -> bool:
     """Wait until the router listens; return False if told to stop before."""
     was_announced = False
     while not stop():
-        if is_router_listening(router):
+        problem = find_router_problem(router)
+        if not problem:
             return True
         if not was_announced:
-            print(f"no router at {router} yet: ros2 run rmw_zenoh_cpp rmw_zenohd", flush=True)
+            print(problem, flush=True)
             was_announced = True
         time.sleep(_POLL_S)
     return False

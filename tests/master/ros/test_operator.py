@@ -1,6 +1,5 @@
 """A ROS node as operator of a whole session: slave, master and receiver, through a router."""
 
-import contextlib
 import math
 import signal
 import threading
@@ -169,28 +168,37 @@ def test_a_ros_node_moves_the_tip_and_no_wrong_command_does(tmp_path):
             assert master_state(link) is State.FAULT, words
 
 
-def test_a_receiver_that_stops_or_ends_is_a_fault():
-    device = RosDevice(RosDeviceConfig(router=f"tcp/127.0.0.1:{free_port()}"))
+def test_a_receiver_without_a_router_or_that_stops_or_ends_is_a_fault():
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    device = RosDevice(RosDeviceConfig(router=endpoint))
     receiver = device._process
     try:
-        assert wait_for_condition(lambda: device.read(0.0) and device._began, PATIENCE_S)
-        assert not device.read(0.0).engage
-        receiver.send_signal(signal.SIGSTOP)
-        with pytest.raises(DeviceLost, match="does not answer"):
-            wait_for_condition(lambda: device.read(0.0) and False, PATIENCE_S)
+        for signal_number, said in (
+            (signal.SIGCONT, f"no router at {endpoint} yet: ros2 run rmw_zenoh_cpp rmw_zenohd"),
+            (signal.SIGSTOP, "the receiver of ROS commands does not answer"),
+        ):
+            receiver.send_signal(signal_number)
+            assert wait_for_condition(lambda said=said: find_loss(device) == said, PATIENCE_S)
+        receiver.send_signal(signal.SIGCONT)
+        with router(endpoint):
+            assert wait_for_condition(lambda: not find_loss(device), PATIENCE_S)
+            assert not device.read(0.0).engage
         receiver.kill()
         with pytest.raises(DeviceFault, match="has ended"):
-            wait_for_condition(lambda: _read(device) and False, PATIENCE_S)
+            wait_for_condition(lambda: find_loss(device) and False, PATIENCE_S)
         with pytest.raises(DeviceFault, match="refuses"):
             device.write((math.nan,))
     finally:
         device.close()
 
 
-def _read(device):
-    """Read a device that may be lost, and is to end."""
-    with contextlib.suppress(DeviceLost):
-        return device.read(0.0)
+def find_loss(device):
+    """Return why a device is lost; empty if it is not."""
+    try:
+        device.read(0.0)
+    except DeviceLost as loss:
+        return str(loss)
+    return ""
 
 
 @pytest.mark.parametrize("words", [["master.device={type: ros, router: tcp/10.0.0.1:7447}"]])

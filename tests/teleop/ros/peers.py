@@ -15,9 +15,9 @@ def free_port():
 
 
 @contextlib.contextmanager
-def router():
+def router(endpoint=None):
     """A Zenoh session in the role of `rmw_zenohd`; yields its endpoint."""
-    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    endpoint = endpoint or f"tcp/127.0.0.1:{free_port()}"
     config = zenoh.Config()
     for key, value in {
         "mode": "router",
