@@ -1,5 +1,6 @@
 """A rig on servo models, spoken to by the vendor's SDK: what moves, what stops, what is said."""
 
+import contextlib
 import fcntl
 import os
 import signal
@@ -303,24 +304,52 @@ def test_the_current_limit_is_set_in_the_unit_of_the_model(servos, model, counts
         return take(address, data)
 
     servo.write = write
-    with opened_on(servos, current_limit=0.5):
+    with opened_on(servos, current_limit=0.5) as rig:
         assert servo.table[OPERATING_MODE] == 5
         assert (servo.get(CURRENT_LIMIT, 2), servo.get(GOAL_CURRENT, 2)) == (counts, counts)
+        sample = read_some(rig)[-1]  # an X330 servo shows its status at another address
+    assert sample.proximal_displacement == pytest.approx([0.0, 0.0], abs=5e-5)
+    assert sample.proximal_tension == pytest.approx([0.5 * SCALE] * 2, rel=0.01)
     order = [(address, True) for address in (OPERATING_MODE, CURRENT_LIMIT, GOAL_CURRENT)]
     assert without_torque == order
 
 
 @pytest.mark.parametrize(
-    ("model", "read_only"), [(1060, False), pytest.param(4711, True, marks=pytest.mark.slow)]
+    ("model", "read_only"), [(1060, False), pytest.param(1999, True, marks=pytest.mark.slow)]
 )  # XL430-W250, unknown
-def test_a_model_that_cannot_limit_its_current_is_refused(servos, model, read_only):
+def test_a_model_without_current_limits_none_and_is_no_cell(servos, model, read_only):
     servos.servos[2].put(0, 2, model)
-    said = f"servo 2: model {model} has no current-based position mode.*current_limit to null"
-    with pytest.raises(RigFault, match=said):
-        HardwareRig(config_on(servos, current_limit=0.5), read_only)
+    config = dynamixel(servos.port.name, current_limit=0.5)
+    for cells, said in (
+        ((), f"servo 2: model {model} has no current-based position mode.*current_limit to null"),
+        ((2,), f"servo 2: model {model} measures no current known to this driver.*slave.rig.cells"),
+    ):
+        driver = configs.open_driver(config, Channels((2,), cells, read_only))
+        with pytest.raises(DriverFault, match=said), contextlib.closing(driver):
+            driver.start()
     assert servos.servos[2].table[OPERATING_MODE] == 3
-    with opened_on(servos):  # without a limit
-        assert servos.servos[2].table[OPERATING_MODE] == 4
+    config = dynamixel(servos.port.name)  # without a limit
+    with contextlib.closing(configs.open_driver(config, Channels((2,), (1,)))) as driver:
+        driver.start()
+    assert servos.servos[2].table[OPERATING_MODE] == 4
+
+
+@pytest.mark.parametrize("read_only", [False, True])
+def test_a_servo_of_another_control_table_is_refused_before_anything_is_written(
+    servos, monkeypatch, read_only
+):
+    servos.servos[2].put(0, 2, 350)  # XL-320
+    for servo in servos.servos.values():
+        servo.write = lambda address, _data: pytest.fail(f"written at {address}")
+    config = dynamixel(servos.port.name)
+    driver = configs.open_driver(config, Channels((2,), (), read_only))
+    said = "servo 2: model 350 has another control table than the X series"
+    with pytest.raises(DriverFault, match=said), contextlib.closing(driver):
+        driver.start()
+    monkeypatch.setattr(registers, "BAUD_RATES", ())
+    first, second = configs.scan(config)
+    assert first == "servo 1: model 1020 at 1000000 baud"
+    assert second == "servo 2: model 350 at 1000000 baud; not of the X series: no driver"
 
 
 def test_read_only_asks_and_writes_nothing(servos):

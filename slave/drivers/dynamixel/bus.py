@@ -139,10 +139,13 @@ class ServoBus:
         """Read a register, unsigned."""
         text = ""
         for _ in range(TRIES_MAX):
-            data, result, _ = self.packets.readTxRx(
+            data, result, error = self.packets.readTxRx(
                 self.port, number, register.address, register.size
             )
             text = format_result(result)
+            if not text and error & 0x7F:
+                text = f"refused: {self.packets.getRxPacketError(error & 0x7F)}"
+                break
             if not text and len(data) == register.size:
                 return int.from_bytes(bytes(data), "little")
             time.sleep(LATE_S)

@@ -4,6 +4,7 @@ import contextlib
 import math
 import termios
 import time
+from collections import ChainMap
 from collections.abc import Sequence
 
 import numpy as np
@@ -32,12 +33,11 @@ class DynamixelDriver:
         self._config, self._channels = config, channels
         self._ids = sorted({*channels.motors, *channels.cells})
         self.period_s = 1.0 / config.rate_hz
-        self._bus = bus = ServoBus(config.port, config.wait)
-        self._read = GroupSyncRead(bus.port, bus.packets, registers.INDIRECT_DATA, STATUS_SIZE)
-        for number in self._ids:
-            self._read.addParam(number)
+        self._bus = ServoBus(config.port, config.wait)
+        self._reads: dict[int, GroupSyncRead] = {}  # by address, of servos of unlike models
         self._motor_rows = [self._ids.index(number) for number in channels.motors]
         self._cell_rows = [self._ids.index(number) for number in channels.cells]
+        self._cell_units: dict[int, float] = {}  # [A] a count
         self._watchdog = round(config.watchdog / WATCHDOG_UNIT)
         self._enabled = False
         self._positions: list[int] = []  # of the motors, read last
@@ -85,19 +85,30 @@ class DynamixelDriver:
     def _set_up_all(self) -> None:
         for number in self._ids:
             self._set_up(number)
+            address = servo_check.find_status_address(self._bus, number)
+            if address not in self._reads:
+                self._reads[address] = GroupSyncRead(
+                    self._bus.port, self._bus.packets, address, STATUS_SIZE
+                )
+            self._reads[address].addParam(number)
 
     def _set_up(self, number: int) -> None:
         """Set up one servo, torque off: the order matters, its EEPROM is locked with torque on."""
         bus = self._bus
         model = bus.ping(number)
+        servo_check.require_known_table(number, model)
+        if number in self._channels.cells:
+            self._cell_units[number] = servo_check.require_current_unit(
+                number, model, servo_check.AS_CELL
+            )
         bus.put_unconfirmed(number, registers.STATUS_RETURN, registers.ANSWERS_ALL)
         servo_check.require_healthy(bus, number, model)
         moves = number in self._channels.motors
-        limit, unit = self._config.current_limit, registers.CURRENT_UNIT
+        limit, unit = self._config.current_limit, 0.0
         if moves:
             servo_check.require_counts(bus, number)
             if limit is not None:
-                unit = servo_check.require_current_unit(number, model)
+                unit = servo_check.require_current_unit(number, model, servo_check.AS_LIMIT)
         bus.put(number, registers.TORQUE_ENABLE, 0)  # before the watchdog lets an old goal go on
         bus.put(number, registers.BUS_WATCHDOG, 0)  # clears one that has triggered
         bus.put(number, registers.RETURN_DELAY, 0)
@@ -123,16 +134,17 @@ class DynamixelDriver:
             goals = [max(-LIMIT, min(LIMIT, round(value))) for value in target.tolist()]
             self._send(registers.GOAL_POSITION, goals)
         sent_s = time.monotonic()
-        result = self._read.txRxPacket()
+        results = [read.txRxPacket() for read in self._reads.values()]
         now = time.monotonic()
-        if text := format_result(result):
+        if text := next(filter(None, map(format_result, results)), ""):
             self._lost += 1
             if now - self._heard_s > self._config.timeout:
                 silent = (now - self._heard_s) * 1e3
                 raise DriverFault(f"{self._config.port}: {text} for {silent:.0f} ms")
             return ()
         self._heard_s = now
-        status = registers.parse_status(b"".join(bytes(self._read.data_dict[k]) for k in self._ids))
+        data = ChainMap(*(read.data_dict for read in self._reads.values()))
+        status = registers.parse_status(b"".join(bytes(data[k]) for k in self._ids))
         self._check(status)
         motors = status[self._motor_rows]
         self._positions = motors["position"].tolist()
@@ -140,7 +152,8 @@ class DynamixelDriver:
             self._disable(motors)
         elif not self._enabled:
             self._enable(motors, now)
-        current = status["current"][self._cell_rows] * registers.CURRENT_UNIT
+        units = [self._cell_units[number] for number in self._channels.cells]
+        current = status["current"][self._cell_rows] * units
         # servos answer one after the other; their values are of about the middle
         sampled_s, positions = 0.5 * (sent_s + now), motors["position"].astype(float)
         return (Reading(sampled_s, positions, current, self._enabled),)

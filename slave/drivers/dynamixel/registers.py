@@ -48,7 +48,7 @@ PRESENT_CURRENT = Register("Present Current", 126, 2)
 PRESENT_POSITION = Register("Present Position", 132, 4)
 INPUT_VOLTAGE = Register("Present Input Voltage", 144, 2)  # [0.1 V]
 TEMPERATURE = Register("Present Temperature", 146, 1)  # [deg C]
-INDIRECT_DATA = 224  # of the first
+INDIRECT_DATA = (224, 208)  # of the first; X330 servos have fewer indirect addresses before it
 
 EXTENDED_POSITION = 4  # operating mode: several turns, no limit of the current
 CURRENT_BASED_POSITION = 5  # operating mode: several turns, the current limited
@@ -72,10 +72,11 @@ CURRENT_UNITS = {
     **dict.fromkeys((1190, 1200), 1.0e-3),  # XL330
     **dict.fromkeys((1210, 1220, 1230, 1240), 1.0e-3),  # XC330
     1710: 1.0e-3,  # XM335
+    **dict.fromkeys((311, 321), 3.36e-3),  # MX-64, MX-106 of protocol 2.0
 }
 """Units of current [A] of the models with the current-based position mode (e-manual).
 
-XL430, XC430, 2XL430 and 2XC430 have no current control.
+XL430, XC430, 2XL430 and 2XC430 measure no current.
 """
 
 STATUS = (
@@ -128,6 +129,11 @@ ERROR_TEXT = {
     HardwareError.ELECTRICAL_SHOCK: "electrical shock or too little power",
     HardwareError.OVERLOAD: "overload",
 }
+
+
+def has_known_table(model: int) -> bool:
+    """Return whether a model has the control table of this file: X series, MX of protocol 2.0."""
+    return 1000 <= model < 2000 or model in (30, 311, 321)
 
 
 def list_settings(limits_current: bool) -> tuple[tuple[Register, int], ...]:

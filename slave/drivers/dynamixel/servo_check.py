@@ -4,10 +4,23 @@ Registers keep what other programs left there. What a driver cannot set without 
 config means is refused by the register's name; what it sets is listed, so that it can be said.
 """
 
+from contextlib import suppress
+
 from slave.drivers.driver import DriverFault
 from slave.drivers.dynamixel import registers
 from slave.drivers.dynamixel.bus import ServoBus
 from slave.drivers.dynamixel.registers import Register
+
+VOLTS_MARGIN = 10  # [0.1 V] between two reads of a supply
+
+
+def require_known_table(number: int, model: int) -> None:
+    """Raise `DriverFault` if the registers of a servo are others than this driver's."""
+    if not registers.has_known_table(model):
+        raise DriverFault(
+            f"servo {number}: model {model} has another control table than the X series, so "
+            "nothing was written: it needs a rig of your own (docs/how-to/rigs.md)"
+        )
 
 
 def require_healthy(bus: ServoBus, number: int, model: int) -> None:
@@ -41,14 +54,18 @@ def require_counts(bus: ServoBus, number: int) -> None:
         )
 
 
-def require_current_unit(number: int, model: int) -> float:
-    """Return the unit [A] of a servo's currents; `DriverFault` if it cannot limit them."""
+AS_LIMIT = (
+    "has no current-based position mode known to this driver: set current_limit to null and limit "
+    "the torque by the servo's PWM Limit"
+)
+AS_CELL = "measures no current known to this driver: connect a load cell (slave.rig.cells)"
+
+
+def require_current_unit(number: int, model: int, reason: str) -> float:
+    """Return the unit [A] of a servo's currents; `DriverFault` with a reason if it has none."""
     unit = registers.CURRENT_UNITS.get(model)
     if unit is None:
-        raise DriverFault(
-            f"servo {number}: model {model} has no current-based position mode known to this "
-            "driver: set current_limit to null and limit the torque by the servo's PWM Limit"
-        )
+        raise DriverFault(f"servo {number}: model {model} {reason}")
     return unit
 
 
@@ -60,3 +77,17 @@ def find_other_settings(
     settings = (*registers.list_settings(limits_current), (registers.SHUTDOWN, shutdown))
     read = [(register, bus.get(number, register), value) for register, value in settings]
     return [entry for entry in read if entry[1] != entry[2]]
+
+
+def find_status_address(bus: ServoBus, number: int) -> int:
+    """Return where a servo shows what `INDIRECT_ADDRESSES` name; `DriverFault` if nowhere."""
+    known = [bus.get(number, each) for each in (registers.INPUT_VOLTAGE, registers.TEMPERATURE)]
+    for address in registers.INDIRECT_DATA:
+        shown = Register("Indirect Data", address, registers.STATUS_SIZE)
+        with suppress(DriverFault):  # beyond its table
+            data = bus.get(number, shown).to_bytes(shown.size, "little")
+            (status,) = registers.parse_status(data)
+            volts, degrees = int(status["voltage"]), int(status["temperature"])
+            if abs(volts - known[0]) <= VOLTS_MARGIN and abs(degrees - known[1]) <= 1:
+                return address
+    raise DriverFault(f"servo {number}: its Indirect Data are at no address known to this driver")

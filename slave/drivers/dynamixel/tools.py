@@ -40,6 +40,7 @@ class DynamixelReader:
         self._motor_rows = [self._ids.index(number) for number in channels.motors]
         self._cell_rows = [self._ids.index(number) for number in channels.cells]
         self._settings: list[str] = []
+        self._cell_units: dict[int, float] = {}  # [A] a count
         self._lost = 0
         self._heard_s = 0.0
 
@@ -64,7 +65,8 @@ class DynamixelReader:
         data = b"".join(bytes(self._read.data_dict[number]) for number in self._ids)
         samples = np.frombuffer(data, _SAMPLE)
         position = samples["position"][self._motor_rows].astype(float)
-        current = samples["current"][self._cell_rows] * registers.CURRENT_UNIT
+        units = [self._cell_units[number] for number in self._channels.cells]
+        current = samples["current"][self._cell_rows] * units
         return (Reading(0.5 * (sent_s + now), position, current),)
 
     def stop(self) -> None:
@@ -81,13 +83,18 @@ class DynamixelReader:
     def _look(self) -> None:
         for number in self._ids:
             model = self._bus.ping(number)
+            servo_check.require_known_table(number, model)
+            if number in self._channels.cells:
+                self._cell_units[number] = servo_check.require_current_unit(
+                    number, model, servo_check.AS_CELL
+                )
             self._require_readable(number)
             servo_check.require_healthy(self._bus, number, model)
             if number in self._channels.motors:
                 limits_current = self._config.current_limit is not None
                 servo_check.require_counts(self._bus, number)
                 if limits_current:
-                    servo_check.require_current_unit(number, model)
+                    servo_check.require_current_unit(number, model, servo_check.AS_LIMIT)
                 others = servo_check.find_other_settings(self._bus, number, limits_current)
                 self._settings += [
                     f"servo {number}: {register.name} is {actual}, a session sets {value}"
@@ -168,6 +175,7 @@ def _scan_baud_rate(bus: ServoBus, config: DynamixelConfig) -> list[str]:
     for number in sorted(models):
         model, _, error = bus.packets.ping(bus.port, number)
         alert = "; reports a hardware error" * bool(error & 0x80)
+        alert += "; not of the X series: no driver" * (not registers.has_known_table(model))
         lines.append(f"servo {number}: model {model} at {baud} baud{hint}{alert}")
     if result == COMM_RX_CORRUPT:
         lines += [

@@ -23,6 +23,7 @@ TORQUE, ERROR, WATCHDOG, GOAL, CURRENT, POSITION, VOLTAGE, TEMPERATURE = (
 )  # fmt: skip
 OPERATING_MODE, CURRENT_LIMIT, GOAL_CURRENT = 11, 38, 102
 LIMITING_MODES = (0, 5)  # in which the goal current and its limit act
+X330 = range(1190, 1250)  # models with 20 indirect addresses, and their data before 228
 WITHOUT_CURRENT = (1060, 1070, 1080, 1090, 1160)  # models: XL430, XC430, 2XL430, 2XC430
 DRIVE_MODE, SECONDARY_ID, HOMING_OFFSET, STATUS_RETURN = 10, 12, 20, 68
 STARTUP, SHUTDOWN = 60, 63
@@ -73,9 +74,12 @@ class Servo:
         return int.from_bytes(self.table[address : address + size], "little", signed=signed)
 
     def where(self, address: int) -> int:
-        return self.get(168 + 2 * (address - 224), 2) if 224 <= address < 252 else address
+        first, end = (208, 228) if self.get(0, 2) in X330 else (224, 252)
+        return self.get(168 + 2 * (address - first), 2) if first <= address < end else address
 
     def read(self, address: int, size: int) -> bytes:
+        if self.get(0, 2) in X330 and address + size > 228:
+            return b""
         return bytes(self.table[self.where(address + k)] for k in range(size))
 
     def write(self, address: int, data: bytes) -> int:
@@ -204,7 +208,7 @@ class Servos:
             for one in body[4:]:
                 if one in self.servos:
                     self._hear(one, now)
-                    self._answer(one, self.servos[one].read(address, size))
+                    self._answer_read(one, address, size)
         elif instruction == SYNC_WRITE:
             address, size = struct.unpack_from("<HH", body)
             for k in range(4, len(body), size + 1):
@@ -225,7 +229,7 @@ class Servos:
             self._answer(number, bytes(servo.table[0:2]) + b"\x2d")
         elif instruction == READ:
             address, size = struct.unpack_from("<HH", body)
-            self._answer(number, servo.read(address, size))
+            self._answer_read(number, address, size)
         elif instruction == WRITE:
             (address,) = struct.unpack_from("<H", body)
             self._answer(number, b"", servo.write(address, body[2:]))
@@ -234,6 +238,10 @@ class Servos:
             servo.put(ERROR, 1, 0)
             servo.put(WATCHDOG, 1, 0)
             self._answer(number, b"")
+
+    def _answer_read(self, number: int, address: int, size: int) -> None:
+        data = self.servos[number].read(address, size)
+        self._answer(number, data, 0 if data else DATA_RANGE)
 
     def _answer(self, number: int, data: bytes, error: int = 0) -> None:
         if self.servos[number].table[STATUS_RETURN] < self._answers_from:
