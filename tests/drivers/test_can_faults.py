@@ -103,6 +103,37 @@ def test_a_node_that_is_alive_but_does_not_answer_is_told_from_one_that_is_not_t
     assert said in start_error(drives.port_name)
 
 
+def test_two_nodes_of_one_number_are_named_by_every_command(drives, monkeypatch):
+    monkeypatch.setattr(tools, "NODE_NUMBER_MAX", 3)
+    send = drives.bus.send
+
+    def send_twice(message, timeout=None):
+        send(message, timeout)
+        if message.arbitration_id == 0x581:
+            send(message, timeout)
+
+    config = config_on(drives.port_name)
+    (line,) = configs.scan(config)
+    assert line == "node 1: model of a drive, profile 402, switch on disabled"
+    drives.bus.send = send_twice
+    said = "drive 1 answers each request twice: two nodes have this number: connect one at a time"
+    (line,) = configs.scan(config)
+    assert line.startswith(said)
+    for motors, cells, read_only in (((1,), (), True), ((1,), (), False), ((), (1,), False)):
+        driver = configs.open_driver(config, Channels(motors, cells, read_only))
+        with pytest.raises(DriverFault, match=said), contextlib.closing(driver):
+            driver.start()
+
+
+def test_an_answer_of_another_object_is_named_as_one_of_two_nodes_or_programs(drives):
+    drives.answer = lambda message: (
+        message.arbitration_id == 0x601
+        and (drives.send(0x581, bytes.fromhex("4b41600037020000")) or True)
+    )
+    said = start_error(drives.port_name)
+    assert "object 1000:0: an answer to another request came: another program speaks to it" in said
+
+
 def test_a_scan_names_a_node_that_only_says_that_it_is_alive(drives, monkeypatch):
     monkeypatch.setattr(tools, "NODE_NUMBER_MAX", 3)
     drives.answer_by_heartbeats(1)
@@ -287,6 +318,10 @@ def test_an_interface_that_carries_no_frames_is_named_with_the_command(interface
             "the interface is down, or bus off.*ip link set can7 up",
         ),
         (OSError(19, "No such device"), "no such interface, or its adapter is unplugged"),
+        (
+            OSError(97, "Address family not supported"),
+            "this kernel has no SocketCAN: sudo modprobe",
+        ),
         (can.CanOperationError("x"), "CAN can7: x: adapter unplugged, bus off, or no drive"),
     ],
 )
@@ -325,3 +360,12 @@ def test_silence_while_running_is_told_with_the_reason(drives):
             cycle_on(driver)
     finally:
         driver.close()
+
+
+@pytest.mark.parametrize("interface", ["pcan", "neovi", "gs_usb", "socketcand", "canfox"])
+def test_an_interface_without_its_library_is_told_with_those_that_need_none(interface):
+    config = Cia402Config(bus=BusConfig(interface=interface, channel="0"))
+    with pytest.raises(
+        DriverFault, match=f"opened as {interface}: .*; most USB adapters.*to socke"
+    ):
+        bus.open_bus(config)

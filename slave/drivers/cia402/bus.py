@@ -23,7 +23,7 @@ from slave.drivers.cia402.monitor import (
 )
 from slave.drivers.claim import claim_bus, claim_port
 from slave.drivers.driver import DriverFault
-from slave.drivers.ports import explain_busy
+from slave.drivers.ports import explain_busy, explain_denied
 
 # --- the serial port of an slcan adapter, read in whole chunks
 
@@ -136,9 +136,9 @@ def open_bus(config: Cia402Config) -> ClaimedBus:
     claim = claim_port(channel) if is_serial else claim_bus(place, f"{interface} {channel}")
     try:
         bus = can.Bus(**config.bus.arguments())
-    except (can.CanError, OSError, ValueError) as error:
+    except (can.CanError, OSError, ValueError, TypeError, ImportError) as error:
         claim.close()
-        reason = _explain_error(config.bus, error) or str(error)
+        reason = _explain_error(config.bus, error) or f"{error}{_suggest_interface(error)}"
         raise DriverFault(f"{place}: cannot be opened as {interface}: {reason}") from error
     monitor = BusMonitor(config.bus)
     bus.send = retry_full_queue(bus.send)  # type: ignore[method-assign]
@@ -197,13 +197,28 @@ def _explain_error(bus: BusConfig, error: Exception) -> str:
     number = _read_error_number(error)
     if number in (errno.EAGAIN, errno.EBUSY):
         return explain_busy(bus.channel)
+    if number in (errno.EACCES, errno.EPERM):
+        return explain_denied(bus.channel)
     return {
         errno.ENOBUFS: "no node acknowledges frames, the send queue is full: are the drives "
         f"powered, bit rate and termination right? ({show})",
         errno.ENETDOWN: f"the interface is down, or {BUS_OFF_TEXT}: sudo ip link set {bus.channel} "
         f"down; sudo ip link set {bus.channel} up type can bitrate {bus.bitrate} ({show})",
+        errno.EAFNOSUPPORT: "this kernel has no SocketCAN: sudo modprobe can_raw (WSL and some "
+        "containers have none: an adapter with slcan needs only a serial port)",
         errno.ENODEV: "no such interface, or its adapter is unplugged (`teleop rig scan`)",
     }.get(number or 0, "")
+
+
+def _suggest_interface(error: Exception) -> str:
+    """Return what to do where python-can lacks a library, knows no such interface or no channel."""
+    if _read_error_number(error):
+        return ""
+    return (
+        "; most USB adapters (candleLight, PEAK, Kvaser, IXXAT) need none of this on Linux: set "
+        "bus.interface to socketcan, bus.channel to can0 (`teleop rig scan` lists them), or slcan "
+        "and the adapter's port"
+    )
 
 
 def _read_error_number(error: Exception) -> int | None:

@@ -127,6 +127,8 @@ class BusConfig:
     def arguments(self) -> dict[str, Any]:
         """Return the arguments of `can.Bus`."""
         found: dict[str, Any] = {"interface": self.interface, "channel": self.channel}
+        if self.channel.isdecimal():  # Kvaser and others count theirs
+            found["channel"] = int(self.channel)
         if self.interface == "slcan":
             found |= {
                 "bitrate": self.bitrate,

@@ -91,6 +91,8 @@ def select_control_word(state: DriveState, requested: RequestedState) -> int:
 # --- set up a CANopen node by SDO: PDOs, modes, limits, watchdog; each value is read back
 
 SDO_TIMEOUT_S = 0.3
+TWIN_S = 0.005  # [s] in which the answer of a second node of one number has come
+TWINS_TEXT = "two nodes have this number: connect one at a time and change its number"
 LATE_S = 0.5  # [s] after which an answer that is late has come
 HEARTBEAT_MS = 100  # of the nodes
 DISABLE_S = 1.0  # [s] in which a drive must be without power, its brake closed
@@ -128,6 +130,16 @@ class NodeSetup:
         self._sdo = node.sdo
         self._sdo.RESPONSE_TIMEOUT = timeout_s
 
+    def require_single(self) -> None:
+        """Raise `DriverFault` if two nodes have this number: both answer each request."""
+        for _ in range(2):  # one answer may be a late one to an earlier request
+            self._monitor.forget_answers(self._number)
+            self.get(0x1000, 0)
+            time.sleep(TWIN_S)
+            if self._monitor.count_answers(self._number) < 2:
+                return
+        raise self._fault(f"answers each request twice: {TWINS_TEXT}")
+
     def drive(self, with_cell: bool) -> None:
         """Set up a drive, without power; `DriverFault` if it refuses, has a fault or no home."""
         self.require_drive()
@@ -159,6 +171,7 @@ class NodeSetup:
 
     def cell(self) -> None:
         """Set up a node that has a load cell and no motor in use."""
+        self.require_single()
         self.put(0x1017, 0, 2, HEARTBEAT_MS)
         self._map(0x1800, 0x180, [])
         self._map(0x1801, 0x280, [self._cell()])
@@ -173,6 +186,8 @@ class NodeSetup:
     def description(self) -> str:
         """Return name, profile and state, as far as the node tells."""
         profile = self.get(0x1000, 0) & 0xFFFF
+        self._sdo.RESPONSE_TIMEOUT = SDO_TIMEOUT_S  # it is there
+        self.require_single()
         name = ""
         with contextlib.suppress(SdoError):
             name = self._sdo.upload(0x1008, 0).rstrip(b"\0").decode("ascii", "replace")
@@ -230,6 +245,7 @@ class NodeSetup:
 
     def require_drive(self) -> None:
         """Raise `DriverFault` if the node is no drive, has a fault or is not homed; read only."""
+        self.require_single()
         if self.get(0x1000, 0) & 0xFFFF != 402:
             raise self._fault("is no CiA 402 drive (object 1000)")
         status = self.get(0x6041, 0)
@@ -307,12 +323,17 @@ class NodeSetup:
         except SdoAbortedError as error:
             raise self._fault(f"{place}: {format_abort(error)}") from error
         except SdoError as error:
+            if "instead" in str(error):  # the answer is of another object
+                raise self._fault(
+                    f"{place}: an answer to another request came: another program speaks to it, or "
+                    f"{TWINS_TEXT}"
+                ) from error
             if "No SDO response" not in str(error):
                 raise self._fault(f"{place}: {error}") from error
             self._monitor.forget_answers(self._number)
             timeout_s = self._sdo.RESPONSE_TIMEOUT
             until_s = time.monotonic() + (LATE_S if timeout_s == SDO_TIMEOUT_S else 0.0)
-            while time.monotonic() < until_s and not self._monitor.has_answered(self._number):
+            while time.monotonic() < until_s and not self._monitor.count_answers(self._number):
                 time.sleep(POLL_S)
             reason = self._monitor.explain_silence(self._number, timeout_s)
             raise NoAnswer(f"drive {self._number} {reason}") from error

@@ -2,6 +2,7 @@
 
 import json
 import subprocess
+from collections import Counter
 from collections.abc import Callable
 from typing import Any
 
@@ -34,7 +35,8 @@ class BusMonitor(can.Listener):
 
     def __init__(self, bus: BusConfig) -> None:
         self._bus = bus
-        self._heard: dict[int, set[int]] = {}  # kinds of frames, by node
+        self._heard: set[int] = set()  # nodes
+        self._answers: Counter[int] = Counter()  # to SDO requests, by node
         self._emergencies: dict[int, int] = {}  # newest code that was not reset, by node
         self._bus_off = self._unacknowledged = self._disturbed = False
         self.count_refusals: Callable[[], int] = lambda: 0
@@ -46,7 +48,8 @@ class BusMonitor(can.Listener):
         if msg.is_error_frame:
             self._take_error(msg.arbitration_id, data.ljust(8, b"\0"))
         elif number and kind in _FROM_NODES and not (msg.is_extended_id or msg.is_remote_frame):
-            self._heard.setdefault(number, set()).add(kind)
+            self._heard.add(number)
+            self._answers[number] += kind == SDO_ANSWER
             if kind == EMERGENCY and len(data) >= 2:
                 self._emergencies[number] = int.from_bytes(data[:2], "little")
 
@@ -74,11 +77,11 @@ class BusMonitor(can.Listener):
 
     def forget_answers(self, number: int) -> None:
         """Forget the SDO answers of a node: one that comes from now on is late."""
-        self._heard.get(number, set()).discard(SDO_ANSWER)
+        self._answers[number] = 0
 
-    def has_answered(self, number: int) -> bool:
-        """Return whether an SDO answer of a node came, and was not forgotten."""
-        return SDO_ANSWER in self._heard.get(number, ())
+    def count_answers(self, number: int) -> int:
+        """Return how many SDO answers of a node came since they were forgotten."""
+        return self._answers[number]
 
     def explain_errors(self) -> str:
         """Return what is wrong with the bus itself, with the next step; empty if nothing is."""
@@ -87,8 +90,8 @@ class BusMonitor(can.Listener):
         bitrate = f"bit rate ({self._bus.bitrate} in the config)"
         if self._disturbed:
             return (
-                f"frames are damaged: another {bitrate} than the drives', or termination missing "
-                "(120 ohm at both ends: 60 between CAN_H and CAN_L)"
+                f"frames are damaged: another {bitrate} than the drives', termination missing (120 "
+                "ohm at both ends: 60 between CAN_H and CAN_L), or two nodes of one number"
             )
         if self._unacknowledged or self.count_refusals():
             return (
@@ -101,7 +104,7 @@ class BusMonitor(can.Listener):
 
     def explain_silence(self, number: int, timeout_s: float) -> str:
         """Return why a node has not answered an SDO request, with the next step."""
-        if self.has_answered(number):
+        if self.count_answers(number):
             return (
                 f"answers SDO requests later than {timeout_s * 1e3:g} ms: is it still starting, or "
                 "does another program speak to it?"
