@@ -58,7 +58,7 @@ def claim_port(path: str) -> socket.socket:
     try:
         device = os.stat(path).st_rdev
     except OSError as error:
-        reason = f"{error.strerror}{ports.explain_missing()}"
+        reason = f"{error.strerror}{ports.explain_missing(path)}"
         raise DriverFault(f"{path}: cannot be opened: {reason}") from error
     claim = claim_bus(path, f"serial {os.major(device)}:{os.minor(device)}")
     if users := ports.find_users(path):

@@ -1,11 +1,15 @@
 """Serial ports of this machine: lasting names, slow adapters, and who has them open."""
 
+import grp
 import os
+import pwd
+import re
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 
 from slave.drivers.driver import DriverFault
+from teleop.runtime.machine import find_container, find_usb_remedy
 from teleop.runtime.process import find_openers, is_running
 
 DEVICES = Path("/dev")
@@ -14,6 +18,7 @@ NETWORK = Path("/sys/class/net")
 LATENCY_MAX_MS = 2
 _CAN_INTERFACE = "280"  # ARPHRD_CAN
 _RULES = "/etc/udev/rules.d"
+_ELSEWHERE = {"Windows": r"(?i)com\d+$", "macOS": r"/dev/(cu|tty)\."}  # names of ports there
 _DAEMONS = {  # programs that take adapters by themselves, and what keeps them off
     "ModemManager": "asks each new port whether it is a modem: put "
     'ATTRS{{idVendor}}=="{vendor}", ENV{{ID_MM_DEVICE_IGNORE}}="1" into '
@@ -85,16 +90,45 @@ def explain_busy(port: str) -> str:
     return find_users(port) or f"in use by another program: {suspect or 'end it first'}"
 
 
-def explain_missing() -> str:
-    """Return why an adapter may have no device file; empty if nothing is known."""
-    return f": brltty {_DAEMONS['brltty']}" if is_running("brltty") else ""
+def explain_missing(port: str = "") -> str:
+    """Return why an adapter may have no device file, or which others have; empty if unknown."""
+    attached = ", ".join(name or device for device, name in list_ports().items())
+    system = next((name for name, pattern in _ELSEWHERE.items() if re.match(pattern, port)), "")
+    hints = (
+        f"that is a name of {system}" if system else "",
+        f"brltty {_DAEMONS['brltty']}" if is_running("brltty") else "",
+        f"attached: {attached}" if attached and port else "",
+        "" if attached else find_usb_remedy("/dev/ttyUSB0"),
+    )
+    return "".join(f": {hint}" for hint in hints if hint)
+
+
+def explain_denied(port: str) -> str:
+    """Return what gives this user the right to open a port; empty if the user has it."""
+    if os.access(port, os.R_OK | os.W_OK) or not os.path.exists(port):
+        return ""
+    status, real = os.stat(port), os.path.realpath(port)
+    group, user = str(status.st_gid), str(os.geteuid())
+    members: list[str] = []
+    with suppress(KeyError):
+        group, _, _, members = grp.getgrgid(status.st_gid)
+        user = pwd.getpwuid(os.geteuid()).pw_name
+    if find_container():
+        return f"no permission: docker run --group-add {status.st_gid} ..."
+    if status.st_gid == 0 or status.st_mode & 0o060 != 0o060:
+        return (
+            f'no permission, as it is not of a group: put SUBSYSTEM=="tty", ATTRS{{idVendor}}=='
+            f'"{_read_model(real)[0]}", GROUP="dialout", MODE="0660" into {_RULES}/70-serial.rules '
+            "and plug in again"
+        )
+    if user in members:
+        return f"no permission yet: you are in the group {group} from your next login on"
+    return f"no permission: sudo usermod -aG {group} $USER, then log in again"
 
 
 def find_problems(port: str) -> list[str]:
     """Return what keeps a port from being used, each with its remedy."""
-    problems = [find_users(port), find_slow_timer(port)]
-    if not os.access(port, os.R_OK | os.W_OK):
-        problems.append("no permission: sudo usermod -aG dialout $USER, then log in again")
+    problems = (find_users(port), find_slow_timer(port), explain_denied(port))
     return [problem for problem in problems if problem]
 
 

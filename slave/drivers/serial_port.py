@@ -11,7 +11,7 @@ import serial
 
 from slave.drivers.claim import claim_port
 from slave.drivers.driver import DriverFault
-from slave.drivers.ports import explain_busy
+from slave.drivers.ports import explain_busy, explain_denied
 
 
 def open_serial(path: str, baud: int, **settings: Any) -> tuple[serial.Serial, socket.socket]:
@@ -37,4 +37,6 @@ def format_port_error(error: Exception, path: str) -> str:
     number = getattr(error, "errno", None)
     if number in (errno.EAGAIN, errno.EBUSY):
         return explain_busy(path)
+    if number in (errno.EACCES, errno.EPERM) and (reason := explain_denied(path)):
+        return reason
     return os.strerror(number) if number else str(error)

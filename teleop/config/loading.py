@@ -49,6 +49,13 @@ SESSION_KEYS = (  # of teleop.launch.config.SessionConfig, which only `teleop ru
 )
 RECORDING_SUFFIX = ".mcap"  # a recording is a config file, too: that of its session
 SNAPSHOT_SUFFIX = ".snapshot"  # and so is what a launcher gives the processes that it starts
+_OTHER_FILES = {  # by a key that they alone have; the first that is there counts
+    "bend": "the columns of a pair of tendons: teleop pair FILES --columns FILE",
+    "columns": "the mapping of tables: teleop data show TABLE --mapping FILE",
+    "tendons": "a calibration: name it in slave.calibration",
+    "base": "a model of `teleop diagnose`: name it as model_file in slave.tendons",
+    "signs": "the force signs of devices: name it as signs in master.device",
+}
 _RUN_SPECIFIC_KEYS = ("session", "link")  # where a session ran; another one takes its own place
 MAY_BE_INFINITE: Mapping[str, object] = {"may_be_infinite": True}
 
@@ -137,6 +144,9 @@ class ConfigDocument:
         known = SESSION_KEYS if section is not None or set(own) <= set(SESSION_KEYS) else own
         for key in self.tree:
             if key not in known:
+                kind = next((text for name, text in _OTHER_FILES.items() if name in self.tree), "")
+                if kind and known is SESSION_KEYS:
+                    raise self.error((key,), f"is no key of a session: this is {kind}")
                 raise self.error((key,), f"unknown key{_format_suggestion(key, known)}")
         if section is not None:
             return cast(T, _Builder(self).dataclass(cls, self.tree.get(section), (section,), None))
@@ -384,12 +394,16 @@ class _Builder:
         if not isinstance(tag, str) or tag not in by_tag:
             problem = "is missing" if tag is None else f"{_format_value(tag)} is unknown"
             suggestion = _format_suggestion(tag, by_tag)
-            guide = _GUIDES.get(others[0].GROUP, "") if others else ""
+            guide = _GUIDES.get(others[0].GROUP if others else keys[-1], "")
             raise self.source.error((*keys, "type"), f"{problem}{suggestion}{guide}")
         return cast(type[Any], by_tag[tag])
 
 
-_GUIDES = {  # by group of entry points, for what is driven by a package of its own
+_GUIDES = {  # by group of entry points or key, for what is driven by a package of its own
+    **dict.fromkeys(
+        ("motors", "cells"),
+        "; EtherCAT, ODrive, moteus, Feetech and others: a rig of your own (docs/how-to/rigs.md)",
+    ),
     "teleop.devices": "; an arm such as a Touch, omega, Falcon or Inverse3: as a ROS node (type "
     "ros) or a device of your own (docs/how-to/haptic-device.md)",
     "teleop.rigs": "; other hardware: a rig of your own (docs/how-to/rigs.md)",

@@ -48,6 +48,15 @@ def find_realtime_remedy() -> str:
     )
 
 
+def find_usb_remedy(device: str) -> str:
+    """Return how what is plugged in gets in here; empty on a machine itself."""
+    if find_container():
+        return f"a container has what it is given: docker run --device {device} ..."
+    if is_wsl():
+        return "WSL has what Windows gives it: usbipd bind, then usbipd attach --wsl --busid BUSID"
+    return ""
+
+
 def find_display_problem() -> str:
     """Return why no window can be opened here; empty if one can be."""
     if sys.platform != "linux":

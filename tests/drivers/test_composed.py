@@ -92,6 +92,10 @@ def test_counts_become_metres_and_newtons_and_targets_the_same_counts_again():
         (RIG % TENDON.replace("0.01,", "-1,"), "pulley_radius: -1.0: must be 0.0001 to 1 m"),
         (RIG.replace("microcontroller", "arduino") % TENDON, "slave.rig.motors.type: 'arduino'"),
         (
+            RIG.replace("microcontroller", "ethercat") % TENDON,
+            "; EtherCAT, ODrive, moteus, Feetech",
+        ),
+        (
             RIG.replace("port: /dev/x", "port: x, watchdog: 1") % TENDON,
             "motors.watchdog: 1.0: must be 0.005 to 0.05 s",
         ),

@@ -1,16 +1,20 @@
 """Serial ports: the adapter meant is the one that is moved, and who keeps us off is named."""
 
+import errno
 import os
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import pytest
 
 from slave.drivers import claim, configs, ports
+from slave.drivers.cia402 import bus
 from slave.drivers.cia402.config import BusConfig, Cia402Config
 from slave.drivers.driver import Channels, DriverFault
 from slave.drivers.dynamixel.config import DynamixelConfig
 from slave.drivers.microcontroller.config import MicrocontrollerConfig
+from slave.drivers.serial_port import format_port_error
 from teleop.cli import commands
 
 HOLD = "import sys; held = open(sys.argv[1]); print(flush=True); sys.stdin.read()"
@@ -93,7 +97,57 @@ def test_a_scan_lists_each_port_with_what_keeps_it_from_being_used(plug, monkeyp
     assert commands.main(["rig", "scan"]) == 0
     first, second = capsys.readouterr().out.splitlines()
     assert f"/by-id/usb-A -> {slow}; the adapter's latency timer is 16 ms: echo 1 | " in first
-    assert f"/by-id/usb-B -> {barred}; no permission: sudo usermod -aG dialout" in second
+    assert f"/by-id/usb-B -> {barred}; no permission" in second
+
+
+@pytest.mark.parametrize(
+    ("group", "members", "mode", "container", "said"),
+    [
+        ("uucp", [], 0o660, "", "no permission: sudo usermod -aG uucp $USER, then log in again"),
+        ("dialout", ["me"], 0o660, "", "you are in the group dialout from your next login on"),
+        (
+            "dialout",
+            ["me"],
+            0o600,
+            "",
+            'SUBSYSTEM=="tty", ATTRS{idVendor}=="0403", GROUP="dialout"',
+        ),
+        ("dialout", [], 0o660, "Docker", "no permission: docker run --group-add 18 ..."),
+    ],
+)
+def test_who_may_not_open_a_port_is_told_what_gives_the_right(
+    plug, monkeypatch, group, members, mode, container, said
+):
+    port = plug("ttyUSB0", "usb-A")
+    status = os.stat_result((mode, 1, 1, 1, 0, 18, 0, 0, 0, 0))
+    monkeypatch.setattr(os, "access", lambda *_: False)
+    monkeypatch.setattr(os, "stat", lambda *_args, **_: status)
+    monkeypatch.setattr("grp.getgrgid", lambda _gid: (group, "x", 18, members))
+    monkeypatch.setattr("pwd.getpwuid", lambda _uid: SimpleNamespace(pw_name="me"))
+    monkeypatch.setattr(ports, "find_container", lambda: container)
+    assert said in ports.explain_denied(port)
+    denied = OSError(errno.EACCES, "Permission denied")
+    assert said in format_port_error(denied, port)
+    assert said in str(bus.to_driver_fault(Cia402Config(bus=BusConfig("slcan", port)), denied))
+
+
+def test_a_port_that_is_not_there_is_told_with_those_that_are(plug, monkeypatch, capsys):
+    def refuse(port):
+        with pytest.raises(DriverFault) as fault:
+            claim.claim_port(port)
+        return str(fault.value)
+
+    monkeypatch.setattr("teleop.runtime.machine.find_container", lambda: "")
+    assert refuse("COM3").endswith("No such file or directory: that is a name of Windows")
+    assert refuse("/dev/cu.usbserial-1").endswith(": that is a name of macOS")
+    monkeypatch.setattr("platform.release", lambda: "5.15.153.1-microsoft-standard-WSL2")
+    assert "usbipd attach --wsl" in refuse("/dev/ttyUSB7")
+    assert commands.main(["rig", "scan"]) == 0
+    assert "no serial port and no CAN interface: WSL has what" in capsys.readouterr().out
+    monkeypatch.setattr("teleop.runtime.machine.find_container", lambda: "Docker")
+    assert "docker run --device /dev/ttyUSB0" in refuse("/dev/ttyUSB7")
+    port = plug("ttyACM0")
+    assert refuse("/dev/ttyUSB7").endswith(f"directory: attached: {port}")
 
 
 @pytest.mark.parametrize(

@@ -211,6 +211,11 @@ def test_a_wrong_value_is_named_by_file_key_value_and_remedy(
         (b"slave: {tendons: " + b"9" * 5000 + b"}\n", "config.yaml: "),
         (b"slav: {}\n", "slav: unknown key; did you mean 'slave'?"),
         (b"slave: 3\n", "slave: 3 is not a mapping"),
+        (b"columns: {}\nbend: x\n", "columns: is no key of a session: this is the columns of a"),
+        (b"columns: {}\ndecimal: point\n", "teleop data show TABLE --mapping FILE"),
+        (b"rig: bench\ntendons: []\n", "rig: is no key of a session: this is a calibration: name"),
+        (b"base: {K: 1}\n", "name it as model_file in slave.tendons"),
+        (b"signs: []\n", "name it as signs in master.device"),
     ],
 )
 def test_a_file_that_is_no_config_is_refused_in_one_line(
