@@ -49,6 +49,7 @@ COMPILE_S = 3.0  # [s] of a processor, without a cache
 TRAVEL_MM, FORCE_N = 0.5, 2.0
 TRAVEL_MAX_MM, FORCE_MAX_N = 5.0, 20.0
 CONFIRMATION = "move"
+CONVERTER_ENDS = {sign * (1 << bits) - (sign > 0) for bits in (15, 23) for sign in (1, -1)}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -129,6 +130,11 @@ def check_rig(args: argparse.Namespace, prompt: Callable[[str], str]) -> int:
             if args.read_only:
                 return 0
             require_readings(rest, config.gate)
+            if saturated := find_saturated(rig):
+                raise TeleopError(
+                    f"rig: the cell of tendon {saturated[0] + 1} is saturated (see above), so "
+                    "nothing is moved: no tension could stop it"
+                )
             print(
                 f"Next, each motor pulls by {args.travel:g} mm and returns, at most "
                 f"{args.force:g} N above its tension now. Keep clear of the rig."
@@ -196,8 +202,16 @@ def format_counts(rig: Rig) -> list[str]:
     """Return what the buses of a hardware rig gave last, for `zero`, `offset` and `scale`."""
     if not isinstance(rig, HardwareRig) or rig.counts is None:
         return []
-    positions, cells = (values.tolist() for values in rig.counts)
+    saturated = find_saturated(rig)
     return [
-        f"tendon {k}: motor at {position:.0f}, cell at {cell:.6g} counts"
-        for k, (position, cell) in enumerate(zip(positions, cells, strict=True), 1)
+        f"tendon {k + 1}: motor at {position:.0f}, cell at {cell:.7g} counts"
+        + ", the end of its converter's range: overloaded, or a wire is off?" * (k in saturated)
+        for k, (position, cell) in enumerate(zip(*map(np.ndarray.tolist, rig.counts), strict=True))
     ]
+
+
+def find_saturated(rig: Rig) -> list[int]:
+    """Return the tendons, from 0, whose cell is at an end of a converter of 16 or 24 bits."""
+    if not isinstance(rig, HardwareRig) or rig.counts is None:
+        return []
+    return [k for k, count in enumerate(rig.counts[1].tolist()) if count in CONVERTER_ENDS]

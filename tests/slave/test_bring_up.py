@@ -21,6 +21,7 @@ from slave.drivers.cia402.config import Cia402Config
 from slave.drivers.driver import Channels, DriverFault
 from slave.gate import GateConfig
 from slave.rig import RigSample
+from slave.rigs.hardware import HardwareRig
 from teleop.cli import commands
 from teleop.errors import TeleopError, UsageError
 from teleop.runtime.clock import Grid
@@ -226,6 +227,24 @@ def test_a_motor_that_has_lost_turns_is_named_and_nothing_is_moved(
     assert "4.0000" in first
     assert place in second
     assert "outside slave.gate (-5 to 60 mm): has its motor lost turns" in named
+    assert rig.writes == []
+
+
+class Measured(Wired, HardwareRig):
+    """A rig with converters: the second cell is at the end of its one, of 24 bits."""
+
+    counts = np.array([2048.0, 2048.0]), np.array([1200.0, -8388608.0])
+
+
+@pytest.mark.usefixtures("clock")
+def test_a_cell_that_is_saturated_is_named_and_nothing_is_moved(monkeypatch, capsys):
+    rig = Measured()
+    monkeypatch.setattr(command, "open_rig", lambda *_: rig)
+    with pytest.raises(TeleopError, match=r"cell of tendon 2 is saturated .* nothing is moved"):
+        command.check_rig(arguments(), lambda _: pytest.fail("asked"))
+    first, second = capsys.readouterr().out.splitlines()[-2:]
+    assert first == "tendon 1: motor at 2048, cell at 1200 counts"
+    assert "cell at -8388608 counts, the end of its converter's range: overloaded, or" in second
     assert rig.writes == []
 
 
