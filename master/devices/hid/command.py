@@ -35,6 +35,7 @@ from master.devices.hid.pid import PidConfig
 from master.devices.hid.search import ExaminedNode, FoundDevice
 from master.devices.hid.usages import describe_descriptor
 from teleop.errors import UsageError
+from teleop.runtime.machine import find_usb_remedy
 from teleop.runtime.output_file import OutputFile, UpdatedFile
 from teleop.runtime.process import parse_seconds, write_text_file
 from teleop.runtime.status_line import StatusLine
@@ -154,7 +155,8 @@ def format_nodes(items: Sequence[AttachedNode]) -> list[str]:
     """Return a table of the attached devices, and what to do about some."""
     arms = [f"{arm.model}: {arm.advice}" for arm in unsupported.list_usb_arms()]
     if not items:
-        return ["no HID device attached", *arms]
+        hint = find_usb_remedy("/dev/hidraw0")
+        return [f"no HID device attached{'; ' * bool(hint)}{hint}", *arms]
     rows = [("path", "model", "driver", "may be opened", "serial", "name")]
     examined = [search.examine_node(item) for item in items]
     for one in examined:

@@ -3,7 +3,7 @@
 Pure. An axis with `travel` gives the position of the hand: x = travel * share. One with `speed`
 gives its velocity while the engage button is held: x' = speed * share. The velocity of the former
 is that of its position through a first-order filter, smoothing * v' = x' - v, in backward-Euler
-steps.
+steps. Its middle is where it rests with an open switch, near that of the device.
 
 Inputs not reported yet are unknown. An unknown input moves nothing, and until every assigned button
 and every axis with `travel` is known, the engage button counts as held: a session that starts, or
@@ -146,6 +146,26 @@ class DeviceMapping(NamedTuple):
     smoothing: float  # [s]
 
 
+REST_S = 1.0  # [s] that an axis stays within its band until it counts as at rest
+REST_BAND, REST_MAX = 0.01, 0.15  # shares: of the band, and of the middle that is learnt at most
+
+
+class RestPosition(NamedTuple):
+    """Where an axis of rate control rests: the middle of a device may drift with use."""
+
+    centre: Share = 0.0  # which reads as 0
+    share: Share = 0.0  # around which it stays
+    time_s: float = 0.0  # [s] for which it does
+
+    def step(self, share: Share, dt: float) -> "RestPosition":
+        """Return the state after `dt` [s] at `share` with an open switch."""
+        if not abs(share - self.share) <= REST_BAND:
+            return self._replace(share=share, time_s=0.0)
+        time_s = min(self.time_s + dt, REST_S)
+        is_rest = time_s >= REST_S and abs(share) <= REST_MAX
+        return RestPosition(self.share if is_rest else self.centre, self.share, time_s)
+
+
 class MappingState(NamedTuple):
     """State between reads, one number per joint."""
 
@@ -153,6 +173,7 @@ class MappingState(NamedTuple):
     velocity: Axes  # [m/s]
     known: tuple[bool, ...]  # whether the position was reported
     knows: bool = False  # whether all needed inputs are known
+    rests: tuple[RestPosition, ...] = (RestPosition(),) * MAX_JOINTS  # of each lane
 
 
 def build_mapping(
@@ -201,9 +222,12 @@ def _build_axis_mapping(
     place, per_newton = -1, 0.0
     if axis.force > 0.0:
         if axis.name not in driver.forces:
-            axis_names = ", ".join(driver.forces) or "no axis"
+            axis_names = ", ".join(driver.forces)
             raise DeviceFault(
                 f"axes: force: the device cannot push {axis.name!r}, but {axis_names}"
+                if axis_names
+                else f"axes: force: the device has no force: set it to 0 for {axis.name!r}, or set "
+                "find to another device (`teleop devices list`)"
             )
         place = driver.forces.index(axis.name)
         per_newton = axis.sign * signs.get(axis.name, 0) / axis.force
@@ -237,12 +261,15 @@ def step(
     has_inputs = _has_all_inputs(plan, controls, switches)
     driven = pressed["engage"] and not pressed.get("clutch", False)
     position, velocity = list(memory.position), [0.0] * plan.joints
-    is_reported = [False] * plan.joints
-    for lane in plan.lanes:
+    is_reported, rests = [False] * plan.joints, list(memory.rests)
+    for k, lane in enumerate(plan.lanes):
         share, joint = controls.axes[lane.axis], lane.joint
         if lane.rate:
+            if not pressed["engage"]:  # while it moves the tip its middle stays
+                rests[k] = rests[k].step(share, dt)
             if driven and not math.isnan(share):
-                velocity[joint] = lane.scale * apply_dead_zone(share, lane.dead_zone)
+                offset = min(max(share - rests[k].centre, -1.0), 1.0)
+                velocity[joint] = lane.scale * apply_dead_zone(offset, lane.dead_zone)
                 position[joint] += velocity[joint] * dt
         elif not math.isnan(share):
             position[joint] = lane.scale * apply_dead_zone(share, lane.dead_zone)
@@ -258,7 +285,9 @@ def step(
         **{**pressed, "engage": pressed["engage"] or not has_inputs},
         buttons=list_buttons(switches.buttons & ~plan.assigned),
     )
-    return hand, MappingState(hand.position, hand.velocity, tuple(is_reported), has_inputs)
+    return hand, MappingState(
+        hand.position, hand.velocity, tuple(is_reported), has_inputs, tuple(rests)
+    )
 
 
 def list_buttons(mask: int) -> tuple[int, ...]:

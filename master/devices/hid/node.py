@@ -1,6 +1,7 @@
 """One open HID node; every failure is a `DeviceFault`."""
 
 import importlib
+import os
 import sys
 from contextlib import suppress
 from typing import Any
@@ -9,7 +10,10 @@ from master.device import DeviceFault
 
 QUEUE_LENGTH = 64  # length of Linux's report queue; further reports are dropped
 _REPORT_SIZE_MAX = 4096  # bytes, of any report
-REMEDY = "add a udev rule (docs/how-to/haptic-device.md) and plug it in again"
+REMEDY = (
+    "teleop devices rules | sudo tee /etc/udev/rules.d/70-tendon-teleop.rules, then sudo udevadm "
+    "control --reload, and plug it in again"
+)
 
 
 def load_hidapi() -> Any:
@@ -50,7 +54,9 @@ class Node:
         try:
             self._handle.open_path(path.encode())
         except OSError as error:
-            raise DeviceFault(f"{name}: cannot be opened; {REMEDY}") from error
+            is_gone = sys.platform == "linux" and not os.path.exists(path)
+            remedy = "it was unplugged: plug it in again" if is_gone else REMEDY
+            raise DeviceFault(f"{name}: cannot be opened; {remedy}") from error
         if self._handle.set_nonblocking(1) != 0:  # a read would block
             self.close()
             raise DeviceFault(f"{name}: non-blocking reads are not supported")

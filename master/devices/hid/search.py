@@ -15,6 +15,7 @@ from master.devices.hid.drivers import DRIVERS, INPUTS_ONLY, PID, AttachedNode
 from master.devices.hid.force_signs import ForceSignKey
 from master.devices.hid.node import REMEDY, Node, load_hidapi
 from master.devices.hid.pid_reports import has_pid_collection
+from teleop.runtime.machine import find_usb_remedy
 from teleop.runtime.process import find_openers
 
 # --- what to do about a force-feedback device that no driver can use
@@ -294,7 +295,8 @@ def _describe_missing_device(
     find: str, driver: str, matches: Sequence[ExaminedNode], everything: Sequence[AttachedNode]
 ) -> str:
     if not everything:
-        return "no haptic device attached; plug one in (the system lists no HID device)"
+        hint = find_usb_remedy("/dev/hidraw0") or "plug one in (the system lists no HID device)"
+        return f"no haptic device attached; {hint}"
     if not matches:
         listed = _format_node_list(everything)
         return f"no device {find!r} attached; plug it in, or correct find (attached: {listed})"

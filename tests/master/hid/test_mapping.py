@@ -81,6 +81,24 @@ def test_a_rate_axis_moves_only_while_engage_is_held_and_the_clutch_is_not():
     assert hand.read(0.0, buttons=ENGAGE).position == state.position
 
 
+def test_a_middle_that_has_drifted_is_learnt_at_rest_and_never_moves_the_tip_by_itself():
+    hand = Hand(AxisConfig("x", speed=0.2))
+
+    def speed(share, buttons=ENGAGE):
+        return hand.read(share, buttons=buttons).velocity[0]
+
+    assert speed(0.08) == pytest.approx(0.2 * 0.08)  # engaged at once it creeps, as it is told
+    for noise in range(1100):
+        assert speed(0.08 + 0.002 * (noise % 2), buttons=0) == 0.0
+    assert speed(0.08) == 0.0
+    for _ in range(2000):  # engaged nothing is learnt: no step of the command
+        assert speed(0.12) == pytest.approx(0.2 * 0.04)
+    assert (speed(1.0), speed(-1.0)) == pytest.approx((0.2 * 0.92, -0.2))
+    for _ in range(1100):
+        speed(0.3, buttons=0)  # a hand that holds it is no rest
+    assert speed(0.3) == pytest.approx(0.2 * 0.22)
+
+
 def test_buttons_are_told_apart():
     hand = Hand(AxisConfig("x", travel=0.1))
     for mask in range(8):
@@ -181,3 +199,10 @@ def test_whatever_is_asked_for_a_share_is_a_share(force, sign):
 def test_what_the_device_does_not_have_is_named(axis, buttons, complaint):
     with pytest.raises(DeviceFault, match=complaint):
         planned(axis, buttons=buttons)
+
+
+def test_a_force_is_not_asked_of_a_joystick():
+    stick = SimpleNamespace(axes=("x",), forces=(), buttons=4)
+    config = HidConfig(axes=(AxisConfig("x", travel=0.1, force=1.0),))
+    with pytest.raises(DeviceFault, match="the device has no force: set it to 0 for 'x'"):
+        mapping.build_mapping(config, stick, stick.buttons, {})

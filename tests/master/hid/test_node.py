@@ -73,8 +73,10 @@ def test_a_closed_node_is_a_fault_and_closing_again_is_nothing(node):
 
 def test_a_node_that_cannot_be_opened_is_a_fault(plugged):
     plugged.permitted = False
-    with pytest.raises(DeviceFault, match="stick: cannot be opened"):
+    with pytest.raises(DeviceFault, match=r"stick: cannot be opened; teleop devices rules \| sudo"):
         Node(str(plugged.path), "stick")
+    with pytest.raises(DeviceFault, match="stick: cannot be opened; it was unplugged: plug it in"):
+        Node(f"{plugged.path}-gone", "stick")
 
 
 def test_on_linux_it_is_the_hidraw_module_and_without_it_one_line_says_so(monkeypatch, hidraw):

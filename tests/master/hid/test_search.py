@@ -110,7 +110,11 @@ def test_a_device_of_several_collections_is_listed_once(hidraw):
     assert str(item).startswith("Keyboard (046d:c31c, ")
 
 
-def test_without_any_the_line_says_what_is_attached(hidraw):
+def test_without_any_the_line_says_what_is_attached(hidraw, monkeypatch):
+    monkeypatch.setattr("teleop.runtime.machine.find_container", lambda: "Docker")
+    with pytest.raises(DeviceFault, match="attached; a container has what it is given: docker run"):
+        search.find_device("", "auto")
+    monkeypatch.setattr("teleop.runtime.machine.find_container", lambda: "")
     with pytest.raises(DeviceFault, match=r"no haptic device attached; plug one in.*no HID"):
         search.find_device("", "auto")
     hidraw.plug(Keyboard())
@@ -136,7 +140,7 @@ def test_a_device_that_no_driver_fits_is_told_why(hidraw):
 def test_one_that_may_not_be_opened_names_the_remedy(hidraw, monkeypatch):
     node = hidraw.plug(OpenFFBoard(descriptors.openffboard()))
     monkeypatch.setattr(os, "access", lambda path, _: str(path) != str(node.path))
-    with pytest.raises(DeviceFault, match=r"no permission to open .*udev rule"):
+    with pytest.raises(DeviceFault, match=r"no permission to open .*; teleop devices rules"):
         search.find_device("", "auto")
 
 
