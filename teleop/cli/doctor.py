@@ -14,10 +14,12 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
+from datetime import datetime
 from importlib.metadata import PackageNotFoundError, requires, version
 from pathlib import Path
 
 from estimator.compile_cache import choose_folder
+from master.devices.hid.node import REMEDY
 from slave.drivers import ports
 from teleop.errors import UsageError
 from teleop.runtime.clock import Grid
@@ -31,6 +33,8 @@ from teleop.runtime.machine import (
 
 DISTRIBUTION = "tendon-teleop"
 
+INSTALLED = Path(__file__)
+CLOCK_MARGIN_S = 86_400.0  # [s] of packages that were dated in another time zone
 HID_NODES = Path("/dev")
 HID_DESCRIPTORS = Path("/sys/class/hidraw")
 _STICKS = (b"\x05\x01\x09\x04", b"\x05\x01\x09\x05", b"\x05\x01\x09\x08")  # HID usages, see below
@@ -122,6 +126,16 @@ def check_timing(seconds: float = 1.0) -> Finding:
     )  # fmt: skip
 
 
+def check_clock() -> Finding:
+    """Check that the clock is not earlier than the installation of this program."""
+    installed_s, now_s = INSTALLED.stat().st_mtime, time.time()
+    installed, now = (f"{datetime.fromtimestamp(at):%Y-%m-%d %H:%M}" for at in (installed_s, now_s))
+    good = now_s > installed_s - CLOCK_MARGIN_S
+    detail = now if good else f"{now}, before this program was installed ({installed})"
+    remedy = "sudo timedatectl set-ntp true: keys of other machines are refused, files misdated"
+    return Finding("clock", good, detail, remedy)
+
+
 def check_screen() -> Finding:
     """Check for a display; without one the view is a web page."""
     problem = find_display_problem()
@@ -134,7 +148,7 @@ def check_serial_ports() -> Finding:
     problems = [f"{device}: {text}" for device in devices for text in ports.find_problems(device)]
     if not devices:
         hint = ports.explain_missing()
-        return Finding("serial ports", not hint, f"none attached{hint}")
+        return Finding("serial ports", "brltty" not in hint, f"none attached{hint}")
     return Finding("serial ports", not problems, "; ".join([f"{len(devices)} attached", *problems]))
 
 
@@ -185,12 +199,9 @@ def check_hid_nodes() -> Finding:
     if not nodes:
         return Finding("haptic devices", True, "none attached; the virtual device needs none")
     detail = f"{len(nodes)} attached" + (f", no permission: {' '.join(denied)}" if denied else "")
-    remedy = (
-        "teleop devices rules | sudo tee /etc/udev/rules.d/70-tendon-teleop.rules, then sudo "
-        "udevadm control --reload, and plug them in again"
-    )
+    remedy = REMEDY
     if in_container:
-        remedy = "on the machine outside, where udev runs: " + remedy
+        remedy = f"on the machine outside, where udev runs: {REMEDY}"
     return Finding("haptic devices", not denied, detail, remedy)
 
 
@@ -217,6 +228,7 @@ CHECKS: tuple[Callable[[], Finding], ...] = (
     check_processors,
     check_real_time,
     check_timing,
+    check_clock,
     check_screen,
     check_hid_nodes,
     check_serial_ports,

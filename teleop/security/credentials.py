@@ -105,12 +105,13 @@ def identify_holder(
     now = datetime.now(UTC)
     if now > end:
         raise CertificateError(
-            f"the certificate {name} expired on {end:%Y-%m-%d %H:%M} "
-            "UTC; issue a new one with `teleop keys issue`"
+            f"the certificate {name} expired on {end:%Y-%m-%d %H:%M} UTC; issue a new one with "
+            f"`teleop keys issue`, or check the clock, by which it is {now:%Y-%m-%d %H:%M}"
         )
     if now < start:
         raise NotYetValidError(
-            f"the certificate {name} is valid from {start:%Y-%m-%d %H:%M} UTC on; check the clock"
+            f"the certificate {name} is valid from {start:%Y-%m-%d %H:%M} UTC on; check the clock, "
+            f"by which it is {now:%Y-%m-%d %H:%M}"
         )
     if now > authority.not_valid_after_utc:
         raise CertificateError(

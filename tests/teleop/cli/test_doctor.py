@@ -115,7 +115,8 @@ def test_a_node_that_was_not_given_to_the_container_is_named_with_the_option(plu
 def test_serial_adapters_are_told_with_what_keeps_them_from_being_used(tmp_path, monkeypatch):
     monkeypatch.setattr(ports, "DEVICES", tmp_path)
     monkeypatch.setattr(ports, "TTYS", tmp_path / "tty")
-    assert doctor.check_serial_ports().detail == "none attached"
+    assert doctor.check_serial_ports().good
+    assert doctor.check_serial_ports().detail.startswith("none attached")
     (tmp_path / "ttyUSB0").touch()
     assert doctor.check_serial_ports() == Finding("serial ports", True, "1 attached")
     timer = tmp_path / "tty/ttyUSB0/device/latency_timer"
@@ -149,6 +150,16 @@ def test_folders_that_cannot_be_written_are_named_with_their_variables(monkeypat
     assert not doctor.check_folders().essential
     monkeypatch.setattr(doctor, "find_container", lambda: "Docker")
     assert "docker run --tmpfs /tmp" in doctor.check_folders().remedy
+
+
+def test_a_clock_before_the_installation_is_a_note(monkeypatch):
+    assert doctor.check_clock().good
+    days_off = doctor.INSTALLED.stat().st_mtime - 5 * 86_400.0
+    monkeypatch.setattr("time.time", lambda: days_off)
+    finding = doctor.check_clock()
+    assert (finding.good, finding.essential) == (False, False)
+    assert "before this program was installed" in finding.detail
+    assert finding.remedy.startswith("sudo timedatectl set-ntp true")
 
 
 def test_keyboards_and_mice_do_not_matter(plug):
