@@ -137,9 +137,23 @@ def describe_interfaces() -> Iterator[str]:
     for device, name in list_ports().items():
         line = f"{name} -> {device}" if name else device
         yield "; ".join([line, *find_problems(device)])
-    for kind in sorted(NETWORK.glob("*/type")):
-        if kind.read_text().strip() == _CAN_INTERFACE:
-            yield f"CAN {kind.parent.name}: {(kind.parent / 'operstate').read_text().strip()}"
+    for place in list_can_interfaces():
+        yield f"CAN {place.name}: {(place / 'operstate').read_text().strip()}"
+
+
+def list_can_interfaces() -> list[Path]:
+    """Return the folders of the CAN interfaces of this machine, which have their names."""
+    kinds = sorted(NETWORK.glob("*/type"))
+    return [kind.parent for kind in kinds if kind.read_text().strip() == _CAN_INTERFACE]
+
+
+def explain_missing_can() -> str:
+    """Return which CAN interfaces there are, or why there is none; empty if that is unknown."""
+    if names := ", ".join(place.name for place in list_can_interfaces()):
+        return f": there is {names}"
+    if find_container():
+        return ": a container has those of the machine with docker run --network host"
+    return ""
 
 
 def _find_remedy(port: str, users: str) -> str:

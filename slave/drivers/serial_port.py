@@ -39,4 +39,6 @@ def format_port_error(error: Exception, path: str) -> str:
         return explain_busy(path)
     if number in (errno.EACCES, errno.EPERM) and (reason := explain_denied(path)):
         return reason
+    if os.path.isdir(path) or os.path.isfile(path):
+        return "it is no serial port (`teleop rig scan` lists them)"
     return os.strerror(number) if number else str(error)

@@ -200,7 +200,13 @@ class HardwareRigConfig:
             ("motor", [t.motor.id for t in self.tendons]),
             ("cell", [t.cell.id for t in self.tendons]),
         ):
+            bus = self.motors if kind == "motor" or self.cells is None else self.cells
             for number in ids:
+                if number not in bus.NUMBERS or number == getattr(bus, "master", None):
+                    raise ValueError(
+                        f"joints: {kind} {number}: must be {bus.NUMBERS[0]} to {bus.NUMBERS[-1]} "
+                        f"on {bus.type}, and not its master"
+                    )
                 if ids.count(number) > 1:
                     raise ValueError(f"joints: {kind} {number} belongs to two tendons")
         if self.reads_currents and any(t.cell.uncertainty is None for t in self.tendons):

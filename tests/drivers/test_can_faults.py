@@ -4,6 +4,7 @@ import contextlib
 import json
 import threading
 import time
+from pathlib import Path
 
 import can
 import pytest
@@ -317,7 +318,7 @@ def test_an_interface_that_carries_no_frames_is_named_with_the_command(interface
             can.CanOperationError("down", 100),
             "the interface is down, or bus off.*ip link set can7 up",
         ),
-        (OSError(19, "No such device"), "no such interface, or its adapter is unplugged"),
+        (OSError(19, "No such device"), "no such interface, or .* unplugged: there is can1, can2$"),
         (
             OSError(97, "Address family not supported"),
             "this kernel has no SocketCAN: sudo modprobe",
@@ -329,6 +330,8 @@ def test_an_error_number_of_the_system_is_told_with_the_next_step(monkeypatch, e
     def refuse(**_):
         raise error
 
+    interfaces = [Path("can1"), Path("can2")]
+    monkeypatch.setattr("slave.drivers.ports.list_can_interfaces", lambda: interfaces)
     config = Cia402Config(bus=BusConfig(channel="can7"))
     with pytest.raises(DriverFault, match=said):
         raise bus.to_driver_fault(config, error)

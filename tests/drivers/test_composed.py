@@ -88,6 +88,15 @@ def test_counts_become_metres_and_newtons_and_targets_the_same_counts_again():
     ("rig", "said"),
     [
         (RIG % f"{TENDON}, {TENDON}", "slave.rig.joints: motor 1 belongs to two tendons"),
+        (
+            RIG % TENDON.replace("motor: {id: 1", "motor: {id: 0"),
+            "slave.rig.joints: motor 0: must be 1 to 255 on microcontroller",
+        ),
+        (
+            RIG.replace("microcontroller, port: /dev/x", "cia402")
+            % TENDON.replace("id: 1", "id: 127"),
+            "motor 127: must be 1 to 127 on cia402, and not its master",
+        ),
         (RIG % TENDON.replace("0.001", "0"), "cell.scale: 0.0: must not be 0"),
         (RIG % TENDON.replace("0.01,", "-1,"), "pulley_radius: -1.0: must be 0.0001 to 1 m"),
         (RIG.replace("microcontroller", "arduino") % TENDON, "slave.rig.motors.type: 'arduino'"),

@@ -173,7 +173,7 @@ def test_an_emergency_stop_at_the_end_of_the_slave_is_torque_off_too(servos):
     ("values", "said"),
     [
         ({"error": 5}, "hardware error: input voltage out of range, too hot"),
-        ({"voltage": 92}, "supply of 9.2 V, must be 10 to 14.8 V"),
+        ({"voltage": 92}, "supply of 9.2 V, must be 10 to 14.8 V (voltage)"),
         ({"temperature": 81}, "81 deg C, 70 at most"),
         ({}, ""),
     ],

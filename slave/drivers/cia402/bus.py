@@ -23,7 +23,7 @@ from slave.drivers.cia402.monitor import (
 )
 from slave.drivers.claim import claim_bus, claim_port
 from slave.drivers.driver import DriverFault
-from slave.drivers.ports import explain_busy, explain_denied
+from slave.drivers.ports import explain_busy, explain_denied, explain_missing_can
 
 # --- the serial port of an slcan adapter, read in whole chunks
 
@@ -206,7 +206,7 @@ def _explain_error(bus: BusConfig, error: Exception) -> str:
         f"down; sudo ip link set {bus.channel} up type can bitrate {bus.bitrate} ({show})",
         errno.EAFNOSUPPORT: "this kernel has no SocketCAN: sudo modprobe can_raw (WSL and some "
         "containers have none: an adapter with slcan needs only a serial port)",
-        errno.ENODEV: "no such interface, or its adapter is unplugged (`teleop rig scan`)",
+        errno.ENODEV: f"no such interface, or its adapter is unplugged{explain_missing_can()}",
     }.get(number or 0, "")
 
 

@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 from slave.ranged_field import build_ranged_field, check_ranges
 
@@ -158,6 +158,7 @@ class AnalogueConfig:
 class Cia402Config:
     """CANopen drives; motors and cells are given by node number."""
 
+    NUMBERS: ClassVar[range] = range(1, 128)  # of nodes
     type: Literal["cia402"] = "cia402"
     bus: BusConfig = field(default_factory=BusConfig)
     rate_hz: float = build_ranged_field(500.0, RATE_MIN, RATE_MAX, "Hz")  # of SYNC

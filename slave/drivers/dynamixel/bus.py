@@ -129,7 +129,7 @@ class ServoBus:
             if not text:
                 return int(model)
             time.sleep(LATE_S)
-        hint = find_slow_timer(self.path) or "`teleop rig scan` lists what is there"
+        hint = find_slow_timer(self.path) or "has the bus power? See `teleop rig scan`"
         raise DriverFault(
             f"{self.path}: servo {number}: {text} at {self.port.baudrate} baud; "
             f"{TWINS_TEXT if result == COMM_RX_CORRUPT else hint}"

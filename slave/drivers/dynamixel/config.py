@@ -1,7 +1,7 @@
 """Config of Dynamixel servos."""
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import ClassVar, Literal
 
 from slave.ranged_field import build_ranged_field, check_ranges
 
@@ -12,6 +12,7 @@ WATCHDOG_UNIT = 0.020  # [s]
 class DynamixelConfig:
     """Servos of protocol 2.0 with the X series' control table, on one adapter (U2D2 or alike)."""
 
+    NUMBERS: ClassVar[range] = range(253)  # of servos
     type: Literal["dynamixel"] = "dynamixel"
     port: str  # /dev/serial/by-id/...
     baud: int = 4_000_000  # set in the servos too: `teleop rig scan`

@@ -183,7 +183,7 @@ def find_status_fault(status: "np.void", config: DynamixelConfig) -> str:
         return f"hardware error: {text}; remove the cause, then `teleop rig reset`"
     volts, (volts_min, volts_max) = int(status["voltage"]) * 0.1, config.voltage
     if not volts_min <= volts <= volts_max:
-        return f"supply of {volts:.1f} V, must be {volts_min:g} to {volts_max:g} V"
+        return f"supply of {volts:.1f} V, must be {volts_min:g} to {volts_max:g} V (voltage)"
     if int(status["temperature"]) > config.temperature_max:
         return f"{int(status['temperature'])} deg C, {config.temperature_max:g} at most"
     return ""

@@ -1,7 +1,7 @@
 """Config of a microcontroller on a serial line."""
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import ClassVar, Literal
 
 from slave.ranged_field import build_ranged_field, check_ranges
 
@@ -10,6 +10,7 @@ from slave.ranged_field import build_ranged_field, check_ranges
 class MicrocontrollerConfig:
     """A board with the firmware of `firmware/`; motors and cells are numbered from 1."""
 
+    NUMBERS: ClassVar[range] = range(1, 256)  # of motors and cells
     type: Literal["microcontroller"] = "microcontroller"
     port: str  # /dev/serial/by-id/..., which does not change with the order of plugging in
     baud: int = 2_000_000  # of a real UART; USB takes any
