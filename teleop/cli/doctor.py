@@ -30,6 +30,7 @@ from teleop.runtime.machine import (
     find_display_problem,
     find_realtime_remedy,
 )
+from teleop.runtime.parallel import count_processors
 
 DISTRIBUTION = "tendon-teleop"
 
@@ -92,7 +93,7 @@ def check_packages() -> Finding:
 
 def check_processors() -> Finding:
     """Check for a processor per loop."""
-    count = os.cpu_count() or 1
+    count = count_processors()
     return Finding(
         "processors", count >= 2, f"{count}", "two 1 kHz loops on one processor will overrun"
     )
