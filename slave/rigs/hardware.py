@@ -205,7 +205,7 @@ class HardwareRigConfig:
                 if number not in bus.NUMBERS or number == getattr(bus, "master", None):
                     raise ValueError(
                         f"joints: {kind} {number}: must be {bus.NUMBERS[0]} to {bus.NUMBERS[-1]} "
-                        f"on {bus.type}, and not its master"
+                        f"on {bus.type}{', and not its master' * hasattr(bus, 'master')}"
                     )
                 if ids.count(number) > 1:
                     raise ValueError(f"joints: {kind} {number} belongs to two tendons")

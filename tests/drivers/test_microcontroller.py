@@ -1,5 +1,6 @@
 """A rig on the firmware's own protocol code, over a pty: what moves, what stops, what is said."""
 
+import contextlib
 import os
 import re
 import signal
@@ -11,9 +12,9 @@ import numpy as np
 import pytest
 
 from slave.bring_up import command
-from slave.drivers import worker
+from slave.drivers import configs, worker
 from slave.drivers.driver import Channels, DriverFault
-from slave.drivers.microcontroller import frames
+from slave.drivers.microcontroller import driver, frames
 from slave.drivers.microcontroller.driver import MicrocontrollerDriver
 from slave.rig import RigFault
 from slave.rigs.hardware import HardwareRig
@@ -24,6 +25,7 @@ from studies.rigs.models.board import (
     Board,
     Firmware,
 )
+from studies.rigs.models.line import PseudoPort
 from studies.rigs.models.plant import METRES, NEWTONS, ZERO
 from tests.drivers.bench import (
     engage,
@@ -199,6 +201,18 @@ def test_a_port_that_is_not_there_is_one_line():
         opened(rig_config(microcontroller("/dev/nothing"))),
     ):
         pass
+
+
+@pytest.mark.parametrize("read_only", [False, True])
+def test_a_board_that_says_nothing_is_asked_for_its_firmware(monkeypatch, read_only):
+    for name in ("GREETING_S", "LISTEN_S"):
+        monkeypatch.setattr(driver, name, 0.1)
+    port = PseudoPort()
+    silent = configs.open_driver(microcontroller(port.name), Channels((1,), (1,), read_only))
+    said = "is the firmware of firmware/ on the board, and the baud rate right?"
+    with pytest.raises(DriverFault, match=re.escape(said)), contextlib.closing(silent):
+        silent.start()
+    port.unplug()
 
 
 def test_read_only_listens_and_sends_nothing(board):

@@ -15,6 +15,7 @@ def hidraw(monkeypatch, tmp_path):
     bus = FakeHidraw(folder)
     monkeypatch.setitem(sys.modules, "hidraw", bus)
     monkeypatch.setattr(sys, "platform", "linux")
+    monkeypatch.setattr("teleop.runtime.machine.find_container", lambda: "")
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
     monkeypatch.setattr(device, "POLL_PERIOD_S", 0.02)  # of looks for a device that is away
     CLAIMS.forget()

@@ -186,7 +186,7 @@ def select_device(find: str) -> AttachedNode:
     """Return the selected device, with or without a driver."""
     everything = search.list_attached_nodes()
     if not everything:
-        raise UsageError("no HID device attached")
+        raise UsageError(format_nodes([])[0])
     matches = [item for item in everything if search.is_match(item, find)]
     if len(matches) > 1:
         driven = [item for item in matches if search.examine_node(item).fits]

@@ -128,7 +128,8 @@ def open_bus(config: Cia402Config) -> ClaimedBus:
     """
     place = format_bus_name(config)
     interface, channel = config.bus.interface, config.bus.channel
-    logging.getLogger("canopen").addHandler(logging.NullHandler())  # its errors are raised, too
+    for library in ("can", "canopen"):  # their errors are raised, too
+        logging.getLogger(library).addHandler(logging.NullHandler())
     is_serial = interface == "slcan"
     state = read_interface(channel) if interface == "socketcan" else {}
     if fault := find_interface_fault(state, config.bus):
@@ -138,7 +139,9 @@ def open_bus(config: Cia402Config) -> ClaimedBus:
         bus = can.Bus(**config.bus.arguments())
     except (can.CanError, OSError, ValueError, TypeError, ImportError) as error:
         claim.close()
-        reason = _explain_error(config.bus, error) or f"{error}{_suggest_interface(error)}"
+        reason = _explain_error(config.bus, error) or (
+            str(error).rstrip(".") + _suggest_interface(error)
+        )
         raise DriverFault(f"{place}: cannot be opened as {interface}: {reason}") from error
     monitor = BusMonitor(config.bus)
     bus.send = retry_full_queue(bus.send)  # type: ignore[method-assign]

@@ -61,6 +61,7 @@ WAIT_S = 0.010  # [s] of one cycle without a state
 ERROR_WINDOW_S = 1.0  # [s] over which errors are counted
 ENABLE_S = 0.5  # [s] in which the motors must be enabled
 LIMIT = (1 << 31) - 1  # [counts]
+_SILENT_TEXT = "is the firmware of firmware/ on the board, and the baud rate right?"
 
 
 class MicrocontrollerDriver:
@@ -174,8 +175,7 @@ class MicrocontrollerDriver:
                     return frames.parse_info(frame.body)
         damaged = f", {self._reader.bad} damaged frames" if self._reader.bad else ""
         raise DriverFault(
-            f"{self._config.port}: no answer within {GREETING_S:g} s{damaged}: "
-            "is the firmware of firmware/ on the board, and the baud rate right?"
+            f"{self._config.port}: no answer within {GREETING_S:g} s{damaged}: {_SILENT_TEXT}"
         )
 
     def _receive(self) -> list[Frame]:
@@ -292,7 +292,9 @@ class MicrocontrollerReader(MicrocontrollerDriver):
                     self._reader.bad = self._reader.lost = 0  # a frame was cut at opening
                     watchdog_ms = round(self._config.watchdog * 1e3)
                     return BoardInfo(watchdog_ms, 0, len(state.position), len(state.cell), "")
-        raise DriverFault(f"{self._config.port}: no states of a board within {LISTEN_S:g} s")
+        raise DriverFault(
+            f"{self._config.port}: no states of a board within {LISTEN_S:g} s: {_SILENT_TEXT}"
+        )
 
     def _send(self, kind: FrameType, body: bytes = b"") -> None:
         """Send nothing."""
