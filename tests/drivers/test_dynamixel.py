@@ -492,7 +492,7 @@ def test_a_servo_of_the_old_protocol_is_named_where_nobody_else_answers(monkeypa
         thread.join()
     assert lines == [
         "servo 7: speaks protocol 1.0 at 1000000 baud: set its Protocol Type to 2 by the Dynamixel "
-        "Wizard (an MX: its firmware 2.0)"
+        "Wizard (an MX: its firmware 2.0); AX and Feetech have no driver"
     ]
 
 

@@ -191,7 +191,7 @@ def _scan_old_protocol(bus: ServoBus) -> list[str]:
     packets = PacketHandler(1.0)
     return [
         f"servo {number}: speaks protocol 1.0 at {bus.port.baudrate} baud: set its Protocol Type "
-        "to 2 by the Dynamixel Wizard (an MX: its firmware 2.0)"
+        "to 2 by the Dynamixel Wizard (an MX: its firmware 2.0); AX and Feetech have no driver"
         for number in range(OLD_ID_MAX + 1)
         if packets.ping(bus.port, number)[1] == COMM_SUCCESS
     ]
