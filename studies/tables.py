@@ -18,8 +18,7 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from teleop.cli.diagnose.command import parse_column_options
-from teleop.data.mapping import TableMapping
+from teleop.data.mapping import TableMapping, parse_column_options
 from teleop.data.table import read_table
 from teleop.errors import UsageError
 

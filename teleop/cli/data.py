@@ -20,14 +20,19 @@ import numpy as np
 from estimator.array_types import Array
 from estimator.plausibility import find_channel_faults
 from estimator.text_table import Table
-from teleop.cli.diagnose.command import TENSIONS, parse_column_options
-from teleop.cli.estimate import load_mapping
+from teleop.cli.diagnose.command import TENSIONS
 from teleop.config.loading import as_tree
 from teleop.config.options import TABLE_OPTIONS, add_options
 from teleop.data.channel_names import STANDARD_NAMES
 from teleop.data.column_units import split_scale
-from teleop.data.mapping import MappedColumn, MappedColumns, TableMapping
-from teleop.data.table import MeasuredTable, read_table
+from teleop.data.mapping import (
+    MappedColumn,
+    MappedColumns,
+    TableMapping,
+    load_mapping,
+    parse_column_options,
+)
+from teleop.data.table import MeasuredTable, read_runs
 from teleop.data.table_files import read_columns
 from teleop.errors import UsageError
 from teleop.runtime.output_file import FIGURE_SUFFIXES, OutputFile, save_figure
@@ -64,9 +69,8 @@ def main(args: argparse.Namespace) -> int:
     columns = parse_column_options([*mapping.options(), *args.column])
     options: dict[str, Any] = {"zero_errors": TENSIONS, "diagnosed": True, "mapping": mapping}
     try:
-        table = read_table(
-            args.data, columns.names, args.drop_nonfinite, units=columns.units, **options
-        )
+        options["units"] = columns.units
+        read = read_runs(args.data, [columns.names], args.drop_nonfinite, **options)
     except UsageError:
         raw = read_columns(args.data, mapping)  # if this fails, the same error comes again
         rows = [
@@ -75,8 +79,21 @@ def main(args: argparse.Namespace) -> int:
         ]
         print(Table(("column", "unit", "range", "missing"), tuple(rows)).markdown())
         raise
-    summary = summarise(table)
+    runs = [run[0] for run in read]
+    table, summary = runs[0], summarise(runs[0])
+    summary["runs"] = [
+        {"run": each.run or 1, "first": each.first, "samples": len(each.time)}
+        | {"duration_s": float(np.ptp(each.time))}
+        for each in runs
+    ]
     write_summary(args.json, summary)
+    if len(runs) > 1:
+        rows = [
+            (str(run["run"]), run["first"], str(run["samples"]), f"{run['duration_s']:.6g}")
+            for run in summary["runs"]
+        ]
+        print(Table(("run", "from", "samples", "duration [s]"), tuple(rows)).markdown())
+        print("\nof another one: --run N; `teleop diagnose` takes all\n")
     print(format_summary(table, summary))
     if args.figure is not None:
         draw(table, args.figure)
@@ -131,7 +148,7 @@ def format_summary(table: MeasuredTable, summary: dict[str, Any]) -> str:
     head = ("channel", "column", "its unit", "read in", "range", "missing")
     rate = summary["rate_hz"]
     lines = [
-        f"{table.path}: {summary['samples']} samples, {summary['duration_s']:.6g} s"
+        f"{table.name}: {summary['samples']} samples, {summary['duration_s']:.6g} s"
         + (f", {rate:.6g} Hz" if rate else ""),
         *(f"read as: {remark}" for remark in table.remarks),
         "",

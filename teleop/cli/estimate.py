@@ -13,7 +13,6 @@ A measured distal tension is compared with the estimate.
 """
 
 import argparse
-import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -38,11 +37,11 @@ from slave.rig import number_joint_tendons
 from slave.rigs.hardware import HardwareRigConfig
 from slave.rigs.simulated import SimulatedRigConfig
 from slave.tendon_config import TendonConfig
-from teleop.config.loading import RECORDING_SUFFIX, ConfigDocument, as_tree, load
+from teleop.config.loading import RECORDING_SUFFIX, as_tree, load
 from teleop.config.options import TABLE_OPTIONS, add_option, add_options
 from teleop.data.channel_names import format_numbered_name
-from teleop.data.mapping import TableMapping
-from teleop.data.table import Columns, MeasuredTable, read_table, write_table
+from teleop.data.mapping import load_mapping, parse_column_names
+from teleop.data.table import MeasuredTable, read_table, write_table
 from teleop.errors import UsageError
 from teleop.messages.messages import MAX_TENDONS, PHASE_NAMES
 from teleop.ros.bag_table import is_bag
@@ -124,7 +123,7 @@ def main(args: argparse.Namespace) -> int:
         mapping=mapping,
         zero_errors=() if args.fit else ("distal_tension",),
     )
-    summary: dict[str, Any] = {"data": str(args.data), "samples": len(table.time)}
+    summary: dict[str, Any] = {"data": table.name, "samples": len(table.time)}
     summary["read_as"] = list(table.remarks)
     if args.tendon is not None or len(tendons) > 1:
         summary["tendon"] = format_tendon_name(k, joints)
@@ -227,32 +226,6 @@ def check_options(args: argparse.Namespace) -> None:
         raise UsageError(f"--length {args.length:g}: must be above 0 and at most {LENGTH_MAX:g} m")
     if args.rig and args.save is None:
         raise UsageError("--rig: requires --save")
-
-
-def load_mapping(args: argparse.Namespace) -> TableMapping:
-    """Return how tables are to be read, by `--mapping`, `--rate` and `--decimal`; `UsageError`."""
-    mapping = TableMapping()
-    if args.mapping is not None:
-        mapping = ConfigDocument.read(args.mapping).load(TableMapping)
-    changes = {"rate_hz": args.rate, "decimal": args.decimal}
-    try:
-        return dataclasses.replace(mapping, **{k: v for k, v in changes.items() if v is not None})
-    except ValueError as error:
-        raise UsageError(f"--rate {args.rate:g}: {error}") from error
-
-
-def parse_column_names(words: Sequence[str], tendon: int = 0) -> Columns:
-    """Return the column names of a tendon, from 0, with the overrides NAME=COLUMN."""
-    field_names = [f.name for f in dataclasses.fields(Columns)]
-    renamed = {}
-    for word in words:
-        name, equals, column = word.partition("=")
-        if name not in field_names or not equals or not column:
-            raise UsageError(
-                f"--column {word}: expected NAME=COLUMN, NAME one of {', '.join(field_names)}"
-            )
-        renamed[name] = column
-    return dataclasses.replace(Columns.of_tendon(tendon + 1), **renamed)
 
 
 def select_tendon_model(

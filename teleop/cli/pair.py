@@ -31,6 +31,7 @@ from estimator.pair.pair_study import PairStudy, analyse_residuals, compute_offs
 from teleop.config.loading import load
 from teleop.config.options import add_options
 from teleop.data.raw_table import RawTable
+from teleop.data.runs import split_runs
 from teleop.data.sample_checks import check_effort, check_time
 from teleop.data.table_files import read_columns
 from teleop.errors import UsageError
@@ -134,6 +135,10 @@ def _read_record(path: Path, config: PairConfig) -> PairRecord:
     time = columns["time"]
     if not len(time):
         raise UsageError(f"{path}: has a header but no rows")
+    named = [getattr(config.columns, f.name) for f in fields(PairColumns)]
+    if len(starts := split_runs(path, raw, time, named)) > 1:
+        places = ", ".join(map(raw.place, starts))
+        raise UsageError(f"{path}: has {len(starts)} runs, from {places}; write one a file")
     check_time(path, raw, config.columns.time, time, "convert it to seconds")
     for item in ("tension_a", "tension_b"):
         check_effort(path, raw, getattr(config.columns, item), columns[item], may_err=True)

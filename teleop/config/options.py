@@ -8,7 +8,7 @@ from teleop.runtime.output_file import OutputFile, OutputFolder
 from teleop.runtime.process import parse_seconds
 
 ALLOW_IMPORTS = "--allow-imports"
-TABLE_OPTIONS = ("--column", "--mapping", "--rate", "--decimal", "--drop-nonfinite")
+TABLE_OPTIONS = ("--column", "--mapping", "--rate", "--decimal", "--run", "--drop-nonfinite")
 ViewMode = Literal["native", "web", "rrd", "none"]
 
 
@@ -97,6 +97,12 @@ _OPTIONS: dict[str, dict[str, Any]] = {
         "type": float,
         "metavar": "HZ",
         "help": "samples per second, of data without times, or with numbers of samples",
+    },
+    "--run": {
+        "type": int,
+        "metavar": "N",
+        "help": "the run of a file of several, from 1 (`teleop data show` lists them); 0: all rows "
+        "are one run",
     },
     "--session": {
         "metavar": "NAME",

@@ -2,8 +2,10 @@
 
 import re
 from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from types import MappingProxyType
+from typing import Self
 
 from estimator.units import FORCE, LINEAR, ROTARY, Units
 from teleop.errors import UsageError
@@ -57,6 +59,55 @@ def format_numbered_name(name: str, number: int) -> str:
         return name
     stem, _, unit = name.rpartition("_")
     return f"{stem}_{number}_{unit}"
+
+
+def strip_tendon_number(name: str) -> str:
+    """Return a standard name of tendon 2, 3, ... as that of tendon 1."""
+    return re.sub(r"_\d+(?=_(N|m|Nm|rad)$)", "", name)
+
+
+def parse_tendon_number(name: str) -> int:
+    """Return which tendon a standard name is of."""
+    match = re.search(r"_(\d+)_(N|m|Nm|rad)$", name)
+    return int(match.group(1)) if match else 1
+
+
+@dataclass(frozen=True, slots=True)
+class Columns:
+    """Column names of a file; only the first two columns are required.
+
+    A column with a non-standard name is required too; null omits it.
+    """
+
+    time: str = "time_s"  # [s] of the sample
+    proximal_tension: str = "proximal_tension_N"  # [N] at the housing
+    proximal_displacement: str | None = "proximal_displacement_m"  # [m] pulled in at the housing
+    distal_tension: str | None = "distal_tension_N"  # [N] at the tip, on a bench
+    distal_displacement: str | None = "distal_displacement_m"  # [m] positive towards the housing
+
+    @classmethod
+    def of_tendon(cls, number: int, units: Units = LINEAR) -> Self:
+        """Return the standard names of tendon 1, 2, ... in a file that holds several."""
+        names = {c: format_standard_name(units, c, number) for c in STANDARD_NAMES[units]}
+        return cls(**names)
+
+    def in_units(self, units: Units) -> Self:
+        """Return names of which the standard ones are those of a record in `units`."""
+        changed = {
+            channel: format_standard_name(units, channel, parse_tendon_number(name))
+            for channel in STANDARD_NAMES[units]
+            if (name := getattr(self, channel)) is not None and self.is_standard(channel)
+        }
+        return replace(self, **changed)
+
+    def names(self) -> dict[str, str]:
+        """Return field -> column name, of the columns wanted."""
+        return {f.name: name for f in fields(self) if (name := getattr(self, f.name)) is not None}
+
+    def is_standard(self, item: str) -> bool:
+        """Return whether a field has a standard name, so that its column may be missing."""
+        name = strip_tendon_number(getattr(self, item))
+        return name == "time_s" or any(name == names.get(item) for names in STANDARD_NAMES.values())
 
 
 def check_names(path: Path, names: Collection[str]) -> None:

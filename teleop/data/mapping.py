@@ -1,7 +1,16 @@
 """A mapping file: how the tables of a lab are to be read, for a hundred files at once."""
 
-from dataclasses import dataclass, fields
-from typing import Literal
+import argparse
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Literal, NamedTuple
+
+from estimator.units import Units
+from teleop.config.loading import ConfigDocument
+from teleop.data import channel_names
+from teleop.data.channel_names import Columns
+from teleop.errors import UsageError
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -53,6 +62,8 @@ class TableMapping:
     time_format: str = ""  # of times as text, such as %d.%m.%Y %H:%M:%S.%f
     rate_hz: float | None = None  # samples per second, where time is the number of the sample
     sheet: str = ""  # of a spreadsheet with several
+    run: int | None = None  # the one of a file of several runs, from 1; 0: all rows are one run
+    run_column: str = ""  # that names the run, where it is not called so
 
     def __post_init__(self) -> None:
         """Check the values; raises `ValueError`."""
@@ -60,8 +71,70 @@ class TableMapping:
             raise ValueError("separator: must be one of , ; | space \\t")
         if self.rate_hz is not None and not 0.0 < self.rate_hz < 1e9:
             raise ValueError("rate_hz: must be above 0")
+        if self.run is not None and self.run < 0:
+            raise ValueError("run: must be 1 or more, or 0 for all rows as one run")
 
     def options(self) -> tuple[str, ...]:
         """Return the columns as values of `--column`."""
         given = ((f.name, getattr(self.columns, f.name)) for f in fields(self.columns))
         return tuple(f"{name}={each.format_option()}" for name, each in given if each is not None)
+
+
+def load_mapping(args: argparse.Namespace) -> TableMapping:
+    """Return how tables are to be read, by `--mapping`, `--rate`, `--decimal` and `--run`.
+
+    Raises
+    ------
+    UsageError
+        The file or an option is invalid.
+    """
+    mapping = read_mapping(args.mapping)
+    for option, key in {"rate": "rate_hz", "decimal": "decimal", "run": "run"}.items():
+        if (value := getattr(args, option)) is not None:
+            try:
+                mapping = replace(mapping, **{key: value})
+            except ValueError as error:
+                raise UsageError(f"--{option} {value}: {error}") from error
+    return mapping
+
+
+def read_mapping(path: Path | None) -> TableMapping:
+    """Return what a mapping file says, the defaults without one; `UsageError`."""
+    return TableMapping() if path is None else ConfigDocument.read(path).load(TableMapping)
+
+
+class NamedColumns(NamedTuple):
+    """Column names, and the units that they were named in; None where none was told."""
+
+    names: Columns
+    units: Units | None
+
+
+def parse_column_options(words: Sequence[str], tendon: int = 0) -> NamedColumns:
+    """Return the columns of a tendon, from 0, with the overrides of `--column`.
+
+    NAME may be that of a torque, an angle or a force, such as `proximal_torque`.
+
+    Raises
+    ------
+    UsageError
+        An override is none, or they are linear in part and rotary in part.
+    """
+    pairs = [word.partition("=") for word in words]
+    units = channel_names.detect_option_units([name for name, _, _ in pairs])
+    meant = [f"{channel_names.to_channel(name)}{equals}{column}" for name, equals, column in pairs]
+    return NamedColumns(parse_column_names(meant, tendon), units)
+
+
+def parse_column_names(words: Sequence[str], tendon: int = 0) -> Columns:
+    """Return the column names of a tendon, from 0, with the overrides NAME=COLUMN."""
+    field_names = [f.name for f in fields(Columns)]
+    renamed = {}
+    for word in words:
+        name, equals, column = word.partition("=")
+        if name not in field_names or not equals or not column:
+            raise UsageError(
+                f"--column {word}: expected NAME=COLUMN, NAME one of {', '.join(field_names)}"
+            )
+        renamed[name] = column
+    return replace(Columns.of_tendon(tendon + 1), **renamed)

@@ -1,7 +1,7 @@
 """The columns of a file before they have a meaning, and how it is written."""
 
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any
@@ -26,6 +26,11 @@ class Layout:
     separator: str = ","
     decimal: str = "."  # "" if no number in the sample tells
     encoding: str = "utf-8-sig"
+
+    def has_units(self, cells: Sequence[str]) -> bool:
+        """Return whether a row has the units of that below the names."""
+        row = [cell.strip(" []()") for cell in cells]
+        return bool(self.units) and row == [self.units.get(name, "") for name in self.names]
 
     def describe(self) -> tuple[str, ...]:
         """Return what differs from a table as this project writes it."""
@@ -55,3 +60,4 @@ class RawTable:
     decimal: str = "."  # sign of decimals in cells that are text
     words: Mapping[str, Counter[str]] = field(default_factory=dict)  # by column: no numbers
     remarks: tuple[str, ...] = ()  # how the file differs from one of this project
+    breaks: tuple[int, ...] = ()  # rows above which the names come again

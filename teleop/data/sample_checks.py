@@ -10,7 +10,8 @@ from estimator.array_types import Array
 from estimator.units import LINEAR, Units
 from teleop.data import channel_names
 from teleop.data.raw_table import RawTable
-from teleop.data.text_table import THOUSANDS, describe_second_record
+from teleop.data.runs import describe_second_record
+from teleop.data.text_table import THOUSANDS
 from teleop.errors import UsageError
 
 TENSION_PEAK = 1000.0  # [N] above this the unit is wrong: grams or millinewtons

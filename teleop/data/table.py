@@ -4,11 +4,12 @@ The format is described in docs/reference/data-format.md. Nothing is repaired si
 raise a `UsageError` of one line with file, column and row.
 """
 
+import itertools
 import re
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,9 +18,11 @@ from estimator.array_types import Array
 from estimator.units import LINEAR, Units
 from teleop.config.suggestions import suggest_spelling
 from teleop.data import channel_names, time_text
+from teleop.data.channel_names import Columns
 from teleop.data.column_units import convert_to_si, find_aliases, split_unit
 from teleop.data.mapping import TableMapping
 from teleop.data.raw_table import Column, RawTable
+from teleop.data.runs import split_runs
 from teleop.data.sample_checks import check_samples
 from teleop.data.table_files import check_destination, read_columns, write_table
 from teleop.data.text_table import THOUSANDS, classify_word, clean_name, to_number
@@ -39,49 +42,6 @@ __all__ = [
 # what a force is estimated from
 HOUSING_CHANNELS = ("time", "proximal_tension", "proximal_displacement")
 NAMES_SHOWN = 12  # of a file's columns in an error message
-
-
-@dataclass(frozen=True, slots=True)
-class Columns:
-    """Column names of a file; only the first two columns are required.
-
-    A column with a non-standard name is required too; null omits it.
-    """
-
-    time: str = "time_s"  # [s] of the sample
-    proximal_tension: str = "proximal_tension_N"  # [N] at the housing
-    proximal_displacement: str | None = "proximal_displacement_m"  # [m] pulled in at the housing
-    distal_tension: str | None = "distal_tension_N"  # [N] at the tip, on a bench
-    distal_displacement: str | None = "distal_displacement_m"  # [m] positive towards the housing
-
-    @classmethod
-    def of_tendon(cls, number: int, units: Units = LINEAR) -> Self:
-        """Return the standard names of tendon 1, 2, ... in a file that holds several."""
-        names = {
-            c: channel_names.format_standard_name(units, c, number)
-            for c in channel_names.STANDARD_NAMES[units]
-        }
-        return cls(**names)
-
-    def in_units(self, units: Units) -> Self:
-        """Return names of which the standard ones are those of a record in `units`."""
-        changed = {
-            channel: channel_names.format_standard_name(units, channel, _parse_tendon_number(name))
-            for channel in channel_names.STANDARD_NAMES[units]
-            if (name := getattr(self, channel)) is not None and self.is_standard(channel)
-        }
-        return replace(self, **changed)
-
-    def names(self) -> dict[str, str]:
-        """Return field -> column name, of the columns wanted."""
-        return {f.name: name for f in fields(self) if (name := getattr(self, f.name)) is not None}
-
-    def is_standard(self, item: str) -> bool:
-        """Return whether a field has a standard name, so that its column may be missing."""
-        name = _strip_tendon_number(getattr(self, item))
-        return name == "time_s" or any(
-            name == names.get(item) for names in channel_names.STANDARD_NAMES.values()
-        )
 
 
 class Source(NamedTuple):
@@ -109,8 +69,15 @@ class MeasuredTable:
     extra: Mapping[str, Column] = field(default_factory=dict)  # further columns, as they are
     dropped: int = 0  # number of rows omitted because of non-finite values
     units: Units = LINEAR
+    run: int = 0  # which one of a file of several, from 1
+    first: str = ""  # place of its first row in the file
     remarks: tuple[str, ...] = ()  # how the file was understood, where it is not as usual
     sources: Mapping[str, Source] = field(default_factory=dict)  # of the fields above
+
+    @property
+    def name(self) -> str:
+        """The file, and which of its runs."""
+        return f"{self.path}, run {self.run}" if self.run else str(self.path)
 
     def columns(self, number: int = 1) -> dict[str, Column]:
         """Return all columns by standard names of tendon 1, 2, ..., then the further ones."""
@@ -177,8 +144,26 @@ def read_tables(
 ) -> tuple[MeasuredTable, ...]:
     """Read and check the samples of several tendons of one file; see `read_table`.
 
-    A row omitted for one tendon is omitted for all.
+    A row omitted for one tendon is omitted for all. Of several runs the mapping says which one.
     """
+    options: dict[str, Any] = {"zero_errors": zero_errors, "diagnosed": diagnosed, "units": units}
+    runs = read_runs(path, tendons, drop_nonfinite, mapping=mapping, **options)
+    if len(runs) > 1:
+        raise UsageError(f"{path}: has {len(runs)} runs, one is read here: say which, --run N")
+    return runs[0]
+
+
+def read_runs(
+    path: Path,
+    tendons: Sequence[Columns],
+    drop_nonfinite: bool = False,
+    *,
+    zero_errors: Collection[str] = (),
+    diagnosed: bool = False,
+    units: Units | None = None,
+    mapping: TableMapping | None = None,
+) -> list[tuple[MeasuredTable, ...]]:
+    """Read and check all runs of a file, or the one that the mapping says; see `read_tables`."""
     mapping = mapping or TableMapping()
     named = [name for columns in tendons for name in columns.names().values()]
     raw = read_columns(path, mapping, named)
@@ -225,34 +210,69 @@ def read_tables(
         if factor != 1.0
     ]
     remarks += [_describe_words(name, raw.words[name]) for name in numbers if name in raw.words]
+    if not (rows := len(numbers[clock])):
+        raise UsageError(f"{path}: has a header but no rows")
+    starts = {0: ""}
+    if mapping.run != 0:
+        starts = split_runs(path, raw, numbers[clock], numbers, mapping.run_column)
+    chosen = mapping.run or 0
+    if chosen > len(starts):
+        raise UsageError(f"{path}: --run {chosen}: the file has {len(starts)} runs")
+    if len(starts) > 1:
+        begins = [f"{raw.place(row)} ({why})" for row, why in starts.items() if why]
+        more = ", ..." * (len(begins) > NAMES_SHOWN)
+        remarks.append(
+            f"{len(starts)} runs; a new one from {', '.join(begins[:NAMES_SHOWN])}{more}"
+        )
     if remarks:
         print_warning(f"{path}: {'; '.join(remarks)}")
-    rows = len(numbers[clock])
-    if rows == 0:
-        raise UsageError(f"{path}: has a header but no rows")
     required = set(numbers)
     if diagnosed or drop_nonfinite:
         items = HOUSING_CHANNELS if drop_nonfinite else ("time",)
         required = {names[item] for names in tables_columns for item in items if item in names}
-        numbers = {n: c if n in required else _mark_missing(path, n, c) for n, c in numbers.items()}
-    keep = _find_finite_rows(path, raw, {name: numbers[name] for name in required}, drop_nonfinite)
-    dropped = rows - int(keep.sum())
-    if dropped:
-        kept_rows = np.flatnonzero(keep)
-        columns_kept = {name: column[keep] for name, column in raw.columns.items()}
-        raw = replace(raw, columns=columns_kept, place=_renumber_rows(raw, kept_rows))
+    runs = []
+    for k, (first, end) in enumerate(itertools.pairwise([*starts, rows]), 1):
+        if chosen not in (0, k):
+            continue
+        part, values, dropped = _clean_rows(
+            path,
+            _select_rows(raw, range(first, end)),
+            {name: column[first:end] for name, column in numbers.items()},
+            required,
+            drop_nonfinite,
+        )
+        common: dict[str, Any] = {"path": path, "units": units, "remarks": tuple(remarks)}
+        common |= {"dropped": dropped, "run": k * (len(starts) > 1), "first": raw.place(first)}
+        common["extra"] = {name: c for name, c in part.columns.items() if name not in values}
+        tables = []
+        for names, noted in zip(tables_columns, notes, strict=True):
+            stated = {item for item, (_, unit) in noted.items() if unit}
+            check_samples(path, part, names, values, zero_errors, diagnosed, units, stated)
+            samples: dict[str, Any] = dict.fromkeys(Columns().names())
+            samples |= {item: values[name] for item, name in names.items()}
+            sources = {item: Source(name, *factors[name]) for item, name in names.items()}
+            tables.append(MeasuredTable(**samples, **common, sources=sources))
+        runs.append(tuple(tables))
+    return runs
+
+
+def _clean_rows(
+    path: Path, raw: RawTable, numbers: dict[str, Array], required: Collection[str], drop: bool
+) -> tuple[RawTable, dict[str, Array], int]:
+    """Return a run without the rows that are dropped, and their number; NaN where not required."""
+    numbers = {n: c if n in required else _mark_missing(path, n, c) for n, c in numbers.items()}
+    keep = _find_finite_rows(path, raw, {name: numbers[name] for name in required}, drop)
+    if dropped := len(keep) - int(keep.sum()):
+        raw = _select_rows(raw, np.flatnonzero(keep))
         numbers = {name: column[keep] for name, column in numbers.items()}
-    extra = {name: column for name, column in raw.columns.items() if name not in numbers}
-    tables = []
-    for names, told in zip(tables_columns, notes, strict=True):
-        stated = {item for item, (_, unit) in told.items() if unit}
-        check_samples(path, raw, names, numbers, zero_errors, diagnosed, units, stated)
-        values: dict[str, Any] = dict.fromkeys(Columns().names())
-        values |= {item: numbers[name] for item, name in names.items()}
-        values |= {"extra": extra, "dropped": dropped, "remarks": tuple(remarks)}
-        values["sources"] = {item: Source(name, *factors[name]) for item, name in names.items()}
-        tables.append(MeasuredTable(**values, path=path, units=units))
-    return tuple(tables)
+    return raw, numbers, dropped
+
+
+def _select_rows(raw: RawTable, rows: range | NDArray[np.intp]) -> RawTable:
+    """Return some rows of a file, which keep their places; of a range without a copy."""
+    index = slice(rows.start, rows.stop) if isinstance(rows, range) else rows
+    columns = {name: column[index] for name, column in raw.columns.items()}
+    return replace(raw, columns=columns, place=lambda row: raw.place(int(rows[row])))
 
 
 def _match_name(raw: RawTable, name: str) -> str:
@@ -307,7 +327,9 @@ def _detect_file_units(
     units = (
         LINEAR
         if has_own_names
-        else channel_names.detect_units(path, present, _parse_tendon_number(efforts[0]))
+        else channel_names.detect_units(
+            path, present, channel_names.parse_tendon_number(efforts[0])
+        )
     )
     if units.signed and not diagnosed:
         kind = "torque and angle" if units.rotary else "a force of either sign"
@@ -329,7 +351,9 @@ def _find_columns(
     columns_found = {}
     standard = {name for names in channel_names.STANDARD_NAMES.values() for name in names.values()}
     unclaimed = [
-        n for n in raw.columns if n not in claimed and _strip_tendon_number(n) not in standard
+        n
+        for n in raw.columns
+        if n not in claimed and channel_names.strip_tendon_number(n) not in standard
     ]
     for item, name in columns.names().items():
         if name in raw.columns:
@@ -364,17 +388,6 @@ def _explain_missing(item: str) -> str:
         "; friction and force are only known from the tension at the housing: add a load cell "
         "there, or name its column by --column 'proximal_tension=COLUMN[UNIT]'"
     ) * (item == "proximal_tension")
-
-
-def _strip_tendon_number(name: str) -> str:
-    """Return a standard name of tendon 2, 3, ... as that of tendon 1."""
-    return re.sub(r"_\d+(?=_(N|m|Nm|rad)$)", "", name)
-
-
-def _parse_tendon_number(name: str) -> int:
-    """Return which tendon a standard name is of."""
-    match = re.search(r"_(\d+)_(N|m|Nm|rad)$", name)
-    return int(match.group(1)) if match else 1
 
 
 def _parse_column(
@@ -441,7 +454,3 @@ def _mark_missing(path: Path, name: str, column: Array) -> Array:
     if not is_finite.any():
         raise UsageError(f"{path}: column {name!r} has no finite value: remove the column")
     return np.where(is_finite, column, np.nan)
-
-
-def _renumber_rows(raw: RawTable, kept_rows: NDArray[np.intp]) -> Any:
-    return lambda row: raw.place(int(kept_rows[row]))

@@ -361,10 +361,10 @@ def read_rows(path: Path, layout: Layout, rows: Iterable[Row], unit: str = "line
 
     A place is a `unit` with its number.
     """
-    names, lines = layout.names, array("q")
+    names, lines, breaks = layout.names, array("q"), list[int]()
     words = {name: Counter[str]() for name in names}
     parts: list[list[Column]] = []
-    fitted = _fit_rows(path, layout, rows, lines, unit)
+    fitted = _fit_rows(path, layout, rows, lines, breaks, unit)
     while chunk := list(itertools.islice(fitted, ROWS_PER_CHUNK)):
         parts.append(
             [
@@ -385,6 +385,7 @@ def read_rows(path: Path, layout: Layout, rows: Iterable[Row], unit: str = "line
         decimal=layout.decimal,
         words={name: found for name, found in words.items() if found},
         remarks=layout.describe(),
+        breaks=tuple(row for row in breaks if 0 < row < len(lines)),
     )
 
 
@@ -397,9 +398,13 @@ def _fit_rows(
     layout: Layout,
     rows: Iterable[Row],
     lines: "array[int]",
+    breaks: list[int],
     unit: str,
 ) -> Iterator[Sequence[str]]:
-    """Yield the rows as long as the names, and record their lines; blank rows are skipped."""
+    """Yield the rows as long as the names, and record their lines; blank rows are skipped.
+
+    `breaks` become the rows above which the names come again.
+    """
     width, rows = len(layout.names), iter(rows)
     for line, cells in rows:
         if not cells or (len(cells) > 1 and not any(map(str.strip, cells))):
@@ -419,20 +424,12 @@ def _fit_rows(
         if clean_name(cells[-1]) == layout.names[-1] and [*map(clean_name, cells)] == [
             *layout.names
         ]:
-            raise UsageError(
-                f"{path}: {describe_second_record(path, line, 'the names come again')}"
-            )
+            breaks.append(len(lines))
+            continue
+        if breaks and breaks[-1] == len(lines) and layout.has_units(cells):
+            continue
         lines.append(line)
         yield cells
-
-
-def describe_second_record(path: Path, line: int, why: str) -> str:
-    """Return why a file has to be split at a line, and how."""
-    return (
-        f"line {line}: a second record begins here ({why}); split the file: `head -n {line - 1} "
-        f"{path.name} > first{path.suffix}`, and the rest likewise below its names (`teleop "
-        "diagnose` takes several files)"
-    )
 
 
 # --- a file

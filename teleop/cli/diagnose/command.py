@@ -22,7 +22,7 @@ import math
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from estimator.array_types import Array
 from estimator.diagnosis import report_text
@@ -30,46 +30,22 @@ from estimator.diagnosis.api import CauseError, RecordError, collect_signals, di
 from estimator.diagnosis.outcome import Diagnosis
 from estimator.effects import CATALOGUE, CHANNELS, NAMES, Effect
 from estimator.effects.functions import find_function
-from estimator.units import Units
 from teleop.cli import estimate
 from teleop.cli.diagnose import json_report
 from teleop.cli.diagnose.json_report import ComparedParameter
 from teleop.config.options import TABLE_OPTIONS, add_option, add_options
 from teleop.config.suggestions import suggest_spelling
-from teleop.data import channel_names, model_file
+from teleop.data import model_file
 from teleop.data.channel_names import to_channel
 from teleop.data.effect_extensions import is_extension, load_effects
-from teleop.data.mapping import TableMapping
-from teleop.data.table import Columns, MeasuredTable, read_table
+from teleop.data.mapping import NamedColumns, TableMapping, load_mapping, parse_column_options
+from teleop.data.table import MeasuredTable, read_runs
 from teleop.errors import UsageError
 from teleop.runtime.output_file import OutputFolder, make_folder
 from teleop.runtime.parallel import count_processors
 from teleop.runtime.process import write_summary, write_text_file
 from teleop.runtime.status_line import Progress
 from teleop.view.series import PlotCurve, PlotPanel, save
-
-# --- `--column NAME=COLUMN` of a diagnosis: NAME tells the units, too
-
-
-class NamedColumns(NamedTuple):
-    """Column names, and the units that they were named in; None where none was told."""
-
-    names: Columns
-    units: Units | None
-
-
-def parse_column_options(words: Sequence[str], tendon: int = 0) -> NamedColumns:
-    """Return the columns of a tendon, from 0, with the overrides of `--column`.
-
-    NAME may be that of a torque, an angle or a force, such as `proximal_torque`.
-
-    Raises `UsageError` if an override is none, or they are linear in part and rotary in part.
-    """
-    pairs = [word.partition("=") for word in words]
-    units = channel_names.detect_option_units([name for name, _, _ in pairs])
-    meant = [f"{channel_names.to_channel(name)}{equals}{column}" for name, equals, column in pairs]
-    return NamedColumns(estimate.parse_column_names(meant, tendon), units)
-
 
 # --- parser of `--effects`
 
@@ -157,12 +133,12 @@ class DiagnosisData(NamedTuple):
     @property
     def files(self) -> tuple[str, ...]:
         """Names of the fitted files."""
-        return tuple(str(table.path) for table in self.fitted)
+        return tuple(table.name for table in self.fitted)
 
     @property
     def further(self) -> tuple[str, ...]:
         """Names of the files for validation."""
-        return tuple(str(table.path) for table in self.validation)
+        return tuple(table.name for table in self.validation)
 
 
 class ReportContent(NamedTuple):
@@ -245,11 +221,13 @@ def main(args: argparse.Namespace) -> int:
         make_folder(args.supplement, "supplement.html")
     tendon = estimate.select_tendon(args.tendon, estimate.read_recorded_joints(args.data[0]), 1)
     sheath = None if args.calibration is None else json_report.load_sheath(args.calibration, tendon)
-    mapping = estimate.load_mapping(args)
+    mapping = load_mapping(args)
     columns = parse_column_options([*mapping.options(), *args.column], tendon)
     noise = parse_noise(args.noise)
     loop = None if args.transmission == "auto" else args.transmission == "loop"
     data = read_data(args.data, args.validate, columns, args.drop_nonfinite, mapping)
+    if args.leave_one_file_out and len(data.fitted) < 2:
+        raise UsageError("--leave-one-file-out: give at least two files of one bench")
     progress, begin_s = Progress(), time.monotonic()
     try:
         diagnosis = diagnose(
@@ -297,8 +275,6 @@ def check_options(args: argparse.Namespace, effects: Sequence[Effect]) -> None:
     if args.cause and args.cause not in names:
         hint = suggest_spelling(args.cause, names, 3, 0.5) or "; it must be one of --effects"
         raise UsageError(f"--cause {args.cause}: is not among the effects considered{hint}")
-    if args.leave_one_file_out and len(args.data) < 2:
-        raise UsageError("--leave-one-file-out: give at least two files of one bench")
 
 
 def read_data(
@@ -308,37 +284,37 @@ def read_data(
     drop_nonfinite: bool,
     mapping: TableMapping,
 ) -> DiagnosisData:
-    """Return the data of some files, all with the same channels.
+    """Return the data of some files, all with the same channels; each run is a record.
 
     Raises `UsageError` if a file is invalid, or lacks a channel of another.
     """
-    tables = [
-        read_table(
-            path,
-            columns.names,
-            drop_nonfinite,
-            zero_errors=TENSIONS,
-            diagnosed=True,
-            units=columns.units,
-            mapping=mapping,
-        )
-        for path in (*paths, *validate)
-    ]
+    options: dict[str, Any] = {"zero_errors": TENSIONS, "diagnosed": True, "mapping": mapping}
+    fitted, validation = (
+        [
+            run[0]
+            for path in files
+            for run in read_runs(
+                path, [columns.names], drop_nonfinite, units=columns.units, **options
+            )
+        ]
+        for files in (paths, validate)
+    )
+    tables = [*fitted, *validation]
     first = tables[0]
     for table in tables[1:]:
         if table.units != first.units:
             raise UsageError(
-                f"{table.path}: is in {table.units.effort} and {table.units.travel}, but "
-                f"{first.path} in {first.units.effort} and {first.units.travel}"
+                f"{table.name}: is in {table.units.effort} and {table.units.travel}, but "
+                f"{first.name} in {first.units.effort} and {first.units.travel}"
             )
         if set(collect_signals(table)) != set(collect_signals(first)):
             raise UsageError(
-                f"{table.path}: has {', '.join(collect_signals(table))}, but {first.path} has "
+                f"{table.name}: has {', '.join(collect_signals(table))}, but {first.name} has "
                 f"{', '.join(collect_signals(first))}; data that are diagnosed together need "
                 f"the same "
                 "channels"
             )
-    return DiagnosisData(tuple(tables[: len(paths)]), tuple(tables[len(paths) :]))
+    return DiagnosisData(tuple(fitted), tuple(validation))
 
 
 def _write_report(report: ReportContent, folder: Path) -> None:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from estimator.units import FORCE, ROTARY
-from teleop.cli.diagnose.command import parse_column_options
+from teleop.data.mapping import parse_column_options
 from teleop.data.table import read_table, write_table
 from teleop.errors import UsageError
 from tests.teleop.data.records import refusal

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from teleop.cli.diagnose.command import parse_column_options
+from teleop.data.mapping import parse_column_options
 from teleop.data.table import Columns, read_table, write_table
 from tests.teleop.data.records import pull, refusal
 

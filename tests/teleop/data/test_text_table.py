@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from teleop.cli.diagnose.command import parse_column_options
 from teleop.data import read_table
-from teleop.data.mapping import TableMapping
+from teleop.data.mapping import TableMapping, parse_column_options
 from teleop.errors import UsageError
 
 NAMES = ("time_s", "proximal_tension_N", "proximal_displacement_m")
@@ -268,11 +267,6 @@ REFUSED = {
         PLAIN.replace("time_s,proximal_tension_N", "time_ms,Time [us]"),
         ["which is it, 'time_ms'"],
     ),
-    "a second record": (
-        PLAIN + PLAIN.partition("\n")[2],
-        ["line 62: a second record", "head -n 61"],
-    ),
-    "a second record with names": (PLAIN + PLAIN, ["line 62: a second record", "head -n 61"]),
     "no tension at the housing": (PLAIN.replace(NAMES[1], "distal_tension_N"), ["load cell"]),
     "names that are numbers": (PLAIN.replace(FIRST, "1,2,3"), ["must contain the column names"]),
     "a cut last line": (PLAIN + "3.000,1.2", ["line 62: has 2 cells", "remove this line"]),
