@@ -285,6 +285,22 @@ def test_what_may_be_wrong_is_refused_with_the_remedy(tmp_path, kind):
         assert part in said
 
 
+@pytest.mark.parametrize("spikes", [(), (13,), (13, 14), (5, 30, 55)])
+def test_spikes_of_the_travel_change_nothing_of_its_speed(tmp_path, spikes):
+    travel, missing = TRAVEL.copy(), ["" if k == 20 else f"{v:.7f}" for k, v in enumerate(TRAVEL)]
+    travel[list(spikes)] += 0.5  # [m] in 50 ms
+    forms = ["{:.9f}"] * 3
+    found = read(tmp_path / "x.csv", table(values=(TIME, TENSION, travel), forms=forms))
+    np.testing.assert_allclose(found.proximal_displacement, travel, atol=1e-9)
+    for k in spikes:
+        missing[k] = f"{TRAVEL[k] + 0.5:.7f}"
+    for size, slower in ((1e-3, 1.0), (7.0, 100.0)):  # 20 kHz, and 2.9 Hz of a hundredth of it
+        cells = [f"{float(cell) / slower:.9f}" if cell else "" for cell in missing]
+        text = table(values=(size * TIME, TENSION, cells), forms=("{:.9f}", "{:.4f}", "{}"))
+        said = refusal(tmp_path / "x.csv", text)
+        assert "is the unit of time right?" in said
+
+
 def test_sample_numbers_have_a_rate(tmp_path):
     check(read(tmp_path / "x.csv", WHOLE, rate_hz=20))
     check(
