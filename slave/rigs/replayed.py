@@ -1,6 +1,6 @@
 """A replayed rig: measured data played in real time."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -11,7 +11,9 @@ from estimator.effects.effect import CHANNELS
 from estimator.plausibility import find_channel_faults
 from estimator.spikes import remove_spikes
 from slave.rig import RigFinished, RigSample
-from teleop.data.table import Columns, read_tables
+from teleop.data.channel_names import Columns
+from teleop.data.mapping import map_columns, read_mapping
+from teleop.data.table import read_tables
 from teleop.messages.messages import MAX_JOINTS
 from teleop.runtime.process import print_warning
 
@@ -25,6 +27,8 @@ class ReplayedRigConfig:
     loop: bool = False  # start again after the last row
     drop_nonfinite: bool = False  # leave out rows without a finite reading at the housing
     tendons: tuple[Columns, ...] = (Columns(),)  # one for each tendon: its columns' names
+    mapping: Path | None = None  # how the file is to be read, of `teleop data show --write-mapping`
+    run: int | None = None  # the one of a file of several, from 1; 0: all rows are one run
     name: str = ""  # name of the rig in calibration files; empty = the file's name
 
     def __post_init__(self) -> None:
@@ -33,6 +37,8 @@ class ReplayedRigConfig:
             raise ValueError(f"tendons: must be 1 to {MAX_JOINTS}, one a joint")
         if len({columns.time for columns in self.tendons}) > 1:
             raise ValueError("tendons: must all have the same time column")
+        if self.run is not None and self.run < 0:
+            raise ValueError("run: must be 1 or more, or 0 for all rows as one run")
 
 
 class ReplayedRig:
@@ -47,8 +53,15 @@ class ReplayedRig:
     starts_at_zero = True  # there are no motors, so any start is correct
 
     def __init__(self, config: ReplayedRigConfig) -> None:
+        mapping = read_mapping(config.mapping)
+        if config.run is not None:
+            mapping = replace(mapping, run=config.run)
         tables = read_tables(
-            config.file, config.tendons, config.drop_nonfinite, zero_errors=("distal_tension",)
+            config.file,
+            map_columns(config.tendons, mapping),
+            config.drop_nonfinite,
+            zero_errors=("distal_tension",),
+            mapping=mapping,
         )
         self.name = config.name or config.file.name
         self.tendons = len(tables)

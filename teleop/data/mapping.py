@@ -1,7 +1,7 @@
 """A mapping file: how the tables of a lab are to be read, for a hundred files at once."""
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Literal, NamedTuple
@@ -101,6 +101,22 @@ def load_mapping(args: argparse.Namespace) -> TableMapping:
 def read_mapping(path: Path | None) -> TableMapping:
     """Return what a mapping file says, the defaults without one; `UsageError`."""
     return TableMapping() if path is None else ConfigDocument.read(path).load(TableMapping)
+
+
+def map_columns(tendons: Sequence[Columns], mapping: TableMapping) -> tuple[Columns, ...]:
+    """Return the columns of tendons, named as by the mapping where they have standard names.
+
+    Its time is that of all tendons, its other columns are those of the first one.
+    """
+    named = parse_column_names(mapping.options())
+    own = {item: name for item, name in named.names().items() if not named.is_standard(item)}
+    times = {item: name for item, name in own.items() if item == "time"}
+
+    def rename(columns: Columns, names: Mapping[str, str]) -> Columns:
+        standard = [item for item in columns.names() if columns.is_standard(item)]
+        return replace(columns, **{k: name for k, name in names.items() if k in standard})
+
+    return tuple(rename(c, times if k else own) for k, c in enumerate(tendons))
 
 
 class NamedColumns(NamedTuple):

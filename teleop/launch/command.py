@@ -19,7 +19,7 @@ from pathlib import Path
 
 from teleop.config.loading import ConfigDocument
 from teleop.config.options import add_option, add_options
-from teleop.errors import TeleopError
+from teleop.errors import TeleopError, UsageError
 from teleop.launch.console import KEY_HELP, Console, KeyReader
 from teleop.launch.watch import Keyboard
 from teleop.messages.topics import Role
@@ -50,6 +50,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--replay", type=Path, metavar="DATA", help="measured data in place of the rig"
     )
+    for name in ("--mapping", "--run"):
+        add_option(parser, name, "of --replay")
 
 
 def main(args: argparse.Namespace) -> int:
@@ -57,7 +59,9 @@ def main(args: argparse.Namespace) -> int:
     from teleop.launch import launcher  # slow to import, and not needed for --help
 
     stop = StopCondition()
-    changes = launcher.build_rig_overrides(args.replay, args.calibration)
+    if args.replay is None and (args.mapping is not None or args.run is not None):
+        raise UsageError("--mapping, --run: require --replay")
+    changes = launcher.build_rig_overrides(args.replay, args.calibration, args.mapping, args.run)
     document = ConfigDocument.read(args.config, args.overrides).override(*changes)
     document, config = launcher.plan_session(document, args.session)
     plan = launcher.LaunchPlan(

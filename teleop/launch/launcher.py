@@ -6,6 +6,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from slave.config import AS_BUILT
 from teleop.config.loading import ConfigDocument
@@ -79,11 +80,20 @@ def plan_session(
     return document, config
 
 
-def build_rig_overrides(replay: Path | None, calibration: Path | None) -> list[Override]:
-    """Return what measured data to be replayed, and a calibration, override in a config."""
+def build_rig_overrides(
+    replay: Path | None,
+    calibration: Path | None,
+    mapping: Path | None = None,
+    run: int | None = None,
+) -> list[Override]:
+    """Return what measured data to be replayed, and a calibration, override in a config.
+
+    `mapping` and `run` tell how the data are to be read.
+    """
     out = []
     if replay:
-        rig = {"type": "replayed", "file": str(replay.absolute())}
+        rig: dict[str, Any] = {"type": "replayed", "file": str(replay.absolute()), "run": run}
+        rig["mapping"] = mapping and str(mapping.absolute())
         # a tip that the hand does not move would do work on it without energy in the ledger
         out += [Override.of("slave.rig", rig), Override.of("coupling", {"type": "direct"})]
     if calibration:

@@ -1,8 +1,10 @@
+import dataclasses
 import math
 
 import numpy as np
 import pytest
 
+from slave.config import SlaveConfig
 from slave.rig import RigFault, RigFinished
 from slave.rigs import open_rig
 from slave.rigs.replayed import ReplayedRigConfig
@@ -236,6 +238,32 @@ def test_several_tendons_of_one_file(measured):
     assert sample.proximal_tension[1] == read_table(measured, both[1]).proximal_tension[0]
     assert np.isfinite(sample.proximal_displacement[0])
     assert np.isnan(sample.proximal_displacement[1])  # the second has no encoder
+
+
+def test_a_mapping_beside_the_config_tells_columns_units_and_the_run(tmp_path):
+    rows = [f"{20 * k},{1 + k / 9:.3f},{k},{k + 1:.2f}" for k in range(30)]
+    (tmp_path / "pull.csv").write_text("\n".join(["t,cell,q_mm,other", *rows, *reversed(rows)]))
+    (tmp_path / "lab.yaml").write_text(
+        "columns: {time: {column: t, unit: ms}, proximal_tension: {column: cell, unit: N, "
+        "scale: 2}, proximal_displacement: {column: q_mm}}\n"
+    )
+    config = tmp_path / "rig.yaml"
+    rig = "{type: replayed, file: pull.csv, mapping: lab.yaml, run: 2}"
+    config.write_text(f"slave: {{rig: {rig}}}\n")
+    with pytest.raises(UsageError, match=r"--run 2: the file has 1 run$"):
+        open_rig(load(config, SlaveConfig, "slave").rig)
+    (tmp_path / "pull.csv").write_text("\n".join(["t,cell,q_mm,other", *rows, *rows[:25]]))
+    read = open_rig(load(config, SlaveConfig, "slave").rig).read(10.0)
+    assert len(read) == 25
+    assert [read[9].time_s, read[9].proximal_tension[0]] == pytest.approx([0.18, 4.0])
+    assert read[9].proximal_displacement[0] == pytest.approx(9e-3)
+    with pytest.raises(UsageError, match=r"has 2 runs.*slave\.rig\.run"):
+        open_rig(ReplayedRigConfig(file=tmp_path / "pull.csv", mapping=tmp_path / "lab.yaml"))
+    both = (Columns(proximal_displacement=None), Columns(proximal_tension="other"))
+    played = ReplayedRigConfig(file=tmp_path / "pull.csv", mapping=tmp_path / "lab.yaml", run=1)
+    sample = open_rig(dataclasses.replace(played, tendons=both)).read(0.0)[0]
+    assert sample.proximal_tension.tolist() == [2.0, 1.0]
+    assert sample.proximal_displacement is None
 
 
 def test_a_file_of_more_tendons_than_joints_can_be_is_refused(measured):
