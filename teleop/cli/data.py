@@ -23,7 +23,6 @@ from estimator.text_table import Table
 from teleop.cli.diagnose.command import TENSIONS
 from teleop.config.loading import as_tree
 from teleop.config.options import TABLE_OPTIONS, add_options
-from teleop.data.channel_names import STANDARD_NAMES
 from teleop.data.column_units import split_scale
 from teleop.data.mapping import (
     MappedColumn,
@@ -32,13 +31,13 @@ from teleop.data.mapping import (
     load_mapping,
     parse_column_options,
 )
+from teleop.data.reading import GAP_PERIODS, Reading
 from teleop.data.table import MeasuredTable, read_runs
 from teleop.data.table_files import read_columns
 from teleop.errors import UsageError
 from teleop.runtime.output_file import FIGURE_SUFFIXES, OutputFile, save_figure
 from teleop.runtime.process import write_summary, write_text_file
 
-GAP_PERIODS = 1.5  # median periods from which on samples are missing
 PLOT_WIDTH = 60  # characters
 _BARS = "▁▂▃▄▅▆▇█"
 
@@ -80,7 +79,9 @@ def main(args: argparse.Namespace) -> int:
         print(Table(("column", "unit", "range", "missing"), tuple(rows)).markdown())
         raise
     runs = [run[0] for run in read]
-    table, summary = runs[0], summarise(runs[0])
+    table, reading = runs[0], Reading.of(runs[0])
+    summary = reading.to_json() | {"further": list(table.extra)}
+    summary["doubts"] = list(find_channel_faults(table, table.units))
     summary["runs"] = [
         {"run": each.run or 1, "first": each.first, "samples": len(each.time)}
         | {"duration_s": float(np.ptp(each.time))}
@@ -102,48 +103,13 @@ def main(args: argparse.Namespace) -> int:
     return 0
 
 
-def get_channels(table: MeasuredTable) -> dict[str, Array]:
-    """Return the samples by channel, as it is named in the units of the record."""
-    named = {k: v.rpartition("_")[0] for k, v in STANDARD_NAMES[table.units].items()}
-    values = {named.get(item, item): getattr(table, item) for item in table.sources}
-    return {name: array for name, array in values.items() if array is not None}
-
-
-def summarise(table: MeasuredTable) -> dict[str, Any]:
-    """Return what is known of a table, as JSON."""
-    periods = np.diff(table.time)
-    period = float(np.median(periods)) if periods.size else float("nan")
-    gaps = np.flatnonzero(periods > GAP_PERIODS * period)
-    return {
-        "data": str(table.path),
-        "read_as": list(table.remarks),
-        "samples": len(table.time),
-        "dropped": table.dropped,
-        "duration_s": float(np.ptp(table.time)),
-        "rate_hz": 1.0 / period if periods.size else None,
-        "gaps": len(gaps),
-        "longest_gap_s": float(periods.max()) if gaps.size else 0.0,
-        "channels": {
-            name: source._asdict()
-            | {"min": float(np.nanmin(values)), "max": float(np.nanmax(values))}
-            | {"missing": int(np.isnan(values).sum())}
-            for (name, values), source in zip(
-                get_channels(table).items(), table.sources.values(), strict=True
-            )
-        },
-        "further": list(table.extra),
-        "doubts": list(find_channel_faults(table, table.units)),
-    }
-
-
 def format_summary(table: MeasuredTable, summary: dict[str, Any]) -> str:
     """Return the summary as text, with a plot of each channel."""
-    si = {"time": "s"} | {k: table.units.of(k) for k in table.sources if k != "time"}
+    si = {k: "s" if k == "time" else table.units.of(k) for k in table.sources}
+    channels = Reading.of(table).channels
     rows = [
-        (name, source.column, source.unit or "?", si[item], *_describe_values(values))
-        for (item, source), (name, values) in zip(
-            table.sources.items(), get_channels(table).items(), strict=True
-        )
+        (name, source.column, source.unit or "?", unit, *_describe_values(values))
+        for (name, (source, values)), unit in zip(channels.items(), si.values(), strict=True)
     ]
     head = ("channel", "column", "its unit", "read in", "range", "missing")
     rate = summary["rate_hz"]
@@ -156,7 +122,7 @@ def format_summary(table: MeasuredTable, summary: dict[str, Any]) -> str:
         "",
         *(
             f"{name:>22}  {plot_text(values)}"
-            for name, values in get_channels(table).items()
+            for name, (_, values) in channels.items()
             if name != "time"
         ),
         "",
@@ -197,8 +163,8 @@ def format_mapping(table: MeasuredTable, mapping: TableMapping) -> str:
     import yaml
 
     columns = {}
-    for name, (item, source) in zip(get_channels(table), table.sources.items(), strict=True):
-        by_rate = item == "time" and mapping.rate_hz is not None
+    for name, (source, _) in Reading.of(table).channels.items():
+        by_rate = name == "time" and mapping.rate_hz is not None
         scale, unit = split_scale("" if by_rate else source.unit)
         columns[name] = MappedColumn(column=source.column, unit=unit, scale=scale)
     given = dataclasses.replace(mapping, columns=MappedColumns(**columns))
@@ -219,7 +185,7 @@ def draw(table: MeasuredTable, path: Path) -> None:
 
     from estimator.drawing import use_style
 
-    channels = {k: v for k, v in get_channels(table).items() if k != "time"}
+    channels = {k: v for k, (_, v) in Reading.of(table).channels.items() if k != "time"}
     with use_style():
         figure = Figure(figsize=(8.0, 1.0 + 1.6 * len(channels)), layout="constrained")
         panels = figure.subplots(len(channels), 1, sharex=True, squeeze=False)[:, 0]

@@ -41,6 +41,7 @@ from teleop.config.loading import RECORDING_SUFFIX, as_tree, load
 from teleop.config.options import TABLE_OPTIONS, add_option, add_options
 from teleop.data.channel_names import format_numbered_name
 from teleop.data.mapping import load_mapping, parse_column_names
+from teleop.data.reading import Reading, format_reading
 from teleop.data.table import MeasuredTable, read_table, write_table
 from teleop.errors import UsageError
 from teleop.messages.messages import MAX_TENDONS, PHASE_NAMES
@@ -124,7 +125,7 @@ def main(args: argparse.Namespace) -> int:
         zero_errors=() if args.fit else ("distal_tension",),
     )
     summary: dict[str, Any] = {"data": table.name, "samples": len(table.time)}
-    summary["read_as"] = list(table.remarks)
+    summary["read_as"] = Reading.of(table).to_json()
     if args.tendon is not None or len(tendons) > 1:
         summary["tendon"] = format_tendon_name(k, joints)
     if args.fit:
@@ -425,7 +426,7 @@ def save(path: Path, fit: SheathFit, tendon: TendonConfig, table: MeasuredTable,
         tendons=(tendon,),
         rig=rig,
         method=f"{fit.method}; 95 % intervals: {ends}",
-        source=f"{table.path.name}, {len(table.time)} samples",
+        source=f"{table.path.name}: {format_reading(Reading.of(table).to_json())}",
         accepted=fit.accept,
         remark=fit.reason,
     )
@@ -435,7 +436,7 @@ def save(path: Path, fit: SheathFit, tendon: TendonConfig, table: MeasuredTable,
 def format_report(summary: dict[str, Any]) -> list[str]:
     """Return the summary as lines of text."""
     lines = [f"{summary['data']}: {summary['samples']} samples"]
-    lines += [f"read as   {remark}" for remark in summary.get("read_as", ())]
+    lines += [f"read as   {format_reading(summary['read_as'])}"] if "read_as" in summary else []
     if "tendon" in summary:
         lines.append(f"tendon    {summary['tendon']} (select with --tendon)")
     if "fit" in summary:

@@ -30,9 +30,12 @@ from estimator.pair.pair_fit import PairError
 from estimator.pair.pair_study import PairStudy, analyse_residuals, compute_offset_share, study_pair
 from teleop.config.loading import load
 from teleop.config.options import add_options
+from teleop.data.mapping import TableMapping, load_mapping
 from teleop.data.raw_table import RawTable
-from teleop.data.runs import split_runs
+from teleop.data.reading import Reading, format_reading, format_readings
+from teleop.data.runs import list_runs, split_runs
 from teleop.data.sample_checks import check_effort, check_time
+from teleop.data.table import Source, check_sample_numbers, parse_column
 from teleop.data.table_files import read_columns
 from teleop.errors import UsageError
 from teleop.runtime.output_file import make_folder, save_figure
@@ -114,43 +117,53 @@ class PairConfig:
 
 ANGLE_SPAN = 7.0  # [rad] of a joint: above a full turn the unit is wrong
 SAMPLES_MIN = 20  # in which a sensor that works changes
+DEFAULT_MAPPING = TableMapping()
 
 
-def read_records(paths: Sequence[Path], config: PairConfig) -> tuple[PairRecord, ...]:
+def read_records(
+    paths: Sequence[Path], config: PairConfig, mapping: TableMapping = DEFAULT_MAPPING
+) -> tuple[PairRecord, ...]:
     """Return the records of some files, in the order of their bends.
 
     Raises `UsageError` if a file cannot be read, lacks a column or its bend, or has invalid values.
     """
-    return tuple(
-        sorted((_read_record(path, config) for path in paths), key=lambda record: record.bend)
-    )
+    return tuple(record for record, _ in _read_files(paths, config, mapping))
 
 
-def _read_record(path: Path, config: PairConfig) -> PairRecord:
+def _read_files(
+    paths: Sequence[Path], config: PairConfig, mapping: TableMapping
+) -> list[tuple[PairRecord, Reading]]:
+    read = [_read_record(path, config, mapping) for path in paths]
+    return sorted(read, key=lambda each: each[0].bend)
+
+
+def _read_record(
+    path: Path, config: PairConfig, mapping: TableMapping
+) -> tuple[PairRecord, Reading]:
     bend = config.bend_of(path)
-    raw = read_columns(path)
-    columns = {f.name: _parse_column(path, raw, config, f.name) for f in fields(PairColumns)}
+    raw = read_columns(path, mapping)
+    named = {f.name: getattr(config.columns, f.name) for f in fields(PairColumns)}
+    columns = {item: _parse_column(path, raw, config, item, mapping) for item in named}
     if raw.remarks:
         print_warning(f"{path}: {'; '.join(raw.remarks)}")
-    time = columns["time"]
-    if not len(time):
+    if not len(columns["time"]):
         raise UsageError(f"{path}: has a header but no rows")
-    named = [getattr(config.columns, f.name) for f in fields(PairColumns)]
-    if len(starts := split_runs(path, raw, time, named)) > 1:
+    starts = split_runs(path, raw, columns["time"], named.values(), mapping)
+    runs = list_runs(path, starts, len(columns["time"]), mapping)
+    if len(runs) > 1:
         places = ", ".join(map(raw.place, starts))
-        raise UsageError(f"{path}: has {len(starts)} runs, from {places}; write one a file")
+        raise UsageError(f"{path}: has {len(runs)} runs, from {places}; one is read here: --run N")
+    ((number, rows),) = runs
+    columns = {item: column[rows.start : rows.stop] for item, column in columns.items()}
+    raw, time = raw.select(rows), columns["time"]
     check_time(path, raw, config.columns.time, time, "convert it to seconds")
     for item in ("tension_a", "tension_b"):
-        check_effort(path, raw, getattr(config.columns, item), columns[item], may_err=True)
+        check_effort(path, raw, named[item], columns[item], may_err=True)
     _check_columns(path, columns, config)
-    return PairRecord(
-        bend,
-        time,
-        config.radians * columns["command"],
-        config.radians * columns["angle"],
-        columns["tension_a"],
-        columns["tension_b"],
-    )
+    columns |= {item: config.radians * columns[item] for item in ("command", "angle")}
+    channels = {item: (Source(named[item], "", 1.0), values) for item, values in columns.items()}
+    name = f"{path}, run {number}" if number else str(path)
+    return PairRecord(bend, **columns), Reading(name, time, channels, remarks=raw.remarks)
 
 
 def _check_columns(path: Path, columns: Mapping[str, Array], config: PairConfig) -> None:
@@ -170,8 +183,13 @@ def _check_columns(path: Path, columns: Mapping[str, Array], config: PairConfig)
             )
 
 
-def _parse_column(path: Path, raw: RawTable, config: PairConfig, item: str) -> Array:
+def _parse_column(
+    path: Path, raw: RawTable, config: PairConfig, item: str, mapping: TableMapping
+) -> Array:
     name = getattr(config.columns, item)
+    rate = mapping.rate_hz if item == "time" else None
+    if rate and name not in raw.columns:
+        return np.arange(len(next(iter(raw.columns.values())))) / rate
     if name not in raw.columns:
         raise UsageError(
             f"{path}: there is no column {name!r} (it has {', '.join(raw.columns)}); "
@@ -183,10 +201,10 @@ def _parse_column(path: Path, raw: RawTable, config: PairConfig, item: str) -> A
             f"{path}: column {name!r}: the row below its name says {unit}, and {expected} is read: "
             "convert it"
         )
-    try:
-        column = np.asarray(raw.columns[name], dtype=np.float64)
-    except (TypeError, ValueError):
-        raise UsageError(f"{path}: column {name!r} is not numbers throughout") from None
+    column = parse_column(path, raw, name, mapping, is_time=item == "time")
+    if rate:
+        check_sample_numbers(path, raw, name, column)
+        column = column / rate
     if (missing := np.flatnonzero(~np.isfinite(column))).size:
         location = raw.place(int(missing[0]))
         raise UsageError(f"{path}: column {name!r}, {location}: is blank or not finite")
@@ -242,8 +260,8 @@ def write_figures(study: PairStudy, folder: Path) -> dict[str, str]:
     return captions
 
 
-def render(study: PairStudy) -> str:
-    """Return the page."""
+def render(study: PairStudy, readings: Sequence[Mapping[str, Any]] = ()) -> str:
+    """Return the page; `readings` are how the files were read."""
     from teleop.cli.html_page import Page
 
     page = Page(report_text.format_sentence(study))
@@ -266,6 +284,8 @@ def render(study: PairStudy) -> str:
         page.points(report_text.describe_errors(study))
         page.table(report_text.build_residual_table(study))
         page.figure(paths["pair-left.png"], captions["pair-left.png"])
+        page.heading("How the data were read")
+        page.points([f"{each['file']}: {format_reading(each)}" for each in readings])
     return page.render()
 
 
@@ -277,7 +297,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "data", nargs="+", type=Path, metavar="DATA", help="measured data, one file for each bend"
     )
-    add_options(parser, "--validate", "--out", "--json")
+    add_options(
+        parser, "--mapping", "--rate", "--decimal", "--run", "--validate", "--out", "--json"
+    )
     parser.add_argument(
         "--columns",
         type=Path,
@@ -288,8 +310,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def main(args: argparse.Namespace) -> int:
     """Study the pair and report; returns the exit code."""
-    config = load(args.columns, PairConfig, None)
-    records, further = read_records(args.data, config), read_records(args.validate, config)
+    config, mapping = load(args.columns, PairConfig, None), load_mapping(args)
+    if mapping.options():
+        raise UsageError(f"{args.mapping}: columns: those of a pair are named in --columns FILE")
+    (records, read), (further, validated) = (
+        tuple(zip(*_read_files(paths, config, mapping), strict=True)) or ((), ())
+        for paths in (args.data, args.validate)
+    )
     if args.out is not None:
         make_folder(args.out, "report.html")
     progress, begin_s = Progress(), time.monotonic()
@@ -300,10 +327,12 @@ def main(args: argparse.Namespace) -> int:
     finally:
         progress.end()
     tree = build_report(study, time.monotonic() - begin_s)
+    tree["read_as"] = [reading.to_json() for reading in (*read, *validated)]
     write_summary(args.json, tree)
-    print(report_text.format_report(study), flush=True)
+    print(report_text.format_report(study))
+    print(format_readings(tree["read_as"]), flush=True)
     if args.out is not None:
         write_summary(args.out / "report.json", tree)
-        write_text_file(args.out / "report.html", render(study), "the page")
+        write_text_file(args.out / "report.html", render(study, tree["read_as"]), "the page")
         print(f"\nwritten: {args.out / 'report.html'}")
     return 0

@@ -1,5 +1,12 @@
 """Measured data: tables in and out, and the model files made from them."""
 
-from teleop.data.table import Columns, MeasuredTable, read_table, read_tables, write_table
+from teleop.data.table import (
+    Columns,
+    MeasuredTable,
+    read_runs,
+    read_table,
+    read_tables,
+    write_table,
+)
 
-__all__ = ["Columns", "MeasuredTable", "read_table", "read_tables", "write_table"]
+__all__ = ["Columns", "MeasuredTable", "read_runs", "read_table", "read_tables", "write_table"]

@@ -2,10 +2,11 @@
 
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
-from typing import Any
+from typing import Any, Self
 
+import numpy as np
 from numpy.typing import NDArray
 
 Column = NDArray[Any]  # float64, or object if some cell is text
@@ -61,3 +62,9 @@ class RawTable:
     words: Mapping[str, Counter[str]] = field(default_factory=dict)  # by column: no numbers
     remarks: tuple[str, ...] = ()  # how the file differs from one of this project
     breaks: tuple[int, ...] = ()  # rows above which the names come again
+
+    def select(self, rows: range | NDArray[np.intp]) -> Self:
+        """Return some rows of a file, which keep their places; of a range without a copy."""
+        index = slice(rows.start, rows.stop) if isinstance(rows, range) else rows
+        columns = {name: column[index] for name, column in self.columns.items()}
+        return replace(self, columns=columns, place=lambda row: self.place(int(rows[row])))

@@ -6,6 +6,7 @@ clock, which is refused: to another time than that of the first row, for a few r
 after which the clock is right again, or by the range of a counter.
 """
 
+import itertools
 import re
 from collections.abc import Collection
 from pathlib import Path
@@ -14,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.array_types import Array
+from teleop.data.mapping import TableMapping
 from teleop.data.raw_table import Column, RawTable
 from teleop.errors import UsageError
 
@@ -28,7 +30,7 @@ _RUN_NAME = re.compile(
 
 
 def split_runs(
-    path: Path, raw: RawTable, time: Array, used: Collection[str], column: str = ""
+    path: Path, raw: RawTable, time: Array, used: Collection[str], mapping: TableMapping
 ) -> dict[int, str]:
     """Return the first row of each run, and why it begins there.
 
@@ -38,15 +40,17 @@ def split_runs(
         In any unit; NaN where it is missing.
     used : collection of str
         Columns of channels, which name no run.
-    column : str
-        The one that names the run; found by its name if empty.
+    mapping : TableMapping
+        Which column names the run; run 0: all rows are one.
 
     Raises
     ------
     UsageError
         A column seems to name runs, but their rows are mixed.
     """
-    starts = {0: ""} | dict.fromkeys(raw.breaks, "the names come again")
+    if mapping.run == 0:
+        return {0: ""}
+    column, starts = mapping.run_column, {0: ""} | dict.fromkeys(raw.breaks, "the names come again")
     if column and column not in raw.columns:
         raise UsageError(f"{path}: has no column {column!r} (run_column)")
     names = [n for n in raw.columns if n not in used and _RUN_NAME.fullmatch(n.lower())]
@@ -59,6 +63,17 @@ def split_runs(
             restarts = first + _find_restarts(time[first:end])
             starts |= dict.fromkeys(restarts.tolist(), "time starts again")
     return dict(sorted(starts.items()))
+
+
+def list_runs(
+    path: Path, starts: Collection[int], rows: int, mapping: TableMapping
+) -> list[tuple[int, range]]:
+    """Return number, 0 of an only one, and rows of each run, or of the one that is chosen."""
+    chosen, several = mapping.run or 0, len(starts) > 1
+    if chosen > len(starts):
+        raise UsageError(f"{path}: --run {chosen}: the file has {len(starts)} run{'s' * several}")
+    parts = [range(first, end) for first, end in itertools.pairwise([*starts, rows])]
+    return [(k * several, part) for k, part in enumerate(parts, 1) if chosen in (0, k)]
 
 
 def describe_second_record(path: Path, line: int, why: str) -> str:

@@ -4,7 +4,6 @@ The format is described in docs/reference/data-format.md. Nothing is repaired si
 raise a `UsageError` of one line with file, column and row.
 """
 
-import itertools
 import re
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -22,7 +21,7 @@ from teleop.data.channel_names import Columns
 from teleop.data.column_units import convert_to_si, find_aliases, split_unit
 from teleop.data.mapping import TableMapping
 from teleop.data.raw_table import Column, RawTable
-from teleop.data.runs import split_runs
+from teleop.data.runs import list_runs, split_runs
 from teleop.data.sample_checks import check_samples
 from teleop.data.table_files import check_destination, read_columns, write_table
 from teleop.data.text_table import THOUSANDS, classify_word, clean_name, to_number
@@ -33,6 +32,7 @@ __all__ = [
     "Columns",
     "MeasuredTable",
     "check_destination",
+    "read_runs",
     "read_table",
     "read_tables",
     "write_table",
@@ -149,7 +149,7 @@ def read_tables(
     options: dict[str, Any] = {"zero_errors": zero_errors, "diagnosed": diagnosed, "units": units}
     runs = read_runs(path, tendons, drop_nonfinite, mapping=mapping, **options)
     if len(runs) > 1:
-        raise UsageError(f"{path}: has {len(runs)} runs, one is read here: say which, --run N")
+        raise UsageError(f"{path}: has {len(runs)} runs, one is read here: --run N (slave.rig.run)")
     return runs[0]
 
 
@@ -190,13 +190,13 @@ def read_runs(
     ]
     clock = tables_columns[0]["time"]
     numbers = {
-        name: _parse_column(path, raw, name, mapping, is_time=name == clock)
+        name: parse_column(path, raw, name, mapping, is_time=name == clock)
         for names in tables_columns
         for name in names.values()
     }
     is_clocked = raw.clocked or _has_moments(raw.columns[clock])
     if mapping.rate_hz:
-        _check_sample_numbers(path, raw, clock, numbers[clock])
+        check_sample_numbers(path, raw, clock, numbers[clock])
         for told in notes:
             told["time"] = (clock, f"{1.0 / mapping.rate_hz!r} s")
     elif is_clocked:
@@ -204,45 +204,38 @@ def read_runs(
             told["time"] = (clock, told["time"][1] or "s")
     factors = convert_to_si(path, numbers, tables_columns, notes, raw.units, units)
     remarks = [*raw.remarks]
-    remarks += [
-        f"column {name!r} is in {unit}, converted to SI units"
-        for name, (unit, factor) in factors.items()
-        if factor != 1.0
-    ]
     remarks += [_describe_words(name, raw.words[name]) for name in numbers if name in raw.words]
-    if not (rows := len(numbers[clock])):
+    if not len(numbers[clock]):
         raise UsageError(f"{path}: has a header but no rows")
-    starts = {0: ""}
-    if mapping.run != 0:
-        starts = split_runs(path, raw, numbers[clock], numbers, mapping.run_column)
-    chosen = mapping.run or 0
-    if chosen > len(starts):
-        raise UsageError(f"{path}: --run {chosen}: the file has {len(starts)} runs")
+    starts = split_runs(path, raw, numbers[clock], numbers, mapping)
     if len(starts) > 1:
         begins = [f"{raw.place(row)} ({why})" for row, why in starts.items() if why]
         more = ", ..." * (len(begins) > NAMES_SHOWN)
         remarks.append(
             f"{len(starts)} runs; a new one from {', '.join(begins[:NAMES_SHOWN])}{more}"
         )
-    if remarks:
-        print_warning(f"{path}: {'; '.join(remarks)}")
+    converted = [
+        f"column {name!r} is in {unit}, converted to SI units"
+        for name, (unit, factor) in factors.items()
+        if factor != 1.0
+    ]
+    if converted or remarks:
+        print_warning(f"{path}: {'; '.join([*converted, *remarks])}")
     required = set(numbers)
     if diagnosed or drop_nonfinite:
         items = HOUSING_CHANNELS if drop_nonfinite else ("time",)
         required = {names[item] for names in tables_columns for item in items if item in names}
     runs = []
-    for k, (first, end) in enumerate(itertools.pairwise([*starts, rows]), 1):
-        if chosen not in (0, k):
-            continue
+    for number, span in list_runs(path, starts, len(numbers[clock]), mapping):
         part, values, dropped = _clean_rows(
             path,
-            _select_rows(raw, range(first, end)),
-            {name: column[first:end] for name, column in numbers.items()},
+            raw.select(span),
+            {name: column[span.start : span.stop] for name, column in numbers.items()},
             required,
             drop_nonfinite,
         )
         common: dict[str, Any] = {"path": path, "units": units, "remarks": tuple(remarks)}
-        common |= {"dropped": dropped, "run": k * (len(starts) > 1), "first": raw.place(first)}
+        common |= {"dropped": dropped, "run": number, "first": raw.place(span.start)}
         common["extra"] = {name: c for name, c in part.columns.items() if name not in values}
         tables = []
         for names, noted in zip(tables_columns, notes, strict=True):
@@ -263,16 +256,9 @@ def _clean_rows(
     numbers = {n: c if n in required else _mark_missing(path, n, c) for n, c in numbers.items()}
     keep = _find_finite_rows(path, raw, {name: numbers[name] for name in required}, drop)
     if dropped := len(keep) - int(keep.sum()):
-        raw = _select_rows(raw, np.flatnonzero(keep))
+        raw = raw.select(np.flatnonzero(keep))
         numbers = {name: column[keep] for name, column in numbers.items()}
     return raw, numbers, dropped
-
-
-def _select_rows(raw: RawTable, rows: range | NDArray[np.intp]) -> RawTable:
-    """Return some rows of a file, which keep their places; of a range without a copy."""
-    index = slice(rows.start, rows.stop) if isinstance(rows, range) else rows
-    columns = {name: column[index] for name, column in raw.columns.items()}
-    return replace(raw, columns=columns, place=lambda row: raw.place(int(rows[row])))
 
 
 def _match_name(raw: RawTable, name: str) -> str:
@@ -290,7 +276,7 @@ def _has_moments(column: Column) -> bool:
     )
 
 
-def _check_sample_numbers(path: Path, raw: RawTable, name: str, numbers: Array) -> None:
+def check_sample_numbers(path: Path, raw: RawTable, name: str, numbers: Array) -> None:
     """Raise `UsageError` for `--rate` and a time that is no number of a sample."""
     if len(numbers) > 1 and (step := float(np.nanmedian(np.diff(numbers)))) != 1.0:
         raise UsageError(
@@ -390,7 +376,7 @@ def _explain_missing(item: str) -> str:
     ) * (item == "proximal_tension")
 
 
-def _parse_column(
+def parse_column(
     path: Path, raw: RawTable, name: str, mapping: TableMapping, *, is_time: bool
 ) -> Array:
     """Return a column as numbers; `UsageError` names the first cell that is not one."""

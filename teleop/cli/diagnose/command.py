@@ -20,7 +20,7 @@ together. With --out a folder gets report.html, report.json, model.yaml and resi
 import argparse
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -39,6 +39,7 @@ from teleop.data import model_file
 from teleop.data.channel_names import to_channel
 from teleop.data.effect_extensions import is_extension, load_effects
 from teleop.data.mapping import NamedColumns, TableMapping, load_mapping, parse_column_options
+from teleop.data.reading import Reading, format_readings
 from teleop.data.table import MeasuredTable, read_runs
 from teleop.errors import UsageError
 from teleop.runtime.output_file import OutputFolder, make_folder
@@ -254,12 +255,17 @@ def main(args: argparse.Namespace) -> int:
         diagnosis, data, {} if sheath is None else json_report.compare_parameters(diagnosis, sheath)
     )
     tree = json_report.build_report(diagnosis, data.files, seconds, report.accepted, data.further)
+    tree["read_as"] = [Reading.of(table).to_json() for table in (*data.fitted, *data.validation)]
     write_summary(args.json, tree)
     comparison = json_report.build_comparison_table(report.accepted) if report.accepted else None
-    print(report_text.format_summary(diagnosis, data.files, comparison, data.further), flush=True)
+    print(report_text.format_summary(diagnosis, data.files, comparison, data.further))
+    print(
+        "\n".join(["", *(f"read as: {line}" for line in format_readings(tree["read_as"]))]),
+        flush=True,
+    )
     if args.out is not None:
         write_summary(args.out / "report.json", tree)
-        _write_report(report, args.out)
+        _write_report(report, args.out, tree["read_as"])
         print(f"\nwritten: {args.out / 'report.html'}")
     if args.supplement is not None:
         from teleop.cli.diagnose import supplement
@@ -317,7 +323,9 @@ def read_data(
     return DiagnosisData(tuple(fitted), tuple(validation))
 
 
-def _write_report(report: ReportContent, folder: Path) -> None:
+def _write_report(
+    report: ReportContent, folder: Path, readings: Sequence[Mapping[str, Any]]
+) -> None:
     from teleop.cli.diagnose import html_report
 
     diagnosis, files = report.found, report.data.files
@@ -325,6 +333,6 @@ def _write_report(report: ReportContent, folder: Path) -> None:
         f"Fitted by teleop diagnose to {', '.join(files)}.\n{report_text.format_verdict(diagnosis)}"
     )
     model_file.save(folder / "model.yaml", model_file.from_diagnosis(diagnosis), remark)
-    text = html_report.render(diagnosis, files, report.accepted, report.data.further)
+    text = html_report.render(diagnosis, files, report.accepted, report.data.further, readings)
     write_text_file(folder / "report.html", text, "the page")
     write_residuals(folder / "residuals.rrd", diagnosis, files)

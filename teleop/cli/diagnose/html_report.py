@@ -5,6 +5,7 @@ from datetime import date
 from importlib.metadata import version
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 from estimator.diagnosis import report_tables, report_text
 from estimator.diagnosis.figures import RECORDS_MAX, draw_figures
@@ -14,6 +15,7 @@ from estimator.text_table import Table
 from teleop.cli.diagnose import json_report
 from teleop.cli.diagnose.json_report import ComparedParameter
 from teleop.cli.html_page import Page
+from teleop.data.reading import format_reading
 from teleop.runtime.output_file import save_figure
 
 GLOSSARY = Table(
@@ -51,10 +53,12 @@ def render(
     files: Sequence[str],
     calibrated: Mapping[str, ComparedParameter],
     further: Sequence[str] = (),
+    readings: Sequence[Mapping[str, Any]] = (),
 ) -> str:
     """Return the page; `calibrated` is the comparison with a calibration, by parameter.
 
-    `files` and `further` are the names of the fitted files and of those for validation.
+    `files` and `further` are the names of the fitted files and of those for validation, `readings`
+    how they were read.
     """
     names = report_tables.name_records(diagnosis, files, further)
     page = Page(report_text.format_headline(diagnosis))
@@ -113,6 +117,9 @@ def render(
     if remarks := report_text.list_sample_remarks(diagnosis, files):
         page.heading("Samples")
         page.points(remarks)
+    if readings:
+        page.heading("How the data were read")
+        page.points([f"{each['file']}: {format_reading(each)}" for each in readings])
     return page.render()
 
 

@@ -10,6 +10,7 @@ from slave.calibration.file import Calibration
 from slave.simulation.environment import STIFFNESS_MAX
 from teleop.cli import commands
 from teleop.config.loading import load
+from teleop.data.reading import format_reading
 from teleop.data.table import Columns, read_table, write_table
 
 RIG = (
@@ -54,11 +55,15 @@ def test_a_fit_finds_the_rigs_own_numbers(bench, tmp_path):
     assert summary["force_error"]["rmse_percent"] < 1.0
 
 
-def test_a_saved_fit_gives_the_same_estimates(bench, tmp_path):
+def test_a_saved_fit_gives_the_same_estimates(bench, tmp_path, capsys):
     saved = tmp_path / "sheath.yaml"
     by_fit, by_file = tmp_path / "fit.csv", tmp_path / "file.csv"
     summary_of(tmp_path, bench, "--fit", "--save", saved, "--out", by_fit)
-    summary_of(tmp_path, bench, "--calibration", saved, "--out", by_file)
+    summary = summary_of(tmp_path, bench, "--calibration", saved, "--out", by_file)
+    read_as = format_reading(summary["read_as"])
+    assert read_as.startswith(f"{summary['samples']} samples, ")
+    assert f"read as   {read_as}" in capsys.readouterr().out
+    assert yaml.safe_load(saved.read_text())["source"] == f"bench.csv: {read_as}"
     assert by_fit.read_bytes() == by_file.read_bytes()
     table = read_table(by_fit)
     assert (table.extra["distal_tension_low_N"] <= table.extra["distal_tension_high_N"]).all()

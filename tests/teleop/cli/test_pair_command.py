@@ -12,6 +12,8 @@ from estimator.pair.pair_study import SHARE
 from teleop.cli import commands
 from teleop.cli.pair import PairConfig, read_records
 from teleop.config.loading import load
+from teleop.data.mapping import TableMapping
+from teleop.data.reading import format_reading
 from teleop.errors import UsageError
 from tests.estimator.pair import pair_bench as bench
 
@@ -62,6 +64,9 @@ def test_the_report_has_friction_and_its_growth(done):
     (kept,) = report["validation"]
     assert kept["ours"]["share"] < 0.05 < kept["baselines"][SHARE]["share"]
     assert json.loads((done.parent / "numbers.json").read_text()) == report
+    read = [f"{each['file']}: {format_reading(each)}" for each in report["read_as"]]
+    assert "bend150.csv: 60 samples, " in read[3]
+    assert all(f"<li>{line}</li>" in (done / "report.html").read_text() for line in read)
 
 
 def test_files_are_read_in_the_order_of_their_bends_whatever_their_unit(tmp_path):
@@ -74,6 +79,19 @@ def test_files_are_read_in_the_order_of_their_bends_whatever_their_unit(tmp_path
     found = read_records(names, load(config, PairConfig, None))
     assert [record.bend for record in found] == [0.25, 1.5]
     np.testing.assert_allclose(found[1].angle, rows.angle)
+
+
+def test_a_mapping_tells_rate_decimals_and_run(tmp_path):
+    rows = bench.record(1.5, samples=60)
+    path, angles = tmp_path / "bend90.csv", np.degrees([rows.command, rows.angle])
+    table = np.column_stack([np.arange(60), *angles, rows.tension_a, rows.tension_b])
+    np.savetxt(path, table, "%.3f", ";", header=COLUMNS.replace(",", ";"), comments="")
+    text = path.read_text().replace(".", ",")
+    path.write_text(text + text)
+    mapping = TableMapping(rate_hz=50.0, decimal="comma", run=2)
+    (found,) = read_records([path], PairConfig(), mapping)
+    np.testing.assert_allclose(found.time, np.arange(60) / 50.0)
+    np.testing.assert_allclose(found.tension_b, rows.tension_b, atol=1e-3)
 
 
 def test_a_missing_column_is_named(files, tmp_path, capsys):
@@ -93,9 +111,12 @@ def test_a_file_without_a_bend_is_named(files, tmp_path, capsys):
     [
         ("0,0,0,5,5\n0,1,1,5,5\n", "time must increase"),
         ("0,0,0,5,5\n1,1,nan,5,5\n", "not finite"),
-        ("0,0,0,5,5\n1,1,x,5,5\n", "not numbers"),
+        ("0,0,0,5,5\n1,1,x,5,5\n", "'x' is not a number"),
         ("s,deg,deg,kgf,N\n0,0,0,5,5\n1,1,1,5,5\n", "says kgf, and N is read"),
-        (f"0,0,0,5,5\n{COLUMNS}\n1,1,1,6,5\n", "has 2 runs, from line 2, line 4; write one"),
+        (
+            f"0,0,0,5,5\n{COLUMNS}\n1,1,1,6,5\n",
+            "has 2 runs, from line 2, line 4; one",
+        ),
     ],
 )
 def test_what_cannot_be_right_is_said(files, tmp_path, rows, message, capsys):

@@ -175,7 +175,7 @@ def test_a_diagnosis_has_a_record_of_each_run(joined, tmp_path):
 
 
 def test_commands_of_one_record_ask_for_the_run(joined, capsys):
-    with pytest.raises(UsageError, match="has 3 runs, one is read here: say which, --run N"):
+    with pytest.raises(UsageError, match="has 3 runs, one is read here: --run N"):
         read_table(joined)
     words = ["estimate", str(joined), "--config", "configs/demo.yaml"]
     assert main(words) == 2

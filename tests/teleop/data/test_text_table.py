@@ -57,6 +57,7 @@ PLAIN = table()
 FIRST = PLAIN.splitlines()[0]
 DECORATED = {
     "no-break space": PLAIN.replace("time_s,", "time_s\u00a0,"),
+    "zero-width space and tab": PLAIN.replace("time_s,", "\u200btime_s\t,"),
     "quotes and spaces": PLAIN.replace(FIRST, '" time_s", "proximal_tension_N" ,' + NAMES[2]),
     "savetxt": "# " + PLAIN,
     "savetxt, spaces in rows": "# " + FIRST + "\n" + table(sep=" ").partition("\n")[2],
@@ -65,6 +66,12 @@ DECORATED = {
     "metadata as wide as the table": "Bench,3,\nLab,B,\n,,\n" + PLAIN + ",,\n,,\n",
     "sep=": "sep=;\n" + table(sep=";"),
     "tabs": table(sep="\t"),
+    "tabs, in Latin-1, with decimal commas": (
+        table(above=("Größe\tN",), sep="\t", decimal=","),
+        "latin-1",
+    ),
+    "tabs and quotes": '"' + table(sep='"\t"').replace("\n", '"\n"')[:-1],
+    "bars": table(sep="|"),
     "columns of fixed width": table(sep="   ").replace("\n", "\n  "),
     "German Excel": table(sep=";", decimal=","),
     "quoted decimal commas": '"' + table(sep='","', decimal=",").replace("\n", '"\n"')[:-1],
@@ -268,6 +275,8 @@ REFUSED = {
         ["which is it, 'time_ms'"],
     ),
     "no tension at the housing": (PLAIN.replace(NAMES[1], "distal_tension_N"), ["load cell"]),
+    "no tension": ("\n".join(f"{line.split(',')[0]},1" for line in PLAIN.split()), ["load cell"]),
+    "a current": (PLAIN.replace(NAMES[1], "motor_current_A"), ["no column 'proximal_tension_N'"]),
     "names that are numbers": (PLAIN.replace(FIRST, "1,2,3"), ["must contain the column names"]),
     "a cut last line": (PLAIN + "3.000,1.2", ["line 62: has 2 cells", "remove this line"]),
     "a number for missing ones": (PLAIN.replace("1.0000,", "-9999,"), ["-9999 a missing value?"]),
@@ -313,15 +322,18 @@ def test_sample_numbers_have_a_rate(tmp_path):
     assert "does not number samples" in refusal(tmp_path / "x.csv", PLAIN, rate_hz=20)
 
 
-def test_a_winch_of_many_turns_is_asked_about_once(tmp_path):
+@pytest.mark.parametrize("turns", [7.2, -12.4, 57.3])
+def test_a_winch_of_many_turns_is_asked_about_once(tmp_path, turns):
     names = ("time_s", "proximal_torque_Nm", "proximal_angle_rad")
-    text = table(names, values=(TIME, TENSION / 1e3, 5e3 * TRAVEL), forms=["{:.6f}"] * 3)
+    angle = 2.0 * np.pi * turns * TRAVEL / np.ptp(TRAVEL)
+    text = table(names, values=(TIME, TENSION / 1e3, angle), forms=["{:.6f}"] * 3)
     said = refusal(tmp_path / "x.csv", text)
-    assert "degrees, or 7.2 turns?" in said
+    assert f"degrees, or {abs(turns):.1f} turns?" in said
     option = said.split("--column '")[1].split("'")[0]
-    assert read(tmp_path / "x.csv", text, [option]).proximal_displacement.max() < 1.0
+    found = read(tmp_path / "x.csv", text, [option])
+    np.testing.assert_allclose(found.proximal_displacement, np.radians(angle), atol=1e-6)
     found = read(tmp_path / "x.csv", text, [option.replace("[deg]", "[rad]")])
-    assert np.ptp(found.proximal_displacement) > 40.0
+    np.testing.assert_allclose(found.proximal_displacement, angle, atol=1e-6)
 
 
 def test_a_large_force_passes_once_its_unit_is_stated(tmp_path):

@@ -10,6 +10,7 @@ import pytest
 from studies import hidden
 from teleop.cli import commands
 from teleop.data import model_file
+from teleop.data.reading import format_reading
 from teleop.data.table import write_table
 from teleop.data.table_files import read_columns
 
@@ -153,6 +154,10 @@ def test_the_report_has_validation_and_each_file_left_out(report, folder, csv):
     assert kept["channels"]["distal_tension"]["samples"] == 500
     assert [one["file"] for one in report["left_out"]] == [str(csv), str(folder / "second.parquet")]
     assert [one["validation"] for one in report["forces"]] == [False, False, True]
+    read = [f"{each['file']}: {format_reading(each)}" for each in report["read_as"]]
+    assert read[2] == f"{kept['file']}: 500 samples, 9.98 s, 50 Hz"
+    page = (folder / "out" / "report.html").read_text()
+    assert all(f"<li>{line}</li>" in page for line in read)
     assert report["rivals"] == []
 
 

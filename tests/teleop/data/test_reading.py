@@ -1,0 +1,40 @@
+"""How a table was read is said on one line."""
+
+import numpy as np
+
+from teleop.cli.commands import main
+from teleop.data.mapping import TableMapping, parse_column_options
+from teleop.data.reading import Reading, format_reading, format_readings
+from teleop.data.table import read_table
+
+TIME = np.delete(np.arange(50) * 20.0, [30, 31])  # [ms]
+CELLS = [f"{t:.0f};{5 + np.sin(t / 300):.4f};{1 + np.sin(t / 300):.5f}" for t in TIME]
+CELLS[4], CELLS[7] = "80;OVLD;1,0", "140;5.0;"
+TEXT = "\n".join(["Bench;3", "t;F [kgf];q_mm", *CELLS]).replace(".", ",")
+
+
+def test_columns_units_rate_and_what_is_missing_are_said(tmp_path):
+    path = tmp_path / "x.csv"
+    path.write_text(TEXT)
+    options = ["time=t[ms]", "proximal_tension=F [kgf]", "proximal_displacement=q_mm"]
+    table = read_table(path, parse_column_options(options).names, True, diagnosed=True)
+    reading = Reading.of(table).to_json()
+    assert (reading["samples"], reading["dropped"], reading["gaps"]) == (46, 2, 3)
+    assert reading["channels"]["proximal_displacement"]["factor"] == 1e-3
+    assert format_reading(reading) == (
+        "46 samples, 0.98 s, 50 Hz; 2 rows left out; 3 gaps, the longest 0.06 s; time from t [ms]; "
+        "proximal_tension from F [kgf] [kgf]; proximal_displacement from q_mm [mm]; semicolons "
+        "between columns; decimal commas; names in line 2; column 'F [kgf]' has 1 OVLD (an "
+        "overload: out of the range)"
+    )
+    plain = read_table(path, parse_column_options(options).names, diagnosed=True)
+    assert "1 proximal_displacement missing" in format_reading(Reading.of(plain).to_json())
+    assert format_readings([reading] * 9).endswith("\nread as: 3 files more, in the report")
+
+
+def test_a_plain_table_is_read_as_it_is(tmp_path):
+    main(["simulate", "--out", str(tmp_path / "x.csv"), "--duration", "2"])
+    table = read_table(tmp_path / "x.csv", mapping=TableMapping())
+    reading = Reading.of(table).to_json()
+    assert format_reading(reading).startswith(f"{len(table.time)} samples, ")
+    assert ";" not in format_reading(reading)
