@@ -22,7 +22,7 @@ from teleop.errors import UsageError
 RUN_ROWS = 20  # samples of a run, if time alone tells where it begins
 START_PERIODS = 3.0  # by how much the times at which runs begin may differ, and ...
 GAP_PERIODS = 10.0  # steps beyond this are gaps
-_COUNTERS = [2.0**bits / scale for bits in (16, 31, 32) for scale in (1.0, 1e3, 1e6)]
+_COUNTERS = [2.0**bits / scale for bits in (16, 24, 31, 32) for scale in (1.0, 1e3, 1e6)]
 _RUN_NAME = re.compile(
     r"(run|trial|episode|rep|repetition|experiment|record|recording|session|test|file|filename"
     r"|versuch|messung|lauf)([\W_]?(id|no|nr|num|number|index|name))?"

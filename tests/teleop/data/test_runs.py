@@ -103,6 +103,12 @@ def shift(lines, begin, end, seconds):
     ]
 
 
+def count_to(end):
+    """Return the lines of a record whose time goes on from 0 at an end [s]."""
+    pull = ((t, 6 - 5 * np.cos(3 * t)) for t in np.arange(0.0, end + 2.0, 0.02))
+    return [f"{t % end:.3f},{T:.4f},{T / 1e3:.7f}" for t, T in pull]
+
+
 LONG = [*rows(0), *rows(0, start=1.2), *rows(0, start=2.4)]
 ONE = {
     "a gap": [HEAD, *rows(0), *rows(1, start=100.0)],
@@ -116,10 +122,8 @@ CLOCK = {
     "a step back": shift(LONG, 90, 180, -1.0),
     "a step back of little": shift(LONG, 90, 180, -0.03),
     "a short run": [*rows(0), *rows(1, 10)],
-    "a counter of 16 bits of milliseconds": [
-        f"{k % 65536 / 1e3:.3f},{T:.4f},{T / 1e3:.7f}"
-        for k, T in ((20 * k, 6 - 5 * np.cos(0.06 * k)) for k in range(3300))
-    ],
+    "a counter of 16 bits of milliseconds": count_to(65.536),
+    "a counter of 24 bits of microseconds": count_to(16.777216),
 }
 
 

@@ -358,6 +358,22 @@ def test_of_a_truncated_bag_whole_chunks_are_read(bag, tmp_path, capsys):
     assert "is truncated" in capsys.readouterr().err
 
 
+def test_a_bag_without_metadata_is_read_with_a_remedy(pull, capsys):
+    (pull / "metadata.yaml").unlink()
+    table = read_table(pull, named("cable"))
+    np.testing.assert_array_equal(table.proximal_tension, 10.0 + np.arange(100))
+    assert "`ros2 bag reindex` makes one" in capsys.readouterr().err
+
+
+def test_a_joint_state_without_effort_is_said_to_have_none(tmp_path):
+    with Foreign(tmp_path / "lab") as bag:
+        for k in range(3):
+            message = build_joint_state(header(k * 0.1), ("cable",), (0.1 * k,))
+            bag.write("/joint_states", message, k * 0.1)
+    with pytest.raises(UsageError, match="effort is empty in every message of /joint_states"):
+        read_table(tmp_path / "lab")
+
+
 @pytest.mark.parametrize("change", ["renamed", "half copied"])
 def test_a_file_of_a_bag_that_is_missing_is_named(pull, change, capsys):
     about = pull / "metadata.yaml"
