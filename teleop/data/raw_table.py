@@ -3,17 +3,28 @@
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from teleop.data import bounds
+from teleop.errors import UsageError
+
 Column = NDArray[Any]  # float64, or object if some cell is text
 
 SEPARATORS: Mapping[str, str] = MappingProxyType(
     {",": "commas", ";": "semicolons", "\t": "tabs", "|": "bars", " ": "spaces"}
 )
+
+_MARKS = {
+    b"PK\x03\x04": "a spreadsheet (.xlsx) or .npz",
+    b"\xd0\xcf\x11\xe0": "a spreadsheet (.xls)",
+}
+_MARKS |= {b"\x1f\x8b": "packed (.csv.gz)", b"PAR1": ".parquet", b"ARROW1": ".feather"}
+_MARKS |= {b"\x89HDF": "HDF5 (.h5)", b"MATLAB 5.0": ".mat", b"\x89MCAP": "a recording (.mcap)"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +53,9 @@ class Layout:
             parts.append(f"{SEPARATORS.get(self.separator, repr(self.separator))} between columns")
         if self.decimal == ",":
             parts.append("decimal commas")
-        if self.names_line != 1:
+        if self.names_line == 0:
+            parts.append(f"no names, so its columns are column 1 to column {len(self.names)}")
+        elif self.names_line != 1:
             parts.append(f"names in line {self.names_line}")
         if self.units:
             parts.append(f"units in line {self.data_line}")
@@ -68,3 +81,36 @@ class RawTable:
         index = slice(rows.start, rows.stop) if isinstance(rows, range) else rows
         columns = {name: column[index] for name, column in self.columns.items()}
         return replace(self, columns=columns, place=lambda row: self.place(int(rows[row])))
+
+
+def detect_encoding(path: Path, head: bytes) -> str:
+    """Return the encoding that the first bytes of a file tell; UTF-8 where they tell none.
+
+    Raises `UsageError` if they are those of another kind of file.
+    """
+    if kind := next((kind for mark, kind in _MARKS.items() if head.startswith(mark)), ""):
+        raise UsageError(f"{path}: is no text, but {kind}: rename it")
+    for mark, name in ((b"\xff\xfe\0\0", "utf-32"), (b"\0\0\xfe\xff", "utf-32")):
+        if head.startswith(mark):
+            return name
+    if head.startswith((b"\xff\xfe", b"\xfe\xff")):
+        return "utf-16"
+    if b"\0" in head and len(head) > 3:  # text of ASCII has its zeros at even or at odd places
+        even, odd = head[0:400:2].count(0), head[1:400:2].count(0)
+        if min(even, odd) == 0 and max(even, odd) > len(head[:400]) // 4:
+            return "utf-16-be" if even else "utf-16-le"
+    return "utf-8-sig"
+
+
+def check_names(path: Path, line: int, names: Sequence[str]) -> None:
+    """Raise `UsageError` for names of columns that cannot be."""
+    if not "".join(names).strip():
+        raise UsageError(f"{path}: line {line}: is blank, must contain the column names")
+    if not all(name.isprintable() for name in names):
+        raise UsageError(f"{path}: line {line}: is not text, must contain the column names")
+    bounds.check_size(path, len(names), 0, "keep those that are needed")
+    for name in names:
+        if name and names.count(name) > 1:
+            raise UsageError(
+                f"{path}: line {line}: column {name!r} occurs {names.count(name)} times"
+            )

@@ -21,7 +21,7 @@ from teleop.messages.topics import TENDONS
 from teleop.runtime.output_file import replace_file
 from teleop.runtime.process import print_warning
 
-TEXT_KINDS = ("csv", "tsv", "txt", "dat", "asc", "lvm", "prn")
+TEXT_KINDS = ("csv", "tsv", "txt", "dat", "asc", "lvm", "prn", "log")
 TEXT_SUFFIXES = tuple(f".{kind}{packed}" for kind in TEXT_KINDS for packed in ("", ".gz"))
 
 FOOTER_MAX = 1 << 24  # [bytes] of a Parquet file: 1000 columns in 100 row groups

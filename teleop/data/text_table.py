@@ -22,7 +22,7 @@ import numpy as np
 from teleop.data import bounds, large_csv, time_text
 from teleop.data.column_units import is_unit
 from teleop.data.mapping import TableMapping
-from teleop.data.raw_table import SEPARATORS, Column, Layout, RawTable
+from teleop.data.raw_table import SEPARATORS, Column, Layout, RawTable, check_names, detect_encoding
 from teleop.errors import UsageError
 
 Row = tuple[int, list[str]]  # its line, and its cells
@@ -32,15 +32,10 @@ COMPRESSION_RATIO = 20  # bytes of text of a byte of .csv.gz, at most as a rule
 SAMPLE_LINES = 1000  # of a file, which tell its layout ...
 SAMPLE_CHARACTERS = 300_000  # ... or less of a wide one
 ROWS_PER_CHUNK = 20_000
+FOOTER_ROWS = 100  # fewer lines of words at the end are left out
 
 THOUSANDS = "thousands separators"
 
-_MARKS = {
-    b"PK\x03\x04": "a spreadsheet (.xlsx) or .npz",
-    b"\xd0\xcf\x11\xe0": "a spreadsheet (.xls)",
-}
-_MARKS |= {b"\x1f\x8b": "packed (.csv.gz)", b"PAR1": ".parquet", b"ARROW1": ".feather"}
-_MARKS |= {b"\x89HDF": "HDF5 (.h5)", b"MATLAB 5.0": ".mat", b"\x89MCAP": "a recording (.mcap)"}
 _MISSING = {"na", "n/a", "#n/a", "#na", "nan", "null", "none", "nil", "-", "--", "---", "?"}
 _MISSING |= {"missing", "1.#qnan", "1.#ind"}
 _OVERLOADS = {"ovld", "ovl", "ol", "o.l", "overload", "overflow", "overrange", "1.#inf"}
@@ -56,23 +51,6 @@ _NUMBERS = {  # decimal sign -> numbers with thousands separators, or without
 _OTHER_GROUP = re.compile(r"\d['’\u00a0\u202f ]\d{3}(?!\d)")
 _ONE_SIGN = re.compile(rf"[+-]?(\d*)([.,])(\d+){_EXPONENT}")
 _BLANKS = " \t\r\n\u00a0\u2007\u202f\ufeff\u200b\"'"
-
-
-# --- bytes to text
-
-
-def detect_encoding(head: bytes) -> str:
-    """Return the encoding that the first bytes of a file tell; UTF-8 where they tell none."""
-    for mark, name in ((b"\xff\xfe\0\0", "utf-32"), (b"\0\0\xfe\xff", "utf-32")):
-        if head.startswith(mark):
-            return name
-    if head.startswith((b"\xff\xfe", b"\xfe\xff")):
-        return "utf-16"
-    if b"\0" in head and len(head) > 3:  # text of ASCII has its zeros at even or at odd places
-        even, odd = head[0:400:2].count(0), head[1:400:2].count(0)
-        if min(even, odd) == 0 and max(even, odd) > len(head[:400]) // 4:
-            return "utf-16-be" if even else "utf-16-le"
-    return "utf-8-sig"
 
 
 # --- text to rows
@@ -173,16 +151,26 @@ def locate_table(
     if begin == len(rows):  # names alone
         begin = 1 if rows else 0
     header = _find_header(rows[:begin], width)
-    if header is None:
+    if header is None and begin == 0 and _is_count([cells for _, cells in rows[:2]]):
+        header = 0
+    if header is None and (begin or len(rows) < 2):
         line, cells = rows[0]
         what = "numbers" if any(map(_is_loose_value, cells)) else "no text"
         raise UsageError(f"{path}: line {line}: contains {what}, must contain the column names")
-    line, cells = rows[header]
+    if decimal is None:
+        decimal = _find_decimal(path, rows[begin:], separator, mapping)
+    line, cells = rows[header or 0]
     names = [clean_name(cell) for cell in cells]
     while names and not names[-1]:
         names.pop()
-    if names and (mismatch := len(cells) - width) and begin < len(rows) and mismatch:
-        names = _resplit_names(rows[header][1], separator, width) or names
+    if header is not None and names and len(cells) != width and begin < len(rows):
+        names = _resplit_names(cells, separator, width) or names
+        if len(names) != width and all(re.match(r"\s*[#%]", row[0]) for _, row in rows[:begin]):
+            header = None  # comments
+    if header is None:
+        bounds.check_size(path, width, 0, "keep those that are needed")
+        numbered = tuple(f"column {k + 1}" for k in range(width))
+        return Layout(numbered, 0, rows[begin][0] - 1, decimal=decimal)
     check_names(path, line, names)
     following = rows[header + 1] if header + 1 < len(rows) else (line, [])
     units: dict[str, str] = {}
@@ -193,9 +181,6 @@ def locate_table(
         line_above = following[0]
     else:
         line_above = line
-    body = [row for row in rows if row[0] > line_above]
-    if decimal is None:
-        decimal = _find_decimal(path, body, separator, mapping)
     return Layout(tuple(names), line, line_above, units, decimal=decimal)
 
 
@@ -224,6 +209,13 @@ def _find_header(above: Sequence[Row], width: int) -> int | None:
     return last
 
 
+def _is_count(rows: Sequence[Sequence[str]]) -> bool:
+    """Return whether the first row counts the columns, as pandas writes in place of names."""
+    names = [name for cell in rows[0] if (name := cell.strip())] if rows else []
+    counted = names in [[str(k + n) for k in range(len(names))] for n in (0, 1)]
+    return counted and len(names) > 1 and (len(names) > 2 or "." in rows[-1][-1])
+
+
 def _is_units_row(cells: Sequence[str], width: int) -> bool:
     filled = [cell.strip(" []()") for cell in cells if cell.strip()]
     known = sum(map(is_unit, filled))
@@ -240,20 +232,6 @@ def _resplit_names(cells: Sequence[str], separator: str, width: int) -> list[str
         if len(names) == width and all(names):
             return names
     return []
-
-
-def check_names(path: Path, line: int, names: Sequence[str]) -> None:
-    """Raise `UsageError` for names of columns that cannot be."""
-    if not "".join(names).strip():
-        raise UsageError(f"{path}: line {line}: is blank, must contain the column names")
-    if not all(name.isprintable() for name in names):
-        raise UsageError(f"{path}: line {line}: is not text, must contain the column names")
-    bounds.check_size(path, len(names), 0, "keep those that are needed")
-    for name in names:
-        if name and names.count(name) > 1:
-            raise UsageError(
-                f"{path}: line {line}: column {name!r} occurs {names.count(name)} times"
-            )
 
 
 # --- cells to numbers
@@ -363,6 +341,8 @@ def read_rows(path: Path, layout: Layout, rows: Iterable[Row], unit: str = "line
     """
     names, lines, breaks = layout.names, array("q"), list[int]()
     words = {name: Counter[str]() for name in names}
+    remarks = [*layout.describe()]
+    rows = _drop_footer(rows, unit, remarks)
     parts: list[list[Column]] = []
     fitted = _fit_rows(path, layout, rows, lines, breaks, unit)
     while chunk := list(itertools.islice(fitted, ROWS_PER_CHUNK)):
@@ -384,9 +364,28 @@ def read_rows(path: Path, layout: Layout, rows: Iterable[Row], unit: str = "line
         units=layout.units,
         decimal=layout.decimal,
         words={name: found for name, found in words.items() if found},
-        remarks=layout.describe(),
+        remarks=tuple(remarks),
         breaks=tuple(row for row in breaks if 0 < row < len(lines)),
     )
+
+
+def _drop_footer(rows: Iterable[Row], unit: str, remarks: list[str]) -> Iterator[Row]:
+    """Yield rows up to those at the end that begin with words, where others have a number."""
+    rows, above = iter(rows), ""
+    for line, cells in rows:
+        if _is_label(cells) and _is_loose_value(above):
+            tail = [(line, cells), *itertools.islice(rows, FOOTER_ROWS)]
+            if len(tail) <= FOOTER_ROWS and all(_is_label(row) or not any(row) for _, row in tail):
+                remarks.append(f"from {unit} {line} on ({cells[0]}) left out: no samples")
+            else:
+                yield from itertools.chain(tail, rows)
+            return
+        above = cells[0] if any(cells) else above
+        yield line, cells
+
+
+def _is_label(cells: Sequence[str]) -> bool:
+    return bool(cells) and cells[0][:1].isalpha() and not classify_word(cells[0])
 
 
 def _is_blank(column: Column) -> bool:
@@ -412,14 +411,15 @@ def _fit_rows(
         if len(cells) > width and not any(map(str.strip, cells[width:])):
             del cells[width:]
         if len(cells) != width:
-            hint = ""
+            hint = "; correct it, or remove it"
             if layout.separator == "," and len(cells) == 2 * width:
                 hint = "; commas in numbers, and between them: save it with semicolons"
             elif next(iter(rows), None) is None:
                 hint = "; the file ends with it: remove this line if it was cut, or is a footer"
             raise UsageError(
                 f"{path}: {unit} {line}: has {len(cells)} cells, "
-                f"{unit} {layout.names_line} names {width} columns{hint}"
+                f"{unit} {layout.names_line or layout.data_line + 1} "
+                f"{'names' if layout.names_line else 'has'} {width} columns{hint}"
             )
         if clean_name(cells[-1]) == layout.names[-1] and [*map(clean_name, cells)] == [
             *layout.names
@@ -447,9 +447,7 @@ def read_text(path: Path, mapping: TableMapping) -> RawTable:
     """Read a text table; in Latin-1 if it is not UTF-8. Raises `UsageError`."""
     with path.open("rb") as file:
         head = large_csv.unpack_text(path, file).peek(400)[:400]
-    if kind := next((kind for mark, kind in _MARKS.items() if head.startswith(mark)), ""):
-        raise UsageError(f"{path}: is no text, but {kind}: rename it")
-    encoding = detect_encoding(head)
+    encoding = detect_encoding(path, head)
     for name in (encoding, "latin-1") if encoding == "utf-8-sig" else (encoding,):
         with contextlib.suppress(UnicodeDecodeError):
             return _read_encoded(path, name, mapping)

@@ -1,5 +1,7 @@
 """Tables as other programs write them are read as what they are, or refused with the remedy."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -87,6 +89,8 @@ DECORATED = {
     "index without a name": "\n".join(
         f"{k - 1 if k else ''},{line}" for k, line in enumerate(PLAIN.splitlines())
     ),
+    "words at the end": PLAIN + "\nMETADATA\nGear,6.5\n\nStops,1 2 3\n",
+    "words at the end, as wide as the table": PLAIN + ",,\nMETADATA,,\nGear,6.5,\n",
     "exponents of Fortran": table(forms=("{:.3f}", "{:.8E}", "{:.8E}")).replace("E", "D"),
 }
 
@@ -116,6 +120,33 @@ def test_units_that_a_table_states_are_converted_and_said(tmp_path, capsys, name
     found = read(tmp_path / "x.csv", text.replace("\n", f"\n{units}\n", 1) if units else text)
     check(found)
     assert ("converted" in capsys.readouterr().err) == (names != NAMES)
+
+
+BARE = PLAIN.partition("\n")[2]
+
+
+@pytest.mark.parametrize(
+    ("text", "names"),
+    [
+        (BARE, ("column 1", "column 2", "column 3")),
+        (table(sep="\t", decimal=",").partition("\n")[2], ("column 1", "column 2", "column 3")),
+        ("# bench 3, tendon a\n% 20 Hz\n" + BARE, ("column 1", "column 2", "column 3")),
+        ("0,1,2\n" + BARE, ("0", "1", "2")),
+        (",0,1,2\n" + re.sub(r"(?m)^(?=\d)", "7,", BARE), ("0", "1", "2")),
+    ],
+)
+def test_columns_without_names_are_named_by_number(tmp_path, capsys, text, names):
+    path = tmp_path / "x.log"
+    assert f"it has {', '.join(names)}" in refusal(path, text).replace("it has , ", "it has ")
+    channels = zip(("time", "proximal_tension", "proximal_displacement"), names, "sNm", strict=True)
+    check(read(path, text, [f"{channel}={name}[{unit}]" for channel, name, unit in channels]))
+    assert ("column 1 to column 3" in capsys.readouterr().err) == (names[0] == "column 1")
+
+
+def test_two_columns_without_names_begin_with_a_sample(tmp_path):
+    said = ["time=column 1[s]", "proximal_tension=column 2[N]"]
+    found = read(tmp_path / "x.csv", "0,1\n0.05,3\n0.1,6\n", said)
+    assert found.proximal_tension.tolist() == [1.0, 3.0, 6.0]
 
 
 def clock(time):
@@ -277,7 +308,11 @@ REFUSED = {
     "no tension at the housing": (PLAIN.replace(NAMES[1], "distal_tension_N"), ["load cell"]),
     "no tension": ("\n".join(f"{line.split(',')[0]},1" for line in PLAIN.split()), ["load cell"]),
     "a current": (PLAIN.replace(NAMES[1], "motor_current_A"), ["no column 'proximal_tension_N'"]),
-    "names that are numbers": (PLAIN.replace(FIRST, "1,2,3"), ["must contain the column names"]),
+    "a line of numbers alone": ("1.5,2,3\n", ["must contain the column names"]),
+    "words between numbers": (
+        PLAIN.replace("2.000,", "stopped\n2.000,"),
+        ["line 42: has 1 cells, line 1 names 3 columns", "remove it"],
+    ),
     "a cut last line": (PLAIN + "3.000,1.2", ["line 62: has 2 cells", "remove this line"]),
     "a number for missing ones": (PLAIN.replace("1.0000,", "-9999,"), ["-9999 a missing value?"]),
     "an exponent alone": (table(sep=";", decimal=",").replace("1,0000;", "e2;"), ["'e2' is not"]),
