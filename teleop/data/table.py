@@ -42,6 +42,10 @@ __all__ = [
 # what a force is estimated from
 HOUSING_CHANNELS = ("time", "proximal_tension", "proximal_displacement")
 NAMES_SHOWN = 12  # of a file's columns in an error message
+_CHANNEL_WORDS = {
+    "time": "time|timestamp|zeit|t",
+    "proximal_tension": "tension|force|load|load_?cell|torque|effort|kraft",
+}
 
 
 class Source(NamedTuple):
@@ -352,28 +356,45 @@ def _find_columns(
             what, unit = name.rpartition("_")[::2]
             raise UsageError(
                 f"{path}: column {unclear!r} states no unit that fits; say it: --column "
-                f"'{what}={unclear}[{unit}]'"
+                f"'{what}={unclear}[{unit}]'{_ask_for_tension(item, columns, raw, unclaimed)}"
             )
         hint = suggest_spelling(name, unclaimed, cutoff=0.88 if optional else 0.6)
-        advice = f"{hint} Then --column '{item}=COLUMN[UNIT]' says so" if hint else ""
+        advice = _explain_missing(item, unclaimed) + _ask_for_tension(item, columns, raw, unclaimed)
+        if hint:
+            advice = f"{hint} Then --column '{item}=COLUMN[UNIT]' says so"
         if hint or not optional:
             has = ", ".join(list(raw.columns)[:NAMES_SHOWN]) + ", ..." * (
                 len(raw.columns) > NAMES_SHOWN
             )
-            raise UsageError(
-                f"{path}: no column {name!r}{advice or _explain_missing(item)} (it has {has})"
-            )
+            raise UsageError(f"{path}: no column {name!r}{advice} (it has {has})")
     return columns_found
 
 
-def _explain_missing(item: str) -> str:
-    """Return what to do about a column that must be there."""
+def _explain_missing(item: str, names: Sequence[str]) -> str:
+    """Return what to do about a column that must be there; one name that may be it is proposed."""
     if item == "time":
-        return "; name it by --column 'time=COLUMN[UNIT]', or give --rate HZ"
+        return f"; name it by --column '{_propose(item, names)}', or give --rate HZ"
     return (
         "; friction and force are only known from the tension at the housing: add a load cell "
-        "there, or name its column by --column 'proximal_tension=COLUMN[UNIT]'"
+        f"there, or name its column by --column '{_propose('proximal_tension', names)}' (of a motor "
+        "'proximal_torque=COLUMN[Nm]', or with the torque of an ampere, '[0.05 Nm]', its current)"
     ) * (item == "proximal_tension")
+
+
+def _ask_for_tension(item: str, columns: Columns, raw: RawTable, names: Sequence[str]) -> str:
+    """Return the option for the tension if it is missing too, for the message on the time."""
+    if item != "time" or columns.proximal_tension in raw.columns:
+        return ""
+    return f"; and the tension: --column '{_propose('proximal_tension', names)}'"
+
+
+def _propose(item: str, names: Sequence[str]) -> str:
+    """Return the option for a channel, with the column that may be it, if there is one."""
+    words = re.compile(rf"(?i)(?<![a-z])({_CHANNEL_WORDS[item]})(?![a-z])")
+    close = [name for name in names if words.search(name)]
+    column = close[0] if len(close) == 1 else "COLUMN"
+    item = item.replace("tension", "torque") if "torque" in column.lower() else item
+    return f"{item}={column}" + "[UNIT]" * (not column.endswith((")", "]")))
 
 
 def parse_column(

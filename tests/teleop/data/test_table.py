@@ -131,7 +131,12 @@ def test_a_recording_is_a_table(tmp_path):
     [
         ("", ["is empty"]),
         ("time_s,proximal_tension_N\n", ["no rows"]),
-        ("0,1\n0.1,2\n", ["line 1", "numbers"]),
+        ("0,1\n0.1,2\n", ["'time_s'", "'time=COLUMN[UNIT]'", "'proximal_tension=COLUMN[UNIT]'"]),
+        ("Time,F\n0,1\n", ["'time=Time[s]'; and the tension", "'proximal_tension=COLUMN[UNIT]'"]),
+        (
+            "Run Time [ms],Q,Drive Torque\n0,1,1\n",
+            ["'time=Run Time [ms]'", "rate HZ; and", "'proximal_torque=Drive Torque[UNIT]'"],
+        ),
         ("time_s,proximal_tensoin_N\n0,1\n", ["'proximal_tension_N'", "'proximal_tensoin_N'"]),
         ("time_s,time_s,proximal_tension_N\n0,0,1\n", ["'time_s'", "2 times"]),
         (
