@@ -112,5 +112,6 @@ def check_names(path: Path, line: int, names: Sequence[str]) -> None:
     for name in names:
         if name and names.count(name) > 1:
             raise UsageError(
-                f"{path}: line {line}: column {name!r} occurs {names.count(name)} times"
+                f"{path}: line {line}: column {name!r} occurs {names.count(name)} times; "
+                "rename all but one"
             )

@@ -47,6 +47,8 @@ def check_samples(
     name = names["time"]
     remedy = f"name the unit, --column 'time={name}[ms]', or [s] if it is right"
     check_time(path, raw, name, numbers[name], "" if "time" in stated else remedy)
+    channels = {item: numbers[name] for item, name in names.items() if item != "time"}
+    _check_common_rows(path, names, channels)
     for item in ("proximal_tension", "distal_tension"):
         if item in names:
             option = channel_names.STANDARD_NAMES[units][item].rpartition("_")[0]
@@ -84,6 +86,18 @@ def check_samples(
         _check_speed(path, raw, clock, numbers[clock], travel, units, remedy)
 
 
+def _check_common_rows(path: Path, names: Mapping[str, str], channels: Mapping[str, Array]) -> None:
+    """Raise `UsageError` if rows of several sources alternate, so that none has two channels."""
+    known = {item: np.isfinite(values) for item, values in channels.items()}
+    first, *others = known
+    for item in others:
+        if not (known[first] & known[item]).any():
+            raise UsageError(
+                f"{path}: no row has both {names[first]!r} and {names[item]!r}: rows of several "
+                "sources alternate; interpolate them at the same times"
+            )
+
+
 def _check_speed(
     path: Path, raw: RawTable, name: str, time: Array, travel: Array, units: Units, remedy: str
 ) -> None:
@@ -119,7 +133,15 @@ def check_time(path: Path, raw: RawTable, name: str, time: Array, remedy: str) -
             raise UsageError(f"{path}: {describe_second_record(path, line, back)}")
         fault = f"{float(time[row])!r} does not come after {float(time[row - 1])!r}"
         hint = " (a recording: was the slave restarted there?)" if path.suffix == ".mcap" else ""
-        raise UsageError(f"{location}: {fault}{hint}; time must increase from row to row")
+        remedy = ""
+        if (equal := int((periods == 0.0).sum())) > SPEED_ROWS:
+            span = float(np.ptp(time))
+            rate = f"{len(periods) / span:.4g}" if span else "HZ"
+            remedy = (
+                f"; {equal} times are equal: of several devices in turn keep the rows of one; "
+                f"evenly spaced ones need no column of time, but --rate {rate}"
+            )
+        raise UsageError(f"{location}: {fault}{hint}; time must increase from row to row{remedy}")
     if not remedy or not periods.size:
         return
     median, duration = float(np.median(periods)), float(time[-1] - time[0])
@@ -130,9 +152,13 @@ def check_time(path: Path, raw: RawTable, name: str, time: Array, remedy: str) -
             "numbers give the rate, --rate HZ"
         )
     if median < PERIOD_MIN and len(periods) >= SPEED_ROWS:
+        if "--column" in remedy:
+            remedy = (
+                f"name the unit, --column 'time={name}[s]', [min] or [h], or [ms] if it is right"
+            )
         raise UsageError(
             f"{path}: column {name!r}, {raw.place(1)}: samples are {median:.3g} s apart, which is "
-            f"faster than tendons are measured: minutes or hours? Then {remedy}"
+            f"faster than tendons are measured: seconds, minutes or hours? Then {remedy}"
         )
 
 

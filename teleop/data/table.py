@@ -376,8 +376,8 @@ def _explain_missing(item: str, names: Sequence[str]) -> str:
         return f"; name it by --column '{_propose(item, names)}', or give --rate HZ"
     return (
         "; friction and force are only known from the tension at the housing: add a load cell "
-        f"there, or name its column by --column '{_propose('proximal_tension', names)}' (of a motor "
-        "'proximal_torque=COLUMN[Nm]', or with the torque of an ampere, '[0.05 Nm]', its current)"
+        f"there, or name its column by --column '{_propose('proximal_tension', names)}' (a motor's "
+        "'proximal_torque=COLUMN[Nm]' or, with the torque of an ampere, '[0.05 Nm]', its current)"
     ) * (item == "proximal_tension")
 
 

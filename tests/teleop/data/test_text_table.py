@@ -297,6 +297,25 @@ REFUSED = {
         table(values=(TIME / 1000, TENSION, TRAVEL), forms=["{:.9f}"] * 3),
         ["m/s", "unit of time"],
     ),
+    "a name that says milliseconds of seconds": (
+        table(
+            ("Time [ms]", *NAMES[1:]), values=(TIME / 100, TENSION, TRAVEL), forms=["{:.7f}"] * 3
+        ),
+        ["seconds, minutes", "'time=Time [ms][s]'"],
+    ),
+    "two devices in turn": (
+        "\n".join([FIRST, *(row for row in BARE.splitlines() for _ in "12")]) + "\n",
+        ["line 3: 0.0 does not", "60 times are equal", "keep the rows of one", "--rate 40.34"],
+    ),
+    "a clock that stands": (
+        re.sub(r"(?m)^\d\.\d+", "7", PLAIN),
+        ["59 times are equal", "--rate HZ"],
+    ),
+    "rows of two sources": (
+        "\n".join([FIRST, *(f"{k / 40},{k},\n{(k + 0.5) / 40},,0.001" for k in range(60))]) + "\n",
+        ["no row has both 'proximal_tension_N' and 'proximal_displacement_m'", "interpolate"],
+    ),
+    "a name twice": (PLAIN.replace(NAMES[2], NAMES[1]), ["2 times", "rename all but one"]),
     "commas between and in numbers": (table(decimal=","), ["commas in numbers"]),
     "both decimal signs": (table(sep=";").replace("0.050;", "0,050;"), ["line 3", "'0,050'"]),
     "units twice": (PLAIN.replace(FIRST, FIRST + "\nms,N,m"), ["name says s", "[s]'"]),
