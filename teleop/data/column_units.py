@@ -124,6 +124,8 @@ def convert_to_si(
 ) -> dict[str, tuple[str, float]]:
     """Convert columns to SI units, in place; return the unit of each, "" if none, and its factor.
 
+    A unit by the option may end with the reading at zero, which is subtracted: `2.5 N, zero 8060`.
+
     Parameters
     ----------
     numbers : dict
@@ -141,16 +143,29 @@ def convert_to_si(
         A unit is of another dimension; or it is unknown, and the option or brackets tell it.
     """
     factors: dict[str, tuple[str, float]] = {}
+    zeros: dict[str, float] = {}
     for names, told_of in zip(columns, stated_units, strict=True):
         for item, name in names.items():
-            unit = told_of[item][1]
-            factors[name] = _find_unit_factor(
-                path, name, item, units, unit, row_units.get(name, "")
+            stated, told, zero = told_of[item][1].partition("zero ")
+            unit, factor = _find_unit_factor(
+                path, name, item, units, stated.rstrip(" ,"), row_units.get(name, "")
             )
+            zeros[name] = _parse_zero(path, name, zero) if told else 0.0
+            factors[name] = (f"{unit}, zero {zero}" if told else unit, factor)
     for name, (_, factor) in factors.items():
-        if factor != 1.0:
-            numbers[name] = factor * numbers[name]
+        if factor != 1.0 or zeros[name]:
+            numbers[name] = factor * (numbers[name] - zeros[name])
     return factors
+
+
+def _parse_zero(path: Path, name: str, text: str) -> float:
+    """Return what a column reads at zero, by the option."""
+    try:
+        return float(text)
+    except ValueError:
+        raise UsageError(
+            f"{path}: column {name!r}: {text!r} is not its reading at zero, as in 'zero 8060'"
+        ) from None
 
 
 def _find_unit_factor(

@@ -201,9 +201,10 @@ def check_effort(
     floor = NOISE_FLOOR + share * float(np.nanmax(effort, initial=0.0))
     if effort[low] < -floor:
         cause = "a zero offset" if may_err else "noise"
+        hint = f", --column '{option}={name}[N, zero {effort[low]:.3g}]' or [-1 N]" * (option != "")
         fault = (
             f"{float(effort[low]):.6g} N: a tendon cannot push ({cause} is taken to end at "
-            f"{-floor:.3g} N); correct its zero or its sign{remedy}"
+            f"{-floor:.3g} N); correct its zero or its sign{hint}{remedy}"
         )
         fault += _explain_sentinel(float(effort[low]))
         raise UsageError(f"{path}: column {name!r}, {raw.place(low)}: {fault}")

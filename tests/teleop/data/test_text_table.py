@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from teleop.data import read_table
-from teleop.data.mapping import TableMapping, parse_column_options
+from teleop.data.mapping import MappedColumn, TableMapping, parse_column_options
 from teleop.errors import UsageError
 
 NAMES = ("time_s", "proximal_tension_N", "proximal_displacement_m")
@@ -198,7 +198,7 @@ def test_minutes_and_seconds_need_a_format(tmp_path):
     check(read(tmp_path / "x.csv", text, ["time=Time"], time_format="%M:%S.%f"))
 
 
-def test_a_sign_and_a_scale_are_given_with_the_unit(tmp_path):
+def test_a_sign_a_scale_and_a_zero_are_given_with_the_unit(tmp_path):
     values = (TIME, TENSION / 12.5, -1e3 * TRAVEL)
     text = table(("t_s", "load [V]", "q"), forms=["{:.7f}"] * 3, values=values)
     columns = ["proximal_tension=load [V]", "proximal_displacement=q[-1 mm]"]
@@ -206,6 +206,13 @@ def test_a_sign_and_a_scale_are_given_with_the_unit(tmp_path):
     assert "unknown unit V" in said
     assert "12.5 N" in said
     check(read(tmp_path / "x.csv", text, ["proximal_tension=load [V][12.5 N]", columns[1]]))
+    raw = table(
+        ("t_s", "cell", "q"), forms=["{:.7f}"] * 3, values=(TIME, 8060 + TENSION, values[2])
+    )
+    cell = MappedColumn(column="cell", unit="N, zero 8060")
+    check(read(tmp_path / "x.csv", raw, [f"proximal_tension={cell.format_option()}", columns[1]]))
+    said = refusal(tmp_path / "x.csv", raw, ["proximal_tension=cell[N, zero x]"])
+    assert "column 'cell': 'x' is not its reading at zero" in said
 
 
 @pytest.mark.parametrize("word", ["N/A", "nan", "null", "--", "#N/A", "1.#QNAN", ""])
@@ -314,6 +321,10 @@ REFUSED = {
     "rows of two sources": (
         "\n".join([FIRST, *(f"{k / 40},{k},\n{(k + 0.5) / 40},,0.001" for k in range(60))]) + "\n",
         ["no row has both 'proximal_tension_N' and 'proximal_displacement_m'", "interpolate"],
+    ),
+    "a tension below zero": (
+        table(values=(TIME, TENSION - 5.0, TRAVEL)),
+        ["cannot push", "--column 'proximal_tension=proximal_tension_N[N, zero -4]' or [-1 N]"],
     ),
     "a name twice": (PLAIN.replace(NAMES[2], NAMES[1]), ["2 times", "rename all but one"]),
     "commas between and in numbers": (table(decimal=","), ["commas in numbers"]),
