@@ -44,7 +44,7 @@ _OPTIONS: dict[str, dict[str, Any]] = {
         "metavar": "NAME=COLUMN[UNIT]",
         "help": "what the data call proximal_tension, proximal_displacement, distal_tension, "
         "distal_displacement or time, e.g. --column proximal_tension=T_in; with its unit, 'q[mm]', "
-        "its sign, 'q[-1 mm]', or its scale, 'cell[12.5 N]' of volts",
+        "its sign, 'q[-1 mm]', or its scale and zero, 'cell[12.5 N, zero 0.3]' of volts",
     },
     "--config": {
         "type": Path,

@@ -38,6 +38,7 @@ class Layout:
     separator: str = ","
     decimal: str = "."  # "" if no number in the sample tells
     encoding: str = "utf-8-sig"
+    width: int = 0  # cells of the line of names, of which the last may be blank
 
     def has_units(self, cells: Sequence[str]) -> bool:
         """Return whether a row has the units of that below the names."""

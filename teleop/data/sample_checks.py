@@ -137,10 +137,9 @@ def check_time(path: Path, raw: RawTable, name: str, time: Array, remedy: str) -
         if (equal := int((periods == 0.0).sum())) > SPEED_ROWS:
             span = float(np.ptp(time))
             rate = f"{len(periods) / span:.4g}" if span else "HZ"
-            remedy = (
-                f"; {equal} times are equal: of several devices in turn keep the rows of one; "
-                f"evenly spaced ones need no column of time, but --rate {rate}"
-            )
+            remedy = f"; {equal} are equal: evenly spaced samples need no time, but --rate {rate}"
+            if column := _find_device_column(raw):
+                remedy = f"; column {column!r} names devices in turn: keep the rows of one"
         raise UsageError(f"{location}: {fault}{hint}; time must increase from row to row{remedy}")
     if not remedy or not periods.size:
         return
@@ -160,6 +159,16 @@ def check_time(path: Path, raw: RawTable, name: str, time: Array, remedy: str) -
             f"{path}: column {name!r}, {raw.place(1)}: samples are {median:.3g} s apart, which is "
             f"faster than tendons are measured: seconds, minutes or hours? Then {remedy}"
         )
+
+
+def _find_device_column(raw: RawTable) -> str:
+    """Return the column that repeats some different values from row to row, "" if there is none."""
+    for name, column in raw.columns.items():
+        values = column[:SPEED_ROWS].tolist()
+        period = values.index(values[0], 1) if values[0] in values[1:] else 0
+        if 1 < period == len(set(values)) and (column[period:] == column[:-period]).all():
+            return name
+    return ""
 
 
 def check_effort(

@@ -42,6 +42,7 @@ __all__ = [
 # what a force is estimated from
 HOUSING_CHANNELS = ("time", "proximal_tension", "proximal_displacement")
 NAMES_SHOWN = 12  # of a file's columns in an error message
+_OF_A_MOTOR = " (or 'proximal_torque=COLUMN[Nm]'; of a current [0.05 Nm], the torque of an ampere)"
 _CHANNEL_WORDS = {
     "time": "time|timestamp|zeit|t",
     "proximal_tension": "tension|force|load|load_?cell|torque|effort|kraft",
@@ -361,7 +362,8 @@ def _find_columns(
         hint = suggest_spelling(name, unclaimed, cutoff=0.88 if optional else 0.6)
         advice = _explain_missing(item, unclaimed) + _ask_for_tension(item, columns, raw, unclaimed)
         if hint:
-            advice = f"{hint} Then --column '{item}=COLUMN[UNIT]' says so"
+            asked = _ask_for_tension(item, columns, raw, unclaimed)
+            advice = f"{hint} Then --column '{item}=COLUMN[UNIT]' says so{asked}"
         if hint or not optional:
             has = ", ".join(list(raw.columns)[:NAMES_SHOWN]) + ", ..." * (
                 len(raw.columns) > NAMES_SHOWN
@@ -375,9 +377,8 @@ def _explain_missing(item: str, names: Sequence[str]) -> str:
     if item == "time":
         return f"; name it by --column '{_propose(item, names)}', or give --rate HZ"
     return (
-        "; friction and force are only known from the tension at the housing: add a load cell "
-        f"there, or name its column by --column '{_propose('proximal_tension', names)}' (a motor's "
-        "'proximal_torque=COLUMN[Nm]' or, with the torque of an ampere, '[0.05 Nm]', its current)"
+        "; friction and force are only known from the tension at the housing: add a load cell, or "
+        f"name its column by --column '{_propose('proximal_tension', names)}'{_OF_A_MOTOR}"
     ) * (item == "proximal_tension")
 
 
@@ -385,13 +386,13 @@ def _ask_for_tension(item: str, columns: Columns, raw: RawTable, names: Sequence
     """Return the option for the tension if it is missing too, for the message on the time."""
     if item != "time" or columns.proximal_tension in raw.columns:
         return ""
-    return f"; and the tension: --column '{_propose('proximal_tension', names)}'"
+    return f"; and the tension: --column '{_propose('proximal_tension', names)}'{_OF_A_MOTOR}"
 
 
 def _propose(item: str, names: Sequence[str]) -> str:
     """Return the option for a channel, with the column that may be it, if there is one."""
     words = re.compile(rf"(?i)(?<![a-z])({_CHANNEL_WORDS[item]})(?![a-z])")
-    close = [name for name in names if words.search(name)]
+    close = [name for name in names if words.search(name) and not re.search("(?i)pct|%", name)]
     column = close[0] if len(close) == 1 else "COLUMN"
     item = item.replace("tension", "torque") if "torque" in column.lower() else item
     return f"{item}={column}" + "[UNIT]" * (not column.endswith((")", "]")))

@@ -33,7 +33,6 @@ SAMPLE_LINES = 1000  # of a file, which tell its layout ...
 SAMPLE_CHARACTERS = 300_000  # ... or less of a wide one
 ROWS_PER_CHUNK = 20_000
 FOOTER_ROWS = 100  # fewer lines of words at the end are left out
-
 THOUSANDS = "thousands separators"
 
 _MISSING = {"na", "n/a", "#n/a", "#na", "nan", "null", "none", "nil", "-", "--", "---", "?"}
@@ -147,16 +146,14 @@ def locate_table(
         for k in range(width)
         if 2 * sum(_is_loose_value(cells[k]) for cells in whole) >= max(len(whole), 1)
     ]
-    begin = next((i for i, row in enumerate(rows) if _is_data(row[1], width, numeric)), len(rows))
-    if begin == len(rows):  # names alone
-        begin = 1 if rows else 0
+    data = (i for i, (_, cells) in enumerate(rows) if _is_data(cells, width, numeric))
+    begin = next(data, min(len(rows), 1))  # or names alone
     header = _find_header(rows[:begin], width)
     if header is None and begin == 0 and _is_count([cells for _, cells in rows[:2]]):
         header = 0
     if header is None and (begin or len(rows) < 2):
-        line, cells = rows[0]
-        what = "numbers" if any(map(_is_loose_value, cells)) else "no text"
-        raise UsageError(f"{path}: line {line}: contains {what}, must contain the column names")
+        line = rows[0][0]
+        raise UsageError(f"{path}: line {line}: contains numbers, must contain the column names")
     if decimal is None:
         decimal = _find_decimal(path, rows[begin:], separator, mapping)
     line, cells = rows[header or 0]
@@ -169,19 +166,17 @@ def locate_table(
             header = None  # comments
     if header is None:
         bounds.check_size(path, width, 0, "keep those that are needed")
-        numbered = tuple(f"column {k + 1}" for k in range(width))
-        return Layout(numbered, 0, rows[begin][0] - 1, decimal=decimal)
+        names = [f"column {k + 1}" for k in range(width)]
+        return Layout(tuple(names), 0, rows[begin][0] - 1, decimal=decimal)
     check_names(path, line, names)
     following = rows[header + 1] if header + 1 < len(rows) else (line, [])
-    units: dict[str, str] = {}
+    units, line_above = dict[str, str](), line
     if header + 1 < max(begin, header + 2) and _is_units_row(following[1], width):
         units = {
             n: c.strip(" []()") for n, c in zip(names, following[1], strict=False) if c.strip()
         }
         line_above = following[0]
-    else:
-        line_above = line
-    return Layout(tuple(names), line, line_above, units, decimal=decimal)
+    return Layout(tuple(names), line, line_above, units, decimal=decimal, width=len(cells))
 
 
 def _is_data(cells: Sequence[str], width: int, numeric: Sequence[int]) -> bool:
@@ -342,7 +337,7 @@ def read_rows(path: Path, layout: Layout, rows: Iterable[Row], unit: str = "line
     names, lines, breaks = layout.names, array("q"), list[int]()
     words = {name: Counter[str]() for name in names}
     remarks = [*layout.describe()]
-    rows = _drop_footer(rows, unit, remarks)
+    rows = _drop_notes(rows, layout, unit, remarks)
     parts: list[list[Column]] = []
     fitted = _fit_rows(path, layout, rows, lines, breaks, unit)
     while chunk := list(itertools.islice(fitted, ROWS_PER_CHUNK)):
@@ -369,10 +364,16 @@ def read_rows(path: Path, layout: Layout, rows: Iterable[Row], unit: str = "line
     )
 
 
-def _drop_footer(rows: Iterable[Row], unit: str, remarks: list[str]) -> Iterator[Row]:
-    """Yield rows up to those at the end that begin with words, where others have a number."""
-    rows, above = iter(rows), ""
+def _drop_notes(
+    rows: Iterable[Row], layout: Layout, unit: str, remarks: list[str]
+) -> Iterator[Row]:
+    """Yield rows up to words at the end, where others have a number, without cells beside names."""
+    rows, above, right = iter(rows), "", slice(len(layout.names), layout.width)
+    remark = f"cells right of {layout.names[-1]!r}, without names, left out"
     for line, cells in rows:
+        if len(cells) <= layout.width and any(map(str.strip, cells[right])):
+            del cells[right]
+            remarks += [remark] * (remark not in remarks)
         if _is_label(cells) and _is_loose_value(above):
             tail = [(line, cells), *itertools.islice(rows, FOOTER_ROWS)]
             if len(tail) <= FOOTER_ROWS and all(_is_label(row) or not any(row) for _, row in tail):

@@ -132,7 +132,10 @@ def test_a_recording_is_a_table(tmp_path):
         ("", ["is empty"]),
         ("time_s,proximal_tension_N\n", ["no rows"]),
         ("0,1\n0.1,2\n", ["'time_s'", "'time=COLUMN[UNIT]'", "'proximal_tension=COLUMN[UNIT]'"]),
-        ("Time,F\n0,1\n", ["'time=Time[s]'; and the tension", "'proximal_tension=COLUMN[UNIT]'"]),
+        (
+            "Time,F\n0,1\n",
+            ["'time=Time[s]'; and the tension", "'proximal_tension=COLUMN[UNIT]'", "ampere"],
+        ),
         (
             "Run Time [ms],Q,Drive Torque\n0,1,1\n",
             ["'time=Run Time [ms]'", "rate HZ; and", "'proximal_torque=Drive Torque[UNIT]'"],

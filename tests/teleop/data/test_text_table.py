@@ -198,6 +198,17 @@ def test_minutes_and_seconds_need_a_format(tmp_path):
     check(read(tmp_path / "x.csv", text, ["time=Time"], time_format="%M:%S.%f"))
 
 
+def test_notes_beside_a_table_are_left_out_and_said(tmp_path, capsys):
+    notes = re.sub(r"(?m)$", ",,", PLAIN.strip()).replace("2.950,", "2.95,") + "\n"
+    check(read(tmp_path / "x.csv", notes))
+    assert capsys.readouterr().err == ""
+    line = notes.splitlines()[5]
+    noted = notes.replace(line, f"{line[:-1]},mean,1.2")
+    assert "has 6 cells" in refusal(tmp_path / "x.csv", noted)
+    check(read(tmp_path / "x.csv", notes.replace(line, f"{line[:-2]},mean,1.2")))
+    assert "cells right of 'proximal_displacement_m', without names" in capsys.readouterr().err
+
+
 def test_a_sign_a_scale_and_a_zero_are_given_with_the_unit(tmp_path):
     values = (TIME, TENSION / 12.5, -1e3 * TRAVEL)
     text = table(("t_s", "load [V]", "q"), forms=["{:.7f}"] * 3, values=values)
@@ -310,13 +321,17 @@ REFUSED = {
         ),
         ["seconds, minutes", "'time=Time [ms][s]'"],
     ),
-    "two devices in turn": (
+    "numbered devices in turn": (
+        "\n".join([FIRST + ",id", *(f"{r},{k}" for r in BARE.splitlines() for k in (3, 4))]) + "\n",
+        ["line 3: 0.0 does not", "column 'id' names devices in turn: keep the rows of one"],
+    ),
+    "a clock that is coarse": (
         "\n".join([FIRST, *(row for row in BARE.splitlines() for _ in "12")]) + "\n",
-        ["line 3: 0.0 does not", "60 times are equal", "keep the rows of one", "--rate 40.34"],
+        ["line 3: 0.0 does not", "60 are equal", "--rate 40.34"],
     ),
     "a clock that stands": (
         re.sub(r"(?m)^\d\.\d+", "7", PLAIN),
-        ["59 times are equal", "--rate HZ"],
+        ["59 are equal", "--rate HZ"],
     ),
     "rows of two sources": (
         "\n".join([FIRST, *(f"{k / 40},{k},\n{(k + 0.5) / 40},,0.001" for k in range(60))]) + "\n",
