@@ -42,7 +42,9 @@ __all__ = [
 # what a force is estimated from
 HOUSING_CHANNELS = ("time", "proximal_tension", "proximal_displacement")
 NAMES_SHOWN = 12  # of a file's columns in an error message
-_OF_A_MOTOR = " (or 'proximal_torque=COLUMN[Nm]'; of a current [0.05 Nm], the torque of an ampere)"
+_OF_RAW_VALUES = (
+    " (or 'proximal_torque=COLUMN[Nm]'; of amperes [0.05 Nm], of counts [0.002 N, zero 8060])"
+)
 _CHANNEL_WORDS = {
     "time": "time|timestamp|zeit|t",
     "proximal_tension": "tension|force|load|load_?cell|torque|effort|kraft",
@@ -378,7 +380,7 @@ def _explain_missing(item: str, names: Sequence[str]) -> str:
         return f"; name it by --column '{_propose(item, names)}', or give --rate HZ"
     return (
         "; friction and force are only known from the tension at the housing: add a load cell, or "
-        f"name its column by --column '{_propose('proximal_tension', names)}'{_OF_A_MOTOR}"
+        f"name its column by --column '{_propose('proximal_tension', names)}'{_OF_RAW_VALUES}"
     ) * (item == "proximal_tension")
 
 
@@ -386,7 +388,7 @@ def _ask_for_tension(item: str, columns: Columns, raw: RawTable, names: Sequence
     """Return the option for the tension if it is missing too, for the message on the time."""
     if item != "time" or columns.proximal_tension in raw.columns:
         return ""
-    return f"; and the tension: --column '{_propose('proximal_tension', names)}'{_OF_A_MOTOR}"
+    return f"; and the tension: --column '{_propose('proximal_tension', names)}'{_OF_RAW_VALUES}"
 
 
 def _propose(item: str, names: Sequence[str]) -> str:

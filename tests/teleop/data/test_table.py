@@ -134,7 +134,7 @@ def test_a_recording_is_a_table(tmp_path):
         ("0,1\n0.1,2\n", ["'time_s'", "'time=COLUMN[UNIT]'", "'proximal_tension=COLUMN[UNIT]'"]),
         (
             "Time,F\n0,1\n",
-            ["'time=Time[s]'; and the tension", "'proximal_tension=COLUMN[UNIT]'", "ampere"],
+            ["'time=Time[s]'; and the tension", "'proximal_tension=COLUMN[UNIT]'", "amperes"],
         ),
         (
             "Run Time [ms],Q,Drive Torque\n0,1,1\n",
