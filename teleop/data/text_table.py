@@ -149,8 +149,6 @@ def locate_table(
     data = (i for i, (_, cells) in enumerate(rows) if _is_data(cells, width, numeric))
     begin = next(data, min(len(rows), 1))  # or names alone
     header = _find_header(rows[:begin], width)
-    if header is None and begin == 0 and _is_count([cells for _, cells in rows[:2]]):
-        header = 0
     if header is None and (begin or len(rows) < 2):
         line = rows[0][0]
         raise UsageError(f"{path}: line {line}: contains numbers, must contain the column names")
@@ -164,6 +162,9 @@ def locate_table(
         names = _resplit_names(cells, separator, width) or names
         if len(names) != width and all(re.match(r"\s*[#%]", row[0]) for _, row in rows[:begin]):
             header = None  # comments
+    if header is None and _is_count([cells for _, cells in rows[begin : begin + 2]]):
+        header, (line, cells) = begin, rows[begin]
+        names = [clean_name(cell) for cell in cells]
     if header is None:
         bounds.check_size(path, width, 0, "keep those that are needed")
         names = [f"column {k + 1}" for k in range(width)]

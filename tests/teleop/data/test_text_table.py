@@ -132,6 +132,7 @@ BARE = PLAIN.partition("\n")[2]
         (table(sep="\t", decimal=",").partition("\n")[2], ("column 1", "column 2", "column 3")),
         ("# bench 3, tendon a\n% 20 Hz\n" + BARE, ("column 1", "column 2", "column 3")),
         ("0,1,2\n" + BARE, ("0", "1", "2")),
+        ("# bench 3\n1,2,3\n" + BARE, ("1", "2", "3")),
         (",0,1,2\n" + re.sub(r"(?m)^(?=\d)", "7,", BARE), ("0", "1", "2")),
     ],
 )
