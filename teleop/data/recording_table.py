@@ -432,7 +432,14 @@ def _read_measured_data(
     """Read a table, or a bag; its text is of strings."""
     import pyarrow as pa
 
-    read = read_columns(path).columns
+    raw = read_columns(path)
+    if raw.breaks:
+        place = raw.place(raw.breaks[0])
+        raise UsageError(
+            f"{path}: {place}: a second run begins here (the names come again); "
+            "teleop.data.read_runs reads each by itself"
+        )
+    read = raw.columns
     kept: slice | NDArray[np.bool_] = slice(None)
     if begin_s is not None or end_s is not None:
         _select_columns(path, read, ["time_s"])

@@ -12,9 +12,9 @@
 
 The data: tables with time_s and proximal_tension_N, and also a travel or the tip tension; with
 proximal_torque_Nm and proximal_angle_rad, also of a closed loop of two cables with pretension;
-or recordings (docs/reference/data-format.md). Several files must be of one bench and are fitted
-together. With --out a folder gets report.html, report.json, model.yaml and residuals.rrd
-(docs/how-to/diagnose.md). The exit code is 0 for any diagnosis.
+or recordings (docs/reference/data-format.md). Several files, or runs in one file, must be of one
+bench and are fitted together. With --out a folder gets report.html, report.json, model.yaml and
+residuals.rrd (docs/how-to/diagnose.md). The exit code is 0 for any diagnosis.
 """
 
 import argparse
@@ -39,7 +39,7 @@ from teleop.data import model_file
 from teleop.data.channel_names import to_channel
 from teleop.data.effect_extensions import is_extension, load_effects
 from teleop.data.mapping import NamedColumns, TableMapping, load_mapping, parse_column_options
-from teleop.data.reading import Reading, format_readings
+from teleop.data.reading import Reading, format_reading, format_readings
 from teleop.data.table import MeasuredTable, read_runs
 from teleop.errors import UsageError
 from teleop.runtime.output_file import OutputFolder, make_folder
@@ -270,7 +270,8 @@ def main(args: argparse.Namespace) -> int:
     if args.supplement is not None:
         from teleop.cli.diagnose import supplement
 
-        sources = supplement.Sources(args.command_line, data.files, data.further)
+        read_as = [f"{each['file']}: {format_reading(each)}" for each in tree["read_as"]]
+        sources = supplement.Sources(args.command_line, data.files, data.further, read_as)
         print(f"\nwritten: {supplement.write_supplement(args.supplement, diagnosis, sources)}")
     return 0
 

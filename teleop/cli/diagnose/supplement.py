@@ -202,6 +202,7 @@ class Sources(NamedTuple):
     command: str
     files: tuple[str, ...]
     further: tuple[str, ...]  # for validation
+    read_as: Sequence[str]  # how each was read
 
 
 def write_supplement(folder: Path, diagnosis: Diagnosis, sources: Sources) -> Path:
@@ -259,6 +260,7 @@ def _add_data(page: Page, diagnosis: Diagnosis, sources: Sources) -> None:
         )
     head = ("file", "time", "samples", "rate", "samples excluded", "channels")
     page.section("Data", Table(head, tuple(rows)))
+    page.points(sources.read_as)
     driver = diagnosis.dataset.records[0].driver
     judged = (
         "All samples were fitted; errors are in-sample."

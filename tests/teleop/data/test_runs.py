@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import teleop
 from teleop.cli.commands import main
 from teleop.cli.diagnose.command import read_data
 from teleop.data.mapping import NamedColumns, TableMapping
@@ -181,6 +182,9 @@ def test_a_diagnosis_has_a_record_of_each_run(joined, tmp_path):
 def test_commands_of_one_record_ask_for_the_run(joined, capsys):
     with pytest.raises(UsageError, match="has 3 runs, one is read here: --run N"):
         read_table(joined)
+    joined.with_name("x.csv").write_text("\n".join(JOINED["the names come again"][0]))
+    with pytest.raises(UsageError, match="line 63: a second run begins here"):
+        teleop.read_table(joined.with_name("x.csv"))
     words = ["estimate", str(joined), "--config", "configs/demo.yaml"]
     assert main(words) == 2
     assert "--run N" in capsys.readouterr().err

@@ -169,7 +169,7 @@ def test_a_supplement_has_what_a_paper_needs(report, folder):
     assert re.search(r"Date: \d{4}-\d\d-\d\d", page)
     assert "teleop diagnose" in page
     assert "--leave-one-file-out" in page
-    assert "50 Hz" in page
+    assert "third.csv: 500 samples, 9.98 s, 50 Hz" in page
     assert "Phee, S. J." in page
     assert not re.search(r"<script|<link|@import", page)
     assert page.count("<svg") == len(list(out.glob("*.svg"))) >= 4 + 7
