@@ -259,10 +259,7 @@ def main(args: argparse.Namespace) -> int:
     write_summary(args.json, tree)
     comparison = json_report.build_comparison_table(report.accepted) if report.accepted else None
     print(report_text.format_summary(diagnosis, data.files, comparison, data.further))
-    print(
-        "\n".join(["", *(f"read as: {line}" for line in format_readings(tree["read_as"]))]),
-        flush=True,
-    )
+    print(format_readings(tree["read_as"]), flush=True)
     if args.out is not None:
         write_summary(args.out / "report.json", tree)
         _write_report(report, args.out, tree["read_as"])

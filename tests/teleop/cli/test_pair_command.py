@@ -1,5 +1,6 @@
 """`teleop pair`: what it reads, what it refuses in one line, and what it writes."""
 
+import contextlib
 import json
 import math
 import re
@@ -45,7 +46,8 @@ def done(files, tmp_path_factory):
     further = write(folder / "bend150.csv", bench.record(math.radians(150.0), samples=60))
     out = folder / "report"
     words = ["pair", *files, "--columns", str(CONFIG), "--validate", further, "--out", str(out)]
-    assert commands.main([*words, "--json", str(folder / "numbers.json")]) == 0
+    with (folder / "said.txt").open("w") as said, contextlib.redirect_stdout(said):
+        assert commands.main([*words, "--json", str(folder / "numbers.json")]) == 0
     return out
 
 
@@ -66,6 +68,10 @@ def test_the_report_has_friction_and_its_growth(done):
     assert json.loads((done.parent / "numbers.json").read_text()) == report
     read = [f"{each['file']}: {format_reading(each)}" for each in report["read_as"]]
     assert "bend150.csv: 60 samples, " in read[3]
+    lines = (done.parent / "said.txt").read_text().splitlines()
+    assert [line for line in lines if line in {f"read as: {each}" for each in read}] == [
+        f"read as: {each}" for each in read
+    ]
     assert all(f"<li>{line}</li>" in (done / "report.html").read_text() for line in read)
 
 

@@ -211,6 +211,7 @@ def test_the_verdict_comes_first_and_a_cause_is_compared_with_a_calibration(csv,
     assert "\nThe model is wrong because the load cell at the tip" in said.out
     assert re.search(r"\| K +\| 2 +\| 0\.9\d+ .* NO +\|", said.out)
     assert "Hang known weights" in said.out
+    assert said.out.endswith(f"\n\nread as: {csv}: 800 samples, 15.98 s, 50 Hz\n")
     assert "fitting candidates ..." in said.err.splitlines()
 
 
