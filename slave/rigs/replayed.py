@@ -13,6 +13,7 @@ from estimator.spikes import remove_spikes
 from slave.rig import RigFinished, RigSample
 from teleop.data.channel_names import Columns
 from teleop.data.mapping import map_columns, read_mapping
+from teleop.data.reading import Reading, format_reading
 from teleop.data.table import read_tables
 from teleop.messages.messages import MAX_JOINTS
 from teleop.runtime.process import print_warning
@@ -67,6 +68,7 @@ class ReplayedRig:
         self.tendons = len(tables)
         self.joints: tuple[tuple[int, ...], ...] = tuple((k,) for k in range(self.tendons))
         self._loop = config.loop
+        self._read_as = " / ".join(format_reading(Reading.of(table).to_json()) for table in tables)
         self._time = tables[0].time
         clean = [remove_spikes(table) for table in tables]
         for text in dict.fromkeys(text for data in clean for text in find_channel_faults(data)):
@@ -113,8 +115,9 @@ class ReplayedRig:
         """Do nothing: all rows are loaded."""
 
     def summary(self) -> dict[str, int | float | str]:
-        """Return the amount of data played."""
-        return {"rows": len(self._time), "played": self._played, "spikes": self._spikes}
+        """Return the amount of data played, and how they were read."""
+        counts = {"rows": len(self._time), "played": self._played, "spikes": self._spikes}
+        return {**counts, "read_as": self._read_as}
 
     def close(self) -> None:
         """Do nothing: the file was read when the rig was opened."""

@@ -257,6 +257,8 @@ def test_a_mapping_beside_the_config_tells_columns_units_and_the_run(tmp_path):
     assert len(read) == 25
     assert [read[9].time_s, read[9].proximal_tension[0]] == pytest.approx([0.18, 4.0])
     assert read[9].proximal_displacement[0] == pytest.approx(9e-3)
+    played = open_rig(load(config, SlaveConfig, "slave").rig)
+    assert "time from t [ms]; proximal_tension from cell [2 N]" in played.summary()["read_as"]
     with pytest.raises(UsageError, match=r"has 2 runs.*slave\.rig\.run"):
         open_rig(ReplayedRigConfig(file=tmp_path / "pull.csv", mapping=tmp_path / "lab.yaml"))
     both = (Columns(proximal_displacement=None), Columns(proximal_tension="other"))
@@ -280,4 +282,5 @@ def test_measured_data_without_travel_can_be_played_and_tells_how_far(tmp_path):
     (first, second) = rig.read(0.015)
     assert first.proximal_displacement is second.proximal_displacement is None
     assert rig.starts_at_zero
-    assert rig.summary() == {"rows": 5, "played": 2, "spikes": 0}
+    read_as = "5 samples, 0.04 s, 100 Hz"
+    assert rig.summary() == {"rows": 5, "played": 2, "spikes": 0, "read_as": read_as}
