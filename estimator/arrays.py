@@ -8,7 +8,11 @@ from estimator.compiled import jit_compile
 
 @jit_compile
 def copy_values(values: Array, into: Array) -> None:
-    """Write `values`, shape (n,), into the first n entries of another array."""
+    """Write `values`, shape (n,), into the first n entries of another array.
+
+    A slice of a shape that is not known to fit brings the text of its error along, with all that
+    makes numbers into text, in each function that calls it: half of what compiling them takes.
+    """
     for i in range(len(values)):
         into[i] = values[i]
 

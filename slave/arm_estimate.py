@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.array_types import Array
+from estimator.arrays import copy_values
 from estimator.compiled import jit_compile
 from estimator.kinematics.arm import PreparedArm, prepare_arm
 from estimator.kinematics.forward import write_weight_torque
@@ -166,7 +167,7 @@ def estimate_arm_forces(
             arm.new_angles[0, k] += layout.inverse[k, j] * arm.pairs[j].travel / layout.radius[k]
     if arm.started[0] == 0.0:
         arm.started[0] = 1.0
-        arm.angles[:] = arm.new_angles
+        copy_values(arm.new_angles.ravel(), arm.angles.ravel())
         open_tensions(arm.routing, arm.sheath_end, arm.angles[1], arm.tensions)
     advance(arm.routing, arm.tensions, arm.angles, arm.sheath_end, arm.new_angles, arm.reported)
     add_torques(arm.routing, arm.reported, arm.torque)

@@ -15,6 +15,7 @@ from typing import NamedTuple, Self
 import numpy as np
 
 from estimator.array_types import Array
+from estimator.arrays import copy_values
 from estimator.compiled import jit_compile, jit_inline
 from estimator.lumped.nodes import (
     NODES,
@@ -287,11 +288,13 @@ def _pack_line(
     """Return a `_Line` as one flat array; `scalars` are those of its law and its holder."""
     total_weight = weights.sum()
     row = np.empty(CONSTANTS)
-    row[: _SCALARS - 1], row[_SCALARS - 1] = scalars, total_weight + compliance
+    copy_values(scalars, row)
+    row[_SCALARS - 1] = total_weight + compliance
     arrays = row[_SCALARS:]
-    arrays[:NODES], arrays[NODES : 2 * NODES] = weights, weights / total_weight
-    arrays[2 * NODES : -NODES] = _compute_speed_ratios(weights, friction, compliance)
-    arrays[-NODES:] = tip_shares
+    copy_values(weights, arrays)
+    copy_values(weights / total_weight, arrays[NODES:])
+    copy_values(_compute_speed_ratios(weights, friction, compliance), arrays[2 * NODES :])
+    copy_values(tip_shares, arrays[-NODES:])
     return row
 
 
@@ -384,9 +387,8 @@ def advance(
         tendon = Tendon(law, half_k, drag, dt, weights, scale, extra, tip_compliance)
         tip = _build_tip(tip_load, compliance, samples[i, OFFSET], dt, q, v, a, load)
         if law.stribeck != 0.0 and not has_memory:
-            speed[:] = (
-                speeds if speeds_known else ratios * (rate * total_compliance if forced else rate)
-            )
+            all_slide = ratios * (rate * total_compliance if forced else rate)
+            copy_values(speeds if speeds_known else all_slide, speed)
         fill_contacts(law, friction, tension, speed, adhesion, half_k, drag)
         if law.presliding > 0.0:
             slope_in = solve_presliding(tendon, tip, tension, lengths, target, forced, T_new)
@@ -522,6 +524,6 @@ def _solve_substeps(
 @jit_inline
 def _store_tensions(tendon: Tendon, T_new: Array, tension: Array, lengths: Array) -> None:
     """Take over the tensions that were found, and the lengths of the nodes that follow."""
-    tension[:] = T_new
+    copy_values(T_new, tension)
     for j in range(NODES):
         lengths[j] = compute_elongation(tendon, j, T_new[j])[0] + tendon.extra[j]

@@ -3,6 +3,7 @@
 from typing import NamedTuple
 
 from estimator.array_types import Array
+from estimator.arrays import copy_values
 from estimator.compiled import jit_compile, jit_inline
 from estimator.lumped.nodes import Tendon, Tip, compute_elongation, compute_tip_travel
 
@@ -56,7 +57,7 @@ def solve_stick_slip(
     q_old = tip.q_old
     for j in range(last + 1):
         q_old += lengths[j]
-    T_new[:] = T_old
+    copy_values(T_old, T_new)
     _fill_linear_springs(tendon, lengths, springs)
     drive = _Drive(target - q_old, forced, target if forced else 0.0)
     converged = False

@@ -25,6 +25,7 @@ from typing import Annotated
 import numpy as np
 
 from estimator.array_types import Array
+from estimator.arrays import copy_values
 from estimator.compiled import jit_compile
 from estimator.lumped import lumped_model
 from estimator.lumped.lumped_model import SAMPLE
@@ -305,9 +306,7 @@ def reset(constants: DynamicConstants, state: DynamicState) -> None:
     state.function.started = state.function.is_outside = False
     state.function.direction = state.function.rest_time = state.function.value = 0.0
     state.function.speed = state.function.high_speed = 0.0
-    state.without_effects[:] = lumped_model.build_initial_state(
-        constants.without_effects[:], 0.0, 0.0, 0.0
-    )
-    state.with_effects[:] = lumped_model.build_initial_state(
-        constants.with_effects[:], 0.0, 0.0, 0.0
-    )
+    at_rest = lumped_model.build_initial_state(constants.without_effects, 0.0, 0.0, 0.0)
+    copy_values(at_rest, state.without_effects)
+    at_rest = lumped_model.build_initial_state(constants.with_effects, 0.0, 0.0, 0.0)
+    copy_values(at_rest, state.with_effects)

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from estimator.array_types import Array
+from estimator.arrays import copy_values
 from estimator.compiled import jit_compile
 from estimator.routing.routing import Routing, RoutingError
 
@@ -77,7 +78,7 @@ def distribute_torque(
         part = 0.5 * (feasible + excluded)
         if _balance(arms, base + part * (torque - base), minimum, maximum, tensions):
             feasible = part
-            best[:] = tensions
+            copy_values(tensions, best)
         else:
             excluded = part
     return best, feasible
@@ -118,7 +119,7 @@ def _balance(arms: Array, torque: Array, minimum: Array, maximum: Array, tension
         new = _evaluate(arms, lagrange - step, torque, minimum, maximum, tensions, new_error)
         if new < value or _get_norm(new_error) < _get_norm(error):
             lagrange, value, damping = lagrange - step, new, max(0.1 * damping, 1e-12)
-            error[:] = new_error
+            copy_values(new_error, error)
         else:
             damping *= 10.0
     return False

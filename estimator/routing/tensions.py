@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from estimator.array_types import Array
+from estimator.arrays import copy_values
 from estimator.compiled import jit_compile
 from estimator.law.sheath import Sheath
 from estimator.routing.routing import PreparedRouting, Routing, RoutingError, prepare
@@ -210,7 +211,7 @@ def advance(
     _set_limits(prepared, elements, 0)
     _drive_sheath_ends(prepared, angles[0], elements, 0, sheath_end, tensions, reported)
     if _find_turning_slip(prepared, before, tensions[0], elements):
-        tensions[0] = before
+        copy_values(before, tensions[0])
         _set_limits(prepared, elements, 0)
         _drive_sheath_ends(prepared, angles[0], elements, 0, sheath_end, tensions, reported)
     _turn_joints(prepared, angles[1], held, elements)
@@ -258,7 +259,7 @@ def _turn_joints(
         j = prepared.joint[e]
         elements.between[e] = prepared.spread[e] * abs(new_angles[j] - angles[j])
         elements.bend[e] = _compute_bend(prepared, new_angles, e)
-    angles[:] = new_angles
+    copy_values(new_angles, angles)
     for e in range(rows):
         own, follower = prepared.contact[e]
         compliance = prepared.compliance[e] + own * elements.bend[e]
@@ -324,8 +325,8 @@ def _set_limits(prepared: PreparedRouting, elements: _Elements, copy: int) -> No
     for e in range(len(prepared.joint)):
         c, K = elements.compliance[e], prepared.friction[e] * elements.bend[e]
         if copy == 0:
-            elements.high_factor[:, e] = math.exp(K * elements.one_way[e])
-            elements.low_factor[:, e] = 1.0 / elements.high_factor[:, e]
+            high_factor = math.exp(K * elements.one_way[e])
+            elements.high_factor[:, e], elements.low_factor[:, e] = high_factor, 1.0 / high_factor
             elements.rise[e] = elements.fall[e] = c
             continue
         K_angle = 2.0 * prepared.friction[e] * prepared.angle_error

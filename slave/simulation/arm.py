@@ -31,6 +31,7 @@ from numba.typed import List
 from numpy.typing import NDArray
 
 from estimator.array_types import Array
+from estimator.arrays import copy_values
 from estimator.compiled import jit_compile
 from slave.ranged_field import build_ranged_field, check_ranges
 from slave.simulation.chain import compute_response, recover_state
@@ -189,7 +190,7 @@ def transfer_through_arm(
             continue
         if j == last:
             out_tension[j] = tension
-            out_slope[j] = slopes
+            copy_values(slopes, out_slope[j])
             continue
         bend = abs(arm.wrap[j] - np.sign(ratio[j]) * start[j] / arm.radius[j])
         other = arm.partner[j]
@@ -213,7 +214,7 @@ def transfer_through_arm(
             out_friction[j, bead] = force
             tension -= force
         out_tension[j] = tension
-        out_slope[j] = slopes
+        copy_values(slopes, out_slope[j])
         behind -= ratio[j] * (travel[j] - start[j])
 
 
@@ -346,7 +347,8 @@ def solve_arm(
                 break
             share *= 0.5
         travel = trial
-        residual[:], slope[:] = trial_residual, trial_slope
+        residual, trial_residual = trial_residual, residual
+        slope, trial_slope = trial_slope, slope
     return travel, after, MAX_ITERATIONS
 
 
@@ -382,9 +384,9 @@ def advance_arm(
                 responses.append(response)
                 curves.append(response.tip)
         travel, after, _ = solve_arm(arm, joints, states, curves, arm_state, dt)
-        arm_state.beads[:] = after.beads
-        arm_state.joints[:] = after.joints
-        arm_state.tension[:] = after.tension
+        copy_values(after.beads.ravel(), arm_state.beads.ravel())
+        copy_values(after.joints, arm_state.joints)
+        copy_values(after.tension.ravel(), arm_state.tension.ravel())
         for k in range(n):
             joint, state = joints[k], states[k]
             place = 0.0

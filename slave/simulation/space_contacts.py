@@ -12,6 +12,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from estimator.array_types import Array
+from estimator.arrays import copy_values
 from estimator.compiled import jit_compile
 from estimator.kinematics.arm import PreparedArm, prepare_arm
 from estimator.kinematics.forward import write_kinematics, write_weight_torque
@@ -135,7 +136,7 @@ def locate_surfaces(contacts: SpaceContacts, travel: Array) -> tuple[Array, Arra
         away = pose[:3, 3] - surface[2:5]  # from the point or the centre to the tip
         if surface[1] == BALL:
             distance = math.sqrt(away[0] ** 2 + away[1] ** 2 + away[2] ** 2)
-            normal[:] = away / max(distance, 1e-12)
+            copy_values(away / max(distance, 1e-12), normal)
         depth[i] = surface[8] - (normal[0] * away[0] + normal[1] * away[1] + normal[2] * away[2])
         for j in range(arm.coordinates):
             along = (

@@ -3,6 +3,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from estimator import arrays
+from estimator.compiled import jit_compile
 
 NUMBERS = st.floats(-1e6, 1e6)
 
@@ -21,3 +22,24 @@ def test_interpolation_is_numpys_to_the_last_bit(places, data, x):
     values = data.draw(st.lists(NUMBERS, min_size=len(places), max_size=len(places)))
     found = arrays.interpolate(x, np.array(places), np.array(values))
     np.testing.assert_equal(found, np.interp(x, places, values))
+
+
+@jit_compile
+def weigh(values, weight=1.0, backwards=False):
+    first = len(values) - 1 if backwards else 0
+    return values[first] + weight * values[1]
+
+
+@jit_compile
+def weigh_all(record, values):
+    return weigh(record.x, 1), weigh(record.x, weight=2, backwards=True), weigh(values, 3)
+
+
+def test_a_records_array_and_a_literal_need_no_version_of_their_own():
+    """To numba they are types of their own, for which all that is called is compiled once more."""
+    records = np.zeros(2, np.dtype([("x", float, 3), ("y", float)], align=True))
+    records["x"] = [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]]
+    found = weigh_all(records[1], np.array([7.0, 8.0]))
+    assert found == (9.0, 16.0, 31.0)
+    assert len({str(signature[0]) for signature in weigh.signatures}) == 1
+    assert {str(signature[1]) for signature in weigh.signatures} == {"int64"}

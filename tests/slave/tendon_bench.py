@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from estimator.arrays import copy_values
 from estimator.compiled import jit_compile
 from slave.sheath_section import SectionConfig
 from slave.simulation.chain import compute_response, recover_state
@@ -75,13 +76,13 @@ def _begin(chain, state):
 @jit_compile
 def _run(chain, motor, tip, load, state, dt):
     states = np.empty((len(motor) + 1, *state.shape))
-    states[0] = state
+    copy_values(state.ravel(), states[0].ravel())
     for k in range(len(motor)):
         response = compute_response(chain, state, motor[k], dt)
         place = tip[k] if len(tip) > 0 else meet(response, load)
         tension = interpolate_curve(response.tip, place)
         state = recover_state(chain, state, response, motor[k], place, tension, dt)
-        states[k + 1] = state
+        copy_values(state.ravel(), states[k + 1].ravel())
     return states
 
 
