@@ -77,7 +77,7 @@ def made(name, **changes):
     return BY_NAME[name](**NEEDED.get(name, {}) | changes)
 
 
-def run(joint, *effects, seconds=2.2, stroke=0.012, path=lambda q: q):
+def run(joint, *effects, seconds=1.2, stroke=0.012, path=lambda q: q):
     """Move tendon a of a rig by a sine, b against it; return its channels."""
     rig = SimulatedRig(SimulatedRigConfig(joints=(joint,), effects=effects))
     rows = {name: [] for name in ("time_s", *CHANNELS)}
@@ -128,8 +128,8 @@ def test_an_effect_in_a_sensor_is_seen_there_and_nowhere_else(name, healthy):
     "name", ["friction_step", "creep", "tip_moved", "encoder_slip", "broken_tendon", "sheath_rub"]
 )
 def test_nothing_is_seen_of_an_effect_before_it_starts(name, healthy):
-    late = run(SINGLE, made(name, start=1.2))
-    before = healthy[SINGLE]["time_s"] < 1.2 - 1e-9
+    late = run(SINGLE, made(name, start=0.4))
+    before = healthy[SINGLE]["time_s"] < 0.4 - 1e-9
     for channel in CHANNELS:
         assert np.array_equal(late[channel][before], healthy[SINGLE][channel][before])
     assert seen(late, healthy[SINGLE])
@@ -233,7 +233,7 @@ def test_the_hand_that_moves_the_tip_takes_it_where_it_says_and_lets_go():
 def test_lost_samples_are_missing_and_repeated_ones_stale(healthy):
     burst = 4.0
     lost = run(SINGLE, made("lost_samples", share=0.2, burst=burst))
-    gone = 1.0 - len(lost["time_s"]) / 2200
+    gone = 1.0 - len(lost["time_s"]) / 1200
     assert 0.12 < gone < 0.28
     gaps = np.diff(lost["time_s"]) * 1000
     assert gaps[gaps > 1.5].mean() - 1.0 == pytest.approx(burst, rel=0.35)
