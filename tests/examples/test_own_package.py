@@ -6,6 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from estimator.compile_cache import choose_folder
+
 ROOT = Path(__file__).parents[2]
 PACKAGE = ROOT / "examples" / "own_package"
 
@@ -71,7 +73,12 @@ def python(installed, folder, code):
     """Run code where the package is installed; return what it prints."""
     ended = subprocess.run(
         [sys.executable, "-c", code],
-        env={"PATH": "/usr/bin:/bin", "PYTHONPATH": f"{installed}:{ROOT}", "HOME": str(folder)},
+        env={
+            "PATH": "/usr/bin:/bin",
+            "PYTHONPATH": f"{installed}:{ROOT}",
+            "HOME": str(folder),
+            "NUMBA_CACHE_DIR": str(choose_folder() or ""),  # or all is compiled anew
+        },
         cwd=folder,
         capture_output=True,
         text=True,
