@@ -11,14 +11,14 @@ help:  ## this list
 demo: .venv/run.done  ## a whole session on a simulated rig: make demo ARGS="--duration 30 --view none"
 	@$(BIN)/teleop run --config configs/demo.yaml $(ARGS)
 
-# without a clock; waiting on one, two at a time; whole sessions, alone (tests/conftest.py).
+# without a clock; waiting on one, two at a time; limits in milliseconds, alone (tests/conftest.py).
 # a busy machine can hold anything up: a test that waits fails if it does so twice in a row, one
 # with a clock if it does so three times, but gates and sessions at once (tests/conftest.py); what was
 # run again is counted in the last line
 test: QUICK := and not slow
 test test-all: export PYTHONDONTWRITEBYTECODE :=  # hundreds of processes import the same modules
 test test-all: .venv/dev.done
-	@$(BIN)/python -m pytest -n auto --dist loadfile --reruns 1 -m "not real_time $(QUICK)" $(ARGS) || [ $$? = 5 ]
+	@$(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder --reruns 1 -m "not real_time $(QUICK)" $(ARGS) || [ $$? = 5 ]
 	@$(BIN)/python -m pytest -n 2 --dist loadfile --reruns 2 -m "real_time and not alone $(QUICK)" $(ARGS) || [ $$? = 5 ]
 	@$(BIN)/python -m pytest --reruns 2 -m "alone $(QUICK)" $(ARGS) || [ $$? = 5 ]
 test:  ## the tests, slow matrices apart; ARGS goes to pytest

@@ -34,6 +34,7 @@ def test_a_tutorial_runs_in_order(page, folders):
     assert run_page(page, *folders, write_shims(folders[1])) >= 3
 
 
+@pytest.mark.slow  # .ci/run does, after the tests
 @pytest.mark.real_time
 @pytest.mark.parametrize("page", ["README.md", "docs/reference/api.md"])
 def test_the_sessions_of_a_page_run_as_they_are(page, tmp_path):

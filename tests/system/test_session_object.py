@@ -199,7 +199,7 @@ def lines():
 
 @pytest.fixture(scope="module")
 def session(tmp_path_factory, lines):
-    patient = SLOW | {"master.device": {"type": "program", "timeout": 5.0}}
+    patient = SLOW | {"master.device": {"type": "program", "timeout": 2.0}}
     session = Session(DEMO, patient, record=tmp_path_factory.mktemp("record"), say=lines.append)
     before = list_children(os.getpid())
     session.start()
@@ -236,18 +236,18 @@ def test_the_hand_moves_the_tip_and_feels_it(engaged):
 
 
 def test_states_and_blocks_have_every_message_once(engaged):
-    states = list(engaged.states(1.0))
+    states = list(engaged.states(0.5))
     assert states[0].time == 0.0
     assert np.all(np.diff([state.stamp_ns for state in states]) > 0)
     assert all(state.state is State.ENGAGED and state.position.shape == (1,) for state in states)
-    sequences = np.concatenate([block["sequence"] for block in engaged.blocks(1.0, "hand", 0.05)])
+    sequences = np.concatenate([block["sequence"] for block in engaged.blocks(0.5, "hand", 0.05)])
     np.testing.assert_array_equal(np.diff(sequences), 1)
-    assert len(sequences) > 100
+    assert len(sequences) > 50
 
 
 def test_a_silent_program_lets_go_and_is_told_so(engaged):
     engaged.wait_for("ready", timeout=20.0)  # beyond the device's timeout
-    with pytest.raises(TeleopError, match=r"nothing was sent for more than 5 s.*engage\(\) again"):
+    with pytest.raises(TeleopError, match=r"nothing was sent for more than 2 s.*engage\(\) again"):
         engaged.operator.move(0.0)
     engaged.operator.engage()
     engaged.wait_for("engaged")
