@@ -18,6 +18,7 @@ HELD = ("master.device.engage=[[0.5, 1000.0]]", "master.device.engage_period=.in
 AHEAD = ("unshare", "-T", "--monotonic", "1000000", "--boottime", "1000000", "--")
 
 
+@pytest.mark.slow  # test_faults kills a slave too; here the other side has a clock of its own
 def test_a_killed_slave_frees_the_hand_and_the_next_one_waits_for_the_operator(
     tmp_path, demo_config
 ):

@@ -92,6 +92,14 @@ def test_settings_change_without_a_jump_and_a_stop_is_latched_until_reset_past_a
             pause(0.5)
             assert states(link) == [State.READY] * 2  # the switch is held, and was not let go of
             assert link.latest(COMMAND).message.reason == Reason.RELEASE_FIRST
+            watch = session.start("stop", "--watch")
+            log = max(tmp_path.glob("*-stop.log"), key=lambda path: path.stat().st_ctime_ns)
+            assert wait_for_condition(lambda: "watching master and slave" in log.read_text(), 30.0)
+            assert states(link) == [State.READY] * 2
+            watch.kill()
+            assert wait_for_condition(lambda: states(link) == [State.STOPPED] * 2, 2.0)
+            code, text = asked(session, "stop", "--reset")
+            assert code == 0, text
 
         config = session.link_config
         with flooded([config.master, config.slave]):
@@ -105,11 +113,12 @@ def test_settings_change_without_a_jump_and_a_stop_is_latched_until_reset_past_a
             told = events[events["role"] == role]
             resets = np.flatnonzero(told["reason"] == Reason.RESET)
             stops = np.flatnonzero(told["state"] == State.STOPPED)
-            assert len(resets) == 2
+            assert len(resets) == 3
             assert (stops < resets[0]).sum() == 1
-            assert stops[-1] > resets[1]
+            assert stops[-1] > resets[2]
             # whichever came first
-            assert set(told["reason"][stops]) <= {Reason.STOP_CALLED, Reason.PEER_STOPPED}
+            why = set(told["reason"][stops])
+            assert why <= {Reason.STOP_CALLED, Reason.WATCH_LOST, Reason.PEER_STOPPED}
         assert_follows_by_one_scale_or_the_other(session)
 
 
@@ -196,13 +205,8 @@ def test_nobody_there_is_told_and_a_slave_without_a_master_is_stopped_and_reset(
             assert "slave     ready" in text
 
 
-@pytest.mark.parametrize(
-    "how",
-    [
-        signal.SIGKILL,
-        *(pytest.param(how, marks=pytest.mark.slow) for how in (signal.SIGSTOP, signal.SIGTERM)),
-    ],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGSTOP, signal.SIGTERM])
 def test_a_watch_that_leaves_stops_nothing_and_the_end_of_one_stops_both_sides(
     tmp_path, demo_config, how
 ):
