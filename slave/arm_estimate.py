@@ -85,7 +85,7 @@ def build_routing(joints: Sequence[Sequence[int]], arms: Sequence[ArmConfig]) ->
     first = 0
     for arm in arms:
         part = slice(first, first + len(arm.radii))
-        friction[part], wrap[part] = arm.friction, arm.wrap
+        friction[part], wrap[part] = arm.list_friction(), arm.wrap
         first = part.stop
     partner = assemble_bend_partners(arms, len(joints))
     guides = ["proximal" if other < 0 else "spread" for other in partner]

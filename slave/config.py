@@ -18,6 +18,7 @@ from slave.rigs import RigConfig
 from slave.rigs.replayed import ReplayedRigConfig
 from slave.rigs.simulated import SimulatedRigConfig, TendonPlantConfig
 from slave.tendon_config import TendonConfig
+from teleop.config.arm import ArmConfig
 from teleop.config.bounds import build_bounds_warnings
 from teleop.coupling import CouplingConfig, DirectConfig
 from teleop.errors import UsageError
@@ -126,6 +127,13 @@ def _load_configured_tendons(config: SlaveConfig, count: int) -> tuple[TendonCon
     if len(tendons) != count:
         raise UsageError(f"{place}: {len(tendons)} tendons, but the rig has {count}; {remedy}")
     return tendons
+
+
+def load_arms(config: SlaveConfig, arms: tuple[ArmConfig, ...]) -> tuple[ArmConfig, ...]:
+    """Return the arms, with the friction at passed joints of the calibration, if it has any."""
+    if not isinstance(config.calibration, Path):
+        return arms
+    return file.apply_guide_friction(arms, file.load(config.calibration).guides)
 
 
 UNCALIBRATED = (

@@ -20,12 +20,14 @@ from typing import NamedTuple, cast
 
 from estimator.records import view_struct
 from slave import live_settings, loop, model_files
-from slave.calibration.initialisation import initialise, refuse_arms
+from slave.calibration.file import apply_guide_friction
+from slave.calibration.initialisation import initialise
 from slave.config import (
     SlaveConfig,
     find_config_warnings,
     find_not_ready_reason,
     has_model_file,
+    load_arms,
     load_tendon_configs,
 )
 from slave.extension_calls import SlaveExtensions
@@ -385,7 +387,10 @@ def prepare_rig_model(
             print(line, flush=True)
         not_ready_text = find_not_ready_reason(config, rig, modelled=bool(files))
         return loop.build_rig_model(
-            rig.joints, [tendon.model() for tendon in tendons], not_ready_text, shared.arms
+            rig.joints,
+            [tendon.model() for tendon in tendons],
+            not_ready_text,
+            load_arms(config, shared.arms),
         ), history
 
     def stopped() -> str:
@@ -407,7 +412,6 @@ def prepare_rig_model(
             raise TeleopError(reason)
         return stop.reason if stop() else ""
 
-    refuse_arms(shared.arms)
     publish_event(
         link, Role.SLAVE, SessionOutline(), f"off: calibrating {rig.name}; keep its joints free"
     )
@@ -419,10 +423,12 @@ def prepare_rig_model(
         stopped=stopped,
         progress=build_progress_printer(rig),
         analysing=stop.interrupting,
+        arms=shared.arms,
     )
     publish_event(link, Role.SLAVE, SessionOutline(), f"off: {rig.name} is calibrated")
+    arms = apply_guide_friction(shared.arms, result.calibration.guides)
     models = [tendon.model() for tendon in result.calibration.tendons]
-    return loop.build_rig_model(rig.joints, models, arms=shared.arms), history._replace(
+    return loop.build_rig_model(rig.joints, models, arms=arms), history._replace(
         samples=result.samples, motor=result.motor
     )
 

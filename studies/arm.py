@@ -4,6 +4,7 @@
   python -m studies.arm --arms 4 --seed 7
   python -m studies.arm --contact             tip of an arm pressed on planes of five orientations,
                                               and in postures that are nearly singular
+  python -m studies.arm --calibrate configs/notes-arm.yaml     calibrated, against wrong by 30 %
 
 Radii, sheaths, friction of passed joints, motion and walls are drawn at random. The slave's loop
 runs as in a session, without link and clock. Errors are parts of the full scale, the largest
@@ -13,6 +14,7 @@ without. Takes 15 minutes.
 
 import itertools
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -24,7 +26,10 @@ from estimator.kinematics.forward import compute_jacobian, compute_tip_pose
 from estimator.kinematics.tip_wrench import compute_tip_wrench
 from estimator.records import view_struct
 from slave import loop
-from slave.config import AS_BUILT, SlaveConfig, load_tendon_configs
+from slave.calibration.file import Calibration, apply_guide_friction
+from slave.calibration.initialisation import initialise
+from slave.calibration.run import generate_fast_ticks
+from slave.config import AS_BUILT, SlaveConfig, load_tendon_configs, to_tendon_config
 from slave.gate import GateConfig
 from slave.loop_records import SlaveMemory, TickInput
 from slave.rigs.simulated import JointConfig, SimulatedRig, SimulatedRigConfig, TendonPlantConfig
@@ -36,10 +41,13 @@ from slave.simulation.joint import BodyConfig
 from slave.simulation.sensors import LoadCellConfig
 from slave.simulation.space_contacts import PlaneConfig
 from slave.simulation.tendon import SheathConfig
+from slave.tendon_config import TendonConfig
 from studies.testbed.command import parse_options
 from teleop.config.arm import ArmConfig
+from teleop.config.loading import ConfigDocument
 from teleop.messages.messages import MAX_JOINTS, Command, SlaveState, pad_values
 from teleop.messages.packet import Packet
+from teleop.session.config import RunConfig
 from teleop.session.state_machine import State
 
 DT = 1e-3  # [s]
@@ -104,15 +112,27 @@ def draw_arm(random: np.random.Generator) -> SimulatedRigConfig:
 def run_arm(config: SimulatedRigConfig, friction: float, seconds: float, seed: int) -> Errors:
     """Run an arm with `friction` at passed joints in the model; the motion is that of the seed."""
     plant = config.arms[0]
+    return run_model(config, ArmConfig(plant.radii, friction, plant.wrap), seconds, seed)
+
+
+def run_model(
+    config: SimulatedRigConfig,
+    arm: ArmConfig,
+    seconds: float,
+    seed: int,
+    tendons: Sequence[TendonConfig] = (),
+) -> Errors:
+    """Run an arm with a model of it, and of its `tendons`, by default as built."""
     n, random = len(config.joints), np.random.default_rng(seed)
     rate, phase = 2.0 * np.pi * random.uniform(0.1, 0.6, n), random.uniform(0.0, 6.3, n)
     rows = [
         collect_forces(rig, memory)
         for time, rig, memory in run_slave(
             config,
-            ArmConfig(plant.radii, friction=friction, wrap=plant.wrap),
+            arm,
             lambda time: 0.004 * min(time / 2.0, 1.0) * np.sin(rate * time + phase),
             seconds,
+            tendons,
         )
         if time > BEGIN_S
     ]
@@ -123,7 +143,11 @@ def run_arm(config: SimulatedRigConfig, friction: float, seconds: float, seed: i
 
 
 def run_slave(
-    config: SimulatedRigConfig, arm: ArmConfig, travel: Callable[[float], Array], seconds: float
+    config: SimulatedRigConfig,
+    arm: ArmConfig,
+    travel: Callable[[float], Array],
+    seconds: float,
+    tendons: Sequence[TendonConfig] = (),
 ) -> Iterator[tuple[float, SimulatedRig, SlaveMemory]]:
     """Command the `travel` [m] of all joints, and yield time [s], rig and memory of each tick."""
     slave_config = SlaveConfig(
@@ -137,7 +161,7 @@ def run_slave(
         ),
     )
     rig = SimulatedRig(config)
-    tendons = load_tendon_configs(slave_config, rig.tendons)
+    tendons = tendons or load_tendon_configs(slave_config, rig.tendons)
     model = loop.build_rig_model(rig.joints, [t.model() for t in tendons], arms=[arm])
     slave = loop.init_slave(model, slave_config, loop.DIRECT, starts_at_zero=True)
     memory: SlaveMemory = view_struct(slave.memory)
@@ -164,6 +188,54 @@ def run_slave(
         if memory.has_motor:
             rig.write(np.array(memory.motor[: rig.tendons]))
         yield time, rig, memory
+
+
+def compare_calibration(path: Path, seconds: float, seed: int) -> None:
+    """Calibrate the simulated arm of a config; print what was found, and errors of joint forces."""
+    document = ConfigDocument.read(path, [])
+    shared, slave = document.load(RunConfig), document.load(SlaveConfig, "slave")
+    assert isinstance(slave.rig, SimulatedRigConfig)  # noqa: S101 - a study
+    cell = LoadCellConfig(noise=TENSION_NOISE)
+    free = [
+        replace(
+            joint,
+            tendons=tuple(replace(tendon, load_cell=cell) for tendon in joint.tendons),
+            environment=FreeConfig(),
+        )
+        for joint in slave.rig.joints
+    ]
+    plants = tuple(replace(arm, contacts=()) for arm in slave.rig.arms)
+    rig = replace(slave.rig, joints=tuple(free), arms=plants, period=0.002)
+    found = initialise(
+        SimulatedRig(rig), slave, generate_fast_ticks(500.0), 0, arms=shared.arms
+    ).calibration
+    for direction in found.directions:
+        print(f"joint {direction.joint} {direction.tendon}: K {direction.K}")
+    for guide in found.guides:
+        print(f"joint {guide.joint}: mu {guide.friction}")
+    print_model_errors(replace(rig, period=0.001), shared.arms[0], found, seconds, seed)
+
+
+def print_model_errors(
+    rig: SimulatedRigConfig, arm: ArmConfig, found: Calibration, seconds: float, seed: int
+) -> None:
+    """Print errors of joint forces with a calibration, and with K and friction wrong by 30 %."""
+    wall = WallConfig(position=0.002, stiffness=3000.0)
+    rig = replace(rig, joints=tuple(replace(joint, environment=wall) for joint in rig.joints))
+    models = [("calibrated", apply_guide_friction([arm], found.guides)[0], found.tendons)]
+    for ratio in (1.3, 0.7):
+        wrong = tuple(mu * ratio for mu in arm.list_friction())
+        built = [
+            to_tendon_config(t, joint.body.pretension)
+            for joint in rig.joints
+            for t in joint.tendons
+        ]
+        tendons = tuple(replace(t, friction=(t.friction or 0.0) * ratio) for t in built)
+        models.append((f"friction times {ratio}", replace(arm, friction=wrong), tendons))
+    print(f"{'':18}{'mean':>8}{'largest':>9}{'inside':>8}")
+    for name, model, tendons in models:
+        errors = run_model(rig, model, seconds, seed, tendons)
+        print(f"{name:18}{errors.mean:8.2%}{errors.largest:9.2%}{errors.inside:8.1%}", flush=True)
 
 
 class TipErrors(NamedTuple):
@@ -246,7 +318,11 @@ def main() -> None:
         seconds=(20.0, "of each"),
         seed=(1, "of the first arm"),
         contact=(False, "force at a tip on planes"),
+        calibrate=(Path, "config of a simulated arm to calibrate"),
     )
+    if args.calibrate:
+        compare_calibration(args.calibrate, args.seconds, args.seed)
+        return
     if args.contact:
         print(
             "angles [rad]       normal           largest  angle: median  95 %   size: median   "
@@ -268,7 +344,7 @@ def main() -> None:
     )
     for seed in range(args.seed, args.seed + args.arms):
         config = draw_arm(np.random.default_rng(seed))
-        friction = config.arms[0].friction
+        friction = config.arms[0].list_friction()[0]
         known = run_arm(config, friction, args.seconds, seed)
         without = run_arm(config, 0.0, args.seconds, seed)
         print(

@@ -5,7 +5,7 @@ joint are then corrected with the drags.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -21,7 +21,8 @@ from estimator.calibration.drag import fit_friction_sum
 from slave.calibration.config import InitialiseConfig, get_known_sheath
 from slave.calibration.file import TendonCalibration
 from slave.calibration.procedure_state import Phase
-from slave.calibration.run import CalibrationRefused, ProcedureData
+from slave.calibration.record import ProcedureData
+from slave.calibration.run import CalibrationRefused
 from slave.calibration.tendon_identification import (
     PulledTendon,
     build_tendon_calibration,
@@ -38,7 +39,10 @@ from slave.tendon_config import TendonConfig
 
 
 def combine_with_drags(
-    pulled: Sequence[PulledTendon], calibrations: Sequence[Calibration], gain_error: float
+    pulled: Sequence[PulledTendon],
+    calibrations: Sequence[Calibration],
+    gain_error: float,
+    total: MeasuredValue | None = None,
 ) -> tuple[list[Calibration], str]:
     """Return the calibrations of two antagonists from loops and drags, and a remark.
 
@@ -52,10 +56,12 @@ def combine_with_drags(
         From their loops.
     gain_error : float
         Relative standard uncertainty of each load cell's gain.
+    total : MeasuredValue, optional
+        K_a + K_b of the sheaths, where the tendons slide on guides besides (`guide_friction`).
     """
     a, b = calibrations
     try:
-        total = _estimate_friction_sum(pulled, calibrations, gain_error)
+        total = total or _estimate_friction_sum(pulled, calibrations, gain_error)
         return list(combine_calibrations(a, b, total)), ""
     except CalibrationError as error:
         return [a, b], (
@@ -94,6 +100,8 @@ def _estimate_sum_from_drag(
 ) -> MeasuredValue:
     """Return K_a + K_b from one drag; `M_pull` [m/N] is of the pulled tendon."""
     rows = tendon.dragging
+    if len(np.unique(tendon.record.stage[rows])) > 1:
+        raise CalibrationError("guides of passed joints add to it, by an unknown friction")
     tension = tendon.tension[rows]
     travel = tendon.travel[rows] - M_pull * tension
     return fit_friction_sum(tension, antagonist.tension[rows], travel)
@@ -102,6 +110,9 @@ def _estimate_sum_from_drag(
 RANGE_MIN = 0.001  # [m] of a joint that moves
 # [m] allowed difference of the joint travel measured by the two tendons
 RANGE_DIFFERENCE_MAX = 0.001
+
+
+NO_SUMS: Mapping[int, MeasuredValue] = {}
 
 
 class JointResult(NamedTuple):
@@ -114,7 +125,10 @@ class JointResult(NamedTuple):
 
 
 def analyse_procedure(
-    record: ProcedureData, config: InitialiseConfig, ranges: Sequence[float | None] = ()
+    record: ProcedureData,
+    config: InitialiseConfig,
+    ranges: Sequence[float | None] = (),
+    sums: Mapping[int, MeasuredValue] = NO_SUMS,
 ) -> tuple[JointResult, ...]:
     """Evaluate the record of a procedure; return one result per calibrated joint.
 
@@ -124,6 +138,8 @@ def analyse_procedure(
         From `slave.calibration.run.run_procedure`.
     ranges : sequence of float or None
         Travel of each joint between its stops [m] in an earlier calibration.
+    sums : mapping
+        K_a + K_b of the sheaths of joints whose tendons pass others.
 
     Raises
     ------
@@ -132,24 +148,28 @@ def analyse_procedure(
     """
     earlier_ranges = [*ranges, *[None] * len(record.joints)]
     return tuple(
-        _analyse_joint(record, config, j, earlier_ranges[j])
+        _analyse_joint(record, config, j, earlier_ranges[j], sums.get(j))
         for j in range(len(record.joints))
         if record.stops[j]
     )
 
 
 def _analyse_joint(
-    record: ProcedureData, config: InitialiseConfig, j: int, earlier_range: float | None
+    record: ProcedureData,
+    config: InitialiseConfig,
+    j: int,
+    earlier_range: float | None,
+    total: MeasuredValue | None,
 ) -> JointResult:
     pulled = [PulledTendon(record, j, side) for side in range(len(record.joints[j]))]
-    directions, tendons = evaluate_tendons(pulled, config)
+    directions, tendons = evaluate_tendons(pulled, config, total)
     return JointResult(
         j, directions, tendons, _compute_joint_range(pulled, directions, config, earlier_range)
     )
 
 
 def evaluate_tendons(
-    pulled: Sequence[PulledTendon], config: InitialiseConfig
+    pulled: Sequence[PulledTendon], config: InitialiseConfig, total: MeasuredValue | None = None
 ) -> tuple[tuple[TendonCalibration, ...], tuple[TendonConfig, ...]]:
     """Return the calibration and the estimator parameters of each tendon of a joint.
 
@@ -164,7 +184,7 @@ def evaluate_tendons(
     ]
     remark = ""
     if len(pulled) > 1:
-        calibrations, remark = combine_with_drags(pulled, calibrations, config.gain_error)
+        calibrations, remark = combine_with_drags(pulled, calibrations, config.gain_error, total)
     entries = [
         build_tendon_calibration(p, k, f, remark)
         for p, k, f in zip(pulled, sheaths, calibrations, strict=True)

@@ -8,6 +8,9 @@ Keep the tips free: each joint is pulled to both of its stops, up to slave.initi
 length and stiffness of the sheaths (slave.initialise.sheaths) and the joints' range
 (slave.initialise.range) if they are known; then an obstacle at a tip is detected.
 
+Of an arm (`arms` in the config) the passed joints are held at their stops meanwhile, and their
+friction is found by drags in several postures: the arm needs all of its workspace free.
+
 Pass the file to `teleop run --calibration`, or set slave.calibration in the config. Calibrate again
 when the sheaths have been moved. Method and error messages: docs/how-to/calibrate.md.
 """
@@ -21,11 +24,11 @@ from typing import Any
 
 from slave.calibration import file
 from slave.calibration.file import Calibration, TendonCalibration, ValueWithUncertainty
-from slave.calibration.initialisation import InitialiseResult, initialise, refuse_arms
+from slave.calibration.initialisation import InitialiseResult, initialise
+from slave.calibration.record import ProcedureData
 from slave.calibration.refusals import format_tendon_name
 from slave.calibration.run import (
     CalibrationInterrupted,
-    ProcedureData,
     ProcedureProgress,
     generate_fast_ticks,
     warm_up,
@@ -98,7 +101,6 @@ def main(args: argparse.Namespace) -> int:
             "slave.rig.type: a replayed rig cannot be calibrated; fit the data instead: teleop "
             "estimate DATA --fit --save FILE"
         )
-    refuse_arms(shared.arms)
     figure = None if args.figure is None else import_draw_figure()
     is_real = not isinstance(config.rig, SimulatedRigConfig)
     if is_real:
@@ -130,6 +132,7 @@ def main(args: argparse.Namespace) -> int:
                 if sys.stderr.isatty()
                 else build_progress_printer(rig),
                 analysing=stop.interrupting,
+                arms=shared.arms,
             )
         except CalibrationInterrupted as error:
             error.exit_code = stop.exit_code or error.exit_code
@@ -271,6 +274,9 @@ def format_report(
     for number, travel in enumerate(calibration.ranges, start=1):
         if travel is not None:
             lines.append(f"joint {number} travels {travel * 1e3:.2f} mm between its stops")
+    for guide in calibration.guides:
+        mu = _format_uncertain_value(guide.friction, 4)
+        lines.append(f"joint {guide.joint}: friction of the tendons that pass it {mu}")
     if replaced is not None:
         lines.append(f"{out}: replaces the calibration of {replaced.time or 'an unknown time'}")
     lines += [f"{out}: use it by `teleop run --calibration {out}`, or as the config's calibration"]

@@ -1,6 +1,7 @@
 """Calibration files: the parameters of a rig's tendons, and their evidence."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Protocol
 
@@ -8,6 +9,7 @@ import yaml
 
 from slave.tendon_config import TendonConfig
 from teleop.config import loading, strict_yaml
+from teleop.config.arm import ArmConfig
 from teleop.errors import UsageError
 from teleop.messages.messages import MAX_TENDONS
 from teleop.runtime.process import write_text_file
@@ -50,6 +52,15 @@ class TendonCalibration:
     remark: str = ""
 
 
+@dataclass(frozen=True, slots=True)
+class GuideFriction:
+    """Friction of the tendons that pass a joint of an arm."""
+
+    joint: int  # from 1
+    friction: ValueWithUncertainty  # mu at its guide
+    friction_error: float = 0.25  # relative, for the interval of the force
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Calibration:
     """A calibration file: the models of all tendons of a rig, and where they come from."""
@@ -64,6 +75,7 @@ class Calibration:
     tendons: tuple[TendonConfig, ...]  # in the order of the rig; a single one is used for all
     directions: tuple[TendonCalibration, ...] = ()
     ranges: tuple[float | None, ...] = ()  # [m] travel of each joint between its stops
+    guides: tuple[GuideFriction, ...] = ()  # of passed joints; replaces the friction of `arms`
 
     def __post_init__(self) -> None:
         """Check the values; raises `ValueError`."""
@@ -72,6 +84,22 @@ class Calibration:
         numbered = sorted(k for joint in self.joints for k in joint)
         if self.joints and numbered != list(range(len(self.tendons))):
             raise ValueError("joints: must name each tendon once, counted from 0")
+
+
+def apply_guide_friction(
+    arms: Sequence[ArmConfig], guides: Sequence[GuideFriction]
+) -> tuple[ArmConfig, ...]:
+    """Return arms with the calibrated friction at passed joints, and the largest error of it."""
+    measured, first, applied = {guide.joint - 1: guide for guide in guides}, 0, []
+    for arm in arms:
+        known = {j: measured[first + j] for j in range(len(arm.radii)) if first + j in measured}
+        first += len(arm.radii)
+        friction = list(arm.list_friction())
+        for j, guide in known.items():
+            friction[j] = guide.friction.value
+        error = max((guide.friction_error for guide in known.values()), default=arm.friction_error)
+        applied.append(replace(arm, friction=tuple(friction), friction_error=error))
+    return tuple(applied)
 
 
 class RigDescription(Protocol):

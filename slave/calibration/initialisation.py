@@ -7,10 +7,18 @@ from typing import NamedTuple
 
 from slave.calibration.analysis import JointResult, analyse_procedure
 from slave.calibration.file import Calibration, find_misfit
-from slave.calibration.run import ProcedureData, ProcedureLimits, ProcedureProgress, run_procedure
+from slave.calibration.guide_friction import (
+    NO_GUIDES,
+    GuideFit,
+    build_bends,
+    build_guide_entries,
+    identify_guide_friction,
+)
+from slave.calibration.record import ProcedureData
+from slave.calibration.run import ProcedureLimits, ProcedureProgress, run_procedure
 from slave.config import SlaveConfig
 from slave.rig import Rig, RigSample
-from teleop.config.arm import ArmConfig
+from teleop.config.arm import ArmConfig, assemble_travel_ratios
 from teleop.errors import UsageError
 from teleop.runtime.clock import Tick
 from teleop.runtime.realtime import use_ordinary_scheduling
@@ -26,16 +34,6 @@ class InitialiseResult(NamedTuple):
     motor: tuple[float, ...]  # [m] written last, where the motors hold
 
 
-def refuse_arms(arms: Sequence[ArmConfig]) -> None:
-    """Raise `UsageError` if joints share tendons: pulling one to its stop would move others."""
-    if arms:
-        raise UsageError(
-            "arms: joints that share tendons cannot be calibrated on the rig yet; calibrate each "
-            "sheath with its tip blocked (teleop estimate DATA --fit --save FILE) and give the "
-            "files as slave.tendons"
-        )
-
-
 def initialise(
     rig: Rig,
     config: SlaveConfig,
@@ -49,6 +47,7 @@ def initialise(
     stopped: Callable[[], str] = lambda: "",
     progress: Callable[[ProcedureProgress], None] = lambda _: None,
     analysing: Callable[[], AbstractContextManager[None]] = nullcontext,
+    arms: Sequence[ArmConfig] = (),
 ) -> InitialiseResult:
     """Calibrate a rig; the joints end in mid-range, their tendons just taut.
 
@@ -68,6 +67,8 @@ def initialise(
         Of this rig, for the joints that are not calibrated now and the ranges of the others.
     analysing : callable
         Returns a context for the analysis, which takes seconds and asks nobody whether to go on.
+    arms : sequence of ArmConfig
+        Of the session; friction at the joints that tendons pass is identified, too.
 
     Raises
     ------
@@ -81,13 +82,21 @@ def initialise(
         _require_earlier_calibration(rig, earlier)
     procedure = config.initialise.quick() if quick else config.initialise
     limits = ProcedureLimits(procedure, config.gate)
-    driven = run_procedure(rig, limits, ticks, start_ns, chosen, together, stopped, progress)
+    try:
+        ratio = assemble_travel_ratios(arms, len(rig.joints))[0]
+    except ValueError as error:
+        raise UsageError(f"arms: {error}; give a row and a column for each joint") from error
+    driven = run_procedure(rig, limits, ticks, start_ns, chosen, together, stopped, progress, ratio)
     ranges = earlier.ranges if earlier is not None and find_misfit(earlier, rig) is None else ()
     with analysing(), use_ordinary_scheduling():  # it computes for seconds, while the motors hold
-        results = analyse_procedure(driven.record, procedure, ranges)
+        fit = NO_GUIDES
+        if arms:
+            bends = build_bends(rig.joints, arms)
+            fit = identify_guide_friction(driven.record, bends, procedure.gain_error)
+        results = analyse_procedure(driven.record, procedure, ranges, fit.sums)
     method = f"pulls and releases against the stops, {'quick' if quick else 'full'} form"
     now = datetime.now(UTC).isoformat(timespec="seconds")
-    calibration = assemble_calibration(results, rig, method, now, earlier if in_part else None)
+    calibration = assemble_calibration(results, rig, method, now, earlier if in_part else None, fit)
     return InitialiseResult(calibration, driven.record, driven.samples, driven.motor)
 
 
@@ -97,8 +106,11 @@ def assemble_calibration(
     method: str,
     time: str,
     earlier: Calibration | None = None,
+    fit: GuideFit = NO_GUIDES,
 ) -> Calibration:
     """Return the calibration of a whole rig from new results and an earlier calibration."""
+    guides = {guide.joint: guide for guide in earlier.guides} if earlier else {}
+    guides |= {guide.joint: guide for guide in build_guide_entries(fit)}
     tendons = dict(enumerate(earlier.tendons)) if earlier else {}
     calibrated = {result.joint for result in results}
     directions = [
@@ -113,17 +125,17 @@ def assemble_calibration(
     if earlier is not None and len(calibrated) < len(rig.joints):
         missing = ", ".join(str(j + 1) for j in range(len(rig.joints)) if j not in calibrated)
         method += f"; joint {missing} as of {earlier.time or 'earlier'}"
+    remarks = [f"joint {d.joint}, tendon {d.tendon}: {d.remark}" for d in directions if d.remark]
     return Calibration(
         tendons=tuple(tendons[k] for k in range(rig.tendons)),
         rig=rig.name,
         joints=rig.joints,
         time=time,
         method=method,
-        remark="; ".join(
-            f"joint {d.joint}, tendon {d.tendon}: {d.remark}" for d in directions if d.remark
-        ),
+        remark="; ".join([*remarks, *filter(None, [fit.remark])]),
         directions=tuple(directions),
         ranges=tuple(ranges),
+        guides=tuple(guides[joint] for joint in sorted(guides)),
     )
 
 

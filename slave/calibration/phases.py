@@ -43,6 +43,8 @@ LEAD_SHARE = 0.15  # of a drag, until both tendons slide
 DRAG_PEAK = 0.9  # of the target tension: where the tension of a drag turns
 # times the stretch of the pulled tendon at the peak: about that of both together
 STRETCH_RATIO = 1.5
+POSTURE_ERROR = 1e-3  # [m] of a stop that was found before
+OBSTACLE_RATIO = 0.4  # of the target tension; a joint moves freely below it
 SPEED_SHARE_MAX = 0.8  # of the speed: largest difference between paying out and drawing
 
 PhaseResult = tuple[Tendons, ProcedureState]
@@ -58,6 +60,8 @@ def _take_up_slack(
             return _build_zero_speeds(sample), begin_phase(memory, Phase.DONE, sample)
         if not memory.home:
             memory = memory._replace(home=sample.travel)
+        if joint.is_staged:
+            return _build_zero_speeds(sample), begin_phase(memory, Phase.HOLD, sample)
         if memory.side == count:
             memory = memory._replace(lane=_compute_drag_length(config, memory, sample))
         phase = Phase.SEEK if memory.side < count else Phase.DRAG
@@ -76,10 +80,15 @@ def _take_up_slack(
         name = format_tendon_name(joint.number, count, tightest)
         reason = refusals.format_residual_tension(name, -wound[tightest], memory.tension[tightest])
         return _abort_and_hold(memory, sample, reason)
+    return _take_up(config, memory), memory
+
+
+def _take_up(config: InitialiseConfig, memory: ProcedureState) -> Tendons:
+    """Return the speeds at which all tendons get near the take-up tension."""
     return tuple(
-        _compute_holding_speed(config, memory.tension[k], config.take_up, TAKE_UP_BAND_HIGH, 0.0)
-        for k in range(count)
-    ), memory
+        compute_holding_speed(config, tension, config.take_up, TAKE_UP_BAND_HIGH, 0.0)
+        for tension in memory.tension
+    )
 
 
 def _seek_stop(
@@ -238,6 +247,8 @@ def _drag_tendon(
     if tension >= config.tension:
         return _abort_and_hold(memory, sample, refusals.format_obstacle(joint.number, tension))
     if wound >= memory.lane:
+        if joint.is_staged:
+            return _build_zero_speeds(sample), begin_phase(memory, Phase.HOLD, sample)
         if memory.side + 1 < 2 + config.drags:
             lane = memory.lane * DRAG_OVERSHOOT / (0.5 + DRAG_OVERSHOOT)
             memory = memory._replace(side=memory.side + 1, lane=lane, easing=False)
@@ -253,6 +264,27 @@ def _drag_tendon(
     share = min(stretch / (0.5 * (1.0 - LEAD_SHARE) * memory.lane), SPEED_SHARE_MAX)
     drawn = speed * (1.0 + share if memory.easing else 1.0 - share)
     return ((speed, -drawn) if k == 0 else (-drawn, speed)), memory
+
+
+def _move_joint(
+    config: InitialiseConfig, joint: JointConstants, memory: ProcedureState, sample: JointReadings
+) -> PhaseResult:
+    """Let one tendon move the joint by `lane`, or press it to its stop with `hold`."""
+    k = memory.side
+    if not memory.easing:  # a tendon that held it at a stop would brake it
+        if memory.steady >= SETTLING_S:
+            memory = begin_phase(memory._replace(easing=True), Phase.MOVE, sample)
+            return _build_zero_speeds(sample), memory
+        return _take_up(config, memory), memory
+    tension, left = memory.tension[k], memory.lane
+    if tension >= memory.hold if memory.hold else left <= 0.0:
+        if left <= POSTURE_ERROR:
+            return _build_zero_speeds(sample), begin_phase(memory, Phase.HOLD, sample)
+    elif left > -POSTURE_ERROR and tension < max(memory.hold, OBSTACLE_RATIO * config.tension):
+        speed = config.stretch_speed if left < POSTURE_ERROR else config.seek_speed
+        return _draw_joint(config, joint, memory, sample, k, speed)
+    reason = refusals.format_unreached_posture(joint.number, left, tension)
+    return _abort_and_hold(memory, sample, reason)
 
 
 def _compute_drag_length(
@@ -340,7 +372,7 @@ def _compute_stretch_speed(config: InitialiseConfig, memory: ProcedureState) -> 
     return memory.stops[memory.side].compliance * config.tension / config.stretch_time
 
 
-def _compute_holding_speed(
+def compute_holding_speed(
     config: InitialiseConfig, tension: float, target: float, tight: float, along: float
 ) -> float:
     """Return the speed [m/s] that keeps a tendon near `target` [N] while its end moves by `along`.
@@ -374,7 +406,7 @@ def _draw_joint(
     if wound > config.slack_max and memory.tension[antagonist] < TAUT_RATIO * config.keep:
         name = format_tendon_name(joint.number, 2, antagonist)
         return _abort_for_slack(config, memory, sample, name, antagonist, wound, config.keep)
-    holding_speed = _compute_holding_speed(
+    holding_speed = compute_holding_speed(
         config, memory.tension[antagonist], config.keep, DEAD_BAND_HIGH, -speed
     )
     return ((speed, holding_speed) if k == 0 else (holding_speed, speed)), memory
@@ -384,7 +416,7 @@ def is_settled(config: InitialiseConfig, phase: Phase, tension: Tendons) -> bool
     """Return whether all tendons have the target tension of this phase."""
     if phase is Phase.RELAX:
         return max(tension) <= compute_relaxed_tension(config)
-    if phase not in (Phase.TAKE_UP, Phase.SETTLE):
+    if phase not in (Phase.TAKE_UP, Phase.SETTLE, Phase.MOVE):
         return False
     low, high = 0.9 * DEAD_BAND_LOW * config.take_up, 1.1 * TAKE_UP_BAND_HIGH * config.take_up
     return all(low <= t <= high for t in tension)
@@ -410,4 +442,6 @@ HANDLERS: dict[
     Phase.DONE: _hold_motors,
     Phase.RELAX: _lower_tensions,
     Phase.REFUSED: _hold_motors,
+    Phase.MOVE: _move_joint,
+    Phase.HOLD: _hold_motors,
 }

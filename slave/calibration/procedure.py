@@ -69,11 +69,10 @@ def _update_readings(
     config: InitialiseConfig, memory: ProcedureState, sample: JointReadings, dt: float
 ) -> ProcedureState:
     """Update the state with the readings of a tick."""
-    if not memory.origin:
+    if not memory.tension:
         cells = tuple(CellState() for _ in sample.tension)
-        memory = begin_phase(
-            memory._replace(tension=sample.tension, cells=cells), memory.phase, sample
-        )
+        memory = memory._replace(tension=sample.tension, cells=cells)
+        memory = begin_phase(memory, memory.phase, sample)
     share = -math.expm1(-dt / SMOOTH_S)
     tension = tuple(
         was + share * (now - was) for was, now in zip(memory.tension, sample.tension, strict=True)

@@ -118,6 +118,8 @@ class Phase(IntEnum):
     DONE = 9, "done"
     RELAX = 10, "lowering the tensions"
     REFUSED = 11, "refused"
+    MOVE = 12, "moving to a posture"
+    HOLD = 13, "holding"
 
 
 class JointReadings(NamedTuple):
@@ -143,6 +145,7 @@ class JointConstants(NamedTuple):
 
     number: int  # from 1
     compliance: Tendons  # [m/N] of each tendon: upper bound at a stop
+    is_staged: bool = False  # whether it holds after each stage, for `slave.calibration.posture`
 
 
 class ProcedureState(NamedTuple):
@@ -157,7 +160,10 @@ class ProcedureState(NamedTuple):
     trend: Trend | None = None
     contact: StopContact | None = None  # last point at which the pulled tendon was soft
     stops: tuple[StopContact, ...] = ()  # found so far, one per side
-    lane: float = 0.0  # [m] length of this drag
+    lane: float = 0.0  # [m] length of this drag, or what is left of this move
+    hold: float = (
+        0.0  # [N] of the tendon that ends a move at a stop; 0 = a move to within the range
+    )
     easing: bool = False  # in a drag: the other tendon is paid out faster than it is drawn
     home: Tendons = ()  # [m] travel when all tendons were taut for the first time
     lowest: float = math.inf  # [m] travel of the other tendon in this phase
@@ -193,8 +199,8 @@ def abort_procedure(memory: ProcedureState, sample: JointReadings, reason: str) 
 
 
 def is_ended(memory: ProcedureState) -> bool:
-    """Return whether the procedure has ended."""
-    return memory.phase in (Phase.DONE, Phase.REFUSED)
+    """Return whether the procedure, or this stage of it, has ended."""
+    return memory.phase in (Phase.DONE, Phase.REFUSED, Phase.HOLD)
 
 
 def compute_progress(config: InitialiseConfig, memory: ProcedureState) -> float:

@@ -139,6 +139,15 @@ def format_pull_not_repeated(name: str, tension: float, config: InitialiseConfig
     )
 
 
+def format_unreached_posture(joint: int, left: float, tension: float) -> str:
+    """Message: a joint ends a move `left` [m] before its end, or beyond it if negative."""
+    where = f"{left * 1e3:.1f} mm before" if left > 0.0 else f"{-left * 1e3:.1f} mm beyond"
+    return (
+        f"joint {joint}: posture not reached: {tension:.1f} N {where} its place; free the tip and "
+        "the links, and check its stops and arms.radii"
+    )
+
+
 def format_obstacle(joint: int, tension: float) -> str:
     """Message: the tension on the way back is too high for a free joint."""
     return (

@@ -1,23 +1,23 @@
 """Run the initialisation on a rig: joint after joint, or all at once.
 
+Joints that share tendons are done in stages (`slave.calibration.posture`), and the others follow.
 Every position written has passed `slave.gate`, with the limits of the slave's config. At the end,
 unless the rig failed, the tensions are low and the motors hold.
 """
 
 import signal
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
 from itertools import count, islice
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from estimator.array_types import Array
 from estimator.records import to_struct
 from slave import gate, initial_position
 from slave.calibration import procedure, procedure_state
 from slave.calibration.config import InitialiseConfig, compute_compliance_limit
+from slave.calibration.posture import HOLD_RATIO, JointTravels, Stage, plan_stages
 from slave.calibration.procedure_state import (
     JointConstants,
     JointReadings,
@@ -25,15 +25,15 @@ from slave.calibration.procedure_state import (
     ProcedureState,
     StopContact,
 )
+from slave.calibration.record import ProcedureData, ProcedureLog
 from slave.gate import GateConfig, GateFlags
 from slave.initial_position import InitialPosition
 from slave.rig import Rig, RigFault, RigFinished, RigSample, has_following_motors
 from teleop.errors import TeleopError, UsageError
 from teleop.runtime.clock import Tick, pause_garbage_collection
 
-Codes = NDArray[np.int64]
-
 WARM_UP_HZ, WARM_UP_TICKS = 500.0, 20
+COMPLIANCE_SHARE = 0.3  # of the largest compliance: a first guess
 SILENCE_MAX_S = 0.5  # [s] without a usable sample
 NO_READINGS_TEXT = (
     "no tension and travel of every tendon for 0.5 s: check that every tendon has a load cell "
@@ -69,59 +69,12 @@ class ProcedureProgress(NamedTuple):
     tension: tuple[float, ...]  # [N] of the joint's tendons
 
 
-@dataclass(frozen=True)
-class ProcedureData:
-    """Measurements and phases of a procedure: n samples, t tendons, j joints.
-
-    A joint that was not calibrated has no stops.
-    """
-
-    joints: tuple[tuple[int, ...], ...]  # the tendons of each
-    time: Array  # [s] shape (n,), on the rig's clock
-    tension: Array  # [N] shape (n, t)
-    travel: Array  # [m] shape (n, t)
-    phase: Codes  # shape (n, j)
-    side: Codes  # shape (n, j): which tendon of the joint was pulled, 2 and 3 in drags
-    releases: Codes  # shape (n, j): ended on that side
-    stops: tuple[tuple[StopContact, ...], ...]  # of each joint, one a tendon
-
-
 class ProcedureResult(NamedTuple):
     """Result of a completed procedure."""
 
     record: ProcedureData
     samples: tuple[RigSample, ...]  # all of them, to initialise the estimators' tension profiles
     motor: tuple[float, ...]  # [m] written last, shape (tendons,): the motors hold there
-
-
-@dataclass
-class _ProcedureLog:
-    """Samples with the state of each joint's procedure."""
-
-    samples: list[RigSample] = field(default_factory=list)
-    codes: list[tuple[tuple[int, int, int], ...]] = field(default_factory=list)
-
-    def add(self, samples: Sequence[RigSample], memories: Sequence[ProcedureState]) -> None:
-        """Append the samples of a tick."""
-        now = tuple((int(m.phase), m.side, m.releases) for m in memories)
-        self.samples += samples
-        self.codes += [now] * len(samples)
-
-    def record(
-        self, joints: tuple[tuple[int, ...], ...], memories: Sequence[ProcedureState]
-    ) -> ProcedureData:
-        """Return the log as arrays."""
-        codes = np.array(self.codes, dtype=np.int64)
-        return ProcedureData(
-            joints=joints,
-            time=np.array([s.time_s for s in self.samples]),
-            tension=np.array([s.proximal_tension for s in self.samples]),
-            travel=np.array([s.proximal_displacement for s in self.samples]),
-            phase=codes[:, :, 0],
-            side=codes[:, :, 1],
-            releases=codes[:, :, 2],
-            stops=tuple(memory.stops for memory in memories),
-        )
 
 
 def run_procedure(
@@ -133,6 +86,7 @@ def run_procedure(
     together: bool = False,
     stopped: Callable[[], str] = lambda: "",
     progress: Callable[[ProcedureProgress], None] = lambda _: None,
+    ratio: Array | None = None,
 ) -> ProcedureResult:
     """Run the procedure on some joints of a rig; return the measurements.
 
@@ -158,6 +112,8 @@ def run_procedure(
     progress : callable
         Called at every tick. An `OSError` of it, of a terminal that is gone, ends the procedure as
         `stopped` does.
+    ratio : array, shape (joints, joints), optional
+        Travel of the tendons of joint k over that of joint j, of joints that share tendons.
 
     Raises
     ------
@@ -167,7 +123,7 @@ def run_procedure(
         If the rig failed.
     """
     validate_limits(rig, limits)
-    drive = _ProcedureRun(rig, limits, joints, together)
+    drive = _ProcedureRun(rig, limits, joints, together, ratio)
     began_ns, unseen = None, ""
     with pause_garbage_collection():  # a collection takes 0.1 to 0.6 s; drivers wait 0.2 s
         for tick in ticks:
@@ -188,27 +144,43 @@ class _ProcedureRun:
     """A rig while the procedure runs."""
 
     def __init__(
-        self, rig: Rig, limits: ProcedureLimits, joints: Sequence[int], together: bool
+        self,
+        rig: Rig,
+        limits: ProcedureLimits,
+        joints: Sequence[int],
+        together: bool,
+        ratio: Array | None = None,
     ) -> None:
         self.newest: RigSample | None = None
         self.over = False
         self._rig, self._limits, self._joints = rig, limits, joints
+        ratio = np.eye(len(rig.joints)) if ratio is None else ratio
+        stages = plan_stages(ratio, rig.joints, joints, limits.initialise.drags, together)
         self._joint_constants = [
             JointConstants(
-                j, tuple(compute_compliance_limit(limits.initialise, k) for k in tendons)
+                j,
+                tuple(compute_compliance_limit(limits.initialise, k) for k in tendons),
+                is_staged=stages[0].phase is not None,
             )
             for j, tendons in enumerate(rig.joints, 1)
         ]
         self._memories = [ProcedureState() for _ in rig.joints]
         self._verdicts = [GateFlags.PASSED for _ in rig.joints]
-        self._groups = [tuple(joints)] if together else [(j,) for j in joints]
-        self._log = _ProcedureLog()
+        self._stages, self._stage = stages, 0
+        compliance = [
+            COMPLIANCE_SHARE * compute_compliance_limit(limits.initialise, k)
+            for k in range(rig.tendons)
+        ]
+        self._travels = JointTravels(ratio, rig.joints, compliance)
+        self._log = ProcedureLog()
         self._position = InitialPosition.new()
         initial_position.init_position(self._position, rig.tendons, rig.starts_at_zero)
         self._motor: tuple[float, ...] = ()
         self._motors_follow = False  # as of the last read
         self._gate = to_struct(limits.gate)
         self._no_reach = gate.Reach.array(0)  # the range of the joints is not known yet
+        self._stops: list[tuple[StopContact, ...]] = [()] * len(rig.joints)
+        self._is_begun = False  # this stage
         self._silence = 0.0
         self._interrupted = False
 
@@ -229,16 +201,17 @@ class _ProcedureRun:
             if is_located:
                 self._write(self._motor, dt)  # enables the motors where they are
             return
-        group = self._groups[0]
+        group = self._select_joints(order)
         wanted = list(self._motor)
+        for k, move in self._follow(dt).items():
+            wanted[k] += move
         for j in group:
             order = order or next((m.refusal for m in self._memories if m.refusal), "")
             for k, target in zip(self._rig.joints[j], self._step(j, order, dt), strict=True):
                 wanted[k] = target
         self._write(wanted, dt)
         if all(procedure_state.is_ended(self._memories[j]) for j in group):
-            del self._groups[0]
-            self.over = not self._groups or any(m.refusal for m in self._memories)
+            self._end_stage()
 
     def announce_pause(self) -> None:
         """Tell a `slave.rig.WatchedRig` that its loop pauses."""
@@ -254,10 +227,12 @@ class _ProcedureRun:
         finished = [
             procedure_state.compute_progress(self._limits.initialise, m) for m in self._memories
         ]
-        group = self._groups[0] if self._groups else self._joints[-1:]
-        j = min(group, key=lambda j: finished[j])
+        stage = self._stages[min(self._stage, len(self._stages) - 1)]
+        j = min(stage.joints, key=lambda j: finished[j])
         memory = self._memories[j]
         share = sum(finished[i] for i in self._joints) / len(self._joints)
+        if stage.phase is not None:
+            share = self._stage / len(self._stages)
         return ProcedureProgress(time_s, j + 1, memory.phase, memory.side, share, memory.tension)
 
     def result(self) -> ProcedureResult:
@@ -270,7 +245,7 @@ class _ProcedureRun:
                 else CalibrationRefused(refusal)
             )
         return ProcedureResult(
-            self._log.record(self._rig.joints, self._memories),
+            self._log.record(self._rig.joints, self._stops, self._travels),
             tuple(self._log.samples),
             self._motor,
         )
@@ -284,7 +259,7 @@ class _ProcedureRun:
         except RigFault as error:
             raise TeleopError(f"rig: {error}") from error
         useful = [sample for sample in samples if is_complete(sample)]
-        self._log.add(useful, self._memories)
+        self._log.add(useful, self._memories, self._stage, self._travels.travel)
         self._locate(samples, dt)
         self._silence = 0.0 if useful else self._silence + dt
         self.newest = useful[-1] if useful else self.newest
@@ -304,17 +279,83 @@ class _ProcedureRun:
         if initial_position.is_known(self._position, SILENCE_MAX_S):
             self._motor = tuple(self._position.position[:tendons].tolist())
 
-    def _step(self, j: int, order: str, dt: float) -> tuple[float, ...]:
-        """Step one joint; return its motor targets [m]."""
+    def _select_joints(self, order: str) -> tuple[int, ...]:
+        """Return the joints to step: those of the stage, which begins if it has not, or all."""
+        stage = self._stages[self._stage]
+        if stage.phase is None:
+            return stage.joints
+        if order or any(memory.refusal for memory in self._memories):
+            return tuple(range(len(self._memories)))  # those that are held, too, let go
+        if not self._is_begun:
+            self._is_begun = True
+            for j in stage.joints if stage.phase is not Phase.TAKE_UP else ():
+                self._memories[j] = self._begin_stage(j, stage)
+        return stage.joints
+
+    def _begin_stage(self, j: int, stage: Stage) -> ProcedureState:
+        assert stage.phase is not None  # noqa: S101 - asked by the caller
+        memory = self._memories[j]
+        if stage.phase is not Phase.SETTLE:
+            moves = stage.phase in (Phase.MOVE, Phase.DRAG)
+            memory = memory._replace(
+                side=stage.side,
+                lane=self._travels.compute_lane(stage) if moves else 0.0,
+                hold=HOLD_RATIO * self._limits.initialise.tension if abs(stage.target) == 1 else 0,
+                easing=False,
+            )
+        return procedure_state.begin_phase(memory, stage.phase, self._get_readings(j))
+
+    def _end_stage(self) -> None:
+        """Go on to the next stage, if there is one and no joint was refused."""
+        stage, self._is_begun = self._stages[self._stage], False
+        (j, *others), memories = stage.joints, self._memories
+        self._stage += 1
+        self.over = self._stage == len(self._stages) or any(m.refusal for m in memories)
+        if any(m.refusal for m in memories):
+            return
+        if stage.phase is Phase.TAKE_UP:
+            self._travels.set_home(memories, self._get_travel())
+        elif stage.phase is Phase.SEEK:
+            self._travels.stops[j, 1 - stage.side] = self._travels.travel[j]
+            contact = memories[j].stops[stage.side]
+            shift = self._travels.get_passing_travel(self._travels.travel)
+            moved = contact.travel - float(shift[self._rig.joints[j][stage.side]])
+            self._stops[j] = (*self._stops[j], contact._replace(travel=moved))
+        elif stage.phase is None:
+            for k in (j, *others):
+                self._stops[k] = memories[k].stops
+
+    def _follow(self, dt: float) -> dict[int, float]:
+        """Return by how much [m] the motors of tendons go that pass the joint of this stage."""
+        stage = self._stages[self._stage]
+        if stage.phase is None or len(stage.joints) > 1 or any(m.refusal for m in self._memories):
+            return {}
+        (j,), config, travel = stage.joints, self._limits.initialise, self._get_travel()
+        assert self.newest is not None  # noqa: S101 - asked by the caller
+        self._travels.update(config, j, self._memories[j], travel)
+        if self._is_begun and stage.phase is Phase.MOVE:
+            left = self._travels.compute_lane(stage)
+            self._memories[j] = self._memories[j]._replace(lane=left)
+        return self._travels.follow(config, j, self.newest.proximal_tension, dt)
+
+    def _get_travel(self) -> Array:
         assert self.newest is not None and self.newest.proximal_displacement is not None  # noqa: S101, PT018 - `is_complete`
+        return self.newest.proximal_displacement
+
+    def _get_readings(self, j: int) -> JointReadings:
+        assert self.newest is not None  # noqa: S101 - asked by the caller
         tendons = list(self._rig.joints[j])
-        readings = JointReadings(
+        return JointReadings(
             tuple(self.newest.proximal_tension[tendons].tolist()),
-            tuple(self.newest.proximal_displacement[tendons].tolist()),
+            tuple(self._get_travel()[tendons].tolist()),
             tuple(self._motor[k] for k in tendons),
             self._verdicts[j],
             self._silence == 0.0,
         )
+
+    def _step(self, j: int, order: str, dt: float) -> tuple[float, ...]:
+        """Step one joint; return its motor targets [m]."""
+        readings = self._get_readings(j)
         previous = self._memories[j]
         if order and not previous.refusal:
             previous = procedure_state.abort_procedure(previous, readings, order)

@@ -23,8 +23,9 @@ from slave.calibration import refusals
 from slave.calibration.config import KnownSheathConfig
 from slave.calibration.file import TendonCalibration, ValueWithUncertainty
 from slave.calibration.procedure_state import Phase, StopContact
+from slave.calibration.record import ProcedureData
 from slave.calibration.refusals import TENDON_NAMES, format_tendon_name
-from slave.calibration.run import CalibrationRefused, ProcedureData
+from slave.calibration.run import CalibrationRefused
 from slave.sheath_section import SectionConfig
 from slave.tendon_config import TendonConfig
 

@@ -91,7 +91,8 @@ def build_arm(configs: Sequence[ArmPlantConfig], joints: int) -> Arm:
     first = 0
     for config in configs:
         last = first + len(config.radii)
-        guides[:, first:last] = [[config.friction], [config.wrap], [config.presliding]]
+        guides[0, first:last] = config.list_friction()
+        guides[1:, first:last] = [[config.wrap], [config.presliding]]
         first = last
     contacts = build_space_contacts([(config, config.contacts) for config in configs], radius)
     partner = np.array(assemble_bend_partners(configs, joints))

@@ -51,7 +51,8 @@ class RoutingConfig:
 
     # [m] signed pulley radii; the diagonal is a joint's own pulley
     radii: tuple[tuple[float, ...], ...] = ((0.005,),)
-    friction: float = 0.1  # mu of a tendon at the joints that it passes
+    # mu of tendons at the joints that they pass: one, or one a joint
+    friction: float | tuple[float, ...] = 0.1
     wrap: float = 0.0  # [rad] of a tendon at each of them while the joint is straight
 
     def __post_init__(self) -> None:
@@ -69,10 +70,20 @@ class RoutingConfig:
             )
         if not np.linalg.cond(radii / own) <= CONDITION_MAX:
             raise ValueError("radii: these tendons do not determine all joints (singular matrix)")
-        if not 0.0 <= self.friction <= 1.0:
+        if not all(0.0 <= mu <= 1.0 for mu in self.list_friction()):
             raise ValueError("friction: must be 0 to 1")
+        if len(self.list_friction()) != len(self.radii):
+            raise ValueError(f"friction: must be one number, or {len(self.radii)}: one a joint")
         if not 0.0 <= self.wrap <= 6.3:
             raise ValueError("wrap: must be 0 to 6.3 rad")
+
+    def list_friction(self) -> tuple[float, ...]:
+        """Return mu at each joint, where tendons of others pass it."""
+        return (
+            self.friction
+            if isinstance(self.friction, tuple)
+            else (self.friction,) * len(self.radii)
+        )
 
 
 @dataclass(frozen=True, slots=True)

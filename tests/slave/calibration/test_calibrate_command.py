@@ -157,9 +157,9 @@ def test_a_signal_ends_it_without_a_file(tmp_path, capsys, monkeypatch, number):
 def test_a_signal_ends_its_analysis_at_once(tmp_path, capsys, monkeypatch, number, when):
     path = config_file(tmp_path, rig_config(SHORT))
 
-    def signalled(driven, config, ranges):
+    def signalled(*arguments):
         signal.raise_signal(number)
-        return analyse_procedure(driven, config, ranges)
+        return analyse_procedure(*arguments)
 
     class Driven(NamedTuple):
         record = None

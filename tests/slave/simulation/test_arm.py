@@ -172,6 +172,12 @@ def test_impossible_radii_are_refused(radii, text):
         ArmPlantConfig(radii=radii)
 
 
+def test_friction_is_one_number_or_one_a_joint():
+    assert ArmPlantConfig(radii=PASSING, friction=(0.1, 0.2, 0.3)).list_friction()[1] == 0.2
+    with pytest.raises(ValueError, match="friction: must be one number, or 3: one a joint"):
+        ArmPlantConfig(radii=PASSING, friction=(0.1, 0.2))
+
+
 def test_kinematics_of_another_arm_are_refused():
     with pytest.raises(UsageError, match="3 coordinates, but radii have 5 rows"):
         ArmPlantConfig(radii=np.diag([R] * 5).tolist(), urdf=URDF, tip="tip").load_kinematics()
