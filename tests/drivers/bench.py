@@ -78,9 +78,7 @@ def engage(rig, moving, target=None):
     target = read_some(rig, 2)[-1].proximal_displacement if target is None else target
     read_for(rig, LIMIT_S, target, until=moving)
     assert moving()
-    seen = 0
-    while seen < 5:  # until the driver knows it, too
-        seen += len(read_for(rig, 0.01, target))
+    read_for(rig, LIMIT_S, target, until=lambda: rig.follows)  # the driver knows it, too
     assert rig.follows
     return target
 

@@ -63,7 +63,7 @@ def test_motors_follow_through_signals_and_announced_pauses_and_stop_when_told_o
         assert sample.proximal_tension == pytest.approx([3.0, 3.0], abs=0.3)
         told = command.format_counts(rig)
         motor, cell = (float(word) for word in re.findall(r"at (\d+)", told[1]))
-        assert motor == pytest.approx(ZERO + 0.001 / METRES, abs=3.0)
+        assert motor == pytest.approx(ZERO + 0.001 / METRES, abs=1e-4 / METRES)
         assert cell * NEWTONS == pytest.approx(3.0, abs=0.3)
         times = [sample.time_s for sample in read_some(rig, 50)]
         assert np.all(np.diff(times) > 0.0)
