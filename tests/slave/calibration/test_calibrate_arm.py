@@ -2,13 +2,15 @@
 
 import dataclasses
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from estimator.fitting import MeasuredValue
 from slave.arm_estimate import build_routing
-from slave.calibration import file, initialisation, procedure
+from slave.calibration import command, file, initialisation, procedure
+from slave.calibration.figure import draw_figure
 from slave.calibration.guide_friction import PosturedDrag, fit_guide_friction
 from slave.calibration.posture import plan_stages
 from slave.calibration.procedure_state import (
@@ -184,6 +186,9 @@ def test_an_arm_is_calibrated_with_the_friction_of_its_passed_joint():
     assert guide.friction.value == pytest.approx(MU, rel=0.1)
     assert result.calibration.ranges == pytest.approx((0.006, 0.006), abs=5e-4)
     assert result.calibration.remark == ""
+    report = "\n".join(command.format_report(result, Path("arm.yaml")))
+    assert f"joint 1: friction of the tendons that pass it {guide.friction.value:.4f}" in report
+    assert len(draw_figure(result.record, result.calibration).axes) == 4
 
 
 def test_a_session_with_the_file_uses_the_friction_of_its_passed_joints(tmp_path):
