@@ -103,7 +103,8 @@ def test_every_conversion_says_what_a_recording_lacks(recording, tmp_path, capsy
     path = tmp_path / "cut.mcap"
     path.write_bytes(recording.read_bytes()[:-2000])
     assert commands.main(["recordings", *[word.format(path) for word in words], str(path)]) == 0
-    (line,) = capsys.readouterr().err.splitlines()
+    lines = capsys.readouterr().err.splitlines()
+    (line,) = (line for line in lines if not line.startswith("reading "))  # of a slow machine
     assert line.startswith(f"WARNING: {path}: is truncated")
 
 
