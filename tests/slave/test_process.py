@@ -626,7 +626,7 @@ def test_a_calibration_at_the_start_leaves_the_motors_held_from_the_first_tick_o
 def test_a_stop_ends_a_calibration_at_the_start_and_stops_the_motors(monkeypatch, error, said):
     rig, line = StoppableRig(stop_error=error), FakeLink()
 
-    def never_calibrated(_rig, _config, _grid, _start, stopped, progress, analysing):
+    def never_calibrated(_rig, _config, _grid, _start, stopped, **_options):
         assert stopped() == ""
         line.heard = [stop_message(CALL, 1)]
         stopped()
@@ -656,7 +656,7 @@ def test_under_a_master_that_is_stopped_nothing_is_calibrated(monkeypatch, kind,
     rig, line = kind(), FakeLink()
     line.master_state = State.STOPPED
 
-    def never_calibrated(_rig, _config, _grid, _start, stopped, progress, analysing):
+    def never_calibrated(_rig, _config, _grid, _start, stopped, **_options):
         stopped()
 
     monkeypatch.setattr(process, "initialise", never_calibrated)
