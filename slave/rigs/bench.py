@@ -24,6 +24,7 @@ from slave.simulation.environment import FreeConfig
 from slave.simulation.joint import BodyConfig
 from slave.simulation.tendon import SheathConfig
 from teleop.config.loading import load
+from teleop.data.channel_names import ANCHOR_TENSION, JOINT_ANGLE, format_numbered_name
 from teleop.data.table import Columns, write_table
 from teleop.errors import UsageError
 
@@ -147,6 +148,8 @@ class BenchRun(NamedTuple):
     proximal_displacement: Array  # [m]
     distal_tension: Array  # [N]
     distal_displacement: Array  # [m]
+    anchor_tension: Array | None = None  # [N] of arms, where tendons end; without noise
+    joint_angle: Array | None = None  # [rad] of arms, shape (samples, joints)
 
     def tendon(self, number: int = 1) -> Samples:
         """Return the samples of one tendon, counted from 1, as the estimator's functions take them.
@@ -175,7 +178,11 @@ class BenchRun(NamedTuple):
             names = Columns.of_tendon(tendon + 1).names()
             del names["time"]
             columns |= {name: getattr(self, item)[:, tendon] for item, name in names.items()}
-        return columns
+            if self.anchor_tension is not None:
+                name = format_numbered_name(ANCHOR_TENSION, tendon + 1)
+                columns[name] = self.anchor_tension[:, tendon]
+        angles = () if self.joint_angle is None else self.joint_angle.T
+        return columns | {JOINT_ANGLE.format(j): angle for j, angle in enumerate(angles, 1)}
 
     def save(self, path: str | Path) -> None:
         """Write a measured-data file: .csv, .csv.gz or .parquet; `UsageError` if that fails."""
@@ -265,7 +272,7 @@ def simulate(
     pair = (motion, loose) if side == "a" else (loose, motion)
     motions = [m for tendons in rig.joints for m in (pair if len(tendons) == 2 else (motion,))]
     memories = [MotionState()] * rig.tendons
-    period, rows = rig_config.period, []
+    period, rows, of_arm = rig_config.period, [], []
     due = [round(k / rate / period) for k in range(int(duration * rate + 1e-9) + 1)]
     kept_rows, last = set(due), due[-1]
     for step in range(last + 1):
@@ -279,6 +286,8 @@ def simulate(
             rig.write(np.array([target for target, _ in moves]))
             if step in kept_rows:
                 rows.append(sample)
+                if rig_config.arms:
+                    of_arm.append((rig.anchor_tensions, rig.joint_angles))
         if progress and (step % 2000 == 0 or step == last):
             _show_progress((step + 1) / (last + 1))
     rig.close()
@@ -290,6 +299,7 @@ def simulate(
         np.array([row.proximal_displacement for row in rows]),
         np.array([row.bench_distal_tension for row in rows]),
         np.array([row.bench_distal_displacement for row in rows]),
+        *(np.array(values) for values in zip(*of_arm, strict=True)),
     )
 
 

@@ -293,6 +293,19 @@ class SimulatedRig:
         return self._arm_state.tension.copy()
 
     @property
+    def joint_angles(self) -> Array:
+        """True angle of each joint of arms [rad], shape (joints,)."""
+        radius = assemble_travel_ratios(self._config_arms, len(self.joints))[1]
+        return np.asarray(self.joint_travel / radius)
+
+    @property
+    def anchor_tensions(self) -> Array:
+        """True tension of each tendon of arms where it ends [N], shape (tendons,)."""
+        last = [int(np.flatnonzero(row)[-1]) for row in self.travel_ratios]
+        ends = np.array([self._arm_state.tension[k, :, j] for k, j in enumerate(last)])
+        return np.asarray(ends[self._paired])
+
+    @property
     def travel_ratios(self) -> Array:
         """Travel of the tendons of joint k over that of joint j, shape (joints, joints)."""
         return assemble_travel_ratios(self._config_arms, len(self.joints))[0]

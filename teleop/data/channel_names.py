@@ -34,6 +34,9 @@ STANDARD_NAMES: Mapping[Units, Mapping[str, str]] = MappingProxyType(
 )
 """Channel -> standard column, by units."""
 
+# further columns of an arm's record: tension of a tendon where it ends, and the joints
+ANCHOR_TENSION, JOINT_ANGLE = "anchor_tension_N", "joint_angle_{}_rad"
+
 _QUANTITY_UNITS = {
     "tension": "N",
     "force": "N",

@@ -9,6 +9,7 @@
   teleop diagnose mon.csv tue.csv wed.csv --leave-one-file-out    each file by the fit of the others
   teleop diagnose bench.csv --cause distal_tension_gain    which of equally good causes is modelled
   teleop diagnose bench.csv --supplement supplement    pages, figures and tables for a paper
+  teleop diagnose arm.csv --config arm.yaml    all tendons of an arm, with its joints' angles
 
 The data: tables with time_s and proximal_tension_N, and also a travel or the tip tension; with
 proximal_torque_Nm and proximal_angle_rad, also of a closed loop of two cables with pretension;
@@ -31,7 +32,7 @@ from estimator.diagnosis.outcome import Diagnosis
 from estimator.effects import CATALOGUE, CHANNELS, NAMES, Effect
 from estimator.effects.functions import find_function
 from teleop.cli import estimate
-from teleop.cli.diagnose import json_report
+from teleop.cli.diagnose import arm, json_report
 from teleop.cli.diagnose.json_report import ComparedParameter
 from teleop.config.options import TABLE_OPTIONS, add_option, add_options
 from teleop.config.suggestions import suggest_spelling
@@ -162,6 +163,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="causes to consider (default all; names in docs/how-to/diagnose.md)",
     )
     add_option(parser, "--calibration", "compared with the result")
+    add_option(
+        parser, "--config", "of the arm whose tendons the data have (default that of a recording)"
+    )
     add_options(parser, *TABLE_OPTIONS, "--validate", "--out", "--json")
     add_options(parser, "--allow-imports")
     parser.add_argument(
@@ -208,7 +212,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "force changes its sign)",
     )
     parser.add_argument(
-        "--tendon", metavar="N", help="tendon to diagnose, if the data have several (default 1)"
+        "--tendon",
+        metavar="N",
+        help="tendon to diagnose, if the data have several (default all of an arm, else the first)",
     )
 
 
@@ -216,6 +222,8 @@ def main(args: argparse.Namespace) -> int:
     """Diagnose and report; returns the exit code."""
     effects = parse_effects(args.effects)
     check_options(args, effects)
+    if arm.is_of_arm(args):
+        return arm.run(args, parse_noise(args.noise))
     if args.out is not None:
         make_folder(args.out, "report.html")
     if args.supplement is not None:
