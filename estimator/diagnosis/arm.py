@@ -7,6 +7,7 @@ tendon. Causes are compared by held-out log-likelihood with a BIC penalty, as th
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -21,6 +22,7 @@ from estimator.diagnosis.arm_model import (
     TendonValues,
     prepare_tendons,
 )
+from estimator.diagnosis.measured_data import RecordError
 from estimator.diagnosis.scoring import (
     ChannelErrors,
     bootstrap_superiority,
@@ -58,9 +60,11 @@ class NamedCause(NamedTuple):
 
 
 class TendonReport(NamedTuple):
-    """Held-out errors of one tendon, rms by channel, in N and m."""
+    """Held-out errors of one tendon, rms by channel, in N and m; none if it is not judged."""
 
     name: str
+    K: float  # of its sheath, fitted with the causes
+    known: float  # K of the config
     noise: dict[str, float]  # that nothing explains, with the law's own
     before: dict[str, float]
     after: dict[str, float]
@@ -121,7 +125,7 @@ def diagnose_arm(
     """
     report("fitting each tendon", 0.0)
     search = _Search(prepare_tendons(data, routing, sheaths, noise or {}), report)
-    causes = list_arm_causes(data, routing)
+    causes = search.select_judged(list_arm_causes(data, routing))
     named: list[NamedCause] = []
     base = fits = search.start
     while len(named) < CAUSES_MAX:
@@ -143,6 +147,12 @@ class _Search:
 
     def __init__(self, tendons: Sequence[ArmTendon], report: ProgressCallback) -> None:
         self.tendons, self._report = tendons, report
+        self._judged = [i for i, tendon in enumerate(tendons) if tendon.has_samples]
+        if not self._judged:
+            raise RecordError(
+                "no tendon slides under tension for long: move all joints to and fro, with all "
+                "tendons taut; or diagnose one tendon (--tendon)"
+            )
         self._stiffness = [1.0, math.inf]  # expected over the config's, and its spread
         self.start = self.fit_all([], {})
         stiffness = np.array([sim.stiffness for sim in self.start.simulated.values()])
@@ -150,6 +160,14 @@ class _Search:
         spread = 1.48 * float(np.median(np.abs(stiffness - middle)))
         least = STIFFNESS_SPREAD[len(tendons) < TENDONS_FEW]
         self._stiffness = [middle, max(spread, least * middle)]
+
+    def select_judged(self, causes: Sequence[ArmCause]) -> list[ArmCause]:
+        """Return the causes, each in those of its tendons that have samples."""
+        chosen = [
+            replace(cause, tendons=tuple(i for i in cause.tendons if i in self._judged))
+            for cause in causes
+        ]
+        return [cause for cause in chosen if cause.tendons]
 
     def fit_all(
         self, causes: Sequence[ArmCause], K: dict[int, float], start: Sequence[float] = ()
@@ -168,13 +186,13 @@ class _Search:
     ) -> None:
         """Let those samples count in which tendons slide with some causes."""
         self.tendons = [
-            tendon.select_sliding(self._apply(i, causes, numbers, K[i]))
+            tendon.select_sliding(self._apply(i, causes, numbers, K[i])) if i in K else tendon
             for i, tendon in enumerate(self.tendons)
         ]
 
     def _split(self, causes: Sequence[ArmCause]) -> list[tuple[list[int], list[int]]]:
         """Return what can be fitted by itself: places of causes, and the tendons they change."""
-        parts: list[tuple[list[int], set[int]]] = [([], {i}) for i in range(len(self.tendons))]
+        parts: list[tuple[list[int], set[int]]] = [([], {i}) for i in self._judged]
         for k, cause in enumerate(causes):
             joined = [part for part in parts if part[1] & set(cause.tendons)]
             parts = [part for part in parts if part not in joined]
@@ -292,22 +310,20 @@ class _Search:
     ) -> NamedCause | None:
         """Return the cause that explains most beside those that are named; None if none does."""
         begin = 0.9 * round_ / CAUSES_MAX
-        unexplained = {
-            i for i in range(len(self.tendons)) if not self.is_explained(current.simulated, i)
-        }
+        unexplained = {i for i in self._judged if not self.is_explained(current.simulated, i)}
         promising = [
             cause for cause in causes if cause not in named and unexplained & set(cause.tendons)
         ]
         if not promising:
             return None
-        slopes_K = {
-            i: self._compute_friction_slope(i, named, current) for i in range(len(self.tendons))
-        }
+        slopes_K = {i: self._compute_friction_slope(i, named, current) for i in self._judged}
         screened = []
         for k, cause in enumerate(promising):
             self._report("trying causes", begin + 0.12 * k / len(promising))
             screened.append((*self._screen(cause, named, current, slopes_K), cause))
         screened.sort(key=lambda entry: -entry[0])
+        if screened[0][0] <= 0.0:
+            return None
         tried = []
         followed = [e for e in screened[:FOLLOWED] if e[0] > FOLLOWED_SHARE * screened[0][0]]
         for k, (_, number, cause) in enumerate(followed):
@@ -404,6 +420,9 @@ class _Search:
 
     def describe(self, i: int, before: _Fit, after: _Fit) -> TendonReport:
         """Return the held-out errors of a tendon without and with causes."""
+        known = self.tendons[i].values.K
+        if i not in self._judged:
+            return TendonReport(self.tendons[i].name, math.nan, known, {}, {}, {}, True)
         record = self.tendons[i].record
         before_rms, after_rms = (
             {c.partition(" ")[2]: e.rmse for c, e in self._errors(fit.simulated, [i]).items()}
@@ -411,7 +430,9 @@ class _Search:
         )
         noise = {channel: float(record.sigma[channel][0]) for channel in record.compared}
         is_explained = self.is_explained(after.simulated, i)
-        return TendonReport(self.tendons[i].name, noise, before_rms, after_rms, is_explained)
+        return TendonReport(
+            self.tendons[i].name, after.K[i], known, noise, before_rms, after_rms, is_explained
+        )
 
 
 def _difference(

@@ -34,6 +34,7 @@ SAMPLES_MAX = 1000  # of a tendon that are simulated; a longer record is average
 TENSION_ACCURACY = 0.003  # of a tension's range, by which the law is off itself
 STRETCH_ACCURACY = 0.002  # of the range of the elongation
 SLIDING_SHARE = 0.98  # of K, from which on a tendon slides in the whole of its length
+SLIDING_SAMPLES_MIN = 50  # of each half of a record, for a tendon to be judged
 SLIDING_MARGIN = 4  # samples to either side of what does not, that do not count
 MEMORY_MAX = 0.01  # of a tension, that its start may still change where samples count
 
@@ -113,6 +114,16 @@ class ArmTendon:
     is_at_anchor: bool
     known: dict[str, NDArray[np.bool_]] = field(default_factory=dict)  # samples that may count
     prepared: dict[bytes, tuple[PreparedRouting, int]] = field(default_factory=dict)  # the newest
+
+    @property
+    def has_samples(self) -> bool:
+        """Whether enough samples of both halves count."""
+        train = self.record.train
+        return all(
+            min((valid & train).sum(), (valid & ~train).sum()) >= SLIDING_SAMPLES_MIN
+            for channel, valid in self.record.valid.items()
+            if channel in self.record.compared
+        )
 
     def select_sliding(self, values: TendonValues) -> Self:
         """Return the tendon of which those samples count in which all of it slides."""

@@ -118,8 +118,16 @@ def build_tendon_table(diagnosis: ArmDiagnosis) -> Table:
                 cells.append(" / ".join(f"{factor * error:.3g}" for error in errors) + f" {unit}")
             else:
                 cells.append("")
-        rows.append((*cells, "yes" if tendon.is_explained else "no"))
-    head = ("tendon", "travel: as known / with causes / noise", "tension: the same", "explained")
+        is_judged = bool(tendon.noise)
+        cells.append(f"{tendon.K:.3g} ({tendon.known:.3g})" if is_judged else "-")
+        rows.append((*cells, ("yes" if tendon.is_explained else "no") if is_judged else "-"))
+    head = (
+        "tendon",
+        "travel: as known / with causes / noise",
+        "tension: the same",
+        "K (as known)",
+        "explained",
+    )
     return Table(head, tuple(rows))
 
 
@@ -135,6 +143,10 @@ def list_notes(diagnosis: ArmDiagnosis) -> list[str]:
         notes.append(
             "No tension was measured where tendons end in the arm: friction at passed joints "
             "cannot show. Record it as anchor_tension_N, anchor_tension_2_N, ..."
+        )
+    if idle := [tendon.name for tendon in diagnosis.tendons if not tendon.noise]:
+        notes.append(
+            f"Not judged, as too few samples are under tension and slide: tendon {', '.join(idle)}."
         )
     left = [tendon.name for tendon in diagnosis.tendons if not tendon.is_explained]
     if left:

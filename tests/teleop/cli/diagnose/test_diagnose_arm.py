@@ -1,17 +1,26 @@
 """`teleop diagnose` of a table of an arm, with the arm's config."""
 
 import json
+import math
 
 import pytest
 
+from slave.rigs.bench import MotionScale, simulate
 from studies.hidden import arms
 from teleop.cli.commands import Parser
 from teleop.cli.diagnose import command
 from teleop.data.channel_names import ANCHOR_TENSION, JOINT_ANGLE, format_numbered_name
 from teleop.data.table import Columns, write_table
 from teleop.errors import UsageError
+from teleop.link import ReceivedMessage
+from teleop.messages.messages import MAX_TENDONS, TendonState
+from teleop.messages.topics import TENDONS
+from teleop.recording.writer import RecordConfig, RecordingWriter
+from tests.teleop.recorded import SENDER, START_NS
 
 SHAPE = arms.Shape(((0.005, 0.0), (-0.004, 0.005)), friction=0.15, wrap=0.5)
+FIELDS = ("time_s", "proximal_tension", "proximal_displacement", "bench_distal_tension",
+          "bench_distal_displacement")  # fmt: skip
 CONFIG = """
 arms: [{radii: &radii [[0.005, 0.0], [-0.004, 0.005]], friction: 0.15, wrap: 0.5}]
 slave:
@@ -77,3 +86,30 @@ def test_what_cannot_be_diagnosed_is_refused_in_a_line(files, words, message):
     (files / "none.yaml").write_text("rate_hz: 1000\n")
     with pytest.raises(UsageError, match=message):
         run(*(files / word if "." in word else word for word in words))
+
+
+def test_a_recording_is_diagnosed_with_the_arm_of_its_own_config(tmp_path, capsys):
+    scale = MotionScale(stroke=0.006, period=3.0)
+    config = arms.describe_rig(SHAPE, arms.Change(), seed=3)
+    run_ = simulate(config, "sine", duration=16.0, rate=100.0, scale=scale, keep=2.0)
+    columns = run_.columns()
+    travel = 0.005 * columns["joint_angle_2_rad"] - 0.004 * columns["joint_angle_1_rad"]
+    assert columns["distal_displacement_3_m"] == pytest.approx(travel, abs=1e-9)
+    assert columns["anchor_tension_3_N"].max() != columns["distal_tension_3_N"].max()
+
+    def fill(values):
+        return (*values.tolist(), *(math.nan,) * (MAX_TENDONS - 4))
+
+    messages = []
+    for k, row in enumerate(zip(*run_[:5], strict=True)):
+        fields = dict(zip(FIELDS, (float(row[0]), *map(fill, row[1:])), strict=True))
+        sent_ns = START_NS + round(row[0] * 1e9)
+        data = TendonState(tendons=4, **fields).pack(SENDER, k, sent_ns)
+        messages.append(ReceivedMessage(TENDONS, data, sent_ns, SENDER, k, sent_ns))
+    settings = RecordConfig(directory=str(tmp_path))
+    with RecordingWriter(settings, "demo", START_NS, CONFIG, ()) as writer:
+        writer.write(messages, START_NS + 20_000_000_000)
+    assert run(writer.path) == 0
+    printed = capsys.readouterr().out
+    assert "Nothing is wrong with the arm" in printed
+    assert "Joint angles were not measured" in printed
