@@ -44,6 +44,8 @@ FOLLOWED = 4  # candidates that are fitted, at most, after all were tried linear
 FOLLOWED_SHARE = 0.1  # of what the best one gains then, that others gain at least
 ROUNDS = 12  # of a fit
 K_STEP = 0.01  # of K, for derivatives
+OUTLIER_DEVIATIONS = 9.0  # median errors, from which on a sample is far off
+OUTLIERS_MAX = 0.05  # share of the samples that may be far off and are left out
 GAIN_MIN = 0.3  # by which a cause lowers the squared error of its tendons
 STIFFNESS_SPREAD = 0.005, 0.02  # of stiffnesses over the config's, at least; of few tendons
 TENDONS_FEW = 4
@@ -234,7 +236,8 @@ class _Search:
         low = np.array([-np.inf] * len(causes) + [1e-3] * len(tendons))
         solution = minimise_squares(
             evaluate, start, np.where(np.isfinite(low), low / steps, low), np.inf,
-            jac=differentiate, x_scale=1.0, ftol=1e-3, xtol=1e-4, max_nfev=ROUNDS,
+            jac=differentiate, x_scale=1.0, loss="soft_l1", f_scale=3.0, ftol=1e-3, xtol=1e-4,
+            max_nfev=ROUNDS,
         )  # fmt: skip
         found = solution.values * steps
         fitted_K = dict(zip(tendons, found[len(causes) :].tolist(), strict=True))
@@ -285,17 +288,28 @@ class _Search:
         return float(((simulated.stiffness - middle) / spread) ** 2)
 
     def _errors(
-        self, simulated: dict[int, Simulated], tendons: Sequence[int]
+        self,
+        simulated: dict[int, Simulated],
+        tendons: Sequence[int],
+        best: dict[int, Simulated] | None = None,
     ) -> dict[str, ChannelErrors]:
-        """Return the held-out errors of tendons, by tendon and channel."""
+        """Return the held-out errors of tendons, by tendon and channel.
+
+        The few samples that are far off what `best` simulates are left out: they are of a short
+        rest or a turn that was taken for sliding.
+        """
         errors = {}
         for i in tendons:
-            record = self.tendons[i].record
+            record, reference = self.tendons[i].record, (best or simulated)[i]
             for channel in record.compared:
+                size = np.abs(reference.signals[channel] - record.signals[channel])
+                valid = record.valid[channel]
+                is_far = size > OUTLIER_DEVIATIONS * float(np.median(size[valid]))
+                if is_far[valid].mean() > OUTLIERS_MAX:
+                    is_far[:] = False
+                rows = ~record.train & ~is_far
                 signal = simulated[i].signals[channel]
-                errors[f"{i} {channel}"] = compute_channel_errors(
-                    record, channel, signal, ~record.train
-                )
+                errors[f"{i} {channel}"] = compute_channel_errors(record, channel, signal, rows)
         return errors
 
     def is_explained(self, simulated: dict[int, Simulated], i: int) -> bool:
@@ -380,7 +394,7 @@ class _Search:
             tendons, [together[k] for k in chosen], [start[k] for k in chosen], current.K
         )
         errors = self._errors(fit.simulated, tendons)
-        before = self._errors(current.simulated, tendons)
+        before = self._errors(current.simulated, tendons, fit.simulated)
         samples = sum(len(self.tendons[i].record.time) for i in tendons)
         ratio = compute_log_likelihood_ratio(errors, before)
         penalty = sum(
@@ -388,7 +402,9 @@ class _Search:
             for i in tendons
         )
         after, earlier = (
-            sum(e.mean for e in self._errors(state.simulated, cause.tendons).values())
+            sum(
+                e.mean for e in self._errors(state.simulated, cause.tendons, fit.simulated).values()
+            )
             for state in (fit, current)
         )
         is_better = (
@@ -425,7 +441,10 @@ class _Search:
             return TendonReport(self.tendons[i].name, math.nan, known, {}, {}, {}, True)
         record = self.tendons[i].record
         before_rms, after_rms = (
-            {c.partition(" ")[2]: e.rmse for c, e in self._errors(fit.simulated, [i]).items()}
+            {
+                c.partition(" ")[2]: e.rmse
+                for c, e in self._errors(fit.simulated, [i], after.simulated).items()
+            }
             for fit in (before, after)
         )
         noise = {channel: float(record.sigma[channel][0]) for channel in record.compared}
