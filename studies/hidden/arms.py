@@ -4,9 +4,9 @@
 
 The plant (slave.simulation) shares no code with what is fitted: chains of springs, beads at the
 passed joints, bodies. All channels have noise: 0.02 N and 1 um, at a joint's pulley for its angle.
+Takes an hour.
 """
 
-import argparse
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -29,6 +29,7 @@ from slave.simulation.environment import FreeConfig
 from slave.simulation.joint import BodyConfig
 from slave.simulation.sensors import EncoderConfig, LoadCellConfig
 from slave.simulation.tendon import SheathConfig
+from studies.testbed.command import parse_options
 from teleop.config.arm import ArmConfig
 
 TENSION_NOISE, TRAVEL_NOISE = 0.02, 1e-6  # [N], [m]
@@ -239,11 +240,12 @@ def is_right(shape: Shape, change: Change, found: ArmDiagnosis) -> bool:
 
 def main() -> None:
     """Print a line for each record, and how many are right."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--seeds", type=int, default=3, help="how many (default 3)")
-    parser.add_argument("--seed", type=int, default=1, help="the first (default 1)")
-    parser.add_argument("--seconds", type=float, default=30.0, help="of a record (default 30)")
-    options = parser.parse_args()
+    options = parse_options(
+        __doc__,
+        seeds=(3, "how many"),
+        seed=(1, "the first"),
+        seconds=(30.0, "of a record"),
+    )
     right = count = 0
     for seed in range(options.seed, options.seed + options.seeds):
         for name, shape in SHAPES.items():

@@ -18,8 +18,9 @@ from slave.config import SlaveConfig, load_tendon_configs
 from teleop.cli import estimate
 from teleop.cli.html_page import Page, to_json_values
 from teleop.config.loading import load
-from teleop.data.channel_names import ANCHOR_TENSION, JOINT_ANGLE, format_numbered_name
-from teleop.data.table import Columns, MeasuredTable, read_tables
+from teleop.data.channel_names import ANCHOR_TENSION, JOINT_ANGLE, Columns, format_numbered_name
+from teleop.data.mapping import load_mapping
+from teleop.data.table import MeasuredTable, read_tables
 from teleop.errors import UsageError
 from teleop.runtime.output_file import make_folder
 from teleop.runtime.process import write_summary, write_text_file
@@ -72,7 +73,7 @@ def run(args: argparse.Namespace, noise: dict[str, float]) -> int:
     routing = build_routing(joints, arms)
     tendons = load_tendon_configs(config, len(names), joints)
     sheaths = [tendon.model().sheath for tendon in tendons]
-    mapping = estimate.load_mapping(args)
+    mapping = load_mapping(args)
     tables = read_tables(
         args.data[0],
         [Columns.of_tendon(k) for k in range(1, len(names) + 1)],
