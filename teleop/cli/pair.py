@@ -35,7 +35,7 @@ from teleop.data.raw_table import RawTable
 from teleop.data.reading import Reading, format_reading, format_readings
 from teleop.data.runs import list_runs, split_runs
 from teleop.data.sample_checks import check_effort, check_time
-from teleop.data.table import Source, check_sample_numbers, parse_column
+from teleop.data.table import Source, number_samples, parse_column
 from teleop.data.table_files import read_columns
 from teleop.errors import UsageError
 from teleop.runtime.output_file import make_folder, save_figure
@@ -203,8 +203,9 @@ def _parse_column(
         )
     column = parse_column(path, raw, name, mapping, is_time=item == "time")
     if rate:
-        check_sample_numbers(path, raw, name, column)
-        column = column / rate
+        numbers = {name: column}
+        number_samples(path, raw, name, numbers, rate)
+        column = numbers[name] / rate
     if (missing := np.flatnonzero(~np.isfinite(column))).size:
         location = raw.place(int(missing[0]))
         raise UsageError(f"{path}: column {name!r}, {location}: is blank or not finite")

@@ -4,6 +4,7 @@ The unit is of the dimension of the channel, and told by the column's name (`q_m
 or by the option (`--column time=t[ms]`).
 """
 
+import itertools
 import math
 import re
 from collections.abc import Collection, Mapping, Sequence
@@ -20,26 +21,43 @@ from teleop.errors import UsageError
 UNIT_FACTORS: Mapping[str, Mapping[str, float]] = MappingProxyType(
     {
         "time": {"s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9}
-        | {"min": 60.0, "h": 3600.0},
+        | {"min": 60.0, "h": 3600.0, "d": 86400.0},
         "length": {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "um": 1e-6, "µm": 1e-6, "nm": 1e-9}
-        | {"inch": 0.0254},
+        | {"inch": 0.0254, "mil": 2.54e-5, "ft": 0.3048},
         "force": {"N": 1.0, "mN": 1e-3, "cN": 1e-2, "kN": 1e3, "kgf": 9.80665, "kg": 9.80665}
-        | {"gf": 9.80665e-3, "g": 9.80665e-3, "lbf": 4.4482216, "lb": 4.4482216},
-        "torque": {"Nm": 1.0, "mNm": 1e-3, "Nmm": 1e-3, "Ncm": 1e-2},
+        | {"gf": 9.80665e-3, "g": 9.80665e-3, "lbf": 4.4482216, "lb": 4.4482216}
+        | {"ozf": 0.27801385, "daN": 10.0},
+        "torque": {"Nm": 1.0, "mNm": 1e-3, "Nmm": 1e-3, "Ncm": 1e-2, "kgcm": 0.0980665}
+        | {"gcm": 9.80665e-5, "ozin": 0.0070615518, "lbin": 0.11298483, "lbft": 1.3558179},
         "angle": {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180.0, "rev": 2.0 * math.pi},
     }
 )
 """Dimension -> unit -> its size in SI units."""
 
-_AMBIGUOUS_UNITS = ("min", "sec", "g", "h", "s", "m", "N")
+_AMBIGUOUS_UNITS = ("min", "sec", "g", "h", "s", "m", "N", "d")
 """Ends of names that mean something else beside another dimension, such as `T_min`."""
 
 _WORDS: Mapping[str, str] = MappingProxyType(
     {"°": "deg", "degree": "deg", "radian": "rad", "second": "s", "newton": "N"}
     | {"metre": "m", "meter": "m", "msec": "ms", "usec": "µs", "sek": "s", "lb": "lb"}
     | {"millisecond": "ms", "millimetre": "mm", "millimeter": "mm", "minute": "min"}
+    | {"microsecond": "us", "nanosecond": "ns", "hour": "h", "hr": "h", "day": "d"}
+    | {"inche": "inch", "thou": "mil", "feet": "ft", "centimeter": "cm", "centimetre": "cm"}
+    | {"micron": "um", "micrometer": "um", "micrometre": "um", "turn": "rev", "revolution": "rev"}
+    | {"gram": "gf", "kilogram": "kgf", "kp": "kgf", "pound": "lbf", "oz": "ozf", "ounce": "ozf"}
+    | {"millinewton": "mN", "kilonewton": "kN", "kgfcm": "kgcm", "gfcm": "gcm", "ozfin": "ozin"}
+    | {"inoz": "ozin", "lbfin": "lbin", "inlb": "lbin", "inlbf": "lbin"}
+    | {"lbfft": "lbft", "ftlb": "lbft", "ftlbf": "lbft"}
 )
-"""Words for units, singular, in small letters."""
+"""Words for units, singular, in small letters, products without a sign."""
+
+_RAW_UNITS = {"V", "mV", "mV/V", "Volt", "Volts", "volt", "volts", "A", "mA", "Ampere", "%"} | {
+    "counts", "count", "ticks", "adc", "ADC", "LSB", "pct", "percent", "pwm", "PWM", "psi", "bar"
+}  # fmt: skip
+"""Units of readings that need a scale."""
+
+PERIOD_MIN = 2e-5  # [s] between samples; below this the unit is wrong, unless it is told
+_TIME_UNITS = ("d", "h", "min", "s", "ms", "us", "ns")
 
 _TIME_NAMES = ("time", "timestamp", "datetime", "zeit")
 _STANDARD_STEM = re.compile(r"(proximal|distal)(tension|force|torque|displacement|angle)(\d*)")
@@ -50,14 +68,37 @@ _QUANTITIES = {"tension": ("force", "N"), "force": ("force", "N"), "torque": ("t
 
 _TIMES = r"[\s·⋅∙.*-]+"  # between the two units of a torque
 _PRODUCT = re.compile(rf"(m?N){_TIMES}(?=[cm]?m$)")
-_IN_BRACKETS = re.compile(r"[\[(]\s*([^\[\]()]*[^\[\]()\s])\s*[\])]?\s*$")
-_UNIT_SUFFIX = re.compile(rf"(?:_|\s+)((?:m?N{_TIMES})?[A-Za-zµμ°]+)$")
+_IN_BRACKETS = re.compile(r"[\[({<]\s*([^][(){}<>]*[^][(){}<>\s])\s*[])}>]?\s*$")
+_BRACKETS = re.compile(r"[\[({<]([^][(){}<>]+)[])}>]")
+_UNIT_SUFFIX = re.compile(rf"(?:_|\s+|/\s*)((?:m?N{_TIMES})?[A-Za-zµμ°]+)$")
 _BRACKETED_UNIT = re.compile(r"(.+?)\s*\[([^\[\]]+)\]")
 
 
 def is_unit(text: str) -> bool:
-    """Return whether a text is a unit of a channel."""
-    return _match_unit(text) != ""
+    """Return whether a text is a unit of a channel, or of a reading."""
+    return _match_unit(text) != "" or text in _RAW_UNITS
+
+
+def propose_time_unit(period: float, known: str = "", *, slower: bool | None = None) -> str:
+    """Return the unit in which samples that are `period` apart are those of a measurement.
+
+    Of those shorter than the `known` one, which is wrong, or longer if `slower`; "UNIT" unless it
+    is a single one.
+    """
+    at = _TIME_UNITS.index(known) if known in _TIME_UNITS else _TIME_UNITS.index("s")
+    units = _TIME_UNITS[:at] if slower else _TIME_UNITS[at + 1 :]
+    if slower is None:  # minutes to days only if nothing else can be
+        units = _TIME_UNITS[3:] if period > PERIOD_MIN else _TIME_UNITS[:3]
+    sizes = {unit: UNIT_FACTORS["time"][unit] * period for unit in units}
+    lows = dict.fromkeys(_TIME_UNITS[:3], 5e-3)
+    usual = [unit for unit, size in sizes.items() if lows.get(unit, 2e-4) < size < 0.4]
+    return "s" if "s" in usual else usual[0] if len(usual) == 1 else "UNIT"
+
+
+def propose_length_unit(span: float) -> str:
+    """Return the unit in which a travel is that of a tendon; "UNIT" for none."""
+    sizes = {unit: UNIT_FACTORS["length"][unit] * span for unit in ("mm", "um", "nm")}
+    return next((unit for unit, size in sizes.items() if size < 2.0), "UNIT")
 
 
 class Aliases(NamedTuple):
@@ -194,36 +235,57 @@ def _find_unit_factor(
                 f"{path}: column {name!r} [{stated_unit}]: {dimension} is in {', '.join(factors)}"
             )
         return stated_unit, scale * factors[unit]
-    brackets = _IN_BRACKETS.search(name)
-    end = brackets or _UNIT_SUFFIX.search(name)
+    end, brackets = _find_unit_text(name, dimension)
     if row_unit.strip("-"):
-        named = _match_unit(end[1]) if end else ""
+        named = _match_unit(end)
         unit = _match_unit(row_unit, stated=True)
         if named in factors and unit in factors and factors[named] != factors[unit]:
             raise UsageError(
                 f"{path}: column {name!r}: its name says {named}, the row below it {row_unit}; say "
                 f"which by --column '{_name_option(channel, units)}={name}[{named}]'"
             )
-        end = brackets = _IN_BRACKETS.search(f"{name} [{row_unit}]")
-    if end is None or end[1].isdecimal():  # an index, such as `effort[0]`
+        end, brackets = row_unit, True
+    if not end or end.isdecimal():  # an index, such as `effort[0]`
         return stated_unit, scale
-    unit = _match_unit(end[1], stated=bool(brackets))
+    unit = _match_unit(end, stated=brackets)
     if unit in factors:
         return unit, scale * factors[unit]
     option = _name_option(channel, units)
     first = next(iter(factors))
-    remedy = f"its unit can be given as in --column '{option}={name}[{first}]'"
+    remedy = f"its unit can be given as in --column '{option}={name}[SCALE {first}]'"
     if unit and (brackets or unit not in _AMBIGUOUS_UNITS):
         raise UsageError(
             f"{path}: column {name!r} is in {unit}, and is given as {channel.replace('_', ' ')}, "
             f"which is in {', '.join(factors)}; {remedy}"
         )
-    if not unit and (brackets or _is_mega(end[1])):
+    if not unit and (brackets or _is_mega(end) or (end in _RAW_UNITS and end != "A")):
         raise UsageError(
-            f"{path}: column {name!r}: unknown unit {end[1]}, {dimension} is in "
-            f"{', '.join(factors)}; with its scale, as [12.5 {first}], {remedy}"
+            f"{path}: column {name!r}: unknown unit {end}, {dimension} is in "
+            f"{', '.join(factors)}; with its scale, such as [12.5 {first}], {remedy}"
         )
     return stated_unit, scale
+
+
+def _find_unit_text(name: str, dimension: str) -> tuple[str, bool]:
+    """Return what a name says of its unit, "" if nothing, and whether it is in brackets.
+
+    At its end as a rule, or in brackets, or as a word of its own where it is one of the dimension.
+    """
+    factors = UNIT_FACTORS[dimension]
+    if end := _IN_BRACKETS.search(name):
+        inner = [text for text in _BRACKETS.findall(name) if _match_unit(text.strip()) in factors]
+        return (inner[-1] if inner and end[1].isdecimal() else end[1]).strip(), True
+    for text in _BRACKETS.findall(name):
+        if _match_unit(text, stated=True) in factors:
+            return text.strip(), True
+    suffix = _UNIT_SUFFIX.search(name)
+    words = [word for word in re.split(r"[\W_]+", name) if word]
+    pairs = ["".join(pair) for pair in itertools.pairwise(words)] if dimension == "torque" else []
+    if suffix is None or suffix[1] not in factors:
+        for word in [*pairs, *words]:
+            if len(word) > 1 and word in factors and word not in _AMBIGUOUS_UNITS:
+                return word, False
+    return (suffix[1] if suffix else ""), False
 
 
 def split_scale(stated: str) -> tuple[float, str]:
@@ -253,7 +315,7 @@ def _match_unit(word: str, *, stated: bool = False) -> str:
     if stated and word.strip() in ("in", '"'):
         return "inch"
     unit = _PRODUCT.sub(r"\1", word.strip().replace("\N{GREEK SMALL LETTER MU}", "µ"))
-    unit = _WORDS.get(unit.lower().removesuffix("s"), unit)
+    unit = _WORDS.get(re.sub(_TIMES, "", unit).lower().removesuffix("s"), unit)
     if any(unit in known for known in UNIT_FACTORS.values()):
         return unit
     return "" if _is_mega(unit) else _match_case(unit)
@@ -269,4 +331,9 @@ def _is_mega(word: str) -> bool:
     """Return whether a word is a unit with the prefix M, as in MN, not one in capitals (MM)."""
     unit = _match_case(word)
     in_capitals = word.isupper() and word[1:] != unit[1:]
-    return word.startswith("M") and unit.startswith("m") and unit != "min" and not in_capitals
+    return (
+        word.startswith("M")
+        and unit.startswith("m")
+        and unit not in ("min", "mil")
+        and not in_capitals
+    )

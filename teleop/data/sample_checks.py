@@ -9,6 +9,7 @@ import numpy as np
 from estimator.array_types import Array
 from estimator.units import LINEAR, Units
 from teleop.data import channel_names
+from teleop.data.column_units import PERIOD_MIN, propose_length_unit, propose_time_unit
 from teleop.data.raw_table import RawTable
 from teleop.data.runs import describe_second_record
 from teleop.data.text_table import THOUSANDS
@@ -20,7 +21,8 @@ TORQUE_PEAK = 1000.0  # [N m] above this the unit is wrong: N mm
 ANGLE_SPAN = 30.0  # [rad] above this, five turns, the unit is wrong: degrees
 # [s] above this the unit is wrong, unless it is told: milliseconds of 2 kHz are 0.5
 PERIOD_MAX = 0.4
-PERIOD_MIN = 2e-5  # [s] below this likewise
+# [s] below PERIOD_MIN likewise, or of so short a record whose name states another unit than s
+SHORT_PERIOD, SHORT_DURATION = 2.1e-4, 2.0
 LONG_PERIOD, LONG_DURATION = 0.02, 3600.0  # [s] a record of so long may be one of milliseconds
 SPEED_ROWS = 20  # samples from which on a speed tells
 # [m/s], [rad/s] as tendons and motors are moved; slower ones are asked about at 50 Hz or less
@@ -39,14 +41,17 @@ def check_samples(
     diagnosed: bool,
     units: Units,
     stated: Collection[str],
+    factors: Mapping[str, tuple[str, float]],
 ) -> None:
     """Check for increasing time, plausible units and non-negative tensions; some may be missing.
 
-    The units of `stated` items are by the option, so their sizes are right.
+    The units of `stated` items are by the option, so their sizes are right; `factors` are the units
+    and their sizes by column.
     """
     name = names["time"]
-    remedy = f"name the unit, --column 'time={name}[ms]', or [s] if it is right"
-    check_time(path, raw, name, numbers[name], "" if "time" in stated else remedy)
+    unit = factors[name][0] or "s"
+    remedy = f"name the unit, --column 'time={name}[UNIT]', or [{unit}] if it is right"
+    check_time(path, raw, name, numbers[name], "" if "time" in stated else remedy, *factors[name])
     channels = {item: numbers[name] for item, name in names.items() if item != "time"}
     _check_common_rows(path, names, channels)
     for item in ("proximal_tension", "distal_tension"):
@@ -66,16 +71,17 @@ def check_samples(
             )
     span_max = ANGLE_SPAN if units.rotary else TRAVEL_SPAN
     for item in ("proximal_displacement", "distal_displacement"):
-        if item not in names:
+        if item not in names or factors[names[item]][0] == "rev":  # of which there may be many
             continue
         travel, name = numbers[names[item]], names[item]
         if (span := float(np.nanmax(travel) - np.nanmin(travel))) > span_max and item not in stated:
             row = int(np.nanargmax(np.abs(travel)))
             fault = f"travel spans {span:.6g} m: is it in metres, not mm?"
-            option, other, unit = item, "mm", "m"
+            option, other, unit = item, propose_length_unit(span / factors[name][1]), "m"
             if units.rotary:
                 fault = f"angle spans {span:.6g} rad: degrees, or {span / math.tau:.1f} turns?"
                 option, other, unit = item.replace("displacement", "angle"), "deg", "rad"
+            unit = factors[name][0] or unit
             raise UsageError(
                 f"{path}: column {name!r}, {raw.place(row)}: {fault}"
                 f"{_explain_sentinel(float(travel[row]))} Name the unit, "
@@ -83,7 +89,7 @@ def check_samples(
             )
     if "time" not in stated and "proximal_displacement" in names:
         clock, travel = names["time"], numbers[names["proximal_displacement"]]
-        _check_speed(path, raw, clock, numbers[clock], travel, units, remedy)
+        _check_speed(path, raw, clock, numbers[clock], travel, units, remedy, *factors[clock])
 
 
 def _check_common_rows(path: Path, names: Mapping[str, str], channels: Mapping[str, Array]) -> None:
@@ -99,7 +105,15 @@ def _check_common_rows(path: Path, names: Mapping[str, str], channels: Mapping[s
 
 
 def _check_speed(
-    path: Path, raw: RawTable, name: str, time: Array, travel: Array, units: Units, remedy: str
+    path: Path,
+    raw: RawTable,
+    name: str,
+    time: Array,
+    travel: Array,
+    units: Units,
+    remedy: str,
+    unit: str,
+    factor: float,
 ) -> None:
     """Raise `UsageError` for a motion that no tendon makes in such times [s]."""
     known = np.flatnonzero(np.isfinite(travel))
@@ -113,14 +127,29 @@ def _check_speed(
     if fastest > limit or (0.0 < fastest < slowest and period > LONG_PERIOD):
         raise UsageError(
             f"{path}: column {name!r}, {raw.place(0)}: the drive moves at {fastest:.3g} "
-            f"{units.travel}/s at most: is the unit of time right? Then {remedy}"
+            f"{units.travel}/s at most: is the unit of time right? Else "
+            + _name_unit(remedy, period / factor, unit, slower=fastest > limit)
         )
 
 
-def check_time(path: Path, raw: RawTable, name: str, time: Array, remedy: str) -> None:
+def _name_unit(remedy: str, period: float, unit: str, *, slower: bool) -> str:
+    """Return a remedy with the unit that is shorter than a wrong one, or longer if `slower`."""
+    return remedy.replace("[UNIT]", f"[{propose_time_unit(period, unit or 's', slower=slower)}]")
+
+
+def check_time(
+    path: Path,
+    raw: RawTable,
+    name: str,
+    time: Array,
+    remedy: str,
+    unit: str = "s",
+    factor: float = 1.0,
+) -> None:
     """Raise `UsageError` unless times [s] increase, at a rate at which tendons are measured.
 
-    Without a `remedy` the unit is known, and any rate is right.
+    Without a `remedy` the unit is known, and any rate is right. In the file times are in `unit`, of
+    `factor` seconds.
     """
     periods = np.diff(time)
     if (late_rows := np.flatnonzero(periods <= 0.0)).size:
@@ -135,8 +164,7 @@ def check_time(path: Path, raw: RawTable, name: str, time: Array, remedy: str) -
         hint = " (a recording: was the slave restarted there?)" if path.suffix == ".mcap" else ""
         remedy = ""
         if (equal := int((periods == 0.0).sum())) > SPEED_ROWS:
-            span = float(np.ptp(time))
-            rate = f"{len(periods) / span:.4g}" if span else "HZ"
+            rate = f"{estimate_rate(time):.4g}".replace("nan", "HZ")
             remedy = f"; {equal} are equal: evenly spaced samples need no time, but --rate {rate}"
             if column := _find_device_column(raw):
                 remedy = f"; column {column!r} names devices in turn: keep the rows of one"
@@ -147,18 +175,25 @@ def check_time(path: Path, raw: RawTable, name: str, time: Array, remedy: str) -
     if median > PERIOD_MAX or (median > LONG_PERIOD and duration > LONG_DURATION):
         raise UsageError(
             f"{path}: column {name!r}, {raw.place(1)}: samples are {median:.6g} s apart, "
-            f"{duration:.6g} s in all: milliseconds, or sample numbers? Then {remedy}; of sample "
-            "numbers give the rate, --rate HZ"
+            f"{duration:.6g} s in all: milliseconds, or sample numbers? Then "
+            f"{_name_unit(remedy, median / factor, unit, slower=False)}; of sample numbers give "
+            "the rate, --rate HZ"
         )
-    if median < PERIOD_MIN and len(periods) >= SPEED_ROWS:
-        if "--column" in remedy:
-            remedy = (
-                f"name the unit, --column 'time={name}[s]', [min] or [h], or [ms] if it is right"
-            )
+    brief = unit not in ("", "s") and median < SHORT_PERIOD and duration < SHORT_DURATION
+    if (brief or median < PERIOD_MIN) and len(periods) >= SPEED_ROWS:
         raise UsageError(
-            f"{path}: column {name!r}, {raw.place(1)}: samples are {median:.3g} s apart, which is "
-            f"faster than tendons are measured: seconds, minutes or hours? Then {remedy}"
+            f"{path}: column {name!r}, {raw.place(1)}: samples are {median:.3g} s apart, "
+            f"{duration:.3g} s in all, faster than tendons are measured: seconds, minutes, "
+            f"hours or days? Then {_name_unit(remedy, median / factor, unit, slower=True)}"
         )
+
+
+def estimate_rate(time: Array) -> float:
+    """Return the rate [Hz] of samples whose clock is coarse, by its whole ticks; NaN below two."""
+    ticks = np.flatnonzero(np.diff(time) > 0.0) + 1
+    if len(ticks) < 2:
+        return math.nan
+    return float((ticks[-1] - ticks[0]) / (time[ticks[-1]] - time[ticks[0]]))
 
 
 def _find_device_column(raw: RawTable) -> str:
@@ -197,7 +232,9 @@ def check_effort(
             what, other, si = "torque in newton metres", "Nmm", "Nm"
         how = "; check the unit"
         if option:
-            how = f"; name the unit, --column '{option}={name}[{other}]', or [{si}] if it is right"
+            gram = " or [gf]" * (other == "mN")
+            how = f"; name the unit, --column '{option}={name}[{other}]'{gram}, or [{si}] if it is"
+            how += " right"
         grouped = " (its thousands separators are read as such)"
         how = grouped * (THOUSANDS in raw.words.get(name, ())) + how
         raise UsageError(

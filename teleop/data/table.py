@@ -18,11 +18,17 @@ from estimator.units import LINEAR, Units
 from teleop.config.suggestions import suggest_spelling
 from teleop.data import channel_names, time_text
 from teleop.data.channel_names import Columns
-from teleop.data.column_units import convert_to_si, find_aliases, split_unit
+from teleop.data.column_units import (
+    UNIT_FACTORS,
+    convert_to_si,
+    find_aliases,
+    propose_time_unit,
+    split_unit,
+)
 from teleop.data.mapping import TableMapping
 from teleop.data.raw_table import Column, RawTable
 from teleop.data.runs import list_runs, split_runs
-from teleop.data.sample_checks import check_samples
+from teleop.data.sample_checks import check_samples, estimate_rate
 from teleop.data.table_files import check_destination, read_columns, write_table
 from teleop.data.text_table import THOUSANDS, classify_word, clean_name, to_number
 from teleop.errors import UsageError
@@ -41,6 +47,7 @@ __all__ = [
 
 # what a force is estimated from
 HOUSING_CHANNELS = ("time", "proximal_tension", "proximal_displacement")
+RATE_ERROR = 0.1  # of --rate beside the ticks of a coarse clock
 NAMES_SHOWN = 12  # of a file's columns in an error message
 _OF_RAW_VALUES = (
     " (or 'proximal_torque=COLUMN[Nm]'; of amperes [0.05 Nm], of counts [0.002 N, zero 8060])"
@@ -203,7 +210,9 @@ def read_runs(
     }
     is_clocked = raw.clocked or _has_moments(raw.columns[clock])
     if mapping.rate_hz:
-        check_sample_numbers(path, raw, clock, numbers[clock])
+        if number_samples(path, raw, clock, numbers, mapping.rate_hz):
+            told_of = f"times of {clock!r} are coarse, --rate counts"
+            raw = replace(raw, remarks=(*raw.remarks, told_of))
         for told in notes:
             told["time"] = (clock, f"{1.0 / mapping.rate_hz!r} s")
     elif is_clocked:
@@ -247,7 +256,7 @@ def read_runs(
         tables = []
         for names, noted in zip(tables_columns, notes, strict=True):
             stated = {item for item, (_, unit) in noted.items() if unit}
-            check_samples(path, part, names, values, zero_errors, diagnosed, units, stated)
+            check_samples(path, part, names, values, zero_errors, diagnosed, units, stated, factors)
             samples: dict[str, Any] = dict.fromkeys(Columns().names())
             samples |= {item: values[name] for item, name in names.items()}
             sources = {item: Source(name, *factors[name]) for item, name in names.items()}
@@ -283,13 +292,30 @@ def _has_moments(column: Column) -> bool:
     )
 
 
-def check_sample_numbers(path: Path, raw: RawTable, name: str, numbers: Array) -> None:
-    """Raise `UsageError` for `--rate` and a time that is no number of a sample."""
-    if len(numbers) > 1 and (step := float(np.nanmedian(np.diff(numbers)))) != 1.0:
+def number_samples(
+    path: Path, raw: RawTable, name: str, numbers: dict[str, Array], rate_hz: float
+) -> bool:
+    """Put the numbers of samples in place of times of a coarse clock; return whether it is one.
+
+    Raises `UsageError` if a time is no number of a sample, and the clock of another rate.
+    """
+    time = numbers[name]
+    step = float(np.nanmedian(np.diff(time))) if len(time) > 1 else 1.0
+    if step == 0.0 and (np.diff(time) >= 0.0).all():
+        found = [estimate_rate(time) / size for size in UNIT_FACTORS["time"].values()]
+        if all(np.isnan(found)) or min(abs(each / rate_hz - 1.0) for each in found) < RATE_ERROR:
+            numbers[name] = np.arange(float(len(time)))
+            return True
+        raise UsageError(
+            f"{path}: column {name!r}: --rate {rate_hz:g}, but by its whole ticks {found[0]:.4g} Hz"
+        )
+    if step != 1.0:
+        unit = propose_time_unit(step)
         raise UsageError(
             f"{path}: column {name!r}, {raw.place(1)}: its steps are {step:.6g}, so it does not "
-            f"number samples; without --rate, name its unit: --column 'time={name}[ms]'"
+            f"number samples; without --rate, name its unit: --column 'time={name}[{unit}]'"
         )
+    return False
 
 
 def _describe_words(name: str, words: Mapping[str, int]) -> str:
@@ -357,9 +383,16 @@ def _find_columns(
             raise UsageError(f"{path}: {raw.lacks}")
         if (unclear := unstated.get(name)) in unclaimed:
             what, unit = name.rpartition("_")[::2]
+            rate = ""
+            values = raw.columns[unclear]
+            if item == "time" and values.dtype != object and len(values) > 1:
+                period = float(np.nanmedian(np.diff(values)))
+                unit = propose_time_unit(period) if period > 0.0 else unit
+                size = UNIT_FACTORS["time"].get(unit, 0.0) * period
+                rate = f" ({1.0 / size:.4g} Hz)" if size > 0.0 else ""
             raise UsageError(
                 f"{path}: column {unclear!r} states no unit that fits; say it: --column "
-                f"'{what}={unclear}[{unit}]'{_ask_for_tension(item, columns, raw, unclaimed)}"
+                f"'{what}={unclear}[{unit}]'{rate}{_ask_for_tension(item, columns, raw, unclaimed)}"
             )
         hint = suggest_spelling(name, unclaimed, cutoff=0.88 if optional else 0.6)
         advice = _explain_missing(item, unclaimed) + _ask_for_tension(item, columns, raw, unclaimed)

@@ -5,6 +5,7 @@ import pytest
 
 from teleop.data.mapping import parse_column_options
 from teleop.data.table import Columns, read_table, write_table
+from teleop.errors import UsageError
 from tests.teleop.data.records import pull, refusal
 
 
@@ -26,6 +27,15 @@ from tests.teleop.data.records import pull, refusal
         ("proximal_displacement", "q_\N{GREEK SMALL LETTER MU}m", 1e-6),
         ("proximal_tension", "effort[0]", 1.0),
         ("proximal_tension", "T_KN", 1e3),
+        ("proximal_tension", "Force/kN", 1e3),
+        ("proximal_tension", "Force {kN}", 1e3),
+        ("proximal_tension", "Force [kN] of cell 1", 1e3),
+        ("proximal_tension", "cell_kN_filtered", 1e3),
+        ("proximal_tension", "Load (pounds)", 4.4482216),
+        ("proximal_tension", "Load [ozf]", 0.27801385),
+        ("proximal_displacement", "travel <mil>", 2.54e-5),
+        ("proximal_displacement", "stroke (inches)", 0.0254),
+        ("time", "datenum [days]", 86400.0),
     ],
 )
 def test_the_unit_in_a_columns_name_is_heeded_and_said(path, capsys, channel, name, size):
@@ -57,6 +67,8 @@ def test_a_unit_of_another_dimension_is_refused(path, channel, name, said):
     [
         ("proximal_tension", "T [counts]", "force is in N, mN, cN, kN, kgf"),
         ("proximal_tension", "T_MN", "unknown unit MN, force is in N, mN"),
+        ("proximal_tension", "cell_mV", "unknown unit mV"),
+        ("proximal_tension", "cell_counts", "unknown unit counts"),
         ("proximal_tension", "T[%]", "unknown unit %"),
         ("proximal_displacement", "q [dm]", "length is in m, mm"),
         ("time", "t [Ms]", "time is in s, sec, ms"),
@@ -69,7 +81,9 @@ def test_an_unknown_unit_is_refused_with_the_known_ones_and_the_option(path, cha
     assert said in message
     option = message.rpartition("--column ")[2].strip("'")
     assert option.startswith(f"{channel}={name}[")
-    named = parse_column_options([option])  # as the message says
+    with pytest.raises(UsageError):  # no unit is proposed that would pass as it is
+        read_table(path, parse_column_options([option]).names)
+    named = parse_column_options([option.replace("SCALE", "1")])
     assert len(read_table(path, named.names).time) == len(time)
 
 
@@ -82,6 +96,9 @@ def test_an_unknown_unit_is_refused_with_the_known_ones_and_the_option(path, cha
         ("tau (mN m)", "phi °", 1e-3, np.pi / 180),
         ("tau [N*m]", "phi [radians]", 1.0, 1.0),
         ("tau_NM", "phi_MRAD", 1.0, 1e-3),
+        ("tau_oz_in", "rev", 0.0070615518, 2.0 * np.pi),
+        ("tau (kgf·cm)", "phi [turns]", 0.0980665, 2.0 * np.pi),
+        ("tau [in-lbf]", "deg", 0.11298483, np.pi / 180),
     ],
 )
 def test_spellings_of_units_of_torque_and_angle(path, torque, angle, newton_metres, radians):

@@ -13,6 +13,7 @@ NAMES = ("time_s", "proximal_tension_N", "proximal_displacement_m")
 TIME = np.arange(60) / 20
 TENSION = 6.0 - 5.0 * np.cos(3.0 * TIME)
 TRAVEL = 0.01 * TENSION / 11.0
+VALUES = (TENSION, TRAVEL)
 
 
 def table(
@@ -328,7 +329,7 @@ REFUSED = {
     ),
     "a clock that is coarse": (
         "\n".join([FIRST, *(row for row in BARE.splitlines() for _ in "12")]) + "\n",
-        ["line 3: 0.0 does not", "60 are equal", "--rate 40.34"],
+        ["line 3: 0.0 does not", "60 are equal", "--rate 40"],
     ),
     "a clock that stands": (
         re.sub(r"(?m)^\d\.\d+", "7", PLAIN),
@@ -401,6 +402,53 @@ def test_sample_numbers_have_a_rate(tmp_path):
         )
     )
     assert "does not number samples" in refusal(tmp_path / "x.csv", PLAIN, rate_hz=20)
+
+
+@pytest.mark.parametrize(
+    ("name", "size", "rate"),
+    [
+        ("timestamp", 1e3, "(20 Hz)"),
+        ("timestamp", 1e6, "(20 Hz)"),
+        ("timestamp", 1e9, "(20 Hz)"),
+        ("time_s", 1e6, ""),
+        ("time_ms", 1e6, ""),
+        ("time_us", 1e9, ""),
+        ("time_s", 1 / 86400, ""),
+        ("time_ms", 1, ""),
+    ],
+)
+def test_the_option_that_a_refusal_names_gives_the_right_times(tmp_path, name, size, rate):
+    text = table(
+        (name, *NAMES[1:]), forms=["{:.12f}"] * 3, values=((TIME + 9) * size, TENSION, TRAVEL)
+    )
+    said = refusal(tmp_path / "x.csv", text)
+    assert rate in said
+    check(read(tmp_path / "x.csv", text, [said.split("--column '")[1].split("'")[0]]))
+
+
+def test_a_travel_in_micrometres_is_not_proposed_as_millimetres(tmp_path):
+    text = table(values=(TIME, TENSION, 1e6 * TRAVEL))
+    said = refusal(tmp_path / "x.csv", text)
+    check(read(tmp_path / "x.csv", text, [said.split("--column '")[1].split("'")[0]]))
+
+
+def test_a_record_of_milliseconds_without_a_travel_that_is_too_short_is_asked_about(tmp_path):
+    text = table(("time_ms", NAMES[1]), ",", ("{:.3f}", "{:.4f}"), (TIME * 2, TENSION))
+    said = refusal(tmp_path / "x.csv", text)
+    assert "0.0059 s in all" in said
+    found = read(tmp_path / "x.csv", text, [said.split("--column '")[1].split("'")[0]])
+    np.testing.assert_allclose(found.time, TIME * 2)
+
+
+def test_times_in_whole_seconds_tell_the_rate_and_yield_to_it(tmp_path, capsys):
+    times = [f"2026-04-10 12:00:{7 + int(t + 0.35):02d}" for t in TIME]
+    text = table(("Time", *NAMES[1:]), forms=("{}", "{:.4f}", "{:.7f}"), values=(times, *VALUES))
+    assert "but --rate 20" in refusal(tmp_path / "x.csv", text)
+    check(read(tmp_path / "x.csv", text, rate_hz=20))
+    assert "times of 'Time' are coarse, --rate counts" in capsys.readouterr().err
+    assert "--rate 100, but by its whole ticks 20 Hz" in refusal(
+        tmp_path / "x.csv", text, rate_hz=100
+    )
 
 
 @pytest.mark.parametrize("turns", [7.2, -12.4, 57.3])
