@@ -16,6 +16,7 @@ from estimator.array_types import Array
 from estimator.units import Units
 from teleop.data.channel_names import STANDARD_NAMES
 from teleop.data.raw_table import RawTable
+from teleop.data.time_text import has_moments
 from teleop.errors import UsageError
 
 UNIT_FACTORS: Mapping[str, Mapping[str, float]] = MappingProxyType(
@@ -59,7 +60,7 @@ _RAW_UNITS = {"V", "mV", "mV/V", "Volt", "Volts", "volt", "volts", "A", "mA", "A
 PERIOD_MIN = 2e-5  # [s] between samples; below this the unit is wrong, unless it is told
 _TIME_UNITS = ("d", "h", "min", "s", "ms", "us", "ns")
 
-_TIME_NAMES = ("time", "timestamp", "datetime", "zeit")
+TIME_NAMES = ("time", "timestamp", "datetime", "zeit")
 _STANDARD_STEM = re.compile(r"(proximal|distal)(tension|force|torque|displacement|angle)(\d*)")
 _QUANTITIES = {"tension": ("force", "N"), "force": ("force", "N"), "torque": ("torque", "Nm")} | {
     "displacement": ("length", "m"),
@@ -124,13 +125,14 @@ def find_aliases(path: Path, raw: RawTable) -> Aliases:
         stem = name[: end.start()] if end is not None and has_unit else name
         unit = _match_unit(row_unit or (end[1] if end is not None else ""), stated=True)
         key = re.sub(r"[\W_]+", "", stem)
-        if key == "t" or key.lower() in _TIME_NAMES:
+        unnamed = name.startswith("column ") and has_moments(column)
+        if key == "t" or key.lower() in TIME_NAMES or unnamed:
             standard = "time_s"
             is_text = column.dtype == object and not row_unit
             stated = unit in UNIT_FACTORS["time"] or is_text
         elif match := _STANDARD_STEM.fullmatch(key.lower()):
             dimension, si = _QUANTITIES[match[2]]
-            number = f"_{match[3]}" if match[3] else ""
+            number = f"_{match[3]}" if match[3] not in ("", "1") else ""
             standard = f"{match[1]}_{match[2]}{number}_{si}"
             stated = unit in UNIT_FACTORS[dimension]
         else:
@@ -283,7 +285,8 @@ def _find_unit_text(name: str, dimension: str) -> tuple[str, bool]:
     pairs = ["".join(pair) for pair in itertools.pairwise(words)] if dimension == "torque" else []
     if suffix is None or suffix[1] not in factors:
         for word in [*pairs, *words]:
-            if len(word) > 1 and word in factors and word not in _AMBIGUOUS_UNITS:
+            spelt = len(word) > 3 and dimension != "time" and _match_unit(word) in factors
+            if spelt or (len(word) > 1 and word in factors and word not in _AMBIGUOUS_UNITS):
                 return word, False
     return (suffix[1] if suffix else ""), False
 

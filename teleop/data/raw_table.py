@@ -26,6 +26,8 @@ _MARKS = {
 _MARKS |= {b"\x1f\x8b": "packed (.csv.gz)", b"PAR1": ".parquet", b"ARROW1": ".feather"}
 _MARKS |= {b"\x89HDF": "HDF5 (.h5)", b"MATLAB 5.0": ".mat", b"\x89MCAP": "a recording (.mcap)"}
 
+_MARKUP = {b"<?xml": "XML", b"<": "HTML", b'{"': "JSON", b"[{": "JSON", b"[[": "JSON"}
+
 
 @dataclass(frozen=True, slots=True)
 class Layout:
@@ -89,6 +91,9 @@ def detect_encoding(path: Path, head: bytes) -> str:
 
     Raises `UsageError` if they are those of another kind of file.
     """
+    text = head.removeprefix(b"\xef\xbb\xbf").lstrip().lower()
+    if kind := next((kind for mark, kind in _MARKUP.items() if text.startswith(mark)), ""):
+        raise UsageError(f"{path}: is no table of text, but {kind}: save it as .csv")
     if kind := next((kind for mark, kind in _MARKS.items() if head.startswith(mark)), ""):
         raise UsageError(f"{path}: is no text, but {kind}: rename it")
     for mark, name in ((b"\xff\xfe\0\0", "utf-32"), (b"\0\0\xfe\xff", "utf-32")):

@@ -85,6 +85,11 @@ def describe_second_record(path: Path, line: int, why: str) -> str:
     )
 
 
+def is_overflow(back: float, period: float) -> bool:
+    """Return whether a step back is the range of a counter."""
+    return any(abs(back - each) <= 2.0 * period for each in _COUNTERS)
+
+
 def _find_changes(path: Path, raw: RawTable, name: str) -> list[int]:
     """Return the rows at which a column has another value; a blank one is that above."""
     column: Column = raw.columns[name]
@@ -118,7 +123,7 @@ def _find_restarts(time: Array) -> NDArray[np.intp]:
             return none
         period = float(np.median(np.diff(before)))
         back = float(before[-1] - after[0]) + period
-        wraps = any(abs(back - each) <= 2.0 * period for each in _COUNTERS)
+        wraps = is_overflow(back, period)
         passed = int(np.searchsorted(after, before[-1], "right"))
         returns = 0 < passed < len(after) and after[passed] - after[passed - 1] > (
             GAP_PERIODS * period

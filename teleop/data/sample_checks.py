@@ -9,10 +9,10 @@ import numpy as np
 from estimator.array_types import Array
 from estimator.units import LINEAR, Units
 from teleop.data import channel_names
+from teleop.data.cells import THOUSANDS
 from teleop.data.column_units import PERIOD_MIN, propose_length_unit, propose_time_unit
 from teleop.data.raw_table import RawTable
-from teleop.data.runs import describe_second_record
-from teleop.data.text_table import THOUSANDS
+from teleop.data.runs import describe_second_record, is_overflow
 from teleop.errors import UsageError
 
 TENSION_PEAK = 1000.0  # [N] above this the unit is wrong: grams or millinewtons
@@ -24,6 +24,7 @@ PERIOD_MAX = 0.4
 # [s] below PERIOD_MIN likewise, or of so short a record whose name states another unit than s
 SHORT_PERIOD, SHORT_DURATION = 2.1e-4, 2.0
 LONG_PERIOD, LONG_DURATION = 0.02, 3600.0  # [s] a record of so long may be one of milliseconds
+COUNTER_PERIODS = 100  # back by as many may be the overflow of a counter
 SPEED_ROWS = 20  # samples from which on a speed tells
 # [m/s], [rad/s] as tendons and motors are moved; slower ones are asked about at 50 Hz or less
 SPEED_RANGES = {"m": (2.5e-4, 2.0), "rad": (0.025, 2000.0)}
@@ -157,6 +158,12 @@ def check_time(
         location = f"{path}: column {name!r}, {raw.place(row)}"
         back = f"time goes back from {float(time[row - 1]):.6g} to {float(time[row]):.6g}"
         restarts = time[row] < time[0] + 0.1 * (time[row - 1] - time[0])
+        period, step = float(np.median(np.abs(periods))), float(time[row - 1] - time[row])
+        if step > COUNTER_PERIODS * period and is_overflow(step + period, period):
+            raise UsageError(
+                f"{location}: {back}: the counter begins anew, but time must increase: add "
+                f"{step + period:.10g} s from there on, or split the file there"
+            )
         if restarts and row > 1 and raw.place(row).startswith("line "):
             line = int(raw.place(row).removeprefix("line "))
             raise UsageError(f"{path}: {describe_second_record(path, line, back)}")

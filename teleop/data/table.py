@@ -17,6 +17,7 @@ from estimator.array_types import Array
 from estimator.units import LINEAR, Units
 from teleop.config.suggestions import suggest_spelling
 from teleop.data import channel_names, time_text
+from teleop.data.cells import THOUSANDS, classify_word, to_number
 from teleop.data.channel_names import Columns
 from teleop.data.column_units import (
     UNIT_FACTORS,
@@ -30,7 +31,7 @@ from teleop.data.raw_table import Column, RawTable
 from teleop.data.runs import list_runs, split_runs
 from teleop.data.sample_checks import check_samples, estimate_rate
 from teleop.data.table_files import check_destination, read_columns, write_table
-from teleop.data.text_table import THOUSANDS, classify_word, clean_name, to_number
+from teleop.data.text_table import clean_name
 from teleop.errors import UsageError
 from teleop.runtime.process import print_warning
 
@@ -208,7 +209,7 @@ def read_runs(
         for names in tables_columns
         for name in names.values()
     }
-    is_clocked = raw.clocked or _has_moments(raw.columns[clock])
+    is_clocked = raw.clocked or time_text.has_moments(raw.columns[clock])
     if mapping.rate_hz:
         if number_samples(path, raw, clock, numbers, mapping.rate_hz):
             told_of = f"times of {clock!r} are coarse, --rate counts"
@@ -284,12 +285,6 @@ def _match_name(raw: RawTable, name: str) -> str:
 def _replace_aliases(columns: Columns, aliases: Mapping[str, str]) -> Columns:
     """Return names of which standard ones are those in the file, such as `time_ms`."""
     return replace(columns, **{k: aliases.get(name, name) for k, name in columns.names().items()})
-
-
-def _has_moments(column: Column) -> bool:
-    return bool(
-        column.dtype == object and any(time_text.is_moment(str(c or "")) for c in column[:9])
-    )
 
 
 def number_samples(
@@ -440,7 +435,7 @@ def parse_column(
     column = raw.columns[name]
     if column.dtype != object:
         return np.asarray(column, dtype=np.float64)
-    if is_time and (mapping.time_format or _has_moments(column)):
+    if is_time and (mapping.time_format or time_text.has_moments(column)):
         dates = [k for k in raw.columns if k.lower() in ("date", "datum") and k != name]
         try:
             return time_text.to_seconds(

@@ -20,7 +20,17 @@ from typing import Any
 import numpy as np
 
 from teleop.data import bounds, large_csv, time_text
-from teleop.data.column_units import is_unit
+from teleop.data.cells import (
+    BLANKS,
+    EXPONENT,
+    NUMBERS,
+    WITH_UNIT,
+    classify_word,
+    is_loose_value,
+    parse_cells,
+    to_number,
+)
+from teleop.data.column_units import TIME_NAMES, is_unit
 from teleop.data.mapping import TableMapping
 from teleop.data.raw_table import SEPARATORS, Column, Layout, RawTable, check_names, detect_encoding
 from teleop.errors import UsageError
@@ -32,31 +42,21 @@ COMPRESSION_RATIO = 20  # bytes of text of a byte of .csv.gz, at most as a rule
 SAMPLE_LINES = 1000  # of a file, which tell its layout ...
 SAMPLE_CHARACTERS = 300_000  # ... or less of a wide one
 ROWS_PER_CHUNK = 20_000
+NUMBERED_ROWS = 20  # from which on a column without a name is known to number them
 FOOTER_ROWS = 100  # fewer lines of words at the end are left out
-THOUSANDS = "thousands separators"
 
-_MISSING = {"na", "n/a", "#n/a", "#na", "nan", "null", "none", "nil", "-", "--", "---", "?"}
-_MISSING |= {"missing", "1.#qnan", "1.#ind"}
-_OVERLOADS = {"ovld", "ovl", "ol", "o.l", "overload", "overflow", "overrange", "1.#inf"}
-_ERRORS = {"#div/0!", "#value!", "#ref!", "#num!", "#name?", "#null!", "error", "err"}
-_EXPONENT = r"(?:[eEdD][+-]?\d+)?"
-_GROUPED = r"[1-9]\d{{0,2}}(?:([{0}'’ \u00a0\u202f])\d{{3}})(?:\1\d{{3}})*"
-_NUMBERS = {  # decimal sign -> numbers with thousands separators, or without
-    sign: re.compile(
-        rf"(?=[+-]?[{sign}]?\d)[+-]?(?:{_GROUPED.format(other)}|\d*)(?:[{sign}]\d*)?{_EXPONENT}"
-    )
-    for sign, other in ((".", ","), (",", "."))
-}
 _OTHER_GROUP = re.compile(r"\d['’\u00a0\u202f ]\d{3}(?!\d)")
-_ONE_SIGN = re.compile(rf"[+-]?(\d*)([.,])(\d+){_EXPONENT}")
-_BLANKS = " \t\r\n\u00a0\u2007\u202f\ufeff\u200b\"'"
+_ONE_SIGN = re.compile(rf"[+-]?(\d*)([.,])(\d+){EXPONENT}")
+_RULE = re.compile(r"[\s|+:=-]*(?:---|===)[\s|+:=-]*")  # a line below the names
 
 
 # --- text to rows
 
 
 def split_rows(lines: Iterable[str], separator: str, *, strict: bool = True) -> Any:
-    """Return a reader of the rows of lines of text."""
+    """Return a reader of the rows of lines of text; rules are blank, `->` follows a time stamp."""
+    lines = ("\n" if _RULE.fullmatch(line) else line for line in lines)
+    lines = (line.replace(" -> ", separator, 1) if " -> " in line else line for line in lines)
     if separator == " ":
         lines = (" ".join(re.split(r"[ \t\r\n]+", line.strip(" \t\r\n"))) + "\n" for line in lines)
     return csv.reader(lines, delimiter=separator, skipinitialspace=True, strict=strict)
@@ -95,12 +95,6 @@ def find_layout(path: Path, lines: Sequence[str], encoding: str, mapping: TableM
     return replace(layout, encoding=encoding, separator=separator)
 
 
-def _is_loose_value(cell: str) -> bool:
-    text = cell.strip().replace("−", "-")
-    is_number = any(form.fullmatch(text) for form in _NUMBERS.values())  # with either sign
-    return is_number or time_text.is_moment(text)
-
-
 def _score_rows(rows: Sequence[Row]) -> float:
     """Return the share of values in rows of equal length; 0 of a single column."""
     tail = rows[len(rows) // 2 :]
@@ -110,7 +104,8 @@ def _score_rows(rows: Sequence[Row]) -> float:
     whole = [cells for _, cells in tail if len(cells) == width]
     # a space separates columns rather than thousands, if there is a choice
     cells = [cell.strip() for cells in whole for cell in cells]
-    values = sum(_is_loose_value(c) and (" " not in c or time_text.is_moment(c)) for c in cells)
+    values = sum(is_loose_value(c) and (" " not in c or time_text.is_moment(c)) for c in cells)
+    values += sum(WITH_UNIT.fullmatch(cell) is not None for cell in cells)
     blank = sum(classify_word(cell) != "" for cell in cells)
     return len(whole) / len(tail) * (values + (blank if values else 0)) / (width * len(whole))
 
@@ -125,8 +120,8 @@ def _find_width(rows: Sequence[Row]) -> int:
 
 def clean_name(cell: str) -> str:
     """Return a column's name without what programs put around it."""
-    name = " ".join(cell.replace("\u00a0", " ").split()).strip(_BLANKS)
-    return name.lstrip("#%").strip(_BLANKS) if name.startswith(("#", "%")) else name
+    name = " ".join(cell.replace("\u00a0", " ").split()).strip(BLANKS)
+    return name.lstrip("#%").strip(BLANKS) if name.startswith(("#", "%")) else name
 
 
 def locate_table(
@@ -144,7 +139,7 @@ def locate_table(
     numeric = [
         k
         for k in range(width)
-        if 2 * sum(_is_loose_value(cells[k]) for cells in whole) >= max(len(whole), 1)
+        if 2 * sum(is_loose_value(cells[k]) for cells in whole) >= max(len(whole), 1)
     ]
     data = (i for i, (_, cells) in enumerate(rows) if _is_data(cells, width, numeric))
     begin = next(data, min(len(rows), 1))  # or names alone
@@ -159,9 +154,15 @@ def locate_table(
     while names and not names[-1]:
         names.pop()
     if header is not None and names and len(cells) != width and begin < len(rows):
-        names = _resplit_names(cells, separator, width) or names
-        if len(names) != width and all(re.match(r"\s*[#%]", row[0]) for _, row in rows[:begin]):
-            header = None  # comments
+        names = _fit_names(_resplit_names(cells, separator, width) or names, rows[begin:], width)
+        comments = all(re.match(r"\s*[#%]", row[0]) for _, row in rows[:begin])
+        if len(names) != width and (comments or len(names) == 1 < width):
+            header = None
+        elif separator != " " and len(names) > width and not any(map(is_unit, names)):
+            more = (cell for _, row in rows[begin:] for cell in row[width:])
+            if not any(map(is_loose_value, more)):
+                blank = [not any(cells[k].strip() for cells in whole) for k in range(width)]
+                names = names[: width - [*blank[::-1], False].index(False)]
     if header is None and _is_count([cells for _, cells in rows[begin : begin + 2]]):
         header, (line, cells) = begin, rows[begin]
         names = [clean_name(cell) for cell in cells]
@@ -171,8 +172,10 @@ def locate_table(
         return Layout(tuple(names), 0, rows[begin][0] - 1, decimal=decimal)
     check_names(path, line, names)
     following = rows[header + 1] if header + 1 < len(rows) else (line, [])
+    if header + 2 < begin and _is_units_row(rows[header + 2][1], width):
+        following = rows[header + 2]
     units, line_above = dict[str, str](), line
-    if header + 1 < max(begin, header + 2) and _is_units_row(following[1], width):
+    if header + 1 < max(begin, header + 2) and _is_units_row(following[1][: len(names)], width):
         units = {
             n: c.strip(" []()") for n, c in zip(names, following[1], strict=False) if c.strip()
         }
@@ -183,8 +186,8 @@ def locate_table(
 def _is_data(cells: Sequence[str], width: int, numeric: Sequence[int]) -> bool:
     return (
         len(cells) == width
-        and any(_is_loose_value(cells[k]) for k in numeric)
-        and all(_is_loose_value(cells[k]) or classify_word(cells[k]) for k in numeric)
+        and any(is_loose_value(cells[k]) for k in numeric)
+        and all(is_loose_value(cells[k]) or classify_word(cells[k]) for k in numeric)
     )
 
 
@@ -192,16 +195,20 @@ def _find_header(above: Sequence[Row], width: int) -> int | None:
     """Return which row above the data has the names."""
 
     def has_names(cells: Sequence[str]) -> bool:
-        return not any(map(_is_loose_value, cells))
+        return not any(map(is_loose_value, cells))
 
     texts = [i for i, (_, cells) in enumerate(above) if has_names(cells)]
     fitting = [i for i in texts if len(above[i][1]) == width] or texts[-1:]
     if not fitting:
-        mixed = above and not all(map(_is_loose_value, filter(str.strip, above[0][1])))
+        mixed = above and not all(map(is_loose_value, filter(str.strip, above[0][1])))
         return 0 if mixed else None
     last = fitting[-1]
-    if len(fitting) > 1 and _is_units_row(above[last][1], width) and fitting[-2] == last - 1:
-        return last - 1
+    if last > 0 and len(above[last - 1][1]) == width and _is_units_row(above[last][1], width):
+        if all(map(is_loose_value, above[last - 1][1])):
+            return last
+        beyond = [clean_name(cell).lower() for cell in above[max(last - 2, 0)][1]]
+        described = len(beyond) == width and last > 1 and {"t", *TIME_NAMES} & {*beyond}
+        return last - 2 if described else last - 1
     return last
 
 
@@ -215,8 +222,22 @@ def _is_count(rows: Sequence[Sequence[str]]) -> bool:
 def _is_units_row(cells: Sequence[str], width: int) -> bool:
     filled = [cell.strip(" []()") for cell in cells if cell.strip()]
     known = sum(map(is_unit, filled))
-    short = all(len(each) <= 8 and not _is_loose_value(each) for each in filled)
+    short = all(len(each) <= 8 and not is_loose_value(each) for each in filled)
     return len(cells) <= width and known > 0 and 2 * known >= len(filled) and short
+
+
+def _fit_names(names: list[str], rows: Sequence[Row], width: int) -> list[str]:
+    """Return names of which each has its unit beside it, or that lack one for the rows' numbers."""
+    if len(names) == 2 * width and all(map(is_unit, names[1::2])):
+        return [f"{name} [{unit}]" for name, unit in zip(names[::2], names[1::2], strict=True)]
+    whole = [cells for _, cells in rows if len(cells) == width]
+    if width == len(names) + 1 > 2 and len(whole) >= NUMBERED_ROWS:
+        index = [cells[0].strip(BLANKS) for cells in whole]
+        times = [to_number(cells[1], "") or 0.0 for cells in whole]
+        counted = index in [[str(k + n) for k in range(len(index))] for n in (0, 1)]
+        if counted and all(a < b for a, b in itertools.pairwise(times)):
+            return ["", *names]
+    return names
 
 
 def _resplit_names(cells: Sequence[str], separator: str, width: int) -> list[str]:
@@ -233,34 +254,6 @@ def _resplit_names(cells: Sequence[str], separator: str, width: int) -> list[str
 # --- cells to numbers
 
 
-def classify_word(cell: str) -> str:
-    """Return what a cell without a number says: missing, overload, error; "" if nothing known."""
-    word = cell.strip(_BLANKS).lower()
-    bare = word.lstrip("+-") or word
-    if not word or word in _MISSING or bare in _MISSING:
-        return "missing"
-    if bare in _OVERLOADS or not word.strip("*"):  # Fortran fills a field that is too narrow
-        return "overload"
-    return "error" if word in _ERRORS or not word.strip("#") else ""
-
-
-def to_number(cell: str, decimal: str) -> float | None:
-    """Return the number of a cell, NaN for a missing value, None for anything else."""
-    text = cell.strip(_BLANKS).replace("−", "-")
-    if decimal != "," and "_" not in text:  # which Python leaves out of numbers
-        try:
-            return float(text)
-        except ValueError:
-            pass
-    if classify_word(text):
-        return np.nan
-    match = _NUMBERS[decimal or "."].fullmatch(text)
-    if match is None or (match[1] == "," and not decimal):
-        return None
-    text = text.replace(match[1], "") if match[1] else text
-    return float(text.replace(",", ".").replace("d", "e").replace("D", "e"))
-
-
 def _find_decimal(path: Path, rows: Sequence[Row], separator: str, mapping: TableMapping) -> str:
     """Return the decimal sign of a table: "." or ",", or "" if no number tells."""
     if mapping.decimal:
@@ -271,7 +264,7 @@ def _find_decimal(path: Path, rows: Sequence[Row], separator: str, mapping: Tabl
     open_cells: dict[int, tuple[int, str]] = {}  # by column: thousands, or three decimals
     for line, cells in rows:
         for k, cell in enumerate(cells):
-            text = cell.strip(_BLANKS)
+            text = cell.strip(BLANKS)
             if text.isdigit():
                 plain.add(k)
             other_groups |= _OTHER_GROUP.search(text) is not None
@@ -289,7 +282,7 @@ def _find_decimal(path: Path, rows: Sequence[Row], separator: str, mapping: Tabl
             elif one:
                 evidence.setdefault(one[2], (line, [text]))
             else:  # with thousands separators, which one of both signs explains
-                signs = [sign for sign, form in _NUMBERS.items() if form.fullmatch(text)]
+                signs = [sign for sign, form in NUMBERS.items() if form.fullmatch(text)]
                 if len(signs) == 1 and {",", "."} & set(text):
                     evidence.setdefault(signs[0], (line, [text]))
     if len(evidence) == 2:
@@ -309,25 +302,6 @@ def _find_decimal(path: Path, rows: Sequence[Row], separator: str, mapping: Tabl
                 "decimals? Say --decimal point or --decimal comma"
             )
     return next(iter(evidence), "")
-
-
-def parse_cells(cells: Sequence[str], decimal: str, words: Counter[str]) -> Column:
-    """Return cells as numbers, NaN where missing; if any is text, as shared objects."""
-    if decimal != "," and not any("_" in cell for cell in cells):
-        try:
-            return np.fromiter(map(float, cells), np.float64, len(cells))
-        except ValueError:
-            pass
-    numbers = [to_number(cell, decimal) for cell in cells]
-    if None in numbers:
-        shared: dict[str, str] = {}
-        return np.array([shared.setdefault(cell, cell) for cell in cells], dtype=object)
-    named = (cell.strip(_BLANKS) for cell in cells)
-    words.update(word for word in named if word and classify_word(word))
-    matches = map(_NUMBERS[decimal or "."].fullmatch, map(str.strip, cells))
-    if grouped := sum(bool(match and match[1]) for match in matches):
-        words[THOUSANDS] += grouped
-    return np.array(numbers, dtype=np.float64)
 
 
 def read_rows(path: Path, layout: Layout, rows: Iterable[Row], unit: str = "line") -> RawTable:
@@ -350,7 +324,7 @@ def read_rows(path: Path, layout: Layout, rows: Iterable[Row], unit: str = "line
         )
         bounds.check_size(path, len(names), len(lines), "split the file")
     columns = {
-        name: np.concatenate([part[i] for part in parts]) if parts else np.empty(0)
+        name or f"column {i + 1}": np.concatenate([p[i] for p in parts]) if parts else np.empty(0)
         for i, name in enumerate(names)
         if name or any(not _is_blank(part[i]) for part in parts)
     }
@@ -375,7 +349,7 @@ def _drop_notes(
         if len(cells) <= layout.width and any(map(str.strip, cells[right])):
             del cells[right]
             remarks += [remark] * (remark not in remarks)
-        if _is_label(cells) and _is_loose_value(above):
+        if _is_label(cells) and is_loose_value(above):
             tail = [(line, cells), *itertools.islice(rows, FOOTER_ROWS)]
             if len(tail) <= FOOTER_ROWS and all(_is_label(row) or not any(row) for _, row in tail):
                 remarks.append(f"from {unit} {line} on ({cells[0]}) left out: no samples")
@@ -446,11 +420,12 @@ def open_lines(path: Path, encoding: str) -> Iterator[Iterator[str]]:
 
 
 def read_text(path: Path, mapping: TableMapping) -> RawTable:
-    """Read a text table; in Latin-1 if it is not UTF-8. Raises `UsageError`."""
+    """Read a text table; in Windows-1252 or Latin-1 if it is not UTF-8. Raises `UsageError`."""
     with path.open("rb") as file:
         head = large_csv.unpack_text(path, file).peek(400)[:400]
     encoding = detect_encoding(path, head)
-    for name in (encoding, "latin-1") if encoding == "utf-8-sig" else (encoding,):
+    more = ("cp1252", "latin-1") if encoding == "utf-8-sig" else ()
+    for name in (encoding, *more):
         with contextlib.suppress(UnicodeDecodeError):
             return _read_encoded(path, name, mapping)
     raise UsageError(f"{path}: cannot be read: it is not {encoding} text")

@@ -11,18 +11,25 @@ from numpy.typing import NDArray
 from estimator.array_types import Array
 
 NS = 1_000_000_000
-DAY_NS = 86_400 * NS
+HOUR_NS = 3600 * NS
+DAY_NS = 24 * HOUR_NS
+_ZONE = re.compile(r"(?<![A-Za-z])(?!AM$|PM$)(?:Z|[+-]\d\d(?::?\d\d)?|[A-Z]{3,5})$")
 
 _MOMENT = re.compile(
     r"(?:(?P<days>\d+) days?\s+|(?P<date>\d{1,4}([-/. ])\w{1,9}\3\d{1,4})[T ,:]\s*)?"
     r"(?P<hour>\d{1,2}):(?P<minute>\d\d):(?P<second>\d\d)(?:[.,](?P<fraction>\d{1,9})\d*)?"
-    r"\s*(?P<half>[AaPp]\.?[Mm]\.?)?\s*(?P<zone>Z|UTC|[+-]\d\d:?\d\d)?"
+    r"\s*(?P<half>[AaPp]\.?[Mm]\.?)?\s*(?P<zone>Z|[+-]\d\d(?::?\d\d)?|[A-Z]{3,5})?"
 )
 
 
 def is_moment(text: str) -> bool:
     """Return whether a text is a time of day, with a date or without."""
     return ":" in text and _MOMENT.fullmatch(text.strip()) is not None
+
+
+def has_moments(column: NDArray[Any]) -> bool:
+    """Return whether a column is one of times as text."""
+    return bool(column.dtype == object and any(is_moment(str(c or "")) for c in column[:9]))
 
 
 def to_seconds(
@@ -80,9 +87,39 @@ def to_seconds(
         days, previous_ns = date, clock_ns
         moments[row] = day * DAY_NS + clock_ns
     known = moments[~blank]
+    if not form:
+        _check_clock(cells[~blank], np.flatnonzero(~blank), known, place)
     seconds: Array = (moments - (known[0] if known.size else 0)) / NS
     seconds[blank] = np.nan
     return seconds
+
+
+def _check_clock(
+    cells: NDArray[Any],
+    rows: NDArray[np.intp],
+    times: NDArray[np.int64],
+    place: Callable[[int], str],
+) -> None:
+    """Raise `ValueError` where a clock was changed, or counts twelve hours."""
+    zones = [match[0] if (match := _ZONE.search(str(cell).strip())) else "" for cell in cells]
+    if len(set(zones)) > 1 and not any(zone[0] in "+-Z" for zone in zones if zone):
+        k = next(k for k, zone in enumerate(zones) if zone != zones[0])
+        raise ValueError(
+            f"{place(int(rows[k]))}: the zone changes from {zones[0]!r} to {zones[k]!r}: write it "
+            "as in +01:00"
+        )
+    steps = np.diff(times)
+    if not len(steps) or (zones[0] and zones[0][0] in "+-Z"):
+        return
+    period = abs(float(np.median(steps)))
+    for size, why in (
+        (HOUR_NS, "by an hour: does summer time begin or end? Write times with their zone, +01:00"),
+        (12 * HOUR_NS, "back by half a day: is AM or PM missing? Write hours from 0 to 23"),
+    ):
+        jumps = np.flatnonzero(np.abs(np.abs(steps) - size) <= 3.0 * period)
+        jumps = jumps[(steps[jumps] < 0) | (size == HOUR_NS)]
+        if jumps.size and period < HOUR_NS / 60:
+            raise ValueError(f"{place(int(rows[jumps[0] + 1]))}: the time jumps {why}")
 
 
 def _parse(text: str, form: str) -> tuple[str, int]:
@@ -101,7 +138,7 @@ def _parse(text: str, form: str) -> tuple[str, int]:
         raise ValueError(text)
     offset = 0
     if (zone := match["zone"]) and zone[0] in "+-":
-        offset = int(zone[0] + "1") * (int(zone[1:3]) * 60 + int(zone[-2:]))
+        offset = int(zone[0] + "1") * (int(zone[1:3]) * 60 + int(zone[3:].strip(":") or "0"))
     nanoseconds = int((match["fraction"] or "0").ljust(9, "0"))
     hour += 24 * int(match["days"] or 0)  # a time difference of pandas
     date = match["date"] or ""

@@ -92,6 +92,34 @@ DECORATED = {
     ),
     "words at the end": PLAIN + "\nMETADATA\nGear,6.5\n\nStops,1 2 3\n",
     "words at the end, as wide as the table": PLAIN + ",,\nMETADATA,,\nGear,6.5,\n",
+    "a column of comments without cells": PLAIN.replace(NAMES[2], NAMES[2] + ",Comment"),
+    "row names of R": "\n".join(
+        f'"{k}" {line}' if k else line for k, line in enumerate(table(sep=" ").splitlines())
+    ),
+    "row numbers of pandas": "\n".join(
+        f"{k - 1} {line}" if k else line for k, line in enumerate(table(sep="  ").splitlines())
+    ),
+    "rules below and above": table(sep=" | ", above=("+---+---+",)).replace(
+        NAMES[2], NAMES[2] + "\n--- | --- | ---"
+    ),
+    "a unit beside each name": table(
+        ("proximal_tension", "N", "proximal_displacement", "m", "Time", "s"),
+        "  ",
+        ("{:.4f}", "{:.7f}", "{:.3f}"),
+        (TENSION, TRAVEL, TIME),
+    ),
+    "a description between names and units": PLAIN.replace(
+        FIRST, "time,proximal_tension,proximal_displacement\nPC,cell 1,drive\ns,N,m"
+    ),
+    "units in each cell": table(
+        ("Time", "proximal_tension", "proximal_displacement"),
+        forms=("{:.3f} sec", "{:.4f} N", "{:.7f}m"),
+    ),
+    "en dashes": table(values=(TIME - 1.0, TENSION, TRAVEL)).replace("-", "–"),
+    "Windows-1252": (table(above=("Größe “3” €",), sep=";"), "cp1252"),
+    "numbered as of tendon 1": PLAIN.replace("tension_N", "tension_1_N").replace(
+        "displacement_m", "displacement_1_m"
+    ),
     "exponents of Fortran": table(forms=("{:.3f}", "{:.8E}", "{:.8E}")).replace("E", "D"),
 }
 
@@ -130,6 +158,7 @@ BARE = PLAIN.partition("\n")[2]
     ("text", "names"),
     [
         (BARE, ("column 1", "column 2", "column 3")),
+        ("=~=~ PuTTY log =~=~\n1.2,0.1\n" + BARE, ("column 1", "column 2", "column 3")),
         (table(sep="\t", decimal=",").partition("\n")[2], ("column 1", "column 2", "column 3")),
         ("# bench 3, tendon a\n% 20 Hz\n" + BARE, ("column 1", "column 2", "column 3")),
         ("0,1,2\n" + BARE, ("0", "1", "2")),
@@ -139,7 +168,9 @@ BARE = PLAIN.partition("\n")[2]
 )
 def test_columns_without_names_are_named_by_number(tmp_path, capsys, text, names):
     path = tmp_path / "x.log"
-    assert f"it has {', '.join(names)}" in refusal(path, text).replace("it has , ", "it has ")
+    assert f"it has {', '.join(names)}" in refusal(path, text).replace(
+        "it has column 1, 0", "it has 0"
+    )
     channels = zip(("time", "proximal_tension", "proximal_displacement"), names, "sNm", strict=True)
     check(read(path, text, [f"{channel}={name}[{unit}]" for channel, name, unit in channels]))
     assert ("column 1 to column 3" in capsys.readouterr().err) == (names[0] == "column 1")
@@ -167,6 +198,8 @@ MOMENTS = {
     "MATLAB": [f"10-Apr-2026 {clock(36_000 + t)}" for t in TIME],
     "German date, comma before it": [f"9.3.2026 {clock(36_000 + t)}" for t in TIME],
     "pandas": [f"{1 + (t >= 1)} days {clock((86_399 + t) % 86_400)}" for t in TIME],
+    "a zone by its name": [f"2026-04-10 {clock(7000 + t)} CEST" for t in TIME],
+    "a zone in hours": [f"2026-04-10 {clock(7000 + t)}+02" for t in TIME],
     "afternoon": [f"04/10/2026 {clock(36_000 + t)} PM" for t in TIME],
 }
 
@@ -179,6 +212,33 @@ def test_dates_and_times_of_day_are_seconds_from_the_first(tmp_path, kind):
         values=(MOMENTS[kind], TENSION, TRAVEL),
     )
     check(read(tmp_path / "x.csv", text))
+
+
+def test_times_need_no_name(tmp_path):
+    for mark in (",", " -> "):  # an index of pandas, and a serial monitor
+        names = ",".join(("" if mark == "," else "x", *NAMES[1:]))
+        cells = zip(MOMENTS["ISO" if mark == "," else "time of day"], *VALUES, strict=True)
+        rows = [f"{t}{mark}{a:.4f},{b:.7f}" for t, a, b in cells]
+        if mark == ",":
+            check(read(tmp_path / "x.csv", "\n".join([names, *rows])))
+        else:
+            said = ["proximal_tension=column 2[N]", "proximal_displacement=column 3[m]"]
+            check(read(tmp_path / "x.csv", "\n".join(rows), said))
+
+
+def test_a_clock_that_is_changed_is_refused(tmp_path):
+    for jump, zone, part in (
+        (3600, "", "summer time"),
+        (-3600, "", "summer time"),
+        (-43200, "", "AM or PM"),
+        (-3600, ("CEST", "CET"), "'CEST' to 'CET'"),
+    ):
+        times = [50_000 + t + jump * (t >= 1) for t in TIME]
+        cells = [f"{clock(t)} {zone[int(t < 49_000)] if zone else ''}".strip() for t in times]
+        text = table(("Time", *NAMES[1:]), ",", ("{}", "{:.4f}", "{:.7f}"), (cells, *VALUES))
+        said = refusal(tmp_path / "x.csv", text)
+        assert "line 22: the" in said
+        assert part in said
 
 
 def test_a_date_beside_a_time_of_day_tells_the_day(tmp_path):
@@ -228,7 +288,9 @@ def test_a_sign_a_scale_and_a_zero_are_given_with_the_unit(tmp_path):
     assert "column 'cell': 'x' is not its reading at zero" in said
 
 
-@pytest.mark.parametrize("word", ["N/A", "nan", "null", "--", "#N/A", "1.#QNAN", ""])
+@pytest.mark.parametrize(
+    "word", ["N/A", "nan", "null", "--", "#N/A", "1.#QNAN", "<NA>", "nan(ind)", "n.a.", ""]
+)
 def test_words_for_missing_values_are_missing_and_counted(tmp_path, capsys, word):
     cells = [word if k in (7, 8) else f"{v:.4f}" for k, v in enumerate(TENSION)]
     text = table(forms=("{:.3f}", "{}", "{:.7f}"), values=(TIME, cells, TRAVEL))
@@ -239,7 +301,14 @@ def test_words_for_missing_values_are_missing_and_counted(tmp_path, capsys, word
 
 @pytest.mark.parametrize(
     ("word", "said"),
-    [("****", "range"), ("+OVLD", "out of the range"), ("-O.L", "range"), ("#DIV/0!", "an error")],
+    [
+        ("****", "range"),
+        ("+OVLD", "out of the range"),
+        ("-O.L", "range"),
+        ("#DIV/0!", "an error"),
+        ("#WERT!", "an error"),
+        ("#¡VALOR!", "an error"),
+    ],
 )
 def test_an_overload_is_named(tmp_path, capsys, word, said):
     cells = [word if k == 7 else f"{v:.4f}" for k, v in enumerate(TENSION)]
@@ -312,6 +381,11 @@ REFUSED = {
         table(values=(TIME * 1e4 / 5, TENSION, TRAVEL)),
         ["milliseconds", "[ms]'"],
     ),
+    "a counter that overflows": (
+        table(("time_us", *NAMES[1:]), values=((4.294e9 + 1e6 * TIME) % 2**32, *VALUES)),
+        ["line 22", "the counter begins anew", "add 4294.967296 s"],
+    ),
+    "a page in place of a table": ("<html><table><tr><td>1", ["HTML: save it as .csv"]),
     "hours": (table(values=(TIME / 3600, TENSION, TRAVEL), forms=["{:.9f}"] * 3), ["hours"]),
     "a thousand times too fast": (
         table(values=(TIME / 1000, TENSION, TRAVEL), forms=["{:.9f}"] * 3),
