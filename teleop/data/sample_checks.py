@@ -52,7 +52,9 @@ def check_samples(
     name = names["time"]
     unit = factors[name][0] or "s"
     remedy = f"name the unit, --column 'time={name}[UNIT]', or [{unit}] if it is right"
-    check_time(path, raw, name, numbers[name], "" if "time" in stated else remedy, *factors[name])
+    asks = unit in ("ms", "us", "µs", "ns") and "proximal_displacement" not in names
+    asked = "" if "time" in stated else remedy
+    check_time(path, raw, name, numbers[name], asked, *factors[name], asks_if_brief=asks)
     channels = {item: numbers[name] for item, name in names.items() if item != "time"}
     _check_common_rows(path, names, channels)
     for item in ("proximal_tension", "distal_tension"):
@@ -146,11 +148,13 @@ def check_time(
     remedy: str,
     unit: str = "s",
     factor: float = 1.0,
+    *,
+    asks_if_brief: bool = False,
 ) -> None:
     """Raise `UsageError` unless times [s] increase, at a rate at which tendons are measured.
 
     Without a `remedy` the unit is known, and any rate is right. In the file times are in `unit`, of
-    `factor` seconds.
+    `factor` seconds. A fast and brief record may be one of seconds if no travel tells the speed.
     """
     periods = np.diff(time)
     if (late_rows := np.flatnonzero(periods <= 0.0)).size:
@@ -186,7 +190,7 @@ def check_time(
             f"{_name_unit(remedy, median / factor, unit, slower=False)}; of sample numbers give "
             "the rate, --rate HZ"
         )
-    brief = unit not in ("", "s") and median < SHORT_PERIOD and duration < SHORT_DURATION
+    brief = asks_if_brief and median < SHORT_PERIOD and duration < SHORT_DURATION
     if (brief or median < PERIOD_MIN) and len(periods) >= SPEED_ROWS:
         raise UsageError(
             f"{path}: column {name!r}, {raw.place(1)}: samples are {median:.3g} s apart, "
