@@ -57,6 +57,7 @@ _RAW_UNITS = {"V", "mV", "mV/V", "Volt", "Volts", "volt", "volts", "A", "mA", "A
 }  # fmt: skip
 """Units of readings that need a scale."""
 
+_PERIOD_USUAL, _PERIOD_SLOW = 0.4, 10.0  # [s] between samples, at most: of a bench, of any record
 PERIOD_MIN = 2e-5  # [s] between samples; below this the unit is wrong, unless it is told
 _TIME_UNITS = ("d", "h", "min", "s", "ms", "us", "ns")
 
@@ -89,10 +90,12 @@ def propose_time_unit(period: float, known: str = "", *, slower: bool | None = N
     at = _TIME_UNITS.index(known) if known in _TIME_UNITS else _TIME_UNITS.index("s")
     units = _TIME_UNITS[:at] if slower else _TIME_UNITS[at + 1 :]
     if slower is None:  # minutes to days only if nothing else can be
+        if _PERIOD_USUAL <= period < _PERIOD_SLOW:
+            return "UNIT"  # milliseconds of a bench, or seconds of a slow record
         units = _TIME_UNITS[3:] if period > PERIOD_MIN else _TIME_UNITS[:3]
     sizes = {unit: UNIT_FACTORS["time"][unit] * period for unit in units}
     lows = dict.fromkeys(_TIME_UNITS[:3], 5e-3)
-    usual = [unit for unit, size in sizes.items() if lows.get(unit, 2e-4) < size < 0.4]
+    usual = [unit for unit, size in sizes.items() if lows.get(unit, 2e-4) < size < _PERIOD_USUAL]
     return "s" if "s" in usual else usual[0] if len(usual) == 1 else "UNIT"
 
 

@@ -67,6 +67,14 @@ def test_the_option_that_a_refusal_names_gives_the_right_times(tmp_path, name, s
     check(read(tmp_path / "x.csv", text, [said.split("--column '")[1].split("'")[0]]))
 
 
+@pytest.mark.parametrize("period", [0.5, 3.8])
+def test_no_unit_is_proposed_where_a_slow_record_is_as_likely(tmp_path, period):
+    """Steps of 3.8 are those of milliseconds on a bench, or of seconds of a drive at rest."""
+    times = 45.28 + period * np.arange(len(TIME))
+    text = table(("Time", *NAMES[1:]), ",", ("{:.6f}", "{:.4f}", "{:.7f}"), (times, *VALUES))
+    assert "'time=Time[UNIT]'" in refusal(tmp_path / "x.csv", text)
+
+
 def test_a_travel_in_micrometres_is_not_proposed_as_millimetres(tmp_path):
     text = table(values=(TIME, TENSION, 1e6 * TRAVEL))
     said = refusal(tmp_path / "x.csv", text)
