@@ -287,6 +287,7 @@ def calibrate(
     stiffness_uncertainty: float = 0.0,
     zero_uncertainty: float = ZERO_UNCERTAINTY,
     tolerance: float = TOLERANCE,
+    is_continued: bool = False,
 ) -> Calibration:
     """Calibrate from pulls and releases with the tip blocked.
 
@@ -304,6 +305,9 @@ def calibrate(
         the low end of the loop a hundredth of a newton is per cents.
     tolerance : float
         Largest standard uncertainty of K that is accepted.
+    is_continued : bool
+        Whether the tendon goes on behind its sheath, past guides and a stop that yield a little:
+        little compliance at the end of the pattern may then be theirs.
 
     Raises
     ------
@@ -315,7 +319,8 @@ def calibrate(
             "the paper's K needs both axial_stiffness and length: give the other"
         )
     loop = segment_loop(proximal_tension, proximal_displacement)
-    search = search_pattern(PatternLeastSquares(loop, zero_uncertainty))
+    deepest = _compute_reach(loop) - _DEPTH_MARGIN if is_continued else None
+    search = search_pattern(PatternLeastSquares(loop, zero_uncertainty), deepest)
     K, pattern = search.weighed.K, search.weighed.pattern
     largest = K.value + 2.0 * K.uncertainty
     _require_plausible_sheath(loop, search)
@@ -424,15 +429,18 @@ def _compute_elongation_constant(loop: BlockedLoop) -> MeasuredValue:
 
 
 def _require_identifiable(loop: BlockedLoop, search: PatternSearchResult, tolerance: float) -> None:
-    K = search.weighed.K
-    lowest = max(float(loop.turns.min()), loop.slack)
-    reach = 0.5 * math.log(loop.peak / lowest)
+    K, reach = search.weighed.K, _compute_reach(loop)
     if K.value + _DEPTH_MARGIN > reach or K.uncertainty > tolerance:
         raise CalibrationError(
-            f"a loop between {loop.peak:.3g} N and {lowest:.3g} N decides K = {K.value:.2f} only "
-            f"to {K.uncertainty:.2g}, its range reaching to {reach:.2f}: release further, pull "
-            "higher, or go more slowly"
+            f"a loop between {loop.peak:.3g} N and {loop.peak * math.exp(-2.0 * reach):.3g} N "
+            f"decides K = {K.value:.2f} only to {K.uncertainty:.2g}, its range reaching to "
+            f"{reach:.2f}: release further, pull higher, or go more slowly"
         )
+
+
+def _compute_reach(loop: BlockedLoop) -> float:
+    """Return the s down to which the whole loop slides."""
+    return 0.5 * math.log(loop.peak / max(float(loop.turns.min()), loop.slack))
 
 
 def _require_plausible_sheath(loop: BlockedLoop, search: PatternSearchResult) -> None:

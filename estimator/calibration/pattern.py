@@ -85,6 +85,10 @@ class Pattern:
             return replace(self, ends=(*self.ends[:-1], K))
         return replace(self, ends=tuple(end * K / self.K for end in self.ends))
 
+    def cut(self, count: int) -> "Pattern":
+        """Return the pattern of the first `count` intervals."""
+        return Pattern(self.ends[:count], self.spread[:count], self.straight[: count + 1])
+
     def sheath(self, length: float, friction: float = 0.1) -> Sheath:
         """Return a sheath of that pattern, `length` [m] long, motor first.
 

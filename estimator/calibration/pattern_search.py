@@ -8,7 +8,7 @@ in a slight bend.
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -20,7 +20,14 @@ from estimator.calibration.model_averaging import (
     average_rivals,
     deduplicate_rivals,
 )
-from estimator.calibration.pattern import K_MAX, STEP_MIN, PatternFit, PatternLeastSquares, Shape
+from estimator.calibration.pattern import (
+    K_MAX,
+    STEP_MIN,
+    Pattern,
+    PatternFit,
+    PatternLeastSquares,
+    Shape,
+)
 from estimator.fitting import MeasuredValue
 
 Mask = NDArray[np.bool_]
@@ -32,6 +39,8 @@ BEND_DENSITY_MIN, BEND_DENSITY_LOG_SIGMA = 0.15, 0.45
 """The last interval's compliance per unit of s, over that of the sheath: below the first, which is
 a bend of some 30 mm, it is rarer by one sigma for each factor e^0.45. Without this anything could
 follow beyond the tip, as long as it has next to no compliance."""
+BEHIND_SIGMA = 0.05
+"""Compliance of guides and stops behind a sheath, over that of all: one sigma."""
 
 _STARTS = (0.2, 0.4, 0.7, 1.0, 1.4, 1.9, 2.5)
 _FREE_STEP = 0.03
@@ -57,8 +66,13 @@ class PatternSearchResult(NamedTuple):
     residual: float  # [N] root mean square
 
 
-def search_pattern(fitter: PatternLeastSquares) -> PatternSearchResult:
-    """Return the pattern of a loop."""
+def search_pattern(
+    fitter: PatternLeastSquares, continued: float | None = None
+) -> PatternSearchResult:
+    """Return the pattern of a loop.
+
+    Where the tendon goes on behind its sheath, `continued` is the s above which no sheath ends.
+    """
     fit = _fit_one_interval(fitter)
     fit = _select_shape(fitter, fit)
     fit, _ = fitter.refine(fit)
@@ -67,9 +81,12 @@ def search_pattern(fitter: PatternLeastSquares) -> PatternSearchResult:
     fit, uncertainty = fitter.refine(fit)
     misfit = _compute_misfit(fitter, fit)
     scale = max(misfit, 1.0)
-    rivals = deduplicate_rivals(
-        [_build_rival(fit, scale, uncertainty.K), *_find_rivals(fitter, fit, scale, uncertainty.K)]
-    )
+    found = [_build_rival(fit, scale, uncertainty.K)]
+    found += _find_rivals(fitter, fit, scale, uncertainty.K)
+    if continued is not None:
+        found += _cut_rivals(found)
+        found = [rival for rival in found if continued > rival.pattern.K] or found
+    rivals = deduplicate_rivals(found)
     return PatternSearchResult(
         rivals=rivals,
         weighed=average_rivals(rivals),
@@ -82,9 +99,22 @@ def search_pattern(fitter: PatternLeastSquares) -> PatternSearchResult:
 
 def _build_rival(fit: PatternFit, scale: float, uncertainty: float, prior: float = 0.0) -> Rival:
     score = (
-        fit.chi2 / scale + SCORE_PENALTY * fit.shape.parameters + _compute_bend_penalty(fit) + prior
+        fit.chi2 / scale
+        + SCORE_PENALTY * fit.shape.parameters
+        + _compute_bend_penalty(fit.pattern)
+        + prior
     )
     return Rival(fit.pattern, score, math.sqrt(scale) * uncertainty)
+
+
+def _cut_rivals(rivals: Sequence[Rival]) -> Iterator[Rival]:
+    """Yield rivals without what follows each of their ends: guides, and stops that yield."""
+    for whole, score, _ in rivals:
+        for count in range(1, len(whole.ends)):
+            pattern = whole.cut(count)
+            behind = 1.0 - pattern.compliance / whole.compliance
+            more = _compute_bend_penalty(pattern) - _compute_bend_penalty(whole)
+            yield Rival(pattern, score + more + (behind / BEHIND_SIGMA) ** 2, 0.0)
 
 
 def _find_rivals(
@@ -141,7 +171,7 @@ def _select_shape(fitter: PatternLeastSquares, fit: PatternFit) -> PatternFit:
 
     def cost(fit: PatternFit) -> float:
         return fit.chi2 + scale * (
-            GROWTH_PENALTY * fit.shape.parameters + _compute_bend_penalty(fit)
+            GROWTH_PENALTY * fit.shape.parameters + _compute_bend_penalty(fit.pattern)
         )
 
     while len(fit.shape.ends) < INTERVALS_MAX:
@@ -162,9 +192,8 @@ def _select_shape(fitter: PatternLeastSquares, fit: PatternFit) -> PatternFit:
     return fit
 
 
-def _compute_bend_penalty(fit: PatternFit) -> float:
+def _compute_bend_penalty(pattern: Pattern) -> float:
     """Return how improbably tight the last bend is, in units of chi²."""
-    pattern = fit.pattern
     last = pattern.K - (pattern.ends[-2] if len(pattern.ends) > 1 else 0.0)
     density = max(pattern.spread[-1] / (last * pattern.compliance), 1e-9)
     return max(math.log(BEND_DENSITY_MIN / density) / BEND_DENSITY_LOG_SIGMA, 0.0) ** 2

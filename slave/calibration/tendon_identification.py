@@ -300,6 +300,7 @@ def _fit_loops(
                 axial_stiffness=sheath.axial_stiffness,
                 length=None if sheath.axial_stiffness is None else sheath.length,
                 stiffness_uncertainty=sheath.stiffness_error,
+                is_continued=bool(pulled.record.joint_travel.any()),  # of an arm
             )
             for loop in loops
         ]

@@ -285,3 +285,14 @@ def test_friction_that_depends_on_direction_is_noticed():
 def test_refuses_more_stretch_than_a_free_tendon(clean):
     with pytest.raises(CalibrationError, match=r"M_e EA/L is 1\.\d+, must lie between 0 and 1"):
         calibrate(*clean, axial_stiffness=15000.0, length=1.5)
+
+
+def test_guides_behind_the_sheath_are_not_taken_for_its_end():
+    """Little compliance of much friction: of guides, past which a yielding stop draws a tendon."""
+    guides = Section(0.012, 0.012 * 0.16 / 0.4)
+    sheath = Sheath((Section(0.6), Section(0.9, 0.9 * 0.16 / 0.7), guides), 0.16, 9000.0)
+    T, q = measured(record(sheath, 0.2, 20.0, 0.2, 20.0), 3)
+    alone, continued = (calibrate(T, q, is_continued=is_continued) for is_continued in (0, 1))
+    assert alone.K.value > 0.9
+    assert abs(continued.K.value - 0.7) < 2.0 * max(continued.K.uncertainty, 0.005)
+    assert continued.stiffness_per_length.value == pytest.approx(6000.0, rel=0.003)
