@@ -4,9 +4,10 @@
   teleop calibrate --config configs/paper-joint.yaml --quick --figure loops.png
   teleop calibrate --config my-arm.yaml --joint 3 --out my-arm-calibration.yaml
 
-Keep the tips free: each joint is pulled to both of its stops, up to slave.initialise.tension. Set
-length and stiffness of the sheaths (slave.initialise.sheaths) and the joints' range
-(slave.initialise.range) if they are known; then an obstacle at a tip is detected.
+Keep the tips free: each joint is pulled to both of its stops, up to slave.initialise.tension. What
+a simulated rig touches is taken away. Set length and stiffness of the sheaths
+(slave.initialise.sheaths) and the joints' range (slave.initialise.range) if they are known; then an
+obstacle at a tip is detected.
 
 Of an arm (`arms` in the config) the passed joints are held at their stops meanwhile, and their
 friction is found by drags in several postures: the arm needs all of its workspace free.
@@ -19,6 +20,7 @@ import argparse
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -37,7 +39,7 @@ from slave.config import SlaveConfig
 from slave.rig import Rig
 from slave.rigs import open_rig
 from slave.rigs.replayed import ReplayedRigConfig
-from slave.rigs.simulated import SimulatedRigConfig
+from slave.rigs.simulated import SimulatedRigConfig, remove_obstacles
 from teleop.config.loading import ConfigDocument
 from teleop.config.options import add_option, add_options
 from teleop.errors import UsageError
@@ -103,7 +105,14 @@ def main(args: argparse.Namespace) -> int:
         )
     figure = None if args.figure is None else import_draw_figure()
     is_real = not isinstance(config.rig, SimulatedRigConfig)
-    if is_real:
+    if isinstance(config.rig, SimulatedRigConfig):
+        free = remove_obstacles(config.rig)
+        if free != config.rig:
+            print(
+                "simulated rig: calibrated without what its joints and tips touch", file=sys.stderr
+            )
+        config = replace(config, rig=free)
+    else:
         with announce_compilation("the calibration", COMPILE_S):
             warm_up()  # else it would compile while the motors wait for targets
         request_realtime(shared.realtime)  # before the rig: its processes inherit the priority

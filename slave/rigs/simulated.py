@@ -17,6 +17,7 @@ from slave.simulation.effects.schedule import JointSchedule, SampleSchedule, Sen
 from slave.simulation.environment import (
     EnvironmentConfig,
     EnvironmentRamp,
+    FreeConfig,
     TissueConfig,
     build_environment,
     replace_number,
@@ -150,6 +151,15 @@ def compute_step_max(config: TendonPlantConfig) -> float:
     """Return the largest stable step [s] of a motor loaded by the last step's tension."""
     stiffness = 1.0 / float(build_chain(config.sheath, 0.0).compliance[0])
     return math.sqrt(build_motor(config.motor, 0.0).mass / stiffness)
+
+
+def remove_obstacles(config: SimulatedRigConfig) -> SimulatedRigConfig:
+    """Return the rig with nothing there that its joints and tips could touch."""
+    return dataclasses.replace(
+        config,
+        joints=tuple(dataclasses.replace(j, environment=FreeConfig()) for j in config.joints),
+        arms=tuple(dataclasses.replace(arm, contacts=()) for arm in config.arms),
+    )
 
 
 def build_joint(config: JointConfig) -> Joint:

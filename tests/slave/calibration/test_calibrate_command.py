@@ -197,8 +197,7 @@ def test_at_the_start_of_a_slave_the_same_is_done_and_the_samples_are_handed_ove
 
 @pytest.mark.slow
 def test_a_range_that_was_found_once_is_expected_again(done, capsys):
-    wall = "{type: wall, position: 0.001, stiffness: 1.0e+6}"
-    words = ["--set", f"slave.rig.joints.0.environment={wall}", "--quick", "--joint", 1]
+    words = ["--set", "slave.rig.joints.0.body.stops=[-0.003, 0.001]", "--quick", "--joint", 1]
     out = done / "bench-calibration.yaml"
     before = out.read_text()
     assert teleop("--config", done / "rig.yaml", *words, "--out", out) == 1
