@@ -88,6 +88,7 @@ def configure():
 MAIN = """
 
 if __name__ == "__main__":
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # shells ignore it in the background
     with Session(configure(), say=lambda line: None) as session:
 """
 
