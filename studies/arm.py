@@ -243,7 +243,7 @@ def print_model_errors(
 
 
 class TipErrors(NamedTuple):
-    """Errors of the force at the tip while it presses on a plane; of what is told of it."""
+    """Errors of the force at the tip that presses on a plane, in determined directions."""
 
     angle: Array  # [rad] between the estimated and the true force: median, 95 %, largest
     size: Array  # error of its size, relative: the same

@@ -9,7 +9,7 @@ from functools import partial
 
 import pytest
 
-from master.device import DeviceFault, DeviceLost
+from master.device import DeviceFault
 from master.devices.ros_device import RosDevice, RosDeviceConfig
 from studies.testbed.processes import START_S, Processes
 from teleop.launch.supervisor import wait_for_condition
@@ -26,6 +26,7 @@ from teleop.ros.message_types import (
 )
 from teleop.ros.node import RosNode
 from teleop.session.state_machine import State
+from tests.master.reading import said
 from tests.root import ROOT
 from tests.teleop.ros.peers import free_port, router
 
@@ -173,32 +174,23 @@ def test_a_receiver_without_a_router_or_that_stops_or_ends_is_a_fault():
     device = RosDevice(RosDeviceConfig(router=endpoint))
     receiver = device._process
     try:
-        for signal_number, said in (
+        for signal_number, loss in (
             (signal.SIGCONT, f"no router at {endpoint} yet: ros2 run rmw_zenoh_cpp rmw_zenohd"),
             (signal.SIGSTOP, "the receiver of ROS commands does not answer"),
         ):
             receiver.send_signal(signal_number)
-            assert wait_for_condition(lambda said=said: find_loss(device) == said, PATIENCE_S)
+            assert wait_for_condition(lambda loss=loss: said(device) == loss, PATIENCE_S)
         receiver.send_signal(signal.SIGCONT)
         with router(endpoint):
-            assert wait_for_condition(lambda: not find_loss(device), PATIENCE_S)
+            assert wait_for_condition(lambda: not said(device), PATIENCE_S)
             assert not device.read(0.0).engage
         receiver.kill()
         with pytest.raises(DeviceFault, match="has ended"):
-            wait_for_condition(lambda: find_loss(device) and False, PATIENCE_S)
+            wait_for_condition(lambda: said(device) and False, PATIENCE_S)
         with pytest.raises(DeviceFault, match="refuses"):
             device.write((math.nan,))
     finally:
         device.close()
-
-
-def find_loss(device):
-    """Return why a device is lost; empty if it is not."""
-    try:
-        device.read(0.0)
-    except DeviceLost as loss:
-        return str(loss)
-    return ""
 
 
 @pytest.mark.parametrize("words", [["master.device={type: ros, router: tcp/10.0.0.1:7447}"]])
