@@ -41,6 +41,7 @@ import threading
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from io import FileIO
 from ipaddress import IPv6Address, ip_address, ip_network
 from pathlib import Path
@@ -65,6 +66,9 @@ from teleop.link.socket_tables import (
 from teleop.security.identity import CertificateRole, Identity
 
 SCAN_PERIOD_S = 0.1  # between two looks; longer if a look takes more than a tenth of it
+# likewise, while each connection has a certificate and no source is blocked: a look costs a
+# millisecond, and a listening socket tells when a new one comes
+QUIET_SCAN_PERIOD_S = 1.0
 # likewise, at the bytes alone; Zenoh reads a thousand declarations in it
 BYTE_COUNT_PERIOD_S = 0.01
 NEW_CONNECTION_DELAY_S = 0.005  # after a connection has come, until the next look
@@ -109,6 +113,17 @@ def find_allowance(identity: Identity) -> Allowance | None:
         return STOPPER_ALLOWANCE if "stop" in identity.rights else SETTER_ALLOWANCE
     is_listener = identity.role in (CertificateRole.RECORDER, CertificateRole.VIEWER)
     return LISTENER_ALLOWANCE if is_listener else None
+
+
+@lru_cache(maxsize=256)  # asked every `BYTE_COUNT_PERIOD_S`
+def find_bounds(name: str) -> tuple[Identity, Allowance] | None:
+    """Return the holder of a certificate of this name and its allowance; None if it has none."""
+    try:
+        identity = Identity.parse(name)
+    except ValueError:
+        return None
+    allowance = find_allowance(identity)
+    return None if allowance is None else (identity, allowance)
 
 
 _TABLES = Path("/proc/net/tcp"), Path("/proc/net/tcp6")  # TCP sockets of this machine
@@ -203,9 +218,11 @@ class ConnectionGuard:
                 arrivals.register(listening.number, select.EPOLLIN | select.EPOLLET)
         while not _is_closed(self._session):
             begin_s = thread_time()  # not of other processes, on a busy machine
-            self._look(monotonic())
+            is_quiet = self._look(monotonic())
             took_s = thread_time() - begin_s
-            end_s, pause_s = monotonic() + max(SCAN_PERIOD_S, 10 * took_s), BYTE_COUNT_PERIOD_S
+            period_s = QUIET_SCAN_PERIOD_S if is_quiet else SCAN_PERIOD_S
+            end_s = monotonic() + max(period_s, 10 * took_s)
+            pause_s = SCAN_PERIOD_S if is_quiet and not self._charged else BYTE_COUNT_PERIOD_S
             while (left_s := end_s - monotonic()) > 0 and not self._has_new:
                 if arrivals.poll(min(left_s, pause_s)):
                     sleep(max(NEW_CONNECTION_DELAY_S, 3 * took_s))
@@ -223,8 +240,8 @@ class ConnectionGuard:
         """Wait for the thread to see that the session is closed; not for one that is left open."""
         self._thread.join(2 * SCAN_PERIOD_S)
 
-    def _look(self, now_s: float) -> None:
-        """Look at all connections once."""
+    def _look(self, now_s: float) -> bool:
+        """Look at all connections once; return whether none is half open and none is blocked."""
         half_open, named = [], Counter[str]()
         self._has_new, self._charged = False, []
         for connection in self._connections(now_s):
@@ -232,8 +249,9 @@ class ConnectionGuard:
             name = self._names.get(ends, self._names.get((connection.local, None)))
             if name is not None:
                 named[name] += 1
-                self._charged.append((connection, name, named[name]))
-                self._charge(connection, name, named[name], now_s)
+                if find_bounds(name) is not None:
+                    self._charged.append((connection, name, named[name]))
+                    self._charge(connection, name, named[name], now_s)
             elif connection.local in self._listening:
                 half_open.append(connection)
         is_stuck = any(now_s - c.since_s > BLOCK_HALF_OPEN_AGE_S for c in half_open)
@@ -247,6 +265,7 @@ class ConnectionGuard:
         if 0.0 < self._trim_s < now_s:
             self._trim_s = 0.0
             _release_free_memory()
+        return not (half_open or self._blocks or self._trim_s)
 
     def _cap(self, half_open: list[Connection]) -> None:
         """Shut down the oldest of too many half-open connections, from however many sources."""
@@ -283,13 +302,10 @@ class ConnectionGuard:
 
     def _charge(self, connection: Connection, name: str, count: int, now_s: float) -> None:
         """Charge a connection for what it has received since the last time."""
-        try:
-            identity = Identity.parse(name)
-            allowance = find_allowance(identity)
-        except ValueError:
+        bounds = find_bounds(name)
+        if bounds is None or connection.shut:
             return
-        if allowance is None or connection.shut:
-            return
+        identity, allowance = bounds
         received = connection.read_received()
         budget = allowance.burst if connection.left is None else connection.left
         budget = min(allowance.burst, budget + allowance.rate * (now_s - connection.charged_s))

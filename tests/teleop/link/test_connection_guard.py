@@ -384,6 +384,24 @@ def test_a_watch_may_go_on_for_good_and_who_cannot_stop_may_not(
     assert bool(guard._barred) is not passes
 
 
+@pytest.mark.parametrize(
+    ("role", "is_quiet", "charged"),
+    [(CertificateRole.MASTER, True, 0), (CertificateRole.VIEWER, True, 1), (None, False, 0)],
+)
+def test_strangers_are_looked_at_often_and_bytes_counted_of_whom_they_bound(
+    role: CertificateRole | None, is_quiet: bool, charged: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    here, there = ("", 0), ("192.0.2.1", 1)
+    guard = ConnectionGuard.__new__(ConnectionGuard)
+    guard._burst, guard._shut_s, guard._trim_s, guard._blocks = 16, 0.0, 0.0, {}
+    guard._listening = {here: socket_tables.Connection(-1, 0, here, here, 0.0)}
+    guard._names = {(here, there): Identity(role, "test").common_name} if role else {}
+    connection = socket_tables.Connection(-1, 1, here, there, 0.0)
+    monkeypatch.setattr(guard, "_connections", lambda _: [connection])
+    assert guard._look(0.5) is is_quiet
+    assert len(guard._charged) == charged
+
+
 def test_subscribers_are_let_in_of_topics_only(config: LinkConfig) -> None:
     with Link(config, "test", Role.SLAVE) as slave:
         tls = create_local_credentials("test", CertificateRole.VIEWER).for_tls()
