@@ -35,6 +35,7 @@ from estimator.diagnosis.hidden_motion import (
     recover_hidden_motion,
 )
 from estimator.diagnosis.intervals import estimate_intervals
+from estimator.diagnosis.learned import compute_learned_gains, fit_learned_models
 from estimator.diagnosis.measured_data import (
     Record,
     RecordError,
@@ -450,7 +451,7 @@ def _build_diagnosis(
         dataset, final_base_fit, transferred_fit, validation_records
     )
     equivalents = [(step.effect.name, *step.rivals) for step in steps if step.rivals]
-    simple_models = fit_simple_models(dataset)
+    simple_models, learned_models = fit_simple_models(dataset), fit_learned_models(folds)
     return Diagnosis(
         verdict=verdict,
         steps=tuple(steps),
@@ -471,6 +472,8 @@ def _build_diagnosis(
         foreign_share=missed_share if missed_share > SETTINGS.foreign_share_max else 0.0,
         simple_models=simple_models,
         simple_gain=compute_simple_gains(errors_after, simple_models),
+        learned_models=learned_models,
+        learned_gain=compute_learned_gains(errors_after, learned_models),
         residual_dependences=find_residual_dependence(dataset, fit),
         detection_limits=compute_detection_limits(dataset, base_fit, applicable)
         if verdict is Verdict.CLEAN

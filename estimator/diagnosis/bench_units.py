@@ -82,9 +82,8 @@ def to_record_units(diagnosis: Diagnosis, scale: BenchScale) -> Diagnosis:
         noise=_unscale_errors(diagnosis.noise, scale),
         laws=_unscale_choice(diagnosis.laws, scale),
         loads=_unscale_choice(diagnosis.loads, scale),
-        simple_models=tuple(
-            _unscale_simple_fit(original, scale) for original in diagnosis.simple_models
-        ),
+        simple_models=tuple(_unscale_simple_fit(m, scale) for m in diagnosis.simple_models),
+        learned_models=tuple(_unscale_simple_fit(m, scale) for m in diagnosis.learned_models),
         detection_limits={
             name: original._replace(
                 size=original.size * scale.size(original.unit), unit=units.name(original.unit)

@@ -248,6 +248,8 @@ class Diagnosis(NamedTuple):
     loads: Choice  # of what the tips of several files pull at
     simple_models: tuple[SimpleFit, ...]  # that know no sheath, fitted to the same data
     simple_gain: dict[str, SimpleGain]  # of the extended law over the best of them, by channel
+    learned_models: tuple[SimpleFit, ...]  # empty without scikit-learn, and where all is fitted
+    learned_gain: dict[str, SimpleGain]  # of the best of them over the extended law, by channel
     residual_dependences: tuple[ResidualDependence, ...]  # of what the extended model leaves
     detection_limits: dict[str, DetectionLimit]  # by effect; of a clean dataset
     experiments: tuple[str, ...]  # that would settle what is ambiguous

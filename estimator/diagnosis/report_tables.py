@@ -98,13 +98,14 @@ def build_gain_table(diagnosis: Diagnosis) -> Table:
 
 
 def build_model_table(diagnosis: Diagnosis) -> Table:
-    """Return the held-out errors of the law and of models that know no sheath."""
+    """Return the held-out errors of the law, of models that know no sheath, and learned ones."""
     errors = {"the plain law": {c: result.rmse for c, result in diagnosis.before.held_out.items()}}
     if diagnosis.steps:
         errors["the extended law"] = {
             c: result.rmse for c, result in diagnosis.after.held_out.items()
         }
-    errors |= {result.name: result.rmse for result in diagnosis.simple_models}
+    others = (*diagnosis.simple_models, *diagnosis.learned_models)
+    errors |= {result.name: result.rmse for result in others}
     channels = list(diagnosis.before.held_out)
     rows = [(name, *_format_rmse(diagnosis.units, channels, e)) for name, e in errors.items()]
     channel_names = (diagnosis.units.word(channel) for channel in channels)

@@ -3,10 +3,13 @@
 import re
 from collections.abc import Sequence
 
+import numpy as np
+
 from estimator.diagnosis import report_tables
 from estimator.diagnosis.baseline import LUGRE
 from estimator.diagnosis.curve import describe_curve
 from estimator.diagnosis.dataset import TIP_COMPLIANCE, compute_tolerance
+from estimator.diagnosis.learned import INSTALL
 from estimator.diagnosis.outcome import CauseStep, Curve, DetectionLimit, Diagnosis, Verdict
 from estimator.diagnosis.report_tables import (
     build_detection_limit_table,
@@ -138,7 +141,8 @@ def format_summary(
     lines += [f"WARNING: {line}" for line in list_better_models(diagnosis)]
     parts = [format_headline(diagnosis), "\n".join(lines)]
     parts += [table.markdown() for table in build_tables(diagnosis, files, compared, further)]
-    parts.append("Residuals:\n" + "\n".join(f"- {line}" for line in describe_residuals(diagnosis)))
+    remains = [*describe_residuals(diagnosis), *compare_with_learned(diagnosis)]
+    parts.append("Residuals:\n" + "\n".join(f"- {line}" for line in remains))
     parts.append("Next:\n" + "\n".join(f"- {step}" for step in list_next_steps(diagnosis)))
     if remarks := list_sample_remarks(diagnosis, names[: len(diagnosis.dataset.records)]):
         parts.append("Samples:\n" + "\n".join(f"- {remark}" for remark in remarks))
@@ -276,6 +280,35 @@ def describe_residuals(diagnosis: Diagnosis) -> list[str]:
             f"{diagnosis.units.word(channel)}: {format_quantity(errors.rmse, unit, 3)} "
             f"{name_judged_samples(diagnosis)} RMSE, "
             f"noise is {format_quantity(noise, unit, 2)}; {remark}."
+        )
+    return lines
+
+
+def compare_with_learned(diagnosis: Diagnosis) -> list[str]:
+    """Return whether a learned model finds more in each channel than the law, or what it needs."""
+    if diagnosis.fit_all:
+        return []
+    if not diagnosis.learned_models:
+        return [f"To see whether a learned model would find more: {INSTALL}."]
+    lines, tolerance = [], compute_tolerance(diagnosis.dataset)
+    for channel, gain in diagnosis.learned_gain.items():
+        errors, noise = diagnosis.after.held_out[channel], diagnosis.noise[channel]
+        if all(float(np.ptp(r.signals[channel])) < 10.0 * noise for r in diagnosis.dataset.records):
+            continue  # hardly moves
+        learned, law = (
+            format_quantity(rmse, diagnosis.units.of(channel), 3)
+            for rmse in (
+                min(model.rmse[channel] for model in diagnosis.learned_models),
+                errors.rmse,
+            )
+        )
+        result = "nothing more to find from these inputs"
+        is_beyond_noise = errors.rmse > SETTINGS.noise_ratio * tolerance[channel] * noise
+        if gain.low > SETTINGS.learned_gain_min and is_beyond_noise:
+            result = f"something is missing ({gain.low:.0%} to {gain.high:.0%} less)"
+        lines.append(
+            f"{diagnosis.units.word(channel)}: a learned model leaves {learned}, this law {law}: "
+            f"{result}."
         )
     return lines
 

@@ -75,6 +75,9 @@ class Settings:
     # of a channel's rms about its mean, beyond noise, that a model of a tendon may leave
     foreign_share_max: float = 0.3
 
+    # by which share a learned model's error is surely lower, so that the law misses something
+    learned_gain_min: float = 0.05
+
     # when two effects are not told apart (causes.py)
     equivalent_score_max: float = 6.0  # log-likelihood ratio, penalties included
     equivalent_fraction_max: float = 0.015  # of the error beyond noise

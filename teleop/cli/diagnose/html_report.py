@@ -93,6 +93,7 @@ def render(
         page.section("Gain", report_tables.build_gain_table(diagnosis))
     page.section("Beside models that know no sheath", report_tables.build_model_table(diagnosis))
     page.table(report_tables.build_simple_gain_table(diagnosis))
+    page.points(report_text.compare_with_learned(diagnosis))
     for table in (
         report_tables.build_law_table(diagnosis),
         report_tables.build_load_table(diagnosis),
