@@ -311,6 +311,8 @@ def _step_session(
     if tick_input.has_state:
         inputs.peer_state = state_machine.to_known_state(state.state)
         inputs.peer = state.sender
+    is_degraded = tick_input.has_state and state.force_reduction != 0.0
+    inputs.degraded = Reason.CALIBRATION_DUE if is_degraded else Reason.NONE
     inputs.engage = hand.present and is_switch_closed(memory.session, hand, memory.presence)
     inputs.fault = tick_input.fault
     if tick_input.fault == Reason.NONE and not is_plausible(memory.session, hand, is_finite):

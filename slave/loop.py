@@ -22,7 +22,7 @@ from estimator.online.tendon_estimate import INVALID_INPUT
 from estimator.records import StructArray, to_struct_array, view_struct
 from slave import control, fault_detection, gate, initial_position
 from slave.arm_estimate import ArmEstimator, build_arm_estimator
-from slave.calibration import monitor
+from slave.calibration import degraded_mode, monitor
 from slave.calibration.monitor import Advice
 from slave.config import SlaveConfig
 from slave.control.joint import JointEstimates
@@ -131,6 +131,7 @@ def build_settings(
     records["bilateral"] = coupling.to_bilateral_settings(bilateral)
     records["sample_timeout"] = config.sample_timeout
     records["is_actuated"], records["calibrated"] = config.is_actuated, calibrated
+    records["degrades"] = config.monitor.on_demand == "degrade"
     return records
 
 
@@ -230,13 +231,12 @@ def begin_tick(
     )
     _update_faults(settings, layout, memory, rows, samples, fault, tendon, tick_input.dt)
     _update_readiness(settings, memory, scratch, tick_input.motors_follow)
+    degraded_mode.advance_ramp(memory.degradation, tick_input.dt)
     commanded = _copy_command(layout, scratch, command, tick_input)
     _advance_session(settings, layout, memory, scratch, command, tick_input)
     engaged = state_machine.may_move(memory.session) and commanded
     if memory.has_sample:
-        control.estimate_joints(
-            layout, memory.tendons, memory.offsets, memory.arm_force, memory.joints
-        )
+        _estimate_joints(layout, memory)
     _apply_coupling(settings, layout, memory, scratch, command, tick_input, commanded, engaged)
     return engaged
 
@@ -428,6 +428,8 @@ def _advance_session(
     inputs.reset = tick_input.reset
     inputs.link, inputs.link_holds = tick_input.link, tick_input.link_holds
     inputs.not_ready_reason = Reason.COUPLING_DIFFERS if has_mismatch else Reason.NONE
+    is_degraded = memory.degradation.ramp > 0.0
+    inputs.degraded = Reason.CALIBRATION_DUE if is_degraded else Reason.NONE
     inputs.peer = 0
     if tick_input.has_command:
         inputs.peer = command.sender
@@ -445,7 +447,7 @@ def _find_own_fault(
         return Reason.OVER_LIMIT
     if memory.detected_fault != Reason.NONE:
         return memory.detected_fault
-    if memory.advice == Advice.DEMANDED:
+    if memory.advice == Advice.DEMANDED and not settings.degrades:
         return Reason.CALIBRATION_DUE
     for k in range(layout.joints):
         if not (abs(scratch.requested[k]) < MOTION_MAX and abs(scratch.speed[k]) < MOTION_MAX):
@@ -477,6 +479,7 @@ def _apply_coupling(
             layout.joints,
             command.force_max,
             scratch.force,
+            degraded_mode.compute_force_reduction(settings.monitor, memory.degradation),
         )
     coupling.compute_tip_motion(
         settings.bilateral,
@@ -487,7 +490,15 @@ def _apply_coupling(
         layout.joints if commanded else 0,
         engaged,
         tick_input.dt,
+        degraded_mode.compute_speed_max(settings.monitor, memory.degradation),
     )
+
+
+@jit_compile
+def _estimate_joints(layout: RigLayout, memory: SlaveMemory) -> None:
+    """Estimate the joints from the newest sample."""
+    control.estimate_joints(layout, memory.tendons, memory.offsets, memory.arm_force, memory.joints)
+    degraded_mode.widen_intervals(layout, memory.degradation, memory.tendons, memory.joints)
 
 
 @jit_compile
@@ -500,13 +511,15 @@ def compute_port_forces(
 ) -> None:
     """Write the forces of the newest sample at the slave's port to `scratch.force`."""
     layout, memory, scratch = layouts[0], memories[0], scratches[0]
-    control.estimate_joints(layout, memory.tendons, memory.offsets, memory.arm_force, memory.joints)
+    settings = settings_records[0]
+    _estimate_joints(layout, memory)
     compute_rendered_forces(
-        settings_records[0].bilateral,
+        settings.bilateral,
         memory.joints,
         layout.joints,
         commands[0].force_max,
         scratch.force,
+        degraded_mode.compute_force_reduction(settings.monitor, memory.degradation),
     )
 
 
@@ -517,6 +530,7 @@ def compute_rendered_forces(
     joints: int,
     force_max: float,
     out_forces: Array,
+    reduction: float = 0.0,
 ) -> None:
     """Write the forces as rendered to the hand, at the slave's port; the master computes the same.
 
@@ -528,6 +542,8 @@ def compute_rendered_forces(
         Largest rendered force [N]; sent by the master, may be any number.
     out_forces : array, shape (joints,) or longer
         [N], at most `force_max`; zero for joints whose estimate is invalid or not finite.
+    reduction : float
+        `SlaveState.force_reduction`.
     """
     force_max = force_max if force_max > 0.0 else 0.0
     estimates = np.zeros((3, MAX_JOINTS))
@@ -538,7 +554,7 @@ def compute_rendered_forces(
             estimates[1, k], estimates[2, k] = estimate.low, estimate.high
         else:
             estimates[1:, k] = math.nan  # of an arm, no joint is then rendered
-    attenuate_forces(bilateral.confidence, bilateral.arm, estimates, joints, out_forces)
+    attenuate_forces(bilateral.confidence, bilateral.arm, estimates, joints, reduction, out_forces)
     for k in range(joints):
         out_forces[k] = min(max(out_forces[k], -force_max), force_max)
 
@@ -607,6 +623,9 @@ def _fill_state(
     state.stops = memory.session.stops
     state.echo_stamp_ns = command.stamp_ns if tick_input.has_command else 0
     state.coupling = settings.bilateral.signature
+    state.force_reduction = degraded_mode.compute_force_reduction(
+        settings.monitor, memory.degradation
+    )
     state.joints = layout.joints if memory.has_sample else 0
     state.sample_age_ns = round(memory.silence * 1e9) if memory.has_sample else 0
     for k in range(MAX_JOINTS):
@@ -636,4 +655,8 @@ def monitor_calibration(
     for s in range(samples):
         memory.advice = monitor.step_rig(
             settings.monitor, layout, constants, memory.monitors, rows[s].tendons, rows[s].elapsed
+        )
+    if settings.degrades:
+        degraded_mode.update_degradation(
+            settings.monitor, memory.degradation, memory.monitors, memory.advice, layout.tendons
         )

@@ -8,6 +8,7 @@ from estimator.array_types import Array
 from estimator.records import F64, I64, Field, Flag, Struct, build_struct_dtype
 from slave import control, fault_detection, gate, initial_position
 from slave.calibration import monitor
+from slave.calibration.degraded_mode import Degradation
 from slave.calibration.monitor import Advice
 from slave.control.joint import JointEstimate
 from slave.tendons import EstimatedTendon
@@ -41,6 +42,7 @@ class SlaveSettings(Struct):
     sample_timeout: F64 = 0.1  # [s]
     is_actuated: Flag = True  # the motors follow commands
     calibrated: Flag = True  # a calibration fits the rig
+    degrades: Flag = False  # a demanded calibration limits the session instead of ending it
 
 
 class EstimatedSample(Struct):
@@ -80,6 +82,7 @@ class SlaveMemory(Struct):
     detected_fault: I64 = Reason.NONE  # Reason that the fault detection gave last
     faulty_tendon: I64 = -1
     advice: I64 = Advice.NONE
+    degradation: Degradation
     not_ready: I64 = NO_SAMPLE
 
 

@@ -66,7 +66,8 @@ class Telemetry:
         """Publish the messages due at session time `time_s` [s]."""
         side = self._outline()
         published = self._published
-        lasting = side.state is State.FAULT and published is not None and published[0] == side
+        told_once = side.state is State.FAULT or side.reason is Reason.CALIBRATION_DUE
+        lasting = told_once and published is not None and published[0] == side
         if not (lasting and self.detail):  # the origin of a fault, not its later symptoms
             self.detail = self._detail(side.reason)
         now = side, self.detail

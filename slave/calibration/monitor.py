@@ -21,7 +21,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 
@@ -33,6 +33,7 @@ from estimator.online import tendon_estimate
 from estimator.online.online import TendonModel
 from estimator.online.tendon_estimate import TendonEstimate
 from estimator.records import F64, I64, Field, Flag, Struct, StructArray, view_struct
+from slave.ranged_field import build_ranged_field, check_ranges
 from slave.tendons import EstimatedTendon, RigLayout
 
 MOBILISED_SHARE = 0.999  # of the length: the front has reached the tip
@@ -79,6 +80,11 @@ class MonitorConfig:
     advise: float = 0.07  # above it a calibration is advised
     demand: float = 0.15  # above it a calibration is demanded
     transitions: int = 5  # number of latest transitions whose median decides
+    # a demand ends the session, or limits force and motion until the shape is as calibrated
+    on_demand: Literal["stop", "degrade"] = "stop"
+    # of the forces, rendered at most while degraded
+    degraded_force: float = build_ranged_field(0.5, 0.0, 0.9)
+    degraded_speed: float = build_ranged_field(0.005, 1e-4, 1.0, "m/s")  # of the tips then
 
     def __post_init__(self) -> None:
         """Check the values; raises `ValueError`."""
@@ -86,6 +92,7 @@ class MonitorConfig:
             raise ValueError("advise: must be above 0 and at most demand, which is at most 10")
         if not MIN_TRANSITIONS <= self.transitions <= TRANSITIONS_MAX:
             raise ValueError(f"transitions: must be {MIN_TRANSITIONS} to {TRANSITIONS_MAX}")
+        check_ranges(self)
 
 
 class Advice(IntEnum):
@@ -289,16 +296,32 @@ def compute_force_error(monitor: TendonMonitor) -> float:
     """
     if monitor.count < MIN_TRANSITIONS:
         return 0.0
+    middle, spread = _compute_median_error(monitor)
     values = np.empty(monitor.count)
-    copy_values(monitor.errors[: monitor.count], values)
-    middle = compute_median(values)
     copy_values(monitor.uncertainties[: monitor.count], values)
     if abs(middle) < SIGNIFICANCE * compute_median(values):
         return 0.0
+    return middle if spread < SCATTER_MAX + SCATTER_SHARE_MAX * abs(middle) else 0.0
+
+
+@jit_compile
+def is_as_calibrated(config: MonitorConfig, monitor: TendonMonitor) -> bool:
+    """Return whether the transitions agree that T_out is right, to less than `advise`."""
+    if monitor.count < MIN_TRANSITIONS:
+        return False
+    middle, spread = _compute_median_error(monitor)
+    return abs(middle) < config.advise and spread < SCATTER_MAX
+
+
+@jit_compile
+def _compute_median_error(monitor: TendonMonitor) -> tuple[float, float]:
+    """Return the median of the errors and that of their deviations from it."""
+    values = np.empty(monitor.count)
+    copy_values(monitor.errors[: monitor.count], values)
+    middle = compute_median(values)
     for k in range(monitor.count):
         values[k] = abs(monitor.errors[k] - middle)
-    spread = compute_median(values)
-    return middle if spread < SCATTER_MAX + SCATTER_SHARE_MAX * abs(middle) else 0.0
+    return middle, compute_median(values)
 
 
 @jit_compile

@@ -8,7 +8,7 @@ from typing import ClassVar, Literal
 
 from estimator.compiled import jit_compile
 from teleop.coupling import ledger
-from teleop.coupling.interface import MasterInput, SlaveInput, SlaveOutput
+from teleop.coupling.interface import MasterInput, SlaveInput, SlaveOutput, limit_travel
 from teleop.coupling.ledger import Port
 
 
@@ -32,7 +32,7 @@ def count_hand_work(port: Port, hand: MasterInput) -> None:
 @jit_compile
 def compute_tip_motion(port: Port, tip: SlaveInput) -> SlaveOutput:
     """Return the commanded motion unchanged; see `teleop.coupling.interface`."""
-    travel = tip.travel + tip.lag
+    travel = limit_travel(tip, tip.travel + tip.lag)
     work = -tip.force * travel
     ledger.count_tip_work(port, work, False)
     ledger.pass_on_energy(port, work)

@@ -77,7 +77,12 @@ def attenuate_force(config: ConfidenceConfig, force: float, low: float, high: fl
 
 @jit_compile
 def attenuate_forces(
-    config: ConfidenceConfig, arm: NDArray[np.int64], estimates: Array, joints: int, out: Array
+    config: ConfidenceConfig,
+    arm: NDArray[np.int64],
+    estimates: Array,
+    joints: int,
+    reduction: float,
+    out: Array,
 ) -> None:
     """Write the rendered forces [N] of so many joints to `out`.
 
@@ -89,16 +94,19 @@ def attenuate_forces(
     estimates : array, shape (3, joints) or wider
         Force [N], low and high end of its interval. If one of an
         arm is invalid (NaN or swapped ends), the arm renders nothing.
+    reduction : float
+        Part of them that is not rendered (`SlaveState.force_reduction`); all unless within 0 ... 1.
     """
     factor = 1.0
+    share = 1.0 - reduction if 0.0 <= reduction <= 1.0 else 0.0
     for k in range(joints):
         force, low, high = estimates[0, k], estimates[1, k], estimates[2, k]
         if arm[k] < 0:
-            out[k] = attenuate_force(config, force, low, high)
+            out[k] = share * attenuate_force(config, force, low, high)
             continue
         if k == 0 or arm[k] != arm[k - 1]:
             factor = _compute_common_factor(config, arm, estimates, k, joints)
-        out[k] = factor * force
+        out[k] = share * factor * force
 
 
 @jit_compile

@@ -13,6 +13,7 @@ Forces [N] are positive against pulling, travels [m] in the pulling direction.
 
 from typing import NamedTuple
 
+from estimator.compiled import jit_compile
 from estimator.records import F64, Struct
 
 
@@ -33,6 +34,7 @@ class SlaveInput(NamedTuple):
     travel: float  # [m] commanded since the last tick
     lag: float  # [m] lag behind the command, at the last tick
     velocity: float  # [m/s] commanded
+    travel_max: float  # [m] largest of this tick; may be infinite
 
 
 class SlaveOutput(NamedTuple):
@@ -40,3 +42,9 @@ class SlaveOutput(NamedTuple):
 
     travel: float  # [m]
     velocity: float  # [m/s]
+
+
+@jit_compile
+def limit_travel(tip: SlaveInput, travel: float) -> float:
+    """Return `travel` [m] limited to the largest of this tick."""
+    return min(max(travel, -tip.travel_max), tip.travel_max)

@@ -31,7 +31,7 @@ from typing import Literal
 
 from estimator.compiled import jit_compile
 from teleop.coupling import ledger
-from teleop.coupling.interface import MasterInput, SlaveInput, SlaveOutput
+from teleop.coupling.interface import MasterInput, SlaveInput, SlaveOutput, limit_travel
 from teleop.coupling.ledger import Port
 
 
@@ -117,7 +117,7 @@ def compute_tip_motion(
     config: PassivityConfig, port: Port, tip: SlaveInput, dt: float
 ) -> SlaveOutput:
     """Return the motion limited by the credit; see `teleop.coupling.interface`."""
-    requested = tip.travel + tip.lag * min(dt / config.catch_up, 1.0)
+    requested = limit_travel(tip, tip.travel + tip.lag * min(dt / config.catch_up, 1.0))
     share = min(dt / config.discharge_time, 1.0)
     travel = ledger.limit_travel_to_credit(port, tip.force, requested, share)
     work = -tip.force * travel

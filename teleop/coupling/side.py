@@ -1,5 +1,6 @@
 """All joints of one side of a coupling; compiled functions that update it in place."""
 
+import math
 from collections.abc import Sequence
 from typing import Annotated
 
@@ -28,6 +29,8 @@ class Side(Struct):
     # at the last tick (master)
     hand: Annotated[Sequence[MasterInput], Field(MasterInput, MAX_JOINTS)]
     dt: F64 = 0.0  # [s] of that tick
+    # [m] of the command, beyond the largest speed and not made up for (slave)
+    dropped: Annotated[Array, Field("f8", MAX_JOINTS)]
     # of a coupling of another package, at this tick: [m], [m/s] of the tips, [N] for the hand
     own_position: Annotated[Array, Field("f8", MAX_JOINTS)]
     own_velocity: Annotated[Array, Field("f8", MAX_JOINTS)]
@@ -193,6 +196,7 @@ def compute_tip_motion(
     joints: int,
     coupled: bool,
     dt: float,
+    speed_max: float = math.inf,
 ) -> None:
     """Compute the tip motion [m], [m/s] from the commanded one, in place.
 
@@ -209,26 +213,47 @@ def compute_tip_motion(
         Whether the tips follow.
     dt : float
         Time since the last tick [s].
+    speed_max : float
+        Largest speed of a tip [m/s]. Commanded motion beyond it is dropped, of all joints by the
+        same factor, so that the direction stays and the tips rest when the hand does.
     """
     if not coupled or not side.coupled:
         keep_reserves(settings, side)
         for k in range(joints):
             side.requested[k] = requested[k]
             side.tip[k] = requested[k]
+            side.dropped[k] = 0.0
         side.coupled = coupled
         return
+    travel_max = speed_max * max(dt, 0.0) if speed_max < math.inf else math.inf
+    _drop_excess(side, requested, joints, travel_max)
     for k in range(joints):
         position = side.tip[k]
         previous = side.requested[k]
         wanted, speed = requested[k], velocity[k]
         if settings.kind == EXTENSION:
             wanted, speed = side.own_position[k], side.own_velocity[k]
-        tip = SlaveInput(force[k], wanted - previous, previous - position, speed)
+        speed = min(max(speed, -speed_max), speed_max)
+        tip = SlaveInput(force[k], wanted - previous, previous - position, speed, travel_max)
         output = _compute_joint_tip_motion(settings, side.ports[k], tip, dt)
         side.requested[k] = requested[k]
         side.tip[k] = position + output.travel
         requested[k] = side.tip[k]
         velocity[k] = output.velocity
+
+
+@jit_compile
+def _drop_excess(side: Side, requested: Array, joints: int, travel_max: float) -> None:
+    """Reduce the commanded travel of this tick to at most `travel_max` [m], in place."""
+    largest = 0.0
+    for k in range(joints):
+        requested[k] -= side.dropped[k]
+        largest = max(largest, abs(requested[k] - side.requested[k]))
+    if largest > travel_max:
+        for k in range(joints):
+            excess = (1.0 - travel_max / largest) * (requested[k] - side.requested[k])
+            side.dropped[k] += excess
+            requested[k] -= excess
 
 
 @jit_compile

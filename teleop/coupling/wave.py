@@ -19,7 +19,7 @@ from typing import Literal
 
 from estimator.compiled import jit_compile
 from teleop.coupling import ledger
-from teleop.coupling.interface import MasterInput, SlaveInput, SlaveOutput
+from teleop.coupling.interface import MasterInput, SlaveInput, SlaveOutput, limit_travel
 from teleop.coupling.ledger import Port
 
 
@@ -122,6 +122,7 @@ def compute_tip_motion(config: WaveConfig, port: Port, tip: SlaveInput, dt: floa
     used = abs(returned_wave * (port.received_wave - port.played_wave))
     spare = min(max((port.credit - used) / config.reserve - 1.0, 0.0), 1.0)
     requested += (tip.travel + tip.lag) * min(spare * dt / config.catch_up, 1.0)
+    requested = limit_travel(tip, requested)
     travel = ledger.limit_travel_to_credit(port, tip.force, requested, 1.0)
     ledger.count_tip_work(port, -tip.force * travel, config.passive_tip)
     returned = (b * travel / dt - tip.force) / math.sqrt(2.0 * b)

@@ -283,6 +283,7 @@ class SlaveState(Message):
     energy: Joints = NO_JOINTS  # [J] passed on to the master since the sender started
     wave: Joints = NO_JOINTS  # [sqrt(J s)] integral of the waves sent to it
     answer_ns: I64 = 0  # from the Command's receipt to this state's sending; 0 = no new one
+    force_reduction: F64 = 0.0  # part of the forces that neither side renders: degraded mode
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -64,6 +64,8 @@ class LoopMeter:
         self._in_state: Counter[State] = Counter()  # ticks
         self._faults: list[DetailedReason] = []
         self._pending: DetailedReason | None = None  # the fault since the last engagement
+        self._degraded: DetailedReason | None = None  # why it was last degraded
+        self._degraded_ticks = 0
         self._state = State.OFF
         self._reason = self._not_usable = DetailedReason(Reason.NOT_USABLE)
 
@@ -83,6 +85,8 @@ class LoopMeter:
                 self._pending = self._reason
         if side.state is State.ENGAGED:
             self._pending = None
+            if side.reason is Reason.CALIBRATION_DUE:
+                self._degraded, self._degraded_ticks = self._reason, self._degraded_ticks + 1
         self._state = side.state
 
     def report(
@@ -165,4 +169,6 @@ class LoopMeter:
             not_usable=self._not_usable,
             ended_in=self._reason if side.state in (State.FAULT, State.STOPPED) else self._pending,
             link=link,
+            degraded=self._degraded,
+            degraded_ticks=self._degraded_ticks,
         )

@@ -159,6 +159,7 @@ class Inputs(Struct):
     follow_s: F64 = FOLLOW_LIMIT_S  # [s] timeout for the peer to engage
     link: I64 = Reason.NONE  # the bound that the link exceeds, or CLOCK_SET
     link_holds: Flag = False  # for so long, or so badly, that the session must hold
+    degraded: I64 = Reason.NONE  # why force and motion are limited, besides the link
 
 
 class Session(Struct):
@@ -332,7 +333,7 @@ def _step_ready(session: Session, inputs: Inputs) -> None:
     may_engage = inputs.engage and not inputs.clutch and not_ready == Reason.NONE
     # engaging takes a tick in READY, so that the peer sees READY too
     if session.state == State.READY and may_engage and present and open_seen and peer_seen:
-        _enter_state(session, State.ENGAGED, Reason.NONE)
+        _enter_state(session, State.ENGAGED, inputs.degraded)
         session.followed = False  # a peer that is engaged already was before: its next word counts
         session.peer = inputs.peer
         return
@@ -386,7 +387,8 @@ def _step_coupled(session: Session, inputs: Inputs, dt: float) -> None:
         else:
             _enter_coupled_state(session, State.ENGAGED, Reason.NONE, follows, waited_s)
     if session.state == State.ENGAGED:
-        session.reason = inputs.link  # force and motion are scaled down
+        # force and motion are limited; the peer's link watch needs the bound
+        session.reason = inputs.link if inputs.link != Reason.NONE else inputs.degraded
 
 
 @jit_compile

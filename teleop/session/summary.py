@@ -68,6 +68,8 @@ class LoopSummary:
     ended_in: DetailedReason | None  # the fault or stop that ended it
     link: LinkSummary
     rig: RigSummary | None = None  # of a slave
+    degraded: DetailedReason | None = None  # why force and motion were limited, besides the link
+    degraded_ticks: int = 0
     stopped: str = ""  # why the process ended
     realtime: tuple[str, ...] = ()  # what the system granted
 
@@ -75,6 +77,11 @@ class LoopSummary:
     def engaged_s(self) -> float:
         """Time [s] in ENGAGED."""
         return self.ticks_in[State.ENGAGED] / (self.ticks or 1) * self.seconds
+
+    @property
+    def degraded_s(self) -> float:
+        """Time [s] in ENGAGED with force and motion limited."""
+        return self.degraded_ticks / (self.ticks or 1) * self.seconds
 
     def to_json(self) -> dict[str, Any]:
         """Return plain values for a JSON file; the inverse of `from_json`."""
@@ -85,7 +92,7 @@ class LoopSummary:
                 out |= {} if value is None else _to_plain(value)
             else:
                 out[field.name] = _to_plain(value)
-        out["ended_in"] = out["ended_in"] or ""
+        out["ended_in"], out["degraded"] = out["ended_in"] or "", out["degraded"] or ""
         return out
 
     @classmethod
@@ -101,7 +108,7 @@ class LoopSummary:
             values[name] = Percentiles(**values[name])
         for name in ("reason", "not_usable"):
             values[name] = DetailedReason.parse(values[name])
-        ended_in = values["ended_in"]
+        ended_in, degraded = values["ended_in"], values["degraded"]
         return cls(**values | {
             "role": Role[values["role"].upper()],
             "stages_us": {name: Percentiles(**item) for name, item in values["stages_us"].items()},
@@ -109,6 +116,7 @@ class LoopSummary:
             "faults": tuple(DetailedReason.parse(text) for text in values["faults"]),
             "final_state": State[values["final_state"].upper()],
             "ended_in": DetailedReason.parse(ended_in) if ended_in else None,
+            "degraded": DetailedReason.parse(degraded) if degraded else None,
             "link": LinkSummary(**link),
             "rig": rig,
             "realtime": tuple(values["realtime"]),
@@ -273,6 +281,10 @@ def format_loop(loop: LoopSummary) -> list[str]:
             f"{kind.lower()} {100 * n / ticks:.1f} %" for kind, n in sorted(limits.items())
         )
         out.append(f"{'':9} gate active: {counts} of the ticks")
+    if loop.degraded:
+        out.append(
+            f"{'':9} force and motion limited for {loop.degraded_s:.1f} s: {loop.degraded.text}"
+        )
     latency = loop.latency_ms
     if latency.n:
         out.append(

@@ -1,5 +1,7 @@
 """The slave's port: the same force as the master works out, and where the tips are sent."""
 
+import math
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -29,9 +31,9 @@ def estimates(*rows):
     return records
 
 
-def slave_forces(most, *rows):
+def slave_forces(most, *rows, reduction=0.0):
     forces = np.full(MAX_JOINTS, 7.0)
-    loop.compute_rendered_forces(NUMBERS, estimates(*rows), len(rows), most, forces)
+    loop.compute_rendered_forces(NUMBERS, estimates(*rows), len(rows), most, forces, reduction)
     assert (forces[len(rows) :] == 7.0).all()
     return forces[: len(rows)].tolist()
 
@@ -42,18 +44,22 @@ def slave_forces(most, *rows):
     st.floats(0.0, 80.0),
     st.sampled_from([0, INVALID_INPUT, 3]),
     st.floats(0.0, 5.0),
+    st.sampled_from([0.0, 0.3, 1.0, math.nan, -1.0, 2.0]),
 )
-def test_both_sides_know_the_same_port_force(force, below, above, status, scale):
+def test_both_sides_know_the_same_port_force(force, below, above, status, scale, reduction):
     low, high = force - below, force + above
     config = to_struct(feedback.FeedbackConfig(scale=scale))
     most = feedback.compute_saturation(config)
-    (at_slave,) = slave_forces(most, (force, low, high, status))
+    (at_slave,) = slave_forces(most, (force, low, high, status), reduction=reduction)
+    share = 1.0 - reduction if 0.0 <= reduction <= 1.0 else 0.0  # of anything else, no force
+    assert abs(at_slave) <= share * abs(force)
     state = SlaveState(
         joints=1,
         force=pad_values((force,), MAX_JOINTS),
         force_low=pad_values((low,), MAX_JOINTS),
         force_high=pad_values((high,), MAX_JOINTS),
         status=(status, *(0,) * (MAX_JOINTS - 1)),
+        force_reduction=reduction,
     )
     at_master = np.zeros(MAX_JOINTS)
     packet = Packet(SlaveState)

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from slave import loop
-from slave.calibration.monitor import Advice
+from slave.calibration import degraded_mode
+from slave.calibration.monitor import Advice, MonitorConfig
 from slave.config import SlaveConfig, TendonConfig, load_tendon_configs
 from slave.gate import GateConfig
 from slave.rigs.replayed import ReplayedRigConfig
@@ -19,7 +20,7 @@ from slave.simulation.effects.sensors import StuckCell
 from slave.simulation.environment import FreeConfig, TissueConfig, WallConfig
 from studies.testbed.control_bench import joint
 from teleop.config.loading import load
-from teleop.messages.messages import MAX_JOINTS, Command
+from teleop.messages.messages import MAX_JOINTS, Command, SlaveState
 from teleop.session.state_machine import Reason, State
 from tests.slave.slave_bench import DT, SlaveBench
 
@@ -35,13 +36,15 @@ class Run(NamedTuple):
     tension: np.ndarray  # [N] true, at the housing, shape (n, tendons)
     behind: np.ndarray  # [m] of the motors, by their encoders, shape (n, tendons)
     advice: list[Advice]  # that the tick went by
+    states: list[SlaveState]  # what the slave answered
+    tip: np.ndarray  # [m] of the first joint, as the coupling lets it go
 
 
 def run(config, position, seconds, spoiled=lambda _time, _last, sample: sample):
     """Engage at 0.1 s and send all joints to `position(time)` [m]; return what came of it."""
     rig, bench = on_rig(config)
     last = None
-    tension, behind, advice = [], [], []
+    tension, behind, advice, states, tip = [], [], [], [], []
     for k in range(round(seconds / DT)):
         time = k * DT
         samples = []
@@ -59,11 +62,13 @@ def run(config, position, seconds, spoiled=lambda _time, _last, sample: sample):
         output = bench.tick(samples, command)
         if output.motor:
             rig.write(np.array(output.motor))
+        states.append(output.state)
+        tip.append(bench.memory.coupling.tip[0])
         tension.append(rig._truth[0])
         behind.append(np.array(output.motor or (0.0,) * rig.tendons) - last.proximal_displacement)
         if bench.state is State.FAULT:
             break
-    return Run(bench, time, np.array(tension), np.array(behind), advice)
+    return Run(bench, time, np.array(tension), np.array(behind), advice, states, np.array(tip))
 
 
 def on_rig(config):
@@ -209,6 +214,38 @@ def test_a_sheath_that_changes_its_shape_is_advised_of_and_then_a_fault():
     assert 0.5 < first[Advice.ADVISED] < 8.0 < first[Advice.DEMANDED]
     assert session.advice.count(Advice.DEMANDED) == 1  # it was engaged until then
     assert session.bench.session.reason is Reason.CALIBRATION_DUE
+
+
+def test_a_degraded_session_goes_on_slowly_until_the_sheath_is_as_calibrated():
+    """Friction of a rises by 30 %, so T_out is wrong by 27 %, and falls back."""
+    tissue = TissueConfig(position=0.002, stiffness=20_000.0)
+    steps = tuple(
+        FrictionStep(change=change, start=start, tendon="a")
+        for change, start in ((0.3, 0.1), (1.0 / 1.3 - 1.0, 6.5))
+    )
+    config = slave(
+        joint(0.8, environment=tissue, noise=0.01),
+        effects=steps,
+        monitor=MonitorConfig(on_demand="degrade", degraded_speed=0.012),
+    )
+    session = run(config, lambda time: pressing(time, leg=0.9), 12.0)
+    reduction = np.array([state.force_reduction for state in session.states])
+    demanded, limited = session.advice.index(Advice.DEMANDED), np.flatnonzero(reduction == 0.5)
+    assert demanded * DT < 5.5
+    assert np.flatnonzero(reduction)[0] == demanded
+    assert np.abs(np.diff(reduction)).max() < 0.5 * 3.0 * DT / degraded_mode.RAMP_S
+    assert limited[-1] * DT > 6.5
+    assert reduction[-1] == 0.0
+    for reduced, state in zip(reduction[200:], session.states[200:], strict=True):
+        reason = Reason.CALIBRATION_DUE if reduced else Reason.NONE
+        assert (state.state, state.reason) == (State.ENGAGED, reason)
+    speed = np.abs(np.diff(session.tip)) / DT
+    assert speed[: demanded - 1].max() > 0.017
+    assert 0.0119 < speed[limited[0] : limited[-1] - 1].max() < 0.012 + 1e-9
+    width = np.array([s.force_high[0] - s.force_low[0] for s in session.states])
+    force = np.abs([s.force[0] for s in session.states])
+    pressed = limited[(force[limited] > 5.0) & (limited * DT < 6.5)]
+    assert (width[pressed] > 0.4 * force[pressed]).all()  # by the error found, to either side
 
 
 @pytest.mark.slow

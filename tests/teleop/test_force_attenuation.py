@@ -77,7 +77,7 @@ def test_an_interval_without_end_leaves_what_is_certain(force, end):
 def test_whatever_the_estimates_an_arm_is_attenuated_as_one_or_not_at_all(rows):
     """Joints 1 and 2 are an arm, 3 and 4 another."""
     estimates, felt = np.array(rows).T.copy(), np.full(5, 99.0)
-    attenuate_forces(RULE, np.array([-1, 0, 0, 1, 1]), estimates, 5, felt)
+    attenuate_forces(RULE, np.array([-1, 0, 0, 1, 1]), estimates, 5, 0.0, felt)
     assert felt[0] == attenuate_force(RULE, *rows[0]) or math.isnan(rows[0][0])
     for first in (1, 3):
         force, low, high = estimates[:, first : first + 2]

@@ -285,6 +285,32 @@ def test_fault_is_left_only_with_the_switch_open_and_the_fault_gone() -> None:
                 assert inputs.peer_fresh
 
 
+def test_a_degraded_session_goes_the_same_ways_and_says_so_while_it_is_engaged() -> None:
+    plain = inputs_of(EVERY_INPUT)
+    degraded, slow = plain.copy(), plain.copy()
+    degraded["degraded"] = slow["degraded"] = Reason.CALIBRATION_DUE
+    slow["link"] = Reason.LINK_SLOW
+    befores = {before for before, _, _ in short_ticks()}
+    befores |= {n._replace(reason=Reason.CALIBRATION_DUE) for n in befores if n.state in COUPLES}
+    engaged_count = 0
+    for before in befores:
+        runs = []
+        for inputs in (plain, degraded, slow):
+            sessions, allowed = sessions_of(before, len(inputs)), np.zeros((len(inputs), 4), bool)
+            step_each(sessions, inputs, DT, allowed)
+            runs.append((sessions, allowed))
+        (as_now, may_now), (session, may), (on_slow_link, _) = runs
+        engaged = as_now["state"] == State.ENGAGED
+        engaged_count += engaged.sum()
+        assert (session["reason"][engaged] == Reason.CALIBRATION_DUE).all()
+        told = on_slow_link["reason"][engaged & (as_now["followed"] | (before.state in COUPLES))]
+        assert (told == Reason.LINK_SLOW).all()
+        session["reason"][engaged] = as_now["reason"][engaged]
+        np.testing.assert_array_equal(session, as_now)
+        np.testing.assert_array_equal(may, may_now)
+    assert engaged_count > 0
+
+
 def test_a_rig_that_has_played_its_data_ends_without_fault() -> None:
     for before in {before for before, _, _ in transitions()}:
         ended = advance(before, Known(True, True, State.ENGAGED, True, Reason.RIG_FINISHED), 1e-3)

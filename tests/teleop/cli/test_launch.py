@@ -125,7 +125,13 @@ def test_a_summary_that_is_read_from_its_file_is_the_one_that_was_written(tmp_pa
     path = tmp_path / "slave.json"
     for reason, rig in zip(Reason, rigs, strict=False):
         ended_in = DetailedReason(reason, "joint 1: tendon a")
-        written = loop(rig=rig, ended_in=ended_in, stopped="SIGINT", realtime=("memory locked",))
+        written = loop(
+            rig=rig,
+            ended_in=ended_in,
+            degraded=DetailedReason(Reason.CALIBRATION_DUE, "joint 1"),
+            stopped="SIGINT",
+            realtime=("memory locked",),
+        )
         process.write_summary(path, written.to_json())
         assert read_child_summary("slave", path) == written
 
@@ -137,8 +143,8 @@ def test_a_summary_in_a_file_has_names_and_texts_in_an_order_of_its_own():
         "role", "seconds", "ticks", "rate_hz", "overruns", "lateness_max_ms", "work_us",
         "answer_us", "without_rig_us", "latency_ms", "stages_us", "received", "lost", "overwritten",
         "rejected", "unknown", "delayed", "clock_jumps", "restarts", "gate", "ticks_in", "faults",
-        "final_state", "reason", "not_usable", "ended_in", "link", "force_error", "rig", "stopped",
-        "realtime",
+        "final_state", "reason", "not_usable", "ended_in", "link", "force_error", "rig", "degraded",
+        "degraded_ticks", "stopped", "realtime",
     ]  # fmt: skip
     assert (content["role"], content["final_state"], content["ended_in"]) == ("slave", "off", "")
     assert content["faults"] == [Reason.RIG_FAULT.text]

@@ -381,3 +381,24 @@ def test_within_a_larger_record_a_side_is_the_same(config):
         assert repr(memories[0]["near"].tolist()) == repr(near.tolist())
         assert repr(memories[0]["far"].tolist()) == repr(far.tolist())
     assert near.ports[0].received > 0.0
+
+
+@pytest.mark.parametrize("kind", [DirectConfig, PassivityConfig, WaveConfig])
+def test_no_tip_goes_faster_than_the_limit_nor_makes_up_for_what_was_dropped(kind):
+    """Two joints of a hand that goes 40 times as fast as the tips may, then rests."""
+    rules, side, limit = record_of(kind()), view_struct(Side.array()), 0.005
+    reach, tips = 0.0, []
+    for k in range(600):
+        reach += 2e-4 if 0 < k < 300 else 0.0
+        place, speed = joints(reach, -0.5 * reach), joints(0.2, -0.1)
+        wave = joints(*(np.sqrt(2.0 * 100.0) * place[:2]))
+        coupling.receive_totals(side, 1, joints(1e-2 * k, 1e-2 * k), wave)
+        coupling.compute_tip_motion(rules, side, place, speed, joints(), 2, True, DT, limit)
+        assert k == 0 or (np.abs(speed) <= limit + 1e-12).all()
+        tips.append(place[:2])
+    way = np.diff(tips, axis=0)
+    assert np.abs(way).max() <= limit * DT * (1.0 + 1e-9)
+    assert np.abs(way[:290]).max() > 0.5 * limit * DT
+    if kind is not WaveConfig:  # whose tip follows the waves
+        np.testing.assert_allclose(way[10:290, 1], -0.5 * way[10:290, 0], atol=1e-12)
+        assert np.abs(way[310:]).max() == 0.0
