@@ -48,8 +48,8 @@ STOP_ACTIONS = ("stop", "reset", "watch", "leave")
 
 SCHEMA_PACKAGE = "tendon_teleop"  # of the messages, where ROS 2 and recordings name them
 ENCAPSULATION = b"\x00\x01\x00\x00"  # CDR, little-endian
-_CHECKSUM_START = len(ENCAPSULATION) + 4  # the checksum covers everything after it
-_HEAD = struct.Struct("<IIQQq")
+CHECKSUM_START = len(ENCAPSULATION) + 4  # the checksum covers everything after it
+HEAD, CHECKSUM = struct.Struct("<IIQQq"), struct.Struct("<I")
 
 
 class MessageError(TeleopError):
@@ -184,7 +184,7 @@ class Schema:
             else:
                 flat.extend(value)
         body = self._struct.pack(*flat)[4:]
-        return ENCAPSULATION + struct.pack("<I", self.checksum(body)) + body
+        return ENCAPSULATION + CHECKSUM.pack(self.checksum(body)) + body
 
     def checksum(self, body: bytes | memoryview) -> int:
         """Return the checksum of a message of this class from what follows the checksum in it."""
@@ -192,15 +192,15 @@ class Schema:
 
     def sender(self, data: bytes) -> int:
         """Return the sender in `data`, unchecked; 0 if it is too short."""
-        short = len(data) < len(ENCAPSULATION) + _HEAD.size
-        return 0 if short else int(_HEAD.unpack_from(data, len(ENCAPSULATION))[2])
+        short = len(data) < len(ENCAPSULATION) + HEAD.size
+        return 0 if short else int(HEAD.unpack_from(data, len(ENCAPSULATION))[2])
 
     def check(self, data: bytes) -> Head:
         """Return the head of `data`; `MessageError` if it is damaged or of another layout."""
         if len(data) != self.size:
             raise MessageError("layout", f"{self.name} has {self.size} bytes, got {len(data)}")
-        checksum, layout, sender, sequence, stamp_ns = _HEAD.unpack_from(data, len(ENCAPSULATION))
-        body = memoryview(data)[_CHECKSUM_START:]
+        checksum, layout, sender, sequence, stamp_ns = HEAD.unpack_from(data, len(ENCAPSULATION))
+        body = memoryview(data)[CHECKSUM_START:]
         if checksum != zlib.crc32(body, self.seed) or data[:4] != ENCAPSULATION:
             raise MessageError("corruption", f"{self.name} fails its checksum")
         if layout != LAYOUT:
