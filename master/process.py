@@ -12,7 +12,7 @@ has been reset too (`teleop stop --reset`). A HID device that is unplugged may b
 """
 
 import argparse
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, suppress
 from functools import partial
 from typing import Any, TypeVar
@@ -36,7 +36,7 @@ from teleop.config.extension_calls import ExtensionFault
 from teleop.config.options import add_option, add_options
 from teleop.coupling import Bilateral, CouplingExtension
 from teleop.errors import TeleopError, UsageError
-from teleop.link import NEVER_NS, Link
+from teleop.link import NEVER_NS, LatestMessage, Link
 from teleop.link.health import DEFAULT_BOUNDS, HealthConfig, compile_link_window_update
 from teleop.link.rate_limit import RateLimit
 from teleop.messages.messages import MAX_JOINTS, Command, Hand, SlaveState
@@ -367,13 +367,21 @@ class MasterProcess(LoopProcess):
             int(self._slave_answer_ns[0]),
             int(self._peer_reason[0]) if self._peer_state[0] == _ENGAGED else 0,
         )
-        if self._report(tick.stamp_ns, self._states):
-            self._link.publish(LATENCY, self._meter.stages.message(Role.MASTER))
-            self._warn(
-                [self._reads.take(), self._writes.take(), self._describe_layout_difference()]
-                + ([] if self._own is None else [self._own.calls.take()])
-            )
+        self._report(tick.stamp_ns, self._states)
         self._checkpoint.save()
+
+    def _publish_reports(self, latest: LatestMessage[Any]) -> Iterator[None]:
+        yield from super()._publish_reports(latest)
+        stages, spans = self._meter.stages, []
+        for stage in stages.durations:
+            yield
+            spans.append(stage.take_span())
+        self._link.publish(LATENCY, stages.message(Role.MASTER, spans))
+
+    def _take_warnings(self) -> list[str]:
+        own = [] if self._own is None else [self._own.calls.take()]
+        calls = [self._reads.take(), self._writes.take(), *own]
+        return [*calls, self._describe_layout_difference()]
 
     def _describe_layout_difference(self) -> str:
         """Return, once, which axes of the device or joints of the rig have no counterpart."""
@@ -523,5 +531,4 @@ def warm_up() -> None:
     loop.compute_command(*inputs, command.records)
     loop.compute_force(*inputs, VelocityMap.array(), False, np.zeros(MAX_JOINTS))
     loop.fill_hand_message(memory, hands, -1, 0, message.records)
-    command.seal(0, 0, 0)
     compile_link_window_update()

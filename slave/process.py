@@ -286,13 +286,15 @@ class SlaveProcess(LoopProcess):
         self._publish_ledger(tick.stamp_ns)
         self._telemetry(time_s)
         self._watch_link(tick.stamp_ns, self._commands, int(self._echo_ns[0]), 0)
-        if self._report(tick.stamp_ns, self._commands):
-            own = [] if self._own is None else [each.calls for each in self._own.opened]
-            self._warn([monitor.take() for monitor in (self._reads, self._writes, *own)])
+        self._report(tick.stamp_ns, self._commands)
         is_own = self._own is not None and self._own.estimates is not None
         if next_sample is not None and not is_own:
             self._estimate_ahead(next_sample)
         return rig_ns
+
+    def _take_warnings(self) -> list[str]:
+        own = [] if self._own is None else [each.calls for each in self._own.opened]
+        return [monitor.take() for monitor in (self._reads, self._writes, *own)]
 
     def _estimate_ahead(self, sample: RigSample) -> None:
         """Estimate from the sample of the next tick ahead of it; last, as it changes the memory."""

@@ -17,10 +17,11 @@ follows.
 
 from collections import deque
 from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import NamedTuple
 
 from estimator.compiled import jit_compile
-from estimator.records import I64, Flag, Struct, StructArray, view_struct
+from estimator.records import I64, Flag, Struct, StructArray
 from teleop.link.reception import DRIFT, NEVER_NS, MessageCounts
 from teleop.messages.messages import LinkReport
 from teleop.messages.topics import Role
@@ -85,6 +86,19 @@ class LinkWindow(Struct):
     answers: I64 = 0  # of the span: round trips
     answer_sum_ns: I64 = 0
     answer_max_ns: I64 = 0
+
+
+_WINDOW_FIELDS = tuple(LinkWindow.dtype.names or ())
+_SUMS = ("clock_set", "steps", "step_sum_ns", "answers", "answer_sum_ns", "answer_max_ns")
+
+
+class LinkCounts(NamedTuple):
+    """Message counts of which the health of a link is found."""
+
+    received: int = 0
+    lost: int = 0
+    repeated: int = 0
+    out_of_order: int = 0
 
 
 @jit_compile
@@ -249,7 +263,7 @@ class LinkHealth:
         self.round_trip, self.jitter = Durations(), Durations()  # means of spans, of the whole run
         self.scaled_s = self.held_s = 0.0  # [s] in which force and motion were scaled, held
         self._config, self._due_ns = config, 0
-        self._counts: deque[MessageCounts] = deque(maxlen=LOSS_SPANS + 1)
+        self._counts: deque[LinkCounts] = deque(maxlen=LOSS_SPANS + 1)
 
     def is_due(self, now_ns: int) -> bool:
         """Return whether a span ends at `now_ns` [ns]."""
@@ -259,8 +273,9 @@ class LinkHealth:
         """End a span; return whether the decision has changed. See `step`."""
         dt = SPAN_NS * 1e-9 if self._due_ns else 0.0
         self._due_ns = now_ns + SPAN_NS
-        self._counts.append(counts + MessageCounts())  # a copy
-        self.figures = take_measurement(view_struct(self.windows), self._counts[0], counts)
+        present = LinkCounts(counts.received, counts.lost, counts.repeated, counts.out_of_order)
+        self._counts.append(present)
+        self.figures = take_measurement(self.windows, self._counts[0], present)
         previous = self.decision
         self.decision = step(self._config, self.decision, self.figures, dt, peer)
         self._note(dt)
@@ -275,7 +290,6 @@ class LinkHealth:
         ):
             if value is not None:
                 durations.add(value)
-                durations.take_span()  # unused here, and would grow
 
     def message(self, role: Role, counts: MessageCounts, age_ns: int) -> LinkReport:
         """Return the message of the present health; `age_ns` of the peer's newest message."""
@@ -321,18 +335,21 @@ def _encode_optional(value: int | None) -> int:
 
 
 def take_measurement(
-    window: LinkWindow, counts_before: MessageCounts, counts: MessageCounts
+    windows: StructArray, counts_before: LinkCounts, counts: LinkCounts
 ) -> LinkMeasurement:
-    """Return the figures of the span, and begin a new one.
+    """Return the figures of the span of a `LinkWindow`, shape (1,), and begin a new one.
 
     The sums of the window are cleared; the counts are those of `LOSS_SPANS` ago and now.
     """
-    low_ns = max(int(window.low_ns), int(window.low_before_ns))
-    high_ns = min(int(window.high_ns), int(window.high_before_ns))
+    # all at once: each field of a record takes microseconds
+    window = SimpleNamespace(**dict(zip(_WINDOW_FIELDS, windows[0].item(), strict=True)))
+    windows[list(_SUMS)] = (0,) * len(_SUMS)
+    low_ns = max(window.low_ns, window.low_before_ns)
+    high_ns = min(window.high_ns, window.high_before_ns)
     has_delay = low_ns > -_UNBOUNDED_NS and high_ns < _UNBOUNDED_NS
-    round_trip_ns = int(window.answer_sum_ns // window.answers) if window.answers else None
+    round_trip_ns = window.answer_sum_ns // window.answers if window.answers else None
     offset_ns = (low_ns + high_ns) // 2 if has_delay else None
-    delay_in_ns = None if offset_ns is None else max(int(window.transit_ns) + offset_ns, 0)
+    delay_in_ns = None if offset_ns is None else max(window.transit_ns + offset_ns, 0)
     out_ns = None
     if round_trip_ns is not None and delay_in_ns is not None:
         out_ns = max(round_trip_ns - delay_in_ns, 0)
@@ -340,23 +357,19 @@ def take_measurement(
     out_of_order = counts.out_of_order - counts_before.out_of_order
     lost = max(counts.lost - counts_before.lost - out_of_order, 0)
     sent = lost + counts.received - counts_before.received
-    figures = LinkMeasurement(
+    return LinkMeasurement(
         offset_ns=offset_ns,
         uncertainty_ns=max(high_ns - low_ns, 0) // 2 if has_delay else None,
         round_trip_ns=round_trip_ns,
-        round_trip_max_ns=int(window.answer_max_ns) if window.answers else None,
-        jitter_ns=int(window.step_sum_ns // window.steps) if window.steps else None,
+        round_trip_max_ns=window.answer_max_ns if window.answers else None,
+        jitter_ns=window.step_sum_ns // window.steps if window.steps else None,
         delay_in_ns=delay_in_ns,
         delay_out_ns=out_ns,
         loss=lost / sent if sent else None,
         repeated=counts.repeated - counts_before.repeated,
         out_of_order=out_of_order,
-        clock_set=bool(window.clock_set),
+        clock_set=window.clock_set,
     )
-    window.clock_set = False
-    window.steps = window.step_sum_ns = 0
-    window.answers = window.answer_sum_ns = window.answer_max_ns = 0
-    return figures
 
 
 def format_link_health(link: LinkReport) -> str:

@@ -11,6 +11,8 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
+import numpy as np
+
 from teleop.errors import TeleopError
 
 STALL_NS = 5_000_000  # [ns] a loop must decide again after this time
@@ -242,6 +244,7 @@ class pause_garbage_collection:  # noqa: N801 - used as a statement: `with quiet
 _FINE_NS, _FINE = 1_000, 100_000  # bins up to 0.1 s
 _COARSE_NS, _COARSE = 100_000, 19_000  # up to 2 s; longer ones in the last bin
 _TURN_NS = _FINE_NS * _FINE
+_SPAN_MAX = 10_000  # values; a longer span, for which nobody asks, is cut
 
 
 class Span(NamedTuple):
@@ -278,45 +281,50 @@ class Durations:
     """
 
     def __init__(self) -> None:
-        self.count = 0
         self._largest = 0
-        self._bins = array("Q", bytes(8 * (_FINE + _COARSE + 1)))
-        self._span: list[int] = []
+        self._bins = np.zeros(_FINE + _COARSE + 1, np.int64)
+        self._span = array("q")
 
     def add(self, duration_ns: int) -> None:
-        """Add one duration [ns]."""
-        self.count += 1
-        self._largest = max(self._largest, duration_ns)
-        if duration_ns < _TURN_NS:
-            index = max(duration_ns // _FINE_NS, 0)
-        else:
-            index = _FINE + min((duration_ns - _TURN_NS) // _COARSE_NS, _COARSE)
-        self._bins[index] += 1
+        """Add one duration [ns]; a loop does so several times a tick, so it is binned later."""
         self._span.append(duration_ns)
+        if len(self._span) == _SPAN_MAX:
+            self.take_span()
 
     def percentile_ns(self, percent: float) -> int | None:
-        """Return the lower edge [ns] of the bin that holds the percentile; None without values."""
-        if not self.count:
+        """Return the lower edge [ns] of the bin that holds the percentile; None without values.
+
+        Starts a new span.
+        """
+        self.take_span()
+        numbers = np.cumsum(self._bins)
+        if not numbers[-1]:
             return None
-        rank, seen, index = percent / 100.0 * (self.count - 1), 0, -1
-        while seen <= rank:
-            index += 1
-            seen += self._bins[index]
+        index = int(np.searchsorted(numbers, percent / 100.0 * (numbers[-1] - 1), side="right"))
         return min(index, _FINE) * _FINE_NS + max(index - _FINE, 0) * _COARSE_NS
 
     def percentiles(self, unit: float) -> Percentiles:
-        """Return the count, p50, p99, p99.9 and largest; `unit` converts from nanoseconds."""
+        """Return the count, p50, p99, p99.9 and largest; `unit` converts from nanoseconds.
+
+        Starts a new span.
+        """
         values = [self.percentile_ns(percent) for percent in (50.0, 99.0, 99.9)]
         p50, p99, p99_9 = (None if value is None else value * unit for value in values)
-        largest = self._largest * unit if self.count else None
-        return Percentiles(self.count, p50, p99, p99_9, largest)
+        count = int(self._bins.sum())
+        return Percentiles(count, p50, p99, p99_9, self._largest * unit if count else None)
 
     def take_span(self) -> Span:
         """Return the durations since the last call, and start a new span."""
-        values = sorted(self._span)
-        self._span.clear()
-        if not values:
+        if not self._span:
             return Span()
+        values, self._span = np.frombuffer(self._span, np.int64), array("q")
+        values.sort()
+        bins = values // _FINE_NS
+        if not 0 <= values[0] <= values[-1] < _TURN_NS:
+            bins = np.clip(bins, 0, _FINE)
+            bins += np.clip((values - _TURN_NS) // _COARSE_NS, 0, _COARSE)
+        np.add.at(self._bins, bins, 1)
         last = len(values) - 1
-        p50, p99, p99_9 = (values[int(rank * last + 0.5)] for rank in (0.5, 0.99, 0.999))
-        return Span(len(values), p50, p99, p99_9, values[-1])
+        p50, p99, p99_9 = (int(values[int(rank * last + 0.5)]) for rank in (0.5, 0.99, 0.999))
+        self._largest = max(self._largest, int(values[-1]))
+        return Span(len(values), p50, p99, p99_9, int(values[-1]))

@@ -3,7 +3,7 @@
 import argparse
 from abc import ABC, abstractmethod
 from collections import Counter
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack
 from dataclasses import replace
 from enum import IntFlag
@@ -74,6 +74,7 @@ class LoopProcess(ABC):
         self._health = LinkHealth(health)
         self._link_reason, self._link_holds = int(Reason.NONE), False  # for the session
         self._link_scale = 1.0  # of force and motion
+        self._reports: Iterator[None] = iter(())  # those that are being published
         self._observed_ns = 0  # stamp of the newest message observed
 
     @abstractmethod
@@ -83,6 +84,10 @@ class LoopProcess(ABC):
     @abstractmethod
     def close(self) -> None:
         """Leave the actuators safe and tell the peers; called however the loop ends."""
+
+    @abstractmethod
+    def _take_warnings(self) -> Iterable[str]:
+        """Return what has become doubtful about this side; some may be empty."""
 
     @abstractmethod
     def _change_setting(self, key: str, value: str) -> str:
@@ -121,8 +126,7 @@ class LoopProcess(ABC):
 
     def publish_end(self) -> None:
         """Publish the last report, from which a recorder sees whether it has everything."""
-        report = self._meter.last_report(now_ns(), self._outline(), self._link.counts())
-        self._link.publish(REPORT, replace(report, ended=1, sent=self._link.last_sequences()))
+        self._publish_report(self._link.counts(), ended=True)
 
     def _end(self, error: TeleopError) -> None:
         """End the session; the first error is kept."""
@@ -138,12 +142,6 @@ class LoopProcess(ABC):
             answer_requests(
                 self._link, self._requests, self.role, side, int(self._stops[0]), latest, now
             )
-
-    def _warn(self, texts: Iterable[str]) -> None:
-        """Publish what is doubtful about this side; empty texts are left out."""
-        for text in texts:
-            if text:
-                publish_event(self._link, self.role, self._outline(), f"WARNING: {text}")
 
     def _publish_ledger(self, stamp_ns: int) -> None:
         if self._ledger.is_due(stamp_ns) and not self._link.skip_unsubscribed(LEDGER):
@@ -169,21 +167,39 @@ class LoopProcess(ABC):
             if self._health.figures.clock_set:
                 latest.clock_was_set()
 
-    def _report(self, stamp_ns: int, latest: LatestMessage[Any]) -> bool:
-        """Publish the reports if they are due, and check that no peer is there twice."""
+    def _report(self, stamp_ns: int, latest: LatestMessage[Any]) -> None:
+        """Publish the next part of the reports, if they are due."""
+        if self._meter.is_due(stamp_ns):
+            self._reports = self._publish_reports(latest)
+        next(self._reports, None)
+
+    def _publish_reports(self, latest: LatestMessage[Any]) -> Iterator[None]:
+        """Publish the reports and warnings, and check that no peer is there twice.
+
+        A part in each tick: all at once took half a period, and made every such tick late.
+        """
         counts = latest.counts
-        report = self._meter.report(stamp_ns, self._outline(), counts)
-        if report is None:
-            return False
-        health = self._health.message(self.role, counts, latest.age_ns(stamp_ns))
-        self._link.publish(LINK, health)
-        self._link.publish(REPORT, replace(report, sent=self._link.last_sequences()))
+        self._link.publish(LINK, self._health.message(self.role, counts, latest.age_ns(now_ns())))
+        yield
+        self._publish_report(counts)
+        yield
         self._publish_refusals(counts)
         try:
             self._link.check_peers()
         except PeerError as error:
             self._end(error)
-        return True
+        yield
+        for text in filter(None, self._take_warnings()):
+            publish_event(self._link, self.role, self._outline(), f"WARNING: {text}")
+        health = self._health
+        for durations in (*self._meter.unreported, health.round_trip, health.jitter):
+            yield
+            durations.take_span()
+
+    def _publish_report(self, counts: MessageCounts, ended: bool = False) -> None:
+        sent = self._link.last_sequences()
+        report = self._meter.report(now_ns(), self._outline(), counts, sent, ended)
+        self._link.publish(REPORT, report)
 
     def _publish_refusals(self, counts: MessageCounts) -> None:
         """Publish what was refused since the last time."""

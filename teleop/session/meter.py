@@ -5,9 +5,9 @@ from collections.abc import Mapping, Sequence
 
 from teleop.link import REJECTION_COUNTERS, MessageCounts
 from teleop.link.health import LinkSummary
-from teleop.messages.messages import STAGE_NAMES, Latency, LoopReport
+from teleop.messages.messages import NO_TOPICS, STAGE_NAMES, Latency, LoopReport
 from teleop.messages.topics import Role
-from teleop.runtime.clock import Durations, Percentiles, TickStats, now_ns
+from teleop.runtime.clock import Durations, Percentiles, Span, TickStats, now_ns
 from teleop.session.state_machine import DetailedReason, Reason, SessionOutline, State
 from teleop.session.summary import LoopSummary
 
@@ -18,16 +18,16 @@ class StageMeter:
     """Durations of the stages of `STAGE_NAMES`, for the whole run and since the last report."""
 
     def __init__(self) -> None:
-        self._stages = tuple(Durations() for _ in STAGE_NAMES)
+        self.durations = tuple(Durations() for _ in STAGE_NAMES)
 
     def add(self, durations_ns: Sequence[int]) -> None:
         """Add one command; a duration [ns] per stage."""
-        for stage, duration in zip(self._stages, durations_ns, strict=True):
+        for stage, duration in zip(self.durations, durations_ns, strict=True):
             stage.add(duration)
 
-    def message(self, role: Role) -> Latency:
-        """Return the message for listeners, and start a new span."""
-        spans = [stage.take_span() for stage in self._stages]
+    @staticmethod
+    def message(role: Role, spans: Sequence[Span]) -> Latency:
+        """Return the message for listeners of a span of each stage."""
         return Latency(
             role=role,
             answered=spans[0].values,
@@ -41,7 +41,7 @@ class StageMeter:
         """Return percentiles [us] of the whole run, by the stages' names."""
         return {
             name: stage.percentiles(1e-3)
-            for name, stage in zip(STAGE_NAMES, self._stages, strict=True)
+            for name, stage in zip(STAGE_NAMES, self.durations, strict=True)
         }
 
 
@@ -57,6 +57,7 @@ class LoopMeter:
         self.answer = Durations()  # from the start of a tick to its message on the link
         self.without_rig = Durations()  # work, without the computation of a simulated rig
         self.stages = StageMeter()
+        self.unreported = self.work, self.answer, self.without_rig  # of the whole run only
         self._role, self._stats = role, stats
         self._due_ns = now_ns() + REPORT_PERIOD_NS
         self._ticks = 0
@@ -67,6 +68,7 @@ class LoopMeter:
         self._degraded: DetailedReason | None = None  # why it was last degraded
         self._degraded_ticks = 0
         self._state = State.OFF
+        self._side: SessionOutline | None = None
         self._reason = self._not_usable = DetailedReason(Reason.NOT_USABLE)
 
     def tick(self, side: SessionOutline, work_ns: int, detail: str = "") -> None:
@@ -74,11 +76,14 @@ class LoopMeter:
 
         `detail` of the session's reason: which tendon, or why it is not usable.
         """
+        self.work.add(work_ns)
+        self._in_state[side.state] += 1
+        if side is self._side and detail == self._reason.detail:
+            return
+        self._side = side
         self._reason = DetailedReason(side.reason, detail)
         if side.reason is Reason.NOT_USABLE:
             self._not_usable = self._reason
-        self.work.add(work_ns)
-        self._in_state[side.state] += 1
         if side.state is State.FAULT and self._state is not State.FAULT:
             self._faults.append(self._reason)
             if self._state in (State.ENGAGED, State.CLUTCHED, State.HOLDING):
@@ -89,25 +94,27 @@ class LoopMeter:
                 self._degraded, self._degraded_ticks = self._reason, self._degraded_ticks + 1
         self._state = side.state
 
-    def report(
-        self, stamp_ns: int, side: SessionOutline, counts: MessageCounts
-    ) -> LoopReport | None:
-        """Return the report that is due at `stamp_ns`, or None."""
+    def is_due(self, stamp_ns: int) -> bool:
+        """Return whether a report is due at `stamp_ns`; the next one is a period later."""
         if stamp_ns < self._due_ns:
-            return None
+            return False
         periods = 1 + (stamp_ns - self._due_ns) // REPORT_PERIOD_NS  # several after a stall
         self._due_ns += periods * REPORT_PERIOD_NS
-        return self.last_report(stamp_ns, side, counts)
+        return True
 
-    def last_report(self, stamp_ns: int, side: SessionOutline, counts: MessageCounts) -> LoopReport:
-        """Return the report of the time since the last one, due or not."""
+    def report(
+        self,
+        stamp_ns: int,
+        side: SessionOutline,
+        counts: MessageCounts,
+        sent: tuple[int, ...] = NO_TOPICS,
+        ended: bool = False,
+    ) -> LoopReport:
+        """Return the report of the time since the last one; `sent` as of `Link.last_sequences`."""
         stats = self._stats
         rate_hz = (stats.ticks - self._ticks) * 1e9 / max(stamp_ns - self._since_ns, 1)
         self._ticks, self._since_ns = stats.ticks, stamp_ns
         span = self.latency.take_span()
-        self.work.take_span()
-        self.answer.take_span()
-        self.without_rig.take_span()
         return LoopReport(
             role=self._role,
             state=side.state,
@@ -130,6 +137,8 @@ class LoopMeter:
             lateness_max_ns=stats.lateness_max_ns,
             latency_p50_ns=span.p50,
             latency_p99_ns=span.p99,
+            ended=int(ended),
+            sent=sent,
         )
 
     def summary(

@@ -6,12 +6,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from estimator.records import view_struct
 from teleop.link import MessageCounts
 from teleop.link.health import (
     SPAN_NS,
     Decision,
     HealthConfig,
+    LinkCounts,
     LinkHealth,
     LinkMeasurement,
     LinkWindow,
@@ -56,7 +56,7 @@ def test_the_true_offset_is_always_within_its_uncertainty(
     windows = LinkWindow.array()
     delays_out = [chance.randint(1, 20 * MS) for _ in delays_in]
     exchange(windows, offset_ns, delays_in, delays_out, tell_hold=tell_hold)
-    figures = take_measurement(view_struct(windows), MessageCounts(), MessageCounts())
+    figures = take_measurement(windows, LinkCounts(), LinkCounts())
     assert not figures.clock_set
     assert figures.offset_ns is not None
     assert abs(figures.offset_ns - offset_ns) <= figures.uncertainty_ns + 1
@@ -69,7 +69,7 @@ def test_the_true_offset_is_always_within_its_uncertainty(
 def test_a_symmetric_link_gives_the_delay_of_each_direction() -> None:
     windows = LinkWindow.array()
     exchange(windows, 7_000 * MS, [3 * MS] * 20, [3 * MS] * 20)
-    figures = take_measurement(view_struct(windows), MessageCounts(), MessageCounts())
+    figures = take_measurement(windows, LinkCounts(), LinkCounts())
     assert (figures.offset_ns, figures.jitter_ns) == (7_000 * MS, 0)
     assert (figures.delay_in_ns, figures.delay_out_ns) == (3 * MS, 3 * MS)
 
@@ -79,7 +79,7 @@ def test_a_clock_that_is_set_is_noticed_and_the_new_offset_found(jump_ns: int) -
     windows = LinkWindow.array()
     end_ns = exchange(windows, 0, [3 * MS] * 50, [3 * MS] * 50)
     exchange(windows, jump_ns, [3 * MS] * 50, [3 * MS] * 50, start_ns=end_ns)
-    figures = take_measurement(view_struct(windows), MessageCounts(), MessageCounts())
+    figures = take_measurement(windows, LinkCounts(), LinkCounts())
     assert figures.clock_set
     assert figures.offset_ns == pytest.approx(jump_ns, abs=figures.uncertainty_ns + MS)
 
@@ -90,16 +90,16 @@ def test_a_clock_that_drifts_as_far_as_allowed_is_not_one_that_was_set() -> None
         now_ns = start_ns + 10 * MS * k
         offset_ns = 10 * MS * k // 1000  # 1 ms a second
         update_link_window(windows, now_ns + MS + offset_ns, now_ns + 2 * MS, now_ns, 0)
-    assert not take_measurement(view_struct(windows), MessageCounts(), MessageCounts()).clock_set
+    assert not take_measurement(windows, LinkCounts(), LinkCounts()).clock_set
 
 
 @given(st.integers(0, 50), st.integers(0, 50), st.integers(0, 5))
 def test_loss_counts_what_is_missing_but_not_what_was_overtaken(
     received: int, lost: int, late: int
 ) -> None:
-    before = MessageCounts(received=7, lost=3, out_of_order=1, repeated=2)
-    now = before + MessageCounts(received=received, lost=lost + late, out_of_order=late, repeated=4)
-    figures = take_measurement(view_struct(LinkWindow.array()), before, now)
+    before = LinkCounts(received=7, lost=3, out_of_order=1, repeated=2)
+    now = LinkCounts(7 + received, 3 + lost + late, repeated=6, out_of_order=1 + late)
+    figures = take_measurement(LinkWindow.array(), before, now)
     assert figures.loss == (lost / (lost + received) if lost + received else None)
     assert (figures.repeated, figures.out_of_order) == (4, late)
 
@@ -152,8 +152,8 @@ def test_by_default_a_slow_lossy_link_changes_nothing(
     windows = LinkWindow.array()
     jitter = [chance.randint(-50 * MS, 50 * MS) for _ in range(40)]
     exchange(windows, 0, [delay_ns + j for j in jitter], [delay_ns] * 40)
-    now = MessageCounts(received=1000 - round(1000 * loss), lost=round(1000 * loss))
-    figures = take_measurement(view_struct(windows), MessageCounts(), now)
+    now = LinkCounts(received=1000 - round(1000 * loss), lost=round(1000 * loss))
+    figures = take_measurement(windows, LinkCounts(), now)
     assert step(HealthConfig(), Decision(), figures, DT) == Decision()
 
 
