@@ -2,7 +2,7 @@
 
 import dataclasses
 import math
-from collections.abc import Container, Sequence
+from collections.abc import Container, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -45,6 +45,7 @@ from slave.simulation.tendon import SheathConfig, build_chain
 from teleop.config.arm import assemble_travel_ratios
 from teleop.messages.messages import MAX_JOINTS
 
+NOISE_STEPS = 16  # of which the noise is drawn at once
 CATCH_UP_STEPS_MAX = 10  # at a late read; if it is later still, longer steps are taken
 
 
@@ -206,7 +207,9 @@ class SimulatedRig:
         self._next: RigSample | None = None  # of that step, unless an effect changes it
         self._targets = np.zeros((len(self.joints), 2))
         self._random = np.random.default_rng(config.seed)
-        self._paired = np.array([[True, len(tendons) == 2] for tendons in self.joints])
+        self._normals: Iterator[Array] = iter(())  # of the next steps
+        # places of the tendons in an array of shape (joints, 2)
+        self._places = np.flatnonzero([[True, len(tendons) == 2] for tendons in self.joints])
 
         joints = [build_joint(joint) for joint in config.joints]
         self._configured = [joint.environment for joint in config.joints]  # at the ramps' ends
@@ -275,7 +278,7 @@ class SimulatedRig:
         targets = proximal_displacement.tolist()
         if len(targets) != self.tendons or not all(map(math.isfinite, targets)):
             raise RigFault(f"invalid motor targets {targets}: {self.tendons} finite values needed")
-        self._targets[self._paired] = proximal_displacement
+        self._targets.put(self._places, proximal_displacement)
 
     def set_environment(self, joint: int, part: int | None, name: str, value: float) -> None:
         """Let a number of an environment go to `value`; see `slave.rig.AdjustableRig`."""
@@ -313,7 +316,7 @@ class SimulatedRig:
         """True tension of each tendon of arms where it ends [N], shape (tendons,)."""
         last = [int(np.flatnonzero(row)[-1]) for row in self.travel_ratios]
         ends = np.array([self._arm_state.tension[k, :, j] for k, j in enumerate(last)])
-        return np.asarray(ends[self._paired])
+        return ends.take(self._places)
 
     @property
     def travel_ratios(self) -> Array:
@@ -341,10 +344,13 @@ class SimulatedRig:
             channels = advance_joints(joints, states, targets, steps, dt)
         else:
             channels = advance_arm(self._arm, joints, states, self._arm_state, targets, steps, dt)
-        return channels[:, self._paired]
+        return channels.reshape(len(channels), -1).take(self._places, axis=1)
 
     def _measure(self, dt: float) -> None:
-        normal = self._random.standard_normal(self._truth.shape)
+        normal = next(self._normals, None)
+        if normal is None:
+            self._normals = iter(self._random.standard_normal((NOISE_STEPS, *self._truth.shape)))
+            normal = next(self._normals)
         self._sensed = measure(self._sensors, self._sensed, self._truth, normal, dt)
 
     def _turn_effects(self, time: float, changing: Container[int]) -> None:
