@@ -224,6 +224,8 @@ class ConnectionGuard:
             end_s = monotonic() + max(period_s, 10 * took_s)
             pause_s = SCAN_PERIOD_S if is_quiet and not self._charged else BYTE_COUNT_PERIOD_S
             while (left_s := end_s - monotonic()) > 0 and not self._has_new:
+                if _is_closed(self._session):
+                    break
                 if arrivals.poll(min(left_s, pause_s)):
                     sleep(max(NEW_CONNECTION_DELAY_S, 3 * took_s))
                     break
