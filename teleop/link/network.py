@@ -70,9 +70,9 @@ OPEN_FILES = 64  # a session runs with as many; with 24 the threads of Zenoh pan
 OPEN_FILES_LISTENING = 65536
 LEASE_MS = 2000  # timeout of a silent peer; a closed connection is detected at once
 # Zenoh's threads of this process. With its default of two receiving threads, each message wakes
-# both: 30 us more of a round trip, 11 % more of a core in the recorder. What arrives by a connection
-# that this process has opened woke a thread of Zenoh's network, too, which then woke the receiving
-# one: 1 % of a core. Accepting has a thread of its own: handshakes of strangers hold up nothing.
+# both: 30 us more of a round trip, 11 % more of a core in the recorder. The network's thread would
+# be woken first by each message over a connection that this process has opened: 1 % of a core.
+# Accepting keeps a thread of its own, so that handshakes of strangers hold up nothing.
 THREADS = "(rx: (worker_threads: 1), net: (handover: rx))"
 
 Mode = Literal["peer", "client", "router"]
