@@ -109,10 +109,19 @@ class BroydenJacobian:
         Of each value, for differences.
     high : ndarray
         Upper bounds, shape (p,).
+    first : ndarray, optional
+        Derivatives where the descent begins, if they are known, shape (n, p).
     """
 
-    def __init__(self, evaluate: Callable[[Array], Array], step: float, high: Array) -> None:
+    def __init__(
+        self,
+        evaluate: Callable[[Array], Array],
+        step: float,
+        high: Array,
+        first: Array | None = None,
+    ) -> None:
         self._evaluate, self._step, self._high = evaluate, step, high
+        self._first = first
         # of the last evaluation: derivatives are asked for there next
         self._evaluated: tuple[bytes, Array] = (b"", np.empty(0))
         self._x, self._r, self._J = np.empty(0), np.empty(0), np.empty((0, 0))
@@ -128,7 +137,10 @@ class BroydenJacobian:
         key, r = self._evaluated
         if key != x.tobytes():
             r = self._evaluate(x)
-        self._J = self._update(x, r) if len(self._x) else self._compute(x, r)
+        if len(self._x):
+            self._J = self._update(x, r)
+        else:
+            self._J = self._compute(x, r) if self._first is None else self._first
         self._x, self._r = x.copy(), r
         return self._J
 

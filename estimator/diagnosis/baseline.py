@@ -68,6 +68,7 @@ PRETENSION_SHARES = (0.3, 0.8, 2.0)
 WIDTH_SHARES = (2e-3, 2e-2)
 """Of the motor's range, that contacts may give before they slide."""
 STARTS_KEPT = 5  # of the starts
+SAME_MINIMUM = 1e-3  # of a cost, by which descents that end at one minimum differ
 SUBSAMPLE_SIZE = 1500  # samples of a record
 
 
@@ -79,9 +80,15 @@ def fit_baseline(dataset: Dataset) -> Fit:
     costs = [
         compute_cost(subsampled, simulate_dataset(subsampled, contexts, model)) for model in starts
     ]
-    order = np.argsort(costs)[:STARTS_KEPT]
-    fits = [fit_model(subsampled, contexts, starts[k], BASELINE_ROUNDS) for k in order]
-    return refit_baseline(dataset, min(fits, key=lambda fit: compute_cost(subsampled, fit)))
+    fits: list[Fit] = []
+    fit_costs: list[float] = []
+    for k in np.argsort(costs)[:STARTS_KEPT]:
+        lowest = min(fit_costs, default=math.inf)
+        fits.append(fit_model(subsampled, contexts, starts[k], BASELINE_ROUNDS))
+        fit_costs.append(compute_cost(subsampled, fits[-1]))
+        if math.isclose(fit_costs[-1], lowest, rel_tol=SAME_MINIMUM):
+            break
+    return refit_baseline(dataset, fits[int(np.argmin(fit_costs))])
 
 
 def _build_starts(dataset: Dataset) -> list[Model]:

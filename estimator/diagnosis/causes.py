@@ -1,7 +1,7 @@
 """Stepwise search for causes, restarted from another first cause and on another base law."""
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -25,6 +25,7 @@ from estimator.diagnosis.outcome import CauseStep, RankedCandidate
 from estimator.diagnosis.scoring import (
     ChannelErrors,
     Choice,
+    are_foreign,
     bootstrap_superiority,
     compute_bic_penalty,
     compute_errors,
@@ -275,6 +276,8 @@ def find_causes(
         if _is_explained(attempts[-1][0]):
             break
     result, law = max(attempts, key=lambda attempt: _compute_evidence(attempt[0], attempts[0][0]))
+    if _is_foreign(result):
+        return result, law
     if (
         not _is_explained(result)
         and (recovered := _recover_motion_beside_cause(result)) is not None
@@ -317,6 +320,8 @@ def _find_function(
             found = result._replace(steps=[*steps, step], fit=step.fit)
             if best is None or _compute_evidence(found, best) > SETTINGS.score_min:
                 best = found
+        if best is not None and _is_explained(best):
+            break  # beside a named cause it could only follow noise
     return best
 
 
@@ -371,6 +376,16 @@ def _is_explained(result: CauseSearchResult) -> bool:
     return is_noise(result.dataset, compute_errors(result.dataset, result.fit))
 
 
+def _is_foreign(result: CauseSearchResult) -> bool:
+    """Return whether neither the base law nor any first candidate makes a tendon of the data."""
+    errors = compute_errors(result.dataset, result.fit), *_get_errors(result.first_candidates)
+    return are_foreign(result.dataset, errors)
+
+
+def _get_errors(candidates: Sequence[Candidate]) -> Iterator[dict[str, ChannelErrors]]:
+    return (candidate.held_out for candidate in candidates)
+
+
 def _compute_fraction(result: CauseSearchResult) -> float:
     """Return the share of the base law's error beyond noise that is left."""
     errors = (compute_errors(result.dataset, fit) for fit in (result.fit, result.base_fit))
@@ -413,6 +428,9 @@ def _find_causes_stepwise(
         candidates = fit_candidates(
             dataset, fit, untried, scale_progress(report, begin, end), workers
         )
+        if are_foreign(dataset, (compute_errors(dataset, base_fit), *_get_errors(candidates))):
+            first_candidates = first_candidates or candidates
+            break
         step = find_next_cause(dataset, base_fit, fit, candidates)
         if step is not None and not steps:
             fit_without = refit_without_effect(dataset, step.fit, step.effect)

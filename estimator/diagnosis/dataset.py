@@ -2,10 +2,13 @@
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from enum import StrEnum
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from estimator.array_types import Array
 from estimator.diagnosis.measured_data import (
@@ -133,6 +136,29 @@ class SimulatedRecord(NamedTuple):
     motion: Motion  # what they would have read it of
 
 
+COARSE_RATIO_MIN = 2.0  # samples of a record for one that is simulated: else all of them are
+
+
+class CoarseSteps(NamedTuple):
+    """A simulation of some of a record's samples that stands for one of all of them.
+
+    What the motion of one model is beside its own coarse simulation is added to that of any other
+    (additive correction of a low-fidelity model, Alexandrov et al., J. Aircraft 38, 2001). At that
+    model nothing is lost, near it hardly anything.
+    """
+
+    rows: NDArray[np.intp]  # of the samples that are simulated, shape (m,)
+    left: NDArray[np.intp]  # the one of them at or before each sample, shape (n,)
+    weight: Array  # of the next one, shape (n,)
+    correction: Array  # of what `Motion` has, shape (5, n)
+
+    def refine(self, motion: Motion) -> Motion:
+        """Return the motion in all samples of one in `rows`."""
+        coarse = np.array(motion)
+        step = np.diff(coarse, axis=1, append=coarse[:, -1:])
+        return Motion(*(coarse[:, self.left] + self.weight * step[:, self.left] + self.correction))
+
+
 def build_base_parameters(
     record: Record, law: BaseLaw = BaseLaw.CAPSTAN, loads: LoadModel = LoadModel.SHARED
 ) -> BaseParameters:
@@ -178,6 +204,7 @@ def simulate_record(
     shared: Sequence[float],
     own: Sequence[float],
     effects: Sequence[tuple[Effect, Values]],
+    coarse: CoarseSteps | None = None,
 ) -> SimulatedRecord:
     """Return what the sensors of a record would have read.
 
@@ -189,14 +216,19 @@ def simulate_record(
         Their values.
     effects : sequence of (Effect, values)
         On top, in this order.
+    coarse : CoarseSteps, optional
+        Simulate some of the samples only.
     """
     values = base.values(shared, own)
     effects = [pair for pair in effects if pair[0].acts_in(context)]
     physics = build_plain_physics(record, base, values)
     for effect, numbers in effects:
         physics = effect.physics(physics, numbers, context)
-    motion = _simulate_motion(
-        record, physics, invert_effects(record.drive, context, effects), values
+    drive = invert_effects(record.drive, context, effects)
+    motion = (
+        _simulate_motion(_Drive(record, physics, drive, values))
+        if coarse is None
+        else coarse.refine(_simulate_rows(record, physics, drive, values, coarse.rows))
     )
     signals: Signals = {
         PROXIMAL_TENSION: motion.proximal_tension,
@@ -233,16 +265,66 @@ def build_plain_physics(
     return apply_base_law(physics, base.law, values)
 
 
-def _simulate_motion(
-    record: Record, physics: Physics, drive: Array, values: Mapping[str, float]
-) -> Motion:
-    """Return what the ends of the transmission do when it is driven."""
+MOTIONS_KEPT = 24  # simulations that are not repeated for other readings of the same motion
+
+
+class _Drive:
+    """All that a motion follows from, to be compared by its values."""
+
+    def __init__(
+        self, record: Record, physics: Physics, drive: Array, values: Mapping[str, float]
+    ) -> None:
+        self.record, self.physics, self.drive = record, physics, drive
+        self.start = values.get(TAUT_TRAVEL.name, 0.0), values.get(PRETENSION.name, 0.0)
+        parts = (record.time, record.speed, drive, *physics, *self.start)
+        self._key = (
+            record.loop,
+            record.driver,
+            *(part.tobytes() if isinstance(part, np.ndarray) else part for part in parts),
+        )
+
+    def __hash__(self) -> int:
+        return hash(self._key)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Drive) and self._key == other._key
+
+
+@lru_cache(maxsize=MOTIONS_KEPT)
+def _simulate_motion(driven: _Drive) -> Motion:
+    """Return what the ends of the transmission do when it is driven; its arrays are shared."""
+    record, physics, (taut_travel, pretension) = driven.record, driven.physics, driven.start
+    travel = driven.drive - taut_travel
     if record.loop:
-        pretension, taut_travel = values[PRETENSION.name], values[TAUT_TRAVEL.name]
-        return simulate_loop(physics, pretension, record.time, drive - taut_travel, record.speed)
-    if record.driver == PROXIMAL_TENSION:
-        return simulate_by_tension(physics, record.time, np.maximum(drive, 0.0), record.speed)
-    return simulate_by_travel(physics, record.time, drive - values[TAUT_TRAVEL.name], record.speed)
+        motion = simulate_loop(physics, pretension, record.time, travel, record.speed)
+    elif record.driver == PROXIMAL_TENSION:
+        tension = np.maximum(driven.drive, 0.0)
+        motion = simulate_by_tension(physics, record.time, tension, record.speed)
+    else:
+        motion = simulate_by_travel(physics, record.time, travel, record.speed)
+    for signal in motion:
+        signal.flags.writeable = False
+    return motion
+
+
+def _simulate_rows(
+    record: Record,
+    physics: Physics,
+    drive: Array,
+    values: Mapping[str, float],
+    rows: NDArray[np.intp],
+) -> Motion:
+    """Return what the ends do in some of the samples."""
+    by_sample = {
+        name: part[rows]
+        for name, part in physics._asdict().items()
+        if np.shape(part) == record.time.shape
+    }
+    physics = physics._replace(**by_sample)
+    few = replace(
+        record, time=record.time[rows], drive=record.drive[rows], speed=record.speed[rows]
+    )
+    return _simulate_motion(_Drive(few, physics, drive[rows], values))
 
 
 def build_context(
@@ -404,13 +486,46 @@ def build_unsimulated_contexts(dataset: Dataset, fit: Fit) -> tuple[EffectContex
     return tuple(build_context(record, None, compliance) for record in dataset.records)
 
 
-def simulate_dataset(dataset: Dataset, contexts: Sequence[EffectContext], model: Model) -> Fit:
-    """Return a model with what it makes of each record."""
+def simulate_dataset(
+    dataset: Dataset,
+    contexts: Sequence[EffectContext],
+    model: Model,
+    coarse: Sequence[CoarseSteps | None] = (),
+) -> Fit:
+    """Return a model with what it makes of each record; `coarse` steps of each, or none at all."""
     simulated = tuple(
-        simulate_record(record, context, dataset.base, model.shared, own, model.effects)
-        for record, context, own in zip(dataset.records, contexts, model.own, strict=True)
+        simulate_record(record, context, dataset.base, model.shared, own, model.effects, steps)
+        for record, context, own, steps in zip(
+            dataset.records, contexts, model.own, coarse or [None] * len(model.own), strict=True
+        )
     )
     return Fit(model, simulated)
+
+
+def build_coarse_steps(
+    dataset: Dataset, contexts: Sequence[EffectContext], fit: Fit, samples_max: int
+) -> tuple[CoarseSteps | None, ...]:
+    """Return coarse steps of each record about a fit, None where there are hardly fewer."""
+    steps: list[CoarseSteps | None] = []
+    for record, context, own, simulated in zip(
+        dataset.records, contexts, fit.model.own, fit.simulated, strict=True
+    ):
+        is_kept, n = select_subsample(record, samples_max), len(record.time)
+        is_kept[-1] = True
+        rows = np.flatnonzero(is_kept)
+        if COARSE_RATIO_MIN * len(rows) > n:
+            steps.append(None)
+            continue
+        left = np.cumsum(is_kept) - 1
+        time, after = record.time[rows], np.minimum(left + 1, len(rows) - 1)
+        weight = (record.time - time[left]) / np.where(after > left, time[after] - time[left], 1.0)
+        plain = CoarseSteps(rows, left, weight, np.zeros((len(Motion._fields), n)))
+        model = fit.model
+        motion = simulate_record(
+            record, context, dataset.base, model.shared, own, model.effects, plain
+        ).motion
+        steps.append(plain._replace(correction=np.array(simulated.motion) - np.array(motion)))
+    return tuple(steps)
 
 
 def compute_residual(dataset: Dataset, fit: Fit) -> Array:

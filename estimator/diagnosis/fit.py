@@ -1,5 +1,6 @@
 """Fits by re-simulation: all of a record is simulated for every trial, so its memory is right."""
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -7,15 +8,18 @@ from numpy.typing import NDArray
 
 from estimator.array_types import Array
 from estimator.diagnosis.dataset import (
+    COARSE_RATIO_MIN,
     OWN_LOADS,
     TAUT_TRAVEL,
     TIP_COMPLIANCE,
     TIP_MASS,
     TIP_ZERO,
     BaseParameters,
+    CoarseSteps,
     Dataset,
     Fit,
     Model,
+    build_coarse_steps,
     build_context,
     build_unsimulated_contexts,
     compute_cost,
@@ -36,6 +40,7 @@ from estimator.effects.effect import (
 )
 from estimator.fitting import (
     BroydenJacobian,
+    LeastSquaresSolution,
     compute_forward_differences,
     minimise_squares,
     move_inside_bounds,
@@ -172,6 +177,9 @@ SAMPLES_AROUND = 6  # samples to either side of a likely time that are tried
 COST_TOLERANCE = 1e-6  # of a cost
 SHAPE_RESTARTS_MAX = 3  # times at most that a fit goes on from other shapes
 SHAPE_MULTIPLES = (0.4, 0.6, 0.8, 1.25, 1.6, 2.5)  # of a shape that are tried
+COARSE_SIZE = 1200  # samples of a long record that are simulated while a descent is under way
+COARSE_PASSES = 3  # descents at most, each by coarse steps about where the one before ended
+COARSE_TOLERANCE = 1e-3  # of a cost, by which coarse steps may be off where a descent ends
 BOUND_MARGIN = 1e-9  # of a parameter's step, from a bound where a fit begins
 REGULARISATION = 1e-8  # information on a number about which there is none
 
@@ -182,14 +190,32 @@ class _Search:
     def __init__(self, dataset: Dataset, contexts: Sequence[EffectContext], model: Model) -> None:
         self.layout = ParameterLayout(dataset, model)
         self._dataset, self._full, self._contexts = dataset, use_all_samples(dataset), contexts
+        samples_max = max(len(record.time) for record in dataset.records)
+        self._is_long = samples_max >= COARSE_RATIO_MIN * COARSE_SIZE
 
-    def simulate(self, x: Array) -> Fit:
+    def simulate(self, x: Array, coarse: Sequence[CoarseSteps | None] = ()) -> Fit:
         """Return the model of a row, and what it makes of the records."""
-        return simulate_dataset(self._dataset, self._contexts, self.layout.unpack(x))
+        return simulate_dataset(self._dataset, self._contexts, self.layout.unpack(x), coarse)
 
-    def compute_residual(self, x: Array) -> Array:
-        """Return the residual of a row in the samples that are fitted."""
-        return compute_residual(self._dataset, self.simulate(x))
+    def build_coarse_steps(self, fit: Fit) -> tuple[CoarseSteps | None, ...]:
+        """Return coarse steps about a fit; none of records that have few samples."""
+        if not self._is_long:
+            return ()
+        return build_coarse_steps(self._dataset, self._contexts, fit, COARSE_SIZE)
+
+    def compute_jacobian(self, fit: Fit) -> Array:
+        """Return the derivatives of the residual at a fit by all parameters, by coarse steps."""
+        x, (_, high) = self.layout.pack(fit.model), self.layout.bounds()
+        steps = self.build_coarse_steps(fit)
+        J = compute_forward_differences(
+            lambda x: compute_residual(self._dataset, self.simulate(x, steps)),
+            x,
+            compute_residual(self._dataset, fit),
+            DIFFERENCE_STEP,
+            high,
+        )
+        J[:, self.layout.is_fixed] = 0.0
+        return J
 
     def descend(
         self, start: Model, rounds: int, is_free: Mask, *, robust: bool = False, full: bool = False
@@ -201,21 +227,61 @@ class _Search:
         low, high = self.layout.bounds()
         x_start = move_inside_bounds(self.layout.pack(start), low, high, BOUND_MARGIN)
         dataset = self._full if full else self._dataset
+        fit = self.simulate(x_start)
+        if not self._is_long:
+            return self._descend_once(dataset, fit, x_start, rounds, is_free, robust)[0]
+        best, jacobian = fit, None
+        for k in range(COARSE_PASSES):
+            coarse = self.build_coarse_steps(best)
+            fit, solution = self._descend_once(
+                dataset, best, x_start, rounds, is_free, robust, coarse, jacobian
+            )
+            cost = compute_cost(dataset, fit)
+            if cost > compute_cost(dataset, best) and not robust:
+                if k > 0:
+                    return best
+                return self._descend_once(dataset, best, x_start, rounds, is_free, robust)[0]
+            if abs(cost - solution.cost) < COARSE_TOLERANCE * cost:
+                return fit
+            best, jacobian = fit, None if robust else solution.jacobian
+            x_start = move_inside_bounds(self.layout.pack(fit.model), low, high, BOUND_MARGIN)
+        return best
 
-        def simulate_free(x: Array) -> Fit:
+    def _descend_once(
+        self,
+        dataset: Dataset,
+        start: Fit,
+        x_start: Array,
+        rounds: int,
+        is_free: Mask,
+        robust: bool,
+        coarse: Sequence[CoarseSteps | None] = (),
+        jacobian: Array | None = None,
+    ) -> tuple[Fit, LeastSquaresSolution]:
+        """Return the fit of a descent by coarse steps, simulated in all samples, and its end."""
+        low, high = self.layout.bounds()
+        fits, cost_min = {x_start[is_free].tobytes(): start}, math.inf
+
+        def simulate_free(x: Array, coarse: Sequence[CoarseSteps | None]) -> Fit:
             row = x_start.copy()
             row[is_free] = x
-            return self.simulate(row)
+            return self.simulate(row, coarse)
 
-        jacobian = BroydenJacobian(
-            lambda x: compute_residual(dataset, simulate_free(x)), DIFFERENCE_STEP, high[is_free]
-        )
+        def evaluate(x: Array) -> Array:
+            nonlocal fits, cost_min
+            fit = fits.get(x.tobytes()) or simulate_free(x, coarse)
+            r = compute_residual(dataset, fit)
+            if not coarse and r @ r < cost_min:
+                fits, cost_min = {x.tobytes(): fit}, float(r @ r)
+            return r
+
+        derivatives = BroydenJacobian(evaluate, DIFFERENCE_STEP, high[is_free], jacobian)
         solution = minimise_squares(
-            jacobian.residual,
+            derivatives.residual,
             x_start[is_free],
             low[is_free],
             high[is_free],
-            jac=jacobian,
+            jac=derivatives,
             x_scale="jac",
             loss="cauchy" if robust else "linear",
             ftol=1e-4,
@@ -223,18 +289,19 @@ class _Search:
             gtol=1e-9,
             max_nfev=rounds,
         )
-        return simulate_free(solution.values)
+        return fits.get(solution.values.tobytes()) or simulate_free(solution.values, ()), solution
 
     def search_shape_multiples(self, fit: Fit) -> Model | None:
         """Return a model with its shapes at better multiples of their values; None if none is."""
         best, cost_min = fit, compute_cost(self._dataset, fit)
         low, high = self.layout.bounds()
+        coarse = self.build_coarse_steps(fit)
         for i in np.flatnonzero(self.layout.is_shape):
             x = self.layout.pack(best.model)
             for multiple in SHAPE_MULTIPLES:
                 shifted = x.copy()
                 shifted[i] = np.clip(multiple * x[i], low[i], high[i])
-                trial = self.simulate(shifted)
+                trial = self.simulate(shifted, coarse)
                 cost = compute_cost(self._dataset, trial)
                 if cost < cost_min:
                     best, cost_min = trial, cost
@@ -432,12 +499,7 @@ def shift_parameters(dataset: Dataset, model: Model, shift: Array) -> Model:
 
 def compute_jacobian(dataset: Dataset, contexts: Sequence[EffectContext], fit: Fit) -> Array:
     """Return the derivatives of the residual by all parameters, each in its own step."""
-    search = _Search(dataset, contexts, fit.model)
-    x, (_, high) = search.layout.pack(fit.model), search.layout.bounds()
-    residual = compute_residual(dataset, fit)
-    J = compute_forward_differences(search.compute_residual, x, residual, DIFFERENCE_STEP, high)
-    J[:, search.layout.is_fixed] = 0.0
-    return J
+    return _Search(dataset, contexts, fit.model).compute_jacobian(fit)
 
 
 def _compute_uncertainty(dataset: Dataset, contexts: Sequence[EffectContext], fit: Fit) -> Array:

@@ -8,6 +8,7 @@ as they are, without filters.
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from types import MappingProxyType
 from typing import NamedTuple
 
@@ -232,12 +233,12 @@ class Record:
     variables: dict[str, Array] = field(default_factory=dict)
     file: int = 0
 
-    @property
+    @cached_property
     def compared(self) -> tuple[str, ...]:
         """Channels that a simulation is compared with."""
         return tuple(c for c in CHANNELS if c in self.signals and c != self.driver)
 
-    @property
+    @cached_property
     def starts_slack(self) -> bool:
         """Whether there is no tension at the first sample, as far as it was measured."""
         T = self.signals[PROXIMAL_TENSION][:5][self.valid[PROXIMAL_TENSION][:5]]
@@ -245,7 +246,7 @@ class Record:
             return False
         return bool(np.median(T) <= 5.0 * self.noise[PROXIMAL_TENSION])
 
-    @property
+    @cached_property
     def first_tensions(self) -> tuple[float, Array]:
         """Where the drive was when tension was first measured, and five readings from there on."""
         rows = np.flatnonzero(self.present[PROXIMAL_TENSION])[:5]

@@ -1,7 +1,7 @@
 """Errors of models on held-out samples, and how significantly one model beats another."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -190,6 +190,11 @@ def compute_missed_share(dataset: Dataset, errors: dict[str, ChannelErrors]) -> 
         spread = max(float(r.signals[channel].std()) for r in dataset.records)
         shares.append(channel_errors.rmse * math.sqrt(excess) / max(spread, 1e-12))
     return max(shares)
+
+
+def are_foreign(dataset: Dataset, errors: Iterable[dict[str, ChannelErrors]]) -> bool:
+    """Return whether each of several models misses so much that data are surely of no tendon."""
+    return all(compute_missed_share(dataset, one) > SETTINGS.foreign_share_stop for one in errors)
 
 
 def is_noise(dataset: Dataset, errors: dict[str, ChannelErrors]) -> bool:

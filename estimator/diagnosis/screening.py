@@ -31,7 +31,7 @@ from estimator.diagnosis.fit import (
     fit_robustly,
     shift_parameters,
 )
-from estimator.diagnosis.scoring import ChannelErrors, compute_errors, is_noise
+from estimator.diagnosis.scoring import ChannelErrors, are_foreign, compute_errors, is_noise
 from estimator.diagnosis.settings import SETTINGS, ProgressCallback, scale_progress
 from estimator.effects.effect import Effect, EffectContext, Parameter, Values
 
@@ -153,6 +153,10 @@ def fit_candidates(
             for candidate in best
             if candidate.cost < cost_ratio_max * best[0].cost
         ]
+        first_errors = (compute_errors(subsampled, subsampled_fit), *(c.held_out for c in best))
+        if are_foreign(subsampled, first_errors):
+            models = []
+            break
 
     def fit_cheapest(starts: Iterable[Model]) -> Candidate:
         return min(
