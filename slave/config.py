@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Literal
 
 from slave import model_files
+from slave.adaptation import AdaptationConfig
 from slave.calibration import file
 from slave.calibration.config import InitialiseConfig
 from slave.calibration.file import JointTendons
@@ -46,6 +47,7 @@ class SlaveConfig:
     calibration: Literal["as-built"] | Path | None = None
     initialise: InitialiseConfig = field(default_factory=InitialiseConfig)
     monitor: MonitorConfig = field(default_factory=MonitorConfig)
+    adaptation: AdaptationConfig = field(default_factory=AdaptationConfig)
     control: ControlConfig = field(default_factory=ControlConfig)
     estimator: EstimatorExtension | None = None  # of another package; null = the built-in one
     controller: ControllerExtension | None = None  # of another package; null = the built-in one
@@ -65,6 +67,16 @@ class SlaveConfig:
             raise ValueError(
                 f"control.tension_max: must be below gate.tension_max ({self.gate.tension_max:g} N)"
             )
+        if self.adaptation.enabled and self.estimator is not None:
+            raise ValueError("adaptation: is of the built-in estimator; leave out estimator")
+        if (
+            self.adaptation.enabled
+            and isinstance(self.rig, ReplayedRigConfig)
+            and len(self.rig.tendons) > 1
+        ):
+            raise ValueError(
+                "adaptation: data of several tendons do not tell which are pairs; replay one"
+            )
         if len(self.tendons) > MAX_TENDONS:
             raise ValueError(f"tendons: at most {MAX_TENDONS}")
         if not 0.0 < self.command_timeout <= 0.5 or not math.isfinite(self.command_timeout):
@@ -77,6 +89,14 @@ class SlaveConfig:
         require_periods("slave.command_timeout", self.command_timeout, rate_hz)
         require_periods("slave.sample_timeout", self.sample_timeout, rate_hz)
         require_periods("slave.gate.tension_age_max", self.gate.tension_age_max, rate_hz)
+
+    def check_arms(self, arms: tuple[ArmConfig, ...]) -> None:
+        """Check what arms with shared tendons cannot have; `UsageError`."""
+        if self.adaptation.enabled and arms:
+            raise UsageError(
+                "slave.adaptation.enabled: must be false with arms, whose joints share tendons; "
+                "calibrate them again when a sheath has moved"
+            )
 
     @property
     def is_actuated(self) -> bool:

@@ -21,6 +21,7 @@ from estimator.online import online
 from estimator.online.tendon_estimate import INVALID_INPUT
 from estimator.records import StructArray, to_struct_array, view_struct
 from slave import control, fault_detection, gate, initial_position
+from slave.adaptation import TendonAdapter, build_adapter, mute_monitors
 from slave.arm_estimate import ArmEstimator, build_arm_estimator
 from slave.calibration import degraded_mode, monitor
 from slave.calibration.monitor import Advice
@@ -80,22 +81,40 @@ class SlaveRecords(NamedTuple):
     monitor_constants: StructArray
     with_dynamics: bool | None  # None where no model has dynamic effects; see `estimate`
     arm: ArmEstimator | None  # None where no joints share tendons
+    adapter: TendonAdapter | None  # None where K stays as calibrated
 
     @property
     def estimate_arguments(
         self,
     ) -> tuple[
-        StructArray, StructArray, StructArray, StructArray, bool | None, ArmEstimator | None
+        StructArray,
+        StructArray,
+        StructArray,
+        StructArray,
+        bool | None,
+        ArmEstimator | None,
+        TendonAdapter | None,
     ]:
         """First arguments of `estimate`."""
         estimators = self.prepared, self.estimators, self.memory
-        return self.layout, *estimators, self.with_dynamics, self.arm
+        return self.layout, *estimators, self.with_dynamics, self.arm, self.adapter
+
+    @property
+    def monitor_arguments(
+        self,
+    ) -> tuple[
+        StructArray, StructArray, StructArray, StructArray, StructArray, TendonAdapter | None
+    ]:
+        """First arguments of `monitor_calibration`."""
+        own = self.settings, self.layout, self.monitor_constants, self.memory
+        return *own, self.prepared, self.adapter
 
     @property
     def changing(self) -> tuple[Any, ...]:
         """The arrays that ticks and samples change."""
-        own = self.memory, self.estimators
-        return own if self.arm is None else (*own, self.arm.memory, self.arm.pairs)
+        arm = () if self.arm is None else (self.arm.memory, self.arm.pairs)
+        adapted = () if self.adapter is None else (self.prepared, self.adapter.states)
+        return self.memory, self.estimators, *arm, *adapted
 
     @property
     def tick_arguments(self) -> tuple[StructArray, StructArray, StructArray, StructArray]:
@@ -156,13 +175,14 @@ def init_slave(
     slave = SlaveRecords(
         build_settings(config, bilateral, calibrated=not model.not_ready_text),
         model.layout,
-        model.prepared,
+        model.prepared.copy(),  # the adaptation changes them
         online.build_initial_states(model.prepared),
         memory,
         Scratch.array(),
         model.monitor_constants,
         True if model.prepared["has_dynamics"].any() else None,
         build_arm_estimator(model.joints, model.arms),
+        build_adapter(config.adaptation, model.models),
     )
     row = EstimatedSample.array()
     for sample in samples:
@@ -646,12 +666,16 @@ def monitor_calibration(
     layouts: StructArray,
     monitor_constants: StructArray,
     memories: StructArray,
+    prepared: StructArray,
+    adapter: TendonAdapter | None,
     rows: StructArray,
     samples: int,
 ) -> None:
     """Update the calibration monitor with the samples of a tick."""
     settings, layout, memory = settings_records[0], layouts[0], memories[0]
     constants: Any = monitor_constants
+    if adapter is not None:
+        mute_monitors(adapter, layout, prepared, memory.monitors)
     for s in range(samples):
         memory.advice = monitor.step_rig(
             settings.monitor, layout, constants, memory.monitors, rows[s].tendons, rows[s].elapsed

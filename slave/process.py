@@ -20,6 +20,7 @@ from typing import NamedTuple, cast
 
 from estimator.records import view_struct
 from slave import live_settings, loop, model_files
+from slave.adaptation import describe_pairs
 from slave.calibration.file import apply_guide_friction
 from slave.calibration.initialisation import initialise
 from slave.config import (
@@ -116,6 +117,7 @@ class SlaveProcess(LoopProcess):
         self._motor = self._slave.memory["motor"][0]  # [m] that the gate let through
         self._has_motor = self._slave.memory["has_motor"]
         self._estimated, self._ticked = self._slave.estimate_arguments, self._slave.tick_arguments
+        self._monitored = self._slave.monitor_arguments
         self._checkpoint = Checkpoint(*self._slave.changing)
         self._rows = EstimatedSample.array(ROWS_INITIAL)
         self._samples = 0
@@ -177,7 +179,7 @@ class SlaveProcess(LoopProcess):
     def summary(self) -> LoopSummary:
         """Return the figures of the run."""
         force_error = cast("ForceError | None", self._score.summary())
-        rig = RigSummary(force_error, self._rig.summary())
+        rig = RigSummary(force_error, self._rig.summary(), self._telemetry.describe_friction())
         return replace(super().summary(), rig=rig)
 
     def _move_rig(self) -> None:
@@ -269,9 +271,7 @@ class SlaveProcess(LoopProcess):
         begin_ns = now_ns()
         next_sample = None if self.error or self.ended else self._advance_rig()
         rig_ns = now_ns() - begin_ns
-        loop.monitor_calibration(
-            slave.settings, slave.layout, slave.monitor_constants, slave.memory, rows, samples
-        )
+        loop.monitor_calibration(*self._monitored, rows, samples)
         self._checkpoint.save()
         if requests.settings:
             self._process_settings(requests.settings)
@@ -324,6 +324,7 @@ def main(args: argparse.Namespace) -> int:
     document = read_config(args, join=False)
     shared, config = document.load(SideConfig), document.load(SlaveConfig, "slave")
     config.check_rate(shared.rate_hz)
+    config.check_arms(shared.arms)
     files = model_files.parse(args.model)
     if files and config.initialise.at_start:
         raise UsageError("--model: conflicts with slave.initialise.at_start; use one of them")
@@ -334,8 +335,11 @@ def main(args: argparse.Namespace) -> int:
     ) -> tuple[SlaveProcess, EventClock, StopCondition]:
         rig = open_rig(config.rig)
         stack.callback(rig.close)
-        for warning in find_config_warnings(config, shared.coupling):
-            print(warning, flush=True)
+        for line in [
+            *find_config_warnings(config, shared.coupling),
+            *describe_pairs(config.adaptation, rig.joints),
+        ]:
+            print(line, flush=True)
         stop = StopCondition(args.duration)
         stop.wake = link.wake
         link.subscribe_latest(COMMAND, round(config.command_timeout * 1e9))

@@ -12,6 +12,7 @@ from estimator.online import online
 from estimator.online.tendon_estimate import INVALID_INPUT
 from estimator.records import StructArray
 from slave import control
+from slave.adaptation import TendonAdapter, adapt_tendons
 from slave.arm_estimate import ArmEstimator, estimate_arm_forces
 from slave.loop_records import EstimatedSample, SlaveMemory
 from slave.rig import RigSample
@@ -85,6 +86,7 @@ def estimate(
     memories: StructArray,
     with_dynamics: bool | None,
     arm: ArmEstimator | None,
+    adapter: TendonAdapter | None,
     rows: StructArray,
     samples: int,
     own: Array | None = None,
@@ -92,8 +94,9 @@ def estimate(
     """Step each tendon's estimator with the first `samples` of `rows`; fill in their estimates.
 
     `with_dynamics` is None where no model has dynamic effects; see `online.advance`. `arm` is None
-    where no joints share tendons. `own`, shape (samples, 4, tendons), has tension at the tip, its
-    interval [N] and elongation [m] by an estimator of another package; NaN where it has none.
+    where no joints share tendons, `adapter` where K stays as calibrated. `own`, shape
+    (samples, 4, tendons), has tension at the tip, its interval [N] and elongation [m] by an
+    estimator of another package; NaN where it has none.
     """
     layout, memory = layouts[0], memories[0]
     for s in range(samples):
@@ -121,6 +124,8 @@ def estimate(
                 )
                 taken.elongation = own[s, 3, i]
                 taken.distal_displacement = tendon.corrected_displacement - taken.elongation
+        if adapter is not None:
+            adapt_tendons(adapter, layout, prepared, estimators, row.tendons, row.elapsed)
         _end_sample(layout, memory, row)
         if arm is not None and memory.has_offsets:
             control.estimate_joints(

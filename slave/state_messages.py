@@ -10,6 +10,7 @@ from estimator.compiled import jit_compile
 from estimator.law.sheath import Sheath
 from estimator.law.transmission import evaluate_tension
 from estimator.records import StructArray
+from slave.adaptation import TendonFriction
 from teleop.messages import messages
 from teleop.messages.messages import MAX_MESSAGE_SECTIONS, MAX_TENDONS, PROFILE_POINTS, pad_values
 
@@ -83,14 +84,18 @@ def fill_tension_profile(
         profile.tension[i] = tension[i]
 
 
-def build_sheath_message(tendon: int, joint: int, model: Sheath) -> messages.Sheath:
+def build_sheath_message(
+    tendon: int, joint: int, model: Sheath, friction: TendonFriction
+) -> messages.Sheath:
     """Return the shape and constants of one sheath of at most `MAX_MESSAGE_SECTIONS` sections."""
     sections = model.sections
     return messages.Sheath(
         tendon=tendon,
         joint=joint,
         sections=len(sections),
-        effective_friction=model.K,
+        effective_friction=friction.K,
+        friction_low=friction.low,
+        friction_high=friction.high,
         axial_stiffness=model.axial_stiffness,
         section_length=pad_values([s.length for s in sections], MAX_MESSAGE_SECTIONS),
         section_radius=pad_values([s.radius for s in sections], MAX_MESSAGE_SECTIONS),

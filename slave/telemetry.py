@@ -2,11 +2,13 @@
 
 import math
 from collections.abc import Callable
+from datetime import datetime, timedelta
 
 import numpy as np
 
 from estimator.records import view_struct
 from slave import state_messages
+from slave.adaptation import ShapeChange, ShapeWatch, compute_friction
 from slave.calibration import monitor
 from slave.calibration.monitor import Advice
 from slave.calibration.refusals import format_tendon_name
@@ -30,6 +32,7 @@ from teleop.session.state_machine import (
 PROFILE_PERIOD_S = 0.02  # T(x) of one tendon; the viewer shows no more
 PROFILE_PERIOD_MIN_S = 0.005  # least period between two of them, for any number of tendons
 SHEATH_PERIOD_S = 1.0  # for listeners that start later
+SHAPE_PERIOD_S = 0.1  # between two looks for a change of shape
 PROGRESS_S = 2.0  # between two progress lines of a calibration
 
 
@@ -42,6 +45,8 @@ class Telemetry:
         Detail of the reason of the present session state; may be empty.
     stop_text : str
         Sender of the last emergency stop.
+    shape_changes : list of str
+        What was said about the shape of sheaths.
     """
 
     def __init__(self, link: Link, model: RigModel, slave: SlaveRecords) -> None:
@@ -61,6 +66,9 @@ class Telemetry:
         self.detail = self.stop_text = ""
         self._published: tuple[SessionOutline, str] | None = None
         self._advice = int(Advice.NONE)
+        self._shapes = slave.adapter and ShapeWatch(slave.prepared, slave.adapter)
+        self._next_shape_s = 0.0
+        self.shape_changes: list[str] = []
 
     def __call__(self, time_s: float) -> None:
         """Publish the messages due at session time `time_s` [s]."""
@@ -81,6 +89,12 @@ class Telemetry:
             if advice == Advice.ADVISED:
                 text = f"calibrate again when there is time: {self._misfit()}"
                 publish_event(self._link, Role.SLAVE, side, text)
+        if self._shapes is not None and time_s >= self._next_shape_s:
+            self._next_shape_s = time_s + SHAPE_PERIOD_S
+            for change in self._shapes.update(time_s):
+                text = self._describe_shape(change, time_s)
+                self.shape_changes.append(text)
+                publish_event(self._link, Role.SLAVE, side, text)
         if time_s >= self._next_profile_s and self._now["has_sample"][0]:
             self._next_profile_s = time_s + self._profile_s
             self._publish_profile()
@@ -88,10 +102,23 @@ class Telemetry:
             self._next_sheath_s = time_s + SHEATH_PERIOD_S
             for k, model in enumerate(self._model.models):
                 if not self._link.skip_unsubscribed(SHEATH):
+                    friction = compute_friction(self._slave.prepared, self._slave.adapter, k)
                     message = state_messages.build_sheath_message(
-                        k, self._joint_of[k], model.sheath
+                        k, self._joint_of[k], model.sheath, friction
                     )
                     self._link.publish(SHEATH, message)
+
+    def describe_friction(self) -> tuple[str, ...]:
+        """Return K of the tendons that adapt, after what was said about their shape."""
+        adapter, lines = self._slave.adapter, list(self.shape_changes)
+        for k, model in enumerate(self._model.models):
+            if adapter is not None and adapter.states["pieces"][k] > 0:
+                now = compute_friction(self._slave.prepared, adapter, k)
+                lines.append(
+                    f"K of {self._named(k)}: {now.K:.2f}, in {now.low:.2f} to {now.high:.2f}; "
+                    f"calibrated {model.sheath.K:.2f}"
+                )
+        return tuple(lines)
 
     def _detail(self, reason: Reason) -> str:
         """Return the detail of a reason: why not usable, or which tendon."""
@@ -126,6 +153,17 @@ class Telemetry:
         errors = [monitor.compute_force_error(self._memory.monitors[k]) for k in tendons]
         k = max(tendons, key=lambda k: abs(errors[k]))
         return f"{self._named(k)}: force error about {100.0 * errors[k]:+.0f} %"
+
+    def _describe_shape(self, change: ShapeChange, time_s: float) -> str:
+        named, K = self._named(change.tendon), change.now.K
+        begin = datetime.now().astimezone() - timedelta(seconds=time_s - change.begin_s)
+        if not change.has_settled:
+            return f"the shape changes: K of {named} leaves {change.before:.2f}"
+        error = max(change.now.high - K, K - change.now.low)
+        return (
+            f"the shape changed at {begin:%H:%M:%S}: K of {named} from {change.before:.2f} to "
+            f"{K:.2f} ± {error:.2f}"
+        )
 
     def _named(self, tendon: int) -> str:
         j = self._joint_of[tendon]

@@ -35,6 +35,7 @@ from teleop.runtime.compiling import announce_compilation
 COMPILE_S = 24.0  # [s] of a processor for the tick, without a cache
 DYNAMICS_COMPILE_S = 14.0  # [s] more
 ARM_COMPILE_S = 8.0  # [s] more
+ADAPTATION_COMPILE_S = 15.0  # [s] more
 
 
 def compile_session(
@@ -46,6 +47,7 @@ def compile_session(
     """
     about_s = COMPILE_S + RIG_COMPILE_S.get(type(config.rig), 0.0)
     about_s += DYNAMICS_COMPILE_S * with_dynamics + ARM_COMPILE_S * bool(arms)
+    about_s += ADAPTATION_COMPILE_S * config.adaptation.enabled
     # the collector would look in vain through a million objects of the compiler: 10 % of its time
     with (
         pause_garbage_collection(),
@@ -53,7 +55,7 @@ def compile_session(
     ):
         _compile_tick(config, arms)
         if with_dynamics:
-            slave, rows, _ = _build_example(arms)
+            slave, rows, _ = _build_example(config, arms)
             estimate(
                 *slave._replace(with_dynamics=True).estimate_arguments, rows, 1, *_list_own(config)
             )
@@ -66,11 +68,11 @@ def compile_session(
 def _compile_outside_tick(config: SlaveConfig) -> None:
     """Compile what the session calls beside the tick: as much work again."""
     compile_rig(config.rig)
-    _compile_finish_tick()
+    _compile_finish_tick(config)
 
 
 def _compile_tick(config: SlaveConfig, arms: Sequence[ArmConfig]) -> None:
-    slave, rows, state = _build_example(arms)
+    slave, rows, state = _build_example(config, arms)
     tick_input, command = TickInput(1e-3, True, False), Packet(Command)
     estimate(*slave.estimate_arguments, rows, 1, *_list_own(config))
     loop.run_tick(*slave.tick_arguments, rows, 1, tick_input, command.records, state.records)
@@ -81,12 +83,10 @@ def _list_own(config: SlaveConfig) -> list[Array]:
     return [] if config.estimator is None else [np.zeros((1, 4, MAX_TENDONS))]
 
 
-def _compile_finish_tick() -> None:
+def _compile_finish_tick(config: SlaveConfig) -> None:
     """Compile what is called once the state is published."""
-    slave, rows, _ = _build_example()
-    loop.monitor_calibration(
-        slave.settings, slave.layout, slave.monitor_constants, slave.memory, rows, 1
-    )
+    slave, rows, _ = _build_example(config)
+    loop.monitor_calibration(*slave.monitor_arguments, rows, 1)
     fill_tendon_state(slave.layout, slave.memory, rows, 0, Packet(TendonState).records)
     Score().add_rows(slave.layout, rows, 1)
     compile_link_window_update()
@@ -95,12 +95,13 @@ def _compile_finish_tick() -> None:
 
 
 def _build_example(
-    arms: Sequence[ArmConfig] = (),
+    config: SlaveConfig, arms: Sequence[ArmConfig] = ()
 ) -> tuple[loop.SlaveRecords, StructArray, Packet[SlaveState]]:
     """Return a slave of one tendon, a sample of it, and room for its state."""
     tendon = TendonConfig(effective_friction=1.0).model()
     model = loop.build_rig_model(((0,),), [tendon], arms=[ArmConfig()] if arms else [])
-    slave = loop.init_slave(model, SlaveConfig(), loop.DIRECT, starts_at_zero=True)
+    example = SlaveConfig(adaptation=config.adaptation)
+    slave = loop.init_slave(model, example, loop.DIRECT, starts_at_zero=True)
     rows, state = EstimatedSample.array(), Packet(SlaveState)
     fill_sample(rows, 0, RigSample(0.0, np.ones(1), np.zeros(1)))
     return slave, rows, state

@@ -274,9 +274,7 @@ class Teleoperator:
             latest.packet.records,
             self._state.records,
         )
-        slave_loop.monitor_calibration(
-            slave.settings, slave.layout, slave.monitor_constants, slave.memory, rows, len(samples)
-        )
+        slave_loop.monitor_calibration(*slave.monitor_arguments, rows, len(samples))
         if self.slave.has_motor:
             self._rig.wanted = tuple(self.slave.motor[: self._tendons].tolist())
         self._states.send(self._state, now)

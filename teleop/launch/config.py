@@ -29,3 +29,4 @@ class SessionConfig(SideConfig):
         SideConfig.__post_init__(self)
         self.master.check_rate(self.rate_hz)
         self.slave.check_rate(self.rate_hz)
+        self.slave.check_arms(self.arms)

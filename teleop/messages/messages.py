@@ -333,12 +333,17 @@ class TensionProfile(Message):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sheath(Message):
-    """Slave to listeners, once a second (late joiners): the shape and constants of one sheath."""
+    """Slave to listeners, once a second (late joiners): the shape and constants of one sheath.
+
+    The friction is that in use, which may differ from the calibrated one (`slave.adaptation`).
+    """
 
     tendon: U32 = 0  # which one, from 0
     joint: U32 = 0  # the one it moves, from 0
     sections: U32 = 0  # how many entries of the arrays are in use
     effective_friction: F64 = 0.0  # K
+    friction_low: F64 = 0.0  # ends of its interval
+    friction_high: F64 = 0.0
     axial_stiffness: F64 = 0.0  # EA [N]
     section_length: Sections = NO_SECTIONS  # [m]
     section_radius: Sections = NO_SECTIONS  # [m] inf = straight

@@ -34,6 +34,7 @@ class RigSummary:
 
     force_error: ForceError | None  # of the estimates; None without sensors at the tip
     rig: Mapping[str, int | float | str]  # entries of the rig itself
+    friction: tuple[str, ...] = ()  # of tendons that adapt, at the end; what was said of them
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -100,7 +101,7 @@ class LoopSummary:
         """Return the summary that `to_json` has made plain."""
         values = dict(content)
         has_rig = "rig" in values
-        rig = RigSummary(values.pop("force_error"), values.pop("rig")) if has_rig else None
+        rig = _pop_rig(values) if has_rig else None
         link = dict(values["link"])
         for name in ("round_trip_ms", "jitter_ms"):
             link[name] = Percentiles(**link[name])
@@ -121,6 +122,11 @@ class LoopSummary:
             "rig": rig,
             "realtime": tuple(values["realtime"]),
         })  # fmt: skip
+
+
+def _pop_rig(values: dict[str, Any]) -> RigSummary:
+    friction = tuple(values.pop("friction"))
+    return RigSummary(values.pop("force_error"), values.pop("rig"), friction)
 
 
 def _to_plain(value: Any) -> Any:
@@ -306,10 +312,11 @@ def format_loop(loop: LoopSummary) -> list[str]:
 
 
 def format_rig(loop: LoopSummary) -> list[str]:
-    """Return the force error of a slave in one line; none of a master."""
+    """Return the force error of a slave, and K that has adapted, as lines; none of a master."""
     if loop.rig is None:
         return []
-    return [f"force     {format_force_error(loop.rig.force_error)}"]
+    friction = [f"friction  {text}" for text in loop.rig.friction]
+    return [f"force     {format_force_error(loop.rig.force_error)}", *friction]
 
 
 def format_link(link: LinkSummary) -> list[str]:

@@ -87,9 +87,7 @@ class SlaveBench:
         verdict = loop.run_tick(
             *slave.tick_arguments, rows, count, given, commands, self._state.records
         )
-        loop.monitor_calibration(
-            slave.settings, slave.layout, slave.monitor_constants, slave.memory, rows, count
-        )
+        loop.monitor_calibration(*slave.monitor_arguments, rows, count)
         state = SlaveState.unpack(self._state.seal(0, 0, 0))
         return Output(self.motor, GateFlags(verdict), state, rows)
 

@@ -121,7 +121,8 @@ def test_the_summary_of_a_session_in_words():
 
 
 def test_a_summary_that_is_read_from_its_file_is_the_one_that_was_written(tmp_path):
-    rigs = itertools.cycle([None, NO_BENCH, RigSummary(FORCE_ERROR, {"coarse_reads": 3})])
+    adapted = RigSummary(FORCE_ERROR, {"coarse_reads": 3}, ("K of joint 1, tendon a: 1.21",))
+    rigs = itertools.cycle([None, NO_BENCH, adapted])
     path = tmp_path / "slave.json"
     for reason, rig in zip(Reason, rigs, strict=False):
         ended_in = DetailedReason(reason, "joint 1: tendon a")
@@ -144,7 +145,7 @@ def test_a_summary_in_a_file_has_names_and_texts_in_an_order_of_its_own():
         "answer_us", "without_rig_us", "latency_ms", "stages_us", "received", "lost", "overwritten",
         "rejected", "unknown", "delayed", "clock_jumps", "restarts", "gate", "ticks_in", "faults",
         "final_state", "reason", "not_usable", "ended_in", "link", "force_error", "rig", "degraded",
-        "degraded_ticks", "stopped", "realtime",
+        "degraded_ticks", "friction", "stopped", "realtime",
     ]  # fmt: skip
     assert (content["role"], content["final_state"], content["ended_in"]) == ("slave", "off", "")
     assert content["faults"] == [Reason.RIG_FAULT.text]

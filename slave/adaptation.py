@@ -1,0 +1,186 @@
+"""Live adaptation of K to sheaths that move (`estimator.adaptation`), and what is said about it.
+
+Only joints of one tendon adapt: the tendons of a pair move each other's tip, and those of an arm
+end at several joints.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from estimator.adaptation import UPDATE_S, Adaptation, build_adaptation, observe
+from estimator.array_types import Array
+from estimator.compiled import jit_compile
+from estimator.law.tables import K as _K
+from estimator.online.online import TendonModel
+from estimator.records import StructArray
+from slave.calibration.monitor import TendonMonitor
+from slave.tendons import EstimatedTendons, RigLayout
+
+UNDECIDED_S = 20.0  # [s] without evidence, after which the monitor decides: see `mute_monitors`
+BOUND_SHARE = 0.03  # of K: so close to its bounds, it may be beyond them
+SETTLED_S = 5.0  # [s] for which K has to stay within `SETTLED_SHARE`
+SETTLED_SHARE = 0.02  # of K
+SETTLED_WIDTH = 0.2  # of K: largest half-width of the interval of a K that has settled
+
+
+@dataclass(frozen=True, slots=True)
+class AdaptationConfig:
+    """Adaptation of K to a sheath that moves while the rig is used."""
+
+    enabled: bool = False  # of tendons against a spring; for a pair and for arms K stays
+
+
+class TendonAdapter(NamedTuple):
+    """Adaptation of all tendons of a rig; those of pairs are left out."""
+
+    constants: StructArray  # AdaptationConstants, shape (tendons,)
+    states: StructArray  # Adaptation, shape (tendons,)
+
+
+def build_adapter(config: AdaptationConfig, models: Sequence[TendonModel]) -> TendonAdapter | None:
+    """Return the adaptation of tendons with these models, None if it is off."""
+    if not config.enabled:
+        return None
+    states = Adaptation.array(len(models))
+    # not all in one tick
+    states["update_age"] = np.linspace(0.0, UPDATE_S, len(models), endpoint=False)
+    return TendonAdapter(np.concatenate([build_adaptation(model) for model in models]), states)
+
+
+def describe_pairs(config: AdaptationConfig, joints: Sequence[Sequence[int]]) -> list[str]:
+    """Return the line that names the joints of a rig whose K does not adapt; none if all do."""
+    pairs = [str(k) for k, tendons in enumerate(joints, 1) if len(tendons) > 1]
+    if not config.enabled or not pairs:
+        return []
+    return [
+        f"slave.adaptation: K stays as calibrated at joint {', '.join(pairs)}: the tendons of a "
+        "pair move each other's tip"
+    ]
+
+
+@jit_compile
+def adapt_tendons(
+    adapter: TendonAdapter,
+    layout: RigLayout,
+    prepared: StructArray,
+    estimators: StructArray,
+    tendons: EstimatedTendons,
+    dt: float,
+) -> None:
+    """Take a sample of all tendons after `online.advance`; change models and states in place.
+
+    `tendons` are of the sample, `dt` [s] is the time since the one before.
+    """
+    for k in range(layout.joints):
+        joint = layout.joint[k]
+        if joint.count == 1:  # what tells K of a pair must be seen in both of its tendons
+            i = joint.tendon[0]
+            observe(
+                adapter.constants[i],
+                adapter.states[i],
+                prepared[i],
+                estimators[i],
+                tendons[i].estimate,
+                dt,
+            )
+
+
+@jit_compile
+def mute_monitors(
+    adapter: TendonAdapter,
+    layout: RigLayout,
+    prepared: StructArray,
+    monitors: Sequence[TendonMonitor],
+) -> None:
+    """Drop what the monitors found of tendons whose K the adaptation can decide.
+
+    It cannot after a time without pieces that fit, or close to the bounds of K; then the monitor
+    finds errors of the K in use.
+    """
+    for k in range(layout.joints):
+        i = layout.joint[k].tendon[0]
+        if layout.joint[k].count > 1 or not adapter.constants[i].active:
+            continue
+        is_inside = _is_inside(adapter.constants[i].K[:], prepared[i].tables[_K])
+        if is_inside and adapter.states[i].evidence_age < UNDECIDED_S:
+            monitors[i].count, monitors[i].force_error = 0, 0.0
+
+
+@jit_compile
+def _is_inside(hypotheses: Array, K: float) -> bool:
+    """Return whether K is well within the bounds of the hypotheses."""
+    low, high = (1.0 + BOUND_SHARE) * hypotheses.min(), (1.0 - BOUND_SHARE) * hypotheses.max()
+    return bool(low < K < high)
+
+
+class TendonFriction(NamedTuple):
+    """K of a tendon, as its estimator has it."""
+
+    K: float
+    low: float  # ends of its interval
+    high: float
+
+
+def compute_friction(
+    prepared: StructArray, adapter: TendonAdapter | None, tendon: int
+) -> TendonFriction:
+    """Return K in use of a tendon, with its interval."""
+    one = prepared[tendon]
+    K = float(one["tables"][_K])
+    error = float(one["friction_error"] * K + one["adaptation_error"])
+    low, high = K - error, K + error
+    if adapter is not None and adapter.constants["active"][tendon]:  # the wider side counts twice
+        bounds = adapter.constants["K"][tendon]
+        low, high = max(low, bounds.min()), min(high, bounds.max())
+    return TendonFriction(K, low, high)
+
+
+@dataclass(slots=True)
+class _Shape:
+    """What is known of the shape of one sheath."""
+
+    K: float  # as calibrated, or as it settled last
+    left_s: float | None = None  # [s] when it left that
+    near: float = 0.0  # K since `near_s`
+    near_s: float = 0.0  # [s]
+
+
+class ShapeChange(NamedTuple):
+    """A change of shape that was found."""
+
+    tendon: int
+    begin_s: float  # when K left what it was
+    before: float  # K
+    now: TendonFriction
+    has_settled: bool
+
+
+class ShapeWatch:
+    """Tells when the K of tendons leaves what it was, and when it has settled."""
+
+    def __init__(self, prepared: StructArray, adapter: TendonAdapter) -> None:
+        self._prepared, self._adapter = prepared, adapter
+        self._shapes = [_Shape(float(one["tables"][_K])) for one in prepared]
+
+    def update(self, time_s: float) -> Iterator[ShapeChange]:
+        """Yield what is new at `time_s` [s]."""
+        states = self._adapter.states
+        for i in np.flatnonzero(states["adapted"]).tolist():
+            shape, now = self._shapes[i], compute_friction(self._prepared, self._adapter, i)
+            is_excluded = not states["low"][i] <= shape.K <= states["high"][i]
+            if shape.left_s is None and (is_excluded or shape.near == 0.0):
+                shape.left_s, shape.near, shape.near_s = time_s, now.K, time_s
+                yield ShapeChange(i, time_s, shape.K, now, has_settled=False)
+            if shape.left_s is None:
+                continue
+            if abs(now.K - shape.near) > SETTLED_SHARE * now.K:
+                shape.near, shape.near_s = now.K, time_s
+            elif time_s - shape.near_s >= SETTLED_S:
+                is_known = now.high - now.low <= 2.0 * SETTLED_WIDTH * now.K
+                is_known = is_known and _is_inside(self._adapter.constants["K"][i], now.K)
+                if is_known and states["low"][i] <= now.K <= states["high"][i]:
+                    yield ShapeChange(i, shape.left_s, shape.K, now, has_settled=True)
+                    shape.K, shape.left_s = now.K, None

@@ -1,0 +1,115 @@
+"""Adaptation of K in the slave: which tendons, undone with a tick, refusals, and the monitor."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from estimator.law import tables
+from estimator.records import as_bytes
+from slave import loop
+from slave.adaptation import UNDECIDED_S, AdaptationConfig, describe_pairs
+from slave.config import SlaveConfig
+from slave.extensions import EstimatorExtension
+from slave.rig import RigSample
+from slave.rigs.replayed import ReplayedRigConfig
+from slave.samples import estimate, to_sample_rows
+from slave.tendon_config import TendonConfig
+from teleop.config.arm import ArmConfig
+from teleop.data.channel_names import Columns
+from teleop.errors import UsageError
+from teleop.session.tick_checkpoint import Checkpoint
+
+JOINTS = ((0, 1), (2,))  # a pair, and a tendon against a spring
+TENDON = TendonConfig(effective_friction=0.8, tension_noise=0.02, displacement_noise=1e-6)
+ON = AdaptationConfig(enabled=True)
+
+
+def started(config=ON):
+    model = loop.build_rig_model(JOINTS, [TENDON.model()] * 3)
+    return loop.init_slave(model, SlaveConfig(adaptation=config), loop.DIRECT, starts_at_zero=True)
+
+
+def pulls(begin_s, end_s):
+    """Return samples of pulls and releases of all tendons, of which the tip travels with them."""
+    t = np.arange(begin_s, end_s, 0.002)
+    T = 1.0 + 6.5 * (1.0 - np.cos(2.0 * np.pi * t))
+    travel = 3e-4 * (T - 1.0)
+    return to_sample_rows(
+        [
+            RigSample(*row)
+            for row in zip(t, *(np.tile(row, (3, 1)).T for row in (T, travel)), strict=True)
+        ]
+    )
+
+
+def run(slave, rows):
+    estimate(*slave.estimate_arguments, rows, len(rows))
+
+
+def snapshot(slave):
+    kept = slave.memory, slave.estimators, slave.prepared, slave.adapter.states
+    return [as_bytes(records).copy() for records in kept]
+
+
+def test_only_a_tendon_against_a_spring_adapts():
+    slave = started()
+    run(slave, pulls(0.0, 2.0))
+    assert slave.adapter.states["pieces"].tolist()[:2] == [0, 0]
+    assert slave.adapter.states["pieces"][2] > 10
+    assert slave.prepared["adaptation_error"].tolist()[:2] == [0.0, 0.0]
+    assert slave.prepared["adaptation_error"][2] > 0.0
+    assert describe_pairs(ON, ((0,), (1, 2), (3,), (4, 5)))[0].startswith(
+        "slave.adaptation: K stays as calibrated at joint 2, 4: "
+    )
+    assert describe_pairs(ON, ((0,),)) == describe_pairs(AdaptationConfig(), JOINTS) == []
+
+
+def test_what_a_tick_has_adapted_is_undone_with_it():
+    slave, rows = started(), pulls(2.0, 3.0)
+    run(slave, pulls(0.0, 2.0))
+    checkpoint = Checkpoint(*slave.changing)
+    before = snapshot(slave)
+    run(slave, rows.copy())
+    once = snapshot(slave)
+    checkpoint.restore()
+    assert all(map(np.array_equal, before, snapshot(slave)))
+    run(slave, rows.copy())
+    assert all(map(np.array_equal, once, snapshot(slave)))
+    assert not any(map(np.array_equal, before, once))
+
+
+def test_the_monitor_is_heard_where_the_adaptation_cannot_decide():
+    slave = started()
+
+    def left(K, evidence_age):
+        slave.memory["monitors"]["count"] = 5
+        slave.adapter.states["evidence_age"] = evidence_age
+        slave.prepared["tables"][2, tables.K] = K
+        loop.monitor_calibration(*slave.monitor_arguments, pulls(0.0, 0.01), 0)
+        return slave.memory["monitors"]["count"][0, :3].tolist()
+
+    assert left(0.8, 1.0) == [5, 5, 0]
+    assert left(0.8, UNDECIDED_S + 1.0) == [5, 5, 5]  # no piece fitted for long
+    assert left(1.8 * 0.8, 1.0) == [5, 5, 5]  # the largest K that it considers
+
+
+def test_models_are_left_as_they_were_where_it_is_off():
+    slave = started(AdaptationConfig())
+    before = slave.prepared.tobytes()
+    run(slave, pulls(0.0, 1.0))
+    assert slave.adapter is None
+    assert slave.prepared.tobytes() == before
+
+
+def test_what_it_is_not_for_is_refused():
+    config = SlaveConfig(adaptation=ON)
+    config.check_arms(())
+    SlaveConfig().check_arms((ArmConfig(),))
+    with pytest.raises(UsageError, match=r"^slave\.adaptation\.enabled: .* share tendons"):
+        config.check_arms((ArmConfig(),))
+    with pytest.raises(ValueError, match="built-in estimator"):
+        SlaveConfig(adaptation=ON, estimator=EstimatorExtension())
+    replayed = ReplayedRigConfig(file=Path("data.csv"), tendons=(Columns(), Columns()))
+    with pytest.raises(ValueError, match="replay one"):
+        SlaveConfig(adaptation=ON, rig=replayed)
