@@ -78,6 +78,9 @@ class LoopMeter:
         """
         self.work.add(work_ns)
         self._in_state[side.state] += 1
+        if side.state is State.ENGAGED and side.reason is Reason.CALIBRATION_DUE:
+            self._degraded = DetailedReason(side.reason, detail)
+            self._degraded_ticks += 1
         if side is self._side and detail == self._reason.detail:
             return
         self._side = side
@@ -90,8 +93,6 @@ class LoopMeter:
                 self._pending = self._reason
         if side.state is State.ENGAGED:
             self._pending = None
-            if side.reason is Reason.CALIBRATION_DUE:
-                self._degraded, self._degraded_ticks = self._reason, self._degraded_ticks + 1
         self._state = side.state
 
     def is_due(self, stamp_ns: int) -> bool:

@@ -144,8 +144,8 @@ def test_a_summary_in_a_file_has_names_and_texts_in_an_order_of_its_own():
         "role", "seconds", "ticks", "rate_hz", "overruns", "lateness_max_ms", "work_us",
         "answer_us", "without_rig_us", "latency_ms", "stages_us", "received", "lost", "overwritten",
         "rejected", "unknown", "delayed", "clock_jumps", "restarts", "gate", "ticks_in", "faults",
-        "final_state", "reason", "not_usable", "ended_in", "link", "force_error", "rig", "degraded",
-        "degraded_ticks", "friction", "stopped", "realtime",
+        "final_state", "reason", "not_usable", "ended_in", "link", "force_error", "rig", "friction",
+        "degraded", "degraded_ticks", "stopped", "realtime",
     ]  # fmt: skip
     assert (content["role"], content["final_state"], content["ended_in"]) == ("slave", "off", "")
     assert content["faults"] == [Reason.RIG_FAULT.text]
