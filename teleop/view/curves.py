@@ -16,6 +16,7 @@ from teleop.messages.topics import (
     LEDGER,
     LINK,
     REPORT,
+    SHEATH,
     STATE,
     TENDONS,
     Role,
@@ -72,7 +73,8 @@ class Band:
 class CurveGroup:
     """The curves drawn from one topic, and what their fields are arrays over."""
 
-    over: Literal["tendon", "joint", "role", "role and joint", "sender"]
+    # a message is of one "sheath"; of others, fields are arrays over tendons or joints
+    over: Literal["tendon", "joint", "role", "role and joint", "sender", "sheath"]
     curves: tuple[Curve, ...]
     bands: tuple[Band, ...] = ()
 
@@ -126,6 +128,11 @@ CURVES: dict[Topic[Any], tuple[CurveGroup, ...]] = {
     COMMAND: (CurveGroup("joint", (
         Curve("position/{}/asked", "position", "commanded", colours.COMMANDED, factor=MILLI,
               ahead=True),
+    )),),
+    SHEATH: (CurveGroup("sheath", (
+        Curve("friction/{}/K", "effective_friction", "estimated", colours.ESTIMATE, 2.0),
+        *(Curve(f"friction/{{}}/{end}", f"friction_{end}", "interval", colours.INTERVAL)
+          for end in ("low", "high")),
     )),),
     LEDGER: (CurveGroup("role and joint", tuple(
         Curve(f"energy/{{}}/{path}", field, name, colour, width, factor=MILLI)
@@ -255,6 +262,11 @@ class Plots(Painter):
                     for joint in range(int(role_rows["joints"][-1])):
                         values = role_rows[curve.field][:, joint]
                         yield curve, f"{role}/joint_{joint}", role, role_rows, values
+        elif group.over == "sheath":
+            for number, sheath_rows in split_rows(rows, "tendon").items():
+                for curve in curves:
+                    owner, label = f"tendon_{number}", self._sheaths.name(number)
+                    yield curve, owner, label, sheath_rows, sheath_rows[curve.field]
         elif group.over == "sender":
             sender = format_role(topic.publisher or Role.LAUNCHER)
             for curve in curves:

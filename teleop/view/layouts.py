@@ -73,6 +73,7 @@ def _arrange_experiment(views: "_Views") -> Part:
                 views.joint_tabs("Hand [N]", views.trace("hand/joint_{joint}")),
                 views.joint_tabs("Elongation [mm]", views.trace("elongation/tendon_{tendon}")),
                 views.joint_tabs("Motor [mm]", views.trace(*_MOTOR)),
+                views.joint_tabs("K", views.trace("friction/tendon_{tendon}")),
                 name="Motion",
             ),
             rrb.Tabs(

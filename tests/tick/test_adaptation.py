@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from estimator.adaptation import run_adapting
 from estimator.online import online
 from slave.adaptation import compute_friction
 from slave.calibration.monitor import Advice
@@ -49,14 +50,18 @@ def moved() -> Iterator[Any]:
             row = process._rows[0]
             tendon = row["tendons"][0]
             measured.append((
-                tendon["tension"], tendon["displacement"], row["bench_tension"][0],
+                row["time_s"], tendon["tension"], tendon["displacement"], row["bench_tension"][0],
                 *(tendon["estimate"][name] for name in ("distal_tension", "low", "high")),
             ))  # fmt: skip
             advice.add(int(process.memory.advice))
             for text in process._telemetry.shape_changes[len(said) :]:
                 said[text] = k / RATE
         yield SimpleNamespace(
-            session=session, data=np.array(measured), sheaths=sheaths, advice=advice, said=said
+            session=session,
+            data=np.unique(measured, axis=0),
+            sheaths=sheaths,
+            advice=advice,
+            said=said,
         )
 
 
@@ -65,12 +70,15 @@ def test_friction_follows_the_sheath_and_the_force_is_right_again(moved: Any) ->
     now = compute_friction(slave.prepared, slave.adapter, 0)
     assert abs(now.K - AFTER) < 0.05 * AFTER
     assert now.low < AFTER < now.high
-    T, q, tip, estimate, low, high = moved.data.T.copy()
-    late = np.arange(len(T)) > (END_S - 5.0) * RATE
+    t, T, q, tip, estimate, low, high = moved.data.T.copy()
+    late = t > END_S - 5.0
     assert np.mean((low <= tip) & (tip <= high)) > 0.999
     full = tip[late].max()
     model = moved.session.slave._model.models[0]
-    fixed = online.run(online.prepare(model), np.arange(len(T)) / RATE, T, q)
+    fixed = online.run(online.prepare(model), t, T, q)
+    offline = run_adapting(model, t, T, q)
+    np.testing.assert_allclose(now, [offline.K[-1], offline.K_low[-1], offline.K_high[-1]], 1e-6)
+    np.testing.assert_allclose(estimate, offline.estimates.distal_tension, 1e-6)
     errors = [np.abs(t - tip)[late] / full for t in (estimate, fixed.distal_tension)]
     assert np.percentile(errors[0], 90) < 0.05 < 0.10 < np.percentile(errors[1], 90)
     assert np.mean(((fixed.low <= tip) & (tip <= fixed.high))[late]) < 0.8
