@@ -9,6 +9,7 @@
   teleop diagnose mon.csv tue.csv wed.csv --leave-one-file-out    each file by the fit of the others
   teleop diagnose bench.csv --cause distal_tension_gain    which of equally good causes is modelled
   teleop diagnose bench.csv --supplement supplement    pages, figures and tables for a paper
+  teleop diagnose records --jobs 2    each file of a folder by itself, two side by side
   teleop diagnose arm.csv --config arm.yaml    all tendons of an arm, with its joints' angles
 
 The data: tables with time_s and proximal_tension_N, and also a travel or the tip tension; with
@@ -29,6 +30,7 @@ from estimator.array_types import Array
 from estimator.diagnosis import report_text
 from estimator.diagnosis.api import CauseError, RecordError, collect_signals, diagnose
 from estimator.diagnosis.outcome import Diagnosis
+from estimator.diagnosis.settings import ProgressCallback, ignore_progress
 from estimator.effects import CATALOGUE, CHANNELS, NAMES, Effect
 from estimator.effects.functions import find_function
 from teleop.cli import estimate
@@ -167,6 +169,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         parser, "--config", "of the arm whose tendons the data have (default that of a recording)"
     )
     add_options(parser, *TABLE_OPTIONS, "--validate", "--out", "--json")
+    add_option(
+        parser,
+        "--jobs",
+        help="diagnose each file, or each one of a folder, by itself: so many side by side",
+    )
     add_options(parser, "--allow-imports")
     parser.add_argument(
         "--cause",
@@ -222,63 +229,77 @@ def main(args: argparse.Namespace) -> int:
     """Diagnose and report; returns the exit code."""
     effects = parse_effects(args.effects)
     check_options(args, effects)
+    if args.jobs is not None:
+        from teleop.cli.diagnose import batch
+
+        return batch.run(args)
     if arm.is_of_arm(args):
         return arm.run(args, parse_noise(args.noise))
-    if args.out is not None:
-        make_folder(args.out, "report.html")
     if args.supplement is not None:
         make_folder(args.supplement, "supplement.html")
+    with Progress() as progress:
+        report, tree = diagnose_files(args, progress, count_processors())
+    diagnosis, files, further = report.found, report.data.files, report.data.further
+    write_summary(args.json, tree)
+    comparison = json_report.build_comparison_table(report.accepted) if report.accepted else None
+    print(report_text.format_summary(diagnosis, files, comparison, further))
+    print(format_readings(tree["read_as"]), flush=True)
+    write_report(args, report, tree)
+    if args.out is not None:
+        print(f"\nwritten: {args.out / 'report.html'}")
+    if args.supplement is not None:
+        from teleop.cli.diagnose import supplement
+
+        read_as = [f"{each['file']}: {format_reading(each)}" for each in tree["read_as"]]
+        sources = supplement.Sources(args.command_line, files, further, read_as)
+        print(f"\nwritten: {supplement.write_supplement(args.supplement, diagnosis, sources)}")
+    return 0
+
+
+def diagnose_files(
+    args: argparse.Namespace, progress: ProgressCallback = ignore_progress, workers: int = 1
+) -> tuple[ReportContent, dict[str, Any]]:
+    """Return the diagnosis of the files of one bench, and the tree of `report.json`.
+
+    Raises
+    ------
+    UsageError
+        The files cannot be diagnosed, or `--out` cannot be written.
+    """
+    if args.out is not None:
+        make_folder(args.out, "report.html")
     tendon = estimate.select_tendon(args.tendon, estimate.read_recorded_joints(args.data[0]), 1)
     sheath = None if args.calibration is None else json_report.load_sheath(args.calibration, tendon)
     mapping = load_mapping(args)
     columns = parse_column_options([*mapping.options(), *args.column], tendon)
-    noise = parse_noise(args.noise)
     loop = None if args.transmission == "auto" else args.transmission == "loop"
     data = read_data(args.data, args.validate, columns, args.drop_nonfinite, mapping)
     if args.leave_one_file_out and len(data.fitted) < 2:
         raise UsageError("--leave-one-file-out: give at least two files of one bench")
-    progress, begin_s = Progress(), time.monotonic()
+    begin_s = time.monotonic()
     try:
         diagnosis = diagnose(
             data.fitted,
-            effects,
+            parse_effects(args.effects),
             validate=data.validation,
-            noise=noise,
+            noise=parse_noise(args.noise),
             loop=loop,
             cause=args.cause,
             variables=args.variable,
             fit_all=args.fit_all,
             leave_one_file_out=args.leave_one_file_out,
             progress=progress,
-            workers=count_processors(),
+            workers=workers,
         )
     except RecordError as error:
         raise UsageError(str(error)) from error
     except CauseError as error:
         raise UsageError(f"--cause {error}") from error
-    finally:
-        progress.end()
     seconds = time.monotonic() - begin_s
-    report = ReportContent(
-        diagnosis, data, {} if sheath is None else json_report.compare_parameters(diagnosis, sheath)
-    )
-    tree = json_report.build_report(diagnosis, data.files, seconds, report.accepted, data.further)
+    accepted = {} if sheath is None else json_report.compare_parameters(diagnosis, sheath)
+    tree = json_report.build_report(diagnosis, data.files, seconds, accepted, data.further)
     tree["read_as"] = [Reading.of(table).to_json() for table in (*data.fitted, *data.validation)]
-    write_summary(args.json, tree)
-    comparison = json_report.build_comparison_table(report.accepted) if report.accepted else None
-    print(report_text.format_summary(diagnosis, data.files, comparison, data.further))
-    print(format_readings(tree["read_as"]), flush=True)
-    if args.out is not None:
-        write_summary(args.out / "report.json", tree)
-        _write_report(report, args.out, tree["read_as"])
-        print(f"\nwritten: {args.out / 'report.html'}")
-    if args.supplement is not None:
-        from teleop.cli.diagnose import supplement
-
-        read_as = [f"{each['file']}: {format_reading(each)}" for each in tree["read_as"]]
-        sources = supplement.Sources(args.command_line, data.files, data.further, read_as)
-        print(f"\nwritten: {supplement.write_supplement(args.supplement, diagnosis, sources)}")
-    return 0
+    return ReportContent(diagnosis, data, accepted), tree
 
 
 def check_options(args: argparse.Namespace, effects: Sequence[Effect]) -> None:
@@ -329,16 +350,19 @@ def read_data(
     return DiagnosisData(tuple(fitted), tuple(validation))
 
 
-def _write_report(
-    report: ReportContent, folder: Path, readings: Sequence[Mapping[str, Any]]
-) -> None:
+def write_report(args: argparse.Namespace, report: ReportContent, tree: Mapping[str, Any]) -> None:
+    """Write the folder of `--out`, if there is one."""
+    if (folder := args.out) is None:
+        return
     from teleop.cli.diagnose import html_report
 
-    diagnosis, files = report.found, report.data.files
+    diagnosis, data = report.found, report.data
+    write_summary(folder / "report.json", dict(tree))
     remark = (
-        f"Fitted by teleop diagnose to {', '.join(files)}.\n{report_text.format_verdict(diagnosis)}"
+        f"Fitted by teleop diagnose to {', '.join(data.files)}.\n"
+        f"{report_text.format_verdict(diagnosis)}"
     )
     model_file.save(folder / "model.yaml", model_file.from_diagnosis(diagnosis), remark)
-    text = html_report.render(diagnosis, files, report.accepted, report.data.further, readings)
+    text = html_report.render(diagnosis, data.files, report.accepted, data.further, tree["read_as"])
     write_text_file(folder / "report.html", text, "the page")
-    write_residuals(folder / "residuals.rrd", diagnosis, files)
+    write_residuals(folder / "residuals.rrd", diagnosis, data.files)
