@@ -72,7 +72,7 @@ def find_channel_faults(data: MeasuredData, units: Units = LINEAR) -> tuple[str,
     q_p, q_d = data.proximal_displacement, data.distal_displacement
     swing, peak = _compute_span(T_in), float(np.nanmax(np.abs(T_in), initial=0.0))
     out = []
-    if swing == 0.0:
+    if swing == 0.0 and np.isfinite(T_in).any():  # two travels alone may be given
         out.append(
             f"proximal_tension never changes ({T_in[0]:.4g} {units.effort}): the load cell is "
             "stuck or not connected, or nothing was pulled; check it, and pull and release while "

@@ -40,6 +40,7 @@ from estimator.diagnosis.sampling import (
 from estimator.diagnosis.settings import SETTINGS
 from estimator.effects.effect import (
     CHANNELS,
+    DISTAL_DISPLACEMENT,
     DISTAL_TENSION,
     PROXIMAL_DISPLACEMENT,
     PROXIMAL_TENSION,
@@ -51,6 +52,7 @@ from estimator.units import LINEAR, Units
 
 Mask = NDArray[np.bool_]
 
+TRAVELS = {PROXIMAL_DISPLACEMENT, DISTAL_DISPLACEMENT}
 TURN_TOLERANCE = 1e-9  # of the range of a drive: what rounds off in sums turns nothing
 
 
@@ -296,7 +298,8 @@ def prepare_record(
     """
     signals = mark_missing(signals)
     _validate_signals(time, signals, units)
-    loop = is_loop(units, [signals]) if loop is None else loop
+    has_tension = PROXIMAL_TENSION in signals  # else two travels, see travel_pair.py
+    loop = has_tension and (is_loop(units, [signals]) if loop is None else loop)
     if loop and PROXIMAL_DISPLACEMENT not in signals:
         raise RecordError(
             f"effort changes its sign, as in a closed loop of two cables: "
@@ -347,8 +350,9 @@ def prepare_record(
         measured = np.insert(measured, turns.rows, False)
         time = np.insert(time, turns.rows, turns.time)
         drive = np.insert(drive, turns.rows, turns.drive)
-        valid[PROXIMAL_TENSION], turn_issues = exclude_turns(time, drive, valid[PROXIMAL_TENSION])
-        issues += turn_issues
+        if has_tension:
+            at_turns = exclude_turns(time, drive, valid[PROXIMAL_TENSION])
+            valid[PROXIMAL_TENSION], issues = at_turns[0], [*issues, *at_turns[1]]
     block, speed = assign_blocks(time), compute_rate(time, drive)
     return Record(
         time=time,
@@ -426,8 +430,12 @@ def check_finite_values(signals: Signals) -> None:
 
 
 def _validate_signals(time: Array, signals: Signals, units: Units) -> None:
-    if PROXIMAL_TENSION not in signals:
-        raise RecordError("proximal_tension is missing: nothing is known without it")
+    travels_only = set(signals) == TRAVELS
+    if PROXIMAL_TENSION not in signals and not travels_only:
+        raise RecordError(
+            "proximal_tension is missing: without it, both the motor's travel and that of the tip "
+            "are needed"
+        )
     if len(signals) < 2:
         raise RecordError(
             "proximal_tension alone: a travel or the tension at the tip is needed beside it"
@@ -452,6 +460,10 @@ def _validate_signals(time: Array, signals: Signals, units: Units) -> None:
         if signal.shape != time.shape:
             raise RecordError(f"{name}: {time.shape} values are needed, NaN where one is missing")
     check_finite_values(signals)
+    if travels_only:
+        if still := [name for name in signals if not np.ptp(drop_missing(signals[name])) > 0.0]:
+            raise RecordError(f"{still[0]} never changes: without a tension that says nothing")
+        return
     if not np.ptp(drop_missing(signals[PROXIMAL_TENSION])) > 0.0:
         raise RecordError("proximal_tension never changes: pull and release while you record")
     q_p, T_out, q_d = (signals.get(name) for name in CHANNELS[1:])

@@ -200,8 +200,11 @@ def read_runs(
         units = _detect_file_units(path, raw, aliases.stated, tendons, diagnosed)
     tendons = [_replace_aliases(columns.in_units(units), aliases.stated) for columns in tendons]
     claimed = {name for columns in tendons for name in columns.names().values()}
+    is_pair = diagnosed and len(tendons) == 1 and _is_travel_pair(raw, tendons[0])
+    required_items = ["time"] if is_pair else ["time", "proximal_tension"]
     tables_columns = [
-        _find_columns(path, raw, columns, claimed, aliases.unstated) for columns in tendons
+        _find_columns(path, raw, columns, claimed, aliases.unstated, required_items)
+        for columns in tendons
     ]
     clock = tables_columns[0]["time"]
     numbers = {
@@ -260,6 +263,8 @@ def read_runs(
             check_samples(path, part, names, values, zero_errors, diagnosed, units, stated, factors)
             samples: dict[str, Any] = dict.fromkeys(Columns().names())
             samples |= {item: values[name] for item, name in names.items()}
+            if "proximal_tension" not in names:
+                samples["proximal_tension"] = np.full(len(samples["time"]), np.nan)
             sources = {item: Source(name, *factors[name]) for item, name in names.items()}
             tables.append(MeasuredTable(**samples, **common, sources=sources))
         runs.append(tuple(tables))
@@ -354,12 +359,24 @@ def _detect_file_units(
     return units
 
 
+def _is_travel_pair(raw: RawTable, columns: Columns) -> bool:
+    """Return whether a file has both travels, and nothing that may be a tension."""
+    names = columns.names()
+    is_tension = re.compile(_CHANNEL_WORDS["proximal_tension"], re.IGNORECASE)
+    return (
+        columns.is_standard("proximal_tension")
+        and all(names[f"{end}_displacement"] in raw.columns for end in ("proximal", "distal"))
+        and not any(is_tension.search(name) for name in raw.columns)
+    )
+
+
 def _find_columns(
     path: Path,
     raw: RawTable,
     columns: Columns,
     claimed: set[str],
     unstated: Mapping[str, str],
+    required: Collection[str],
 ) -> dict[str, str]:
     """Return field -> column name of what the file has of `columns`."""
     columns_found = {}
@@ -373,7 +390,7 @@ def _find_columns(
         if name in raw.columns:
             columns_found[item] = name
             continue
-        optional = item not in ("time", "proximal_tension") and columns.is_standard(item)
+        optional = item not in required and columns.is_standard(item)
         if raw.lacks and not optional:
             raise UsageError(f"{path}: {raw.lacks}")
         if (unclear := unstated.get(name)) in unclaimed:

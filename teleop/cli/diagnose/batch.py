@@ -11,8 +11,9 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, NamedTuple
 
+from estimator.diagnosis.travel_pair import is_travel_pair
 from estimator.text_table import Table
-from teleop.cli.diagnose import command
+from teleop.cli.diagnose import command, travels
 from teleop.errors import TeleopError, UsageError
 from teleop.ros.bag_table import is_bag
 from teleop.runtime.parallel import count_processors
@@ -35,8 +36,8 @@ class FileOutcome(NamedTuple):
         """The verdict or the error, the causes with their rivals, and the share that is left."""
         if self.error:
             return self.error, "", ""
-        causes = " + ".join(self.report["cause"])
-        rivals = "".join(f" | {name}" for name in self.report["ambiguous_with"])
+        causes = " + ".join(self.report.get("cause", ()))  # of two travels alone there are none
+        rivals = "".join(f" | {name}" for name in self.report.get("ambiguous_with", ()))
         return self.report["verdict"], causes + rivals, f"{self.report['left']:.1%}"
 
 
@@ -108,8 +109,12 @@ def _diagnose_file(args: argparse.Namespace, path: Path, workers: int) -> FileOu
     report: dict[str, Any] = {}
     error = ""
     try:
-        content, report = command.diagnose_files(own_args, workers=workers)
-        command.write_report(own_args, content, report)
+        data = command.read_files(own_args)
+        if is_travel_pair(data.fitted[0]):
+            report = travels.write_report(own_args, data.fitted)[1]
+        else:
+            content, report = command.diagnose_files(own_args, data, workers=workers)
+            command.write_report(own_args, content, report)
     except TeleopError as failure:
         error = str(failure)
     except Exception as failure:  # of whatever kind: the other files go on

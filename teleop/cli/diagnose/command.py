@@ -14,7 +14,8 @@
 
 The data: tables with time_s and proximal_tension_N, and also a travel or the tip tension; with
 proximal_torque_Nm and proximal_angle_rad, also of a closed loop of two cables with pretension;
-or recordings (docs/reference/data-format.md). Several files, or runs in one file, must be of one
+or recordings; or the travels of motor and tip alone, which tell what travel is lost, and no force
+(docs/reference/data-format.md). Several files, or runs in one file, must be of one
 bench and are fitted together. With --out a folder gets report.html, report.json, model.yaml and
 residuals.rrd (docs/how-to/diagnose.md). The exit code is 0 for any diagnosis.
 """
@@ -31,10 +32,11 @@ from estimator.diagnosis import report_text
 from estimator.diagnosis.api import CauseError, RecordError, collect_signals, diagnose
 from estimator.diagnosis.outcome import Diagnosis
 from estimator.diagnosis.settings import ProgressCallback, ignore_progress
+from estimator.diagnosis.travel_pair import is_travel_pair
 from estimator.effects import CATALOGUE, CHANNELS, NAMES, Effect
 from estimator.effects.functions import find_function
 from teleop.cli import estimate
-from teleop.cli.diagnose import arm, json_report
+from teleop.cli.diagnose import arm, json_report, travels
 from teleop.cli.diagnose.json_report import ComparedParameter
 from teleop.config.options import TABLE_OPTIONS, add_option, add_options
 from teleop.config.suggestions import suggest_spelling
@@ -237,8 +239,11 @@ def main(args: argparse.Namespace) -> int:
         return arm.run(args, parse_noise(args.noise))
     if args.supplement is not None:
         make_folder(args.supplement, "supplement.html")
+    data = read_files(args)
+    if is_travel_pair(data.fitted[0]):
+        return travels.run(args, data.fitted)
     with Progress() as progress:
-        report, tree = diagnose_files(args, progress, count_processors())
+        report, tree = diagnose_files(args, data, progress, count_processors())
     diagnosis, files, further = report.found, report.data.files, report.data.further
     write_summary(args.json, tree)
     comparison = json_report.build_comparison_table(report.accepted) if report.accepted else None
@@ -256,26 +261,29 @@ def main(args: argparse.Namespace) -> int:
     return 0
 
 
-def diagnose_files(
-    args: argparse.Namespace, progress: ProgressCallback = ignore_progress, workers: int = 1
-) -> tuple[ReportContent, dict[str, Any]]:
-    """Return the diagnosis of the files of one bench, and the tree of `report.json`.
-
-    Raises
-    ------
-    UsageError
-        The files cannot be diagnosed, or `--out` cannot be written.
-    """
+def read_files(args: argparse.Namespace) -> DiagnosisData:
+    """Return the records of the files of one bench; raises `UsageError`, also for `--out`."""
     if args.out is not None:
         make_folder(args.out, "report.html")
     tendon = estimate.select_tendon(args.tendon, estimate.read_recorded_joints(args.data[0]), 1)
-    sheath = None if args.calibration is None else json_report.load_sheath(args.calibration, tendon)
     mapping = load_mapping(args)
     columns = parse_column_options([*mapping.options(), *args.column], tendon)
-    loop = None if args.transmission == "auto" else args.transmission == "loop"
     data = read_data(args.data, args.validate, columns, args.drop_nonfinite, mapping)
     if args.leave_one_file_out and len(data.fitted) < 2:
         raise UsageError("--leave-one-file-out: give at least two files of one bench")
+    return data
+
+
+def diagnose_files(
+    args: argparse.Namespace,
+    data: DiagnosisData,
+    progress: ProgressCallback = ignore_progress,
+    workers: int = 1,
+) -> tuple[ReportContent, dict[str, Any]]:
+    """Return the diagnosis of `data`, and the tree of `report.json`; raises `UsageError`."""
+    tendon = estimate.select_tendon(args.tendon, estimate.read_recorded_joints(args.data[0]), 1)
+    sheath = None if args.calibration is None else json_report.load_sheath(args.calibration, tendon)
+    loop = None if args.transmission == "auto" else args.transmission == "loop"
     begin_s = time.monotonic()
     try:
         diagnosis = diagnose(
