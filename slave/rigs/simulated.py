@@ -278,7 +278,7 @@ class SimulatedRig:
         targets = proximal_displacement.tolist()
         if len(targets) != self.tendons or not all(map(math.isfinite, targets)):
             raise RigFault(f"invalid motor targets {targets}: {self.tendons} finite values needed")
-        self._targets.put(self._places, proximal_displacement)
+        self._targets.flat[self._places] = proximal_displacement
 
     def set_environment(self, joint: int, part: int | None, name: str, value: float) -> None:
         """Let a number of an environment go to `value`; see `slave.rig.AdjustableRig`."""
