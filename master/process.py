@@ -515,9 +515,8 @@ def build_mapper(config: MasterConfig, arms: Sequence[ArmConfig], axes: int) -> 
             f"master.mapping.hands: {len(mapping.hands)} hands in space need as many arms with "
             "kinematics (arms.0.urdf or arms.0.sections)"
         )
-    radii = [np.abs(np.diag(np.array(arm.radii, np.float64))) for arm in arms]
     kinematics = [arm.load_kinematics() for arm in arms]
-    return SpaceMapper(mapping, kinematics, radii, config.gate.torque_lever)
+    return SpaceMapper(mapping, kinematics, [arm.pulleys for arm in arms], config.gate.torque_lever)
 
 
 def warm_up() -> None:

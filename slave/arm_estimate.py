@@ -21,8 +21,13 @@ from estimator.routing.routing import PreparedRouting, Routing, prepare
 from estimator.routing.sheath_end import SheathPair, estimate_sheath_ends, start_sheath_end
 from estimator.routing.tensions import add_torques, advance, open_tensions
 from slave.control.joint import JointEstimates, compute_weight
-from slave.tendons import EstimatedTendons, RigLayout
-from teleop.config.arm import ArmConfig, assemble_bend_partners, assemble_travel_ratios
+from slave.tendons import EstimatedTendons, RigLayout, TendonGroup
+from teleop.config.arm import (
+    ArmConfig,
+    assemble_bend_partners,
+    assemble_tendon_rows,
+    find_guides,
+)
 from teleop.messages.messages import MAX_JOINTS
 
 ANGLE_ERROR = 2e-3  # [rad] of estimated joints: noise and the error of elongation
@@ -37,7 +42,7 @@ class ArmEstimator(NamedTuple):
     first: NDArray[np.int64]  # first joint of each of these
     gravity: Array  # [m/s^2] in their bases, shape (arms, 3)
     mass_error: Array  # relative, shape (arms,)
-    pairs: StructArray  # SheathPair of each joint
+    pairs: StructArray  # SheathPair of each group of tendons
     memory: Array  # flat: what follows are views of it, for a checkpoint
     started: Array  # shape (1,), 1 once tensions are known
     tensions: Array  # [N] shape (3, rows): likeliest, least, largest
@@ -62,7 +67,7 @@ def build_arm_estimator(
     views = [
         part.reshape(shape) for part, shape in zip(np.split(memory, ends[:-1]), shapes, strict=True)
     ]
-    firsts = np.cumsum([0, *(len(arm.radii) for arm in arms)])
+    firsts = np.cumsum([0, *(arm.joints for arm in arms)])
     heavy = [k for k, arm in enumerate(arms) if any(arm.gravity)]
     return ArmEstimator(
         routing,
@@ -80,31 +85,27 @@ def build_arm_estimator(
 
 def build_routing(joints: Sequence[Sequence[int]], arms: Sequence[ArmConfig]) -> Routing:
     """Return how the tendons of a rig's `joints` pass them."""
-    ratio, radius = assemble_travel_ratios(arms, len(joints))
+    rows = assemble_tendon_rows(arms, joints)
+    table = rows.travel * rows.radius
     friction, wrap = np.zeros(len(joints)), np.zeros(len(joints))
     first = 0
     for arm in arms:
-        part = slice(first, first + len(arm.radii))
+        part = slice(first, first + arm.joints)
         friction[part], wrap[part] = arm.list_friction(), arm.wrap
         first = part.stop
     partner = assemble_bend_partners(arms, len(joints))
     guides = ["proximal" if other < 0 else "spread" for other in partner]
-    radii, frictions = [], []
-    for k, tendons in enumerate(joints):
-        row = ratio[k] * radius
-        last = np.flatnonzero(row)[-1]  # where the tendons end, on no guide
-        passed = (row != 0.0) & (np.arange(len(row)) != last)
-        for sign in (1.0, -1.0)[: len(tendons)]:
-            radii.append(sign * row)
-            frictions.append(np.where(passed, friction, 0.0))
-    table = np.array(radii)
+    frictions = np.where(find_guides(table, partner), friction, 0.0)
+    groups = [members for members, _ in rows.groups]
     return Routing(
         table,
-        friction=np.array(frictions),
-        wrap=np.where(np.array(frictions) > 0.0, wrap, 0.0),
+        friction=frictions,
+        wrap=np.where(frictions > 0.0, wrap, 0.0),
         span=GUIDE_LENGTH,
-        spring_stiffness=[0.0 if len(tendons) > 1 else 1.0 for tendons in joints],
-        guide=[guides] * len(radii),
+        spring_stiffness=[
+            float(list(tendons) in groups and len(tendons) < 2) for tendons in joints
+        ],
+        guide=[guides] * len(table),
         partner=partner,
         pin_elements=1,  # in a tick of a session
         bend_elements=2,
@@ -155,16 +156,18 @@ def estimate_arm_forces(
         arm.sheath_end[1, i] = estimate.low
         arm.sheath_end[2, i] = estimate.high
     is_paired = True
-    for k in range(layout.joints):
-        known = 0.0
+    for g in range(layout.groups):
+        known, i = 0.0, layout.group[g].tendon[0]
         for j in range(layout.joints):
-            known += layout.ratio[k, j] * joint_estimates[j].position
-        _estimate_pair(arm, layout, k, prepared, estimators, tendons, known, elapsed)
-        is_paired = is_paired and arm.pairs[k].started
+            known += layout.travel[i, j] * joint_estimates[j].position
+        _estimate_pair(arm, layout.group[g], g, prepared, estimators, tendons, known, elapsed)
+        is_paired = is_paired and arm.pairs[g].started
     for k in range(layout.joints if is_paired else 0):
         arm.new_angles[0, k] = 0.0
-        for j in range(layout.joints):
-            arm.new_angles[0, k] += layout.inverse[k, j] * arm.pairs[j].travel / layout.radius[k]
+        for g in range(layout.groups):
+            a, b = layout.group[g].tendon[0], layout.group[g].tendon[1]
+            share = (layout.inverse[k, a] - layout.inverse[k, b]) / layout.radius[k]
+            arm.new_angles[0, k] += share * arm.pairs[g].travel
     if arm.started[0] == 0.0:
         arm.started[0] = 1.0
         copy_values(arm.new_angles.ravel(), arm.angles.ravel())
@@ -195,8 +198,8 @@ def _add_weight(arm: ArmEstimator, layout: RigLayout, force: Array) -> None:
 @jit_compile
 def _estimate_pair(
     arm: ArmEstimator,
-    layout: RigLayout,
-    k: int,
+    group: TendonGroup,
+    g: int,
     prepared: StructArray,
     estimators: StructArray,
     tendons: EstimatedTendons,
@@ -206,13 +209,15 @@ def _estimate_pair(
     """Take the likeliest tensions at the sheaths' ends of a pair from both of its tendons.
 
     `known_travel` [m] is that of its tips by the joints' positions.
-    A joint of one tendon, without encoders or with dynamic effects keeps those of each by itself.
+    Other than two tendons, without encoders or with dynamic effects keep those of each by itself.
     """
-    pair, i, j = arm.pairs[k], layout.joint[k].tendon[0], layout.joint[k].tendon[1]
+    pair, i, j = arm.pairs[g], group.tendon[0], group.tendon[1]
+    if group.count != 2 or abs(group.balance[0] - group.balance[1]) > 1e-6:
+        pair.started = False
+        return
     a, b = tendons[i], tendons[j]
     if (
-        layout.joint[k].count < 2
-        or prepared[i].has_dynamics
+        prepared[i].has_dynamics
         or prepared[j].has_dynamics
         or not math.isfinite(a.corrected_displacement + b.corrected_displacement)
     ):

@@ -136,9 +136,11 @@ def _load_configured_tendons(config: SlaveConfig, count: int) -> tuple[TendonCon
         tendons, place = calibration.tendons, f"{config.calibration}: {of}"
         remedy = "give the calibration of this rig, as `teleop calibrate` writes it"
     elif config.calibration == AS_BUILT and isinstance(config.rig, SimulatedRigConfig):
-        joints = config.rig.joints
+        pulls = config.rig.list_pretensions()
         tendons = tuple(
-            to_tendon_config(t, joint.body.pretension) for joint in joints for t in joint.tendons
+            to_tendon_config(tendon, pull)
+            for joint, row in zip(config.rig.joints, pulls, strict=True)
+            for tendon, pull in zip(joint.tendons, row, strict=True)
         )
     if not tendons:
         raise UsageError(f"slave.tendons: {UNCALIBRATED}")

@@ -99,6 +99,8 @@ JOINT = int(GateFlags.JOINT)
 FORCE = int(GateFlags.FORCE)
 YIELDED = int(GateFlags.YIELDED)
 
+ALONE = 1.0 - 1e-6  # of a tendon's travel: what follows from it without those of antagonists
+
 
 class Reach(Struct):
     """Remaining range of a tendon's joint; NaN if unknown."""
@@ -118,24 +120,25 @@ def compute_reaches(
 ) -> None:
     """Write the reach of each tendon of a rig.
 
-    The second tendon of a pair pulls its joint the other way. A joint of one tendon returns by its
-    spring; in a pair the other tendon must pull it.
+    A joint of one tendon returns by its spring; otherwise other tendons must pull it back.
 
     Parameters
     ----------
     config : GateConfig
         Limits of travel and force of the joints.
     layout : RigLayout
-        Which tendons each joint has.
+        Tendons and joints of the rig.
     joint_estimates : JointEstimates
         Position [m] of each joint and force on it [N]; NaN if unknown.
     out_reach : Reaches
         One for each tendon, overwritten.
     """
-    for k in range(layout.joints):
-        up, down, f = math.inf, math.inf, 0.0
-        for j in range(layout.joints):  # that the tendons of k move, if the others stay
-            share = layout.inverse[j, k]
+    for i in range(layout.tendons):
+        up, down, f, own = math.inf, math.inf, 0.0, 0.0
+        for j in range(layout.joints):
+            own += layout.travel[i, j] * layout.inverse[j, i]  # less than 1 with antagonists
+        for j in range(layout.joints):  # that the tendon moves, if the others only give way
+            share = layout.inverse[j, i] / own
             if share != 0.0:
                 q, to_max, to_min = joint_estimates[j].position, math.inf, math.inf
                 if math.isfinite(config.joint_max):
@@ -145,13 +148,10 @@ def compute_reaches(
                 up = _choose_nearer(up, to_max if share > 0.0 else to_min)
                 down = _choose_nearer(down, to_min if share > 0.0 else to_max)
                 f += share * joint_estimates[j].force
-        joint = layout.joint[k]
-        a = out_reach[joint.tendon[0]]
-        a.ahead, a.behind, a.force = up, down, f
-        if joint.count > 1:
-            a.behind = math.inf
-            b = out_reach[joint.tendon[1]]
-            b.ahead, b.behind, b.force = down, math.inf, -f
+        reach = out_reach[i]
+        reach.ahead, reach.behind, reach.force = up, math.inf, f
+        if own > ALONE:
+            reach.behind = down
 
 
 @jit_compile

@@ -69,7 +69,7 @@ class SlaveMemory(Struct):
     monitors: Annotated[Sequence[monitor.TendonMonitor], Field(monitor.TendonMonitor, MAX_TENDONS)]
     joints: Annotated[Sequence[JointEstimate], Field(JointEstimate, MAX_JOINTS)]
     reach: Annotated[Sequence[gate.Reach], Field(gate.Reach, MAX_TENDONS)]
-    offsets: Annotated[Array, Field("f8", MAX_JOINTS)]  # [m] of each joint's tendons
+    offsets: Annotated[Array, Field("f8", MAX_TENDONS)]  # [m] of each tendon
     # [N] of `estimate_arm_forces`
     arm_force: Annotated[Array, Field("f8", (3, MAX_JOINTS), fill=math.nan)]
     motor: Annotated[Array, Field("f8", MAX_TENDONS)]  # [m] last output of the gate

@@ -45,7 +45,7 @@ from slave.state_messages import fill_tendon_state
 from slave.telemetry import Telemetry, build_progress_printer
 from slave.tendon_config import TendonConfig
 from slave.warm_up import compile_session
-from teleop.config.arm import assemble_travel_ratios
+from teleop.config.arm import assemble_tendon_rows
 from teleop.config.extension_calls import ExtensionFault
 from teleop.config.options import add_option, add_options
 from teleop.coupling import Bilateral
@@ -374,9 +374,9 @@ def prepare_rig_model(
     """
     history = CalibrationHistory(now_ns(), ())
     try:
-        assemble_travel_ratios(shared.arms, len(rig.joints))
+        assemble_tendon_rows(shared.arms, rig.joints)
     except ValueError as error:
-        raise UsageError(f"arms: {error}; give a row and a column for each joint") from error
+        raise UsageError(f"arms: {error}") from error
     if not config.initialise.at_start:
         tendons = load_tendon_configs(config, rig.tendons, rig.joints, files)
         if isinstance(rig, ReplayedRig):

@@ -153,4 +153,4 @@ def _end_sample(layout: RigLayout, memory: SlaveMemory, row: EstimatedSample) ->
         usable = usable and tendon.valid
         newest[i] = tendon
     if usable and not memory.has_offsets:
-        memory.has_offsets = control.compute_joint_offsets(layout, row.tendons, memory.offsets)
+        memory.has_offsets = control.compute_offsets(layout, row.tendons, memory.offsets)

@@ -8,39 +8,37 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.array_types import Array
-from estimator.compiled import jit_compile
 from estimator.online.tendon_estimate import TendonEstimate
 from estimator.records import F64, I64, Field, Flag, Struct, StructArray, view_struct
-from teleop.config.arm import RoutingConfig, assemble_travel_ratios
-from teleop.messages.messages import MAX_JOINTS
-
-SIGNS = (1.0, -1.0)  # of a joint's travel at the tips of its tendons a and b
+from teleop.config.arm import RoutingConfig, assemble_tendon_rows
+from teleop.messages.messages import MAX_JOINTS, MAX_TENDONS
 
 
-class JointTendons(Struct):
-    """The tendons of one joint: `a`, or `a` and `b`."""
+class TendonGroup(Struct):
+    """Tendons that work against each other: a single one, a pair, n + 1 of an arm of n joints.
+
+    `balance` are their tensions t_i in balance, so that their tips travel by sum t_i x_i = const.
+    """
 
     count: I64 = 0
-    tendon: Annotated[NDArray[np.int64], Field("i8", 2, fill=-1)]  # numbered over the whole rig
-
-
-JointMatrix = Annotated[Array, Field("f8", (MAX_JOINTS, MAX_JOINTS))]
-"""A field with a row and a column for each joint, zero beyond the joints of the rig."""
+    tendon: Annotated[NDArray[np.int64], Field("i8", MAX_JOINTS + 1, fill=-1)]  # over the rig
+    balance: Annotated[Array, Field("f8", MAX_JOINTS + 1)]
 
 
 class RigLayout(Struct):
     """Which tendons a rig has and which joints they move, `Rig.joints`.
 
-    In an arm the tendons of a joint also pass other joints: at the end of their sheaths they travel
-    by the sum of `ratio[k, j]` times the travel of joint j.
+    At the end of its sheath tendon i travels by the sum of `travel[i, j]` times the travel of joint
+    j; in an arm tendons also pass other joints. Matrices are zero beyond the rig.
     """
 
     joints: I64 = 0
     tendons: I64 = 0
-    joint: Annotated[Sequence[JointTendons], Field(JointTendons, MAX_JOINTS)]
+    groups: I64 = 0
+    group: Annotated[Sequence[TendonGroup], Field(TendonGroup, MAX_JOINTS)]
     is_coupled: Flag = False
-    ratio: JointMatrix  # travel of the tendons of joint k over the travel of joint j
-    inverse: JointMatrix  # of it
+    travel: Annotated[Array, Field("f8", (MAX_TENDONS, MAX_JOINTS))]
+    inverse: Annotated[Array, Field("f8", (MAX_JOINTS, MAX_TENDONS))]  # of it
     radius: Annotated[Array, Field("f8", MAX_JOINTS)]  # [m] of each joint's own pulley, if coupled
 
 
@@ -65,23 +63,13 @@ def build_rig_layout(
     """Return the layout of `Rig.joints`, the first of which are those of `arms`, shape (1,)."""
     layout = RigLayout.array()
     record = view_struct(layout)
-    record.joints = len(joints)
-    record.tendons = sum(map(len, joints))
-    for k, tendons in enumerate(joints):
-        record.joint[k].count = len(tendons)
-        record.joint[k].tendon[: len(tendons)] = tendons
-    n = len(joints)
-    ratio, record.radius[:n] = assemble_travel_ratios(arms, n)
+    rows = assemble_tendon_rows(arms, joints)
+    tendons, n = rows.travel.shape
+    record.joints, record.tendons, record.groups = n, tendons, len(rows.groups)
+    for group, (members, balance) in zip(record.group, rows.groups, strict=False):
+        group.count = len(members)
+        group.tendon[: len(members)], group.balance[: len(members)] = members, balance
     record.is_coupled = bool(arms)
-    record.ratio[:n, :n], record.inverse[:n, :n] = ratio, np.linalg.inv(ratio)
+    record.radius[:n] = rows.radius
+    record.travel[:tendons, :n], record.inverse[:n, :tendons] = rows.travel, rows.inverse
     return layout
-
-
-@jit_compile
-def compute_joint_travel(layout: RigLayout, tendon_travel: Array, out: Array) -> None:
-    """Write the travel of each joint [m] for the travels of their tendons [m]; not in place."""
-    for j in range(layout.joints):
-        out[j] = 0.0
-        for k in range(layout.joints):
-            if layout.inverse[j, k] != 0.0:
-                out[j] += layout.inverse[j, k] * tendon_travel[k]

@@ -305,13 +305,11 @@ def press_plane(normal: Sequence[float], angles: Sequence[float] = ARM_ANGLES) -
 
 def collect_forces(rig: SimulatedRig, memory: SlaveMemory) -> list[Array]:
     """Return the true force on each joint and the estimate with its ends [N]."""
-    a, b = rig.arm_tensions.transpose(1, 0, 2)
-    n = len(a)
-    joints = [memory.joints[k] for k in range(n)]
+    joints = [memory.joints[k] for k in range(len(rig.joints))]
     ends = [
         np.array([getattr(joint, name) for joint in joints]) for name in ("force", "low", "high")
     ]
-    return [(rig.travel_ratios * (a - b)).sum(axis=0), *ends]
+    return [rig.joint_forces, *ends]
 
 
 def main() -> None:

@@ -92,8 +92,8 @@ def apply_guide_friction(
     """Return arms with the calibrated friction at passed joints, and the largest error of it."""
     measured, first, applied = {guide.joint - 1: guide for guide in guides}, 0, []
     for arm in arms:
-        known = {j: measured[first + j] for j in range(len(arm.radii)) if first + j in measured}
-        first += len(arm.radii)
+        known = {j: measured[first + j] for j in range(arm.joints) if first + j in measured}
+        first += arm.joints
         friction = list(arm.list_friction())
         for j, guide in known.items():
             friction[j] = guide.friction.value

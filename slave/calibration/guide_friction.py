@@ -23,7 +23,7 @@ from slave.calibration.file import GuideFriction, ValueWithUncertainty
 from slave.calibration.procedure_state import Phase
 from slave.calibration.record import ProcedureData
 from slave.calibration.tendon_identification import RELATIVE_ERROR_MIN, round_significant
-from teleop.config.arm import ArmConfig, assemble_travel_ratios
+from teleop.config.arm import ArmConfig, assemble_tendon_rows
 
 ANGLE_ERROR = 0.04  # [rad] standard uncertainty of a joint in a posture
 UNIT_FRICTION = 1e-3  # small: a routing bounds K
@@ -59,7 +59,7 @@ def build_bends(joints: Sequence[Sequence[int]], arms: Sequence[ArmConfig]) -> B
     Row k is of both tendons of joint k together, column j at the guide of joint j.
     """
     routing = build_routing(joints, [replace(arm, friction=UNIT_FRICTION) for arm in arms])
-    radius = assemble_travel_ratios(arms, len(joints))[1]
+    radius = assemble_tendon_rows(arms, joints).radius
 
     def compute_bends(travel: Array) -> Array:
         K = routing.get_friction(travel / radius)

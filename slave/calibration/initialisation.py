@@ -18,7 +18,7 @@ from slave.calibration.record import ProcedureData
 from slave.calibration.run import ProcedureLimits, ProcedureProgress, run_procedure
 from slave.config import SlaveConfig
 from slave.rig import Rig, RigSample
-from teleop.config.arm import ArmConfig, assemble_travel_ratios
+from teleop.config.arm import ArmConfig, assemble_tendon_rows
 from teleop.errors import UsageError
 from teleop.runtime.clock import Tick
 from teleop.runtime.realtime import use_ordinary_scheduling
@@ -83,9 +83,14 @@ def initialise(
     procedure = config.initialise.quick() if quick else config.initialise
     limits = ProcedureLimits(procedure, config.gate)
     try:
-        ratio = assemble_travel_ratios(arms, len(rig.joints))[0]
+        ratio = assemble_tendon_rows(arms, rig.joints).travel[[joint[0] for joint in rig.joints]]
     except ValueError as error:
-        raise UsageError(f"arms: {error}; give a row and a column for each joint") from error
+        raise UsageError(f"arms: {error}") from error
+    if any(arm.has_tendon_rows for arm in arms):
+        raise UsageError(
+            "arms.radii: a rig with rows for single tendons cannot be calibrated; fit each sheath "
+            "with its tip blocked (teleop estimate DATA --fit --save FILE)"
+        )
     driven = run_procedure(rig, limits, ticks, start_ns, chosen, together, stopped, progress, ratio)
     ranges = earlier.ranges if earlier is not None and find_misfit(earlier, rig) is None else ()
     with analysing(), use_ordinary_scheduling():  # it computes for seconds, while the motors hold

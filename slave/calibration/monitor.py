@@ -219,13 +219,13 @@ def step_rig(
     dt : float
         Time since the last one [s].
     """
-    for k in range(layout.joints):
-        joint = layout.joint[k]
-        for m in range(joint.count):
-            i = joint.tendon[m]
+    for g in range(layout.groups):
+        group = layout.group[g]
+        for m in range(group.count if group.count < 3 else 0):  # of more it does not know who pulls
+            i = group.tendon[m]
             antagonist_tension = 0.0
-            if joint.count > 1:
-                antagonist_tension = tendons[joint.tendon[1 - m]].estimate.distal_tension
+            if group.count > 1:
+                antagonist_tension = tendons[group.tendon[1 - m]].estimate.distal_tension
             tension, travel = tendons[i].corrected_tension, tendons[i].corrected_displacement
             estimate = tendons[i].estimate
             step(

@@ -1,14 +1,12 @@
 """Tendon control: from the commanded travel of a joint to motor positions.
 
-`step` is the controller, `joint_estimate` estimates a joint from its tendons.
+`step` is the controller, `estimate_joints` estimates joints from their tendons.
 docs/explanation/estimator.md explains both.
 """
 
 from slave.control.joint import (
     JointEstimate,
-    compute_joint_offsets,
-    compute_offset,
-    estimate_joint,
+    compute_offsets,
     estimate_joints,
 )
 from slave.control.law import ControlConfig, ControllerState, step
@@ -17,9 +15,7 @@ __all__ = [
     "ControlConfig",
     "ControllerState",
     "JointEstimate",
-    "compute_joint_offsets",
-    "compute_offset",
-    "estimate_joint",
+    "compute_offsets",
     "estimate_joints",
     "step",
 ]

@@ -1,9 +1,9 @@
-"""Estimate of a joint from its one or two tendons.
+"""Estimate of joints from their tendons.
 
 A joint's travel q [m] is positive in the pulling direction of its first tendon, `a`; the tip of the
-second one, `b`, travels by -q. Each tendon measures the joint's travel as q_p less its elongation,
-with an error that grows with the elongation: the slack-side tendon is the better sensor as long as
-it is taut.
+second one, `b`, travels by -q. Each tendon measures the travel of its tip as q_p less its
+elongation, with an error that grows with the elongation: the slack-side tendon is the better sensor
+as long as it is taut. What tendons that work against each other say is made to agree.
 """
 
 from collections.abc import Sequence
@@ -16,7 +16,7 @@ from estimator.array_types import Array
 from estimator.compiled import jit_compile
 from estimator.online.tendon_estimate import INVALID_INPUT
 from estimator.records import F64, I64, Struct, StructArray
-from slave.tendons import SIGNS, EstimatedTendon, EstimatedTendons, JointTendons, RigLayout
+from slave.tendons import EstimatedTendon, EstimatedTendons, RigLayout, TendonGroup
 
 SLACK_TENSION = 0.05  # [N] at the housing: below, a tendon does not measure its joint
 TAUT_TENSION = 0.15  # [N] full weight from here on
@@ -54,74 +54,70 @@ def compute_weight(tendon: EstimatedTendon) -> float:
 
 
 @jit_compile
-def fuse_travel(
-    joint: JointTendons, tendons: EstimatedTendons, travel_a: float, travel_b: float
-) -> float:
-    """Return a joint's travel [m], the weighted mean of its tendons' measurements.
+def fuse_travels(group: TendonGroup, tendons: EstimatedTendons, travel: Array) -> None:
+    """Make the measured travels of the tips of a group agree, in place, [m] by tendon of the rig.
 
-    Equal weights if both are zero. `travel_b` is ignored for a joint of one tendon.
+    Least squares with the weights of `compute_weight`. Tendons of no weight are not believed; equal
+    weights if no tendon has any.
     """
-    if joint.count == 1:
-        return travel_a
-    of_a, of_b = compute_weight(tendons[joint.tendon[0]]), compute_weight(tendons[joint.tendon[1]])
-    if of_a == of_b:
-        return 0.5 * (travel_a + travel_b)
-    if of_a == 0.0 or of_b == 0.0:
-        return travel_a if of_b == 0.0 else travel_b
-    return (of_a * travel_a + of_b * travel_b) / (of_a + of_b)
+    if group.count == 1:
+        return
+    doubted, last = 0, -1
+    for n in range(group.count):
+        if compute_weight(tendons[group.tendon[n]]) == 0.0:
+            doubted, last = doubted + 1, group.tendon[n]
+    if doubted == 1:
+        travel[last] = 0.0  # it follows from the others
+    excess, scale = 0.0, 0.0
+    for n in range(group.count):
+        i, t = group.tendon[n], group.balance[n]
+        excess += t * travel[i]
+        scale += t * t * _compute_doubt(tendons[i], doubted)
+    for n in range(group.count):
+        i, t = group.tendon[n], group.balance[n]
+        doubt = _compute_doubt(tendons[i], doubted)
+        if doubt != 0.0:
+            travel[i] -= doubt / scale * t * excess
 
 
 @jit_compile
-def compute_offset(joint: JointTendons, tendons: EstimatedTendons) -> float:
-    """Return the common offset [m] of the travel measured by the tendons of a joint.
+def _compute_doubt(tendon: EstimatedTendon, doubted: int) -> float:
+    """Return one over the weight; with `doubted` tendons of none 1 for these, 0 for the others."""
+    weight = compute_weight(tendon)
+    if doubted:
+        return 1.0 if weight == 0.0 else 0.0
+    return 1.0 / weight
 
-    The travels q_p - e of both tips sum to a constant; this is half its present value.
+
+@jit_compile
+def compute_offset(group: TendonGroup, tendons: EstimatedTendons) -> float:
+    """Return the common offset [m] of the travels measured by the tendons of a group.
+
+    The travels x_i = q_p - e of their tips have a constant sum t_i x_i. The offset of each is this
+    number times its t_i, at present.
     """
-    if joint.count == 1:
+    if group.count == 1:
         return 0.0
-    a, b = tendons[joint.tendon[0]], tendons[joint.tendon[1]]
-    both: float = a.estimate.distal_displacement + b.estimate.distal_displacement
-    return 0.5 * both
+    excess, scale = 0.0, 0.0
+    for n in range(group.count):
+        t = group.balance[n]
+        excess += t * tendons[group.tendon[n]].estimate.distal_displacement
+        scale += t * t
+    return excess / scale
 
 
 @jit_compile
-def compute_joint_offsets(layout: RigLayout, tendons: EstimatedTendons, out_offsets: Array) -> bool:
-    """Write the offset of each joint [m] if all of them are finite; return whether they are."""
-    for k in range(layout.joints):
-        if not isfinite(compute_offset(layout.joint[k], tendons)):
+def compute_offsets(layout: RigLayout, tendons: EstimatedTendons, out_offsets: Array) -> bool:
+    """Write the offset of each tendon [m] if all of them are finite; return whether they are."""
+    for g in range(layout.groups):
+        if not isfinite(compute_offset(layout.group[g], tendons)):
             return False
-    for k in range(layout.joints):
-        out_offsets[k] = compute_offset(layout.joint[k], tendons)
+    for g in range(layout.groups):
+        group = layout.group[g]
+        offset = compute_offset(group, tendons)
+        for n in range(group.count):
+            out_offsets[group.tendon[n]] = group.balance[n] * offset
     return True
-
-
-@jit_compile
-def estimate_joint(
-    joint: JointTendons, tendons: EstimatedTendons, offset: float, out: JointEstimate
-) -> None:
-    """Estimate a joint.
-
-    The force is T_out,a - T_out,b, between low_a - high_b and high_a - low_b.
-
-    Parameters
-    ----------
-    tendons : EstimatedTendons
-        All of the rig in one sample, shape (tendons,) or longer.
-    offset : float
-        Of its tendons [m], from `compute_offset` at the time that defines the position.
-    out : JointEstimate
-        Overwritten.
-    """
-    a = tendons[joint.tendon[0]].estimate
-    travel_a, travel_b = a.distal_displacement - offset, nan
-    force, low, high, status = a.distal_tension, a.low, a.high, a.status
-    if joint.count > 1:
-        b = tendons[joint.tendon[1]].estimate
-        travel_b = SIGNS[1] * (b.distal_displacement - offset)
-        force, low, high = force - b.distal_tension, low - b.high, high - b.low
-        status |= b.status
-    out.position = fuse_travel(joint, tendons, travel_a, travel_b)
-    out.force, out.low, out.high, out.status = force, low, high, status
 
 
 @jit_compile
@@ -134,35 +130,40 @@ def estimate_joints(
 ) -> None:
     """Write the estimate of every joint of a rig.
 
+    The force is that of the tendons, T_out,a - T_out,b, between low_a - high_b and high_a - low_b.
+
     Parameters
     ----------
-    offsets : array, shape (joints,)
-        Of the joints' tendons [m].
+    tendons : EstimatedTendons
+        All of the rig in one sample, shape (tendons,) or longer.
+    offsets : array, shape (tendons,)
+        Of the tendons [m], from `compute_offsets` at the time that defines the positions.
     arm_force : array, shape (3, MAX_JOINTS)
         Of `estimate_arm_forces` [N]; not read unless joints share tendons.
+    out_estimates : JointEstimates
+        Overwritten.
     """
-    for k in range(layout.joints):
-        estimate_joint(layout.joint[k], tendons, offsets[k], out_estimates[k])
-    if layout.is_coupled:
-        _decouple_joints(layout, arm_force, out_estimates)
-
-
-@jit_compile
-def _decouple_joints(layout: RigLayout, force: Array, estimates: JointEstimates) -> None:
-    """Turn the estimates of the joints' own tendons into those of the joints, in place."""
-    n = layout.joints
-    travel, status = np.empty(n), np.empty(n, np.int64)
-    for k in range(n):
-        travel[k], status[k] = estimates[k].position, estimates[k].status
-    for j in range(n):
-        joint = estimates[j]
-        joint.position = 0.0
-        joint.force, joint.low, joint.high = force[0, j], force[1, j], force[2, j]
-        for k in range(n):
-            if layout.inverse[j, k] != 0.0:
-                joint.position += layout.inverse[j, k] * travel[k]
-                joint.status |= status[k]
-            if layout.ratio[k, j] != 0.0:
-                joint.status |= status[k]
-        if not isfinite(joint.force):
-            joint.status |= INVALID_INPUT
+    travel = np.empty(layout.tendons)
+    for i in range(layout.tendons):
+        travel[i] = tendons[i].estimate.distal_displacement - offsets[i]
+    for g in range(layout.groups):
+        fuse_travels(layout.group[g], tendons, travel)
+    for j in range(layout.joints):
+        position, force, low, high, status = 0.0, 0.0, 0.0, 0.0, 0
+        for i in range(layout.tendons):
+            share, ratio, tendon = layout.inverse[j, i], layout.travel[i, j], tendons[i].estimate
+            if share != 0.0:
+                position += share * travel[i]
+            if share != 0.0 or ratio != 0.0:
+                status |= tendon.status
+            if ratio != 0.0 and not layout.is_coupled:
+                force += ratio * tendon.distal_tension
+                low += ratio * (tendon.low if ratio > 0.0 else tendon.high)
+                high += ratio * (tendon.high if ratio > 0.0 else tendon.low)
+        if layout.is_coupled:
+            force, low, high = arm_force[0, j], arm_force[1, j], arm_force[2, j]
+            if not isfinite(force):
+                status |= INVALID_INPUT
+        joint = out_estimates[j]
+        joint.position, joint.status = position, status
+        joint.force, joint.low, joint.high = force, low, high

@@ -1,4 +1,4 @@
-"""The control law of a joint: position control between a slack-side and a maximum tension.
+"""The control law of tendons: position control between a slack-side and a maximum tension.
 
 The motor target of each tendon follows the joint's travel and the tendon's stretch,
 
@@ -11,10 +11,11 @@ limited so that the tendon neither goes slack nor exceeds the tension limit:
 
 Of a pair, the tendon that the position law pulls drives; the position law of the other would make
 it slack, so it follows: feedforward of the travel dx_other of the other's tip, corrected by its own
-load cell. All targets are relative to the last gated motor positions, so there is no windup while a
-limit is active.
+load cell. Of n + 1 tendons of n joints, n drive and one follows, by the travel that the others'
+tips leave to it (`TendonGroup`). All targets are relative to the last gated motor positions, so
+there is no windup while a limit is active.
 
-e is the motor's travel less the joint's, which both tendons measure (slave.control.joint).
+e is the motor's travel less the tip's, which all tendons measure (slave.control.joint).
 """
 
 from collections.abc import Sequence
@@ -22,13 +23,15 @@ from dataclasses import dataclass
 from math import copysign, isfinite
 from typing import Annotated
 
+import numpy as np
+
 from estimator.array_types import Array
 from estimator.compiled import jit_compile
 from estimator.records import F64, Field, Flag, Struct
-from slave.control.joint import fuse_travel
+from slave.control.joint import fuse_travels
 from slave.ranged_field import build_ranged_field, check_ranges
-from slave.tendons import SIGNS, EstimatedTendon, EstimatedTendons, JointTendons, RigLayout
-from teleop.messages.messages import MAX_JOINTS
+from slave.tendons import EstimatedTendon, EstimatedTendons, RigLayout, TendonGroup
+from teleop.messages.messages import MAX_JOINTS, MAX_TENDONS
 from teleop.runtime.clock import STEP_MAX_S
 
 # --- the settings of the tendon controller
@@ -65,7 +68,7 @@ class ControlConfig:
 
 
 class DrivenTendon(Struct):
-    """A tendon since its joint engaged."""
+    """A tendon since it engaged."""
 
     origin: F64 = 0.0  # [m] motor position for no travel and no stretch
     tip: F64 = 0.0  # [m] motor position less elongation, at engagement
@@ -74,18 +77,12 @@ class DrivenTendon(Struct):
     motor: F64 = 0.0  # [m] gated motor position of the last tick
 
 
-class EngagedJoint(Struct):
-    """A joint since it engaged."""
-
-    command: F64 = 0.0  # [m] commanded travel at engagement
-    tendon: Annotated[Sequence[DrivenTendon], Field(DrivenTendon, 2)]
-
-
 class ControllerState(Struct):
     """State of the controller."""
 
-    engaged: Flag = False  # whether `joint` is initialised, from the first engaged tick on
-    joint: Annotated[Sequence[EngagedJoint], Field(EngagedJoint, MAX_JOINTS)]
+    engaged: Flag = False  # whether the rest is initialised, from the first engaged tick on
+    command: Annotated[Array, Field("f8", MAX_JOINTS)]  # [m] commanded travels at engagement
+    tendon: Annotated[Sequence[DrivenTendon], Field(DrivenTendon, MAX_TENDONS)]
 
 
 @jit_compile
@@ -106,7 +103,7 @@ def step(
     Parameters
     ----------
     layout : RigLayout
-        Which tendons each joint has.
+        Tendons and joints of the rig.
     memory : ControllerState
         State, changed in place.
     command : array, shape (MAX_JOINTS,)
@@ -132,105 +129,101 @@ def step(
         return
     if not memory.engaged:
         memory.engaged = True
-        for k in range(layout.joints):
-            _engage_joint(config, layout.joint[k], memory.joint[k], command[k], motor, tendons)
+        for j in range(layout.joints):
+            memory.command[j] = command[j]
+        for g in range(layout.groups):
+            _engage_group(config, layout.group[g], memory, motor, tendons)
         return
     dt = min(dt, STEP_MAX_S) if dt > 0.0 else 0.0
-    for k in range(layout.joints):
-        requested = 0.0  # [m] of the joint's tendons, which also pass other joints
-        for j in range(layout.joints):
-            if layout.ratio[k, j] == 0.0:
-                continue
-            lead = config.lead * min(max(velocity[j], -config.speed_max), config.speed_max)
-            requested += layout.ratio[k, j] * (command[j] - memory.joint[j].command + lead)
-        _compute_joint_targets(
-            config, layout.joint[k], memory.joint[k], requested, motor, tendons, dt, out_wanted
-        )
+    wound, moved = np.empty(layout.tendons), np.empty(layout.tendons)
+    for g in range(layout.groups):
+        group = layout.group[g]
+        excess = _update_group(group, memory, motor, tendons, wound, moved)
+        for n in range(group.count):
+            i, follow = group.tendon[n], 0.0  # [m] by which motors let the tip travel
+            if group.count > 1:  # of a pair, by the other; a common motion of all dies down
+                share = group.count / (group.count - 1.0)
+                follow = moved[i] - share * group.balance[n] * excess
+            requested = 0.0  # [m] of the tip
+            for j in range(layout.joints):
+                if layout.travel[i, j] != 0.0:
+                    lead = config.lead * min(max(velocity[j], -config.speed_max), config.speed_max)
+                    requested += layout.travel[i, j] * (command[j] - memory.command[j] + lead)
+            out_wanted[i] = _compute_target(
+                config, memory.tendon[i], requested, follow, tendons[i], dt
+            )
 
 
 @jit_compile
-def _engage_joint(
+def _engage_group(
     config: ControlConfig,
-    joint: JointTendons,
-    memory: EngagedJoint,
-    command: float,
+    group: TendonGroup,
+    memory: ControllerState,
     motor: Array,
     tendons: EstimatedTendons,
 ) -> None:
-    """Initialise the state of a joint at its present position.
+    """Initialise the state of tendons at their present position.
 
-    Without load both position laws would keep the present stretch of their tendons. The origin of
-    the tendon with less tension is set back so that both can then be slack.
+    Without load all position laws would keep the present stretch of their tendons. The origin of
+    the tendon with the least tension is set back so that all can then be slack.
     """
-    memory.command = command
     excess, least = 0.0, 0
-    for n in range(joint.count):
-        i = joint.tendon[n]
+    for n in range(group.count):
+        i = group.tendon[n]
         m, e, tension = motor[i], tendons[i].estimate.elongation, tendons[i].tension
-        driven = memory.tendon[n]
+        driven = memory.tendon[i]
         driven.origin = m - config.compensation * e
         driven.tip = _get_position(m, tendons[i]) - e
         driven.stretch = driven.elongation = e
         driven.motor = m
         if tension > config.slack_side_tension:
-            excess += e * (1.0 - config.slack_side_tension / tension)
-        if tension <= tendons[joint.tendon[least]].tension:
+            excess += group.balance[n] * e * (1.0 - config.slack_side_tension / tension)
+        if tension <= tendons[group.tendon[least]].tension:
             least = n
-    if joint.count > 1:
-        memory.tendon[least].origin -= (1.0 - config.compensation) * excess
+    if group.count > 1:
+        driven = memory.tendon[group.tendon[least]]
+        driven.origin -= (1.0 - config.compensation) * excess / group.balance[least]
 
 
 @jit_compile
-def _compute_joint_targets(
-    config: ControlConfig,
-    joint: JointTendons,
-    memory: EngagedJoint,
-    requested: float,
+def _update_group(
+    group: TendonGroup,
+    memory: ControllerState,
     motor: Array,
     tendons: EstimatedTendons,
-    dt: float,
-    out_wanted: Array,
-) -> None:
-    """Write the motor targets of a joint with a commanded travel of `requested` [m]."""
-    a, b = memory.tendon[0], memory.tendon[1]  # of a joint of one tendon, b stays zero
-    e_a, m_a, e_b, m_b = a.elongation, a.motor, b.elongation, b.motor
-    _update_joint(joint, memory, motor, tendons)
-    # the travel of each tip by its own motor, sign reversed: the other motor has to follow
-    follow_b = (a.elongation - e_a) - (a.motor - m_a)
-    follow_a = (b.elongation - e_b) - (b.motor - m_b)
-    i = joint.tendon[0]
-    out_wanted[i] = _compute_target(config, a, SIGNS[0] * requested, follow_a, tendons[i], dt)
-    if joint.count > 1:
-        i = joint.tendon[1]
-        out_wanted[i] = _compute_target(config, b, SIGNS[1] * requested, follow_b, tendons[i], dt)
+    wound: Array,
+    out_moved: Array,
+) -> float:
+    """Update tendons with a sample; while one is invalid, their motors only.
 
-
-@jit_compile
-def _update_joint(
-    joint: JointTendons, memory: EngagedJoint, motor: Array, tendons: EstimatedTendons
-) -> None:
-    """Update the tendons of a joint with a sample; while one is invalid, their motors only."""
+    Writes how far each motor has moved its tip [m] since the last tick, and returns how far from
+    balance these are: sum t_i moved_i / sum t_i^2. `wound` is a work array.
+    """
     valid = True
-    for n in range(joint.count):
-        i = joint.tendon[n]
-        memory.tendon[n].motor = motor[i]
+    for n in range(group.count):
+        i = group.tendon[n]
+        driven = memory.tendon[i]
+        out_moved[i] = motor[i] - driven.motor
+        driven.motor = motor[i]
         valid = valid and tendons[i].valid
-    if not valid:
-        return
-    a, b = memory.tendon[0], memory.tendon[1]
-    i = joint.tendon[0]
-    a.elongation = tendons[i].estimate.elongation
-    wound_a, wound_b = _get_position(motor[i], tendons[i]) - a.tip, 0.0
-    travel_a, travel_b = SIGNS[0] * (wound_a - a.elongation), 0.0
-    if joint.count > 1:
-        i = joint.tendon[1]
-        b.elongation = tendons[i].estimate.elongation
-        wound_b = _get_position(motor[i], tendons[i]) - b.tip
-        travel_b = SIGNS[1] * (wound_b - b.elongation)
-    travel = fuse_travel(joint, tendons, travel_a, travel_b)
-    a.stretch = wound_a - SIGNS[0] * travel
-    if joint.count > 1:
-        b.stretch = wound_b - SIGNS[1] * travel
+    excess, scale = 0.0, 0.0
+    for n in range(group.count):
+        i, t = group.tendon[n], group.balance[n]
+        driven, elongation = memory.tendon[i], tendons[i].estimate.elongation
+        if not valid:
+            elongation = driven.elongation
+        out_moved[i] -= elongation - driven.elongation
+        driven.elongation = elongation
+        excess += t * out_moved[i]
+        scale += t * t
+        if valid:
+            driven.stretch = _get_position(motor[i], tendons[i]) - driven.tip
+            wound[i] = driven.stretch - elongation
+    if valid:
+        fuse_travels(group, tendons, wound)
+    for n in range(group.count if valid else 0):
+        memory.tendon[group.tendon[n]].stretch -= wound[group.tendon[n]]
+    return excess / scale
 
 
 @jit_compile
@@ -245,7 +238,7 @@ def _compute_target(
     """Return the target of a motor [m].
 
     `requested` [m] is the commanded travel of the tendon's tip since engagement, `follow` [m] how
-    far the other tendon's motor has moved the tip since the last tick.
+    far the other tendons' motors have moved the tip since the last tick.
     """
     motor = driven.motor
     wanted = driven.origin + requested + config.compensation * driven.stretch

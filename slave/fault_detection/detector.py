@@ -16,7 +16,7 @@ from slave.fault_detection.wound_length import (
     check_winding,
     compute_compliance,
 )
-from slave.tendons import EstimatedTendon, JointTendons, RigLayout
+from slave.tendons import EstimatedTendon, RigLayout, TendonGroup
 from teleop.messages.messages import MAX_JOINTS, MAX_TENDONS
 from teleop.session.state_machine import Reason
 
@@ -25,7 +25,7 @@ class FaultDetector(Struct):
     """Constants and state of the fault detection of a rig."""
 
     tendon: Annotated[Sequence[CheckedTendon], Field(CheckedTendon, MAX_TENDONS)]
-    # of each joint; unused for a single tendon
+    # of each group of tendons; unused for a single one
     winding: Annotated[Sequence[WindingCheck], Field(WindingCheck, MAX_JOINTS)]
 
 
@@ -50,7 +50,7 @@ def step(
     """Check one sample of the rig; return the fault found and its tendon.
 
     The tendon is counted over the whole rig from 0; `Reason.NONE` and -1 without a fault. Of
-    several faults the first is returned: load cells by tendon, then joint by joint.
+    several faults the first is returned: load cells by tendon, then group by group.
 
     Parameters
     ----------
@@ -68,10 +68,10 @@ def step(
             reason = _check_tendon(config, detector.tendon[i], tendons[i], dt)
             if fault == Reason.NONE and reason != Reason.NONE:
                 fault, tendon = reason, i
-    for k in range(layout.joints):
-        joint = layout.joint[k]
-        if _is_testable(joint, detector, tendons):
-            reason, i = _check_joint(config, joint, detector, detector.winding[k], tendons, dt)
+    for g in range(layout.groups):
+        group = layout.group[g]
+        if _is_testable(group, detector, tendons):
+            reason, i = _check_group(config, group, detector, detector.winding[g], tendons, dt)
             if fault == Reason.NONE and reason != Reason.NONE:
                 fault, tendon = reason, i
     return fault, tendon
@@ -90,11 +90,11 @@ def _check_tendon(
 
 @jit_compile
 def _is_testable(
-    joint: JointTendons, detector: FaultDetector, tendons: Sequence[EstimatedTendon]
+    group: TendonGroup, detector: FaultDetector, tendons: Sequence[EstimatedTendon]
 ) -> bool:
-    """Return whether position and tension of all tendons of a joint are known."""
-    for m in range(joint.count):
-        i = joint.tendon[m]
+    """Return whether position and tension of all tendons of a group are known."""
+    for n in range(group.count):
+        i = group.tendon[n]
         checks = detector.tendon[i]
         is_measured = tendons[i].valid and isfinite(tendons[i].displacement)
         if not is_measured or is_suspect(checks.cell, checks.noise):
@@ -103,29 +103,28 @@ def _is_testable(
 
 
 @jit_compile
-def _check_joint(
+def _check_group(
     config: FaultDetectionConfig,
-    joint: JointTendons,
+    group: TendonGroup,
     detector: FaultDetector,
     winding: WindingCheck,
     tendons: Sequence[EstimatedTendon],
     dt: float,
 ) -> tuple[Reason, int]:
-    """Return the fault found in the tendons of a joint, and the index of the tendon."""
+    """Return the fault found in the tendons of a group, and the index of the tendon."""
     wound = 0.0
-    for m in range(joint.count):
-        wound += detector.tendon[joint.tendon[m]].average.displacement
+    for n in range(group.count):
+        wound += group.balance[n] * detector.tendon[group.tendon[n]].average.displacement
     fault, tendon = Reason.NONE, -1
-    for m in range(joint.count):
-        i = joint.tendon[m]
-        checks = detector.tendon[i]
+    for n in range(group.count):
+        i = group.tendon[n]
+        checks, own = detector.tendon[i], wound / group.balance[n]
         tension_before = checks.average.tension
-        broken = check_slack(config, checks.slack, tendons[i].tension, tension_before, wound, dt)
+        broken = check_slack(config, checks.slack, tendons[i].tension, tension_before, own, dt)
         if broken and fault == Reason.NONE:
             fault, tendon = Reason.TENDON_BROKEN, i
-    if joint.count > 1:
-        a, b = detector.tendon[joint.tendon[0]], detector.tendon[joint.tendon[1]]
-        reason, m = check_winding(config, winding, a, b, dt)
+    if group.count > 1:
+        reason, i = check_winding(config, winding, detector.tendon, group, dt)
         if fault == Reason.NONE and reason != Reason.NONE:
-            fault, tendon = reason, joint.tendon[m]
+            fault, tendon = reason, i
     return fault, tendon

@@ -5,6 +5,9 @@ elongation of both tendons plus a constant:
 
     q_p,a + q_p,b = e_a + e_b + c.
 
+Of n + 1 tendons of n joints it is the sum over all, each by its tension t_i in balance: the tips
+travel by sum t_i x_i = const.
+
 A tension allows an interval of elongations (`compliance`), unbounded below for a slack tendon. So
 each sample gives an interval for c, and all intervals must overlap. If the newest lies above the
 others, a slack tendon was wound in by more than its length: it is broken. If it lies below, a
@@ -12,6 +15,7 @@ tendon has more tension than its stretch allows: it is jammed and stretched only
 jam.
 """
 
+from collections.abc import Sequence
 from math import inf, nan
 
 from estimator.compiled import jit_compile
@@ -20,6 +24,7 @@ from estimator.law.sheath import Sheath
 from estimator.records import F64, Struct
 from slave.fault_detection.cell import LoadCell, TendonAverage
 from slave.fault_detection.config import FaultDetectionConfig
+from slave.tendons import TendonGroup
 from teleop.session.state_machine import Reason
 
 # --- bounds of the elongation of a tendon at a tension, for any earlier motion
@@ -135,7 +140,7 @@ INTERVAL_GROWTH = 2e-5  # [m/s] at which the interval for c widens: creep, tempe
 
 
 class WindingCheck(Struct):
-    """State of the check of a joint's two tendons."""
+    """State of the check of tendons that work against each other."""
 
     low: F64 = -inf  # [m] interval for c from all samples
     high: F64 = inf
@@ -147,36 +152,49 @@ class WindingCheck(Struct):
 def check_winding(
     config: FaultDetectionConfig,
     winding: WindingCheck,
-    tendon_a: CheckedTendon,
-    tendon_b: CheckedTendon,
+    tendons: Sequence[CheckedTendon],
+    group: TendonGroup,
     dt: float,
 ) -> tuple[Reason, int]:
-    """Process one sample of a joint; return the fault found and its tendon.
+    """Process one sample of a group; return the fault found and its tendon, -1 without one.
 
-    The tendon is 0 or 1, -1 without a fault. If both are slack because the joint was flung aside,
-    the one that went slack first is broken; at the same time, the one with more tension.
+    If several are slack because the joint was flung aside, the one that went slack first is broken;
+    at the same time, the one with more tension.
 
     Parameters
     ----------
     winding : WindingCheck
         Changed in place.
-    tendon_a, tendon_b : CheckedTendon
-        Averaged over the same samples; `slack` includes this one.
+    tendons : sequence of CheckedTendon
+        Of the rig, averaged over the same samples; `slack` includes this one.
+    group : TendonGroup
+        Two tendons or more.
     dt : float
         Time since the last sample [s].
     """
-    a, b = tendon_a.average, tendon_b.average
-    wound = a.displacement + b.displacement
-    least_a = compute_elongation_min(tendon_a.compliance, a.tension)
-    least_b = compute_elongation_min(tendon_b.compliance, b.tension)
-    largest_a = compute_elongation_max(tendon_a.compliance, a.tension)
-    largest_b = compute_elongation_max(tendon_b.compliance, b.tension)
-    joint_travel = 0.5 * abs(a.displacement - b.displacement)
-    unsure = config.misfit_share * (least_a + least_b + joint_travel)
-    unsure += config.lag * (abs(a.speed) + abs(b.speed))
-    low = wound - largest_a - largest_b - unsure
-    taut = min(a.tension, b.tension) > config.slack
-    high = wound - least_a - least_b + unsure if taut else inf
+    wound, taut, of_all = 0.0, True, 0.0
+    for n in range(group.count):
+        average = tendons[group.tendon[n]].average
+        wound += group.balance[n] * average.displacement
+        of_all += group.balance[n]
+        taut = taut and average.tension > config.slack
+    least, largest, unsure = 0.0, 0.0, 0.0
+    longest_slack, tightest, stretch_max = group.tendon[0], -1, -inf
+    for n in range(group.count):
+        i, t = group.tendon[n], group.balance[n]
+        average, compliance = tendons[i].average, tendons[i].compliance
+        stretch = t * compute_elongation_min(compliance, average.tension)
+        least += stretch
+        largest += t * compute_elongation_max(compliance, average.tension)
+        joint_travel = 0.5 * t * abs(average.displacement - wound / of_all)
+        unsure += config.misfit_share * (stretch + joint_travel)
+        unsure += config.lag * t * abs(average.speed)
+        if is_slack_longer(tendons[i].slack, tendons[longest_slack].slack):
+            longest_slack = i
+        if stretch > stretch_max:
+            tightest, stretch_max = i, stretch
+    low = wound - largest - unsure
+    high = wound - least + unsure if taut else inf
     is_above = low > winding.high + config.misfit and not taut
     is_below = high < winding.low - config.misfit
     winding.above = winding.above + dt if is_above else 0.0
@@ -185,7 +203,7 @@ def check_winding(
         winding.low = max(winding.low - INTERVAL_GROWTH * dt, low)
         winding.high = min(winding.high + INTERVAL_GROWTH * dt, high)
     if winding.above >= MISFIT_TIME:
-        return Reason.TENDON_BROKEN, int(is_slack_longer(tendon_b.slack, tendon_a.slack))
+        return Reason.TENDON_BROKEN, longest_slack
     if winding.below >= MISFIT_TIME:
-        return Reason.TENDON_JAMMED, int(least_b > least_a)
+        return Reason.TENDON_JAMMED, tightest
     return Reason.NONE, -1

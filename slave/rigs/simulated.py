@@ -10,7 +10,14 @@ import numpy as np
 
 from estimator.array_types import Array
 from slave.rig import RigFault, RigSample, number_joint_tendons
-from slave.simulation.arm import ArmPlantConfig, advance_arm, balance_springs, build_arm, init_arm
+from slave.simulation.arm import (
+    Arm,
+    ArmPlantConfig,
+    advance_arm,
+    balance_springs,
+    build_arm,
+    init_arm,
+)
 from slave.simulation.effects import EffectConfig
 from slave.simulation.effects.ends import AntagonistTension
 from slave.simulation.effects.schedule import JointSchedule, SampleSchedule, SensorSchedule
@@ -42,7 +49,7 @@ from slave.simulation.sensors import (
     measure,
 )
 from slave.simulation.tendon import SheathConfig, build_chain
-from teleop.config.arm import assemble_travel_ratios
+from teleop.config.arm import assemble_tendon_rows
 from teleop.messages.messages import MAX_JOINTS
 
 NOISE_STEPS = 16  # of which the noise is drawn at once
@@ -106,12 +113,23 @@ class SimulatedRigConfig:
         if not self.arms:
             return
         try:
-            assemble_travel_ratios(self.arms, len(self.joints))
+            self.list_pretensions()
         except ValueError as error:
             raise ValueError(f"arms: {error}") from error
         for i, joint in enumerate(self.joints):
             if joint.body.backlash > 0.0:
                 raise ValueError(f"joints.{i}.body.backlash: must be 0 on a rig with arms")
+
+    def list_pretensions(self) -> list[list[float]]:
+        """Return the tension of the tendons of each joint at the start [N]; `ValueError` of arms.
+
+        Tendons that balance in other than equal shares have at least that of the first of them.
+        """
+        joints = number_joint_tendons([len(joint.tendons) for joint in self.joints])
+        pulls = np.array([joint.body.pretension for joint in self.joints for _ in joint.tendons])
+        for members, balance in assemble_tendon_rows(self.arms, joints).groups:
+            pulls[members] = balance * pulls[members[0]]
+        return [pulls[list(tendons)].tolist() for tendons in joints]
 
 
 def validate_effects(effects: Sequence[EffectConfig], counts: Sequence[int]) -> None:
@@ -163,15 +181,12 @@ def remove_obstacles(config: SimulatedRigConfig) -> SimulatedRigConfig:
     )
 
 
-def build_joint(config: JointConfig) -> Joint:
-    """Return the plant of one joint."""
+def build_joint(config: JointConfig, pretensions: Sequence[float] = ()) -> Joint:
+    """Return the plant of one joint; `pretensions` [N] of its tendons are those of its body."""
+    pulls = pretensions or [config.body.pretension] * len(config.tendons)
     tendons = [
-        Tendon(
-            build_motor(tendon.motor, config.body.pretension),
-            Winding(),
-            build_chain(tendon.sheath, config.body.pretension),
-        )
-        for tendon in config.tendons
+        Tendon(build_motor(tendon.motor, pull), Winding(), build_chain(tendon.sheath, pull))
+        for tendon, pull in zip(config.tendons, pulls, strict=True)
     ]
     return Joint(
         tendons[0],
@@ -211,7 +226,8 @@ class SimulatedRig:
         # places of the tendons in an array of shape (joints, 2)
         self._places = np.flatnonzero([[True, len(tendons) == 2] for tendons in self.joints])
 
-        joints = [build_joint(joint) for joint in config.joints]
+        pulls = config.list_pretensions()
+        joints = list(map(build_joint, config.joints, pulls))
         self._configured = [joint.environment for joint in config.joints]  # at the ramps' ends
         self._environments = [joint.environment for joint in joints]  # of the plant
         self._ramps: dict[int, EnvironmentRamp] = {}  # by joint
@@ -223,11 +239,12 @@ class SimulatedRig:
             schedule.at(0.0, 0.0, start[: len(tendons)]) or joint
             for schedule, joint, tendons in zip(self._schedules, joints, self.joints, strict=True)
         ]
-        self._config_arms = config.arms
-        self._arm = build_arm(config.arms, len(joints)) if config.arms else None
+        self._arm = build_arm(config.arms, self.joints) if config.arms else None
         if self._arm is not None:
             self._arm_state = init_arm(self._arm)
-            joints = balance_springs(self._arm, joints)
+            pretensions = np.zeros_like(self._targets)
+            pretensions.flat[self._places] = [pull for row in pulls for pull in row]
+            joints = balance_springs(self._arm, joints, pretensions)
         self._joints = to_compiled_list(joints)
         replace_item(self._joints, 0, joints[0])  # compiles the functions for effects
         self._states = to_compiled_list([init_joint(joint, -config.period) for joint in joints])
@@ -301,27 +318,27 @@ class SimulatedRig:
         return np.array([state.travel for state in self._states])
 
     @property
-    def arm_tensions(self) -> Array:
-        """True tension of each tendon at each joint of arms [N], shape (joints, 2, joints)."""
-        return self._arm_state.tension.copy()
-
-    @property
     def joint_angles(self) -> Array:
         """True angle of each joint of arms [rad], shape (joints,)."""
-        radius = assemble_travel_ratios(self._config_arms, len(self.joints))[1]
-        return np.asarray(self.joint_travel / radius)
+        return np.asarray(self.joint_travel / self._get_arm().radius)
 
     @property
     def anchor_tensions(self) -> Array:
         """True tension of each tendon of arms where it ends [N], shape (tendons,)."""
-        last = [int(np.flatnonzero(row)[-1]) for row in self.travel_ratios]
-        ends = np.array([self._arm_state.tension[k, :, j] for k, j in enumerate(last)])
-        return ends.take(self._places)
+        ratio = self._get_arm().ratio.reshape(-1, len(self.joints))[self._places]
+        tension = self._arm_state.tension.reshape(-1, len(self.joints))[self._places]
+        last = [int(np.flatnonzero(row)[-1]) for row in ratio]
+        return np.asarray(tension[np.arange(len(last)), last])
 
     @property
-    def travel_ratios(self) -> Array:
-        """Travel of the tendons of joint k over that of joint j, shape (joints, joints)."""
-        return assemble_travel_ratios(self._config_arms, len(self.joints))[0]
+    def joint_forces(self) -> Array:
+        """True force of all tendons on each joint of arms [N], shape (joints,)."""
+        return np.asarray((self._get_arm().ratio * self._arm_state.tension).sum(axis=(0, 1)))
+
+    def _get_arm(self) -> Arm:
+        if self._arm is None:
+            raise ValueError("the rig has no arms")
+        return self._arm
 
     def _simulate(self, behind: int) -> None:
         """Advance the plant and its sensors by `steps` periods."""

@@ -1,12 +1,12 @@
 """Joints of an arm that share tendons: a tendon of a distal joint passes the joints before it.
 
 Joint j turns by theta_j; its travel is q_j = r_j theta_j with its own pulley radius r_j, so that
-the body and the environment of a coupled joint read as those of a single one. At the end of their
-sheaths the tendons of joint k travel by
+the body and the environment of a coupled joint read as those of a single one. At the end of its
+sheath a tendon travels towards the housing by
 
-    x_k = sum_j ratio_kj q_j,   ratio_kj = radii_kj / r_j
+    x_i = sum_j ratio_ij q_j,   ratio_ij = radii_ij / r_j
 
-tendon `a` towards the housing, `b` away from it.
+of tendons of a pair with either sign.
 
 Within the arm a tendon does not stretch. At each joint that it passes it goes round a pin on the
 link before it: two beads with Coulomb friction on what presses on them,
@@ -49,7 +49,12 @@ from slave.simulation.space_contacts import (
     weigh_links,
 )
 from slave.simulation.tendon import Chain
-from teleop.config.arm import LinkedArmConfig, assemble_bend_partners, assemble_travel_ratios
+from teleop.config.arm import (
+    LinkedArmConfig,
+    assemble_bend_partners,
+    assemble_tendon_rows,
+    find_guides,
+)
 
 STOP_STIFFNESS = 1e6  # [N/m] of end stops and of stuck joints, soft enough to be solved
 FORCE_TOLERANCE = 1e-9  # [N] of balance
@@ -75,7 +80,8 @@ class ArmPlantConfig(LinkedArmConfig):
 class Arm(NamedTuple):
     """An arm's constants, for n joints."""
 
-    ratio: Array  # shape (n, n): travel of the tendons of joint k over that of joint j
+    ratio: Array  # shape (n, 2, n): travel of tendons a and b of joint k over that of joint j
+    guides: NDArray[np.bool_]  # shape (n, 2, n): where these rub
     radius: Array  # [m] shape (n,)
     friction: Array  # mu of what passes a joint, shape (n,)
     wrap: Array  # [rad] shape (n,)
@@ -84,27 +90,36 @@ class Arm(NamedTuple):
     contacts: SpaceContacts
 
 
-def build_arm(configs: Sequence[ArmPlantConfig], joints: int) -> Arm:
-    """Return the arms that `configs` describe as one, of so many joints; may raise `UsageError`."""
-    ratio, radius = assemble_travel_ratios(configs, joints)
-    guides = np.zeros((3, joints))
+def build_arm(configs: Sequence[ArmPlantConfig], joints: Sequence[Sequence[int]]) -> Arm:
+    """Return the arms that `configs` describe as one, of a rig's joints; may raise `UsageError`."""
+    rows, n = assemble_tendon_rows(configs, joints), len(joints)
+    contact = np.zeros((3, n))
     first = 0
     for config in configs:
-        last = first + len(config.radii)
-        guides[0, first:last] = config.list_friction()
-        guides[1:, first:last] = [[config.wrap], [config.presliding]]
+        last = first + config.joints
+        contact[0, first:last] = config.list_friction()
+        contact[1:, first:last] = [[config.wrap], [config.presliding]]
         first = last
-    contacts = build_space_contacts([(config, config.contacts) for config in configs], radius)
-    partner = np.array(assemble_bend_partners(configs, joints))
-    return Arm(ratio, radius, guides[0], guides[1], guides[2], partner, contacts)
+    contacts = build_space_contacts([(config, config.contacts) for config in configs], rows.radius)
+    partner = assemble_bend_partners(configs, n)
+    ratio, guides = np.zeros((n, 2, n)), np.zeros((n, 2, n), dtype=np.bool_)
+    rubs = find_guides(rows.travel, partner)
+    for k, tendons in enumerate(joints):
+        ratio[k, : len(tendons)], guides[k, : len(tendons)] = (
+            rows.travel[list(tendons)],
+            rubs[list(tendons)],
+        )
+    return Arm(
+        ratio, guides, rows.radius, contact[0], contact[1], contact[2], np.array(partner), contacts
+    )
 
 
-def balance_springs(arm: Arm, joints: Sequence[Joint]) -> list[Joint]:
-    """Return the joints with springs that balance their single tendons at the start."""
-    pulls = np.array([0.0 if joint.pair else joint.a.chain.pretension for joint in joints])
+def balance_springs(arm: Arm, joints: Sequence[Joint], pretensions: Array) -> list[Joint]:
+    """Return the joints with springs that balance their tendons at the start, [N] shape (n, 2)."""
+    pulls = np.einsum("ksj,ks->j", arm.ratio, pretensions).round(9)
     return [
         joint._replace(body=joint.body._replace(pull_back=float(pull)))
-        for joint, pull in zip(joints, arm.ratio.T @ pulls, strict=True)
+        for joint, pull in zip(joints, pulls, strict=True)
     ]
 
 
@@ -120,16 +135,6 @@ def init_arm(arm: Arm) -> ArmState:
     """Return the state of an arm with all joints straight and no friction."""
     n = len(arm.radius)
     return ArmState(np.zeros((n, 2, n, 2)), np.zeros(n), np.zeros((n, 2, n)))
-
-
-@jit_compile
-def find_last_joint(arm: Arm, k: int) -> int:
-    """Return the joint at which the tendons of joint k end: the last one that they move."""
-    last = k
-    for j in range(len(arm.radius)):
-        if arm.ratio[k, j] != 0.0:
-            last = j
-    return last
 
 
 @jit_compile
@@ -150,7 +155,7 @@ def evaluate_curve(curve: Curve, place: float) -> tuple[float, float]:
 def transfer_through_arm(
     arm: Arm,
     k: int,
-    sign: float,
+    side: int,
     curve: Curve,
     friction: Array,
     loads: Array,
@@ -164,8 +169,8 @@ def transfer_through_arm(
 
     Parameters
     ----------
-    sign : float
-        1 for tendon `a`, -1 for `b`.
+    side : int
+        0 for tendon `a`, 1 for `b`.
     curve : Curve
         Response of the tendon at its sheath's end.
     friction, loads : array, shape (n, 2), (n,)
@@ -177,8 +182,7 @@ def transfer_through_arm(
     out_slope : array, shape (n, n)
         Of the tensions over the travels [N/m].
     """
-    n, last = len(travel), find_last_joint(arm, k)
-    ratio = sign * arm.ratio[k]
+    n, ratio = len(travel), arm.ratio[k, side]
     behind, place = 0.0, 0.0  # slip of the next bead in this step, and the sheath's end [m]
     for j in range(n):
         behind += ratio[j] * (travel[j] - start[j])
@@ -186,12 +190,13 @@ def transfer_through_arm(
     tension, slope = evaluate_curve(curve, place)
     slopes = slope * ratio
     out_tension[:], out_friction[:], out_slope[:] = 0.0, 0.0, 0.0
-    for j in range(last + 1):
+    for j in range(n):
         if ratio[j] == 0.0:
             continue
-        if j == last:
+        if not arm.guides[k, side, j]:
             out_tension[j] = tension
             copy_values(slopes, out_slope[j])
+            behind -= ratio[j] * (travel[j] - start[j])
             continue
         bend = abs(arm.wrap[j] - np.sign(ratio[j]) * start[j] / arm.radius[j])
         other = arm.partner[j]
@@ -277,11 +282,10 @@ def compute_residual(
                 out_slope[j, i] += slope * depth_slope[m, j] * depth_slope[m, i]
     for k in range(n):
         for side in range(2 if joints[k].pair else 1):
-            sign = 1.0 - 2.0 * side
             transfer_through_arm(
                 arm,
                 k,
-                sign,
+                side,
                 curves[2 * k + side],
                 before.beads[k, side],
                 before.tension[k, side],
@@ -292,9 +296,9 @@ def compute_residual(
                 one_slope,
             )
             for j in range(n):
-                out_residual[j] -= sign * arm.ratio[k, j] * after.tension[k, side, j]
+                out_residual[j] -= arm.ratio[k, side, j] * after.tension[k, side, j]
                 for i in range(n):
-                    out_slope[j, i] -= sign * arm.ratio[k, j] * one_slope[j, i]
+                    out_slope[j, i] -= arm.ratio[k, side, j] * one_slope[j, i]
 
 
 @jit_compile
@@ -390,9 +394,7 @@ def advance_arm(
         copy_values(after.tension.ravel(), arm_state.tension.ravel())
         for k in range(n):
             joint, state = joints[k], states[k]
-            place = 0.0
-            for j in range(n):
-                place += arm.ratio[k, j] * travel[j]
+            place = compute_end_travel(arm, k, 0, travel)
             a = _recover_tendon(
                 joint.a.chain, state.a, motors[2 * k], responses[2 * k], ends[k, 0], place, dt
             )
@@ -404,12 +406,21 @@ def advance_arm(
                     motors[2 * k + 1],
                     responses[2 * k + 1],
                     ends[k, 1],
-                    -place,
+                    compute_end_travel(arm, k, 1, travel),
                     dt,
                 )
             speed = (travel[k] - state.travel) / dt
             states[k] = JointState(a, b, travel[k], speed, place, state.time + dt)
-    return compute_arm_truth(joints, states)
+    return compute_arm_truth(arm, joints, states)
+
+
+@jit_compile
+def compute_end_travel(arm: Arm, k: int, side: int, travel: Array) -> float:
+    """Return the travel [m] of a tendon of joint k at the end of its sheath."""
+    place = 0.0
+    for j in range(len(travel)):
+        place += arm.ratio[k, side, j] * travel[j]
+    return place
 
 
 @jit_compile
@@ -428,12 +439,14 @@ def _recover_tendon(
 
 
 @jit_compile
-def compute_arm_truth(joints: list[Joint], states: list[JointState]) -> Array:
+def compute_arm_truth(arm: Arm, joints: list[Joint], states: list[JointState]) -> Array:
     """Return the true values of the sensors, shape (4, joints, 2); see `advance_arm`."""
-    channels = np.zeros((len(CHANNELS), len(joints), 2))
+    channels, travel = np.zeros((len(CHANNELS), len(joints), 2)), np.empty(len(joints))
+    for k in range(len(joints)):
+        travel[k] = states[k].travel
     for k in range(len(joints)):
         joint, state = joints[k], states[k]
         fill_truth(channels[:, k, 0], joint.a, state.a, state.pulley)
         if joint.pair:
-            fill_truth(channels[:, k, 1], joint.b, state.b, -state.pulley)
+            fill_truth(channels[:, k, 1], joint.b, state.b, compute_end_travel(arm, k, 1, travel))
     return channels

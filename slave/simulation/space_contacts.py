@@ -89,7 +89,7 @@ def build_space_contacts(
             first.append(joint)
             gravity.append(config.gravity)
         rows += [_to_row(len(prepared) - 1, surface) for surface in surfaces]
-        joint += len(config.radii)
+        joint += config.joints
     table = np.array(rows).reshape(-1, 12)
     firsts = np.array(first, np.float64)
     return SpaceContacts(np.concatenate(prepared), firsts, np.array(gravity), radius, table)

@@ -150,7 +150,7 @@ def follow(
             estimates.append(estimate)
         tendons = estimated(sample, estimates)
         if k == 0:
-            control.compute_joint_offsets(layout, tendons, offsets)
+            control.compute_offsets(layout, tendons, offsets)
         fault = fault_detection.step(detection, layout, detector, tendons, DT if k else 0.0)
         if fault[0] is not Reason.NONE and (not found or found[-1][1] != fault):
             found.append((time, fault))

@@ -3,8 +3,10 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from estimator.array_types import Array
 from estimator.kinematics.arm import Arm, ArmError, CurvedSection, Offset
@@ -14,6 +16,8 @@ from teleop.runtime.files import read_small_file
 
 RADIUS_MIN, RADIUS_MAX = 1e-4, 1.0  # [m]
 CONDITION_MAX = 1e4  # of the matrix of travels: beyond it joints cannot be told apart
+BALANCE_ERROR = 1e-3  # of tensions that balance, as radii are rounded
+PATTERN_MIN = 0.05  # of the tensions in balance, over the largest: beyond it one is all the others
 
 
 def load_arm(path: str | Path, *, tip: str, base: str | None = None) -> Arm:
@@ -45,11 +49,13 @@ def load_arm(path: str | Path, *, tip: str, base: str | None = None) -> Arm:
 class RoutingConfig:
     """How tendons pass the joints of an arm.
 
-    Row k of `radii` belongs to the tendons of joint k, of one or of a pair; column j to joint j.
-    The tendons of joint k travel by the sum of radii[k][j] times the angle of joint j.
+    Column j of `radii` belongs to joint j. With as many rows, row k belongs to the tendons of joint
+    k, of one or of a pair, which travel by the sum of radii[k][j] times the angle of joint j. With
+    more rows, each belongs to one tendon, in the order of the rig's: n + 1 tendons for n joints, or
+    three for the two bends of a section; positive tensions must balance them.
     """
 
-    # [m] signed pulley radii; the diagonal is a joint's own pulley
+    # [m] signed pulley radii; of a square table the diagonal is a joint's own pulley
     radii: tuple[tuple[float, ...], ...] = ((0.005,),)
     # mu of tendons at the joints that they pass: one, or one a joint
     friction: float | tuple[float, ...] = 0.1
@@ -57,33 +63,49 @@ class RoutingConfig:
 
     def __post_init__(self) -> None:
         """Check the values; raises `ValueError`."""
-        if not self.radii or any(len(row) != len(self.radii) for row in self.radii):
-            raise ValueError("radii: must be square: a row and a column for each joint")
+        if not self.radii or any(len(row) != len(self.radii[0]) for row in self.radii):
+            raise ValueError("radii: must be a table, a column for each joint")
+        if not 0 < self.joints <= len(self.radii):
+            raise ValueError("radii: must have a row for each joint, or one for each tendon")
         radii = np.array(self.radii)
         if not (abs(radii) <= RADIUS_MAX).all():
             raise ValueError(f"radii: must be -{RADIUS_MAX:g} to {RADIUS_MAX:g} m")
-        own = abs(np.diag(radii))
+        own = self.pulleys
         if not (own >= RADIUS_MIN).all():
             raise ValueError(
                 f"radii: joint {own.argmin() + 1}: its own tendons must turn it, by a radius of at "
-                f"least {RADIUS_MIN:g} m (the diagonal)"
+                f"least {RADIUS_MIN:g} m{'' if self.has_tendon_rows else ' (the diagonal)'}"
             )
         if not np.linalg.cond(radii / own) <= CONDITION_MAX:
             raise ValueError("radii: these tendons do not determine all joints (singular matrix)")
+        if self.has_tendon_rows:
+            find_tendon_groups(radii)
         if not all(0.0 <= mu <= 1.0 for mu in self.list_friction()):
             raise ValueError("friction: must be 0 to 1")
-        if len(self.list_friction()) != len(self.radii):
-            raise ValueError(f"friction: must be one number, or {len(self.radii)}: one a joint")
+        if len(self.list_friction()) != self.joints:
+            raise ValueError(f"friction: must be one number, or {self.joints}: one a joint")
         if not 0.0 <= self.wrap <= 6.3:
             raise ValueError("wrap: must be 0 to 6.3 rad")
 
+    @property
+    def joints(self) -> int:
+        """Number of joints."""
+        return len(self.radii[0])
+
+    @property
+    def has_tendon_rows(self) -> bool:
+        """Whether each row of `radii` belongs to one tendon."""
+        return len(self.radii) > self.joints
+
+    @property
+    def pulleys(self) -> Array:
+        """Radius [m] by which travels of each joint count, shape (joints,)."""
+        size = abs(np.array(self.radii))
+        return size.max(axis=0) if self.has_tendon_rows else np.diag(size)
+
     def list_friction(self) -> tuple[float, ...]:
         """Return mu at each joint, where tendons of others pass it."""
-        return (
-            self.friction
-            if isinstance(self.friction, tuple)
-            else (self.friction,) * len(self.radii)
-        )
+        return self.friction if isinstance(self.friction, tuple) else (self.friction,) * self.joints
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,7 +130,7 @@ class BendingSectionConfig:
 class LinkedArmConfig(RoutingConfig):
     """An arm: its tendons and, to be moved in space, its kinematics.
 
-    The first coordinates of the kinematics are the first joints of `radii`; a joint behind them is
+    The coordinates of the kinematics are the first columns of `radii`; a joint behind them is
     a gripper's. Kinematics are read from a URDF file, or are sections of constant curvature.
     """
 
@@ -140,7 +162,7 @@ class LinkedArmConfig(RoutingConfig):
     @property
     def bend_partners(self) -> list[int]:
         """For each joint the other bend of the same curved section, -1 if there is none."""
-        partners = [-1] * len(self.radii)
+        partners = [-1] * self.joints
         for first in range(0, min(2 * len(self.sections), len(partners) - 1), 2):
             partners[first], partners[first + 1] = first + 1, first
         return partners
@@ -155,11 +177,11 @@ class LinkedArmConfig(RoutingConfig):
             )
         except ArmError as error:
             raise UsageError(f"arms: sections: {error}") from None
-        count, joints = len(arm.coordinates), len(self.radii)
+        count, joints = len(arm.coordinates), self.joints
         if joints not in (count, count + 1):
             raise UsageError(
-                f"arms: the kinematics have {count} coordinates, but radii have {joints} rows; "
-                "give a row for each coordinate, and one more if there is a gripper"
+                f"arms: the kinematics have {count} coordinates, but radii have {joints} columns; "
+                "give one for each coordinate, and one more if there is a gripper"
             )
         return arm
 
@@ -190,7 +212,7 @@ def find_space_joints(arms: Sequence[LinkedArmConfig]) -> tuple[tuple[int, int],
     for arm in arms:
         if arm.has_kinematics:
             found.append((first, len(arm.load_kinematics().coordinates)))
-        first += len(arm.radii)
+        first += arm.joints
     return tuple(found)
 
 
@@ -203,31 +225,103 @@ def assemble_bend_partners(arms: Sequence[LinkedArmConfig], joints: int) -> list
     return partners + [-1] * (joints - len(partners))
 
 
-def assemble_travel_ratios(arms: Sequence[RoutingConfig], joints: int) -> tuple[Array, Array]:
-    """Return how the tendons of a rig's joints travel with its joints.
+class TendonRows(NamedTuple):
+    """How the tendons of a rig travel with its joints, each joint at its own pulley."""
+
+    travel: Array  # of a tendon over that of a joint, shape (tendons, joints)
+    inverse: Array  # of it, shape (joints, tendons)
+    radius: Array  # [m] of the joints' own pulleys, shape (joints,); 1 for joints of no arm
+    groups: list[tuple[list[int], Array]]  # see `find_tendon_groups`; a single tendon is one, too
+
+
+def assemble_tendon_rows(
+    arms: Sequence[RoutingConfig], joints: Sequence[Sequence[int]]
+) -> TendonRows:
+    """Return how the tendons of a rig travel.
 
     The arms have the first of the `joints`, one arm after another; the others have tendons of
     their own.
 
-    Returns
-    -------
-    ratio : array, shape (joints, joints)
-        Travel of the tendons of joint k over the travel of joint j, each at its own pulley.
-    radius : array, shape (joints,)
-        Of the joints' own pulleys [m]; 1 for joints of no arm.
+    Raises
+    ------
+    ValueError
+        The arms have more joints than there are, or more tendons than these.
+    """
+    n, count = len(joints), sum(arm.joints for arm in arms)
+    if count > n:
+        raise ValueError(f"radii for {count} joints, but the rig has {n}")
+    tendons = sum(map(len, joints))
+    travel, inverse, radius = np.zeros((tendons, n)), np.zeros((n, tendons)), np.ones(n)
+    groups: list[tuple[list[int], Array]] = []
+    single = RoutingConfig(((1.0,),))
+    first = 0
+    for arm in [*arms, *[single] * (n - count)]:
+        part = slice(first, first + arm.joints)
+        first, radius[part] = part.stop, arm.pulleys
+        table, own = np.array(arm.radii) / radius[part], [list(row) for row in joints[part]]
+        if arm.has_tendon_rows:
+            moved = [tendon for row in own for tendon in row]
+            if len(moved) != len(table):
+                raise ValueError(
+                    f"{len(table)} rows of radii, but its joints have {len(moved)} tendons"
+                )
+            travel[moved, part], inverse[part, moved] = table, np.linalg.pinv(table).round(12)
+            groups += [([moved[i] for i in row], t) for row, t in find_tendon_groups(table)]
+            continue
+        for row, column, row_tendons in zip(table, np.linalg.inv(table).T, own, strict=True):
+            for sign, tendon in zip((1.0, -1.0), row_tendons, strict=False):
+                travel[tendon, part] = sign * row
+                inverse[part, tendon] = sign * column / len(row_tendons)
+            groups.append((row_tendons, np.ones(len(row_tendons))))
+    return TendonRows(travel, inverse, radius, groups)
+
+
+def find_tendon_groups(travel: Array) -> list[tuple[list[int], Array]]:
+    """Return the groups of tendons that balance, and the tensions in balance over their least.
+
+    A group is n + 1 tendons of n joints, or three of a curved section. Their tips travel by
+    sum t_i x_i = const.
+
+    Parameters
+    ----------
+    travel : array, shape (tendons, joints)
 
     Raises
     ------
     ValueError
-        The arms have more joints than there are.
+        Tendons do not fall into such groups; the message names one.
     """
-    count = sum(len(arm.radii) for arm in arms)
-    if count > joints:
-        raise ValueError(f"{count} rows of radii, but the rig has {joints} joints")
-    ratio, radius, first = np.eye(joints), np.ones(joints), 0
-    for arm in arms:
-        part = slice(first, first + len(arm.radii))
-        radius[part] = abs(np.diag(arm.radii))
-        ratio[part, part] = np.array(arm.radii) / radius[part]
-        first = part.stop
-    return ratio, radius
+    balanced = np.eye(len(travel)) - travel @ np.linalg.pinv(travel)
+    groups: list[tuple[list[int], Array]] = []
+    for i, row in enumerate(balanced):
+        members = np.flatnonzero(abs(row) > BALANCE_ERROR)
+        if any(i in group for group, _ in groups):
+            continue
+        misfit = abs(balanced[members] * row[i] - np.outer(row[members], row)).max(initial=0.0)
+        if not (
+            misfit < BALANCE_ERROR
+            and len(members) > 1
+            and row[members].min() > PATTERN_MIN * row.max()
+        ):
+            raise ValueError(
+                f"radii: row {i + 1}: there must be one ratio of positive tensions in which this "
+                "tendon and others balance; give n + 1 tendons for n joints, or three a section"
+            )
+        groups.append((members.tolist(), row[members] / row[members].min()))
+    return groups
+
+
+def find_guides(travel: Array, partners: Sequence[int]) -> NDArray[np.bool_]:
+    """Return which tendons rub at which joints: those that they pass, shape (tendons, joints).
+
+    A tendon ends at the last joint that it moves. A curved section, whose other bend is in
+    `partners`, counts once.
+    """
+    moves, partner = travel != 0.0, np.array(partners)
+    last = [int(np.flatnonzero(row)[-1]) for row in moves]
+    guides: NDArray[np.bool_] = moves.copy()
+    for tendon, end in enumerate(last):
+        for j in np.flatnonzero(moves[tendon]):
+            counted = 0 <= partner[j] < j and moves[tendon, partner[j]]
+            guides[tendon, j] = end not in (j, partner[j]) and not counted
+    return guides

@@ -109,7 +109,7 @@ def load_ros_arms(document: ConfigDocument, configs: Sequence[ArmConfig]) -> tup
         if first in spaces:
             prefix = f"arm_{number}/" if len(configs) > 1 else ""
             arms.append(_name_arm(spaces[first], config, prefix))
-        first += len(config.radii)
+        first += config.joints
     return tuple(arms)
 
 

@@ -218,8 +218,8 @@ def load_arms(document: ConfigDocument, configs: Sequence[ArmConfig]) -> tuple[S
                 )
             else:
                 hand = hands[number] if number < len(hands) else None
-                arms.append(build_space_arm(arm, first, abs(np.diag(config.radii)), hand))
-        first += len(config.radii)
+                arms.append(build_space_arm(arm, first, config.pulleys, hand))
+        first += config.joints
     return tuple(arms)
 
 

@@ -14,8 +14,9 @@ from estimator.online.tendon_estimate import Status
 from estimator.records import to_struct, view_struct
 from slave import control
 from slave.control import ControlConfig, ControllerState, JointEstimate
-from slave.control.joint import fuse_travel
+from slave.control.joint import fuse_travels
 from slave.tendons import EstimatedTendon, build_rig_layout
+from teleop.config.arm import RoutingConfig
 from teleop.messages.messages import MAX_JOINTS, MAX_TENDONS
 
 CONFIG = ControlConfig(lead=0.010)
@@ -23,6 +24,7 @@ DT = 0.001
 REACH = CONFIG.speed_max * DT
 PAIR, ALONE = ((0, 1),), ((0,),)
 UNWRITTEN = 7.0
+NO_ARM = np.full((3, MAX_JOINTS), np.nan)
 
 metres = st.floats(-0.1, 0.1)
 newtons = st.floats(0.0, 40.0)
@@ -32,8 +34,8 @@ record_of = cache(to_struct)
 
 
 @cache
-def layout_of(joints):
-    return view_struct(build_rig_layout(joints))
+def layout_of(joints, arms=()):
+    return view_struct(build_rig_layout(joints, arms))
 
 
 def tendon(tension=5.0, displacement=0.0, elongation=5e-4, status=Status.OK, force=(2.0, 1.0, 3.0)):
@@ -64,11 +66,11 @@ def padded(values, length, filler=math.nan):
     return np.array([*values, *[filler] * (length - len(values))])
 
 
-def step(config, joints, memory, command, motor, tendons, engaged, dt, velocity=()):
+def step(config, joints, memory, command, motor, tendons, engaged, dt, velocity=(), arms=()):
     """Return the motor positions wanted; `memory` is changed."""
     wanted = np.full(MAX_TENDONS, UNWRITTEN)
     control.step(
-        record_of(config), layout_of(joints), memory, padded(command, MAX_JOINTS),
+        record_of(config), layout_of(joints, arms), memory, padded(command, MAX_JOINTS),
         padded(velocity, MAX_JOINTS, filler=0.0), padded(motor, MAX_TENDONS), tendons_of(tendons),
         engaged, dt, wanted,
     )  # fmt: skip
@@ -78,15 +80,17 @@ def step(config, joints, memory, command, motor, tendons, engaged, dt, velocity=
 
 def joint_estimate(tendons, offset=0.0):
     """Return what is known of a joint of these tendons."""
-    estimate = JointEstimate.new()
-    joint = layout_of((tuple(range(len(tendons))),)).joint[0]
-    control.estimate_joint(joint, tendons_of(tendons), offset, estimate)
-    return estimate
+    estimates, offsets = JointEstimate.array(MAX_JOINTS), np.full(MAX_TENDONS, offset)
+    layout = layout_of((tuple(range(len(tendons))),))
+    control.estimate_joints(layout, tendons_of(tendons), offsets, NO_ARM, estimates)
+    return view_struct(estimates)
 
 
 def offset(tendons):
-    joint = layout_of((tuple(range(len(tendons))),)).joint[0]
-    return control.compute_offset(joint, tendons_of(tendons))
+    offsets = np.full(MAX_TENDONS, UNWRITTEN)
+    layout = layout_of((tuple(range(len(tendons))),))
+    assert control.compute_offsets(layout, tendons_of(tendons), offsets)
+    return offsets[0]
 
 
 def slack_side(displacement=0.0, tension=CONFIG.slack_side_tension):
@@ -134,7 +138,7 @@ def test_not_engaged_the_motors_stay_and_what_was_remembered_is_forgotten():
     _, anew = engaged(again, 0.7, motor=start)
     assert memory.engaged
     assert anew.engaged
-    assert memory.joint[0].tobytes() == anew.joint[0].tobytes()
+    assert memory.tendon[:2].tobytes() == anew.tendon[:2].tobytes()
 
 
 @given(travel=st.floats(-0.9 * REACH, 0.9 * REACH))
@@ -266,6 +270,58 @@ def test_two_tendons_that_were_tight_when_the_joint_engaged_do_not_go_on_fightin
     assert abs(travel) < 5e-5
 
 
+ARMS = (RoutingConfig(((6e-3, 0.0), (-3e-3, 5e-3), (-4e-3, -7e-3))),)  # three for two joints
+OF_ARM = ((0, 1), (2,))
+
+
+@pytest.mark.parametrize("asked", [(0.0, 0.0), (2e-3, -1e-3)])
+def test_three_tendons_of_two_joints_move_them_without_fighting(asked):
+    """The plant: tendons of 1e-4 m/N on joints that nothing holds, tight as they engage."""
+    rows, compliance = np.array(layout_of(OF_ARM, ARMS).travel[:3, :2]), 1e-4
+    balance = np.array(layout_of(OF_ARM, ARMS).group[0].balance[:3])
+    assert rows.T @ balance == pytest.approx(0.0, abs=1e-12)
+    motor, memory = np.zeros(3), ControllerState.new()
+    for k in range(4000):
+        travel = np.linalg.lstsq(rows, motor)[0]
+        e = motor - rows @ travel + 5.0 * compliance * balance
+        seen = [tendon(T / compliance, m, T) for T, m in zip(e, motor, strict=True)]
+        command = np.array(asked) * min(k / 1000.0, 1.0)
+        motor = np.array(step(CONFIG, OF_ARM, memory, command, motor, seen, True, DT, (), ARMS))
+        assert k > 0 or not motor.any()
+    assert travel == pytest.approx(asked, abs=1e-4)
+    least = min(e) / compliance
+    assert abs(least - CONFIG.slack_side_tension) < CONFIG.slack_side_band + 0.1
+
+
+def test_a_common_motion_of_three_slack_tendons_dies_down():
+    """It is not the joints', so nobody follows it: else each would follow the two others."""
+    balance = np.array(layout_of(OF_ARM, ARMS).group[0].balance[:3])
+    seen, memory = [slack_side()] * 3, ControllerState.new()
+    start = step(CONFIG, OF_ARM, memory, (0.0, 0.0), (0.0,) * 3, seen, True, DT, (), ARMS)
+    moved = np.array(start) + 1e-5 * balance
+    wanted = step(CONFIG, OF_ARM, memory, (0.0, 0.0), moved, seen, True, DT, (), ARMS)
+    assert wanted - moved == pytest.approx(-0.5e-5 * balance, abs=1e-9)
+
+
+@given(
+    measured=st.lists(metres, min_size=3, max_size=3),
+    e=st.lists(st.floats(0.0, 5e-3), min_size=3, max_size=3),
+)
+def test_travels_of_three_tendons_are_fused_by_least_squares(measured, e):
+    layout = layout_of(OF_ARM, ARMS)
+    tendons = tendons_of([tendon(elongation=x) for x in e])
+    fused, root = np.array(measured), 1.0 / (1e-5 + np.array(e))  # of the weights
+    fuse_travels(layout.group[0], tendons, fused)
+    rows = np.array(layout.travel[:3, :2])
+    travel = np.linalg.lstsq(root[:, None] * rows, root * measured)[0]
+    assert fused == pytest.approx(rows @ travel, abs=1e-9)
+    refused = tendons_of([tendon(), tendon(status=Status.INVALID_INPUT), tendon()])
+    fused = np.array([measured[0], math.nan, measured[2]])
+    fuse_travels(layout.group[0], refused, fused)
+    assert fused[[0, 2]].tolist() == [measured[0], measured[2]]
+    assert np.array(layout.group[0].balance[:3]) @ fused == pytest.approx(0.0, abs=1e-9)
+
+
 anything = st.floats(allow_nan=True, allow_infinity=True)
 seen_of_anything = st.builds(
     tendon, anything, anything, st.floats(-1e3, 1e3), st.sampled_from(Status)
@@ -333,36 +389,35 @@ def test_nothing_of_one_joint_leaks_into_another():
         memory, motor = ControllerState.new(), (0.0, 0.0, 0.01)
         step(CONFIG, joints, memory, (0.0, 0.0), motor, (tendon(), slack_side(), other), True, DT)
         wanted = step(CONFIG, joints, memory, (1e-5, -0.1), motor, (*news, other), True, DT)
-        results.append((wanted[:2], memory.joint[0].tobytes()))
+        results.append((wanted[:2], memory.tendon[:2].tobytes()))
     assert results[0] == results[1] == results[2]
     memory = ControllerState.new()
     step(CONFIG, PAIR, memory, (0.0,), (0.0, 0.0), (tendon(), slack_side()), True, DT)
     wanted = step(CONFIG, PAIR, memory, (1e-5,), (0.0, 0.0), news, True, DT)
-    assert (wanted, memory.joint[0].tobytes()) == results[0]
+    assert (wanted, memory.tendon[:2].tobytes()) == results[0]
 
 
 def test_every_joint_of_a_rig_is_estimated_from_its_own_tendons_with_its_own_offset():
     joints = (2,), (3, 0), (1, 4)
-    layout, offsets = layout_of(joints), np.array([0.0, 1e-4, -2e-4])
+    layout, offsets = layout_of(joints), np.array([1e-4, -2e-4, 0.0, 1e-4, -2e-4])
     tendons = [tendon(5.0 + k, 1e-3 * k, 1e-4 * (k + 1), force=(k, -k, 9.0)) for k in range(5)]
-    estimates, no_arm = JointEstimate.array(MAX_JOINTS), np.full((3, MAX_JOINTS), np.nan)
-    control.estimate_joints(layout, tendons_of(tendons), offsets, no_arm, estimates)
+    estimates = JointEstimate.array(MAX_JOINTS)
+    control.estimate_joints(layout, tendons_of(tendons), offsets, NO_ARM, estimates)
     for k, joint in enumerate(joints):
-        alone = joint_estimate([tendons[i] for i in joint], offsets[k])
+        alone = joint_estimate([tendons[i] for i in joint], offsets[joint[0]])
         assert estimates[k].tolist() == alone.tolist()
     assert np.isnan(estimates["force"][len(joints) :]).all()
 
 
 def test_offsets_are_taken_of_all_joints_or_of_none():
     layout, known = layout_of(((0, 1), (2,))), [tendon(5.0, 1e-3), tendon(5.0, 3e-3), tendon()]
-    offsets = np.full(MAX_JOINTS, UNWRITTEN)
+    offsets = np.full(MAX_TENDONS, UNWRITTEN)
     refused = tendon(status=Status.INVALID_INPUT)
-    assert not control.compute_joint_offsets(
-        layout, tendons_of([*known[:1], refused, tendon()]), offsets
-    )
+    refusing = tendons_of([*known[:1], refused, tendon()])
+    assert not control.compute_offsets(layout, refusing, offsets)
     assert (offsets == UNWRITTEN).all()
-    assert control.compute_joint_offsets(layout, tendons_of(known), offsets)
-    assert offsets[:2].tolist() == [offset(known[:2]), 0.0]
+    assert control.compute_offsets(layout, tendons_of(known), offsets)
+    assert offsets[:3].tolist() == [offset(known[:2])] * 2 + [0.0]
 
 
 @given(st.floats(), st.floats(), st.floats(0.0, 1.0), st.floats(0.0, 1.0))
@@ -370,9 +425,11 @@ def test_a_fused_travel_lies_between_what_the_tendons_say(x, y, T_a, T_b):
     if not (math.isfinite(x) and math.isfinite(y) and abs(x) < 1e300 and abs(y) < 1e300):
         return
     tendons = tendons_of([tendon(T_a, elongation=1e-3), tendon(T_b, elongation=1e-4)])
-    travel = fuse_travel(layout_of(PAIR).joint[0], tendons, x, y)
+    travel = np.array([x, -y])
+    fuse_travels(layout_of(PAIR).group[0], tendons, travel)
     margin = 1e-12 * max(abs(x), abs(y))
-    assert min(x, y) - margin <= travel <= max(x, y) + margin
+    assert min(x, y) - margin <= travel[0] <= max(x, y) + margin
+    assert travel.sum() == pytest.approx(0.0, abs=margin)
 
 
 def test_settings_that_cannot_be_are_refused():

@@ -307,7 +307,7 @@ def test_in_an_arm_the_reach_of_a_tendon_ends_where_the_first_joint_does(seed, t
     joints["position"][:3] = travel
     joints["force"][:3] = 0.0
     gate.compute_reaches(record_of(config), layout, joints, reaches)
-    ratio = np.array(layout.ratio[:3, :3])
+    ratio = np.array(layout.travel[:6:2, :3])
     for tendon in range(6):
         pulled = np.zeros(3)
         pulled[tendon // 2] = reaches["ahead"][tendon] * (1.0 - 2.0 * (tendon % 2))

@@ -11,7 +11,7 @@ from slave.simulation.space_contacts import locate_surfaces, press_surface
 from teleop.config.loading import load
 from teleop.coupling import PassivityConfig
 from teleop.session.config import RunConfig
-from teleop.session.state_machine import State
+from teleop.session.state_machine import Reason, State
 from tests.root import ROOT
 from tests.tick.session import Session
 
@@ -36,13 +36,12 @@ def record():
             travel = np.array([state.travel for state in rig._states])
             depth, _ = locate_surfaces(rig._arm.contacts, travel)
             surface = rig._arm.contacts.surfaces[0]
-            a, b = rig._arm_state.tension.transpose(1, 0, 2)
             rows["travel"].append(travel)
             rows["hand"].append([x for x, _ in session.master._device._hands])
             rows["felt"].append(np.array(session.master._force[:4]))
             rows["tip"].append(compute_tip_pose(arm, travel[:3] / radius[:3])[:3, 3])
             rows["pressed"].append(press_surface(surface, depth[0], depth[0], 1e-3)[0])
-            rows["true"].append((rig._arm.ratio * (a - b)).sum(axis=0))
+            rows["true"].append(rig.joint_forces)
             for name in ("force", "low", "high"):
                 rows[name].append([getattr(memory.joints[k], name) for k in range(4)])
             rows["engaged"].append(int(session.master.memory.session.state) == State.ENGAGED)
@@ -83,6 +82,60 @@ def test_the_force_stays_within_the_limits_of_the_hand(record):
     assert np.abs(record["felt"]).max() <= 2.5 + 1e-9
     grown = np.diff(np.abs(record["felt"]), axis=0)
     assert grown.max() <= 150.0 * 1e-3 * 1.5  # [N] a tick may last a little longer
+
+
+BREAKS_S = 3.1  # the third tendon, after a rest
+THREE = (
+    *("master.device.reference.reach=0.4", "master.device.reference.rest=0.1"),
+    f"slave.rig.effects=[{{type: broken_tendon, joint: 2, start: {BREAKS_S}}}]",
+)
+
+
+@pytest.fixture(scope="module")
+def three_tendons():
+    """What happens in each tick with three tendons a section, until one breaks; and the fault."""
+    rows = []
+    with ExitStack() as stack:
+        session = Session(stack, THREE, file=ROOT / "configs" / "endoscope-three-tendons.yaml")
+        rig, memory = session.slave._rig, session.slave.memory
+        for tick in range(round(1000 * (BREAKS_S + 0.4))):
+            session.tick()
+            if memory.detected_fault:
+                break
+            if session.master.memory.session.state == State.ENGAGED:
+                joints = [memory.joints[k] for k in range(4)]
+                forces = [[getattr(j, name) for j in joints] for name in ("force", "low", "high")]
+                travel = [joint.position for joint in joints], rig.joint_travel
+                tension = [memory.tendons[i].tension for i in range(6)]
+                rows.append((tick, rig.joint_forces, *forces, *travel, tension))
+        fault = memory.detected_fault, memory.faulty_tendon, 1e-3 * tick - BREAKS_S
+    return [np.array(column) for column in zip(*rows, strict=True)], fault
+
+
+def test_forces_on_bends_of_three_tendons_are_inside_their_intervals(three_tendons):
+    tick, true, force, low, high, travel, there, _ = three_tendons[0]
+    known = (tick > 600) & (tick < 1000 * BREAKS_S)
+    assert known.sum() > 1500
+    assert ((low <= true) & (true <= high))[known].mean() > 0.999
+    assert np.abs(true)[known].max() > 1.5  # [N]
+    assert np.abs(force - true)[known].mean() < 0.5
+    assert np.abs(travel - there)[known].max() < 2e-4  # [m]
+    assert np.ptp(there[known], axis=0).min() > 5e-4
+
+
+def test_three_tendons_stay_taut_and_do_not_fight(three_tendons):
+    tick, *_, tension = three_tendons[0]
+    least = tension.reshape(-1, 2, 3).min(axis=2)  # [N] at the housing; 0.3 are wanted
+    engaged = (tick > 1000) & (tick < 1000 * BREAKS_S - 5)
+    assert least[engaged].min() > 0.05
+    assert np.median(least[engaged]) < 0.6
+    assert least[engaged & (tick > 2750)].max() < 0.6  # at rest
+
+
+def test_a_broken_tendon_of_three_is_found(three_tendons):
+    reason, tendon, after = three_tendons[1]
+    assert (reason, tendon) == (Reason.TENDON_BROKEN, 2)
+    assert 0.0 < after < 0.3  # [s]
 
 
 TENDONS = [f"slave.rig.joints.{k}.tendons.{side}" for k in range(4) for side in (0, 1)]

@@ -226,7 +226,7 @@ def test_interrupted_it_lowers_the_tensions_of_held_joints_too():
     with pytest.raises(CalibrationInterrupted, match="SIGINT"):
         calibrated(
             rig, but(SHORT, stretch_time=0.1), rate_hz=RATE, stopped=stopped, progress=rig.follow,
-            ratio=rig.rig.travel_ratios,
+            ratio=rig.rig._arm.ratio[:, 0],
         )  # fmt: skip
     assert (rig.seen[-1].proximal_tension < 1.5).all()
     assert np.ptp(np.array(rig.written[-10:]), axis=0).max() == 0.0

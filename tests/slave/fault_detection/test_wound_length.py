@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from estimator.law.sheath import Sheath
-from estimator.records import to_struct
+from estimator.records import to_struct, view_struct
 from slave.fault_detection import FaultDetectionConfig
 from slave.fault_detection.wound_length import (
     CheckedTendon,
@@ -20,6 +20,7 @@ from slave.fault_detection.wound_length import (
     compute_elongation_max,
     compute_elongation_min,
 )
+from slave.tendons import build_rig_layout
 from studies.testbed.control_bench import DT
 from teleop.session.state_machine import Reason
 
@@ -38,8 +39,15 @@ def most(tension):
     return compute_elongation_max(STRETCH, tension)
 
 
-def tendon():
-    return CheckedTendon.new(compliance=STRETCH)
+PAIR = view_struct(build_rig_layout(((0, 1),))).group[0]
+
+
+def tendons_of_a_pair():
+    """Return their records and a view of each."""
+    pair = CheckedTendon.array(2)
+    a, b = view_struct(pair, 0), view_struct(pair, 1)
+    a.compliance = b.compliance = STRETCH
+    return pair, (a, b)
 
 
 def set_average(tendon, tension, displacement, speed=0.0):
@@ -49,13 +57,13 @@ def set_average(tendon, tension, displacement, speed=0.0):
 
 def wound(path, dt=DT):
     """Return what is found on a path of (T_a, T_b, q_a, q_b): (reason, which of the two)."""
-    winding, pair, found, before = WindingCheck.new(), (tendon(), tendon()), [], (0.0, 0.0)
+    winding, (pair, each), found, before = WindingCheck.new(), tendons_of_a_pair(), [], (0.0, 0.0)
     for *tension, q_a, q_b in path:
-        for one, T, was, q in zip(pair, tension, before, (q_a, q_b), strict=True):
+        for one, T, was, q in zip(each, tension, before, (q_a, q_b), strict=True):
             set_average(one, T, q)
             check_slack(CONFIG, one.slack, T, was, q_a + q_b, dt)
         before = tension
-        found.append(check_winding(CONFIG, winding, *pair, dt))
+        found.append(check_winding(CONFIG, winding, pair, PAIR, dt))
     return found
 
 
@@ -175,13 +183,14 @@ def test_a_load_cell_that_lags_is_no_fault_however_fast_the_motor():
     speed, late = 0.05, 10
     stretch = np.maximum(least(20.0) - speed * DT * np.arange(41), least(0.3))
     tension = stretch / STRETCH.pull
-    winding, late_one, other = WindingCheck.new(), tendon(), tendon()
+    winding, (pair, (late_one, other)) = WindingCheck.new(), tendons_of_a_pair()
     for k in range(-20, 41):
         now, then = max(k, 0), max(k - late, 0)
         set_average(late_one, tension[then], stretch[now], -speed if k > 0 else 0.0)
         set_average(other, 0.3, least(0.3))
         if k == -20:  # it began loose
-            loose = tendon()
-            set_average(loose, 0.3, least(0.3))
-            check_winding(CONFIG, winding, loose, loose, DT)
-        assert check_winding(CONFIG, winding, late_one, other, DT) == HEALTHY
+            loose, each = tendons_of_a_pair()
+            for one in each:
+                set_average(one, 0.3, least(0.3))
+            check_winding(CONFIG, winding, loose, PAIR, DT)
+        assert check_winding(CONFIG, winding, pair, PAIR, DT) == HEALTHY

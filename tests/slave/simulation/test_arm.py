@@ -71,17 +71,15 @@ def test_joints_that_share_no_tendon_move_as_joints_of_no_arm():
 def test_tendons_that_pass_a_joint_travel_with_it_and_load_it():
     """What drives each joint, summed over all tendons, balances the walls that they press."""
     rig = build_rig(friction=0.0, environment=WallConfig(position=0.001, stiffness=5000.0))
-    ratio = rig._arm.ratio
+    ratio = rig._arm.ratio[:, 0]
     wanted = np.array([0.002, -0.003, 0.005])
     truth = run(rig, 1.5, lambda time: wind(ratio @ wanted * min(time, 1.0)))
     q = np.array([state.travel for state in rig._states])
     assert truth[-1, 3, ::2] == pytest.approx(ratio @ q, abs=1e-12)
     assert np.sign(q).tolist() == [1.0, -1.0, 1.0]
-    tension = rig._arm_state.tension  # of each tendon at each joint
-    driving = np.einsum("kj,kj->j", ratio, tension[:, 0] - tension[:, 1])
     pressed = np.maximum(q - 0.001, 0.0) * 5000.0
     assert pressed.max() > 1.0
-    assert driving == pytest.approx(pressed, abs=0.11)  # the joints' own friction
+    assert rig.joint_forces == pytest.approx(pressed, abs=0.11)  # the joints' own friction
 
 
 @pytest.mark.parametrize("friction", [0.0, 0.2])
@@ -107,7 +105,7 @@ def test_single_tendons_balance_their_springs_at_the_start():
 
 def test_joints_end_at_their_stops():
     rig = build_rig()
-    ratio = rig._arm.ratio
+    ratio = rig._arm.ratio[:, 0]
     run(rig, 1.0, lambda time: wind(0.009 * min(time, 1.0) * ratio @ np.ones(3)))
     q = np.array([state.travel for state in rig._states])
     assert (q < 0.008 + 1e-4).all()
@@ -149,8 +147,7 @@ def test_tendons_hold_the_weight_of_the_links(tmp_path):
     kinematics = {"urdf": write_heavy_urdf(tmp_path), "tip": "tip", "gravity": (0.0, -9.81, 2.0)}
     rig = build_rig(body=body, friction=0.0, **kinematics)
     run(rig, 1.0, lambda _: np.zeros(6))
-    tension, ratio = rig._arm_state.tension, rig._arm.ratio
-    driving = np.einsum("kj,kj->j", ratio, tension[:, 0] - tension[:, 1])
+    driving = rig.joint_forces
     weight = weigh_links(rig._arm.contacts, rig.joint_travel)
     assert np.abs(weight).max() > 5.0  # [N] at the pulley
     assert driving == pytest.approx(-weight, abs=0.02)
@@ -161,7 +158,10 @@ def test_tendons_hold_the_weight_of_the_links(tmp_path):
 @pytest.mark.parametrize(
     ("radii", "text"),
     [
-        (((R, 0.0),), "radii: must be square"),
+        (((R, 0.0),), "radii: must have a row for each joint"),
+        (((R, 0.0), (R,)), "radii: must be a table"),
+        (((R, 0.0), (0.0, R), (R, R)), "radii: row 1: there must be one ratio of positive"),
+        (((R, 0.0), (-R, 0.0), (0.0, R)), "radii: row 3: there must be one ratio"),
         (((0.0, R), (R, 0.0)), "joint 1: its own tendons must turn it"),
         (((R, R), (R, R)), "radii: these tendons do not determine all joints"),
         (((R, 2.0), (0.0, R)), "radii: must be -1 to 1 m"),
@@ -179,5 +179,5 @@ def test_friction_is_one_number_or_one_a_joint():
 
 
 def test_kinematics_of_another_arm_are_refused():
-    with pytest.raises(UsageError, match="3 coordinates, but radii have 5 rows"):
+    with pytest.raises(UsageError, match="3 coordinates, but radii have 5 columns"):
         ArmPlantConfig(radii=np.diag([R] * 5).tolist(), urdf=URDF, tip="tip").load_kinematics()
