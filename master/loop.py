@@ -208,7 +208,7 @@ def compute_force(
 
     total, local_forces = np.zeros(MAX_JOINTS), np.zeros(MAX_JOINTS)
     joint_force, felt = np.zeros(MAX_JOINTS), np.zeros(MAX_JOINTS)
-    weight = np.zeros(MAX_JOINTS)
+    weight, granted = np.zeros(MAX_JOINTS), np.zeros(MAX_JOINTS)
     coupling_adapter.render_force(
         settings.bilateral,
         memory.coupling,
@@ -246,7 +246,10 @@ def compute_force(
             weight[k] = settings.operator.weight[k] / velocity_map.lever[k]
             local_forces[k] += weight[k]
         total[k] = feedback.limit_slew(
-            settings.force.slew, memory.force[k], felt[k] + local_forces[k], dt
+            settings.force.slew,
+            memory.force[k],
+            settings.force_share[k] * felt[k] + local_forces[k],
+            dt,
         )
         total[k] = feedback.clamp(settings.force.limit, total[k])
     is_fading = state_machine.is_force_fading(memory.session)
@@ -257,8 +260,9 @@ def compute_force(
         out[k] = out[k] if k < axes else 0.0
         memory.force[k] = out[k]
         memory.local_force[k] = local_forces[k]
+        granted[k] = local_forces[k] + (out[k] - local_forces[k]) / settings.force_share[k]
     hand_map.store_joint_force(
-        velocity_map, out, local_forces, felt, joint_force, axes, joints, memory.joint_force
+        velocity_map, granted, local_forces, felt, joint_force, axes, joints, memory.joint_force
     )
     for k in range(axes):  # torques, where axes turn
         out[k] *= velocity_map.lever[k]

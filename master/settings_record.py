@@ -2,6 +2,7 @@
 
 from typing import Annotated
 
+from estimator.array_types import Array
 from estimator.records import (
     F64,
     Field,
@@ -12,10 +13,12 @@ from estimator.records import (
     view_struct,
 )
 from master.config import MasterConfig
+from master.devices.combined import CombinedConfig
 from master.feedback import FeedbackConfig
 from master.gate import GateConfig
 from master.operator import OperatorSettings, build_operator_settings
 from teleop.coupling import Bilateral, BilateralSettings, to_bilateral_settings
+from teleop.messages.messages import MAX_JOINTS
 
 
 class MasterSettings(Struct):
@@ -27,6 +30,8 @@ class MasterSettings(Struct):
     state_timeout: F64  # [s]
     delay_max: F64  # [s]
     bilateral: BilateralSettings
+    # of each axis: force of the tips on its device over that on the hand
+    force_share: Annotated[Array, Field("f8", MAX_JOINTS, fill=1.0)]
 
 
 class SettingsRecord:
@@ -47,6 +52,8 @@ class SettingsRecord:
         settings.gate = to_struct_array(config.gate)[0]
         settings.operator = build_operator_settings(config.operator)[0]
         settings.force = to_struct_array(config.force)[0]
+        if isinstance(config.device, CombinedConfig):
+            settings.force_share[: config.device.axis_count] = config.device.list_force_scales()
 
     def update(self, config: MasterConfig) -> StructArray:
         """Return the record of `config`, which may differ in `operator` and `force` (`live.KEYS`).

@@ -2,6 +2,7 @@
 
 Their axes are concatenated: those of the first device are the first joints. Each device may have
 scales of its own, of motion and of force, besides those of the operator: a gripper beside an arm.
+The loop applies those of force to what the tips feel, not to walls, fixtures and weight.
 The devices are read in the same call, microseconds apart. All engage switches must be held;
 releasing any one disengages. A clutch, an emergency stop or any other button of one device applies
 to all. A fault of one device is a fault of all.
@@ -33,7 +34,7 @@ class CombinedConfig:
     devices: tuple[SingleConfig, ...] = (VirtualConfig(), VirtualConfig())  # in order of joints
     # of each device: motion of the hand over its own; empty = 1
     position_scales: tuple[float, ...] = ()
-    # ... and its force over that of the hand, at most 1, so that the gate's limits hold
+    # ... and the force of the tips on it over that on the hand, at most 1
     force_scales: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
@@ -56,6 +57,12 @@ class CombinedConfig:
     def axis_count(self) -> int:
         """How many joints they move."""
         return sum(device.axis_count for device in self.devices)
+
+    def list_force_scales(self) -> list[float]:
+        """Return the force scale of each axis."""
+        scales = self.force_scales or (1.0,) * len(self.devices)
+        parts = zip(self.devices, scales, strict=True)
+        return [scale for device, scale in parts for _ in range(device.axis_count)]
 
 
 class CombinedDevice:
@@ -97,7 +104,6 @@ class CombinedDevice:
             self._opened = opened.pop_all()
         self._released = [False] * len(self._devices)
         self._position_scales = config.position_scales or (1.0,) * len(self._devices)
-        self._force_scales = config.force_scales or (1.0,) * len(self._devices)
 
     def read(self, time_s: float) -> HandState:
         """Return all hands as one.
@@ -143,10 +149,9 @@ class CombinedDevice:
         if len(force) != self.axes:
             raise DeviceFault(f"refuses force {force}")
         faults: list[DeviceFault] = []
-        parts = zip(self._devices, self._parts, self._force_scales, strict=True)
-        for number, (device, part, scale) in enumerate(parts):
+        for number, (device, part) in enumerate(zip(self._devices, self._parts, strict=True)):
             try:
-                device.write(tuple(scale * axis for axis in force[part]))
+                device.write(force[part])
             except DeviceFault as fault:
                 faults.append(_add_index(number, fault))
         if faults:

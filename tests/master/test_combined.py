@@ -81,8 +81,8 @@ def test_each_device_has_scales_of_its_own():
     hand = device.read(0.0)
     assert hand.position == (1.0, 2.0, 1.5)
     assert hand.velocity == (-1.0, -2.0, -1.5)
-    device.write((2.0, -4.0, 3.0))
-    assert (arm.written, gripper.written) == ([(0.5, -1.0)], [(3.0,)])
+    device.write((2.0, -4.0, 3.0))  # the loop has applied those of force
+    assert (arm.written, gripper.written) == ([(2.0, -4.0)], [(3.0,)])
 
 
 @pytest.mark.parametrize(

@@ -13,6 +13,7 @@ from estimator.records import view_struct
 from master import workspace
 from master.config import MasterConfig
 from master.device import HandState
+from master.devices.combined import CombinedConfig
 from master.operator import OperatorConfig, build_operator_settings
 from master.workspace import Presence, WorkspaceLimits
 from teleop.coupling import Bilateral
@@ -103,6 +104,19 @@ def test_a_heavy_device_is_kept_from_falling_at_rest_but_not_in_a_stop():
         run.answered(hand(), force=0.0)
     assert run.output.force == pytest.approx((0.4,))
     assert run.answered(hand(stop=True)).force == (0.0,)
+
+
+def test_the_force_scale_of_a_device_is_that_of_the_tips_not_of_walls_and_weight():
+    def press(scale):
+        device = CombinedConfig(force_scales=(scale, 1.0))
+        operator = replace(WALLS, weight=(0.4,), wall_damping=0.0)
+        run = Run(replace(CONFIG, device=device, operator=operator)).engaged()
+        for _ in range(400):
+            run.answered(hand(0.052))
+        return run.output.force[0], float(run.memory.joint_force[0])
+
+    assert press(1.0) == pytest.approx((-1.0 - 0.6 + 0.4, -1.0), abs=1e-6)
+    assert press(0.25) == pytest.approx((-0.25 - 0.6 + 0.4, -1.0), abs=1e-6)
 
 
 def test_forces_of_its_own_are_no_work_of_the_coupling():
