@@ -74,10 +74,10 @@ def adapt_tendons(
 
     `tendons` are of the sample, `dt` [s] is the time since the one before.
     """
-    for k in range(layout.joints):
-        joint = layout.joint[k]
-        if joint.count == 1:  # what tells K of a pair must be seen in both of its tendons
-            i = joint.tendon[0]
+    for k in range(layout.groups):
+        group = layout.group[k]
+        if group.count == 1:  # what tells K of a pair must be seen in both of its tendons
+            i = group.tendon[0]
             observe(
                 adapter.constants[i],
                 adapter.states[i],
@@ -100,9 +100,9 @@ def mute_monitors(
     It cannot after a time without pieces that fit, or close to the bounds of K; then the monitor
     finds errors of the K in use.
     """
-    for k in range(layout.joints):
-        i = layout.joint[k].tendon[0]
-        if layout.joint[k].count > 1 or not adapter.constants[i].active:
+    for k in range(layout.groups):
+        i = layout.group[k].tendon[0]
+        if layout.group[k].count > 1 or not adapter.constants[i].active:
             continue
         is_inside = _is_inside(adapter.constants[i].K[:], prepared[i].tables[_K])
         if is_inside and adapter.states[i].evidence_age < UNDECIDED_S:

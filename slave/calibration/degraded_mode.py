@@ -86,12 +86,10 @@ def widen_intervals(
     """
     if mode.ramp == 0.0:
         return
-    for k in range(layout.joints):
-        for n in range(layout.joint[k].count):
-            i = layout.joint[k].tendon[n]
-            if mode.ratio[i] == 1.0:  # its interval may be infinite
-                continue
-            error = mode.ramp * (mode.ratio[i] - 1.0) * tendons[i].estimate.high
-            for j in range(layout.joints):
-                joint_estimates[j].low -= abs(layout.ratio[k, j]) * error
-                joint_estimates[j].high += abs(layout.ratio[k, j]) * error
+    for i in range(layout.tendons):
+        if mode.ratio[i] == 1.0:  # its interval may be infinite
+            continue
+        error = mode.ramp * (mode.ratio[i] - 1.0) * tendons[i].estimate.high
+        for j in range(layout.joints):
+            joint_estimates[j].low -= abs(layout.travel[i, j]) * error
+            joint_estimates[j].high += abs(layout.travel[i, j]) * error
