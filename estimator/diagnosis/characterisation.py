@@ -50,7 +50,7 @@ from estimator.effects.functions import COEFFICIENTS, compute_penalty, penalise
 SUBSAMPLE_SIZE = 1200  # samples of a record in a first look
 ROUGHNESSES = (1e-4, 1e-3, 1e-2, 0.1, 1.0)  # weights of second differences, over that of the data
 MEAN_WEIGHTS = (1e-2, 1.0)  # the same of the mean, where the law does not take it up and where
-SHARES = (1.0, 0.5)  # of a linear step
+STEPS_KEPT = 20  # linear steps that are simulated
 FITTED_SIZE = 8000  # samples of all records that a function is fitted to
 KEPT = 10, 4  # functions that are fitted to few samples, and to so many
 ROUNDS = 8, 15  # of these fits
@@ -59,6 +59,17 @@ PERIODS_MIN = 5  # of a cycle, in a record
 PERIODS_TRIED = 4  # of those that may be in a residual
 PERIOD_SAMPLES = 6  # at least, of a subsampled record
 FINE_FREQUENCIES = 33  # about the best of a coarse grid
+
+
+class _LinearStep(NamedTuple):
+    """What a function's coefficients do to the residual beside the model's own parameters."""
+
+    effect: Effect
+    shapes: tuple[float, ...]
+    changes: Array  # of the residual by each coefficient, in its step, (n, COEFFICIENTS)
+    information: Array  # of the coefficients, (COEFFICIENTS, COEFFICIENTS)
+    slope: Array  # of half the cost, (COEFFICIENTS,)
+    gain: float  # by which the cost would fall at most
 
 
 class _Screened(NamedTuple):
@@ -92,9 +103,16 @@ def fit_functions(
     few, few_fit, few_contexts = thin_dataset(dataset, current_fit, SUBSAMPLE_SIZE)
     screening = _Screening(few, few_fit, few_contexts)
     applicable = [effect for effect in effects if _is_applicable(effect, dataset)]
-    screened = sorted(
+    steps = sorted(
         itertools.chain.from_iterable(
-            map_parallel(screening.screen, applicable, report, "trying functions", workers)
+            map_parallel(screening.linearise, applicable, report, "trying functions", workers)
+        ),
+        key=lambda step: -step.gain,
+    )
+    further = [step for step in steps[STEPS_KEPT:] if step.effect.name.startswith("friction")]
+    screened = sorted(
+        map_parallel(
+            screening.smooth, [*steps[:STEPS_KEPT], *further], report, "smoothing", workers
         ),
         key=lambda start: -start.score,
     )
@@ -164,6 +182,12 @@ def _penalise(start: _Screened, density: float) -> Effect:
     return penalise(start.effect, density * start.roughness, density * start.mean)
 
 
+def _build_units(effect: Effect) -> list[list[float]]:
+    """Return coefficients of which one is a step of its parameter and the others are zero."""
+    units: list[list[float]] = (effect.parameters[-1].step * np.eye(COEFFICIENTS)).tolist()
+    return units
+
+
 class _Screening:
     """Linear steps of functions on top of a model, on few samples."""
 
@@ -180,17 +204,15 @@ class _Screening:
         """Return the log-likelihood ratio of held-out samples to the model without."""
         return compute_log_likelihood_ratio(errors, self._errors)
 
-    def screen(self, effect: Effect) -> list[_Screened]:
-        """Return where a linear step leads, for the range or for each likely period."""
-        found = (self._screen_shapes(effect, shapes) for shapes in self._choose_shapes(effect))
-        return [start for start in found if start is not None]
+    def linearise(self, effect: Effect) -> list[_LinearStep]:
+        """Return the linear steps for the range of the variable, or for each likely period."""
+        steps = (self._linearise(effect, shapes) for shapes in self._choose_shapes(effect))
+        return [step for step in steps if step is not None]
 
-    def _screen_shapes(self, effect: Effect, shapes: tuple[float, ...]) -> _Screened | None:
-        """Return the smoothness that held-out samples favour; None where nothing changes."""
-        term, step = effect.function, effect.parameters[-1].step
+    def _linearise(self, effect: Effect, shapes: tuple[float, ...]) -> _LinearStep | None:
+        """Return the linear step of a function; None where nothing changes."""
         changes = [
-            self._simulate(effect, (*shapes, *row)) - self._residual
-            for row in (step * np.eye(COEFFICIENTS)).tolist()
+            self._simulate(effect, (*shapes, *row)) - self._residual for row in _build_units(effect)
         ]
         F = np.column_stack(changes)
         if not np.isfinite(F).all():
@@ -200,26 +222,35 @@ class _Screening:
         power = float(np.trace(A)) / COEFFICIENTS
         if power < 1e-9:
             return None
+        gain = float(b @ np.linalg.solve(A + ROUGHNESSES[0] * power * np.eye(COEFFICIENTS), b))
+        return _LinearStep(effect, shapes, F, A, b, gain)
+
+    def smooth(self, step: _LinearStep) -> _Screened:
+        """Return the smoothness that held-out samples favour, and where its step leads."""
+        effect, shapes, term = step.effect, step.shapes, step.effect.function
+        power = float(np.trace(step.information)) / COEFFICIENTS
         mean = math.sqrt(MEAN_WEIGHTS[bool(term and term.has_zero)] * power)
-        best: _Screened | None = None
-        for roughness in (math.sqrt(share * power) for share in ROUGHNESSES):
+
+        def simulate_share(share: float, roughness: float) -> _Screened:
             rows = np.column_stack(
                 [
                     compute_penalty((*shapes, *row), effect, roughness, mean)
-                    for row in (step * np.eye(COEFFICIENTS)).tolist()
+                    for row in _build_units(effect)
                 ]
             )
-            solved = np.linalg.solve(A + rows.T @ rows, np.column_stack([A, b]))
+            right = np.column_stack([step.information, step.slope])
+            solved = np.linalg.solve(step.information + rows.T @ rows, right)
             degrees, c = float(np.trace(solved[:, :-1])), np.asarray(-solved[:, -1])
-            for share in SHARES:
-                model = self._build_model(effect, shapes, np.asarray(share * c), F)
-                errors = compute_errors(
-                    self._dataset, simulate_dataset(self._dataset, self._contexts, model)
-                )
-                score = self.compute_ratio(errors) - compute_bic_penalty(self._dataset, degrees)
-                if best is None or score > best.score:
-                    best = _Screened(effect, model, score, roughness, mean)
-        return best
+            model = self._build_model(effect, shapes, share * c, step.changes)
+            fit = simulate_dataset(self._dataset, self._contexts, model)
+            score = self.compute_ratio(compute_errors(self._dataset, fit))
+            score -= compute_bic_penalty(self._dataset, degrees)
+            return _Screened(effect, model, score, roughness, mean)
+
+        whole = [simulate_share(1.0, math.sqrt(share * power)) for share in ROUGHNESSES]
+        best = max(whole, key=lambda start: start.score)
+        half = simulate_share(0.5, best.roughness)
+        return max(best, half, key=lambda start: start.score)
 
     def _simulate(self, effect: Effect, values: tuple[float, ...]) -> Array:
         model = self._fit.model
