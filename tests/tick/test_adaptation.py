@@ -37,6 +37,7 @@ def moved() -> Iterator[Any]:
     with ExitStack() as stack:
         session = Session(stack, SETTINGS, file=DEMO)
         process, measured, sheaths, advice, said = session.slave, [], [], set(), {}
+        rendered = []
         published = process._link.publish
 
         def listen(topic: Any, message: Any) -> None:
@@ -53,12 +54,16 @@ def moved() -> Iterator[Any]:
                 row["time_s"], tendon["tension"], tendon["displacement"], row["bench_tension"][0],
                 *(tendon["estimate"][name] for name in ("distal_tension", "low", "high")),
             ))  # fmt: skip
+            joint = process.memory.joints[0]
+            force = process._slave.scratch["force"][0, 0]
+            rendered.append((force, joint.force, joint.low, joint.high))
             advice.add(int(process.memory.advice))
             for text in process._telemetry.shape_changes[len(said) :]:
                 said[text] = k / RATE
         yield SimpleNamespace(
             session=session,
             data=np.unique(measured, axis=0),
+            rendered=np.array(rendered),
             sheaths=sheaths,
             advice=advice,
             said=said,
@@ -82,6 +87,15 @@ def test_friction_follows_the_sheath_and_the_force_is_right_again(moved: Any) ->
     errors = [np.abs(t - tip)[late] / full for t in (estimate, fixed.distal_tension)]
     assert np.percentile(errors[0], 90) < 0.05 < 0.10 < np.percentile(errors[1], 90)
     assert np.mean(((fixed.low <= tip) & (tip <= fixed.high))[late]) < 0.8
+
+
+def test_the_hand_gets_no_more_than_the_interval_of_the_friction_allows(moved: Any) -> None:
+    """By default the certain part alone where the half-width exceeds 1.5 times the force."""
+    rendered, force, low, high = moved.rendered[round(CHANGE_S * RATE) :].T
+    doubtful = (high - low > 2.0 * 1.6 * force) & (force > 0.1)
+    assert np.mean(doubtful) > 0.05
+    np.testing.assert_allclose(rendered[doubtful], np.maximum(low, 0.0)[doubtful], atol=1e-9)
+    assert np.mean(low[doubtful] < 0.8 * force[doubtful]) > 0.9
 
 
 def test_a_change_of_shape_is_said_as_it_begins_and_as_it_has_settled(moved: Any) -> None:
