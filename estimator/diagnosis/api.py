@@ -354,16 +354,18 @@ def diagnose_records(
         [mark_all_as_train(record) for record in records] if fit_all else records
     )
     report("fitting the base law", 0.0)
-    base_fit = fit_baseline(dataset)
+    base_fit = fit_baseline(dataset, workers)
     original_records = dataset.records
     noisy_records = propagate_driver_noise(original_records, dataset, base_fit)
     if any(new is not old for new, old in zip(noisy_records, original_records, strict=True)):
         dataset = build_dataset(noisy_records)
         dataset, base_fit = _recover_dataset_motion(dataset, refit_baseline(dataset, base_fit))
     law = Choice(dataset, base_fit, ())
-    if records[0].loop or not is_noise(dataset, compute_errors(dataset, base_fit)):
+    errors = compute_errors(dataset, base_fit)
+    has_law = compute_missed_share(dataset, errors) < SETTINGS.foreign_share_law
+    if has_law and (records[0].loop or not is_noise(dataset, errors)):
         report("choosing the base law", 0.0)
-        law = choose_law(dataset, base_fit)
+        law = choose_law(dataset, base_fit, workers)
     laws = [law]
     if law.dataset.base.law is not dataset.base.law and not records[0].loop:
         laws.append(law._replace(dataset=dataset, fit=base_fit))

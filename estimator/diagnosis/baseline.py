@@ -48,7 +48,8 @@ from estimator.diagnosis.scoring import (
     compute_log_likelihood_ratio,
     concatenate_errors,
 )
-from estimator.diagnosis.settings import SETTINGS
+from estimator.diagnosis.screening import map_parallel
+from estimator.diagnosis.settings import SETTINGS, ignore_progress
 from estimator.effects.effect import (
     DISTAL_DISPLACEMENT,
     PROXIMAL_DISPLACEMENT,
@@ -72,23 +73,31 @@ SAME_MINIMUM = 1e-3  # of a cost, by which descents that end at one minimum diff
 SUBSAMPLE_SIZE = 1500  # samples of a record
 
 
-def fit_baseline(dataset: Dataset) -> Fit:
-    """Return the best fit of the base law: from many starts on few samples, then on all."""
+def fit_baseline(dataset: Dataset, workers: int = 1) -> Fit:
+    """Return the best fit of the base law: from many starts on few samples, then on all.
+
+    Starts are fitted two at a time, by up to `workers` threads, until two lead to one minimum.
+    """
     subsampled = subsample(dataset, SUBSAMPLE_SIZE)
     contexts = build_initial_contexts(subsampled)
     starts = _build_starts(subsampled)
     costs = [
         compute_cost(subsampled, simulate_dataset(subsampled, contexts, model)) for model in starts
     ]
-    fits: list[Fit] = []
-    fit_costs: list[float] = []
-    for k in np.argsort(costs)[:STARTS_KEPT]:
-        lowest = min(fit_costs, default=math.inf)
-        fits.append(fit_model(subsampled, contexts, starts[k], BASELINE_ROUNDS))
-        fit_costs.append(compute_cost(subsampled, fits[-1]))
-        if math.isclose(fit_costs[-1], lowest, rel_tol=SAME_MINIMUM):
+    models = [starts[k] for k in np.argsort(costs)[:STARTS_KEPT]]
+    fits: list[tuple[float, Fit]] = []
+
+    def fit_start(start: Model) -> tuple[float, Fit]:
+        fit = fit_model(subsampled, contexts, start, BASELINE_ROUNDS)
+        return compute_cost(subsampled, fit), fit
+
+    for k in range(0, len(models), 2):
+        pair = models[k : k + 2]
+        fits += map_parallel(fit_start, pair, ignore_progress, "fitting the base law", workers)
+        fits.sort(key=lambda pair: pair[0])
+        if len(fits) > 1 and math.isclose(fits[0][0], fits[1][0], rel_tol=SAME_MINIMUM):
             break
-    return refit_baseline(dataset, fits[int(np.argmin(fit_costs))])
+    return refit_baseline(dataset, fits[0][1])
 
 
 def _build_starts(dataset: Dataset) -> list[Model]:
@@ -221,7 +230,7 @@ LOOP_EFFECTS = frozenset(
 """Effects, by name or label, that `lumped.loop_model` simulates or that are of a sensor."""
 
 
-def choose_law(dataset: Dataset, base_fit: Fit) -> Choice:
+def choose_law(dataset: Dataset, base_fit: Fit, workers: int = 1) -> Choice:
     """Return the base law that held-out samples favour; `base_fit` is the fitted capstan law.
 
     Of a loop, the one of highest score; of those as good, the one of fewest parameters. A tendon
@@ -229,8 +238,11 @@ def choose_law(dataset: Dataset, base_fit: Fit) -> Choice:
     and tension adds nothing to it.
     """
     independent_dataset = build_dataset(dataset.records, BaseLaw.INDEPENDENT)
-    trials = [(dataset, base_fit), (independent_dataset, fit_baseline(independent_dataset))]
-    trials.append(_fit_combined_law(*trials))
+    trials = [
+        (dataset, base_fit),
+        (independent_dataset, fit_baseline(independent_dataset, workers)),
+    ]
+    trials.append(_fit_combined_law(trials, workers))
     scores = _score_choices(trials, [entry.base.law for entry, _ in trials])
     capstan, independent, combined = (entry.score for entry in scores)
     best_score = max(capstan, independent, combined)
@@ -302,23 +314,21 @@ def _count_parameters(dataset: Dataset) -> int:
     return len(dataset.base.shared) + len(dataset.base.own) * len(dataset.records)
 
 
-def _fit_combined_law(
-    capstan: tuple[Dataset, Fit], independent: tuple[Dataset, Fit]
-) -> tuple[Dataset, Fit]:
-    """Return the combined law, started from the fit of each with a little of the other."""
-    combined = build_dataset(capstan[0].records, BaseLaw.BOTH)
-    fits = []
-    for dataset, fit in (capstan, independent):
-        model = fit.model
+def _fit_combined_law(trials: Sequence[tuple[Dataset, Fit]], workers: int) -> tuple[Dataset, Fit]:
+    """Return the combined law, started from the fit of each law with a little of the other."""
+    combined = build_dataset(trials[0][0].records, BaseLaw.BOTH)
+
+    def fit_from(trial: tuple[Dataset, Fit]) -> Fit:
+        dataset, model = trial[0], trial[1].model
         values = {FRICTION.name: START_FRICTION_SHARE, PRESLIDING_WIDTH.name: PRESLIDING_WIDTH.step}
         values |= dataset.base.values(model.shared, model.own[0])
         values.setdefault(
             FRICTION_FORCE.name, START_FRICTION_SHARE * max(values.get(PRETENSION.name, 0.0), 1.0)
         )
         start = model._replace(shared=tuple(values[p.name] for p in combined.base.shared))
-        fits.append(
-            fit_model(combined, build_unsimulated_contexts(dataset, fit), start, LAW_ROUNDS)
-        )
+        return fit_model(combined, build_unsimulated_contexts(*trial), start, LAW_ROUNDS)
+
+    fits = map_parallel(fit_from, trials, ignore_progress, "fitting the combined law", workers)
     return combined, min(fits, key=lambda fit: compute_cost(combined, fit))
 
 

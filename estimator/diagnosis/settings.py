@@ -74,6 +74,7 @@ class Settings:
 
     # of a channel's rms about its mean, beyond noise, that a model of a tendon may leave
     foreign_share_max: float = 0.3
+    foreign_share_law: float = 0.9  # that the capstan law leaves: no other law is tried
     foreign_share_stop: float = 0.6  # that the base law and all first fits leave: the search ends
 
     # by which share a learned model's error is surely lower, so that the law misses something
