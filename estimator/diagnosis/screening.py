@@ -36,6 +36,7 @@ from estimator.diagnosis.settings import SETTINGS, ProgressCallback, scale_progr
 from estimator.effects.effect import Effect, EffectContext, Parameter, Values
 
 SUBSAMPLE_SIZE = 1200  # samples of a record in a first look
+FOREIGN_STARTS = 12  # starts that are fitted where the law misses most, the cheapest
 SECOND_STARTS_MAX, RAW_STARTS_MAX = 10, 12  # starts of all effects, besides the best of each
 # shares of a search after which these are done
 SCREENING_PROGRESS, FITTING_PROGRESS = 0.3, (0.6, 0.75)
@@ -134,6 +135,9 @@ def fit_candidates(
         candidate.model
         for candidate in sorted(selected_starts, key=lambda candidate: candidate.cost)
     ]
+    law_errors = compute_errors(subsampled, subsampled_fit)
+    if are_foreign(subsampled, [law_errors]):
+        models = models[:FOREIGN_STARTS]
     best: list[Candidate] = []
     progress_begin = SCREENING_PROGRESS
     for rounds, kept_count, cost_ratio_max, progress_end in zip(
@@ -153,8 +157,7 @@ def fit_candidates(
             for candidate in best
             if candidate.cost < cost_ratio_max * best[0].cost
         ]
-        first_errors = (compute_errors(subsampled, subsampled_fit), *(c.held_out for c in best))
-        if are_foreign(subsampled, first_errors):
+        if are_foreign(subsampled, (law_errors, *(candidate.held_out for candidate in best))):
             models = []
             break
 
