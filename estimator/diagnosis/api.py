@@ -374,6 +374,9 @@ def diagnose_records(
     dataset, base_fit, steps, fit = result.dataset, result.base_fit, result.steps, result.fit
     applicable = select_applicable_effects(effects, records[0], dataset.base)
     first_ranking = rank_candidates(dataset, base_fit, base_fit, result.first_candidates)
+    if len(steps) == 1 and steps[0].effect.function is not None:  # after the first search
+        functions = (*first_ranking, *steps[0].ranking)
+        first_ranking = tuple(sorted(functions, key=lambda candidate: -candidate.score))
     if cause:
         steps, fit = rivals.choose_equivalent_cause(dataset, base_fit, steps, fit, cause)
     outcome = _build_diagnosis(dataset, base_fit, fit, steps, first_ranking, applicable, validate)

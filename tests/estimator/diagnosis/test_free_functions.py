@@ -51,6 +51,8 @@ def test_the_variable_and_its_curve_are_found():
     assert said.startswith("No named cause explains the error; friction depends on motor position")
     assert "% of the error beyond noise" in said
     assert not any(name.startswith("friction_by") for name in found.parameters)
+    assert found.ranking[0].name == "friction_by_position"  # of all that were tried
+    assert {*CAUSES} <= {candidate.name for candidate in found.ranking}
 
 
 @pytest.mark.parametrize(
