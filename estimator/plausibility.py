@@ -117,8 +117,17 @@ def _find_reversed_travel(data: MeasuredData, units: Units) -> list[str]:
         return []
     return [
         f"{name}_displacement falls where the {reference} rises: it counts the other way; "
-        f"change its sign [{units.travel}]"
+        f"{suggest_sign(f'{name}_displacement', units)}"
     ]
+
+
+def suggest_sign(channel: str, units: Units) -> str:
+    """Return how the sign of a channel is changed, with the option of a command that reads it."""
+    effort = "torque" if units.rotary else "force" if units.signed else "tension"
+    name = channel.replace("tension", effort)
+    name = name.replace("displacement", "angle") if units.rotary else name
+    unit = units.of(channel).replace(" ", "")
+    return f"change its sign, --column '{name}=COLUMN[-1 {unit}]'"
 
 
 def find_implausible_parameter(K: float, EA: float | None, peak: float) -> str:

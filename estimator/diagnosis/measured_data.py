@@ -47,7 +47,7 @@ from estimator.effects.effect import (
     Signals,
 )
 from estimator.measured_data import Samples
-from estimator.plausibility import find_channel_faults
+from estimator.plausibility import find_channel_faults, suggest_sign
 from estimator.units import LINEAR, Units
 
 Mask = NDArray[np.bool_]
@@ -311,7 +311,7 @@ def prepare_record(
         effort = drop_missing(signals[name])
         if -effort.min() > effort.max():
             raise RecordError(
-                f"{units.word(name)}: negative where the tendon pulls; change its sign"
+                f"{units.word(name)}: negative where the tendon pulls; {suggest_sign(name, units)}"
             )
     noise, stamps = dict(noise), time
     driver = PROXIMAL_DISPLACEMENT if PROXIMAL_DISPLACEMENT in signals else PROXIMAL_TENSION

@@ -103,5 +103,8 @@ def test_both_halves_have_both_directions_of_a_motion_that_repeats_itself(period
 
 def test_a_tension_that_is_negative_throughout_is_refused(clean):
     turned = clean.channels | {"proximal_tension": -clean.channels["proximal_tension"]}
-    with pytest.raises(RecordError, match="negative where the tendon pulls"):
+    with pytest.raises(
+        RecordError,
+        match=r"tendon pulls; change its sign, --column 'proximal_tension=COLUMN\[-1 N\]'",
+    ):
         prepare_record(clean.time, turned)
