@@ -8,7 +8,12 @@ import numpy as np
 from estimator.diagnosis import report_tables
 from estimator.diagnosis.baseline import LUGRE
 from estimator.diagnosis.curve import describe_curve
-from estimator.diagnosis.dataset import TIP_COMPLIANCE, compute_tolerance
+from estimator.diagnosis.dataset import (
+    FRICTION,
+    FRICTION_FORCE,
+    TIP_COMPLIANCE,
+    compute_tolerance,
+)
 from estimator.diagnosis.learned import INSTALL
 from estimator.diagnosis.outcome import CauseStep, Curve, DetectionLimit, Diagnosis, Verdict
 from estimator.diagnosis.report_tables import (
@@ -38,6 +43,8 @@ def format_headline(diagnosis: Diagnosis) -> str:
     if diagnosis.foreign_share:
         return "This is not a tendon-sheath transmission."
     if diagnosis.verdict is Verdict.CLEAN:
+        if is_frictionless(diagnosis):
+            return "Nothing is wrong beyond noise, and nothing of a sheath is seen: no friction."
         return "Nothing is wrong beyond noise."
     if diagnosis.verdict is Verdict.CHARACTERISED and diagnosis.curve is not None:
         return f"No named cause: {describe_curve(diagnosis.curve, diagnosis.units)}."
@@ -47,6 +54,15 @@ def format_headline(diagnosis: Diagnosis) -> str:
     count = ("One thing is", "Two things are", "Three things are")[min(len(causes), 3) - 1]
     ambiguity = ", or what looks the same" * (diagnosis.verdict is Verdict.AMBIGUOUS)
     return f"{count} wrong: {', and '.join(causes)}{ambiguity}."
+
+
+def is_frictionless(diagnosis: Diagnosis) -> bool:
+    """Return whether the base law found no friction, as of a plain spring: no sheath is seen."""
+    peak = max(float(np.abs(r.signals[PROXIMAL_TENSION]).max()) for r in diagnosis.dataset.records)
+    names = {FRICTION.name: 1.0, FRICTION_FORCE.name: peak}
+    found = {n: number for n, number in diagnosis.parameters.items() if n in names}
+    shares = [number.value / names[name] for name, number in found.items()]
+    return bool(shares) and max(shares) < SETTINGS.friction_share_min
 
 
 def _format_size(diagnosis: Diagnosis, step: CauseStep) -> str:
@@ -83,7 +99,9 @@ def format_verdict(diagnosis: Diagnosis) -> str:
     """Return the verdict in one sentence."""
     if diagnosis.verdict is Verdict.CLEAN:
         smallest = _describe_detection_limits(diagnosis.detection_limits)
-        return f"Nothing is wrong with the model beyond noise{smallest}."
+        sheath = " No friction is seen: of a plain spring the data would look the same."
+        remark = sheath * is_frictionless(diagnosis)
+        return f"Nothing is wrong with the model beyond noise{smallest}.{remark}"
     if diagnosis.foreign_share:
         return (
             f"This is not a tendon-sheath transmission, or the columns are not what they are taken "

@@ -1,0 +1,42 @@
+"""A record of no sheath is said to show none."""
+
+import numpy as np
+import pytest
+
+from estimator.diagnosis import report_text
+from estimator.diagnosis.api import diagnose_records
+from estimator.diagnosis.measured_data import prepare_record
+from estimator.diagnosis.outcome import Verdict
+from estimator.effects import CATALOGUE
+
+TIME = np.arange(1000) * 0.02
+EFFECTS = [effect for effect in CATALOGUE if effect.name in ("viscous_friction", "creep")]
+
+
+def diagnosed(**channels):
+    noise = {"tension": 0.02, "displacement": 5e-7}
+    rng = np.random.default_rng(7)
+    noisy = {
+        name: y + noise[name.partition("_")[2]] * rng.standard_normal(len(y))
+        for name, y in channels.items()
+    }
+    return diagnose_records([prepare_record(TIME, noisy)], EFFECTS)
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.3])
+def test_a_wire_on_a_spring_shows_no_sheath(friction):
+    travel = 2e-3 * (1.0 + np.sin(2.0 * np.pi * 0.3 * TIME))
+    tension = 3000.0 * travel + 1.0
+    sign = np.sign(np.gradient(travel))
+    found = diagnosed(
+        proximal_tension=tension * np.exp(friction * np.maximum(sign, 0.0))
+        if friction
+        else tension,
+        proximal_displacement=travel,
+        distal_tension=tension,
+    )
+    said = report_text.format_headline(found)
+    assert ("no friction" in said) == (friction == 0.0)
+    if not friction:
+        assert found.verdict is Verdict.CLEAN
+        assert "of a plain spring the data would look the same" in report_text.format_verdict(found)
