@@ -84,6 +84,8 @@ def plan_stages(
             stages += _bend(passed, np.sign(ratio[m]) * (1 - 2 * side), place)
             stages.append(Stage((m,), Phase.SEEK, side))
             place[m] = 1.0 - 2.0 * side
+            if passed and len(joints[m]) > 1:  # on its stop it would hold the joints that it passes
+                stages.append(_move(m, 0.0, place))
         if len(joints[m]) == 1:
             place[m] = 0.0
             stages += _bend(passed, np.zeros(len(joints)), place)
@@ -186,6 +188,8 @@ class JointTravels:
         (j,) = stage.joints
         low, high = self.stops[j]
         goal = 0.5 * (low + high) + 0.5 * stage.target * (high - low)
+        if np.isnan(goal):  # one stop is not found yet: back to where it began
+            goal = 0.0
         return float(goal - self.travel[j]) * (1 - 2 * (stage.side % 2))
 
     def follow(

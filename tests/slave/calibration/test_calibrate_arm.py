@@ -58,7 +58,7 @@ def test_a_tendon_is_pulled_while_the_joints_it_passes_are_at_the_stops_it_press
         elif stage.phase is Phase.SEEK:
             passed = np.flatnonzero(RATIO[j, :j])
             assert place[passed] == pytest.approx(np.sign(RATIO[j, passed]) * end)
-            place[j] = end
+            place[j], held[j] = end, True
             pulled.append((j, stage.side))
         elif stage.phase is Phase.DRAG:
             assert place[j] * end < 0.0
@@ -89,6 +89,15 @@ def test_drags_of_a_joint_bend_each_passed_joint_in_some_posture_only():
 def test_what_cannot_be_done_is_said_before_anything_moves(ratio, joints, chosen, together, said):
     with pytest.raises(UsageError, match=said):
         plan_stages(ratio, joints, chosen, 2, together)
+
+
+def test_a_rig_with_rows_for_single_tendons_is_not_calibrated():
+    arm = ArmConfig(((0.005, 0.0), (-0.002, 0.005), (-0.003, -0.005)))
+    rig = HousingOnly(rig_config(joint(K), joint(K, tendons=1)))
+    with pytest.raises(UsageError, match=r"rows for single tendons .* tip blocked"):
+        initialisation.initialise(
+            rig, SlaveConfig(gate=GATE), generate_fast_ticks(RATE), 0, arms=[arm]
+        )
 
 
 @pytest.mark.parametrize(("tension", "left"), [(8.0, 0.004), (0.3, -0.002)])
