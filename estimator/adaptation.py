@@ -49,6 +49,7 @@ FACTORS = np.geomspace(FACTOR_MIN, FACTOR_MAX, FACTOR_COUNT)  # of friction
 FAMILIES = 4  # all friction, or the first, second or last third of it
 HYPOTHESES = FAMILIES * FACTOR_COUNT
 DEPTHS = 48  # play operators
+CELLS = 24  # of equal friction, for pairs: estimator.pair_adaptation
 SECTION_PIECES = 100  # of each section, for its integrals
 K_MIN = 0.1  # with less friction there is nothing to adapt
 PIECE_TENSION = 0.8  # [N]
@@ -88,31 +89,38 @@ class AdaptationConstants(Struct):
     depth: Annotated[Array, Field("f8", DEPTHS)]  # friction coordinate of each play operator
     weight: Annotated[Array, Field("f8", (HYPOTHESES, DEPTHS))]  # [m/N] length over EA
     K: Annotated[Array, Field("f8", HYPOTHESES)]
+    cell_friction: F64 = 0.0  # mu theta of each cell, as calibrated
+    cell_weight: Annotated[Array, Field("f8", CELLS + 1)]  # [m/N] length over EA at their ends
     variance: F64 = 0.0  # [m^2] of noise in the travel of a piece
     compliance: F64 = 0.0  # L/EA [m/N]
 
 
-class Adaptation(Struct):
-    """What is known of the friction of one tendon, between two samples."""
+class AdaptedFriction(Struct):
+    """The friction of one tendon as estimated and as in use."""
 
-    started: Flag = False  # a piece of evidence has begun
     adapted: Flag = False  # K has left its calibrated value
-    K: F64 = math.nan  # mean, by squared weights as all means: see `_summarise`
+    K: F64 = math.nan  # mean, of `Adaptation` by squared weights as all means: see `_summarise`
     low: F64 = math.nan  # ends of its interval
     high: F64 = math.nan
-    log_posterior: Annotated[Array, Field("f8", HYPOTHESES, fill=math.log(_PRIOR))]
     mean_factor: Annotated[Array, Field("f8", 3, fill=1.0)]  # of friction, of each third
     factor: Annotated[Array, Field("f8", 3, fill=1.0)]  # of those, in use
+    evidence_age: F64 = 0.0  # [s] since the last evidence, less as pieces tell more
+    update_age: F64 = 0.0  # [s] since the last update for the time passed
+    pieces: I64 = 0  # of evidence so far
+    contradictions: I64 = 0  # of them, those that fit no sheath
+
+
+class Adaptation(AdaptedFriction):
+    """What is known of one tendon, between two samples."""
+
+    started: Flag = False  # a piece of evidence has begun
+    log_posterior: Annotated[Array, Field("f8", HYPOTHESES, fill=math.log(_PRIOR))]
     mean_weight: Annotated[Array, Field("f8", DEPTHS)]  # [m/N]
     y: Annotated[Array, Field("f8", DEPTHS)]  # ln(T + tau)
     tension: Annotated[Array, Field("f8", DEPTHS)]  # exp(y) [N]
     begin_tension: Annotated[Array, Field("f8", DEPTHS)]  # [N] where the piece began
     begin_travel: F64 = 0.0  # [m]
     age: F64 = 0.0  # [s] of the piece
-    evidence_age: F64 = 0.0  # [s] since the last evidence, less as pieces tell more
-    update_age: F64 = 0.0  # [s] since the last update for the time passed
-    pieces: I64 = 0  # of evidence so far
-    contradictions: I64 = 0  # of them, those that fit no hypothesis
 
 
 class AdaptedRun(NamedTuple):
@@ -169,18 +177,25 @@ def build_adaptation(model: TendonModel) -> StructArray:
     constants.compliance = sheath.length / sheath.axial_stiffness
     tension_noise = TENSION_SIGMAS * model.tension_noise * constants.compliance
     constants.variance = tension_noise**2 + TRAVEL_FLOOR**2 + 2.0 * model.displacement_noise**2
-    constants.depth[:] = np.linspace(0.0, sheath.K * FACTOR_MAX, DEPTHS)
+    constants.depth[:] = depth = np.linspace(0.0, sheath.K * FACTOR_MAX, DEPTHS)
     third = np.repeat(third, SECTION_PIECES)
     dx, ds = (np.repeat(row / SECTION_PIECES, SECTION_PIECES) for row in (length, friction))
     for h in range(HYPOTHESES):
         family, k = divmod(h, FACTOR_COUNT)
         scaled = np.where((family == 0) | (third == family - 1), FACTORS[k], 1.0) * ds
-        s = (np.cumsum(scaled) - 0.5 * scaled) / constants.depth[1]
-        node = np.minimum(s.astype(int), DEPTHS - 2)
         constants.K[h] = scaled.sum()
-        for offset, share in ((0, 1.0 - (s - node)), (1, s - node)):
-            np.add.at(constants.weight[h], node + offset, share * dx / sheath.axial_stiffness)
+        _spread_compliance(scaled, dx / sheath.axial_stiffness, depth[1], constants.weight[h])
+    constants.cell_friction = cell = sheath.K / CELLS
+    _spread_compliance(ds, dx / sheath.axial_stiffness, cell, constants.cell_weight)
     return records
+
+
+def _spread_compliance(ds: Array, compliance: Array, spacing: float, weight: Array) -> None:
+    """Add the `compliance` of pieces of so much friction to the nodes at either side of each."""
+    s = (np.cumsum(ds) - 0.5 * ds) / spacing
+    node = np.minimum(s.astype(int), len(weight) - 2)
+    for offset, share in ((0, 1.0 - (s - node)), (1, s - node)):
+        np.add.at(weight, node + offset, share * compliance)
 
 
 def _divide_sections(sheath: Sheath) -> list[tuple[float, float, int]]:
@@ -237,8 +252,11 @@ def observe(
         state.update_age = 0.0
         K = prepared.tables[_K]
         if usable:
-            _apply(constants, state, prepared, estimator)
-        _hold_interval(constants, state, prepared, estimator, K)
+            follow_estimate(constants, state, prepared)
+            if state.adapted:
+                tip_tension = _interpolate(constants, state.tension[:], prepared.tables[_K])
+                resize_profiles(prepared, estimator, tip_tension)
+        hold_interval(constants, state, prepared, estimator, K)
     change = 0.0
     for n in range(DEPTHS):
         change += state.mean_weight[n] * (state.tension[n] - state.begin_tension[n])
@@ -360,13 +378,10 @@ def _summarise(constants: AdaptationConstants, state: Adaptation) -> None:
 
 
 @jit_compile
-def _apply(
-    constants: AdaptationConstants,
-    state: Adaptation,
-    prepared: PreparedTendon,
-    estimator: EstimatorState,
+def follow_estimate(
+    constants: AdaptationConstants, state: AdaptedFriction, prepared: PreparedTendon
 ) -> None:
-    """Bring the model in use towards a posterior that excludes it."""
+    """Bring the model in use towards an estimate that excludes it."""
     table, n = prepared.tables[:], constants.sections
     state.adapted = state.adapted or not state.low <= table[_K] <= state.high
     if not state.adapted:
@@ -378,7 +393,14 @@ def _apply(
     for k in range(n):
         friction[k] *= state.factor[constants.third[k]]
     fill_tables(table, constants.length[:n], friction)
-    y_tip = math.log(max(_interpolate(constants, state.tension[:], table[_K]), FLOOR))
+
+
+@jit_compile
+def resize_profiles(
+    prepared: PreparedTendon, estimator: EstimatorState, tip_tension: float
+) -> None:
+    """Fit the estimator's profiles to a changed model, with `tip_tension` [N] + tau at the tip."""
+    table, y_tip = prepared.tables[:], math.log(max(tip_tension, FLOOR))
     resize_profile(table, estimator.profile[:], y_tip)
     # the window stays open, or slow travel would never tell who drives
     resize_profile(table, estimator.anchor_profile[:], y_tip)
@@ -386,9 +408,9 @@ def _apply(
 
 
 @jit_compile
-def _hold_interval(
+def hold_interval(
     constants: AdaptationConstants,
-    state: Adaptation,
+    state: AdaptedFriction,
     prepared: PreparedTendon,
     estimator: EstimatorState,
     K_before: float,

@@ -2,7 +2,7 @@
 
 python -m studies.adaptation                     40 single tendons against a spring, seeds from 100
 python -m studies.adaptation --unchanged         the same without a change, with other disturbances
-python -m studies.adaptation --pair              one tendon of a pair, which adaptation is not for
+python -m studies.adaptation --pair              the tendons of as many pairs
 
 The plant is the simulated rig's chain of springs and Coulomb nodes, which knows nothing of the
 adaptation. A sheath keeps its shape for `CHANGE_S` of use, then the friction of all or of one bend
@@ -21,6 +21,7 @@ from estimator.compiled import jit_compile
 from estimator.law.sheath import Section, Sheath
 from estimator.online import online
 from estimator.online.online import TendonModel
+from estimator.pair_adaptation import run_adapting_pair
 from slave.rigs.simulated import JointConfig, TendonPlantConfig, build_joint
 from slave.sheath_section import SectionConfig
 from slave.simulation.environment import TissueConfig
@@ -210,24 +211,30 @@ class Scores(NamedTuple):
     is_false: bool  # adapted before the change
 
 
-def score_use(use: Use) -> Scores:
-    """Return the figures of the first tendon of a joint in use."""
-    model, tip = use.models[0], use.tip[:, 0]
-    T, q = (np.ascontiguousarray(row[:, 0]) for row in (use.tension, use.travel))
-    fixed = online.run(online.prepare(model), use.time, T, q)
-    run = run_adapting(model, use.time, T, q)
-    late, K = use.time > use.change_end + SETTLE_S, use.K_after[0]
-    both, full = (fixed, run.estimates), tip.max()
-    errors = [abs(r.distal_tension - tip)[late] / full for r in both]
-    return Scores(
-        abs(K / model.sheath.K - 1.0) > 0.01,
-        np.array([np.percentile(e, [50, 90, 99]) for e in errors]),
-        np.array([np.mean(e < 0.05) for e in errors]),
-        np.array([np.mean((r.low <= tip + 1e-6) & (tip <= r.high)) for r in both]),
-        float(run.K[-1] / K - 1.0),
-        run.adapted_from >= 0,
-        run.adapted_from >= 0 and bool(use.time[run.adapted_from] < CHANGE_S),
-    )
+def score_use(use: Use) -> list[Scores]:
+    """Return the figures of the tendons of a joint in use."""
+    T, q = (np.ascontiguousarray(rows.T) for rows in (use.tension, use.travel))
+    if len(use.models) == 2:
+        models = use.models[0], use.models[1]
+        runs = run_adapting_pair(models, use.time, use.tension, use.travel)
+    else:
+        runs = (run_adapting(use.models[0], use.time, T[0], q[0]),)
+    late, out = use.time > use.change_end + SETTLE_S, []
+    for k, (model, run) in enumerate(zip(use.models, runs, strict=True)):
+        tip, K = use.tip[:, k], use.K_after[k]
+        both = online.run(online.prepare(model), use.time, T[k], q[k]), run.estimates
+        errors = [abs(r.distal_tension - tip)[late] / tip.max() for r in both]
+        scores = Scores(
+            abs(K / model.sheath.K - 1.0) > 0.01,
+            np.array([np.percentile(e, [50, 90, 99]) for e in errors]),
+            np.array([np.mean(e < 0.05) for e in errors]),
+            np.array([np.mean((r.low <= tip + 1e-6) & (tip <= r.high)) for r in both]),
+            float(run.K[-1] / K - 1.0),
+            run.adapted_from >= 0,
+            run.adapted_from >= 0 and bool(use.time[run.adapted_from] < CHANGE_S),
+        )
+        out.append(scores)
+    return out
 
 
 DISTURBANCES = (
@@ -245,23 +252,31 @@ def main() -> None:
         sheaths=(40, "number of them"),
         first=(100, "first seed"),
         unchanged=(False, "no change of friction, but creep, backlash or presliding"),
-        pair=(False, "one tendon of a pair"),
+        pair=(False, "both tendons of pairs; those that stay the same are reported apart"),
     )
     scores = []
     for k in range(options.sheaths):
         knobs, backlash = DISTURBANCES[k % len(DISTURBANCES) if options.unchanged else 0]
         use = simulate_use(options.first + k, options.pair, not options.unchanged, knobs, backlash)
-        scores.append(score_use(use))
-    chosen = [s for s in scores if s.is_changed is not options.unchanged]
-    print(f"{len(chosen)} tendons; adapted: {sum(s.is_adapted for s in chosen)}, of them before "
-          f"the change: {sum(s.is_false for s in chosen)}")  # fmt: skip
-    K_errors = np.abs([s.K_error for s in chosen])
+        scores += score_use(use)
+    for is_changed in (True, False):
+        report([s for s in scores if s.is_changed is is_changed], is_changed)
+
+
+def report(scores: list[Scores], is_changed: bool) -> None:
+    """Print the figures of those tendons that changed, or of those that did not."""
+    if not scores:
+        return
+    print(f"{len(scores)} tendons {'that changed' if is_changed else 'unchanged'}; adapted: "
+          f"{sum(s.is_adapted for s in scores)}, of them before the change: "
+          f"{sum(s.is_false for s in scores)}")  # fmt: skip
+    K_errors = np.abs([s.K_error for s in scores])
     print("|error of K| at the end, percentiles 50, 90, 100:",
           (100.0 * np.percentile(K_errors, [50, 90, 100])).round(1), "%")  # fmt: skip
     for i, name in enumerate(("fixed K", "adapted")):
-        error = 100.0 * np.mean([s.error[i] for s in chosen], axis=0)
-        within = np.array([s.within[i] for s in chosen])
-        inside = [s.inside[i] for s in chosen]
+        error = 100.0 * np.mean([s.error[i] for s in scores], axis=0)
+        within = np.array([s.within[i] for s in scores])
+        inside = [s.inside[i] for s in scores]
         print(
             f"{name}: error of T_out, mean of percentiles 50, 90, 99: {error.round(1)} %; within "
             f"5 %: {within.mean():.1%} of time, 90 % of time in {np.mean(within >= 0.9):.0%} of "

@@ -26,6 +26,7 @@ from estimator.measured_data import Samples
 from estimator.online import online
 from estimator.online.estimator import Estimator
 from estimator.online.force_error import FULL_SCALE_SIGMAS, Score
+from estimator.pair_adaptation import run_adapting_pair
 from estimator.plausibility import find_channel_faults, find_contradiction, find_stretch_slip
 from estimator.spikes import remove_spikes
 from estimator.units import LINEAR
@@ -42,7 +43,7 @@ from teleop.config.options import TABLE_OPTIONS, add_option, add_options
 from teleop.data.channel_names import format_numbered_name
 from teleop.data.mapping import load_mapping, parse_column_names
 from teleop.data.reading import Reading, format_reading
-from teleop.data.table import MeasuredTable, read_table, write_table
+from teleop.data.table import MeasuredTable, read_tables, write_table
 from teleop.errors import UsageError
 from teleop.messages.messages import MAX_TENDONS, PHASE_NAMES
 from teleop.ros.bag_table import is_bag
@@ -62,8 +63,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--adapt",
         action="store_true",
         help=(
-            "adapt K to a sheath that moves, from the travel while the tip rests; for one tendon "
-            "against a spring, not for a pair"
+            "adapt K to a sheath that moves, from the travel: of one tendon against a spring while "
+            "the tip rests, of the tendons of a pair, both in DATA, at any time"
         ),
     )
     fit = parser.add_argument_group("with --fit")
@@ -117,13 +118,21 @@ def main(args: argparse.Namespace) -> int:
     joints = joints or read_recorded_joints(args.data)
     k = select_tendon(args.tendon, joints, len(tendons))
     mapping = load_mapping(args)
-    table = read_table(
+    joint = select_joint(args, k, joints)
+    words = [*mapping.options(), *args.column]
+    if len(joint) > 1 and words:
+        raise UsageError(
+            f"--adapt: --column {words[0]} names the column of one tendon; the two of a pair need "
+            "their standard names (proximal_tension_2_N, ...)"
+        )
+    tables = read_tables(
         args.data,
-        parse_column_names([*mapping.options(), *args.column], k),
+        [parse_column_names(words, tendon) for tendon in joint],
         args.drop_nonfinite,
         mapping=mapping,
         zero_errors=() if args.fit else ("distal_tension",),
     )
+    table = tables[joint.index(k)]
     summary: dict[str, Any] = {"data": table.name, "samples": len(table.time)}
     summary["read_as"] = Reading.of(table).to_json()
     if args.tendon is not None or len(tendons) > 1:
@@ -144,24 +153,19 @@ def main(args: argparse.Namespace) -> int:
             "reason": fit.reason,
         }
     else:
-        tendon = (
-            select_tendon_model(k, tendons, joints, files)
-            if files
-            else tendons[k if len(tendons) > 1 else 0]
-        )
+        chosen = [choose_tendon(n, tendons, joints, files) for n in joint]
         if not tendons:
-            tendon = complete_tendon_model(tendon, table, args.length)
+            chosen = [
+                complete_tendon_model(one, rows, args.length)
+                for one, rows in zip(chosen, tables, strict=True)
+            ]
+        tendon = chosen[joint.index(k)]
     clean = remove_spikes(table)
     estimates = Estimator(tendon.model()).run(clean)
     summary["model"] = as_tree(tendon)
     if args.adapt:
-        if any(k in tendons and len(tendons) > 1 for tendons in joints):
-            raise UsageError(
-                f"--adapt: tendon {format_tendon_name(k, joints)} is of a pair, and the other one "
-                "moves its tip; adaptation is for a tendon against a spring"
-            )
         fixed = compare_with_bench(estimates, clean, tendon)
-        estimates, summary["adaptation"] = adapt(tendon, clean, table)
+        estimates, summary["adaptation"] = adapt(chosen, tables, joint, k)
         summary["adaptation"]["fixed_K_error"] = fixed
     if tendon.model_file is not None:
         summary["effects"] = model_files.describe_effects(tendon)
@@ -184,23 +188,37 @@ def main(args: argparse.Namespace) -> int:
     return 0
 
 
+def select_joint(args: argparse.Namespace, k: int, joints: JointTendons) -> tuple[int, ...]:
+    """Return the tendons that are needed for tendon `k`: both of a pair for `--adapt`."""
+    pairs = (tendons for tendons in joints if k in tendons and len(tendons) == 2)
+    return next(pairs, (k,)) if args.adapt else (k,)
+
+
 def adapt(
-    tendon: TendonConfig, clean: Samples, table: MeasuredTable
+    tendons: Sequence[TendonConfig], tables: Sequence[MeasuredTable], joint: tuple[int, ...], k: int
 ) -> tuple[online.Estimates, dict[str, Any]]:
-    """Return the estimates with adaptation, and what became of K."""
-    if clean.proximal_displacement is None:
-        raise UsageError(
-            f"{table.path}, --adapt: needs proximal_displacement_m; tensions alone do not tell K"
-        )
-    run = run_adapting(
-        tendon.model(), clean.time, clean.proximal_tension, clean.proximal_displacement
-    )
+    """Return the estimates of tendon `k` of a joint with adaptation, and what became of K."""
+    models, tensions, travels = [tendon.model() for tendon in tendons], [], []
+    for number, table in zip(joint, tables, strict=True):
+        clean = remove_spikes(table)
+        if clean.proximal_displacement is None:
+            name = format_numbered_name("proximal_displacement_m", number + 1)
+            raise UsageError(f"{table.path}, --adapt: needs {name}; tensions alone do not tell K")
+        tensions.append(clean.proximal_tension)
+        travels.append(clean.proximal_displacement)
+    time = tables[0].time
+    if len(models) == 2:
+        pair = models[0], models[1]
+        runs = run_adapting_pair(pair, time, np.stack(tensions, 1), np.stack(travels, 1))
+        run = runs[joint.index(k)]
+    else:
+        run = run_adapting(models[0], time, tensions[0], travels[0])
     return run.estimates, {
         "K_calibrated": float(run.K[0]),
         "K": float(run.K[-1]),
         "K_low": float(run.K_low[-1]),
         "K_high": float(run.K_high[-1]),
-        "changed_at_s": float(clean.time[run.adapted_from]) if run.adapted_from >= 0 else None,
+        "changed_at_s": float(time[run.adapted_from]) if run.adapted_from >= 0 else None,
         "pieces": run.pieces,
         "contradictions": run.contradictions,
     }
@@ -227,6 +245,15 @@ def check_options(args: argparse.Namespace) -> None:
         raise UsageError(f"--length {args.length:g}: must be above 0 and at most {LENGTH_MAX:g} m")
     if args.rig and args.save is None:
         raise UsageError("--rig: requires --save")
+
+
+def choose_tendon(
+    k: int, tendons: Sequence[TendonConfig], joints: JointTendons, files: model_files.ModelFiles
+) -> TendonConfig:
+    """Return tendon `k`, from 0, with its model file if there are any."""
+    if files:
+        return select_tendon_model(k, tendons, joints, files)
+    return tendons[k if len(tendons) > 1 else 0]
 
 
 def select_tendon_model(

@@ -1,9 +1,11 @@
-"""`teleop estimate --adapt` on the chain of the estimator's test."""
+"""`teleop estimate --adapt` on the chain of the estimator's test, and on the study's pair."""
 
 import json
 
 import pytest
+import yaml
 
+from studies.adaptation import simulate_use
 from teleop.cli import commands
 from teleop.data.table import write_table
 from tests.estimator.test_adaptation import simulate
@@ -33,3 +35,30 @@ def test_adaptation_needs_a_travel_and_a_model_from_before(tmp_path, capsys):
     assert "--adapt: needs proximal_displacement_m" in capsys.readouterr().err
     assert commands.main(["estimate", str(path), "--fit", "--adapt"]) == 2
     assert "--adapt: conflicts with --fit" in capsys.readouterr().err
+
+
+def test_both_tendons_of_a_pair_are_adapted_together(tmp_path, capsys):
+    use = simulate_use(22, pair=True)
+    tendons = [
+        {"sheath": {"sections": [{"length": s.length, "radius": s.radius} for s in sheath.sections],
+                    "friction": sheath.friction, "axial_stiffness": sheath.axial_stiffness}}
+        for sheath in (model.sheath for model in use.models)
+    ]  # fmt: skip
+    rig = {"type": "simulated", "joints": [{"tendons": tendons}]}
+    config, data, out = (tmp_path / name for name in ("pair.yaml", "use.csv", "out.json"))
+    config.write_text(yaml.safe_dump({"slave": {"calibration": "as-built", "rig": rig}}))
+    rows = {"time_s": use.time}
+    for k, suffix in enumerate(("", "_2")):
+        rows[f"proximal_tension{suffix}_N"] = use.tension[:, k]
+        rows[f"proximal_displacement{suffix}_m"] = use.travel[:, k]
+        rows[f"distal_tension{suffix}_N"] = use.tip[:, k]
+    write_table(data, rows)
+    words = ["estimate", str(data), "--config", str(config), "--adapt", "--json", str(out)]
+    assert commands.main(words) == 0
+    summary = json.loads(out.read_text())
+    assert summary["tendon"] == "1a"
+    assert summary["adaptation"]["K"] == pytest.approx(use.K_after[0], rel=0.15)
+    fixed = summary["adaptation"]["fixed_K_error"]["rmse_N"]
+    assert summary["force_error"]["rmse_N"] < 0.8 * fixed
+    assert commands.main([*words[:-2], "--column", "proximal_tension=proximal_tension_2_N"]) == 2
+    assert "need their standard names" in capsys.readouterr().err

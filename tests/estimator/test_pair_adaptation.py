@@ -1,0 +1,88 @@
+"""Adaptation of the tendons of a pair, on the plant of the study, which knows nothing of it."""
+
+import numpy as np
+import pytest
+
+from estimator.adaptation import FACTOR_MAX, FACTOR_MIN
+from estimator.online import online
+from estimator.pair_adaptation import CELLS, _sweep_tip, run_adapting_pair
+from studies.adaptation import CHANGE_S, SETTLE_S, simulate_use
+
+
+@pytest.fixture(scope="module")
+def changed():
+    """Return a pair of which all friction changes by -20 %; and its estimates."""
+    use = simulate_use(22, pair=True)
+    return use, run_adapting_pair(use.models, use.time, use.tension, use.travel)
+
+
+def estimate_unadapted(use, k):
+    T, q = (np.ascontiguousarray(rows[:, k]) for rows in (use.tension, use.travel))
+    return online.run(online.prepare(use.models[k]), use.time, T, q)
+
+
+def compute_error(estimates, use, k):
+    late = use.time > use.change_end + SETTLE_S
+    return np.percentile(abs(estimates.distal_tension - use.tip[:, k])[late], 90)
+
+
+def test_a_change_is_found(changed):
+    use, runs = changed
+    assert use.time[runs[0].adapted_from] > CHANGE_S
+    assert runs[0].K[-1] == pytest.approx(use.K_after[0], rel=0.06)
+    fixed = compute_error(estimate_unadapted(use, 0), use, 0)
+    assert compute_error(runs[0].estimates, use, 0) < 0.8 * fixed
+
+
+def test_until_then_the_tips_motion_is_known_and_k_kept(changed):
+    use, runs = changed
+    before = (use.time > 5.0) & (use.time < CHANGE_S)
+    for k, run in enumerate(runs):
+        assert np.ptp(run.K[before]) == 0.0
+        # the estimator of one tendon does not know that the other one drags it out
+        single = estimate_unadapted(use, k)
+        error, error_single = (
+            np.mean(abs(r.distal_tension - use.tip[:, k])[before]) for r in (run.estimates, single)
+        )
+        assert error < 0.6 * error_single
+
+
+def test_intervals_hold_the_truth(changed):
+    use, runs = changed
+    for k, run in enumerate(runs):
+        low, high, tip = run.estimates.low, run.estimates.high, use.tip[:, k]
+        assert np.mean((low <= tip + 1e-6) & (tip <= high)) > 0.99
+        K = use.models[k].sheath.K
+        assert K * FACTOR_MIN - 1e-9 <= run.K_low.min() <= run.K_high.max() <= K * FACTOR_MAX + 1e-9
+
+
+def test_samples_that_are_missing_are_skipped(changed):
+    use, runs = changed
+    tension = use.tension.copy()
+    tension[5000:5010, 0] = np.nan
+    some = slice(0, 10000)
+    gap = run_adapting_pair(use.models, use.time[some], tension[some], use.travel[some])
+    np.testing.assert_array_equal(
+        gap[1].estimates.distal_tension[:5000], runs[1].estimates.distal_tension[:5000]
+    )
+    later = slice(7000, 10000)
+    difference = gap[1].estimates.distal_tension[later] - runs[1].estimates.distal_tension[later]
+    assert np.median(abs(difference)) < 0.02 * use.tip[:, 1].max()
+
+
+@pytest.mark.parametrize("change", [1e-6, 2e-5, -1e-6, -2e-5])
+def test_a_tip_that_moves_changes_the_elongation_by_as_much(change):
+    weight, ds = np.full(CELLS + 1, 5e-6), 1.0 / CELLS
+    tension = 5.0 * np.exp(-0.5 * np.abs(np.arange(CELLS + 1) - 10) * ds)
+    before, ratio = tension.copy(), np.full(3, np.exp(ds if change > 0.0 else -ds))
+    _sweep_tip(tension, ratio, weight, change)
+    assert weight @ (tension - before) == pytest.approx(change, rel=1e-9)
+    assert tension[0] == before[0]
+    assert np.abs(np.diff(np.log(tension))).max() <= ds * (1.0 + 1e-9)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_tip_that_moves_far_drags_all_of_the_tendon_along(sign):
+    tension, ds = np.full(CELLS + 1, 3.0), 1.0 / CELLS
+    _sweep_tip(tension, np.full(3, np.exp(sign * ds)), np.full(CELLS + 1, 5e-6), sign)
+    np.testing.assert_allclose(tension, 3.0 * np.exp(sign * ds * np.arange(CELLS + 1)), rtol=1e-9)
