@@ -1,20 +1,22 @@
-"""Live adaptation of K to sheaths that move (`estimator.adaptation`), and what is said about it.
+"""Live adaptation of K to sheaths that move, and what is said about it.
 
-Only joints of one tendon adapt: the tendons of a pair move each other's tip, and those of an arm
-end at several joints.
+A tendon against a spring adapts by `estimator.adaptation`, the two of a pair together by
+`estimator.pair_adaptation`. Those of an arm do not: they end at several joints.
 """
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from estimator.adaptation import UPDATE_S, Adaptation, build_adaptation, observe
 from estimator.array_types import Array
 from estimator.compiled import jit_compile
 from estimator.law.tables import K as _K
 from estimator.online.online import TendonModel
+from estimator.pair_adaptation import PairAdaptation, observe_pair
 from estimator.records import StructArray
 from slave.calibration.monitor import TendonMonitor
 from slave.tendons import EstimatedTendons, RigLayout
@@ -30,35 +32,40 @@ SETTLED_WIDTH = 0.2  # of K: largest half-width of the interval of a K that has 
 class AdaptationConfig:
     """Adaptation of K to a sheath that moves while the rig is used."""
 
-    enabled: bool = False  # of tendons against a spring; for a pair and for arms K stays
+    enabled: bool = False  # of tendons against a spring and of pairs; of arms K stays
 
 
 class TendonAdapter(NamedTuple):
-    """Adaptation of all tendons of a rig; those of pairs are left out."""
+    """Adaptation of all tendons of a rig."""
 
     constants: StructArray  # AdaptationConstants, shape (tendons,)
-    states: StructArray  # Adaptation, shape (tendons,)
+    states: StructArray  # Adaptation, shape (tendons,); of a pair unused
+    pairs: StructArray  # PairAdaptation, shape (joints,); of a single tendon unused
+    places: NDArray[np.int64]  # joint and place in its pair, -1 without, shape (tendons, 2)
+
+    def get_friction(self, tendon: int) -> Any:
+        """Return the `AdaptedFriction` of a tendon, a view."""
+        joint, place = self.places[tendon]
+        return self.states[tendon] if place < 0 else self.pairs[joint]["ab"[place]]
 
 
-def build_adapter(config: AdaptationConfig, models: Sequence[TendonModel]) -> TendonAdapter | None:
-    """Return the adaptation of tendons with these models, None if it is off."""
+def build_adapter(
+    config: AdaptationConfig, joints: Sequence[Sequence[int]], models: Sequence[TendonModel]
+) -> TendonAdapter | None:
+    """Return the adaptation of the tendons of `Rig.joints`, None if it is off."""
     if not config.enabled:
         return None
-    states = Adaptation.array(len(models))
-    # not all in one tick
-    states["update_age"] = np.linspace(0.0, UPDATE_S, len(models), endpoint=False)
-    return TendonAdapter(np.concatenate([build_adaptation(model) for model in models]), states)
-
-
-def describe_pairs(config: AdaptationConfig, joints: Sequence[Sequence[int]]) -> list[str]:
-    """Return the line that names the joints of a rig whose K does not adapt; none if all do."""
-    pairs = [str(k) for k, tendons in enumerate(joints, 1) if len(tendons) > 1]
-    if not config.enabled or not pairs:
-        return []
-    return [
-        f"slave.adaptation: K stays as calibrated at joint {', '.join(pairs)}: the tendons of a "
-        "pair move each other's tip"
-    ]
+    constants = np.concatenate([build_adaptation(model) for model in models])
+    places = np.full((len(models), 2), -1)
+    for k, tendons in enumerate(joints):
+        places[list(tendons)] = [
+            [k, place if len(tendons) == 2 else -1] for place in range(len(tendons))
+        ]
+    states, pairs = Adaptation.array(len(models)), PairAdaptation.array(len(joints))
+    adapter = TendonAdapter(constants, states, pairs, places)
+    for i in range(len(models)):  # not all in one tick
+        adapter.get_friction(i)["update_age"] = i / len(models) * UPDATE_S
+    return adapter
 
 
 @jit_compile
@@ -75,15 +82,27 @@ def adapt_tendons(
     `tendons` are of the sample, `dt` [s] is the time since the one before.
     """
     for k in range(layout.groups):
-        group = layout.group[k]
-        if group.count == 1:  # what tells K of a pair must be seen in both of its tendons
-            i = group.tendon[0]
+        i, j = layout.group[k].tendon[0], layout.group[k].tendon[1]
+        if layout.group[k].count == 1:
             observe(
                 adapter.constants[i],
                 adapter.states[i],
                 prepared[i],
                 estimators[i],
                 tendons[i].estimate,
+                dt,
+            )
+        else:
+            observe_pair(
+                adapter.constants[i],
+                adapter.constants[j],
+                adapter.pairs[k],
+                prepared[i],
+                prepared[j],
+                estimators[i],
+                estimators[j],
+                tendons[i].estimate,
+                tendons[j].estimate,
                 dt,
             )
 
@@ -100,12 +119,15 @@ def mute_monitors(
     It cannot after a time without pieces that fit, or close to the bounds of K; then the monitor
     finds errors of the K in use.
     """
-    for k in range(layout.groups):
-        i = layout.group[k].tendon[0]
-        if layout.group[k].count > 1 or not adapter.constants[i].active:
+    for i in range(layout.tendons):
+        k, place = adapter.places[i]
+        age = adapter.states[i].evidence_age
+        if place >= 0:
+            pair = adapter.pairs[k]
+            age = pair.a.evidence_age if place == 0 else pair.b.evidence_age
+        if not adapter.constants[i].active or age >= UNDECIDED_S:
             continue
-        is_inside = _is_inside(adapter.constants[i].K[:], prepared[i].tables[_K])
-        if is_inside and adapter.states[i].evidence_age < UNDECIDED_S:
+        if _is_inside(adapter.constants[i].K[:], prepared[i].tables[_K]):
             monitors[i].count, monitors[i].force_error = 0, 0.0
 
 
@@ -167,10 +189,12 @@ class ShapeWatch:
 
     def update(self, time_s: float) -> Iterator[ShapeChange]:
         """Yield what is new at `time_s` [s]."""
-        states = self._adapter.states
-        for i in np.flatnonzero(states["adapted"]).tolist():
-            shape, now = self._shapes[i], compute_friction(self._prepared, self._adapter, i)
-            is_excluded = not states["low"][i] <= shape.K <= states["high"][i]
+        for i, shape in enumerate(self._shapes):
+            state = self._adapter.get_friction(i)
+            if not state["adapted"]:
+                continue
+            now = compute_friction(self._prepared, self._adapter, i)
+            is_excluded = not state["low"] <= shape.K <= state["high"]
             if shape.left_s is None and (is_excluded or shape.near == 0.0):
                 shape.left_s, shape.near, shape.near_s = time_s, now.K, time_s
                 yield ShapeChange(i, time_s, shape.K, now, has_settled=False)
@@ -181,6 +205,6 @@ class ShapeWatch:
             elif time_s - shape.near_s >= SETTLED_S:
                 is_known = now.high - now.low <= 2.0 * SETTLED_WIDTH * now.K
                 is_known = is_known and _is_inside(self._adapter.constants["K"][i], now.K)
-                if is_known and states["low"][i] <= now.K <= states["high"][i]:
+                if is_known and state["low"] <= now.K <= state["high"]:
                     yield ShapeChange(i, shape.left_s, shape.K, now, has_settled=True)
                     shape.K, shape.left_s = now.K, None

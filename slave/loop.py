@@ -113,7 +113,7 @@ class SlaveRecords(NamedTuple):
     def changing(self) -> tuple[Any, ...]:
         """The arrays that ticks and samples change."""
         arm = () if self.arm is None else (self.arm.memory, self.arm.pairs)
-        adapted = () if self.adapter is None else (self.prepared, self.adapter.states)
+        adapted = () if self.adapter is None else (self.prepared, *self.adapter[1:3])
         return self.memory, self.estimators, *arm, *adapted
 
     @property
@@ -182,7 +182,7 @@ def init_slave(
         model.monitor_constants,
         True if model.prepared["has_dynamics"].any() else None,
         build_arm_estimator(model.joints, model.arms),
-        build_adapter(config.adaptation, model.models),
+        build_adapter(config.adaptation, model.joints, model.models),
     )
     row = EstimatedSample.array()
     for sample in samples:

@@ -20,7 +20,6 @@ from typing import NamedTuple, cast
 
 from estimator.records import view_struct
 from slave import live_settings, loop, model_files
-from slave.adaptation import describe_pairs
 from slave.calibration.file import apply_guide_friction
 from slave.calibration.initialisation import initialise
 from slave.config import (
@@ -335,11 +334,8 @@ def main(args: argparse.Namespace) -> int:
     ) -> tuple[SlaveProcess, EventClock, StopCondition]:
         rig = open_rig(config.rig)
         stack.callback(rig.close)
-        for line in [
-            *find_config_warnings(config, shared.coupling),
-            *describe_pairs(config.adaptation, rig.joints),
-        ]:
-            print(line, flush=True)
+        for warning in find_config_warnings(config, shared.coupling):
+            print(warning, flush=True)
         stop = StopCondition(args.duration)
         stop.wake = link.wake
         link.subscribe_latest(COMMAND, round(config.command_timeout * 1e9))

@@ -112,7 +112,7 @@ class Telemetry:
         """Return K of the tendons that adapt, after what was said about their shape."""
         adapter, lines = self._slave.adapter, list(self.shape_changes)
         for k, model in enumerate(self._model.models):
-            if adapter is not None and adapter.states["pieces"][k] > 0:
+            if adapter is not None and adapter.get_friction(k)["pieces"] > 0:
                 now = compute_friction(self._slave.prepared, adapter, k)
                 lines.append(
                     f"K of {self._named(k)}: {now.K:.2f}, in {now.low:.2f} to {now.high:.2f}; "

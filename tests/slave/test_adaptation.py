@@ -8,7 +8,7 @@ import pytest
 from estimator.law import tables
 from estimator.records import as_bytes
 from slave import loop
-from slave.adaptation import UNDECIDED_S, AdaptationConfig, describe_pairs
+from slave.adaptation import UNDECIDED_S, AdaptationConfig
 from slave.config import SlaveConfig
 from slave.extensions import EstimatorExtension
 from slave.rig import RigSample
@@ -48,21 +48,18 @@ def run(slave, rows):
 
 
 def snapshot(slave):
-    kept = slave.memory, slave.estimators, slave.prepared, slave.adapter.states
+    kept = slave.memory, slave.estimators, slave.prepared, slave.adapter.states, slave.adapter.pairs
     return [as_bytes(records).copy() for records in kept]
 
 
-def test_only_a_tendon_against_a_spring_adapts():
+def test_tendons_of_a_pair_adapt_together_and_a_single_one_by_itself():
     slave = started()
     run(slave, pulls(0.0, 2.0))
-    assert slave.adapter.states["pieces"].tolist()[:2] == [0, 0]
     assert slave.adapter.states["pieces"][2] > 10
-    assert slave.prepared["adaptation_error"].tolist()[:2] == [0.0, 0.0]
-    assert slave.prepared["adaptation_error"][2] > 0.0
-    assert describe_pairs(ON, ((0,), (1, 2), (3,), (4, 5)))[0].startswith(
-        "slave.adaptation: K stays as calibrated at joint 2, 4: "
-    )
-    assert describe_pairs(ON, ((0,),)) == describe_pairs(AdaptationConfig(), JOINTS) == []
+    assert slave.adapter.states["pieces"].tolist()[:2] == [0, 0]
+    assert slave.adapter.pairs["started"].tolist() == [True, False]
+    assert (slave.prepared["adaptation_error"] > 0.0).all()
+    assert (slave.adapter.get_friction(1) == slave.adapter.pairs[0]["b"]).all()
 
 
 def test_what_a_tick_has_adapted_is_undone_with_it():
@@ -82,16 +79,19 @@ def test_what_a_tick_has_adapted_is_undone_with_it():
 def test_the_monitor_is_heard_where_the_adaptation_cannot_decide():
     slave = started()
 
-    def left(K, evidence_age):
+    def left(K, *evidence_ages):
         slave.memory["monitors"]["count"] = 5
-        slave.adapter.states["evidence_age"] = evidence_age
-        slave.prepared["tables"][2, tables.K] = K
+        for i, age in enumerate(evidence_ages):
+            slave.adapter.get_friction(i)["evidence_age"] = age
+        slave.prepared["tables"][:, tables.K] = K
         loop.monitor_calibration(*slave.monitor_arguments, pulls(0.0, 0.01), 0)
         return slave.memory["monitors"]["count"][0, :3].tolist()
 
-    assert left(0.8, 1.0) == [5, 5, 0]
-    assert left(0.8, UNDECIDED_S + 1.0) == [5, 5, 5]  # no piece fitted for long
-    assert left(1.8 * 0.8, 1.0) == [5, 5, 5]  # the largest K that it considers
+    long = UNDECIDED_S + 1.0  # no piece fitted
+    assert left(0.8, 1.0, 1.0, 1.0) == [0, 0, 0]
+    assert left(0.8, long, 1.0, long) == [5, 0, 5]
+    assert left(0.8, 1.0, long, 1.0) == [0, 5, 0]
+    assert left(1.8 * 0.8, 1.0, 1.0, 1.0) == [5, 5, 5]  # the largest K that it considers
 
 
 def test_models_are_left_as_they_were_where_it_is_off():
