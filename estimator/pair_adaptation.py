@@ -304,7 +304,7 @@ def _compute_room(constants: AdaptationConstants, state: PairTendon) -> float:
         release *= state.release_ratio[third, IN_USE]
         e_pull += constants.cell_weight[n + 1] * pull
         e_release += constants.cell_weight[n + 1] * release
-    return max(min(state.elongation - e_pull, e_release - state.elongation), 0.0)
+    return float(max(min(state.elongation - e_pull, e_release - state.elongation), 0.0))
 
 
 @jit_compile
