@@ -191,7 +191,8 @@ class _Search:
         self.layout = ParameterLayout(dataset, model)
         self._dataset, self._full, self._contexts = dataset, use_all_samples(dataset), contexts
         samples_max = max(len(record.time) for record in dataset.records)
-        self._is_long = samples_max >= COARSE_RATIO_MIN * COARSE_SIZE
+        has_times = any(p.jumps for p in self.layout.parameters)  # to a sample
+        self._is_long = samples_max >= COARSE_RATIO_MIN * COARSE_SIZE and not has_times
 
     def simulate(self, x: Array, coarse: Sequence[CoarseSteps | None] = ()) -> Fit:
         """Return the model of a row, and what it makes of the records."""
@@ -206,14 +207,14 @@ class _Search:
     def compute_jacobian(self, fit: Fit) -> Array:
         """Return the derivatives of the residual at a fit by all parameters, by coarse steps."""
         x, (_, high) = self.layout.pack(fit.model), self.layout.bounds()
-        steps = self.build_coarse_steps(fit)
-        J = compute_forward_differences(
-            lambda x: compute_residual(self._dataset, self.simulate(x, steps)),
-            x,
-            compute_residual(self._dataset, fit),
-            DIFFERENCE_STEP,
-            high,
-        )
+        coarse = self.build_coarse_steps(fit)
+
+        def evaluate(x: Array) -> Array:
+            return compute_residual(self._dataset, self.simulate(x, coarse))
+
+        # of the same arithmetic: what rounds off would be a slope by numbers that change nothing
+        residual = evaluate(x) if coarse else compute_residual(self._dataset, fit)
+        J = compute_forward_differences(evaluate, x, residual, DIFFERENCE_STEP, high)
         J[:, self.layout.is_fixed] = 0.0
         return J
 
@@ -260,7 +261,9 @@ class _Search:
     ) -> tuple[Fit, LeastSquaresSolution]:
         """Return the fit of a descent by coarse steps, simulated in all samples, and its end."""
         low, high = self.layout.bounds()
-        fits, cost_min = {x_start[is_free].tobytes(): start}, math.inf
+        # derivatives by coarse steps are of the same arithmetic, or what rounds off were a slope
+        fits = {} if coarse else {x_start[is_free].tobytes(): start}
+        cost_min = math.inf
 
         def simulate_free(x: Array, coarse: Sequence[CoarseSteps | None]) -> Fit:
             row = x_start.copy()
