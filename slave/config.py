@@ -11,6 +11,7 @@ from slave.calibration import file
 from slave.calibration.config import InitialiseConfig
 from slave.calibration.file import JointTendons
 from slave.calibration.monitor import MonitorConfig
+from slave.calibration.probing import ProbingConfig
 from slave.control import ControlConfig
 from slave.extensions import ControllerExtension, EstimatorExtension
 from slave.fault_detection import FaultDetectionConfig
@@ -48,6 +49,7 @@ class SlaveConfig:
     initialise: InitialiseConfig = field(default_factory=InitialiseConfig)
     monitor: MonitorConfig = field(default_factory=MonitorConfig)
     adaptation: AdaptationConfig = field(default_factory=AdaptationConfig)
+    probing: ProbingConfig = field(default_factory=ProbingConfig)
     control: ControlConfig = field(default_factory=ControlConfig)
     estimator: EstimatorExtension | None = None  # of another package; null = the built-in one
     controller: ControllerExtension | None = None  # of another package; null = the built-in one

@@ -23,7 +23,7 @@ from estimator.records import StructArray, to_struct_array, view_struct
 from slave import control, fault_detection, gate, initial_position
 from slave.adaptation import TendonAdapter, build_adapter, mute_monitors
 from slave.arm_estimate import ArmEstimator, build_arm_estimator
-from slave.calibration import degraded_mode, monitor
+from slave.calibration import degraded_mode, monitor, probing
 from slave.calibration.monitor import Advice
 from slave.config import SlaveConfig
 from slave.control.joint import JointEstimates
@@ -145,7 +145,7 @@ def build_settings(
 ) -> StructArray:
     """Return the `SlaveSettings` of a config and a coupling, shape (1,)."""
     records = SlaveSettings.array()
-    for name in ("control", "fault_detection", "gate", "monitor"):
+    for name in ("control", "fault_detection", "gate", "monitor", "probing"):
         records[name] = to_struct_array(getattr(config, name))
     records["bilateral"] = coupling.to_bilateral_settings(bilateral)
     records["sample_timeout"] = config.sample_timeout
@@ -172,8 +172,10 @@ def init_slave(
     tendons = len(model.models)
     initial_position.init_position(view_struct(memory).initial_position, tendons, starts_at_zero)
     memory["detector"] = fault_detection.init_detector(model.models)
+    settings = build_settings(config, bilateral, calibrated=not model.not_ready_text)
+    settings["probed"][0, :tendons] = probing.build_probe_constants(model.models, config.probing)
     slave = SlaveRecords(
-        build_settings(config, bilateral, calibrated=not model.not_ready_text),
+        settings,
         model.layout,
         model.prepared.copy(),  # the adaptation changes them
         online.build_initial_states(model.prepared),
@@ -277,8 +279,7 @@ def end_tick(
     scratch, command = scratches[0], commands[0]
     verdict = gate.HELD
     if memory.has_sample and (memory.has_motor or engaged):
-        moving = engaged and tick_input.motors_follow
-        verdict = _command_motors(settings, layout, memory, scratch, moving, tick_input.dt)
+        verdict = _command_motors(settings, layout, memory, scratch, engaged, tick_input)
         memory.has_motor = True
     _fill_state(settings, layout, memory, command, tick_input, states[0])
     return verdict
@@ -585,10 +586,11 @@ def _command_motors(
     layout: RigLayout,
     memory: SlaveMemory,
     scratch: Scratch,
-    moving: bool,
-    dt: float,
+    engaged: bool,
+    tick_input: TickInput,
 ) -> int:
-    """Compute the motor targets and apply the gate; hold unless `moving`."""
+    """Compute the motor targets and apply the gate; hold unless `engaged`, or probing."""
+    moving, dt = engaged and tick_input.motors_follow, tick_input.dt
     if scratch.has_own_target:
         copy_values(scratch.own_target[:], scratch.motor_target[:])
     else:
@@ -609,6 +611,22 @@ def _command_motors(
         scratch.tension[i] = math.nan
         if tendon.valid:
             scratch.tension[i] = max(tendon.tension, tendon.corrected_tension)
+    if settings.probing.enabled:
+        probing.track_pulls(settings.probed, layout, memory.probe, memory.tendons, dt)
+        may_probe = state_machine.may_probe(memory.session) and tick_input.motors_follow
+        is_probing = probing.step(
+            settings.probing,
+            settings.probed,
+            layout,
+            memory.probe,
+            memory.tendons,
+            scratch.requested,
+            scratch.motor_position,
+            may_probe and not scratch.has_own_target,
+            dt,
+            scratch.motor_target,
+        )
+        moving = moving or is_probing
     if moving:
         gate.compute_reaches(settings.gate, layout, memory.joints, memory.reach)
     return gate.step(
@@ -643,6 +661,7 @@ def _fill_state(
     state.stops = memory.session.stops
     state.echo_stamp_ns = command.stamp_ns if tick_input.has_command else 0
     state.coupling = settings.bilateral.signature
+    state.probing = memory.probe.tendon + 1
     state.force_reduction = degraded_mode.compute_force_reduction(
         settings.monitor, memory.degradation
     )
@@ -674,6 +693,8 @@ def monitor_calibration(
     """Update the calibration monitor with the samples of a tick."""
     settings, layout, memory = settings_records[0], layouts[0], memories[0]
     constants: Any = monitor_constants
+    if settings.probing.enabled:
+        probing.hand_over(settings.monitor, settings.probed, memory.probe, memory.monitors)
     if adapter is not None:
         mute_monitors(adapter, layout, prepared, memory.monitors)
     for s in range(samples):

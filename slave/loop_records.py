@@ -10,6 +10,7 @@ from slave import control, fault_detection, gate, initial_position
 from slave.calibration import monitor
 from slave.calibration.degraded_mode import Degradation
 from slave.calibration.monitor import Advice
+from slave.calibration.probing import Probe, ProbeConstants, ProbingConfig
 from slave.control.joint import JointEstimate
 from slave.tendons import EstimatedTendon
 from teleop import coupling
@@ -38,6 +39,8 @@ class SlaveSettings(Struct):
     ]
     gate: Annotated[gate.GateConfig, Field(build_struct_dtype(gate.GateConfig))]
     monitor: Annotated[monitor.MonitorConfig, Field(build_struct_dtype(monitor.MonitorConfig))]
+    probing: Annotated[ProbingConfig, Field(build_struct_dtype(ProbingConfig))]
+    probed: Annotated[Sequence[ProbeConstants], Field(ProbeConstants, MAX_TENDONS)]
     bilateral: coupling.BilateralSettings
     sample_timeout: F64 = 0.1  # [s]
     is_actuated: Flag = True  # the motors follow commands
@@ -83,6 +86,7 @@ class SlaveMemory(Struct):
     faulty_tendon: I64 = -1
     advice: I64 = Advice.NONE
     degradation: Degradation
+    probe: Probe
     not_ready: I64 = NO_SAMPLE
 
 

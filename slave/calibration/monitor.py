@@ -28,6 +28,7 @@ import numpy as np
 from estimator.array_types import Array
 from estimator.arrays import compute_median, copy_values, interpolate
 from estimator.compiled import jit_compile
+from estimator.law.sheath import Sheath
 from estimator.law.transmission import Phase
 from estimator.online import tendon_estimate
 from estimator.online.online import TendonModel
@@ -62,6 +63,7 @@ ERROR_RATIO_MAX = 8.0 / 3.0  # largest ratio of the relative errors of T_out and
 TRANSITIONS_MAX = 99  # largest value of `transitions`
 SECTION_PIECES = 200  # of each section, for its integrals
 FRICTION_FACTORS = np.linspace(0.5, 2.0, 61)  # of all friction: the grid of hypotheses
+UNCHANGED = int(np.argmin(np.abs(FRICTION_FACTORS - 1.0)))
 
 
 _UNUSABLE = (
@@ -161,21 +163,14 @@ def _fill_constants(constants: MonitorConstants, model: TendonModel) -> None:
     sheath = model.sheath
     if sheath.K == 0.0:  # no friction: no transition to observe
         return
-    dx = np.concatenate(
-        [np.full(SECTION_PIECES, section.length / SECTION_PIECES) for section in sheath.sections]
-    )
-    radius = np.concatenate(
-        [np.full(SECTION_PIECES, section.radius) for section in sheath.sections]
-    )
-    ds = sheath.friction * dx / radius
+    dx, ds = divide_sheath(sheath)
     s = np.cumsum(ds)
     front = FRONT_DEPTH * sheath.K
-    shares = _compute_travel(dx, ds, FRICTION_FACTORS, front) / _compute_travel(
+    shares = compute_travel(dx, ds, FRICTION_FACTORS, front) / compute_travel(
         dx, ds, np.ones(1), front
     )
     order = np.argsort(shares)
-    unchanged = int(np.argmin(np.abs(FRICTION_FACTORS - 1.0)))
-    shown = abs(float(np.gradient(shares, FRICTION_FACTORS)[unchanged]))
+    shown = abs(float(np.gradient(shares, FRICTION_FACTORS)[UNCHANGED]))
     constants.K = sheath.K
     constants.mobilised = MOBILISED_SHARE * sheath.length
     constants.depth = float(np.cumsum(dx)[np.searchsorted(s, front)])
@@ -186,7 +181,15 @@ def _fill_constants(constants: MonitorConstants, model: TendonModel) -> None:
     constants.blind = ERROR_RATIO_MAX * shown < sheath.K
 
 
-def _compute_travel(dx: Array, ds: Array, factors: Array, front: float) -> Array:
+def divide_sheath(sheath: Sheath) -> tuple[Array, Array]:
+    """Return length [m] and friction of small pieces of a sheath, from the housing on."""
+    radius = np.repeat([section.radius for section in sheath.sections], SECTION_PIECES)
+    length = [section.length / SECTION_PIECES for section in sheath.sections]
+    dx = np.repeat(length, SECTION_PIECES)
+    return dx, sheath.friction * dx / radius
+
+
+def compute_travel(dx: Array, ds: Array, factors: Array, front: float) -> Array:
     """Return motor travel over initial tension, from a full pull to a front at depth `front`.
 
     By (T5), pull to release, for friction `factors` times as large; in units of 1/EA.
@@ -282,7 +285,7 @@ def step(
     elif is_pull or estimate.front > constants.depth or gave_way:
         _finish_transition(config, constants, monitor)
     else:
-        _add_point(line, estimate, averaged, antagonist_tension, dt)
+        add_point(line, estimate, averaged, antagonist_tension, dt)
     monitor.travel = averaged
 
 
@@ -336,13 +339,13 @@ def compute_advice(config: MonitorConfig, monitors: Sequence[TendonMonitor], cou
 
 
 @jit_compile
-def _add_point(
+def add_point(
     line: Transition, estimate: TendonEstimate, travel: float, antagonist_tension: float, dt: float
 ) -> None:
     """Add a point unless it is too close to the last one."""
     elongation = estimate.elongation
     if line.points == 0:
-        _clear_transition(line)
+        clear_transition(line)
         line.first, line.travel_begin = elongation, travel
         line.tip, line.antagonist_tension = estimate.distal_tension, antagonist_tension
     line.lasted = line.lasted + dt if line.points > 1 else 0.0
@@ -361,7 +364,8 @@ def _add_point(
 
 
 @jit_compile
-def _clear_transition(line: Transition) -> None:
+def clear_transition(line: Transition) -> None:
+    """Begin a line anew."""
     line.points = 0
     line.elongation = line.travel = line.ee = line.eq = line.qq = 0.0
     line.first = line.last = line.travel_begin = math.nan
@@ -372,7 +376,7 @@ def _clear_transition(line: Transition) -> None:
 def _await_pull(monitor: TendonMonitor) -> None:
     """Reset the pull and the transition; results of earlier ones are kept."""
     monitor.reached, monitor.pulled, monitor.travel = math.nan, False, math.nan
-    _clear_transition(monitor.transition)
+    clear_transition(monitor.transition)
 
 
 @jit_compile
@@ -384,21 +388,23 @@ def _finish_transition(
     error = _compute_transition_error(constants, monitor.transition)
     if not math.isnan(error):
         uncertainty = TRAVEL_ACCURACY + DELAY_SHARE * constants.lag / max(lasted, constants.lag)
-        _append_error(monitor, error, constants.amplified * uncertainty, config.transitions)
-        monitor.force_error = compute_force_error(monitor)
+        add_error(config, monitor, error, constants.amplified * uncertainty)
     _await_pull(monitor)
 
 
 @jit_compile
-def _append_error(monitor: TendonMonitor, error: float, uncertainty: float, count_max: int) -> None:
-    """Append the result of a transition; drop the oldest beyond `count_max`."""
-    count = min(monitor.count, count_max - 1)
+def add_error(
+    config: MonitorConfig, monitor: TendonMonitor, error: float, uncertainty: float
+) -> None:
+    """Add the relative error of T_out from a transition; drop the oldest beyond `transitions`."""
+    count = min(monitor.count, config.transitions - 1)
     dropped = monitor.count - count
     for k in range(count):
         monitor.errors[k] = monitor.errors[k + dropped]
         monitor.uncertainties[k] = monitor.uncertainties[k + dropped]
     monitor.errors[count], monitor.uncertainties[count] = error, uncertainty
     monitor.count = count + 1
+    monitor.force_error = compute_force_error(monitor)
 
 
 @jit_compile

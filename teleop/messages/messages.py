@@ -284,6 +284,7 @@ class SlaveState(Message):
     wave: Joints = NO_JOINTS  # [sqrt(J s)] integral of the waves sent to it
     answer_ns: I64 = 0  # from the Command's receipt to this state's sending; 0 = no new one
     force_reduction: F64 = 0.0  # part of the forces that neither side renders: degraded mode
+    probing: U32 = 0  # number of the tendon whose friction is being probed, from 1; 0 = none
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -35,7 +35,7 @@ STOPPED  motors stop by their own means or, if the rig has none, hold;  an expli
 None of them ends in motion: each goes to READY, where the switch must be open and then pressed
 again; only the clutch returns directly to ENGAGED.
 
-What each side may do depends on `may_move` and `may_yield` (slave), `may_render` and
+What each side may do depends on `may_move`, `may_probe` and `may_yield` (slave), `may_render` and
 `is_force_fading` (master), and on nothing else.
 
 `Session` and `Inputs` are records (`estimator.records`), and all functions of them are compiled.
@@ -263,6 +263,15 @@ def is_switch_closed(master: int) -> bool:
 def may_move(session: Session) -> bool:
     """Return whether commands may move the motors."""
     return session.state == State.ENGAGED
+
+
+@jit_compile
+def may_probe(session: Session) -> bool:
+    """Return whether motors at rest may measure friction by motions that no tip notices.
+
+    Not while holding: a side that hears nothing must not begin to move.
+    """
+    return session.state in (State.ENGAGED, State.CLUTCHED)
 
 
 @jit_compile

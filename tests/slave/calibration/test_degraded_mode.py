@@ -46,7 +46,7 @@ def test_only_transitions_that_agree_on_no_error_end_it():
     assert mode.see(0.1, 0.1, 0.1) == (Advice.ADVISED, False)
     assert mode.see(0.3, 0.3, 0.3) == (Advice.DEMANDED, True)
     assert mode.see(0.3, 0.3, 0.3, 0.1, 0.1)[1]
-    assert mode.see(0.3, 0.1, -0.1, 0.0, 0.2) == (Advice.NONE, True)  # they contradict each other
+    assert mode.see(0.3, 0.01, -0.25, 0.0, 0.2) == (Advice.NONE, True)  # they contradict each other
     assert mode.see(0.0, 0.0) == (Advice.NONE, True)  # too few
     assert mode.see(0.1, 0.1, 0.1, 0.1, 0.1) == (Advice.ADVISED, True)
     assert mode.see(0.3, 0.3, 0.01, 0.0, 0.02) == (Advice.NONE, False)
