@@ -1,31 +1,25 @@
-"""Where compiled code is cached: one folder per state of the sources, which nobody else can change.
+"""Where compiled code is cached: a folder that nobody else can change.
 
-Numba checks only the date of a function's own file, so after a change in one module it would run
-outdated code inlined into another. A folder named after a hash of all sources is never outdated.
-What lies in the folder is run as it is, so it must be this user's alone, as must those above it.
+What lies in it (see `estimator.function_cache`) is run as it is, so it must be this user's alone,
+as must those above it.
 """
 
 import contextlib
 import grp
-import hashlib
 import os
 import pwd
-import shutil
 import stat
 import sys
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
-FOLDERS_KEPT = 3  # folders of earlier states, for switching between versions
-IN_USE_S = 3600.0  # [s] since its last use, within which another process may use a folder
-_COMPILED_PACKAGES = ("estimator", "master", "slave", "teleop")
 _FOLDER_NAME = "tendon-teleop"
 _ENVIRONMENT_VARIABLE = "NUMBA_CACHE_DIR"
 
 
 def choose_folder() -> Path | None:
-    """Set the folder in the environment, before numba is imported, and delete old ones.
+    """Set the folder in the environment, before numba is imported.
 
     `NUMBA_CACHE_DIR` set by the user has precedence. A folder that other users own or can change is
     left out, with a line on standard error. Returns None, with nothing cached, if none is left.
@@ -33,14 +27,9 @@ def choose_folder() -> Path | None:
     if override := os.environ.get(_ENVIRONMENT_VARIABLE):
         with contextlib.suppress(OSError):
             return _create_private_folder(Path(override))
-    state = _hash_sources()
-    for caches in _generate_candidate_folders():
+    for candidate in _generate_candidate_folders():
         try:
-            folder = _create_private_folder(_create_private_folder(caches) / state)
-            os.utime(folder)
-            for old in sorted(folder.parent.iterdir(), key=_get_last_use)[: -1 - FOLDERS_KEPT]:
-                if _get_last_use(folder) - _get_last_use(old) > IN_USE_S * 1e9:
-                    shutil.rmtree(old, ignore_errors=True)
+            folder = _create_private_folder(candidate)
         except OSError:
             continue
         os.environ[_ENVIRONMENT_VARIABLE] = str(folder)
@@ -92,14 +81,6 @@ def _is_writable_by_others(status: os.stat_result) -> bool:
     return group.gr_name != user or not set(group.gr_mem) <= {user}
 
 
-def _hash_sources() -> str:
-    """Return a hash of the sources of compiled functions."""
-    root = Path(__file__).parents[1]
-    sources = sorted(path for name in _COMPILED_PACKAGES for path in (root / name).rglob("*.py"))
-    text = "".join(f"{p} {p.stat().st_mtime_ns} {p.stat().st_size}\n" for p in sources)
-    return hashlib.sha256(text.encode()).hexdigest()[:16]
-
-
 def _generate_candidate_folders() -> Iterator[Path]:
     """Yield candidate folders: in the user's cache, then a temporary one."""
     cache_home = Path(os.environ.get("XDG_CACHE_HOME", ""))
@@ -108,10 +89,3 @@ def _generate_candidate_folders() -> Iterator[Path]:
     with contextlib.suppress(RuntimeError):  # a user id without a home
         yield Path.home() / ".cache" / _FOLDER_NAME
     yield Path(tempfile.gettempdir()) / f"{_FOLDER_NAME}-{os.getuid()}"
-
-
-def _get_last_use(folder: Path) -> int:
-    try:
-        return folder.stat().st_mtime_ns
-    except FileNotFoundError:  # deleted by another process
-        return 0

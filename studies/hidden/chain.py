@@ -15,7 +15,8 @@ are corrected until none is left. What is returned satisfies every condition, ho
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
+
+from estimator.compiled import jit_compile
 
 LOOSE = 1e-9  # stiffness of a slack spring over that of a taut one, for a unique answer
 FLAT = 1e-3  # [N] below which friction's power of tension stops
@@ -121,7 +122,7 @@ def at_rest(line, law, tip, tension=0.0):
     return State(x, start, stuck, x.copy(), still, still + 1.0, np.zeros(n - 1), np.zeros(2))
 
 
-@njit(cache=True)
+@jit_compile
 def stretched(line, law, j, T, creep, growth, dt):
     """Return how much longer than its place spring `j` is at tension T >= 0 [m]."""
     h = dt / law.creep_time
@@ -133,7 +134,7 @@ def stretched(line, law, j, T, creep, growth, dt):
     return line.length[j] * strain + more
 
 
-@njit(cache=True)
+@jit_compile
 def _compliance(line, law, j, T, dt):
     h = dt / law.creep_time
     per_length = (1.0 + law.creep_share * h / (1.0 + h)) / line.stiffness
@@ -144,7 +145,7 @@ def _compliance(line, law, j, T, dt):
     return line.length[j] * per_length + more
 
 
-@njit(cache=True)
+@jit_compile
 def _pull(line, law, j, stretch, guess, creep, growth, dt):
     """Return the tension of spring `j` at a stretch, and its stiffness."""
     loose = stretched(line, law, j, 0.0, creep, growth, dt)
@@ -161,7 +162,7 @@ def _pull(line, law, j, stretch, guess, creep, growth, dt):
     return T, 1.0 / _compliance(line, law, j, T, dt)
 
 
-@njit(cache=True)
+@jit_compile
 def _limit(line, law, i, load, speed, direction, scale, state):
     """Return the most that bead `i` holds, its slope in the load and in the speed.
 
@@ -182,7 +183,7 @@ def _limit(line, law, i, load, speed, direction, scale, state):
     return factor * total, factor * slope, factor * law.viscosity
 
 
-@njit(cache=True)
+@jit_compile
 def _solve(system):
     """Solve a tridiagonal system (rows below, on and above the diagonal, right side) in place."""
     lower, diagonal, upper, right = system
@@ -196,7 +197,7 @@ def _solve(system):
         right[i] = (right[i] - upper[i] * right[i + 1]) / diagonal[i]
 
 
-@njit(cache=True)
+@jit_compile
 def _hold(tip, state, before, wall, dt):
     """Return a and b of the bench's force a x - b on a sprung tip at x, by Newmark's rule."""
     inertia, damping = 4.0 * tip.mass / dt**2, 2.0 * tip.damping / dt
@@ -205,7 +206,7 @@ def _hold(tip, state, before, wall, dt):
     return tip.stiffness + inertia + damping, b
 
 
-@njit(cache=True)
+@jit_compile
 def _equations(line, law, tip, state, k, before, hold, outside, dt, system):
     """Write what the nodes lack for their balance, and its slopes: a tridiagonal `system`."""
     n, t = len(line.friction), line.tip
@@ -241,7 +242,7 @@ def _equations(line, law, tip, state, k, before, hold, outside, dt, system):
             right[i] = d * limit - jump
 
 
-@njit(cache=True)
+@jit_compile
 def _corrected(line, law, tip, state, before, hold, outside):
     """Change guesses that Coulomb contradicts; return whether there was none."""
     t, x, T = line.tip, state.x, state.tension
@@ -273,13 +274,13 @@ def _corrected(line, law, tip, state, before, hold, outside):
     return agreed
 
 
-@njit(cache=True)
+@jit_compile
 def _root(line, law, i, x, jump):
     """Return where in the sheath the bristle of a bead at `x` begins that carries `jump`."""
     return x - jump * law.bristle / (line.friction[i] * BRISTLE_AT)
 
 
-@njit(cache=True)
+@jit_compile
 def _balance(line, law, tip, state, outside, dt):
     """Find the equilibrium at the end of a step; of the state only x, tension, sliding change.
 
@@ -301,7 +302,7 @@ def _balance(line, law, tip, state, outside, dt):
     return False
 
 
-@njit(cache=True)
+@jit_compile
 def _stretch(line, law, state, outside, dt, k):
     """Renew the tension and stiffness of springs; return whether any went slack or taut."""
     turned, x, T = False, state.x, state.tension
@@ -312,7 +313,7 @@ def _stretch(line, law, state, outside, dt, k):
     return turned
 
 
-@njit(cache=True)
+@jit_compile
 def advance(line, law, tip, state, outside, dt):
     """Take the line through one step; return the heat of friction [J], or nan without an answer."""
     n, t = len(line.friction), line.tip
@@ -351,7 +352,7 @@ def advance(line, law, tip, state, outside, dt):
     return heat
 
 
-@njit(cache=True)
+@jit_compile
 def step(line, law, tip, state, before, after, dt):
     """Take the line from one set of outside conditions to the next; return the heat [J].
 
@@ -373,7 +374,7 @@ def step(line, law, tip, state, before, after, dt):
     return heat
 
 
-@njit(cache=True)
+@jit_compile
 def run(line, law, tip, state, outside, period, parts):
     """Take the line through a record of conditions, a row each, of as many steps as `parts`.
 

@@ -13,7 +13,8 @@ Time goes in small explicit steps (semi-implicit Euler), with the inertia of eve
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
+
+from estimator.compiled import jit_compile
 
 STEP = 5e-5  # [s]
 FULL = 0.6  # [rad] that the drive turns at most
@@ -51,7 +52,7 @@ def run(loop, time, angle):
     return out[:, 0] * loop.radius, out[:, 1] * loop.radius, out[:, 2] / loop.radius
 
 
-@njit(cache=True)
+@jit_compile
 def _run(time, travel, mu, force, give, k, pretension, spring, n, mass):
     """Return forces at both rims [N], and the driven rim's travel [m], (samples, 3).
 

@@ -11,7 +11,8 @@ Nothing is shared with `chain` or `estimator`: no springs and beads, no graded n
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
+
+from estimator.compiled import jit_compile
 
 CELLS = 500
 INNER = 1000  # [Hz] of the truth
@@ -30,7 +31,7 @@ class GridRecord(NamedTuple):
     compliance: float  # L/EA [m/N]
 
 
-@njit(cache=True)
+@jit_compile
 def _row(T_in, before, ratio, after):
     """Fill in the tension of each cell for one at the housing; return their sum [N]."""
     T, total = T_in, 0.0
@@ -41,7 +42,7 @@ def _row(T_in, before, ratio, after):
     return total
 
 
-@njit(cache=True)
+@jit_compile
 def pulled(travel, K, compliance, spring):
     """Return the tensions at housing and tip and the tip's travel under a motor's travel.
 

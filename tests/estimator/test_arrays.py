@@ -41,5 +41,5 @@ def test_a_records_array_and_a_literal_need_no_version_of_their_own():
     records["x"] = [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]]
     found = weigh_all(records[1], np.array([7.0, 8.0]))
     assert found == (9.0, 16.0, 31.0)
-    assert len({str(signature[0]) for signature in weigh.signatures}) == 1
-    assert {str(signature[1]) for signature in weigh.signatures} == {"int64"}
+    assert len({str(signature[0]) for signature in weigh.part.signatures}) == 1
+    assert {str(signature[1]) for signature in weigh.part.signatures} == {"int64"}

@@ -86,7 +86,7 @@ def versions():
         f"{function.__module__}.{function.__name__}": len(function.overloads)
         for module in list(sys.modules.values())
         for function in vars(module).values()
-        if type(function).__name__ == "CPUDispatcher"
+        if type(function).__name__ == "EntryDispatcher"
     }
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from teleop.runtime import compiling
 from teleop.runtime.compiling import compile_in_parallel
 from tests.root import ROOT
 
@@ -58,9 +59,12 @@ WORK = """
 import time
 from pathlib import Path
 
-def mark():
+def mark(seconds=60.0):
     Path({done!r}).touch()
-    time.sleep(60.0)
+    time.sleep(seconds)
+
+def end():
+    mark(0.0)
 """
 
 
@@ -88,12 +92,15 @@ def test_another_process_compiles_where_nothing_is_compiled_yet_and_ends_with_it
     assert not Path(f"/proc/{helper}").exists()
 
 
-def test_no_process_compiles_where_something_is_compiled(done, tmp_path):
-    (tmp_path / "mine" / "slave_0").mkdir(parents=True)
-    (tmp_path / "mine" / "slave_0" / "loop.nbi").touch()
-    with compile_in_parallel("work:mark"):
-        assert find_children("work:mark") == []
-        assert not await_file(done, 0.3)
+def test_no_process_compiles_what_one_has_compiled_until_a_source_changes(done, monkeypatch):
+    monkeypatch.setattr(compiling, "_hash_sources", lambda: "before")
+    with compile_in_parallel("work:end"):
+        assert await_file(done.parent / "mine" / "work.end-before", 30.0)
+    with compile_in_parallel("work:end"):
+        assert find_children("work:end") == []
+    monkeypatch.setattr(compiling, "_hash_sources", lambda: "after")
+    with compile_in_parallel("work:end"):
+        assert find_children("work:end")
 
 
 def find_children(word):

@@ -1,0 +1,101 @@
+"""A function is compiled anew if what it names has changed, in whichever file, and else is not."""
+
+import os
+import subprocess
+import sys
+import time
+
+import pytest
+
+from estimator.function_cache import KEPT_S, prune
+from tests.root import ROOT
+
+FILES = {
+    "limits": "UPPER = 3.0\nOTHER = 1.0\n",
+    "records": """
+from typing import NamedTuple
+class Pair(NamedTuple):
+    a: float
+    b: float
+""",
+    "inner": """
+import limits
+from estimator.compiled import jit_compile
+@jit_compile
+def clip(x):
+    if x < -10.0:
+        raise ValueError("too low")
+    return min(x, limits.UPPER)
+""",
+    "outer": """
+from inner import clip
+from estimator.compiled import jit_compile
+from records import Pair
+@jit_compile
+def add(x):
+    pair = Pair(clip(x), 1.0)
+    return pair.a + pair.b
+@jit_compile
+def double(pair):
+    return 2.0 * pair.a
+""",
+    "program": """
+from inner import clip
+from outer import add, double
+from records import Pair
+versions = add, double, add.part, clip.part
+print(add(5.0), double(Pair(5.0, 1.0)), *(len(f.stats.cache_hits) for f in versions))
+try:
+    add(-11.0)
+except ValueError as error:
+    print(error)
+""",
+}
+
+
+@pytest.fixture
+def run(tmp_path):
+    """Write the files, changed by `edits`, and run the program: results, loaded versions, error."""
+
+    def run(**edits):
+        for name, text in FILES.items():
+            old, new = edits.get(name, ("", ""))
+            assert old in text
+            (tmp_path / f"{name}.py").write_text(text.replace(old, new, 1))
+        environment = {
+            "PYTHONPATH": f"{ROOT}:{tmp_path}",
+            "NUMBA_CACHE_DIR": str(tmp_path / "cache"),
+            "PYTHONDONTWRITEBYTECODE": "1",  # two states of a file within one second
+        }
+        command = [sys.executable, tmp_path / "program.py"]
+        done = subprocess.run(
+            command, env=os.environ | environment, capture_output=True, text=True, check=True
+        )
+        return done.stdout.splitlines()
+
+    return run
+
+
+def test_only_what_a_change_concerns_is_compiled_anew(run):
+    assert run() == ["4.0 10.0 0 0 0 0", "too low"]
+    assert run() == ["4.0 10.0 1 1 0 0", "too low"]  # its callee is a part of its file
+    moved = {"outer": ("\nfrom", '\n"""Text."""\n\nfrom'), "limits": ("OTHER = 1.0", "OTHER = 2.0")}
+    assert run(**moved) == ["4.0 10.0 1 1 0 0", "too low"]
+    assert run(outer=("pair.a +", "pair.a -")) == ["2.0 10.0 0 1 0 1", "too low"]
+    # of a callee in another file, a constant in a third one, and the order of a tuple's fields
+    assert run(inner=("min(", "max(")) == ["6.0 10.0 0 1 0 0", "too low"]
+    assert run(limits=("3.0", "2.0")) == ["3.0 10.0 0 1 0 0", "too low"]
+    swapped = {
+        "records": ("a: float\n    b", "b: float\n    a"),
+        "outer": ("pair.a +", "2.0 * pair.a +"),
+    }
+    assert run(**swapped) == ["5.0 2.0 0 0 0 1", "too low"]
+
+
+def test_what_was_not_used_for_long_is_deleted(tmp_path):
+    for name, age_s in (("old", KEPT_S + 60.0), ("new", KEPT_S - 60.0), ("folder", 2.0 * KEPT_S)):
+        path = tmp_path / name
+        path.mkdir() if name == "folder" else path.touch()
+        os.utime(path, (time.time() - age_s,) * 2)
+    prune(tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["new"]
