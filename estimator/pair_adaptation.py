@@ -122,9 +122,16 @@ def observe_pair(
     """
     if not (constants_a.active and constants_b.active):
         return
-    if not (_is_valid(estimate_a) and _is_valid(estimate_b)):
-        return  # what the joint has moved meanwhile is seen afterwards
     a, b = state.a, state.b
+    if not (_is_valid(estimate_a) and _is_valid(estimate_b)):
+        # what the joint has moved meanwhile is seen afterwards
+        if state.started and _is_valid(estimate_a):
+            _drive_housing(constants_a, a, prepared_a, estimator_a.held_tension)
+            _write_estimate(a, prepared_a, estimate_a)
+        if state.started and _is_valid(estimate_b):
+            _drive_housing(constants_b, b, prepared_b, estimator_b.held_tension)
+            _write_estimate(b, prepared_b, estimate_b)
+        return
     if not state.started:
         _initialise(state)
         _initialise_tendon(constants_a, a, prepared_a)

@@ -119,16 +119,17 @@ def mute_monitors(
     It cannot after a time without pieces that fit, or close to the bounds of K; then the monitor
     finds errors of the K in use.
     """
-    for i in range(layout.tendons):
-        k, place = adapter.places[i]
-        age = adapter.states[i].evidence_age
-        if place >= 0:
-            pair = adapter.pairs[k]
-            age = pair.a.evidence_age if place == 0 else pair.b.evidence_age
-        if not adapter.constants[i].active or age >= UNDECIDED_S:
-            continue
-        if _is_inside(adapter.constants[i].K[:], prepared[i].tables[_K]):
-            monitors[i].count, monitors[i].force_error = 0, 0.0
+    for k in range(layout.groups):
+        group, adapts = layout.group[k], True
+        for n in range(group.count):
+            adapts = adapts and adapter.constants[group.tendon[n]].active
+        for n in range(group.count if adapts else 0):
+            i, age = group.tendon[n], adapter.states[group.tendon[n]].evidence_age
+            if group.count == 2:
+                age = adapter.pairs[k].a.evidence_age if n == 0 else adapter.pairs[k].b.evidence_age
+            is_inside = _is_inside(adapter.constants[i].K[:], prepared[i].tables[_K])
+            if is_inside and age < UNDECIDED_S:
+                monitors[i].count, monitors[i].force_error = 0, 0.0
 
 
 @jit_compile

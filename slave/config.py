@@ -99,6 +99,11 @@ class SlaveConfig:
                 "slave.adaptation.enabled: must be false with arms, whose joints share tendons; "
                 "calibrate them again when a sheath has moved"
             )
+        if self.initialise.at_start and any(arm.has_tendon_rows for arm in arms):
+            raise UsageError(
+                "slave.initialise.at_start: must be false where arms.radii has a row for each "
+                "tendon; give slave.tendons instead"
+            )
 
     @property
     def is_actuated(self) -> bool:

@@ -695,7 +695,7 @@ def monitor_calibration(
     constants: Any = monitor_constants
     if settings.probing.enabled:
         probing.hand_over(settings.monitor, settings.probed, memory.probe, memory.monitors)
-    if adapter is not None:
+    if adapter is not None and not memory.degradation.active:  # only its transitions end that mode
         mute_monitors(adapter, layout, prepared, memory.monitors)
     for s in range(samples):
         memory.advice = monitor.step_rig(

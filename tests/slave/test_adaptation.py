@@ -25,8 +25,8 @@ TENDON = TendonConfig(effective_friction=0.8, tension_noise=0.02, displacement_n
 ON = AdaptationConfig(enabled=True)
 
 
-def started(config=ON):
-    model = loop.build_rig_model(JOINTS, [TENDON.model()] * 3)
+def started(config=ON, second=TENDON):
+    model = loop.build_rig_model(JOINTS, [TENDON.model(), second.model(), TENDON.model()])
     return loop.init_slave(model, SlaveConfig(adaptation=config), loop.DIRECT, starts_at_zero=True)
 
 
@@ -92,6 +92,21 @@ def test_the_monitor_is_heard_where_the_adaptation_cannot_decide():
     assert left(0.8, long, 1.0, long) == [5, 0, 5]
     assert left(0.8, 1.0, long, 1.0) == [0, 5, 0]
     assert left(1.8 * 0.8, 1.0, 1.0, 1.0) == [5, 5, 5]  # the largest K that it considers
+    slave.memory["degradation"]["active"] = True  # what only its transitions can end
+    assert left(0.8, 1.0, 1.0, 1.0) == [5, 5, 5]
+    slave = started(second=TendonConfig(effective_friction=0.05))  # a pair with nothing to adapt
+    assert left(0.8, 1.0, 1.0, 1.0) == [5, 5, 0]
+
+
+def test_a_lost_sample_of_one_tendon_does_not_make_the_estimate_of_the_other_jump():
+    slave = started()
+    run(slave, pulls(0.0, 2.0))
+    rows = pulls(2.0, 2.02)
+    rows["tendons"]["tension"][4, 1] = np.nan
+    run(slave, rows)
+    T_out = rows["tendons"]["estimate"]["distal_tension"][:, 0]
+    assert np.abs(np.diff(T_out)).max() < 0.02
+    assert np.ptp(T_out) > 0.0
 
 
 def test_models_are_left_as_they_were_where_it_is_off():

@@ -50,6 +50,12 @@ def run(args: argparse.Namespace) -> int:
     if args.jobs < 1:
         raise UsageError(f"--jobs {args.jobs}: must be 1 or more")
     paths = find_files(args.data)
+    _import_joblib()
+    if args.out is not None:
+        first: dict[str, Path] = {}
+        for path in paths:
+            if (other := first.setdefault(path.name, path)) is not path:
+                raise UsageError(f"--out: {other} and {path} have one name; rename one of them")
     outcomes: list[FileOutcome] = []
     with Progress() as progress:
         progress(f"diagnosing {len(paths)} files", 0.0)
