@@ -22,6 +22,7 @@ from estimator.diagnosis.hidden_motion import recover_motion_beside_effects
 from estimator.diagnosis.intervals import estimate_intervals, is_significant
 from estimator.diagnosis.measured_data import shorten_blocks
 from estimator.diagnosis.outcome import CauseStep, RankedCandidate
+from estimator.diagnosis.rivals import find_rivals
 from estimator.diagnosis.scoring import (
     ChannelErrors,
     Choice,
@@ -35,7 +36,7 @@ from estimator.diagnosis.scoring import (
     is_noise,
     is_within_tolerance,
 )
-from estimator.diagnosis.screening import Candidate, fit_candidates
+from estimator.diagnosis.screening import Candidate, fit_candidates, score_candidate
 from estimator.diagnosis.settings import SETTINGS, ProgressCallback, scale_progress
 from estimator.effects import NAMES
 from estimator.effects.effect import Effect, EffectContext
@@ -70,37 +71,6 @@ def find_next_cause(
     return CauseStep(best.effect, rivals, ranking, best.fit)
 
 
-def find_rivals(
-    dataset: Dataset,
-    base_errors: dict[str, ChannelErrors],
-    current_errors: dict[str, ChannelErrors],
-    best: Candidate,
-    ranked: list[Candidate],
-) -> tuple[str, ...]:
-    """Return the names of the effects that the data do not distinguish from the best."""
-    best_score = score_candidate(dataset, current_errors, best)
-    best_fraction = compute_residual_fraction(best.held_out, base_errors)
-    rivals: list[str] = []
-    for candidate in ranked:
-        name = candidate.effect.name
-        if name in (best.effect.name, *rivals) or len(rivals) == SETTINGS.rivals_max:
-            continue
-        score_deficit = best_score - score_candidate(dataset, current_errors, candidate)
-        fraction = compute_residual_fraction(candidate.held_out, base_errors)
-        extra_fraction = fraction - best_fraction
-        is_uncertain = (
-            bootstrap_superiority(best.held_out, candidate.held_out) < SETTINGS.confidence
-            and extra_fraction < SETTINGS.uncertain_fraction_max
-        )
-        if (
-            score_deficit < SETTINGS.equivalent_score_max
-            or extra_fraction < SETTINGS.equivalent_fraction_max
-            or is_uncertain
-        ):
-            rivals.append(name)
-    return tuple(rivals)
-
-
 def select_simplest_cause(
     dataset: Dataset,
     base_fit: Fit,
@@ -124,15 +94,6 @@ def select_simplest_cause(
         and compute_residual_fraction(candidate.held_out, base_errors) < fraction_max
     ]
     return min(equivalents, key=lambda candidate: len(candidate.effect.parameters))
-
-
-def score_candidate(
-    dataset: Dataset, current_errors: dict[str, ChannelErrors], candidate: Candidate
-) -> float:
-    """Return the log-likelihood ratio of held-out data to the current fit, less the BIC penalty."""
-    return compute_log_likelihood_ratio(candidate.held_out, current_errors) - compute_bic_penalty(
-        dataset, len(candidate.effect.parameters)
-    )
 
 
 def rank_candidates(

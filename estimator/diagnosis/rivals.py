@@ -1,4 +1,4 @@
-"""Causes that explain the data as well as the one that was named: their models, and a choice."""
+"""Causes that explain the data as well as the one named: search, models, and a choice."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -13,6 +13,13 @@ from estimator.diagnosis.dataset import (
 )
 from estimator.diagnosis.fit import fit_model
 from estimator.diagnosis.outcome import CauseStep, Rival
+from estimator.diagnosis.scoring import (
+    ChannelErrors,
+    bootstrap_superiority,
+    compute_residual_fraction,
+)
+from estimator.diagnosis.screening import Candidate, score_candidate
+from estimator.diagnosis.settings import SETTINGS
 from estimator.effects.effect import Effect, Values
 
 ROUNDS = 12  # of the fit to all samples
@@ -28,6 +35,37 @@ class EquivalentCause(NamedTuple):
     replaces: str  # name of that cause
     effect: Effect
     values: Values
+
+
+def find_rivals(
+    dataset: Dataset,
+    base_errors: dict[str, ChannelErrors],
+    current_errors: dict[str, ChannelErrors],
+    best: Candidate,
+    ranked: list[Candidate],
+) -> tuple[str, ...]:
+    """Return the names of the effects that the data do not distinguish from the best."""
+    best_score = score_candidate(dataset, current_errors, best)
+    best_fraction = compute_residual_fraction(best.held_out, base_errors)
+    rivals: list[str] = []
+    for candidate in ranked:
+        name = candidate.effect.name
+        if name in (best.effect.name, *rivals) or len(rivals) == SETTINGS.rivals_max:
+            continue
+        score_deficit = best_score - score_candidate(dataset, current_errors, candidate)
+        fraction = compute_residual_fraction(candidate.held_out, base_errors)
+        extra_fraction = fraction - best_fraction
+        is_uncertain = (
+            bootstrap_superiority(best.held_out, candidate.held_out) < SETTINGS.confidence
+            and extra_fraction < SETTINGS.uncertain_fraction_max
+        )
+        if (
+            score_deficit < SETTINGS.equivalent_score_max
+            or extra_fraction < SETTINGS.equivalent_fraction_max
+            or is_uncertain
+        ):
+            rivals.append(name)
+    return tuple(rivals)
 
 
 def fit_rivals(

@@ -31,7 +31,14 @@ from estimator.diagnosis.fit import (
     fit_robustly,
     shift_parameters,
 )
-from estimator.diagnosis.scoring import ChannelErrors, are_foreign, compute_errors, is_noise
+from estimator.diagnosis.scoring import (
+    ChannelErrors,
+    are_foreign,
+    compute_bic_penalty,
+    compute_errors,
+    compute_log_likelihood_ratio,
+    is_noise,
+)
 from estimator.diagnosis.settings import SETTINGS, ProgressCallback, scale_progress
 from estimator.effects.effect import Effect, EffectContext, Parameter, Values
 
@@ -359,6 +366,15 @@ def build_candidate(dataset: Dataset, fit: Fit) -> Candidate:
     """Return the candidate of a fit, whose last effect it is."""
     return Candidate(
         fit.model.effects[-1][0], fit, compute_errors(dataset, fit), compute_cost(dataset, fit)
+    )
+
+
+def score_candidate(
+    dataset: Dataset, current_errors: dict[str, ChannelErrors], candidate: Candidate
+) -> float:
+    """Return the log-likelihood ratio of held-out data to the current fit, less the BIC penalty."""
+    return compute_log_likelihood_ratio(candidate.held_out, current_errors) - compute_bic_penalty(
+        dataset, len(candidate.effect.parameters)
     )
 
 
