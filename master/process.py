@@ -42,7 +42,7 @@ from teleop.link.rate_limit import RateLimit
 from teleop.messages.messages import MAX_JOINTS, Command, Hand, SlaveState
 from teleop.messages.packet import Packet
 from teleop.messages.topics import COMMAND, HAND, LATENCY, STATE, Role
-from teleop.remote.requests import RequestListener, Requests
+from teleop.remote.request_listener import RequestListener, Requests
 from teleop.runtime.clock import STALL_NS, Grid, SuspensionWatch, Tick, monotonic_ns, now_ns
 from teleop.runtime.compiling import announce_compilation
 from teleop.runtime.process import StopCondition

@@ -54,7 +54,7 @@ from teleop.link.health import DEFAULT_BOUNDS, HealthConfig
 from teleop.messages.messages import SlaveState, TendonState
 from teleop.messages.packet import Packet
 from teleop.messages.topics import COMMAND, STATE, TENDONS, Role
-from teleop.remote.requests import RequestListener, Requests, call_stop
+from teleop.remote.request_listener import RequestListener, Requests, call_stop
 from teleop.runtime.clock import EventClock, Grid, Tick, now_ns
 from teleop.runtime.process import StopCondition
 from teleop.runtime.realtime import use_ordinary_scheduling

@@ -11,7 +11,7 @@ from teleop.launch.supervisor import Child, Supervisor
 from teleop.link import Link, Listener, ReceivedMessage
 from teleop.messages.messages import Event, Latency, LinkReport, LoopReport, decode_text
 from teleop.messages.topics import LATENCY, LINK, REPORT, STATE, Role, format_role
-from teleop.remote.requests import call_reset, call_stop
+from teleop.remote.request_listener import call_reset, call_stop
 from teleop.remote.stop_over_link import SIDES, read_state, read_stop_count
 from teleop.runtime.process import StopCondition
 from teleop.session.state_machine import State

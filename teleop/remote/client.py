@@ -16,7 +16,7 @@ from teleop.errors import TeleopError, UsageError
 from teleop.link import Link, Listener
 from teleop.messages.messages import Event, decode_text
 from teleop.messages.topics import ANSWER, COMMAND, EVENT, STATE, TOPICS, Role, Topic, format_role
-from teleop.remote.requests import CALL, RESET
+from teleop.remote.request_listener import CALL, RESET
 from teleop.remote.set import await_side, request_setting
 from teleop.remote.stop_over_link import SIDES, read_stop_count, request_sides
 from teleop.session.config import RunConfig, read_config

@@ -20,7 +20,7 @@ from teleop.errors import TeleopError, UsageError
 from teleop.link import Link, Listener
 from teleop.messages.messages import TEXT_BYTES, Answer, Setting, decode_text, encode_text
 from teleop.messages.topics import ANSWER, SETTING, Role
-from teleop.remote.requests import find_side
+from teleop.remote.request_listener import find_side
 from teleop.session.config import RunConfig, read_config
 from teleop.session.running_sessions import describe_absence
 

@@ -9,7 +9,7 @@ from typing import Any
 from teleop.errors import TeleopError
 from teleop.link import Link
 from teleop.messages.topics import COMMAND, STATE, Role, Topic
-from teleop.remote.requests import (
+from teleop.remote.request_listener import (
     BEAT_S,
     CALL,
     LEAVE,

@@ -16,7 +16,7 @@ from teleop.link import LatestMessage, Link, MessageCounts
 from teleop.link.health import DEFAULT_BOUNDS, HealthConfig, LinkHealth, update_link_window
 from teleop.messages.messages import Answer, encode_text
 from teleop.messages.topics import ANSWER, LEDGER, LINK, REPORT, Role
-from teleop.remote.requests import RequestListener, Requests, SettingRequest, find_side
+from teleop.remote.request_listener import RequestListener, Requests, SettingRequest, find_side
 from teleop.remote.stop_socket import SILENT, StopSocket
 from teleop.runtime.clock import Tick, TickStats, now_ns, pause_garbage_collection
 from teleop.runtime.process import StopCondition, is_supervised, write_summary

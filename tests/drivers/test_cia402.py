@@ -50,7 +50,7 @@ from studies.rigs.models.line import PseudoPort
 from studies.rigs.models.plant import METRES, ZERO, Springs
 from teleop.messages.messages import MAX_JOINTS, Command, EmergencyStop, pad_values
 from teleop.messages.topics import COMMAND, STOP, Role
-from teleop.remote.requests import CALL, RESET
+from teleop.remote.request_listener import CALL, RESET
 from teleop.runtime.clock import EventClock
 from teleop.session.state_machine import Reason, State
 from tests.drivers.bench import engage, follow, opened, read_for, read_some, rig_config, wait_until

@@ -33,7 +33,7 @@ from teleop.messages.topics import (
     STOP,
     Role,
 )
-from teleop.remote.requests import CALL, RESET
+from teleop.remote.request_listener import CALL, RESET
 from teleop.runtime import clock as runtime_clock
 from teleop.runtime.clock import Grid, now_ns
 from teleop.session.loop_process import run

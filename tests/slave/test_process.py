@@ -45,7 +45,7 @@ from teleop.messages.topics import (
     TENDONS,
     Role,
 )
-from teleop.remote.requests import CALL, RESET, RequestListener
+from teleop.remote.request_listener import CALL, RESET, RequestListener
 from teleop.remote.stop_socket import LocalRequest
 from teleop.runtime.clock import EventClock, now_ns
 from teleop.session.config import RunConfig

@@ -30,7 +30,7 @@ from teleop.messages.messages import (
     pad_values,
 )
 from teleop.messages.topics import COMMAND, EVENT, REPORT, STATE, STOP, Role
-from teleop.remote.requests import CALL, RESET
+from teleop.remote.request_listener import CALL, RESET
 from teleop.runtime import process
 from teleop.runtime.clock import Percentiles
 from teleop.runtime.status_line import StatusLine

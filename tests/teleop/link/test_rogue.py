@@ -16,7 +16,7 @@ from teleop.link import admission as admission_module
 from teleop.link.roster import GROUP_TOKENS_MAX
 from teleop.messages.messages import LAYOUT, Command, EmergencyStop, Setting, SlaveState
 from teleop.messages.topics import COMMAND, SETTING, STATE, STOP, Role
-from teleop.remote.requests import RESET, RequestListener
+from teleop.remote.request_listener import RESET, RequestListener
 from teleop.security import CertificateRole, Credentials, Identity
 from teleop.security.authority import Authority
 from teleop.security.credentials import create_local_credentials

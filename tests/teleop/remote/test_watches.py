@@ -3,7 +3,7 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from teleop.remote.requests import BEAT_S, SILENCE_S, Heartbeat, update_watches
+from teleop.remote.request_listener import BEAT_S, SILENCE_S, Heartbeat, update_watches
 
 MS = 1_000_000
 SILENT = round(SILENCE_S * 1e9)

@@ -9,7 +9,7 @@ from teleop.link.rate_limit import RefusalCounter
 from teleop.messages.messages import EmergencyStop
 from teleop.messages.topics import STOP, Role
 from teleop.remote import stop_over_link
-from teleop.remote.requests import CALL, LEAVE, WATCH, RequestListener
+from teleop.remote.request_listener import CALL, LEAVE, WATCH, RequestListener
 from teleop.session import loop_process
 from teleop.session.loop_process import PEER_TIMEOUT_NS
 from teleop.session.state_machine import Reason, SessionOutline, State
