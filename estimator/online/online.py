@@ -4,8 +4,8 @@
 in place. `step` is the same as a pure function for Python, and `run` the same over a whole record,
 so live operation, replay and tests give the same numbers.
 
-prepared_tendon is what the estimator knows, estimator_state what it remembers;
-driving_end decides which end drives, interval keeps the interval that motion
+estimator_state has what the estimator knows (`PreparedTendon`) and what it remembers
+(`EstimatorState`); driving_end decides which end drives, interval keeps the interval that motion
 has proved.
 
 The interval does not rest on the decision who drives. It is (T2), widened by the sensor noise and
