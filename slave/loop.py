@@ -354,7 +354,7 @@ def _update_faults(
     for i in range(samples):
         is_usable = is_usable or _is_usable(layout, rows[i].tendons)
     has_new_sample = is_usable and not memory.motors.repeated
-    memory.silence = 0.0 if has_new_sample else memory.silence + dt
+    memory.sample_age = 0.0 if has_new_sample else memory.sample_age + dt
     is_overloaded = state_machine.may_move(memory.session) and _is_overloaded(
         settings, layout, memory
     )
@@ -462,7 +462,7 @@ def _find_own_fault(
     settings: SlaveSettings, layout: RigLayout, memory: SlaveMemory, scratch: Scratch
 ) -> int:
     """Return the Reason of a fault on this side."""
-    if memory.has_sample and memory.silence > settings.sample_timeout:
+    if memory.has_sample and memory.sample_age > settings.sample_timeout:
         return Reason.SAMPLES_FROZEN if memory.motors.repeated else Reason.SAMPLES_STALE
     if memory.overload > OVERLOAD_S:
         return Reason.OVER_LIMIT
@@ -635,7 +635,7 @@ def _command_motors(
         scratch.motor_position,
         scratch.motor_target,
         scratch.tension,
-        memory.silence,
+        memory.sample_age,
         moving,
         dt,
         memory.reach,
@@ -666,7 +666,7 @@ def _fill_state(
         settings.monitor, memory.degradation
     )
     state.joints = layout.joints if memory.has_sample else 0
-    state.sample_age_ns = round(memory.silence * 1e9) if memory.has_sample else 0
+    state.sample_age_ns = round(memory.sample_age * 1e9) if memory.has_sample else 0
     for k in range(MAX_JOINTS):
         port = memory.coupling.ports[k]
         state.energy[k], state.wave[k] = port.passed_on, port.sent_wave

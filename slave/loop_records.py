@@ -80,7 +80,7 @@ class SlaveMemory(Struct):
     has_offsets: Flag = False
     has_motor: Flag = False  # something was written: engaged at least once, or calibrated
     sample_time: F64 = 0.0  # [s] of the newest sample
-    silence: F64 = 0.0  # [s] since the last new and usable sample
+    sample_age: F64 = 0.0  # [s] since the last new and usable sample
     overload: F64 = 0.0  # [s] for which a tension has been far over its limit while engaged
     detected_fault: I64 = Reason.NONE  # Reason that the fault detection gave last
     faulty_tendon: I64 = -1
