@@ -210,7 +210,7 @@ class SlaveExtensions:
         motor = scratch["motor_position"][:m]
         of_joints = (
             scratch["requested"][:n],
-            scratch["speed"][:n],
+            scratch["tip_velocity"][:n],
             joints["position"],
             joints["force"],
         )

@@ -411,12 +411,12 @@ def _copy_command(
 ) -> bool:
     """Copy the commanded joint motion; return whether motion is commanded."""
     scratch.requested[:] = 0.0
-    scratch.speed[:] = 0.0
+    scratch.tip_velocity[:] = 0.0
     is_commanded = tick_input.has_command and tick_input.fresh and command.state == State.ENGAGED
     if is_commanded:
         for k in range(layout.joints):
             scratch.requested[k] = command.position[k]
-            scratch.speed[k] = command.velocity[k]
+            scratch.tip_velocity[k] = command.velocity[k]
     return is_commanded
 
 
@@ -471,7 +471,9 @@ def _find_own_fault(
     if memory.advice == Advice.DEMANDED and not settings.degrades:
         return Reason.CALIBRATION_DUE
     for k in range(layout.joints):
-        if not (abs(scratch.requested[k]) < MOTION_MAX and abs(scratch.speed[k]) < MOTION_MAX):
+        if not (
+            abs(scratch.requested[k]) < MOTION_MAX and abs(scratch.tip_velocity[k]) < MOTION_MAX
+        ):
             return Reason.NOT_FINITE
     return Reason.NONE
 
@@ -506,7 +508,7 @@ def _apply_coupling(
         settings.bilateral,
         memory.coupling,
         scratch.requested,
-        scratch.speed,
+        scratch.tip_velocity,
         scratch.force,
         layout.joints if commanded else 0,
         engaged,
@@ -599,7 +601,7 @@ def _command_motors(
             layout,
             memory.control,
             scratch.requested,
-            scratch.speed,
+            scratch.tip_velocity,
             scratch.motor_position,
             memory.tendons,
             moving,

@@ -95,7 +95,7 @@ class Scratch(Struct):
 
     inputs: state_machine.Inputs
     requested: Annotated[Array, Field("f8", MAX_JOINTS)]  # [m] of the joints
-    speed: Annotated[Array, Field("f8", MAX_JOINTS)]  # [m/s]
+    tip_velocity: Annotated[Array, Field("f8", MAX_JOINTS)]  # [m/s]
     force: Annotated[Array, Field("f8", MAX_JOINTS)]  # [N] rendered to the hand
     displacement: Annotated[Array, Field("f8", MAX_TENDONS)]  # [m] of the motors in a sample
     tension: Annotated[Array, Field("f8", MAX_TENDONS)]  # [N] used for the limits
