@@ -192,8 +192,8 @@ def init_slave(
         estimate(*slave.estimate_arguments, row, 1)
         track_initial_position(*map(view_struct, (slave.layout, memory, slave.scratch, row)))
     if motor:
-        memory["motor"][0, :tendons] = motor
-        memory["has_motor"] = True
+        memory["gated_position"][0, :tendons] = motor
+        memory["has_gated_position"] = True
     return slave
 
 
@@ -278,9 +278,9 @@ def end_tick(
     settings, layout, memory = settings_records[0], layouts[0], memories[0]
     scratch, command = scratches[0], commands[0]
     verdict = gate.HELD
-    if memory.has_sample and (memory.has_motor or engaged):
+    if memory.has_sample and (memory.has_gated_position or engaged):
         verdict = _command_motors(settings, layout, memory, scratch, engaged, tick_input)
-        memory.has_motor = True
+        memory.has_gated_position = True
     _fill_state(settings, layout, memory, command, tick_input, states[0])
     return verdict
 
@@ -307,8 +307,10 @@ def _process_samples(
         if reason != Reason.NONE:
             fault, tendon = reason, faulty_tendon
         track_initial_position(layout, memory, scratch, row)
-        if settings.is_actuated and memory.has_motor:
-            fault_detection.record_motor_readings(memory.motors, layout, row.tendons, memory.motor)
+        if settings.is_actuated and memory.has_gated_position:
+            fault_detection.record_motor_readings(
+                memory.motors, layout, row.tendons, memory.gated_position
+            )
     return fault, tendon
 
 
@@ -341,8 +343,8 @@ def _update_faults(
             settings.fault_detection,
             memory.motors,
             layout,
-            memory.motor,
-            memory.has_motor,
+            memory.gated_position,
+            memory.has_gated_position,
             samples > 0,
             dt,
         )
@@ -392,11 +394,11 @@ def _update_readiness(
     Motors that do not follow yet, as they are being enabled, are where their encoders say.
     """
     is_measured = initial_position.is_known(memory.initial_position, settings.sample_timeout)
-    if memory.has_motor and (motors_follow or not is_measured):
-        copy_values(memory.motor[:], scratch.motor_position[:])
+    if memory.has_gated_position and (motors_follow or not is_measured):
+        copy_values(memory.gated_position[:], scratch.motor_position[:])
     elif is_measured:
         copy_values(memory.initial_position.position[:], scratch.motor_position[:])
-    is_position_known = memory.has_motor or is_measured
+    is_position_known = memory.has_gated_position or is_measured
     if not memory.has_sample:
         memory.not_ready = NO_SAMPLE
     elif not settings.calibrated:
@@ -643,7 +645,7 @@ def _command_motors(
         memory.reach,
         moving,
         state_machine.may_yield(memory.session),
-        memory.motor,
+        memory.gated_position,
     )
 
 

@@ -75,10 +75,10 @@ class SlaveMemory(Struct):
     offsets: Annotated[Array, Field("f8", MAX_TENDONS)]  # [m] of each tendon
     # [N] of `estimate_arm_forces`
     arm_force: Annotated[Array, Field("f8", (3, MAX_JOINTS), fill=math.nan)]
-    motor: Annotated[Array, Field("f8", MAX_TENDONS)]  # [m] last output of the gate
+    gated_position: Annotated[Array, Field("f8", MAX_TENDONS)]  # [m] last output of the gate
     has_sample: Flag = False
     has_offsets: Flag = False
-    has_motor: Flag = False  # something was written: engaged at least once, or calibrated
+    has_gated_position: Flag = False  # something was written: engaged at least once, or calibrated
     sample_time: F64 = 0.0  # [s] of the newest sample
     sample_age: F64 = 0.0  # [s] since the last new and usable sample
     overload: F64 = 0.0  # [s] for which a tension has been far over its limit while engaged

@@ -113,8 +113,10 @@ class SlaveProcess(LoopProcess):
         self._own = own if own.opened else None  # else each call of it would cost time
         joints = len(model.joints)
         super().__init__(link, clock.stats, self._slave.memory, joints, requests, health)
-        self._motor = self._slave.memory["motor"][0]  # [m] that the gate let through
-        self._has_motor = self._slave.memory["has_motor"]
+        self._gated_position = self._slave.memory["gated_position"][
+            0
+        ]  # [m] that the gate let through
+        self._has_gated_position = self._slave.memory["has_gated_position"]
         self._estimated, self._ticked = self._slave.estimate_arguments, self._slave.tick_arguments
         self._monitored = self._slave.monitor_arguments
         self._checkpoint = Checkpoint(*self._slave.changing)
@@ -188,12 +190,14 @@ class SlaveProcess(LoopProcess):
         """
         if self._emergency_stop is None or self._outline().state is not State.STOPPED:
             self._is_rig_stopped = False
-            if self._has_motor[0]:
+            if self._has_gated_position[0]:
                 begin_ns = now_ns()
-                self._rig.write(self._motor[: self._rig.tendons].copy())
+                self._rig.write(self._gated_position[: self._rig.tendons].copy())
                 self._writes.add(now_ns() - begin_ns)
             return
-        self._has_motor[0] = False  # the next engagement begins where the encoders are by then
+        self._has_gated_position[0] = (
+            False  # the next engagement begins where the encoders are by then
+        )
         if not self._is_rig_stopped:
             self._emergency_stop()
             self._is_rig_stopped = True

@@ -40,8 +40,8 @@ def fill_tendon_state(
         used = i < count
         state.proximal_tension[i] = tendon.tension if used else 0.0
         state.proximal_displacement[i] = tendon.displacement if used else 0.0
-        commanded = memory.motor[i] if used else 0.0
-        state.commanded_displacement[i] = commanded if memory.has_motor else math.nan
+        commanded = memory.gated_position[i] if used else 0.0
+        state.commanded_displacement[i] = commanded if memory.has_gated_position else math.nan
         state.distal_tension[i] = estimate.distal_tension if used else 0.0
         state.distal_tension_low[i] = estimate.low if used else 0.0
         state.distal_tension_high[i] = estimate.high if used else 0.0

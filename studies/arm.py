@@ -186,8 +186,8 @@ def run_slave(
             *slave.tick_arguments, records, len(samples), TickInput(DT, True, True),
             command.records, state.records,
         )  # fmt: skip
-        if memory.has_motor:
-            rig.write(np.array(memory.motor[: rig.tendons]))
+        if memory.has_gated_position:
+            rig.write(np.array(memory.gated_position[: rig.tendons]))
         yield time, rig, memory
 
 

@@ -94,8 +94,8 @@ def rest(drawn: RandomJoint, seed: int = 1, seconds: float = PROBED_S) -> Rest:
         loop.monitor_calibration(
             slave.settings, slave.layout, slave.monitor_constants, slave.memory, sampled, 1
         )
-        if memory.has_motor:
-            rig.write(memory.motor[: rig.tendons].copy())
+        if memory.has_gated_position:
+            rig.write(memory.gated_position[: rig.tendons].copy())
         if time >= PRESSED_S:
             rows.append((rig.joint_travel[0], *(state.records[n][0] for n in ("probing", "state"))))
     tip, probed, states = map(np.array, zip(*rows, strict=True))

@@ -275,8 +275,8 @@ class Teleoperator:
             self._state.records,
         )
         slave_loop.monitor_calibration(*slave.monitor_arguments, rows, len(samples))
-        if self.slave.has_motor:
-            self._rig.wanted = tuple(self.slave.motor[: self._tendons].tolist())
+        if self.slave.has_gated_position:
+            self._rig.wanted = tuple(self.slave.gated_position[: self._tendons].tolist())
         self._states.send(self._state, now)
 
 

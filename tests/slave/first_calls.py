@@ -77,7 +77,7 @@ def session():
         both = Session(stack)
         for _ in range(TICKS):
             both.tick()
-        assert any(both.slave.memory.motor), "never engaged"
+        assert any(both.slave.memory.gated_position), "never engaged"
 
 
 def versions():
@@ -117,7 +117,7 @@ def extensions():
         yield
         for _ in range(TICKS):
             both.tick()
-        assert any(both.slave.memory.motor), "never engaged"
+        assert any(both.slave.memory.gated_position), "never engaged"
 
 
 PROGRAMS = {

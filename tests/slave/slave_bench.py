@@ -94,8 +94,8 @@ class SlaveBench:
     @property
     def motor(self) -> tuple[float, ...]:
         """Where the gate let the motors go last [m]; empty = they were never sent anywhere."""
-        motor: np.ndarray = self.slave.memory["motor"][0, : self._tendons]
-        return tuple(motor.tolist()) if self.memory.has_motor else ()
+        motor: np.ndarray = self.slave.memory["gated_position"][0, : self._tendons]
+        return tuple(motor.tolist()) if self.memory.has_gated_position else ()
 
     @property
     def session(self) -> SessionOutline:

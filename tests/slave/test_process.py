@@ -514,7 +514,7 @@ def freezing(monkeypatch, at, decided):
 
     def tick(*args):
         verdict = whole(*args)
-        decided.append(args[2]["motor"][0, 0])
+        decided.append(args[2]["gated_position"][0, 0])
         if len(decided) in at:
             FakeLink.clock.sleep(0.05)
         return verdict

@@ -128,7 +128,13 @@ def drive(session, ticks):
         joint = memory.joints[0]
         tendon = memory.tendons[0]
         rows.append(
-            (memory.motor[0], session.master._force[0], joint.position, joint.force, tendon.tension)
+            (
+                memory.gated_position[0],
+                session.master._force[0],
+                joint.position,
+                joint.force,
+                tendon.tension,
+            )
         )
     return np.array(rows).T
 

@@ -85,9 +85,9 @@ def test_a_clock_that_is_set_leads_through_holding_to_a_fresh_engagement(
         other = [pair[0 if side == "slave" else 1] for pair in held]
         assert Reason.CLOCK_SET in {outline.reason for outline in other}
         assert all(state is State.HOLDING for pair in held[5:] for state, _ in pair)
-        moved = session.slave._motor.copy()
+        moved = session.slave._gated_position.copy()
         run(session, 0.05)
-        np.testing.assert_array_equal(session.slave._motor, moved)
+        np.testing.assert_array_equal(session.slave._gated_position, moved)
         waiting = run(session, 0.1)  # the switch is open by then
         assert all(state is not State.ENGAGED for pair in waiting for state, _ in pair)
         run(session, 0.3)
@@ -100,10 +100,10 @@ def test_a_link_that_was_cut_comes_back_into_holding() -> None:
         run(session, 0.2)
         assert states(session) == (State.HOLDING, State.HOLDING)
         session.alter(None, None)
-        motor = session.slave._motor.copy()
+        motor = session.slave._gated_position.copy()
         after = run(session, 0.45)
         assert all(state is State.HOLDING for pair in after for state, _ in pair)
-        np.testing.assert_array_equal(session.slave._motor, motor)
+        np.testing.assert_array_equal(session.slave._gated_position, motor)
         run(session, 0.6)
         assert states(session) == (State.ENGAGED, State.ENGAGED)
 
@@ -125,10 +125,10 @@ def test_a_link_beyond_its_bound_is_scaled_then_held_then_a_fault_and_comes_back
         least_scale, least_force = np.min(scales, axis=0)
         assert least_scale < 0.9 * scale
         assert least_force < 0.9 * force
-        motor = session.slave._motor.copy()
+        motor = session.slave._gated_position.copy()
         run(session, HOLD_LIMIT_S)
         assert session.slave._outline() == (State.FAULT, Reason.LINK_LOSS)
-        np.testing.assert_array_equal(session.slave._motor, motor)
+        np.testing.assert_array_equal(session.slave._gated_position, motor)
         session.alter(None, None)
         back = run(session, 1.1)
         assert all(slave.state is not State.ENGAGED for _, slave in back)
