@@ -117,8 +117,9 @@ class SlaveProcess(LoopProcess):
             0
         ]  # [m] that the gate let through
         self._has_gated_position = self._slave.memory["has_gated_position"]
-        self._estimated, self._ticked = self._slave.estimate_arguments, self._slave.tick_arguments
-        self._monitored = self._slave.monitor_arguments
+        self._estimate_arguments = self._slave.estimate_arguments
+        self._tick_arguments = self._slave.tick_arguments
+        self._monitor_arguments = self._slave.monitor_arguments
         self._checkpoint = Checkpoint(*self._slave.changing)
         self._rows = EstimatedSample.array(ROWS_INITIAL)
         self._samples = 0
@@ -219,13 +220,18 @@ class SlaveProcess(LoopProcess):
         rows, samples = self._rows, self._samples
         own = self._own
         if own is not None and own.estimates is not None:
-            estimate(*self._estimated, rows, samples, own.estimates)
+            estimate(*self._estimate_arguments, rows, samples, own.estimates)
         elif not self._is_estimated:
-            estimate(*self._estimated, rows, samples)
+            estimate(*self._estimate_arguments, rows, samples)
         self._is_estimated = False
         run_tick = loop.run_tick if own is None else own.run_tick
         return run_tick(
-            *self._ticked, rows, samples, tick_input, commands.packet.records, self._state.records
+            *self._tick_arguments,
+            rows,
+            samples,
+            tick_input,
+            commands.packet.records,
+            self._state.records,
         )
 
     def _read(self, time_s: float) -> Reason:
@@ -274,7 +280,7 @@ class SlaveProcess(LoopProcess):
         begin_ns = now_ns()
         next_sample = None if self.error or self.ended else self._advance_rig()
         rig_ns = now_ns() - begin_ns
-        loop.monitor_calibration(*self._monitored, rows, samples)
+        loop.monitor_calibration(*self._monitor_arguments, rows, samples)
         self._checkpoint.save()
         if requests.settings:
             self._process_settings(requests.settings)
@@ -302,7 +308,7 @@ class SlaveProcess(LoopProcess):
     def _estimate_ahead(self, sample: RigSample) -> None:
         """Estimate from the sample of the next tick ahead of it; last, as it changes the memory."""
         fill_sample(self._rows, 0, sample)
-        estimate(*self._estimated, self._rows, 1)
+        estimate(*self._estimate_arguments, self._rows, 1)
         self._next_sample = sample
 
     def _advance_rig(self) -> RigSample | None:
