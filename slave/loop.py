@@ -400,11 +400,11 @@ def _update_readiness(
         copy_values(memory.initial_position.position[:], scratch.motor_position[:])
     is_position_known = memory.has_gated_position or is_measured
     if not memory.has_sample:
-        memory.not_ready = NO_SAMPLE
+        memory.readiness = NO_SAMPLE
     elif not settings.calibrated:
-        memory.not_ready = NOT_CALIBRATED
+        memory.readiness = NOT_CALIBRATED
     else:
-        memory.not_ready = USABLE if is_position_known else NO_POSITION
+        memory.readiness = USABLE if is_position_known else NO_POSITION
 
 
 @jit_compile
@@ -441,7 +441,7 @@ def _advance_session(
         settings.bilateral, command.coupling
     )
     inputs = scratch.inputs
-    inputs.usable = memory.not_ready == USABLE
+    inputs.usable = memory.readiness == USABLE
     inputs.peer_fresh = tick_input.fresh
     inputs.peer_state = master_state
     inputs.engage = state_machine.is_switch_closed(master_state)

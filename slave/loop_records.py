@@ -19,7 +19,7 @@ from teleop.messages.messages import MAX_JOINTS, MAX_TENDONS
 from teleop.session import state_machine
 from teleop.session.state_machine import Reason, Session
 
-# SlaveMemory.not_ready: why the rig is not usable
+# SlaveMemory.readiness: why the rig is not usable, or that it is
 USABLE, NO_SAMPLE, NOT_CALIBRATED, NO_POSITION = range(4)
 NOT_READY_TEXT = (
     "",
@@ -87,7 +87,7 @@ class SlaveMemory(Struct):
     advice: I64 = Advice.NONE
     degradation: Degradation
     probe: Probe
-    not_ready: I64 = NO_SAMPLE
+    readiness: I64 = NO_SAMPLE
 
 
 class Scratch(Struct):

@@ -55,7 +55,7 @@ class Telemetry:
         self._outline = OutlineReader(slave.memory["session"])
         self._now = {
             name: slave.memory[name]
-            for name in ("advice", "has_sample", "not_ready", "detected_fault")
+            for name in ("advice", "has_sample", "readiness", "detected_fault")
         }
         self._points = [np.linspace(0.0, m.sheath.length, PROFILE_POINTS) for m in model.models]
         self._joint_of = {k: j for j, tendons in enumerate(model.joints) for k in tendons}
@@ -125,10 +125,10 @@ class Telemetry:
         if reason is Reason.NONE:
             return ""
         if reason is Reason.NOT_USABLE:
-            not_ready = int(self._now["not_ready"][0])
-            if not_ready == NOT_CALIBRATED:
+            readiness = int(self._now["readiness"][0])
+            if readiness == NOT_CALIBRATED:
                 return self._model.not_ready_text
-            return NOT_READY_TEXT[not_ready]
+            return NOT_READY_TEXT[readiness]
         if reason is Reason.SAMPLES_STALE:
             return self._unreadable()
         if reason is Reason.CALIBRATION_DUE:

@@ -74,7 +74,7 @@ def test_before_the_first_sample_nothing_is_asked_of_the_motors():
         output = slave.tick([], command(State.READY))
         assert output.motor == ()
         assert slave.state is State.OFF
-        assert slave.memory.not_ready == NO_SAMPLE
+        assert slave.memory.readiness == NO_SAMPLE
 
 
 places = st.floats(-0.2, 0.2)
@@ -118,7 +118,7 @@ def test_a_rig_that_does_not_say_where_its_motors_stand_is_never_moved(reading):
     asked, slave = coupled([reading] * 5)
     assert asked == [()] * 5
     assert slave.session == (State.OFF, Reason.NOT_USABLE)
-    assert slave.memory.not_ready == NO_POSITION
+    assert slave.memory.readiness == NO_POSITION
 
 
 @pytest.mark.parametrize("reading", [None, math.nan])
@@ -134,7 +134,7 @@ def test_a_reading_left_out_is_bridged_but_not_for_long():
     assert asked[-1] == pytest.approx((0.014,), abs=1e-15)
     asked, slave = coupled([0.013] + [math.nan] * LONG)
     assert asked[-1] == ()
-    assert slave.memory.not_ready == NO_POSITION
+    assert slave.memory.readiness == NO_POSITION
 
 
 def test_once_engaged_the_motors_are_held_where_they_were_sent_and_resume_from_there():
@@ -194,7 +194,7 @@ def test_a_rig_without_a_calibration_that_fits_it_is_never_engaged_and_says_why(
         output = slave.tick([sample(k * DT)], command(state, 1e-3))
         assert output.motor == ()
         assert slave.session == (State.OFF, Reason.NOT_USABLE)
-    assert slave.memory.not_ready == NOT_CALIBRATED
+    assert slave.memory.readiness == NOT_CALIBRATED
 
 
 def test_a_broken_tendon_is_a_fault_that_names_it_and_holds_the_motors():

@@ -80,7 +80,7 @@ def test_a_fault_that_comes_again_is_told_again_and_where(said, memory_and_tell)
 def test_while_not_usable_every_new_reason_is_told(said):
     memory, tell = started("its calibration is of another rig")
     for why in (NO_SAMPLE, NO_SAMPLE, NOT_CALIBRATED, NO_POSITION):
-        memory.not_ready = why
+        memory.readiness = why
         tell(0.0)
     assert [line.split(": ", 2)[-1] for line in said] == [
         NOT_READY_TEXT[NO_SAMPLE],
