@@ -436,7 +436,7 @@ def _advance_session(
         master_state = state_machine.to_known_state(command.state)
     fault = tick_input.fault
     if fault == Reason.NONE:
-        fault = _find_own_fault(settings, layout, memory, scratch)
+        fault = _find_local_fault(settings, layout, memory, scratch)
     has_mismatch = tick_input.has_command and coupling.has_settings_mismatch(
         settings.bilateral, command.coupling
     )
@@ -460,7 +460,7 @@ def _advance_session(
 
 
 @jit_compile
-def _find_own_fault(
+def _find_local_fault(
     settings: SlaveSettings, layout: RigLayout, memory: SlaveMemory, scratch: Scratch
 ) -> int:
     """Return the Reason of a fault on this side."""
