@@ -204,7 +204,7 @@ def run_tick(
     memories: StructArray,
     scratches: StructArray,
     rows: StructArray,
-    samples: int,
+    sample_count: int,
     tick_input: TickInput,
     commands: StructArray,
     states: StructArray,
@@ -220,14 +220,14 @@ def run_tick(
     settings_records, layouts, memories, scratches : Records
         Of a `SlaveRecords`; the memory is updated.
     rows : Records
-        `EstimatedSample`, the first `samples` of which are new, oldest first, after `estimate`.
+        `EstimatedSample` after `estimate`; the first `sample_count` are new, oldest first.
     commands : Records
         `Command`, the newest, shape (1,); ignored unless `tick_input.has_command`.
     states : Records
         `SlaveState`, shape (1,), filled in except for the head.
     """
     engaged = begin_tick(
-        settings_records, layouts, memories, scratches, rows, samples, tick_input, commands
+        settings_records, layouts, memories, scratches, rows, sample_count, tick_input, commands
     )
     return end_tick(
         settings_records, layouts, memories, scratches, tick_input, commands, states, engaged
@@ -241,7 +241,7 @@ def begin_tick(
     memories: StructArray,
     scratches: StructArray,
     rows: StructArray,
-    samples: int,
+    sample_count: int,
     tick_input: TickInput,
     commands: StructArray,
 ) -> bool:
@@ -249,9 +249,9 @@ def begin_tick(
     settings, layout, memory = settings_records[0], layouts[0], memories[0]
     scratch, command = scratches[0], commands[0]
     fault, tendon = _process_samples(
-        settings, layout, memory, scratch, rows, samples, tick_input.dt
+        settings, layout, memory, scratch, rows, sample_count, tick_input.dt
     )
-    _update_faults(settings, layout, memory, rows, samples, fault, tendon, tick_input.dt)
+    _update_faults(settings, layout, memory, rows, sample_count, fault, tendon, tick_input.dt)
     _update_readiness(settings, memory, scratch, tick_input.motors_follow)
     degraded_mode.advance_ramp(memory.degradation, tick_input.dt)
     commanded = _copy_command(layout, scratch, command, tick_input)
@@ -292,14 +292,14 @@ def _process_samples(
     memory: SlaveMemory,
     scratch: Scratch,
     rows: StructArray,
-    samples: int,
+    sample_count: int,
     dt: float,
 ) -> tuple[int, int]:
     """Process the samples; return the newest fault Reason and its tendon."""
     fault: int = Reason.NONE
     tendon = -1
     initial_position.increase_age(memory.initial_position, dt)
-    for i in range(samples):
+    for i in range(sample_count):
         row = rows[i]
         reason, faulty_tendon = fault_detection.step(
             settings.fault_detection, layout, memory.detector, row.tendons, row.elapsed
@@ -332,7 +332,7 @@ def _update_faults(
     layout: RigLayout,
     memory: SlaveMemory,
     rows: StructArray,
-    samples: int,
+    sample_count: int,
     fault: int,
     tendon: int,
     dt: float,
@@ -345,15 +345,15 @@ def _update_faults(
             layout,
             memory.gated_position,
             memory.has_gated_position,
-            samples > 0,
+            sample_count > 0,
             dt,
         )
         if fault == Reason.NONE:
             fault, tendon = motor_fault, motor
-    if samples > 0:
+    if sample_count > 0:
         memory.detected_fault, memory.faulty_tendon = fault, tendon
     is_usable = False
-    for i in range(samples):
+    for i in range(sample_count):
         is_usable = is_usable or _is_usable(layout, rows[i].tendons)
     has_new_sample = is_usable and not memory.motors.repeated
     memory.sample_age = 0.0 if has_new_sample else memory.sample_age + dt
@@ -692,7 +692,7 @@ def monitor_calibration(
     prepared: StructArray,
     adapter: TendonAdapter | None,
     rows: StructArray,
-    samples: int,
+    sample_count: int,
 ) -> None:
     """Update the calibration monitor with the samples of a tick."""
     settings, layout, memory = settings_records[0], layouts[0], memories[0]
@@ -701,7 +701,7 @@ def monitor_calibration(
         probing.hand_over(settings.monitor, settings.probed, memory.probe, memory.monitors)
     if adapter is not None and not memory.degradation.active:  # only its transitions end that mode
         mute_monitors(adapter, layout, prepared, memory.monitors)
-    for s in range(samples):
+    for s in range(sample_count):
         memory.advice = monitor.step_rig(
             settings.monitor, layout, constants, memory.monitors, rows[s].tendons, rows[s].elapsed
         )

@@ -122,7 +122,7 @@ class SlaveProcess(LoopProcess):
         self._monitor_arguments = self._slave.monitor_arguments
         self._checkpoint = Checkpoint(*self._slave.changing)
         self._rows = EstimatedSample.array(ROWS_INITIAL)
-        self._samples = 0
+        self._sample_count = 0
         # the rig's next sample; its estimate is in the memory, but not in the checkpoint
         self._next_sample: RigSample | None = None
         self._is_estimated = False  # whether this tick's sample was estimated ahead
@@ -217,18 +217,18 @@ class SlaveProcess(LoopProcess):
             commands.settles or self._link_holds,
             self._motors_follow,
         )
-        rows, samples = self._rows, self._samples
+        rows, sample_count = self._rows, self._sample_count
         own = self._own
         if own is not None and own.estimates is not None:
-            estimate(*self._estimate_arguments, rows, samples, own.estimates)
+            estimate(*self._estimate_arguments, rows, sample_count, own.estimates)
         elif not self._is_estimated:
-            estimate(*self._estimate_arguments, rows, samples)
+            estimate(*self._estimate_arguments, rows, sample_count)
         self._is_estimated = False
         run_tick = loop.run_tick if own is None else own.run_tick
         return run_tick(
             *self._tick_arguments,
             rows,
-            samples,
+            sample_count,
             tick_input,
             commands.packet.records,
             self._state.records,
@@ -236,7 +236,7 @@ class SlaveProcess(LoopProcess):
 
     def _read(self, time_s: float) -> Reason:
         """Read the rig's new samples into the rows; return a fault of the rig."""
-        expected, self._next_sample, self._samples = self._next_sample, None, 0
+        expected, self._next_sample, self._sample_count = self._next_sample, None, 0
         samples: tuple[RigSample, ...] = ()
         fault = Reason.NONE
         begin_ns = now_ns()
@@ -254,14 +254,14 @@ class SlaveProcess(LoopProcess):
         self._reads.add(now_ns() - begin_ns)
         if expected is not None:
             if len(samples) == 1 and samples[0] is expected:
-                self._samples, self._is_estimated = 1, True
+                self._sample_count, self._is_estimated = 1, True
                 return fault
             self._checkpoint.restore()  # another sample came: the read was too early or too late
         if len(samples) > len(self._rows):  # after a stall; the array keeps this length
             self._rows = EstimatedSample.array(2 * len(samples))
         for sample in samples:
-            fill_sample(self._rows, self._samples, sample)
-            self._samples += 1
+            fill_sample(self._rows, self._sample_count, sample)
+            self._sample_count += 1
         return fault
 
     def _change_setting(self, key: str, value: str) -> str:
@@ -276,21 +276,21 @@ class SlaveProcess(LoopProcess):
 
     def _finish_tick(self, tick: Tick, time_s: float, requests: Requests) -> int:
         """Do the work that is not time-critical; return how long the rig took of it [ns]."""
-        slave, rows, samples = self._slave, self._rows, self._samples
+        slave, rows, sample_count = self._slave, self._rows, self._sample_count
         begin_ns = now_ns()
         next_sample = None if self.error or self.ended else self._advance_rig()
         rig_ns = now_ns() - begin_ns
-        loop.monitor_calibration(*self._monitor_arguments, rows, samples)
+        loop.monitor_calibration(*self._monitor_arguments, rows, sample_count)
         self._checkpoint.save()
         if requests.settings:
             self._process_settings(requests.settings)
         side = self._outline()
-        for k in range(samples):
+        for k in range(sample_count):
             if self._link.skip_unsubscribed(TENDONS):
                 continue
             fill_tendon_state(slave.layout, slave.memory, rows, k, self._tendon_state.records)
             self._link.publish_packet(TENDONS, self._tendon_state)
-        self._score.add_rows(slave.layout, rows, samples)
+        self._score.add_rows(slave.layout, rows, sample_count)
         self._finish_requests(side, requests, self._commands, tick.stamp_ns)
         self._publish_ledger(tick.stamp_ns)
         self._telemetry(time_s)
@@ -315,7 +315,7 @@ class SlaveProcess(LoopProcess):
         try:
             return self._rig.advance()
         except RigFault as error:  # published at once, as there is no next tick
-            self._samples = 0
+            self._sample_count = 0
             self._step(self._end_on_fault(error), Requests(), now_ns(), 0.0)
             self._link.publish_packet(STATE, self._state)
             return None

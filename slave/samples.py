@@ -88,18 +88,18 @@ def estimate(
     arm: ArmEstimator | None,
     adapter: TendonAdapter | None,
     rows: StructArray,
-    samples: int,
+    sample_count: int,
     own: Array | None = None,
 ) -> None:
-    """Step each tendon's estimator with the first `samples` of `rows`; fill in their estimates.
+    """Step each tendon's estimator with the first `sample_count` rows; fill in their estimates.
 
     `with_dynamics` is None where no model has dynamic effects; see `online.advance`. `arm` is None
     where no joints share tendons, `adapter` where K stays as calibrated. `own`, shape
-    (samples, 4, tendons), has tension at the tip, its interval [N] and elongation [m] by an
+    (sample_count, 4, tendons), has tension at the tip, its interval [N] and elongation [m] by an
     estimator of another package; NaN where it has none.
     """
     layout, memory = layouts[0], memories[0]
-    for s in range(samples):
+    for s in range(sample_count):
         row = rows[s]
         row.elapsed = row.time_s - memory.sample_time if memory.has_sample else 0.0
         memory.sample_time = row.time_s
