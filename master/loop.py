@@ -207,8 +207,8 @@ def compute_force(
     is_rendering = is_rendering and (memory.counted_work or not is_finite)
 
     total, local_forces = np.zeros(MAX_JOINTS), np.zeros(MAX_JOINTS)
-    joint_force, felt = np.zeros(MAX_JOINTS), np.zeros(MAX_JOINTS)
-    weight, granted = np.zeros(MAX_JOINTS), np.zeros(MAX_JOINTS)
+    joint_force, coupling_force = np.zeros(MAX_JOINTS), np.zeros(MAX_JOINTS)
+    weight_compensation, unscaled_force = np.zeros(MAX_JOINTS), np.zeros(MAX_JOINTS)
     coupling_adapter.render_force(
         settings.bilateral,
         memory.coupling,
@@ -229,7 +229,7 @@ def compute_force(
             joints,
             dt,
         )
-    hand_map.compute_hand_force(velocity_map, joint_force, axes, joints, felt)
+    hand_map.compute_hand_force(velocity_map, joint_force, axes, joints, coupling_force)
     if is_rendering:
         coupling_adapter.store_rendered_force(
             memory.rendered, settings.force.scale, joint_force, joints
@@ -243,26 +243,42 @@ def compute_force(
         if is_rendering:
             local_forces[k] += velocity_map.fixture_force[k]
         if _has_weight_compensation(memory.session):
-            weight[k] = settings.operator.weight[k] / velocity_map.lever[k]
-            local_forces[k] += weight[k]
+            weight_compensation[k] = settings.operator.weight[k] / velocity_map.lever[k]
+            local_forces[k] += weight_compensation[k]
         total[k] = feedback.limit_slew(
             settings.force.slew,
             memory.force[k],
-            settings.force_share[k] * felt[k] + local_forces[k],
+            settings.force_share[k] * coupling_force[k] + local_forces[k],
             dt,
         )
         total[k] = feedback.clamp(settings.force.limit, total[k])
     is_fading = state_machine.is_force_fading(memory.session)
     verdict = gate.step(
-        settings.gate, memory.force, total, axes, fresh, is_rendering, dt, is_fading, weight, out
+        settings.gate,
+        memory.force,
+        total,
+        axes,
+        fresh,
+        is_rendering,
+        dt,
+        is_fading,
+        weight_compensation,
+        out,
     )
     for k in range(MAX_JOINTS):
         out[k] = out[k] if k < axes else 0.0
         memory.force[k] = out[k]
         memory.local_force[k] = local_forces[k]
-        granted[k] = local_forces[k] + (out[k] - local_forces[k]) / settings.force_share[k]
+        unscaled_force[k] = local_forces[k] + (out[k] - local_forces[k]) / settings.force_share[k]
     hand_map.store_joint_force(
-        velocity_map, granted, local_forces, felt, joint_force, axes, joints, memory.joint_force
+        velocity_map,
+        unscaled_force,
+        local_forces,
+        coupling_force,
+        joint_force,
+        axes,
+        joints,
+        memory.joint_force,
     )
     for k in range(axes):  # torques, where axes turn
         out[k] *= velocity_map.lever[k]
