@@ -315,7 +315,7 @@ class _Search:
     def is_explained(self, simulated: dict[int, Simulated], i: int) -> bool:
         """Return whether the held-out errors of a tendon are no larger than noise."""
         return all(
-            math.sqrt(errors.mean) < SETTINGS.noise_ratio
+            math.sqrt(errors.mean_square) < SETTINGS.noise_ratio
             for errors in self._errors(simulated, [i]).values()
         )
 
@@ -403,7 +403,8 @@ class _Search:
         )
         after, earlier = (
             sum(
-                e.mean for e in self._errors(state.simulated, cause.tendons, fit.simulated).values()
+                e.mean_square
+                for e in self._errors(state.simulated, cause.tendons, fit.simulated).values()
             )
             for state in (fit, current)
         )

@@ -383,7 +383,7 @@ def compute_simple_gains(
     """Return how much better a law is than the best of simple models on the same samples."""
     gains = {}
     for channel, errors in law.items():
-        best = min(models, key=lambda model: model.held_out[channel].mean)
+        best = min(models, key=lambda model: model.held_out[channel].mean_square)
         gain = bootstrap_gain(errors, best.held_out[channel])
         gains[channel] = SimpleGain(best.name, *gain)
     return gains

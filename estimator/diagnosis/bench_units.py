@@ -254,7 +254,9 @@ def _unscale_errors(errors: RmseByChannel, scale: BenchScale) -> RmseByChannel:
 def _unscale_simple_fit(model: SimpleFit, scale: BenchScale) -> SimpleFit:
     return model._replace(
         held_out={
-            channel: errors._replace(power=scale.size_of(channel) ** 2 * errors.power)
+            channel: errors._replace(
+                sum_of_squares=scale.size_of(channel) ** 2 * errors.sum_of_squares
+            )
             for channel, errors in model.held_out.items()
         }
     )

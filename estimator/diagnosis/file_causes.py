@@ -33,7 +33,7 @@ def find_odd_file(dataset: Dataset, base_fit: Fit, fit: Fit) -> int:
         model = fit.model._replace(own=_drop(fit.model.own, k))
         errors = compute_errors(rest, fit_model(rest, _drop(contexts, k), model, BASELINE_ROUNDS))
         if is_noise(rest, errors):
-            explained[record.file] = sum(channel.mean for channel in errors.values())
+            explained[record.file] = sum(channel.mean_square for channel in errors.values())
     return min(explained, key=explained.__getitem__, default=0)
 
 

@@ -91,7 +91,7 @@ def compute_learned_gains(
     """Return by which share the better learned model's RMSE is below a law's, by channel."""
     gains = {}
     for channel, errors in law.items() if models else ():
-        best = min(models, key=lambda model: model.held_out[channel].mean)
+        best = min(models, key=lambda model: model.held_out[channel].mean_square)
         gains[channel] = SimpleGain(best.name, *bootstrap_gain(best.held_out[channel], errors))
     return gains
 

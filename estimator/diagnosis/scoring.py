@@ -27,20 +27,20 @@ BLOCKS_MIN = 6  # of a bootstrapped record
 class ChannelErrors(NamedTuple):
     """Squared errors of one channel on held-out samples."""
 
-    squares: Array  # sums over bins, (bins,), in squares of the noise
-    power: float  # their sum in squares of the channel's unit
+    normalised_squares: Array  # sums over bins, (bins,), in squares of the noise
+    sum_of_squares: float  # of all samples, in squares of the channel's unit
     counts: Array  # samples of each bin
-    independent: float  # share of the samples that are statistically independent
+    independent_share: float  # share of the samples that are statistically independent
 
     @property
     def rmse(self) -> float:
         """Root mean square, in the channel's unit."""
-        return math.sqrt(self.power / max(float(self.counts.sum()), 1.0))
+        return math.sqrt(self.sum_of_squares / max(float(self.counts.sum()), 1.0))
 
     @property
-    def mean(self) -> float:
+    def mean_square(self) -> float:
         """Mean square, in squares of the noise."""
-        return float(self.squares.sum() / max(self.counts.sum(), 1.0))
+        return float(self.normalised_squares.sum() / max(self.counts.sum(), 1.0))
 
 
 def compute_errors(
@@ -87,10 +87,10 @@ def join_errors(parts: Sequence[dict[str, ChannelErrors]]) -> dict[str, ChannelE
 def concatenate_errors(parts: Sequence[ChannelErrors]) -> ChannelErrors:
     """Return the errors of several parts of one channel, concatenated."""
     return ChannelErrors(
-        np.concatenate([part.squares for part in parts]),
-        sum(part.power for part in parts),
+        np.concatenate([part.normalised_squares for part in parts]),
+        sum(part.sum_of_squares for part in parts),
         np.concatenate([part.counts for part in parts]),
-        min(part.independent for part in parts),
+        min(part.independent_share for part in parts),
     )
 
 
@@ -102,7 +102,7 @@ def compute_log_likelihood_ratio(a: dict[str, ChannelErrors], b: dict[str, Chann
     """
     total = 0.0
     for channel, errors in a.items():
-        share = min(errors.independent, b[channel].independent)
+        share = min(errors.independent_share, b[channel].independent_share)
         total += (
             0.5
             * share
@@ -120,7 +120,7 @@ def bootstrap_superiority(a: dict[str, ChannelErrors], b: dict[str, ChannelError
     difference = []
     for channel, errors in a.items():
         scale = _floor_variance(errors)
-        difference.append((b[channel].squares - errors.squares) / scale)
+        difference.append((b[channel].normalised_squares - errors.normalised_squares) / scale)
     total = (
         np.sum(difference, axis=0)
         if len({len(d) for d in difference}) == 1
@@ -132,7 +132,7 @@ def bootstrap_superiority(a: dict[str, ChannelErrors], b: dict[str, ChannelError
 
 def compute_gain(a: dict[str, ChannelErrors], b: dict[str, ChannelErrors]) -> float:
     """Return by which share errors are smaller under `a` than under `b`, over all channels."""
-    samples = sum(errors.independent * float(errors.counts.sum()) for errors in a.values())
+    samples = sum(errors.independent_share * float(errors.counts.sum()) for errors in a.values())
     return -math.expm1(-compute_log_likelihood_ratio(a, b) / max(samples / len(a), 1.0))
 
 
@@ -143,12 +143,12 @@ def compute_residual_fraction(a: dict[str, ChannelErrors], b: dict[str, ChannelE
     """
     remaining = total = 0.0
     for channel, errors in b.items():
-        excess = max(errors.mean - 1.0, 0.0)
+        excess = max(errors.mean_square - 1.0, 0.0)
         if excess < SETTINGS.excess_min:
             continue
         weight = math.sqrt(excess)
         remaining += weight * min(
-            max(a[channel].mean - 1.0, 0.0) / excess, SETTINGS.excess_ratio_max
+            max(a[channel].mean_square - 1.0, 0.0) / excess, SETTINGS.excess_ratio_max
         )
         total += weight
     return remaining / total if total else 0.0
@@ -170,9 +170,11 @@ def _draw_blocks(series: Array) -> NDArray[np.intp]:
 
 def bootstrap_gain(a: ChannelErrors, b: ChannelErrors) -> IntervalEstimate:
     """Return by which share the RMSE is smaller under `a` than under `b`, and its 95 % interval."""
-    value = 1.0 - math.sqrt(a.mean / max(b.mean, 1e-12))
-    draws = _draw_blocks(b.squares - a.squares)
-    ratio = a.squares[draws].sum(axis=1) / np.maximum(b.squares[draws].sum(axis=1), 1e-12)
+    value = 1.0 - math.sqrt(a.mean_square / max(b.mean_square, 1e-12))
+    draws = _draw_blocks(b.normalised_squares - a.normalised_squares)
+    ratio = a.normalised_squares[draws].sum(axis=1) / np.maximum(
+        b.normalised_squares[draws].sum(axis=1), 1e-12
+    )
     low, high = np.quantile(1.0 - np.sqrt(ratio), [0.025, 0.975])
     return IntervalEstimate(value, float(low), float(high))
 
@@ -186,7 +188,7 @@ def compute_missed_share(dataset: Dataset, errors: dict[str, ChannelErrors]) -> 
     for channel, channel_errors in errors.items():
         if channel not in (PROXIMAL_TENSION, DISTAL_TENSION):
             continue
-        excess = max(1.0 - 1.0 / max(channel_errors.mean, 1e-12), 0.0)
+        excess = max(1.0 - 1.0 / max(channel_errors.mean_square, 1e-12), 0.0)
         spread = max(float(r.signals[channel].std()) for r in dataset.records)
         shares.append(channel_errors.rmse * math.sqrt(excess) / max(spread, 1e-12))
     return max(shares)
@@ -208,7 +210,7 @@ def is_within_tolerance(
     """Return whether errors are below `ratio_max` times those of noise and of a simulation."""
     floor = compute_tolerance(dataset)
     return all(
-        math.sqrt(channel_errors.mean) < ratio_max * floor[channel]
+        math.sqrt(channel_errors.mean_square) < ratio_max * floor[channel]
         for channel, channel_errors in errors.items()
     )
 
@@ -220,7 +222,7 @@ def compute_bic_penalty(dataset: Dataset, parameters: float) -> float:
 
 
 def _floor_variance(errors: ChannelErrors) -> float:
-    return max(errors.mean, SETTINGS.variance_min)
+    return max(errors.mean_square, SETTINGS.variance_min)
 
 
 def _estimate_independent_share(error: Array) -> float:

@@ -248,7 +248,7 @@ class _Search:
 
     def is_noise(self, stage: Stage) -> bool:
         """Return whether a model leaves no more than noise."""
-        return math.sqrt(stage.errors[DISTAL_DISPLACEMENT].mean) < SETTINGS.noise_ratio
+        return math.sqrt(stage.errors[DISTAL_DISPLACEMENT].mean_square) < SETTINGS.noise_ratio
 
     def is_significant(self, stage: Stage, base: Stage) -> bool:
         """Return whether a model is better than a simpler one, as a named effect must be."""

@@ -27,7 +27,10 @@ def test_of_causes_that_are_as_good_as_each_other_the_simplest_is_named(bench):
     base = compute_errors(bench, fit)
 
     def candidate(effect, values, better):
-        held_out = {c: one._replace(squares=one.squares / better) for c, one in base.items()}
+        held_out = {
+            c: one._replace(normalised_squares=one.normalised_squares / better)
+            for c, one in base.items()
+        }
         model = PLAIN._replace(effects=((effect, values),))
         return Candidate(effect, fit._replace(model=model), held_out, 0.0)
 

@@ -30,7 +30,7 @@ def excess(record):
     """Return the mean square of what the plain law leaves of both tensions, in their noise."""
     dataset = build_dataset([record])
     found = compute_errors(dataset, fit_baseline(dataset), held_out=False)
-    return [found[channel].mean for channel in (TENSION, "distal_tension")]
+    return [found[channel].mean_square for channel in (TENSION, "distal_tension")]
 
 
 def test_a_turn_that_smoothing_took_away_is_found_in_a_few_samples():
