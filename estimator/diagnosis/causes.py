@@ -42,6 +42,13 @@ from estimator.effects import NAMES
 from estimator.effects.effect import Effect, EffectContext
 from estimator.effects.functions import build_functions
 
+FINAL_ROUNDS = 12  # rounds of the fit to all samples
+# shares of the time between which each search for a cause runs
+SEARCH_PROGRESS = 0.1, 0.4, 0.55, 0.65
+SAME_COST_TOLERANCE = 0.01  # relative: effects whose costs differ by less do the same
+RESIDUAL_FRACTION_MAX = 0.5  # share of the error beyond noise that hidden motion may leave
+RESTART_PROGRESS = 0.9  # share of the time at which the search from another cause ends
+
 # --- the next cause, and its rivals
 
 
@@ -117,8 +124,6 @@ def rank_candidates(
 
 # --- causes that later causes make redundant, or whose size may be zero
 
-FINAL_ROUNDS = 12  # rounds of the fit to all samples
-
 
 def prune_causes(
     dataset: Dataset, base_fit: Fit, steps: list[CauseStep], fit: Fit
@@ -189,11 +194,7 @@ def score_effect(dataset: Dataset, fit: Fit, fit_without: Fit, effect: Effect) -
     return ratio - compute_bic_penalty(dataset, len(effect.parameters))
 
 
-# shares of the time between which each search for a cause runs
-SEARCH_PROGRESS = 0.1, 0.4, 0.55, 0.65
-SAME_COST_TOLERANCE = 0.01  # relative: effects whose costs differ by less do the same
-RESIDUAL_FRACTION_MAX = 0.5  # share of the error beyond noise that hidden motion may leave
-RESTART_PROGRESS = 0.9  # share of the time at which the search from another cause ends
+# --- the search
 
 
 class CauseSearchResult(NamedTuple):
@@ -217,8 +218,15 @@ def find_causes(
 ) -> tuple[CauseSearchResult, Choice]:
     """Return the causes of the residual of a base law, and the base law.
 
-    The best law may have been chosen because it imitates a cause. So the next ones are tried while
-    a residual beyond noise remains, and the law is returned with which most is explained.
+    Each stage runs while a residual beyond noise remains, and stands if it explains more; after
+    the first, none if the data are of no tendon:
+
+    1. A stepwise search on top of each law in turn. The best law may have been chosen because it
+       imitates a cause; that with which most is explained is returned.
+    2. The same with the hidden motion that a cause had masked.
+    3. One with causes in the one file that differs from the others, if there is such a file.
+    4. A search for a free function, unless what causes leave is no more than model error.
+    5. A stepwise search from another first cause, unless that function explains nearly all.
     """
     attempts: list[tuple[CauseSearchResult, Choice]] = []
     for law in laws:
@@ -247,20 +255,27 @@ def find_causes(
     bench = result.dataset, result.base_fit
     if not _is_explained(result) and (file := find_odd_file(*bench, result.fit)):
         candidates = [*confine_effects(effects, file), *(effects if result.steps else ())]
-        of_file = _find_causes_stepwise(result.loads, *bench, candidates, report, workers)
-        result = max(of_file, result, key=lambda one: _compute_evidence(one, result))
+        file_result = _find_causes_stepwise(result.loads, *bench, candidates, report, workers)
+        result = max(
+            file_result, result, key=lambda candidate: _compute_evidence(candidate, result)
+        )
     if not _is_explained(result):
         middle = 0.5 * (SEARCH_PROGRESS[-1] + RESTART_PROGRESS)
         # what named causes leave of model error, a curve would follow
         is_open = not (result.steps and _is_exhausted(result.dataset, result.fit, result.base_fit))
         function_report = scale_progress(report, SEARCH_PROGRESS[-1], middle)
-        free = _find_function(result, effects, function_report, workers) if is_open else None
-        if free is None or _compute_fraction(free) > SETTINGS.uncertain_fraction_max:
+        function_result = (
+            _find_function(result, effects, function_report, workers) if is_open else None
+        )
+        if (
+            function_result is None
+            or _compute_fraction(function_result) > SETTINGS.uncertain_fraction_max
+        ):
             result = _restart_from_other_cause(
                 result, effects, scale_progress(report, middle, RESTART_PROGRESS), workers
             )
-        if free is not None and _is_function_better(free, result):
-            result = free
+        if function_result is not None and _is_function_better(function_result, result):
+            result = function_result
     return result, law
 
 
@@ -286,15 +301,15 @@ def _find_function(
     return best
 
 
-def _is_function_better(free: CauseSearchResult, named: CauseSearchResult) -> bool:
+def _is_function_better(function_result: CauseSearchResult, named: CauseSearchResult) -> bool:
     """Return whether a free function explains what named causes do not; as good, they are named."""
     if _is_explained(named):
         return False
-    errors = (compute_errors(named.dataset, fit) for fit in (free.fit, named.fit))
+    errors = (compute_errors(named.dataset, fit) for fit in (function_result.fit, named.fit))
     if compute_residual_fraction(*errors) < SETTINGS.free_function_fraction:
         return True
     is_open = not named.steps or _compute_fraction(named) > SETTINGS.unexplained_fraction_max
-    return is_open and _compute_evidence(free, named) > 0.0
+    return is_open and _compute_evidence(function_result, named) > 0.0
 
 
 def _recover_motion_beside_cause(result: CauseSearchResult) -> tuple[Dataset, Fit] | None:
