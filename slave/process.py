@@ -405,7 +405,7 @@ def prepare_rig_model(
             load_arms(config, shared.arms),
         ), history
 
-    def stopped() -> str:
+    def check_stop() -> str:
         pending = requests(now_ns())
         master = link.latest(COMMAND).message
         if pending.stop:
@@ -432,7 +432,7 @@ def prepare_rig_model(
         config,
         Grid(shared.rate_hz, lambda: False, phase=0.5),
         history.start_ns,
-        stopped=stopped,
+        stopped=check_stop,
         progress=build_progress_printer(rig),
         analysing=stop.interrupting,
         arms=shared.arms,
