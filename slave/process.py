@@ -383,27 +383,47 @@ def prepare_rig_model(
         assemble_tendon_rows(shared.arms, rig.joints)
     except ValueError as error:
         raise UsageError(f"arms: {error}") from error
-    if not config.initialise.at_start:
-        tendons = load_tendon_configs(config, rig.tendons, rig.joints, files)
-        if isinstance(rig, ReplayedRig):
-            tendons = tuple(
-                model_files.set_noise_from_data(tendon, *rig.housing[k])
-                for k, tendon in enumerate(tendons)
-            )
-        notes = describe_models(tendons)
-        if files and (config.tendons or config.calibration):
-            notes += model_files.find_friction_warnings(
-                load_tendon_configs(config, rig.tendons, rig.joints), tendons
-            )
-        for line in notes:
-            print(line, flush=True)
-        not_ready_text = find_not_ready_reason(config, rig, modelled=bool(files))
-        return loop.build_rig_model(
-            rig.joints,
-            [tendon.model() for tendon in tendons],
-            not_ready_text,
-            load_arms(config, shared.arms),
-        ), history
+    if config.initialise.at_start:
+        return _calibrate_rig(config, rig, link, requests, stop, shared, history)
+    return _load_rig_model(config, rig, shared, files), history
+
+
+def _load_rig_model(
+    config: SlaveConfig, rig: Rig, shared: RunConfig, files: model_files.ModelFiles
+) -> RigModel:
+    """Return the model of a rig from the config and model `files`; print what is to be noted."""
+    tendons = load_tendon_configs(config, rig.tendons, rig.joints, files)
+    if isinstance(rig, ReplayedRig):
+        tendons = tuple(
+            model_files.set_noise_from_data(tendon, *rig.housing[k])
+            for k, tendon in enumerate(tendons)
+        )
+    notes = describe_models(tendons)
+    if files and (config.tendons or config.calibration):
+        notes += model_files.find_friction_warnings(
+            load_tendon_configs(config, rig.tendons, rig.joints), tendons
+        )
+    for line in notes:
+        print(line, flush=True)
+    not_ready_text = find_not_ready_reason(config, rig, modelled=bool(files))
+    return loop.build_rig_model(
+        rig.joints,
+        [tendon.model() for tendon in tendons],
+        not_ready_text,
+        load_arms(config, shared.arms),
+    )
+
+
+def _calibrate_rig(
+    config: SlaveConfig,
+    rig: Rig,
+    link: Link,
+    requests: RequestListener,
+    stop: StopCondition,
+    shared: RunConfig,
+    history: CalibrationHistory,
+) -> tuple[RigModel, CalibrationHistory]:
+    """Return the model of a rig by the quick procedure, and `history` with the samples of it."""
 
     def check_stop() -> str:
         pending = requests(now_ns())
