@@ -248,7 +248,9 @@ def compute_force(
         total[k] = feedback.limit_slew(
             settings.force.slew,
             memory.force[k],
-            settings.force_share[k] * coupling_force[k] + local_forces[k],
+            # the tips' force as the slave limits it, then of this device
+            settings.force_share[k] * feedback.clamp(settings.force.limit, coupling_force[k])
+            + local_forces[k],
             dt,
         )
         total[k] = feedback.clamp(settings.force.limit, total[k])

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.adaptation import UPDATE_S, Adaptation, build_adaptation, observe
+from estimator.adaptation import K_MIN, UPDATE_S, Adaptation, build_adaptation, observe
 from estimator.array_types import Array
 from estimator.compiled import jit_compile
 from estimator.law.tables import K as _K
@@ -66,6 +66,22 @@ def build_adapter(
     for i in range(len(models)):  # not all in one tick
         adapter.get_friction(i)["update_age"] = i / len(models) * UPDATE_S
     return adapter
+
+
+def describe_fixed(
+    config: AdaptationConfig, joints: Sequence[Sequence[int]], models: Sequence[TendonModel]
+) -> list[str]:
+    """Return the line that names joints whose K stays as calibrated although others adapt."""
+    if not config.enabled:
+        return []
+    adapts = [bool(build_adaptation(model)["active"][0]) for model in models]
+    fixed = [str(k) for k, tendons in enumerate(joints, 1) if not all(adapts[i] for i in tendons)]
+    if not fixed:
+        return []
+    return [
+        f"slave.adaptation: K stays as calibrated at joint {', '.join(fixed)}: it is below "
+        f"{K_MIN:g}, or the sheath has too many sections"
+    ]
 
 
 @jit_compile

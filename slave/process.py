@@ -20,6 +20,7 @@ from typing import NamedTuple, cast
 
 from estimator.records import view_struct
 from slave import live_settings, loop, model_files
+from slave.adaptation import describe_fixed
 from slave.calibration.file import apply_guide_friction
 from slave.calibration.initialisation import initialise
 from slave.config import (
@@ -113,9 +114,7 @@ class SlaveProcess(LoopProcess):
         self._own = own if own.opened else None  # else each call of it would cost time
         joints = len(model.joints)
         super().__init__(link, clock.stats, self._slave.memory, joints, requests, health)
-        self._gated_position = self._slave.memory["gated_position"][
-            0
-        ]  # [m] that the gate let through
+        self._gated_position = self._slave.memory["gated_position"][0]  # [m]
         self._has_gated_position = self._slave.memory["has_gated_position"]
         self._estimate_arguments = self._slave.estimate_arguments
         self._tick_arguments = self._slave.tick_arguments
@@ -350,6 +349,8 @@ def main(args: argparse.Namespace) -> int:
         stop.wake = link.wake
         link.subscribe_latest(COMMAND, round(config.command_timeout * 1e9))
         model, history = prepare_rig_model(config, rig, link, requests, stop, shared, files)
+        for line in describe_fixed(config.adaptation, model.joints, model.models):
+            print(line, flush=True)
         clock = EventClock(shared.rate_hz, stop, partial(link.wait, COMMAND))
         slave = SlaveProcess(
             config, link, rig, model, clock, history, shared.bilateral, requests, shared.health

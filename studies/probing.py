@@ -91,9 +91,7 @@ def rest(drawn: RandomJoint, seed: int = 1, seconds: float = PROBED_S) -> Rest:
         loop.run_tick(*slave.tick_arguments, sampled, len(samples), given, *records)
         if memory.probe.finished >= 0:
             K.append(probing.estimate_friction(known, probing.compute_share(memory.probe))[0])
-        loop.monitor_calibration(
-            slave.settings, slave.layout, slave.monitor_constants, slave.memory, sampled, 1
-        )
+        loop.monitor_calibration(*slave.monitor_arguments, sampled, 1)
         if memory.has_gated_position:
             rig.write(memory.gated_position[: rig.tendons].copy())
         if time >= PRESSED_S:

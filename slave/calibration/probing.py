@@ -48,7 +48,7 @@ ACCURACY = 0.02  # of the travel
 class ProbingConfig:
     """When and how far motors at rest move to measure friction."""
 
-    enabled: bool = False
+    enabled: bool = False  # at rest, motors move their tendons by what no tip notices
     # of the least possible K, for the depth of the sliding front
     share: float = build_ranged_field(0.75, 0.1, 0.9)
     pause: float = build_ranged_field(0.2, 0.05, 60.0, "s")  # at rest before each probe

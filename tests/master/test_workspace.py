@@ -119,6 +119,21 @@ def test_the_force_scale_of_a_device_is_that_of_the_tips_not_of_walls_and_weight
     assert press(0.25) == pytest.approx((-0.25 - 0.6 + 0.4, -1.0), abs=1e-6)
 
 
+def test_a_scaled_device_counts_no_more_force_than_the_slave_renders():
+    """The slave limits its forces to those of an unscaled device."""
+
+    def press(scale):
+        device = CombinedConfig(force_scales=(scale, 1.0))
+        run = Run(replace(CONFIG, device=device)).engaged()
+        for _ in range(400):
+            run.answered(hand(), force=1000.0)
+        return run.output.force[0], float(run.memory.joint_force[0])
+
+    limit = CONFIG.force.limit
+    assert press(1.0) == pytest.approx((-limit, -limit), abs=1e-6)
+    assert press(0.25) == pytest.approx((-0.25 * limit, -limit), abs=1e-6)
+
+
 def test_forces_of_its_own_are_no_work_of_the_coupling():
     bilateral = Bilateral(coupling=PassivityConfig())
     run = Run(MasterConfig(operator=OperatorConfig(weight=(0.4,)), gate=CONFIG.gate), bilateral)

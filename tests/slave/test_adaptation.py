@@ -8,7 +8,7 @@ import pytest
 from estimator.law import tables
 from estimator.records import as_bytes
 from slave import loop
-from slave.adaptation import UNDECIDED_S, AdaptationConfig
+from slave.adaptation import UNDECIDED_S, AdaptationConfig, describe_fixed
 from slave.config import SlaveConfig
 from slave.extensions import EstimatorExtension
 from slave.rig import RigSample
@@ -47,6 +47,13 @@ def run(slave, rows):
     estimate(*slave.estimate_arguments, rows, len(rows))
 
 
+def clone(rows):
+    """Return a copy that has the bytes between the fields, too."""
+    copy = np.empty_like(rows)
+    as_bytes(copy)[:] = as_bytes(rows)
+    return copy
+
+
 def snapshot(slave):
     kept = slave.memory, slave.estimators, slave.prepared, slave.adapter.states, slave.adapter.pairs
     return [as_bytes(records).copy() for records in kept]
@@ -60,6 +67,10 @@ def test_tendons_of_a_pair_adapt_together_and_a_single_one_by_itself():
     assert slave.adapter.pairs["started"].tolist() == [True, False]
     assert (slave.prepared["adaptation_error"] > 0.0).all()
     assert (slave.adapter.get_friction(1) == slave.adapter.pairs[0]["b"]).all()
+    models = [TENDON.model()] * 4 + [TendonConfig(effective_friction=0.05).model()]
+    (line,) = describe_fixed(ON, ((0,), (1, 2), (3, 4)), models)
+    assert line.startswith("slave.adaptation: K stays as calibrated at joint 3: ")
+    assert describe_fixed(ON, ((0,), (1, 2)), models) == []
 
 
 def test_what_a_tick_has_adapted_is_undone_with_it():
@@ -67,11 +78,11 @@ def test_what_a_tick_has_adapted_is_undone_with_it():
     run(slave, pulls(0.0, 2.0))
     checkpoint = Checkpoint(*slave.changing)
     before = snapshot(slave)
-    run(slave, rows.copy())
+    run(slave, clone(rows))
     once = snapshot(slave)
     checkpoint.restore()
     assert all(map(np.array_equal, before, snapshot(slave)))
-    run(slave, rows.copy())
+    run(slave, clone(rows))
     assert all(map(np.array_equal, once, snapshot(slave)))
     assert not any(map(np.array_equal, before, once))
 

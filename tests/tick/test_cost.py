@@ -26,7 +26,7 @@ REPORTED = 500  # ticks between two reports, when the meters begin new spans
 # the watch for a suspension; of C's 4 are the tag of a message, 5 another's check
 MASTER_PYTHON, MASTER_C = 62, 51
 SLAVE_PYTHON, SLAVE_C = 32, 31
-WIRE = {COMMAND: 324, STATE: 508, TENDONS: 1460, HAND: 260}  # [B]
+WIRE = {COMMAND: 324, STATE: 512, TENDONS: 1460, HAND: 260}  # [B]
 HELD = 50_000  # [B] at once, within a tick of both sides; most of it in one with a report
 KEPT = 10_000, 150  # [B], blocks: from one report to the next; a leak of 20 B a tick would be more
 
