@@ -160,7 +160,7 @@ def test_tendons_hold_the_weight_of_the_links(tmp_path):
     [
         (((R, 0.0),), "radii: must have a row for each joint"),
         (((R, 0.0), (R,)), "radii: must be a table"),
-        (((R, 0.0), (0.0, R), (R, R)), "radii: row 1: there must be one ratio of positive"),
+        (((R, 0.0), (0.0, R), (R, R)), "radii: rows 1, 2, 3: there must be one ratio of positive"),
         (((R, 0.0), (-R, 0.0), (0.0, R)), "radii: row 3: there must be one ratio"),
         (((0.0, R), (R, 0.0)), "joint 1: its own tendons must turn it"),
         (((R, R), (R, R)), "radii: these tendons do not determine all joints"),
