@@ -91,5 +91,6 @@ def widen_intervals(
             continue
         error = mode.ramp * (mode.ratio[i] - 1.0) * tendons[i].estimate.high
         for j in range(layout.joints):
-            joint_estimates[j].low -= abs(layout.travel[i, j]) * error
-            joint_estimates[j].high += abs(layout.travel[i, j]) * error
+            if layout.travel[i, j] != 0.0:  # the error may be infinite, and is of no other joint
+                joint_estimates[j].low -= abs(layout.travel[i, j]) * error
+                joint_estimates[j].high += abs(layout.travel[i, j]) * error

@@ -90,6 +90,18 @@ def test_the_widened_interval_holds_the_force_as_wrong_as_was_found(estimated, e
     assert joints["high"][0] >= true[0] - true[1] - 1e-9
 
 
+def test_an_infinite_interval_is_of_the_joints_that_the_tendon_moves():
+    layout = view_struct(build_rig_layout(((0,), (1,))))
+    mode, tendons = view_struct(Degradation.array()), EstimatedTendon.array(2)
+    mode.ramp, mode.ratio[0] = 1.0, 1.3
+    tendons["estimate"]["high"] = np.inf, 1.0
+    joints = JointEstimate.array(2)
+    joints["low"] = joints["high"] = 1.0
+    degraded_mode.widen_intervals(layout, mode, tendons, joints)
+    assert joints["high"].tolist() == [np.inf, 1.0]
+    assert joints["low"].tolist() == [-np.inf, 1.0]
+
+
 @pytest.mark.parametrize(
     ("settings", "named"),
     [({"degraded_force": 0.95}, "degraded_force"), ({"degraded_speed": 0.0}, "degraded_speed")],
