@@ -11,6 +11,7 @@ call: it becomes a part of its callers. That, and less bookkeeping, shortens a f
 """
 
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any, ParamSpec, TypeVar, cast
 
 from estimator import compile_cache
@@ -31,7 +32,8 @@ if _folder is not None:
     # somebody else may have imported it before
     numba.config.CACHE_DIR = str(_folder)  # type: ignore[attr-defined]
 # numba would time each of the thousands of calls to LLVM for every function being compiled
-llvm.ffi.lib._lock._cblist.clear()
+with suppress(AttributeError):  # a llvmlite that keeps this elsewhere is only slower
+    llvm.ffi.lib._lock._cblist.clear()
 
 P = ParamSpec("P")
 R = TypeVar("R")

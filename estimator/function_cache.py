@@ -122,7 +122,7 @@ class FunctionCache:
             with path.open("rb") as file:
                 payload = pickle.load(file)  # noqa: S301 - of a folder that nobody else can write
                 is_old = time.time() - os.fstat(file.fileno()).st_mtime > _TOUCHED_S
-        except (FileNotFoundError, EOFError):
+        except (OSError, EOFError, pickle.UnpicklingError):  # of no use: it is compiled again
             return None
         if is_old:
             with suppress(OSError):
@@ -137,8 +137,9 @@ class FunctionCache:
         path = self._name_file(signature, result.target_context)
         data = serialize.dumps(self._reduce(result))
         part = path.with_suffix(f".{os.getpid()}")
-        part.write_bytes(data)
-        part.replace(path)
+        with suppress(OSError):  # a full disk: the next start compiles again
+            part.write_bytes(data)
+            part.replace(path)
         if not FunctionCache._is_pruned:
             FunctionCache._is_pruned = True
             prune(self.cache_path)

@@ -92,6 +92,15 @@ def test_only_what_a_change_concerns_is_compiled_anew(run):
     assert run(**swapped) == ["5.0 2.0 0 0 0 1", "too low"]
 
 
+def test_damaged_files_are_compiled_again(run, tmp_path):
+    expected = run()
+    for path in (tmp_path / "cache").iterdir():
+        if path.is_file():
+            path.write_bytes(b"no pickle")
+    assert run() == expected
+    assert run() != expected  # found again
+
+
 def test_what_was_not_used_for_long_is_deleted(tmp_path):
     for name, age_s in (("old", KEPT_S + 60.0), ("new", KEPT_S - 60.0), ("folder", 2.0 * KEPT_S)):
         path = tmp_path / name
