@@ -451,7 +451,13 @@ def _run_arrays(
         observe(constants[0], states[0], prepared[0], estimators[0], estimates[i], dt)
         if states[0].adapted and adapted_from < 0:
             adapted_from = i
-        K[0, i] = prepared[0].tables[_K]
-        error = prepared[0].friction_error * K[0, i] + prepared[0].adaptation_error
-        K[1, i], K[2, i] = K[0, i] - error, K[0, i] + error
+        store_friction(prepared[0], K, i)
     return adapted_from
+
+
+@jit_compile
+def store_friction(prepared: PreparedTendon, K: Array, i: int) -> None:
+    """Write K in use and the ends of its interval into column `i` of `K`, shape (3, n)."""
+    K[0, i] = prepared.tables[_K]
+    error = prepared.friction_error * K[0, i] + prepared.adaptation_error
+    K[1, i], K[2, i] = K[0, i] - error, K[0, i] + error

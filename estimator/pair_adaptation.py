@@ -41,6 +41,7 @@ from estimator.adaptation import (
     follow_estimate,
     hold_interval,
     resize_profiles,
+    store_friction,
 )
 from estimator.array_types import Array
 from estimator.compiled import jit_compile
@@ -503,6 +504,4 @@ def _run_arrays(
             is_adapted = states[0].a.adapted if i == 0 else states[0].b.adapted
             if is_adapted and adapted_from[i] < 0:
                 adapted_from[i] = n
-            K[i, 0, n] = middle = prepared[i].tables[_K]
-            error = prepared[i].friction_error * middle + prepared[i].adaptation_error
-            K[i, 1, n], K[i, 2, n] = middle - error, middle + error
+            store_friction(prepared[i], K[i], n)
