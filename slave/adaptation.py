@@ -25,7 +25,7 @@ UNDECIDED_S = 20.0  # [s] without evidence, after which the monitor decides: see
 BOUND_SHARE = 0.03  # of K: so close to its bounds, it may be beyond them
 SETTLED_S = 5.0  # [s] for which K has to stay within `SETTLED_SHARE`
 SETTLED_SHARE = 0.02  # of K
-SETTLED_WIDTH = 0.2  # of K: largest half-width of the interval of a K that has settled
+SETTLED_WIDTH = 0.2  # of K: the half-width that the interval of a settled K has had, at most
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,6 +162,10 @@ class TendonFriction(NamedTuple):
     low: float  # ends of its interval
     high: float
 
+    def get_width(self) -> float:
+        """Return the width of the interval, which the newest evidence makes wide or narrow."""
+        return self.high - self.low
+
 
 def compute_friction(
     prepared: StructArray, adapter: TendonAdapter | None, tendon: int
@@ -185,6 +189,7 @@ class _Shape:
     left_s: float | None = None  # [s] when it left that
     near: float = 0.0  # K since `near_s`
     near_s: float = 0.0  # [s]
+    narrowest: TendonFriction | None = None  # since `near_s`, of the narrowest interval
 
 
 class ShapeChange(NamedTuple):
@@ -218,10 +223,12 @@ class ShapeWatch:
             if shape.left_s is None:
                 continue
             if abs(now.K - shape.near) > SETTLED_SHARE * now.K:
-                shape.near, shape.near_s = now.K, time_s
-            elif time_s - shape.near_s >= SETTLED_S:
-                is_known = now.high - now.low <= 2.0 * SETTLED_WIDTH * now.K
-                is_known = is_known and _is_inside(self._adapter.constants["K"][i], now.K)
-                if is_known and state["low"] <= now.K <= state["high"]:
-                    yield ShapeChange(i, shape.left_s, shape.K, now, has_settled=True)
-                    shape.K, shape.left_s = now.K, None
+                shape.near, shape.near_s, shape.narrowest = now.K, time_s, None
+            if state["low"] <= now.K <= state["high"]:
+                shape.narrowest = min(shape.narrowest or now, now, key=TendonFriction.get_width)
+            settled = shape.narrowest
+            if settled is not None and time_s - shape.near_s >= SETTLED_S:
+                is_known = settled.get_width() <= 2.0 * SETTLED_WIDTH * settled.K
+                if is_known and _is_inside(self._adapter.constants["K"][i], settled.K):
+                    yield ShapeChange(i, shape.left_s, shape.K, settled, has_settled=True)
+                    shape.K, shape.left_s, shape.narrowest = settled.K, None, None
