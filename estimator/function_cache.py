@@ -6,6 +6,7 @@ that call it, and of nothing else.
 """
 
 import enum
+import fcntl
 import os
 import pickle
 import shutil
@@ -15,7 +16,7 @@ from contextlib import suppress
 from hashlib import sha256
 from pathlib import Path
 from types import CodeType, FunctionType, ModuleType
-from typing import Any
+from typing import IO, Any
 
 import llvmlite
 import numba
@@ -24,6 +25,7 @@ from numba.core import serialize, types
 from numba.core.compiler import CompileResult
 
 KEPT_S = 30 * 86_400.0  # [s] since its last use, after which a file is deleted
+CLAIM_S = 30.0  # [s] to wait for another process that compiles the same version
 _TOUCHED_S = 86_400.0  # [s] by which the noted time of the last use may be wrong
 _VERSIONS = (sys.implementation.cache_tag, numba.__version__, llvmlite.__version__, np.__version__)
 
@@ -114,32 +116,32 @@ class FunctionCache:
 
     def __init__(self, function: FunctionType, folder: Path) -> None:
         self._function, self.cache_path = function, folder
+        self._claims: dict[Path, IO[bytes]] = {}  # of what this process compiles
 
     def load_overload(self, signature: Any, target: Any) -> CompileResult | None:
-        """Return the version for argument types, or None."""
+        """Return the version for argument types, or None: then this process compiles it."""
         path = self._name_file(signature, target)
-        try:
-            with path.open("rb") as file:
-                payload = pickle.load(file)  # noqa: S301 - of a folder that nobody else can write
-                is_old = time.time() - os.fstat(file.fileno()).st_mtime > _TOUCHED_S
-        except (OSError, EOFError, pickle.UnpicklingError):  # of no use: it is compiled again
-            return None
-        if is_old:
-            with suppress(OSError):
-                os.utime(path)
+        payload = _load(path)
+        if payload is None:
+            with suppress(OSError):  # a folder that cannot be written
+                self._claims[path] = _claim(path)
+            payload = _load(path)
+            if payload is None:
+                return None
+            self._release(path)
         target.refresh()
         return self._rebuild(target, payload)
 
     def save_overload(self, signature: Any, result: CompileResult) -> None:
         """Write a version that was compiled."""
-        if result.library.has_dynamic_globals:  # addresses of this process
-            return
         path = self._name_file(signature, result.target_context)
-        data = serialize.dumps(self._reduce(result))
-        part = path.with_suffix(f".{os.getpid()}")
-        with suppress(OSError):  # a full disk: the next start compiles again
-            part.write_bytes(data)
-            part.replace(path)
+        if not result.library.has_dynamic_globals:  # addresses of this process
+            data = serialize.dumps(self._reduce(result))
+            part = path.with_suffix(f".{os.getpid()}")
+            with suppress(OSError):  # a full disk: the next start compiles again
+                part.write_bytes(data)
+                part.replace(path)
+        self._release(path)
         if not FunctionCache._is_pruned:
             FunctionCache._is_pruned = True
             prune(self.cache_path)
@@ -153,11 +155,48 @@ class FunctionCache:
         key.update(repr((*words, target.codegen().magic_tuple())).encode())
         return self.cache_path / f"{self._function.__name__}-{key.hexdigest()[:24]}"
 
+    def _release(self, path: Path) -> None:
+        if claim := self._claims.pop(path, None):
+            with suppress(OSError):
+                os.unlink(claim.name)
+            claim.close()
+
     def _reduce(self, result: CompileResult) -> Any:
         return result._reduce()
 
     def _rebuild(self, target: Any, payload: Any) -> CompileResult:
         return CompileResult._rebuild(target, *payload)
+
+
+def _load(path: Path) -> Any:
+    try:
+        with path.open("rb") as file:
+            payload = pickle.load(file)  # noqa: S301 - of a folder that nobody else can write
+            is_old = time.time() - os.fstat(file.fileno()).st_mtime > _TOUCHED_S
+    except (OSError, EOFError, pickle.UnpicklingError):  # of no use: it is compiled again
+        return None
+    if is_old:
+        with suppress(OSError):
+            os.utime(path)
+    return payload
+
+
+def _claim(path: Path) -> IO[bytes]:
+    """Return a lock on what is to be compiled, once the process that holds it has ended that.
+
+    A caller is locked before its callees, so nobody waits in a circle. Who waits for `CLAIM_S`,
+    as for a suspended process, goes on without a lock.
+    """
+    file = path.with_suffix(".lock").open("wb")
+    end = time.monotonic() + CLAIM_S
+    while time.monotonic() < end:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            time.sleep(0.02)
+        else:
+            break
+    return file
 
 
 def prune(folder: Path) -> None:

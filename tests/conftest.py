@@ -7,6 +7,7 @@ import shutil
 import signal
 import tempfile
 from collections import Counter
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -82,6 +83,7 @@ NO_CLOCK = (  # of what keeps hands safe: a failure is one, however seldom
 )
 
 
+@cache  # asked three times of each of thousands of tests
 def is_in(path: Path, places: tuple[str, ...]) -> bool:
     return any(path.is_relative_to(Path(__file__).parent / place) for place in places)
 

@@ -7,6 +7,7 @@ import time
 
 import pytest
 
+from estimator import function_cache
 from estimator.function_cache import KEPT_S, prune
 from tests.root import ROOT
 
@@ -54,10 +55,10 @@ except ValueError as error:
 
 
 @pytest.fixture
-def run(tmp_path):
-    """Write the files, changed by `edits`, and run the program: results, loaded versions, error."""
+def start(tmp_path):
+    """Write the files, changed by `edits`, and start the program."""
 
-    def run(**edits):
+    def start(**edits):
         for name, text in FILES.items():
             old, new = edits.get(name, ("", ""))
             assert old in text
@@ -68,12 +69,17 @@ def run(tmp_path):
             "PYTHONDONTWRITEBYTECODE": "1",  # two states of a file within one second
         }
         command = [sys.executable, tmp_path / "program.py"]
-        done = subprocess.run(
-            command, env=os.environ | environment, capture_output=True, text=True, check=True
+        return subprocess.Popen(
+            command, env=os.environ | environment, stdout=subprocess.PIPE, text=True
         )
-        return done.stdout.splitlines()
 
-    return run
+    return start
+
+
+@pytest.fixture
+def run(start):
+    """Return a function that runs the program: results, loaded versions, error."""
+    return lambda **edits: start(**edits).communicate()[0].splitlines()
 
 
 def test_only_what_a_change_concerns_is_compiled_anew(run):
@@ -90,6 +96,20 @@ def test_only_what_a_change_concerns_is_compiled_anew(run):
         "outer": ("pair.a +", "2.0 * pair.a +"),
     }
     assert run(**swapped) == ["5.0 2.0 0 0 0 1", "too low"]
+
+
+def test_two_processes_at_once_compile_each_function_once(start, tmp_path):
+    both = [start(), start()]
+    loaded = [program.communicate()[0].split()[2:4] for program in both]
+    assert [int(first) + int(second) for first, second in zip(*loaded, strict=True)] == [1, 1]
+    assert not list((tmp_path / "cache").glob("*.lock"))
+
+
+def test_who_compiles_but_hangs_is_not_waited_for(tmp_path, monkeypatch):
+    monkeypatch.setattr(function_cache, "CLAIM_S", 0.1)
+    first = function_cache._claim(tmp_path / "function")
+    function_cache._claim(tmp_path / "function").close()
+    first.close()
 
 
 def test_damaged_files_are_compiled_again(run, tmp_path):
