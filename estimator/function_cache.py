@@ -173,8 +173,8 @@ def _load(path: Path) -> Any:
         with path.open("rb") as file:
             payload = pickle.load(file)  # noqa: S301 - of a folder that nobody else can write
             is_old = time.time() - os.fstat(file.fileno()).st_mtime > _TOUCHED_S
-    except (OSError, EOFError, pickle.UnpicklingError):  # of no use: it is compiled again
-        return None
+    except (OSError, EOFError, pickle.UnpicklingError, ImportError, AttributeError):
+        return None  # damaged, or of a type that has moved: it is compiled again
     if is_old:
         with suppress(OSError):
             os.utime(path)

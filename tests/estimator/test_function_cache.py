@@ -13,6 +13,7 @@ from tests.root import ROOT
 
 FILES = {
     "limits": "UPPER = 3.0\nOTHER = 1.0\n",
+    "pairs": "",
     "records": """
 from typing import NamedTuple
 class Pair(NamedTuple):
@@ -119,6 +120,14 @@ def test_damaged_files_are_compiled_again(run, tmp_path):
             path.write_bytes(b"no pickle")
     assert run() == expected
     assert run() != expected  # found again
+
+
+def test_a_type_that_has_moved_to_another_file_is_compiled_again(run):
+    first = run()
+    imports = ("from records", "from pairs")
+    moved = {"pairs": ("", FILES["records"]), "records": (FILES["records"], "")}
+    assert run(**moved, outer=imports, program=imports)[0].startswith("4.0 10.0 ")
+    assert first[0].startswith("4.0 10.0 ")
 
 
 def test_what_was_not_used_for_long_is_deleted(tmp_path):
