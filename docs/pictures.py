@@ -35,7 +35,7 @@ from teleop.view.config import Layout, ViewConfig
 from teleop.view.feed import show_recording
 from teleop.view.scene import Scene
 from teleop.view.scene_geometry import RIGHT, UP
-from teleop.view.sheaths import Sheaths, compute_tension_band
+from teleop.view.scene_sheaths import Sheaths, compute_tension_band
 from teleop.view.sinks import Sink
 
 ROOT = Path(__file__).parents[1]

@@ -28,7 +28,7 @@ import numpy as np
 from estimator.array_types import Array
 from estimator.compiled import jit_compile
 from estimator.law import tables as _tables
-from estimator.law.profile import (
+from estimator.law.play_profile import (
     FLOOR,
     Profile,
     count_points,

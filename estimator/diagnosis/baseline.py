@@ -56,7 +56,7 @@ from estimator.effects.effect import (
     PROXIMAL_TENSION,
     Effect,
 )
-from estimator.hysteresis import apply_proportional_play, compute_bristle_deflection
+from estimator.record_hysteresis import apply_proportional_play, compute_bristle_deflection
 from estimator.signals import apply_play
 
 START_FRICTIONS = (0.2, 0.45, 0.8, 1.2, 1.8)

@@ -24,7 +24,7 @@ from estimator.diagnosis.scoring import (
 )
 from estimator.diagnosis.validation import Fold
 from estimator.effects.effect import PROXIMAL_TENSION
-from estimator.hysteresis import apply_proportional_play
+from estimator.record_hysteresis import apply_proportional_play
 from estimator.signals import apply_play
 
 INSTALL = "pip install 'tendon-teleop[learned]'"

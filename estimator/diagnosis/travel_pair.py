@@ -41,8 +41,8 @@ from estimator.fitting import (
     build_interval,
     compute_clustered_errors,
 )
-from estimator.hysteresis import apply_widening_play
 from estimator.measured_data import MeasuredData
+from estimator.record_hysteresis import apply_widening_play
 from estimator.signals import apply_play
 from estimator.spline import evaluate_spline
 from estimator.units import LINEAR, Units

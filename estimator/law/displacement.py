@@ -10,7 +10,7 @@ import math
 
 from estimator.compiled import jit_compile
 from estimator.law import tables as _tables
-from estimator.law.profile import (
+from estimator.law.play_profile import (
     FLOOR,
     HOUSING,
     Profile,

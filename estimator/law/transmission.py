@@ -19,7 +19,7 @@ from estimator.array_types import Array
 from estimator.compiled import jit_compile
 from estimator.law import tables as _tables
 from estimator.law.displacement import push_displacement, push_displacement_spring
-from estimator.law.profile import (
+from estimator.law.play_profile import (
     CAPACITY,
     FLOOR,
     Profile,

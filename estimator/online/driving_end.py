@@ -18,7 +18,7 @@ from estimator import signals
 from estimator.arrays import copy_values
 from estimator.compiled import jit_compile
 from estimator.law import tables as _tables
-from estimator.law.profile import TIP, drive_end, push_proximal, to_log_tension
+from estimator.law.play_profile import TIP, drive_end, push_proximal, to_log_tension
 from estimator.law.transmission import read_profile
 from estimator.online.estimator_state import EstimatorState, PreparedTendon
 

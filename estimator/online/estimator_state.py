@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from typing import Annotated
 
 from estimator.array_types import Array
-from estimator.law.profile import PROFILE_SIZE, build_pretensioned_profile
+from estimator.law.play_profile import PROFILE_SIZE, build_pretensioned_profile
 from estimator.law.tables import TABLES_SIZE, build_tables
 from estimator.online import dynamic_correction
 from estimator.online.dynamic_correction import DynamicConstants, DynamicState
@@ -111,7 +111,7 @@ class EstimatorState(Struct):
     low: F64 = 0.0  # [N] the interval last reported, of the law
     high: F64 = INF  # [N]
 
-    profile: Annotated[Array, Field("f8", PROFILE_SIZE)]  # estimator.law.profile
+    profile: Annotated[Array, Field("f8", PROFILE_SIZE)]  # estimator.law.play_profile
     anchor_profile: Annotated[Array, Field("f8", PROFILE_SIZE)]  # at the anchor
     dynamics: DynamicState
     remembered: Annotated[Array, Field("f8", MAX_CORRECTIONS, fill=NAN)]  # by each correction

@@ -14,7 +14,7 @@ import math
 
 from estimator.compiled import jit_compile
 from estimator.law import tables as _tables
-from estimator.law.profile import TIP, drive_end, from_log_tension, to_log_tension
+from estimator.law.play_profile import TIP, drive_end, from_log_tension, to_log_tension
 from estimator.law.tables import Tables, integrate_exponential
 from estimator.law.transmission import read_profile
 from estimator.online.driving_end import anchor_window

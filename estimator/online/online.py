@@ -26,7 +26,7 @@ from estimator import signals
 from estimator.array_types import Array
 from estimator.compiled import jit_compile, jit_inline
 from estimator.law import tables as _tables
-from estimator.law.profile import from_log_tension, push_proximal, to_log_tension
+from estimator.law.play_profile import from_log_tension, push_proximal, to_log_tension
 from estimator.law.transmission import evaluate_tension, read_profile
 from estimator.online import dynamic_correction
 from estimator.online.driving_end import anchor_window, drive_profile

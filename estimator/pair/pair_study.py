@@ -9,7 +9,6 @@ from scipy.stats import t as student
 
 from estimator.array_types import Array
 from estimator.fitting import IntervalEstimate, build_interval, minimise_squares
-from estimator.hysteresis import compute_bristle_deflection
 from estimator.pair.pair import PairModel, PairRecord
 from estimator.pair.pair_fit import (
     PairError,
@@ -20,6 +19,7 @@ from estimator.pair.pair_fit import (
     number_strokes,
     predict_angle,
 )
+from estimator.record_hysteresis import compute_bristle_deflection
 from estimator.signals import apply_play
 
 # --- models of a pair that know no tendon: the angle as a hysteresis of the command

@@ -19,7 +19,7 @@ from estimator.array_types import Array
 from estimator.arrays import copy_values
 from estimator.compiled import jit_compile
 from estimator.law import tables as _tables
-from estimator.law.profile import (
+from estimator.law.play_profile import (
     PROFILE_SIZE,
     TIP,
     Profile,
@@ -50,7 +50,7 @@ _NEAR_TIP = 1.0 - 1e-9  # of K: before a straight stretch at the tip
 class SheathEnd(Struct):
     """State of one tendon of a pair."""
 
-    profile: Annotated[Array, Field("f8", PROFILE_SIZE)]  # estimator.law.profile
+    profile: Annotated[Array, Field("f8", PROFILE_SIZE)]  # estimator.law.play_profile
     held_tension: F64  # [N] T_in behind its dead band
     offset: F64  # [m] of the tip's travel by this tendon
     stretch: F64  # [m] travel of the tip away from the motor that the profile lacks

@@ -34,9 +34,9 @@ from estimator.array_types import Array
 from estimator.arrays import copy_values
 from estimator.compiled import jit_compile
 from slave.ranged_field import build_ranged_field, check_ranges
-from slave.simulation.chain import compute_response, recover_state
-from slave.simulation.contacts import Curve, Response
+from slave.simulation.chain_step import compute_response, recover_state
 from slave.simulation.environment import compute_environment_force
+from slave.simulation.friction_nodes import Curve, Response
 from slave.simulation.joint import Joint, JointState, TendonState, fill_truth, wind_tendon
 from slave.simulation.motor import MotorState
 from slave.simulation.sensors import CHANNELS

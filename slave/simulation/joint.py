@@ -19,8 +19,7 @@ from numba.typed import List
 from estimator.array_types import Array
 from estimator.compiled import jit_compile, jit_inline
 from slave.ranged_field import build_ranged_field, check_ranges
-from slave.simulation.chain import compute_response, recover_state
-from slave.simulation.contacts import Curve, interpolate_curve
+from slave.simulation.chain_step import compute_response, recover_state
 from slave.simulation.environment import (
     STIFFNESS_MAX,
     TRAVEL_MAX,
@@ -28,6 +27,7 @@ from slave.simulation.environment import (
     build_empty_environment,
     compute_environment_force,
 )
+from slave.simulation.friction_nodes import Curve, interpolate_curve
 from slave.simulation.motor import Motor, MotorState, advance_motor, init_motor
 from slave.simulation.sensors import CHANNELS
 from slave.simulation.tendon import Chain, get_tensions, init_chain_state

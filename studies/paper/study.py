@@ -17,8 +17,8 @@ from estimator.law.transmission import (
 )
 from slave.calibration.run import CalibrationRefused
 from slave.sheath_section import SectionConfig
-from slave.simulation.chain import compute_response, recover_state
-from slave.simulation.contacts import interpolate_curve
+from slave.simulation.chain_step import compute_response, recover_state
+from slave.simulation.friction_nodes import interpolate_curve
 from slave.simulation.tendon import (
     SheathConfig,
     build_chain,

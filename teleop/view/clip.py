@@ -23,7 +23,7 @@ from teleop.view.colours import TENSION_MAP
 from teleop.view.columns import AnyTopic, RowDecimator, Rows
 from teleop.view.config import ViewConfig
 from teleop.view.feed import BatchDisplay, show_recording
-from teleop.view.sheaths import Sheaths
+from teleop.view.scene_sheaths import Sheaths
 from teleop.view.space_arm import SpaceArm
 
 if TYPE_CHECKING:

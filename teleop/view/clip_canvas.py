@@ -14,7 +14,7 @@ from teleop.view import colours
 from teleop.view.colours import Rgb, compute_luminance, to_rgb
 from teleop.view.columns import AnyTopic, Rows
 from teleop.view.config import ViewConfig
-from teleop.view.sheaths import Sheaths
+from teleop.view.scene_sheaths import Sheaths
 
 ThemeName = Literal["light", "dark"]
 STALE_S = 1.0  # [s] after which the newest message no longer counts

@@ -33,9 +33,9 @@ from teleop.view.colours import compute_luminance, to_rgb
 from teleop.view.columns import AnyTopic, Rows
 from teleop.view.config import Layout
 from teleop.view.curves import CURVES, TIP_FORCE, Curve
-from teleop.view.levers import compute_true_force
 from teleop.view.panel import build_banner
-from teleop.view.sheaths import compute_tension_band
+from teleop.view.scene_joints import compute_true_force
+from teleop.view.scene_sheaths import compute_tension_band
 from teleop.view.space_arm import find_arm
 
 _HEIGHT = 7.2  # [inches] of every figure: text has the same share of it at any size

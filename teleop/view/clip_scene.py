@@ -14,8 +14,8 @@ from teleop.view import colours
 from teleop.view.clip_arms import ClipArm
 from teleop.view.clip_canvas import Canvas
 from teleop.view.clip_marks import Marks
-from teleop.view.levers import compute_true_force
 from teleop.view.scene_geometry import ARROW, PIECES, SEGMENTS, Lever, Stage
+from teleop.view.scene_joints import compute_true_force
 
 _ARM_WIDTH = 1.4  # of what is drawn of an arm, relative to its sheaths
 

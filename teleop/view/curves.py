@@ -26,8 +26,8 @@ from teleop.messages.topics import (
 from teleop.view import colours
 from teleop.view.colours import AXES, BAND, TRUTH, darken_colour, lighten_colour
 from teleop.view.columns import AnyTopic, Rows, build_columns, split_rows
-from teleop.view.levers import compute_true_force
-from teleop.view.sheaths import Painter
+from teleop.view.scene_joints import compute_true_force
+from teleop.view.scene_sheaths import Painter
 from teleop.view.space_arm import find_arm
 
 STAGE_COLOURS = (colours.HAND, colours.HOUSING, colours.ESTIMATE, colours.COMMANDED, colours.TRUTH)

@@ -45,7 +45,7 @@ from teleop.view.panel_layout import (
     fill_box,
     fit_height,
 )
-from teleop.view.sheaths import Painter
+from teleop.view.scene_sheaths import Painter
 
 # --- state of a session as the panel shows it: both sides' states as one, and the link's quality
 

@@ -15,7 +15,7 @@ from estimator.array_types import Array
 from teleop.messages.messages import PROFILE_POINTS
 from teleop.view.colours import BAND, ESTIMATE, FRONT, SECOND, to_rgba
 from teleop.view.columns import Rows, Sender, build_columns
-from teleop.view.sheaths import Painter, compute_tension_band
+from teleop.view.scene_sheaths import Painter, compute_tension_band
 
 _TICK = 0.02
 

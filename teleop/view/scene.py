@@ -40,17 +40,17 @@ from teleop.messages.topics import (
     format_role,
 )
 from teleop.session.state_machine import State
-from teleop.view.arms import Arms
 from teleop.view.colours import FRONT, PHASES, STATES, to_rgba
 from teleop.view.columns import AnyTopic, Rows, Sender, Subsampler, build_columns, split_rows
 from teleop.view.config import ViewConfig
 from teleop.view.curves import Plots
 from teleop.view.feed import BatchDisplay
-from teleop.view.levers import Levers
 from teleop.view.panel import Panel
 from teleop.view.profile_plot import Plane, ProfileView, compute_axis_end, compute_ticks_to_end
+from teleop.view.scene_arms import Arms
 from teleop.view.scene_geometry import PIECES, SEGMENTS, Stage, compute_rotations_from_z
-from teleop.view.sheaths import Painter, Sheaths
+from teleop.view.scene_joints import Levers
+from teleop.view.scene_sheaths import Painter, Sheaths
 from teleop.view.space_arm import SpaceArm
 
 # --- fit the scene into its view, with the colour scale beside it

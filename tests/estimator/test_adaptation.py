@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from estimator.adaptation import FACTOR_MAX, FACTOR_MIN, GROWTH, run_adapting
-from estimator.law import profile as law_profile
+from estimator.law import play_profile
 from estimator.law.sheath import Sheath
 from estimator.law.tables import build_tables
 from estimator.law.transmission import build_slack_profile, evaluate_tension, push_proximal
@@ -123,10 +123,10 @@ def test_a_resized_profile_keeps_the_tension_at_each_depth(K):
         push_proximal(before, profile, T)
     depth = np.linspace(0.0, min(K, 1.0), 50)
     expected = evaluate_tension(before, profile, depth * LENGTH)
-    law_profile.resize_profile(after, profile, np.log(3.5))
+    play_profile.resize_profile(after, profile, np.log(3.5))
     np.testing.assert_allclose(
         evaluate_tension(after, profile, depth * LENGTH / K), expected, rtol=1e-9
     )
     x = np.linspace(0.0, LENGTH, 20001)
     area = np.trapezoid(evaluate_tension(after, profile, x), x)
-    assert law_profile.integrate_tension(after, profile) == pytest.approx(area, rel=1e-5)
+    assert play_profile.integrate_tension(after, profile) == pytest.approx(area, rel=1e-5)

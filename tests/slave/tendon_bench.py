@@ -7,8 +7,8 @@ import numpy as np
 from estimator.arrays import copy_values
 from estimator.compiled import jit_compile
 from slave.sheath_section import SectionConfig
-from slave.simulation.chain import compute_response, recover_state
-from slave.simulation.contacts import interpolate_curve
+from slave.simulation.chain_step import compute_response, recover_state
+from slave.simulation.friction_nodes import interpolate_curve
 from slave.simulation.tendon import POSITION, TENSION, SheathConfig, build_chain, init_chain_state
 
 L, EA = 1.5, 9000.0

@@ -16,7 +16,7 @@ from teleop.view.scene_geometry import (
     build_stage,
     compute_centreline,
 )
-from teleop.view.sheaths import compute_friction_profile, compute_tension_band
+from teleop.view.scene_sheaths import compute_friction_profile, compute_tension_band
 from tests.teleop.view_session import T0, Session
 
 

@@ -1,6 +1,6 @@
 """What theory.md says of a profile and nothing but tests evaluates: slopes and bounds."""
 
-from estimator.law.profile import Profile, from_log_tension, to_log_tension
+from estimator.law.play_profile import Profile, from_log_tension, to_log_tension
 from estimator.law.tables import ASYMMETRY, K, Tables
 from estimator.law.transmission import find_front
 

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from estimator.law.profile import count_points, get_point
+from estimator.law.play_profile import count_points, get_point
 from estimator.law.sheath import Section, Sheath, SheathError
 from estimator.law.transmission import (
     CAPACITY,

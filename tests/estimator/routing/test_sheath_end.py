@@ -7,7 +7,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from estimator.law.profile import build_pretensioned_profile, push_proximal
+from estimator.law.play_profile import build_pretensioned_profile, push_proximal
 from estimator.law.sheath import Section, Sheath
 from estimator.law.tables import build_tables
 from estimator.law.transmission import read_profile

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from estimator.law.profile import build_pretensioned_profile, push_proximal
+from estimator.law.play_profile import build_pretensioned_profile, push_proximal
 from estimator.law.sheath import Section, Sheath
 from estimator.law.transmission import build_tables, read_profile
 from estimator.routing import tensions

@@ -99,7 +99,9 @@ def test_a_loaded_tendon_is_probed_again_and_again_and_the_slack_one_is_not():
         results.append(probing.compute_share(rest.probe))
         assert rest.probe.finished == 0
         monitors = TendonMonitor.array(2)
-        probing.hand_over(to_struct(MonitorConfig()), rest.constants, rest.probe, monitors)
+        probing.transfer_probe_result(
+            to_struct(MonitorConfig()), rest.constants, rest.probe, monitors
+        )
         assert monitors["count"].tolist() == [1, 0]
     assert results == pytest.approx([1.0] * 3, abs=0.02)
     assert rest.motor[1] == 0.0

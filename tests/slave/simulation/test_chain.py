@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from slave.sheath_section import SectionConfig
-from slave.simulation.chain import compute_response
-from slave.simulation.contacts import interpolate_curve
+from slave.simulation.chain_step import compute_response
+from slave.simulation.friction_nodes import interpolate_curve
 from slave.simulation.tendon import (
     CREEP,
     FRICTION,

@@ -22,7 +22,7 @@ import numpy as np
 
 from estimator.array_types import Array
 from estimator.compiled import jit_compile
-from slave.simulation.contacts import (
+from slave.simulation.friction_nodes import (
     Response,
     init_bristle_contact,
     init_coulomb_contact,

@@ -18,7 +18,7 @@ from teleop.messages.topics import COMMAND, HAND, STATE, TENDONS
 from teleop.view import colours
 from teleop.view.columns import AnyTopic, Rows, build_columns
 from teleop.view.scene_geometry import ARROW, Lever, Stage
-from teleop.view.sheaths import Painter
+from teleop.view.scene_sheaths import Painter
 
 Columns = list[rr.ComponentColumn]  # of one block of rows
 

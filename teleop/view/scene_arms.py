@@ -1,6 +1,6 @@
 """Arms in space in the scene: links, jaws, tendons, the force at the tip, the hand that moves it.
 
-What stands on one message is one entity where it can be, as in `teleop.view.levers`.
+What stands on one message is one entity where it can be, as in `teleop.view.scene_joints`.
 """
 
 from collections.abc import Iterator, Mapping
@@ -14,7 +14,7 @@ from teleop.view import colours
 from teleop.view.arm_place import NUMBER_DISTANCE, ArmPlace
 from teleop.view.columns import AnyTopic, Rows, build_columns
 from teleop.view.scene_geometry import ARROW, UP
-from teleop.view.sheaths import Painter
+from teleop.view.scene_sheaths import Painter
 
 _UNCERTAIN = 0.4  # width of an arrow whose force may be 0, of that of others
 
