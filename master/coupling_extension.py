@@ -47,7 +47,7 @@ class HandEnd:
 
     @property
     def _is_coupled(self) -> bool:
-        return bool(self._memories["counted_work"][0])
+        return bool(self._memories["has_counted_work"][0])
 
     def start_tick(self) -> None:
         """Let `send` be called once more."""

@@ -43,12 +43,12 @@ class HandMapper(Protocol):
     ----------
     joints : int
         How many axes y has.
-    drives, maps : Records
+    mapped_hands, maps : Records
         The mapped hand, a `HandInput`, and the `VelocityMap` of the tick; shape (1,).
     """
 
     joints: int
-    drives: StructArray
+    mapped_hands: StructArray
     maps: StructArray
 
     def step(
@@ -182,26 +182,26 @@ def build_axis_map(joints: tuple[MappedJointConfig, ...]) -> StructArray:
 
 @jit_compile
 def map_axes(
-    axis_maps: StructArray, hands: StructArray, drives: StructArray, maps: StructArray
+    axis_maps: StructArray, hands: StructArray, mapped_hands: StructArray, maps: StructArray
 ) -> None:
-    """Fill `drives` and `maps` from the hand; all of shape (1,)."""
-    axis_map, hand, drive, velocity_map = axis_maps[0], hands[0], drives[0], maps[0]
-    drive.present, drive.engage = hand.present, hand.engage
-    drive.clutch, drive.stop = hand.clutch, hand.stop
-    drive.axes = axis_map.joints if hand.present else 0
+    """Fill `mapped_hands` and `maps` from the hand; all of shape (1,)."""
+    axis_map, hand, mapped_hand, velocity_map = axis_maps[0], hands[0], mapped_hands[0], maps[0]
+    mapped_hand.present, mapped_hand.engage = hand.present, hand.engage
+    mapped_hand.clutch, mapped_hand.stop = hand.clutch, hand.stop
+    mapped_hand.axes = axis_map.joints if hand.present else 0
     velocity_map.is_active = True
     velocity_map.matrix[:] = 0.0
     for j in range(axis_map.joints):
         axis = axis_map.axis[j]
-        drive.position[j] = drive.velocity[j] = 0.0
+        mapped_hand.position[j] = mapped_hand.velocity[j] = 0.0
         if not 0 <= axis < hand.axes:
             continue
         x, end_slope = ease_range(hand.position[axis], axis_map.low[j], axis_map.high[j])
         moved, slope = pass_dead_band(x, axis_map.dead_band[j])
         slope *= end_slope
         velocity_map.matrix[j, axis] = axis_map.scale[j] * slope / velocity_map.lever[axis]
-        drive.position[j] = axis_map.scale[j] * moved
-        drive.velocity[j] = axis_map.scale[j] * slope * hand.velocity[axis]
+        mapped_hand.position[j] = axis_map.scale[j] * moved
+        mapped_hand.velocity[j] = axis_map.scale[j] * slope * hand.velocity[axis]
 
 
 @jit_compile
@@ -250,7 +250,7 @@ class AxisMapper:
 
     def __init__(self, config: AxisMapConfig, torque_lever: float) -> None:
         self.joints = len(config.joints)
-        self.drives, self.maps = HandInput.array(), VelocityMap.array()
+        self.mapped_hands, self.maps = HandInput.array(), VelocityMap.array()
         for joint in config.joints:
             if joint.axis is not None and joint.turns:
                 self.maps["lever"][0, joint.axis] = torque_lever
@@ -264,4 +264,4 @@ class AxisMapper:
         dt: float,  # noqa: ARG002
     ) -> None:
         """Map the hand of this tick."""
-        map_axes(self._axis_map, hands, self.drives, self.maps)
+        map_axes(self._axis_map, hands, self.mapped_hands, self.maps)

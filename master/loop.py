@@ -19,6 +19,7 @@ from estimator.records import I64, Flag, Struct, StructArray, view_struct
 from master import coupling_adapter, feedback, gate, hand_map, operator, workspace
 from master.coupling_adapter import RenderMemory
 from master.hand_input import Axes, HandInput, is_all_finite
+from master.hand_map import VelocityMap
 from master.operator import OperatorMemory
 from master.settings_record import MasterSettings
 from master.workspace import Presence, WorkspaceLimits
@@ -49,7 +50,7 @@ class MasterMemory(Struct):
     presence: Presence
     inputs: Inputs  # of the session in this tick
     may_render: Flag = False  # whether the session allowed forces in `compute_command`
-    counted_work: Flag = False  # whether `add_hand_work` counted coupled work there
+    has_counted_work: Flag = False  # whether `add_hand_work` counted coupled work there
 
 
 class TickInput(NamedTuple):
@@ -84,7 +85,7 @@ def compute_command(
     settings_records: StructArray,
     memories: StructArray,
     hands: StructArray,
-    drives: StructArray,
+    mapped_hands: StructArray,
     states: StructArray,
     tick_input: TickInput,
     commands: StructArray,
@@ -97,7 +98,7 @@ def compute_command(
         `MasterSettings` and `MasterMemory`, shape (1,); the state is updated.
     hands : Records
         `HandInput`, shape (1,).
-    drives : Records
+    mapped_hands : Records
         `HandInput`, shape (1,): the hand as one with an axis for each joint (`master.hand_map`);
         `hands` itself, unless its motion is mapped.
     states : Records
@@ -107,7 +108,7 @@ def compute_command(
     """
     settings, memory, out = settings_records[0], memories[0], commands[0]
     hand, state, inputs, dt = hands[0], states[0], memory.inputs, tick_input.dt
-    drive = drives[0]
+    mapped_hand = mapped_hands[0]
     wanted_forces = np.zeros(MAX_JOINTS)
     is_finite = _compute_wanted_forces(settings, memory, tick_input, state, wanted_forces)
     workspace.update_presence(settings.operator, memory.presence, hand, dt)
@@ -120,9 +121,9 @@ def compute_command(
     if tick_input.stop == Reason.NONE and hand.stop:
         inputs.stop = Reason.EMERGENCY_STOP
     inputs.follow_s = state_machine.FOLLOW_LIMIT_S + settings.delay_max
-    _step_session(settings, memory, hand, drive, state, tick_input, is_finite, dt)
+    _step_session(settings, memory, hand, mapped_hand, state, tick_input, is_finite, dt)
     memory.may_render = state_machine.may_render(memory.session)
-    memory.counted_work = memory.may_render and is_finite
+    memory.has_counted_work = memory.may_render and is_finite
 
     position: Any = out.position
     velocity: Any = out.velocity
@@ -130,7 +131,7 @@ def compute_command(
     operator.step(
         settings.operator,
         memory.operator,
-        drive,
+        mapped_hand,
         state,
         tick_input.has_state,
         engaged,
@@ -142,12 +143,12 @@ def compute_command(
         settings.bilateral,
         memory.coupling,
         memory.rendered,
-        drive,
+        mapped_hand,
         settings.force.scale,
         settings.operator.position_scale,
         memory.joint_force,
         memory.joints,
-        memory.counted_work,
+        memory.has_counted_work,
         dt,
     )
     _fill_command(settings, memory, tick_input, state, out)
@@ -158,7 +159,7 @@ def compute_force(
     settings_records: StructArray,
     memories: StructArray,
     hands: StructArray,
-    drives: StructArray,
+    mapped_hands: StructArray,
     states: StructArray,
     tick_input: TickInput,
     maps: StructArray,
@@ -173,12 +174,12 @@ def compute_force(
 
     Parameters
     ----------
-    settings_records, memories, hands, drives, states
+    settings_records, memories, hands, mapped_hands, states
         As in `compute_command`.
     tick_input : TickInput
         As in `compute_command`; `now_ns` and what there is of a state are those of this phase.
     maps : Records
-        `VelocityMap`, shape (1,): how `drives` follow from `hands`.
+        `VelocityMap`, shape (1,): how `mapped_hands` follow from `hands`.
     new_state : bool
         Whether `states` has arrived since `compute_command`. Its faults, stops and non-finite
         values then act at once.
@@ -201,21 +202,21 @@ def compute_force(
         memory.inputs.link, memory.inputs.link_holds = tick_input.link, tick_input.link_holds
     if new_state or fresh != memory.inputs.peer_fresh:
         memory.inputs.reset = False  # already processed
-        _step_session(settings, memory, hand, drives[0], state, tick_input, is_finite, 0.0)
+        _step_session(settings, memory, hand, mapped_hands[0], state, tick_input, is_finite, 0.0)
     # every force is in the ledger: a coupling that could start now starts at the next tick
     is_rendering = memory.may_render and state_machine.may_render(memory.session)
-    is_rendering = is_rendering and (memory.counted_work or not is_finite)
+    is_rendering = is_rendering and (memory.has_counted_work or not is_finite)
 
     total, local_forces = np.zeros(MAX_JOINTS), np.zeros(MAX_JOINTS)
     joint_force, coupling_force = np.zeros(MAX_JOINTS), np.zeros(MAX_JOINTS)
-    weight_compensation, unscaled_force = np.zeros(MAX_JOINTS), np.zeros(MAX_JOINTS)
+    weight_compensation, unshared_force = np.zeros(MAX_JOINTS), np.zeros(MAX_JOINTS)
     coupling_adapter.render_force(
         settings.bilateral,
         memory.coupling,
         settings.force.scale,
         wanted_forces,
         joints,
-        is_rendering and memory.counted_work and is_finite,
+        is_rendering and memory.has_counted_work and is_finite,
         joint_force,
     )
     if velocity_map.is_active:
@@ -234,17 +235,10 @@ def compute_force(
         coupling_adapter.store_rendered_force(
             memory.rendered, settings.force.scale, joint_force, joints
         )
-    workspace.update_limits(settings.operator, memory.limits, hand, is_rendering)
-    if is_rendering and hand.present:  # without delay
-        workspace.compute_wall_forces(
-            settings.operator, memory.limits, hand, velocity_map.lever, local_forces
-        )
+    _compute_local_forces(
+        settings, memory, hand, velocity_map, is_rendering, weight_compensation, local_forces
+    )
     for k in range(axes):
-        if is_rendering:
-            local_forces[k] += velocity_map.fixture_force[k]
-        if _has_weight_compensation(memory.session):
-            weight_compensation[k] = settings.operator.weight[k] / velocity_map.lever[k]
-            local_forces[k] += weight_compensation[k]
         total[k] = feedback.limit_slew(
             settings.force.slew,
             memory.force[k],
@@ -271,10 +265,10 @@ def compute_force(
         out[k] = out[k] if k < axes else 0.0
         memory.force[k] = out[k]
         memory.local_force[k] = local_forces[k]
-        unscaled_force[k] = local_forces[k] + (out[k] - local_forces[k]) / settings.force_share[k]
+        unshared_force[k] = local_forces[k] + (out[k] - local_forces[k]) / settings.force_share[k]
     hand_map.store_joint_force(
         velocity_map,
-        unscaled_force,
+        unshared_force,
         local_forces,
         coupling_force,
         joint_force,
@@ -288,6 +282,33 @@ def compute_force(
         memory.written[k] = out[k]
     _record_answer(memory, tick_input, state)
     return verdict
+
+
+@jit_compile
+def _compute_local_forces(
+    settings: MasterSettings,
+    memory: MasterMemory,
+    hand: HandInput,
+    velocity_map: VelocityMap,
+    is_rendering: bool,
+    weight_compensation: Array,
+    out: Array,
+) -> None:
+    """Write the forces of this side alone [N]: walls, virtual fixtures, weight compensation.
+
+    They act without delay. `weight_compensation` [N] is also written apart, for the gate.
+    """
+    workspace.update_limits(settings.operator, memory.limits, hand, is_rendering)
+    if is_rendering and hand.present:
+        workspace.compute_wall_forces(
+            settings.operator, memory.limits, hand, velocity_map.lever, out
+        )
+    for k in range(memory.axes):
+        if is_rendering:
+            out[k] += velocity_map.fixture_force[k]
+        if _has_weight_compensation(memory.session):
+            weight_compensation[k] = settings.operator.weight[k] / velocity_map.lever[k]
+            out[k] += weight_compensation[k]
 
 
 @jit_compile
@@ -319,7 +340,7 @@ def _step_session(
     settings: MasterSettings,
     memory: MasterMemory,
     hand: HandInput,
-    drive: HandInput,
+    mapped_hand: HandInput,
     state: SlaveState,
     tick_input: TickInput,
     is_finite: bool,
@@ -339,7 +360,9 @@ def _step_session(
     inputs.fault = tick_input.fault
     if tick_input.fault == Reason.NONE and not is_plausible(memory.session, hand, is_finite):
         inputs.fault = Reason.NOT_FINITE
-    inputs.not_ready_reason = find_not_ready_reason(settings, memory, drive, state, tick_input)
+    inputs.not_ready_reason = find_not_ready_reason(
+        settings, memory, mapped_hand, state, tick_input
+    )
     state_machine.step(memory.session, inputs, dt)
 
 
@@ -404,13 +427,13 @@ def _record_answer(memory: MasterMemory, tick_input: TickInput, state: SlaveStat
 
 
 @jit_compile
-def _has_weight_compensation(side: Session) -> bool:
+def _has_weight_compensation(session: Session) -> bool:
     """Return whether weight compensation is on in this state of the session."""
     return (
-        side.state == State.READY  # noqa: PLR1714 - compiled
-        or side.state == State.CLUTCHED
-        or side.state == State.HOLDING
-        or side.state == State.ENGAGED
+        session.state == State.READY  # noqa: PLR1714 - compiled
+        or session.state == State.CLUTCHED
+        or session.state == State.HOLDING
+        or session.state == State.ENGAGED
     )
 
 
@@ -434,15 +457,15 @@ def is_fresh(settings: MasterSettings, tick_input: TickInput, state: SlaveState)
 
 
 @jit_compile
-def is_switch_closed(side: Session, hand: HandInput, presence: Presence) -> bool:
+def is_switch_closed(session: Session, hand: HandInput, presence: Presence) -> bool:
     """Return whether the engage switch counts as closed.
 
     Not while no hand is detected; but a fault is cleared only when the real switch is released.
     """
     if (
-        side.state == State.FAULT  # noqa: PLR1714 - compiled
-        or side.state == State.HOLDING
-        or side.state == State.STOPPED
+        session.state == State.FAULT  # noqa: PLR1714 - compiled
+        or session.state == State.HOLDING
+        or session.state == State.STOPPED
     ):
         return hand.engage or hand.clutch or hand.stop
     return hand.engage and not presence.is_away
@@ -467,12 +490,12 @@ def find_not_ready_reason(
 
 
 @jit_compile
-def is_plausible(side: Session, hand: HandInput, finite: bool) -> bool:
+def is_plausible(session: Session, hand: HandInput, finite: bool) -> bool:
     """Return whether the hand's motion is plausible and a rendered force is `finite`."""
     for k in range(hand.axes):
         if not abs(hand.position[k]) < MOTION_MAX or not abs(hand.velocity[k]) < MOTION_MAX:
             return False
-    return finite or not state_machine.may_render(side)
+    return finite or not state_machine.may_render(session)
 
 
 @jit_compile

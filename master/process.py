@@ -103,7 +103,7 @@ class MasterProcess(LoopProcess):
         super().__init__(link, grid.stats, self._memory, device.axes, requests, health)
         self._newly_answered_ns = self._memory["newly_answered_ns"]
         self._hands = HandInput.array()
-        self._drives = self._hands if mapper is None else mapper.drives
+        self._mapped_hands = self._hands if mapper is None else mapper.mapped_hands
         self._maps = VelocityMap.array() if mapper is None else mapper.maps
         self._live, self._device = live_settings.init_settings(config), device
         self._reads = SlowCallMonitor("device: read")
@@ -127,10 +127,10 @@ class MasterProcess(LoopProcess):
         self._peer_state = self._states.packet.records["state"]
         self._peer_reason = self._states.packet.records["reason"]
         self._joints = self._states.packet.records["joints"]
-        self._scaled_from, self._scaled_config = (config, 1.0), config
-        self._own: HandEnd | None = None
+        self._scale_key, self._scaled_config = (config, 1.0), config
+        self._coupling_extension: HandEnd | None = None
         if isinstance(bilateral.coupling, CouplingExtension):
-            self._own = HandEnd(
+            self._coupling_extension = HandEnd(
                 bilateral.coupling,
                 self._memory,
                 self._settings.records,
@@ -142,7 +142,7 @@ class MasterProcess(LoopProcess):
         fault, hand, absence = self._read((tick.stamp_ns - self._start_ns) * 1e-9)
         self._link.latest(STATE)
         requests = self._requests(tick.stamp_ns, int(self._stops[0]))
-        if requests.words or requests.settings:
+        if requests.stop_text or requests.settings:
             self._process_requests(requests)
         self._live, changed = live_settings.update_settings(self._live, hand, tick.dt)
         config = self._live.config
@@ -155,23 +155,25 @@ class MasterProcess(LoopProcess):
         outputs = (self._command.records,)
         compute: Callable[..., None]
         compute = partial(self._run_phase, loop.compute_command, outputs, settings)
-        if self._own is not None:
-            self._own.start_tick()
-            compute = partial(self._own.compute_command, compute, self._command.records)
+        if self._coupling_extension is not None:
+            self._coupling_extension.start_tick()
+            compute = partial(
+                self._coupling_extension.compute_command, compute, self._command.records
+            )
         try:
             self._checkpoint.run_step(partial(compute, fault, requests), now_ns(), tick.dt)
         except ExtensionFault as error:
             self._checkpoint.restore()
             fault = self._end_on_extension_fault(error)
             compute(fault, requests, now_ns(), tick.dt)
-        known_ns = self._states.stamp_ns
+        state_ns = self._states.stamp_ns  # of the state that the command has used
         sent_ns = 0
         if self._index % self._commands_every == 0:
             sent_ns = self._link.publish_packet(COMMAND, self._command)
             if fault is Reason.NONE and requests.stop is Reason.NONE:  # else: no force, at once
                 self._await_answer(sent_ns, monotonic_ns(tick.stamp_ns) + self._wait_ns)
         self._index += 1
-        verdict = self._render(settings, tick, fault, requests, known_ns, hand)
+        verdict = self._render(settings, tick, fault, requests, state_ns, hand)
         written_ns = now_ns()
         self._verdicts[verdict] += 1
         round_trip = self._measure_round_trip(tick.stamp_ns, sent_ns, written_ns)
@@ -240,7 +242,7 @@ class MasterProcess(LoopProcess):
             settings,
             self._memory,
             self._hands,
-            self._drives,
+            self._mapped_hands,
             states.packet.records,
             tick_input,
             *outputs,
@@ -248,9 +250,9 @@ class MasterProcess(LoopProcess):
 
     def _scale_config(self, config: MasterConfig) -> MasterConfig:
         """Return the config with force and motion scaled as the link allows."""
-        unscaled, scale = self._scaled_from
+        unscaled, scale = self._scale_key
         if config is not unscaled or self._link_scale != scale:
-            self._scaled_from = config, self._link_scale
+            self._scale_key = config, self._link_scale
             self._scaled_config = live_settings.scale_config(config, self._link_scale)
         return self._scaled_config
 
@@ -276,15 +278,15 @@ class MasterProcess(LoopProcess):
         tick: Tick,
         fault: Reason,
         requests: Requests,
-        known_ns: int,
+        state_ns: int,
         hand: HandState | None,
     ) -> int:
         """Compute the force and write it to the device; return the gate's verdict."""
-        is_new = self._states.stamp_ns != known_ns
+        is_new = self._states.stamp_ns != state_ns
         has_failed = False
-        if self._own is not None:
+        if self._coupling_extension is not None:
             try:
-                self._own.render(settings, self._states.is_there)
+                self._coupling_extension.render(settings, self._states.is_there)
             except ExtensionFault as error:
                 fault, is_new, has_failed = self._end_on_extension_fault(error), True, True
         self._checkpoint.save()
@@ -294,6 +296,8 @@ class MasterProcess(LoopProcess):
             self._device.write(tuple(self._force[: self._device.axes].tolist()))
             self._writes.add(now_ns() - begin_ns)
         except DeviceFault as error:
+            # no force acts: compute it again with the fault and without a hand, which the next
+            # command then tells the slave
             self._checkpoint.restore()
             fill_hand_input(self._hands, None)
             failed = self._end_on_device_fault(error)
@@ -379,8 +383,10 @@ class MasterProcess(LoopProcess):
         self._link.publish(LATENCY, stages.message(Role.MASTER, spans))
 
     def _take_warnings(self) -> list[str]:
-        own = [] if self._own is None else [self._own.calls.take()]
-        calls = [self._reads.take(), self._writes.take(), *own]
+        extension = (
+            [] if self._coupling_extension is None else [self._coupling_extension.calls.take()]
+        )
+        calls = [self._reads.take(), self._writes.take(), *extension]
         return [*calls, self._describe_layout_difference()]
 
     def _describe_layout_difference(self) -> str:
@@ -418,8 +424,8 @@ class MasterProcess(LoopProcess):
 
     def _process_requests(self, requests: Requests) -> None:
         """Keep who called a stop, and change the settings that other processes request."""
-        if requests.words and self._published.state is not State.STOPPED:  # the first caller's
-            self._stop_text = requests.words
+        if requests.stop_text and self._published.state is not State.STOPPED:
+            self._stop_text = requests.stop_text  # of the first caller
         self._process_settings(requests.settings)
 
     def _change_setting(self, key: str, value: str) -> str:

@@ -118,10 +118,10 @@ def map_space(
     hands: StructArray,
     position_scale: float,
     dt: float,
-    drives: StructArray,
+    mapped_hands: StructArray,
     maps: StructArray,
 ) -> None:
-    """Fill `drives` and `maps`, shape (1,), from the hand and the commanded travels.
+    """Fill `mapped_hands` and `maps`, shape (1,), from the hand and the commanded travels.
 
     Parameters
     ----------
@@ -134,10 +134,10 @@ def map_space(
     dt : float
         Since the last tick [s].
     """
-    memory, hand, drive, velocity_map = memories[0], hands[0], drives[0], maps[0]
+    memory, hand, mapped_hand, velocity_map = memories[0], hands[0], mapped_hands[0], maps[0]
     dt = max(dt, DT_MIN)
-    drive.present, drive.engage = hand.present, hand.engage
-    drive.clutch, drive.stop = hand.clutch, hand.stop
+    mapped_hand.present, mapped_hand.engage = hand.present, hand.engage
+    mapped_hand.clutch, mapped_hand.stop = hand.clutch, hand.stop
     velocity_map.is_active = True
     velocity_map.matrix[:] = 0.0
     velocity_map.fixture_force[:] = 0.0
@@ -145,9 +145,9 @@ def map_space(
     for i in range(len(all_hands)):
         space = all_hands[i]
         _step_hand(space, memory, hand, position_scale, dt)
-        _fill_map(space, hand, position_scale, dt, drive, velocity_map)
+        _fill_map(space, hand, position_scale, dt, mapped_hand, velocity_map)
         joints += space.joints
-    drive.axes = joints if hand.present else 0
+    mapped_hand.axes = joints if hand.present else 0
 
 
 @jit_compile
@@ -254,14 +254,14 @@ def _fill_map(
     hand: HandInput,
     position_scale: float,
     dt: float,
-    drive: HandInput,
+    mapped_hand: HandInput,
     velocity_map: VelocityMap,
 ) -> None:
     """Write the rows and columns of one hand, and its mapped motion."""
     for j in range(space.joints):
         row = space.first_joint + j
         lever = space.radius[j] / position_scale
-        drive.velocity[row] = 0.0
+        mapped_hand.velocity[row] = 0.0
         for k in range(space.axes):
             axis, column = space.axis[k], space.first_axis + k
             gain = space.map.joint_map[j, axis]
@@ -273,9 +273,9 @@ def _fill_map(
             force_gain = gain / velocity_map.lever[column]
             velocity_map.matrix[row, column] = lever * force_gain
             velocity_map.fixture_force[column] += force_gain * space.torque[j]
-            drive.velocity[row] += lever * gain * hand.velocity[column]
+            mapped_hand.velocity[row] += lever * gain * hand.velocity[column]
         space.travel[j] += lever * space.map.joint_velocity[j] * dt
-        drive.position[row] = space.travel[j]
+        mapped_hand.position[row] = space.travel[j]
 
 
 class SpaceMapper:
@@ -299,7 +299,7 @@ class SpaceMapper:
         radii: Sequence[Array],
         torque_lever: float = 0.05,
     ) -> None:
-        self.drives, self.maps = HandInput.array(), VelocityMap.array()
+        self.mapped_hands, self.maps = HandInput.array(), VelocityMap.array()
         self._hands = SpaceHand.array(len(arms))
         first_axis = first_joint = 0
         for i, (hand, arm, radius) in enumerate(zip(config.hands, arms, radii, strict=True)):
@@ -331,4 +331,4 @@ class SpaceMapper:
         self, hands: StructArray, memories: StructArray, position_scale: float, dt: float
     ) -> None:
         """Map the hand of this tick, `dt` [s] after the last."""
-        map_space(self._hands, memories, hands, position_scale, dt, self.drives, self.maps)
+        map_space(self._hands, memories, hands, position_scale, dt, self.mapped_hands, self.maps)

@@ -79,7 +79,7 @@ class SlaveRecords(NamedTuple):
     memory: StructArray
     scratch: StructArray
     monitor_constants: StructArray
-    with_dynamics: bool | None  # None where no model has dynamic effects; see `estimate`
+    with_dynamics: bool | None  # True, or None where no model has dynamic effects: see `compiled`
     arm: ArmEstimator | None  # None where no joints share tendons
     adapter: TendonAdapter | None  # None where K stays as calibrated
 
@@ -431,6 +431,7 @@ def _advance_session(
     command: Command,
     tick_input: TickInput,
 ) -> None:
+    """Advance the session by one tick, from the master's state and the faults of this side."""
     master_state: int = State.OFF
     if tick_input.has_command:
         master_state = state_machine.to_known_state(command.state)
@@ -491,7 +492,7 @@ def _apply_coupling(
     commanded: bool,
     engaged: bool,
 ) -> None:
-    """Apply the bilateral coupling to the commanded tip motion."""
+    """Replace the commanded tip motion in `scratch` by what the bilateral coupling makes of it."""
     if not tick_input.has_command:
         return
     energy: Any = command.energy
@@ -698,7 +699,9 @@ def monitor_calibration(
     settings, layout, memory = settings_records[0], layouts[0], memories[0]
     constants: Any = monitor_constants
     if settings.probing.enabled:
-        probing.hand_over(settings.monitor, settings.probed, memory.probe, memory.monitors)
+        probing.transfer_probe_result(
+            settings.monitor, settings.probed, memory.probe, memory.monitors
+        )
     if adapter is not None and not memory.degradation.active:  # only its transitions end that mode
         mute_monitors(adapter, layout, prepared, memory.monitors)
     for s in range(sample_count):

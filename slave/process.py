@@ -110,8 +110,9 @@ class SlaveProcess(LoopProcess):
                 model, config, bilateral, rig.starts_at_zero, history.samples, history.motor
             )
         self.memory: SlaveMemory = view_struct(self._slave.memory)
-        own = SlaveExtensions(config, bilateral.coupling, model, self._slave)
-        self._own = own if own.opened else None  # else each call of it would cost time
+        extensions = SlaveExtensions(config, bilateral.coupling, model, self._slave)
+        # None without any: each call would cost time
+        self._extensions = extensions if extensions.opened else None
         joints = len(model.joints)
         super().__init__(link, clock.stats, self._slave.memory, joints, requests, health)
         self._gated_position = self._slave.memory["gated_position"][0]  # [m]
@@ -141,16 +142,17 @@ class SlaveProcess(LoopProcess):
         commands = self._link.latest(COMMAND)
         now = now_ns()
         requests = self._requests(now, int(self._stops[0]))
-        if requests.words and self._outline().state is not State.STOPPED:  # the first caller's
-            self._telemetry.stop_text = requests.words
-        if self._own is not None:
-            self._own.start_tick()
+        if requests.stop_text and self._outline().state is not State.STOPPED:
+            self._telemetry.stop_text = requests.stop_text  # of the first caller
+        if self._extensions is not None:
+            self._extensions.start_tick()
         step = partial(self._step, fault, requests)
         try:
             verdict = self._checkpoint.run_step(step, now, tick.dt)
             if fault is Reason.NONE:
                 self._move_rig()
         except (RigFault, ExtensionFault) as error:
+            # nothing has moved: step again with the fault, which the state then tells the master
             self._checkpoint.restore()
             verdict = self._step(self._end_on_fault(error), requests, now_ns(), tick.dt)
         if commands.new:
@@ -217,13 +219,13 @@ class SlaveProcess(LoopProcess):
             self._motors_follow,
         )
         rows, sample_count = self._rows, self._sample_count
-        own = self._own
-        if own is not None and own.estimates is not None:
-            estimate(*self._estimate_arguments, rows, sample_count, own.estimates)
+        extensions = self._extensions
+        if extensions is not None and extensions.estimates is not None:
+            estimate(*self._estimate_arguments, rows, sample_count, extensions.estimates)
         elif not self._is_estimated:
             estimate(*self._estimate_arguments, rows, sample_count)
         self._is_estimated = False
-        run_tick = loop.run_tick if own is None else own.run_tick
+        run_tick = loop.run_tick if extensions is None else extensions.run_tick
         return run_tick(
             *self._tick_arguments,
             rows,
@@ -243,8 +245,8 @@ class SlaveProcess(LoopProcess):
             samples = self._rig.read(time_s)
             if self._enabling is not None:
                 self._motors_follow = self._enabling.follows
-            if self._own is not None:
-                self._own.estimate(samples)
+            if self._extensions is not None:
+                self._extensions.estimate(samples)
         except RigFinished:
             self.ended = Reason.RIG_FINISHED.text
             fault = Reason.RIG_FINISHED
@@ -295,14 +297,15 @@ class SlaveProcess(LoopProcess):
         self._telemetry(time_s)
         self._watch_link(tick.stamp_ns, self._commands, int(self._echo_ns[0]), 0)
         self._report(tick.stamp_ns, self._commands)
-        is_own = self._own is not None and self._own.estimates is not None
-        if next_sample is not None and not is_own:
+        has_own_estimator = self._extensions is not None and self._extensions.estimates is not None
+        if next_sample is not None and not has_own_estimator:
             self._estimate_ahead(next_sample)
         return rig_ns
 
     def _take_warnings(self) -> list[str]:
-        own = [] if self._own is None else [each.calls for each in self._own.opened]
-        return [monitor.take() for monitor in (self._reads, self._writes, *own)]
+        opened = () if self._extensions is None else self._extensions.opened
+        calls = (self._reads, self._writes, *(extension.calls for extension in opened))
+        return [monitor.take() for monitor in calls]
 
     def _estimate_ahead(self, sample: RigSample) -> None:
         """Estimate from the sample of the next tick ahead of it; last, as it changes the memory."""
@@ -430,8 +433,8 @@ def _calibrate_rig(
         pending = requests(now_ns())
         master = link.latest(COMMAND).message
         if pending.stop:
-            call_stop(link, Role.SLAVE, pending.words or pending.stop.text)
-            cause = DetailedReason(pending.stop, pending.words)
+            call_stop(link, Role.SLAVE, pending.stop_text or pending.stop.text)
+            cause = DetailedReason(pending.stop, pending.stop_text)
             reason = f"{CALIBRATION_ABORTED}{cause.text}"
             stop_motors(rig, reason)
             outline = SessionOutline(State.STOPPED, pending.stop)

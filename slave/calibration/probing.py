@@ -291,7 +291,7 @@ def compute_share(probe: Probe) -> float:
 
 
 @jit_compile
-def hand_over(
+def transfer_probe_result(
     config: monitor.MonitorConfig,
     constants: Sequence[ProbeConstants],
     probe: Probe,

@@ -87,7 +87,7 @@ class Requests(NamedTuple):
     """Requests since the last tick."""
 
     stop: Reason = Reason.NONE
-    words: str = ""  # sender and reason of a stop
+    stop_text: str = ""  # sender and reason of a stop
     reset: bool = False
     settings: tuple[SettingRequest, ...] = ()
 
@@ -152,7 +152,7 @@ class RequestListener:
         ]
         callers += [f"this machine: {request.reason}" for request in local if not request.is_reset]
         if callers:
-            return requests._replace(stop=Reason.STOP_CALLED, words=callers[0])
+            return requests._replace(stop=Reason.STOP_CALLED, stop_text=callers[0])
         return requests
 
     def refused(self) -> dict[str, int]:

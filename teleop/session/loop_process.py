@@ -137,7 +137,7 @@ class LoopProcess(ABC):
         self, side: SessionOutline, requests: Requests, latest: LatestMessage[Any], now: int
     ) -> None:
         """Tell the others of an executed stop, and answer requests from this machine."""
-        self._requests.relay(self.role, side, requests.words)
+        self._requests.relay(self.role, side, requests.stop_text)
         if self._requests.is_asked:
             answer_requests(
                 self._link, self._requests, self.role, side, int(self._stops[0]), latest, now

@@ -56,7 +56,7 @@ class SpaceRun:
         self.memory.session.state = int(State.ENGAGED if engaged else State.READY)
         fill_hand_input(self.hands, HandState(tuple(position), (0.0,) * self.axes, engaged))
         self.mapper.step(self.hands, self.memories, self.scale, DT)
-        travel = self.mapper.drives["position"][0, :4].copy()
+        travel = self.mapper.mapped_hands["position"][0, :4].copy()
         moved, self.travel = travel - self.travel, travel
         self.memory.operator.tip[:4] += self.scale * moved
         maps = self.mapper.maps[0]  # to the device's own forces and torques
@@ -199,7 +199,7 @@ def test_axes_are_mapped_with_their_slopes(joint, way):
         position[joint.axis] = x
         fill_hand_input(hands, HandState(tuple(position), (0.0, 0.0), True))
         mapper.step(hands, hands, 1.0, DT)
-        return mapper.drives["position"][0, 0], mapper.maps["matrix"][0, 0, joint.axis]
+        return mapper.mapped_hands["position"][0, 0], mapper.maps["matrix"][0, 0, joint.axis]
 
     for x in way:
         step = 1e-8
@@ -217,7 +217,7 @@ def test_the_force_of_a_mapped_axis_ends_with_its_range_without_a_step():
         fill_hand_input(hands, HandState((x,), (0.0,), True))
         mapper.step(hands, hands, 1.0, DT)
         gains.append(mapper.maps["matrix"][0, 0, 0])
-        travels.append(mapper.drives["position"][0, 0])
+        travels.append(mapper.mapped_hands["position"][0, 0])
     assert np.abs(np.diff(gains)).max() < 0.06  # of 1, in a tenth of a millimetre
     assert (min(gains), max(gains)) == (0.0, 1.0)
     assert (travels[0], travels[-1]) == pytest.approx((-0.019, 0.0285))
@@ -266,11 +266,11 @@ def test_torques_in_the_hand_have_limits_of_their_own_and_do_their_work():
         states["echo_stamp_ns"] = states["stamp_ns"] = now - 10**6
         for name, width in (("force", 0.0), ("force_low", -0.5), ("force_high", 0.5)):
             states[name][0, :4] = np.array([30.0, -20.0, 40.0, 0.0]) + width
-        travel = run.mapper.drives["position"][0, :4].copy()
+        travel = run.mapper.mapped_hands["position"][0, :4].copy()
         run.mapper.step(run.hands, run.memories, SCALE, DT)
-        moved = run.mapper.drives["position"][0, :4] - travel
+        moved = run.mapper.mapped_hands["position"][0, :4] - travel
         given = loop.TickInput(DT, now, True, 10**6)
-        inputs = settings, run.memories, run.hands, run.mapper.drives, states, given
+        inputs = settings, run.memories, run.hands, run.mapper.mapped_hands, states, given
         work = last[:7] @ (hand - before)
         told = np.array(run.memory.joint_force[:4]) @ moved
         assert work == pytest.approx(told, abs=0.02 * np.abs(last[:7]) @ np.abs(hand - before))
@@ -318,7 +318,7 @@ def test_what_the_joints_are_said_to_feel_is_what_the_hand_gets():
             states[name][0, :4] = torque + width
         run.mapper.step(run.hands, run.memories, run.scale, DT)
         given = loop.TickInput(DT, now, True, 10**6)
-        inputs = settings, run.memories, run.hands, run.mapper.drives, states, given
+        inputs = settings, run.memories, run.hands, run.mapper.mapped_hands, states, given
         work = force[:4] @ (hand - before)
         total = (ports["taken_out"] - ports["put_in"]).sum()
         loop.compute_command(*inputs, commands)
