@@ -3,7 +3,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 ARGS ?=
 
-.PHONY: help demo test test-all test-kernel test-ros test-lerobot check docs bench bench-diagnosis pictures clean
+.PHONY: help demo test test-all test-no-clock test-clock test-kernel test-ros test-lerobot check docs bench bench-diagnosis pictures clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-15s %s\n", $$1, $$2}'
@@ -11,18 +11,22 @@ help:  ## this list
 demo: .venv/run.done  ## a whole session on a simulated rig: make demo ARGS="--duration 30 --view none"
 	@$(BIN)/teleop run --config configs/demo.yaml $(ARGS)
 
-# without a clock; waiting on one, two at a time; limits in milliseconds, alone (tests/conftest.py).
+# without a clock; waiting on one, side by side, too; limits in milliseconds, alone (tests/conftest.py).
 # a busy machine can hold anything up: a test that waits fails if it does so twice in a row, one
 # with a clock if it does so three times, but gates and sessions at once (tests/conftest.py); what was
 # run again is counted in the last line
-test: QUICK := and not slow
-test test-all: export PYTHONDONTWRITEBYTECODE :=  # hundreds of processes import the same modules
-test test-all: .venv/dev.done
+QUICK = and not slow
+test-all: QUICK :=
+test test-all: test-no-clock test-clock
+test-no-clock test-clock: export PYTHONDONTWRITEBYTECODE :=  # hundreds of processes import the same modules
+test-no-clock: .venv/dev.done
 	@$(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder --reruns 1 -m "not real_time $(QUICK)" $(ARGS) || [ $$? = 5 ]
-	@$(BIN)/python -m pytest -n 2 --dist loadfile --reruns 2 -m "real_time and not alone $(QUICK)" $(ARGS) || [ $$? = 5 ]
+test-clock: .venv/dev.done
+	@$(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder --reruns 2 -m "real_time and not alone $(QUICK)" $(ARGS) || [ $$? = 5 ]
 	@$(BIN)/python -m pytest --reruns 2 -m "alone $(QUICK)" $(ARGS) || [ $$? = 5 ]
 test:  ## the tests, slow matrices apart; ARGS goes to pytest
 test-all:  ## all tests
+.NOTPARALLEL:  # tests with a clock come after the others
 
 test-kernel: .venv/dev.done  ## HID and CAN drivers on virtual devices, through a Linux kernel in qemu; ARGS: devices, or can
 	@$(BIN)/python -m studies.kernel $(ARGS)

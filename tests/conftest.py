@@ -65,12 +65,27 @@ ALONE = (  # of these: limits in milliseconds, and sessions with the time-outs o
     "system/test_stop.py",
     "system/test_view_page.py",
 )
-FIRST = (  # much is compiled for each, which nobody is to be left alone with at the end
+FIRST = (  # the longest, which nobody is to be left alone with at the end
     "slave/simulation/test_arm.py",
     "estimator/diagnosis/test_simple_models.py",
-    "slave/calibration/test_calibrate_command.py",
+    "estimator/test_pair_adaptation.py",
+    "slave/test_process.py",
+    "slave/calibration/test_calibrate_arm.py",
+    "drivers/test_can_faults.py",
+    "teleop/cli/diagnose/test_diagnose_command.py",
+    "tick/test_arm_session.py",
+    "teleop/coupling/test_closed_loop.py",
+    "teleop/link/test_router.py",
+    "estimator/diagnosis/test_free_functions.py",
+    "estimator/test_function_cache.py",
     "estimator/kinematics/test_hand_map.py",
     "estimator/routing/test_tensions.py",
+    "teleop/experiment/test_run.py",
+    "system/test_session_object.py",
+    "drivers/test_cia402.py",
+    "teleop/cli/test_current_folder.py",
+    "system/test_replay_rig.py",
+    "teleop/link/test_frozen_and_killed.py",
 )
 NO_CLOCK = (  # of what keeps hands safe: a failure is one, however seldom
     "teleop/coupling",
@@ -86,6 +101,11 @@ NO_CLOCK = (  # of what keeps hands safe: a failure is one, however seldom
 @cache  # asked three times of each of thousands of tests
 def is_in(path: Path, places: tuple[str, ...]) -> bool:
     return any(path.is_relative_to(Path(__file__).parent / place) for place in places)
+
+
+def pytest_xdist_auto_num_workers() -> int:
+    """Return one and a half workers a processor: a third of the time, a test waits."""
+    return max(2, 3 * (os.cpu_count() or 1) // 2)
 
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:

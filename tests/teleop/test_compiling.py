@@ -93,14 +93,12 @@ def test_another_process_compiles_where_nothing_is_compiled_yet_and_ends_with_it
 
 
 def test_no_process_compiles_what_one_has_compiled_until_a_source_changes(done, monkeypatch):
-    monkeypatch.setattr(compiling, "_hash_sources", lambda: "before")
-    with compile_in_parallel("work:end"):
-        assert await_file(done.parent / "mine" / "work.end-before", 30.0)
-    with compile_in_parallel("work:end"):
-        assert find_children("work:end") == []
-    monkeypatch.setattr(compiling, "_hash_sources", lambda: "after")
-    with compile_in_parallel("work:end"):
-        assert find_children("work:end")
+    for sources in ("before", "after"):
+        monkeypatch.setattr(compiling, "_hash_sources", lambda: sources)  # noqa: B023
+        with compile_in_parallel("work:end"):
+            assert await_file(done.parent / "mine" / f"work.end-{sources}", 30.0)
+        with compile_in_parallel("work:end"):
+            assert find_children("work:end") == []
 
 
 def find_children(word):

@@ -41,7 +41,7 @@ RATIO = np.array([[1.0, 0.0, 0.0], [0.8, 1.0, 0.0], [-0.8, 0.8, 1.0]])
 RADII = ((0.005, 0.0), (0.004, 0.005))
 K, MU, WRAP = 0.7, 0.12, 0.2
 SHORT = but(QUICK, drag_time=1.0)
-RATE = 500.0  # [Hz]
+RATE = 250.0  # [Hz]
 
 
 # --- the stages
@@ -157,7 +157,7 @@ def arm_rig():
     body = {"stops": (-0.003, 0.003), "friction": 0.1}
     each = joint(K, noise=0.02, nodes=10, body=body)
     plant = ArmPlantConfig(radii=RADII, friction=MU, wrap=WRAP)
-    return but(rig_config(each, each), arms=(plant,), period=0.002)
+    return but(rig_config(each, each), arms=(plant,), period=1.0 / RATE)
 
 
 class Observed(HousingOnly):
