@@ -13,7 +13,8 @@ Evidence comes in pieces in which the elongation changes by that of `PIECE_TENSI
 stays, h says that the tip rests: the travel changes by e_h. Afterwards the tip follows the motor,
 not the other way, most often by little. A piece that fits no hypothesis is ignored, and taken as
 a sign of a change. All weights decay towards the prior, by `HAZARD` and `DRIFT`; beyond that, the
-interval of K grows by `GROWTH` with the time since pieces last told K from others.
+interval of K grows by `GROWTH` with the time since pieces last told K from others. A sensing loop
+in the tube, if there is one, measures K itself: `estimator.sensing_loop`.
 
 This holds for one tendon against a spring or an environment that yields to it. Where something else
 moves the tip, as the other tendon of a joint does, pieces contradict each other.
@@ -43,6 +44,7 @@ from estimator.online.estimator_state import EstimatorState, PreparedTendon
 from estimator.online.online import Estimates, TendonModel
 from estimator.online.tendon_estimate import INVALID_INPUT, UNINITIALISED, TendonEstimate
 from estimator.records import F64, I64, Field, Flag, Struct, StructArray, view_struct
+from estimator.sensing_loop import AGE_MAX_S, LoopState, measure_loop_friction
 
 FACTOR_COUNT, FACTOR_MIN, FACTOR_MAX = 27, 0.5, 1.8
 FACTORS = np.geomspace(FACTOR_MIN, FACTOR_MAX, FACTOR_COUNT)  # of friction
@@ -56,6 +58,9 @@ PIECE_TENSION = 0.8  # [N]
 PIECE_MAX_S = 1.0  # [s] after which a piece is dropped: creep and temperature are slow
 TAUT_TENSION = 0.15  # [N] below, a tendon may be slack at the tip
 ACCURACY = 0.08  # of the right hypothesis' elongation
+LOOP_ACCURACY = 0.03  # of K, by a sensing loop
+LOOP_TEMPER = 0.25  # of the evidence of a reading
+LOOP_EVIDENCE_MAX = 25.0  # squared sigma by which a reading of it counts at most
 TRAVEL_FLOOR = 2e-6  # [m]
 TENSION_SIGMAS = 3.0  # of the tension's noise, as elongation
 TEMPER = 0.5  # of the evidence of a piece: neighbouring ones share their errors
@@ -93,6 +98,7 @@ class AdaptationConstants(Struct):
     cell_weight: Annotated[Array, Field("f8", CELLS + 1)]  # [m/N] length over EA at their ends
     variance: F64 = 0.0  # [m^2] of noise in the travel of a piece
     compliance: F64 = 0.0  # L/EA [m/N]
+    loop_ratio: F64 = 0.0  # K over the friction of the sensing loop, 0 without one
 
 
 class AdaptedFriction(Struct):
@@ -108,6 +114,7 @@ class AdaptedFriction(Struct):
     update_age: F64 = 0.0  # [s] since the last update for the time passed
     pieces: I64 = 0  # of evidence so far
     contradictions: I64 = 0  # of them, those that fit no sheath
+    loop: LoopState
 
 
 class Adaptation(AdaptedFriction):
@@ -136,7 +143,11 @@ class AdaptedRun(NamedTuple):
 
 
 def run_adapting(
-    model: TendonModel, time: Array, tension: Array, displacement: Array
+    model: TendonModel,
+    time: Array,
+    tension: Array,
+    displacement: Array,
+    loop_tension: Array | None = None,
 ) -> AdaptedRun:
     """Return the estimates of a record of a tendon whose sheath may move.
 
@@ -146,15 +157,19 @@ def run_adapting(
         As calibrated, at the begin of the record.
     time, tension, displacement : ndarray
         Sample times [s], T_in [N] and q_p [m], shape (n,).
+    loop_tension : ndarray, optional
+        At the moved and at the held end of a sensing loop [N], shape (n, 2).
     """
     constants, states = build_adaptation(model), Adaptation.array()
     prepared = online.prepare_all([model])
     estimators, estimates = online.build_initial_states(prepared), TendonEstimate.array(len(time))
     K = np.empty((3, len(time)))
     with_dynamics = True if prepared["has_dynamics"].any() else None
-    t, T, q = (np.ascontiguousarray(row, np.float64) for row in (time, tension, displacement))
+    loop = np.full((len(time), 2), np.nan) if loop_tension is None else loop_tension
+    data = (time, tension, displacement, loop)
+    t, T, q, loop = (np.ascontiguousarray(column, np.float64) for column in data)
     adapted_from = _run_arrays(
-        constants, states, prepared, estimators, t, T, q, estimates, K, with_dynamics
+        constants, states, prepared, estimators, t, T, q, loop, estimates, K, with_dynamics
     )
     if constants["active"][0]:  # K + error is the interval's wider side, which may leave the bounds
         K[1:] = np.clip(K[1:], constants["K"].min(), constants["K"].max())
@@ -185,6 +200,8 @@ def build_adaptation(model: TendonModel) -> StructArray:
         scaled = np.where((family == 0) | (third == family - 1), FACTORS[k], 1.0) * ds
         constants.K[h] = scaled.sum()
         _spread_compliance(scaled, dx / sheath.axial_stiffness, depth[1], constants.weight[h])
+    if model.loop_friction > 0.0:
+        constants.loop_ratio = sheath.K / model.loop_friction
     constants.cell_friction = cell = sheath.K / CELLS
     _spread_compliance(ds, dx / sheath.axial_stiffness, cell, constants.cell_weight)
     return records
@@ -219,6 +236,7 @@ def observe(
     prepared: PreparedTendon,
     estimator: EstimatorState,
     estimate: TendonEstimate,
+    loop_tension: Array,
     dt: float,
 ) -> None:
     """Take a sample after `online.advance`; change `state` and the model `prepared` in place.
@@ -232,6 +250,8 @@ def observe(
         interval holds the posterior's.
     estimate : TendonEstimate
         Of this sample.
+    loop_tension : array, shape (2,)
+        At the ends of the sensing loop [N], NaN without one.
     dt : float
         Time since the previous sample [s].
     """
@@ -251,12 +271,16 @@ def observe(
         _summarise(constants, state)
         state.update_age = 0.0
         K = prepared.tables[_K]
-        if usable:
+        if usable or has_loop(constants, state):
             follow_estimate(constants, state, prepared)
             if state.adapted:
                 tip_tension = _interpolate(constants, state.tension[:], prepared.tables[_K])
                 resize_profiles(prepared, estimator, tip_tension)
         hold_interval(constants, state, prepared, estimator, K)
+    K = measure_friction(constants, state, loop_tension, dt)
+    if not math.isnan(K):
+        costs = ((1.0 - K / constants.K[:]) / LOOP_ACCURACY) ** 2
+        _weigh(constants, state, costs, LOOP_TEMPER, LOOP_EVIDENCE_MAX)
     change = 0.0
     for n in range(DEPTHS):
         change += state.mean_weight[n] * (state.tension[n] - state.begin_tension[n])
@@ -268,6 +292,29 @@ def observe(
         state.begin_tension[:] = state.tension[:]
         state.begin_travel, state.age = estimator.mean_displacement, 0.0
         state.started = usable
+
+
+@jit_compile
+def measure_friction(
+    constants: AdaptationConstants, state: AdaptedFriction, loop_tension: Array, dt: float
+) -> float:
+    """Return K by the sensing loop, if that has a new reading within the bounds of K, else NaN."""
+    if constants.loop_ratio == 0.0:
+        return math.nan
+    measured = constants.loop_ratio * measure_loop_friction(
+        state.loop, loop_tension[0], loop_tension[1], dt
+    )
+    if measured < constants.K[0] or measured > constants.K[FACTOR_COUNT - 1]:
+        state.contradictions += 1
+        state.loop.age = AGE_MAX_S
+        return math.nan
+    return measured
+
+
+@jit_compile
+def has_loop(constants: AdaptationConstants, state: AdaptedFriction) -> bool:
+    """Return whether a sensing loop is measured, which sees a change where pieces contradict."""
+    return constants.loop_ratio > 0.0 and state.loop.age < AGE_MAX_S
 
 
 @jit_compile
@@ -313,7 +360,7 @@ def _add_evidence(
 ) -> None:
     """Weigh the hypotheses by a piece: the motor's `travel`, the mean elongation's `change` [m]."""
     variance = constants.variance + (ACCURACY * change) ** 2
-    costs, least = np.empty(HYPOTHESES), math.inf
+    costs = np.empty(HYPOTHESES)
     for h in range(HYPOTHESES):
         z = travel
         for n in range(DEPTHS):
@@ -324,19 +371,28 @@ def _add_evidence(
         if abs(after - before) > STILL_SHARE * before:
             cost = FOLLOW_COST + FOLLOW_TAILS * math.log1p(costs[h])
             costs[h] = cost if z * travel > 0.0 else max(cost, costs[h])
-        least = min(least, costs[h])
+    _weigh(constants, state, costs, TEMPER, EVIDENCE_MAX)
+
+
+@jit_compile
+def _weigh(
+    constants: AdaptationConstants, state: Adaptation, costs: Array, temper: float, cost_max: float
+) -> None:
+    """Update the posterior by what a piece costs each hypothesis [squared sigma]."""
+    least = costs.min()
     state.pieces += 1
     if least > MISFIT_MAX:
         state.contradictions += 1
-        _decay(state, HAZARD_CONTRADICTED, 0.0)
+        if not has_loop(constants, state):
+            _decay(state, HAZARD_CONTRADICTED, 0.0)
     else:
         for h in range(HYPOTHESES):
-            state.log_posterior[h] -= 0.5 * TEMPER * min(costs[h] - least, EVIDENCE_MAX)
-        told = EVIDENCE_MAX
+            state.log_posterior[h] -= 0.5 * temper * min(costs[h] - least, cost_max)
+        told = cost_max
         for h in range(FACTOR_COUNT):
             if abs(constants.K[h] - state.K) > APART * state.K:
                 told = min(told, costs[h] - least)
-        state.evidence_age *= math.exp(-0.5 * TEMPER * told)
+        state.evidence_age *= math.exp(-0.5 * temper * told)
     _summarise(constants, state)
 
 
@@ -437,6 +493,7 @@ def _run_arrays(
     time: Array,
     tension: Array,
     displacement: Array,
+    loop_tension: Array,
     estimates: StructArray,
     K: Array,
     with_dynamics: bool | None,
@@ -448,7 +505,15 @@ def _run_arrays(
         online.advance(
             prepared[0], estimators[0], tension[i], displacement[i], dt, estimates[i], with_dynamics
         )
-        observe(constants[0], states[0], prepared[0], estimators[0], estimates[i], dt)
+        observe(
+            constants[0],
+            states[0],
+            prepared[0],
+            estimators[0],
+            estimates[i],
+            loop_tension[i],
+            dt,
+        )
         if states[0].adapted and adapted_from < 0:
             adapted_from = i
         store_friction(prepared[0], K, i)

@@ -30,6 +30,8 @@ from estimator.adaptation import (
     FACTOR_COUNT,
     FACTOR_MAX,
     FACTOR_MIN,
+    LOOP_ACCURACY,
+    LOOP_TEMPER,
     MISFIT_MAX,
     PIECE_TENSION,
     TAUT_TENSION,
@@ -39,7 +41,9 @@ from estimator.adaptation import (
     AdaptedRun,
     build_adaptation,
     follow_estimate,
+    has_loop,
     hold_interval,
+    measure_friction,
     resize_profiles,
     store_friction,
 )
@@ -114,6 +118,8 @@ def observe_pair(
     estimator_b: EstimatorState,
     estimate_a: TendonEstimate,
     estimate_b: TendonEstimate,
+    loop_a: Array,
+    loop_b: Array,
     dt: float,
 ) -> None:
     """Take a sample of both tendons of a joint, after `online.advance` of each.
@@ -154,6 +160,8 @@ def observe_pair(
         T_a = estimator_a.mean_tension + prepared_a.tables[_DRAG]
         T_b = estimator_b.mean_tension + prepared_b.tables[_DRAG]
         _take_evidence(constants_a, constants_b, state, q_a + q_b, T_a, T_b)
+    _take_loop(constants_a, state, a, 0, loop_a, dt)
+    _take_loop(constants_b, state, b, 3, loop_b, dt)
     _adapt(constants_a, state, a, prepared_a, estimator_a, 0, is_usable, dt)
     _adapt(constants_b, state, b, prepared_b, estimator_b, 3, is_usable, dt)
     _write_estimate(a, prepared_a, estimate_a)
@@ -365,25 +373,65 @@ def _take_evidence(
         residual -= slope[k + 3] * (state.mean[k + 3] - math.log(b.factor[k]))
     doubt = ROOM_SHARE * (_compute_room(constants_a, a) + _compute_room(constants_b, b)) + lag
     noise = ELONGATION_FLOOR**2 + doubt**2 + (constants_a.variance + constants_b.variance) / 9.0
-    gain = state.covariance[:] @ slope
-    predicted = float(slope @ gain)
     a.pieces += 1
     b.pieces += 1
-    if residual**2 > MISFIT_MAX * (predicted + noise):
+    if residual**2 > MISFIT_MAX * (float(slope @ state.covariance[:] @ slope) + noise):
         a.contradictions += 1
         b.contradictions += 1
         _widen(state, 0, weight * MISFIT_SIGMA**2)
         _widen(state, 3, weight * MISFIT_SIGMA**2)
         return
-    noise /= weight
+    _update_filter(state, slope, residual, noise / weight)
+    for tendon, first in ((a, 0), (b, 3)):
+        told = (APART * slope[first : first + 3].sum()) ** 2 * weight / noise
+        tendon.evidence_age *= math.exp(-0.5 * min(told, EVIDENCE_MAX))
+
+
+@jit_compile
+def _update_filter(state: PairAdaptation, slope: Array, residual: float, noise: float) -> None:
+    """Update the filter by a residual with so much variance of `noise`."""
+    gain = state.covariance[:] @ slope
+    predicted = float(slope @ gain)
     gain /= predicted + noise
     state.mean += gain * residual
     state.covariance -= np.outer(gain, gain) * (predicted + noise)
     kept = np.eye(STATES) - np.outer(gain, slope)
     state.noise[:] = kept @ state.noise[:] @ kept.T + np.outer(gain, gain) * noise
-    for tendon, first in ((a, 0), (b, 3)):
-        told = (APART * slope[first : first + 3].sum()) ** 2 / noise
-        tendon.evidence_age *= math.exp(-0.5 * min(told, EVIDENCE_MAX))
+
+
+@jit_compile
+def _take_loop(
+    constants: AdaptationConstants,
+    state: PairAdaptation,
+    tendon: PairTendon,
+    first: int,
+    loop_tension: Array,
+    dt: float,
+) -> None:
+    """Update the filter by a reading of the sensing loop of a tendon."""
+    measured = measure_friction(constants, tendon, loop_tension, dt)
+    if math.isnan(measured):
+        return
+    slope = _compute_friction_slope(constants, state, first)
+    K = float(slope.sum())
+    noise = (LOOP_ACCURACY * K) ** 2
+    predicted = float(slope @ state.covariance[:] @ slope)
+    if (measured - K) ** 2 > MISFIT_MAX * (predicted + noise):
+        _widen(state, first, MISFIT_SIGMA**2)
+        return
+    _update_filter(state, slope, measured - K, noise / LOOP_TEMPER)
+    tendon.evidence_age *= math.exp(-0.5 * LOOP_TEMPER * (APART / LOOP_ACCURACY) ** 2)
+
+
+@jit_compile
+def _compute_friction_slope(
+    constants: AdaptationConstants, state: PairAdaptation, first: int
+) -> Array:
+    """Return the derivatives of K by the filter's states, which are the friction of the thirds."""
+    slope = np.zeros(STATES)
+    for n in range(first, first + 3):
+        slope[n] = constants.cell_friction * (CELLS // 3) * math.exp(state.mean[n])
+    return slope
 
 
 @jit_compile
@@ -402,14 +450,12 @@ def _adapt(
     tendon.evidence_age += dt
     if tendon.update_age < UPDATE_S:
         return
-    slope = np.zeros(STATES)
-    tendon.K = 0.0
     for k in range(3):
         n = first + k
         state.mean[n] = min(max(state.mean[n], math.log(FACTOR_MIN)), math.log(FACTOR_MAX))
         tendon.mean_factor[k] = math.exp(state.mean[n])
-        slope[n] = constants.cell_friction * (CELLS // 3) * tendon.mean_factor[k]
-        tendon.K += slope[n]
+    slope = _compute_friction_slope(constants, state, first)
+    tendon.K = slope.sum()
     _widen(state, first, DRIFT**2 * tendon.update_age)
     state.covariance[CONSTANT, CONSTANT] += 0.5 * CONSTANT_DRIFT**2 * tendon.update_age
     tendon.update_age = 0.0
@@ -421,7 +467,7 @@ def _adapt(
     change = abs(tendon.K - calibrated)
     tendon.adapted = tendon.adapted or change > max(sure, CHANGE_MIN * calibrated)
     K = prepared.tables[_K]
-    if is_usable:
+    if is_usable or has_loop(constants, tendon):
         follow_estimate(constants, tendon, prepared)
         if tendon.adapted:
             _set_friction(constants, tendon, prepared.tables[_ASYMMETRY])
@@ -442,7 +488,11 @@ def _write_estimate(state: PairTendon, prepared: PreparedTendon, estimate: Tendo
 
 
 def run_adapting_pair(
-    models: tuple[TendonModel, TendonModel], time: Array, tension: Array, displacement: Array
+    models: tuple[TendonModel, TendonModel],
+    time: Array,
+    tension: Array,
+    displacement: Array,
+    loop_tension: Array | None = None,
 ) -> tuple[AdaptedRun, AdaptedRun]:
     """Return the estimates of a record of both tendons of a joint, whose sheaths may move.
 
@@ -452,6 +502,8 @@ def run_adapting_pair(
         As calibrated, at the begin of the record.
     time, tension, displacement : ndarray
         Sample times [s] shape (n,), T_in [N] and q_p [m], shape (n, 2).
+    loop_tension : ndarray, optional
+        At the moved and at the held end of the sensing loop of each tendon [N], shape (n, 2, 2).
     """
     constants = np.concatenate([build_adaptation(model) for model in models])
     prepared, states = online.prepare_all(models), PairAdaptation.array(1)
@@ -462,10 +514,23 @@ def run_adapting_pair(
     estimates = estimates.reshape(2, -1)
     K = np.empty((2, 3, len(time)))
     with_dynamics = True if prepared["has_dynamics"].any() else None
-    t, T, q = (np.ascontiguousarray(row, np.float64) for row in (time, tension, displacement))
+    loop = np.full((len(time), 2, 2), np.nan) if loop_tension is None else loop_tension
+    data = (time, tension, displacement, loop)
+    t, T, q, loop = (np.ascontiguousarray(column, np.float64) for column in data)
     adapted_from = np.full(2, -1)
     _run_arrays(
-        constants, states, prepared, estimators, t, T, q, estimates, K, adapted_from, with_dynamics
+        constants,
+        states,
+        prepared,
+        estimators,
+        t,
+        T,
+        q,
+        loop,
+        estimates,
+        K,
+        adapted_from,
+        with_dynamics,
     )
     runs = []
     for i in range(2):
@@ -486,6 +551,7 @@ def _run_arrays(
     time: Array,
     tension: Array,
     displacement: Array,
+    loop_tension: Array,
     estimates: StructArray,
     K: Array,
     adapted_from: Array,
@@ -498,7 +564,8 @@ def _run_arrays(
             online.advance(prepared[i], estimators[i], T, q, dt, estimates[i, n], with_dynamics)
         observe_pair(
             constants[0], constants[1], states[0], prepared[0], prepared[1],
-            estimators[0], estimators[1], estimates[0, n], estimates[1, n], dt,
+            estimators[0], estimators[1], estimates[0, n], estimates[1, n],
+            loop_tension[n, 0], loop_tension[n, 1], dt,
         )  # fmt: skip
         for i in range(2):
             is_adapted = states[0].a.adapted if i == 0 else states[0].b.adapted

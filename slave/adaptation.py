@@ -91,11 +91,13 @@ def adapt_tendons(
     prepared: StructArray,
     estimators: StructArray,
     tendons: EstimatedTendons,
+    loop_tension: Array,
     dt: float,
 ) -> None:
     """Take a sample of all tendons after `online.advance`; change models and states in place.
 
-    `tendons` are of the sample, `dt` [s] is the time since the one before.
+    `tendons` and the tensions of their sensing loops [N], shape (MAX_TENDONS, 2), are of the
+    sample, `dt` [s] is the time since the one before.
     """
     for k in range(layout.groups):
         i, j = layout.group[k].tendon[0], layout.group[k].tendon[1]
@@ -106,6 +108,7 @@ def adapt_tendons(
                 prepared[i],
                 estimators[i],
                 tendons[i].estimate,
+                loop_tension[i],
                 dt,
             )
         else:
@@ -119,6 +122,8 @@ def adapt_tendons(
                 estimators[j],
                 tendons[i].estimate,
                 tendons[j].estimate,
+                loop_tension[i],
+                loop_tension[j],
                 dt,
             )
 

@@ -225,7 +225,8 @@ def _find_model_warnings(config: SlaveConfig, coupling: CouplingConfig) -> list[
 
 def to_tendon_config(tendon: TendonPlantConfig, pretension: float) -> TendonConfig:
     """Return the true parameters of a simulated tendon as a config; `pretension` in N."""
-    step = tendon.encoder.resolution(tendon.motor.pulley_radius)
+    step, loop = tendon.encoder.resolution(tendon.motor.pulley_radius), tendon.loop
+    bend = sum(section.length / section.radius for section in tendon.sheath.sections)
     return TendonConfig(
         friction=tendon.sheath.friction,
         sections=tendon.sheath.sections,
@@ -235,4 +236,5 @@ def to_tendon_config(tendon: TendonPlantConfig, pretension: float) -> TendonConf
             tendon.load_cell.noise, tendon.load_cell.resolution / QUANTISATION_FACTOR
         ),
         displacement_noise=step / QUANTISATION_FACTOR,
+        loop_friction=0.0 if loop is None else 2.0 * loop.friction * bend,
     )

@@ -57,6 +57,8 @@ class EstimatedSample(Struct):
     tendons: Annotated[Sequence[EstimatedTendon], Field(EstimatedTendon, MAX_TENDONS)]
     bench_tension: Annotated[Array, Field("f8", MAX_TENDONS, fill=math.nan)]  # [N] at the tip
     bench_displacement: Annotated[Array, Field("f8", MAX_TENDONS, fill=math.nan)]  # [m]
+    # [N] at the moved and at the held end of sensing loops
+    loop_tension: Annotated[Array, Field("f8", (MAX_TENDONS, 2), fill=math.nan)]
 
 
 class SlaveMemory(Struct):

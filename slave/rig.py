@@ -20,6 +20,9 @@ class RigSample:
     proximal_displacement: Array | None  # [m] pulled in at the housing; None without an encoder
     bench_distal_tension: Array | None = None  # [N] at the tip
     bench_distal_displacement: Array | None = None  # [m] at the tip, positive towards the housing
+    # [N] at the two ends of a sensing loop in the tube of each tendon; NaN where there is none
+    loop_moved_tension: Array | None = None
+    loop_held_tension: Array | None = None
 
 
 class RigFault(Exception):

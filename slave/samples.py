@@ -27,6 +27,7 @@ def fill_sample(rows: StructArray, index: int, sample: RigSample) -> None:
     """
     travel = sample.proximal_displacement
     tip_tension, tip_travel = sample.bench_distal_tension, sample.bench_distal_displacement
+    moved, held = sample.loop_moved_tension, sample.loop_held_tension
     _fill_row(
         rows,
         index,
@@ -36,6 +37,8 @@ def fill_sample(rows: StructArray, index: int, sample: RigSample) -> None:
         _MISSING if travel is None else np.array(travel, np.float64, order="C"),
         _MISSING if tip_tension is None else np.array(tip_tension, np.float64, order="C"),
         _MISSING if tip_travel is None else np.array(tip_travel, np.float64, order="C"),
+        _MISSING if moved is None else np.array(moved, np.float64, order="C"),
+        _MISSING if held is None else np.array(held, np.float64, order="C"),
     )
 
 
@@ -54,6 +57,8 @@ def _fill_row(
     displacement: Array,
     bench_tension: Array,
     bench_displacement: Array,
+    loop_moved_tension: Array,
+    loop_held_tension: Array,
 ) -> None:
     row = rows[index]
     row.time_s, row.has_displacement = time_s, has_displacement
@@ -62,6 +67,8 @@ def _fill_row(
         row.tendons[i].displacement = _get_entry(displacement, i)
         row.bench_tension[i] = _get_entry(bench_tension, i)
         row.bench_displacement[i] = _get_entry(bench_displacement, i)
+        row.loop_tension[i, 0] = _get_entry(loop_moved_tension, i)
+        row.loop_tension[i, 1] = _get_entry(loop_held_tension, i)
 
 
 @jit_compile
@@ -125,7 +132,15 @@ def estimate(
                 taken.elongation = own[s, 3, i]
                 taken.distal_displacement = tendon.corrected_displacement - taken.elongation
         if adapter is not None:
-            adapt_tendons(adapter, layout, prepared, estimators, row.tendons, row.elapsed)
+            adapt_tendons(
+                adapter,
+                layout,
+                prepared,
+                estimators,
+                row.tendons,
+                row.loop_tension[:],
+                row.elapsed,
+            )
         _end_sample(layout, memory, row)
         if arm is not None and memory.has_offsets:
             control.estimate_joints(

@@ -38,6 +38,8 @@ class TendonConfig:
     friction_error: float = 0.02  # relative error of K covered by the interval
     elongation_error: float = 0.1  # relative error of the elongation covered by the interval
     tip_tension_rate: float = 100.0  # [N/s] largest unobserved rate of the tip tension
+    # ln of the tension ratio over a sensing loop in the tube, as K was calibrated; 0 = none
+    loop_friction: float = 0.0
     model_file: Path | None = None  # model.yaml of `teleop diagnose`, replaces all of the sheath
 
     def __post_init__(self) -> None:
@@ -98,6 +100,7 @@ class TendonConfig:
             friction_error=self.friction_error,
             elongation_error=self.elongation_error,
             tip_tension_rate=self.tip_tension_rate,
+            loop_friction=self.loop_friction,
             extension=None if extended is None else extended.extension,
             tip_effects=() if extended is None else extended.tip_effects,
         )

@@ -3,10 +3,12 @@
 python -m studies.adaptation                     40 single tendons against a spring, seeds from 100
 python -m studies.adaptation --unchanged         the same without a change, with other disturbances
 python -m studies.adaptation --pair              the tendons of as many pairs
+python -m studies.adaptation --loop --settle 3   with a sensing loop in each tube, after 3 s
+python -m studies.adaptation --tip               the bend at the tip changes, no other
 
 The plant is the simulated rig's chain of springs and Coulomb nodes, which knows nothing of the
 adaptation. A sheath keeps its shape for `CHANGE_S` of use, then the friction of all or of one bend
-changes by -40 to +60 %, within 0.1 to 20 s. T_out is scored over `AFTER_S` from `SETTLE_S` after
+changes by -40 to +60 %, within 0.1 to 20 s. T_out is scored over `AFTER_S` from `--settle` after
 the change on, with the fixed K and with adaptation. Seeds 0 to 99 were used for tuning. Takes 7
 minutes.
 """
@@ -33,11 +35,13 @@ from slave.simulation.joint import (
     compute_truth,
     init_joint,
 )
+from slave.simulation.sensing_loop import SensingLoopConfig, build_loop, compute_loop_target
 from slave.simulation.tendon import Knobs, SheathConfig, divide_sheath
 from studies.testbed.command import parse_options
 
 RATE = 500.0  # [Hz]
 CHANGE_S, SETTLE_S, AFTER_S = 25.0, 30.0, 15.0  # [s]
+LOOP_FRICTION = 1 / 3  # coefficient of a sensing loop over that of the tendon
 NOISE_N, NOISE_M = 0.02, 1e-6
 TENSION_MAX, KEPT = 16.0, 0.6  # [N] at which a pull stops; of the tendon that is drawn out
 
@@ -50,6 +54,7 @@ class Use(NamedTuple):
     tension: Array  # T_in [N] with noise, shape (n, tendons)
     travel: Array  # q_p [m] with noise
     tip: Array  # T_out [N]
+    loop: Array | None  # tensions of sensing loops with noise [N], shape (n, tendons, ends)
     change_end: float  # [s] when the friction has changed
     K_after: tuple[float, ...]  # of each tendon
 
@@ -128,6 +133,28 @@ def run_plant(
     return out
 
 
+@jit_compile
+def run_loop(
+    loop: Joint,
+    state: JointState,
+    before: Array,
+    change: Array,
+    begin: float,
+    grow: float,
+    motion: Array,
+    dt: float,
+) -> Array:
+    """Return the tensions at the ends of a sensing loop [N], shape (n, 2); see `run_plant`."""
+    out, targets = np.empty((len(motion), 2)), np.zeros(2)
+    for k in range(len(motion)):
+        share = min(max((k * dt - begin) / grow, 0.0), 1.0)
+        loop.a.chain.friction[:] = before * (1.0 + share * change)
+        targets[0] = motion[k]
+        state = advance_joint(loop, state, targets, 1, dt)
+        out[k] = compute_truth(loop, state)[::2, 0]
+    return out
+
+
 def generate_sheath(rng: np.random.Generator) -> tuple[tuple[SectionConfig, ...], float, float]:
     """Return random sections, K and EA [N]: uneven bends, a straight stretch now and then."""
     count = int(rng.integers(1, 5))
@@ -140,14 +167,22 @@ def generate_sheath(rng: np.random.Generator) -> tuple[tuple[SectionConfig, ...]
 
 
 def simulate_use(
-    seed: int, pair: bool, changes: bool = True, knobs: Knobs | None = None, backlash: float = 0.0
+    seed: int,
+    pair: bool,
+    changes: bool = True,
+    knobs: Knobs | None = None,
+    backlash: float = 0.0,
+    has_loops: bool = False,
+    at_tip: bool = False,
+    settle: float = SETTLE_S,
 ) -> Use:
     """Return a random joint in use, the friction of which changes if it `changes`."""
     rng = np.random.default_rng(seed)
     tendons, models, K_after = [], [], []
+    loops: list[tuple[Joint, Array]] = []
     before: list[Array] = []
     change: list[Array] = []
-    whole = rng.random() < 0.5
+    whole = rng.random() < 0.5 and not at_tip
     factor = rng.uniform(-0.4, 0.6)
     for _ in range(2 if pair else 1):
         sections, K, EA = generate_sheath(rng)
@@ -155,16 +190,20 @@ def simulate_use(
         config = SheathConfig(sections, K / bend, EA, 40)
         tendons.append(TendonPlantConfig(config))
         sheath = Sheath(tuple(Section(s.length, s.radius) for s in sections), K / bend, EA)
-        models.append(TendonModel(sheath, NOISE_N, NOISE_M))
+        loop_friction = 2.0 * LOOP_FRICTION * K if has_loops else 0.0
+        models.append(TendonModel(sheath, NOISE_N, NOISE_M, loop_friction=loop_friction))
         cell, phi = divide_sheath(config)
         before.append(config.friction * phi)
         edges = np.cumsum([s.length for s in sections])
         where = np.searchsorted(edges, np.cumsum(cell) - 0.5 * cell)
         bends = [n for n, s in enumerate(sections) if np.isfinite(s.radius)]
-        hit = np.full(len(cell), True) if whole else where == rng.choice(bends)
+        bend = bends[-1] if at_tip else rng.choice(bends)
+        hit = np.full(len(cell), True) if whole else where == bend
         moved = changes and (len(change) == 0 or rng.random() < 0.5)
         change.append(np.where(hit, factor, 0.0) * float(moved))
         K_after.append(float((before[-1] * (1.0 + change[-1])).sum()))
+        loop = build_loop(SensingLoopConfig(LOOP_FRICTION * config.friction), config)
+        loops.append((loop, change[-1]))
     spring = 0.0 if pair else float(rng.uniform(200.0, 1000.0))
     body = BodyConfig(
         friction=float(rng.uniform(0.0, 0.3)),
@@ -182,18 +221,29 @@ def simulate_use(
             b=joint.b._replace(chain=joint.b.chain._replace(knobs=knobs)),
         )
     grow = float(np.exp(rng.uniform(np.log(0.1), np.log(20.0))))
-    hand = generate_hand(rng, CHANGE_S + grow + SETTLE_S + AFTER_S)
+    hand = generate_hand(rng, CHANGE_S + grow + settle + AFTER_S)
     both = (before[0], before[-1]), (change[0], change[-1])
     truth = run_plant(joint, init_joint(joint), *both, CHANGE_S, grow, hand, 1.0 / RATE)[
         :, :, : len(tendons)
     ]
-    shape = truth[:, 0].shape
+    shape, time = truth[:, 0].shape, np.arange(len(hand)) / RATE
+    T = truth[:, 0] + rng.normal(0.0, NOISE_N, shape)
+    q = truth[:, 1] + rng.normal(0.0, NOISE_M, shape)
+    motion = np.array([compute_loop_target(SensingLoopConfig(), t) for t in time])
+    ends = [
+        run_loop(
+            loop, init_joint(loop), loop.a.chain.friction.copy(), np.append(of, of[::-1]),
+            CHANGE_S, grow, motion, 1.0 / RATE,
+        )
+        for loop, of in loops * has_loops
+    ]  # fmt: skip
     return Use(
         tuple(models),
-        np.arange(len(hand)) / RATE,
-        truth[:, 0] + rng.normal(0.0, NOISE_N, shape),
-        truth[:, 1] + rng.normal(0.0, NOISE_M, shape),
+        time,
+        T,
+        q,
         truth[:, 2],
+        np.stack(ends, 1) + rng.normal(0.0, NOISE_N, (*shape, 2)) if has_loops else None,
         CHANGE_S + grow,
         tuple(K_after),
     )
@@ -206,20 +256,21 @@ class Scores(NamedTuple):
     error: Array  # relative to full scale, percentiles 50, 90, 99, shape (2, 3)
     within: Array  # share of time within 5 % of full scale, shape (2,)
     inside: Array  # share of all time inside the interval, shape (2,)
-    K_error: float  # relative, at the end
+    K_error: Array  # relative, where scoring begins and at the end
     is_adapted: bool
     is_false: bool  # adapted before the change
 
 
-def score_use(use: Use) -> list[Scores]:
-    """Return the figures of the tendons of a joint in use."""
+def score_use(use: Use, settle: float = SETTLE_S) -> list[Scores]:
+    """Return the figures of the tendons of a joint in use, from `settle` [s] after the change."""
     T, q = (np.ascontiguousarray(rows.T) for rows in (use.tension, use.travel))
     if len(use.models) == 2:
         models = use.models[0], use.models[1]
-        runs = run_adapting_pair(models, use.time, use.tension, use.travel)
+        runs = run_adapting_pair(models, use.time, use.tension, use.travel, use.loop)
     else:
-        runs = (run_adapting(use.models[0], use.time, T[0], q[0]),)
-    late, out = use.time > use.change_end + SETTLE_S, []
+        loop = None if use.loop is None else use.loop[:, 0]
+        runs = (run_adapting(use.models[0], use.time, T[0], q[0], loop),)
+    late, out = use.time > use.change_end + settle, []
     for k, (model, run) in enumerate(zip(use.models, runs, strict=True)):
         tip, K = use.tip[:, k], use.K_after[k]
         both = online.run(online.prepare(model), use.time, T[k], q[k]), run.estimates
@@ -229,7 +280,7 @@ def score_use(use: Use) -> list[Scores]:
             np.array([np.percentile(e, [50, 90, 99]) for e in errors]),
             np.array([np.mean(e < 0.05) for e in errors]),
             np.array([np.mean((r.low <= tip + 1e-6) & (tip <= r.high)) for r in both]),
-            float(run.K[-1] / K - 1.0),
+            run.K[late][[0, -1]] / K - 1.0,
             run.adapted_from >= 0,
             run.adapted_from >= 0 and bool(use.time[run.adapted_from] < CHANGE_S),
         )
@@ -252,13 +303,19 @@ def main() -> None:
         sheaths=(40, "number of them"),
         first=(100, "first seed"),
         unchanged=(False, "no change of friction, but creep, backlash or presliding"),
+        settle=(SETTLE_S, "time after the change before T_out is scored [s]"),
+        loop=(False, "a sensing loop in each tube"),
+        tip=(False, "the bend at the tip changes"),
         pair=(False, "both tendons of pairs; those that stay the same are reported apart"),
     )
     scores = []
     for k in range(options.sheaths):
         knobs, backlash = DISTURBANCES[k % len(DISTURBANCES) if options.unchanged else 0]
-        use = simulate_use(options.first + k, options.pair, not options.unchanged, knobs, backlash)
-        scores += score_use(use)
+        use = simulate_use(
+            options.first + k, options.pair, not options.unchanged, knobs, backlash,
+            options.loop, options.tip, options.settle,
+        )  # fmt: skip
+        scores += score_use(use, options.settle)
     for is_changed in (True, False):
         report([s for s in scores if s.is_changed is is_changed], is_changed)
 
@@ -270,9 +327,10 @@ def report(scores: list[Scores], is_changed: bool) -> None:
     print(f"{len(scores)} tendons {'that changed' if is_changed else 'unchanged'}; adapted: "
           f"{sum(s.is_adapted for s in scores)}, of them before the change: "
           f"{sum(s.is_false for s in scores)}")  # fmt: skip
-    K_errors = np.abs([s.K_error for s in scores])
-    print("|error of K| at the end, percentiles 50, 90, 100:",
-          (100.0 * np.percentile(K_errors, [50, 90, 100])).round(1), "%")  # fmt: skip
+    errors_K = 100.0 * np.abs([s.K_error for s in scores]).T
+    for when, errors in zip(("where scoring begins", "at the end"), errors_K, strict=True):
+        print(f"|error of K| {when}, percentiles 50, 90, 100: "
+              f"{np.percentile(errors, [50, 90, 100]).round(1)} %")  # fmt: skip
     for i, name in enumerate(("fixed K", "adapted")):
         error = 100.0 * np.mean([s.error[i] for s in scores], axis=0)
         within = np.array([s.within[i] for s in scores])

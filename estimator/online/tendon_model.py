@@ -40,6 +40,9 @@ class TendonModel:
     extension
         What a diagnosis found beyond the law of the sheath, if anything; of its corrections of
         readings, at most `reading_correction.MAX_CORRECTIONS`.
+    loop_friction
+        ln of the tension ratio over a sensing loop in the tube (`estimator.sensing_loop`) while K
+        is that of `sheath`; 0 without one.
     tip_effects
         Effects, with their values, of a bench's load cell at the tip; only errors go by them.
     """
@@ -52,6 +55,7 @@ class TendonModel:
     friction_error: float = 0.02
     elongation_error: float = 0.1
     tip_tension_rate: float = 100.0  # [N/s]
+    loop_friction: float = 0.0
     extension: Extension | None = None
     tip_effects: tuple[tuple[Effect, Values], ...] = ()
 
@@ -66,7 +70,7 @@ class TendonModel:
                 f"extension: {corrections} corrections of readings, at most {MAX_CORRECTIONS} are "
                 "possible"
             )
-        for name in ("tension_noise", "displacement_noise", "friction_error"):
+        for name in ("tension_noise", "displacement_noise", "friction_error", "loop_friction"):
             if not 0.0 <= getattr(self, name) < math.inf:
                 raise ModelError(f"{name}: {getattr(self, name)}, must be finite and not negative")
         if not 0.0 <= self.elongation_error < 1.0:

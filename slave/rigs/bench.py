@@ -17,6 +17,7 @@ import numpy as np
 from estimator.array_types import Array
 from estimator.measured_data import Samples
 from slave.config import SlaveConfig
+from slave.rig import RigSample
 from slave.rigs.simulated import JointConfig, SimulatedRig, SimulatedRigConfig, TendonPlantConfig
 from slave.sheath_section import SectionConfig
 from slave.simulation.effects import EffectConfig
@@ -24,7 +25,12 @@ from slave.simulation.environment import FreeConfig
 from slave.simulation.joint import BodyConfig
 from slave.simulation.tendon import SheathConfig
 from teleop.config.loading import load
-from teleop.data.channel_names import ANCHOR_TENSION, JOINT_ANGLE, format_numbered_name
+from teleop.data.channel_names import (
+    ANCHOR_TENSION,
+    JOINT_ANGLE,
+    LOOP_TENSIONS,
+    format_numbered_name,
+)
 from teleop.data.table import Columns, write_table
 from teleop.errors import UsageError
 
@@ -148,6 +154,7 @@ class BenchRun(NamedTuple):
     proximal_displacement: Array  # [m]
     distal_tension: Array  # [N]
     distal_displacement: Array  # [m]
+    loop_tension: Array | None = None  # [N] of sensing loops, shape (ends, samples, tendons)
     anchor_tension: Array | None = None  # [N] of arms, where tendons end; without noise
     joint_angle: Array | None = None  # [rad] of arms, shape (samples, joints)
 
@@ -174,6 +181,7 @@ class BenchRun(NamedTuple):
     def columns(self) -> dict[str, Array]:
         """Return the columns of a measured-data file; tendons 2, 3, ... are numbered."""
         columns = {"time_s": self.time}
+        loops = () if self.loop_tension is None else self.loop_tension
         for tendon in range(self.proximal_tension.shape[1]):
             names = Columns.of_tendon(tendon + 1).names()
             del names["time"]
@@ -181,6 +189,8 @@ class BenchRun(NamedTuple):
             if self.anchor_tension is not None:
                 name = format_numbered_name(ANCHOR_TENSION, tendon + 1)
                 columns[name] = self.anchor_tension[:, tendon]
+            for name, rows in zip(LOOP_TENSIONS, loops, strict=False):
+                columns[format_numbered_name(name, tendon + 1)] = rows[:, tendon]
         angles = () if self.joint_angle is None else self.joint_angle.T
         return columns | {JOINT_ANGLE.format(j): angle for j, angle in enumerate(angles, 1)}
 
@@ -299,8 +309,15 @@ def simulate(
         np.array([row.proximal_displacement for row in rows]),
         np.array([row.bench_distal_tension for row in rows]),
         np.array([row.bench_distal_displacement for row in rows]),
+        _collect_loops(rows),
         *(np.array(values) for values in zip(*of_arm, strict=True)),
     )
+
+
+def _collect_loops(rows: Sequence[RigSample]) -> Array | None:
+    if rows[0].loop_moved_tension is None:
+        return None
+    return np.array([[r.loop_moved_tension for r in rows], [r.loop_held_tension for r in rows]])
 
 
 def load_rig_config(path: str | Path | None, overrides: Sequence[str] = ()) -> SimulatedRigConfig:

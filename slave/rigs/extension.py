@@ -21,6 +21,8 @@ _ARRAYS = (
     "proximal_displacement",
     "bench_distal_tension",
     "bench_distal_displacement",
+    "loop_moved_tension",
+    "loop_held_tension",
 )
 _REQUIRED = (
     *("name", "tendons", "joints", "starts_at_zero"),
@@ -145,6 +147,7 @@ class CheckedRig:
         try:
             tension, travel = sample.proximal_tension, sample.proximal_displacement
             tip_tension, tip_travel = sample.bench_distal_tension, sample.bench_distal_displacement
+            moved, held = sample.loop_moved_tension, sample.loop_held_tension
             shape = self._shape
             is_right = (
                 tension.shape == shape
@@ -152,6 +155,8 @@ class CheckedRig:
                 and (travel is None or (travel.shape == shape and travel.dtype.kind in "fiu"))
                 and (tip_tension is None or _is_right(tip_tension, shape))
                 and (tip_travel is None or _is_right(tip_travel, shape))
+                and (moved is None or _is_right(moved, shape))
+                and (held is None or _is_right(held, shape))
                 and self._newest_s <= sample.time_s < math.inf
             )
         except (AttributeError, TypeError):

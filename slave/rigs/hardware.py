@@ -166,6 +166,12 @@ class HardwareTendonConfig:
 
     motor: MotorConfig
     cell: CellConfig
+    loop: tuple[CellConfig, ...] = ()  # of a sensing loop in its tube: moved end, held end
+
+    def __post_init__(self) -> None:
+        """Check the number of cells; raises `ValueError`."""
+        if len(self.loop) not in (0, 2):
+            raise ValueError("loop: must have no cell or two")
 
 
 @dataclass(frozen=True, slots=True)
@@ -198,7 +204,7 @@ class HardwareRigConfig:
             raise ValueError(f"joints: must be 1 to {MAX_JOINTS}")
         for kind, ids in (
             ("motor", [t.motor.id for t in self.tendons]),
-            ("cell", [t.cell.id for t in self.tendons]),
+            ("cell", list(self.cell_ids)),
         ):
             bus = self.motors if kind == "motor" or self.cells is None else self.cells
             for number in ids:
@@ -232,15 +238,20 @@ class HardwareRigConfig:
 
     @property
     def cell_ids(self) -> tuple[int, ...]:
-        """Load cells in the order of the tendons."""
-        return tuple(tendon.cell.id for tendon in self.tendons)
+        """Load cells in the order of the tendons, then those of the sensing loops."""
+        return tuple(cell.id for cell in list_cells(self.tendons))
+
+
+def list_cells(tendons: Sequence[HardwareTendonConfig]) -> list[CellConfig]:
+    """Return the load cells of tendons, then those of their loops; two may share a loop."""
+    return [t.cell for t in tendons] + list(dict.fromkeys(c for t in tendons for c in t.loop))
 
 
 class Transmission:
     """Counts of the buses as tensions [N] and displacements [m], and back."""
 
     def __init__(self, tendons: Sequence[HardwareTendonConfig]) -> None:
-        motors, cells = [t.motor for t in tendons], [t.cell for t in tendons]
+        motors, cells = [t.motor for t in tendons], list_cells(tendons)
         self._metres = np.array([motor.metres_per_count for motor in motors])
         self._zero = np.array([motor.zero for motor in motors])
         self._newtons = np.array([cell.scale for cell in cells])
@@ -279,6 +290,8 @@ class HardwareRig:
         self.joints = number_joint_tendons([len(joint.tendons) for joint in config.joints])
         self.tendons = len(config.tendons)
         self._transmission = Transmission(config.tendons)
+        listed = list_cells(config.tendons)
+        self._loops = [[listed.index(cell) for cell in t.loop] for t in config.tendons]
         self._aligner = Aligner() if config.cells is not None else None
         self._buses: list[DriverProcess] = []
         self._position: Array | None = None  # [m] newest of every motor
@@ -311,7 +324,9 @@ class HardwareRig:
                 continue
             displacement = self._transmission.displacement(position)
             tension = self._transmission.tension(cell)
-            samples.append(RigSample(sampled_s - self._start_s, tension, displacement))
+            loops = self._read_loops(tension)
+            housing = sampled_s - self._start_s, tension[: self.tendons], displacement
+            samples.append(RigSample(*housing, None, None, *loops))
             self._counts = (position, cell)
             if np.all(np.isfinite(displacement)):
                 self._position, self._position_s = displacement, sampled_s
@@ -374,6 +389,13 @@ class HardwareRig:
     def buses(self) -> tuple[DriverProcess, ...]:
         """Connections to the drivers: of the motors, and of the cells if that is another."""
         return tuple(self._buses)
+
+    def _read_loops(self, tension: Array) -> Sequence[Array | None]:
+        """Return the tensions [N] at the moved and the held ends of the sensing loops."""
+        if not any(self._loops):
+            return None, None
+        ends = [tension[loop] if loop else (math.nan, math.nan) for loop in self._loops]
+        return tuple(np.array(ends).T)
 
     def _send(self, target: Counts) -> None:
         try:

@@ -14,7 +14,7 @@ from slave.rig import RigFinished, RigSample
 from teleop.data.channel_names import Columns
 from teleop.data.mapping import map_columns, read_mapping
 from teleop.data.reading import Reading, format_reading
-from teleop.data.table import read_tables
+from teleop.data.table import get_loop_tension, read_tables
 from teleop.messages.messages import MAX_JOINTS
 from teleop.runtime.process import print_warning
 
@@ -78,6 +78,11 @@ class ReplayedRig:
         self._displacement = _stack_columns([data.proximal_displacement for data in clean])
         self._bench_tension = _stack_columns([data.distal_tension for data in clean])
         self._bench_displacement = _stack_columns([data.distal_displacement for data in clean])
+        loops = [get_loop_tension(table, number) for number, table in enumerate(tables, 1)]
+        self._loops = [
+            _stack_columns([None if loop is None else loop[:, end] for loop in loops])
+            for end in (0, 1)
+        ]
         self._spikes = sum(
             int(np.isnan(signal).sum() - np.isnan(getattr(table, name)).sum())
             for data, table in zip(clean, tables, strict=True)
@@ -129,6 +134,8 @@ class ReplayedRig:
             proximal_displacement=_get_row(self._displacement, row),
             bench_distal_tension=_get_row(self._bench_tension, row),
             bench_distal_displacement=_get_row(self._bench_displacement, row),
+            loop_moved_tension=_get_row(self._loops[0], row),
+            loop_held_tension=_get_row(self._loops[1], row),
         )
 
 

@@ -41,6 +41,7 @@ from slave.simulation.joint import (
     to_compiled_list,
 )
 from slave.simulation.motor import MotorConfig, build_motor
+from slave.simulation.sensing_loop import SensingLoopConfig, SensingLoops
 from slave.simulation.sensors import (
     EncoderConfig,
     LoadCellConfig,
@@ -64,6 +65,7 @@ class TendonPlantConfig:
     motor: MotorConfig = field(default_factory=MotorConfig)
     load_cell: LoadCellConfig = field(default_factory=LoadCellConfig)
     encoder: EncoderConfig = field(default_factory=EncoderConfig)
+    loop: SensingLoopConfig | None = None  # in the same tube
 
 
 @dataclass(frozen=True, slots=True)
@@ -250,9 +252,11 @@ class SimulatedRig:
         self._states = to_compiled_list([init_joint(joint, -config.period) for joint in joints])
         self._truth = self._advance(0, config.period)  # compiles the functions for the loop
 
-        sensors = build_sensors(
-            [(t.load_cell, t.encoder, t.motor) for joint in config.joints for t in joint.tendons]
+        plants = [tendon for joint in config.joints for tendon in joint.tendons]
+        self._loops = SensingLoops(
+            [tendon.loop for tendon in plants], [tendon.sheath for tendon in plants], config.seed
         )
+        sensors = build_sensors([(t.load_cell, t.encoder, t.motor) for t in plants])
         self._sensor_schedule = SensorSchedule(config.effects, self.joints, sensors)
         self._sensors = self._sensor_schedule.at(0.0) or sensors
         self._sensed = init_sensors(self._truth)
@@ -276,9 +280,9 @@ class SimulatedRig:
             self._step += behind
         time = self._step * self._period
         if not self._effects:
-            return (RigSample(time, *self._sensed.reading),)
+            return (RigSample(time, *self._sensed.reading, *self._loops.readings),)
         reading = self._samples.transmit(time, self._sensed.reading)
-        return () if reading is None else (RigSample(time, *reading),)
+        return () if reading is None else (RigSample(time, *reading, *self._loops.readings),)
 
     def advance(self) -> RigSample | None:
         """Compute the next step in advance, with the targets written last."""
@@ -287,7 +291,7 @@ class SimulatedRig:
             self._ahead = True
             if not self._effects:
                 time = (self._step + 1) * self._period
-                self._next = RigSample(time, *self._sensed.reading)
+                self._next = RigSample(time, *self._sensed.reading, *self._loops.readings)
         return self._next
 
     def write(self, proximal_displacement: Array) -> None:
@@ -353,6 +357,7 @@ class SimulatedRig:
         if self._effects:
             self._turn_effects((self._step + behind) * self._period, ramps)
         self._truth = self._advance(steps, dt)
+        self._loops.advance((self._step + behind) * self._period, steps, dt)
         self._measure(behind * self._period)
 
     def _advance(self, steps: int, dt: float) -> Array:
@@ -376,6 +381,8 @@ class SimulatedRig:
             joint = schedule.at(time, tip[0], housing, i in changing)
             if joint is not None:
                 replace_item(self._joints, i, joint)
+                for tendon, part in zip(tendons, joint[:2], strict=False):
+                    self._loops.scale_friction(tendon, part.chain.knobs.friction_scale)
         self._sensors = self._sensor_schedule.at(time) or self._sensors
 
 

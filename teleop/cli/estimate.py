@@ -43,7 +43,7 @@ from teleop.config.options import TABLE_OPTIONS, add_option, add_options
 from teleop.data.channel_names import format_numbered_name
 from teleop.data.mapping import load_mapping, parse_column_names
 from teleop.data.reading import Reading, format_reading
-from teleop.data.table import MeasuredTable, read_tables, write_table
+from teleop.data.table import MeasuredTable, get_loop_tension, read_tables, write_table
 from teleop.errors import UsageError
 from teleop.messages.messages import MAX_TENDONS, PHASE_NAMES
 from teleop.ros.bag_table import is_bag
@@ -198,7 +198,7 @@ def adapt(
     tendons: Sequence[TendonConfig], tables: Sequence[MeasuredTable], joint: tuple[int, ...], k: int
 ) -> tuple[online.Estimates, dict[str, Any]]:
     """Return the estimates of tendon `k` of a joint with adaptation, and what became of K."""
-    models, tensions, travels = [tendon.model() for tendon in tendons], [], []
+    models, tensions, travels, loops = [tendon.model() for tendon in tendons], [], [], []
     for number, table in zip(joint, tables, strict=True):
         clean = remove_spikes(table)
         if clean.proximal_displacement is None:
@@ -206,13 +206,16 @@ def adapt(
             raise UsageError(f"{table.path}, --adapt: needs {name}; tensions alone do not tell K")
         tensions.append(clean.proximal_tension)
         travels.append(clean.proximal_displacement)
+        loop = get_loop_tension(table, number + 1)
+        loops.append(np.full((len(table.time), 2), np.nan) if loop is None else loop)
     time = tables[0].time
     if len(models) == 2:
         pair = models[0], models[1]
-        runs = run_adapting_pair(pair, time, np.stack(tensions, 1), np.stack(travels, 1))
+        columns = (np.stack(rows, 1) for rows in (tensions, travels, loops))
+        runs = run_adapting_pair(pair, time, *columns)
         run = runs[joint.index(k)]
     else:
-        run = run_adapting(models[0], time, tensions[0], travels[0])
+        run = run_adapting(models[0], time, tensions[0], travels[0], loops[0])
     return run.estimates, {
         "K_calibrated": float(run.K[0]),
         "K": float(run.K[-1]),

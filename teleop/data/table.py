@@ -104,6 +104,17 @@ class MeasuredTable:
         return standard | {k: v for k, v in self.extra.items() if k not in standard}
 
 
+def get_loop_tension(table: MeasuredTable, number: int = 1) -> Array | None:
+    """Return the tensions of the sensing loop of tendon 1, 2, ... [N], shape (n, 2), if any."""
+    names = [channel_names.format_numbered_name(n, number) for n in channel_names.LOOP_TENSIONS]
+    if not any(name in table.extra for name in names):
+        return None
+    for name in names:
+        if name not in table.extra or table.extra[name].dtype == object:
+            raise UsageError(f"{table.path}: column {name!r}: a sensing loop needs numbers in both")
+    return np.column_stack([np.asarray(table.extra[name], np.float64) for name in names])
+
+
 def read_table(
     path: Path | str,
     columns: Columns | None = None,

@@ -7,9 +7,9 @@ import pytest
 
 from slave.config import SlaveConfig
 from slave.rig import RigFault
-from slave.rigs.hardware import Transmission
+from slave.rigs.hardware import CellConfig, HardwareJointConfig, Transmission, list_cells
 from studies.rigs.models.board import Board
-from studies.rigs.models.plant import ZERO
+from studies.rigs.models.plant import NEWTONS, ZERO
 from studies.rigs.models.servos import Servos
 from teleop.config.loading import load
 from teleop.errors import UsageError
@@ -44,6 +44,15 @@ def buses(library):
         thread.join()
 
 
+@pytest.fixture
+def board(library):
+    board = Board(library, motors=3, cells=3)
+    thread = board.start()
+    yield board
+    board.ended = True
+    thread.join()
+
+
 class Followed:
     """The cells of a plant that the servos move."""
 
@@ -69,6 +78,21 @@ def test_one_sample_comes_of_both_buses_and_the_error_of_its_time_is_stated(buse
         board.ended = True
         with pytest.raises(RigFault, match="unplugged"):
             read_for(rig, 5.0)
+
+
+def test_a_sensing_loop_has_cells_of_its_own_that_two_tendons_may_share(board):
+    ends = (CellConfig(id=3, scale=-NEWTONS), CellConfig(id=2, scale=NEWTONS, offset=100.0))
+    with pytest.raises(ValueError, match="loop: must have no cell or two"):
+        dataclasses.replace(tendon(1, 1), loop=ends[:1])
+    a, b = (dataclasses.replace(tendon(k, k), loop=ends) for k in (1, 4))
+    assert [cell.id for cell in list_cells((a, b))] == [1, 4, 3, 2]
+    config = rig_config(microcontroller(board.port.name))
+    config = dataclasses.replace(config, joints=(HardwareJointConfig((a,)),))
+    with opened(config) as rig:
+        sample = read_some(rig)[-1]
+    assert sample.proximal_tension == pytest.approx([1.0], abs=0.1)
+    assert sample.loop_moved_tension == pytest.approx([-1.0], abs=0.1)
+    assert sample.loop_held_tension == pytest.approx([1.0 - 100.0 * NEWTONS], abs=0.1)
 
 
 def test_counts_become_metres_and_newtons_and_targets_the_same_counts_again():

@@ -1,5 +1,6 @@
 """Adaptation of K in the slave: which tendons, undone with a tick, refusals, and the monitor."""
 
+import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -9,11 +10,15 @@ from estimator.law import tables
 from estimator.records import as_bytes
 from slave import loop
 from slave.adaptation import UNDECIDED_S, AdaptationConfig, describe_fixed
-from slave.config import SlaveConfig
+from slave.config import SlaveConfig, to_tendon_config
 from slave.extensions import EstimatorExtension
 from slave.rig import RigSample
 from slave.rigs.replayed import ReplayedRigConfig
+from slave.rigs.simulated import JointConfig, SimulatedRig, SimulatedRigConfig, TendonPlantConfig
 from slave.samples import estimate, to_sample_rows
+from slave.simulation.effects.friction import FrictionStep
+from slave.simulation.sensing_loop import SensingLoopConfig
+from slave.simulation.tendon import SheathConfig
 from slave.tendon_config import TendonConfig
 from teleop.config.arm import ArmConfig
 from teleop.data.channel_names import Columns
@@ -66,7 +71,7 @@ def test_tendons_of_a_pair_adapt_together_and_a_single_one_by_itself():
     assert slave.adapter.states["pieces"].tolist()[:2] == [0, 0]
     assert slave.adapter.pairs["started"].tolist() == [True, False]
     assert (slave.prepared["adaptation_error"] > 0.0).all()
-    assert (slave.adapter.get_friction(1) == slave.adapter.pairs[0]["b"]).all()
+    assert slave.adapter.get_friction(1).tobytes() == slave.adapter.pairs[0]["b"].tobytes()
     models = [TENDON.model()] * 4 + [TendonConfig(effective_friction=0.05).model()]
     (line,) = describe_fixed(ON, ((0,), (1, 2), (3, 4)), models)
     assert line.startswith("slave.adaptation: K stays as calibrated at joint 3: ")
@@ -139,3 +144,28 @@ def test_what_it_is_not_for_is_refused():
     replayed = ReplayedRigConfig(file=Path("data.csv"), tendons=(Columns(), Columns()))
     with pytest.raises(ValueError, match="replay one"):
         SlaveConfig(adaptation=ON, rig=replayed)
+
+
+def test_a_sensing_loop_tells_k_of_a_rig_at_rest():
+    tendon = TendonPlantConfig(SheathConfig(nodes=20), loop=SensingLoopConfig(period=0.5))
+    bare = dataclasses.replace(tendon, loop=None)
+    step = FrictionStep(start=2.0, change=0.3, tendon="a")
+    config = SimulatedRigConfig(
+        joints=(JointConfig((tendon, tendon)), JointConfig((tendon,)), JointConfig((bare,))),
+        effects=(step,),
+    )
+    rig = SimulatedRig(config)
+    models = [
+        to_tendon_config(t, j.body.pretension).model() for j in config.joints for t in j.tendons
+    ]
+    slave = loop.init_slave(
+        loop.build_rig_model(rig.joints, models), SlaveConfig(adaptation=ON), loop.DIRECT, True
+    )
+    K = [model.sheath.K for model in models]
+    for k in range(4000):
+        samples = rig.read(k * 1e-3)
+        run(slave, to_sample_rows(samples))
+    found = slave.prepared["tables"][:, tables.K] / K
+    np.testing.assert_allclose(found, [1.3, 1.0, 1.3, 1.0], rtol=0.03)
+    (sample,) = samples
+    assert np.isnan(sample.loop_held_tension).tolist() == [False, False, False, True]

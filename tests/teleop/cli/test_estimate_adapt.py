@@ -5,16 +5,18 @@ import json
 import pytest
 import yaml
 
+from slave.rigs.bench import load_rig_config, simulate
+from slave.rigs.replayed import ReplayedRig, ReplayedRigConfig
 from studies.adaptation import simulate_use
 from teleop.cli import commands
 from teleop.data.table import write_table
-from tests.estimator.test_adaptation import simulate
+from tests.estimator.test_adaptation import simulate as simulate_chain
 
 MODEL = "slave.tendons=[{effective_friction: 1.0, tension_noise: 0.02, displacement_noise: 1.0e-6}]"
 
 
 def test_what_became_of_k_is_reported_with_the_gain(tmp_path, capsys):
-    time, T, q, T_out = simulate(1.4)
+    time, T, q, T_out = simulate_chain(1.4)
     names = "time_s", "proximal_tension_N", "proximal_displacement_m", "distal_tension_N"
     path, out = tmp_path / "use.csv", tmp_path / "summary.json"
     write_table(path, dict(zip(names, (time, T, q, T_out), strict=True)))
@@ -27,8 +29,29 @@ def test_what_became_of_k_is_reported_with_the_gain(tmp_path, capsys):
     assert "the shape changed before" in capsys.readouterr().out
 
 
+def test_a_sensing_loop_in_the_data_is_used(tmp_path, capsys):
+    rig = {"type": "simulated", "effects": [{"type": "friction_step", "start": 8.0, "change": 0.3}],
+           "joints": [{"tendons": [{"loop": {}, "sheath": {"nodes": 20}}]}]}  # fmt: skip
+    config, data, out = (tmp_path / name for name in ("rig.yaml", "use.csv", "out.json"))
+    config.write_text(yaml.safe_dump({"slave": {"calibration": "as-built", "rig": rig}}))
+    run = simulate(load_rig_config(config), profile="sine", duration=12.0, rate=200.0)
+    run.save(data)
+    words = ["estimate", str(data), "--config", str(config), "--adapt", "--json", str(out)]
+    assert commands.main(words) == 0
+    adaptation = json.loads(out.read_text())["adaptation"]
+    assert adaptation["K"] == pytest.approx(1.3, rel=0.02)
+    assert 8.0 < adaptation["changed_at_s"] < 10.0
+    sample = ReplayedRig(ReplayedRigConfig(file=data)).read(0.0)[0]
+    assert sample.loop_moved_tension == pytest.approx(run.loop_tension[0, 0], rel=1e-6)
+    lines = data.read_text().replace("loop_held_tension_N", "other").splitlines()
+    data.write_text("\n".join(lines))
+    capsys.readouterr()
+    assert commands.main(words[:-2]) == 2
+    assert "column 'loop_held_tension_N': a sensing loop needs" in capsys.readouterr().err
+
+
 def test_adaptation_needs_a_travel_and_a_model_from_before(tmp_path, capsys):
-    time, T, *_ = simulate(1.0)
+    time, T, *_ = simulate_chain(1.0)
     path = tmp_path / "tension.csv"
     write_table(path, {"time_s": time, "proximal_tension_N": T})
     assert commands.main(["estimate", str(path), "--set", MODEL, "--adapt"]) == 2
