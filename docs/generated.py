@@ -15,7 +15,7 @@ from mkdocs.structure.files import File, Files
 
 from slave.simulation.effects import EffectConfig
 from teleop.cli.commands import COMMANDS, build_parser
-from teleop.cli.config.reference import render_config_reference
+from teleop.cli.config.reference import render_markdown
 from teleop.cli.diagnose.catalogue import format_catalogue
 from teleop.messages.page import format_page
 
@@ -41,7 +41,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     """Add the generated pages."""
     files.append(File.generated(config, "reference/messages.md", content=format_page()))
     files.append(File.generated(config, "reference/cli.md", content=format_commands()))
-    keys = render_config_reference()
+    keys = render_markdown("")
     files.append(File.generated(config, "reference/configuration-keys.md", content=keys))
     return files
 

@@ -228,7 +228,6 @@ class _Target(NamedTuple):
     equation: str
     is_share: bool
     channel: str = ""  # of a reading
-    has_loop: bool = True  # whether a closed loop has it
     has_zero: bool = True  # whether the law takes up a constant
 
 
@@ -243,7 +242,7 @@ _CORRECTIONS = {
 
 _TARGETS = (
     _Target("friction", "friction", _SHARE, "K (1 + f)", True),
-    _Target("elongation", "elongation", _LENGTH, "e + f", False, has_loop=False),
+    _Target("elongation", "elongation", _LENGTH, "e + f", False),
     _Target("tip_load", "where the load at the tip rests", _LENGTH, "zero + f", False),
     *(
         _Target(

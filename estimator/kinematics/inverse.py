@@ -163,19 +163,6 @@ def step_inverse(
 
 
 @jit_compile
-def reflect_torque(arm: PreparedArm, step: InverseStep, torque: Array, wrench: Array) -> None:
-    """Write J#^T tau, the force [N] and torque [N m] that joint torques cause at the tip's twist.
-
-    `torque` has shape (n,) or longer [N m] or [N], `wrench` shape (6,).
-    """
-    for row in range(6):
-        total = 0.0
-        for j in range(arm.coordinates):
-            total += step.velocity_map[j, row] * torque[j]
-        wrench[row] = total
-
-
-@jit_compile
 def _correct_twist(
     settings: InverseSettings, twist: Array, error: Array, step: InverseStep
 ) -> float:

@@ -165,40 +165,6 @@ class Routing:
         K: Array = np.asarray(self.friction) * bend
         return K
 
-    def get_travel(self, angles: ArrayLike) -> Array:
-        """Return the tip travels q_d [m] of joint `angles` [rad], shape (tendons,), from angle 0.
-
-        Positive is towards the motor, as of a tendon that does not stretch (T17).
-        """
-        travel: Array = self.radii @ _read_table("angles", angles, (self.joints,))
-        return travel
-
-    def find_angles(
-        self, travel: ArrayLike, start: ArrayLike, slack: ArrayLike = False
-    ) -> tuple[Array, NDArray[np.bool_]]:
-        """Return joint angles [rad] that fit the tip travels best, and which of them are told.
-
-        Parameters
-        ----------
-        travel : array_like
-            q_d [m], shape (tendons,), zero at joint angles 0.
-        start : array_like
-            Angles [rad], shape (joints,), to stay at where the travels leave a choice.
-        slack : array_like
-            Which tendons are slack, shape (tendons,): their travels tell nothing.
-        """
-        taut = ~np.broadcast_to(np.asarray(slack, dtype=bool), (self.tendons,))
-        q = _read_table("travel", travel, (self.tendons,))
-        before = _read_table("start", start, (self.joints,))
-        R = np.asarray(self.radii)[taut]
-        if not len(R):
-            return before.copy(), np.zeros(self.joints, dtype=bool)
-        _, values, directions = np.linalg.svd(R)
-        rank = int(np.sum(values > RANK_TOLERANCE * np.abs(np.asarray(self.radii)).max()))
-        change = np.linalg.pinv(R) @ (q[taut] - R @ before)
-        untold = np.abs(directions[rank:]).max(axis=0, initial=0.0)
-        return before + change, untold < 1e-6
-
     def find_pretension_pattern(self) -> Array:
         """Return tensions over the largest that balance at all joints without a spring.
 

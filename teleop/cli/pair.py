@@ -117,22 +117,15 @@ class PairConfig:
 
 ANGLE_SPAN = 7.0  # [rad] of a joint: above a full turn the unit is wrong
 SAMPLES_MIN = 20  # in which a sensor that works changes
-DEFAULT_MAPPING = TableMapping()
 
 
 def read_records(
-    paths: Sequence[Path], config: PairConfig, mapping: TableMapping = DEFAULT_MAPPING
-) -> tuple[PairRecord, ...]:
-    """Return the records of some files, in the order of their bends.
+    paths: Sequence[Path], config: PairConfig, mapping: TableMapping
+) -> list[tuple[PairRecord, Reading]]:
+    """Return the records of some files, in the order of their bends, and how each was read.
 
     Raises `UsageError` if a file cannot be read, lacks a column or its bend, or has invalid values.
     """
-    return tuple(record for record, _ in _read_files(paths, config, mapping))
-
-
-def _read_files(
-    paths: Sequence[Path], config: PairConfig, mapping: TableMapping
-) -> list[tuple[PairRecord, Reading]]:
     read = [_read_record(path, config, mapping) for path in paths]
     return sorted(read, key=lambda each: each[0].bend)
 
@@ -315,7 +308,7 @@ def main(args: argparse.Namespace) -> int:
     if mapping.options():
         raise UsageError(f"{args.mapping}: columns: those of a pair are named in --columns FILE")
     (records, read), (further, validated) = (
-        tuple(zip(*_read_files(paths, config, mapping), strict=True)) or ((), ())
+        tuple(zip(*read_records(paths, config, mapping), strict=True)) or ((), ())
         for paths in (args.data, args.validate)
     )
     if args.out is not None:

@@ -45,10 +45,6 @@ class Bilateral(NamedTuple):
         """Non-zero hash of these settings; each side sends its own."""
         return _compute_signature(self)
 
-    def differs(self, signature: int) -> bool:
-        """Return whether the peer's `signature` belongs to other settings than these."""
-        return signature not in (NO_SIGNATURE, self.signature)
-
 
 class BilateralSettings(Struct):
     """A `Bilateral` for compiled functions; only the coupling of its `kind` is used."""

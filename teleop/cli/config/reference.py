@@ -107,11 +107,6 @@ def select_sections(section: str) -> list[Section]:
 # --- as Markdown
 
 
-def render_config_reference() -> str:
-    """Return the page of all keys as Markdown."""
-    return render_markdown("")
-
-
 def render_markdown(section: str) -> str:
     """Return the keys of a section and those inside it, of all without one, as Markdown."""
     parts = [] if section else [_INTRODUCTION]

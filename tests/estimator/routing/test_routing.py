@@ -44,31 +44,6 @@ def test_a_joint_with_a_spring_needs_no_antagonist():
     assert (routing.find_pretension_pattern() > 0.0).all()
 
 
-@settings(deadline=None, max_examples=50)
-@given(
-    st.tuples(*[st.floats(-1.0, 1.0)] * 2),
-    st.sampled_from([PAIRS, ONE_MORE]),
-)
-def test_angles_follow_from_the_travels_of_taut_tendons(angles, radii):
-    routing = Routing(radii)
-    travel = routing.get_travel(angles)
-    slack = np.zeros(len(radii), dtype=bool)
-    slack[0] = True
-    travel[0] = 0.1  # says nothing
-    found, is_told = routing.find_angles(travel, [0.3, 0.3], slack)
-    assert is_told.all()
-    np.testing.assert_allclose(found, angles, atol=1e-9)
-
-
-def test_a_joint_that_only_slack_tendons_move_keeps_its_angle():
-    routing = Routing(PAIRS)
-    travel = routing.get_travel([0.2, -0.4])
-    found, is_told = routing.find_angles(travel, [0.0, 0.7], [False, False, True, True])
-    np.testing.assert_allclose(found, [0.2, 0.7], atol=1e-12)
-    assert is_told.tolist() == [True, False]
-    assert not routing.find_angles(travel, [0.0, 0.7], True)[1].any()
-
-
 @pytest.mark.parametrize("radii", [PAIRS, ONE_MORE])
 def test_pretension_balances_above_the_minimum_or_is_refused(radii):
     routing = Routing(radii)

@@ -82,7 +82,9 @@ def test_files_are_read_in_the_order_of_their_bends_whatever_their_unit(tmp_path
         np.savetxt(path, np.column_stack(rows[1:]), delimiter=",", header=COLUMNS, comments="")
     config = tmp_path / "columns.yaml"
     config.write_text("unit: rad\nbend: 'x_{bend}_'\nbends: [{file: x_0.5_.csv, bend: 0.25}]\n")
-    found = read_records(names, load(config, PairConfig, None))
+    found = [
+        record for record, _ in read_records(names, load(config, PairConfig, None), TableMapping())
+    ]
     assert [record.bend for record in found] == [0.25, 1.5]
     np.testing.assert_allclose(found[1].angle, rows.angle)
 
@@ -95,7 +97,7 @@ def test_a_mapping_tells_rate_decimals_and_run(tmp_path):
     text = path.read_text().replace(".", ",")
     path.write_text(text + text)
     mapping = TableMapping(rate_hz=50.0, decimal="comma", run=2)
-    (found,) = read_records([path], PairConfig(), mapping)
+    ((found, _),) = read_records([path], PairConfig(), mapping)
     np.testing.assert_allclose(found.time, np.arange(60) / 50.0)
     np.testing.assert_allclose(found.tension_b, rows.tension_b, atol=1e-3)
 
@@ -151,4 +153,4 @@ def test_a_dead_sensor_and_degrees_are_named(tmp_path, changed, unit, message):
     np.savetxt(path, rows, delimiter=",", header=COLUMNS, comments="")
     config.write_text(f"unit: {unit}\n")
     with pytest.raises(UsageError, match=re.escape(message)):
-        read_records([path], load(config, PairConfig, None))
+        read_records([path], load(config, PairConfig, None), TableMapping())

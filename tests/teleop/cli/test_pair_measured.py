@@ -6,6 +6,7 @@ import pytest
 from estimator.pair.pair_fit import PairVariant
 from estimator.pair.pair_study import COMMAND, SHARE, run_study
 from teleop.cli.pair import PairConfig, read_records
+from teleop.data.mapping import TableMapping
 
 pytestmark = [pytest.mark.measured, pytest.mark.slow]
 
@@ -15,7 +16,9 @@ def found(measured_data):
     files = sorted((measured_data / "endoscope-pair").glob("bend*.csv"))
     if not files:
         pytest.skip(f"no endoscope-pair in {measured_data}")
-    return run_study(read_records(files, PairConfig()))
+    return run_study(
+        tuple(record for record, _ in read_records(files, PairConfig(), TableMapping()))
+    )
 
 
 def shares(found, method):
