@@ -8,6 +8,7 @@ from master.feedback import FeedbackConfig
 from master.gate import GateConfig
 from master.mapping_config import MappingConfig
 from master.operator import OperatorConfig
+from teleop.config.ranges import build_ranged_field, check_ranges
 from teleop.errors import UsageError
 from teleop.session.config import RATE_MAX_HZ, RATE_MIN_HZ, require_periods
 
@@ -23,27 +24,21 @@ class MasterConfig:
     operator: OperatorConfig = field(default_factory=OperatorConfig)
     force: FeedbackConfig = field(default_factory=FeedbackConfig)
     gate: GateConfig = field(default_factory=GateConfig)
-    state_timeout: float = 0.030  # [s] an older slave state is not rendered
+    # an older slave state is not rendered
+    state_timeout: float = build_ranged_field(0.030, 0.0, 0.5, "s", above=True)
     delay_max: float = 0.100  # [s] largest round trip: age of the command that the state answers
-    # [Hz] at which the device is read and written: a whole multiple of rate_hz; null = rate_hz
-    device_rate_hz: float | None = None
+    # at which the device is read and written: a whole multiple of rate_hz; null = rate_hz
+    device_rate_hz: float | None = build_ranged_field(None, RATE_MIN_HZ, RATE_MAX_HZ, "Hz")
 
     def __post_init__(self) -> None:
         """Check the values; raises `ValueError`."""
-        if not 0.0 < self.state_timeout <= 0.5:
-            raise ValueError("state_timeout: must be above 0 and at most 0.5 [s]")
+        check_ranges(self)
         if not self.state_timeout <= self.delay_max <= 1.0:
             raise ValueError("delay_max: must be at least state_timeout and at most 1 [s]")
         room = min(self.force.limit, self.gate.axis_max)
         if any(abs(force) >= room for force in self.operator.weight):
             raise ValueError(
                 f"operator.weight: must be small enough to stay below force.limit ({room:g} N)"
-            )
-        if self.device_rate_hz is not None and not (
-            RATE_MIN_HZ <= self.device_rate_hz <= RATE_MAX_HZ
-        ):
-            raise ValueError(
-                f"device_rate_hz: must be within {RATE_MIN_HZ:g} ... {RATE_MAX_HZ:g} [Hz]"
             )
 
     def check_rate(self, rate_hz: float) -> None:

@@ -21,6 +21,7 @@ import numpy as np
 
 from estimator.array_types import Array
 from estimator.compiled import jit_compile
+from teleop.config.ranges import RangedConfig, build_ranged_field
 from teleop.coupling.config import BilateralSettings
 from teleop.coupling.force_attenuation import attenuate_forces
 from teleop.messages.messages import MAX_JOINTS, STATUS_NAMES, SlaveState
@@ -30,21 +31,14 @@ INVALID = 1 << STATUS_NAMES.index("invalid input")
 
 
 @dataclass(frozen=True, slots=True)
-class FeedbackConfig:
+class FeedbackConfig(RangedConfig):
     """How the force at the tips is rendered."""
 
-    scale: float = 0.2  # force on the hand per force at the tip
-    limit: float = 2.5  # [N] on one axis; rendering saturates here, below the gate's limits
-    slew: float = 150.0  # [N/s] at which a force on one axis grows, below the gate's limit
-
-    def __post_init__(self) -> None:
-        """Check the values; raises `ValueError`."""
-        if not 0.0 <= self.scale <= 10.0:
-            raise ValueError("scale: must be within 0 ... 10")
-        if not 0.0 < self.limit < math.inf:
-            raise ValueError("limit: must be above 0 [N] and finite")
-        if not 0.0 < self.slew < math.inf:
-            raise ValueError("slew: must be above 0 [N/s] and finite")
+    scale: float = build_ranged_field(0.2, 0.0, 10.0)  # force on the hand per force at the tip
+    # on one axis; rendering saturates here, below the gate's limits
+    limit: float = build_ranged_field(2.5, 0.0, math.inf, "N", above=True)
+    # at which a force on one axis grows, below the gate's limit
+    slew: float = build_ranged_field(150.0, 0.0, math.inf, "N/s", above=True)
 
 
 @jit_compile

@@ -23,6 +23,7 @@ from estimator.array_types import Array
 from estimator.compiled import jit_compile
 from master.hand_input import is_all_finite
 from teleop.config.bounds import Bound, check_bounds
+from teleop.config.ranges import build_ranged_field, check_ranges
 from teleop.messages.messages import MAX_JOINTS
 from teleop.runtime.clock import STEP_MAX_S
 
@@ -39,17 +40,19 @@ FADE_S = 0.015  # [s] within which the largest force on one axis is gone; 30 ms 
 class GateConfig:
     """Force limits of device and hand; `FeedbackConfig.limit`, for rendering, lies below them."""
 
-    axis_max: float = 3.0  # [N] on one axis; desktop haptic devices reach about 3 N
-    total_max: float = 4.0  # [N] length of the force vector
-    slew_max: float = 200.0  # [N/s] at which a force may grow
-    torque_max: float = 0.15  # [N m] on one axis that turns; counts in all limits as axis_max
+    # on one axis; desktop haptic devices reach about 3 N
+    axis_max: float = build_ranged_field(3.0, 0.0, math.inf, "N", above=True)
+    # length of the force vector
+    total_max: float = build_ranged_field(4.0, 0.0, math.inf, "N", above=True)
+    # at which a force may grow
+    slew_max: float = build_ranged_field(200.0, 0.0, math.inf, "N/s", above=True)
+    # on one axis that turns; counts in all limits as axis_max
+    torque_max: float = build_ranged_field(0.15, 0.0, math.inf, "N m", above=True)
     exceed_bounds: bool = False  # accept limits beyond those of docs/explanation/safety.md
 
     def __post_init__(self) -> None:
         """Check the values; raises `ValueError`."""
-        for name in ("axis_max", "total_max", "slew_max", "torque_max"):
-            if not 0.0 < getattr(self, name) < math.inf:
-                raise ValueError(f"{name}: must be above 0 and finite")
+        check_ranges(self)
         check_bounds(self, BOUNDS, self.exceed_bounds)
 
     @property

@@ -5,6 +5,7 @@ from typing import Literal
 
 from estimator.kinematics.fixtures import FixturesConfig
 from estimator.kinematics.inverse import InverseConfig
+from teleop.config.ranges import build_ranged_field, check_ranges
 from teleop.messages.messages import MAX_JOINTS
 
 # --- axes of the device assigned to joints
@@ -14,22 +15,21 @@ from teleop.messages.messages import MAX_JOINTS
 class MappedJointConfig:
     """Which axis of the device moves a joint, and how."""
 
-    axis: int | None = None  # counted from 0; null = the joint is not moved
+    # counted from 0; null = the joint is not moved
+    axis: int | None = build_ranged_field(None, 0, MAX_JOINTS - 1)
     # the axis turns: it is read in rad below, and gets a torque [N m], bounded by gate.torque_max
     turns: bool = False
     scale: float = 1.0  # times operator.position_scale; negative = the other way; m/rad if it turns
-    dead_band: float = 0.0  # [m] of the hand around 0 that moves nothing
+    # of the hand around 0 that moves nothing
+    dead_band: float = build_ranged_field(0.0, 0.0, 0.1, "m")
     # [m] of the hand; beyond it the joint stays, to which it comes to rest within the last tenth
     range: tuple[float, float] = (-1.0, 1.0)
 
     def __post_init__(self) -> None:
         """Check the values; raises `ValueError`."""
-        if self.axis is not None and not 0 <= self.axis < MAX_JOINTS:
-            raise ValueError(f"axis: must be 0 to {MAX_JOINTS - 1}, or null")
+        check_ranges(self)
         if not 0.0 < abs(self.scale) <= 100.0:
             raise ValueError("scale: must not be 0, and at most 100 either way")
-        if not 0.0 <= self.dead_band <= 0.1:
-            raise ValueError("dead_band: must be 0 to 0.1 [m]")
         if not self.range[0] < 0.0 < self.range[1]:
             raise ValueError("range: must be [from, to] of the hand, with 0 between them")
 
@@ -66,19 +66,21 @@ class SpaceHandConfig:
     axes: tuple[HandAxis, ...] = ("x", "y", "z")
     scales: tuple[float, ...] = ()  # of each of `axes` beside the others; negative = the other way
     dead_bands: tuple[float, ...] = ()  # [m], [rad] of each around 0 that move nothing
-    rotation_scale: float = 1.0  # rotation of the tip over that of the hand
+    # rotation of the tip over that of the hand
+    rotation_scale: float = build_ranged_field(1.0, 0.0, 10.0, above=True)
     grip_scale: float = 1.0  # travel of the gripper's joint over that of the grip axis
     # [rad] roll, pitch, yaw of the device in the frame of the arm's base, or of the camera
     registration: tuple[float, float, float] = (0.0, 0.0, 0.0)
     lock: tuple[HandAxis, ...] = ()  # that move nothing
     align_orientation: bool = False  # the tip turns until it has the hand's orientation
     # [rad] before its limit within which a joint comes to rest; [m] times rotation_length
-    stop_distance: float = 0.05
+    stop_distance: float = build_ranged_field(0.05, 1e-4, 0.5, "rad")
     inverse: InverseConfig = field(default_factory=InverseConfig)  # of the kinematics
     fixtures: FixturesConfig = field(default_factory=FixturesConfig)  # springs in the hand
 
     def __post_init__(self) -> None:
         """Check the values; raises `ValueError`."""
+        check_ranges(self)
         if not self.axes or len(set(self.axes)) != len(self.axes):
             raise ValueError(f"axes: each at most once, of {', '.join(HAND_AXES)}")
         for name, low in (("scales", -100.0), ("dead_bands", 0.0)):
@@ -89,12 +91,8 @@ class SpaceHandConfig:
                 raise ValueError(f"{name}: must be {low:g} to 100")
         if 0.0 in self.scales:
             raise ValueError("scales: must not be 0; name axes that move nothing under lock")
-        if not 0.0 < self.rotation_scale <= 10.0:
-            raise ValueError("rotation_scale: must be above 0 and at most 10")
         if not 0.0 < abs(self.grip_scale) <= 100.0:
             raise ValueError("grip_scale: must not be 0, and at most 100 either way")
-        if not 1e-4 <= self.stop_distance <= 0.5:
-            raise ValueError("stop_distance: must be 0.0001 to 0.5 [rad]")
         rotations = {"roll", "pitch", "yaw"} - set(self.lock)
         if self.align_orientation and (
             self.rotation_scale != 1.0 or len(rotations & set(self.axes)) < 3

@@ -14,7 +14,7 @@ requires the hand at the position of the tip.
 """
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
@@ -24,7 +24,7 @@ from estimator.array_types import Array
 from estimator.compiled import jit_compile
 from estimator.records import F64, U64, Field, Flag, Struct, StructArray, view_struct
 from master.hand_input import Axes, HandInput, fill_axes
-from teleop.config.loading import MAY_BE_INFINITE
+from teleop.config.ranges import build_ranged_field, check_ranges
 from teleop.messages.messages import MAX_JOINTS, SlaveState
 from teleop.session.state_machine import Reason
 
@@ -36,42 +36,32 @@ LockFlags = Annotated[NDArray[np.uint8], Field("u1", MAX_JOINTS)]
 class OperatorConfig:
     """How hand motion becomes tip motion. Axis k of the device moves joint k."""
 
-    position_scale: float = 0.25  # tip travel per hand travel
-    lock: tuple[int, ...] = ()  # axes, counted from 0, that do not move their joint
-    align: float = field(  # [m] of the tip: largest distance for engaging; inf = no check
-        default=math.inf, metadata=MAY_BE_INFINITE
-    )
-    presence: float = field(  # [s] without motion: no hand at the device; inf = no check
-        default=math.inf, metadata=MAY_BE_INFINITE
-    )
-    presence_motion: float = 20e-6  # [m] motion threshold of that check
+    # tip travel per hand travel
+    position_scale: float = build_ranged_field(0.25, 0.0, 10.0, above=True)
+    # axes, counted from 0, that do not move their joint
+    lock: tuple[int, ...] = build_ranged_field((), 0, MAX_JOINTS - 1)
+    # of the tip: largest distance for engaging; inf = no check
+    align: float = build_ranged_field(math.inf, 0.0, math.inf, "m", above=True)
+    # without motion: no hand at the device; inf = no check
+    presence: float = build_ranged_field(math.inf, 0.1, math.inf, "s")
+    # motion threshold of that check
+    presence_motion: float = build_ranged_field(20e-6, 0.0, 0.01, "m", above=True)
     workspace: tuple[tuple[float, float], ...] = ()  # [m], [rad] of the hand, [from, to] per axis
-    wall: float = 300.0  # [N/m] stiffness of the workspace limits, at the hand
-    wall_damping: float = 2.0  # [N s/m] damping of outward motion
-    wall_max: float = 2.0  # [N] largest force of a limit on one axis
-    weight: tuple[float, ...] = ()  # [N], [N m] weight compensation of the device, per axis
+    # stiffness of the workspace limits, at the hand
+    wall: float = build_ranged_field(300.0, 0.0, 2000.0, "N/m")
+    wall_damping: float = build_ranged_field(2.0, 0.0, 20.0, "N s/m")  # damping of outward motion
+    # largest force of a limit on one axis
+    wall_max: float = build_ranged_field(2.0, 0.0, 10.0, "N")
+    # [N], [N m] weight compensation of the device, per axis
+    weight: tuple[float, ...] = build_ranged_field((), -10.0, 10.0)
 
     def __post_init__(self) -> None:
         """Check the values; raises `ValueError`."""
-        if not 0.0 < self.position_scale <= 10.0:
-            raise ValueError("position_scale: must be above 0 and at most 10")
-        if not all(0 <= axis < MAX_JOINTS for axis in self.lock):
-            raise ValueError(f"lock: axes must be 0 to {MAX_JOINTS - 1}")
-        if not self.align > 0.0:
-            raise ValueError("align: must be above 0 [m]")
-        if not self.presence >= 0.1:
-            raise ValueError("presence: must be at least 0.1 [s]")
-        if not 0.0 < self.presence_motion <= 0.01:
-            raise ValueError("presence_motion: must be above 0 and at most 0.01 [m]")
+        check_ranges(self)
         if not all(low < high for low, high in self.workspace):
             raise ValueError("workspace: pairs [from, to] in metres, from below to")
-        for name, most, unit in (("wall", 2000, "N/m"), ("wall_damping", 20, "N s/m")):
-            if not 0.0 <= getattr(self, name) <= most:
-                raise ValueError(f"{name}: must be 0 to {most} [{unit}]")
-        if not 0.0 <= self.wall_max <= 10.0:
-            raise ValueError("wall_max: must be 0 to 10 [N]")
-        if len(self.weight) > MAX_JOINTS or not all(abs(force) <= 10.0 for force in self.weight):
-            raise ValueError("weight: one number an axis, at most 10 [N] each")
+        if len(self.weight) > MAX_JOINTS:
+            raise ValueError("weight: one number an axis")
 
 
 class OperatorSettings(Struct):

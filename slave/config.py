@@ -22,6 +22,7 @@ from slave.rigs.simulated import SimulatedRigConfig, TendonPlantConfig
 from slave.tendon_config import TendonConfig
 from teleop.config.arm import ArmConfig
 from teleop.config.bounds import build_bounds_warnings
+from teleop.config.ranges import build_ranged_field, check_ranges
 from teleop.coupling import CouplingConfig, DirectConfig
 from teleop.errors import UsageError
 from teleop.messages.messages import MAX_TENDONS
@@ -56,11 +57,13 @@ class SlaveConfig:
     fault_detection: FaultDetectionConfig = field(default_factory=FaultDetectionConfig)
     gate: GateConfig = field(default_factory=GateConfig)
     # [s] a command older than this makes the slave hold: < 30 ms in all
-    command_timeout: float = 0.028
-    sample_timeout: float = 0.100  # [s] without a usable sample; longer is a fault
+    command_timeout: float = build_ranged_field(0.028, 0.0, 0.5, "s", above=True)
+    # without a usable sample; longer is a fault
+    sample_timeout: float = build_ranged_field(0.100, 0.0, 1.0, "s", above=True)
 
     def __post_init__(self) -> None:
         """Check the values; raises `ValueError`."""
+        check_ranges(self)
         if self.tendons and self.calibration:
             raise ValueError("calibration: conflicts with tendons; use one of them")
         if self.calibration == AS_BUILT and not isinstance(self.rig, SimulatedRigConfig):
@@ -81,10 +84,6 @@ class SlaveConfig:
             )
         if len(self.tendons) > MAX_TENDONS:
             raise ValueError(f"tendons: at most {MAX_TENDONS}")
-        if not 0.0 < self.command_timeout <= 0.5 or not math.isfinite(self.command_timeout):
-            raise ValueError("command_timeout: must be above 0 and at most 0.5 s")
-        if not 0.0 < self.sample_timeout <= 1.0:
-            raise ValueError("sample_timeout: must be above 0 and at most 1 s")
 
     def check_rate(self, rate_hz: float) -> None:
         """Check the timeouts against the link's rate [Hz]; `UsageError`."""

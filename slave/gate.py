@@ -19,7 +19,7 @@ from estimator.records import F64, Struct, StructArray
 from slave.control.joint import JointEstimates
 from slave.tendons import RigLayout
 from teleop.config.bounds import Bound, check_bounds
-from teleop.config.loading import MAY_BE_INFINITE
+from teleop.config.ranges import MAY_BE_INFINITE, build_ranged_field, check_ranges
 from teleop.runtime.clock import STEP_MAX_S
 
 BOUNDS = (
@@ -35,40 +35,31 @@ BOUNDS = (
 class GateConfig:
     """Limits of one rig, the same for each of its tendons and joints."""
 
-    displacement_min: float = -0.005  # [m] furthest pay-out
-    displacement_max: float = 0.060  # [m] furthest pull
-    speed_max: float = 0.10  # [m/s] of a motor's tendon
-    tension_max: float = 25.0  # [N] at the housing; above it a tendon is only paid out
-    tension_age_max: float = 0.030  # [s] without a newer tension a tendon is only paid out
+    displacement_min: float = build_ranged_field(-0.005, -math.inf, 0.0, "m")  # furthest pay-out
+    displacement_max: float = build_ranged_field(0.060, 0.0, math.inf, "m")  # furthest pull
+    # of a motor's tendon
+    speed_max: float = build_ranged_field(0.10, 0.0, math.inf, "m/s", above=True)
+    # at the housing; above it a tendon is only paid out
+    tension_max: float = build_ranged_field(25.0, 0.0, math.inf, "N", above=True)
+    # without a newer tension a tendon is only paid out
+    tension_age_max: float = build_ranged_field(0.030, 0.0, 0.5, "s", above=True)
     joint_min: float = field(  # [m] lowest estimated travel of a joint
         default=-math.inf, metadata=MAY_BE_INFINITE
     )
     joint_max: float = field(  # [m] highest estimated travel of a joint
         default=math.inf, metadata=MAY_BE_INFINITE
     )
-    force_max: float = field(  # [N] estimated at a tip; above it the joint moves no further
-        default=math.inf, metadata=MAY_BE_INFINITE
-    )
-    yield_gain: float = 0.004  # [m/s/N] paying-out gain of a holding tendon above tension_max
+    # estimated at a tip; above it the joint moves no further
+    force_max: float = build_ranged_field(math.inf, 0.0, math.inf, "N", above=True)
+    # paying-out gain of a holding tendon above tension_max
+    yield_gain: float = build_ranged_field(0.004, 0.0, 1.0, "m/s/N")
     exceed_bounds: bool = False  # accept limits beyond those of docs/explanation/safety.md
 
     def __post_init__(self) -> None:
         """Check the values; raises `ValueError`."""
-        for name in ("displacement_min", "displacement_max", "speed_max", "tension_max"):
-            if not math.isfinite(getattr(self, name)):
-                raise ValueError(f"{name}: must be finite")
-        if not self.displacement_min <= 0.0 <= self.displacement_max:
-            raise ValueError("displacement_min: must be at most 0, displacement_max at least 0")
-        if self.speed_max <= 0.0 or self.tension_max <= 0.0:
-            raise ValueError("speed_max, tension_max: must be above 0")
-        if not 0.0 < self.tension_age_max <= 0.5:
-            raise ValueError("tension_age_max: must be above 0 and at most 0.5 s")
+        check_ranges(self)
         if not self.joint_min < self.joint_max:
             raise ValueError("joint_min: must be below joint_max")
-        if not self.force_max > 0.0:
-            raise ValueError("force_max: must be above 0 [N]")
-        if not 0.0 <= self.yield_gain <= 1.0:
-            raise ValueError("yield_gain: must be 0 to 1 [m/s/N]")
         check_bounds(self, BOUNDS, self.exceed_bounds)
 
 

@@ -20,6 +20,7 @@ import numpy as np
 
 from master.device import Axes, DeviceFault, DeviceLost, HandState
 from master.devices.commands import SIZE, CommandMotion, CommandRecord
+from teleop.config.ranges import RangedConfig, build_ranged_field
 from teleop.errors import TeleopError, UsageError
 from teleop.messages.messages import MAX_JOINTS
 
@@ -34,19 +35,13 @@ _FORCES = struct.Struct(f"<{MAX_JOINTS}d")
 
 
 @dataclass(frozen=True, slots=True)
-class ProgramConfig:
+class ProgramConfig(RangedConfig):
     """A program that moves the hand: `teleop.Session(..., operator=True)`."""
 
     type: Literal["program"] = "program"
-    axes: int = 1  # of the hand; each moves a joint
-    timeout: float = 1.0  # [s] of silence after which the engage switch opens
-
-    def __post_init__(self) -> None:
-        """Check the values; raises `ValueError`."""
-        if not 1 <= self.axes <= MAX_JOINTS:
-            raise ValueError(f"axes: must be within 1 ... {MAX_JOINTS}")
-        if not 0.01 <= self.timeout <= 60.0:
-            raise ValueError("timeout: must be within 0.01 ... 60 [s]")
+    axes: int = build_ranged_field(1, 1, MAX_JOINTS)  # of the hand; each moves a joint
+    # of silence after which the engage switch opens
+    timeout: float = build_ranged_field(1.0, 0.01, 60.0, "s")
 
     @property
     def axis_count(self) -> int:

@@ -16,6 +16,7 @@ from typing import Literal
 
 from master.device import Axes, DeviceFault, DeviceLost, HandState
 from master.devices.commands import SIZE, CommandMotion, CommandRecord
+from teleop.config.ranges import build_ranged_field, check_ranges
 from teleop.messages.messages import MAX_JOINTS
 from teleop.ros.message_types import MISSING_EXTRA
 from teleop.runtime.child_process import end_process, start_module
@@ -34,17 +35,22 @@ class RosDeviceConfig:
     axes: int = 1
     # positions, velocities, or the pose of a hand (master.mapping of type space)
     command: Literal["servo_jp", "servo_cv", "servo_cp"] = "servo_jp"
-    timeout: float = 0.1  # [s] of silence, or of delay, after which it is a fault
-    position_max: float = 1.0  # [m] a position beyond is a fault
-    speed_max: float = 0.5  # [m/s] a faster command is a fault
-    turn_speed_max: float = 5.0  # [rad/s] a faster turn of a pose is a fault
-    rate_max: float = 2000.0  # [Hz] more messages are a fault
+    # of silence, or of delay, after which it is a fault
+    timeout: float = build_ranged_field(0.1, 0.005, 1.0, "s")
+    # a position beyond is a fault
+    position_max: float = build_ranged_field(1.0, 0.0, 10.0, "m", above=True)
+    # a faster command is a fault
+    speed_max: float = build_ranged_field(0.5, 0.0, 10.0, "m/s", above=True)
+    # a faster turn of a pose is a fault
+    turn_speed_max: float = build_ranged_field(5.0, 0.0, 10.0, "rad/s", above=True)
+    rate_max: float = build_ranged_field(2000.0, 10.0, 10_000.0, "Hz")  # more messages are a fault
     domain: int = 0  # ROS_DOMAIN_ID, as in the section `ros`
     router: str = "tcp/127.0.0.1:7447"  # of rmw_zenoh, as in the section `ros`
     prefix: str = ""  # before the names of topics, as in the section `ros`
 
     def __post_init__(self) -> None:
         """Check the values; raises `ValueError`."""
+        check_ranges(self)
         # here, as the network's packages are slow to load, and no other device needs them
         from teleop.ros.config import DOMAIN_MAX, check_router
         from teleop.ros.graph import is_name
@@ -55,18 +61,7 @@ class RosDeviceConfig:
         else:
             axes_max = MAX_JOINTS if self.command == "servo_jp" else TWIST_AXES
             if not 1 <= self.axes <= axes_max:
-                raise ValueError(f"axes: must be within 1 ... {axes_max} for {self.command}")
-        if not 0.005 <= self.timeout <= 1.0:
-            raise ValueError("timeout: must be within 0.005 ... 1 [s]")
-        for name, unit in (
-            ("position_max", "m"),
-            ("speed_max", "m/s"),
-            ("turn_speed_max", "rad/s"),
-        ):
-            if not 0.0 < getattr(self, name) <= 10.0 or math.isnan(getattr(self, name)):
-                raise ValueError(f"{name}: must be above 0 and at most 10 [{unit}]")
-        if not 10.0 <= self.rate_max <= 10_000.0:
-            raise ValueError("rate_max: must be within 10 ... 10000 [Hz]")
+                raise ValueError(f"axes: must be 1 to {axes_max} for {self.command}")
         if not 0 <= self.domain <= DOMAIN_MAX:
             raise ValueError(f"domain: must be 0 to {DOMAIN_MAX}")
         check_router(self.router)

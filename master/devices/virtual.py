@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from master.device import Axes, DeviceFault, HandState
-from teleop.config.loading import MAY_BE_INFINITE
+from teleop.config.ranges import MAY_BE_INFINITE, build_ranged_field, check_ranges
 
 # --- reference motions of a scripted hand: position and velocity as functions of time
 
@@ -41,16 +41,14 @@ class Sine:
     """A sine: x = offset + amplitude * sin(2 pi frequency t)."""
 
     type: Literal["sine"] = "sine"
-    amplitude: float = 0.02  # [m] of the motion
-    frequency: float = 0.5  # [Hz] people move freely up to about 5 Hz
+    amplitude: float = build_ranged_field(0.02, 0.0, 1.0, "m")  # of the motion
+    # people move freely up to about 5 Hz
+    frequency: float = build_ranged_field(0.5, 0.0, 20.0, "Hz")
     offset: float = 0.0  # [m] middle of the motion
 
     def __post_init__(self) -> None:
         """Check the values; raises `ValueError`."""
-        if not 0.0 <= self.amplitude <= 1.0:
-            raise ValueError("amplitude: must be within 0 ... 1 [m]")
-        if not 0.0 <= self.frequency <= 20.0:
-            raise ValueError("frequency: must be within 0 ... 20 [Hz]")
+        check_ranges(self)
         if not math.isfinite(self.offset):
             raise ValueError("offset: must be finite [m]")
 
@@ -75,17 +73,14 @@ class Reaches:
     type: Literal["reaches"] = "reaches"
     # [m] one after the other; by default with nested reversals
     targets: tuple[float, ...] = (0.0, 0.05, 0.02, 0.04, 0.01, 0.055)
-    reach: float = 0.8  # [s] duration of each reach
-    rest: float = 0.3  # [s] at each target
+    reach: float = build_ranged_field(0.8, 0.0, math.inf, "s", above=True)  # duration of each reach
+    rest: float = build_ranged_field(0.3, 0.0, math.inf, "s")  # at each target
 
     def __post_init__(self) -> None:
         """Check the values; raises `ValueError`."""
+        check_ranges(self)
         if not self.targets or not all(math.isfinite(target) for target in self.targets):
             raise ValueError("targets: at least one, all finite [m]")
-        if not 0.0 < self.reach < math.inf:
-            raise ValueError("reach: must be above 0 and finite [s]")
-        if not 0.0 <= self.rest < math.inf:
-            raise ValueError("rest: must be at least 0 and finite [s]")
 
     def at(self, time_s: float) -> tuple[float, float]:
         """Return position [m] and velocity [m/s]."""
@@ -139,38 +134,27 @@ class VirtualConfig:
     """A scripted hand."""
 
     type: Literal["virtual"] = "virtual"
-    axes: int = 1  # joints that it moves
-    axis_delay: float = 0.25  # [s] by which each further axis follows the script later
-    mass: float = 0.3  # [kg] hand and handle
-    stiffness: float = 300.0  # [N/m] of the arm about its reference
-    damping: float = 10.0  # [N s/m] of the arm
+    axes: int = build_ranged_field(1, 1, 8)  # joints that it moves
+    # by which each further axis follows the script later
+    axis_delay: float = build_ranged_field(0.25, 0.0, math.inf, "s")
+    mass: float = build_ranged_field(0.3, 0.001, 100.0, "kg")  # hand and handle
+    stiffness: float = build_ranged_field(300.0, 0.0, 1e5, "N/m")  # of the arm about its reference
+    damping: float = build_ranged_field(10.0, 0.0, 1e4, "N s/m")  # of the arm
     reference: Reference = field(default_factory=Reaches)  # motion of the hand
     engage: tuple[tuple[float, float], ...] = field(  # [s] the switch is held from ... to ...
         default=((0.5, math.inf),), metadata=MAY_BE_INFINITE
     )
-    engage_period: float = field(  # [s] after which `engage` starts over
-        default=math.inf, metadata=MAY_BE_INFINITE
-    )
+    # after which `engage` starts over
+    engage_period: float = build_ranged_field(math.inf, 0.0, math.inf, "s", above=True)
 
     def __post_init__(self) -> None:
         """Check the values; raises `ValueError`."""
-        if not 1 <= self.axes <= 8:
-            raise ValueError("axes: must be within 1 ... 8")
+        check_ranges(self)
         if isinstance(self.reference, Waypoints) and len(self.reference.points[0]) != self.axes:
             raise ValueError(f"reference.points: must have {self.axes} numbers each, as axes says")
-        if not 0.0 <= self.axis_delay < math.inf:
-            raise ValueError("axis_delay: must be at least 0 and finite [s]")
-        if not 0.001 <= self.mass <= 100.0:
-            raise ValueError("mass: must be within 0.001 ... 100 [kg]")
-        if not 0.0 <= self.stiffness <= 1e5:
-            raise ValueError("stiffness: must be within 0 ... 100000 [N/m]")
-        if not 0.0 <= self.damping <= 1e4:
-            raise ValueError("damping: must be within 0 ... 10000 [N s/m]")
         times = [time for span in self.engage for time in span]
         if times != sorted(times) or any(math.isnan(t) or t < 0.0 for t in times):
             raise ValueError("engage: pairs [from, to] in seconds, in order, not overlapping")
-        if not self.engage_period > 0.0:
-            raise ValueError("engage_period: must be above 0 [s]")
 
     @property
     def axis_count(self) -> int:

@@ -2,25 +2,18 @@
 
 from dataclasses import dataclass, replace
 
-from slave.ranged_field import build_ranged_field, check_ranges
+from teleop.config.ranges import RangedConfig, build_ranged_field, check_ranges
 
 
 @dataclass(frozen=True, slots=True)
-class KnownSheathConfig:
+class KnownSheathConfig(RangedConfig):
     """Known parameters of a sheath, from its supplier or a stiffness test."""
 
-    length: float = 1.5  # [m] of the sheath
-    axial_stiffness: float | None = None  # EA [N] of tendon and sheath in series
+    length: float = build_ranged_field(1.5, 0.0, 100.0, "m", above=True)  # of the sheath
+    # EA [N] of tendon and sheath in series
+    axial_stiffness: float | None = build_ranged_field(None, 1.0, 1e9, "N")
     # relative standard uncertainty of EA/L
     stiffness_error: float = build_ranged_field(0.02, 0.0, 1.0)
-
-    def __post_init__(self) -> None:
-        """Check the values; raises `ValueError`."""
-        check_ranges(self)
-        if not 0.0 < self.length <= 100.0:
-            raise ValueError("length: must be above 0 and at most 100 m")
-        if self.axial_stiffness is not None and not 1.0 <= self.axial_stiffness <= 1e9:
-            raise ValueError("axial_stiffness: must be 1 to 1e9 N")
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,7 +22,8 @@ class InitialiseConfig:
 
     at_start: bool = False  # run the quick procedure whenever the slave starts
     sheaths: tuple[KnownSheathConfig, ...] = ()  # one for each tendon, or one for all
-    range: float | None = None  # [m] travel of every joint between its stops, where it is known
+    # travel of every joint between its stops, where it is known
+    range: float | None = build_ranged_field(None, 1e-3, 10.0, "m")
     # allowed relative deviation of the measured range
     range_error: float = build_ranged_field(0.05, 0.001, 1.0, "of the range")
     # upper end of each loop, against the stop
@@ -44,7 +38,8 @@ class InitialiseConfig:
     stretch_speed: float = build_ranged_field(0.002, 1e-5, 0.1, "m/s")
     stretch_time: float = build_ranged_field(3.0, 0.1, 60.0, "s")  # of each later pull and release
     loops: int = build_ranged_field(3, 1, 10)  # pull-release loops after the first pull
-    drags: int = 2  # drags after the loops: a draws b out, then b draws a; 1 or 2
+    # after the loops: a draws b out, then b draws a
+    drags: int = build_ranged_field(2, 1, 2)
     drag_time: float = build_ranged_field(3.0, 0.1, 60.0, "s")  # least duration of each
     # relative standard uncertainty of each load cell's gain
     gain_error: float = build_ranged_field(0.002, 0.0, 1.0, "of the tension")
@@ -64,10 +59,6 @@ class InitialiseConfig:
     def __post_init__(self) -> None:
         """Check the values; raises `ValueError`."""
         check_ranges(self)
-        if self.drags not in (1, 2):
-            raise ValueError("drags: must be 1 or 2")
-        if self.range is not None and not 1e-3 <= self.range <= 10.0:
-            raise ValueError("range: must be 0.001 to 10 m, or left out")
         if not max(self.low, self.take_up, self.keep) <= 0.25 * self.tension:
             raise ValueError("tension: must be four times low, take_up and keep, or more")
 

@@ -34,8 +34,8 @@ from estimator.online import tendon_estimate
 from estimator.online.online import TendonModel
 from estimator.online.tendon_estimate import TendonEstimate
 from estimator.records import F64, I64, Field, Flag, Struct, StructArray, view_struct
-from slave.ranged_field import build_ranged_field, check_ranges
 from slave.tendons import EstimatedTendon, RigLayout
+from teleop.config.ranges import build_ranged_field, check_ranges
 
 MOBILISED_SHARE = 0.999  # of the length: the front has reached the tip
 FRONT_DEPTH = 0.7  # of K, up to which the front is inside the sheath even if friction has fallen
@@ -81,7 +81,8 @@ class MonitorConfig:
 
     advise: float = 0.07  # above it a calibration is advised
     demand: float = 0.15  # above it a calibration is demanded
-    transitions: int = 5  # number of latest transitions whose median decides
+    # number of latest transitions whose median decides
+    transitions: int = build_ranged_field(5, MIN_TRANSITIONS, TRANSITIONS_MAX)
     # a demand ends the session, or limits force and motion until the shape is as calibrated
     on_demand: Literal["stop", "degrade"] = "stop"
     # of the forces, rendered at most while degraded
@@ -92,8 +93,6 @@ class MonitorConfig:
         """Check the values; raises `ValueError`."""
         if not 0.0 < self.advise <= self.demand <= 10.0:
             raise ValueError("advise: must be above 0 and at most demand, which is at most 10")
-        if not MIN_TRANSITIONS <= self.transitions <= TRANSITIONS_MAX:
-            raise ValueError(f"transitions: must be {MIN_TRANSITIONS} to {TRANSITIONS_MAX}")
         check_ranges(self)
 
 

@@ -26,8 +26,8 @@ from estimator.signals import update_average
 from slave.calibration import monitor
 from slave.calibration.monitor import FRICTION_FACTORS, Transition
 from slave.control.joint import TAUT_TENSION
-from slave.ranged_field import build_ranged_field, check_ranges
 from slave.tendons import EstimatedTendons, RigLayout
+from teleop.config.ranges import RangedConfig, build_ranged_field
 from teleop.messages.messages import MAX_JOINTS, MAX_TENDONS
 
 K_RATIO_MIN = FRICTION_FACTORS[0]  # least K over the calibrated one
@@ -45,7 +45,7 @@ ACCURACY = 0.02  # of the travel
 
 
 @dataclass(frozen=True, slots=True)
-class ProbingConfig:
+class ProbingConfig(RangedConfig):
     """When and how far motors at rest move to measure friction."""
 
     enabled: bool = False  # at rest, motors move their tendons by what no tip notices
@@ -53,10 +53,6 @@ class ProbingConfig:
     share: float = build_ranged_field(0.75, 0.1, 0.9)
     pause: float = build_ranged_field(0.2, 0.05, 60.0, "s")  # at rest before each probe
     speed: float = build_ranged_field(0.0005, 1e-5, 0.01, "m/s")  # of the motor's tendon
-
-    def __post_init__(self) -> None:
-        """Check the values; raises `ValueError`."""
-        check_ranges(self)
 
 
 class ProbeConstants(Struct):

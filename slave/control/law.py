@@ -29,8 +29,8 @@ from estimator.array_types import Array
 from estimator.compiled import jit_compile
 from estimator.records import F64, Field, Flag, Struct
 from slave.control.joint import fuse_travels
-from slave.ranged_field import build_ranged_field, check_ranges
 from slave.tendons import EstimatedTendon, EstimatedTendons, RigLayout, TendonGroup
+from teleop.config.ranges import build_ranged_field, check_ranges
 from teleop.messages.messages import MAX_JOINTS, MAX_TENDONS
 from teleop.runtime.clock import STEP_MAX_S
 

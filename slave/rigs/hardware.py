@@ -15,8 +15,8 @@ from slave.drivers.configs import DriverConfig
 from slave.drivers.connection import DriverProcess
 from slave.drivers.driver import Channels, Counts, DriverFault, Reading
 from slave.drivers.dynamixel.config import DynamixelConfig
-from slave.ranged_field import build_ranged_field, check_ranges
 from slave.rig import RigFault, RigSample, number_joint_tendons
+from teleop.config.ranges import RangedConfig, build_ranged_field, check_ranges
 from teleop.messages.messages import MAX_JOINTS
 
 # --- motor positions and tensions that were sampled at different times, as samples of one time
@@ -119,22 +119,16 @@ STEP_MAX = 0.002  # [m] from where a motor is to its target, before it follows
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class MotorConfig:
+class MotorConfig(RangedConfig):
     """A motor and the pulley that winds its tendon."""
 
     id: int  # on its bus
     # of the pulley that winds the tendon
     pulley_radius: float = build_ranged_field(..., 1e-4, 1.0, "m")
-    counts_per_turn: float  # of the motor's shaft
+    counts_per_turn: float = build_ranged_field(..., 1.0, 1e9)  # of the motor's shaft
     gear: float = build_ranged_field(1.0, 1e-3, 1e5)  # turns of the motor a turn of the pulley
     direction: Literal[1, -1] = 1  # 1: counts grow as the tendon is pulled in
     zero: float = 0.0  # [counts] where the tendon's displacement is 0
-
-    def __post_init__(self) -> None:
-        """Check the values; raises `ValueError`."""
-        check_ranges(self)
-        if not 1.0 <= self.counts_per_turn <= 1e9:
-            raise ValueError("counts_per_turn: must be 1 to 1e9")
 
     @property
     def metres_per_count(self) -> float:
@@ -150,14 +144,14 @@ class CellConfig:
     id: int  # on its bus
     scale: float  # [N/count], of either sign
     offset: float = 0.0  # [counts] without load
-    uncertainty: float | None = None  # [N] standard; required where a current is read
+    # standard; required where a current is read
+    uncertainty: float | None = build_ranged_field(None, 0.0, math.inf, "N", above=True)
 
     def __post_init__(self) -> None:
         """Check the values; raises `ValueError`."""
+        check_ranges(self)
         if self.scale == 0.0:
             raise ValueError("scale: must not be 0 [N/count]")
-        if self.uncertainty is not None and not self.uncertainty > 0.0:
-            raise ValueError("uncertainty: must be above 0 [N]")
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,5 +1,6 @@
 """A replayed rig: measured data played in real time."""
 
+import math
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
@@ -11,6 +12,7 @@ from estimator.effects.effect import CHANNELS
 from estimator.plausibility import find_channel_faults
 from estimator.spikes import remove_spikes
 from slave.rig import RigFinished, RigSample
+from teleop.config.ranges import build_ranged_field, check_ranges
 from teleop.data.channel_names import Columns
 from teleop.data.mapping import map_columns, read_mapping
 from teleop.data.reading import Reading, format_reading
@@ -29,17 +31,17 @@ class ReplayedRigConfig:
     drop_nonfinite: bool = False  # leave out rows without a finite reading at the housing
     tendons: tuple[Columns, ...] = (Columns(),)  # one for each tendon: its columns' names
     mapping: Path | None = None  # how the file is to be read, of `teleop data show --write-mapping`
-    run: int | None = None  # the one of a file of several, from 1; 0: all rows are one run
+    # the one of a file of several, from 1; 0: all rows are one run
+    run: int | None = build_ranged_field(None, 0, math.inf)
     name: str = ""  # name of the rig in calibration files; empty = the file's name
 
     def __post_init__(self) -> None:
         """Check the values; raises `ValueError`."""
+        check_ranges(self)
         if not 1 <= len(self.tendons) <= MAX_JOINTS:
             raise ValueError(f"tendons: must be 1 to {MAX_JOINTS}, one a joint")
         if len({columns.time for columns in self.tendons}) > 1:
             raise ValueError("tendons: must all have the same time column")
-        if self.run is not None and self.run < 0:
-            raise ValueError("run: must be 1 or more, or 0 for all rows as one run")
 
 
 class ReplayedRig:

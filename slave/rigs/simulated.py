@@ -51,6 +51,7 @@ from slave.simulation.sensors import (
 )
 from slave.simulation.tendon import SheathConfig, build_chain
 from teleop.config.arm import assemble_tendon_rows
+from teleop.config.ranges import build_ranged_field, check_ranges
 from teleop.messages.messages import MAX_JOINTS
 
 NOISE_STEPS = 16  # of which the noise is drawn at once
@@ -90,20 +91,17 @@ class SimulatedRigConfig:
     name: str = "simulated"  # name of the rig in calibration files
     joints: tuple[JointConfig, ...] = (JointConfig(),)
     arms: tuple[ArmPlantConfig, ...] = ()  # whose joints share tendons: the first of `joints`
-    period: float = 0.001  # [s] step of the plant
-    seed: int = 1  # of the sensors' noise
+    period: float = build_ranged_field(0.001, 1e-5, 0.01, "s")  # step of the plant
+    seed: int = build_ranged_field(1, 0, math.inf)  # of the sensors' noise
     effects: tuple[EffectConfig, ...] = ()  # faults and deviations, docs/how-to/rigs.md
 
     def __post_init__(self) -> None:
         """Check joints, period and effects; raises `ValueError`."""
+        check_ranges(self)
         if not self.name.strip():
             raise ValueError("name: must not be empty")
         if not 1 <= len(self.joints) <= MAX_JOINTS:
             raise ValueError(f"joints: must be 1 to {MAX_JOINTS}")
-        if not 1e-5 <= self.period <= 0.01:
-            raise ValueError("period: must be 0.00001 to 0.01 s")
-        if self.seed < 0:
-            raise ValueError("seed: must not be negative")
         for number, joint in enumerate(self.joints, 1):
             longest = min(map(compute_step_max, joint.tendons))
             if self.period > longest:

@@ -33,7 +33,6 @@ from numpy.typing import NDArray
 from estimator.array_types import Array
 from estimator.arrays import copy_values
 from estimator.compiled import jit_compile
-from slave.ranged_field import build_ranged_field, check_ranges
 from slave.simulation.chain_step import compute_response, recover_state
 from slave.simulation.environment import compute_environment_force
 from slave.simulation.friction_nodes import Curve, Response
@@ -55,6 +54,7 @@ from teleop.config.arm import (
     assemble_tendon_rows,
     find_guides,
 )
+from teleop.config.ranges import build_ranged_field, check_ranges
 
 STOP_STIFFNESS = 1e6  # [N/m] of end stops and of stuck joints, soft enough to be solved
 FORCE_TOLERANCE = 1e-9  # [N] of balance
@@ -65,7 +65,7 @@ MAX_ITERATIONS = 40  # of Newton's method; three are needed
 class ArmPlantConfig(LinkedArmConfig):
     """An arm as it is: tendons that pass joints, their friction there, and what the tip meets."""
 
-    # [m] deflection of a guide's contact before it slides
+    # deflection of a guide's contact before it slides
     presliding: float = build_ranged_field(5e-6, 1e-7, 1e-3, "m")
     contacts: tuple[SurfaceConfig, ...] = ()  # of the tip, in the base
 

@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 
 from estimator.array_types import Array
 from estimator.compiled import jit_compile
-from slave.ranged_field import build_ranged_field, check_ranges
-from teleop.config.loading import MAY_BE_INFINITE
+from teleop.config.ranges import MAY_BE_INFINITE, build_ranged_field, check_ranges
 
 IntArray = NDArray[np.int64]
 
@@ -43,15 +42,14 @@ class WallConfig:
     type: Literal["wall"] = "wall"
     position: float = 0.008  # [m] of the joint at first contact
     stiffness: float = 20_000.0  # [N/m] of the wall
-    damping: float = 0.0  # [N s/m] of the wall
+    damping: float = build_ranged_field(0.0, 0.0, 1e5, "N s/m")  # of the wall
     side: Literal["a", "b"] = "a"  # tendon whose pull moves the joint into it
 
     def __post_init__(self) -> None:
         """Check the values; raises `ValueError`."""
+        check_ranges(self)
         _check_position(self.position)
         _check_stiffness(self.stiffness)
-        if not 0.0 <= self.damping <= 1e5:
-            raise ValueError("damping: must be 0 to 100 000 N s/m")
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,19 +63,16 @@ class TissueConfig:
 
     type: Literal["tissue"] = "tissue"
     position: float = 0.008  # [m] of the joint at first contact
-    stiffness: float = 9_400.0  # [N/m^exponent] of the contact
+    stiffness: float = build_ranged_field(9_400.0, 0.0, 1e9, "N/m^exponent")  # of the contact
     exponent: float = build_ranged_field(1.5, 1.0, 4.0)  # of the depth
-    dissipation: float = 1.0  # [s/m] by which the force grows with speed
+    # by which the force grows with speed
+    dissipation: float = build_ranged_field(1.0, 0.0, 1e4, "s/m")
     side: Literal["a", "b"] = "a"  # tendon whose pull moves the joint into it
 
     def __post_init__(self) -> None:
         """Check the values; raises `ValueError`."""
         check_ranges(self)
         _check_position(self.position)
-        if not 0.0 <= self.stiffness <= 1e9:
-            raise ValueError("stiffness: must be 0 to 1e9 N/m^exponent")
-        if not 0.0 <= self.dissipation <= 1e4:
-            raise ValueError("dissipation: must be 0 to 10 000 s/m")
 
 
 @dataclass(frozen=True, slots=True)

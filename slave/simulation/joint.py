@@ -18,7 +18,6 @@ from numba.typed import List
 
 from estimator.array_types import Array
 from estimator.compiled import jit_compile, jit_inline
-from slave.ranged_field import build_ranged_field, check_ranges
 from slave.simulation.chain_step import compute_response, recover_state
 from slave.simulation.environment import (
     STIFFNESS_MAX,
@@ -31,6 +30,7 @@ from slave.simulation.friction_nodes import Curve, interpolate_curve
 from slave.simulation.motor import Motor, MotorState, advance_motor, init_motor
 from slave.simulation.sensors import CHANNELS
 from slave.simulation.tendon import Chain, get_tensions, init_chain_state
+from teleop.config.ranges import build_ranged_field, check_ranges
 
 # --- the joint's own body: inertia, damping, friction, a return spring, end stops, backlash
 # All in units of tendon travel at the joint: with a joint pulley of radius r, a travel is an angle

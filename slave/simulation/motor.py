@@ -8,11 +8,11 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from estimator.compiled import jit_compile
-from slave.ranged_field import build_ranged_field, check_ranges
+from teleop.config.ranges import RangedConfig, build_ranged_field
 
 
 @dataclass(frozen=True, slots=True)
-class MotorConfig:
+class MotorConfig(RangedConfig):
     """A servo like that of Phee et al. 2009: Faulhaber 2642 W 024 CR with gearhead 30/1 S.
 
     The paper gives the two names and the ratio. The other figures are typical of a 24 V motor of
@@ -36,10 +36,6 @@ class MotorConfig:
     rotor_inertia: float = build_ranged_field(1.1e-6, 1e-10, 1.0, "kg m^2")  # of the motor
     # of the position loop *; its speed loop is 4 times faster
     bandwidth: float = build_ranged_field(100.0, 0.1, 1e4, "rad/s")
-
-    def __post_init__(self) -> None:
-        """Check the values; raises `ValueError`."""
-        check_ranges(self)
 
 
 class Motor(NamedTuple):

@@ -4,7 +4,7 @@ Every sensor has lag, gain, bias, noise, range and resolution.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from math import inf, pi
 from typing import Literal, NamedTuple
 
@@ -12,45 +12,32 @@ import numpy as np
 
 from estimator.array_types import Array
 from estimator.compiled import jit_compile
-from slave.ranged_field import build_ranged_field, check_ranges
 from slave.simulation.motor import MotorConfig
-from teleop.config.loading import MAY_BE_INFINITE
+from teleop.config.ranges import RangedConfig, build_ranged_field
 
 CHANNELS = ("proximal_tension", "proximal_displacement", "distal_tension", "distal_displacement")
 
 
 @dataclass(frozen=True, slots=True)
-class LoadCellConfig:
+class LoadCellConfig(RangedConfig):
     """A load cell and its converter, for compression by up to `range` as under a sheath's end."""
 
     noise: float = build_ranged_field(0.010, 0.0, 10.0, "N")  # standard deviation, white
     # of the converter; 0 = no quantisation
     resolution: float = build_ranged_field(0.002, 0.0, 10.0, "N")
-    range: float = 100.0  # [N] saturation, at both ends
+    range: float = build_ranged_field(100.0, 0.0, 1e5, "N", above=True)  # saturation, at both ends
     gain: float = build_ranged_field(1.0, 0.1, 10.0)  # reading over true tension
     bias: float = build_ranged_field(0.0, -100.0, 100.0, "N")  # reading without tension
-    bandwidth: float = field(default=inf, metadata=MAY_BE_INFINITE)  # [Hz] first order
-
-    def __post_init__(self) -> None:
-        """Check the values; raises `ValueError`."""
-        check_ranges(self)
-        if not 0.0 < self.range <= 1e5:
-            raise ValueError("range: must be above 0 and at most 100 000 N")
-        if not self.bandwidth >= 0.01:
-            raise ValueError("bandwidth: must be at least 0.01 Hz")
+    bandwidth: float = build_ranged_field(inf, 0.01, inf, "Hz")  # first order
 
 
 @dataclass(frozen=True, slots=True)
-class EncoderConfig:
+class EncoderConfig(RangedConfig):
     """An encoder on the motor; 500 lines and a gear of 134:1 as in Phee et al. 2009."""
 
-    lines: int = 67_000  # per revolution of the pulley, gear included; 0 = no quantisation
+    # per revolution of the pulley, gear included; 0 = no quantisation
+    lines: int = build_ranged_field(67_000, 0, 10**9)
     decoding: Literal[1, 2, 4] = 1  # counts per line; 4 = both edges of both tracks
-
-    def __post_init__(self) -> None:
-        """Check the values; raises `ValueError`."""
-        if not 0 <= self.lines <= 10**9:
-            raise ValueError("lines: must be 0 to 1 000 000 000")
 
     def resolution(self, pulley_radius: float) -> float:
         """Return the tendon travel of one count [m] on a pulley of that radius [m]."""

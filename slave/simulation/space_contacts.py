@@ -17,9 +17,9 @@ from estimator.compiled import jit_compile
 from estimator.kinematics.arm import PreparedArm, prepare_arm
 from estimator.kinematics.forward import write_kinematics, write_weight_torque
 from estimator.records import StructArray
-from slave.ranged_field import build_ranged_field, check_ranges
 from slave.simulation.environment import STIFFNESS_MAX
 from teleop.config.arm import LinkedArmConfig
+from teleop.config.ranges import RangedConfig, build_ranged_field, check_ranges
 
 Vector = tuple[float, float, float]
 
@@ -42,7 +42,7 @@ class PlaneConfig:
 
 
 @dataclass(frozen=True, slots=True)
-class BallConfig:
+class BallConfig(RangedConfig):
     """A ball of tissue: F = stiffness d^1.5 + damping d' at depth d, Hertz's contact."""
 
     type: Literal["ball"] = "ball"
@@ -50,10 +50,6 @@ class BallConfig:
     radius: float = build_ranged_field(0.02, 1e-4, 1.0, "m")  # of the ball
     stiffness: float = build_ranged_field(9_400.0, 0.0, 1e9, "N/m^1.5")  # of the contact
     damping: float = build_ranged_field(0.0, 0.0, 1e4, "N s/m")  # on the way in
-
-    def __post_init__(self) -> None:
-        """Check the values; raises `ValueError`."""
-        check_ranges(self)
 
 
 SurfaceConfig = PlaneConfig | BallConfig

@@ -12,8 +12,8 @@ import numpy as np
 
 from estimator.array_types import Array
 from estimator.compiled import jit_compile, jit_inline
-from slave.ranged_field import build_ranged_field, check_ranges
 from slave.sheath_section import SectionConfig
+from teleop.config.ranges import build_ranged_field, check_ranges
 
 # --- run-time parameters of a tendon: one number per effect, neutral by default
 # The chain reads them at every step, so a fault that starts or grows is a changing knob. `effects`
@@ -65,7 +65,8 @@ class SheathConfig:
 
     sections: tuple[SectionConfig, ...] = (SectionConfig(1.5, 0.225),)  # housing to tip
     friction: float = build_ranged_field(0.15, 0.0, 2.0)  # mu, dimensionless, of tendon on sheath
-    axial_stiffness: float = 9000.0  # EA [N] of tendon and sheath in series
+    # EA [N] of tendon and sheath in series
+    axial_stiffness: float = build_ranged_field(9000.0, 1.0, 1e7, "N")
     nodes: int = build_ranged_field(60, 1, 1000)  # number of cells
 
     def __post_init__(self) -> None:
@@ -73,8 +74,6 @@ class SheathConfig:
         check_ranges(self)
         if not self.sections:
             raise ValueError("sections: at least one is needed")
-        if not 1.0 <= self.axial_stiffness <= 1e7:
-            raise ValueError("axial_stiffness: must be 1 to 1e7 N")
         bend = divide_sheath(self)[1]
         if self.friction * bend.sum() > TOTAL_MAX:
             raise ValueError(

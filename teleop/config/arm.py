@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from estimator.array_types import Array
 from estimator.kinematics.arm import Arm, ArmError, CurvedSection, Offset
 from estimator.kinematics.urdf import URDF_BYTES_MAX, read_arm
+from teleop.config.ranges import build_ranged_field, check_ranges
 from teleop.errors import UsageError
 from teleop.runtime.files import read_small_file
 
@@ -59,10 +60,12 @@ class RoutingConfig:
     radii: tuple[tuple[float, ...], ...] = ((0.005,),)
     # mu of tendons at the joints that they pass: one, or one a joint
     friction: float | tuple[float, ...] = 0.1
-    wrap: float = 0.0  # [rad] of a tendon at each of them while the joint is straight
+    # of a tendon at each of them while the joint is straight
+    wrap: float = build_ranged_field(0.0, 0.0, 6.3, "rad")
 
     def __post_init__(self) -> None:
         """Check the values; raises `ValueError`."""
+        check_ranges(self)
         if not self.radii or any(len(row) != len(self.radii[0]) for row in self.radii):
             raise ValueError("radii: must be a table, a column for each joint")
         if not 0 < self.joints <= len(self.radii):
@@ -84,8 +87,6 @@ class RoutingConfig:
             raise ValueError("friction: must be 0 to 1")
         if len(self.list_friction()) != self.joints:
             raise ValueError(f"friction: must be one number, or {self.joints}: one a joint")
-        if not 0.0 <= self.wrap <= 6.3:
-            raise ValueError("wrap: must be 0 to 6.3 rad")
 
     @property
     def joints(self) -> int:
@@ -191,16 +192,14 @@ class ArmConfig(LinkedArmConfig):
     """An arm as master and slave know it."""
 
     # relative error of the friction at passed joints, for the interval of the force
-    friction_error: float = 0.25
-    mass_error: float = 0.1  # relative error of the masses of links, for that interval
+    friction_error: float = build_ranged_field(0.25, 0.0, 1.0)
+    # relative error of the masses of links, for that interval
+    mass_error: float = build_ranged_field(0.1, 0.0, 1.0)
 
     def __post_init__(self) -> None:
         """Check the values; raises `ValueError`."""
+        check_ranges(self)
         LinkedArmConfig.__post_init__(self)
-        if not 0.0 <= self.friction_error <= 1.0:
-            raise ValueError("friction_error: must be 0 to 1")
-        if not 0.0 <= self.mass_error <= 1.0:
-            raise ValueError("mass_error: must be 0 to 1")
 
 
 def find_space_joints(arms: Sequence[LinkedArmConfig]) -> tuple[tuple[int, int], ...]:

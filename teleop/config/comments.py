@@ -53,7 +53,7 @@ def _list_comments(source: str) -> tuple[dict[int, str], dict[int, str]]:
     whole: dict[int, str] = {}
     for token in tokenize.generate_tokens(io.StringIO(source).readline):
         if token.type == tokenize.COMMENT:
-            text = token.string.lstrip("#").partition("# noqa")[0].strip()
+            text = token.string.partition("# noqa")[0].strip("# ")
             is_whole = token.line[: token.start[1]].strip() == ""
             (whole if is_whole else behind)[token.start[0]] = text
     return behind, whole

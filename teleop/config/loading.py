@@ -1,9 +1,10 @@
 """Strict conversion of YAML to nested frozen dataclasses.
 
-Each config dataclass is next to the code it configures, with a default for every field and its
-ranges checked in `__post_init__` by `ValueError("field: what is wrong, what is allowed")`. This
-module reads a file and `--set key=value` (`overrides`) once, as a `ConfigDocument`, and builds such
-dataclasses from it, using only their annotations:
+Each config dataclass is next to the code it configures, with a default for every field. Ranges are
+stated by the fields (`teleop.config.ranges`) and checked, as all else, in `__post_init__` by
+`ValueError("field: what is wrong, what is allowed")`. This module reads a file and `--set
+key=value` (`overrides`) once, as a `ConfigDocument`, and builds such dataclasses from it, using
+only their annotations:
 
 =========================== =====================================================================
 annotation                  what the file may say
@@ -57,7 +58,6 @@ _OTHER_FILES = {  # by a key that they alone have; the first that is there count
     "signs": "the force signs of devices: name it as signs in master.device",
 }
 _RUN_SPECIFIC_KEYS = ("session", "link")  # where a session ran; another one takes its own place
-MAY_BE_INFINITE: Mapping[str, object] = {"may_be_infinite": True}
 
 T = TypeVar("T")
 

@@ -27,20 +27,21 @@ from numpy.typing import NDArray
 
 from estimator.array_types import Array
 from estimator.compiled import jit_compile
+from teleop.config.ranges import build_ranged_field, check_ranges
 
 
 @dataclass(frozen=True, slots=True)
 class ConfidenceConfig:
     """Range of the interval's relative half-width over which an estimate is attenuated."""
 
-    full: float = 0.5  # half-width over |force| up to which the full estimate is rendered
+    # half-width over |force| up to which the full estimate is rendered
+    full: float = build_ranged_field(0.5, 0.0, 1e3)
     # half-width over |force| from which on only the certain force is rendered
     none: float = 1.5
 
     def __post_init__(self) -> None:
         """Check the values; raises `ValueError`."""
-        if not 0.0 <= self.full <= 1e3:
-            raise ValueError("full: must be within 0 ... 1000")
+        check_ranges(self)
         if not self.full + 1e-3 <= self.none <= 1e6:
             raise ValueError("none: must be above full, by 0.001 at least, and at most 1e6")
 

@@ -30,6 +30,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from estimator.compiled import jit_compile
+from teleop.config.ranges import build_ranged_field, check_ranges
 from teleop.coupling import ledger
 from teleop.coupling.interface import MasterInput, SlaveInput, SlaveOutput, limit_travel
 from teleop.coupling.ledger import Port
@@ -40,44 +41,34 @@ class PassivityConfig:
     """Tolerances of the two passivity controllers; all in tip units."""
 
     type: Literal["passivity"] = "passivity"
-    reserve: float = 0.001  # [J] credit of each port at engagement
+    # credit of each port at engagement
+    reserve: float = build_ranged_field(0.001, 0.0, 0.1, "J", above=True)
     credit_max: float = 0.050  # [J] upper bound of the credit
-    spring_stiffness: float = 4.5e3  # [N/m] at the hand, of the spring that holds its credit
-    spring_damping: float = 6.0  # [N s/m] at the hand, of that spring
-    discharge_time: float = 0.010  # [s] time constant of using up credit
-    return_time: float = 0.05  # [s] time constant of giving back the slave's surplus
-    tip_allowance: float = 0.020  # [J] that a constant load may return before it has taken any
-    stiffness_max: float = 20e3  # [N/m] at the tip, of the predicted contact; 0 = no prediction
-    # [m] largest change of the hand's travel per tick; scales with the square above 2.5 ms
-    step_tolerance: float = 2e-5
-    hand_damping: float = 2.0  # [N s/m] at the device, least damping of a hand
-    catch_up: float = 0.050  # [s] time constant of catching up of the tip
+    # at the hand, of the spring that holds its credit
+    spring_stiffness: float = build_ranged_field(4.5e3, 10.0, 1e6, "N/m")
+    # at the hand, of that spring
+    spring_damping: float = build_ranged_field(6.0, 0.0, 100.0, "N s/m")
+    # time constant of using up credit
+    discharge_time: float = build_ranged_field(0.010, 1e-3, 0.5, "s")
+    # time constant of giving back the slave's surplus
+    return_time: float = build_ranged_field(0.05, 5e-3, 100.0, "s")
+    # that a constant load may return before it has taken any
+    tip_allowance: float = build_ranged_field(0.020, 0.0, 0.1, "J")
+    # at the tip, of the predicted contact; 0 = no prediction
+    stiffness_max: float = build_ranged_field(20e3, 0.0, 1e5, "N/m")
+    # largest change of the hand's travel per tick; scales with the square above 2.5 ms
+    step_tolerance: float = build_ranged_field(2e-5, 1e-6, 1e-2, "m")
+    # at the device, least damping of a hand
+    hand_damping: float = build_ranged_field(2.0, 0.0, 100.0, "N s/m")
+    # time constant of catching up of the tip
+    catch_up: float = build_ranged_field(0.050, 5e-3, 10.0, "s")
     passive_tip: bool = True  # false for an active environment whose force shall be rendered
 
     def __post_init__(self) -> None:
         """Check the values; raises `ValueError`."""
-        if not 0.0 < self.reserve <= 0.1:
-            raise ValueError("reserve: must be above 0 and at most 0.1 [J]")
+        check_ranges(self)
         if not self.reserve <= self.credit_max <= 1.0:
             raise ValueError("credit_max: must be at least reserve and at most 1 [J]")
-        if not 10.0 <= self.spring_stiffness <= 1e6:
-            raise ValueError("spring_stiffness: must be within 10 ... 1e6 [N/m]")
-        if not 0.0 <= self.spring_damping <= 100.0:
-            raise ValueError("spring_damping: must be within 0 ... 100 [N s/m]")
-        if not 5e-3 <= self.return_time <= 100.0:
-            raise ValueError("return_time: must be within 0.005 ... 100 [s]")
-        if not 0.0 <= self.tip_allowance <= 0.1:
-            raise ValueError("tip_allowance: must be within 0 ... 0.1 [J]")
-        if not 0.0 <= self.stiffness_max <= 1e5:
-            raise ValueError("stiffness_max: must be within 0 ... 1e5 [N/m]")
-        if not 1e-3 <= self.discharge_time <= 0.5:
-            raise ValueError("discharge_time: must be within 0.001 ... 0.5 [s]")
-        if not 1e-6 <= self.step_tolerance <= 1e-2:
-            raise ValueError("step_tolerance: must be within 1e-6 ... 0.01 [m]")
-        if not 0.0 <= self.hand_damping <= 100.0:
-            raise ValueError("hand_damping: must be within 0 ... 100 [N s/m]")
-        if not 5e-3 <= self.catch_up <= 10.0:
-            raise ValueError("catch_up: must be within 0.005 ... 10 [s]")
 
 
 @jit_compile

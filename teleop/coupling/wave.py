@@ -18,6 +18,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from estimator.compiled import jit_compile
+from teleop.config.ranges import build_ranged_field, check_ranges
 from teleop.coupling import ledger
 from teleop.coupling.interface import MasterInput, SlaveInput, SlaveOutput, limit_travel
 from teleop.coupling.ledger import Port
@@ -28,29 +29,24 @@ class WaveConfig:
     """Wave impedance and playback; all in tip units."""
 
     type: Literal["wave"] = "wave"
-    impedance: float = 100.0  # [N s/m] b: drag in free motion against delay at a wall
-    play: float = 0.020  # [s] playback time of a received wave; twice the jitter
-    reserve: float = 0.002  # [J] credit of each port at engagement
+    # b: drag in free motion against delay at a wall
+    impedance: float = build_ranged_field(100.0, 0.1, 1e4, "N s/m")
+    # playback time of a received wave; twice the jitter
+    play: float = build_ranged_field(0.020, 1e-3, 0.5, "s")
+    # credit of each port at engagement
+    reserve: float = build_ranged_field(0.002, 0.0, 0.1, "J", above=True)
     credit_max: float = 0.020  # [J] upper bound of the credit
-    # [m] largest change of the hand's travel per tick; scales with the square above 2.5 ms
-    step_tolerance: float = 2e-5
-    catch_up: float = 2.0  # [s] time constant of the tip's position correction
+    # largest change of the hand's travel per tick; scales with the square above 2.5 ms
+    step_tolerance: float = build_ranged_field(2e-5, 1e-6, 1e-2, "m")
+    # time constant of the tip's position correction
+    catch_up: float = build_ranged_field(2.0, 5e-3, 10.0, "s")
     passive_tip: bool = True  # false for an active environment whose force shall be rendered
 
     def __post_init__(self) -> None:
         """Check the values; raises `ValueError`."""
-        if not 0.1 <= self.impedance <= 1e4:
-            raise ValueError("impedance: must be within 0.1 ... 10000 [N s/m]")
-        if not 1e-3 <= self.play <= 0.5:
-            raise ValueError("play: must be within 0.001 ... 0.5 [s]")
-        if not 0.0 < self.reserve <= 0.1:
-            raise ValueError("reserve: must be above 0 and at most 0.1 [J]")
+        check_ranges(self)
         if not self.reserve <= self.credit_max <= 1.0:
             raise ValueError("credit_max: must be at least reserve and at most 1 [J]")
-        if not 1e-6 <= self.step_tolerance <= 1e-2:
-            raise ValueError("step_tolerance: must be within 1e-6 ... 0.01 [m]")
-        if not 5e-3 <= self.catch_up <= 10.0:
-            raise ValueError("catch_up: must be within 0.005 ... 10 [s]")
 
 
 @jit_compile

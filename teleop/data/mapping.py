@@ -1,6 +1,7 @@
 """A mapping file: how the tables of a lab are to be read, for a hundred files at once."""
 
 import argparse
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -8,6 +9,7 @@ from typing import Literal, NamedTuple
 
 from estimator.units import Units
 from teleop.config.loading import ConfigDocument
+from teleop.config.ranges import build_ranged_field, check_ranges
 from teleop.data import channel_names
 from teleop.data.channel_names import Columns
 from teleop.errors import UsageError
@@ -60,19 +62,18 @@ class TableMapping:
     separator: str = ""  # between columns: , ; | a space, or \t
     decimal: Literal["", "point", "comma"] = ""  # sign of decimals
     time_format: str = ""  # of times as text, such as %d.%m.%Y %H:%M:%S.%f
-    rate_hz: float | None = None  # samples per second, where time is the number of the sample
+    # samples per second, where time is the number of the sample
+    rate_hz: float | None = build_ranged_field(None, 0.0, 1e9, "Hz", above=True)
     sheet: str = ""  # of a spreadsheet with several
-    run: int | None = None  # the one of a file of several runs, from 1; 0: all rows are one run
+    # the one of a file of several runs, from 1; 0: all rows are one run
+    run: int | None = build_ranged_field(None, 0, math.inf)
     run_column: str = ""  # that names the run, where it is not called so
 
     def __post_init__(self) -> None:
         """Check the values; raises `ValueError`."""
+        check_ranges(self)
         if self.separator not in ("", ",", ";", "|", " ", "\t", "\\t"):
             raise ValueError("separator: must be one of , ; | space \\t")
-        if self.rate_hz is not None and not 0.0 < self.rate_hz < 1e9:
-            raise ValueError("rate_hz: must be above 0")
-        if self.run is not None and self.run < 0:
-            raise ValueError("run: must be 1 or more, or 0 for all rows as one run")
 
     def options(self) -> tuple[str, ...]:
         """Return the columns as values of `--column`."""

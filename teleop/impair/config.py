@@ -4,11 +4,9 @@ import math
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
-from teleop.config.loading import MAY_BE_INFINITE
+from teleop.config.ranges import RangedConfig, build_ranged_field, check_ranges
 from teleop.errors import UsageError
 from teleop.link.config import LinkConfig
-
-_PROBABILITIES = ("loss", "burst_loss", "reorder", "duplicate", "corrupt")
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,53 +18,43 @@ class DirectionConfig:
     `burst_loss` of all messages are lost.
     """
 
-    delay: float = 0.0  # [s] mean delay of a message
+    delay: float = build_ranged_field(0.0, 0.0, 10.0, "s")  # mean delay of a message
     jitter: float = 0.0  # [s] the delay wanders from delay - jitter to delay + jitter
     # [s] between random delays, linear in between; 0 = a new one each message
     jitter_time: float = 0.1
-    loss: float = 0.0  # share of messages lost independently
-    burst_loss: float = 0.0  # share of messages lost in bursts
-    burst_length: float = 20.0  # messages a burst lasts on average
-    burst_depth: float = 1.0  # share of messages lost during a burst
-    reorder: float = 0.0  # share of messages held back, so that others overtake them
-    reorder_by: float = 0.003  # [s] additional delay of those
-    duplicate: float = 0.0  # share of messages duplicated
-    corrupt: float = 0.0  # share of messages with one byte changed
+    loss: float = build_ranged_field(0.0, 0.0, 1.0)  # share of messages lost independently
+    burst_loss: float = build_ranged_field(0.0, 0.0, 1.0)  # share of messages lost in bursts
+    # messages a burst lasts on average
+    burst_length: float = build_ranged_field(20.0, 1.0, 1e6, "messages")
+    # share of messages lost during a burst
+    burst_depth: float = build_ranged_field(1.0, 0.0, 1.0, above=True)
+    # share of messages held back, so that others overtake them
+    reorder: float = build_ranged_field(0.0, 0.0, 1.0)
+    reorder_by: float = build_ranged_field(0.003, 0.0, 10.0, "s")  # additional delay of those
+    duplicate: float = build_ranged_field(0.0, 0.0, 1.0)  # share of messages duplicated
+    corrupt: float = build_ranged_field(0.0, 0.0, 1.0)  # share of messages with one byte changed
     cuts: tuple[tuple[float, float], ...] = ()  # [s] intervals [from, to] without transmission
-    cut_period: float = field(  # [s] period of `cuts`
-        default=math.inf, metadata=MAY_BE_INFINITE
-    )
+    # period of `cuts`
+    cut_period: float = build_ranged_field(math.inf, 0.0, math.inf, "s", above=True)
     reliable: Literal["delayed", "impaired", "clean"] = (
         "delayed"  # whether it applies to reliable topics
     )
 
     def __post_init__(self) -> None:
         """Check the values; raises `ValueError`."""
-        if not 0.0 <= self.delay <= 10.0:
-            raise ValueError("delay: must be within 0 ... 10 [s]")
+        check_ranges(self)
         if not 0.0 <= self.jitter <= self.delay:
             raise ValueError("jitter: must be 0 to delay [s]")
         if self.jitter_time != 0.0 and not 1e-4 <= self.jitter_time <= 100.0:
             raise ValueError("jitter_time: must be 0 or within 0.0001 ... 100 [s]")
-        for name in _PROBABILITIES:
-            if not 0.0 <= getattr(self, name) <= 1.0:
-                raise ValueError(f"{name}: must be within 0 ... 1")
-        if not 1.0 <= self.burst_length <= 1e6:
-            raise ValueError("burst_length: must be within 1 ... 1000000 messages")
-        if not 0.0 < self.burst_depth <= 1.0:
-            raise ValueError("burst_depth: must be above 0 and at most 1")
         if self.burst_loss and not self.burst_enter <= 1.0:
             loss_max = self.burst_depth * self.burst_length / (self.burst_length + 1.0)
             raise ValueError(
                 f"burst_loss: bursts of this length and depth lose {loss_max:.3g} at most"
             )
-        if not 0.0 <= self.reorder_by <= 10.0:
-            raise ValueError("reorder_by: must be within 0 ... 10 [s]")
         times = [time for cut in self.cuts for time in cut]
         if times != sorted(times) or any(time < 0.0 for time in times):
             raise ValueError("cuts: pairs [from, to] in seconds, in order, not overlapping")
-        if not self.cut_period > 0.0:
-            raise ValueError("cut_period: must be above 0 [s]")
 
     @property
     def burst_leave(self) -> float:
@@ -94,7 +82,7 @@ class DirectionConfig:
 
 
 @dataclass(frozen=True, slots=True)
-class ImpairConfig:
+class ImpairConfig(RangedConfig):
     """The proxy: its endpoint for the master, and the impairments of each direction.
 
     The slave and all listeners use the endpoints of `link`.
@@ -102,16 +90,10 @@ class ImpairConfig:
 
     endpoint: str = "127.0.0.1:7449"  # HOST:PORT, the master's `link.slave`
     seed: int = 0  # of the random numbers; results are reproducible
-    presence: float = field(  # [s] duration of a cut after which presence is withdrawn
-        default=2.0, metadata=MAY_BE_INFINITE
-    )
+    # duration of a cut after which presence is withdrawn
+    presence: float = build_ranged_field(2.0, 0.0, math.inf, "s", may_be_infinite=True)
     to_slave: DirectionConfig = field(default_factory=DirectionConfig)  # from master to slave
     to_master: DirectionConfig = field(default_factory=DirectionConfig)  # from slave to master
-
-    def __post_init__(self) -> None:
-        """Check the values; raises `ValueError`."""
-        if not self.presence >= 0.0:
-            raise ValueError("presence: must be at least 0 [s]")
 
     @staticmethod
     def require_direct(shared: LinkConfig) -> None:

@@ -22,6 +22,7 @@ from typing import NamedTuple
 
 from estimator.compiled import jit_compile
 from estimator.records import I64, Flag, Struct, StructArray
+from teleop.config.ranges import RangedConfig, build_ranged_field
 from teleop.link.reception import DRIFT, NEVER_NS, MessageCounts
 from teleop.messages.messages import LinkReport
 from teleop.messages.topics import Role
@@ -36,34 +37,24 @@ _DRIFT_NS = 2 * WINDOW_NS // DRIFT  # that bounds may contradict each other with
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class HealthConfig:
+class HealthConfig(RangedConfig):
     """Bounds of the link. Beyond one of them force and motion are scaled down, then held.
 
     The defaults leave a session over 300 ms +- 50 ms and with losses of a third as it is.
     """
 
-    round_trip: float = 1.0  # [s] from a message to the first one that echoes it
-    jitter: float = 0.2  # [s] mean difference of the delays of two messages in a row
-    loss: float = 0.5  # share of the peer's messages in the last second
-    scale_min: float = 0.3  # of force and motion, reached just before holding
-    hold_after: float = 2.0  # [s] beyond a bound, while force and motion are scaled down
-    recover: float = 0.8  # of each bound, below which the link is good again
-    recover_after: float = 1.0  # [s] below it
-
-    def __post_init__(self) -> None:
-        """Check the values; raises `ValueError`."""
-        for name, low, high, unit in (
-            ("round_trip", 1e-3, 10.0, " s"),
-            ("jitter", 1e-4, 10.0, " s"),
-            ("loss", 0.001, 1.0, ""),
-            ("scale_min", 0.01, 1.0, ""),
-            ("hold_after", 0.1, 60.0, " s"),
-            ("recover", 0.1, 1.0, ""),
-            ("recover_after", 0.0, 60.0, " s"),
-        ):
-            value = getattr(self, name)
-            if not low <= value <= high:
-                raise ValueError(f"{name}: {value:g} is outside {low:g} to {high:g}{unit}")
+    # from a message to the first one that echoes it
+    round_trip: float = build_ranged_field(1.0, 1e-3, 10.0, "s")
+    # mean difference of the delays of two messages in a row
+    jitter: float = build_ranged_field(0.2, 1e-4, 10.0, "s")
+    loss: float = build_ranged_field(0.5, 1e-3, 1.0)  # of the peer's messages in the last second
+    # of force and motion, reached just before holding
+    scale_min: float = build_ranged_field(0.3, 0.01, 1.0)
+    # beyond a bound, while force and motion are scaled down
+    hold_after: float = build_ranged_field(2.0, 0.1, 60.0, "s")
+    # of each bound, below which the link is good again
+    recover: float = build_ranged_field(0.8, 0.1, 1.0)
+    recover_after: float = build_ranged_field(1.0, 0.0, 60.0, "s")  # below it
 
 
 DEFAULT_BOUNDS = HealthConfig()

@@ -23,6 +23,7 @@ from mcap.records import ChunkIndex, MetadataIndex
 from mcap.well_known import MessageEncoding, Profile, SchemaEncoding
 from mcap.writer import CompressionType, Writer
 
+from teleop.config.ranges import build_ranged_field, check_ranges
 from teleop.config.strict_yaml import SIZE_MAX
 from teleop.errors import TeleopError, UsageError
 from teleop.link import ReceivedMessage
@@ -48,20 +49,17 @@ class RecordConfig:
     """Folder of recordings, write intervals, scheduling."""
 
     directory: str = "recordings"  # created if missing; `--out` overrides it
-    chunk_s: float = 0.1  # [s] messages are written to the file in chunks of this duration
-    drain_s: float = 0.02  # [s] between two reads from the link
-    priority: int = 1  # SCHED_RR, below the loops (realtime.priority); 0: ordinary, after them
+    # messages are written to the file in chunks of this duration
+    chunk_s: float = build_ranged_field(0.1, 0.01, 10.0, "s")
+    drain_s: float = build_ranged_field(0.02, 0.001, 1.0, "s")  # between two reads from the link
+    # SCHED_RR, below the loops (realtime.priority); 0: ordinary, after them
+    priority: int = build_ranged_field(1, 0, 49)
     compression: Literal["zstd", "lz4", "none"] = "zstd"  # of the chunks
 
     def __post_init__(self) -> None:
+        check_ranges(self)
         if not self.directory:
             raise ValueError("directory: is empty, give a path (recordings)")
-        if not 0.01 <= self.chunk_s <= 10:
-            raise ValueError(f"chunk_s: {self.chunk_s} s is outside 0.01 to 10 s")
-        if not 0.001 <= self.drain_s <= 1:
-            raise ValueError(f"drain_s: {self.drain_s} s is outside 0.001 to 1 s")
-        if not 0 <= self.priority <= 49:
-            raise ValueError(f"priority: {self.priority} is outside 0 to 49")
 
 
 # --- indices of a recording being written, in bounded memory

@@ -3,6 +3,7 @@
 import re
 from dataclasses import dataclass
 
+from teleop.config.ranges import build_ranged_field, check_ranges
 from teleop.config.suggestions import suggest_spelling
 from teleop.errors import UsageError
 from teleop.link.config import Address, Endpoint, LinkConfig
@@ -18,24 +19,23 @@ class RosConfig:
     """What a session shows to ROS 2, and where."""
 
     start: bool = False  # whether `teleop run` starts `teleop ros` too
-    domain: int = 0  # ROS_DOMAIN_ID of the nodes that are to see it
+    # ROS_DOMAIN_ID of the nodes that are to see it
+    domain: int = build_ranged_field(0, 0, DOMAIN_MAX)
     router: str = "tcp/127.0.0.1:7447"  # of rmw_zenoh, on this machine
     node: str = "tendon_teleop"  # name of the node
     prefix: str = ""  # before the names of topics and frames, such as /lab
-    rate_hz: float = 100.0  # [Hz] of the topics that follow the loops; 1 to 500
+    # of the topics that follow the loops; 1 to 500
+    rate_hz: float = build_ranged_field(100.0, 1.0, 500.0, "Hz")
     topics: tuple[str, ...] = ALL  # names of the topics that are published
 
     def __post_init__(self) -> None:
         """Check the values; raises `ValueError`."""
-        if not 0 <= self.domain <= DOMAIN_MAX:
-            raise ValueError(f"domain: must be 0 to {DOMAIN_MAX}")
+        check_ranges(self)
         check_router(self.router)
         if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", self.node):
             raise ValueError("node: allowed are letters, digits and _")
         if self.prefix and not is_name(self.prefix):
             raise ValueError("prefix: must be empty or a name such as /lab")
-        if not 1.0 <= self.rate_hz <= 500.0:
-            raise ValueError("rate_hz: must be within 1 ... 500 [Hz]")
         for i, topic in enumerate(self.topics):
             if topic not in ALL:
                 raise ValueError(f"topics.{i}: no topic {topic!r}{suggest_spelling(topic, ALL)}")

@@ -24,6 +24,8 @@ from pathlib import Path
 from types import FrameType
 from typing import Literal
 
+from teleop.config.ranges import build_ranged_field, check_ranges
+
 CORES_MIN = 4  # with fewer, no core is reserved for a loop
 OTHER_CORES_MIN = 2  # cores left for link threads and other programs
 
@@ -47,14 +49,14 @@ _COMPILER = "libllvmlite"
 class RealtimeConfig:
     """Scheduling of the control processes of this machine."""
 
-    priority: int = 20  # SCHED_FIFO, 1 to 49 (interrupt threads of the kernel have 50); 0: ordinary
+    # SCHED_FIFO, 1 to 49 (interrupt threads of the kernel have 50); 0: ordinary
+    priority: int = build_ranged_field(20, 0, 49)
     # cores of which each loop takes one for itself; auto: the upper half; []: none. From 4 cores on
     cores: Literal["auto"] | tuple[int, ...] = "auto"
 
     def __post_init__(self) -> None:
         """Check the values; raises `ValueError`."""
-        if not 0 <= self.priority <= 49:
-            raise ValueError("priority: must be 0 to 49")
+        check_ranges(self)
         if self.cores != "auto" and any(core < 0 for core in self.cores):
             raise ValueError("cores: must not be negative")
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from teleop.config.arm import ArmConfig, find_space_joints
 from teleop.config.loading import ConfigDocument
 from teleop.config.overrides import Override
+from teleop.config.ranges import build_ranged_field, check_ranges
 from teleop.coupling.config import Bilateral, CouplingConfig
 from teleop.coupling.force_attenuation import ConfidenceConfig
 from teleop.coupling.passivity import PassivityConfig
@@ -28,20 +29,19 @@ class RunConfig:
     """Name, rate, link and arms of a session."""
 
     session: str = "demo"  # root of every key; separates sessions on one network
-    # [Hz] of the link and the slave, and of the master's device; 100 to 4000
-    rate_hz: float = 1000.0
+    # of the link and the slave, and of the master's device; 100 to 4000
+    rate_hz: float = build_ranged_field(1000.0, RATE_MIN_HZ, RATE_MAX_HZ, "Hz")
     link: LinkConfig = field(default_factory=LinkConfig)
     health: HealthConfig = field(default_factory=HealthConfig)  # bounds of the link
     arms: tuple[ArmConfig, ...] = ()  # of several joints each: the first of the rig
     realtime: RealtimeConfig = field(default_factory=RealtimeConfig)  # of both loops
 
     def __post_init__(self) -> None:
+        check_ranges(self)
         try:
             check_session(self.session)
         except ValueError as error:
             raise ValueError(f"session: {error}") from error
-        if not RATE_MIN_HZ <= self.rate_hz <= RATE_MAX_HZ:
-            raise ValueError(f"rate_hz: must be within {RATE_MIN_HZ:g} ... {RATE_MAX_HZ:g} [Hz]")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -1,39 +1,36 @@
 """The `view:` section of a config file."""
 
-import dataclasses
 import math
 from dataclasses import dataclass, field
 from typing import Any, Literal, get_args
 
-from teleop.config.loading import MAY_BE_INFINITE
+from teleop.config.ranges import MAY_BE_INFINITE, RangedConfig, build_ranged_field, check_ranges
 from teleop.messages.topics import COMMAND, HAND, LEDGER, STATE, TENDONS, TOPICS, Topic
 
 Layout = Literal["surgeon", "experiment", "presentation"]
 LAYOUTS: tuple[Layout, ...] = get_args(Layout)
 
 
+def _build_rate(default: float) -> Any:
+    return build_ranged_field(default, 1.0, 1000.0, "Hz")
+
+
 @dataclass(frozen=True, slots=True)
-class ViewRates:
+class ViewRates(RangedConfig):
     """Display rates of the topics [Hz].
 
     Other topics are slow and shown completely. A recording keeps every message. A topic that is to
     be shown more often than by default is received completely, which takes some 5 % of a processor.
     """
 
-    command: float = COMMAND.sampled_hz  # [Hz] setpoints of the tips
-    state: float = STATE.sampled_hz  # [Hz] joints and their forces
-    tendons: float = TENDONS.sampled_hz  # [Hz] tensions and displacements
-    hand: float = HAND.sampled_hz  # [Hz] force on the hand
-    ledger: float = LEDGER.sampled_hz  # [Hz] energies of each side
-    profile: float = 8.0  # [Hz] of each tendon: tube, T(x) and X'
-    levers: float = 8.0  # [Hz] joint, hand and their forces in the scene
-    loop: float = 30.0  # [Hz] pieces of each hysteresis loop
-
-    def __post_init__(self) -> None:
-        for item in dataclasses.fields(self):
-            rate = getattr(self, item.name)
-            if not 1 <= rate <= 1000:
-                raise ValueError(f"{item.name}: {rate:g} Hz is outside 1 to 1000 Hz")
+    command: float = _build_rate(COMMAND.sampled_hz)  # setpoints of the tips
+    state: float = _build_rate(STATE.sampled_hz)  # joints and their forces
+    tendons: float = _build_rate(TENDONS.sampled_hz)  # tensions and displacements
+    hand: float = _build_rate(HAND.sampled_hz)  # force on the hand
+    ledger: float = _build_rate(LEDGER.sampled_hz)  # energies of each side
+    profile: float = _build_rate(8.0)  # of each tendon: tube, T(x) and X'
+    levers: float = _build_rate(8.0)  # joint, hand and their forces in the scene
+    loop: float = _build_rate(30.0)  # pieces of each hysteresis loop
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,28 +39,43 @@ class ViewConfig:
 
     layout: Layout = "experiment"  # panels of the view, and their sizes
     rate_hz: ViewRates = field(default_factory=ViewRates)
-    drain_hz: float = 8.0  # [Hz] rate of reading the link and updating the scene
-    curves_hz: float = 4.0  # [Hz] rate of extending curves and loops: 0.2 ms for each curve
-    processor_share: float = 0.25  # of a processor; both are slower where they would take more
-    file_period_s: float = 1.0  # [s] of data per block when only a file is written
-    tension_scale_N: float = 20.0  # [N] the bright end of the colour scale  # noqa: N815
-    hand_scale_N: float = 4.0  # [N] on the hand, drawn as long as tension_scale_N at the tip  # noqa: N815
-    window_s: float = 10.0  # [s] of the past in the curves over time
-    loop_window_s: float = 30.0  # [s] of the past in the hysteresis loop
-    bend_planes: tuple[float, ...] = ()  # [rad] by which each section's bend leaves the last plane
+    # rate of reading the link and updating the scene
+    drain_hz: float = build_ranged_field(8.0, 1, 100, "Hz")
+    # rate of extending curves and loops: 0.2 ms for each curve
+    curves_hz: float = build_ranged_field(4.0, 1, 100, "Hz")
+    # of a processor; both are slower where they would take more
+    processor_share: float = build_ranged_field(0.25, 0.01, 1)
+    # of data per block when only a file is written
+    file_period_s: float = build_ranged_field(1.0, 0.05, 60, "s")
+    # the bright end of the colour scale
+    tension_scale_N: float = build_ranged_field(20.0, 0.1, 1e4, "N")  # noqa: N815
+    # on the hand, drawn as long as tension_scale_N at the tip
+    hand_scale_N: float = build_ranged_field(4.0, 0.01, 1e4, "N")  # noqa: N815
+    # of the past in the curves over time
+    window_s: float = build_ranged_field(10.0, 0.5, 3600, "s")
+    # of the past in the hysteresis loop
+    loop_window_s: float = build_ranged_field(30.0, 0.5, 3600, "s")
+    # by which each section's bend leaves the last plane
+    bend_planes: tuple[float, ...] = build_ranged_field((), -math.tau, math.tau, "rad")
     environment_m: tuple[float, ...] = field(  # [m] travel of each joint at contact
         default=(), metadata=MAY_BE_INFINITE
     )
-    joint_radius_m: float = 0.012  # [m] of the pulley a joint is drawn on: angle = travel / radius
-    hand_radius_m: float = 0.05  # [m] of the circle the hand is drawn on
+    # of the pulley a joint is drawn on: angle = travel / radius
+    joint_radius_m: float = build_ranged_field(0.012, 1e-4, 10, "m")
+    # of the circle the hand is drawn on
+    hand_radius_m: float = build_ranged_field(0.05, 1e-4, 10, "m")
     # of the size of the scene; radius of a sheath where its tendon slides
-    tube_radius: float = 0.012
-    tendon_spacing: float = 0.05  # of the size of the scene, between sheaths
-    server_memory_mb: int = 8  # [MB] of history for a page that is opened later: half a minute
-    page_memory_mb: int = 1024  # [MB] memory of the viewer, in a browser or a window
-    web_port: int = 9090  # preferred port; a free one if it is in use
+    tube_radius: float = build_ranged_field(0.012, 1e-4, 0.1)
+    # of the size of the scene, between sheaths
+    tendon_spacing: float = build_ranged_field(0.05, 1e-3, 1)
+    # of history for a page that is opened later: half a minute
+    server_memory_mb: int = build_ranged_field(8, 4, 65536, "MB")
+    # memory of the viewer, in a browser or a window
+    page_memory_mb: int = build_ranged_field(1024, 256, 4000, "MB")
+    # preferred port; a free one if it is in use
+    web_port: int = build_ranged_field(9090, 1024, 65535)
     foxglove: bool = False  # also serve the messages to the Foxglove app, on this machine
-    foxglove_port: int = 8765  # preferred port, as above
+    foxglove_port: int = build_ranged_field(8765, 1024, 65535)  # preferred port, as above
     directory: str = "recordings"  # folder of `--view rrd` without `--out`
 
     def sampled(self) -> frozenset[Topic[Any]]:
@@ -73,30 +85,7 @@ class ViewConfig:
         )
 
     def __post_init__(self) -> None:
-        for name, low, high, unit in (
-            ("drain_hz", 1, 100, " Hz"),
-            ("curves_hz", 1, 100, " Hz"),
-            ("processor_share", 0.01, 1, ""),
-            ("file_period_s", 0.05, 60, " s"),
-            ("tension_scale_N", 0.1, 1e4, " N"),
-            ("hand_scale_N", 0.01, 1e4, " N"),
-            ("window_s", 0.5, 3600, " s"),
-            ("loop_window_s", 0.5, 3600, " s"),
-            ("joint_radius_m", 1e-4, 10, " m"),
-            ("hand_radius_m", 1e-4, 10, " m"),
-            ("tube_radius", 1e-4, 0.1, ""),
-            ("tendon_spacing", 1e-3, 1, ""),
-            ("server_memory_mb", 4, 65536, " MB"),
-            ("page_memory_mb", 256, 4000, " MB"),
-            ("web_port", 1024, 65535, ""),
-            ("foxglove_port", 1024, 65535, ""),
-        ):
-            value = getattr(self, name)
-            if not low <= value <= high:
-                raise ValueError(f"{name}: {value:g}{unit} is outside {low:g} to {high:g}{unit}")
-        for i, angle in enumerate(self.bend_planes):
-            if not abs(angle) <= math.tau:
-                raise ValueError(f"bend_planes.{i}: {angle:g} rad is outside -6.28 to 6.28 rad")
+        check_ranges(self)
         for i, travel in enumerate(self.environment_m):
             if math.isnan(travel) or travel == -math.inf:
                 raise ValueError(f"environment_m.{i}: a travel [m], or .inf for none")

@@ -169,8 +169,8 @@ def test_a_command_is_sent_every_so_many_ticks_of_the_device(rate_hz, device_rat
         ),
         (
             ["master.device_rate_hz=8000"],
-            "--set master.device_rate_hz=8000: master.device_rate_hz: 8000.0: must be within "
-            "100 ... 4000 [Hz]",
+            "--set master.device_rate_hz=8000: master.device_rate_hz: 8000.0: must be 100 to "
+            "4000 Hz",
         ),
         (
             ["rate_hz=100"],

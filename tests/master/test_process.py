@@ -108,7 +108,7 @@ class DeviceConnection:
         self.clock.sleep(max(0.0, (deadline_ns - self.clock.now()) * 1e-9))
         return False
 
-    def latest(self, topic):
+    def take_latest(self, topic):
         assert topic is STATE
         here = [state for looks, state in self.under_way if looks == 0]
         self.under_way = [(looks - 1, state) for looks, state in self.under_way if looks]
@@ -129,11 +129,11 @@ class DeviceConnection:
         heard, self.heard = self.heard, []
         return heard
 
-    def announced(self, nonce):
+    def is_announced(self, nonce):
         return nonce == 77
 
-    def may(self, nonce, right):
-        return right == "stop" or self.announced(nonce)
+    def has_right(self, nonce, right):
+        return right == "stop" or self.is_announced(nonce)
 
     def counts(self):
         return self.latest_state.counts
@@ -614,5 +614,5 @@ def test_a_setting_is_changed_told_and_answered_and_a_refused_one_says_why():
     texts = [decode_text(a.text) for a in answers]
     assert texts[0] == "operator.position_scale = 0.1"
     assert "force.limit: cannot be changed while the master runs (allowed: force.scale" in texts[1]
-    assert "master.force.scale: must be within 0 ... 10" in texts[2]
+    assert "master.force.scale: must be 0 to 10" in texts[2]
     assert any("set: operator.position_scale = 0.1" in decode_text(e.text) for e in line.of(EVENT))

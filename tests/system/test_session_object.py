@@ -157,7 +157,7 @@ def test_a_device_of_ones_own_needs_no_entry_point_and_a_killed_child_is_one_lin
 
 def test_what_is_wrong_is_one_line_before_anything_starts(tmp_path):
     before = list_children(os.getpid())
-    with pytest.raises(UsageError, match=r"--set rate_hz=5: rate_hz: 5.0: must be within 100"):
+    with pytest.raises(UsageError, match=r"--set rate_hz=5: rate_hz: 5.0: must be 100 to 4000 Hz"):
         Session(DEMO, {"rate_hz": 5})
     with pytest.raises(UsageError, match=r"no_such.yaml"):
         Session(tmp_path / "no_such.yaml")

@@ -20,6 +20,7 @@ from typing import Literal, NamedTuple
 from master.device import Axes, DeviceFault, HandState
 from master.devices.hid.driver import Controls, HidDriver, Share
 from master.devices.hid.pid import PidConfig
+from teleop.config.ranges import build_ranged_field, check_ranges
 from teleop.messages.messages import MAX_JOINTS
 
 # --- config of a HID device: selection, axes and buttons
@@ -30,29 +31,25 @@ class AxisConfig:
     """Mapping of one axis of the device to a joint, and its force."""
 
     name: str = "x"  # of the input: x, y, rz, l2, ...; `teleop devices probe` lists them
-    joint: int | None = None  # moved by it, counted from 0; null = its place in the list
-    travel: float = 0.0  # [m] of the hand from the middle (or rest) to the end
-    speed: float = 0.0  # [m/s] of the hand at the end; instead of `travel`, for rate control
+    # moved by it, counted from 0; null = its place in the list
+    joint: int | None = build_ranged_field(None, 0, MAX_JOINTS - 1)
+    # of the hand from the middle (or rest) to the end
+    travel: float = build_ranged_field(0.0, 0.0, 1.0, "m")
+    # of the hand at the end; instead of `travel`, for rate control
+    speed: float = build_ranged_field(0.0, 0.0, 1.0, "m/s")
     sign: Literal[1, -1] = 1  # -1 reverses the joint's direction, for motion and force
-    dead_zone: float = 0.0  # fraction of the way to the end that counts as the middle
-    force: float = 0.0  # [N] of the device at full scale; 0 = no force
+    # fraction of the way to the end that counts as the middle
+    dead_zone: float = build_ranged_field(0.0, 0.0, 0.9)
+    # of the device at full scale; 0 = no force
+    force: float = build_ranged_field(0.0, 0.0, 100.0, "N")
 
     def __post_init__(self) -> None:
         """Check the values; raises `ValueError`."""
+        check_ranges(self)
         if not self.name:
             raise ValueError("name: must name an input of the device")
-        if self.joint is not None and not 0 <= self.joint < MAX_JOINTS:
-            raise ValueError(f"joint: must be within 0 ... {MAX_JOINTS - 1}")
-        if not 0.0 <= self.travel <= 1.0:
-            raise ValueError("travel: must be within 0 ... 1 [m]")
-        if not 0.0 <= self.speed <= 1.0:
-            raise ValueError("speed: must be within 0 ... 1 [m/s]")
         if (self.travel > 0.0) == (self.speed > 0.0):
             raise ValueError(f"travel, speed: exactly one must be above 0 (axis {self.name!r})")
-        if not 0.0 <= self.dead_zone <= 0.9:
-            raise ValueError("dead_zone: must be within 0 ... 0.9 of the way to the end")
-        if not 0.0 <= self.force <= 100.0:
-            raise ValueError("force: must be within 0 ... 100 [N]")
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +70,7 @@ class ButtonsConfig:
         assigned = self.assigned
         for name, number in assigned.items():
             if not 1 <= number <= 128:
-                raise ValueError(f"{name}: must be within 1 ... 128")
+                raise ValueError(f"{name}: must be 1 to 128")
         if len(set(assigned.values())) != len(assigned):
             raise ValueError(f"{', '.join(assigned)}: must be different buttons")
 
@@ -98,19 +95,19 @@ class HidConfig:
     buttons: ButtonsConfig = ButtonsConfig()
     # effects rendered by a device of the PID class itself
     pid: PidConfig = field(default_factory=PidConfig)
-    smoothing: float = 0.010  # [s] time constant of the velocity's filter
+    # time constant of the velocity's filter
+    smoothing: float = build_ranged_field(0.010, 0.0, 0.1, "s")
     signs: Path | None = None  # file of force signs; null = ~/.config/tendon-teleop/
 
     def __post_init__(self) -> None:
         """Check the values; raises `ValueError`."""
+        check_ranges(self)
         if not 1 <= len(self.axes) <= MAX_JOINTS:
             raise ValueError(f"axes: 1 to {MAX_JOINTS} are needed")
         if len(set(self.joints)) != len(self.axes):
             raise ValueError("axes: each must move a different joint")
         if len({axis.name for axis in self.axes}) != len(self.axes):
             raise ValueError("axes: each must be a different input of the device")
-        if not 0.0 <= self.smoothing <= 0.1:
-            raise ValueError("smoothing: must be within 0 ... 0.1 [s]")
 
     @property
     def joints(self) -> tuple[int, ...]:

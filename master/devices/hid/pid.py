@@ -26,6 +26,7 @@ from master.devices.hid.driver import (
 )
 from master.devices.hid.joystick import Inputs
 from master.devices.hid.pid_reports import FieldValue, ReportPart, build_layout
+from teleop.config.ranges import RangedConfig, build_ranged_field
 
 # A direction is where the force comes from, clockwise from -y. One from +x (90 deg) pushes
 # towards -x, one from -y (0 deg) towards +y.
@@ -33,17 +34,13 @@ _SIGNS = {"x": -1, "y": 1}
 
 
 @dataclass(frozen=True, slots=True)
-class PidConfig:
+class PidConfig(RangedConfig):
     """Effects rendered by the device about its centre while a force is active."""
 
-    spring: float = 0.0  # share of the largest coefficient and force, 0 = none
-    damper: float = 0.0  # share of the largest coefficient and force, 0 = none
-
-    def __post_init__(self) -> None:
-        """Check the values; raises `ValueError`."""
-        for name in ("spring", "damper"):
-            if not 0.0 <= getattr(self, name) <= 1.0:
-                raise ValueError(f"{name}: must be within 0 ... 1")
+    # share of the largest coefficient and force, 0 = none
+    spring: float = build_ranged_field(0.0, 0.0, 1.0)
+    # share of the largest coefficient and force, 0 = none
+    damper: float = build_ranged_field(0.0, 0.0, 1.0)
 
 
 class _ConstantForce(NamedTuple):

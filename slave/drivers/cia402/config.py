@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Literal
 
-from slave.ranged_field import build_ranged_field, check_ranges
+from teleop.config.ranges import RangedConfig, build_ranged_field, check_ranges
 
 # --- share of a CAN bus that cyclic PDOs take
 
@@ -108,21 +108,16 @@ HEARTBEATS_PER_TIMEOUT = 4
 
 
 @dataclass(frozen=True, slots=True)
-class BusConfig:
+class BusConfig(RangedConfig):
     """A CAN bus as python-can opens it."""
 
     interface: str = "socketcan"  # socketcan, slcan, or any other of python-can
     channel: str = "can0"  # network interface, or port of the adapter
-    bitrate: int = 1_000_000  # [bit/s] of the bus
+    # [bit/s] of the bus
+    bitrate: int = build_ranged_field(1_000_000, 10_000, 1_000_000)
     tty_baud: int = 2_000_000  # of an slcan adapter
     # in which an slcan adapter restarts after opening
     tty_wait: float = build_ranged_field(2.0, 0.0, 10.0, "s")
-
-    def __post_init__(self) -> None:
-        """Check the values; raises `ValueError`."""
-        check_ranges(self)
-        if not 10_000 <= self.bitrate <= 1_000_000:
-            raise ValueError("bitrate: must be 10000 to 1000000")
 
     def arguments(self) -> dict[str, Any]:
         """Return the arguments of `can.Bus`."""
@@ -141,17 +136,12 @@ class BusConfig:
 
 
 @dataclass(frozen=True, slots=True)
-class AnalogueConfig:
+class AnalogueConfig(RangedConfig):
     """The object that a load cell is read from, in every node with a cell."""
 
-    index: int = 0x3160  # of the object in the dictionary
-    subindex: int = 1  # of the object
+    index: int = build_ranged_field(0x3160, 0x1000, 0xFFFF)  # of the object in the dictionary
+    subindex: int = build_ranged_field(1, 0, 255)  # of the object
     bits: Literal[16, 32] = 16  # size of the object
-
-    def __post_init__(self) -> None:
-        """Check the values; raises `ValueError`."""
-        if not 0x1000 <= self.index <= 0xFFFF or not 0 <= self.subindex <= 255:
-            raise ValueError("index: must be 0x1000 to 0xFFFF, subindex 0 to 255")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -169,14 +159,18 @@ class Cia402Config:
     # what the drives watch: our heartbeat, or being guarded, for those that consume no heartbeat
     error_control: Literal["heartbeat", "guarding"] = "heartbeat"
     timeout: float = 0.050  # [s] without a PDO a node counts as silent
-    homed_bit: int | None = 15  # of the status word: position referenced; null: absolute encoder
-    following_error: int = 2000  # [counts] beyond which the drive stops by itself
+    # of the status word: position referenced; null: absolute encoder
+    homed_bit: int | None = build_ranged_field(15, 0, 15)
+    # beyond which the drive stops by itself
+    following_error: int = build_ranged_field(2000, 1, FOLLOWING_ERROR_MAX, "counts")
     # for which it may be exceeded
     following_time: float = build_ranged_field(0.010, 0.0, FOLLOWING_TIME_MAX, "s")
-    position_min: int = -1_000_000  # [counts] lower limit, kept by the drive
-    position_max: int = 1_000_000  # [counts] upper limit, kept by the drive
-    velocity_max: int = 5000  # in the drive's unit, often rpm
-    quick_stop_deceleration: int = 10_000  # in the drive's unit
+    # lower limit, kept by the drive
+    position_min: int = build_ranged_field(-1_000_000, INT32_MIN, INT32_MAX, "counts")
+    # upper limit, kept by the drive
+    position_max: int = build_ranged_field(1_000_000, INT32_MIN, INT32_MAX, "counts")
+    velocity_max: int = build_ranged_field(5000, 1, INT32_MAX)  # in the drive's unit, often rpm
+    quick_stop_deceleration: int = build_ranged_field(10_000, 1, INT32_MAX)  # in the drive's unit
     analogue: AnalogueConfig = field(default_factory=AnalogueConfig)
 
     def __post_init__(self) -> None:
@@ -185,18 +179,8 @@ class Cia402Config:
         encode_period(self.rate_hz)
         if not 2.0 / self.rate_hz <= self.timeout <= 0.5:
             raise ValueError("timeout: must be two periods to 0.5 s")
-        if self.homed_bit is not None and not 0 <= self.homed_bit <= 15:
-            raise ValueError("homed_bit: must be 0 to 15")
-        for name in ("position_min", "position_max"):
-            if not INT32_MIN <= getattr(self, name) <= INT32_MAX:
-                raise ValueError(f"{name}: must be {INT32_MIN} to {INT32_MAX} counts")
         if not self.position_min < self.position_max:
             raise ValueError("position_min: must be below position_max")
-        if not 1 <= self.following_error <= FOLLOWING_ERROR_MAX:
-            raise ValueError(f"following_error: must be 1 to {FOLLOWING_ERROR_MAX} counts")
-        for name in ("velocity_max", "quick_stop_deceleration"):
-            if not 1 <= getattr(self, name) <= INT32_MAX:
-                raise ValueError(f"{name}: must be 1 to {INT32_MAX}")
 
     @property
     def period(self) -> tuple[int, int]:

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 
-from slave.ranged_field import build_ranged_field, check_ranges
+from teleop.config.ranges import build_ranged_field, check_ranges
 
 WATCHDOG_UNIT = 0.020  # [s]
 
@@ -15,7 +15,8 @@ class DynamixelConfig:
     NUMBERS: ClassVar[range] = range(253)  # of servos
     type: Literal["dynamixel"] = "dynamixel"
     port: str  # /dev/serial/by-id/...
-    baud: int = 4_000_000  # set in the servos too: `teleop rig scan`
+    # set in the servos too: `teleop rig scan`
+    baud: int = build_ranged_field(4_000_000, 9600, 20_000_000)
     rate_hz: float = build_ranged_field(250.0, 20.0, 1000.0, "Hz")  # of sync read and sync write
     watchdog: float = 0.040  # [s] without an instruction a servo stops; a multiple of 20 ms
     # without an answer of every servo the bus counts as silent
@@ -25,7 +26,8 @@ class DynamixelConfig:
     voltage: tuple[float, float] = (10.0, 14.8)  # [V] of the supply; outside is a fault
     # of a servo; beyond is a fault
     temperature_max: float = build_ranged_field(70.0, 20.0, 100.0, "deg C")
-    current_limit: float | None = None  # [A] of each servo, by operating mode 5; null: no limit
+    # of each servo, by operating mode 5; null: no limit
+    current_limit: float | None = build_ranged_field(None, 0.01, 20.0, "A")
     # of the shaft, set in the servos
     velocity_max: float = build_ranged_field(4.0, 0.1, 100.0, "rad/s")
 
@@ -38,7 +40,3 @@ class DynamixelConfig:
             raise ValueError("watchdog: must be 0.02 or 0.04 s")
         if not 0.0 < self.voltage[0] < self.voltage[1] <= 60.0:
             raise ValueError("voltage: must be two voltages, the lower first")
-        if not 9600 <= self.baud <= 20_000_000:
-            raise ValueError("baud: must be 9600 to 20000000")
-        if self.current_limit is not None and not 0.01 <= self.current_limit <= 20.0:
-            raise ValueError("current_limit: must be 0.01 to 20 A")

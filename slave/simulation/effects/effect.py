@@ -6,26 +6,19 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 
-from slave.ranged_field import check_ranges
 from slave.simulation.tendon import Knobs
+from teleop.config.ranges import RangedConfig, build_ranged_field
 
 
 @dataclass(frozen=True, slots=True)
-class Effect:
+class Effect(RangedConfig):
     """A deviation from the estimator's model, active from `start` on."""
 
-    joint: int | None = None  # counted from 1; null = every joint
-    start: float = 0.0  # [s] of the rig, from which on it is active
+    joint: int | None = build_ranged_field(None, 1, math.inf)  # counted from 1; null = every joint
+    # of the rig, from which on it is active
+    start: float = build_ranged_field(0.0, 0.0, math.inf, "s")
 
     adds_up: ClassVar[bool] = True  # whether two of them on one tendon accumulate
-
-    def __post_init__(self) -> None:
-        """Check place, time and parameter ranges; raises `ValueError`."""
-        if self.joint is not None and self.joint < 1:
-            raise ValueError("joint: must be at least 1")
-        if not 0.0 <= self.start < math.inf:
-            raise ValueError("start: must be at least 0 s")
-        check_ranges(self)
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,11 +6,11 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from slave.ranged_field import build_ranged_field
 from slave.simulation.effects.effect import TendonEffect
 from slave.simulation.effects.ends import SideEffect
 from slave.simulation.joint import Tendon
 from slave.simulation.tendon import Knobs
+from teleop.config.ranges import build_ranged_field
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,7 +23,6 @@ class NonlinearStiffness(TendonEffect):
     adds_up: ClassVar[bool] = False
 
     def apply(self, knobs: Knobs, _time: float, _slid: float, /) -> Knobs:
-        """Return the knobs with this effect added."""
         return knobs._replace(toe_strain=self.strain, toe_tension=self.tension)
 
 
@@ -37,7 +36,6 @@ class Creep(TendonEffect):
     adds_up: ClassVar[bool] = False
 
     def apply(self, knobs: Knobs, _time: float, _slid: float, /) -> Knobs:
-        """Return the knobs with this effect added."""
         return knobs._replace(creep_share=self.share, creep_time=self.time_constant)
 
 
@@ -56,7 +54,6 @@ class SheathCompression(TendonEffect):
     adds_up: ClassVar[bool] = False
 
     def apply(self, knobs: Knobs, _time: float, _slid: float, /) -> Knobs:
-        """Return the knobs with this effect added."""
         return knobs._replace(
             compression=self.compression,
             compression_threshold=self.threshold,
@@ -72,7 +69,6 @@ class Slack(TendonEffect):
     length: float = build_ranged_field(1e-3, 0.0, 0.05, "m")  # of tendon in excess
 
     def apply(self, knobs: Knobs, _time: float, _slid: float, /) -> Knobs:
-        """Return the knobs with this effect added."""
         return knobs._replace(slack=knobs.slack + self.length)
 
 
@@ -88,7 +84,6 @@ class ThermalExpansion(TendonEffect):
     varies: ClassVar[bool] = True
 
     def apply(self, knobs: Knobs, time: float, _slid: float, /) -> Knobs:
-        """Return the knobs with this effect added."""
         warming = self.warming * -math.expm1(-time / self.time_constant)
         return knobs._replace(expansion=knobs.expansion + self.coefficient * warming)
 
@@ -112,7 +107,6 @@ class NonuniformCurvature(SideEffect):
     ratio: float = build_ranged_field(4.5, 0.05, 20.0)
 
     def change(self, tendon: Tendon, /) -> Tendon:
-        """Return the tendon with this effect added."""
         friction = tendon.chain.friction
         total = friction.sum()
         if total == 0.0:
@@ -130,7 +124,6 @@ class BrokenTendon(SideEffect):
     share: float = build_ranged_field(0.5, 0.0, 1.0)  # of the length, from the housing
 
     def change(self, tendon: Tendon, /) -> Tendon:
-        """Return the tendon with this effect added."""
         parted = tendon.chain.parted.copy()
         parted[round(self.share * (len(parted) - 1))] = BREAK_GAP
         return tendon._replace(chain=tendon.chain._replace(parted=parted))
@@ -147,7 +140,6 @@ class JammedTendon(SideEffect):
     share: float = build_ranged_field(0.5, 0.0, 1.0)  # of the length, from the housing
 
     def change(self, tendon: Tendon, /) -> Tendon:
-        """Return the tendon with this effect added."""
         friction = tendon.chain.friction.copy()
         first = round(self.share * max(0, len(friction) - JAMMED_CELLS))
         friction[first : first + JAMMED_CELLS] = JAM_FRICTION

@@ -5,10 +5,10 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 
-from slave.ranged_field import build_ranged_field
 from slave.simulation.effects.effect import Effect
 from slave.simulation.environment import LoadMotorConfig, build_environment, merge_environments
 from slave.simulation.joint import Joint, Tendon
+from teleop.config.ranges import build_ranged_field
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,7 +27,6 @@ class SideEffect(JointEffect, ABC):
     tendon: Literal["a", "b", "both"] = "both"  # of the joint, on which it acts
 
     def apply(self, joint: Joint, _travel: float, /) -> Joint:
-        """Return the joint with this effect added."""
         if self.tendon in ("a", "both"):
             joint = joint._replace(a=self.change(joint.a))
         if self.tendon in ("b", "both") and joint.pair:
@@ -47,7 +46,6 @@ class JointFriction(JointEffect):
     friction: float = build_ranged_field(0.5, 0.0, 100.0, "N")  # Coulomb, dry
 
     def apply(self, joint: Joint, _travel: float, /) -> Joint:
-        """Return the joint with this effect added."""
         return joint._replace(
             body=joint.body._replace(friction=joint.body.friction + self.friction)
         )
@@ -61,7 +59,6 @@ class JointBacklash(JointEffect):
     play: float = build_ranged_field(1e-4, 0.0, 0.01, "m")  # between pulley and link
 
     def apply(self, joint: Joint, _travel: float, /) -> Joint:
-        """Return the joint with this effect added."""
         return joint._replace(body=joint.body._replace(backlash=joint.body.backlash + self.play))
 
 
@@ -73,7 +70,6 @@ class TipInertia(JointEffect):
     mass: float = build_ranged_field(0.5, 0.0, 100.0, "kg")  # added to that of the joint
 
     def apply(self, joint: Joint, _travel: float, /) -> Joint:
-        """Return the joint with this effect added."""
         return joint._replace(body=joint.body._replace(mass=joint.body.mass + self.mass))
 
 
@@ -88,7 +84,6 @@ class TipMotion(JointEffect):
     hold: float = build_ranged_field(1.0, 0.0, 1e5, "s")  # before the release
 
     def apply(self, joint: Joint, travel: float, /) -> Joint:
-        """Return the joint with this effect added."""
         arrival = self.start + max(abs(self.travel) / self.speed, 1e-6)
         hand = LoadMotorConfig(
             mode="position",
@@ -114,7 +109,6 @@ class Pretension(SideEffect):
             raise ValueError("start: must be 0 s for pretension")
 
     def apply(self, joint: Joint, travel: float, /) -> Joint:
-        """Return the joint with this effect added."""
         joint = SideEffect.apply(self, joint, travel)
         if joint.pair:
             return joint
@@ -123,7 +117,6 @@ class Pretension(SideEffect):
         )
 
     def change(self, tendon: Tendon, /) -> Tendon:
-        """Return the tendon with this effect added."""
         chain, motor = tendon.chain, tendon.motor
         return tendon._replace(
             chain=chain._replace(pretension=chain.pretension + self.tension),
@@ -144,7 +137,6 @@ class AntagonistTension(JointEffect):
     tendon: Literal["a", "b"] = "b"  # the tighter one
 
     def apply(self, joint: Joint, _travel: float, /) -> Joint:
-        """Return the joint with this effect added."""
         if not joint.pair:
             return joint
         tendon = joint.b if self.tendon == "b" else joint.a
@@ -164,7 +156,6 @@ class PulleyEccentricity(SideEffect):
     adds_up: ClassVar[bool] = False
 
     def change(self, tendon: Tendon, /) -> Tendon:
-        """Return the tendon with this effect added."""
         winding = tendon.winding._replace(eccentricity=self.amplitude, phase=self.phase)
         return tendon._replace(winding=winding)
 

@@ -3,9 +3,9 @@
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 
-from slave.ranged_field import build_ranged_field
 from slave.simulation.effects.effect import TendonEffect
 from slave.simulation.tendon import Knobs
+from teleop.config.ranges import build_ranged_field
 
 
 @dataclass(frozen=True, slots=True)
@@ -16,7 +16,6 @@ class FrictionStep(TendonEffect):
     change: float = build_ranged_field(0.25, -0.95, 5.0)  # relative
 
     def apply(self, knobs: Knobs, _time: float, _slid: float, /) -> Knobs:
-        """Return the knobs with this effect added."""
         return knobs._replace(friction_scale=knobs.friction_scale * (1.0 + self.change))
 
 
@@ -37,7 +36,6 @@ class FrictionDrift(TendonEffect):
             raise ValueError("per_second: set this or per_metre")
 
     def apply(self, knobs: Knobs, time: float, slid: float, /) -> Knobs:
-        """Return the knobs with this effect added."""
         change = self.per_second * time + self.per_metre * slid
         change = max(-min(self.limit, 1.0), min(self.limit, change))
         return knobs._replace(friction_scale=knobs.friction_scale * (1.0 + change))
@@ -51,7 +49,6 @@ class ConstantDrag(TendonEffect):
     drag: float = build_ranged_field(0.6, 0.0, 10.0, "N")  # tau
 
     def apply(self, knobs: Knobs, _time: float, _slid: float, /) -> Knobs:
-        """Return the knobs with this effect added."""
         return knobs._replace(drag=knobs.drag + self.drag)
 
 
@@ -63,7 +60,6 @@ class ViscousFriction(TendonEffect):
     viscosity: float = build_ranged_field(50.0, 0.0, 5000.0, "N s/m^2")  # per metre of sheath
 
     def apply(self, knobs: Knobs, _time: float, _slid: float, /) -> Knobs:
-        """Return the knobs with this effect added."""
         return knobs._replace(viscosity=knobs.viscosity + self.viscosity)
 
 
@@ -83,7 +79,6 @@ class StribeckFriction(TendonEffect):
     adds_up: ClassVar[bool] = False
 
     def apply(self, knobs: Knobs, _time: float, _slid: float, /) -> Knobs:
-        """Return the knobs with this effect added."""
         return knobs._replace(
             stribeck_ratio=self.ratio, stribeck_speed=self.speed, stribeck_memory=self.memory
         )
@@ -100,7 +95,6 @@ class Presliding(TendonEffect):
     adds_up: ClassVar[bool] = False
 
     def apply(self, knobs: Knobs, _time: float, _slid: float, /) -> Knobs:
-        """Return the knobs with this effect added."""
         return knobs._replace(presliding=self.distance, presliding_tension=self.tension)
 
 
@@ -113,7 +107,6 @@ class DirectionAsymmetry(TendonEffect):
     ratio: float = build_ranged_field(0.8, 0.3, 3.0)
 
     def apply(self, knobs: Knobs, _time: float, _slid: float, /) -> Knobs:
-        """Return the knobs with this effect added."""
         return knobs._replace(asymmetry=knobs.asymmetry * self.ratio)
 
 
@@ -127,7 +120,6 @@ class TensionDependentFriction(TendonEffect):
     adds_up: ClassVar[bool] = False
 
     def apply(self, knobs: Knobs, _time: float, _slid: float, /) -> Knobs:
-        """Return the knobs with this effect added."""
         return knobs._replace(tension_exponent=self.exponent, tension_reference=self.reference)
 
 
@@ -146,7 +138,6 @@ class StickSlip(TendonEffect):
     adds_up: ClassVar[bool] = False
 
     def apply(self, knobs: Knobs, _time: float, _slid: float, /) -> Knobs:
-        """Return the knobs with this effect added."""
         return knobs._replace(
             static_ratio=self.ratio, static_time=self.rest_time, static_distance=self.distance
         )

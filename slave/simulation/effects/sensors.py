@@ -9,9 +9,9 @@ from typing import ClassVar, Literal
 import numpy as np
 
 from estimator.array_types import Array
-from slave.ranged_field import build_ranged_field
 from slave.simulation.effects.effect import Effect
 from slave.simulation.sensors import CHANNELS, Sensors
+from teleop.config.ranges import build_ranged_field
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +44,6 @@ class GainEffect(SensorEffect, ABC):
     channel: ClassVar[int]
 
     def apply(self, sensors: Sensors, tendons: Sequence[int], _time: float, /) -> Sensors:
-        """Return the sensors with this effect."""
         return replace_sensor_values(
             sensors, "gain", (self.channel, tendons), lambda g: g * (1.0 + self.gain)
         )
@@ -74,7 +73,6 @@ class BiasEffect(SensorEffect, ABC):
     channel: ClassVar[int]
 
     def apply(self, sensors: Sensors, tendons: Sequence[int], _time: float, /) -> Sensors:
-        """Return the sensors with this effect."""
         return replace_sensor_values(
             sensors, "bias", (self.channel, tendons), lambda b: b + self.bias
         )
@@ -106,7 +104,6 @@ class DriftEffect(SensorEffect, ABC):
     channel: ClassVar[int]
 
     def apply(self, sensors: Sensors, tendons: Sequence[int], time: float, /) -> Sensors:
-        """Return the sensors with this effect."""
         bias = max(-self.limit, min(self.limit, self.per_second * time))
         return replace_sensor_values(sensors, "bias", (self.channel, tendons), lambda b: b + bias)
 
@@ -137,7 +134,6 @@ class Saturation(SensorEffect):
     sensor: Literal["proximal_tension", "distal_tension"] = "proximal_tension"
 
     def apply(self, sensors: Sensors, tendons: Sequence[int], _time: float, /) -> Sensors:
-        """Return the sensors with this effect."""
         place = (CHANNELS.index(self.sensor), tendons)
         return replace_sensor_values(sensors, "range", place, lambda r: np.minimum(r, self.limit))
 
@@ -154,7 +150,6 @@ class SensorLag(SensorEffect):
     ] = "proximal_tension"
 
     def apply(self, sensors: Sensors, tendons: Sequence[int], _time: float, /) -> Sensors:
-        """Return the sensors with this effect."""
         place = (CHANNELS.index(self.sensor), tendons)
         return replace_sensor_values(sensors, "lag", place, lambda lag: lag + self.time_constant)
 
@@ -169,7 +164,6 @@ class EncoderScale(SensorEffect):
     sensor: Literal["proximal_displacement", "distal_displacement"] = "proximal_displacement"
 
     def apply(self, sensors: Sensors, tendons: Sequence[int], _time: float, /) -> Sensors:
-        """Return the sensors with this effect."""
         place = (CHANNELS.index(self.sensor), tendons)
         return replace_sensor_values(sensors, "gain", place, lambda g: g * (1.0 + self.gain))
 
@@ -184,7 +178,6 @@ class EncoderSlip(SensorEffect):
     sensor: Literal["proximal_displacement", "distal_displacement"] = "proximal_displacement"
 
     def apply(self, sensors: Sensors, tendons: Sequence[int], _time: float, /) -> Sensors:
-        """Return the sensors with this effect."""
         place = (CHANNELS.index(self.sensor), tendons)
         return replace_sensor_values(sensors, "bias", place, lambda b: b + self.slip)
 
@@ -200,7 +193,6 @@ class CoggingRipple(SensorEffect):
     adds_up: ClassVar[bool] = False
 
     def apply(self, sensors: Sensors, tendons: Sequence[int], _time: float, /) -> Sensors:
-        """Return the sensors with this effect."""
         sensors = replace_sensor_values(sensors, "ripple", tendons, lambda _: self.amplitude)
         sensors = replace_sensor_values(sensors, "ripple_order", tendons, lambda _: self.order)
         return replace_sensor_values(sensors, "ripple_phase", tendons, lambda _: self.phase)
@@ -219,7 +211,6 @@ class SheathRub(SensorEffect):
     adds_up: ClassVar[bool] = False
 
     def apply(self, sensors: Sensors, tendons: Sequence[int], _time: float, /) -> Sensors:
-        """Return the sensors with this effect."""
         sensors = replace_sensor_values(sensors, "rub", tendons, lambda _: self.friction)
         return replace_sensor_values(sensors, "rub_travel", tendons, lambda _: self.travel)
 
@@ -233,7 +224,6 @@ class StuckCell(SensorEffect):
     sensor: Literal["proximal_tension", "distal_tension"] = "proximal_tension"
 
     def apply(self, sensors: Sensors, tendons: Sequence[int], _time: float, /) -> Sensors:
-        """Return the sensors with this effect."""
         return replace_sensor_values(
             sensors, "frozen", (CHANNELS.index(self.sensor), tendons), lambda _: 1.0
         )

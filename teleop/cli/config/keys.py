@@ -2,7 +2,7 @@
 
 Nothing is written twice. Types and defaults are those of the fields; unit and meaning are in the
 comment of each field, or in the docstring of the section it holds; what is allowed is a `Literal`,
-a stated range, or else what `__post_init__` says as it refuses a value that is far off.
+a stated range, and what `__post_init__` says as it refuses a value that is far off.
 """
 
 import dataclasses
@@ -14,6 +14,7 @@ from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 from teleop.config.comments import read_field_comments
 from teleop.config.extensions import Extension, list_entry_points
+from teleop.config.ranges import Range
 from teleop.errors import UsageError
 
 Config = type[Any]
@@ -147,13 +148,13 @@ def _find_default(item: "dataclasses.Field[Any]") -> Any:
 # --- unit and meaning
 
 
-def _split_unit(comment: str, stated: tuple[float, float, str] | None) -> tuple[str, str]:
+def _split_unit(comment: str, stated: Range | None) -> tuple[str, str]:
     """Return the unit in a comment, or of a stated range, and the comment without it."""
     for found in _UNIT.finditer(comment):
         if re.fullmatch(_UNITS, found[1]):
             rest = comment[: found.start()] + comment[found.end() :]
             return found[1], rest.replace(" ,", ",").strip(" ;,")
-    unit = stated[2] if stated is not None and re.fullmatch(_UNITS, stated[2]) else ""
+    unit = stated.unit if stated is not None and re.fullmatch(_UNITS, stated.unit) else ""
     return unit, comment
 
 
@@ -169,9 +170,8 @@ def _find_limits(config: Config) -> dict[str, str]:
         hint = hints[item.name]
         words = [_format_choices(hint)]
         if "range" in item.metadata:
-            low, high, unit = item.metadata["range"]
-            words.append(f"{low:g} to {high:g} {unit}".strip().replace("inf", ".inf"))
-        elif example is not None and get_origin(hint) is not Literal:
+            words.append(str(item.metadata["range"]))
+        if example is not None and get_origin(hint) is not Literal:
             words += _ask_for_limits(example, item.name, hint)
         others = [".inf"] * ("may_be_infinite" in item.metadata)
         others += ["null"] * (type(None) in get_args(hint))

@@ -73,7 +73,7 @@ def test_arrays_a_file_and_the_command_have_the_same_samples(tmp_path):
         ({"profile": "zigzag"}, r"profile 'zigzag': allowed are pull-release-pull"),
         ({"rate": 2000.0}, r"rate 2000: .*period"),
         ({"duration": 0.0}, r"duration 0: must be above 0"),
-        ({"seed": -1}, r"seed: must not be negative"),
+        ({"seed": -1}, r"seed: must be at least 0"),
         ({"config": "none.yaml"}, r"none\.yaml"),
     ],
 )

@@ -107,7 +107,7 @@ def test_conditions_that_differ_in_stiffness_share_one_session(tmp_path):
          "coupling.type cannot change while a session runs; make it a factor"),
         ({"set_stimulus": lambda _, i: {"force.scale": 0.1} if i == 1 else {}},
          "master.force.scale: must be set in every condition and interval"),
-        ({"set_stimulus": lambda *_: {"force.scale": -1.0}}, "scale: -1.0: must be within"),
+        ({"set_stimulus": lambda *_: {"force.scale": -1.0}}, "scale: -1.0: must be 0 to 10"),
         ({"design": Design(factors={"slave.rig.mass": (1,)}, procedure=LEVELS)}, "mass"),
     ],
 )  # fmt: skip
