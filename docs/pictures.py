@@ -159,13 +159,13 @@ class _Between:
             cut[topic] = rows[inside]
         return {topic: rows for topic, rows in cut.items() if len(rows)}
 
-    def pictures(self, batches: Mapping[AnyTopic, Rows]) -> int:
-        return self._scene.pictures(self._cut(batches))
+    def draw_pictures(self, batches: Mapping[AnyTopic, Rows]) -> int:
+        return self._scene.draw_pictures(self._cut(batches))
 
-    def curves(self, batches: Mapping[AnyTopic, Rows]) -> int:
+    def draw_curves(self, batches: Mapping[AnyTopic, Rows]) -> int:
         return self._scene.curves(self._cut(batches))
 
-    def end(self, what: str, silent_ns: int = 0) -> None:
+    def show_end(self, what: str, silent_ns: int = 0) -> None:
         """Show no end: a moment of the run is photographed."""
 
 

@@ -140,7 +140,7 @@ class MasterProcess(LoopProcess):
     def tick(self, tick: Tick) -> None:
         """Read, command, wait for the answer, render; then the work that is not time-critical."""
         fault, hand, absence = self._read((tick.stamp_ns - self._start_ns) * 1e-9)
-        self._link.latest(STATE)
+        self._link.take_latest(STATE)
         requests = self._requests(tick.stamp_ns, int(self._stops[0]))
         if requests.stop_text or requests.settings:
             self._process_requests(requests)
@@ -264,7 +264,7 @@ class MasterProcess(LoopProcess):
         if self._late_answers > LATE_ANSWERS_MAX and self._index % RETRY_TICKS:
             return
         while self._link.wait(STATE, deadline_ns):
-            self._link.latest(STATE)
+            self._link.take_latest(STATE)
             if self._echo_ns[0] >= sent_ns:
                 self._late_answers = 0
                 return
@@ -348,8 +348,8 @@ class MasterProcess(LoopProcess):
         self, tick: Tick, hand: HandState | None, requests: Requests, round_trip: int
     ) -> None:
         """Do the work that is not time-critical, once the force is written."""
-        side = self._outline()
-        self._finish_requests(side, requests, self._states, tick.stamp_ns)
+        newest = self._outline()
+        self._finish_requests(newest, requests, self._states, tick.stamp_ns)
         if hand is not None and not self._link.skip_unsubscribed(HAND):
             age = self._states.age_ns(tick.stamp_ns)
             loop.fill_hand_message(
@@ -361,7 +361,7 @@ class MasterProcess(LoopProcess):
             )
             self._link.publish_packet(HAND, self._hand)
         self._publish_ledger(tick.stamp_ns)
-        for outline in (self._commanded_outline(), side):  # the answer may have changed it again
+        for outline in (self._commanded_outline(), newest):  # the answer may have changed it again
             if outline != self._published:
                 self._publish_session(outline)
         self._watch_link(

@@ -139,7 +139,7 @@ class SlaveProcess(LoopProcess):
         """Answer the newest command; then the work that is not time-critical."""
         time_s = (tick.stamp_ns - self._start_ns) * 1e-9
         fault = self._read(time_s)
-        commands = self._link.latest(COMMAND)
+        commands = self._link.take_latest(COMMAND)
         now = now_ns()
         requests = self._requests(now, int(self._stops[0]))
         if requests.stop_text and self._outline().state is not State.STOPPED:
@@ -285,14 +285,14 @@ class SlaveProcess(LoopProcess):
         self._checkpoint.save()
         if requests.settings:
             self._process_settings(requests.settings)
-        side = self._outline()
+        outline = self._outline()
         for k in range(sample_count):
             if self._link.skip_unsubscribed(TENDONS):
                 continue
             fill_tendon_state(slave.layout, slave.memory, rows, k, self._tendon_state.records)
             self._link.publish_packet(TENDONS, self._tendon_state)
         self._score.add_rows(slave.layout, rows, sample_count)
-        self._finish_requests(side, requests, self._commands, tick.stamp_ns)
+        self._finish_requests(outline, requests, self._commands, tick.stamp_ns)
         self._publish_ledger(tick.stamp_ns)
         self._telemetry(time_s)
         self._watch_link(tick.stamp_ns, self._commands, int(self._echo_ns[0]), 0)
@@ -431,7 +431,7 @@ def _calibrate_rig(
 
     def check_stop() -> str:
         pending = requests(now_ns())
-        master = link.latest(COMMAND).message
+        master = link.take_latest(COMMAND).message
         if pending.stop:
             call_stop(link, Role.SLAVE, pending.stop_text or pending.stop.text)
             cause = DetailedReason(pending.stop, pending.stop_text)
@@ -439,7 +439,7 @@ def _calibrate_rig(
             stop_motors(rig, reason)
             outline = SessionOutline(State.STOPPED, pending.stop)
             if requests.is_asked:
-                latest = link.latest(COMMAND)
+                latest = link.take_latest(COMMAND)
                 answer_requests(link, requests, Role.SLAVE, outline, 0, latest, now_ns())
             raise TeleopError(reason)
         if master is not None and State(master.state) is State.STOPPED:

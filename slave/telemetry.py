@@ -72,29 +72,31 @@ class Telemetry:
 
     def __call__(self, time_s: float) -> None:
         """Publish the messages due at session time `time_s` [s]."""
-        side = self._outline()
+        outline = self._outline()
         published = self._published
-        told_once = side.state is State.FAULT or side.reason is Reason.CALIBRATION_DUE
-        lasting = told_once and published is not None and published[0] == side
+        told_once = outline.state is State.FAULT or outline.reason is Reason.CALIBRATION_DUE
+        lasting = told_once and published is not None and published[0] == outline
         if not (lasting and self.detail):  # the origin of a fault, not its later symptoms
-            self.detail = self._detail(side.reason)
-        now = side, self.detail
+            self.detail = self._detail(outline.reason)
+        now = outline, self.detail
         if now != published:
             self._published = now
-            text = f"{side.state.name.lower()}: {DetailedReason(side.reason, self.detail).text}"
-            publish_event(self._link, Role.SLAVE, side, text)
+            text = (
+                f"{outline.state.name.lower()}: {DetailedReason(outline.reason, self.detail).text}"
+            )
+            publish_event(self._link, Role.SLAVE, outline, text)
         advice = int(self._now["advice"][0])
         if advice != self._advice:
             self._advice = advice
             if advice == Advice.ADVISED:
                 text = f"calibrate again when there is time: {self._misfit()}"
-                publish_event(self._link, Role.SLAVE, side, text)
+                publish_event(self._link, Role.SLAVE, outline, text)
         if self._shapes is not None and time_s >= self._next_shape_s:
             self._next_shape_s = time_s + SHAPE_PERIOD_S
             for change in self._shapes.update(time_s):
                 text = self._describe_shape(change, time_s)
                 self.shape_changes.append(text)
-                publish_event(self._link, Role.SLAVE, side, text)
+                publish_event(self._link, Role.SLAVE, outline, text)
         if time_s >= self._next_profile_s and self._now["has_sample"][0]:
             self._next_profile_s = time_s + self._profile_s
             self._publish_profile()

@@ -115,8 +115,8 @@ def hour(recording: Path, minutes: float) -> None:
             for passed_s, batch in looped(recording, 1 / view.curves_hz):
                 if passed_s > 60 * minutes:
                     break
-                scene.pictures(batch)
-                scene.curves(batch)
+                scene.draw_pictures(batch)
+                scene.draw_curves(batch)
                 sink.publish()
                 if moments and passed_s >= 60 * moments[0] - 1e-6:
                     minute, size = moments.pop(0), file.stat().st_size / 1e6

@@ -113,7 +113,7 @@ class FaultSession(Processes):
 
     def last_stamp_ns(self, name: str) -> int:
         """Return when the newest message of a side that reached us was sent."""
-        return self.link.latest(HAND if name == "master" else STATE).stamp_ns
+        return self.link.take_latest(HAND if name == "master" else STATE).stamp_ns
 
     def recordings(self) -> list[Path]:
         return sorted(self.folder.glob("*.mcap"), key=lambda path: path.stat().st_ctime)

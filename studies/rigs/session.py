@@ -87,7 +87,7 @@ class Session:
         with self.processes.look() as link:
             while time.monotonic() < until_s:
                 positions.append(self.model.order()["position"][0])
-                hand = link.latest(HAND).message
+                hand = link.take_latest(HAND).message
                 if isinstance(hand, Hand):
                     forces.append(max(map(abs, hand.force)))
                 time.sleep(0.02)
@@ -98,7 +98,7 @@ class Session:
         with self.processes.look() as link:
 
             def stopped() -> bool:
-                hand = link.latest(HAND).message
+                hand = link.take_latest(HAND).message
                 return isinstance(hand, Hand) and hand.state == State.STOPPED
 
             assert wait_for_condition(stopped, START_S, poll_s=0.001), "the session is not stopped"

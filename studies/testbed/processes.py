@@ -125,7 +125,7 @@ class Processes:
         return Link(self.link_config, self.session, Role.LAUNCHER)
 
     def engaged(self, link: Link) -> bool:
-        state, hand = link.latest(STATE).message, link.latest(HAND).message
+        state, hand = link.take_latest(STATE).message, link.take_latest(HAND).message
         return (
             isinstance(state, SlaveState)
             and isinstance(hand, Hand)

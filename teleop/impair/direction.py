@@ -151,7 +151,7 @@ class Direction:
     def mirror(self, presence_s: float) -> None:
         """Mirror subscriptions and presence of each bank on the other."""
         for topic in TOPICS:
-            self._near.follow(topic, self._far.listens(topic), self.take)
+            self._near.follow(topic, self._far.has_listener(topic), self.take)
         now = time.monotonic_ns()
         if not self._is_cut(now):
             self._cut_ns = 0

@@ -88,7 +88,7 @@ class Keyboard:
 def require_free_session(link: Link) -> None:
     """Raise `PeerError` if the session has a slave or a master before we start ours."""
     for role in (Role.SLAVE, Role.MASTER):
-        if link.present(role):
+        if link.is_present(role):
             raise PeerError(
                 f"session {link.session!r} has a {role.name.lower()} already; stop that one first, "
                 "or choose another session name and other endpoints"
@@ -117,7 +117,7 @@ class SessionWatch:
         A slave that calibrates its rig first answers late and prints its progress.
         """
         self.link.subscribe_latest(STATE)
-        while not self.stop() and self.link.latest(STATE).message is None:
+        while not self.stop() and self.link.take_latest(STATE).message is None:
             if (child := self._look()) is not None:
                 return child
             if time.monotonic() > self.supervisor.children["slave"].heard_s + START_S:
@@ -158,7 +158,7 @@ class SessionWatch:
     def _show_status(self) -> None:
         seen, record = self.monitor, self.supervisor.children.get("record")
         recorder = "" if record is None else record.status
-        state = self.link.latest(STATE).message
+        state = self.link.take_latest(STATE).message
         self.console.status.show(
             format_status(
                 seen.reports, state, seen.latency, recorder, seen.links, self.link.insecure

@@ -203,7 +203,7 @@ class Admission:
             if queue.pop(token, self) is not self and not queue:
                 del self._queues[name]
 
-    def know(self, token: Token) -> None:
+    def add_certificate(self, token: Token) -> None:
         """Give the certificate of a token, which is of the authority, a queue of its own."""
         certificate = token.certificate
         is_new = certificate not in self._known

@@ -81,7 +81,7 @@ class BridgeEnd:
 
         return forward
 
-    def listens(self, topic: Topic[Any]) -> bool:
+    def has_listener(self, topic: Topic[Any]) -> bool:
         """Return whether anyone on this side subscribes to `topic`."""
         return bool(self._publishers[topic.name].matching_status.matching)
 

@@ -181,7 +181,7 @@ class ConnectionGuard:
         if _LINUX:
             self._tables = open_tables(_TABLES)
             self._interfaces = open_tables([_INTERFACES])
-            self._thread = threading.Thread(target=self._work, name="connection guard", daemon=True)
+            self._thread = threading.Thread(target=self._run, name="connection guard", daemon=True)
             self._thread.start()
             # a thread that Python ends inside of Zenoh aborts the process
             atexit.register(self._join)
@@ -211,7 +211,7 @@ class ConnectionGuard:
                         else:
                             filter_packets(copy, [])  # it has that of the listening socket
 
-    def _work(self) -> None:
+    def _run(self) -> None:
         arrivals = select.epoll()
         for listening in self._listening.values():
             with contextlib.suppress(OSError):  # closed already
@@ -231,7 +231,7 @@ class ConnectionGuard:
                     break
                 begin_s = thread_time()
                 for charged in self._charged:
-                    self._charge(*charged, monotonic())
+                    self._charge_connection(*charged, monotonic())
                 pause_s = max(BYTE_COUNT_PERIOD_S, 10 * (thread_time() - begin_s))
         arrivals.close()
         for table in self._tables + self._interfaces:
@@ -246,20 +246,20 @@ class ConnectionGuard:
         """Look at all connections once; return whether none is half open and none is blocked."""
         half_open, named = [], Counter[str]()
         self._has_new, self._charged = False, []
-        for connection in self._connections(now_s):
+        for connection in self._list_connections(now_s):
             ends = connection.local, connection.remote
             name = self._names.get(ends, self._names.get((connection.local, None)))
             if name is not None:
                 named[name] += 1
                 if find_bounds(name) is not None:
                     self._charged.append((connection, name, named[name]))
-                    self._charge(connection, name, named[name], now_s)
+                    self._charge_connection(connection, name, named[name], now_s)
             elif connection.local in self._listening:
                 half_open.append(connection)
         is_stuck = any(now_s - c.since_s > BLOCK_HALF_OPEN_AGE_S for c in half_open)
         if is_stuck or len(half_open) >= self._burst or self._blocks:
-            self._block(half_open, now_s)
-        self._cap([c for c in half_open if not c.shut])
+            self._update_blocks(half_open, now_s)
+        self._limit_half_open([c for c in half_open if not c.shut])
         old = [c for c in half_open if now_s - c.since_s > HALF_OPEN_S and not c.shut]
         if old and now_s - self._shut_s >= HALF_OPEN_CLOSE_PERIOD_S:
             self._shut_s = now_s
@@ -269,7 +269,7 @@ class ConnectionGuard:
             _release_free_memory()
         return not (half_open or self._blocks or self._trim_s)
 
-    def _cap(self, half_open: list[Connection]) -> None:
+    def _limit_half_open(self, half_open: list[Connection]) -> None:
         """Shut down the oldest of too many half-open connections, from however many sources."""
         soft, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
         limit = max(HALF_OPEN_MAX, self._burst)
@@ -281,7 +281,7 @@ class ConnectionGuard:
         for connection in excess:
             connection.shut_down()
 
-    def _connections(self, now_s: float) -> list[Connection]:
+    def _list_connections(self, now_s: float) -> list[Connection]:
         """Return the connections of this process, oldest first."""
         known_sockets, self._sockets = self._sockets, {}
         for number, inode in list_open_sockets():
@@ -302,7 +302,9 @@ class ConnectionGuard:
             self._sockets[inode] = connection
         return sorted((c for c in self._sockets.values() if c is not None), key=lambda c: c.since_s)
 
-    def _charge(self, connection: Connection, name: str, count: int, now_s: float) -> None:
+    def _charge_connection(
+        self, connection: Connection, name: str, count: int, now_s: float
+    ) -> None:
         """Charge a connection for what it has received since the last time."""
         bounds = find_bounds(name)
         if bounds is None or connection.shut:
@@ -326,7 +328,7 @@ class ConnectionGuard:
         connection.shut_down()
         self._trim_s = now_s + CLOSE_DELAY_S
 
-    def _block(self, half_open: list[Connection], now_s: float) -> None:
+    def _update_blocks(self, half_open: list[Connection], now_s: float) -> None:
         """Block the sources of stuck or many connections, and end blocks."""
         rows = {
             (local, remote): (state, int(user), inode)

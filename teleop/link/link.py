@@ -170,7 +170,11 @@ class Link:
         senders = None if keyring is None else keyring.senders(topic)
         addressee = b"" if keyring is None else keyring.addressee
         latest = LatestMessage(
-            topic, partial(self._roster.visit, topic.publisher), limit_ns, senders, addressee
+            topic,
+            partial(self._roster.find_visit, topic.publisher),
+            limit_ns,
+            senders,
+            addressee,
         )
         inbox = Inbox(INBOX_SIZE, tagged=senders is not None)
         direct = zenoh.handlers.Callback(inbox.store, indirect=False)  # no thread in between
@@ -191,7 +195,7 @@ class Link:
         for _, inbox in self._latest.values():
             inbox.wake()
 
-    def latest(self, topic: Topic[M]) -> LatestMessage[M]:
+    def take_latest(self, topic: Topic[M]) -> LatestMessage[M]:
         """Process new messages of `topic`; return the newest with its age."""
         if topic.name not in self._latest:
             self.subscribe_latest(topic)
@@ -216,17 +220,17 @@ class Link:
             listener.subscribers.append(self._zenoh.declare_subscriber(key, direct))
         return listener
 
-    def present(self, role: Role, nonce: int | None = None) -> bool:
+    def is_present(self, role: Role, nonce: int | None = None) -> bool:
         """Return whether a process of `role` is connected to this one and has finished starting.
 
         With a `nonce`: whether that process is. Recorders and viewers do not announce themselves
         (`has_listener`).
         """
-        return self._roster.present(role, nonce)
+        return self._roster.is_present(role, nonce)
 
-    def may(self, nonce: int, right: str) -> bool:
+    def has_right(self, nonce: int, right: str) -> bool:
         """Return whether the process of this nonce is here and has a right (`teleop.security`)."""
-        return self._roster.may(nonce, right)
+        return self._roster.has_right(nonce, right)
 
     def check_peers(self) -> None:
         """Raise `PeerError` if this process must leave the session; costs microseconds."""
@@ -238,7 +242,7 @@ class Link:
         """Return the message counts of all latest-value topics together."""
         return sum((latest.counts for latest, _ in self._latest.values()), MessageCounts())
 
-    def last_sequences(self) -> tuple[int, ...]:
+    def list_last_sequences(self) -> tuple[int, ...]:
         """Return the sequence number of our last message of each of `TOPICS`, 0 = none."""
         publishers = (self._publishers.get(topic.name) for topic in TOPICS)
         numbers = [0 if publisher is None else publisher.sequence for publisher in publishers]
@@ -248,7 +252,7 @@ class Link:
         return f"teleop/{self.session}/{name}"
 
     def _visit(self, topic: Topic[Any], nonce: int) -> int:
-        return 0 if topic.publisher is None else self._roster.visit(topic.publisher, nonce)
+        return 0 if topic.publisher is None else self._roster.find_visit(topic.publisher, nonce)
 
     def _publisher(self, topic: Topic[Any], patient: bool = False) -> Publisher:
         """Return the publisher of a topic of this role, declared at its first use."""
@@ -271,7 +275,7 @@ class Link:
             self._token = self._handshake.prove(self._token)
         return self._zenoh.liveliness().declare_token(self._token.key(self.session))
 
-    def _endpoints(self) -> tuple[list[str], list[str]]:
+    def _find_endpoints(self) -> tuple[list[str], list[str]]:
         """Return the endpoints to listen on and to connect to."""
         master, slave = self.config.master, self.config.slave
         if self.config.routers:
@@ -281,11 +285,11 @@ class Link:
         return ([slave], []) if self.role == Role.SLAVE else ([], [master, slave])
 
     def _open(self) -> Any:
-        listen, connect = self._endpoints()
+        listen, connect = self._find_endpoints()
         mode: Mode = "client" if self.config.routers else "peer"
         try:
             session = open_session(
-                self.credentials, listen, connect, self._access(), mode, self.refusals.note
+                self.credentials, listen, connect, self._build_access(), mode, self.refusals.note
             )
         except UsageError:
             if listen:
@@ -297,7 +301,7 @@ class Link:
             )
         return session
 
-    def _access(self) -> dict[str, Any] | None:
+    def _build_access(self) -> dict[str, Any] | None:
         return None if self.credentials is None else build_access_control([self.session])
 
     def _blame_rival(self, endpoints: list[str]) -> None:
@@ -308,7 +312,7 @@ class Link:
                 None if self._keyring is None else Keyring(self.role, self.nonce),
             )  # fmt: skip
             begin = now_ns()
-            while self._waits(roster, begin):
+            while self._is_waiting(roster, begin):
                 time.sleep(0.01)
             roster.close()
         if any(t.role == self.role and not t.relayed for t in roster.others):
@@ -321,11 +325,13 @@ class Link:
     def _probe(self) -> ConnectionProbe:
         """Return what watches for ends that answer and do not become connections."""
 
-        def connected() -> list[str]:
+        def list_connected() -> list[str]:
             return [link.dst for link in self._zenoh.info.links()]
 
-        ends = self._endpoints()[1]
-        return ConnectionProbe(ends, self.credentials, self.session, connected, self.refusals.note)
+        ends = self._find_endpoints()[1]
+        return ConnectionProbe(
+            ends, self.credentials, self.session, list_connected, self.refusals.note
+        )
 
     def _on_connection(self, event: zenoh.LinkEvent) -> None:
         """Note a connection of a certificate that has nothing to do here; it is not served."""
@@ -350,13 +356,13 @@ class Link:
             info = self._zenoh.info
             if linked is None and (info.peers_zid() or info.routers_zid()):
                 linked = now
-            if not self._waits(self._roster, begin if linked is None else linked):
+            if not self._is_waiting(self._roster, begin if linked is None else linked):
                 return
             time.sleep(0.01)
 
-    def _waits(self, roster: Roster, begin_ns: int) -> bool:
+    def _is_waiting(self, roster: Roster, begin_ns: int) -> bool:
         """Return whether a start at `begin_ns` goes on detecting peers."""
         waited_s = (now_ns() - begin_ns) * 1e-9
         return waited_s <= SETTLE_S or (
-            roster.undecided and waited_s <= SETTLE_S + DECISION_TIMEOUT_NS * 1e-9
+            roster.is_undecided and waited_s <= SETTLE_S + DECISION_TIMEOUT_NS * 1e-9
         )

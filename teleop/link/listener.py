@@ -158,7 +158,7 @@ class Listener:
         self._senders[topic.name] = _SenderChecks(topic, self._visit, sampled)
         put = self._queue.put
         if self._keyring is not None and self._keyring.senders(topic) is not None:
-            return self._verifying(topic, self._keyring.verify)
+            return self._build_verifier(topic, self._keyring.verify)
         # copied at once: a payload keeps its whole receive buffer alive
         return lambda sample: put(topic, sample.payload.to_bytes(), now_ns())
 
@@ -170,7 +170,7 @@ class Listener:
         """Return how many of them had a wrong tag for us."""
         return self._forged.get(topic.name, 0)
 
-    def _verifying(
+    def _build_verifier(
         self, topic: Topic[Any], verify: Callable[[Topic[Any], bytes, bytes], TagVerdict]
     ) -> Callable[[zenoh.Sample], None]:
         """Return the callback that queues messages of `topic` with the right tag only."""
@@ -201,7 +201,7 @@ class Listener:
             return []
         arrivals, dropped = self._queue.take(limit)
         for name, count in dropped.items():
-            self._senders[name].overflowed_to(count)
+            self._senders[name].note_dropped(count)
         messages = []
         for _, topic, data, received_ns in arrivals:
             head = self._senders[topic.name].admit(data)
@@ -246,7 +246,7 @@ class _SenderChecks:
     def __len__(self) -> int:
         return len(self._receptions)
 
-    def overflowed_to(self, dropped: int) -> None:
+    def note_dropped(self, dropped: int) -> None:
         """Update the number of dropped messages of the topic."""
         if dropped > self._dropped:
             self._dropped = dropped
@@ -257,7 +257,7 @@ class _SenderChecks:
         shared = self._topic.publisher is None
         sender = self._topic.message.schema.sender(data) if shared else 0
         known = self._receptions.get(sender)
-        reception = known or Reception(self._topic, self._announced)
+        reception = known or Reception(self._topic, self._find_visit)
         head = reception.admit(data, overflowed=self._sampled or sender in self._overflowed)
         if head is not None:
             self._overflowed.discard(sender)
@@ -274,7 +274,7 @@ class _SenderChecks:
         """Return the counts of all checked messages."""
         return sum((r.counts for r in self._receptions.values()), self._forgotten)
 
-    def _announced(self, nonce: int) -> int:
+    def _find_visit(self, nonce: int) -> int:
         return 1 if self._topic.publisher is None else self._visit(self._topic, nonce)
 
     def _forget(self) -> None:

@@ -284,13 +284,13 @@ class ConnectionProbe:
 
     def __enter__(self) -> "ConnectionProbe":
         if self._found:
-            threading.Thread(target=self._work, name="connection probe", daemon=True).start()
+            threading.Thread(target=self._run, name="connection probe", daemon=True).start()
         return self
 
     def __exit__(self, *_: object) -> None:
         self._end.set()
 
-    def _work(self) -> None:
+    def _run(self) -> None:
         while not self._end.wait(PROBE_PERIOD_S):
             try:
                 connected = {end.rpartition("/")[2] for end in self._connected()}

@@ -147,39 +147,39 @@ class Roster:
         ]
         for arrivals in self._arrivals:
             self._stack.callback(arrivals.undeclare)
-        self._thread = threading.Thread(target=self._work, name="roster", daemon=True)
+        self._thread = threading.Thread(target=self._run, name="roster", daemon=True)
         self._thread.start()
 
-    def present(self, role: Role, nonce: int | None = None) -> bool:
+    def is_present(self, role: Role, nonce: int | None = None) -> bool:
         """Return whether a process of `role` (and this nonce) is present and has started."""
         held = self._held
         return any(r is role and nonce in (None, n) for r, n in held)
 
-    def announced(self, nonce: int) -> bool:
+    def is_announced(self, nonce: int) -> bool:
         """Return whether a process of this nonce is present and has finished starting."""
         return any(t.nonce == nonce and t.stage == RoleStage.HELD for t in self.others)
 
-    def may(self, nonce: int, right: str) -> bool:
+    def has_right(self, nonce: int, right: str) -> bool:
         """Return whether the process of this nonce is present and has a right of a supervisor.
 
         The two sides may stop. In an insecure session everyone may do everything.
         """
         if self._keyring is None:
-            return right == "stop" or self.announced(nonce)
+            return right == "stop" or self.is_announced(nonce)
         for role, n in self._held:
             peer = self._keyring.known(role, nonce) if n == nonce else None
             if peer is not None:
-                side = role in EXCLUSIVE_ROLES
-                if right in peer.identity.rights or (side and right == "stop"):
+                is_side = role in EXCLUSIVE_ROLES
+                if right in peer.identity.rights or (is_side and right == "stop"):
                     return True
         return False
 
-    def visit(self, role: Role, nonce: int) -> int:
+    def find_visit(self, role: Role, nonce: int) -> int:
         """Return the visit number of `nonce` in `role`, from 1; 0 if it is not present."""
         return self._visits.get((role, nonce), 1) if (role, nonce) in self._held else 0
 
     @property
-    def undecided(self) -> bool:
+    def is_undecided(self) -> bool:
         """Whether the answer of a process that may have our place is still waited for."""
         waits = any(self._admissions[role.name.lower()] for role in EXCLUSIVE_ROLES)
         return waits or not self._events.empty() or monotonic_ns() < self._undecided_ns
@@ -202,7 +202,7 @@ class Roster:
         self._thread.join()
         self._stack.close()
 
-    def _work(self) -> None:
+    def _run(self) -> None:
         """Process tokens and answers, and challenge, until `close`."""
         wait_s = 0.0
         while True:
@@ -294,7 +294,7 @@ class Roster:
                 name = token.role.name.lower()
                 self._refusals.note(f"a {name} with a certificate: this session is insecure")
             elif sum(t.group == token.group for t in self.others) < GROUP_TOKENS_MAX:
-                self._arrived(token)
+                self._add(token)
             else:
                 self._note_excess(token)
             return
@@ -349,9 +349,9 @@ class Roster:
             if not isinstance(error, NotYetValidError):
                 admission.refuse(token)
             if isinstance(error, SignatureError):
-                admission.know(token)
+                admission.add_certificate(token)
             return None
-        admission.know(token)
+        admission.add_certificate(token)
         if self._is_taken(peer):
             return None
         return RemoteProcess(token, peer, keys, monotonic_ns(), token.role not in LISTENER_ROLES)
@@ -385,17 +385,17 @@ class Roster:
         wait_ns = CHALLENGE_PERIOD_NS if process.present else RETRY_NS << min(process.unanswered, 8)
         process.due_ns = now + min(wait_ns, CHALLENGE_PERIOD_NS)
         process.unanswered += 1
-        proven = partial(self._events.put, partial(self._answered, process))
-        for witness in self._witnesses(process):
+        proven = partial(self._events.put, partial(self._note_answer, process))
+        for witness in self._list_witnesses(process):
             self._challenger.ask(witness.token.nonce, process.token.nonce, witness.keys, proven)
 
-    def _witnesses(self, process: RemoteProcess) -> list[RemoteProcess]:
+    def _list_witnesses(self, process: RemoteProcess) -> list[RemoteProcess]:
         """Return who can prove the presence of a process: it, or the slave that relays it."""
         if not process.token.relayed:
             return [process]
         return [p for p in self._processes.values() if p.present and p.token.role == Role.SLAVE]
 
-    def _answered(self, process: RemoteProcess) -> None:
+    def _note_answer(self, process: RemoteProcess) -> None:
         """Note that a process has proven its presence."""
         process.unanswered = 0
         if not process.present and self._processes.get(process.token) is process:
@@ -411,7 +411,7 @@ class Roster:
         process.present, process.noted = True, False
         if self._keyring is not None and not token.relayed and self._keyring.shares_with(peer.role):
             self._keyring.add(peer, process.keys)
-        self._arrived(token)
+        self._add(token)
         self._decide()
 
     def _is_taken(self, peer: Peer) -> bool:
@@ -429,7 +429,7 @@ class Roster:
         ):
             self._undecided_ns = 0
 
-    def _arrived(self, token: Token) -> None:
+    def _add(self, token: Token) -> None:
         process = (token.role, token.nonce)
         if token.stage == RoleStage.HELD and not token.relayed:
             self._visits[process] = self._visits.pop(process, 0) + 1

@@ -171,7 +171,7 @@ def main(args: argparse.Namespace) -> int:
             print(link.warning, flush=True)
         print(f"recording session {run.session!r} to {writer.path}", flush=True)
         limit_computing_time(granted)
-        recorder = Recorder(listener, writer, link.present)
+        recorder = Recorder(listener, writer, link.is_present)
         progress = RecordingProgress(StatusLine())
         missing = 0
         try:

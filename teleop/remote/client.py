@@ -315,7 +315,7 @@ class SessionClient:
     def _require_running(self) -> None:
         """Raise `TeleopError` if the session has ended."""
         silent_s = time.monotonic() - self._heard_s
-        if silent_s > SILENCE_S and not self._open.link.present(Role.SLAVE):
+        if silent_s > SILENCE_S and not self._open.link.is_present(Role.SLAVE):
             raise TeleopError(f"session {self.name!r}: no slave answers any more; it has ended")
 
     @contextmanager

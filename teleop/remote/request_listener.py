@@ -134,7 +134,7 @@ class RequestListener:
             if call.action in (WATCH, LEAVE)
         ]
         self._armed, lost = update_watches(
-            self._armed, beats, partial(self._link.present, Role.WATCH), now_ns
+            self._armed, beats, partial(self._link.is_present, Role.WATCH), now_ns
         )
         requests = Requests(
             stop=Reason.WATCH_LOST if lost else Reason.NONE,
@@ -206,7 +206,7 @@ class RequestListener:
 
     def _may(self, item: ReceivedMessage, role: int, right: str) -> bool:
         """Return whether a request is to be executed; one that is not is noted."""
-        may = self._link.may(item.sender, right)
+        may = self._link.has_right(item.sender, right)
         if not may:
             self._link.refusals.note(
                 f"{item.topic.name} of a {format_role(role)} without the right to {right}"

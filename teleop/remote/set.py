@@ -54,7 +54,7 @@ def main(args: argparse.Namespace) -> int:
 def await_side(link: Link, config: RunConfig, side: Role) -> None:
     """Wait until the master or the slave of a session is connected; `TeleopError` if it is not."""
     deadline = time.monotonic() + ANSWER_TIMEOUT_S
-    while not link.present(side):
+    while not link.is_present(side):
         if time.monotonic() > deadline:
             name = side.name.lower()
             endpoints = config.link.routers or (getattr(config.link, name),)

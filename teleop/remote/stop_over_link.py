@@ -65,7 +65,7 @@ def request_sides(
     stop_numbers: dict[Role, int] = {}  # number of the stop to be reset, not a later one
     while not stop():
         now = time.monotonic()
-        states = {side: read_state(link, side) for side in SIDES if link.present(side)}
+        states = {side: read_state(link, side) for side in SIDES if link.is_present(side)}
         if action == CALL:
             call_stop(link, role, words)
         else:
@@ -82,13 +82,13 @@ def request_sides(
 
 def read_state(link: Link, side: Role) -> State:
     """Return the reported state of a side, OFF before its first message."""
-    message = link.latest(SIDES[side]).message
+    message = link.take_latest(SIDES[side]).message
     return State.OFF if message is None else State(message.state)
 
 
 def read_stop_count(link: Link, side: Role) -> int:
     """Return the reported number of stops of a side."""
-    message = link.latest(SIDES[side]).message
+    message = link.take_latest(SIDES[side]).message
     return 0 if message is None else int(message.stops)
 
 
@@ -100,9 +100,9 @@ def send_heartbeats(link: Link, stop: StopCondition, reason: str, stop_socket: S
     for topic in SIDES.values():
         link.subscribe_latest(topic)
     deadline = time.monotonic() + ANSWERS_TIMEOUT_S
-    while not all(map(link.present, SIDES)) and time.monotonic() < deadline and not stop():
+    while not all(map(link.is_present, SIDES)) and time.monotonic() < deadline and not stop():
         time.sleep(0.01)
-    sides = [side for side in SIDES if link.present(side)]
+    sides = [side for side in SIDES if link.is_present(side)]
     if not sides:
         raise TeleopError(
             f"session {link.session!r}: no master and no slave connected, nothing to watch"
@@ -148,6 +148,6 @@ def _forward_stops(link: Link, stop_socket: StopSocket) -> None:
             [
                 f"{side.name.lower()} {read_state(link, side).name.lower()}"
                 for side in SIDES
-                if link.present(side)
+                if link.is_present(side)
             ]
         )

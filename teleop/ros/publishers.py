@@ -91,7 +91,7 @@ class Publishers:
             for publisher in self._topics.values():
                 publisher.look()
         for source in self._sources:
-            latest = self._link.latest(source)
+            latest = self._link.take_latest(source)
             if source is STATE and latest.is_there:
                 self._know_joints(latest.packet.record)
             if latest.new:
@@ -101,7 +101,7 @@ class Publishers:
                     if frames is not None:
                         self._put(_FRAMES.name, _FRAMES, frames)
             role = source.publisher
-            if slow and latest.is_there and role is not None and self._link.present(role):
+            if slow and latest.is_there and role is not None and self._link.is_present(role):
                 self._publish(self._slow.get(source, ()), latest)
         if slow:
             self._take(self._listener.drain())

@@ -197,7 +197,7 @@ class LoopProcess(ABC):
             durations.take_span()
 
     def _publish_report(self, counts: MessageCounts, ended: bool = False) -> None:
-        sent = self._link.last_sequences()
+        sent = self._link.list_last_sequences()
         report = self._meter.report(now_ns(), self._outline(), counts, sent, ended)
         self._link.publish(REPORT, report)
 
@@ -231,9 +231,9 @@ def answer_requests(
     other, peer = Role.SLAVE if role is Role.MASTER else Role.MASTER, ""
     if latest.is_fresh(now_ns, PEER_TIMEOUT_NS):
         state = State(to_known_state(latest.packet.records["state"][0]))
-        if state is not State.OFF or link.present(other):  # else it has said so and ended
+        if state is not State.OFF or link.is_present(other):  # else it has said so and ended
             peer = state.name.lower()
-    elif link.present(other):  # it hangs, or starts, and may move its motors
+    elif link.is_present(other):  # it hangs, or starts, and may move its motors
         peer = SILENT
     requests.answer(role, side, stops, other, peer)
 

@@ -111,7 +111,7 @@ class LoopMeter:
         sent: tuple[int, ...] = NO_TOPICS,
         ended: bool = False,
     ) -> LoopReport:
-        """Return the report of the time since the last one; `sent` as of `Link.last_sequences`."""
+        """Return the report since the last one; `sent` as of `Link.list_last_sequences`."""
         stats = self._stats
         rate_hz = (stats.ticks - self._ticks) * 1e9 / max(stamp_ns - self._since_ns, 1)
         self._ticks, self._since_ns = stats.ticks, stamp_ns

@@ -165,7 +165,7 @@ class _Collector(BatchDisplay):
         self.newest_ns = 0  # stamp of what was read
         self._oldest_ns = 0  # of the last block
 
-    def pictures(self, batches: Mapping[AnyTopic, Rows]) -> int:
+    def draw_pictures(self, batches: Mapping[AnyTopic, Rows]) -> int:
         """Keep the rows in time."""
         if SHEATH in batches:
             self._sheaths.learn(batches[SHEATH])

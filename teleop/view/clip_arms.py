@@ -49,7 +49,9 @@ class ClipArm:
         states, samples, commands = (data.select(topic) for topic in (STATE, TENDONS, COMMAND))
 
         def update(now_s: float) -> None:
-            state, sample, command = (data.newest(r, now_s) for r in (states, samples, commands))
+            state, sample, command = (
+                data.find_newest(r, now_s) for r in (states, samples, commands)
+            )
             known = state is not None and place.arm.find_known(np.array([state]))[0]
             for part in (tendons, links, *jaws, joints):
                 part.set_visible(bool(known))
@@ -78,7 +80,7 @@ class ClipArm:
         states, limit = data.select(STATE), data.config.hand_scale_N
 
         def update(now_s: float) -> None:
-            state = data.newest(states, now_s)
+            state = data.find_newest(states, now_s)
             if state is None or not place.arm.find_known(np.array([state]))[0]:
                 for part in (*interval, thick, thin):
                     part.set_visible(False)
@@ -109,7 +111,7 @@ class ClipArm:
         rows = data.select(HAND)
 
         def update(now_s: float) -> None:
-            row = data.newest(rows, now_s)
+            row = data.find_newest(rows, now_s)
             handle.set_visible(row is not None)
             at, force = np.full((2, 3), np.nan)
             if row is not None:

@@ -73,12 +73,12 @@ class ClipData:
             return np.empty(0, topic.message.schema.dtype)
         return rows if tendon is None else rows[rows["tendon"] == tendon]
 
-    def seconds(self, rows: Rows) -> Array:
+    def to_seconds(self, rows: Rows) -> Array:
         """Return the times of rows [s], from the beginning of the recording."""
         times: Array = (rows["stamp_ns"] - self.begin_ns) * 1e-9
         return times
 
-    def newest(self, rows: Rows, now_s: float) -> np.void | None:
+    def find_newest(self, rows: Rows, now_s: float) -> np.void | None:
         """Return the newest row at a time [s]; None if there is none, or it is stale."""
         stamp_ns = self.begin_ns + round(now_s * 1e9)
         at = int(np.searchsorted(rows["stamp_ns"], stamp_ns, side="right")) - 1

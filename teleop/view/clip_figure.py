@@ -70,7 +70,7 @@ class ClipFigure:
     ) -> None:
         self._data, self._theme = data, THEMES[theme]
         self._top = data.config.tension_scale_N
-        self._joint, self._tendons = joint, data.sheaths.tendons_of(joint)
+        self._joint, self._tendons = joint, data.sheaths.list_tendons(joint)
         self._arm = find_arm(data.sheaths.arms, joint)
         arrange = {
             "experiment": self._arrange_experiment,
@@ -176,7 +176,9 @@ class ClipFigure:
         }
 
         def update(now_s: float) -> None:
-            rows = {role: self._data.newest(all_rows, now_s) for role, all_rows in sides.items()}
+            rows = {
+                role: self._data.find_newest(all_rows, now_s) for role, all_rows in sides.items()
+            }
             banner = build_banner(
                 {r: (int(row["state"]), int(row["reason"])) for r, row in rows.items() if row}
             )
@@ -230,7 +232,10 @@ class ClipFigure:
         friction = self._data.sheaths.friction.get(tendon, np.zeros(PROFILE_POINTS))
 
         def update(now_s: float) -> None:
-            row, sample = self._data.newest(rows, now_s), self._data.newest(samples, now_s)
+            row, sample = (
+                self._data.find_newest(rows, now_s),
+                self._data.find_newest(samples, now_s),
+            )
             for part in parts:
                 part.set_visible(row is not None and sample is not None)
             if row is None or sample is None:
@@ -267,13 +272,13 @@ class ClipFigure:
     def _draw_force(self, axes: Axes) -> None:
         states, tendons = self._data.select(STATE), self._data.select(TENDONS)
         (curve,) = find_curves(STATE, ["force/{}/tip"])
-        lines = [_Line(curve, self._data.seconds(states), states["force"][:, self._joint])]
+        lines = [_Line(curve, self._data.to_seconds(states), states["force"][:, self._joint])]
         if self._arm is None:  # tendons of other joints load those of an arm, too
             truth = Curve("", "", "true", colours.TRUTH)
             true = compute_true_force(tendons, self._tendons)
-            lines.append(_Line(truth, self._data.seconds(tendons), true))
+            lines.append(_Line(truth, self._data.to_seconds(tendons), true))
         low, high = (states[name][:, self._joint] for name in ("force_low", "force_high"))
-        interval = _Interval(self._data.seconds(states), low, high)
+        interval = _Interval(self._data.to_seconds(states), low, high)
         title = "Force at the tip [N]" if self._arm is None else "Force at the joint [N]"
         self._draw_lines(axes, title, lines, [interval])
 
@@ -283,7 +288,7 @@ class ClipFigure:
         if arm is None:
             return
         states = self._data.select(STATE)
-        times, forces = self._data.seconds(states), arm.estimate_tip_forces(states)
+        times, forces = self._data.to_seconds(states), arm.estimate_tip_forces(states)
         lines, intervals = [], []
         for curve, (force, low, high) in zip(TIP_FORCE, forces.list_components(), strict=True):
             lines.append(_Line(curve, times, force))
@@ -307,7 +312,7 @@ class ClipFigure:
             rows = self._data.select(topic)
             values = rows[curve.field][:, column] * curve.factor
             dashed = topic is TENDONS and column != self._tendons[0]
-            lines.append(_Line(curve, self._data.seconds(rows), values, dashed))
+            lines.append(_Line(curve, self._data.to_seconds(rows), values, dashed))
         self._draw_lines(axes, title, lines)
 
     def _draw_lines(
@@ -362,7 +367,7 @@ class ClipFigure:
         limits = data.select(COMMAND)["force_max"]
         limits = limits[np.isfinite(limits) & (limits > 0)]
         limit = float(limits[-1]) if len(limits) else self._top
-        two_way = len(data.sheaths.tendons_of(joint)) > 1
+        two_way = len(data.sheaths.list_tendons(joint)) > 1
         axes.set(xlim=(-limit if two_way else 0.0, limit), ylim=(-0.5, 0.5), yticks=[])
         axes.spines[["top", "right"]].set_visible(True)
         name = f"joint {joint + 1}, " if named else ""
@@ -377,7 +382,7 @@ class ClipFigure:
         rows = data.select(STATE)
 
         def update(now_s: float) -> None:
-            row = data.newest(rows, now_s)
+            row = data.find_newest(rows, now_s)
             value = math.nan if row is None else float(row["force"][joint])
             colour = self._theme.adapt(colours.choose_force_colour(np.nan_to_num(value / limit)))
             bar.set(width=np.clip(np.nan_to_num(value), -limit, limit), facecolor=colour)

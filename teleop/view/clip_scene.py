@@ -69,9 +69,13 @@ class ClipScene:
             for joint, lever in ends.items():
                 travel = rows["position"][:, joint]
                 force = np.nan_to_num(rows["force"][:, joint])[:, None]
-                arrow = sign * force * ARROW * stage.size / scale * lever.onward(travel)
-                points += [lever.pivot[None], lever.tip(travel), lever.tip(travel) + arrow]
-                points += [lever.tip(travel) + lever.label]
+                arrow = sign * force * ARROW * stage.size / scale * lever.compute_direction(travel)
+                points += [
+                    lever.pivot[None],
+                    lever.compute_tip(travel),
+                    lever.compute_tip(travel) + arrow,
+                ]
+                points += [lever.compute_tip(travel) + lever.label]
         places = marks.project(np.concatenate(points))
         low, high = np.nanmin(places, axis=0), np.nanmax(places, axis=0)
         room = 0.05 * (high - low).max()
@@ -95,7 +99,7 @@ class ClipScene:
         knots = np.linspace(0.0, 1.0, len(line))
 
         def update(now_s: float) -> None:
-            row = self._data.newest(rows, now_s)
+            row = self._data.find_newest(rows, now_s)
             share = math.nan if row is None else float(row["front"] / row["length"])
             width = marks.scale * np.where(middles <= np.nan_to_num(share), 9.0, 4.0)
             tube.set_linewidth(width.tolist())
@@ -122,15 +126,18 @@ class ClipScene:
         truth = marks.add_arrow(colours.TRUTH, 0.7)
         force, number = marks.add_arrow(colours.ESTIMATE), marks.add_number(colours.ESTIMATE)
         states, commands = data.select(STATE), data.select(COMMAND)
-        tendons, own = data.select(TENDONS), data.sheaths.tendons_of(joint)
+        tendons, own = data.select(TENDONS), data.sheaths.list_tendons(joint)
 
         def update(now_s: float) -> None:
-            state, command = data.newest(states, now_s), data.newest(commands, now_s)
-            sample = data.newest(tendons, now_s)
+            state, command = data.find_newest(states, now_s), data.find_newest(commands, now_s)
+            sample = data.find_newest(tendons, now_s)
             wanted = math.nan if command is None else float(command["position"][joint])
-            marks.move_line(asked, [lever.pivot, lever.tip(np.array(wanted))])
+            marks.move_line(asked, [lever.pivot, lever.compute_tip(np.array(wanted))])
             travel = math.nan if state is None else float(state["position"][joint])
-            end, back = lever.tip(np.array(travel)), -per_newton * lever.onward(np.array(travel))
+            end, back = (
+                lever.compute_tip(np.array(travel)),
+                -per_newton * lever.compute_direction(np.array(travel)),
+            )
             marks.move_line(link, [lever.pivot, end])
             value = math.nan if state is None else float(state["force"][joint])
             marks.move_arrow(force, end, value * back)
@@ -157,9 +164,9 @@ class ClipScene:
         rows = data.select(HAND)
 
         def update(now_s: float) -> None:
-            row = data.newest(rows, now_s)
+            row = data.find_newest(rows, now_s)
             travel = np.array(math.nan if row is None else float(row["position"][joint]))
-            end, onward = lever.tip(travel), lever.onward(travel)
+            end, onward = lever.compute_tip(travel), lever.compute_direction(travel)
             marks.move_line(handle, [lever.pivot, end])
             value = math.nan if row is None else float(row["force"][joint])
             marks.move_arrow(arrow, end, value * per_newton * onward)

@@ -197,33 +197,33 @@ class Sender:
         self._styled: set[str] = set()
         self.newest_ns = 0  # [ns] the newest stamp sent
 
-    def columns(self, path: str, rows: Rows, columns: Iterable[rr.ComponentColumn]) -> None:
+    def send_columns(self, path: str, rows: Rows, columns: Iterable[rr.ComponentColumn]) -> None:
         """Send `columns`, one row at the stamp of each of `rows`."""
         if len(rows) == 0:
             return
-        self.columns_at(path, rows["stamp_ns"], columns)
+        self.send_columns_at(path, rows["stamp_ns"], columns)
 
-    def columns_at(
+    def send_columns_at(
         self, path: str, stamps_ns: NDArray[np.int64], columns: Iterable[rr.ComponentColumn]
     ) -> None:
         """Send `columns`, one row at each stamp [ns since the epoch]."""
         self._stream.send_columns(path, [Stamps(stamps_ns)], columns)
         self.newest_ns = max(self.newest_ns, int(stamps_ns.max(initial=0)))
 
-    def static(self, path: str, archetype: AsComponents) -> None:
+    def send_static(self, path: str, archetype: AsComponents) -> None:
         """Send static data, replacing earlier ones."""
         self._stream.log(path, archetype, static=True)
 
-    def once(self, path: str, archetype: AsComponents) -> None:
+    def send_once(self, path: str, archetype: AsComponents) -> None:
         """Send static data, if none were sent for this entity."""
         if path not in self._styled:
             self._styled.add(path)
-            self.static(path, archetype)
+            self.send_static(path, archetype)
 
-    def styled(self, path: str) -> bool:
+    def has_style(self, path: str) -> bool:
         """Return whether static data were sent for this entity."""
         return path in self._styled
 
-    def restyle(self) -> None:
+    def forget_styles(self) -> None:
         """Reset, so that static data are sent again."""
         self._styled.clear()

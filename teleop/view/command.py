@@ -266,7 +266,7 @@ def _print_lines(sink: Sink) -> None:
 def _wait_for_viewer(sink: Sink, stop: StopCondition) -> None:
     """Wait until the viewer is closed, or we are told to stop."""
     print("recording loaded; Ctrl-C ends the view", flush=True)
-    while not stop() and sink.alive():
+    while not stop() and sink.is_alive():
         time.sleep(0.1)
 
 
@@ -294,10 +294,10 @@ def _feed_sink(
         return _show_recording(file, config, show, sink, stop)
 
     def has_ended() -> bool:
-        return not any(map(link.present, (Role.MASTER, Role.SLAVE)))
+        return not any(map(link.is_present, (Role.MASTER, Role.SLAVE)))
 
     with ExitStack() as stack:
-        sampled = frozenset() if config.foxglove else config.sampled()
+        sampled = frozenset() if config.foxglove else config.list_sampled_topics()
         link = stack.enter_context(Link(run.link, run.session, Role.VIEWER))
         listener = link.listen(TOPICS, sampled)
         if not is_supervised() and has_ended():

@@ -78,7 +78,7 @@ class ViewConfig:
     foxglove_port: int = build_ranged_field(8765, 1024, 65535)  # preferred port, as above
     directory: str = "recordings"  # folder of `--view rrd` without `--out`
 
-    def sampled(self) -> frozenset[Topic[Any]]:
+    def list_sampled_topics(self) -> frozenset[Topic[Any]]:
         """Return the topics of which copies of some messages are enough for what is shown."""
         return frozenset(
             t for t in TOPICS if getattr(self.rate_hz, t.name, math.inf) <= t.sampled_hz

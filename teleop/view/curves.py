@@ -288,12 +288,12 @@ class Plots(Painter):
         if not is_shown.any():
             return
         path = curve.path.format(owner)
-        if not self._sender.styled(path):
+        if not self._sender.has_style(path):
             colour = lighten_colour(curve.colour) if label.endswith("b") else curve.colour
             name = f"{curve.name} {label}".rstrip()
             style = rr.SeriesLines(colors=[colour], widths=[curve.width], names=[name])
-            self._sender.once(path, style)
-        self._sender.columns_at(
+            self._sender.send_once(path, style)
+        self._sender.send_columns_at(
             path, rows["stamp_ns"][is_shown], build_columns(rr.Scalars, scalars=numbers[is_shown])
         )
 
@@ -313,14 +313,14 @@ class Plots(Painter):
         style = rr.SeriesLines(
             colors=[BAND], widths=[_BAND_WIDTH], names=[band.name], aggregation_policy="Off"
         )
-        self._sender.once(path, style)
+        self._sender.send_once(path, style)
         stamps = rows["stamp_ns"][is_finite]
         spans = np.minimum(
             np.diff(stamps, append=stamps[-1] + 2 * _HIGH_END_OFFSET_NS), _HIGH_END_SPAN_MAX_NS
         )
         times = np.stack([stamps, stamps + spans // 2], axis=1).ravel()
         ends = np.stack([low[is_finite], high[is_finite]], axis=1).ravel()
-        self._sender.columns_at(path, times, build_columns(rr.Scalars, scalars=ends))
+        self._sender.send_columns_at(path, times, build_columns(rr.Scalars, scalars=ends))
 
     def _draw_tip_forces(self, rows: Rows) -> None:
         """Draw the components of the force at the tip of each arm in space that can be told."""
@@ -338,5 +338,5 @@ class Plots(Painter):
         for joint in self._sheaths.joints:
             if find_arm(self._sheaths.arms, joint) is not None:
                 continue
-            force = compute_true_force(rows, self._sheaths.tendons_of(joint))
+            force = compute_true_force(rows, self._sheaths.list_tendons(joint))
             self._draw_line(_TRUE_FORCE, f"joint_{joint}", "", rows, force)

@@ -72,21 +72,21 @@ class BatchDisplay:
     This one shows nothing.
     """
 
-    def pictures(self, batches: Mapping[AnyTopic, Rows]) -> int:  # noqa: ARG002 - shows nothing
+    def draw_pictures(self, batches: Mapping[AnyTopic, Rows]) -> int:  # noqa: ARG002 - shows nothing
         """Update the scene; returns the number of rows shown."""
         return 0
 
-    def curves(self, batches: Mapping[AnyTopic, Rows]) -> int:  # noqa: ARG002 - shows nothing
+    def draw_curves(self, batches: Mapping[AnyTopic, Rows]) -> int:  # noqa: ARG002 - shows nothing
         """Extend the curves; returns the number of rows shown."""
         return 0
 
     def stretch(self, factor: float) -> None:
         """Draw fewer rows of a batch, by this factor."""
 
-    def silence(self, silent_ns: int) -> None:
+    def show_silence(self, silent_ns: int) -> None:
         """Show that nothing has arrived for so long [ns]."""
 
-    def end(self, what: str, silent_ns: int = 0) -> None:
+    def show_end(self, what: str, silent_ns: int = 0) -> None:
         """Show that a session or recording ended so long [ns] after its last data, no forces."""
 
 
@@ -162,7 +162,7 @@ def show_session(
     pacing = Pacing(processor_share)
 
     def pass_on(now_ns: int, all_of_it: bool) -> None:
-        for held, draw in ((pictures, show.pictures), (curves, show.curves)):
+        for held, draw in ((pictures, show.draw_pictures), (curves, show.draw_curves)):
             block = held.take(now_ns, all_of_it)
             if block:
                 fed.shown += draw(decode(block))
@@ -174,12 +174,12 @@ def show_session(
         heard_ns = tick.stamp_ns if messages or not heard_ns else heard_ns
         silent_ns = tick.stamp_ns - heard_ns
         if silent_ns > _SILENT_NS and fed.received and has_ended():
-            show.end("session", silent_ns)
+            show.show_end("session", silent_ns)
         elif silent_ns > _SILENT_NS:
-            show.silence(silent_ns)
+            show.show_silence(silent_ns)
         curves.add(m for m in messages if m[0] in _CURVE_TOPICS)
         pictures.add(messages)
-        if not sink.alive():
+        if not sink.is_alive():
             stop.request("the window was closed")
             continue
         factor = pacing.update(time.process_time(), time.monotonic(), sink.behind_s)
@@ -190,14 +190,14 @@ def show_session(
         if tick.stamp_ns >= probe_ns:
             probe_ns = tick.stamp_ns + _PROBE_EVERY_NS
             send_heartbeat()
-            if sink.stuck():
+            if sink.is_stuck():
                 fed.fault = "the window accepts no more data"
                 stop.request("the viewer is stuck")
-    if sink.alive() and not fed.fault:
+    if sink.is_alive() and not fed.fault:
         pass_on(0, all_of_it=True)
         if fed.received and has_ended():
             sink.ended = "The session has ended."
-            show.end("session")
+            show.show_end("session")
     return fed
 
 
@@ -220,10 +220,10 @@ def show_recording(
             raise RecordingError(
                 f"{path}: {error}; view it with the version that recorded it"
             ) from error
-        fed.shown += show.pictures(batches) + show.curves(batches)
+        fed.shown += show.draw_pictures(batches) + show.draw_curves(batches)
         publish()
     else:
-        show.end("recording")
+        show.show_end("recording")
         publish()
     return fed
 

@@ -150,10 +150,10 @@ class _Handler(GuardedHandler):
             stack.callback(self.clients.discard, client)
             stack.callback(client.close)
             threading.Thread(target=client.run, name="foxglove", daemon=True).start()
-            while self._heed(client, *self._frame()):
+            while self._handle_frame(client, *self._read_frame()):
                 pass
 
-    def _heed(self, client: _Client, opcode: int, content: bytes) -> bool:
+    def _handle_frame(self, client: _Client, opcode: int, content: bytes) -> bool:
         """Do what a client's frame says; returns whether there may be another."""
         if opcode == _PING:
             client.send(_PONG, content)
@@ -164,23 +164,23 @@ class _Handler(GuardedHandler):
                 return False  # not the protocol
         return opcode != _CLOSE
 
-    def _frame(self) -> tuple[int, bytes]:
+    def _read_frame(self) -> tuple[int, bytes]:
         """Return opcode and content of the client's next frame; a close if there is none."""
-        first, second = self._take(2) or (_CLOSE, 0)
+        first, second = self._read_bytes(2) or (_CLOSE, 0)
         size = second & 0x7F
         if size > 125:
-            size = int.from_bytes(self._take(2 if size == 126 else 8) or b"\xff" * 8)
+            size = int.from_bytes(self._read_bytes(2 if size == 126 else 8) or b"\xff" * 8)
         if not second & 0x80 or size > _CLIENT_FRAME_MAX:  # a client masks what it sends
             return _CLOSE, b""
-        mask = self._take(4)
-        content = self._take(size)
+        mask = self._read_bytes(4)
+        content = self._read_bytes(size)
         if not mask or len(content) < size:
             return _CLOSE, b""
         key = (mask * (size // 4 + 1))[:size]
         plain = int.from_bytes(content) ^ int.from_bytes(key)
         return first & 0x0F, plain.to_bytes(size)
 
-    def _take(self, size: int) -> bytes:
+    def _read_bytes(self, size: int) -> bytes:
         """Return as many bytes; none if the client has gone."""
         try:
             content = self.rfile.read(size)

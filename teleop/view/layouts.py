@@ -37,9 +37,9 @@ def build_blueprint(
     """
     views = _Views(config, dict(joints) or {0: [0, 1]}, arms)
     arrange: dict[str, Callable[[], Part]] = {
-        "surgeon": views.panel,
+        "surgeon": views.build_panel,
         "experiment": partial(_arrange_experiment, views),
-        "presentation": partial(views.scene, distance=0.88),
+        "presentation": partial(views.build_scene, distance=0.88),
     }
     bars: Literal["collapsed", "hidden"]
     bars = "collapsed" if config.layout == "experiment" else "hidden"  # the clock in it moves
@@ -54,40 +54,44 @@ def build_blueprint(
 
 
 def _arrange_experiment(views: "_Views") -> Part:
-    tension = views.trace("tension/tendon_{tendon}", values=(-0.05, 1.1))
+    tension = views.build_trace("tension/tendon_{tendon}", values=(-0.05, 1.1))
     return rrb.Horizontal(
         rrb.Vertical(
-            views.banner(),
-            views.scene(distance=0.9),
+            views.build_banner(),
+            views.build_scene(distance=0.9),
             rrb.Horizontal(
-                views.joint_tabs("T(x) in its band", views.profile, short="T(x)"),
-                views.joint_tabs("T_out over T_in", views.loop, short="Loop"),
+                views.build_joint_tabs("T(x) in its band", views.build_profile, short="T(x)"),
+                views.build_joint_tabs("T_out over T_in", views.build_loop, short="Loop"),
             ),
             row_shares=[0.7, 3, 2.3],
         ),
         rrb.Vertical(
-            views.joint_tabs("Tension [N]", tension, " at the housing (measured) and at the tip"),
-            views.forces(),
+            views.build_joint_tabs(
+                "Tension [N]", tension, " at the housing (measured) and at the tip"
+            ),
+            views.build_forces(),
             rrb.Tabs(
-                views.joint_tabs("Tip [mm]", views.position, ", positive pulled in"),
-                views.joint_tabs("Hand [N]", views.trace("hand/joint_{joint}")),
-                views.joint_tabs("Elongation [mm]", views.trace("elongation/tendon_{tendon}")),
-                views.joint_tabs("Motor [mm]", views.trace(*_MOTOR)),
-                views.joint_tabs("K", views.trace("friction/tendon_{tendon}")),
+                views.build_joint_tabs("Tip [mm]", views.build_position, ", positive pulled in"),
+                views.build_joint_tabs("Hand [N]", views.build_trace("hand/joint_{joint}")),
+                views.build_joint_tabs(
+                    "Elongation [mm]", views.build_trace("elongation/tendon_{tendon}")
+                ),
+                views.build_joint_tabs("Motor [mm]", views.build_trace(*_MOTOR)),
+                views.build_joint_tabs("K", views.build_trace("friction/tendon_{tendon}")),
                 name="Motion",
             ),
             rrb.Tabs(
-                views.log(),
-                views.states(),
-                views.curves("Energy [mJ]", ["energy"]),
-                views.curves("Rate [Hz]", ["rate"]),
+                views.build_log(),
+                views.build_states(),
+                views.build_curves("Energy [mJ]", ["energy"]),
+                views.build_curves("Rate [Hz]", ["rate"]),
                 rrb.Tabs(  # one in the other: all tabs have room in 640 pixels
-                    views.curves("Latency [ms]", ["latency"]),
-                    views.curves("Budget [ms]", ["budget"]),
-                    views.curves("Age [ms]", ["age"]),
+                    views.build_curves("Latency [ms]", ["latency"]),
+                    views.build_curves("Budget [ms]", ["budget"]),
+                    views.build_curves("Age [ms]", ["age"]),
                     name="Delays [ms]",
                 ),
-                views.curves("Lost", ["loss"]),
+                views.build_curves("Lost", ["loss"]),
                 name="Session",
             ),
             row_shares=[4.4, 3.6, 3.4, 2.6],
@@ -105,7 +109,7 @@ class _Views:
         self._arms = arms
         self._recent = _build_past_range(config.window_s)
 
-    def scene(self, distance: float = 1.0) -> Part:
+    def build_scene(self, distance: float = 1.0) -> Part:
         """Return the scene, seen from above its near side; a narrow view needs more `distance`."""
         return rrb.Spatial3DView(
             origin="/",
@@ -119,15 +123,15 @@ class _Views:
             ),
         )
 
-    def panel(self) -> Part:
+    def build_panel(self) -> Part:
         """Return state, force and link in large letters."""
-        return self._letters("/panel/**", PANEL_HEIGHT)
+        return self._build_letters("/panel/**", PANEL_HEIGHT)
 
-    def banner(self) -> Part:
+    def build_banner(self) -> Part:
         """Return the state in large letters."""
-        return self._letters("/panel/banner/**", BANNER[3])
+        return self._build_letters("/panel/banner/**", BANNER[3])
 
-    def _letters(self, contents: str, tall: float) -> Part:
+    def _build_letters(self, contents: str, tall: float) -> Part:
         return rrb.Spatial2DView(
             origin="panel",
             contents=[contents],
@@ -137,7 +141,7 @@ class _Views:
             background=_DARK,
         )
 
-    def joint_tabs(self, name: str, make: _Make, detail: str = "", short: str = "") -> Part:
+    def build_joint_tabs(self, name: str, make: _Make, detail: str = "", short: str = "") -> Part:
         """Return one view for each joint, one in front of the other.
 
         The first tab says what they all show, the others have but the number of their joint, so
@@ -153,20 +157,20 @@ class _Views:
         tabs = (make(whole if j == first else f"{j + 1}", j) for j in self._joints)
         return rrb.Tabs(*tabs, name=name + detail)
 
-    def profile(self, name: str, joint: int) -> Part:
+    def build_profile(self, name: str, joint: int) -> Part:
         """Return T(x) of a joint's tendons."""
-        return self._plane(
+        return self._build_plane(
             "profile", name, joint, x_range=[-0.25, WIDTH + 0.15], y_range=[-1.2, 0.32]
         )
 
-    def loop(self, name: str, joint: int) -> Part:
+    def build_loop(self, name: str, joint: int) -> Part:
         """Return the hysteresis loops of a joint's tendons, as far back as the config says."""
         past = _build_past_range(self._config.loop_window_s)
-        return self._plane(
+        return self._build_plane(
             "loop", name, joint, x_range=[-0.2, 1.85], y_range=[-1.2, 0.32], past=past
         )
 
-    def _plane(
+    def _build_plane(
         self,
         root: str,
         name: str,
@@ -187,44 +191,48 @@ class _Views:
             time_ranges=None if past is None else [past],
         )
 
-    def trace(self, *paths: str, values: tuple[float, float] | None = None) -> _Make:
+    def build_trace(self, *paths: str, values: tuple[float, float] | None = None) -> _Make:
         """Return what makes a view of some entities of a joint, or of each of its tendons."""
 
         def make(name: str, joint: int) -> Part:
             tendons = self._joints[joint]
             roots = [path.format(joint=joint, tendon=t) for t in tendons for path in paths]
-            return self.curves(name, list(dict.fromkeys(roots)), values)
+            return self.build_curves(name, list(dict.fromkeys(roots)), values)
 
         return make
 
-    def tip_force(self, name: str, joint: int) -> Part:
+    def build_tip_force(self, name: str, joint: int) -> Part:
         """Return the estimate of the force at the tip with its interval, and the truth."""
         pulls_one_way = len(self._joints[joint]) == 1
-        return self.curves(name, [f"force/joint_{joint}"], (-0.05 if pulls_one_way else -1.1, 1.1))
+        return self.build_curves(
+            name, [f"force/joint_{joint}"], (-0.05 if pulls_one_way else -1.1, 1.1)
+        )
 
-    def forces(self) -> Part:
+    def build_forces(self) -> Part:
         """Return the force at each joint, behind those at the tips of arms in space."""
         if self._arms == 0:
-            return self.joint_tabs(
-                "Force at the tip [N]", self.tip_force, ", positive against pulling"
+            return self.build_joint_tabs(
+                "Force at the tip [N]", self.build_tip_force, ", positive against pulling"
             )
         tips = (
-            self.curves(
+            self.build_curves(
                 f"Force at the tip of arm {arm + 1} [N], in its base" if arm == 0 else f"{arm + 1}",
                 [f"tip_force/arm_{arm}"],
             )
             for arm in range(self._arms)
         )
         return rrb.Tabs(
-            *tips, self.joint_tabs("Joints [N]", self.tip_force), name="Force at the tip [N]"
+            *tips,
+            self.build_joint_tabs("Joints [N]", self.build_tip_force),
+            name="Force at the tip [N]",
         )
 
-    def position(self, name: str, joint: int) -> Part:
+    def build_position(self, name: str, joint: int) -> Part:
         """Return the commanded, estimated and true position of the tip."""
         truth = f"displacement/tendon_{self._joints[joint][0]}/out_true"
-        return self.curves(name, [f"position/joint_{joint}", truth])
+        return self.build_curves(name, [f"position/joint_{joint}", truth])
 
-    def curves(
+    def build_curves(
         self, name: str, roots: Sequence[str], values: tuple[float, float] | None = None
     ) -> Part:
         """Return a time series view of some entities over the recent past.
@@ -248,11 +256,11 @@ class _Views:
             plot_legend=rrb.Corner2D.RightTop,
         )
 
-    def states(self) -> Part:
+    def build_states(self) -> Part:
         """Return the states of both sides as lanes."""
         return rrb.StateTimelineView(origin="state", name="State", time_ranges=[self._recent])
 
-    def log(self) -> Part:
+    def build_log(self) -> Part:
         """Return the log of events."""
         return rrb.TextLogView(
             origin="log",

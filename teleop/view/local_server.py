@@ -183,12 +183,12 @@ class GuardedHandler(BaseHTTPRequestHandler):
         secret, _, path = urllib.parse.urlsplit(self.path).path.removeprefix("/").partition("/")
         if not hmac.compare_digest(secret.encode(), self.server.secret.encode()):
             self.send_error(403, "the address lacks its secret: open the one that was printed")
-        elif not self._comes_from_here():
+        elif not self._is_from_here():
             self.send_error(403, "asked for by another page, or under another name")
         else:
             self.answer(path)
 
-    def _comes_from_here(self) -> bool:
+    def _is_from_here(self) -> bool:
         """Return whether `Host` is this machine, and a page that asks is one that may."""
         hosts = self.headers.get_all("Host", [])
         if len(hosts) != 1 or hosts[0].rpartition(":")[0] not in _NAMES:

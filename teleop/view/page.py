@@ -144,19 +144,19 @@ class BlockBuffer:
             self._closed = True
             self._changed.notify_all()
 
-    def newer(self, than: int, wait_s: float) -> PageMessages:
+    def read_newer(self, than: int, wait_s: float) -> PageMessages:
         """Return what came after a block, of much the newest; waits `wait_s` [s] for any."""
         with self._changed:
             self._changed.wait_for(lambda: self._newest > than or self._closed, wait_s)
             kept = [content for number, content in self._kept if number > than]
-            return self._answer(than, self._newest, kept)
+            return self._select_blocks(than, self._newest, kept)
 
-    def older(self, than: int, down_to: int) -> PageMessages:
+    def read_older(self, than: int, down_to: int) -> PageMessages:
         """Return the newest of the data between two blocks that may be dropped, both excluded."""
         with self._changed:
-            return self._answer(down_to, than - 1, [])
+            return self._select_blocks(down_to, than - 1, [])
 
-    def _answer(self, low: int, high: int, kept: list[bytes]) -> PageMessages:
+    def _select_blocks(self, low: int, high: int, kept: list[bytes]) -> PageMessages:
         """Return what is kept, and the newest of the blocks in (low, high] that fit."""
         chosen: list[bytes] = []
         oldest, size = high + 1, 0
@@ -232,22 +232,22 @@ class Page:
         self._ended = ended
         self._blocks.close()
         end = time.monotonic() + _GOODBYE_S
-        while self._listening() and time.monotonic() < end:
+        while self._has_listener() and time.monotonic() < end:
             time.sleep(0.02)
         self._server.close()
 
-    def _listening(self) -> bool:
+    def _has_listener(self) -> bool:
         since = time.monotonic() - _GOODBYE_S
         return any(asked > since for asked in list(self._waiting.values()))
 
-    def behind_s(self) -> float:
+    def get_delay_s(self) -> float:
         """Return how far [s] the slowest of the open pages is behind what was sent."""
         since = time.monotonic() - _REPORT_LIFE_S
         return max(
             (behind_s for when, behind_s in list(self._reports) if when > since), default=0.0
         )
 
-    def content(self, path: str) -> tuple[bytes, str] | None:
+    def read_file(self, path: str) -> tuple[bytes, str] | None:
         """Return a file and its type; None if there is none of this name."""
         if path in _OWN_FILES:
             name, kind = _OWN_FILES[path]
@@ -269,9 +269,9 @@ class Page:
         if page:
             self._waiting[page] = time.monotonic()
         answer = (
-            self._blocks.older(older, newer)
+            self._blocks.read_older(older, newer)
             if older
-            else self._blocks.newer(newer, min(wait_s, _WAIT_S))
+            else self._blocks.read_newer(newer, min(wait_s, _WAIT_S))
         )
         said = {
             "instance": self._instance,
@@ -301,7 +301,7 @@ class _Handler(GuardedHandler):
                 self.send_error(400)
                 return
             self._send(answer.content, _BINARY, {"X-View": json.dumps(said)})
-        elif (file := self.page.content(path)) is not None:
+        elif (file := self.page.read_file(path)) is not None:
             self._send(*file, {})
         else:
             self.send_error(404)

@@ -175,31 +175,31 @@ class Panel(Painter):
         elif self._force_ns is not None and self.newest_ns - self._force_ns > _STALE_NS:
             self._forget_forces(self.newest_ns)
         if LINK in batches and len(batches[LINK]):
-            self._health(batches[LINK])
+            self._update_link_limits(batches[LINK])
         if REPORT in batches and len(batches[REPORT]):
-            self._link(batches[REPORT])
+            self._update_link(batches[REPORT])
 
-    def silence(self, silent_ns: int) -> None:
+    def show_silence(self, silent_ns: int) -> None:
         """Say that nothing has arrived for so long [ns]."""
         self._forget(Banner(NO_DATA, "the session sends nothing"), silent_ns)
 
-    def end(self, what: str, silent_ns: int) -> None:
+    def show_end(self, what: str, silent_ns: int) -> None:
         """Say that a session or recording has ended so long [ns] after its last message."""
         self._forget(Banner(f"{what} ended"), silent_ns)
 
-    def present_ns(self, silent_ns: int) -> int:
+    def compute_present_ns(self, silent_ns: int) -> int:
         """Return the stamp of now [ns], so long after the last message; our clock before any."""
         return self.newest_ns + silent_ns if self.newest_ns else now_ns()
 
     def _forget(self, now: Banner, silent_ns: int) -> None:
         """Show a banner, and neither forces nor the link's quality."""
         self._sides.clear()
-        stamp_ns = self.present_ns(silent_ns)
+        stamp_ns = self.compute_present_ns(silent_ns)
         self._show(now, stamp_ns)
         if self.whole and self._counts:
             self._counts.clear()
             self._deaf.clear()
-            self._drawing("panel/link", stamp_ns, [], PLAIN, 0.0)
+            self._draw_at("panel/link", stamp_ns, [], PLAIN, 0.0)
         if self._force_ns is not None:
             self._forget_forces(stamp_ns)
 
@@ -238,10 +238,12 @@ class Panel(Painter):
         middle = (top + bottom) / 2
         # one broad line, whose round ends and upper half lie beyond the view's edges
         line = np.array([[-PANEL_WIDTH, top], [2 * PANEL_WIDTH, top]])
-        self._drawing("panel/banner/area", stamp_ns, [line], background, bottom - top)
+        self._draw_at("panel/banner/area", stamp_ns, [line], background, bottom - top)
         state_top = STATE_TOP if now.reason else middle - STATE_HEIGHT / 2
-        self._centred("panel/banner/state", stamp_ns, now.state, state_top, STATE_HEIGHT, ink)
-        self._centred("panel/banner/reason", stamp_ns, now.reason, REASON_TOP, REASON_HEIGHT, ink)
+        self._draw_centred("panel/banner/state", stamp_ns, now.state, state_top, STATE_HEIGHT, ink)
+        self._draw_centred(
+            "panel/banner/reason", stamp_ns, now.reason, REASON_TOP, REASON_HEIGHT, ink
+        )
 
     def _draw_forces(self, rows: Rows) -> None:
         joints = int(rows["joints"][-1])
@@ -250,7 +252,7 @@ class Panel(Painter):
         known = math.isfinite(self._limit_N)
         limit = self._limit_N if known else self._config.tension_scale_N
         top, height, places = compute_force_rows(joints)
-        two_way = [len(self._sheaths.tendons_of(joint)) > 1 for joint in range(joints)]
+        two_way = [len(self._sheaths.list_tendons(joint)) > 1 for joint in range(joints)]
         self._placed = places, two_way
         if self._framed != (limit, two_way):
             self._framed = limit, two_way
@@ -281,10 +283,10 @@ class Panel(Painter):
         self, joint: int, place: ForceRow, rows: Rows, shares: Array, two_way: bool
     ) -> None:
         """Draw a force, as shares of its limit, at the stamps of `rows`."""
-        boxes = [fill_box(place.bar(float(share), two_way)) for share in shares]
+        boxes = [fill_box(place.place_bar(float(share), two_way)) for share in shares]
         strips = [lines for lines, _ in boxes]
         inks = [choose_force_colour(float(share)) for share in shares]
-        self._strips(f"panel/joint_{joint}/bar", rows["stamp_ns"], strips, inks, boxes[0][1])
+        self._draw_strips(f"panel/joint_{joint}/bar", rows["stamp_ns"], strips, inks, boxes[0][1])
 
     def _draw_number(self, joint: int, place: ForceRow, rows: Rows, forces: Array) -> None:
         """Write a force [N] at the stamps of `rows`."""
@@ -300,7 +302,7 @@ class Panel(Painter):
         ]
         radius = STROKE * place.number_height
         inks = [PLAIN] * len(rows)
-        self._strips(f"panel/joint_{joint}/number", rows["stamp_ns"], strips, inks, radius)
+        self._draw_strips(f"panel/joint_{joint}/number", rows["stamp_ns"], strips, inks, radius)
 
     def _draw_words(self, top: float, height: float, end: str) -> None:
         """Write what the forces are, and where their bars end."""
@@ -309,7 +311,7 @@ class Panel(Painter):
             end, ForceRow.bar_right - compute_text_width(end, height), top, height
         )
         words = rr.LineStrips2D(strips, colors=PLAIN, radii=STROKE * height, draw_order=2.0)
-        self._sender.static("panel/words", words)
+        self._sender.send_static("panel/words", words)
 
     def _draw_frame(self, joint: int, name: str, place: ForceRow, two_way: bool) -> None:
         """Draw what of a force stands still: its name, its unit and the frame of the bar."""
@@ -320,11 +322,13 @@ class Panel(Painter):
         strips += build_text_strips("N", unit, place.number_top + tall, tall)
         radii += [STROKE * tall] * (len(strips) - len(radii))
         words = rr.LineStrips2D(strips, colors=PLAIN, radii=radii, draw_order=2.0)
-        self._sender.static(f"panel/joint_{joint}/words", words)
-        frame = rr.LineStrips2D(place.frame(two_way), colors=0x808080FF, radii=0.03, draw_order=3.0)
-        self._sender.static(f"panel/joint_{joint}/frame", frame)
+        self._sender.send_static(f"panel/joint_{joint}/words", words)
+        frame = rr.LineStrips2D(
+            place.build_frame(two_way), colors=0x808080FF, radii=0.03, draw_order=3.0
+        )
+        self._sender.send_static(f"panel/joint_{joint}/frame", frame)
 
-    def _link(self, rows: Rows) -> None:
+    def _update_link(self, rows: Rows) -> None:
         for number, own in split_rows(rows, "role").items():
             if number not in (Role.MASTER, Role.SLAVE):
                 continue
@@ -337,9 +341,9 @@ class Panel(Painter):
             self._deaf[role] = role in before and before[role] == self._counts[role]
             deaf = any(self._deaf.values())
             quality = compute_link_quality(before, self._counts, self._latency_ms, deaf)
-            self._quality(quality, int(newest["stamp_ns"]))
+            self._draw_quality(quality, int(newest["stamp_ns"]))
 
-    def _health(self, rows: Rows) -> None:
+    def _update_link_limits(self, rows: Rows) -> None:
         for number, own in split_rows(rows, "role").items():
             if number not in (Role.MASTER, Role.SLAVE):
                 continue
@@ -350,7 +354,7 @@ class Panel(Painter):
             scaled = "" if newest["scale"] >= 1.0 else f"scaled to {100 * newest['scale']:.0f} %"
             self._allowed[role] = "held" if newest["holds"] else scaled
 
-    def _quality(self, quality: LinkQuality, stamp_ns: int) -> None:
+    def _draw_quality(self, quality: LinkQuality, stamp_ns: int) -> None:
         parts = format_link_parts(quality, self._jitter_ms, self._allowed.values())
         strips = [
             strip
@@ -358,24 +362,24 @@ class Panel(Painter):
             for strip in build_text_strips(text, left, LINK_TOP, LINK_HEIGHT)
         ]
         ink, radius = QUALITIES[quality.word], STROKE * LINK_HEIGHT
-        self._drawing("panel/link", stamp_ns, strips, ink, radius)
+        self._draw_at("panel/link", stamp_ns, strips, ink, radius)
 
-    def _centred(
+    def _draw_centred(
         self, path: str, stamp_ns: int, text: str, top: float, height: float, colour: int
     ) -> None:
         height = fit_height(text, PANEL_WIDTH - 2 * _MARGIN, height)
         strips = build_text_strips(
             text, (PANEL_WIDTH - compute_text_width(text, height)) / 2, top, height
         )
-        self._drawing(path, stamp_ns, strips, colour, STROKE * height)
+        self._draw_at(path, stamp_ns, strips, colour, STROKE * height)
 
-    def _drawing(
+    def _draw_at(
         self, path: str, stamp_ns: int, strips: list[Array], colour: int, radius: float
     ) -> None:
         """Draw strips from one instant on."""
-        self._strips(path, np.array([stamp_ns], np.int64), [strips], [colour], radius)
+        self._draw_strips(path, np.array([stamp_ns], np.int64), [strips], [colour], radius)
 
-    def _strips(
+    def _draw_strips(
         self,
         path: str,
         stamps_ns: NDArray[np.int64],
@@ -385,7 +389,7 @@ class Panel(Painter):
     ) -> None:
         """Draw one drawing of strips at each stamp, in place of the one before; none clears it."""
         order = 0.0 if path.endswith(("area", "bar")) else 1.0
-        self._sender.once(path, rr.LineStrips2D.from_fields(draw_order=order))
+        self._sender.send_once(path, rr.LineStrips2D.from_fields(draw_order=order))
         counts = [len(strips) for strips in drawings]
         drawn = build_columns(
             rr.LineStrips2D,
@@ -394,7 +398,7 @@ class Panel(Painter):
             colors=np.repeat(np.array(inks, np.uint32), counts),
             radii=np.full(sum(counts), radius),
         )
-        self._sender.columns_at(path, stamps_ns, drawn)
+        self._sender.send_columns_at(path, stamps_ns, drawn)
 
 
 def format_force(force: float) -> str:

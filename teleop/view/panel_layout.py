@@ -36,14 +36,14 @@ class ForceRow:
     def _middle(self) -> float:
         return self.number_top + self.number_height / 2
 
-    def bar(self, share: float, two_way: bool) -> tuple[float, float, float, float]:
+    def place_bar(self, share: float, two_way: bool) -> tuple[float, float, float, float]:
         """Return left, top, right, bottom of the bar: `share` of the limit, and at most all."""
         zero = (_BAR_LEFT + _BAR_RIGHT) / 2 if two_way else _BAR_LEFT
         share = float(np.clip(np.nan_to_num(share), -1.0 if two_way else 0.0, 1.0))
         left, right = sorted((zero, zero + share * (_BAR_RIGHT - zero)))
         return left, self._middle - self.bar_half, right, self._middle + self.bar_half
 
-    def frame(self, two_way: bool) -> list[Array]:
+    def build_frame(self, two_way: bool) -> list[Array]:
         """Return the frame of the bar, and the mark at 0 N."""
         top, bottom = self._middle - self.bar_half, self._middle + self.bar_half
         corners = [(_BAR_LEFT, top), (_BAR_RIGHT, top), (_BAR_RIGHT, bottom), (_BAR_LEFT, bottom)]

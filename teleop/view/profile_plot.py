@@ -30,12 +30,12 @@ class Plane:
     across: str  # with its unit
     upwards: str
 
-    def points(self, across: Array, upwards: Array) -> Array:
+    def to_points(self, across: Array, upwards: Array) -> Array:
         """Return plane points, shape (..., 2)."""
         x, y = np.broadcast_arrays(self.width * across / self.right, -upwards / self.top)
         return np.stack([x, y], axis=-1)
 
-    def axes(self) -> tuple[list[Array], list[tuple[Array, str]]]:
+    def build_axes(self) -> tuple[list[Array], list[tuple[Array, str]]]:
         """Return the lines of the axes with their ticks, and the labels with their places."""
         lines = [np.array([[0.0, 0.0], [self.width, 0.0]]), np.array([[0.0, 0.0], [0.0, -1.0]])]
         labels = [
@@ -43,19 +43,19 @@ class Plane:
             (np.array([0.02 + 0.022 * len(self.upwards), -1.12]), self.upwards),
         ]
         for x in compute_ticks(self.right):
-            at = self.points(np.array(x), np.array(0.0))
+            at = self.to_points(np.array(x), np.array(0.0))
             lines.append(np.array([at, at + np.array([0, _TICK])]))
             labels.append((at + np.array([0, 0.08]), f"{x:g}"))
         for y in compute_ticks(self.top):
-            at = self.points(np.array(0.0), np.array(y))
+            at = self.to_points(np.array(0.0), np.array(y))
             lines.append(np.array([at - np.array([_TICK, 0]), at]))
             labels.append((at - np.array([0.09, 0]), f"{y:g}"))
         return lines, labels
 
     def draw_axes(self, sender: Sender, root: str) -> None:
         """Send the axes and their labels."""
-        lines, labels = self.axes()
-        sender.static(f"{root}/axes", rr.LineStrips2D(lines, colors=0x808080FF, radii=0.004))
+        lines, labels = self.build_axes()
+        sender.send_static(f"{root}/axes", rr.LineStrips2D(lines, colors=0x808080FF, radii=0.004))
         draw_words(sender, f"{root}/labels", labels)
 
 
@@ -68,7 +68,7 @@ def draw_words(sender: Sender, path: str, labels: list[tuple[Array, str]]) -> No
         radii=0.0001,
         show_labels=True,
     )
-    sender.static(path, words)
+    sender.send_static(path, words)
 
 
 def _choose_tick_step(top: float) -> float:
@@ -133,7 +133,7 @@ class ProfileView(Painter):
             ends = compute_axis_end(longest), compute_axis_end(self._config.tension_scale_N)
             self._plane = Plane(*ends, WIDTH, "x [m] from the housing", "T [N]")
             self._plane.draw_axes(self._sender, "profile")
-            self._scale(self._plane)
+            self._draw_scale(self._plane)
         x = length[:, None] * np.linspace(0.0, 1.0, PROFILE_POINTS)
         self._draw_band(tendon, rows, self._plane, x)
         self._draw_curve(tendon, rows, self._plane, x)
@@ -142,30 +142,32 @@ class ProfileView(Painter):
         """Send T(x) as numbers, for Rerun's tools."""
         tension = rr.AnyValues.columns(tension=rows["tension"].ravel())
         points = [PROFILE_POINTS] * len(rows)
-        self._sender.columns(f"profile/tendon_{tendon}/tension", rows, tension.partition(points))
+        self._sender.send_columns(
+            f"profile/tendon_{tendon}/tension", rows, tension.partition(points)
+        )
 
     def _draw_curve(self, tendon: int, rows: Rows, plane: Plane, x: Array) -> None:
         """Draw T(x) in two pieces that meet at X'."""
-        path, side = f"profile/tendon_{tendon}", self._side(tendon)
+        path, side = f"profile/tendon_{tendon}", self._find_side(tendon)
         slides, sticks = _CURVES[side]
         style = rr.LineStrips2D.from_fields(colors=[slides, sticks], radii=[0.012, 0.005])
         mark = rr.Points2D.from_fields(colors=FRONT, radii=0.022)
-        if not self._sender.styled(f"{path}/curve"):
-            self._sender.once(f"{path}/curve", style)
-            self._sender.static(f"{path}/curve", mark)
+        if not self._sender.has_style(f"{path}/curve"):
+            self._sender.send_once(f"{path}/curve", style)
+            self._sender.send_static(f"{path}/curve", mark)
         name = rr.Points2D(
             [[WIDTH - 0.95 + 0.75 * side, -1.12]],
             labels=f"estimated {self._sheaths.name(tendon)}",
             colors=slides, radii=1e-4, show_labels=True,
         )  # fmt: skip
-        self._sender.once(f"{path}/name", name)
+        self._sender.send_once(f"{path}/name", name)
         front = np.clip(np.nan_to_num(rows["front"]), 0.0, rows["length"])
         at = [np.interp(f, row, T) for f, row, T in zip(front, x, rows["tension"], strict=True)]
         top = 1.05 * plane.top  # what is beyond the plot runs along its edge, as its band
-        fronts = plane.points(front, np.minimum(at, top))
+        fronts = plane.to_points(front, np.minimum(at, top))
         pieces = []
         for points, row, f, point in zip(
-            plane.points(x, np.minimum(rows["tension"], top)), x, front, fronts, strict=True
+            plane.to_points(x, np.minimum(rows["tension"], top)), x, front, fronts, strict=True
         ):
             behind, ahead = row < f, row > f
             pieces.append(np.concatenate([points[behind], [point, point][: 2 - behind.any()]]))
@@ -173,11 +175,11 @@ class ProfileView(Painter):
         curve = build_columns(rr.LineStrips2D, np.full(len(rows), 2), strips=pieces)
         known = np.isfinite(rows["front"])
         curve += build_columns(rr.Points2D, known, positions=fronts[known])
-        self._sender.columns(f"{path}/curve", rows, curve)
+        self._sender.send_columns(f"{path}/curve", rows, curve)
 
     def _draw_band(self, tendon: int, rows: Rows, plane: Plane, x: Array) -> None:
         """Draw the certified band of T(x) as one broad zigzag line."""
-        ends = self._ends(tendon, rows)
+        ends = self._find_tip_interval(tendon, rows)
         if tendon not in self._sheaths.friction or ends is None:
             return
         path = f"profile/tendon_{tendon}/band"
@@ -185,17 +187,17 @@ class ProfileView(Painter):
             self._sheaths.friction[tendon], rows["tension"][:, 0], *ends
         )
         style = rr.LineStrips2D.from_fields(
-            colors=_BANDS[self._side(tendon)],
+            colors=_BANDS[self._find_side(tendon)],
             radii=0.9 * WIDTH / (PROFILE_POINTS - 1),  # more than half: no gaps
             draw_order=-10.0,
         )
-        self._sender.once(path, style)
+        self._sender.send_once(path, style)
         known = np.isfinite(low).all(axis=1) & np.isfinite(high).all(axis=1)
         top = 1.05 * plane.top  # the interval may be far wider than the plot
         bars = np.stack(
             [
-                plane.points(x[known], np.minimum(low[known], top)),
-                plane.points(x[known], np.minimum(high[known], top)),
+                plane.to_points(x[known], np.minimum(low[known], top)),
+                plane.to_points(x[known], np.minimum(high[known], top)),
             ],
             axis=2,
         )
@@ -205,9 +207,9 @@ class ProfileView(Painter):
         if self._values:
             values = rr.AnyValues.columns(low=low.ravel(), high=high.ravel())
             drawn += values.partition([PROFILE_POINTS] * len(rows))
-        self._sender.columns(path, rows, drawn)
+        self._sender.send_columns(path, rows, drawn)
 
-    def _ends(self, tendon: int, rows: Rows) -> tuple[Array, Array] | None:
+    def _find_tip_interval(self, tendon: int, rows: Rows) -> tuple[Array, Array] | None:
         """Return the interval of T_out at each profile; NaN without one near it."""
         if self._tail is None:
             return None
@@ -218,19 +220,19 @@ class ProfileView(Painter):
         high = np.where(far, np.nan, self._tail["distal_tension_high"][at, tendon])
         return low, high
 
-    def _side(self, tendon: int) -> int:
+    def _find_side(self, tendon: int) -> int:
         """Return 0 for a joint's tendon a, 1 for b."""
         shape = self._sheaths.shapes.get(tendon)
-        own = [tendon] if shape is None else self._sheaths.tendons_of(shape.joint)
+        own = [tendon] if shape is None else self._sheaths.list_tendons(shape.joint)
         return own.index(tendon) % 2
 
-    def _scale(self, plane: Plane) -> None:
+    def _draw_scale(self, plane: Plane) -> None:
         """Draw the colour scale of the tubes along the tension axis."""
         rungs = np.linspace(0.0, plane.top, _SCALE_STEPS + 1)
-        edge = plane.points(np.zeros_like(rungs), rungs)
+        edge = plane.to_points(np.zeros_like(rungs), rungs)
         scale = rr.LineStrips2D(
             np.stack([edge[:-1], edge[1:]], axis=1),
             colors=to_rgba((rungs[1:] + rungs[:-1]) / 2, self._config.tension_scale_N),
             radii=0.015,
         )
-        self._sender.static("profile/scale", scale)
+        self._sender.send_static("profile/scale", scale)

@@ -64,7 +64,7 @@ def draw_stage(sender: Sender, config: ViewConfig, stage: Stage) -> None:
     """Fit the scene into the view, with the colour scale beside it."""
     scale = 1.0 / stage.span
     fit = rr.Transform3D(translation=-scale * stage.centre, scale=scale)
-    sender.static("scene", fit)
+    sender.send_static("scene", fit)
     _draw_scale(sender, stage.legend, stage.legend_up, config.tension_scale_N)
 
 
@@ -83,7 +83,7 @@ def _draw_scale(sender: Sender, foot: Array, up: Array, top: float) -> None:
         ),
         vertex_colors=np.tile(to_rgba(levels * top, top), 2),
     )
-    sender.static("scene/legend/scale", bar)
+    sender.send_static("scene/legend/scale", bar)
     beside = np.array([0.13 * tall, 0.0, 0.0])
     marks = compute_ticks_to_end(top)
     words = rr.Points3D(
@@ -93,12 +93,12 @@ def _draw_scale(sender: Sender, foot: Array, up: Array, top: float) -> None:
         radii=1e-6,
         show_labels=True,
     )
-    sender.static("scene/legend/values", words)
+    sender.send_static("scene/legend/values", words)
     title = rr.Points3D(
         [foot + _TITLE_HEIGHT * up], labels="tension [N]", colors=0xFFFFFFFF, radii=1e-6,
         show_labels=True,
     )  # fmt: skip
-    sender.static("scene/legend/title", title)
+    sender.send_static("scene/legend/title", title)
 
 
 # --- events as a text log, and the sides' states as coloured lanes over time
@@ -117,7 +117,7 @@ def log_rows(sender: Sender, topic: AnyTopic, rows: Rows) -> None:
         ],
         level=[level for _, level in texts],
     )
-    sender.columns("log", rows, columns)
+    sender.send_columns("log", rows, columns)
 
 
 def format_time_of_day(row: np.void) -> str:
@@ -168,9 +168,9 @@ class StateLanes:
         self._shown[role] = int(states[keep[-1]]), int(rows["stamp_ns"][keep[-1]])
         path = f"state/{format_role(role)}"
         style = rr.StateConfiguration(values=list(STATES), colors=list(STATES.values()))
-        self._sender.once(path, style)
+        self._sender.send_once(path, style)
         names = [format_state(int(number)) for number in states[keep]]
-        self._sender.columns(path, rows[keep], rr.StateChange.columns(state=names))
+        self._sender.send_columns(path, rows[keep], rr.StateChange.columns(state=names))
 
 
 # --- the hysteresis loop T_out over T_in as it grows, coloured by the paper's phases
@@ -207,7 +207,7 @@ class LoopView:
         palette = np.array(PHASES, np.uint32)
         for tendon in range(int(rows["tendons"][-1])):
             begin, end = (
-                self._plane.points(
+                self._plane.to_points(
                     part["proximal_tension"][:, tendon], part["distal_tension"][:, tendon]
                 )
                 for part in (before, after)
@@ -222,7 +222,7 @@ class LoopView:
                 rr.LineStrips2D, strips=strips, colors=palette[phase], radii=radii
             )
             path = f"loop/tendon_{tendon}/curve"
-            self._sender.columns_at(path, after["stamp_ns"][is_shown], pieces)
+            self._sender.send_columns_at(path, after["stamp_ns"][is_shown], pieces)
 
     def _draw_legend(self) -> None:
         """Name the phases, each in its colour."""
@@ -231,7 +231,7 @@ class LoopView:
         words = rr.Points2D(
             at, labels=list(PHASE_NAMES), colors=list(PHASES), radii=1e-4, show_labels=True
         )
-        self._sender.static("loop/names", words)
+        self._sender.send_static("loop/names", words)
 
 
 # --- the sheaths in the scene: coloured by tension, thick where the tendon slides, and X'
@@ -257,7 +257,7 @@ class Tubes(Painter):
                 quaternions=compute_rotations_from_z(steps),
                 fill_mode="solid",
             )
-            self._sender.static(f"scene/tendon_{tendon}/tube", tube)
+            self._sender.send_static(f"scene/tendon_{tendon}/tube", tube)
             style = {"radii": 1.8 * radius, "colors": FRONT}
             self._set_style(f"scene/tendon_{tendon}/tube", rr.Points3D, **style)
 
@@ -278,7 +278,7 @@ class Tubes(Painter):
             rr.Capsules3D, np.full(len(rows), SEGMENTS), colors=colours, radii=radii
         )
         tube += build_columns(rr.Points3D, is_finite, positions=at)
-        self._sender.columns(f"scene/tendon_{tendon}/tube", rows, tube)
+        self._sender.send_columns(f"scene/tendon_{tendon}/tube", rows, tube)
 
 
 def find_sliding_segments(front: Array, length: Array) -> NDArray[np.bool_]:
@@ -342,9 +342,9 @@ class Scene(BatchDisplay):
 
     def send(self, batches: Mapping[AnyTopic, Rows]) -> int:
         """Send one batch of each topic, all of it; returns the number of rows that were shown."""
-        return self.pictures(batches) + self.curves(batches)
+        return self.draw_pictures(batches) + self.draw_curves(batches)
 
-    def pictures(self, batches: Mapping[AnyTopic, Rows]) -> int:
+    def draw_pictures(self, batches: Mapping[AnyTopic, Rows]) -> int:
         """Update the scene and the log; returns the number of rows shown."""
         shown = 0
         if SHEATH in batches:
@@ -360,7 +360,7 @@ class Scene(BatchDisplay):
         self._panel.draw(batches)
         return shown
 
-    def curves(self, batches: Mapping[AnyTopic, Rows]) -> int:
+    def draw_curves(self, batches: Mapping[AnyTopic, Rows]) -> int:
         """Draw the curves over time and the loops, and send T(x); returns the number of rows shown.
 
         Both grow, so each block adds to what is there.
@@ -400,18 +400,18 @@ class Scene(BatchDisplay):
         """Draw fewer rows, by this factor, where the periods of drawing are stretched by it."""
         self._subsample.stretch = factor
 
-    def silence(self, silent_ns: int) -> None:
+    def show_silence(self, silent_ns: int) -> None:
         """Show that nothing has arrived for so long [ns]."""
-        self._panel.silence(silent_ns)
+        self._panel.show_silence(silent_ns)
         self._forget_forces(silent_ns)
 
-    def end(self, what: str, silent_ns: int = 0) -> None:
+    def show_end(self, what: str, silent_ns: int = 0) -> None:
         """Show that a session or recording ended so long [ns] after its last data, no forces."""
-        self._panel.end(what, silent_ns)
+        self._panel.show_end(what, silent_ns)
         self._forget_forces(silent_ns)
 
     def _forget_forces(self, silent_ns: int) -> None:
-        present_ns = self._panel.present_ns(silent_ns)
+        present_ns = self._panel.compute_present_ns(silent_ns)
         self._levers.forget_forces(present_ns)
         self._arms.forget_forces(present_ns)
 
@@ -423,10 +423,10 @@ class Scene(BatchDisplay):
         """Process the sheaths, and redraw everything if they have changed."""
         if not self._sheaths.learn(rows):
             return 0
-        self._sender.restyle()
+        self._sender.forget_styles()
         if self._spatial:
             self._place()
-        joints = {joint: self._sheaths.tendons_of(joint) for joint in self._sheaths.joints}
+        joints = {joint: self._sheaths.list_tendons(joint) for joint in self._sheaths.joints}
         self._lay_out(joints)
         return len(joints)
 

@@ -24,14 +24,14 @@ class Arms(Painter):
 
     def place(self) -> None:
         """Draw the static parts and set the styles."""
-        for path, place in self._places():
+        for path, place in self._list_places():
             thick, style = self._config.tube_radius * place.size, self._set_style
             number = int(path.rpartition("_")[2]) + 1
             name = rr.Points3D(
                 [place.base], radii=1.8 * thick, colors=colours.BODY, show_labels=True,
                 labels=f"arm {number}, x {place.scale:.2g}",
             )  # fmt: skip
-            self._sender.static(f"{path}/base", name)
+            self._sender.send_static(f"{path}/base", name)
             self._draw_axes(f"{path}/axes", place, place.base, np.eye(3))
             style(f"{path}/links", rr.LineStrips3D, colors=colours.BODY, radii=0.5 * thick)
             style(f"{path}/links", rr.Points3D, colors=colours.BODY, radii=1.3 * thick)
@@ -49,7 +49,7 @@ class Arms(Painter):
 
     def draw(self, batches: Mapping[AnyTopic, Rows]) -> None:
         """Draw some instants."""
-        if self._places():
+        if self._list_places():
             self._paint(batches, {
                 STATE: self._draw_arms, COMMAND: self._draw_commanded,
                 TENDONS: self._draw_tensions, HAND: self._draw_hands,
@@ -57,28 +57,28 @@ class Arms(Painter):
 
     def forget_forces(self, stamp_ns: int) -> None:
         """Draw no force from one instant [ns] on."""
-        for path, place in self._places() if self._has_forces else ():
+        for path, place in self._list_places() if self._has_forces else ():
             self._clear(f"{path}/force", stamp_ns, rr.Arrows3D, rr.Points3D)
             self._clear(f"{path}/interval", stamp_ns, rr.LineStrips3D)
             if place.arm.hand is not None:
                 self._clear(f"{path}/hand/handle", stamp_ns, rr.Arrows3D)
         self._has_forces = False
 
-    def _places(self) -> list[tuple[str, ArmPlace]]:
+    def _list_places(self) -> list[tuple[str, ArmPlace]]:
         """Return the arms that are placed, each with its entity."""
         stage = self._sheaths.stage
         arms = () if stage is None else stage.arms
         return [(f"scene/arm_{k}", place) for k, place in enumerate(arms)]
 
-    def _known(self, rows: Rows) -> Iterator[tuple[str, ArmPlace, Rows]]:
+    def _select_known(self, rows: Rows) -> Iterator[tuple[str, ArmPlace, Rows]]:
         """Yield each arm with the rows in which all of its joints have positions."""
-        for path, place in self._places():
+        for path, place in self._list_places():
             known = place.arm.find_known(rows)
             if known.any():
                 yield path, place, rows[known]
 
     def _draw_arms(self, rows: Rows) -> None:
-        for path, place, known in self._known(rows):
+        for path, place, known in self._select_known(rows):
             lines = place.build_lines(known["position"])
             count, one = len(known), np.ones(len(known), dtype=np.int64)
             strips = [strip for k in range(count) for strip in (lines.links[k], *lines.jaws[k])]
@@ -86,12 +86,12 @@ class Arms(Painter):
             if lines.joints.shape[1]:
                 at = lines.joints.reshape(-1, 3)
                 parts += build_columns(rr.Points3D, one * lines.joints.shape[1], positions=at)
-            self._sender.columns(f"{path}/links", known, parts)
+            self._sender.send_columns(f"{path}/links", known, parts)
             tendons = [each[k] for k in range(count) for each in lines.tendons]
             strips_of_tendons = build_columns(
                 rr.LineStrips3D, one * len(lines.tendons), strips=tendons
             )
-            self._sender.columns(f"{path}/tendons", known, strips_of_tendons)
+            self._sender.send_columns(f"{path}/tendons", known, strips_of_tendons)
             self._draw_force(path, place, known, lines.tip)
 
     def _draw_force(self, path: str, place: ArmPlace, rows: Rows, tips: Array) -> None:
@@ -111,28 +111,30 @@ class Arms(Painter):
             words = [f"{word}, grip {value:.1f} N" for word, value in zip(words, grip, strict=True)]
         at = tips[known] + NUMBER_DISTANCE * place.size * UP
         parts += build_columns(rr.Points3D, known, positions=at, labels=words)
-        self._sender.columns(f"{path}/force", rows, parts)
+        self._sender.send_columns(f"{path}/force", rows, parts)
         lines = place.build_interval(tips, forces, self._config.hand_scale_N, length)
         shown = known & np.isfinite(lines).all(axis=(1, 2, 3))
         interval = build_columns(rr.LineStrips3D, 3 * shown, strips=lines[shown].reshape(-1, 2, 3))
-        self._sender.columns(f"{path}/interval", rows, interval)
+        self._sender.send_columns(f"{path}/interval", rows, interval)
 
     def _draw_commanded(self, rows: Rows) -> None:
-        for path, place, known in self._known(rows):
+        for path, place, known in self._select_known(rows):
             at = place.to_scene(place.arm.compute_tips(known["position"]))
-            self._sender.columns(f"{path}/asked", known, build_columns(rr.Points3D, positions=at))
+            self._sender.send_columns(
+                f"{path}/asked", known, build_columns(rr.Points3D, positions=at)
+            )
 
     def _draw_tensions(self, rows: Rows) -> None:
         """Colour the tendons along the arm by the tension at the ends of their sheaths."""
-        for path, place in self._places():
+        for path, place in self._list_places():
             tension = rows["distal_tension"][:, list(place.tendons)]
             packed = colours.to_rgba(tension, self._config.tension_scale_N)
             counts = np.full(len(rows), len(place.tendons))
             colour = build_columns(rr.LineStrips3D, counts, colors=packed.ravel())
-            self._sender.columns(f"{path}/tendons", rows, colour)
+            self._sender.send_columns(f"{path}/tendons", rows, colour)
 
     def _draw_hands(self, rows: Rows) -> None:
-        for path, place in self._places():
+        for path, place in self._list_places():
             if place.arm.hand is None:
                 continue
             at = place.place_hand(rows["position"])
@@ -141,7 +143,7 @@ class Arms(Painter):
             known = np.isfinite(at).all(axis=1) & np.isfinite(vectors).all(axis=1)
             parts = build_columns(rr.Points3D, known, positions=at[known])
             parts += build_columns(rr.Arrows3D, known, origins=at[known], vectors=vectors[known])
-            self._sender.columns(f"{path}/hand/handle", rows, parts)
+            self._sender.send_columns(f"{path}/hand/handle", rows, parts)
 
     def _draw_axes(self, path: str, place: ArmPlace, origin: Array, rotation: Array) -> None:
         axes = rr.LineStrips3D(
@@ -151,4 +153,4 @@ class Arms(Painter):
             labels=["x", "y", "z"],
             show_labels=True,
         )
-        self._sender.static(path, axes)
+        self._sender.send_static(path, axes)

@@ -126,13 +126,13 @@ class Lever:
     radius: float  # [m] of the pulley it is drawn on: angle = travel / radius
     label: Array = field(default_factory=lambda: np.zeros(3))  # [m] from its far end to its number
 
-    def tip(self, travel: Array) -> Array:
+    def compute_tip(self, travel: Array) -> Array:
         """Return the link's far end, shape (n, 3), at each travel [m]."""
         angle = np.asarray(travel)[..., None] / self.radius
         turned: Array = np.cos(angle) * self.along + np.sin(angle) * self.aside
         return self.pivot + self.length * turned
 
-    def onward(self, travel: Array) -> Array:
+    def compute_direction(self, travel: Array) -> Array:
         """Return unit vectors along which the far end moves as the travel grows, shape (n, 3)."""
         angle = np.asarray(travel)[..., None] / self.radius
         turned: Array = -np.sin(angle) * self.along + np.cos(angle) * self.aside
@@ -141,7 +141,7 @@ class Lever:
     def sweep(self, begin: float) -> Array:
         """Return where the far end goes from a travel [m] by `_WEDGE` on, shape (n, 3)."""
         beyond = math.copysign(_WEDGE * self.radius, begin)
-        return self.tip(np.linspace(begin, begin + beyond, _WEDGE_STEPS + 1))
+        return self.compute_tip(np.linspace(begin, begin + beyond, _WEDGE_STEPS + 1))
 
     @property
     def aslant(self) -> Array:
@@ -276,8 +276,10 @@ def _compute_cell_offsets(drawn: Mapping[int, Array], size: float) -> dict[int, 
 def _compute_reach(lever: Lever, sign: float) -> Array:
     """Return points that a lever and the arrow at its end reach."""
     travel = lever.radius * _LEVER_ANGLES
-    arrows = sign * ARROW / _LEVER_LENGTH * lever.length * lever.onward(travel)
-    return np.concatenate([lever.pivot[None], lever.tip(travel), lever.tip(travel) + arrows])
+    arrows = sign * ARROW / _LEVER_LENGTH * lever.length * lever.compute_direction(travel)
+    return np.concatenate(
+        [lever.pivot[None], lever.compute_tip(travel), lever.compute_tip(travel) + arrows]
+    )
 
 
 def _find_clear_offset(lever: Lever, sign: float, still: Array, size: float) -> Array:
@@ -299,7 +301,7 @@ def _find_clear_offset(lever: Lever, sign: float, still: Array, size: float) -> 
     along = np.linspace(0.0, 1.0, 9)[:, None]
     for travel in lever.radius * _LEVER_ANGLES:
         at = np.array([travel])
-        end, onward = lever.tip(at)[0], sign * lever.onward(at)[0]
+        end, onward = lever.compute_tip(at)[0], sign * lever.compute_direction(at)[0]
         link = lever.pivot + along * (end - lever.pivot)
         arrow = end + along * ARROW * size * onward
         obstacles = np.concatenate([still, link, arrow]) @ flat.T

@@ -83,30 +83,30 @@ class Levers(Painter):
             travel, force = rows["position"][:, joint], rows["force"][:, joint]
             self._travel[joint] = float(travel[-1])
             ends, link = _build_link(lever, travel)
-            self._sender.columns(f"{path}/link", rows, link)
-            back = -lever.onward(travel) * per_newton
+            self._sender.send_columns(f"{path}/link", rows, link)
+            back = -lever.compute_direction(travel) * per_newton
             low, high = rows["force_low"][:, joint], rows["force_high"][:, joint]
             parts = _build_arrow(ends, force[:, None] * back)
             parts += _build_number(stage, ends + lever.label, force, joint)
             parts += self._build_interval(lever, ends, back, low, high)
-            self._sender.columns(f"{path}/force", rows, parts)
+            self._sender.send_columns(f"{path}/force", rows, parts)
 
     def _draw_commanded(self, stage: Stage, rows: Rows) -> None:
         for joint, lever in stage.joints.items():
             _, link = _build_link(lever, rows["position"][:, joint])
-            self._sender.columns(f"scene/joint_{joint}/asked", rows, link)
+            self._sender.send_columns(f"scene/joint_{joint}/asked", rows, link)
 
     def _draw_truth(self, stage: Stage, rows: Rows) -> None:
         """Draw the force of the bench sensors, if any."""
         per_newton = ARROW * stage.size / self._config.tension_scale_N
         for joint, lever in stage.joints.items():
-            force = compute_true_force(rows, self._sheaths.tendons_of(joint))
-            travel = rows["bench_distal_displacement"][:, self._sheaths.tendons_of(joint)[0]]
+            force = compute_true_force(rows, self._sheaths.list_tendons(joint))
+            travel = rows["bench_distal_displacement"][:, self._sheaths.list_tendons(joint)[0]]
             travel = np.where(np.isfinite(travel), travel, self._travel.get(joint, 0.0))
             if np.isfinite(force).any():
-                vectors = -force[:, None] * lever.onward(travel) * per_newton
-                truth = _build_arrow(lever.tip(travel) + lever.aslant, vectors)
-                self._sender.columns(f"scene/joint_{joint}/truth", rows, truth)
+                vectors = -force[:, None] * lever.compute_direction(travel) * per_newton
+                truth = _build_arrow(lever.compute_tip(travel) + lever.aslant, vectors)
+                self._sender.send_columns(f"scene/joint_{joint}/truth", rows, truth)
 
     def _draw_hands(self, stage: Stage, rows: Rows) -> None:
         per_newton = ARROW * stage.size / self._config.hand_scale_N
@@ -115,9 +115,11 @@ class Levers(Painter):
                 continue
             travel, force = rows["position"][:, joint], rows["force"][:, joint]
             ends, parts = _build_link(lever, travel)
-            parts += _build_arrow(ends, force[:, None] * lever.onward(travel) * per_newton)
+            parts += _build_arrow(
+                ends, force[:, None] * lever.compute_direction(travel) * per_newton
+            )
             parts += _build_number(stage, ends + lever.label, force, joint)
-            self._sender.columns(f"scene/hand_{joint}/handle", rows, parts)
+            self._sender.send_columns(f"scene/hand_{joint}/handle", rows, parts)
 
     def _build_interval(
         self, lever: Lever, ends: Array, back: Array, low: Array, high: Array
@@ -152,18 +154,18 @@ class Levers(Painter):
             vertex_normals=np.repeat(normal[None], len(triangles), axis=0),
             albedo_factor=colours.ENVIRONMENT,
         )
-        self._sender.static(path, wedge)
+        self._sender.send_static(path, wedge)
 
     def _draw_pivot(self, path: str, lever: Lever, colour: int, radius: float, label: str) -> None:
         pivot = rr.Points3D(
             [lever.pivot], radii=radius, colors=colour, labels=label, show_labels=True
         )
-        self._sender.static(f"{path}/pivot", pivot)
+        self._sender.send_static(f"{path}/pivot", pivot)
 
 
 def _build_link(lever: Lever, travel: Array) -> tuple[Array, Columns]:
     """Return the far ends of a lever, and the columns that draw it."""
-    ends = lever.tip(travel)
+    ends = lever.compute_tip(travel)
     known = np.isfinite(travel)
     to = ends[known]
     strips = np.stack([np.broadcast_to(lever.pivot, to.shape), to], axis=1)

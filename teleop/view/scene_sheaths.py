@@ -83,7 +83,7 @@ class Sheaths:
         """The joints that have a sheath."""
         return tuple(sorted({shape.joint for shape in self.shapes.values()}))
 
-    def tendons_of(self, joint: int) -> list[int]:
+    def list_tendons(self, joint: int) -> list[int]:
         """Return the tendons of a joint, `a` first."""
         return sorted(t for t, shape in self.shapes.items() if shape.joint == joint)
 
@@ -92,7 +92,7 @@ class Sheaths:
         shape = self.shapes.get(tendon)
         if shape is None:
             return f"{tendon + 1}"
-        return f"{shape.joint + 1}{'ab'[self.tendons_of(shape.joint).index(tendon) % 2]}"
+        return f"{shape.joint + 1}{'ab'[self.list_tendons(shape.joint).index(tendon) % 2]}"
 
 
 _NOTHING = np.empty((0, 3))
@@ -115,7 +115,7 @@ class Painter:
         self._sheaths, self._subsample = sheaths, subsample
 
     def _set_style(self, path: str, archetype: Any, **fields: Any) -> None:
-        self._sender.static(path, archetype.from_fields(**fields))
+        self._sender.send_static(path, archetype.from_fields(**fields))
 
     def _paint(
         self, batches: Mapping[AnyTopic, Rows], paint: Mapping[AnyTopic, Callable[[Rows], None]]
@@ -130,4 +130,4 @@ class Painter:
         """Draw nothing of these archetypes from one instant [ns] on."""
         none = np.array([0])
         parts = [c for each in archetypes for c in build_columns(each, none, **_EMPTY[each])]
-        self._sender.columns_at(path, np.array([stamp_ns]), parts)
+        self._sender.send_columns_at(path, np.array([stamp_ns]), parts)

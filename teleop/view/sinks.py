@@ -105,7 +105,7 @@ class ViewerProcess:
             self._folder.cleanup()
             raise
 
-    def running(self) -> bool:
+    def is_running(self) -> bool:
         """Return whether it still runs; a window ends when it is closed."""
         return self.process.poll() is None
 
@@ -117,7 +117,7 @@ class ViewerProcess:
                 self.process.stdin.close()
         self._folder.cleanup()
 
-    def failure(self) -> TeleopError:
+    def read_failure(self) -> TeleopError:
         """Return why it did not start, by what it wrote last."""
         lines = self._log.read_text(errors="replace").split("\n")
         last = next((line.strip() for line in reversed(lines) if line.strip()), "it said nothing")
@@ -156,19 +156,19 @@ class Window:
         """Its process id."""
         return self._viewer.process.pid
 
-    def running(self) -> bool:
+    def is_running(self) -> bool:
         """Return whether it is open."""
-        return self._viewer.running()
+        return self._viewer.is_running()
 
     def add(self, block: bytes) -> None:
         """Show an encoded block; at once, it is written by a thread."""
         self._blocks.put(block)
 
-    def stuck(self) -> bool:
+    def is_stuck(self) -> bool:
         """Return whether it gets no more data: it stopped accepting it, or a block was damaged."""
         since = self._since
         is_late = since is not None and time.monotonic() - since > _WRITE_TIMEOUT_S
-        return self.running() and (self._failed or is_late)
+        return self.is_running() and (self._failed or is_late)
 
     def _feed(self) -> None:
         pipe = self._viewer.process.stdin
@@ -220,14 +220,14 @@ def read_viewer_files() -> dict[str, bytes]:
     arguments = ["--port", "auto", "--serve-web", "--web-viewer-port", str(port)]
     with contextlib.closing(ViewerProcess(arguments)) as viewer:
         end = time.monotonic() + _START_S
-        while viewer.running() and time.monotonic() < end:
+        while viewer.is_running() and time.monotonic() < end:
             try:
                 return {name: _fetch_file(port, path) for name, (path, _) in VIEWER_FILES.items()}
             except ConnectionRefusedError:
                 time.sleep(0.02)
             except (OSError, http.client.HTTPException) as error:
                 raise TeleopError(f"the Rerun viewer does not send its page: {error}") from error
-        raise viewer.failure()
+        raise viewer.read_failure()
 
 
 def _fetch_file(port: int, path: str) -> bytes:
@@ -325,9 +325,9 @@ class Sink:
         """Whether it is a viewer."""
         return self._window is not None or self._page is not None
 
-    def alive(self) -> bool:
+    def is_alive(self) -> bool:
         """Return whether the window, if any, is open."""
-        return self._window is None or self._window.running()
+        return self._window is None or self._window.is_running()
 
     def lay_out(self, joints: Mapping[int, Sequence[int]]) -> None:
         """Lay the views out for these joints, each with its tendons."""
@@ -344,13 +344,13 @@ class Sink:
         if self._page is not None:
             self._page.newest_ns = newest_ns
             self._page.layout = lambda: self._layouts
-            self._page.light = self._light_layout
+            self._page.light = self._build_light_layout
             self._show_panel = show_panel
 
     @property
     def behind_s(self) -> float:
         """How far [s] the slowest open page is behind what was sent; 0 if none says so."""
-        return 0.0 if self._page is None else self._page.behind_s()
+        return 0.0 if self._page is None else self._page.get_delay_s()
 
     def publish(self) -> None:
         """Give viewers what was sent to the stream."""
@@ -362,9 +362,9 @@ class Sink:
         if self._window is not None:
             self._window.add(block)
 
-    def stuck(self) -> bool:
+    def is_stuck(self) -> bool:
         """Return whether the window has stopped accepting data."""
-        return self._window is not None and self._window.stuck()
+        return self._window is not None and self._window.is_stuck()
 
     def close(self) -> None:
         """Publish the rest, tell open pages why it ends, and end a window."""
@@ -387,7 +387,7 @@ class Sink:
         stream.send_recording_name(session)
         self.stream = stream
 
-    def _light_layout(self) -> bytes:
+    def _build_light_layout(self) -> bytes:
         """Return the layout `surgeon`, encoded, and let what it shows be sent."""
         self._show_panel()
         light = build_blueprint(replace(self._config, layout="surgeon"), self._joints)

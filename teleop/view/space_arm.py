@@ -146,19 +146,19 @@ class SpaceArm:
         """Return the frame at which the tendons of a joint of this arm end."""
         if joint >= self.coordinates:
             return len(self.parts) - 1
-        part = int(np.searchsorted(self._last_coordinates(), joint))
+        part = int(np.searchsorted(self._find_last_coordinates(), joint))
         return int(np.flatnonzero(self.parts == part)[-1])
 
     def find_joint_frames(self) -> list[int]:
         """Return the frames at which it has joints; a curved section has none."""
-        moved = np.diff(self._last_coordinates(), prepend=-1) > 0
+        moved = np.diff(self._find_last_coordinates(), prepend=-1) > 0
         return [
             frame
             for frame, part in enumerate(self.parts)
             if 0 <= part < len(moved) and moved[part] and (self.parts == part).sum() == 1
         ]
 
-    def _last_coordinates(self) -> Array:
+    def _find_last_coordinates(self) -> Array:
         """Return the last coordinate of each part or of those before it, shape (parts,)."""
         count = self.prepared.parts
         firsts = [*self.prepared.first[1:count].tolist(), self.coordinates]

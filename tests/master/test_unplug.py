@@ -100,7 +100,7 @@ class Console:
 
     @property
     def slave(self):
-        return self.link.latest(STATE).message
+        return self.link.take_latest(STATE).message
 
     @property
     def tip(self):

@@ -92,7 +92,7 @@ class FakeLink:
     def skip_unsubscribed(self, _topic):
         return False
 
-    def last_sequences(self):
+    def list_last_sequences(self):
         return NO_TOPICS
 
     def publish_packet(self, topic, packet):
@@ -113,7 +113,7 @@ class FakeLink:
         self.due_ns = self.clock.now() + self.period_ns
         return self.commanding
 
-    def latest(self, topic):
+    def take_latest(self, topic):
         assert topic is COMMAND
         arrived = []
         if self.commanding:
@@ -138,14 +138,14 @@ class FakeLink:
         heard, self.heard = self.heard, []
         return heard
 
-    def present(self, role, nonce=None):
+    def is_present(self, role, nonce=None):
         return role is Role.MASTER and nonce is None
 
-    def announced(self, nonce):
+    def is_announced(self, nonce):
         return nonce == 77
 
-    def may(self, nonce, right):
-        return right == "stop" or self.announced(nonce)
+    def has_right(self, nonce, right):
+        return right == "stop" or self.is_announced(nonce)
 
     def refused(self, _topic):
         return 0

@@ -72,7 +72,7 @@ def watched(session: Processes, keys: Path) -> Iterator[tuple[Link, Heard]]:
 
 
 def has_let_go(link: Link) -> bool:
-    state = link.latest(STATE).message
+    state = link.take_latest(STATE).message
     return state is not None and state.state in (State.HOLDING, State.FAULT)
 
 

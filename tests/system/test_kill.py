@@ -32,11 +32,13 @@ def test_a_killed_slave_frees_the_hand_and_the_next_one_waits_for_the_operator(
             clocks = {os.readlink(f"/proc/{one}/ns/time") for one in ("self", master.pid)}
             assert len(clocks) == 1 + bool(elsewhere)
             pause(0.5)
-            first = link.latest(STATE).message.sender
+            first = link.take_latest(STATE).message.sender
             session.kill("slave")
             pause(0.5)
             session.start("slave")
-            assert wait_for_condition(lambda: link.latest(STATE).message.sender != first, START_S)
+            assert wait_for_condition(
+                lambda: link.take_latest(STATE).message.sender != first, START_S
+            )
             pause(1.0)
         for name in ("master", "slave", "record"):
             session.stop(name)

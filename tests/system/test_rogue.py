@@ -26,7 +26,7 @@ TAKE_OVER = ((STATE_AT, struct.pack("<I", ENGAGED)), (POSITION_AT, FAR))
 
 
 def state_of(link: Link) -> SlaveState:
-    message = link.latest(STATE).message
+    message = link.take_latest(STATE).message
     assert message is not None
     return message
 
@@ -74,7 +74,7 @@ def test_a_rogue_beside_a_session_moves_nothing(demo_config: Path, tmp_path: Pat
         with session.look() as link, rogue_of(session, CertificateRole.ROUTER) as rogue:
             link.subscribe_latest(STATE)
             listener = link.listen((EVENT,))
-            assert wait_for_condition(lambda: link.latest(HAND).message is not None, START_S)
+            assert wait_for_condition(lambda: link.take_latest(HAND).message is not None, START_S)
             assert wait_for_condition(lambda: all(rogue.heard.values()), 10.0), (
                 "the rogue hears nothing"
             )
@@ -109,7 +109,7 @@ def watch(link: Link, seconds: float) -> dict[str, list[State]]:
     end = time.monotonic() + seconds
     while time.monotonic() < end:
         for side, topic in (("master", HAND), ("slave", STATE)):
-            message = link.latest(topic).message
+            message = link.take_latest(topic).message
             if message is not None and seen[side][-1:] != [message.state]:
                 seen[side].append(State(message.state))
         time.sleep(0.002)

@@ -42,7 +42,7 @@ def looking(session):
 
 
 def states(link):
-    newest = [link.latest(topic).message for topic in (COMMAND, STATE)]
+    newest = [link.take_latest(topic).message for topic in (COMMAND, STATE)]
     return [None if message is None else message.state for message in newest]
 
 
@@ -91,7 +91,7 @@ def test_settings_change_without_a_jump_and_a_stop_is_latched_until_reset_past_a
             assert code == 0, text
             pause(0.5)
             assert states(link) == [State.READY] * 2  # the switch is held, and was not let go of
-            assert link.latest(COMMAND).message.reason == Reason.RELEASE_FIRST
+            assert link.take_latest(COMMAND).message.reason == Reason.RELEASE_FIRST
             watch = session.start("stop", "--watch")
             log = max(tmp_path.glob("*-stop.log"), key=lambda path: path.stat().st_ctime_ns)
             assert wait_for_condition(lambda: "watching master and slave" in log.read_text(), 30.0)

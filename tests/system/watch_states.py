@@ -19,7 +19,7 @@ def main(router: str, keys: str, session: str) -> None:
     with Link(config, session, Role.VIEWER) as link:
         while True:
             for side, topic in (("master", COMMAND), ("slave", STATE)):
-                message = link.latest(topic).message
+                message = link.take_latest(topic).message
                 if message is not None and seen.get(side) != message.state:
                     seen[side] = message.state
                     print(side, State(message.state).name.lower(), flush=True)

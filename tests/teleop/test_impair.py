@@ -355,7 +355,7 @@ def sides(proxy):
 
 
 def both_there(master, slave):
-    return master.present(Role.SLAVE) and slave.present(Role.MASTER)
+    return master.is_present(Role.SLAVE) and slave.is_present(Role.MASTER)
 
 
 def await_way(master, slave, listener):
@@ -390,7 +390,7 @@ def test_the_sides_meet_through_the_proxy_and_hear_what_it_lets_through(bridged)
         publish(master, COMMAND, Command(), 1000)
         master.publish(EVENT, Event(role=Role.MASTER, text=encode_text("hello")))
         slave.publish(STATE, SlaveState())
-        assert wait_for_condition(lambda: master.latest(STATE).message is not None, 2.0)
+        assert wait_for_condition(lambda: master.take_latest(STATE).message is not None, 2.0)
         time.sleep(0.2)
         heard = listener.drain()
         assert sum(item.topic is EVENT for item in heard) == 1
@@ -434,15 +434,15 @@ def test_delay_and_cut_are_those_of_the_command_and_presence_ends_with_who_was_p
         assert heard() > 40
         proxy.send_request("cut", "to_slave")
         assert heard() == 0
-        assert wait_for_condition(lambda: not slave.present(Role.MASTER), 2.0)
-        assert master.present(Role.SLAVE)  # the other way is whole
+        assert wait_for_condition(lambda: not slave.is_present(Role.MASTER), 2.0)
+        assert master.is_present(Role.SLAVE)  # the other way is whole
         proxy.send_request("mend")
-        assert wait_for_condition(lambda: slave.present(Role.MASTER), 2.0)
+        assert wait_for_condition(lambda: slave.is_present(Role.MASTER), 2.0)
         assert heard() > 40
         with pytest.raises(TeleopError, match="allowed are to_slave, to_master"):
             proxy.send_request("cut", "sideways")
         with pytest.raises(TeleopError, match=r"loss: .*within 0 \.\.\. 1"):
             proxy.send_request("set", "to_slave.loss=2")
         master.__exit__(None, None, None)
-        assert wait_for_condition(lambda: not slave.present(Role.MASTER), 2.0)
+        assert wait_for_condition(lambda: not slave.is_present(Role.MASTER), 2.0)
     assert 40 < proxy.end()["to_slave"]["command"]["cut"] <= 50

@@ -34,7 +34,7 @@ def recorded(item: ReceivedMessage) -> RecordedMessage:
 
 def meet(*links: Link) -> None:
     """Wait until all see the sides; subscriptions may follow presence by a moment."""
-    wait_until(lambda: all(a.present(b.role) for a in links for b in links[:2] if a is not b))
+    wait_until(lambda: all(a.is_present(b.role) for a in links for b in links[:2] if a is not b))
     time.sleep(0.2)
 
 

@@ -142,10 +142,10 @@ def test_zenohd_takes_the_same_settings_as_a_file(tmp_path, capsys):
         Link(config, "a", Role.VIEWER) as viewer,
     ):
         slave.subscribe_latest(COMMAND)
-        wait_until(lambda: viewer.present(Role.SLAVE))
+        wait_until(lambda: viewer.is_present(Role.SLAVE))
         time.sleep(0.3)
         viewer._zenoh.put("teleop/a/command", b"x")
         time.sleep(0.3)
-        counts = slave.latest(COMMAND).counts
+        counts = slave.take_latest(COMMAND).counts
         assert counts.rejected + counts.unknown == 0  # it ended at the router
     assert commands.main(command) == 2

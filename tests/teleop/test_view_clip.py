@@ -158,7 +158,7 @@ def test_only_the_recent_past_is_kept_for_a_picture(long_recording):
     data = clip._read_data(info, config, 1, peak_s, peak_s, progress)
     assert data.select(PROFILE)["tension"].max() >= 8.0 - 1e-3  # 7 + sin k, of the second tendon
     for topic in clip.TOPICS:
-        seconds = data.seconds(data.select(topic))
+        seconds = data.to_seconds(data.select(topic))
         assert peak_s - 0.501 < seconds.min() <= seconds.max() < peak_s + 0.001
 
 

@@ -99,8 +99,8 @@ def test_the_link_is_as_good_as_its_worse_way():
 @given(st.floats(-3, 3), st.booleans())
 def test_a_bar_is_as_long_as_its_share_and_ends_at_the_limit(share, two_way):
     _, _, (row,) = compute_force_rows(1)
-    left, _, right, _ = row.bar(share, two_way)
-    full = row.bar(1.0, two_way)
+    left, _, right, _ = row.place_bar(share, two_way)
+    full = row.place_bar(1.0, two_way)
     expected = min(abs(share), 1.0) if share > 0 or two_way else 0.0
     assert right - left == pytest.approx(expected * (full[2] - full[0]))
 
@@ -112,7 +112,7 @@ def draw(path, *blocks, silent_ns=0):
         for block in blocks:
             scene.send(decode(block.messages))
         if silent_ns:
-            scene.silence(silent_ns)
+            scene.show_silence(silent_ns)
     return read(path)
 
 

@@ -155,12 +155,12 @@ def arm(joints):
 
 def test_a_lever_turns_by_travel_over_radius():
     lever = build_stage(arm(1), ViewConfig(joint_radius_m=0.01)).joints[0]
-    at = lever.tip(np.array([0.0, 0.01 * math.pi / 2]))
+    at = lever.compute_tip(np.array([0.0, 0.01 * math.pi / 2]))
     np.testing.assert_allclose(at[0] - lever.pivot, lever.length * lever.along)
     np.testing.assert_allclose(at[1] - lever.pivot, lever.length * lever.aside, atol=1e-9)
-    step = lever.tip(np.array([0.003 + 1e-7])) - lever.tip(np.array([0.003]))
+    step = lever.compute_tip(np.array([0.003 + 1e-7])) - lever.compute_tip(np.array([0.003]))
     np.testing.assert_allclose(
-        step[0] / np.linalg.norm(step), lever.onward(np.array([0.003]))[0], atol=1e-4
+        step[0] / np.linalg.norm(step), lever.compute_direction(np.array([0.003]))[0], atol=1e-4
     )
 
 

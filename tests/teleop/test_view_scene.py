@@ -144,8 +144,8 @@ def test_the_arrow_at_the_tip_is_the_force_against_pulling(session, saved, place
     for stamp, (vector,) in arrows["Arrows3D:vectors"].items():
         travel, force = sent[stamp].position[0], sent[stamp].force[0]
         (origin,) = arrows["Arrows3D:origins"][stamp]
-        np.testing.assert_allclose(origin, lever.tip(np.array([travel]))[0], atol=1e-5)
-        onward = lever.onward(np.array([travel]))[0]
+        np.testing.assert_allclose(origin, lever.compute_tip(np.array([travel]))[0], atol=1e-5)
+        onward = lever.compute_direction(np.array([travel]))[0]
         assert np.dot(vector, onward) == pytest.approx(-np.linalg.norm(vector), abs=1e-5)
         lengths.append(np.linalg.norm(vector))
         forces.append(force)
@@ -237,7 +237,7 @@ def test_a_live_page_gets_the_curves_behind_once_a_second_and_complete(tmp_path)
     with Sink("rrd", CONFIG, "test", path, live=True) as sink:
         scene = Scene(CONFIG, sink.stream, sink.lay_out, everything=False, live=True)
         for k in range(0, len(session.messages), 300):
-            scene.curves(decode(session.messages[k : k + 300]))
+            scene.draw_curves(decode(session.messages[k : k + 300]))
     saved = read(path)
     newest = max(m.stamp_ns for m in session.of(LEDGER))
     for entity, rate in (("/energy/slave/joint_0/credit", 20), ("/elongation/tendon_0", 100)):

@@ -88,7 +88,7 @@ def test_the_reports_of_a_side_are_published_in_ticks_of_their_own(session: Sess
     numbers = []
     for _ in range(REPORTED + 50):
         session.tick()
-        sent = session.master._link.last_sequences()
+        sent = session.master._link.list_last_sequences()
         numbers.append([sent[place] for place in places])
     published = np.diff(numbers, axis=0)
     assert published.sum(axis=0).min() >= 1

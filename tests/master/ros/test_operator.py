@@ -92,17 +92,17 @@ def session(tmp_path, endpoint):
         with processes.look() as link:
             events = link.listen((EVENT,))
             for topic in (STATE, COMMAND):
-                there = partial(lambda topic: link.latest(topic).message is not None, topic)
+                there = partial(lambda topic: link.take_latest(topic).message is not None, topic)
                 assert wait_for_condition(there, START_S), processes.outputs()
             yield link, events
 
 
 def master_state(link):
-    return State(link.latest(COMMAND).message.state)
+    return State(link.take_latest(COMMAND).message.state)
 
 
 def tip(link):
-    return link.latest(STATE).message.position[0]
+    return link.take_latest(STATE).message.position[0]
 
 
 def texts(events):

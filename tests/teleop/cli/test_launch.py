@@ -444,7 +444,7 @@ class Mute:
     def subscribe_latest(self, _topic):
         pass
 
-    def latest(self, _topic):
+    def take_latest(self, _topic):
         return self
 
     message = None
@@ -495,7 +495,7 @@ class Sides:
     def __init__(self):
         self.states, self.stops, self.sent = {}, {}, []
 
-    def latest(self, topic):
+    def take_latest(self, topic):
         side = {STATE: Role.SLAVE, COMMAND: Role.MASTER}[topic]
         state = self.states.get(side)
         told = (

@@ -51,19 +51,19 @@ def session(config: LinkConfig, *roles: Role) -> Iterator[list[Link]]:
             if (
                 one.role in EXCLUSIVE_ROLES or two.role in EXCLUSIVE_ROLES
             ) and two.role not in LISTENER_ROLES:
-                wait_until(lambda one=one, two=two: one.present(two.role))
+                wait_until(lambda one=one, two=two: one.is_present(two.role))
         time.sleep(0.05)
         yield links
 
 
 def pump(sender: Link, receiver: Link, count: int = 1) -> LatestMessage[Command]:
     """Publish commands until the receiver has let in `count` more."""
-    latest = receiver.latest(COMMAND)
+    latest = receiver.take_latest(COMMAND)
     goal = latest.counts.received + count
 
     def heard() -> bool:
         sender.publish(COMMAND, Command(state=1))
-        return receiver.latest(COMMAND).counts.received >= goal
+        return receiver.take_latest(COMMAND).counts.received >= goal
 
     wait_until(heard)
     return latest

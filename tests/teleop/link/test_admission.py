@@ -78,8 +78,8 @@ def test_a_flood_of_one_certificate_keeps_only_that_one_waiting() -> None:
     clock = Clock()
     admission = Admission("remote", clock)
     attacker, genuine = a_token("attacker"), a_token("genuine")
-    admission.know(attacker)
-    admission.know(genuine)
+    admission.add_certificate(attacker)
+    admission.add_certificate(genuine)
     for _ in range(3 * QUEUED_TOKENS_MAX):
         admission.put(a_token("attacker"))
     admission.put(genuine)
@@ -98,7 +98,7 @@ def test_a_new_certificate_waits_beside_the_unknown_ones_and_then_no_more() -> N
     while first not in (claim, held):
         clock.now += SECOND
         first, _ = admission.take() or (None, None)
-    admission.know(claim)
+    admission.add_certificate(claim)
     second = held if first == claim else claim
     assert checks_until(admission, clock, second, list) <= 2
 
@@ -108,7 +108,7 @@ def test_copies_of_a_certificate_do_not_keep_its_holder_out_for_good() -> None:
     clock = Clock()
     admission = Admission("remote", clock)
     genuine = a_token("copied")
-    admission.know(genuine)
+    admission.add_certificate(genuine)
     checks_until(
         admission, clock, genuine, lambda: [*(a_token("copied") for _ in range(10)), genuine]
     )
@@ -125,7 +125,7 @@ def test_worthless_tokens_are_checked_once_and_all_is_bounded() -> None:
     admission.put(worthless)
     assert len(admission) == 0
     for n in range(2 * CERTIFICATES):
-        admission.know(a_token(f"{n}"))
+        admission.add_certificate(a_token(f"{n}"))
     made_place = [not admission.put(a_token(f"{n % 3}")) for n in range(5 * QUEUED_TOKENS_MAX)]
     assert (
         len(admission) == QUEUED_TOKENS_MAX
@@ -137,7 +137,7 @@ def test_checks_are_limited_and_a_token_that_vanishes_is_not_checked() -> None:
     clock = Clock()
     admission = Admission("remote-stop", clock)
     for _ in range(CHECK_BURST + 30):
-        admission.know(token := a_token(secrets.token_hex(4)))
+        admission.add_certificate(token := a_token(secrets.token_hex(4)))
         admission.put(token)
     assert sum(admission.take() is not None for _ in range(CHECK_BURST + 30)) == CHECK_BURST
     clock.now += SECOND // 10
@@ -391,7 +391,7 @@ def test_a_listener_is_answered_and_not_announced_nor_challenged(
         wait_until(lambda count=count: len(answered) == count)
     assert checked == [viewer]
     assert len(set(answered)) == 1
-    assert not session.roster.present(Role.VIEWER)
+    assert not session.roster.is_present(Role.VIEWER)
     assert not session.roster.others
     assert not session.network.asked
     for nonce in range(100, 100 + GROUP_TOKENS_MAX):

@@ -245,7 +245,7 @@ def test_a_filter_that_the_kernel_refuses_is_noted(monkeypatch: pytest.MonkeyPat
         half_open = [Connection(-1, 0, ends, ("192.0.2.1", port), 0.0) for port in range(4)]
         monkeypatch.setattr(packet_filter, "FILTER_BYTES", 10**6)
         monkeypatch.setattr(packet_filter, "_build_drop", lambda *_: [bytes(8)] * 5000)
-        guard._block(half_open, 0.5)
+        guard._update_blocks(half_open, 0.5)
     assert noted == [
         "connections without a certificate from 192.0.2.1/32",
         "a filter for blocked sources, by the kernel: [Errno 22] Invalid argument",
@@ -278,11 +278,11 @@ def test_nothing_is_forgotten_when_no_descriptor_is_left() -> None:
             ends.append(stack.enter_context(socket.create_connection(server.getsockname())))
             ends[-1].settimeout(10.0)
             stack.enter_context(server.accept()[0])
-        before = {c.inode: c.since_s for c in guard._connections(1.0)}
+        before = {c.inode: c.since_s for c in guard._list_connections(1.0)}
         ends.append(stack.enter_context(socket.create_connection(server.getsockname())))
         stack.enter_context(server.accept()[0])
         with no_descriptor_left():
-            after = guard._connections(2.0)
+            after = guard._list_connections(2.0)
             assert {c.inode: c.since_s for c in after if c.inode in before} == before
             assert sum(c.since_s == 2.0 for c in after) == 2  # both ends of the new one
             for connection in after:
@@ -379,7 +379,9 @@ def test_a_watch_may_go_on_for_good_and_who_cannot_stop_may_not(
     guard._note, guard._barred = print, {}
     connection = Connection(-1, 0, ("", 0), ("", 0), 0.0)
     for tick in range(36_000):
-        guard._charge(connection, Identity(role, "test", rights).common_name, 1, 0.1 * tick)
+        guard._charge_connection(
+            connection, Identity(role, "test", rights).common_name, 1, 0.1 * tick
+        )
     assert connection.shut is not passes
     assert bool(guard._barred) is not passes
 

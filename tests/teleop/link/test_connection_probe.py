@@ -52,8 +52,8 @@ def test_neither_a_secure_nor_an_insecure_side_accepts_the_other_and_both_say_so
             Link(masters, "test", Role.MASTER) as master,
         ):
             await_refusals(master.refusals, f"a connection to {config.slave}: {text}")
-            assert not slave.present(Role.MASTER)
-            assert not master.present(Role.SLAVE)
+            assert not slave.is_present(Role.MASTER)
+            assert not master.is_present(Role.SLAVE)
 
 
 def test_a_token_of_a_secure_process_is_refused_by_an_insecure_one() -> None:
@@ -62,4 +62,4 @@ def test_a_token_of_a_secure_process_is_refused_by_an_insecure_one() -> None:
     with Link(config, "test", Role.SLAVE) as slave, Rogue([config.slave], "test", None) as rogue:
         rogue.announce_key(recorded(Role.MASTER, 5))
         await_refusals(slave.refusals, "a master with a certificate: this session is insecure")
-        assert not slave.present(Role.MASTER)
+        assert not slave.is_present(Role.MASTER)

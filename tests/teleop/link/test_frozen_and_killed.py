@@ -65,29 +65,29 @@ def test_a_killed_peer_is_gone_and_its_successor_welcome(config: LinkConfig) -> 
     with Link(config, "test", Role.SLAVE) as slave:
         slave.subscribe_latest(COMMAND)
         with other_process(config) as first:
-            wait_until(lambda: slave.latest(COMMAND).counts.received > 20)
+            wait_until(lambda: slave.take_latest(COMMAND).counts.received > 20)
             first.send_signal(signal.SIGKILL)
-            wait_until(lambda: not slave.present(Role.MASTER), seconds=1.0)
+            wait_until(lambda: not slave.is_present(Role.MASTER), seconds=1.0)
         with other_process(config):
-            wait_until(lambda: slave.latest(COMMAND).counts.restarts == 1)
-            wait_until(lambda: slave.present(Role.MASTER))
+            wait_until(lambda: slave.take_latest(COMMAND).counts.restarts == 1)
+            wait_until(lambda: slave.is_present(Role.MASTER))
 
 
 def test_a_frozen_peer_grows_old_and_is_fresh_again_when_it_thaws(config: LinkConfig) -> None:
     with Link(config, "test", Role.SLAVE) as slave:
         slave.subscribe_latest(COMMAND)
         with other_process(config) as master:
-            wait_until(lambda: slave.latest(COMMAND).counts.received > 100)
+            wait_until(lambda: slave.take_latest(COMMAND).counts.received > 100)
             master.send_signal(signal.SIGSTOP)
-            wait_until(lambda: slave.latest(COMMAND).age_ns(now_ns()) > 300 * MS)
-            assert slave.present(Role.MASTER)
+            wait_until(lambda: slave.take_latest(COMMAND).age_ns(now_ns()) > 300 * MS)
+            assert slave.is_present(Role.MASTER)
             master.send_signal(signal.SIGCONT)
-            wait_until(lambda: slave.latest(COMMAND).is_fresh(now_ns(), 20 * MS))
+            wait_until(lambda: slave.take_latest(COMMAND).is_fresh(now_ns(), 20 * MS))
 
 
 def test_publishing_to_a_frozen_peer_goes_on(config: LinkConfig) -> None:
     with Link(config, "test", Role.SLAVE) as slave, other_process(config) as master:
-        wait_until(lambda: slave.latest(COMMAND).counts.received > 0)
+        wait_until(lambda: slave.take_latest(COMMAND).counts.received > 0)
         time.sleep(0.1)  # for its subscriptions to be known here
         master.send_signal(signal.SIGSTOP)
         longest = 0.0
@@ -103,7 +103,7 @@ def test_a_viewer_that_stops_reading_does_not_delay_commands(config: LinkConfig)
     """Bytes are left to send when its connection, silent for a lease, is closed."""
     with Link(config, "test", Role.SLAVE) as slave, other_process(config):
         latest = slave.subscribe_latest(COMMAND)
-        wait_until(lambda: slave.latest(COMMAND).counts.received > 0)
+        wait_until(lambda: slave.take_latest(COMMAND).counts.received > 0)
         with other_process(config, VIEWER) as viewer:
             wait_until(lambda: not slave.skip_unsubscribed(TENDONS))
             time.sleep(1.0)  # its connections carry messages
@@ -115,7 +115,7 @@ def test_a_viewer_that_stops_reading_does_not_delay_commands(config: LinkConfig)
                     left += 1
                     slave.publish(TENDONS, TendonState())
                 time.sleep(0.001)
-                if slave.latest(COMMAND).new:
+                if slave.take_latest(COMMAND).new:
                     fresh = now_ns()
                 longest = max(longest, now_ns() - fresh)
             assert slave.skip_unsubscribed(TENDONS)

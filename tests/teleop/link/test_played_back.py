@@ -62,7 +62,7 @@ def test_recorded_tokens_evict_and_displace_nobody(config: LinkConfig) -> None:
         for link in (slave, master):
             await_refusals(link.refusals, *(f"a {name} {SILENT}" for name in ("master", "slave")))
             link.check_peers()
-            assert not link.present(Role.REMOTE)
+            assert not link.is_present(Role.REMOTE)
         assert {token.nonce for token in slave._roster.others} == {master.nonce}
         assert {token.nonce for token in master._roster.others} == {slave.nonce}
         pump(master, slave, 3)
@@ -76,7 +76,7 @@ def test_recorded_tokens_keep_nobody_out(config: LinkConfig) -> None:
             rogue.announce_key(recorded(Role.MASTER, n + (n % 2) * 2**63))
         with Link(config, "test", Role.MASTER) as master:
             pump(master, slave, 3)
-            assert slave.latest(COMMAND).message.sender == master.nonce
+            assert slave.take_latest(COMMAND).message.sender == master.nonce
             assert {token.nonce for token in slave._roster.others} == {master.nonce}
             time.sleep(0.6)  # for the checks that were too many at once
             assert len(slave._roster._processes) <= GROUP_TOKENS_MAX + 2
@@ -93,12 +93,12 @@ def test_a_copy_of_a_living_token_outlives_its_process_by_seconds_only(config: L
             for key in rogue_tokens(rogue, master):
                 rogue.announce_key(key)
             time.sleep(0.1)
-        assert slave.present(Role.MASTER)  # its end is masked
-        wait_until(lambda: not slave.present(Role.MASTER))
+        assert slave.is_present(Role.MASTER)  # its end is masked
+        wait_until(lambda: not slave.is_present(Role.MASTER))
         with Link(config, "test", Role.MASTER) as next_one:
             pump(next_one, slave, 3)
             next_one.check_peers()
-        assert not slave.present(Role.MASTER, master.nonce)
+        assert not slave.is_present(Role.MASTER, master.nonce)
 
 
 def rogue_tokens(rogue: Rogue, master: Link) -> list[str]:

@@ -66,8 +66,8 @@ def goes_on(slave: Link, master: Link) -> None:
     for link in (slave, master):
         link.check_peers()
     pump(master, slave, 3)
-    assert slave.latest(COMMAND).message.sender == master.nonce
-    assert slave.latest(COMMAND).message.state == 1
+    assert slave.take_latest(COMMAND).message.sender == master.nonce
+    assert slave.take_latest(COMMAND).message.state == 1
 
 
 def test_forged_and_played_back_messages_move_nothing(
@@ -85,14 +85,17 @@ def test_forged_and_played_back_messages_move_nothing(
             rogue.put("state", forged("SlaveState", state, 10**9 + n, ENGAGE[0]), tags)
 
             def refused(count: int = n + 1) -> bool:  # read at once: an inbox keeps 16 messages
-                at_slave, at_master = slave.latest(COMMAND).counts, master.latest(STATE).counts
+                at_slave, at_master = (
+                    slave.take_latest(COMMAND).counts,
+                    master.take_latest(STATE).counts,
+                )
                 old = at_slave.repeated + at_slave.out_of_order
                 found = at_slave.forged, at_slave.unknown, old, at_master.unknown
                 return found == (count,) * 4
 
             wait_until(refused)
         goes_on(slave, master)
-    assert slave.latest(COMMAND).counts.restarts == 0
+    assert slave.take_latest(COMMAND).counts.restarts == 0
 
 
 def test_commands_of_an_earlier_run_mean_nothing_to_a_new_slave(config: LinkConfig) -> None:
@@ -111,7 +114,7 @@ def test_commands_of_an_earlier_run_mean_nothing_to_a_new_slave(config: LinkConf
                 rogue.put("command", command, tags)
 
             def counted() -> bool:
-                counts = slave.latest(COMMAND).counts
+                counts = slave.take_latest(COMMAND).counts
                 return counts.forged + counts.unknown == 5
 
             wait_until(counted)
@@ -143,7 +146,7 @@ def test_forged_tokens_are_refused_in_words_and_evict_nobody(
             )
 
         wait_until(told)
-        assert not slave.present(Role.REMOTE)
+        assert not slave.is_present(Role.REMOTE)
         goes_on(slave, master)
 
 
@@ -166,8 +169,8 @@ def test_stops_resets_and_settings_need_a_supervisor(
 
         wait_until(refused)
     with Link(config, "test", Role.REMOTE) as remote:
-        wait_until(lambda: master.present(Role.REMOTE) and slave.present(Role.REMOTE))
-        wait_until(lambda: remote.present(Role.MASTER) and remote.present(Role.SLAVE))
+        wait_until(lambda: master.is_present(Role.REMOTE) and slave.is_present(Role.REMOTE))
+        wait_until(lambda: remote.is_present(Role.MASTER) and remote.is_present(Role.SLAVE))
         remote.publish(SETTING, Setting())
         remote.publish(STOP, EmergencyStop(action=RESET, side=Role.SLAVE, number=0))
         wait_until(lambda: len(requests[master](0).settings) == 1)
@@ -180,7 +183,7 @@ def test_a_viewer_is_heard_by_nobody(pair: tuple[Link, Link], config: LinkConfig
     with rogue_of(config, CertificateRole.VIEWER) as rogue:
         capture(rogue, master, slave)
         time.sleep(0.2)
-        before = slave.latest(COMMAND).counts.received
+        before = slave.take_latest(COMMAND).counts.received
         command, tags = rogue.heard["command"][-1]
         for n in range(20):
             rogue.put("command", forged("Command", command, 10**9 + n, *ENGAGE), tags)
@@ -188,7 +191,7 @@ def test_a_viewer_is_heard_by_nobody(pair: tuple[Link, Link], config: LinkConfig
             rogue.announce("master", LAYOUT, n)
         rogue.announce("viewer", LAYOUT, 1)
         time.sleep(0.3)
-        counts = slave.latest(COMMAND).counts
+        counts = slave.take_latest(COMMAND).counts
         assert (counts.received, counts.rejected, counts.unknown) == (before, 0, 0)
         assert all(listen.refused()["stop"] == 0 for listen in requests.values())
         assert {token.role for token in slave._roster.others} == {Role.MASTER}
@@ -246,7 +249,7 @@ def test_floods_of_tokens_are_bounded_and_a_genuine_one_gets_through(
         def admitted() -> bool:
             slave.check_peers()  # twice a second in a loop
             time.sleep(0.1)
-            return slave.present(Role.REMOTE)
+            return slave.is_present(Role.REMOTE)
 
         wait_until(admitted)
 

@@ -43,7 +43,7 @@ def pair(config: LinkConfig, name: str, other: LinkConfig | None = None) -> Iter
         Link(config, name, Role.SLAVE) as slave,
         Link(other or config, name, Role.MASTER) as master,
     ):
-        wait_until(lambda: slave.present(Role.MASTER) and master.present(Role.SLAVE))
+        wait_until(lambda: slave.is_present(Role.MASTER) and master.is_present(Role.SLAVE))
         yield [slave, master]
 
 
@@ -105,7 +105,7 @@ def test_of_two_masters_started_at_once_at_two_routers_one_runs() -> None:
                 refused.append(error)
 
         with Link(configs[0], "a", Role.SLAVE), Link(configs[1], "a", Role.VIEWER) as viewer:
-            wait_until(lambda: viewer.present(Role.SLAVE))  # the routers are connected
+            wait_until(lambda: viewer.is_present(Role.SLAVE))  # the routers are connected
             threads = [threading.Thread(target=start, args=(c,)) for c in configs]
             for thread in threads:
                 thread.start()
@@ -134,11 +134,11 @@ def test_a_router_that_is_started_again_brings_all_back() -> None:
         slave, master = stack.enter_context(pair(config, "a"))
         pump(master, slave)
         first.__exit__()
-        wait_until(lambda: not slave.present(Role.MASTER) and not master.present(Role.SLAVE))
+        wait_until(lambda: not slave.is_present(Role.MASTER) and not master.is_present(Role.SLAVE))
         stack.enter_context(Router(config, SERVED, [end], []))
-        wait_until(lambda: slave.present(Role.MASTER) and master.present(Role.SLAVE))
+        wait_until(lambda: slave.is_present(Role.MASTER) and master.is_present(Role.SLAVE))
         pump(master, slave)
-        assert slave.latest(COMMAND).counts.restarts == 0
+        assert slave.take_latest(COMMAND).counts.restarts == 0
 
 
 def test_a_second_router_takes_over() -> None:
@@ -149,7 +149,7 @@ def test_a_second_router_takes_over() -> None:
         slave, master = stack.enter_context(pair(config, "a"))
         pump(master, slave)
         first.__exit__()
-        wait_until(lambda: slave.present(Role.MASTER) and master.present(Role.SLAVE))
+        wait_until(lambda: slave.is_present(Role.MASTER) and master.is_present(Role.SLAVE))
         pump(master, slave)
 
 
@@ -181,8 +181,8 @@ def test_a_session_that_the_router_does_not_serve_stays_alone() -> None:
         Link(config, "a", Role.MASTER) as master,
     ):
         time.sleep(0.5)
-        assert not slave.present(Role.MASTER)
-        assert not master.present(Role.SLAVE)
+        assert not slave.is_present(Role.MASTER)
+        assert not master.is_present(Role.SLAVE)
 
 
 @pytest.mark.parametrize("served", [("a",), (ALL_SESSIONS,)])
@@ -203,14 +203,14 @@ def test_what_a_role_must_not_send_ends_at_the_router(served: tuple[str, ...]) -
     ):
         pump(master, slave)
         time.sleep(0.3)  # for commands that are still on their way
-        before = slave.latest(COMMAND).counts
+        before = slave.take_latest(COMMAND).counts
         received = before.received
         rejected = before.rejected + before.unknown
         for number in range(100):
             forged = Command(state=2).pack(master.nonce, 10_000 + number, 1)
             viewer.put("teleop/a/command", forged)
         time.sleep(0.3)
-        after = slave.latest(COMMAND).counts
+        after = slave.take_latest(COMMAND).counts
         assert after.received == received
         assert (after.rejected + after.unknown > rejected) == (served == (ALL_SESSIONS,))
         pump(master, slave, 3)

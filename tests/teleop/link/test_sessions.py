@@ -47,9 +47,9 @@ def test_messages_cross_whole_and_in_order(config: LinkConfig) -> None:
         master.publish(REPORT, LoopReport(role=Role.MASTER))
         slave.publish(REPORT, LoopReport(role=Role.SLAVE))
 
-        wait_until(lambda: slave.latest(COMMAND).counts.received > 0)
-        wait_until(lambda: master.latest(STATE).counts.received > 0)
-        command, state = slave.latest(COMMAND).message, master.latest(STATE).message
+        wait_until(lambda: slave.take_latest(COMMAND).counts.received > 0)
+        wait_until(lambda: master.take_latest(STATE).counts.received > 0)
+        command, state = slave.take_latest(COMMAND).message, master.take_latest(STATE).message
         assert command is not None
         assert state is not None
         assert command.sender == master.nonce
@@ -82,9 +82,9 @@ def test_sessions_on_the_same_endpoints_do_not_hear_each_other(config: LinkConfi
         for _ in range(50):
             master.publish(COMMAND, Command())
             time.sleep(0.002)
-        assert slave.latest(COMMAND).message is None
-        assert not slave.present(Role.MASTER)
-        assert not master.present(Role.SLAVE)
+        assert slave.take_latest(COMMAND).message is None
+        assert not slave.is_present(Role.MASTER)
+        assert not master.is_present(Role.SLAVE)
 
 
 def test_without_a_peer_publishing_is_quiet_and_the_peer_is_found_when_it_comes(
@@ -93,12 +93,12 @@ def test_without_a_peer_publishing_is_quiet_and_the_peer_is_found_when_it_comes(
     with Link(config, "test", Role.MASTER) as master:
         for _ in range(100):
             master.publish(COMMAND, Command())
-        assert not master.present(Role.SLAVE)
+        assert not master.is_present(Role.SLAVE)
         master.check_peers()
         with Link(config, "test", Role.SLAVE) as slave:
-            wait_until(lambda: master.present(Role.SLAVE))
+            wait_until(lambda: master.is_present(Role.SLAVE))
             pump(master, slave)
-        wait_until(lambda: not master.present(Role.SLAVE))
+        wait_until(lambda: not master.is_present(Role.SLAVE))
         for _ in range(100):
             master.publish(COMMAND, Command())
         with Link(config, "test", Role.SLAVE) as slave:
@@ -137,11 +137,11 @@ def test_a_machine_that_slept_is_not_silent_after_it_has_come_back(config: LinkC
                     stamp = now_ns() - behind_ns
                     publisher.send(Command().pack(nonce, next(sequence), stamp), stamp)
                     time.sleep(0.002)
-                    slave.latest(COMMAND)
+                    slave.take_latest(COMMAND)
                     return latest.new and latest.is_fresh(now_ns(), 20 * MS)
 
                 wait_until(fresh, seconds=5.0)
-            wait_until(lambda: not slave.present(Role.MASTER))
+            wait_until(lambda: not slave.is_present(Role.MASTER))
         assert latest.counts.restarts == 0
 
 
@@ -158,7 +158,7 @@ def test_what_an_intruder_puts_on_the_key_is_counted_and_kept_out(config: LinkCo
             tag = pack_nonce(slave.nonce) + bytes(16)
 
             def counted() -> tuple[int, ...]:
-                counts = slave.latest(COMMAND).counts
+                counts = slave.take_latest(COMMAND).counts
                 return counts.layout, counts.corrupted, counts.forged, counts.unknown
 
             before = counted()

@@ -44,9 +44,9 @@ def test_another_authority_the_local_one_and_plaintext_are_kept_out(
                 for _ in range(100):
                     master.publish(COMMAND, Command())
                     time.sleep(0.003)
-                    assert not slave.present(Role.MASTER)
-                    assert not master.present(Role.SLAVE)
-        assert slave.latest(COMMAND).counts == MessageCounts()
+                    assert not slave.is_present(Role.MASTER)
+                    assert not master.is_present(Role.SLAVE)
+        assert slave.take_latest(COMMAND).counts == MessageCounts()
 
 
 def test_a_plaintext_session_is_possible_if_asked_for(config: LinkConfig) -> None:

@@ -34,16 +34,16 @@ def with_keys(config: LinkConfig, keys: Path) -> LinkConfig:
 
 def is_parted(slave: Link, master: Link) -> None:
     """Neither counts the other as present, and no command is believed."""
-    wait_until(lambda: not slave.present(Role.MASTER) and not master.present(Role.SLAVE))
-    before = slave.latest(COMMAND).counts
+    wait_until(lambda: not slave.is_present(Role.MASTER) and not master.is_present(Role.SLAVE))
+    before = slave.take_latest(COMMAND).counts
     received, unknown = before.received, before.unknown
 
     def refused() -> bool:
         master.publish(COMMAND, Command(state=1))
-        return slave.latest(COMMAND).counts.unknown > unknown + 5
+        return slave.take_latest(COMMAND).counts.unknown > unknown + 5
 
     wait_until(refused)
-    assert slave.latest(COMMAND).counts.received == received
+    assert slave.take_latest(COMMAND).counts.received == received
 
 
 def test_a_master_that_is_revoked_is_parted_from_within_seconds(
@@ -82,8 +82,8 @@ def test_a_list_that_is_not_genuine_takes_nobody_back(
         slave.refusals.take()
         with Link(config, "test", Role.MASTER) as again:  # a process that knows no better
             await_refusals(slave.refusals, "was revoked")
-            assert not slave.present(Role.MASTER)
-            assert not again.present(Role.SLAVE)  # which does not answer it either
+            assert not slave.is_present(Role.MASTER)
+            assert not again.is_present(Role.SLAVE)  # which does not answer it either
 
 
 def test_a_certificate_that_expires_ends_the_pair(
@@ -95,12 +95,12 @@ def test_a_certificate_that_expires_ends_the_pair(
         pump(master, slave, 3)
         assert master.credentials is not None
         end = master.credentials.certificate.not_valid_after_utc
-        assert slave.present(Role.MASTER)
+        assert slave.is_present(Role.MASTER)
         await_refusals(slave.refusals, "refused: the certificate master.test expired on")
         assert datetime.now(UTC) >= end
-        wait_until(lambda: not slave.present(Role.MASTER) and not master.present(Role.SLAVE))
-        pumped = slave.latest(COMMAND).counts.received
+        wait_until(lambda: not slave.is_present(Role.MASTER) and not master.is_present(Role.SLAVE))
+        pumped = slave.take_latest(COMMAND).counts.received
         for _ in range(20):
             master.publish(COMMAND, Command(state=1))
-        assert slave.latest(COMMAND).counts.received == pumped
+        assert slave.take_latest(COMMAND).counts.received == pumped
         wait_until(lambda: not slave._zenoh.info.peers_zid())  # nor can it listen

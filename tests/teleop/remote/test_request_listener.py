@@ -39,10 +39,10 @@ class FakeLink:
         messages, self._messages = self._messages, []
         return messages
 
-    def present(self, role, nonce):
+    def is_present(self, role, nonce):
         return self.here and (role, nonce) == (Role.WATCH, NONCE)
 
-    def may(self, nonce, right):
+    def has_right(self, nonce, right):
         return self.here and (nonce, right) == (NONCE, "stop")
 
 
