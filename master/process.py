@@ -231,7 +231,7 @@ class MasterProcess(LoopProcess):
             dt,
             now,
             states.is_there,
-            states.age_ns(now),
+            states.compute_age_ns(now),
             int(fault),
             int(requests.stop),
             requests.reset,
@@ -351,7 +351,7 @@ class MasterProcess(LoopProcess):
         newest = self._outline()
         self._finish_requests(newest, requests, self._states, tick.stamp_ns)
         if hand is not None and not self._link.skip_unsubscribed(HAND):
-            age = self._states.age_ns(tick.stamp_ns)
+            age = self._states.compute_age_ns(tick.stamp_ns)
             loop.fill_hand_message(
                 self._memory,
                 self._hands,
@@ -380,7 +380,7 @@ class MasterProcess(LoopProcess):
         for stage in stages.durations:
             yield
             spans.append(stage.take_span())
-        self._link.publish(LATENCY, stages.message(Role.MASTER, spans))
+        self._link.publish(LATENCY, stages.build_message(Role.MASTER, spans))
 
     def _take_warnings(self) -> list[str]:
         extension = (

@@ -210,7 +210,7 @@ class SlaveProcess(LoopProcess):
         tick_input = TickInput(
             dt,
             commands.is_there,
-            commands.age_ns(now) <= self._timeout_ns,
+            commands.compute_age_ns(now) <= self._timeout_ns,
             int(fault),
             int(requests.stop),
             requests.reset,

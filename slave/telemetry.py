@@ -77,7 +77,7 @@ class Telemetry:
         told_once = outline.state is State.FAULT or outline.reason is Reason.CALIBRATION_DUE
         lasting = told_once and published is not None and published[0] == outline
         if not (lasting and self.detail):  # the origin of a fault, not its later symptoms
-            self.detail = self._detail(outline.reason)
+            self.detail = self._describe_reason(outline.reason)
         now = outline, self.detail
         if now != published:
             self._published = now
@@ -89,7 +89,7 @@ class Telemetry:
         if advice != self._advice:
             self._advice = advice
             if advice == Advice.ADVISED:
-                text = f"calibrate again when there is time: {self._misfit()}"
+                text = f"calibrate again when there is time: {self._describe_misfit()}"
                 publish_event(self._link, Role.SLAVE, outline, text)
         if self._shapes is not None and time_s >= self._next_shape_s:
             self._next_shape_s = time_s + SHAPE_PERIOD_S
@@ -117,12 +117,12 @@ class Telemetry:
             if adapter is not None and adapter.get_friction(k)["pieces"] > 0:
                 now = compute_friction(self._slave.prepared, adapter, k)
                 lines.append(
-                    f"K of {self._named(k)}: {now.K:.2f}, in {now.low:.2f} to {now.high:.2f}; "
-                    f"calibrated {model.sheath.K:.2f}"
+                    f"K of {self._format_name(k)}: {now.K:.2f}, in {now.low:.2f} to "
+                    f"{now.high:.2f}; calibrated {model.sheath.K:.2f}"
                 )
         return tuple(lines)
 
-    def _detail(self, reason: Reason) -> str:
+    def _describe_reason(self, reason: Reason) -> str:
         """Return the detail of a reason: why not usable, or which tendon."""
         if reason is Reason.NONE:
             return ""
@@ -132,32 +132,32 @@ class Telemetry:
                 return self._model.not_ready_text
             return NOT_READY_TEXT[readiness]
         if reason is Reason.SAMPLES_STALE:
-            return self._unreadable()
+            return self._describe_unreadable()
         if reason is Reason.CALIBRATION_DUE:
-            return self._misfit()
+            return self._describe_misfit()
         if reason is Reason.STOP_CALLED:
             return self.stop_text
         if self._now["detected_fault"][0] == reason:
-            return self._named(int(self._memory.faulty_tendon))
+            return self._format_name(int(self._memory.faulty_tendon))
         return ""
 
-    def _unreadable(self) -> str:
+    def _describe_unreadable(self) -> str:
         """Return which value of the newest sample is refused as not finite; empty if none is."""
         for k in range(len(self._model.models)):
             tendon = self._memory.tendons[k]
             for name, value in (("tension", tendon.tension), ("displacement", tendon.displacement)):
                 if not (tendon.valid or math.isfinite(value)):
-                    return f"{self._named(k)}: its {name} is {value}"
+                    return f"{self._format_name(k)}: its {name} is {value}"
         return ""
 
-    def _misfit(self) -> str:
+    def _describe_misfit(self) -> str:
         tendons = range(len(self._model.models))
         errors = [monitor.compute_force_error(self._memory.monitors[k]) for k in tendons]
         k = max(tendons, key=lambda k: abs(errors[k]))
-        return f"{self._named(k)}: force error about {100.0 * errors[k]:+.0f} %"
+        return f"{self._format_name(k)}: force error about {100.0 * errors[k]:+.0f} %"
 
     def _describe_shape(self, change: ShapeChange, time_s: float) -> str:
-        named, K = self._named(change.tendon), change.now.K
+        named, K = self._format_name(change.tendon), change.now.K
         begin = datetime.now().astimezone() - timedelta(seconds=time_s - change.begin_s)
         if not change.has_settled:
             return f"the shape changes: K of {named} leaves {change.before:.2f}"
@@ -167,7 +167,7 @@ class Telemetry:
             f"{K:.2f} ± {error:.2f}"
         )
 
-    def _named(self, tendon: int) -> str:
+    def _format_name(self, tendon: int) -> str:
         j = self._joint_of[tendon]
         return f"joint {j + 1}, tendon {'ab'[self._model.joints[j].index(tendon)]}"
 

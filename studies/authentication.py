@@ -50,25 +50,25 @@ def main() -> None:
 def measure_tag_us(topic: Any, sender: Role, receiver: Role) -> tuple[float, float]:
     """Return what a tag costs its sender and its receiver [us], on top of everything else."""
     nonces = {sender: 1, receiver: 2}
-    offices = {Role.MASTER: CertificateRole.MASTER, Role.SLAVE: CertificateRole.SLAVE}
+    roles = {Role.MASTER: CertificateRole.MASTER, Role.SLAVE: CertificateRole.SLAVE}
     shakes = {
-        role: Handshake(create_local_credentials("bench", offices[role]), "bench", nonce)
+        role: Handshake(create_local_credentials("bench", roles[role]), "bench", nonce)
         for role, nonce in nonces.items()
     }
     rings = {role: Keyring(role, nonce) for role, nonce in nonces.items()}
     for role, other in ((sender, receiver), (receiver, sender)):
         token = shakes[other].prove(Token(other, LAYOUT, nonces[other], RoleStage.HELD))
         peer = shakes[role].check(token)
-        rings[role].add(peer, shakes[role].pair_keys(peer))
+        rings[role].add(peer, shakes[role].derive_pair_keys(peer))
     data = topic.message().pack(1, 1, 1)
-    ((addressee, base),) = rings[sender].seals(topic).entries
+    ((addressee, base),) = rings[sender].find_seal_keys(topic).entries
 
     def seal() -> bytes:
         mac = base.copy()
         mac.update(data)
         return addressee + mac.digest()
 
-    senders = rings[receiver].senders(topic)
+    senders = rings[receiver].find_keys(topic)
     tagged = Reception(topic, lambda _: 1, senders, rings[receiver].addressee)
     plain = Reception(topic, lambda _: 1)
     arrived = data + seal()

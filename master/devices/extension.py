@@ -64,8 +64,8 @@ class CheckedDevice:
                     f"{self._read}: position {position}, velocity {velocity}, not finite"
                 )
         except (AttributeError, TypeError) as error:
-            raise DeviceFault(f"{self._read}: {self._mistake(hand)}") from error
-        raise DeviceFault(f"{self._read}: {self._mistake(hand)}")
+            raise DeviceFault(f"{self._read}: {self._build_mistake(hand)}") from error
+        raise DeviceFault(f"{self._read}: {self._build_mistake(hand)}")
 
     def write(self, force: Axes) -> None:
         """Apply forces [N]."""
@@ -88,7 +88,7 @@ class CheckedDevice:
     def _read(self) -> str:
         return f"{self._place}: {type(self._device).__name__}.read"
 
-    def _mistake(self, hand: Any) -> str:
+    def _build_mistake(self, hand: Any) -> str:
         """Return what is wrong with a hand's state."""
         if not isinstance(hand, HandState):
             return f"returned {type(hand).__name__}, must be HandState"

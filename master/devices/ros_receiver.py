@@ -138,7 +138,9 @@ class CommandStream:
         except CdrError as error:
             self._fail(f"invalid message: {error}")
             return
-        fault = self._wrong_sender(sample) or self._wrong_values(values, sample.received_ns)
+        fault = self._find_sender_fault(sample) or self._find_value_fault(
+            values, sample.received_ns
+        )
         if fault:
             self._fail(fault)
             return
@@ -185,16 +187,16 @@ class CommandStream:
         turns = (round((old - new) / math.tau) for old, new in zip(before, angles, strict=True))
         return (*values, *(new + math.tau * n for new, n in zip(angles, turns, strict=True)))
 
-    def _wrong_sender(self, sample: ReceivedMessage) -> str:
+    def _find_sender_fault(self, sample: ReceivedMessage) -> str:
         """Return what is wrong with origin and delay of a sample; empty if nothing is."""
-        late_s = self._lateness_ns(sample) * 1e-9
+        late_s = self._compute_lateness_ns(sample) * 1e-9
         if sample.publisher != self._publisher:
             return "from two nodes at the same time"
         if late_s > self.config.timeout:
             return f"{late_s:.3f} s late (timeout {self.config.timeout:g} s)"
         return ""
 
-    def _lateness_ns(self, sample: ReceivedMessage) -> int:
+    def _compute_lateness_ns(self, sample: ReceivedMessage) -> int:
         """Return the delay of a sample in excess of the least of its publisher."""
         delay = sample.received_ns - sample.sent_ns
         if not self._publisher:
@@ -203,7 +205,7 @@ class CommandStream:
         self._least_ns = min(risen if self.received_ns else delay, delay)
         return delay - self._least_ns
 
-    def _wrong_values(self, values: tuple[float, ...], now_ns: int) -> str:
+    def _find_value_fault(self, values: tuple[float, ...], now_ns: int) -> str:
         """Return what is wrong with commanded values; empty if nothing is."""
         config = self.config
         if len(values) != config.axes:
@@ -218,9 +220,9 @@ class CommandStream:
         placed = values[:TWIST_AXES] if config.command == "servo_cp" else values
         if max(map(abs, placed)) > config.position_max:
             return f"beyond {config.position_max:g} m"
-        return self._wrong_motion(values, now_ns)
+        return self._find_motion_fault(values, now_ns)
 
-    def _wrong_motion(self, values: tuple[float, ...], now_ns: int) -> str:
+    def _find_motion_fault(self, values: tuple[float, ...], now_ns: int) -> str:
         """Return what is wrong with positions after the last ones; empty if nothing is.
 
         What may be moved grows with time at `speed_max`; what was not moved is kept for the length

@@ -109,13 +109,13 @@ class Waypoints:
         if not self.points or len({len(point) for point in self.points}) != 1:
             raise ValueError("points: at least one, all with a number for each axis")
         for axis in range(len(self.points[0])):
-            self.of_axis(axis)
+            self.select_axis(axis)
 
     def at(self, time_s: float) -> tuple[float, float]:
         """Return position [m] and velocity [m/s] of the first axis."""
-        return self.of_axis(0).at(time_s)
+        return self.select_axis(0).at(time_s)
 
-    def of_axis(self, axis: int) -> Reaches:
+    def select_axis(self, axis: int) -> Reaches:
         """Return the motion of one axis."""
         return Reaches(
             "reaches", tuple(point[axis] for point in self.points), self.reach, self.rest
@@ -161,11 +161,11 @@ class VirtualConfig:
         """How many joints it moves."""
         return self.axes
 
-    def of_axis(self, axis: int) -> tuple["VirtualConfig", Hold | Sine | Reaches, float]:
+    def select_axis(self, axis: int) -> tuple["VirtualConfig", Hold | Sine | Reaches, float]:
         """Return the config of one axis, its script, and its delay [s]."""
         if not isinstance(self.reference, Waypoints):
             return self, self.reference, axis * self.axis_delay
-        script = self.reference.of_axis(axis)
+        script = self.reference.select_axis(axis)
         return replace(self, axes=1, reference=script), script, 0.0
 
     def pressed(self, time_s: float) -> bool:
@@ -203,7 +203,7 @@ class VirtualDevice:
         self.axes = config.axes
         self.applied: Axes = (0.0,) * config.axes
         self._config = config
-        self._axes = [config.of_axis(axis) for axis in range(config.axes)]
+        self._axes = [config.select_axis(axis) for axis in range(config.axes)]
         self._time = 0.0
         self._written = -math.inf
         self._force = self.applied

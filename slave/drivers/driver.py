@@ -39,15 +39,15 @@ class Reading:
 
 
 class BusDriver(Protocol):
-    """One bus, used from one thread: `start`, any number of `cycle` and `stop`, `close`.
+    """One bus, used from one thread: `start`, any number of `run_cycle` and `stop`, `close`.
 
-    `start` and `cycle` raise `DriverFault`; then only `close` is called. A driver moves nothing
+    `start` and `run_cycle` raise `DriverFault`; then only `close` is called. A driver moves nothing
     before the first target, and enables its motors where they are.
 
     Attributes
     ----------
     period_s : float
-        Time between two cycles [s]; 0 if `cycle` waits for the bus itself.
+        Time between two cycles [s]; 0 if `run_cycle` waits for the bus itself.
     """
 
     period_s: float
@@ -55,7 +55,7 @@ class BusDriver(Protocol):
     def start(self) -> None:
         """Open the bus, set up and check what is on it, watchdogs of the motors included."""
 
-    def cycle(self, target: Counts | None) -> Sequence[Reading]:
+    def run_cycle(self, target: Counts | None) -> Sequence[Reading]:
         """Exchange values once; return the new readings, oldest first.
 
         Waits for the bus, less than a third of the motors' watchdog.

@@ -133,7 +133,7 @@ def _run_cycles(driver: BusDriver, end: socket.socket, slave: ParentProcess) -> 
             silent_s = PAUSE_TIMEOUT_S
         if target is not None and time.monotonic() - ordered_s > silent_s:
             raise DriverFault(f"the slave has given no target for {silent_s:g} s")
-        waiting.extend(driver.cycle(target))
+        waiting.extend(driver.run_cycle(target))
         with contextlib.suppress(BlockingIOError, ConnectionError):
             while waiting:
                 end.send(packets.pack_reading(waiting[0]))

@@ -95,7 +95,9 @@ class CheckedRig:
         samples = self._call(self._rig.read, time_s)
         if samples.__class__ is not tuple:
             if not isinstance(samples, list):
-                raise self._fault(f"returned {_format_type(samples)}, must be a tuple of RigSample")
+                raise self._build_fault(
+                    f"returned {_format_type(samples)}, must be a tuple of RigSample"
+                )
             samples = tuple(samples)
         for sample in samples:
             self._check(sample)
@@ -162,10 +164,10 @@ class CheckedRig:
         except (AttributeError, TypeError):
             is_right = False
         if not is_right:
-            raise self._fault(self._mistake(sample))
+            raise self._build_fault(self._build_mistake(sample))
         self._newest_s = sample.time_s
 
-    def _mistake(self, sample: Any) -> str:
+    def _build_mistake(self, sample: Any) -> str:
         """Return what is wrong with a sample."""
         if not isinstance(sample, RigSample):
             return f"returned {_format_type(sample)}, must be RigSample"
@@ -179,7 +181,7 @@ class CheckedRig:
                 return f"{name} has shape {values.shape}, must be {self._shape}, one a tendon"
         return f"time_s is {sample.time_s} after {self._newest_s}, must increase [s]"
 
-    def _fault(self, text: str) -> RigFault:
+    def _build_fault(self, text: str) -> RigFault:
         return RigFault(f"{self._place}: {type(self._rig).__name__}.read: {text}")
 
 

@@ -312,7 +312,7 @@ class HardwareRig:
         """Return the samples received since the last call."""
         oldest_s = time.monotonic() - AGE_MAX_S
         samples = []
-        for sampled_s, position, cell in self._received():
+        for sampled_s, position, cell in self._take_reading():
             if sampled_s < oldest_s:
                 self._late += 1
                 continue
@@ -397,7 +397,7 @@ class HardwareRig:
         except DriverFault as fault:
             raise RigFault(str(fault)) from fault
 
-    def _received(self) -> Sequence[tuple[float, Counts, Counts]]:
+    def _take_reading(self) -> Sequence[tuple[float, Counts, Counts]]:
         try:
             readings = [bus.read() for bus in self._buses]
         except DriverFault as fault:

@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from estimator.array_types import Array
-from slave.ranged_field import build_ranged_field, check_ranges
 from slave.simulation.environment import FreeConfig, build_environment
 from slave.simulation.joint import (
     BodyConfig,
@@ -26,6 +25,7 @@ from slave.simulation.joint import (
 )
 from slave.simulation.motor import MotorConfig, build_motor
 from slave.simulation.tendon import NEUTRAL, SheathConfig, build_chain
+from teleop.config.ranges import build_ranged_field, check_ranges
 
 
 @dataclass(frozen=True, slots=True)

@@ -104,19 +104,19 @@ def page_of(
 ) -> str:
     """Return the page; the figures, by file name in `folder`, have captions."""
     page = Page(TITLE)
-    page.text(report.summary(outcomes))
-    page.text(UNITS)
-    page.heading(f"A sheath as the paper's: {SPECIMEN.describe()}")
-    page.text("Largest / average.")
-    page.table(report.by_phase(shown.outcome), mark="")
-    page.heading(f"{len(outcomes)} random sheaths, seed {seed}")
-    page.table(report.over_sheaths(outcomes), mark=OURS)
+    page.add_text(report.summary(outcomes))
+    page.add_text(UNITS)
+    page.add_heading(f"A sheath as the paper's: {SPECIMEN.describe()}")
+    page.add_text("Largest / average.")
+    page.add_table(report.by_phase(shown.outcome), mark="")
+    page.add_heading(f"{len(outcomes)} random sheaths, seed {seed}")
+    page.add_table(report.over_sheaths(outcomes), mark=OURS)
     for method in METHODS:
-        page.text(f"Worst of {method}, by the largest error of force:")
-        page.points(report.worst(outcomes, method, seed))
-    page.heading("Figures")
+        page.add_text(f"Worst of {method}, by the largest error of force:")
+        page.add_points(report.worst(outcomes, method, seed))
+    page.add_heading("Figures")
     for file, caption in captions.items():
-        page.figure(folder / file, caption)
+        page.add_figure(folder / file, caption)
     return page.render()
 
 

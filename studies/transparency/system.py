@@ -247,7 +247,7 @@ class Teleoperator:
     def _master_tick(self, hand: HandState, now: int) -> None:
         latest = self._states.newest(now)
         hand_input.fill_hand_input(self._hands, hand)
-        tick_input = master_loop.TickInput(DT, now, latest.is_there, latest.age_ns(now))
+        tick_input = master_loop.TickInput(DT, now, latest.is_there, latest.compute_age_ns(now))
         known = (
             self._master_settings,
             self._master,

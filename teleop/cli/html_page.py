@@ -75,31 +75,31 @@ class Page:
         self._title, self._is_folded = title, False
         self._parts = [f"<h1>{html.escape(title)}</h1>"]
 
-    def heading(self, text: str) -> None:
+    def add_heading(self, text: str) -> None:
         """Add a heading."""
         self._parts.append(f"<h2>{html.escape(text)}</h2>")
 
-    def text(self, text: str) -> None:
+    def add_text(self, text: str) -> None:
         """Add a paragraph."""
         self._parts.append(f"<p>{html.escape(text)}</p>")
 
-    def points(self, items: Sequence[str]) -> None:
+    def add_points(self, items: Sequence[str]) -> None:
         """Add a list."""
         inner = "".join(f"<li>{html.escape(item)}</li>" for item in items)
         self._parts.append(f"<ul>{inner}</ul>")
 
-    def table(self, table: Table, mark: str = "") -> None:
+    def add_table(self, table: Table, mark: str = "") -> None:
         """Add a table; rows with a cell `mark` stand out."""
         self._parts.append(f'<div class="scroll">{format_html_table(table, mark)}</div>')
 
-    def section(self, title: str, table: Table, text: str = "", mark: str = "") -> None:
+    def add_section(self, title: str, table: Table, text: str = "", mark: str = "") -> None:
         """Add a table with a heading and, if there is one, a paragraph before it."""
-        self.heading(title)
+        self.add_heading(title)
         if text:
-            self.text(text)
-        self.table(table, mark)
+            self.add_text(text)
+        self.add_table(table, mark)
 
-    def figure(self, path: Path, caption: str) -> None:
+    def add_figure(self, path: Path, caption: str) -> None:
         """Add a PNG file, its bytes in the page."""
         data = base64.b64encode(path.read_bytes()).decode()
         words = html.escape(caption)
@@ -108,12 +108,12 @@ class Page:
             f"<figcaption>{words}</figcaption></figure>"
         )
 
-    def drawing(self, svg: str, caption: str) -> None:
+    def add_drawing(self, svg: str, caption: str) -> None:
         """Add an SVG element."""
         words = html.escape(caption)
         self._parts.append(f"<figure>{svg}<figcaption>{words}</figcaption></figure>")
 
-    def card(self, title: str, rows: Sequence[tuple[str, str]]) -> None:
+    def add_card(self, title: str, rows: Sequence[tuple[str, str]]) -> None:
         """Add a box with a title and named texts."""
         inner = "".join(
             f"<dt>{html.escape(name)}</dt><dd>{html.escape(text)}</dd>" for name, text in rows

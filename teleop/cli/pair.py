@@ -260,26 +260,26 @@ def render(study: PairStudy, readings: Sequence[Mapping[str, Any]] = ()) -> str:
 
     page = Page(report_text.format_sentence(study))
     for sentence in report_text.format_model_warning(study):
-        page.text(sentence)
-    page.section("Friction against bend", report_text.build_friction_table(study))
+        page.add_text(sentence)
+    page.add_section("Friction against bend", report_text.build_friction_table(study))
     with TemporaryDirectory() as folder:
         captions = write_figures(study, Path(folder))
         paths = {name: Path(folder) / name for name in captions}
-        page.figure(paths["pair-friction.png"], captions["pair-friction.png"])
-        page.section("The model for all bends", report_text.build_parameter_table(study))
+        page.add_figure(paths["pair-friction.png"], captions["pair-friction.png"])
+        page.add_section("The model for all bends", report_text.build_parameter_table(study))
         text = "Root mean square of the angle's error, and its share of the span."
         table = report_text.build_held_out_table(study)
-        page.section("Bends that were not fitted", table, text, mark=report_text.OWN_METHOD)
-        page.figure(paths["pair-loops.png"], captions["pair-loops.png"])
+        page.add_section("Bends that were not fitted", table, text, mark=report_text.OWN_METHOD)
+        page.add_figure(paths["pair-loops.png"], captions["pair-loops.png"])
         if study.validation:
             table = report_text.build_validation_table(study.validation)
-            page.section("Bends kept apart", table)
-        page.heading("What is wrong")
-        page.points(report_text.describe_errors(study))
-        page.table(report_text.build_residual_table(study))
-        page.figure(paths["pair-left.png"], captions["pair-left.png"])
-        page.heading("How the data were read")
-        page.points([f"{each['file']}: {format_reading(each)}" for each in readings])
+            page.add_section("Bends kept apart", table)
+        page.add_heading("What is wrong")
+        page.add_points(report_text.describe_errors(study))
+        page.add_table(report_text.build_residual_table(study))
+        page.add_figure(paths["pair-left.png"], captions["pair-left.png"])
+        page.add_heading("How the data were read")
+        page.add_points([f"{each['file']}: {format_reading(each)}" for each in readings])
     return page.render()
 
 

@@ -149,9 +149,11 @@ class ConfigDocument:
                     raise self.error((key,), f"is no key of a session: this is {kind}")
                 raise self.error((key,), f"unknown key{_format_suggestion(key, known)}")
         if section is not None:
-            return cast(T, _Builder(self).dataclass(cls, self.tree.get(section), (section,), None))
+            return cast(
+                T, _Builder(self).build_dataclass(cls, self.tree.get(section), (section,), None)
+            )
         mine = {key: value for key, value in self.tree.items() if key in own}
-        return cast(T, _Builder(self).dataclass(cls, mine, (), None))
+        return cast(T, _Builder(self).build_dataclass(cls, mine, (), None))
 
     def resolve_path(self, text: str, keys: tuple[str, ...]) -> Path:
         """Return the path at `keys`: relative to the folder of the file, or of an override."""
@@ -214,7 +216,7 @@ class _Builder:
     def __init__(self, source: ConfigDocument) -> None:
         self.source = source
 
-    def dataclass(self, cls: type[Any], data: Any, keys: tuple[str, ...], base: Any) -> Any:
+    def build_dataclass(self, cls: type[Any], data: Any, keys: tuple[str, ...], base: Any) -> Any:
         """Build `cls` from a mapping; missing keys come from `base` or from the defaults."""
         data = {} if data is None else data  # an empty section
         if not isinstance(data, dict):
@@ -233,7 +235,9 @@ class _Builder:
             preset = getattr(base, name) if isinstance(base, cls) else _find_default(item)
             if name in data:
                 allow = "may_be_infinite" in item.metadata or item.default == math.inf
-                values[name] = self.value(hints[name], data[name], (*keys, name), preset, allow)
+                values[name] = self.build_value(
+                    hints[name], data[name], (*keys, name), preset, allow
+                )
             elif preset is _MISSING:
                 raise self.source.error(
                     (*keys, name), f"is missing; it is {_describe_annotation(hints[name])}"
@@ -243,9 +247,9 @@ class _Builder:
         try:
             return cls(**values)
         except ValueError as error:
-            raise self._refused(error, fields, values, keys) from error
+            raise self._build_refusal(error, fields, values, keys) from error
 
-    def _refused(
+    def _build_refusal(
         self,
         error: ValueError,
         fields: Iterable[str],
@@ -266,43 +270,47 @@ class _Builder:
         shown = f"{_format_value(value)}: " if plain else ""
         return self.source.error((*keys, found["field"], *inner), shown + what)
 
-    def value(
+    def build_value(
         self, hint: Any, data: Any, keys: tuple[str, ...], preset: Any, infinite: bool = False
     ) -> Any:
         """Convert `data` to the type `hint`, or raise."""
         origin = get_origin(hint)
         if origin in (Union, types.UnionType):
-            return self._union(get_args(hint), data, keys, preset, infinite)
+            return self._build_union(get_args(hint), data, keys, preset, infinite)
         if origin is Literal:
             allowed = get_args(hint)
             if not any(data == a and type(data) is type(a) for a in allowed):
-                raise self._wrong(hint, data, keys, _format_suggestion(data, allowed, listed=False))
+                raise self._build_type_error(
+                    hint, data, keys, _format_suggestion(data, allowed, listed=False)
+                )
             return data
         if origin is tuple:
-            return self._tuple(get_args(hint), hint, data, keys, preset, infinite)
+            return self._build_tuple(get_args(hint), hint, data, keys, preset, infinite)
         if dataclasses.is_dataclass(hint) and isinstance(hint, type):
-            return self.dataclass(hint, data, keys, preset)
+            return self.build_dataclass(hint, data, keys, preset)
         if hint is float:
-            return self._float(data, keys, infinite)
+            return self._build_float(data, keys, infinite)
         if hint is Path and isinstance(data, str) and data:
             return self.source.resolve_path(data, keys)
         if hint in (bool, int, str) and type(data) is hint:
             return data
         if hint in (bool, int, str, Path):
             quote = "; put it in quotes" if hint is str and isinstance(data, int | float) else ""
-            raise self._wrong(hint, data, keys, quote)
+            raise self._build_type_error(hint, data, keys, quote)
         raise TypeError(f"{'.'.join(keys)}: config fields cannot be of type {hint!r}")
 
-    def _wrong(self, hint: Any, data: Any, keys: tuple[str, ...], more: str = "") -> UsageError:
+    def _build_type_error(
+        self, hint: Any, data: Any, keys: tuple[str, ...], more: str = ""
+    ) -> UsageError:
         return self.source.error(
             keys, f"{_format_value(data)} is not {_describe_annotation(hint)}{more}"
         )
 
-    def _float(self, data: Any, keys: tuple[str, ...], infinite: bool) -> float:
+    def _build_float(self, data: Any, keys: tuple[str, ...], infinite: bool) -> float:
         if infinite and data in ("inf", "+inf", "-inf"):
             data = float(data)
         if isinstance(data, bool) or not isinstance(data, int | float):
-            raise self._wrong(float, data, keys, " (or .inf)" * infinite)
+            raise self._build_type_error(float, data, keys, " (or .inf)" * infinite)
         try:
             number = float(data)
         except OverflowError:
@@ -311,7 +319,7 @@ class _Builder:
             raise self.source.error(keys, f"{_format_value(data)} is not a finite number")
         return number
 
-    def _tuple(
+    def _build_tuple(
         self,
         args: tuple[Any, ...],
         hint: Any,
@@ -325,13 +333,13 @@ class _Builder:
             bases, changed = preset, data
             if "type" in changed:  # of one item, without its brackets
                 item = f"; [{{type: {changed['type']}, ...}}] is wanted"
-                raise self._wrong(hint, data, keys, item)
+                raise self._build_type_error(hint, data, keys, item)
             if not all(LIST_INDEX.fullmatch(str(k)) and int(k) < len(bases) for k in changed):
                 count = f"the list has {len(bases)} items, counted from 0"
                 raise self.source.error((*keys, str(next(iter(changed)))), count)
             data = [changed.get(str(i), base) for i, base in enumerate(bases)]
         if not isinstance(data, list):
-            raise self._wrong(hint, data, keys)
+            raise self._build_type_error(hint, data, keys)
         many = len(args) == 2 and args[1] is Ellipsis
         if not many and len(data) != len(args):
             raise self.source.error(keys, f"has {len(data)} items, {len(args)} are needed")
@@ -342,11 +350,13 @@ class _Builder:
                 continue
             base = bases[i] if bases else _MISSING
             built.append(
-                self.value(args[0] if many else args[i], item, (*keys, str(i)), base, infinite)
+                self.build_value(
+                    args[0] if many else args[i], item, (*keys, str(i)), base, infinite
+                )
             )
         return tuple(built)
 
-    def _union(
+    def _build_union(
         self,
         members: tuple[Any, ...],
         data: Any,
@@ -358,24 +368,26 @@ class _Builder:
             return None
         classes = [m for m in members if dataclasses.is_dataclass(m)]
         if isinstance(data, dict) and classes:
-            return self.dataclass(self._tagged(classes, data, keys, preset), data, keys, preset)
+            return self.build_dataclass(
+                self._build_tagged(classes, data, keys, preset), data, keys, preset
+            )
         rest = [m for m in members if m is not type(None) and m not in classes]
         if isinstance(data, list):
             rest = [m for m in rest if get_origin(m) is tuple] or rest
         else:
             rest = [m for m in rest if get_origin(m) is not tuple] or rest
         if len(rest) == 1 and not classes:
-            return self.value(rest[0], data, keys, preset, infinite)
+            return self.build_value(rest[0], data, keys, preset, infinite)
         for member in rest:
             try:
-                return self.value(member, data, keys, preset, infinite)
+                return self.build_value(member, data, keys, preset, infinite)
             except UsageError:  # try the next member
                 continue
         named = len(classes) > 1 and isinstance(data, str) and data in _index_by_tag(classes)
         meant = f"; {{type: {data}, ...}} is wanted" if named else ""
-        raise self._wrong(Union[members], data, keys, meant)  # noqa: UP007 - built at run time
+        raise self._build_type_error(Union[members], data, keys, meant)  # noqa: UP007 - built at run time
 
-    def _tagged(
+    def _build_tagged(
         self, classes: list[Any], data: Any, keys: tuple[str, ...], preset: Any
     ) -> type[Any]:
         """Pick the dataclass that `data` names by its key `type`, or else the preset's."""

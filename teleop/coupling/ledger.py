@@ -256,7 +256,7 @@ class LedgerPublisher:
         self._due_ns = stamp_ns + LEDGER_PERIOD_NS
         return True
 
-    def filled(self) -> Packet[Ledger]:
+    def fill(self) -> Packet[Ledger]:
         """Return the message with the present ledger."""
         for name in _FIELDS:
             self._fields[name][:, : self._joints] = self._ports[name][:, : self._joints]

@@ -96,7 +96,7 @@ class Columns:
         names = {c: format_standard_name(units, c, number) for c in STANDARD_NAMES[units]}
         return cls(**names)
 
-    def in_units(self, units: Units) -> Self:
+    def to_units(self, units: Units) -> Self:
         """Return names of which the standard ones are those of a record in `units`."""
         changed = {
             channel: format_standard_name(units, channel, parse_tendon_number(name))

@@ -24,7 +24,13 @@ from teleop.data.table_files import read_columns
 from teleop.errors import UsageError
 from teleop.messages.messages import MAX_JOINTS, decode_text
 from teleop.messages.topics import COMMAND, EVENT, HAND, STATE, format_role
-from teleop.recording.reader import ROWS_MAX, TopicRows, list_doubts, missing_topic, read_row_parts
+from teleop.recording.reader import (
+    ROWS_MAX,
+    TopicRows,
+    build_missing_topic_error,
+    list_doubts,
+    read_row_parts,
+)
 from teleop.recording.scan import RecordingError, Scan
 from teleop.runtime.process import print_warning
 from teleop.runtime.status_line import Progress
@@ -222,7 +228,7 @@ class RecordingBatches:
         finally:
             progress.end()
         if self.joints < 0:
-            raise missing_topic(self._scan, STATE.name)
+            raise build_missing_topic_error(self._scan, STATE.name)
         if not self.rows:
             last_s = self._to_seconds(self._latest[STATE.name])[0]
             raise UsageError(f"{self.path}: no row in this range; its last is at {last_s:.3f} s")

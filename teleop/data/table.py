@@ -209,7 +209,7 @@ def read_runs(
     ]
     if units is None:
         units = _detect_file_units(path, raw, aliases.stated, tendons, diagnosed)
-    tendons = [_replace_aliases(columns.in_units(units), aliases.stated) for columns in tendons]
+    tendons = [_replace_aliases(columns.to_units(units), aliases.stated) for columns in tendons]
     claimed = {name for columns in tendons for name in columns.names().values()}
     is_pair = diagnosed and len(tendons) == 1 and _is_travel_pair(raw, tendons[0])
     required_items = ["time"] if is_pair else ["time", "proximal_tension"]

@@ -122,7 +122,7 @@ class Proxy:
         return counts | {
             "waiting": len(self._queue),
             "waiting_bytes": self._queue.held_bytes,
-            "lateness_us": dataclasses.asdict(self._queue.lateness.percentiles(1e-3)),
+            "lateness_us": dataclasses.asdict(self._queue.lateness.compute_percentiles(1e-3)),
         }
 
     def _look_soon(self) -> None:

@@ -174,7 +174,7 @@ class Supervisor:
         reader.start()
         child.threads.append(reader)
 
-    def failed_child(self) -> Child | None:
+    def find_failed_child(self) -> Child | None:
         """Return a child whose end ends the session.
 
         Of the others that ended, `RESTARTED_CHILDREN` ones are started again, as are those that

@@ -153,7 +153,7 @@ class SessionWatch:
         """Print what has come; return a child whose end ends the session."""
         for source, text in self.monitor.take(self.listener.drain()):
             self.console.say(source, text)
-        return self.supervisor.failed_child()
+        return self.supervisor.find_failed_child()
 
     def _show_status(self) -> None:
         seen, record = self.monitor, self.supervisor.children.get("record")

@@ -8,9 +8,9 @@ token counts, and again every few seconds. A challenge is a Zenoh query on
 
 with the payload `challenge (16 random bytes), subject (8), presence token of who asks`. The answer
 is the BLAKE2b (RFC 7693) of challenge and subject under the key of this pair of processes and
-direction (`Handshake.pair_keys`), which nobody else has. The subject is the nonce of the process in
-question: who is asked itself, or a master that a slave is asked to vouch for, since two masters are
-not connected to each other.
+direction (`Handshake.derive_pair_keys`), which nobody else has. The subject is the nonce of the
+process in question: who is asked itself, or a master that a slave is asked to vouch for, since two
+masters are not connected to each other.
 """
 
 import random

@@ -282,7 +282,7 @@ class LinkHealth:
             if value is not None:
                 durations.add(value)
 
-    def message(self, role: Role, counts: MessageCounts, age_ns: int) -> LinkReport:
+    def build_message(self, role: Role, counts: MessageCounts, age_ns: int) -> LinkReport:
         """Return the message of the present health; `age_ns` of the peer's newest message."""
         figures, decision = self.figures, self.decision
         return LinkReport(
@@ -304,12 +304,12 @@ class LinkHealth:
             clock_jumps=counts.clock_jumps,
         )
 
-    def summary(self, counts: MessageCounts) -> LinkSummary:
+    def build_summary(self, counts: MessageCounts) -> LinkSummary:
         """Return the figures of the whole run."""
         offset_ns, uncertainty_ns = self.figures.offset_ns, self.figures.uncertainty_ns
         return LinkSummary(
-            round_trip_ms=self.round_trip.percentiles(1e-6),
-            jitter_ms=self.jitter.percentiles(1e-6),
+            round_trip_ms=self.round_trip.compute_percentiles(1e-6),
+            jitter_ms=self.jitter.compute_percentiles(1e-6),
             offset_ms=None if offset_ns is None else offset_ns * 1e-6,
             uncertainty_ms=None if uncertainty_ns is None else uncertainty_ns * 1e-6,
             loss=counts.lost / max(counts.lost + counts.received, 1),

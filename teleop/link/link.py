@@ -167,7 +167,7 @@ class Link:
         if topic.publisher is None:
             raise ValueError(f"{topic.name} has several publishers, so no one latest value")
         keyring = self._keyring
-        senders = None if keyring is None else keyring.senders(topic)
+        senders = None if keyring is None else keyring.find_keys(topic)
         addressee = b"" if keyring is None else keyring.addressee
         latest = LatestMessage(
             topic,
@@ -262,7 +262,7 @@ class Link:
                 raise ValueError(
                     f"{topic.name} is published by {topic.publisher!r}, not {self.role!r}"
                 )
-            seals = TagKeys() if self._keyring is None else self._keyring.seals(topic)
+            seals = TagKeys() if self._keyring is None else self._keyring.find_seal_keys(topic)
             publisher = self._publishers[topic.name] = Publisher(
                 self._zenoh, self._key(topic.name), seals,
                 live=topic.live and not patient, sampled_hz=topic.sampled_hz, patient=patient,

@@ -130,7 +130,7 @@ class Listener:
     `compute_capacity` of a topic loses its oldest messages. They are counted in `dropped`,
     and their gap in the sequence as `overwritten`, not `lost`.
 
-    Of topics that we act on (`Keyring.senders`), Zenoh's thread queues only messages with the tag
+    Of topics that we act on (`Keyring.find_keys`), Zenoh's thread queues only messages with the tag
     of their sender, and looks at `VERIFY_HZ` a second at most: others cost neither the loop's time
     nor memory.
 
@@ -157,7 +157,7 @@ class Listener:
         self._queue.add(topic)
         self._senders[topic.name] = _SenderChecks(topic, self._visit, sampled)
         put = self._queue.put
-        if self._keyring is not None and self._keyring.senders(topic) is not None:
+        if self._keyring is not None and self._keyring.find_keys(topic) is not None:
             return self._build_verifier(topic, self._keyring.verify)
         # copied at once: a payload keeps its whole receive buffer alive
         return lambda sample: put(topic, sample.payload.to_bytes(), now_ns())

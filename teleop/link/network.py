@@ -200,7 +200,7 @@ def build_settings(
             # a certificate names a role, which the other side checks, and no host
             "verify_name_on_connect": False,
             "close_link_on_expiration": True,
-            **credentials.for_tls(),
+            **credentials.build_tls_settings(),
         }
         if access is not None:
             settings["access_control"] = access

@@ -140,7 +140,7 @@ class Reception:
 
     `visit` returns the visit number of a nonce in the publishing role: 0 while it is not announced,
     1 at first, incremented each time it comes back. With `senders`, keyed hashes by sender
-    (`Keyring.senders`), messages come with their tags behind them, ours under `addressee`, and
+    (`Keyring.find_keys`), messages come with their tags behind them, ours under `addressee`, and
     nothing in one without the right tag is believed.
     """
 
@@ -242,7 +242,7 @@ class LatestMessage(Generic[M]):
 
     A clock that is set needs no restart. Numbers rise, so a stamp below the one before was made by
     a clock set back: `least` is reset. So it is if the loop finds in another way, by the round trip
-    (`teleop.link.health`), that messages look too old because a clock was set (`clock_was_set`).
+    (`teleop.link.health`), that messages look too old because a clock was set (`was_clock_set`).
     For `SETTLE_NS` after that `settles` is true: all messages count as old, and the session must
     hold. A clock set forward lowers `least` by itself. Jumps are counted.
 
@@ -274,7 +274,7 @@ class LatestMessage(Generic[M]):
         self._settled_ns = 0
         self.settles = False  # whether a clock was set shortly before the newest message
 
-    def clock_was_set(self) -> None:
+    def was_clock_set(self) -> None:
         """Find anew which messages are late, if they count as too old now."""
         if self._late_ns > self._limit_ns and not self.settles:
             self._reception.counts.clock_jumps += 1
@@ -295,7 +295,7 @@ class LatestMessage(Generic[M]):
             self._object = self._message.unpack(self.packet.data.tobytes())
         return self._object
 
-    def age_ns(self, now_ns: int) -> int:
+    def compute_age_ns(self, now_ns: int) -> int:
         """Return the age [ns] of the message at `now_ns`; `NEVER_NS` if there is none."""
         if not self.is_there:
             return NEVER_NS
@@ -303,7 +303,7 @@ class LatestMessage(Generic[M]):
 
     def is_fresh(self, now_ns: int, limit_ns: int) -> bool:
         """Return whether there is a message not older than `limit_ns` [ns]."""
-        return self.age_ns(now_ns) <= limit_ns
+        return self.compute_age_ns(now_ns) <= limit_ns
 
     def take(self, arrived: list[TimedBytes], overflowed: bool = False) -> None:
         """Process the messages since the last call, oldest first."""

@@ -167,7 +167,7 @@ class Roster:
         if self._keyring is None:
             return right == "stop" or self.is_announced(nonce)
         for role, n in self._held:
-            peer = self._keyring.known(role, nonce) if n == nonce else None
+            peer = self._keyring.find_peer(role, nonce) if n == nonce else None
             if peer is not None:
                 is_side = role in EXCLUSIVE_ROLES
                 if right in peer.identity.rights or (is_side and right == "stop"):
@@ -343,7 +343,7 @@ class Roster:
         admission = self._admissions[token.group]
         try:
             peer = self._handshake.check(token)
-            keys = self._handshake.pair_keys(peer)
+            keys = self._handshake.derive_pair_keys(peer)
         except CertificateError as error:
             self._refusals.note(str(error))
             if not isinstance(error, NotYetValidError):
@@ -409,14 +409,18 @@ class Roster:
             del self._processes[token]
             return
         process.present, process.noted = True, False
-        if self._keyring is not None and not token.relayed and self._keyring.shares_with(peer.role):
+        if (
+            self._keyring is not None
+            and not token.relayed
+            and self._keyring.has_tags_with(peer.role)
+        ):
             self._keyring.add(peer, process.keys)
         self._add(token)
         self._decide()
 
     def _is_taken(self, peer: Peer) -> bool:
         """Return whether another process, which has proven itself, has the number of this one."""
-        owner = None if self._keyring is None else self._keyring.known(peer.role, peer.nonce)
+        owner = None if self._keyring is None else self._keyring.find_peer(peer.role, peer.nonce)
         is_taken = owner is not None and owner.public != peer.public
         if is_taken:
             self._refusals.note(f"a {peer.role.name.lower()} that takes the number of another one")
@@ -445,7 +449,7 @@ class Roster:
         process = self._processes.pop(token, None)
         if process is not None:
             self._decide()
-            if self._handshake is not None and (fault := self._handshake.fault_of(process.peer)):
+            if self._handshake is not None and (fault := self._handshake.find_fault(process.peer)):
                 self._refusals.note(fault)  # which is why TLS has cut the connection
         if token in self.others:
             self._withdraw(token)
@@ -468,7 +472,7 @@ class Roster:
         if ours and self._processes:
             self._refusals.note(f"{ours}; it is ours: nothing is sent or believed any more")
         for token, process in list(self._processes.items()):
-            if ours or self._handshake.fault_of(process.peer):
+            if ours or self._handshake.find_fault(process.peer):
                 self._forget(token)
                 self._keyring.forget(token.role, token.nonce)
 

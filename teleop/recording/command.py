@@ -213,7 +213,7 @@ def build_summary(writer: RecordingWriter) -> dict[str, Any]:
         "file": str(writer.path),
         "seconds": (writer.last_ns - writer.first_ns) * 1e-9,
         "messages": dict(writer.messages),
-        "gaps": writer.gaps.by_topic(),
+        "gaps": writer.gaps.count_by_topic(),
         "dropped": dict(writer.dropped),
         "missing": writer.gaps.total,
         "unfinished": list(writer.unfinished),

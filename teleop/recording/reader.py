@@ -105,7 +105,7 @@ class RecordingInfo:
     """Contents of a recording."""
 
     path: Path
-    complete: bool  # closed properly; False = truncated or damaged, `shortfall` says so
+    complete: bool  # closed properly; False = truncated or damaged, `describe_shortfall` says so
     shortfall: str  # what is wrong with the file and what could be read, one line; "" = nothing
     session: str  # "" = unknown
     layout: int | None  # CRC-32 of the message declarations it was made with, None = unknown
@@ -161,7 +161,7 @@ def open_recording(path: str | Path) -> RecordingInfo:
     return RecordingInfo(
         path=scan.path,
         complete=scan.complete,
-        shortfall=scan.shortfall(
+        shortfall=scan.describe_shortfall(
             f"{sum(messages.values())} messages, {(last - first) * 1e-9:.1f} s"
         ),
         session=head.get("session", ""),
@@ -184,7 +184,7 @@ def list_doubts(scan: Scan, read: str | None) -> list[str]:
     The pass `scan` has ended; `read` is what was read of the file, None if no more was wanted
     before its end.
     """
-    shortfall = "" if read is None else scan.shortfall(read)
+    shortfall = "" if read is None else scan.describe_shortfall(read)
     try:
         lost = _count_losses(scan)
     except ValueError as error:
@@ -319,14 +319,16 @@ def read_columns(
                 "memory; take a part of the recording by `mcap filter`"
             )
     if not parts:
-        raise missing_topic(scan, topic)
+        raise build_missing_topic_error(scan, topic)
     rows = np.concatenate(parts)
-    if doubt is not None and (shortfall := scan.shortfall(f"{len(rows)} {topic} messages")):
+    if doubt is not None and (
+        shortfall := scan.describe_shortfall(f"{len(rows)} {topic} messages")
+    ):
         doubt(shortfall)
     return rows
 
 
-def missing_topic(scan: Scan, topic: str) -> RecordingError:
+def build_missing_topic_error(scan: Scan, topic: str) -> RecordingError:
     """Return the error of a recording without messages of a topic, after the whole pass."""
     present = ", ".join(sorted(map(to_topic_name, scan.channels.values()))) or "none at all"
     damage = f"; it is damaged {scan.damage}" if scan.damage else ""

@@ -71,7 +71,7 @@ class Recorder:
         goes_on = any(self._is_there(sender, report) for sender, report in self._reports.items())
         return now_ns > (end_ns if goes_on else max(self._moved_ns, stop_ns) + SILENCE_NS)
 
-    def unfinished(self) -> list[str]:
+    def list_unfinished(self) -> list[str]:
         """Return the roles of senders that are gone, but have not said how much they sent."""
         return [
             format_role(report.role)
@@ -87,7 +87,7 @@ class Recorder:
 
         Called when `is_done`, before the writer is closed.
         """
-        self._writer.unfinished = tuple(self.unfinished())
+        self._writer.unfinished = tuple(self.list_unfinished())
         self._writer.gaps.finish()
         return self._writer.gaps.total
 

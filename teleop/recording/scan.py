@@ -105,11 +105,11 @@ class Scan:
             raise RecordingError(f"{self.path}: is not a file")
         try:
             with self.path.open("rb") as file:
-                yield from self._blocks(file, self.path.stat().st_size)
+                yield from self._read_blocks(file, self.path.stat().st_size)
         except OSError as error:
             raise RecordingError(f"{self.path}: cannot be read: {error.strerror}") from None
 
-    def shortfall(self, read: str) -> str:
+    def describe_shortfall(self, read: str) -> str:
         """Return what is wrong with a file of which `read` was read, in one line; empty if nothing.
 
         Known once `blocks` has ended.
@@ -129,7 +129,7 @@ class Scan:
             raise RecordingError(f"{self.path}: is damaged: a message of no known channel")
         return self.channels[number]
 
-    def _blocks(self, file: IO[bytes], size: int) -> Iterator[Block]:
+    def _read_blocks(self, file: IO[bytes], size: int) -> Iterator[Block]:
         if file.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
             raise RecordingError(f"{self.path}: is not an MCAP recording")
         at, checksum = len(MCAP0_MAGIC), zlib.crc32(MCAP0_MAGIC)
@@ -171,7 +171,7 @@ class Scan:
         """Process one record of the file; return the messages in it, if any."""
         stream = ReadDataStream(BytesIO(body))
         if opcode == Opcode.CHUNK:
-            return self._opened(_unpack_chunk(records.Chunk.read(stream)))
+            return self._open_file(_unpack_chunk(records.Chunk.read(stream)))
         if opcode == Opcode.METADATA:
             metadata = records.Metadata.read(stream)
             self.metadata[metadata.name] = metadata.metadata
@@ -180,12 +180,12 @@ class Scan:
             if attachment.name == CONFIG_ATTACHMENT or attachment.name.startswith(FILE_PREFIX):
                 self.attachments[attachment.name] = attachment.data
         elif opcode in (Opcode.MESSAGE, Opcode.SCHEMA, Opcode.CHANNEL) and self.loose:
-            return self._opened(_FRAME.pack(opcode, len(body)) + body)
+            return self._open_file(_FRAME.pack(opcode, len(body)) + body)
         elif opcode == Opcode.MESSAGE:
             raise ValueError("a message outside a chunk")
         return Block(b"", [])
 
-    def _opened(self, content: bytes) -> Block:
+    def _open_file(self, content: bytes) -> Block:
         messages = []
         at, message = 0, Opcode.MESSAGE.value
         frame, frame_size, channel_of = _FRAME.unpack_from, _FRAME.size, _CHANNEL.unpack_from

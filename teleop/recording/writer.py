@@ -171,7 +171,7 @@ class GapCounter:
         """Lost messages of all topics and senders."""
         return sum(self.lost.values())
 
-    def by_topic(self) -> dict[str, int]:
+    def count_by_topic(self) -> dict[str, int]:
         """Return lost messages per topic, senders taken together."""
         topics: dict[str, int] = {}
         for (topic, _), count in self.lost.items():

@@ -263,7 +263,7 @@ def _read_topics(path: Path) -> dict[str, _RecordedTopic]:
                         f"{path}: has more than {bounds.CELLS_MAX} values of JointState and "
                         "WrenchStamped; keep fewer topics, or less time: ros2 bag convert"
                     )
-        if shortfall := scan.shortfall(f"{messages} messages"):
+        if shortfall := scan.describe_shortfall(f"{messages} messages"):
             remedy = "`mcap recover` or `ros2 bag reindex` may save the file"
             if not messages:
                 raise UsageError(f"{shortfall}; {remedy}")

@@ -71,7 +71,7 @@ class BagWriter:
         """Write index and metadata, and close the file."""
         if self._file.closed:
             return
-        information = self._information()
+        information = self._build_information()
         with self._file:
             text = yaml.safe_dump(information, sort_keys=False)
             self._mcap.add_metadata("rosbag2", {"serialized_metadata": text})
@@ -101,7 +101,7 @@ class BagWriter:
         }
         return channel
 
-    def _information(self) -> dict[str, Any]:
+    def _build_information(self) -> dict[str, Any]:
         span = {
             "duration": {"nanoseconds": self._last_ns - self._first_ns},
             "starting_time": {"nanoseconds_since_epoch": self._first_ns},

@@ -52,18 +52,19 @@ class Node:
     @property
     def key(self) -> str:
         """The key of its liveliness token."""
-        return f"{self._entity('0')}/NN/%/%/{self.name}"
+        return f"{self._build_key('0')}/NN/%/%/{self.name}"
 
-    def endpoint_key(
+    def build_endpoint_key(
         self, number: int, kind: EndpointKind, topic: str, type_name: str, qos: Qos
     ) -> str:
         """Return the key of the liveliness token of its endpoint `number`, from 1."""
+        entity = self._build_key(str(number))
         return (
-            f"{self._entity(str(number))}/{kind.value}/%/%/{self.name}/{topic.replace('/', '%')}/"
+            f"{entity}/{kind.value}/%/%/{self.name}/{topic.replace('/', '%')}/"
             f"{to_dds_name(type_name)}/{compute_type_hash(type_name)}/{qos.text}"
         )
 
-    def _entity(self, number: str) -> str:
+    def _build_key(self, number: str) -> str:
         return f"@ros2_lv/{self.domain}/{self.zid}/0/{number}"
 
 

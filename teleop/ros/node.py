@@ -73,7 +73,7 @@ class RosNode:
 
     def _announce(self, kind: EndpointKind, topic: str, type_name: str, qos: Qos) -> str:
         self._endpoints += 1
-        key = self._node.endpoint_key(self._endpoints, kind, topic, type_name, qos)
+        key = self._node.build_endpoint_key(self._endpoints, kind, topic, type_name, qos)
         self._session.declare_token(key)
         return key
 

@@ -57,7 +57,7 @@ class Publishers:
         outputs = [_BY_NAME[name] for name in config.topics if arms or name not in OF_ARMS]
         self._topics: dict[str, RosPublisher] = {}
         for output in outputs:
-            self._topic(output.name, output)
+            self._build_topic(output.name, output)
         self._live = _group_by_source(one for one in outputs if one.qos is not EVENTS)
         self._slow = _group_by_source(one for one in outputs if one.qos is EVENTS and one.convert)
         # the state first: it tells how many joints there are
@@ -130,11 +130,11 @@ class Publishers:
                 self._topics[output.name].put(latest.packet.data.tobytes())
 
     def _put(self, name: str, output: OutputTopic, message: Any) -> None:
-        publisher = self._topic(name, output)
+        publisher = self._build_topic(name, output)
         if publisher.wanted:
             publisher.put(encode(message))
 
-    def _topic(self, name: str, output: OutputTopic) -> RosPublisher:
+    def _build_topic(self, name: str, output: OutputTopic) -> RosPublisher:
         """Return the publisher of a topic; further joints have theirs when they are known."""
         publisher = self._topics.get(name)
         if publisher is None:

@@ -130,7 +130,7 @@ class Grid:
     def __iter__(self) -> Iterator[Tick]:
         """Yield ticks until `stop` returns true."""
         stats, period = self.stats, self.period_ns
-        target = self._first(self._now())
+        target = self._find_first(self._now())
         index, skipped = 0, 0
         while not self._stop():
             wait = target - self._now()
@@ -147,7 +147,7 @@ class Grid:
             target += (1 + skipped) * period
             index += 1 + skipped
 
-    def _first(self, now: int) -> int:
+    def _find_first(self, now: int) -> int:
         """Return the next point of the grid [ns]."""
         return now + (self._offset_ns - now) % self.period_ns
 
@@ -215,10 +215,10 @@ class EventClock:
             stats.overruns += max(0, (begin - last) // period - 1) if index else 0
             yield Tick(index, _ANCHOR_NS + begin, (begin - last) * 1e-9, arrived)
             last = begin
-            deadline = begin + late_ns if arrived else self._next(deadline)
+            deadline = begin + late_ns if arrived else self._compute_next(deadline)
             index += 1
 
-    def _next(self, deadline: int) -> int:
+    def _compute_next(self, deadline: int) -> int:
         """Return the next deadline [ns] of a loop without arrivals, on a grid."""
         skipped = max(0, (self._now() - deadline) // self.period_ns)
         return deadline + (1 + skipped) * self.period_ns
@@ -276,7 +276,7 @@ class Durations:
     >>> durations = Durations()
     >>> for value_ns in (1_000, 2_000, 30_000):
     ...     durations.add(value_ns)
-    >>> durations.percentile_ns(50.0)
+    >>> durations.compute_percentile_ns(50.0)
     2000
     """
 
@@ -291,7 +291,7 @@ class Durations:
         if len(self._span) == _SPAN_MAX:
             self.take_span()
 
-    def percentile_ns(self, percent: float) -> int | None:
+    def compute_percentile_ns(self, percent: float) -> int | None:
         """Return the lower edge [ns] of the bin that holds the percentile; None without values.
 
         Starts a new span.
@@ -303,12 +303,12 @@ class Durations:
         index = int(np.searchsorted(numbers, percent / 100.0 * (numbers[-1] - 1), side="right"))
         return min(index, _FINE) * _FINE_NS + max(index - _FINE, 0) * _COARSE_NS
 
-    def percentiles(self, unit: float) -> Percentiles:
+    def compute_percentiles(self, unit: float) -> Percentiles:
         """Return the count, p50, p99, p99.9 and largest; `unit` converts from nanoseconds.
 
         Starts a new span.
         """
-        values = [self.percentile_ns(percent) for percent in (50.0, 99.0, 99.9)]
+        values = [self.compute_percentile_ns(percent) for percent in (50.0, 99.0, 99.9)]
         p50, p99, p99_9 = (None if value is None else value * unit for value in values)
         count = int(self._bins.sum())
         return Percentiles(count, p50, p99, p99_9, self._largest * unit if count else None)

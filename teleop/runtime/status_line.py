@@ -103,13 +103,13 @@ class Progress:
         """Show that `share` (0 to 1) of all is done, and `task` is being done."""
         if self._bar:
             filled = "#" * round(WIDTH * share)
-            text = f"\r\x1b[K[{filled:<{WIDTH}}] {task}{self._remaining(share)}"
+            text = f"\r\x1b[K[{filled:<{WIDTH}}] {task}{self._estimate_remaining(share)}"
             print(text, end="", file=self._stream, flush=True)
         elif task != self._what:
             print(f"{task} ...", file=self._stream, flush=True)
         self._what = task
 
-    def _remaining(self, share: float) -> str:
+    def _estimate_remaining(self, share: float) -> str:
         elapsed = self._clock() - self._begun
         if elapsed < _SETTLED or not share > 0.0:
             return ""

@@ -97,7 +97,7 @@ class Authority:
         """Return the authority with one more certificate revoked."""
         return replace(self, revoked=self.revoked | {serial})
 
-    def revocation_list(self) -> bytes:
+    def build_revocation_list(self) -> bytes:
         """Return the signed list of revoked certificates, as PEM."""
         now = datetime.now(UTC)
         builder = (
@@ -121,7 +121,7 @@ class Authority:
         """Write what every machine needs: the authority's certificate and the revoked ones."""
         folder.mkdir(parents=True, exist_ok=True, mode=0o700)
         write_file(folder / AUTHORITY, self.certificate.public_bytes(Encoding.PEM), 0o644)
-        write_file(folder / REVOKED, self.revocation_list(), 0o644)
+        write_file(folder / REVOKED, self.build_revocation_list(), 0o644)
 
 
 def load_certificate(path: Path) -> x509.Certificate:

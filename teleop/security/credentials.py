@@ -70,7 +70,7 @@ class Credentials:
             return ""
         return f"the certificate {self.identity.common_name} expires in {time_left.days} days"
 
-    def for_tls(self) -> dict[str, str]:
+    def build_tls_settings(self) -> dict[str, str]:
         """Return the authority, our certificate and our key as Zenoh's TLS takes them."""
         key = self.key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption())
         authority, ours = (

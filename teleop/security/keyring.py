@@ -66,7 +66,7 @@ class Keyring:
         self._peers: dict[tuple[Role, int], Peer] = {}
         self._gone: OrderedDict[tuple[Role, int], None] = OrderedDict()
 
-    def shares_with(self, role: Role) -> bool:
+    def has_tags_with(self, role: Role) -> bool:
         """Return whether messages between us and `role` are tagged."""
         return any(
             (role in topic.addressees and self._role in topic.publishers)
@@ -74,7 +74,7 @@ class Keyring:
             for topic in TOPICS
         )
 
-    def known(self, role: Role, nonce: int) -> Peer | None:
+    def find_peer(self, role: Role, nonce: int) -> Peer | None:
         """Return the peer of this role and nonce, if its keys are here."""
         return self._peers.get((role, nonce))
 
@@ -113,11 +113,11 @@ class Keyring:
             if role in _TOPICS[name].publishers:
                 senders.pop(nonce, None)
 
-    def seals(self, topic: Topic[Any]) -> TagKeys:
+    def find_seal_keys(self, topic: Topic[Any]) -> TagKeys:
         """Return what messages of `topic` are tagged with; it follows the peers."""
         return self._seals[topic.name]
 
-    def senders(self, topic: Topic[Any]) -> Mapping[int, Any] | None:
+    def find_keys(self, topic: Topic[Any]) -> Mapping[int, Any] | None:
         """Return the keyed hashes by sender of a topic; None if we do not act on it."""
         return self._senders.get(topic.name)
 

@@ -310,11 +310,11 @@ class Handshake:
     @property
     def fault(self) -> str:
         """Why our own certificate is not believed any more; empty if it is."""
-        return self._fault_of(self._credentials.certificate)
+        return self._find_fault(self._credentials.certificate)
 
-    def fault_of(self, peer: Peer) -> str:
+    def find_fault(self, peer: Peer) -> str:
         """Return why the certificate of a peer is not believed any more; empty if it is."""
-        return "" if peer.certificate is None else self._fault_of(peer.certificate)
+        return "" if peer.certificate is None else self._find_fault(peer.certificate)
 
     def read_revoked(self, complain: Callable[[str], None]) -> bool:
         """Read the list of revoked certificates again if it has changed; return whether it grew."""
@@ -323,14 +323,14 @@ class Handshake:
     def _identify(self, certificate: x509.Certificate) -> Identity:
         return identify_holder(certificate, self._credentials.authority, self._revoked.serials)
 
-    def _fault_of(self, certificate: x509.Certificate) -> str:
+    def _find_fault(self, certificate: x509.Certificate) -> str:
         try:
             self._identify(certificate)
         except CertificateError as error:
             return str(error)
         return ""
 
-    def pair_keys(self, peer: Peer) -> PairKeys:
+    def derive_pair_keys(self, peer: Peer) -> PairKeys:
         """Return the keys shared with `peer` and nobody else; `CertificateError` if its is bad."""
         try:
             shared = self._private.exchange(X25519PublicKey.from_public_bytes(peer.public))

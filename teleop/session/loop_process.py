@@ -121,8 +121,8 @@ class LoopProcess(ABC):
         """Return the figures of the run."""
         verdicts = {str(self.verdict(bits).name): n for bits, n in self._verdicts.items()}
         counts = self._link.counts()
-        link = self._health.summary(counts)
-        return self._meter.summary(self._outline(), counts, verdicts, link)
+        link = self._health.build_summary(counts)
+        return self._meter.build_summary(self._outline(), counts, verdicts, link)
 
     def publish_end(self) -> None:
         """Publish the last report, from which a recorder sees whether it has everything."""
@@ -145,7 +145,7 @@ class LoopProcess(ABC):
 
     def _publish_ledger(self, stamp_ns: int) -> None:
         if self._ledger.is_due(stamp_ns) and not self._link.skip_unsubscribed(LEDGER):
-            self._link.publish_packet(LEDGER, self._ledger.filled())
+            self._link.publish_packet(LEDGER, self._ledger.fill())
 
     def _watch_link(
         self, stamp_ns: int, latest: LatestMessage[Any], echo_ns: int, hold_ns: int, peer: int = 0
@@ -165,7 +165,7 @@ class LoopProcess(ABC):
                 self._link_reason, self._link_holds = int(decision.reason), decision.holds
                 self._link_scale = decision.scale
             if self._health.figures.clock_set:
-                latest.clock_was_set()
+                latest.was_clock_set()
 
     def _report(self, stamp_ns: int, latest: LatestMessage[Any]) -> None:
         """Publish the next part of the reports, if they are due."""
@@ -179,7 +179,9 @@ class LoopProcess(ABC):
         A part in each tick: all at once took half a period, and made every such tick late.
         """
         counts = latest.counts
-        self._link.publish(LINK, self._health.message(self.role, counts, latest.age_ns(now_ns())))
+        self._link.publish(
+            LINK, self._health.build_message(self.role, counts, latest.compute_age_ns(now_ns()))
+        )
         yield
         self._publish_report(counts)
         yield

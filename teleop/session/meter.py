@@ -26,7 +26,7 @@ class StageMeter:
             stage.add(duration)
 
     @staticmethod
-    def message(role: Role, spans: Sequence[Span]) -> Latency:
+    def build_message(role: Role, spans: Sequence[Span]) -> Latency:
         """Return the message for listeners of a span of each stage."""
         return Latency(
             role=role,
@@ -37,10 +37,10 @@ class StageMeter:
             max_ns=tuple(span.largest for span in spans),
         )
 
-    def summary(self) -> dict[str, Percentiles]:
+    def build_summary(self) -> dict[str, Percentiles]:
         """Return percentiles [us] of the whole run, by the stages' names."""
         return {
-            name: stage.percentiles(1e-3)
+            name: stage.compute_percentiles(1e-3)
             for name, stage in zip(STAGE_NAMES, self.durations, strict=True)
         }
 
@@ -142,7 +142,7 @@ class LoopMeter:
             sent=sent,
         )
 
-    def summary(
+    def build_summary(
         self,
         side: SessionOutline,
         counts: MessageCounts,
@@ -158,11 +158,11 @@ class LoopMeter:
             rate_hz=stats.rate_hz,
             overruns=stats.overruns,
             lateness_max_ms=stats.lateness_max_ns * 1e-6,
-            work_us=self.work.percentiles(1e-3),
-            answer_us=self.answer.percentiles(1e-3),
-            without_rig_us=self.without_rig.percentiles(1e-3),
-            latency_ms=self.latency.percentiles(1e-6),
-            stages_us=self.stages.summary(),
+            work_us=self.work.compute_percentiles(1e-3),
+            answer_us=self.answer.compute_percentiles(1e-3),
+            without_rig_us=self.without_rig.compute_percentiles(1e-3),
+            latency_ms=self.latency.compute_percentiles(1e-6),
+            stages_us=self.stages.build_summary(),
             received=counts.received,
             lost=counts.lost,
             overwritten=counts.overwritten,

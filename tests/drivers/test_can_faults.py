@@ -94,7 +94,7 @@ def start_error(port_name, numbers=(1,)):
 def cycle_on(driver):
     until_s = time.monotonic() + 5.0
     while time.monotonic() < until_s:
-        driver.cycle(None)
+        driver.run_cycle(None)
 
 
 def test_a_node_that_is_alive_but_does_not_answer_is_told_from_one_that_is_not_there(drives):
@@ -183,7 +183,7 @@ def test_a_mapping_that_is_refused_is_named_by_its_object_and_bits(drives):
 def test_an_emergency_ends_reading_too(drives):
     with reader(drives.port_name) as opened:
         opened.start()
-        opened.cycle(None)
+        opened.run_cycle(None)
         drives.send(0x81, bytes.fromhex("2082") + bytes(6))
         with pytest.raises(DriverFault, match=r"^drive 1 reports: PDO length exceeded.*0x8220"):
             cycle_on(opened)
@@ -356,7 +356,7 @@ def test_silence_while_running_is_told_with_the_reason(drives):
     driver = Cia402Driver(config_on(drives.port_name), Channels((1,), ()))
     try:
         driver.start()
-        driver.cycle(None)
+        driver.run_cycle(None)
         drives.silent = True
         drives.bus.port.write(b"\a" * 3)
         with pytest.raises(DriverFault, match=rf"node 1 silent for \d+ ms: {NO_ACKNOWLEDGE}"):

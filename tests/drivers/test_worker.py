@@ -25,7 +25,7 @@ class Motors:
     def start(self):
         pass
 
-    def cycle(self, target):
+    def run_cycle(self, target):
         self.targets.append(target)
         assert len(self.targets) < 3000, "it was never stopped"
         return ()
@@ -78,10 +78,10 @@ class Suspended(Motors):
         super().__init__()
         self.suspend = suspend
 
-    def cycle(self, target):
+    def run_cycle(self, target):
         if len(self.targets) == 9:
             self.suspend()
-        return super().cycle(target)
+        return super().run_cycle(target)
 
 
 def test_motors_get_no_old_target_after_a_suspension(monkeypatch):

@@ -53,9 +53,9 @@ class DeviceConnection:
     """Stands in for the link: keeps what is published, and answers as an obedient slave would."""
 
     nonce, role = 5, Role.MASTER
-    present = skip_unsubscribed = staticmethod(lambda *_: False)
+    is_present = skip_unsubscribed = staticmethod(lambda *_: False)
     refused = forged = staticmethod(lambda _topic: 0)
-    last_sequences = staticmethod(lambda: NO_TOPICS)
+    list_last_sequences = staticmethod(lambda: NO_TOPICS)
     clock = None  # in which its messages take `ON_THE_WAY`
 
     def __init__(self):

@@ -33,7 +33,7 @@ def state_of(link: Link) -> SlaveState:
 
 def rogue_of(session: Processes, role: CertificateRole) -> Rogue:
     ends = [session.link_config.slave, session.link_config.master]
-    tls = create_local_credentials(session.session, role).for_tls()
+    tls = create_local_credentials(session.session, role).build_tls_settings()
     rogue = Rogue(ends, session.session, tls)
     for topic in ("command", "state"):
         rogue.listen(topic)

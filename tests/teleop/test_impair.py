@@ -233,7 +233,7 @@ def test_the_delay_queue_hands_over_in_order_of_time_then_of_sending():
         queue.work()
     assert out == [b"a", b"b", b"c", b"d"]
     assert time.monotonic_ns() >= now + 3_000_000
-    assert queue.lateness.percentiles(1.0).n == 4
+    assert queue.lateness.compute_percentiles(1.0).n == 4
 
 
 @given(

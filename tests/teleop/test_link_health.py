@@ -159,7 +159,7 @@ def test_by_default_a_slow_lossy_link_changes_nothing(
 
 def test_the_message_and_the_summary_have_the_figures() -> None:
     health = LinkHealth(BOUNDS)
-    assert health.message(Role.SLAVE, MessageCounts(), 0).round_trip_ns == -1
+    assert health.build_message(Role.SLAVE, MessageCounts(), 0).round_trip_ns == -1
     end_ns = exchange(health.windows, 5 * MS, [60 * MS] * 20, [60 * MS] * 20)
     assert health.is_due(end_ns)
     health.update(end_ns, MessageCounts(received=20, repeated=3))
@@ -167,11 +167,11 @@ def test_the_message_and_the_summary_have_the_figures() -> None:
     exchange(health.windows, 5 * MS, [60 * MS] * 20, [60 * MS] * 20, start_ns=end_ns)
     assert health.update(end_ns + SPAN_NS, MessageCounts(received=40, repeated=3))
     message = LinkReport.unpack(
-        health.message(Role.SLAVE, MessageCounts(repeated=3), 7).pack(1, 1, 1)
+        health.build_message(Role.SLAVE, MessageCounts(repeated=3), 7).pack(1, 1, 1)
     )
     assert (message.round_trip_ns, message.offset_ns) == (120 * MS, 5 * MS)
     assert (message.reason, message.repeated, message.age_ns) == (Reason.LINK_SLOW, 3, 7)
-    assert health.summary(MessageCounts()).scaled_s == pytest.approx(DT)
+    assert health.build_summary(MessageCounts()).scaled_s == pytest.approx(DT)
 
 
 @pytest.mark.parametrize(

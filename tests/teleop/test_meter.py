@@ -10,7 +10,7 @@ from teleop.session.meter import REPORT_PERIOD_NS, LoopMeter
 from teleop.session.state_machine import Reason, SessionOutline, State
 
 MS = 1_000_000
-NO_LINK = LinkHealth(HealthConfig()).summary(MessageCounts())
+NO_LINK = LinkHealth(HealthConfig()).build_summary(MessageCounts())
 
 
 def reports(stamps):
@@ -58,7 +58,7 @@ def test_a_fault_ends_a_session_unless_somebody_engages_again(sides, ended):
     loop = LoopMeter(Role.SLAVE, TickStats())
     for side in sides:
         loop.tick(side, 0, WHERE if side is BROKEN else "")
-    summary = loop.summary(sides[-1], MessageCounts(), {}, NO_LINK)
+    summary = loop.build_summary(sides[-1], MessageCounts(), {}, NO_LINK)
     fault = Reason.TENDON_BROKEN, WHERE
     assert summary.ended_in == (fault if ended else None)
     assert set(summary.faults) == ({fault} if BROKEN in sides else set())
@@ -69,6 +69,6 @@ def test_why_a_side_was_not_usable_is_remembered():
     loop.tick(SessionOutline(), 0, "no calibration fits")
     finished = SessionOutline(State.OFF, Reason.RIG_FINISHED)
     loop.tick(finished, 0)
-    summary = loop.summary(finished, MessageCounts(), {}, NO_LINK)
+    summary = loop.build_summary(finished, MessageCounts(), {}, NO_LINK)
     assert summary.not_usable == (Reason.NOT_USABLE, "no calibration fits")
     assert summary.reason == (Reason.RIG_FINISHED, "")

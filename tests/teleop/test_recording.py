@@ -315,7 +315,7 @@ def test_senders_without_end_take_no_memory_and_their_losses_are_kept():
         gaps.note("stop", sender, 4)
         gaps.note("state", 7, 3 * sender)
     assert len(gaps.lost) <= SENDERS + 2
-    assert gaps.by_topic() == {"stop": 4000, "state": 3998}
+    assert gaps.count_by_topic() == {"stop": 4000, "state": 3998}
     assert gaps.lost["state", 7] == 3998
 
 

@@ -174,7 +174,7 @@ def test_the_whole_banner_is_repeated_while_nothing_changes(tmp_path):
 
 def test_the_bar_shows_the_force_as_a_share_of_its_limit(drawn):
     strips = list(drawn["/panel/joint_0/bar"]["LineStrips2D:strips"].values())[-2]
-    left, _, right, _ = compute_force_rows(1)[2][0].bar(0.5, two_way=False)
+    left, _, right, _ = compute_force_rows(1)[2][0].place_bar(0.5, two_way=False)
     points = np.array(strips).reshape(-1, 2)
     assert (points[:, 0].min(), points[:, 0].max()) == pytest.approx((left, right), abs=0.1)
 

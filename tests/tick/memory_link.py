@@ -90,7 +90,7 @@ class MemoryLink(Link):
     def _open(self):
         return Session()
 
-    def _endpoints(self):
+    def _find_endpoints(self):
         return [], []
 
     def _settle(self) -> None:
@@ -144,7 +144,7 @@ class MemoryLink(Link):
         """The tags of a message that was altered: as if its sender had sent it so."""
         (topic,) = (topic for topic in TOPICS if self._key(topic.name) == key)
         tags = b""
-        for addressee, base in self._keyring.seals(topic).entries:
+        for addressee, base in self._keyring.find_seal_keys(topic).entries:
             mac = base.copy()
             mac.update(data)
             tags += addressee + mac.digest()

@@ -133,7 +133,7 @@ class Writer:
     def _write_posts(self) -> None:
         memory, force = WriterState(), self._none
         while True:
-            posted = self._next(POST_TIMEOUT_S if any(force) else None)
+            posted = self._take_next(POST_TIMEOUT_S if any(force) else None)
             if self._ending:
                 return
             now_s = self._clock()
@@ -149,7 +149,7 @@ class Writer:
                 self._node.write(report)
             self._writing_since_s = math.inf
 
-    def _next(self, patience_s: float | None) -> PostedForce | None:
+    def _take_next(self, patience_s: float | None) -> PostedForce | None:
         """Return the newest post; None if none comes within `patience_s`, or at the end."""
         with self._changed:
             self._changed.wait_for(lambda: self._posted is not None or self._ending, patience_s)
@@ -212,7 +212,7 @@ class DeviceConnection:
         self._node, self._heartbeat = node, kind.heartbeat
         self._heard_s: float | None = None  # [s] time of its last report
         self._first_s: float | None = None  # [s] time of the first read
-        self._writer = Writer(node, self.driver, self._beat)
+        self._writer = Writer(node, self.driver, self._note_beat)
 
     def read(self, time_s: float) -> Controls:
         """Return the inputs at session time `time_s` [s], without waiting.
@@ -264,7 +264,7 @@ class DeviceConnection:
         """Set the force from now on, without waiting."""
         self._writer.post(force)
 
-    def _beat(self) -> None:
+    def _note_beat(self) -> None:
         if self._guard is not None:
             try:
                 self._guard.beat()

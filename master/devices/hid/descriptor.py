@@ -214,9 +214,9 @@ class _Parser:
             self._main(item)
             self._begin_locals()
         elif kind == 0x04:
-            self._global(item)
+            self._parse_global(item)
         elif kind == 0x08:
-            self._local(item)
+            self._parse_local(item)
 
     def finish(self, end: int) -> ReportDescriptor:
         """Return the parsed descriptor."""
@@ -238,7 +238,7 @@ class _Parser:
         self._alternatives = 0  # usages since a delimiter opened
         self._delimited = False
 
-    def _global(self, item: _Item) -> None:
+    def _parse_global(self, item: _Item) -> None:
         tag, current = item.tag, self._globals
         if tag == _PAGE:
             current = current._replace(page=item.unsigned & 0xFFFF)
@@ -272,7 +272,7 @@ class _Parser:
             current = self._stack.pop()
         self._globals = current
 
-    def _local(self, item: _Item) -> None:
+    def _parse_local(self, item: _Item) -> None:
         if item.tag == _DELIMITER:
             if self._delimited == bool(item.unsigned):
                 raise DescriptorError(f"byte {item.at}: delimiters that do not pair")

@@ -47,7 +47,7 @@ class AttachedNode(NamedTuple):
         """Identity; not unique without a serial number."""
         return f"{self.model}:{self.serial}" if self.serial else self.model
 
-    def same_as(self, other: "AttachedNode") -> bool:
+    def is_same_as(self, other: "AttachedNode") -> bool:
         """Return whether this is `other`, possibly at another port."""
         return self[1:] == other[1:]
 

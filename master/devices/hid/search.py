@@ -245,7 +245,7 @@ def find_reattached_device(
     like = [
         item
         for item in list_attached_nodes()
-        if item.same_as(old_node) and item.path not in claimed_paths
+        if item.is_same_as(old_node) and item.path not in claimed_paths
     ]
     candidates = [
         item for item in like if item.path == old_node.path or item.path not in paths_before

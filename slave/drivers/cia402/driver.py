@@ -97,21 +97,21 @@ class Cia402Driver:
                 network.notifier.stop()
         monitor.forget_errors()
         now = time.monotonic()
-        self._beat(now)
+        self._send_heartbeat(now)
         for node in self._nodes.values():
             node.heard_s = node.guarded_s = now
             self._send(0, bytes([1, node.number]))  # operational
         self._began_s = now
 
-    def cycle(self, target: Counts | None) -> Sequence[Reading]:
+    def run_cycle(self, target: Counts | None) -> Sequence[Reading]:
         """Send control words and targets, then SYNC; take the answers."""
         now = time.monotonic()
         if now >= self._beat_s:
-            self._beat(now)
+            self._send_heartbeat(now)
         if (
             target is not None
             and self._requested is not RequestedState.MOVE
-            and not self._operates()
+            and not self._is_operating()
         ):
             self._requested, self._wanted_s = RequestedState.MOVE, now
         self._command(target)
@@ -165,7 +165,7 @@ class Cia402Driver:
     def _place(self) -> str:
         return format_bus_name(self._config)
 
-    def _operates(self) -> bool:
+    def _is_operating(self) -> bool:
         """Return whether a drive still says that it is enabled, a cycle after a quick stop."""
         nodes = (self._nodes[number] for number in self._channels.motors)
         return any(node.state is DriveState.OPERATION_ENABLED for node in nodes)
@@ -259,7 +259,7 @@ class Cia402Driver:
                 )
             state = node.state
             if state in (DriveState.FAULT, DriveState.FAULT_REACTION):
-                raise DriverFault(f"drive {node.number}: {self._reason(node)}")
+                raise DriverFault(f"drive {node.number}: {self._describe_reason(node)}")
             if self._requested is RequestedState.MOVE and state is DriveState.OPERATION_ENABLED:
                 if node.status & FOLLOWING_ERROR:
                     raise DriverFault(f"drive {node.number}: following error")
@@ -274,7 +274,7 @@ class Cia402Driver:
                 raise DriverFault(f"drive {node.number} cannot be enabled: {state.text}")
         self._obeyed = self._obeyed or (following and self._requested is RequestedState.MOVE)
 
-    def _reason(self, node: _NodeState) -> str:
+    def _describe_reason(self, node: _NodeState) -> str:
         """Return why a drive has a fault; its emergency message may come after the status word."""
         until_s = time.monotonic() + EMERGENCY_S
         while not node.emergency and (left_s := until_s - time.monotonic()) > 0.0:
@@ -283,7 +283,7 @@ class Cia402Driver:
                 self._take(message)
         return f"fault: {node.emergency or 'reason unknown'}"
 
-    def _beat(self, now: float) -> None:
+    def _send_heartbeat(self, now: float) -> None:
         """Send our heartbeat, or ask each guarded drive for its state."""
         self._beat_s = now + self._config.beat_s
         if self._guards:

@@ -39,7 +39,7 @@ class Cia402Reader:
         except (can.CanError, OSError) as error:
             raise to_driver_fault(self._config, error) from error
 
-    def cycle(self, target: Counts | None) -> Sequence[Reading]:  # noqa: ARG002 - of a Driver
+    def run_cycle(self, target: Counts | None) -> Sequence[Reading]:  # noqa: ARG002 - of a Driver
         """Read the position of every motor and the value of every cell."""
         analogue = self._config.analogue
         began_s = time.monotonic()

@@ -52,12 +52,12 @@ class DynamixelDriver:
         self._bus.call(self._set_up_all)
         self._began_s = self._heard_s = time.monotonic()
 
-    def cycle(self, target: Counts | None) -> Sequence[Reading]:
+    def run_cycle(self, target: Counts | None) -> Sequence[Reading]:
         """Send the goals, read position, current and status of every servo."""
         return self._bus.call(lambda: self._exchange(target))
 
     def stop(self) -> None:
-        """Torque off; `cycle` repeats it until every servo confirms it."""
+        """Torque off; `run_cycle` repeats it until every servo confirms it."""
         self._enabled = False
         torque_off = [0] * len(self._channels.motors)
         self._bus.call(lambda: self._send(registers.TORQUE_ENABLE, torque_off))

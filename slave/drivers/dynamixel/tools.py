@@ -50,7 +50,7 @@ class DynamixelReader:
         self._bus.call(self._look)
         self._heard_s = time.monotonic()
 
-    def cycle(self, target: Counts | None) -> Sequence[Reading]:  # noqa: ARG002 - of a Driver
+    def run_cycle(self, target: Counts | None) -> Sequence[Reading]:  # noqa: ARG002 - of a Driver
         """Read position and current of every servo."""
         sent_s = time.monotonic()
         text = format_result(self._bus.call(self._read.txRxPacket))

@@ -111,7 +111,7 @@ class MicrocontrollerDriver:
         self._began_s = self._heard_s = time.monotonic()
         self._send_targets(None)
 
-    def cycle(self, target: Counts | None) -> Sequence[Reading]:
+    def run_cycle(self, target: Counts | None) -> Sequence[Reading]:
         """Take the states that have come, and answer them."""
         readings = []
         arrived = self._receive()
@@ -123,7 +123,7 @@ class MicrocontrollerDriver:
             self._states += 1
             self._heard_s = now
             self._check(state, now)
-            readings.append(self._reading(state, self._clock(frame.time_us, now)))
+            readings.append(self._build_reading(state, self._clock(frame.time_us, now)))
         if now - self._heard_s > self._config.timeout:
             raise DriverFault(
                 f"{self._config.port}: silent for {(now - self._heard_s) * 1e3:.0f} ms"
@@ -195,7 +195,7 @@ class MicrocontrollerDriver:
         except frames.FrameError as error:
             raise DriverFault(f"{self._config.port}: {error}") from error
 
-    def _reading(self, state: BoardState, time_s: float) -> Reading:
+    def _build_reading(self, state: BoardState, time_s: float) -> Reading:
         return Reading(
             time_s,
             _select_channels(state.position, self._channels.motors),
@@ -257,13 +257,13 @@ class MicrocontrollerDriver:
         if self._port is None:
             return
         try:
-            self._port.write(self._frame(kind, body))
+            self._port.write(self._build_frame(kind, body))
         except (serial.SerialException, OSError) as error:
             raise DriverFault(
                 f"{self._config.port}: unplugged ({format_port_error(error, self._config.port)})"
             ) from error
 
-    def _frame(self, kind: FrameType, body: bytes = b"") -> bytes:
+    def _build_frame(self, kind: FrameType, body: bytes = b"") -> bytes:
         self._sequence += 1
         return frames.encode(kind, self._sequence, time.monotonic_ns() // 1000, body)
 

@@ -52,7 +52,7 @@ def _run_idle_loop(
         "rate_hz": grid.stats.rate_hz,
         "overruns": grid.stats.overruns,
         "lateness_max_ms": grid.stats.lateness_max_ns * 1e-6,
-        "work_us": asdict(work.percentiles(1e-3)),
+        "work_us": asdict(work.compute_percentiles(1e-3)),
         "cpu": 100.0 * used / span,
     }
 

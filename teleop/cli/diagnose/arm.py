@@ -179,13 +179,13 @@ def build_tree(diagnosis: ArmDiagnosis) -> dict[str, object]:
 def render(diagnosis: ArmDiagnosis, path: Path) -> str:
     """Return the page of the report."""
     page = Page(arm_report.format_headline(diagnosis))
-    page.text(f"Diagnosis of the arm in {path}, with the motion of all joints known.")
+    page.add_text(f"Diagnosis of the arm in {path}, with the motion of all joints known.")
     for entry in diagnosis.causes:
         rows = [("what is wrong", arm_report.describe_cause(diagnosis, entry))]
         rows.append(("what to do", arm_report.give_advice(entry)))
         if entry.rivals:
             rows.append(("or", ", ".join(rival.kind for rival in entry.rivals)))
-        page.card(entry.cause.kind, rows)
-    page.points(arm_report.list_notes(diagnosis))
-    page.table(arm_report.build_tendon_table(diagnosis), "no")
+        page.add_card(entry.cause.kind, rows)
+    page.add_points(arm_report.list_notes(diagnosis))
+    page.add_table(arm_report.build_tendon_table(diagnosis), "no")
     return page.render()

@@ -62,65 +62,67 @@ def render(
     """
     names = report_tables.name_records(diagnosis, files, further)
     page = Page(report_text.format_headline(diagnosis))
-    page.text(report_text.format_verdict(diagnosis))
-    page.text(
+    page.add_text(report_text.format_verdict(diagnosis))
+    page.add_text(
         f"{date.today():%Y-%m-%d}, tendon-teleop {version('tendon-teleop')}. "
         f"Data: {', '.join(files)}."
     )
     for sentence in report_text.list_better_models(diagnosis):
-        page.text(f"WARNING: {sentence}")
+        page.add_text(f"WARNING: {sentence}")
     for step in diagnosis.steps:
         rivals = "; ".join(report_text.list_rivals(step)) or "none in these data"
         size = report_text.describe_size(diagnosis, step)
         rows = [("Size (95 % interval)", size), ("As good", rivals), ("Do", step.effect.advice)]
-        page.card(step.effect.cause, rows)
+        page.add_card(step.effect.cause, rows)
     with TemporaryDirectory() as folder:
         captions = write_figures(diagnosis, files, Path(folder), further)
         first, *others = captions.items()
-        page.figure(Path(folder) / first[0], first[1])
-        page.table(report_tables.build_parameter_table(diagnosis))
-        page.heading("Next steps")
-        page.points(report_text.list_next_steps(diagnosis))
+        page.add_figure(Path(folder) / first[0], first[1])
+        page.add_table(report_tables.build_parameter_table(diagnosis))
+        page.add_heading("Next steps")
+        page.add_points(report_text.list_next_steps(diagnosis))
         page.fold("What the words mean")
-        page.table(GLOSSARY)
+        page.add_table(GLOSSARY)
         page.fold("All tables and figures")
-        page.heading("Before and after")
+        page.add_heading("Before and after")
         if len(files) > RECORDS_MAX:
-            page.text(f"The first {RECORDS_MAX} of {len(files)} files are drawn.")
+            page.add_text(f"The first {RECORDS_MAX} of {len(files)} files are drawn.")
         for file, caption in others:
-            page.figure(Path(folder) / file, caption)
+            page.add_figure(Path(folder) / file, caption)
     if diagnosis.steps:
-        page.section("Gain", report_tables.build_gain_table(diagnosis))
-    page.section("Beside models that know no sheath", report_tables.build_model_table(diagnosis))
-    page.table(report_tables.build_simple_gain_table(diagnosis))
-    page.points(report_text.compare_with_learned(diagnosis))
+        page.add_section("Gain", report_tables.build_gain_table(diagnosis))
+    page.add_section(
+        "Beside models that know no sheath", report_tables.build_model_table(diagnosis)
+    )
+    page.add_table(report_tables.build_simple_gain_table(diagnosis))
+    page.add_points(report_text.compare_with_learned(diagnosis))
     for table in (
         report_tables.build_law_table(diagnosis),
         report_tables.build_load_table(diagnosis),
     ):
         if table is not None:
-            page.table(table, mark="chosen")
+            page.add_table(table, mark="chosen")
     if calibrated:
-        page.table(json_report.build_comparison_table(calibrated), mark="NO")
+        page.add_table(json_report.build_comparison_table(calibrated), mark="NO")
     _add_file_tables(page, diagnosis, names)
-    page.heading("Residuals")
-    page.points(report_text.describe_residuals(diagnosis))
+    page.add_heading("Residuals")
+    page.add_points(report_text.describe_residuals(diagnosis))
     text = "Largest and mean error in % of the channel's range."
-    page.section("Errors", report_tables.build_error_table(diagnosis), text)
+    page.add_section("Errors", report_tables.build_error_table(diagnosis), text)
     for i, step in enumerate(diagnosis.steps, start=1):
         table = report_tables.build_ranking_table(diagnosis, step.ranking)
-        page.section(f"Candidates for cause {i}", table, mark=step.effect.label)
+        page.add_section(f"Candidates for cause {i}", table, mark=step.effect.label)
     if not diagnosis.steps and diagnosis.ranking:
         table = report_tables.build_ranking_table(diagnosis, diagnosis.ranking)
-        page.section("Candidates", table)
+        page.add_section("Candidates", table)
     if diagnosis.detection_limits:
-        page.section("Detection limits", report_tables.build_detection_limit_table(diagnosis))
+        page.add_section("Detection limits", report_tables.build_detection_limit_table(diagnosis))
     if remarks := report_text.list_sample_remarks(diagnosis, files):
-        page.heading("Samples")
-        page.points(remarks)
+        page.add_heading("Samples")
+        page.add_points(remarks)
     if readings:
-        page.heading("How the data were read")
-        page.points([f"{each['file']}: {format_reading(each)}" for each in readings])
+        page.add_heading("How the data were read")
+        page.add_points([f"{each['file']}: {format_reading(each)}" for each in readings])
     return page.render()
 
 
@@ -129,20 +131,20 @@ def _add_file_tables(page: Page, diagnosis: Diagnosis, names: Sequence[str]) -> 
     fitted = len(diagnosis.dataset.records)
     if diagnosis.validation:
         table = report_tables.build_prediction_table(diagnosis.validation, names[fitted:])
-        page.section("Validation", table)
+        page.add_section("Validation", table)
     if diagnosis.left_out:
         table = report_tables.build_prediction_table(diagnosis.left_out, names[:fitted])
         text = "Each file is predicted with parameters fitted to the other files."
-        page.section("Leave-one-file-out", table, text)
+        page.add_section("Leave-one-file-out", table, text)
     if diagnosis.forces:
         text = (
             "Estimated from the housing alone, as by teleop estimate and teleop run --replay with "
             "this model, and compared with what the load cell at the tip reads."
         )
         table = report_tables.build_force_table(diagnosis, names)
-        page.section("Force at the tip", table, text)
+        page.add_section("Force at the tip", table, text)
     if diagnosis.rivals:
         text = "Causes that fit as well, and what each would do to the estimated force."
-        page.section("Rivals", report_tables.build_rival_parameter_table(diagnosis), text)
+        page.add_section("Rivals", report_tables.build_rival_parameter_table(diagnosis), text)
     if diagnosis.rival_forces:
-        page.table(report_tables.build_rival_table(diagnosis))
+        page.add_table(report_tables.build_rival_table(diagnosis))

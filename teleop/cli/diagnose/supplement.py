@@ -208,27 +208,27 @@ class Sources(NamedTuple):
 def write_supplement(folder: Path, diagnosis: Diagnosis, sources: Sources) -> Path:
     """Write the page, its figures and its tables into a folder; return the page's path."""
     page = Page(build_title(diagnosis, sources.files))
-    page.points(
+    page.add_points(
         [
             f"Date: {datetime.now(UTC).date().isoformat()}",
             f"Software: tendon-teleop {version('tendon-teleop')}",
             f"Command: {sources.command}",
         ]
     )
-    page.text(report_text.format_verdict(diagnosis))
+    page.add_text(report_text.format_verdict(diagnosis))
     _add_data(page, diagnosis, sources)
     _add_law(page, diagnosis, folder)
     _add_table(page, folder, "parameters", report_tables.build_parameter_table(diagnosis))
     if diagnosis.rivals:
-        page.heading("Rivals")
-        page.text("Causes that explain the data equally well, each fitted to all samples.")
+        page.add_heading("Rivals")
+        page.add_text("Causes that explain the data equally well, each fitted to all samples.")
         _add_table(page, folder, "rivals", report_tables.build_rival_parameter_table(diagnosis))
     if diagnosis.rival_forces:
         _add_table(page, folder, "rival-forces", report_tables.build_rival_table(diagnosis))
     _add_errors(page, diagnosis, folder, sources)
     _add_residuals(page, diagnosis, folder)
-    page.heading("How to cite")
-    page.points(load_citations())
+    page.add_heading("How to cite")
+    page.add_points(load_citations())
     _write_records(folder, diagnosis)
     path = folder / "supplement.html"
     write_text_file(path, page.render(), "the supplement")
@@ -259,56 +259,56 @@ def _add_data(page: Page, diagnosis: Diagnosis, sources: Sources) -> None:
             )
         )
     head = ("file", "time", "samples", "rate", "samples excluded", "channels")
-    page.section("Data", Table(head, tuple(rows)))
-    page.points(sources.read_as)
+    page.add_section("Data", Table(head, tuple(rows)))
+    page.add_points(sources.read_as)
     driver = diagnosis.dataset.records[0].driver
     judged = (
         "All samples were fitted; errors are in-sample."
         if diagnosis.fit_all
         else "Held-out errors are those of two-fold cross-validation on alternating blocks of time."
     )
-    page.text(f"The {diagnosis.units.word(driver)} drives the simulation. {judged}")
+    page.add_text(f"The {diagnosis.units.word(driver)} drives the simulation. {judged}")
 
 
 def _add_law(page: Page, diagnosis: Diagnosis, folder: Path) -> None:
-    page.heading("Extended law")
+    page.add_heading("Extended law")
     lines = get_law_formulas(len(diagnosis.dataset.base.shared) > 1)
     lines += get_effect_formulas([effect for effect, _ in diagnosis.extended.model.effects])
     for k, line in enumerate(lines, start=1):
         drawing = to_svg(draw_formula(line), cut=True)
         write_text_file(folder / f"equation-{k}.svg", drawing, "an equation")
-        page.drawing(drawing, f"({k})")
-    page.text(SYMBOLS)
+        page.add_drawing(drawing, f"({k})")
+    page.add_text(SYMBOLS)
 
 
 def _add_errors(page: Page, diagnosis: Diagnosis, folder: Path, sources: Sources) -> None:
     names = report_tables.name_records(diagnosis, sources.files, sources.further)
     fitted = len(diagnosis.dataset.records)
-    page.heading("Cross-validation" if not diagnosis.fit_all else "Errors")
+    page.add_heading("Cross-validation" if not diagnosis.fit_all else "Errors")
     _add_table(page, folder, "errors", report_tables.build_error_table(diagnosis))
     _add_table(page, folder, "models", report_tables.build_model_table(diagnosis))
     if diagnosis.validation:
-        page.heading("Validation")
+        page.add_heading("Validation")
         table = report_tables.build_prediction_table(diagnosis.validation, names[fitted:])
         _add_table(page, folder, "validation", table)
     if diagnosis.left_out:
-        page.heading("Leave-one-file-out cross-validation")
+        page.add_heading("Leave-one-file-out cross-validation")
         table = report_tables.build_prediction_table(diagnosis.left_out, names[:fitted])
         _add_table(page, folder, "left-out", table)
     if diagnosis.forces:
-        page.heading("Estimated force")
+        page.add_heading("Estimated force")
         _add_table(page, folder, "forces", report_tables.build_force_table(diagnosis, names))
-    page.heading("Figures")
+    page.add_heading("Figures")
     with mpl.rc_context(STYLE):
         for drawn in draw_figures(diagnosis, sources.files, sources.further):
             drawing = to_svg(drawn.figure)
             write_text_file(folder / f"{drawn.name}.svg", drawing, "a figure")
-            page.drawing(drawing, drawn.caption)
+            page.add_drawing(drawing, drawn.caption)
 
 
 def _add_residuals(page: Page, diagnosis: Diagnosis, folder: Path) -> None:
-    page.heading("Residual")
-    page.points(
+    page.add_heading("Residual")
+    page.add_points(
         [
             f"{diagnosis.units.word(item.channel)}: the residual correlates with {item.what}, "
             f"which explains {item.share:.0%} of its variance"
@@ -323,7 +323,7 @@ def _add_residuals(page: Page, diagnosis: Diagnosis, folder: Path) -> None:
     }
     drawing = to_svg(draw_autocorrelations(parts, diagnosis.units))
     write_text_file(folder / "autocorrelation.svg", drawing, "a figure")
-    page.drawing(
+    page.add_drawing(
         drawing,
         "Autocorrelation of the residual of the extended law; 95 % of white noise lie in the band.",
     )
@@ -352,7 +352,7 @@ def draw_autocorrelations(parts: dict[str, Autocorrelation], units: Units) -> Fi
 
 def _add_table(page: Page, folder: Path, name: str, table: Table) -> None:
     """Add a table to the page, and write it beside it."""
-    page.table(table)
+    page.add_table(table)
     with (
         replace_file(folder / f"{name}.csv") as path,
         path.open("w", newline="", encoding="utf-8") as file,

@@ -54,8 +54,8 @@ def write_report(
     tree = build_tree(diagnosis, [item.name for item in tables])
     if args.out is not None:
         page = Page(format_headline(diagnosis))
-        page.points(_list_points(diagnosis))
-        page.table(build_table(diagnosis), "taken")
+        page.add_points(_list_points(diagnosis))
+        page.add_table(build_table(diagnosis), "taken")
         write_summary(args.out / "report.json", tree)
         write_text_file(args.out / "report.html", page.render(), "the page")
     return diagnosis, tree

@@ -30,8 +30,8 @@ SHORT = "document.querySelectorAll('td')[1].innerHTML"  # a word that need not b
 @pytest.fixture(scope="module")
 def report(tmp_path_factory):
     page = Page("A report")
-    page.table(Table(HEAD, (NUMBERS,) * 3), mark="")
-    page.table(
+    page.add_table(Table(HEAD, (NUMBERS,) * 3), mark="")
+    page.add_table(
         Table(("cause", "what it explains"), (("creep", "a long text " * 30),)), mark="creep"
     )
     path = tmp_path_factory.mktemp("report") / "report.html"

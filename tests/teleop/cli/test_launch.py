@@ -49,7 +49,7 @@ from teleop.session.summary import (
 )
 from tests.root import ROOT
 
-UNMEASURED = LinkHealth(HealthConfig()).summary(MessageCounts())
+UNMEASURED = LinkHealth(HealthConfig()).build_summary(MessageCounts())
 
 
 def loop(ticks=1000, latencies=0, **changes):
@@ -67,7 +67,7 @@ def loop(ticks=1000, latencies=0, **changes):
         answer_us=some,
         without_rig_us=some,
         latency_ms=some if latencies else Percentiles(),
-        stages_us=StageMeter().summary(),
+        stages_us=StageMeter().build_summary(),
         received=999,
         lost=7,
         overwritten=5,
@@ -242,7 +242,7 @@ def test_the_summary_shows_where_the_time_from_hand_to_force_went():
     meter = StageMeter()
     for _ in range(10):
         meter.add((20_000, 210_000, 100_000, 50_000, 380_000))
-    told = format_loop(loop(stages_us=meter.summary()))
+    told = format_loop(loop(stages_us=meter.build_summary()))
     assert told[-1] == (
         "latency   hand to force p50 0.38 p99 0.38 p99.9 0.38 max 0.38 ms: "
         "read 0.02, link 0.21, slave 0.10, render 0.05 (10 commands answered in their own tick)"
@@ -329,8 +329,8 @@ def ended(family, name, code):
 @pytest.mark.parametrize("name", ["view", "record"])
 def test_a_session_goes_on_without_a_viewer_or_recorder_and_says_so_once(family, name):
     ended(family, name, COMPLAIN.format(1))
-    assert family.failed_child() is None
-    assert family.failed_child() is None
+    assert family.find_failed_child() is None
+    assert family.find_failed_child() is None
     ((who, line),) = family.said
     assert who == name
     assert line.startswith("no room; the session goes on")
@@ -350,7 +350,7 @@ def test_a_view_that_worked_is_started_again_in_one_line(family, monkeypatch, th
     first = family.start("view", [ANNOUNCE + then])
 
     def again():
-        assert family.failed_child() is None
+        assert family.find_failed_child() is None
         return any("started again" in line for _, line in family.said)
 
     assert wait_for_condition(again, 30.0)
@@ -373,7 +373,7 @@ def test_a_view_that_computes_with_short_rests_is_not_taken_for_hung(family, mon
     child = family.start("view", [ANNOUNCE + work + "__import__('signal').pause()"])
 
     def is_done():
-        assert family.failed_child() is None
+        assert family.find_failed_child() is None
         assert child.exit_code is None
         return ("view", "done") in family.said
 
@@ -383,7 +383,7 @@ def test_a_view_that_computes_with_short_rests_is_not_taken_for_hung(family, mon
 @pytest.mark.parametrize(("name", "code"), [("view", 2), ("slave", 1), ("master", 0)])
 def test_a_vital_child_or_a_wrong_option_ends_the_session(family, name, code):
     ended(family, name, COMPLAIN.format(code))
-    child = family.failed_child()
+    child = family.find_failed_child()
     assert (child.name, child.exit_code, child.complaint) == (name, code, "no room")
     assert family.said == []
 

@@ -146,12 +146,12 @@ def test_no_bytes_from_a_slave_put_a_force_on_the_hand_that_is_not_within_limits
         latest = line.tick(answer, now)
         if reach.random() < 0.5:  # it comes between command and force
             known, known_age = newest, min(age + MS, NEVER_NS)
-            later, later_age = latest.message, latest.age_ns(now)
+            later, later_age = latest.message, latest.compute_age_ns(now)
         else:
-            known, known_age = latest.message, latest.age_ns(now)
+            known, known_age = latest.message, latest.compute_age_ns(now)
             later, later_age = None, 0
         output = run.tick(hand, known, known_age, later=later, later_age=later_age, dt=dt)
-        newest, age = latest.message, latest.age_ns(now)
+        newest, age = latest.message, latest.compute_age_ns(now)
         echo = now
         peer = run.state if run.state in (1, 2) else State.READY
         assert_force_within(config, before, output.force, dt)

@@ -289,7 +289,7 @@ def test_the_ledgers_message_balances():
         publisher = LedgerPublisher(role, sides, 1)
         assert publisher.is_due(5)
         assert not publisher.is_due(6)
-        message = publisher.filled().record
+        message = publisher.fill().record
         assert (message.role, message.joints) == (role, 1)
         left = message.granted[0] + message.put_in[0] + message.received[0]
         left -= message.taken_out[0] + message.passed_on[0] + message.dissipated[0]

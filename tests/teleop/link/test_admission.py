@@ -410,8 +410,8 @@ def test_peers_that_come_and_go_do_not_displace_one_that_is_there() -> None:
     for nonce in range(10, 10 + 2 * DEPARTED_PEERS_MAX):
         keyring.add(MASTER._replace(role=Role.REMOTE, nonce=nonce), KEYS)
         keyring.remove(Role.REMOTE, nonce)
-    assert keyring.known(Role.LAUNCHER, 9) == launcher
-    senders = keyring.senders(STOP)
+    assert keyring.find_peer(Role.LAUNCHER, 9) == launcher
+    senders = keyring.find_keys(STOP)
     assert senders is not None
     assert 9 in senders
     assert len(senders) == DEPARTED_PEERS_MAX + 1

@@ -319,12 +319,12 @@ def test_half_open_connections_of_all_sources_are_bounded(
     guard._burst, guard._note = 16, noted.append
     guard._names, guard._blocks, guard._shut_s, guard._trim_s = {}, {}, 0.0, 0.0
     guard._listening = {("", 0): Connection(-1, 0, ("", 0), ("", 0), 0.0)}
-    monkeypatch.setattr(guard, "_block", lambda *_: None)
+    monkeypatch.setattr(guard, "_update_blocks", lambda *_: None)
     connections = [Connection(-1, n, ("", 0), (f"192.0.2.{n}", 1), 0.0) for n in range(30)]
-    monkeypatch.setattr(guard, "_connections", lambda _: connections[:limit])
+    monkeypatch.setattr(guard, "_list_connections", lambda _: connections[:limit])
     guard._look(0.5)
     assert not noted
-    monkeypatch.setattr(guard, "_connections", lambda _: connections)
+    monkeypatch.setattr(guard, "_list_connections", lambda _: connections)
     guard._look(0.5)
     assert [c.inode for c in connections if not c.shut] == list(range(30 - limit, 30))
     assert noted == [f"more than {limit} connections without a certificate at a time"]
@@ -399,14 +399,14 @@ def test_strangers_are_looked_at_often_and_bytes_counted_of_whom_they_bound(
     guard._listening = {here: socket_tables.Connection(-1, 0, here, here, 0.0)}
     guard._names = {(here, there): Identity(role, "test").common_name} if role else {}
     connection = socket_tables.Connection(-1, 1, here, there, 0.0)
-    monkeypatch.setattr(guard, "_connections", lambda _: [connection])
+    monkeypatch.setattr(guard, "_list_connections", lambda _: [connection])
     assert guard._look(0.5) is is_quiet
     assert len(guard._charged) == charged
 
 
 def test_subscribers_are_let_in_of_topics_only(config: LinkConfig) -> None:
     with Link(config, "test", Role.SLAVE) as slave:
-        tls = create_local_credentials("test", CertificateRole.VIEWER).for_tls()
+        tls = create_local_credentials("test", CertificateRole.VIEWER).build_tls_settings()
         of_topic, of_other = (
             slave._zenoh.declare_publisher(f"teleop/test/{name}") for name in ("state", "other")
         )

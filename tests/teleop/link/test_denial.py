@@ -45,7 +45,7 @@ class Door:
 
     def __init__(self) -> None:
         self.keyring = ring()
-        senders = self.keyring.senders(COMMAND)
+        senders = self.keyring.find_keys(COMMAND)
         self._latest = LatestMessage(
             COMMAND, lambda _: 1, senders=senders, addressee=self.keyring.addressee
         )
@@ -55,7 +55,7 @@ class Door:
 
     def tagged(self, topic: Topic[Any], data: bytes) -> bytes:
         """Return a message of the master with its tag."""
-        senders = self.keyring.senders(topic) or {}
+        senders = self.keyring.find_keys(topic) or {}
         mac = senders[MASTER.nonce].copy()
         mac.update(data)
         return data + self.keyring.addressee + mac.digest()

@@ -79,7 +79,7 @@ def test_a_frozen_peer_grows_old_and_is_fresh_again_when_it_thaws(config: LinkCo
         with other_process(config) as master:
             wait_until(lambda: slave.take_latest(COMMAND).counts.received > 100)
             master.send_signal(signal.SIGSTOP)
-            wait_until(lambda: slave.take_latest(COMMAND).age_ns(now_ns()) > 300 * MS)
+            wait_until(lambda: slave.take_latest(COMMAND).compute_age_ns(now_ns()) > 300 * MS)
             assert slave.is_present(Role.MASTER)
             master.send_signal(signal.SIGCONT)
             wait_until(lambda: slave.take_latest(COMMAND).is_fresh(now_ns(), 20 * MS))

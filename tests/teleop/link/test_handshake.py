@@ -51,10 +51,10 @@ def test_each_wrong_certificate_is_refused_in_words_and_the_right_one_is_not() -
             slave.check(token_of(credentials))
     right = of(authority, MASTER)
     peer = slave.check(token_of(right))
-    assert (peer.identity, slave.fault, slave.fault_of(peer)) == (MASTER, "", "")
+    assert (peer.identity, slave.fault, slave.find_fault(peer)) == (MASTER, "", "")
     master = Handshake(right, "test", 7)
-    ours = slave.pair_keys(slave.check(master.prove(TOKEN)))
-    theirs = master.pair_keys(
+    ours = slave.derive_pair_keys(slave.check(master.prove(TOKEN)))
+    theirs = master.derive_pair_keys(
         master.check(slave.prove(Token(Role.SLAVE, LAYOUT, 1, RoleStage.HELD)))
     )
     assert (ours.sending, ours.receiving) == (theirs.receiving, theirs.sending)

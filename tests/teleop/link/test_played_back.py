@@ -42,7 +42,7 @@ def rogue_of(config: LinkConfig, count: int) -> Rogue:
     rogue = Rogue(
         [config.slave, config.master],
         "test",
-        create_local_credentials("test", CertificateRole.ROUTER).for_tls(),
+        create_local_credentials("test", CertificateRole.ROUTER).build_tls_settings(),
     )
     wait_until(lambda: rogue.connected(count))
     return rogue

@@ -79,7 +79,7 @@ def test_a_message_of_another_topic_or_layout_is_counted_as_layout() -> None:
 
 def test_no_message_is_older_than_any_limit() -> None:
     latest = LatestMessage(COMMAND, visit=lambda _: True)
-    assert latest.age_ns(0) == NEVER_NS
+    assert latest.compute_age_ns(0) == NEVER_NS
     assert not latest.is_fresh(0, 10**18)
     take(latest, [], 5)
     assert not latest.new
@@ -108,7 +108,7 @@ def test_age_is_time_since_sent_less_the_quickest_way_whatever_the_clocks_say(
             newest_sent = max([newest_sent or 0, *(sent for _, sent in arrived)])
         if tick > 100 and newest_sent is not None:
             truth = now - newest_sent
-            age = latest.age_ns(now)
+            age = latest.compute_age_ns(now)
             slack = 3 * MS + 300 * MS // DRIFT  # one poll, the quickest way, the drift of a stall
             assert truth - slack <= age <= truth + slack
 
@@ -131,7 +131,7 @@ def test_the_clocks_of_a_restarted_sender_are_learnt_anew() -> None:
     take(latest, [packed(1, sender=7, stamp_ns=10**15)], 0)
     there.symmetric_difference_update({7, 9})
     take(latest, [packed(1, sender=9, stamp_ns=0)], 10 * MS)
-    assert latest.age_ns(10 * MS) == 0
+    assert latest.compute_age_ns(10 * MS) == 0
 
 
 @pytest.mark.parametrize("gain", [0.0005, -0.0005])

@@ -40,7 +40,7 @@ def pair(config: LinkConfig) -> Iterator[tuple[Link, Link]]:
 
 
 def rogue_of(config: LinkConfig, role: CertificateRole, count: int = 2) -> Rogue:
-    tls = create_local_credentials("test", role).for_tls()
+    tls = create_local_credentials("test", role).build_tls_settings()
     rogue = Rogue([config.slave, config.master], "test", tls)
     for topic in ("command", "state"):
         rogue.listen(topic)
@@ -212,7 +212,7 @@ def test_nothing_is_kept_of_a_listener_but_subscribers(
     """Zenoh removes tokens and queryables at once when a connection ends, and sends nothing."""
     with Link(config, "test", Role.SLAVE) as slave:
         states = slave._zenoh.declare_publisher("teleop/test/state")
-        tls = create_local_credentials("test", role).for_tls()
+        tls = create_local_credentials("test", role).build_tls_settings()
         with Rogue([config.slave], "test", tls) as rogue:
             wait_until(rogue.connected)
             for n in range(100):
@@ -267,7 +267,7 @@ def test_worthless_proofs_of_who_may_not_stop_leave_a_stop_its_place(
     shown = Handshake(credentials, "test", 1).prove(Token(Role.REMOTE, LAYOUT, 1, RoleStage.HELD))
     with (
         session(with_keys(config, sides), Role.SLAVE, Role.MASTER) as (slave, master),
-        Rogue([config.slave, config.master], "test", credentials.for_tls()) as rogue,
+        Rogue([config.slave, config.master], "test", credentials.build_tls_settings()) as rogue,
     ):
         listen = RequestListener(slave)
         wait_until(lambda: rogue.connected(2))

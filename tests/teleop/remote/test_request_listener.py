@@ -101,7 +101,7 @@ def test_nothing_else_counts_of_a_process_that_is_not_here(line, action):
 def test_a_side_says_what_its_peer_does(line, fresh, connected, state, lines):
     """One whose loop hangs is connected, and only the network leads to it; one that ends is OFF."""
     told = []
-    line.present = lambda role: connected and role is Role.MASTER
+    line.is_present = lambda role: connected and role is Role.MASTER
     own = SimpleNamespace(is_asked=True, answer=told.append)
     newest = SimpleNamespace(
         is_fresh=lambda _now, limit: fresh and limit == PEER_TIMEOUT_NS,

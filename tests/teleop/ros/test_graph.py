@@ -21,7 +21,7 @@ def test_keys_are_those_of_the_design_page_of_rmw_zenoh(talker):
         f"0/chatter/std_msgs::msg::dds_::String_/{STRING_HASH}"
     )
     assert talker.key == "@ros2_lv/2/aac3178e146ba6f1fc6e6a4085e77f21/0/0/NN/%/%/talker"
-    key = talker.endpoint_key(10, EndpointKind.PUBLISHER, "/chatter", STRING, Qos())
+    key = talker.build_endpoint_key(10, EndpointKind.PUBLISHER, "/chatter", STRING, Qos())
     assert key == (
         "@ros2_lv/2/aac3178e146ba6f1fc6e6a4085e77f21/0/10/MP/%/%/talker/%chatter/"
         f"std_msgs::msg::dds_::String_/{STRING_HASH}/::,10:,:,:,,"
@@ -30,7 +30,9 @@ def test_keys_are_those_of_the_design_page_of_rmw_zenoh(talker):
 
 def test_an_endpoint_is_read_back_from_its_token(talker):
     qos = Qos(BEST_EFFORT, 100)
-    key = talker.endpoint_key(3, EndpointKind.SUBSCRIBER, "/lab/measured_js", JOINT_STATE, qos)
+    key = talker.build_endpoint_key(
+        3, EndpointKind.SUBSCRIBER, "/lab/measured_js", JOINT_STATE, qos
+    )
     assert key.endswith("/2::,100:,:,:,,")
     assert graph.parse_endpoint(key) == graph.GraphEndpoint(
         "/talker", EndpointKind.SUBSCRIBER, "/lab/measured_js", "sensor_msgs/msg/JointState"
