@@ -31,7 +31,7 @@ _MAGNITUDE_MAX = 1e6  # [m], [N] beyond any tip; NaN fails the comparison too
 class Contact(Struct):
     """One joint's contact, as the master knows it."""
 
-    is_known: Flag = False  # whether a tip was heard of
+    is_known: Flag = False  # whether a state of a tip has arrived
     travel: F64 = 0.0  # [m] of the tip, newest
     regression_travel: F64 = 0.0  # [m] the newest point of the regression
     weight: F64 = 0.0  # [m] sum of weights

@@ -25,7 +25,7 @@ class Heartbeat(NamedTuple):
     """A heartbeat."""
 
     watch: int  # nonce of its process
-    heard_ns: int  # on our clock
+    received_ns: int  # on our clock
     leaves: bool
 
 
@@ -33,7 +33,7 @@ class ArmedWatch(NamedTuple):
     """An armed watch."""
 
     watch: int
-    heard_ns: int  # its newest heartbeat
+    received_ns: int  # its newest heartbeat
     seen: bool  # whether its token was present
 
 
@@ -54,11 +54,11 @@ def update_watches(
             armed_by_watch.pop(beat.watch, None)
         else:
             was_seen = beat.watch in armed_by_watch and armed_by_watch[beat.watch].seen
-            armed_by_watch[beat.watch] = ArmedWatch(beat.watch, beat.heard_ns, was_seen)
+            armed_by_watch[beat.watch] = ArmedWatch(beat.watch, beat.received_ns, was_seen)
     remaining = []
     for watch in armed_by_watch.values():
         is_present = present(watch.watch)
-        silent = now_ns - watch.heard_ns > SILENCE_S * 1e9
+        silent = now_ns - watch.received_ns > SILENCE_S * 1e9
         if not silent and (is_present or not watch.seen):
             remaining.append(watch._replace(seen=is_present))
     return tuple(remaining), len(remaining) < len(armed_by_watch)

@@ -177,10 +177,9 @@ def load(folder: Path, session: str, role: CertificateRole) -> Credentials:
 
 
 # --- credentials without asking, for sessions on one machine
-# Each user has an authority of his own, below `$XDG_STATE_HOME/teleop/keys` (default
-# `~/.local/state`), which he alone can read. Every process issues itself a certificate that lasts
-# for `LOCAL_DAYS` and is kept in memory only. So all processes of one user find together, and
-# another user of the machine gets nowhere.
+# Each user has an authority, below `$XDG_STATE_HOME/teleop/keys` (default `~/.local/state`),
+# readable only by that user. Every process issues itself a certificate that lasts for `LOCAL_DAYS`
+# and is kept in memory only. So the processes of one user accept each other, and no others.
 
 
 LOCAL_DAYS = 7  # longer than any session

@@ -167,12 +167,12 @@ def show_session(
             if block:
                 fed.shown += draw(decode(block))
 
-    probe_ns = heard_ns = 0
+    probe_ns = received_ns = 0
     for tick in Grid(drain_hz, stop):
         messages = [(h.topic, h.data) for h in drain()]
         fed.received += len(messages)
-        heard_ns = tick.stamp_ns if messages or not heard_ns else heard_ns
-        silent_ns = tick.stamp_ns - heard_ns
+        received_ns = tick.stamp_ns if messages or not received_ns else received_ns
+        silent_ns = tick.stamp_ns - received_ns
         if silent_ns > _SILENT_NS and fed.received and has_ended():
             show.show_end("session", silent_ns)
         elif silent_ns > _SILENT_NS:

@@ -112,11 +112,11 @@ def compute_link_quality(
     before: Mapping[Role, LinkCounts],
     now: Mapping[Role, LinkCounts],
     latency_ms: float | None,
-    deaf: bool = False,
+    no_reception: bool = False,
 ) -> LinkQuality:
     """Return the quality from two reports of each side; the worse way counts.
 
-    With `deaf` a side has received nothing at all between its reports.
+    With `no_reception` a side has received nothing at all between its reports.
     """
     shares = [0.0]
     for role, counts in now.items():
@@ -125,7 +125,7 @@ def compute_link_quality(
         if lost > 0:
             shares.append(lost / (lost + max(received, 0)))
     loss = max(shares)
-    if deaf:
+    if no_reception:
         return LinkQuality(NO_LINK, loss, None)
     word = "good" if loss < _POOR_LOSS else "poor" if loss < _BAD_LOSS else "bad"
     return LinkQuality(word, loss, latency_ms)
@@ -144,10 +144,12 @@ class Panel(Painter):
         super().__init__(*parts)
         self.whole = self._config.layout == "surgeon"  # others show the banner only
         self._sides: dict[Role, tuple[int, int]] = {}
-        self._heard_ns: dict[Role, int] = {}  # [ns] `newest_ns` when a side sent its state
+        self._state_ns: dict[Role, int] = {}  # [ns] `newest_ns` when a side sent its state
         self._shown: tuple[Banner | None, int] = (None, 0)  # and its stamp [ns]
         self._counts: dict[Role, LinkCounts] = {}
-        self._deaf: dict[Role, bool] = {}  # whether it received nothing between its last reports
+        self._no_reception: dict[
+            Role, bool
+        ] = {}  # whether it received nothing between its last reports
         self._force_ns: int | None = None  # [ns] `newest_ns` when a force came; None: none shown
         self._latency_ms: float | None = None
         self._jitter_ms: float | None = None
@@ -198,7 +200,7 @@ class Panel(Painter):
         self._show(now, stamp_ns)
         if self.whole and self._counts:
             self._counts.clear()
-            self._deaf.clear()
+            self._no_reception.clear()
             self._draw_at("panel/link", stamp_ns, [], PLAIN, 0.0)
         if self._force_ns is not None:
             self._forget_forces(stamp_ns)
@@ -210,7 +212,7 @@ class Panel(Painter):
             rows = batches.get(topic)
             if rows is None or len(rows) == 0:
                 continue
-            self._heard_ns[role] = self.newest_ns
+            self._state_ns[role] = self.newest_ns
             both = np.stack([rows["state"], rows["reason"]], axis=1).astype(np.int64)
             first = np.append(True, (both[1:] != both[:-1]).any(axis=1))
             changes += [
@@ -221,7 +223,7 @@ class Panel(Painter):
             self._sides[role] = now
             self._show(build_banner(self._sides), stamp_ns)
         for role in [*self._sides]:
-            if self.newest_ns - self._heard_ns[role] > _STALE_NS:
+            if self.newest_ns - self._state_ns[role] > _STALE_NS:
                 del self._sides[role]
                 self._show(build_banner(self._sides), self.newest_ns)
 
@@ -338,9 +340,9 @@ class Panel(Painter):
             self._counts[role] = LinkCounts(int(newest["received"]), lost)
             if role is Role.MASTER and newest["latency_p50_ns"] > 0:
                 self._latency_ms = float(newest["latency_p50_ns"]) * 1e-6
-            self._deaf[role] = role in before and before[role] == self._counts[role]
-            deaf = any(self._deaf.values())
-            quality = compute_link_quality(before, self._counts, self._latency_ms, deaf)
+            self._no_reception[role] = role in before and before[role] == self._counts[role]
+            no_reception = any(self._no_reception.values())
+            quality = compute_link_quality(before, self._counts, self._latency_ms, no_reception)
             self._draw_quality(quality, int(newest["stamp_ns"]))
 
     def _update_link_limits(self, rows: Rows) -> None:

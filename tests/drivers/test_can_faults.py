@@ -98,7 +98,7 @@ def cycle_on(driver):
 
 
 def test_a_node_that_is_alive_but_does_not_answer_is_told_from_one_that_is_not_there(drives):
-    assert "drive 3 does not answer: nothing is heard: power" in start_error(drives.port_name, (3,))
+    assert "drive 3 does not answer: no frame arrives: power" in start_error(drives.port_name, (3,))
     drives.answer_by_heartbeats(1, first=1)
     said = "drive 1 is alive (heartbeat), but does not answer SDO requests: switch it off and on"
     assert said in start_error(drives.port_name)
@@ -211,7 +211,7 @@ class Adapter:
     ("answer", "said"),
     [
         (b"\a", NO_ACKNOWLEDGE),
-        (b"\r", "nothing is heard: power, cable, number, bit rate (1000000)?"),
+        (b"\r", "no frame arrives: power, cable, number, bit rate (1000000)?"),
         (b"t1x8\xff\r", "damaged lines of the adapter: is tty_baud right?"),
     ],
 )
@@ -245,12 +245,12 @@ def frame(identifier, data=b"", error=False):
             "another bit rate (500000 in the config)",
         ),
         ([frame(0x40, bytes(8), True)], "does not answer: bus off: check bit rate, termination"),
-        ([frame(0x02, bytes(8), True)], "does not answer: nothing is heard"),  # arbitration lost
+        ([frame(0x02, bytes(8), True)], "does not answer: no frame arrives"),  # arbitration lost
         ([frame(0x705, b"\5"), frame(0x184, bytes(8))], "does not answer: nodes 4, 5 are alive"),
         ([frame(0x701, b"\5")], "is alive (heartbeat), but does not answer"),
         ([frame(0x81, b"\x10\x81" + bytes(6))], "and reports: CAN overrun, messages lost (0x8110)"),
         ([frame(0x82, b"\0\0" + bytes(6))], "nodes 2 are alive"),
-        ([frame(0x80, b"")], "nothing is heard"),  # SYNC
+        ([frame(0x80, b"")], "no frame arrives"),  # SYNC
     ],
 )
 def test_silence_is_explained_by_what_else_is_heard(frames, said):

@@ -80,7 +80,7 @@ def test_the_banner_names_the_side_that_sends_nothing(role, peer):
 def test_a_link_over_which_nothing_comes_has_no_figures():
     counts = {Role.SLAVE: LinkCounts(1000, 0)}
     assert compute_link_quality(counts, counts, 0.5).word == "good"  # the report of the other side
-    quality = compute_link_quality(counts, counts, 0.5, deaf=True)
+    quality = compute_link_quality(counts, counts, 0.5, no_reception=True)
     assert format_link_parts(quality, 0.1, []) == ("no link", "", "", "")
 
 

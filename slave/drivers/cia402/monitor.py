@@ -67,7 +67,7 @@ class BusMonitor(can.Listener):
 
     @property
     def nodes(self) -> list[int]:
-        """Nodes that were heard."""
+        """Nodes that have sent anything."""
         return sorted(self._heard)
 
     def emergency(self, number: int) -> str:
@@ -120,7 +120,7 @@ class BusMonitor(can.Listener):
         return "does not answer: " + (
             self.explain_errors()
             or (others and f"nodes {others} are alive: is its number right? (`teleop rig scan`)")
-            or f"nothing is heard: power, cable, number, bit rate ({self._bus.bitrate})?"
+            or f"no frame arrives: power, cable, number, bit rate ({self._bus.bitrate})?"
         )
 
 
