@@ -22,38 +22,26 @@ import numpy as np
 from estimator.array_types import Array
 from estimator.compiled import jit_compile
 from master.hand_input import is_all_finite
-from teleop.config.bounds import Bound, check_bounds
-from teleop.config.ranges import build_ranged_field, check_ranges
+from teleop.config.ranges import RangedConfig, build_ranged_field
 from teleop.messages.messages import MAX_JOINTS
 from teleop.runtime.clock import STEP_MAX_S
 
-BOUNDS = (
-    Bound("axis_max", 12.0, "N"),
-    Bound("total_max", 20.0, "N"),
-    Bound("slew_max", 5e3, "N/s"),
-    Bound("torque_max", 0.6, "N m"),
-)
 FADE_S = 0.015  # [s] within which the largest force on one axis is gone; 30 ms + this < 50 ms
 
 
 @dataclass(frozen=True, slots=True)
-class GateConfig:
+class GateConfig(RangedConfig):
     """Force limits of device and hand; `FeedbackConfig.limit`, for rendering, lies below them."""
 
     # on one axis; desktop haptic devices reach about 3 N
-    axis_max: float = build_ranged_field(3.0, 0.0, math.inf, "N", above=True)
+    axis_max: float = build_ranged_field(3.0, 0.0, math.inf, "N", above=True, bound=12.0)
     # length of the force vector
-    total_max: float = build_ranged_field(4.0, 0.0, math.inf, "N", above=True)
+    total_max: float = build_ranged_field(4.0, 0.0, math.inf, "N", above=True, bound=20.0)
     # at which a force may grow
-    slew_max: float = build_ranged_field(200.0, 0.0, math.inf, "N/s", above=True)
+    slew_max: float = build_ranged_field(200.0, 0.0, math.inf, "N/s", above=True, bound=5e3)
     # on one axis that turns; counts in all limits as axis_max
-    torque_max: float = build_ranged_field(0.15, 0.0, math.inf, "N m", above=True)
+    torque_max: float = build_ranged_field(0.15, 0.0, math.inf, "N m", above=True, bound=0.6)
     exceed_bounds: bool = False  # accept limits beyond those of docs/explanation/safety.md
-
-    def __post_init__(self) -> None:
-        """Check the values; raises `ValueError`."""
-        check_ranges(self)
-        check_bounds(self, BOUNDS, self.exceed_bounds)
 
     @property
     def torque_lever(self) -> float:

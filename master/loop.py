@@ -24,7 +24,7 @@ from master.operator import OperatorMemory
 from master.settings_record import MasterSettings
 from master.workspace import Presence, WorkspaceLimits
 from teleop import coupling
-from teleop.config.bounds import MOTION_MAX
+from teleop.config.ranges import MOTION_MAX
 from teleop.coupling import Side
 from teleop.messages.messages import MAX_JOINTS, Command, SlaveState
 from teleop.session import state_machine

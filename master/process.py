@@ -31,9 +31,9 @@ from master.hand_map import AxisMapper, HandMapper, VelocityMap
 from master.mapping_config import AxisMapConfig
 from master.settings_record import SettingsRecord
 from teleop.config.arm import ArmConfig
-from teleop.config.bounds import build_bounds_warnings
 from teleop.config.extension_calls import ExtensionFault
 from teleop.config.options import add_option, add_options
+from teleop.config.ranges import build_bounds_warnings
 from teleop.coupling import Bilateral, CouplingExtension
 from teleop.errors import TeleopError, UsageError
 from teleop.link import NEVER_NS, LatestMessage, Link

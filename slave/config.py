@@ -21,8 +21,7 @@ from slave.rigs.replayed import ReplayedRigConfig
 from slave.rigs.simulated import SimulatedRigConfig, TendonPlantConfig
 from slave.tendon_config import TendonConfig
 from teleop.config.arm import ArmConfig
-from teleop.config.bounds import build_bounds_warnings
-from teleop.config.ranges import build_ranged_field, check_ranges
+from teleop.config.ranges import build_bounds_warnings, build_ranged_field, check_ranges
 from teleop.coupling import CouplingConfig, DirectConfig
 from teleop.errors import UsageError
 from teleop.messages.messages import MAX_TENDONS

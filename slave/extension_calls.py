@@ -17,8 +17,8 @@ from slave.extensions import ControlInput, HousingSample, TipEstimate
 from slave.loop import RigModel, SlaveRecords
 from slave.loop_records import EstimatedSample, TickInput
 from slave.rig import RigSample
-from teleop.config.bounds import MOTION_MAX
 from teleop.config.extension_calls import CheckedExtension
+from teleop.config.ranges import MOTION_MAX
 from teleop.coupling import CouplingConfig
 from teleop.coupling.extension import SIGNAL_MAX, CouplingExtension, TipMotion, TipPort
 from teleop.messages.messages import MAX_TENDONS, Command, SlaveState

@@ -18,29 +18,22 @@ from estimator.compiled import jit_compile
 from estimator.records import F64, Struct, StructArray
 from slave.control.joint import JointEstimates
 from slave.tendons import RigLayout
-from teleop.config.bounds import Bound, check_bounds
 from teleop.config.ranges import MAY_BE_INFINITE, build_ranged_field, check_ranges
 from teleop.runtime.clock import STEP_MAX_S
-
-BOUNDS = (
-    Bound("displacement_min", 0.5, "m"),
-    Bound("displacement_max", 0.5, "m"),
-    Bound("speed_max", 0.5, "m/s"),
-    Bound("tension_max", 300.0, "N"),
-    Bound("force_max", 300.0, "N"),
-)
 
 
 @dataclass(frozen=True, slots=True)
 class GateConfig:
     """Limits of one rig, the same for each of its tendons and joints."""
 
-    displacement_min: float = build_ranged_field(-0.005, -math.inf, 0.0, "m")  # furthest pay-out
-    displacement_max: float = build_ranged_field(0.060, 0.0, math.inf, "m")  # furthest pull
+    # furthest pay-out
+    displacement_min: float = build_ranged_field(-0.005, -math.inf, 0.0, "m", bound=0.5)
+    # furthest pull
+    displacement_max: float = build_ranged_field(0.060, 0.0, math.inf, "m", bound=0.5)
     # of a motor's tendon
-    speed_max: float = build_ranged_field(0.10, 0.0, math.inf, "m/s", above=True)
+    speed_max: float = build_ranged_field(0.10, 0.0, math.inf, "m/s", above=True, bound=0.5)
     # at the housing; above it a tendon is only paid out
-    tension_max: float = build_ranged_field(25.0, 0.0, math.inf, "N", above=True)
+    tension_max: float = build_ranged_field(25.0, 0.0, math.inf, "N", above=True, bound=300.0)
     # without a newer tension a tendon is only paid out
     tension_age_max: float = build_ranged_field(0.030, 0.0, 0.5, "s", above=True)
     joint_min: float = field(  # [m] lowest estimated travel of a joint
@@ -50,7 +43,7 @@ class GateConfig:
         default=math.inf, metadata=MAY_BE_INFINITE
     )
     # estimated at a tip; above it the joint moves no further
-    force_max: float = build_ranged_field(math.inf, 0.0, math.inf, "N", above=True)
+    force_max: float = build_ranged_field(math.inf, 0.0, math.inf, "N", above=True, bound=300.0)
     # paying-out gain of a holding tendon above tension_max
     yield_gain: float = build_ranged_field(0.004, 0.0, 1.0, "m/s/N")
     exceed_bounds: bool = False  # accept limits beyond those of docs/explanation/safety.md
@@ -60,7 +53,6 @@ class GateConfig:
         check_ranges(self)
         if not self.joint_min < self.joint_max:
             raise ValueError("joint_min: must be below joint_max")
-        check_bounds(self, BOUNDS, self.exceed_bounds)
 
 
 class GateFlags(IntFlag):

@@ -43,7 +43,7 @@ from slave.samples import estimate, fill_sample
 from slave.tendons import EstimatedTendon, RigLayout, build_rig_layout
 from teleop import coupling
 from teleop.config.arm import ArmConfig
-from teleop.config.bounds import MOTION_MAX
+from teleop.config.ranges import MOTION_MAX
 from teleop.coupling import Bilateral
 from teleop.coupling.config import BilateralSettings
 from teleop.coupling.force_attenuation import attenuate_forces

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from estimator.array_types import Array
 from estimator.compiled import jit_compile
-from teleop.config.ranges import MAY_BE_INFINITE, build_ranged_field, check_ranges
+from teleop.config.ranges import MAY_BE_INFINITE, RangedConfig, build_ranged_field, check_ranges
 
 IntArray = NDArray[np.int64]
 
@@ -33,27 +33,22 @@ class FreeConfig:
 
 
 @dataclass(frozen=True, slots=True)
-class WallConfig:
+class WallConfig(RangedConfig):
     """A stiff wall: F = stiffness d + damping d', never pulling, with penetration d.
 
     The pull of tendon `side` moves the joint into it.
     """
 
     type: Literal["wall"] = "wall"
-    position: float = 0.008  # [m] of the joint at first contact
-    stiffness: float = 20_000.0  # [N/m] of the wall
+    # of the joint at first contact
+    position: float = build_ranged_field(0.008, -TRAVEL_MAX, TRAVEL_MAX, "m")
+    stiffness: float = build_ranged_field(20_000.0, 0.0, STIFFNESS_MAX, "N/m")  # of the wall
     damping: float = build_ranged_field(0.0, 0.0, 1e5, "N s/m")  # of the wall
     side: Literal["a", "b"] = "a"  # tendon whose pull moves the joint into it
 
-    def __post_init__(self) -> None:
-        """Check the values; raises `ValueError`."""
-        check_ranges(self)
-        _check_position(self.position)
-        _check_stiffness(self.stiffness)
-
 
 @dataclass(frozen=True, slots=True)
-class TissueConfig:
+class TissueConfig(RangedConfig):
     """Soft tissue, F = stiffness d^exponent (1 + dissipation d'), never pulling.
 
     The contact law of Hunt and Crossley, "Coefficient of Restitution Interpreted as Damping in
@@ -62,17 +57,13 @@ class TissueConfig:
     """
 
     type: Literal["tissue"] = "tissue"
-    position: float = 0.008  # [m] of the joint at first contact
+    # of the joint at first contact
+    position: float = build_ranged_field(0.008, -TRAVEL_MAX, TRAVEL_MAX, "m")
     stiffness: float = build_ranged_field(9_400.0, 0.0, 1e9, "N/m^exponent")  # of the contact
     exponent: float = build_ranged_field(1.5, 1.0, 4.0)  # of the depth
     # by which the force grows with speed
     dissipation: float = build_ranged_field(1.0, 0.0, 1e4, "s/m")
     side: Literal["a", "b"] = "a"  # tendon whose pull moves the joint into it
-
-    def __post_init__(self) -> None:
-        """Check the values; raises `ValueError`."""
-        check_ranges(self)
-        _check_position(self.position)
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,14 +78,15 @@ class LoadMotorConfig:
     type: Literal["load_motor"] = "load_motor"
     mode: Literal["torque", "position"] = "torque"  # what the profile is: force, or position
     profile: tuple[tuple[float, float], ...] = ((0.0, 0.0),)  # [[s, N or m], ...], time increasing
-    stiffness: float = 5000.0  # [N/m] of the coupling, under position control
+    # of the coupling, under position control
+    stiffness: float = build_ranged_field(5000.0, 0.0, STIFFNESS_MAX, "N/m")
     repeat: bool = False  # start the profile again after its last point
     # [s] from, to
     coupled: tuple[float, float] = field(default=(0.0, inf), metadata=MAY_BE_INFINITE)
 
     def __post_init__(self) -> None:
         """Check the values; raises `ValueError`."""
-        _check_stiffness(self.stiffness)
+        check_ranges(self)
         if not 0.0 <= self.coupled[0] < self.coupled[1]:
             raise ValueError("coupled: must be two times, the second after the first")
         if not self.profile:
@@ -273,13 +265,3 @@ def compute_environment_force(
                 else:
                     force += side * stiffness * depth**exponent * max(0.0, 1.0 + damping * rate)
     return force
-
-
-def _check_position(position: float) -> None:
-    if not abs(position) <= TRAVEL_MAX:
-        raise ValueError(f"position: must be -{TRAVEL_MAX:g} to {TRAVEL_MAX:g} m")
-
-
-def _check_stiffness(stiffness: float) -> None:
-    if not 0.0 <= stiffness <= STIFFNESS_MAX:
-        raise ValueError(f"stiffness: must be 0 to {STIFFNESS_MAX:g} N/m")

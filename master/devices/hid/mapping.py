@@ -56,21 +56,19 @@ class AxisConfig:
 class ButtonsConfig:
     """Button numbers of the functions, counted from 1."""
 
-    engage: int = 1  # engage switch
-    clutch: int | None = None  # clutch: move the hand without the tips
-    stop: int | None = None  # emergency stop
-    finer: int | None = None  # decreases the position scale by a step
-    coarser: int | None = None  # increases the position scale by a step
-    weaker: int | None = None  # decreases the force scale by a step
-    stronger: int | None = None  # increases the force scale by a step
+    engage: int = build_ranged_field(1, 1, 128)  # engage switch
+    clutch: int | None = build_ranged_field(None, 1, 128)  # clutch: move the hand without the tips
+    stop: int | None = build_ranged_field(None, 1, 128)  # emergency stop
+    finer: int | None = build_ranged_field(None, 1, 128)  # decreases the position scale by a step
+    coarser: int | None = build_ranged_field(None, 1, 128)  # increases the position scale by a step
+    weaker: int | None = build_ranged_field(None, 1, 128)  # decreases the force scale by a step
+    stronger: int | None = build_ranged_field(None, 1, 128)  # increases the force scale by a step
     find: str = ""  # device with the buttons, as in `find` below; empty = the same one
 
     def __post_init__(self) -> None:
         """Check the values; raises `ValueError`."""
+        check_ranges(self)
         assigned = self.assigned
-        for name, number in assigned.items():
-            if not 1 <= number <= 128:
-                raise ValueError(f"{name}: must be 1 to 128")
         if len(set(assigned.values())) != len(assigned):
             raise ValueError(f"{', '.join(assigned)}: must be different buttons")
 

@@ -26,7 +26,7 @@ from teleop.ros.message_types import load_typestore
         ("router=127.0.0.1", "not an endpoint"),
         ("domain=300", "0 to 232"),
         ("prefix=lab", "such as /lab"),
-        ("rate_hz=5000", "1 ... 500"),
+        ("rate_hz=5000", "1 to 500"),
         ("node='a b'", "letters"),
         ("topics=[slave/measured_jp]", "slave/measured_js"),
     ],
