@@ -13,11 +13,11 @@ from typing import get_args, get_type_hints
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 
+from docs.messages_page import format_page
 from slave.simulation.effects import EffectConfig
 from teleop.cli.commands import COMMANDS, build_parser
 from teleop.cli.config.reference import render_markdown
 from teleop.cli.diagnose.catalogue import format_catalogue
-from teleop.messages.page import format_page
 
 CATALOGUE_MARK = "<!-- catalogue of effects -->"
 SIMULATED_MARK = "<!-- effects of the simulated rig -->"

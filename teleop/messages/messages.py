@@ -63,9 +63,9 @@ class MessageError(TeleopError):
 class Head(NamedTuple):
     """Head of a message: sender, sequence number, stamp on the sender's clock."""
 
-    sender: int
-    sequence: int
-    stamp_ns: int
+    sender: int  # nonce drawn when the sending process started
+    sequence: int  # number of this message among those of its topic and sender, from 1
+    stamp_ns: int  # when it was sent [ns since the Unix epoch, on the sender's clock]
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,12 +16,12 @@ import time
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
+from teleop.config.comments import read_field_comments
 from teleop.config.options import add_options
 from teleop.errors import UsageError
 from teleop.link import Link
 from teleop.link.ros_session import find_router_problem
-from teleop.messages.messages import MESSAGES, SCHEMA_PACKAGE, Message
-from teleop.messages.page import read_field_comments
+from teleop.messages.messages import MESSAGES, SCHEMA_PACKAGE, Head, Message
 from teleop.messages.topics import Role
 from teleop.ros.arms import RosArm, load_ros_arms
 from teleop.ros.config import RosConfig, check_ports
@@ -88,7 +88,7 @@ def build_package_files() -> dict[str, str]:
 
 def format_message_file(cls: type[Message]) -> str:
     """Return the `.msg` file of a message, with units and meaning of its fields."""
-    comments = read_field_comments(cls)
+    comments = read_field_comments(Head) | read_field_comments(cls)
     lines = [f"# {line}".rstrip() for line in (inspect.getdoc(cls) or "").splitlines()]
     for line in cls.schema.ros_definition.splitlines():
         comment = comments.get(line.rpartition(" ")[2], "")

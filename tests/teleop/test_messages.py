@@ -12,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from mcap_ros2._dynamic import generate_dynamic
 
+from docs.messages_page import format_page
 from teleop.messages.messages import (
     LAYOUT,
     MESSAGES,
@@ -24,7 +25,6 @@ from teleop.messages.messages import (
     pad_values,
 )
 from teleop.messages.packet import Packet
-from teleop.messages.page import format_page
 
 HEAD = ("checksum", "layout", "sender", "sequence", "stamp_ns")
 RANGES = {

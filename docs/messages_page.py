@@ -1,6 +1,6 @@
-"""Generate the page of topics and messages from the declarations.
+"""The page of topics and messages, from the declarations.
 
-`python -m teleop.messages.page` prints it, and `make docs` puts it into the site.
+`python -m docs.messages_page` prints it, and `make docs` puts it into the site.
 """
 
 import inspect
@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from enum import IntEnum
 from typing import Any
 
-from teleop.config import comments
+from teleop.config.comments import read_field_comments
 from teleop.messages.messages import (
     ENCAPSULATION,
     LAYOUT,
@@ -31,7 +31,7 @@ _INTRODUCTION = """\
 # Topics and messages
 
 Generated from `teleop/messages/messages.py` and `teleop/messages/topics.py` by
-`python -m teleop.messages.page`.
+`python -m docs.messages_page`.
 
 | | |
 |---|---|
@@ -184,13 +184,7 @@ _EXAMPLE = EmergencyStop(
 )
 _EXAMPLE_HEAD = Head(0x0123456789ABCDEF, 1, 1_700_000_000_000_000_000)
 
-_HEAD_COMMENTS = {
-    "checksum": "see below",
-    "layout": "see below",
-    "sender": "nonce drawn when the sending process started",
-    "sequence": "number of this message among those of its topic and sender, from 1",
-    "stamp_ns": "when it was sent [ns since the Unix epoch, on the sender's clock]",
-}
+_HEAD_COMMENTS = {"checksum": "see below", "layout": "see below", **read_field_comments(Head)}
 
 _NUMBERS = """\
 ## Numbers
@@ -228,11 +222,6 @@ def format_page() -> str:
     lines += map(_format_section, MESSAGES)
     lines.append(_format_numbers())
     return "\n".join(lines).rstrip() + "\n"
-
-
-def read_field_comments(cls: type[Message]) -> dict[str, str]:
-    """Return what the declaration of a message says of its fields: units and meaning."""
-    return _HEAD_COMMENTS | comments.read_field_comments(cls)
 
 
 def _format_topic_row(topic: Topic[Any]) -> str:

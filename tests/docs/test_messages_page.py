@@ -7,8 +7,8 @@ import zlib
 
 import pytest
 
+from docs.messages_page import format_page
 from teleop.messages import messages
-from teleop.messages.page import format_page
 from teleop.messages.topics import TOPICS
 
 PLACED = re.compile(r"\| (\d+) \| `(\w+)` \| (\w+)(?:\[(\d+)\])? \|")  # byte, field, type, count
