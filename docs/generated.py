@@ -7,22 +7,29 @@ import argparse
 import dataclasses
 import inspect
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import get_args, get_type_hints
 
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 
 from docs.messages_page import format_page
+from estimator.effects import CATALOGUE, NAMES, Effect, Parameter
 from slave.simulation.effects import EffectConfig
 from teleop.cli.commands import COMMANDS, build_parser
 from teleop.cli.config.reference import render_markdown
-from teleop.cli.diagnose.catalogue import format_catalogue
 
 CATALOGUE_MARK = "<!-- catalogue of effects -->"
 SIMULATED_MARK = "<!-- effects of the simulated rig -->"
 _WIDTH = "92"  # columns of a help text
 
+_TABLE_HEAD = (
+    "name",
+    "what goes on",
+    "what it adds to the model",
+    "parameters and ranges",
+    "what to do",
+)
 _COMMANDS_PAGE = """\
 # Commands
 
@@ -52,6 +59,47 @@ def on_page_markdown(markdown: str, **_: object) -> str:
         if mark in markdown:
             markdown = markdown.replace(mark, table())
     return markdown
+
+
+def format_catalogue() -> str:
+    """Return the table: a row per name, with the differences of its variants."""
+    rows = [_TABLE_HEAD, ("---",) * len(_TABLE_HEAD), *map(_format_row, NAMES)]
+    return "\n".join(f"| {' | '.join(row)} |" for row in rows)
+
+
+def _format_row(name: str) -> tuple[str, ...]:
+    variants = [effect for effect in CATALOGUE if effect.name == name]
+    return (
+        f"`{name}`",
+        _format_cell(dict.fromkeys(effect.cause for effect in variants)),
+        _format_cell(_merge_variants(variants, lambda effect: effect.equation)),
+        _format_cell(
+            _merge_variants(
+                variants, lambda effect: ", ".join(map(_format_parameter, effect.parameters))
+            )
+        ),
+        _format_cell(dict.fromkeys(effect.advice for effect in variants)),
+    )
+
+
+def _merge_variants(variants: Sequence[Effect], say: Callable[[Effect], str]) -> list[str]:
+    """Return the texts of the variants, with variant names if they differ."""
+    variants_by_text: dict[str, list[str]] = {}
+    for effect in variants:
+        variants_by_text.setdefault(say(effect), []).append(effect.where)
+    is_distinct = len(variants_by_text) == len(variants) > 1
+    return [
+        f"{where[0]}: {text}" if is_distinct else text for text, where in variants_by_text.items()
+    ]
+
+
+def _format_cell(lines: Iterable[str]) -> str:
+    return "<br>".join(lines).replace("|", "\\|")
+
+
+def _format_parameter(parameter: Parameter) -> str:
+    unit = f" {parameter.unit}" if parameter.unit else ""
+    return f"{parameter.name} {parameter.low:g} to {parameter.high:g}{unit}"
 
 
 def format_effects() -> str:
