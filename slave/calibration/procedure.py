@@ -77,7 +77,7 @@ def _update_readings(
     tension = tuple(
         was + share * (now - was) for was, now in zip(memory.tension, sample.tension, strict=True)
     )
-    k = _get_pulled_index(memory, sample)
+    k = memory.side % len(sample.tension)  # the pulled tendon
     return memory._replace(
         tension=tension,
         elapsed=memory.elapsed + dt,
@@ -103,11 +103,6 @@ def _update_blocked_times(memory: ProcedureState, sample: JointReadings, dt: flo
             memory.blocked, memory.moved, sample.motor, memory.before, strict=True
         )
     )
-
-
-def _get_pulled_index(memory: ProcedureState, sample: JointReadings) -> int:
-    """Return the index of the pulled tendon."""
-    return memory.side % len(sample.tension)
 
 
 def _find_common_refusal(

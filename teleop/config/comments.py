@@ -32,7 +32,8 @@ def _read_own_comments(cls: type) -> dict[str, str]:
     for item in getattr(definition, "body", ()):
         if not (isinstance(item, ast.AnnAssign) and isinstance(item.target, ast.Name)):
             continue
-        lines = [behind.get(n) or whole.get(n) for n in range(item.lineno, _last_line(item) + 1)]
+        last = item.end_lineno or item.lineno
+        lines = [behind.get(n) or whole.get(n) for n in range(item.lineno, last + 1)]
         above = item.lineno - 1
         while above in whole:
             lines.insert(0, whole[above])
@@ -41,10 +42,6 @@ def _read_own_comments(cls: type) -> dict[str, str]:
         if text:
             comments[item.target.id] = text
     return comments
-
-
-def _last_line(item: ast.stmt) -> int:
-    return item.end_lineno or item.lineno
 
 
 def _list_comments(source: str) -> tuple[dict[int, str], dict[int, str]]:

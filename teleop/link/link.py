@@ -287,9 +287,10 @@ class Link:
     def _open(self) -> Any:
         listen, connect = self._find_endpoints()
         mode: Mode = "client" if self.config.routers else "peer"
+        access = None if self.credentials is None else build_access_control([self.session])
         try:
             session = open_session(
-                self.credentials, listen, connect, self._build_access(), mode, self.refusals.note
+                self.credentials, listen, connect, access, mode, self.refusals.note
             )
         except UsageError:
             if listen:
@@ -300,9 +301,6 @@ class Link:
                 self._on_connection, history=True
             )
         return session
-
-    def _build_access(self) -> dict[str, Any] | None:
-        return None if self.credentials is None else build_access_control([self.session])
 
     def _blame_rival(self, endpoints: list[str]) -> None:
         """Raise `PeerError` if it is our own session's peer that has the endpoint."""

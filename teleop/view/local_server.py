@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 from teleop.errors import TeleopError
+from teleop.link.socket_tables import format_hex_address
 
 # --- ports of the view, on loopback
 
@@ -152,16 +153,12 @@ def is_own_connection(theirs: tuple[str, int], ours: tuple[str, int]) -> bool:
     """
     if not _TCP.exists():
         return True
-    ends = [f"{_format_hex_address(host)}:{port:04X}" for host, port in (theirs, ours)]
+    ends = [format_hex_address(end) for end in (theirs, ours)]
     for line in _TCP.read_text().splitlines()[1:]:
         fields = line.split()
         if fields[1:3] == ends:
             return int(fields[7]) in (os.geteuid(), 0)
     return False  # closed by now
-
-
-def _format_hex_address(host: str) -> str:
-    return f"{int.from_bytes(socket.inet_aton(host), sys.byteorder):08X}"
 
 
 class GuardedHandler(BaseHTTPRequestHandler):
