@@ -25,24 +25,20 @@ from slave.simulation.joint import (
 )
 from slave.simulation.motor import MotorConfig, build_motor
 from slave.simulation.tendon import NEUTRAL, SheathConfig, build_chain
-from teleop.config.ranges import build_ranged_field, check_ranges
+from teleop.config.ranges import RangedConfig, build_ranged_field
 
 
 @dataclass(frozen=True, slots=True)
-class SensingLoopConfig:
+class SensingLoopConfig(RangedConfig):
     """A thin tendon with less friction than the one beside it."""
 
     friction: float = build_ranged_field(0.05, 0.0, 2.0)  # mu of it, dimensionless
-    axial_stiffness: float = build_ranged_field(9000.0, 1.0, 1e7, "N")  # EA
-    pretension: float = build_ranged_field(5.0, 0.1, 100.0, "N")
+    axial_stiffness: float = build_ranged_field(9000.0, 1.0, 1e7, "N")  # EA of its tendon
+    pretension: float = build_ranged_field(5.0, 0.1, 100.0, "N")  # of the loop at rest
     spring: float = build_ranged_field(500.0, 1.0, 1e5, "N/m")  # at the held end
     travel: float = build_ranged_field(0.005, 1e-4, 0.02, "m")  # amplitude of the moved end
-    period: float = build_ranged_field(1.0, 0.05, 60.0, "s")
+    period: float = build_ranged_field(1.0, 0.05, 60.0, "s")  # of that motion
     noise: float = build_ranged_field(0.010, 0.0, 10.0, "N")  # standard deviation of both cells
-
-    def __post_init__(self) -> None:
-        """Check the values; raises `ValueError`."""
-        check_ranges(self)
 
 
 def build_loop(config: SensingLoopConfig, sheath: SheathConfig) -> Joint:
