@@ -18,7 +18,7 @@ from estimator.compiled import jit_compile
 _TRAVEL_TOLERANCE = 1e-9  # [m] by which an iteration moves contacts in the end
 _FULL_STEPS = 20  # iterations in full steps
 _ITERATIONS = 60  # of contacts that follow Dahl
-_LIMIT_MIN = 1e-9  # [N] limit of a contact
+_LIMIT_MIN = 1e-9  # [N] limit of a contact, below which it has no friction
 
 SLACK_STIFFNESS_RATIO = 1e-7
 """Stiffness of a slack spring over that of a taut one, for a unique balance."""
@@ -91,9 +91,12 @@ def compute_dahl_friction(
 ) -> tuple[float, float, float]:
     """Return the friction of a contact that slid [N], its slope [N/m], and that by its limit.
 
-    `direction` is where it slides if it has not yet, `force` its friction before.
+    `direction` is where it slides if it has not yet, `force` its friction before. A slack cable has
+    none: friction of a billionth of a newton has no balance that Newton's method would find.
     """
-    limit = max(compute_friction_limit(line, tension, j), _LIMIT_MIN)
+    limit = compute_friction_limit(line, tension, j)
+    if limit < _LIMIT_MIN:
+        return 0.0, 0.0, 0.0
     initial_force = min(max(force, -limit), limit)
     d = direction
     if slip != 0.0:

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from estimator.lumped.loop_model import simulate_loop
+from estimator.lumped.loop_solver import WORK_ROWS, Line, solve_balance
 from estimator.lumped.lumped_model import Physics
-from estimator.lumped.nodes import build_even_weights
+from estimator.lumped.nodes import NODES, build_even_weights
 from studies.hidden.loop import Loop, motion, run
 
 TIME = np.arange(800) / 50.0
@@ -70,3 +71,20 @@ def test_a_simulation_in_time_agrees(loop):
     assert np.std(out.proximal_tension * loop.radius - torque) < 0.012 * full
     assert np.std(out.distal_tension * loop.radius - at_tip) < 0.012 * full
     assert np.std(out.distal_displacement / loop.radius - turned) < 0.012 * np.ptp(angle)
+
+
+def test_the_balance_with_a_slack_cable_is_found():
+    n = 2 * NODES - 1
+    friction, bristle = np.full(n, 0.05), np.full(n, 2.0)
+    line = Line(
+        0.1, np.full(n + 1, 2e3), friction, np.zeros(n), bristle, np.zeros(n), False,
+        NODES - 1, False, 0.0, 10.0, 0.0,
+    )  # fmt: skip
+    state = [np.zeros(n) for _ in range(4)]
+    tension, work = np.full(n + 1, 0.1), np.empty((WORK_ROWS, n))
+    places, force, sliding, trial = state
+    for drive in -0.05 * np.sin(np.arange(1, 300) / 30.0):
+        trial[:] = places
+        assert solve_balance(line, drive, places, force, sliding, trial, tension, work)
+        places[:] = trial
+    assert (tension[:NODES] < 0.0).all() or (tension[NODES:] < 0.0).all()
