@@ -64,7 +64,7 @@ from estimator.diagnosis.scoring import (
     is_noise,
     join_errors,
 )
-from estimator.diagnosis.settings import SETTINGS, ProgressCallback, ignore_progress
+from estimator.diagnosis.settings import SETTINGS, ProgressCallback, TimeBudget, ignore_progress
 from estimator.diagnosis.validation import (
     compute_detection_limits,
     compute_file_force,
@@ -96,6 +96,7 @@ def diagnose(
     leave_one_file_out: bool = False,
     loop: bool | None = None,
     variables: Sequence[str] = (),
+    time_limit: float = SETTINGS.search_time_max,
     progress: Callable[[str, float], None] = ignore_progress,
     workers: int = 1,
 ) -> Diagnosis:
@@ -127,6 +128,9 @@ def diagnose(
     variables : sequence of str
         Further columns of the data (`extra`), such as a temperature, that something may depend on;
         those that functions among `effects` name are added.
+    time_limit : float
+        [s] of the processor for each record, after which no further search for a cause begins;
+        `Diagnosis.untried` says which.
     progress : callable
         Called with what is being done and which share of it (0 to 1) is.
     workers : int
@@ -160,6 +164,7 @@ def diagnose(
         cause=cause,
         fit_all=fit_all,
         leave_one_file_out=leave_one_file_out,
+        time_limit=time_limit,
         report=progress,
         workers=workers,
     )
@@ -308,6 +313,7 @@ def diagnose_records(
     cause: str = "",
     fit_all: bool = False,
     leave_one_file_out: bool = False,
+    time_limit: float = SETTINGS.search_time_max,
     report: ProgressCallback = ignore_progress,
     workers: int = 1,
 ) -> Diagnosis:
@@ -327,6 +333,8 @@ def diagnose_records(
         Fit and judge all samples; none is held out.
     leave_one_file_out : bool
         Also predict each record by what the others give.
+    time_limit : float
+        [s] of the processor for each record, after which no further search begins.
     report : callable
         Told what is being done and which share of it is.
     workers : int
@@ -369,7 +377,10 @@ def diagnose_records(
     laws = [law]
     if law.dataset.base.law is not dataset.base.law and not records[0].loop:
         laws.append(law._replace(dataset=dataset, fit=base_fit))
-    result, law = find_causes(laws, effects, fit_all=fit_all, report=report, workers=workers)
+    budget = TimeBudget(time_limit * len(records))
+    result, law = find_causes(
+        laws, effects, fit_all=fit_all, report=report, workers=workers, budget=budget
+    )
     report("fitting again and testing", RESTART_PROGRESS)
     dataset, base_fit, steps, fit = result.dataset, result.base_fit, result.steps, result.fit
     applicable = select_applicable_effects(effects, records[0], dataset.base)
@@ -384,7 +395,8 @@ def diagnose_records(
         report("leaving one file out", 1.0)
         left_out = predict_left_out(dataset, outcome.baseline, outcome.extended)
         outcome = outcome._replace(left_out=left_out)
-    return to_record_units(outcome._replace(laws=law, loads=result.loads), scale)
+    outcome = outcome._replace(laws=law, loads=result.loads, untried=tuple(budget.untried))
+    return to_record_units(outcome, scale)
 
 
 def _recover_dataset_motion(dataset: Dataset, base_fit: Fit) -> tuple[Dataset, Fit]:

@@ -18,7 +18,7 @@ from estimator.diagnosis.dataset import (
 )
 from estimator.diagnosis.file_causes import confine_effects, find_odd_file
 from estimator.diagnosis.fit import ParameterLayout, fit_model, refit_baseline
-from estimator.diagnosis.hidden_motion import recover_motion_beside_effects
+from estimator.diagnosis.hidden_motion import may_hide_motion, recover_motion_beside_effects
 from estimator.diagnosis.intervals import estimate_intervals, is_significant
 from estimator.diagnosis.measured_data import shorten_blocks
 from estimator.diagnosis.outcome import CauseStep, RankedCandidate
@@ -32,12 +32,18 @@ from estimator.diagnosis.scoring import (
     compute_errors,
     compute_gain,
     compute_log_likelihood_ratio,
+    compute_missed_share,
     compute_residual_fraction,
     is_noise,
     is_within_tolerance,
 )
 from estimator.diagnosis.screening import Candidate, fit_candidates, score_candidate
-from estimator.diagnosis.settings import SETTINGS, ProgressCallback, scale_progress
+from estimator.diagnosis.settings import (
+    SETTINGS,
+    ProgressCallback,
+    TimeBudget,
+    scale_progress,
+)
 from estimator.effects import NAMES
 from estimator.effects.effect import Effect, EffectContext
 from estimator.effects.functions import build_functions
@@ -215,6 +221,7 @@ def find_causes(
     fit_all: bool,
     report: ProgressCallback,
     workers: int,
+    budget: TimeBudget,
 ) -> tuple[CauseSearchResult, Choice]:
     """Return the causes of the residual of a base law, and the base law.
 
@@ -227,9 +234,13 @@ def find_causes(
     3. One with causes in the one file that differs from the others, if there is such a file.
     4. A search for a free function, unless what causes leave is no more than model error.
     5. A stepwise search from another first cause, unless that function explains nearly all.
+
+    None begins that `budget` has no time for.
     """
     attempts: list[tuple[CauseSearchResult, Choice]] = []
     for law in laws:
+        if attempts and not budget.has_time("another base law"):
+            break
         loads = choose_loads(law.dataset, law.fit)
         dataset, base_fit = loads.dataset, loads.fit
         if not fit_all and _is_brief(dataset, base_fit):
@@ -240,7 +251,7 @@ def find_causes(
         # with the weights that the candidates will have
         base_fit = refit_baseline(rescale_residuals(dataset, base_fit), base_fit)
         attempts.append(
-            (_find_causes_stepwise(loads, dataset, base_fit, effects, report, workers), law)
+            (_find_causes_stepwise(loads, dataset, base_fit, effects, report, workers, budget), law)
         )
         if _is_explained(attempts[-1][0]):
             break
@@ -250,37 +261,48 @@ def find_causes(
     if (
         not _is_explained(result)
         and (recovered := _recover_motion_beside_cause(result)) is not None
+        and budget.has_time("motion that a cause hides")
     ):
-        result = _find_causes_stepwise(result.loads, *recovered, effects, report, workers)
+        result = _find_causes_stepwise(result.loads, *recovered, effects, report, workers, budget)
     bench = result.dataset, result.base_fit
-    if not _is_explained(result) and (file := find_odd_file(*bench, result.fit)):
+    if (
+        not _is_explained(result)
+        and (file := find_odd_file(*bench, result.fit))
+        and budget.has_time("a cause in one file")
+    ):
         candidates = [*confine_effects(effects, file), *(effects if result.steps else ())]
-        file_result = _find_causes_stepwise(result.loads, *bench, candidates, report, workers)
+        file_result = _find_causes_stepwise(
+            result.loads, *bench, candidates, report, workers, budget
+        )
         result = max(
             file_result, result, key=lambda candidate: _compute_evidence(candidate, result)
         )
     if not _is_explained(result):
         middle = 0.5 * (SEARCH_PROGRESS[-1] + RESTART_PROGRESS)
-        # what named causes leave of model error, a curve would follow
-        is_open = not (result.steps and _is_exhausted(result.dataset, result.fit, result.base_fit))
+        # what named causes leave of model error, a curve would follow; alone, any periodic record
+        is_exhausted = result.steps and _is_exhausted(result.dataset, result.fit, result.base_fit)
+        is_open = not is_exhausted and _has_law(result)
         function_report = scale_progress(report, SEARCH_PROGRESS[-1], middle)
         function_result = (
-            _find_function(result, effects, function_report, workers) if is_open else None
+            _find_function(result, effects, function_report, workers, budget) if is_open else None
         )
         if (
             function_result is None
             or _compute_fraction(function_result) > SETTINGS.uncertain_fraction_max
         ):
-            result = _restart_from_other_cause(
-                result, effects, scale_progress(report, middle, RESTART_PROGRESS), workers
-            )
+            restart_report = scale_progress(report, middle, RESTART_PROGRESS)
+            result = _restart_from_other_cause(result, effects, restart_report, workers, budget)
         if function_result is not None and _is_function_better(function_result, result):
             result = function_result
     return result, law
 
 
 def _find_function(
-    result: CauseSearchResult, effects: Sequence[Effect], report: ProgressCallback, workers: int
+    result: CauseSearchResult,
+    effects: Sequence[Effect],
+    report: ProgressCallback,
+    workers: int,
+    budget: TimeBudget,
 ) -> CauseSearchResult | None:
     """Return the free function that explains most, on the base law or beside the named causes."""
     columns = result.dataset.records[0].variables
@@ -289,7 +311,10 @@ def _find_function(
     functions = list(build_functions(columns)) if is_complete else functions
     best: CauseSearchResult | None = None
     starts = [([], result.base_fit), *([(result.steps, result.fit)] if result.steps else [])]
-    for steps, fit in starts:
+    for steps, fit in starts if functions else ():
+        place = f" beside {steps[0].effect.name}" if steps else ""
+        if not budget.has_time(f"free functions{place}"):
+            break
         candidates = fit_functions(result.dataset, fit, functions, report, workers)
         step = find_next_cause(result.dataset, result.base_fit, fit, candidates)
         if step is not None:
@@ -318,6 +343,8 @@ def _recover_motion_beside_cause(result: CauseSearchResult) -> tuple[Dataset, Fi
     None if this motion does not explain more.
     """
     dataset = result.dataset
+    if not any(map(may_hide_motion, dataset.records)):
+        return None
     best = min(result.first_candidates, key=lambda candidate: candidate.cost, default=None)
     fit = result.fit if result.steps or best is None else best.fit
     contexts = build_contexts(dataset, result.base_fit)
@@ -358,6 +385,12 @@ def _is_foreign(result: CauseSearchResult) -> bool:
     return are_foreign(result.dataset, errors)
 
 
+def _has_law(result: CauseSearchResult) -> bool:
+    """Return whether the base law makes some of the data, so that a function can correct it."""
+    errors = compute_errors(result.dataset, result.base_fit)
+    return compute_missed_share(result.dataset, errors) < SETTINGS.foreign_share_law
+
+
 def _get_errors(candidates: Sequence[Candidate]) -> Iterator[dict[str, ChannelErrors]]:
     return (candidate.held_out for candidate in candidates)
 
@@ -391,6 +424,7 @@ def _find_causes_stepwise(
     effects: Sequence[Effect],
     report: ProgressCallback,
     workers: int,
+    budget: TimeBudget,
 ) -> CauseSearchResult:
     """Return the causes of the residual of the base law, searched one after the other."""
     applicable = select_applicable_effects(effects, dataset.records[0], dataset.base)
@@ -399,6 +433,8 @@ def _find_causes_stepwise(
         if is_noise(dataset, compute_errors(dataset, fit)) or (
             steps and _is_exhausted(dataset, fit, base_fit)
         ):
+            break
+        if first_candidates and not budget.has_time("further causes"):
             break
         untried = [effect for effect in applicable if effect.name not in fit.names]
         candidates = fit_candidates(
@@ -415,6 +451,8 @@ def _find_causes_stepwise(
                 continue
         first_candidates = first_candidates or candidates
         if step is None:
+            if not budget.has_time("pairs of causes"):
+                break
             pair_steps = _find_cause_pair(
                 dataset,
                 base_fit,
@@ -434,7 +472,11 @@ def _find_causes_stepwise(
 
 
 def _restart_from_other_cause(
-    result: CauseSearchResult, effects: Sequence[Effect], report: ProgressCallback, workers: int
+    result: CauseSearchResult,
+    effects: Sequence[Effect],
+    report: ProgressCallback,
+    workers: int,
+    budget: TimeBudget,
 ) -> CauseSearchResult:
     """Return the result of a search from another first cause if it is better, else `result`.
 
@@ -470,6 +512,8 @@ def _restart_from_other_cause(
     steps, fit = [CauseStep(new_first.effect, (), ranking, new_first.fit)], new_first.fit
     for share in (0.0, 0.5):
         if is_noise(dataset, compute_errors(dataset, fit)) or _is_exhausted(dataset, fit, base_fit):
+            break
+        if not budget.has_time("other first causes"):
             break
         untried = [effect for effect in applicable if effect.name not in fit.names]
         candidates = fit_candidates(

@@ -262,6 +262,7 @@ class Diagnosis(NamedTuple):
     rival_forces: tuple[RivalForce, ...] = ()  # what each rival would do to that force
     scale: BenchScale = UNIT_SCALE  # of the bench, at which it was made
     curve: Curve | None = None  # of a model with a free function
+    untried: tuple[str, ...] = ()  # searches for which the time limit left none
 
     @property
     def units(self) -> Units:

@@ -257,6 +257,9 @@ def list_next_steps(diagnosis: Diagnosis) -> list[str]:
             "Look at what is left against tension, speed and time, and do not trust the estimate "
             "beyond it; a cause that the catalogue lacks is an effect to add to it."
         )
+    if diagnosis.untried:
+        untried = ", ".join(dict.fromkeys(diagnosis.untried))
+        steps.append(f"Not tried within the time limit: {untried}. --time-limit sets a longer one.")
     return steps or ["Use the model as it is."]
 
 

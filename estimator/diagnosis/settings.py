@@ -5,6 +5,7 @@ simulated benches is right with it. How hard the fits search (rounds, starts, st
 it is used.
 """
 
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -93,6 +94,8 @@ class Settings:
     tolerance_ratio_max: float = 2.5  # rms residual over tolerance
     brief_share: float = 0.8  # of the squared error in two neighbouring blocks: blocks become short
 
+    search_time_max: float = 60.0  # [s] of the processor, in which all searches must end
+
     # what a part of the samples tells (fit.py)
     uncertainty_ratio_max: float = 4.0  # of that from all samples: above it, no refit
 
@@ -105,7 +108,34 @@ class Settings:
 SETTINGS = Settings()
 
 
-# --- progress of a long computation, reported by its parts
+# --- time of a long computation, and its progress, reported by its parts
+
+
+class TimeBudget:
+    """The processor time of searches, of all threads of the process together.
+
+    Parameters
+    ----------
+    limit : float
+        [s] from now on. A search begins if the longest one so far would end within it.
+    """
+
+    def __init__(self, limit: float) -> None:
+        self._begin = time.process_time()
+        self._end = self._begin + limit
+        self._longest = 0.0
+        self.untried: list[str] = []
+        """The searches that it had no time for."""
+
+    def has_time(self, search: str) -> bool:
+        """Return whether the next search may begin; the one before ends here."""
+        now = time.process_time()
+        self._longest, self._begin = max(self._longest, now - self._begin), now
+        if now + self._longest < self._end:
+            return True
+        self.untried.append(search)
+        return False
+
 
 ProgressCallback = Callable[[str, float], None]
 """Told what is being done, and which share (0 to 1) of all is done."""

@@ -31,7 +31,7 @@ from estimator.array_types import Array
 from estimator.diagnosis import report_text
 from estimator.diagnosis.api import CauseError, RecordError, collect_signals, diagnose
 from estimator.diagnosis.outcome import Diagnosis
-from estimator.diagnosis.settings import ProgressCallback, ignore_progress
+from estimator.diagnosis.settings import SETTINGS, ProgressCallback, ignore_progress
 from estimator.diagnosis.travel_pair import is_travel_pair
 from estimator.effects import CATALOGUE, CHANNELS, NAMES, Effect
 from estimator.effects.functions import find_function
@@ -192,6 +192,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="also predict each file by the fit of the others",
     )
     parser.add_argument(
+        "--time-limit",
+        type=float,
+        default=SETTINGS.search_time_max,
+        metavar="S",
+        help="seconds of the processor for each record, after which no further search begins "
+        "(default 60)",
+    )
+    parser.add_argument(
         "--supplement",
         type=OutputFolder(),
         metavar="DIR",
@@ -296,6 +304,7 @@ def diagnose_files(
             variables=args.variable,
             fit_all=args.fit_all,
             leave_one_file_out=args.leave_one_file_out,
+            time_limit=args.time_limit,
             progress=progress,
             workers=workers,
         )

@@ -15,7 +15,7 @@ from estimator.diagnosis.dataset import (
 from estimator.diagnosis.fit import build_initial_contexts, fit_model, shift_parameters
 from estimator.diagnosis.measured_data import prepare_record
 from estimator.diagnosis.scoring import Choice
-from estimator.diagnosis.settings import ignore_progress
+from estimator.diagnosis.settings import TimeBudget, ignore_progress
 from estimator.effects import CATALOGUE
 from studies import hidden
 
@@ -102,6 +102,7 @@ def test_the_search_ends_early_where_no_first_fit_makes_a_tendon_of_the_data(mon
         fit_all=False,
         report=ignore_progress,
         workers=1,
+        budget=TimeBudget(60.0),
     )
     assert result.steps == []
     assert rounds == [screening.ROUNDS[0]] * 2
