@@ -20,7 +20,7 @@ import numpy as np
 from estimator.array_types import Array
 from estimator.plausibility import find_channel_faults
 from estimator.text_table import Table
-from teleop.cli.diagnose.command import TENSIONS
+from teleop.cli.diagnose.diagnosis_run import TENSIONS
 from teleop.config.loading import as_tree
 from teleop.config.options import TABLE_OPTIONS, add_options
 from teleop.data.column_units import split_scale

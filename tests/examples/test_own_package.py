@@ -47,7 +47,7 @@ from pathlib import Path
 import numpy as np
 from estimator.diagnosis.dataset import Model
 from teleop.data import model_file
-from teleop.cli.diagnose.command import parse_effects
+from teleop.cli.diagnose.diagnosis_run import parse_effects
 
 (effect,) = parse_effects("%s")
 path = Path("model.yaml")

@@ -8,7 +8,7 @@ import pytest
 import yaml
 
 from teleop.cli import commands
-from teleop.cli.diagnose.command import parse_effects
+from teleop.cli.diagnose.diagnosis_run import parse_effects
 from teleop.config import extensions
 
 STRANGER = """

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 from estimator.diagnosis.travel_pair import is_travel_pair
 from estimator.text_table import Table
-from teleop.cli.diagnose import command, travels
+from teleop.cli.diagnose import diagnosis_run, travels
 from teleop.errors import TeleopError, UsageError
 from teleop.ros.bag_table import is_bag
 from teleop.runtime.parallel import count_processors
@@ -115,12 +115,12 @@ def _diagnose_file(args: argparse.Namespace, path: Path, workers: int) -> FileOu
     report: dict[str, Any] = {}
     error = ""
     try:
-        data = command.read_files(own_args)
+        data = diagnosis_run.read_files(own_args)
         if is_travel_pair(data.fitted[0]):
             report = travels.write_report(own_args, data.fitted)[1]
         else:
-            content, report = command.diagnose_files(own_args, data, workers=workers)
-            command.write_report(own_args, content, report)
+            content, report = diagnosis_run.diagnose_files(own_args, data, workers=workers)
+            diagnosis_run.write_report(own_args, content, report)
     except TeleopError as failure:
         error = str(failure)
     except Exception as failure:  # of whatever kind: the other files go on

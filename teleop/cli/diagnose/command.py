@@ -21,138 +21,26 @@ residuals.rrd (docs/how-to/diagnose.md). The exit code is 0 for any diagnosis.
 """
 
 import argparse
-import math
-import time
-from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
 
-from estimator.array_types import Array
 from estimator.diagnosis import report_text
-from estimator.diagnosis.api import CauseError, RecordError, collect_signals, diagnose
-from estimator.diagnosis.outcome import Diagnosis
-from estimator.diagnosis.settings import SETTINGS, ProgressCallback, ignore_progress
+from estimator.diagnosis.settings import SETTINGS
 from estimator.diagnosis.travel_pair import is_travel_pair
-from estimator.effects import CATALOGUE, CHANNELS, NAMES, Effect
-from estimator.effects.functions import find_function
-from teleop.cli import estimate
-from teleop.cli.diagnose import arm, json_report, travels
-from teleop.cli.diagnose.json_report import ComparedParameter
+from teleop.cli.diagnose import arm, batch, json_report, travels
+from teleop.cli.diagnose.diagnosis_run import (
+    check_options,
+    diagnose_files,
+    parse_effects,
+    parse_noise,
+    read_files,
+    write_report,
+)
 from teleop.config.options import TABLE_OPTIONS, add_option, add_options
-from teleop.config.suggestions import suggest_spelling
-from teleop.data import model_file
-from teleop.data.channel_names import to_channel
-from teleop.data.effect_extensions import is_extension, load_effects
-from teleop.data.mapping import NamedColumns, TableMapping, load_mapping, parse_column_options
-from teleop.data.reading import Reading, format_reading, format_readings
-from teleop.data.table import MeasuredTable, read_runs
-from teleop.errors import UsageError
+from teleop.data.reading import format_reading, format_readings
 from teleop.runtime.output_file import OutputFolder, make_folder
 from teleop.runtime.parallel import count_processors
-from teleop.runtime.process import write_summary, write_text_file
+from teleop.runtime.process import write_summary
 from teleop.runtime.status_line import Progress
-from teleop.view.series import PlotCurve, PlotPanel, save
-
-# --- parser of `--effects`
-
-
-def parse_effects(text: str) -> Sequence[Effect]:
-    """Return the effects of `--effects`: comma-separated names, or all."""
-    if text.strip() == "all":
-        return CATALOGUE
-    names = [name.strip() for name in text.split(",") if name.strip()]
-    if not names:
-        raise UsageError("--effects: names of effects with commas between them, or all")
-    others = tuple(effect for name in names if is_extension(name) for effect in load_effects(name))
-    functions = [effect for name in names if (effect := find_function(name)) is not None]
-    for name in names:
-        is_known = name in (*NAMES, *(effect.name for effect in functions))
-        if not is_known and not is_extension(name):
-            listed = suggest_spelling(name, NAMES, 3, 0.5) or f"; there are {', '.join(NAMES)}"
-            raise UsageError(f"--effects {name}: no such effect{listed}")
-    return (*(effect for effect in CATALOGUE if effect.name in names), *functions, *others)
-
-
-# --- `--noise NAME=SIGMA`: noise of a channel that is known better than the data tell it
-
-
-def parse_noise(words: Sequence[str]) -> dict[str, float]:
-    """Return standard deviations by channel, in its unit; `UsageError` if a word is none."""
-    noise = {}
-    for word in words:
-        name, _, text = word.partition("=")
-        try:
-            sigma = float(text)
-        except ValueError:
-            sigma = math.nan
-        channel = to_channel(name)
-        if channel not in CHANNELS or not 0.0 <= sigma < math.inf:
-            raise UsageError(
-                f"--noise {word}: expected NAME=SIGMA in the unit of the data, NAME one of "
-                f"{', '.join(CHANNELS)}"
-            )
-        noise[channel] = sigma
-    return noise
-
-
-# --- residuals.rrd: measured and simulated signals of both models, for Rerun
-
-MEASURED, BEFORE, AFTER = 0x808080FF, 0xD55E00FF, 0x0072B2FF
-
-
-def write_residuals(path: Path, diagnosis: Diagnosis, files: Sequence[str]) -> None:
-    """Write the file: for each record a column, for each channel its curves and its residuals."""
-    columns = []
-    for k, file in enumerate(files):
-        record = diagnosis.dataset.records[k]
-        panels = []
-        for channel in record.compared:
-            rows = record.select_drawn_rows(channel)
-            measured = record.signals[channel][rows]
-            models = {
-                ("before", BEFORE): diagnosis.baseline.simulated[k].signals[channel][rows],
-                ("after", AFTER): diagnosis.extended.simulated[k].signals[channel][rows],
-            }
-            title = f"{record.units.word(channel)} [{record.units.of(channel)}]"
-            lines = {("measured", MEASURED): measured} | models
-            residuals = {key: measured - values for key, values in models.items()}
-            panels.append(_build_panel(f"{title}, {file}", record.time[rows], lines))
-            panels.append(_build_panel(f"residual of {title}", record.time[rows], residuals))
-        columns.append(panels)
-    save(path, report_text.format_verdict(diagnosis), columns)
-
-
-def _build_panel(title: str, time: Array, lines: dict[tuple[str, int], Array]) -> PlotPanel:
-    curves = (PlotCurve(name, colour, time, values) for (name, colour), values in lines.items())
-    return PlotPanel(title, tuple(curves))
-
-
-TENSIONS = ("proximal_tension", "distal_tension")  # whose zero errors a diagnosis identifies
-
-
-class DiagnosisData(NamedTuple):
-    """The data of a diagnosis."""
-
-    fitted: tuple[MeasuredTable, ...]
-    validation: tuple[MeasuredTable, ...]
-
-    @property
-    def files(self) -> tuple[str, ...]:
-        """Names of the fitted files."""
-        return tuple(table.name for table in self.fitted)
-
-    @property
-    def further(self) -> tuple[str, ...]:
-        """Names of the files for validation."""
-        return tuple(table.name for table in self.validation)
-
-
-class ReportContent(NamedTuple):
-    """Content of the report."""
-
-    found: Diagnosis
-    data: DiagnosisData
-    accepted: dict[str, ComparedParameter]  # comparison with the given calibration
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -240,8 +128,6 @@ def main(args: argparse.Namespace) -> int:
     effects = parse_effects(args.effects)
     check_options(args, effects)
     if args.jobs is not None:
-        from teleop.cli.diagnose import batch
-
         return batch.run(args)
     if arm.is_of_arm(args):
         return arm.run(args, parse_noise(args.noise))
@@ -267,119 +153,3 @@ def main(args: argparse.Namespace) -> int:
         sources = supplement.Sources(args.command_line, files, further, read_as)
         print(f"\nwritten: {supplement.write_supplement(args.supplement, diagnosis, sources)}")
     return 0
-
-
-def read_files(args: argparse.Namespace) -> DiagnosisData:
-    """Return the records of the files of one bench; raises `UsageError`, also for `--out`."""
-    if args.out is not None:
-        make_folder(args.out, "report.html")
-    tendon = estimate.select_tendon(args.tendon, estimate.read_recorded_joints(args.data[0]), 1)
-    mapping = load_mapping(args)
-    columns = parse_column_options([*mapping.options(), *args.column], tendon)
-    data = read_data(args.data, args.validate, columns, args.drop_nonfinite, mapping)
-    if args.leave_one_file_out and len(data.fitted) < 2:
-        raise UsageError("--leave-one-file-out: give at least two files of one bench")
-    return data
-
-
-def diagnose_files(
-    args: argparse.Namespace,
-    data: DiagnosisData,
-    progress: ProgressCallback = ignore_progress,
-    workers: int = 1,
-) -> tuple[ReportContent, dict[str, Any]]:
-    """Return the diagnosis of `data`, and the tree of `report.json`; raises `UsageError`."""
-    tendon = estimate.select_tendon(args.tendon, estimate.read_recorded_joints(args.data[0]), 1)
-    sheath = None if args.calibration is None else json_report.load_sheath(args.calibration, tendon)
-    loop = None if args.transmission == "auto" else args.transmission == "loop"
-    begin_s = time.monotonic()
-    try:
-        diagnosis = diagnose(
-            data.fitted,
-            parse_effects(args.effects),
-            validate=data.validation,
-            noise=parse_noise(args.noise),
-            loop=loop,
-            cause=args.cause,
-            variables=args.variable,
-            fit_all=args.fit_all,
-            leave_one_file_out=args.leave_one_file_out,
-            time_limit=args.time_limit,
-            progress=progress,
-            workers=workers,
-        )
-    except RecordError as error:
-        raise UsageError(str(error)) from error
-    except CauseError as error:
-        raise UsageError(f"--cause {error}") from error
-    seconds = time.monotonic() - begin_s
-    accepted = {} if sheath is None else json_report.compare_parameters(diagnosis, sheath)
-    tree = json_report.build_report(diagnosis, data.files, seconds, accepted, data.further)
-    tree["read_as"] = [Reading.of(table).to_json() for table in (*data.fitted, *data.validation)]
-    return ReportContent(diagnosis, data, accepted), tree
-
-
-def check_options(args: argparse.Namespace, effects: Sequence[Effect]) -> None:
-    """Raise `UsageError` for conflicting options, before anything is read."""
-    names = tuple(dict.fromkeys(effect.name for effect in effects))
-    if args.cause and args.cause not in names:
-        hint = suggest_spelling(args.cause, names, 3, 0.5) or "; it must be one of --effects"
-        raise UsageError(f"--cause {args.cause}: is not among the effects considered{hint}")
-
-
-def read_data(
-    paths: Sequence[Path],
-    validate: Sequence[Path],
-    columns: NamedColumns,
-    drop_nonfinite: bool,
-    mapping: TableMapping,
-) -> DiagnosisData:
-    """Return the data of some files, all with the same channels; each run is a record.
-
-    Raises `UsageError` if a file is invalid, or lacks a channel of another.
-    """
-    options: dict[str, Any] = {"zero_errors": TENSIONS, "diagnosed": True, "mapping": mapping}
-    fitted, validation = (
-        [
-            run[0]
-            for path in files
-            for run in read_runs(
-                path, [columns.names], drop_nonfinite, units=columns.units, **options
-            )
-        ]
-        for files in (paths, validate)
-    )
-    tables = [*fitted, *validation]
-    first = tables[0]
-    for table in tables[1:]:
-        if table.units != first.units:
-            raise UsageError(
-                f"{table.name}: is in {table.units.effort} and {table.units.travel}, but "
-                f"{first.name} in {first.units.effort} and {first.units.travel}"
-            )
-        if set(collect_signals(table)) != set(collect_signals(first)):
-            raise UsageError(
-                f"{table.name}: has {', '.join(collect_signals(table))}, but {first.name} has "
-                f"{', '.join(collect_signals(first))}; data that are diagnosed together need "
-                f"the same "
-                "channels"
-            )
-    return DiagnosisData(tuple(fitted), tuple(validation))
-
-
-def write_report(args: argparse.Namespace, report: ReportContent, tree: Mapping[str, Any]) -> None:
-    """Write the folder of `--out`, if there is one."""
-    if (folder := args.out) is None:
-        return
-    from teleop.cli.diagnose import html_report
-
-    diagnosis, data = report.found, report.data
-    write_summary(folder / "report.json", dict(tree))
-    remark = (
-        f"Fitted by teleop diagnose to {', '.join(data.files)}.\n"
-        f"{report_text.format_verdict(diagnosis)}"
-    )
-    model_file.save(folder / "model.yaml", model_file.from_diagnosis(diagnosis), remark)
-    text = html_report.render(diagnosis, data.files, report.accepted, data.further, tree["read_as"])
-    write_text_file(folder / "report.html", text, "the page")
-    write_residuals(folder / "residuals.rrd", diagnosis, data.files)

@@ -23,7 +23,7 @@ from estimator.effects.functions import (
     find_function,
 )
 from studies import hidden
-from teleop.cli.diagnose.command import parse_effects
+from teleop.cli.diagnose.diagnosis_run import parse_effects
 from teleop.errors import UsageError
 
 FUNCTIONS = ("friction_by_position", "friction_by_rest_time", "elongation_by_tension")

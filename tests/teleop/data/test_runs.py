@@ -7,7 +7,7 @@ import pytest
 
 import teleop
 from teleop.cli.commands import main
-from teleop.cli.diagnose.command import read_data
+from teleop.cli.diagnose.diagnosis_run import read_data
 from teleop.data.mapping import NamedColumns, TableMapping
 from teleop.data.table import Columns, read_runs, read_table, write_table
 from teleop.errors import UsageError

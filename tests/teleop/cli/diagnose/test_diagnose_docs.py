@@ -10,7 +10,7 @@ from estimator.diagnosis.measured_data import prepare_record
 from estimator.diagnosis.outcome import Verdict
 from estimator.effects import Effect
 from studies import hidden
-from teleop.cli.diagnose.command import parse_effects
+from teleop.cli.diagnose.diagnosis_run import parse_effects
 
 DOCS = Path(__file__).parents[4] / "docs"
 PAGE = DOCS / "how-to" / "diagnose.md"

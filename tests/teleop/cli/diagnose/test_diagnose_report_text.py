@@ -14,7 +14,7 @@ from estimator.diagnosis.scoring import ResidualDependence
 from estimator.units import format_quantity
 from studies import hidden
 from teleop.cli.diagnose import html_report, json_report
-from teleop.cli.diagnose.command import parse_effects
+from teleop.cli.diagnose.diagnosis_run import parse_effects
 
 FAULT, RIVAL = "distal_tension_gain", "constant_drag"
 
