@@ -128,7 +128,7 @@ def _find_version(name: str) -> str | None:
 
 def _find_commit() -> str | None:
     """Return the commit of the sources; None outside a repository, `+` if they were changed."""
-    root = Path(__file__).parents[2]
+    root = Path(__file__).parents[3]
     if not (root / ".git").exists():
         return None
     try:

@@ -1,6 +1,8 @@
 """Measurements of the loops: figures, their comparison, and what is said of wrong words."""
 
 import json
+import subprocess
+from pathlib import Path
 
 import pytest
 
@@ -17,6 +19,14 @@ def test_a_ratio_is_the_median_of_each_run_by_its_own_baseline():
     assert busy.ratio == 2.0
     assert Metric("x", "", (1.0,), (0.0,)).ratio is None
     assert Metric("x", "", (1.0,)).ratio is None
+
+
+def test_a_result_names_the_commit_that_was_measured():
+    words = ["git", "-C", str(Path(runs.__file__).parent), "rev-parse", "HEAD"]
+    known = subprocess.run(words, capture_output=True, text=True, check=False)
+    if known.returncode:
+        pytest.skip("not a repository")
+    assert known.stdout.startswith(runs.describe_machine()["commit"].rstrip("+"))
 
 
 def test_only_changes_beyond_the_spread_of_the_runs_count():
