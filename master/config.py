@@ -31,7 +31,6 @@ class MasterConfig:
     device_rate_hz: float | None = build_ranged_field(None, RATE_MIN_HZ, RATE_MAX_HZ, "Hz")
 
     def __post_init__(self) -> None:
-        """Check the values; raises `ValueError`."""
         check_ranges(self)
         if not self.state_timeout <= self.delay_max <= 1.0:
             raise ValueError("delay_max: must be at least state_timeout and at most 1 [s]")

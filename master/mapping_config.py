@@ -26,7 +26,6 @@ class MappedJointConfig:
     range: tuple[float, float] = (-1.0, 1.0)
 
     def __post_init__(self) -> None:
-        """Check the values; raises `ValueError`."""
         check_ranges(self)
         if not 0.0 < abs(self.scale) <= 100.0:
             raise ValueError("scale: must not be 0, and at most 100 either way")
@@ -79,7 +78,6 @@ class SpaceHandConfig:
     fixtures: FixturesConfig = field(default_factory=FixturesConfig)  # springs in the hand
 
     def __post_init__(self) -> None:
-        """Check the values; raises `ValueError`."""
         check_ranges(self)
         if not self.axes or len(set(self.axes)) != len(self.axes):
             raise ValueError(f"axes: each at most once, of {', '.join(HAND_AXES)}")

@@ -56,7 +56,6 @@ class OperatorConfig:
     weight: tuple[float, ...] = build_ranged_field((), -10.0, 10.0)
 
     def __post_init__(self) -> None:
-        """Check the values; raises `ValueError`."""
         check_ranges(self)
         if not all(low < high for low, high in self.workspace):
             raise ValueError("workspace: pairs [from, to] in metres, from below to")

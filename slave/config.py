@@ -61,7 +61,6 @@ class SlaveConfig:
     sample_timeout: float = build_ranged_field(0.100, 0.0, 1.0, "s", above=True)
 
     def __post_init__(self) -> None:
-        """Check the values; raises `ValueError`."""
         check_ranges(self)
         if self.tendons and self.calibration:
             raise ValueError("calibration: conflicts with tendons; use one of them")

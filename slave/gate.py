@@ -49,7 +49,6 @@ class GateConfig:
     exceed_bounds: bool = False  # accept limits beyond those of docs/explanation/safety.md
 
     def __post_init__(self) -> None:
-        """Check the values; raises `ValueError`."""
         check_ranges(self)
         if not self.joint_min < self.joint_max:
             raise ValueError("joint_min: must be below joint_max")

@@ -43,7 +43,6 @@ class TendonConfig:
     model_file: Path | None = None  # model.yaml of `teleop diagnose`, replaces all of the sheath
 
     def __post_init__(self) -> None:
-        """Check the values; raises `ValueError`."""
         if self.model_file is not None:
             self._refuse_beside_model_file()
         elif (self.effective_friction is None) == (self.friction is None):

@@ -38,7 +38,6 @@ class CombinedConfig:
     force_scales: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
-        """Check the values; raises `ValueError`."""
         if len(self.devices) < 2:
             raise ValueError(
                 "devices: at least 2 are needed; configure a single device without `combined`"

@@ -49,7 +49,6 @@ class RosDeviceConfig:
     prefix: str = ""  # before the names of topics, as in the section `ros`
 
     def __post_init__(self) -> None:
-        """Check the values; raises `ValueError`."""
         check_ranges(self)
         # here, as the network's packages are slow to load, and no other device needs them
         from teleop.ros.config import DOMAIN_MAX, check_router

@@ -27,7 +27,6 @@ class Hold:
     position: float = 0.0  # [m] where it stays
 
     def __post_init__(self) -> None:
-        """Check the values; raises `ValueError`."""
         if not math.isfinite(self.position):
             raise ValueError("position: must be finite [m]")
 
@@ -47,7 +46,6 @@ class Sine:
     offset: float = 0.0  # [m] middle of the motion
 
     def __post_init__(self) -> None:
-        """Check the values; raises `ValueError`."""
         check_ranges(self)
         if not math.isfinite(self.offset):
             raise ValueError("offset: must be finite [m]")
@@ -77,7 +75,6 @@ class Reaches:
     rest: float = build_ranged_field(0.3, 0.0, math.inf, "s")  # at each target
 
     def __post_init__(self) -> None:
-        """Check the values; raises `ValueError`."""
         check_ranges(self)
         if not self.targets or not all(math.isfinite(target) for target in self.targets):
             raise ValueError("targets: at least one, all finite [m]")
@@ -105,7 +102,6 @@ class Waypoints:
     rest: float = 0.3  # [s] at each point
 
     def __post_init__(self) -> None:
-        """Check the values; raises `ValueError`."""
         if not self.points or len({len(point) for point in self.points}) != 1:
             raise ValueError("points: at least one, all with a number for each axis")
         for axis in range(len(self.points[0])):
@@ -148,7 +144,6 @@ class VirtualConfig:
     engage_period: float = build_ranged_field(math.inf, 0.0, math.inf, "s", above=True)
 
     def __post_init__(self) -> None:
-        """Check the values; raises `ValueError`."""
         check_ranges(self)
         if isinstance(self.reference, Waypoints) and len(self.reference.points[0]) != self.axes:
             raise ValueError(f"reference.points: must have {self.axes} numbers each, as axes says")

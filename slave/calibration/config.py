@@ -57,7 +57,6 @@ class InitialiseConfig:
     relax_max: float = build_ranged_field(5.0, 0.1, 60.0, "s")
 
     def __post_init__(self) -> None:
-        """Check the values; raises `ValueError`."""
         check_ranges(self)
         if not max(self.low, self.take_up, self.keep) <= 0.25 * self.tension:
             raise ValueError("tension: must be four times low, take_up and keep, or more")

@@ -78,7 +78,6 @@ class Calibration:
     guides: tuple[GuideFriction, ...] = ()  # of passed joints; replaces the friction of `arms`
 
     def __post_init__(self) -> None:
-        """Check the values; raises `ValueError`."""
         if not 1 <= len(self.tendons) <= MAX_TENDONS:
             raise ValueError(f"tendons: 1 to {MAX_TENDONS} are needed")
         numbered = sorted(k for joint in self.joints for k in joint)

@@ -90,7 +90,6 @@ class MonitorConfig:
     degraded_speed: float = build_ranged_field(0.005, 1e-4, 1.0, "m/s")  # of the tips then
 
     def __post_init__(self) -> None:
-        """Check the values; raises `ValueError`."""
         if not 0.0 < self.advise <= self.demand <= 10.0:
             raise ValueError("advise: must be above 0 and at most demand, which is at most 10")
         check_ranges(self)

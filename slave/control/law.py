@@ -57,7 +57,6 @@ class ControlConfig:
     lead: float = build_ranged_field(0.0125, 0.0, 0.1, "s")
 
     def __post_init__(self) -> None:
-        """Check the values; raises `ValueError`."""
         check_ranges(self)
         if self.compensation == 1.0:
             raise ValueError("compensation: must be below 1, or a blocked joint is wound up")

@@ -148,7 +148,6 @@ class CellConfig:
     uncertainty: float | None = build_ranged_field(None, 0.0, math.inf, "N", above=True)
 
     def __post_init__(self) -> None:
-        """Check the values; raises `ValueError`."""
         check_ranges(self)
         if self.scale == 0.0:
             raise ValueError("scale: must not be 0 [N/count]")

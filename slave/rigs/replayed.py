@@ -36,7 +36,6 @@ class ReplayedRigConfig:
     name: str = ""  # name of the rig in calibration files; empty = the file's name
 
     def __post_init__(self) -> None:
-        """Check the values; raises `ValueError`."""
         check_ranges(self)
         if not 1 <= len(self.tendons) <= MAX_JOINTS:
             raise ValueError(f"tendons: must be 1 to {MAX_JOINTS}, one a joint")

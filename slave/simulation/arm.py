@@ -70,7 +70,6 @@ class ArmPlantConfig(LinkedArmConfig):
     contacts: tuple[SurfaceConfig, ...] = ()  # of the tip, in the base
 
     def __post_init__(self) -> None:
-        """Check the values; raises `ValueError`."""
         LinkedArmConfig.__post_init__(self)
         check_ranges(self)
         if self.contacts and not self.has_kinematics:

@@ -85,7 +85,6 @@ class LoadMotorConfig:
     coupled: tuple[float, float] = field(default=(0.0, inf), metadata=MAY_BE_INFINITE)
 
     def __post_init__(self) -> None:
-        """Check the values; raises `ValueError`."""
         check_ranges(self)
         if not 0.0 <= self.coupled[0] < self.coupled[1]:
             raise ValueError("coupled: must be two times, the second after the first")

@@ -53,7 +53,6 @@ class BodyConfig:
     backlash: float = build_ranged_field(0.0, 0.0, 0.1, "m")
 
     def __post_init__(self) -> None:
-        """Check the values; raises `ValueError`."""
         check_ranges(self)
         low, high = self.stops
         if not -TRAVEL_MAX <= low < 0.0 < high <= TRAVEL_MAX:

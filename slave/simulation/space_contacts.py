@@ -35,7 +35,6 @@ class PlaneConfig:
     damping: float = build_ranged_field(0.0, 0.0, 1e4, "N s/m")  # on the way in
 
     def __post_init__(self) -> None:
-        """Check the values; raises `ValueError`."""
         check_ranges(self)
         if not 1e-9 < math.hypot(*self.normal) < math.inf:
             raise ValueError("normal: must be three numbers, not all 0")

@@ -70,7 +70,6 @@ class SheathConfig:
     nodes: int = build_ranged_field(60, 1, 1000)  # number of cells
 
     def __post_init__(self) -> None:
-        """Check the values; raises `ValueError`."""
         check_ranges(self)
         if not self.sections:
             raise ValueError("sections: at least one is needed")

@@ -64,7 +64,6 @@ class RoutingConfig:
     wrap: float = build_ranged_field(0.0, 0.0, 6.3, "rad")
 
     def __post_init__(self) -> None:
-        """Check the values; raises `ValueError`."""
         check_ranges(self)
         if not self.radii or any(len(row) != len(self.radii[0]) for row in self.radii):
             raise ValueError("radii: must be a table, a column for each joint")
@@ -119,7 +118,6 @@ class BendingSectionConfig:
     bend_speed: float = 6.0  # [rad/s] largest speed of each bend
 
     def __post_init__(self) -> None:
-        """Check the values; raises `ValueError`."""
         self.to_section()
 
     def to_section(self) -> CurvedSection:
@@ -144,7 +142,6 @@ class LinkedArmConfig(RoutingConfig):
     gravity: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     def __post_init__(self) -> None:
-        """Check the values; raises `ValueError`."""
         RoutingConfig.__post_init__(self)
         if self.urdf is not None and self.sections:
             raise ValueError("sections: conflicts with urdf; use one of them")
@@ -197,7 +194,6 @@ class ArmConfig(LinkedArmConfig):
     mass_error: float = build_ranged_field(0.1, 0.0, 1.0)
 
     def __post_init__(self) -> None:
-        """Check the values; raises `ValueError`."""
         check_ranges(self)
         LinkedArmConfig.__post_init__(self)
 

@@ -40,7 +40,6 @@ class ConfidenceConfig:
     none: float = 1.5
 
     def __post_init__(self) -> None:
-        """Check the values; raises `ValueError`."""
         check_ranges(self)
         if not self.full + 1e-3 <= self.none <= 1e6:
             raise ValueError("none: must be above full, by 0.001 at least, and at most 1e6")

@@ -65,7 +65,6 @@ class PassivityConfig:
     passive_tip: bool = True  # false for an active environment whose force shall be rendered
 
     def __post_init__(self) -> None:
-        """Check the values; raises `ValueError`."""
         check_ranges(self)
         if not self.reserve <= self.credit_max <= 1.0:
             raise ValueError("credit_max: must be at least reserve and at most 1 [J]")

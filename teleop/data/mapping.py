@@ -24,7 +24,6 @@ class MappedColumn:
     scale: float = 1.0  # units per unit of the values: 12.5 with unit N of a cell in volts; sign
 
     def __post_init__(self) -> None:
-        """Check the values; raises `ValueError`."""
         if not self.column:
             raise ValueError("column: must not be empty")
         if not (abs(self.scale) > 0.0 and abs(self.scale) < 1e12):
@@ -70,7 +69,6 @@ class TableMapping:
     run_column: str = ""  # that names the run, where it is not called so
 
     def __post_init__(self) -> None:
-        """Check the values; raises `ValueError`."""
         check_ranges(self)
         if self.separator not in ("", ",", ";", "|", " ", "\t", "\\t"):
             raise ValueError("separator: must be one of , ; | space \\t")

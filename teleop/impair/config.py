@@ -41,7 +41,6 @@ class DirectionConfig:
     )
 
     def __post_init__(self) -> None:
-        """Check the values; raises `ValueError`."""
         check_ranges(self)
         if not 0.0 <= self.jitter <= self.delay:
             raise ValueError("jitter: must be 0 to delay [s]")

@@ -73,7 +73,6 @@ class RouterConfig:
     connect: tuple[str, ...] = ()  # HOST:PORT of other routers, tried until they answer
 
     def __post_init__(self) -> None:
-        """Check the values; raises `ValueError`."""
         for i, session in enumerate(self.sessions):
             try:
                 check_session(session)

@@ -29,7 +29,6 @@ class RosConfig:
     topics: tuple[str, ...] = ALL  # names of the topics that are published
 
     def __post_init__(self) -> None:
-        """Check the values; raises `ValueError`."""
         check_ranges(self)
         check_router(self.router)
         if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", self.node):

@@ -55,7 +55,6 @@ class RealtimeConfig:
     cores: Literal["auto"] | tuple[int, ...] = "auto"
 
     def __post_init__(self) -> None:
-        """Check the values; raises `ValueError`."""
         check_ranges(self)
         if self.cores != "auto" and any(core < 0 for core in self.cores):
             raise ValueError("cores: must not be negative")

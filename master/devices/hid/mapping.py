@@ -44,7 +44,6 @@ class AxisConfig:
     force: float = build_ranged_field(0.0, 0.0, 100.0, "N")
 
     def __post_init__(self) -> None:
-        """Check the values; raises `ValueError`."""
         check_ranges(self)
         if not self.name:
             raise ValueError("name: must name an input of the device")
@@ -66,7 +65,6 @@ class ButtonsConfig:
     find: str = ""  # device with the buttons, as in `find` below; empty = the same one
 
     def __post_init__(self) -> None:
-        """Check the values; raises `ValueError`."""
         check_ranges(self)
         assigned = self.assigned
         if len(set(assigned.values())) != len(assigned):
@@ -98,7 +96,6 @@ class HidConfig:
     signs: Path | None = None  # file of force signs; null = ~/.config/tendon-teleop/
 
     def __post_init__(self) -> None:
-        """Check the values; raises `ValueError`."""
         check_ranges(self)
         if not 1 <= len(self.axes) <= MAX_JOINTS:
             raise ValueError(f"axes: 1 to {MAX_JOINTS} are needed")

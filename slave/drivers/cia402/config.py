@@ -174,7 +174,6 @@ class Cia402Config:
     analogue: AnalogueConfig = field(default_factory=AnalogueConfig)
 
     def __post_init__(self) -> None:
-        """Check the values; raises `ValueError`."""
         check_ranges(self)
         encode_period(self.rate_hz)
         if not 2.0 / self.rate_hz <= self.timeout <= 0.5:

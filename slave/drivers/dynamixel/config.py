@@ -32,7 +32,6 @@ class DynamixelConfig:
     velocity_max: float = build_ranged_field(4.0, 0.1, 100.0, "rad/s")
 
     def __post_init__(self) -> None:
-        """Check the values; raises `ValueError`."""
         check_ranges(self)
         if not self.port:
             raise ValueError("port: must not be empty")

@@ -24,7 +24,6 @@ class MicrocontrollerConfig:
     errors_max: int = build_ranged_field(20, 0, math.inf)
 
     def __post_init__(self) -> None:
-        """Check the values; raises `ValueError`."""
         check_ranges(self)
         if not self.port:
             raise ValueError("port: must not be empty")

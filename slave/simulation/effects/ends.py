@@ -103,7 +103,6 @@ class Pretension(SideEffect):
     tension: float = build_ranged_field(5.0, 0.0, 50.0, "N")  # added to the configured one
 
     def __post_init__(self) -> None:
-        """Check the values; raises `ValueError`."""
         SideEffect.__post_init__(self)
         if self.start != 0.0:
             raise ValueError("start: must be 0 s for pretension")

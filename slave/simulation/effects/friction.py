@@ -30,7 +30,6 @@ class FrictionDrift(TendonEffect):
     varies: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
-        """Check the values; raises `ValueError`."""
         TendonEffect.__post_init__(self)
         if self.per_second == 0.0 and self.per_metre == 0.0:
             raise ValueError("per_second: set this or per_metre")
