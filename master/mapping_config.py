@@ -63,8 +63,10 @@ class SpaceHandConfig:
 
     # what the device's axes are, in its order; the next hand has those that follow
     axes: tuple[HandAxis, ...] = ("x", "y", "z")
-    scales: tuple[float, ...] = ()  # of each of `axes` beside the others; negative = the other way
-    dead_bands: tuple[float, ...] = ()  # [m], [rad] of each around 0 that move nothing
+    # of each of `axes` beside the others; negative = the other way
+    scales: tuple[float, ...] = build_ranged_field((), -100.0, 100.0)
+    # [m], [rad] of each around 0 that move nothing
+    dead_bands: tuple[float, ...] = build_ranged_field((), 0.0, 100.0)
     # rotation of the tip over that of the hand
     rotation_scale: float = build_ranged_field(1.0, 0.0, 10.0, above=True)
     grip_scale: float = 1.0  # travel of the gripper's joint over that of the grip axis
@@ -81,12 +83,9 @@ class SpaceHandConfig:
         check_ranges(self)
         if not self.axes or len(set(self.axes)) != len(self.axes):
             raise ValueError(f"axes: each at most once, of {', '.join(HAND_AXES)}")
-        for name, low in (("scales", -100.0), ("dead_bands", 0.0)):
-            values = getattr(self, name)
-            if values and len(values) != len(self.axes):
+        for name in ("scales", "dead_bands"):
+            if len(getattr(self, name)) not in (0, len(self.axes)):
                 raise ValueError(f"{name}: must be one number for each of axes ({len(self.axes)})")
-            if not all(low <= value <= 100.0 for value in values):
-                raise ValueError(f"{name}: must be {low:g} to 100")
         if 0.0 in self.scales:
             raise ValueError("scales: must not be 0; name axes that move nothing under lock")
         if not 0.0 < abs(self.grip_scale) <= 100.0:

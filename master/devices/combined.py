@@ -18,6 +18,7 @@ from master.devices.extension import DeviceExtension
 from master.devices.hid.mapping import HidConfig
 from master.devices.ros_device import RosDeviceConfig
 from master.devices.virtual import VirtualConfig
+from teleop.config.ranges import build_ranged_field, check_ranges
 from teleop.messages.messages import MAX_JOINTS
 
 # --- the configs of single haptic devices
@@ -33,9 +34,9 @@ class CombinedConfig:
     type: Literal["combined"] = "combined"
     devices: tuple[SingleConfig, ...] = (VirtualConfig(), VirtualConfig())  # in order of joints
     # of each device: motion of the hand over its own; empty = 1
-    position_scales: tuple[float, ...] = ()
+    position_scales: tuple[float, ...] = build_ranged_field((), 0.0, 10.0, above=True)
     # ... and the force of the tips on it over that on the hand, at most 1
-    force_scales: tuple[float, ...] = ()
+    force_scales: tuple[float, ...] = build_ranged_field((), 0.0, 1.0, above=True)
 
     def __post_init__(self) -> None:
         if len(self.devices) < 2:
@@ -45,12 +46,10 @@ class CombinedConfig:
         if self.axis_count > MAX_JOINTS:
             each = " + ".join(str(device.axis_count) for device in self.devices)
             raise ValueError(f"devices: {each} axes, must be at most {MAX_JOINTS} together")
-        for name, most in (("position_scales", 10.0), ("force_scales", 1.0)):
-            scales = getattr(self, name)
-            if len(scales) not in (0, len(self.devices)):
+        check_ranges(self)
+        for name in ("position_scales", "force_scales"):
+            if len(getattr(self, name)) not in (0, len(self.devices)):
                 raise ValueError(f"{name}: must have {len(self.devices)} numbers, one a device")
-            if not all(0.0 < scale <= most for scale in scales):
-                raise ValueError(f"{name}: must be above 0 and at most {most:g} each")
 
     @property
     def axis_count(self) -> int:

@@ -139,7 +139,7 @@ class LinkedArmConfig(RoutingConfig):
     tip: str = ""  # link of the URDF that the hand moves
     tool: tuple[float, float, float] = (0.0, 0.0, 0.0)  # [m] of the tip point beyond the sections
     # [m/s^2] in the base, for the masses of the URDF; zeros = without weight
-    gravity: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    gravity: tuple[float, float, float] = build_ranged_field((0.0,) * 3, -100.0, 100.0, "m/s^2")
 
     def __post_init__(self) -> None:
         RoutingConfig.__post_init__(self)
@@ -147,8 +147,6 @@ class LinkedArmConfig(RoutingConfig):
             raise ValueError("sections: conflicts with urdf; use one of them")
         if self.urdf is not None and not self.tip:
             raise ValueError("tip: must name the link of the URDF that the hand moves")
-        if not all(abs(part) <= 100.0 for part in self.gravity):
-            raise ValueError("gravity: must be -100 to 100 m/s^2")
         if any(self.gravity) and self.urdf is None:
             raise ValueError("gravity: needs urdf, with the masses of the links")
 

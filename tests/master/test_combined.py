@@ -89,9 +89,9 @@ def test_each_device_has_scales_of_its_own():
     ("scales", "words"),
     [
         ({"position_scales": (1.0,)}, "position_scales: must have 2 numbers"),
-        ({"position_scales": (0.0, 1.0)}, "position_scales: must be above 0 and at most 10"),
-        ({"force_scales": (1.0, 1.5)}, "force_scales: must be above 0 and at most 1"),
-        ({"force_scales": (1.0, float("nan"))}, "force_scales: must be above 0"),
+        ({"position_scales": (0.0, 1.0)}, "position_scales.0: must be above 0 and at most 10"),
+        ({"force_scales": (1.0, 1.5)}, "force_scales.1: must be above 0 and at most 1"),
+        ({"force_scales": (1.0, float("nan"))}, "force_scales.1: must be above 0"),
     ],
 )
 def test_impossible_scales_of_devices_are_refused(scales, words):
