@@ -54,7 +54,7 @@ from teleop.config.arm import (
     assemble_tendon_rows,
     find_guides,
 )
-from teleop.config.ranges import build_ranged_field, check_ranges
+from teleop.config.ranges import build_ranged_field
 
 STOP_STIFFNESS = 1e6  # [N/m] of end stops and of stuck joints, soft enough to be solved
 FORCE_TOLERANCE = 1e-9  # [N] of balance
@@ -71,7 +71,6 @@ class ArmPlantConfig(LinkedArmConfig):
 
     def __post_init__(self) -> None:
         LinkedArmConfig.__post_init__(self)
-        check_ranges(self)
         if self.contacts and not self.has_kinematics:
             raise ValueError("contacts: need the arm's kinematics, urdf or sections")
 

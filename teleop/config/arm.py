@@ -191,10 +191,6 @@ class ArmConfig(LinkedArmConfig):
     # relative error of the masses of links, for that interval
     mass_error: float = build_ranged_field(0.1, 0.0, 1.0)
 
-    def __post_init__(self) -> None:
-        check_ranges(self)
-        LinkedArmConfig.__post_init__(self)
-
 
 def find_space_joints(arms: Sequence[LinkedArmConfig]) -> tuple[tuple[int, int], ...]:
     """Return first joint and number of joints of arms in space, without grippers.
