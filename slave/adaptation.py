@@ -11,7 +11,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.adaptation import K_MIN, UPDATE_S, Adaptation, build_adaptation, observe
+from estimator.adaptation import (
+    K_MIN,
+    UPDATE_S,
+    Adaptation,
+    AdaptedFriction,
+    build_adaptation,
+    observe,
+)
 from estimator.array_types import Array
 from estimator.compiled import jit_compile
 from estimator.law.tables import K as _K
@@ -134,23 +141,37 @@ def mute_monitors(
     layout: RigLayout,
     prepared: StructArray,
     monitors: Sequence[TendonMonitor],
+    is_degraded: bool,
+    decided: NDArray[np.bool_],
 ) -> None:
-    """Drop what the monitors found of tendons whose K the adaptation can decide.
+    """Drop what the monitors found of tendons whose K the adaptation can decide; set `decided`.
 
     It cannot after a time without pieces that fit, or close to the bounds of K; then the monitor
-    finds errors of the K in use.
+    finds errors of the K in use. In degraded mode all of the interval has to be within the bounds.
     """
     for k in range(layout.groups):
         group, adapts = layout.group[k], True
         for n in range(group.count):
             adapts = adapts and adapter.constants[group.tendon[n]].active
         for n in range(group.count if adapts else 0):
-            i, age = group.tendon[n], adapter.states[group.tendon[n]].evidence_age
+            i = group.tendon[n]
+            low, high, age = _get_interval(adapter.states[i])
             if group.count == 2:
-                age = adapter.pairs[k].a.evidence_age if n == 0 else adapter.pairs[k].b.evidence_age
-            is_inside = _is_inside(adapter.constants[i].K[:], prepared[i].tables[_K])
-            if is_inside and age < UNDECIDED_S:
+                pair = adapter.pairs[k]
+                low, high, age = _get_interval(pair.a) if n == 0 else _get_interval(pair.b)
+            K, bounds = prepared[i].tables[_K], adapter.constants[i].K[:]
+            is_inside = _is_inside(bounds, K)
+            if is_degraded:
+                is_inside = is_inside and _is_inside(bounds, low) and _is_inside(bounds, high)
+            decided[i] = is_inside and age < UNDECIDED_S
+            if decided[i]:
                 monitors[i].count, monitors[i].force_error = 0, 0.0
+
+
+@jit_compile
+def _get_interval(state: AdaptedFriction) -> tuple[float, float, float]:
+    """Return the ends of the interval of K, and the time since the last evidence [s]."""
+    return state.low, state.high, state.evidence_age
 
 
 @jit_compile

@@ -47,7 +47,7 @@ from teleop.config.ranges import MOTION_MAX
 from teleop.coupling import Bilateral
 from teleop.coupling.config import BilateralSettings
 from teleop.coupling.force_attenuation import attenuate_forces
-from teleop.messages.messages import MAX_JOINTS, Command, SlaveState
+from teleop.messages.messages import MAX_JOINTS, MAX_TENDONS, Command, SlaveState
 from teleop.session import state_machine
 from teleop.session.state_machine import Reason, State
 
@@ -702,13 +702,14 @@ def monitor_calibration(
         probing.transfer_probe_result(
             settings.monitor, settings.probed, memory.probe, memory.monitors
         )
-    if adapter is not None and not memory.degradation.active:  # only its transitions end that mode
-        mute_monitors(adapter, layout, prepared, memory.monitors)
+    mode, decided = memory.degradation, np.zeros(MAX_TENDONS, np.bool_)
+    if adapter is not None:
+        mute_monitors(adapter, layout, prepared, memory.monitors, mode.active, decided)
     for s in range(sample_count):
         memory.advice = monitor.step_rig(
             settings.monitor, layout, constants, memory.monitors, rows[s].tendons, rows[s].elapsed
         )
     if settings.degrades:
         degraded_mode.update_degradation(
-            settings.monitor, memory.degradation, memory.monitors, memory.advice, layout.tendons
+            settings.monitor, mode, memory.monitors, memory.advice, decided[: layout.tendons]
         )

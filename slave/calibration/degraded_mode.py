@@ -3,14 +3,17 @@
 A calibration needs free tips, which there are none of inside a patient. With `on_demand: degrade` a
 demand limits the session instead of ending it: the interval of each force is widened by the largest
 error found since, at most `degraded_force` of a force is rendered, and no tip is commanded faster
-than `degraded_speed`. It ends with a calibration (which starts the slave anew), or when the
-transitions of every doubted tendon agree that its shape is as calibrated. A tendon with too few, or
-with contradicting ones, stays doubted.
+than `degraded_speed`. It ends with a calibration (which starts the slave anew), or when of every
+doubted tendon the transitions agree that its shape is as calibrated, or the adaptation has found
+its K. A tendon with too few transitions, or with contradicting ones, stays doubted.
 """
 
 from collections.abc import Sequence
 from math import inf
 from typing import Annotated
+
+import numpy as np
+from numpy.typing import NDArray
 
 from estimator.array_types import Array
 from estimator.compiled import jit_compile
@@ -39,18 +42,21 @@ def update_degradation(
     mode: Degradation,
     monitors: Sequence[TendonMonitor],
     advice: int,
-    tendons: int,
+    decided: NDArray[np.bool_],
 ) -> None:
-    """Begin or end the mode by what the monitors of so many `tendons` say; not time-critical."""
+    """Begin or end the mode by what the monitors say; not time-critical.
+
+    `decided`, shape (tendons,), tells whose K the adaptation has found.
+    """
     mode.active = mode.active or advice == Advice.DEMANDED
     if not mode.active:
         return
     is_doubted = False
-    for i in range(tendons):
+    for i in range(len(decided)):
         ratio = 1.0 + monitors[i].force_error
         mode.ratio[i] = max(mode.ratio[i], ratio, 1.0 / ratio)
         if mode.ratio[i] > 1.0 + config.advise and not is_doubted:
-            is_doubted = not monitor.is_as_calibrated(config, monitors[i])
+            is_doubted = not (decided[i] or monitor.is_as_calibrated(config, monitors[i]))
     mode.active = is_doubted
 
 

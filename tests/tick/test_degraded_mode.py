@@ -1,6 +1,7 @@
 """A whole session that goes on although the monitor has demanded a calibration."""
 
 from contextlib import ExitStack
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,6 +10,8 @@ from estimator.records import view_struct
 from teleop.session.state_machine import Reason, State
 from tests.tick.session import HAND_ENGAGED, Session
 
+DEMO = Path(__file__).parents[2] / "configs" / "demo.yaml"
+RATE = 250  # [Hz]
 DEGRADE = ("slave.monitor.on_demand=degrade", "slave.monitor.degraded_speed=0.0002")
 
 
@@ -62,3 +65,45 @@ def test_as_configured_before_it_ends_the_session() -> None:
             (State.FAULT, Reason.PEER_FAULT),
             (State.FAULT, Reason.CALIBRATION_DUE),
         )
+
+
+@pytest.mark.parametrize(
+    ("adapts", "changes", "at_s", "end_s"),
+    [
+        (False, (0.4, 1.0 / 1.4 - 1.0), (9.0, 24.0), 42.0),  # the sheath is as calibrated again
+        (True, (1.6, -0.5), (6.0, 27.0), 34.0),  # beyond what adaptation decides, and within
+    ],
+    ids=["back as calibrated", "adapted"],
+)
+def test_a_session_goes_on_while_its_sheath_has_degraded_and_recovers(
+    adapts: bool, changes: tuple[float, float], at_s: tuple[float, float], end_s: float
+) -> None:
+    effects = ", ".join(
+        f"{{type: friction_step, start: {start}, change: {change}}}"
+        for start, change in zip(at_s, changes, strict=True)
+    )
+    settings = (
+        *(*HAND_ENGAGED, f"rate_hz={RATE}", "slave.rig.period=0.004"),
+        f"slave.rig.effects=[{effects}]",
+        "slave.monitor.on_demand=degrade",
+        f"slave.adaptation.enabled={str(adapts).lower()}",
+    )
+    with ExitStack() as stack:
+        session = Session(stack, settings, file=DEMO)
+        reasons, forces = [], []
+        for k in range(round(end_s * RATE)):
+            session.tick()
+            state, reason = session.slave._outline()
+            assert state is State.ENGAGED or k < 0.1 * RATE
+            reasons.append(reason)
+            forces.append(session.slave._slave.scratch["force"][0, 0])
+            assert session.master._outline().state is state
+    due = np.array(reasons) == Reason.CALIBRATION_DUE
+    begun, ended = np.flatnonzero(np.diff(due)) / RATE
+    assert at_s[0] < begun < at_s[1] < ended < end_s - 1.0
+    t = np.arange(len(forces)) / RATE
+    peak = {
+        name: np.max(np.abs(forces)[(t > low) & (t < high)])
+        for name, low, high in (("degraded", begun + 1.0, at_s[1]), ("after", ended + 1.0, end_s))
+    }
+    assert 0.0 < peak["degraded"] < 0.6 * peak["after"]

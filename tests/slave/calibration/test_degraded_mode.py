@@ -24,6 +24,7 @@ class Mode:
     def __init__(self):
         self.state = view_struct(Degradation.array())
         self.monitors = TendonMonitor.array(2)
+        self.decided = [False, False]
 
     def see(self, *errors):
         a = view_struct(self.monitors)
@@ -32,7 +33,9 @@ class Mode:
         a.uncertainties[: len(errors)] = 0.01
         a.force_error = monitor.compute_force_error(a)
         advice = monitor.compute_advice(CONFIG, self.monitors, 2)
-        degraded_mode.update_degradation(CONFIG, self.state, self.monitors, advice, 2)
+        degraded_mode.update_degradation(
+            CONFIG, self.state, self.monitors, advice, np.array(self.decided)
+        )
         return advice, bool(self.state.active)
 
     def wait(self, seconds):
@@ -51,6 +54,15 @@ def test_only_transitions_that_agree_on_no_error_end_it():
     assert mode.see(0.1, 0.1, 0.1, 0.1, 0.1) == (Advice.ADVISED, True)
     assert mode.see(0.3, 0.3, 0.01, 0.0, 0.02) == (Advice.NONE, False)
     assert mode.see(-0.3, -0.3, -0.3) == (Advice.DEMANDED, True)
+
+
+def test_an_adaptation_that_has_found_k_ends_it():
+    mode = Mode()
+    assert mode.see(0.3, 0.3, 0.3) == (Advice.DEMANDED, True)
+    mode.decided = [False, True]  # of the other tendon
+    assert mode.see(0.3, 0.3, 0.3)[1]
+    mode.decided = [True, True]
+    assert not mode.see(0.3, 0.3, 0.3)[1]
 
 
 def test_the_limits_come_and_go_without_a_step_and_keep_the_largest_error_until_then():
