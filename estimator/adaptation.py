@@ -58,6 +58,7 @@ PIECE_TENSION = 0.8  # [N]
 PIECE_MAX_S = 1.0  # [s] after which a piece is dropped: creep and temperature are slow
 TAUT_TENSION = 0.15  # [N] below, a tendon may be slack at the tip
 ACCURACY = 0.08  # of the right hypothesis' elongation
+ZERO_ERROR = 0.1  # [N] of the load cell since its calibration
 LOOP_ACCURACY = 0.03  # of K, by a sensing loop
 LOOP_TEMPER = 0.25  # of the evidence of a reading
 LOOP_EVIDENCE_MAX = 25.0  # squared sigma by which a reading of it counts at most
@@ -76,6 +77,7 @@ GROWTH = 0.02  # [1/s] of the interval of K, relative, since the last evidence: 
 APART = 0.12  # relative difference of K from those that evidence tells it from
 UPDATE_S = 0.1  # [s] between updates for the time passed
 STEP_MAX = 0.02  # of a factor in use, per update: the estimate must not jump
+CHANGE_MIN = 0.04  # of K, by which an estimate excludes the K as calibrated
 TAIL = 0.005  # of the posterior, on either side of its interval
 
 _SPREAD = 0.5 * (DRIFT / math.log(FACTORS[1] / FACTORS[0])) ** 2  # [1/s] to each neighbour
@@ -128,6 +130,7 @@ class Adaptation(AdaptedFriction):
     begin_tension: Annotated[Array, Field("f8", DEPTHS)]  # [N] where the piece began
     begin_travel: F64 = 0.0  # [m]
     age: F64 = 0.0  # [s] of the piece
+    direction: F64 = 0.0  # of the motor in it
 
 
 class AdaptedRun(NamedTuple):
@@ -284,11 +287,14 @@ def observe(
     change = 0.0
     for n in range(DEPTHS):
         change += state.mean_weight[n] * (state.tension[n] - state.begin_tension[n])
-    is_whole = state.started and usable and abs(change) >= PIECE_TENSION * constants.compliance
+    has_turned = estimator.displacement_direction != state.direction
+    state.direction = estimator.displacement_direction
+    is_usable = usable and state.started and not has_turned
+    is_whole = is_usable and abs(change) >= PIECE_TENSION * constants.compliance
     if is_whole:
         travel = estimator.mean_displacement - state.begin_travel
         _add_evidence(constants, state, travel, change)
-    if is_whole or not (state.started and usable) or state.age > PIECE_MAX_S:
+    if is_whole or not is_usable or state.age > PIECE_MAX_S:
         state.begin_tension[:] = state.tension[:]
         state.begin_travel, state.age = estimator.mean_displacement, 0.0
         state.started = usable
@@ -359,7 +365,9 @@ def _add_evidence(
     constants: AdaptationConstants, state: Adaptation, travel: float, change: float
 ) -> None:
     """Weigh the hypotheses by a piece: the motor's `travel`, the mean elongation's `change` [m]."""
-    variance = constants.variance + (ACCURACY * change) ** 2
+    least_tension = min(state.tension[0], state.begin_tension[0])
+    accuracy = ACCURACY**2 + (ZERO_ERROR / least_tension) ** 2
+    variance = constants.variance + accuracy * change**2
     costs = np.empty(HYPOTHESES)
     for h in range(HYPOTHESES):
         z = travel
@@ -439,7 +447,8 @@ def follow_estimate(
 ) -> None:
     """Bring the model in use towards an estimate that excludes it."""
     table, n = prepared.tables[:], constants.sections
-    state.adapted = state.adapted or not state.low <= table[_K] <= state.high
+    is_excluded = not state.low <= table[_K] <= state.high
+    state.adapted |= is_excluded and abs(state.K - table[_K]) > CHANGE_MIN * table[_K]
     if not state.adapted:
         return
     friction = constants.friction[:n].copy()

@@ -25,6 +25,7 @@ from estimator import signals
 from estimator.adaptation import (
     APART,
     CELLS,
+    CHANGE_MIN,
     DRIFT,
     EVIDENCE_MAX,
     FACTOR_COUNT,
@@ -73,7 +74,7 @@ START_SIGMA = 0.15  # of each log factor
 MISFIT_SIGMA = 0.1  # of each log factor, added by a piece that fits no sheath
 COMMON_SHARE = 0.5  # of the variance of a log factor, common to the thirds of a sheath
 SIGNIFICANCE = 3.2  # sigma of noise, and
-CHANGE_MIN = 0.04  # of K, by which an estimate excludes the K as calibrated
+MODEL_ERROR = 0.02  # of K, times both tendons' elongation over that of one: 1 % of elongation
 CONSTANT_SIGMA, CONSTANT_DRIFT = 1e-3, 2e-6  # [m], [m/sqrt(s)]
 SIGMAS = 4.0  # of the interval of K
 
@@ -162,8 +163,9 @@ def observe_pair(
         _take_evidence(constants_a, constants_b, state, q_a + q_b, T_a, T_b)
     _take_loop(constants_a, state, a, 0, loop_a, dt)
     _take_loop(constants_b, state, b, 3, loop_b, dt)
-    _adapt(constants_a, state, a, prepared_a, estimator_a, 0, is_usable, dt)
-    _adapt(constants_b, state, b, prepared_b, estimator_b, 3, is_usable, dt)
+    ratio = constants_b.compliance / constants_a.compliance
+    _adapt(constants_a, state, a, prepared_a, estimator_a, 0, ratio, is_usable, dt)
+    _adapt(constants_b, state, b, prepared_b, estimator_b, 3, 1.0 / ratio, is_usable, dt)
     _write_estimate(a, prepared_a, estimate_a)
     _write_estimate(b, prepared_b, estimate_b)
 
@@ -442,10 +444,11 @@ def _adapt(
     prepared: PreparedTendon,
     estimator: EstimatorState,
     first: int,
+    compliance_ratio: float,
     is_usable: bool,
     dt: float,
 ) -> None:
-    """Let the filter age and the model follow it."""
+    """Let the filter age and the model follow it; the ratio is L/EA of the other over this one."""
     tendon.update_age += dt
     tendon.evidence_age += dt
     if tendon.update_age < UPDATE_S:
@@ -464,8 +467,8 @@ def _adapt(
     tendon.high = min(tendon.K + error, constants.K[FACTOR_COUNT - 1])
     sure = SIGNIFICANCE * math.sqrt(max(float(slope @ (state.noise[:] @ slope)), 0.0))
     calibrated = constants.cell_friction * CELLS
-    change = abs(tendon.K - calibrated)
-    tendon.adapted = tendon.adapted or change > max(sure, CHANGE_MIN * calibrated)
+    least = max(CHANGE_MIN * calibrated, MODEL_ERROR * (1.0 + compliance_ratio))
+    tendon.adapted |= abs(tendon.K - calibrated) > max(sure, least)
     K = prepared.tables[_K]
     if is_usable or has_loop(constants, tendon):
         follow_estimate(constants, tendon, prepared)

@@ -36,13 +36,14 @@ from slave.simulation.joint import (
     init_joint,
 )
 from slave.simulation.sensing_loop import SensingLoopConfig, build_loop, compute_loop_target
-from slave.simulation.tendon import Knobs, SheathConfig, divide_sheath
+from slave.simulation.tendon import NEUTRAL, Knobs, SheathConfig, divide_sheath
 from studies.testbed.command import parse_options
 
 RATE = 500.0  # [Hz]
 CHANGE_S, SETTLE_S, AFTER_S = 25.0, 30.0, 15.0  # [s]
 LOOP_FRICTION = 1 / 3  # coefficient of a sensing loop over that of the tendon
 NOISE_N, NOISE_M = 0.02, 1e-6
+DRIFT_S = 1200.0  # [s] period of drifts
 TENSION_MAX, KEPT = 16.0, 0.6  # [N] at which a pull stops; of the tendon that is drawn out
 
 
@@ -166,23 +167,32 @@ def generate_sheath(rng: np.random.Generator) -> tuple[tuple[SectionConfig, ...]
     return tuple(sections), float(rng.uniform(0.4, 1.8)), float(rng.uniform(6e3, 15e3))
 
 
-def simulate_use(
-    seed: int,
-    pair: bool,
-    changes: bool = True,
-    knobs: Knobs | None = None,
-    backlash: float = 0.0,
-    has_loops: bool = False,
-    at_tip: bool = False,
-    settle: float = SETTLE_S,
-) -> Use:
-    """Return a random joint in use, the friction of which changes if it `changes`."""
+class Conditions(NamedTuple):
+    """What happens in a use, and what disturbs it."""
+
+    changes: bool = True  # the friction changes
+    at_tip: bool = False  # only that of the last bend
+    has_loops: bool = False  # there is a sensing loop in each tube
+    settle: float = SETTLE_S  # [s] from the change on before T_out is scored
+    after: float = AFTER_S  # [s] for which it is scored
+    knobs: Knobs = NEUTRAL  # of the tendons
+    backlash: float = 0.0  # [m] of the joint
+    tissue: TissueConfig | None = None  # None: random
+    drift: float = 0.0  # [N] amplitude of the zero of each load cell
+    expansion: float = 0.0  # [m] amplitude of each tendon's length
+
+
+ORDINARY = Conditions()
+
+
+def simulate_use(seed: int, pair: bool, given: Conditions = ORDINARY) -> Use:
+    """Return a random joint in use."""
     rng = np.random.default_rng(seed)
     tendons, models, K_after = [], [], []
     loops: list[tuple[Joint, Array]] = []
     before: list[Array] = []
     change: list[Array] = []
-    whole = rng.random() < 0.5 and not at_tip
+    whole = rng.random() < 0.5 and not given.at_tip
     factor = rng.uniform(-0.4, 0.6)
     for _ in range(2 if pair else 1):
         sections, K, EA = generate_sheath(rng)
@@ -190,16 +200,16 @@ def simulate_use(
         config = SheathConfig(sections, K / bend, EA, 40)
         tendons.append(TendonPlantConfig(config))
         sheath = Sheath(tuple(Section(s.length, s.radius) for s in sections), K / bend, EA)
-        loop_friction = 2.0 * LOOP_FRICTION * K if has_loops else 0.0
+        loop_friction = 2.0 * LOOP_FRICTION * K if given.has_loops else 0.0
         models.append(TendonModel(sheath, NOISE_N, NOISE_M, loop_friction=loop_friction))
         cell, phi = divide_sheath(config)
         before.append(config.friction * phi)
         edges = np.cumsum([s.length for s in sections])
         where = np.searchsorted(edges, np.cumsum(cell) - 0.5 * cell)
         bends = [n for n, s in enumerate(sections) if np.isfinite(s.radius)]
-        bend = bends[-1] if at_tip else rng.choice(bends)
+        bend = bends[-1] if given.at_tip else rng.choice(bends)
         hit = np.full(len(cell), True) if whole else where == bend
-        moved = changes and (len(change) == 0 or rng.random() < 0.5)
+        moved = given.changes and (len(change) == 0 or rng.random() < 0.5)
         change.append(np.where(hit, factor, 0.0) * float(moved))
         K_after.append(float((before[-1] * (1.0 + change[-1])).sum()))
         loop = build_loop(SensingLoopConfig(LOOP_FRICTION * config.friction), config)
@@ -209,33 +219,34 @@ def simulate_use(
         friction=float(rng.uniform(0.0, 0.3)),
         spring=spring,
         pretension=1.0 if pair else 4.0,
-        backlash=backlash,
+        backlash=given.backlash,
     )
     stiffness = float(np.exp(rng.uniform(np.log(300), np.log(3e4))))
     depth = float(rng.uniform(0.001, 0.006))
-    tissue = TissueConfig(position=depth, stiffness=stiffness, exponent=1.0)
+    tissue = given.tissue or TissueConfig(position=depth, stiffness=stiffness, exponent=1.0)
     joint = build_joint(JointConfig(tuple(tendons), body, tissue))
-    if knobs is not None:
-        joint = joint._replace(
-            a=joint.a._replace(chain=joint.a.chain._replace(knobs=knobs)),
-            b=joint.b._replace(chain=joint.b.chain._replace(knobs=knobs)),
-        )
+    joint = joint._replace(
+        a=joint.a._replace(chain=joint.a.chain._replace(knobs=given.knobs)),
+        b=joint.b._replace(chain=joint.b.chain._replace(knobs=given.knobs)),
+    )
     grow = float(np.exp(rng.uniform(np.log(0.1), np.log(20.0))))
-    hand = generate_hand(rng, CHANGE_S + grow + settle + AFTER_S)
+    hand = generate_hand(rng, CHANGE_S + grow + given.settle + given.after)
     both = (before[0], before[-1]), (change[0], change[-1])
     truth = run_plant(joint, init_joint(joint), *both, CHANGE_S, grow, hand, 1.0 / RATE)[
         :, :, : len(tendons)
     ]
     shape, time = truth[:, 0].shape, np.arange(len(hand)) / RATE
-    T = truth[:, 0] + rng.normal(0.0, NOISE_N, shape)
-    q = truth[:, 1] + rng.normal(0.0, NOISE_M, shape)
+    phase = np.random.default_rng([seed, 1]).uniform(0.0, 2.0 * np.pi, shape[1])
+    wave = np.sin(2.0 * np.pi * time[:, None] / DRIFT_S + phase)
+    T = truth[:, 0] + given.drift * wave + rng.normal(0.0, NOISE_N, shape)
+    q = truth[:, 1] + given.expansion * wave + rng.normal(0.0, NOISE_M, shape)
     motion = np.array([compute_loop_target(SensingLoopConfig(), t) for t in time])
     ends = [
         run_loop(
-            loop, init_joint(loop), loop.a.chain.friction.copy(), np.append(of, of[::-1]),
+            loop, init_joint(loop), loop.a.chain.friction.copy(), np.append(half, half[::-1]),
             CHANGE_S, grow, motion, 1.0 / RATE,
         )
-        for loop, of in loops * has_loops
+        for loop, half in loops * given.has_loops
     ]  # fmt: skip
     return Use(
         tuple(models),
@@ -243,7 +254,7 @@ def simulate_use(
         T,
         q,
         truth[:, 2],
-        np.stack(ends, 1) + rng.normal(0.0, NOISE_N, (*shape, 2)) if has_loops else None,
+        np.stack(ends, 1) + rng.normal(0.0, NOISE_N, (*shape, 2)) if given.has_loops else None,
         CHANGE_S + grow,
         tuple(K_after),
     )
@@ -288,11 +299,15 @@ def score_use(use: Use, settle: float = SETTLE_S) -> list[Scores]:
     return out
 
 
-DISTURBANCES = (
-    (Knobs(), 0.0),
-    (Knobs(creep_share=0.05, creep_time=8.0), 0.0),
-    (Knobs(), 5e-4),  # [m] backlash
-    (Knobs(presliding=2e-5), 0.0),
+UNCHANGED = Conditions(changes=False)
+DISTURBED = (
+    UNCHANGED,
+    UNCHANGED._replace(knobs=Knobs(creep_share=0.05, creep_time=8.0)),
+    UNCHANGED._replace(backlash=5e-4),
+    UNCHANGED._replace(knobs=Knobs(presliding=2e-5)),
+    UNCHANGED._replace(drift=0.05),
+    UNCHANGED._replace(expansion=1e-4),
+    UNCHANGED._replace(tissue=TissueConfig(position=0.001, stiffness=900.0, dissipation=20.0)),
 )
 
 
@@ -302,19 +317,23 @@ def main() -> None:
         __doc__,
         sheaths=(40, "number of them"),
         first=(100, "first seed"),
-        unchanged=(False, "no change of friction, but creep, backlash or presliding"),
+        unchanged=(False, "no change of friction, but something else that disturbs"),
         settle=(SETTLE_S, "time after the change before T_out is scored [s]"),
         loop=(False, "a sensing loop in each tube"),
         tip=(False, "the bend at the tip changes"),
+        minutes=(AFTER_S / 60.0, "time of use that is scored"),
         pair=(False, "both tendons of pairs; those that stay the same are reported apart"),
     )
     scores = []
     for k in range(options.sheaths):
-        knobs, backlash = DISTURBANCES[k % len(DISTURBANCES) if options.unchanged else 0]
-        use = simulate_use(
-            options.first + k, options.pair, not options.unchanged, knobs, backlash,
-            options.loop, options.tip, options.settle,
-        )  # fmt: skip
+        conditions = DISTURBED[k % len(DISTURBED)] if options.unchanged else ORDINARY
+        conditions = conditions._replace(
+            at_tip=options.tip,
+            has_loops=options.loop,
+            settle=options.settle,
+            after=60.0 * options.minutes,
+        )
+        use = simulate_use(options.first + k, options.pair, conditions)
         scores += score_use(use, options.settle)
     for is_changed in (True, False):
         report([s for s in scores if s.is_changed is is_changed], is_changed)

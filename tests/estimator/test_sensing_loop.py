@@ -7,7 +7,7 @@ from estimator.adaptation import run_adapting
 from estimator.pair_adaptation import run_adapting_pair
 from estimator.records import view_struct
 from estimator.sensing_loop import LoopState, measure_loop_friction
-from studies.adaptation import score_use, simulate_use
+from studies.adaptation import Conditions, score_use, simulate_use
 
 RATE, CHANGE_S, END_S, NODES = 250.0, 6.0, 12.0, 60
 GAIN = 1.1  # of the cell at the moved end
@@ -49,7 +49,7 @@ def test_friction_at_the_tip_is_measured_within_a_second_whatever_the_gains():
 @pytest.fixture(scope="module")
 def tip():
     """A change of the bend at the tip, which the housing hardly shows, with and without a loop."""
-    return simulate_use(2, pair=False, has_loops=True, at_tip=True, settle=3.0)
+    return simulate_use(2, pair=False, given=Conditions(at_tip=True, has_loops=True, settle=3.0))
 
 
 def test_a_change_near_the_tip_is_followed_within_three_seconds(tip):
@@ -78,7 +78,7 @@ def test_a_faulty_loop_changes_nothing(tip, fault):
 
 
 def test_the_tendons_of_a_pair_take_their_loops_readings():
-    use = simulate_use(1, pair=True, has_loops=True, settle=3.0)
+    use = simulate_use(1, pair=True, given=Conditions(has_loops=True, settle=3.0))
     bare = score_use(use._replace(loop=None), 3.0)
     for scores, without in zip(score_use(use, 3.0), bare, strict=True):
         assert abs(scores.K_error[0]) < 0.05 < abs(without.K_error[0])
