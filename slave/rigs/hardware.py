@@ -45,7 +45,7 @@ class Aligner:
         self._cells = _ReadingStream(lambda reading: reading.cell)
         self._last_s = -math.inf
 
-    def samples(
+    def align(
         self, motors: Iterable[Reading], cells: Iterable[Reading]
     ) -> Iterator[tuple[float, Counts, Counts]]:
         """Yield the new samples, oldest first: time [s], motor positions, cells in counts.
@@ -59,8 +59,8 @@ class Aligner:
         self._cells.extend(cells)
         by_cells = self._cells.period_s >= self._motors.period_s
         slow, fast = (self._cells, self._motors) if by_cells else (self._motors, self._cells)
-        for time_s, value in slow.until(fast.newest_s):
-            interpolated = fast.at(time_s) if time_s > self._last_s else None
+        for time_s, value in slow.take_until(fast.newest_s):
+            interpolated = fast.interpolate(time_s) if time_s > self._last_s else None
             if interpolated is None:
                 continue
             fast_values, distance_s = interpolated
@@ -95,7 +95,7 @@ class _ReadingStream:
             self._kept.append(entry)
             self._waiting.append(entry)
 
-    def until(self, time_s: float) -> Iterator[tuple[float, Counts]]:
+    def take_until(self, time_s: float) -> Iterator[tuple[float, Counts]]:
         """Take the waiting readings up to a time."""
         while self._waiting and self._waiting[0][0] <= time_s:
             yield self._waiting.popleft()
@@ -105,7 +105,7 @@ class _ReadingStream:
         while self._waiting and self._waiting[0][0] <= time_s:
             self._waiting.popleft()
 
-    def at(self, time_s: float) -> tuple[Counts, float] | None:
+    def interpolate(self, time_s: float) -> tuple[Counts, float] | None:
         """Return the values at a time, and its distance [s] to the nearer reading."""
         for (t0, a), (t1, b) in pairwise(self._kept):
             if t0 <= time_s <= t1:
@@ -250,17 +250,17 @@ class Transmission:
         self._newtons = np.array([cell.scale for cell in cells])
         self._offset = np.array([cell.offset for cell in cells])
 
-    def displacement(self, position: Counts) -> Array:
+    def to_displacement(self, position: Counts) -> Array:
         """Return the tendons' displacements [m] of motor positions."""
         metres: Array = (position - self._zero) * self._metres
         return metres
 
-    def tension(self, cell: Counts) -> Array:
+    def to_tension(self, cell: Counts) -> Array:
         """Return the tensions [N] of cell readings."""
         newtons: Array = (cell - self._offset) * self._newtons
         return newtons
 
-    def target(self, displacement: Array) -> Counts:
+    def to_counts(self, displacement: Array) -> Counts:
         """Return the motor positions of displacements [m]."""
         counts: Counts = displacement / self._metres + self._zero
         return counts
@@ -315,8 +315,8 @@ class HardwareRig:
             if sampled_s < oldest_s:
                 self._late += 1
                 continue
-            displacement = self._transmission.displacement(position)
-            tension = self._transmission.tension(cell)
+            displacement = self._transmission.to_displacement(position)
+            tension = self._transmission.to_tension(cell)
             loops = self._read_loops(tension)
             housing = sampled_s - self._start_s, tension[: self.tendons], displacement
             samples.append(RigSample(*housing, None, None, *loops))
@@ -338,7 +338,7 @@ class HardwareRig:
         if not self.follows:
             self._require_near(proximal_displacement)
             self._enabled = True
-        self._target, self._written = self._transmission.target(proximal_displacement), True
+        self._target, self._written = self._transmission.to_counts(proximal_displacement), True
         self._send(self._target)
 
     def announce_pause(self) -> None:
@@ -405,7 +405,7 @@ class HardwareRig:
             self.follows = self._enabled and readings[0][-1].follows
         if self._aligner is None:
             return [(r.time_s, r.position, r.cell) for r in readings[0]]
-        return list(self._aligner.samples(*readings))
+        return list(self._aligner.align(*readings))
 
     def _require_near(self, target: Array) -> None:
         """Refuse targets that would make a motor jump as it is enabled."""

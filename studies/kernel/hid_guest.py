@@ -169,7 +169,7 @@ def signs(case: Case, rig: Plugged) -> Figures:
             others = [abs(share) for k, share in enumerate(forces) if k != axis]
             if max(others, default=0.0) > 0.01 * _PROBE_SHARE:
                 raise WrongError(f"a force on {name} pushed {forces}")
-            known = known.having(ForceSign(*line.found.pusher, name, seen[-1]))
+            known = known.with_sign(ForceSign(*line.found.pusher, name, seen[-1]))
     finally:
         line.end(1.0)
     if tuple(seen) != case.signs:

@@ -91,9 +91,9 @@ class Proxy:
         """Close both sides; messages in the queue are lost."""
         self._stack.close()
 
-    def work(self) -> None:
+    def send_due(self) -> None:
         """Do the work that is due; returns within some 20 ms."""
-        self._queue.work()
+        self._queue.send_due()
         now = time.monotonic_ns()
         if now >= self._look_ns:
             self._look_ns = now + round(WAIT_S * 1e9)
@@ -114,11 +114,11 @@ class Proxy:
             self._set(words)
         elif action != "status":
             raise UsageError(f"{action}: allowed are {', '.join(ACTIONS)}")
-        return self.counts()
+        return self.count_messages()
 
-    def counts(self) -> dict[str, Any]:
+    def count_messages(self) -> dict[str, Any]:
         """Return the message counts of each direction, and the lateness of the queue."""
-        counts = {name: direction.counts() for name, direction in self._directions.items()}
+        counts = {name: direction.count_messages() for name, direction in self._directions.items()}
         return counts | {
             "waiting": len(self._queue),
             "waiting_bytes": self._queue.held_bytes,
@@ -193,9 +193,9 @@ def main(args: argparse.Namespace) -> int:
             print(f"the master connects to the slave at {config.endpoint} now", flush=True)
         with pause_garbage_collection():
             while not stop():
-                proxy.work()
+                proxy.send_due()
     finally:
-        counts = proxy.counts()
+        counts = proxy.count_messages()
         proxy.close()
     write_summary(args.json, counts | {"stopped": stop.reason, "realtime": granted})
     if not is_supervised():

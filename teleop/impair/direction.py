@@ -17,7 +17,7 @@ from teleop.runtime.clock import Durations
 
 # --- a queue that delivers messages at their due time, within a fraction of a millisecond
 
-WAIT_S = 0.02  # longest wait of `work`, so that its caller can stop
+WAIT_S = 0.02  # longest wait of `send_due`, so that its caller can stop
 # Both directions of a session at 1 kHz are 2200 messages/s of 420 bytes; with the longest delay,
 # jitter and hold-back that a config may ask for, 30 s, that is 41 MB.
 CAPACITY_BYTES = 64_000_000
@@ -60,11 +60,11 @@ class DelayQueue:
         return True
 
     def wake(self) -> None:
-        """Make `work` return soon."""
+        """Make `send_due` return soon."""
         with self._changed:
             self._changed.notify()
 
-    def work(self) -> None:
+    def send_due(self) -> None:
         """Deliver due messages, or wait: at most `WAIT_S`, and until `wake`."""
         with self._changed:
             now = time.monotonic_ns()
@@ -161,7 +161,7 @@ class Direction:
         if now - self._cut_ns >= presence_s * 1e9:
             self._far.announce(frozenset())
 
-    def counts(self) -> dict[str, dict[str, int]]:
+    def count_messages(self) -> dict[str, dict[str, int]]:
         """Return the message counts of each topic with messages."""
         with self._lock:
             return {

@@ -103,9 +103,9 @@ def test_counts_become_metres_and_newtons_and_targets_the_same_counts_again():
     change = Transmission((right, left))
     counts = np.array([ZERO + 4096.0, -10.0 - 4.0 * 4096.0])
     turn = 2.0 * np.pi * 0.010
-    assert change.displacement(counts) == pytest.approx([turn, turn])
-    assert change.target(change.displacement(counts)) == pytest.approx(counts)
-    assert change.tension(np.array([1500.0, -20.0])) == pytest.approx([1.5, -0.02])
+    assert change.to_displacement(counts) == pytest.approx([turn, turn])
+    assert change.to_counts(change.to_displacement(counts)) == pytest.approx(counts)
+    assert change.to_tension(np.array([1500.0, -20.0])) == pytest.approx([1.5, -0.02])
 
 
 @pytest.mark.parametrize(

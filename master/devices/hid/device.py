@@ -67,7 +67,7 @@ class Claims:
             self._open.clear()
             self._most.clear()
 
-    def paths(self) -> frozenset[str]:
+    def list_paths(self) -> frozenset[str]:
         """Return the paths of the claimed devices."""
         with self._lock:
             return frozenset(self._open)
@@ -188,7 +188,7 @@ class OpenedDevice:
                 self.lines.append(DeviceConnection(device, pid, pushed))
             self.device, self.switches = self.lines[0], self.lines[-1]
             buttons = self.switches.driver.buttons
-            found_signs = force_signs.of(devices[0].pusher)
+            found_signs = force_signs.find_signs(devices[0].pusher)
             self.plan = mapping.build_mapping(config, self.device.driver, buttons, found_signs)
         except BaseException:
             self.end()
@@ -293,7 +293,7 @@ class HidDevice:
 
     def _open_again(self, paths_before: frozenset[str]) -> OpenedDevice:
         device, *switches = self._found
-        reattached = [search.reattach_device(device, paths_before, CLAIMS.paths())]
+        reattached = [search.reattach_device(device, paths_before, CLAIMS.list_paths())]
         if CLAIMS.is_ambiguous(device.item):
             raise DeviceFault(
                 f"{device.item}: was unplugged together with a device of the same identity, which "
@@ -316,7 +316,7 @@ def may_use_device_effects(device: FoundDevice, force_signs: ForceSigns) -> bool
     A sign of -1 means either a reversed motor, whose own spring would push away from the centre, or
     another convention; these cannot be distinguished.
     """
-    signs_found = force_signs.of(device.pusher)
+    signs_found = force_signs.find_signs(device.pusher)
     return device.kind == PID and all(
         signs_found.get(axis) == 1 for axis in PidDriver(device.descriptor).forces
     )
@@ -328,7 +328,7 @@ def describe_device(
     """Return the messages to the operator about a newly opened device."""
     lines = [f"device: {devices[0].item}, driver {devices[0].kind}"]
     lines += [f"buttons: {device.item}, driver {device.kind}" for device in devices[1:]]
-    names = mapping.find_unsigned_axes(config, force_signs.of(devices[0].pusher))
+    names = mapping.find_unsigned_axes(config, force_signs.find_signs(devices[0].pusher))
     if names:
         lines.append(
             f"WARNING: no force on {', '.join(names)}: force sign unknown; run `teleop devices "

@@ -51,11 +51,11 @@ class ForceSigns:
 
     signs: tuple[ForceSign, ...] = ()
 
-    def of(self, pusher: ForceSignKey) -> dict[str, int]:
+    def find_signs(self, pusher: ForceSignKey) -> dict[str, int]:
         """Return 1 or -1 for each axis with a known sign."""
         return {s.axis: s.sign for s in self.signs if s.pusher == pusher}
 
-    def having(self, new_sign: ForceSign) -> "ForceSigns":
+    def with_sign(self, new_sign: ForceSign) -> "ForceSigns":
         """Return the signs with one added or replaced."""
         mine = new_sign.pusher, new_sign.axis
         return ForceSigns((*(s for s in self.signs if (s.pusher, s.axis) != mine), new_sign))

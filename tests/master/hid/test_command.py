@@ -50,7 +50,7 @@ class Someone:
 
 
 def found_in(file):
-    return force_signs.load(file).of(search.find_device("", "auto").pusher)
+    return force_signs.load(file).find_signs(search.find_device("", "auto").pusher)
 
 
 def teleop(capsys, *words):

@@ -90,20 +90,20 @@ X = ForceSign(*BOARD, "x", 1)
 def test_what_is_written_is_read_and_the_newest_finding_counts(tmp_path):
     path = tmp_path / "below" / "signs.yaml"
     other = ForceSignKey("1209:5968", "pid", "123456")
-    known = ForceSigns().having(X).having(ForceSign(*other, "x", -1))
+    known = ForceSigns().with_sign(X).with_sign(ForceSign(*other, "x", -1))
     force_signs.save(path, known)
     assert force_signs.load(path) == known
-    assert known.of(other) == {"x": -1}
-    turned = known.having(ForceSign(*BOARD, "x", -1)).having(ForceSign(*BOARD, "y", 1))
+    assert known.find_signs(other) == {"x": -1}
+    turned = known.with_sign(ForceSign(*BOARD, "x", -1)).with_sign(ForceSign(*BOARD, "y", 1))
     assert len(turned.signs) == 3
-    assert turned.of(BOARD) == {"x": -1, "y": 1}
+    assert turned.find_signs(BOARD) == {"x": -1, "y": 1}
 
 
 @pytest.mark.parametrize(
     "other", [{"device": "1209:ffb0:b"}, {"driver": "ffbeast"}, {"layout": "0ddba11"}]
 )
 def test_a_sign_is_of_one_device_one_driver_and_one_descriptor(other):
-    assert ForceSigns((X,)).of(BOARD._replace(**other)) == {}
+    assert ForceSigns((X,)).find_signs(BOARD._replace(**other)) == {}
 
 
 def test_without_a_file_nothing_is_known_but_a_named_one_must_be_there(tmp_path, monkeypatch):

@@ -27,7 +27,7 @@ def run(motor_times, cell_times):
     events = sorted([(t, True) for t in motor_times] + [(t, False) for t in cell_times])
     for time_s, is_motor in events:
         new = [motor(time_s)] if is_motor else []
-        samples += aligner.samples(new, [] if is_motor else [cell(time_s)])
+        samples += aligner.align(new, [] if is_motor else [cell(time_s)])
     return aligner, samples
 
 
@@ -48,10 +48,10 @@ def test_whatever_the_rates_samples_are_in_order_once_and_of_one_time(motor_gaps
 def test_without_one_of_the_two_there_is_no_sample(silent):
     aligner = Aligner()
     run_in = [k * 1e-3 for k in range(50)]
-    list(aligner.samples(map(motor, run_in), map(cell, run_in)))
+    list(aligner.align(map(motor, run_in), map(cell, run_in)))
     later = [0.05 + k * 1e-3 for k in range(50)]
     found = list(
-        aligner.samples(
+        aligner.align(
             [] if silent == "motors" else map(motor, later),
             [] if silent == "cells" else map(cell, later),
         )
