@@ -52,6 +52,7 @@ from estimator.diagnosis.outcome import (
     Verdict,
     decide_verdict,
 )
+from estimator.diagnosis.residual_structure import find_residual_dependence
 from estimator.diagnosis.rivals import CauseError
 from estimator.diagnosis.sampling import mark_missing
 from estimator.diagnosis.scoring import (
@@ -60,7 +61,6 @@ from estimator.diagnosis.scoring import (
     compute_errors,
     compute_missed_share,
     compute_residual_fraction,
-    find_residual_dependence,
     is_noise,
     join_errors,
 )

@@ -26,11 +26,11 @@ from estimator.diagnosis.rivals import find_rivals
 from estimator.diagnosis.scoring import (
     ChannelErrors,
     Choice,
-    are_foreign,
+    are_not_tendon_data,
     bootstrap_superiority,
     compute_bic_penalty,
     compute_errors,
-    compute_gain,
+    compute_likelihood_gain,
     compute_log_likelihood_ratio,
     compute_missed_share,
     compute_residual_fraction,
@@ -75,7 +75,7 @@ def find_next_cause(
     best_score = score_candidate(dataset, current_errors, best)
     if (
         best_score < SETTINGS.score_min
-        or compute_gain(best.held_out, current_errors) < SETTINGS.gain_min
+        or compute_likelihood_gain(best.held_out, current_errors) < SETTINGS.gain_min
         or bootstrap_superiority(best.held_out, current_errors) < SETTINGS.confidence
     ):
         return None
@@ -382,7 +382,7 @@ def _is_explained(result: CauseSearchResult) -> bool:
 def _is_foreign(result: CauseSearchResult) -> bool:
     """Return whether neither the base law nor any first candidate makes a tendon of the data."""
     errors = compute_errors(result.dataset, result.fit), *_get_errors(result.first_candidates)
-    return are_foreign(result.dataset, errors)
+    return are_not_tendon_data(result.dataset, errors)
 
 
 def _has_law(result: CauseSearchResult) -> bool:
@@ -440,7 +440,9 @@ def _find_causes_stepwise(
         candidates = fit_candidates(
             dataset, fit, untried, scale_progress(report, begin, end), workers
         )
-        if are_foreign(dataset, (compute_errors(dataset, base_fit), *_get_errors(candidates))):
+        if are_not_tendon_data(
+            dataset, (compute_errors(dataset, base_fit), *_get_errors(candidates))
+        ):
             first_candidates = first_candidates or candidates
             break
         step = find_next_cause(dataset, base_fit, fit, candidates)

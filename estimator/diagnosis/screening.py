@@ -33,7 +33,7 @@ from estimator.diagnosis.fit import (
 )
 from estimator.diagnosis.scoring import (
     ChannelErrors,
-    are_foreign,
+    are_not_tendon_data,
     compute_bic_penalty,
     compute_errors,
     compute_log_likelihood_ratio,
@@ -143,7 +143,7 @@ def fit_candidates(
         for candidate in sorted(selected_starts, key=lambda candidate: candidate.cost)
     ]
     law_errors = compute_errors(subsampled, subsampled_fit)
-    if are_foreign(subsampled, [law_errors]):
+    if are_not_tendon_data(subsampled, [law_errors]):
         models = models[:FOREIGN_STARTS]
     best: list[Candidate] = []
     progress_begin = SCREENING_PROGRESS
@@ -164,7 +164,9 @@ def fit_candidates(
             for candidate in best
             if candidate.cost < cost_ratio_max * best[0].cost
         ]
-        if are_foreign(subsampled, (law_errors, *(candidate.held_out for candidate in best))):
+        if are_not_tendon_data(
+            subsampled, (law_errors, *(candidate.held_out for candidate in best))
+        ):
             models = []
             break
 

@@ -29,7 +29,7 @@ from estimator.diagnosis.scoring import (
     ChannelErrors,
     bootstrap_superiority,
     compute_channel_errors,
-    compute_gain,
+    compute_likelihood_gain,
     compute_residual_fraction,
     concatenate_errors,
 )
@@ -253,7 +253,7 @@ class _Search:
     def is_significant(self, stage: Stage, base: Stage) -> bool:
         """Return whether a model is better than a simpler one, as a named effect must be."""
         return (
-            compute_gain(stage.errors, base.errors) > SETTINGS.gain_min
+            compute_likelihood_gain(stage.errors, base.errors) > SETTINGS.gain_min
             and bootstrap_superiority(stage.errors, base.errors) > SETTINGS.confidence
         )
 

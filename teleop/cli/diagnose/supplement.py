@@ -18,7 +18,7 @@ from estimator.array_types import Array
 from estimator.diagnosis import report_tables, report_text
 from estimator.diagnosis.figures import draw_figures
 from estimator.diagnosis.outcome import Diagnosis, PredictedRecord
-from estimator.diagnosis.scoring import Autocorrelation, autocorrelate_channel
+from estimator.diagnosis.residual_structure import Autocorrelation, autocorrelate_channel
 from estimator.drawing import BLACK, BLUE, STYLE, to_svg
 from estimator.effects import Effect
 from estimator.text_table import Table
