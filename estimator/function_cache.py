@@ -25,7 +25,7 @@ from numba.core import serialize, types
 from numba.core.compiler import CompileResult
 
 KEPT_S = 30 * 86_400.0  # [s] since its last use, after which a file is deleted
-CLAIM_S = 30.0  # [s] to wait for another process that compiles the same version
+CLAIM_S = 120.0  # [s] to wait for another process that compiles the same version
 _TOUCHED_S = 86_400.0  # [s] by which the noted time of the last use may be wrong
 _VERSIONS = (sys.implementation.cache_tag, numba.__version__, llvmlite.__version__, np.__version__)
 
