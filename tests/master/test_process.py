@@ -8,10 +8,8 @@ from master.config import MasterConfig
 from master.device import DeviceFault, DeviceLost, HandState
 from master.process import ANSWER_WAIT_SHARE, LATE_ANSWERS_MAX, RETRY_TICKS, MasterProcess
 from teleop.errors import PeerError, TeleopError
-from teleop.link import LatestMessage, ReceivedMessage
-from teleop.link.rate_limit import RefusalCounter
+from teleop.link import ReceivedMessage
 from teleop.messages.messages import (
-    NO_TOPICS,
     STAGE_NAMES,
     Command,
     EmergencyStop,
@@ -38,46 +36,34 @@ from teleop.runtime import clock as runtime_clock
 from teleop.runtime.clock import Grid, now_ns
 from teleop.session.loop_process import run
 from teleop.session.state_machine import Reason, State, to_outline
+from tests.fake_link import ON_THE_WAY, FakeLink, Until
 from tests.tick.clock import StandingClock
-
-ON_THE_WAY = 1e-5  # [s]
 
 
 @pytest.fixture(autouse=True)
 def clock(monkeypatch):
-    DeviceConnection.clock = StandingClock(monkeypatch)
-    return DeviceConnection.clock
+    ObedientLink.clock = StandingClock(monkeypatch)
+    return ObedientLink.clock
 
 
-class DeviceConnection:
-    """Stands in for the link: keeps what is published, and answers as an obedient slave would."""
+class ObedientLink(FakeLink):
+    """Answers as an obedient slave would."""
 
-    nonce, role = 5, Role.MASTER
-    is_present = skip_unsubscribed = staticmethod(lambda *_: False)
-    refused = forged = staticmethod(lambda _topic: 0)
-    list_last_sequences = staticmethod(lambda: NO_TOPICS)
-    clock = None  # in which its messages take `ON_THE_WAY`
+    role = Role.MASTER
 
     def __init__(self):
-        self.sent, self.heard, self.refusals = [], [], RefusalCounter()
-        self.latest_state = LatestMessage(STATE, lambda _: True)
-        self.sequence, self.conflict, self.answering = 0, None, True
+        super().__init__(STATE, 30_000_000)
+        self.answering = True
         self.late = 0  # looks that an answer takes; 0 = it is there at once
         self.under_way, self.waits = [], 0
         self.waited = set()  # numbers of the commands whose answers were waited for
         self.told = {}  # what the slave says instead
 
-    def publish(self, topic, message):
-        self.sent.append((topic, message))
-        return now_ns()
-
     def publish_packet(self, topic, packet):
-        stamp = now_ns()
+        stamp = super().publish_packet(topic, packet)
         self.clock.sleep(ON_THE_WAY)
-        message = topic.message.unpack(packet.seal(self.nonce, len(self.sent) + 1, stamp))
-        self.sent.append((topic, message))
         if topic is COMMAND and self.answering:
-            self.under_way.append((self.late, self.answer(message)))
+            self.under_way.append((self.late, self.answer(self.sent[-1][1])))
         return stamp
 
     def answer(self, command):
@@ -93,11 +79,6 @@ class DeviceConnection:
         }
         return SlaveState(**(fields | self.told))
 
-    def subscribe_latest(self, topic, limit_ns):
-        assert topic is STATE
-        assert limit_ns == 30_000_000
-        return self.latest_state
-
     def wait(self, topic, deadline_ns):
         assert topic is STATE
         self.waits += 1
@@ -112,38 +93,7 @@ class DeviceConnection:
         assert topic is STATE
         here = [state for looks, state in self.under_way if looks == 0]
         self.under_way = [(looks - 1, state) for looks, state in self.under_way if looks]
-        arrived = []
-        for state in here:
-            self.sequence += 1
-            data = state.pack(self.nonce, self.sequence, now_ns())
-            arrived.append((data, now_ns()))
-        self.latest_state.take(arrived)
-        self.clock.sleep(ON_THE_WAY)
-        return self.latest_state
-
-    def listen(self, topics):
-        assert set(topics) == {STOP, SETTING}
-        return self
-
-    def drain(self):
-        heard, self.heard = self.heard, []
-        return heard
-
-    def is_announced(self, nonce):
-        return nonce == 77
-
-    def has_right(self, nonce, right):
-        return right == "stop" or self.is_announced(nonce)
-
-    def counts(self):
-        return self.latest_state.counts
-
-    def check_peers(self):
-        if self.conflict:
-            raise PeerError(self.conflict)
-
-    def of(self, topic):
-        return [message for which, message in self.sent if which is topic]
+        return self.take(here)
 
 
 class Stylus:
@@ -170,27 +120,13 @@ class Stylus:
         self.closed += 1
 
 
-class Until:
-    """Stops after a number of ticks, or when asked to."""
-
-    def __init__(self, ticks):
-        self.left, self.reason = ticks, ""
-
-    def __call__(self):
-        self.left -= 1
-        return self.left < 0 or bool(self.reason)
-
-    def request(self, reason):
-        self.reason = self.reason or reason
-
-
 def session(device, line, rate_hz, stop=lambda: False):
     grid = Grid(rate_hz, stop, now=line.clock.now, sleep=line.clock.sleep)
     return MasterProcess(MasterConfig(), line, device, grid), grid
 
 
 def driven(device, line=None, ticks=40, rate_hz=2000.0):
-    line = DeviceConnection() if line is None else line
+    line = ObedientLink() if line is None else line
     stop = Until(ticks)
     master, grid = session(device, line, rate_hz, stop)
     run(master, grid, stop.request)
@@ -222,7 +158,7 @@ def test_a_session_reaches_the_hand_and_ends_without_force():
 
 @pytest.mark.parametrize("fails", ["read_fails_at", "write_fails_at"])
 def test_whatever_goes_wrong_the_end_is_told_and_the_hand_left_without_force(fails):
-    device, line = Stylus(**{fails: 20}, error=ZeroDivisionError), DeviceConnection()
+    device, line = Stylus(**{fails: 20}, error=ZeroDivisionError), ObedientLink()
     with pytest.raises(ZeroDivisionError):
         driven(device, line)
     assert line.of(COMMAND)[-1] == Command()
@@ -232,7 +168,7 @@ def test_whatever_goes_wrong_the_end_is_told_and_the_hand_left_without_force(fai
 
 
 def test_the_force_is_that_of_the_answer_to_the_tick_s_own_command():
-    line, device = DeviceConnection(), Stylus()
+    line, device = ObedientLink(), Stylus()
     _, run_on = ticking(line, device)
     run_on(60)
     assert device.forces[-1][0] < -0.1
@@ -244,7 +180,7 @@ def test_the_force_is_that_of_the_answer_to_the_tick_s_own_command():
 
 
 def test_states_that_answer_older_commands_are_not_waited_for_but_looked_behind():
-    class Chatty(DeviceConnection):
+    class Chatty(ObedientLink):
         """Between command and answer there are states that a deadline of the slave sent."""
 
         def wait(self, topic, deadline_ns):
@@ -266,14 +202,14 @@ def test_states_that_answer_older_commands_are_not_waited_for_but_looked_behind(
     master, run_on = ticking(line, Stylus(), rate_hz=50.0)  # time for all of them
     run_on(40)
     commands = line.of(COMMAND)
-    assert line.latest_state.message.echo_stamp_ns == commands[-1].stamp_ns
+    assert line.received.message.echo_stamp_ns == commands[-1].stamp_ns
     assert all(hand.round_trip_ns > 0 for hand in line.of(HAND))
     assert line.waits >= 4 * 39
     assert master.summary().stages_us["all"].n == 40
 
 
 def test_a_wait_ends_at_its_time_though_states_keep_coming():
-    class Flood(DeviceConnection):
+    class Flood(ObedientLink):
         def wait(self, topic, deadline_ns):  # noqa: ARG002
             self.clock.sleep(ON_THE_WAY)
             return True  # always something, never the answer
@@ -285,7 +221,7 @@ def test_a_wait_ends_at_its_time_though_states_keep_coming():
     assert master.summary().overruns == 0
 
 
-class Late(DeviceConnection):
+class Late(ObedientLink):
     """A link on which answers come some commands later."""
 
     commands = 2
@@ -321,7 +257,7 @@ def test_on_a_link_that_is_always_late_no_time_is_spent_waiting_but_now_and_then
 
 
 def test_what_does_not_come_is_waited_for_a_part_of_the_period():
-    line = DeviceConnection()
+    line = ObedientLink()
     line.answering = False
     master, run_on = ticking(line, Stylus(), rate_hz=100.0)
     run_on(10)
@@ -329,7 +265,7 @@ def test_what_does_not_come_is_waited_for_a_part_of_the_period():
 
 
 def test_the_stages_of_the_latency_are_those_of_our_own_commands_and_add_up():
-    added, line = [], DeviceConnection()
+    added, line = [], ObedientLink()
     master, run_on = ticking(line, Stylus(), rate_hz=400.0)
     add = master._meter.stages.add
     master._meter.stages.add = lambda parts: (added.append(parts), add(parts))
@@ -364,7 +300,7 @@ def test_reports_come_twice_a_second():
     ],
 )
 def test_axes_and_joints_that_do_not_match_are_told_once(joints, said):
-    line = DeviceConnection()
+    line = ObedientLink()
     line.told = {"joints": joints}
     driven(Stylus(), line, ticks=130, rate_hz=100.0)
     texts = [decode_text(event.text) for event in line.of(EVENT)]
@@ -395,7 +331,7 @@ def freezing(monkeypatch, phase, at, decided, what):
         verdict = whole(*args)
         decided.append(what(args))
         if len(decided) in at:
-            DeviceConnection.clock.sleep(0.05)
+            ObedientLink.clock.sleep(0.05)
         return verdict
 
     monkeypatch.setattr(loop, phase, run_phase)
@@ -448,7 +384,7 @@ def test_a_hand_that_let_go_is_without_force_in_that_tick_though_both_decisions_
 
 
 def test_one_that_froze_while_it_waited_renders_nothing_old():
-    class Frozen(DeviceConnection):
+    class Frozen(ObedientLink):
         def wait(self, topic, deadline_ns):
             if len(self.of(COMMAND)) == 30:
                 self.clock.sleep(0.1)
@@ -502,7 +438,7 @@ def test_after_a_suspension_the_hand_is_lost_with_any_device(clock, monkeypatch)
     patch = partial(monkeypatch.setattr, runtime_clock.time, raising=False)
     patch("CLOCK_BOOTTIME", 7)
     patch("clock_gettime_ns", lambda _: clock.now() + suspended_ns[0])
-    device, line = Stylus(), DeviceConnection()
+    device, line = Stylus(), ObedientLink()
     master, run_on = ticking(line, device)
     run_on(40)
     assert device.forces[-1][0] < -0.1
@@ -519,7 +455,7 @@ def test_after_a_suspension_the_hand_is_lost_with_any_device(clock, monkeypatch)
 
 
 def test_a_second_master_ends_the_session():
-    line = DeviceConnection()
+    line = ObedientLink()
     line.conflict = "it has a master already"
     device = Stylus()
     master, _, stop = driven(device, line, ticks=200, rate_hz=100.0)
@@ -535,7 +471,7 @@ def called(topic, message, sender=77, sequence=1):
 
 
 def test_a_call_for_a_stop_is_obeyed_in_the_tick_told_with_its_words_and_reset():
-    device, line = Stylus(), DeviceConnection()
+    device, line = Stylus(), ObedientLink()
     master, run_on = ticking(line, device)
 
     def asked(action, ticks=1, **fields):
@@ -584,7 +520,7 @@ class Pad(Stylus):
 
 
 def test_each_press_of_a_button_without_a_function_is_an_event_bounded_in_rate():
-    line = DeviceConnection()
+    line = ObedientLink()
     _, run_on = ticking(line, Pad())
     run_on(90)
     presses = [decode_text(e.text) for e in line.of(EVENT) if b"button" in bytes(e.text)]
@@ -597,7 +533,7 @@ def test_each_press_of_a_button_without_a_function_is_an_event_bounded_in_rate()
 
 
 def test_a_setting_is_changed_told_and_answered_and_a_refused_one_says_why():
-    line = DeviceConnection()
+    line = ObedientLink()
     _, run_on = ticking(line, Stylus())
     wishes = [("operator.position_scale", "0.1"), ("force.limit", "9"), ("force.scale", "99")]
     line.heard = [

@@ -1,7 +1,6 @@
 import itertools
 import math
 import os
-from contextlib import nullcontext
 from dataclasses import replace
 from functools import partial
 from types import SimpleNamespace
@@ -18,11 +17,9 @@ from slave.process import CalibrationHistory, SlaveProcess
 from slave.rig import RigFault, RigFinished, RigSample
 from slave.rigs.simulated import SimulatedRig, SimulatedRigConfig
 from teleop.errors import PeerError, TeleopError
-from teleop.link import LatestMessage, ReceivedMessage
-from teleop.link.rate_limit import RefusalCounter
+from teleop.link import ReceivedMessage
 from teleop.messages.messages import (
     MAX_JOINTS,
-    NO_TOPICS,
     Command,
     EmergencyStop,
     Setting,
@@ -51,6 +48,7 @@ from teleop.runtime.clock import EventClock, now_ns
 from teleop.session.config import RunConfig
 from teleop.session.loop_process import run
 from teleop.session.state_machine import Reason, State, to_outline
+from tests.fake_link import FakeLink, Until
 from tests.tick.clock import StandingClock
 
 TENDON = TendonConfig(effective_friction=0.8)
@@ -59,52 +57,24 @@ START = 0.013  # [m] where the fake rig's encoder says its motor stands
 PULL = 2e-5  # [m] of every command further than the last
 
 
-ON_THE_WAY = 1e-5  # [s]
-
-
 @pytest.fixture(autouse=True)
 def clock(monkeypatch):
     """Time stands still but for sleeping."""
-    FakeLink.clock = StandingClock(monkeypatch)
-    return FakeLink.clock
+    CommandingLink.clock = StandingClock(monkeypatch)
+    return CommandingLink.clock
 
 
-class FakeLink:
-    """Stands in for the link: keeps what is published, and commands as a master would."""
+class CommandingLink(FakeLink):
+    """Commands as a master would."""
 
-    nonce, role = 5, Role.SLAVE
-    clock = None  # in which its messages take `ON_THE_WAY`
+    role = Role.SLAVE
 
     def __init__(self, pressed_after=5, rate_hz=1000.0):
-        self.sent, self.heard, self.refusals = [], [], RefusalCounter()
-        self.latest_command = LatestMessage(COMMAND, lambda _: True)
-        self.pressed_after, self.sequence, self.conflict = pressed_after, 0, None
+        super().__init__(COMMAND, round(CONFIG.command_timeout * 1e9))
+        self.pressed_after = pressed_after
         self.master_state = None  # whatever is pressed
         self.commanding = True
         self.period_ns, self.due_ns = round(1e9 / rate_hz), 0
-        self.stamps = []  # [ns] of the commands
-
-    def publish(self, topic, message):
-        stamp = now_ns()
-        self.sent.append((topic, message))
-        return stamp
-
-    def skip_unsubscribed(self, _topic):
-        return False
-
-    def list_last_sequences(self):
-        return NO_TOPICS
-
-    def publish_packet(self, topic, packet):
-        stamp = now_ns()
-        message = topic.message.unpack(packet.seal(self.nonce, len(self.sent) + 1, stamp))
-        self.sent.append((topic, message))
-        return stamp
-
-    def subscribe_latest(self, topic, limit_ns):
-        assert topic is COMMAND
-        assert limit_ns == round(CONFIG.command_timeout * 1e9)
-        return self.latest_command
 
     def wait(self, topic, deadline_ns):
         assert topic is COMMAND
@@ -115,55 +85,18 @@ class FakeLink:
 
     def take_latest(self, topic):
         assert topic is COMMAND
-        arrived = []
-        if self.commanding:
-            self.sequence += 1
-            pressed = self.sequence > self.pressed_after
-            command = Command(
-                state=self.master_state or (State.ENGAGED if pressed else State.READY),
-                position=pad_values((self.sequence * PULL,), MAX_JOINTS),
-            )
-            self.stamps.append(now_ns())
-            data = command.pack(self.nonce, self.sequence, self.stamps[-1])
-            arrived = [(data, now_ns())]
-        self.latest_command.take(arrived)
-        self.clock.sleep(ON_THE_WAY)
-        return self.latest_command
-
-    def listen(self, topics):
-        assert set(topics) == {STOP, SETTING}
-        return self
-
-    def drain(self):
-        heard, self.heard = self.heard, []
-        return heard
+        if not self.commanding:
+            return self.take([])
+        number = self.sequence + 1
+        pressed = number > self.pressed_after
+        command = Command(
+            state=self.master_state or (State.ENGAGED if pressed else State.READY),
+            position=pad_values((number * PULL,), MAX_JOINTS),
+        )
+        return self.take([command])
 
     def is_present(self, role, nonce=None):
         return role is Role.MASTER and nonce is None
-
-    def is_announced(self, nonce):
-        return nonce == 77
-
-    def has_right(self, nonce, right):
-        return right == "stop" or self.is_announced(nonce)
-
-    def refused(self, _topic):
-        return 0
-
-    forged = refused
-
-    def counts(self):
-        return self.latest_command.counts
-
-    def check_peers(self):
-        if self.conflict:
-            raise PeerError(self.conflict)
-
-    def of(self, topic):
-        return [message for which, message in self.sent if which is topic]
-
-    def said(self):
-        return [decode_text(event.text) for event in self.of(EVENT)]
 
 
 class FakeRig:
@@ -235,21 +168,6 @@ class StoppableRig(FakeRig):
             self.encoder = START + self.falls_by
 
 
-class Until:
-    """Stops after a number of ticks, or when asked to."""
-
-    def __init__(self, ticks):
-        self.left, self.reason = ticks, ""
-        self.interrupting = nullcontext
-
-    def __call__(self):
-        self.left -= 1
-        return self.left < 0 or bool(self.reason)
-
-    def request(self, reason):
-        self.reason = self.reason or reason
-
-
 def started(rig, line, stop, rate_hz=1000.0, history=None, config=CONFIG):
     wait = partial(line.wait, COMMAND)
     clock = EventClock(rate_hz, stop, wait, line.clock.now, line.clock.sleep)
@@ -258,7 +176,7 @@ def started(rig, line, stop, rate_hz=1000.0, history=None, config=CONFIG):
 
 
 def driven(rig, line=None, ticks=40, rate_hz=1000.0):
-    line = FakeLink(rate_hz=rate_hz) if line is None else line
+    line = CommandingLink(rate_hz=rate_hz) if line is None else line
     stop = Until(ticks)
     slave, clock = started(rig, line, stop, rate_hz)
     run(slave, clock, stop.request)
@@ -291,7 +209,7 @@ def side_of(slave):
 
 def test_nothing_is_written_before_the_operator_has_engaged():
     rig = FakeRig()
-    _, line, _ = driven(rig, FakeLink(pressed_after=1000))
+    _, line, _ = driven(rig, CommandingLink(pressed_after=1000))
     assert rig.writes == []
     assert {state.state for state in line.of(STATE)} == {State.OFF, State.READY}
     assert all(math.isnan(m.commanded_displacement[0]) for m in line.of(TENDONS))
@@ -310,7 +228,7 @@ def test_earlier_samples_are_taken_over_at_ordinary_priority_and_the_loop_is_bac
     except OSError:
         pytest.skip("real-time scheduling is not permitted here")
     try:
-        started(FakeRig(), FakeLink(), Until(1))
+        started(FakeRig(), CommandingLink(), Until(1))
         policies.append(os.sched_getscheduler(0))
     finally:
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
@@ -369,7 +287,7 @@ def test_a_command_is_answered_with_its_stamp_and_the_time_that_it_took():
 
 
 def test_a_tick_that_no_command_asked_for_answers_none():
-    line = FakeLink()
+    line = CommandingLink()
     stop = Until(30)
     slave, clock = started(FakeRig(), line, stop)
     for number, tick in enumerate(clock, start=1):
@@ -416,7 +334,7 @@ def order(line):
 
 
 def test_the_answer_is_out_before_the_rig_is_advanced_once_a_tick():
-    line = FakeLink()
+    line = CommandingLink()
     driven(Witness(line), line)
     ticks = order(line)
     assert len(ticks) == 40
@@ -435,7 +353,7 @@ def test_the_answer_is_out_before_the_rig_is_advanced_once_a_tick():
     ],
 )
 def test_a_rig_is_not_advanced_after_a_fault(fails, error, last):
-    line = FakeLink()
+    line = CommandingLink()
     driven(Witness(line, **{fails: 20}, error=error), line)
     assert order(line)[-1] == last
 
@@ -500,7 +418,7 @@ def test_the_last_sample_ends_the_session_without_error():
 
 @pytest.mark.parametrize("fails", ["read_fails_at", "write_fails_at", "advance_fails_at"])
 def test_whatever_else_goes_wrong_the_others_are_told(fails):
-    line = FakeLink()
+    line = CommandingLink()
     with pytest.raises(ZeroDivisionError):
         driven(FakeRig(**{fails: 20}, error=ZeroDivisionError), line)
     assert line.of(STATE)[-2].state == State.ENGAGED
@@ -516,7 +434,7 @@ def freezing(monkeypatch, at, decided):
         verdict = whole(*args)
         decided.append(args[2]["gated_position"][0, 0])
         if len(decided) in at:
-            FakeLink.clock.sleep(0.05)
+            CommandingLink.clock.sleep(0.05)
         return verdict
 
     monkeypatch.setattr(loop, "run_tick", tick)
@@ -559,7 +477,7 @@ def test_a_tick_that_is_taken_back_leaves_no_trace_in_the_estimates(monkeypatch)
 
 
 def test_a_second_slave_ends_the_session():
-    line = FakeLink()
+    line = CommandingLink()
     line.conflict = "it has a slave already"
     slave, _, stop = driven(FakeRig(), line, ticks=200, rate_hz=100.0)
     assert isinstance(slave.error, PeerError)
@@ -567,7 +485,7 @@ def test_a_second_slave_ends_the_session():
 
 
 def test_a_call_for_a_stop_holds_the_motors_until_it_is_reset_without_any_master_s_help():
-    rig, line = FakeRig(), FakeLink()
+    rig, line = FakeRig(), CommandingLink()
     slave, run_on = ticking(rig, line)
 
     def call(*words, **settings):
@@ -605,7 +523,7 @@ def model_of(rig, line, stop_socket=None):
 
 
 def test_a_calibration_at_the_start_leaves_the_motors_held_from_the_first_tick_on(monkeypatch):
-    rig, line = FakeRig(), FakeLink(pressed_after=30)
+    rig, line = FakeRig(), CommandingLink(pressed_after=30)
     calibration = Calibration(rig="bench", joints=rig.joints, tendons=(TENDON,))
     held = START + 0.0004
     done = InitialiseResult(calibration, None, rig.read(0.0), (held,))
@@ -624,7 +542,7 @@ def test_a_calibration_at_the_start_leaves_the_motors_held_from_the_first_tick_o
     ("error", "said"), [("", "a nurse$"), ("no power", "a nurse; rig: no power$")]
 )
 def test_a_stop_ends_a_calibration_at_the_start_and_stops_the_motors(monkeypatch, error, said):
-    rig, line = StoppableRig(stop_error=error), FakeLink()
+    rig, line = StoppableRig(stop_error=error), CommandingLink()
 
     def never_calibrated(_rig, _config, _grid, _start, stopped, **_options):
         assert stopped() == ""
@@ -641,7 +559,7 @@ def test_a_stop_ends_a_calibration_at_the_start_and_stops_the_motors(monkeypatch
 
 @pytest.mark.parametrize(("commanding", "master"), [(True, "ready"), (False, "silent")])
 def test_a_stop_during_a_calibration_says_what_the_master_does(monkeypatch, commanding, master):
-    line, told = FakeLink(), []
+    line, told = CommandingLink(), []
     line.commanding = commanding
     request = LocalRequest(is_reset=False, number=0, reason="smoke")
     local = SimpleNamespace(take=lambda: [request], is_asked=True, answer=told.append)
@@ -653,7 +571,7 @@ def test_a_stop_during_a_calibration_says_what_the_master_does(monkeypatch, comm
 
 @pytest.mark.parametrize(("kind", "stops"), [(FakeRig, None), (StoppableRig, [0])])
 def test_under_a_master_that_is_stopped_nothing_is_calibrated(monkeypatch, kind, stops):
-    rig, line = kind(), FakeLink()
+    rig, line = kind(), CommandingLink()
     line.master_state = State.STOPPED
 
     def never_calibrated(_rig, _config, _grid, _start, stopped, **_options):
@@ -698,7 +616,7 @@ class Bench:
     """A slave on a `StoppableRig`, driven tick by tick."""
 
     def __init__(self, rig=None, history=None):
-        self.rig, self.line = rig or StoppableRig(falls_by=FELL_BACK), FakeLink()
+        self.rig, self.line = rig or StoppableRig(falls_by=FELL_BACK), CommandingLink()
         self.slave, self.run_on = ticking(self.rig, self.line, history)
         self._calls = 0
 
@@ -833,7 +751,7 @@ def test_effects_of_models_are_compiled_before_the_loop_begins(with_dynamics, mo
 
 
 def test_a_request_is_answered_by_the_side_that_has_the_setting():
-    rig, line = SimulatedRig(SimulatedRigConfig()), FakeLink()
+    rig, line = SimulatedRig(SimulatedRigConfig()), CommandingLink()
     _, run_on = ticking(rig, line)
     run_on(10)
     key = "slave.rig.joints.0.environment."

@@ -100,29 +100,6 @@ def test_the_base_stands_on_along_the_sheaths_and_is_not_distorted(notes):
     assert np.linalg.det(place.rotation) == pytest.approx(1.0)
 
 
-def test_jaws_close_with_the_travel_of_the_gripper_and_meet_at_the_tip(notes):
-    (place,) = build_notes_stage(notes).arms
-    poses = [(*POSE[:3], grip) for grip in (-1.0, 0.0, 0.6, 1.3)]
-    lines = place.build_lines(to_positions(*poses))
-    opening = np.linalg.norm(lines.jaws[:, 0, 1] - lines.jaws[:, 1, 1], axis=1)
-    assert (np.diff(opening) < 0).all()
-    np.testing.assert_allclose(lines.jaws[-1, :, 1], np.stack([lines.tip[-1]] * 2), atol=2e-3)
-
-
-def test_tendons_begin_at_their_sheaths_and_end_beside_their_joints(notes):
-    stage = build_notes_stage(notes)
-    (place,) = stage.arms
-    lines = place.build_lines(to_positions(POSE))
-    ends = [*lines.joints[0], lines.tip[0]]
-    for k, (tendon, line) in enumerate(zip(place.tendons, lines.tendons, strict=True)):
-        np.testing.assert_allclose(line[0, 0], stage.lines[tendon][-1])
-        distance = np.linalg.norm(line[0, -1] - ends[k // 2])
-        assert 0 < distance < 0.03 * stage.size
-    points = np.array([line[0, 1] for line in lines.tendons])  # about the shoulder: all apart
-    gaps = np.linalg.norm(points[:, None] - points[None], axis=-1) + np.eye(len(points))
-    assert gaps.min() > 0.005 * stage.size
-
-
 def test_a_curved_section_is_drawn_as_an_arc():
     length, bend = 0.06, 1.5
     arm = build_space_arm(Arm((CurvedSection("a", length, 2.0),)), 0, np.full(2, RADIUS))
@@ -132,37 +109,7 @@ def test_a_curved_section_is_drawn_as_an_arc():
     assert len(np.unique(points.round(9), axis=0)) > 6
 
 
-def test_joints_of_an_arm_share_a_cell_and_have_no_levers(notes):
-    stage = build_notes_stage(notes)
-    assert (len(stage.arms), len(stage.joints), len(stage.hands)) == (1, 0, 0)
-    heights = [line[0] @ (0, 0, 1) for line in stage.lines.values()]
-    assert len(set(np.round(heights, 6))) == 8  # beside each other, none hidden
-
-
-def test_two_arms_do_not_overlap(notes):
-    second = build_space_arm(_chain(3), 4, np.full(4, RADIUS))
-    shapes = {k: Shape(k, (0.5,), (math.inf,)) for k in range(8)}
-    stage = build_stage(shapes, CONFIG, [notes, second])
-    boxes = []
-    for place in stage.arms:
-        lines = place.build_lines(to_positions(POSE * 2))
-        sheaths = [stage.lines[tendon] for tendon in place.tendons]
-        points = np.concatenate([lines.links[0], *sheaths])
-        boxes.append((points.min(axis=0), points.max(axis=0)))
-    (low, high), (other_low, other_high) = boxes
-    assert ((low > other_high) | (other_low > high)).any()
-
-
 # --- the force at the tip
-
-
-def _chain(count, length=0.04, axes=((0, 0, 1), (0, 1, 0), (1, 0, 0))):
-    limits = {"lower": -2.0, "upper": 2.0}
-    joints = [
-        Joint(f"j{k}", axis=axes[k % 3], offset=Offset((length, 0.01 * k, 0.0)), **limits)
-        for k in range(count)
-    ]
-    return Arm(tuple(joints), Offset((length, 0.0, 0.02)))
 
 
 def random_jacobians(rng, count, rows=20):

@@ -77,10 +77,7 @@ def test_a_stretched_scene_draws_fewer_rows_in_proportion_and_always_the_newest(
         assert max(few) == max(whole)
 
 
-# the tension along the sheath
-
-
-# the tubes
+# the tension along the sheath, and the tubes
 
 
 def test_profile_and_front_arrive_as_they_were_sent(session, saved, placed):
@@ -115,22 +112,6 @@ def test_a_front_that_is_not_known_is_not_drawn(tmp_path):
     assert not file["/scene/tendon_0/tube"]["Points3D:positions"][T0 + 60_000_000]
     grey = file["/scene/tendon_0/tube"]["Capsules3D:colors"][T0 + 60_000_000]
     assert set(grey) == {0x808080FF}
-
-
-def test_the_colour_scale_stands_in_the_scene_with_its_newtons(saved):
-    words = saved["/scene/legend/values"]
-    texts, places = words["Points3D:labels"][None], np.array(words["Points3D:positions"][None])
-    bar = saved["/scene/legend/scale"]
-    vertices = np.array(bar["Mesh3D:vertex_positions"][None])
-    colours = bar["Mesh3D:vertex_colors"][None]
-    foot, top = vertices[0], vertices[len(vertices) // 2 - 1]
-    for text, place in zip(texts, places, strict=True):
-        tension = float(text.removesuffix(" N"))
-        share = (place - foot) @ (top - foot) / ((top - foot) @ (top - foot))
-        assert share * CONFIG.tension_scale_N == pytest.approx(tension, abs=1e-3)
-    for share in (0.0, 0.25, 0.5, 1.0):
-        colour = colours[round(share * 64)]
-        assert colour == int(to_rgba(np.array([share * 10.0]), CONFIG.tension_scale_N)[0])
 
 
 # joint, tip and hand
