@@ -138,7 +138,8 @@ def _update_travel(
     """Take the travel of both tips by either tendon [m]; return how far they moved [m].
 
     An error of stiffness must not move the tips where the share changes, so each tendon follows the
-    other, as far as it decides less.
+    other, as far as it decides less. The dead band is as wide as what that of T_in leaves open of
+    the elongation: tips that stick do not move while the motors sway.
     """
     a, b = pair.end[0], pair.end[1]
     fused = share * travel_a + (1.0 - share) * travel_b
@@ -147,8 +148,8 @@ def _update_travel(
     b.offset += leak * share * (travel_b - fused)
     mean = pair.mean_travel + weight * (fused - pair.mean_travel)
     pair.mean_travel = signals.update_play(mean, fused, BOUND_SIGMAS * noise)
-    before, band = pair.travel, NOISE_SIGMAS * noise * math.sqrt(0.5 * weight)
-    pair.travel = signals.update_play(before, pair.mean_travel, band)
+    before = pair.travel
+    pair.travel = signals.update_play(before, pair.mean_travel, NOISE_SIGMAS * noise)
     return pair.travel - before
 
 

@@ -15,7 +15,8 @@ load cell. Of n + 1 tendons of n joints, n drive and one follows, by the travel 
 tips leave to it (`TendonGroup`). All targets are relative to the last gated motor positions, so
 there is no windup while a limit is active.
 
-e is the motor's travel less the tip's, which all tendons measure (slave.control.joint).
+e is the motor's travel less the tip's, which all tendons measure (slave.control.joint), behind a
+dead band: the compensation integrates, at a tip that sticks, and would hunt by what noise shows.
 """
 
 from collections.abc import Sequence
@@ -28,6 +29,7 @@ import numpy as np
 from estimator.array_types import Array
 from estimator.compiled import jit_compile
 from estimator.records import F64, Field, Flag, Struct
+from estimator.signals import update_play
 from slave.control.joint import fuse_travels
 from slave.tendons import EstimatedTendon, EstimatedTendons, RigLayout, TendonGroup
 from teleop.config.ranges import build_ranged_field, check_ranges
@@ -43,6 +45,8 @@ class ControlConfig:
 
     # g, fraction of the elongation that is compensated; 0 = none
     compensation: float = build_ranged_field(0.95, 0.0, 1.0)
+    # dead band on either side of that elongation: a joint that sticks does not hunt
+    compensation_band: float = build_ranged_field(2e-6, 0.0, 1e-3, "m")
     # at the housing, setpoint of the slack-side tendon
     slack_side_tension: float = build_ranged_field(0.3, 0.0, 50.0, "N")
     # dead band on either side of it
@@ -137,7 +141,7 @@ def step(
     wound, moved = np.empty(layout.tendons), np.empty(layout.tendons)
     for g in range(layout.groups):
         group = layout.group[g]
-        excess = _update_group(group, memory, motor, tendons, wound, moved)
+        excess = _update_group(config, group, memory, motor, tendons, wound, moved)
         for n in range(group.count):
             i, follow = group.tendon[n], 0.0  # [m] by which motors let the tip travel
             if group.count > 1:  # of a pair, by the other; a common motion of all dies down
@@ -186,6 +190,7 @@ def _engage_group(
 
 @jit_compile
 def _update_group(
+    config: ControlConfig,
     group: TendonGroup,
     memory: ControllerState,
     motor: Array,
@@ -215,13 +220,14 @@ def _update_group(
         driven.elongation = elongation
         excess += t * out_moved[i]
         scale += t * t
-        if valid:
-            driven.stretch = _get_position(motor[i], tendons[i]) - driven.tip
-            wound[i] = driven.stretch - elongation
+        wound[i] = _get_position(motor[i], tendons[i]) - driven.tip - elongation
     if valid:
         fuse_travels(group, tendons, wound)
     for n in range(group.count if valid else 0):
-        memory.tendon[group.tendon[n]].stretch -= wound[group.tendon[n]]
+        i = group.tendon[n]
+        driven = memory.tendon[i]
+        stretch = _get_position(motor[i], tendons[i]) - driven.tip - wound[i]
+        driven.stretch = update_play(driven.stretch, stretch, config.compensation_band)
     return excess / scale
 
 

@@ -19,7 +19,7 @@ from slave.tendons import EstimatedTendon, build_rig_layout
 from teleop.config.arm import RoutingConfig
 from teleop.messages.messages import MAX_JOINTS, MAX_TENDONS
 
-CONFIG = ControlConfig(lead=0.010)
+CONFIG = ControlConfig(lead=0.010, compensation_band=0.0)
 DT = 0.001
 REACH = CONFIG.speed_max * DT
 PAIR, ALONE = ((0, 1),), ((0,),)
@@ -160,9 +160,21 @@ def test_a_share_of_the_elongation_is_made_up_for(change):
     assert moved([tendon()], [longer], config=off) == pytest.approx([0.0], abs=1e-15)
 
 
+def test_an_elongation_that_wavers_within_its_dead_band_moves_no_motor():
+    band = 2e-6
+    config = ControlConfig(compensation_band=band)
+    motor, memory = engaged((tendon(),), config=config)
+    for wavers in (0.9 * band, -0.9 * band, 0.5 * band, -0.9 * band):
+        seen = (tendon(elongation=5e-4 + wavers),)
+        assert step(config, ALONE, memory, (0.0,), motor, seen, True, DT) == motor
+    longer = (tendon(elongation=5e-4 + 10.0 * band),)
+    further = step(config, ALONE, memory, (0.0,), motor, longer, True, DT)
+    assert further[0] - motor[0] == pytest.approx(0.95 * 9.0 * band)
+
+
 def test_a_blocked_joint_is_not_wound_up_beyond_its_finite_stiffness():
     """Motor = travel + g e with e = motor: the loop settles at travel / (1 - g)."""
-    config = ControlConfig(tension_max=1000.0)
+    config = ControlConfig(tension_max=1000.0, compensation_band=0.0)
     motor, memory = engaged((tendon(5.0, 0.0, 0.0),), config=config)
     for _ in range(3000):
         seen = (tendon(5.0, motor[0], motor[0]),)

@@ -149,20 +149,30 @@ PRESS = (  # aside, then on a wall; by tendons that leave little in doubt
     + "]",
     *("master.state_timeout=0.15", "slave.command_timeout=0.15"),
 )
+BALL = (
+    *PRESS,
+    "slave.rig.arms.0.contacts=[{type: ball, centre: [0.0125, 0.0125, 0.0745], radius: 0.015, "
+    "stiffness: 20000, damping: 1.0}]",
+)
+RUB = (*BALL, *(f"{tendon}.sheath.friction=0.16" for tendon in TENDONS))
 SOME_MS = 500  # ticks
 
 
 @pytest.mark.parametrize(
-    "round_trip",
-    [0.2, *(pytest.param(late, marks=pytest.mark.slow) for late in (0.0, 0.05, 0.1, 0.3))],
+    ("pressed", "round_trip"),
+    [
+        *((PRESS, 0.0), (PRESS, 0.2), (BALL, 0.0), (RUB, 0.0)),
+        *(pytest.param(PRESS, late, marks=pytest.mark.slow) for late in (0.05, 0.1, 0.3)),
+        *(pytest.param(BALL, late, marks=pytest.mark.slow) for late in (0.05, 0.1, 0.2, 0.3)),
+    ],
 )
-def test_a_hand_comes_to_rest_on_a_wall_in_space_whatever_the_delay(round_trip):
+def test_a_hand_comes_to_rest_on_what_it_meets_in_space_whatever_the_delay(pressed, round_trip):
     """With the default coupling: it presses, is pushed back, and takes no energy from it."""
     late = (f"master.delay_max={2.0 * round_trip + 0.2}", "master.device.engage_period=1e6")
     late = (*late, f"master.device.engage=[[{0.1 + round_trip}, 1e6]]")
     hands, felt, worked = [], [], []
     with ExitStack() as stack:
-        session = Session(stack, (*PRESS, *late), file=FILE, delay_s=round_trip / 2.0)
+        session = Session(stack, (*pressed, *late), file=FILE, delay_s=round_trip / 2.0)
         master, coupled = session.master, np.zeros(4)
         for _ in range(round(1000 * (2.7 + 2.0 * round_trip))):
             before = np.array([x for x, _ in master._device._hands])

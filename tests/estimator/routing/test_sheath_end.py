@@ -66,6 +66,27 @@ def test_a_pair_shows_that_its_tips_move_before_either_tendon_slides_through(
     assert np.abs(alone - true).max() > 4.0  # the tip has moved, and T_in does not tell
 
 
+def test_tips_that_stick_keep_their_tension_while_the_motors_sway():
+    """By less than friction holds back; noise of the load cells is no motion of the tips."""
+    noise, random = 0.02, np.random.default_rng(7)
+    sections = [(section.length, section.radius) for section in SHEATH.sections]
+    chains = [Chain(sections, SHEATH.friction, 9000.0, beads=30, tension=PRETENSION) for _ in "ab"]
+    model = prepare(TendonModel(SHEATH, initial=PRETENSION, tension_noise=noise))
+    pair = view_struct(SheathPair.array())
+    for end in pair.end:
+        start_sheath_end(end, build_pretensioned_profile(TABLES, PRETENSION), PRETENSION)
+    ends = []
+    for i in range(1500):  # at 10 Hz
+        sway = 0.3 * math.sin(0.063 * i)
+        for chain, T in zip(chains, (PRETENSION + sway, PRETENSION - sway), strict=True):
+            chain.move(Force(T), Position(0.0))
+        tensions = [chain.T_in + noise * random.standard_normal() for chain in chains]
+        readings = [(T, chain.travel[0]) for T, chain in zip(tensions, chains, strict=True)]
+        ends.append(estimate_sheath_ends(pair, model, model, *readings, 0.5, 0.0, DT))
+        assert [chain.T_out for chain in chains] == pytest.approx([PRETENSION] * 2, abs=1e-6)
+    assert np.ptp(ends[100:], axis=0).max() < 0.05  # [N]
+
+
 @given(st.floats(0.5, 20.0), st.lists(st.floats(-2e-4, 2e-4), min_size=1, max_size=20))
 @example(12.0, [1.4e-4, -1e-15, 5.3e-5])  # a reversal too small to be seen
 @example(9.0, [1.4e-4, -1.2e-7, 1e-7, 9.7e-6])  # ... and back in two steps
