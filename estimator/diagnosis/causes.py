@@ -17,7 +17,7 @@ from estimator.diagnosis.dataset import (
     use_all_samples,
 )
 from estimator.diagnosis.file_causes import confine_effects, find_odd_file
-from estimator.diagnosis.fit import ParameterLayout, fit_model, refit_baseline
+from estimator.diagnosis.fit import fit_model, refit_baseline
 from estimator.diagnosis.hidden_motion import may_hide_motion, recover_motion_beside_effects
 from estimator.diagnosis.intervals import estimate_intervals, is_significant
 from estimator.diagnosis.measured_data import shorten_blocks
@@ -53,6 +53,7 @@ FINAL_ROUNDS = 12  # rounds of the fit to all samples
 SEARCH_PROGRESS = 0.1, 0.4, 0.55, 0.65
 SAME_COST_TOLERANCE = 0.01  # relative: effects whose costs differ by less do the same
 RESIDUAL_FRACTION_MAX = 0.5  # share of the error beyond noise that hidden motion may leave
+FUNCTION_SEARCHES = 1  # that further causes leave time for: a function says more
 RESTART_PROGRESS = 0.9  # share of the time at which the search from another cause ends
 
 # --- the next cause, and its rivals
@@ -106,7 +107,7 @@ def select_simplest_cause(
         if score_candidate(dataset, current_errors, candidate) > score_min
         and compute_residual_fraction(candidate.held_out, base_errors) < fraction_max
     ]
-    return min(equivalents, key=lambda candidate: len(candidate.effect.parameters))
+    return min(equivalents, key=lambda candidate: candidate.effect.degrees)
 
 
 def rank_candidates(
@@ -197,7 +198,7 @@ def score_effect(dataset: Dataset, fit: Fit, fit_without: Fit, effect: Effect) -
     ratio = compute_log_likelihood_ratio(
         compute_errors(dataset, fit), compute_errors(dataset, fit_without)
     )
-    return ratio - compute_bic_penalty(dataset, len(effect.parameters))
+    return ratio - compute_bic_penalty(dataset, effect.degrees)
 
 
 # --- the search
@@ -239,7 +240,7 @@ def find_causes(
     """
     attempts: list[tuple[CauseSearchResult, Choice]] = []
     for law in laws:
-        if attempts and not budget.has_time("another base law"):
+        if attempts and not budget.has_time("another base law", FUNCTION_SEARCHES):
             break
         loads = choose_loads(law.dataset, law.fit)
         dataset, base_fit = loads.dataset, loads.fit
@@ -411,10 +412,15 @@ def _compute_evidence(a: CauseSearchResult, b: CauseSearchResult) -> float:
     ratio = compute_log_likelihood_ratio(
         compute_errors(a.dataset, a.fit), compute_errors(b.dataset, b.fit)
     )
-    extra_parameters = len(ParameterLayout(a.dataset, a.fit.model).names) - len(
-        ParameterLayout(b.dataset, b.fit.model).names
-    )
-    return ratio - compute_bic_penalty(a.dataset, extra_parameters) - SETTINGS.equivalent_score_max
+    extra_degrees = _count_degrees(a) - _count_degrees(b)
+    return ratio - compute_bic_penalty(a.dataset, extra_degrees) - SETTINGS.equivalent_score_max
+
+
+def _count_degrees(result: CauseSearchResult) -> float:
+    """Return the degrees of freedom of a model."""
+    base, model = result.dataset.base, result.fit.model
+    own = len(base.own) * len(result.dataset.records)
+    return len(base.shared) + own + sum(effect.degrees for effect, _ in model.effects)
 
 
 def _find_causes_stepwise(
@@ -434,7 +440,7 @@ def _find_causes_stepwise(
             steps and _is_exhausted(dataset, fit, base_fit)
         ):
             break
-        if first_candidates and not budget.has_time("further causes"):
+        if first_candidates and not budget.has_time("further causes", FUNCTION_SEARCHES):
             break
         untried = [effect for effect in applicable if effect.name not in fit.names]
         candidates = fit_candidates(
@@ -453,7 +459,7 @@ def _find_causes_stepwise(
                 continue
         first_candidates = first_candidates or candidates
         if step is None:
-            if not budget.has_time("pairs of causes"):
+            if not budget.has_time("pairs of causes", FUNCTION_SEARCHES):
                 break
             pair_steps = _find_cause_pair(
                 dataset,

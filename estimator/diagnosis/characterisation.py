@@ -31,7 +31,6 @@ from estimator.diagnosis.fit import (
     shift_parameters,
 )
 from estimator.diagnosis.scoring import (
-    ChannelErrors,
     compute_bic_penalty,
     compute_errors,
     compute_log_likelihood_ratio,
@@ -49,6 +48,8 @@ from estimator.effects.functions import COEFFICIENTS, compute_penalty, penalise
 
 SUBSAMPLE_SIZE = 1200  # samples of a record in a first look
 ROUGHNESSES = (1e-4, 1e-3, 1e-2, 0.1, 1.0)  # weights of second differences, over that of the data
+# of a refit: a linear step from a bad model favours more than that from a good one
+ROUGHNESS_RATIO = 0.3
 MEAN_WEIGHTS = (1e-2, 1.0)  # the same of the mean, where the law does not take it up and where
 STEPS_KEPT = 20  # linear steps that are simulated
 FITTED_SIZE = 8000  # samples of all records that a function is fitted to
@@ -80,6 +81,15 @@ class _Screened(NamedTuple):
     score: float
     roughness: float  # weights of its penalty
     mean: float
+    step: _LinearStep
+
+    @property
+    def degrees(self) -> float:
+        """Degrees of freedom that the penalty leaves."""
+        A, rows = self.step.information, _compute_penalty_rows(self.step, self.roughness, self.mean)
+        shapes = self.effect.parameters[: len(self.step.shapes)]
+        free = sum(not p.is_fixed for p in shapes)
+        return free + float(np.trace(np.linalg.solve(A + rows.T @ rows, A)))
 
 
 def fit_functions(
@@ -122,7 +132,7 @@ def fit_functions(
         fit = fit_model(few, few_contexts, _set_last_effect(start.model, effect), ROUNDS[0])
         errors = compute_errors(few, fit)
         is_foreign = compute_missed_share(few, errors) > FOREIGN_RATIO * SETTINGS.foreign_share_max
-        score = -math.inf if is_foreign else screening.compute_ratio(errors)
+        score = -math.inf if is_foreign else screening.compute_score(fit, start.degrees)
         return score, start._replace(model=fit.model)
 
     # no linear step leads to friction that rises at rest: it acts with the next motion only
@@ -152,6 +162,16 @@ def fit_functions(
     chosen = list({start.effect.name: (score, start) for score, start in reversed(best)}.values())
     chosen = sorted(chosen, key=lambda pair: -pair[0])[: KEPT[1]]
     chosen = [pair for pair in chosen if pair[0] > -math.inf]  # no fit makes a tendon of the rest
+
+    def refine_smoothness(pair: tuple[float, _Screened]) -> tuple[float, _Screened]:
+        while True:
+            start = pair[1]._replace(roughness=ROUGHNESS_RATIO * pair[1].roughness)
+            refined = fit_few(start)
+            if refined[0] <= pair[0]:
+                return pair
+            pair = refined
+
+    chosen = list(map_parallel(refine_smoothness, chosen, report, "smoothing further", workers))
     return list(map_parallel(fit_some, chosen, report, "finishing functions", workers))
 
 
@@ -179,7 +199,16 @@ def _set_coefficients(model: Model, base: Model) -> Model:
 
 def _penalise(start: _Screened, density: float) -> Effect:
     """Return the effect with its penalty, for so many times as many samples (square root)."""
-    return penalise(start.effect, density * start.roughness, density * start.mean)
+    return penalise(start.effect, density * start.roughness, density * start.mean, start.degrees)
+
+
+def _compute_penalty_rows(step: _LinearStep, roughness: float, mean: float) -> Array:
+    """Return the derivatives of the penalty by each coefficient, in its step."""
+    columns = (
+        compute_penalty((*step.shapes, *row), step.effect, roughness, mean)
+        for row in _build_units(step.effect)
+    )
+    return np.column_stack(list(columns))
 
 
 def _build_units(effect: Effect) -> list[list[float]]:
@@ -200,9 +229,10 @@ class _Screening:
         self._solve = np.linalg.pinv(J)
         self._basis = np.linalg.qr(J)[0] if J.any() else np.zeros((len(J), 1))
 
-    def compute_ratio(self, errors: dict[str, ChannelErrors]) -> float:
-        """Return the log-likelihood ratio of held-out samples to the model without."""
-        return compute_log_likelihood_ratio(errors, self._errors)
+    def compute_score(self, fit: Fit, degrees: float) -> float:
+        """Return the log-likelihood ratio of held-out samples to the model without, less BIC's."""
+        ratio = compute_log_likelihood_ratio(compute_errors(self._dataset, fit), self._errors)
+        return ratio - compute_bic_penalty(self._dataset, degrees)
 
     def linearise(self, effect: Effect) -> list[_LinearStep]:
         """Return the linear steps for the range of the variable, or for each likely period."""
@@ -232,20 +262,13 @@ class _Screening:
         mean = math.sqrt(MEAN_WEIGHTS[bool(term and term.has_zero)] * power)
 
         def simulate_share(share: float, roughness: float) -> _Screened:
-            rows = np.column_stack(
-                [
-                    compute_penalty((*shapes, *row), effect, roughness, mean)
-                    for row in _build_units(effect)
-                ]
-            )
-            right = np.column_stack([step.information, step.slope])
-            solved = np.linalg.solve(step.information + rows.T @ rows, right)
-            degrees, c = float(np.trace(solved[:, :-1])), np.asarray(-solved[:, -1])
+            rows = _compute_penalty_rows(step, roughness, mean)
+            solved = np.linalg.solve(step.information + rows.T @ rows, -step.slope)
+            c = np.asarray(solved, dtype=np.float64)
             model = self._build_model(effect, shapes, share * c, step.changes)
             fit = simulate_dataset(self._dataset, self._contexts, model)
-            score = self.compute_ratio(compute_errors(self._dataset, fit))
-            score -= compute_bic_penalty(self._dataset, degrees)
-            return _Screened(effect, model, score, roughness, mean)
+            screened = _Screened(effect, model, 0.0, roughness, mean, step)
+            return screened._replace(score=self.compute_score(fit, screened.degrees))
 
         whole = [simulate_share(1.0, math.sqrt(share * power)) for share in ROUGHNESSES]
         best = max(whole, key=lambda start: start.score)

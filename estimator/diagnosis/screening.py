@@ -376,7 +376,7 @@ def score_candidate(
 ) -> float:
     """Return the log-likelihood ratio of held-out data to the current fit, less the BIC penalty."""
     return compute_log_likelihood_ratio(candidate.held_out, current_errors) - compute_bic_penalty(
-        dataset, len(candidate.effect.parameters)
+        dataset, candidate.effect.degrees
     )
 
 

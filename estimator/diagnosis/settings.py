@@ -94,7 +94,7 @@ class Settings:
     tolerance_ratio_max: float = 2.5  # rms residual over tolerance
     brief_share: float = 0.8  # of the squared error in two neighbouring blocks: blocks become short
 
-    search_time_max: float = 60.0  # [s] of the processor, in which all searches must end
+    search_time_max: float = 100.0  # [s] of the processor, in which all searches must end
 
     # what a part of the samples tells (fit.py)
     uncertainty_ratio_max: float = 4.0  # of that from all samples: above it, no refit
@@ -127,11 +127,14 @@ class TimeBudget:
         self.untried: list[str] = []
         """The searches that it had no time for."""
 
-    def has_time(self, search: str) -> bool:
-        """Return whether the next search may begin; the one before ends here."""
+    def has_time(self, search: str, following: int = 0) -> bool:
+        """Return whether the next search may begin, with time for `following` ones after it.
+
+        The search before ends here.
+        """
         now = time.process_time()
         self._longest, self._begin = max(self._longest, now - self._begin), now
-        if now + self._longest < self._end:
+        if now + (1 + following) * self._longest < self._end:
             return True
         self.untried.append(search)
         return False

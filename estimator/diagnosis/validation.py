@@ -180,7 +180,7 @@ def fit_time_varying_friction(dataset: Dataset, fit: Fit, effect: Effect) -> Fit
     """Return a model in which friction takes any course instead of what `effect` says of it."""
     contexts = build_contexts(dataset, fit)
     others = tuple(pair for pair in fit.model.effects if pair[0].name != effect.name)
-    course = penalise(FRICTION_BY_TIME, COURSE_ROUGHNESS, COURSE_ROUGHNESS)
+    course = penalise(FRICTION_BY_TIME, COURSE_ROUGHNESS, COURSE_ROUGHNESS, None)
     # begun at what the cause says, which the law has not taken up
     unit = Physics(np.ones_like(contexts[0].time), 1.0, np.ones(1))
     values = dict(fit.model.effects)[effect]

@@ -142,6 +142,8 @@ class Effect:
         What it changes by a free function, and of what; None for an effect with a law.
     penalty
         Rows of least squares that keep its values plausible, in residuals.
+    penalised_degrees
+        Degrees of freedom that the penalty leaves; None where all parameters are free.
     file
         The only fitted record that it acts in, from 1; 0 where it acts in all.
     """
@@ -166,6 +168,7 @@ class Effect:
     is_transient: bool = False
     function: FunctionTerm | None = None
     penalty: Callable[[Values], Array] = _keep_free
+    penalised_degrees: float | None = None
     file: int = 0
 
     @property
@@ -173,6 +176,11 @@ class Effect:
         """Name, variant and file."""
         where = ", ".join(filter(None, (self.where, f"in file {self.file}" * (self.file > 0))))
         return f"{self.name} ({where})" if where else self.name
+
+    @property
+    def degrees(self) -> float:
+        """Degrees of freedom of a fit."""
+        return len(self.parameters) if self.penalised_degrees is None else self.penalised_degrees
 
     def acts_in(self, context: EffectContext) -> bool:
         """Return whether it acts in a record."""

@@ -31,6 +31,7 @@ from estimator.online.reading_correction import CURVE_ITERATIONS, CorrectionKind
 from estimator.spline import evaluate_spline
 
 COEFFICIENTS = 12
+SHRINKAGE = 0.1  # weight of each coefficient over that of their mean
 FRICTION_MIN = 0.05  # share of K that a function leaves at least
 _REST_SPEED_RATIO = 0.02  # of a high speed, below which the drive rests
 _EVERYWHERE = 1e6  # bound of where a variable's range ends
@@ -195,6 +196,9 @@ def compute_basis(effect: Effect, values: Values, x: Array) -> Array:
 def compute_penalty(values: Values, effect: Effect, roughness: float, mean: float) -> Array:
     """Return the rows that keep a function smooth and its mean at zero, for least squares.
 
+    Second differences leave a straight line free, whose end goes far where few samples are: so each
+    coefficient is shrunk, too (Marra, Wood, Comput. Stat. Data Anal. 55, 2011).
+
     Parameters
     ----------
     roughness, mean : float
@@ -205,14 +209,17 @@ def compute_penalty(values: Values, effect: Effect, roughness: float, mean: floa
         return np.empty(0)
     c = np.array(values[-COEFFICIENTS:]) / effect.parameters[-1].step
     ends = np.concatenate([c[-1:], c, c[:1]]) if term.is_periodic else c
-    return np.concatenate([roughness * np.diff(ends, 2), [mean * float(c.mean())]])
+    return np.concatenate(
+        [roughness * np.diff(ends, 2), [mean * float(c.mean())], SHRINKAGE * mean * c]
+    )
 
 
-def penalise(effect: Effect, roughness: float, mean: float) -> Effect:
-    """Return an effect whose fits are penalised by `compute_penalty` with these weights."""
+def penalise(effect: Effect, roughness: float, mean: float, degrees: float | None) -> Effect:
+    """Return an effect penalised by `compute_penalty` with these weights, which leave `degrees`."""
     return replace(
         effect,
         penalty=partial(compute_penalty, effect=effect, roughness=roughness, mean=mean),
+        penalised_degrees=degrees,
     )
 
 

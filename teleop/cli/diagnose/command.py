@@ -85,7 +85,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=SETTINGS.search_time_max,
         metavar="S",
         help="seconds of the processor for each record, after which no further search begins "
-        "(default 60)",
+        "(default 100)",
     )
     parser.add_argument(
         "--supplement",

@@ -30,8 +30,8 @@ FUNCTIONS = ("friction_by_position", "friction_by_rest_time", "elongation_by_ten
 CAUSES = ("constant_drag", "viscous_friction")
 
 
-def diagnosed(name, seed, bench="blocked", functions=FUNCTIONS):
-    made = hidden.make(seed, name, bench=bench, duration=30.0, rate=50.0)
+def diagnosed(name, seed, bench="blocked", functions=FUNCTIONS, travel_noise=0.0):
+    made = hidden.make(seed, name, bench=bench, duration=30.0, rate=50.0, travel_noise=travel_noise)
     record = prepare_record(made.time, dict(made.channels), variables=made.variables)
     effects = [effect for effect in CATALOGUE if effect.name in {*CAUSES, name}]
     return made, diagnose_records([record], [*effects, *map(find_function, functions)])
@@ -53,6 +53,16 @@ def test_the_variable_and_its_curve_are_found():
     assert not any(name.startswith("friction_by") for name in found.parameters)
     assert found.ranking[0].name == "friction_by_position"  # of all that were tried
     assert {*CAUSES} <= {candidate.name for candidate in found.ranking}
+
+
+@pytest.mark.parametrize("variable", ["speed", "path"])
+def test_a_curve_is_as_smooth_as_held_out_samples_favour(variable):
+    """A line to few samples at an end of the range, or too stiff a curve, is not significant."""
+    name, function = f"outside:friction_over_{variable}", f"friction_by_{variable}"
+    _, found = diagnosed(name, 301, functions=(function,), travel_noise=5e-7)
+    assert found.verdict is Verdict.CHARACTERISED
+    assert found.causes == (function,)
+    assert found.residual_fraction < 0.1
 
 
 @pytest.mark.parametrize(
