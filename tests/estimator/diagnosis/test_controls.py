@@ -23,7 +23,7 @@ def diagnosed(time_limit=60.0, **channels):
     return diagnose_records([prepare_record(TIME, noisy)], EFFECTS, time_limit=time_limit)
 
 
-@pytest.mark.parametrize("friction", [0.0, 0.3])
+@pytest.mark.parametrize("friction", [pytest.param(0.0, marks=pytest.mark.slow), 0.3])
 def test_a_wire_on_a_spring_shows_no_sheath(friction):
     travel = 2e-3 * (1.0 + np.sin(2.0 * np.pi * 0.3 * TIME))
     tension = 3000.0 * travel + 1.0

@@ -69,7 +69,9 @@ def test_a_curve_is_as_smooth_as_held_out_samples_favour(variable):
     ("name", "seed", "function"),
     [
         ("viscous_friction", 22, "friction_by_position"),
-        ("presliding", 9112, "distal_tension_gain_by_tension"),  # follows what model error is left
+        pytest.param(  # it follows what model error is left
+            "presliding", 9112, "distal_tension_gain_by_tension", marks=pytest.mark.slow
+        ),
     ],
 )
 def test_a_named_cause_is_preferred_to_a_curve(name, seed, function):
