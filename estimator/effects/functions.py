@@ -377,7 +377,8 @@ def build_functions(columns: Iterable[str] = ()) -> tuple[Effect, ...]:
         _build_function(target, x)
         for target in _TARGETS
         for x in (*variables, *([_OWN] if target.channel and not target.is_share else []))
-        if (target.key, x.key) != (PROXIMAL_TENSION, "tension")  # is by its own reading
+        # a reading that depends on itself as measured would follow anything
+        if (target.channel, x.key) != (PROXIMAL_TENSION, "tension")
     )
 
 

@@ -139,6 +139,12 @@ def diagnosed_context(time, speed):
     return EffectContext(time, PROXIMAL_DISPLACEMENT, travel, speed, {}, {}, zero, 1e-4)
 
 
+def test_no_reading_depends_on_itself_as_measured():
+    assert find_function("distal_tension_gain_by_tension") is not None
+    assert find_function("proximal_tension_by_tension") is None
+    assert find_function("proximal_tension_gain_by_tension") is None
+
+
 def test_a_function_can_be_asked_for_by_name():
     names = [effect.name for effect in parse_effects("creep,friction_by_humidity")]
     assert names == ["creep", "friction_by_humidity"]
