@@ -12,6 +12,7 @@ from estimator.law.tables import build_tables
 from estimator.law.transmission import build_slack_profile, evaluate_tension, push_proximal
 from estimator.online import online
 from estimator.online.tendon_model import TendonModel
+from studies.adaptation import UNCHANGED, simulate_use
 
 RATE, CHANGE_S, DURATION_S = 200.0, 15.0, 50.0
 LENGTH, EA, NODES, SPRING = 1.5, 9000.0, 45, 1500.0
@@ -82,6 +83,15 @@ def test_an_unchanged_sheath_keeps_its_estimates(disturbance):
     assert run.adapted_from == -1
     np.testing.assert_array_equal(run.estimates.distal_tension, fixed.distal_tension)
     assert (run.estimates.low <= fixed.low + 1e-9).all()
+
+
+def test_minutes_of_use_with_tremor_are_no_change_of_shape():
+    """Where the motor turns, the tip has just followed it."""
+    use = simulate_use(3, pair=False, given=UNCHANGED._replace(after=300.0))
+    T, q = use.tension[:, 0].copy(), use.travel[:, 0].copy()
+    run = run_adapting(use.models[0], use.time, T, q)
+    assert run.pieces > 1000
+    assert run.adapted_from == -1
 
 
 def test_a_tip_that_moves_by_itself_is_no_change_of_shape():
