@@ -10,7 +10,7 @@ from slave.rig import RigFault, RigSample, as_enabling_rig, get_emergency_stop
 from slave.rigs import open_rig
 from slave.rigs.extension import CheckedRig, RigExtension
 from teleop.errors import UsageError
-from tests.slave.test_process import FakeLink, FakeRig, StoppableRig, clock, driven
+from tests.slave.test_process import CommandingLink, FakeRig, StoppableRig, clock, driven
 
 __all__ = ["clock"]  # a fixture: time stands still but for sleeping
 
@@ -229,11 +229,11 @@ class Waiting(FakeRig):
     """Waits for its hardware."""
 
     def read(self, time_s):
-        FakeLink.clock.sleep(0.02)
+        CommandingLink.clock.sleep(0.02)
         return super().read(time_s)
 
 
 def test_a_rig_that_waits_in_read_is_told_of_once():
-    _, line, _ = driven(Waiting(), FakeLink(pressed_after=1000), ticks=70)
+    _, line, _ = driven(Waiting(), CommandingLink(pressed_after=1000), ticks=70)
     (said,) = [text for text in line.said() if text.startswith("WARNING: rig: read takes up to ")]
     assert "it holds up the loop" in said
