@@ -140,6 +140,14 @@ class _Dispatcher(CPUDispatcher):  # type: ignore[misc]
         if _folder is not None:
             self._cache = self.cache(py_func, _folder)
 
+    def compile(self, sig: Any) -> Any:
+        try:
+            return super().compile(sig)
+        except Exception:
+            if _folder is not None:
+                self._cache.release_claims()
+            raise
+
 
 class _PartDispatcher(_Dispatcher):
     """A function as others call it when they are compiled."""

@@ -123,6 +123,7 @@ class FunctionCache:
         path = self._name_file(signature, target)
         payload = _load(path)
         if payload is None:
+            self._release(path)  # of an attempt that failed
             with suppress(OSError):  # a folder that cannot be written
                 self._claims[path] = _claim(path)
             payload = _load(path)
@@ -145,6 +146,11 @@ class FunctionCache:
         if not FunctionCache._is_pruned:
             FunctionCache._is_pruned = True
             prune(self.cache_path)
+
+    def release_claims(self) -> None:
+        """Let other processes compile what this one could not."""
+        for path in list(self._claims):
+            self._release(path)
 
     def flush(self) -> None:
         """Do nothing: what is outdated is never found."""

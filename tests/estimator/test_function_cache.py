@@ -137,3 +137,16 @@ def test_what_was_not_used_for_long_is_deleted(tmp_path):
         os.utime(path, (time.time() - age_s,) * 2)
     prune(tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == ["new"]
+
+
+def test_what_cannot_be_compiled_is_not_held_from_others(run, tmp_path):
+    program = FILES["program"]
+    failing = (
+        "from outer import add\ntry:\n    add('text')\nexcept Exception as e:\n    print(type(e))\n"
+    )
+    (tmp_path / "cache").mkdir()
+    done = run(
+        program=(program, failing + "import os\nprint(os.listdir(os.environ['NUMBA_CACHE_DIR']))")
+    )
+    assert done[0] == "<class 'numba.core.errors.TypingError'>"
+    assert ".lock" not in done[1]
