@@ -147,7 +147,8 @@ def mute_monitors(
     """Drop what the monitors found of tendons whose K the adaptation can decide; set `decided`.
 
     It cannot after a time without pieces that fit, or close to the bounds of K; then the monitor
-    finds errors of the K in use. In degraded mode all of the interval has to be within the bounds.
+    finds errors of the K in use. To end degraded mode K has to be as certain as one that has
+    settled: the posterior's interval holds the K in use, and that of the K in use is as narrow.
     """
     for k in range(layout.groups):
         group, adapts = layout.group[k], True
@@ -161,9 +162,10 @@ def mute_monitors(
                 low, high, age = _get_interval(pair.a) if n == 0 else _get_interval(pair.b)
             K, bounds = prepared[i].tables[_K], adapter.constants[i].K[:]
             is_inside = _is_inside(bounds, K)
-            if is_degraded:
-                is_inside = is_inside and _is_inside(bounds, low) and _is_inside(bounds, high)
             decided[i] = is_inside and age < UNDECIDED_S
+            if decided[i] and is_degraded:
+                error = prepared[i].friction_error * K + prepared[i].adaptation_error
+                decided[i] = low <= K <= high and error <= SETTLED_WIDTH * K
             if decided[i]:
                 monitors[i].count, monitors[i].force_error = 0, 0.0
 

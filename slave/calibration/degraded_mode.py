@@ -32,6 +32,7 @@ class Degradation(Struct):
 
     active: Flag = False  # a calibration is due
     ramp: F64 = 0.0  # 0 = not limited, 1 = limited as configured
+    doubted: Annotated[NDArray[np.int64], Field("i8", MAX_TENDONS)]  # 1 of doubted tendons
     # of each T_out over its estimate, or the inverse: the largest found
     ratio: Annotated[Array, Field("f8", MAX_TENDONS, fill=1.0)]
 
@@ -53,10 +54,13 @@ def update_degradation(
         return
     is_doubted = False
     for i in range(len(decided)):
-        ratio = 1.0 + monitors[i].force_error
-        mode.ratio[i] = max(mode.ratio[i], ratio, 1.0 / ratio)
-        if mode.ratio[i] > 1.0 + config.advise and not is_doubted:
-            is_doubted = not (decided[i] or monitor.is_as_calibrated(config, monitors[i]))
+        ratio = max(1.0 + monitors[i].force_error, 1.0 / (1.0 + monitors[i].force_error))
+        mode.ratio[i] = max(mode.ratio[i], ratio)
+        if decided[i] or monitor.is_as_calibrated(config, monitors[i]):
+            mode.doubted[i] = 0  # also if the interval of K is wide again a moment later
+        elif ratio > 1.0 + config.advise:
+            mode.doubted[i] = 1
+        is_doubted = is_doubted or mode.doubted[i] > 0
     mode.active = is_doubted
 
 

@@ -110,10 +110,11 @@ def test_the_monitor_is_heard_where_the_adaptation_cannot_decide():
     assert left(1.8 * 0.8, 1.0, 1.0, 1.0) == [5, 5, 5]  # the largest K that it considers
     slave.memory["degradation"]["active"] = True
     assert left(0.8, 1.0, 1.0, 1.0) == [5, 5, 5]
-    for i, high in enumerate((0.9, 0.9, 1.8 * 0.8)):
+    for i, (low, error) in enumerate(((0.7, 0.1), (0.85, 0.1), (0.7, 0.3))):
         friction = slave.adapter.get_friction(i)
-        friction["low"], friction["high"] = 0.7, high
-    assert left(0.8, 1.0, 1.0, 1.0) == [0, 0, 5]
+        friction["low"], friction["high"] = low, 0.9
+        slave.prepared["adaptation_error"][i] = error
+    assert left(0.8, 1.0, 1.0, 1.0) == [0, 5, 5]  # the second is not in use yet, the third wide
     slave = started(second=TendonConfig(effective_friction=0.05))  # a pair with nothing to adapt
     assert left(0.8, 1.0, 1.0, 1.0) == [5, 5, 0]
 
