@@ -283,7 +283,10 @@ def observe(
     K = measure_friction(constants, state, loop_tension, dt)
     if not math.isnan(K):
         costs = ((1.0 - K / constants.K[:]) / LOOP_ACCURACY) ** 2
+        age = state.evidence_age
         _weigh(constants, state, costs, LOOP_TEMPER, LOOP_EVIDENCE_MAX)
+        # it may have another friction than the tendon: without pieces that agree, K is doubted
+        state.evidence_age = age
     change = 0.0
     for n in range(DEPTHS):
         change += state.mean_weight[n] * (state.tension[n] - state.begin_tension[n])

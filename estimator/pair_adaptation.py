@@ -421,8 +421,7 @@ def _take_loop(
     if (measured - K) ** 2 > MISFIT_MAX * (predicted + noise):
         _widen(state, first, MISFIT_SIGMA**2)
         return
-    _update_filter(state, slope, measured - K, noise / LOOP_TEMPER)
-    tendon.evidence_age *= math.exp(-0.5 * LOOP_TEMPER * (APART / LOOP_ACCURACY) ** 2)
+    _update_filter(state, slope, measured - K, noise / LOOP_TEMPER)  # not `evidence_age`: pieces do
 
 
 @jit_compile

@@ -48,7 +48,7 @@ def measure_loop_friction(state: LoopState, moved: float, held: float, dt: float
     `moved` and `held` [N] are the tensions at the two ends, `dt` [s] the time since the last ones.
     """
     state.age += dt
-    if not min(moved, held) > LEAST_TENSION:  # NaN included
+    if not (LEAST_TENSION < moved < math.inf and LEAST_TENSION < held < math.inf):  # nor NaN
         return math.nan
     if math.isnan(state.held):
         state.tension[0], state.tension[1], state.held = moved, held, held

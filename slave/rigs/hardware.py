@@ -165,6 +165,8 @@ class HardwareTendonConfig:
         """Check the number of cells; raises `ValueError`."""
         if len(self.loop) not in (0, 2):
             raise ValueError("loop: must have no cell or two")
+        if self.loop and len({self.cell.id, *(cell.id for cell in self.loop)}) < 3:
+            raise ValueError("loop: both cells must have ids of their own")
 
 
 @dataclass(frozen=True, slots=True)

@@ -77,6 +77,28 @@ def test_a_faulty_loop_changes_nothing(tip, fault):
     assert np.isfinite(run.K_high - run.K_low).all()
 
 
+@pytest.mark.parametrize("bad", [(np.nan, 5.0), (5.0, np.nan), (np.inf, 5.0), (5.0, np.inf)])
+def test_a_loop_is_read_on_after_a_bad_sample(bad):
+    time, tensions = simulate_loop(0.5, 0.5)
+    tensions[len(time) // 2] = bad
+    state = view_struct(LoopState.array())
+    phi = [measure_loop_friction(state, moved, held, 1.0 / RATE) for moved, held in tensions]
+    late = np.array(phi)[len(time) // 2 :]
+    assert late[~np.isnan(late)] == pytest.approx(0.5, rel=0.03)
+    assert np.isfinite(late).sum() > 20
+
+
+def test_a_loop_that_misses_a_change_of_the_tendon_leaves_k_in_doubt():
+    """As where the tendon's own coating wears: the loop goes on as calibrated."""
+    use = simulate_use(2, pair=False, given=Conditions(has_loops=True, settle=3.0))
+    unchanged = np.resize(use.loop[:4000, 0], use.loop[:, 0].shape)
+    T, q = use.tension[:, 0].copy(), use.travel[:, 0].copy()
+    run = run_adapting(use.models[0], use.time, T, q, unchanged)
+    late = use.time > use.change_end + 10.0
+    assert late.any()
+    assert ((run.K_low < use.K_after[0]) & (use.K_after[0] < run.K_high))[late].all()
+
+
 def test_the_tendons_of_a_pair_take_their_loops_readings():
     use = simulate_use(1, pair=True, given=Conditions(has_loops=True, settle=3.0))
     bare = score_use(use._replace(loop=None), 3.0)
