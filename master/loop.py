@@ -192,32 +192,76 @@ def compute_force(
         The bits of a `gate.GateFlags`.
     """
     settings, memory, state = settings_records[0], memories[0], states[0]
-    hand, axes, dt = hands[0], memory.axes, tick_input.dt
-    velocity_map, joints = maps[0], memory.joints
-    wanted_forces = np.zeros(MAX_JOINTS)
-    is_finite = _compute_wanted_forces(settings, memory, tick_input, state, wanted_forces)
+    hand, velocity_map, dt = hands[0], maps[0], tick_input.dt
+    forces = _init_force_parts()
+    is_finite = _compute_wanted_forces(settings, memory, tick_input, state, forces.wanted)
     fresh = is_fresh(settings, tick_input, state)
     if new_state:
-        _receive_state(settings, memory, tick_input, state, wanted_forces)
+        _receive_state(settings, memory, tick_input, state, forces.wanted)
         memory.inputs.link, memory.inputs.link_holds = tick_input.link, tick_input.link_holds
     if new_state or fresh != memory.inputs.peer_fresh:
         memory.inputs.reset = False  # already processed
         _step_session(settings, memory, hand, mapped_hands[0], state, tick_input, is_finite, 0.0)
-    # every force is in the ledger: a coupling that could start now starts at the next tick
-    is_rendering = memory.may_render and state_machine.may_render(memory.session)
-    is_rendering = is_rendering and (memory.has_counted_work or not is_finite)
+    is_rendering = _is_rendering(memory, is_finite)
+    _compute_coupling_forces(settings, memory, velocity_map, is_rendering, is_finite, dt, forces)
+    _compute_local_forces(settings, memory, hand, velocity_map, is_rendering, forces)
+    verdict = _limit_total_force(settings, memory, forces, fresh, is_rendering, dt, out)
+    _store_forces(settings, memory, velocity_map, forces, out)
+    _write_torques(memory, velocity_map, out)
+    _record_answer(memory, tick_input, state)
+    return verdict
 
-    total, local_forces = np.zeros(MAX_JOINTS), np.zeros(MAX_JOINTS)
-    joint_force, coupling_force = np.zeros(MAX_JOINTS), np.zeros(MAX_JOINTS)
-    weight_compensation, unshared_force = np.zeros(MAX_JOINTS), np.zeros(MAX_JOINTS)
+
+class ForceParts(NamedTuple):
+    """Forces of a tick [N], each of shape (8,); a torque counts as the force at its lever."""
+
+    wanted: Array  # along the hand's motion for joints, as the newest state asks for
+    joint: Array  # what the coupling and the limits admit of it
+    coupling: Array  # the same along the axes of the hand
+    local: Array  # of this side alone
+    weight: Array  # the part of `local` that carries the device
+
+
+@jit_compile
+def _init_force_parts() -> ForceParts:
+    return ForceParts(
+        np.zeros(MAX_JOINTS),
+        np.zeros(MAX_JOINTS),
+        np.zeros(MAX_JOINTS),
+        np.zeros(MAX_JOINTS),
+        np.zeros(MAX_JOINTS),
+    )
+
+
+@jit_compile
+def _is_rendering(memory: MasterMemory, is_finite: bool) -> bool:
+    """Return whether both phases of the tick allow forces.
+
+    Every force is in the ledger: a coupling that could start now starts at the next tick.
+    """
+    is_allowed = memory.may_render and state_machine.may_render(memory.session)
+    return is_allowed and (memory.has_counted_work or not is_finite)
+
+
+@jit_compile
+def _compute_coupling_forces(
+    settings: MasterSettings,
+    memory: MasterMemory,
+    velocity_map: VelocityMap,
+    is_rendering: bool,
+    is_finite: bool,
+    dt: float,
+    forces: ForceParts,
+) -> None:
+    """Write what the coupling admits of the wanted forces, along the joints and on the hand."""
     coupling_adapter.render_force(
         settings.bilateral,
         memory.coupling,
         settings.force.scale,
-        wanted_forces,
-        joints,
+        forces.wanted,
+        memory.joints,
         is_rendering and memory.has_counted_work and is_finite,
-        joint_force,
+        forces.joint,
     )
     if velocity_map.is_active:
         hand_map.limit_joint_force(
@@ -225,63 +269,18 @@ def compute_force(
             settings.gate.total_max,
             velocity_map,
             memory.joint_force,
-            joint_force,
-            axes,
-            joints,
+            forces.joint,
+            memory.axes,
+            memory.joints,
             dt,
         )
-    hand_map.compute_hand_force(velocity_map, joint_force, axes, joints, coupling_force)
+    hand_map.compute_hand_force(
+        velocity_map, forces.joint, memory.axes, memory.joints, forces.coupling
+    )
     if is_rendering:
         coupling_adapter.store_rendered_force(
-            memory.rendered, settings.force.scale, joint_force, joints
+            memory.rendered, settings.force.scale, forces.joint, memory.joints
         )
-    _compute_local_forces(
-        settings, memory, hand, velocity_map, is_rendering, weight_compensation, local_forces
-    )
-    for k in range(axes):
-        total[k] = feedback.limit_slew(
-            settings.force.slew,
-            memory.force[k],
-            # the tips' force as the slave limits it, then of this device
-            settings.force_share[k] * feedback.clamp(settings.force.limit, coupling_force[k])
-            + local_forces[k],
-            dt,
-        )
-        total[k] = feedback.clamp(settings.force.limit, total[k])
-    is_fading = state_machine.is_force_fading(memory.session)
-    verdict = gate.step(
-        settings.gate,
-        memory.force,
-        total,
-        axes,
-        fresh,
-        is_rendering,
-        dt,
-        is_fading,
-        weight_compensation,
-        out,
-    )
-    for k in range(MAX_JOINTS):
-        out[k] = out[k] if k < axes else 0.0
-        memory.force[k] = out[k]
-        memory.local_force[k] = local_forces[k]
-        unshared_force[k] = local_forces[k] + (out[k] - local_forces[k]) / settings.force_share[k]
-    hand_map.store_joint_force(
-        velocity_map,
-        unshared_force,
-        local_forces,
-        coupling_force,
-        joint_force,
-        axes,
-        joints,
-        memory.joint_force,
-    )
-    for k in range(axes):  # torques, where axes turn
-        out[k] *= velocity_map.lever[k]
-    for k in range(MAX_JOINTS):
-        memory.written[k] = out[k]
-    _record_answer(memory, tick_input, state)
-    return verdict
 
 
 @jit_compile
@@ -291,24 +290,91 @@ def _compute_local_forces(
     hand: HandInput,
     velocity_map: VelocityMap,
     is_rendering: bool,
-    weight_compensation: Array,
-    out: Array,
+    forces: ForceParts,
 ) -> None:
-    """Write the forces of this side alone [N]: walls, virtual fixtures, weight compensation.
+    """Write the forces of this side alone: walls, virtual fixtures, weight compensation.
 
-    They act without delay. `weight_compensation` [N] is also written apart, for the gate.
+    They act without delay.
     """
     workspace.update_limits(settings.operator, memory.limits, hand, is_rendering)
     if is_rendering and hand.present:
         workspace.compute_wall_forces(
-            settings.operator, memory.limits, hand, velocity_map.lever, out
+            settings.operator, memory.limits, hand, velocity_map.lever, forces.local
         )
     for k in range(memory.axes):
         if is_rendering:
-            out[k] += velocity_map.fixture_force[k]
+            forces.local[k] += velocity_map.fixture_force[k]
         if _has_weight_compensation(memory.session):
-            weight_compensation[k] = settings.operator.weight[k] / velocity_map.lever[k]
-            out[k] += weight_compensation[k]
+            forces.weight[k] = settings.operator.weight[k] / velocity_map.lever[k]
+            forces.local[k] += forces.weight[k]
+
+
+@jit_compile
+def _limit_total_force(
+    settings: MasterSettings,
+    memory: MasterMemory,
+    forces: ForceParts,
+    fresh: bool,
+    is_rendering: bool,
+    dt: float,
+    out: Array,
+) -> int:
+    """Add the parts and apply the limits of rendering and the gate; return its `GateFlags`."""
+    total = np.zeros(MAX_JOINTS)
+    for k in range(memory.axes):
+        # the tips' force as the slave limits it, then of this device
+        tip_force = feedback.clamp(settings.force.limit, forces.coupling[k])
+        requested = settings.force_share[k] * tip_force + forces.local[k]
+        slowed = feedback.limit_slew(settings.force.slew, memory.force[k], requested, dt)
+        total[k] = feedback.clamp(settings.force.limit, slowed)
+    verdict = gate.step(
+        settings.gate,
+        memory.force,
+        total,
+        memory.axes,
+        fresh,
+        is_rendering,
+        dt,
+        state_machine.is_force_fading(memory.session),
+        forces.weight,
+        out,
+    )
+    out[memory.axes :] = 0.0
+    return verdict
+
+
+@jit_compile
+def _store_forces(
+    settings: MasterSettings,
+    memory: MasterMemory,
+    velocity_map: VelocityMap,
+    forces: ForceParts,
+    gated: Array,
+) -> None:
+    """Store what left the gate, and which part of it the joints feel."""
+    unshared = np.zeros(MAX_JOINTS)
+    for k in range(MAX_JOINTS):
+        memory.force[k], memory.local_force[k] = gated[k], forces.local[k]
+        unshared[k] = forces.local[k] + (gated[k] - forces.local[k]) / settings.force_share[k]
+    hand_map.store_joint_force(
+        velocity_map,
+        unshared,
+        forces.local,
+        forces.coupling,
+        forces.joint,
+        memory.axes,
+        memory.joints,
+        memory.joint_force,
+    )
+
+
+@jit_compile
+def _write_torques(memory: MasterMemory, velocity_map: VelocityMap, out: Array) -> None:
+    """Turn the forces at the levers of the axes that turn into torques [N m], in place."""
+    for k in range(MAX_JOINTS):
+        if k < memory.axes:
+            out[k] *= velocity_map.lever[k]
+        memory.written[k] = out[k]
 
 
 @jit_compile
