@@ -45,7 +45,7 @@ from teleop.messages.topics import COMMAND, HAND, LATENCY, STATE, Role
 from teleop.remote.request_listener import RequestListener, Requests
 from teleop.runtime.clock import STALL_NS, Grid, SuspensionWatch, Tick, monotonic_ns, now_ns
 from teleop.runtime.compiling import announce_compilation
-from teleop.runtime.process import StopCondition
+from teleop.runtime.process import StopCondition, wait_in_standby
 from teleop.session.config import SideConfig, read_config
 from teleop.session.events import format_press, publish_event
 from teleop.session.loop_process import LoopProcess, report_outcome, run_session
@@ -463,6 +463,8 @@ def main(args: argparse.Namespace) -> int:
     config.check_rate(shared.rate_hz)
     with announce_compilation("the master's loop", COMPILE_S):
         warm_up()
+    if not wait_in_standby():
+        return 0
     stop = StopCondition(args.duration)
 
     def start(

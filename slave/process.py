@@ -57,7 +57,7 @@ from teleop.messages.packet import Packet
 from teleop.messages.topics import COMMAND, STATE, TENDONS, Role
 from teleop.remote.request_listener import RequestListener, Requests, call_stop
 from teleop.runtime.clock import EventClock, Grid, Tick, now_ns
-from teleop.runtime.process import StopCondition
+from teleop.runtime.process import StopCondition, wait_in_standby
 from teleop.runtime.realtime import use_ordinary_scheduling
 from teleop.session.config import RunConfig, SideConfig, read_config
 from teleop.session.events import publish_event
@@ -340,6 +340,8 @@ def main(args: argparse.Namespace) -> int:
     if files and config.initialise.at_start:
         raise UsageError("--model: conflicts with slave.initialise.at_start; use one of them")
     compile_session(config, bool(files) or has_model_file(config), shared.arms)
+    if not wait_in_standby():
+        return 0
 
     def start(
         link: Link, requests: RequestListener, stack: ExitStack

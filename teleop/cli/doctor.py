@@ -1,5 +1,8 @@
 """Check whether this machine can run a session, with a remedy for each failed check.
 
+  teleop doctor               check this machine
+  teleop doctor --startup     where the time of a start goes, for both sides of a session
+
 A failed essential check gives exit code 1; the others are advice.
 """
 
@@ -8,9 +11,11 @@ import os
 import platform
 import re
 import shutil
+import subprocess
 import sys
 import tempfile
 import time
+from collections import Counter
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
@@ -21,7 +26,8 @@ from pathlib import Path
 from estimator.compile_cache import choose_folder
 from master.devices.hid.node import REMEDY
 from slave.drivers import ports
-from teleop.errors import UsageError
+from teleop.errors import TeleopError, UsageError
+from teleop.runtime.child_process import start_module
 from teleop.runtime.clock import Grid
 from teleop.runtime.files import find_config_folder, find_state_folder
 from teleop.runtime.machine import (
@@ -31,6 +37,7 @@ from teleop.runtime.machine import (
     find_realtime_remedy,
 )
 from teleop.runtime.parallel import count_processors
+from teleop.runtime.process import STANDBY_VARIABLE
 
 DISTRIBUTION = "tendon-teleop"
 
@@ -239,12 +246,18 @@ CHECKS: tuple[Callable[[], Finding], ...] = (
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add no options."""
-    del parser
+    """Add the options of `teleop doctor`."""
+    parser.add_argument(
+        "--startup", action="store_true", help="measure a start of both sides instead, by package"
+    )
 
 
-def main(_args: argparse.Namespace) -> int:
-    """Run all checks and print them."""
+def main(args: argparse.Namespace) -> int:
+    """Run all checks and print them, or measure a start."""
+    if args.startup:
+        for side in ("slave", "master"):
+            print("\n".join(format_startup(side, *measure_startup(side))), flush=True)
+        return 0
     findings = [check() for check in CHECKS]
     width = max(len(finding.what) for finding in findings)
     for finding in findings:
@@ -254,3 +267,59 @@ def main(_args: argparse.Namespace) -> int:
     failed = [finding for finding in findings if finding.essential and not finding.good]
     print("Ready: teleop run --config configs/demo.yaml" if not failed else "Not ready.")
     return 1 if failed else 0
+
+
+# --- where the time of a start goes
+
+_IMPORT_LINE = re.compile(r"^import time:\s*(\d+) \|\s*\d+ \|\s*([\w]+)", re.MULTILINE)
+_PACKAGES_SHOWN = 8
+
+
+def measure_startup(side: str) -> tuple[float, float, Counter[str]]:
+    """Start a side of a session until it would open its hardware; return where the time went.
+
+    Returns
+    -------
+    first_s : float
+        Time of a start that compiled first [s]; 0 if all was compiled.
+    total_s : float
+        Time of a start with compiled code [s].
+    imports : Counter
+        Of it, import time of each package [us], without what the package itself imports.
+    """
+    first_s = 0.0
+    while True:
+        begin_s = time.monotonic()
+        process = start_module(
+            "teleop",
+            side,
+            environment={STANDBY_VARIABLE: "1", "PYTHONPROFILEIMPORTTIME": "1"},
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        output, log = process.communicate()
+        total_s = time.monotonic() - begin_s
+        if process.returncode:
+            raise TeleopError(f"teleop {side} did not start: {log.strip().splitlines()[-1]}")
+        if first_s or "compiling" not in output:
+            break
+        first_s = total_s
+    imports: Counter[str] = Counter()
+    for microseconds, package in _IMPORT_LINE.findall(log):
+        imports[package] += int(microseconds)
+    return first_s, total_s, imports
+
+
+def format_startup(side: str, first_s: float, total_s: float, imports: Counter[str]) -> list[str]:
+    """Return the lines that tell where the time of a start went."""
+    shown = imports.most_common(_PACKAGES_SHOWN)
+    others_us = imports.total() - sum(microseconds for _, microseconds in shown)
+    rest_s = total_s - imports.total() * 1e-6
+    rows = [(f"import {package}", microseconds * 1e-6) for package, microseconds in shown]
+    rows += [("other imports", others_us * 1e-6), ("load compiled code, and the rest", rest_s)]
+    first = f"; the first start, which compiled: {first_s:.1f} s" if first_s else ""
+    return [
+        f"{side}: {total_s:.2f} s until it opens its hardware{first}",
+        *(f"  {seconds:6.2f} s  {what}" for what, seconds in rows),
+    ]

@@ -20,7 +20,6 @@ from teleop.link import Link
 from teleop.messages.topics import EVENT, LATENCY, LINK, REPORT, Role
 from teleop.ros.config import check_ports
 from teleop.ros.message_types import require_rosbags
-from teleop.runtime.compiling import compile_in_parallel
 from teleop.runtime.process import TERMINATION_SIGNALS, StopCondition
 from teleop.runtime.scratch_folder import ScratchFolder
 from teleop.session import own_endpoints
@@ -124,6 +123,17 @@ def run_session(
         sides = ["--allow-imports"] * plan.allow_imports
         supervisor = Supervisor(scratch, console.say)
         stack.callback(supervisor.stop, SHUTDOWN_ORDER)
+        # both sides import and compile at once; they touch nothing before they are called
+        models = [f"--model={word}" for word in plan.models]
+        supervisor.start("slave", [*shared, *sides, *models], plan.environment, standby=True)
+        snapshot = plan.impaired_document.save_snapshot(scratch / "master")
+        supervisor.start(
+            "master",
+            ["--config", str(snapshot), *sides],
+            plan.environment,
+            plan.master_files,
+            standby=True,
+        )
         link = stack.enter_context(Link(config.link, config.session, Role.LAUNCHER))
         watch.require_free_session(link)  # before anything is started
         stack.enter_context(
@@ -135,8 +145,7 @@ def run_session(
             supervisor.start("record", [*shared, "--out", str(plan.record)])
         if config.impair is not None:
             supervisor.start("impair", shared)
-        models = [f"--model={word}" for word in plan.models]
-        supervisor.start("slave", [*shared, *sides, *models], plan.environment)
+        supervisor.call("slave")
         if config.ros.start:
             supervisor.start("ros", shared)
         if plan.view != "none":
@@ -145,18 +154,11 @@ def run_session(
             supervisor.start(
                 "view", [*shared, "--view", plan.view], environment, (reserved.fileno(),)
             )
-        stack.enter_context(compile_in_parallel("master.process:warm_up"))
         watched = watch.SessionWatch(link, listener, supervisor, console, stop, partial(poll, link))
         try:
             ended = watched.wait_for_slave()
             if not ended and not stop():
-                snapshot = plan.impaired_document.save_snapshot(scratch / "master")
-                supervisor.start(
-                    "master",
-                    ["--config", str(snapshot), *sides],
-                    plan.environment,
-                    plan.master_files,
-                )
+                supervisor.call("master")
                 ended = watched.run(plan.duration_s, begin)
         finally:
             console.status.clear()

@@ -127,16 +127,22 @@ class Supervisor:
         arguments: Sequence[str],
         environment: Mapping[str, str] | None = None,
         descriptors: tuple[int, ...] = (),
+        standby: bool = False,
     ) -> Child:
         """Start `teleop NAME ARGUMENTS --json ...`.
 
-        `environment` is added to that of this process; it has the file `descriptors` too.
+        `environment` is added to that of this process; it has the file `descriptors` too. On
+        `standby` it imports and compiles what it needs, and then waits for `call`.
         """
         child = self.children[name] = self._spawn(
-            name, tuple(arguments), environment or {}, descriptors
+            name, tuple(arguments), environment or {}, descriptors, standby
         )
         self._start_reader(child)
         return child
+
+    def call(self, name: str) -> None:
+        """Let a child on standby begin; one that has ended is left to `find_failed_child`."""
+        _call(self.children[name])
 
     def _spawn(
         self,
@@ -218,15 +224,7 @@ class Supervisor:
     def _activate_spare(self, name: str) -> Child | None:
         """Return the spare of a child, told to begin; None if there is none."""
         spare = self._spares.pop(name, None)
-        if spare is None or spare.process.stdin is None:
-            return None
-        try:
-            with spare.process.stdin as line:
-                line.write("begin\n")
-        except BrokenPipeError:
-            return None
-        spare.began_s = spare.heard_s = time.monotonic()
-        return spare
+        return spare if spare is not None and _call(spare) else None
 
     def _format_restart_hint(self, child: Child) -> str:
         if child.name not in RESTARTED_CHILDREN:
@@ -276,6 +274,18 @@ class Supervisor:
                         child.restart_reason = ""
                     with suppress(OSError):  # the main thread ends for it; the pipe must not fill
                         self._say(child.name, line)
+
+
+def _call(child: Child) -> bool:
+    """Let a child on standby begin; return whether it was there."""
+    assert child.process.stdin is not None  # noqa: S101 - given as PIPE at its start
+    try:
+        with child.process.stdin as line:
+            line.write("begin\n")
+    except BrokenPipeError:
+        return False
+    child.began_s = child.heard_s = time.monotonic()
+    return True
 
 
 def is_computing(pid: int) -> bool:

@@ -2,21 +2,10 @@
 
 import contextlib
 import gc
-import hashlib
-import importlib
 import multiprocessing
 import signal
-import subprocess
-import sys
 from collections.abc import Callable, Iterator
 from multiprocessing.process import BaseProcess
-from pathlib import Path
-
-from estimator.compile_cache import choose_folder
-from teleop.runtime.child_process import start_module
-from teleop.runtime.process import die_with_launcher
-
-_COMPILED_PACKAGES = ("estimator", "master", "slave", "teleop")
 
 
 @contextlib.contextmanager
@@ -56,36 +45,6 @@ def announce_compilation(
             work()
 
 
-@contextlib.contextmanager
-def compile_in_parallel(function: str) -> Iterator[None]:
-    """Compile by another process during this context, unless one has with these sources.
-
-    Not by `multiprocessing`, whose processes import the script of a program that starts a session.
-
-    `function` is a `package.module:function` that calls what is to be compiled.
-    """
-    folder = choose_folder()
-    done = folder and folder / f"{function.replace(':', '.')}-{_hash_sources()}"
-    if done is None or done.exists():
-        yield
-        return
-    helper = start_module(
-        __name__, function, str(done), is_supervised=True, stdout=subprocess.DEVNULL
-    )
-    try:
-        yield
-    finally:
-        helper.kill()
-        helper.wait()
-
-
-def _hash_sources() -> str:
-    root = Path(__file__).parents[2]
-    sources = (path for name in _COMPILED_PACKAGES for path in (root / name).rglob("*.py"))
-    states = sorted((str(path), path.stat().st_mtime_ns, path.stat().st_size) for path in sources)
-    return hashlib.sha256(repr(states).encode()).hexdigest()[:16]
-
-
 def _start_helper(work: Callable[[], object]) -> BaseProcess:
     # not a fork of this process, which may be in the middle of compiling
     start = multiprocessing.get_context("spawn").Process
@@ -99,10 +58,3 @@ def _run_helper(work: Callable[[], object]) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     gc.disable()
     work()
-
-
-if __name__ == "__main__":
-    die_with_launcher()
-    module, _, name = sys.argv[1].partition(":")
-    _run_helper(getattr(importlib.import_module(module), name))
-    Path(sys.argv[2]).touch()

@@ -22,7 +22,7 @@ _PR_SET_PDEATHSIG = 1
 TERMINATION_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 # the launcher's process id, in the environment of its children
 SUPERVISED_VARIABLE = "TELEOP_SUPERVISED"
-# set in the environment of a spare, which waits for a line to begin
+# set in the environment of a child on standby, which waits for a line to begin
 STANDBY_VARIABLE = "TELEOP_STANDBY"
 _THREAD_COUNTS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 REPEAT_S = 0.01  # [s] until a signal whose exception was ignored is delivered again
@@ -44,9 +44,10 @@ def is_supervised() -> bool:
 
 
 def wait_in_standby() -> bool:
-    """Wait until the launcher calls this process, if it was started as a spare for another.
+    """Wait until the launcher calls this process, if it was started on standby.
 
-    Returns False if the launcher ended instead. Called when all is imported, which takes longest.
+    Returns False if the launcher ended instead. Called when all is imported and compiled, which
+    takes longest, and before anything is opened.
     """
     return STANDBY_VARIABLE not in os.environ or bool(sys.stdin.readline())
 

@@ -12,6 +12,7 @@ from slave.drivers import ports
 from studies.hid.descriptors import LAYOUTS
 from teleop.cli import doctor
 from teleop.cli.doctor import Finding
+from teleop.errors import TeleopError
 
 ROOT = Path(__file__).parents[3]
 
@@ -62,7 +63,7 @@ def test_real_time_scheduling_is_tried_and_put_back(monkeypatch):
 )
 def test_only_what_is_essential_fails(monkeypatch, capsys, findings, code, verdict):
     monkeypatch.setattr(doctor, "CHECKS", [lambda f=f: f for f in findings])
-    assert doctor.main(argparse.Namespace()) == code
+    assert doctor.main(argparse.Namespace(startup=False)) == code
     *lines, last = capsys.readouterr().out.splitlines()
     assert last.startswith(verdict)
     for finding, line in zip(findings, lines, strict=True):
@@ -168,3 +169,19 @@ def test_keyboards_and_mice_do_not_matter(plug):
     assert doctor.check_hid_nodes().detail.startswith("none attached")
     plug("hidraw2", LAYOUTS["openffboard 1"])
     assert (doctor.check_hid_nodes().good, doctor.check_hid_nodes().detail) == (True, "1 attached")
+
+
+def test_the_parts_of_a_start_are_its_time():
+    _, total_s, imports = doctor.measure_startup("master")
+    assert {"numba", "master", "teleop"} <= set(imports)
+    assert "slave" not in imports  # a side does not load the other
+    assert 0.0 < imports.total() * 1e-6 < total_s
+    head, *rows = doctor.format_startup("master", 31.0, total_s, imports)
+    assert f"{total_s:.2f} s" in head
+    assert "31.0 s" in head
+    assert sum(float(row.split()[0]) for row in rows) == pytest.approx(total_s, abs=0.05 * 2)
+
+
+def test_a_side_that_does_not_start_is_one_line():
+    with pytest.raises(TeleopError, match="^teleop nobody did not start: teleop: .*nobody"):
+        doctor.measure_startup("nobody")
