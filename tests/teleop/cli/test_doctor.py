@@ -183,5 +183,5 @@ def test_the_parts_of_a_start_are_its_time():
 
 
 def test_a_side_that_does_not_start_is_one_line():
-    with pytest.raises(TeleopError, match="^teleop nobody did not start: teleop: .*nobody"):
+    with pytest.raises(TeleopError, match=r"^teleop nobody did not start: teleop: .*nobody"):
         doctor.measure_startup("nobody")
