@@ -24,8 +24,9 @@ from teleop.messages.messages import LAYOUT
 from teleop.messages.topics import COMMAND, STATE, Role
 from teleop.security import CertificateRole
 from teleop.security.credentials import create_local_credentials
+from teleop.security.handshake import Handshake
 from teleop.security.keyring import Keyring
-from teleop.security.presence import Handshake, RoleStage, Token
+from teleop.security.presence import RoleStage, Token
 
 CALLS, ROUNDS = 200, 300
 

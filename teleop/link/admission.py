@@ -28,7 +28,8 @@ import zenoh
 from teleop.link.rate_limit import RateLimit
 from teleop.messages.topics import Role
 from teleop.runtime.clock import now_ns
-from teleop.security.presence import PairKeys, Token, build_token_root, list_groups, may_stop
+from teleop.security.handshake import PairKeys
+from teleop.security.presence import Token, build_token_root, list_groups, may_stop
 
 # --- challenges: proof that a process is here now, and is not a token that somebody plays back
 

@@ -23,8 +23,9 @@ from teleop.messages.topics import TOPICS, Role, Topic
 from teleop.runtime.clock import now_ns
 from teleop.security import CERTIFICATE_ROLES, Identity, presence
 from teleop.security.access import build_access_control
+from teleop.security.handshake import Handshake
 from teleop.security.keyring import Keyring, TagKeys
-from teleop.security.presence import Handshake, RoleStage, Token
+from teleop.security.presence import RoleStage, Token
 
 M = TypeVar("M", bound=Message)
 

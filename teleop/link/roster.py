@@ -16,15 +16,12 @@ from teleop.link.admission import Admission, AnswerCallback, Challenger, Respond
 from teleop.link.rate_limit import RefusalCounter
 from teleop.messages.topics import Role
 from teleop.security import CertificateError, NotYetValidError
+from teleop.security.handshake import Handshake, PairKeys, Peer, SignatureError
 from teleop.security.keyring import Keyring
 from teleop.security.presence import (
     EXCLUSIVE_ROLES,
     LISTENER_ROLES,
-    Handshake,
-    PairKeys,
-    Peer,
     RoleStage,
-    SignatureError,
     Token,
     build_token_root,
     list_groups,

@@ -3,7 +3,8 @@
 A process proves its role by a certificate of an authority that all processes of a session trust.
 """
 
-from teleop.security.credentials import CertificateError, Credentials, NotYetValidError
+from teleop.security.certificates import CertificateError, NotYetValidError
+from teleop.security.credentials import Credentials
 from teleop.security.identity import CERTIFICATE_ROLES, RIGHTS, CertificateRole, Identity
 
 __all__ = [

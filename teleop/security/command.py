@@ -36,22 +36,20 @@ from teleop.security.authority import (
     AUTHORITY_DAYS,
     AUTHORITY_KEY,
     CERTIFICATE_DAYS,
-    REVOKED,
     Authority,
+)
+from teleop.security.certificates import (
+    CertificateError,
     is_signed_by,
     load_certificate,
     load_key,
-    load_revoked,
+    read_common_name,
     write_file,
     write_key,
 )
-from teleop.security.credentials import (
-    CertificateError,
-    build_file_stem,
-    identify_holder,
-    read_common_name,
-)
+from teleop.security.credentials import build_file_stem, identify_holder
 from teleop.security.identity import ALL_SESSIONS, RIGHTS, CertificateRole, Identity
+from teleop.security.revocation import REVOKED, load_revoked
 from teleop.session.config import check_session
 
 

@@ -18,32 +18,24 @@ from pathlib import Path
 from cryptography import x509
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat
-from cryptography.x509.oid import NameOID
 
-from teleop.errors import TeleopError, UsageError
+from teleop.errors import UsageError
 from teleop.runtime.files import find_state_folder
-from teleop.security.authority import (
-    AUTHORITY,
+from teleop.security.authority import AUTHORITY, Authority
+from teleop.security.certificates import (
     UNREADABLE_ERRORS,
-    Authority,
+    CertificateError,
+    NotYetValidError,
     is_signed_by,
     load_certificate,
     load_key,
-    load_revoked,
+    read_common_name,
     require_unshared_folder,
 )
 from teleop.security.identity import ALL_SESSIONS, RIGHTS, CertificateRole, Identity
+from teleop.security.revocation import load_revoked, refuse_revoked
 
-NAME_MAX = 64  # characters of a common name (X.520)
 EXPIRY_WARNING = timedelta(days=14)  # before a certificate expires
-
-
-class CertificateError(TeleopError):
-    """A certificate that is not believed; the message says why."""
-
-
-class NotYetValidError(CertificateError):
-    """A certificate that will be believed later, or as soon as a clock is set."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,20 +111,11 @@ def identify_holder(
             f"{authority.not_valid_after_utc:%Y-%m-%d %H:%M} UTC; make a new one with "
             "`teleop keys init`"
         )
-    if certificate.serial_number in revoked:
-        raise CertificateError(f"the certificate {name} was revoked")
+    refuse_revoked(certificate, revoked)
     try:
         return Identity.parse(name)
     except ValueError as error:
         raise CertificateError(f"the certificate {error}") from error
-
-
-def read_common_name(certificate: x509.Certificate) -> str:
-    """Return the common name of a certificate, which anybody may have made, fit for a terminal."""
-    names = certificate.subject.get_attributes_for_oid(NameOID.COMMON_NAME)
-    if not names:
-        return "without a name"
-    return "".join(c if c.isprintable() else "?" for c in str(names[0].value))[:NAME_MAX]
 
 
 def build_file_stem(role: CertificateRole, session: str) -> str:

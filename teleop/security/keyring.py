@@ -17,7 +17,7 @@ from hmac import compare_digest
 from typing import Any
 
 from teleop.messages.topics import TOPICS, Role, Topic
-from teleop.security.presence import PairKeys, Peer
+from teleop.security.handshake import PairKeys, Peer
 
 TAG_BYTES = 16
 ENTRY_BYTES = 8 + TAG_BYTES  # the addressee's nonce, and the tag for it

@@ -18,7 +18,7 @@ from teleop.launch.supervisor import wait_for_condition
 from teleop.link import Link, Listener
 from teleop.messages.messages import Event, decode_text
 from teleop.messages.topics import EVENT, STATE, Role
-from teleop.security.authority import REVOKED
+from teleop.security.revocation import REVOKED
 from teleop.session.state_machine import State
 from tests.system.namespaces import Network, require_namespaces
 

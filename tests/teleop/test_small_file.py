@@ -12,15 +12,9 @@ from teleop.config.loading import load
 from teleop.data import model_file
 from teleop.errors import UsageError
 from teleop.runtime.files import read_small_file
-from teleop.security.authority import (
-    AUTHORITY,
-    AUTHORITY_KEY,
-    REVOKED,
-    Authority,
-    load_certificate,
-    load_key,
-    load_revoked,
-)
+from teleop.security.authority import AUTHORITY, AUTHORITY_KEY, Authority
+from teleop.security.certificates import load_certificate, load_key
+from teleop.security.revocation import REVOKED, load_revoked
 
 READERS = {
     "config.yaml": lambda path: load(path, SlaveConfig, "slave"),

@@ -5,7 +5,8 @@ from pathlib import Path
 
 from cryptography.hazmat.primitives.serialization import Encoding
 
-from teleop.security.authority import Authority, write_file, write_key
+from teleop.security.authority import Authority
+from teleop.security.certificates import write_file, write_key
 from teleop.security.credentials import build_file_stem
 from teleop.security.identity import RIGHTS, CertificateRole, Identity
 

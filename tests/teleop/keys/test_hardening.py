@@ -14,18 +14,14 @@ from teleop.cli import commands
 from teleop.errors import UsageError
 from teleop.messages.messages import LAYOUT
 from teleop.messages.topics import Role
-from teleop.security import CertificateError, credentials
-from teleop.security import authority as authority_module
-from teleop.security.authority import (
-    REVOKED,
-    Authority,
-    _build_certificate,
-    _build_name,
-    write_file,
-)
+from teleop.security import CertificateError, certificates, credentials
+from teleop.security.authority import Authority, _build_certificate, _build_name
+from teleop.security.certificates import write_file
 from teleop.security.credentials import create_local_credentials, find_local_folder
+from teleop.security.handshake import Handshake
 from teleop.security.identity import CertificateRole, Identity
-from teleop.security.presence import Handshake, RoleStage, Token
+from teleop.security.presence import RoleStage, Token
+from teleop.security.revocation import REVOKED
 from tests.teleop.keys.folder import make_keys
 
 MASTER = Identity(CertificateRole.MASTER, "test")
@@ -81,7 +77,7 @@ def test_a_write_that_fails_leaves_neither_a_part_of_the_key_nor_a_broken_file(
     def full(_: int) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(authority_module.os, "fsync", full)
+    monkeypatch.setattr(certificates.os, "fsync", full)
     with pytest.raises(UsageError, match="No space left"):
         write_file(path, b"after", 0o600)
     assert path.read_bytes() == b"before"
@@ -178,6 +174,7 @@ def test_a_name_out_of_a_foreign_certificate_cannot_write_to_the_terminal() -> N
 
 
 @pytest.mark.parametrize("count", [500, pytest.param(50_000, marks=pytest.mark.slow)])
+@pytest.mark.filterwarnings("ignore:Attribute's length")  # of a damaged name
 def test_damaged_proofs_are_refused_and_nothing_else(authority: Authority, count: int) -> None:
     certificate, key = authority.issue(MASTER)
     ours = credentials.Credentials(MASTER, certificate, key, authority.certificate)

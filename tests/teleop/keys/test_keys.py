@@ -9,9 +9,10 @@ import pytest
 from teleop.cli import commands
 from teleop.errors import UsageError
 from teleop.security import credentials
-from teleop.security.authority import Authority, load_revoked
+from teleop.security.authority import Authority
 from teleop.security.credentials import create_local_credentials, find_local_folder
 from teleop.security.identity import RIGHTS, CertificateRole, Identity, list_supervisor_names
+from teleop.security.revocation import load_revoked
 from tests.teleop.keys.folder import make_keys, put
 
 MASTER = Identity(CertificateRole.MASTER, "test")

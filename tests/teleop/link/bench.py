@@ -11,8 +11,9 @@ from teleop.link import LatestMessage, Link, LinkConfig
 from teleop.link.rate_limit import RefusalCounter
 from teleop.messages.messages import LAYOUT, Command
 from teleop.messages.topics import COMMAND, Role
+from teleop.security.handshake import Handshake
 from teleop.security.keyring import Keyring
-from teleop.security.presence import EXCLUSIVE_ROLES, LISTENER_ROLES, Handshake, RoleStage, Token
+from teleop.security.presence import EXCLUSIVE_ROLES, LISTENER_ROLES, RoleStage, Token
 
 MS = 1_000_000
 

@@ -29,16 +29,9 @@ from teleop.security import CERTIFICATE_ROLES, RIGHTS, CertificateRole, Credenti
 from teleop.security import credentials as credentials_module
 from teleop.security.access import build_access_control
 from teleop.security.authority import Authority
+from teleop.security.handshake import Handshake, PairKeys
 from teleop.security.keyring import DEPARTED_PEERS_MAX, Keyring
-from teleop.security.presence import (
-    LISTENER_ROLES,
-    Handshake,
-    PairKeys,
-    RoleStage,
-    Token,
-    build_token_root,
-    list_groups,
-)
+from teleop.security.presence import LISTENER_ROLES, RoleStage, Token, build_token_root, list_groups
 from tests.teleop.link.bench import await_refusals, wait_until
 from tests.teleop.link.test_denial import KEYS, MASTER
 

@@ -19,8 +19,8 @@ from teleop.messages.messages import Command, EmergencyStop
 from teleop.messages.topics import COMMAND, STOP, Role, Topic
 from teleop.runtime.clock import now_ns
 from teleop.security import CertificateRole, Identity
+from teleop.security.handshake import PairKeys, Peer
 from teleop.security.keyring import ENTRY_BYTES, Keyring, TagVerdict
-from teleop.security.presence import PairKeys, Peer
 from tests.tick.memory_link import Sample
 
 FLAT = 2_000_000  # [B]

@@ -9,7 +9,8 @@ from teleop.messages.messages import LAYOUT
 from teleop.messages.topics import Role
 from teleop.security import CertificateError, CertificateRole, Credentials, Identity
 from teleop.security.authority import Authority
-from teleop.security.presence import Handshake, RoleStage, Token
+from teleop.security.handshake import Handshake
+from teleop.security.presence import RoleStage, Token
 
 MASTER, SLAVE = Identity(CertificateRole.MASTER, "test"), Identity(CertificateRole.SLAVE, "test")
 TOKEN = Token(Role.MASTER, LAYOUT, 7, RoleStage.HELD)

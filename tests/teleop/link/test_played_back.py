@@ -17,8 +17,9 @@ from teleop.messages.messages import LAYOUT
 from teleop.messages.topics import COMMAND, Role
 from teleop.security import CERTIFICATE_ROLES, CertificateRole
 from teleop.security.credentials import create_local_credentials
+from teleop.security.handshake import Handshake
 from teleop.security.keyring import ADDRESSEES
-from teleop.security.presence import Handshake, RoleStage, Token
+from teleop.security.presence import RoleStage, Token
 from tests.rogue import Rogue
 from tests.teleop.link.bench import await_refusals, pump, session, wait_until
 

@@ -20,7 +20,8 @@ from teleop.remote.request_listener import RESET, RequestListener
 from teleop.security import CertificateRole, Credentials, Identity
 from teleop.security.authority import Authority
 from teleop.security.credentials import create_local_credentials
-from teleop.security.presence import Handshake, RoleStage, Token
+from teleop.security.handshake import Handshake
+from teleop.security.presence import RoleStage, Token
 from teleop.session.state_machine import Reason
 from tests.rogue import ENGAGED, POSITION_AT, STATE_AT, Rogue, forged
 from tests.teleop.keys.folder import make_keys, put

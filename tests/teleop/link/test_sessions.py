@@ -26,8 +26,9 @@ from teleop.messages.topics import COMMAND, EVENT, HAND, REPORT, STATE, TOPICS, 
 from teleop.runtime.clock import now_ns
 from teleop.security import CertificateRole
 from teleop.security.credentials import create_local_credentials
+from teleop.security.handshake import Handshake
 from teleop.security.keyring import Keyring, pack_nonce
-from teleop.security.presence import Handshake, RoleStage, Token, create_nonce
+from teleop.security.presence import RoleStage, Token, create_nonce
 from tests.teleop.link.bench import MS, free_config, pump, session, wait_until
 
 

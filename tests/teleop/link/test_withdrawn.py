@@ -11,7 +11,8 @@ from teleop.link import roster as roster_module
 from teleop.messages.messages import Command
 from teleop.messages.topics import COMMAND, Role
 from teleop.security import CertificateRole, Identity
-from teleop.security.authority import REVOKED, Authority
+from teleop.security.authority import Authority
+from teleop.security.revocation import REVOKED
 from tests.teleop.keys.folder import make_keys, put
 from tests.teleop.link.bench import await_refusals, pump, session, wait_until
 
