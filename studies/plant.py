@@ -5,8 +5,8 @@ python -m studies.plant
 Beside a step stand, from the same run, a call of a compiled function that does nothing with the
 same arguments, which a step made from Python contains, and one solution of a tridiagonal system of
 the chain's size by LAPACK, of which an iterating solver would need several. Beside a rig, read and
-written at 1 kHz as a session does it, stand the same steps in one compiled call. Takes
-20 s.
+written at 1 kHz as a session does it, stand the same steps in one compiled call. Arms with links
+of several masses take turns. Takes 30 s.
 """
 
 import time
@@ -23,6 +23,7 @@ from slave.rigs.simulated import (
     TendonPlantConfig,
     build_joint,
 )
+from slave.simulation.arm import ArmPlantConfig
 from slave.simulation.effects import compute_knobs
 from slave.simulation.effects.elasticity import Creep, NonlinearStiffness
 from slave.simulation.effects.friction import (
@@ -34,12 +35,15 @@ from slave.simulation.effects.friction import (
     TensionDependentFriction,
     ViscousFriction,
 )
-from slave.simulation.joint import Joint, JointState, advance_joint, init_joint
+from slave.simulation.environment import FreeConfig
+from slave.simulation.joint import BodyConfig, Joint, JointState, advance_joint, init_joint
 from slave.simulation.tendon import SheathConfig
 from studies.testbed.command import measure_us, parse_options
+from teleop.config.arm import BendingSectionConfig
 
 NODES = (10, 30, 60, 120, 300)
 STEPS = 2000
+MASSES = (0.0, 1e-6, 1e-3, 0.05)  # [kg] of each section of an arm
 RIGS = ((1, 1), (1, 2), (2, 2), (4, 2), (8, 2))  # joints, tendons of each
 SECONDS = 4.0
 EFFECTS = (
@@ -128,8 +132,36 @@ def print_rigs() -> None:
         )
 
 
+def print_arms() -> None:
+    print(
+        "\nan arm of eight joints, four curved sections, and 16 tendons of 60 nodes, by their mass"
+    )
+    radii = np.tril(np.full((8, 8), 0.003), -1) + np.diag([0.004] * 8)
+    body = BodyConfig(spring=0.0, stops=(-0.0065, 0.0065))
+    joint = JointConfig((TendonPlantConfig(),) * 2, body, FreeConfig())
+    rigs = []
+    for mass in MASSES:
+        sections = tuple(BendingSectionConfig(f"s{k}", 0.05, mass=mass) for k in range(4))
+        arm = ArmPlantConfig(tuple(map(tuple, radii.tolist())), sections=sections)
+        rigs.append(SimulatedRig(SimulatedRigConfig(joints=(joint,) * 8, arms=(arm,))))
+    took, rate, ratio = np.zeros(len(rigs)), np.linspace(2.0, 7.0, 8), radii / 0.004
+    for block in range(20):  # in turns, since a machine's speed changes
+        for i, rig in enumerate(rigs):
+            begin = time.process_time()
+            for k in range(200 * block, 200 * (block + 1)):
+                pull = ratio @ (0.004 * np.sin(1e-3 * k * rate))
+                rig.write(np.column_stack([1e-3 + pull, 1e-3 - pull]).ravel())
+                rig.read(k * 1e-3)
+            took[i] += time.process_time() - begin
+    for mass, seconds in zip(MASSES, took, strict=True):
+        print(
+            f"{mass:>8g} kg {250.0 * seconds:>6.0f} us a step, {seconds / took[0]:.3f} times none"
+        )
+
+
 if __name__ == "__main__":
     parse_options(__doc__)
     print_steps()
     print_effects()
     print_rigs()
+    print_arms()

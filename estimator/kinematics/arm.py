@@ -102,6 +102,8 @@ class Joint:
         Limits of speed [rad/s] or [m/s], of torque [N m] or force [N].
     mass, centre
         Of the link that it moves [kg], and its centre of mass [m] in the frame of the joint.
+    inertia
+        About that centre, in the directions of that frame [kg m^2]: xx, xy, xz, yy, yz, zz.
     """
 
     name: str
@@ -114,10 +116,20 @@ class Joint:
     effort: float = math.inf
     mass: float = 0.0
     centre: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    inertia: tuple[float, float, float, float, float, float] = (0.0,) * 6
 
     def __post_init__(self) -> None:
         if not (0.0 <= self.mass < math.inf and all(map(math.isfinite, self.centre))):
             raise ArmError(f"joint {self.name}: mass {self.mass:g} kg at {self.centre}, not finite")
+        if not (
+            all(map(math.isfinite, self.inertia))
+            and np.linalg.eigvalsh(self.to_inertia_matrix()).min()
+            >= -1e-6 * max(map(abs, self.inertia))
+        ):
+            raise ArmError(
+                f"joint {self.name}: inertia {self.inertia} kg m^2 of the link that it moves, must "
+                "be finite and negative about no axis"
+            )
         if self.kind not in _KINDS:
             raise ArmError(
                 f"joint {self.name}: kind {self.kind!r}, allowed are {', '.join(_KINDS)}"
@@ -146,6 +158,11 @@ class Joint:
         limits = (self.lower, self.upper, self.speed, self.effort)
         return (Coordinate(self.name, linear, *limits),)
 
+    def to_inertia_matrix(self) -> Array:
+        """Return the inertia of the link that it moves [kg m^2], shape (3, 3)."""
+        xx, xy, xz, yy, yz, zz = self.inertia
+        return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+
 
 @dataclass(frozen=True)
 class CurvedSection:
@@ -167,6 +184,8 @@ class CurvedSection:
         Lowest and highest change of length [m]; None for a section of constant length.
     elongation_speed, elongation_effort
         Limits of its speed [m/s] and force [N].
+    mass
+        [kg], spread evenly along its middle line.
     """
 
     name: str
@@ -178,6 +197,7 @@ class CurvedSection:
     elongation: tuple[float, float] | None = None  # [m]
     elongation_speed: float = math.inf  # [m/s]
     elongation_effort: float = math.inf  # [N]
+    mass: float = 0.0  # [kg]
 
     def __post_init__(self) -> None:
         place = f"section {self.name}"

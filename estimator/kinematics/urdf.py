@@ -116,7 +116,7 @@ def _convert_joint(joint: Any, link: Any, source: str) -> Joint:
             f"{place} is {joint.type}; allowed are {', '.join(_JOINT_KINDS)}: "
             "choose a base beyond it, or make several joints of it"
         )
-    limits: dict[str, float] = {}
+    limits: dict[str, Any] = {}
     if joint.limit is not None and joint.type != "fixed":
         limits = {"speed": joint.limit.velocity, "effort": joint.limit.effort}
     if joint.type in ("revolute", "prismatic"):
@@ -132,16 +132,32 @@ def _convert_joint(joint: Any, link: Any, source: str) -> Joint:
         else (joint.origin.xyz or (0.0, 0.0, 0.0), joint.origin.rpy or (0.0, 0.0, 0.0))
     )
     axis = (1.0, 0.0, 0.0) if joint.axis is None else joint.axis  # x is the default of URDF
-    inertia = link.inertial
-    mass = 0.0 if inertia is None else float(inertia.mass or 0.0)
-    centre = (0.0, 0.0, 0.0) if inertia is None or inertia.origin is None else inertia.origin.xyz
     try:
         return Joint(
             joint.name, joint.type, _to_triple(axis), _to_offset(position, rpy), **limits,
-            mass=mass, centre=_to_triple(centre or (0.0, 0.0, 0.0)),
+            **_convert_inertial(link.inertial),
         )  # fmt: skip
     except ArmError as error:
         raise ArmError(f"{source}: {error}") from None
+
+
+def _convert_inertial(inertial: Any) -> dict[str, Any]:
+    """Return mass, centre and inertia of a link as arguments of `Joint`."""
+    if inertial is None:
+        return {}
+    origin, about = inertial.origin, inertial.inertia
+    offset = _to_offset(
+        (origin and origin.xyz) or (0.0, 0.0, 0.0), (origin and origin.rpy) or (0.0, 0.0, 0.0)
+    )
+    inertia = np.zeros((3, 3))
+    if about is not None:
+        turn = offset.to_matrix()[:3, :3]
+        inertia = turn @ np.array(about.to_matrix(), np.float64) @ turn.T
+    return {
+        "mass": float(inertial.mass or 0.0),
+        "centre": offset.position,
+        "inertia": tuple(inertia[np.triu_indices(3)].tolist()),
+    }
 
 
 def _to_offset(position: Iterable[float], rpy: Iterable[float]) -> Offset:

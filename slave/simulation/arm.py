@@ -18,7 +18,8 @@ by which the tendon is drawn past them. The wrap is |wrap_0 -+ theta_j|, less wh
 the tendon in; in a curved section, of two bends, the guide is its whole length and the wrap that of
 both together. The tension behind the pin turns the joint. All joints are solved together, by
 Newton's method with the exact slopes of the piecewise linear responses of tendons and contacts
-(implicit Euler).
+(implicit Euler). The mass matrix of the links and their weight are those at the start of a step;
+what their motion throws is that at the speed in the middle of it, extrapolated from two steps.
 """
 
 import math
@@ -36,6 +37,7 @@ from estimator.compiled import jit_compile
 from slave.simulation.chain_step import compute_response, recover_state
 from slave.simulation.environment import compute_environment_force
 from slave.simulation.friction_nodes import Curve, Response
+from slave.simulation.inertia import Links, build_links, compute_inertia
 from slave.simulation.joint import Joint, JointState, TendonState, fill_truth, wind_tendon
 from slave.simulation.motor import MotorState
 from slave.simulation.sensors import CHANNELS
@@ -45,7 +47,6 @@ from slave.simulation.space_contacts import (
     build_space_contacts,
     locate_surfaces,
     press_surface,
-    weigh_links,
 )
 from slave.simulation.tendon import Chain
 from teleop.config.arm import (
@@ -86,6 +87,7 @@ class Arm(NamedTuple):
     presliding: Array  # [m] shape (n,)
     partner: NDArray[np.int64]  # the other bend of a joint's curved section, -1: it is a pin
     contacts: SpaceContacts
+    links: Links
 
 
 def build_arm(configs: Sequence[ArmPlantConfig], joints: Sequence[Sequence[int]]) -> Arm:
@@ -108,8 +110,9 @@ def build_arm(configs: Sequence[ArmPlantConfig], joints: Sequence[Sequence[int]]
             rubs[list(tendons)],
         )
     return Arm(
-        ratio, guides, rows.radius, contact[0], contact[1], contact[2], np.array(partner), contacts
-    )
+        ratio, guides, rows.radius, contact[0], contact[1], contact[2], np.array(partner), contacts,
+        build_links(configs, rows.radius),
+    )  # fmt: skip
 
 
 def balance_springs(arm: Arm, joints: Sequence[Joint], pretensions: Array) -> list[Joint]:
@@ -127,12 +130,14 @@ class ArmState(NamedTuple):
     beads: Array  # [N] friction, shape (n, 2, n, 2): joint, tendon, passed joint, before and behind
     joints: Array  # [N] dry friction of the joints, shape (n,)
     tension: Array  # [N] of each tendon at each joint, shape (n, 2, n)
+    speed: Array  # [m/s] of the joints before the last step, shape (n,)
 
 
+@jit_compile
 def init_arm(arm: Arm) -> ArmState:
     """Return the state of an arm with all joints straight and no friction."""
     n = len(arm.radius)
-    return ArmState(np.zeros((n, 2, n, 2)), np.zeros(n), np.zeros((n, 2, n)))
+    return ArmState(np.zeros((n, 2, n, 2)), np.zeros(n), np.zeros((n, 2, n)), np.zeros(n))
 
 
 @jit_compile
@@ -230,7 +235,8 @@ def compute_residual(
     curves: list[Curve],
     before: ArmState,
     after: ArmState,
-    weight: Array,
+    mass: Array,
+    inertial_force: Array,
     depth: Array,
     depth_slope: Array,
     travel: Array,
@@ -240,8 +246,8 @@ def compute_residual(
 ) -> None:
     """Compute what resists less what drives each joint at `travel` [m], shape (n,).
 
-    `weight`, `depth` and `depth_slope` are of `weigh_links` and `locate_surfaces` before the step;
-    `after` is filled in.
+    `mass`, `inertial_force`, `depth` and `depth_slope` are of `compute_inertia` and
+    `locate_surfaces` before the step; `after` is filled in.
     `out_residual` [N] has shape (n,), `out_slope` [N/m] shape (n, n).
     """
     n = len(travel)
@@ -267,8 +273,13 @@ def compute_residual(
         further = compute_environment_force(
             joints[j].environment, travel[j] + step, start[j], time, dt
         )
-        out_residual[j] = force + contact - weight[j]
+        out_residual[j] = force + contact + inertial_force[j]
         out_slope[j, j] = slope + (further - contact) / step
+    for j in range(n):
+        for i in range(n):
+            move = travel[i] - start[i]
+            out_residual[j] += mass[j, i] * (move / dt - states[i].speed) / dt
+            out_slope[j, i] += mass[j, i] / dt**2
     for m in range(len(depth)):
         reached = depth[m]
         for j in range(n):
@@ -310,17 +321,21 @@ def solve_arm(
 ) -> tuple[Array, ArmState, int]:
     """Return the travels [m] of the joints in balance, the arm's new state, and the iterations."""
     n = len(arm.radius)
-    after = ArmState(np.zeros((n, 2, n, 2)), np.zeros(n), np.zeros((n, 2, n)))
+    after = init_arm(arm)
     travel, residual, slope = np.empty(n), np.empty(n), np.empty((n, n))
     for j in range(n):
         travel[j] = states[j].travel
     depth, depth_slope = locate_surfaces(arm.contacts, travel)
-    weight = weigh_links(arm.contacts, travel)
+    speed = np.empty(n)
     for j in range(n):
+        speed[j] = 1.5 * states[j].speed - 0.5 * before.speed[j]
+    mass, inertial_force = compute_inertia(arm.links, travel, speed)
+    for j in range(n):
+        after.speed[j] = states[j].speed
         travel[j] += states[j].speed * dt
     compute_residual(
-        arm, joints, states, curves, before, after, weight, depth, depth_slope, travel, dt,
-        residual, slope,
+        arm, joints, states, curves, before, after, mass, inertial_force, depth, depth_slope,
+        travel, dt, residual, slope,
     )  # fmt: skip
     trial_residual, trial_slope = np.empty(n), np.empty((n, n))
     for iteration in range(MAX_ITERATIONS):
@@ -338,7 +353,8 @@ def solve_arm(
                 curves,
                 before,
                 after,
-                weight,
+                mass,
+                inertial_force,
                 depth,
                 depth_slope,
                 trial,
@@ -390,6 +406,7 @@ def advance_arm(
         copy_values(after.beads.ravel(), arm_state.beads.ravel())
         copy_values(after.joints, arm_state.joints)
         copy_values(after.tension.ravel(), arm_state.tension.ravel())
+        copy_values(after.speed, arm_state.speed)
         for k in range(n):
             joint, state = joints[k], states[k]
             place = compute_end_travel(arm, k, 0, travel)

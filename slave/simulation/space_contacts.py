@@ -1,4 +1,4 @@
-"""What turns all joints of an arm in space: surfaces that its tip meets, the weight of its links.
+"""What turns all joints of an arm in space: surfaces that its tip meets.
 
 Within a step the tip moves as its Jacobian at the start of the step says, and a surface is its
 tangent plane there; its force pushes along the normal and never pulls.
@@ -15,7 +15,7 @@ from estimator.array_types import Array
 from estimator.arrays import copy_values
 from estimator.compiled import jit_compile
 from estimator.kinematics.arm import PreparedArm, prepare_arm
-from estimator.kinematics.forward import write_kinematics, write_weight_torque
+from estimator.kinematics.forward import write_kinematics
 from estimator.records import StructArray
 from slave.simulation.environment import STIFFNESS_MAX
 from teleop.config.arm import LinkedArmConfig
@@ -61,7 +61,6 @@ class SpaceContacts(NamedTuple):
 
     arms: StructArray  # PreparedArm, shape (arms,)
     first: Array  # first joint of each arm, shape (arms,)
-    gravity: Array  # [m/s^2] in the base of each arm, shape (arms, 3)
     radius: Array  # [m] of all joints' own pulleys, shape (joints,)
     # one row per surface: arm, kind, point or centre, normal, radius, stiffness, exponent, damping
     surfaces: Array
@@ -75,19 +74,18 @@ def build_space_contacts(
     `radius` [m] are the joints' own pulleys, shape (joints,); `UsageError` if an arm's kinematics
     cannot be read.
     """
-    prepared, first, gravity = [PreparedArm.array()], [0], [(0.0, 0.0, 0.0)]
+    prepared, first = [PreparedArm.array()], [0]
     rows: list[list[float]] = []
     joint = 0
     for config, surfaces in arms:
-        if surfaces or any(config.gravity):
+        if surfaces:
             prepared.append(prepare_arm(config.load_kinematics()))
             first.append(joint)
-            gravity.append(config.gravity)
         rows += [_to_row(len(prepared) - 1, surface) for surface in surfaces]
         joint += config.joints
     table = np.array(rows).reshape(-1, 12)
     firsts = np.array(first, np.float64)
-    return SpaceContacts(np.concatenate(prepared), firsts, np.array(gravity), radius, table)
+    return SpaceContacts(np.concatenate(prepared), firsts, radius, table)
 
 
 def _to_row(arm: int, surface: SurfaceConfig) -> list[float]:
@@ -139,24 +137,6 @@ def locate_surfaces(contacts: SpaceContacts, travel: Array) -> tuple[Array, Arra
             )
             slope[i, first + j] = -along / contacts.radius[first + j]
     return depth, slope
-
-
-@jit_compile
-def weigh_links(contacts: SpaceContacts, travel: Array) -> Array:
-    """Return what the weight of the links does to the joints [N], with their travel, shape (n,)."""
-    n = len(travel)
-    force, angle, torque = np.zeros(n), np.empty(n), np.empty((2, n))
-    pose, jacobian = np.empty((4, 4)), np.empty((6, n))
-    for i in range(len(contacts.arms)):
-        arm, first, gravity = contacts.arms[i], int(contacts.first[i]), contacts.gravity[i]
-        if not gravity.any():
-            continue
-        for j in range(arm.coordinates):
-            angle[j] = travel[first + j] / contacts.radius[first + j]
-        write_weight_torque(arm, angle, gravity, pose, jacobian, torque)
-        for j in range(arm.coordinates):
-            force[first + j] = torque[0, j] / contacts.radius[first + j]
-    return force
 
 
 @jit_compile

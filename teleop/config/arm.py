@@ -116,13 +116,18 @@ class BendingSectionConfig:
     length: float = 0.05  # [m] along its middle line
     bend_max: float = 1.6  # [rad] largest bend towards x and towards y
     bend_speed: float = 6.0  # [rad/s] largest speed of each bend
+    # spread evenly along its middle line; of simulated arms
+    mass: float = build_ranged_field(0.0, 0.0, 10.0, "kg")
 
     def __post_init__(self) -> None:
+        check_ranges(self)
         self.to_section()
 
     def to_section(self) -> CurvedSection:
         """Return the part of an arm."""
-        return CurvedSection(self.name, self.length, self.bend_max, bend_speed=self.bend_speed)
+        return CurvedSection(
+            self.name, self.length, self.bend_max, bend_speed=self.bend_speed, mass=self.mass
+        )
 
 
 @dataclass(frozen=True, slots=True)

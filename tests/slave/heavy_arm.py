@@ -2,7 +2,10 @@
 
 from tests.root import ROOT
 
-INERTIAL = '<inertial><origin xyz="0.01 0 0.02"/><mass value="0.1"/></inertial>'
+INERTIAL = (
+    '<inertial><origin xyz="0.01 0 0.02" rpy="0.5 0 0.2"/><mass value="0.1"/>'
+    '<inertia ixx="1e-5" ixy="0" ixz="2e-6" iyy="2e-5" iyz="0" izz="3e-5"/></inertial>'
+)
 
 
 def write_heavy_urdf(folder):

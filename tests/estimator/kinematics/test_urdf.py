@@ -47,7 +47,12 @@ class TestWithLibrary:
         text = GOOD.replace('<link name="arm"/>', f'<link name="arm">{inertial}</link>')
         first, last = read_arm(text.encode(), tip="tip").parts
         assert (first.mass, first.centre) == (0.3, (0.0, 0.1, 0.2))
-        assert last.mass == 0.0
+        assert (last.mass, first.inertia) == (0.0, (1.0, 0.0, 0.0, 1.0, 0.0, 1.0))
+        for wrong in ('ixx="-1"', 'ixx="nan"'):
+            with pytest.raises(
+                ArmError, match=r"joint one: inertia .* must be finite and negative"
+            ):
+                read_arm(text.replace('ixx="1"', wrong).encode(), tip="tip")
 
     def test_what_is_written_is_read(self, tmp_path):
         rng = np.random.default_rng(2)

@@ -5,9 +5,12 @@ import dataclasses
 import numpy as np
 import pytest
 
+from estimator.kinematics.arm import prepare_arm
+from estimator.kinematics.forward import compute_part_frames, write_weight_torque
 from slave.rigs.simulated import JointConfig, SimulatedRig, SimulatedRigConfig, TendonPlantConfig
 from slave.simulation.arm import ArmPlantConfig
 from slave.simulation.environment import FreeConfig, WallConfig
+from slave.simulation.inertia import compute_inertia
 from slave.simulation.joint import BodyConfig
 from slave.simulation.sensors import EncoderConfig, LoadCellConfig
 from slave.simulation.space_contacts import (
@@ -16,8 +19,8 @@ from slave.simulation.space_contacts import (
     build_space_contacts,
     locate_surfaces,
     press_surface,
-    weigh_links,
 )
+from teleop.config.arm import BendingSectionConfig, load_arm
 from teleop.errors import UsageError
 from tests.root import ROOT
 from tests.slave.heavy_arm import write_heavy_urdf
@@ -148,11 +151,60 @@ def test_tendons_hold_the_weight_of_the_links(tmp_path):
     rig = build_rig(body=body, friction=0.0, **kinematics)
     run(rig, 1.0, lambda _: np.zeros(6))
     driving = rig.joint_forces
-    weight = weigh_links(rig._arm.contacts, rig.joint_travel)
-    assert np.abs(weight).max() > 5.0  # [N] at the pulley
-    assert driving == pytest.approx(-weight, abs=0.02)
+    weight = np.empty((2, 3))
+    write_weight_torque(
+        prepare_arm(load_arm(kinematics["urdf"], tip="tip"))[0], rig.joint_angles,
+        np.array(kinematics["gravity"]), np.empty((4, 4)), np.empty((6, 3)), weight,
+    )  # fmt: skip
+    assert np.abs(weight[0]).max() > 5.0 * R  # [N m]
+    assert driving * R == pytest.approx(-weight[0], abs=0.02 * R)
     with pytest.raises(ValueError, match="gravity: needs urdf"):
         ArmPlantConfig(radii=PASSING, gravity=(0.0, 0.0, -9.81))
+
+
+def test_links_that_swing_free_keep_their_energy(tmp_path):
+    """Within 0.1 % of its exchange over 5 s: no friction, no damping, slack tendons, but weight."""
+    pytest.importorskip("urdf_parser_py")
+    gravity, urdf = (0.0, -9.81, 2.0), write_heavy_urdf(tmp_path)
+    body = BodyConfig(
+        mass=0.0, damping=0.0, friction=0.0, spring=0.0, pretension=0.0, stops=(-0.15, 0.15)
+    )
+    rig = build_rig(body=body, friction=0.0, urdf=urdf, tip="tip", gravity=gravity)
+    arm = load_arm(urdf, tip="tip")
+    prepared, energy = prepare_arm(arm)[0], []
+    for i in range(5000):
+        rig.write(np.full(6, -0.049))
+        rig.read(i * 1e-3)
+        speed = np.array([state.speed for state in rig._states])
+        travel = rig.joint_travel - 0.5e-3 * speed  # where this was the speed: half a step ago
+        mass = compute_inertia(rig._arm.links, travel, speed)[0]
+        frames = compute_part_frames(prepared, travel / R, 1)[0][1:-1]
+        weight = sum(
+            part.mass * np.array(gravity) @ (frame[:3, :3] @ part.centre + frame[:3, 3])
+            for part, frame in zip(arm.parts, frames, strict=True)
+        )
+        energy.append((0.5 * speed @ mass @ speed, -weight))
+    kinetic, potential = np.array(energy[500:]).T  # the tendons are slack by then
+    assert np.ptp(kinetic) > 0.02  # [J]
+    assert np.ptp(kinetic + potential) < 1e-3 * np.ptp(kinetic)
+
+
+@pytest.mark.parametrize(("mass", "apart"), [(1e-6, 1e-6), (0.05, np.inf)])
+def test_inertia_of_eight_joints_leaves_the_plant_stable(mass, apart):
+    """Sixteen tendons move four curved sections, as without mass if that is little."""
+    radii = np.tril(np.full((8, 8), 0.003), -1) + np.diag([0.004] * 8)
+
+    def move(mass):
+        sections = tuple(BendingSectionConfig(f"s{k}", 0.05, 1.6, mass=mass) for k in range(4))
+        rig = build_rig(radii.tolist(), sections=sections)
+        ratio, rate = rig._arm.ratio[:, 0], np.linspace(2.0, 7.0, 8)
+        truth = run(rig, 1.5, lambda time: wind(ratio @ (0.004 * np.sin(rate * time))))
+        return rig.joint_travel, truth[:, 2].max()
+
+    (without, _), (travel, tension) = move(0.0), move(mass)
+    assert np.abs(travel - without).max() < apart
+    assert np.abs(travel - without).max() > 0.0
+    assert 1.0 < tension < 40.0  # [N]
 
 
 @pytest.mark.parametrize(
