@@ -280,23 +280,6 @@ def test_tokens_of_one_certificate_make_place_for_those_of_another(
     assert len(session.roster._processes) == GROUP_TOKENS_MAX
 
 
-@pytest.mark.parametrize("number", ["-000000000000007", "0_00000000000007"])
-def test_a_malformed_nonce_under_a_genuine_proof_keeps_nobody_out(
-    session: Session, number: str
-) -> None:
-    """Of a holder of a certificate, who signs what he likes."""
-    credentials = session.issue(CertificateRole.SUPERVISOR, ("stop",))
-    malformed = session.genuine(credentials, Role.REMOTE, int(number, 16))
-    key = malformed.key("test").split("/")
-    key[5] = number
-    ring = session.network.rings[f"{build_token_root('test')}/{malformed.group}/**"]
-    ring.append(SimpleNamespace(key_expr="/".join(key), kind=zenoh.SampleKind.PUT))
-    for nonce in (6, 8, 9):  # chance decides which one is checked first
-        session.network.announce(session.genuine(credentials, Role.REMOTE, nonce))
-        wait_until(lambda nonce=nonce: session.is_asked(nonce))
-    assert [token.nonce for token in session.roster._processes] == [6, 8, 9]
-
-
 def test_an_error_of_one_token_is_noted_and_the_next_ones_are_looked_at(
     session: Session, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -2,7 +2,6 @@
 
 import itertools
 import os
-import re
 import resource
 import socket
 import subprocess
@@ -233,25 +232,6 @@ def test_the_newest_sources_are_in_a_filter_that_is_full() -> None:
     assert b"".join(packet_filter._build_drop(ip_network("198.18.0.1"), [])) not in program
 
 
-def test_a_filter_that_the_kernel_refuses_is_noted(monkeypatch: pytest.MonkeyPatch) -> None:
-    noted: list[str] = []
-    guard = ConnectionGuard.__new__(ConnectionGuard)
-    guard._note, guard._burst, guard._tables, guard._interfaces = noted.append, 4, [], []
-    guard._row, guard._filter, guard._blocks, guard._ports = re.compile(b"none"), ({}, []), {}, {}
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        ends, inode = server.getsockname(), os.fstat(server.fileno()).st_ino
-        Connection = socket_tables.Connection
-        guard._listening = {ends: Connection(server.fileno(), inode, ends, ("", 0), 0.0)}
-        half_open = [Connection(-1, 0, ends, ("192.0.2.1", port), 0.0) for port in range(4)]
-        monkeypatch.setattr(packet_filter, "FILTER_BYTES", 10**6)
-        monkeypatch.setattr(packet_filter, "_build_drop", lambda *_: [bytes(8)] * 5000)
-        guard._update_blocks(half_open, 0.5)
-    assert noted == [
-        "connections without a certificate from 192.0.2.1/32",
-        "a filter for blocked sources, by the kernel: [Errno 22] Invalid argument",
-    ]
-
-
 @contextmanager
 def no_descriptor_left() -> Iterator[None]:
     """Take all descriptors that this process may have."""
@@ -384,24 +364,6 @@ def test_a_watch_may_go_on_for_good_and_who_cannot_stop_may_not(
         )
     assert connection.shut is not passes
     assert bool(guard._barred) is not passes
-
-
-@pytest.mark.parametrize(
-    ("role", "is_quiet", "charged"),
-    [(CertificateRole.MASTER, True, 0), (CertificateRole.VIEWER, True, 1), (None, False, 0)],
-)
-def test_strangers_are_looked_at_often_and_bytes_counted_of_whom_they_bound(
-    role: CertificateRole | None, is_quiet: bool, charged: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    here, there = ("", 0), ("192.0.2.1", 1)
-    guard = ConnectionGuard.__new__(ConnectionGuard)
-    guard._burst, guard._shut_s, guard._trim_s, guard._blocks = 16, 0.0, 0.0, {}
-    guard._listening = {here: socket_tables.Connection(-1, 0, here, here, 0.0)}
-    guard._names = {(here, there): Identity(role, "test").common_name} if role else {}
-    connection = socket_tables.Connection(-1, 1, here, there, 0.0)
-    monkeypatch.setattr(guard, "_list_connections", lambda _: [connection])
-    assert guard._look(0.5) is is_quiet
-    assert len(guard._charged) == charged
 
 
 def test_subscribers_are_let_in_of_topics_only(config: LinkConfig) -> None:

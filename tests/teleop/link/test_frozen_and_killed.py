@@ -8,10 +8,9 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from teleop.cli.bench.ping_pong import measure_ping_pong
 from teleop.link import Link, LinkConfig
 from teleop.link.network import LEASE_MS
-from teleop.messages.messages import Command, Event, SlaveState, TendonState
+from teleop.messages.messages import Event, SlaveState, TendonState
 from teleop.messages.topics import COMMAND, EVENT, STATE, TENDONS, Role
 from teleop.runtime.clock import now_ns
 from tests.root import ROOT
@@ -121,9 +120,3 @@ def test_a_viewer_that_stops_reading_does_not_delay_commands(config: LinkConfig)
             assert slave.skip_unsubscribed(TENDONS)
         assert latest.counts.received > 1000
         assert longest < 500 * MS  # SO_LINGER was ten seconds
-
-
-def test_the_yardstick_measures_and_cleans_up() -> None:
-    result = measure_ping_pong(Command.schema.size, SlaveState.schema.size, 50)
-    assert result["n"] > 0
-    assert 0.0 < result["p50_ms"] <= result["p99_ms"] <= result["p99_9_ms"]

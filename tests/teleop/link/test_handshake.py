@@ -61,7 +61,7 @@ def test_each_wrong_certificate_is_refused_in_words_and_the_right_one_is_not() -
     assert (ours.sending, ours.receiving) == (theirs.receiving, theirs.sending)
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_no_mutated_certificate_is_believed(seed: int) -> None:
     """Each byte in turn, under a signature by the right key over what is shown."""
     authority, chance = Authority.create("ours", 2), random.Random(seed)  # noqa: S311

@@ -7,26 +7,17 @@ it here is the handshake and the tags. With a viewer's certificate nothing of it
 import struct
 import time
 from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 
 from teleop.link import Link, LinkConfig
-from teleop.link import admission as admission_module
-from teleop.link.roster import GROUP_TOKENS_MAX
 from teleop.messages.messages import LAYOUT, Command, EmergencyStop, Setting, SlaveState
 from teleop.messages.topics import COMMAND, SETTING, STATE, STOP, Role
 from teleop.remote.request_listener import RESET, RequestListener
-from teleop.security import CertificateRole, Credentials, Identity
-from teleop.security.authority import Authority
+from teleop.security import CertificateRole
 from teleop.security.credentials import create_local_credentials
-from teleop.security.handshake import Handshake
-from teleop.security.presence import RoleStage, Token
-from teleop.session.state_machine import Reason
 from tests.rogue import ENGAGED, POSITION_AT, STATE_AT, Rogue, forged
-from tests.teleop.keys.folder import make_keys, put
 from tests.teleop.link.bench import await_refusals, pump, session, wait_until
-from tests.teleop.link.test_withdrawn import with_keys
 
 FAR = struct.pack("<8d", *(0.014,) * 8)  # [m] a position to pull the tip to
 ENGAGE = ((STATE_AT, struct.pack("<I", ENGAGED)), (POSITION_AT, FAR))
@@ -203,7 +194,6 @@ def test_a_viewer_is_heard_by_nobody(pair: tuple[Link, Link], config: LinkConfig
     ("role", "group", "kept"),
     [
         (CertificateRole.VIEWER, "viewer", 0),
-        (CertificateRole.RECORDER, "recorder", 0),
         (CertificateRole.SUPERVISOR, "remote", 100),
     ],
 )
@@ -225,67 +215,6 @@ def test_nothing_is_kept_of_a_listener_but_subscribers(
             assert len(list(tokens)) == kept
             asks = slave._zenoh.declare_querier(f"teleop/test/@/prove/{group}/{5:016x}")
             assert asks.matching_status.matching == bool(kept)
-
-
-@pytest.fixture
-def few_checks(monkeypatch: pytest.MonkeyPatch) -> None:
-    """So few a second that tokens come too fast on a busy machine too."""
-    monkeypatch.setattr(admission_module, "STOP_CHECKS_HZ", 5.0)
-
-
-@pytest.mark.usefixtures("few_checks")
-def test_floods_of_tokens_are_bounded_and_a_genuine_one_gets_through(
-    pair: tuple[Link, Link], config: LinkConfig
-) -> None:
-    slave, master = pair
-    with rogue_of(config, CertificateRole.ROUTER) as rogue:
-        for n in range(500):
-            rogue.announce("remote", LAYOUT, n, proof="AAAA")
-            rogue.announce("master", LAYOUT, n)
-        wait_until(lambda: any("too fast" in line for line in slave.refusals.take()))
-        assert len(slave._roster.others) < GROUP_TOKENS_MAX
-        goes_on(slave, master)
-    with Link(config, "test", Role.REMOTE):
-
-        def admitted() -> bool:
-            slave.check_peers()  # twice a second in a loop
-            time.sleep(0.1)
-            return slave.is_present(Role.REMOTE)
-
-        wait_until(admitted)
-
-
-def test_worthless_proofs_of_who_may_not_stop_leave_a_stop_its_place(
-    tmp_path: Path, config: LinkConfig
-) -> None:
-    authority = Authority.create("test authority", 2)
-    sides = make_keys(tmp_path / "sides", authority=authority)
-    desk = make_keys(tmp_path / "desk", authority=authority)
-    put(authority, desk, Identity(CertificateRole.SUPERVISOR, "test", ("stop",)))
-    attacker = Identity(CertificateRole.SUPERVISOR, "test", ("set",))
-    certificate, key = authority.issue(attacker, 1.0)
-    credentials = Credentials(attacker, certificate, key, authority.certificate)
-    shown = Handshake(credentials, "test", 1).prove(Token(Role.REMOTE, LAYOUT, 1, RoleStage.HELD))
-    with (
-        session(with_keys(config, sides), Role.SLAVE, Role.MASTER) as (slave, master),
-        Rogue([config.slave, config.master], "test", credentials.build_tls_settings()) as rogue,
-    ):
-        listen = RequestListener(slave)
-        wait_until(lambda: rogue.connected(2))
-        for n in range(300):  # of its own group, and of another, which access control drops
-            for group in ("remote-set", "remote-stop"):
-                rogue.announce(group, LAYOUT, 2 + n, proof=shown.proof)
-        wait_until(lambda: any("does not hold the key" in line for line in slave.refusals.take()))
-        with Link(with_keys(config, desk), "test", Role.REMOTE, at_once=True) as remote:
-
-            def is_stopped() -> bool:
-                remote.publish(STOP, EmergencyStop())
-                time.sleep(0.01)
-                return listen(0).stop is Reason.STOP_CALLED
-
-            wait_until(is_stopped)
-        assert not slave._roster._admissions["remote-stop"]._worthless
-        goes_on(slave, master)
 
 
 def test_a_lost_number_is_not_taken_by_somebody_else(

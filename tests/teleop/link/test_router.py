@@ -1,6 +1,5 @@
 """Sessions behind routers: all meet there, nothing crosses over, nobody is there twice."""
 
-import threading
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
@@ -90,31 +89,6 @@ def test_a_second_master_at_the_router_is_refused_and_the_first_stays() -> None:
             pass
 
 
-@pytest.mark.usefixtures("true_settling")
-def test_of_two_masters_started_at_once_at_two_routers_one_runs() -> None:
-    ends = endpoints(2)
-    configs = [LinkConfig(routers=(end,)) for end in ends]
-    with Router(configs[0], SERVED, ends[:1], []), Router(configs[1], SERVED, ends[1:], ends[:1]):
-        opened: list[Link] = []
-        refused: list[PeerError] = []
-
-        def start(config: LinkConfig) -> None:
-            try:
-                opened.append(Link(config, "a", Role.MASTER).__enter__())
-            except PeerError as error:
-                refused.append(error)
-
-        with Link(configs[0], "a", Role.SLAVE), Link(configs[1], "a", Role.VIEWER) as viewer:
-            wait_until(lambda: viewer.is_present(Role.SLAVE))  # the routers are connected
-            threads = [threading.Thread(target=start, args=(c,)) for c in configs]
-            for thread in threads:
-                thread.start()
-            for thread in threads:
-                thread.join()
-            assert (len(opened), len(refused)) == (1, 1)
-            opened[0].__exit__()
-
-
 def test_two_sites_with_a_router_each_are_one_session() -> None:
     ends = endpoints(2)
     near, far = (LinkConfig(routers=(end,)) for end in ends)
@@ -159,17 +133,6 @@ def test_without_a_router_it_says_so_at_once() -> None:
     with pytest.raises(TeleopError, match=r"no router answers at .*, .*: teleop router"):
         Link(config, "a", Role.SLAVE).__enter__()
     assert time.monotonic() - begin < 5.0
-
-
-def test_who_comes_and_goes_is_told() -> None:
-    (end,) = endpoints(1)
-    config = LinkConfig(routers=(end,))
-    told: list[tuple[str, Role, bool]] = []
-    with Router(config, SERVED, [end], [], lambda *change: told.append(change)):
-        with Link(config, "a", Role.SLAVE):
-            wait_until(lambda: ("a", Role.SLAVE, True) in told)
-        wait_until(lambda: ("a", Role.SLAVE, False) in told)
-    assert len(told) == 2
 
 
 def test_a_session_that_the_router_does_not_serve_stays_alone() -> None:

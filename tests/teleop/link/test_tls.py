@@ -25,13 +25,6 @@ def with_keys(keys: Path | None, like: LinkConfig, insecure: bool = False) -> Li
     return LinkConfig(master=like.master, slave=like.slave, keys=keys, insecure=insecure)
 
 
-def test_certificates_of_one_authority_find_together(
-    folders: tuple[Path, Path], config: LinkConfig
-) -> None:
-    with session(with_keys(folders[0], config), Role.SLAVE, Role.MASTER) as (slave, master):
-        pump(master, slave, 20)
-
-
 def test_another_authority_the_local_one_and_plaintext_are_kept_out(
     folders: tuple[Path, Path], config: LinkConfig
 ) -> None:
