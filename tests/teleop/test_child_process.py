@@ -1,3 +1,4 @@
+import os
 import subprocess
 import sys
 
@@ -14,13 +15,10 @@ print(repr(sys.stdin.read()))
 """
 
 
-@pytest.mark.parametrize("is_supervised", [True, False])
-@pytest.mark.parametrize("gets_interrupts", [True, False])
+@pytest.mark.parametrize(("is_supervised", "gets_interrupts"), [(True, False), (False, True)])
 def test_a_module_is_given_its_words_and_no_more_than_was_asked(
     tmp_path, monkeypatch, is_supervised, gets_interrupts
 ):
-    import os
-
     (tmp_path / "teller.py").write_text(TELL)
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     monkeypatch.delenv(SUPERVISED_VARIABLE, raising=False)

@@ -1,14 +1,12 @@
 """Where a program runs, and whether a window can be opened there."""
 
-import errno
 import os
 import platform
-import re
 import socket
 
 import pytest
 
-from teleop.cli import commands, doctor
+from teleop.cli import doctor
 from teleop.runtime import machine, parallel
 from teleop.runtime.process import has_display
 
@@ -94,25 +92,3 @@ def test_processors_are_counted_as_a_container_may_use_them(monkeypatch, tmp_pat
     (tmp_path / "cpu.max").write_text(quota)
     assert parallel.count_processors() == count
     assert doctor.check_processors().detail == str(count)
-
-
-@pytest.mark.parametrize(
-    ("error", "said"),
-    [
-        (OSError(errno.EROFS, "Read-only file system", "a.csv"), "a.csv: Read-only file system; w"),
-        (OSError(errno.ENOSPC, "No space left on device"), "No space left on device; free some"),
-        (
-            FileNotFoundError(errno.ENOENT, "No usable temporary directory found in ['/tmp']"),
-            r"No usable temporary .*: set TMPDIR to a folder .*docker run --tmpfs /tmp",
-        ),
-    ],
-)
-def test_what_a_system_without_room_refuses_is_told_with_the_remedy(
-    monkeypatch, capsys, error, said
-):
-    def refuse(_args):
-        raise error
-
-    monkeypatch.setattr("teleop.cli.doctor.main", refuse)
-    assert commands.main(["doctor"]) == 1
-    assert re.match(f"teleop: {said}", capsys.readouterr().err)

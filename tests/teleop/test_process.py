@@ -15,12 +15,14 @@ from teleop.errors import TeleopError, UsageError
 from teleop.runtime.output_file import OutputFile
 from teleop.runtime.process import (
     SUPERVISED_VARIABLE,
+    TERMINATION_SIGNALS,
     StopCondition,
     die_with_launcher,
     die_with_parent,
     parse_seconds,
     write_summary,
 )
+from tests.one_side import without_traces
 from tests.teleop.link.bench import wait_until
 
 
@@ -66,19 +68,12 @@ def test_an_interruption_that_python_ignores_is_delivered_again():
     assert (run.stdout, run.stderr) == ("interrupted\n", "")
 
 
-STOPPING = """
-import signal, sys
-from teleop.runtime.process import StopCondition
-stop = StopCondition()
-signal.raise_signal(getattr(signal, sys.argv[1]))
-print(stop(), stop.reason)
-"""
-
-
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-def test_a_loop_is_stopped_by_each_signal_that_ends_a_command(number):
-    words = [sys.executable, "-c", STOPPING, number.name]
-    assert subprocess.check_output(words, text=True).split() == ["True", number.name]
+@pytest.mark.parametrize("number", TERMINATION_SIGNALS)
+def test_a_loop_is_stopped_by_each_signal_that_ends_a_command(number, monkeypatch):
+    with without_traces(monkeypatch):
+        stop = StopCondition()
+        signal.raise_signal(number)
+        assert (stop(), stop.reason) == (True, number.name)
 
 
 def test_a_summary_replaces_the_old_one_whole(tmp_path):

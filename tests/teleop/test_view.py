@@ -2,8 +2,6 @@ import base64
 import json
 import math
 import os
-import socket
-import struct
 import subprocess
 import sys
 import time
@@ -267,38 +265,12 @@ def test_what_is_kept_for_late_pages_is_bounded_but_never_lacks_static_data(tmp_
     assert "/still" in entities([first.content], tmp_path)
 
 
-def test_a_page_that_lacks_older_data_of_a_recording_need_not_wait_for_newer(monkeypatch):
-    """Nothing newer ever comes: a question that waited would not be answered."""
-    monkeypatch.setattr("teleop.view.page._WAIT_S", 1e6)
-    with Sink("web", CONFIG, "test", None, live=False) as sink:
-        scene = Scene(CONFIG, sink.stream, sink.lay_out)
-        scene.send(decode(Session(0.1).messages))
-        sink.publish()
-        said, _ = blocks(sink)
-        again, rest = blocks(sink, newer=said["newest"], wait=0)
-        assert (again["newest"], rest) == (said["newest"], b"")
-
-
 def test_an_open_page_is_told_that_the_session_has_ended():
     with ThreadPoolExecutor() as pool, Sink("web", CONFIG, "test", None, live=True) as sink:
         blocks(sink, page="a")
         seen = pool.submit(lambda: [blocks(sink, page="a", newer=10**15)[0] for _ in range(2)])
         sink.ended = "The session has ended."
     assert seen.result()[-1]["ended"] == "The session has ended."
-
-
-def test_a_browser_that_disconnects_is_no_error(web, capfd):
-    address = urllib.parse.urlsplit(address_of(web))
-    for _ in range(3):
-        with socket.create_connection((address.hostname, address.port)) as browser:
-            reset_at_close = struct.pack("ii", 1, 0)
-            browser.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, reset_at_close)
-            file = f"{address.path}re_viewer_bg.wasm"
-            browser.sendall(f"GET {file} HTTP/1.1\r\nHost: localhost:1\r\n\r\n".encode())
-            browser.recv(1000)
-    assert get(address_of(web))[0] == 200
-    time.sleep(0.2)
-    assert capfd.readouterr().err == ""
 
 
 @linux
@@ -332,15 +304,6 @@ def test_a_viewer_that_cannot_start_says_why(viewer):
     viewer("echo no such thing >&2\nexit 1")
     with pytest.raises(TeleopError, match="did not start: no such thing"):
         sinks.read_viewer_files()
-
-
-@linux
-def test_a_window_that_gets_no_more_data_for_a_damaged_block_is_stuck(viewer):
-    viewer("exec cat > /dev/null")
-    with sinks.Window(100) as window:
-        assert not window.is_stuck()
-        window.add(b"no block of Rerun")
-        assert wait_for_condition(window.is_stuck, 20)
 
 
 @linux

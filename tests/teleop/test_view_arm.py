@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from estimator.kinematics.arm import Arm, CurvedSection, Joint, Offset
+from estimator.kinematics.arm import Arm, Joint, Offset
 from estimator.kinematics.tip_wrench import SMALLEST_LEVER_M
 from teleop.config.loading import ConfigDocument
 from teleop.errors import UsageError
@@ -90,23 +90,6 @@ def test_an_arm_is_drawn_where_its_links_are(notes):
         expected = place.to_scene(compute_notes_points(pose))
         np.testing.assert_allclose(lines.joints[row], expected[:3], atol=1e-12)
         np.testing.assert_allclose(lines.tip[row], expected[3], atol=1e-12)
-
-
-def test_the_base_stands_on_along_the_sheaths_and_is_not_distorted(notes):
-    (place,) = build_notes_stage(notes).arms
-    along = place.to_scene(np.array([0.0, 0.0, 0.01])) - place.base
-    np.testing.assert_allclose(along / np.linalg.norm(along), [1.0, 0.0, 0.0], atol=1e-12)
-    np.testing.assert_allclose(place.rotation.T @ place.rotation, np.eye(3), atol=1e-12)
-    assert np.linalg.det(place.rotation) == pytest.approx(1.0)
-
-
-def test_a_curved_section_is_drawn_as_an_arc():
-    length, bend = 0.06, 1.5
-    arm = build_space_arm(Arm((CurvedSection("a", length, 2.0),)), 0, np.full(2, RADIUS))
-    points = arm.compute_frames(to_positions((bend, 0.0)))[0, :, :3, 3]
-    centre = np.array([length / bend, 0.0, 0.0])
-    np.testing.assert_allclose(np.linalg.norm(points - centre, axis=1), length / bend)
-    assert len(np.unique(points.round(9), axis=0)) > 6
 
 
 # --- the force at the tip

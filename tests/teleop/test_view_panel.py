@@ -21,7 +21,6 @@ from teleop.view.panel import (
 )
 from teleop.view.panel_layout import (
     _GLYPHS,
-    compute_force_rows,
 )
 from teleop.view.scene import Scene
 from teleop.view.sinks import Sink
@@ -83,15 +82,6 @@ def test_the_link_is_as_good_as_its_worse_way():
 
 
 # the panel
-
-
-@given(st.floats(-3, 3), st.booleans())
-def test_a_bar_is_as_long_as_its_share_and_ends_at_the_limit(share, two_way):
-    _, _, (row,) = compute_force_rows(1)
-    left, _, right, _ = row.place_bar(share, two_way)
-    full = row.place_bar(1.0, two_way)
-    expected = min(abs(share), 1.0) if share > 0 or two_way else 0.0
-    assert right - left == pytest.approx(expected * (full[2] - full[0]))
 
 
 def draw(path, *blocks, silent_ns=0):
@@ -159,13 +149,6 @@ def test_the_whole_banner_is_repeated_while_nothing_changes(tmp_path):
         drawn = entities[f"/panel/banner/{part}"]["LineStrips2D:strips"]
         assert np.diff(sorted([*drawn, stamps[-1]])).max() <= 2_250_000_000
         assert all(drawn.values())
-
-
-def test_the_bar_shows_the_force_as_a_share_of_its_limit(drawn):
-    strips = list(drawn["/panel/joint_0/bar"]["LineStrips2D:strips"].values())[-2]
-    left, _, right, _ = compute_force_rows(1)[2][0].place_bar(0.5, two_way=False)
-    points = np.array(strips).reshape(-1, 2)
-    assert (points[:, 0].min(), points[:, 0].max()) == pytest.approx((left, right), abs=0.1)
 
 
 def empty(drawn, part):

@@ -10,10 +10,7 @@ from teleop.messages.messages import PROFILE_POINTS, MessageError
 from teleop.messages.topics import TENDONS
 from teleop.view.colours import UNKNOWN, to_rgba
 from teleop.view.columns import build_columns, decode, subsample_rows
-from teleop.view.config import ViewConfig
 from teleop.view.scene_geometry import (
-    Shape,
-    build_stage,
     compute_centreline,
 )
 from teleop.view.scene_sheaths import compute_friction_profile, compute_tension_band
@@ -146,22 +143,6 @@ def test_the_drawn_sheath_has_the_length_and_the_bends_of_the_real_one(sections,
 
 
 # the stage
-
-
-def arm(joints):
-    shape = ((0.4, 0.5, 0.4), (math.inf, 0.15, 0.4))
-    return {t: Shape(t // 2, *shape) for t in range(2 * joints)}
-
-
-def test_a_lever_turns_by_travel_over_radius():
-    lever = build_stage(arm(1), ViewConfig(joint_radius_m=0.01)).joints[0]
-    at = lever.compute_tip(np.array([0.0, 0.01 * math.pi / 2]))
-    np.testing.assert_allclose(at[0] - lever.pivot, lever.length * lever.along)
-    np.testing.assert_allclose(at[1] - lever.pivot, lever.length * lever.aside, atol=1e-9)
-    step = lever.compute_tip(np.array([0.003 + 1e-7])) - lever.compute_tip(np.array([0.003]))
-    np.testing.assert_allclose(
-        step[0] / np.linalg.norm(step), lever.compute_direction(np.array([0.003]))[0], atol=1e-4
-    )
 
 
 # what slides, and what is certain

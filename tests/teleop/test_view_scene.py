@@ -1,6 +1,5 @@
 """What a Rerun file holds after a session, read back with Rerun's own reader."""
 
-import dataclasses
 import math
 
 import numpy as np
@@ -12,7 +11,6 @@ from teleop.messages.messages import (
     PHASE_NAMES,
     PROFILE_POINTS,
     Event,
-    Hand,
     Sheath,
     SlaveState,
     TendonState,
@@ -39,7 +37,7 @@ from teleop.view.layouts import build_blueprint
 from teleop.view.scene import Scene
 from teleop.view.scene_geometry import PIECES, SEGMENTS, Shape, build_stage
 from teleop.view.sinks import Sink
-from tests.teleop.view_session import CONFIG, T0, Session, read, reader, save, sheath
+from tests.teleop.view_session import CONFIG, T0, Session, read, reader, save
 
 
 @pytest.fixture(scope="module")
@@ -131,21 +129,6 @@ def test_the_arrow_at_the_tip_is_the_force_against_pulling(session, saved, place
         lengths.append(np.linalg.norm(vector))
         forces.append(force)
     np.testing.assert_allclose(lengths, np.array(forces) * max(lengths) / max(forces), atol=1e-5)
-
-
-def test_with_several_joints_each_number_says_whose_it_is(tmp_path):
-    several = Session(0)
-    for tendon in (0, 1):
-        several.add(SHEATH, dataclasses.replace(sheath(tendon), joint=tendon), T0)
-    several.add(STATE, SlaveState(joints=2, force=pad_values((1.0, -7.8), MAX_JOINTS)), T0)
-    several.add(HAND, Hand(joints=2, force=pad_values((0.5, -2.0), MAX_JOINTS)), T0)
-    drawn = save(several.messages, tmp_path / "two.rrd")
-    for path, word in (
-        ("joint_0/force", "1: 1.0 N"),
-        ("joint_1/force", "2: -7.8 N"),
-        ("hand_1/handle", "2: -2.0 N"),
-    ):
-        assert drawn[f"/scene/{path}"]["Points3D:labels"] == {T0: [word]}
 
 
 def test_without_a_sensor_at_the_tip_no_truth_is_drawn(tmp_path):

@@ -6,8 +6,6 @@ import re
 import select
 import shutil
 import signal
-import subprocess
-import sys
 import time
 
 import pytest
@@ -87,12 +85,3 @@ def test_tab_completes_commands_options_choices_keys_and_files(shell, tmp_path):
             terminal.wait_for("ready> ")
     finally:
         terminal.close()
-
-
-def test_the_help_of_the_program_needs_no_completion():
-    code = "import sys; from teleop.cli import commands\ntry: commands.main(['--help'])\n"
-    code += "finally: print([m for m in sys.modules if m in ('shtab', 'numba', 'zenoh')])"
-    ended = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=False, cwd=ROOT
-    )
-    assert ended.stdout.endswith("[]\n")

@@ -76,6 +76,7 @@ def test_a_session_through_its_proxy_imports_nothing_from_the_current_folder(
     assert f"{state['lost']} lost" in ended.stdout
 
 
+@pytest.mark.slow
 @pytest.mark.real_time
 def test_the_processes_of_a_session_do_not_either_and_a_port_in_use_is_one_line(
     crowded, demo_config

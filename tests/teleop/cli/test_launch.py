@@ -43,7 +43,6 @@ from teleop.session.summary import (
     SessionSummary,
     find_fault,
     format_force_error,
-    format_loop,
     format_summary,
     read_child_summary,
 )
@@ -219,37 +218,6 @@ def test_the_status_of_a_session_grows_with_what_is_known():
     assert text.endswith("recorder 0.4 s behind")
 
 
-def test_the_summary_tells_of_the_link():
-    figures = Percentiles(5, 1.0, 2.0)
-    link = replace(
-        UNMEASURED,
-        round_trip_ms=figures,
-        jitter_ms=figures,
-        offset_ms=7.0,
-        uncertainty_ms=0.5,
-        loss=0.01,
-        scaled_s=2.0,
-    )
-    told = format_loop(loop(link=link))
-    assert "round trip p50 1.00 p99 2.00 ms" in told[-2]
-    assert "offset of the peer's clock 7.000 +- 0.500 ms" in told[-2]
-    assert "because of the link scaled down for 2.0 s" in told[-1]
-    unmeasured = replace(link, round_trip_ms=Percentiles())
-    assert format_loop(loop(link=unmeasured)) == format_loop(loop())
-
-
-def test_the_summary_shows_where_the_time_from_hand_to_force_went():
-    meter = StageMeter()
-    for _ in range(10):
-        meter.add((20_000, 210_000, 100_000, 50_000, 380_000))
-    told = format_loop(loop(stages_us=meter.build_summary()))
-    assert told[-1] == (
-        "latency   hand to force p50 0.38 p99 0.38 p99.9 0.38 max 0.38 ms: "
-        "read 0.02, link 0.21, slave 0.10, render 0.05 (10 commands answered in their own tick)"
-    )
-    assert not any("hand to force" in line for line in format_loop(loop()))
-
-
 def console_on(stream):
     return Console(StatusLine(stream), clock=lambda: "12:34:56.7")
 
@@ -366,9 +334,9 @@ def test_a_view_that_worked_is_started_again_in_one_line(family, monkeypatch, th
 @pytest.mark.real_time
 def test_a_view_that_computes_with_short_rests_is_not_taken_for_hung(family, monkeypatch):
     """As one does that compiles on a loaded machine, for longer than the time between beats."""
-    monkeypatch.setattr("teleop.launch.supervisor._HEARTBEAT_TIMEOUT_S", 1.0)
-    monkeypatch.setattr("teleop.launch.supervisor._HEARTBEAT_LATE_S", 0.3)
-    work = "import time\nend = time.monotonic() + 3\nwhile time.monotonic() < end:\n"
+    monkeypatch.setattr("teleop.launch.supervisor._HEARTBEAT_TIMEOUT_S", 0.5)
+    monkeypatch.setattr("teleop.launch.supervisor._HEARTBEAT_LATE_S", 0.15)
+    work = "import time\nend = time.monotonic() + 1.5\nwhile time.monotonic() < end:\n"
     work += " sum(range(3000000))\n time.sleep(0.05)\nprint('done', flush=True)\n"
     child = family.start("view", [ANNOUNCE + work + "__import__('signal').pause()"])
 
