@@ -46,7 +46,7 @@ def run(config, folder, **words):
 @pytest.mark.real_time
 def test_trials_take_place_in_a_session_and_are_marked_in_its_recording(tmp_path):
     """The scripted hand lets go now and then, so some trials are repeated."""
-    engage = {"master.device.engage": [[0.5, 4.0]], "master.device.engage_period": 5.0}
+    engage = {"master.device.engage": [[0.5, 6.0]], "master.device.engage_period": 6.5}
     design = Design(
         factors={"impair.to_slave.delay": (0.01,)}, procedure=LEVELS, intervals=2, seed=2
     )
