@@ -1,18 +1,14 @@
 """A rig on servo models, spoken to by the vendor's SDK: what moves, what stops, what is said."""
 
 import contextlib
-import fcntl
 import os
 import signal
-import struct
-import time
 from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from slave.drivers import configs, ports
+from slave.drivers import configs
 from slave.drivers.driver import Channels, DriverFault
 from slave.drivers.dynamixel import registers
 from slave.drivers.dynamixel.registers import CURRENT_UNIT
@@ -56,7 +52,6 @@ from tests.drivers.bench import (
     wait_until,
 )
 
-TCGETS2 = 0x802C542A  # of the kernel, for any baud rate
 SCALE = NEWTONS / CURRENT_UNIT  # [N/A] of the servos' currents
 
 
@@ -98,14 +93,6 @@ def seen_to_move(servos):
 
 def torque(servos):
     return [servo.moving for servo in servos.servos.values()]
-
-
-def test_what_one_sync_read_brings_fits_the_indirect_addresses():
-    assert registers.STATUS_SIZE <= 28
-    written = registers.INDIRECT_ADDRESSES.pack(registers.pack_indirect_addresses())
-    assert written[:10] == bytes([132, 0, 133, 0, 134, 0, 135, 0, 116, 0])
-    assert len(written) == 2 * registers.STATUS_SIZE
-    assert sum(entry.size for entry in registers.STATUS) == registers.STATUS_SIZE
 
 
 def test_no_servo_has_torque_before_the_first_target_without_its_watchdog_or_after_a_stop(servos):
@@ -203,18 +190,6 @@ def test_a_failure_of_a_servo_is_named(servos, register, size, value, said):
         engage(rig, moving(servos))
         servos.servos[2].put(register, size, value)
         with pytest.raises(RigFault, match=said):
-            read_for(rig, 5.0)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["lose", "damage"])
-def test_some_bad_answers_cost_their_samples_and_many_are_a_fault(servos, name):
-    with opened_on(servos) as rig:
-        engage(rig, moving(servos))
-        setattr(servos, name, 3)
-        read_some(rig)
-        setattr(servos, name, 100_000)
-        with pytest.raises(RigFault, match="no answer" if name == "lose" else "answer for"):
             read_for(rig, 5.0)
 
 
@@ -386,54 +361,6 @@ def test_a_second_program_is_refused_and_the_first_goes_on(servos):
         follow(rig, start + 0.001)
 
 
-class OneRate(Servos):
-    """Servos that hear at one baud rate, and answer through an adapter that collects bytes."""
-
-    baud, collect_s = 4_500_000, 0.016
-
-    def __init__(self):
-        super().__init__(numbers=(3, 7))
-        self._collected, self._due_s = b"", 0.0
-        send, look = self.port.write, self.port.read
-
-        def collect(data):
-            self._collected += data
-
-        def deliver(wait_s=0.0):
-            if self._collected and time.monotonic() >= self._due_s:
-                send(self._collected)
-                self._collected, self._due_s = b"", time.monotonic() + self.collect_s
-            return look(wait_s)
-
-        self.port.write, self.port.read = collect, deliver
-
-    def _obey(self, packet, now):
-        settings = bytearray(64)
-        fcntl.ioctl(self.port._near, TCGETS2, settings)
-        if struct.unpack_from("<I", settings, 40)[0] == self.baud:
-            super()._obey(packet, now)
-
-
-def test_a_scan_finds_servos_of_any_rate_behind_a_slow_adapter(monkeypatch, tmp_path):
-    servos = OneRate()
-    thread = servos.start()
-    timer = tmp_path / Path(servos.port.name).name / "device/latency_timer"
-    timer.parent.mkdir(parents=True)
-    timer.write_text("16\n")
-    monkeypatch.setattr(ports, "TTYS", tmp_path)
-    try:
-        lines = configs.scan(dynamixel(servos.port.name))
-        first, second = next(lines), next(lines)  # lower rates, which take longest, come last
-        lines.close()
-        assert list(configs.reset(dynamixel(servos.port.name), ())) == []
-    finally:
-        servos.ended = True
-        thread.join()
-    assert first.startswith("servo 3: model 1020 at 4500000 baud; the config says 1000000")
-    assert second.startswith("servo 7: ")
-    assert "the adapter's latency timer is 16 ms: echo 1 | sudo tee /sys/class/tty/" in first
-
-
 class Twins(Servos):
     """Two servos of one number: both answer at once, and their bits are mixed on the line."""
 
@@ -460,40 +387,6 @@ def test_two_servos_of_one_number_are_named(twins):
     with pytest.raises(DriverFault, match=r"servo 2: damaged .*; two servos of this number\?"):
         reader.start()
     reader.close()
-
-
-@pytest.mark.slow
-def test_a_scan_names_two_servos_of_one_number(twins):
-    said = "servo 2: damaged answers at 1000000 baud: two servos of this number?"
-    assert next(configs.scan(twins)).startswith(said)
-
-
-class OldProtocol(Servos):
-    """A servo that speaks protocol 1.0 only: FF FF, id, length, instruction, ..., checksum."""
-
-    def _next(self):
-        at = self._received.find(b"\xff\xff")
-        packet = self._received[at : at + 4 + self._received[at + 3]] if at >= 0 else b""
-        self._received = b""
-        if len(packet) > 5 and sum(packet[2:]) & 0xFF == 0xFF and packet[2] in self.servos:
-            model = b"\x1d\x00" if packet[4] == READ else b""
-            body = bytes([packet[2], 2 + len(model), 0]) + model
-            self.port.write(b"\xff\xff" + body + bytes([~sum(body) & 0xFF]))
-
-
-def test_a_servo_of_the_old_protocol_is_named_where_nobody_else_answers(monkeypatch):
-    monkeypatch.setattr(registers, "BAUD_RATES", (1_000_000,))
-    servos = OldProtocol(numbers=(7,))
-    thread = servos.start()
-    try:
-        lines = list(configs.scan(dynamixel(servos.port.name)))
-    finally:
-        servos.ended = True
-        thread.join()
-    assert lines == [
-        "servo 7: speaks protocol 1.0 at 1000000 baud: set its Protocol Type to 2 by the Dynamixel "
-        "Wizard (an MX: its firmware 2.0); AX and Feetech have no driver"
-    ]
 
 
 def test_a_servo_that_is_not_there_is_named_once_the_others_are_reset(servos):

@@ -47,7 +47,6 @@ TARGET = packets.pack_target(np.array([5.0]))
     ("sent", "silent_s"),
     [
         ([TARGET], 0.05),
-        ([TARGET, packets.PAUSE], 0.15),
         ([TARGET, packets.PAUSE, TARGET], 0.05),
     ],
 )

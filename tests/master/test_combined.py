@@ -85,20 +85,6 @@ def test_each_device_has_scales_of_its_own():
     assert (arm.written, gripper.written) == ([(2.0, -4.0)], [(3.0,)])
 
 
-@pytest.mark.parametrize(
-    ("scales", "words"),
-    [
-        ({"position_scales": (1.0,)}, "position_scales: must have 2 numbers"),
-        ({"position_scales": (0.0, 1.0)}, "position_scales.0: must be above 0 and at most 10"),
-        ({"force_scales": (1.0, 1.5)}, "force_scales.1: must be above 0 and at most 1"),
-        ({"force_scales": (1.0, float("nan"))}, "force_scales.1: must be above 0"),
-    ],
-)
-def test_impossible_scales_of_devices_are_refused(scales, words):
-    with pytest.raises(ValueError, match=words):
-        CombinedConfig(**scales)
-
-
 @given(st.lists(st.booleans(), min_size=2, max_size=4))
 def test_all_hands_must_hold_to_engage(held):
     styluses = [Stylus(1) for _ in held]
@@ -296,16 +282,3 @@ def test_two_alike_that_were_lost_together_are_not_mixed_up(hidraw, returning):
         hidraw.plug(arduino())
     assert wait_for_condition(lambda: "identity" in lost(device), 30.0)
     device.close()
-
-
-def test_a_loss_that_was_not_noticed_yet_is_a_loss(hidraw):
-    """The one that is missing may have come back in the place of the other."""
-    nodes = [hidraw.plug(arduino()) for _ in range(2)]
-    first, second = (HidDevice(hid(str(node.path)), lambda _line: None) for node in nodes)
-    for node in nodes:
-        hidraw.unplug(node)
-    lost(first)  # nobody reads the second
-    hidraw.plug(arduino())
-    assert wait_for_condition(lambda: "identity" in lost(first), 30.0)
-    first.close()
-    second.close()

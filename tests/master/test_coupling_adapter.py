@@ -48,13 +48,6 @@ class Axis:
         return self.side.ports[0]
 
 
-@given(st.floats(-3.0, 3.0), st.floats(0.01, 5.0))
-def test_direct_gives_what_is_wanted(wanted, scale):
-    axis = Axis(Bilateral())
-    force = axis.step(0.0, scale, 0.0, wanted)
-    assert axis.step(1e-4, scale, force, wanted) == pytest.approx(wanted)
-
-
 @given(st.floats(0.05, 1.0))
 def test_energy_is_counted_in_units_of_the_tip(scale):
     """2 N at the tip over 20 um, whatever the hand feels of it."""

@@ -204,16 +204,6 @@ def test_direct_gives_energy_at_every_rate(rate):
     assert trace.gained.max() > 0.05
 
 
-def test_direct_holds_the_force_between_two_answers():
-    trace = pressed(DirectConfig(), "4 kHz on 100 Hz")
-    rendered = np.isclose(trace.force, -SCALE * trace.told, atol=1e-12)  # else it is slewing
-    assert rendered.mean() > 0.9
-    answered = np.arange(len(trace.time)) % RATES["4 kHz on 100 Hz"][1] == 0
-    held = ~answered[1:] & rendered[:-1]
-    assert np.count_nonzero(held & (trace.force[1:] < 0.0)) > 100
-    assert (trace.force[1:] == trace.force[:-1])[held].all()
-
-
 def test_the_hand_feels_the_same_wall_at_every_rate():
     rates = ("1 kHz", "4 kHz on 100 Hz", "100 Hz")
     rests = [pressed(COUPLINGS["passivity"], rate).force[-1] for rate in rates]

@@ -15,14 +15,6 @@ from teleop.session.state_machine import Reason, State
 from tests.master.run import EPOCH, MS, Run, answer, hand
 
 
-def test_engaged_on_both_sides_the_hand_feels_the_tip():
-    run = Run().engaged()
-    assert run.answered(hand(), force=5.0).force == pytest.approx((-1.0,))
-    assert run.output.verdict == GateFlags.PASSED
-    assert run.output.command.state == State.ENGAGED
-    assert run.output.command.echo_stamp_ns == run.now
-
-
 def test_releasing_lets_go_at_once_and_pressing_again_resumes_without_a_jump():
     run = Run().engaged()
     run.answered(hand(0.02))

@@ -12,9 +12,8 @@ from master import loop
 from master.config import MasterConfig
 from master.device import HandState
 from master.gate import GateConfig, GateFlags
-from master.hand_input import fill_hand_input
 from teleop.coupling import Bilateral, PassivityConfig, WaveConfig
-from teleop.messages.messages import Command, Hand
+from teleop.messages.messages import Command
 from teleop.session import state_machine
 from teleop.session.state_machine import Reason, State
 from tests.master.records import message_records
@@ -159,20 +158,6 @@ def test_a_sample_age_beyond_every_limit_is_not_fresh():
     for age in (2**63 - 1, 2**62):
         state = replace(answer(run.now + MS), sample_age_ns=age)
         assert run.tick(hand(), state, 2**62).verdict & GateFlags.STALE
-
-
-def test_what_listeners_are_told_is_the_hand_and_the_force_on_it():
-    run = Run().engaged()
-    force = run.answered(hand()).force
-    out = message_records(Hand)
-    fill_hand_input(run.hands, hand(0.01, velocity=0.5))
-    loop.fill_hand_message(run.memories, run.hands, 7, 9, out)
-    (told,) = out
-    assert told["position"].tolist() == [0.01, *[0.0] * 7]
-    assert told["velocity"].tolist() == [0.5, *[0.0] * 7]
-    assert told["force"].tolist() == [*force, *[0.0] * 7]
-    assert (told["state"], told["joints"]) == (State.ENGAGED, 1)
-    assert (told["state_age_ns"], told["round_trip_ns"]) == (7, 9)
 
 
 def test_a_command_is_written_whole_whatever_was_in_it():

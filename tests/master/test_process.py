@@ -6,11 +6,10 @@ import pytest
 from master import loop
 from master.config import MasterConfig
 from master.device import DeviceFault, DeviceLost, HandState
-from master.process import ANSWER_WAIT_SHARE, LATE_ANSWERS_MAX, RETRY_TICKS, MasterProcess
+from master.process import LATE_ANSWERS_MAX, RETRY_TICKS, MasterProcess
 from teleop.errors import PeerError, TeleopError
 from teleop.link import ReceivedMessage
 from teleop.messages.messages import (
-    STAGE_NAMES,
     Command,
     EmergencyStop,
     Setting,
@@ -24,7 +23,6 @@ from teleop.messages.topics import (
     COMMAND,
     EVENT,
     HAND,
-    LATENCY,
     REPORT,
     SETTING,
     STATE,
@@ -179,35 +177,6 @@ def test_the_force_is_that_of_the_answer_to_the_tick_s_own_command():
     assert device.forces[-1][0] > before  # on its way there, as fast as forces may change
 
 
-def test_states_that_answer_older_commands_are_not_waited_for_but_looked_behind():
-    class Chatty(ObedientLink):
-        """Between command and answer there are states that a deadline of the slave sent."""
-
-        def wait(self, topic, deadline_ns):
-            if self.old:
-                self.under_way.insert(0, (0, self.old.pop()))
-            return super().wait(topic, deadline_ns)
-
-        def publish_packet(self, topic, packet):
-            before = self.of(COMMAND)
-            stamp = super().publish_packet(topic, packet)
-            if topic is COMMAND and before:
-                self.old = [replace(self.answer(before[-1]), answer_ns=0)] * 3
-                self.under_way = [(3, state) for _, state in self.under_way]
-            return stamp
-
-        old = ()
-
-    line = Chatty()
-    master, run_on = ticking(line, Stylus(), rate_hz=50.0)  # time for all of them
-    run_on(40)
-    commands = line.of(COMMAND)
-    assert line.received.message.echo_stamp_ns == commands[-1].stamp_ns
-    assert all(hand.round_trip_ns > 0 for hand in line.of(HAND))
-    assert line.waits >= 4 * 39
-    assert master.summary().stages_us["all"].n == 40
-
-
 def test_a_wait_ends_at_its_time_though_states_keep_coming():
     class Flood(ObedientLink):
         def wait(self, topic, deadline_ns):  # noqa: ARG002
@@ -254,57 +223,6 @@ def test_on_a_link_that_is_always_late_no_time_is_spent_waiting_but_now_and_then
     line.commands, before = 0, len(line.waited)
     run_on(RETRY_TICKS + 10)
     assert len(line.waited) >= before + 10  # they are waited for again
-
-
-def test_what_does_not_come_is_waited_for_a_part_of_the_period():
-    line = ObedientLink()
-    line.answering = False
-    master, run_on = ticking(line, Stylus(), rate_hz=100.0)
-    run_on(10)
-    assert ANSWER_WAIT_SHARE * 1e4 <= master.summary().work_us.p50 < 1e4
-
-
-def test_the_stages_of_the_latency_are_those_of_our_own_commands_and_add_up():
-    added, line = [], ObedientLink()
-    master, run_on = ticking(line, Stylus(), rate_hz=400.0)
-    add = master._meter.stages.add
-    master._meter.stages.add = lambda parts: (added.append(parts), add(parts))
-    run_on(240)
-    trips = [hand.round_trip_ns for hand in line.of(HAND)]
-    for (*parts, whole), trip in zip(added, trips, strict=True):
-        assert sum(parts) == whole
-        assert whole > trip > 0
-        assert min(parts) > 0
-    (first, *_) = line.of(LATENCY)
-    assert (first.role, len(first.p50_ns)) == (Role.MASTER, len(STAGE_NAMES))
-    assert 0 < first.answered <= 240
-    assert first.p50_ns[2] == first.max_ns[2] == 1000  # what the slave said
-    stages = master.summary().stages_us
-    assert set(stages) == set(STAGE_NAMES)
-    assert {stage.n for stage in stages.values()} == {240} == {master.summary().latency_ms.n}
-
-
-def test_reports_come_twice_a_second():
-    _, line, _ = driven(Stylus(), ticks=120, rate_hz=100.0)
-    reports = line.of(REPORT)
-    assert [report.ended for report in reports] == [0, 0, 1]
-    assert reports[0].received > 0
-    assert reports[0].latency_p50_ns > 0
-
-
-@pytest.mark.parametrize(
-    ("joints", "said"),
-    [
-        (3, ["WARNING: the device has 1 axes, the rig 3 joints: joints from 2 on are not moved"]),
-        (1, []),
-    ],
-)
-def test_axes_and_joints_that_do_not_match_are_told_once(joints, said):
-    line = ObedientLink()
-    line.told = {"joints": joints}
-    driven(Stylus(), line, ticks=130, rate_hz=100.0)
-    texts = [decode_text(event.text) for event in line.of(EVENT)]
-    assert [text for text in texts if text.startswith("WARNING: the device")] == said
 
 
 @pytest.mark.parametrize("fails", ["read_fails_at", "write_fails_at"])

@@ -3,7 +3,6 @@
 import itertools
 import math
 import os
-import socket
 import threading
 import time
 
@@ -171,42 +170,12 @@ def test_a_flood_of_commands_does_not_hold_a_tick_up_and_none_is_lost(ends):
     assert (hand.engage, hand.position[0]) == (False, pytest.approx(0.1999))
 
 
-def test_commands_that_come_in_bursts_move_the_hand_steadily(ends):
-    """A program that reads states in blocks of 0.1 s moves once for each of them."""
-    operator, device = ends
-    operator.engage()
-    device.read(0.0)
-    device.read(0.001)
-    now_ns, places = time.monotonic_ns(), []
-    for burst in range(6):
-        for k in range(100):
-            sent_ns = now_ns + burst * 100_000_000 + k * 10_000
-            place = 0.03 * (burst * 100 + k + 1) * 1e-3
-            record = CommandRecord(sent_ns, sent_ns, 100 * burst + k + 2, 1, "", (place, 0.0))
-            operator._socket.send(record.pack())
-        for tick in range(100):
-            hand = device.read(0.1 * burst + 0.001 * tick + 0.002)
-            places.append(hand.position[0])
-    speeds = [(b - a) / 0.001 for a, b in itertools.pairwise(places[100:])]
-    assert max(speeds) < 0.04  # 0.03 m/s was asked for
-    assert sum(speed < 0.001 for speed in speeds) < 0.1 * len(speeds)
-
-
 def test_a_master_that_has_ended_is_noticed(ends):
     operator, device = ends
     device.close()
     for call in (lambda: operator.move([0.0, 0.0]), operator.engage, lambda: operator.force):
         with pytest.raises(TeleopError, match="the master's process has ended"):
             call()
-
-
-def test_the_newest_force_is_read_however_long_nobody_asked(ends):
-    operator, device = ends
-    for k in range(3000):
-        operator.move([0.0, 0.0])
-        device.read(0.001 * k)
-        device.write((float(k), 0.0))
-    assert operator.force[0] == 2999.0
 
 
 @pytest.mark.parametrize(
@@ -216,14 +185,3 @@ def test_the_newest_force_is_read_however_long_nobody_asked(ends):
 def test_the_program_is_told_what_is_wrong_with_a_position(ends, position, words):
     with pytest.raises(UsageError, match=words):
         ends[0].move(position)
-
-
-def test_without_a_session_object_there_is_no_such_device(monkeypatch):
-    monkeypatch.delenv(SOCKET_VARIABLE, raising=False)
-    with pytest.raises(DeviceFault, match=r"teleop\.Session"):
-        ProgramDevice(ProgramConfig())
-
-
-def test_the_pair_of_sockets_has_no_name(ends):
-    assert ends[0]._socket.getsockname() == ""
-    assert ends[0]._socket.family == socket.AF_UNIX

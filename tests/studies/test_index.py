@@ -5,7 +5,6 @@ import re
 
 import pytest
 
-from studies.testbed.command import parse_options
 from tests.root import ROOT
 
 STUDIES = ROOT / "studies"
@@ -37,16 +36,3 @@ def test_a_study_says_how_it_is_run_and_how_long_it_takes(name):
     text = ast.get_docstring(ast.parse(path.read_text())) or ""
     assert f"python -m studies.{name}" in text
     assert re.search(r"\b(seconds|minutes?|hours?|hour|\d+ s)\b", text)
-
-
-def test_options_take_type_and_choices_from_their_defaults(capsys):
-    options = {"count": (3, "number"), "kinds": (("a", "b"), "of all"), "plain": (False, "50 %")}
-    args = parse_options("A study.", ["--kinds", "b", "--count", "7"], **options)
-    assert vars(args) == {"count": 7, "kinds": ["b"], "plain": False}
-    for words in (["--count", "many"], ["--kinds", "c"]):
-        with pytest.raises(SystemExit) as ended:
-            parse_options("A study.", words, **options)
-        assert ended.value.code == 2
-    with pytest.raises(SystemExit):
-        parse_options("A study.", ["--help"], **options)
-    assert "number (default 3)" in capsys.readouterr().out

@@ -89,13 +89,6 @@ def test_what_cannot_even_be_described_is_listed_and_probed_with_the_remedy(hidr
     assert "cannot be opened; teleop devices rules" in out
 
 
-def no_driver():
-    """A device with force feedback that lacks what the driver needs."""
-    data = descriptors.openffboard().replace(descriptors.operation(0x0A), b"")
-    assert data != descriptors.openffboard()
-    return OpenFFBoard(data)
-
-
 def bytes_in(text):
     return bytes.fromhex(yaml.safe_load(text)["descriptor"])
 
@@ -114,41 +107,6 @@ def test_a_dump_has_every_byte_of_the_descriptor_and_no_serial_number(hidraw, ca
     file = tmp_path / "dump.yaml"
     assert teleop(capsys, "dump", "1209:ffb0", "--out", str(file))[1] == f"written to {file}\n"
     assert bytes_in(file.read_text()) == board.descriptor
-
-
-def test_all_nodes_of_a_device_are_dumped(hidraw, capsys):
-    for interface in (0, 1):
-        hidraw.plug(no_driver(), interface=interface)
-    out = teleop(capsys, "dump", "1209:ffb0")[1]
-    assert [one["interface"] for one in yaml.safe_load_all(out)] == [0, 1]
-
-
-def test_a_dump_that_cannot_be_made_or_written_is_a_line(hidraw, capsys, tmp_path):
-    assert teleop(capsys, "dump")[::2] == (2, "teleop: no HID device attached\n")
-    node = hidraw.plug(OpenFFBoard(descriptors.openffboard()))
-    code, _, err = teleop(capsys, "dump", "--out", str(tmp_path / "none" / "dump.yaml"))
-    assert (code, err.count("\n")) == (2, 1)
-    assert "No such file" in err
-    node.permitted = False
-    code, _, err = teleop(capsys, "dump")
-    assert (code, err.count("\n")) == (2, 1)
-    assert "teleop devices rules" in err
-
-
-def test_a_sign_of_a_device_without_a_serial_number_comes_with_a_warning(hidraw, tmp_path):
-    board, someone = Free(), Someone("", "s")
-    board.serial = ""
-    hidraw.plug(board)
-    command.run_device_test("", "auto", tmp_path / "s.yaml", 0.1, someone.person)
-    assert any("It has no serial number" in line for line in someone.said)
-
-
-def test_what_is_not_attached_is_a_line_and_a_list(hidraw, capsys):
-    hidraw.plug(OpenFFBoard(descriptors.openffboard()))
-    code, _, err = teleop(capsys, "probe", "dead:beef")
-    assert code == 2
-    assert "'dead:beef' is not attached" in err
-    assert "1209:ffb0" in err
 
 
 def test_the_sign_that_is_kept_makes_a_force_push_that_way(hidraw, tmp_path):
@@ -195,15 +153,6 @@ def test_nobody_to_answer_is_one_line_and_leaves_no_force(hidraw, tmp_path, caps
     assert err.count("\n") == 1
     assert "needs a terminal" in err
     assert node.force() == (0.0, 0.0)
-
-
-def test_rules_name_what_is_attached(hidraw, capsys):
-    class Other(OpenFFBoard):
-        vendor, product, name = 0x1FC9, 0x8000, "Some Wheel"
-
-    hidraw.plug(Other(descriptors.openffboard()))
-    _, out, _ = teleop(capsys, "rules")
-    assert "# Some Wheel\n" in out
 
 
 @pytest.mark.parametrize("words", [(), ("probe", "--seconds", "-1"), ("test", "--driver", "mine")])

@@ -1,6 +1,5 @@
 """The device as the loop sees it, against the fake: read, write, unplug, replug, close."""
 
-import gc
 import math
 import time
 from dataclasses import replace
@@ -154,23 +153,6 @@ def test_a_device_that_takes_no_forces_is_lost(hidraw, open_):
     assert "rejects reports" in loop.tick()
 
 
-def test_one_that_is_back_but_cannot_be_opened_says_so(hidraw, open_, monkeypatch):
-    node = hidraw.plug(board())
-    loop = open_()
-    hidraw.unplug(node)
-    loop.tick()
-    back = hidraw.plug(board())
-    back.permitted = False
-    lost = set()
-    for _ in range(5000):
-        lost.add(loop.tick())
-        if len(lost) == 2:
-            break
-    assert any("cannot be opened" in text for text in lost)
-    back.permitted = True
-    loop.until(lambda: loop.hand is not None)
-
-
 def test_reports_that_may_have_been_missed_are_a_loss_and_then_the_switch_counts_as_held(
     hidraw, open_
 ):
@@ -258,43 +240,6 @@ def test_force_feedback_that_no_driver_can_use_is_said_with_what_to_do(hidraw, o
     assert any("WARNING: it has force feedback, but no driver" in line for line in said)
 
 
-@pytest.mark.parametrize(("product", "told"), [(0xC262, True), (0xC24D, False)])
-def test_a_wheel_of_another_protocol_is_known_to_have_a_force(hidraw, product, told):
-    wheel = DEVICES["logitech"]()
-    wheel.product = product
-    node = hidraw.plug(wheel)
-    assert ("HID++" in search.examine_node(search.list_attached_nodes()[0]).advice) is told
-    with pytest.raises(DeviceFault) as caught:
-        HidDevice(CONFIG, lambda _: None)
-    assert ("teleop devices dump" in str(caught.value)) is told
-    assert node.written == []
-
-
-def test_closing_takes_the_force_away_and_frees_the_effects(hidraw):
-    node = hidraw.plug(board())
-    know_signs(x=1)
-    device = HidDevice(CONFIG, lambda _: None)
-    loop = Loop(device)
-    loop.force = (2.0, 0.0)
-    loop.until(lambda: node.force()[0] > 0.9)
-    device.close()
-    assert node.force() == (0.0, 0.0)
-    assert node.device.effects == {}
-    assert node.handles == []
-
-
-def test_closing_while_it_is_away_ends_the_search(hidraw):
-    node = hidraw.plug(board())
-    device = HidDevice(CONFIG, lambda _: None)
-    loop = Loop(device)
-    loop.tick()
-    hidraw.unplug(node)
-    assert loop.tick()
-    device.close()
-    back = hidraw.plug(board())
-    assert not wait_for_condition(lambda: back.handles, 0.3)
-
-
 def test_it_refuses_what_the_gate_never_sends(hidraw, open_):
     hidraw.plug(board())
     device = open_().device
@@ -324,22 +269,6 @@ def test_the_buttons_may_be_on_another_device(hidraw, open_):
     loop.until(lambda: loop.hand.engage)
     hidraw.unplug(mouse)
     assert "SpaceMouse" in loop.tick()
-
-
-def test_a_dualsense_resists_and_lets_go_when_its_host_dies(hidraw, open_):
-    node = hidraw.plug(DualSense(descriptors.dualsense_usb()), ((1, 5),))
-    know_signs(l2=1)
-    config = HidConfig(axes=(AxisConfig("l2", travel=0.02, force=2.0),))
-    loop = open_(config)
-    node.device.axes[4] = 1.0
-    loop.until(lambda: loop.hand.position == pytest.approx((0.02,)))
-    loop.force = (-1.0,)  # against closing
-    loop.until(lambda: node.force() == (-0.5, 0.0))
-    loop.force = (1.0,)
-    loop.until(lambda: node.force() == (0.0, 0.0))
-    # the guard of a killed process writes to the node itself: here, a file
-    loop.device.close()
-    assert node.path.read_bytes()[:2] == b"\x02\x0c"
 
 
 @pytest.mark.parametrize(
@@ -407,18 +336,3 @@ def test_what_the_config_asks_for_in_vain_is_one_line_and_lets_go_of_the_device(
     with pytest.raises(UsageError, match=r"^master\.device: axes: the device has no axis 'l2'"):
         open_device(HidConfig(axes=(AxisConfig("l2", travel=0.1),)))
     assert wait_for_condition(lambda: not node.handles, 5.0)
-
-
-def test_a_device_that_stays_away_costs_no_memory(hidraw, open_):
-    node = hidraw.plug(board())
-    device = open_().device
-    hidraw.unplug(node)
-    gc.collect()
-    gc.disable()  # as in the loop
-    try:
-        for tick in range(1500):
-            with pytest.raises(DeviceLost):
-                device.read(tick * 1e-3)
-        assert gc.collect() < 1000
-    finally:
-        gc.enable()

@@ -43,9 +43,10 @@ class Handle:
         return force_signs.find_sign(self, 1, 1, 2, self.clock, self.sleep)
 
 
-@pytest.mark.parametrize("wired", [1, -1])
-@pytest.mark.parametrize("stiction", [0.0, 0.08, 0.15])
-@pytest.mark.parametrize("spring", [0.0, 3.0])
+@pytest.mark.parametrize(
+    ("wired", "stiction", "spring"),
+    [(1, 0.0, 0.0), (-1, 0.08, 3.0), (1, 0.15, 3.0), (-1, 0.15, 0.0)],
+)
 def test_whichever_way_it_is_wired_the_sign_is_found(wired, stiction, spring):
     handle = Handle(wired, stiction, spring)
     assert handle.find() == wired

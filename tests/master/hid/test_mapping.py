@@ -61,13 +61,6 @@ def test_the_velocity_filter_has_its_time_constant():
     assert speeds[-1] == pytest.approx(1.0 - math.exp(-1.0), rel=5e-3)
 
 
-def test_reports_that_come_more_seldom_than_ticks_are_smoothed():
-    hand = Hand(AxisConfig("x", travel=0.1), smoothing=0.02)
-    speeds = [hand.read(0.008 * (tick // 8)).velocity[0] for tick in range(800)]
-    assert sum(speeds[400:]) / 400 == pytest.approx(0.1, rel=0.01)
-    assert max(speeds[400:]) < 0.125  # unsmoothed it would be 0.8
-
-
 def test_a_rate_axis_moves_only_while_engage_is_held_and_the_clutch_is_not():
     hand = Hand(AxisConfig("x", speed=0.2, sign=-1))
     assert hand.read(1.0).position == (0.0,)
@@ -170,11 +163,6 @@ def test_a_force_is_a_share_of_full_scale_with_the_sign_that_was_found():
     assert mapping.to_force_shares(plan, (-1.0, -2.5)) == (-0.5, -0.5)
 
 
-def test_an_axis_whose_sign_is_not_known_or_that_has_no_force_gets_none():
-    plan = planned(AxisConfig("x", travel=0.1, force=2.0), AxisConfig("y", travel=0.1), signs={})
-    assert mapping.to_force_shares(plan, (1.0, 2.5)) == (0.0, 0.0)
-
-
 @given(st.lists(st.floats(), min_size=2, max_size=2), st.sampled_from([1, -1]))
 def test_whatever_is_asked_for_a_share_is_a_share(force, sign):
     plan = planned(
@@ -199,10 +187,3 @@ def test_whatever_is_asked_for_a_share_is_a_share(force, sign):
 def test_what_the_device_does_not_have_is_named(axis, buttons, complaint):
     with pytest.raises(DeviceFault, match=complaint):
         planned(axis, buttons=buttons)
-
-
-def test_a_force_is_not_asked_of_a_joystick():
-    stick = SimpleNamespace(axes=("x",), forces=(), buttons=4)
-    config = HidConfig(axes=(AxisConfig("x", travel=0.1, force=1.0),))
-    with pytest.raises(DeviceFault, match="the device has no force: set it to 0 for 'x'"):
-        mapping.build_mapping(config, stick, stick.buttons, {})

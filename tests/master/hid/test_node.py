@@ -31,25 +31,12 @@ def test_a_full_queue_is_told_by_its_length(node, plugged):
     assert reports[-1] == bytes((1, 63))  # the newest are the ones that are lost
 
 
-def test_one_call_takes_no_more_than_a_queue_however_fast_they_come(hidraw, node, plugged):
-    plugged.talking = True
-    start, ticks = hidraw.clock(), iter(range(1, 10**6))
-    hidraw.clock = lambda: start + next(ticks) * 0.010
-    assert len(node.drain()) == QUEUE_LENGTH
-
-
 @pytest.mark.parametrize("call", ["write", "send_feature"])
 def test_a_report_that_is_not_taken_is_a_fault(hidraw, node, plugged, call):
     getattr(node, call)(bytes((0x0D, 255)))
     hidraw.unplug(plugged)
     with pytest.raises(DeviceFault, match="stick"):
         getattr(node, call)(bytes((0x0D, 255)))
-
-
-def test_a_write_that_fails_on_a_device_that_is_there_is_a_fault(node, plugged):
-    plugged.refuses = True
-    with pytest.raises(DeviceFault, match="rejects reports"):
-        node.write(b"\x0d\xff")
 
 
 def test_an_unplugged_device_is_a_fault_on_the_next_read(hidraw, node, plugged):

@@ -9,9 +9,9 @@ from master.devices.hid.descriptor import parse_descriptor
 from master.devices.hid.driver import DriverError
 from master.devices.hid.joystick import Inputs
 from master.devices.hid.pid import PidConfig, PidDriver
-from master.devices.hid.pid_reports import build_layout, has_pid_collection
+from master.devices.hid.pid_reports import build_layout
 from studies.hid import descriptors as d
-from studies.hid.descriptors import LAYOUTS, arduino, openffboard
+from studies.hid.descriptors import arduino, openffboard
 from studies.hid.virtual.catalogue import DEVICES
 
 
@@ -107,19 +107,6 @@ def test_a_second_effect_does_not_free_the_first():
     assert "0b02" in reported
 
 
-def test_a_number_that_other_reports_cannot_hold_is_said():
-    small = d.pid_report(
-        0x77,
-        0x0A,
-        d.field(d.OUTPUT, 4, 1, 15, 0x22),
-        d.pad(d.OUTPUT, 4),
-        d.named_array(d.OUTPUT, 0x78, (0x79, 0x7A, 0x7B)),
-    )
-    data = openffboard().replace(d.operation(0x0A), small)
-    with pytest.raises(DriverError, match="Effect Operation: effect block index cannot hold 16"):
-        begun(data, memory=Memory(first=16))
-
-
 def test_a_spring_and_a_damper_are_left_to_the_device():
     _, reported = begun(openffboard(), PidConfig(spring=0.2, damper=1.0))
     spring = "010308c800000000000000ff00042823000000000000"
@@ -134,32 +121,11 @@ def test_a_spring_and_a_damper_are_left_to_the_device():
     assert reported[18] == "0304000000ff7fff7fff7fff7f0000"
 
 
-@pytest.mark.parametrize(
-    ("remove", "why"),
-    [
-        (d.condition(0x03, 32767), "no Set Condition report, so neither spring nor damper"),
-        (d.field(d.OUTPUT, 4, 0, 3, 0x23), "Set Condition has no parameter block offset"),
-    ],
-)
-def test_a_condition_that_cannot_be_rendered_is_refused(remove, why):
-    data = openffboard().replace(remove, b"")
-    PidDriver(data)
-    with pytest.raises(DriverError, match=why):
-        PidDriver(data, PidConfig(spring=0.5))
-
-
 def test_without_a_direction_bit_an_effect_has_its_axis_alone():
     data = openffboard().replace(d.field(d.OUTPUT, 1, 0, 1, 0x56), d.field(d.OUTPUT, 1, 0, 1, 0x2F))
     _, reported = begun(data)
     effects = [bytes.fromhex(r) for r in reported if len(r) == 44]
     assert [effect[13] for effect in effects] == [0b01, 0b10]
-
-
-def test_a_direction_bit_that_is_declared_as_filling_is_set():
-    named = d.usage(0x56) + d.logical(0, 1) + d.shape(1) + d.main(d.OUTPUT, d.CONSTANT)
-    data = arduino().replace(d.field(d.OUTPUT, 1, 0, 1, 0x56), named)
-    _, reported = begun(data)
-    assert reported[6] == begun(arduino())[1][6]
 
 
 def test_time_is_counted_as_the_device_says():
@@ -176,34 +142,9 @@ def test_time_is_counted_as_the_device_says():
             PidDriver(with_clock(exponent))
 
 
-def test_a_control_that_cannot_be_set_is_found_before_it_is_needed():
-    bits = (d.ENABLE, d.DISABLE, d.STOP_ALL, d.RESET, d.PAUSE, d.CONTINUE)
-    declared = d.field(d.OUTPUT, 1, 1, 6, *bits, count=8)
-    signed = d.field(d.OUTPUT, 1, -128, 6, *bits, count=8)
-    with pytest.raises(DriverError, match="device reset cannot hold 1"):
-        PidDriver(openffboard().replace(declared, signed))
-
-
-def test_what_is_no_descriptor_is_a_driver_error():
-    with pytest.raises(DriverError, match="descriptor cannot be read: byte 0"):
-        PidDriver(b"\xc0")
-    with pytest.raises(DriverError, match="no force feedback"):
-        PidDriver(LAYOUTS["dualsense"])
-
-
-PID_LAYOUTS = ("openffboard 2", "openffboard 1", "arduino", "rhino", "ffbeast pid")
-
-
 def layout(data):
     descriptor = parse_descriptor(data)
     return build_layout(descriptor, Inputs(descriptor))
-
-
-def test_who_speaks_it():
-    assert all(
-        has_pid_collection(parse_descriptor(LAYOUTS[name])) == (name in PID_LAYOUTS)
-        for name in LAYOUTS
-    )
 
 
 def joystick(*reports):
@@ -245,71 +186,6 @@ def test_what_is_missing_is_named():
             layout(joystick(*reports))
     with pytest.raises(DriverError, match=r"no Set Effect .*; no Set Constant .*; no Block Load"):
         layout(joystick(COMPLETE["Device Control"]))
-
-
-@pytest.mark.parametrize(
-    ("name", "instead", "why"),
-    [
-        (
-            "Set Effect",
-            d.pid_report(0x21, 1, d.block_index(), d.named_array(d.OUTPUT, 0x25, (0x40,))),
-            "Set Effect has no constant force, duration",
-        ),
-        (
-            "Set Constant Force",
-            d.pid_report(0x73, 5, d.block_index(), d.field(d.OUTPUT, 16, 0, 1000, 0x70)),
-            "one direction only",
-        ),
-        (
-            "Effect Operation",
-            d.pid_report(0x77, 10, d.block_index(), d.named_array(d.OUTPUT, 0x78, (0x79,))),
-            "Effect Operation has no stop",
-        ),
-        (
-            "Set Effect",
-            set_effect(
-                d.usage(0x55) + d.collection(2, d.page(1), d.field(d.OUTPUT, 1, 0, 1, d.RZ))
-            ),
-            "no force on any axis",
-        ),
-    ],
-)
-def test_what_a_report_lacks_is_named(name, instead, why):
-    reports = [instead if key == name else report for key, report in COMPLETE.items()]
-    with pytest.raises(DriverError, match=why):
-        layout(joystick(*reports))
-
-
-def test_what_is_not_needed_may_be_missing_or_odd():
-    found = layout(joystick(*COMPLETE.values()))
-    assert (found.block_free, found.gain, found.condition) == (None, None, None)
-    assert (found.forces, found.polar) == (("x",), False)  # no axes are named: the first
-    odd = d.pid_report(0x90, 11, d.field(d.OUTPUT, 8, 0, 1, 0x2F))
-    assert layout(joystick(*COMPLETE.values(), odd)).block_free is None
-
-
-def test_what_goes_the_wrong_way_is_missing():
-    data = joystick(*COMPLETE.values())
-    asked = data.replace(d.creation(17, d.EFFECT_TYPES), b"")
-    sent = d.pid_report(0xAB, 17, d.named_array(d.OUTPUT, 0x25, d.EFFECT_TYPES))
-    layout(data)
-    with pytest.raises(DriverError, match=r"^no Create New Effect report$"):
-        layout(asked[:-1] + sent + asked[-1:])
-
-
-def test_a_controller_alone_without_its_outer_collection():
-    alone = (
-        d.page(d.PID)
-        + d.usage(0x95)
-        + d.collection(
-            d.LOGICAL,
-            d.report(12),
-            d.field(d.OUTPUT, 8, 1, 2, d.DISABLE, d.ENABLE, flags=d.DATA_ARRAY, count=1),
-        )
-    )
-    reports = [alone if key == "Device Control" else r for key, r in COMPLETE.items()]
-    control = layout(joystick(*reports)).control
-    assert control.packed([control.choose(0x0F0097)]) == b"\x0c\x02"
 
 
 # whether a device pushes where the driver, by the standard, believes it does
@@ -439,20 +315,6 @@ def test_a_device_with_one_effect_pushes_the_one_axis_that_is_used(axis):
     for report in driver.silence():
         cable.write(report)
     assert not device.effects
-
-
-def test_without_an_axis_to_push_no_effect_is_made():
-    device = DEVICES["openffboard"]()
-    driver = PidDriver(device.descriptor, PidConfig(spring=0.5), pushed=())
-    driver.begin(Cable(device))
-    assert driver.forces == ()
-    assert driver.encode((), arm=True) == ()
-    assert not device.effects
-
-
-def test_an_axis_that_it_cannot_push_is_named():
-    with pytest.raises(DriverError, match="cannot push z, only x, y"):
-        PidDriver(DEVICES["rhino"]().descriptor, pushed=("x", "z"))
 
 
 def test_a_pool_that_another_program_filled_is_emptied(plugged):

@@ -1,7 +1,6 @@
 """Finding devices, what is said when none can be used, and a wheel in console mode."""
 
 import os
-import re
 
 import pytest
 
@@ -18,8 +17,7 @@ from studies.hid.virtual.logitech import Logitech
 from studies.hid.virtual.openffboard import OpenFFBoard, OpenFFBoardWheel
 from studies.hid.virtual.rhino import Rhino
 from studies.hid.virtual.spacemouse import SpaceMouse
-from teleop.launch.supervisor import wait_for_condition
-from tests.master.reading import comes_back, reads
+from tests.master.reading import comes_back
 
 
 class Keyboard:
@@ -103,40 +101,6 @@ def test_a_wheel_of_two_interfaces_is_one_device_and_its_driver_can_be_named(hid
         search.find_device("", "ffbeast")
 
 
-def test_a_device_of_several_collections_is_listed_once(hidraw):
-    hidraw.plug(Keyboard(), ((1, 6), (12, 1)))
-    (item,) = search.list_attached_nodes()
-    assert item.usages == ((1, 6), (12, 1))
-    assert str(item).startswith("Keyboard (046d:c31c, ")
-
-
-def test_without_any_the_line_says_what_is_attached(hidraw, monkeypatch):
-    monkeypatch.setattr("teleop.runtime.machine.find_container", lambda: "Docker")
-    with pytest.raises(DeviceFault, match="attached; a container has what it is given: docker run"):
-        search.find_device("", "auto")
-    monkeypatch.setattr("teleop.runtime.machine.find_container", lambda: "")
-    with pytest.raises(DeviceFault, match=r"no haptic device attached; plug one in.*no HID"):
-        search.find_device("", "auto")
-    hidraw.plug(Keyboard())
-    with pytest.raises(
-        DeviceFault, match=r"no driver fits any attached device: Keyboard .*: by its report"
-    ):
-        search.find_device("", "auto")
-    with pytest.raises(DeviceFault, match=r"no device '1209:ffb0' attached.*Keyboard"):
-        search.find_device("1209:ffb0", "auto")
-
-
-def test_a_device_that_no_driver_fits_is_told_why(hidraw):
-    hidraw.plug(Keyboard())
-    with pytest.raises(DeviceFault, match=r"no driver fits: .*not a DualSense") as refused:
-        search.find_device("046d:c31c", "auto")
-    assert "\n" not in str(refused.value)
-    with pytest.raises(DeviceFault, match=r"'spacemouse' does not fit: .*: not a SpaceMouse$"):
-        search.find_device("046d:c31c", "spacemouse")
-    with pytest.raises(DeviceFault, match=r"'ffbeast' does not fit any attached device: Key"):
-        search.find_device("", "ffbeast")
-
-
 def test_one_that_may_not_be_opened_names_the_remedy(hidraw, monkeypatch):
     node = hidraw.plug(OpenFFBoard(descriptors.openffboard()))
     monkeypatch.setattr(os, "access", lambda path, _: str(path) != str(node.path))
@@ -186,14 +150,6 @@ def test_what_was_beside_it_when_it_went_is_not_it_but_it_may_never_have_left(hi
     assert search.find_reattached_device(found, before).item.path == str(back.path)
 
 
-def test_the_config_offers_each_driver():
-    from typing import get_args, get_type_hints
-
-    from master.devices.hid.mapping import HidConfig
-
-    assert set(get_args(get_type_hints(HidConfig)["driver"])) == {"auto", *DRIVERS}
-
-
 def test_no_device_that_may_keep_a_force_counts_as_one_that_forgets():
     assert {name for name, kind in DRIVERS.items() if not kind.forgets} == {
         "ffbeast",  # its maker names no time
@@ -214,22 +170,6 @@ def test_force_signs_are_of_one_driver_and_one_descriptor(hidraw):
         other._replace(item=other.item._replace(serial=OpenFFBoard.serial)).pusher.layout
         != pid.layout
     )
-
-
-RULE = re.compile(
-    r'KERNEL=="hidraw\*", (ATTRS\{idVendor\}=="[0-9a-f]{4}"(, ATTRS\{idProduct\}=="[0-9a-f]{4}")?'
-    r'|KERNELS=="0005:[0-9A-F]{4}:([0-9A-F]{4}|\*)\.\*"), TAG\+="uaccess"'
-)
-
-
-def test_every_line_is_a_rule_udev_understands():
-    lines = [
-        line for line in drivers.format_rules().splitlines() if line and not line.startswith("#")
-    ]
-    assert len(lines) == 2 * len(drivers.KNOWN_MODELS)
-    assert len(set(lines)) == len(lines)
-    for line in lines:
-        assert RULE.fullmatch(line), line
 
 
 def test_there_is_a_rule_for_every_model_that_a_driver_is_for():
@@ -301,27 +241,6 @@ def test_it_is_switched_over_with_the_one_report_and_driven_by_classic_commands(
     assert comes_back(device)
     device.close()
     assert before.now.device.refused == []
-
-
-def test_back_in_console_mode_after_a_replug_it_is_switched_over_again(hidraw):
-    node = hidraw.plug(wheel())
-    device = HidDevice(config(), lambda _line: None)
-    hidraw.unplug(node)
-    assert not reads(device)
-    back = ConsoleWheel(hidraw)
-    hidraw.plug(back)
-    assert comes_back(device)
-    assert CENTRE_OFF in back.now.written
-    device.close()
-
-
-def test_another_one_in_console_mode_is_left_alone_by_a_replug(hidraw):
-    node, other = hidraw.plug(wheel()), hidraw.plug(ConsoleWheel(hidraw))
-    device = HidDevice(config(str(node.path)), lambda _line: None)
-    hidraw.unplug(node)
-    assert not reads(device)
-    assert not wait_for_condition(lambda: other.written or reads(device), 0.5)
-    device.close()
 
 
 def test_beside_another_device_it_must_be_selected(hidraw):

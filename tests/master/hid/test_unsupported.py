@@ -2,7 +2,7 @@
 
 import subprocess
 import sys
-from types import ModuleType, SimpleNamespace
+from types import SimpleNamespace
 
 import pytest
 
@@ -12,7 +12,6 @@ from master.devices.hid.command import OperatorDialogue
 from master.devices.hid.device import HidDevice
 from master.devices.hid.drivers import DRIVERS
 from master.devices.hid.mapping import AxisConfig, ButtonsConfig, HidConfig
-from master.devices.hid.node import load_hidapi
 from studies.hid import descriptors
 from studies.hid.virtual.catalogue import DEVICES
 from studies.hid.virtual.openffboard import OpenFFBoard
@@ -36,12 +35,8 @@ def wheel(vendor, product):
     [
         (0x046D, 0xC260, "a G29 with its switch at PS4: set it to PS3, and plug it in again"),
         (0x046D, 0xC261, "a G920 in its mode for an Xbox: `sudo usb_modeswitch -v 046d -p c261 "),
-        (0x046D, 0xC26D, "usb_modeswitch -v 046d -p c26d -m 01 -r 01 -C 03 -M 0f00010142`"),
         (0x046D, 0xC272, "(its protocol, HID++, has none yet); run `teleop devices dump 046d:c272"),
-        (0x046D, 0xC268, "(its protocol, HID++, has none yet)"),
         (0x044F, 0xB66E, "(its protocol, Thrustmaster's, has none yet); run `teleop devices dump"),
-        (0x044F, 0xB65D, "before its set-up, which Linux 5.13 and newer do"),
-        (0x0EB7, 0x0020, "(its protocol, Fanatec's, has none yet)"),
     ],
 )
 def test_a_wheel_without_force_here_says_why_in_each_command_and_session(
@@ -59,12 +54,6 @@ def test_a_wheel_without_force_here_says_why_in_each_command_and_session(
         HidDevice(CONFIG, lambda _: None)
     assert said in str(fault.value)
     assert node.written == []
-
-
-def test_a_pedal_of_the_same_maker_is_told_nothing(hidraw):
-    for vendor, product in ((0x046D, 0xC24D), (0x044F, 0xB68F), (0x0EB7, 0x6204)):
-        hidraw.plug(wheel(vendor, product))
-    assert [search.examine_node(item).advice for item in search.list_attached_nodes()] == [""] * 3
 
 
 def test_no_wheel_with_a_driver_is_taken_for_one_without():
@@ -94,13 +83,6 @@ def test_of_two_interfaces_that_fit_alike_none_is_guessed(hidraw):
     assert search.find_device(str(second.path), "auto").item.interface == 1
 
 
-def test_two_devices_alike_are_still_two_devices(hidraw):
-    for _ in range(2):
-        hidraw.plug(receiver(), ((1, 8),), 0)
-    with pytest.raises(DeviceFault, match=r"^several devices fit; set find"):
-        search.find_device("", "auto")
-
-
 def test_another_program_that_has_the_device_open_is_named(hidraw, capsys):
     board = hidraw.plug(OpenFFBoard(descriptors.openffboard()))
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
@@ -117,38 +99,3 @@ def test_another_program_that_has_the_device_open_is_named(hidraw, capsys):
     said.clear()
     HidDevice(CONFIG, said.append).close()
     assert not any("also open" in line for line in said)
-
-
-def test_arms_that_are_no_hid_devices_are_listed_with_what_drives_them(
-    hidraw, monkeypatch, tmp_path, capsys
-):
-    assert hidraw.enumerate() == []
-    monkeypatch.setattr(unsupported, "USB_DEVICES", tmp_path)
-    for name, vendor, product in (
-        ("1-1", "1451", "0402"),
-        ("1-2", "0403", "cb48"),
-        ("1-3", "0403", "6001"),  # any other adapter of FTDI
-        ("2-1", "2988", "0302"),
-    ):
-        folder = tmp_path / name
-        folder.mkdir()
-        (folder / "idVendor").write_text(f"{vendor}\n")
-        (folder / "idProduct").write_text(f"{product}\n")
-    (tmp_path / "1-0:1.0").mkdir()  # an interface
-    commands.main(["devices", "list"])
-    none, omega, falcon, touch = capsys.readouterr().out.splitlines()
-    assert none == "no HID device attached"
-    assert omega.startswith("1451:0402: Force Dimension omega, delta or sigma: type `omega`")
-    assert falcon.startswith("0403:cb48: Novint Falcon: ")
-    assert touch.startswith(
-        "2988:0302: 3D Systems Touch: pyOpenHaptics in a device of your own (docs/how-to/haptic-"
-    )
-
-
-def test_another_package_of_the_same_module_is_named(monkeypatch):
-    monkeypatch.setattr(sys, "platform", "win32")
-    monkeypatch.setitem(sys.modules, "hid", ModuleType("hid"))
-    with pytest.raises(
-        DeviceFault, match=r"another package: pip uninstall hid; pip install.*hidapi"
-    ):
-        load_hidapi()

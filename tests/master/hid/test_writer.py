@@ -134,33 +134,11 @@ def test_a_force_that_was_posted_before_a_stall_is_not_started_after_it(sink):
     assert thread.end(5.0)
 
 
-@pytest.mark.parametrize("force", [(0.5, 0.0), (0.0, 0.5)])
-def test_when_nobody_posts_any_more_the_force_is_taken_away_and_nothing_is_written(
-    thread, sink, force
-):
-    thread.post(force)
-    taken = b"x 0" if force[0] else b"y 0"
-    assert wait_for_condition(lambda: taken in sink.written, 5.0)
-    count = len(sink.written)
-    assert not wait_for_condition(lambda: len(sink.written) > count, 4 * connection.POST_TIMEOUT_S)
-
-
 def test_of_its_last_reports_one_that_fails_keeps_none_of_the_others_back(sink):
     thread = Writer(sink, TwoAxes())
     sink.failing = 1
     assert thread.end(5.0)
     assert sink.written == [b"y 0", b"off"]
-
-
-def test_a_failure_is_kept_nothing_more_is_posted_and_the_node_waits_for_its_reader(thread, sink):
-    sink.fails = True
-    thread.post((0.5, 0.0))
-    assert wait_for_condition(lambda: thread.failure is not None, 5.0)
-    assert str(thread.failure) == "gone"
-    assert not sink.closed.is_set()
-    thread.post((0.7, 0.0))
-    assert thread.end(5.0)
-    assert sink.closed.is_set()
 
 
 def test_after_a_failure_the_device_may_still_listen(thread, sink):
@@ -184,38 +162,3 @@ def test_a_defect_of_a_driver_leaves_no_force_and_is_not_kept_quiet(sink, monkey
     assert thread.failure is not None
     assert thread.end(5.0)
     assert crashes == [ZeroDivisionError]
-
-
-def test_a_write_that_takes_too_long_is_seen_while_it_hangs(sink):
-    now = [0.0]
-    thread = Writer(sink, TwoAxes(), clock=lambda: now[0])
-    sink.free.clear()
-    thread.post((0.5, 0.0))
-    assert sink.waiting.wait(5.0)
-    assert not thread.hangs
-    now[0] = connection.WRITE_TIMEOUT_S + 0.01
-    assert thread.hangs
-    sink.free.set()
-    assert wait_for_condition(lambda: not thread.hangs, 5.0)
-    assert thread.end(5.0)
-
-
-def test_the_end_takes_the_force_away_and_closes(sink):
-    thread = Writer(sink, TwoAxes())
-    thread.post((0.5, 0.0))
-    assert wait_for_condition(lambda: sink.written, 5.0)
-    assert thread.end(5.0)
-    assert sink.written[-3:] == [b"x 0", b"y 0", b"off"]
-    assert sink.closed.is_set()
-
-
-def test_the_end_does_not_wait_for_a_write_that_hangs_but_closes_after_it(sink):
-    thread = Writer(sink, TwoAxes())
-    sink.free.clear()
-    thread.post((0.5, 0.0))
-    assert sink.waiting.wait(5.0)
-    assert not thread.end(0.01)
-    assert not sink.closed.is_set()
-    sink.free.set()
-    assert sink.closed.wait(5.0)
-    assert sink.written[-1] == b"off"

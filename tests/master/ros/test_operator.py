@@ -191,11 +191,3 @@ def test_a_receiver_without_a_router_or_that_stops_or_ends_is_a_fault():
             device.write((math.nan,))
     finally:
         device.close()
-
-
-@pytest.mark.parametrize("words", [["master.device={type: ros, router: tcp/10.0.0.1:7447}"]])
-def test_a_router_elsewhere_is_refused(words, capsys):
-    from teleop.cli import commands
-
-    assert commands.main(["master", *(f"--set={word}" for word in words)]) == 2
-    assert "on loopback" in capsys.readouterr().err

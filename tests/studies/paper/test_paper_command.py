@@ -94,12 +94,8 @@ def test_the_folder_has_tables_figures_and_a_page_that_needs_no_other_file(ran):
     "words",
     [
         ["--sheaths", "0"],
-        ["--sheaths", "many"],
-        ["--seed", "-1"],
-        ["--jobs", "0"],
         ["--out", "/proc/nowhere"],
         ["--out", __file__],
-        ["--json", "/no/where.json"],
         ["--fly"],
     ],
 )
