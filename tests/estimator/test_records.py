@@ -6,7 +6,6 @@ from dataclasses import dataclass, field
 from typing import Annotated
 
 import numpy as np
-import pytest
 from numpy.typing import NDArray
 
 from estimator.compiled import jit_compile
@@ -86,8 +85,3 @@ def test_a_config_becomes_a_record_of_its_numbers() -> None:
     assert to_struct_array(Config()).dtype.names == ("limit", "rounds", "on", "nested")
     assert scaled(to_struct(Config(limit=3.0)), 2.0) == 12.0
     assert scaled(to_struct(Config(on=False)), 2.0) == 0.0
-
-
-def test_an_unknown_field_is_refused() -> None:
-    with pytest.raises(AttributeError):
-        Inner.new(valeu=1.0)

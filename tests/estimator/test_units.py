@@ -3,7 +3,7 @@
 import pytest
 
 from estimator.diagnosis.measured_data import BenchScale, parse_dimension
-from estimator.units import FORCE, LINEAR, ROTARY
+from estimator.units import LINEAR, ROTARY
 
 R = 0.01
 SCALE = BenchScale(R, 1.0 / R)  # N to N m and m to rad on a pulley of radius R
@@ -39,9 +39,3 @@ def test_units_of_the_catalogue_are_all_known():
     for unit in {p.unit for effect in CATALOGUE for p in effect.parameters}:
         assert ("m/" not in f"{unit}/") or ROTARY.name(unit) != unit
         assert (parse_dimension(unit) != (0, 0)) == (ROTARY.name(unit) != unit)
-
-
-def test_channels_are_called_by_what_they_are():
-    assert LINEAR.word("proximal_tension") == "tension at the housing"
-    assert FORCE.word("distal_tension") == "force at the tip"
-    assert ROTARY.word("proximal_displacement") == "angle at the housing"

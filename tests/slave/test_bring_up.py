@@ -11,7 +11,6 @@ from slave.bring_up.rig_check import (
     GatedRig,
     MotorMove,
     evaluate_move,
-    format_rest_measurement,
     measure_at_rest,
     move_motor,
 )
@@ -22,7 +21,6 @@ from slave.drivers.driver import Channels, DriverFault
 from slave.gate import GateConfig
 from slave.rig import RigSample
 from slave.rigs.hardware import HardwareRig
-from teleop.cli import commands
 from teleop.errors import TeleopError, UsageError
 from teleop.runtime.clock import Grid
 from tests.tick.clock import StandingClock
@@ -121,15 +119,6 @@ def test_a_rig_that_falls_silent_before_its_motors_are_enabled_is_named():
     rest = measure_at_rest(Wired(), ticks, 0, 0.5)
     with pytest.raises(TeleopError, match=r"no tension and travel of every tendon for 0\.5 s"):
         GatedRig(rig, GateConfig(), ticks, 0, rest).enable()
-    assert rig.writes == []
-
-
-def test_at_rest_rate_and_noise_are_told_and_nothing_is_written():
-    rig = Wired()
-    rest = measure_at_rest(rig, generate_fast_ticks(500.0), 0, 2.0)
-    assert rest.rate_hz == pytest.approx(500.0)
-    assert rest.tension_noise == pytest.approx(0.01, rel=0.2)
-    assert len(format_rest_measurement(rest, GateConfig())) == 4
     assert rig.writes == []
 
 
@@ -248,23 +237,11 @@ def test_a_cell_that_is_saturated_is_named_and_nothing_is_moved(monkeypatch, cap
     assert rig.writes == []
 
 
-def test_a_replayed_rig_is_refused_before_it_is_opened(monkeypatch):
-    monkeypatch.setattr(command, "open_rig", lambda *_: pytest.fail("opened"))
-    with pytest.raises(UsageError, match=r"slave\.rig\.type: a replayed rig has no motors"):
-        command.check_rig(arguments("--set", "slave.rig={type: replayed, file: x.csv}"), input)
-
-
 @pytest.mark.parametrize("words", [["--travel", "6"], ["--travel", "0"], ["--force", "nan"]])
 def test_a_move_that_is_not_small_is_refused_before_the_rig_is_opened(monkeypatch, words):
     monkeypatch.setattr(command, "open_rig", lambda *_: pytest.fail("opened"))
     with pytest.raises(UsageError, match="must be above 0"):
         command.check_rig(arguments(*words), input)
-
-
-@pytest.mark.parametrize("action", ["scan", "reset"])
-def test_a_rig_without_buses_is_told_in_a_line(capsys, action):
-    assert commands.main(["rig", action, "--set", "slave.rig={type: simulated}"]) == 2
-    assert "slave.rig.type: simulated has no buses" in capsys.readouterr().err
 
 
 def test_without_its_library_a_driver_says_in_a_line_what_to_install(monkeypatch):
@@ -274,19 +251,6 @@ def test_without_its_library_a_driver_says_in_a_line_what_to_install(monkeypatch
     monkeypatch.setattr(configs, "importlib", argparse.Namespace(import_module=missing))
     with pytest.raises(DriverFault, match=r"'can': pip install 'tendon-teleop\[can\]'"):
         configs.open_driver(Cia402Config(), Channels((1,)))
-
-
-HARDWARE = (
-    "slave.rig={type: hardware, name: b, motors: {type: microcontroller, port: x}, joints: "
-    "[{tendons: [{motor: {id: 1, pulley_radius: 0.01, counts_per_turn: 4096}, "
-    "cell: {id: 1, scale: 1}}]}]}"
-)
-
-
-def test_a_scan_that_finds_nothing_fails(monkeypatch, capsys):
-    monkeypatch.setattr(configs, "scan", lambda _: iter(()))
-    assert commands.main(["rig", "scan", "--set", HARDWARE]) == 1
-    assert "rig: microcontroller: nothing answers" in capsys.readouterr().err
 
 
 def test_read_only_opens_the_rig_so_and_writes_nothing(monkeypatch):

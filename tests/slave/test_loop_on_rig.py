@@ -9,11 +9,9 @@ import numpy as np
 import pytest
 
 from slave import loop
-from slave.calibration import degraded_mode
-from slave.calibration.monitor import Advice, MonitorConfig
+from slave.calibration.monitor import Advice
 from slave.config import SlaveConfig, TendonConfig, load_tendon_configs
 from slave.gate import GateConfig
-from slave.rigs.replayed import ReplayedRigConfig
 from slave.rigs.simulated import SimulatedRig, SimulatedRigConfig
 from slave.simulation.effects.friction import FrictionStep
 from slave.simulation.effects.sensors import StuckCell
@@ -134,19 +132,6 @@ def test_frames_that_stay_the_same_are_a_fault_by_name_and_an_older_command_is_n
     assert still.bench.state is State.ENGAGED
 
 
-def test_frames_that_stop_coming_are_no_frozen_ones():
-    config = slave(wall())
-    rig, bench = on_rig(config)
-    for k in range(500):
-        samples = rig.read(k * DT) if k < 200 else ()
-        state = State.ENGAGED if k > 50 else State.READY
-        message = Command(state=state, position=(1e-5 * k,) + (0.0,) * (MAX_JOINTS - 1))
-        output = bench.tick(samples, message)
-        if output.motor:
-            rig.write(np.array(output.motor))
-    assert bench.session.reason is Reason.SAMPLES_STALE
-
-
 def test_a_motor_that_does_not_go_where_it_is_sent_is_a_fault_that_names_it():
     only_b = frozen(0.3, "proximal_displacement")
 
@@ -187,12 +172,6 @@ def test_motors_at_their_limits_stay_well_within_what_they_may_be_behind(name):
     assert np.abs(np.diff(session.behind, axis=0)).max() > 0.0
 
 
-def test_played_data_need_not_go_where_the_motors_are_sent(tmp_path):
-    config = SlaveConfig(rig=ReplayedRigConfig(file=tmp_path / "data.csv"))
-    assert not config.is_actuated
-    assert slave(wall()).is_actuated
-
-
 def pressing(time, reach=0.008, leg=1.0, rest=0.1):
     """Press and let go, smoothly, with a rest at both ends."""
     place = time % (2.0 * (leg + rest))
@@ -214,38 +193,6 @@ def test_a_sheath_that_changes_its_shape_is_advised_of_and_then_a_fault():
     assert 0.5 < first[Advice.ADVISED] < 8.0 < first[Advice.DEMANDED]
     assert session.advice.count(Advice.DEMANDED) == 1  # it was engaged until then
     assert session.bench.session.reason is Reason.CALIBRATION_DUE
-
-
-def test_a_degraded_session_goes_on_slowly_until_the_sheath_is_as_calibrated():
-    """Friction of a rises by 30 %, so T_out is wrong by 27 %, and falls back."""
-    tissue = TissueConfig(position=0.002, stiffness=20_000.0)
-    steps = tuple(
-        FrictionStep(change=change, start=start, tendon="a")
-        for change, start in ((0.3, 0.1), (1.0 / 1.3 - 1.0, 6.5))
-    )
-    config = slave(
-        joint(0.8, environment=tissue, noise=0.01),
-        effects=steps,
-        monitor=MonitorConfig(on_demand="degrade", degraded_speed=0.012),
-    )
-    session = run(config, lambda time: pressing(time, leg=0.9), 12.0)
-    reduction = np.array([state.force_reduction for state in session.states])
-    demanded, limited = session.advice.index(Advice.DEMANDED), np.flatnonzero(reduction == 0.5)
-    assert demanded * DT < 5.5
-    assert np.flatnonzero(reduction)[0] == demanded
-    assert np.abs(np.diff(reduction)).max() < 0.5 * 3.0 * DT / degraded_mode.RAMP_S
-    assert limited[-1] * DT > 6.5
-    assert reduction[-1] == 0.0
-    for reduced, state in zip(reduction[200:], session.states[200:], strict=True):
-        reason = Reason.CALIBRATION_DUE if reduced else Reason.NONE
-        assert (state.state, state.reason) == (State.ENGAGED, reason)
-    speed = np.abs(np.diff(session.tip)) / DT
-    assert speed[: demanded - 1].max() > 0.017
-    assert 0.0119 < speed[limited[0] : limited[-1] - 1].max() < 0.012 + 1e-9
-    width = np.array([s.force_high[0] - s.force_low[0] for s in session.states])
-    force = np.abs([s.force[0] for s in session.states])
-    pressed = limited[(force[limited] > 5.0) & (limited * DT < 6.5)]
-    assert (width[pressed] > 0.4 * force[pressed]).all()  # by the error found, to either side
 
 
 @pytest.mark.slow

@@ -11,7 +11,7 @@ import yaml
 from estimator.effects import CATALOGUE, NAMES
 from estimator.online.extended_model import build_extended_model
 from slave import model_files
-from slave.config import SlaveConfig, find_not_ready_reason, load_tendon_configs
+from slave.config import SlaveConfig, load_tendon_configs
 from slave.process import describe_models
 from slave.tendon_config import TendonConfig
 from studies import hidden
@@ -163,14 +163,6 @@ def test_one_tendon_of_several_gets_its_own(file, tmp_path):
         load_tendon_configs(SlaveConfig(), 4, JOINTS, {"2a": file})
 
 
-def test_a_rig_with_a_model_of_each_sheath_needs_no_calibration():
-    class Rig:
-        name, joints = "bench", ((0,),)
-
-    assert find_not_ready_reason(SlaveConfig(), Rig(), modelled=True) == ""
-    assert "no model" in find_not_ready_reason(SlaveConfig(), Rig())
-
-
 def test_the_slave_says_what_it_does_with_each_effect(file):
     said = describe_models([TendonConfig(model_file=file, tension_noise=0.01)] * 2)
     assert [line.removeprefix(f"{file}: ") for line in said] == [
@@ -192,14 +184,6 @@ def test_a_model_of_another_sheath_is_a_warning(file):
     )
     (line,) = model_files.find_friction_warnings(far * 2, used * 2)
     assert re.search(r"WARNING: .*model\.yaml: its K is 0\.8\d*, the calibrated K is 1\.5", line)
-
-
-def test_a_cause_that_is_one_of_several_is_a_warning(file):
-    tree = yaml.safe_load(file.read_text()) | {"unsure": ["encoder_slip"]}
-    file.write_text(yaml.safe_dump(tree))
-    line = describe_models([TendonConfig(model_file=file, tension_noise=0.01)])[-1]
-    assert "WARNING" in line
-    assert "encoder_slip" in line
 
 
 @pytest.mark.parametrize(

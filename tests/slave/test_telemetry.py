@@ -3,11 +3,9 @@
 import pytest
 
 from slave import loop, telemetry
-from slave.calibration.procedure_state import Phase
-from slave.calibration.run import ProcedureProgress
 from slave.config import SlaveConfig
 from slave.loop_records import NO_POSITION, NO_SAMPLE, NOT_CALIBRATED, NOT_READY_TEXT
-from slave.telemetry import Telemetry, build_progress_printer
+from slave.telemetry import Telemetry
 from slave.tendon_config import TendonConfig
 from teleop.session.state_machine import Reason, State
 from tests.slave.slave_bench import SlaveBench
@@ -87,15 +85,3 @@ def test_while_not_usable_every_new_reason_is_told(said):
         "its calibration is of another rig",
         NOT_READY_TEXT[NO_POSITION],
     ]
-
-
-def test_a_calibration_says_where_it_is_now_and_then(capsys):
-    class Arm:
-        name, joints = "arm", JOINTS
-
-    show = build_progress_printer(Arm())
-    for tick in range(5000):
-        show(ProcedureProgress(tick * 1e-3, 1, Phase.PULL, 3, tick / 5000, (12.34, -0.001)))
-    lines = capsys.readouterr().out.splitlines()
-    assert len(lines) == 3  # at 0, 2 and 4 s
-    assert lines[1] == "calibrating arm: 40%, joint 1, tendon b: pulling, 12.3 and 0.0 N"

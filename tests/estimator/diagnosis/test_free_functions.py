@@ -23,8 +23,6 @@ from estimator.effects.functions import (
     find_function,
 )
 from studies import hidden
-from teleop.cli.diagnose.diagnosis_run import parse_effects
-from teleop.errors import UsageError
 
 FUNCTIONS = ("friction_by_position", "friction_by_rest_time", "elongation_by_tension")
 CAUSES = ("constant_drag", "viscous_friction")
@@ -137,19 +135,6 @@ def diagnosed_context(time, speed):
     zero = np.zeros_like(time)
     travel = np.cumsum(speed) * 0.01
     return EffectContext(time, PROXIMAL_DISPLACEMENT, travel, speed, {}, {}, zero, 1e-4)
-
-
-def test_no_reading_depends_on_itself_as_measured():
-    assert find_function("distal_tension_gain_by_tension") is not None
-    assert find_function("proximal_tension_by_tension") is None
-    assert find_function("proximal_tension_gain_by_tension") is None
-
-
-def test_a_function_can_be_asked_for_by_name():
-    names = [effect.name for effect in parse_effects("creep,friction_by_humidity")]
-    assert names == ["creep", "friction_by_humidity"]
-    with pytest.raises(UsageError, match="no such effect"):
-        parse_effects("fiction_by_position")
 
 
 def test_a_further_column_that_is_not_there_is_refused():

@@ -13,7 +13,7 @@ from studies import hidden
 NOISE = 0.01  # [N]
 
 
-def walk(seed, n=4000):
+def walk(seed, n=1500):
     """Return a tension [N] that turns at random depths."""
     turns = np.random.default_rng(seed).uniform(1.0, 15.0, 24)
     return np.interp(np.arange(n), np.linspace(0, n - 1, 24), turns)
@@ -76,7 +76,7 @@ def test_on_a_clean_bench_the_law_is_better_than_any():
 
 
 def test_a_model_that_beats_the_law_is_named():
-    T_in = walk(2, 2000)
+    T_in = walk(2)
     signals = {"proximal_tension": T_in, "distal_tension": 0.7 * after_a_play(T_in, 1.9)}
     found = diagnose_records([prepare_record(np.arange(len(T_in)) * 0.01, signals)], ())
     (said,) = report_text.list_better_models(found)

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from estimator.kinematics.arm import ArmError
 from estimator.kinematics.tip_wrench import compute_tip_wrench
 
 
@@ -52,8 +51,3 @@ def test_six_joints_tell_the_moment_whatever_the_length_scale():
         found = compute_tip_wrench(J, tau, tau, tau, length_scale=scale, smallest_lever=1e-6)
         np.testing.assert_allclose(found.wrench, wrench, atol=1e-9)
         assert found.is_told.all()
-
-
-def test_a_jacobian_of_another_arm_is_refused():
-    with pytest.raises(ArmError, match="jacobian"):
-        compute_tip_wrench(np.ones((6, 2)), [1.0], [1.0], [1.0])

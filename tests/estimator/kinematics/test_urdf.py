@@ -83,11 +83,7 @@ class TestWithLibrary:
             (GOOD, {"tip": "arm", "base": "tip"}, "'arm' is not beyond 'tip'.*choose the base"),
             (GOOD[:-9], {"tip": "tip"}, "not a valid URDF"),
             (GOOD.replace(LIMIT, ""), {"tip": "tip"}, "joint 'one' has no limits; add <limit"),
-            (GOOD.replace('"-1"', '"1"'), {"tip": "tip"}, "joint one: limits 1 to 1"),
-            (GOOD.replace('velocity="2"', 'velocity="0"'), {"tip": "tip"}, "speed limit 0"),
             (GOOD.replace("fixed", "floating"), {"tip": "tip"}, "'two' is floating; allowed"),
-            (GOOD.replace("fixed", "planar"), {"tip": "tip"}, "'two' is planar; allowed"),
-            (GOOD.replace(LIMIT, LIMIT * 2), {"tip": "tip"}, "multiple times: limit"),
             (GOOD.replace('"two"', '"one"'), {"tip": "tip"}, "two joints are named 'one'"),
             (
                 GOOD.replace(LIMIT, f'{LIMIT}<mimic joint="two"/>'),

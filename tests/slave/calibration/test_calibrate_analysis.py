@@ -87,20 +87,6 @@ def test_on_an_uneven_sheath_the_loop_stands_and_what_the_papers_would_do_is_sai
 
 
 @pytest.mark.slow
-def test_what_is_known_wrongly_of_the_stiffness_is_said():
-    found, _ = direction_a(joint(1.0, noise=0.03), KnownSheathConfig(LENGTH, 1.1 * EA, 0.001))
-    assert found.K.value == pytest.approx(1.0, abs=0.02)
-    assert "6.600 N/mm as it was known" in found.remark
-
-
-@pytest.mark.slow
-def test_both_tendons_tell_how_far_the_joint_goes():
-    (result,) = analyse_procedure(record(joint(1.0, noise=0.03)), QUICK)
-    assert result.range == pytest.approx(RANGE, rel=0.01)
-    assert [direction.tendon for direction in result.directions] == ["a", "b"]
-
-
-@pytest.mark.slow
 def test_one_tendon_and_a_return_spring_are_calibrated_too():
     (result,) = analyse_procedure(record(SPRING), QUICK)
     assert result.directions[0].K.value == pytest.approx(1.0, abs=0.04)

@@ -109,12 +109,6 @@ def test_nothing_but_a_calibration_is_written_over(done, tmp_path, capsys, monke
     assert not drawn.exists()
 
 
-def test_a_joint_that_is_not_there_is_refused(done, tmp_path, capsys):
-    words = ["--config", done / "rig.yaml", "--joint", "3", "--out", tmp_path / "new.yaml"]
-    assert teleop(*words) == 2
-    assert "--joint 3: the rig has joints 1 to 2" in capsys.readouterr().err
-
-
 def test_a_refusal_is_one_line_and_writes_nothing(tmp_path, capsys):
     path = config_file(tmp_path, rig_config(joint(range=12.0)))
     assert teleop("--config", path, "--quick", "--out", tmp_path / "new.yaml") == 1

@@ -187,23 +187,3 @@ def test_a_rig_is_watched_tendon_by_tendon_against_the_other_of_its_joint():
         assert together.tobytes() == alone.tobytes()
     assert alone["count"][1] == 3  # nothing moves against it
     assert alone["count"].sum() > 3
-
-
-@pytest.mark.parametrize(
-    ("wrong", "said"),
-    [
-        ({"advise": 0.0}, "advise"),
-        ({"advise": 0.2}, "advise"),
-        ({"demand": 11.0}, "advise"),
-        ({"transitions": 2}, "transitions"),
-    ],
-)
-def test_thresholds_that_mean_nothing_are_refused(wrong, said):
-    with pytest.raises(ValueError, match=said):
-        MonitorConfig(**wrong)
-
-
-def test_a_smaller_change_is_advised_of_but_not_demanded():
-    accepted = rig_config(joint(1.0, environment=TISSUE))
-    use = Use(rig_config(joint(1.1, environment=TISSUE)), 12.0, accepted)
-    assert use.advice[-1] == Advice.ADVISED

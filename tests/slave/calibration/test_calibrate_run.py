@@ -283,14 +283,6 @@ class Watched(HousingOnly):
         self.pauses.append(len(self.written))
 
 
-@pytest.mark.slow
-def test_after_a_refusal_the_tensions_are_let_down_and_the_motors_hold():
-    rig = HousingOnly(rig_config(joint(range=12.0)))
-    with pytest.raises(CalibrationRefused):
-        calibrated(rig, rate_hz=RATE)
-    assert resting(rig)
-
-
 # What the config forbids is said before anything moves.
 
 
@@ -307,13 +299,6 @@ def test_a_config_that_cannot_be_is_refused(initialise, gate, said):
     with pytest.raises(UsageError, match=said):
         calibrated(rig, initialise, gate)
     assert rig.written == []
-
-
-@pytest.mark.slow
-def test_a_gate_that_is_too_narrow_is_named():
-    narrow = GateConfig(displacement_min=-0.06, displacement_max=0.004)
-    with pytest.raises(CalibrationRefused, match=r"tendon a: .*slave.gate.displacement_max"):
-        calibrated(rig_config(joint()), gate=narrow, rate_hz=RATE)
 
 
 # Several joints.
@@ -335,14 +320,6 @@ def test_joints_are_done_one_after_another_while_the_others_hold():
     second = record.phase[:, 0] == Phase.DONE
     assert np.ptp(record.travel[second][:, [0, 1]], axis=0).max() < 1e-4
     assert [len(stops) for stops in record.stops] == [2, 2]
-
-
-@pytest.mark.slow
-def test_together_they_take_as_long_as_one():
-    one = calibrated(rig_config(SHORT), rate_hz=RATE).record.time
-    both = calibrated(rig_config(SHORT, SHORT), rate_hz=RATE, together=True).record
-    assert both.time[-1] < 1.1 * one[-1]
-    assert [len(stops) for stops in both.stops] == [2, 2]
 
 
 def test_one_that_is_refused_ends_the_others_too():

@@ -112,12 +112,3 @@ def test_an_infinite_interval_is_of_the_joints_that_the_tendon_moves():
     degraded_mode.widen_intervals(layout, mode, tendons, joints)
     assert joints["high"].tolist() == [np.inf, 1.0]
     assert joints["low"].tolist() == [-np.inf, 1.0]
-
-
-@pytest.mark.parametrize(
-    ("settings", "named"),
-    [({"degraded_force": 0.95}, "degraded_force"), ({"degraded_speed": 0.0}, "degraded_speed")],
-)
-def test_limits_that_are_none_are_refused(settings, named):
-    with pytest.raises(ValueError, match=named):
-        MonitorConfig(**settings)

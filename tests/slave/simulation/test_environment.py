@@ -110,28 +110,3 @@ def test_a_profile_runs_straight_between_its_points_and_stays_or_repeats():
     assert [force(brief, 0.0, time=t) for t in (1.9, 2.0, 2.4, 2.5)] == pytest.approx(
         [0, 4, 2.8, 0]
     )
-
-
-def test_a_load_motor_under_position_control_drives_through_its_stiffness():
-    motor = LoadMotorConfig(mode="position", profile=((0.0, 0.002),), stiffness=5000.0)
-    assert force(motor, 0.003) == pytest.approx(5.0)
-    assert force(motor, 0.001) == pytest.approx(-5.0)
-
-
-@pytest.mark.parametrize(
-    ("make", "message"),
-    [
-        (lambda: WallConfig(stiffness=-1.0), "^stiffness: "),
-        (lambda: WallConfig(position=2.0), "^position: "),
-        (lambda: WallConfig(damping=math.nan), "^damping: "),
-        (lambda: TissueConfig(exponent=0.5), "^exponent: "),
-        (lambda: TissueConfig(dissipation=-1.0), "^dissipation: "),
-        (lambda: LoadMotorConfig(profile=()), "^profile: "),
-        (lambda: LoadMotorConfig(profile=((1.0, 0.0), (1.0, 1.0))), "^profile: times"),
-        (lambda: LoadMotorConfig(profile=((0.0, math.nan),)), "^profile: values"),
-        (lambda: LoadMotorConfig(coupled=(2.0, 1.0)), "^coupled: "),
-    ],
-)
-def test_an_environment_that_cannot_be_is_refused(make, message):
-    with pytest.raises(ValueError, match=message):
-        make()

@@ -210,21 +210,3 @@ def test_joints_in_a_rig_are_the_joints_alone():
         for i, joint in enumerate(joints):
             alone[i] = advance_joint(joint, alone[i], targets[i], 1, 1e-3)
             assert np.allclose(seen[:, i], compute_truth(joint, alone[i]), rtol=1e-12, atol=1e-15)
-
-
-@pytest.mark.parametrize(
-    "wrong",
-    [
-        {"mass": -1.0},
-        {"damping": math.inf},
-        {"friction": math.nan},
-        {"spring": 1e9},
-        {"stops": (0.0, 0.01)},
-        {"stops": (-0.01, 5.0)},
-        {"backlash": -1e-4},
-    ],
-)
-def test_a_body_that_cannot_be_is_refused(wrong):
-    (name,) = wrong
-    with pytest.raises(ValueError, match=f"^{name}: must be"):
-        BodyConfig(**wrong)

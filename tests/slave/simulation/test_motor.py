@@ -93,12 +93,3 @@ def test_backlash_shows_only_where_nothing_pulls():
     free = falling & (lag[1:] < 0.05 * 0.010 * (1 - 1e-9))
     assert free.any()
     assert np.all(np.diff(pulley)[free] == 0.0)  # it stays while the gear crosses its play
-
-
-@pytest.mark.parametrize(
-    "wrong", [{"gear": 0.0}, {"efficiency": 1.5}, {"bandwidth": math.nan}, {"backlash": -1.0}]
-)
-def test_a_motor_that_cannot_be_is_refused(wrong):
-    (name,) = wrong
-    with pytest.raises(ValueError, match=f"^{name}: must be"):
-        MotorConfig(**wrong)
