@@ -12,8 +12,6 @@ import yaml
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from master.config import MasterConfig
-from slave.config import SlaveConfig
 from teleop.config.loading import SESSION_KEYS, ConfigDocument, as_tree, load
 from teleop.config.overrides import Override
 from teleop.config.ranges import MAY_BE_INFINITE
@@ -232,18 +230,6 @@ def test_a_file_that_is_no_config_is_refused_in_one_line(
     assert says in line
 
 
-def test_a_missing_file_and_a_folder_are_refused(tmp_path: Path) -> None:
-    for path in (tmp_path / "none.yaml", tmp_path):
-        with pytest.raises(UsageError, match=re.escape(str(path))):
-            load(path, Everything, "slave")
-
-
-def test_a_byte_order_mark_is_no_part_of_the_first_key(tmp_path: Path) -> None:
-    path = tmp_path / "config.yaml"
-    path.write_bytes(b"\xef\xbb\xbfslave: {tendons: 7}\n")
-    assert load(path, Everything, "slave").tendons == 7
-
-
 @pytest.mark.parametrize(
     ("written", "value"),
     [
@@ -452,26 +438,3 @@ def test_whatever_is_in_the_file_the_outcome_is_a_config_or_one_line(
     except UsageError as error:
         said = str(error)
     assert "\n" not in said
-
-
-@pytest.mark.parametrize(
-    ("config", "section", "override", "said"),
-    [
-        (
-            MasterConfig,
-            "master",
-            "master.device={type: geomagic}",
-            "'geomagic' is unknown (allowed: combined, hid, program, ros, virtual); an arm such as "
-            "a Touch, omega, Falcon or Inverse3: as a ROS node (type ros) or a device of your own",
-        ),
-        (
-            SlaveConfig,
-            "slave",
-            "slave.rig={type: odrive}",
-            "(allowed: hardware, replayed, simulated); other hardware: a rig of your own (docs/how",
-        ),
-    ],
-)
-def test_hardware_without_a_driver_is_told_how_it_gets_one(config, section, override, said):
-    with pytest.raises(UsageError, match=re.escape(said)):
-        load(None, config, section, [override])

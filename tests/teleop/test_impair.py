@@ -1,6 +1,5 @@
 """The proxy between the sides: its decisions as a pure function, and its process on loopback."""
 
-import itertools
 import json
 import math
 import os
@@ -9,7 +8,6 @@ import sys
 import time
 import unittest.mock
 import uuid
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -21,7 +19,7 @@ from teleop.config.loading import load
 from teleop.errors import TeleopError, UsageError
 from teleop.impair import model
 from teleop.impair.config import DirectionConfig, ImpairConfig
-from teleop.impair.direction import CAPACITY_BYTES, ENTRY_BYTES, DelayQueue, Direction
+from teleop.impair.direction import ENTRY_BYTES, DelayQueue, Direction
 from teleop.impair.model import DeliveryFlags, StreamState
 from teleop.launch.config import SessionConfig
 from teleop.launch.supervisor import wait_for_condition
@@ -192,16 +190,10 @@ def test_reliable_topics_are_late_but_whole_unless_asked_otherwise():
 @pytest.mark.parametrize(
     ("field", "value"),
     [
-        *itertools.product(["loss", "burst_loss", "reorder", "duplicate", "corrupt"], [-0.1, 1.1]),
-        ("delay", -1.0),
-        ("jitter", 0.1),
+        ("jitter", 0.1),  # of a delay of 0
         ("jitter_time", 1e-300),
         ("burst_loss", 0.99),
-        ("burst_length", 0.5),
-        ("burst_depth", 0.0),
-        ("reorder_by", -1.0),
         ("cuts", ((2.0, 1.0),)),
-        ("cut_period", 0.0),
     ],
 )
 def test_what_no_network_does_is_refused(field, value):
@@ -262,23 +254,6 @@ def test_a_full_delay_queue_refuses_the_newest_and_keeps_the_order_of_the_others
     assert [data[0] for data in out] == [number for _, number in sorted(accepted)]
     if late:  # what was handed over has made room
         assert all(queue.send(now, out.append, b"") for _ in range(room))
-
-
-def test_memory_stays_flat_when_the_delay_queue_is_filled_again_and_again():
-    """Resident memory, of a sixteenth of the largest backlog: 4 MB of messages, 20 times."""
-    queue, out, sizes, refused = DelayQueue(CAPACITY_BYTES // 16), [], [], 0
-    for _ in range(20):
-        out.clear()
-        begin = time.monotonic_ns() - 10**9
-        for k in range(7_000):
-            refused += not queue.send(begin + k % 977, out.append, bytes(324 + 168 * (k % 2)))
-        queue.send_due()
-        assert not len(queue)
-        assert len(out) + refused // (_ + 1) == 7_000
-        status = Path("/proc/self/status").read_text()
-        sizes.append(int(status.split("VmRSS:")[1].split()[0]) * 1024)
-    assert refused > 0
-    assert max(sizes) - sizes[0] < 1_000_000
 
 
 def test_what_a_full_queue_refuses_is_counted_by_topic():

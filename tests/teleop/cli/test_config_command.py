@@ -26,6 +26,7 @@ REQUIRED = {  # a value for each key without a default
     "id": 1,
     "motors": {"type": "microcontroller", "port": "x"},
 }
+ALSO = {"elongation_error": {"effective_friction": 0.5}}  # what a key needs beside it
 REQUIRED["motor"] = {k: REQUIRED[k] for k in ("id", "pulley_radius", "counts_per_turn")}
 REQUIRED["cell"] = {k: REQUIRED[k] for k in ("id", "scale")}
 REQUIRED["tendons"] = [{k: REQUIRED[k] for k in ("motor", "cell")}]
@@ -152,24 +153,27 @@ def test_every_key_has_a_meaning_and_every_link_its_section():
     assert set(re.findall(r"\]\(#([^)]+)\)", text)) <= set(page)
 
 
-def test_a_stated_range_is_the_one_that_is_enforced():
-    config = ConfigDocument().load(SessionConfig)
-    checked = 0
-    for each in show.list_values(ConfigDocument(), config):
-        allowed = re.sub(r"(?<=\d) (?=\d{3})", "", each.key.allowed)
-        stated = re.match(r"(-?[\d.e+-]+) to (-?[\d.e+-]+)(?: |,|$)", allowed)
-        if stated is None or isinstance(each.value, tuple | str):
-            continue
-        low, high = map(float, stated.groups())
-        whole = "integer" in each.key.type
-        step = 1 if whole else 1e-3 * (high - low)
-        for beyond in (low - step, high + step):
-            value = int(beyond) if whole else beyond
-            override = Override.of(".".join(each.keys), value)
-            with pytest.raises(UsageError, match=re.escape(each.key.name)):
-                ConfigDocument(overrides=(override,)).load(SessionConfig)
-        checked += 1
-    assert checked > 100
+def test_a_stated_range_is_the_one_that_is_enforced_everywhere():
+    checked = set()
+    for section, build_tree in list_places(reference.Section("", (), SessionConfig), []):
+        for key in keys.describe_keys(section.config):
+            allowed = re.sub(r"(?<=\d) (?=\d{3})", "", key.allowed)
+            number = r"(-?\d[\d.e+-]*)"
+            stated = re.match(rf"(?:above )?{number} (?:to|and at most) {number}(?: |,|$)", allowed)
+            is_new = (section.config, key.name) not in checked
+            if stated is None or key.type not in ("number", "integer") or not is_new:
+                continue
+            low, high = map(float, stated.groups())
+            is_whole = key.type == "integer"
+            step = 1 if is_whole else 1e-3 * (high - low)
+            for beyond in (low - step, high + step, *[low] * allowed.startswith("above")):
+                value = int(beyond) if is_whole else beyond
+                tree = build_tree(ALSO.get(key.name, {}) | {key.name: value})
+                overrides = tuple(Override.of(top, inner) for top, inner in tree.items())
+                with pytest.raises(UsageError, match=rf"{key.name}.*(must be|allowed)"):
+                    ConfigDocument(overrides=overrides).load(SessionConfig)
+            checked.add((section.config, key.name))
+    assert len(checked) > 250
 
 
 EXTENSION = '''
