@@ -481,15 +481,6 @@ def recorded(folder, config_text="", overrides=()):
         return writer.path
 
 
-def test_an_override_of_several_lines_comes_back_as_one(tmp_path) -> None:
-    overrides = ("slave.rig={\n  type: simulated,\n  name: Ä\u2028\n}", "rate_hz=500", "a='[1]'")
-    path = recorded(tmp_path, "rate_hz: 100\n", overrides)
-    assert read_recorded_config(path) == ("rate_hz: 100\n", overrides, {})
-    stated = ConfigDocument.read(path).tree
-    assert stated["slave"]["rig"]["type"] == "simulated"
-    assert stated["rate_hz"] == 500
-
-
 def test_an_arm_of_a_recording_needs_no_file_beside_it(tmp_path, capsys) -> None:
     """Neither the config nor the URDF that it names, relative to its folder."""
     for name in ("notes-arm.yaml", "notes-arm.urdf"):

@@ -21,7 +21,6 @@ from teleop.messages.messages import (
 from teleop.messages.topics import (
     COMMAND,
     EVENT,
-    HAND,
     LEDGER,
     PROFILE,
     REPORT,
@@ -174,16 +173,11 @@ def test_the_loop_is_drawn_piece_by_piece_in_the_colour_of_its_phase(session, sa
     ("entity", "topic", "value"),
     [
         ("/tension/tendon_0/in", TENDONS, lambda m: m.proximal_tension[0]),
-        ("/tension/tendon_1/out", TENDONS, lambda m: m.distal_tension[1]),
         ("/tension/tendon_0/out_true", TENDONS, lambda m: m.bench_distal_tension[0]),
-        ("/elongation/tendon_0", TENDONS, lambda m: m.elongation[0] * 1e3),
         ("/force/joint_0/tip", STATE, lambda m: m.force[0]),
-        ("/position/joint_0/tip", STATE, lambda m: m.position[0] * 1e3),
-        ("/hand/joint_0/force", HAND, lambda m: m.force[0]),
         ("/position/joint_0/asked", COMMAND, lambda m: m.position[0] * 1e3),
         ("/energy/slave/joint_0/dissipated", LEDGER, lambda m: m.dissipated[0] * 1e3),
         ("/latency/slave/late", REPORT, lambda m: m.lateness_max_ns / 1e6),
-        ("/loss/slave/lost", REPORT, lambda m: m.lost),
     ],
 )
 def test_curves_hold_the_values_that_were_sent(session, saved, entity, topic, value):

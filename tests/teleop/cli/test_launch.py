@@ -42,7 +42,6 @@ from teleop.session.summary import (
     RigSummary,
     SessionSummary,
     find_fault,
-    format_force_error,
     format_summary,
     read_child_summary,
 )
@@ -173,14 +172,6 @@ def test_a_session_that_was_never_usable_or_ended_in_a_fault_is_told_from_a_good
     assert find_fault([loop(**broken), master(**afar)]) == f"a fault of the slave {said}"
     assert find_fault([loop(**afar), master(**broken)]) == f"a fault of the master {said}"
     assert Reason.PEER_FAULT.text in find_fault([loop(), master(**afar)])
-
-
-def test_of_a_tip_that_nothing_pulled_there_is_no_percentage():
-    line = format_force_error(FORCE_ERROR)
-    assert "nothing was pulled: largest true force 1.1 N" in line
-    assert "max 0.600 N" in line
-    assert "55" not in line
-    assert "max 0.600 N (55.0 %) of 1.1 N" in format_force_error(FORCE_ERROR | {"pulled": True})
 
 
 def test_a_killed_side_is_named_and_one_that_never_ran_is_not():
