@@ -1,6 +1,5 @@
 """The panel: large letters, the state of a session, the force with its limit, the link."""
 
-import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -138,17 +137,6 @@ def test_the_banner_follows_the_state_and_says_when_nothing_comes(drawn):
     states = [STATES[name] for name in ("ready", "engaged", "no data")]
     assert [values[0] for _, values in sorted(colours.items())] == states
     assert sorted(colours) == [T0, T0 + 500_000_000, T0 + 990_000_000 + 2_000_000_000]
-
-
-def test_the_whole_banner_is_repeated_while_nothing_changes(tmp_path):
-    """For pages opened later: the server drops the oldest data."""
-    stamps = [T0 + k * 250_000_000 for k in range(40)]
-    engaged = [block(stamp, master(State.ENGAGED), slave(State.ENGAGED)) for stamp in stamps]
-    entities = draw(tmp_path / "panel.rrd", *engaged)
-    for part in ("area", "state"):
-        drawn = entities[f"/panel/banner/{part}"]["LineStrips2D:strips"]
-        assert np.diff(sorted([*drawn, stamps[-1]])).max() <= 2_250_000_000
-        assert all(drawn.values())
 
 
 def empty(drawn, part):

@@ -169,9 +169,7 @@ def pair(tmp_path_factory):
     ("words", "tendon", "bend"),
     [
         ([], "1a", 0.225),
-        (["--tendon", "1a"], "1a", 0.225),
         (["--tendon", "1b"], "1b", 0.45),
-        (["--tendon", "2"], "1b", 0.45),
     ],
 )
 def test_of_several_tendons_one_is_estimated_and_named(pair, words, tendon, bend, tmp_path, capsys):

@@ -158,17 +158,6 @@ def test_a_written_table_says_the_same(recording, tmp_path, monkeypatch, capsys,
     assert [path.name for path in tmp_path.iterdir()] == [out.name]
 
 
-def test_pandas_and_polars_read_a_written_table(recording, tmp_path):
-    pandas, polars = pytest.importorskip("pandas"), pytest.importorskip("polars")
-    out = tmp_path / "run.parquet"
-    assert commands.main(["recordings", "to-table", str(recording), "--out", str(out)]) == 0
-    table, frame, other = read_table(recording), pandas.read_parquet(out), polars.read_parquet(out)
-    assert isinstance(frame.slave_state.dtype, pandas.CategoricalDtype)
-    assert list(frame) == other.columns == list(table)
-    np.testing.assert_array_equal(frame.force_0_N, table["force_0_N"])
-    np.testing.assert_array_equal(other["force_0_N"], table["force_0_N"])
-
-
 def test_measured_data_are_a_table_too(tmp_path):
     path = tmp_path / "bench.csv"
     path.write_text("time_s,proximal_tension_N,note\n5,1,a\n6,2,\n7,3,c\n")

@@ -172,20 +172,6 @@ def collect_transforms(heard, store):
     }
 
 
-def test_the_tip_of_an_arm_is_told_where_its_links_have_it(heard, store):
-    """A section bent by 0.5 rad towards x, of a tenth of a metre."""
-    pose = last(heard, store, "/lab/slave/measured_cp")
-    assert pose.header.frame_id == "lab/base"
-    place = pose.pose.position
-    arc = 0.1 / 0.5 * np.array([1.0 - np.cos(0.5), 0.0, np.sin(0.5)])
-    np.testing.assert_allclose((place.x, place.y, place.z), arc, atol=1e-12)
-    bend = collect_transforms(heard, store)["lab/bend"]
-    assert bend.header.frame_id == "lab/base"
-    assert bend.transform.translation.x == place.x
-    force = last(heard, store, "/lab/slave/measured_cf")
-    assert force.header.frame_id == "lab/tip"
-
-
 def test_the_ends_of_a_sheath_are_frames(heard, store):
     transforms = collect_transforms(heard, store)
     assert set(transforms) == {

@@ -18,10 +18,6 @@ def shown(stream):
     return stream.getvalue()
 
 
-def test_each_stage_is_a_line_where_nobody_watches():
-    assert shown(io.StringIO()) == "fitting ...\ntrying ...\n"
-
-
 def test_on_a_terminal_it_is_one_line_that_is_gone_at_the_end():
     text = shown(Terminal())
     assert "\n" not in text
