@@ -126,7 +126,7 @@ class BroydenJacobian:
         self._evaluated: tuple[bytes, Array] = (b"", np.empty(0))
         self._x, self._r, self._J = np.empty(0), np.empty(0), np.empty((0, 0))
 
-    def residual(self, x: Array) -> Array:
+    def compute_residual(self, x: Array) -> Array:
         """Return the residual at `x`."""
         r = self._evaluate(x)
         self._evaluated = (x.tobytes(), r)

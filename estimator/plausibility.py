@@ -126,7 +126,7 @@ def suggest_sign(channel: str, units: Units) -> str:
     effort = "torque" if units.rotary else "force" if units.signed else "tension"
     name = channel.replace("tension", effort)
     name = name.replace("displacement", "angle") if units.rotary else name
-    unit = units.of(channel).replace(" ", "")
+    unit = units.get_unit(channel).replace(" ", "")
     return f"change its sign, --column '{name}=COLUMN[-1 {unit}]'"
 
 

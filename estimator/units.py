@@ -28,17 +28,17 @@ class Units(NamedTuple):
         """Whether effort is a torque and travel an angle."""
         return self.travel == "rad"
 
-    def of(self, channel: str) -> str:
+    def get_unit(self, channel: str) -> str:
         """Return the unit of a channel, such as `proximal_tension`."""
         return self.travel if channel.endswith("displacement") else self.effort
 
-    def word(self, channel: str) -> str:
+    def name_channel(self, channel: str) -> str:
         """Return what a channel is called: "torque at the housing"."""
         end, _, quantity = channel.partition("_")
         words = _WORDS[(self.rotary, self.signed)]
         return f"{words[quantity == 'displacement']} at the {_ENDS[end]}"
 
-    def name(self, unit: str) -> str:
+    def name_unit(self, unit: str) -> str:
         """Return what a unit of newtons and metres is in the record: "m/N" is "rad/(N m)"."""
         if not self.rotary:
             return unit

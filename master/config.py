@@ -42,11 +42,11 @@ class MasterConfig:
 
     def check_rate(self, rate_hz: float) -> None:
         """Check the settings against the link's rate [Hz]; raises `UsageError`."""
-        self.commands_every(rate_hz)
+        self.count_ticks_per_command(rate_hz)
         require_periods("master.state_timeout", self.state_timeout, rate_hz)
         require_periods("master.delay_max", self.delay_max, rate_hz)
 
-    def commands_every(self, rate_hz: float) -> int:
+    def count_ticks_per_command(self, rate_hz: float) -> int:
         """Return the number of device ticks per command on the link.
 
         Parameters

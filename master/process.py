@@ -475,7 +475,7 @@ def main(args: argparse.Namespace) -> int:
             print(warning, flush=True)
         device = open_device(config.device)
         stack.callback(device.close)
-        commands_every = config.commands_every(shared.rate_hz)
+        commands_every = config.count_ticks_per_command(shared.rate_hz)
         grid = Grid(shared.rate_hz * commands_every, stop)
         master = MasterProcess(
             config,

@@ -181,7 +181,7 @@ class SlaveProcess(LoopProcess):
 
     def summary(self) -> LoopSummary:
         """Return the figures of the run."""
-        force_error = cast("ForceError | None", self._score.summary())
+        force_error = cast("ForceError | None", self._score.summarise())
         rig = RigSummary(force_error, self._rig.summary(), self._telemetry.describe_friction())
         return replace(super().summary(), rig=rig)
 

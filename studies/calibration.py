@@ -156,7 +156,7 @@ def main() -> None:
             print(f"refused {name}: {error}")
             continue
         truth = simulate_motion(sheath)
-        ours = compute_errors(result.sheath(sheath.length), truth)
+        ours = compute_errors(result.build_sheath(sheath.length), truth)
         paper = compute_errors(fit_by_paper(result, sheath), truth)
         rows.append(Row(name, result.K.value - sheath.K, result.K.uncertainty, *ours, *paper))
     table = np.abs(np.array([row[1:] for row in rows]))

@@ -273,9 +273,9 @@ class Calibration:
     uniform: bool
     agree: bool
 
-    def sheath(self, length: float, friction: float = 0.1) -> Sheath:
-        """Return the sheath as a model, `length` [m] long; see `Pattern.sheath`."""
-        return self.pattern.sheath(length, friction)
+    def build_sheath(self, length: float, friction: float = 0.1) -> Sheath:
+        """Return the sheath as a model, `length` [m] long; see `Pattern.build_sheath`."""
+        return self.pattern.build_sheath(length, friction)
 
 
 def calibrate(
@@ -328,7 +328,7 @@ def calibrate(
     _require_identifiable(loop, search, tolerance)
     M_pull = fit_pull_slope(loop, largest)
     M_rel = fit_release_slope(loop, largest) or MeasuredValue(
-        pattern.slope(1.0), K.uncertainty * pattern.slope(1.0)
+        pattern.compute_slope(1.0), K.uncertainty * pattern.compute_slope(1.0)
     )
     K_loop = _compute_loop_friction(M_pull, M_rel)
     M_e = _compute_elongation_constant(loop)

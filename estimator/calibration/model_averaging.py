@@ -109,5 +109,5 @@ def _compute_weighted_median(
     return ModelAverage(
         MeasuredValue(float(K[middle]), u_K),
         MeasuredValue(float(compliance[middle]), spread),
-        rivals[middle].pattern.ending(float(K[middle])),
+        rivals[middle].pattern.adjust_friction(float(K[middle])),
     )

@@ -67,7 +67,7 @@ class Pattern:
         """L/EA [m/N]."""
         return math.fsum((*self.spread, *self.straight))
 
-    def slope(self, sign: float) -> float:
+    def compute_slope(self, sign: float) -> float:
         """Return ∫ e^(sign s) dC [m/N]: M_pull for -1, M_rel for +1 (T4)."""
         begin = (0.0, *self.ends)
         total = math.fsum(c * math.exp(sign * s) for c, s in zip(self.straight, begin, strict=True))
@@ -75,7 +75,7 @@ class Pattern:
             total += c * math.exp(sign * a) * math.expm1(sign * (b - a)) / (sign * (b - a))
         return total
 
-    def ending(self, K: float) -> "Pattern":
+    def adjust_friction(self, K: float) -> "Pattern":
         """Return the pattern with more or less friction in its last bend, or else in all of them.
 
         Its compliances stay: the loop has shown them, and hardly how far the last bend goes.
@@ -89,7 +89,7 @@ class Pattern:
         """Return the pattern of the first `count` intervals."""
         return Pattern(self.ends[:count], self.spread[:count], self.straight[: count + 1])
 
-    def sheath(self, length: float, friction: float = 0.1) -> Sheath:
+    def build_sheath(self, length: float, friction: float = 0.1) -> Sheath:
         """Return a sheath of that pattern, `length` [m] long, motor first.
 
         Neither EA nor mu shows at the housing, only L/EA and mu times angle: EA follows from
@@ -169,7 +169,7 @@ class PlayOperators:
         self._integral = np.zeros_like(self._T)
         np.cumsum(np.diff(self._T, axis=0) / rise * _NODE_SPACING, axis=0, out=self._integral[1:])
 
-    def columns(self, shape: Shape) -> Array:
+    def compute_columns(self, shape: Shape) -> Array:
         """Return travel per compliance [N] of intervals, then of straight stretches."""
         begin = np.concatenate([[0.0], shape.ends])
         position = np.clip(begin / _NODE_SPACING, 0.0, len(self._s) - 1.001)
@@ -186,7 +186,7 @@ class PlayOperators:
         at = T_a * (1 - f) + T_b * f
         return np.asarray(np.vstack([spread, at[shape.straight]]).T)
 
-    def slopes(self, pattern: Pattern) -> Array:
+    def compute_slopes(self, pattern: Pattern) -> Array:
         """Return de/dT_in of each average [m/N] (T7)."""
         signs = np.concatenate(
             [np.full(len(b.T), -1.0 if b.pull else 1.0) for b in self._loop.branches]
@@ -201,7 +201,7 @@ class PlayOperators:
             density @ np.diff(running[k], axis=0) + np.array(pattern.straight) @ gain[k]
         )
 
-    def free(self, step: float) -> Array:
+    def compute_free_columns(self, step: float) -> Array:
         """Return travel per compliance [N] of straight stretches every `step` of s."""
         return np.asarray(self._T[:: round(step / _NODE_SPACING)].T)
 
@@ -242,11 +242,11 @@ class PatternLeastSquares:
 
     def weigh(self, pattern: Pattern) -> None:
         """Weigh by the slopes of `pattern`, which make tension noise a residual of travel."""
-        self._set_weights(self._play.slopes(pattern))
+        self._set_weights(self._play.compute_slopes(pattern))
 
-    def free_chi2(self, step: float) -> float:
+    def compute_free_chi2(self, step: float) -> float:
         """Return chi² of the best pattern of any shape: what no shape can do better than."""
-        residual, _ = self._solve(self._play.free(step))
+        residual, _ = self._solve(self._play.compute_free_columns(step))
         return float(residual @ residual)
 
     def fit(self, shape: Shape, evaluations: int = 25, *, hold_last: bool = False) -> PatternFit:
@@ -259,7 +259,7 @@ class PatternLeastSquares:
             return _from_logs(np.concatenate([x, fixed_logs]))
 
         def residual(x: Array) -> Array:
-            return self._solve(self._play.columns(shape._replace(ends=ends(x))))[0]
+            return self._solve(self._play.compute_columns(shape._replace(ends=ends(x))))[0]
 
         solution = minimise_squares(
             residual,
@@ -272,7 +272,7 @@ class PatternLeastSquares:
             ftol=1e-5,
             max_nfev=evaluations,
         )
-        return self._fitted(shape._replace(ends=ends(solution.values)))
+        return self._fit_shape(shape._replace(ends=ends(solution.values)))
 
     def refine(self, fit: PatternFit) -> tuple[PatternFit, Uncertainty]:
         """Move the turning tensions and the zero too; return the fit and what noise leaves open."""
@@ -280,7 +280,9 @@ class PatternLeastSquares:
 
         def solve(x: Array) -> tuple[Array, Array]:
             self._play = PlayOperators(self._loop, np.exp(x[n:-1]), float(x[-1]))
-            return self._solve(self._play.columns(fit.shape._replace(ends=_from_logs(x[:n]))))
+            return self._solve(
+                self._play.compute_columns(fit.shape._replace(ends=_from_logs(x[:n])))
+            )
 
         def residual(x: Array) -> Array:
             return np.append(solve(x)[0], x[-1] / self._zero_uncertainty)
@@ -306,24 +308,26 @@ class PatternLeastSquares:
         K_by[:n] = np.exp(best[:n])  # K is the sum of the intervals
         C_by = compute_central_differences(lambda x: solve(x)[1].sum(keepdims=True), best, steps)[0]
         self.state = np.exp(best[n:-1]), float(best[-1])
-        refined = self._fitted(fit.shape._replace(ends=_from_logs(best[:n])))
-        linear = self._linear_variance(refined)
+        refined = self._fit_shape(fit.shape._replace(ends=_from_logs(best[:n])))
+        linear = self._compute_linear_variance(refined)
         return refined, Uncertainty(
             math.sqrt(float(K_by @ covariance @ K_by)),
             math.sqrt(float(C_by @ covariance @ C_by) + linear),
             math.sqrt(float(covariance[-1, -1])),
         )
 
-    def tension_residual(self, fit: PatternFit) -> float:
+    def compute_tension_residual(self, fit: PatternFit) -> float:
         """Return the root mean square of the residuals as a tension [N], noise left in."""
-        residual, _ = self._solve(self._play.columns(fit.shape))
+        residual, _ = self._solve(self._play.compute_columns(fit.shape))
         scaled = residual / np.sqrt(self._count)  # in units of the noise of one sample
         return self._loop.sigma * float(np.sqrt(np.average(scaled**2, weights=self._count)))
 
-    def _linear_variance(self, fit: PatternFit) -> float:
+    def _compute_linear_variance(self, fit: PatternFit) -> float:
         """Return the variance of the sum of compliances while the ends stay [m²/N²]."""
         used = np.array([*fit.pattern.spread, *np.array(fit.pattern.straight)[fit.shape.straight]])
-        A = self._centred(self._play.columns(fit.shape) * self._weight[:, None])[:, used > 0.0]
+        A = self._remove_offset(self._play.compute_columns(fit.shape) * self._weight[:, None])[
+            :, used > 0.0
+        ]
         scale = np.linalg.norm(A, axis=0)
         inverse = np.linalg.pinv((A / scale).T @ (A / scale))
         return float((1.0 / scale) @ inverse @ (1.0 / scale))
@@ -334,23 +338,23 @@ class PatternLeastSquares:
             self._loop.step / np.sqrt(self._readings),
         )
         self._mean = self._weight / np.linalg.norm(self._weight)
-        self._target = self._centred(self._q * self._weight)
+        self._target = self._remove_offset(self._q * self._weight)
 
-    def _centred(self, weighted: Array) -> Array:
+    def _remove_offset(self, weighted: Array) -> Array:
         """Return weighted columns without what the offset q_0 takes up."""
         mean = self._mean if weighted.ndim == 1 else self._mean[:, None]
         return np.asarray(weighted - mean * (self._mean @ weighted))
 
     def _solve(self, columns: Array) -> tuple[Array, Array]:
-        A = self._centred(columns * self._weight[:, None])
+        A = self._remove_offset(columns * self._weight[:, None])
         scale = np.maximum(np.linalg.norm(A, axis=0), 1e-300)
         from scipy.optimize import nnls
 
         x, _ = nnls(A / scale, self._target, maxiter=50 * A.shape[1])
         return self._target - (A / scale) @ x, x / scale
 
-    def _fitted(self, shape: Shape) -> PatternFit:
-        residual, x = self._solve(self._play.columns(shape))
+    def _fit_shape(self, shape: Shape) -> PatternFit:
+        residual, x = self._solve(self._play.compute_columns(shape))
         n = len(shape.ends)
         straight = np.zeros(n + 1)
         straight[shape.straight] = x[n:]

@@ -93,7 +93,7 @@ def search_pattern(
         compliance_noise=math.sqrt(scale) * uncertainty.compliance,
         zero=MeasuredValue(fitter.zero, uncertainty.zero * math.sqrt(scale)),
         misfit=misfit,
-        residual=fitter.tension_residual(fit),
+        residual=fitter.compute_tension_residual(fit),
     )
 
 
@@ -152,7 +152,7 @@ def _find_rivals(
 
 def _compute_misfit(fitter: PatternLeastSquares, fit: PatternFit) -> float:
     """Return the least chi² of any pattern, per degree of freedom."""
-    return min(fitter.free_chi2(_FREE_STEP), fit.chi2) / (fitter.n - _FREE_PARAMETERS)
+    return min(fitter.compute_free_chi2(_FREE_STEP), fit.chi2) / (fitter.n - _FREE_PARAMETERS)
 
 
 def _fit_one_interval(fitter: PatternLeastSquares) -> PatternFit:

@@ -167,7 +167,7 @@ def _compute_error(model: TendonModel, data: Samples) -> dict[str, Any] | None:
     estimates, score = Estimator(model).run(data), Score([model])
     columns = (estimates.distal_tension, estimates.low, estimates.high)
     score.add_columns(*columns, cast(Array, data.distal_tension))
-    return score.summary()
+    return score.summarise()
 
 
 def _drop_missing(data: Samples) -> Samples:

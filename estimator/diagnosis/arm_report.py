@@ -169,4 +169,4 @@ def format_arm_summary(diagnosis: ArmDiagnosis) -> str:
             joint = f" of joint {rival.joint + 1}" * (rival.joint >= 0)
             lines.append(f"  these data do not tell it from {rival.kind}{joint}, {names}")
     notes = list_notes(diagnosis)
-    return "\n".join([*lines, *notes, "", build_tendon_table(diagnosis).markdown()])
+    return "\n".join([*lines, *notes, "", build_tendon_table(diagnosis).to_markdown()])

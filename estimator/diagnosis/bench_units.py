@@ -86,7 +86,7 @@ def to_record_units(diagnosis: Diagnosis, scale: BenchScale) -> Diagnosis:
         learned_models=tuple(_unscale_simple_fit(m, scale) for m in diagnosis.learned_models),
         detection_limits={
             name: original._replace(
-                size=original.size * scale.size(original.unit), unit=units.name(original.unit)
+                size=original.size * scale.size(original.unit), unit=units.name_unit(original.unit)
             )
             for name, original in diagnosis.detection_limits.items()
         },
@@ -196,7 +196,7 @@ def _unscale_numbers(diagnosis: Diagnosis, scale: BenchScale) -> dict[str, Fitte
             value=size * number.value,
             low=size * number.low,
             high=size * number.high,
-            unit=diagnosis.units.name(number.unit),
+            unit=diagnosis.units.name_unit(number.unit),
         )
     effects = [pair for pair in diagnosis.extended.model.effects if pair[0].function is None]
     for effect, values in effects if scale.zero else ():

@@ -63,11 +63,13 @@ def describe_curve(curve: Curve, units: Units) -> str:
     last = k + int(above[0]) - 1 if len(above) else len(x) - 1
     word = "more" if value[k] > 0.0 else "less"
     ends = [abs(value[k]) + sign * curve.half_width[k] for sign in (0, -1, 1)]
-    unit = units.name(curve.unit)
+    unit = units.name_unit(curve.unit)
     size, low, high = (
         f"{end:.0%}" if term.is_share else format_quantity(end, unit, 2) for end in ends
     )
-    begin, end = (format_quantity(float(x[i]), units.name(term.unit), 3) for i in (first, last))
+    begin, end = (
+        format_quantity(float(x[i]), units.name_unit(term.unit), 3) for i in (first, last)
+    )
     place = f"between {begin} and {end}"
     if curve.period:
         place += f" of a period of {format_quantity(curve.period, 's', 4)}"

@@ -220,7 +220,7 @@ def simulate_record(
         Simulate some of the samples only.
     """
     values = base.values(shared, own)
-    effects = [pair for pair in effects if pair[0].acts_in(context)]
+    effects = [pair for pair in effects if pair[0].is_active_in(context)]
     physics = build_plain_physics(record, base, values)
     for effect, numbers in effects:
         physics = effect.physics(physics, numbers, context)

@@ -81,7 +81,7 @@ def draw_curve(curve: Curve, units: Units) -> Figure:
     def scale(unit: str, *, share: bool = False) -> tuple[float, str]:
         if share:
             return 100.0, "%"
-        name = units.name(unit)
+        name = units.name_unit(unit)
         return (1e3, f"m{name}") if name.startswith("m") else (1.0, name)
 
     (x_scale, x_unit), (y_scale, y_unit) = scale(term.unit), scale(curve.unit, share=term.is_share)
@@ -156,7 +156,7 @@ def draw_record_over_time(
         dashes, dots = (0, (4, 2)), (0, (1, 1))
         upper.plot(time[keep], base_signal[keep], color=VERMILION, linestyle=dashes, label="before")
         upper.plot(time[keep], extended_signal[keep], color=BLUE, linestyle=dots, label="after")
-        upper.set(ylabel=f"[{unit}]", title=record.units.word(channel))
+        upper.set(ylabel=f"[{unit}]", title=record.units.name_channel(channel))
         valid = keep[record.valid[channel][keep]]
         lower.plot(time[valid], (measured - base_signal)[valid], color=VERMILION, linewidth=0.8)
         lower.plot(time[valid], (measured - extended_signal)[valid], color=BLUE, linewidth=0.8)
@@ -195,9 +195,9 @@ def draw_loop(diagnosis: Diagnosis, k: int) -> Figure:
             linewidth=1.0,
             label="simulated",
         )
-        axes.set(xlabel=f"{diagnosis.units.word(abscissa)} [{x_unit}]", title=title)
+        axes.set(xlabel=f"{diagnosis.units.name_channel(abscissa)} [{x_unit}]", title=title)
         axes.legend(loc="lower right")
-    pair[0].set_ylabel(f"{diagnosis.units.word(ordinate)} [{y_unit}]")
+    pair[0].set_ylabel(f"{diagnosis.units.name_channel(ordinate)} [{y_unit}]")
     return figure
 
 
@@ -232,7 +232,7 @@ def draw_residual_dependence(diagnosis: Diagnosis) -> Figure:
             if channel == channels[-1]:
                 axes.set_xlabel(label)
         unit = _scale_for_display(diagnosis.units, channel, np.zeros(1))[2]
-        row[0].set_ylabel(f"{diagnosis.units.word(channel)},\nresidual [{unit}]")
+        row[0].set_ylabel(f"{diagnosis.units.name_channel(channel)},\nresidual [{unit}]")
     figure.legend(
         [Line2D([], [], color=VERMILION), Line2D([], [], color=BLUE)],
         ["before", "after"],
@@ -286,7 +286,7 @@ def _collect_channel(
 
 def _scale_for_display(units: Units, channel: str, signal: Array) -> tuple[Array, float, str]:
     """Return a signal scaled for drawing, the factor, and its unit."""
-    unit = units.of(channel)
+    unit = units.get_unit(channel)
     factor, display_unit = (1e3, "mm") if unit == "m" else (1.0, unit)
     return factor * signal, factor, display_unit
 
@@ -307,7 +307,7 @@ def _collect_variables(diagnosis: Diagnosis, channel: str) -> dict[str, Array]:
     _, effort, unit = _scale_for_display(units, PROXIMAL_TENSION, np.zeros(1))
     _, factor, drive = _scale_for_display(units, records[0].driver, np.zeros(1))
     columns = {
-        f"{units.word(PROXIMAL_TENSION)} [{unit}]": [
+        f"{units.name_channel(PROXIMAL_TENSION)} [{unit}]": [
             effort * r.signals[PROXIMAL_TENSION] for r in records
         ],
         f"speed [{drive}/s]": [factor * r.speed for r in records],

@@ -280,7 +280,7 @@ class _Search:
 
         derivatives = BroydenJacobian(evaluate, DIFFERENCE_STEP, high[is_free], jacobian)
         solution = minimise_squares(
-            derivatives.residual,
+            derivatives.compute_residual,
             x_start[is_free],
             low[is_free],
             high[is_free],

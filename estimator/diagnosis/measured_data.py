@@ -303,7 +303,7 @@ def prepare_record(
     if loop and PROXIMAL_DISPLACEMENT not in signals:
         raise RecordError(
             f"effort changes its sign, as in a closed loop of two cables: "
-            f"the {units.word(PROXIMAL_DISPLACEMENT)} is needed, which drives the loop"
+            f"the {units.name_channel(PROXIMAL_DISPLACEMENT)} is needed, which drives the loop"
         )
     for name in (PROXIMAL_TENSION, DISTAL_TENSION):
         if loop or name not in signals:
@@ -311,7 +311,8 @@ def prepare_record(
         effort = drop_missing(signals[name])
         if -effort.min() > effort.max():
             raise RecordError(
-                f"{units.word(name)}: negative where the tendon pulls; {suggest_sign(name, units)}"
+                f"{units.name_channel(name)}: negative where the tendon pulls; "
+                f"{suggest_sign(name, units)}"
             )
     noise, stamps = dict(noise), time
     driver = PROXIMAL_DISPLACEMENT if PROXIMAL_DISPLACEMENT in signals else PROXIMAL_TENSION
@@ -489,7 +490,9 @@ def _select_driver_rows(
     time, signals = select_signal_rows(time, signals, has_driver)
     for name, signal in signals.items():
         if (count := len(drop_missing(signal))) < SETTINGS.samples_min:
-            condition = "" if name == driver else f" in rows that have the {units.word(driver)}"
+            condition = (
+                "" if name == driver else f" in rows that have the {units.name_channel(driver)}"
+            )
             raise RecordError(
                 f"{name}: {count} values{condition}, at least {SETTINGS.samples_min} are needed: "
                 "record all channels at the same times, or remove this one"

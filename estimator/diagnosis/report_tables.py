@@ -34,7 +34,7 @@ def build_ranking_table(diagnosis: Diagnosis, ranking: Sequence[RankedCandidate]
     head = (
         "candidate",
         "score",
-        *(f"RMSE, {diagnosis.units.word(channel)}" for channel in channels),
+        *(f"RMSE, {diagnosis.units.name_channel(channel)}" for channel in channels),
         "unexplained",
     )
     return Table(head, tuple(rows))
@@ -82,14 +82,23 @@ def _build_choice_table(
         )
         for score in choice.scores
     ]
-    head = (title, "score", *(f"RMSE, {diagnosis.units.word(channel)}" for channel in channels), "")
+    head = (
+        title,
+        "score",
+        *(f"RMSE, {diagnosis.units.name_channel(channel)}" for channel in channels),
+        "",
+    )
     return Table(head, tuple(rows))
 
 
 def build_gain_table(diagnosis: Diagnosis) -> Table:
     """Return by how much errors fell, of held-out samples if any are."""
     rows = [
-        (diagnosis.units.word(channel), f"{gain.value:.1%}", f"{gain.low:.1%} to {gain.high:.1%}")
+        (
+            diagnosis.units.name_channel(channel),
+            f"{gain.value:.1%}",
+            f"{gain.low:.1%} to {gain.high:.1%}",
+        )
         for channel, gain in diagnosis.gain.items()
     ]
     return Table(
@@ -108,7 +117,7 @@ def build_model_table(diagnosis: Diagnosis) -> Table:
     errors |= {result.name: result.rmse for result in others}
     channels = list(diagnosis.before.held_out)
     rows = [(name, *_format_rmse(diagnosis.units, channels, e)) for name, e in errors.items()]
-    channel_names = (diagnosis.units.word(channel) for channel in channels)
+    channel_names = (diagnosis.units.name_channel(channel) for channel in channels)
     return Table((f"{name_judged_samples(diagnosis)} RMSE of", *channel_names), tuple(rows))
 
 
@@ -116,7 +125,7 @@ def build_simple_gain_table(diagnosis: Diagnosis) -> Table:
     """Return by how much the law is better than the best model that knows no sheath."""
     rows = [
         (
-            diagnosis.units.word(channel),
+            diagnosis.units.name_channel(channel),
             gain.model,
             f"{gain.value:.1%}",
             f"{gain.low:.1%} to {gain.high:.1%}",
@@ -140,7 +149,7 @@ def build_error_table(diagnosis: Diagnosis) -> Table:
                 for model in (diagnosis.before, diagnosis.after)
             ]
             cells = [cell for stage_pair in zip(*pair, strict=True) for cell in stage_pair]
-            rows.append((diagnosis.units.word(channel), samples_name, *cells))
+            rows.append((diagnosis.units.name_channel(channel), samples_name, *cells))
     head = tuple(
         f"{item}, {stage}" for item in ("RMSE", "largest", "mean") for stage in _MODEL_STAGES
     )
@@ -198,7 +207,7 @@ def _format_errors(
     if statistics is None:
         return "", "", ""
     return (
-        format_quantity(statistics.rmse, diagnosis.units.of(channel), 3),
+        format_quantity(statistics.rmse, diagnosis.units.get_unit(channel), 3),
         f"{statistics.largest:.2%}",
         f"{statistics.mean:.2%}",
     )
@@ -224,11 +233,11 @@ def build_prediction_table(records: Sequence[PredictedRecord], names: Sequence[s
             (
                 name,
                 times,
-                units.word(channel),
+                units.name_channel(channel),
                 str(int(prediction.record.valid[channel].sum())),
                 str(prediction.spikes[channel]),
-                format_quantity(before[channel].rmse, units.of(channel), 3),
-                format_quantity(after[channel].rmse, units.of(channel), 3),
+                format_quantity(before[channel].rmse, units.get_unit(channel), 3),
+                format_quantity(after[channel].rmse, units.get_unit(channel), 3),
                 f"{after[channel].mean:.2%}",
                 f"{after[channel].largest:.2%}",
             )
@@ -240,7 +249,9 @@ def build_prediction_table(records: Sequence[PredictedRecord], names: Sequence[s
 
 def _format_rmse(units: Units, channels: Iterable[str], errors: Mapping[str, float]) -> list[str]:
     """Return the error of each channel, empty where there is none."""
-    return [format_quantity(errors.get(channel), units.of(channel), 3) for channel in channels]
+    return [
+        format_quantity(errors.get(channel), units.get_unit(channel), 3) for channel in channels
+    ]
 
 
 def build_force_table(diagnosis: Diagnosis, names: Sequence[str]) -> Table:
@@ -285,14 +296,14 @@ def build_rival_parameter_table(diagnosis: Diagnosis) -> Table:
     for rival in diagnosis.rivals:
         model = rival.fit.model
         values = [
-            f"{name} {format_quantity(value, units.name(parameter.unit))}"
+            f"{name} {format_quantity(value, units.name_unit(parameter.unit))}"
             for name, value, parameter in zip(
                 names, model.shared, diagnosis.dataset.base.shared, strict=True
             )
         ]
         for effect, numbers in model.effects:
             values += [
-                f"{effect.name}.{p.name} {format_quantity(value, units.name(p.unit))}"
+                f"{effect.name}.{p.name} {format_quantity(value, units.name_unit(p.unit))}"
                 for p, value in zip(effect.parameters, numbers, strict=True)
             ]
         rows.append((rival.effect.label, rival.replaces, ", ".join(values)))

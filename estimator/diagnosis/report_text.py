@@ -158,7 +158,7 @@ def format_summary(
         lines.append(f"File {file} is {names[file - 1]}; the others do without it.")
     lines += [f"WARNING: {line}" for line in list_better_models(diagnosis)]
     parts = [format_headline(diagnosis), "\n".join(lines)]
-    parts += [table.markdown() for table in build_tables(diagnosis, files, compared, further)]
+    parts += [table.to_markdown() for table in build_tables(diagnosis, files, compared, further)]
     remains = [*describe_residuals(diagnosis), *compare_with_learned(diagnosis)]
     parts.append("Residuals:\n" + "\n".join(f"- {line}" for line in remains))
     parts.append("Next:\n" + "\n".join(f"- {step}" for step in list_next_steps(diagnosis)))
@@ -211,10 +211,10 @@ def list_better_models(diagnosis: Diagnosis) -> list[str]:
         errors, noise = diagnosis.after.held_out[channel], diagnosis.noise[channel]
         if gain.high < 0.0 and errors.rmse > SETTINGS.noise_ratio * tolerance[channel] * noise:
             simple_model = next(m for m in diagnosis.simple_models if m.name == gain.model)
-            unit = diagnosis.units.of(channel)
+            unit = diagnosis.units.get_unit(channel)
             warnings.append(
-                f"{diagnosis.units.word(channel)}: {gain.model} predicts it better than this "
-                f"model, {format_quantity(simple_model.rmse[channel], unit, 3)} against "
+                f"{diagnosis.units.name_channel(channel)}: {gain.model} predicts it better than "
+                f"this model, {format_quantity(simple_model.rmse[channel], unit, 3)} against "
                 f"{format_quantity(errors.rmse, unit, 3)} "
                 f"{name_judged_samples(diagnosis)} RMSE; {_suggest_remedy(diagnosis, gain.model)}."
             )
@@ -245,7 +245,7 @@ def list_next_steps(diagnosis: Diagnosis) -> list[str]:
         assumed = SETTINGS.assumed_compliance * diagnosis.scale.size("m/N")
         steps.append(
             f"Record the motor's {motor}: without it {', '.join(length_parameters)} "
-            f"hold for an L/EA of {format_quantity(assumed, units.name('m/N'))} only."
+            f"hold for an L/EA of {format_quantity(assumed, units.name_unit('m/N'))} only."
         )
     if diagnosis.verdict is Verdict.UNEXPLAINED and _list_unsure_causes(diagnosis):
         steps.append(
@@ -266,7 +266,7 @@ def list_next_steps(diagnosis: Diagnosis) -> list[str]:
 def list_sample_remarks(diagnosis: Diagnosis, files: Sequence[str]) -> list[str]:
     """Return which samples were excluded, averaged, or are odd."""
     remarks = []
-    names = {channel: diagnosis.units.word(channel) for channel in CHANNELS}
+    names = {channel: diagnosis.units.name_channel(channel) for channel in CHANNELS}
     for file, record in zip(files, diagnosis.dataset.records, strict=True):
         remarks += [
             f"{file}: {issue.samples} {issue.what} "
@@ -285,7 +285,7 @@ def describe_residuals(diagnosis: Diagnosis) -> list[str]:
     """Return what the extended model leaves in each channel, and what that depends on."""
     lines, tolerance = [], compute_tolerance(diagnosis.dataset)
     for channel, errors in diagnosis.after.held_out.items():
-        unit, noise = diagnosis.units.of(channel), diagnosis.noise[channel]
+        unit, noise = diagnosis.units.get_unit(channel), diagnosis.noise[channel]
         dependences = [
             f"{dependence.what} ({dependence.share:.0%} of its variance)"
             for dependence in diagnosis.residual_dependences
@@ -298,7 +298,7 @@ def describe_residuals(diagnosis: Diagnosis) -> list[str]:
         else:
             remark = "it depends on no tension, speed, direction, travel or time"
         lines.append(
-            f"{diagnosis.units.word(channel)}: {format_quantity(errors.rmse, unit, 3)} "
+            f"{diagnosis.units.name_channel(channel)}: {format_quantity(errors.rmse, unit, 3)} "
             f"{name_judged_samples(diagnosis)} RMSE, "
             f"noise is {format_quantity(noise, unit, 2)}; {remark}."
         )
@@ -317,7 +317,7 @@ def compare_with_learned(diagnosis: Diagnosis) -> list[str]:
         if all(float(np.ptp(r.signals[channel])) < 10.0 * noise for r in diagnosis.dataset.records):
             continue  # hardly moves
         learned, law = (
-            format_quantity(rmse, diagnosis.units.of(channel), 3)
+            format_quantity(rmse, diagnosis.units.get_unit(channel), 3)
             for rmse in (
                 min(model.rmse[channel] for model in diagnosis.learned_models),
                 errors.rmse,
@@ -328,8 +328,8 @@ def compare_with_learned(diagnosis: Diagnosis) -> list[str]:
         if gain.low > SETTINGS.learned_gain_min and is_beyond_noise:
             result = f"something is missing ({gain.low:.0%} to {gain.high:.0%} less)"
         lines.append(
-            f"{diagnosis.units.word(channel)}: a learned model leaves {learned}, this law {law}: "
-            f"{result}."
+            f"{diagnosis.units.name_channel(channel)}: a learned model leaves {learned}, "
+            f"this law {law}: {result}."
         )
     return lines
 
@@ -407,7 +407,7 @@ def _describe_gain(diagnosis: Diagnosis) -> str:
     causes = "that" if len(diagnosis.steps) == 1 else "them"
     return (
         f"with {causes} in the model the {name_judged_samples(diagnosis)} error of the "
-        f"{diagnosis.units.word(channel)} falls by {largest_gain.value:.0%} "
+        f"{diagnosis.units.name_channel(channel)} falls by {largest_gain.value:.0%} "
         f"({largest_gain.low:.0%} to {largest_gain.high:.0%}), to "
         f"{_compare_with_simple_model(diagnosis, channel)}"
     )
@@ -424,7 +424,7 @@ def _describe_dependence(diagnosis: Diagnosis) -> str:
         return "residuals depend on none of the tested variables"
     parts = [
         f"{dependence.what} ({dependence.share:.0%} of its variance in the "
-        f"{diagnosis.units.word(dependence.channel)})"
+        f"{diagnosis.units.name_channel(dependence.channel)})"
         for dependence in diagnosis.residual_dependences[:DEPENDENCES_SHOWN]
     ]
     return "residuals depend on " + " and ".join(parts)

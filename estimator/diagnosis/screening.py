@@ -348,7 +348,7 @@ def _reset_shapes_at_bound(model: Model, contexts: Sequence[EffectContext]) -> M
 
 def _select_context(contexts: Sequence[EffectContext], effect: Effect) -> EffectContext:
     """Return what is known of the first record that an effect acts in."""
-    return next(context for context in contexts if effect.acts_in(context))
+    return next(context for context in contexts if effect.is_active_in(context))
 
 
 def _is_at_bound(value: float, parameter: Parameter) -> bool:

@@ -425,7 +425,7 @@ def compute_force_error(model: Model, duration: float, data: MeasuredData) -> Fo
     estimates = Estimator(tendon_model).run(clean)
     score = Score([tendon_model])
     score.add_columns(estimates.distal_tension, estimates.low, estimates.high, reading)
-    summary = score.summary()
+    summary = score.summarise()
     if summary is None:
         return None
     return ForceError(

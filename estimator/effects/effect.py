@@ -71,7 +71,7 @@ class EffectContext(NamedTuple):
         """Largest tension measured at the housing [N]."""
         return float(self.measured[PROXIMAL_TENSION].max())
 
-    def measured_rows(self, channel: str) -> NDArray[np.bool_]:
+    def select_measured(self, channel: str) -> NDArray[np.bool_]:
         """Return which samples of a channel were measured, shape (n,)."""
         return self.present.get(channel, np.ones(len(self.time), dtype=np.bool_))
 
@@ -182,7 +182,7 @@ class Effect:
         """Degrees of freedom of a fit."""
         return len(self.parameters) if self.penalised_degrees is None else self.penalised_degrees
 
-    def acts_in(self, context: EffectContext) -> bool:
+    def is_active_in(self, context: EffectContext) -> bool:
         """Return whether it acts in a record."""
         return self.file in (0, context.file)
 

@@ -161,7 +161,7 @@ def find_largest_deviation(context: EffectContext, width: float) -> float:
     count = max(2, round(width / float(np.median(np.diff(context.time)))))
     peak, begin = 0.0, 0
     for channel, simulated in context.simulated.items():
-        error, rows = context.measured[channel] - simulated, context.measured_rows(channel)
+        error, rows = context.measured[channel] - simulated, context.select_measured(channel)
         error = (error - np.median(error[rows])) / max(float(np.std(error[rows])), 1e-30)
         error[~rows] = 0.0
         cumulative = np.concatenate([[0.0], np.cumsum(error)])

@@ -194,7 +194,7 @@ TIP_CLOCK = Effect(
 
 def _build_limit_starts(channel: str) -> Callable[[EffectContext], Iterable[Values]]:
     def starts(context: EffectContext) -> Iterable[Values]:
-        measured = context.measured[channel][context.measured_rows(channel)]
+        measured = context.measured[channel][context.select_measured(channel)]
         return [(float(np.quantile(measured, 0.995)),), (0.9 * float(measured.max()),)]
 
     return starts
@@ -327,7 +327,7 @@ def _build_regressors(context: EffectContext) -> tuple[Array, Array, Array]:
 
     Of the samples in which T_in was measured.
     """
-    rows = context.measured_rows(PROXIMAL_TENSION)
+    rows = context.select_measured(PROXIMAL_TENSION)
     residual = context.measured[PROXIMAL_TENSION] - context.simulated[PROXIMAL_TENSION]
     T = context.simulated[PROXIMAL_TENSION]
     taut = 0.02 * context.peak < T

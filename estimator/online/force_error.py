@@ -121,7 +121,7 @@ class Score:
         rows = (np.ascontiguousarray(column, dtype=np.float64) for column in columns)
         add_columns(self._all_sums, self._tables, *rows)
 
-    def summary(self) -> dict[str, Any] | None:
+    def summarise(self) -> dict[str, Any] | None:
         """Return RMSE, mean and maximum error [N] and in % of full scale, or None without bench."""
         sums = self._sums
         n = int(sums.samples)

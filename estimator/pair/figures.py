@@ -42,7 +42,7 @@ def draw_friction(study: PairStudy) -> Figure:
     axes.errorbar(bends, values[:, 0], spread, fmt="o", color=BLACK, capsize=3, label="each record")
     line = np.array([0.0, bends.max()])
     model = study.fit.model
-    K = [model.friction_at(float(bend)) for bend in np.radians(line)]
+    K = [model.compute_friction(float(bend)) for bend in np.radians(line)]
     axes.plot(line, K, color=BLUE, label="K0 + mu bend")
     axes.set(xlabel="bend of the sheath [deg]", ylabel="K", ylim=(0.0, None))
     axes.legend(loc="upper left")

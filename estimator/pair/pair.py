@@ -56,7 +56,7 @@ class PairModel(NamedTuple):
     joint_friction: float  # [N] between the tips of the tendons
     neutral: float  # angle [rad] at which the joint pulls at neither tendon
 
-    def friction_at(self, bend: float) -> float:
+    def compute_friction(self, bend: float) -> float:
         """Return K of each tendon at a bend [rad] of the sheath."""
         return self.friction + self.growth * bend
 
@@ -87,7 +87,7 @@ def simulate_by_tensions(model: PairModel, record: PairRecord) -> PairMotion:
 
 def simulate_tendons_by_command(model: PairModel, record: PairRecord) -> tuple[Motion, Motion]:
     """Return what tendons a and b do; the joint's parameters do not matter."""
-    K = model.friction_at(record.bend)
+    K = model.compute_friction(record.bend)
     a = _simulate_by_travel(model, K, record.time, record.command, record.tension_a[0])
     b = _simulate_by_travel(model, K, record.time, -record.command, record.tension_b[0])
     return a, b
@@ -95,7 +95,7 @@ def simulate_tendons_by_command(model: PairModel, record: PairRecord) -> tuple[M
 
 def simulate_tendons_by_tensions(model: PairModel, record: PairRecord) -> tuple[Motion, Motion]:
     """Return what tendons a and b do under the measured tensions."""
-    K = model.friction_at(record.bend)
+    K = model.compute_friction(record.bend)
     a = _simulate_by_tension(model, K, record.time, record.tension_a)
     b = _simulate_by_tension(model, K, record.time, record.tension_b)
     return a, b

@@ -116,7 +116,7 @@ def fit(
     caches = [_TendonCache(record, law) for record in subsampled]
 
     def evaluate_residuals(values: Array) -> Array:
-        parts = zip(layout.models(values), subsampled, caches, strict=True)
+        parts = zip(layout.build_models(values), subsampled, caches, strict=True)
         return np.concatenate(
             [_compute_residuals(model, record, law, cache) for model, record, cache in parts]
         )
@@ -130,8 +130,10 @@ def fit(
         ftol=COST_TOLERANCE,
         max_nfev=MAX_ITERATIONS,
     )
-    models = layout.models(solution.values)
-    frictions = tuple(float(m.friction_at(r.bend)) for m, r in zip(models, records, strict=True))
+    models = layout.build_models(solution.values)
+    frictions = tuple(
+        float(m.compute_friction(r.bend)) for m, r in zip(models, records, strict=True)
+    )
     neutral = float(np.mean([m.neutral for m in models]))
     errors = np.full(len(records), np.nan)
     if each_friction:
@@ -190,10 +192,10 @@ class _ParameterLayout:
         low, high = (np.array([getattr(bound, name) for name in names]) for bound in (LOW, HIGH))
         begin = np.array([getattr(self._first, name) for name in names])
         if each_friction:
-            begin[self.frictions] = [start.friction_at(record.bend) for record in records]
+            begin[self.frictions] = [start.compute_friction(record.bend) for record in records]
         self.begin, self.bounds = move_inside_bounds(begin, low, high, BOUND_MARGIN), (low, high)
 
-    def models(self, values: Array) -> list[PairModel]:
+    def build_models(self, values: Array) -> list[PairModel]:
         """Return the model of each record."""
         shared = self._first._replace(**dict(zip(self._free, map(float, values), strict=False)))
         neutrals = values[-self._count :]
@@ -217,7 +219,7 @@ class _TendonCache:
 
     def __call__(self, model: PairModel) -> tuple[Motion, Motion]:
         """Return what both tendons do."""
-        key = (model.friction_at(self._record.bend), model.compliance, model.bedding)
+        key = (model.compute_friction(self._record.bend), model.compliance, model.bedding)
         if key not in self._known:
             self._known[key] = self._by(model, self._record)
         return self._known[key]

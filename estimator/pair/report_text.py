@@ -57,7 +57,7 @@ def build_friction_table(study: PairStudy) -> Table:
         (
             format_degrees(record.bend, 0),
             format_interval(K),
-            f"{model.friction_at(record.bend):.2f}",
+            f"{model.compute_friction(record.bend):.2f}",
             format_degrees(neutral),
         )
         for record, K, neutral in zip(
@@ -187,7 +187,7 @@ def build_report_tables(study: PairStudy) -> list[Table]:
 def format_report(study: PairStudy) -> str:
     """Return the report for a terminal."""
     summary = "\n".join([format_sentence(study), *format_model_warning(study)])
-    pieces = [summary, *(table.markdown() for table in build_report_tables(study))]
+    pieces = [summary, *(table.to_markdown() for table in build_report_tables(study))]
     pieces.append("What is wrong:\n" + "\n".join(f"- {line}" for line in describe_errors(study)))
     return "\n\n".join(pieces)
 

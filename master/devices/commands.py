@@ -97,10 +97,10 @@ class CommandMotion:
                 self._span_s = min(max(passed_s, left_s), self._span_max_s)
             self._move(record.values, time_s)
         else:
-            self.rest()
+            self.build_resting_hand()
         return HandState(self._position, self._velocity, engaged)
 
-    def rest(self) -> HandState:
+    def build_resting_hand(self) -> HandState:
         """Return the hand where it is, at rest and with an open switch."""
         self._velocity = (0.0,) * len(self._position)
         return HandState(self._position, self._velocity, engage=False)
@@ -110,7 +110,7 @@ class CommandMotion:
         share = (time_s - self._begin_s) / self._span_s if self._span_s > 0.0 else 1.0
         if share >= 1.0:
             self._position = target
-            self.rest()
+            self.build_resting_hand()
             return
         pairs = tuple(zip(self._from, target, strict=True))
         self._position = tuple(a + (b - a) * share for a, b in pairs)

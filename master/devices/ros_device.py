@@ -129,7 +129,7 @@ class RosDevice:
         if self._process.poll() is not None:
             raise DeviceFault("the receiver of ROS commands has ended")
         if not self._began:  # it is starting
-            return self._motion.rest()
+            return self._motion.build_resting_hand()
         age_ns = now_ns - record.received_ns
         fault = record.fault
         if now_ns - record.written_ns > RECORD_TIMEOUT_NS:
@@ -141,7 +141,7 @@ class RosDevice:
         ):
             fault = f"ROS {self._config.command}: silent"
         if fault:
-            self._motion.rest()
+            self._motion.build_resting_hand()
             raise DeviceLost(fault)
         return self._motion.step(record, age_ns <= self._config.timeout * 1e9, time_s)
 

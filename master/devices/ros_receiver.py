@@ -93,7 +93,7 @@ class CommandStream:
     _window_ns: int = 0
     _count: int = 0
 
-    def servo(self, samples: list[ReceivedMessage]) -> None:
+    def take_servo_commands(self, samples: list[ReceivedMessage]) -> None:
         """Take the commands since the last call, oldest first, as far as they are good."""
         if not samples:
             return
@@ -104,7 +104,7 @@ class CommandStream:
                 return
             self._accept(sample)
 
-    def state_command(self, data: bytes, now_ns: int) -> None:
+    def take_state_command(self, data: bytes, now_ns: int) -> None:
         """Take a command of state at `now_ns` [ns]."""
         try:
             word = decode(STRING_STAMPED, data).string
@@ -317,10 +317,10 @@ def process_messages(stream: CommandStream, arrivals: list[Arrival]) -> None:
         if is_motion:
             motion.append(sample)
             continue
-        stream.servo(motion)
+        stream.take_servo_commands(motion)
         motion = []
-        stream.state_command(sample.data, time.monotonic_ns())
-    stream.servo(motion)
+        stream.take_state_command(sample.data, time.monotonic_ns())
+    stream.take_servo_commands(motion)
 
 
 def main(pipe: str, config: str, parent: str) -> None:

@@ -30,7 +30,7 @@ class Hold:
         if not math.isfinite(self.position):
             raise ValueError("position: must be finite [m]")
 
-    def at(self, time_s: float) -> tuple[float, float]:  # noqa: ARG002 - one signature for all
+    def compute_motion(self, time_s: float) -> tuple[float, float]:  # noqa: ARG002 - one signature for all
         """Return position [m] and velocity [m/s]."""
         return self.position, 0.0
 
@@ -50,7 +50,7 @@ class Sine:
         if not math.isfinite(self.offset):
             raise ValueError("offset: must be finite [m]")
 
-    def at(self, time_s: float) -> tuple[float, float]:
+    def compute_motion(self, time_s: float) -> tuple[float, float]:
         """Return position [m] and velocity [m/s]."""
         rate = 2.0 * math.pi * self.frequency
         angle = rate * time_s
@@ -79,7 +79,7 @@ class Reaches:
         if not self.targets or not all(math.isfinite(target) for target in self.targets):
             raise ValueError("targets: at least one, all finite [m]")
 
-    def at(self, time_s: float) -> tuple[float, float]:
+    def compute_motion(self, time_s: float) -> tuple[float, float]:
         """Return position [m] and velocity [m/s]."""
         count, within = divmod(max(time_s, 0.0), self.reach + self.rest)
         number = int(count)
@@ -107,9 +107,9 @@ class Waypoints:
         for axis in range(len(self.points[0])):
             self.select_axis(axis)
 
-    def at(self, time_s: float) -> tuple[float, float]:
+    def compute_motion(self, time_s: float) -> tuple[float, float]:
         """Return position [m] and velocity [m/s] of the first axis."""
-        return self.select_axis(0).at(time_s)
+        return self.select_axis(0).compute_motion(time_s)
 
     def select_axis(self, axis: int) -> Reaches:
         """Return the motion of one axis."""
@@ -163,7 +163,7 @@ class VirtualConfig:
         script = self.reference.select_axis(axis)
         return replace(self, axes=1, reference=script), script, 0.0
 
-    def pressed(self, time_s: float) -> bool:
+    def is_pressed(self, time_s: float) -> bool:
         """Return whether the hand holds the engage switch at `time_s` [s]."""
         within = time_s % self.engage_period
         return any(start <= within < end for start, end in self.engage)
@@ -178,7 +178,7 @@ def advance_hand(
     the loop is not one of the integration.
     """
     k, b = config.stiffness, config.damping
-    target, target_velocity = config.reference.at(time_s)
+    target, target_velocity = config.reference.compute_motion(time_s)
     pull = k * (target - position) + b * target_velocity + force
     velocity = (config.mass * velocity + h * pull) / (config.mass + h * b + h * h * k)
     return position + h * velocity, velocity
@@ -202,7 +202,7 @@ class VirtualDevice:
         self._time = 0.0
         self._written = -math.inf
         self._force = self.applied
-        self._hands = [script.at(-delay) for _, script, delay in self._axes]
+        self._hands = [script.compute_motion(-delay) for _, script, delay in self._axes]
 
     def read(self, time_s: float) -> HandState:
         """Move the hand on to `time_s` and return its state."""
@@ -214,7 +214,7 @@ class VirtualDevice:
                 self._advance(self._time + number * h, h)
             self._time = time_s
         position, velocity = zip(*self._hands, strict=True)
-        return HandState(position, velocity, self._config.pressed(time_s))
+        return HandState(position, velocity, self._config.is_pressed(time_s))
 
     def _advance(self, time_s: float, h: float) -> None:
         if time_s - self._written > _WATCHDOG:

@@ -258,7 +258,7 @@ def _build_tendon_config(
     pulled: PulledTendon, calibration: blocked_tip.Calibration, sheath: KnownSheathConfig
 ) -> TendonConfig:
     """Return the estimator parameters; several sections if the curvature is uneven."""
-    model = calibration.sheath(sheath.length)
+    model = calibration.build_sheath(sheath.length)
     is_uniform = len(model.sections) == 1
     moving = pulled.rows(Phase.PULL, Phase.RELEASE)
     return TendonConfig(

@@ -101,7 +101,7 @@ def found(case: Case, rig: Plugged) -> Figures:
 def descriptor(case: Case, rig: Plugged) -> Figures:
     """The node gives the descriptor that the device has."""
     with _node(case) as node:
-        data = node.descriptor()
+        data = node.read_descriptor()
     if data != case.device().descriptor:
         raise WrongError("another descriptor arrived than the device has")
     return {"bytes": str(len(data))}
@@ -169,7 +169,7 @@ def signs(case: Case, rig: Plugged) -> Figures:
             others = [abs(share) for k, share in enumerate(forces) if k != axis]
             if max(others, default=0.0) > 0.01 * _PROBE_SHARE:
                 raise WrongError(f"a force on {name} pushed {forces}")
-            known = known.with_sign(ForceSign(*line.found.pusher, name, seen[-1]))
+            known = known.replace_sign(ForceSign(*line.found.pusher, name, seen[-1]))
     finally:
         line.end(1.0)
     if tuple(seen) != case.signs:
@@ -184,7 +184,9 @@ def loop(case: Case, rig: Plugged) -> Figures:
     decoded: list[Shares] = []
     sent: list[Sent] = []
     with _node(case) as node:
-        driver = DRIVERS[case.driver].make(_search(case).item, node.descriptor(), PidConfig(), None)
+        driver = DRIVERS[case.driver].make(
+            _search(case).item, node.read_descriptor(), PidConfig(), None
+        )
         driver.begin(node)
         places = [driver.axes.index(name) for name in case.inputs]
         controls = Controls((0.0,) * len(driver.axes), 0, 0)

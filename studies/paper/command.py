@@ -90,9 +90,9 @@ def text(shown: Demonstration, outcomes: list[Outcome], seed: int) -> str:
     """Return all tables as Markdown."""
     parts = [f"# {TITLE}", report.summary(outcomes), UNITS]
     parts += [f"## A sheath as the paper's: {SPECIMEN.describe()}"]
-    parts += ["Largest / average.", report.by_phase(shown.outcome).markdown()]
+    parts += ["Largest / average.", report.by_phase(shown.outcome).to_markdown()]
     parts += [f"## {len(outcomes)} random sheaths, seed {seed}"]
-    parts += [report.over_sheaths(outcomes).markdown()]
+    parts += [report.over_sheaths(outcomes).to_markdown()]
     for method in METHODS:
         worst = "\n".join(f"- {line}" for line in report.worst(outcomes, method, seed))
         parts += [f"### Worst of {method}, by the largest error of force", worst]

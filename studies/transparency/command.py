@@ -73,7 +73,7 @@ def main(args: argparse.Namespace) -> int:
         raise UsageError(f"--jobs {args.jobs}: must be 1 to 256")
     make_folder(args.out, "transparency.md")
     cases = run(study_config, args.jobs)
-    print(report.summary(study_config, cases).markdown(), flush=True)
+    print(report.summary(study_config, cases).to_markdown(), flush=True)
     write_summary(args.out / "transparency.json", report.tree(study_config, cases))
     text = report.text(study_config, cases) + "\n"
     write_text_file(args.out / "transparency.md", text, "the tables")

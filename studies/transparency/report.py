@@ -44,7 +44,7 @@ def text(study: Study, cases: list[Case]) -> str:
         "Z-width with each hand": widths(study, cases),
         "Linearity of the hybrid parameters": quality(cases),
     }
-    return "\n\n".join(f"## {title}\n\n{table.markdown()}" for title, table in tables.items())
+    return "\n\n".join(f"## {title}\n\n{table.to_markdown()}" for title, table in tables.items())
 
 
 def summary(study: Study, cases: list[Case]) -> Table:

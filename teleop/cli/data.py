@@ -76,7 +76,7 @@ def main(args: argparse.Namespace) -> int:
             (name, raw.units.get(name, ""), *_describe_values(values))
             for name, values in raw.columns.items()
         ]
-        print(Table(("column", "unit", "range", "missing"), tuple(rows)).markdown())
+        print(Table(("column", "unit", "range", "missing"), tuple(rows)).to_markdown())
         raise
     runs = [run[0] for run in read]
     table, reading = runs[0], Reading.of(runs[0])
@@ -93,7 +93,7 @@ def main(args: argparse.Namespace) -> int:
             (str(run["run"]), run["first"], str(run["samples"]), f"{run['duration_s']:.6g}")
             for run in summary["runs"]
         ]
-        print(Table(("run", "from", "samples", "duration [s]"), tuple(rows)).markdown())
+        print(Table(("run", "from", "samples", "duration [s]"), tuple(rows)).to_markdown())
         print("\nof another one: --run N; `teleop diagnose` takes all\n")
     print(format_summary(table, summary))
     if args.figure is not None:
@@ -105,7 +105,7 @@ def main(args: argparse.Namespace) -> int:
 
 def format_summary(table: MeasuredTable, summary: dict[str, Any]) -> str:
     """Return the summary as text, with a plot of each channel."""
-    si = {k: "s" if k == "time" else table.units.of(k) for k in table.sources}
+    si = {k: "s" if k == "time" else table.units.get_unit(k) for k in table.sources}
     channels = Reading.of(table).channels
     rows = [
         (name, source.column, source.unit or "?", unit, *_describe_values(values))
@@ -118,7 +118,7 @@ def format_summary(table: MeasuredTable, summary: dict[str, Any]) -> str:
         + (f", {rate:.6g} Hz" if rate else ""),
         *(f"read as: {remark}" for remark in table.remarks),
         "",
-        Table(head, tuple(rows)).markdown(),
+        Table(head, tuple(rows)).to_markdown(),
         "",
         *(
             f"{name:>22}  {plot_text(values)}"

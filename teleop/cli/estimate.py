@@ -416,7 +416,7 @@ def compare_with_bench(
         return None
     score = Score([tendon.model()])
     score.add_columns(estimates.distal_tension, estimates.low, estimates.high, table.distal_tension)
-    return score.summary()
+    return score.summarise()
 
 
 def build_columns(estimates: online.Estimates, number: int = 1) -> dict[str, Any]:
@@ -491,7 +491,7 @@ def format_report(summary: dict[str, Any]) -> list[str]:
     lines.append(f"force     {format_force_error(summary['force_error'])}")
     for name, spikes in summary["spikes"].items():
         if spikes["count"]:
-            unit = LINEAR.of(name)
+            unit = LINEAR.get_unit(name)
             lines.append(
                 f"          {spikes['count']:g} single-sample spikes of {name.replace('_', ' ')} "
                 f"left out, the largest {spikes['largest']:.6g} {unit} at "

@@ -27,15 +27,15 @@ SCALE = BenchScale(R, 1.0 / R)  # N to N m and m to rad on a pulley of radius R
     ],
 )
 def test_numbers_of_a_model_have_the_records_units(unit, name, size):
-    assert ROTARY.name(unit) == name
+    assert ROTARY.name_unit(unit) == name
     assert SCALE.size(unit) == pytest.approx(size)
     assert SCALE.inverse.size(unit) == pytest.approx(1.0 / size)
-    assert LINEAR.name(unit) == unit
+    assert LINEAR.name_unit(unit) == unit
 
 
 def test_units_of_the_catalogue_are_all_known():
     from estimator.effects import CATALOGUE
 
     for unit in {p.unit for effect in CATALOGUE for p in effect.parameters}:
-        assert ("m/" not in f"{unit}/") or ROTARY.name(unit) != unit
-        assert (parse_dimension(unit) != (0, 0)) == (ROTARY.name(unit) != unit)
+        assert ("m/" not in f"{unit}/") or ROTARY.name_unit(unit) != unit
+        assert (parse_dimension(unit) != (0, 0)) == (ROTARY.name_unit(unit) != unit)

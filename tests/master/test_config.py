@@ -40,9 +40,9 @@ def test_the_examples_in_the_docs_are_configs(tmp_path):
     assert (hid.find, hid.buttons) == ("1209:ffb0", ButtonsConfig(1, 2, 3))
     assert device.reference == Reaches()
     assert device.engage == ((0.5, 9.5),)
-    assert device.pressed(9.0)
-    assert not device.pressed(9.9)
-    assert device.pressed(10.6)
+    assert device.is_pressed(9.0)
+    assert not device.is_pressed(9.9)
+    assert device.is_pressed(10.6)
 
 
 X, Y = AxisConfig("x", travel=0.1), AxisConfig("y", travel=0.1)
@@ -82,7 +82,7 @@ def test_values_that_make_no_sense_are_refused_by_name(config, settings):
 def test_a_command_is_sent_every_so_many_ticks_of_the_device(rate_hz, device_rate_hz, every):
     config = MasterConfig(device_rate_hz=device_rate_hz)
     config.check_rate(rate_hz)
-    assert config.commands_every(rate_hz) == every
+    assert config.count_ticks_per_command(rate_hz) == every
 
 
 @pytest.mark.parametrize(

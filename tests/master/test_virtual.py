@@ -16,18 +16,21 @@ REFERENCES = [Hold(0.01), Sine(offset=0.02, frequency=3.0), Reaches()]
 def test_the_velocity_of_a_reference_is_the_slope_of_its_position(reference):
     times = np.linspace(0.05, 12.0, 4001)
     h = 1e-6
-    slopes = [(reference.at(t + h)[0] - reference.at(t - h)[0]) / (2 * h) for t in times]
-    assert [reference.at(t)[1] for t in times] == pytest.approx(slopes, abs=1e-4)
+    slopes = [
+        (reference.compute_motion(t + h)[0] - reference.compute_motion(t - h)[0]) / (2 * h)
+        for t in times
+    ]
+    assert [reference.compute_motion(t)[1] for t in times] == pytest.approx(slopes, abs=1e-4)
 
 
 def test_reaches_visit_every_target_and_rest_there():
     reaches = Reaches(targets=(0.02, -0.01, 0.03), reach=0.6, rest=0.4)
-    assert reaches.at(0.0) == (0.0, 0.0)
+    assert reaches.compute_motion(0.0) == (0.0, 0.0)
     for lap in range(2):
         for number, target in enumerate(reaches.targets):
             end = 3 * lap + number + 1
             for time in (end - 0.4 + 1e-9, end - 0.2, end - 1e-9):
-                assert reaches.at(time) == pytest.approx((target, 0.0), abs=1e-12)
+                assert reaches.compute_motion(time) == pytest.approx((target, 0.0), abs=1e-12)
 
 
 def test_the_hand_moves_as_its_equation_says():
@@ -85,7 +88,7 @@ def test_engage_follows_the_script():
         False, True, True, False, True, True,
     ]  # fmt: skip
     again = VirtualConfig(engage=((0.5, 1.5),), engage_period=2.0)
-    assert [again.pressed(t) for t in (0.0, 0.6, 1.6, 2.4, 2.6, 3.6)] == [
+    assert [again.is_pressed(t) for t in (0.0, 0.6, 1.6, 2.4, 2.6, 3.6)] == [
         False, True, False, False, True, False,
     ]  # fmt: skip
 

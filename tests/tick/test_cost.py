@@ -92,7 +92,7 @@ def test_the_reports_of_a_side_are_published_in_ticks_of_their_own(session: Sess
 
 def test_live_messages_are_as_long_as_they_were(session: Session) -> None:
     for topic, size in WIRE.items():
-        assert session.sizes[topic.name] == topic.message.schema.size <= size, topic.name
+        assert session.sizes[topic.name] == topic.message.schema.size <= size, topic.name_unit
 
 
 def test_a_tick_holds_little_memory_and_gives_it_back(session: Session) -> None:

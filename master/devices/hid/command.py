@@ -285,7 +285,7 @@ def run_device_test(
         if not sign:
             person.write(f"{axis}: sign not found; it will render no force")
             continue
-        signs = signs.with_sign(ForceSign(*device.pusher, axis, 1 if sign > 0 else -1))
+        signs = signs.replace_sign(ForceSign(*device.pusher, axis, 1 if sign > 0 else -1))
         force_signs.save(file, signs)
         person.write(f"{axis}: sign {sign:+d}, saved in {file or force_signs.get_default_path()}")
         if not device.item.serial:

@@ -193,7 +193,7 @@ class DeviceConnection:
         with ExitStack() as undo:
             node = Node(item.path, str(item))
             undo.callback(node.close)
-            if node.descriptor() != device.descriptor:
+            if node.read_descriptor() != device.descriptor:
                 raise DeviceFault(f"{item}: its report descriptor has changed; restart")
             try:
                 self.driver = kind.make(item, device.descriptor, pid, pushed)

@@ -89,7 +89,7 @@ class ReportField:
         """The usage of a variable; 0 = it has none."""
         return self.usages[0] if self.usages else 0
 
-    def within(self, usage: int) -> bool:
+    def is_within(self, usage: int) -> bool:
         """Return whether the field is inside a collection of this usage."""
         return any(collection.usage == usage for collection in self.path)
 
@@ -298,7 +298,7 @@ class _Parser:
     def _main(self, item: _Item) -> None:
         if self._delimited:
             raise DescriptorError(f"byte {item.at}: a delimiter is still open")
-        self._repage()
+        self._complete_usages()
         if item.tag == _COLLECTION:
             self._open(item)
         elif item.tag == _END:
@@ -308,7 +308,7 @@ class _Parser:
         elif item.tag in _MAIN:
             self._add(_MAIN[item.tag], item)
 
-    def _repage(self) -> None:
+    def _complete_usages(self) -> None:
         """Complete short usages at the end of the list with the page declared after them."""
         page = self._globals.page
         for k in reversed(range(len(self._usages))):
@@ -321,7 +321,7 @@ class _Parser:
     def _open(self, item: _Item) -> None:
         if len(self._path) == _DEPTH_MAX:
             raise DescriptorError(f"byte {item.at}: more than {_DEPTH_MAX} collections deep")
-        usage = next(self._named(1, item), 0)
+        usage = next(self._take_usages(1, item), 0)
         if not self._path:
             self._applications.append(usage)
         self._path += (Collection(usage, item.unsigned & 0xFF, self._collections),)
@@ -344,7 +344,7 @@ class _Parser:
         if maximum < current.minimum and not constant:
             raise DescriptorError(f"byte {item.at}: a range {current.minimum} ... {maximum}")
         values = min(maximum - current.minimum + 1, 1 << current.size)
-        names = tuple(self._named(values if array else current.repeats, item))
+        names = tuple(self._take_usages(values if array else current.repeats, item))
         runs = [(names, current.repeats)] if array else _assign_usages(names, current.repeats)
         offset = 8 + start
         for usages, count in runs:
@@ -374,7 +374,7 @@ class _Parser:
             )
             offset += current.size * count
 
-    def _named(self, count_max: int, item: _Item) -> Iterator[int]:
+    def _take_usages(self, count_max: int, item: _Item) -> Iterator[int]:
         """Yield the declared usages one by one, at most `count_max`."""
         for usage in self._usages:
             for number in range(usage.first, usage.last + 1):

@@ -248,7 +248,7 @@ class HidDevice:
         once after lost reports, which may have contained a button change.
         """
         dt, self._time_s = time_s - self._time_s, time_s
-        opened = self._opened or self._returned()
+        opened = self._opened or self._get_reopened()
         try:
             controls = opened.device.read(time_s)
             switches = controls
@@ -302,7 +302,7 @@ class HidDevice:
         reattached += [search.find_reattached_device(one, paths_before) for one in switches]
         return OpenedDevice(self._config, self._signs, tuple(reattached))
 
-    def _returned(self) -> OpenedDevice:
+    def _get_reopened(self) -> OpenedDevice:
         assert self._seeker is not None  # noqa: S101 - set when the device was lost
         if self._seeker.found is None:
             raise DeviceLost(self._seeker.trouble or self._lost)

@@ -55,7 +55,7 @@ class ForceSigns:
         """Return 1 or -1 for each axis with a known sign."""
         return {s.axis: s.sign for s in self.signs if s.pusher == pusher}
 
-    def with_sign(self, new_sign: ForceSign) -> "ForceSigns":
+    def replace_sign(self, new_sign: ForceSign) -> "ForceSigns":
         """Return the signs with one added or replaced."""
         mine = new_sign.pusher, new_sign.axis
         return ForceSigns((*(s for s in self.signs if (s.pusher, s.axis) != mine), new_sign))

@@ -61,7 +61,7 @@ class Node:
             self.close()
             raise DeviceFault(f"{name}: non-blocking reads are not supported")
 
-    def descriptor(self) -> bytes:
+    def read_descriptor(self) -> bytes:
         """Return the report descriptor."""
         try:
             return bytes(self._handle.get_report_descriptor())
@@ -87,11 +87,11 @@ class Node:
 
     def write(self, report: bytes) -> None:
         """Send an output report; may wait for a USB frame, and for 5 s on a device that hangs."""
-        self._sent(self._handle.write, report, "rejects reports")
+        self._send(self._handle.write, report, "rejects reports")
 
     def send_feature(self, report: bytes) -> None:
         """Send a feature report."""
-        self._sent(self._handle.send_feature_report, report, "rejects feature reports")
+        self._send(self._handle.send_feature_report, report, "rejects feature reports")
 
     def get_feature(self, number: int, length: int) -> bytes:
         """Return feature report `number`, at most `length` bytes, its id first."""
@@ -112,7 +112,7 @@ class Node:
         with suppress(OSError, ValueError):
             self._handle.close()
 
-    def _sent(self, send: Any, report: bytes, trouble: str) -> None:
+    def _send(self, send: Any, report: bytes, trouble: str) -> None:
         try:
             written = send(report)
         except (OSError, ValueError) as error:

@@ -97,7 +97,7 @@ class PidDriver:
             pid_reports.build_effect_report(layout, usage, 1, layout.forces[0])
         for share in self._conditions.values():
             pid_reports.build_condition_reports(layout, 1, share)
-        self._magnitude = layout.constant_force.need(U.MAGNITUDE)
+        self._magnitude = layout.constant_force.get_field(U.MAGNITUDE)
         self.axes = self._inputs.axes
         self.forces = layout.forces if pushed is None else _select_axes(layout.forces, pushed)
         self.buttons = self._inputs.buttons
@@ -116,7 +116,7 @@ class PidDriver:
             device.write(report)
         part = self._layout.gain
         if part is not None and (gain := part.find(U.GAIN)) is not None:
-            device.write(part.packed([FieldValue(gain, compute_limits(gain)[1])]))
+            device.write(part.pack([FieldValue(gain, compute_limits(gain)[1])]))
         for axis in self.forces:
             self._add_force(device, axis)
         for usage, share in self._conditions.items() if self.forces else ():
@@ -209,4 +209,4 @@ def _select_axes(forces: tuple[str, ...], pushed: tuple[str, ...]) -> tuple[str,
 def _build_control_reports(control: ReportPart, *usages: int) -> tuple[bytes, ...]:
     """Return a Device Control report for each of `usages` that the device knows."""
     supported = [usage for usage in usages if control.find(usage) is not None]
-    return tuple(control.packed([control.choose(usage)]) for usage in supported)
+    return tuple(control.pack([control.choose(usage)]) for usage in supported)

@@ -45,7 +45,7 @@ class ReportPart:
         """Return the field of `usage`, or the array that can select it."""
         return next((field for field in self.fields if usage in field.usages), None)
 
-    def need(self, usage: int) -> ReportField:
+    def get_field(self, usage: int) -> ReportField:
         """Return the field of `usage`; `DriverError` if there is none."""
         field = self.find(usage)
         if field is None:
@@ -54,14 +54,14 @@ class ReportPart:
 
     def choose(self, usage: int) -> FieldValue:
         """Return the value that selects `usage`: its index in an array, or its own bit."""
-        field = self.need(usage)
+        field = self.get_field(usage)
         return FieldValue(field, field.minimum + field.usages.index(usage) if field.array else 1)
 
-    def within(self, usage: int) -> tuple[ReportField, ...]:
+    def list_fields_within(self, usage: int) -> tuple[ReportField, ...]:
         """Return the fields in a collection inside this one, in order."""
-        return tuple(field for field in self.fields if field.within(usage))
+        return tuple(field for field in self.fields if field.is_within(usage))
 
-    def packed(self, choices: Iterable[FieldValue]) -> bytes:
+    def pack(self, choices: Iterable[FieldValue]) -> bytes:
         """Return the report with these values, else zeros; `DriverError` if one does not fit."""
         report = bytearray(self.length)
         report[0] = self.number
@@ -115,7 +115,7 @@ def build_layout(descriptor: ReportDescriptor, inputs: Inputs) -> PidLayout:
         raise DriverError("no force feedback of the USB PID class")
     missing: list[str] = []
 
-    def needed(kind: ReportType, purpose: int, *contents: int) -> ReportPart:
+    def find_part(kind: ReportType, purpose: int, *contents: int) -> ReportPart:
         part = _find_part(descriptor, kind, purpose)
         if part is None:
             missing.append(f"no {U.format_usage(purpose)} report")
@@ -126,12 +126,12 @@ def build_layout(descriptor: ReportDescriptor, inputs: Inputs) -> PidLayout:
         return part
 
     out = ReportType.OUTPUT
-    set_effect = needed(out, U.SET_EFFECT, U.BLOCK_INDEX, U.CONSTANT_FORCE, U.DURATION)
-    constant_force = needed(out, U.SET_CONSTANT_FORCE, U.BLOCK_INDEX, U.MAGNITUDE)
-    operation = needed(out, U.EFFECT_OPERATION, U.BLOCK_INDEX, U.OP_START, U.OP_STOP)
-    control = needed(out, U.DEVICE_CONTROL, U.ENABLE_ACTUATORS)
-    creation = needed(ReportType.FEATURE, U.CREATE_NEW_EFFECT, U.CONSTANT_FORCE)
-    block_load = needed(ReportType.FEATURE, U.BLOCK_LOAD, U.BLOCK_INDEX, U.LOAD_SUCCESS)
+    set_effect = find_part(out, U.SET_EFFECT, U.BLOCK_INDEX, U.CONSTANT_FORCE, U.DURATION)
+    constant_force = find_part(out, U.SET_CONSTANT_FORCE, U.BLOCK_INDEX, U.MAGNITUDE)
+    operation = find_part(out, U.EFFECT_OPERATION, U.BLOCK_INDEX, U.OP_START, U.OP_STOP)
+    control = find_part(out, U.DEVICE_CONTROL, U.ENABLE_ACTUATORS)
+    creation = find_part(ReportType.FEATURE, U.CREATE_NEW_EFFECT, U.CONSTANT_FORCE)
+    block_load = find_part(ReportType.FEATURE, U.BLOCK_LOAD, U.BLOCK_INDEX, U.LOAD_SUCCESS)
 
     magnitude = constant_force.find(U.MAGNITUDE)
     if (
@@ -158,7 +158,9 @@ def build_layout(descriptor: ReportDescriptor, inputs: Inputs) -> PidLayout:
         gain=_find_part(descriptor, out, U.DEVICE_GAIN),
         condition=_find_part(descriptor, out, U.SET_CONDITION),
         forces=forces,
-        polar=bool(set_effect.find(U.DIRECTION_ENABLE) and set_effect.within(U.DIRECTION)),
+        polar=bool(
+            set_effect.find(U.DIRECTION_ENABLE) and set_effect.list_fields_within(U.DIRECTION)
+        ),
     )
 
 
@@ -168,7 +170,7 @@ def _find_part(descriptor: ReportDescriptor, kind: ReportType, purpose: int) -> 
     for report in descriptor.reports:
         if report.kind is not kind:
             continue
-        fields = tuple(field for field in report.fields if any(map(field.within, purposes)))
+        fields = tuple(field for field in report.fields if any(map(field.is_within, purposes)))
         if fields:
             return ReportPart(U.format_usage(purpose), report.number, report.length, fields)
     return None
@@ -179,9 +181,9 @@ def _find_force_axes(set_effect: ReportPart, inputs: Inputs) -> tuple[str, ...]:
 
     From the axes-enable bits, or else one per direction field.
     """
-    enabled = {U.AXES.get(field.usage) for field in set_effect.within(U.AXES_ENABLE)}
+    enabled = {U.AXES.get(field.usage) for field in set_effect.list_fields_within(U.AXES_ENABLE)}
     if not enabled:
-        enabled = set(list(FORCE_AXES)[: max(1, len(set_effect.within(U.DIRECTION)))])
+        enabled = set(list(FORCE_AXES)[: max(1, len(set_effect.list_fields_within(U.DIRECTION)))])
     return tuple(axis for axis in FORCE_AXES if axis in enabled and axis in inputs.axes)
 
 
@@ -197,11 +199,11 @@ def create_effect(layout: PidLayout, device: ReportAccess, usage: int, ours: Con
 
     If its memory is full, effects of earlier programs are freed: all numbers except `ours`.
     """
-    report = layout.creation.packed([layout.creation.choose(usage)])
+    report = layout.creation.pack([layout.creation.choose(usage)])
     device.send_feature(report)
     block, full, answer = _read_block_load(layout.block_load, device)
     if full and layout.block_free is not None:
-        low, high = compute_limits(layout.block_free.need(U.BLOCK_INDEX))
+        low, high = compute_limits(layout.block_free.get_field(U.BLOCK_INDEX))
         for number in range(max(low, 1), min(high, 255) + 1):
             if number not in ours:
                 device.write(_build_block_report(layout.block_free, number))
@@ -223,7 +225,7 @@ def _read_block_load(part: ReportPart, device: ReportAccess) -> tuple[int, bool,
 
     The first valid answer is used: some firmware clears it on reading.
     """
-    status, index = part.need(U.LOAD_SUCCESS), part.need(U.BLOCK_INDEX)
+    status, index = part.get_field(U.LOAD_SUCCESS), part.get_field(U.BLOCK_INDEX)
     success = part.choose(U.LOAD_SUCCESS).value
     full = part.choose(U.LOAD_FULL).value if part.find(U.LOAD_FULL) else None
     reply = b""
@@ -245,7 +247,7 @@ def build_effect_report(layout: PidLayout, usage: int, block: int, axis: str) ->
     No axis may be enabled with the direction: the Arduino library uses the angle only then.
     """
     part = layout.set_effect
-    duration = part.need(U.DURATION)
+    duration = part.get_field(U.DURATION)
     choices = [part.choose(usage), FieldValue(duration, compute_duration_ticks(duration))]
     gain = part.find(U.EFFECT_GAIN)
     if gain is not None:
@@ -253,9 +255,9 @@ def build_effect_report(layout: PidLayout, usage: int, block: int, axis: str) ->
     if layout.polar:
         choices.append(part.choose(U.DIRECTION_ENABLE))
     else:
-        enable = [f for f in part.within(U.AXES_ENABLE) if U.AXES.get(f.usage) == axis]
+        enable = [f for f in part.list_fields_within(U.AXES_ENABLE) if U.AXES.get(f.usage) == axis]
         choices += [FieldValue(field, 1) for field in enable]
-    directions = part.within(U.DIRECTION)
+    directions = part.list_fields_within(U.DIRECTION)
     if directions:
         low, high = compute_limits(directions[0])
         angle = low + round((high - low) * FORCE_AXES[axis] / 360.0)
@@ -293,7 +295,7 @@ def build_condition_reports(layout: PidLayout, block: int, share: Share) -> tupl
         raise DriverError(f"{part.name} has no {U.format_usage(U.POSITIVE_COEFFICIENT)}")
     if layout.forces == ("x",) and part.find(U.PARAMETER_BLOCK_OFFSET) is None:
         return (_build_block_report(part, block, *choices),)
-    offset = part.need(U.PARAMETER_BLOCK_OFFSET)
+    offset = part.get_field(U.PARAMETER_BLOCK_OFFSET)
     numbers = [list(FORCE_AXES).index(axis) for axis in layout.forces]
     return tuple(
         _build_block_report(part, block, FieldValue(offset, number), *choices) for number in numbers
@@ -332,4 +334,4 @@ def build_free_reports(layout: PidLayout, block: int) -> tuple[bytes, ...]:
 
 
 def _build_block_report(part: ReportPart, block: int, *choices: FieldValue) -> bytes:
-    return part.packed([FieldValue(part.need(U.BLOCK_INDEX), block), *choices])
+    return part.pack([FieldValue(part.get_field(U.BLOCK_INDEX), block), *choices])

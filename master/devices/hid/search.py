@@ -148,7 +148,7 @@ def read_descriptor(item: AttachedNode) -> bytes:
     except OSError:
         node = Node(item.path, str(item))
     try:
-        return node.descriptor()
+        return node.read_descriptor()
     finally:
         node.close()
 

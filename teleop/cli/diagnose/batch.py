@@ -67,7 +67,7 @@ def run(args: argparse.Namespace) -> int:
             progress(f"{len(paths) - len(outcomes)} files left", len(outcomes) / len(paths))
     outcomes.sort(key=lambda outcome: paths.index(outcome.path))
     rows = tuple((str(outcome.path), *outcome.words) for outcome in outcomes)
-    print("\n" + Table(("file", "verdict", "cause", "left of the error"), rows).markdown())
+    print("\n" + Table(("file", "verdict", "cause", "left of the error"), rows).to_markdown())
     files = [
         {"file": str(each.path), "error": each.error or None, "report": each.report or None}
         for each in outcomes

@@ -89,7 +89,7 @@ def write_residuals(path: Path, diagnosis: Diagnosis, files: Sequence[str]) -> N
                 ("before", BEFORE): diagnosis.baseline.simulated[k].signals[channel][rows],
                 ("after", AFTER): diagnosis.extended.simulated[k].signals[channel][rows],
             }
-            title = f"{record.units.word(channel)} [{record.units.of(channel)}]"
+            title = f"{record.units.name_channel(channel)} [{record.units.get_unit(channel)}]"
             lines = {("measured", MEASURED): measured} | models
             residuals = {key: measured - values for key, values in models.items()}
             panels.append(_build_panel(f"{title}, {file}", record.time[rows], lines))

@@ -255,7 +255,7 @@ def _add_data(page: Page, diagnosis: Diagnosis, sources: Sources) -> None:
                 str(count),
                 f"{1.0 / float(np.median(np.diff(time))):.4g} Hz",
                 str(excluded),
-                ", ".join(map(record.units.word, record.signals)),
+                ", ".join(map(record.units.name_channel, record.signals)),
             )
         )
     head = ("file", "time", "samples", "rate", "samples excluded", "channels")
@@ -267,7 +267,7 @@ def _add_data(page: Page, diagnosis: Diagnosis, sources: Sources) -> None:
         if diagnosis.fit_all
         else "Held-out errors are those of two-fold cross-validation on alternating blocks of time."
     )
-    page.add_text(f"The {diagnosis.units.word(driver)} drives the simulation. {judged}")
+    page.add_text(f"The {diagnosis.units.name_channel(driver)} drives the simulation. {judged}")
 
 
 def _add_law(page: Page, diagnosis: Diagnosis, folder: Path) -> None:
@@ -310,8 +310,8 @@ def _add_residuals(page: Page, diagnosis: Diagnosis, folder: Path) -> None:
     page.add_heading("Residual")
     page.add_points(
         [
-            f"{diagnosis.units.word(item.channel)}: the residual correlates with {item.what}, "
-            f"which explains {item.share:.0%} of its variance"
+            f"{diagnosis.units.name_channel(item.channel)}: the residual correlates with "
+            f"{item.what}, which explains {item.share:.0%} of its variance"
             for item in diagnosis.residual_dependences
         ]
         or ["The residual correlates with no tension, speed, direction, travel or time."]
@@ -345,7 +345,7 @@ def draw_autocorrelations(parts: dict[str, Autocorrelation], units: Units) -> Fi
             )
             axes.plot(autocorrelation.lag, autocorrelation.value, color=BLUE)
             axes.axhline(0.0, color=BLACK, linewidth=0.6)
-            axes.set(title=units.word(channel), ylabel="autocorrelation")
+            axes.set(title=units.name_channel(channel), ylabel="autocorrelation")
         grid[-1].set_xlabel("lag [s]")
         return figure
 
@@ -375,7 +375,7 @@ def _write_record(path: Path, prediction: PredictedRecord) -> None:
     rows = prediction.record.measured
     columns = {"time_s": (prediction.record.time + prediction.record.start)[rows]}
     for channel in prediction.record.compared:
-        unit = prediction.record.units.of(channel).replace(" ", "")
+        unit = prediction.record.units.get_unit(channel).replace(" ", "")
         is_measured = prediction.record.present[channel]
         measured, before, after = (
             signals[channel]

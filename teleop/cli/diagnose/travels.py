@@ -29,7 +29,7 @@ def run(args: argparse.Namespace, tables: Sequence[MeasuredTable]) -> int:
     diagnosis, tree = write_report(args, tables)
     write_summary(args.json, tree)
     points = "\n".join(f"- {point}" for point in _list_points(diagnosis))
-    table = build_table(diagnosis).markdown()
+    table = build_table(diagnosis).to_markdown()
     print(f"{format_headline(diagnosis)}\n\n{points}\n\n{table}", flush=True)
     if args.out is not None:
         print(f"\nwritten: {args.out / 'report.html'}")
@@ -135,7 +135,7 @@ def list_findings(diagnosis: TravelDiagnosis) -> list[str]:
 
 def list_limits(diagnosis: TravelDiagnosis) -> list[str]:
     """Return what two travels cannot tell, and what would."""
-    travel, tip = map(diagnosis.units.word, (PROXIMAL_DISPLACEMENT, DISTAL_DISPLACEMENT))
+    travel, tip = map(diagnosis.units.name_channel, (PROXIMAL_DISPLACEMENT, DISTAL_DISPLACEMENT))
     return [
         f"Not determined by {travel} and {tip} alone: tensions, the force at the tip, L/EA and the "
         "load's stiffness each by themselves, and K where a gear or a radius scales one of them. "

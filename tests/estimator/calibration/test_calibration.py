@@ -153,7 +153,7 @@ def test_the_uniform_methods_fail_on_uneven_curvature_and_that_is_noticed():
 @pytest.mark.parametrize("name", NAMES)
 def test_the_pattern_serves_as_a_model_on_motions_it_was_not_fitted_to(name):
     sheath = UNEVEN[name]
-    model = found(name).sheath(sheath.length, friction=0.15)
+    model = found(name).build_sheath(sheath.length, friction=0.15)
     assert model.length == pytest.approx(sheath.length, rel=1e-4)
     chain = Chain(list(fine(sheath)), sheath.friction, sheath.axial_stiffness, beads=40)
     T_in = path(0.2, 18.0, 3.0, 12.0, 5.0, 9.0, 1.0, 15.0)[::3]

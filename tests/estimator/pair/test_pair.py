@@ -52,8 +52,8 @@ def test_the_angle_is_that_of_the_chains(bend, predict):
 
 def test_friction_of_each_record_and_its_growth_are_found(found):
     for number, bend in zip(found.record_frictions, BENDS, strict=True):
-        assert number.low <= TRUE.friction_at(bend) <= number.high
-        assert number.value == pytest.approx(TRUE.friction_at(bend), rel=0.05)
+        assert number.low <= TRUE.compute_friction(bend) <= number.high
+        assert number.value == pytest.approx(TRUE.compute_friction(bend), rel=0.05)
     assert found.growth.value == pytest.approx(bench.COEFFICIENT, rel=0.05)
     assert found.growth.low <= bench.COEFFICIENT <= found.growth.high
     assert found.fit.model.stiffness == pytest.approx(bench.STIFFNESS, rel=0.05)

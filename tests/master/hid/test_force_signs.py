@@ -91,11 +91,11 @@ X = ForceSign(*BOARD, "x", 1)
 def test_what_is_written_is_read_and_the_newest_finding_counts(tmp_path):
     path = tmp_path / "below" / "signs.yaml"
     other = ForceSignKey("1209:5968", "pid", "123456")
-    known = ForceSigns().with_sign(X).with_sign(ForceSign(*other, "x", -1))
+    known = ForceSigns().replace_sign(X).replace_sign(ForceSign(*other, "x", -1))
     force_signs.save(path, known)
     assert force_signs.load(path) == known
     assert known.find_signs(other) == {"x": -1}
-    turned = known.with_sign(ForceSign(*BOARD, "x", -1)).with_sign(ForceSign(*BOARD, "y", 1))
+    turned = known.replace_sign(ForceSign(*BOARD, "x", -1)).replace_sign(ForceSign(*BOARD, "y", 1))
     assert len(turned.signs) == 3
     assert turned.find_signs(BOARD) == {"x": -1, "y": 1}
 

@@ -135,7 +135,7 @@ def push(data, config, device, forces):
         driver.silence()
         return
     descriptor = parse_descriptor(data)
-    field = build_layout(descriptor, Inputs(descriptor)).constant_force.need(MAGNITUDE)
+    field = build_layout(descriptor, Inputs(descriptor)).constant_force.get_field(MAGNITUDE)
     low, high = compute_limits(field)
     for force in forces:
         reports = driver.encode(force[: len(driver.forces)], arm=bool(len(forces) % 2))

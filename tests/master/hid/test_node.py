@@ -46,7 +46,7 @@ def test_an_unplugged_device_is_a_fault_on_the_next_read(hidraw, node, plugged):
     with pytest.raises(DeviceFault):
         node.get_feature(0x13, 5)
     with pytest.raises(DeviceFault):
-        node.descriptor()
+        node.read_descriptor()
 
 
 def test_a_closed_node_is_a_fault_and_closing_again_is_nothing(node):

@@ -52,7 +52,7 @@ def posed(axes=6):
     """A stream of poses that was enabled."""
     stream = CommandStream(RosDeviceConfig(command="servo_cp", axes=axes))
     for k in range(10):
-        stream.servo([sample(pose(), 10 * k)])
+        stream.take_servo_commands([sample(pose(), 10 * k)])
     command(stream, "enable", 91)
     assert (stream.engage, stream.fault) == (True, "")
     return stream
@@ -64,7 +64,9 @@ def sample(data, at_ms, publisher=ONE, late_ms=0):
 
 
 def command(stream, word, at_ms):
-    stream.state_command(encode(build_message(STRING_STAMPED, string=word)), BEGIN + at_ms * MS)
+    stream.take_state_command(
+        encode(build_message(STRING_STAMPED, string=word)), BEGIN + at_ms * MS
+    )
 
 
 def engaged(**config):
@@ -74,7 +76,7 @@ def engaged(**config):
     if config.get("command") == "servo_cv":
         data = twist(0.01)
     for k in range(10):
-        stream.servo([sample(data, 10 * k)])
+        stream.take_servo_commands([sample(data, 10 * k)])
     command(stream, "enable", 91)
     assert (stream.engage, stream.fault, stream.values) == (
         True, "", (0.01,) * stream.config.axes,
@@ -84,7 +86,7 @@ def engaged(**config):
 
 def test_nothing_engages_without_enable_or_without_a_stream():
     stream = CommandStream(RosDeviceConfig())
-    stream.servo([sample(joints(0.01), 0)])
+    stream.take_servo_commands([sample(joints(0.01), 0)])
     assert not stream.engage
     silent = CommandStream(RosDeviceConfig())
     command(silent, "enable", 0)
@@ -112,18 +114,18 @@ def test_nothing_engages_without_enable_or_without_a_stream():
 )
 def test_whatever_is_wrong_is_a_fault_with_a_name_until_disabled(samples, words):
     stream = engaged()
-    stream.servo(samples)
+    stream.take_servo_commands(samples)
     assert words in stream.fault
     assert stream.fault.startswith("ROS servo_jp: ")
     assert not stream.engage
     assert stream.values == ()
     number, fault = stream.number, stream.fault
-    stream.servo([sample(joints(0.01), 300)])  # nothing good makes up for it
+    stream.take_servo_commands([sample(joints(0.01), 300)])  # nothing good makes up for it
     command(stream, "enable", 301)
     assert (stream.number, stream.fault, stream.engage) == (number, fault, False)
     command(stream, "disable", 302)
     assert not stream.fault
-    stream.servo([sample(joints(0.01), 410)])
+    stream.take_servo_commands([sample(joints(0.01), 410)])
     assert not stream.engage
     command(stream, "enable", 411)
     assert stream.engage
@@ -141,12 +143,12 @@ def test_one_wrong_joint_of_eight_is_a_fault(joint, value, words):
     stream = engaged(axes=8)
     positions = [0.01] * 8
     positions[joint - 1] = value
-    stream.servo([sample(joints(*positions), 100)])
+    stream.take_servo_commands([sample(joints(*positions), 100)])
     assert words in stream.fault
     assert (stream.engage, stream.values) == (False, ())
     for count in (7, 9):
         stream = engaged(axes=8)
-        stream.servo([sample(joints(*(0.01,) * count), 100)])
+        stream.take_servo_commands([sample(joints(*(0.01,) * count), 100)])
         assert f"{count} joints, must be 8" in stream.fault
 
 
@@ -161,7 +163,7 @@ def test_the_speed_is_limited_at_any_rate(period_ms, bunch, speed, is_fault):
     for k in range(100):
         at_ms = 100 + period_ms * (k // bunch) + k % bunch
         moved = 0.01 + speed * 1e-3 * period_ms * k / bunch
-        stream.servo([sample(joints(moved), at_ms, late_ms=0)])
+        stream.take_servo_commands([sample(joints(moved), at_ms, late_ms=0)])
     assert ("faster than speed_max" in stream.fault) == is_fault, stream.fault
 
 
@@ -172,10 +174,12 @@ def test_silence_is_a_fault_while_enabled_only():
     stream.step(BEGIN + 141 * MS)
     assert (stream.engage, stream.fault) == (False, "ROS servo_jp: silent for 0.05 s")
     idle = CommandStream(RosDeviceConfig())
-    idle.servo([sample(joints(0.01), 0)])
+    idle.take_servo_commands([sample(joints(0.01), 0)])
     idle.step(BEGIN + 10_000 * MS)
     assert not idle.fault
-    idle.servo([sample(joints(0.5), 20_000, OTHER)])  # after silence another node may begin
+    idle.take_servo_commands(
+        [sample(joints(0.5), 20_000, OTHER)]
+    )  # after silence another node may begin
     assert not idle.fault
 
 
@@ -189,7 +193,7 @@ def test_other_state_commands_open_the_switch(word, is_fault):
 
 def test_invalid_bytes_of_a_state_command_open_the_switch():
     stream = engaged()
-    stream.state_command(b"\1", BEGIN + 95 * MS)
+    stream.take_state_command(b"\1", BEGIN + 95 * MS)
     assert not stream.engage
     assert "state_command: invalid" in stream.fault
 
@@ -197,7 +201,7 @@ def test_invalid_bytes_of_a_state_command_open_the_switch():
 @pytest.mark.parametrize("x", [math.nan, -0.6])
 def test_a_velocity_is_finite_and_limited(x):
     stream = engaged(command="servo_cv")
-    stream.servo([sample(twist(x), 100)])
+    stream.take_servo_commands([sample(twist(x), 100)])
     assert not stream.engage
     assert stream.fault.startswith("ROS servo_cv: ")
 
@@ -216,7 +220,7 @@ def test_a_velocity_is_finite_and_limited(x):
 )
 def test_a_wrong_pose_is_a_fault(data, words):
     stream = posed()
-    stream.servo([sample(data, 100)])
+    stream.take_servo_commands([sample(data, 100)])
     assert words in stream.fault
     assert stream.fault.startswith("ROS servo_cp: ")
     assert (stream.engage, stream.values) == (False, ())
@@ -226,7 +230,7 @@ def test_a_pose_is_a_place_and_angles_that_go_on_beyond_half_a_turn():
     stream = posed()
     for k in range(1, 201):
         turn = (0.01 * k, -0.005 * k, 0.02 * k)
-        stream.servo([sample(pose(0.01 + 1e-4 * k, turn), 90 + 10 * k)])
+        stream.take_servo_commands([sample(pose(0.01 + 1e-4 * k, turn), 90 + 10 * k)])
         assert stream.values == pytest.approx((0.01 + 1e-4 * k, 0.01, 0.01, *turn), abs=1e-9)
     assert stream.values[5] > math.pi
     assert posed(axes=3).values == (0.01, 0.01, 0.01)
@@ -237,7 +241,7 @@ def test_no_bytes_move_anything(datas, encapsulated):
     stream = engaged()
     head = b"\0\1\0\0" if encapsulated else b""
     for k, data in enumerate(datas):
-        stream.servo([sample(head + data, 100 + k)])
+        stream.take_servo_commands([sample(head + data, 100 + k)])
     for value in stream.values:
         assert abs(value) <= 1.0
     assert stream.engage == (not stream.fault)

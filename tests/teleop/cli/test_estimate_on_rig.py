@@ -61,7 +61,7 @@ def record(rig, motion):
         for s in plant.read(k * 1e-3):
             row = (s.proximal_tension, s.proximal_displacement, s.bench_distal_tension)
             rows.append((s.time_s, *(column[0] for column in row)))
-        plant.write(np.array([MOTIONS[motion].at(k * 1e-3)[0]]))
+        plant.write(np.array([MOTIONS[motion].compute_motion(k * 1e-3)[0]]))
     return np.array(rows).T
 
 

@@ -28,7 +28,7 @@ def shares(found, method):
 def test_friction_grows_with_the_bend_in_a_straight_line(found):
     K = np.array([number.value for number in found.record_frictions])
     assert np.all(np.diff(K) > 0.1)
-    line = [found.fit.model.friction_at(record.bend) for record in found.records]
+    line = [found.fit.model.compute_friction(record.bend) for record in found.records]
     np.testing.assert_allclose(K, line, atol=0.06)
     assert 0.14 < found.growth.low < found.growth.value < found.growth.high < 0.21
 

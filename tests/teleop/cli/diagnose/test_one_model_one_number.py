@@ -96,7 +96,7 @@ def played(data, model, *, drop_nonfinite=False):
     estimate(*slave.estimate_arguments, rows, len(rows))
     score = Score(models)
     score.add_rows(slave.layout, rows, len(rows))
-    return score.summary()
+    return score.summarise()
 
 
 @pytest.mark.parametrize("which", [0, 1])
