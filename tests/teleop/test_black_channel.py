@@ -229,3 +229,7 @@ def test_a_restarted_peer_is_taken_up_only_when_the_old_one_is_gone_and_is_count
     assert line.latest.message.sender == ANOTHER
     line.look(line.message(BAD, sender=OURS, sequence=10**6))  # the old one's last words
     assert line.latest.message.state == 2
+    line.there = {OURS}  # or what somebody has kept of it
+    line.look(line.message(BAD, sender=OURS, sequence=line.sequence))
+    assert line.latest.counts.out_of_order == 1
+    assert line.latest.message.state == 2

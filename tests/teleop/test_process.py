@@ -15,7 +15,6 @@ from teleop.errors import TeleopError, UsageError
 from teleop.runtime.output_file import OutputFile
 from teleop.runtime.process import (
     SUPERVISED_VARIABLE,
-    TERMINATION_SIGNALS,
     StopCondition,
     die_with_launcher,
     die_with_parent,
@@ -68,7 +67,7 @@ def test_an_interruption_that_python_ignores_is_delivered_again():
     assert (run.stdout, run.stderr) == ("interrupted\n", "")
 
 
-@pytest.mark.parametrize("number", TERMINATION_SIGNALS)
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_loop_is_stopped_by_each_signal_that_ends_a_command(number, monkeypatch):
     with without_traces(monkeypatch):
         stop = StopCondition()

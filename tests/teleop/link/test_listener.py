@@ -174,6 +174,24 @@ def test_every_message_stored_is_heard_rejected_or_dropped(
     assert stored == counts.received + counts.rejected + listener.dropped(topic)
 
 
+def test_senders_without_end_take_no_memory_and_are_all_counted() -> None:
+    listener = Listener(lambda *_: True)
+    store, message = hear(listener, STOP), EmergencyStop()
+
+    def flood(senders: range) -> int:
+        for sender in senders:
+            store(message.pack(sender, 1, 0))
+            if sender % 100 == 0:
+                listener.drain()
+        return tracemalloc.get_traced_memory()[0]
+
+    tracemalloc.start()
+    before, after = flood(range(1, 2001)), flood(range(2001, 6001))
+    tracemalloc.stop()
+    assert after - before < 100_000
+    assert listener.counts(STOP) == MessageCounts(received=6000)
+
+
 def test_a_sender_that_goes_on_is_not_forgotten_for_a_flood_of_others() -> None:
     listener = Listener(lambda *_: True)
     store, message = hear(listener, STOP), EmergencyStop()

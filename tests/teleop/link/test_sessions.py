@@ -10,6 +10,7 @@ import pytest
 from teleop.errors import PeerError, UsageError
 from teleop.link import Link, LinkConfig, MessageCounts
 from teleop.link.config import Address
+from teleop.link.listener import Listener
 from teleop.link.network import BATCH_BYTES
 from teleop.messages.messages import (
     Command,
@@ -145,6 +146,31 @@ def test_a_viewer_gets_copies_of_fast_topics_and_calls_the_rest_not_lost(
         assert 20 <= composed <= 100.0 * passed_s + 2
         assert listener.counts(HAND).lost == 0
         assert listener.counts(HAND).overwritten >= 200 - composed - 10
+
+
+def test_copies_come_at_their_rate_though_all_messages_are_sent(config: LinkConfig) -> None:
+    with (
+        session(config, Role.SLAVE, Role.MASTER) as (_, master),
+        Link(config, "test", Role.VIEWER) as viewer,
+    ):
+        copies, everything = viewer.listen([COMMAND], sampled={COMMAND}), viewer.listen([COMMAND])
+
+        def received(listener: Listener) -> int:
+            listener.drain()
+            return listener.counts(COMMAND).received
+
+        def both_hear() -> bool:
+            master.publish(COMMAND, Command())
+            return min(received(copies), received(everything)) > 0
+
+        wait_until(both_hear)
+        before, begin = (received(copies), received(everything)), time.monotonic()
+        for _ in range(200):
+            master.publish(COMMAND, Command())
+            time.sleep(0.002)
+        passed_s = time.monotonic() - begin
+        wait_until(lambda: received(everything) - before[1] >= 200)
+        assert 10 <= received(copies) - before[0] <= 50.0 * passed_s + 2
 
 
 def test_connections_leave_no_file_open(config: LinkConfig) -> None:
